@@ -1,0 +1,2 @@
+//! Everything a board computes.
+#![no_std]

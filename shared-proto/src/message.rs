@@ -1,0 +1,394 @@
+//! Every message that crosses the wire, in both directions.
+//!
+//! A message is a [postcard](https://postcard.jamesmunns.com/wire-format) enum: one byte of variant
+//! number, then the fields in order. State travels whole and events travel as wrapping counters, so
+//! a lost frame loses nothing and a repeated one does nothing.
+//!
+//! **Adding** a variant at the end is a minor change; anything else is a major one
+//! (see [`PROTOCOL_MAJOR`]). [`Hello`] is frozen for ever, so that any two versions can tell each
+//! other that they differ.
+
+use serde::{Deserialize, Serialize};
+
+/// Raised when a message is reshaped; both sides must have the same one.
+pub const PROTOCOL_MAJOR: u8 = 1;
+/// Raised when a message is added; the older side ignores what it does not know.
+pub const PROTOCOL_MINOR: u8 = 0;
+
+/// What a board sends to the laptop.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub enum BoardMessage<'a> {
+    /// At start, and in answer to [`HostMessage::HelloRequest`].
+    #[serde(borrow)]
+    Hello(Hello<'a>),
+    /// The left hand's whole state, at 50 Hz and at once on a change.
+    Left(LeftState),
+    /// The right hand's whole state, once per hop (80 ms).
+    #[serde(borrow)]
+    Right(RightState<'a>),
+    /// Samples as the window saw them, in record mode only.
+    #[serde(borrow)]
+    RawImu(RawImu<'a>),
+    /// Counters, once per second.
+    Status(Status),
+    /// Something is wrong that a person should know.
+    Fault(Fault),
+    /// Answer to [`HostMessage::Ping`].
+    Pong(Pong),
+    /// Answer to every other request.
+    Ack(Ack),
+    /// What the running model expects and names, sent after each hello of a right hand.
+    #[serde(borrow)]
+    ModelInfo(ModelInfo<'a>),
+}
+
+/// What the laptop sends to a board.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub enum HostMessage<'a> {
+    /// Who are you?
+    HelloRequest,
+    /// Answered by [`Pong`] with the same id.
+    Ping {
+        /// Chosen by the laptop.
+        id: u32,
+    },
+    /// Change what the right hand does.
+    SetMode {
+        /// Echoed in the [`Ack`].
+        request: u16,
+        /// The new mode.
+        mode: Mode,
+    },
+    /// Start one step of the left hand's calibration.
+    Calibrate {
+        /// Echoed in the [`Ack`].
+        request: u16,
+        /// Which pose the hand holds now.
+        step: CalibrationStep,
+    },
+    /// Change the left hand's tilt thresholds until the next restart.
+    SetThresholds {
+        /// Echoed in the [`Ack`].
+        request: u16,
+        /// The new thresholds.
+        thresholds: TiltThresholds,
+    },
+    /// Announce a model blob; the board answers with the offset it wants next.
+    #[serde(borrow)]
+    ModelBegin(ModelBegin<'a>),
+    /// A piece of the blob. Pieces arrive in order; the [`Ack`] names the next offset.
+    ModelChunk {
+        /// Echoed in the [`Ack`].
+        request: u16,
+        /// Where in the blob the data belongs, in bytes.
+        offset: u32,
+        /// At most [`MODEL_CHUNK_MAX`] bytes.
+        #[serde(borrow)]
+        data: &'a [u8],
+    },
+    /// Verify and keep the blob; used after the next restart.
+    ModelCommit {
+        /// Echoed in the [`Ack`].
+        request: u16,
+        /// CRC-32 of the whole blob, which is also the new model id.
+        crc32: u32,
+    },
+}
+
+/// Largest piece of a model in one frame, in bytes.
+pub const MODEL_CHUNK_MAX: usize = 128;
+
+/// Which hand a board is on, and which board it is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Board {
+    /// Arduino Nano (ATmega328P): tilt and bends.
+    LeftNano,
+    /// Arduino Nano 33 BLE Sense Rev1 (LSM9DS1): gestures.
+    RightNano33,
+    /// Arduino Nano 33 BLE Sense Rev2 (BMI270 + BMM150): gestures.
+    RightNano33Rev2,
+    /// A recording played by the laptop as the left hand.
+    LeftReplay,
+    /// A recording played by the laptop as the right hand.
+    RightReplay,
+}
+
+/// Who a board is. The layout of this message never changes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Hello<'a> {
+    /// [`PROTOCOL_MAJOR`] of the sender.
+    pub major: u8,
+    /// [`PROTOCOL_MINOR`] of the sender.
+    pub minor: u8,
+    /// The sender.
+    pub board: Board,
+    /// Version of the firmware, such as `0.1.0`.
+    pub firmware: &'a str,
+    /// Different after each start. A new one re-bases counters and clock and needs neutral again.
+    pub boot_id: u32,
+    /// CRC-32 of the running model's blob; 0 where there is none.
+    pub model_id: u32,
+    /// Samples per second.
+    pub sample_hz: u16,
+}
+
+/// Where the left hand points. At most one command at a time: the larger tilt wins.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Heading {
+    /// Both tilts within the dead zone (5°). Needed to re-arm after a stop.
+    Neutral,
+    /// Neither neutral nor a command.
+    #[default]
+    Between,
+    /// Base forward.
+    Forward,
+    /// Base backward.
+    Backward,
+    /// Base turns left (counter-clockwise seen from above).
+    Left,
+    /// Base turns right.
+    Right,
+}
+
+/// The left hand, whole.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct LeftState {
+    /// One more for each frame of this message, wrapping.
+    pub sequence: u16,
+    /// Board clock at the newest sample in this state, wrapping after 49 days.
+    pub board_time_ms: u32,
+    /// Tilt about the lateral axis in milliradians, positive = forward.
+    pub pitch_mrad: i16,
+    /// Tilt about the forward axis in milliradians, positive = left.
+    pub roll_mrad: i16,
+    /// What the tilt means, debounced.
+    pub heading: Heading,
+    /// Bends of the index finger since start, wrapping.
+    pub index_bends: u8,
+    /// Bends of the middle finger since start, wrapping.
+    pub middle_bends: u8,
+    /// Both fingers have been held bent for 300 ms.
+    pub stop: bool,
+    /// Bits of [`health`]; 0 = all well.
+    pub health: u8,
+}
+
+/// The right hand, whole.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct RightState<'a> {
+    /// One more for each frame of this message, wrapping.
+    pub sequence: u16,
+    /// Board clock at the newest sample of the window, wrapping after 49 days.
+    pub board_time_ms: u32,
+    /// Gestures performed since start, wrapping.
+    pub events: u8,
+    /// Index (in the model's labels) of the last event's gesture; 255 before the first.
+    pub label: u8,
+    /// Confidence of the last event, 0 to 255 = 0 to 1.
+    pub confidence: u8,
+    /// Board clock at the end of the window that decided the last event.
+    pub event_window_end_ms: u32,
+    /// The network's int8 outputs as bytes, one per label: (score + 128) / 256 is the probability.
+    pub scores: &'a [u8],
+    /// Bits of [`health`]; 0 = all well.
+    pub health: u8,
+}
+
+/// Bits of a state's health flags. Any bit set means: do not act on this hand.
+pub mod health {
+    /// The accelerometer (or the IMU) does not answer, is open or shorted.
+    pub const SENSOR: u8 = 1 << 0;
+    /// A flex line is open or shorted.
+    pub const FLEX: u8 = 1 << 1;
+    /// Gravity has an impossible magnitude.
+    pub const GRAVITY: u8 = 1 << 2;
+    /// The converter repeats itself.
+    pub const STUCK: u8 = 1 << 3;
+    /// Calibration was damaged, and defaults are in use. (A warning: the only bit one may act on.)
+    pub const DEFAULT_CALIBRATION: u8 = 1 << 4;
+    /// The window has a gap.
+    pub const GAP: u8 = 1 << 5;
+    /// The model cannot run on this board.
+    pub const MODEL: u8 = 1 << 6;
+}
+
+/// Samples exactly as the window saw them: i16 counts on the 100 Hz grid.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct RawImu<'a> {
+    /// One more for each frame of this message, wrapping.
+    pub sequence: u16,
+    /// Number of the first sample since start, counted at the sample rate.
+    pub first_sample: u32,
+    /// Values per sample: 3 (accelerometer), 6 (and gyroscope) or 9 (and magnetometer).
+    pub axes: u8,
+    /// Physical value of one count: m/s², deg/s, µT.
+    pub scale: [f32; 3],
+    /// Little-endian i16, sample after sample, axes in the order accelerometer, gyroscope, magnetometer.
+    pub counts: &'a [u8],
+}
+
+/// Counters since start.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Status {
+    /// Time since start.
+    pub uptime_ms: u32,
+    /// Samples that could not be taken or kept in time.
+    pub dropped_samples: u32,
+    /// Failed transfers to the sensor.
+    pub sensor_errors: u32,
+    /// Damaged frames received from the laptop.
+    pub bad_frames: u32,
+    /// Least free stack seen since start, in bytes.
+    pub free_stack_bytes: u32,
+    /// Share of time awake since the last status, in parts per thousand.
+    pub load_permille: u16,
+    /// What the board does.
+    pub mode: Mode,
+}
+
+/// What a board does.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Mode {
+    /// Names gestures (right hand), or sends the hand's state (left hand).
+    #[default]
+    Classify,
+    /// Sends raw batches.
+    Record,
+    /// Sends status only.
+    Idle,
+}
+
+/// What went wrong on a board.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Fault {
+    /// Time since start.
+    pub uptime_ms: u32,
+    /// What.
+    pub kind: FaultKind,
+    /// Depends on the kind: a register value, an address, a line.
+    pub detail: u32,
+}
+
+/// Kinds of [`Fault`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum FaultKind {
+    /// The sensor does not answer; detail = bus address.
+    SensorMissing,
+    /// The sensor is not the expected one; detail = its WHO_AM_I.
+    SensorUnknown,
+    /// The board is a Rev2, which this image does not support.
+    BoardRev2,
+    /// The bus was stuck and has been cleared.
+    BusStuck,
+    /// The watchdog restarted the board.
+    Watchdog,
+    /// The firmware panicked before this start.
+    Panic,
+    /// The stored calibration was damaged; defaults are in use.
+    CalibrationDamaged,
+    /// The stored model was damaged or does not fit; the compiled-in one is in use.
+    ModelDamaged,
+}
+
+/// Answer to a ping.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Pong {
+    /// The id of the ping.
+    pub id: u32,
+    /// Board clock when the ping was handled.
+    pub board_time_ms: u32,
+}
+
+/// Answer to a request.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Ack {
+    /// The request's number.
+    pub request: u16,
+    /// How it went.
+    pub result: AckResult,
+    /// In a model transfer: the offset that the board wants next, in bytes. Else 0.
+    pub next_offset: u32,
+}
+
+/// How a request went.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum AckResult {
+    /// Done.
+    Ok,
+    /// Accepted, and it takes time: a second acknowledgement follows.
+    Started,
+    /// Not now: another request is under way.
+    Busy,
+    /// This board does not do that.
+    Unsupported,
+    /// A value is outside its range.
+    OutOfRange,
+    /// The hand did not hold still, or the pose cannot be right.
+    Unsteady,
+    /// The model's recipe, axes, rate, window or size does not fit this image.
+    ModelDoesNotFit,
+    /// The piece is not the one wanted next.
+    WrongOffset,
+    /// The checksum differs.
+    BadChecksum,
+    /// Flash or EEPROM did not take the data.
+    StorageFailed,
+    /// Writes need a bonded link.
+    NotBonded,
+}
+
+/// Steps of the left hand's calibration.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum CalibrationStep {
+    /// The hand is level and still.
+    Neutral,
+    /// Both fingers are straight.
+    Rest,
+    /// Both fingers are bent.
+    Bend,
+    /// Forget it all and use defaults.
+    Reset,
+}
+
+/// Tilt thresholds in milliradians.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct TiltThresholds {
+    /// Neutral lies within this (5° = 87).
+    pub neutral_mrad: u16,
+    /// A command ends below this (12° = 209).
+    pub end_mrad: u16,
+    /// A command starts beyond this (15° = 262).
+    pub start_mrad: u16,
+}
+
+/// What a model needs and names.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ModelInfo<'a> {
+    /// CRC-32 of the blob.
+    pub model_id: u32,
+    /// How features are made (see `shared_dsp::mlp::recipe`).
+    pub recipe: u8,
+    /// Values per sample.
+    pub axes: u8,
+    /// Samples per second.
+    pub sample_hz: u16,
+    /// Samples per window.
+    pub window: u16,
+    /// Names of the outputs in order, separated by commas.
+    pub labels: &'a str,
+}
+
+/// Announces a model.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ModelBegin<'a> {
+    /// Echoed in the [`Ack`].
+    pub request: u16,
+    /// What the model needs and names; `model_id` is the CRC-32 of the whole blob.
+    #[serde(borrow)]
+    pub info: ModelInfo<'a>,
+    /// Physical units the model was trained in, m/s², deg/s and µT per count of 1.0:
+    /// 1.0 for data-sheet scale; 1.1469 where gyroscope and magnetometer are in Arduino's scale.
+    pub scaling: [f32; 3],
+    /// Bytes of the whole blob.
+    pub size: u32,
+}
