@@ -1,0 +1,93 @@
+//! Picks the compiler for the two boards: rustup's where it has the target, else Debian's packages.
+//!
+//! Both boards build from the same sources with either. Debian's `rustc-web` brings the library
+//! source and no prebuilt core, so there `core` is built along (`-Zbuild-std`, which a stable
+//! compiler allows only under `RUSTC_BOOTSTRAP=1`). AVR has no prebuilt core anywhere.
+
+use std::path::Path;
+use std::process::Command;
+
+use anyhow::{Result, bail};
+
+use crate::tools;
+
+/// The two boards.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Target {
+    /// ATmega328P.
+    Avr,
+    /// nRF52840.
+    Thumb,
+}
+
+impl Target {
+    /// The compiler's name for it.
+    pub fn triple(self) -> &'static str {
+        match self {
+            Target::Avr => "avr-none",
+            Target::Thumb => "thumbv7em-none-eabihf",
+        }
+    }
+}
+
+/// A `cargo` for the target, ready for a subcommand such as `build --release`.
+///
+/// # Errors
+/// Names what to install where neither rustup nor Debian's compiler can build for the target.
+pub fn cargo(target: Target, subcommand: &str) -> Result<Command> {
+    let mut command = if has_rustup(target) {
+        let mut command = Command::new("cargo");
+        if target == Target::Avr {
+            command.args(["+nightly", subcommand, "-Zbuild-std=core"]);
+        } else {
+            command.arg(subcommand);
+        }
+        command
+    } else if has_debian() {
+        let mut command = Command::new("/usr/bin/cargo");
+        command.env("RUSTC", "/usr/bin/rustc").env("RUSTC_BOOTSTRAP", "1");
+        // Clippy and rustdoc of rustup would not match this compiler.
+        command.env_remove("RUSTUP_TOOLCHAIN").env_remove("RUSTDOC");
+        command.args([subcommand, "-Zbuild-std=core"]);
+        command
+    } else {
+        bail!(
+            "no compiler for {}.\n  With rustup: {}\n  On Debian:   {}",
+            target.triple(),
+            match target {
+                Target::Avr =>
+                    "rustup toolchain install nightly --component rust-src (and avr-gcc from your packages)",
+                Target::Thumb => "rustup target add thumbv7em-none-eabihf",
+            },
+            tools::CROSS_DEBIAN.install_line(),
+        )
+    };
+    // Set by the cargo that runs this program; the inner one must find its own.
+    command.env_remove("CARGO").env_remove("RUSTFLAGS").env_remove("CARGO_ENCODED_RUSTFLAGS");
+    command.args(["--target", target.triple()]);
+    Ok(command)
+}
+
+fn has_rustup(target: Target) -> bool {
+    let lists = |args: &[&str], what: &str| {
+        Command::new("rustup")
+            .args(args)
+            .output()
+            .is_ok_and(|o| o.status.success() && String::from_utf8_lossy(&o.stdout).contains(what))
+    };
+    match target {
+        Target::Thumb => lists(&["target", "list", "--installed"], target.triple()),
+        Target::Avr => lists(&["component", "list", "--toolchain", "nightly", "--installed"], "rust-src"),
+    }
+}
+
+fn has_debian() -> bool {
+    let Ok(output) =
+        Command::new("/usr/bin/rustc").env_remove("RUSTUP_TOOLCHAIN").args(["--print", "sysroot"]).output()
+    else {
+        return false;
+    };
+    let sysroot = String::from_utf8_lossy(&output.stdout);
+    Path::new("/usr/bin/cargo").exists()
+        && Path::new(sysroot.trim()).join("lib/rustlib/src/rust/library/core").exists()
+}

@@ -1,0 +1,87 @@
+//! What the tests need beyond Rust, and how to get it.
+
+use std::process::{Command, Stdio};
+
+use anyhow::{Context, Result, bail};
+
+/// Debian packages for one purpose.
+pub struct Packages {
+    /// What they are for.
+    pub purpose: &'static str,
+    names: &'static [&'static str],
+}
+
+/// Compilers for the boards where rustup has none.
+pub const CROSS_DEBIAN: Packages = Packages {
+    purpose: "compilers for the boards",
+    names: &["rustc-web", "cargo-web", "rust-web-src", "lld", "gcc-avr", "avr-libc", "binutils-avr"],
+};
+
+/// What the emulated boards stand on.
+pub const EMULATORS: Packages = Packages {
+    purpose: "emulated boards",
+    names: &["libclang-dev", "clang", "libelf-dev", "libzstd-dev", "libunicorn-dev", "pkg-config"],
+};
+
+impl Packages {
+    /// The command that a person types.
+    pub fn install_line(&self) -> String {
+        format!("sudo apt-get install {}", self.names.join(" "))
+    }
+
+    fn missing(&self) -> Vec<&'static str> {
+        self.names.iter().copied().filter(|name| !is_installed(name)).collect()
+    }
+
+    /// Installs what is missing where that needs no question (root on Debian), else names it.
+    ///
+    /// # Errors
+    /// The packages that are missing, with the line that installs them.
+    pub fn ensure(&self) -> Result<()> {
+        let missing = self.missing();
+        if missing.is_empty() {
+            return Ok(());
+        }
+        let can_install =
+            is_root() && Command::new("apt-get").arg("--version").stdout(Stdio::null()).status().is_ok();
+        if !can_install {
+            bail!(
+                "missing for {}: {}\n  On Debian or Ubuntu: {}\n  Elsewhere: the packages of the same purpose.",
+                self.purpose,
+                missing.join(" "),
+                self.install_line()
+            );
+        }
+        eprintln!("installing for {}: {}", self.purpose, missing.join(" "));
+        apt_get(&["update", "-qq"])?;
+        let mut args = vec!["install", "-y", "-qq", "--no-install-recommends"];
+        args.extend(missing);
+        apt_get(&args)
+    }
+}
+
+fn apt_get(args: &[&str]) -> Result<()> {
+    let status = Command::new("apt-get")
+        .args(args)
+        .env("DEBIAN_FRONTEND", "noninteractive")
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .status()
+        .context("apt-get does not start")?;
+    if !status.success() {
+        bail!("apt-get {} failed", args.join(" "));
+    }
+    Ok(())
+}
+
+fn is_installed(package: &str) -> bool {
+    Command::new("dpkg-query")
+        .args(["-W", "-f", "${Status}", package])
+        .stderr(Stdio::null())
+        .output()
+        .is_ok_and(|o| o.status.success() && o.stdout.ends_with(b"ok installed"))
+}
+
+fn is_root() -> bool {
+    Command::new("id").arg("-u").output().is_ok_and(|o| o.stdout.trim_ascii() == b"0")
+}
