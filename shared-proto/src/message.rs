@@ -4,11 +4,45 @@
 //! number, then the fields in order. State travels whole and events travel as wrapping counters, so
 //! a lost frame loses nothing and a repeated one does nothing.
 //!
-//! **Adding** a variant at the end is a minor change; anything else is a major one
-//! (see [`PROTOCOL_MAJOR`]). [`Hello`] is frozen for ever, so that any two versions can tell each
-//! other that they differ.
+//! **Adding** a message at the end of [`BoardMessage`] or [`HostMessage`], or a value to an open list
+//! ([`Board`], [`FaultKind`], [`AckResult`]: they have `Unknown`), is a minor change; anything else is a
+//! major one (see [`PROTOCOL_MAJOR`]). [`Hello`] and [`HostMessage::HelloRequest`] are frozen for ever,
+//! so that any two versions can tell each other that they differ.
 
 use serde::{Deserialize, Serialize};
+
+/// A list that may grow in a minor version: one byte on the wire, and an older reader keeps a value
+/// it does not know as `Unknown` instead of losing the whole message.
+macro_rules! open_list {
+    ($(#[$doc:meta])* $name:ident { $($(#[$value_doc:meta])* $value:ident = $byte:literal,)* }) => {
+        $(#[$doc])*
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+        #[serde(from = "u8", into = "u8")]
+        pub enum $name {
+            $($(#[$value_doc])* $value,)*
+            /// A value that a later minor version added.
+            Unknown(u8),
+        }
+
+        impl From<u8> for $name {
+            fn from(byte: u8) -> Self {
+                match byte {
+                    $($byte => Self::$value,)*
+                    other => Self::Unknown(other),
+                }
+            }
+        }
+
+        impl From<$name> for u8 {
+            fn from(value: $name) -> Self {
+                match value {
+                    $($name::$value => $byte,)*
+                    $name::Unknown(other) => other,
+                }
+            }
+        }
+    };
+}
 
 /// Raised when a message is reshaped; both sides must have the same one.
 pub const PROTOCOL_MAJOR: u8 = 1;
@@ -95,22 +129,31 @@ pub enum HostMessage<'a> {
     },
 }
 
-/// Largest piece of a model in one frame, in bytes.
+/// Largest piece of a model in one frame, in bytes. All but the last have this size.
 pub const MODEL_CHUNK_MAX: usize = 128;
+/// Largest [`RawImu::counts`], in bytes: 8 samples of 9 axes.
+pub const RAW_COUNTS_MAX: usize = 8 * 9 * 2;
+/// Longest [`ModelInfo::labels`], in bytes of UTF-8, commas included.
+pub const LABELS_MAX: usize = 96;
+/// Longest [`RightState::scores`]: the most labels that a model may have.
+pub const SCORES_MAX: usize = 32;
+/// Longest [`Hello::firmware`], in bytes of UTF-8.
+pub const FIRMWARE_MAX: usize = 32;
 
-/// Which hand a board is on, and which board it is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Board {
-    /// Arduino Nano (ATmega328P): tilt and bends.
-    LeftNano,
-    /// Arduino Nano 33 BLE Sense Rev1 (LSM9DS1): gestures.
-    RightNano33,
-    /// Arduino Nano 33 BLE Sense Rev2 (BMI270 + BMM150): gestures.
-    RightNano33Rev2,
-    /// A recording played by the laptop as the left hand.
-    LeftReplay,
-    /// A recording played by the laptop as the right hand.
-    RightReplay,
+open_list! {
+    /// Which hand a board is on, and which board it is.
+    Board {
+        /// Arduino Nano (ATmega328P): tilt and bends.
+        LeftNano = 0,
+        /// Arduino Nano 33 BLE Sense Rev1 (LSM9DS1): gestures.
+        RightNano33 = 1,
+        /// Arduino Nano 33 BLE Sense Rev2 (BMI270 + BMM150): gestures.
+        RightNano33Rev2 = 2,
+        /// A recording played by the laptop as the left hand.
+        LeftReplay = 3,
+        /// A recording played by the laptop as the right hand.
+        RightReplay = 4,
+    }
 }
 
 /// Who a board is. The layout of this message never changes.
@@ -269,25 +312,26 @@ pub struct Fault {
     pub detail: u32,
 }
 
-/// Kinds of [`Fault`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub enum FaultKind {
-    /// The sensor does not answer; detail = bus address.
-    SensorMissing,
-    /// The sensor is not the expected one; detail = its WHO_AM_I.
-    SensorUnknown,
-    /// The board is a Rev2, which this image does not support.
-    BoardRev2,
-    /// The bus was stuck and has been cleared.
-    BusStuck,
-    /// The watchdog restarted the board.
-    Watchdog,
-    /// The firmware panicked before this start.
-    Panic,
-    /// The stored calibration was damaged; defaults are in use.
-    CalibrationDamaged,
-    /// The stored model was damaged or does not fit; the compiled-in one is in use.
-    ModelDamaged,
+open_list! {
+    /// Kinds of [`Fault`].
+    FaultKind {
+        /// The sensor does not answer; detail = bus address.
+        SensorMissing = 0,
+        /// The sensor is not the expected one; detail = its WHO_AM_I.
+        SensorUnknown = 1,
+        /// The board is a Rev2, which this image does not support.
+        BoardRev2 = 2,
+        /// The bus was stuck and has been cleared.
+        BusStuck = 3,
+        /// The watchdog restarted the board.
+        Watchdog = 4,
+        /// The firmware panicked before this start.
+        Panic = 5,
+        /// The stored calibration was damaged; defaults are in use.
+        CalibrationDamaged = 6,
+        /// The stored model was damaged or does not fit; the compiled-in one is in use.
+        ModelDamaged = 7,
+    }
 }
 
 /// Answer to a ping.
@@ -310,31 +354,32 @@ pub struct Ack {
     pub next_offset: u32,
 }
 
-/// How a request went.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub enum AckResult {
-    /// Done.
-    Ok,
-    /// Accepted, and it takes time: a second acknowledgement follows.
-    Started,
-    /// Not now: another request is under way.
-    Busy,
-    /// This board does not do that.
-    Unsupported,
-    /// A value is outside its range.
-    OutOfRange,
-    /// The hand did not hold still, or the pose cannot be right.
-    Unsteady,
-    /// The model's recipe, axes, rate, window or size does not fit this image.
-    ModelDoesNotFit,
-    /// The piece is not the one wanted next.
-    WrongOffset,
-    /// The checksum differs.
-    BadChecksum,
-    /// Flash or EEPROM did not take the data.
-    StorageFailed,
-    /// Writes need a bonded link.
-    NotBonded,
+open_list! {
+    /// How a request went.
+    AckResult {
+        /// Done.
+        Ok = 0,
+        /// Accepted, and it takes time: a second acknowledgement follows.
+        Started = 1,
+        /// Not now: another request is under way.
+        Busy = 2,
+        /// This board does not do that.
+        Unsupported = 3,
+        /// A value is outside its range.
+        OutOfRange = 4,
+        /// The hand did not hold still, or the pose cannot be right.
+        Unsteady = 5,
+        /// The model's recipe, axes, rate, window or size does not fit this image.
+        ModelDoesNotFit = 6,
+        /// The piece is not the one wanted next.
+        WrongOffset = 7,
+        /// The checksum differs.
+        BadChecksum = 8,
+        /// Flash or EEPROM did not take the data.
+        StorageFailed = 9,
+        /// Writes need a bonded link.
+        NotBonded = 10,
+    }
 }
 
 /// Steps of the left hand's calibration.

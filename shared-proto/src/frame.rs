@@ -1,0 +1,459 @@
+//! Frames: how one message becomes bytes that survive a noisy line, and comes back.
+//!
+//! `COBS(postcard(message) ++ CRC-32 little endian) ++ 0x00`. The zero byte occurs nowhere else, so
+//! a receiver that lost its place waits for the next one.
+//!
+//! Every frame that arrives whole behind a zero byte (or as the first bytes of a new [`Decoder`]) is
+//! accepted, whatever came before that zero. A sender therefore writes one [`DELIMITER`] after each
+//! start or opened link: it ends whatever half frame or noise was under way, and costs nothing, since
+//! empty frames are skipped. What is damaged is counted and dropped; nothing is ever asked for again.
+
+use crate::message::{
+    BoardMessage, FIRMWARE_MAX, HostMessage, LABELS_MAX, MODEL_CHUNK_MAX, RAW_COUNTS_MAX, SCORES_MAX,
+};
+use crc::{CRC_32_ISO_HDLC, Crc, NoTable};
+use postcard::ser_flavors::Flavor;
+use serde::Serialize;
+
+/// Ends each frame and occurs nowhere else.
+pub const DELIMITER: u8 = 0;
+
+/// The CRC-32 of zip and Ethernet. Bit by bit: a table would cost the left board half its RAM.
+static CRC: Crc<u32, NoTable> = Crc::<u32, NoTable>::new(&CRC_32_ISO_HDLC);
+const CRC_BYTES: usize = 4;
+
+// Largest postcard encodings of the fields.
+const VARIANT: usize = 1;
+const U8: usize = 1;
+const U16: usize = 3;
+const U32: usize = 5;
+const F32: usize = 4;
+/// A length and that many bytes; all our lengths are below 2^14.
+const fn bytes(max: usize) -> usize {
+    if max < 128 { 1 + max } else { 2 + max }
+}
+
+/// A frame around `message` bytes: checksum, one code byte per started 254 bytes, delimiter.
+const fn frame_len(message: usize) -> usize {
+    let decoded = message + CRC_BYTES;
+    decoded + decoded / 254 + 1 + 1
+}
+
+const fn max(values: &[usize]) -> usize {
+    let mut most = 0;
+    let mut i = 0;
+    while i < values.len() {
+        if values[i] > most {
+            most = values[i];
+        }
+        i += 1;
+    }
+    most
+}
+
+/// Largest frame of a [`Hello`](BoardMessage::Hello), in bytes.
+pub const HELLO_FRAME_MAX: usize = frame_len(VARIANT + 3 * U8 + bytes(FIRMWARE_MAX) + 2 * U32 + U16);
+/// Largest frame of a [`Left`](BoardMessage::Left) state, in bytes.
+pub const LEFT_STATE_FRAME_MAX: usize = frame_len(VARIANT + U16 + U32 + 2 * U16 + 5 * U8);
+/// Largest frame of a [`Right`](BoardMessage::Right) state, in bytes.
+pub const RIGHT_STATE_FRAME_MAX: usize =
+    frame_len(VARIANT + U16 + U32 + 3 * U8 + U32 + bytes(SCORES_MAX) + U8);
+/// Largest frame of a [`RawImu`](BoardMessage::RawImu) batch, in bytes.
+pub const RAW_IMU_FRAME_MAX: usize = frame_len(VARIANT + U16 + U32 + U8 + 3 * F32 + bytes(RAW_COUNTS_MAX));
+/// Largest frame of a [`Status`](BoardMessage::Status), in bytes.
+pub const STATUS_FRAME_MAX: usize = frame_len(VARIANT + 5 * U32 + U16 + U8);
+/// Largest frame of a [`Fault`](BoardMessage::Fault), in bytes.
+pub const FAULT_FRAME_MAX: usize = frame_len(VARIANT + U32 + U8 + U32);
+/// Largest frame of a [`Pong`](BoardMessage::Pong), in bytes.
+pub const PONG_FRAME_MAX: usize = frame_len(VARIANT + 2 * U32);
+/// Largest frame of an [`Ack`](BoardMessage::Ack), in bytes.
+pub const ACK_FRAME_MAX: usize = frame_len(VARIANT + U16 + U8 + U32);
+const MODEL_INFO_MAX: usize = U32 + 2 * U8 + 2 * U16 + bytes(LABELS_MAX);
+/// Largest frame of a [`ModelInfo`](BoardMessage::ModelInfo), in bytes.
+pub const MODEL_INFO_FRAME_MAX: usize = frame_len(VARIANT + MODEL_INFO_MAX);
+
+/// Largest frame that any board sends, in bytes: the laptop's receive buffer.
+pub const BOARD_FRAME_MAX: usize = max(&[
+    HELLO_FRAME_MAX,
+    LEFT_STATE_FRAME_MAX,
+    RIGHT_STATE_FRAME_MAX,
+    RAW_IMU_FRAME_MAX,
+    STATUS_FRAME_MAX,
+    FAULT_FRAME_MAX,
+    PONG_FRAME_MAX,
+    ACK_FRAME_MAX,
+    MODEL_INFO_FRAME_MAX,
+]);
+/// Largest frame that the left board sends, in bytes: its send buffer.
+pub const LEFT_BOARD_FRAME_MAX: usize = max(&[
+    HELLO_FRAME_MAX,
+    LEFT_STATE_FRAME_MAX,
+    STATUS_FRAME_MAX,
+    FAULT_FRAME_MAX,
+    PONG_FRAME_MAX,
+    ACK_FRAME_MAX,
+]);
+
+const MODEL_BEGIN_FRAME_MAX: usize = frame_len(VARIANT + U16 + MODEL_INFO_MAX + 3 * F32 + U32);
+const MODEL_CHUNK_FRAME_MAX: usize = frame_len(VARIANT + U16 + U32 + bytes(MODEL_CHUNK_MAX));
+/// Largest frame that the laptop sends to a left board, in bytes: that board's receive buffer.
+/// (Longer ones, the model's, are not for it: they count as overflow there.)
+pub const HOST_TO_LEFT_FRAME_MAX: usize = frame_len(VARIANT + U16 + 3 * U16);
+/// Largest frame that the laptop sends, in bytes: the right board's receive buffer.
+pub const HOST_FRAME_MAX: usize =
+    max(&[HOST_TO_LEFT_FRAME_MAX, MODEL_BEGIN_FRAME_MAX, MODEL_CHUNK_FRAME_MAX]);
+
+/// The caller's buffer is too small for the frame.
+///
+/// With a buffer of the message's `…_FRAME_MAX` it means that a text or list in the message is longer
+/// than its maximum in [`message`](crate::message).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct EncodeError;
+
+impl core::fmt::Display for EncodeError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str("the message does not fit the frame buffer: shorten its text or list")
+    }
+}
+
+impl core::error::Error for EncodeError {}
+
+/// Writes the frame of a board's message into `out` and returns the written part.
+///
+/// # Errors
+/// [`EncodeError`] when `out` is too small; its content is then meaningless.
+pub fn encode_board<'b>(message: &BoardMessage<'_>, out: &'b mut [u8]) -> Result<&'b [u8], EncodeError> {
+    encode(message, out)
+}
+
+/// Writes the frame of the laptop's message into `out` and returns the written part.
+///
+/// # Errors
+/// [`EncodeError`] when `out` is too small; its content is then meaningless.
+pub fn encode_host<'b>(message: &HostMessage<'_>, out: &'b mut [u8]) -> Result<&'b [u8], EncodeError> {
+    encode(message, out)
+}
+
+fn encode<'b>(message: &impl Serialize, out: &'b mut [u8]) -> Result<&'b [u8], EncodeError> {
+    postcard::serialize_with_flavor(message, FrameWriter::new(out)).map_err(|_| EncodeError)
+}
+
+/// Stuffs and sums while postcard writes, so that a frame needs one buffer and one pass.
+struct FrameWriter<'b> {
+    out: &'b mut [u8],
+    /// Bytes written, the open code byte included.
+    len: usize,
+    /// Where the open block's code byte will stand.
+    code_at: usize,
+    crc: crc::Digest<'static, u32, NoTable>,
+}
+
+impl<'b> FrameWriter<'b> {
+    fn new(out: &'b mut [u8]) -> Self {
+        Self { out, len: 1, code_at: 0, crc: CRC.digest() }
+    }
+
+    fn put(&mut self, at: usize, byte: u8) -> postcard::Result<()> {
+        *self.out.get_mut(at).ok_or(postcard::Error::SerializeBufferFull)? = byte;
+        Ok(())
+    }
+
+    fn close_block(&mut self) -> postcard::Result<()> {
+        // At most 255: a block is closed as soon as it holds 254 bytes.
+        let code = (self.len - self.code_at) as u8;
+        self.put(self.code_at, code)
+    }
+
+    fn stuff(&mut self, byte: u8) -> postcard::Result<()> {
+        // A full block is closed only when more follows, so that none is left empty at the end.
+        if self.len - self.code_at == 255 {
+            self.close_block()?;
+            self.code_at = self.len;
+            self.len += 1;
+        }
+        if byte == 0 {
+            self.close_block()?;
+            self.code_at = self.len;
+        } else {
+            self.put(self.len, byte)?;
+        }
+        self.len += 1;
+        Ok(())
+    }
+}
+
+impl<'b> Flavor for FrameWriter<'b> {
+    type Output = &'b [u8];
+
+    fn try_push(&mut self, byte: u8) -> postcard::Result<()> {
+        self.crc.update(&[byte]);
+        self.stuff(byte)
+    }
+
+    fn finalize(mut self) -> postcard::Result<&'b [u8]> {
+        for byte in self.crc.clone().finalize().to_le_bytes() {
+            self.stuff(byte)?;
+        }
+        self.close_block()?;
+        self.put(self.len, DELIMITER)?;
+        Ok(&self.out[..=self.len])
+    }
+}
+
+/// Why an intact frame's payload is no message of this version.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ParseError {
+    /// A message that a later minor version added. Ignore it.
+    Unknown,
+    /// A known message in an unknown shape: a sender of another major version.
+    Malformed,
+}
+
+impl core::fmt::Display for ParseError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str(match self {
+            Self::Unknown => "a message that a later minor version added",
+            Self::Malformed => "a message of another major version",
+        })
+    }
+}
+
+impl core::error::Error for ParseError {}
+
+/// How many messages this version knows; their numbers on the wire are below.
+const BOARD_MESSAGES: u8 = 9;
+const HOST_MESSAGES: u8 = 8;
+
+/// Reads a board's message from an intact frame's payload.
+///
+/// Bytes behind the message make it [`ParseError::Malformed`], except behind a
+/// [`Hello`](BoardMessage::Hello): its fields are frozen, but later versions may append to it.
+///
+/// # Errors
+/// [`ParseError`] when this version does not have such a message.
+pub fn parse_board(payload: &[u8]) -> Result<BoardMessage<'_>, ParseError> {
+    match postcard::take_from_bytes(payload) {
+        Ok((message, rest)) if rest.is_empty() || matches!(message, BoardMessage::Hello(_)) => Ok(message),
+        _ => Err(why_not(payload, BOARD_MESSAGES)),
+    }
+}
+
+/// Reads the laptop's message from an intact frame's payload.
+///
+/// Bytes behind the message make it [`ParseError::Malformed`], except behind a
+/// [`HelloRequest`](HostMessage::HelloRequest), for the same reason as in [`parse_board`].
+///
+/// # Errors
+/// [`ParseError`] when this version does not have such a message.
+pub fn parse_host(payload: &[u8]) -> Result<HostMessage<'_>, ParseError> {
+    match postcard::take_from_bytes(payload) {
+        Ok((message, rest)) if rest.is_empty() || message == HostMessage::HelloRequest => Ok(message),
+        _ => Err(why_not(payload, HOST_MESSAGES)),
+    }
+}
+
+fn why_not(payload: &[u8], known: u8) -> ParseError {
+    match payload.first() {
+        Some(&variant) if variant >= known => ParseError::Unknown,
+        _ => ParseError::Malformed,
+    }
+}
+
+/// What a [`Decoder`] has seen since it was made. All wrap.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Counters {
+    /// Intact frames, whether or not their message is known.
+    pub frames: u32,
+    /// Intact frames with a message that a later minor version added.
+    pub unknown: u32,
+    /// Intact frames with a message of another shape: the sender has another major version.
+    pub malformed: u32,
+    /// Damaged: the delimiter came too early or too late.
+    pub bad_cobs: u32,
+    /// Damaged: the checksum differs, or there is none.
+    pub bad_crc: u32,
+    /// Damaged, or not for this receiver: longer than the buffer.
+    pub overflow: u32,
+}
+
+impl Counters {
+    /// Frames lost to the line: what [`Status::bad_frames`](crate::message::Status) reports.
+    pub fn damaged(&self) -> u32 {
+        self.bad_cobs.wrapping_add(self.bad_crc).wrapping_add(self.overflow)
+    }
+}
+
+/// Turns bytes, in any slicing, into messages.
+///
+/// `N` is the longest frame it takes, in bytes on the wire, such as [`BOARD_FRAME_MAX`]. The decoder
+/// itself takes `N` bytes plus about 30.
+#[derive(Clone, Debug)]
+pub struct Decoder<const N: usize> {
+    buffer: [u8; N],
+    /// Decoded bytes in `buffer`.
+    len: usize,
+    /// The open block's code byte; 0 before the first block of a frame.
+    code: u8,
+    /// Bytes still to come in the open block.
+    left: u8,
+    /// The frame is longer than the buffer: wait for the delimiter.
+    skipping: bool,
+    counters: Counters,
+}
+
+impl<const N: usize> Default for Decoder<N> {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl<const N: usize> Decoder<N> {
+    /// A decoder that expects the start of a frame.
+    pub const fn new() -> Self {
+        Self {
+            buffer: [0; N],
+            len: 0,
+            code: 0,
+            left: 0,
+            skipping: false,
+            counters: Counters { frames: 0, unknown: 0, malformed: 0, bad_cobs: 0, bad_crc: 0, overflow: 0 },
+        }
+    }
+
+    /// What has been seen so far.
+    pub fn counters(&self) -> Counters {
+        self.counters
+    }
+
+    /// Takes one byte; the payload (the message without its checksum) when it ends an intact frame.
+    pub fn push(&mut self, byte: u8) -> Option<&[u8]> {
+        let len = self.step(byte)?;
+        Some(&self.buffer[..len])
+    }
+
+    /// Takes one byte on the laptop; a message when it ends an intact frame with a known one.
+    pub fn push_board(&mut self, byte: u8) -> Option<BoardMessage<'_>> {
+        let len = self.step(byte)?;
+        let parsed = parse_board(&self.buffer[..len]);
+        Self::count_unparsed(&mut self.counters, parsed)
+    }
+
+    /// Takes one byte on a board; a message when it ends an intact frame with a known one.
+    pub fn push_host(&mut self, byte: u8) -> Option<HostMessage<'_>> {
+        let len = self.step(byte)?;
+        let parsed = parse_host(&self.buffer[..len]);
+        Self::count_unparsed(&mut self.counters, parsed)
+    }
+
+    fn count_unparsed<M>(counters: &mut Counters, parsed: Result<M, ParseError>) -> Option<M> {
+        let counter = match parsed {
+            Ok(message) => return Some(message),
+            Err(ParseError::Unknown) => &mut counters.unknown,
+            Err(ParseError::Malformed) => &mut counters.malformed,
+        };
+        *counter = counter.wrapping_add(1);
+        None
+    }
+
+    /// Takes one byte; the payload's length in `buffer` when it ends an intact frame.
+    fn step(&mut self, byte: u8) -> Option<usize> {
+        if byte == DELIMITER {
+            let ended = self.end_frame();
+            self.len = 0;
+            self.code = 0;
+            self.left = 0;
+            self.skipping = false;
+            return ended;
+        }
+        if self.skipping {
+            return None;
+        }
+        if self.left > 0 {
+            self.left -= 1;
+            self.keep(byte);
+        } else {
+            // A new block. The one before it ended in a zero, unless it was full or is not there.
+            if self.code != 0 && self.code != 255 {
+                self.keep(0);
+            }
+            self.code = byte;
+            self.left = byte - 1;
+        }
+        None
+    }
+
+    fn keep(&mut self, byte: u8) {
+        match self.buffer.get_mut(self.len) {
+            Some(place) => {
+                *place = byte;
+                self.len += 1;
+            }
+            None => self.skipping = true,
+        }
+    }
+
+    fn end_frame(&mut self) -> Option<usize> {
+        let counter = if self.skipping {
+            &mut self.counters.overflow
+        } else if self.code == 0 {
+            return None; // two delimiters in a row
+        } else if self.left > 0 {
+            &mut self.counters.bad_cobs
+        } else {
+            match self.len.checked_sub(CRC_BYTES) {
+                // An empty message does not exist, and its checksum is 0: what a line stuck at 0x01 reads as.
+                Some(len)
+                    if len > 0
+                        && CRC.checksum(&self.buffer[..len]).to_le_bytes() == self.buffer[len..self.len] =>
+                {
+                    self.counters.frames = self.counters.frames.wrapping_add(1);
+                    return Some(len);
+                }
+                _ => &mut self.counters.bad_crc,
+            }
+        };
+        *counter = counter.wrapping_add(1);
+        None
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::message::{LeftState, Mode};
+
+    #[test]
+    fn a_message_comes_back_from_its_frame() {
+        let mut buffer = [0; LEFT_STATE_FRAME_MAX];
+        let sent = BoardMessage::Left(LeftState { sequence: 7, pitch_mrad: -300, ..Default::default() });
+        let frame = encode_board(&sent, &mut buffer).unwrap();
+        let mut decoder = Decoder::<LEFT_STATE_FRAME_MAX>::new();
+        let (last, first) = frame.split_last().unwrap();
+        for &byte in first {
+            assert_eq!(decoder.push_board(byte), None);
+        }
+        assert_eq!(decoder.push_board(*last), Some(sent));
+        assert_eq!(decoder.counters(), Counters { frames: 1, ..Default::default() });
+    }
+
+    #[test]
+    fn a_frame_is_taken_whatever_noise_stands_before_its_delimiter() {
+        let mut buffer = [0; HOST_TO_LEFT_FRAME_MAX];
+        let sent = HostMessage::SetMode { request: 9, mode: Mode::Record };
+        let frame = encode_host(&sent, &mut buffer).unwrap();
+        let mut decoder = Decoder::<HOST_TO_LEFT_FRAME_MAX>::new();
+        for _ in 0..1000 {
+            assert_eq!(decoder.push(0x55), None);
+        }
+        assert_eq!(decoder.push(DELIMITER), None);
+        let mut seen = 0;
+        for &byte in frame {
+            if let Some(message) = decoder.push_host(byte) {
+                assert_eq!(message, sent);
+                seen += 1;
+            }
+        }
+        assert_eq!(seen, 1);
+        assert_eq!(decoder.counters(), Counters { frames: 1, overflow: 1, ..Default::default() });
+    }
+}
