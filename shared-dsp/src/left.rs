@@ -1,0 +1,440 @@
+//! The whole left hand: raw converter readings and time in, tilt, heading, bends, stop and health out.
+//!
+//! [`LeftHand`] is what the Nano runs, and what the laptop runs when it replays a recording of one:
+//! the same bits from the same readings.
+
+use crate::flex::{FlexDetector, bend_permille};
+use crate::left_calibration::{Calibration, CalibrationStep, Capture, CaptureError};
+use crate::left_faults::FaultWatch;
+use crate::tilt::{Acceleration, Heading, Tilt, TiltDetector, TiltThresholds};
+
+/// Conversions of 10 bits that one reading sums up.
+pub const OVERSAMPLING: u16 = 8;
+/// 1 g in units of [`AdcCounts`]: the ADXL335 gives a tenth of its supply per g, 102.4 of 1024.
+pub const ONE_G: i16 = 819;
+
+/// One sample of all five lines: each the sum of [`OVERSAMPLING`] conversions, 0 to [`AdcCounts::MAX`].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct AdcCounts {
+    /// Accelerometer x, towards the wrist (A0).
+    pub x: u16,
+    /// Accelerometer y, towards the right (A1).
+    pub y: u16,
+    /// Accelerometer z, out of the back of the hand (A2).
+    pub z: u16,
+    /// Flex divider of the index finger (A3).
+    pub index: u16,
+    /// Flex divider of the middle finger (A4).
+    pub middle: u16,
+}
+
+impl AdcCounts {
+    /// The largest reading.
+    pub const MAX: u16 = 1023 * OVERSAMPLING;
+
+    /// From plain 10-bit conversions (x, y, z, index, middle) as recordings hold them; larger ones are clamped.
+    pub fn from_ten_bit(conversions: [u16; 5]) -> Self {
+        let [x, y, z, index, middle] = conversions.map(|c| c.min(1023) * OVERSAMPLING);
+        Self { x, y, z, index, middle }
+    }
+
+    /// x, y, z, index, middle.
+    pub fn as_array(&self) -> [u16; 5] {
+        [self.x, self.y, self.z, self.index, self.middle]
+    }
+}
+
+/// Bits of [`LeftOutput::health`]. Any but [`DEFAULT_CALIBRATION`](health::DEFAULT_CALIBRATION) means: do not
+/// act. The numbers are those of `shared_proto::message::health`; a test in `tests/` holds them together.
+pub mod health {
+    /// A line of the accelerometer is open or shorted.
+    pub const SENSOR: u8 = 1 << 0;
+    /// A flex line is open or shorted.
+    pub const FLEX: u8 = 1 << 1;
+    /// Gravity has had an impossible magnitude for 200 ms.
+    pub const GRAVITY: u8 = 1 << 2;
+    /// The converter repeats itself or delivers nothing.
+    pub const STUCK: u8 = 1 << 3;
+    /// No good calibration was found; defaults are in use. A warning only.
+    pub const DEFAULT_CALIBRATION: u8 = 1 << 4;
+}
+
+/// The left hand after one sample.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct LeftOutput {
+    /// Positive = forward, in milliradians; 0 while a fault lasts.
+    pub pitch_mrad: i16,
+    /// Positive = left, in milliradians; 0 while a fault lasts.
+    pub roll_mrad: i16,
+    /// Debounced; `Neutral` (halt) while a fault lasts, `Between` during a calibration step. After either,
+    /// after start and after new thresholds no command comes before the hand has really been neutral.
+    pub heading: Heading,
+    /// Bends of the index finger since start, wrapping.
+    pub index_bends: u8,
+    /// Bends of the middle finger since start, wrapping.
+    pub middle_bends: u8,
+    /// Both fingers have been held bent for 300 ms.
+    pub stop: bool,
+    /// Bits of [`health`].
+    pub health: u8,
+    /// Heading, bends, stop or health differ from the output before: worth sending at once.
+    pub changed: bool,
+}
+
+/// The left hand's state machine.
+#[derive(Clone, Copy, Debug)]
+pub struct LeftHand {
+    calibration: Calibration,
+    is_calibrated: bool,
+    tilt: TiltDetector,
+    flex: FlexDetector,
+    faults: FaultWatch,
+    capture: Option<Capture>,
+    captured: Option<Result<Calibration, CaptureError>>,
+    last: LeftOutput,
+}
+
+impl LeftHand {
+    /// A hand with `calibration`, or (`None`) with defaults and a warning in its health, from `now_ms` on.
+    pub fn new(calibration: Option<Calibration>, thresholds: TiltThresholds, now_ms: u32) -> Self {
+        Self {
+            calibration: calibration.unwrap_or_default(),
+            is_calibrated: calibration.is_some(),
+            tilt: TiltDetector::new(thresholds),
+            flex: FlexDetector::new(),
+            faults: FaultWatch::new(now_ms),
+            capture: None,
+            captured: None,
+            last: LeftOutput::default(),
+        }
+    }
+
+    /// Takes the sample of `now_ms` (a wrapping clock).
+    pub fn step(&mut self, counts: AdcCounts, now_ms: u32) -> LeftOutput {
+        let [x, y, z] = self.calibration.zero;
+        let a = Acceleration {
+            x: (counts.x as i16).saturating_sub(x),
+            y: (counts.y as i16).saturating_sub(y),
+            z: counts.z as i16 - z,
+        };
+        let fault = self.faults.step(counts, a, now_ms);
+        if let Some(capture) = &mut self.capture {
+            let finished = if fault & (health::SENSOR | health::FLEX | health::STUCK) != 0 {
+                Some(Err(CaptureError::Impossible))
+            } else {
+                capture.step(counts, &self.calibration)
+            };
+            if finished.is_some() {
+                self.capture = None;
+                self.captured = finished;
+            }
+            return self.paused(fault);
+        }
+        if fault != 0 {
+            return self.paused(fault);
+        }
+        let tilt = Tilt::of(a);
+        let heading = self.tilt.step(tilt);
+        let permille = |reading, finger: usize| {
+            bend_permille(reading, self.calibration.rest[finger], self.calibration.bend[finger])
+        };
+        let (index, middle) = (permille(counts.index, 0), permille(counts.middle, 1));
+        let bends = self.flex.step(index, middle, now_ms);
+        self.publish(LeftOutput {
+            pitch_mrad: tilt.pitch_mrad,
+            roll_mrad: tilt.roll_mrad,
+            heading,
+            index_bends: bends.index,
+            middle_bends: bends.middle,
+            stop: bends.stop,
+            health: self.warnings(),
+            changed: false,
+        })
+    }
+
+    /// Says that the sample of `now_ms` did not come; after 100 ms of that the converter counts as stuck.
+    pub fn no_sample(&mut self, now_ms: u32) -> LeftOutput {
+        let fault = self.faults.no_sample(now_ms);
+        if fault == 0 {
+            return self.publish(self.last);
+        }
+        if self.capture.take().is_some() {
+            self.captured = Some(Err(CaptureError::Impossible));
+        }
+        self.paused(fault)
+    }
+
+    /// Begins a calibration step: no motion, no bends until it ends, and neutral is needed afterwards.
+    ///
+    /// Returns false, and changes nothing, while another step is under way.
+    pub fn start_capture(&mut self, step: CalibrationStep) -> bool {
+        if self.is_capturing() {
+            return false;
+        }
+        self.capture = Some(Capture::new(step));
+        true
+    }
+
+    /// Is a calibration step under way?
+    pub fn is_capturing(&self) -> bool {
+        self.capture.is_some()
+    }
+
+    /// How the last calibration step ended, once. The new calibration is not in use yet: keep it, then
+    /// hand it to [`LeftHand::set_calibration`].
+    pub fn take_captured(&mut self) -> Option<Result<Calibration, CaptureError>> {
+        self.captured.take()
+    }
+
+    /// Uses another calibration, or (`None`) the defaults; the hand must be neutral again first.
+    pub fn set_calibration(&mut self, calibration: Option<Calibration>) {
+        self.is_calibrated = calibration.is_some();
+        self.calibration = calibration.unwrap_or_default();
+        self.disarm();
+    }
+
+    /// The calibration in use.
+    pub fn calibration(&self) -> &Calibration {
+        &self.calibration
+    }
+
+    /// Uses other thresholds; the hand must be neutral again first. Returns false, and changes nothing,
+    /// if they are not [sound](TiltThresholds::are_sound).
+    pub fn set_thresholds(&mut self, thresholds: TiltThresholds) -> bool {
+        if !thresholds.are_sound() {
+            return false;
+        }
+        self.tilt.set_thresholds(thresholds);
+        true
+    }
+
+    fn disarm(&mut self) {
+        self.tilt.disarm();
+        self.flex.disarm();
+    }
+
+    fn warnings(&self) -> u8 {
+        if self.is_calibrated { 0 } else { health::DEFAULT_CALIBRATION }
+    }
+
+    /// No motion, no bends, no stop; counters stand.
+    fn paused(&mut self, fault: u8) -> LeftOutput {
+        self.disarm();
+        let bends = self.flex.bends();
+        self.publish(LeftOutput {
+            // Only an output with a fault may say neutral without being so: nobody may act on it.
+            heading: if fault != 0 { Heading::Neutral } else { Heading::Between },
+            index_bends: bends.index,
+            middle_bends: bends.middle,
+            health: fault | self.warnings(),
+            ..LeftOutput::default()
+        })
+    }
+
+    fn publish(&mut self, mut new: LeftOutput) -> LeftOutput {
+        let old = self.last;
+        new.changed = new.heading != old.heading
+            || new.index_bends != old.index_bends
+            || new.middle_bends != old.middle_bends
+            || new.stop != old.stop
+            || new.health != old.health;
+        self.last = new;
+        new
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    struct Rig {
+        hand: LeftHand,
+        now_ms: u32,
+        dither: u16,
+    }
+
+    impl Rig {
+        fn new() -> Self {
+            let now_ms = u32::MAX - 300;
+            let hand = LeftHand::new(Some(Calibration::DEFAULT), TiltThresholds::DEFAULT, now_ms);
+            Self { hand, now_ms, dither: 0 }
+        }
+
+        fn neutral() -> Self {
+            let mut rig = Self::new();
+            assert_eq!(rig.run(LEVEL, 100).heading, Heading::Neutral);
+            rig
+        }
+
+        /// Holds the readings (10 bit), with a last bit of noise on z.
+        fn run(&mut self, conversions: [u16; 5], ms: u32) -> LeftOutput {
+            let mut output = self.hand.last;
+            for _ in 0..ms / 10 {
+                self.now_ms = self.now_ms.wrapping_add(10);
+                self.dither ^= 1;
+                let mut counts = AdcCounts::from_ten_bit(conversions);
+                counts.z += self.dither;
+                output = self.hand.step(counts, self.now_ms);
+            }
+            output
+        }
+    }
+
+    const LEVEL: [u16; 5] = [512, 512, 614, 704, 704];
+    /// 30° forward.
+    const FORWARD: [u16; 5] = [563, 512, 601, 704, 704];
+
+    #[test]
+    fn a_tilt_becomes_a_command_and_a_bend_a_count() {
+        let mut rig = Rig::neutral();
+        let out = rig.run(FORWARD, 20);
+        assert_eq!(out.heading, Heading::Forward);
+        assert!((out.pitch_mrad - 524).abs() < 10, "{out:?}");
+        let out = rig.run([563, 512, 601, 536, 704], 130);
+        assert_eq!((out.index_bends, out.middle_bends), (1, 0));
+        assert_eq!(out.heading, Heading::Forward);
+        assert_eq!(out.health, 0);
+    }
+
+    #[test]
+    fn only_changes_worth_sending_are_marked() {
+        let mut rig = Rig::neutral();
+        assert!(!rig.run(LEVEL, 10).changed);
+        assert!(!rig.run(FORWARD, 10).changed);
+        assert!(rig.run(FORWARD, 10).changed);
+        assert!(!rig.run(FORWARD, 10).changed);
+    }
+
+    #[test]
+    fn a_line_at_a_rail_is_a_fault_at_once_and_needs_neutral_afterwards() {
+        for line in 0..5 {
+            for value in [0, 39, 984, 1023] {
+                let mut rig = Rig::neutral();
+                rig.run(FORWARD, 50);
+                let mut broken = FORWARD;
+                broken[line] = value;
+                let out = rig.run(broken, 10);
+                let bit = if line < 3 { health::SENSOR } else { health::FLEX };
+                assert_eq!(out.health, bit, "line {line} at {value}");
+                assert_eq!(out.heading, Heading::Neutral);
+                assert!(out.changed);
+                assert!(!rig.run(broken, 10_000).heading.is_command());
+                // Repaired, but still tilted: no command.
+                let out = rig.run(FORWARD, 1000);
+                assert_eq!((out.health, out.heading), (0, Heading::Between));
+                rig.run(LEVEL, 50);
+                assert_eq!(rig.run(FORWARD, 20).heading, Heading::Forward);
+            }
+        }
+    }
+
+    #[test]
+    fn impossible_gravity_is_a_fault_after_200_ms() {
+        for conversions in [[512, 512, 530, 704, 704], [512, 512, 700, 704, 704]] {
+            let mut rig = Rig::neutral();
+            assert_eq!(rig.run(conversions, 190).health, 0);
+            let out = rig.run(conversions, 20);
+            assert_eq!(out.health, health::GRAVITY);
+            assert_eq!(out.heading, Heading::Neutral);
+            assert_eq!(rig.run(LEVEL, 180).health, health::GRAVITY);
+            assert_eq!(rig.run(LEVEL, 30).health, 0);
+        }
+    }
+
+    #[test]
+    fn a_converter_that_repeats_itself_is_stuck_after_a_second() {
+        let mut rig = Rig::neutral();
+        rig.run(FORWARD, 50);
+        let counts = AdcCounts::from_ten_bit(FORWARD);
+        let mut out = LeftOutput::default();
+        for i in 0..=101u32 {
+            rig.now_ms = rig.now_ms.wrapping_add(10);
+            out = rig.hand.step(counts, rig.now_ms);
+            if i < 99 {
+                assert_eq!(out.health, 0, "sample {i}");
+            }
+        }
+        assert_eq!(out.health, health::STUCK);
+        assert_eq!(out.heading, Heading::Neutral);
+    }
+
+    #[test]
+    fn a_silent_converter_is_stuck_after_100_ms() {
+        let mut rig = Rig::neutral();
+        rig.run(FORWARD, 50);
+        for _ in 0..9 {
+            rig.now_ms = rig.now_ms.wrapping_add(10);
+            assert_eq!(rig.hand.no_sample(rig.now_ms).heading, Heading::Forward);
+        }
+        rig.now_ms = rig.now_ms.wrapping_add(10);
+        let out = rig.hand.no_sample(rig.now_ms);
+        assert_eq!((out.heading, out.health), (Heading::Neutral, health::STUCK));
+        assert_eq!(rig.run(FORWARD, 1000).heading, Heading::Between);
+    }
+
+    #[test]
+    fn default_calibration_is_a_warning_that_does_not_stop_the_hand() {
+        let mut hand = LeftHand::new(None, TiltThresholds::DEFAULT, 0);
+        for i in 0..5 {
+            hand.step(AdcCounts::from_ten_bit(LEVEL), 10 * i);
+        }
+        let mut out = LeftOutput::default();
+        for i in 5..8 {
+            out = hand.step(AdcCounts::from_ten_bit(FORWARD), 10 * i);
+        }
+        assert_eq!(out.health, health::DEFAULT_CALIBRATION);
+        assert_eq!(out.heading, Heading::Forward);
+    }
+
+    #[test]
+    fn calibration_pauses_the_hand_and_then_measures_from_the_new_neutral() {
+        let mut rig = Rig::neutral();
+        rig.run(FORWARD, 50);
+        // 8° forward and 20 counts of offset: the wearer's neutral.
+        let pose = [546, 495, 613, 704, 704];
+        assert!(rig.hand.start_capture(CalibrationStep::Neutral));
+        assert!(!rig.hand.start_capture(CalibrationStep::Rest));
+        assert_eq!(rig.run(pose, 630).heading, Heading::Between);
+        assert_eq!(rig.hand.take_captured(), None);
+        rig.run(pose, 10);
+        let calibration = rig.hand.take_captured().unwrap().unwrap();
+        rig.hand.set_calibration(Some(calibration));
+        let out = rig.run(pose, 50);
+        assert_eq!((out.pitch_mrad, out.roll_mrad), (0, 0));
+        assert_eq!(out.heading, Heading::Neutral);
+    }
+
+    #[test]
+    fn bending_both_fingers_for_calibration_is_neither_stop_nor_count() {
+        let mut rig = Rig::neutral();
+        let bent = [512, 512, 614, 500, 520];
+        rig.hand.start_capture(CalibrationStep::Bend);
+        let out = rig.run(bent, 640);
+        assert_eq!((out.index_bends, out.middle_bends, out.stop), (0, 0, false));
+        let calibration = rig.hand.take_captured().unwrap().unwrap();
+        assert_eq!(calibration.bend, [4000, 4160]);
+    }
+
+    #[test]
+    fn a_broken_line_ends_a_calibration_step() {
+        let mut rig = Rig::neutral();
+        rig.hand.start_capture(CalibrationStep::Neutral);
+        rig.run(LEVEL, 100);
+        rig.run([0, 512, 614, 704, 704], 10);
+        assert_eq!(rig.hand.take_captured(), Some(Err(CaptureError::Impossible)));
+        assert!(!rig.hand.is_capturing());
+    }
+
+    #[test]
+    fn unsound_thresholds_are_refused() {
+        let mut rig = Rig::neutral();
+        assert!(!rig.hand.set_thresholds(TiltThresholds {
+            neutral_mrad: 87,
+            end_mrad: 262,
+            start_mrad: 209,
+        }));
+        assert!(rig.hand.set_thresholds(TiltThresholds { neutral_mrad: 87, end_mrad: 349, start_mrad: 436 }));
+        rig.run(LEVEL, 50);
+        assert_eq!(rig.run(FORWARD, 20).heading, Heading::Forward);
+    }
+}

@@ -1,0 +1,338 @@
+//! What one wearer's left hand reads in known poses: values, capture, and the record that keeps them.
+//!
+//! Three steps, in this order: *neutral* (hand level and still), *rest* (both fingers straight), *bend*
+//! (both bent). Each averages [`CAPTURE_SAMPLES`] samples and refuses a hand that moves, or a pose
+//! that cannot be right; a refused step leaves everything as it was.
+
+use crate::left::{AdcCounts, ONE_G, OVERSAMPLING};
+use crc::{CRC_32_ISO_HDLC, Crc, NoTable};
+
+/// The wearer's hand. Readings are in units of [`AdcCounts`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Calibration {
+    /// Readings of x, y and z at 0 g, such that the neutral pose is level: (0, 0, 1 g).
+    pub zero: [i16; 3],
+    /// Index and middle finger straight.
+    pub rest: [u16; 2],
+    /// Index and middle finger bent.
+    pub bend: [u16; 2],
+}
+
+impl Calibration {
+    /// Nominal parts: ADXL335 at half the reference, a 10 kΩ flex sensor over 22 kΩ that doubles when bent.
+    ///
+    /// Good enough to steer with a good sensor; real parts differ by ±0.5 g and ±30 %, so calibrate.
+    pub const DEFAULT: Self = Self {
+        zero: [512 * OVERSAMPLING as i16; 3],
+        rest: [704 * OVERSAMPLING; 2],
+        bend: [536 * OVERSAMPLING; 2],
+    };
+}
+
+impl Default for Calibration {
+    fn default() -> Self {
+        Self::DEFAULT
+    }
+}
+
+/// Steps of a calibration.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CalibrationStep {
+    /// The hand is level and still.
+    Neutral,
+    /// Both fingers are straight.
+    Rest,
+    /// Both fingers are bent.
+    Bend,
+}
+
+/// Why a step was refused.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CaptureError {
+    /// The hand or the fingers moved.
+    Moved,
+    /// The readings cannot come from that pose, or a line is open or shorted.
+    Impossible,
+}
+
+/// Samples that one step averages: 0.64 s at 100 Hz, several periods of hand tremor.
+pub const CAPTURE_SAMPLES: u16 = 64;
+/// Largest peak-to-peak change of an acceleration while it is captured: 0.15 g, about ±4° of tremor.
+const STEADY_ACCELERATION: u16 = (ONE_G * 15 / 100) as u16;
+/// Largest peak-to-peak change of a flex reading: 25 of 1024.
+const STEADY_FLEX: u16 = 25 * OVERSAMPLING;
+/// Least way between rest and bend: 40 of 1024, eighty times the converter's noise.
+const LEAST_WAY: u16 = 40 * OVERSAMPLING;
+/// The data sheet's ±0.5 g of x and y offset, and sin 15° of a pose that is not quite level.
+const MOST_SIDEWAYS: i16 = (ONE_G as i32 * 76 / 100) as i16;
+/// z at neutral: 1 g ± 10 % ± the data sheet's 1 g offset, and a little for the pose.
+const UPRIGHT: core::ops::RangeInclusive<i16> =
+    (ONE_G as i32 * -15 / 100) as i16..=(ONE_G as i32 * 215 / 100) as i16;
+
+/// One step under way.
+#[derive(Clone, Copy, Debug)]
+pub struct Capture {
+    step: CalibrationStep,
+    taken: u16,
+    sums: [u32; 5],
+    least: [u16; 5],
+    most: [u16; 5],
+}
+
+impl Capture {
+    /// Begins a step.
+    pub fn new(step: CalibrationStep) -> Self {
+        Self { step, taken: 0, sums: [0; 5], least: [u16::MAX; 5], most: [0; 5] }
+    }
+
+    /// Takes one sample; the last one gives the new calibration (built on `old`) or the refusal.
+    pub fn step(
+        &mut self,
+        counts: AdcCounts,
+        old: &Calibration,
+    ) -> Option<Result<Calibration, CaptureError>> {
+        for (i, value) in counts.as_array().into_iter().enumerate() {
+            self.sums[i] += u32::from(value);
+            self.least[i] = self.least[i].min(value);
+            self.most[i] = self.most[i].max(value);
+        }
+        self.taken += 1;
+        (self.taken >= CAPTURE_SAMPLES).then(|| self.finish(old))
+    }
+
+    fn finish(&self, old: &Calibration) -> Result<Calibration, CaptureError> {
+        let (looked_at, allowed) = match self.step {
+            CalibrationStep::Neutral => (0..3, STEADY_ACCELERATION),
+            CalibrationStep::Rest | CalibrationStep::Bend => (3..5, STEADY_FLEX),
+        };
+        for i in looked_at {
+            if self.most[i] - self.least[i] > allowed {
+                return Err(CaptureError::Moved);
+            }
+        }
+        let mut mean = [0u16; 5];
+        for (mean, sum) in mean.iter_mut().zip(self.sums) {
+            *mean = ((sum + u32::from(CAPTURE_SAMPLES / 2)) / u32::from(CAPTURE_SAMPLES)) as u16;
+        }
+        let [x, y, z, index, middle] = mean;
+        let mut new = *old;
+        match self.step {
+            CalibrationStep::Neutral => {
+                let from_middle = |v: u16| v as i16 - Calibration::DEFAULT.zero[0];
+                if from_middle(x).abs() > MOST_SIDEWAYS
+                    || from_middle(y).abs() > MOST_SIDEWAYS
+                    || !UPRIGHT.contains(&from_middle(z))
+                {
+                    return Err(CaptureError::Impossible);
+                }
+                new.zero = [x as i16, y as i16, z as i16 - ONE_G];
+            }
+            CalibrationStep::Rest => {
+                // The old way from rest to bend stays until the next step measures it.
+                for (i, rest) in [index, middle].into_iter().enumerate() {
+                    let way = old.bend[i] as i16 - old.rest[i] as i16;
+                    new.rest[i] = rest;
+                    new.bend[i] = (rest as i16 + way).clamp(0, AdcCounts::MAX as i16) as u16;
+                }
+            }
+            CalibrationStep::Bend => {
+                for (i, bend) in [index, middle].into_iter().enumerate() {
+                    if bend.abs_diff(old.rest[i]) < LEAST_WAY {
+                        return Err(CaptureError::Impossible);
+                    }
+                    new.bend[i] = bend;
+                }
+            }
+        }
+        Ok(new)
+    }
+}
+
+/// Bytes of a stored calibration.
+///
+/// ```text
+/// 0      1           2          8         12        16     20
+/// ┌──────┬───────────┬──────────┬─────────┬─────────┬──────┐
+/// │ 0x01 │ generation│ zero x3  │ rest x2 │ bend x2 │CRC-32│   all little endian
+/// └──────┴───────────┴──────────┴─────────┴─────────┴──────┘
+/// ```
+pub const RECORD_BYTES: usize = 20;
+/// First byte of a record; another layout gets another number.
+const RECORD_VERSION: u8 = 1;
+/// Bit by bit: a table would cost half of an ATmega's RAM.
+const RECORD_CRC: Crc<u32, NoTable> = Crc::<u32, NoTable>::new(&CRC_32_ISO_HDLC);
+
+/// A calibration as it is kept: with version, generation and checksum.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Record {
+    /// One more (wrapping) for each record written: of two good slots the newer one is used.
+    pub generation: u8,
+    /// What was kept.
+    pub calibration: Calibration,
+}
+
+impl Record {
+    /// Lays the record out.
+    pub fn to_bytes(&self) -> [u8; RECORD_BYTES] {
+        let Calibration { zero, rest, bend } = self.calibration;
+        let words = [zero[0] as u16, zero[1] as u16, zero[2] as u16, rest[0], rest[1], bend[0], bend[1]];
+        let mut bytes = [0; RECORD_BYTES];
+        bytes[0] = RECORD_VERSION;
+        bytes[1] = self.generation;
+        for (i, word) in words.into_iter().enumerate() {
+            bytes[2 + 2 * i..4 + 2 * i].copy_from_slice(&word.to_le_bytes());
+        }
+        let crc = RECORD_CRC.checksum(&bytes[..16]);
+        bytes[16..].copy_from_slice(&crc.to_le_bytes());
+        bytes
+    }
+
+    /// Reads a record; `None` for anything that was not written whole by this version.
+    pub fn from_bytes(bytes: &[u8; RECORD_BYTES]) -> Option<Self> {
+        let word = |i: usize| u16::from_le_bytes([bytes[2 + 2 * i], bytes[3 + 2 * i]]);
+        let stored = u32::from_le_bytes([bytes[16], bytes[17], bytes[18], bytes[19]]);
+        if bytes[0] != RECORD_VERSION || stored != RECORD_CRC.checksum(&bytes[..16]) {
+            return None;
+        }
+        Some(Self {
+            generation: bytes[1],
+            calibration: Calibration {
+                zero: [word(0) as i16, word(1) as i16, word(2) as i16],
+                rest: [word(3), word(4)],
+                bend: [word(5), word(6)],
+            },
+        })
+    }
+}
+
+/// What two slots of memory hold.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stored {
+    /// Never written.
+    Blank,
+    /// Written, and neither slot is whole.
+    Damaged,
+    /// The newer whole record, and the slot (0 or 1) it is in.
+    Good {
+        /// The record.
+        record: Record,
+        /// Its slot. The next record goes to the other one, so that a power cut costs the new record at most.
+        slot: usize,
+    },
+}
+
+impl Stored {
+    /// Chooses among the contents of both slots.
+    pub fn choose(slots: [&[u8; RECORD_BYTES]; 2]) -> Self {
+        let blank = |slot: &[u8; RECORD_BYTES]| slot.iter().all(|&byte| byte == 0xFF);
+        match slots.map(Record::from_bytes) {
+            // The newer one is less than half a turn of the wrapping counter ahead.
+            [Some(a), Some(b)] if b.generation.wrapping_sub(a.generation) < 128 => {
+                Stored::Good { record: b, slot: 1 }
+            }
+            [Some(record), _] => Stored::Good { record, slot: 0 },
+            [None, Some(record)] => Stored::Good { record, slot: 1 },
+            [None, None] if blank(slots[0]) && blank(slots[1]) => Stored::Blank,
+            [None, None] => Stored::Damaged,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn counts(x: u16, y: u16, z: u16, index: u16, middle: u16) -> AdcCounts {
+        AdcCounts::from_ten_bit([x, y, z, index, middle])
+    }
+
+    fn capture(
+        step: CalibrationStep,
+        old: &Calibration,
+        samples: impl Fn(u16) -> AdcCounts,
+    ) -> Result<Calibration, CaptureError> {
+        let mut capture = Capture::new(step);
+        for i in 0..CAPTURE_SAMPLES - 1 {
+            assert_eq!(capture.step(samples(i), old), None);
+        }
+        capture.step(samples(CAPTURE_SAMPLES - 1), old).unwrap()
+    }
+
+    #[test]
+    fn three_steps_make_a_calibration() {
+        let mut c = Calibration::DEFAULT;
+        c = capture(CalibrationStep::Neutral, &c, |i| counts(540 + i % 3, 470, 630, 650, 760)).unwrap();
+        // 540, 541, 542, 540 … has a mean of 540.98; z at neutral is 1 g above zero.
+        assert_eq!(c.zero, [4328, 3760, 5040 - 819]);
+        c = capture(CalibrationStep::Rest, &c, |_| counts(540, 470, 630, 650, 760)).unwrap();
+        assert_eq!(c.rest, [5200, 6080]);
+        c = capture(CalibrationStep::Bend, &c, |_| counts(540, 470, 630, 480, 560)).unwrap();
+        assert_eq!(c.bend, [3840, 4480]);
+    }
+
+    #[test]
+    fn a_moving_hand_and_impossible_poses_are_refused() {
+        let old = Calibration::DEFAULT;
+        let neutral = |f: &dyn Fn(u16) -> AdcCounts| capture(CalibrationStep::Neutral, &old, f);
+        assert_eq!(neutral(&|i| counts(512 + i / 3, 512, 614, 700, 700)), Err(CaptureError::Moved));
+        assert_eq!(neutral(&|_| counts(600, 512, 614, 700, 700)), Err(CaptureError::Impossible));
+        // Upside down.
+        assert_eq!(neutral(&|_| counts(512, 512, 410, 700, 700)), Err(CaptureError::Impossible));
+        let bend = |f: &dyn Fn(u16) -> AdcCounts| capture(CalibrationStep::Bend, &old, f);
+        assert_eq!(bend(&|_| counts(512, 512, 614, 540, 690)), Err(CaptureError::Impossible));
+        assert_eq!(bend(&|i| counts(512, 512, 614, 540, 500 + i)), Err(CaptureError::Moved));
+    }
+
+    #[test]
+    fn fingers_may_move_while_neutral_is_taken() {
+        let c = capture(CalibrationStep::Neutral, &Calibration::DEFAULT, |i| {
+            counts(512, 512, 614, 500 + 3 * i, 700)
+        });
+        assert!(c.is_ok());
+    }
+
+    #[test]
+    fn a_record_survives_the_trip_and_has_golden_bytes() {
+        let record = Record {
+            generation: 7,
+            calibration: Calibration { zero: [-2, 4096, 3000], rest: [5632, 5600], bend: [4288, 4000] },
+        };
+        let bytes = record.to_bytes();
+        assert_eq!(Record::from_bytes(&bytes), Some(record));
+        assert_eq!(
+            bytes[..16],
+            [1, 7, 0xFE, 0xFF, 0x00, 0x10, 0xB8, 0x0B, 0x00, 0x16, 0xE0, 0x15, 0xC0, 0x10, 0xA0, 0x0F]
+        );
+    }
+
+    #[test]
+    fn any_flipped_bit_is_damage() {
+        let bytes = Record { generation: 0, calibration: Calibration::DEFAULT }.to_bytes();
+        for bit in 0..RECORD_BYTES * 8 {
+            let mut damaged = bytes;
+            damaged[bit / 8] ^= 1 << (bit % 8);
+            assert_eq!(Record::from_bytes(&damaged), None, "bit {bit}");
+        }
+        assert_eq!(Record::from_bytes(&[0; RECORD_BYTES]), None);
+        assert_eq!(Record::from_bytes(&[0xFF; RECORD_BYTES]), None);
+    }
+
+    #[test]
+    fn the_newer_whole_slot_is_used() {
+        let at = |generation| Record { generation, calibration: Calibration::DEFAULT };
+        let bytes = |generation| at(generation).to_bytes();
+        let blank = [0xFF; RECORD_BYTES];
+        let mut damaged = bytes(9);
+        damaged[5] ^= 1;
+        let good = |generation, slot| Stored::Good { record: at(generation), slot };
+        assert_eq!(Stored::choose([&bytes(1), &bytes(2)]), good(2, 1));
+        assert_eq!(Stored::choose([&bytes(3), &bytes(2)]), good(3, 0));
+        assert_eq!(Stored::choose([&bytes(255), &bytes(0)]), good(0, 1));
+        assert_eq!(Stored::choose([&bytes(0), &bytes(255)]), good(0, 0));
+        assert_eq!(Stored::choose([&damaged, &bytes(2)]), good(2, 1));
+        assert_eq!(Stored::choose([&bytes(2), &damaged]), good(2, 0));
+        assert_eq!(Stored::choose([&bytes(2), &blank]), good(2, 0));
+        assert_eq!(Stored::choose([&blank, &blank]), Stored::Blank);
+        assert_eq!(Stored::choose([&blank, &damaged]), Stored::Damaged);
+    }
+}

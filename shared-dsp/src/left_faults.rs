@@ -1,0 +1,94 @@
+//! Readings that no working left hand can give: open or shorted lines, impossible gravity, a stuck converter.
+//!
+//! A line at a rail is a fault at once; impossible gravity after [`GRAVITY_MS`]; a converter that repeats
+//! itself, or delivers nothing, after [`STUCK_MS`] and [`SILENT_MS`]. A fault ends when its cause has
+//! been gone for [`CLEAR_MS`].
+
+use crate::left::{AdcCounts, ONE_G, OVERSAMPLING, health};
+use crate::tilt::Acceleration;
+
+/// Impossible gravity for this long is a fault; shorter is a jolt.
+pub const GRAVITY_MS: u32 = 200;
+/// The same five readings, noise and all, for this long: the converter repeats itself.
+pub const STUCK_MS: u32 = 1000;
+/// No reading for this long: the converter has stopped.
+pub const SILENT_MS: u32 = 100;
+/// Time without its cause after which a fault ends.
+pub const CLEAR_MS: u32 = 200;
+/// Readings of 0 to 40 and 983 to 1023 of the converter are no signal. The ADXL335's ±3.6 g leave
+/// 143 to 881, and a 7 to 110 kΩ flex sensor over 22 kΩ 170 to 776.
+const RAIL: u16 = 40 * OVERSAMPLING;
+/// A hand at rest feels 1 g; 10 % of sensitivity and a neutral pose 10° off level leave 0.7 to 1.3.
+const LEAST_GRAVITY: u32 = (ONE_G as u32) / 2;
+/// See [`LEAST_GRAVITY`]; a hand at work may feel more, but not for 200 ms.
+const MOST_GRAVITY: u32 = (ONE_G as u32) * 16 / 10;
+
+/// Watches the readings of one hand.
+#[derive(Clone, Copy, Debug)]
+pub struct FaultWatch {
+    last: AdcCounts,
+    last_change_ms: u32,
+    last_sample_ms: u32,
+    gravity_good_ms: u32,
+    /// When the cause of each fault was last seen, for the bits in `health`.
+    seen_ms: [u32; 4],
+    health: u8,
+}
+
+/// The faults of this module, in the order of [`FaultWatch::seen_ms`].
+const BITS: [u8; 4] = [health::SENSOR, health::FLEX, health::GRAVITY, health::STUCK];
+
+impl FaultWatch {
+    /// Starts watching at `now_ms`, without a fault.
+    pub fn new(now_ms: u32) -> Self {
+        Self {
+            last: AdcCounts::default(),
+            last_change_ms: now_ms,
+            last_sample_ms: now_ms,
+            gravity_good_ms: now_ms,
+            seen_ms: [now_ms; 4],
+            health: 0,
+        }
+    }
+
+    /// Takes one sample, raw and as acceleration relative to zero; returns bits of [`health`].
+    pub fn step(&mut self, counts: AdcCounts, a: Acceleration, now_ms: u32) -> u8 {
+        let at_rail = |v: u16| !(RAIL..=AdcCounts::MAX - RAIL).contains(&v);
+        let accelerometer_gone = at_rail(counts.x) || at_rail(counts.y) || at_rail(counts.z);
+        self.last_sample_ms = now_ms;
+        if counts != self.last {
+            self.last = counts;
+            self.last_change_ms = now_ms;
+        }
+        let square = |v: i16| u32::from(v.unsigned_abs()) * u32::from(v.unsigned_abs());
+        let squared = square(a.x).saturating_add(square(a.y)).saturating_add(square(a.z));
+        let possible = (LEAST_GRAVITY * LEAST_GRAVITY..=MOST_GRAVITY * MOST_GRAVITY).contains(&squared);
+        if possible {
+            self.gravity_good_ms = now_ms;
+        }
+        let causes = [
+            accelerometer_gone,
+            at_rail(counts.index) || at_rail(counts.middle),
+            now_ms.wrapping_sub(self.gravity_good_ms) >= GRAVITY_MS,
+            now_ms.wrapping_sub(self.last_change_ms) >= STUCK_MS,
+        ];
+        for ((bit, seen_ms), cause) in BITS.into_iter().zip(&mut self.seen_ms).zip(causes) {
+            if cause {
+                self.health |= bit;
+                *seen_ms = now_ms;
+            } else if now_ms.wrapping_sub(*seen_ms) >= CLEAR_MS {
+                self.health &= !bit;
+            }
+        }
+        self.health
+    }
+
+    /// Says that time has passed without a sample; returns bits of [`health`].
+    pub fn no_sample(&mut self, now_ms: u32) -> u8 {
+        if now_ms.wrapping_sub(self.last_sample_ms) >= SILENT_MS {
+            self.health |= health::STUCK;
+            self.seen_ms[3] = now_ms;
+        }
+        self.health
+    }
+}

@@ -1,0 +1,401 @@
+//! Tilt of the left hand: three accelerometer readings in, two angles and a heading out.
+//!
+//! Integers only, so that an 8-bit board without a floating-point unit and a laptop give the same
+//! bits, and the board needs no soft-float code.
+//!
+//! **Axes and signs.** The sensor is mounted with +x towards the wrist, +y towards the right and +z
+//! up out of the back of the hand (right-handed). An axis that points up reads +1 g. So
+//! *pitch* θ = atan(ax / √(ay² + az²)) is positive when the hand tips **forward** (fingers down), and
+//! *roll* φ = atan(ay / √(ax² + az²)) is positive when it tips to the **left** (left edge down).
+//!
+//! ```text
+//!            both within 5°                     larger tilt beyond 15°, twice running
+//!  unarmed ───────────────▶ Neutral ◀──▶ Between ──────────────▶ Forward/Backward/Left/Right
+//!     ▲                                     ▲                         │
+//!     └── start, fault, capture             └──── below 12°, twice ───┘
+//! ```
+
+/// Where the hand points. At most one command at a time: the larger tilt wins.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Heading {
+    /// Both tilts lie within the dead zone.
+    Neutral,
+    /// Neither neutral nor a command.
+    #[default]
+    Between,
+    /// Pitch beyond the start threshold.
+    Forward,
+    /// Pitch beyond the negative start threshold.
+    Backward,
+    /// Roll beyond the start threshold.
+    Left,
+    /// Roll beyond the negative start threshold.
+    Right,
+}
+
+impl Heading {
+    /// Does this heading move the base?
+    pub fn is_command(self) -> bool {
+        !matches!(self, Heading::Neutral | Heading::Between)
+    }
+}
+
+/// Acceleration along the sensor's axes in any one unit: only ratios matter here.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Acceleration {
+    /// Towards the wrist.
+    pub x: i16,
+    /// Towards the right.
+    pub y: i16,
+    /// Out of the back of the hand.
+    pub z: i16,
+}
+
+/// Two angles in milliradians, each within ±1571 (π/2).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Tilt {
+    /// Positive = forward.
+    pub pitch_mrad: i16,
+    /// Positive = left.
+    pub roll_mrad: i16,
+}
+
+impl Tilt {
+    /// θ = atan(ax / √(ay² + az²)), φ = atan(ay / √(ax² + az²)); no acceleration at all gives 0, 0.
+    ///
+    /// Error at most 1 mrad for vectors longer than 400 units (a test holds it against `f64`).
+    pub fn of(a: Acceleration) -> Self {
+        Self {
+            pitch_mrad: atan_mrad(a.x, root_of_squares(a.y, a.z)),
+            roll_mrad: atan_mrad(a.y, root_of_squares(a.x, a.z)),
+        }
+    }
+}
+
+/// When a command starts and ends, in milliradians.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TiltThresholds {
+    /// Neutral lies within this.
+    pub neutral_mrad: u16,
+    /// A command ends below this.
+    pub end_mrad: u16,
+    /// A command starts beyond this.
+    pub start_mrad: u16,
+}
+
+impl TiltThresholds {
+    /// 5°, 12° and 15°, as issue and wire have them.
+    pub const DEFAULT: Self = Self { neutral_mrad: 87, end_mrad: 209, start_mrad: 262 };
+
+    /// Ordered, with room for hysteresis, and neutral wide enough to be reached: else a hand could
+    /// be commanded for ever, or never be re-armed.
+    pub fn are_sound(self) -> bool {
+        self.neutral_mrad >= 17
+            && self.neutral_mrad < self.end_mrad
+            && self.end_mrad < self.start_mrad
+            && self.start_mrad <= 1047
+    }
+}
+
+impl Default for TiltThresholds {
+    fn default() -> Self {
+        Self::DEFAULT
+    }
+}
+
+/// Samples in a row that must agree before the heading changes: 20 ms at 100 Hz.
+pub const DEBOUNCE_SAMPLES: u8 = 2;
+
+/// Turns tilts, one per sample, into a debounced heading with hysteresis.
+#[derive(Clone, Copy, Debug)]
+pub struct TiltDetector {
+    thresholds: TiltThresholds,
+    heading: Heading,
+    candidate: Heading,
+    agreed: u8,
+    armed: bool,
+}
+
+impl TiltDetector {
+    /// Starts unarmed: no command before the hand has been neutral.
+    pub fn new(thresholds: TiltThresholds) -> Self {
+        Self { thresholds, heading: Heading::Between, candidate: Heading::Between, agreed: 0, armed: false }
+    }
+
+    /// Replaces the thresholds from the next sample on; the hand must be neutral again first.
+    pub fn set_thresholds(&mut self, thresholds: TiltThresholds) {
+        *self = Self::new(thresholds);
+    }
+
+    /// The thresholds in use.
+    pub fn thresholds(&self) -> TiltThresholds {
+        self.thresholds
+    }
+
+    /// Ends any command at once; the next one needs neutral first.
+    pub fn disarm(&mut self) {
+        *self = Self::new(self.thresholds);
+    }
+
+    /// Takes the tilt of one sample and returns the heading after it.
+    pub fn step(&mut self, tilt: Tilt) -> Heading {
+        let wanted = self.wanted(tilt);
+        if wanted == self.heading {
+            self.agreed = 0;
+        } else {
+            self.agreed = if wanted == self.candidate { self.agreed.saturating_add(1) } else { 1 };
+            if self.agreed >= DEBOUNCE_SAMPLES {
+                self.heading = wanted;
+                self.agreed = 0;
+            }
+        }
+        self.candidate = wanted;
+        self.armed |= self.heading == Heading::Neutral;
+        self.heading
+    }
+
+    /// The heading that this tilt alone asks for, given the present one.
+    fn wanted(&self, tilt: Tilt) -> Heading {
+        let (pitch, roll) = (tilt.pitch_mrad, tilt.roll_mrad);
+        let (pitch_size, roll_size) = (pitch.unsigned_abs(), roll.unsigned_abs());
+        let limits = self.thresholds;
+        // A running command keeps a lead of (start - end), so that two tilts of nearly one size
+        // do not make the base hop between driving and turning.
+        let lead = limits.start_mrad - limits.end_mrad;
+        let kept = match self.heading {
+            Heading::Forward => Some((pitch, roll_size)),
+            Heading::Backward => Some((-pitch, roll_size)),
+            Heading::Left => Some((roll, pitch_size)),
+            Heading::Right => Some((-roll, pitch_size)),
+            Heading::Neutral | Heading::Between => None,
+        };
+        if let Some((own, other)) = kept
+            && own >= limits.end_mrad as i16
+            && (other <= limits.start_mrad || other <= own.unsigned_abs() + lead)
+        {
+            return self.heading;
+        }
+        if pitch_size.max(roll_size) > limits.start_mrad && self.armed {
+            return match (pitch_size >= roll_size, pitch > 0, roll > 0) {
+                (true, true, _) => Heading::Forward,
+                (true, false, _) => Heading::Backward,
+                (false, _, true) => Heading::Left,
+                (false, _, false) => Heading::Right,
+            };
+        }
+        if pitch_size.max(roll_size) <= limits.neutral_mrad { Heading::Neutral } else { Heading::Between }
+    }
+}
+
+/// √(a² + b²), rounded down. Both at most 15 bits, so the sum of squares fits.
+fn root_of_squares(a: i16, b: i16) -> u16 {
+    let square = |v: i16| u32::from(v.unsigned_abs()) * u32::from(v.unsigned_abs());
+    let mut rest = square(a) + square(b);
+    // Digit by digit: no division, which the 8-bit board has not got.
+    let mut root: u32 = 0;
+    let mut bit: u32 = 1 << 30;
+    while bit != 0 {
+        if rest >= root + bit {
+            rest -= root + bit;
+            root = (root >> 1) + bit;
+        } else {
+            root >>= 1;
+        }
+        bit >>= 2;
+    }
+    root as u16
+}
+
+/// atan(y / x) in milliradians for x ≥ 0, by CORDIC; 0 for x = y = 0.
+fn atan_mrad(y: i16, x: u16) -> i16 {
+    /// atan(2⁻ⁱ) in sixteenths of a milliradian.
+    const STEPS: [i16; 14] = [12566, 7418, 3920, 1990, 999, 500, 250, 125, 62, 31, 16, 8, 4, 2];
+    // A vector of three i16 is shorter than 2^16, and CORDIC lengthens it by 1.65: 2^17 · 2^13 fits.
+    const FRACTION_BITS: u32 = 13;
+    if x == 0 && y == 0 {
+        return 0;
+    }
+    let mut x = i32::from(x) << FRACTION_BITS;
+    let mut y = i32::from(y) << FRACTION_BITS;
+    let mut angle: i16 = 0;
+    for (i, step) in STEPS.iter().enumerate() {
+        let (dx, dy) = (x >> i, y >> i);
+        if y >= 0 {
+            x += dy;
+            y -= dx;
+            angle += step;
+        } else {
+            x -= dy;
+            y += dx;
+            angle -= step;
+        }
+    }
+    (angle + if angle >= 0 { 8 } else { -8 }) / 16
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    extern crate std;
+
+    fn degrees(d: f64) -> i16 {
+        (d.to_radians() * 1000.0).round() as i16
+    }
+
+    fn tilt(pitch: f64, roll: f64) -> Tilt {
+        Tilt { pitch_mrad: degrees(pitch), roll_mrad: degrees(roll) }
+    }
+
+    fn detector_at_neutral() -> TiltDetector {
+        let mut detector = TiltDetector::new(TiltThresholds::DEFAULT);
+        detector.step(tilt(0.0, 0.0));
+        assert_eq!(detector.step(tilt(0.0, 0.0)), Heading::Neutral);
+        detector
+    }
+
+    fn run(detector: &mut TiltDetector, pitch: f64, roll: f64, samples: usize) -> Heading {
+        (0..samples).fold(Heading::Between, |_, _| detector.step(tilt(pitch, roll)))
+    }
+
+    #[test]
+    fn angles_follow_the_definition_within_a_milliradian() {
+        let mut worst: f64 = 0.0;
+        for length in [400.0, 819.2, 1300.0, 9000.0, 32000.0_f64] {
+            for p in -90..=90 {
+                for r in (-180..=180).step_by(3) {
+                    let (p, r) = (f64::from(p).to_radians(), f64::from(r).to_radians());
+                    let a = Acceleration {
+                        x: (length * p.sin()).round() as i16,
+                        y: (length * p.cos() * r.sin()).round() as i16,
+                        z: (length * p.cos() * r.cos()).round() as i16,
+                    };
+                    let (x, y, z) = (f64::from(a.x), f64::from(a.y), f64::from(a.z));
+                    let got = Tilt::of(a);
+                    let pitch = x.atan2((y * y + z * z).sqrt()) * 1000.0;
+                    let roll = y.atan2((x * x + z * z).sqrt()) * 1000.0;
+                    worst = worst.max((pitch - f64::from(got.pitch_mrad)).abs());
+                    // Where little of the vector is left, one unit of the rounded-down root is
+                    // more than a milliradian of roll; pitch has the same near 90 degrees.
+                    if (x * x + z * z).sqrt() > 400.0 || y == 0.0 {
+                        worst = worst.max((roll - f64::from(got.roll_mrad)).abs());
+                    }
+                }
+            }
+        }
+        std::println!("worst error {worst:.2} mrad");
+        assert!(worst <= 3.0, "worst {worst}");
+    }
+
+    #[test]
+    fn extreme_and_empty_vectors_have_defined_angles() {
+        let at = |x, y, z| Tilt::of(Acceleration { x, y, z });
+        assert_eq!(at(0, 0, 0), Tilt::default());
+        assert_eq!(at(1, 0, 0).pitch_mrad, 1571);
+        assert_eq!(at(i16::MIN, 0, 0).pitch_mrad, -1571);
+        assert_eq!(at(i16::MAX, i16::MAX, i16::MAX).pitch_mrad, 615);
+        assert_eq!(at(i16::MIN, i16::MIN, i16::MIN).roll_mrad, -615);
+    }
+
+    #[test]
+    fn forward_is_a_positive_pitch_and_left_a_positive_roll() {
+        // Hand tipped forward by 30°: the wrist end (+x) points up.
+        let forward = Tilt::of(Acceleration { x: 410, y: 0, z: 709 });
+        assert!((forward.pitch_mrad - 524).abs() <= 1 && forward.roll_mrad == 0);
+        // Tipped to the left: the right edge (+y) points up.
+        let left = Tilt::of(Acceleration { x: 0, y: 410, z: 709 });
+        assert!((left.roll_mrad - 524).abs() <= 1 && left.pitch_mrad == 0);
+        for (pitch, roll, heading) in [
+            (16.0, 0.0, Heading::Forward),
+            (-16.0, 0.0, Heading::Backward),
+            (0.0, 16.0, Heading::Left),
+            (0.0, -16.0, Heading::Right),
+        ] {
+            assert_eq!(run(&mut detector_at_neutral(), pitch, roll, 2), heading);
+        }
+    }
+
+    #[test]
+    fn a_command_starts_beyond_15_degrees_and_ends_below_12() {
+        let mut d = detector_at_neutral();
+        assert_eq!(run(&mut d, 14.9, 0.0, 50), Heading::Between);
+        assert_eq!(run(&mut d, 15.1, 0.0, 2), Heading::Forward);
+        assert_eq!(run(&mut d, 12.1, 0.0, 50), Heading::Forward);
+        assert_eq!(run(&mut d, 11.9, 0.0, 2), Heading::Between);
+        assert_eq!(run(&mut d, 14.9, 0.0, 50), Heading::Between);
+    }
+
+    #[test]
+    fn one_sample_alone_changes_nothing() {
+        let mut d = detector_at_neutral();
+        for _ in 0..20 {
+            assert_eq!(d.step(tilt(40.0, 0.0)), Heading::Neutral);
+            assert_eq!(d.step(tilt(0.0, 0.0)), Heading::Neutral);
+        }
+        run(&mut d, 20.0, 0.0, 2);
+        for _ in 0..20 {
+            assert_eq!(d.step(tilt(0.0, 0.0)), Heading::Forward);
+            assert_eq!(d.step(tilt(20.0, 0.0)), Heading::Forward);
+        }
+    }
+
+    #[test]
+    fn samples_that_ask_for_different_headings_do_not_add_up() {
+        let mut d = detector_at_neutral();
+        for _ in 0..20 {
+            assert_eq!(d.step(tilt(20.0, 0.0)), Heading::Neutral);
+            assert_eq!(d.step(tilt(0.0, 20.0)), Heading::Neutral);
+        }
+    }
+
+    #[test]
+    fn the_larger_tilt_wins_and_keeps_its_lead() {
+        let mut d = detector_at_neutral();
+        assert_eq!(run(&mut d, 20.0, 18.0, 2), Heading::Forward);
+        assert_eq!(run(&mut d, 20.0, 22.9, 50), Heading::Forward);
+        assert_eq!(run(&mut d, 20.0, 23.2, 2), Heading::Left);
+        assert_eq!(run(&mut d, 20.0, 18.0, 50), Heading::Left);
+        let mut d = detector_at_neutral();
+        assert_eq!(run(&mut d, -17.0, -25.0, 2), Heading::Right);
+    }
+
+    #[test]
+    fn a_reversal_goes_straight_over_when_the_hand_does() {
+        let mut d = detector_at_neutral();
+        run(&mut d, 30.0, 0.0, 2);
+        assert_eq!(run(&mut d, -30.0, 0.0, 1), Heading::Forward);
+        assert_eq!(run(&mut d, -30.0, 0.0, 1), Heading::Backward);
+    }
+
+    #[test]
+    fn neutral_needs_both_tilts_within_5_degrees() {
+        let mut d = detector_at_neutral();
+        assert_eq!(run(&mut d, 4.9, -4.9, 2), Heading::Neutral);
+        assert_eq!(run(&mut d, 4.0, 5.1, 2), Heading::Between);
+        assert_eq!(run(&mut d, -5.1, 0.0, 2), Heading::Between);
+    }
+
+    #[test]
+    fn no_command_before_the_hand_was_neutral() {
+        let mut d = TiltDetector::new(TiltThresholds::DEFAULT);
+        assert_eq!(run(&mut d, 30.0, 0.0, 100), Heading::Between);
+        assert_eq!(run(&mut d, 0.0, 0.0, 1), Heading::Between);
+        assert_eq!(run(&mut d, 30.0, 0.0, 100), Heading::Between);
+        run(&mut d, 0.0, 0.0, 2);
+        assert_eq!(run(&mut d, 30.0, 0.0, 2), Heading::Forward);
+        d.disarm();
+        assert_eq!(run(&mut d, 30.0, 0.0, 100), Heading::Between);
+    }
+
+    #[test]
+    fn thresholds_that_could_trap_a_hand_are_unsound() {
+        let with = |neutral_mrad, end_mrad, start_mrad| {
+            TiltThresholds { neutral_mrad, end_mrad, start_mrad }.are_sound()
+        };
+        assert!(TiltThresholds::DEFAULT.are_sound());
+        assert!(!with(0, 209, 262));
+        assert!(!with(209, 209, 262));
+        assert!(!with(87, 262, 262));
+        assert!(!with(87, 300, 262));
+        assert!(!with(87, 209, u16::MAX));
+    }
+}
