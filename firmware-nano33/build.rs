@@ -1,0 +1,17 @@
+//! Hands the linker the memory layout of the variant that is built.
+
+use std::path::PathBuf;
+use std::{env, fs};
+
+fn main() {
+    let out = PathBuf::from(env::var_os("OUT_DIR").expect("cargo sets OUT_DIR"));
+    let layout = if env::var_os("CARGO_FEATURE_BLE").is_some() { "../memory.x" } else { "memory-bootloader.x" };
+    fs::copy(layout, out.join("memory.x")).expect("the memory layout is readable");
+    println!("cargo:rustc-link-search={}", out.display());
+    println!("cargo:rerun-if-changed={layout}");
+    println!("cargo:rerun-if-changed=build.rs");
+    // Page alignment of segments is for hosted systems (it would move the image in flash).
+    println!("cargo:rustc-link-arg-bins=--nmagic");
+    println!("cargo:rustc-link-arg-bins=-Tlink.x");
+    println!("cargo:rustc-link-arg-bins=-Tdefmt.x");
+}

@@ -1,0 +1,181 @@
+//! Samples of a sensor with its own clock on the grid of the board's crystal.
+//!
+//! The LSM9DS1's "238 Hz" may be off by some per cent and drifts with temperature, and it has no
+//! interrupt line on this board. But every poll of its FIFO says how many sets it has taken, and so
+//! bounds when the newest one was taken: less than one period ago. [`Grid`] keeps an estimate of that
+//! age, moves it along with the board's clock, and corrects it (and the estimated period) whenever
+//! it leaves its bounds. As the two clocks slide past each other the bounds get tight: after a
+//! second the age is known to about the jitter of the polls.
+//!
+//! A grid sample is the straight line between the two sets around it. For a movement of f Hz that
+//! errs by at most (π·f/238)²/2 of its amplitude: 0.2 % at 5 Hz. The sample lies [`Grid::delay_us`]
+//! behind its grid time, so that the later set has always arrived.
+
+use crate::Set;
+
+/// Sets remembered; more than the FIFO holds, since grid times may be served late.
+const HISTORY: usize = 64;
+
+/// Number of a set that a grid time may lie behind the newest one, beyond which it is a gap.
+const OLDEST: f32 = (HISTORY - 2) as f32;
+
+/// The resampler. Times are in microseconds of the board's clock.
+#[derive(Clone, Debug)]
+pub struct Grid {
+    history: [Set; HISTORY],
+    /// Sets since the start or the last gap.
+    count: u32,
+    period_us: f32,
+    nominal_us: f32,
+    /// Time since the newest set at the last poll.
+    age_us: f32,
+    last_poll_us: u64,
+    polls: u32,
+}
+
+impl Grid {
+    /// A resampler for a sensor of this nominal rate.
+    pub fn new(nominal_hz: f32) -> Self {
+        let nominal_us = 1e6 / nominal_hz;
+        Self {
+            history: [[0; 6]; HISTORY],
+            count: 0,
+            period_us: nominal_us,
+            nominal_us,
+            age_us: nominal_us / 2.0,
+            last_poll_us: 0,
+            polls: 0,
+        }
+    }
+
+    /// Forgets the sets after a gap; the sensor's rate is kept.
+    pub fn restart(&mut self) {
+        self.count = 0;
+        self.polls = 0;
+        self.age_us = self.period_us / 2.0;
+    }
+
+    /// How far a grid sample lies behind its grid time.
+    pub fn delay_us(&self) -> f32 {
+        // A tenth more than the nominal period: the sensor may be that slow.
+        self.nominal_us * 1.1
+    }
+
+    /// Estimated time between two sets.
+    pub fn period_us(&self) -> f32 {
+        self.period_us
+    }
+
+    /// Takes the sets that a poll at this time found, oldest first.
+    pub fn push(&mut self, sets: &[Set], poll_us: u64) {
+        for &set in sets {
+            self.history[self.count as usize % HISTORY] = set;
+            self.count = self.count.wrapping_add(1);
+        }
+        let elapsed_us = poll_us.saturating_sub(self.last_poll_us) as f32;
+        self.last_poll_us = poll_us;
+        if self.count == 0 {
+            return;
+        }
+        self.polls = self.polls.saturating_add(1);
+        if self.polls == 1 {
+            return;
+        }
+        let age_us = self.age_us + elapsed_us - sets.len() as f32 * self.period_us;
+        self.age_us = age_us.clamp(0.0, self.period_us);
+        // An age below its bound means that sets come faster than thought.
+        let error_us = age_us - self.age_us;
+        let gain = if self.polls < 200 { 1.0 / 32.0 } else { 1.0 / 256.0 };
+        self.period_us = (self.period_us + error_us * gain)
+            .clamp(self.nominal_us * 0.9, self.nominal_us * 1.1);
+    }
+
+    /// The sample for this grid time, or nothing where the sets around it are not known.
+    pub fn sample(&self, grid_us: u64) -> Option<Set> {
+        // Wanted time before the newest set, in sets.
+        let before_poll_us = self.last_poll_us as i64 - grid_us as i64;
+        let behind = (before_poll_us as f32 + self.delay_us() - self.age_us) / self.period_us;
+        // Jitter of the first polls may ask for a little more than there is.
+        let behind = behind.max(0.0);
+        if behind > OLDEST || behind + 2.0 > self.count as f32 {
+            return None;
+        }
+        let whole = behind as u32;
+        // In 1/16384: the product with a difference of two i16 fits an i32.
+        let part = ((behind - whole as f32) * 16384.0) as i32;
+        let newer = &self.history[(self.count - 1 - whole) as usize % HISTORY];
+        let older = &self.history[(self.count - 2 - whole) as usize % HISTORY];
+        let mut sample = *newer;
+        for (s, &o) in sample.iter_mut().zip(older) {
+            let step = (i32::from(o) - i32::from(*s)) * part + 8192;
+            *s = (i32::from(*s) + (step >> 14)) as i16;
+        }
+        Some(sample)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    extern crate std;
+
+    /// A sensor whose clock is off by `ratio`, polled every 10 ms with jitter, shows a ramp.
+    fn worst_error_us(ratio: f64, jitter_us: u64) -> f64 {
+        let mut grid = Grid::new(238.0);
+        let period = 1e6 / 238.0 * ratio;
+        let mut taken = 0u64;
+        let mut random = 1u64;
+        let mut worst: f64 = 0.0;
+        for k in 1..3000u64 {
+            random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+            let poll = k * 10_000 + (random >> 33) % (jitter_us + 1);
+            let due = ((poll as f64 - 700.0) / period) as u64;
+            let mut sets = std::vec::Vec::new();
+            while taken < due {
+                taken += 1;
+                // One count per 100 us, wrapping never within this test.
+                let value = (taken as f64 * period + 700.0) / 1000.0;
+                sets.push([(value - 15_000.0) as i16; 6]);
+            }
+            grid.push(&sets, poll);
+            let sample = grid.sample(k * 10_000);
+            if k > 300 {
+                let ms = f64::from(sample.expect("sets are known")[0]) + 15_000.0;
+                let wanted = (k * 10_000) as f64 - f64::from(grid.delay_us());
+                worst = worst.max((ms * 1000.0 - wanted).abs());
+            }
+        }
+        worst
+    }
+
+    #[test]
+    fn a_sensor_clock_that_is_off_is_followed() {
+        for ratio in [0.95, 0.99, 1.0, 1.003, 1.05] {
+            // The ramp's own resolution is 1000 us with truncation.
+            let worst = worst_error_us(ratio, 100);
+            assert!(worst < 1600.0, "ratio {ratio}: {worst} us");
+        }
+    }
+
+    #[test]
+    fn no_sample_is_made_up_before_the_sets_are_there() {
+        let mut grid = Grid::new(238.0);
+        assert_eq!(grid.sample(10_000), None);
+        grid.push(&[[1; 6]], 10_000);
+        assert_eq!(grid.sample(10_000), None);
+        grid.push(&[[2; 6], [3; 6]], 20_000);
+        assert!(grid.sample(20_000).is_some());
+        grid.restart();
+        assert_eq!(grid.sample(20_000), None);
+    }
+
+    #[test]
+    fn extreme_steps_do_not_overflow() {
+        let mut grid = Grid::new(238.0);
+        grid.push(&[[i16::MIN; 6], [i16::MAX; 6], [i16::MIN; 6], [i16::MAX; 6]], 10_000);
+        for us in 0..100 {
+            grid.sample(9_000 + us * 100);
+        }
+    }
+}
