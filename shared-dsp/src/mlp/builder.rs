@@ -1,0 +1,221 @@
+//! Makes a blob from the numbers in a quantised TFLite model. For hosts.
+
+use super::kernel::encode;
+use super::{BLOB_VERSION, FEATURES_PER_AXIS, MAGIC, MAX_AXES, MAX_LABELS, MAX_LAYERS, MAX_WIDTH, Model, ModelError};
+use crate::recipe::Recipe;
+use crate::softmax::table::exponentials;
+use core::fmt;
+use std::string::String;
+use std::vec::Vec;
+
+/// One fully connected layer with per-tensor quantisation, as TFLite stores it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DenseSpec {
+    /// `weights[output][input]`, each in −127..=127, zero point 0.
+    pub weights: Vec<Vec<i8>>,
+    /// One per output, in units of `input_scale * weight_scale`.
+    pub biases: Vec<i32>,
+    /// Real value of one step of the inputs.
+    pub input_scale: f32,
+    /// Input that stands for 0.
+    pub input_zero_point: i8,
+    /// Real value of one step of the weights.
+    pub weight_scale: f32,
+    /// Real value of one step of the outputs.
+    pub output_scale: f32,
+    /// Output that stands for 0.
+    pub output_zero_point: i8,
+    /// Whether a ReLU is fused into the layer.
+    pub relu: bool,
+}
+
+/// Everything in a blob.
+#[derive(Clone, Debug, PartialEq)]
+pub struct BlobSpec {
+    /// How features become inputs.
+    pub recipe: Recipe,
+    /// Values per sample.
+    pub axes: usize,
+    /// Samples per second.
+    pub sample_hz: u16,
+    /// Samples per window.
+    pub window: u16,
+    /// Samples per hop.
+    pub hop: u16,
+    /// Names of the outputs in order; no commas, none empty.
+    pub labels: Vec<String>,
+    /// Per feature (a, b): input = round(a · feature + b), where the feature has gone through the recipe.
+    /// To standardise and quantise: a = 1 / (deviation · input scale), b = zero point − mean · a.
+    pub scaling: Vec<(f32, f32)>,
+    /// The layers in order; a softmax follows the last one, whose output scale it takes.
+    pub layers: Vec<DenseSpec>,
+}
+
+/// Why no blob can be made.
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub enum BuildError {
+    /// Sizes contradict each other or a maximum: the text says which.
+    Shape(String),
+    /// A number cannot be represented: the text says which.
+    Value(String),
+    /// The finished blob does not parse.
+    Parse(ModelError),
+}
+
+impl fmt::Display for BuildError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Shape(text) | Self::Value(text) => f.write_str(text),
+            Self::Parse(error) => error.fmt(f),
+        }
+    }
+}
+
+impl std::error::Error for BuildError {}
+
+fn shape<T>(text: String) -> Result<T, BuildError> {
+    Err(BuildError::Shape(text))
+}
+
+/// TFLite's `QuantizeMultiplier`: `real` = multiplier · 2^(exponent − 31), multiplier in 2³⁰..2³¹.
+fn quantise_multiplier(real: f64) -> Option<(i32, i32)> {
+    if !(real.is_finite() && real >= f64::MIN_POSITIVE) {
+        return None;
+    }
+    // frexp: real = fraction · 2^exponent with fraction in ½..1.
+    let bits = real.to_bits();
+    let mut exponent = ((bits >> 52) & 0x7FF) as i32 - 1022;
+    let fraction = f64::from_bits((bits & !(0x7FF << 52)) | (1022 << 52));
+    let mut fixed = (fraction * (1i64 << 31) as f64).round() as i64;
+    if fixed == 1 << 31 {
+        fixed /= 2;
+        exponent += 1;
+    }
+    Some((i32::try_from(fixed).ok()?, exponent))
+}
+
+/// Makes a blob. The same input gives the same bytes.
+///
+/// # Errors
+/// If sizes contradict each other or exceed the format's maxima, or numbers cannot be represented.
+pub fn build_blob(spec: &BlobSpec) -> Result<Vec<u8>, BuildError> {
+    let inputs = spec.axes * FEATURES_PER_AXIS;
+    if !(1..=MAX_AXES).contains(&spec.axes) {
+        return shape(std::format!("{} axes: 1 to {MAX_AXES} are possible", spec.axes));
+    }
+    if spec.scaling.len() != inputs {
+        return shape(std::format!("{} scalings for {inputs} features", spec.scaling.len()));
+    }
+    if !(2..=MAX_LABELS).contains(&spec.labels.len()) {
+        return shape(std::format!("{} labels: 2 to {MAX_LABELS} are possible", spec.labels.len()));
+    }
+    if let Some(label) = spec.labels.iter().find(|label| label.is_empty() || label.contains(',')) {
+        return Err(BuildError::Value(std::format!("label \"{label}\" is empty or has a comma")));
+    }
+    if !(1..=MAX_LAYERS).contains(&spec.layers.len()) {
+        return shape(std::format!("{} layers: 1 to {MAX_LAYERS} are possible", spec.layers.len()));
+    }
+    let text = spec.labels.join(",");
+    let table = softmax_table(spec)?;
+
+    let mut blob = Vec::new();
+    blob.extend(MAGIC);
+    blob.extend([BLOB_VERSION, spec.recipe.id(), spec.axes as u8, spec.layers.len() as u8]);
+    for short in [spec.sample_hz, spec.window, spec.hop, inputs as u16] {
+        blob.extend(short.to_le_bytes());
+    }
+    blob.extend([spec.labels.len() as u8, 0]);
+    let text_bytes = u16::try_from(text.len())
+        .map_err(|_| BuildError::Shape(String::from("the labels are longer than 65535 bytes")))?;
+    for short in [text_bytes, table.len() as u16, 0] {
+        blob.extend(short.to_le_bytes());
+    }
+    blob.extend([0; 4]); // size, below
+    for (a, b) in &spec.scaling {
+        blob.extend(a.to_le_bytes());
+        blob.extend(b.to_le_bytes());
+    }
+    let mut width = inputs;
+    for (index, layer) in spec.layers.iter().enumerate() {
+        push_layer(&mut blob, index, layer, width)?;
+        width = layer.weights.len();
+    }
+    for value in &table {
+        blob.extend(value.to_le_bytes());
+    }
+    blob.extend(text.as_bytes());
+    blob.resize(blob.len().next_multiple_of(4), 0);
+    let size = blob.len() as u32;
+    blob[24..28].copy_from_slice(&size.to_le_bytes());
+    Model::parse(&blob).map_err(BuildError::Parse)?;
+    Ok(blob)
+}
+
+fn softmax_table(spec: &BlobSpec) -> Result<Vec<i32>, BuildError> {
+    let scale = spec.layers.last().map_or(0.0, |layer| layer.output_scale);
+    let bad = || BuildError::Value(std::format!("softmax: an input scale of {scale} cannot be represented"));
+    // TFLite's PreprocessSoftmaxScaling with beta 1 and 5 integer bits.
+    let real = (f64::from(scale) * f64::from(1u32 << 26)).min(f64::from(i32::MAX));
+    let (multiplier, exponent) = quantise_multiplier(real).ok_or_else(bad)?;
+    let left_shift = u32::try_from(exponent).ok().filter(|&shift| shift <= 31).ok_or_else(bad)?;
+    Ok(exponentials(multiplier, left_shift))
+}
+
+fn push_layer(blob: &mut Vec<u8>, index: usize, layer: &DenseSpec, inputs: usize) -> Result<(), BuildError> {
+    let outputs = layer.weights.len();
+    if !(1..=MAX_WIDTH).contains(&outputs) || inputs > MAX_WIDTH {
+        return shape(std::format!("layer {index} is {inputs} to {outputs}: at most {MAX_WIDTH} are possible"));
+    }
+    if layer.weights.iter().any(|row| row.len() != inputs) || layer.biases.len() != outputs {
+        return shape(std::format!("layer {index}: weights and biases are not {outputs} × {inputs}"));
+    }
+    if layer.weights.iter().flatten().any(|&weight| weight == -128) {
+        return Err(BuildError::Value(std::format!("layer {index}: weight −128 (TFLite uses −127 to 127)")));
+    }
+    // TFLite multiplies the two scales as floats and divides as doubles.
+    let real = f64::from(layer.input_scale * layer.weight_scale) / f64::from(layer.output_scale);
+    let (multiplier, right_shift) = quantise_multiplier(real)
+        .and_then(|(multiplier, exponent)| Some((multiplier, u8::try_from(31 - exponent).ok()?)))
+        .filter(|(_, shift)| (1..=62).contains(shift))
+        .ok_or_else(|| {
+            BuildError::Value(std::format!("layer {index}: its scales give the factor {real:e}, out of range"))
+        })?;
+    let smallest = if layer.relu { layer.output_zero_point } else { i8::MIN };
+    blob.extend((inputs as u16).to_le_bytes());
+    blob.extend((outputs as u16).to_le_bytes());
+    blob.extend(multiplier.to_le_bytes());
+    blob.extend([right_shift, layer.output_zero_point as u8, smallest as u8, 0]);
+
+    for block in 0..outputs.div_ceil(4) {
+        let rows: Vec<usize> = (4 * block..4 * block + 4).collect();
+        for &row in &rows {
+            let bias = match layer.weights.get(row) {
+                Some(weights) => {
+                    let zero_point = i64::from(layer.input_zero_point);
+                    let folded: i64 = weights
+                        .iter()
+                        .enumerate()
+                        // The kernel sees odd inputs less 127.
+                        .map(|(i, &w)| i64::from(w) * (if i % 2 == 1 { 127 } else { 0 } - zero_point))
+                        .sum();
+                    i64::from(layer.biases[row]) + folded
+                }
+                None => 0,
+            };
+            let bias = i32::try_from(bias).map_err(|_| {
+                BuildError::Value(std::format!("layer {index}: the bias of output {row} does not fit 32 bits"))
+            })?;
+            blob.extend(bias.to_le_bytes());
+        }
+        for quad in 0..inputs.div_ceil(4) {
+            for &row in &rows {
+                let weight = |column: usize| -> i8 {
+                    layer.weights.get(row).and_then(|r| r.get(column)).copied().unwrap_or(0)
+                };
+                blob.extend(encode(core::array::from_fn(|i| weight(4 * quad + i))));
+            }
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,90 @@
+//! How the features of a window become inputs of a network.
+//!
+//! A blob names its recipe by number, so a board can refuse one that it does not know. To add a recipe: give
+//! it the next number here, say what it does in [`Recipe::transform`], and leave the others alone.
+
+/// Smallest value that recipe 2 tells from zero, in the square of the axis' unit.
+pub const LOG_FLOOR: f32 = 1e-6;
+
+/// What happens to a feature before its affine scaling to int8.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Recipe {
+    /// 1: the paper's: features as they are.
+    Raw,
+    /// 2: RMS, variance and the eight powers as log10(value + [`LOG_FLOOR`]); the others as they are.
+    LogPower,
+}
+
+impl Recipe {
+    /// The recipe with this number in a blob.
+    pub const fn from_id(id: u8) -> Option<Self> {
+        match id {
+            1 => Some(Self::Raw),
+            2 => Some(Self::LogPower),
+            _ => None,
+        }
+    }
+
+    /// The number of this recipe in a blob.
+    pub const fn id(self) -> u8 {
+        match self {
+            Self::Raw => 1,
+            Self::LogPower => 2,
+        }
+    }
+
+    /// Network input of feature `index` (0 to 12, order of [`crate::features`]) of any axis.
+    pub fn transform(self, index: usize, value: f32) -> f32 {
+        match self {
+            Self::Raw => value,
+            Self::LogPower => match index {
+                1 | 2 | 5..=12 => log10(value + LOG_FLOOR),
+                _ => value,
+            },
+        }
+    }
+}
+
+/// Base-10 logarithm of a positive normal number, relative error below 1e-6 of max(|log|, 1).
+///
+/// Only additions, products and one quotient in a fixed order: the same bits on every target.
+fn log10(x: f32) -> f32 {
+    // x = 2^exponent · mantissa with mantissa in [√½, √2).
+    let bits = x.to_bits().wrapping_sub(0x3F35_04F3);
+    let exponent = (bits as i32) >> 23;
+    let mantissa = f32::from_bits((bits & 0x007F_FFFF).wrapping_add(0x3F35_04F3));
+    // ln(m) = 2·atanh(t), t = (m − 1) / (m + 1), |t| ≤ 0.172.
+    let t = (mantissa - 1.0) / (mantissa + 1.0);
+    let t2 = t * t;
+    const SCALE: f32 = 0.868_588_96; // 2 / ln 10
+    const LOG10_2: f32 = 0.301_03;
+    let series = 1.0 + t2 * (1.0 / 3.0 + t2 * (0.2 + t2 * (1.0 / 7.0 + t2 * (1.0 / 9.0))));
+    exponent as f32 * LOG10_2 + SCALE * (t * series)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn logarithm_is_close_over_the_whole_range_of_powers() {
+        let mut x = 1e-6f32;
+        while x < 1e12 {
+            let expected = f64::from(x).log10();
+            let error = (f64::from(log10(x)) - expected).abs();
+            assert!(error <= 1e-6 * expected.abs().max(1.0), "log10({x}): error {error:e}");
+            x *= 1.003;
+        }
+    }
+
+    #[test]
+    fn recipe_numbers_lead_there_and_back() {
+        for id in 0..=255 {
+            if let Some(recipe) = Recipe::from_id(id) {
+                assert_eq!(recipe.id(), id);
+            }
+        }
+        assert_eq!(Recipe::from_id(0), None);
+        assert_eq!(Recipe::from_id(3), None);
+    }
+}

@@ -1,0 +1,114 @@
+//! TFLite's int8 softmax, bit for bit, with the exponentials read from a table.
+//!
+//! TFLite (gemmlowp) computes `exp` of each difference to the largest logit in 32-bit fixed point. There
+//! are only 256 possible differences, so the blob carries their exponentials and the board looks them up.
+//! What remains is one reciprocal (three Newton steps) and one product per label.
+
+/// Output scale is 1/256 and output zero point −128, as TFLite fixes them for int8.
+const ACCUMULATOR_INTEGER_BITS: i32 = 12;
+
+/// Product of two Q0.31 numbers, rounded to nearest (gemmlowp's `SaturatingRoundingDoublingHighMul`
+/// without the one case that saturates, −1 · −1, which does not arise here).
+pub(crate) fn multiply_q31(a: i32, b: i32) -> i32 {
+    let product = i64::from(a) * i64::from(b);
+    let nudge = if product >= 0 { 1 << 30 } else { 1 - (1 << 30) };
+    ((product + nudge) / (1 << 31)) as i32
+}
+
+/// `x / 2^exponent`, ties away from zero.
+pub(crate) fn divide_by_power_of_two(x: i32, exponent: u32) -> i32 {
+    let mask = ((1i64 << exponent) - 1) as i32;
+    let threshold = (mask >> 1) + i32::from(x < 0);
+    (x >> exponent) + i32::from((x & mask) > threshold)
+}
+
+/// 1 / (1 + a) for a in [0, 1) as Q0.31, as gemmlowp does it.
+fn reciprocal_of_one_plus(a: i32) -> i32 {
+    const FORTY_EIGHT_SEVENTEENTHS: i32 = 1_515_870_810; // Q2.29
+    const MINUS_THIRTY_TWO_SEVENTEENTHS: i32 = -1_010_580_540; // Q2.29
+    const ONE: i32 = 1 << 29; // Q2.29
+    let half_denominator = ((i64::from(a) + i64::from(i32::MAX) + 1) / 2) as i32;
+    let mut x =
+        FORTY_EIGHT_SEVENTEENTHS + multiply_q31(half_denominator, MINUS_THIRTY_TWO_SEVENTEENTHS);
+    for _ in 0..3 {
+        let error = ONE - multiply_q31(half_denominator, x);
+        x += multiply_q31(x, error) << 2;
+    }
+    x.saturating_mul(2)
+}
+
+/// Softmax of `logits` into `scores`: (score + 128) / 256 is the probability.
+///
+/// `table[d]` is exp(−d · scale) in Q0.31, little-endian, for differences d = 0, 1, …; beyond its end the
+/// exponentials are too small to reach any output. Both slices must have the same length, at most 16.
+pub(crate) fn softmax(table: &[u8], logits: &[i8], scores: &mut [i8]) {
+    let largest = logits.iter().copied().max().unwrap_or(0);
+    let exponential = |logit: i8| -> i32 {
+        let difference = (i32::from(largest) - i32::from(logit)) as usize;
+        match table.get(4 * difference..4 * difference + 4) {
+            Some(&[a, b, c, d]) => i32::from_le_bytes([a, b, c, d]),
+            _ => 0,
+        }
+    };
+    let sum: i32 = logits
+        .iter()
+        .map(|&logit| ((exponential(logit) as u32 + (1 << 11)) >> ACCUMULATOR_INTEGER_BITS) as i32)
+        .sum();
+    let headroom = sum.leading_zeros();
+    let scale = reciprocal_of_one_plus(((sum as u32) << headroom).wrapping_sub(1 << 31) as i32);
+    let shift = (ACCUMULATOR_INTEGER_BITS - headroom as i32 + 31 - 8) as u32 & 31;
+    for (score, &logit) in scores.iter_mut().zip(logits) {
+        let probability = divide_by_power_of_two(multiply_q31(scale, exponential(logit)), shift);
+        *score = (probability - 128).clamp(-128, 127) as i8;
+    }
+}
+
+/// The exponentials for [`softmax`], made on the host.
+#[cfg(feature = "build")]
+pub(crate) mod table {
+    use super::{divide_by_power_of_two, multiply_q31};
+    use std::vec::Vec;
+
+    /// exp(a) for a ≤ 0 in Q5.26, as Q0.31 (gemmlowp's `exp_on_negative_values`).
+    fn exp_on_negative_values(a: i32) -> i32 {
+        if a == 0 {
+            return i32::MAX;
+        }
+        const QUARTER: i32 = 1 << 24;
+        let below_quarter = (a & (QUARTER - 1)) - QUARTER;
+        // Taylor expansion around −1/8.
+        const EXP_MINUS_EIGHTH: i32 = 1_895_147_668;
+        const THIRD: i32 = 715_827_883;
+        let x = (below_quarter << 5) + (1 << 28);
+        let x2 = multiply_q31(x, x);
+        let x3 = multiply_q31(x2, x);
+        let x4 = multiply_q31(x2, x2);
+        let tail =
+            divide_by_power_of_two(multiply_q31(divide_by_power_of_two(x4, 2) + x3, THIRD) + x2, 1);
+        let mut result = EXP_MINUS_EIGHTH + multiply_q31(EXP_MINUS_EIGHTH, x + tail);
+        // The remaining quarters, halves, ones, …, sixteens.
+        const EXP_MINUS_POWERS: [i32; 7] =
+            [1_672_461_947, 1_302_514_674, 790_015_084, 290_630_308, 39_332_535, 720_401, 242];
+        let remainder = below_quarter - a;
+        for (bit, &factor) in EXP_MINUS_POWERS.iter().enumerate() {
+            if remainder & (1 << (24 + bit)) != 0 {
+                result = multiply_q31(result, factor);
+            }
+        }
+        result
+    }
+
+    /// Exponentials of 0, −1, −2, … steps, as far as they can reach an output. `multiplier` (Q0.31) and
+    /// `left_shift` scale a step of the logits to Q5.26.
+    pub(crate) fn exponentials(multiplier: i32, left_shift: u32) -> Vec<i32> {
+        let limit = (31i64 << 26) >> left_shift;
+        (0..256i64)
+            .take_while(|&difference| difference <= limit)
+            .map(|difference| {
+                exp_on_negative_values(multiply_q31((-difference << left_shift) as i32, multiplier))
+            })
+            // Below this it adds nothing to the sum and rounds to nothing in the output.
+            .take_while(|&value| value >= 1 << 11)
+            .collect()
+    }
+}
