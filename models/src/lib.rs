@@ -1,1 +1,21 @@
-//! Recordings, models and their cards.
+//! Recordings, training, quantisation, TFLite files and model cards.
+//!
+//! Without the feature `train` this crate is small: reading recordings, simulated wearers and
+//! turning a `.tflite` file with its card into the blob that boards and bridge run. With `train`
+//! (the default, used by the tool `models`) it also learns networks.
+//!
+//! Glossary: a *recording* is one file of samples of one person making one gesture; a *window* is
+//! [`WINDOW`] samples at [`RATE_HZ`]; a *label* is a gesture's canonical name; a *card* is the JSON
+//! beside a model that says where it comes from.
+
+pub mod dataset;
+pub mod labels;
+pub mod recording;
+pub mod synth;
+
+/// Sampling rate of the features and the network, in Hz.
+pub const RATE_HZ: f64 = 100.0;
+/// Samples in one window of features (2 s at [`RATE_HZ`]).
+pub const WINDOW: usize = 200;
+/// Samples from one window to the next on the board (80 ms).
+pub const HOP: usize = 8;

@@ -1,0 +1,242 @@
+//! A folder of recordings, `FOLDER/<label>/<person>__<n>.csv`.
+//!
+//! Every CSV file in every label folder is read; only `index.csv`, other files at the top (licences)
+//! and hidden files are ignored, and `ignored` names them. Mixed folders (3, 6 and 9 axes) are
+//! read with the axes that all recordings have, since the axes are nested: accelerometer, then
+//! gyroscope, then magnetometer.
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
+use crate::labels;
+use crate::recording::{Recording, RecordingError};
+
+/// One recording with what its path says.
+#[derive(Clone, Debug)]
+pub struct Item {
+    /// The file as found.
+    pub file: PathBuf,
+    /// `<label folder>/<file name>` as on disk, `/` on every system.
+    pub name: String,
+    /// Canonical label, from the folder.
+    pub label: String,
+    /// The person, the part of the file name before `__`.
+    pub person: String,
+    /// The recording as in the file, with the data set's axes.
+    pub recording: Recording,
+}
+
+/// All recordings of a folder, sorted by name.
+#[derive(Clone, Debug)]
+pub struct Dataset {
+    /// The folder.
+    pub folder: PathBuf,
+    /// The recordings.
+    pub items: Vec<Item>,
+    /// Labels in the order of a network's outputs ([`labels::sort`]).
+    pub labels: Vec<String>,
+    /// Axes of every recording: 3, 6 or 9.
+    pub axes: usize,
+    /// Files that are no recordings and were left out.
+    pub ignored: Vec<PathBuf>,
+    /// Recordings that had more axes than the data set keeps.
+    pub narrowed: usize,
+}
+
+/// Why a folder cannot be used; the text says what to do.
+#[derive(Debug, thiserror::Error)]
+pub enum DatasetError {
+    /// The folder cannot be listed.
+    #[error("{folder}: {source}; give a folder with FOLDER/<label>/<person>__<n>.csv")]
+    Io {
+        /// The folder.
+        folder: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// A file's name does not say who made it.
+    #[error("{file}: the name must be <person>__<n>.csv (two underscores); rename the file")]
+    Name {
+        /// The file.
+        file: PathBuf,
+    },
+    /// There is nothing to learn from.
+    #[error("{folder}: no recordings; put them in {folder}/<label>/<person>__<n>.csv")]
+    Empty {
+        /// The folder.
+        folder: PathBuf,
+    },
+    /// A recording lacks axes that were asked for.
+    #[error("{file}: {found} axes, but {wanted} are wanted; use --axes {found} or leave the file out")]
+    Axes {
+        /// The file.
+        file: PathBuf,
+        /// Axes it has.
+        found: usize,
+        /// Axes wanted.
+        wanted: usize,
+    },
+    /// A recording is damaged.
+    #[error(transparent)]
+    Recording(#[from] RecordingError),
+}
+
+impl Dataset {
+    /// Reads a folder; `axes` keeps only the first 3, 6 or 9 axes of every recording, `None` as
+    /// many as all of them have.
+    pub fn read(folder: &Path, axes: Option<usize>) -> Result<Self, DatasetError> {
+        let mut items = Vec::new();
+        let mut ignored = Vec::new();
+        for entry in list(folder)? {
+            if !entry.is_dir() {
+                ignored.push(entry);
+                continue;
+            }
+            let folder_name = file_name(&entry);
+            for file in list(&entry)? {
+                let name = file_name(&file);
+                let stem = name.strip_suffix(".csv");
+                let (Some(stem), false) = (stem, name.starts_with('.') || name == "index.csv") else {
+                    ignored.push(file);
+                    continue;
+                };
+                let person = match stem.split_once("__") {
+                    Some((person, number)) if !person.is_empty() && !number.is_empty() => person,
+                    _ => return Err(DatasetError::Name { file }),
+                };
+                let recording = Recording::read(&file)?;
+                if let Some(wanted) = axes
+                    && recording.axes() < wanted
+                {
+                    return Err(DatasetError::Axes { found: recording.axes(), wanted, file });
+                }
+                items.push(Item {
+                    name: format!("{folder_name}/{name}"),
+                    label: labels::canonical(&folder_name),
+                    person: person.to_owned(),
+                    recording,
+                    file,
+                });
+            }
+        }
+        let Some(common) = items.iter().map(|item| item.recording.axes()).min() else {
+            return Err(DatasetError::Empty { folder: folder.to_owned() });
+        };
+        let axes = axes.unwrap_or(common);
+        let mut narrowed = 0;
+        for item in &mut items {
+            if item.recording.axes() > axes {
+                item.recording = item.recording.with_axes(axes);
+                narrowed += 1;
+            }
+        }
+        items.sort_by(|a, b| a.name.cmp(&b.name));
+        let labels = label_list(&items);
+        Ok(Self { folder: folder.to_owned(), items, labels, axes, ignored, narrowed })
+    }
+
+    /// The people, sorted.
+    pub fn people(&self) -> Vec<String> {
+        let people: BTreeSet<_> = self.items.iter().map(|item| item.person.clone()).collect();
+        people.into_iter().collect()
+    }
+
+    /// The part of the data set for which `keep` holds; labels follow what is left.
+    pub fn filtered(&self, keep: impl Fn(&Item) -> bool) -> Self {
+        let items: Vec<_> = self.items.iter().filter(|item| keep(item)).cloned().collect();
+        Self { labels: label_list(&items), items, ..self.clone_without_items() }
+    }
+
+    fn clone_without_items(&self) -> Self {
+        Self {
+            folder: self.folder.clone(),
+            items: Vec::new(),
+            labels: Vec::new(),
+            axes: self.axes,
+            ignored: self.ignored.clone(),
+            narrowed: self.narrowed,
+        }
+    }
+}
+
+fn label_list(items: &[Item]) -> Vec<String> {
+    let set: BTreeSet<_> = items.iter().map(|item| item.label.clone()).collect();
+    let mut list: Vec<_> = set.into_iter().collect();
+    labels::sort(&mut list);
+    list
+}
+
+fn file_name(path: &Path) -> String {
+    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+fn list(folder: &Path) -> Result<Vec<PathBuf>, DatasetError> {
+    let error = |source| DatasetError::Io { folder: folder.to_owned(), source };
+    let mut entries = std::fs::read_dir(folder)
+        .and_then(|entries| entries.map(|entry| entry.map(|e| e.path())).collect::<Result<Vec<_>, _>>())
+        .map_err(error)?;
+    entries.sort();
+    Ok(entries)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const ACC: &str = "timestamp,accX,accY,accZ\n0,1,2,3\n10,1,2,3\n";
+    const IMU: &str = "timestamp,accX,accY,accZ,gyrX,gyrY,gyrZ\n0,1,2,3,4,5,6\n10,1,2,3,4,5,6\n";
+
+    fn folder(files: &[(&str, &str)]) -> tempfile::TempDir {
+        let folder = tempfile::tempdir().unwrap();
+        for (name, text) in files {
+            let file = folder.path().join(name);
+            std::fs::create_dir_all(file.parent().unwrap()).unwrap();
+            std::fs::write(file, text).unwrap();
+        }
+        folder
+    }
+
+    #[test]
+    fn label_and_person_come_from_the_path_and_only_recordings_are_read() {
+        let data = folder(&[
+            ("leftright/s1__001.csv", ACC),
+            ("idle/s2__7.csv", ACC),
+            ("index.csv", "path,label\n"),
+            ("LICENSE.txt", "free"),
+        ]);
+        let set = Dataset::read(data.path(), None).unwrap();
+        assert_eq!(set.labels, ["idle", "left-right"]);
+        assert_eq!(set.people(), ["s1", "s2"]);
+        assert_eq!(set.items[1].name, "leftright/s1__001.csv");
+        assert_eq!(set.ignored.len(), 2);
+    }
+
+    #[test]
+    fn a_mixed_folder_keeps_the_axes_that_all_have() {
+        let data = folder(&[("a/p__1.csv", ACC), ("b/p__1.csv", IMU)]);
+        let set = Dataset::read(data.path(), None).unwrap();
+        assert_eq!((set.axes, set.narrowed), (3, 1));
+        assert!(set.items.iter().all(|item| item.recording.axes() == 3));
+        let text = Dataset::read(data.path(), Some(6)).unwrap_err().to_string();
+        assert!(text.contains("a/p__1.csv: 3 axes, but 6 are wanted; use --axes 3"), "{text}");
+    }
+
+    #[test]
+    fn bad_names_missing_and_empty_folders_say_what_to_do() {
+        let data = folder(&[("a/noperson.csv", ACC)]);
+        let text = Dataset::read(data.path(), None).unwrap_err().to_string();
+        assert!(text.contains("a/noperson.csv: the name must be <person>__<n>.csv"), "{text}");
+        let empty = folder(&[("README", "x")]);
+        let text = Dataset::read(empty.path(), None).unwrap_err().to_string();
+        assert!(text.contains("no recordings; put them in"), "{text}");
+        let text = Dataset::read(Path::new("/nowhere"), None).unwrap_err().to_string();
+        assert!(text.starts_with("/nowhere: "), "{text}");
+    }
+
+    #[test]
+    fn a_damaged_recording_stops_the_reading_with_its_place() {
+        let data = folder(&[("a/p__1.csv", ACC), ("a/p__2.csv", "timestamp,accX,accY,accZ\n0,1,2,?\n")]);
+        let text = Dataset::read(data.path(), None).unwrap_err().to_string();
+        assert!(text.contains("a/p__2.csv, line 2, column 4 (accZ)"), "{text}");
+    }
+}

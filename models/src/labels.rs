@@ -1,0 +1,109 @@
+//! The names of gestures: one canonical spelling each, and the aliases that people use.
+
+/// The paper's seven labels in the order of its network's outputs.
+pub const PAPER: [&str; 7] =
+    ["idle", "up-down", "to-fro", "left-right", "rectangle", "rectangle-flat", "circle"];
+
+/// Aliases, spelled as [`squash`] leaves them, and what they mean.
+const ALIASES: [(&str, &str); 21] = [
+    ("idle", "idle"),
+    ("still", "idle"),
+    ("rest", "idle"),
+    ("updown", "up-down"),
+    ("vertical", "up-down"),
+    ("tofro", "to-fro"),
+    ("toandfro", "to-fro"),
+    ("forwardbackward", "to-fro"),
+    ("forwardback", "to-fro"),
+    ("leftright", "left-right"),
+    ("sideways", "left-right"),
+    ("horizontal", "left-right"),
+    ("rectangle", "rectangle"),
+    ("rect", "rectangle"),
+    ("rectangleflat", "rectangle-flat"),
+    ("rectflat", "rectangle-flat"),
+    ("flatrectangle", "rectangle-flat"),
+    ("flatrect", "rectangle-flat"),
+    ("circle", "circle"),
+    ("circles", "circle"),
+    ("round", "circle"),
+];
+
+/// Lower case without separators, so that `Left_Right`, `left-right` and `leftright` are one.
+fn squash(name: &str) -> String {
+    name.chars().filter(|c| c.is_alphanumeric()).flat_map(char::to_lowercase).collect()
+}
+
+/// The canonical name of a label.
+///
+/// Aliases of the paper's labels become the paper's; any other name is kept, lower-cased, with
+/// spaces and underscores turned into hyphens.
+///
+/// ```
+/// assert_eq!(models::labels::canonical("LeftRight"), "left-right");
+/// assert_eq!(models::labels::canonical("rect"), "rectangle");
+/// assert_eq!(models::labels::canonical("Big Wave"), "big-wave");
+/// ```
+pub fn canonical(name: &str) -> String {
+    let squashed = squash(name);
+    match ALIASES.iter().find(|(alias, _)| *alias == squashed) {
+        Some((_, label)) => (*label).to_owned(),
+        None => name
+            .trim()
+            .chars()
+            .flat_map(char::to_lowercase)
+            .map(|c| if c.is_whitespace() || c == '_' { '-' } else { c })
+            .collect(),
+    }
+}
+
+/// Sorts labels as a network's outputs: the paper's labels first in its order, then the rest by name.
+pub fn sort(labels: &mut [String]) {
+    labels.sort_by_key(|label| {
+        let place = PAPER.iter().position(|paper| paper == label).unwrap_or(PAPER.len());
+        (place, label.clone())
+    });
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_paper_label_is_its_own_canonical_name() {
+        for label in PAPER {
+            assert_eq!(canonical(label), label);
+        }
+    }
+
+    #[test]
+    fn spellings_that_people_use_are_aliases() {
+        for (alias, label) in [
+            ("leftright", "left-right"),
+            ("Left_Right", "left-right"),
+            ("updown", "up-down"),
+            ("up down", "up-down"),
+            ("tofro", "to-fro"),
+            ("rect", "rectangle"),
+            ("rectangleflat", "rectangle-flat"),
+            ("RectangleFlat", "rectangle-flat"),
+        ] {
+            assert_eq!(canonical(alias), label, "{alias}");
+        }
+    }
+
+    #[test]
+    fn aliases_are_spelled_as_squash_leaves_them_and_lead_to_canonical_names() {
+        for (alias, label) in ALIASES {
+            assert_eq!(squash(alias), alias);
+            assert!(PAPER.contains(&label));
+        }
+    }
+
+    #[test]
+    fn labels_sort_in_the_papers_order_and_others_by_name_after_them() {
+        let mut labels = ["wave", "circle", "other", "idle", "left-right"].map(String::from).to_vec();
+        sort(&mut labels);
+        assert_eq!(labels, ["idle", "left-right", "circle", "other", "wave"]);
+    }
+}

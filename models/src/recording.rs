@@ -1,0 +1,424 @@
+//! One recording of the right hand: reading, checking, resampling and writing its CSV file.
+//!
+//! The format is Edge Impulse's: a header `timestamp` or `timestamp_ms`, then `accX,accY,accZ`
+//! (m/s²), optionally `gyrX,gyrY,gyrZ` (deg/s), optionally `magX,magY,magZ` (µT); times in ms.
+//! Nothing is dropped or repaired silently: what cannot be used is an error that names the file,
+//! the line and the column and says what to do.
+
+use std::fmt::Write as _;
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+
+use crate::RATE_HZ;
+
+/// Column names in the order of a sample's axes.
+pub const AXIS_NAMES: [&str; 9] = ["accX", "accY", "accZ", "gyrX", "gyrY", "gyrZ", "magX", "magY", "magZ"];
+
+/// Slowest sampling rate that is accepted, in Hz.
+pub const MIN_RATE_HZ: f64 = 25.0;
+/// Fastest sampling rate that is accepted, in Hz.
+pub const MAX_RATE_HZ: f64 = 500.0;
+
+/// A rate this near to the wanted one is the wanted one: samples are used as they are.
+const SAME_RATE: f64 = 0.01;
+
+/// Samples of 3, 6 or 9 axes with their times.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Recording {
+    axes: usize,
+    time_ms: Vec<f64>,
+    values: Vec<f32>,
+}
+
+/// Why a recording cannot be used; the text says what to do.
+#[derive(Debug, thiserror::Error)]
+pub enum RecordingError {
+    /// The file cannot be opened or read.
+    #[error("{file}: {source}; check the path and that the file may be read")]
+    Io {
+        /// The file.
+        file: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// Nothing in the file, or a header without samples.
+    #[error("{file}: {what}; record it again or delete the file")]
+    Empty {
+        /// The file.
+        file: PathBuf,
+        /// What is missing.
+        what: &'static str,
+    },
+    /// The header is not one of those that are understood.
+    #[error(
+        "{file}, line 1, column {column} ({name:?}): {problem}; the header must be \
+         timestamp (or timestamp_ms),accX,accY,accZ[,gyrX,gyrY,gyrZ[,magX,magY,magZ]]"
+    )]
+    Header {
+        /// The file.
+        file: PathBuf,
+        /// Column, from 1.
+        column: usize,
+        /// Its name.
+        name: String,
+        /// What is wrong with it.
+        problem: &'static str,
+    },
+    /// A row has too few or too many values.
+    #[error(
+        "{file}, line {line}, column {column}: the row has {found} values, the header {expected}; \
+         the file may be cut off or damaged here: delete the line or record it again"
+    )]
+    Row {
+        /// The file.
+        file: PathBuf,
+        /// Line, from 1.
+        line: u64,
+        /// First column that is missing or too much, from 1.
+        column: usize,
+        /// Values in the row.
+        found: usize,
+        /// Values in the header.
+        expected: usize,
+    },
+    /// A value is not a finite number.
+    #[error(
+        "{file}, line {line}, column {column} ({name}): {value:?} is not a {wanted}; \
+         correct the value or delete the line"
+    )]
+    Value {
+        /// The file.
+        file: PathBuf,
+        /// Line, from 1.
+        line: u64,
+        /// Column, from 1.
+        column: usize,
+        /// The column's name.
+        name: String,
+        /// What stands there.
+        value: String,
+        /// What should stand there.
+        wanted: &'static str,
+    },
+    /// Time stands still or goes back.
+    #[error(
+        "{file}, line {line}, column {column} ({name}): time {time_ms} ms follows {before_ms} ms; \
+         times must rise: sort the rows, or split the file where a second recording starts"
+    )]
+    Time {
+        /// The file.
+        file: PathBuf,
+        /// Line, from 1.
+        line: u64,
+        /// Column, from 1.
+        column: usize,
+        /// The column's name.
+        name: String,
+        /// The time found, in ms.
+        time_ms: f64,
+        /// The time before it, in ms.
+        before_ms: f64,
+    },
+    /// The sampling rate is outside [`MIN_RATE_HZ`]..=[`MAX_RATE_HZ`], or cannot be told.
+    #[error(
+        "{file}, column 1: the sampling rate is {rate_hz:.1} Hz, but 25 to 500 Hz are needed; \
+         times must be in milliseconds"
+    )]
+    Rate {
+        /// The file.
+        file: PathBuf,
+        /// The measured rate, in Hz.
+        rate_hz: f64,
+    },
+    /// The file cannot be parsed as CSV text at all.
+    #[error("{file}, line {line}: {what}; save it as plain CSV text in UTF-8")]
+    Text {
+        /// The file.
+        file: PathBuf,
+        /// Line, from 1.
+        line: u64,
+        /// What the parser said.
+        what: String,
+    },
+}
+
+impl Recording {
+    /// A recording from its parts: `values` holds `axes` values per entry of `time_ms`.
+    ///
+    /// # Panics
+    /// If `axes` is not 3, 6 or 9 or the lengths do not match: these are the caller's constants.
+    pub fn new(axes: usize, time_ms: Vec<f64>, values: Vec<f32>) -> Self {
+        assert!(matches!(axes, 3 | 6 | 9), "3, 6 or 9 axes");
+        assert_eq!(values.len(), time_ms.len() * axes, "one value per axis and time");
+        Self { axes, time_ms, values }
+    }
+
+    /// Reads a CSV file.
+    pub fn read(file: &Path) -> Result<Self, RecordingError> {
+        let bytes =
+            std::fs::read(file).map_err(|source| RecordingError::Io { file: file.to_owned(), source })?;
+        Self::parse(file, &bytes)
+    }
+
+    /// Reads the bytes of a CSV file; `file` is only for the errors.
+    pub fn parse(file: &Path, bytes: &[u8]) -> Result<Self, RecordingError> {
+        let owned = || file.to_owned();
+        let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
+        let mut reader = csv::ReaderBuilder::new()
+            .has_headers(false)
+            .flexible(true)
+            .trim(csv::Trim::All)
+            .from_reader(bytes);
+        let text_error = |error: csv::Error| RecordingError::Text {
+            file: owned(),
+            line: error.position().map_or(1, csv::Position::line),
+            what: error.to_string(),
+        };
+
+        let mut row = csv::StringRecord::new();
+        if !reader.read_record(&mut row).map_err(text_error)? {
+            return Err(RecordingError::Empty { file: owned(), what: "the file is empty" });
+        }
+        let header: Vec<String> = row.iter().map(String::from).collect();
+        let axes = parse_header(file, &header)?;
+
+        let mut time_ms: Vec<f64> = Vec::new();
+        let mut values: Vec<f32> = Vec::new();
+        while reader.read_record(&mut row).map_err(text_error)? {
+            let line = row.position().map_or(0, csv::Position::line);
+            if row.len() != header.len() {
+                return Err(RecordingError::Row {
+                    file: owned(),
+                    line,
+                    column: row.len().min(header.len()) + 1,
+                    found: row.len(),
+                    expected: header.len(),
+                });
+            }
+            for (index, text) in row.iter().enumerate() {
+                let value_error = |wanted| RecordingError::Value {
+                    file: owned(),
+                    line,
+                    column: index + 1,
+                    name: header[index].clone(),
+                    value: text.to_owned(),
+                    wanted,
+                };
+                let value: f64 = text.parse().map_err(|_| value_error("number"))?;
+                // Rounding to float32 may overflow although the text is a finite number.
+                if !value.is_finite() || !(value as f32).is_finite() {
+                    return Err(value_error("finite number"));
+                }
+                if index > 0 {
+                    values.push(value as f32);
+                } else if let Some(&before_ms) = time_ms.last()
+                    && value <= before_ms
+                {
+                    return Err(RecordingError::Time {
+                        file: owned(),
+                        line,
+                        column: 1,
+                        name: header[0].clone(),
+                        time_ms: value,
+                        before_ms,
+                    });
+                } else {
+                    time_ms.push(value);
+                }
+            }
+        }
+        if time_ms.len() < 2 {
+            let what = if time_ms.is_empty() {
+                "there are no samples below the header"
+            } else {
+                "one sample is not enough to tell the sampling rate"
+            };
+            return Err(RecordingError::Empty { file: owned(), what });
+        }
+        let recording = Self { axes, time_ms, values };
+        let rate_hz = recording.rate_hz();
+        if !(MIN_RATE_HZ * (1.0 - SAME_RATE)..=MAX_RATE_HZ * (1.0 + SAME_RATE)).contains(&rate_hz) {
+            return Err(RecordingError::Rate { file: owned(), rate_hz });
+        }
+        Ok(recording)
+    }
+
+    /// Axes per sample: 3 (accelerometer), 6 (and gyroscope) or 9 (and magnetometer).
+    pub fn axes(&self) -> usize {
+        self.axes
+    }
+
+    /// Number of samples.
+    pub fn len(&self) -> usize {
+        self.time_ms.len()
+    }
+
+    /// Whether there are no samples (never so for a recording that was read).
+    pub fn is_empty(&self) -> bool {
+        self.time_ms.is_empty()
+    }
+
+    /// Time of each sample in ms.
+    pub fn time_ms(&self) -> &[f64] {
+        &self.time_ms
+    }
+
+    /// The samples in order, `axes()` values each: m/s², deg/s, µT.
+    pub fn samples(&self) -> impl ExactSizeIterator<Item = &[f32]> {
+        self.values.chunks_exact(self.axes)
+    }
+
+    /// Mean sampling rate in Hz; 0 with fewer than two samples.
+    pub fn rate_hz(&self) -> f64 {
+        match (self.time_ms.first(), self.time_ms.last()) {
+            (Some(first), Some(last)) if last > first => (self.len() - 1) as f64 * 1000.0 / (last - first),
+            _ => 0.0,
+        }
+    }
+
+    /// Length in seconds: every sample stands for one interval.
+    pub fn seconds(&self) -> f64 {
+        let rate_hz = self.rate_hz();
+        if rate_hz > 0.0 { self.len() as f64 / rate_hz } else { 0.0 }
+    }
+
+    /// Intervals longer than 2.5 mean intervals: places where samples were lost.
+    pub fn gaps(&self) -> usize {
+        let limit_ms = 2.5 * 1000.0 / self.rate_hz();
+        self.time_ms.windows(2).filter(|pair| pair[1] - pair[0] > limit_ms).count()
+    }
+
+    /// The first `axes` axes only.
+    ///
+    /// # Panics
+    /// If the recording has fewer axes, or `axes` is not 3, 6 or 9.
+    pub fn with_axes(&self, axes: usize) -> Self {
+        assert!(axes <= self.axes, "{axes} axes of {}", self.axes);
+        let values = self.samples().flat_map(|sample| sample[..axes].iter().copied()).collect();
+        Self::new(axes, self.time_ms.clone(), values)
+    }
+
+    /// The recording at the models' rate of [`RATE_HZ`], evenly spaced from time 0.
+    ///
+    /// A rate within 1 % of it and without gaps is taken sample for sample. Otherwise each new
+    /// sample is interpolated linearly between its neighbours in time; a recording more than half
+    /// as fast again is first averaged over one new interval, so that what lies above the new
+    /// Nyquist frequency does not fold back.
+    pub fn resampled(&self) -> Self {
+        let interval_ms = 1000.0 / RATE_HZ;
+        if (self.rate_hz() / RATE_HZ - 1.0).abs() <= SAME_RATE && self.gaps() == 0 {
+            let time_ms = (0..self.len()).map(|n| n as f64 * interval_ms).collect();
+            return Self::new(self.axes, time_ms, self.values.clone());
+        }
+        let smooth = self.rate_hz() > 1.5 * RATE_HZ;
+        let source = if smooth { self.averaged_over(interval_ms) } else { self.values.clone() };
+        let start_ms = self.time_ms[0];
+        let last_ms = self.time_ms[self.len() - 1];
+        // The small allowance keeps a last sample that rounding would put just out of reach.
+        let count = ((last_ms - start_ms) / interval_ms + 1e-6).floor() as usize + 1;
+        let mut values = Vec::with_capacity(count * self.axes);
+        let mut left = 0;
+        for n in 0..count {
+            let at_ms = start_ms + n as f64 * interval_ms;
+            while left + 2 < self.len() && self.time_ms[left + 1] <= at_ms {
+                left += 1;
+            }
+            let span_ms = self.time_ms[left + 1] - self.time_ms[left];
+            let part = ((at_ms - self.time_ms[left]) / span_ms).clamp(0.0, 1.0) as f32;
+            for axis in 0..self.axes {
+                let a = source[left * self.axes + axis];
+                let b = source[(left + 1) * self.axes + axis];
+                values.push(a + (b - a) * part);
+            }
+        }
+        let time_ms = (0..count).map(|n| n as f64 * interval_ms).collect();
+        Self::new(self.axes, time_ms, values)
+    }
+
+    /// Each sample replaced by the mean of those less than half of `span_ms` away.
+    fn averaged_over(&self, span_ms: f64) -> Vec<f32> {
+        let mut values = Vec::with_capacity(self.values.len());
+        let (mut from, mut to) = (0, 0);
+        for &at_ms in &self.time_ms {
+            while self.time_ms[from] < at_ms - span_ms / 2.0 {
+                from += 1;
+            }
+            while to < self.len() && self.time_ms[to] < at_ms + span_ms / 2.0 {
+                to += 1;
+            }
+            for axis in 0..self.axes {
+                let sum: f64 = (from..to).map(|n| f64::from(self.values[n * self.axes + axis])).sum();
+                values.push((sum / (to - from) as f64) as f32);
+            }
+        }
+        values
+    }
+
+    /// The CSV text: header `timestamp_ms,…`, acceleration with 4 decimals, the rest with 2, as
+    /// the recordings of real boards have them.
+    pub fn to_csv(&self) -> String {
+        let mut text = String::with_capacity(self.len() * self.axes * 9);
+        text.push_str("timestamp_ms");
+        for name in &AXIS_NAMES[..self.axes] {
+            text.push(',');
+            text.push_str(name);
+        }
+        text.push('\n');
+        for (time_ms, sample) in self.time_ms.iter().zip(self.samples()) {
+            let _ = write!(text, "{time_ms}");
+            for (axis, value) in sample.iter().enumerate() {
+                let decimals = if axis < 3 { 4 } else { 2 };
+                let _ = write!(text, ",{value:.decimals$}");
+            }
+            text.push('\n');
+        }
+        text
+    }
+
+    /// Writes the CSV file whole or not at all.
+    pub fn write(&self, file: &Path) -> std::io::Result<()> {
+        write_whole(file, self.to_csv().as_bytes())
+    }
+}
+
+/// Writes a file under a temporary name and renames it, so that no reader ever sees half of it.
+pub fn write_whole(file: &Path, bytes: &[u8]) -> std::io::Result<()> {
+    let mut name = file.file_name().unwrap_or_default().to_owned();
+    name.push(format!(".{}.part", std::process::id()));
+    let part = file.with_file_name(name);
+    let written = std::fs::File::create(&part).and_then(|mut out| {
+        out.write_all(bytes)?;
+        out.sync_all()
+    });
+    let renamed = written.and_then(|()| std::fs::rename(&part, file));
+    if renamed.is_err() {
+        let _ = std::fs::remove_file(&part);
+    }
+    renamed
+}
+
+/// Checks the header and returns the number of axes.
+fn parse_header(file: &Path, header: &[String]) -> Result<usize, RecordingError> {
+    let error = |index: usize, problem| RecordingError::Header {
+        file: file.to_owned(),
+        column: index + 1,
+        name: header.get(index).cloned().unwrap_or_default(),
+        problem,
+    };
+    if !matches!(header[0].as_str(), "timestamp" | "timestamp_ms") {
+        return Err(error(0, "this is not a time column"));
+    }
+    for (index, name) in header.iter().enumerate().skip(1) {
+        match AXIS_NAMES.get(index - 1) {
+            None => return Err(error(index, "this column is one too many")),
+            Some(wanted) if wanted != name => {
+                return Err(error(index, "another column is expected here"));
+            }
+            Some(_) => {}
+        }
+    }
+    match header.len() - 1 {
+        axes @ (3 | 6 | 9) => Ok(axes),
+        _ => Err(error(header.len(), "a column is missing here")),
+    }
+}

@@ -1,0 +1,180 @@
+//! Simulated wearers: recordings of the paper's seven classes from people who do not exist.
+//!
+//! The paper's recordings are not public, so the bundled model learns from simulated hands. Here
+//! they are made: a [`Wearer`] has a size, tempo, posture, tremor and habits; a [`path`] turns a
+//! script of motions into a smooth hand path; [`sensor`] turns the path into what an LSM9DS1 on
+//! that hand would report. Everything follows from the wearer's key, so the same wearer gives the
+//! same bytes on one machine, whatever the number of threads.
+//!
+//! What is *not* simulated: real people's minds. A figure measured here says nothing about real
+//! hands, and every place that shows one says so.
+
+mod path;
+mod sensor;
+mod wearer;
+
+pub use path::{IdleKind, Motion, Segment};
+pub use wearer::{Group, Wearer};
+
+use crate::recording::Recording;
+
+/// Plays a script of motions, one after another, and records it at 100 Hz with 9 axes.
+///
+/// Gestures swell from rest and fall back to rest inside their segment. `take` tells apart
+/// recordings of the same wearer: another take has other phases, noise and attention.
+///
+/// ```
+/// use models::synth::{Motion, Segment, Wearer, session};
+/// let script = [Segment::new(Motion::IDLE, 3.0), Segment::new(Motion::Circle, 5.0)];
+/// let recording = session(&Wearer::demo(1), 0, &script);
+/// assert_eq!((recording.axes(), recording.len()), (9, 800));
+/// ```
+pub fn session(wearer: &Wearer, take: u64, script: &[Segment]) -> Recording {
+    let mut rng = wearer.rng(take);
+    let track = path::track(wearer, &mut rng, script);
+    sensor::record(wearer, &mut rng, &track)
+}
+
+/// One recording that a simulated wearer contributes to a data set.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Take {
+    /// The label, canonical.
+    pub label: &'static str,
+    /// Number in the file name and take of [`session`].
+    pub number: u64,
+    /// What is played.
+    pub script: Vec<Segment>,
+}
+
+/// The takes of one wearer: `seconds` of each gesture, and as `idle` half as long of each kind of
+/// idle movement, and the moments in which a gesture has only just begun or is nearly over (at most
+/// 0.8 s of it in the window), which must not be taken for the gesture yet or still.
+pub fn takes(seconds: f64) -> Vec<Take> {
+    const EDGE_S: f64 = 0.4;
+    const PART_S: f64 = 0.8;
+    const REST_S: f64 = 1.6;
+    let mut takes = Vec::new();
+    for motion in Motion::GESTURES {
+        takes.push(Take {
+            label: motion.label(),
+            number: 1,
+            script: vec![
+                Segment::new(Motion::IDLE, EDGE_S),
+                Segment::new(motion, seconds),
+                Segment::new(Motion::IDLE, EDGE_S),
+            ],
+        });
+    }
+    for (kind, number) in IdleKind::ALL.into_iter().zip(1..) {
+        let script = vec![Segment::new(Motion::Idle(kind), seconds / 2.0)];
+        takes.push(Take { label: "idle", number, script });
+    }
+    for (motion, number) in Motion::GESTURES.into_iter().zip(0..) {
+        // Cut out of a longer gesture, so that its first or last 0.8 s are as in a session.
+        let begins = vec![Segment::new(Motion::IDLE, REST_S), Segment::cut(motion, 4.0, 0.0, PART_S)];
+        let ends = vec![Segment::cut(motion, 4.0, 4.0 - PART_S, PART_S), Segment::new(Motion::IDLE, REST_S)];
+        takes.push(Take { label: "idle", number: 101 + number, script: begins });
+        takes.push(Take { label: "idle", number: 201 + number, script: ends });
+    }
+    takes
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn column(recording: &Recording, axis: usize) -> Vec<f64> {
+        recording.samples().map(|sample| f64::from(sample[axis])).collect()
+    }
+
+    fn deviation(values: &[f64]) -> f64 {
+        let mean = values.iter().sum::<f64>() / values.len() as f64;
+        (values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / values.len() as f64).sqrt()
+    }
+
+    fn of(motion: Motion, wearer: &Wearer) -> Recording {
+        session(wearer, 1, &[Segment::new(motion, 8.0)])
+    }
+
+    #[test]
+    fn the_same_wearer_and_take_give_the_same_recording_and_others_do_not() {
+        let wearer = Wearer::training(7, 3);
+        assert_eq!(of(Motion::Circle, &wearer), of(Motion::Circle, &Wearer::training(7, 3)));
+        assert_ne!(of(Motion::Circle, &wearer), of(Motion::Circle, &Wearer::training(7, 4)));
+        assert_ne!(of(Motion::Circle, &wearer), of(Motion::Circle, &Wearer::training(8, 3)));
+        assert_ne!(
+            session(&wearer, 1, &[Segment::new(Motion::Circle, 2.0)]),
+            session(&wearer, 2, &[Segment::new(Motion::Circle, 2.0)])
+        );
+    }
+
+    #[test]
+    fn a_still_hand_feels_gravity_and_the_earth_field_only() {
+        for index in 0..20 {
+            let recording = of(Motion::Idle(IdleKind::Still), &Wearer::training(1, index));
+            let norm = |sample: &[f32]| sample.iter().map(|v| f64::from(v * v)).sum::<f64>().sqrt();
+            for sample in recording.samples() {
+                assert!((norm(&sample[..3]) - 9.81).abs() < 2.5, "gravity {sample:?}");
+                assert!(norm(&sample[3..6]) < 40.0, "turning {sample:?}");
+                assert!((5.0..120.0).contains(&norm(&sample[6..])), "field {sample:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn each_stroke_is_felt_most_along_its_own_direction() {
+        for (motion, axis) in [(Motion::ToFro, 0), (Motion::LeftRight, 1), (Motion::UpDown, 2)] {
+            let right = (0..40)
+                .filter(|&index| {
+                    let recording = of(motion, &Wearer::training(1, index));
+                    let felt: Vec<f64> = (0..3).map(|a| deviation(&column(&recording, a))).collect();
+                    felt.iter().all(|d| *d <= felt[axis])
+                })
+                .count();
+            assert!(right >= 36, "{motion:?}: {right} of 40");
+        }
+    }
+
+    #[test]
+    fn the_flat_rectangle_stays_flat_and_the_upright_one_upright() {
+        for (motion, quiet) in [(Motion::Rectangle, 0), (Motion::RectangleFlat, 2)] {
+            let right = (0..40)
+                .filter(|&index| {
+                    let recording = of(motion, &Wearer::training(1, index));
+                    let felt: Vec<f64> = (0..3).map(|a| deviation(&column(&recording, a))).collect();
+                    felt.iter().all(|d| *d >= felt[quiet])
+                })
+                .count();
+            assert!(right >= 32, "{motion:?}: {right} of 40");
+        }
+    }
+
+    #[test]
+    fn the_sensor_clips_quantises_and_repeats_the_magnetometer() {
+        let recording = of(Motion::UpDown, &Wearer::training(1, 5));
+        let limit = 4.0 * 9.806_65 + 0.01;
+        assert!(recording.samples().all(|s| s[..3].iter().all(|v| f64::from(v.abs()) <= limit)));
+        let rows: Vec<&[f32]> = recording.samples().collect();
+        let repeats = rows.windows(2).filter(|pair| pair[0][6..] == pair[1][6..]).count();
+        assert!(repeats * 10 >= rows.len() * 7, "{repeats} of {}", rows.len());
+    }
+
+    #[test]
+    fn what_is_recorded_equals_what_its_csv_says() {
+        let recording = of(Motion::Rectangle, &Wearer::demo(1));
+        let text = recording.to_csv();
+        let read = Recording::parse(std::path::Path::new("x"), text.as_bytes()).unwrap();
+        assert_eq!(read, recording);
+    }
+
+    #[test]
+    fn every_class_has_takes_and_part_gestures_are_idle() {
+        let takes = takes(10.0);
+        for label in crate::labels::PAPER {
+            assert!(takes.iter().any(|take| take.label == label), "{label}");
+        }
+        let files: std::collections::HashSet<_> =
+            takes.iter().map(|take| (take.label, take.number)).collect();
+        assert_eq!(files.len(), takes.len(), "no two takes share a file");
+    }
+}

@@ -1,0 +1,463 @@
+//! Hand paths: from a script of motions to position and posture over time.
+//!
+//! Position is in the wearer's frame: x forward, y left, z up, from the resting point. Posture is
+//! roll, pitch, yaw. Every motion is a smooth function of time under an envelope that is flat at
+//! both ends (minimum jerk), so that the whole has a continuous acceleration.
+
+use std::f64::consts::TAU;
+
+use rand::Rng;
+use rand_chacha::ChaCha8Rng;
+
+use super::wearer::{Wearer, normal};
+use crate::RATE_HZ;
+
+/// Path points per recorded sample, for clean derivatives.
+pub(super) const OVERSAMPLING: usize = 4;
+/// Time between path points in s.
+pub(super) const STEP_S: f64 = 1.0 / (RATE_HZ * OVERSAMPLING as f64);
+
+/// What the hand does in one segment.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Motion {
+    /// No gesture.
+    Idle(IdleKind),
+    /// Strokes along the vertical.
+    UpDown,
+    /// Strokes forward and back.
+    ToFro,
+    /// Strokes from side to side.
+    LeftRight,
+    /// A rectangle upright in front of the wearer.
+    Rectangle,
+    /// A rectangle flat as on a table.
+    RectangleFlat,
+    /// A circle upright in front of the wearer.
+    Circle,
+}
+
+/// What a hand does that makes no gesture; all of it is labelled `idle`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum IdleKind {
+    /// Held still, as far as a hand can be.
+    Still,
+    /// Small restless movement.
+    Fidget,
+    /// Reaching for things: single strokes to somewhere else, with pauses.
+    Reach,
+    /// Walking with the hand held.
+    Walk,
+    /// Turning the hand over and back.
+    Turn,
+}
+
+impl IdleKind {
+    /// Every kind.
+    pub const ALL: [Self; 5] = [Self::Still, Self::Fidget, Self::Reach, Self::Walk, Self::Turn];
+}
+
+impl Motion {
+    /// The hand held still.
+    pub const IDLE: Self = Self::Idle(IdleKind::Still);
+    /// The six gestures in the paper's order.
+    pub const GESTURES: [Self; 6] =
+        [Self::UpDown, Self::ToFro, Self::LeftRight, Self::Rectangle, Self::RectangleFlat, Self::Circle];
+
+    /// The canonical label.
+    pub fn label(self) -> &'static str {
+        match self {
+            Self::Idle(_) => "idle",
+            Self::UpDown => "up-down",
+            Self::ToFro => "to-fro",
+            Self::LeftRight => "left-right",
+            Self::Rectangle => "rectangle",
+            Self::RectangleFlat => "rectangle-flat",
+            Self::Circle => "circle",
+        }
+    }
+}
+
+/// One part of a script.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Segment {
+    /// What is done.
+    pub motion: Motion,
+    /// How long it shows, in s.
+    pub seconds: f64,
+    /// Length of the whole motion and where in it the segment starts, in s.
+    whole_s: f64,
+    from_s: f64,
+}
+
+impl Segment {
+    /// A whole motion from rest to rest.
+    pub fn new(motion: Motion, seconds: f64) -> Self {
+        Self { motion, seconds, whole_s: seconds, from_s: 0.0 }
+    }
+
+    /// `seconds` from `from_s` on of a motion that as a whole lasts `whole_s`.
+    pub fn cut(motion: Motion, whole_s: f64, from_s: f64, seconds: f64) -> Self {
+        Self { motion, seconds, whole_s, from_s }
+    }
+}
+
+/// Position (m) and posture (roll, pitch, yaw in rad) at one time.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Pose {
+    pub position_m: [f64; 3],
+    pub posture_rad: [f64; 3],
+}
+
+/// The whole path in steps of [`STEP_S`], with one point more at each end for the derivatives.
+pub(super) fn track(wearer: &Wearer, rng: &mut ChaCha8Rng, script: &[Segment]) -> Vec<Pose> {
+    let mut parts = Vec::with_capacity(script.len());
+    let mut end_s = 0.0;
+    for segment in script {
+        let start_s = end_s - segment.from_s;
+        parts.push((start_s, end_s, Player::new(wearer, rng, segment)));
+        end_s += segment.seconds;
+    }
+    // An idle hand may rest in any posture; one that makes gestures is held as it is used to.
+    let gestures = script.iter().any(|segment| !matches!(segment.motion, Motion::Idle(_)));
+    let rest = if gestures {
+        wearer.posture_rad
+    } else {
+        [normal(rng, 0.5, 1.6), normal(rng, 0.5, 1.3), wearer.posture_rad[2]]
+    };
+    let sway: [Smooth; 3] = [0; 3].map(|_| Smooth::new(rng, 0.05, 0.4, 0.02));
+    let shake: [Smooth; 3] =
+        [0; 3].map(|_| Smooth::new(rng, wearer.tremor_hz * 0.9, wearer.tremor_hz * 1.1, wearer.tremor_rad));
+    let heave: [Smooth; 3] = [0; 3].map(|_| Smooth::new(rng, 0.1, 0.6, 0.002));
+
+    let count = (end_s * RATE_HZ).round() as usize * OVERSAMPLING + 2;
+    (0..count)
+        .map(|n| {
+            let t = (n as f64 - 1.0) * STEP_S;
+            let mut pose = Pose::default();
+            for (start_s, shown_s, player) in &parts {
+                // A cut motion shows nothing before its cut; a whole one is at rest there anyway.
+                if t >= *shown_s - 2.0 * STEP_S {
+                    player.add(t - start_s, &mut pose);
+                }
+            }
+            let [x, y, z] = pose.position_m;
+            // The hand swings on an arm: moved left it yaws left, moved up it pitches up (a
+            // negative turn about the y axis that points left).
+            let swing = wearer.coupling / wearer.arm_m;
+            let turn = [0.15 * swing * y, -swing * (z + 0.2 * x), swing * y];
+            for axis in 0..3 {
+                pose.posture_rad[axis] += rest[axis] + turn[axis] + sway[axis].at(t) + shake[axis].at(t);
+                pose.position_m[axis] += heave[axis].at(t) + 0.03 * shake[axis].at(t + 0.03);
+            }
+            pose
+        })
+        .collect()
+}
+
+/// A smooth random function of time: a few sines of random frequency and phase.
+struct Smooth([(f64, f64, f64); 5]);
+
+impl Smooth {
+    /// Frequencies between `low_hz` and `high_hz`, standard deviation `rms`.
+    fn new(rng: &mut ChaCha8Rng, low_hz: f64, high_hz: f64, rms: f64) -> Self {
+        let size = rms * (2.0f64 / 5.0).sqrt();
+        Self([0; 5].map(|_| (rng.random_range(low_hz..high_hz), rng.random_range(0.0..TAU), size)))
+    }
+
+    fn at(&self, t: f64) -> f64 {
+        self.0.iter().map(|(hz, phase, size)| size * (TAU * hz * t + phase).sin()).sum()
+    }
+}
+
+/// From 0 to 1 with no speed and no acceleration at either end.
+fn minimum_jerk(part: f64) -> f64 {
+    let p = part.clamp(0.0, 1.0);
+    p * p * p * (10.0 + p * (6.0 * p - 15.0))
+}
+
+/// One segment's motion with everything random about it decided.
+struct Player {
+    whole_s: f64,
+    onset_s: f64,
+    kind: Kind,
+}
+
+enum Kind {
+    Rest,
+    Periodic(Periodic),
+    /// Restless position and posture.
+    Restless {
+        position: [Smooth; 3],
+        posture: [Smooth; 3],
+    },
+    /// Single moves: time, duration and what they add.
+    Moves(Vec<(f64, f64, Pose)>),
+    Walk {
+        step_hz: f64,
+        phase: f64,
+        bob_m: f64,
+        sway_m: f64,
+        nod_rad: f64,
+        wander: Smooth,
+    },
+}
+
+struct Periodic {
+    shape: Shape,
+    hz: f64,
+    start: f64,
+    sense: f64,
+    /// Half size along the first and second direction of the shape.
+    size_m: [f64; 2],
+    /// Columns: first and second direction of the shape and its normal.
+    frame: [[f64; 3]; 3],
+    slop: [(f64, f64); 3],
+    second: (f64, f64),
+    corner: f64,
+    hurry: Smooth,
+    growth: Smooth,
+}
+
+#[derive(Clone, Copy)]
+enum Shape {
+    Stroke,
+    Circle,
+    Rectangle,
+}
+
+impl Player {
+    fn new(wearer: &Wearer, rng: &mut ChaCha8Rng, segment: &Segment) -> Self {
+        let onset_s = (wearer.onset_s * rng.random_range(0.8..1.25)).min(segment.whole_s / 2.0);
+        let kind = match segment.motion {
+            Motion::Idle(kind) => idle(rng, kind, segment.whole_s),
+            gesture => Kind::Periodic(Periodic::new(wearer, rng, gesture)),
+        };
+        Self { whole_s: segment.whole_s, onset_s, kind }
+    }
+
+    fn envelope(&self, t: f64) -> f64 {
+        minimum_jerk(t / self.onset_s) * minimum_jerk((self.whole_s - t) / self.onset_s)
+    }
+
+    /// Adds the motion at `t` seconds from its start.
+    fn add(&self, t: f64, pose: &mut Pose) {
+        let size = self.envelope(t);
+        match &self.kind {
+            Kind::Rest => {}
+            Kind::Periodic(periodic) => {
+                if size > 0.0 {
+                    let at = periodic.at(t);
+                    for axis in 0..3 {
+                        pose.position_m[axis] += size * at[axis];
+                    }
+                }
+            }
+            Kind::Restless { position, posture } => {
+                for axis in 0..3 {
+                    pose.position_m[axis] += size * position[axis].at(t);
+                    pose.posture_rad[axis] += size * posture[axis].at(t);
+                }
+            }
+            Kind::Moves(moves) => {
+                for (start_s, length_s, by) in moves {
+                    let part = minimum_jerk((t - start_s) / length_s);
+                    for axis in 0..3 {
+                        pose.position_m[axis] += part * by.position_m[axis];
+                        pose.posture_rad[axis] += part * by.posture_rad[axis];
+                    }
+                }
+            }
+            Kind::Walk { step_hz, phase, bob_m, sway_m, nod_rad, wander } => {
+                let step = TAU * step_hz * t + phase + wander.at(t);
+                pose.position_m[2] += size * bob_m * step.sin();
+                pose.position_m[0] += size * 0.4 * bob_m * (step + 1.0).sin();
+                pose.position_m[1] += size * sway_m * (step / 2.0).sin();
+                pose.posture_rad[1] += size * nod_rad * (step + 0.5).sin();
+                pose.posture_rad[0] += size * nod_rad * (step / 2.0 + 0.7).sin();
+            }
+        }
+    }
+}
+
+fn idle(rng: &mut ChaCha8Rng, kind: IdleKind, seconds: f64) -> Kind {
+    match kind {
+        IdleKind::Still => Kind::Rest,
+        IdleKind::Fidget => {
+            let size_m = rng.random_range(0.004..0.02);
+            let turn_rad = rng.random_range(0.03..0.25);
+            Kind::Restless {
+                position: [0; 3].map(|_| Smooth::new(rng, 0.3, 1.8, size_m)),
+                posture: [0; 3].map(|_| Smooth::new(rng, 0.2, 1.5, turn_rad)),
+            }
+        }
+        IdleKind::Reach => moves(rng, seconds, 0.25, 0.4),
+        IdleKind::Turn => moves(rng, seconds, 0.03, 1.1),
+        IdleKind::Walk => Kind::Walk {
+            step_hz: rng.random_range(1.5..2.2),
+            phase: rng.random_range(0.0..TAU),
+            bob_m: rng.random_range(0.008..0.025),
+            sway_m: rng.random_range(0.01..0.035),
+            nod_rad: rng.random_range(0.02..0.15),
+            wander: Smooth::new(rng, 0.1, 0.5, 0.3),
+        },
+    }
+}
+
+/// Moves to places around the resting point, never far from it, with pauses between.
+fn moves(rng: &mut ChaCha8Rng, seconds: f64, reach_m: f64, turn_rad: f64) -> Kind {
+    let mut list = Vec::new();
+    let mut now = Pose::default();
+    let mut t = rng.random_range(0.0..1.5);
+    while t < seconds {
+        let length_s = rng.random_range(0.45..1.1);
+        let place = Pose {
+            position_m: [0; 3].map(|_| normal(rng, reach_m * 0.6, reach_m)),
+            posture_rad: [0; 3].map(|_| normal(rng, turn_rad * 0.6, turn_rad)),
+        };
+        let by = Pose {
+            position_m: std::array::from_fn(|a| place.position_m[a] - now.position_m[a]),
+            posture_rad: std::array::from_fn(|a| place.posture_rad[a] - now.posture_rad[a]),
+        };
+        list.push((t, length_s, by));
+        now = place;
+        t += length_s + rng.random_range(0.7..2.5);
+    }
+    Kind::Moves(list)
+}
+
+impl Periodic {
+    fn new(wearer: &Wearer, rng: &mut ChaCha8Rng, gesture: Motion) -> Self {
+        let (shape, hz, first, second) = match gesture {
+            Motion::ToFro => (Shape::Stroke, wearer.stroke_hz, 0, 1),
+            Motion::LeftRight => (Shape::Stroke, wearer.stroke_hz, 1, 2),
+            Motion::Rectangle => (Shape::Rectangle, wearer.rectangle_hz, 1, 2),
+            Motion::RectangleFlat => (Shape::Rectangle, wearer.rectangle_hz, 1, 0),
+            Motion::Circle => (Shape::Circle, wearer.circle_hz, 1, 2),
+            Motion::UpDown | Motion::Idle(_) => (Shape::Stroke, wearer.stroke_hz, 2, 0),
+        };
+        let hz = hz * normal(rng, 0.08, 0.2).exp();
+        let speed_m_s = wearer.speed_m_s * normal(rng, 0.1, 0.25).exp();
+        let half_m = match shape {
+            Shape::Stroke | Shape::Circle => speed_m_s / (TAU * hz),
+            // Peak speed of a minimum-jerk side: 1.875 lengths per time, four sides per turn.
+            Shape::Rectangle => 0.5 * speed_m_s * (1.0 - wearer.corner) / (1.875 * 4.0 * hz),
+        }
+        .min(0.35);
+        let aspect = match shape {
+            Shape::Stroke => 0.0,
+            Shape::Circle => wearer.aspect.max(0.75) * normal(rng, 0.06, 0.12).exp(),
+            Shape::Rectangle => wearer.aspect * normal(rng, 0.08, 0.15).exp(),
+        };
+        let tilt = std::array::from_fn(|axis| wearer.tilt_rad[axis] + normal(rng, 0.05, 0.12));
+        let turn = rotation(tilt);
+        let third = 3 - first - second;
+        let column = |axis: usize| std::array::from_fn(|row| turn[row][axis]);
+        Self {
+            shape,
+            hz,
+            start: rng.random_range(0.0..TAU),
+            sense: if rng.random_bool(wearer.clockwise) { 1.0 } else { -1.0 },
+            size_m: [half_m, half_m * aspect],
+            frame: [column(first), column(second), column(third)],
+            slop: [0; 3].map(|_| (half_m * normal(rng, wearer.slop, 0.3), rng.random_range(0.0..TAU))),
+            second: (normal(rng, 0.05, 0.12), rng.random_range(0.0..TAU)),
+            corner: wearer.corner,
+            hurry: Smooth::new(rng, 0.05, 0.4, 1.5 * wearer.wander),
+            growth: Smooth::new(rng, 0.05, 0.5, wearer.wander),
+        }
+    }
+
+    fn at(&self, t: f64) -> [f64; 3] {
+        let phase = self.start + TAU * self.hz * t + self.hurry.at(t);
+        let grown = 1.0 + self.growth.at(t).clamp(-0.45, 0.45);
+        let (u, v) = match self.shape {
+            Shape::Stroke => (phase.cos() + self.second.0 * (2.0 * phase + self.second.1).cos(), 0.0),
+            Shape::Circle => (phase.cos(), self.sense * phase.sin()),
+            Shape::Rectangle => {
+                let (u, v) = rectangle(phase / TAU, self.corner);
+                (u, self.sense * v)
+            }
+        };
+        let across = |n: usize| self.slop[n].0 * (phase + self.slop[n].1).cos();
+        let local = [self.size_m[0] * u + across(0), self.size_m[1] * v + across(1), across(2)];
+        std::array::from_fn(|row| grown * (0..3).map(|n| self.frame[n][row] * local[n]).sum::<f64>())
+    }
+}
+
+/// Corner to corner of the square ±1: turn 0..1 once around, resting `corner` of each side.
+fn rectangle(turn: f64, corner: f64) -> (f64, f64) {
+    let along = turn.rem_euclid(1.0) * 4.0;
+    let side = along.floor();
+    let part = 2.0 * minimum_jerk((along - side) / (1.0 - corner)) - 1.0;
+    match side as u8 {
+        0 => (part, -1.0),
+        1 => (1.0, part),
+        2 => (-part, 1.0),
+        _ => (-1.0, -part),
+    }
+}
+
+/// Rotation matrix (rows) of roll about x, then pitch about y, then yaw about z.
+pub(super) fn rotation([roll, pitch, yaw]: [f64; 3]) -> [[f64; 3]; 3] {
+    let (sr, cr) = roll.sin_cos();
+    let (sp, cp) = pitch.sin_cos();
+    let (sy, cy) = yaw.sin_cos();
+    [
+        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+        [-sp, cp * sr, cp * cr],
+    ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_rectangle_goes_once_around_through_its_four_corners() {
+        for (turn, corner) in
+            [(0.0, (-1.0, -1.0)), (0.25, (1.0, -1.0)), (0.5, (1.0, 1.0)), (0.75, (-1.0, 1.0))]
+        {
+            let (u, v) = rectangle(turn, 0.2);
+            assert!((u - corner.0).abs() < 1e-9 && (v - corner.1).abs() < 1e-9, "{turn}: {u} {v}");
+        }
+        let (u, v) = rectangle(0.999_999, 0.2);
+        assert!((u + 1.0).abs() < 1e-3 && (v + 1.0).abs() < 1e-3);
+    }
+
+    #[test]
+    fn a_gesture_starts_and_ends_at_rest() {
+        let wearer = Wearer::training(1, 1);
+        let script = [
+            Segment::new(Motion::IDLE, 1.0),
+            Segment::new(Motion::LeftRight, 3.0),
+            Segment::new(Motion::IDLE, 1.0),
+        ];
+        let track = track(&wearer, &mut wearer.rng(0), &script);
+        let speed = |n: usize| (track[n + 1].position_m[1] - track[n].position_m[1]).abs() / STEP_S;
+        let per_s = RATE_HZ as usize * OVERSAMPLING;
+        for n in [per_s / 2, per_s, 4 * per_s, 4 * per_s + per_s / 2] {
+            assert!(speed(n) < 0.05, "{n}: {} m/s", speed(n));
+        }
+        let fastest = (per_s..4 * per_s).map(speed).fold(0.0, f64::max);
+        assert!(fastest > 0.4, "{fastest} m/s");
+    }
+
+    #[test]
+    fn acceleration_has_no_jumps() {
+        for motion in Motion::GESTURES {
+            let wearer = Wearer::training(2, 9);
+            let script = [Segment::new(Motion::IDLE, 1.0), Segment::new(motion, 4.0)];
+            let track = track(&wearer, &mut wearer.rng(0), &script);
+            let z = |n: usize| track[n].position_m;
+            let acceleration =
+                |n: usize, a: usize| (z(n + 1)[a] - 2.0 * z(n)[a] + z(n - 1)[a]) / (STEP_S * STEP_S);
+            for axis in 0..3 {
+                for n in 1..track.len() - 3 {
+                    let jump = acceleration(n + 1, axis) - acceleration(n, axis);
+                    assert!(jump.abs() < 8.0, "{motion:?} axis {axis} at {n}: {jump} m/s²");
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,185 @@
+//! Who wears the glove: body, habits and the errors of the board's sensors.
+
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
+
+/// What a simulated wearer is for. Each group has keys of its own, so that nobody is in two.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Group {
+    /// Models learn from these.
+    Training,
+    /// Models are measured on these.
+    Evaluation,
+    /// The bundled demonstration plays these; no model has seen them.
+    Demo,
+}
+
+impl Group {
+    /// First letter of the wearers' names, and the byte of the key that keeps groups apart.
+    pub fn letter(self) -> char {
+        match self {
+            Self::Training => 't',
+            Self::Evaluation => 'e',
+            Self::Demo => 'd',
+        }
+    }
+}
+
+/// One simulated person with one board. All lengths in m, angles in rad, times in s.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Wearer {
+    /// `t0007`, `e0001`, `d0001`: the person in file names.
+    pub name: String,
+    key: [u8; 32],
+    /// Peak hand speed in a gesture, m/s.
+    pub(super) speed_m_s: f64,
+    /// Strokes (to and back) per second.
+    pub(super) stroke_hz: f64,
+    /// Circles per second.
+    pub(super) circle_hz: f64,
+    /// Rectangles per second.
+    pub(super) rectangle_hz: f64,
+    /// Distance from the joint about which the hand swings.
+    pub(super) arm_m: f64,
+    /// How much the hand turns with the arm: 0 stays parallel, 1 turns fully.
+    pub(super) coupling: f64,
+    /// Usual roll, pitch and yaw of the board against the direction faced.
+    pub(super) posture_rad: [f64; 3],
+    /// Tilt of the plane and direction of gestures.
+    pub(super) tilt_rad: [f64; 3],
+    /// Size of the movement across the intended one, relative.
+    pub(super) slop: f64,
+    /// How much size and tempo wander, relative.
+    pub(super) wander: f64,
+    /// Share of a rectangle's side spent resting in its corner.
+    pub(super) corner: f64,
+    /// Height to width of shapes.
+    pub(super) aspect: f64,
+    /// Probability of drawing shapes clockwise.
+    pub(super) clockwise: f64,
+    /// Tremor frequency and size as a turn of the hand.
+    pub(super) tremor_hz: f64,
+    pub(super) tremor_rad: f64,
+    /// Time to swell from rest to the full gesture and back.
+    pub(super) onset_s: f64,
+    /// Earth field where the wearer stands: strength in µT and inclination.
+    pub(super) field_ut: f64,
+    pub(super) inclination_rad: f64,
+    /// Sensor offsets: m/s², deg/s, µT.
+    pub(super) offset: [[f64; 3]; 3],
+    /// Sensor gains, 1 = exact.
+    pub(super) gain: [[f64; 3]; 3],
+    /// Samples of the IMU per sample of the magnetometer.
+    pub(super) mag_every: usize,
+}
+
+impl Wearer {
+    /// A wearer for training; `seed` chooses the crowd, `index` the person in it.
+    pub fn training(seed: u64, index: u32) -> Self {
+        Self::new(Group::Training, seed, index)
+    }
+
+    /// A wearer for measuring models; never one of the training wearers.
+    pub fn evaluation(seed: u64, index: u32) -> Self {
+        Self::new(Group::Evaluation, seed, index)
+    }
+
+    /// A wearer for the demonstration; never one of the training wearers.
+    pub fn demo(index: u32) -> Self {
+        Self::new(Group::Demo, 0, index)
+    }
+
+    /// The wearer of a group.
+    pub fn new(group: Group, seed: u64, index: u32) -> Self {
+        let key = key(group, seed, index);
+        let mut rng = ChaCha8Rng::from_seed(key);
+        let r = &mut rng;
+        Self {
+            name: format!("{}{index:04}", group.letter()),
+            key,
+            speed_m_s: 0.9 * normal(r, 0.25, 0.45).exp(),
+            stroke_hz: 1.25 * normal(r, 0.2, 0.36).exp(),
+            circle_hz: 1.1 * normal(r, 0.2, 0.34).exp(),
+            rectangle_hz: 0.75 * normal(r, 0.15, 0.28).exp(),
+            arm_m: r.random_range(0.35..0.65),
+            coupling: r.random_range(0.15..0.9),
+            posture_rad: [normal(r, 0.12, 0.28), normal(r, 0.14, 0.3), normal(r, 0.12, 0.28)],
+            tilt_rad: [normal(r, 0.08, 0.18), normal(r, 0.08, 0.18), normal(r, 0.1, 0.2)],
+            slop: r.random_range(0.03..0.16),
+            wander: r.random_range(0.05..0.22),
+            corner: r.random_range(0.1..0.35),
+            aspect: r.random_range(0.65..1.05),
+            clockwise: if r.random_bool(0.5) { 0.8 } else { 0.2 },
+            tremor_hz: r.random_range(8.0..11.5),
+            tremor_rad: r.random_range(0.0003..0.0025),
+            onset_s: r.random_range(0.25..0.5),
+            field_ut: r.random_range(28.0..60.0),
+            inclination_rad: r.random_range(0.7..1.25),
+            // Figures of the LSM9DS1 data sheet: ±90 mg, ±30 deg/s (boards take the resting value
+            // off, so that little is left) and hard iron on the hand.
+            offset: [
+                [0; 3].map(|_| normal(r, 0.25, 0.88)),
+                [0; 3].map(|_| normal(r, 1.0, 4.0)),
+                [0; 3].map(|_| normal(r, 8.0, 20.0)),
+            ],
+            gain: [0.01, 0.02, 0.03].map(|spread| [0; 3].map(|_| 1.0 + normal(r, spread, 3.0 * spread))),
+            mag_every: if r.random_bool(0.6) { 5 } else { 4 },
+        }
+    }
+
+    /// The random numbers of one take.
+    pub(super) fn rng(&self, take: u64) -> ChaCha8Rng {
+        let mut rng = ChaCha8Rng::from_seed(self.key);
+        // Stream 0 made the wearer.
+        rng.set_stream(take + 1);
+        rng
+    }
+}
+
+/// Group, seed and index side by side: two groups can never share a key.
+fn key(group: Group, seed: u64, index: u32) -> [u8; 32] {
+    let mut key = [0; 32];
+    key[..8].copy_from_slice(b"bimanual");
+    key[8] = group.letter() as u8;
+    key[16..24].copy_from_slice(&seed.to_le_bytes());
+    key[24..28].copy_from_slice(&index.to_le_bytes());
+    key
+}
+
+/// A normal value of mean 0, cut at ±`limit`.
+pub(super) fn normal(rng: &mut ChaCha8Rng, deviation: f64, limit: f64) -> f64 {
+    let value: f64 = StandardNormal.sample(rng);
+    (value * deviation).clamp(-limit, limit)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn demo_and_evaluation_wearers_are_never_training_wearers() {
+        let groups = [Group::Training, Group::Evaluation, Group::Demo];
+        let mut keys = std::collections::HashSet::new();
+        let mut bodies = std::collections::HashSet::new();
+        for group in groups {
+            for seed in [0, 1, 2, u64::MAX] {
+                for index in 0..50 {
+                    assert!(keys.insert(key(group, seed, index)));
+                    let wearer = Wearer::new(group, seed, index);
+                    assert!(bodies.insert(wearer.speed_m_s.to_bits() ^ wearer.arm_m.to_bits()));
+                }
+            }
+        }
+        // Whatever seed and index, the group's letter stands alone in its byte.
+        assert!(groups.iter().all(|&g| key(g, u64::MAX, u32::MAX)[8] == g.letter() as u8));
+    }
+
+    #[test]
+    fn a_take_has_random_numbers_of_its_own() {
+        let wearer = Wearer::demo(3);
+        let first = |take| wearer.rng(take).random::<u64>();
+        assert_eq!(first(4), first(4));
+        assert_ne!(first(4), first(5));
+    }
+}
