@@ -13,6 +13,7 @@ pub mod flex;
 pub mod left;
 pub mod left_calibration;
 pub mod left_faults;
+pub mod left_guided;
 pub mod mlp;
 pub mod moments;
 pub mod recipe;
