@@ -86,7 +86,7 @@ pub enum HostMessage<'a> {
         /// Chosen by the laptop.
         id: u32,
     },
-    /// Change what the right hand does.
+    /// Change what the board does.
     SetMode {
         /// Echoed in the [`Ack`].
         request: u16,

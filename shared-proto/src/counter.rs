@@ -1,0 +1,179 @@
+//! What a receiver does with the wrapping numbers in a state: events since the last frame, and frames
+//! lost on the way.
+//!
+//! For each state that arrives: ask [`SequenceTracker::see`] first and leave out what is not new, then
+//! feed the event counters. After a [`Hello`](crate::message::Hello) with a new boot id, `rebase` them all.
+
+/// Turns a wrapping event counter into new events.
+///
+/// The first value seen is the base: what happened before the receiver listened is not new. A repeated
+/// frame gives 0, and a frame after lost ones gives all that happened meanwhile.
+///
+/// ```
+/// # use shared_proto::counter::CounterTracker;
+/// let mut bends = CounterTracker::new();
+/// assert_eq!(bends.see(254), 0); // the base
+/// assert_eq!(bends.see(255), 1);
+/// assert_eq!(bends.see(255), 0); // the same frame again
+/// assert_eq!(bends.see(1), 2); // the frame with 0 was lost, its event is not
+/// ```
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct CounterTracker {
+    last: Option<u8>,
+}
+
+impl CounterTracker {
+    /// Most events that can be told from a step backwards. A hand needs minutes for so many.
+    pub const MOST: u8 = 127;
+
+    /// A tracker without a base.
+    pub const fn new() -> Self {
+        Self { last: None }
+    }
+
+    /// Events since the last value, at most [`Self::MOST`]. A larger step is no count of events but a
+    /// restart or a very long silence: it gives 0 and becomes the new base.
+    pub fn see(&mut self, value: u8) -> u8 {
+        let new = value.wrapping_sub(self.last.unwrap_or(value));
+        self.last = Some(value);
+        if new > Self::MOST { 0 } else { new }
+    }
+
+    /// Forgets the base: the board has restarted.
+    pub fn rebase(&mut self) {
+        self.last = None;
+    }
+}
+
+/// How a frame stands to the ones before it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Order {
+    /// Newer than all before it.
+    New {
+        /// Frames missing between the last one and this.
+        lost: u16,
+    },
+    /// The last one again. Leave it out.
+    Duplicate,
+    /// Older than the last one. Leave it out. Several in a row mean that the board has restarted and
+    /// its hello was lost: send a [`HelloRequest`](crate::message::HostMessage::HelloRequest).
+    Old,
+}
+
+/// Watches the sequence numbers of one kind of message.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct SequenceTracker {
+    last: Option<u16>,
+}
+
+impl SequenceTracker {
+    /// A tracker without a base.
+    pub const fn new() -> Self {
+        Self { last: None }
+    }
+
+    /// Places a sequence number. The first one is new, with none lost.
+    pub fn see(&mut self, sequence: u16) -> Order {
+        let step = match self.last {
+            None => 1,
+            Some(last) => sequence.wrapping_sub(last),
+        };
+        match step {
+            0 => Order::Duplicate,
+            // Half the range counts as ahead: 11 minutes of left-hand states at 50 Hz.
+            1..0x8000 => {
+                self.last = Some(sequence);
+                Order::New { lost: step - 1 }
+            }
+            _ => Order::Old,
+        }
+    }
+
+    /// Forgets the base: the board has restarted.
+    pub fn rebase(&mut self) {
+        self.last = None;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+    use super::*;
+    use proptest::prelude::*;
+    use std::vec::Vec;
+
+    #[test]
+    fn a_restart_adds_no_events() {
+        let mut events = CounterTracker::new();
+        events.see(200);
+        events.rebase();
+        assert_eq!(events.see(3), 0);
+        assert_eq!(events.see(4), 1);
+    }
+
+    #[test]
+    fn a_restart_that_nobody_noticed_adds_no_events_either() {
+        let mut events = CounterTracker::new();
+        events.see(5);
+        assert_eq!(events.see(0), 0);
+        assert_eq!(events.see(1), 1);
+    }
+
+    #[test]
+    fn sequence_numbers_wrap() {
+        let mut sequence = SequenceTracker::new();
+        assert_eq!(sequence.see(65_534), Order::New { lost: 0 });
+        assert_eq!(sequence.see(65_535), Order::New { lost: 0 });
+        assert_eq!(sequence.see(0), Order::New { lost: 0 });
+        assert_eq!(sequence.see(3), Order::New { lost: 2 });
+        assert_eq!(sequence.see(3), Order::Duplicate);
+        assert_eq!(sequence.see(65_535), Order::Old);
+        assert_eq!(sequence.see(4), Order::New { lost: 0 });
+    }
+
+    proptest! {
+        /// What reaches the receiver (some frames lost, some repeated, some late) yields exactly the
+        /// events between the first and the newest frame that came through.
+        #[test]
+        fn no_loss_repetition_or_reordering_changes_the_sum_of_events(
+            first_count: u8,
+            first_sequence: u16,
+            frames in prop::collection::vec((0u8..4, 0u8..10), 1..200),
+        ) {
+            let (mut count, mut sequence) = (first_count, first_sequence);
+            let mut line: Vec<(u16, u8)> = Vec::new();
+            let mut held = None;
+            let (mut total, mut base, mut newest) = (0u32, None, 0u32);
+            for (new_events, fate) in frames {
+                count = count.wrapping_add(new_events);
+                total += u32::from(new_events);
+                sequence = sequence.wrapping_add(1);
+                let frame = (sequence, count);
+                match fate {
+                    0 | 1 => continue,
+                    2 => line.extend([frame, frame]),
+                    3 => {
+                        // Comes after the next one that comes through, if that has not taken its place.
+                        if base.is_some() && held.is_none() {
+                            held = Some(frame);
+                        }
+                        continue;
+                    }
+                    _ => line.push(frame),
+                }
+                line.extend(held.take());
+                base.get_or_insert(total);
+                newest = total;
+            }
+            let (mut order, mut events) = (SequenceTracker::new(), CounterTracker::new());
+            let mut seen = 0;
+            for (sequence, count) in line {
+                if let Order::New { .. } = order.see(sequence) {
+                    seen += u32::from(events.see(count));
+                }
+            }
+            // 4 events a frame at most, so a gap of 127 needs 32 lost frames in a row.
+            prop_assert_eq!(seen, newest - base.unwrap_or(newest));
+        }
+    }
+}

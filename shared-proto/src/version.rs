@@ -1,0 +1,113 @@
+//! Whether a board and this program understand each other, and what to do when not.
+
+use crate::message::{Board, Hello, PROTOCOL_MAJOR, PROTOCOL_MINOR};
+use core::fmt;
+
+/// How a board's minor version stands to ours. All three work.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Compatibility {
+    /// The same version.
+    Same,
+    /// The board lacks messages that we know: requests may come back
+    /// [`Unsupported`](crate::message::AckResult::Unsupported) or stay without an answer.
+    BoardOlder,
+    /// The board may send messages that we do not know; they are counted and left out.
+    BoardNewer,
+}
+
+/// The board speaks another major version: nothing but its hello can be read.
+///
+/// Its text says which side to update, and how.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Mismatch {
+    /// Who speaks.
+    pub board: Board,
+    /// The board's major version.
+    pub major: u8,
+    /// The board's minor version.
+    pub minor: u8,
+}
+
+/// Compares a board's version with ours.
+///
+/// # Errors
+/// [`Mismatch`] when the major versions differ: take no other message from this board and send it
+/// nothing but [`HelloRequest`](crate::message::HostMessage::HelloRequest).
+pub fn check(hello: &Hello<'_>) -> Result<Compatibility, Mismatch> {
+    if hello.major != PROTOCOL_MAJOR {
+        return Err(Mismatch { board: hello.board, major: hello.major, minor: hello.minor });
+    }
+    Ok(match hello.minor.cmp(&PROTOCOL_MINOR) {
+        core::cmp::Ordering::Equal => Compatibility::Same,
+        core::cmp::Ordering::Less => Compatibility::BoardOlder,
+        core::cmp::Ordering::Greater => Compatibility::BoardNewer,
+    })
+}
+
+impl fmt::Display for Mismatch {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { board, major, minor } = self;
+        write!(
+            f,
+            "{board} speaks protocol {major}.{minor}, host-bridge {PROTOCOL_MAJOR}.{PROTOCOL_MINOR}: "
+        )?;
+        if *major > PROTOCOL_MAJOR {
+            return f.write_str("update host-bridge (fetch the newest source, then `cargo build --release`)");
+        }
+        f.write_str("update the board (plug it in, then `cargo run --release` in ")?;
+        f.write_str(match board {
+            Board::LeftNano => "firmware-nano-avr/)",
+            Board::RightNano33 => "firmware-nano33/)",
+            _ => "the folder of its firmware)",
+        })
+    }
+}
+
+impl core::error::Error for Mismatch {}
+
+impl fmt::Display for Board {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::LeftNano => "the left hand (Arduino Nano)",
+            Self::RightNano33 => "the right hand (Nano 33 BLE Sense)",
+            Self::RightNano33Rev2 => "the right hand (Nano 33 BLE Sense Rev2)",
+            Self::LeftReplay => "the recorded left hand",
+            Self::RightReplay => "the recorded right hand",
+            Self::Unknown(number) => return write!(f, "a board of unknown kind {number}"),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+    use super::*;
+    use std::string::ToString;
+
+    fn hello(board: Board, major: u8, minor: u8) -> Hello<'static> {
+        Hello { major, minor, board, firmware: "0.1.0", boot_id: 1, model_id: 0, sample_hz: 100 }
+    }
+
+    #[test]
+    fn minor_versions_work_together() {
+        let check = |minor| check(&hello(Board::LeftNano, PROTOCOL_MAJOR, minor));
+        assert_eq!(check(PROTOCOL_MINOR), Ok(Compatibility::Same));
+        assert_eq!(check(PROTOCOL_MINOR + 1), Ok(Compatibility::BoardNewer));
+        if let Some(older) = PROTOCOL_MINOR.checked_sub(1) {
+            assert_eq!(check(older), Ok(Compatibility::BoardOlder));
+        }
+    }
+
+    #[test]
+    fn a_mismatch_names_the_side_to_update_and_how() {
+        let text = |board, major| check(&hello(board, major, 3)).unwrap_err().to_string();
+        let older = text(Board::LeftNano, PROTOCOL_MAJOR - 1);
+        assert!(older.contains("update the board") && older.contains("firmware-nano-avr/"), "{older}");
+        let older = text(Board::RightNano33, PROTOCOL_MAJOR - 1);
+        assert!(older.contains("update the board") && older.contains("firmware-nano33/"), "{older}");
+        let newer = text(Board::RightNano33, PROTOCOL_MAJOR + 1);
+        assert!(newer.contains("update host-bridge") && !newer.contains("update the board"), "{newer}");
+        let unknown = text(Board::Unknown(77), PROTOCOL_MAJOR + 1);
+        assert!(unknown.contains("unknown kind 77") && unknown.contains("update host-bridge"), "{unknown}");
+    }
+}

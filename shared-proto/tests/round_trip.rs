@@ -1,0 +1,210 @@
+//! Every message comes back from its frame, fits its stated maximum, and nothing else is a message.
+
+mod common;
+
+use common::{BOARD_KINDS, HOST_KINDS, Material};
+use proptest::prelude::*;
+use shared_proto::frame::*;
+use shared_proto::message::{BoardMessage, FIRMWARE_MAX, HostMessage, LABELS_MAX, RAW_COUNTS_MAX};
+
+fn word() -> impl Strategy<Value = u32> {
+    prop_oneof![any::<u32>(), 0u32..300, Just(u32::MAX), Just(0x8000), Just(0x7FFF)]
+}
+
+prop_compose! {
+    fn material()(
+        kind in 0..BOARD_KINDS * HOST_KINDS,
+        words in prop::array::uniform10(word()),
+        bytes in prop::collection::vec(any::<u8>(), 0..=RAW_COUNTS_MAX),
+        text in any::<String>(),
+    ) -> Material {
+        Material { kind, words, bytes, text }
+    }
+}
+
+/// The largest message of each kind.
+fn largest(kind: usize) -> Material {
+    Material {
+        kind,
+        words: [0x8000_8000; 10], // the most bytes as u16, i16 and u32
+        bytes: vec![0xA5; RAW_COUNTS_MAX],
+        text: "x".repeat(LABELS_MAX.max(FIRMWARE_MAX)),
+    }
+}
+
+/// The payloads of the intact frames in `bytes`.
+fn payloads(bytes: &[u8]) -> (Vec<Vec<u8>>, Counters) {
+    let mut decoder = Decoder::<BOARD_FRAME_MAX>::new();
+    let payloads = bytes.iter().filter_map(|&byte| decoder.push(byte).map(<[u8]>::to_vec)).collect();
+    (payloads, decoder.counters())
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 2000, failure_persistence: None, ..Default::default() })]
+
+    #[test]
+    fn every_message_comes_back(material in material()) {
+        let (mut board, mut host) = ([0; BOARD_FRAME_MAX], [0; HOST_FRAME_MAX]);
+        let (to_host, to_board) = (material.board(), material.host());
+        let board = encode_board(&to_host, &mut board).unwrap();
+        let host = encode_host(&to_board, &mut host).unwrap();
+        for frame in [board, host] {
+            prop_assert_eq!(frame.iter().position(|&byte| byte == DELIMITER), Some(frame.len() - 1));
+        }
+        // As text, since NaN differs from itself.
+        let (from_board, _) = payloads(board);
+        prop_assert_eq!(format!("{:?}", parse_board(&from_board[0])), format!("Ok({to_host:?})"));
+        let (from_host, _) = payloads(host);
+        prop_assert_eq!(format!("{:?}", parse_host(&from_host[0])), format!("Ok({to_board:?})"));
+    }
+
+    #[test]
+    fn a_buffer_that_is_too_small_is_an_error_and_one_that_just_fits_is_none(material in material()) {
+        let mut large = [0; BOARD_FRAME_MAX];
+        let len = encode_board(&material.board(), &mut large).unwrap().len();
+        for short in 0..len {
+            prop_assert_eq!(encode_board(&material.board(), &mut large[..short]), Err(EncodeError));
+        }
+        prop_assert!(encode_board(&material.board(), &mut large[..len]).is_ok());
+    }
+
+    #[test]
+    fn arbitrary_payloads_and_streams_never_panic(bytes in prop::collection::vec(any::<u8>(), 0..400)) {
+        let _ = parse_board(&bytes);
+        let _ = parse_host(&bytes);
+        let (seen, counters) = payloads(&bytes);
+        prop_assert_eq!(seen.len(), counters.frames as usize);
+        let mut tiny = Decoder::<0>::new();
+        prop_assert!(bytes.iter().all(|&byte| tiny.push(byte).is_none()));
+    }
+
+    /// Long payloads exercise what our messages do not: blocks of 254 bytes without a zero. The frame
+    /// here comes from another implementation than the one under test.
+    #[test]
+    fn the_decoder_agrees_with_the_cobs_of_postcard_and_a_table_driven_crc(
+        payload in prop::collection::vec(prop_oneof![1 => Just(0u8), 600 => any::<u8>()], 1..1200),
+    ) {
+        let mut plain = payload.clone();
+        plain.extend(crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC).checksum(&payload).to_le_bytes());
+        let mut frame = vec![0; plain.len() * 2];
+        let mut cobs = postcard::ser_flavors::Cobs::try_new(postcard::ser_flavors::Slice::new(&mut frame)).unwrap();
+        for &byte in &plain {
+            postcard::ser_flavors::Flavor::try_push(&mut cobs, byte).unwrap();
+        }
+        let frame = postcard::ser_flavors::Flavor::finalize(cobs).unwrap();
+        let mut decoder = Decoder::<2000>::new();
+        let seen: Vec<Vec<u8>> =
+            frame.iter().filter_map(|&byte| decoder.push(byte).map(<[u8]>::to_vec)).collect();
+        prop_assert_eq!(seen, vec![payload]);
+    }
+}
+
+/// Blocks of 254 bytes: a frame of our own that is as long as no message is, decoded again.
+#[test]
+fn blocks_without_a_zero_of_every_length_come_back() {
+    for len in 1..1100 {
+        let data = vec![7; len];
+        let mut buffer = vec![0; len + 40];
+        let sent = HostMessage::ModelChunk { request: 0x101, offset: 0x0101_0101, data: &data };
+        let frame = encode_host(&sent, &mut buffer).unwrap();
+        let mut decoder = Decoder::<1200>::new();
+        let (last, first) = frame.split_last().unwrap();
+        assert!(first.iter().all(|&byte| decoder.push_host(byte).is_none()));
+        assert_eq!(decoder.push_host(*last), Some(sent), "{len} bytes");
+    }
+}
+
+#[test]
+fn the_largest_message_of_each_kind_has_the_stated_size() {
+    let expected = [
+        HELLO_FRAME_MAX,
+        LEFT_STATE_FRAME_MAX,
+        RIGHT_STATE_FRAME_MAX,
+        RAW_IMU_FRAME_MAX,
+        STATUS_FRAME_MAX,
+        FAULT_FRAME_MAX,
+        PONG_FRAME_MAX,
+        ACK_FRAME_MAX,
+        MODEL_INFO_FRAME_MAX,
+    ];
+    for (kind, expected) in expected.into_iter().enumerate() {
+        let material = largest(kind);
+        let mut buffer = [0; 1000];
+        let len = encode_board(&material.board(), &mut buffer).unwrap().len();
+        assert_eq!(len, expected, "{:?}", material.board());
+    }
+    let mut most = 0;
+    for kind in 0..HOST_KINDS {
+        let material = largest(kind);
+        let mut buffer = [0; 1000];
+        let len = encode_host(&material.host(), &mut buffer).unwrap().len();
+        most = most.max(len);
+        if !matches!(material.host(), HostMessage::ModelBegin(_) | HostMessage::ModelChunk { .. }) {
+            assert!(len <= HOST_TO_LEFT_FRAME_MAX, "{:?}", material.host());
+        }
+    }
+    assert_eq!(most, HOST_FRAME_MAX);
+    assert_eq!(BOARD_FRAME_MAX, expected.into_iter().max().unwrap());
+}
+
+/// A frame around any payload.
+fn framed(payload: &[u8]) -> Vec<u8> {
+    let mut plain = payload.to_vec();
+    plain.extend(crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC).checksum(payload).to_le_bytes());
+    let mut frame = Vec::new();
+    for run in plain.split(|&byte| byte == 0) {
+        frame.push(run.len() as u8 + 1);
+        frame.extend(run);
+    }
+    frame.push(DELIMITER);
+    frame
+}
+
+#[test]
+fn messages_of_later_versions_count_as_unknown_and_reshaped_ones_as_malformed() {
+    let mut decoder = Decoder::<100>::new();
+    let mut stream = framed(&[BOARD_KINDS as u8, 1, 2, 3]);
+    stream.extend(framed(&[200, 1]));
+    stream.extend(framed(&[6, 1])); // a pong without its time
+    stream.extend(framed(&[6, 1, 2, 3])); // a pong with more than a pong has
+    assert!(stream.iter().all(|&byte| decoder.push_board(byte).is_none()));
+    assert_eq!(decoder.counters(), Counters { frames: 4, unknown: 2, malformed: 2, ..Default::default() });
+    assert_eq!(decoder.counters().damaged(), 0);
+
+    let mut decoder = Decoder::<100>::new();
+    let mut stream = framed(&[HOST_KINDS as u8]);
+    stream.extend(framed(&[2, 5, 9])); // a mode that does not exist
+    assert!(stream.iter().all(|&byte| decoder.push_host(byte).is_none()));
+    assert_eq!(decoder.counters(), Counters { frames: 2, unknown: 1, malformed: 1, ..Default::default() });
+}
+
+#[test]
+fn a_hello_of_any_later_version_can_be_read() {
+    let hello = [0, 9, 4, 77, 1, b'x', 5, 6, 7, 0xAA, 0xBB]; // a new board, and two fields more
+    let Ok(BoardMessage::Hello(hello)) = parse_board(&hello) else { panic!("{:?}", parse_board(&hello)) };
+    assert_eq!((hello.major, hello.minor, hello.firmware), (9, 4, "x"));
+    assert_eq!((u8::from(hello.board), hello.boot_id, hello.model_id, hello.sample_hz), (77, 5, 6, 7));
+    assert_eq!(parse_host(&[0, 1, 2]), Ok(HostMessage::HelloRequest));
+}
+
+#[test]
+fn damage_is_counted_by_its_kind_and_the_next_frame_is_taken() {
+    let good = framed(&[6, 1, 2]);
+    let cases: [(&[u8], Counters); 5] = [
+        (&[5, 1, 2, 0], Counters { bad_cobs: 1, ..Default::default() }),
+        (&[4, 1, 2, 3, 0], Counters { bad_crc: 1, ..Default::default() }), // too short for a checksum
+        (&[7, 6, 1, 2, 1, 1, 1, 0], Counters { bad_crc: 1, ..Default::default() }),
+        // A line that reads 0x01 for ever: an empty message with its true checksum, 0.
+        (&[1, 1, 1, 1, 1, 0], Counters { bad_crc: 1, ..Default::default() }),
+        (&[0, 0, 0, 0], Counters::default()),
+    ];
+    for (noise, expected) in cases {
+        let (seen, counters) = payloads(&[noise, &good].concat());
+        assert_eq!(seen, [[6, 1, 2]], "{noise:?}");
+        assert_eq!(counters, Counters { frames: 1, ..expected }, "{noise:?}");
+    }
+    let long = vec![9; 5000];
+    let (seen, counters) = payloads(&[&long[..], &[0], &good].concat());
+    assert_eq!(seen, [[6, 1, 2]]);
+    assert_eq!(counters, Counters { frames: 1, overflow: 1, ..Default::default() });
+}
