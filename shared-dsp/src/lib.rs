@@ -3,7 +3,7 @@
 //! All arithmetic is `f32` or integer in a fixed order, so that a laptop and a Cortex-M4F agree bit for bit.
 #![no_std]
 
-#[cfg(feature = "build")]
+#[cfg(any(test, feature = "build"))]
 extern crate std;
 
 pub mod decision;
@@ -18,5 +18,6 @@ pub mod mlp;
 pub mod moments;
 pub mod recipe;
 pub mod right;
+pub mod sliding;
 pub mod softmax;
 pub mod tilt;

@@ -7,7 +7,9 @@ use shared_dsp::recipe::Recipe;
 use std::path::PathBuf;
 
 pub fn data(name: &str) -> PathBuf {
-    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/data").join(name)
+    let root = PathBuf::from(env!("CARGO_MANIFEST_DIR"));
+    let own = root.join("tests/data").join(name);
+    if own.exists() { own } else { root.join("../tests/data").join(name) }
 }
 
 pub fn rows<T: std::str::FromStr>(name: &str) -> Vec<Vec<T>> {

@@ -1,0 +1,103 @@
+//! A sliding window over pieces that can be united but not subtracted.
+//!
+//! Subtracting what leaves a window from a running sum leaves rounding errors behind, for ever. Instead the
+//! window is held in two parts. The *back* unites what arrived since the last turn. The *front* holds, for each
+//! older piece, the union of it and all younger pieces of the front, so dropping the oldest is free. When the front is
+//! used up the back becomes the front, one union per piece. So a step takes three unions on average, and nothing that
+//! has left the window touches a result.
+
+/// What can be united, in order of time.
+pub trait Piece: Copy {
+    /// Anything finite, for places not filled yet.
+    const ZERO: Self;
+    /// Union of `older_count` older pieces with `newer_count` newer ones.
+    fn unite(older: &Self, older_count: usize, newer: &Self, newer_count: usize) -> Self;
+}
+
+/// The last `N` pieces.
+#[derive(Clone, Copy, Debug)]
+pub struct Sliding<T, const N: usize> {
+    /// Back: pieces. Front: unions with all younger ones of the front.
+    slots: [T; N],
+    back: T,
+    /// Pieces in the back.
+    back_count: usize,
+}
+
+impl<T: Piece, const N: usize> Sliding<T, N> {
+    /// A window of zeros, whose turns come when [`Sliding::push`] is called with `slot` = `turn`.
+    ///
+    /// Windows that are fed together should differ in `turn`, so that their turns do not come together.
+    pub const fn new(turn: usize) -> Self {
+        Self { slots: [T::ZERO; N], back: T::ZERO, back_count: N - turn % N }
+    }
+
+    /// Replaces the oldest piece, which stands in `slot`, and returns the union of all `N`. Slots come in turn, beginning
+    /// with 0; the result has meaning once all have been filled.
+    #[inline(always)]
+    pub fn push(&mut self, slot: usize, piece: T) -> T {
+        if self.back_count == N {
+            self.turn(slot);
+            self.back = piece;
+            self.back_count = 1;
+        } else {
+            self.back = T::unite(&self.back, self.back_count, &piece, 1);
+            self.back_count += 1;
+        }
+        if let Some(place) = self.slots.get_mut(slot) {
+            *place = piece;
+        }
+        let oldest = if slot + 1 == N { 0 } else { slot + 1 };
+        match self.slots.get(oldest) {
+            Some(front) if self.back_count < N => T::unite(front, N - self.back_count, &self.back, self.back_count),
+            _ => self.back,
+        }
+    }
+
+    /// Makes the pieces of the back the front. `slot` holds the oldest, which is about to go.
+    #[inline(never)]
+    fn turn(&mut self, slot: usize) {
+        let mut newer = slot.checked_sub(1).unwrap_or(N - 1);
+        for count in 1..N - 1 {
+            let older = newer.checked_sub(1).unwrap_or(N - 1);
+            if let (Some(&old), Some(new)) = (self.slots.get(older), self.slots.get(newer)) {
+                self.slots[older] = T::unite(&old, 1, new, count);
+            }
+            newer = older;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::vec::Vec;
+
+    #[test]
+    fn the_union_is_always_of_the_last_pieces_whenever_the_turns_come() {
+        for turn in 0..5 {
+            let mut window = Sliding::<Sum, 5>::new(turn);
+            let mut all: Vec<u64> = Vec::new();
+            for step in 0..40u64 {
+                let value = 1 << step;
+                all.push(value);
+                let got = window.push(step as usize % 5, Sum(value));
+                if step >= 4 {
+                    let expected: u64 = all[all.len() - 5..].iter().sum();
+                    assert_eq!(got.0, expected, "turn {turn}, step {step}");
+                }
+            }
+        }
+    }
+
+    #[derive(Clone, Copy)]
+    struct Sum(u64);
+
+    impl Piece for Sum {
+        const ZERO: Self = Self(0);
+        fn unite(older: &Self, _: usize, newer: &Self, _: usize) -> Self {
+            assert_eq!(older.0 & newer.0, 0, "no piece counts twice");
+            Self(older.0 + newer.0)
+        }
+    }
+}
