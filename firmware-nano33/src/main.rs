@@ -1,24 +1,133 @@
-//! skeleton
+//! The right hand: wiring only. Samples flow `sample -> classify -> link`, requests `link -> control`.
 #![no_std]
 #![no_main]
+#![allow(async_fn_in_trait, reason = "one executor, one core")]
+
+mod awake;
+#[cfg(feature = "ble")]
+mod ble;
+mod bus;
+mod classify;
+mod control;
+mod flash;
+mod link;
+mod model;
+mod sample;
+mod state;
+mod storage;
+mod transfer;
+mod uart;
+mod usb;
+mod watch;
+
+#[cfg(all(feature = "ble", feature = "bootloader"))]
+compile_error!("choose one: `--features bootloader` goes with `--no-default-features`");
+#[cfg(not(any(feature = "ble", feature = "bootloader")))]
+compile_error!("choose one: `ble` (default) or `--no-default-features --features bootloader`");
 
 use defmt_rtt as _;
-use embassy_executor::Spawner;
-use embassy_time::{Duration, Timer};
+use embassy_nrf::gpio::{Level, Output, OutputDrive};
+use embassy_nrf::interrupt::{self, InterruptExt, Priority};
 
+/// Logs are for the probe; the laptop hears of it at the next start.
 #[panic_handler]
-fn panic(_: &core::panic::PanicInfo) -> ! {
-    cortex_m::peripheral::SCB::sys_reset()
+fn panic(info: &core::panic::PanicInfo<'_>) -> ! {
+    cortex_m::interrupt::disable();
+    defmt::error!("{}", defmt::Display2Format(info));
+    watch::restart_after_panic()
 }
 
-#[embassy_executor::main]
-async fn main(_spawner: Spawner) {
-    let p = embassy_nrf::init(Default::default());
-    let mut led = embassy_nrf::gpio::Output::new(p.P0_24, embassy_nrf::gpio::Level::High, embassy_nrf::gpio::OutputDrive::Standard);
+#[cortex_m_rt::entry]
+fn main() -> ! {
+    awake::paint_stack();
+    let mut config = embassy_nrf::config::Config::default();
+    config.lfclk_source = embassy_nrf::config::LfclkSource::ExternalXtal;
+    // The SoftDevice owns the fast crystal; without it, USB needs the crystal on.
+    #[cfg(not(feature = "ble"))]
+    {
+        config.hfclk_source = embassy_nrf::config::HfclkSource::ExternalXtal;
+    }
+    // 0, 1 and 4 belong to the SoftDevice.
+    config.time_interrupt_priority = Priority::P2;
+    config.gpiote_interrupt_priority = Priority::P7;
+    let p = embassy_nrf::init(config);
+    let reasons = embassy_nrf::pac::POWER.resetreas().read();
+    // Bits are cleared by writing ones.
+    embassy_nrf::pac::POWER.resetreas().write_value(reasons);
+    let reasons = reasons.0;
+    for (irq, priority) in [
+        (interrupt::TWISPI0, Priority::P3),
+        (interrupt::UARTE0, Priority::P3),
+        (interrupt::USBD, Priority::P5),
+    ] {
+        irq.set_priority(priority);
+    }
+
+    let bus = bus::SensorBus::new(p.TWISPI0, p.P0_14, p.P0_15, p.P0_22, p.P1_00);
+    let uart = uart::Parts {
+        uarte: p.UARTE0,
+        timer: p.TIMER1,
+        ppi: (p.PPI_CH0, p.PPI_CH1, p.PPI_GROUP0),
+        rx: p.P1_10,
+        tx: p.P1_03,
+    };
+    let off = |pin: embassy_nrf::Peri<'static, embassy_nrf::gpio::AnyPin>| Output::new(pin, Level::High, OutputDrive::Standard);
+    let led = watch::Led {
+        red: off(p.P0_24.into()),
+        green: off(p.P0_16.into()),
+        blue: off(p.P0_06.into()),
+    };
+    let watchdog = watch::start_watchdog(p.WDT);
+    // SAFETY: taken once, here.
+    let core = unsafe { cortex_m::Peripherals::steal() };
+
     #[cfg(feature = "ble")]
-    let _sd = nrf_softdevice::Softdevice::enable(&Default::default());
-    loop {
-        Timer::after(Duration::from_millis(100)).await;
-        led.toggle();
+    {
+        let softdevice = ble::enable();
+        state::BOOT_ID.store(ble::random(softdevice), core::sync::atomic::Ordering::Relaxed);
+        let flash = flash::SoftDeviceFlash::new(softdevice);
+        awake::run(core.DCB, core.DWT, |spawner| {
+            watch::report_last_run(reasons);
+            let (model, store) = model::choose(flash);
+            spawner.spawn(watch::run(watchdog, led).expect("spawned once"));
+            spawner.spawn(sample::run(bus).expect("spawned once"));
+            spawner.spawn(classify::run(model).expect("spawned once"));
+            spawner.spawn(uart::run(uart).expect("spawned once"));
+            spawner.spawn(ble::run_control(model, store).expect("spawned once"));
+            ble::spawn(spawner, softdevice, p.USBD);
+        })
+    }
+    #[cfg(not(feature = "ble"))]
+    {
+        use embassy_nrf::usb::vbus_detect::{self, HardwareVbusDetect};
+        embassy_nrf::bind_interrupts!(struct Irqs {
+            CLOCK_POWER => vbus_detect::InterruptHandler;
+        });
+
+        #[embassy_executor::task]
+        async fn run_usb(usbd: embassy_nrf::Peri<'static, embassy_nrf::peripherals::USBD>, vbus: HardwareVbusDetect) {
+            usb::run(usbd, vbus).await
+        }
+        #[embassy_executor::task]
+        async fn run_control(
+            model: &'static shared_dsp::mlp::Model<'static>,
+            store: storage::Store<flash::Controller>,
+        ) {
+            control::run(model, transfer::Transfer::new(store)).await
+        }
+
+        let mut rng = embassy_nrf::rng::Rng::new_blocking(p.RNG);
+        state::BOOT_ID.store(rng.blocking_next_u32(), core::sync::atomic::Ordering::Relaxed);
+        let flash = flash::Controller::new(p.NVMC);
+        awake::run(core.DCB, core.DWT, |spawner| {
+            watch::report_last_run(reasons);
+            let (model, store) = model::choose(flash);
+            spawner.spawn(watch::run(watchdog, led).expect("spawned once"));
+            spawner.spawn(sample::run(bus).expect("spawned once"));
+            spawner.spawn(classify::run(model).expect("spawned once"));
+            spawner.spawn(uart::run(uart).expect("spawned once"));
+            spawner.spawn(run_control(model, store).expect("spawned once"));
+            spawner.spawn(run_usb(p.USBD, HardwareVbusDetect::new(Irqs)).expect("spawned once"));
+        })
     }
 }

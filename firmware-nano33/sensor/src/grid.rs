@@ -16,7 +16,7 @@ use crate::Set;
 /// Sets remembered; more than the FIFO holds, since grid times may be served late.
 const HISTORY: usize = 64;
 
-/// Number of a set that a grid time may lie behind the newest one, beyond which it is a gap.
+/// Sets that a grid time may lie behind the newest one; beyond that it is a gap.
 const OLDEST: f32 = (HISTORY - 2) as f32;
 
 /// The resampler. Times are in microseconds of the board's clock.
@@ -31,6 +31,7 @@ pub struct Grid {
     age_us: f32,
     last_poll_us: u64,
     polls: u32,
+    since_poll: u32,
 }
 
 impl Grid {
@@ -45,6 +46,7 @@ impl Grid {
             age_us: nominal_us / 2.0,
             last_poll_us: 0,
             polls: 0,
+            since_poll: 0,
         }
     }
 
@@ -52,6 +54,7 @@ impl Grid {
     pub fn restart(&mut self) {
         self.count = 0;
         self.polls = 0;
+        self.since_poll = 0;
         self.age_us = self.period_us / 2.0;
     }
 
@@ -66,13 +69,19 @@ impl Grid {
         self.period_us
     }
 
-    /// Takes the sets that a poll at this time found, oldest first.
-    pub fn push(&mut self, sets: &[Set], poll_us: u64) {
+    /// Takes sets, oldest first.
+    pub fn push(&mut self, sets: &[Set]) {
         for &set in sets {
             self.history[self.count as usize % HISTORY] = set;
             self.count = self.count.wrapping_add(1);
+            self.since_poll = self.since_poll.saturating_add(1);
         }
+    }
+
+    /// All sets up to this time have been [pushed](Self::push).
+    pub fn synchronise(&mut self, poll_us: u64) {
         let elapsed_us = poll_us.saturating_sub(self.last_poll_us) as f32;
+        let sets = core::mem::take(&mut self.since_poll) as f32;
         self.last_poll_us = poll_us;
         if self.count == 0 {
             return;
@@ -81,7 +90,7 @@ impl Grid {
         if self.polls == 1 {
             return;
         }
-        let age_us = self.age_us + elapsed_us - sets.len() as f32 * self.period_us;
+        let age_us = self.age_us + elapsed_us - sets * self.period_us;
         self.age_us = age_us.clamp(0.0, self.period_us);
         // An age below its bound means that sets come faster than thought.
         let error_us = age_us - self.age_us;
@@ -138,7 +147,8 @@ mod tests {
                 let value = (taken as f64 * period + 700.0) / 1000.0;
                 sets.push([(value - 15_000.0) as i16; 6]);
             }
-            grid.push(&sets, poll);
+            grid.push(&sets);
+            grid.synchronise(poll);
             let sample = grid.sample(k * 10_000);
             if k > 300 {
                 let ms = f64::from(sample.expect("sets are known")[0]) + 15_000.0;
@@ -162,9 +172,11 @@ mod tests {
     fn no_sample_is_made_up_before_the_sets_are_there() {
         let mut grid = Grid::new(238.0);
         assert_eq!(grid.sample(10_000), None);
-        grid.push(&[[1; 6]], 10_000);
+        grid.push(&[[1; 6]]);
+        grid.synchronise(10_000);
         assert_eq!(grid.sample(10_000), None);
-        grid.push(&[[2; 6], [3; 6]], 20_000);
+        grid.push(&[[2; 6], [3; 6]]);
+        grid.synchronise(20_000);
         assert!(grid.sample(20_000).is_some());
         grid.restart();
         assert_eq!(grid.sample(20_000), None);
@@ -173,7 +185,8 @@ mod tests {
     #[test]
     fn extreme_steps_do_not_overflow() {
         let mut grid = Grid::new(238.0);
-        grid.push(&[[i16::MIN; 6], [i16::MAX; 6], [i16::MIN; 6], [i16::MAX; 6]], 10_000);
+        grid.push(&[[i16::MIN; 6], [i16::MAX; 6], [i16::MIN; 6], [i16::MAX; 6]]);
+        grid.synchronise(10_000);
         for us in 0..100 {
             grid.sample(9_000 + us * 100);
         }

@@ -1,0 +1,119 @@
+//! The executor's loop, with a count of the time awake, and the least free stack.
+
+use core::sync::atomic::{AtomicU32, Ordering};
+
+use cortex_m::peripheral::{DCB, DWT};
+use embassy_executor::{Spawner, raw};
+
+/// Processor cycles per second.
+pub const CYCLES_HZ: u32 = 64_000_000;
+
+/// Runs tasks for ever, and sleeps between.
+///
+/// The cycle counter stands still while the core sleeps, so it counts the time awake, interrupts and
+/// SoftDevice included. (A debugger that is attached may keep it running.)
+pub fn run(mut dcb: DCB, mut dwt: DWT, init: impl FnOnce(Spawner)) -> ! {
+    static EXECUTOR: static_cell::StaticCell<raw::Executor> = static_cell::StaticCell::new();
+    dcb.enable_trace();
+    dwt.enable_cycle_counter();
+    // The thread-mode executor's context: tasks that wake send an event, which ends the sleep below.
+    let executor: &'static raw::Executor = EXECUTOR.init(raw::Executor::new(usize::MAX as *mut ()));
+    init(executor.spawner());
+    loop {
+        // SAFETY: only here, and never from within a task.
+        unsafe { executor.poll() };
+        sleep();
+    }
+}
+
+/// Sleeps until an event.
+fn sleep() {
+    // nRF52840 erratum 87: a pending floating-point exception keeps the core awake. They are sticky
+    // (an inexact result is enough), so clear them and what they have raised.
+    // SAFETY: the exception flags of FPSCR have no other use here; interrupt 38 (FPU) has no handler.
+    unsafe {
+        core::arch::asm!(
+            "vmrs {0}, fpscr",
+            "bic {0}, {0}, #0x9f",
+            "vmsr fpscr, {0}",
+            out(reg) _,
+            options(nomem, nostack)
+        );
+        (0xE000_E284 as *mut u32).write_volatile(1 << 6);
+    }
+    cortex_m::asm::wfe();
+}
+
+/// Cycles awake since start, wrapping.
+pub fn cycles() -> u32 {
+    DWT::cycle_count()
+}
+
+/// Share of time awake since the last call, in parts per thousand.
+pub struct Load {
+    cycles: u32,
+    at: embassy_time::Instant,
+}
+
+impl Load {
+    /// Starts to count.
+    pub fn new() -> Self {
+        Self { cycles: cycles(), at: embassy_time::Instant::now() }
+    }
+
+    /// The share, rounded up. At most a minute between calls.
+    pub fn permille(&mut self) -> u16 {
+        let (now, at) = (cycles(), embassy_time::Instant::now());
+        let awake = u64::from(now.wrapping_sub(self.cycles));
+        let all = (at - self.at).as_ticks() * u64::from(CYCLES_HZ) / embassy_time::TICK_HZ;
+        (self.cycles, self.at) = (now, at);
+        (awake * 1000).div_ceil(all.max(1)).min(1000) as u16
+    }
+}
+
+const PAINT: u32 = 0x57AC_57AC;
+/// Unpainted words may hide between painted ones; so many in a row are taken as never used.
+const RUN: usize = 64;
+static LEAST_FREE: AtomicU32 = AtomicU32::new(u32::MAX);
+
+unsafe extern "C" {
+    static mut __sheap: u32;
+}
+
+/// Fills the free stack with a pattern. Called once, early.
+pub fn paint_stack() {
+    let mut word = &raw mut __sheap;
+    let end = (cortex_m::register::msp::read() - 256) as *mut u32;
+    while word < end {
+        // SAFETY: between the statics and the stack pointer lies nothing (there is no heap).
+        unsafe {
+            word.write_volatile(PAINT);
+            word = word.add(1);
+        }
+    }
+}
+
+/// Least free stack seen since start, in bytes.
+pub fn free_stack_bytes() -> u32 {
+    let bottom = (&raw const __sheap) as usize;
+    let top = match LEAST_FREE.load(Ordering::Relaxed) {
+        u32::MAX => cortex_m::register::msp::read() as usize,
+        free => bottom + free as usize,
+    };
+    let mut used = top;
+    let mut run = 0;
+    let mut at = top;
+    while at > bottom && run < RUN {
+        at -= 4;
+        // SAFETY: as above; aligned, since the bottom and the stack pointer are.
+        if unsafe { (at as *const u32).read_volatile() } == PAINT {
+            run += 1;
+        } else {
+            run = 0;
+            used = at;
+        }
+    }
+    let free = (used - bottom) as u32;
+    LEAST_FREE.store(free, Ordering::Relaxed);
+    free
+}

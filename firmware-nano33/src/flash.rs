@@ -1,0 +1,61 @@
+//! Writing to flash: through the chip's controller, or through the SoftDevice, which owns it.
+
+use crate::storage::{Flash, FlashFailed};
+#[cfg(feature = "ble")]
+use crate::storage::PAGE_BYTES;
+
+/// The chip's controller. Erasing a page stops the processor for about 85 ms.
+#[cfg(not(feature = "ble"))]
+pub struct Controller(embassy_nrf::nvmc::Nvmc<'static>);
+
+#[cfg(not(feature = "ble"))]
+impl Controller {
+    /// Takes the controller.
+    pub fn new(nvmc: embassy_nrf::Peri<'static, embassy_nrf::peripherals::NVMC>) -> Self {
+        Self(embassy_nrf::nvmc::Nvmc::new(nvmc))
+    }
+}
+
+#[cfg(not(feature = "ble"))]
+impl Flash for Controller {
+    async fn erase_page(&mut self, address: u32) -> Result<(), FlashFailed> {
+        use embassy_nrf::nvmc::PAGE_SIZE;
+        use embedded_storage::nor_flash::NorFlash;
+        self.0.erase(address, address + PAGE_SIZE as u32).map_err(|_| FlashFailed)
+    }
+
+    async fn write(&mut self, address: u32, words: &[u32]) -> Result<(), FlashFailed> {
+        use embedded_storage::nor_flash::NorFlash;
+        for (at, word) in (address..).step_by(4).zip(words) {
+            self.0.write(at, &word.to_le_bytes()).map_err(|_| FlashFailed)?;
+        }
+        Ok(())
+    }
+}
+
+/// The SoftDevice's flash calls, which fit between radio events.
+#[cfg(feature = "ble")]
+pub struct SoftDeviceFlash(nrf_softdevice::Flash);
+
+#[cfg(feature = "ble")]
+impl SoftDeviceFlash {
+    /// Takes the calls.
+    pub fn new(softdevice: &nrf_softdevice::Softdevice) -> Self {
+        Self(nrf_softdevice::Flash::take(softdevice))
+    }
+}
+
+#[cfg(feature = "ble")]
+impl Flash for SoftDeviceFlash {
+    async fn erase_page(&mut self, address: u32) -> Result<(), FlashFailed> {
+        use embedded_storage_async::nor_flash::NorFlash;
+        self.0.erase(address, address + PAGE_BYTES).await.map_err(|_| FlashFailed)
+    }
+
+    async fn write(&mut self, address: u32, words: &[u32]) -> Result<(), FlashFailed> {
+        use embedded_storage_async::nor_flash::NorFlash;
+        // SAFETY: words are bytes; the length is the same.
+        let bytes = unsafe { core::slice::from_raw_parts(words.as_ptr().cast::<u8>(), words.len() * 4) };
+        self.0.write(address, bytes).await.map_err(|_| FlashFailed)
+    }
+}

@@ -1,0 +1,196 @@
+//! The sampling task: keeps the sensor alive and puts its samples onto the exact 100 Hz grid.
+//!
+//! Grid time k is tick `k · 32768 / 100` of the crystal, rounded down: 327 or 328 ticks apart and
+//! exactly 100 Hz on average. (A 10 ms timer in whole ticks would be 327 ticks: 100.2 Hz, or 328:
+//! 99.9 Hz.) Sample number k belongs to grid time k for as long as the board runs; what could not be
+//! taken is counted and leaves a gap in the window.
+
+use core::sync::atomic::Ordering;
+
+use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
+use embassy_sync::channel::Channel;
+use embassy_time::{Delay, Duration, Instant, TICK_HZ, Timer, with_timeout};
+use nano33_sensor::grid::Grid;
+use nano33_sensor::lsm9ds1::{ADDRESS_AG, Config, Lsm9ds1};
+use nano33_sensor::{Batch, Imu, ImuError};
+use shared_proto::message::FaultKind;
+
+use crate::bus::SensorBus;
+use crate::state::{self, ALIVE_SAMPLE, DROPPED_SAMPLES, REV2, SENSOR_ERRORS, SENSOR_OK};
+
+/// Samples per second.
+pub const SAMPLE_HZ: u64 = 100;
+/// Values per sample.
+pub const AXES: usize = 9;
+
+/// One sample on the grid, in counts: accX accY accZ gyrX gyrY gyrZ magX magY magZ.
+#[derive(Clone, Copy, Debug)]
+pub struct Sample {
+    /// Its number since start.
+    pub number: u32,
+    /// Its grid time on the board's clock.
+    pub board_time_ms: u32,
+    /// The counts.
+    pub counts: [i16; AXES],
+}
+
+/// What the classifying task gets.
+#[derive(Clone, Copy, Debug)]
+pub enum Taken {
+    /// The next sample.
+    Sample(Sample),
+    /// Samples are missing here.
+    Gap,
+}
+
+/// Samples on their way to the window.
+pub static SAMPLES: Channel<CriticalSectionRawMutex, Taken, 16> = Channel::new();
+
+/// How the sensor is set up: ±4 g, 238 Hz, data-sheet scale.
+pub const SENSOR: Config = Config {
+    accel: nano33_sensor::lsm9ds1::AccelRange::G4,
+    rate: nano33_sensor::lsm9ds1::Rate::Hz238,
+    scale: nano33_sensor::lsm9ds1::Scale::DataSheet,
+};
+
+/// Transfers of one poll take about 1 ms; after this the bus is taken to be stuck.
+const POLL_TIMEOUT: Duration = Duration::from_millis(20);
+/// Without new sets for so long the sensor is asked whether it still has its settings.
+const SILENCE: Duration = Duration::from_millis(50);
+/// A failing sensor is started anew after so long; its FIFO holds 134 ms.
+const PATIENCE: Duration = Duration::from_millis(60);
+/// Between attempts to start the sensor.
+const RETRY: Duration = Duration::from_millis(250);
+
+fn tick_of(number: u64) -> Instant {
+    Instant::from_ticks(number * TICK_HZ / SAMPLE_HZ)
+}
+
+fn micros(time: Instant) -> u64 {
+    // Exact: 1e6 / 32768 = 15625 / 512.
+    time.as_ticks() * 15625 / 512
+}
+
+/// Samples for ever.
+#[embassy_executor::task]
+pub async fn run(mut bus: SensorBus) -> ! {
+    bus.power_up().await;
+    let mut batch = Batch::default();
+    let mut next = 0;
+    let mut attempt = 0u32;
+    loop {
+        let mut imu = Lsm9ds1::new(bus.open(), SENSOR);
+        let why = match with_timeout(POLL_TIMEOUT * 2, imu.start(&mut Delay)).await {
+            Ok(Ok(())) => {
+                attempt = 0;
+                stream(&mut imu, &mut batch, &mut next).await
+            }
+            Ok(Err(error)) => error,
+            Err(_) => ImuError::Bus(ADDRESS_AG),
+        };
+        drop(imu);
+        SENSOR_OK.store(false, Ordering::Relaxed);
+        let _ = SAMPLES.try_send(Taken::Gap);
+        if bus.clear().await {
+            state::report(FaultKind::BusStuck, attempt);
+        } else if attempt % 4 == 0 {
+            say(why);
+        }
+        // At once after the first failure, so that a hiccup costs little.
+        if attempt > 0 {
+            Timer::after(RETRY).await;
+        }
+        attempt = attempt.wrapping_add(1);
+        state::alive(ALIVE_SAMPLE);
+        skip_past(&mut next);
+    }
+}
+
+fn say(why: ImuError) {
+    match why {
+        ImuError::Missing(address) | ImuError::Bus(address) => {
+            state::report(FaultKind::SensorMissing, address.into());
+        }
+        ImuError::Reset => state::report(FaultKind::SensorMissing, ADDRESS_AG.into()),
+        ImuError::Unknown(who) => state::report(FaultKind::SensorUnknown, who.into()),
+        ImuError::Rev2 => {
+            REV2.store(true, Ordering::Relaxed);
+            state::report(FaultKind::BoardRev2, 0);
+        }
+    }
+}
+
+/// Moves on to the first grid time that is not past; those left out are dropped samples.
+fn skip_past(next: &mut u64) {
+    let now = Instant::now();
+    while tick_of(*next) < now {
+        *next += 1;
+        DROPPED_SAMPLES.fetch_add(1, Ordering::Relaxed);
+    }
+}
+
+/// Samples until the sensor fails.
+async fn stream<I: Imu>(imu: &mut I, batch: &mut Batch, next: &mut u64) -> ImuError {
+    let mut grid = Grid::new(imu.nominal_hz());
+    let mut last_good = Instant::now();
+    let mut last_sets = Instant::now();
+    skip_past(next);
+    loop {
+        Timer::at(tick_of(*next)).await;
+        state::alive(ALIVE_SAMPLE);
+        let asked = Instant::now();
+        let result = with_timeout(POLL_TIMEOUT, imu.poll(batch)).await;
+        if batch.overrun {
+            grid.restart();
+        }
+        grid.push(batch.sets());
+        match result {
+            Ok(Ok(())) => {
+                grid.synchronise(micros(asked));
+                last_good = asked;
+            }
+            Ok(Err(error)) => {
+                SENSOR_ERRORS.fetch_add(1, Ordering::Relaxed);
+                if asked - last_good > PATIENCE {
+                    return error;
+                }
+                // What the sensor keeps in its FIFO is fetched by the next poll.
+                Timer::after(Duration::from_millis(2)).await;
+                continue;
+            }
+            Err(_) => {
+                SENSOR_ERRORS.fetch_add(1, Ordering::Relaxed);
+                return ImuError::Bus(ADDRESS_AG);
+            }
+        }
+        if !batch.sets().is_empty() {
+            last_sets = asked;
+            SENSOR_OK.store(true, Ordering::Relaxed);
+        } else if asked - last_sets > SILENCE {
+            match imu.check().await {
+                Err(error) => return error,
+                Ok(()) if asked - last_sets > SILENCE * 2 => return ImuError::Reset,
+                Ok(()) => {}
+            }
+        }
+        while tick_of(*next) <= asked {
+            match grid.sample(micros(tick_of(*next))) {
+                Some(set) => {
+                    let mut counts = [0; AXES];
+                    counts[..6].copy_from_slice(&set);
+                    counts[6..].copy_from_slice(&batch.magnetometer);
+                    let board_time_ms = (micros(tick_of(*next)) / 1000) as u32;
+                    let sample = Sample { number: *next as u32, board_time_ms, counts };
+                    if SAMPLES.try_send(Taken::Sample(sample)).is_err() {
+                        DROPPED_SAMPLES.fetch_add(1, Ordering::Relaxed);
+                    }
+                }
+                None => {
+                    let _ = SAMPLES.try_send(Taken::Gap);
+                    DROPPED_SAMPLES.fetch_add(1, Ordering::Relaxed);
+                }
+            }
+            *next += 1;
+        }
+    }
+}

@@ -1,0 +1,103 @@
+//! Status every second, the LED, the watchdog, and what a restart leaves behind.
+
+use core::sync::atomic::Ordering;
+
+use embassy_nrf::gpio::{Level, Output};
+use embassy_nrf::wdt::{self, Watchdog, WatchdogHandle};
+use embassy_time::{Duration, Ticker, Timer};
+use shared_proto::message::{BoardMessage, FaultKind, Mode, Status};
+
+use crate::awake::{Load, free_stack_bytes};
+use crate::link::{self, broadcast};
+use crate::state::{self, ALIVE, ALIVE_CLASSIFY, ALIVE_SAMPLE};
+
+/// Red, green and blue of the board's LED; low is on.
+pub struct Led {
+    /// Something is wrong.
+    pub red: Output<'static>,
+    /// Gestures are named.
+    pub green: Output<'static>,
+    /// Raw samples are recorded.
+    pub blue: Output<'static>,
+}
+
+/// Restarts the board unless [`feed`] runs and all tasks are alive.
+pub fn start_watchdog(wdt: embassy_nrf::Peri<'static, embassy_nrf::peripherals::WDT>) -> Option<WatchdogHandle> {
+    let mut config = wdt::Config::default();
+    config.timeout_ticks = 2 * 32768;
+    config.action_during_debug_halt = wdt::HaltConfig::Pause;
+    match Watchdog::try_new::<_, 1>(wdt, config) {
+        Ok((_, [handle])) => Some(handle),
+        // A bootloader started it with other settings; it cannot be changed until the next reset.
+        Err(_) => None,
+    }
+}
+
+/// Once per second: status out, watchdog fed, LED lit for a moment.
+#[embassy_executor::task]
+pub async fn run(mut watchdog: Option<WatchdogHandle>, mut led: Led) -> ! {
+    let mut second = Ticker::every(Duration::from_secs(1));
+    let mut load = Load::new();
+    loop {
+        second.next().await;
+        let all = ALIVE_SAMPLE | ALIVE_CLASSIFY;
+        if critical_section::with(|_| ALIVE.load(Ordering::Relaxed)) & all == all {
+            critical_section::with(|_| ALIVE.store(0, Ordering::Relaxed));
+            if let Some(handle) = &mut watchdog {
+                handle.pet();
+            }
+        }
+        broadcast(&BoardMessage::Status(Status {
+            uptime_ms: state::now_ms(),
+            dropped_samples: state::DROPPED_SAMPLES.load(Ordering::Relaxed),
+            sensor_errors: state::SENSOR_ERRORS.load(Ordering::Relaxed),
+            bad_frames: link::BAD_FRAMES.load(Ordering::Relaxed),
+            free_stack_bytes: free_stack_bytes(),
+            load_permille: load.permille(),
+            mode: state::mode(),
+        }));
+        let light = if !state::SENSOR_OK.load(Ordering::Relaxed) {
+            &mut led.red
+        } else if state::mode() == Mode::Record {
+            &mut led.blue
+        } else {
+            &mut led.green
+        };
+        // A short flash: the LED draws more than the rest of the board.
+        light.set_level(Level::Low);
+        Timer::after(Duration::from_millis(10)).await;
+        light.set_level(Level::High);
+    }
+}
+
+/// Where a panic leaves its mark for the next start.
+#[unsafe(link_section = ".uninit.panicked")]
+static mut PANICKED: u32 = 0;
+const MARK: u32 = 0xDEAD_0A33;
+
+/// Leaves the mark and restarts.
+pub fn restart_after_panic() -> ! {
+    // SAFETY: one core, interrupts off, and nobody else touches it.
+    unsafe {
+        (&raw mut PANICKED).write_volatile(MARK);
+    }
+    cortex_m::peripheral::SCB::sys_reset()
+}
+
+/// Reports how the last run ended. `reasons` is RESETREAS at start.
+pub fn report_last_run(reasons: u32) {
+    const WATCHDOG: u32 = 1 << 1;
+    // SAFETY: as above; at start nobody else runs.
+    let panicked = unsafe {
+        let mark = (&raw const PANICKED).read_volatile();
+        (&raw mut PANICKED).write_volatile(0);
+        mark == MARK
+    };
+    // The mark in RAM is chance after a power-up (no reason bit set).
+    if panicked && reasons != 0 {
+        state::report(FaultKind::Panic, 0);
+    }
+    if reasons & WATCHDOG != 0 {
+        state::report(FaultKind::Watchdog, 0);
+    }
+}
