@@ -8,18 +8,17 @@
 //! start or opened link: it ends whatever half frame or noise was under way, and costs nothing, since
 //! empty frames are skipped. What is damaged is counted and dropped; nothing is ever asked for again.
 
+use crate::crc::Crc32;
 use crate::message::{
-    BoardMessage, FIRMWARE_MAX, HostMessage, LABELS_MAX, MODEL_CHUNK_MAX, RAW_COUNTS_MAX, SCORES_MAX,
+    BoardBody, BoardMessage, FIRMWARE_MAX, HostMessage, LABELS_MAX, LeftRequest, MODEL_CHUNK_MAX,
+    RAW_COUNTS_MAX, SCORES_MAX,
 };
-use crc::{CRC_32_ISO_HDLC, Crc, NoTable};
 use postcard::ser_flavors::Flavor;
 use serde::Serialize;
 
 /// Ends each frame and occurs nowhere else.
 pub const DELIMITER: u8 = 0;
 
-/// The CRC-32 of zip and Ethernet. Bit by bit: a table would cost the left board half its RAM.
-static CRC: Crc<u32, NoTable> = Crc::<u32, NoTable>::new(&CRC_32_ISO_HDLC);
 const CRC_BYTES: usize = 4;
 
 // Largest postcard encodings of the fields.
@@ -134,6 +133,17 @@ pub fn encode_host<'b>(message: &HostMessage<'_>, out: &'b mut [u8]) -> Result<&
     encode(message, out)
 }
 
+/// Writes the same frame as [`encode_board`], from the message's body alone.
+///
+/// For boards with little flash: only the bodies that a program sends become code in it.
+///
+/// # Errors
+/// [`EncodeError`] when `out` is too small; its content is then meaningless.
+pub fn encode_body<'b, B: BoardBody>(body: &B, out: &'b mut [u8]) -> Result<&'b [u8], EncodeError> {
+    // A message's number is one byte on the wire, as long as there are fewer than 128.
+    encode(&(B::NUMBER, body), out)
+}
+
 fn encode<'b>(message: &impl Serialize, out: &'b mut [u8]) -> Result<&'b [u8], EncodeError> {
     postcard::serialize_with_flavor(message, FrameWriter::new(out)).map_err(|_| EncodeError)
 }
@@ -145,58 +155,69 @@ struct FrameWriter<'b> {
     len: usize,
     /// Where the open block's code byte will stand.
     code_at: usize,
-    crc: crc::Digest<'static, u32, NoTable>,
+    crc: Crc32,
+    /// Something did not fit. Told at the end: a check after each byte would cost the left board 1 KB.
+    full: bool,
 }
 
 impl<'b> FrameWriter<'b> {
     fn new(out: &'b mut [u8]) -> Self {
-        Self { out, len: 1, code_at: 0, crc: CRC.digest() }
+        Self { out, len: 1, code_at: 0, crc: Crc32::new(), full: false }
     }
 
-    fn put(&mut self, at: usize, byte: u8) -> postcard::Result<()> {
-        *self.out.get_mut(at).ok_or(postcard::Error::SerializeBufferFull)? = byte;
-        Ok(())
+    fn put(&mut self, at: usize, byte: u8) {
+        match self.out.get_mut(at) {
+            Some(place) => *place = byte,
+            None => self.full = true,
+        }
     }
 
-    fn close_block(&mut self) -> postcard::Result<()> {
+    fn close_block(&mut self) {
         // At most 255: a block is closed as soon as it holds 254 bytes.
         let code = (self.len - self.code_at) as u8;
-        self.put(self.code_at, code)
+        self.put(self.code_at, code);
     }
 
-    fn stuff(&mut self, byte: u8) -> postcard::Result<()> {
+    fn open_block(&mut self) {
+        self.code_at = self.len;
+        self.len += 1;
+    }
+
+    fn stuff(&mut self, byte: u8) {
         // A full block is closed only when more follows, so that none is left empty at the end.
         if self.len - self.code_at == 255 {
-            self.close_block()?;
-            self.code_at = self.len;
-            self.len += 1;
+            self.close_block();
+            self.open_block();
         }
         if byte == 0 {
-            self.close_block()?;
-            self.code_at = self.len;
+            self.close_block();
+            self.open_block();
         } else {
-            self.put(self.len, byte)?;
+            self.put(self.len, byte);
+            self.len += 1;
         }
-        self.len += 1;
-        Ok(())
     }
 }
 
 impl<'b> Flavor for FrameWriter<'b> {
     type Output = &'b [u8];
 
+    // Not inlined: a copy for each field of each message would cost the left board KBs.
+    #[inline(never)]
     fn try_push(&mut self, byte: u8) -> postcard::Result<()> {
         self.crc.update(&[byte]);
-        self.stuff(byte)
+        self.stuff(byte);
+        Ok(())
     }
 
     fn finalize(mut self) -> postcard::Result<&'b [u8]> {
-        for byte in self.crc.clone().finalize().to_le_bytes() {
-            self.stuff(byte)?;
+        for byte in self.crc.finish().to_le_bytes() {
+            self.stuff(byte);
         }
-        self.close_block()?;
-        self.put(self.len, DELIMITER)?;
-        Ok(&self.out[..=self.len])
+        self.close_block();
+        self.put(self.len, DELIMITER);
+        let whole = if self.full { None } else { self.out.get(..=self.len) };
+        whole.ok_or(postcard::Error::SerializeBufferFull)
     }
 }
 
@@ -223,6 +244,7 @@ impl core::error::Error for ParseError {}
 /// How many messages this version knows; their numbers on the wire are below.
 const BOARD_MESSAGES: u8 = 9;
 const HOST_MESSAGES: u8 = 8;
+const LEFT_REQUESTS: u8 = 5;
 
 /// Reads a board's message from an intact frame's payload.
 ///
@@ -249,6 +271,18 @@ pub fn parse_host(payload: &[u8]) -> Result<HostMessage<'_>, ParseError> {
     match postcard::take_from_bytes(payload) {
         Ok((message, rest)) if rest.is_empty() || message == HostMessage::HelloRequest => Ok(message),
         _ => Err(why_not(payload, HOST_MESSAGES)),
+    }
+}
+
+/// Reads what the laptop sends to a left board; what is for the right one only is
+/// [`ParseError::Unknown`]. Otherwise like [`parse_host`], in much less code.
+///
+/// # Errors
+/// [`ParseError`] when this version does not have such a message for a left board.
+pub fn parse_left_request(payload: &[u8]) -> Result<LeftRequest, ParseError> {
+    match postcard::take_from_bytes(payload) {
+        Ok((message, rest)) if rest.is_empty() || message == LeftRequest::HelloRequest => Ok(message),
+        _ => Err(why_not(payload, LEFT_REQUESTS)),
     }
 }
 
@@ -345,6 +379,13 @@ impl<const N: usize> Decoder<N> {
         Self::count_unparsed(&mut self.counters, parsed)
     }
 
+    /// Takes one byte on a left board; a request when it ends an intact frame with a known one.
+    pub fn push_left_request(&mut self, byte: u8) -> Option<LeftRequest> {
+        let len = self.step(byte)?;
+        let parsed = parse_left_request(&self.buffer[..len]);
+        Self::count_unparsed(&mut self.counters, parsed)
+    }
+
     fn count_unparsed<M>(counters: &mut Counters, parsed: Result<M, ParseError>) -> Option<M> {
         let counter = match parsed {
             Ok(message) => return Some(message),
@@ -404,7 +445,7 @@ impl<const N: usize> Decoder<N> {
                 // An empty message does not exist, and its checksum is 0: what a line stuck at 0x01 reads as.
                 Some(len)
                     if len > 0
-                        && CRC.checksum(&self.buffer[..len]).to_le_bytes() == self.buffer[len..self.len] =>
+                        && Crc32::of(&self.buffer[..len]).to_le_bytes() == self.buffer[len..self.len] =>
                 {
                     self.counters.frames = self.counters.frames.wrapping_add(1);
                     return Some(len);

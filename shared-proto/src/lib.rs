@@ -26,6 +26,7 @@
 
 pub mod clock;
 pub mod counter;
+pub mod crc;
 pub mod frame;
 pub mod message;
 pub mod version;

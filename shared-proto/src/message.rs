@@ -129,6 +129,67 @@ pub enum HostMessage<'a> {
     },
 }
 
+/// The part of [`HostMessage`] that a left board takes: same numbers, same fields.
+///
+/// It has no room for the code that reads the other part.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum LeftRequest {
+    /// See [`HostMessage::HelloRequest`].
+    HelloRequest,
+    /// See [`HostMessage::Ping`].
+    Ping {
+        /// Chosen by the laptop.
+        id: u32,
+    },
+    /// See [`HostMessage::SetMode`].
+    SetMode {
+        /// Echoed in the [`Ack`].
+        request: u16,
+        /// The new mode.
+        mode: Mode,
+    },
+    /// See [`HostMessage::Calibrate`].
+    Calibrate {
+        /// Echoed in the [`Ack`].
+        request: u16,
+        /// Which pose the hand holds now.
+        step: CalibrationStep,
+    },
+    /// See [`HostMessage::SetThresholds`].
+    SetThresholds {
+        /// Echoed in the [`Ack`].
+        request: u16,
+        /// The new thresholds.
+        thresholds: TiltThresholds,
+    },
+}
+
+/// What a [`BoardMessage`] contains.
+pub trait BoardBody: Serialize {
+    /// The message's number on the wire.
+    const NUMBER: u8;
+}
+
+macro_rules! board_bodies {
+    ($($body:ty = $number:literal,)*) => {
+        $(impl BoardBody for $body {
+            const NUMBER: u8 = $number;
+        })*
+    };
+}
+
+board_bodies! {
+    Hello<'_> = 0,
+    LeftState = 1,
+    RightState<'_> = 2,
+    RawImu<'_> = 3,
+    Status = 4,
+    Fault = 5,
+    Pong = 6,
+    Ack = 7,
+    ModelInfo<'_> = 8,
+}
+
 /// Largest piece of a model in one frame, in bytes. All but the last have this size.
 pub const MODEL_CHUNK_MAX: usize = 128;
 /// Largest [`RawImu::counts`], in bytes: 8 samples of 9 axes.

@@ -58,6 +58,33 @@ proptest! {
         prop_assert_eq!(format!("{:?}", parse_host(&from_host[0])), format!("Ok({to_board:?})"));
     }
 
+    /// The small ways of a left board.
+    #[test]
+    fn a_body_alone_gives_the_same_frame_and_a_left_board_reads_the_same_requests(material in material()) {
+        let (mut buffer, mut again) = ([0; BOARD_FRAME_MAX], [0; BOARD_FRAME_MAX]);
+        let frame = encode_board(&material.board(), &mut buffer);
+        let body = match material.board() {
+            BoardMessage::Hello(body) => encode_body(&body, &mut again),
+            BoardMessage::Left(body) => encode_body(&body, &mut again),
+            BoardMessage::Right(body) => encode_body(&body, &mut again),
+            BoardMessage::RawImu(body) => encode_body(&body, &mut again),
+            BoardMessage::Status(body) => encode_body(&body, &mut again),
+            BoardMessage::Fault(body) => encode_body(&body, &mut again),
+            BoardMessage::Pong(body) => encode_body(&body, &mut again),
+            BoardMessage::Ack(body) => encode_body(&body, &mut again),
+            BoardMessage::ModelInfo(body) => encode_body(&body, &mut again),
+        };
+        prop_assert_eq!(frame, body);
+
+        let (payloads, _) = payloads(encode_host(&material.host(), &mut buffer).unwrap());
+        let request = parse_left_request(&payloads[0]);
+        if payloads[0][0] < 5 {
+            prop_assert_eq!(format!("{:?}", request.unwrap()), format!("{:?}", material.host()));
+        } else {
+            prop_assert_eq!(request, Err(ParseError::Unknown));
+        }
+    }
+
     #[test]
     fn a_buffer_that_is_too_small_is_an_error_and_one_that_just_fits_is_none(material in material()) {
         let mut large = [0; BOARD_FRAME_MAX];
@@ -71,7 +98,11 @@ proptest! {
     #[test]
     fn arbitrary_payloads_and_streams_never_panic(bytes in prop::collection::vec(any::<u8>(), 0..400)) {
         let _ = parse_board(&bytes);
-        let _ = parse_host(&bytes);
+        let whole = parse_host(&bytes);
+        match parse_left_request(&bytes) {
+            Ok(request) => prop_assert_eq!(format!("{:?}", request), format!("{:?}", whole.unwrap())),
+            Err(error) => prop_assert!(error == ParseError::Unknown || whole == Err(ParseError::Malformed)),
+        }
         let (seen, counters) = payloads(&bytes);
         prop_assert_eq!(seen.len(), counters.frames as usize);
         let mut tiny = Decoder::<0>::new();
