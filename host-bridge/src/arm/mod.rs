@@ -1,0 +1,15 @@
+//! The arm: a Kinova Gen3 with seven joints.
+//!
+//! * [`gen3`]: its figures and forward kinematics,
+//! * [`profile`]: joint motion in time, and how to stop it,
+//! * [`motions`]: the six named motions and the poses they end in,
+//! * [`sequencer`]: one motion at a time, each through home.
+
+pub mod gen3;
+pub mod motions;
+pub mod profile;
+pub mod sequencer;
+
+pub use gen3::{JOINTS, Joints, Pose};
+pub use motions::ArmMotion;
+pub use sequencer::{ArmState, Sequencer};

@@ -1,0 +1,481 @@
+//! The bridge itself: links, safety and intents wired to a robot. Bytes and the time come in.
+
+use serde::Serialize;
+use shared_proto::message::{Heading, HostMessage};
+
+use crate::arm::ArmMotion;
+use crate::base::Twist;
+use crate::intent::{Caps, MotionMap, is_rest};
+use crate::link::{HandLink, Heard, Identity, ModelSummary, NewGesture, RightReport, is_healthy};
+use crate::robot::Robot;
+use crate::safety::{self, Action, HaltReason, Hand, Ignored, Safety, State};
+
+/// The base's speed is repeated this often, so that the robot knows that the bridge lives.
+pub const DRIVE_INTERVAL_MS: u64 = 20;
+
+/// Something that happened, and when on the laptop's clock.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct BridgeEvent {
+    /// Laptop time.
+    pub time_ms: u64,
+    /// What.
+    #[serde(flatten)]
+    pub kind: EventKind,
+}
+
+/// What can happen.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(tag = "event", rename_all = "kebab-case")]
+pub enum EventKind {
+    /// A hand said hello for the first time since its start.
+    HandStarted {
+        /// Which.
+        hand: Hand,
+        /// Who.
+        identity: Identity,
+    },
+    /// A board cannot be used.
+    HandUnusable {
+        /// Which.
+        hand: Hand,
+        /// Why, and what to do.
+        problem: String,
+    },
+    /// The right hand named its model.
+    Model {
+        /// What it expects and names.
+        model: ModelSummary,
+        /// Labels that do nothing here.
+        without_motion: Vec<String>,
+    },
+    /// A board reported a fault.
+    BoardFault {
+        /// Which hand.
+        hand: Hand,
+        /// What, as the board names it.
+        fault: String,
+    },
+    /// The safety machine changed its state.
+    State {
+        /// The new state.
+        state: State,
+    },
+    /// Base and arm were halted.
+    Halt {
+        /// Why.
+        reason: HaltReason,
+    },
+    /// The operator's stop ended.
+    Released,
+    /// The left hand points elsewhere.
+    Heading {
+        /// Where.
+        heading: HeadingName,
+        /// Speed that follows.
+        twist: Twist,
+        /// Board clock at the sample.
+        sample_board_ms: u32,
+        /// Age of the sample.
+        age_ms: u64,
+    },
+    /// Bends changed the caps.
+    Caps {
+        /// Bends of the index finger.
+        index: u8,
+        /// Bends of the middle finger.
+        middle: u8,
+        /// The new cap (m/s and rad/s alike).
+        cap: f64,
+    },
+    /// The right hand performed a gesture.
+    Gesture {
+        /// Its name.
+        label: String,
+        /// 0 to 1.
+        confidence: f32,
+        /// Board clock at the end of the deciding window.
+        window_end_board_ms: u32,
+        /// Age of that window's end.
+        age_ms: u64,
+        /// What follows from it.
+        outcome: GestureOutcome,
+    },
+    /// An arm motion ended.
+    MotionEnded {
+        /// Which.
+        motion: ArmMotion,
+        /// At its pose, not halted.
+        reached: bool,
+    },
+    /// Something had no effect.
+    Ignored {
+        /// What and why.
+        what: Ignored,
+    },
+}
+
+/// [`Heading`] as text.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum HeadingName {
+    /// Halt.
+    Neutral,
+    /// Halt.
+    Between,
+    /// Forward.
+    Forward,
+    /// Backward.
+    Backward,
+    /// Turn left.
+    Left,
+    /// Turn right.
+    Right,
+}
+
+impl From<Heading> for HeadingName {
+    fn from(heading: Heading) -> Self {
+        match heading {
+            Heading::Neutral => HeadingName::Neutral,
+            Heading::Between => HeadingName::Between,
+            Heading::Forward => HeadingName::Forward,
+            Heading::Backward => HeadingName::Backward,
+            Heading::Left => HeadingName::Left,
+            Heading::Right => HeadingName::Right,
+        }
+    }
+}
+
+/// What follows from a gesture.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum GestureOutcome {
+    /// This motion starts.
+    Started(ArmMotion),
+    /// The stop is released; nothing moves by it.
+    Released,
+    /// Dropped: this motion still runs.
+    Busy(ArmMotion),
+    /// The label has no motion.
+    NoMotion,
+    /// Dropped: its window ended too long ago.
+    Late,
+    /// Dropped: not armed.
+    NotArmed,
+}
+
+/// What was dropped, by reason.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Drops {
+    /// States older than 250 ms.
+    pub late_states: u32,
+    /// Gestures decided more than 250 ms ago.
+    pub late_gestures: u32,
+    /// Gestures while another motion ran.
+    pub gestures_while_busy: u32,
+    /// Gestures while not armed.
+    pub gestures_while_not_armed: u32,
+    /// Gestures without a motion.
+    pub gestures_without_motion: u32,
+    /// Gestures whose label was lost with their frames.
+    pub gestures_unnamed: u32,
+    /// States with bends that came while not armed.
+    pub bends_while_not_armed: u32,
+}
+
+/// The bridge.
+#[derive(Clone, Debug)]
+pub struct Bridge {
+    left: HandLink,
+    right: HandLink,
+    safety: Safety,
+    caps: Caps,
+    map: MotionMap,
+    drops: Drops,
+    scores: Vec<f32>,
+    tilt_mrad: (i16, i16),
+    heading: Heading,
+    was_armed: bool,
+    driven: (Twist, u64),
+    events: Vec<BridgeEvent>,
+    heard: Vec<Heard>,
+}
+
+impl Bridge {
+    /// A bridge that waits for its hands.
+    pub fn new(map: MotionMap) -> Self {
+        Bridge {
+            left: HandLink::new(Hand::Left),
+            right: HandLink::new(Hand::Right),
+            safety: Safety::new(),
+            caps: Caps::default(),
+            map,
+            drops: Drops::default(),
+            scores: Vec::new(),
+            tilt_mrad: (0, 0),
+            heading: Heading::Neutral,
+            was_armed: false,
+            driven: (Twist::ZERO, 0),
+            events: Vec::new(),
+            heard: Vec::new(),
+        }
+    }
+
+    /// Takes bytes of one hand's link, in any slicing, and acts on what they say.
+    pub fn receive(&mut self, hand: Hand, bytes: &[u8], now_ms: u64, robot: &mut dyn Robot) {
+        let mut heard = std::mem::take(&mut self.heard);
+        self.link_mut(hand).receive(bytes, now_ms, &mut heard);
+        for message in heard.drain(..) {
+            self.handle(hand, message, now_ms, robot);
+        }
+        self.heard = heard;
+    }
+
+    /// Lets time pass; must be called every few milliseconds, whether or not bytes came.
+    pub fn step(&mut self, now_ms: u64, robot: &mut dyn Robot) {
+        self.apply(safety::Event::Tick, now_ms, robot);
+        if let Some(report) = robot.take_arm_report() {
+            let (motion, reached) = (report.motion, report.reached);
+            self.note(now_ms, EventKind::MotionEnded { motion, reached });
+        }
+        let due = now_ms.saturating_sub(self.driven.1) >= DRIVE_INTERVAL_MS;
+        // Before the first neutral nothing at all is sent.
+        if self.was_armed && (due || self.twist() != self.driven.0) {
+            self.drive(now_ms, robot);
+        }
+    }
+
+    /// What to send to a hand's board now, if anything.
+    pub fn poll(&mut self, hand: Hand, now_ms: u64) -> Option<HostMessage<'static>> {
+        self.link_mut(hand).poll(now_ms)
+    }
+
+    /// The operator's stop: a key, a button.
+    pub fn stop_key(&mut self, now_ms: u64, robot: &mut dyn Robot) {
+        self.apply(safety::Event::StopKey, now_ms, robot);
+    }
+
+    /// The release key, pressed and confirmed; has an effect only where no right hand is connected.
+    pub fn release_key(&mut self, now_ms: u64, robot: &mut dyn Robot) {
+        self.apply(safety::Event::ReleaseKey, now_ms, robot);
+    }
+
+    /// What happened since the last call.
+    pub fn take_events(&mut self) -> Vec<BridgeEvent> {
+        std::mem::take(&mut self.events)
+    }
+
+    /// The safety machine.
+    pub fn safety(&self) -> &Safety {
+        &self.safety
+    }
+
+    /// The link of one hand.
+    pub fn link(&self, hand: Hand) -> &HandLink {
+        match hand {
+            Hand::Left => &self.left,
+            Hand::Right => &self.right,
+        }
+    }
+
+    /// The caps now.
+    pub fn caps(&self) -> Caps {
+        self.caps
+    }
+
+    /// The speed that the base is asked for now: zero unless armed.
+    pub fn twist(&self) -> Twist {
+        self.caps.twist(self.safety.heading())
+    }
+
+    /// What was dropped so far.
+    pub fn drops(&self) -> Drops {
+        self.drops
+    }
+
+    /// The right hand's newest scores, one per label of its model.
+    pub fn scores(&self) -> &[f32] {
+        &self.scores
+    }
+
+    /// The left hand's newest pitch and roll in milliradians, and its heading (whether or not it acts).
+    pub fn left_hand(&self) -> (i16, i16, HeadingName) {
+        (self.tilt_mrad.0, self.tilt_mrad.1, self.heading.into())
+    }
+
+    fn link_mut(&mut self, hand: Hand) -> &mut HandLink {
+        match hand {
+            Hand::Left => &mut self.left,
+            Hand::Right => &mut self.right,
+        }
+    }
+
+    fn note(&mut self, time_ms: u64, kind: EventKind) {
+        self.events.push(BridgeEvent { time_ms, kind });
+    }
+
+    fn drive(&mut self, now_ms: u64, robot: &mut dyn Robot) {
+        let twist = self.twist();
+        self.driven = (twist, now_ms);
+        robot.drive(twist);
+    }
+
+    fn handle(&mut self, hand: Hand, heard: Heard, now_ms: u64, robot: &mut dyn Robot) {
+        match heard {
+            Heard::Started(identity) => {
+                self.note(now_ms, EventKind::HandStarted { hand, identity });
+                if hand == Hand::Right {
+                    self.scores.clear();
+                }
+                self.apply(safety::Event::Started(hand), now_ms, robot);
+            }
+            Heard::Unusable(problem) => {
+                self.note(now_ms, EventKind::HandUnusable { hand, problem });
+                self.apply(safety::Event::Unusable(hand), now_ms, robot);
+            }
+            Heard::Model(model) => {
+                let without = self.map.without_motion(&model.labels);
+                let without_motion = without.into_iter().map(str::to_owned).collect();
+                self.note(now_ms, EventKind::Model { model, without_motion });
+            }
+            Heard::Left { age_ms, state, index_bends, middle_bends } => {
+                let before = self.safety.heading();
+                let event = safety::Event::Left {
+                    age_ms,
+                    healthy: is_healthy(state.health),
+                    heading: state.heading,
+                    index_bends,
+                    middle_bends,
+                    stop: state.stop,
+                };
+                self.tilt_mrad = (state.pitch_mrad, state.roll_mrad);
+                self.heading = state.heading;
+                self.apply(event, now_ms, robot);
+                let heading = self.safety.heading();
+                if heading != before {
+                    let event = EventKind::Heading {
+                        heading: heading.into(),
+                        twist: self.twist(),
+                        sample_board_ms: state.board_time_ms,
+                        age_ms,
+                    };
+                    self.note(now_ms, event);
+                }
+            }
+            Heard::Right(report) => self.right(report, now_ms, robot),
+            Heard::Fault(fault) => {
+                let fault = format!("{:?} (detail {:#x})", fault.kind, fault.detail);
+                self.note(now_ms, EventKind::BoardFault { hand, fault });
+            }
+            Heard::Status(_) | Heard::Pong(_) | Heard::Ack(_) => {}
+        }
+    }
+
+    fn right(&mut self, report: RightReport, now_ms: u64, robot: &mut dyn Robot) {
+        let labels = self.right.model().map_or(&[][..], |model| &model.labels);
+        let resting = rests(labels, &report.scores);
+        let label = |new: NewGesture| labels.get(usize::from(new.label)).cloned();
+        let named = report.gesture.and_then(|new| label(new).map(|label| (new, label)));
+        if let Some(new) = report.gesture {
+            let unnamed = if named.is_some() { new.unnamed } else { new.unnamed.saturating_add(1) };
+            self.drops.gestures_unnamed += u32::from(unnamed);
+        }
+        let gesture = named.as_ref().map(|(new, label)| safety::Gesture {
+            label: new.label,
+            age_ms: new.age_ms,
+            releases: self.map.motion(label) == Some(ArmMotion::Home),
+        });
+        self.scores = report.scores;
+        let event = safety::Event::Right {
+            age_ms: report.age_ms,
+            healthy: is_healthy(report.health),
+            resting,
+            gesture,
+        };
+        let outcome = self.apply(event, now_ms, robot);
+        if let Some((new, label)) = named {
+            let outcome = outcome.unwrap_or(GestureOutcome::Late);
+            match outcome {
+                GestureOutcome::Started(_) | GestureOutcome::Released => {}
+                GestureOutcome::Busy(_) => self.drops.gestures_while_busy += 1,
+                GestureOutcome::NoMotion => self.drops.gestures_without_motion += 1,
+                GestureOutcome::Late => self.drops.late_gestures += 1,
+                GestureOutcome::NotArmed => self.drops.gestures_while_not_armed += 1,
+            }
+            let event = EventKind::Gesture {
+                label,
+                confidence: new.confidence,
+                window_end_board_ms: new.window_end_ms,
+                age_ms: new.age_ms,
+                outcome,
+            };
+            self.note(now_ms, event);
+        }
+    }
+
+    /// Lets the safety machine decide and carries its actions out. What follows from a gesture, if one came.
+    fn apply(&mut self, event: safety::Event, now_ms: u64, robot: &mut dyn Robot) -> Option<GestureOutcome> {
+        let mut outcome = None;
+        for action in self.safety.step(event, now_ms) {
+            match action {
+                Action::Halt(reason) => {
+                    robot.halt();
+                    self.driven = (Twist::ZERO, now_ms);
+                    self.note(now_ms, EventKind::Halt { reason });
+                }
+                Action::ResetCaps => self.caps = Caps::default(),
+                Action::Entered(state) => {
+                    self.was_armed |= state == State::Armed;
+                    self.note(now_ms, EventKind::State { state });
+                }
+                Action::Released => {
+                    outcome = Some(GestureOutcome::Released);
+                    self.note(now_ms, EventKind::Released);
+                }
+                Action::Bends { index, middle } => {
+                    self.caps.bend(index, middle);
+                    let cap = self.caps.linear_m_s;
+                    self.note(now_ms, EventKind::Caps { index, middle, cap });
+                }
+                Action::Gesture(gesture) => outcome = Some(self.start(gesture.label, robot)),
+                Action::Ignored(what) => {
+                    match what {
+                        Ignored::LateState(_) => self.drops.late_states += 1,
+                        Ignored::BendsWhileNotArmed => self.drops.bends_while_not_armed += 1,
+                        Ignored::LateGesture => outcome = Some(GestureOutcome::Late),
+                        Ignored::GestureWhileNotArmed => outcome = Some(GestureOutcome::NotArmed),
+                        Ignored::ReleaseKey => {}
+                    }
+                    // Late states come in bursts; the count says enough.
+                    if !matches!(what, Ignored::LateState(_)) {
+                        self.note(now_ms, EventKind::Ignored { what });
+                    }
+                }
+            }
+        }
+        outcome
+    }
+
+    fn start(&mut self, label: u8, robot: &mut dyn Robot) -> GestureOutcome {
+        let name = self.right.model().and_then(|model| model.labels.get(usize::from(label)));
+        let Some(motion) = name.and_then(|name| self.map.motion(name)) else {
+            return GestureOutcome::NoMotion;
+        };
+        match robot.start_motion(motion) {
+            Ok(()) => GestureOutcome::Started(motion),
+            Err(busy) => GestureOutcome::Busy(busy.0),
+        }
+    }
+}
+
+/// Does the right hand rest? Without scores nobody knows; a model without a resting class cannot tell,
+/// and is then not waited for.
+fn rests(labels: &[String], scores: &[f32]) -> bool {
+    if scores.is_empty() || scores.len() != labels.len() {
+        return false;
+    }
+    if !labels.iter().any(|label| is_rest(label)) {
+        return true;
+    }
+    let top = (0..scores.len()).max_by(|&a, &b| scores[a].total_cmp(&scores[b]));
+    top.is_some_and(|top| is_rest(&labels[top]))
+}

@@ -1,0 +1,456 @@
+//! The bridge's own stop: decides, from elapsed time and what the hands say, what may act.
+//!
+//! Glossary
+//! * **hand**: one board. It is *connected* from its first hello on, for the rest of the session: a
+//!   hand that went silent is not forgotten, it holds the robot still until it is back.
+//! * **live**: the hand's newest valid state is younger than [`STALE_MS`] by the time of its *sample*,
+//!   so nothing older than that ever moves the robot.
+//! * **neutral**: the left hand within its dead zone; the right hand with a resting class on top.
+//! * **release**: the gesture that ends a stop (the one that brings the arm home: up-down).
+//!
+//! The machine is sans-IO: [`Safety::step`] takes an event and the time, and answers with actions.
+//! It lets through (`Bends`, `Gesture`, the heading) only while armed; whatever a hand did before that
+//! is gone for good.
+
+use serde::Serialize;
+use shared_proto::message::Heading;
+
+/// A state older than this is dropped; a hand silent for this long halts the robot.
+pub const STALE_MS: u64 = 250;
+
+/// The hands must be neutral for this long before a stop can be released.
+pub const RELEASE_NEUTRAL_MS: u64 = 1000;
+
+/// Which hand.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Hand {
+    /// Tilt and bends: the base.
+    Left,
+    /// Gestures: the arm.
+    Right,
+}
+
+impl std::fmt::Display for Hand {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Hand::Left => "left",
+            Hand::Right => "right",
+        })
+    }
+}
+
+/// A gesture that a state reported for the first time.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Gesture {
+    /// Index in the model's labels.
+    pub label: u8,
+    /// Age of the window's end now.
+    pub age_ms: u64,
+    /// This gesture ends a stop.
+    pub releases: bool,
+}
+
+/// What happens to the machine.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Event {
+    /// Only time passes. Must come at least every few milliseconds.
+    Tick,
+    /// A hand started: a hello with a boot id that is new on this link.
+    Started(Hand),
+    /// A hand is there but must not be acted on (the versions differ): as if it were silent.
+    Unusable(Hand),
+    /// The left hand's state, newer than all before it.
+    Left {
+        /// Age of the sample.
+        age_ms: u64,
+        /// No health flag that forbids to act.
+        healthy: bool,
+        /// Where the hand points.
+        heading: Heading,
+        /// Bends of the index finger since the last state.
+        index_bends: u8,
+        /// Bends of the middle finger since the last state.
+        middle_bends: u8,
+        /// Both fingers are held.
+        stop: bool,
+    },
+    /// The right hand's state, newer than all before it.
+    Right {
+        /// Age of the newest sample.
+        age_ms: u64,
+        /// No health flag that forbids to act.
+        healthy: bool,
+        /// A resting class has the highest score.
+        resting: bool,
+        /// The last gesture, if it is new.
+        gesture: Option<Gesture>,
+    },
+    /// The operator's stop: a key, a button.
+    StopKey,
+    /// The operator's release key, pressed and confirmed. Only counts where no right hand is connected.
+    ReleaseKey,
+}
+
+/// ```text
+///            all connected hands live and neutral at once
+///   Waiting ─────────────────────────────────────────────► Armed
+///    ▲   ▲                                                │ │ │
+///    │   └──────────── a hand (re)started ────────────────┘ │ │
+///    │                                                      │ │
+///    │ all live                    250 ms silence, bad      │ │
+///    └────────── Stale ◄───────────health, wrong version────┘ │
+///                                                             │ both fingers, stop key
+///   Armed ◄── neutral for 1 s, then the release ── Stopped ◄──┴── (from every state)
+/// ```
+/// Only in `Armed` does anything move. Leaving it halts base and arm. `Stale` is reached by time alone.
+/// A stopped robot stays stopped whatever the links do.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum State {
+    /// Nothing moves until every connected hand was seen neutral.
+    Waiting,
+    /// The hands drive the robot.
+    Armed,
+    /// A connected hand is silent or not fit to act on.
+    Stale,
+    /// The operator stopped the robot.
+    Stopped,
+}
+
+/// Why the robot halts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum HaltReason {
+    /// Both fingers held, or the stop key.
+    OperatorStop,
+    /// No valid state for 250 ms.
+    Silence(Hand),
+    /// The hand says that it cannot be trusted.
+    Unhealthy(Hand),
+    /// The hand is new or has restarted.
+    Restart(Hand),
+}
+
+/// Why something that a hand did has no effect.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Ignored {
+    /// The state is older than 250 ms.
+    LateState(Hand),
+    /// The gesture's window ended more than 250 ms ago.
+    LateGesture,
+    /// A gesture while not armed.
+    GestureWhileNotArmed,
+    /// Bends while not armed.
+    BendsWhileNotArmed,
+    /// The release key while a right hand is connected, or before 1 s of neutral.
+    ReleaseKey,
+}
+
+/// What the bridge must do now, in order.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Action {
+    /// Bring base and arm to rest.
+    Halt(HaltReason),
+    /// Both caps back to their start.
+    ResetCaps,
+    /// The state changed.
+    Entered(State),
+    /// The stop is over. Nothing moves by that.
+    Released,
+    /// These bends count.
+    Bends {
+        /// Of the index finger.
+        index: u8,
+        /// Of the middle finger.
+        middle: u8,
+    },
+    /// This gesture counts.
+    Gesture(Gesture),
+    /// Something had no effect.
+    Ignored(Ignored),
+}
+
+#[derive(Clone, Copy, Debug, Default)]
+struct Watch {
+    connected: bool,
+    live: bool,
+    /// Host time of the newest valid sample.
+    sample_ms: u64,
+    /// Neutral without a break since this time.
+    neutral_since_ms: Option<u64>,
+}
+
+impl Watch {
+    fn lose(&mut self) {
+        self.live = false;
+        self.neutral_since_ms = None;
+    }
+
+    fn refresh(&mut self, sample_ms: u64, neutral: bool) {
+        self.live = true;
+        // Ages jitter: time on a hand never runs back.
+        self.sample_ms = self.sample_ms.max(sample_ms);
+        self.neutral_since_ms = if neutral { self.neutral_since_ms.or(Some(self.sample_ms)) } else { None };
+    }
+}
+
+/// See the module.
+#[derive(Clone, Debug)]
+pub struct Safety {
+    state: State,
+    now_ms: u64,
+    left: Watch,
+    right: Watch,
+    heading: Heading,
+    /// The right hand has rested for long enough since the stop (where there is no left hand).
+    right_rested: bool,
+}
+
+impl Default for Safety {
+    fn default() -> Self {
+        Safety::new()
+    }
+}
+
+impl Safety {
+    /// Waiting, no hand connected.
+    pub fn new() -> Self {
+        Safety {
+            state: State::Waiting,
+            now_ms: 0,
+            left: Watch::default(),
+            right: Watch::default(),
+            heading: Heading::Neutral,
+            right_rested: false,
+        }
+    }
+
+    /// The state now.
+    pub fn state(&self) -> State {
+        self.state
+    }
+
+    /// The heading that may drive the base: neutral unless armed.
+    pub fn heading(&self) -> Heading {
+        if self.state == State::Armed && self.left.connected { self.heading } else { Heading::Neutral }
+    }
+
+    /// The hand has said hello.
+    pub fn connected(&self, hand: Hand) -> bool {
+        self.watch(hand).connected
+    }
+
+    /// The hand is connected, fresh and fit to act on.
+    pub fn live(&self, hand: Hand) -> bool {
+        self.watch(hand).live
+    }
+
+    /// Handles one event. `now_ms` is the laptop's clock and must not run back; if it does, it stands.
+    #[must_use = "an action that is not carried out may leave the robot moving"]
+    pub fn step(&mut self, event: Event, now_ms: u64) -> Vec<Action> {
+        let mut actions = Vec::new();
+        self.now_ms = self.now_ms.max(now_ms);
+        self.watch_the_clock(&mut actions);
+        match event {
+            Event::Tick => {}
+            Event::Started(hand) => {
+                // Counts as a sign of life, so that a new hand has 250 ms to send its first state.
+                *self.watch_mut(hand) =
+                    Watch { connected: true, live: true, sample_ms: self.now_ms, neutral_since_ms: None };
+                if hand == Hand::Right {
+                    self.right_rested = false;
+                }
+                self.leave_armed(State::Waiting, HaltReason::Restart(hand), &mut actions);
+            }
+            Event::Unusable(hand) => {
+                if self.connected(hand) {
+                    self.watch_mut(hand).lose();
+                    self.leave_armed(State::Stale, HaltReason::Unhealthy(hand), &mut actions);
+                }
+            }
+            Event::Left { age_ms, healthy, heading, index_bends, middle_bends, stop } => {
+                if !self.left.connected {
+                    return actions;
+                }
+                let bends = index_bends != 0 || middle_bends != 0;
+                if stop {
+                    // Even late or from a hand in doubt: halting is never wrong.
+                    self.stop(&mut actions);
+                }
+                if age_ms > STALE_MS {
+                    actions.push(Action::Ignored(Ignored::LateState(Hand::Left)));
+                    return actions;
+                }
+                if !healthy {
+                    self.left.lose();
+                    self.leave_armed(State::Stale, HaltReason::Unhealthy(Hand::Left), &mut actions);
+                }
+                if bends && self.state == State::Armed {
+                    actions.push(Action::Bends { index: index_bends, middle: middle_bends });
+                } else if bends {
+                    actions.push(Action::Ignored(Ignored::BendsWhileNotArmed));
+                }
+                if healthy {
+                    self.heading = heading;
+                    let neutral = heading == Heading::Neutral && !stop;
+                    self.left.refresh(self.now_ms.saturating_sub(age_ms), neutral);
+                }
+            }
+            Event::Right { age_ms, healthy, resting, gesture } => {
+                if !self.right.connected {
+                    return actions;
+                }
+                if age_ms > STALE_MS {
+                    actions.push(Action::Ignored(Ignored::LateState(Hand::Right)));
+                    return actions;
+                }
+                if healthy {
+                    let sample_ms = self.now_ms.saturating_sub(age_ms);
+                    self.right.refresh(sample_ms, resting && gesture.is_none());
+                    self.note_rest_during_stop();
+                } else {
+                    self.right.lose();
+                    self.leave_armed(State::Stale, HaltReason::Unhealthy(Hand::Right), &mut actions);
+                }
+                if let Some(gesture) = gesture {
+                    self.gesture(gesture, &mut actions);
+                }
+            }
+            Event::StopKey => self.stop(&mut actions),
+            Event::ReleaseKey => {
+                let allowed = self.state == State::Stopped
+                    && !self.right.connected
+                    && self.neutral_long_enough_at(self.now_ms);
+                if allowed {
+                    self.release(&mut actions);
+                } else {
+                    actions.push(Action::Ignored(Ignored::ReleaseKey));
+                }
+            }
+        }
+        self.arm_if_all_neutral(&mut actions);
+        actions
+    }
+
+    fn watch(&self, hand: Hand) -> &Watch {
+        match hand {
+            Hand::Left => &self.left,
+            Hand::Right => &self.right,
+        }
+    }
+
+    fn watch_mut(&mut self, hand: Hand) -> &mut Watch {
+        match hand {
+            Hand::Left => &mut self.left,
+            Hand::Right => &mut self.right,
+        }
+    }
+
+    fn watch_the_clock(&mut self, actions: &mut Vec<Action>) {
+        let now_ms = self.now_ms;
+        for hand in [Hand::Left, Hand::Right] {
+            let watch = self.watch_mut(hand);
+            if watch.connected && watch.live && now_ms.saturating_sub(watch.sample_ms) >= STALE_MS {
+                watch.lose();
+                self.leave_armed(State::Stale, HaltReason::Silence(hand), actions);
+            }
+        }
+    }
+
+    fn gesture(&mut self, gesture: Gesture, actions: &mut Vec<Action>) {
+        let ended_ms = self.now_ms.saturating_sub(gesture.age_ms);
+        if gesture.age_ms > STALE_MS {
+            actions.push(Action::Ignored(Ignored::LateGesture));
+        } else if self.state == State::Armed {
+            actions.push(Action::Gesture(gesture));
+        } else if self.state == State::Stopped && gesture.releases && self.neutral_long_enough_at(ended_ms) {
+            self.release(actions);
+        } else {
+            actions.push(Action::Ignored(Ignored::GestureWhileNotArmed));
+        }
+    }
+
+    /// Everybody connected is live, and the left hand (where there is one) has been neutral up to now,
+    /// for a second already at `time_ms`. Without a left hand, the right one must have rested instead.
+    fn neutral_long_enough_at(&self, time_ms: u64) -> bool {
+        let all_live = (self.left.connected || self.right.connected) && self.connected_hands_live();
+        let neutral = if self.left.connected {
+            let since_ms = self.left.neutral_since_ms;
+            since_ms.is_some_and(|since| time_ms.saturating_sub(since) >= RELEASE_NEUTRAL_MS)
+        } else {
+            self.right_rested
+        };
+        all_live && neutral
+    }
+
+    fn note_rest_during_stop(&mut self) {
+        if self.state == State::Stopped
+            && let Some(since) = self.right.neutral_since_ms
+            && self.now_ms.saturating_sub(since) >= RELEASE_NEUTRAL_MS
+        {
+            self.right_rested = true;
+        }
+    }
+
+    fn connected_hands_live(&self) -> bool {
+        [self.left, self.right].iter().all(|watch| !watch.connected || watch.live)
+    }
+
+    fn stop(&mut self, actions: &mut Vec<Action>) {
+        // Neutral must be held from the stop on, not from before it.
+        self.left.neutral_since_ms = None;
+        self.right.neutral_since_ms = None;
+        self.right_rested = false;
+        if self.state != State::Stopped {
+            actions.push(Action::Halt(HaltReason::OperatorStop));
+            actions.push(Action::ResetCaps);
+            self.enter(State::Stopped, actions);
+        }
+    }
+
+    fn release(&mut self, actions: &mut Vec<Action>) {
+        actions.push(Action::Released);
+        self.enter(State::Armed, actions);
+    }
+
+    /// Halts if armed, and goes to `next` unless the operator's stop holds.
+    fn leave_armed(&mut self, next: State, reason: HaltReason, actions: &mut Vec<Action>) {
+        // Whatever was neutral before the disturbance must be so again after it.
+        self.left.neutral_since_ms = None;
+        self.right.neutral_since_ms = None;
+        self.right_rested = false;
+        if self.state == State::Armed {
+            actions.push(Action::Halt(reason));
+        }
+        if self.state != State::Stopped && self.state != next {
+            // A restart of one hand does not end the wait for another that is silent.
+            let next = if self.connected_hands_live() { next } else { State::Stale };
+            if self.state != next {
+                self.enter(next, actions);
+            }
+        }
+    }
+
+    fn arm_if_all_neutral(&mut self, actions: &mut Vec<Action>) {
+        if !matches!(self.state, State::Waiting | State::Stale) || !self.connected_hands_live() {
+            return;
+        }
+        let hands = [self.left, self.right];
+        let mut connected = hands.iter().filter(|watch| watch.connected).peekable();
+        if connected.peek().is_none() {
+            return;
+        }
+        if connected.all(|watch| watch.neutral_since_ms.is_some()) {
+            self.enter(State::Armed, actions);
+        } else if self.state == State::Stale {
+            self.enter(State::Waiting, actions);
+        }
+    }
+
+    fn enter(&mut self, state: State, actions: &mut Vec<Action>) {
+        self.state = state;
+        actions.push(Action::Entered(state));
+    }
+}

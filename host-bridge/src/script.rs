@@ -1,0 +1,149 @@
+//! `session.toml`: what a recorded session is, and what it must come to.
+
+use serde::{Deserialize, Serialize};
+use shared_dsp::left_calibration::Calibration;
+
+use crate::session::Summary;
+
+/// A recorded session.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Script {
+    /// One line for people.
+    pub title: String,
+    /// What the left hand's EEPROM holds.
+    pub calibration: CalibrationTable,
+    /// What must come out.
+    pub expect: Expect,
+}
+
+/// The left hand's calibration; each value is the sum of eight 10-bit conversions.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CalibrationTable {
+    /// x, y and z at 0 g.
+    pub zero: [i16; 3],
+    /// Index and middle finger straight.
+    pub rest: [u16; 2],
+    /// Index and middle finger bent.
+    pub bend: [u16; 2],
+}
+
+impl From<CalibrationTable> for Calibration {
+    fn from(table: CalibrationTable) -> Self {
+        Calibration { zero: table.zero, rest: table.rest, bend: table.bend }
+    }
+}
+
+/// What a session must come to.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Expect {
+    /// Labels of all gesture events, in order, the one that releases the stop included.
+    pub gestures: Vec<String>,
+    /// Arm motions that reach their pose, in order.
+    pub poses: Vec<String>,
+    /// Operator's stops, each released.
+    pub stops: u32,
+    /// Both caps at the end, in m/s and rad/s, within 0.001.
+    pub cap: f64,
+    /// Where the base ends.
+    pub base: Place,
+}
+
+/// A place with its tolerance.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Place {
+    /// Forward of the start.
+    pub x_m: f64,
+    /// Left of the start.
+    pub y_m: f64,
+    /// Turned to the left, in rad, not wrapped.
+    pub heading_rad: f64,
+    /// Tolerance of the position.
+    pub within_m: f64,
+    /// Tolerance of the heading.
+    pub within_rad: f64,
+}
+
+/// One thing that was expected.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Check {
+    /// What.
+    pub what: &'static str,
+    /// What the script says.
+    pub expected: String,
+    /// What happened.
+    pub got: String,
+    /// It is as it should be.
+    pub ok: bool,
+}
+
+/// The text is no session; the message says where and why.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+pub struct ScriptError(#[from] toml::de::Error);
+
+impl Script {
+    /// Reads the text of a `session.toml`.
+    ///
+    /// # Errors
+    /// [`ScriptError`] with line and column.
+    pub fn parse(text: &str) -> Result<Self, ScriptError> {
+        Ok(toml::from_str(text)?)
+    }
+}
+
+impl CalibrationTable {
+    /// Reads a file with `zero`, `rest` and `bend`, as in a session's `[calibration]`.
+    ///
+    /// # Errors
+    /// [`ScriptError`] with line and column.
+    pub fn parse(text: &str) -> Result<Self, ScriptError> {
+        Ok(toml::from_str(text)?)
+    }
+}
+
+impl Expect {
+    /// Compares with what happened.
+    pub fn check(&self, summary: &Summary) -> Vec<Check> {
+        let list = |names: &[String]| names.join(", ");
+        let check = |what, expected: String, got: String| {
+            let ok = expected == got;
+            Check { what, expected, got, ok }
+        };
+        let labels: Vec<String> = summary.gestures.iter().map(|g| g.label.clone()).collect();
+        let poses: Vec<String> = summary.poses_reached.iter().map(|p| p.motion.name().to_owned()).collect();
+        let here = summary.odometry;
+        let off_m = (here.x_m - self.base.x_m).hypot(here.y_m - self.base.y_m);
+        let off_rad = (here.heading_rad - self.base.heading_rad).abs();
+        let place = |x_m: f64, y_m: f64, heading_rad: f64| {
+            format!("x {x_m:.3} m, y {y_m:.3} m, {:.1}°", heading_rad.to_degrees())
+        };
+        vec![
+            check("gestures", list(&self.gestures), list(&labels)),
+            check("poses reached", list(&self.poses), list(&poses)),
+            check("stops", self.stops.to_string(), summary.stops.to_string()),
+            check("releases", self.stops.to_string(), summary.releases.to_string()),
+            Check {
+                what: "cap",
+                expected: format!("{:.3}", self.cap),
+                got: format!("{:.3}", summary.caps.linear_m_s),
+                ok: (summary.caps.linear_m_s - self.cap).abs() <= 0.001,
+            },
+            Check {
+                what: "base",
+                expected: format!(
+                    "{} (within {} m and {:.0}°)",
+                    place(self.base.x_m, self.base.y_m, self.base.heading_rad),
+                    self.base.within_m,
+                    self.base.within_rad.to_degrees()
+                ),
+                got: place(here.x_m, here.y_m, here.heading_rad),
+                ok: off_m <= self.base.within_m && off_rad <= self.base.within_rad,
+            },
+            check("at rest at the end", true.to_string(), summary.at_rest.to_string()),
+        ]
+    }
+}

@@ -1,0 +1,118 @@
+//! The arm against the reference table, and the table of motions against the paper.
+
+use host_bridge::arm::gen3::{HOME, JOINTS, Joints, flange_pose, joint_beyond_limit, link_poses};
+use host_bridge::arm::motions::{ALL_MOTIONS, READY, random_top_poses};
+use host_bridge::arm::profile::{JointLimits, JointMove};
+use host_bridge::arm::{ArmMotion, Pose, Sequencer};
+
+/// Angle between two orientations; stable near zero, where arc cosines are not.
+fn angle_rad(a: [f64; 4], b: [f64; 4]) -> f64 {
+    let chord =
+        |sign: f64| -> f64 { a.iter().zip(b).map(|(x, y)| (x - sign * y).powi(2)).sum::<f64>().sqrt() };
+    4.0 * (chord(1.0).min(chord(-1.0)) / 2.0).asin()
+}
+
+#[test]
+fn forward_kinematics_equals_the_reference_on_all_rows() {
+    let table = include_str!("data/kinova_gen3_fk.csv");
+    let (mut rows, mut worst_m, mut worst_rad) = (0, 0.0_f64, 0.0_f64);
+    for line in table.lines().skip(1) {
+        let values: Vec<f64> = line.split(',').map(|v| v.parse().unwrap()).collect();
+        let joints: Joints = values[..7].try_into().unwrap();
+        let pose = flange_pose(&joints);
+        let off: f64 = pose.position_m.iter().zip(&values[7..10]).map(|(a, b)| (a - b).powi(2)).sum();
+        worst_m = worst_m.max(off.sqrt());
+        worst_rad = worst_rad.max(angle_rad(pose.quaternion_wxyz(), values[10..14].try_into().unwrap()));
+        rows += 1;
+    }
+    println!("{rows} rows: worst {worst_m:.1e} m, {worst_rad:.1e} rad");
+    assert_eq!(rows, 200);
+    assert!(worst_m <= 1e-6 && worst_rad <= 1e-6);
+}
+
+fn move_s(from: Joints, to: Joints) -> f64 {
+    JointMove::new(from, to, &JointLimits::paper()).duration_s()
+}
+
+#[test]
+fn single_moves_take_the_papers_times_within_5_per_cent() {
+    let circles: Vec<f64> = random_top_poses().iter().map(|pose| move_s(HOME, *pose)).collect();
+    let circle_mean = circles.iter().sum::<f64>() / circles.len() as f64;
+    let rows = [
+        ("ready → home (up-down)", move_s(READY, HOME), 3.3),
+        ("home → pick-up (to-fro)", move_s(HOME, ArmMotion::PickUp.goal(0)), 5.7),
+        ("home → place (left-right)", move_s(HOME, ArmMotion::Place.goal(0)), 6.1),
+        ("home → place-top-right (rectangle)", move_s(HOME, ArmMotion::PlaceTopRight.goal(0)), 6.4),
+        (
+            "home → place-bottom-right (rectangle-flat)",
+            move_s(HOME, ArmMotion::PlaceBottomRight.goal(0)),
+            7.1,
+        ),
+        ("home → random-top (circle), mean of 8", circle_mean, 5.9),
+    ];
+    println!("{:<45}{:>8}{:>8}{:>8}", "move", "paper s", "here s", "off %");
+    for (name, here_s, paper_s) in rows {
+        let off = (here_s / paper_s - 1.0) * 100.0;
+        println!("{name:<45}{paper_s:>8.1}{here_s:>8.2}{off:>8.1}");
+        assert!(off.abs() <= 5.0, "{name}");
+    }
+    println!("random-top poses one by one, s: {circles:.2?}");
+}
+
+#[test]
+fn poses_are_where_their_names_say_within_limits_and_above_the_table() {
+    let at = |joints: &Joints| flange_pose(joints).position_m;
+    let home = at(&HOME);
+    let show = |name: &str, joints: &Joints| {
+        let ([x, y, z], tool) = (at(joints), flange_pose(joints).rotation);
+        println!(
+            "{name:<20} x {x:>6.3}  y {y:>6.3}  z {z:>6.3} m, tool points ({:.2}, {:.2}, {:.2})  {joints:.3?}",
+            tool[0][2], tool[1][2], tool[2][2]
+        );
+    };
+    show("ready", &READY);
+    for motion in ALL_MOTIONS {
+        show(motion.name(), &motion.goal(0));
+    }
+    // x forward, y left, z up.
+    let down = |joints: &Joints| flange_pose(joints).rotation[2][2] < -0.3;
+    let pick = ArmMotion::PickUp.goal(0);
+    assert!(at(&pick)[2] < home[2] - 0.2 && at(&pick)[0] > 0.3 && at(&pick)[1].abs() < 0.05 && down(&pick));
+    let place = ArmMotion::Place.goal(0);
+    assert!(at(&place)[1] > 0.25 && at(&place)[2] < home[2] - 0.2 && down(&place));
+    let top_right = at(&ArmMotion::PlaceTopRight.goal(0));
+    assert!(top_right[1] < -0.25 && top_right[2] > home[2] + 0.1);
+    let bottom_right = ArmMotion::PlaceBottomRight.goal(0);
+    assert!(at(&bottom_right)[1] < -0.25 && at(&bottom_right)[2] < home[2] - 0.2 && down(&bottom_right));
+    for pose in random_top_poses() {
+        show("random-top", &pose);
+        assert!(at(&pose)[2] > home[2] + 0.2, "{:?}", at(&pose));
+    }
+    let all = ALL_MOTIONS.map(|motion| motion.goal(0)).into_iter().chain(random_top_poses()).chain([READY]);
+    for joints in all {
+        assert_eq!(joint_beyond_limit(&joints), None);
+        let lowest = link_poses(&joints).iter().map(|pose: &Pose| pose.position_m[2]).fold(1.0, f64::min);
+        assert!(lowest > 0.1 - 1e-9, "{lowest} {joints:?}");
+    }
+}
+
+#[test]
+fn every_pair_of_motions_keeps_joint_limits_all_the_way() {
+    for first in ALL_MOTIONS {
+        for second in ALL_MOTIONS {
+            let mut arm = Sequencer::new(READY, JointLimits::paper());
+            for motion in [first, second] {
+                arm.start(motion).unwrap();
+                while arm.state().running.is_some() {
+                    arm.step(0.005);
+                    let state = arm.state();
+                    assert_eq!(joint_beyond_limit(&state.joints_rad), None);
+                    for i in 0..JOINTS {
+                        let limit = JointLimits::paper().velocity_rad_s[i];
+                        assert!(state.velocity_rad_s[i].abs() <= limit * (1.0 + 1e-9));
+                    }
+                }
+            }
+        }
+    }
+}

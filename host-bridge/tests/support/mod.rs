@@ -1,0 +1,230 @@
+//! Two hands under the test's control, wired to a bridge and the simulated robot, in virtual time.
+#![allow(dead_code)] // each test file uses its own part
+
+use host_bridge::bridge::{Bridge, EventKind, GestureOutcome};
+use host_bridge::intent::MotionMap;
+use host_bridge::robot::Robot;
+use host_bridge::safety::{Hand, State};
+use host_bridge::sim::{SimConfig, Simulator};
+use shared_proto::frame::{BOARD_FRAME_MAX, encode_board};
+use shared_proto::message::{
+    Board, BoardMessage, Heading, Hello, LeftState, ModelInfo, PROTOCOL_MAJOR, PROTOCOL_MINOR, RightState,
+};
+
+pub const LABELS: &str = "idle,up-down,to-fro,left-right,rectangle,rectangle-flat,circle";
+
+pub fn encode(message: &BoardMessage<'_>) -> Vec<u8> {
+    encode_board(message, &mut [0; BOARD_FRAME_MAX]).unwrap().to_vec()
+}
+
+pub fn hello(hand: Hand, boot_id: u32) -> Vec<u8> {
+    let board = if hand == Hand::Left { Board::LeftNano } else { Board::RightNano33 };
+    hello_of(board, boot_id, PROTOCOL_MAJOR)
+}
+
+pub fn hello_of(board: Board, boot_id: u32, major: u8) -> Vec<u8> {
+    let (minor, firmware) = (PROTOCOL_MINOR, "test");
+    encode(&BoardMessage::Hello(Hello {
+        major,
+        minor,
+        board,
+        firmware,
+        boot_id,
+        model_id: 1,
+        sample_hz: 100,
+    }))
+}
+
+pub fn model(labels: &str) -> Vec<u8> {
+    let (model_id, recipe, axes, sample_hz, window) = (1, 0, 9, 100, 200);
+    encode(&BoardMessage::ModelInfo(ModelInfo { model_id, recipe, axes, sample_hz, window, labels }))
+}
+
+/// The right hand's state as the test wants it.
+#[derive(Clone, Copy)]
+pub struct RightHand {
+    pub sequence: u16,
+    pub events: u8,
+    pub label: u8,
+    pub event_window_end_ms: u32,
+    /// Label with the highest score.
+    pub top: u8,
+    pub health: u8,
+}
+
+/// Both hands, the bridge and the robot.
+pub struct Rig {
+    pub bridge: Bridge,
+    pub robot: Simulator,
+    pub now_ms: u64,
+    pub left: LeftState,
+    pub right: RightHand,
+    /// Hands that send their state by themselves.
+    pub talking: [bool; 2],
+    /// How far the boards' clocks are from the laptop's.
+    pub board_ahead_ms: u32,
+    pub events: Vec<EventKind>,
+    /// Greatest wheel speed and joint speed seen since the last look.
+    pub moved: bool,
+}
+
+impl Rig {
+    /// No hand connected.
+    pub fn empty() -> Self {
+        let neutral = LeftState { heading: Heading::Neutral, ..LeftState::default() };
+        Rig {
+            bridge: Bridge::new(MotionMap::default()),
+            robot: Simulator::new(SimConfig::default()),
+            now_ms: 10_000,
+            left: neutral,
+            right: RightHand {
+                sequence: 0,
+                events: 0,
+                label: 255,
+                event_window_end_ms: 0,
+                top: 0,
+                health: 0,
+            },
+            talking: [false; 2],
+            board_ahead_ms: 0x8000_0000,
+            events: Vec::new(),
+            moved: false,
+        }
+    }
+
+    pub fn with(hands: &[Hand]) -> Self {
+        let mut rig = Rig::empty();
+        for &hand in hands {
+            rig.connect(hand, 1);
+        }
+        rig
+    }
+
+    /// Both hands connected, neutral, armed.
+    pub fn armed() -> Self {
+        let mut rig = Rig::with(&[Hand::Left, Hand::Right]);
+        rig.run(200);
+        assert_eq!(rig.state(), State::Armed);
+        rig
+    }
+
+    pub fn connect(&mut self, hand: Hand, boot_id: u32) {
+        self.send(hand, &hello(hand, boot_id));
+        if hand == Hand::Right {
+            self.send(hand, &model(LABELS));
+        }
+        self.talking[hand as usize] = true;
+    }
+
+    pub fn send(&mut self, hand: Hand, bytes: &[u8]) {
+        self.bridge.receive(hand, bytes, self.now_ms, &mut self.robot);
+    }
+
+    pub fn board_time_ms(&self) -> u32 {
+        (self.now_ms as u32).wrapping_add(self.board_ahead_ms)
+    }
+
+    pub fn left_frame(&mut self) -> Vec<u8> {
+        self.left.sequence = self.left.sequence.wrapping_add(1);
+        self.left.board_time_ms = self.board_time_ms();
+        encode(&BoardMessage::Left(self.left))
+    }
+
+    pub fn right_frame(&mut self) -> Vec<u8> {
+        self.right.sequence = self.right.sequence.wrapping_add(1);
+        let mut scores = [0x80_u8; 7];
+        scores[usize::from(self.right.top)] = 0x7F;
+        let right = self.right;
+        encode(&BoardMessage::Right(RightState {
+            sequence: right.sequence,
+            board_time_ms: self.board_time_ms(),
+            events: right.events,
+            label: right.label,
+            confidence: 250,
+            event_window_end_ms: right.event_window_end_ms,
+            scores: &scores,
+            health: right.health,
+        }))
+    }
+
+    pub fn send_left(&mut self) {
+        let frame = self.left_frame();
+        self.send(Hand::Left, &frame);
+    }
+
+    pub fn send_right(&mut self) {
+        let frame = self.right_frame();
+        self.send(Hand::Right, &frame);
+    }
+
+    /// Lets time pass; talking hands send their state every 20 ms.
+    pub fn run(&mut self, ms: u64) {
+        for _ in 0..ms {
+            if self.now_ms.is_multiple_of(20) {
+                if self.talking[0] {
+                    self.send_left();
+                }
+                if self.talking[1] {
+                    self.send_right();
+                }
+            }
+            self.bridge.step(self.now_ms, &mut self.robot);
+            self.robot.step(1);
+            self.now_ms += 1;
+            self.moved |= !self.robot.at_rest();
+            self.events.extend(self.bridge.take_events().into_iter().map(|event| event.kind));
+        }
+    }
+
+    pub fn state(&self) -> State {
+        self.bridge.safety().state()
+    }
+
+    /// The left hand points there, and time passes.
+    pub fn point(&mut self, heading: Heading, ms: u64) {
+        self.left.heading = heading;
+        self.run(ms);
+    }
+
+    /// The right hand performs a gesture (reported in the next state) and rests again.
+    pub fn gesture(&mut self, label: u8) {
+        self.right.events = self.right.events.wrapping_add(1);
+        self.right.label = label;
+        self.right.event_window_end_ms = self.board_time_ms();
+        self.right.top = label;
+        self.run(100);
+        self.right.top = 0;
+        self.run(100);
+    }
+
+    /// Both fingers bent for a while.
+    pub fn stop(&mut self) {
+        self.left.stop = true;
+        self.run(100);
+        self.left.stop = false;
+    }
+
+    pub fn speed_m_s(&self) -> f64 {
+        self.robot.odometry().twist.linear_m_s
+    }
+
+    pub fn arm_moves(&self) -> bool {
+        !self.robot.arm().at_rest()
+    }
+
+    /// Did anything move since the last call?
+    pub fn take_moved(&mut self) -> bool {
+        std::mem::take(&mut self.moved)
+    }
+
+    /// What followed from the gestures so far; forgets them.
+    pub fn take_outcomes(&mut self) -> Vec<GestureOutcome> {
+        let outcomes = self.events.iter().filter_map(|event| match event {
+            EventKind::Gesture { outcome, .. } => Some(*outcome),
+            _ => None,
+        });
+        let outcomes = outcomes.collect();
+        self.events.clear();
+        outcomes
+    }
+}
