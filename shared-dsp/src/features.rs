@@ -41,12 +41,12 @@ pub struct FeatureWindow<const A: usize> {
     staged: usize,
     axes: [Axis; A],
     features: [[f32; FEATURES_PER_AXIS]; A],
-    /// Slot of the next hop, 0 to 24.
+    /// Slot of the next block of 8 samples, 0 to 24.
     block: usize,
     /// Slot of the next frame, 0 to 23.
     frame: usize,
-    /// Hops until the window is full.
-    missing: usize,
+    /// Hops since the last reset, at most those of a window.
+    hops: usize,
     replaced: u32,
     /// Hops until the last replaced value has left the window.
     tainted: usize,
@@ -60,6 +60,18 @@ struct Axis {
     moments: Sliding<Moments, HOPS>,
     powers: Sliding<Powers, FRAMES>,
 }
+
+/// Where a hop belongs in the queues of an axis.
+#[derive(Clone, Copy)]
+struct Slots {
+    block: usize,
+    frame: usize,
+    /// When the queues turn: differs between the axes.
+    turn: usize,
+}
+
+/// From one axis to the next. No divisor of 24, so that 24 axes have different turns.
+const TURN_STEP: usize = 11;
 
 #[derive(Clone, Copy, Debug)]
 struct Powers([f32; 8]);
@@ -97,21 +109,14 @@ const RECIPROCALS: [f32; HOPS + 1] = {
 impl<const A: usize> FeatureWindow<A> {
     /// An empty window.
     pub const fn new() -> Self {
-        let mut axes = [Axis::new(0); A];
-        let mut axis = 0;
-        while axis < A {
-            // The turns of the axes come at different hops, to spread the work.
-            axes[axis] = Axis::new(axis * 11);
-            axis += 1;
-        }
         Self {
             stage: [[0.0; HOP]; A],
             staged: 0,
-            axes,
+            axes: [Axis::ZERO; A],
             features: [[0.0; FEATURES_PER_AXIS]; A],
             block: 0,
             frame: 0,
-            missing: HOPS,
+            hops: 0,
             replaced: 0,
             tainted: 0,
         }
@@ -137,14 +142,17 @@ impl<const A: usize> FeatureWindow<A> {
     }
 
     fn finish_hop(&mut self) -> bool {
+        let mut turn = 0;
         for ((axis, stage), features) in self.axes.iter_mut().zip(&self.stage).zip(&mut self.features) {
-            axis.advance(stage, self.block, self.frame, features);
+            axis.advance(stage, Slots { block: self.block, frame: self.frame, turn }, features);
+            // The queues of the axes turn at different hops, to spread the work.
+            turn = if turn + TURN_STEP >= FRAMES { turn + TURN_STEP - FRAMES } else { turn + TURN_STEP };
         }
         self.block = if self.block + 1 == HOPS { 0 } else { self.block + 1 };
         self.frame = if self.frame + 1 == FRAMES { 0 } else { self.frame + 1 };
-        self.missing = self.missing.saturating_sub(1);
+        self.hops = (self.hops + 1).min(HOPS);
         self.tainted = self.tainted.saturating_sub(1);
-        self.missing == 0
+        self.is_full()
     }
 
     /// Features of the window at the last complete hop, meaningless before the window was full.
@@ -154,7 +162,7 @@ impl<const A: usize> FeatureWindow<A> {
 
     /// Whether the window has been filled since the last reset.
     pub fn is_full(&self) -> bool {
-        self.missing == 0
+        self.hops == HOPS
     }
 
     /// Values that were no numbers, since the last reset.
@@ -180,28 +188,21 @@ impl<const A: usize> Default for FeatureWindow<A> {
 }
 
 impl Axis {
-    const fn new(turn: usize) -> Self {
-        Self {
-            last: HalfFrame::ZERO,
-            sum: SlidingSum::ZERO,
-            moments: Sliding::new(turn),
-            powers: Sliding::new(turn),
-        }
-    }
+    const ZERO: Self =
+        Self { last: HalfFrame::ZERO, sum: SlidingSum::ZERO, moments: Sliding::ZERO, powers: Sliding::ZERO };
 
     #[inline(never)]
     fn advance(
         &mut self,
         samples: &[f32; HOP],
-        block: usize,
-        frame: usize,
+        Slots { block, frame, turn }: Slots,
         features: &mut [f32; FEATURES_PER_AXIS],
     ) {
         self.sum.replace(block, samples);
         let half = HalfFrame::new(samples);
-        let moments = self.moments.push(block, Moments::of_eight(&half));
+        let moments = self.moments.push(block, turn, Moments::of_eight(&half));
         // The first frame of all is half empty; it is the one that leaves when the window becomes full.
-        let powers = self.powers.push(frame, Powers(powers(&self.last, &half)));
+        let powers = self.powers.push(frame, turn, Powers(powers(&self.last, &half)));
         self.last = half;
 
         const N: f32 = WINDOW as f32;

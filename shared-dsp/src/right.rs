@@ -1,1 +1,179 @@
-//! To come.
+//! The right hand: samples in, a result per hop out. The board and the laptop run this very code.
+
+use crate::decision::{DecisionConfig, GestureDecision};
+use crate::features::{FeatureWindow, HOP, WINDOW};
+use crate::mlp::{MAX_LABELS, Model};
+use core::fmt;
+
+/// Why a model cannot run on a hand.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ModelMismatch {
+    /// The model wants another number of values per sample.
+    Axes {
+        /// What the model wants.
+        model: usize,
+        /// What the hand has.
+        hand: usize,
+    },
+    /// The model wants other windows or hops than [`WINDOW`] and [`HOP`].
+    Window {
+        /// Samples per window of the model.
+        window: u16,
+        /// Samples per hop of the model.
+        hop: u16,
+    },
+}
+
+impl fmt::Display for ModelMismatch {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Axes { model, hand } => write!(f, "the model needs {model} axes and the samples have {hand}"),
+            Self::Window { window, hop } => write!(
+                f,
+                "the model needs windows of {window} samples every {hop}; this program makes {WINDOW} every {HOP}"
+            ),
+        }
+    }
+}
+
+impl core::error::Error for ModelMismatch {}
+
+/// State of the right hand after a hop.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct RightOutput {
+    /// Time of the newest sample of the window, as given to [`RightHand::push`].
+    pub window_end_ms: u32,
+    /// Whether the window is full. Where it is not (at start, after a gap), scores are those before the gap.
+    pub full: bool,
+    /// Whether the window holds values that were no numbers and were replaced.
+    pub replaced: bool,
+    /// Gestures performed since start, wrapping.
+    pub events: u8,
+    /// Whether this hop made an event.
+    pub is_event: bool,
+    /// Label of the last event; 255 before the first.
+    pub label: u8,
+    /// Confidence of the last event, 0 to 255.
+    pub confidence: u8,
+    /// `window_end_ms` of the hop that decided the last event.
+    pub event_window_end_ms: u32,
+    /// Int8 scores, the first `label_count` of them: (score + 128) / 256 is the probability.
+    pub scores: [i8; MAX_LABELS],
+    /// Labels of the model.
+    pub label_count: u8,
+}
+
+impl RightOutput {
+    /// One score per label.
+    pub fn scores(&self) -> &[i8] {
+        &self.scores[..usize::from(self.label_count).min(MAX_LABELS)]
+    }
+
+    /// The scores as bytes, as they travel on the wire.
+    pub fn score_bytes(&self) -> [u8; MAX_LABELS] {
+        self.scores.map(|score| score as u8)
+    }
+}
+
+/// Everything that the right hand computes, for samples of `A` axes.
+#[derive(Clone, Debug)]
+pub struct RightHand<'m, const A: usize> {
+    model: Model<'m>,
+    window: FeatureWindow<A>,
+    decision: GestureDecision,
+    output: RightOutput,
+    in_hop: usize,
+}
+
+impl<'m, const A: usize> RightHand<'m, A> {
+    /// A hand that runs this model.
+    ///
+    /// # Errors
+    /// If the model is for other samples or windows.
+    pub fn new(model: Model<'m>, config: DecisionConfig) -> Result<Self, ModelMismatch> {
+        let info = model.info();
+        if info.axes != A {
+            return Err(ModelMismatch::Axes { model: info.axes, hand: A });
+        }
+        if (usize::from(info.window), usize::from(info.hop)) != (WINDOW, HOP) {
+            return Err(ModelMismatch::Window { window: info.window, hop: info.hop });
+        }
+        let output = RightOutput {
+            window_end_ms: 0,
+            full: false,
+            replaced: false,
+            events: 0,
+            is_event: false,
+            label: 255,
+            confidence: 0,
+            event_window_end_ms: 0,
+            scores: [i8::MIN; MAX_LABELS],
+            label_count: info.label_count as u8,
+        };
+        Ok(Self {
+            decision: GestureDecision::new(info.labels(), config),
+            model,
+            window: FeatureWindow::new(),
+            output,
+            in_hop: 0,
+        })
+    }
+
+    /// Takes a sample of the model's rate (m/s², deg/s, µT) with its time; gives the state once per hop, also
+    /// while the window fills.
+    pub fn push(&mut self, sample: &[f32; A], time_ms: u32) -> Option<&RightOutput> {
+        let ready = self.window.push(sample);
+        self.in_hop += 1;
+        if self.in_hop < HOP {
+            return None;
+        }
+        self.in_hop = 0;
+        let output = &mut self.output;
+        output.window_end_ms = time_ms;
+        output.full = ready;
+        output.replaced = self.window.is_tainted();
+        output.is_event = false;
+        if ready {
+            // Lengths have been compared in `new`, so this does not fail; if it did, scores would stay.
+            let scores = &mut output.scores[..self.model.info().label_count];
+            let _ = self.model.classify(self.window.features(), scores);
+            if let Some(event) = self.decision.step(scores) {
+                output.events = output.events.wrapping_add(1);
+                output.is_event = true;
+                output.label = event.label;
+                output.confidence = event.confidence;
+                output.event_window_end_ms = time_ms;
+            }
+        }
+        Some(output)
+    }
+
+    /// Samples are missing: the window and the decision start anew. Events and their counter stay.
+    pub fn gap(&mut self) {
+        self.window.reset();
+        self.decision.reset();
+        self.in_hop = 0;
+        self.output.full = false;
+        self.output.is_event = false;
+    }
+
+    /// State at the last hop.
+    pub fn output(&self) -> &RightOutput {
+        &self.output
+    }
+
+    /// The model that runs.
+    pub fn model(&self) -> &Model<'m> {
+        &self.model
+    }
+
+    /// The decision's state.
+    pub fn decision(&self) -> &GestureDecision {
+        &self.decision
+    }
+
+    /// Values that were no numbers, since start or the last gap.
+    pub fn replaced(&self) -> u32 {
+        self.window.replaced()
+    }
+}

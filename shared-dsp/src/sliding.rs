@@ -20,36 +20,33 @@ pub struct Sliding<T, const N: usize> {
     /// Back: pieces. Front: unions with all younger ones of the front.
     slots: [T; N],
     back: T,
-    /// Pieces in the back.
-    back_count: usize,
 }
 
 impl<T: Piece, const N: usize> Sliding<T, N> {
-    /// A window of zeros, whose turns come when [`Sliding::push`] is called with `slot` = `turn`.
-    ///
-    /// Windows that are fed together should differ in `turn`, so that their turns do not come together.
-    pub const fn new(turn: usize) -> Self {
-        Self { slots: [T::ZERO; N], back: T::ZERO, back_count: N - turn % N }
-    }
+    /// A window of zeros.
+    pub const ZERO: Self = Self { slots: [T::ZERO; N], back: T::ZERO };
 
-    /// Replaces the oldest piece, which stands in `slot`, and returns the union of all `N`. Slots come in turn, beginning
-    /// with 0; the result has meaning once all have been filled.
+    /// Replaces the oldest piece, which stands in `slot`, and returns the union of all `N`.
+    ///
+    /// Slots come in turn, beginning with 0; the result has meaning once all have been filled. The back becomes
+    /// the front when `slot` is `turn`, always the same number below `N`. Windows that are fed together should differ in
+    /// it, so that this work does not come together.
     #[inline(always)]
-    pub fn push(&mut self, slot: usize, piece: T) -> T {
-        if self.back_count == N {
+    pub fn push(&mut self, slot: usize, turn: usize, piece: T) -> T {
+        let in_back = if slot < turn { slot + N - turn } else { slot - turn };
+        if in_back == 0 {
             self.turn(slot);
             self.back = piece;
-            self.back_count = 1;
         } else {
-            self.back = T::unite(&self.back, self.back_count, &piece, 1);
-            self.back_count += 1;
+            self.back = T::unite(&self.back, in_back, &piece, 1);
         }
+        let in_back = in_back + 1;
         if let Some(place) = self.slots.get_mut(slot) {
             *place = piece;
         }
         let oldest = if slot + 1 == N { 0 } else { slot + 1 };
         match self.slots.get(oldest) {
-            Some(front) if self.back_count < N => T::unite(front, N - self.back_count, &self.back, self.back_count),
+            Some(front) if in_back < N => T::unite(front, N - in_back, &self.back, in_back),
             _ => self.back,
         }
     }
@@ -76,12 +73,12 @@ mod tests {
     #[test]
     fn the_union_is_always_of_the_last_pieces_whenever_the_turns_come() {
         for turn in 0..5 {
-            let mut window = Sliding::<Sum, 5>::new(turn);
+            let mut window = Sliding::<Sum, 5>::ZERO;
             let mut all: Vec<u64> = Vec::new();
             for step in 0..40u64 {
                 let value = 1 << step;
                 all.push(value);
-                let got = window.push(step as usize % 5, Sum(value));
+                let got = window.push(step as usize % 5, turn, Sum(value));
                 if step >= 4 {
                     let expected: u64 = all[all.len() - 5..].iter().sum();
                     assert_eq!(got.0, expected, "turn {turn}, step {step}");

@@ -1,0 +1,111 @@
+//! The right hand, from samples to events.
+
+use shared_dsp::decision::DecisionConfig;
+use shared_dsp::mlp::{BlobSpec, DenseSpec, Model, build_blob};
+use shared_dsp::recipe::Recipe;
+use shared_dsp::right::{ModelMismatch, RightHand};
+
+/// One layer that says `shake` when the variance of the first axis is above 4, else `idle`.
+fn blob(axes: usize, hop: u16) -> Vec<u8> {
+    let mut scaling = vec![(0.0, 0.0); 13 * axes];
+    scaling[2] = (8.0, -32.0);
+    let weights = |sign: i8| (0..13 * axes).map(|i| if i == 2 { 100 * sign } else { 0 }).collect();
+    build_blob(&BlobSpec {
+        recipe: Recipe::Raw,
+        axes,
+        sample_hz: 100,
+        window: 200,
+        hop,
+        labels: vec!["idle".into(), "shake".into()],
+        scaling,
+        layers: vec![DenseSpec {
+            weights: vec![weights(-1), weights(1)],
+            biases: vec![0, 0],
+            input_scale: 0.1,
+            input_zero_point: 0,
+            weight_scale: 0.01,
+            output_scale: 0.1,
+            output_zero_point: 0,
+            relu: false,
+        }],
+    })
+    .unwrap()
+}
+
+/// Shakes where `shaking` says so; sample number in, axes out.
+fn sample(index: u32, shaking: bool) -> [f32; 3] {
+    [if shaking { 5.0 * (index as f32 * 0.9).sin() } else { 0.0 }, 0.0, 9.81]
+}
+
+#[test]
+fn each_shake_makes_one_event_and_results_come_every_hop() {
+    let blob = blob(3, 8);
+    let mut hand = RightHand::<3>::new(Model::parse(&blob).unwrap(), DecisionConfig::default()).unwrap();
+    let (mut hops, mut events) = (0, Vec::new());
+    for index in 0..3000u32 {
+        let shaking = matches!(index, 500..900 | 1500..1900);
+        if let Some(output) = hand.push(&sample(index, shaking), 10 * index) {
+            hops += 1;
+            assert_eq!(output.window_end_ms, 10 * index);
+            assert_eq!(output.full, index >= 199);
+            assert_eq!(output.scores().len(), 2);
+            if output.is_event {
+                assert_eq!(output.event_window_end_ms, output.window_end_ms);
+                events.push((index, output.label, output.events));
+            }
+        }
+    }
+    assert_eq!(hops, 3000 / 8);
+    assert_eq!(events.len(), 2, "{events:?}");
+    assert!((500..900).contains(&events[0].0) && (1500..1900).contains(&events[1].0), "{events:?}");
+    assert_eq!((events[0].1, events[0].2, events[1].1, events[1].2), (1, 1, 1, 2));
+}
+
+#[test]
+fn after_a_gap_the_window_fills_anew_and_events_stay_counted() {
+    let blob = blob(3, 8);
+    let mut hand = RightHand::<3>::new(Model::parse(&blob).unwrap(), DecisionConfig::default()).unwrap();
+    for index in 0..800 {
+        hand.push(&sample(index, index >= 400), 10 * index);
+    }
+    assert_eq!((hand.output().events, hand.output().full), (1, true));
+    hand.push(&sample(800, true), 8000);
+    hand.gap();
+    assert!(!hand.output().full);
+    let mut full_at = None;
+    for index in 0..600 {
+        if let Some(output) = hand.push(&sample(index, true), 9000 + 10 * index) {
+            if output.full {
+                full_at.get_or_insert(index);
+            }
+            assert_eq!((output.events, output.label), (1, 1), "the shake before the gap has had its event");
+        }
+    }
+    assert_eq!(full_at, Some(199));
+}
+
+#[test]
+fn a_model_for_other_samples_is_refused() {
+    let other_axes = blob(6, 8);
+    let refused = RightHand::<3>::new(Model::parse(&other_axes).unwrap(), DecisionConfig::default()).map(|_| ());
+    assert_eq!(refused, Err(ModelMismatch::Axes { model: 6, hand: 3 }));
+    let other_hop = blob(3, 10);
+    let refused = RightHand::<3>::new(Model::parse(&other_hop).unwrap(), DecisionConfig::default()).map(|_| ());
+    assert_eq!(refused, Err(ModelMismatch::Window { window: 200, hop: 10 }));
+}
+
+#[test]
+fn replaced_values_are_reported_while_they_are_in_the_window() {
+    let blob = blob(3, 8);
+    let mut hand = RightHand::<3>::new(Model::parse(&blob).unwrap(), DecisionConfig::default()).unwrap();
+    for index in 0..1000u32 {
+        let mut sample = sample(index, false);
+        if index == 300 {
+            sample[1] = f32::NAN;
+        }
+        if let Some(output) = hand.push(&sample, 10 * index) {
+            assert_eq!(output.replaced, (300..500).contains(&index), "sample {index}");
+        }
+    }
+    assert_eq!(hand.replaced(), 1);
+}
