@@ -46,16 +46,33 @@ impl Finger {
     }
 }
 
-/// How far a finger is bent: 0 = rest, 1000 = the calibrated bend, for readings of any sign of slope.
+/// `part` of `whole` in thousandths, rounded down, at most 2047; 0 of nothing. Both below 2^21.
 ///
-/// Clamped to ±2000; a calibration without any way between rest and bend gives 0 (never bent).
-pub fn bend_permille(reading: u16, rest: u16, bend: u16) -> i16 {
-    let way = i32::from(bend) - i32::from(rest);
-    if way == 0 {
+/// Subtracts and shifts: an 8-bit board has no divider, and needs these eleven bits only.
+pub fn permille(part: u32, whole: u32) -> u16 {
+    if whole == 0 {
         return 0;
     }
-    let gone = i32::from(reading) - i32::from(rest);
-    (gone * 1000 / way).clamp(-2000, 2000) as i16
+    let mut rest = part * 1000;
+    let mut step = whole << 10;
+    let mut quotient = 0;
+    for _ in 0..11 {
+        quotient <<= 1;
+        if rest >= step {
+            rest -= step;
+            quotient |= 1;
+        }
+        step >>= 1;
+    }
+    quotient
+}
+
+/// How far a finger is bent: 0 = rest, 1000 = the calibrated bend, for readings of any sign of slope.
+///
+/// Within ±2047; a calibration without any way between rest and bend gives 0 (never bent).
+pub fn bend_permille(reading: u16, rest: u16, bend: u16) -> i16 {
+    let size = permille(u32::from(reading.abs_diff(rest)), u32::from(bend.abs_diff(rest))) as i16;
+    if (reading < rest) == (bend < rest) { size } else { -size }
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -164,6 +181,7 @@ impl FlexDetector {
     }
 
     /// Takes how far each finger is bent (see [`bend_permille`]) at `now_ms`, a wrapping clock.
+    #[inline(never)]
     pub fn step(&mut self, index_permille: i16, middle_permille: i16, now_ms: u32) -> Bends {
         self.index.step(index_permille);
         self.middle.step(middle_permille);
@@ -389,12 +407,24 @@ mod tests {
     }
 
     #[test]
+    fn a_share_is_rounded_down_and_bounded() {
+        for whole in [1, 3, 7, 1000, 8184, 2_000_000_u32] {
+            for part in [0, 1, 2, 6, 999, 1001, 4092, 8184, 1_234_567_u32] {
+                let exact = (u64::from(part) * 1000 / u64::from(whole)).min(2047) as u16;
+                assert_eq!(permille(part, whole), exact, "{part} of {whole}");
+            }
+        }
+        assert_eq!(permille(5, 0), 0);
+        assert_eq!(permille(2_097_151, 1), 2047);
+    }
+
+    #[test]
     fn the_way_from_rest_to_bend_is_measured_in_either_direction() {
         assert_eq!(bend_permille(5632, 5632, 4288), 0);
         assert_eq!(bend_permille(4288, 5632, 4288), 1000);
         assert_eq!(bend_permille(4960, 5632, 4288), 500);
         assert_eq!(bend_permille(4960, 4288, 5632), 500);
-        assert_eq!(bend_permille(0, 8184, 8183), 2000);
+        assert_eq!(bend_permille(0, 8184, 8183), 2047);
         assert_eq!(bend_permille(8184, 8183, 8182), -1000);
         assert_eq!(bend_permille(100, 4000, 4000), 0);
     }

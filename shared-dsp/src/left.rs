@@ -110,6 +110,7 @@ impl LeftHand {
     }
 
     /// Takes the sample of `now_ms` (a wrapping clock).
+    #[inline(never)]
     pub fn step(&mut self, counts: AdcCounts, now_ms: u32) -> LeftOutput {
         let [x, y, z] = self.calibration.zero;
         let a = Acceleration {
@@ -153,6 +154,7 @@ impl LeftHand {
     }
 
     /// Says that the sample of `now_ms` did not come; after 100 ms of that the converter counts as stuck.
+    #[inline(never)]
     pub fn no_sample(&mut self, now_ms: u32) -> LeftOutput {
         let fault = self.faults.no_sample(now_ms);
         if fault == 0 {
@@ -187,6 +189,7 @@ impl LeftHand {
     }
 
     /// Uses another calibration, or (`None`) the defaults; the hand must be neutral again first.
+    #[inline(never)]
     pub fn set_calibration(&mut self, calibration: Option<Calibration>) {
         self.is_calibrated = calibration.is_some();
         self.calibration = calibration.unwrap_or_default();
@@ -218,6 +221,7 @@ impl LeftHand {
     }
 
     /// No motion, no bends, no stop; counters stand.
+    #[inline(never)]
     fn paused(&mut self, fault: u8) -> LeftOutput {
         self.disarm();
         let bends = self.flex.bends();

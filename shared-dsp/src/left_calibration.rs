@@ -86,6 +86,7 @@ impl Capture {
     }
 
     /// Takes one sample; the last one gives the new calibration (built on `old`) or the refusal.
+    #[inline(never)]
     pub fn step(
         &mut self,
         counts: AdcCounts,
@@ -100,6 +101,7 @@ impl Capture {
         (self.taken >= CAPTURE_SAMPLES).then(|| self.finish(old))
     }
 
+    #[inline(never)]
     fn finish(&self, old: &Calibration) -> Result<Calibration, CaptureError> {
         let (looked_at, allowed) = match self.step {
             CalibrationStep::Neutral => (0..3, STEADY_ACCELERATION),
@@ -173,6 +175,7 @@ pub struct Record {
 
 impl Record {
     /// Lays the record out.
+    #[inline(never)]
     pub fn to_bytes(&self) -> [u8; RECORD_BYTES] {
         let Calibration { zero, rest, bend } = self.calibration;
         let words = [zero[0] as u16, zero[1] as u16, zero[2] as u16, rest[0], rest[1], bend[0], bend[1]];
@@ -188,6 +191,7 @@ impl Record {
     }
 
     /// Reads a record; `None` for anything that was not written whole by this version.
+    #[inline(never)]
     pub fn from_bytes(bytes: &[u8; RECORD_BYTES]) -> Option<Self> {
         let word = |i: usize| u16::from_le_bytes([bytes[2 + 2 * i], bytes[3 + 2 * i]]);
         let stored = u32::from_le_bytes([bytes[16], bytes[17], bytes[18], bytes[19]]);
@@ -223,6 +227,7 @@ pub enum Stored {
 
 impl Stored {
     /// Chooses among the contents of both slots.
+    #[inline(never)]
     pub fn choose(slots: [&[u8; RECORD_BYTES]; 2]) -> Self {
         let blank = |slot: &[u8; RECORD_BYTES]| slot.iter().all(|&byte| byte == 0xFF);
         match slots.map(Record::from_bytes) {

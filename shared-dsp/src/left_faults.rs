@@ -52,6 +52,7 @@ impl FaultWatch {
     }
 
     /// Takes one sample, raw and as acceleration relative to zero; returns bits of [`health`].
+    #[inline(never)]
     pub fn step(&mut self, counts: AdcCounts, a: Acceleration, now_ms: u32) -> u8 {
         let at_rail = |v: u16| !(RAIL..=AdcCounts::MAX - RAIL).contains(&v);
         let accelerometer_gone = at_rail(counts.x) || at_rail(counts.y) || at_rail(counts.z);

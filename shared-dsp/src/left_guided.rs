@@ -48,6 +48,7 @@ impl Guided {
     }
 
     /// Goes on; `ended` is how the step under way ended (true = taken), if it did.
+    #[inline(never)]
     pub fn step(&mut self, ended: Option<bool>, now_ms: u32) -> GuidedAction {
         use CalibrationStep::{Bend, Neutral, Rest};
         let start = |step| (Phase::Capturing(step), GuidedAction::Start(step));

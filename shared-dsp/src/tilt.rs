@@ -64,6 +64,7 @@ impl Tilt {
     /// θ = atan(ax / √(ay² + az²)), φ = atan(ay / √(ax² + az²)); no acceleration at all gives 0, 0.
     ///
     /// Error at most 1 mrad for vectors longer than 400 units (a test holds it against `f64`).
+    #[inline(never)]
     pub fn of(a: Acceleration) -> Self {
         Self {
             pitch_mrad: atan_mrad(a.x, root_of_squares(a.y, a.z)),
@@ -138,6 +139,7 @@ impl TiltDetector {
     }
 
     /// Takes the tilt of one sample and returns the heading after it.
+    #[inline(never)]
     pub fn step(&mut self, tilt: Tilt) -> Heading {
         let wanted = self.wanted(tilt);
         if wanted == self.heading {

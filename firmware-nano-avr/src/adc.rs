@@ -1,0 +1,153 @@
+//! Five lines, eight conversions each, read by interrupt after each tick of the clock.
+//!
+//! Each line is preceded by one conversion of ground, which empties the converter's capacitor: an open
+//! line then reads near 0 instead of repeating its neighbour, and counts as a fault.
+//!
+//! The reference is always AREF, which is wired to 3.3 V. **Any other choice connects an internal
+//! source to that pin and shorts the board's 3.3 V**, so the multiplexer is written in one place only.
+
+use avr_device::atmega328p::{ADC, Peripherals};
+use avr_device::interrupt::{self, CriticalSection, Mutex};
+use core::cell::{Cell, RefCell};
+use shared_dsp::left::{AdcCounts, OVERSAMPLING};
+
+/// A3 index, A4 middle, A0 x, A1 y, A2 z: the accelerometer last, for the least delay.
+const LINES: [u8; 5] = [3, 4, 0, 1, 2];
+/// The multiplexer's ground.
+const GROUND: u8 = 0b1111;
+/// Clock / 128 = 125 kHz: full resolution needs 50 to 200 kHz. 13 clocks per conversion, 104 µs.
+const PRESCALER: u8 = 0b111;
+/// Periods after which an unfinished sample means that the converter hangs.
+const PATIENCE: u8 = 3;
+
+struct Burst {
+    line: usize,
+    grounding: bool,
+    taken: u16,
+    sums: [u16; 5],
+    running: bool,
+    late: u8,
+    finished: Option<AdcCounts>,
+}
+
+static BURST: Mutex<RefCell<Burst>> = Mutex::new(RefCell::new(Burst {
+    line: 0,
+    grounding: true,
+    taken: 0,
+    sums: [0; 5],
+    running: false,
+    late: 0,
+    finished: None,
+}));
+static DROPPED: Mutex<Cell<u32>> = Mutex::new(Cell::new(0));
+static RESTARTS: Mutex<Cell<u32>> = Mutex::new(Cell::new(0));
+
+/// Safety: the converter belongs to this module; callers have interrupts off.
+fn converter() -> ADC {
+    unsafe { Peripherals::steal() }.ADC
+}
+
+/// Chooses a line against AREF: REFS1 and REFS0 stay 0, results stand at the right (ADLAR 0).
+fn select(adc: &ADC, line: u8) {
+    adc.admux().write(|w| unsafe { w.bits(line & 0x0F) });
+}
+
+fn convert(adc: &ADC) {
+    // ADEN, ADSC and ADIE.
+    adc.adcsra().write(|w| unsafe { w.bits(0b1100_1000 | PRESCALER) });
+}
+
+/// Switches the converter on. Interrupts are off.
+pub fn start() {
+    let adc = converter();
+    select(&adc, GROUND);
+    adc.adcsrb().write(|w| unsafe { w.bits(0) });
+    // The digital buffers of A0..A4 would only draw current.
+    adc.didr0().write(|w| unsafe { w.bits(0b0001_1111) });
+    // ADEN, and ADIF written as 1 clears it.
+    adc.adcsra().write(|w| unsafe { w.bits(0b1001_0000 | PRESCALER) });
+}
+
+/// Begins the sample of this period; a sample that was not finished or not fetched counts as dropped.
+pub fn begin_sample(cs: CriticalSection<'_>) {
+    let mut burst = BURST.borrow(cs).borrow_mut();
+    let count = |counter: &Mutex<Cell<u32>>| {
+        let counter = counter.borrow(cs);
+        counter.set(counter.get().wrapping_add(1));
+    };
+    if burst.finished.take().is_some() {
+        count(&DROPPED);
+    }
+    if burst.running {
+        count(&DROPPED);
+        burst.late += 1;
+        if burst.late < PATIENCE {
+            return;
+        }
+        count(&RESTARTS);
+        converter().adcsra().write(|w| unsafe { w.bits(0) });
+        start();
+    }
+    burst.late = 0;
+    burst.line = 0;
+    burst.taken = 0;
+    burst.sums = [0; 5];
+    burst.grounding = true;
+    burst.running = true;
+    let adc = converter();
+    select(&adc, GROUND);
+    convert(&adc);
+}
+
+#[avr_device::interrupt(atmega328p)]
+fn ADC() {
+    interrupt::free(|cs| {
+        let mut burst = BURST.borrow(cs).borrow_mut();
+        let adc = converter();
+        let value = adc.adc().read().bits();
+        if !burst.running {
+            return;
+        }
+        let line = burst.line;
+        if burst.grounding {
+            burst.grounding = false;
+            select(&adc, LINES[line]);
+        } else {
+            burst.sums[line] += value;
+            burst.taken += 1;
+            if burst.taken == OVERSAMPLING {
+                burst.taken = 0;
+                burst.grounding = true;
+                burst.line += 1;
+                select(&adc, GROUND);
+                if burst.line == LINES.len() {
+                    let [index, middle, x, y, z] = burst.sums;
+                    burst.running = false;
+                    burst.finished = Some(AdcCounts { x, y, z, index, middle });
+                    return;
+                }
+            }
+        }
+        convert(&adc);
+    });
+}
+
+/// The finished sample of this period, once.
+pub fn take_sample() -> Option<AdcCounts> {
+    interrupt::free(|cs| BURST.borrow(cs).borrow_mut().finished.take())
+}
+
+/// Is a finished sample waiting?
+pub fn has_sample() -> bool {
+    interrupt::free(|cs| BURST.borrow(cs).borrow().finished.is_some())
+}
+
+/// Samples that could not be taken or fetched in time since start.
+pub fn dropped() -> u32 {
+    interrupt::free(|cs| DROPPED.borrow(cs).get())
+}
+
+/// How often a hanging converter was switched off and on since start.
+pub fn restarts() -> u32 {
+    interrupt::free(|cs| RESTARTS.borrow(cs).get())
+}

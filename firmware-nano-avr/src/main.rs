@@ -1,0 +1,54 @@
+//! The left hand's firmware: an Arduino Nano (ATmega328P, 16 MHz) with an ADXL335 and two flex sensors.
+//!
+//! This crate holds pins, converter, serial line, timer, EEPROM and watchdog. Every judgement (what a
+//! tilt means, what a bend is, what a fault is) is `shared_dsp`'s, every byte on the wire
+//! `shared_proto`'s.
+//!
+//! ```text
+//!  TIMER1 100 Hz ─▶ adc: 45 conversions, 4.7 ms ─▶ app ─▶ shared_dsp::left ─▶ shared_proto ─▶ serial
+//!                                                   ▲ ▼
+//!                               serial (laptop) ────┘ store (EEPROM)
+//! ```
+#![no_std]
+#![no_main]
+#![feature(abi_avr_interrupt, asm_experimental_arch)]
+
+mod adc;
+mod app;
+mod clock;
+mod eeprom;
+mod pins;
+mod restart;
+mod serial;
+mod stack;
+mod store;
+
+use avr_device::{asm, interrupt};
+
+#[avr_device::entry]
+fn main() -> ! {
+    let cause = restart::begin();
+    stack::paint();
+    pins::start();
+    serial::start();
+    adc::start();
+    let boot_id = store::next_boot_id();
+    let app = app::install(cause, boot_id, pins::calibration_wanted());
+    clock::start();
+    restart::arm();
+    // Everything that interrupts touch is set up.
+    unsafe { interrupt::enable() };
+    loop {
+        app.poll();
+        // Asleep only when nothing came in meanwhile: `sei` takes effect after the instruction behind
+        // it, so no interrupt fits between the question and the sleep.
+        interrupt::disable();
+        let idle = !app.has_work();
+        let asleep_at = clock::ticks_in_period();
+        unsafe { interrupt::enable() };
+        if idle {
+            asm::sleep();
+            clock::add_sleep_since(asleep_at);
+        }
+    }
+}

@@ -1,0 +1,163 @@
+//! The serial line to the laptop (USART0): two ring buffers that interrupts fill and empty.
+//!
+//! Nothing here waits, except [`Read`] and [`Write`] on a line that is not ready, as their contracts
+//! ask; the firmware asks [`ReadReady`] and [`room`] first.
+
+use avr_device::atmega328p::Peripherals;
+use avr_device::interrupt::{self, Mutex};
+use core::cell::{Cell, RefCell};
+use core::convert::Infallible;
+use embedded_io::{ErrorType, Read, ReadReady, Write, WriteReady};
+use heapless::Deque;
+
+#[cfg(any(
+    all(feature = "baud-57600", feature = "baud-115200"),
+    all(feature = "baud-57600", feature = "baud-250000"),
+    all(feature = "baud-115200", feature = "baud-250000"),
+    not(any(feature = "baud-57600", feature = "baud-115200", feature = "baud-250000")),
+))]
+compile_error!("choose one serial speed: --no-default-features --features baud-57600 (or -115200, -250000)");
+
+/// Bits per second.
+const BAUD: u32 = if cfg!(feature = "baud-57600") {
+    57_600
+} else if cfg!(feature = "baud-250000") {
+    250_000
+} else {
+    115_200
+};
+/// With U2X one bit takes 8·(UBRR + 1) clocks. 115200 comes out 2.1 % fast, the nearest there is.
+const UBRR: u16 = (16_000_000 / 8 / BAUD - 1) as u16;
+
+/// Enough for what comes in while a frame is computed (under 3 ms, 11 bytes per ms at most).
+static RECEIVED: Mutex<RefCell<Deque<u8, 64>>> = Mutex::new(RefCell::new(Deque::new()));
+/// Enough for a hello, a fault and two states, the most that falls due together.
+static TO_SEND: Mutex<RefCell<Deque<u8, 160>>> = Mutex::new(RefCell::new(Deque::new()));
+/// Bytes that came too fast or with a wrong stop bit.
+static LOST: Mutex<Cell<u16>> = Mutex::new(Cell::new(0));
+
+/// The line.
+pub struct Serial;
+
+/// 8N1 at the chosen speed, receiver and its interrupt on. Interrupts are off.
+pub fn start() {
+    // Safety: USART0 belongs to this module.
+    let usart = unsafe { Peripherals::steal() }.USART0;
+    usart.ucsr0b().write(|w| unsafe { w.bits(0) });
+    usart.ubrr0().write(|w| unsafe { w.bits(UBRR) });
+    usart.ucsr0a().write(|w| w.u2x0().set_bit());
+    // 8 data bits, no parity, one stop bit.
+    usart.ucsr0c().write(|w| unsafe { w.bits(0b0000_0110) });
+    // RXCIE, RXEN, TXEN.
+    usart.ucsr0b().write(|w| unsafe { w.bits(0b1001_1000) });
+}
+
+#[avr_device::interrupt(atmega328p)]
+fn USART_RX() {
+    // Safety: one register each.
+    let usart = unsafe { Peripherals::steal() }.USART0;
+    let status = usart.ucsr0a().read();
+    let damaged = status.fe0().bit_is_set() || status.dor0().bit_is_set();
+    let byte = usart.udr0().read().bits();
+    interrupt::free(|cs| {
+        let full = RECEIVED.borrow(cs).borrow_mut().push_back(byte).is_err();
+        if full || damaged {
+            let lost = LOST.borrow(cs);
+            lost.set(lost.get().saturating_add(1));
+        }
+    });
+}
+
+#[avr_device::interrupt(atmega328p)]
+fn USART_UDRE() {
+    // Safety: one register each.
+    let usart = unsafe { Peripherals::steal() }.USART0;
+    interrupt::free(|cs| match TO_SEND.borrow(cs).borrow_mut().pop_front() {
+        Some(byte) => {
+            usart.udr0().write(|w| unsafe { w.bits(byte) });
+        }
+        None => {
+            usart.ucsr0b().modify(|_, w| w.udrie0().clear_bit());
+        }
+    });
+}
+
+/// Bytes that [`Write`] takes without waiting.
+pub fn room() -> usize {
+    interrupt::free(|cs| {
+        let queue = TO_SEND.borrow(cs).borrow();
+        queue.capacity() - queue.len()
+    })
+}
+
+/// Received bytes that were lost since start (stops at 65535).
+pub fn lost() -> u16 {
+    interrupt::free(|cs| LOST.borrow(cs).get())
+}
+
+impl ErrorType for Serial {
+    type Error = Infallible;
+}
+
+impl ReadReady for Serial {
+    fn read_ready(&mut self) -> Result<bool, Infallible> {
+        Ok(interrupt::free(|cs| !RECEIVED.borrow(cs).borrow().is_empty()))
+    }
+}
+
+impl Read for Serial {
+    fn read(&mut self, buffer: &mut [u8]) -> Result<usize, Infallible> {
+        if buffer.is_empty() {
+            return Ok(0);
+        }
+        loop {
+            let mut count = 0;
+            for place in &mut *buffer {
+                match interrupt::free(|cs| RECEIVED.borrow(cs).borrow_mut().pop_front()) {
+                    Some(byte) => *place = byte,
+                    None => break,
+                }
+                count += 1;
+            }
+            if count > 0 {
+                return Ok(count);
+            }
+        }
+    }
+}
+
+impl WriteReady for Serial {
+    fn write_ready(&mut self) -> Result<bool, Infallible> {
+        Ok(room() > 0)
+    }
+}
+
+impl Write for Serial {
+    fn write(&mut self, bytes: &[u8]) -> Result<usize, Infallible> {
+        if bytes.is_empty() {
+            return Ok(0);
+        }
+        loop {
+            let mut count = 0;
+            for &byte in bytes {
+                if interrupt::free(|cs| TO_SEND.borrow(cs).borrow_mut().push_back(byte)).is_err() {
+                    break;
+                }
+                count += 1;
+            }
+            if count > 0 {
+                // Safety: one bit; the interrupt that clears it is kept out.
+                interrupt::free(|_| {
+                    let usart = unsafe { Peripherals::steal() }.USART0;
+                    usart.ucsr0b().modify(|_, w| w.udrie0().set_bit());
+                });
+                return Ok(count);
+            }
+        }
+    }
+
+    fn flush(&mut self) -> Result<(), Infallible> {
+        while interrupt::free(|cs| !TO_SEND.borrow(cs).borrow().is_empty()) {}
+        Ok(())
+    }
+}
