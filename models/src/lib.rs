@@ -8,10 +8,17 @@
 //! [`WINDOW`] samples at [`RATE_HZ`]; a *label* is a gesture's canonical name; a *card* is the JSON
 //! beside a model that says where it comes from.
 
+pub mod blob;
+pub mod card;
 pub mod dataset;
 pub mod labels;
 pub mod recording;
+pub mod score;
 pub mod synth;
+pub mod tflite;
+#[cfg(feature = "train")]
+pub mod train;
+pub mod windows;
 
 /// Sampling rate of the features and the network, in Hz.
 pub const RATE_HZ: f64 = 100.0;

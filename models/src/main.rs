@@ -1,1 +1,36 @@
-fn main() {}
+//! `models`: train, score and make models of gestures. One file per verb in `cmd/`.
+
+mod cmd;
+
+use clap::{Parser, Subcommand};
+
+#[derive(Parser)]
+#[command(version, about = "Recordings, training, quantisation, TFLite files and model cards.")]
+struct Cli {
+    /// Threads to use; the results are the same with any number
+    #[arg(long, global = true, value_name = "N")]
+    threads: Option<usize>,
+    #[command(subcommand)]
+    verb: Verb,
+}
+
+#[derive(Subcommand)]
+enum Verb {
+    Train(cmd::train::Cmd),
+    Eval(cmd::eval::Cmd),
+    Synth(cmd::synth::Cmd),
+    Splits(cmd::splits::Cmd),
+}
+
+fn main() -> anyhow::Result<()> {
+    let cli = Cli::parse();
+    if let Some(threads) = cli.threads {
+        rayon::ThreadPoolBuilder::new().num_threads(threads).build_global()?;
+    }
+    match cli.verb {
+        Verb::Train(cmd) => cmd.run(),
+        Verb::Eval(cmd) => cmd.run(),
+        Verb::Synth(cmd) => cmd.run(),
+        Verb::Splits(cmd) => cmd.run(),
+    }
+}

@@ -298,6 +298,14 @@ impl Recording {
         Self::new(axes, self.time_ms.clone(), values)
     }
 
+    /// The samples from `start` on, `len` of them or as many as there are.
+    pub fn slice(&self, start: usize, len: usize) -> Self {
+        let start = start.min(self.len());
+        let end = (start + len).min(self.len());
+        let values = self.values[start * self.axes..end * self.axes].to_vec();
+        Self::new(self.axes, self.time_ms[start..end].to_vec(), values)
+    }
+
     /// The recording at the models' rate of [`RATE_HZ`], evenly spaced from time 0.
     ///
     /// A rate within 1 % of it and without gaps is taken sample for sample. Otherwise each new

@@ -155,8 +155,10 @@ fn any_rate_becomes_100_hz_with_the_same_motion() {
 #[test]
 fn what_is_too_fast_for_100_hz_does_not_fold_back() {
     // 99 Hz read at 500 Hz would become a slow 1 Hz swing of full size if samples were only picked.
+    // The very ends have neighbours on one side only.
     let resampled = sine(500.0, 4.0, 99.0).resampled();
-    let largest = resampled.samples().map(|s| s[0].abs()).fold(0.0, f32::max);
+    let largest =
+        resampled.samples().skip(1).take(resampled.len() - 2).map(|s| s[0].abs()).fold(0.0, f32::max);
     assert!(largest < 0.15, "{largest}");
 }
 

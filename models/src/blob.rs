@@ -1,0 +1,164 @@
+//! From a model's files to what boards and bridge run.
+//!
+//! The blob follows from `.tflite` and card alone; its CRC-32 is the model id on the wire.
+
+use std::path::{Path, PathBuf};
+
+use shared_dsp::mlp::crc32;
+use shared_dsp::mlp::{BlobSpec, DenseSpec, build_blob};
+use shared_dsp::recipe::Recipe;
+
+use crate::card::{Card, CardError};
+use crate::tflite::{self, Network, TfliteError};
+
+/// Why a model's files give no blob; the text says what to do.
+#[derive(Debug, thiserror::Error)]
+pub enum ModelError {
+    /// The file cannot be read.
+    #[error("{file}: {source}; check the path")]
+    Io {
+        /// The file.
+        file: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// The card cannot be used.
+    #[error(transparent)]
+    Card(#[from] CardError),
+    /// The TFLite file cannot be used.
+    #[error("{file}: {source}")]
+    Tflite {
+        /// The file.
+        file: PathBuf,
+        /// What is wrong with it.
+        source: TfliteError,
+    },
+    /// Model and card are both sound, but not of each other, or not what is needed.
+    #[error("{file}: {what}")]
+    Mismatch {
+        /// The model's file.
+        file: PathBuf,
+        /// What does not fit and what to do.
+        what: String,
+    },
+}
+
+/// A model's files, read and found to belong together.
+#[derive(Clone, Debug)]
+pub struct ModelFiles {
+    /// The card.
+    pub card: Card,
+    /// The network.
+    pub network: Network,
+}
+
+impl ModelFiles {
+    /// Reads a `.tflite`, float or int8, and the card beside it.
+    pub fn read(model: &Path) -> Result<Self, ModelError> {
+        let bytes =
+            std::fs::read(model).map_err(|source| ModelError::Io { file: model.to_owned(), source })?;
+        Self::new(model, &bytes, Card::read(model)?)
+    }
+
+    /// The same from memory; `model` is only for the errors.
+    pub fn new(model: &Path, bytes: &[u8], card: Card) -> Result<Self, ModelError> {
+        let file = || model.to_owned();
+        let network = tflite::read(bytes).map_err(|source| ModelError::Tflite { file: file(), source })?;
+        let (inputs, outputs) = (network.inputs(), network.outputs());
+        if inputs != card.axes * 13 || outputs != card.labels.len() {
+            let what = format!(
+                "the network is {inputs} to {outputs}, its card says {} axes ({} features) and {} \
+                 labels; put the card beside it that was written with it",
+                card.axes,
+                card.axes * 13,
+                card.labels.len()
+            );
+            return Err(ModelError::Mismatch { file: file(), what });
+        }
+        let files = Self { card, network };
+        if let Network::Int8(layers) = &files.network {
+            let blob =
+                build(&files.card, layers).map_err(|what| ModelError::Mismatch { file: file(), what })?;
+            let id = model_id(&blob);
+            if id != files.card.model_id {
+                let what = format!(
+                    "the model's id is {id}, its card says {}; put the card beside it that was \
+                     written with it, or train it again",
+                    files.card.model_id
+                );
+                return Err(ModelError::Mismatch { file: file(), what });
+            }
+        }
+        Ok(files)
+    }
+
+    /// The blob of an int8 model; a float one has none.
+    pub fn blob(&self) -> Result<Vec<u8>, String> {
+        match &self.network {
+            Network::Int8(layers) => build(&self.card, layers),
+            Network::Float(_) => Err("this is the float model; give the int8 .tflite".to_owned()),
+        }
+    }
+}
+
+/// The blob for an int8 model on disk, with its card.
+///
+/// ```no_run
+/// let (blob, card) = models::blob::read(std::path::Path::new("right-9axis.tflite"))?;
+/// # Ok::<(), models::blob::ModelError>(())
+/// ```
+pub fn read(model: &Path) -> Result<(Vec<u8>, Card), ModelError> {
+    let files = ModelFiles::read(model)?;
+    match files.blob() {
+        Ok(blob) => Ok((blob, files.card)),
+        Err(what) => Err(ModelError::Mismatch { file: model.to_owned(), what }),
+    }
+}
+
+/// The id of a blob as cards write it.
+pub fn model_id(blob: &[u8]) -> String {
+    format!("{:08x}", crc32(blob))
+}
+
+/// The feature recipe that a card names.
+pub fn recipe(name: &str) -> Option<Recipe> {
+    match name {
+        "raw" => Some(Recipe::Raw),
+        "log-power" => Some(Recipe::LogPower),
+        _ => None,
+    }
+}
+
+/// The name of a feature recipe in cards.
+pub fn recipe_name(recipe: Recipe) -> &'static str {
+    match recipe {
+        Recipe::Raw => "raw",
+        Recipe::LogPower => "log-power",
+    }
+}
+
+/// Builds the blob; the error says what does not fit.
+pub fn build(card: &Card, layers: &[DenseSpec]) -> Result<Vec<u8>, String> {
+    let recipe = recipe(&card.features)
+        .ok_or_else(|| format!("features {:?} are not known here; update this program", card.features))?;
+    let Some(first) = layers.first() else { return Err("there are no layers".to_owned()) };
+    let scaling = card.scaling.mean.iter().zip(&card.scaling.deviation);
+    let scaling = scaling
+        .map(|(mean, deviation)| {
+            let a = 1.0 / (f64::from(*deviation) * f64::from(first.input_scale));
+            let b = f64::from(first.input_zero_point) - f64::from(*mean) * a;
+            (a as f32, b as f32)
+        })
+        .collect();
+    let spec = BlobSpec {
+        recipe,
+        axes: card.axes,
+        sample_hz: card.rate_hz,
+        window: card.window,
+        hop: card.hop,
+        labels: card.labels.clone(),
+        scaling,
+        layers: layers.to_vec(),
+    };
+    build_blob(&spec).map_err(|error| error.to_string())
+}

@@ -1,0 +1,114 @@
+//! The verbs, and what they share.
+
+pub mod eval;
+pub mod splits;
+pub mod synth;
+pub mod train;
+
+use std::path::{Path, PathBuf};
+
+use clap::{Args, ValueEnum};
+use models::card::Score;
+use models::dataset::Dataset;
+use models::train::Recipe;
+
+/// How to train.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub enum RecipeName {
+    /// Until it converges, with varied copies and log powers
+    Default,
+    /// The paper's: 30 epochs, batch 32, learning rate 5e-4, 20 % validation
+    Paper,
+}
+
+/// Which recordings, and how to train on them.
+#[derive(Args)]
+pub struct Source {
+    /// Folder with <label>/<person>__<n>.csv
+    pub folder: PathBuf,
+    /// Everything random follows from it
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// How to train
+    #[arg(long, value_enum, default_value = "default")]
+    recipe: RecipeName,
+    /// Use only the first 3, 6 or 9 axes [default: all that every recording has]
+    #[arg(long, value_parser = clap::builder::PossibleValuesParser::new(["3", "6", "9"]))]
+    axes: Option<String>,
+    /// Leave out everything that this person recorded (repeatable)
+    #[arg(long, value_name = "PERSON")]
+    pub exclude_person: Vec<String>,
+}
+
+impl Source {
+    pub fn recipe(&self) -> Recipe {
+        match self.recipe {
+            RecipeName::Default => Recipe::default(),
+            RecipeName::Paper => Recipe::paper(),
+        }
+    }
+
+    pub fn dataset(&self) -> anyhow::Result<Dataset> {
+        let axes = self.axes.as_deref().and_then(|text| text.parse().ok());
+        let dataset = read(&self.folder, axes)?;
+        for person in &self.exclude_person {
+            anyhow::ensure!(
+                dataset.people().contains(person),
+                "{}: nobody is called {person:?}; the people are {}",
+                self.folder.display(),
+                dataset.people().join(", ")
+            );
+        }
+        Ok(dataset.filtered(|item| !self.exclude_person.contains(&item.person)))
+    }
+}
+
+/// Reads a folder and says what is in it and what is not used.
+pub fn read(folder: &Path, axes: Option<usize>) -> anyhow::Result<Dataset> {
+    let dataset = Dataset::read(folder, axes)?;
+    println!(
+        "{}: {} recordings, {:.1} min, {} axes, labels {}, people {}",
+        folder.display(),
+        dataset.items.len(),
+        dataset.items.iter().map(|item| item.recording.seconds()).sum::<f64>() / 60.0,
+        dataset.axes,
+        dataset.labels.join(" "),
+        match dataset.people() {
+            people if people.len() > 12 => people.len().to_string(),
+            people => people.join(" "),
+        }
+    );
+    if dataset.narrowed > 0 {
+        println!("{} recordings have more axes, which are not used", dataset.narrowed);
+    }
+    for file in &dataset.ignored {
+        println!("not a recording, left out: {}", file.display());
+    }
+    let gaps = dataset.items.iter().filter(|item| item.recording.gaps() > 0).count();
+    if gaps > 0 {
+        println!("{gaps} recordings have gaps in time, which are bridged by straight lines");
+    }
+    Ok(dataset)
+}
+
+/// Prints a score: windows, confusion of recordings, people, and the recordings last.
+pub fn print_score(score: &Score, labels: &[String]) {
+    println!("per window (stride 1 s): {:.2} %", score.per_window);
+    let width = labels.iter().map(String::len).max().unwrap_or(0).max(5);
+    println!("recordings by true label (rows) and given label (columns):");
+    println!("{:width$} {}", "", labels.iter().map(|l| format!("{l:>width$}")).collect::<Vec<_>>().join(" "));
+    for (label, row) in labels.iter().zip(&score.confusion) {
+        println!(
+            "{label:width$} {}",
+            row.iter().map(|n| format!("{n:>width$}")).collect::<Vec<_>>().join(" ")
+        );
+    }
+    if score.per_person.len() <= 12 {
+        for (person, right) in &score.per_person {
+            println!("person {person}: {right:.2} %");
+        }
+    } else if let Some((person, right)) = score.per_person.iter().min_by(|a, b| a.1.total_cmp(b.1)) {
+        println!("{} people, worst {person}: {right:.2} %", score.per_person.len());
+    }
+    println!("accuracy per recording: {:.2} %", score.per_recording);
+}

@@ -1,0 +1,98 @@
+//! `models synth`: recordings of simulated wearers.
+
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum};
+use indicatif::ProgressBar;
+use models::synth::{Group, Wearer, session, takes};
+use rayon::prelude::*;
+
+/// Which wearers.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum GroupName {
+    /// For training
+    Training,
+    /// For measuring: never one of the training wearers
+    Evaluation,
+}
+
+/// Make recordings of simulated wearers (not of real people)
+#[derive(Args)]
+pub struct Cmd {
+    /// Folder for the recordings; must be new or empty
+    #[arg(long)]
+    out: PathBuf,
+    /// The crowd: everything random follows from it
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Number of wearers
+    #[arg(long, default_value_t = 20)]
+    wearers: u32,
+    /// Seconds of each gesture per wearer
+    #[arg(long, default_value_t = 10.0)]
+    seconds: f64,
+    /// Which wearers
+    #[arg(long, value_enum, default_value = "training")]
+    group: GroupName,
+}
+
+impl Cmd {
+    pub fn run(self) -> anyhow::Result<()> {
+        anyhow::ensure!((1..=9999).contains(&self.wearers), "--wearers takes 1 to 9999");
+        anyhow::ensure!((2.0..=600.0).contains(&self.seconds), "--seconds takes 2 to 600");
+        let full = std::fs::read_dir(&self.out).is_ok_and(|mut entries| entries.next().is_some());
+        anyhow::ensure!(!full, "{}: not empty; give a new folder with --out", self.out.display());
+        let group = match self.group {
+            GroupName::Training => Group::Training,
+            GroupName::Evaluation => Group::Evaluation,
+        };
+        // Made whole beside its place, then renamed: nobody ever finds half a data set.
+        let name = self.out.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let part = self.out.with_file_name(format!("{name}.{}.part", std::process::id()));
+        let takes = takes(self.seconds);
+        for label in models::labels::PAPER {
+            std::fs::create_dir_all(part.join(label))?;
+        }
+        let about = format!(
+            "simulated wearers, not real people: models synth --group {} --seed {} --wearers {} \
+             --seconds {}\n",
+            match self.group {
+                GroupName::Training => "training",
+                GroupName::Evaluation => "evaluation",
+            },
+            self.seed,
+            self.wearers,
+            self.seconds
+        );
+        std::fs::write(part.join("ABOUT.txt"), about)?;
+        let progress = ProgressBar::new(u64::from(self.wearers));
+        let made = (1..=self.wearers).into_par_iter().try_for_each(|index| {
+            let wearer = Wearer::new(group, self.seed, index);
+            for (number, take) in takes.iter().enumerate() {
+                let file = format!("{}/{}__{:03}.csv", take.label, wearer.name, take.number);
+                session(&wearer, number as u64, &take.script).write(&part.join(file))?;
+            }
+            progress.inc(1);
+            Ok::<_, std::io::Error>(())
+        });
+        progress.finish_and_clear();
+        let placed = made.and_then(|()| {
+            if self.out.exists() {
+                std::fs::remove_dir(&self.out)?;
+            }
+            std::fs::rename(&part, &self.out)
+        });
+        if let Err(error) = placed {
+            let _ = std::fs::remove_dir_all(&part);
+            anyhow::bail!("{}: {error}; check the folder and the space on the disk", self.out.display());
+        }
+        println!(
+            "{}: {} recordings of {} simulated wearers (no real people), seed {}",
+            self.out.display(),
+            takes.len() * self.wearers as usize,
+            self.wearers,
+            self.seed
+        );
+        Ok(())
+    }
+}

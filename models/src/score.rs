@@ -1,0 +1,145 @@
+//! Scoring a network on recordings: per window, per recording (majority), per person.
+
+use std::collections::BTreeMap;
+
+use shared_dsp::mlp::Model;
+
+use crate::card::{Card, Score};
+use crate::dataset::Dataset;
+use crate::tflite::{FloatLayer, infer_float};
+use crate::windows::{PER_AXIS, features_every, prepare};
+use crate::{RATE_HZ, blob};
+
+/// Samples from one scored window to the next: 1 s.
+pub const STRIDE: usize = RATE_HZ as usize;
+
+/// A network that gives each window of features a label.
+pub enum Classifier<'a> {
+    /// The float network with the card's scaling.
+    Float {
+        /// Its card.
+        card: &'a Card,
+        /// Its layers.
+        layers: &'a [FloatLayer],
+    },
+    /// The int8 network as boards run it.
+    Int8(Model<'a>),
+}
+
+/// Inputs of the float network from features after the recipe.
+pub fn standardise(card: &Card, features: &[f32]) -> Vec<f32> {
+    let scaling = &card.scaling;
+    let pairs = scaling.mean.iter().zip(&scaling.deviation);
+    features
+        .iter()
+        .zip(pairs)
+        .map(|(value, (mean, deviation))| {
+            let input = (value - mean) / deviation;
+            // NaN goes where the int8 network has it: to the lower limit.
+            if input.is_nan() { -scaling.limit } else { input.clamp(-scaling.limit, scaling.limit) }
+        })
+        .collect()
+}
+
+impl Classifier<'_> {
+    /// Index of the most probable label; of equals the first.
+    ///
+    /// The int8 network gets raw features and applies its recipe itself.
+    pub fn label(&self, raw: &[f32], transformed: &[f32]) -> usize {
+        match self {
+            Self::Float { card, layers } => best(&infer_float(layers, &standardise(card, transformed))),
+            Self::Int8(model) => {
+                let mut scores = vec![0i8; model.info().label_count];
+                let (axes, _) = raw.as_chunks::<PER_AXIS>();
+                if model.classify(axes, &mut scores).is_err() {
+                    return usize::MAX;
+                }
+                best(&scores)
+            }
+        }
+    }
+}
+
+fn best<T: PartialOrd + Copy>(values: &[T]) -> usize {
+    let mut best = 0;
+    for (index, value) in values.iter().enumerate() {
+        if *value > values[best] {
+            best = index;
+        }
+    }
+    best
+}
+
+/// A recording's windows at stride 1 s.
+#[derive(Clone, Debug)]
+pub struct Scored {
+    /// Index of the true label in the model's labels; none if the model does not know it.
+    pub truth: Option<usize>,
+    /// Who made it.
+    pub person: String,
+    /// Raw features of each window.
+    pub raw: Vec<Vec<f32>>,
+    /// The same after the card's recipe.
+    pub transformed: Vec<Vec<f32>>,
+    /// It was shorter than a window.
+    pub padded: bool,
+}
+
+/// Computes what is needed to score a data set with models of these labels and this recipe.
+pub fn scored(dataset: &Dataset, labels: &[String], features: &str) -> Vec<Scored> {
+    let recipe = blob::recipe(features).unwrap_or(shared_dsp::recipe::Recipe::Raw);
+    let one = |item: &crate::dataset::Item| {
+        let (ready, prepared) = prepare(&item.recording);
+        let raw = features_every(&ready, shared_dsp::recipe::Recipe::Raw, STRIDE);
+        let transformed = raw
+            .iter()
+            .map(|window| {
+                let values = window.iter().enumerate();
+                values.map(|(n, &value)| recipe.transform(n % PER_AXIS, value)).collect()
+            })
+            .collect();
+        Scored {
+            truth: labels.iter().position(|label| *label == item.label),
+            person: item.person.clone(),
+            raw,
+            transformed,
+            padded: prepared.padded,
+        }
+    };
+    dataset.items.iter().map(one).collect()
+}
+
+/// Scores a classifier. A recording whose label the model does not know counts as wrong and stands
+/// in no row of the confusion matrix.
+pub fn score(classifier: &Classifier<'_>, recordings: &[Scored], labels: usize) -> Score {
+    let mut confusion = vec![vec![0; labels]; labels];
+    let mut people: BTreeMap<String, (usize, usize)> = BTreeMap::new();
+    let (mut windows, mut right_windows, mut right) = (0, 0, 0);
+    for recording in recordings {
+        let mut votes = vec![0usize; labels];
+        for (raw, transformed) in recording.raw.iter().zip(&recording.transformed) {
+            let given = classifier.label(raw, transformed);
+            windows += 1;
+            right_windows += usize::from(Some(given) == recording.truth);
+            if let Some(vote) = votes.get_mut(given) {
+                *vote += 1;
+            }
+        }
+        let given = best(&votes);
+        let is_right = recording.truth == Some(given);
+        if let Some(truth) = recording.truth {
+            confusion[truth][given] += 1;
+        }
+        right += usize::from(is_right);
+        let person = people.entry(recording.person.clone()).or_default();
+        person.0 += usize::from(is_right);
+        person.1 += 1;
+    }
+    let per_cent = |part: usize, whole: usize| 100.0 * part as f64 / whole.max(1) as f64;
+    Score {
+        per_window: per_cent(right_windows, windows),
+        per_recording: per_cent(right, recordings.len()),
+        confusion,
+        per_person: people.into_iter().map(|(name, (r, n))| (name, per_cent(r, n))).collect(),
+    }
+}

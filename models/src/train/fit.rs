@@ -1,0 +1,170 @@
+//! Fitting the weights with candle.
+
+use candle_core::{D, DType, Device, Result, Tensor, Var};
+use candle_nn::{AdamW, Optimizer, ParamsAdamW};
+use indicatif::ProgressBar;
+use rand::seq::SliceRandom;
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use super::Recipe;
+use crate::tflite::FloatLayer;
+
+/// A fitted network.
+pub(super) struct Fitted {
+    pub layers: Vec<FloatLayer>,
+    pub epochs: usize,
+    pub best_epoch: usize,
+}
+
+struct Net {
+    layers: Vec<(Var, Var)>,
+}
+
+impl Net {
+    /// He initialisation from our own random numbers: candle's are not seeded on the CPU.
+    fn new(widths: &[usize], rng: &mut ChaCha8Rng) -> Result<Self> {
+        let mut layers = Vec::new();
+        for pair in widths.windows(2) {
+            let (inputs, outputs) = (pair[0], pair[1]);
+            let limit = (6.0 / inputs as f32).sqrt();
+            let weights: Vec<f32> = (0..inputs * outputs).map(|_| rng.random_range(-limit..limit)).collect();
+            // A small positive bias keeps the few units of the narrow layers alive at the start.
+            let biases = vec![0.05f32; outputs];
+            layers.push((
+                Var::from_vec(weights, (inputs, outputs), &Device::Cpu)?,
+                Var::from_vec(biases, outputs, &Device::Cpu)?,
+            ));
+        }
+        Ok(Self { layers })
+    }
+
+    fn vars(&self) -> Vec<Var> {
+        self.layers.iter().flat_map(|(w, b)| [w.clone(), b.clone()]).collect()
+    }
+
+    /// Logarithms of the probabilities.
+    fn forward(&self, inputs: &Tensor) -> Result<Tensor> {
+        let mut x = inputs.clone();
+        for (index, (weights, biases)) in self.layers.iter().enumerate() {
+            x = x.matmul(weights)?.broadcast_add(biases)?;
+            if index + 1 < self.layers.len() {
+                x = x.relu()?;
+            }
+        }
+        candle_nn::ops::log_softmax(&x, D::Minus1)
+    }
+
+    fn export(&self) -> Result<Vec<FloatLayer>> {
+        let last = self.layers.len() - 1;
+        let layer = |(index, (weights, biases)): (usize, &(Var, Var))| {
+            Ok(FloatLayer { weights: weights.t()?.to_vec2()?, biases: biases.to_vec1()?, relu: index < last })
+        };
+        self.layers.iter().enumerate().map(layer).collect()
+    }
+}
+
+/// Rows of inputs with their target distributions.
+struct Rows {
+    inputs: Tensor,
+    targets: Tensor,
+}
+
+impl Rows {
+    fn new(set: &[(Vec<f32>, usize)], labels: usize, smoothing: f32) -> Result<Self> {
+        let mut counts = vec![0usize; labels];
+        for (_, label) in set {
+            counts[*label] += 1;
+        }
+        let present = counts.iter().filter(|count| **count > 0).count().max(1);
+        // Rare labels count more, but by the square root only: they are also noisier.
+        let weight =
+            |label: usize| (set.len() as f32 / (present as f32 * counts[label].max(1) as f32)).sqrt();
+        let width = set.first().map_or(0, |(input, _)| input.len());
+        let mut inputs = Vec::with_capacity(set.len() * width);
+        let mut targets = Vec::with_capacity(set.len() * labels);
+        for (input, label) in set {
+            inputs.extend_from_slice(input);
+            let spread = smoothing / labels as f32;
+            targets.extend(
+                (0..labels)
+                    .map(|n| weight(*label) * (spread + if n == *label { 1.0 - smoothing } else { 0.0 })),
+            );
+        }
+        Ok(Self {
+            inputs: Tensor::from_vec(inputs, (set.len(), width), &Device::Cpu)?,
+            targets: Tensor::from_vec(targets, (set.len(), labels), &Device::Cpu)?,
+        })
+    }
+
+    fn len(&self) -> Result<usize> {
+        self.inputs.dim(0)
+    }
+
+    fn shuffled(&self, order: &Tensor) -> Result<Self> {
+        Ok(Self {
+            inputs: self.inputs.index_select(order, 0)?,
+            targets: self.targets.index_select(order, 0)?,
+        })
+    }
+
+    fn loss(&self, net: &Net, from: usize, count: usize) -> Result<Tensor> {
+        let logs = net.forward(&self.inputs.narrow(0, from, count)?)?;
+        let targets = self.targets.narrow(0, from, count)?;
+        (logs * targets)?.sum_all()?.affine(-1.0 / count as f64, 0.0)
+    }
+}
+
+/// Fits a network to `learn`; `check` decides when to stop and which weights to keep.
+pub(super) fn fit(
+    learn: &[(Vec<f32>, usize)],
+    check: &[(Vec<f32>, usize)],
+    labels: usize,
+    recipe: &Recipe,
+    seed: u64,
+    progress: &ProgressBar,
+) -> Result<Fitted> {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let inputs = learn.first().map_or(0, |(input, _)| input.len());
+    let [a, b, c] = recipe.hidden;
+    let net = Net::new(&[inputs, a, b, c, labels], &mut rng)?;
+    let learn = Rows::new(learn, labels, recipe.label_smoothing)?;
+    let check = Rows::new(check, labels, recipe.label_smoothing)?;
+    let mut rate = recipe.learning_rate;
+    let params = ParamsAdamW { lr: rate, weight_decay: recipe.weight_decay, ..Default::default() };
+    let mut optimizer = AdamW::new(net.vars(), params)?;
+
+    let count = learn.len()?;
+    let mut order: Vec<u32> = (0..count as u32).collect();
+    let mut best = (f32::INFINITY, 0, net.export()?);
+    let (mut stale, mut halvings, mut epochs) = (0, 0, 0);
+    for epoch in 1..=recipe.epochs {
+        order.shuffle(&mut rng);
+        let rows = learn.shuffled(&Tensor::from_slice(&order, count, &Device::Cpu)?)?;
+        for from in (0..count).step_by(recipe.batch) {
+            let loss = rows.loss(&net, from, recipe.batch.min(count - from))?;
+            optimizer.backward_step(&loss)?;
+        }
+        epochs = epoch;
+        let loss: f32 = check.loss(&net, 0, check.len()?)?.to_dtype(DType::F32)?.to_scalar()?;
+        if loss < best.0 {
+            best = (loss, epoch, net.export()?);
+            stale = 0;
+        } else {
+            stale += 1;
+        }
+        progress.set_position(epoch as u64);
+        let Some(patience) = recipe.patience else { continue };
+        if stale >= patience {
+            if halvings == recipe.halvings {
+                break;
+            }
+            halvings += 1;
+            stale = 0;
+            rate /= 2.0;
+            optimizer.set_learning_rate(rate);
+        }
+    }
+    let (_, best_epoch, layers) = best;
+    Ok(Fitted { layers, epochs, best_epoch })
+}

@@ -1,0 +1,395 @@
+//! Learning a network from a data set: windows, scaling, fitting, quantising, scoring, the card.
+//!
+//! Everything random follows from the seed and from places in sorted lists, never from the order in
+//! which threads finish: the same seed gives the same files on one machine with any number of
+//! threads.
+
+mod augment;
+mod fit;
+mod quantise;
+mod split;
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use indicatif::{ProgressBar, ProgressStyle};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
+use sha2::{Digest, Sha256};
+use shared_dsp::mlp::Model;
+
+use crate::card::{self, Card, Data, Scaling, Scores, Training};
+use crate::dataset::{Dataset, Item};
+use crate::recording::write_whole;
+use crate::score::{Classifier, score, scored, standardise};
+use crate::tflite::{self, FloatLayer, Network};
+use crate::windows::{PER_AXIS, features, prepare};
+use crate::{HOP, RATE_HZ, WINDOW, blob};
+
+pub use augment::Augmentation;
+pub use split::held_out;
+
+/// How to train. [`Recipe::default`] trains until it converges; [`Recipe::paper`] as the paper says.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Recipe {
+    /// Name in the card.
+    pub name: &'static str,
+    /// How features become inputs.
+    pub features: shared_dsp::recipe::Recipe,
+    /// Widths of the hidden layers.
+    pub hidden: [usize; 3],
+    /// Most epochs.
+    pub epochs: usize,
+    /// Epochs without a better validation loss before the learning rate is halved; after
+    /// `halvings` of those training ends. None: every epoch at the same rate.
+    pub patience: Option<usize>,
+    /// Halvings of the learning rate.
+    pub halvings: usize,
+    /// Windows per step.
+    pub batch: usize,
+    /// Learning rate at the start.
+    pub learning_rate: f64,
+    /// Decay of weights (AdamW).
+    pub weight_decay: f64,
+    /// Share of the probability that is spread over all labels.
+    pub label_smoothing: f32,
+    /// Share of the recordings that decide when to stop.
+    pub validation_fraction: f64,
+    /// Hops between training windows of one recording.
+    pub stride_hops: usize,
+    /// How recordings are varied.
+    pub augmentation: Augmentation,
+}
+
+impl Recipe {
+    /// The paper's: 30 epochs, batch 32, learning rate 5e-4, 20 % validation, features as they are.
+    pub fn paper() -> Self {
+        Self {
+            name: "paper",
+            features: shared_dsp::recipe::Recipe::Raw,
+            hidden: [20, 10, 5],
+            epochs: 30,
+            patience: None,
+            halvings: 0,
+            batch: 32,
+            learning_rate: 5e-4,
+            weight_decay: 0.0,
+            label_smoothing: 0.0,
+            validation_fraction: 0.2,
+            stride_hops: 5,
+            augmentation: Augmentation::NONE,
+        }
+    }
+}
+
+impl Default for Recipe {
+    fn default() -> Self {
+        Self {
+            name: "default",
+            features: shared_dsp::recipe::Recipe::LogPower,
+            hidden: [20, 10, 5],
+            epochs: 150,
+            patience: Some(5),
+            halvings: 4,
+            batch: 64,
+            learning_rate: 4e-3,
+            weight_decay: 1e-3,
+            label_smoothing: 0.05,
+            validation_fraction: 0.15,
+            stride_hops: 5,
+            augmentation: Augmentation::DEFAULT,
+        }
+    }
+}
+
+/// What else a training needs to know.
+#[derive(Clone, Debug)]
+pub struct Job {
+    /// Name of the model.
+    pub name: String,
+    /// What the data is, for the card.
+    pub about: String,
+    /// Everything random follows from it.
+    pub seed: u64,
+    /// People who were left out, for the card.
+    pub excluded: Vec<String>,
+    /// Whether to draw progress bars (where stderr is a terminal).
+    pub progress: bool,
+}
+
+/// Why a data set cannot be learned; the text says what to do.
+#[derive(Debug, thiserror::Error)]
+pub enum TrainError {
+    /// Fewer than two or too many labels, or a label that cannot be stored.
+    #[error("{0}")]
+    Labels(String),
+    /// A file could not be read again or written.
+    #[error("{file}: {source}; check the folder and the space on the disk")]
+    Io {
+        /// The file.
+        file: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// The library that fits networks failed.
+    #[error("training failed: {0}")]
+    Candle(#[from] candle_core::Error),
+    /// The trained numbers cannot be quantised.
+    #[error("the trained network cannot be quantised: {0}; try another --seed")]
+    Quantise(String),
+}
+
+/// A trained model, not yet written.
+#[derive(Clone, Debug)]
+pub struct Trained {
+    /// Its card.
+    pub card: Card,
+    /// The float network.
+    pub float: Vec<FloatLayer>,
+    /// Bytes of the float file.
+    pub float_tflite: Vec<u8>,
+    /// Bytes of the int8 file.
+    pub int8_tflite: Vec<u8>,
+}
+
+impl Trained {
+    /// Writes `NAME.tflite`, `NAME.float.tflite` and `NAME.card.json`, the card last.
+    pub fn write(&self, folder: &Path) -> Result<[PathBuf; 3], TrainError> {
+        let files = ["tflite", "float.tflite", "card.json"]
+            .map(|ending| folder.join(format!("{}.{ending}", self.card.name)));
+        let json = self.card.to_json();
+        std::fs::create_dir_all(folder)
+            .map_err(|source| TrainError::Io { file: folder.to_owned(), source })?;
+        let contents = [&self.int8_tflite, &self.float_tflite, json.as_bytes()];
+        for (file, bytes) in files.iter().zip(contents) {
+            write_whole(file, bytes).map_err(|source| TrainError::Io { file: file.clone(), source })?;
+        }
+        Ok(files)
+    }
+}
+
+/// The windows of one recording, ready to learn from.
+struct Windows {
+    label: usize,
+    /// Features of the recording as it is.
+    own: Vec<Vec<f32>>,
+    /// Features of its varied copies.
+    varied: Vec<Vec<f32>>,
+    padded: bool,
+    resampled: bool,
+}
+
+/// A progress bar, or nothing where it is not wanted.
+fn bar(job: &Job, length: usize, what: &'static str) -> ProgressBar {
+    if !job.progress {
+        return ProgressBar::hidden();
+    }
+    let style = ProgressStyle::with_template("{msg:10} {bar:40} {pos}/{len} {elapsed} (left {eta})");
+    let bar = ProgressBar::new(length as u64).with_message(what);
+    match style {
+        Ok(style) => bar.with_style(style),
+        Err(_) => bar,
+    }
+}
+
+/// Trains on `dataset` without the recordings named in `test`, and scores on those.
+pub fn train(dataset: &Dataset, test: &[String], recipe: &Recipe, job: &Job) -> Result<Trained, TrainError> {
+    let test_set = dataset.filtered(|item| test.contains(&item.name));
+    let used = dataset.filtered(|item| !test.contains(&item.name));
+    check_labels(&used)?;
+    let labels = used.labels.clone();
+    let validation = held_out(&used, recipe.validation_fraction, job.seed);
+
+    let windows = all_windows(&used, &labels, recipe, job);
+    let is_validation: Vec<bool> = used.items.iter().map(|i| validation.contains(&i.name)).collect();
+    let mut learn: Vec<(&[f32], usize)> = Vec::new();
+    let mut check: Vec<(&[f32], usize)> = Vec::new();
+    for (part, held) in windows.iter().zip(&is_validation) {
+        let own = part.own.iter().map(|w| (w.as_slice(), part.label));
+        if *held {
+            check.extend(own);
+        } else {
+            learn.extend(own);
+            learn.extend(part.varied.iter().map(|w| (w.as_slice(), part.label)));
+        }
+    }
+    if check.is_empty() {
+        // Too few recordings to spare any: the training windows themselves decide when to stop.
+        check.clone_from(&learn);
+    }
+    let scaling = scaling(&learn, used.axes * PER_AXIS);
+
+    let mut card = Card {
+        format: card::FORMAT,
+        name: job.name.clone(),
+        about: job.about.clone(),
+        model_id: String::new(),
+        tflite_sha256: String::new(),
+        labels: labels.clone(),
+        axes: used.axes,
+        rate_hz: RATE_HZ as u16,
+        window: WINDOW as u16,
+        hop: HOP as u16,
+        features: blob::recipe_name(recipe.features).to_owned(),
+        scaling,
+        training: Training {
+            recipe: recipe.name.to_owned(),
+            seed: job.seed,
+            tool: format!("models {}", env!("CARGO_PKG_VERSION")),
+            epochs: 0,
+            best_epoch: 0,
+            batch: recipe.batch,
+            learning_rate: recipe.learning_rate,
+            validation_fraction: recipe.validation_fraction,
+            augmentation: recipe.augmentation.to_string(),
+            windows: learn.len(),
+        },
+        data: Data {
+            sha256: data_hash(&used)?,
+            recordings: used.items.len(),
+            minutes: used.items.iter().map(|i| i.recording.seconds()).sum::<f64>() / 60.0,
+            padded: windows.iter().filter(|w| w.padded).count(),
+            resampled: windows.iter().filter(|w| w.resampled).count(),
+            labels: count(&used, |item| &item.label),
+            people: count(&used, |item| &item.person),
+            excluded: job.excluded.clone(),
+            test: test.to_vec(),
+        },
+        test: None,
+        validation: None,
+    };
+
+    let inputs = |set: &[(&[f32], usize)]| -> Vec<(Vec<f32>, usize)> {
+        set.iter().map(|(window, label)| (standardise(&card, window), *label)).collect()
+    };
+    let (learn, check) = (inputs(&learn), inputs(&check));
+    let progress = bar(job, recipe.epochs, "training");
+    let fitted = fit::fit(&learn, &check, labels.len(), recipe, job.seed, &progress)?;
+    progress.finish_and_clear();
+    card.training.epochs = fitted.epochs;
+    card.training.best_epoch = fitted.best_epoch;
+
+    let calibration: Vec<&[f32]> = learn.iter().map(|(input, _)| input.as_slice()).collect();
+    let int8 = quantise::quantise(&fitted.layers, &calibration, card.scaling.limit);
+    let blob = blob::build(&card, &int8).map_err(TrainError::Quantise)?;
+    card.model_id = blob::model_id(&blob);
+    let model = Model::parse(&blob).map_err(|error| TrainError::Quantise(error.to_string()))?;
+    let int8_tflite = tflite::write(&Network::Int8(int8));
+    let float_tflite = tflite::write(&Network::Float(fitted.layers.clone()));
+    card.tflite_sha256 = hex(&Sha256::digest(&int8_tflite));
+
+    let both = |set: &Dataset| -> Option<Scores> {
+        if set.items.is_empty() {
+            return None;
+        }
+        let recordings = scored(set, &labels, &card.features);
+        let float = Classifier::Float { card: &card, layers: &fitted.layers };
+        Some(Scores {
+            float: score(&float, &recordings, labels.len()),
+            int8: score(&Classifier::Int8(model), &recordings, labels.len()),
+        })
+    };
+    let test_scores = both(&test_set);
+    let validation_scores = both(&used.filtered(|item| validation.contains(&item.name)));
+    card.test = test_scores;
+    card.validation = validation_scores;
+    Ok(Trained { card, float: fitted.layers, float_tflite, int8_tflite })
+}
+
+fn check_labels(used: &Dataset) -> Result<(), TrainError> {
+    let problem = match used.labels.as_slice() {
+        labels if labels.len() < 2 => format!(
+            "{}: {} label(s) with recordings; at least 2 are needed: add FOLDER/<label>/ folders",
+            used.folder.display(),
+            labels.len()
+        ),
+        labels if labels.len() > shared_dsp::mlp::MAX_LABELS => format!(
+            "{}: {} labels; a board holds at most {}: merge or remove some",
+            used.folder.display(),
+            labels.len(),
+            shared_dsp::mlp::MAX_LABELS
+        ),
+        labels => match labels.iter().find(|label| label.contains(',') || label.is_empty()) {
+            Some(label) => format!("label {label:?} is empty or has a comma; rename its folder"),
+            None => return Ok(()),
+        },
+    };
+    Err(TrainError::Labels(problem))
+}
+
+fn all_windows(used: &Dataset, labels: &[String], recipe: &Recipe, job: &Job) -> Vec<Windows> {
+    let progress = bar(job, used.items.len(), "features");
+    let one = |(index, item): (usize, &Item)| {
+        let (ready, prepared) = prepare(&item.recording);
+        let own = features(&ready, recipe.features, recipe.stride_hops);
+        let varied = (0..recipe.augmentation.copies)
+            .flat_map(|copy| {
+                // A number of its own for every copy of every recording.
+                let mut rng = ChaCha8Rng::seed_from_u64(job.seed);
+                rng.set_stream(1 + (index * 1000 + copy) as u64);
+                let (varied, _) = prepare(&recipe.augmentation.vary(&ready, &mut rng));
+                features(&varied, recipe.features, recipe.stride_hops)
+            })
+            .collect();
+        progress.inc(1);
+        let label = labels.iter().position(|label| *label == item.label).unwrap_or_default();
+        Windows { label, own, varied, padded: prepared.padded, resampled: prepared.resampled }
+    };
+    let windows = used.items.par_iter().enumerate().map(one).collect();
+    progress.finish_and_clear();
+    windows
+}
+
+/// Mean and deviation per feature, and a limit that 999 of 1000 inputs keep.
+fn scaling(learn: &[(&[f32], usize)], inputs: usize) -> Scaling {
+    let count = learn.len().max(1) as f64;
+    let mut mean = vec![0.0f32; inputs];
+    let mut deviation = vec![1.0f32; inputs];
+    for feature in 0..inputs {
+        let values = || learn.iter().map(|(window, _)| f64::from(window[feature]));
+        let centre = values().sum::<f64>() / count;
+        let variance = values().map(|v| (v - centre).powi(2)).sum::<f64>() / count;
+        mean[feature] = centre as f32;
+        // A feature that hardly varies must not become an amplifier of noise.
+        deviation[feature] = variance.sqrt().max(1e-3 * centre.abs()).max(1e-6) as f32;
+    }
+    let mut sizes: Vec<f32> = learn
+        .iter()
+        .flat_map(|(window, _)| window.iter().enumerate().map(|(n, v)| ((v - mean[n]) / deviation[n]).abs()))
+        .collect();
+    let at = (sizes.len() as f64 * 0.999) as usize;
+    let limit = if sizes.is_empty() {
+        4.0
+    } else {
+        let at = at.min(sizes.len() - 1);
+        sizes.select_nth_unstable_by(at, f32::total_cmp).1.clamp(3.0, 10.0)
+    };
+    Scaling { mean, deviation, limit }
+}
+
+fn count<'a>(set: &'a Dataset, key: impl Fn(&'a Item) -> &'a String) -> BTreeMap<String, usize> {
+    let mut counts = BTreeMap::new();
+    for item in &set.items {
+        *counts.entry(key(item).clone()).or_default() += 1;
+    }
+    counts
+}
+
+/// SHA-256 over the names and contents of the recordings, in order.
+pub fn data_hash(set: &Dataset) -> Result<String, TrainError> {
+    let mut hash = Sha256::new();
+    for item in &set.items {
+        let bytes =
+            std::fs::read(&item.file).map_err(|source| TrainError::Io { file: item.file.clone(), source })?;
+        hash.update((item.name.len() as u64).to_le_bytes());
+        hash.update(item.name.as_bytes());
+        hash.update((bytes.len() as u64).to_le_bytes());
+        hash.update(&bytes);
+    }
+    Ok(hex(&hash.finalize()))
+}
+
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
