@@ -16,8 +16,9 @@
 //! good to 10⁻⁹ of the unit, also beside a swing of hundreds.
 
 use crate::fft::{HalfFrame, powers};
-use crate::moments::{Moments, SlidingSum};
-use crate::sliding::{Piece, Sliding};
+use crate::moments::{Block, SlidingMoments, SlidingSum};
+use crate::powers::SlidingPowers;
+use crate::sliding::Place;
 
 pub use crate::mlp::FEATURES_PER_AXIS;
 pub use crate::moments::SAMPLE_LIMIT;
@@ -37,13 +38,13 @@ pub const VARIANCE_FLOOR: f32 = 1e-16;
 #[derive(Clone, Debug)]
 pub struct FeatureWindow<const A: usize> {
     /// Samples of the hop under way.
-    stage: [[f32; HOP]; A],
+    stage: [[f32; A]; HOP],
     staged: usize,
     axes: [Axis; A],
     features: [[f32; FEATURES_PER_AXIS]; A],
-    /// Slot of the next block of 8 samples, 0 to 24.
+    /// Number of the hop, modulo blocks per window.
     block: usize,
-    /// Slot of the next frame, 0 to 23.
+    /// Number of the hop, modulo frames per window.
     frame: usize,
     /// Hops since the last reset, at most those of a window.
     hops: usize,
@@ -55,62 +56,19 @@ pub struct FeatureWindow<const A: usize> {
 /// What the window keeps of one axis.
 #[derive(Clone, Copy, Debug)]
 struct Axis {
+    /// The last good sample.
+    held: f32,
     last: HalfFrame,
     sum: SlidingSum<HOPS>,
-    moments: Sliding<Moments, HOPS>,
-    powers: Sliding<Powers, FRAMES>,
+    moments: SlidingMoments<HOPS>,
+    powers: SlidingPowers<FRAMES>,
 }
-
-/// Where a hop belongs in the queues of an axis.
-#[derive(Clone, Copy)]
-struct Slots {
-    block: usize,
-    frame: usize,
-    /// When the queues turn: differs between the axes.
-    turn: usize,
-}
-
-/// From one axis to the next. No divisor of 24, so that 24 axes have different turns.
-const TURN_STEP: usize = 11;
-
-#[derive(Clone, Copy, Debug)]
-struct Powers([f32; 8]);
-
-impl Piece for Powers {
-    const ZERO: Self = Self([0.0; 8]);
-
-    #[inline(always)]
-    fn unite(older: &Self, _: usize, newer: &Self, _: usize) -> Self {
-        Self(core::array::from_fn(|k| older.0[k] + newer.0[k]))
-    }
-}
-
-impl Piece for Moments {
-    const ZERO: Self = Self::ZERO;
-
-    #[inline(always)]
-    fn unite(older: &Self, older_count: usize, newer: &Self, newer_count: usize) -> Self {
-        let reciprocal = RECIPROCALS[(older_count + newer_count) % RECIPROCALS.len()];
-        Moments::unite(older, (older_count * HOP) as f32, newer, (newer_count * HOP) as f32, reciprocal)
-    }
-}
-
-/// 1 / samples of so many hops.
-const RECIPROCALS: [f32; HOPS + 1] = {
-    let mut table = [0.0; HOPS + 1];
-    let mut hops = 1;
-    while hops <= HOPS {
-        table[hops] = 1.0 / (hops * HOP) as f32;
-        hops += 1;
-    }
-    table
-};
 
 impl<const A: usize> FeatureWindow<A> {
-    /// An empty window.
+    /// An empty window: all bytes are zero, so that a static one takes no flash.
     pub const fn new() -> Self {
         Self {
-            stage: [[0.0; HOP]; A],
+            stage: [[0.0; A]; HOP],
             staged: 0,
             axes: [Axis::ZERO; A],
             features: [[0.0; FEATURES_PER_AXIS]; A],
@@ -123,35 +81,32 @@ impl<const A: usize> FeatureWindow<A> {
     }
 
     /// Takes a sample; true when a hop is complete and the window is full: then [`Self::features`] are new.
+    #[inline]
     pub fn push(&mut self, sample: &[f32; A]) -> bool {
-        let at = self.staged % HOP;
-        for (stage, &value) in self.stage.iter_mut().zip(sample) {
-            let magnitude = value.to_bits() & 0x7FFF_FFFF;
-            stage[at] = if magnitude <= SAMPLE_LIMIT.to_bits() {
-                value
-            } else if magnitude <= f32::INFINITY.to_bits() - 1 {
-                SAMPLE_LIMIT.copysign(value)
-            } else {
-                self.replaced = self.replaced.saturating_add(1);
-                self.tainted = HOPS + 1;
-                stage[(at + HOP - 1) % HOP]
-            };
+        if let Some(place) = self.stage.get_mut(self.staged) {
+            *place = *sample;
         }
-        self.staged = at + 1;
-        self.staged == HOP && self.finish_hop()
+        self.staged += 1;
+        self.staged >= HOP && self.finish_hop()
     }
 
+    #[inline(never)]
     fn finish_hop(&mut self) -> bool {
-        let mut turn = 0;
-        for ((axis, stage), features) in self.axes.iter_mut().zip(&self.stage).zip(&mut self.features) {
-            axis.advance(stage, Slots { block: self.block, frame: self.frame, turn }, features);
-            // The queues of the axes turn at different hops, to spread the work.
-            turn = if turn + TURN_STEP >= FRAMES { turn + TURN_STEP - FRAMES } else { turn + TURN_STEP };
+        self.staged = 0;
+        let mut replaced = 0;
+        for (index, (axis, features)) in self.axes.iter_mut().zip(&mut self.features).enumerate() {
+            let samples = self.stage.each_ref().map(|sample| sample[index]);
+            // The moments of axis i turn at hop −i, its powers half a round later: one turn per hop up to 12 axes.
+            let in_moments = (self.frame + index) % FRAMES;
+            let in_powers = (in_moments + FRAMES / 2) % FRAMES;
+            let (moments, powers) = (Place::new(self.block, in_moments), Place::new(self.frame, in_powers));
+            replaced += axis.advance(&samples, moments, powers, features);
         }
-        self.block = if self.block + 1 == HOPS { 0 } else { self.block + 1 };
-        self.frame = if self.frame + 1 == FRAMES { 0 } else { self.frame + 1 };
+        self.block = if self.block + 1 >= HOPS { 0 } else { self.block + 1 };
+        self.frame = if self.frame + 1 >= FRAMES { 0 } else { self.frame + 1 };
         self.hops = (self.hops + 1).min(HOPS);
-        self.tainted = self.tainted.saturating_sub(1);
+        self.tainted = if replaced > 0 { HOPS } else { self.tainted.saturating_sub(1) };
+        self.replaced = self.replaced.saturating_add(replaced);
         self.is_full()
     }
 
@@ -165,7 +120,7 @@ impl<const A: usize> FeatureWindow<A> {
         self.hops == HOPS
     }
 
-    /// Values that were no numbers, since the last reset.
+    /// Values that were no numbers, up to the last complete hop since the last reset.
     pub fn replaced(&self) -> u32 {
         self.replaced
     }
@@ -188,41 +143,71 @@ impl<const A: usize> Default for FeatureWindow<A> {
 }
 
 impl Axis {
-    const ZERO: Self =
-        Self { last: HalfFrame::ZERO, sum: SlidingSum::ZERO, moments: Sliding::ZERO, powers: Sliding::ZERO };
+    const ZERO: Self = Self {
+        held: 0.0,
+        last: HalfFrame::ZERO,
+        sum: SlidingSum::ZERO,
+        moments: SlidingMoments::ZERO,
+        powers: SlidingPowers::ZERO,
+    };
 
+    /// Takes a hop's samples, writes the features, and tells how many samples had to be replaced.
     #[inline(never)]
     fn advance(
         &mut self,
         samples: &[f32; HOP],
-        Slots { block, frame, turn }: Slots,
+        in_moments: Place<HOPS>,
+        in_powers: Place<FRAMES>,
         features: &mut [f32; FEATURES_PER_AXIS],
-    ) {
-        self.sum.replace(block, samples);
-        let half = HalfFrame::new(samples);
-        let moments = self.moments.push(block, turn, Moments::of_eight(&half));
-        // The first frame of all is half empty; it is the one that leaves when the window becomes full.
-        let powers = self.powers.push(frame, turn, Powers(powers(&self.last, &half)));
-        self.last = half;
-
+    ) -> u32 {
         const N: f32 = WINDOW as f32;
         const ROOT_N: f32 = 14.142_136;
-        let mean = self.sum.sum() * (1.0 / N);
-        let variance = moments.m2 * (1.0 / N);
-        features[0] = mean;
-        features[1] = square_root(mean * mean + variance);
-        features[2] = variance;
-        if variance >= VARIANCE_FLOOR {
-            features[3] = ROOT_N * moments.m3 / (moments.m2 * square_root(moments.m2));
-            features[4] = N * moments.m4 / (moments.m2 * moments.m2) - 3.0;
-        } else {
-            features[3] = 0.0;
-            features[4] = 0.0;
+        let [mean, rms, variance, skewness, kurtosis, bins @ ..] = features;
+
+        let (mut samples, mut replaced) = (*samples, 0);
+        let mut half = HalfFrame::new(&samples);
+        let mut block = Block::new(&half);
+        let block_mean = block.first + block.offset;
+        // x² ≤ 2·(mean² + Σ(x − mean)²) for each x. False also where anything is no number.
+        let tame = block.m2 + block_mean * block_mean <= SAMPLE_LIMIT * SAMPLE_LIMIT / 2.0;
+        if !tame {
+            replaced = repair(&mut samples, self.held);
+            half = HalfFrame::new(&samples);
+            block = Block::new(&half);
         }
-        for (feature, power) in features[5..].iter_mut().zip(powers.0) {
-            *feature = power * (1.0 / (16 * FRAMES) as f32);
-        }
+        self.held = samples[HOP - 1];
+
+        self.sum.replace(in_moments.slot, &samples);
+        // The first frame of all is half empty; it is the one that leaves when the window becomes full.
+        let powers = powers(&self.last, &half).map(|power| power * const { 1.0 / (16 * FRAMES) as f32 });
+        let (m2, m3, m4) = self.moments.push(in_moments, block);
+        self.last = half;
+        self.powers.push(in_powers, powers, bins);
+
+        *mean = self.sum.sum() * const { 1.0 / N };
+        *variance = m2 * const { 1.0 / N };
+        *rms = square_root(*mean * *mean + *variance);
+        let shaped = *variance >= VARIANCE_FLOOR;
+        *skewness = if shaped { ROOT_N * m3 / (m2 * square_root(m2)) } else { 0.0 };
+        *kurtosis = if shaped { N * m4 / (m2 * m2) - 3.0 } else { 0.0 };
+        replaced
     }
+}
+
+/// Limits magnitudes and lets values that are no numbers repeat the one before; tells how many these were.
+#[cold]
+#[inline(never)]
+fn repair(samples: &mut [f32; HOP], mut held: f32) -> u32 {
+    let mut replaced = 0;
+    for sample in samples {
+        if sample.is_finite() {
+            held = sample.clamp(-SAMPLE_LIMIT, SAMPLE_LIMIT);
+        } else {
+            replaced += 1;
+        }
+        *sample = held;
+    }
+    replaced
 }
 
 /// Correctly rounded on every target, so the same bits.

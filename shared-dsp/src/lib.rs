@@ -16,6 +16,7 @@ pub mod left_faults;
 pub mod left_guided;
 pub mod mlp;
 pub mod moments;
+pub mod powers;
 pub mod recipe;
 pub mod right;
 pub mod sliding;

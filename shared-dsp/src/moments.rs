@@ -1,17 +1,23 @@
-//! Central moments of pieces of a signal, and their union without loss of precision.
+//! Central moments of the last samples, without loss of precision and without drift.
 //!
-//! Sums of powers (Σx², Σx³, Σx⁴) fail in `f32` as soon as a signal rests on a constant such as gravity.
-//! Here a piece knows its mean as a kept sample plus a small offset, and sums of powers of deviations *from that
-//! mean*. Two pieces unite by the formulas of Chan and Pébay, which only ever add what belongs together.
+//! Sums of powers (Σx², Σx³, Σx⁴) fail in `f32` as soon as a signal rests on a constant such as gravity. Here each block of
+//! eight samples knows its mean, as a kept sample plus a small offset, and sums of powers of deviations from that mean.
+//! Longer pieces are sums of powers about the mean of *one of their own blocks*, which moves what lies between by the
+//! binomial formula. The reference belongs to the piece, so it lies at most √25 deviations from its mean, and what
+//! cancels in the end is bounded, whatever the signal did before.
 
 use crate::fft::HalfFrame;
+use crate::sliding::Place;
 
-/// Count-free summary of a piece; the number of samples goes beside it.
+/// Samples per block.
+const BLOCK: f32 = 8.0;
+
+/// Summary of eight samples.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Moments {
-    /// One of the samples (or a value near them).
-    pub reference: f32,
-    /// Mean less `reference`.
+pub struct Block {
+    /// The first sample.
+    pub first: f32,
+    /// Mean less `first`.
     pub offset: f32,
     /// Σ(x − mean)².
     pub m2: f32,
@@ -21,45 +27,144 @@ pub struct Moments {
     pub m4: f32,
 }
 
-impl Moments {
-    /// Of a signal that is 0.
-    pub const ZERO: Self = Self { reference: 0.0, offset: 0.0, m2: 0.0, m3: 0.0, m4: 0.0 };
+impl Block {
+    /// Of eight zeros.
+    pub const ZERO: Self = Self { first: 0.0, offset: 0.0, m2: 0.0, m3: 0.0, m4: 0.0 };
 
     /// Of eight samples.
     #[inline(always)]
-    pub fn of_eight(samples: &HalfFrame) -> Self {
+    pub fn new(samples: &HalfFrame) -> Self {
         let [d1, d2, d3, d4, d5, d6, d7] = samples.deviations;
-        let offset = (((d1 + d2) + (d3 + d4)) + ((d5 + d6) + d7)) * 0.125;
-        let (mut m2, mut m3, mut m4) = (0.0, 0.0, 0.0);
-        for d in [0.0, d1, d2, d3, d4, d5, d6, d7] {
+        let offset = (((d1 + d2) + (d3 + d4)) + ((d5 + d6) + d7)) * (1.0 / BLOCK);
+        // The first sample's deviation from itself is 0.
+        let square = offset * offset;
+        let (mut m2, mut m3, mut m4) = (square, -(square * offset), square * square);
+        for d in [d1, d2, d3, d4, d5, d6, d7] {
             let e = d - offset;
             let square = e * e;
             m2 += square;
             m3 += square * e;
             m4 += square * square;
         }
-        Self { reference: samples.first, offset, m2, m3, m4 }
+        Self { first: samples.first, offset, m2, m3, m4 }
     }
+}
 
-    /// Union of a piece of `n_a` samples with one of `n_b`; `reciprocal` = 1 / (n_a + n_b).
-    #[inline(always)]
-    pub fn unite(a: &Self, n_a: f32, b: &Self, n_b: f32, reciprocal: f32) -> Self {
-        // Difference of the means, small parts and large parts apart.
-        let delta = (b.reference - a.reference) + (b.offset - a.offset);
-        let (shift_a, shift_b) = (delta * (n_b * reciprocal), delta * (n_a * reciprocal));
-        let (a2, a3, a4) = a.about(-shift_a, n_a);
-        let (b2, b3, b4) = b.about(shift_b, n_b);
-        Self { reference: a.reference, offset: a.offset + shift_a, m2: a2 + b2, m3: a3 + b3, m4: a4 + b4 }
-    }
+/// Sums over a piece, about a reference that is kept elsewhere.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Sums {
+    /// Σ(mean of block − reference), over blocks.
+    s1: f32,
+    /// Σ(x − reference)², over samples.
+    s2: f32,
+    /// Σ(x − reference)³.
+    s3: f32,
+    /// Σ(x − reference)⁴.
+    s4: f32,
+}
 
-    /// Sums of powers about a point that lies `d` below the mean.
+impl Sums {
+    const ZERO: Self = Self { s1: 0.0, s2: 0.0, s3: 0.0, s4: 0.0 };
+
+    /// With one more block.
     #[inline(always)]
-    fn about(&self, d: f32, count: f32) -> (f32, f32, f32) {
-        let own = count * (d * d);
-        let triple = 3.0 * self.m2;
+    fn with(&self, block: &Block, reference: f32) -> Self {
+        let t = (block.first - reference) + block.offset;
+        let own = BLOCK * (t * t);
+        let triple = 3.0 * block.m2;
         let third = triple + own;
-        let fourth = 4.0 * self.m3 + d * (triple + third);
-        (self.m2 + own, self.m3 + d * third, self.m4 + d * fourth)
+        let fourth = 4.0 * block.m3 + t * (triple + third);
+        Self {
+            s1: self.s1 + t,
+            s2: self.s2 + (block.m2 + own),
+            s3: self.s3 + (block.m3 + t * third),
+            s4: self.s4 + (block.m4 + t * fourth),
+        }
+    }
+
+    /// The sums over `self`, of `blocks` blocks, and `other`, whose reference lies `t` below that of `self`.
+    #[inline(always)]
+    fn joined(&self, blocks: f32, t: f32, other: &Self) -> Self {
+        let step = blocks * t;
+        let (sum, own) = (BLOCK * self.s1, BLOCK * step);
+        let third = 3.0 * self.s2 + t * (3.0 * sum + own);
+        let fourth = 4.0 * self.s3 + t * (6.0 * self.s2 + t * (4.0 * sum + own));
+        Self {
+            s1: other.s1 + (self.s1 + step),
+            s2: other.s2 + (self.s2 + t * (2.0 * sum + own)),
+            s3: other.s3 + (self.s3 + t * third),
+            s4: other.s4 + (self.s4 + t * fourth),
+        }
+    }
+}
+
+/// The last `N` blocks, as [`crate::sliding`] explains.
+#[derive(Clone, Copy, Debug)]
+pub struct SlidingMoments<const N: usize> {
+    blocks: [Block; N],
+    /// Each block of the front and all younger ones of the front.
+    front: [Sums; N],
+    front_reference: f32,
+    back: Sums,
+    back_reference: f32,
+}
+
+impl<const N: usize> SlidingMoments<N> {
+    /// Of no signal.
+    pub const ZERO: Self = Self {
+        blocks: [Block::ZERO; N],
+        front: [Sums::ZERO; N],
+        front_reference: 0.0,
+        back: Sums::ZERO,
+        back_reference: 0.0,
+    };
+
+    /// Takes a block; gives Σ(x − mean)², ³ and ⁴ over all samples of the last `N`.
+    #[inline(always)]
+    pub fn push(&mut self, place: Place<N>, block: Block) -> (f32, f32, f32) {
+        if place.in_back == 0 {
+            self.turn(place.slot);
+            self.back = Sums::ZERO;
+            self.back_reference = block.first + block.offset;
+        }
+        let back = self.back.with(&block, self.back_reference);
+        self.back = back;
+        if let Some(slot) = self.blocks.get_mut(place.slot) {
+            *slot = block;
+        }
+        let all = match self.front.get(place.oldest) {
+            Some(front) if place.in_front > 0 => {
+                front.joined(place.in_front as f32, self.front_reference - self.back_reference, &back)
+            }
+            _ => back,
+        };
+        let mean = all.s1 * const { 1.0 / N as f32 };
+        let sum = BLOCK * all.s1;
+        let square = mean * sum;
+        (
+            all.s2 - square,
+            all.s3 - mean * (3.0 * all.s2 - 2.0 * square),
+            all.s4 - mean * (4.0 * all.s3 - mean * (6.0 * all.s2 - 3.0 * square)),
+        )
+    }
+
+    /// Makes the blocks of the back the front. `slot` holds the oldest, which is about to go.
+    #[inline(never)]
+    fn turn(&mut self, slot: usize) {
+        let newest = slot.checked_sub(1).unwrap_or(N - 1);
+        let Some(newest) = self.blocks.get(newest) else { return };
+        // The newest is in the front to the end.
+        let reference = newest.first + newest.offset;
+        self.front_reference = reference;
+        let mut sums = Sums::ZERO;
+        let older = slot + 1;
+        for range in [0..slot, older.min(N)..N] {
+            let (Some(blocks), Some(front)) = (self.blocks.get(range.clone()), self.front.get_mut(range)) else { return };
+            for (block, front) in blocks.iter().zip(front).rev() {
+                sums = sums.with(block, reference);
+                *front = sums;
+            }
+        }
     }
 }
 
