@@ -9,6 +9,7 @@
 //! beside a model that says where it comes from.
 
 pub mod blob;
+pub mod bundled;
 pub mod card;
 pub mod dataset;
 pub mod labels;

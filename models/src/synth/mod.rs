@@ -48,11 +48,13 @@ pub struct Take {
 
 /// The takes of one wearer: `seconds` of each gesture, and as `idle` half as long of each kind of
 /// idle movement, and the moments in which a gesture has only just begun or is nearly over (at most
-/// 0.8 s of it in the window), which must not be taken for the gesture yet or still.
+/// half of the window), which must not be taken for the gesture yet or still. In the recordings of
+/// a gesture it fills at least two thirds of the window.
 pub fn takes(seconds: f64) -> Vec<Take> {
-    const EDGE_S: f64 = 0.4;
-    const PART_S: f64 = 0.8;
-    const REST_S: f64 = 1.6;
+    const EDGE_S: f64 = 0.7;
+    const PART_S: f64 = 1.0;
+    const REST_S: f64 = 1.7;
+    const CUT_FROM_S: f64 = 4.0;
     let mut takes = Vec::new();
     for motion in Motion::GESTURES {
         takes.push(Take {
@@ -70,11 +72,15 @@ pub fn takes(seconds: f64) -> Vec<Take> {
         takes.push(Take { label: "idle", number, script });
     }
     for (motion, number) in Motion::GESTURES.into_iter().zip(0..) {
-        // Cut out of a longer gesture, so that its first or last 0.8 s are as in a session.
-        let begins = vec![Segment::new(Motion::IDLE, REST_S), Segment::cut(motion, 4.0, 0.0, PART_S)];
-        let ends = vec![Segment::cut(motion, 4.0, 4.0 - PART_S, PART_S), Segment::new(Motion::IDLE, REST_S)];
-        takes.push(Take { label: "idle", number: 101 + number, script: begins });
-        takes.push(Take { label: "idle", number: 201 + number, script: ends });
+        // Cut out of a longer gesture, so that its first or last second is as in a session.
+        let first = Segment::cut(motion, CUT_FROM_S, 0.0, PART_S);
+        let last = Segment::cut(motion, CUT_FROM_S, CUT_FROM_S - PART_S, PART_S);
+        for (kind, more) in [(IdleKind::Still, 0), (IdleKind::Reach, 50)] {
+            let rest = Segment::new(Motion::Idle(kind), REST_S);
+            let number = number + more;
+            takes.push(Take { label: "idle", number: 101 + number, script: vec![rest, first] });
+            takes.push(Take { label: "idle", number: 201 + number, script: vec![last, rest] });
+        }
     }
     takes
 }

@@ -308,21 +308,29 @@ fn moves(rng: &mut ChaCha8Rng, seconds: f64, reach_m: f64, turn_rad: f64) -> Kin
     let mut list = Vec::new();
     let mut now = Pose::default();
     let mut t = rng.random_range(0.0..1.5);
-    while t < seconds {
+    loop {
         let length_s = rng.random_range(0.45..1.1);
-        let place = Pose {
+        let mut place = Pose {
             position_m: [0; 3].map(|_| normal(rng, reach_m * 0.6, reach_m)),
             posture_rad: [0; 3].map(|_| normal(rng, turn_rad * 0.6, turn_rad)),
         };
+        // The last move brings the hand back, so that what follows starts from the usual posture.
+        let last = t + length_s > seconds - 1.2;
+        if last {
+            place = Pose::default();
+            t = t.min(seconds - length_s).max(0.0);
+        }
         let by = Pose {
             position_m: std::array::from_fn(|a| place.position_m[a] - now.position_m[a]),
             posture_rad: std::array::from_fn(|a| place.posture_rad[a] - now.posture_rad[a]),
         };
         list.push((t, length_s, by));
+        if last {
+            return Kind::Moves(list);
+        }
         now = place;
         t += length_s + rng.random_range(0.7..2.5);
     }
-    Kind::Moves(list)
 }
 
 impl Periodic {

@@ -1,0 +1,23 @@
+//! The model that comes with this project, trained on simulated wearers only: recordings of the
+//! paper's seven gestures are not public. Its card says so, and so must every place that shows it.
+
+use std::path::Path;
+
+use crate::blob::{ModelError, ModelFiles};
+use crate::card::Card;
+
+/// `right-9axis.tflite`.
+pub const TFLITE: &[u8] = include_bytes!("../bundled/right-9axis.tflite");
+/// `right-9axis.card.json`.
+pub const CARD: &[u8] = include_bytes!("../bundled/right-9axis.card.json");
+
+/// The bundled model and its card.
+pub fn files() -> Result<ModelFiles, ModelError> {
+    let file = Path::new("right-9axis.tflite");
+    ModelFiles::new(file, TFLITE, Card::parse(&Card::path(file), CARD)?)
+}
+
+/// The blob of the bundled model, as boards and bridge run it.
+pub fn blob() -> Result<Vec<u8>, ModelError> {
+    files()?.blob().map_err(|what| ModelError::Mismatch { file: "right-9axis.tflite".into(), what })
+}
