@@ -64,6 +64,15 @@ struct Axis {
     powers: SlidingPowers<FRAMES>,
 }
 
+/// Where the samples of a hop belong.
+struct Hop {
+    axis: usize,
+    block: Place<HOPS>,
+    frame: Place<FRAMES>,
+    /// See [`crate::sliding::in_front`].
+    moments_in_back: usize,
+}
+
 impl<const A: usize> FeatureWindow<A> {
     /// An empty window: all bytes are zero, so that a static one takes no flash.
     pub const fn new() -> Self {
@@ -84,7 +93,10 @@ impl<const A: usize> FeatureWindow<A> {
     #[inline]
     pub fn push(&mut self, sample: &[f32; A]) -> bool {
         if let Some(place) = self.stage.get_mut(self.staged) {
-            *place = *sample;
+            // By element: a copy of the whole becomes a call.
+            for (place, value) in place.iter_mut().zip(*sample) {
+                *place = value;
+            }
         }
         self.staged += 1;
         self.staged >= HOP && self.finish_hop()
@@ -94,16 +106,20 @@ impl<const A: usize> FeatureWindow<A> {
     fn finish_hop(&mut self) -> bool {
         self.staged = 0;
         let mut replaced = 0;
-        for (index, (axis, features)) in self.axes.iter_mut().zip(&mut self.features).enumerate() {
-            let samples = self.stage.each_ref().map(|sample| sample[index]);
+        // The moments of axis i turn at hop −i, its powers half a round later: one turn per hop up to 12 axes.
+        let mut hop = Hop {
+            axis: 0,
+            block: Place::new(self.block),
+            frame: Place::new(self.frame),
             // The moments of axis i turn at hop −i, its powers half a round later: one turn per hop up to 12 axes.
-            let in_moments = (self.frame + index) % FRAMES;
-            let in_powers = (in_moments + FRAMES / 2) % FRAMES;
-            let (moments, powers) = (Place::new(self.block, in_moments), Place::new(self.frame, in_powers));
-            replaced += axis.advance(&samples, moments, powers, features);
+            moments_in_back: self.frame,
+        };
+        for (axis, features) in self.axes.iter_mut().zip(&mut self.features) {
+            replaced += axis.advance(&hop, &mut self.stage, features);
+            hop.axis += 1;
+            hop.moments_in_back = if hop.moments_in_back + 1 >= FRAMES { 0 } else { hop.moments_in_back + 1 };
         }
-        self.block = if self.block + 1 >= HOPS { 0 } else { self.block + 1 };
-        self.frame = if self.frame + 1 >= FRAMES { 0 } else { self.frame + 1 };
+        (self.block, self.frame) = (hop.block.oldest, hop.frame.oldest);
         self.hops = (self.hops + 1).min(HOPS);
         self.tainted = if replaced > 0 { HOPS } else { self.tainted.saturating_sub(1) };
         self.replaced = self.replaced.saturating_add(replaced);
@@ -153,36 +169,42 @@ impl Axis {
 
     /// Takes a hop's samples, writes the features, and tells how many samples had to be replaced.
     #[inline(never)]
-    fn advance(
+    fn advance<const A: usize>(
         &mut self,
-        samples: &[f32; HOP],
-        in_moments: Place<HOPS>,
-        in_powers: Place<FRAMES>,
+        hop: &Hop,
+        stage: &mut [[f32; A]; HOP],
         features: &mut [f32; FEATURES_PER_AXIS],
     ) -> u32 {
         const N: f32 = WINDOW as f32;
         const ROOT_N: f32 = 14.142_136;
         let [mean, rms, variance, skewness, kurtosis, bins @ ..] = features;
+        if hop.axis >= A {
+            return 0;
+        }
 
-        let (mut samples, mut replaced) = (*samples, 0);
+        let mut replaced = 0;
+        let mut samples = column(stage, hop.axis);
         let mut half = HalfFrame::new(&samples);
         let mut block = Block::new(&half);
         let block_mean = block.first + block.offset;
         // x² ≤ 2·(mean² + Σ(x − mean)²) for each x. False also where anything is no number.
         let tame = block.m2 + block_mean * block_mean <= SAMPLE_LIMIT * SAMPLE_LIMIT / 2.0;
         if !tame {
-            replaced = repair(&mut samples, self.held);
+            replaced = repair(stage, hop.axis, self.held);
+            samples = column(stage, hop.axis);
             half = HalfFrame::new(&samples);
             block = Block::new(&half);
         }
         self.held = samples[HOP - 1];
 
-        self.sum.replace(in_moments.slot, &samples);
+        self.sum.replace(hop.block.slot, &samples);
         // The first frame of all is half empty; it is the one that leaves when the window becomes full.
         let powers = powers(&self.last, &half).map(|power| power * const { 1.0 / (16 * FRAMES) as f32 });
-        let (m2, m3, m4) = self.moments.push(in_moments, block);
+        let (m2, m3, m4) = self.moments.push(hop.block, hop.moments_in_back, block);
         self.last = half;
-        self.powers.push(in_powers, powers, bins);
+        let rounds = hop.moments_in_back;
+        let powers_in_back = if rounds < FRAMES / 2 { rounds + FRAMES / 2 } else { rounds - FRAMES / 2 };
+        self.powers.push(hop.frame, powers_in_back, powers, bins);
 
         *mean = self.sum.sum() * const { 1.0 / N };
         *variance = m2 * const { 1.0 / N };
@@ -194,12 +216,18 @@ impl Axis {
     }
 }
 
+/// The samples of one axis, below `A`.
+#[inline(always)]
+fn column<const A: usize>(stage: &[[f32; A]; HOP], axis: usize) -> [f32; HOP] {
+    stage.each_ref().map(|sample| sample[axis])
+}
+
 /// Limits magnitudes and lets values that are no numbers repeat the one before; tells how many these were.
 #[cold]
 #[inline(never)]
-fn repair(samples: &mut [f32; HOP], mut held: f32) -> u32 {
+fn repair<const A: usize>(stage: &mut [[f32; A]; HOP], axis: usize, mut held: f32) -> u32 {
     let mut replaced = 0;
-    for sample in samples {
+    for sample in stage.iter_mut().filter_map(|sample| sample.get_mut(axis)) {
         if sample.is_finite() {
             held = sample.clamp(-SAMPLE_LIMIT, SAMPLE_LIMIT);
         } else {

@@ -7,7 +7,7 @@
 //! cancels in the end is bounded, whatever the signal did before.
 
 use crate::fft::HalfFrame;
-use crate::sliding::Place;
+use crate::sliding::{Place, in_front};
 
 /// Samples per block.
 const BLOCK: f32 = 8.0;
@@ -119,10 +119,11 @@ impl<const N: usize> SlidingMoments<N> {
         back_reference: 0.0,
     };
 
-    /// Takes a block; gives Σ(x − mean)², ³ and ⁴ over all samples of the last `N`.
+    /// Takes a block; gives Σ(x − mean)², ³ and ⁴ over all samples of the last `N`. `in_back` is as in
+    /// [`in_front`].
     #[inline(always)]
-    pub fn push(&mut self, place: Place<N>, block: Block) -> (f32, f32, f32) {
-        if place.in_back == 0 {
+    pub fn push(&mut self, place: Place<N>, in_back: usize, block: Block) -> (f32, f32, f32) {
+        if in_back == 0 {
             self.turn(place.slot);
             self.back = Sums::ZERO;
             self.back_reference = block.first + block.offset;
@@ -132,9 +133,10 @@ impl<const N: usize> SlidingMoments<N> {
         if let Some(slot) = self.blocks.get_mut(place.slot) {
             *slot = block;
         }
+        let in_front = in_front::<N>(in_back);
         let all = match self.front.get(place.oldest) {
-            Some(front) if place.in_front > 0 => {
-                front.joined(place.in_front as f32, self.front_reference - self.back_reference, &back)
+            Some(front) if in_front > 0 => {
+                front.joined(in_front as f32, self.front_reference - self.back_reference, &back)
             }
             _ => back,
         };
