@@ -200,11 +200,11 @@ impl Axis {
         self.sum.replace(hop.block.slot, &samples);
         // The first frame of all is half empty; it is the one that leaves when the window becomes full.
         let powers = powers(&self.last, &half).map(|power| power * const { 1.0 / (16 * FRAMES) as f32 });
-        let (m2, m3, m4) = self.moments.push(hop.block, hop.moments_in_back, block);
         self.last = half;
         let rounds = hop.moments_in_back;
         let powers_in_back = if rounds < FRAMES / 2 { rounds + FRAMES / 2 } else { rounds - FRAMES / 2 };
         self.powers.push(hop.frame, powers_in_back, powers, bins);
+        let (m2, m3, m4) = self.moments.push(hop.block, hop.moments_in_back, block);
 
         *mean = self.sum.sum() * const { 1.0 / N };
         *variance = m2 * const { 1.0 / N };

@@ -35,8 +35,7 @@ impl<const N: usize> SlidingPowers<N> {
             self.back = [0.0; 8];
         }
         self.slots[place.slot] = frame;
-        let own = self.back;
-        add(&mut self.back, &own, &frame);
+        add_to(&mut self.back, &self.slots[place.slot]);
         if in_front::<N>(in_back) > 0 {
             add(sums, &self.slots[place.oldest], &self.back);
         } else {
@@ -52,6 +51,15 @@ fn add(out: &mut Bins, a: &Bins, b: &Bins) {
     *out = core::array::from_fn(|k| a[k] + b[k]);
 }
 
+/// `sum` += frame.
+#[cfg(not(cortex_m4f))]
+#[inline(always)]
+fn add_to(sum: &mut Bins, frame: &Bins) {
+    for (sum, value) in sum.iter_mut().zip(frame) {
+        *sum += value;
+    }
+}
+
 /// Replaces each piece, from the last to the first, by the sum of it and all behind it, `sum` included.
 #[cfg(not(cortex_m4f))]
 fn accumulate_down(sum: &mut Bins, pieces: &mut [Bins]) {
@@ -64,7 +72,7 @@ fn accumulate_down(sum: &mut Bins, pieces: &mut [Bins]) {
 }
 
 #[cfg(cortex_m4f)]
-use cortex_m4f::{accumulate_down, add};
+use cortex_m4f::{accumulate_down, add, add_to};
 
 #[cfg(cortex_m4f)]
 mod cortex_m4f {
@@ -126,6 +134,12 @@ mod cortex_m4f {
     pub(super) fn add(out: &mut Bins, a: &Bins, b: &Bins) {
         // SAFETY: reads eight floats at `a` and `b`, writes eight at `out`, keeps to the procedure call standard.
         unsafe { bimanual_add8(out, a, b) }
+    }
+
+    #[inline(always)]
+    pub(super) fn add_to(sum: &mut Bins, frame: &Bins) {
+        // SAFETY: as above; the routine reads all before it writes.
+        unsafe { bimanual_add8(sum, sum, frame) }
     }
 
     pub(super) fn accumulate_down(sum: &mut Bins, pieces: &mut [Bins]) {

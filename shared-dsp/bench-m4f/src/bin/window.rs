@@ -1,0 +1,18 @@
+//! Computes features: its growth over `empty` is their flash, its .bss their RAM.
+#![no_std]
+#![no_main]
+
+use core::hint::black_box;
+use shared_dsp::features::FeatureWindow;
+
+static mut WINDOW: FeatureWindow<9> = FeatureWindow::new();
+
+/// Entry.
+#[unsafe(no_mangle)]
+pub extern "C" fn main() {
+    // SAFETY: the only use.
+    let window = unsafe { &mut *core::ptr::addr_of_mut!(WINDOW) };
+    while !window.push(black_box(&[1.0; 9])) {}
+    black_box(window.features());
+    bench_m4f::exit();
+}
