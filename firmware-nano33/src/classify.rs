@@ -3,17 +3,20 @@
 use core::sync::atomic::Ordering;
 
 use embassy_time::{Duration, with_timeout};
-use shared_dsp::features::{FeatureWindow, HOP, WINDOW};
-use shared_dsp::mlp::{MAX_LABELS, Model};
+use shared_dsp::decision::DecisionConfig;
+use shared_dsp::features::{HOP, WINDOW};
+use shared_dsp::mlp::Model;
 use shared_dsp::recipe::Recipe;
+use shared_dsp::right::{RightHand, RightOutput};
 use shared_proto::message::{BoardMessage, Mode, RAW_COUNTS_MAX, RawImu, RightState, health};
+use static_cell::StaticCell;
 
 use crate::link::broadcast;
 use crate::sample::{AXES, SAMPLE_HZ, SAMPLES, SENSOR, Sample, Taken};
 use crate::state::{self, ALIVE_CLASSIFY, SENSOR_OK};
 
-/// Without a sample for so long the laptop is told, and the window is emptied.
-const SILENCE: Duration = Duration::from_millis(100);
+/// Without a sample for so long the window is emptied and the laptop is told, and again every hop.
+const SILENCE: Duration = Duration::from_millis(80);
 
 /// Whether this image can run a model with these needs.
 pub fn can_run(recipe: u8, axes: usize, sample_hz: u16, window: u16) -> bool {
@@ -26,22 +29,87 @@ pub fn can_run(recipe: u8, axes: usize, sample_hz: u16, window: u16) -> bool {
 /// Whether this image can run this model.
 pub fn fits(model: &Model<'_>) -> bool {
     let info = model.info();
-    can_run(info.recipe.id(), info.axes, info.sample_hz, info.window)
+    can_run(info.recipe.id(), info.axes, info.sample_hz, info.window) && usize::from(info.hop) == HOP
+}
+
+/// One sample into the window; tests watch its arguments and count its instructions.
+#[inline(never)]
+#[unsafe(no_mangle)]
+extern "C" fn bimanual_sample(counts: &[i16; AXES], hand: &mut RightHand<'static, AXES>, time_ms: u32) -> bool {
+    let scale = SENSOR.scale();
+    let values = core::array::from_fn(|axis| f32::from(counts[axis]) * scale[axis / 3]);
+    hand.push(&values, time_ms).is_some()
 }
 
 /// Names gestures for ever.
 #[embassy_executor::task]
 pub async fn run(model: &'static Model<'static>) -> ! {
-    let _ = (model, MAX_LABELS, HOP, FeatureWindow::<AXES>::new());
+    static HAND: StaticCell<RightHand<'static, AXES>> = StaticCell::new();
+    let Ok(hand) = RightHand::new(*model, DecisionConfig::default()) else {
+        defmt::unreachable!("the model was chosen to fit");
+    };
+    let hand = HAND.init(hand);
     let mut raw = RawBatch::new();
-    let _ = RightState { sequence: 0, board_time_ms: 0, events: 0, label: 255, confidence: 0, event_window_end_ms: 0, scores: &[], health: health::GAP };
+    let mut report = Report { sequence: 0, board_time_ms: 0 };
     loop {
         let taken = with_timeout(SILENCE, SAMPLES.receive()).await;
         state::alive(ALIVE_CLASSIFY);
-        let _ = SENSOR_OK.load(Ordering::Relaxed);
-        if let Ok(Taken::Sample(sample)) = taken && state::mode() == Mode::Record {
-            raw.push(&sample);
+        match (taken, state::mode()) {
+            (Ok(Taken::Sample(sample)), Mode::Classify) => {
+                report.board_time_ms = sample.board_time_ms;
+                if bimanual_sample(&sample.counts, hand, sample.board_time_ms) {
+                    report.send(hand.output());
+                }
+            }
+            (Ok(Taken::Sample(sample)), mode) => {
+                // Samples that the window did not see are a gap in it.
+                hand.gap();
+                if mode == Mode::Record {
+                    raw.push(&sample);
+                }
+            }
+            (Ok(Taken::Gap), _) => {
+                hand.gap();
+                raw.clear();
+            }
+            (Err(_), mode) => {
+                hand.gap();
+                raw.clear();
+                if mode == Mode::Classify {
+                    report.send(hand.output());
+                }
+            }
         }
+    }
+}
+
+/// The hand's state on its way to the laptop.
+struct Report {
+    sequence: u16,
+    board_time_ms: u32,
+}
+
+impl Report {
+    fn send(&mut self, output: &RightOutput) {
+        let mut flags = 0;
+        if !SENSOR_OK.load(Ordering::Relaxed) {
+            flags |= health::SENSOR;
+        }
+        if !output.full || output.replaced {
+            flags |= health::GAP;
+        }
+        let scores = output.score_bytes();
+        broadcast(&BoardMessage::Right(RightState {
+            sequence: self.sequence,
+            board_time_ms: self.board_time_ms,
+            events: output.events,
+            label: output.label,
+            confidence: output.confidence,
+            event_window_end_ms: output.event_window_end_ms,
+            scores: &scores[..output.scores().len()],
+            health: flags,
+        }));
+        self.sequence = self.sequence.wrapping_add(1);
     }
 }
 

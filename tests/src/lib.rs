@@ -1,1 +1,7 @@
 //! End-to-end tests.
+
+#[cfg(feature = "avr")]
+pub mod avr;
+
+#[cfg(feature = "nrf")]
+pub mod nrf;

@@ -1,0 +1,555 @@
+//! The core (unicorn's Cortex-M4F) in its chip: exceptions, sleep, resets, and counting instructions.
+//!
+//! Unicorn executes instructions; everything else is here. Time goes by instructions while the core is
+//! awake and jumps to the next due event while it sleeps.
+
+use std::collections::HashMap;
+
+use unicorn_engine::{Arch, ArmCpuModel, Mode, Prot, RegisterARM, Unicorn};
+
+use super::image::Image;
+use super::lsm9ds1::{Lsm9ds1, Motion};
+use super::memory::{FLASH_BYTES, RAM_BYTES, RAM_START};
+use super::nvic::FIRST_IRQ;
+use super::soc::{SLOTS_END, SLOTS_START, Soc};
+use super::time::{HZ, us};
+
+/// Cycles per two instructions: the flash has wait states and loads take two cycles; 1.5 per
+/// instruction is on the safe side of the 1.2 to 1.4 of `../shared/reference/peers.md`.
+const CYCLES_PER_TWO: u64 = 3;
+/// Entering or leaving an exception.
+const EXCEPTION_CYCLES: u64 = 12;
+
+/// Why the core stopped executing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Stop {
+    /// Something is due or an interrupt is ready.
+    Attention,
+    /// WFE or WFI was reached, at this address.
+    Wait { at: u32, for_event: bool },
+    /// A handler returned.
+    ExceptionReturn,
+    /// SVC; the program counter is behind it.
+    Supervisor,
+    /// What the core cannot go on from.
+    Fault(u32),
+}
+
+/// One measured call of a function.
+#[derive(Clone, Copy, Debug)]
+pub struct Call {
+    /// Cycle at which it began.
+    pub at: u64,
+    /// Executed instructions, those of interrupts in between left out.
+    pub instructions: u64,
+}
+
+/// What a tap saw at one call.
+#[derive(Clone, Debug)]
+pub struct Tapped {
+    /// Cycle of the call.
+    pub at: u64,
+    /// Registers r0 to r3.
+    pub registers: [u32; 4],
+    /// Bytes behind r0.
+    pub bytes: Vec<u8>,
+}
+
+/// Everything that hooks reach.
+struct World {
+    soc: Soc,
+    stop: Option<Stop>,
+    instructions: u64,
+    thread_instructions: u64,
+    half: u64,
+    event: bool,
+    blocks: HashMap<u32, u64>,
+    probes: HashMap<u32, usize>,
+    calls: Vec<Vec<Call>>,
+    open: Vec<(u32, usize, u64, u64)>,
+    taps: HashMap<u32, (usize, usize)>,
+    tapped: Vec<Vec<Tapped>>,
+}
+
+/// How the image is started.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Boot {
+    /// By a stand-in for the stock bootloader, which leaves its table and some peripherals behind.
+    StockBootloader,
+    /// By the MBR and the SoftDevice, which forwards exceptions.
+    SoftDevice,
+}
+
+/// The emulated board.
+pub struct Board {
+    uc: Unicorn<'static, World>,
+    image: Image,
+    boot: Boot,
+    asleep: bool,
+    frames: Vec<bool>,
+    /// Resets since power-up, with their reasons (RESETREAS).
+    pub resets: Vec<u32>,
+    /// The stand-in bootloader was asked to stay.
+    pub in_bootloader: bool,
+    slept: u64,
+}
+
+fn decode(soc_flash: &[u8], address: u32, size: u32) -> u64 {
+    let mut count = 0;
+    let mut at = address as usize;
+    let end = at + size as usize;
+    while at < end {
+        let half = soc_flash.get(at..at + 2).map_or(0, |b| u16::from_le_bytes([b[0], b[1]]));
+        at += if half >> 11 >= 0b11101 { 4 } else { 2 };
+        count += 1;
+    }
+    count
+}
+
+impl Board {
+    /// A board with the image in its flash, about to start.
+    ///
+    /// # Panics
+    /// Where the emulator cannot be set up.
+    pub fn new(image: Image, boot: Boot, motion: Box<dyn Motion>) -> Self {
+        let mut soc = Soc::new(Lsm9ds1::new(motion));
+        for (address, bytes) in &image.pieces {
+            soc.flash[*address as usize..][..bytes.len()].copy_from_slice(bytes);
+        }
+        let world = World {
+            soc,
+            stop: None,
+            instructions: 0,
+            thread_instructions: 0,
+            half: 0,
+            event: false,
+            blocks: HashMap::new(),
+            probes: HashMap::new(),
+            calls: Vec::new(),
+            open: Vec::new(),
+            taps: HashMap::new(),
+            tapped: Vec::new(),
+        };
+        let mut uc =
+            Unicorn::new_with_data(Arch::ARM, Mode::THUMB | Mode::MCLASS, world).expect("unicorn starts");
+        uc.ctl_set_cpu_model(ArmCpuModel::CORTEX_M4 as i32).expect("a Cortex-M4F");
+        // The two model slots are written by the firmware itself, so they are registers to the core.
+        uc.mem_map(0, u64::from(SLOTS_START), Prot::ALL).expect("flash");
+        let behind = u64::from(SLOTS_END);
+        uc.mem_map(behind, FLASH_BYTES as u64 - behind, Prot::ALL).expect("flash");
+        let flash = uc.get_data().soc.flash.clone();
+        uc.mem_write(0, &flash[..SLOTS_START as usize]).expect("flash");
+        uc.mem_write(behind, &flash[SLOTS_END as usize..]).expect("flash");
+        let ram = uc.get_data_mut().soc.ram.as_mut_ptr();
+        // SAFETY: the RAM lies in a box that lives as long as the emulator and never moves.
+        unsafe { uc.mem_map_ptr(RAM_START.into(), RAM_BYTES as u64, Prot::ALL, ram.cast()) }.expect("RAM");
+        for (start, len) in [
+            (SLOTS_START, SLOTS_END - SLOTS_START),
+            (0x1000_0000, 0x2000),
+            (0x4000_0000, 0x3_0000),
+            (0x5000_0000, 0x1000),
+            (0xE000_1000, 0x1000),
+            (0xE000_E000, 0x1000),
+            (0xF000_0000, 0x1000),
+        ] {
+            uc.mmio_map(
+                start.into(),
+                len.into(),
+                Some(move |uc: &mut Unicorn<'_, World>, offset: u64, size: usize| {
+                    u64::from(uc.get_data_mut().soc.read(start + offset as u32, size as u32))
+                }),
+                Some(move |uc: &mut Unicorn<'_, World>, offset: u64, size: usize, value: u64| {
+                    uc.get_data_mut().soc.write(start + offset as u32, value as u32, size as u32);
+                }),
+            )
+            .expect("registers");
+        }
+        Self::hook(&mut uc, &flash);
+        let mut board = Self {
+            uc,
+            image,
+            boot,
+            asleep: false,
+            frames: Vec::new(),
+            resets: Vec::new(),
+            in_bootloader: false,
+            slept: 0,
+        };
+        board.start();
+        board
+    }
+
+    fn hook(uc: &mut Unicorn<'static, World>, flash: &[u8]) {
+        uc.add_block_hook(1, 0, |uc, address, size| {
+            let address = address as u32;
+            let world = uc.get_data_mut();
+            let soc = &mut world.soc;
+            let ready = soc.now >= soc.due || soc.nvic.reset_wanted || soc.nvmc.busy_until > soc.now;
+            if ready || soc.nvic.any_ready() {
+                let masked = !ready && {
+                    let masked = uc.reg_read(RegisterARM::PRIMASK).unwrap_or(0) & 1 != 0;
+                    let world = uc.get_data_mut();
+                    masked || world.soc.nvic.next(0).is_none()
+                };
+                if !masked {
+                    uc.get_data_mut().stop = Some(Stop::Attention);
+                    let _ = uc.emu_stop();
+                    return;
+                }
+            }
+            let world = uc.get_data_mut();
+            let soc = &mut world.soc;
+            let count = *world.blocks.entry(address).or_insert_with(|| decode(&soc.flash, address, size));
+            if !world.open.is_empty() && soc.nvic.active().is_empty() {
+                while let Some(&(back, probe, at, before)) = world.open.last() {
+                    if back != address {
+                        break;
+                    }
+                    world.open.pop();
+                    world.calls[probe].push(Call { at, instructions: world.thread_instructions - before });
+                }
+            }
+            if let Some(&probe) = world.probes.get(&address) {
+                let lr = uc.reg_read(RegisterARM::LR).unwrap_or(0) as u32 & !1;
+                let world = uc.get_data_mut();
+                world.open.push((lr, probe, world.soc.now, world.thread_instructions));
+            }
+            let world = uc.get_data_mut();
+            if let Some(&(tap, len)) = world.taps.get(&address) {
+                let registers = [RegisterARM::R0, RegisterARM::R1, RegisterARM::R2, RegisterARM::R3]
+                    .map(|r| uc.reg_read(r).unwrap_or(0) as u32);
+                let bytes = uc.mem_read_as_vec(registers[0].into(), len).unwrap_or_default();
+                let world = uc.get_data_mut();
+                world.tapped[tap].push(Tapped { at: world.soc.now, registers, bytes });
+            }
+            let world = uc.get_data_mut();
+            world.instructions += count;
+            if world.soc.nvic.active().is_empty() {
+                world.thread_instructions += count;
+            }
+            world.half += count * CYCLES_PER_TWO;
+            let cycles = world.half / 2;
+            world.half %= 2;
+            world.soc.now += cycles;
+            world.soc.awake += cycles;
+        })
+        .expect("a hook");
+        uc.add_intr_hook(|uc, number| {
+            let pc = uc.reg_read(RegisterARM::PC).unwrap_or(0) as u32;
+            uc.get_data_mut().stop = Some(match number {
+                8 => Stop::ExceptionReturn,
+                2 => Stop::Supervisor,
+                _ => Stop::Fault(pc),
+            });
+            let _ = uc.emu_stop();
+        })
+        .expect("a hook");
+        // WFE, WFI and SEV, wherever they may stand.
+        for (at, half) in flash.chunks_exact(2).enumerate() {
+            let at = (at * 2) as u64;
+            match u16::from_le_bytes([half[0], half[1]]) {
+                0xBF20 | 0xBF30 => {
+                    let for_event = half[0] == 0x20;
+                    uc.add_code_hook(at, at, move |uc, address, _| {
+                        uc.get_data_mut().stop = Some(Stop::Wait { at: address as u32, for_event });
+                        let _ = uc.emu_stop();
+                    })
+                    .expect("a hook");
+                }
+                0xBF40 => {
+                    uc.add_code_hook(at, at, |uc, _, _| uc.get_data_mut().event = true).expect("a hook");
+                }
+                _ => {}
+            }
+        }
+    }
+
+    fn reg(&self, register: RegisterARM) -> u32 {
+        self.uc.reg_read(register).unwrap_or(0) as u32
+    }
+
+    fn set_reg(&mut self, register: RegisterARM, value: u32) {
+        self.uc.reg_write(register, value.into()).expect("a register");
+    }
+
+    fn load(&self, address: u32) -> u32 {
+        let mut bytes = [0; 4];
+        let _ = self.uc.mem_read(address.into(), &mut bytes);
+        u32::from_le_bytes(bytes)
+    }
+
+    /// What the bootloader or the MBR does before the image's first instruction.
+    fn start(&mut self) {
+        let table = self.image.vector_table;
+        let boot = self.boot;
+        let soc = self.soc();
+        if boot == Boot::StockBootloader && soc.power.read(0x51C) == 0xB0 {
+            soc.power.write(0x51C, 0, 0);
+            self.in_bootloader = true;
+            return;
+        }
+        if boot == Boot::StockBootloader {
+            // As the stock one: its own table stays, UARTE0 is on, RTC1's compare interrupt is enabled.
+            soc.write(0x4000_2500, 8, 4);
+            soc.write(0x4001_1304, 1 << 16, 4);
+        }
+        let (stack, entry) = (self.load(table), self.load(table + 4));
+        for register in [RegisterARM::IPSR, RegisterARM::PRIMASK, RegisterARM::BASEPRI, RegisterARM::CONTROL] {
+            self.set_reg(register, 0);
+        }
+        self.set_reg(RegisterARM::XPSR, 1 << 24);
+        self.set_reg(RegisterARM::MSP, stack);
+        self.set_reg(RegisterARM::SP, stack);
+        self.set_reg(RegisterARM::LR, u32::MAX);
+        self.set_reg(RegisterARM::PC, entry | 1);
+        self.frames.clear();
+        self.asleep = false;
+        let world = self.uc.get_data_mut();
+        world.event = false;
+        world.open.clear();
+    }
+
+    fn reset(&mut self, reason: u32) {
+        self.resets.push(reason);
+        assert!(self.resets.len() < 1000, "the image restarts for ever");
+        self.soc().reset(reason);
+        self.start();
+    }
+
+    /// The chip around the core.
+    pub fn soc(&mut self) -> &mut Soc {
+        &mut self.uc.get_data_mut().soc
+    }
+
+    /// Virtual time in cycles.
+    pub fn now(&self) -> u64 {
+        self.uc.get_data().soc.now
+    }
+
+    /// Executed instructions.
+    pub fn instructions(&self) -> u64 {
+        self.uc.get_data().instructions
+    }
+
+    /// Cycles awake since power-up.
+    pub fn awake(&self) -> u64 {
+        self.uc.get_data().soc.awake
+    }
+
+    /// The image.
+    pub fn image(&self) -> &Image {
+        &self.image
+    }
+
+    /// Measures every call of a function from now on.
+    pub fn probe(&mut self, function: &str) -> usize {
+        let address = self.image.function(function);
+        let world = self.uc.get_data_mut();
+        world.calls.push(Vec::new());
+        world.probes.insert(address, world.calls.len() - 1);
+        world.calls.len() - 1
+    }
+
+    /// Calls measured so far.
+    pub fn calls(&self, probe: usize) -> &[Call] {
+        &self.uc.get_data().calls[probe]
+    }
+
+    /// Records arguments of a function at every call from now on, and `len` bytes behind the first one.
+    pub fn tap(&mut self, function: &str, len: usize) -> usize {
+        let address = self.image.function(function);
+        let world = self.uc.get_data_mut();
+        world.tapped.push(Vec::new());
+        world.taps.insert(address, (world.tapped.len() - 1, len));
+        world.tapped.len() - 1
+    }
+
+    /// What a tap has seen so far.
+    pub fn tapped(&self, tap: usize) -> &[Tapped] {
+        &self.uc.get_data().tapped[tap]
+    }
+
+    fn enter(&mut self, exception: usize) {
+        let with_fp = self.reg(RegisterARM::CONTROL) & 4 != 0;
+        let sp = self.reg(RegisterARM::SP);
+        let xpsr = self.reg(RegisterARM::XPSR);
+        let size = if with_fp { 0x68 } else { 0x20 };
+        let frame = (sp - size) & !7;
+        let aligned = u32::from(sp & 4 != 0);
+        let registers =
+            [RegisterARM::R0, RegisterARM::R1, RegisterARM::R2, RegisterARM::R3, RegisterARM::R12, RegisterARM::LR];
+        let mut words: Vec<u32> = registers.iter().map(|&r| self.reg(r)).collect();
+        words.push(self.reg(RegisterARM::PC) & !1);
+        words.push(xpsr & !(1 << 9) & !0x1FF | aligned << 9 | (xpsr & 0x1FF));
+        if with_fp {
+            for i in 0..16 {
+                words.push(self.uc.reg_read(RegisterARM::S0 as i32 + i).unwrap_or(0) as u32);
+            }
+            words.push(self.reg(RegisterARM::FPSCR));
+            words.push(0);
+        }
+        let bytes: Vec<u8> = words.iter().flat_map(|w| w.to_le_bytes()).collect();
+        self.uc.mem_write(frame.into(), &bytes).expect("the stack lies in RAM");
+        let nested = !self.soc().nvic.active().is_empty();
+        self.soc().nvic.enter(exception);
+        let lr = match (with_fp, nested) {
+            (false, false) => 0xFFFF_FFF9,
+            (false, true) => 0xFFFF_FFF1,
+            (true, false) => 0xFFFF_FFE9,
+            (true, true) => 0xFFFF_FFE1u32,
+        };
+        let table = self.soc().nvic.vector_table;
+        let vector = self.load(table + 4 * exception as u32);
+        assert!(vector & 1 == 1, "exception {exception} has no handler in the table at {table:#x}");
+        self.set_reg(RegisterARM::CONTROL, 0);
+        self.set_reg(RegisterARM::SP, frame);
+        self.set_reg(RegisterARM::XPSR, 1 << 24 | exception as u32);
+        self.set_reg(RegisterARM::LR, lr);
+        self.set_reg(RegisterARM::PC, vector);
+        self.frames.push(with_fp);
+        self.spend(EXCEPTION_CYCLES);
+        self.uc.get_data_mut().event = true;
+    }
+
+    fn leave(&mut self) {
+        let with_fp = self.frames.pop().expect("a handler ran");
+        let frame = self.reg(RegisterARM::SP);
+        let word = |board: &Self, i: u32| board.load(frame + 4 * i);
+        let xpsr = word(self, 7);
+        let size = if with_fp { 0x68 } else { 0x20 };
+        let registers =
+            [RegisterARM::R0, RegisterARM::R1, RegisterARM::R2, RegisterARM::R3, RegisterARM::R12, RegisterARM::LR];
+        for (i, &register) in registers.iter().enumerate() {
+            let value = word(self, i as u32);
+            self.set_reg(register, value);
+        }
+        if with_fp {
+            for i in 0..16 {
+                let value = word(self, 8 + i);
+                let _ = self.uc.reg_write(RegisterARM::S0 as i32 + i as i32, value.into());
+            }
+            let fpscr = word(self, 24);
+            self.set_reg(RegisterARM::FPSCR, fpscr);
+        }
+        let pc = word(self, 6);
+        self.soc().nvic.leave();
+        self.set_reg(RegisterARM::XPSR, xpsr & !(1 << 9));
+        self.set_reg(RegisterARM::CONTROL, if with_fp { 4 } else { 0 });
+        self.set_reg(RegisterARM::SP, frame + size + (xpsr >> 9 & 1) * 4);
+        self.set_reg(RegisterARM::PC, pc | 1);
+        self.spend(EXCEPTION_CYCLES);
+        self.uc.get_data_mut().event = true;
+    }
+
+    fn spend(&mut self, cycles: u64) {
+        let soc = self.soc();
+        soc.now += cycles;
+        soc.awake += cycles;
+    }
+
+    /// Runs until this cycle of virtual time.
+    ///
+    /// # Panics
+    /// Where the core faults; the message names the place.
+    pub fn run_until(&mut self, until: u64) {
+        while self.now() < until && !self.in_bootloader {
+            let soc = self.soc();
+            if soc.nvmc.busy_until > soc.now {
+                // The core stands still while flash is written; interrupts wait.
+                let still = soc.nvmc.busy_until - soc.now;
+                soc.now += still;
+                soc.awake += still;
+            }
+            soc.advance();
+            let now = soc.now;
+            if soc.watchdog.bites(now) {
+                self.reset(2);
+                continue;
+            }
+            if soc.nvic.reset_wanted {
+                self.reset(4);
+                continue;
+            }
+            let (waiting, due) = (soc.nvic.any_ready(), soc.due);
+            let basepri = self.reg(RegisterARM::BASEPRI) as u8;
+            let masked = self.reg(RegisterARM::PRIMASK) & 1 != 0;
+            if !masked
+                && waiting
+                && let Some(exception) = self.soc().nvic.next(basepri)
+            {
+                self.asleep = false;
+                self.enter(exception);
+            }
+            if self.asleep {
+                let event = std::mem::take(&mut self.uc.get_data_mut().event);
+                if !event {
+                    let to = due.min(until).max(now + 1);
+                    self.slept += to - now;
+                    self.soc().now = to;
+                    continue;
+                }
+                self.asleep = false;
+            }
+            self.execute(until);
+        }
+    }
+
+    fn execute(&mut self, until: u64) {
+        self.uc.get_data_mut().stop = None;
+        // The end of the run is something due.
+        let soc = self.soc();
+        soc.due = soc.due.min(until);
+        let pc = self.reg(RegisterARM::PC) | 1;
+        let result = self.uc.emu_start(pc.into(), 0xFFFF_FFFF, 0, 0);
+        let stop = self.uc.get_data_mut().stop.take();
+        self.soc().settle();
+        match stop {
+            Some(Stop::Attention) => {}
+            Some(Stop::Wait { at, for_event }) => {
+                self.set_reg(RegisterARM::PC, (at + 2) | 1);
+                let event = std::mem::take(&mut self.uc.get_data_mut().event);
+                self.asleep = !(for_event && event) && !(!for_event && self.soc().nvic.any_ready());
+            }
+            Some(Stop::ExceptionReturn) => self.leave(),
+            Some(Stop::Supervisor) => panic!("SVC at {:#x}", self.reg(RegisterARM::PC)),
+            Some(Stop::Fault(at)) => panic!("the core faults at {at:#x}, lr {:#x}", self.reg(RegisterARM::LR)),
+            None => {
+                let at = self.reg(RegisterARM::PC);
+                panic!("the core stops at {at:#x} (lr {:#x}): {result:?}", self.reg(RegisterARM::LR))
+            }
+        }
+    }
+
+    /// Runs for so many milliseconds of virtual time.
+    pub fn run_ms(&mut self, milliseconds: u64) {
+        let until = self.now() + us(milliseconds * 1000);
+        self.run_until(until);
+    }
+
+    /// Share of time awake so far, 0 to 1.
+    pub fn awake_share(&self) -> f64 {
+        self.awake() as f64 / self.now().max(1) as f64
+    }
+
+    /// Seconds of virtual time.
+    pub fn seconds(&self) -> f64 {
+        self.now() as f64 / HZ as f64
+    }
+
+    /// Bytes that left D0 since the last call.
+    pub fn uart_out(&mut self) -> Vec<u8> {
+        self.soc().uart.take_sent().into_iter().map(|(_, byte)| byte).collect()
+    }
+
+    /// Sends bytes into D1.
+    pub fn uart_in(&mut self, bytes: &[u8]) {
+        let soc = self.soc();
+        soc.uart.receive(bytes, soc.now);
+        soc.settle();
+    }
+
+    /// Handler address of an interrupt in the linked table.
+    pub fn vector(&self, irq: usize) -> u32 {
+        self.load(self.image.vector_table + 4 * (FIRST_IRQ + irq) as u32)
+    }
+}

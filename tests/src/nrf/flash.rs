@@ -1,0 +1,109 @@
+//! Flash and UICR with their controller (NVMC): bits go from 1 to 0, pages go back to 1.
+
+use super::time::{ms, us};
+
+/// Bytes per page.
+pub const PAGE: usize = 4096;
+
+/// The controller.
+#[derive(Clone, Debug, Default)]
+pub struct Nvmc {
+    config: u32,
+    /// The core stands still until this cycle.
+    pub busy_until: u64,
+    /// Pages erased since the start.
+    pub erased: u64,
+    /// Words written since the start.
+    pub written: u64,
+    /// Power fails at this operation (a word or a page); for tests of broken transfers.
+    pub fails_after: Option<u64>,
+}
+
+impl Nvmc {
+    /// Whether writes are enabled.
+    pub fn may_write(&self) -> bool {
+        self.config & 3 == 1
+    }
+
+    /// After a reset of the chip.
+    pub fn reset(&mut self) {
+        *self = Self { erased: self.erased, written: self.written, ..Self::default() };
+    }
+
+    fn works(&mut self) -> bool {
+        match &mut self.fails_after {
+            Some(0) => false,
+            Some(left) => {
+                *left -= 1;
+                true
+            }
+            None => true,
+        }
+    }
+
+    /// Writes a word into memory.
+    pub fn program(&mut self, memory: &mut [u8], offset: usize, value: u32, now: u64) {
+        if !self.works() {
+            return;
+        }
+        if let Some(place) = memory.get_mut(offset..offset + 4) {
+            for (byte, new) in place.iter_mut().zip(value.to_le_bytes()) {
+                *byte &= new;
+            }
+            self.written += 1;
+            self.busy_until = now.max(self.busy_until) + us(41);
+        }
+    }
+
+    /// Erases a page.
+    pub fn erase(&mut self, memory: &mut [u8], offset: usize, now: u64) {
+        if !self.works() {
+            return;
+        }
+        let start = offset / PAGE * PAGE;
+        if let Some(page) = memory.get_mut(start..start + PAGE) {
+            page.fill(0xFF);
+            self.erased += 1;
+            self.busy_until = now.max(self.busy_until) + ms(85);
+        }
+    }
+
+    /// Whether erasing is enabled.
+    pub fn may_erase(&self) -> bool {
+        self.config & 3 == 2
+    }
+
+    /// Reads a register.
+    pub fn read(&self, offset: u32) -> u32 {
+        match offset {
+            0x400 | 0x408 => 1,
+            0x504 => self.config,
+            _ => 0,
+        }
+    }
+
+    /// Writes the configuration; erasing is the caller's, who has the memory.
+    pub fn write(&mut self, offset: u32, value: u32) {
+        if offset == 0x504 {
+            self.config = value;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn writing_clears_bits_and_only_erasing_sets_them() {
+        let mut nvmc = Nvmc::default();
+        let mut memory = vec![0xFF; 2 * PAGE];
+        nvmc.program(&mut memory, 8, 0xFFFF_00FF, 0);
+        nvmc.program(&mut memory, 8, 0x0FFF_FFFF, 0);
+        assert_eq!(memory[8..12], [0xFF, 0x00, 0xFF, 0x0F]);
+        assert_eq!(nvmc.busy_until, us(82));
+        nvmc.erase(&mut memory, 100, 0);
+        assert!(memory.iter().all(|&b| b == 0xFF));
+        assert_eq!(nvmc.busy_until, us(82) + ms(85));
+    }
+}

@@ -1,0 +1,79 @@
+//! A linked firmware image: what goes into flash, and where its functions are.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use object::read::elf::ElfFile32;
+use object::{Object, ObjectSection, ObjectSegment, ObjectSymbol, SectionKind};
+
+/// An image.
+#[derive(Clone, Debug, Default)]
+pub struct Image {
+    /// Pieces with their addresses in flash.
+    pub pieces: Vec<(u32, Vec<u8>)>,
+    /// Addresses of functions and objects by name.
+    pub symbols: BTreeMap<String, u32>,
+    /// Where the vector table lies.
+    pub vector_table: u32,
+    /// Bytes of flash and of statics in RAM.
+    pub flash_bytes: u32,
+    /// Bytes of statics in RAM.
+    pub ram_bytes: u32,
+}
+
+impl Image {
+    /// Reads an ELF file.
+    ///
+    /// # Panics
+    /// Where it is no image for this chip: it comes from our own linker.
+    pub fn load(path: &Path) -> Self {
+        let data = std::fs::read(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
+        let file: ElfFile32<'_> = ElfFile32::parse(&*data).expect("an ELF file");
+        let mut image = Self::default();
+        for header in file.elf_program_headers() {
+            use object::read::elf::ProgramHeader;
+            let endian = file.endian();
+            if header.p_type(endian) == object::elf::PT_LOAD && header.p_filesz(endian) > 0 {
+                let bytes = header.data(endian, &*data).expect("inside the file").to_vec();
+                image.flash_bytes += bytes.len() as u32;
+                image.pieces.push((header.p_paddr(endian), bytes));
+            }
+        }
+        let _ = file.segments().map(|s| s.address());
+        for section in file.sections() {
+            if section.name() == Ok(".vector_table") {
+                image.vector_table = section.address() as u32;
+            }
+            let in_ram = (0x2000_0000..0x2004_0000).contains(&section.address());
+            if in_ram && matches!(section.kind(), SectionKind::Data | SectionKind::UninitializedData) {
+                image.ram_bytes += section.size() as u32;
+            }
+        }
+        for symbol in file.symbols() {
+            if let Ok(name) = symbol.name()
+                && !name.is_empty()
+                && !name.starts_with('$')
+            {
+                image.symbols.insert(name.to_string(), symbol.address() as u32);
+            }
+        }
+        image
+    }
+
+    /// Address of a function without the Thumb bit.
+    ///
+    /// # Panics
+    /// Where the image has no such function.
+    pub fn function(&self, name: &str) -> u32 {
+        self.symbols.get(name).unwrap_or_else(|| panic!("the image has no `{name}`")) & !1
+    }
+
+    /// A word of the image.
+    pub fn word(&self, address: u32) -> Option<u32> {
+        self.pieces.iter().find_map(|(start, bytes)| {
+            let at = address.checked_sub(*start)? as usize;
+            let b = bytes.get(at..at + 4)?;
+            Some(u32::from_le_bytes([b[0], b[1], b[2], b[3]]))
+        })
+    }
+}

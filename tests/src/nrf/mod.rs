@@ -1,0 +1,25 @@
+//! The emulated right hand: a Nano 33 BLE Sense from its instructions to its I2C bus.
+//!
+//! Needs the package `libunicorn-dev` (Debian) and the cargo feature `nrf`. One peripheral per file, each
+//! with its own tests, since emulators lie a little. What is not modelled: wait states of the flash (see
+//! `board::CYCLES_PER_TWO`), bus contention, analog behaviour of pins, the radio.
+
+pub mod board;
+pub mod build;
+pub mod events;
+pub mod flash;
+pub mod gpio;
+pub mod i2c;
+pub mod image;
+pub mod lsm9ds1;
+pub mod memory;
+pub mod nvic;
+pub mod ppi;
+pub mod rtc;
+pub mod soc;
+pub mod system;
+pub mod time;
+pub mod timer;
+pub mod twim;
+pub mod uarte;
+pub mod usbd;

@@ -1,0 +1,361 @@
+//! The chip around the core: address map, interrupt lines, PPI, and when something is due.
+
+use super::events::Events;
+use super::flash::Nvmc;
+use super::gpio::Port;
+use super::i2c::Bus;
+use super::lsm9ds1::Lsm9ds1;
+use super::memory::{FLASH_BYTES, Ram};
+use super::nvic::Nvic;
+use super::ppi::Ppi;
+use super::rtc::Rtc;
+use super::system::{ClockPower, Rng, Watchdog};
+use super::timer::Timer;
+use super::twim::Twim;
+use super::uarte::Uarte;
+use super::usbd::Usbd;
+
+const CLOCK_POWER: usize = 0;
+const UARTE0: usize = 2;
+const TWIM0: usize = 3;
+const GPIOTE: usize = 6;
+const TIMER0: usize = 8;
+const RNG: usize = 13;
+const RTC1: usize = 17;
+const WDT: usize = 16;
+const NVMC: usize = 30;
+const PPI: usize = 31;
+const USBD: usize = 39;
+
+/// Start of the flash that the firmware writes itself.
+pub const SLOTS_START: u32 = 0xD8000;
+/// Its end.
+pub const SLOTS_END: u32 = 0xE0000;
+
+/// All of the chip but the core.
+pub struct Soc {
+    /// Cycles since power-up.
+    pub now: u64,
+    /// RAM.
+    pub ram: Ram,
+    /// Flash as the world sees it (the core's copy of the code is set up once).
+    pub flash: Vec<u8>,
+    /// UICR, one page.
+    pub uicr: Vec<u8>,
+    /// Interrupt controller.
+    pub nvic: Nvic,
+    /// Clocks, power and USB power.
+    pub power: ClockPower,
+    /// D0 and D1.
+    pub uart: Uarte,
+    twim: Twim,
+    gpiote: Events,
+    timers: [Timer; 5],
+    rtc1: Rtc,
+    rng: Rng,
+    /// Watchdog.
+    pub watchdog: Watchdog,
+    /// Flash controller.
+    pub nvmc: Nvmc,
+    ppi: Ppi,
+    /// USB device.
+    pub usb: Usbd,
+    /// Pins.
+    pub ports: [Port; 2],
+    /// The sensor bus.
+    pub bus: Bus,
+    /// Registers that are only remembered, by address.
+    others: std::collections::HashMap<u32, u32>,
+    /// The earliest cycle at which a peripheral has something to do.
+    pub due: u64,
+    /// Cycles that the core was awake; DWT's counter.
+    pub awake: u64,
+    dwt_offset: u64,
+    /// Accesses to peripherals that are not modelled, by page.
+    pub unknown: std::collections::BTreeSet<u32>,
+}
+
+impl Soc {
+    /// A chip after power-up.
+    pub fn new(sensor: Lsm9ds1) -> Self {
+        Self {
+            now: 0,
+            ram: Ram::default(),
+            flash: vec![0xFF; FLASH_BYTES],
+            uicr: vec![0xFF; 4096],
+            nvic: Nvic::default(),
+            power: ClockPower::default(),
+            uart: Uarte::default(),
+            twim: Twim::default(),
+            gpiote: Events::default(),
+            timers: Default::default(),
+            rtc1: Rtc::default(),
+            rng: Rng::new(1),
+            watchdog: Watchdog::default(),
+            nvmc: Nvmc::default(),
+            ppi: Ppi::default(),
+            usb: Usbd::default(),
+            ports: Default::default(),
+            bus: Bus::new(sensor),
+            others: Default::default(),
+            due: u64::MAX,
+            awake: 0,
+            dwt_offset: 0,
+            unknown: Default::default(),
+        }
+    }
+
+    /// A reset that is not a power-up: memories, time and the world stay.
+    pub fn reset(&mut self, reason: u32) {
+        self.power.reset(reason);
+        self.nvic = Nvic::default();
+        let uart = std::mem::take(&mut self.uart);
+        self.uart.keep_line(uart);
+        self.twim = Twim::default();
+        self.gpiote = Events::default();
+        self.timers = Default::default();
+        self.rtc1 = Rtc::default();
+        self.rng = Rng::new(self.now | 1);
+        self.watchdog = Watchdog::default();
+        self.nvmc.reset();
+        self.ppi = Ppi::default();
+        self.usb.reset();
+        self.ports = Default::default();
+        self.others.clear();
+        self.wires();
+        self.settle();
+    }
+
+    /// What pins mean for the world and the world for pins.
+    fn wires(&mut self) {
+        let high = |port: &Port, pin| port.drives(pin) == Some(true);
+        let powered = high(&self.ports[0], 22) && high(&self.ports[1], 0);
+        // Without its supply the sensor forgets.
+        if !high(&self.ports[0], 22) && self.bus.powered {
+            self.bus.sensor.power_cycle();
+        }
+        self.bus.powered = powered;
+        if self.twim_is_off() {
+            self.bus.drive_scl(self.ports[0].drives(15) == Some(false));
+        }
+        let (sda, scl) = self.bus.levels();
+        self.ports[0].outside = u32::from(sda) << 14 | u32::from(scl) << 15;
+    }
+
+    fn twim_is_off(&self) -> bool {
+        self.twim.read(0x500) == 0
+    }
+
+    fn timer_index(page: usize) -> Option<usize> {
+        match page {
+            TIMER0..=10 => Some(page - TIMER0),
+            26 | 27 => Some(page - 23),
+            _ => None,
+        }
+    }
+
+    fn read_word(&mut self, address: u32) -> u32 {
+        let offset = address & 0xFFF;
+        match address {
+            0x4000_0000..=0x4002_FFFF => {
+                let page = (address >> 12 & 0xFF) as usize;
+                match page {
+                    CLOCK_POWER => self.power.read(offset),
+                    UARTE0 => self.uart.read(offset),
+                    TWIM0 => self.twim.read(offset),
+                    GPIOTE => self.gpiote.read(offset).unwrap_or(0),
+                    RNG => self.rng.read(offset),
+                    WDT => self.watchdog.read(offset),
+                    RTC1 => self.rtc1.read(offset, self.now),
+                    NVMC => self.nvmc.read(offset),
+                    PPI => self.ppi.read(offset),
+                    USBD => self.usb.read(offset),
+                    _ => match Self::timer_index(page) {
+                        Some(i) => self.timers[i].read(offset),
+                        None => {
+                            self.unknown.insert(address & !0xFFF);
+                            self.others.get(&address).copied().unwrap_or(0)
+                        }
+                    },
+                }
+            }
+            0x5000_0000..=0x5000_0FFF => {
+                self.wires();
+                self.ports[usize::from(Self::is_p1(offset))].read(Self::port_offset(offset))
+            }
+            0xE000_E000..=0xE000_EFFF => self.nvic.read(offset),
+            0xE000_1004 => (self.awake - self.dwt_offset) as u32,
+            0x1000_0000..=0x1000_0FFF => match offset {
+                // INFO.PART, VARIANT ("AAF0": a chip whose debug port locks itself), and what errata checks read.
+                0x100 => 0x52840,
+                0x104 => 0x4141_4630,
+                0x130 => 0x8,
+                0x134 => 0x3,
+                // DEVICEID and DEVICEADDR.
+                0x060 => 0x1234_5678,
+                0x064 => 0x9ABC_DEF0,
+                0x0A4 => 0x5566_7788,
+                0x0A8 => 0x1122_C344,
+                _ => u32::MAX,
+            },
+            0x1000_1000..=0x1000_1FFF => Self::word(&self.uicr, offset as usize),
+            SLOTS_START..SLOTS_END => Self::word(&self.flash, address as usize),
+            _ => self.others.get(&address).copied().unwrap_or(0),
+        }
+    }
+
+    fn word(memory: &[u8], at: usize) -> u32 {
+        memory.get(at..at + 4).map_or(0, |b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]))
+    }
+
+    // P0's registers lie from 0x500 and P1's from 0x800 of the same page.
+    fn is_p1(offset: u32) -> bool {
+        matches!(offset, 0x804..=0x824 | 0xA00..=0xA7C)
+    }
+
+    fn port_offset(offset: u32) -> u32 {
+        if Self::is_p1(offset) { offset - 0x300 } else { offset }
+    }
+
+    /// The core reads.
+    pub fn read(&mut self, address: u32, size: u32) -> u32 {
+        let word = self.read_word(address & !3);
+        let shifted = word >> (8 * (address & 3));
+        match size {
+            1 => shifted & 0xFF,
+            2 => shifted & 0xFFFF,
+            _ => shifted,
+        }
+    }
+
+    /// The core or the PPI writes.
+    pub fn write(&mut self, address: u32, value: u32, size: u32) {
+        self.write_quietly(address, value, size);
+        self.run_ppi();
+        self.settle();
+    }
+
+    fn write_quietly(&mut self, address: u32, value: u32, size: u32) {
+        let offset = address & 0xFFF;
+        let now = self.now;
+        match address {
+            0x4000_0000..=0x4002_FFFF => {
+                let page = (address >> 12 & 0xFF) as usize;
+                match page {
+                    CLOCK_POWER => self.power.write(offset, value, now),
+                    UARTE0 => self.uart.write(offset, value, now, &self.ram),
+                    TWIM0 => self.twim.write(offset, value, now),
+                    GPIOTE => {
+                        self.gpiote.write(offset, value);
+                    }
+                    RNG => self.rng.write(offset, value, now),
+                    WDT => self.watchdog.write(offset, value, now),
+                    RTC1 => self.rtc1.write(offset, value, now),
+                    NVMC => {
+                        if offset == 0x508 && self.nvmc.may_erase() {
+                            self.nvmc.erase(&mut self.flash, value as usize, now);
+                        }
+                        self.nvmc.write(offset, value);
+                    }
+                    PPI => self.ppi.write(offset, value),
+                    USBD => self.usb.write(offset, value, now, &mut self.ram),
+                    _ => match Self::timer_index(page) {
+                        Some(i) => self.timers[i].write(offset, value, now),
+                        None => {
+                            self.unknown.insert(address & !0xFFF);
+                            self.others.insert(address, value);
+                        }
+                    },
+                }
+            }
+            0x5000_0000..=0x5000_0FFF => {
+                self.ports[usize::from(Self::is_p1(offset))].write(Self::port_offset(offset), value);
+                self.wires();
+            }
+            0xE000_E000..=0xE000_EFFF => self.nvic.write(offset, value, size),
+            0xE000_1004 => self.dwt_offset = self.awake - u64::from(value),
+            0x1000_1000..=0x1000_1FFF if self.nvmc.may_write() => {
+                self.nvmc.program(&mut self.uicr, offset as usize, value, now);
+            }
+            SLOTS_START..SLOTS_END if self.nvmc.may_write() => {
+                self.nvmc.program(&mut self.flash, address as usize, value, now);
+            }
+            _ => {
+                self.others.insert(address, value);
+            }
+        }
+    }
+
+    fn for_each_events(&mut self, mut f: impl FnMut(u32, &mut Events)) {
+        f(CLOCK_POWER as u32, &mut self.power.events);
+        f(UARTE0 as u32, &mut self.uart.events);
+        f(TWIM0 as u32, &mut self.twim.events);
+        f(GPIOTE as u32, &mut self.gpiote);
+        for (i, timer) in self.timers.iter_mut().enumerate() {
+            f(if i < 3 { TIMER0 + i } else { i + 23 } as u32, &mut timer.events);
+        }
+        f(RNG as u32, &mut self.rng.events);
+        f(WDT as u32, &mut self.watchdog.events);
+        f(RTC1 as u32, &mut self.rtc1.events);
+        f(USBD as u32, &mut self.usb.events);
+    }
+
+    /// Passes new events to the PPI until none is left.
+    fn run_ppi(&mut self) {
+        loop {
+            let mut fired = Vec::new();
+            self.for_each_events(|page, events| {
+                fired.extend(events.take_fired().into_iter().map(|e| 0x4000_0000 + (page << 12) + 0x100 + 4 * e));
+            });
+            if fired.is_empty() {
+                return;
+            }
+            for event in fired {
+                for task in self.ppi.tasks_of(event) {
+                    self.write_quietly(task, 1, 4);
+                }
+            }
+        }
+    }
+
+    /// Interrupt lines and the next due cycle.
+    pub fn settle(&mut self) {
+        let mut lines = 0;
+        self.for_each_events(|page, events| lines |= u64::from(events.irq()) << page);
+        self.nvic.set_lines(lines);
+        self.due = [
+            self.power.due(),
+            self.uart.due(),
+            self.twim.due(),
+            self.rtc1.due(),
+            self.rng.due(),
+            self.watchdog.due(),
+            self.usb.due(),
+        ]
+        .into_iter()
+        .flatten()
+        .min()
+        .unwrap_or(u64::MAX);
+    }
+
+    /// Does all that is due by now, in order.
+    pub fn advance(&mut self) {
+        let now = self.now;
+        while self.due <= now && !self.watchdog.bites(self.due) {
+            let at = self.due;
+            self.power.advance(at);
+            self.uart.advance(at, &mut self.ram);
+            self.twim.advance(at, &mut self.ram, &mut self.bus);
+            self.rtc1.advance(at);
+            self.rng.advance(at);
+            self.usb.advance(at, &mut self.ram);
+            self.run_ppi();
+            self.settle();
+        }
+    }
+
+    /// Level of the red, green and blue LED: lit or not.
+    pub fn led(&self) -> [bool; 3] {
+        [24, 16, 6].map(|pin| self.ports[0].drives(pin) == Some(false))
+    }
+}
