@@ -21,18 +21,18 @@ use crate::wire::{Pipe, SERIAL_115200};
 const TAIL_MS: u64 = 3000;
 
 /// One hand's board and the wires to it.
-struct Line {
+struct Line<'b> {
     hand: Hand,
-    board: Box<dyn Board>,
+    board: Box<dyn Board + 'b>,
     up: Pipe,
     down: Pipe,
     ended_noted: bool,
 }
 
 /// See the module.
-pub struct Session {
+pub struct Session<'b> {
     now_ms: u64,
-    lines: Vec<Line>,
+    lines: Vec<Line<'b>>,
     bridge: Bridge,
     robot: Simulator,
     gesture_to_arm: Delays,
@@ -41,10 +41,14 @@ pub struct Session {
     log: Vec<BridgeEvent>,
 }
 
-impl Session {
+impl<'b> Session<'b> {
     /// Boards, of which either may be missing, a bridge with this map, and a robot at rest.
-    pub fn new(left: Option<Box<dyn Board>>, right: Option<Box<dyn Board>>, map: MotionMap) -> Self {
-        let line = |hand, board: Option<Box<dyn Board>>| {
+    pub fn new(
+        left: Option<Box<dyn Board + 'b>>,
+        right: Option<Box<dyn Board + 'b>>,
+        map: MotionMap,
+    ) -> Self {
+        let line = |hand, board: Option<Box<dyn Board + 'b>>| {
             board.map(|board| Line {
                 hand,
                 board,
@@ -150,7 +154,7 @@ impl Session {
 
     /// Starts the measurement of a delay where an event is the cause of motion.
     fn time(&mut self, event: &BridgeEvent) {
-        let sample_ms = |lines: &[Line], hand, board_ms| {
+        let sample_ms = |lines: &[Line<'_>], hand, board_ms| {
             lines.iter().find(|line| line.hand == hand).map(|line| line.board.laptop_time_ms(board_ms))
         };
         match &event.kind {

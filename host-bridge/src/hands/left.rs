@@ -1,7 +1,7 @@
 //! The left hand from a recording of its converter.
 
 use shared_dsp::left::{AdcCounts, LeftHand, LeftOutput};
-use shared_dsp::left_calibration::Calibration;
+use shared_dsp::left_calibration::{Calibration, CalibrationStep};
 use shared_dsp::tilt::{self, TiltThresholds};
 use shared_proto::message::{
     Board as BoardKind, BoardMessage, Heading, Hello, LeftState, PROTOCOL_MAJOR, PROTOCOL_MINOR,
@@ -24,6 +24,8 @@ pub struct LeftBoard {
     sequence: u16,
     last_sent_ms: Option<u64>,
     said_hello: bool,
+    /// Calibration steps still to be taken, the next one last.
+    captures: Vec<CalibrationStep>,
 }
 
 impl LeftBoard {
@@ -38,6 +40,26 @@ impl LeftBoard {
             sequence: 0,
             last_sent_ms: None,
             said_hello: false,
+            captures: Vec::new(),
+        }
+    }
+
+    /// Takes neutral and rest from the first 1.3 s, as if the wearer had asked for it: the hand level and
+    /// still, the fingers straight. Where it is not, the calibration stays what it was.
+    #[must_use]
+    pub fn calibrated_at_start(mut self) -> Self {
+        self.captures = vec![CalibrationStep::Rest, CalibrationStep::Neutral];
+        self
+    }
+
+    fn calibrate(&mut self) {
+        if let Some(Ok(calibration)) = self.hand.take_captured() {
+            self.hand.set_calibration(Some(calibration));
+        }
+        if !self.hand.is_capturing()
+            && let Some(step) = self.captures.pop()
+        {
+            self.hand.start_capture(step);
         }
     }
 
@@ -82,6 +104,7 @@ impl Board for LeftBoard {
             && time_ms <= now_ms
         {
             self.next += 1;
+            self.calibrate();
             // The board's wrapping clock.
             let output = self.hand.step(AdcCounts::from_ten_bit(counts), time_ms as u32);
             let due = self.last_sent_ms.is_none_or(|sent| time_ms - sent >= STATE_INTERVAL_MS);

@@ -4,7 +4,7 @@ mod left;
 mod right;
 
 pub use left::LeftBoard;
-pub use right::{ModelFile, ModelFileError, RightBoard};
+pub use right::{ModelFile, ModelFileError, RightBoard, join};
 
 use shared_proto::frame::{BOARD_FRAME_MAX, DELIMITER, Decoder, HOST_FRAME_MAX, encode_board};
 use shared_proto::message::{BoardMessage, HostMessage};

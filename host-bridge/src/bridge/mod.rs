@@ -1,186 +1,20 @@
 //! The bridge itself: links, safety and intents wired to a robot. Bytes and the time come in.
 
-use serde::Serialize;
+mod events;
+
+pub use events::{BridgeEvent, Drops, EventKind, GestureOutcome, HeadingName};
+
 use shared_proto::message::{Heading, HostMessage};
 
 use crate::arm::ArmMotion;
 use crate::base::Twist;
 use crate::intent::{Caps, MotionMap, is_rest};
-use crate::link::{HandLink, Heard, Identity, ModelSummary, NewGesture, RightReport, is_healthy};
+use crate::link::{HandLink, Heard, NewGesture, RightReport, is_healthy};
 use crate::robot::Robot;
-use crate::safety::{self, Action, HaltReason, Hand, Ignored, Safety, State};
+use crate::safety::{self, Action, Hand, Ignored, Safety, State};
 
 /// The base's speed is repeated this often, so that the robot knows that the bridge lives.
 pub const DRIVE_INTERVAL_MS: u64 = 20;
-
-/// Something that happened, and when on the laptop's clock.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct BridgeEvent {
-    /// Laptop time.
-    pub time_ms: u64,
-    /// What.
-    #[serde(flatten)]
-    pub kind: EventKind,
-}
-
-/// What can happen.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-#[serde(tag = "event", rename_all = "kebab-case")]
-pub enum EventKind {
-    /// A hand said hello for the first time since its start.
-    HandStarted {
-        /// Which.
-        hand: Hand,
-        /// Who.
-        identity: Identity,
-    },
-    /// A board cannot be used.
-    HandUnusable {
-        /// Which.
-        hand: Hand,
-        /// Why, and what to do.
-        problem: String,
-    },
-    /// The right hand named its model.
-    Model {
-        /// What it expects and names.
-        model: ModelSummary,
-        /// Labels that do nothing here.
-        without_motion: Vec<String>,
-    },
-    /// A board reported a fault.
-    BoardFault {
-        /// Which hand.
-        hand: Hand,
-        /// What, as the board names it.
-        fault: String,
-    },
-    /// The safety machine changed its state.
-    State {
-        /// The new state.
-        state: State,
-    },
-    /// Base and arm were halted.
-    Halt {
-        /// Why.
-        reason: HaltReason,
-    },
-    /// The operator's stop ended.
-    Released,
-    /// The left hand points elsewhere.
-    Heading {
-        /// Where.
-        heading: HeadingName,
-        /// Speed that follows.
-        twist: Twist,
-        /// Board clock at the sample.
-        sample_board_ms: u32,
-        /// Age of the sample.
-        age_ms: u64,
-    },
-    /// Bends changed the caps.
-    Caps {
-        /// Bends of the index finger.
-        index: u8,
-        /// Bends of the middle finger.
-        middle: u8,
-        /// The new cap (m/s and rad/s alike).
-        cap: f64,
-    },
-    /// The right hand performed a gesture.
-    Gesture {
-        /// Its name.
-        label: String,
-        /// 0 to 1.
-        confidence: f32,
-        /// Board clock at the end of the deciding window.
-        window_end_board_ms: u32,
-        /// Age of that window's end.
-        age_ms: u64,
-        /// What follows from it.
-        outcome: GestureOutcome,
-    },
-    /// An arm motion ended.
-    MotionEnded {
-        /// Which.
-        motion: ArmMotion,
-        /// At its pose, not halted.
-        reached: bool,
-    },
-    /// Something had no effect.
-    Ignored {
-        /// What and why.
-        what: Ignored,
-    },
-}
-
-/// [`Heading`] as text.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum HeadingName {
-    /// Halt.
-    Neutral,
-    /// Halt.
-    Between,
-    /// Forward.
-    Forward,
-    /// Backward.
-    Backward,
-    /// Turn left.
-    Left,
-    /// Turn right.
-    Right,
-}
-
-impl From<Heading> for HeadingName {
-    fn from(heading: Heading) -> Self {
-        match heading {
-            Heading::Neutral => HeadingName::Neutral,
-            Heading::Between => HeadingName::Between,
-            Heading::Forward => HeadingName::Forward,
-            Heading::Backward => HeadingName::Backward,
-            Heading::Left => HeadingName::Left,
-            Heading::Right => HeadingName::Right,
-        }
-    }
-}
-
-/// What follows from a gesture.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum GestureOutcome {
-    /// This motion starts.
-    Started(ArmMotion),
-    /// The stop is released; nothing moves by it.
-    Released,
-    /// Dropped: this motion still runs.
-    Busy(ArmMotion),
-    /// The label has no motion.
-    NoMotion,
-    /// Dropped: its window ended too long ago.
-    Late,
-    /// Dropped: not armed.
-    NotArmed,
-}
-
-/// What was dropped, by reason.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct Drops {
-    /// States older than 250 ms.
-    pub late_states: u32,
-    /// Gestures decided more than 250 ms ago.
-    pub late_gestures: u32,
-    /// Gestures while another motion ran.
-    pub gestures_while_busy: u32,
-    /// Gestures while not armed.
-    pub gestures_while_not_armed: u32,
-    /// Gestures without a motion.
-    pub gestures_without_motion: u32,
-    /// Gestures whose label was lost with their frames.
-    pub gestures_unnamed: u32,
-    /// States with bends that came while not armed.
-    pub bends_while_not_armed: u32,
-}
 
 /// The bridge.
 #[derive(Clone, Debug)]
@@ -338,7 +172,7 @@ impl Bridge {
                 self.note(now_ms, EventKind::Model { model, without_motion });
             }
             Heard::Left { age_ms, state, index_bends, middle_bends } => {
-                let before = self.safety.heading();
+                let before = command(self.safety.heading());
                 let event = safety::Event::Left {
                     age_ms,
                     healthy: is_healthy(state.health),
@@ -351,7 +185,8 @@ impl Bridge {
                 self.heading = state.heading;
                 self.apply(event, now_ms, robot);
                 let heading = self.safety.heading();
-                if heading != before {
+                // A halt has its own event.
+                if self.safety.state() == State::Armed && command(heading) != before {
                     let event = EventKind::Heading {
                         heading: heading.into(),
                         twist: self.twist(),
@@ -467,6 +302,11 @@ impl Bridge {
     }
 }
 
+/// What a heading asks of the base: neutral and between are one to it.
+fn command(heading: Heading) -> Heading {
+    if heading == Heading::Between { Heading::Neutral } else { heading }
+}
+
 /// Does the right hand rest? Without scores nobody knows; a model without a resting class cannot tell,
 /// and is then not waited for.
 fn rests(labels: &[String], scores: &[f32]) -> bool {
@@ -476,6 +316,7 @@ fn rests(labels: &[String], scores: &[f32]) -> bool {
     if !labels.iter().any(|label| is_rest(label)) {
         return true;
     }
-    let top = (0..scores.len()).max_by(|&a, &b| scores[a].total_cmp(&scores[b]));
-    top.is_some_and(|top| is_rest(&labels[top]))
+    // Of equal scores the first label wins, as on the board. All zero means that nothing was computed.
+    let top = (0..scores.len()).rev().max_by(|&a, &b| scores[a].total_cmp(&scores[b]));
+    top.is_some_and(|top| scores[top] > 0.0 && is_rest(&labels[top]))
 }

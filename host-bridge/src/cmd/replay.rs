@@ -1,0 +1,121 @@
+//! `host-bridge replay`: recordings of your own, as if their boards were plugged in.
+
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use anyhow::{Context as _, Result, bail};
+use host_bridge::adc::AdcRecording;
+use host_bridge::bridge::{BridgeEvent, EventKind};
+use host_bridge::hands::{Board, LeftBoard, ModelFile, RightBoard, join};
+use host_bridge::safety::State;
+use host_bridge::script::CalibrationTable;
+use host_bridge::session::{Session, Summary};
+use serde::Serialize;
+
+use crate::describe;
+use crate::play::{PlayOptions, play, say};
+
+/// Options.
+#[derive(clap::Args, Clone, Debug)]
+pub struct Args {
+    /// Recordings of the right hand (timestamp_ms,accX,…); several are joined into one stream
+    #[arg(long, value_name = "IMU.csv", num_args = 1.., required_unless_present = "left")]
+    right: Vec<PathBuf>,
+    /// Recording of the left hand (timestamp_ms,x,y,z,index,middle: 10-bit counts at 100 Hz)
+    #[arg(long, value_name = "ADC.csv")]
+    left: Option<PathBuf>,
+    /// Model for the right hand, int8, with its card beside it; else the bundled one (9 axes)
+    #[arg(long, value_name = "FILE.tflite")]
+    model: Option<PathBuf>,
+    /// Calibration of the left hand: a TOML file with zero, rest and bend; or `start`, to take neutral
+    /// and rest from the first 1.3 s (hand level and still, fingers straight); else nominal parts
+    #[arg(long, value_name = "FILE.toml|start", requires = "left")]
+    calibration: Option<PathBuf>,
+    #[command(flatten)]
+    play: PlayOptions,
+}
+
+#[derive(Serialize)]
+struct Report<'a> {
+    title: &'a str,
+    model: Option<&'a str>,
+    labels_without_motion: Vec<&'a str>,
+    #[serde(flatten)]
+    summary: &'a Summary,
+}
+
+/// Plays them. Everything is read and checked before anything moves.
+pub fn run(args: &Args) -> Result<ExitCode> {
+    let map = args.play.motion_map()?;
+    let left = args.left.as_deref().map(|file| read_left(file, args.calibration.as_deref())).transpose()?;
+    if let (Some(model), true) = (&args.model, args.right.is_empty()) {
+        bail!("--model {} is for a right hand; give its recording with --right", model.display());
+    }
+    let model = match (&args.model, args.right.is_empty()) {
+        (_, true) => None,
+        (Some(file), false) => Some(ModelFile::read(file)?),
+        (None, false) => Some(ModelFile::bundled()?),
+    };
+    let right: Option<Box<dyn Board + '_>> = match &model {
+        Some(model) => Some(Box::new(RightBoard::new(join(&args.right, model.axes())?, model, 1)?)),
+        None => None,
+    };
+    let labels = model.as_ref().map_or(&[][..], ModelFile::labels);
+    let model_about = model.as_ref().map(|model| format!("{} ({})", model.name(), model.about()));
+
+    let title = "replay of your recordings";
+    if let Some(about) = &model_about {
+        say(&args.play, &format!("model: {about}"));
+        for label in map.without_motion(labels) {
+            say(
+                &args.play,
+                &format!(
+                    "label '{label}' has no motion and does nothing; --map {label}=pick-up gives it one"
+                ),
+            );
+        }
+        for label in map.unknown_labels(labels, &args.play.map) {
+            bail!("--map: the model has no label '{label}'; it has {}", labels.join(", "));
+        }
+    }
+    let unmapped = map.without_motion(labels);
+    let mut session = Session::new(left, right, map.clone());
+    play(&mut session, &args.play, title)?;
+
+    let summary = session.summary();
+    say(&args.play, &describe::summary(&summary));
+    let armed = |event: &BridgeEvent| event.kind == EventKind::State { state: State::Armed };
+    if !summary.events.iter().any(armed) {
+        say(&args.play, "the hands were never neutral together, so nothing could move");
+        if args.left.is_some() && args.calibration.is_none() {
+            say(&args.play, "the left hand was read with nominal parts; try --calibration start");
+        }
+    }
+    if args.play.json {
+        let report = Report {
+            title,
+            model: model_about.as_deref(),
+            labels_without_motion: unmapped,
+            summary: &summary,
+        };
+        println!("{}", serde_json::to_string(&report)?);
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn read_left(file: &Path, calibration: Option<&Path>) -> Result<Box<dyn Board>> {
+    let recording = AdcRecording::read(file)?;
+    let board = match calibration {
+        None => LeftBoard::new(recording, None, 1),
+        Some(start) if start == Path::new("start") => {
+            LeftBoard::new(recording, None, 1).calibrated_at_start()
+        }
+        Some(file) => {
+            let about = || format!("{}: the calibration cannot be used", file.display());
+            let text = std::fs::read_to_string(file).with_context(about)?;
+            let table = CalibrationTable::parse(&text).with_context(about)?;
+            LeftBoard::new(recording, Some(table.into()), 1)
+        }
+    };
+    Ok(Box::new(board))
+}

@@ -1,0 +1,114 @@
+//! Plays a session against the wall clock, and shows it.
+
+use std::io::IsTerminal as _;
+use std::time::{Duration, Instant};
+
+use anyhow::{Result, ensure};
+use host_bridge::intent::MotionMap;
+use host_bridge::session::{Session, SessionEvent};
+
+use crate::describe;
+use crate::view::{Key, View};
+
+/// Options of everything that plays a session.
+#[derive(clap::Args, Clone, Debug)]
+pub struct PlayOptions {
+    /// Times real time; 0 = as fast as the machine can
+    #[arg(long, default_value_t = 1.0)]
+    pub speed: f64,
+    /// No live view: print events as lines
+    #[arg(long)]
+    pub headless: bool,
+    /// Print one JSON object at the end on stdout; events go to stderr
+    #[arg(long)]
+    pub json: bool,
+    /// Give a label an arm motion, LABEL=MOTION; may be repeated. Motions: home, pick-up, place,
+    /// place-top-right, place-bottom-right, random-top
+    #[arg(long, value_name = "LABEL=MOTION")]
+    pub map: Vec<String>,
+}
+
+impl PlayOptions {
+    /// The paper's map with the changes asked for.
+    pub fn motion_map(&self) -> Result<MotionMap> {
+        let mut map = MotionMap::default();
+        for mapping in &self.map {
+            map.assign(mapping)?;
+        }
+        Ok(map)
+    }
+
+    fn check(&self) -> Result<()> {
+        ensure!(
+            self.speed.is_finite() && self.speed >= 0.0,
+            "--speed {} is not a speed; use 1 for real time, 20 for twenty times that, 0 for full speed",
+            self.speed
+        );
+        Ok(())
+    }
+}
+
+/// Somebody pressed q or Ctrl-C.
+#[derive(Debug, thiserror::Error)]
+#[error("interrupted")]
+pub struct Interrupted;
+
+/// Plays to the end.
+pub fn play(session: &mut Session<'_>, options: &PlayOptions, title: &str) -> Result<()> {
+    options.check()?;
+    let a_terminal = std::io::stdout().is_terminal() && std::io::stdin().is_terminal();
+    let wants_view = a_terminal && !options.headless && !options.json;
+    let mut view = if wants_view { Some(View::open(title)?) } else { None };
+    if view.is_none() {
+        say(options, title);
+    }
+    let started = Instant::now();
+    while !session.finished() {
+        let wanted_ms = if options.speed == 0.0 {
+            session.now_ms() + 1000
+        } else {
+            (started.elapsed().as_secs_f64() * options.speed * 1000.0) as u64
+        };
+        while session.now_ms() < wanted_ms && !session.finished() {
+            for event in session.step() {
+                note(&event, view.as_mut(), options);
+            }
+        }
+        match &mut view {
+            Some(view) => {
+                view.draw(session, options.speed)?;
+                match view.key(Duration::from_millis(33))? {
+                    Some(Key::Quit) => return Err(Interrupted.into()),
+                    Some(Key::Stop) => session.stop_key(),
+                    None => {}
+                }
+            }
+            None if options.speed > 0.0 => std::thread::sleep(Duration::from_millis(2)),
+            None => {}
+        }
+    }
+    Ok(())
+}
+
+fn note(event: &SessionEvent, view: Option<&mut View>, options: &PlayOptions) {
+    if describe::is_echo(event) {
+        return;
+    }
+    let time_s = describe::time_ms(event) as f64 / 1000.0;
+    let line = format!("{time_s:>8.3} s  {}", describe::text(event));
+    match view {
+        Some(view) => view.note(line),
+        None => say(options, &line),
+    }
+}
+
+/// Prints a line where it does not disturb the JSON object.
+pub fn say(options: &PlayOptions, line: &str) {
+    use std::io::Write as _;
+    // A closed pipe (`| head`) is no reason to stop the robot's session half-way with a panic.
+    if options.json {
+        let _ = writeln!(std::io::stderr(), "{line}");
+    } else {
+        let _ = writeln!(std::io::stdout(), "{line}");
+    }
+}

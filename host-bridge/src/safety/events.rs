@@ -1,0 +1,131 @@
+//! What goes into the safety machine and what comes out of it.
+
+use serde::Serialize;
+use shared_proto::message::Heading;
+
+use super::State;
+
+/// Which hand.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Hand {
+    /// Tilt and bends: the base.
+    Left,
+    /// Gestures: the arm.
+    Right,
+}
+
+impl std::fmt::Display for Hand {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Hand::Left => "left",
+            Hand::Right => "right",
+        })
+    }
+}
+
+/// A gesture that a state reported for the first time.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Gesture {
+    /// Index in the model's labels.
+    pub label: u8,
+    /// Age of the window's end now.
+    pub age_ms: u64,
+    /// This gesture ends a stop.
+    pub releases: bool,
+}
+
+/// What happens to the machine.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Event {
+    /// Only time passes. Must come at least every few milliseconds.
+    Tick,
+    /// A hand started: a hello with a boot id that is new on this link.
+    Started(Hand),
+    /// A hand is there but must not be acted on (the versions differ): as if it were silent.
+    Unusable(Hand),
+    /// The left hand's state, newer than all before it.
+    Left {
+        /// Age of the sample.
+        age_ms: u64,
+        /// No health flag that forbids to act.
+        healthy: bool,
+        /// Where the hand points.
+        heading: Heading,
+        /// Bends of the index finger since the last state.
+        index_bends: u8,
+        /// Bends of the middle finger since the last state.
+        middle_bends: u8,
+        /// Both fingers are held.
+        stop: bool,
+    },
+    /// The right hand's state, newer than all before it.
+    Right {
+        /// Age of the newest sample.
+        age_ms: u64,
+        /// No health flag that forbids to act.
+        healthy: bool,
+        /// A resting class has the highest score.
+        resting: bool,
+        /// The last gesture, if it is new.
+        gesture: Option<Gesture>,
+    },
+    /// The operator's stop: a key, a button.
+    StopKey,
+    /// The operator's release key, pressed and confirmed. Only counts where no right hand is connected.
+    ReleaseKey,
+}
+
+/// Why the robot halts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum HaltReason {
+    /// Both fingers held, or the stop key.
+    OperatorStop,
+    /// No valid state for 250 ms.
+    Silence(Hand),
+    /// The hand says that it cannot be trusted.
+    Unhealthy(Hand),
+    /// The hand is new or has restarted.
+    Restart(Hand),
+}
+
+/// Why something that a hand did has no effect.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Ignored {
+    /// The state is older than 250 ms.
+    LateState(Hand),
+    /// The gesture's window ended more than 250 ms ago.
+    LateGesture,
+    /// A gesture while not armed.
+    GestureWhileNotArmed,
+    /// Bends while not armed.
+    BendsWhileNotArmed,
+    /// The release key while a right hand is connected, or before 1 s of neutral.
+    ReleaseKey,
+}
+
+/// What the bridge must do now, in order.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Action {
+    /// Bring base and arm to rest.
+    Halt(HaltReason),
+    /// Both caps back to their start.
+    ResetCaps,
+    /// The state changed.
+    Entered(State),
+    /// The stop is over. Nothing moves by that.
+    Released,
+    /// These bends count.
+    Bends {
+        /// Of the index finger.
+        index: u8,
+        /// Of the middle finger.
+        middle: u8,
+    },
+    /// This gesture counts.
+    Gesture(Gesture),
+    /// Something had no effect.
+    Ignored(Ignored),
+}

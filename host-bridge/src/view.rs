@@ -1,0 +1,203 @@
+//! The live view in a terminal: one screen, redrawn whole.
+
+use std::collections::VecDeque;
+use std::io::{self, Stdout, Write as _};
+use std::time::Duration;
+
+use crossterm::event::{Event, KeyCode, KeyEventKind, KeyModifiers, poll, read};
+use crossterm::style::{Color, Print, ResetColor, SetForegroundColor};
+use crossterm::terminal::{
+    Clear, ClearType, EnterAlternateScreen, LeaveAlternateScreen, disable_raw_mode, enable_raw_mode, size,
+};
+use crossterm::{cursor, execute, queue};
+use host_bridge::arm::gen3::flange_pose;
+use host_bridge::robot::Robot as _;
+use host_bridge::safety::{Hand, State};
+use host_bridge::session::Session;
+
+use crate::describe;
+
+/// Cells of the map of the base's path.
+const MAP_WIDTH: usize = 44;
+const MAP_HEIGHT: usize = 9;
+/// Metres per cell; cells are twice as high as wide.
+const MAP_CELL_M: f64 = 0.2;
+
+/// What the operator pressed.
+pub enum Key {
+    /// Leave.
+    Quit,
+    /// Stop the robot.
+    Stop,
+}
+
+/// The screen; gives the terminal back when dropped, also by a panic.
+pub struct View {
+    out: Stdout,
+    title: String,
+    events: VecDeque<String>,
+    path: Vec<(f64, f64)>,
+}
+
+impl View {
+    /// Takes the terminal over.
+    pub fn open(title: &str) -> io::Result<Self> {
+        let mut out = io::stdout();
+        enable_raw_mode()?;
+        let view =
+            View { out: io::stdout(), title: title.to_owned(), events: VecDeque::new(), path: Vec::new() };
+        execute!(out, EnterAlternateScreen, cursor::Hide)?;
+        Ok(view)
+    }
+
+    /// Adds a line to the list of events.
+    pub fn note(&mut self, line: String) {
+        if self.events.len() == 100 {
+            self.events.pop_front();
+        }
+        self.events.push_back(line);
+    }
+
+    /// Waits for a key, at most so long.
+    pub fn key(&mut self, patience: Duration) -> io::Result<Option<Key>> {
+        if !poll(patience)? {
+            return Ok(None);
+        }
+        let Event::Key(key) = read()? else { return Ok(None) };
+        if key.kind != KeyEventKind::Press {
+            return Ok(None);
+        }
+        let control = key.modifiers.contains(KeyModifiers::CONTROL);
+        Ok(match key.code {
+            KeyCode::Char('c') if control => Some(Key::Quit),
+            KeyCode::Char('q') | KeyCode::Esc => Some(Key::Quit),
+            KeyCode::Char(' ') => Some(Key::Stop),
+            _ => None,
+        })
+    }
+
+    /// Draws the whole screen.
+    pub fn draw(&mut self, session: &Session<'_>, speed: f64) -> io::Result<()> {
+        let (columns, rows) = size()?;
+        let here = session.robot().odometry();
+        if self.path.last().is_none_or(|last| (last.0 - here.x_m).hypot(last.1 - here.y_m) > 0.05) {
+            self.path.push((here.x_m, here.y_m));
+        }
+        let mut lines = self.lines(session, speed);
+        let room = usize::from(rows).saturating_sub(lines.len() + 2);
+        let skip = self.events.len().saturating_sub(room);
+        lines.push((Color::DarkGrey, String::new()));
+        lines.extend(self.events.iter().skip(skip).map(|line| (colour_of(line), line.clone())));
+        queue!(self.out, cursor::MoveTo(0, 0))?;
+        for (row, (colour, line)) in lines.iter().take(rows.into()).enumerate() {
+            let cut: String = line.chars().take(columns.into()).collect();
+            queue!(
+                self.out,
+                cursor::MoveTo(0, row as u16),
+                SetForegroundColor(*colour),
+                Print(cut),
+                ResetColor,
+                Clear(ClearType::UntilNewLine)
+            )?;
+        }
+        queue!(self.out, Clear(ClearType::FromCursorDown))?;
+        self.out.flush()
+    }
+
+    fn lines(&self, session: &Session<'_>, speed: f64) -> Vec<(Color, String)> {
+        let bridge = session.bridge();
+        let safety = bridge.safety();
+        let live = |hand| match (safety.connected(hand), safety.live(hand)) {
+            (false, _) => "not connected",
+            (true, true) => "live",
+            (true, false) => "silent",
+        };
+        let (state, state_colour) = match safety.state() {
+            State::Waiting => ("waiting for neutral", Color::Yellow),
+            State::Armed => ("armed", Color::Green),
+            State::Stale => ("a hand is silent", Color::Yellow),
+            State::Stopped => ("STOPPED", Color::Red),
+        };
+        let mut lines = vec![
+            (Color::Cyan, self.title.clone()),
+            (Color::DarkGrey, "space: stop   q: quit".to_owned()),
+            (state_colour, format!("{:>7.1} s ×{speed}   {state}", session.now_ms() as f64 / 1000.0)),
+        ];
+        let (pitch_mrad, roll_mrad, heading) = bridge.left_hand();
+        let degrees = |mrad: i16| (f64::from(mrad) / 1000.0).to_degrees();
+        lines.push((
+            Color::White,
+            format!(
+                "left   {:<13} pitch {:>4.0}°  roll {:>4.0}°  {:<9} cap {:.2}",
+                live(Hand::Left),
+                degrees(pitch_mrad),
+                degrees(roll_mrad),
+                describe::heading_name(heading),
+                bridge.caps().linear_m_s
+            ),
+        ));
+        lines.push((Color::White, format!("right  {}", live(Hand::Right))));
+        let labels = bridge.link(Hand::Right).model().map_or(&[][..], |model| &model.labels);
+        for (label, score) in labels.iter().zip(bridge.scores()) {
+            let bar = "█".repeat((score * 30.0).round() as usize);
+            lines.push((Color::Blue, format!("  {label:<15} {score:>4.2} {bar}")));
+        }
+        let (arm, base) = (session.robot().arm(), session.robot().odometry());
+        let doing = match arm.running {
+            Some((motion, leg)) => format!("{motion}, {}", format!("{leg:?}").to_lowercase()),
+            None => "at rest".to_owned(),
+        };
+        let [x, y, z] = flange_pose(&arm.joints_rad).position_m;
+        lines.push((Color::White, format!("arm    {doing:<28} flange x {x:.2} y {y:.2} z {z:.2} m")));
+        lines.push((
+            Color::White,
+            format!(
+                "base   x {:>5.2} m  y {:>5.2} m  {:>5.0}°  {:>5.2} m/s  {:>4.0}°/s",
+                base.x_m,
+                base.y_m,
+                base.heading_rad.to_degrees(),
+                base.twist.linear_m_s,
+                base.twist.angular_rad_s.to_degrees()
+            ),
+        ));
+        lines.extend(self.map(base.x_m, base.y_m, base.heading_rad).map(|row| (Color::DarkGreen, row)));
+        lines
+    }
+
+    /// The path from above: x to the right, y up, the start in the middle.
+    fn map(&self, x_m: f64, y_m: f64, heading_rad: f64) -> impl Iterator<Item = String> + use<> {
+        let mut cells = vec![[' '; MAP_WIDTH]; MAP_HEIGHT];
+        let mut put = |x_m: f64, y_m: f64, mark: char| {
+            let column = (x_m / MAP_CELL_M).round() + (MAP_WIDTH / 2) as f64;
+            let row = (MAP_HEIGHT / 2) as f64 - (y_m / (2.0 * MAP_CELL_M)).round();
+            if (0.0..MAP_WIDTH as f64).contains(&column) && (0.0..MAP_HEIGHT as f64).contains(&row) {
+                cells[row as usize][column as usize] = mark;
+            }
+        };
+        for &(x_m, y_m) in &self.path {
+            put(x_m, y_m, '·');
+        }
+        put(0.0, 0.0, '+');
+        let eighth = (heading_rad / std::f64::consts::FRAC_PI_4).round().rem_euclid(8.0) as usize;
+        put(x_m, y_m, ['→', '↗', '↑', '↖', '←', '↙', '↓', '↘'][eighth]);
+        cells.into_iter().map(|row| format!("  {}", row.iter().collect::<String>()))
+    }
+}
+
+impl Drop for View {
+    fn drop(&mut self) {
+        // Nothing better can be done with an error on the way out.
+        let _ = execute!(self.out, LeaveAlternateScreen, cursor::Show);
+        let _ = disable_raw_mode();
+    }
+}
+
+fn colour_of(line: &str) -> Color {
+    if line.contains("HALT") {
+        Color::Red
+    } else if line.contains("→") {
+        Color::Green
+    } else {
+        Color::Grey
+    }
+}

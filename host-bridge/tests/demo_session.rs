@@ -1,0 +1,125 @@
+//! The bundled session, and recordings in general, from raw samples to the robot.
+
+use std::path::Path;
+
+use host_bridge::adc::AdcRecording;
+use host_bridge::bridge::GestureOutcome;
+use host_bridge::hands::{LeftBoard, ModelFile, RightBoard};
+use host_bridge::intent::MotionMap;
+use host_bridge::safety::HaltReason;
+use host_bridge::script::Script;
+use host_bridge::session::{Session, Summary};
+use models::recording::Recording;
+
+#[allow(dead_code)]
+#[path = "../examples/make-demo-session.rs"]
+mod make_demo_session;
+
+fn committed(name: &str) -> String {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("sessions/demo").join(name);
+    std::fs::read_to_string(path).unwrap()
+}
+
+fn left() -> AdcRecording {
+    AdcRecording::parse(Path::new("left.csv"), committed("left.csv").as_bytes()).unwrap()
+}
+
+fn right() -> Recording {
+    Recording::parse(Path::new("right.csv"), committed("right.csv").as_bytes()).unwrap()
+}
+
+fn script() -> Script {
+    Script::parse(&committed("session.toml")).unwrap()
+}
+
+/// Plays to the end, `chunk` milliseconds at a time.
+fn run(left: Option<AdcRecording>, right: Option<Recording>, map: MotionMap) -> Summary {
+    let model = ModelFile::bundled().unwrap();
+    let left =
+        left.map(|left| Box::new(LeftBoard::new(left, Some(script().calibration.into()), 1)) as Box<_>);
+    let right = right.map(|right| Box::new(RightBoard::new(right, &model, 1).unwrap()) as Box<_>);
+    let mut session = Session::new(left, right, map);
+    while !session.finished() {
+        session.step();
+    }
+    session.summary()
+}
+
+#[test]
+fn every_gesture_of_the_demo_is_executed_in_order_and_the_base_ends_where_the_script_says() {
+    let summary = run(Some(left()), Some(right()), MotionMap::default());
+    let checks = script().expect.check(&summary);
+    for check in &checks {
+        println!("{check:?}");
+    }
+    println!("{:?}", summary.latency);
+    assert!(checks.iter().all(|check| check.ok));
+    assert!(summary.seconds < 100.0);
+    assert_eq!(summary.latency.window_end_to_arm.count, 6);
+    assert!(summary.latency.window_end_to_arm.worst_ms.unwrap() <= 50);
+    assert!(summary.latency.sample_to_wheels.worst_ms.unwrap() <= 40);
+    assert_eq!(summary.robot_timeouts, 0);
+}
+
+#[test]
+fn the_same_session_gives_the_same_summary() {
+    let once = || run(Some(left()), Some(right()), MotionMap::default());
+    assert_eq!(once(), once());
+}
+
+#[test]
+fn the_demo_session_can_be_made_again() {
+    let files = make_demo_session::files();
+    assert!(files == make_demo_session::files(), "the same bytes each time");
+    // Another machine's sine may round differently: at most the last digit may differ from what is committed.
+    for (name, made) in files {
+        let kept = committed(name);
+        assert_eq!(made.lines().count(), kept.lines().count(), "{name}: run the example again");
+        for (a, b) in made.lines().zip(kept.lines()) {
+            let values =
+                |line: &str| -> Option<Vec<f64>> { line.split(',').map(|v| v.parse().ok()).collect() };
+            match (values(a), values(b)) {
+                (Some(a), Some(b)) => {
+                    let near = a.len() == b.len() && a.iter().zip(&b).all(|(a, b)| (a - b).abs() <= 1.0);
+                    assert!(near, "{name}: {a:?} is not {b:?}; run the example again");
+                }
+                _ => assert_eq!(a, b, "{name}: run the example again"),
+            }
+        }
+    }
+}
+
+#[test]
+fn a_recording_that_ends_leaves_the_robot_at_rest() {
+    let mut cut = left();
+    // In the middle of the first drive.
+    cut.samples.truncate(600);
+    let summary = run(Some(cut), None, MotionMap::default());
+    assert!(summary.odometry.path_m > 0.5);
+    assert!(summary.at_rest);
+    assert!(matches!(summary.halts[..], [halt] if matches!(halt.reason, HaltReason::Silence(_))));
+}
+
+#[test]
+fn one_hand_alone_does_its_part() {
+    let summary = run(None, Some(right()), MotionMap::default());
+    assert_eq!(summary.odometry.path_m, 0.0);
+    // Without a left hand nobody stops: the second up-down brings the arm home, on which left-right comes too early.
+    assert_eq!(summary.poses_reached.len(), 6);
+    assert_eq!(summary.drops.gestures_while_busy, 1);
+    assert!(summary.frames.left.is_none());
+    let summary = run(Some(left()), None, MotionMap::default());
+    // No right hand releases the stop: what follows it is dropped.
+    assert_eq!((summary.stops, summary.releases), (1, 0));
+    assert!(summary.odometry.path_m < 4.0);
+    assert!(summary.gestures.is_empty());
+}
+
+#[test]
+fn a_map_changes_what_a_gesture_does() {
+    let mut map = MotionMap::default();
+    map.assign("to-fro=place").unwrap();
+    let summary = run(None, Some(right()), map);
+    let outcome = summary.gestures.iter().find(|gesture| gesture.label == "to-fro").unwrap().outcome;
+    assert_eq!(outcome, GestureOutcome::Started(host_bridge::arm::ArmMotion::Place));
+}
