@@ -67,6 +67,13 @@ impl Quarter {
     }
 }
 
+/// Origin of a joint (or, last, of the flange) in its parent's frame: metres, rotation matrix.
+pub(super) fn origin(joint: usize) -> ([f64; 3], [[f64; 3]; 3]) {
+    let (origin_m, roll) = ORIGINS[joint];
+    let (c, s) = roll.cos_sin();
+    (origin_m, [[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+}
+
 /// Position and orientation of a frame in the base frame of the arm.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Pose {
@@ -77,11 +84,11 @@ pub struct Pose {
 }
 
 impl Pose {
-    const IDENTITY: Pose =
+    pub(crate) const IDENTITY: Pose =
         Pose { position_m: [0.0; 3], rotation: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]] };
 
     /// Moves along, and turns about, the frame's own axes.
-    fn then(&self, step_m: [f64; 3], turn: [[f64; 3]; 3]) -> Pose {
+    pub(crate) fn then(&self, step_m: [f64; 3], turn: [[f64; 3]; 3]) -> Pose {
         let mut next = Pose { position_m: self.position_m, rotation: [[0.0; 3]; 3] };
         for row in 0..3 {
             for col in 0..3 {

@@ -1,11 +1,15 @@
 //! The arm: a Kinova Gen3 with seven joints.
 //!
 //! * [`gen3`]: its figures and forward kinematics,
+//! * [`model`]: any serial arm, with the shapes of its links; the Gen3 is one,
+//! * [`ik`]: joint angles for a place,
 //! * [`profile`]: joint motion in time, and how to stop it,
 //! * [`motions`]: the six named motions and the poses they end in,
 //! * [`sequencer`]: one motion at a time, each through home.
 
 pub mod gen3;
+pub mod ik;
+pub mod model;
 pub mod motions;
 pub mod profile;
 pub mod sequencer;
