@@ -135,7 +135,8 @@ impl LeftHand {
             return self.paused(fault);
         }
         let tilt = Tilt::of(a);
-        let heading = self.tilt.step(tilt);
+        let heading =
+            if self.faults.gravity_is_possible(now_ms) { self.tilt.step(tilt) } else { self.tilt.hold() };
         let permille = |reading, finger: usize| {
             bend_permille(reading, self.calibration.rest[finger], self.calibration.bend[finger])
         };
@@ -342,6 +343,18 @@ mod tests {
             assert_eq!(out.heading, Heading::Neutral);
             assert_eq!(rig.run(LEVEL, 180).health, health::GRAVITY);
             assert_eq!(rig.run(LEVEL, 30).health, 0);
+        }
+    }
+
+    #[test]
+    fn the_direction_of_impossible_gravity_commands_nothing() {
+        let mut rig = Rig::neutral();
+        // 30° forward, of 2 g and of 0.2 g.
+        for conversions in [[614, 512, 689, 704, 704], [522, 512, 530, 704, 704]] {
+            for _ in 0..30 {
+                assert!(!rig.run(conversions, 10).heading.is_command());
+            }
+            rig.run(LEVEL, 400);
         }
     }
 

@@ -84,6 +84,11 @@ impl FaultWatch {
         self.health
     }
 
+    /// Was gravity possible in the sample of `now_ms`? If not, its direction means nothing.
+    pub fn gravity_is_possible(&self, now_ms: u32) -> bool {
+        self.gravity_good_ms == now_ms
+    }
+
     /// Says that time has passed without a sample; returns bits of [`health`].
     pub fn no_sample(&mut self, now_ms: u32) -> u8 {
         if now_ms.wrapping_sub(self.last_sample_ms) >= SILENT_MS {

@@ -138,6 +138,13 @@ impl TiltDetector {
         *self = Self::new(self.thresholds);
     }
 
+    /// Skips a sample that says nothing about the tilt (a jolt): the heading stays as it is.
+    pub fn hold(&mut self) -> Heading {
+        self.agreed = 0;
+        self.candidate = self.heading;
+        self.heading
+    }
+
     /// Takes the tilt of one sample and returns the heading after it.
     #[inline(never)]
     pub fn step(&mut self, tilt: Tilt) -> Heading {

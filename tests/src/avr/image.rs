@@ -1,0 +1,67 @@
+//! The image under test: the very file that `cargo xtask firmware avr` makes and a user flashes.
+
+use std::path::PathBuf;
+use std::process::Command;
+use std::sync::OnceLock;
+
+use object::{Object, ObjectSection, ObjectSymbol};
+
+/// The root of the repository.
+pub fn root() -> PathBuf {
+    PathBuf::from(env!("CARGO_MANIFEST_DIR")).parent().expect("tests lies in the root").to_path_buf()
+}
+
+/// The image, built if need be. `BIMANUAL_AVR_ELF` names another one.
+///
+/// # Panics
+/// Where it cannot be built; the reason is on the terminal.
+pub fn path() -> PathBuf {
+    static PATH: OnceLock<PathBuf> = OnceLock::new();
+    PATH.get_or_init(|| {
+        if let Some(path) = std::env::var_os("BIMANUAL_AVR_ELF") {
+            return path.into();
+        }
+        let status = Command::new("cargo")
+            .current_dir(root())
+            .args(["xtask", "firmware", "avr", "--no-stack"])
+            .stdout(std::process::Stdio::null())
+            .status()
+            .expect("cargo starts");
+        assert!(status.success(), "`cargo xtask firmware avr` failed");
+        root().join("firmware-nano-avr/target/avr-none/release/firmware-nano-avr.elf")
+    })
+    .clone()
+}
+
+/// The address behind the image's static memory, where the stack may grow down to (`__heap_start`).
+///
+/// # Panics
+/// Where the image cannot be read.
+pub fn static_end() -> usize {
+    let bytes = std::fs::read(path()).expect("the image is there");
+    let file = object::File::parse(&*bytes).expect("the image is an ELF file");
+    let symbol = file.symbols().find(|s| s.name() == Ok("__heap_start")).expect("the linker sets it");
+    (symbol.address() & 0xFFFF) as usize
+}
+
+/// The address of the C runtime's last resort: `cli` and an endless loop (`_exit`).
+///
+/// # Panics
+/// As [`static_end`].
+pub fn stop_program() -> u32 {
+    let bytes = std::fs::read(path()).expect("the image is there");
+    let file = object::File::parse(&*bytes).expect("the image is an ELF file");
+    file.symbols().find(|s| s.name() == Ok("_exit")).expect("the C runtime has it").address() as u32
+}
+
+/// Flash and static RAM in bytes, from the image's sections.
+///
+/// # Panics
+/// As [`static_end`].
+pub fn size() -> (u64, u64) {
+    let bytes = std::fs::read(path()).expect("the image is there");
+    let file = object::File::parse(&*bytes).expect("the image is an ELF file");
+    let section = |name| file.section_by_name(name).map_or(0, |s| s.size());
+    let data = section(".data");
+    (section(".text") + data, data + section(".bss") + section(".noinit"))
+}

@@ -1,0 +1,14 @@
+//! The left board, emulated: the image that a user flashes runs in simavr, instruction by instruction.
+//!
+//! - [`nano`] is the board: voltages in, serial bytes in and out, EEPROM, power cuts;
+//! - [`image`] finds and builds the image and reads its size;
+//! - [`wearer`] is a hand with its sensors: poses, tremor, bends, and the data sheets' tolerances;
+//! - [`session`] is a wearer with a running board: calibrate, move, look at decoded states.
+
+pub mod image;
+pub mod nano;
+pub mod session;
+pub mod street;
+pub mod trials;
+pub mod wearer;
+pub mod workers;

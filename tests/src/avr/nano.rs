@@ -1,0 +1,420 @@
+//! An Arduino Nano in simavr: Vcc 5.0 V, AREF 3.3 V, 16 MHz.
+//!
+//! simavr paces a sleeping program to the wall clock; here its sleep callback does nothing, so virtual
+//! time runs as fast as the laptop can. simavr's quirks that matter: a UART byte takes 11 bit times
+//! instead of 10 (so our latencies are overstated a little), an EEPROM byte is written at once, and a
+//! reset sets its cycle counter back to 0 (we keep the total).
+
+use std::cell::{Cell, RefCell};
+use std::collections::VecDeque;
+use std::ffi::{CString, c_void};
+use std::path::Path;
+use std::ptr::null_mut;
+
+use simavr_ffi as ffi;
+
+/// Clock of the Nano.
+pub const CYCLES_PER_MS: u64 = 16_000;
+/// Time of one byte at 115200 baud (136 clocks per bit), of the 11 bits that simavr's receiver takes.
+const CYCLES_PER_BYTE: u64 = 11 * 8 * 17;
+/// Bytes of EEPROM.
+pub const EEPROM_BYTES: usize = 1024;
+/// Addresses of registers in data space.
+const ADMUX: u16 = 0x7C;
+const EECR: u16 = 0x3F;
+/// RAM begins behind the registers.
+const RAM: std::ops::Range<usize> = 0x100..0x900;
+
+/// What is wired to an analog pin at a moment.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Line {
+    /// A source, in millivolts.
+    Millivolts(f64),
+    /// Nothing: the converter keeps what it saw last.
+    Open,
+}
+
+/// What the analog pins carry.
+pub trait Voltages {
+    /// The line at pin A`line` (0..=4), at `cycle` clocks since power-on.
+    fn at(&mut self, line: u8, cycle: u64) -> Line;
+}
+
+impl<F: FnMut(u8, u64) -> Line> Voltages for F {
+    fn at(&mut self, line: u8, cycle: u64) -> Line {
+        self(line, cycle)
+    }
+}
+
+/// One byte that the program wrote to EEPROM.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct EepromWrite {
+    /// Where.
+    pub address: u16,
+    /// What was there before.
+    pub old: u8,
+    /// What is there now.
+    pub new: u8,
+}
+
+/// What the callbacks of simavr share with the board. Everything in cells: callbacks run while the
+/// emulator runs, never at the same time as our own code.
+struct Wires {
+    avr: *mut ffi::avr_t,
+    voltages: RefCell<Box<dyn Voltages>>,
+    /// What the converter's capacitor holds, in millivolts.
+    held_mv: Cell<f64>,
+    sent: RefCell<VecDeque<(u64, u8)>>,
+    to_receive: RefCell<VecDeque<(u64, u8)>>,
+    wrong_reference: Cell<Option<u8>>,
+    eeprom: RefCell<Vec<u8>>,
+    eeprom_writes: RefCell<Vec<EepromWrite>>,
+    /// Clocks before the last reset.
+    before_reset: Cell<u64>,
+    conversions: Cell<u64>,
+}
+
+/// The board.
+pub struct Nano {
+    avr: *mut ffi::avr_t,
+    wires: Box<Wires>,
+    resets: u32,
+}
+
+const fn ioctl(name: &[u8; 4]) -> u32 {
+    u32::from_be_bytes(*name)
+}
+
+impl Nano {
+    /// Powers a board with this image, EEPROM content and wiring.
+    pub fn new(image: &Path, eeprom: &[u8; EEPROM_BYTES], voltages: Box<dyn Voltages>) -> Self {
+        let name = CString::new("atmega328p").expect("no zero in it");
+        let path = CString::new(image.to_str().expect("a path in UTF-8")).expect("no zero in a path");
+        // Safety: simavr's documented order: make, init, load. All pointers live long enough.
+        unsafe {
+            let avr = ffi::avr_make_mcu_by_name(name.as_ptr());
+            assert!(!avr.is_null(), "simavr knows the ATmega328P");
+            assert_eq!(ffi::avr_init(avr), 0);
+            let mut firmware: ffi::elf_firmware_t = std::mem::zeroed();
+            assert_eq!(ffi::elf_read_firmware(path.as_ptr(), &mut firmware), 0, "{}", image.display());
+            firmware.frequency = 16_000_000;
+            firmware.vcc = 5000;
+            firmware.avcc = 5000;
+            firmware.aref = 3300;
+            ffi::avr_load_firmware(avr, &mut firmware);
+            (*avr).sleep = Some(no_sleep);
+            // RAM wakes up with anything in it.
+            for address in RAM {
+                *(*avr).data.add(address) = (address as u8).wrapping_mul(37) ^ 0x5A;
+            }
+            let wires = Box::new(Wires {
+                avr,
+                voltages: RefCell::new(voltages),
+                held_mv: Cell::new(0.0),
+                sent: RefCell::default(),
+                to_receive: RefCell::default(),
+                wrong_reference: Cell::new(None),
+                eeprom: RefCell::new(eeprom.to_vec()),
+                eeprom_writes: RefCell::default(),
+                before_reset: Cell::new(0),
+                conversions: Cell::new(0),
+            });
+            let nano = Self { avr, wires, resets: 0 };
+            nano.connect();
+            nano.set_eeprom(eeprom);
+            nano
+        }
+    }
+
+    /// Safety: `avr` is initialised; the wires are boxed and outlive it.
+    unsafe fn connect(&self) {
+        let param = std::ptr::from_ref::<Wires>(&self.wires).cast_mut().cast::<c_void>();
+        unsafe {
+            let mut flags: u32 = 0; // neither echo to the terminal nor naps while polled
+            ffi::avr_ioctl(self.avr, ioctl(b"uas0"), (&raw mut flags).cast());
+            let uart = ffi::avr_io_getirq(self.avr, ioctl(b"uar0"), ffi::UART_IRQ_OUTPUT as i32);
+            ffi::avr_irq_register_notify(uart, Some(on_sent), param);
+            let adc = ffi::avr_io_getirq(self.avr, ioctl(b"adc0"), ffi::ADC_IRQ_OUT_TRIGGER as i32);
+            ffi::avr_irq_register_notify(adc, Some(on_conversion), param);
+            let all = ffi::AVR_IOMEM_IRQ_ALL as i32;
+            let admux = ffi::avr_iomem_getirq(self.avr, ADMUX, null_mut(), all);
+            ffi::avr_irq_register_notify(admux, Some(on_admux), param);
+            let eecr = ffi::avr_iomem_getirq(self.avr, EECR, null_mut(), all);
+            ffi::avr_irq_register_notify(eecr, Some(on_eecr), param);
+        }
+    }
+
+    /// Clocks since power-on, over resets.
+    pub fn cycle(&self) -> u64 {
+        self.wires.cycle()
+    }
+
+    /// Milliseconds since power-on.
+    pub fn now_ms(&self) -> f64 {
+        self.cycle() as f64 / CYCLES_PER_MS as f64
+    }
+
+    /// Runs until `cycle` clocks since power-on.
+    ///
+    /// # Panics
+    /// Where the program crashes, stops for ever, or selects a wrong reference for the converter.
+    pub fn run_until(&mut self, cycle: u64) {
+        let mut last = self.cycle();
+        while last < cycle {
+            // Safety: the board is alive; the callbacks get the boxed wires.
+            let state = unsafe {
+                let left = cycle - last;
+                // Wakes a sleeping program in time.
+                ffi::avr_cycle_timer_register(self.avr, left, Some(on_heartbeat), null_mut());
+                ffi::avr_run(self.avr)
+            };
+            assert!(
+                state != ffi::cpu_Done as i32 && state != ffi::cpu_Crashed as i32,
+                "the program ended (state {state}) at {:.1} ms",
+                self.now_ms()
+            );
+            let now = unsafe { (*self.avr).cycle };
+            if now + self.wires.before_reset.get() < last {
+                self.wires.before_reset.set(last);
+                self.resets += 1;
+            }
+            last = self.cycle();
+        }
+        if let Some(admux) = self.wires.wrong_reference.get() {
+            panic!("ADMUX = {admux:#04x}: any reference but AREF shorts the board's 3.3 V");
+        }
+    }
+
+    /// Runs for a while.
+    pub fn run_ms(&mut self, ms: f64) {
+        self.run_until(self.cycle() + (ms * CYCLES_PER_MS as f64) as u64);
+    }
+
+    /// Resets by the watchdog so far.
+    pub fn resets(&self) -> u32 {
+        self.resets
+    }
+
+    /// Conversions so far.
+    pub fn conversions(&self) -> u64 {
+        self.wires.conversions.get()
+    }
+
+    /// The next byte that the board has sent, with the clock at which its last bit left.
+    pub fn sent(&mut self) -> Option<(u64, u8)> {
+        self.wires.sent.borrow_mut().pop_front()
+    }
+
+    /// Sends bytes to the board, back to back, from now on or after what is under way.
+    pub fn send(&mut self, bytes: &[u8]) {
+        let mut queue = self.wires.to_receive.borrow_mut();
+        let was_empty = queue.is_empty();
+        let mut at = queue.back().map_or(self.cycle(), |&(at, _)| at.max(self.cycle()));
+        for &byte in bytes {
+            at += CYCLES_PER_BYTE;
+            queue.push_back((at, byte));
+        }
+        if was_empty && !bytes.is_empty() {
+            let param = std::ptr::from_ref::<Wires>(&self.wires).cast_mut().cast::<c_void>();
+            // Safety: the wires outlive the emulator.
+            unsafe {
+                ffi::avr_cycle_timer_register(self.avr, CYCLES_PER_BYTE, Some(on_byte_due), param);
+            }
+        }
+    }
+
+    /// Bytes that have not reached the board yet.
+    pub fn unsent(&self) -> usize {
+        self.wires.to_receive.borrow().len()
+    }
+
+    /// Replaces what the analog pins carry.
+    pub fn set_voltages(&mut self, voltages: Box<dyn Voltages>) {
+        *self.wires.voltages.borrow_mut() = voltages;
+    }
+
+    /// Holds D2 to ground, or lets it go (pulled up). Takes effect before the program's first look.
+    pub fn hold_calibration_pin(&mut self, held: bool) {
+        // Safety: pin 2 of port D exists.
+        unsafe {
+            let pin = ffi::avr_io_getirq(self.avr, ioctl(b"iogD"), 2);
+            ffi::avr_raise_irq(pin, u32::from(!held));
+        }
+    }
+
+    /// Is the light (D13) on?
+    pub fn light(&self) -> bool {
+        const PORTB: usize = 0x25;
+        self.peek(PORTB) & (1 << 5) != 0
+    }
+
+    /// Reads data space: registers and RAM.
+    pub fn peek(&self, address: usize) -> u8 {
+        assert!(address < RAM.end);
+        // Safety: within data space.
+        unsafe { *(*self.avr).data.add(address) }
+    }
+
+    /// Writes data space behind the program's back.
+    pub fn poke(&mut self, address: usize, value: u8) {
+        assert!(address < RAM.end);
+        // Safety: within data space.
+        unsafe { *(*self.avr).data.add(address) = value }
+    }
+
+    /// Sends the program somewhere else.
+    pub fn jump(&mut self, address: u32) {
+        // Safety: the emulator is not running.
+        unsafe {
+            (*self.avr).pc = address;
+            (*self.avr).state = ffi::cpu_Running as i32;
+        }
+    }
+
+    /// Makes the board execute `sts address, value`, and then nothing more: a program gone wrong.
+    pub fn execute_sts(&mut self, address: u16, value: u8) {
+        const UNUSED_FLASH: usize = 0x7000;
+        const R16: usize = 16;
+        let [low, high] = address.to_le_bytes();
+        // `sts address, r16` and `rjmp .-2`.
+        let code = [0x00, 0x93, low, high, 0xFF, 0xCF];
+        for (i, byte) in code.into_iter().enumerate() {
+            // Safety: within the 32 KB of flash.
+            unsafe { *(*self.avr).flash.add(UNUSED_FLASH + i) = byte }
+        }
+        self.poke(R16, value);
+        self.jump(UNUSED_FLASH as u32);
+    }
+
+    /// The whole EEPROM.
+    pub fn eeprom(&self) -> [u8; EEPROM_BYTES] {
+        let mut bytes = [0; EEPROM_BYTES];
+        let mut what =
+            ffi::avr_eeprom_desc_t { ee: bytes.as_mut_ptr(), offset: 0, size: EEPROM_BYTES as u32 };
+        // Safety: the buffer is as long as we say.
+        let result = unsafe { ffi::avr_ioctl(self.avr, ioctl(b"eegp"), (&raw mut what).cast()) };
+        assert_eq!(result, 0);
+        bytes
+    }
+
+    fn set_eeprom(&self, bytes: &[u8; EEPROM_BYTES]) {
+        let mut copy = *bytes;
+        let mut what = ffi::avr_eeprom_desc_t { ee: copy.as_mut_ptr(), offset: 0, size: EEPROM_BYTES as u32 };
+        // Safety: the buffer is as long as we say.
+        let result = unsafe { ffi::avr_ioctl(self.avr, ioctl(b"eesp"), (&raw mut what).cast()) };
+        assert_eq!(result, 0);
+    }
+
+    /// Bytes written to EEPROM since power-on, in order.
+    pub fn eeprom_writes(&self) -> Vec<EepromWrite> {
+        self.wires.eeprom_writes.borrow().clone()
+    }
+
+    /// How many bytes have been written to EEPROM since power-on.
+    pub fn eeprom_write_count(&self) -> usize {
+        self.wires.eeprom_writes.borrow().len()
+    }
+
+    /// Bytes of RAM from `from` on that still hold `paint`.
+    pub fn painted(&self, from: usize, paint: u8) -> usize {
+        (from..RAM.end).take_while(|&address| self.peek(address) == paint).count()
+    }
+}
+
+impl Drop for Nano {
+    fn drop(&mut self) {
+        // Safety: made by simavr, not used afterwards. (The core itself is a plain allocation.)
+        unsafe {
+            ffi::avr_terminate(self.avr);
+            libc_free(self.avr.cast());
+        }
+    }
+}
+
+unsafe extern "C" {
+    #[link_name = "free"]
+    fn libc_free(pointer: *mut c_void);
+}
+
+impl Wires {
+    fn cycle(&self) -> u64 {
+        // Safety: the emulator outlives its callbacks.
+        self.before_reset.get() + unsafe { (*self.avr).cycle }
+    }
+}
+
+unsafe extern "C" fn no_sleep(_: *mut ffi::avr_t, _: u64) {}
+
+unsafe extern "C" fn on_heartbeat(_: *mut ffi::avr_t, _: u64, _: *mut c_void) -> u64 {
+    0
+}
+
+/// Safety of all callbacks: `param` is the boxed [`Wires`] of the board that calls.
+unsafe fn wires<'a>(param: *mut c_void) -> &'a Wires {
+    unsafe { &*param.cast::<Wires>() }
+}
+
+unsafe extern "C" fn on_sent(_: *mut ffi::avr_irq_t, value: u32, param: *mut c_void) {
+    let wires = unsafe { wires(param) };
+    // The callback comes when the byte is written; it leaves within one byte time (two, if the one
+    // before it is still under way: then that one's stamp pushes ours).
+    const CYCLES_ON_WIRE: u64 = 10 * 8 * 17;
+    let mut sent = wires.sent.borrow_mut();
+    let start = sent.back().map_or(0, |&(at, _)| at).max(wires.cycle());
+    sent.push_back((start + CYCLES_ON_WIRE, value as u8));
+}
+
+unsafe extern "C" fn on_byte_due(avr: *mut ffi::avr_t, when: u64, param: *mut c_void) -> u64 {
+    let wires = unsafe { wires(param) };
+    let due = wires.to_receive.borrow_mut().pop_front();
+    if let Some((_, byte)) = due {
+        unsafe {
+            let uart = ffi::avr_io_getirq(avr, ioctl(b"uar0"), ffi::UART_IRQ_INPUT as i32);
+            ffi::avr_raise_irq(uart, u32::from(byte));
+        }
+    }
+    if wires.to_receive.borrow().is_empty() { 0 } else { when + CYCLES_PER_BYTE }
+}
+
+unsafe extern "C" fn on_conversion(irq: *mut ffi::avr_irq_t, value: u32, param: *mut c_void) {
+    let wires = unsafe { wires(param) };
+    wires.conversions.set(wires.conversions.get() + 1);
+    // struct avr_adc_mux_t { unsigned long kind : 3, gain : 8, diff : 8, src : 13; }
+    let (kind, source) = (value & 7, value >> 19);
+    if kind == ffi::ADC_MUX_SINGLE {
+        let line = source as u8;
+        match wires.voltages.borrow_mut().at(line, wires.cycle()) {
+            Line::Millivolts(mv) => wires.held_mv.set(mv),
+            Line::Open => {}
+        }
+        let mv = wires.held_mv.get().clamp(0.0, 5000.0).round() as u32;
+        // Safety: the input pins precede this one in simavr's array.
+        unsafe {
+            ffi::avr_raise_irq(irq.sub(ffi::ADC_IRQ_OUT_TRIGGER as usize).add(line as usize), mv);
+        }
+    } else {
+        wires.held_mv.set(0.0); // ground
+    }
+}
+
+unsafe extern "C" fn on_admux(_: *mut ffi::avr_irq_t, value: u32, param: *mut c_void) {
+    let wires = unsafe { wires(param) };
+    if value >> 6 & 3 != 0 {
+        wires.wrong_reference.set(Some(value as u8));
+    }
+}
+
+unsafe extern "C" fn on_eecr(_: *mut ffi::avr_irq_t, value: u32, param: *mut c_void) {
+    const EEPE: u32 = 1 << 1;
+    const EEARL: usize = 0x41;
+    const EEDR: usize = 0x40;
+    let wires = unsafe { wires(param) };
+    if value & EEPE != 0 {
+        let data = |address: usize| unsafe { *(*wires.avr).data.add(address) };
+        let address = u16::from(data(EEARL)) | u16::from(data(EEARL + 1)) << 8;
+        let new = data(EEDR);
+        let place = address as usize % EEPROM_BYTES;
+        let old = std::mem::replace(&mut wires.eeprom.borrow_mut()[place], new);
+        wires.eeprom_writes.borrow_mut().push(EepromWrite { address, old, new });
+    }
+}

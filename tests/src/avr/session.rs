@@ -1,0 +1,127 @@
+//! A running board with decoded messages: what the laptop sees of the left hand.
+
+use std::path::Path;
+
+use shared_proto::frame::{BOARD_FRAME_MAX, Decoder, encode_host};
+use shared_proto::message::{
+    Ack, AckResult, BoardMessage, CalibrationStep, Fault, Heading, HostMessage, LeftState, Status,
+};
+
+use super::nano::{CYCLES_PER_MS, EEPROM_BYTES, Nano, Voltages};
+
+/// An EEPROM that was never written.
+pub const BLANK: [u8; EEPROM_BYTES] = [0xFF; EEPROM_BYTES];
+
+/// A decoded message without borrowed parts.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Seen {
+    /// Boot id and firmware version.
+    Hello(u32, String),
+    /// The hand.
+    Left(LeftState),
+    /// Counters.
+    Status(Status),
+    /// Trouble.
+    Fault(Fault),
+    /// An answer.
+    Ack(Ack),
+    /// The id of a ping.
+    Pong(u32),
+}
+
+/// A board and the laptop's ear.
+pub struct Session {
+    /// The board.
+    pub nano: Nano,
+    decoder: Decoder<BOARD_FRAME_MAX>,
+    /// Every byte sent so far.
+    pub bytes: u64,
+    request: u16,
+}
+
+impl Session {
+    /// Powers a board.
+    pub fn new(image: &Path, eeprom: &[u8; EEPROM_BYTES], voltages: Box<dyn Voltages>) -> Self {
+        Self { nano: Nano::new(image, eeprom, voltages), decoder: Decoder::new(), bytes: 0, request: 0 }
+    }
+
+    /// Milliseconds since power-on.
+    pub fn now_ms(&self) -> f64 {
+        self.nano.now_ms()
+    }
+
+    /// Runs for a while; everything that arrived meanwhile, with its time of arrival in ms.
+    pub fn run_ms(&mut self, ms: f64) -> Vec<(f64, Seen)> {
+        self.nano.run_ms(ms);
+        self.heard()
+    }
+
+    /// Everything that arrived since the last question.
+    ///
+    /// # Panics
+    /// Where the board sends anything that is not an intact frame: the line loses nothing here.
+    pub fn heard(&mut self) -> Vec<(f64, Seen)> {
+        let mut seen = Vec::new();
+        while let Some((cycle, byte)) = self.nano.sent() {
+            self.bytes += 1;
+            let Some(message) = self.decoder.push_board(byte) else { continue };
+            let message = match message {
+                BoardMessage::Hello(hello) => Seen::Hello(hello.boot_id, hello.firmware.to_owned()),
+                BoardMessage::Left(state) => Seen::Left(state),
+                BoardMessage::Status(status) => Seen::Status(status),
+                BoardMessage::Fault(fault) => Seen::Fault(fault),
+                BoardMessage::Ack(ack) => Seen::Ack(ack),
+                BoardMessage::Pong(pong) => Seen::Pong(pong.id),
+                other => panic!("a left board does not send {other:?}"),
+            };
+            seen.push((cycle as f64 / CYCLES_PER_MS as f64, message));
+        }
+        let counters = self.decoder.counters();
+        // A restart may cut a frame short: that one ends as damaged.
+        assert!(counters.damaged() <= self.nano.resets() + 8, "damaged frames: {counters:?}");
+        seen
+    }
+
+    /// Frames that arrived damaged (a restart cuts the one under way).
+    pub fn damaged(&self) -> u32 {
+        self.decoder.counters().damaged()
+    }
+
+    /// The states that arrive in the next `ms`.
+    pub fn states(&mut self, ms: f64) -> Vec<(f64, LeftState)> {
+        self.run_ms(ms)
+            .into_iter()
+            .filter_map(|(t, m)| if let Seen::Left(s) = m { Some((t, s)) } else { None })
+            .collect()
+    }
+
+    /// Sends a message to the board.
+    pub fn send(&mut self, message: &HostMessage<'_>) {
+        let mut buffer = [0; 256];
+        let frame = encode_host(message, &mut buffer).expect("a buffer that is large enough");
+        self.nano.send(frame);
+    }
+
+    /// Asks for a calibration step and waits for its end.
+    pub fn calibrate(&mut self, step: CalibrationStep) -> AckResult {
+        self.request += 1;
+        let request = self.request;
+        self.send(&HostMessage::Calibrate { request, step });
+        for _ in 0..400 {
+            for (_, seen) in self.run_ms(10.0) {
+                if let Seen::Ack(ack) = seen
+                    && ack.request == request
+                    && ack.result != AckResult::Started
+                {
+                    return ack.result;
+                }
+            }
+        }
+        panic!("no acknowledgement of {step:?} within 4 s");
+    }
+}
+
+/// Is this a command to move?
+pub fn is_command(heading: Heading) -> bool {
+    !matches!(heading, Heading::Neutral | Heading::Between)
+}

@@ -1,0 +1,76 @@
+//! The whole street: voltages → emulated board → serial bytes → bridge → simulated base, in 1 ms steps.
+
+use host_bridge::bridge::Bridge;
+use host_bridge::intent::MotionMap;
+use host_bridge::safety::Hand;
+use host_bridge::sim::{SimConfig, Simulator};
+use shared_proto::frame::{HOST_FRAME_MAX, encode_host};
+
+use super::nano::{CYCLES_PER_MS, Nano};
+
+/// The board with bridge and robot.
+pub struct Street {
+    /// The board.
+    pub nano: Nano,
+    /// The laptop.
+    pub bridge: Bridge,
+    /// The robot.
+    pub robot: Simulator,
+    now_ms: u64,
+    /// A byte that left the board after the present millisecond.
+    early: Option<(u64, u8)>,
+}
+
+impl Street {
+    /// A running board, with a bridge that has not heard of it yet.
+    pub fn new(nano: Nano) -> Self {
+        let now_ms = nano.cycle().div_ceil(CYCLES_PER_MS);
+        Self {
+            nano,
+            bridge: Bridge::new(MotionMap::default()),
+            robot: Simulator::new(SimConfig::default()),
+            now_ms,
+            early: None,
+        }
+    }
+
+    /// Virtual time since the board got power, in ms.
+    pub fn now_ms(&self) -> u64 {
+        self.now_ms
+    }
+
+    /// One millisecond: the board runs, the bridge reads what has arrived, the robot moves.
+    pub fn step(&mut self) {
+        self.now_ms += 1;
+        let end = self.now_ms * CYCLES_PER_MS;
+        self.nano.run_until(end);
+        let mut bytes = Vec::new();
+        while let Some((cycle, byte)) = self.early.take().or_else(|| self.nano.sent()) {
+            if cycle > end {
+                self.early = Some((cycle, byte));
+                break;
+            }
+            bytes.push(byte);
+        }
+        self.bridge.receive(Hand::Left, &bytes, self.now_ms, &mut self.robot);
+        self.bridge.step(self.now_ms, &mut self.robot);
+        while let Some(message) = self.bridge.poll(Hand::Left, self.now_ms) {
+            let mut buffer = [0; HOST_FRAME_MAX];
+            let frame = encode_host(&message, &mut buffer).expect("the bridge's messages fit");
+            self.nano.send(frame);
+        }
+        self.robot.step(1);
+    }
+
+    /// A while.
+    pub fn run_ms(&mut self, ms: u64) {
+        for _ in 0..ms {
+            self.step();
+        }
+    }
+
+    /// Does any wheel turn?
+    pub fn moves(&self) -> bool {
+        self.robot.wheels_rad_s() != [0.0; 2]
+    }
+}

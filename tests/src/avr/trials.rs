@@ -1,0 +1,273 @@
+//! Trials with many wearers: what one worker process does for one of them.
+
+use std::cell::RefCell;
+use std::rc::Rc;
+
+use fastrand::Rng;
+use serde::{Deserialize, Serialize};
+use shared_proto::message::{
+    AckResult, CalibrationStep, Heading, HostMessage, LeftState, Mode, TiltThresholds,
+};
+
+use super::image;
+use super::session::{BLANK, Seen, Session, is_command};
+use super::wearer::{Fault, Hand, Sensors, Tremor, Wearer, uniform};
+
+/// How a wearer's sensors and neutral pose are chosen.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub enum Parts {
+    /// Evenly from the whole of the tolerances, neutral within 10° of level.
+    Drawn,
+    /// The corner that makes every tilt look largest: sensitivity + 10 %, neutral 10° off level.
+    Loudest,
+}
+
+/// One wearer's trials.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+pub struct Job {
+    /// Of everything that is drawn.
+    pub seed: u64,
+    /// Where the parts come from.
+    pub parts: Parts,
+    /// How many trials (tilts per direction, or bends per finger), or how many seconds of tremor.
+    pub count: u32,
+}
+
+/// How the tilts of one wearer went.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub struct Tilts {
+    /// Trials.
+    pub trials: u32,
+    /// That command within 300 ms and no other within 2 s.
+    pub right: u32,
+    /// The opposite command at any time.
+    pub reversed: u32,
+    /// From the start of the movement to the command's frame, in ms, of the right ones.
+    pub latencies_ms: Vec<f64>,
+    /// What went wrong, for the reader.
+    pub notes: Vec<String>,
+}
+
+/// How the bends of one wearer went.
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
+pub struct BendCounts {
+    /// Bends of index and middle finger.
+    pub bends: [u32; 2],
+    /// Counted exactly once, by that finger's counter.
+    pub once: [u32; 2],
+    /// Counts that no bend explains.
+    pub excess: u32,
+    /// Stop flags that no closed hand explains.
+    pub stops: u32,
+}
+
+/// What a session of tremor or plain tilting gave.
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
+pub struct Quiet {
+    /// States with a command.
+    pub commands: u32,
+    /// Bends counted.
+    pub bends: u32,
+    /// Healthy states seen.
+    pub states: u32,
+}
+
+/// A calibrated wearer at neutral.
+fn wear(job: Job, tremor_deg: f64, hz: std::ops::Range<f64>) -> (Session, Rc<RefCell<Hand>>, Rng) {
+    let mut rng = Rng::with_seed(job.seed);
+    let (sensors, off_level) = match job.parts {
+        Parts::Drawn => {
+            let (size, towards) =
+                (uniform(&mut rng, 0.0..10.0f64.to_radians()), uniform(&mut rng, 0.0..std::f64::consts::TAU));
+            (Sensors::drawn(&mut rng), (size * towards.cos(), size * towards.sin()))
+        }
+        Parts::Loudest => {
+            let mut sensors = Sensors::drawn(&mut rng);
+            sensors.sensitivity = [1.1; 3];
+            (sensors, if rng.bool() { (10f64.to_radians(), 0.0) } else { (0.0, -10f64.to_radians()) })
+        }
+    };
+    let calm = Tremor::drawn(&mut rng, 1f64.to_radians(), 4.0..12.0);
+    let (wearer, hand) = Wearer::new(sensors.clone(), off_level, Some(calm), rng.fork());
+    let mut session = Session::new(&image::path(), &BLANK, Box::new(wearer));
+    session.run_ms(300.0);
+    assert_eq!(session.calibrate(CalibrationStep::Neutral), AckResult::Ok, "neutral, seed {}", job.seed);
+    assert_eq!(session.calibrate(CalibrationStep::Rest), AckResult::Ok, "rest, seed {}", job.seed);
+    let now_s = session.now_ms() / 1000.0;
+    for finger in 0..2 {
+        hand.borrow_mut().bend(finger, 1.0, now_s, 0.2);
+    }
+    session.run_ms(300.0);
+    assert_eq!(session.calibrate(CalibrationStep::Bend), AckResult::Ok, "bend, seed {}", job.seed);
+    let now_s = session.now_ms() / 1000.0;
+    for finger in 0..2 {
+        hand.borrow_mut().bend(finger, 0.0, now_s, 0.2);
+    }
+    session.run_ms(1000.0);
+    // The tremor of the trials, with the same sensors.
+    let tremor = Tremor::drawn(&mut rng, tremor_deg.to_radians(), hz);
+    let (wearer, hand) = Wearer::new(sensors, off_level, Some(tremor), rng.fork());
+    session.nano.set_voltages(Box::new(wearer));
+    session.run_ms(500.0);
+    (session, hand, rng)
+}
+
+const DIRECTIONS: [Heading; 4] = [Heading::Forward, Heading::Backward, Heading::Left, Heading::Right];
+
+fn opposite(heading: Heading) -> Heading {
+    match heading {
+        Heading::Forward => Heading::Backward,
+        Heading::Backward => Heading::Forward,
+        Heading::Left => Heading::Right,
+        Heading::Right => Heading::Left,
+        other => other,
+    }
+}
+
+/// The paper's trials: `count` tilts per direction, 16° to 45°, up to 8° off axis.
+pub fn tilts(job: Job) -> Tilts {
+    let (mut session, hand, mut rng) = wear(job, 1.0, 4.0..12.0);
+    let mut result = Tilts::default();
+    let mut order: Vec<Heading> = (0..job.count).flat_map(|_| DIRECTIONS).collect();
+    rng.shuffle(&mut order);
+    for wanted in order {
+        session.run_ms(uniform(&mut rng, 300.0..500.0));
+        let angle_deg = uniform(&mut rng, 16.0..45.0);
+        let (angle, off) = (angle_deg.to_radians(), uniform(&mut rng, -8.0..8.0f64).to_radians());
+        let (pitch, roll) = match wanted {
+            Heading::Forward => (angle, off),
+            Heading::Backward => (-angle, off),
+            Heading::Left => (off, angle),
+            _ => (off, -angle),
+        };
+        let start_ms = session.now_ms();
+        let lasts_s = uniform(&mut rng, 0.10..0.22);
+        hand.borrow_mut().tilt(pitch, roll, start_ms / 1000.0, lasts_s);
+        let states = session.states(2000.0);
+        let first = states.iter().find(|(_, s)| s.heading == wanted).map(|(t, _)| t - start_ms);
+        let others: Vec<Heading> =
+            states.iter().map(|(_, s)| s.heading).filter(|&h| is_command(h) && h != wanted).collect();
+        result.trials += 1;
+        result.reversed += u32::from(others.contains(&opposite(wanted)));
+        match first {
+            Some(latency_ms) if latency_ms <= 300.0 && others.is_empty() => {
+                result.right += 1;
+                result.latencies_ms.push(latency_ms);
+            }
+            _ => result.notes.push(format!(
+                "seed {}: {wanted:?} by {angle_deg:.1}°, off axis {:.1}°: first after {first:?} ms, others {others:?}",
+                job.seed,
+                off.to_degrees(),
+            )),
+        }
+        hand.borrow_mut().tilt(0.0, 0.0, session.now_ms() / 1000.0, 0.2);
+        session.run_ms(300.0);
+    }
+    result
+}
+
+/// `count` seconds of tremor up to 11° about neutral.
+pub fn tremor(job: Job) -> Quiet {
+    let (mut session, _hand, _) = wear(job, 11.0, 0.5..12.0);
+    quiet(session.states(f64::from(job.count) * 1000.0))
+}
+
+/// `count` seconds of tilting to and fro with straight fingers.
+pub fn tilting(job: Job) -> Quiet {
+    let (mut session, hand, mut rng) = wear(job, 1.0, 4.0..12.0);
+    let mut states = Vec::new();
+    let end = session.now_ms() + f64::from(job.count) * 1000.0;
+    while session.now_ms() < end {
+        let mut angle = || uniform(&mut rng, -45.0..45.0f64).to_radians();
+        let (pitch, roll) = (angle(), angle());
+        let lasts_s = uniform(&mut rng, 0.1..0.5);
+        hand.borrow_mut().tilt(pitch, roll, session.now_ms() / 1000.0, lasts_s);
+        // Straight fingers move a little along: up to 12 % of a bend.
+        for finger in 0..2 {
+            let depth = uniform(&mut rng, -0.05..0.12);
+            hand.borrow_mut().bend(finger, depth, session.now_ms() / 1000.0, lasts_s);
+        }
+        states.extend(session.states(uniform(&mut rng, 300.0..900.0)));
+    }
+    quiet(states)
+}
+
+fn quiet(states: Vec<(f64, LeftState)>) -> Quiet {
+    let bends = |s: &LeftState| u32::from(s.index_bends) + u32::from(s.middle_bends);
+    let first = states.first().map_or(0, |(_, s)| bends(s));
+    Quiet {
+        commands: states.iter().filter(|(_, s)| is_command(s.heading)).count() as u32,
+        bends: states.last().map_or(0, |(_, s)| bends(s)) - first,
+        states: states.iter().filter(|(_, s)| s.health == 0).count() as u32,
+    }
+}
+
+/// `count` bends per finger, of varied depth and speed.
+pub fn bends(job: Job) -> BendCounts {
+    let (mut session, hand, mut rng) = wear(job, 1.0, 4.0..12.0);
+    let mut result = BendCounts::default();
+    let mut order: Vec<usize> = (0..job.count).flat_map(|_| [0, 1]).collect();
+    rng.shuffle(&mut order);
+    let mut before = [0u8; 2];
+    for finger in order {
+        let mut draw = |range| uniform(&mut rng, range);
+        // The calibrated bend is 1; the other finger moves along by up to 15 %, as fingers do.
+        let (depth, along) = (draw(0.6..1.2), draw(0.0..0.15));
+        let (closes_s, held_s, opens_s, rest_s) =
+            (draw(0.06..0.4), draw(0.03..0.8), draw(0.06..0.4), draw(0.12..0.5));
+        let start_s = session.now_ms() / 1000.0;
+        hand.borrow_mut().bend(finger, depth, start_s, closes_s);
+        hand.borrow_mut().bend(1 - finger, along, start_s, closes_s);
+        session.run_ms((closes_s + held_s) * 1000.0);
+        let opens_at_s = session.now_ms() / 1000.0;
+        for finger in 0..2 {
+            let rests_at = uniform(&mut rng, -0.03..0.05);
+            hand.borrow_mut().bend(finger, rests_at, opens_at_s, opens_s);
+        }
+        let mut after = before;
+        let rest = session.run_ms((opens_s + rest_s) * 1000.0);
+        for (_, seen) in rest {
+            if let Seen::Left(state) = seen {
+                after = [state.index_bends, state.middle_bends];
+                result.stops += u32::from(state.stop);
+            }
+        }
+        let counted = [0, 1].map(|f: usize| after[f].wrapping_sub(before[f]));
+        result.bends[finger] += 1;
+        result.once[finger] += u32::from(counted[finger] == 1 && counted[1 - finger] == 0);
+        result.excess += u32::from(counted[finger].saturating_sub(1)) + u32::from(counted[1 - finger]);
+        before = after;
+    }
+    result
+}
+
+/// Bytes of RAM from the end of static memory that a program painted at start and never used, and the
+/// deepest stack, after a session that does everything: all requests, a flood, faults, a calibration.
+pub fn stack() -> (usize, usize) {
+    const PAINT: u8 = 0xC5; // of `firmware-nano-avr/src/stack.rs`
+    let job = Job { seed: 1, parts: Parts::Drawn, count: 1 };
+    let (mut session, hand, mut rng) = wear(job, 1.0, 4.0..12.0);
+    session.send(&HostMessage::HelloRequest);
+    session.send(&HostMessage::Ping { id: u32::MAX });
+    session.send(&HostMessage::SetMode { request: 900, mode: Mode::Record });
+    session.send(&HostMessage::SetMode { request: 901, mode: Mode::Classify });
+    let thresholds = TiltThresholds { neutral_mrad: 87, end_mrad: 209, start_mrad: 262 };
+    session.send(&HostMessage::SetThresholds { request: 902, thresholds });
+    session.run_ms(300.0);
+    let mut flood: Vec<u8> = (0..4000).map(|_| rng.u8(..)).collect();
+    flood.push(0);
+    session.nano.send(&flood);
+    session.run_ms(500.0);
+    hand.borrow_mut().fault = Some(Fault::Open(0));
+    session.run_ms(500.0);
+    hand.borrow_mut().fault = None;
+    let now_s = session.now_ms() / 1000.0;
+    hand.borrow_mut().tilt(0.5, 0.1, now_s + 1.0, 0.2);
+    hand.borrow_mut().bend(0, 1.0, now_s + 1.0, 0.2);
+    session.run_ms(2500.0);
+    assert_eq!(session.calibrate(CalibrationStep::Reset), AckResult::Ok);
+    session.run_ms(1500.0);
+    let end = image::static_end();
+    let unused = session.nano.painted(end, PAINT);
+    (unused, 0x900 - end - unused)
+}

@@ -1,0 +1,43 @@
+//! Trials in parallel processes: simavr has globals, so each process runs one board at a time.
+
+use std::process::{Command, Stdio};
+
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+
+/// Runs `program verb JSON` once per job, as many at a time as there are processors, and returns what
+/// each printed on standard output as JSON, in the order of the jobs.
+///
+/// # Panics
+/// Where a worker fails: its standard error is on the terminal.
+pub fn run<J: Serialize, R: DeserializeOwned>(program: &str, verb: &str, jobs: &[J]) -> Vec<R> {
+    let at_once = std::thread::available_parallelism().map_or(2, usize::from);
+    let mut results = Vec::new();
+    for batch in jobs.chunks(at_once) {
+        let children: Vec<_> = batch
+            .iter()
+            .map(|job| {
+                Command::new(program)
+                    .arg(verb)
+                    .arg(serde_json::to_string(job).expect("a job in JSON"))
+                    .env("BIMANUAL_AVR_ELF", super::image::path())
+                    .stdin(Stdio::null())
+                    .stdout(Stdio::piped())
+                    .spawn()
+                    .expect("the worker starts")
+            })
+            .collect();
+        for child in children {
+            let output = child.wait_with_output().expect("the worker ends");
+            assert!(output.status.success(), "{verb}: a worker failed");
+            let text = String::from_utf8_lossy(&output.stdout);
+            results.push(serde_json::from_str(&text).unwrap_or_else(|e| panic!("{verb}: {e} in {text}")));
+        }
+    }
+    results
+}
+
+/// Is this the long run (`cargo xtask test --full`)?
+pub fn is_full() -> bool {
+    std::env::var("BIMANUAL_FULL").is_ok_and(|v| v == "1")
+}

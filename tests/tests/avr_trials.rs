@@ -1,0 +1,82 @@
+//! The left hand's trials on the emulated Nano: the paper's 400 tilts, tremor, 2,000 bends.
+#![cfg(feature = "avr")]
+
+use tests::avr::trials::{BendCounts, Job, Parts, Quiet, Tilts};
+use tests::avr::workers::{is_full, run};
+
+const WORKER: &str = env!("CARGO_BIN_EXE_avr_trials");
+
+fn jobs(parts: Parts, seeds: std::ops::Range<u64>, count: u32) -> Vec<Job> {
+    seeds.map(|seed| Job { seed, parts, count }).collect()
+}
+
+/// 400 trials (100 per direction), 20 wearers with 5 tilts per direction each. The short run has 5 wearers.
+#[test]
+fn the_papers_400_tilts_are_right_and_none_is_reversed() {
+    let wearers = if is_full() { 20 } else { 4 };
+    let results: Vec<Tilts> = run(WORKER, "tilts", &jobs(Parts::Drawn, 1000..1000 + wearers, 5));
+    let sum = |of: fn(&Tilts) -> u32| results.iter().map(of).sum::<u32>();
+    let (trials, right, reversed) = (sum(|t| t.trials), sum(|t| t.right), sum(|t| t.reversed));
+    let mut latencies: Vec<f64> = results.iter().flat_map(|t| t.latencies_ms.clone()).collect();
+    latencies.sort_by(f64::total_cmp);
+    println!("{wearers} wearers, parts from the whole data-sheet tolerance, neutral within 10° of level");
+    println!("{:<28}{:>8}{:>8}", "", "paper", "here");
+    println!("{:<28}{:>8}{:>8}", "trials", 400, trials);
+    println!("{:<28}{:>7}%{:>7.2}%", "right", 93.5, 100.0 * f64::from(right) / f64::from(trials));
+    println!("{:<28}{:>8}{:>8}", "reversed", "", reversed);
+    if let (Some(worst), Some(median)) = (latencies.last(), latencies.get(latencies.len() / 2)) {
+        println!("from the start of a movement of 100 to 220 ms: median {median:.0} ms, worst {worst:.0} ms");
+    }
+    results.iter().flat_map(|t| &t.notes).for_each(|note| println!("  wrong: {note}"));
+    assert_eq!(u64::from(trials), 20 * wearers);
+    assert!(f64::from(right) >= 0.995 * f64::from(trials), "{right} of {trials}");
+    assert_eq!(reversed, 0);
+}
+
+/// 10 minutes, half of them by the wearers whose parts make every tilt look largest.
+#[test]
+fn tremor_of_11_degrees_never_commands() {
+    let (wearers, seconds) = if is_full() { (3, 100) } else { (1, 25) };
+    let mut all = jobs(Parts::Drawn, 2000..2000 + wearers, seconds);
+    all.extend(jobs(Parts::Loudest, 2100..2100 + wearers, seconds));
+    let results: Vec<Quiet> = run(WORKER, "tremor", &all);
+    let states: u32 = results.iter().map(|q| q.states).sum();
+    let commands: u32 = results.iter().map(|q| q.commands).sum();
+    println!(
+        "{} s of tremor up to 11°: {states} healthy states, {commands} with a command",
+        all.len() as u32 * seconds
+    );
+    assert!(states >= all.len() as u32 * seconds * 49, "the hand was watched all the time: {states} states");
+    assert_eq!(commands, 0);
+}
+
+#[test]
+fn bends_count_once_whatever_their_depth_and_speed() {
+    let (wearers, each) = if is_full() { (10, 100) } else { (2, 30) };
+    let results: Vec<BendCounts> = run(WORKER, "bends", &jobs(Parts::Drawn, 3000..3000 + wearers, each));
+    println!("{:<8}{:>8}{:>14}{:>14}", "finger", "bends", "counted once", "paper");
+    let mut total = 0;
+    for (finger, name, paper) in [(0, "index", "98 %"), (1, "middle", "95 %")] {
+        let bends: u32 = results.iter().map(|r| r.bends[finger]).sum();
+        let once: u32 = results.iter().map(|r| r.once[finger]).sum();
+        println!("{name:<8}{bends:>8}{:>13.2}%{paper:>14}", 100.0 * f64::from(once) / f64::from(bends));
+        total += bends;
+        assert!(f64::from(once) >= 0.995 * f64::from(bends), "{name}: {once} of {bends}");
+    }
+    let excess: u32 = results.iter().map(|r| r.excess).sum();
+    let stops: u32 = results.iter().map(|r| r.stops).sum();
+    println!("false counts {excess} (paper: under 2 %), stop flags {stops}");
+    assert!(f64::from(excess) <= 0.001 * f64::from(total), "{excess} of {total}");
+    assert_eq!(stops, 0);
+}
+
+#[test]
+fn a_hand_that_only_tilts_bends_nothing() {
+    let (wearers, seconds) = if is_full() { (6, 60) } else { (2, 15) };
+    let results: Vec<Quiet> = run(WORKER, "tilting", &jobs(Parts::Drawn, 4000..4000 + wearers, seconds));
+    let commands: u32 = results.iter().map(|q| q.commands).sum();
+    let bends: u32 = results.iter().map(|q| q.bends).sum();
+    println!("{} s of tilting: {commands} states with a command, {bends} bends", wearers as u32 * seconds);
+    assert!(commands > 100, "the hand did tilt");
+    assert_eq!(bends, 0);
+}
