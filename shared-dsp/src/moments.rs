@@ -2,15 +2,17 @@
 //!
 //! Sums of powers (Σx², Σx³, Σx⁴) fail in `f32` as soon as a signal rests on a constant such as gravity. Here each block of
 //! eight samples knows its mean, as a kept sample plus a small offset, and sums of powers of deviations from that mean.
-//! Longer pieces are sums of powers about the mean of *one of their own blocks*, which moves what lies between by the
-//! binomial formula. The reference belongs to the piece, so it lies at most √25 deviations from its mean, and what
-//! cancels in the end is bounded, whatever the signal did before.
+//! Longer pieces are sums of powers about the mean of *some of their own blocks*, which moves what lies between by the
+//! binomial formula. The reference belongs to the piece, so it lies few deviations from its mean, and what cancels in
+//! the end is bounded, whatever the signal did before.
 
 use crate::fft::HalfFrame;
 use crate::sliding::{Place, in_front};
 
 /// Samples per block.
 const BLOCK: f32 = 8.0;
+/// More than a third of a window, and less than a half, in blocks.
+const CENTRED: usize = 9;
 
 /// Summary of eight samples.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -50,9 +52,10 @@ impl Block {
     }
 }
 
-/// Sums over a piece, about a reference that is kept elsewhere.
+/// Sums over a piece, about a reference.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Sums {
+    reference: f32,
     /// Σ(mean of block − reference), over blocks.
     s1: f32,
     /// Σ(x − reference)², over samples.
@@ -64,17 +67,23 @@ struct Sums {
 }
 
 impl Sums {
-    const ZERO: Self = Self { s1: 0.0, s2: 0.0, s3: 0.0, s4: 0.0 };
+    const ZERO: Self = Self::about(0.0);
+
+    /// Of nothing.
+    const fn about(reference: f32) -> Self {
+        Self { reference, s1: 0.0, s2: 0.0, s3: 0.0, s4: 0.0 }
+    }
 
     /// With one more block.
     #[inline(always)]
-    fn with(&self, block: &Block, reference: f32) -> Self {
-        let t = (block.first - reference) + block.offset;
+    fn with(&self, block: &Block) -> Self {
+        let t = (block.first - self.reference) + block.offset;
         let own = BLOCK * (t * t);
         let triple = 3.0 * block.m2;
         let third = triple + own;
         let fourth = 4.0 * block.m3 + t * (triple + third);
         Self {
+            reference: self.reference,
             s1: self.s1 + t,
             s2: self.s2 + (block.m2 + own),
             s3: self.s3 + (block.m3 + t * third),
@@ -82,18 +91,30 @@ impl Sums {
         }
     }
 
-    /// The sums over `self`, of `blocks` blocks, and `other`, whose reference lies `t` below that of `self`.
+    /// The same piece, of `blocks` blocks, about another reference.
     #[inline(always)]
-    fn joined(&self, blocks: f32, t: f32, other: &Self) -> Self {
+    fn moved(&self, blocks: f32, reference: f32) -> Self {
+        let t = self.reference - reference;
         let step = blocks * t;
         let (sum, own) = (BLOCK * self.s1, BLOCK * step);
         let third = 3.0 * self.s2 + t * (3.0 * sum + own);
         let fourth = 4.0 * self.s3 + t * (6.0 * self.s2 + t * (4.0 * sum + own));
         Self {
-            s1: other.s1 + (self.s1 + step),
-            s2: other.s2 + (self.s2 + t * (2.0 * sum + own)),
-            s3: other.s3 + (self.s3 + t * third),
-            s4: other.s4 + (self.s4 + t * fourth),
+            reference,
+            s1: self.s1 + step,
+            s2: self.s2 + t * (2.0 * sum + own),
+            s3: self.s3 + t * third,
+            s4: self.s4 + t * fourth,
+        }
+    }
+
+    /// When a piece has grown to [`CENTRED`] blocks, its mean becomes its reference: little cancels later.
+    #[inline(always)]
+    fn centred(self, blocks: usize) -> Self {
+        if blocks == CENTRED {
+            self.moved(CENTRED as f32, self.reference + self.s1 * const { 1.0 / CENTRED as f32 })
+        } else {
+            self
         }
     }
 }
@@ -104,20 +125,12 @@ pub struct SlidingMoments<const N: usize> {
     blocks: [Block; N],
     /// Each block of the front and all younger ones of the front.
     front: [Sums; N],
-    front_reference: f32,
     back: Sums,
-    back_reference: f32,
 }
 
 impl<const N: usize> SlidingMoments<N> {
     /// Of no signal.
-    pub const ZERO: Self = Self {
-        blocks: [Block::ZERO; N],
-        front: [Sums::ZERO; N],
-        front_reference: 0.0,
-        back: Sums::ZERO,
-        back_reference: 0.0,
-    };
+    pub const ZERO: Self = Self { blocks: [Block::ZERO; N], front: [Sums::ZERO; N], back: Sums::ZERO };
 
     /// Takes a block; gives Σ(x − mean)², ³ and ⁴ over all samples of the last `N`. `in_back` is as in
     /// [`in_front`].
@@ -125,20 +138,28 @@ impl<const N: usize> SlidingMoments<N> {
     pub fn push(&mut self, place: Place<N>, in_back: usize, block: Block) -> (f32, f32, f32) {
         if in_back == 0 {
             self.turn(place.slot);
-            self.back = Sums::ZERO;
-            self.back_reference = block.first + block.offset;
+            self.back = Sums::about(block.first + block.offset);
         }
-        let back = self.back.with(&block, self.back_reference);
-        self.back = back;
+        self.back = self.back.with(&block).centred(in_back + 1);
         if let Some(slot) = self.blocks.get_mut(place.slot) {
             *slot = block;
         }
         let in_front = in_front::<N>(in_back);
         let all = match self.front.get(place.oldest) {
             Some(front) if in_front > 0 => {
-                front.joined(in_front as f32, self.front_reference - self.back_reference, &back)
+                // About the reference of the larger part, which lies nearer to the mean.
+                let (small, count, large) =
+                    if in_front > N / 2 { (&self.back, N - in_front, front) } else { (front, in_front, &self.back) };
+                let small = small.moved(count as f32, large.reference);
+                Sums {
+                    reference: large.reference,
+                    s1: small.s1 + large.s1,
+                    s2: small.s2 + large.s2,
+                    s3: small.s3 + large.s3,
+                    s4: small.s4 + large.s4,
+                }
             }
-            _ => back,
+            _ => self.back,
         };
         let mean = all.s1 * const { 1.0 / N as f32 };
         let sum = BLOCK * all.s1;
@@ -156,14 +177,13 @@ impl<const N: usize> SlidingMoments<N> {
         let newest = slot.checked_sub(1).unwrap_or(N - 1);
         let Some(newest) = self.blocks.get(newest) else { return };
         // The newest is in the front to the end.
-        let reference = newest.first + newest.offset;
-        self.front_reference = reference;
-        let mut sums = Sums::ZERO;
-        let older = slot + 1;
-        for range in [0..slot, older.min(N)..N] {
+        let mut sums = Sums::about(newest.first + newest.offset);
+        let mut count = 0;
+        for range in [0..slot, (slot + 1).min(N)..N] {
             let (Some(blocks), Some(front)) = (self.blocks.get(range.clone()), self.front.get_mut(range)) else { return };
             for (block, front) in blocks.iter().zip(front).rev() {
-                sums = sums.with(block, reference);
+                count += 1;
+                sums = sums.with(block).centred(count);
                 *front = sums;
             }
         }
