@@ -77,13 +77,13 @@ pub enum JointError {
 impl SerialArm {
     /// The Kinova Gen3 with seven joints, figures as in [`super::gen3`], links as capsules.
     ///
-    /// The capsules are ours: the actuators are at most 93 mm (1–4) and 75 mm (5–7) thick, so 50 mm and
-    /// 42 mm around the lines between the joints' origins hold the shells.
+    /// The capsules are ours, around the lines between the joints' origins: 50 mm for the three large links,
+    /// 45 mm for the forearm, 42 mm for the wrist.
     pub fn gen3() -> Self {
         let joints = (0..JOINTS).map(|i| {
             let (origin_m, origin_rotation) = super::gen3::origin(i);
             let (next_m, _) = super::gen3::origin(i + 1);
-            let radius_m = if i < 4 { 0.050 } else { 0.042 };
+            let radius_m = [0.050, 0.050, 0.050, 0.045, 0.042, 0.042, 0.042][i];
             ArmJoint {
                 name: JOINT_NAMES[i].to_owned(),
                 origin_m,

@@ -67,7 +67,7 @@ pub struct World {
     arm: SerialArm,
     scene: Scene,
     lever_m: Joints,
-    /// Pairs of links that are not neighbours.
+    /// Pairs of links that can touch.
     pairs: Vec<(usize, usize)>,
 }
 
@@ -75,9 +75,36 @@ impl World {
     /// Puts an arm into a scene.
     pub fn new(arm: SerialArm, scene: Scene) -> Self {
         let links = arm.joints.len() + 1;
-        // Neighbours share a joint and always touch; the joint's limit keeps them apart.
-        let pairs = (0..links).flat_map(|one| (one + 2..links).map(move |two| (one, two))).collect();
-        World { lever_m: arm.lever_m(), arm, scene, pairs }
+        let mut world = World { lever_m: arm.lever_m(), arm, scene, pairs: Vec::new() };
+        // Neighbours share a joint and always touch; its limit keeps them apart.
+        let pairs = (0..links).flat_map(|one| (one + 2..links).map(move |two| (one, two)));
+        world.pairs = pairs.filter(|&(one, two)| two > one + 2 || world.can_touch(one)).collect();
+        world
+    }
+
+    /// Whether a link and the next but one can touch within the limits of the two joints between them. As in
+    /// MoveIt's set-up, pairs that never touch are not looked at: their constant nearness would hide
+    /// everything else.
+    fn can_touch(&self, link: usize) -> bool {
+        const STEPS: usize = 48;
+        let range = |joint: usize| {
+            let pi = std::f64::consts::PI;
+            let (low, high) = self.arm.joints[joint].limit_rad.unwrap_or((-pi, pi));
+            (0..=STEPS).map(move |k| low + (high - low) * k as f64 / STEPS as f64)
+        };
+        range(link).any(|first| {
+            range(link + 1).any(|second| {
+                let mut joints_rad = [0.0; JOINTS];
+                (joints_rad[link], joints_rad[link + 1]) = (first, second);
+                self.pair_distance_m(&self.shapes(&joints_rad), link, link + 2) <= 0.0
+            })
+        })
+    }
+
+    fn pair_distance_m(&self, shapes: &[(usize, Capsule)], one: usize, two: usize) -> f64 {
+        let of = |wanted: usize| shapes.iter().filter(move |(link, _)| *link == wanted);
+        let distances = of(one).flat_map(|(_, a)| of(two).map(move |(_, b)| a.distance_m(b)));
+        distances.fold(f64::INFINITY, f64::min)
     }
 
     /// The arm.
@@ -186,11 +213,8 @@ impl Surroundings<'_> {
             }
         }
         for &(one, two) in &self.world.pairs {
-            for (_, a) in shapes.iter().filter(|(link, _)| *link == one) {
-                for (_, b) in shapes.iter().filter(|(link, _)| *link == two) {
-                    nearest.tighten(a.distance_m(b), Part::Link(one), Part::Link(two));
-                }
-            }
+            let distance_m = self.world.pair_distance_m(&shapes, one, two);
+            nearest.tighten(distance_m, Part::Link(one), Part::Link(two));
         }
         nearest
     }
@@ -268,6 +292,13 @@ mod tests {
             println!("{:.3} m {:?}", nearest.distance_m, nearest.parts);
             assert!(nearest.distance_m > 0.02, "{nearest:?} {joints:?}");
         }
+    }
+
+    #[test]
+    fn of_the_gen3_no_link_can_touch_the_next_but_one() {
+        let world = world("");
+        assert!(world.pairs.iter().all(|(one, two)| two - one >= 3), "{:?}", world.pairs);
+        assert_eq!(world.pairs.len(), 15);
     }
 
     #[test]

@@ -140,6 +140,9 @@ impl Planner {
 
         let home_rad = arm.home_rad;
         let via_home = || -> Option<Plan> {
+            if around.arm_clearance(&home_rad).distance_m < margin_m {
+                return None;
+            }
             let (there, _) = self.leg(&around, from_rad, &home_rad, &search)?;
             let (onward, _) = self.leg(&around, &home_rad, to_rad, &search)?;
             let home_s = Some(there.trajectory.duration_s());

@@ -1,0 +1,189 @@
+//! Planning where the straight way is blocked: three scenes, six poses each, all ordered pairs, many seeds.
+//! What is planned is executed by the arm in virtual time and looked at every 10 ms.
+//!
+//! `BIMANUAL_FULL=1` runs 34 seeds per pair. `tests/mujoco/check.py` looks at the same motions with an
+//! independent engine.
+
+use std::time::Instant;
+
+use host_bridge::arm::gen3::{HOME, JOINTS, Joints, Pose};
+use host_bridge::arm::ik;
+use host_bridge::arm::model::SerialArm;
+use host_bridge::plan::trajectory::Motion;
+use host_bridge::plan::{Kind, Placement, Plan, Planner, Refusal, World};
+use host_bridge::scene::{Goal, Scene};
+
+const SCENES: [(&str, &str); 3] = [
+    ("posts", include_str!("../scenes/posts.toml")),
+    ("shelf", include_str!("../scenes/shelf.toml")),
+    ("bins", include_str!("../scenes/bins.toml")),
+];
+
+fn seeds() -> u64 {
+    if std::env::var_os("BIMANUAL_FULL").is_some() { 34 } else { 4 }
+}
+
+fn planner(scene: &str) -> Planner {
+    Planner::new(World::new(SerialArm::gen3(), Scene::parse(scene).unwrap()))
+}
+
+/// Joint angles of a scene's poses, from inverse kinematics where the file gives places.
+fn poses(planner: &Planner) -> Vec<(String, Joints)> {
+    let around = planner.world().around(Placement::default());
+    let safe = |joints: &Joints| around.arm_clearance(joints).distance_m >= 0.02;
+    let scene = planner.world().scene();
+    let angles = |goal| match goal {
+        Goal::Joints(joints) => joints,
+        Goal::Flange(pose) => ik::solve(planner.world().arm(), &pose, &HOME, 1, safe).unwrap(),
+    };
+    scene.goals().into_iter().map(|(name, goal)| (name.to_owned(), angles(goal))).collect()
+}
+
+/// Runs a motion at 100 Hz and checks every sample. Returns the shortest clearance.
+fn execute(planner: &Planner, plan: &Plan, from: &Joints, to: &Joints) -> f64 {
+    let around = planner.world().around(Placement::default());
+    let (limits, dt_s) = (planner.limits(), 0.01);
+    let mut before = plan.trajectory.motion(0.0);
+    assert_eq!(before.joints_rad, *from);
+    let mut nearest = f64::INFINITY;
+    let steps = (plan.trajectory.duration_s() / dt_s).ceil() as usize + 1;
+    for k in 1..=steps {
+        let now = plan.trajectory.motion(k as f64 * dt_s);
+        planner.world().arm().check(&now.joints_rad).unwrap();
+        for i in 0..JOINTS {
+            let (v, a) = (limits.velocity_rad_s[i], limits.acceleration_rad_s2[i]);
+            assert!(now.velocity_rad_s[i].abs() <= v * (1.0 + 1e-9));
+            assert!(now.acceleration_rad_s2[i].abs() <= a * (1.0 + 1e-9));
+            let moved = now.joints_rad[i] - before.joints_rad[i];
+            assert!(moved.abs() <= v * dt_s * (1.0 + 1e-6) + 1e-9);
+            let change = now.velocity_rad_s[i] - before.velocity_rad_s[i];
+            assert!(change.abs() <= a * dt_s * (1.0 + 1e-6) + 1e-9);
+        }
+        nearest = nearest.min(around.arm_clearance(&now.joints_rad).distance_m);
+        before = now;
+    }
+    let Motion { joints_rad, velocity_rad_s, .. } = before;
+    assert_eq!((joints_rad, velocity_rad_s), (*to, [0.0; JOINTS]), "ends at the pose, at rest");
+    nearest
+}
+
+fn median<T: Copy + PartialOrd>(values: &mut [T]) -> T {
+    values.sort_by(|a, b| a.partial_cmp(b).unwrap());
+    values[values.len() / 2]
+}
+
+#[test]
+fn blocked_ways_are_gone_around_without_touching_anything() {
+    for (name, text) in SCENES {
+        let planner = planner(text);
+        let around = planner.world().around(Placement::default());
+        let poses = poses(&planner);
+        assert_eq!(poses.len(), 6, "thirty ordered pairs");
+        let (mut blocked, mut tried, mut solved, mut via_home) = (0, 0, 0, 0);
+        let (mut checks, mut times_ms, mut nearest_m) = (Vec::new(), Vec::new(), f64::INFINITY);
+        for (i, (_, from)) in poses.iter().enumerate() {
+            for (j, (_, to)) in poses.iter().enumerate() {
+                if i == j {
+                    continue;
+                }
+                blocked += usize::from(!around.way_is_clear(from, to, 1e-4));
+                for seed in 0..seeds() {
+                    let start = Instant::now();
+                    let plan = planner.plan(from, to, Placement::default(), seed);
+                    times_ms.push(start.elapsed().as_secs_f64() * 1000.0);
+                    tried += 1;
+                    let Ok(plan) = plan else { continue };
+                    solved += 1;
+                    via_home += usize::from(plan.kind == Kind::ViaHome);
+                    checks.push(plan.checks);
+                    nearest_m = nearest_m.min(execute(&planner, &plan, from, to));
+                }
+            }
+        }
+        let (most_ms, checks) = (times_ms.iter().copied().fold(0.0, f64::max), median(&mut checks));
+        println!(
+            "{name}: {blocked}/30 straight ways blocked; {solved}/{tried} solved ({via_home} via home); \
+             median {checks} checks; planning median {:.1} ms, longest {most_ms:.1} ms; clearance {:.1} mm",
+            median(&mut times_ms),
+            nearest_m * 1000.0
+        );
+        assert!(blocked * 3 >= 30, "the scene is too easy");
+        assert!(solved * 100 >= tried * 99);
+        assert!(checks <= 4000);
+        assert!(nearest_m >= 0.005, "half the margin");
+    }
+}
+
+#[test]
+fn equal_seeds_give_equal_plans_and_other_seeds_others() {
+    let planner = planner(SCENES[0].1);
+    let poses = poses(&planner);
+    let plan = |seed| planner.plan(&poses[0].1, &poses[1].1, Placement::default(), seed).unwrap();
+    assert_eq!(plan(5), plan(5));
+    assert_ne!(plan(5).path_rad, plan(6).path_rad);
+}
+
+#[test]
+fn goals_that_cannot_be_reached_safely_are_refused_with_the_reason() {
+    for (_, text) in SCENES {
+        let planner = planner(text);
+        let poses = poses(&planner);
+        let from = &poses[0].1;
+        let refused = |to: &Joints| planner.plan(from, to, Placement::default(), 1).unwrap_err();
+
+        let mut beyond = *from;
+        beyond[3] = 3.0;
+        assert!(matches!(refused(&beyond), Refusal::GoalBeyondLimit(_)));
+        beyond[3] = f64::NAN;
+        assert!(matches!(refused(&beyond), Refusal::GoalBeyondLimit(_)));
+
+        // The flange in the middle of each box that the arm can get to at all.
+        let scene = planner.world().scene();
+        let mut inside = 0;
+        for shape in &scene.boxes {
+            let position_m = [0, 1, 2].map(|k| shape.center_m[k] - scene.base.mount_m[k]);
+            for (_, joints) in &poses {
+                let rotation = planner.world().arm().flange_pose(joints).rotation;
+                let Ok(joints) =
+                    ik::solve(planner.world().arm(), &Pose { position_m, rotation }, joints, 1, |_| true)
+                else {
+                    continue;
+                };
+                let refusal = refused(&joints);
+                assert!(matches!(refusal, Refusal::GoalBlocked { .. }), "{refusal}");
+                inside += 1;
+            }
+        }
+        assert!(inside >= 6, "{inside}");
+    }
+}
+
+#[test]
+fn a_goal_behind_closed_walls_is_refused_after_a_bounded_search() {
+    // A wall through the arm's foot: open only around the shoulder, and closed above it.
+    let text = r#"
+        [[box]]
+        name = "right wall"
+        center_m = [0.1, -0.77, 0.95]
+        size_m = [0.02, 1.3, 1.9]
+        [[box]]
+        name = "left wall"
+        center_m = [0.1, 0.77, 0.95]
+        size_m = [0.02, 1.3, 1.9]
+        [[box]]
+        name = "lintel"
+        center_m = [0.1, 0.0, 1.375]
+        size_m = [0.02, 0.24, 1.05]
+    "#;
+    let planner = planner(text);
+    let front = [0.0, 1.2, std::f64::consts::PI, -1.5, 0.0, 0.5, 1.57];
+    let mut back = front;
+    back[0] = std::f64::consts::PI;
+    let around = planner.world().around(Placement::default());
+    assert!(around.arm_clearance(&front).distance_m > 0.01);
+    assert!(around.arm_clearance(&back).distance_m > 0.01);
+    let refusal = planner.plan(&front, &back, Placement::default(), 1).unwrap_err();
+    println!("{refusal}");
+    let Refusal::NoWay { checks } = refusal else { panic!("{refusal}") };
+    assert!(checks < 31_000, "{checks}");
+}
