@@ -36,6 +36,8 @@ fn main() -> ExitCode {
     };
     match done {
         Ok(code) => code,
+        // As a shell reports a program that was ended by Ctrl-C.
+        Err(error) if error.is::<play::Interrupted>() => ExitCode::from(130),
         Err(error) => {
             eprintln!("error: {error:#}");
             ExitCode::FAILURE

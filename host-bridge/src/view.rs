@@ -11,6 +11,7 @@ use crossterm::terminal::{
 };
 use crossterm::{cursor, execute, queue};
 use host_bridge::arm::gen3::flange_pose;
+use host_bridge::arm::sequencer::Leg;
 use host_bridge::robot::Robot as _;
 use host_bridge::safety::{Hand, State};
 use host_bridge::session::Session;
@@ -23,6 +24,9 @@ const MAP_HEIGHT: usize = 9;
 /// Metres per cell; cells are twice as high as wide.
 const MAP_CELL_M: f64 = 0.2;
 
+/// A lower screen has no room for the map beside the events.
+const ROWS_FOR_MAP: usize = 32;
+
 /// What the operator pressed.
 pub enum Key {
     /// Leave.
@@ -34,7 +38,7 @@ pub enum Key {
 /// The screen; gives the terminal back when dropped, also by a panic.
 pub struct View {
     out: Stdout,
-    title: String,
+    title: Vec<String>,
     events: VecDeque<String>,
     path: Vec<(f64, f64)>,
 }
@@ -44,8 +48,12 @@ impl View {
     pub fn open(title: &str) -> io::Result<Self> {
         let mut out = io::stdout();
         enable_raw_mode()?;
-        let view =
-            View { out: io::stdout(), title: title.to_owned(), events: VecDeque::new(), path: Vec::new() };
+        let view = View {
+            out: io::stdout(),
+            title: title.lines().map(str::to_owned).collect(),
+            events: VecDeque::new(),
+            path: Vec::new(),
+        };
         execute!(out, EnterAlternateScreen, cursor::Hide)?;
         Ok(view)
     }
@@ -83,7 +91,7 @@ impl View {
         if self.path.last().is_none_or(|last| (last.0 - here.x_m).hypot(last.1 - here.y_m) > 0.05) {
             self.path.push((here.x_m, here.y_m));
         }
-        let mut lines = self.lines(session, speed);
+        let mut lines = self.lines(session, speed, usize::from(rows) >= ROWS_FOR_MAP);
         let room = usize::from(rows).saturating_sub(lines.len() + 2);
         let skip = self.events.len().saturating_sub(room);
         lines.push((Color::DarkGrey, String::new()));
@@ -104,7 +112,7 @@ impl View {
         self.out.flush()
     }
 
-    fn lines(&self, session: &Session<'_>, speed: f64) -> Vec<(Color, String)> {
+    fn lines(&self, session: &Session<'_>, speed: f64, with_map: bool) -> Vec<(Color, String)> {
         let bridge = session.bridge();
         let safety = bridge.safety();
         let live = |hand| match (safety.connected(hand), safety.live(hand)) {
@@ -118,11 +126,11 @@ impl View {
             State::Stale => ("a hand is silent", Color::Yellow),
             State::Stopped => ("STOPPED", Color::Red),
         };
-        let mut lines = vec![
-            (Color::Cyan, self.title.clone()),
+        let mut lines: Vec<_> = self.title.iter().map(|line| (Color::Cyan, line.clone())).collect();
+        lines.extend([
             (Color::DarkGrey, "space: stop   q: quit".to_owned()),
             (state_colour, format!("{:>7.1} s ×{speed}   {state}", session.now_ms() as f64 / 1000.0)),
-        ];
+        ]);
         let (pitch_mrad, roll_mrad, heading) = bridge.left_hand();
         let degrees = |mrad: i16| (f64::from(mrad) / 1000.0).to_degrees();
         lines.push((
@@ -144,7 +152,9 @@ impl View {
         }
         let (arm, base) = (session.robot().arm(), session.robot().odometry());
         let doing = match arm.running {
-            Some((motion, leg)) => format!("{motion}, {}", format!("{leg:?}").to_lowercase()),
+            Some((motion, Leg::ToHome)) => format!("{motion}: home first"),
+            Some((motion, Leg::ToGoal)) => format!("{motion}: to the pose"),
+            Some((motion, Leg::Halting)) => format!("{motion}: halting"),
             None => "at rest".to_owned(),
         };
         let [x, y, z] = flange_pose(&arm.joints_rad).position_m;
@@ -160,7 +170,9 @@ impl View {
                 base.twist.angular_rad_s.to_degrees()
             ),
         ));
-        lines.extend(self.map(base.x_m, base.y_m, base.heading_rad).map(|row| (Color::DarkGreen, row)));
+        if with_map {
+            lines.extend(self.map(base.x_m, base.y_m, base.heading_rad).map(|row| (Color::DarkGreen, row)));
+        }
         lines
     }
 

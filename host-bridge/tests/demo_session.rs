@@ -4,7 +4,7 @@ use std::path::Path;
 
 use host_bridge::adc::AdcRecording;
 use host_bridge::bridge::GestureOutcome;
-use host_bridge::hands::{LeftBoard, ModelFile, RightBoard};
+use host_bridge::hands::{Board, LeftBoard, ModelFile, RightBoard};
 use host_bridge::intent::MotionMap;
 use host_bridge::safety::HaltReason;
 use host_bridge::script::Script;
@@ -32,7 +32,7 @@ fn script() -> Script {
     Script::parse(&committed("session.toml")).unwrap()
 }
 
-/// Plays to the end, `chunk` milliseconds at a time.
+/// Plays to the end.
 fn run(left: Option<AdcRecording>, right: Option<Recording>, map: MotionMap) -> Summary {
     let model = ModelFile::bundled().unwrap();
     let left =
@@ -122,4 +122,66 @@ fn a_map_changes_what_a_gesture_does() {
     let summary = run(None, Some(right()), map);
     let outcome = summary.gestures.iter().find(|gesture| gesture.label == "to-fro").unwrap().outcome;
     assert_eq!(outcome, GestureOutcome::Started(host_bridge::arm::ArmMotion::Place));
+}
+
+/// A board on a bad cable: one byte in a thousand is damaged, one in ten thousand is lost.
+struct BadCable<B> {
+    board: B,
+    state: u32,
+}
+
+impl<B> BadCable<B> {
+    fn random(&mut self, below: u32) -> u32 {
+        self.state = self.state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        (self.state >> 8) % below
+    }
+}
+
+impl<B: Board> Board for BadCable<B> {
+    fn step(&mut self, now_ms: u64, wire: &mut Vec<u8>) {
+        let mut clean = Vec::new();
+        self.board.step(now_ms, &mut clean);
+        for byte in clean {
+            match self.random(10_000) {
+                0 => {}
+                1..=10 => wire.push(byte ^ (1 << self.random(8))),
+                _ => wire.push(byte),
+            }
+        }
+    }
+
+    fn receive(&mut self, bytes: &[u8], wire: &mut Vec<u8>) {
+        self.board.receive(bytes, wire);
+    }
+
+    fn laptop_time_ms(&self, board_time_ms: u32) -> u64 {
+        self.board.laptop_time_ms(board_time_ms)
+    }
+
+    fn ended(&self) -> bool {
+        self.board.ended()
+    }
+}
+
+#[test]
+fn a_bad_cable_costs_frames_but_no_gesture_no_bend_and_no_safety() {
+    let model = ModelFile::bundled().unwrap();
+    let left = LeftBoard::new(left(), Some(script().calibration.into()), 1);
+    let right = RightBoard::new(right(), &model, 1).unwrap();
+    let mut session = Session::new(
+        Some(Box::new(BadCable { board: left, state: 1 })),
+        Some(Box::new(BadCable { board: right, state: 2 })),
+        MotionMap::default(),
+    );
+    while !session.finished() {
+        session.step();
+    }
+    let summary = session.summary();
+    let frames = summary.frames;
+    println!("{frames:?}");
+    let (left, right) = (frames.left.unwrap(), frames.right.unwrap());
+    assert!(left.damaged > 50 && right.damaged > 20);
+    // Two frames glued together by a damaged delimiter count as damaged once.
+    assert!(left.lost >= left.damaged && right.lost >= right.damaged);
+    assert!(script().expect.check(&summary).iter().all(|check| check.ok), "{summary:?}");
 }

@@ -48,13 +48,12 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     let mut session = Session::new(Some(Box::new(left)), Some(Box::new(right)), map);
 
     let title = format!("bimanual demo: {}", script.title);
-    play(&mut session, &args.play, &title)?;
+    play(&mut session, &args.play, &format!("{title}\nmodel: {about}"))?;
 
     let summary = session.summary();
     let checks = script.expect.check(&summary);
     let ok = checks.iter().all(|check| check.ok);
     say(&args.play, &describe::summary(&summary));
-    say(&args.play, &format!("model: {about}"));
     for check in &checks {
         let verdict = if check.ok { "ok    " } else { "FAILED" };
         say(&args.play, &format!("{verdict} {}: {}", check.what, check.got));

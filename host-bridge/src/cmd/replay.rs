@@ -64,8 +64,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     let model_about = model.as_ref().map(|model| format!("{} ({})", model.name(), model.about()));
 
     let title = "replay of your recordings";
-    if let Some(about) = &model_about {
-        say(&args.play, &format!("model: {about}"));
+    if model.is_some() {
         for label in map.without_motion(labels) {
             say(
                 &args.play,
@@ -80,7 +79,8 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     }
     let unmapped = map.without_motion(labels);
     let mut session = Session::new(left, right, map.clone());
-    play(&mut session, &args.play, title)?;
+    let about = model_about.as_deref().unwrap_or("none (no right hand)");
+    play(&mut session, &args.play, &format!("{title}\nmodel: {about}"))?;
 
     let summary = session.summary();
     say(&args.play, &describe::summary(&summary));
