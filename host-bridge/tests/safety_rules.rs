@@ -26,7 +26,7 @@ fn nothing_moves_before_neutral_was_seen() {
     rig.point(Heading::Between, 500);
     rig.point(Heading::Forward, 500);
     assert!(!rig.take_moved());
-    rig.point(Heading::Neutral, 100);
+    rig.point(Heading::Neutral, 200);
     rig.point(Heading::Forward, 500);
     assert!(rig.speed_m_s() > 0.3);
 }
@@ -41,19 +41,19 @@ fn both_hands_must_be_neutral_at_once() {
     rig.run(500); // right at rest, left tilted
     assert_eq!(rig.state(), State::Waiting);
     assert!(!rig.take_moved());
-    rig.point(Heading::Neutral, 100);
+    rig.point(Heading::Neutral, 200);
     assert_eq!(rig.state(), State::Armed);
 }
 
 #[test]
 fn one_hand_alone_is_enough_for_its_own_part() {
     let mut left = Rig::with(&[Hand::Left]);
-    left.run(100);
+    left.run(200);
     left.point(Heading::Left, 1000);
     assert!((left.robot.odometry().twist.angular_rad_s - 0.5).abs() < 1e-9);
 
     let mut right = Rig::with(&[Hand::Right]);
-    right.run(100);
+    right.run(200);
     right.gesture(2);
     assert_eq!(right.take_outcomes(), [Started(ArmMotion::PickUp)]);
     assert!(right.arm_moves());
@@ -79,7 +79,7 @@ fn silence_of_either_hand_halts_base_and_arm_within_250_ms_and_for_good() {
         rig.take_moved();
         rig.run(3000);
         assert!(!rig.take_moved());
-        rig.point(Heading::Neutral, 100);
+        rig.point(Heading::Neutral, 200);
         assert_eq!(rig.state(), State::Armed);
         rig.run(1000);
         assert!(!rig.take_moved(), "arming alone moves nothing");
@@ -91,7 +91,7 @@ fn silence_of_either_hand_halts_base_and_arm_within_250_ms_and_for_good() {
 #[test]
 fn a_hand_that_never_sends_a_state_after_its_hello_holds_everything_still() {
     let mut rig = Rig::with(&[Hand::Left]);
-    rig.run(100);
+    rig.run(200);
     rig.point(Heading::Forward, 500);
     rig.send(Hand::Right, &hello(Hand::Right, 1));
     rig.run(REST_MS);
@@ -148,7 +148,7 @@ fn states_older_than_250_ms_are_dropped_but_can_stop() {
     assert_eq!(rig.bridge.drops().late_states, 1);
 
     rig.talking = [true, true];
-    rig.point(Heading::Neutral, 100);
+    rig.point(Heading::Neutral, 200);
     assert_eq!(rig.state(), State::Armed);
     rig.left.stop = true;
     let late_stop = rig.left_frame();
@@ -176,6 +176,21 @@ fn a_burst_after_a_stall_is_not_replayed() {
     assert!(!rig.take_moved());
     rig.point(Heading::Neutral, 200);
     assert_eq!(rig.bridge.caps().linear_m_s, 0.5, "bends of the stall do not count later");
+}
+
+#[test]
+fn a_burst_from_before_the_link_was_opened_starts_nothing() {
+    let mut rig = Rig::empty();
+    let mut burst = hello(Hand::Left, 1);
+    for heading in [Heading::Neutral, Heading::Neutral, Heading::Forward] {
+        rig.left.heading = heading;
+        rig.now_ms += 100;
+        burst.extend(rig.left_frame());
+    }
+    rig.now_ms += 5000;
+    rig.send(Hand::Left, &burst);
+    rig.run(1000);
+    assert!(!rig.take_moved());
 }
 
 #[test]
@@ -223,7 +238,7 @@ fn damaged_bytes_are_counted_and_move_nothing() {
     assert!(rig.bridge.link(Hand::Left).counters().damaged > 10);
     rig.left.heading = Heading::Neutral;
     rig.talking = [true, true];
-    rig.run(100);
+    rig.run(200);
     assert_eq!(rig.state(), State::Armed);
 }
 
@@ -383,7 +398,7 @@ fn bends_and_gestures_of_a_stop_do_not_act_after_it() {
 #[test]
 fn the_release_key_counts_only_without_a_right_hand() {
     let mut rig = Rig::with(&[Hand::Left]);
-    rig.run(100);
+    rig.run(200);
     rig.stop();
     rig.point(Heading::Neutral, 500);
     rig.bridge.release_key(rig.now_ms, &mut rig.robot);
@@ -438,7 +453,7 @@ fn a_stop_is_not_released_while_a_hand_is_silent() {
 #[test]
 fn without_a_left_hand_a_stop_key_is_released_by_rest_and_up_down() {
     let mut rig = Rig::with(&[Hand::Right]);
-    rig.run(100);
+    rig.run(200);
     rig.gesture(2);
     rig.run(1000);
     rig.bridge.stop_key(rig.now_ms, &mut rig.robot);
@@ -511,12 +526,12 @@ fn a_gesture_before_the_model_is_known_or_outside_its_labels_does_nothing() {
 #[test]
 fn a_new_hand_halts_the_one_that_drives_until_both_are_neutral() {
     let mut rig = Rig::with(&[Hand::Left]);
-    rig.run(100);
+    rig.run(200);
     rig.point(Heading::Forward, 1000);
     rig.connect(Hand::Right, 1);
     rig.run(REST_MS + 100);
     assert!(rig.robot.at_rest());
-    rig.point(Heading::Neutral, 100);
+    rig.point(Heading::Neutral, 200);
     rig.point(Heading::Forward, 100);
     assert!(rig.take_moved());
 }

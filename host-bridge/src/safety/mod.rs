@@ -22,11 +22,16 @@ use shared_proto::message::Heading;
 /// A state older than this is dropped; a hand silent for this long halts the robot.
 pub const STALE_MS: u64 = 250;
 
+/// All hands must be neutral together for this long before anything may act. Frames that waited in some
+/// buffer until the link was opened come in one burst and look fresh, because nothing is known yet to
+/// compare their clock with: a burst that says "neutral, forward" must not start the base.
+pub const ARM_NEUTRAL_MS: u64 = 100;
+
 /// The hands must be neutral for this long before a stop can be released.
 pub const RELEASE_NEUTRAL_MS: u64 = 1000;
 
 /// ```text
-///            all connected hands live and neutral at once
+///            all connected hands live and neutral for 100 ms
 ///   Waiting ─────────────────────────────────────────────► Armed
 ///    ▲   ▲                                                │ │ │
 ///    │   └──────────── a hand (re)started ────────────────┘ │ │
@@ -321,7 +326,8 @@ impl Safety {
         if connected.peek().is_none() {
             return;
         }
-        if connected.all(|watch| watch.neutral_since_ms.is_some()) {
+        let long_enough = |since: u64| self.now_ms.saturating_sub(since) >= ARM_NEUTRAL_MS;
+        if connected.all(|watch| watch.neutral_since_ms.is_some_and(long_enough)) {
             self.enter(State::Armed, actions);
         } else if self.state == State::Stale {
             self.enter(State::Waiting, actions);
