@@ -69,8 +69,8 @@ struct Hop {
     axis: usize,
     block: Place<HOPS>,
     frame: Place<FRAMES>,
-    /// See [`crate::sliding::in_front`].
-    moments_in_back: usize,
+    /// Whether its samples are known to be numbers within the limit.
+    repaired: bool,
 }
 
 impl<const A: usize> FeatureWindow<A> {
@@ -107,19 +107,18 @@ impl<const A: usize> FeatureWindow<A> {
         self.staged = 0;
         let mut replaced = 0;
         // The moments of axis i turn at hop −i, its powers half a round later: one turn per hop up to 12 axes.
-        let mut hop = Hop {
-            axis: 0,
-            block: Place::new(self.block),
-            frame: Place::new(self.frame),
-            // The moments of axis i turn at hop −i, its powers half a round later: one turn per hop up to 12 axes.
-            moments_in_back: self.frame,
-        };
+        // The moments of axis i turn at hop −i, its powers half a round later: one turn per hop up to 12 axes.
+        let mut round = self.frame;
+        let (block, frame) = (Place::new(self.block, 0), Place::new(self.frame, 0));
+        let mut hop = Hop { axis: 0, block, frame, repaired: false };
         for (axis, features) in self.axes.iter_mut().zip(&mut self.features) {
+            let opposite = if round < FRAMES / 2 { round + FRAMES / 2 } else { round - FRAMES / 2 };
+            (hop.block, hop.frame) = (block.with_in_back(round), frame.with_in_back(opposite));
             replaced += axis.advance(&hop, &mut self.stage, features);
             hop.axis += 1;
-            hop.moments_in_back = if hop.moments_in_back + 1 >= FRAMES { 0 } else { hop.moments_in_back + 1 };
+            round = if round + 1 < FRAMES { round + 1 } else { 0 };
         }
-        (self.block, self.frame) = (hop.block.oldest, hop.frame.oldest);
+        (self.block, self.frame) = (block.oldest(), frame.oldest());
         self.hops = (self.hops + 1).min(HOPS);
         self.tainted = if replaced > 0 { HOPS } else { self.tainted.saturating_sub(1) };
         self.replaced = self.replaced.saturating_add(replaced);
@@ -182,36 +181,43 @@ impl Axis {
             return 0;
         }
 
-        let mut replaced = 0;
-        let mut samples = column(stage, hop.axis);
-        let mut half = HalfFrame::new(&samples);
-        let mut block = Block::new(&half);
+        let samples = column(stage, hop.axis);
+        let half = HalfFrame::new(&samples);
+        let block = Block::new(&half);
         let block_mean = block.first + block.offset;
         // x² ≤ 2·(mean² + Σ(x − mean)²) for each x. False also where anything is no number.
         let tame = block.m2 + block_mean * block_mean <= SAMPLE_LIMIT * SAMPLE_LIMIT / 2.0;
-        if !tame {
-            replaced = repair(stage, hop.axis, self.held);
-            samples = column(stage, hop.axis);
-            half = HalfFrame::new(&samples);
-            block = Block::new(&half);
+        if !tame && !hop.repaired {
+            return self.repair_and_advance(hop, stage, features);
         }
         self.held = samples[HOP - 1];
 
-        self.sum.replace(hop.block.slot, &samples);
+        self.sum.push(hop.block, &samples);
         // The first frame of all is half empty; it is the one that leaves when the window becomes full.
         let powers = powers(&self.last, &half).map(|power| power * const { 1.0 / (16 * FRAMES) as f32 });
         self.last = half;
-        let rounds = hop.moments_in_back;
-        let powers_in_back = if rounds < FRAMES / 2 { rounds + FRAMES / 2 } else { rounds - FRAMES / 2 };
-        self.powers.push(hop.frame, powers_in_back, powers, bins);
-        let (m2, m3, m4) = self.moments.push(hop.block, hop.moments_in_back, block);
+        self.powers.push(hop.frame, powers, bins);
+        let (m2, m3, m4) = self.moments.push(hop.block, block);
 
-        *mean = self.sum.sum() * const { 1.0 / N };
+        *mean = self.sum.mean();
         *variance = m2 * const { 1.0 / N };
         *rms = square_root(*mean * *mean + *variance);
         let shaped = *variance >= VARIANCE_FLOOR;
         *skewness = if shaped { ROOT_N * m3 / (m2 * square_root(m2)) } else { 0.0 };
         *kurtosis = if shaped { N * m4 / (m2 * m2) - 3.0 } else { 0.0 };
+        0
+    }
+
+    #[cold]
+    #[inline(never)]
+    fn repair_and_advance<const A: usize>(
+        &mut self,
+        hop: &Hop,
+        stage: &mut [[f32; A]; HOP],
+        features: &mut [f32; FEATURES_PER_AXIS],
+    ) -> u32 {
+        let replaced = repair(stage, hop.axis, self.held);
+        self.advance(&Hop { repaired: true, ..*hop }, stage, features);
         replaced
     }
 }

@@ -7,7 +7,7 @@
 //! the end is bounded, whatever the signal did before.
 
 use crate::fft::HalfFrame;
-use crate::sliding::{Place, in_front};
+use crate::sliding::Place;
 
 /// Samples per block.
 const BLOCK: f32 = 8.0;
@@ -16,6 +16,7 @@ const CENTRED: usize = 9;
 
 /// Summary of eight samples.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[repr(C)]
 pub struct Block {
     /// The first sample.
     pub first: f32,
@@ -54,6 +55,7 @@ impl Block {
 
 /// Sums over a piece, about a reference.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[repr(C)]
 struct Sums {
     reference: f32,
     /// Σ(mean of block − reference), over blocks.
@@ -132,35 +134,31 @@ impl<const N: usize> SlidingMoments<N> {
     /// Of no signal.
     pub const ZERO: Self = Self { blocks: [Block::ZERO; N], front: [Sums::ZERO; N], back: Sums::ZERO };
 
-    /// Takes a block; gives Σ(x − mean)², ³ and ⁴ over all samples of the last `N`. `in_back` is as in
-    /// [`in_front`].
+    /// Takes a block; gives Σ(x − mean)², ³ and ⁴ over all samples of the last `N`.
     #[inline(always)]
-    pub fn push(&mut self, place: Place<N>, in_back: usize, block: Block) -> (f32, f32, f32) {
-        if in_back == 0 {
-            self.turn(place.slot);
+    pub fn push(&mut self, place: Place<N>, block: Block) -> (f32, f32, f32) {
+        if place.in_back() == 0 {
+            self.turn(place.slot());
             self.back = Sums::about(block.first + block.offset);
         }
-        self.back = self.back.with(&block).centred(in_back + 1);
-        if let Some(slot) = self.blocks.get_mut(place.slot) {
-            *slot = block;
+        let in_back = place.in_back() + 1;
+        self.back = self.back.with(&block).centred(in_back);
+        self.blocks[place.slot()] = block;
+        let mut all = self.back;
+        if in_back < N {
+            // About the reference of the larger part, which lies nearer to the mean.
+            let (front, back) = (&self.front[place.oldest()], &self.back);
+            let (small, count, large) =
+                if in_back < N / 2 { (back, in_back, front) } else { (front, N - in_back, back) };
+            let small = small.moved(count as f32, large.reference);
+            all = Sums {
+                reference: large.reference,
+                s1: small.s1 + large.s1,
+                s2: small.s2 + large.s2,
+                s3: small.s3 + large.s3,
+                s4: small.s4 + large.s4,
+            };
         }
-        let in_front = in_front::<N>(in_back);
-        let all = match self.front.get(place.oldest) {
-            Some(front) if in_front > 0 => {
-                // About the reference of the larger part, which lies nearer to the mean.
-                let (small, count, large) =
-                    if in_front > N / 2 { (&self.back, N - in_front, front) } else { (front, in_front, &self.back) };
-                let small = small.moved(count as f32, large.reference);
-                Sums {
-                    reference: large.reference,
-                    s1: small.s1 + large.s1,
-                    s2: small.s2 + large.s2,
-                    s3: small.s3 + large.s3,
-                    s4: small.s4 + large.s4,
-                }
-            }
-            _ => self.back,
-        };
         let mean = all.s1 * const { 1.0 / N as f32 };
         let sum = BLOCK * all.s1;
         let square = mean * sum;
@@ -178,14 +176,93 @@ impl<const N: usize> SlidingMoments<N> {
         let Some(newest) = self.blocks.get(newest) else { return };
         // The newest is in the front to the end.
         let mut sums = Sums::about(newest.first + newest.offset);
-        let mut count = 0;
-        for range in [0..slot, (slot + 1).min(N)..N] {
-            let (Some(blocks), Some(front)) = (self.blocks.get(range.clone()), self.front.get_mut(range)) else { return };
-            for (block, front) in blocks.iter().zip(front).rev() {
-                count += 1;
-                sums = sums.with(block).centred(count);
-                *front = sums;
+        let mut to_centre = CENTRED;
+        for (start, mut end) in [(0, slot), (slot + 1, N)] {
+            while start < end {
+                let from = end - to_centre.min(end - start);
+                let (Some(blocks), Some(front)) = (self.blocks.get(from..end), self.front.get_mut(from..end)) else { return };
+                accumulate_down(&mut sums, blocks, front);
+                to_centre -= front.len();
+                if to_centre == 0 {
+                    sums = sums.centred(CENTRED);
+                    front[0] = sums;
+                    to_centre = N;
+                }
+                end = from;
             }
+        }
+    }
+}
+
+/// Adds blocks from the last to the first, and writes what it has after each.
+#[cfg(not(cortex_m4f))]
+fn accumulate_down(sums: &mut Sums, blocks: &[Block], front: &mut [Sums]) {
+    for (block, front) in blocks.iter().zip(front).rev() {
+        *sums = sums.with(block);
+        *front = *sums;
+    }
+}
+
+#[cfg(cortex_m4f)]
+use cortex_m4f::accumulate_down;
+
+#[cfg(cortex_m4f)]
+mod cortex_m4f {
+    use super::{Block, Sums};
+
+    core::arch::global_asm!(
+        ".fpu fpv4-sp-d16",
+        ".section .text.bimanual_moments,\"ax\",%progbits",
+        ".global bimanual_moments",
+        ".type bimanual_moments,%function",
+        ".thumb_func",
+        // r0 = sums, r1 and r2 = behind the last block and front, r3 = number of blocks, at least 1
+        "bimanual_moments:",
+        "vldmia r0, {{s0-s4}}", // reference, s1 to s4
+        "vmov.f32 s5, #3.0",
+        "vmov.f32 s6, #4.0",
+        "vmov.f32 s7, #8.0",
+        "1:",
+        "vldmdb r1!, {{s8-s12}}", // first, offset, m2, m3, m4
+        "vsub.f32 s13, s8, s0",
+        "vadd.f32 s13, s13, s9", // t
+        "vmul.f32 s14, s13, s13",
+        "vmul.f32 s14, s7, s14", // own
+        "vmul.f32 s15, s5, s10", // triple
+        "vadd.f32 s8, s15, s14", // third
+        "vadd.f32 s9, s15, s8",
+        "vmul.f32 s9, s13, s9",
+        "vmul.f32 s15, s6, s11",
+        "vadd.f32 s9, s15, s9", // fourth
+        "vadd.f32 s1, s1, s13",
+        "vadd.f32 s10, s10, s14",
+        "vadd.f32 s2, s2, s10",
+        "vmul.f32 s8, s13, s8",
+        "vadd.f32 s8, s11, s8",
+        "vadd.f32 s3, s3, s8",
+        "vmul.f32 s9, s13, s9",
+        "vadd.f32 s9, s12, s9",
+        "vadd.f32 s4, s4, s9",
+        "vstmdb r2!, {{s0-s4}}",
+        "subs r3, #1",
+        "bne 1b",
+        "vstmia r0, {{s0-s4}}",
+        "bx lr",
+        ".size bimanual_moments, . - bimanual_moments",
+        ".text",
+    );
+
+    unsafe extern "C" {
+        fn bimanual_moments(sums: *mut Sums, blocks_end: *const Block, front_end: *mut Sums, count: usize);
+    }
+
+    /// As the portable one, in the same order, with everything in registers.
+    pub(super) fn accumulate_down(sums: &mut Sums, blocks: &[Block], front: &mut [Sums]) {
+        let count = blocks.len().min(front.len());
+        if count > 0 {
+            let (blocks, front) = (&blocks[..count], &mut front[..count]);
+            // SAFETY: reads `count` blocks of five floats and writes as many sums of five floats before the given ends.
+            unsafe { bimanual_moments(sums, blocks.as_ptr_range().end, front.as_mut_ptr_range().end, count) }
         }
     }
 }
@@ -210,28 +287,32 @@ impl<const BLOCKS: usize> SlidingSum<BLOCKS> {
     /// Of zeros.
     pub const ZERO: Self = Self { coarse: [0; BLOCKS], fine: [0; BLOCKS], coarse_sum: 0, fine_sum: 0 };
 
-    /// Replaces the block in `slot` (below `BLOCKS`) by eight samples, each at most [`SAMPLE_LIMIT`] in magnitude.
+    /// Replaces the oldest block by eight samples, each at most [`SAMPLE_LIMIT`] in magnitude.
     #[inline(always)]
-    pub fn replace(&mut self, slot: usize, samples: &[f32; 8]) {
+    pub fn push(&mut self, place: Place<BLOCKS>, samples: &[f32; 8]) {
         // Between 2¹⁸ and 2¹⁹ floats are multiples of 1/32.
         const SPLITTER: f32 = 393_216.0;
-        let (mut coarse, mut fine) = (0.0, 0.0);
-        for &sample in samples {
+        let split = |sample: f32| {
             let multiple = (sample + SPLITTER) - SPLITTER;
+            (multiple, sample - multiple)
+        };
+        let [first, rest @ ..] = *samples;
+        let (mut coarse, mut fine) = split(first);
+        for sample in rest {
+            let (multiple, rest) = split(sample);
             coarse += multiple;
-            fine += sample - multiple;
+            fine += rest;
         }
         let (coarse, fine) = ((coarse * 32.0) as i32, (fine * FINE_STEPS) as i32);
-        if let (Some(old_coarse), Some(old_fine)) = (self.coarse.get_mut(slot), self.fine.get_mut(slot)) {
-            self.coarse_sum += coarse - core::mem::replace(old_coarse, coarse);
-            self.fine_sum += fine - core::mem::replace(old_fine, fine);
-        }
+        self.coarse_sum += coarse - core::mem::replace(&mut self.coarse[place.slot()], coarse);
+        self.fine_sum += fine - core::mem::replace(&mut self.fine[place.slot()], fine);
     }
 
-    /// Sum over all blocks.
+    /// Mean over all blocks.
     #[inline(always)]
-    pub fn sum(&self) -> f32 {
-        self.coarse_sum as f32 * (1.0 / 32.0) + self.fine_sum as f32 * (1.0 / FINE_STEPS)
+    pub fn mean(&self) -> f32 {
+        self.coarse_sum as f32 * const { 1.0 / 32.0 / (8 * BLOCKS) as f32 }
+            + self.fine_sum as f32 * const { 1.0 / FINE_STEPS / (8 * BLOCKS) as f32 }
     }
 }
 

@@ -3,7 +3,7 @@
 //! Eight sums at a time fill half of the Cortex-M4F's floating-point registers, and moving them as blocks takes a third of
 //! the instructions that a compiler needs. So the two loops have an assembly twin, which adds in the same order.
 
-use crate::sliding::{Place, in_front};
+use crate::sliding::Place;
 
 /// Powers of bins 0 to 7, or a sum of such.
 pub type Bins = [f32; 8];
@@ -19,14 +19,11 @@ impl<const N: usize> SlidingPowers<N> {
     /// Of no signal.
     pub const ZERO: Self = Self { slots: [[0.0; 8]; N], back: [0.0; 8] };
 
-    /// Takes a frame and writes the sums over the last `N`. `in_back` is as in [`in_front`].
+    /// Takes a frame and writes the sums over the last `N`.
     #[inline(always)]
-    pub fn push(&mut self, place: Place<N>, in_back: usize, frame: Bins, sums: &mut Bins) {
-        if place.slot >= N || place.oldest >= N {
-            return;
-        }
-        if in_back == 0 {
-            let (newer, older) = self.slots.split_at_mut(place.slot);
+    pub fn push(&mut self, place: Place<N>, frame: Bins, sums: &mut Bins) {
+        if place.in_back() == 0 {
+            let (newer, older) = self.slots.split_at_mut(place.slot());
             let mut sum = [0.0; 8];
             accumulate_down(&mut sum, newer);
             if let Some((_, older)) = older.split_first_mut() {
@@ -34,10 +31,10 @@ impl<const N: usize> SlidingPowers<N> {
             }
             self.back = [0.0; 8];
         }
-        self.slots[place.slot] = frame;
-        add_to(&mut self.back, &self.slots[place.slot]);
-        if in_front::<N>(in_back) > 0 {
-            add(sums, &self.slots[place.oldest], &self.back);
+        self.slots[place.slot()] = frame;
+        add_to(&mut self.back, &self.slots[place.slot()]);
+        if place.in_front() > 0 {
+            add(sums, &self.slots[place.oldest()], &self.back);
         } else {
             *sums = self.back;
         }
@@ -165,7 +162,7 @@ mod tests {
                 let value = (1u32 << step) as f32;
                 all.push(value);
                 let mut sums = [0.0; 8];
-                window.push(Place::new(step % 5), (step + turn) % 5, [value; 8], &mut sums);
+                window.push(Place::new(step % 5, (step + turn) % 5), [value; 8], &mut sums);
                 if step >= 4 {
                     let expected: f32 = all[all.len() - 5..].iter().sum();
                     assert_eq!(sums, [expected; 8], "turn {turn}, step {step}");
