@@ -23,7 +23,8 @@ mod serial;
 mod stack;
 mod store;
 
-use avr_device::{asm, interrupt};
+use avr_device::interrupt;
+use core::arch::asm;
 
 #[avr_device::entry]
 fn main() -> ! {
@@ -36,18 +37,17 @@ fn main() -> ! {
     let app = app::install(cause, boot_id, pins::calibration_wanted());
     clock::start();
     restart::arm();
-    // Everything that interrupts touch is set up.
-    unsafe { interrupt::enable() };
     loop {
         app.poll();
-        // Asleep only when nothing came in meanwhile: `sei` takes effect after the instruction behind
-        // it, so no interrupt fits between the question and the sleep.
         interrupt::disable();
-        let idle = !app.has_work();
-        let asleep_at = clock::ticks_in_period();
-        unsafe { interrupt::enable() };
-        if idle {
-            asm::sleep();
+        if app.has_work() {
+            // Everything that interrupts touch is set up.
+            unsafe { interrupt::enable() };
+        } else {
+            let asleep_at = clock::ticks_in_period();
+            // `sei` takes effect after the instruction behind it, so no interrupt fits between the
+            // question and the sleep, if these two stand together.
+            unsafe { asm!("sei", "sleep") };
             clock::add_sleep_since(asleep_at);
         }
     }

@@ -44,10 +44,11 @@ pub fn start() {
     // Safety: USART0 belongs to this module.
     let usart = unsafe { Peripherals::steal() }.USART0;
     usart.ucsr0b().write(|w| unsafe { w.bits(0) });
-    usart.ubrr0().write(|w| unsafe { w.bits(UBRR) });
     usart.ucsr0a().write(|w| w.u2x0().set_bit());
     // 8 data bits, no parity, one stop bit.
     usart.ucsr0c().write(|w| unsafe { w.bits(0b0000_0110) });
+    // Last: the emulator works out its speed at this write.
+    usart.ubrr0().write(|w| unsafe { w.bits(UBRR) });
     // RXCIE, RXEN, TXEN.
     usart.ucsr0b().write(|w| unsafe { w.bits(0b1001_1000) });
 }

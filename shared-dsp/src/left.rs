@@ -158,7 +158,7 @@ impl LeftHand {
     #[inline(never)]
     pub fn no_sample(&mut self, now_ms: u32) -> LeftOutput {
         let fault = self.faults.no_sample(now_ms);
-        if fault == 0 {
+        if fault & health::STUCK == 0 {
             return self.publish(self.last);
         }
         if self.capture.take().is_some() {

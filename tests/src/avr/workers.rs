@@ -30,8 +30,10 @@ pub fn run<J: Serialize, R: DeserializeOwned>(program: &str, verb: &str, jobs: &
         for child in children {
             let output = child.wait_with_output().expect("the worker ends");
             assert!(output.status.success(), "{verb}: a worker failed");
+            // simavr talks on standard output, too: the result is the last line.
             let text = String::from_utf8_lossy(&output.stdout);
-            results.push(serde_json::from_str(&text).unwrap_or_else(|e| panic!("{verb}: {e} in {text}")));
+            let text = text.lines().last().unwrap_or("");
+            results.push(serde_json::from_str(text).unwrap_or_else(|e| panic!("{verb}: {e} in {text}")));
         }
     }
     results

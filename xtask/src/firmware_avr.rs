@@ -1,0 +1,110 @@
+//! `cargo xtask firmware avr`: the left hand's image, its size, and how to flash it.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use anyhow::{Context, Result, bail};
+
+use crate::root;
+use crate::steps::{output, sh};
+use crate::toolchain::{self, Target};
+
+/// What an ATmega328P with a 2 KB bootloader has, and what the issue allows, in bytes.
+const FLASH_LIMIT: u64 = 20 * 1024;
+const RAM_LIMIT: u64 = 1536;
+const RAM: u64 = 2048;
+
+/// Builds, measures, and names the avrdude lines.
+///
+/// `--baud 57600|115200|250000` chooses the serial speed, `--no-stack` skips the measurement in the
+/// emulator.
+///
+/// # Errors
+/// Where it does not build, or is larger than allowed.
+pub fn run(args: &[&str]) -> Result<()> {
+    let mut baud = "115200";
+    let mut measure = true;
+    let mut args = args.iter();
+    while let Some(&arg) = args.next() {
+        match arg {
+            "--no-stack" => measure = false,
+            "--baud" => match args.next() {
+                Some(&value @ ("57600" | "115200" | "250000")) => baud = value,
+                _ => bail!("--baud takes 57600, 115200 or 250000"),
+            },
+            _ => bail!("`cargo xtask firmware avr` takes --baud and --no-stack, not `{arg}`"),
+        }
+    }
+    let folder = root().join("firmware-nano-avr");
+    let target_dir = folder.join("target");
+    let mut build = toolchain::cargo(Target::Avr, "build")?;
+    build.current_dir(&folder).env_remove("CARGO_TARGET_DIR").args(["--release", "--locked", "--target-dir"]);
+    build.arg(&target_dir).args(["--no-default-features", "--features", &format!("baud-{baud}")]);
+    sh(&mut build)?;
+    let elf = target_dir.join("avr-none/release/firmware-nano-avr.elf");
+    let hex = elf.with_extension("hex");
+    sh(Command::new("avr-objcopy").args(["-O", "ihex", "-R", ".eeprom"]).arg(&elf).arg(&hex))
+        .context("avr-objcopy comes with binutils-avr")?;
+
+    let size = Size::of(&elf)?;
+    let stack = if measure { Some(deepest_stack(&elf)?) } else { None };
+    println!("left hand, serial at {baud} baud      bytes   allowed");
+    println!("flash (code and constants)        {:>7}   {FLASH_LIMIT:>7}", size.flash);
+    println!("static RAM                        {:>7}", size.ram);
+    let ram = match stack {
+        Some(stack) => {
+            println!("deepest stack, in the emulator    {stack:>7}");
+            println!("static RAM + deepest stack        {:>7}   {RAM_LIMIT:>7}", size.ram + stack);
+            size.ram + stack
+        }
+        None => {
+            println!("deepest stack                  (not measured)");
+            size.ram
+        }
+    };
+    println!("left of {RAM}                      {:>7}", RAM.saturating_sub(ram));
+    let line = |baud| {
+        format!("avrdude -p atmega328p -c arduino -P PORT -b {baud} -D -U flash:w:{}:i", hex.display())
+    };
+    println!("\nflash it (PORT is such as /dev/ttyUSB0):");
+    println!("  new bootloader  {}", line(115_200));
+    println!("  old bootloader  {}", line(57_600));
+    if size.flash > FLASH_LIMIT || ram > RAM_LIMIT {
+        bail!("the image is larger than allowed");
+    }
+    Ok(())
+}
+
+struct Size {
+    flash: u64,
+    ram: u64,
+}
+
+impl Size {
+    fn of(elf: &Path) -> Result<Self> {
+        let text = output(Command::new("avr-size").arg("-A").arg(elf))?;
+        let section = |name: &str| -> u64 {
+            let line = text.lines().find(|line| line.split_whitespace().next() == Some(name));
+            line.and_then(|line| line.split_whitespace().nth(1)?.parse().ok()).unwrap_or(0)
+        };
+        let size = Self {
+            flash: section(".text") + section(".data"),
+            ram: section(".data") + section(".bss") + section(".noinit"),
+        };
+        if size.flash == 0 {
+            bail!("`avr-size -A {}` shows no .text", elf.display());
+        }
+        Ok(size)
+    }
+}
+
+/// Runs the image in the emulator through everything it can do, and looks how far the stack came.
+fn deepest_stack(elf: &PathBuf) -> Result<u64> {
+    let mut emulator = Command::new("cargo");
+    emulator.current_dir(root()).env("BIMANUAL_AVR_ELF", elf);
+    emulator.args(["run", "--quiet", "-p", "tests", "--features", "avr", "--bin", "avr_trials", "stack"]);
+    let text = output(&mut emulator)?;
+    // simavr talks on standard output, too: the result is the last line.
+    let last = text.lines().last().unwrap_or("");
+    last.trim().parse().with_context(|| format!("`avr_trials stack` printed `{last}`"))
+}
