@@ -11,7 +11,8 @@ use tests::nrf::lsm9ds1::Still;
 fn the_image_starts_and_says_hello_over_uart() {
     let mut board = Board::new(image(Variant::Bootloader), Boot::StockBootloader, Box::new(Still));
     board.run_ms(1500);
-    println!("resets {:?}, unknown {:x?}", board.resets, board.soc().unknown);
+    println!("resets {:?}", board.resets);
+    println!("pages without a model: {:x?}", board.soc().unknown);
     println!("awake {:.3}, {} instructions", board.awake_share(), board.instructions());
     let mut buffer = [0; 256];
     let request = encode_host(&HostMessage::HelloRequest, &mut buffer).unwrap();

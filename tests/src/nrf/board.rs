@@ -5,7 +5,7 @@
 
 use std::collections::HashMap;
 
-use unicorn_engine::{Arch, ArmCpuModel, Mode, Prot, RegisterARM, Unicorn};
+use unicorn_engine::{Arch, ArmCpuModel, HookType, Mode, Prot, RegisterARM, Unicorn};
 
 use super::image::Image;
 use super::lsm9ds1::{Lsm9ds1, Motion};
@@ -23,8 +23,8 @@ const EXCEPTION_CYCLES: u64 = 12;
 /// Why the core stopped executing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Stop {
-    /// Something is due or an interrupt is ready.
-    Attention,
+    /// Something is due or an interrupt is ready, before the block at this address.
+    Attention { at: u32 },
     /// WFE or WFI was reached, at this address.
     Wait { at: u32, for_event: bool },
     /// A handler returned.
@@ -69,6 +69,7 @@ struct World {
     open: Vec<(u32, usize, u64, u64)>,
     taps: HashMap<u32, (usize, usize)>,
     tapped: Vec<Vec<Tapped>>,
+    bad_access: Option<String>,
 }
 
 /// How the image is started.
@@ -129,6 +130,7 @@ impl Board {
             open: Vec::new(),
             taps: HashMap::new(),
             tapped: Vec::new(),
+            bad_access: None,
         };
         let mut uc =
             Unicorn::new_with_data(Arch::ARM, Mode::THUMB | Mode::MCLASS, world).expect("unicorn starts");
@@ -192,7 +194,7 @@ impl Board {
                     masked || world.soc.nvic.next(0).is_none()
                 };
                 if !masked {
-                    uc.get_data_mut().stop = Some(Stop::Attention);
+                    uc.get_data_mut().stop = Some(Stop::Attention { at: address });
                     let _ = uc.emu_stop();
                     return;
                 }
@@ -242,6 +244,12 @@ impl Board {
                 _ => Stop::Fault(pc),
             });
             let _ = uc.emu_stop();
+        })
+        .expect("a hook");
+        uc.add_mem_hook(HookType::MEM_INVALID, 1, 0, |uc, kind, address, size, value| {
+            let world = uc.get_data_mut();
+            world.bad_access = Some(format!("{kind:?} at {address:#x}, {size} bytes, {value:#x}"));
+            false
         })
         .expect("a hook");
         // WFE, WFI and SEV, wherever they may stand.
@@ -504,7 +512,8 @@ impl Board {
         let stop = self.uc.get_data_mut().stop.take();
         self.soc().settle();
         match stop {
-            Some(Stop::Attention) => {}
+            // The emulator's own program counter may lag behind between chained blocks.
+            Some(Stop::Attention { at }) => self.set_reg(RegisterARM::PC, at | 1),
             Some(Stop::Wait { at, for_event }) => {
                 self.set_reg(RegisterARM::PC, (at + 2) | 1);
                 let event = std::mem::take(&mut self.uc.get_data_mut().event);
@@ -515,7 +524,8 @@ impl Board {
             Some(Stop::Fault(at)) => panic!("the core faults at {at:#x}, lr {:#x}", self.reg(RegisterARM::LR)),
             None => {
                 let at = self.reg(RegisterARM::PC);
-                panic!("the core stops at {at:#x} (lr {:#x}): {result:?}", self.reg(RegisterARM::LR))
+                let access = self.uc.get_data().bad_access.clone();
+                panic!("the core stops at {at:#x} (lr {:#x}): {result:?} {access:?}", self.reg(RegisterARM::LR))
             }
         }
     }

@@ -33,15 +33,15 @@ pub fn image(variant: Variant) -> Image {
     Image::load(cell.get_or_init(|| build(variant)))
 }
 
+// Several test programs may build at once: cargo lets one wait for the other.
 fn build(variant: Variant) -> PathBuf {
     let folder = root().join("firmware-nano33");
-    // Beside the host's target folder, so that a clean removes it too.
-    let base = std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root().join("target"), PathBuf::from);
+    // The host's target folder, so that a clean removes it too and both variants share what they can.
+    let target = std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root().join("target"), PathBuf::from);
     let name = match variant {
         Variant::Bootloader => "bootloader",
         Variant::Ble => "ble",
     };
-    let target = base.join("firmware-nano33").join(name);
     let triple = "thumbv7em-none-eabihf";
     let rustup = Command::new("rustup")
         .args(["target", "list", "--installed"])
@@ -75,5 +75,8 @@ fn build(variant: Variant) -> PathBuf {
         .status()
         .unwrap_or_else(|e| panic!("no compiler for the board ({e}); see firmware-nano33/README.md"));
     assert!(status.success(), "the {name} image does not build; see firmware-nano33/README.md");
-    target.join(triple).join("release").join("nano33")
+    let image = target.join(triple).join("release").join("nano33");
+    let kept = image.with_file_name(format!("nano33-{name}"));
+    std::fs::copy(&image, &kept).unwrap_or_else(|e| panic!("{}: {e}", image.display()));
+    kept
 }
