@@ -124,6 +124,12 @@ impl Base {
         self.wheels_rad_s
     }
 
+    /// How long it takes to rest from its speed now.
+    pub fn braking_s(&self) -> f64 {
+        let fastest = self.wheels_rad_s[0].abs().max(self.wheels_rad_s[1].abs());
+        fastest / self.config.wheel_acceleration_max_rad_s2
+    }
+
     /// Size and limits.
     pub fn config(&self) -> &BaseConfig {
         &self.config

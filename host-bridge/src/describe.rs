@@ -57,6 +57,7 @@ pub fn text(event: &SessionEvent) -> String {
                 GestureOutcome::Started(motion) => format!("the arm starts {motion}"),
                 GestureOutcome::Released => "releases the stop".to_owned(),
                 GestureOutcome::Busy(motion) => format!("dropped, the arm is busy with {motion}"),
+                GestureOutcome::Refused(motion) => format!("dropped, {motion} is not safe now"),
                 GestureOutcome::NoMotion => "no motion (see --map)".to_owned(),
                 GestureOutcome::Late => "dropped, too old".to_owned(),
                 GestureOutcome::NotArmed => "dropped, not armed".to_owned(),
@@ -65,6 +66,7 @@ pub fn text(event: &SessionEvent) -> String {
         }
         EventKind::MotionEnded { motion, reached: true } => format!("arm: {motion} reached"),
         EventKind::MotionEnded { motion, reached: false } => format!("arm: {motion} given up on the way"),
+        EventKind::MotionRefused { motion, reason } => format!("arm: {motion} refused: {reason}"),
         EventKind::Ignored { what } => match what {
             Ignored::LateState(hand) => format!("{hand} hand: a late state was dropped"),
             Ignored::LateGesture => "a late gesture was dropped".to_owned(),

@@ -1,7 +1,7 @@
 //! What the bridge needs of a robot, simulated or real.
 
 use crate::arm::ArmMotion;
-use crate::arm::sequencer::{ArmReport, ArmState, Busy};
+use crate::arm::sequencer::{ArmReport, ArmState, NotStarted};
 use crate::base::{Odometry, Twist};
 
 /// A base and an arm. Implementations stop by themselves when commands cease to come.
@@ -12,8 +12,8 @@ pub trait Robot {
     /// Starts an arm motion.
     ///
     /// # Errors
-    /// [`Busy`] while another one runs.
-    fn start_motion(&mut self, motion: ArmMotion) -> Result<(), Busy>;
+    /// [`NotStarted`] while another one runs, or where there is no safe way.
+    fn start_motion(&mut self, motion: ArmMotion) -> Result<(), NotStarted>;
 
     /// Brings base and arm to rest within their limits; targets are forgotten.
     fn halt(&mut self);

@@ -1,11 +1,15 @@
 //! The simulated robot: a differential-drive base with an arm, in fixed steps.
 
+use std::sync::Arc;
+
 use crate::arm::gen3::Joints;
 use crate::arm::motions::READY;
-use crate::arm::profile::JointLimits;
-use crate::arm::sequencer::{ArmReport, ArmState, Busy};
+use crate::arm::profile::{JointLimits, Sample};
+use crate::arm::sequencer::{ArmReport, ArmState, NotStarted};
 use crate::arm::{ArmMotion, Sequencer};
 use crate::base::{Base, BaseConfig, Odometry, Twist};
+use crate::plan::guard::{Guard, Moving, TICK_MS};
+use crate::plan::{Placement, Planner};
 use crate::robot::Robot;
 
 /// Length of one step.
@@ -40,10 +44,24 @@ pub struct Simulator {
     last_command_ms: u64,
     timeouts: u32,
     timed_out: bool,
+    /// In a scene: plans the arm's motions, and holds back what would touch something.
+    planner: Option<Arc<Planner>>,
+    plans: u64,
+    wanted: Twist,
+    guard_due_ms: u64,
+    guard_stops: u32,
 }
 
 impl Simulator {
-    /// A robot at rest at time 0.
+    /// A robot at rest at time 0, in a scene: its arm takes planned ways, and neither base nor arm touches
+    /// anything.
+    pub fn in_scene(planner: Arc<Planner>, arm_start_rad: Joints) -> Self {
+        let base = planner.world().scene().base.config();
+        let config = SimConfig { base, arm_start_rad, arm_limits: *planner.limits() };
+        Simulator { planner: Some(planner), ..Simulator::new(config) }
+    }
+
+    /// A robot at rest at time 0, with nothing around; its arm moves through home.
     pub fn new(config: SimConfig) -> Self {
         Simulator {
             base: Base::new(config.base),
@@ -52,6 +70,11 @@ impl Simulator {
             last_command_ms: 0,
             timeouts: 0,
             timed_out: false,
+            planner: None,
+            plans: 0,
+            wanted: Twist::ZERO,
+            guard_due_ms: 0,
+            guard_stops: 0,
         }
     }
 
@@ -63,9 +86,9 @@ impl Simulator {
             if self.now_ms - self.last_command_ms > COMMAND_TIMEOUT_MS && !self.timed_out {
                 self.timed_out = true;
                 self.timeouts += u32::from(!self.at_rest());
-                self.base.drive(Twist::ZERO);
-                self.arm.halt();
+                self.halt_both();
             }
+            self.guard();
             self.base.step(dt_s);
             self.arm.step(dt_s);
         }
@@ -86,6 +109,53 @@ impl Simulator {
         self.timeouts
     }
 
+    /// How many ticks something had to brake for what was in its way.
+    pub fn guard_stops(&self) -> u32 {
+        self.guard_stops
+    }
+
+    fn halt_both(&mut self) {
+        self.wanted = Twist::ZERO;
+        self.base.drive(Twist::ZERO);
+        self.arm.halt();
+    }
+
+    /// Lets base and arm go on for a tick if they can stop after it; else what must brake does so now.
+    fn guard(&mut self) {
+        let Some(planner) = &self.planner else { return };
+        let still = self.wanted == Twist::ZERO && self.at_rest() && self.arm.state().running.is_none();
+        if self.now_ms < self.guard_due_ms || still {
+            return;
+        }
+        self.guard_due_ms = self.now_ms + TICK_MS;
+        let guard = Guard { world: planner.world(), limits: planner.limits() };
+        let now = moving(&self.base, &self.arm);
+        let try_tick = |twist: Twist, halt_arm: bool| {
+            let (mut base, mut arm) = (self.base.clone(), self.arm.clone());
+            base.drive(twist);
+            if halt_arm {
+                arm.halt();
+            }
+            let dt_s = STEP_MS as f64 / 1000.0;
+            let instants: Vec<Moving> = (0..TICK_MS / STEP_MS)
+                .map(|_| {
+                    base.step(dt_s);
+                    arm.step(dt_s);
+                    moving(&base, &arm)
+                })
+                .collect();
+            guard.allows(&now, &instants)
+        };
+        let choices = [(self.wanted, false), (Twist::ZERO, false), (self.wanted, true)];
+        let chosen = choices.into_iter().find(|&(twist, halt_arm)| try_tick(twist, halt_arm));
+        self.guard_stops += u32::from(chosen != Some(choices[0]));
+        let (twist, halt_arm) = chosen.unwrap_or((Twist::ZERO, true));
+        self.base.drive(twist);
+        if halt_arm {
+            self.arm.halt();
+        }
+    }
+
     fn heard(&mut self) {
         self.last_command_ms = self.now_ms;
         self.timed_out = false;
@@ -95,18 +165,30 @@ impl Simulator {
 impl Robot for Simulator {
     fn drive(&mut self, twist: Twist) {
         self.heard();
-        self.base.drive(twist);
+        if self.planner.is_none() {
+            self.base.drive(twist);
+        } else if twist != self.wanted {
+            self.wanted = twist;
+            self.guard_due_ms = 0;
+        }
     }
 
-    fn start_motion(&mut self, motion: ArmMotion) -> Result<(), Busy> {
+    fn start_motion(&mut self, motion: ArmMotion) -> Result<(), NotStarted> {
         self.heard();
-        self.arm.start(motion)
+        let state = self.arm.state();
+        let (Some(planner), None) = (&self.planner, state.running) else {
+            return Ok(self.arm.start(motion)?);
+        };
+        let placement = Placement::from(self.base.odometry());
+        self.plans += 1;
+        let plan = planner.plan(&state.joints_rad, &self.arm.goal(motion), placement, self.plans)?;
+        self.guard_due_ms = 0;
+        Ok(self.arm.start_planned(motion, plan)?)
     }
 
     fn halt(&mut self) {
         self.heard();
-        self.base.drive(Twist::ZERO);
-        self.arm.halt();
+        self.halt_both();
     }
 
     fn arm(&self) -> ArmState {
@@ -120,6 +202,11 @@ impl Robot for Simulator {
     fn take_arm_report(&mut self) -> Option<ArmReport> {
         self.arm.take_report()
     }
+}
+
+fn moving(base: &Base, arm: &Sequencer) -> Moving {
+    let ArmState { joints_rad, velocity_rad_s, .. } = arm.state();
+    Moving::now(base, Sample { joints_rad, velocity_rad_s })
 }
 
 #[cfg(test)]

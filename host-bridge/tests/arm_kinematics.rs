@@ -2,8 +2,9 @@
 
 use host_bridge::arm::gen3::{HOME, JOINTS, Joints, flange_pose, joint_beyond_limit, link_poses};
 use host_bridge::arm::motions::{ALL_MOTIONS, READY, random_top_poses};
-use host_bridge::arm::profile::{JointLimits, JointMove};
+use host_bridge::arm::profile::JointLimits;
 use host_bridge::arm::{ArmMotion, Pose, Sequencer};
+use host_bridge::plan::Trajectory;
 
 /// Angle between two orientations; stable near zero, where arc cosines are not.
 fn angle_rad(a: [f64; 4], b: [f64; 4]) -> f64 {
@@ -31,7 +32,7 @@ fn forward_kinematics_equals_the_reference_on_all_rows() {
 }
 
 fn move_s(from: Joints, to: Joints) -> f64 {
-    JointMove::new(from, to, &JointLimits::paper()).duration_s()
+    Trajectory::through(&[from, to], &[], &JointLimits::paper()).duration_s()
 }
 
 #[test]

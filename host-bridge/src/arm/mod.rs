@@ -3,9 +3,9 @@
 //! * [`gen3`]: its figures and forward kinematics,
 //! * [`model`]: any serial arm, with the shapes of its links; the Gen3 is one,
 //! * [`ik`]: joint angles for a place,
-//! * [`profile`]: joint motion in time, and how to stop it,
+//! * [`profile`]: limits and positions of joints,
 //! * [`motions`]: the six named motions and the poses they end in,
-//! * [`sequencer`]: one motion at a time, each through home.
+//! * [`sequencer`]: one motion at a time, through home or as planned (see [`crate::plan`]).
 
 pub mod gen3;
 pub mod ik;

@@ -1,10 +1,13 @@
-//! Runs one arm motion at a time: home first, then to the pose. Time comes in as steps.
+//! Runs one arm motion at a time: home first, then to the pose, or as planned. Time comes in as steps.
+
+use std::sync::Arc;
 
 use serde::Serialize;
 
 use super::gen3::{HOME, JOINTS, Joints};
 use super::motions::ArmMotion;
-use super::profile::{JointLimits, JointMove, Sample};
+use super::profile::{JointLimits, Sample};
+use crate::plan::{Plan, Refusal, Trajectory};
 
 /// Which part of a motion is under way.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -52,13 +55,37 @@ pub struct ArmReport {
 #[error("the arm is busy with {0}")]
 pub struct Busy(pub ArmMotion);
 
-#[derive(Clone, Copy, Debug)]
+/// Why a motion does not start.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum NotStarted {
+    /// Another one runs.
+    #[error(transparent)]
+    Busy(#[from] Busy),
+    /// No safe way there.
+    #[error(transparent)]
+    Refused(#[from] Refusal),
+}
+
+#[derive(Clone, Debug)]
 struct Running {
     motion: ArmMotion,
-    goal_rad: Joints,
-    leg: Leg,
-    plan: JointMove,
+    trajectory: Arc<Trajectory>,
+    /// When it rests at home on its way; 0 = it does not.
+    home_s: f64,
+    halting: bool,
     elapsed_s: f64,
+}
+
+impl Running {
+    fn leg(&self) -> Leg {
+        if self.halting {
+            Leg::Halting
+        } else if self.elapsed_s < self.home_s {
+            Leg::ToHome
+        } else {
+            Leg::ToGoal
+        }
+    }
 }
 
 /// The arm's motion in time.
@@ -83,31 +110,50 @@ impl Sequencer {
         }
     }
 
-    /// Starts a motion from rest.
+    /// Where the motion would end if it were started now.
+    pub fn goal(&self, motion: ArmMotion) -> Joints {
+        motion.goal(self.random_draws)
+    }
+
+    /// Starts a motion from rest: straight home, then straight to its pose.
     ///
     /// # Errors
     /// [`Busy`] while another motion runs or halts.
     pub fn start(&mut self, motion: ArmMotion) -> Result<(), Busy> {
+        let home = Trajectory::through(&[self.here.joints_rad, HOME], &[], &self.limits);
+        let onward = Trajectory::through(&[HOME, self.goal(motion)], &[], &self.limits);
+        let home_s = home.duration_s();
+        self.run(motion, home.then(&onward), home_s)
+    }
+
+    /// Starts a motion from rest as planned.
+    ///
+    /// # Errors
+    /// [`Busy`] while another motion runs or halts.
+    pub fn start_planned(&mut self, motion: ArmMotion, plan: Plan) -> Result<(), Busy> {
+        self.run(motion, plan.trajectory, plan.home_s.unwrap_or(0.0))
+    }
+
+    fn run(&mut self, motion: ArmMotion, trajectory: Trajectory, home_s: f64) -> Result<(), Busy> {
         if let Some(running) = &self.running {
             return Err(Busy(running.motion));
         }
-        let goal_rad = motion.goal(self.random_draws);
         if motion == ArmMotion::RandomTop {
             self.random_draws += 1;
         }
-        let plan = JointMove::new(self.here.joints_rad, HOME, &self.limits);
-        self.running = Some(Running { motion, goal_rad, leg: Leg::ToHome, plan, elapsed_s: 0.0 });
+        let trajectory = Arc::new(trajectory);
+        self.running = Some(Running { motion, trajectory, home_s, halting: false, elapsed_s: 0.0 });
         Ok(())
     }
 
-    /// Gives the running motion up and brakes within the limits, along the path.
+    /// Gives the running motion up and brakes as fast as the limits allow, straight on.
     pub fn halt(&mut self) {
         if let Some(running) = &mut self.running
-            && running.leg != Leg::Halting
+            && !running.halting
         {
-            running.plan = running.plan.halted_at(running.elapsed_s);
+            running.trajectory = Arc::new(Trajectory::braking(self.here, &self.limits));
             running.elapsed_s = 0.0;
-            running.leg = Leg::Halting;
+            running.halting = true;
         }
     }
 
@@ -115,25 +161,17 @@ impl Sequencer {
     pub fn step(&mut self, dt_s: f64) {
         let Some(running) = &mut self.running else { return };
         running.elapsed_s += dt_s;
-        // A leg may end within the step; what is left of the step belongs to the next leg.
-        while running.elapsed_s >= running.plan.duration_s() {
-            match running.leg {
-                Leg::ToHome => {
-                    running.elapsed_s -= running.plan.duration_s();
-                    running.leg = Leg::ToGoal;
-                    running.plan = JointMove::new(HOME, running.goal_rad, &self.limits);
-                }
-                Leg::ToGoal | Leg::Halting => {
-                    let joints_rad = running.plan.sample(running.elapsed_s).joints_rad;
-                    let reached = running.leg == Leg::ToGoal;
-                    self.report = Some(ArmReport { motion: running.motion, reached, joints_rad });
-                    self.here = Sample { joints_rad, velocity_rad_s: [0.0; JOINTS] };
-                    self.running = None;
-                    return;
-                }
-            }
+        self.here = running.trajectory.sample(running.elapsed_s);
+        if running.elapsed_s >= running.trajectory.duration_s() {
+            let (motion, reached) = (running.motion, !running.halting);
+            self.report = Some(ArmReport { motion, reached, joints_rad: self.here.joints_rad });
+            self.running = None;
         }
-        self.here = running.plan.sample(running.elapsed_s);
+    }
+
+    /// Limits that it keeps.
+    pub fn limits(&self) -> &JointLimits {
+        &self.limits
     }
 
     /// The arm as it is now.
@@ -141,7 +179,7 @@ impl Sequencer {
         ArmState {
             joints_rad: self.here.joints_rad,
             velocity_rad_s: self.here.velocity_rad_s,
-            running: self.running.map(|r| (r.motion, r.leg)),
+            running: self.running.as_ref().map(|r| (r.motion, r.leg())),
         }
     }
 

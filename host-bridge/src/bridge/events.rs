@@ -102,6 +102,13 @@ pub enum EventKind {
         /// At its pose, not halted.
         reached: bool,
     },
+    /// An arm motion was asked for, but there is no safe way to its pose; nothing moves.
+    MotionRefused {
+        /// Which.
+        motion: ArmMotion,
+        /// Why, and what to do.
+        reason: String,
+    },
     /// Something had no effect.
     Ignored {
         /// What and why.
@@ -150,6 +157,8 @@ pub enum GestureOutcome {
     Released,
     /// Dropped: this motion still runs.
     Busy(ArmMotion),
+    /// Dropped: no safe way leads to this motion's pose.
+    Refused(ArmMotion),
     /// The label has no motion.
     NoMotion,
     /// Dropped: its window ended too long ago.
@@ -169,6 +178,8 @@ pub struct Drops {
     pub gestures_while_busy: u32,
     /// Gestures while not armed.
     pub gestures_while_not_armed: u32,
+    /// Gestures whose motion was not safe.
+    pub gestures_refused: u32,
     /// Gestures without a motion.
     pub gestures_without_motion: u32,
     /// Gestures whose label was lost with their frames.

@@ -7,6 +7,7 @@ pub use events::{BridgeEvent, Drops, EventKind, GestureOutcome, HeadingName};
 use shared_proto::message::{Heading, HostMessage};
 
 use crate::arm::ArmMotion;
+use crate::arm::sequencer::{Busy, NotStarted};
 use crate::base::Twist;
 use crate::intent::{Caps, MotionMap, is_rest};
 use crate::link::{HandLink, Heard, NewGesture, RightReport, is_healthy};
@@ -232,6 +233,7 @@ impl Bridge {
             match outcome {
                 GestureOutcome::Started(_) | GestureOutcome::Released => {}
                 GestureOutcome::Busy(_) => self.drops.gestures_while_busy += 1,
+                GestureOutcome::Refused(_) => self.drops.gestures_refused += 1,
                 GestureOutcome::NoMotion => self.drops.gestures_without_motion += 1,
                 GestureOutcome::Late => self.drops.late_gestures += 1,
                 GestureOutcome::NotArmed => self.drops.gestures_while_not_armed += 1,
@@ -271,7 +273,7 @@ impl Bridge {
                     let cap = self.caps.linear_m_s;
                     self.note(now_ms, EventKind::Caps { index, middle, cap });
                 }
-                Action::Gesture(gesture) => outcome = Some(self.start(gesture.label, robot)),
+                Action::Gesture(gesture) => outcome = Some(self.start(gesture.label, now_ms, robot)),
                 Action::Ignored(what) => {
                     match what {
                         Ignored::LateState(_) => self.drops.late_states += 1,
@@ -290,14 +292,19 @@ impl Bridge {
         outcome
     }
 
-    fn start(&mut self, label: u8, robot: &mut dyn Robot) -> GestureOutcome {
+    fn start(&mut self, label: u8, now_ms: u64, robot: &mut dyn Robot) -> GestureOutcome {
         let name = self.right.model().and_then(|model| model.labels.get(usize::from(label)));
         let Some(motion) = name.and_then(|name| self.map.motion(name)) else {
             return GestureOutcome::NoMotion;
         };
         match robot.start_motion(motion) {
             Ok(()) => GestureOutcome::Started(motion),
-            Err(busy) => GestureOutcome::Busy(busy.0),
+            Err(NotStarted::Busy(Busy(running))) => GestureOutcome::Busy(running),
+            Err(NotStarted::Refused(refusal)) => {
+                let reason = refusal.to_string();
+                self.note(now_ms, EventKind::MotionRefused { motion, reason });
+                GestureOutcome::Refused(motion)
+            }
         }
     }
 }

@@ -196,27 +196,34 @@ impl Surroundings<'_> {
 
     /// The arm's nearest approach to itself, the base, the boxes and the floor.
     pub fn arm_clearance(&self, joints_rad: &Joints) -> Clearance {
+        let (own, boxes) = self.arm_clearances(joints_rad);
+        if own.distance_m < boxes.distance_m { own } else { boxes }
+    }
+
+    /// The same apart: to the robot itself and the floor, which is the same wherever the base stands; and
+    /// to the boxes.
+    pub fn arm_clearances(&self, joints_rad: &Joints) -> (Clearance, Clearance) {
         self.checks.set(self.checks.get() + 1);
         let shapes = self.world.shapes(joints_rad);
-        let mut nearest = Clearance::NOTHING;
+        let (mut own, mut boxes) = (Clearance::NOTHING, Clearance::NOTHING);
         for &(link, shape) in &shapes {
             // Foot and first link stand on the base and never come nearer to it, or to the floor.
             if link >= 2 {
-                nearest.tighten(shape.distance_to_box_m(&self.base), Part::Link(link), Part::Base);
-                nearest.tighten(shape.lowest_m() - self.floor_m, Part::Link(link), Part::Floor);
+                own.tighten(shape.distance_to_box_m(&self.base), Part::Link(link), Part::Base);
+                own.tighten(shape.lowest_m() - self.floor_m, Part::Link(link), Part::Floor);
             }
             let (middle_m, reach_m) = shape.bounds_m();
             for (i, obstacle) in self.boxes.iter().enumerate() {
-                if obstacle.distance_to_point_m(middle_m) - reach_m < nearest.distance_m {
-                    nearest.tighten(shape.distance_to_box_m(obstacle), Part::Link(link), Part::Box(i));
+                if obstacle.distance_to_point_m(middle_m) - reach_m < boxes.distance_m {
+                    boxes.tighten(shape.distance_to_box_m(obstacle), Part::Link(link), Part::Box(i));
                 }
             }
         }
         for &(one, two) in &self.world.pairs {
             let distance_m = self.world.pair_distance_m(&shapes, one, two);
-            nearest.tighten(distance_m, Part::Link(one), Part::Link(two));
+            own.tighten(distance_m, Part::Link(one), Part::Link(two));
         }
-        nearest
+        (own, boxes)
     }
 
     /// The base's nearest approach to the boxes.

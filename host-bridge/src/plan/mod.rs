@@ -4,7 +4,7 @@
 //! pose ─► planner ─► straight? ─► rrt + shortcuts ─► via home ─► refusal
 //!            │            └──────── collision ◄─ shape, scene, arm::model
 //!            └─► trajectory: a path in time, within the limits
-//!
+//! guard: at run time, keeps base and arm where both can still stop before they touch anything
 //! ```
 //!
 //! * [`shape`]: distances of capsules and boxes,
@@ -12,9 +12,11 @@
 //! * [`rrt`]: the search for a way,
 //! * [`trajectory`]: motion along it,
 //! * [`planner`]: all of it in turn,
+//! * [`guard`]: allows only motion from which one can still stop,
 //! * [`random`]: seeded numbers.
 
 pub mod collision;
+pub mod guard;
 pub mod planner;
 pub mod random;
 pub mod rrt;
