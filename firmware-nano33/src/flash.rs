@@ -33,15 +33,33 @@ impl Flash for Controller {
     }
 }
 
-/// The SoftDevice's flash calls, which fit between radio events.
+/// The SoftDevice's flash calls, which fit between radio events. One user at a time.
 #[cfg(feature = "ble")]
-pub struct SoftDeviceFlash(nrf_softdevice::Flash);
+#[derive(Clone, Copy)]
+pub struct SoftDeviceFlash;
+
+#[cfg(feature = "ble")]
+static CALLS: embassy_sync::mutex::Mutex<
+    embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex,
+    Option<Calls>,
+> = embassy_sync::mutex::Mutex::new(None);
+
+/// May move between tasks: there is one executor, on one core.
+#[cfg(feature = "ble")]
+struct Calls(nrf_softdevice::Flash);
+
+// SAFETY: the calls have no state but a flag; the marker in it only keeps it on one core.
+#[cfg(feature = "ble")]
+unsafe impl Send for Calls {}
 
 #[cfg(feature = "ble")]
 impl SoftDeviceFlash {
-    /// Takes the calls.
+    /// Takes the calls, once.
     pub fn new(softdevice: &nrf_softdevice::Softdevice) -> Self {
-        Self(nrf_softdevice::Flash::take(softdevice))
+        if let Ok(mut calls) = CALLS.try_lock() {
+            *calls = Some(Calls(nrf_softdevice::Flash::take(softdevice)));
+        }
+        Self
     }
 }
 
@@ -49,13 +67,17 @@ impl SoftDeviceFlash {
 impl Flash for SoftDeviceFlash {
     async fn erase_page(&mut self, address: u32) -> Result<(), FlashFailed> {
         use embedded_storage_async::nor_flash::NorFlash;
-        self.0.erase(address, address + PAGE_BYTES).await.map_err(|_| FlashFailed)
+        let mut calls = CALLS.lock().await;
+        let calls = calls.as_mut().ok_or(FlashFailed)?;
+        calls.0.erase(address, address + PAGE_BYTES).await.map_err(|_| FlashFailed)
     }
 
     async fn write(&mut self, address: u32, words: &[u32]) -> Result<(), FlashFailed> {
         use embedded_storage_async::nor_flash::NorFlash;
         // SAFETY: words are bytes; the length is the same.
         let bytes = unsafe { core::slice::from_raw_parts(words.as_ptr().cast::<u8>(), words.len() * 4) };
-        self.0.write(address, bytes).await.map_err(|_| FlashFailed)
+        let mut calls = CALLS.lock().await;
+        let calls = calls.as_mut().ok_or(FlashFailed)?;
+        calls.0.write(address, bytes).await.map_err(|_| FlashFailed)
     }
 }

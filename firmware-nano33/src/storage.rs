@@ -14,6 +14,9 @@ use shared_dsp::mlp::{Model, crc32};
 
 /// Start of the slots; `memory.x` and `memory-bootloader.x` end the image's flash here.
 pub const SLOTS_START: u32 = 0x000D_8000;
+/// The page before them holds the keys of the laptop that bonded last.
+#[cfg(feature = "ble")]
+pub const BOND_PAGE: u32 = SLOTS_START - PAGE_BYTES;
 /// Bytes per slot.
 pub const SLOT_BYTES: u32 = 0x4000;
 /// Bytes per erasable page.

@@ -1,0 +1,327 @@
+//! Bluetooth through the SoftDevice S140 7.x: one own service, notify out, write in.
+//!
+//! | | UUID |
+//! |---|---|
+//! | service | `b1a40001-6d61-4e75-a1b2-5c3d9e7f0a33` |
+//! | frames to the laptop (notify) | `b1a40002-…` |
+//! | frames to the board (write, write without response; needs an encrypted, bonded link) | `b1a40003-…` |
+//!
+//! Frames are a byte stream in both directions, cut wherever the MTU says. Pairing is "just works" with
+//! bonding (nrf-softdevice has no LE Secure Connections); states may be read by any laptop, writes may
+//! not. The newest bond is kept in flash. This file is the only one, with `flash.rs`, that knows
+//! nrf-softdevice.
+
+use core::cell::Cell;
+
+use embassy_executor::Spawner;
+use embassy_futures::join::join;
+use embassy_futures::select::select;
+use embassy_nrf::Peri;
+use embassy_nrf::peripherals::USBD;
+use embassy_nrf::usb::vbus_detect::SoftwareVbusDetect;
+use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
+use embassy_sync::channel::Channel;
+use embassy_sync::signal::Signal;
+use embassy_time::{Duration, Timer};
+use nrf_softdevice::ble::advertisement_builder::{Flag, LegacyAdvertisementBuilder, ServiceList};
+use nrf_softdevice::ble::gatt_server::NotifyValueError;
+use nrf_softdevice::ble::security::SecurityHandler;
+use nrf_softdevice::ble::{
+    Connection, EncryptionInfo, IdentityKey, MasterId, SecurityMode, gatt_server, peripheral,
+};
+use nrf_softdevice::{SocEvent, Softdevice, raw};
+use shared_dsp::mlp::Model;
+use static_cell::StaticCell;
+
+use crate::control;
+use crate::flash::SoftDeviceFlash;
+use crate::link::{Inlet, Link};
+use crate::storage::{BOND_PAGE, Flash, PAGE_BYTES, Store};
+use crate::transfer::Transfer;
+
+/// Bytes of one notification or write: the largest MTU less three of header.
+const PAYLOAD: usize = 244;
+/// Notifications that the SoftDevice queues. A state every 80 ms needs one; raw batches and answers more.
+const QUEUE: u8 = 8;
+/// Connection interval in 1.25 ms: 7.5 to 15 ms.
+const INTERVAL: (u16, u16) = (6, 12);
+/// A link that is silent for so long (10 ms) is gone.
+const SUPERVISION: u16 = 200;
+/// Advertising interval in 0.625 ms: 30 ms.
+const ADVERTISING: u32 = 48;
+const NAME: &str = "bimanual-right";
+/// The service's UUID, little-endian as in an advertisement.
+const SERVICE_UUID: [u8; 16] = 0xb1a4_0001_6d61_4e75_a1b2_5c3d_9e7f_0a33_u128.to_le_bytes();
+
+type Payload = heapless08::Vec<u8, PAYLOAD>;
+
+#[nrf_softdevice::gatt_service(uuid = "b1a40001-6d61-4e75-a1b2-5c3d9e7f0a33")]
+struct HandService {
+    #[characteristic(uuid = "b1a40002-6d61-4e75-a1b2-5c3d9e7f0a33", notify)]
+    out: Payload,
+    #[characteristic(
+        uuid = "b1a40003-6d61-4e75-a1b2-5c3d9e7f0a33",
+        write,
+        write_without_response,
+        security = "justworks"
+    )]
+    input: Payload,
+}
+
+#[nrf_softdevice::gatt_server]
+struct Server {
+    hand: HandService,
+}
+
+/// Starts the SoftDevice. `embassy_nrf::init` has run, since it writes registers that are S140's from here on.
+pub fn enable() -> &'static mut Softdevice {
+    let config = nrf_softdevice::Config {
+        // The same clock as embassy-nrf's, or S140 restarts it.
+        clock: Some(raw::nrf_clock_lf_cfg_t {
+            source: raw::NRF_CLOCK_LF_SRC_XTAL as u8,
+            rc_ctiv: 0,
+            rc_temp_ctiv: 0,
+            accuracy: raw::NRF_CLOCK_LF_ACCURACY_50_PPM as u8,
+        }),
+        conn_gap: Some(raw::ble_gap_conn_cfg_t { conn_count: 1, event_length: 6 }),
+        conn_gatt: Some(raw::ble_gatt_conn_cfg_t { att_mtu: PAYLOAD as u16 + 3 }),
+        conn_gatts: Some(raw::ble_gatts_conn_cfg_t { hvn_tx_queue_size: QUEUE }),
+        gap_role_count: Some(raw::ble_gap_cfg_role_count_t {
+            adv_set_count: 1,
+            periph_role_count: 1,
+            central_role_count: 0,
+            central_sec_count: 0,
+            _bitfield_1: raw::ble_gap_cfg_role_count_t::new_bitfield_1(0),
+        }),
+        gap_device_name: Some(raw::ble_gap_cfg_device_name_t {
+            p_value: NAME.as_ptr().cast_mut(),
+            current_len: NAME.len() as u16,
+            max_len: NAME.len() as u16,
+            write_perm: SecurityMode::NoAccess.into_raw(),
+            _bitfield_1: raw::ble_gap_cfg_device_name_t::new_bitfield_1(raw::BLE_GATTS_VLOC_STACK as u8),
+        }),
+        ..Default::default()
+    };
+    Softdevice::enable(&config)
+}
+
+/// A random number from S140's pool, 0 where it is still empty.
+pub fn random(softdevice: &Softdevice) -> u32 {
+    let mut bytes = [0; 4];
+    for _ in 0..100_000 {
+        if nrf_softdevice::random_bytes(softdevice, &mut bytes).is_ok() {
+            break;
+        }
+    }
+    u32::from_le_bytes(bytes)
+}
+
+/// The keys of the laptop that bonded last.
+#[derive(Clone, Copy)]
+#[repr(C)]
+struct Bond {
+    master_id: MasterId,
+    key: EncryptionInfo,
+    peer: IdentityKey,
+}
+
+const BOND_MAGIC: u32 = u32::from_le_bytes(*b"BMB1");
+const BOND_WORDS: usize = size_of::<Bond>().div_ceil(4);
+
+/// Answers the SoftDevice's questions about keys.
+struct Bonder {
+    bond: Cell<Option<Bond>>,
+    to_save: Signal<CriticalSectionRawMutex, Bond>,
+}
+
+impl Bonder {
+    fn load() -> Self {
+        let page = BOND_PAGE as *const u32;
+        // SAFETY: memory-mapped flash that the linker gives to nobody; the bytes of a bond that this image wrote
+        // (the magic word holds its layout's version) are valid for its plain integer fields.
+        let bond = unsafe {
+            (page.read_volatile() == BOND_MAGIC).then(|| page.add(1).cast::<Bond>().read_unaligned())
+        };
+        Self { bond: Cell::new(bond), to_save: Signal::new() }
+    }
+}
+
+impl SecurityHandler for Bonder {
+    fn can_bond(&self, _: &Connection) -> bool {
+        true
+    }
+
+    fn on_bonded(&self, _: &Connection, master_id: MasterId, key: EncryptionInfo, peer: IdentityKey) {
+        let bond = Bond { master_id, key, peer };
+        self.bond.set(Some(bond));
+        self.to_save.signal(bond);
+    }
+
+    fn get_key(&self, _: &Connection, master_id: MasterId) -> Option<EncryptionInfo> {
+        self.bond.get().filter(|b| b.master_id == master_id).map(|b| b.key)
+    }
+}
+
+/// Writes bonds to flash.
+#[embassy_executor::task]
+async fn save_bonds(bonder: &'static Bonder) -> ! {
+    loop {
+        let bond = bonder.to_save.wait().await;
+        let mut words = [0; 1 + BOND_WORDS];
+        words[0] = BOND_MAGIC;
+        // SAFETY: plain integers, copied as bytes into room of at least their size.
+        unsafe {
+            (&raw const bond).cast::<u8>().copy_to_nonoverlapping(
+                words[1..].as_mut_ptr().cast(),
+                size_of::<Bond>(),
+            );
+        }
+        let mut flash = SoftDeviceFlash;
+        let saved = match flash.erase_page(BOND_PAGE).await {
+            // The magic word last: a write that breaks leaves no bond.
+            Ok(()) => match flash.write(BOND_PAGE + 4, &words[1..]).await {
+                Ok(()) => flash.write(BOND_PAGE, &words[..1]).await,
+                Err(e) => Err(e),
+            },
+            Err(e) => Err(e),
+        };
+        if saved.is_err() {
+            defmt::warn!("the bond was not saved; pair again after a restart");
+        }
+    }
+}
+
+const _: () = assert!(4 + BOND_WORDS * 4 <= PAGE_BYTES as usize);
+
+/// Answers the laptop.
+#[embassy_executor::task]
+pub async fn run_control(model: &'static Model<'static>, store: Store<SoftDeviceFlash>) {
+    control::run(model, Transfer::new(store)).await
+}
+
+/// Runs S140's events, and tells the USB driver of cable and power, which are S140's too.
+#[embassy_executor::task]
+async fn run_softdevice(softdevice: &'static Softdevice, vbus: &'static SoftwareVbusDetect) -> ! {
+    softdevice
+        .run_with_callback(|event| match event {
+            SocEvent::PowerUsbDetected => {
+                // USB needs the crystal. SAFETY: plain call of the enabled SoftDevice.
+                unsafe { raw::sd_clock_hfclk_request() };
+                vbus.detected(true);
+            }
+            SocEvent::PowerUsbRemoved => {
+                // SAFETY: as above.
+                unsafe { raw::sd_clock_hfclk_release() };
+                vbus.detected(false);
+            }
+            SocEvent::PowerUsbPowerReady => vbus.ready(),
+            _ => {}
+        })
+        .await
+}
+
+#[embassy_executor::task]
+async fn run_usb(usbd: Peri<'static, USBD>, vbus: &'static SoftwareVbusDetect) {
+    crate::usb::run(usbd, vbus).await
+}
+
+/// Advertises, serves one laptop, and advertises again, for ever.
+#[embassy_executor::task]
+async fn run_radio(softdevice: &'static Softdevice, server: &'static Server, bonder: &'static Bonder) -> ! {
+    static ADVERTISEMENT: nrf_softdevice::ble::advertisement_builder::LegacyAdvertisementPayload =
+        LegacyAdvertisementBuilder::new()
+            .flags(&[Flag::GeneralDiscovery, Flag::LE_Only])
+            .services_128(ServiceList::Complete, &[SERVICE_UUID])
+            .build();
+    static SCAN_RESPONSE: nrf_softdevice::ble::advertisement_builder::LegacyAdvertisementPayload =
+        LegacyAdvertisementBuilder::new().full_name(NAME).build();
+    loop {
+        let config = peripheral::Config { interval: ADVERTISING, ..Default::default() };
+        let advertisement = peripheral::ConnectableAdvertisement::ScannableUndirected {
+            adv_data: &ADVERTISEMENT,
+            scan_data: &SCAN_RESPONSE,
+        };
+        match peripheral::advertise_pairable(softdevice, advertisement, &config, bonder).await {
+            Ok(connection) => serve(&connection, server).await,
+            Err(_) => Timer::after(Duration::from_millis(100)).await,
+        }
+    }
+}
+
+/// Writes on their way from S140's callback to the decoder. What does not fit is lost, and the laptop repeats it.
+static WRITES: Channel<CriticalSectionRawMutex, Payload, 4> = Channel::new();
+
+async fn serve(connection: &Connection, server: &Server) {
+    let outbox = Link::Ble.outbox();
+    WRITES.clear();
+    let _ = connection.set_conn_params(raw::ble_gap_conn_params_t {
+        min_conn_interval: INTERVAL.0,
+        max_conn_interval: INTERVAL.1,
+        slave_latency: 0,
+        conn_sup_timeout: SUPERVISION,
+    });
+    let events = gatt_server::run(connection, server, |ServerEvent::Hand(event)| match event {
+        HandServiceEvent::OutCccdWrite { notifications } => outbox.set_open(notifications),
+        HandServiceEvent::InputWrite(bytes) => {
+            let _ = WRITES.try_send(bytes);
+        }
+    });
+    let receive = async {
+        let mut inlet = Inlet::new(Link::Ble);
+        loop {
+            let bytes = WRITES.receive().await;
+            // S140 has checked it already (`security` above); this is the second lock.
+            let trusted = !matches!(connection.security_mode(), SecurityMode::NoAccess | SecurityMode::Open);
+            inlet.take(&bytes, trusted).await;
+        }
+    };
+    let send = async {
+        loop {
+            let frame = outbox.next().await;
+            let room = usize::from(connection.att_mtu()).saturating_sub(3).clamp(20, PAYLOAD);
+            'frame: for piece in frame.chunks(room) {
+                let Ok(piece) = Payload::from_slice(piece) else { break };
+                // The queue empties once per connection interval; a frame that waits longer than a hop is late.
+                for _ in 0..16 {
+                    match server.hand.out_notify(connection, &piece) {
+                        Ok(()) => continue 'frame,
+                        Err(NotifyValueError::Disconnected) => break 'frame,
+                        Err(NotifyValueError::Raw(_)) => Timer::after(Duration::from_millis(5)).await,
+                    }
+                }
+                break;
+            }
+        }
+    };
+    select(events, join(receive, send)).await;
+    outbox.set_open(false);
+}
+
+/// Starts what needs the SoftDevice.
+pub fn spawn(spawner: Spawner, softdevice: &'static mut Softdevice, usbd: Peri<'static, USBD>) {
+    static SERVER: StaticCell<Server> = StaticCell::new();
+    static BONDER: StaticCell<Bonder> = StaticCell::new();
+    static VBUS: StaticCell<SoftwareVbusDetect> = StaticCell::new();
+    let server = match Server::new(softdevice) {
+        Ok(server) => &*SERVER.init(server),
+        Err(_) => defmt::panic!("the attribute table does not fit S140's memory"),
+    };
+    let bonder = &*BONDER.init(Bonder::load());
+    let mut status = 0;
+    // SAFETY: plain calls of the enabled SoftDevice.
+    unsafe {
+        raw::sd_power_usbdetected_enable(1);
+        raw::sd_power_usbremoved_enable(1);
+        raw::sd_power_usbpwrrdy_enable(1);
+        raw::sd_power_usbregstatus_get(&mut status);
+        if status & 1 != 0 {
+            raw::sd_clock_hfclk_request();
+        }
+    }
+    let vbus = &*VBUS.init(SoftwareVbusDetect::new(status & 1 != 0, status & 2 != 0));
+    let softdevice = &*softdevice;
+    spawner.spawn(run_softdevice(softdevice, vbus).expect("spawned once"));
+    spawner.spawn(run_radio(softdevice, server, bonder).expect("spawned once"));
+    spawner.spawn(save_bonds(bonder).expect("spawned once"));
+    spawner.spawn(run_usb(usbd, vbus).expect("spawned once"));
+}
