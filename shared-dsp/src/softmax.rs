@@ -4,18 +4,20 @@
 //! are only 256 possible differences, so the blob carries their exponentials and the board looks them up.
 //! What remains is one reciprocal (three Newton steps) and one product per label.
 
-/// Output scale is 1/256 and output zero point −128, as TFLite fixes them for int8.
-const ACCUMULATOR_INTEGER_BITS: i32 = 12;
+use crate::mlp::MAX_LABELS;
 
-/// Product of two Q0.31 numbers, rounded to nearest (gemmlowp's `SaturatingRoundingDoublingHighMul`
-/// without the one case that saturates, −1 · −1, which does not arise here).
+/// Output scale is 1/256 and output zero point −128, as TFLite fixes them for int8.
+const ACCUMULATOR_INTEGER_BITS: u32 = 12;
+
+/// Product of two Q0.31 numbers, rounded to nearest, ties up: gemmlowp's `SaturatingRoundingDoublingHighMul` without the
+/// one case that saturates, −1 · −1, which does not arise here.
+#[inline(always)]
 pub(crate) fn multiply_q31(a: i32, b: i32) -> i32 {
-    let product = i64::from(a) * i64::from(b);
-    let nudge = if product >= 0 { 1 << 30 } else { 1 - (1 << 30) };
-    ((product + nudge) / (1 << 31)) as i32
+    ((i64::from(a) * i64::from(b) + (1 << 30)) >> 31) as i32
 }
 
 /// `x / 2^exponent`, ties away from zero.
+#[cfg(feature = "build")]
 pub(crate) fn divide_by_power_of_two(x: i32, exponent: u32) -> i32 {
     let mask = ((1i64 << exponent) - 1) as i32;
     let threshold = (mask >> 1) + i32::from(x < 0);
@@ -41,25 +43,27 @@ fn reciprocal_of_one_plus(a: i32) -> i32 {
 ///
 /// `table[d]` is exp(−d · scale) in Q0.31, little-endian, for differences d = 0, 1, …; beyond its end the
 /// exponentials are too small to reach any output. Both slices must have the same length, at most 16.
-pub(crate) fn softmax(table: &[u8], logits: &[i8], scores: &mut [i8]) {
+#[inline(never)]
+pub(crate) fn softmax(table: &[[u8; 4]], logits: &[i8], scores: &mut [i8]) {
     let largest = logits.iter().copied().max().unwrap_or(0);
-    let exponential = |logit: i8| -> i32 {
+    let mut exponentials = [0; MAX_LABELS];
+    let mut sum = 0;
+    for (exponential, &logit) in exponentials.iter_mut().zip(logits) {
         let difference = (i32::from(largest) - i32::from(logit)) as usize;
-        match table.get(4 * difference..4 * difference + 4) {
-            Some(&[a, b, c, d]) => i32::from_le_bytes([a, b, c, d]),
-            _ => 0,
+        if let Some(value) = table.get(difference) {
+            *exponential = i32::from_le_bytes(*value);
+            // Rounded, as a number with 12 integer bits; at most 2¹⁹.
+            sum += (*exponential as u32 + (1 << 11)) >> ACCUMULATOR_INTEGER_BITS;
         }
-    };
-    let sum: i32 = logits
-        .iter()
-        .map(|&logit| ((exponential(logit) as u32 + (1 << 11)) >> ACCUMULATOR_INTEGER_BITS) as i32)
-        .sum();
+    }
+    // At least 2¹⁹, for the largest, and below 2²⁴.
     let headroom = sum.leading_zeros();
-    let scale = reciprocal_of_one_plus(((sum as u32) << headroom).wrapping_sub(1 << 31) as i32);
-    let shift = (ACCUMULATOR_INTEGER_BITS - headroom as i32 + 31 - 8) as u32 & 31;
-    for (score, &logit) in scores.iter_mut().zip(logits) {
-        let probability = divide_by_power_of_two(multiply_q31(scale, exponential(logit)), shift);
-        *score = (probability - 128).clamp(-128, 127) as i8;
+    let scale = reciprocal_of_one_plus((sum << (headroom & 31)).wrapping_sub(1 << 31) as i32);
+    let shift = (ACCUMULATOR_INTEGER_BITS + 31 - 8).wrapping_sub(headroom) & 31;
+    let half = (1u32 << shift) >> 1;
+    for (score, &exponential) in scores.iter_mut().zip(&exponentials) {
+        let probability = (multiply_q31(scale, exponential) as u32 + half) >> shift;
+        *score = (probability as i32 - 128).min(127) as i8;
     }
 }
 
@@ -110,5 +114,33 @@ pub(crate) mod table {
             // Below this it adds nothing to the sum and rounds to nothing in the output.
             .take_while(|&value| value >= 1 << 11)
             .collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// As gemmlowp writes it.
+    fn rounding_doubling_high_mul(a: i32, b: i32) -> i32 {
+        let product = i64::from(a) * i64::from(b);
+        let nudge = if product >= 0 { 1 << 30 } else { 1 - (1 << 30) };
+        ((product + nudge) / (1 << 31)) as i32
+    }
+
+    #[test]
+    fn the_product_is_gemmlowps_also_for_negative_ties() {
+        let edges = [i32::MIN + 1, -(1 << 30), -(1 << 16) - 1, -(1 << 15), -3, -1, 0, 1, 2, 1 << 15, 1 << 30, i32::MAX];
+        for a in edges {
+            for b in edges {
+                assert_eq!(multiply_q31(a, b), rounding_doubling_high_mul(a, b), "{a} · {b}");
+            }
+        }
+        let mut state = 1u64;
+        for _ in 0..200_000 {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+            let (a, b) = ((state >> 32) as i32, (state << 7 >> 32) as i32);
+            assert_eq!(multiply_q31(a, b), rounding_doubling_high_mul(a, b), "{a} · {b}");
+        }
     }
 }

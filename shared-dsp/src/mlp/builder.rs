@@ -110,8 +110,9 @@ pub fn build_blob(spec: &BlobSpec) -> Result<Vec<u8>, BuildError> {
     if !(2..=MAX_LABELS).contains(&spec.labels.len()) {
         return shape(std::format!("{} labels: 2 to {MAX_LABELS} are possible", spec.labels.len()));
     }
-    if let Some(label) = spec.labels.iter().find(|label| label.is_empty() || label.contains(',')) {
-        return Err(BuildError::Value(std::format!("label \"{label}\" is empty or has a comma")));
+    let is_bad = |label: &str| label.is_empty() || !label.bytes().all(|byte| matches!(byte, b' '..=b'~') && byte != b',');
+    if let Some(label) = spec.labels.iter().find(|label| is_bad(label)) {
+        return Err(BuildError::Value(std::format!("label \"{label}\" is not of printable ASCII without commas")));
     }
     if !(1..=MAX_LAYERS).contains(&spec.layers.len()) {
         return shape(std::format!("{} layers: 1 to {MAX_LAYERS} are possible", spec.layers.len()));

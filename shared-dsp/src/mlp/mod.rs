@@ -27,7 +27,7 @@
 //! | 28 | 8 · inputs | per feature `a`, `b` as `f32`: input = round(a · feature + b) |
 //! | | layers | see below |
 //! | | 4 · entries | exp(−d · scale) as Q0.31 for d = 0, 1, … |
-//! | | text | labels in order, separated by commas, UTF-8, padded with zeros |
+//! | | text | labels in order, separated by commas, printable ASCII, padded with zeros |
 //!
 //! A layer is a header of 12 bytes (inputs u16, outputs u16, multiplier i32 in 2³⁰..2³¹, right shift u8 in
 //! 1..=62, output zero point i8, smallest output i8, 0) and then, for each four outputs, four biases i32
@@ -45,7 +45,7 @@ pub use builder::{BlobSpec, BuildError, DenseSpec, build_blob};
 use crate::recipe::Recipe;
 use crate::softmax::softmax;
 use core::fmt;
-use kernel::{QUAD_WEIGHT_BYTES, Quad, four_rows, pack};
+use kernel::{BIAS_BYTES, QUAD_WEIGHT_BYTES, Quad, four_rows, pack, unpack};
 
 /// Most layers in a blob.
 pub const MAX_LAYERS: usize = 8;
@@ -94,7 +94,7 @@ pub enum ModelError {
     },
     /// The table of exponentials does not start at 1 and fall.
     ExponentialTable,
-    /// The labels are not as many as promised, empty, or no text.
+    /// The labels are not as many as promised, empty, or not printable ASCII.
     Labels,
 }
 
@@ -176,7 +176,7 @@ pub struct Model<'a> {
     info: ModelInfo<'a>,
     scaling: &'a [[u8; 8]],
     layers: &'a [u8],
-    exponentials: &'a [u8],
+    exponentials: &'a [[u8; 4]],
     small: bool,
 }
 
@@ -197,7 +197,7 @@ impl<'a> Dense<'a> {
         let (header, rest) = bytes.split_first_chunk::<LAYER_HEADER_BYTES>()?;
         let inputs = usize::from(u16::from_le_bytes([header[0], header[1]]));
         let outputs = usize::from(u16::from_le_bytes([header[2], header[3]]));
-        let block = 16 + inputs.div_ceil(4) * QUAD_WEIGHT_BYTES;
+        let block = BIAS_BYTES + inputs.div_ceil(4) * QUAD_WEIGHT_BYTES;
         let (blocks, rest) = rest.split_at_checked(outputs.div_ceil(4) * block)?;
         *bytes = rest;
         Some(Self {
@@ -219,31 +219,32 @@ impl<'a> Dense<'a> {
     }
 
     /// Accumulator to int8 range: one fixed-point product, rounded once, ties up.
+    #[inline(always)]
     fn requantise(&self, sum: i32) -> i32 {
-        let product = i64::from(sum) * i64::from(self.multiplier);
         let scaled = if self.shift > 32 {
             // The rounding constant does not reach the low word: a high product is enough.
-            ((product >> 32) as i32 + (1 << (self.shift - 33))) >> (self.shift - 32)
+            let high = ((i64::from(sum) * i64::from(self.multiplier)) >> 32) as i32;
+            (high + (1 << (self.shift - 33))) >> (self.shift - 32)
         } else {
-            let rounded = (product + (1 << (self.shift - 1))) >> self.shift;
-            rounded.clamp(i64::from(i32::MIN / 2), i64::from(i32::MAX / 2)) as i32
+            self.scale_up(sum)
         };
         (scaled + self.zero_point).max(self.smallest).clamp(-128, 127)
     }
 
-    /// Computes the outputs four at a time and hands them on in order.
-    fn run(&self, inputs: &[Quad], mut emit: impl FnMut(usize, [i32; 4])) {
-        let block_bytes = 16 + inputs.len() * QUAD_WEIGHT_BYTES;
-        for (index, block) in self.blocks.chunks_exact(block_bytes).enumerate() {
-            let Some((biases, weights)) = block.split_first_chunk::<16>() else { return };
-            let (biases, _) = biases.as_chunks::<4>();
-            let sums = four_rows(weights, inputs);
-            emit(
-                index,
-                core::array::from_fn(|row| {
-                    self.requantise(sums[row].wrapping_add(i32::from_le_bytes(biases[row])))
-                }),
-            );
+    /// As above for factors from ½ up, which no sensible network has.
+    #[cold]
+    #[inline(never)]
+    fn scale_up(&self, sum: i32) -> i32 {
+        let product = i64::from(sum) * i64::from(self.multiplier);
+        ((product + (1 << (self.shift - 1))) >> self.shift).clamp(-1024, 1024) as i32
+    }
+
+    /// Computes the outputs, four at a time.
+    fn run(&self, inputs: &[Quad], outputs: &mut [Quad]) {
+        let block_bytes = BIAS_BYTES + inputs.len() * QUAD_WEIGHT_BYTES;
+        for (block, output) in self.blocks.chunks_exact(block_bytes).zip(outputs) {
+            let values = four_rows(block, inputs).map(|sum| self.requantise(sum) as i8);
+            *output = pack(values);
         }
     }
 }
@@ -308,9 +309,9 @@ impl<'a> Model<'a> {
         let layers = &rest[..rest.len() - tail.len()];
 
         let (exponentials, rest) = tail.split_at_checked(4 * entries).ok_or(ModelError::Truncated)?;
-        let (words, _) = exponentials.as_chunks::<4>();
+        let (exponentials, _) = exponentials.as_chunks::<4>();
         let mut last = i32::MAX;
-        for (index, word) in words.iter().enumerate() {
+        for (index, word) in exponentials.iter().enumerate() {
             let value = i32::from_le_bytes(*word);
             // The first is 1; a sum of 16 stays in range because none is larger or negative.
             if value < 0 || value > last || (index == 0 && value != i32::MAX) {
@@ -323,10 +324,20 @@ impl<'a> Model<'a> {
         if rest.len() != text_bytes.next_multiple_of(4) {
             return Err(ModelError::Header);
         }
-        let label_text = core::str::from_utf8(text).map_err(|_| ModelError::Labels)?;
-        if label_text.split(',').count() != label_count || label_text.split(',').any(str::is_empty) {
+        // One look at each byte: printable, no label empty, as many as promised.
+        let (mut commas, mut last) = (0, b',');
+        for &byte in text {
+            if !(b' '..=b'~').contains(&byte) || (byte == b',' && last == b',') {
+                return Err(ModelError::Labels);
+            }
+            commas += usize::from(byte == b',');
+            last = byte;
+        }
+        if last == b',' || commas + 1 != label_count {
             return Err(ModelError::Labels);
         }
+        // SAFETY: all bytes are ASCII.
+        let label_text = unsafe { core::str::from_utf8_unchecked(text) };
 
         Ok(Self {
             info: ModelInfo {
@@ -415,7 +426,7 @@ impl<'a> Model<'a> {
         }
         let fill = |scratch: &mut [Quad]| {
             for (index, quad) in scratch.iter_mut().enumerate().take(self.info.inputs.div_ceil(4)) {
-                *quad = pack(core::array::from_fn(|i| self.quantise_one(features, 4 * index + i)));
+                *quad = pack(core::array::from_fn(|i| self.quantise_one(features, 4 * index + i) as i8));
             }
         };
         self.dispatch(&fill, &mut [0; MAX_LABELS], scores)
@@ -456,26 +467,22 @@ impl<'a> Model<'a> {
         let mut at_start = true;
         while let Some(dense) = Dense::take(&mut layers) {
             let (ins, outs) = (dense.inputs.div_ceil(4), dense.outputs.div_ceil(4));
-            let middle = if at_start { ins } else { scratch.len() - ins };
-            let (start, end) = scratch.split_at_mut(middle);
+            let middle = if at_start { ins } else { scratch.len().saturating_sub(ins) };
+            let Some((start, end)) = scratch.split_at_mut_checked(middle) else { return };
             let (input, output) = if at_start {
-                let free = end.len() - outs;
-                (&*start, &mut end[free..])
+                let free = end.len().saturating_sub(outs);
+                let Some(output) = end.get_mut(free..) else { return };
+                (&*start, output)
             } else {
                 (&*end, start)
             };
+            dense.run(input, output);
             if layers.is_empty() {
-                dense.run(input, |index, values| {
-                    for (logit, value) in logits.iter_mut().skip(4 * index).zip(values) {
-                        *logit = value as i8;
+                for (four, quad) in logits.chunks_mut(4).zip(&*output) {
+                    for (logit, value) in four.iter_mut().zip(unpack(*quad)) {
+                        *logit = value;
                     }
-                });
-            } else {
-                dense.run(input, |index, values| {
-                    if let Some(quad) = output.get_mut(index) {
-                        *quad = pack(values);
-                    }
-                });
+                }
             }
             at_start = !at_start;
         }
@@ -485,10 +492,10 @@ impl<'a> Model<'a> {
 fn pack_inputs(inputs: &[i8], scratch: &mut [Quad]) {
     let (quads, rest) = inputs.as_chunks::<4>();
     for (packed, quad) in scratch.iter_mut().zip(quads) {
-        *packed = pack(quad.map(i32::from));
+        *packed = pack(*quad);
     }
     if let (false, Some(packed)) = (rest.is_empty(), scratch.get_mut(quads.len())) {
-        *packed = pack(core::array::from_fn(|i| rest.get(i).map_or(0, |&x| i32::from(x))));
+        *packed = pack(core::array::from_fn(|i| rest.get(i).copied().unwrap_or(0)));
     }
 }
 
@@ -498,6 +505,25 @@ fn scale_of(pair: &[u8; 8]) -> (f32, f32) {
 }
 
 /// CRC-32 (ISO-HDLC, as in zip and PNG) of a blob: its model id.
+///
+/// Four bits at a time: 64 bytes of table, a third of the time of none.
 pub fn crc32(blob: &[u8]) -> u32 {
-    crc::Crc::<u32, crc::NoTable>::new(&crc::CRC_32_ISO_HDLC).checksum(blob)
+    let step = |crc: u32| (crc >> 4) ^ CRC_NIBBLES[(crc & 15) as usize];
+    !blob.iter().fold(!0, |crc, &byte| step(step(crc ^ u32::from(byte))))
 }
+
+const CRC_NIBBLES: [u32; 16] = {
+    let mut table = [0; 16];
+    let mut nibble = 0;
+    while nibble < 16 {
+        let mut crc = nibble as u32;
+        let mut bit = 0;
+        while bit < 4 {
+            crc = if crc & 1 == 1 { (crc >> 1) ^ 0xEDB8_8320 } else { crc >> 1 };
+            bit += 1;
+        }
+        table[nibble] = crc;
+        nibble += 1;
+    }
+    table
+};
