@@ -2,10 +2,10 @@
 //!
 //! **The trap.** After a watchdog reset the watchdog goes on running at 16 ms. The old bootloader of
 //! many Nanos never stops it and waits for more than a second: it is reset again and again until
-//! somebody pulls the plug. So the first timeout (0.25 s) is taken as an interrupt here, which restarts
-//! the program by a jump to 0, without a reset and without the bootloader. Only a program that hangs
-//! with interrupts off meets the second timeout, which is a reset; with an old bootloader the board
-//! then stays silent until it is unplugged, and silence stops the robot.
+//! somebody pulls the plug. So where that bootloader is found in flash, the watchdog only interrupts,
+//! and the interrupt restarts the program by a jump to 0, past the bootloader. A program that hangs
+//! with interrupts off is not caught there: the board is silent, which stops the robot, until the
+//! laptop opens the port again (that pulls the reset line). Elsewhere the watchdog resets.
 
 use avr_device::atmega328p::Peripherals;
 use core::arch::asm;
@@ -54,12 +54,24 @@ pub fn restarts() -> u8 {
     unsafe { Peripherals::steal() }.CPU.gpior1().read().bits()
 }
 
-/// Starts the watchdog: first timeout after 0.25 s an interrupt, second one a reset.
+/// Starts the watchdog: after 0.25 s a reset, or where the old bootloader would trap it, an interrupt.
 pub fn arm() {
     const WDIE: u8 = 1 << 6;
     const WDE: u8 = 1 << 3;
     const QUARTER_SECOND: u8 = 4;
-    set_watchdog(WDIE | WDE | QUARTER_SECOND);
+    let mode = if has_old_bootloader() { WDIE } else { WDE };
+    set_watchdog(mode | QUARTER_SECOND);
+}
+
+/// The old bootloader starts at 0x7800; the new one at 0x7E00, with erased flash below.
+fn has_old_bootloader() -> bool {
+    let (low, high): (u8, u8);
+    // Safety: reads two bytes of flash.
+    unsafe {
+        asm!("lpm {low}, Z+", "lpm {high}, Z", low = out(reg) low, high = out(reg) high,
+            inout("Z") 0x7800u16 => _);
+    }
+    low & high != 0xFF
 }
 
 /// Tells the watchdog that all is well.

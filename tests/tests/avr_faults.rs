@@ -134,8 +134,10 @@ fn a_converter_that_hangs_is_restarted() {
     let (mut session, _hand) = powered(&BLANK, 9);
     session.run_ms(1500.0);
     // The converter switches itself off in the middle of a sample.
-    session.nano.run_ms(2.0);
-    session.nano.poke(ADCSRA, 0);
+    for _ in 0..100 {
+        session.nano.run_ms(0.1);
+        session.nano.poke(ADCSRA, 0);
+    }
     let mut errors = 0;
     for (_, seen) in session.run_ms(3000.0) {
         if let Seen::Status(status) = seen {
@@ -230,9 +232,10 @@ fn requests_are_answered() {
 }
 
 #[test]
-fn a_hanging_program_starts_again_without_a_reset_and_says_so() {
+fn under_an_old_bootloader_a_hanging_program_starts_again_without_a_reset_and_says_so() {
     const TIMSK1: usize = 0x6F;
     let (mut session, hand) = powered(&BLANK, 13);
+    session.nano.pretend_old_bootloader();
     hand.borrow_mut().tilt(FORWARD_RAD, 0.0, 0.5, 0.1);
     let start = session.run_ms(1000.0);
     let boot = |heard: &[(f64, Seen)]| {
@@ -254,15 +257,39 @@ fn a_hanging_program_starts_again_without_a_reset_and_says_so() {
 }
 
 #[test]
-fn a_program_that_hangs_with_interrupts_off_is_reset() {
+fn a_program_that_hangs_with_interrupts_off_is_reset_and_says_so() {
     let (mut session, _hand) = powered(&BLANK, 14);
     session.run_ms(1000.0);
     // Into an endless loop with interrupts off: the end of the program, as the C runtime has it.
     session.nano.jump(image::stop_program());
     let heard = session.run_ms(2000.0);
-    assert_eq!(session.nano.resets(), 1, "the second timeout resets");
+    assert_eq!(session.nano.resets(), 1, "the watchdog resets");
     assert!(heard.iter().any(|(_, s)| matches!(s, Seen::Fault(f) if f.kind == FaultKind::Watchdog)));
     assert!(heard.iter().any(|(_, s)| matches!(s, Seen::Left(_))), "and the board lives again");
+}
+
+/// What remains of the old bootloader's trap: silence, a robot at rest, and the reset line helps.
+#[test]
+fn under_an_old_bootloader_a_program_that_hangs_with_interrupts_off_is_silent_until_the_port_is_opened() {
+    let (mut session, hand) = powered(&BLANK, 26);
+    session.nano.pretend_old_bootloader();
+    let mut street = Street::new(session.nano);
+    street.run_ms(600);
+    hand.borrow_mut().tilt(FORWARD_RAD, 0.0, street.now_ms() as f64 / 1000.0, 0.1);
+    street.run_ms(800);
+    assert!(street.moves());
+    street.nano.jump(image::stop_program());
+    street.run_ms(1500);
+    assert!(!street.moves(), "silence stops the robot");
+    assert_eq!(street.nano.resets(), 0, "and no reset leads into the trap");
+    street.nano.reset();
+    street.run_ms(1000);
+    assert!(!street.moves(), "a new start needs neutral");
+    hand.borrow_mut().tilt(0.0, 0.0, street.now_ms() as f64 / 1000.0, 0.1);
+    street.run_ms(600);
+    hand.borrow_mut().tilt(FORWARD_RAD, 0.0, street.now_ms() as f64 / 1000.0, 0.1);
+    street.run_ms(600);
+    assert!(street.moves(), "and then the hand drives again");
 }
 
 #[test]

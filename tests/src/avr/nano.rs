@@ -177,6 +177,8 @@ impl Nano {
             if now + self.wires.before_reset.get() < last {
                 self.wires.before_reset.set(last);
                 self.resets += 1;
+                // Its timers are gone: what was under way to the board is lost.
+                self.wires.to_receive.borrow_mut().clear();
             }
             last = self.cycle();
         }
@@ -233,13 +235,32 @@ impl Nano {
         *self.wires.voltages.borrow_mut() = voltages;
     }
 
-    /// Holds D2 to ground, or lets it go (pulled up). Takes effect before the program's first look.
+    /// Holds D2 to ground, or lets it go.
     pub fn hold_calibration_pin(&mut self, held: bool) {
-        // Safety: pin 2 of port D exists.
-        unsafe {
-            let pin = ffi::avr_io_getirq(self.avr, ioctl(b"iogD"), 2);
-            ffi::avr_raise_irq(pin, u32::from(!held));
-        }
+        // struct avr_ioport_external_t { unsigned long name : 7, mask : 8, value : 8; }
+        let mut external: u64 = if held { (1 << 2) << 7 } else { 0 };
+        // Safety: the parameter is what this call takes.
+        let result = unsafe { ffi::avr_ioctl(self.avr, ioctl(b"iopD"), (&raw mut external).cast()) };
+        assert_eq!(result, 0);
+    }
+
+    /// Pulls the reset line: the button, or a laptop that opens the port.
+    pub fn reset(&mut self) {
+        const EXTRF: u8 = 1 << 1;
+        const MCUSR: usize = 0x54;
+        self.poke(MCUSR, self.peek(MCUSR) | EXTRF);
+        let before = self.cycle();
+        // Safety: the emulator is not running.
+        unsafe { ffi::avr_reset(self.avr) };
+        self.wires.before_reset.set(before);
+        self.wires.to_receive.borrow_mut().clear();
+    }
+
+    /// Puts bytes where the old bootloader starts, so that the program finds one.
+    pub fn pretend_old_bootloader(&mut self) {
+        const OLD_BOOTLOADER: usize = 0x7800;
+        // Safety: within the 32 KB of flash.
+        unsafe { *(*self.avr).flash.add(OLD_BOOTLOADER) = 0x0C }
     }
 
     /// Is the light (D13) on?
