@@ -334,6 +334,11 @@ impl Board {
         self.uc.get_data().soc.now
     }
 
+    /// Cycle at which the firmware's clock (RTC1) was 0.
+    pub fn clock_start(&self) -> u64 {
+        super::time::cycle_of_tick(self.uc.get_data().soc.rtc1.zero_tick())
+    }
+
     /// Executed instructions.
     pub fn instructions(&self) -> u64 {
         self.uc.get_data().instructions

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
-use std::sync::OnceLock;
+use std::sync::{Mutex, OnceLock};
 
 use super::image::Image;
 
@@ -33,8 +33,10 @@ pub fn image(variant: Variant) -> Image {
     Image::load(cell.get_or_init(|| build(variant)))
 }
 
-// Several test programs may build at once: cargo lets one wait for the other.
 fn build(variant: Variant) -> PathBuf {
+    // Both variants leave their image at the same place: one after the other.
+    static ONE: Mutex<()> = Mutex::new(());
+    let _one = ONE.lock();
     let folder = root().join("firmware-nano33");
     // The host's target folder, so that a clean removes it too and both variants share what they can.
     let target = std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root().join("target"), PathBuf::from);

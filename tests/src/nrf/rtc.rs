@@ -26,6 +26,11 @@ impl Rtc {
         if self.running { (ticks(now) - self.zero_tick) / (self.prescaler + 1) } else { self.stopped_at }
     }
 
+    /// Tick of the 32,768 Hz clock at which the counter was 0.
+    pub fn zero_tick(&self) -> u64 {
+        self.zero_tick
+    }
+
     /// COUNTER.
     pub fn counter(&self, now: u64) -> u32 {
         (self.count(now) & 0xFF_FFFF) as u32

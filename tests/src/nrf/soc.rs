@@ -51,7 +51,8 @@ pub struct Soc {
     twim: Twim,
     gpiote: Events,
     timers: [Timer; 5],
-    rtc1: Rtc,
+    /// The time driver's counter.
+    pub rtc1: Rtc,
     rng: Rng,
     /// Watchdog.
     pub watchdog: Watchdog,

@@ -1,0 +1,37 @@
+//! Recordings of `../shared/data`, joined into streams for the emulated sensor.
+
+use std::path::PathBuf;
+
+use super::lsm9ds1::Replay;
+
+/// Folder of the shared data; `BIMANUAL_SHARED` may name another `shared`.
+pub fn data() -> PathBuf {
+    std::env::var_os("BIMANUAL_SHARED")
+        .map_or_else(
+            || PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared")),
+            PathBuf::from,
+        )
+        .join("data")
+}
+
+/// The first recordings of a class, joined; nothing where the folder is absent.
+///
+/// # Panics
+/// Where a file is not what its README says.
+pub fn joined(set: &str, class: &str, most: usize) -> Option<(Replay, usize)> {
+    let mut files: Vec<_> = std::fs::read_dir(data().join(set).join(class)).ok()?.flatten().map(|f| f.path()).collect();
+    files.sort();
+    files.truncate(most);
+    let mut rows = Vec::new();
+    for file in &files {
+        let text = std::fs::read_to_string(file).expect("a recording");
+        for line in text.lines().skip(1) {
+            let mut row = [0.0; 9];
+            for (place, field) in row.iter_mut().zip(line.split(',').skip(1)) {
+                *place = field.trim().parse().expect("a number");
+            }
+            rows.push(row);
+        }
+    }
+    (!rows.is_empty()).then(|| (Replay { rows, interval: 0.01, start: 0.2 }, files.len()))
+}

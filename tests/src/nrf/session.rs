@@ -1,0 +1,135 @@
+//! A laptop at the emulated board's serial port: requests in, messages out.
+
+use shared_proto::frame::{BOARD_FRAME_MAX, Decoder, encode_host, parse_board};
+use shared_proto::message::{Ack, BoardMessage, Fault, Hello, HostMessage, Status};
+
+use super::board::{Board, Boot};
+use super::build::{Variant, image};
+use super::lsm9ds1::Motion;
+
+/// A state of the right hand, owned.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Right {
+    /// Cycle at which its frame was complete on the wire.
+    pub at: u64,
+    /// As on the wire.
+    pub sequence: u16,
+    /// As on the wire.
+    pub board_time_ms: u32,
+    /// As on the wire.
+    pub events: u8,
+    /// As on the wire.
+    pub label: u8,
+    /// As on the wire.
+    pub confidence: u8,
+    /// As on the wire.
+    pub event_window_end_ms: u32,
+    /// As on the wire.
+    pub scores: Vec<u8>,
+    /// As on the wire.
+    pub health: u8,
+}
+
+/// What the board has said so far.
+#[derive(Default)]
+pub struct Heard {
+    /// Boot ids and model ids of hellos.
+    pub hellos: Vec<(u32, u32)>,
+    /// States.
+    pub states: Vec<Right>,
+    /// Counters.
+    pub statuses: Vec<Status>,
+    /// Faults.
+    pub faults: Vec<Fault>,
+    /// Answers.
+    pub acks: Vec<Ack>,
+    /// Raw samples: number of the first, and counts.
+    pub raw: Vec<(u32, Vec<i16>)>,
+    /// Pongs.
+    pub pongs: usize,
+}
+
+/// A board and who listens to it.
+pub struct Session {
+    /// The board.
+    pub board: Board,
+    /// What it said.
+    pub heard: Heard,
+    decoder: Decoder<BOARD_FRAME_MAX>,
+}
+
+impl Session {
+    /// Starts the image behind the stock bootloader, with a laptop at D0 and D1.
+    pub fn uart(motion: Box<dyn Motion>) -> Self {
+        let board = Board::new(image(Variant::Bootloader), Boot::StockBootloader, motion);
+        Self { board, heard: Heard::default(), decoder: Decoder::new() }
+    }
+
+    /// Runs and listens.
+    pub fn run_ms(&mut self, milliseconds: u64) {
+        self.board.run_ms(milliseconds);
+        self.listen();
+    }
+
+    /// Runs in steps of a millisecond until something holds or time is up; whether it held.
+    pub fn run_until_that(&mut self, milliseconds: u64, mut holds: impl FnMut(&mut Self) -> bool) -> bool {
+        for _ in 0..milliseconds {
+            if holds(self) {
+                return true;
+            }
+            self.run_ms(1);
+        }
+        holds(self)
+    }
+
+    /// Sends a message on the wire.
+    pub fn send(&mut self, message: &HostMessage<'_>) {
+        let mut buffer = [0; 512];
+        let frame = encode_host(message, &mut buffer).expect("fits a frame").to_vec();
+        self.board.uart_in(&frame);
+    }
+
+    /// Sends a message and waits for the acknowledgement of this request number.
+    pub fn ask(&mut self, request: u16, message: &HostMessage<'_>) -> Option<Ack> {
+        let before = self.heard.acks.len();
+        self.send(message);
+        let found = |s: &Self| s.heard.acks[before..].iter().rev().find(|a| a.request == request).copied();
+        self.run_until_that(200, |s| found(s).is_some());
+        found(self)
+    }
+
+    /// Damaged frames from the board.
+    pub fn damaged(&self) -> u32 {
+        self.decoder.counters().damaged()
+    }
+
+    fn listen(&mut self) {
+        for (at, byte) in self.board.soc().uart.take_sent() {
+            let Some(payload) = self.decoder.push(byte) else { continue };
+            let heard = &mut self.heard;
+            match parse_board(payload).expect("a message of this version") {
+                BoardMessage::Hello(Hello { boot_id, model_id, .. }) => heard.hellos.push((boot_id, model_id)),
+                BoardMessage::Right(r) => heard.states.push(Right {
+                    at,
+                    sequence: r.sequence,
+                    board_time_ms: r.board_time_ms,
+                    events: r.events,
+                    label: r.label,
+                    confidence: r.confidence,
+                    event_window_end_ms: r.event_window_end_ms,
+                    scores: r.scores.to_vec(),
+                    health: r.health,
+                }),
+                BoardMessage::Status(s) => heard.statuses.push(s),
+                BoardMessage::Fault(f) => heard.faults.push(f),
+                BoardMessage::Ack(a) => heard.acks.push(a),
+                BoardMessage::Pong(_) => heard.pongs += 1,
+                BoardMessage::RawImu(raw) => {
+                    let counts = raw.counts.chunks_exact(2).map(|c| i16::from_le_bytes([c[0], c[1]])).collect();
+                    heard.raw.push((raw.first_sample, counts));
+                }
+                BoardMessage::ModelInfo(_) | BoardMessage::Left(_) => {}
+            }
+        }
+    }
+}

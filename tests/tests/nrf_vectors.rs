@@ -1,0 +1,36 @@
+//! Reads the linked images: an interrupt that is used must not end in the default handler.
+//!
+//! Two register crates in one image can link silently with handlers missing (see `firmware-nano33/pac`).
+#![cfg(feature = "nrf")]
+
+use tests::nrf::build::{Variant, image};
+use tests::nrf::image::Image;
+
+const USED: [(usize, &str); 4] = [(2, "UARTE0"), (3, "TWISPI0"), (17, "RTC1"), (39, "USBD")];
+
+fn check(image: &Image, used: &[(usize, &str)], origin: u32) {
+    assert_eq!(image.vector_table, origin);
+    let default = image.function("DefaultHandler_");
+    for &(irq, name) in used {
+        let handler = image.word(origin + 4 * (16 + irq as u32)).expect("the table is in the image") & !1;
+        println!("{name:<12} interrupt {irq:>2} -> {handler:#x}");
+        assert_ne!(handler, default, "{name} ends in the default handler");
+        assert!(handler > origin, "{name} has no handler");
+    }
+    // The check can fail: interrupts that nobody uses do end there.
+    assert_eq!(image.word(origin + 4 * (16 + 28)).unwrap() & !1, default);
+}
+
+#[test]
+fn every_used_vector_of_the_image_for_the_stock_bootloader_is_handled() {
+    let mut used = USED.to_vec();
+    used.push((0, "CLOCK_POWER"));
+    check(&image(Variant::Bootloader), &used, 0x10000);
+}
+
+#[test]
+fn every_used_vector_of_the_image_behind_s140_is_handled() {
+    let mut used = USED.to_vec();
+    used.extend([(6, "GPIOTE"), (22, "SWI2_EGU2")]);
+    check(&image(Variant::Ble), &used, 0x27000);
+}
