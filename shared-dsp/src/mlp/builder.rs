@@ -1,6 +1,6 @@
 //! Makes a blob from the numbers in a quantised TFLite model. For hosts.
 
-use super::kernel::encode;
+use super::kernel::{encode, surplus};
 use super::{BLOB_VERSION, FEATURES_PER_AXIS, MAGIC, MAX_AXES, MAX_LABELS, MAX_LAYERS, MAX_WIDTH, Model, ModelError};
 use crate::recipe::Recipe;
 use crate::softmax::table::exponentials;
@@ -193,14 +193,8 @@ fn push_layer(blob: &mut Vec<u8>, index: usize, layer: &DenseSpec, inputs: usize
         for &row in &rows {
             let bias = match layer.weights.get(row) {
                 Some(weights) => {
-                    let zero_point = i64::from(layer.input_zero_point);
-                    let folded: i64 = weights
-                        .iter()
-                        .enumerate()
-                        // The kernel sees odd inputs less 127.
-                        .map(|(i, &w)| i64::from(w) * (if i % 2 == 1 { 127 } else { 0 } - zero_point))
-                        .sum();
-                    i64::from(layer.biases[row]) + folded
+                    let sum: i64 = weights.iter().map(|&weight| i64::from(weight)).sum();
+                    i64::from(layer.biases[row]) - i64::from(layer.input_zero_point) * sum - surplus(weights)
                 }
                 None => 0,
             };

@@ -45,7 +45,7 @@ pub use builder::{BlobSpec, BuildError, DenseSpec, build_blob};
 use crate::recipe::Recipe;
 use crate::softmax::softmax;
 use core::fmt;
-use kernel::{BIAS_BYTES, QUAD_WEIGHT_BYTES, Quad, four_rows, pack, unpack};
+use kernel::{BIAS_BYTES, QUAD_WEIGHT_BYTES, Quad, Requantise, layer, pack, unpack};
 
 /// Most layers in a blob.
 pub const MAX_LAYERS: usize = 8;
@@ -184,10 +184,7 @@ pub struct Model<'a> {
 struct Dense<'a> {
     inputs: usize,
     outputs: usize,
-    multiplier: i32,
-    shift: u32,
-    zero_point: i32,
-    smallest: i32,
+    requantise: Requantise,
     blocks: &'a [u8],
 }
 
@@ -200,52 +197,20 @@ impl<'a> Dense<'a> {
         let block = BIAS_BYTES + inputs.div_ceil(4) * QUAD_WEIGHT_BYTES;
         let (blocks, rest) = rest.split_at_checked(outputs.div_ceil(4) * block)?;
         *bytes = rest;
-        Some(Self {
-            inputs,
-            outputs,
+        let requantise = Requantise {
             multiplier: i32::from_le_bytes([header[4], header[5], header[6], header[7]]),
             shift: u32::from(header[8]),
             zero_point: i32::from(header[9] as i8),
             smallest: i32::from(header[10] as i8),
-            blocks,
-        })
+        };
+        Some(Self { inputs, outputs, requantise, blocks })
     }
 
     fn is_sound(&self) -> bool {
         (1..=MAX_WIDTH).contains(&self.inputs)
             && (1..=MAX_WIDTH).contains(&self.outputs)
-            && self.multiplier >= 1 << 30
-            && (1..=62).contains(&self.shift)
-    }
-
-    /// Accumulator to int8 range: one fixed-point product, rounded once, ties up.
-    #[inline(always)]
-    fn requantise(&self, sum: i32) -> i32 {
-        let scaled = if self.shift > 32 {
-            // The rounding constant does not reach the low word: a high product is enough.
-            let high = ((i64::from(sum) * i64::from(self.multiplier)) >> 32) as i32;
-            (high + (1 << (self.shift - 33))) >> (self.shift - 32)
-        } else {
-            self.scale_up(sum)
-        };
-        (scaled + self.zero_point).max(self.smallest).clamp(-128, 127)
-    }
-
-    /// As above for factors from ½ up, which no sensible network has.
-    #[cold]
-    #[inline(never)]
-    fn scale_up(&self, sum: i32) -> i32 {
-        let product = i64::from(sum) * i64::from(self.multiplier);
-        ((product + (1 << (self.shift - 1))) >> self.shift).clamp(-1024, 1024) as i32
-    }
-
-    /// Computes the outputs, four at a time.
-    fn run(&self, inputs: &[Quad], outputs: &mut [Quad]) {
-        let block_bytes = BIAS_BYTES + inputs.len() * QUAD_WEIGHT_BYTES;
-        for (block, output) in self.blocks.chunks_exact(block_bytes).zip(outputs) {
-            let values = four_rows(block, inputs).map(|sum| self.requantise(sum) as i8);
-            *output = pack(values);
-        }
+            && self.requantise.multiplier >= 1 << 30
+            && (1..=62).contains(&self.requantise.shift)
     }
 }
 
@@ -454,7 +419,7 @@ impl<'a> Model<'a> {
 
     #[inline(never)]
     fn with_scratch<const QUADS: usize>(&self, fill: &dyn Fn(&mut [Quad]), logits: &mut [i8]) {
-        let mut scratch = [[0; 2]; QUADS];
+        let mut scratch = [0; QUADS];
         fill(&mut scratch);
         self.forward(&mut scratch, logits);
     }
@@ -476,7 +441,7 @@ impl<'a> Model<'a> {
             } else {
                 (&*end, start)
             };
-            dense.run(input, output);
+            layer(dense.blocks, input, &mut output[..outs], &dense.requantise);
             if layers.is_empty() {
                 for (four, quad) in logits.chunks_mut(4).zip(&*output) {
                     for (logit, value) in four.iter_mut().zip(unpack(*quad)) {
