@@ -1,5 +1,8 @@
 //! The chores. `cargo xtask test` is what a user and CI run.
 
+mod firmware_avr;
+mod python;
+mod real_data;
 mod steps;
 mod test;
 mod toolchain;
@@ -15,6 +18,8 @@ usage: cargo xtask VERB
 
   test [--full] [--only WORD]   every test; --full runs the long versions (under 80 minutes),
                                 --only the steps whose name contains WORD, --list names them
+  firmware avr [--baud N] [--no-stack]
+                                the left hand's image: size, stack, how to flash it
   help                          this text
 ";
 
@@ -33,6 +38,10 @@ fn run(args: &[String]) -> Result<ExitCode> {
     let words: Vec<&str> = args.iter().map(String::as_str).collect();
     match words.as_slice() {
         ["test", rest @ ..] => test::run(rest),
+        ["firmware", "avr", rest @ ..] => {
+            firmware_avr::run(rest)?;
+            Ok(ExitCode::SUCCESS)
+        }
         [] | ["help" | "--help" | "-h"] => {
             print!("{HELP}");
             Ok(ExitCode::SUCCESS)

@@ -2,10 +2,11 @@
 
 use std::process::{Command, ExitCode};
 
-use anyhow::{Result, bail};
+use anyhow::{Result, bail, ensure};
 
-use crate::root;
-use crate::steps::{Step, run_all, sh};
+use crate::steps::{Step, output, run_all, sh};
+use crate::tools::{CROSS_LINK, CROSS_RUST, EMULATORS, QEMU};
+use crate::{firmware_avr, python, real_data, root, toolchain};
 
 /// Runs the steps.
 ///
@@ -27,7 +28,11 @@ pub fn run(args: &[&str]) -> Result<ExitCode> {
             _ => bail!("`cargo xtask test` takes --full, --list and --only WORD, not `{arg}`"),
         }
     }
-    let mut steps = steps(full);
+    if full {
+        // SAFETY: no other thread runs yet; every test below inherits it.
+        unsafe { std::env::set_var("BIMANUAL_FULL", "1") };
+    }
+    let mut steps = steps();
     if let Some(word) = only {
         steps.retain(|s| s.name.contains(&word));
         if steps.is_empty() {
@@ -41,41 +46,85 @@ pub fn run(args: &[&str]) -> Result<ExitCode> {
     Ok(run_all(&steps))
 }
 
-/// A cargo of the root workspace.
-fn cargo(full: bool, args: &[&str]) -> Command {
+/// The laptop's cargo, in the root.
+pub fn cargo(args: &[&str]) -> Command {
     let mut command = Command::new("cargo");
     command.current_dir(root()).args(args);
-    if full {
-        command.env("BIMANUAL_FULL", "1");
-    }
     command
 }
 
-fn steps(full: bool) -> Vec<Step> {
+fn steps() -> Vec<Step> {
     vec![
-        Step::new("format", move || sh(&mut cargo(full, &["fmt", "--all", "--check"]))),
-        Step::new("clippy", move || {
-            sh(&mut cargo(
-                full,
-                &[
-                    "clippy",
-                    "--workspace",
-                    "--exclude",
-                    "tests",
-                    "--all-targets",
-                    "--locked",
-                    "--",
-                    "-D",
-                    "warnings",
-                ],
-            ))
+        Step::new("format", || {
+            sh(&mut cargo(&["fmt", "--all", "--check"]))?;
+            for folder in ["firmware-nano-avr", "firmware-nano33"] {
+                sh(cargo(&["fmt", "--all", "--check"]).current_dir(root().join(folder)))?;
+            }
+            Ok(())
         }),
-        Step::new("documentation", move || {
-            sh(cargo(full, &["doc", "--workspace", "--exclude", "tests", "--no-deps", "--locked"])
+        Step::new("clippy", || {
+            let scope = ["clippy", "--workspace", "--exclude", "tests", "--all-targets", "--locked"];
+            sh(cargo(&scope).args(["--", "-D", "warnings"]))
+        }),
+        Step::new("documentation", || {
+            sh(cargo(&["doc", "--workspace", "--exclude", "tests", "--no-deps", "--locked"])
                 .env("RUSTDOCFLAGS", "-D warnings"))
         }),
-        Step::new("unit and behaviour tests", move || {
-            sh(&mut cargo(full, &["test", "--workspace", "--exclude", "tests", "--locked"]))
+        Step::new("unit and behaviour tests", || {
+            sh(&mut cargo(&["test", "--workspace", "--exclude", "tests", "--locked"]))
         }),
+        Step::new("the demo, as a new user runs it", || {
+            let demo =
+                ["run", "--release", "--locked", "--", "demo", "--headless", "--speed", "20", "--json"];
+            let summary = output(&mut cargo(&demo))?;
+            println!("{}", summary.trim());
+            ensure!(summary.trim_start().starts_with('{'), "the summary is not one JSON object");
+            Ok(())
+        }),
+        Step::new("features against numpy", || {
+            sh(&mut cargo(&["build", "--locked", "-p", "shared-dsp", "--example", "features_dump"]))?;
+            let requirements = "shared-dsp/tests/reference/requirements.txt";
+            let python = python::environment("numpy", &[requirements])?;
+            sh(Command::new(python)
+                .current_dir(root())
+                .arg("shared-dsp/tests/reference/features_ref.py")
+                .arg("--dump")
+                .arg(python::target_dir().join("debug/examples/features_dump")))
+        }),
+        Step::new("trained models in TensorFlow Lite", || {
+            sh(&mut cargo(&["build", "--locked", "-p", "models"]))?;
+            let python = python::environment("tflite", &["models/tests/requirements.txt"])?;
+            sh(Command::new(python)
+                .current_dir(root())
+                .arg("models/tests/tflite_check.py")
+                .arg(python::target_dir().join("debug/models")))
+        }),
+        Step::new("real recordings, five random splits", real_data::splits),
+        Step::new("real recordings into the simulator", real_data::replay),
+        Step::new("planned motions in MuJoCo", || {
+            let traces = python::target_dir().join("plan-traces");
+            std::fs::create_dir_all(&traces)?;
+            sh(cargo(&["run", "--quiet", "--locked", "-p", "host-bridge", "--example", "plan-trace", "--"])
+                .arg(&traces))?;
+            let python = python::environment("mujoco", &["tests/mujoco/requirements.txt"])?;
+            sh(Command::new(python).current_dir(root()).arg("tests/mujoco/check.py").arg(&traces))
+        }),
+        Step::new("tools for the boards", || {
+            if !toolchain::is_complete() {
+                CROSS_RUST.ensure()?;
+            }
+            CROSS_LINK.ensure()?;
+            EMULATORS.ensure()?;
+            QEMU.ensure()
+        }),
+        Step::new("left hand: image and size", || firmware_avr::run(&[])),
+        Step::new("left hand on an emulated Nano", || emulated("avr")),
+        Step::new("right hand on an emulated Nano 33", || emulated("nrf")),
     ]
+}
+
+fn emulated(feature: &str) -> Result<()> {
+    sh(cargo(&["clippy", "--locked", "-p", "tests", "--all-targets", "--features", feature])
+        .args(["--", "-D", "warnings"]))?;
+    sh(cargo(&["test", "--locked", "-p", "tests", "--features", feature]).args(["--", "--nocapture"]))
 }

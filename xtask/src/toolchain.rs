@@ -59,13 +59,18 @@ pub fn cargo(target: Target, subcommand: &str) -> Result<Command> {
                     "rustup toolchain install nightly --component rust-src (and avr-gcc from your packages)",
                 Target::Thumb => "rustup target add thumbv7em-none-eabihf",
             },
-            tools::CROSS_DEBIAN.install_line(),
+            tools::CROSS_RUST.install_line(),
         )
     };
     // Set by the cargo that runs this program; the inner one must find its own.
     command.env_remove("CARGO").env_remove("RUSTFLAGS").env_remove("CARGO_ENCODED_RUSTFLAGS");
     command.args(["--target", target.triple()]);
     Ok(command)
+}
+
+/// Is there a compiler for both boards?
+pub fn is_complete() -> bool {
+    has_debian() || (has_rustup(Target::Avr) && has_rustup(Target::Thumb))
 }
 
 fn has_rustup(target: Target) -> bool {

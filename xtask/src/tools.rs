@@ -11,11 +11,19 @@ pub struct Packages {
     names: &'static [&'static str],
 }
 
-/// Compilers for the boards where rustup has none.
-pub const CROSS_DEBIAN: Packages = Packages {
-    purpose: "compilers for the boards",
-    names: &["rustc-web", "cargo-web", "rust-web-src", "lld", "gcc-avr", "avr-libc", "binutils-avr"],
+/// Compilers for the boards, where rustup has none.
+pub const CROSS_RUST: Packages =
+    Packages { purpose: "compilers for the boards", names: &["rustc-web", "cargo-web", "rust-web-src"] };
+
+/// Linkers for the boards.
+pub const CROSS_LINK: Packages = Packages {
+    purpose: "linking the boards' images",
+    names: &["lld", "gcc-avr", "avr-libc", "binutils-avr"],
 };
+
+/// The Cortex-M4F that counts instructions.
+pub const QEMU: Packages =
+    Packages { purpose: "counting instructions on a Cortex-M4F", names: &["qemu-system-arm"] };
 
 /// What the emulated boards stand on.
 pub const EMULATORS: Packages = Packages {

@@ -1,0 +1,49 @@
+//! One virtual environment for the independent checks in Python.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use anyhow::{Context, Result, bail};
+
+use crate::root;
+use crate::steps::sh;
+
+/// The interpreter of an environment that holds exactly these requirement files, made on first use.
+///
+/// # Errors
+/// Where there is no Python 3 with `venv`, or a package does not install: says what to install.
+pub fn environment(name: &str, requirements: &[&str]) -> Result<PathBuf> {
+    let place = target_dir().join(format!("venv-{name}"));
+    let python = place.join("bin/python");
+    let mut wanted = String::new();
+    for file in requirements {
+        wanted += &fs::read_to_string(root().join(file)).with_context(|| (*file).to_string())?;
+    }
+    let stamp = place.join("requirements.installed");
+    if fs::read_to_string(&stamp).is_ok_and(|installed| installed == wanted) && works(&python) {
+        return Ok(python);
+    }
+    sh(Command::new("python3").args(["-m", "venv", "--clear"]).arg(&place))
+        .context("needs Python 3.11 or later with venv (Debian: apt-get install python3 python3-venv)")?;
+    let mut pip = Command::new(&python);
+    pip.current_dir(root()).args(["-m", "pip", "install", "--quiet", "--disable-pip-version-check"]);
+    for file in requirements {
+        pip.args(["-r", file]);
+    }
+    sh(&mut pip)?;
+    if !works(&python) {
+        bail!("{} does not run", python.display());
+    }
+    fs::write(&stamp, wanted)?;
+    Ok(python)
+}
+
+fn works(python: &Path) -> bool {
+    Command::new(python).arg("--version").output().is_ok_and(|o| o.status.success())
+}
+
+/// Where cargo puts what it builds.
+pub fn target_dir() -> PathBuf {
+    std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root().join("target"), PathBuf::from)
+}

@@ -1,0 +1,66 @@
+//! Real recordings through the tools that a user has: `models splits`, `models train`, `host-bridge replay`.
+
+use std::fs;
+use std::path::PathBuf;
+
+use anyhow::{Context, Result, bail, ensure};
+
+use crate::python::target_dir;
+use crate::root;
+use crate::steps::{output, sh};
+use crate::test::cargo;
+
+/// Least mean accuracy per recording over five random splits of the LSM9DS1 set, in per cent.
+const SPLITS_MIN: f64 = 97.0;
+/// Most that the int8 mean may differ from the float mean, in points.
+const INT8_GAP_MAX: f64 = 0.5;
+
+/// The folder of one set, if this machine has it.
+fn set(name: &str) -> Option<PathBuf> {
+    let shared = std::env::var_os("BIMANUAL_SHARED").map_or_else(|| root().join("../shared"), PathBuf::from);
+    let folder = shared.join("data").join(name);
+    if !folder.is_dir() {
+        println!("skipped: {} is not here (BIMANUAL_SHARED names the folder)", folder.display());
+        return None;
+    }
+    Some(folder)
+}
+
+/// Five random splits of the nine-axis set: the mean accuracy, float and int8.
+pub fn splits() -> Result<()> {
+    let Some(folder) = set("nano33-lsm9ds1-9axis") else { return Ok(()) };
+    let text = output(cargo(&["run", "--quiet", "--locked", "-p", "models", "--", "splits"]).arg(&folder))?;
+    print!("{text}");
+    let mean = text.lines().last().context("`models splits` printed nothing")?;
+    let figures: Vec<f64> = mean.split_whitespace().filter_map(|word| word.parse().ok()).collect();
+    let [float, int8, ..] = figures[..] else { bail!("no figures in the last line: {mean}") };
+    ensure!(float >= SPLITS_MIN && int8 >= SPLITS_MIN, "the mean is below {SPLITS_MIN} %: {mean}");
+    ensure!(
+        (float - int8).abs() <= INT8_GAP_MAX,
+        "float and int8 are over {INT8_GAP_MAX} points apart: {mean}"
+    );
+    Ok(())
+}
+
+/// A three-axis model of its own, and recordings that it never saw, joined and replayed into the simulator.
+pub fn replay() -> Result<()> {
+    let Some(folder) = set("nano33-lsm9ds1-9axis") else { return Ok(()) };
+    let out = target_dir().join("real-data");
+    fs::create_dir_all(&out)?;
+    sh(cargo(&["run", "--quiet", "--locked", "-p", "models", "--", "train"])
+        .arg(&folder)
+        .args(["--axes", "3", "--test", "0.2", "--name", "three-axes", "--about", "real recordings", "--out"])
+        .arg(&out))?;
+    let list = fs::read_to_string(out.join("three-axes.test.txt"))?;
+    let mut replay = cargo(&["run", "--quiet", "--locked", "-p", "host-bridge", "--", "replay"]);
+    replay.args(["--headless", "--speed", "0", "--json", "--map", "peak=pick-up", "--map", "wave=place"]);
+    replay.arg("--model").arg(out.join("three-axes.tflite"));
+    for file in list.lines().filter(|line| !line.is_empty()) {
+        replay.arg("--right").arg(folder.join(file));
+    }
+    let summary = output(&mut replay)?;
+    let events = summary.matches("\"window_end").count().max(summary.matches("\"confidence\"").count());
+    println!("{} recordings that training never saw, joined: {events} gesture events", list.lines().count());
+    ensure!(events > 0, "no gesture event came out of real recordings");
+    Ok(())
+}
