@@ -1,0 +1,127 @@
+//! Writes what the planner, the kinematics and the base do into files, for `tests/mujoco/check.py` to look
+//! at with an independent engine: `cargo run -p host-bridge --example plan-trace -- DIRECTORY`.
+//!
+//! All files are rows of little-endian f64:
+//!
+//! | file | columns |
+//! |---|---|
+//! | `SCENE.motions` | scene's motions at 100 Hz, one after the other: motion's number, seven angles in rad |
+//! | `SCENE.clearances` | seven angles, the flange's x y z in the arm's frame, shortest distance, all in m |
+//! | `base.path` | every 2 ms: speed of the left and right wheel in rad/s, x, y, heading, path length |
+//!
+//! `BIMANUAL_FULL=1` writes 34 seeds per pair of poses instead of 2.
+
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context as _, Result, anyhow};
+use host_bridge::arm::gen3::{HOME, Joints};
+use host_bridge::arm::ik;
+use host_bridge::arm::model::SerialArm;
+use host_bridge::base::{Base, BaseConfig, Twist};
+use host_bridge::plan::random::Random;
+use host_bridge::plan::{Placement, Planner, World};
+use host_bridge::scene::{Goal, Scene};
+
+const SCENES: [(&str, &str); 3] = [
+    ("posts", include_str!("../scenes/posts.toml")),
+    ("shelf", include_str!("../scenes/shelf.toml")),
+    ("bins", include_str!("../scenes/bins.toml")),
+];
+
+fn main() -> Result<()> {
+    let directory = PathBuf::from(std::env::args_os().nth(1).context("name a directory to write to")?);
+    std::fs::create_dir_all(&directory).with_context(|| format!("{}", directory.display()))?;
+    let seeds = if std::env::var_os("BIMANUAL_FULL").is_some() { 34 } else { 2 };
+    for (name, text) in SCENES {
+        let planner = Planner::new(World::new(SerialArm::gen3(), Scene::parse(text)?));
+        motions(&planner, seeds, &directory.join(format!("{name}.motions")))?;
+        clearances(&planner, &directory.join(format!("{name}.clearances")))?;
+    }
+    base(&directory.join("base.path"))
+}
+
+fn create(file: &Path) -> Result<BufWriter<File>> {
+    Ok(BufWriter::new(File::create(file).with_context(|| format!("{}", file.display()))?))
+}
+
+fn write(out: &mut impl Write, row: impl IntoIterator<Item = f64>) -> Result<()> {
+    for value in row {
+        out.write_all(&value.to_le_bytes())?;
+    }
+    Ok(())
+}
+
+fn motions(planner: &Planner, seeds: u64, file: &Path) -> Result<()> {
+    let world = planner.world();
+    let around = world.around(Placement::default());
+    let mut poses: Vec<Joints> = Vec::new();
+    for (name, goal) in world.scene().goals() {
+        let safe = |joints: &Joints| around.arm_clearance(joints).distance_m >= 0.02;
+        poses.push(match goal {
+            Goal::Joints(joints) => joints,
+            Goal::Flange(pose) => {
+                ik::solve(world.arm(), &pose, &HOME, 1, safe).with_context(|| name.to_owned())?
+            }
+        });
+    }
+    let mut out = create(file)?;
+    let mut number = 0.0;
+    for from in &poses {
+        for to in poses.iter().filter(|to| *to != from) {
+            for seed in 0..seeds {
+                let plan = planner
+                    .plan(from, to, Placement::default(), seed)
+                    .map_err(|refusal| anyhow!("{refusal}"))?;
+                let samples = (plan.trajectory.duration_s() * 100.0).ceil() as u64;
+                for k in 0..=samples {
+                    let joints_rad = plan.trajectory.sample(k as f64 / 100.0).joints_rad;
+                    write(&mut out, std::iter::once(number).chain(joints_rad))?;
+                }
+                number += 1.0;
+            }
+        }
+    }
+    Ok(out.flush()?)
+}
+
+fn clearances(planner: &Planner, file: &Path) -> Result<()> {
+    let world = planner.world();
+    let around = world.around(Placement::default());
+    let mut random = Random::new(2);
+    let mut out = create(file)?;
+    for _ in 0..500 {
+        let joints_rad: Joints = std::array::from_fn(|i| {
+            let (low, high) = world.arm().joints[i].limit_rad.unwrap_or((-3.2, 3.2));
+            random.between(low, high)
+        });
+        let flange_m = world.arm().flange_pose(&joints_rad).position_m;
+        let distance_m = around.arm_clearance(&joints_rad).distance_m;
+        write(&mut out, joints_rad.into_iter().chain(flange_m).chain([distance_m]))?;
+    }
+    Ok(out.flush()?)
+}
+
+/// 60 s of random speeds, each held for one to three seconds.
+fn base(file: &Path) -> Result<()> {
+    let mut base = Base::new(BaseConfig::default());
+    let mut random = Random::new(3);
+    let mut out = create(file)?;
+    let mut change_at = 0;
+    for step in 0..60 * 500 {
+        if step == change_at {
+            base.drive(Twist {
+                linear_m_s: random.between(-0.6, 0.6),
+                angular_rad_s: random.between(-1.0, 1.0),
+            });
+            change_at += 500 + random.below(1000);
+        }
+        base.step(0.001);
+        base.step(0.001);
+        let (wheels, odometry) = (base.wheels_rad_s(), base.odometry());
+        let place = [odometry.x_m, odometry.y_m, odometry.heading_rad, odometry.path_m];
+        write(&mut out, wheels.into_iter().chain(place))?;
+    }
+    Ok(out.flush()?)
+}
