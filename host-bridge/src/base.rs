@@ -31,16 +31,20 @@ pub struct BaseConfig {
     pub wheel_speed_max_rad_s: f64,
     /// Largest change of wheel speed per second.
     pub wheel_acceleration_max_rad_s2: f64,
+    /// Variance that each metre of a wheel's way adds to that way, in m²/m: slip, and a worn radius.
+    pub wheel_variance_m: f64,
 }
 
 impl Default for BaseConfig {
     /// 10 cm wheels, 40 cm apart, 1.2 m/s and 1.0 m/s² at the rim: room for the largest cap (1.0 m/s).
+    /// Their way is known to 1 cm (one standard deviation) after a metre.
     fn default() -> Self {
         BaseConfig {
             wheel_radius_m: 0.1,
             track_m: 0.4,
             wheel_speed_max_rad_s: 12.0,
             wheel_acceleration_max_rad_s2: 10.0,
+            wheel_variance_m: 1e-4,
         }
     }
 }
@@ -60,6 +64,9 @@ pub struct Odometry {
     pub twist: Twist,
 }
 
+/// Covariance of x (m), y (m) and heading (rad), in this order.
+pub type Covariance = [[f64; 3]; 3];
+
 /// The base as it is now, and what it is asked to do.
 #[derive(Clone, Debug)]
 pub struct Base {
@@ -67,12 +74,19 @@ pub struct Base {
     target_rad_s: [f64; 2],
     wheels_rad_s: [f64; 2],
     odometry: Odometry,
+    covariance: Covariance,
 }
 
 impl Base {
     /// A base at rest.
     pub fn new(config: BaseConfig) -> Self {
-        Base { config, target_rad_s: [0.0; 2], wheels_rad_s: [0.0; 2], odometry: Odometry::default() }
+        Base {
+            config,
+            target_rad_s: [0.0; 2],
+            wheels_rad_s: [0.0; 2],
+            odometry: Odometry::default(),
+            covariance: [[0.0; 3]; 3],
+        }
     }
 
     /// Sets the speed to reach. A twist that is no number halts.
@@ -105,8 +119,35 @@ impl Base {
         }
         let mean = [0, 1].map(|i| 0.5 * (before[i] + self.wheels_rad_s[i]));
         let travelled = self.twist_of(mean);
+        self.grow_covariance(mean.map(|w| w * self.config.wheel_radius_m * dt_s));
         self.odometry.advance(travelled, dt_s);
         self.odometry.twist = self.twist_of(self.wheels_rad_s);
+    }
+
+    /// First-order propagation of the wheels' errors through one small step of the way.
+    fn grow_covariance(&mut self, [left_m, right_m]: [f64; 2]) {
+        let track_m = self.config.track_m;
+        let arc_m = 0.5 * (left_m + right_m);
+        let (s, c) = (self.odometry.heading_rad + 0.5 * (right_m - left_m) / track_m).sin_cos();
+        // How the step's end changes with the place it starts from, and with each wheel's way.
+        let from_start = [[1.0, 0.0, -arc_m * s], [0.0, 1.0, arc_m * c], [0.0, 0.0, 1.0]];
+        let sideways = 0.5 * arc_m / track_m;
+        let from_left = [0.5 * c + sideways * s, 0.5 * s - sideways * c, -1.0 / track_m];
+        let from_right = [0.5 * c - sideways * s, 0.5 * s + sideways * c, 1.0 / track_m];
+        let [left, right] = [left_m, right_m].map(|way_m| self.config.wheel_variance_m * way_m.abs());
+        let before = self.covariance;
+        for row in 0..3 {
+            for col in 0..3 {
+                let mut sum =
+                    left * from_left[row] * from_left[col] + right * from_right[row] * from_right[col];
+                for i in 0..3 {
+                    for j in 0..3 {
+                        sum += from_start[row][i] * before[i][j] * from_start[col][j];
+                    }
+                }
+                self.covariance[row][col] = sum;
+            }
+        }
     }
 
     fn twist_of(&self, wheels_rad_s: [f64; 2]) -> Twist {
@@ -117,6 +158,11 @@ impl Base {
     /// Position, path length and speed.
     pub fn odometry(&self) -> Odometry {
         self.odometry
+    }
+
+    /// How sure the odometry is.
+    pub fn covariance(&self) -> Covariance {
+        self.covariance
     }
 
     /// Speeds of the left and the right wheel in rad/s.
@@ -205,6 +251,52 @@ mod tests {
         base.drive(Twist { linear_m_s: f64::NAN, angular_rad_s: 0.0 });
         base.step(1.0);
         assert_eq!(base.wheels_rad_s(), [0.0; 2]);
+    }
+
+    #[test]
+    fn the_covariance_is_that_of_many_runs_with_such_wheels() {
+        let config = BaseConfig::default();
+        let mut base = Base::new(config);
+        // A curve to the left, and then one to the right.
+        let mut ways = Vec::new();
+        for (linear_m_s, angular_rad_s) in [(0.5, 0.4), (0.5, -0.6)] {
+            base.drive(Twist { linear_m_s, angular_rad_s });
+            for _ in 0..400 {
+                let before = base.wheels_rad_s();
+                base.step(0.01);
+                let after = base.wheels_rad_s();
+                ways.push([0, 1].map(|i| 0.5 * (before[i] + after[i]) * config.wheel_radius_m * 0.01));
+            }
+        }
+        let mut random = crate::plan::random::Random::new(8);
+        // A sum of twelve even numbers is near enough to normal, with variance 1.
+        let mut normal = || (0..12).map(|_| random.between(-0.5, 0.5)).sum::<f64>();
+        let runs = 4000;
+        let (end, mut seen) = (base.odometry(), [[0.0; 3]; 3]);
+        for _ in 0..runs {
+            let mut odometry = Odometry::default();
+            for way in &ways {
+                let [left, right] =
+                    way.map(|way_m| way_m + normal() * (config.wheel_variance_m * way_m.abs()).sqrt());
+                let (linear_m_s, angular_rad_s) = (0.5 * (left + right), (right - left) / config.track_m);
+                odometry.advance(Twist { linear_m_s, angular_rad_s }, 1.0);
+            }
+            let off =
+                [odometry.x_m - end.x_m, odometry.y_m - end.y_m, odometry.heading_rad - end.heading_rad];
+            for row in 0..3 {
+                for col in 0..3 {
+                    seen[row][col] += off[row] * off[col] / f64::from(runs);
+                }
+            }
+        }
+        let covariance = base.covariance();
+        for row in 0..3 {
+            for col in 0..3 {
+                let scale = (covariance[row][row] * covariance[col][col]).sqrt();
+                let (a, b) = (seen[row][col], covariance[row][col]);
+                assert!((a - b).abs() < 0.08 * scale, "{row} {col}: {a} seen, {b} computed");
+            }
+        }
     }
 
     proptest! {

@@ -64,6 +64,8 @@ pub struct BaseTable {
     pub wheel_speed_max_rad_s: f64,
     /// Largest change of wheel speed per second.
     pub wheel_acceleration_max_rad_s2: f64,
+    /// Variance that each metre of a wheel's way adds to that way, in m²/m.
+    pub wheel_variance_m: f64,
     /// Length, width and height of the body, which reaches down to 0.05 m above the floor.
     pub size_m: Point,
     /// The arm's foot, from the point on the floor between the wheels.
@@ -81,6 +83,7 @@ impl Default for BaseTable {
             track_m: base.track_m,
             wheel_speed_max_rad_s: base.wheel_speed_max_rad_s,
             wheel_acceleration_max_rad_s2: base.wheel_acceleration_max_rad_s2,
+            wheel_variance_m: base.wheel_variance_m,
             size_m: [0.6, 0.5, 0.35],
             mount_m: [0.1, 0.0, 0.4],
         }
@@ -104,6 +107,7 @@ impl BaseTable {
             track_m: self.track_m,
             wheel_speed_max_rad_s: self.wheel_speed_max_rad_s,
             wheel_acceleration_max_rad_s2: self.wheel_acceleration_max_rad_s2,
+            wheel_variance_m: self.wheel_variance_m,
         }
     }
 }
@@ -230,6 +234,7 @@ impl Scene {
         positive("base: track_m", base.track_m)?;
         positive("base: wheel_speed_max_rad_s", base.wheel_speed_max_rad_s)?;
         positive("base: wheel_acceleration_max_rad_s2", base.wheel_acceleration_max_rad_s2)?;
+        positive("base: wheel_variance_m", base.wheel_variance_m)?;
         base.size_m.iter().try_for_each(|&size| positive("base: size_m", size))?;
         if !base.mount_m.iter().all(|m| m.is_finite()) {
             return Err("base: mount_m must be three numbers".to_owned());
