@@ -31,10 +31,10 @@ fn reciprocal_of_one_plus(a: i32) -> i32 {
     const ONE: i32 = 1 << 29; // Q2.29
     let half_denominator = ((i64::from(a) + i64::from(i32::MAX) + 1) / 2) as i32;
     let mut x =
-        FORTY_EIGHT_SEVENTEENTHS + multiply_q31(half_denominator, MINUS_THIRTY_TWO_SEVENTEENTHS);
+        FORTY_EIGHT_SEVENTEENTHS + multiply(half_denominator, MINUS_THIRTY_TWO_SEVENTEENTHS);
     for _ in 0..3 {
-        let error = ONE - multiply_q31(half_denominator, x);
-        x += multiply_q31(x, error) << 2;
+        let error = ONE - multiply(half_denominator, x);
+        x += multiply(x, error) << 2;
     }
     x.saturating_mul(2)
 }
@@ -48,13 +48,10 @@ pub(crate) fn softmax(table: &[[u8; 4]], logits: &[i8], scores: &mut [i8]) {
     let largest = logits.iter().copied().max().unwrap_or(0);
     let mut exponentials = [0; MAX_LABELS];
     let mut sum = 0;
-    for (exponential, &logit) in exponentials.iter_mut().zip(logits) {
-        let difference = (i32::from(largest) - i32::from(logit)) as usize;
-        if let Some(value) = table.get(difference) {
-            *exponential = i32::from_le_bytes(*value);
-            // Rounded, as a number with 12 integer bits; at most 2¹⁹.
-            sum += (*exponential as u32 + (1 << 11)) >> ACCUMULATOR_INTEGER_BITS;
-        }
+    for (value, &logit) in exponentials.iter_mut().zip(logits) {
+        *value = exponential(table, i32::from(largest) - i32::from(logit));
+        // Rounded, as a number with 12 integer bits; at most 2¹⁹.
+        sum += (*value as u32 + (1 << 11)) >> ACCUMULATOR_INTEGER_BITS;
     }
     // At least 2¹⁹, for the largest, and below 2²⁴.
     let headroom = sum.leading_zeros();
@@ -62,9 +59,21 @@ pub(crate) fn softmax(table: &[[u8; 4]], logits: &[i8], scores: &mut [i8]) {
     let shift = (ACCUMULATOR_INTEGER_BITS + 31 - 8).wrapping_sub(headroom) & 31;
     let half = (1u32 << shift) >> 1;
     for (score, &exponential) in scores.iter_mut().zip(&exponentials) {
-        let probability = (multiply_q31(scale, exponential) as u32 + half) >> shift;
+        let probability = (multiply(scale, exponential) as u32 + half) >> shift;
         *score = (probability as i32 - 128).min(127) as i8;
     }
+}
+
+/// exp(−difference · scale). A call, so that the loop above stays small.
+#[inline(never)]
+fn exponential(table: &[[u8; 4]], difference: i32) -> i32 {
+    table.get(difference as usize).map_or(0, |value| i32::from_le_bytes(*value))
+}
+
+/// As [`multiply_q31`]; a call, so that loops stay small.
+#[inline(never)]
+fn multiply(a: i32, b: i32) -> i32 {
+    multiply_q31(a, b)
 }
 
 /// The exponentials for [`softmax`], made on the host.

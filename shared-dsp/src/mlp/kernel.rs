@@ -93,23 +93,29 @@ pub(crate) fn layer(blocks: &[u8], inputs: &[Quad], outputs: &mut [Quad], requan
 #[cfg_attr(cortex_m4f, cold, inline(never))]
 fn portable(blocks: &[u8], inputs: &[Quad], outputs: &mut [Quad], requantise: &Requantise) {
     let block_bytes = BIAS_BYTES + inputs.len() * QUAD_WEIGHT_BYTES;
-    let half = |word: u32, shift: u32| i32::from((word >> shift) as i16);
     for (block, output) in blocks.chunks_exact(block_bytes).zip(outputs) {
         let (words, _) = block.as_chunks::<4>();
         let mut values = [0; 4];
         for (row, value) in values.iter_mut().enumerate() {
-            let mut sum = 0i32;
-            for (word, &x) in words.iter().skip(4 + row).step_by(4).zip(inputs) {
-                let (h, v) = (u32::from_le_bytes(*word), !x & 0x00FF_00FF);
-                for shift in [0, 16] {
-                    let w1 = i32::from((h >> shift) as i8);
-                    sum = sum.wrapping_add(half(h, shift) * half(v, shift)).wrapping_add(w1 * half(x, shift));
-                }
+            if let Some((bias, weights)) = words.get(row..).and_then(<[_]>::split_first) {
+                let sum = weights.iter().skip(3).step_by(4).zip(inputs).fold(0, |sum, (h, &x)| one_quad(sum, *h, x));
+                *value = requantise.apply((sum >> 8).wrapping_add(i32::from_le_bytes(*bias)));
             }
-            *value = requantise.apply((sum >> 8).wrapping_add(i32::from_le_bytes(words[row])));
         }
         *output = pack(values);
     }
+}
+
+/// `sum` and what four weights and inputs add to it.
+#[cfg_attr(cortex_m4f, inline(never))]
+fn one_quad(sum: i32, weights: [u8; 4], x: Quad) -> i32 {
+    let half = |word: u32, shift: u32| i32::from((word >> shift) as i16);
+    let (h, v) = (u32::from_le_bytes(weights), !x & 0x00FF_00FF);
+    let pair = |shift: u32| {
+        let w1 = i32::from((h >> shift) as i8);
+        (half(h, shift) * half(v, shift)).wrapping_add(w1 * half(x, shift))
+    };
+    sum.wrapping_add(pair(0)).wrapping_add(pair(16))
 }
 
 #[cfg(cortex_m4f)]
