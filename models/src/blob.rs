@@ -83,7 +83,7 @@ impl ModelFiles {
             if id != files.card.model_id {
                 let what = format!(
                     "the model's id is {id}, its card says {}; put the card beside it that was \
-                     written with it, or train it again",
+                     written with it; after an update of this program, renew it: models card MODEL",
                     files.card.model_id
                 );
                 return Err(ModelError::Mismatch { file: file(), what });

@@ -20,6 +20,8 @@ enum Verb {
     Eval(cmd::eval::Cmd),
     Synth(cmd::synth::Cmd),
     Splits(cmd::splits::Cmd),
+    Infer(cmd::infer::Cmd),
+    Card(cmd::card::Cmd),
 }
 
 fn main() -> anyhow::Result<()> {
@@ -32,5 +34,7 @@ fn main() -> anyhow::Result<()> {
         Verb::Eval(cmd) => cmd.run(),
         Verb::Synth(cmd) => cmd.run(),
         Verb::Splits(cmd) => cmd.run(),
+        Verb::Infer(cmd) => cmd.run(),
+        Verb::Card(cmd) => cmd.run(),
     }
 }

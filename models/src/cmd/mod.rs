@@ -1,6 +1,8 @@
 //! The verbs, and what they share.
 
+pub mod card;
 pub mod eval;
+pub mod infer;
 pub mod splits;
 pub mod synth;
 pub mod train;

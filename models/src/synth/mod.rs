@@ -48,13 +48,14 @@ pub struct Take {
 
 /// The takes of one wearer: `seconds` of each gesture, and as `idle` half as long of each kind of
 /// idle movement, and the moments in which a gesture has only just begun or is nearly over (at most
-/// half of the window), which must not be taken for the gesture yet or still. In the recordings of
-/// a gesture it fills at least two thirds of the window.
+/// 0.8 s in the window), which must not be taken for the gesture yet or still. In the recordings of
+/// a gesture it fills at least three quarters of the window.
 pub fn takes(seconds: f64) -> Vec<Take> {
-    const EDGE_S: f64 = 0.7;
-    const PART_S: f64 = 1.0;
-    const REST_S: f64 = 1.7;
+    const EDGE_S: f64 = 0.4;
+    const PART_S: f64 = 0.8;
+    const REST_S: f64 = 1.6;
     const CUT_FROM_S: f64 = 4.0;
+    const REACH_S: f64 = 6.0;
     let mut takes = Vec::new();
     for motion in Motion::GESTURES {
         takes.push(Take {
@@ -76,10 +77,12 @@ pub fn takes(seconds: f64) -> Vec<Take> {
         let first = Segment::cut(motion, CUT_FROM_S, 0.0, PART_S);
         let last = Segment::cut(motion, CUT_FROM_S, CUT_FROM_S - PART_S, PART_S);
         for (kind, more) in [(IdleKind::Still, 0), (IdleKind::Reach, 50)] {
-            let rest = Segment::new(Motion::Idle(kind), REST_S);
+            let idle = Motion::Idle(kind);
+            let before = Segment::cut(idle, REACH_S, REACH_S - REST_S, REST_S);
+            let after = Segment::cut(idle, REACH_S, 0.0, REST_S);
             let number = number + more;
-            takes.push(Take { label: "idle", number: 101 + number, script: vec![rest, first] });
-            takes.push(Take { label: "idle", number: 201 + number, script: vec![last, rest] });
+            takes.push(Take { label: "idle", number: 101 + number, script: vec![before, first] });
+            takes.push(Take { label: "idle", number: 201 + number, script: vec![last, after] });
         }
     }
     takes

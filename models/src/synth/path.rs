@@ -305,6 +305,7 @@ fn idle(rng: &mut ChaCha8Rng, kind: IdleKind, seconds: f64) -> Kind {
 
 /// Moves to places around the resting point, never far from it, with pauses between.
 fn moves(rng: &mut ChaCha8Rng, seconds: f64, reach_m: f64, turn_rad: f64) -> Kind {
+    const PAUSE_S: f64 = 0.5;
     let mut list = Vec::new();
     let mut now = Pose::default();
     let mut t = rng.random_range(0.0..1.5);
@@ -314,11 +315,11 @@ fn moves(rng: &mut ChaCha8Rng, seconds: f64, reach_m: f64, turn_rad: f64) -> Kin
             position_m: [0; 3].map(|_| normal(rng, reach_m * 0.6, reach_m)),
             posture_rad: [0; 3].map(|_| normal(rng, turn_rad * 0.6, turn_rad)),
         };
-        // The last move brings the hand back, so that what follows starts from the usual posture.
-        let last = t + length_s > seconds - 1.2;
+        // The last move brings the hand back in time for what follows, with a moment's pause.
+        let last = t + length_s > seconds - 1.2 - PAUSE_S;
         if last {
             place = Pose::default();
-            t = t.min(seconds - length_s).max(0.0);
+            t = t.min(seconds - PAUSE_S - length_s).max(0.0);
         }
         let by = Pose {
             position_m: std::array::from_fn(|a| place.position_m[a] - now.position_m[a]),

@@ -116,7 +116,24 @@ impl Rows {
 }
 
 /// Fits a network to `learn`; `check` decides when to stop and which weights to keep.
+///
+/// On one thread: the matrices are so small that sharing them out costs more than it brings.
 pub(super) fn fit(
+    learn: &[(Vec<f32>, usize)],
+    check: &[(Vec<f32>, usize)],
+    labels: usize,
+    recipe: &Recipe,
+    seed: u64,
+    progress: &ProgressBar,
+) -> Result<Fitted> {
+    let run = || fit_here(learn, check, labels, recipe, seed, progress);
+    match rayon::ThreadPoolBuilder::new().num_threads(1).build() {
+        Ok(pool) => pool.install(run),
+        Err(_) => run(),
+    }
+}
+
+fn fit_here(
     learn: &[(Vec<f32>, usize)],
     check: &[(Vec<f32>, usize)],
     labels: usize,

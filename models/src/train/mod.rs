@@ -90,10 +90,10 @@ impl Default for Recipe {
             features: shared_dsp::recipe::Recipe::LogPower,
             hidden: [20, 10, 5],
             epochs: 150,
-            patience: Some(5),
+            patience: Some(4),
             halvings: 4,
             batch: 64,
-            learning_rate: 4e-3,
+            learning_rate: 3e-3,
             weight_decay: 1e-3,
             label_smoothing: 0.05,
             validation_fraction: 0.15,
@@ -277,7 +277,7 @@ pub fn train(dataset: &Dataset, test: &[String], recipe: &Recipe, job: &Job) -> 
     let model = Model::parse(&blob).map_err(|error| TrainError::Quantise(error.to_string()))?;
     let int8_tflite = tflite::write(&Network::Int8(int8));
     let float_tflite = tflite::write(&Network::Float(fitted.layers.clone()));
-    card.tflite_sha256 = hex(&Sha256::digest(&int8_tflite));
+    card.tflite_sha256 = sha256(&int8_tflite);
 
     let both = |set: &Dataset| -> Option<Scores> {
         if set.items.is_empty() {
@@ -388,6 +388,11 @@ pub fn data_hash(set: &Dataset) -> Result<String, TrainError> {
         hash.update(&bytes);
     }
     Ok(hex(&hash.finalize()))
+}
+
+/// SHA-256 of some bytes, in hexadecimal.
+pub fn sha256(bytes: &[u8]) -> String {
+    hex(&Sha256::digest(bytes))
 }
 
 fn hex(bytes: &[u8]) -> String {

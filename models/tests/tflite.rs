@@ -1,0 +1,193 @@
+//! TFLite files: ours, TensorFlow's, and damaged ones.
+
+use std::path::PathBuf;
+
+use models::tflite::{FloatLayer, Network, TfliteError, infer_float, read, write};
+use proptest::prelude::*;
+use shared_dsp::mlp::{BlobSpec, DenseSpec, Model, build_blob};
+use shared_dsp::recipe::Recipe;
+
+/// The folder `shared` beside the repository, if it is there.
+fn reference(name: &str) -> Option<PathBuf> {
+    let beside = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../shared");
+    let shared = std::env::var_os("BIMANUAL_SHARED").map_or(beside, PathBuf::from);
+    let file = shared.join("reference/mlp").join(name);
+    if !file.exists() {
+        println!("skipped: {} is not there", file.display());
+        return None;
+    }
+    Some(file)
+}
+
+fn rows<T: std::str::FromStr>(file: PathBuf) -> Vec<Vec<T>> {
+    let text = std::fs::read_to_string(file).unwrap();
+    let row = |line: &str| line.split(',').filter_map(|v| v.trim().parse().ok()).collect::<Vec<T>>();
+    text.lines().map(row).filter(|row: &Vec<T>| !row.is_empty()).collect()
+}
+
+fn blob(layers: Vec<DenseSpec>) -> Vec<u8> {
+    let inputs = layers[0].weights[0].len();
+    let labels = layers[layers.len() - 1].weights.len();
+    build_blob(&BlobSpec {
+        recipe: Recipe::Raw,
+        axes: inputs / 13,
+        sample_hz: 100,
+        window: 200,
+        hop: 8,
+        labels: (0..labels).map(|n| format!("l{n}")).collect(),
+        scaling: vec![(1.0, 0.0); inputs],
+        layers,
+    })
+    .unwrap()
+}
+
+#[test]
+fn tensorflows_int8_file_gives_the_scores_of_its_reference_kernels() {
+    let Some(file) = reference("mlp_int8.tflite") else { return };
+    let Network::Int8(layers) = read(&std::fs::read(file).unwrap()).unwrap() else { panic!("int8") };
+    let blob = blob(layers);
+    let model = Model::parse(&blob).unwrap();
+    let inputs: Vec<Vec<i8>> = rows(reference("inputs_int8.csv").unwrap());
+    let wanted: Vec<Vec<i8>> = rows(reference("outputs_mlp_int8_ref.csv").unwrap());
+    assert_eq!((inputs.len(), wanted.len()), (64, 64));
+    for (input, wanted) in inputs.iter().zip(&wanted) {
+        let mut scores = [0i8; 7];
+        model.infer(input, &mut scores).unwrap();
+        assert_eq!(scores.as_slice(), wanted);
+    }
+}
+
+#[test]
+fn tensorflows_float_file_gives_its_scores() {
+    let Some(file) = reference("mlp_float.tflite") else { return };
+    let Network::Float(layers) = read(&std::fs::read(file).unwrap()).unwrap() else { panic!("float") };
+    let inputs: Vec<Vec<f32>> = rows(reference("inputs_float.csv").unwrap());
+    let wanted: Vec<Vec<f32>> = rows(reference("outputs_mlp_float_ref.csv").unwrap());
+    assert_eq!((inputs.len(), wanted.len()), (64, 64));
+    for (input, wanted) in inputs.iter().zip(&wanted) {
+        for (got, want) in infer_float(&layers, input).iter().zip(wanted) {
+            assert!((got - want).abs() < 1e-5, "{got} {want}");
+        }
+    }
+}
+
+#[test]
+fn what_tensorflow_wrote_survives_our_writing_and_reading() {
+    for name in ["mlp_int8.tflite", "mlp_float.tflite"] {
+        let Some(file) = reference(name) else { return };
+        let network = read(&std::fs::read(file).unwrap()).unwrap();
+        assert_eq!(read(&write(&network)).unwrap(), network);
+    }
+}
+
+fn float_network() -> Network {
+    let layer = |outputs: usize, inputs: usize, relu| FloatLayer {
+        weights: (0..outputs).map(|o| (0..inputs).map(|i| (o + i) as f32 * 0.1).collect()).collect(),
+        biases: vec![0.5; outputs],
+        relu,
+    };
+    Network::Float(vec![layer(5, 39, true), layer(3, 5, false)])
+}
+
+fn int8_network() -> Network {
+    let layer = |outputs: usize, inputs: usize, relu| DenseSpec {
+        weights: vec![vec![-3; inputs]; outputs],
+        biases: vec![1000; outputs],
+        input_scale: 0.03,
+        input_zero_point: -1,
+        weight_scale: 0.01,
+        output_scale: 0.05,
+        output_zero_point: -128,
+        relu,
+    };
+    Network::Int8(vec![layer(5, 39, true), layer(3, 5, false)])
+}
+
+#[test]
+fn float_and_int8_networks_survive_writing_and_reading() {
+    for network in [float_network(), int8_network()] {
+        let bytes = write(&network);
+        assert_eq!(bytes, write(&network), "the same network gives the same bytes");
+        assert_eq!(read(&bytes).unwrap(), network);
+    }
+}
+
+#[test]
+fn constants_lie_at_multiples_of_16_bytes() {
+    // TFLite's schema wants it; kernels read the int32 biases in place.
+    let bytes = write(&int8_network());
+    let biases: Vec<u8> = [1000i32; 5].iter().flat_map(|b| b.to_le_bytes()).collect();
+    let at = bytes.windows(biases.len()).position(|window| window == biases).unwrap();
+    assert_eq!(at % 16, 0);
+}
+
+#[test]
+fn a_foreign_operator_is_named() {
+    // Operator codes are the only places that hold 25 (SOFTMAX) as byte and as int32.
+    let bytes = write(&float_network());
+    let mut renamed = 0;
+    let mut bytes = bytes;
+    for at in 0..bytes.len() - 4 {
+        if bytes[at..at + 4] == 25i32.to_le_bytes() {
+            bytes[at..at + 4].copy_from_slice(&3i32.to_le_bytes());
+            renamed += 1;
+        }
+    }
+    for byte in &mut bytes {
+        if *byte == 25 {
+            *byte = 3;
+            renamed += 1;
+        }
+    }
+    assert!(renamed >= 2);
+    let error = read(&bytes).unwrap_err();
+    assert_eq!(error, TfliteError::ForeignOperator { index: 2, name: "CONV_2D".to_owned() });
+    assert!(error.to_string().contains("operator 2 of the TFLite file is CONV_2D; only FULLY_CONNECTED"));
+}
+
+#[test]
+fn other_files_are_refused() {
+    assert_eq!(read(b""), Err(TfliteError::NotTflite));
+    assert_eq!(read(b"timestamp,accX"), Err(TfliteError::NotTflite));
+    let bytes = write(&float_network());
+    assert!(read(&bytes[..bytes.len() / 2]).is_err());
+}
+
+proptest! {
+    #[test]
+    fn damaged_files_never_panic(changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..12), int8: bool) {
+        let mut bytes = write(&if int8 { int8_network() } else { float_network() });
+        for (at, value) in changes {
+            let at = at.index(bytes.len());
+            bytes[at] = value;
+        }
+        if let Ok(network) = read(&bytes) {
+            // Whatever is accepted can be used.
+            if let Network::Int8(layers) = network {
+                let _ = build_blob(&BlobSpec {
+                    recipe: Recipe::Raw,
+                    axes: 3,
+                    sample_hz: 100,
+                    window: 200,
+                    hop: 8,
+                    labels: vec!["a".into(), "b".into(), "c".into()],
+                    scaling: vec![(1.0, 0.0); 39],
+                    layers,
+                });
+            } else if let Network::Float(layers) = network {
+                let _ = infer_float(&layers, &[1.0; 39]);
+            }
+        }
+    }
+
+    #[test]
+    fn shortened_files_and_noise_never_panic(cut: prop::sample::Index, noise in prop::collection::vec(any::<u8>(), 0..400)) {
+        let bytes = write(&int8_network());
+        let _ = read(&bytes[..cut.index(bytes.len())]);
+        let mut named = noise;
+        if named.len() >= 8 {
+            named[4..8].copy_from_slice(b"TFL3");
+        }
+        let _ = read(&named);
+    }
+}

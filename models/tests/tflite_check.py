@@ -1,0 +1,98 @@
+"""Trains a small model and runs its files in TensorFlow Lite's own reference kernels.
+
+    python3 models/tests/tflite_check.py path/to/models-binary
+
+The int8 file must give the same bytes in TFLite (BUILTIN_REF, no delegate) as in our kernels, on
+random inputs and on inputs that look like features; the float file the same numbers to 1e-5.
+Needs only python3: it makes itself a virtual environment beside the binary from requirements.txt.
+"""
+
+import os
+import subprocess
+import sys
+import tempfile
+import venv
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+ROWS = 500
+
+
+def in_environment(binary: Path) -> None:
+    """Starts this script again in the virtual environment, unless it runs there already."""
+    place = binary.parent / "tflite-venv"
+    python = place / "bin" / "python"
+    if Path(sys.prefix) == place:
+        return
+    done = place / "requirements.txt"
+    wanted = (HERE / "requirements.txt").read_text()
+    if not done.exists() or done.read_text() != wanted:
+        venv.create(place, with_pip=True, clear=True)
+        subprocess.run([python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check",
+                        "-r", HERE / "requirements.txt"], check=True)
+        done.write_text(wanted)
+    os.execv(python, [str(python), __file__, str(binary)])
+
+
+def main() -> None:
+    if len(sys.argv) != 2:
+        sys.exit(__doc__)
+    binary = Path(sys.argv[1]).resolve()
+    in_environment(binary)
+
+    import numpy as np
+    from ai_edge_litert.interpreter import Interpreter, OpResolverType
+
+    def ours(model: Path, rows) -> list:
+        with tempfile.NamedTemporaryFile("w", suffix=".csv") as file:
+            file.writelines(",".join(map(str, row)) + "\n" for row in rows.tolist())
+            file.flush()
+            text = subprocess.run([binary, "infer", model, file.name], check=True,
+                                  stdout=subprocess.PIPE, text=True).stdout
+        return [[float(value) for value in line.split(",")] for line in text.splitlines()]
+
+    def theirs(model: Path, rows) -> list:
+        interpreter = Interpreter(model_path=str(model), num_threads=1,
+                                  experimental_op_resolver_type=OpResolverType.BUILTIN_REF)
+        interpreter.allocate_tensors()
+        [given], [wanted] = interpreter.get_input_details(), interpreter.get_output_details()
+        results = []
+        for row in rows:
+            interpreter.set_tensor(given["index"], row[np.newaxis])
+            interpreter.invoke()
+            results.append(interpreter.get_tensor(wanted["index"])[0])
+        return results
+
+    rng = np.random.default_rng(20261122)
+    models = []
+    with tempfile.TemporaryDirectory() as folder:
+        data = Path(folder) / "data"
+        subprocess.run([binary, "synth", "--out", data, "--wearers", "2", "--seconds", "3"],
+                       check=True, stdout=subprocess.DEVNULL)
+        for axes in (3, 9):
+            subprocess.run([binary, "train", data, "--out", folder, "--name", f"fresh{axes}",
+                            "--recipe", "paper", "--axes", str(axes)],
+                           check=True, stdout=subprocess.DEVNULL)
+            models.append((Path(folder) / f"fresh{axes}", axes))
+        models.append((HERE.parent / "bundled" / "right-9axis", 9))
+        for model, axes in models:
+            width = 13 * axes
+            uniform = rng.integers(-128, 128, (ROWS, width))
+            natural = np.clip(np.rint(rng.normal(0, 25, (ROWS, width))), -128, 127)
+            rows = np.concatenate([uniform, natural]).astype(np.int8)
+            file = model.with_name(model.name + ".tflite")
+            got, want = np.array(ours(file, rows)), np.array(theirs(file, rows))
+            if not np.array_equal(got, want):
+                wrong = int((got != want).any(axis=1).sum())
+                sys.exit(f"{file.name}: {wrong} of {len(rows)} rows differ from TFLite's reference kernels")
+            print(f"{file.name}: {len(rows)} rows, every int8 score equals TFLite's")
+
+            rows = rng.normal(0, 1, (ROWS, width)).astype(np.float32)
+            file = model.with_name(model.name + ".float.tflite")
+            apart = np.abs(np.array(ours(file, rows)) - np.array(theirs(file, rows))).max()
+            if apart > 1e-5:
+                sys.exit(f"{file.name}: float scores are {apart} apart")
+            print(f"{file.name}: {len(rows)} rows, float scores at most {apart:.1e} apart")
+
+
+main()
