@@ -110,7 +110,8 @@ impl GestureDecision {
         }
 
         let agreeing = self.hops.iter().take(self.known.into()).filter(|hop| hop.label == newest.label);
-        let (count, sum) = agreeing.fold((0u8, 0u16), |(n, sum), hop| (n + 1, sum + u16::from(hop.probability)));
+        let (count, sum) =
+            agreeing.fold((0u8, 0u16), |(n, sum), hop| (n + 1, sum + u16::from(hop.probability)));
         let confidence = (sum / u16::from(count.max(1))) as u8;
         if count < self.config.agree || confidence < self.config.min_confidence {
             return None;
@@ -163,7 +164,9 @@ mod tests {
 
     /// Indices of the hops that made an event, with its label.
     fn run(decision: &mut GestureDecision, labels: &[usize]) -> Vec<(usize, u8)> {
-        let step = |(index, &label): (usize, &usize)| decision.step(&hop(label, 250)).map(|event| (index, event.label));
+        let step = |(index, &label): (usize, &usize)| {
+            decision.step(&hop(label, 250)).map(|event| (index, event.label))
+        };
         labels.iter().enumerate().filter_map(step).collect()
     }
 

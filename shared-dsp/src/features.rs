@@ -246,7 +246,7 @@ fn repair<const A: usize>(stage: &mut [[f32; A]; HOP], axis: usize, mut held: f3
 
 /// Correctly rounded on every target, so the same bits.
 #[inline(always)]
-fn square_root(x: f32) -> f32 {
+pub(crate) fn square_root(x: f32) -> f32 {
     #[cfg(cortex_m4f)]
     {
         let root: u32;

@@ -28,9 +28,9 @@ impl HalfFrame {
     }
 }
 
-/// |X[k]|² for k = 0 to 7, X[k] = Σ x[n]·exp(−2πi·n·k/16), of the frame made of two halves.
+/// |X\[k\]|² for k = 0 to 7, X\[k\] = Σ x\[n\]·exp(−2πi·n·k/16), of the frame made of two halves.
 ///
-/// Constants common to a half touch few terms: their sum only X[0], their difference only the odd bins. So they
+/// Constants common to a half touch few terms: their sum only X\[0\], their difference only the odd bins. So they
 /// are added where they belong and nowhere else.
 #[inline(always)]
 pub fn powers(old: &HalfFrame, new: &HalfFrame) -> [f32; 8] {

@@ -180,7 +180,10 @@ impl<const N: usize> SlidingMoments<N> {
         for (start, mut end) in [(0, slot), (slot + 1, N)] {
             while start < end {
                 let from = end - to_centre.min(end - start);
-                let (Some(blocks), Some(front)) = (self.blocks.get(from..end), self.front.get_mut(from..end)) else { return };
+                let (Some(blocks), Some(front)) = (self.blocks.get(from..end), self.front.get_mut(from..end))
+                else {
+                    return;
+                };
                 accumulate_down(&mut sums, blocks, front);
                 to_centre -= front.len();
                 if to_centre == 0 {

@@ -30,8 +30,7 @@ fn reciprocal_of_one_plus(a: i32) -> i32 {
     const MINUS_THIRTY_TWO_SEVENTEENTHS: i32 = -1_010_580_540; // Q2.29
     const ONE: i32 = 1 << 29; // Q2.29
     let half_denominator = ((i64::from(a) + i64::from(i32::MAX) + 1) / 2) as i32;
-    let mut x =
-        FORTY_EIGHT_SEVENTEENTHS + multiply(half_denominator, MINUS_THIRTY_TWO_SEVENTEENTHS);
+    let mut x = FORTY_EIGHT_SEVENTEENTHS + multiply(half_denominator, MINUS_THIRTY_TWO_SEVENTEENTHS);
     for _ in 0..3 {
         let error = ONE - multiply(half_denominator, x);
         x += multiply(x, error) << 2;
@@ -96,8 +95,7 @@ pub(crate) mod table {
         let x2 = multiply_q31(x, x);
         let x3 = multiply_q31(x2, x);
         let x4 = multiply_q31(x2, x2);
-        let tail =
-            divide_by_power_of_two(multiply_q31(divide_by_power_of_two(x4, 2) + x3, THIRD) + x2, 1);
+        let tail = divide_by_power_of_two(multiply_q31(divide_by_power_of_two(x4, 2) + x3, THIRD) + x2, 1);
         let mut result = EXP_MINUS_EIGHTH + multiply_q31(EXP_MINUS_EIGHTH, x + tail);
         // The remaining quarters, halves, ones, …, sixteens.
         const EXP_MINUS_POWERS: [i32; 7] =
@@ -139,7 +137,20 @@ mod tests {
 
     #[test]
     fn the_product_is_gemmlowps_also_for_negative_ties() {
-        let edges = [i32::MIN + 1, -(1 << 30), -(1 << 16) - 1, -(1 << 15), -3, -1, 0, 1, 2, 1 << 15, 1 << 30, i32::MAX];
+        let edges = [
+            i32::MIN + 1,
+            -(1 << 30),
+            -(1 << 16) - 1,
+            -(1 << 15),
+            -3,
+            -1,
+            0,
+            1,
+            2,
+            1 << 15,
+            1 << 30,
+            i32::MAX,
+        ];
         for a in edges {
             for b in edges {
                 assert_eq!(multiply_q31(a, b), rounding_doubling_high_mul(a, b), "{a} · {b}");

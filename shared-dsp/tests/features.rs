@@ -81,7 +81,8 @@ fn features_equal_the_reference_vectors() {
 #[test]
 fn three_and_six_axes_give_what_nine_give() {
     let windows = rows::<f32>("windows.csv");
-    let (mut nine, mut six, mut three) = (FeatureWindow::<9>::new(), FeatureWindow::<6>::new(), FeatureWindow::<3>::new());
+    let (mut nine, mut six, mut three) =
+        (FeatureWindow::<9>::new(), FeatureWindow::<6>::new(), FeatureWindow::<3>::new());
     for sample in windows.concat().as_chunks::<9>().0 {
         let ready = nine.push(sample);
         assert_eq!(six.push(sample.first_chunk().unwrap()), ready);
@@ -136,8 +137,12 @@ fn idle_under_gravity_keeps_its_shape() {
     check_stream("sigma 0.01 on 9.81", 40_000, 1, |_| (9.81 + 0.017 * noise.next()) as f32);
     check_stream("sigma 0.0003 on 9.81", 40_000, 1, |_| (9.81 + 0.0005 * noise.next()) as f32);
     let step = 9.80665 * 0.000_122;
-    check_stream("quantised as an LSM9DS1 does", 40_000, 1, |_| (((9.81 + 0.01 * noise.next()) / step).round() * step) as f32);
-    check_stream("two neighbouring steps", 40_000, 1, |i| (if i % 37 == 5 { 8201.0 * step } else { 8200.0 * step }) as f32);
+    check_stream("quantised as an LSM9DS1 does", 40_000, 1, |_| {
+        (((9.81 + 0.01 * noise.next()) / step).round() * step) as f32
+    });
+    check_stream("two neighbouring steps", 40_000, 1, |i| {
+        (if i % 37 == 5 { 8201.0 * step } else { 8200.0 * step }) as f32
+    });
     check_stream("rounding noise", 40_000, 1, |i| if i % 3 == 0 { 9.81 } else { 9.81f32.next_up() });
 }
 

@@ -59,8 +59,21 @@ fn quantising_rounds_scales_and_limits() {
     let blob = build_blob(&spec).unwrap();
     let model = Model::parse(&blob).unwrap();
     let mut features = [[0.0f32; 13]; 9];
-    features[0] =
-        [0.0, 0.24, 0.25, -0.76, -0.75, 63.0, 63.3, -64.5, -64.8, f32::INFINITY, f32::NEG_INFINITY, f32::NAN, 1e30];
+    features[0] = [
+        0.0,
+        0.24,
+        0.25,
+        -0.76,
+        -0.75,
+        63.0,
+        63.3,
+        -64.5,
+        -64.8,
+        f32::INFINITY,
+        f32::NEG_INFINITY,
+        f32::NAN,
+        1e30,
+    ];
     let mut inputs = [0; 117];
     model.quantise(&features, &mut inputs).unwrap();
     assert_eq!(inputs[..13], [1, 1, 2, -1, 0, 127, 127, -128, -128, 127, -128, -128, 127]);
@@ -142,7 +155,9 @@ fn naive(spec: &BlobSpec, input: &[i8]) -> Vec<i8> {
 
 fn dense(rng: &mut impl FnMut() -> u64, inputs: usize, outputs: usize, relu: bool) -> DenseSpec {
     DenseSpec {
-        weights: (0..outputs).map(|_| (0..inputs).map(|_| (rng() % 255) as i8).map(|w| w.max(-127)).collect()).collect(),
+        weights: (0..outputs)
+            .map(|_| (0..inputs).map(|_| (rng() % 255) as i8).map(|w| w.max(-127)).collect())
+            .collect(),
         biases: (0..outputs).map(|_| (rng() % 20001) as i32 - 10000).collect(),
         input_scale: 0.02,
         input_zero_point: (rng() % 256) as i8,

@@ -87,10 +87,12 @@ fn after_a_gap_the_window_fills_anew_and_events_stay_counted() {
 #[test]
 fn a_model_for_other_samples_is_refused() {
     let other_axes = blob(6, 8);
-    let refused = RightHand::<3>::new(Model::parse(&other_axes).unwrap(), DecisionConfig::default()).map(|_| ());
+    let refused =
+        RightHand::<3>::new(Model::parse(&other_axes).unwrap(), DecisionConfig::default()).map(|_| ());
     assert_eq!(refused, Err(ModelMismatch::Axes { model: 6, hand: 3 }));
     let other_hop = blob(3, 10);
-    let refused = RightHand::<3>::new(Model::parse(&other_hop).unwrap(), DecisionConfig::default()).map(|_| ());
+    let refused =
+        RightHand::<3>::new(Model::parse(&other_hop).unwrap(), DecisionConfig::default()).map(|_| ());
     assert_eq!(refused, Err(ModelMismatch::Window { window: 200, hop: 10 }));
 }
 

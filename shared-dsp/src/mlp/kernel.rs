@@ -98,7 +98,12 @@ fn portable(blocks: &[u8], inputs: &[Quad], outputs: &mut [Quad], requantise: &R
         let mut values = [0; 4];
         for (row, value) in values.iter_mut().enumerate() {
             if let Some((bias, weights)) = words.get(row..).and_then(<[_]>::split_first) {
-                let sum = weights.iter().skip(3).step_by(4).zip(inputs).fold(0, |sum, (h, &x)| one_quad(sum, *h, x));
+                let sum = weights
+                    .iter()
+                    .skip(3)
+                    .step_by(4)
+                    .zip(inputs)
+                    .fold(0, |sum, (h, &x)| one_quad(sum, *h, x));
                 *value = requantise.apply((sum >> 8).wrapping_add(i32::from_le_bytes(*bias)));
             }
         }
@@ -245,7 +250,12 @@ mod cortex_m4f {
 
     /// False, with nothing done, where the assembly does not apply.
     #[inline(always)]
-    pub(super) fn layer(blocks: &[u8], inputs: &[Quad], outputs: &mut [Quad], requantise: &Requantise) -> bool {
+    pub(super) fn layer(
+        blocks: &[u8],
+        inputs: &[Quad],
+        outputs: &mut [Quad],
+        requantise: &Requantise,
+    ) -> bool {
         let block_bytes = BIAS_BYTES + inputs.len() * QUAD_WEIGHT_BYTES;
         let fits = blocks.as_ptr().addr() & 3 == 0
             && requantise.shift > 32

@@ -6,10 +6,11 @@ use shared_dsp::mlp::{BlobSpec, DenseSpec};
 use shared_dsp::recipe::Recipe;
 use std::path::PathBuf;
 
+/// A file of `tests/data`, also for the crates in `bench-m4f`.
 pub fn data(name: &str) -> PathBuf {
     let root = PathBuf::from(env!("CARGO_MANIFEST_DIR"));
-    let own = root.join("tests/data").join(name);
-    if own.exists() { own } else { root.join("../tests/data").join(name) }
+    let mut places = root.ancestors().map(|folder| folder.join("tests/data").join(name));
+    places.find(|path| path.exists()).unwrap_or_else(|| panic!("{name} is missing in tests/data"))
 }
 
 pub fn rows<T: std::str::FromStr>(name: &str) -> Vec<Vec<T>> {

@@ -9,7 +9,7 @@ use bench_m4f::{Host, bytes, calibration, count, exit, stack_of, start_timer};
 use core::fmt::Write;
 use core::hint::black_box;
 use shared_dsp::features::FeatureWindow;
-use shared_dsp::mlp::{MAX_LABELS, Model};
+use shared_dsp::mlp::Model;
 
 static mut WINDOW: FeatureWindow<9> = FeatureWindow::new();
 
@@ -24,7 +24,6 @@ pub extern "C" fn main() {
     let model = Model::parse(raw).unwrap();
     let input: [i8; 117] = core::array::from_fn(|i| inputs[i] as i8);
     let mut scores = [0i8; 7];
-    let mut logits = [0i8; MAX_LABELS];
     let instructions = count(|| {
         let _ = black_box(&model).infer(black_box(&input), black_box(&mut scores));
     });
@@ -33,7 +32,6 @@ pub extern "C" fn main() {
         let _ = black_box(&model).infer(black_box(&input), black_box(&mut scores));
     });
     let _ = writeln!(Host, "infer_stack_bytes={stack}");
-    let _ = black_box(&model).infer_with_logits(&input, &mut logits, &mut scores);
     let parse = count(|| {
         let _ = black_box(Model::parse(black_box(raw)));
     });
@@ -89,13 +87,13 @@ pub extern "C" fn main() {
         let model = Model::parse(blob).unwrap();
         let mut quantised = [0i8; 117];
         let quantise = count(|| {
-            let _ = black_box(&model).quantise(black_box(&features), &mut quantised);
+            let _ = black_box(&model).quantise(black_box(&features), black_box(&mut quantised));
         });
         let classify = count(|| {
-            let _ = black_box(&model).classify(black_box(&features), &mut scores);
+            let _ = black_box(&model).classify(black_box(&features), black_box(&mut scores));
         });
         let stack = stack_of(|| {
-            let _ = black_box(&model).classify(black_box(&features), &mut scores);
+            let _ = black_box(&model).classify(black_box(&features), black_box(&mut scores));
         });
         let _ = writeln!(Host, "quantise_{name}_instructions={quantise}");
         let _ = writeln!(Host, "classify_{name}_instructions={classify}");
@@ -105,6 +103,7 @@ pub extern "C" fn main() {
         let _ = writeln!(Host, "crc_{name}_scores={of_scores:08x}");
     }
     let _ = writeln!(Host, "crc_network={:08x}", checks::of_network(raw, inputs));
+    let _ = writeln!(Host, "crc_network_unaligned={:08x}", checks::of_unaligned_network(raw, inputs));
     let _ = writeln!(Host, "blob_bytes={}", raw.len());
     exit();
 }
