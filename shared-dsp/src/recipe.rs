@@ -56,10 +56,9 @@ fn log10(x: f32) -> f32 {
     // ln(m) = 2·atanh(t), t = (m − 1) / (m + 1), |t| ≤ 0.172.
     let t = (mantissa - 1.0) / (mantissa + 1.0);
     let t2 = t * t;
-    const SCALE: f32 = 0.868_588_96; // 2 / ln 10
-    const LOG10_2: f32 = 0.301_03;
+    const SCALE: f32 = 2.0 * core::f32::consts::LOG10_E;
     let series = 1.0 + t2 * (1.0 / 3.0 + t2 * (0.2 + t2 * (1.0 / 7.0 + t2 * (1.0 / 9.0))));
-    exponent as f32 * LOG10_2 + SCALE * (t * series)
+    exponent as f32 * core::f32::consts::LOG10_2 + SCALE * (t * series)
 }
 
 #[cfg(test)]
