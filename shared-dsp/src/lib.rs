@@ -6,6 +6,7 @@
 #[cfg(any(test, feature = "build"))]
 extern crate std;
 
+pub mod aligned;
 pub mod decision;
 pub mod features;
 pub mod fft;
@@ -16,6 +17,7 @@ pub mod left_faults;
 pub mod left_guided;
 pub mod mlp;
 pub mod moments;
+pub mod movement;
 pub mod powers;
 pub mod recipe;
 pub mod right;

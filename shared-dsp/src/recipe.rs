@@ -3,6 +3,8 @@
 //! A blob names its recipe by number, so a board can refuse one that it does not know. To add a recipe: give
 //! it the next number here, say what it does in [`Recipe::transform`], and leave the others alone.
 
+use crate::mlp::FEATURES_PER_AXIS;
+
 /// Smallest value that recipe 2 tells from zero, in the square of the axis' unit.
 pub const LOG_FLOOR: f32 = 1e-6;
 
@@ -13,6 +15,8 @@ pub enum Recipe {
     Raw,
     /// 2: RMS, variance and the eight powers as log10(value + [`LOG_FLOOR`]); the others as they are.
     LogPower,
+    /// 3: the features of [`crate::aligned`] as they are.
+    Aligned,
 }
 
 impl Recipe {
@@ -21,6 +25,7 @@ impl Recipe {
         match id {
             1 => Some(Self::Raw),
             2 => Some(Self::LogPower),
+            3 => Some(Self::Aligned),
             _ => None,
         }
     }
@@ -30,14 +35,23 @@ impl Recipe {
         match self {
             Self::Raw => 1,
             Self::LogPower => 2,
+            Self::Aligned => 3,
         }
     }
 
-    /// Network input of feature `index` (0 to 12, order of [`crate::features`]) of any axis.
+    /// Features of a window of samples with so many axes; 0 if the recipe cannot use such samples.
+    pub const fn feature_count(self, axes: usize) -> usize {
+        match self {
+            Self::Raw | Self::LogPower => FEATURES_PER_AXIS * axes,
+            Self::Aligned => crate::aligned::feature_count(axes),
+        }
+    }
+
+    /// Network input of a feature; `index` counts all features of a window, 13 per axis for recipes 1 and 2.
     pub fn transform(self, index: usize, value: f32) -> f32 {
         match self {
-            Self::Raw => value,
-            Self::LogPower => match index {
+            Self::Raw | Self::Aligned => value,
+            Self::LogPower => match index % FEATURES_PER_AXIS {
                 1 | 2 | 5..=12 => log10(value + LOG_FLOOR),
                 _ => value,
             },
@@ -59,6 +73,11 @@ fn log10(x: f32) -> f32 {
     const SCALE: f32 = 2.0 * core::f32::consts::LOG10_E;
     let series = 1.0 + t2 * (1.0 / 3.0 + t2 * (0.2 + t2 * (1.0 / 7.0 + t2 * (1.0 / 9.0))));
     exponent as f32 * core::f32::consts::LOG10_2 + SCALE * (t * series)
+}
+
+/// Natural logarithm of a positive normal number, as [`log10`].
+pub(crate) fn ln(x: f32) -> f32 {
+    core::f32::consts::LN_10 * log10(x)
 }
 
 #[cfg(test)]
@@ -84,6 +103,6 @@ mod tests {
             }
         }
         assert_eq!(Recipe::from_id(0), None);
-        assert_eq!(Recipe::from_id(3), None);
+        assert_eq!(Recipe::from_id(4), None);
     }
 }

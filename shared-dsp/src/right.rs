@@ -1,8 +1,11 @@
 //! The right hand: samples in, a result per hop out. The board and the laptop run this very code.
 
-use crate::decision::{DecisionConfig, GestureDecision};
+use crate::aligned::AlignedWindow;
+use crate::decision::{DecisionConfig, Event, GestureDecision};
 use crate::features::{FeatureWindow, HOP, WINDOW};
 use crate::mlp::{MAX_LABELS, Model};
+use crate::movement::{MovementConfig, MovementDecision};
+use crate::recipe::Recipe;
 use core::fmt;
 
 /// Why a model cannot run on a hand.
@@ -27,7 +30,9 @@ pub enum ModelMismatch {
 impl fmt::Display for ModelMismatch {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Axes { model, hand } => write!(f, "the model needs {model} axes and the samples have {hand}"),
+            Self::Axes { model, hand } => {
+                write!(f, "the model needs {model} axes and the samples have {hand}")
+            }
             Self::Window { window, hop } => write!(
                 f,
                 "the model needs windows of {window} samples every {hop}; this program makes {WINDOW} every {HOP}"
@@ -79,14 +84,78 @@ impl RightOutput {
 #[derive(Clone, Debug)]
 pub struct RightHand<'m, const A: usize> {
     model: Model<'m>,
-    window: FeatureWindow<A>,
-    decision: GestureDecision,
+    pipeline: Pipeline<A>,
     output: RightOutput,
     in_hop: usize,
 }
 
+/// What stands before and behind the network, by the model's recipe.
+#[derive(Clone, Debug)]
+#[expect(clippy::large_enum_variant, reason = "one per board, and no heap to put it on")]
+enum Pipeline<const A: usize> {
+    /// Recipes 1 and 2.
+    PerAxis { window: FeatureWindow<A>, decision: GestureDecision },
+    /// Recipe 3.
+    Aligned { window: AlignedWindow<A>, decision: MovementDecision },
+}
+
+impl<const A: usize> Pipeline<A> {
+    /// Takes a sample; true when features are new.
+    fn push(&mut self, sample: &[f32; A]) -> bool {
+        match self {
+            Self::PerAxis { window, .. } => window.push(sample),
+            Self::Aligned { window, .. } => window.push(sample),
+        }
+    }
+
+    /// Runs the network and the decision on the newest features.
+    fn decide(&mut self, model: &Model<'_>, scores: &mut [i8]) -> Option<Event> {
+        // Lengths have been compared in `RightHand::new`, so this does not fail; if it did, scores would stay.
+        match self {
+            Self::PerAxis { window, decision } => {
+                let _ = model.classify(window.features(), scores);
+                decision.step(scores)
+            }
+            Self::Aligned { window, decision } => {
+                let _ = model.classify_features(window.features(), scores);
+                decision.step(scores, window.movement())
+            }
+        }
+    }
+
+    fn reset(&mut self) {
+        match self {
+            Self::PerAxis { window, decision } => {
+                window.reset();
+                decision.reset();
+            }
+            Self::Aligned { window, decision } => {
+                window.reset();
+                decision.reset();
+            }
+        }
+    }
+
+    fn replaced(&self) -> u32 {
+        match self {
+            Self::PerAxis { window, .. } => window.replaced(),
+            Self::Aligned { window, .. } => window.replaced(),
+        }
+    }
+
+    fn is_tainted(&self) -> bool {
+        match self {
+            Self::PerAxis { window, .. } => window.is_tainted(),
+            Self::Aligned { window, .. } => window.is_tainted(),
+        }
+    }
+}
+
 impl<'m, const A: usize> RightHand<'m, A> {
     /// A hand that runs this model.
+    ///
+    /// `config` is for models of recipes 1 and 2. One of recipe 3 comes with a decision of its own
+    /// ([`crate::movement`]), with its usual values.
     ///
     /// # Errors
     /// If the model is for other samples or windows.
@@ -111,9 +180,17 @@ impl<'m, const A: usize> RightHand<'m, A> {
             label_count: info.label_count as u8,
         };
         Ok(Self {
-            decision: GestureDecision::new(info.labels(), config),
+            pipeline: match info.recipe {
+                Recipe::Raw | Recipe::LogPower => Pipeline::PerAxis {
+                    window: FeatureWindow::new(),
+                    decision: GestureDecision::new(info.labels(), config),
+                },
+                Recipe::Aligned => Pipeline::Aligned {
+                    window: AlignedWindow::new(),
+                    decision: MovementDecision::new(info.labels(), MovementConfig::for_axes(A)),
+                },
+            },
             model,
-            window: FeatureWindow::new(),
             output,
             in_hop: 0,
         })
@@ -122,7 +199,7 @@ impl<'m, const A: usize> RightHand<'m, A> {
     /// Takes a sample of the model's rate (m/s², deg/s, µT) with its time; gives the state once per hop, also
     /// while the window fills.
     pub fn push(&mut self, sample: &[f32; A], time_ms: u32) -> Option<&RightOutput> {
-        let ready = self.window.push(sample);
+        let ready = self.pipeline.push(sample);
         self.in_hop += 1;
         if self.in_hop < HOP {
             return None;
@@ -131,13 +208,11 @@ impl<'m, const A: usize> RightHand<'m, A> {
         let output = &mut self.output;
         output.window_end_ms = time_ms;
         output.full = ready;
-        output.replaced = self.window.is_tainted();
+        output.replaced = self.pipeline.is_tainted();
         output.is_event = false;
         if ready {
-            // Lengths have been compared in `new`, so this does not fail; if it did, scores would stay.
             let scores = &mut output.scores[..self.model.info().label_count];
-            let _ = self.model.classify(self.window.features(), scores);
-            if let Some(event) = self.decision.step(scores) {
+            if let Some(event) = self.pipeline.decide(&self.model, scores) {
                 output.events = output.events.wrapping_add(1);
                 output.is_event = true;
                 output.label = event.label;
@@ -150,8 +225,7 @@ impl<'m, const A: usize> RightHand<'m, A> {
 
     /// Samples are missing: the window and the decision start anew. Events and their counter stay.
     pub fn gap(&mut self) {
-        self.window.reset();
-        self.decision.reset();
+        self.pipeline.reset();
         self.in_hop = 0;
         self.output.full = false;
         self.output.is_event = false;
@@ -167,13 +241,8 @@ impl<'m, const A: usize> RightHand<'m, A> {
         &self.model
     }
 
-    /// The decision's state.
-    pub fn decision(&self) -> &GestureDecision {
-        &self.decision
-    }
-
     /// Values that were no numbers, since start or the last gap.
     pub fn replaced(&self) -> u32 {
-        self.window.replaced()
+        self.pipeline.replaced()
     }
 }

@@ -1,7 +1,7 @@
 //! Makes a blob from the numbers in a quantised TFLite model. For hosts.
 
 use super::kernel::{encode, surplus};
-use super::{BLOB_VERSION, FEATURES_PER_AXIS, MAGIC, MAX_AXES, MAX_LABELS, MAX_LAYERS, MAX_WIDTH, Model, ModelError};
+use super::{BLOB_VERSION, MAGIC, MAX_AXES, MAX_LABELS, MAX_LAYERS, MAX_WIDTH, Model, ModelError};
 use crate::recipe::Recipe;
 use crate::softmax::table::exponentials;
 use core::fmt;
@@ -100,9 +100,12 @@ fn quantise_multiplier(real: f64) -> Option<(i32, i32)> {
 /// # Errors
 /// If sizes contradict each other or exceed the format's maxima, or numbers cannot be represented.
 pub fn build_blob(spec: &BlobSpec) -> Result<Vec<u8>, BuildError> {
-    let inputs = spec.axes * FEATURES_PER_AXIS;
+    let inputs = spec.recipe.feature_count(spec.axes);
     if !(1..=MAX_AXES).contains(&spec.axes) {
         return shape(std::format!("{} axes: 1 to {MAX_AXES} are possible", spec.axes));
+    }
+    if inputs == 0 {
+        return shape(std::format!("recipe {} cannot use {} axes", spec.recipe.id(), spec.axes));
     }
     if spec.scaling.len() != inputs {
         return shape(std::format!("{} scalings for {inputs} features", spec.scaling.len()));
@@ -110,9 +113,13 @@ pub fn build_blob(spec: &BlobSpec) -> Result<Vec<u8>, BuildError> {
     if !(2..=MAX_LABELS).contains(&spec.labels.len()) {
         return shape(std::format!("{} labels: 2 to {MAX_LABELS} are possible", spec.labels.len()));
     }
-    let is_bad = |label: &str| label.is_empty() || !label.bytes().all(|byte| matches!(byte, b' '..=b'~') && byte != b',');
+    let is_bad = |label: &str| {
+        label.is_empty() || !label.bytes().all(|byte| matches!(byte, b' '..=b'~') && byte != b',')
+    };
     if let Some(label) = spec.labels.iter().find(|label| is_bad(label)) {
-        return Err(BuildError::Value(std::format!("label \"{label}\" is not of printable ASCII without commas")));
+        return Err(BuildError::Value(std::format!(
+            "label \"{label}\" is not of printable ASCII without commas"
+        )));
     }
     if !(1..=MAX_LAYERS).contains(&spec.layers.len()) {
         return shape(std::format!("{} layers: 1 to {MAX_LAYERS} are possible", spec.layers.len()));
@@ -166,7 +173,9 @@ fn softmax_table(spec: &BlobSpec) -> Result<Vec<i32>, BuildError> {
 fn push_layer(blob: &mut Vec<u8>, index: usize, layer: &DenseSpec, inputs: usize) -> Result<(), BuildError> {
     let outputs = layer.weights.len();
     if !(1..=MAX_WIDTH).contains(&outputs) || inputs > MAX_WIDTH {
-        return shape(std::format!("layer {index} is {inputs} to {outputs}: at most {MAX_WIDTH} are possible"));
+        return shape(std::format!(
+            "layer {index} is {inputs} to {outputs}: at most {MAX_WIDTH} are possible"
+        ));
     }
     if layer.weights.iter().any(|row| row.len() != inputs) || layer.biases.len() != outputs {
         return shape(std::format!("layer {index}: weights and biases are not {outputs} × {inputs}"));
@@ -180,7 +189,9 @@ fn push_layer(blob: &mut Vec<u8>, index: usize, layer: &DenseSpec, inputs: usize
         .and_then(|(multiplier, exponent)| Some((multiplier, u8::try_from(31 - exponent).ok()?)))
         .filter(|(_, shift)| (1..=62).contains(shift))
         .ok_or_else(|| {
-            BuildError::Value(std::format!("layer {index}: its scales give the factor {real:e}, out of range"))
+            BuildError::Value(std::format!(
+                "layer {index}: its scales give the factor {real:e}, out of range"
+            ))
         })?;
     let smallest = if layer.relu { layer.output_zero_point } else { i8::MIN };
     blob.extend((inputs as u16).to_le_bytes());
@@ -199,7 +210,9 @@ fn push_layer(blob: &mut Vec<u8>, index: usize, layer: &DenseSpec, inputs: usize
                 None => 0,
             };
             let bias = i32::try_from(bias).map_err(|_| {
-                BuildError::Value(std::format!("layer {index}: the bias of output {row} does not fit 32 bits"))
+                BuildError::Value(std::format!(
+                    "layer {index}: the bias of output {row} does not fit 32 bits"
+                ))
             })?;
             blob.extend(bias.to_le_bytes());
         }

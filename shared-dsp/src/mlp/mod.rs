@@ -17,7 +17,7 @@
 //! | 8 | 2 | samples per second |
 //! | 10 | 2 | samples per window |
 //! | 12 | 2 | samples per hop |
-//! | 14 | 2 | inputs (features), 13 per axis |
+//! | 14 | 2 | inputs (features): 13 per axis, recipe 3 has 45 or 89 in all |
 //! | 16 | 1 | labels, 2 to 16 |
 //! | 17 | 1 | 0 |
 //! | 18 | 2 | bytes of label text |
@@ -108,7 +108,10 @@ impl fmt::Display for ModelError {
                 "the model blob has format {version}, this program reads {BLOB_VERSION}: make it anew with `models`"
             ),
             Self::Recipe(recipe) => {
-                write!(f, "the model needs feature recipe {recipe}, which this program does not know: update it")
+                write!(
+                    f,
+                    "the model needs feature recipe {recipe}, which this program does not know: update it"
+                )
             }
             Self::Header => f.write_str("a size in the model blob's header is out of range"),
             Self::Scaling { feature } => write!(f, "the scaling of feature {feature} is not a finite number"),
@@ -150,7 +153,7 @@ pub struct ModelInfo<'a> {
     pub window: u16,
     /// Samples per hop.
     pub hop: u16,
-    /// Inputs of the network: [`FEATURES_PER_AXIS`] for each axis.
+    /// Inputs of the network: [`Recipe::feature_count`] of the axes.
     pub inputs: usize,
     /// Number of labels, 2 to [`MAX_LABELS`].
     pub label_count: usize,
@@ -237,7 +240,8 @@ impl<'a> Model<'a> {
         let size = u32::from_le_bytes([header[24], header[25], header[26], header[27]]) as usize;
         let in_range = (1..=MAX_AXES).contains(&axes)
             && (1..=MAX_LAYERS).contains(&layer_count)
-            && inputs == axes * FEATURES_PER_AXIS
+            && inputs > 0
+            && inputs == recipe.feature_count(axes)
             && (2..=MAX_LABELS).contains(&label_count)
             && (1..=256).contains(&entries)
             && (short(8) > 0 && short(10) > 0 && short(12) > 0)
@@ -335,24 +339,28 @@ impl<'a> Model<'a> {
     ///
     /// # Errors
     /// If there are not as many features or inputs as the model has.
-    pub fn quantise(&self, features: &[[f32; FEATURES_PER_AXIS]], inputs: &mut [i8]) -> Result<(), WrongLength> {
+    pub fn quantise(
+        &self,
+        features: &[[f32; FEATURES_PER_AXIS]],
+        inputs: &mut [i8],
+    ) -> Result<(), WrongLength> {
         if features.len() != self.info.axes || inputs.len() != self.scaling.len() {
             return Err(WrongLength);
         }
         for (index, input) in inputs.iter_mut().enumerate() {
-            *input = self.quantise_one(features, index) as i8;
+            *input = self.quantise_one(features.as_flattened(), index) as i8;
         }
         Ok(())
     }
 
     /// One input in int8 range; 0 beyond the last one.
     #[inline]
-    fn quantise_one(&self, features: &[[f32; FEATURES_PER_AXIS]], index: usize) -> i32 {
-        let (Some(&feature), Some(pair)) = (features.as_flattened().get(index), self.scaling.get(index)) else {
+    fn quantise_one(&self, features: &[f32], index: usize) -> i32 {
+        let (Some(&feature), Some(pair)) = (features.get(index), self.scaling.get(index)) else {
             return 0;
         };
         let (a, b) = scale_of(pair);
-        let value = self.info.recipe.transform(index % FEATURES_PER_AXIS, feature);
+        let value = self.info.recipe.transform(index, feature);
         // The cast truncates, saturates, and maps NaN to 0; the offset makes truncation a floor.
         ((a * value + b + 128.5) as i32).clamp(0, 255) - 128
     }
@@ -385,8 +393,20 @@ impl<'a> Model<'a> {
     ///
     /// # Errors
     /// If there are not as many axes or scores as the model has.
-    pub fn classify(&self, features: &[[f32; FEATURES_PER_AXIS]], scores: &mut [i8]) -> Result<(), WrongLength> {
-        if features.len() != self.info.axes {
+    pub fn classify(
+        &self,
+        features: &[[f32; FEATURES_PER_AXIS]],
+        scores: &mut [i8],
+    ) -> Result<(), WrongLength> {
+        self.classify_features(features.as_flattened(), scores)
+    }
+
+    /// As [`Model::classify`], for features of any recipe in one row.
+    ///
+    /// # Errors
+    /// If there are not as many features or scores as the model has.
+    pub fn classify_features(&self, features: &[f32], scores: &mut [i8]) -> Result<(), WrongLength> {
+        if features.len() != self.info.inputs {
             return Err(WrongLength);
         }
         let fill = |scratch: &mut [Quad]| {
