@@ -16,13 +16,12 @@ use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, anyhow};
-use host_bridge::arm::gen3::{HOME, Joints};
-use host_bridge::arm::ik;
+use host_bridge::arm::gen3::Joints;
 use host_bridge::arm::model::SerialArm;
 use host_bridge::base::{Base, BaseConfig, Twist};
 use host_bridge::plan::random::Random;
-use host_bridge::plan::{Placement, Planner, World};
-use host_bridge::scene::{Goal, Scene};
+use host_bridge::plan::{Placement, Planner};
+use host_bridge::scene::Scene;
 
 const SCENES: [(&str, &str); 3] = [
     ("posts", include_str!("../scenes/posts.toml")),
@@ -35,7 +34,7 @@ fn main() -> Result<()> {
     std::fs::create_dir_all(&directory).with_context(|| format!("{}", directory.display()))?;
     let seeds = if std::env::var_os("BIMANUAL_FULL").is_some() { 34 } else { 2 };
     for (name, text) in SCENES {
-        let planner = Planner::new(World::new(SerialArm::gen3(), Scene::parse(text)?));
+        let planner = Planner::new(SerialArm::gen3(), Scene::parse(text)?)?;
         motions(&planner, seeds, &directory.join(format!("{name}.motions")))?;
         clearances(&planner, &directory.join(format!("{name}.clearances")))?;
     }
@@ -54,18 +53,7 @@ fn write(out: &mut impl Write, row: impl IntoIterator<Item = f64>) -> Result<()>
 }
 
 fn motions(planner: &Planner, seeds: u64, file: &Path) -> Result<()> {
-    let world = planner.world();
-    let around = world.around(Placement::default());
-    let mut poses: Vec<Joints> = Vec::new();
-    for (name, goal) in world.scene().goals() {
-        let safe = |joints: &Joints| around.arm_clearance(joints).distance_m >= 0.02;
-        poses.push(match goal {
-            Goal::Joints(joints) => joints,
-            Goal::Flange(pose) => {
-                ik::solve(world.arm(), &pose, &HOME, 1, safe).with_context(|| name.to_owned())?
-            }
-        });
-    }
+    let poses: Vec<Joints> = planner.goals().iter().map(|(_, joints_rad)| *joints_rad).collect();
     let mut out = create(file)?;
     let mut number = 0.0;
     for from in &poses {

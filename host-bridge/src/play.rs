@@ -1,11 +1,17 @@
 //! Plays a session against the wall clock, and shows it.
 
 use std::io::IsTerminal as _;
+use std::path::PathBuf;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use anyhow::{Result, ensure};
+use anyhow::{Context as _, Result, ensure};
+use host_bridge::arm::model::SerialArm;
 use host_bridge::intent::MotionMap;
+use host_bridge::plan::Planner;
+use host_bridge::scene::Scene;
 use host_bridge::session::{Session, SessionEvent};
+use host_bridge::sim::{SimConfig, Simulator};
 
 use crate::describe;
 use crate::view::{Key, View};
@@ -26,6 +32,9 @@ pub struct PlayOptions {
     /// place-top-right, place-bottom-right, random-top
     #[arg(long, value_name = "LABEL=MOTION")]
     pub map: Vec<String>,
+    /// Scene (TOML: boxes, poses, base, arm): the arm plans its ways, and nothing is touched
+    #[arg(long, value_name = "FILE.toml")]
+    pub scene: Option<PathBuf>,
 }
 
 impl PlayOptions {
@@ -36,6 +45,16 @@ impl PlayOptions {
             map.assign(mapping)?;
         }
         Ok(map)
+    }
+
+    /// The simulated robot, in the scene asked for.
+    pub fn robot(&self) -> Result<Simulator> {
+        let Some(file) = &self.scene else { return Ok(Simulator::new(SimConfig::default())) };
+        let about = || format!("{}", file.display());
+        let text = std::fs::read_to_string(file).with_context(about)?;
+        let scene = Scene::parse(&text).with_context(about)?;
+        let planner = Planner::new(SerialArm::gen3(), scene).with_context(about)?;
+        Ok(Simulator::in_scene(Arc::new(planner)))
     }
 
     fn check(&self) -> Result<()> {

@@ -18,8 +18,8 @@
 //! size_m = [0.6, 1.2, 0.7]
 //! yaw_rad = 0.0
 //!
-//! [[pose]]                    # joint angles, or where the flange shall be
-//! name = "above the table"
+//! [[pose]]                    # joint angles, or where the flange shall be; a motion's name (home, pick-up,
+//! name = "pick-up"            # place, …) replaces the pose of that motion; "ready" is where the arm starts
 //! position_m = [0.6, 0.1, 0.9]
 //! quaternion_wxyz = [0, 1, 0, 0]
 //! ```

@@ -42,11 +42,21 @@ pub struct Session<'b> {
 }
 
 impl<'b> Session<'b> {
-    /// Boards, of which either may be missing, a bridge with this map, and a robot at rest.
+    /// Boards, of which either may be missing, a bridge with this map, and a robot with nothing around it.
     pub fn new(
         left: Option<Box<dyn Board + 'b>>,
         right: Option<Box<dyn Board + 'b>>,
         map: MotionMap,
+    ) -> Self {
+        Session::with_robot(left, right, map, Simulator::new(SimConfig::default()))
+    }
+
+    /// The same with a robot of your own.
+    pub fn with_robot(
+        left: Option<Box<dyn Board + 'b>>,
+        right: Option<Box<dyn Board + 'b>>,
+        map: MotionMap,
+        robot: Simulator,
     ) -> Self {
         let line = |hand, board: Option<Box<dyn Board + 'b>>| {
             board.map(|board| Line {
@@ -61,7 +71,7 @@ impl<'b> Session<'b> {
             now_ms: 0,
             lines: [line(Hand::Left, left), line(Hand::Right, right)].into_iter().flatten().collect(),
             bridge: Bridge::new(map),
-            robot: Simulator::new(SimConfig::default()),
+            robot,
             gesture_to_arm: Delays::default(),
             tilt_to_wheels: Delays::default(),
             ended_ms: None,

@@ -54,8 +54,9 @@ pub struct Simulator {
 
 impl Simulator {
     /// A robot at rest at time 0, in a scene: its arm takes planned ways, and neither base nor arm touches
-    /// anything.
-    pub fn in_scene(planner: Arc<Planner>, arm_start_rad: Joints) -> Self {
+    /// anything. The arm starts from the scene's pose `ready`, if it has one.
+    pub fn in_scene(planner: Arc<Planner>) -> Self {
+        let arm_start_rad = planner.goal("ready").unwrap_or(READY);
         let base = planner.world().scene().base.config();
         let config = SimConfig { base, arm_start_rad, arm_limits: *planner.limits() };
         Simulator { planner: Some(planner), ..Simulator::new(config) }
@@ -181,7 +182,8 @@ impl Robot for Simulator {
         };
         let placement = Placement::from(self.base.odometry());
         self.plans += 1;
-        let plan = planner.plan(&state.joints_rad, &self.arm.goal(motion), placement, self.plans)?;
+        let goal_rad = planner.goal(motion.name()).unwrap_or_else(|| self.arm.goal(motion));
+        let plan = planner.plan(&state.joints_rad, &goal_rad, placement, self.plans)?;
         self.guard_due_ms = 0;
         Ok(self.arm.start_planned(motion, plan)?)
     }

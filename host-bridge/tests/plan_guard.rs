@@ -8,14 +8,15 @@ use host_bridge::arm::model::SerialArm;
 use host_bridge::arm::motions::{ALL_MOTIONS, READY};
 use host_bridge::base::Twist;
 use host_bridge::plan::random::Random;
-use host_bridge::plan::{Placement, Planner, World};
+use host_bridge::plan::{Placement, Planner};
 use host_bridge::robot::Robot;
 use host_bridge::scene::Scene;
 use host_bridge::sim::Simulator;
 
 fn in_scene(text: &str, arm_start_rad: Joints) -> (Simulator, Arc<Planner>) {
-    let planner = Arc::new(Planner::new(World::new(SerialArm::gen3(), Scene::parse(text).unwrap())));
-    (Simulator::in_scene(planner.clone(), arm_start_rad), planner)
+    let text = format!("[[pose]]\nname = \"ready\"\njoints_rad = {arm_start_rad:?}\n{text}");
+    let planner = Arc::new(Planner::new(SerialArm::gen3(), Scene::parse(&text).unwrap()).unwrap());
+    (Simulator::in_scene(planner.clone()), planner)
 }
 
 /// Distance to everything, in m.

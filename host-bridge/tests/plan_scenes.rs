@@ -6,12 +6,12 @@
 
 use std::time::Instant;
 
-use host_bridge::arm::gen3::{HOME, JOINTS, Joints, Pose};
+use host_bridge::arm::gen3::{JOINTS, Joints, Pose};
 use host_bridge::arm::ik;
 use host_bridge::arm::model::SerialArm;
 use host_bridge::plan::trajectory::Motion;
-use host_bridge::plan::{Kind, Placement, Plan, Planner, Refusal, World};
-use host_bridge::scene::{Goal, Scene};
+use host_bridge::plan::{Kind, Placement, Plan, Planner, Refusal};
+use host_bridge::scene::Scene;
 
 const SCENES: [(&str, &str); 3] = [
     ("posts", include_str!("../scenes/posts.toml")),
@@ -24,19 +24,7 @@ fn seeds() -> u64 {
 }
 
 fn planner(scene: &str) -> Planner {
-    Planner::new(World::new(SerialArm::gen3(), Scene::parse(scene).unwrap()))
-}
-
-/// Joint angles of a scene's poses, from inverse kinematics where the file gives places.
-fn poses(planner: &Planner) -> Vec<(String, Joints)> {
-    let around = planner.world().around(Placement::default());
-    let safe = |joints: &Joints| around.arm_clearance(joints).distance_m >= 0.02;
-    let scene = planner.world().scene();
-    let angles = |goal| match goal {
-        Goal::Joints(joints) => joints,
-        Goal::Flange(pose) => ik::solve(planner.world().arm(), &pose, &HOME, 1, safe).unwrap(),
-    };
-    scene.goals().into_iter().map(|(name, goal)| (name.to_owned(), angles(goal))).collect()
+    Planner::new(SerialArm::gen3(), Scene::parse(scene).unwrap()).unwrap()
 }
 
 /// Runs a motion at 100 Hz and checks every sample. Returns the shortest clearance.
@@ -77,7 +65,7 @@ fn blocked_ways_are_gone_around_without_touching_anything() {
     for (name, text) in SCENES {
         let planner = planner(text);
         let around = planner.world().around(Placement::default());
-        let poses = poses(&planner);
+        let poses = planner.goals();
         assert_eq!(poses.len(), 6, "thirty ordered pairs");
         let (mut blocked, mut tried, mut solved, mut via_home) = (0, 0, 0, 0);
         let (mut checks, mut times_ms, mut nearest_m) = (Vec::new(), Vec::new(), f64::INFINITY);
@@ -117,7 +105,7 @@ fn blocked_ways_are_gone_around_without_touching_anything() {
 #[test]
 fn equal_seeds_give_equal_plans_and_other_seeds_others() {
     let planner = planner(SCENES[0].1);
-    let poses = poses(&planner);
+    let poses = planner.goals();
     let plan = |seed| planner.plan(&poses[0].1, &poses[1].1, Placement::default(), seed).unwrap();
     assert_eq!(plan(5), plan(5));
     assert_ne!(plan(5).path_rad, plan(6).path_rad);
@@ -127,7 +115,7 @@ fn equal_seeds_give_equal_plans_and_other_seeds_others() {
 fn goals_that_cannot_be_reached_safely_are_refused_with_the_reason() {
     for (_, text) in SCENES {
         let planner = planner(text);
-        let poses = poses(&planner);
+        let poses = planner.goals();
         let from = &poses[0].1;
         let refused = |to: &Joints| planner.plan(from, to, Placement::default(), 1).unwrap_err();
 
@@ -142,7 +130,7 @@ fn goals_that_cannot_be_reached_safely_are_refused_with_the_reason() {
         let mut inside = 0;
         for shape in &scene.boxes {
             let position_m = [0, 1, 2].map(|k| shape.center_m[k] - scene.base.mount_m[k]);
-            for (_, joints) in &poses {
+            for (_, joints) in poses {
                 let rotation = planner.world().arm().flange_pose(joints).rotation;
                 let Ok(joints) =
                     ik::solve(planner.world().arm(), &Pose { position_m, rotation }, joints, 1, |_| true)

@@ -38,6 +38,7 @@ struct Report<'a> {
 /// Plays it; the exit code says whether everything came out as scripted.
 pub fn run(args: &Args) -> Result<ExitCode> {
     let map = args.play.motion_map()?;
+    let robot = args.play.robot()?;
     let script = Script::parse(SCRIPT).context("the bundled session.toml")?;
     let left = AdcRecording::parse(Path::new("sessions/demo/left.csv"), LEFT)?;
     let right = Recording::parse(Path::new("sessions/demo/right.csv"), RIGHT)?;
@@ -45,7 +46,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     let about = format!("{} ({})", model.name(), model.about());
     let left = LeftBoard::new(left, Some(script.calibration.into()), 1);
     let right = RightBoard::new(right.resampled(), &model, 1)?;
-    let mut session = Session::new(Some(Box::new(left)), Some(Box::new(right)), map);
+    let mut session = Session::with_robot(Some(Box::new(left)), Some(Box::new(right)), map, robot);
 
     let title = format!("bimanual demo: {}", script.title);
     play(&mut session, &args.play, &format!("{title}\nmodel: {about}"))?;

@@ -47,6 +47,7 @@ struct Report<'a> {
 /// Plays them. Everything is read and checked before anything moves.
 pub fn run(args: &Args) -> Result<ExitCode> {
     let map = args.play.motion_map()?;
+    let robot = args.play.robot()?;
     let left = args.left.as_deref().map(|file| read_left(file, args.calibration.as_deref())).transpose()?;
     if let (Some(model), true) = (&args.model, args.right.is_empty()) {
         bail!("--model {} is for a right hand; give its recording with --right", model.display());
@@ -78,7 +79,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         }
     }
     let unmapped = map.without_motion(labels);
-    let mut session = Session::new(left, right, map.clone());
+    let mut session = Session::with_robot(left, right, map.clone(), robot);
     let about = model_about.as_deref().unwrap_or("none (no right hand)");
     play(&mut session, &args.play, &format!("{title}\nmodel: {about}"))?;
 

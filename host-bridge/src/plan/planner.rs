@@ -2,13 +2,14 @@
 //! else a refusal with its reason.
 
 use crate::arm::gen3::Joints;
-use crate::arm::model::JointError;
+use crate::arm::ik;
+use crate::arm::model::{JointError, SerialArm};
 use crate::arm::profile::JointLimits;
 use crate::plan::collision::{Clearance, Placement, Surroundings, World};
 use crate::plan::random::Random;
 use crate::plan::rrt::{Search, connect, shorten};
 use crate::plan::trajectory::Trajectory;
-use crate::scene::Route;
+use crate::scene::{Goal, Route, Scene};
 
 /// Checks that one search may use before it gives up.
 const CHECKS_MAX: u64 = 30_000;
@@ -82,18 +83,71 @@ pub enum Refusal {
     },
 }
 
+/// A pose of the scene file cannot be used.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error("pose '{name}': {reason}")]
+pub struct BadPose {
+    /// Which.
+    pub name: String,
+    /// Why, and what to do.
+    pub reason: String,
+}
+
 /// Plans motions in one world.
 #[derive(Clone, Debug)]
 pub struct Planner {
     world: World,
     limits: JointLimits,
+    goals: Vec<(String, Joints)>,
 }
 
 impl Planner {
-    /// A planner; route, scaling, margin and seed come from the scene.
-    pub fn new(world: World) -> Self {
-        let limits = world.scene().limits(world.arm());
-        Planner { world, limits }
+    /// A planner; route, scaling, margin, seed and poses come from the scene. A pose named `home` replaces
+    /// the arm's own.
+    ///
+    /// # Errors
+    /// A pose beyond the joints' limits, or a place for which no safe joint angles were found.
+    pub fn new(mut arm: SerialArm, scene: Scene) -> Result<Self, BadPose> {
+        // A home pose must be known before the world is made, and needs no inverse kinematics to be useful.
+        for (name, goal) in scene.goals() {
+            if let ("home", Goal::Joints(joints_rad)) = (name, goal) {
+                arm.home_rad = joints_rad;
+            }
+        }
+        let limits = scene.limits(&arm);
+        let mut planner = Planner { world: World::new(arm, scene), limits, goals: Vec::new() };
+        planner.goals = planner.solve_goals()?;
+        Ok(planner)
+    }
+
+    fn solve_goals(&self) -> Result<Vec<(String, Joints)>, BadPose> {
+        let (arm, scene) = (self.world.arm(), self.world.scene());
+        let around = self.world.around(Placement::default());
+        // Twice the margin, so that there is a way in.
+        let safe = |joints: &Joints| around.arm_clearance(joints).distance_m >= 2.0 * scene.arm.margin_m;
+        let solve = |(name, goal): (&str, Goal)| {
+            let bad = |reason: String| BadPose { name: name.to_owned(), reason };
+            let joints_rad = match goal {
+                Goal::Joints(joints_rad) => {
+                    arm.check(&joints_rad).map_err(|error| bad(error.to_string()))?;
+                    joints_rad
+                }
+                Goal::Flange(pose) => ik::solve(arm, &pose, &arm.home_rad, scene.arm.seed, safe)
+                    .map_err(|error| bad(error.to_string()))?,
+            };
+            Ok((name.to_owned(), joints_rad))
+        };
+        scene.goals().into_iter().map(solve).collect()
+    }
+
+    /// The poses of the scene file, as joint angles.
+    pub fn goals(&self) -> &[(String, Joints)] {
+        &self.goals
+    }
+
+    /// The pose of that name.
+    pub fn goal(&self, name: &str) -> Option<Joints> {
+        self.goals.iter().find(|(known, _)| known == name).map(|(_, joints_rad)| *joints_rad)
     }
 
     /// Robot and scene.
