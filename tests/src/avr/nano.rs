@@ -46,7 +46,7 @@ impl<F: FnMut(u8, u64) -> Line> Voltages for F {
     }
 }
 
-/// One byte that the program wrote to EEPROM.
+/// One byte of EEPROM that the program changed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct EepromWrite {
     /// Where.
@@ -442,6 +442,9 @@ unsafe extern "C" fn on_eecr(_: *mut ffi::avr_irq_t, value: u32, param: *mut c_v
         let new = data(EEDR);
         let place = address as usize % EEPROM_BYTES;
         let old = std::mem::replace(&mut wires.eeprom.borrow_mut()[place], new);
-        wires.eeprom_writes.borrow_mut().push(EepromWrite { address, old, new });
+        // simavr raises this twice per write; the second time nothing changes.
+        if old != new {
+            wires.eeprom_writes.borrow_mut().push(EepromWrite { address, old, new });
+        }
     }
 }
