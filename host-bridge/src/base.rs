@@ -4,7 +4,7 @@
 //! base stood at the start. Wheels never exceed their speed and acceleration; where a twist asks for
 //! more, both wheels are scaled alike, so that the base stays on its path and is only slower.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// What the base is asked to do.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
@@ -21,7 +21,8 @@ impl Twist {
 }
 
 /// Size and limits of the base.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
 pub struct BaseConfig {
     /// Radius of the driven wheels.
     pub wheel_radius_m: f64,

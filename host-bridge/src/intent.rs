@@ -1,6 +1,6 @@
 //! From what the hands say to what the robot should do. Pure: no time, no links.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use shared_proto::message::Heading;
 
 use crate::arm::ArmMotion;
@@ -16,6 +16,32 @@ pub struct Caps {
     pub linear_m_s: f64,
     /// Fastest turn, in rad/s.
     pub angular_rad_s: f64,
+    /// How they start and change.
+    #[serde(skip)]
+    pub rules: SpeedRules,
+}
+
+/// Where the caps start, and how bends change them: the same numbers for m/s and rad/s.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SpeedRules {
+    /// Where both caps start, and where a stop puts them.
+    pub start: f64,
+    /// Never slower.
+    pub least: f64,
+    /// Never faster.
+    pub most: f64,
+    /// Factor per bend of the index finger.
+    pub faster: f64,
+    /// Factor per bend of the middle finger.
+    pub slower: f64,
+}
+
+impl Default for SpeedRules {
+    fn default() -> Self {
+        let (start, least, most) = (Caps::START, Caps::LEAST, Caps::MOST);
+        SpeedRules { start, least, most, faster: Caps::FASTER, slower: Caps::SLOWER }
+    }
 }
 
 impl Caps {
@@ -30,14 +56,21 @@ impl Caps {
     /// Per bend of the middle finger.
     pub const SLOWER: f64 = 0.90;
 
+    /// Caps at their start.
+    pub fn new(rules: SpeedRules) -> Self {
+        Caps { linear_m_s: rules.start, angular_rad_s: rules.start, rules }
+    }
+
     /// Applies bends. Where one state reports bends of both fingers, their order is unknown; those of
     /// the middle finger come last, so that clipping errs on the slow side.
     pub fn bend(&mut self, index: u8, middle: u8) {
-        let steps = std::iter::repeat_n(Self::FASTER, index.into())
-            .chain(std::iter::repeat_n(Self::SLOWER, middle.into()));
+        let SpeedRules { least, most, faster, slower, .. } = self.rules;
+        let steps =
+            std::iter::repeat_n(faster, index.into()).chain(std::iter::repeat_n(slower, middle.into()));
         for factor in steps {
             for cap in [&mut self.linear_m_s, &mut self.angular_rad_s] {
-                *cap = (*cap * factor).clamp(Self::LEAST, Self::MOST);
+                // Not `clamp`, which panics where the limits are crossed.
+                *cap = (*cap * factor).min(most).max(least);
             }
         }
     }
@@ -57,7 +90,7 @@ impl Caps {
 
 impl Default for Caps {
     fn default() -> Self {
-        Caps { linear_m_s: Self::START, angular_rad_s: Self::START }
+        Caps::new(SpeedRules::default())
     }
 }
 
@@ -166,7 +199,7 @@ mod tests {
         for _ in 0..8 {
             caps.bend(1, 0);
         }
-        assert_eq!(caps, Caps { linear_m_s: 1.0, angular_rad_s: 1.0 });
+        assert_eq!(caps, Caps { linear_m_s: 1.0, angular_rad_s: 1.0, ..Caps::default() });
         for _ in 0..7 {
             caps.bend(0, 1);
         }

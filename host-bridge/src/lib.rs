@@ -5,17 +5,22 @@
 //!        └──────────── hands ──────────┘   └──── link ────┘  └ safety, intent ┘  └ sim ┘
 //! ```
 //!
-//! Everything here is sans-IO: bytes, events and the time go in, actions come out. Only the binary
-//! knows files, terminals and clocks.
+//! Everything here but `links` and `talk` is sans-IO: bytes, events and the time go in, actions come
+//! out. Ports and clocks live in `links`; files and terminals only the binary knows.
 
 pub mod adc;
 pub mod arm;
 pub mod base;
 pub mod bridge;
+pub mod capture;
+pub mod config;
 pub mod hands;
 pub mod intent;
+pub mod keyboard;
 pub mod latency;
 pub mod link;
+pub mod links;
+pub mod live;
 pub mod plan;
 pub mod robot;
 pub mod safety;
@@ -23,4 +28,7 @@ pub mod scene;
 pub mod script;
 pub mod session;
 pub mod sim;
+pub mod survey;
+pub mod talk;
+pub mod upload;
 pub mod wire;

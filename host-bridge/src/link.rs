@@ -23,6 +23,9 @@ use crate::safety::Hand;
 /// While nothing usable comes, ask who is there this often.
 pub const HELLO_INTERVAL_MS: u64 = 500;
 
+/// A known board is pinged this often, so that the error of ages stays bounded.
+pub const PING_INTERVAL_MS: u64 = 1000;
+
 /// This many overtaken states in a row mean that the board restarted and its hello was lost.
 const OVERTAKEN_MEANS_RESTART: u32 = 3;
 
@@ -156,6 +159,9 @@ pub struct HandLink {
     overtaken_in_a_row: u32,
     last_state_ms: Option<u64>,
     last_request_ms: Option<u64>,
+    /// Id and time of the last ping.
+    pinged: Option<(u32, u64)>,
+    round_trip_ms: Option<u64>,
 }
 
 impl HandLink {
@@ -175,6 +181,8 @@ impl HandLink {
             overtaken_in_a_row: 0,
             last_state_ms: None,
             last_request_ms: None,
+            pinged: None,
+            round_trip_ms: None,
         }
     }
 
@@ -223,9 +231,30 @@ impl HandLink {
         None
     }
 
-    /// A ping sent at `sent_ms` was answered: bounds the error of ages.
-    pub fn pong(&mut self, pong: &Pong, sent_ms: u64, now_ms: u64) {
-        self.clock.pong(pong.board_time_ms, sent_ms, now_ms);
+    /// The ping to send to a known board now, if one is due. Ask only when it can really be sent.
+    pub fn ping(&mut self, now_ms: u64) -> Option<HostMessage<'static>> {
+        let due = self.pinged.is_none_or(|(_, sent)| now_ms.saturating_sub(sent) >= PING_INTERVAL_MS);
+        if self.identity.is_none() || !due {
+            return None;
+        }
+        let id = self.pinged.map_or(0, |(id, _)| id.wrapping_add(1));
+        self.pinged = Some((id, now_ms));
+        Some(HostMessage::Ping { id })
+    }
+
+    /// How long the last ping took, there and back.
+    pub fn round_trip_ms(&self) -> Option<u64> {
+        self.round_trip_ms
+    }
+
+    fn pong(&mut self, pong: &Pong, now_ms: u64) {
+        // The answer to an earlier ping has been overtaken, and says less than the next one will.
+        if let Some((id, sent_ms)) = self.pinged
+            && id == pong.id
+        {
+            self.clock.pong(pong.board_time_ms, sent_ms, now_ms);
+            self.round_trip_ms = Some(now_ms.saturating_sub(sent_ms));
+        }
     }
 
     fn handle(&mut self, message: BoardMessage<'_>, now_ms: u64) -> Option<Heard> {
@@ -243,7 +272,10 @@ impl HandLink {
             BoardMessage::ModelInfo(info) => self.model_info(&info),
             BoardMessage::Status(status) => Some(Heard::Status(status)),
             BoardMessage::Fault(fault) => Some(Heard::Fault(fault)),
-            BoardMessage::Pong(pong) => Some(Heard::Pong(pong)),
+            BoardMessage::Pong(pong) => {
+                self.pong(&pong, now_ms);
+                Some(Heard::Pong(pong))
+            }
             BoardMessage::Ack(ack) => Some(Heard::Ack(ack)),
         }
     }

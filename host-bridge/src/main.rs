@@ -25,6 +25,18 @@ enum Verb {
     Demo(cmd::demo::Args),
     /// Plays recordings of your own
     Replay(cmd::replay::Args),
+    /// Shows the serial ports and which hand answers on each
+    List(cmd::list::Args),
+    /// Steers the simulated robot with the boards, or with keys in their place
+    Run(cmd::run::Args),
+    /// Examines the links: versions, rates, clock, losses, latency, with advice
+    Doctor(cmd::doctor::Args),
+    /// Teaches the left hand's board your neutral pose and your bends
+    Calibrate(cmd::calibrate::Args),
+    /// Records gestures of your own for `models train`
+    Record(cmd::record::Args),
+    /// Sends a model of your own to the right hand's board
+    SendModel(cmd::send_model::Args),
 }
 
 fn main() -> ExitCode {
@@ -33,6 +45,12 @@ fn main() -> ExitCode {
         None => cmd::demo::run(&cli.demo),
         Some(Verb::Demo(args)) => cmd::demo::run(&args),
         Some(Verb::Replay(args)) => cmd::replay::run(&args),
+        Some(Verb::List(args)) => cmd::list::run(&args),
+        Some(Verb::Run(args)) => cmd::run::run(&args),
+        Some(Verb::Doctor(args)) => cmd::doctor::run(&args),
+        Some(Verb::Calibrate(args)) => cmd::calibrate::run(&args),
+        Some(Verb::Record(args)) => cmd::record::run(&args),
+        Some(Verb::SendModel(args)) => cmd::send_model::run(&args),
     };
     match done {
         Ok(code) => code,

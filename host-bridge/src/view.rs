@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 use std::io::{self, Stdout, Write as _};
 use std::time::Duration;
 
-use crossterm::event::{Event, KeyCode, KeyEventKind, KeyModifiers, poll, read};
+use crossterm::event::{Event, KeyCode, KeyEvent, KeyEventKind, KeyModifiers, poll, read};
 use crossterm::style::{Color, Print, ResetColor, SetForegroundColor};
 use crossterm::terminal::{
     Clear, ClearType, EnterAlternateScreen, LeaveAlternateScreen, disable_raw_mode, enable_raw_mode, size,
@@ -12,9 +12,11 @@ use crossterm::terminal::{
 use crossterm::{cursor, execute, queue};
 use host_bridge::arm::gen3::flange_pose;
 use host_bridge::arm::sequencer::Leg;
+use host_bridge::bridge::Bridge;
 use host_bridge::robot::Robot as _;
 use host_bridge::safety::{Hand, State};
 use host_bridge::session::Session;
+use host_bridge::sim::Simulator;
 
 use crate::describe;
 
@@ -33,6 +35,20 @@ pub enum Key {
     Quit,
     /// Stop the robot.
     Stop,
+}
+
+/// What is shown.
+pub struct Scene<'a> {
+    /// The bridge.
+    pub bridge: &'a Bridge,
+    /// The robot.
+    pub robot: &'a Simulator,
+    /// Time since the start.
+    pub now_ms: u64,
+    /// Which key does what, in one or more lines.
+    pub keys: &'a str,
+    /// How fast time passes, where that is not as usual.
+    pub pace: String,
 }
 
 /// The screen; gives the terminal back when dropped, also by a panic.
@@ -84,14 +100,35 @@ impl View {
         })
     }
 
-    /// Draws the whole screen.
+    /// A key that was pressed, repeated or released meanwhile.
+    pub fn pressed(&mut self) -> io::Result<Option<KeyEvent>> {
+        while poll(Duration::ZERO)? {
+            if let Event::Key(key) = read()? {
+                return Ok(Some(key));
+            }
+        }
+        Ok(None)
+    }
+
+    /// Draws a played session.
     pub fn draw(&mut self, session: &Session<'_>, speed: f64) -> io::Result<()> {
+        self.draw_scene(&Scene {
+            bridge: session.bridge(),
+            robot: session.robot(),
+            now_ms: session.now_ms(),
+            keys: "space: stop   q: quit",
+            pace: format!("×{speed}   "),
+        })
+    }
+
+    /// Draws the whole screen.
+    pub fn draw_scene(&mut self, scene: &Scene<'_>) -> io::Result<()> {
         let (columns, rows) = size()?;
-        let here = session.robot().odometry();
+        let here = scene.robot.odometry();
         if self.path.last().is_none_or(|last| (last.0 - here.x_m).hypot(last.1 - here.y_m) > 0.05) {
             self.path.push((here.x_m, here.y_m));
         }
-        let mut lines = self.lines(session, speed, usize::from(rows) >= ROWS_FOR_MAP);
+        let mut lines = self.lines(scene, usize::from(rows) >= ROWS_FOR_MAP);
         let room = usize::from(rows).saturating_sub(lines.len() + 2);
         let skip = self.events.len().saturating_sub(room);
         lines.push((Color::DarkGrey, String::new()));
@@ -112,8 +149,8 @@ impl View {
         self.out.flush()
     }
 
-    fn lines(&self, session: &Session<'_>, speed: f64, with_map: bool) -> Vec<(Color, String)> {
-        let bridge = session.bridge();
+    fn lines(&self, scene: &Scene<'_>, with_map: bool) -> Vec<(Color, String)> {
+        let bridge = scene.bridge;
         let safety = bridge.safety();
         let live = |hand| match (safety.connected(hand), safety.live(hand)) {
             (false, _) => "not connected",
@@ -127,10 +164,9 @@ impl View {
             State::Stopped => ("STOPPED", Color::Red),
         };
         let mut lines: Vec<_> = self.title.iter().map(|line| (Color::Cyan, line.clone())).collect();
-        lines.extend([
-            (Color::DarkGrey, "space: stop   q: quit".to_owned()),
-            (state_colour, format!("{:>7.1} s ×{speed}   {state}", session.now_ms() as f64 / 1000.0)),
-        ]);
+        lines.extend(scene.keys.lines().map(|line| (Color::DarkGrey, line.to_owned())));
+        let time_s = scene.now_ms as f64 / 1000.0;
+        lines.push((state_colour, format!("{time_s:>7.1} s {}{state}", scene.pace)));
         let (pitch_mrad, roll_mrad, heading) = bridge.left_hand();
         let degrees = |mrad: i16| (f64::from(mrad) / 1000.0).to_degrees();
         lines.push((
@@ -150,7 +186,7 @@ impl View {
             let bar = "█".repeat((score * 30.0).round() as usize);
             lines.push((Color::Blue, format!("  {label:<15} {score:>4.2} {bar}")));
         }
-        let (arm, base) = (session.robot().arm(), session.robot().odometry());
+        let (arm, base) = (scene.robot.arm(), scene.robot.odometry());
         let doing = match arm.running {
             Some((motion, Leg::ToHome)) => format!("{motion}: home first"),
             Some((motion, Leg::ToGoal)) => format!("{motion}: to the pose"),

@@ -9,10 +9,10 @@ use shared_proto::message::{Heading, HostMessage};
 use crate::arm::ArmMotion;
 use crate::arm::sequencer::{Busy, NotStarted};
 use crate::base::Twist;
-use crate::intent::{Caps, MotionMap, is_rest};
+use crate::intent::{Caps, MotionMap, SpeedRules, is_rest};
 use crate::link::{HandLink, Heard, NewGesture, RightReport, is_healthy};
 use crate::robot::Robot;
-use crate::safety::{self, Action, Hand, Ignored, Safety, State};
+use crate::safety::{self, Action, Hand, Ignored, Safety, SafetyTimes, State};
 
 /// The base's speed is repeated this often, so that the robot knows that the bridge lives.
 pub const DRIVE_INTERVAL_MS: u64 = 20;
@@ -38,11 +38,16 @@ pub struct Bridge {
 impl Bridge {
     /// A bridge that waits for its hands.
     pub fn new(map: MotionMap) -> Self {
+        Bridge::with(map, SpeedRules::default(), SafetyTimes::default())
+    }
+
+    /// The same with other limits.
+    pub fn with(map: MotionMap, speed: SpeedRules, times: SafetyTimes) -> Self {
         Bridge {
             left: HandLink::new(Hand::Left),
             right: HandLink::new(Hand::Right),
-            safety: Safety::new(),
-            caps: Caps::default(),
+            safety: Safety::with(times),
+            caps: Caps::new(speed),
             map,
             drops: Drops::default(),
             scores: Vec::new(),
@@ -82,6 +87,11 @@ impl Bridge {
     /// What to send to a hand's board now, if anything.
     pub fn poll(&mut self, hand: Hand, now_ms: u64) -> Option<HostMessage<'static>> {
         self.link_mut(hand).poll(now_ms)
+    }
+
+    /// The ping that a hand's board is due now, if any. Ask only when it can really be sent.
+    pub fn ping(&mut self, hand: Hand, now_ms: u64) -> Option<HostMessage<'static>> {
+        self.link_mut(hand).ping(now_ms)
     }
 
     /// The operator's stop: a key, a button.
@@ -259,7 +269,7 @@ impl Bridge {
                     self.driven = (Twist::ZERO, now_ms);
                     self.note(now_ms, EventKind::Halt { reason });
                 }
-                Action::ResetCaps => self.caps = Caps::default(),
+                Action::ResetCaps => self.caps = Caps::new(self.caps.rules),
                 Action::Entered(state) => {
                     self.was_armed |= state == State::Armed;
                     self.note(now_ms, EventKind::State { state });

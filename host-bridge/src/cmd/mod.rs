@@ -1,4 +1,11 @@
 //! One file per verb: its options and what it does.
 
+pub mod calibrate;
 pub mod demo;
+pub mod doctor;
+pub mod list;
+pub mod ports;
+pub mod record;
 pub mod replay;
+pub mod run;
+pub mod send_model;

@@ -105,6 +105,11 @@ impl ModelFile {
         }
     }
 
+    /// What boards run, checked against its card.
+    pub fn blob(&self) -> &[u8] {
+        &self.blob
+    }
+
     /// Values per sample.
     pub fn axes(&self) -> usize {
         self.card.axes

@@ -16,7 +16,7 @@ mod events;
 
 pub use events::{Action, Event, Gesture, HaltReason, Hand, Ignored};
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use shared_proto::message::Heading;
 
 /// A state older than this is dropped; a hand silent for this long halts the robot.
@@ -29,6 +29,28 @@ pub const ARM_NEUTRAL_MS: u64 = 100;
 
 /// The hands must be neutral for this long before a stop can be released.
 pub const RELEASE_NEUTRAL_MS: u64 = 1000;
+
+/// The three times above, where somebody wants to be stricter than the defaults.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SafetyTimes {
+    /// See [`STALE_MS`].
+    pub stale_ms: u64,
+    /// See [`ARM_NEUTRAL_MS`].
+    pub arm_neutral_ms: u64,
+    /// See [`RELEASE_NEUTRAL_MS`].
+    pub release_neutral_ms: u64,
+}
+
+impl Default for SafetyTimes {
+    fn default() -> Self {
+        SafetyTimes {
+            stale_ms: STALE_MS,
+            arm_neutral_ms: ARM_NEUTRAL_MS,
+            release_neutral_ms: RELEASE_NEUTRAL_MS,
+        }
+    }
+}
 
 /// ```text
 ///            all connected hands live and neutral for 100 ms
@@ -83,6 +105,7 @@ impl Watch {
 /// See the module.
 #[derive(Clone, Debug)]
 pub struct Safety {
+    times: SafetyTimes,
     state: State,
     now_ms: u64,
     left: Watch,
@@ -101,7 +124,13 @@ impl Default for Safety {
 impl Safety {
     /// Waiting, no hand connected.
     pub fn new() -> Self {
+        Safety::with(SafetyTimes::default())
+    }
+
+    /// The same with other times.
+    pub fn with(times: SafetyTimes) -> Self {
         Safety {
+            times,
             state: State::Waiting,
             now_ms: 0,
             left: Watch::default(),
@@ -163,7 +192,7 @@ impl Safety {
                     // Even late or from a hand in doubt: halting is never wrong.
                     self.stop(&mut actions);
                 }
-                if age_ms > STALE_MS {
+                if age_ms > self.times.stale_ms {
                     actions.push(Action::Ignored(Ignored::LateState(Hand::Left)));
                     return actions;
                 }
@@ -186,7 +215,7 @@ impl Safety {
                 if !self.right.connected {
                     return actions;
                 }
-                if age_ms > STALE_MS {
+                if age_ms > self.times.stale_ms {
                     actions.push(Action::Ignored(Ignored::LateState(Hand::Right)));
                     return actions;
                 }
@@ -233,10 +262,10 @@ impl Safety {
     }
 
     fn watch_the_clock(&mut self, actions: &mut Vec<Action>) {
-        let now_ms = self.now_ms;
+        let (now_ms, stale_ms) = (self.now_ms, self.times.stale_ms);
         for hand in [Hand::Left, Hand::Right] {
             let watch = self.watch_mut(hand);
-            if watch.connected && watch.live && now_ms.saturating_sub(watch.sample_ms) >= STALE_MS {
+            if watch.connected && watch.live && now_ms.saturating_sub(watch.sample_ms) >= stale_ms {
                 watch.lose();
                 self.leave_armed(State::Stale, HaltReason::Silence(hand), actions);
             }
@@ -245,7 +274,7 @@ impl Safety {
 
     fn gesture(&mut self, gesture: Gesture, actions: &mut Vec<Action>) {
         let ended_ms = self.now_ms.saturating_sub(gesture.age_ms);
-        if gesture.age_ms > STALE_MS {
+        if gesture.age_ms > self.times.stale_ms {
             actions.push(Action::Ignored(Ignored::LateGesture));
         } else if self.state == State::Armed {
             actions.push(Action::Gesture(gesture));
@@ -262,7 +291,7 @@ impl Safety {
         let all_live = (self.left.connected || self.right.connected) && self.connected_hands_live();
         let neutral = if self.left.connected {
             let since_ms = self.left.neutral_since_ms;
-            since_ms.is_some_and(|since| time_ms.saturating_sub(since) >= RELEASE_NEUTRAL_MS)
+            since_ms.is_some_and(|since| time_ms.saturating_sub(since) >= self.times.release_neutral_ms)
         } else {
             self.right_rested
         };
@@ -272,7 +301,7 @@ impl Safety {
     fn note_rest_during_stop(&mut self) {
         if self.state == State::Stopped
             && let Some(since) = self.right.neutral_since_ms
-            && self.now_ms.saturating_sub(since) >= RELEASE_NEUTRAL_MS
+            && self.now_ms.saturating_sub(since) >= self.times.release_neutral_ms
         {
             self.right_rested = true;
         }
@@ -326,7 +355,7 @@ impl Safety {
         if connected.peek().is_none() {
             return;
         }
-        let long_enough = |since: u64| self.now_ms.saturating_sub(since) >= ARM_NEUTRAL_MS;
+        let long_enough = |since: u64| self.now_ms.saturating_sub(since) >= self.times.arm_neutral_ms;
         if connected.all(|watch| watch.neutral_since_ms.is_some_and(long_enough)) {
             self.enter(State::Armed, actions);
         } else if self.state == State::Stale {

@@ -1,0 +1,162 @@
+//! Raw batches of a right hand, collected into one recording: gaps and clipping are seen, not repaired.
+
+use models::recording::Recording;
+
+use crate::talk::RawBatch;
+
+/// Samples collected so far.
+#[derive(Clone, Debug)]
+pub struct Collector {
+    wanted: usize,
+    sample_hz: u16,
+    axes: Option<usize>,
+    values: Vec<f32>,
+    next_sample: u32,
+    clipped: usize,
+}
+
+/// Why a recording cannot go on; the text says what to do.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum CaptureProblem {
+    /// Samples are missing: what comes later does not belong to what came before.
+    #[error("{missing} samples are missing after {after_ms} ms; check the cable and record again")]
+    Gap {
+        /// How many.
+        missing: u32,
+        /// Where, from the start.
+        after_ms: u64,
+    },
+    /// The count of samples went back.
+    #[error("the board restarted after {after_ms} ms; check its power and record again")]
+    Restart {
+        /// When, from the start.
+        after_ms: u64,
+    },
+    /// The board changed its number of axes on the way.
+    #[error("the board changed from {from} to {to} axes; restart it and record again")]
+    Axes {
+        /// Before.
+        from: usize,
+        /// Now.
+        to: usize,
+    },
+}
+
+impl Collector {
+    /// Collects `wanted` samples at this rate.
+    pub fn new(wanted: usize, sample_hz: u16) -> Self {
+        Collector { wanted, sample_hz, axes: None, values: Vec::new(), next_sample: 0, clipped: 0 }
+    }
+
+    /// Takes a batch; true when there are enough samples.
+    ///
+    /// # Errors
+    /// [`CaptureProblem`] if the batch does not follow the last one.
+    pub fn push(&mut self, batch: &RawBatch) -> Result<bool, CaptureProblem> {
+        let axes = usize::from(batch.axes);
+        let after_ms = self.len() as u64 * 1000 / u64::from(self.sample_hz.max(1));
+        match self.axes {
+            None => self.axes = Some(axes),
+            Some(from) if from != axes => return Err(CaptureProblem::Axes { from, to: axes }),
+            Some(_) => {
+                let missing = batch.first_sample.wrapping_sub(self.next_sample) as i32;
+                if missing < 0 {
+                    return Err(CaptureProblem::Restart { after_ms });
+                }
+                if missing > 0 {
+                    return Err(CaptureProblem::Gap { missing: missing as u32, after_ms });
+                }
+            }
+        }
+        let samples = batch.counts.len() / axes.max(1);
+        self.next_sample = batch.first_sample.wrapping_add(samples as u32);
+        for sample in batch.counts.chunks_exact(axes.max(1)) {
+            if self.is_full() {
+                break;
+            }
+            self.clipped += usize::from(sample.iter().any(|&c| c == i16::MAX || c == i16::MIN));
+            self.values
+                .extend(sample.iter().enumerate().map(|(i, &c)| f32::from(c) * batch.scale[(i / 3).min(2)]));
+        }
+        Ok(self.is_full())
+    }
+
+    fn is_full(&self) -> bool {
+        self.len() >= self.wanted
+    }
+
+    /// Samples so far.
+    pub fn len(&self) -> usize {
+        self.axes.map_or(0, |axes| self.values.len() / axes)
+    }
+
+    /// Nothing yet.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Samples in which an axis stood at the end of its range.
+    pub fn clipped(&self) -> usize {
+        self.clipped
+    }
+
+    /// Length of the acceleration of the newest `count` samples, oldest first, in m/s².
+    pub fn newest_acceleration(&self, count: usize) -> Vec<f32> {
+        let axes = self.axes.unwrap_or(3);
+        let from = self.len().saturating_sub(count);
+        let length = |s: &[f32]| s[..3].iter().map(|v| v * v).sum::<f32>().sqrt();
+        self.values.chunks_exact(axes).skip(from).map(length).collect()
+    }
+
+    /// The recording, with times from 0.
+    pub fn recording(self) -> Recording {
+        let interval_ms = 1000.0 / f64::from(self.sample_hz.max(1));
+        let time_ms = (0..self.len()).map(|n| n as f64 * interval_ms).collect();
+        Recording::new(self.axes.unwrap_or(9), time_ms, self.values)
+    }
+}
+
+/// Values as a line of bars, from `least` to `most`.
+pub fn sparkline(values: &[f32], least: f32, most: f32) -> String {
+    const BARS: [char; 8] = ['▁', '▂', '▃', '▄', '▅', '▆', '▇', '█'];
+    let bar = |value: &f32| {
+        let part = (value - least) / (most - least);
+        BARS[((part * 8.0) as usize).min(7)]
+    };
+    values.iter().map(bar).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn batch(first_sample: u32, counts: Vec<i16>) -> RawBatch {
+        RawBatch { first_sample, axes: 3, scale: [0.01, 0.0, 0.0], counts }
+    }
+
+    #[test]
+    fn batches_in_a_row_become_one_recording_of_the_length_asked_for() {
+        let mut collector = Collector::new(3, 100);
+        assert_eq!(collector.push(&batch(u32::MAX, vec![0, 0, 981, 1, 2, 3])), Ok(false));
+        assert_eq!(collector.push(&batch(1, vec![4, 5, i16::MAX, 7, 8, 9])), Ok(true));
+        assert_eq!(collector.clipped(), 1);
+        let recording = collector.recording();
+        assert_eq!(recording.time_ms(), [0.0, 10.0, 20.0]);
+        let last: Vec<f32> = recording.samples().last().unwrap().to_vec();
+        assert_eq!(last, [4.0 * 0.01, 5.0 * 0.01, 32767.0 * 0.01]);
+    }
+
+    #[test]
+    fn a_gap_and_a_restart_are_told_apart() {
+        let mut collector = Collector::new(100, 100);
+        collector.push(&batch(50, vec![0; 24])).unwrap();
+        let gap = collector.clone().push(&batch(60, vec![0; 24]));
+        assert_eq!(gap, Err(CaptureProblem::Gap { missing: 2, after_ms: 80 }));
+        assert_eq!(collector.push(&batch(0, vec![0; 24])), Err(CaptureProblem::Restart { after_ms: 80 }));
+    }
+
+    #[test]
+    fn a_sparkline_spans_its_range_and_takes_what_lies_outside() {
+        assert_eq!(sparkline(&[-5.0, 0.0, 4.0, 7.9, 99.0, f32::NAN], 0.0, 8.0), "▁▁▅██▁");
+    }
+}

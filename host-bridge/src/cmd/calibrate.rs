@@ -1,0 +1,111 @@
+//! `host-bridge calibrate`: neutral, rest and bend of the left hand, step by step.
+
+use std::io::{BufRead as _, Write as _};
+use std::process::ExitCode;
+use std::time::Duration;
+
+use anyhow::{Result, bail, ensure};
+use host_bridge::safety::Hand;
+use host_bridge::talk::{Said, Talk, TalkError};
+use shared_proto::message::{AckResult, Board, CalibrationStep, HostMessage, health};
+
+use super::ports::PortOptions;
+
+const HELLO_MS: u64 = 6000;
+/// A step takes 0.64 s and the write to EEPROM a little.
+const STEP_MS: u64 = 8000;
+const ATTEMPTS: u32 = 3;
+
+const STEPS: [(CalibrationStep, &str); 3] = [
+    (CalibrationStep::Neutral, "hold the hand level and still, palm down"),
+    (CalibrationStep::Rest, "keep it there and stretch both fingers"),
+    (CalibrationStep::Bend, "keep it there and bend both fingers as far as is comfortable"),
+];
+
+/// Options.
+#[derive(clap::Args, Clone, Debug)]
+pub struct Args {
+    #[command(flatten)]
+    port: PortOptions,
+    /// Do not wait for Enter: each step begins so many seconds after it was announced
+    #[arg(long, value_name = "SECONDS")]
+    every: Option<f64>,
+    /// Forget the calibration in the board and use nominal parts
+    #[arg(long, conflicts_with = "every")]
+    reset: bool,
+}
+
+/// Walks through the steps; the board keeps each one as it succeeds.
+pub fn run(args: &Args) -> Result<ExitCode> {
+    if let Some(seconds) = args.every {
+        ensure!((0.0..=60.0).contains(&seconds), "--every takes 0 to 60 seconds");
+    }
+    let (port, settings) = args.port.resolve(Hand::Left)?;
+    let mut talk = Talk::open(&port, settings);
+    let who = talk.hello(HELLO_MS)?;
+    if !matches!(who.board, Board::LeftNano | Board::LeftReplay) {
+        bail!("{port}: {} answers; only the left hand's board is calibrated", who.board);
+    }
+    if args.reset {
+        let step = CalibrationStep::Reset;
+        talk.request(STEP_MS, |request| HostMessage::Calibrate { request, step })?;
+        println!("forgotten; nominal parts are in use");
+        return Ok(ExitCode::SUCCESS);
+    }
+    println!("{}, firmware {}: three steps of less than a second each", who.board, who.firmware);
+    for (number, (step, pose)) in STEPS.iter().enumerate() {
+        for attempt in 1.. {
+            announce(number + 1, pose, args.every)?;
+            match talk.request(STEP_MS, |request| HostMessage::Calibrate { request, step: *step }) {
+                Ok(_) => break,
+                Err(TalkError::Refused { result: AckResult::Unsteady, advice, .. }) if attempt < ATTEMPTS => {
+                    println!("   {advice}");
+                }
+                Err(error) => {
+                    bail!("{error}; the steps that succeeded before are kept, run calibrate again");
+                }
+            }
+        }
+        println!("   done");
+    }
+    report(&mut talk);
+    Ok(ExitCode::SUCCESS)
+}
+
+fn announce(number: usize, pose: &str, every: Option<f64>) -> Result<()> {
+    match every {
+        Some(seconds) => {
+            println!("{number}. {pose}");
+            std::thread::sleep(Duration::from_secs_f64(seconds));
+        }
+        None => {
+            print!("{number}. {pose}, then press Enter ");
+            std::io::stdout().flush()?;
+            let mut line = String::new();
+            let count = std::io::stdin().lock().read_line(&mut line)?;
+            ensure!(count > 0, "nobody can press Enter here; use --every 3 for a step every 3 seconds");
+        }
+    }
+    Ok(())
+}
+
+/// What the hand reads now: the neutral pose should be near 0°.
+fn report(talk: &mut Talk) {
+    let until_ms = talk.now_ms() + 1000;
+    let mut last = None;
+    while talk.now_ms() < until_ms {
+        if let Some((_, Said::Left(state))) = talk.next(50) {
+            last = Some(state);
+        }
+    }
+    let Some(state) = last else { return };
+    let degrees = |mrad: i16| (f64::from(mrad) / 1000.0).to_degrees();
+    println!(
+        "calibrated and kept in the board; it reads pitch {:.0}°, roll {:.0}° now",
+        degrees(state.pitch_mrad),
+        degrees(state.roll_mrad)
+    );
+    if state.health & !health::DEFAULT_CALIBRATION != 0 {
+        println!("but it reports trouble (health {:#04x}): `host-bridge doctor` says more", state.health);
+    }
+}

@@ -1,0 +1,258 @@
+//! `host-bridge doctor`: how good each link is, and what to do about it.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use anyhow::{Result, bail, ensure};
+use host_bridge::hands::ModelFile;
+use host_bridge::intent::MotionMap;
+use host_bridge::links::SerialSettings;
+use host_bridge::survey::Survey;
+use host_bridge::talk::{ModelNeeds, Said, Talk, Who};
+use shared_dsp::mlp::crc32;
+use shared_proto::clock::{CRYSTAL_DRIFT_PPM, RESONATOR_DRIFT_PPM};
+use shared_proto::message::{
+    Board, Fault, HostMessage, Mode, PROTOCOL_MAJOR, PROTOCOL_MINOR, Status, health,
+};
+
+use super::ports::{check_name, read_config, settings};
+
+const HELLO_MS: u64 = 6000;
+const PING_MS: u64 = 200;
+
+/// Options.
+#[derive(clap::Args, Clone, Debug)]
+pub struct Args {
+    /// Port of the left hand's board (any board; it says which it is)
+    #[arg(long, value_name = "PORT")]
+    left: Option<String>,
+    /// Port of the right hand's board
+    #[arg(long, value_name = "PORT")]
+    right: Option<String>,
+    /// Configuration file with the ports
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// How long to listen; the clock's drift needs some time
+    #[arg(long, default_value_t = 5.0)]
+    seconds: f64,
+}
+
+/// Listens to all links at once. The exit code says whether all is well.
+pub fn run(args: &Args) -> Result<ExitCode> {
+    ensure!((1.0..=3600.0).contains(&args.seconds), "--seconds takes 1 to 3600");
+    let config = read_config(args.config.as_deref())?;
+    let chosen = |asked: &Option<String>, known: &str| asked.clone().unwrap_or_else(|| known.to_owned());
+    let ports = [chosen(&args.left, &config.ports.left), chosen(&args.right, &config.ports.right)];
+    let ports: Vec<_> = ports.into_iter().filter(|p| !p.is_empty() && p != "keyboard").collect();
+    if ports.is_empty() {
+        bail!("name a port with --left or --right; `host-bridge list` shows them");
+    }
+    for port in &ports {
+        check_name(port)?;
+    }
+    println!("host-bridge {}, protocol {PROTOCOL_MAJOR}.{PROTOCOL_MINOR}", env!("CARGO_PKG_VERSION"));
+    if let Ok(model) = ModelFile::bundled() {
+        println!("bundled model {:08x} ({})", crc32(model.blob()), model.name());
+    }
+    let settings = settings(&config);
+    let reports: Vec<Report> = std::thread::scope(|scope| {
+        let examine = |port: &String| {
+            let port = port.clone();
+            scope.spawn(move || examine(&port, settings, args.seconds))
+        };
+        let threads: Vec<_> = ports.iter().map(examine).collect();
+        let lost = || Report { lines: Vec::new(), advice: vec!["the examination broke off".to_owned()] };
+        threads.into_iter().map(|thread| thread.join().unwrap_or_else(|_| lost())).collect()
+    });
+    let mut well = true;
+    for (port, report) in ports.iter().zip(&reports) {
+        println!("\n{port}");
+        for line in &report.lines {
+            println!("  {line}");
+        }
+        for advice in &report.advice {
+            println!("  → {advice}");
+        }
+        if report.advice.is_empty() {
+            println!("  all is well");
+        }
+        well &= report.advice.is_empty();
+    }
+    Ok(if well { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
+struct Report {
+    lines: Vec<String>,
+    advice: Vec<String>,
+}
+
+/// What was heard of one board.
+struct Heard {
+    who: Who,
+    model: Option<ModelNeeds>,
+    survey: Survey,
+    status: Option<Status>,
+    faults: Vec<Fault>,
+    health: u8,
+    frames: (u32, u32),
+    closed: Option<String>,
+    restarts: u32,
+}
+
+fn examine(port: &str, settings: SerialSettings, seconds: f64) -> Report {
+    let mut talk = Talk::open(port, settings);
+    let who = match talk.hello(HELLO_MS) {
+        Ok(who) => who,
+        Err(error) => return Report { lines: Vec::new(), advice: vec![error.to_string()] },
+    };
+    let heard = listen(&mut talk, who, (seconds * 1000.0) as u64);
+    Report { lines: lines(&heard), advice: advice(&heard) }
+}
+
+fn is_left(board: Board) -> bool {
+    matches!(board, Board::LeftNano | Board::LeftReplay)
+}
+
+fn listen(talk: &mut Talk, who: Who, listen_ms: u64) -> Heard {
+    let (mut pinged, mut pings) = ((0, u64::MAX), 0u32);
+    let mut next_ping_ms = talk.now_ms();
+    if !is_left(who.board) {
+        // It may have been left recording.
+        let request = talk.next_request();
+        talk.send(&HostMessage::SetMode { request, mode: Mode::Classify });
+    }
+    let until_ms = talk.now_ms() + listen_ms;
+    let mut heard = Heard {
+        who,
+        model: None,
+        survey: Survey::default(),
+        status: None,
+        faults: Vec::new(),
+        health: 0,
+        frames: (0, 0),
+        closed: None,
+        restarts: 0,
+    };
+    while talk.now_ms() < until_ms {
+        let now_ms = talk.now_ms();
+        if now_ms >= next_ping_ms && talk.is_ready() {
+            next_ping_ms = now_ms + PING_MS;
+            pings += 1;
+            pinged = (pings, now_ms);
+            talk.send(&HostMessage::Ping { id: pings });
+        }
+        match talk.next(20) {
+            Some((at_ms, Said::Left(s))) => {
+                heard.survey.state(s.sequence, s.board_time_ms, at_ms);
+                heard.health |= s.health;
+            }
+            Some((at_ms, Said::Right { sequence, board_time_ms, health, .. })) => {
+                heard.survey.state(sequence, board_time_ms, at_ms);
+                // The first window after a start has a gap by nature.
+                heard.health = health;
+            }
+            Some((at_ms, Said::Pong(pong))) if pong.id == pinged.0 => {
+                heard.survey.round_trip(at_ms.saturating_sub(pinged.1));
+            }
+            Some((_, Said::Model(model))) => heard.model = Some(model),
+            Some((_, Said::Status(status))) => heard.status = Some(status),
+            Some((_, Said::Fault(fault))) => {
+                heard.faults.retain(|known| known.kind != fault.kind);
+                heard.faults.push(fault);
+            }
+            Some((_, Said::Hello(who))) if who.boot_id != heard.who.boot_id => {
+                heard.who = who;
+                heard.restarts += 1;
+                heard.survey.restarted();
+            }
+            Some((_, Said::Closed(why))) => heard.closed = Some(why),
+            Some((_, Said::Opened)) => heard.restarts += 1,
+            _ => {}
+        }
+    }
+    heard.frames = talk.frames();
+    heard
+}
+
+fn lines(heard: &Heard) -> Vec<String> {
+    let Heard { who, survey, .. } = heard;
+    let mut lines = vec![format!(
+        "{}, firmware {}, protocol {}.{}, boot {:08x}",
+        who.board, who.firmware, who.version.0, who.version.1, who.boot_id
+    )];
+    if who.model_id != 0 {
+        let labels = heard.model.as_ref().map(|m| m.labels.join(", ")).unwrap_or_default();
+        let needs = heard.model.as_ref().map_or(String::new(), |m| {
+            format!(", {} axes, window {} samples at {} Hz", m.axes, m.window, m.sample_hz)
+        });
+        lines.push(format!("model {:08x}{needs}: {labels}", who.model_id));
+    }
+    let rate = survey.rate_hz().map_or("none".to_owned(), |hz| format!("{hz:.1} per second"));
+    lines.push(format!("samples {} Hz; states {rate}", who.sample_hz));
+    if let Some((drift, error)) = survey.drift_ppm() {
+        lines.push(format!("clock {drift:+.0} ppm (± {error:.0}) against this computer's"));
+    }
+    lines.push(format!(
+        "frames {}, {} damaged; {:.2} % of the states lost",
+        heard.frames.0,
+        heard.frames.1,
+        survey.loss() * 100.0
+    ));
+    if let Some((median_ms, worst_ms)) = survey.round_trip_ms() {
+        lines.push(format!("latency: ping and back {median_ms} ms, at worst {worst_ms} ms"));
+    }
+    if let Some(status) = heard.status {
+        lines.push(format!(
+            "up {:.0} s, load {:.1} %, free stack {} B, {} samples dropped, {} sensor errors, {} bad frames",
+            f64::from(status.uptime_ms) / 1000.0,
+            f64::from(status.load_permille) / 10.0,
+            status.free_stack_bytes,
+            status.dropped_samples,
+            status.sensor_errors,
+            status.bad_frames
+        ));
+    }
+    lines
+}
+
+fn advice(heard: &Heard) -> Vec<String> {
+    let left = is_left(heard.who.board);
+    let (state_hz, drift_ppm) = if left { (50.0, RESONATOR_DRIFT_PPM) } else { (12.5, CRYSTAL_DRIFT_PPM) };
+    let mut advice = heard.survey.advice(state_hz, f64::from(drift_ppm));
+    if let Some(why) = &heard.closed {
+        advice.push(format!("the link broke meanwhile: {why}"));
+    }
+    if heard.restarts > 0 {
+        advice.push(format!("the board restarted {} times: check its power and cable", heard.restarts));
+    }
+    if heard.who.version.1 < PROTOCOL_MINOR {
+        advice.push("the firmware is older than this program: flash it anew for all functions".to_owned());
+    }
+    if heard.frames.1 > 1 {
+        advice.push(format!("{} damaged frames: check the cable, use 115200 baud", heard.frames.1));
+    }
+    let told = [
+        (health::SENSOR, "the accelerometer does not answer or a line is open: check its wires"),
+        (health::FLEX, "a flex sensor is open or shorted: check its wires and divider"),
+        (health::GRAVITY, "gravity reads impossible: `host-bridge calibrate`, and check the supply (3.3 V)"),
+        (health::STUCK, "the converter repeats itself: restart the board"),
+        (health::DEFAULT_CALIBRATION, "not calibrated: `host-bridge calibrate` takes a minute"),
+        (health::GAP, "samples are missing from the window: look at load and sensor errors"),
+        (health::MODEL, "the model cannot run on this board: send another with `host-bridge send-model`"),
+    ];
+    advice.extend(told.iter().filter(|(bit, _)| heard.health & bit != 0).map(|(_, text)| (*text).to_owned()));
+    for fault in &heard.faults {
+        advice.push(format!("the board reported {:?} (detail {:#x})", fault.kind, fault.detail));
+    }
+    if let Some(model) = &heard.model {
+        let without = MotionMap::default();
+        let without = without.without_motion(&model.labels);
+        if !without.is_empty() {
+            advice.push(format!(
+                "no motion for {}: give them one under [motions] in the configuration",
+                without.join(", ")
+            ));
+        }
+    }
+    advice
+}

@@ -1,0 +1,90 @@
+//! `host-bridge list`: serial ports, and which hand answers on each.
+
+use std::process::ExitCode;
+
+use anyhow::Result;
+use host_bridge::links::{PortAbout, SerialSettings, hints, ports};
+use host_bridge::talk::{Talk, TalkError, Who};
+
+/// An old Nano takes 2 s to start; then it is asked twice.
+const PATIENCE_MS: u64 = 4500;
+
+/// Options.
+#[derive(clap::Args, Clone, Debug)]
+pub struct Args {
+    /// Ports to ask besides the USB ports found
+    #[arg(value_name = "PORT")]
+    ports: Vec<String>,
+    /// Only name the ports, do not open them (opening resets a Nano)
+    #[arg(long)]
+    no_ask: bool,
+}
+
+/// Asks all ports at once. The exit code says whether a hand was found.
+pub fn run(args: &Args) -> Result<ExitCode> {
+    let (mut asked, others): (Vec<_>, Vec<_>) = ports().into_iter().partition(|port| port.is_usb);
+    for name in &args.ports {
+        super::ports::check_name(name)?;
+        if !asked.iter().any(|port| port.name == *name) {
+            let about = "named by you".to_owned();
+            asked.push(PortAbout { name: name.clone(), about, is_usb: true });
+        }
+    }
+    if args.no_ask {
+        for port in asked.iter().chain(&others) {
+            println!("{}  {}", port.name, port.about);
+        }
+        if asked.is_empty() {
+            print_hints("no USB serial port was found", others.len());
+        }
+        return Ok(ExitCode::SUCCESS);
+    }
+    let answers: Vec<Result<Who, TalkError>> = std::thread::scope(|scope| {
+        let asking: Vec<_> = asked
+            .iter()
+            .map(|port| {
+                let name = port.name.as_str();
+                scope.spawn(move || Talk::open(name, SerialSettings::default()).meet(PATIENCE_MS))
+            })
+            .collect();
+        let nobody = |name: &str| TalkError::Nobody { port: name.to_owned() };
+        let answer = |(thread, port): (std::thread::ScopedJoinHandle<'_, _>, &PortAbout)| {
+            thread.join().unwrap_or_else(|_| Err(nobody(&port.name)))
+        };
+        asking.into_iter().zip(&asked).map(answer).collect()
+    });
+    let mut hands = 0;
+    for (port, answer) in asked.iter().zip(&answers) {
+        let said = match answer {
+            Ok(Who { problem: Some(problem), .. }) => problem.clone(),
+            Ok(who) => {
+                hands += 1;
+                let model = match who.model_id {
+                    0 => String::new(),
+                    id => format!(", model {id:08x}"),
+                };
+                format!("{}, firmware {}{model}", who.board, who.firmware)
+            }
+            Err(TalkError::Nobody { .. }) => "no answer: no hand, or not flashed".to_owned(),
+            Err(error) => error.to_string().trim_start_matches(&format!("{}: ", port.name)).to_owned(),
+        };
+        println!("{}  {}  → {said}", port.name, port.about);
+    }
+    if hands > 0 {
+        return Ok(ExitCode::SUCCESS);
+    }
+    let what = if asked.is_empty() { "no USB serial port was found" } else { "no hand answered" };
+    print_hints(what, others.len());
+    Ok(ExitCode::FAILURE)
+}
+
+fn print_hints(what: &str, others: usize) {
+    println!("{what}. What to try:");
+    for hint in hints() {
+        println!("  - {hint}");
+    }
+    println!("  - no board at hand: `host-bridge run --left keyboard --right keyboard`");
+    if others > 0 {
+        println!("({others} other serial ports were not asked; name one to ask it: host-bridge list PORT)");
+    }
+}

@@ -1,0 +1,64 @@
+//! Options that name ports, shared by the verbs that talk to one board.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context as _, Result, bail};
+use host_bridge::config::Config;
+use host_bridge::links::SerialSettings;
+use host_bridge::safety::Hand;
+
+/// A configuration file, or the defaults.
+pub fn read_config(file: Option<&Path>) -> Result<Config> {
+    let Some(file) = file else { return Ok(Config::default()) };
+    let about = || file.display().to_string();
+    let text = std::fs::read_to_string(file)
+        .with_context(|| format!("{}: the configuration cannot be read", about()))?;
+    Config::parse(&text).with_context(about)
+}
+
+/// How ports are to be used.
+pub fn settings(config: &Config) -> SerialSettings {
+    SerialSettings { baud: config.ports.baud, settle_ms: config.ports.settle_ms }
+}
+
+/// The port of a hand: the one asked for, else the configuration's. With `left_handed` the hands have
+/// changed places there.
+pub fn port_of(hand: Hand, asked: Option<&str>, config: &Config) -> Result<String> {
+    let left = (hand == Hand::Left) != config.left_handed;
+    let port = asked.unwrap_or(if left { &config.ports.left } else { &config.ports.right });
+    check_name(port)?;
+    if port.is_empty() || port == "keyboard" {
+        bail!(
+            "which port is the {hand} hand's board on? Give it with --port (`host-bridge list` shows the \
+             ports), or under [ports] in a --config file"
+        );
+    }
+    Ok(port.to_owned())
+}
+
+/// Refuses what is no serial port by its name.
+pub fn check_name(port: &str) -> Result<()> {
+    if port == "ble" || port.starts_with("ble:") {
+        bail!("'{port}': this version has no Bluetooth link; connect the board with its USB cable");
+    }
+    Ok(())
+}
+
+/// The one board that a verb talks to.
+#[derive(clap::Args, Clone, Debug)]
+pub struct PortOptions {
+    /// The board's port, for example /dev/ttyACM0; `host-bridge list` shows them
+    #[arg(long, visible_aliases = ["left", "right"])]
+    pub port: Option<String>,
+    /// Configuration file (TOML); `host-bridge run --print-config` writes one
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+}
+
+impl PortOptions {
+    /// The port of this hand and how to use it.
+    pub fn resolve(&self, hand: Hand) -> Result<(String, SerialSettings)> {
+        let config = read_config(self.config.as_deref())?;
+        Ok((port_of(hand, self.port.as_deref(), &config)?, settings(&config)))
+    }
+}

@@ -1,0 +1,131 @@
+//! `host-bridge send-model`: a model of your own into the right hand's board, over the wire.
+
+use std::io::{IsTerminal as _, Write as _};
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use anyhow::{Result, bail, ensure};
+use host_bridge::hands::ModelFile;
+use host_bridge::intent::MotionMap;
+use host_bridge::safety::Hand;
+use host_bridge::talk::{Said, Talk};
+use host_bridge::upload::{Stage, Upload, misfit};
+use shared_dsp::mlp::Model;
+use shared_proto::message::{Board, HostMessage, LABELS_MAX, SCORES_MAX};
+
+use super::ports::PortOptions;
+
+const HELLO_MS: u64 = 6000;
+/// Without progress for so long, give up. Time enough to plug a cable in again.
+const PATIENCE_MS: u64 = 60_000;
+
+/// Options.
+#[derive(clap::Args, Clone, Debug)]
+pub struct Args {
+    /// The int8 model, with its card beside it
+    #[arg(value_name = "FILE.tflite")]
+    model: PathBuf,
+    #[command(flatten)]
+    port: PortOptions,
+    /// Send it even if the board runs this very model
+    #[arg(long)]
+    force: bool,
+}
+
+/// Sends it, resuming after a cut.
+pub fn run(args: &Args) -> Result<ExitCode> {
+    let file = ModelFile::read(&args.model)?;
+    let model = Model::parse(file.blob())?;
+    let info = *model.info();
+    ensure!(
+        info.label_text.len() <= LABELS_MAX && info.label_count <= SCORES_MAX,
+        "{}: its labels take {} bytes with their commas, the wire takes {LABELS_MAX}; shorten them",
+        file.name(),
+        info.label_text.len()
+    );
+    let (port, settings) = args.port.resolve(Hand::Right)?;
+    let mut talk = Talk::open(&port, settings);
+    let who = talk.hello(HELLO_MS)?;
+    if matches!(who.board, Board::LeftNano | Board::LeftReplay) {
+        bail!("{port}: {} answers; only the right hand's board runs a model", who.board);
+    }
+    let Some(board) = talk.model(4000) else {
+        bail!("{port}: the board does not say what its model needs; update its firmware");
+    };
+    if let Some(problem) = misfit(&model, &board) {
+        bail!("{}: {problem}", args.model.display());
+    }
+    let (old, new) = (who.model_id, info.model_id);
+    println!("{port}: {}, runs model {old:08x} ({})", who.board, board.labels.join(", "));
+    println!("sending {new:08x} ({}), {} bytes", file.labels().join(", "), file.blob().len());
+    for label in MotionMap::default().without_motion(file.labels()) {
+        println!("note: '{label}' has no motion yet; give it one under [motions] in a --config file of `run`");
+    }
+    if old == new && !args.force {
+        println!("the board runs this model already; nothing to do");
+        return Ok(ExitCode::SUCCESS);
+    }
+    let mut upload = Upload::new(file.blob(), talk.next_request())?;
+    transfer(&mut talk, &mut upload, who.boot_id)?;
+    println!("model {old:08x} → {new:08x}: verified and kept by the board");
+    println!("it is used after the next restart: press reset, then `host-bridge doctor` shows {new:08x}");
+    Ok(ExitCode::SUCCESS)
+}
+
+fn transfer(talk: &mut Talk, upload: &mut Upload<'_>, mut boot_id: u32) -> Result<()> {
+    let mut progress_ms = talk.now_ms();
+    let mut open = true;
+    let mut reached = upload.progress().0;
+    loop {
+        match upload.stage() {
+            Stage::Done => {
+                if std::io::stdout().is_terminal() {
+                    println!();
+                }
+                return Ok(());
+            }
+            Stage::Failed(why) => bail!("{why}"),
+            _ => {}
+        }
+        if open
+            && talk.is_ready()
+            && let Some(message) = upload.poll(talk.now_ms())
+            && !talk.send(&message)
+        {
+            upload.unsent();
+        }
+        match talk.next(10) {
+            Some((_, Said::Ack(ack))) => upload.ack(&ack),
+            Some((_, Said::Hello(who))) if who.boot_id != boot_id => {
+                boot_id = who.boot_id;
+                println!("the board restarted: from the start");
+                upload.restarted();
+            }
+            Some((_, Said::Closed(why))) => {
+                open = false;
+                println!("{why}");
+            }
+            Some((_, Said::Opened)) => {
+                open = true;
+                // Its answer says whether it restarted meanwhile.
+                talk.send(&HostMessage::HelloRequest);
+            }
+            _ => {}
+        }
+        let (done, all) = upload.progress();
+        if done != reached {
+            reached = done;
+            progress_ms = talk.now_ms();
+            if std::io::stdout().is_terminal() {
+                print!("\r   {done} of {all} bytes ");
+                let _ = std::io::stdout().flush();
+            }
+        }
+        if talk.now_ms() - progress_ms > PATIENCE_MS {
+            bail!(
+                "{}: no progress for a minute; the board keeps its old model. Check the cable and send again",
+                talk.port()
+            );
+        }
+    }
+}

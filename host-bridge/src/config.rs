@@ -1,0 +1,335 @@
+//! The configuration file: every port, threshold, limit and mapping, in TOML.
+//!
+//! `host-bridge run --print-config` writes one with all keys. A key that does not exist is an error that
+//! names its line and the nearest key that does; so is a value that is unsafe.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+use shared_proto::message::TiltThresholds;
+use toml::de::{DeTable, DeValue};
+
+use crate::arm::profile::JointLimits;
+use crate::base::BaseConfig;
+use crate::intent::{MotionMap, SpeedRules};
+use crate::keyboard::KeyTimes;
+use crate::safety::SafetyTimes;
+
+/// All settings. The default is what the paper says, or the safest.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Config {
+    /// The hands change places: `left` is then the port of the gesture board, `right` of the tilt board.
+    pub left_handed: bool,
+    /// Where the boards are.
+    pub ports: Ports,
+    /// Tilt thresholds, sent to the left hand's board when it starts.
+    pub tilt: Tilt,
+    /// Caps on the base's speed.
+    pub speed: SpeedRules,
+    /// The dead-man's times.
+    pub safety: SafetyTimes,
+    /// How long a key counts.
+    pub keyboard: KeyTimes,
+    /// The simulated base.
+    pub base: BaseConfig,
+    /// The simulated arm.
+    pub arm: Arm,
+    /// Label → motion. Labels that are not named keep the paper's motion.
+    pub motions: BTreeMap<String, String>,
+}
+
+/// Where the boards are.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Ports {
+    /// A port, `keyboard`, or empty for none.
+    pub left: String,
+    /// A port, `keyboard`, or empty for none.
+    pub right: String,
+    /// Speed of the lines, in baud.
+    pub baud: u32,
+    /// Nothing is sent for so long after a port was opened, unless the board speaks first.
+    pub settle_ms: u64,
+}
+
+impl Default for Ports {
+    fn default() -> Self {
+        let serial = crate::links::SerialSettings::default();
+        Ports { left: String::new(), right: String::new(), baud: serial.baud, settle_ms: serial.settle_ms }
+    }
+}
+
+/// Tilt thresholds in milliradians.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Tilt {
+    /// Neutral lies within this.
+    pub neutral_mrad: u16,
+    /// A command ends below this.
+    pub end_mrad: u16,
+    /// A command starts beyond this.
+    pub start_mrad: u16,
+}
+
+impl Default for Tilt {
+    fn default() -> Self {
+        let shared_dsp::tilt::TiltThresholds { neutral_mrad, end_mrad, start_mrad } =
+            shared_dsp::tilt::TiltThresholds::DEFAULT;
+        Tilt { neutral_mrad, end_mrad, start_mrad }
+    }
+}
+
+impl From<Tilt> for TiltThresholds {
+    fn from(tilt: Tilt) -> Self {
+        let Tilt { neutral_mrad, end_mrad, start_mrad } = tilt;
+        TiltThresholds { neutral_mrad, end_mrad, start_mrad }
+    }
+}
+
+/// How much of the arm's own limits may be used, 0 to 1.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Arm {
+    /// Share of the largest joint speeds.
+    pub velocity_scaling: f64,
+    /// Share of the largest joint accelerations.
+    pub acceleration_scaling: f64,
+}
+
+impl Default for Arm {
+    fn default() -> Self {
+        use crate::arm::gen3::{ACCELERATION_SCALING, VELOCITY_SCALING};
+        Arm { velocity_scaling: VELOCITY_SCALING, acceleration_scaling: ACCELERATION_SCALING }
+    }
+}
+
+/// Why a configuration cannot be used; the text names the line and what to do.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum ConfigError {
+    /// A key that does not exist.
+    #[error("line {line}: there is no key '{key}'{}; `host-bridge run --print-config` shows all keys",
+        nearest.as_ref().map(|n| format!(", did you mean '{n}'?")).unwrap_or_default())]
+    UnknownKey {
+        /// Line, from 1.
+        line: usize,
+        /// The key with its tables.
+        key: String,
+        /// The nearest key that exists.
+        nearest: Option<String>,
+    },
+    /// The text is no TOML, or a value is of another kind.
+    #[error("line {line}: {what}")]
+    Text {
+        /// Line, from 1.
+        line: usize,
+        /// What the parser says.
+        what: String,
+    },
+    /// A value that makes no sense or is unsafe.
+    #[error("{0}")]
+    Value(String),
+}
+
+impl Config {
+    /// Reads a file's text.
+    ///
+    /// # Errors
+    /// [`ConfigError`], with the line where there is one.
+    pub fn parse(text: &str) -> Result<Self, ConfigError> {
+        let line = |at: usize| text.get(..at).map_or(1, |before| before.matches('\n').count() + 1);
+        let refused = |error: toml::de::Error| ConfigError::Text {
+            line: line(error.span().map_or(0, |span| span.start)),
+            what: error.message().trim().replace('\n', "; "),
+        };
+        let table = DeTable::parse(text).map_err(refused)?;
+        let known = toml::Value::try_from(Config::default()).ok();
+        if let Some(toml::Value::Table(known)) = known {
+            check_keys(table.get_ref(), &known, "", &line)?;
+        }
+        let config: Config = toml::from_str(text).map_err(refused)?;
+        config.check()?;
+        Ok(config)
+    }
+
+    /// All keys with their values, ready to be a file.
+    pub fn to_toml(&self) -> String {
+        // Strings, numbers and tables: nothing that could fail.
+        toml::to_string(self).unwrap_or_default()
+    }
+
+    /// The paper's map with this file's changes.
+    pub fn motion_map(&self) -> MotionMap {
+        let mut map = MotionMap::default();
+        for (label, motion) in &self.motions {
+            // `check` has seen that all can be assigned.
+            let _ = map.assign(&format!("{label}={motion}"));
+        }
+        map
+    }
+
+    /// Limits of the arm.
+    pub fn arm_limits(&self) -> JointLimits {
+        use crate::arm::gen3::{MAX_ACCELERATION_RAD_S2, MAX_VELOCITY_RAD_S};
+        JointLimits {
+            velocity_rad_s: MAX_VELOCITY_RAD_S.map(|v| v * self.arm.velocity_scaling),
+            acceleration_rad_s2: MAX_ACCELERATION_RAD_S2.map(|a| a * self.arm.acceleration_scaling),
+        }
+    }
+
+    /// Are all values sound? Called by [`Config::parse`]; call it again after a change by hand.
+    ///
+    /// # Errors
+    /// [`ConfigError::Value`].
+    pub fn check(&self) -> Result<(), ConfigError> {
+        let ensure = |sound: bool, what: &str| {
+            if sound { Ok(()) } else { Err(ConfigError::Value(what.to_owned())) }
+        };
+        let Tilt { neutral_mrad, end_mrad, start_mrad } = self.tilt;
+        ensure(
+            shared_dsp::tilt::TiltThresholds { neutral_mrad, end_mrad, start_mrad }.are_sound(),
+            "tilt: 17 <= neutral_mrad < end_mrad < start_mrad <= 1047 (60°) must hold",
+        )?;
+        let speed = self.speed;
+        let within = |value: f64, least: f64, most: f64| value >= least && value <= most;
+        ensure(
+            within(speed.most, 0.01, 2.0)
+                && within(speed.least, 0.01, speed.most)
+                && within(speed.start, speed.least, speed.most),
+            "speed: 0.01 <= least <= start <= most <= 2.0 must hold",
+        )?;
+        ensure(
+            within(speed.faster, 1.0, 2.0) && within(speed.slower, 0.1, 1.0),
+            "speed: faster lies between 1 and 2, slower between 0.1 and 1",
+        )?;
+        ensure(
+            (20..=250).contains(&self.safety.stale_ms),
+            "safety: stale_ms lies between 20 and 250: a silent hand must stop the robot within a quarter second",
+        )?;
+        ensure(
+            (100..=10_000).contains(&self.safety.arm_neutral_ms)
+                && (1000..=60_000).contains(&self.safety.release_neutral_ms),
+            "safety: arm_neutral_ms lies between 100 and 10000, release_neutral_ms between 1000 and 60000",
+        )?;
+        ensure(
+            (50..=1000).contains(&self.keyboard.first_press_ms)
+                && (50..=1000).contains(&self.keyboard.repeat_ms),
+            "keyboard: first_press_ms and repeat_ms lie between 50 and 1000",
+        )?;
+        let base = self.base;
+        ensure(
+            within(base.wheel_radius_m, 0.01, 1.0)
+                && within(base.track_m, 0.05, 3.0)
+                && within(base.wheel_speed_max_rad_s, 0.1, 100.0)
+                && within(base.wheel_acceleration_max_rad_s2, 0.1, 1000.0),
+            "base: a size or limit is out of range; --print-config shows usual ones",
+        )?;
+        ensure(
+            within(self.arm.velocity_scaling, 0.01, 1.0) && within(self.arm.acceleration_scaling, 0.01, 1.0),
+            "arm: scalings lie between 0.01 and 1",
+        )?;
+        ensure(
+            (1200..=2_000_000).contains(&self.ports.baud) && self.ports.settle_ms <= 60_000,
+            "ports: baud lies between 1200 and 2000000, settle_ms is at most 60000",
+        )?;
+        let mut map = MotionMap::default();
+        for (label, motion) in &self.motions {
+            map.assign(&format!("{label}={motion}"))
+                .map_err(|error| ConfigError::Value(format!("motions: {error}")))?;
+        }
+        Ok(())
+    }
+}
+
+/// Every key must be a known one; keys of `motions` are labels and free.
+fn check_keys(
+    table: &DeTable<'_>,
+    known: &toml::Table,
+    path: &str,
+    line: &impl Fn(usize) -> usize,
+) -> Result<(), ConfigError> {
+    for (key, value) in table {
+        let name: &str = key.get_ref().as_ref();
+        let Some(there) = known.get(name) else {
+            let near = |candidate: &&String| strsim::normalized_damerau_levenshtein(candidate, name);
+            let nearest = known.keys().max_by(|a, b| near(a).total_cmp(&near(b)));
+            return Err(ConfigError::UnknownKey {
+                line: line(key.span().start),
+                key: format!("{path}{name}"),
+                nearest: nearest.filter(|candidate| near(candidate) > 0.4).map(|n| format!("{path}{n}")),
+            });
+        };
+        if name != "motions"
+            && let (DeValue::Table(inner), toml::Value::Table(there)) = (value.get_ref(), there)
+        {
+            check_keys(inner, there, &format!("{path}{name}."), line)?;
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::arm::ArmMotion;
+
+    #[test]
+    fn what_is_printed_reads_back_as_the_same_and_names_every_key() {
+        let text = Config::default().to_toml();
+        assert_eq!(Config::parse(&text).unwrap(), Config::default());
+        for key in ["left_handed", "settle_ms", "start_mrad", "stale_ms", "faster", "track_m", "repeat_ms"] {
+            assert!(text.contains(key), "{key} in\n{text}");
+        }
+        assert_eq!(Config::parse("").unwrap(), Config::default());
+    }
+
+    #[test]
+    fn an_unknown_key_is_named_with_its_line_and_the_nearest_one() {
+        let error = Config::parse("left_handed = true\n\n[safety]\nstale = 100\n").unwrap_err();
+        let (key, nearest) = ("safety.stale".to_owned(), Some("safety.stale_ms".to_owned()));
+        assert_eq!(error, ConfigError::UnknownKey { line: 4, key, nearest });
+        let text = error.to_string();
+        assert!(text.contains("line 4") && text.contains("did you mean 'safety.stale_ms'?"), "{text}");
+        let error = Config::parse("[port]\nleft = 'x'\n").unwrap_err();
+        assert!(error.to_string().contains("did you mean 'ports'?"), "{error}");
+        let error = Config::parse("zzzzzz = 1").unwrap_err();
+        assert!(error.to_string().contains("--print-config"), "{error}");
+    }
+
+    #[test]
+    fn values_of_another_kind_and_broken_text_are_named_with_their_line() {
+        for (text, line) in [("\n[tilt]\nend_mrad = 'x'\n", 3), ("\n[tilt\n", 2), ("[ports]\nbaud = -1\n", 2)] {
+            match Config::parse(text) {
+                Err(ConfigError::Text { line: found, .. }) => assert_eq!(found, line, "{text}"),
+                other => panic!("{text}: {other:?}"),
+            }
+        }
+    }
+
+    #[test]
+    fn unsafe_values_are_refused() {
+        for text in [
+            "[safety]\nstale_ms = 5000",
+            "[safety]\narm_neutral_ms = 0",
+            "[speed]\nmost = 9.0",
+            "[speed]\nstart = nan",
+            "[speed]\nleast = 0.9\nmost = 0.5",
+            "[tilt]\nneutral_mrad = 300",
+            "[keyboard]\nfirst_press_ms = 10000",
+            "[arm]\nvelocity_scaling = 3.0",
+            "[base]\ntrack_m = 0.0",
+            "[motions]\ncircle = 'fly'",
+            "[motions]\nidle = 'home'",
+        ] {
+            let error = Config::parse(text).unwrap_err();
+            assert!(matches!(error, ConfigError::Value(_)), "{text}: {error}");
+        }
+    }
+
+    #[test]
+    fn a_label_of_your_own_gets_a_motion_and_the_others_keep_theirs() {
+        let map = Config::parse("[motions]\nwave = 'pick-up'\n").unwrap().motion_map();
+        assert_eq!(map.motion("wave"), Some(ArmMotion::PickUp));
+        assert_eq!(map.motion("circle"), Some(ArmMotion::RandomTop));
+    }
+}

@@ -1,0 +1,275 @@
+//! One serial port: a thread that opens it, reads it, and opens it again.
+
+use std::io::{ErrorKind, Read as _, Write as _};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::Sender;
+use std::sync::{Arc, Mutex, MutexGuard};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use serialport::SerialPort;
+use shared_proto::frame::DELIMITER;
+
+use super::{Clock, LinkEvent, News};
+
+/// First pause before a port is opened again; doubled each time, up to [`LAST_PAUSE`].
+const FIRST_PAUSE: Duration = Duration::from_millis(100);
+const LAST_PAUSE: Duration = Duration::from_secs(2);
+
+/// A blocked write may hold its caller this long.
+const WRITE_PATIENCE: Duration = Duration::from_millis(20);
+/// How often the reading thread looks whether it should end. Bytes wake it at once.
+const READ_PATIENCE: Duration = Duration::from_millis(50);
+
+/// A Nano that is being reset is silent from here on until its program runs: whoever speaks later than
+/// this after the opening is no bootloader, and may be spoken to.
+const BOOTLOADER_SILENT_MS: u64 = 300;
+
+/// How a port is used.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SerialSettings {
+    /// Speed of the line. A board on native USB ignores it.
+    pub baud: u32,
+    /// Nothing is sent for this long after the port was opened, unless the board speaks first.
+    pub settle_ms: u64,
+}
+
+impl Default for SerialSettings {
+    /// The boards' 115200 baud, and the time that an old Nano bootloader may take.
+    fn default() -> Self {
+        SerialSettings { baud: 115_200, settle_ms: 2500 }
+    }
+}
+
+/// The sending end, and what is known of the other side.
+#[derive(Default)]
+struct Line {
+    port: Option<Box<dyn SerialPort>>,
+    opened_ms: u64,
+    /// Somebody has spoken who is no bootloader.
+    awake: bool,
+    /// The last write broke off: the next one must first end that frame.
+    cut: bool,
+}
+
+/// A port with its thread; dropping it closes the port.
+pub struct SerialLink {
+    port: String,
+    settings: SerialSettings,
+    clock: Arc<dyn Clock>,
+    line: Arc<Mutex<Line>>,
+    ended: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl SerialLink {
+    /// Starts the thread. Everything it has to say goes to `events`, marked with `link`.
+    pub fn start<I: Copy + Send + 'static>(
+        link: I,
+        port: &str,
+        settings: SerialSettings,
+        clock: Arc<dyn Clock>,
+        events: Sender<LinkEvent<I>>,
+    ) -> Self {
+        let line = Arc::new(Mutex::new(Line::default()));
+        let ended = Arc::new(AtomicBool::new(false));
+        let reader = Reader {
+            link,
+            port: port.to_owned(),
+            settings,
+            clock: Arc::clone(&clock),
+            line: Arc::clone(&line),
+            ended: Arc::clone(&ended),
+            events,
+        };
+        let thread = Some(std::thread::spawn(move || reader.run()));
+        SerialLink { port: port.to_owned(), settings, clock, line, ended, thread }
+    }
+
+    /// The port's name.
+    pub fn port(&self) -> &str {
+        &self.port
+    }
+
+    /// May bytes be sent now? Not while the port is closed, nor early after a reset.
+    pub fn is_ready(&self) -> bool {
+        let line = lock(&self.line);
+        let waited_ms = self.clock.now_ms().saturating_sub(line.opened_ms);
+        line.port.is_some() && (line.awake || waited_ms >= self.settings.settle_ms)
+    }
+
+    /// Sends one frame; false when it is not on its way. Nothing is kept for later: late is dropped.
+    pub fn send(&self, frame: &[u8]) -> bool {
+        if !self.is_ready() {
+            return false;
+        }
+        let mut line = lock(&self.line);
+        let cut = line.cut;
+        let Some(port) = &mut line.port else { return false };
+        let sent = (!cut || port.write_all(&[DELIMITER]).is_ok()) && port.write_all(frame).is_ok();
+        line.cut = !sent;
+        sent
+    }
+}
+
+impl Drop for SerialLink {
+    fn drop(&mut self) {
+        self.ended.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+/// A panic elsewhere does not make a port unusable.
+fn lock(line: &Mutex<Line>) -> MutexGuard<'_, Line> {
+    line.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
+}
+
+struct Reader<I> {
+    link: I,
+    port: String,
+    settings: SerialSettings,
+    clock: Arc<dyn Clock>,
+    line: Arc<Mutex<Line>>,
+    ended: Arc<AtomicBool>,
+    events: Sender<LinkEvent<I>>,
+}
+
+impl<I: Copy> Reader<I> {
+    fn run(&self) {
+        let mut pause = FIRST_PAUSE;
+        let mut said = None;
+        while !self.is_over() {
+            let problem = match self.open() {
+                Err(problem) => problem,
+                Ok(port) => {
+                    said = None;
+                    self.tell(News::Opened);
+                    let (problem, heard) = self.read(port);
+                    lock(&self.line).port = None;
+                    if heard {
+                        pause = FIRST_PAUSE;
+                    }
+                    problem
+                }
+            };
+            if said.as_ref() != Some(&problem) {
+                self.tell(News::Closed(problem.clone()));
+                said = Some(problem);
+            }
+            self.sleep(pause);
+            pause = (pause * 2).min(LAST_PAUSE);
+        }
+    }
+
+    fn is_over(&self) -> bool {
+        self.ended.load(Ordering::Relaxed)
+    }
+
+    fn sleep(&self, pause: Duration) {
+        let step = Duration::from_millis(20);
+        let mut left = pause;
+        while !self.is_over() && !left.is_zero() {
+            std::thread::sleep(step.min(left));
+            left = left.saturating_sub(step);
+        }
+    }
+
+    fn tell(&self, news: News) {
+        // Where nobody listens any more, the program is about to end.
+        let _ = self.events.send(LinkEvent { link: self.link, at_ms: self.clock.now_ms(), news });
+    }
+
+    fn open(&self) -> Result<Box<dyn SerialPort>, String> {
+        let explain = |error: serialport::Error| explain(&self.port, &error);
+        let port = serialport::new(&self.port, self.settings.baud)
+            .timeout(READ_PATIENCE)
+            .open()
+            .map_err(explain)?;
+        let mut writer = port.try_clone().map_err(explain)?;
+        writer.set_timeout(WRITE_PATIENCE).map_err(explain)?;
+        // What waited in the port's buffer is old.
+        port.clear(serialport::ClearBuffer::Input).map_err(explain)?;
+        *lock(&self.line) =
+            Line { port: Some(writer), opened_ms: self.clock.now_ms(), awake: false, cut: false };
+        Ok(port)
+    }
+
+    /// Reads until the port fails; why, and whether anything came.
+    fn read(&self, mut port: Box<dyn SerialPort>) -> (String, bool) {
+        let opened_ms = self.clock.now_ms();
+        let mut buffer = [0; 1024];
+        let mut heard = false;
+        while !self.is_over() {
+            match port.read(&mut buffer) {
+                Ok(0) => return (gone(&self.port), heard),
+                Ok(count) => {
+                    if !heard || !lock(&self.line).awake {
+                        heard = true;
+                        let passed_ms = self.clock.now_ms().saturating_sub(opened_ms);
+                        lock(&self.line).awake = passed_ms > BOOTLOADER_SILENT_MS;
+                    }
+                    self.tell(News::Bytes(buffer[..count].to_vec()));
+                }
+                Err(error) if matches!(error.kind(), ErrorKind::TimedOut | ErrorKind::Interrupted) => {}
+                Err(_) => return (gone(&self.port), heard),
+            }
+        }
+        (gone(&self.port), heard)
+    }
+}
+
+fn gone(port: &str) -> String {
+    format!("{port}: the board is gone; plug it in again, the link comes back by itself")
+}
+
+/// Why a port cannot be opened, and what to do.
+fn explain(port: &str, error: &serialport::Error) -> String {
+    use serialport::ErrorKind as K;
+    let advice = match error.kind {
+        K::Io(ErrorKind::NotFound) => "plug the board in; `host-bridge list` shows the ports",
+        K::Io(ErrorKind::PermissionDenied) => {
+            "you may not open it: `sudo usermod -aG dialout $USER` (Arch: group uucp), then log in again"
+        }
+        K::NoDevice | K::Io(ErrorKind::WouldBlock) => {
+            "another program uses it: close the serial monitor or the other host-bridge"
+        }
+        _ => "is this a serial port? `host-bridge list` shows them",
+    };
+    format!("{port}: {}; {advice}", error.description)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::SystemClock;
+    use super::*;
+    use std::sync::mpsc::channel;
+
+    #[test]
+    fn a_port_that_is_not_there_is_reported_once_and_takes_nothing() {
+        let (sender, events) = channel();
+        let clock = Arc::new(SystemClock::start());
+        let link = SerialLink::start(7, "/no/such/port", SerialSettings::default(), clock, sender);
+        let event = events.recv().unwrap();
+        assert_eq!(event.link, 7);
+        let News::Closed(text) = event.news else { panic!("{event:?}") };
+        assert!(text.contains("/no/such/port") && text.contains("host-bridge list"), "{text}");
+        assert!(!link.is_ready() && !link.send(&[1, 2, 0]));
+        // It tries again after 100 and 200 ms, and says nothing new.
+        assert!(events.recv_timeout(Duration::from_millis(400)).is_err());
+    }
+
+    #[test]
+    fn every_refusal_says_what_to_do() {
+        for (kind, word) in [
+            (serialport::ErrorKind::Io(ErrorKind::NotFound), "plug"),
+            (serialport::ErrorKind::Io(ErrorKind::PermissionDenied), "dialout"),
+            (serialport::ErrorKind::NoDevice, "close"),
+            (serialport::ErrorKind::Unknown, "host-bridge list"),
+        ] {
+            let text = explain("/dev/ttyUSB0", &serialport::Error::new(kind, "refused"));
+            assert!(text.contains("/dev/ttyUSB0") && text.contains(word), "{text}");
+        }
+    }
+}

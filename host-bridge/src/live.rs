@@ -1,0 +1,335 @@
+//! A session with real links: bytes of boards (or keys) in, frames for boards and robot motion out.
+//!
+//! Sans-IO like the rest: whoever owns the links and the clock calls [`Live::receive`] and [`Live::step`].
+
+use shared_proto::frame::{HOST_FRAME_MAX, encode_host};
+use shared_proto::message::{HostMessage, Mode, TiltThresholds};
+
+use crate::bridge::{Bridge, BridgeEvent, EventKind};
+use crate::config::Config;
+use crate::keyboard::{HandKey, KeyLeft, KeyRight};
+use crate::safety::Hand;
+use crate::sim::{SimConfig, Simulator};
+
+/// What stands for a hand.
+enum Source {
+    Nobody,
+    /// A link elsewhere; what waits to be sent, newest last.
+    Board(Vec<Vec<u8>>),
+    KeyLeft(Box<KeyLeft>),
+    KeyRight(Box<KeyRight>),
+}
+
+/// See the module.
+pub struct Live {
+    bridge: Bridge,
+    robot: Simulator,
+    /// The robot has been simulated up to here.
+    robot_ms: u64,
+    sources: [Source; 2],
+    tilt: TiltThresholds,
+    request: u16,
+}
+
+/// What a hand is to be.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Place {
+    /// Left out.
+    Nobody,
+    /// A board on a link.
+    Board,
+    /// Keys.
+    Keyboard,
+}
+
+impl Live {
+    /// A session that starts at `now_ms` with the robot at rest.
+    pub fn new(config: &Config, left: Place, right: Place, now_ms: u64) -> Self {
+        let source = |place, keys: Source| match place {
+            Place::Nobody => Source::Nobody,
+            Place::Board => Source::Board(Vec::new()),
+            Place::Keyboard => keys,
+        };
+        let sim = SimConfig { base: config.base, arm_limits: config.arm_limits(), ..SimConfig::default() };
+        Live {
+            bridge: Bridge::with(config.motion_map(), config.speed, config.safety),
+            robot: Simulator::new(sim),
+            robot_ms: now_ms,
+            sources: [
+                source(left, Source::KeyLeft(Box::new(KeyLeft::new(config.keyboard)))),
+                source(right, Source::KeyRight(Box::new(KeyRight::new()))),
+            ],
+            tilt: config.tilt.into(),
+            request: 0,
+        }
+    }
+
+    /// The bridge.
+    pub fn bridge(&self) -> &Bridge {
+        &self.bridge
+    }
+
+    /// The robot.
+    pub fn robot(&self) -> &Simulator {
+        &self.robot
+    }
+
+    /// Bytes of a hand's board. `now_ms` is the time at which they are *handled*: bytes that waited
+    /// somewhere are thereby as old as they are, and dropped if they are too old.
+    pub fn receive(&mut self, hand: Hand, bytes: &[u8], now_ms: u64) {
+        self.bridge.receive(hand, bytes, now_ms, &mut self.robot);
+    }
+
+    /// A key of those that stand for a hand.
+    pub fn press(&mut self, key: HandKey, now_ms: u64) {
+        for source in &mut self.sources {
+            match source {
+                Source::KeyLeft(hand) => hand.press(key, now_ms),
+                Source::KeyRight(hand) => hand.press(key, now_ms),
+                Source::Nobody | Source::Board(_) => {}
+            }
+        }
+    }
+
+    /// Such a key is up.
+    pub fn release_hand_key(&mut self, key: HandKey) {
+        if let Source::KeyLeft(hand) = &mut self.sources[0] {
+            hand.release(key);
+        }
+    }
+
+    /// The operator's stop.
+    pub fn stop_key(&mut self, now_ms: u64) {
+        self.bridge.stop_key(now_ms, &mut self.robot);
+    }
+
+    /// The release key, pressed and confirmed.
+    pub fn release_key(&mut self, now_ms: u64) {
+        self.bridge.release_key(now_ms, &mut self.robot);
+    }
+
+    /// Lets the time become `now_ms`; call it every few milliseconds. `ready` says which hands' links
+    /// take bytes now. What happened comes back; what is to be sent waits in [`Live::take_outgoing`].
+    pub fn step(&mut self, now_ms: u64, ready: [bool; 2]) -> Vec<BridgeEvent> {
+        // First what has passed: after a pause of this program the robot has stopped by itself, as a
+        // real one would have.
+        self.robot.step(now_ms.saturating_sub(self.robot_ms));
+        self.robot_ms = self.robot_ms.max(now_ms);
+        for hand in [Hand::Left, Hand::Right] {
+            self.play_keys(hand, now_ms);
+            if ready[hand as usize] || !matches!(self.sources[hand as usize], Source::Board(_)) {
+                let wanted = [self.bridge.poll(hand, now_ms), self.bridge.ping(hand, now_ms)];
+                for message in wanted.into_iter().flatten() {
+                    self.send(hand, &message, now_ms);
+                }
+            }
+        }
+        self.bridge.step(now_ms, &mut self.robot);
+        let events = self.bridge.take_events();
+        for event in &events {
+            if let EventKind::HandStarted { hand, .. } = event.kind {
+                self.set_up(hand, now_ms);
+            }
+        }
+        events
+    }
+
+    /// The frames that wait for a hand's board.
+    pub fn take_outgoing(&mut self, hand: Hand) -> Vec<Vec<u8>> {
+        match &mut self.sources[hand as usize] {
+            Source::Board(frames) => std::mem::take(frames),
+            _ => Vec::new(),
+        }
+    }
+
+    /// A board that has just started gets the thresholds; one that was left in record mode is called back.
+    fn set_up(&mut self, hand: Hand, now_ms: u64) {
+        self.request = self.request.wrapping_add(1);
+        let request = self.request;
+        let message = match hand {
+            Hand::Left => HostMessage::SetThresholds { request, thresholds: self.tilt },
+            Hand::Right => HostMessage::SetMode { request, mode: Mode::Classify },
+        };
+        self.send(hand, &message, now_ms);
+    }
+
+    fn send(&mut self, hand: Hand, message: &HostMessage<'_>, now_ms: u64) {
+        let mut buffer = [0; HOST_FRAME_MAX];
+        let Ok(frame) = encode_host(message, &mut buffer) else { return };
+        let mut wire = Vec::new();
+        match &mut self.sources[hand as usize] {
+            Source::Nobody => {}
+            Source::Board(frames) => frames.push(frame.to_vec()),
+            Source::KeyLeft(keys) => keys.receive(frame, now_ms, &mut wire),
+            Source::KeyRight(keys) => keys.receive(frame, now_ms, &mut wire),
+        }
+        if !wire.is_empty() {
+            self.receive(hand, &wire, now_ms);
+        }
+    }
+
+    fn play_keys(&mut self, hand: Hand, now_ms: u64) {
+        let mut wire = Vec::new();
+        match &mut self.sources[hand as usize] {
+            Source::KeyLeft(keys) => keys.step(now_ms, &mut wire),
+            Source::KeyRight(keys) => keys.step(now_ms, &mut wire),
+            Source::Nobody | Source::Board(_) => {}
+        }
+        if !wire.is_empty() {
+            self.receive(hand, &wire, now_ms);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bridge::GestureOutcome;
+    use crate::robot::Robot as _;
+    use crate::safety::State;
+    use shared_proto::message::Heading;
+
+    const FORWARD: HandKey = HandKey::Arrow(Heading::Forward);
+
+    struct Rig {
+        live: Live,
+        now_ms: u64,
+        events: Vec<EventKind>,
+    }
+
+    impl Rig {
+        fn new(left: Place, right: Place) -> Self {
+            let live = Live::new(&Config::default(), left, right, 0);
+            let mut rig = Rig { live, now_ms: 0, events: Vec::new() };
+            rig.run(1000);
+            rig
+        }
+
+        fn run(&mut self, ms: u64) {
+            for _ in 0..ms {
+                self.now_ms += 1;
+                let events = self.live.step(self.now_ms, [true; 2]);
+                self.events.extend(events.into_iter().map(|event| event.kind));
+            }
+        }
+
+        fn press(&mut self, key: HandKey) {
+            self.live.press(key, self.now_ms);
+        }
+
+        fn speed_m_s(&self) -> f64 {
+            self.live.robot().odometry().twist.linear_m_s
+        }
+    }
+
+    #[test]
+    fn keys_arm_by_themselves_and_an_arrow_drives_for_600_ms_at_most() {
+        let mut rig = Rig::new(Place::Keyboard, Place::Keyboard);
+        assert_eq!(rig.live.bridge().safety().state(), State::Armed);
+        rig.press(FORWARD);
+        rig.run(590);
+        assert!(rig.speed_m_s() > 0.3, "{}", rig.speed_m_s());
+        assert_eq!(rig.live.bridge().twist().linear_m_s, 0.5);
+        rig.run(30);
+        assert_eq!(rig.live.bridge().twist().linear_m_s, 0.0);
+    }
+
+    #[test]
+    fn a_held_arrow_drives_until_200_ms_after_its_last_repeat() {
+        let mut rig = Rig::new(Place::Keyboard, Place::Nobody);
+        rig.press(FORWARD);
+        rig.run(500);
+        for _ in 0..60 {
+            rig.press(FORWARD);
+            rig.run(33);
+            assert_eq!(rig.live.bridge().twist().linear_m_s, 0.5);
+        }
+        rig.run(150);
+        assert_eq!(rig.live.bridge().twist().linear_m_s, 0.5);
+        rig.run(40);
+        assert_eq!(rig.live.bridge().twist().linear_m_s, 0.0);
+    }
+
+    #[test]
+    fn a_bridge_that_stands_still_stops_a_held_arrow_like_any_silent_hand() {
+        let mut rig = Rig::new(Place::Keyboard, Place::Keyboard);
+        rig.press(FORWARD);
+        rig.run(400);
+        // The laptop was suspended: the robot's own timeout acts before the next step.
+        rig.now_ms += 3000;
+        rig.run(1);
+        assert!(rig.live.robot().at_rest());
+        assert_eq!(rig.live.bridge().twist().linear_m_s, 0.0);
+    }
+
+    #[test]
+    fn q_and_z_change_the_cap_and_numbers_start_motions() {
+        let mut rig = Rig::new(Place::Keyboard, Place::Keyboard);
+        rig.press(HandKey::Faster);
+        rig.press(HandKey::Faster); // the same press, repeated by the terminal
+        rig.run(300);
+        assert!((rig.live.bridge().caps().linear_m_s - 0.55).abs() < 1e-9);
+        rig.press(HandKey::Slower);
+        rig.run(100);
+        assert!((rig.live.bridge().caps().linear_m_s - 0.495).abs() < 1e-9);
+        rig.press(HandKey::Gesture(6));
+        rig.run(100);
+        rig.press(HandKey::Gesture(6));
+        rig.run(100);
+        let outcomes: Vec<_> = rig
+            .events
+            .iter()
+            .filter_map(|event| match event {
+                EventKind::Gesture { label, outcome, .. } => Some((label.as_str(), *outcome)),
+                _ => None,
+            })
+            .collect();
+        assert_eq!(
+            outcomes,
+            [("circle", GestureOutcome::Started(crate::arm::ArmMotion::RandomTop))],
+            "a key held down is one gesture"
+        );
+    }
+
+    #[test]
+    fn a_stop_is_released_by_a_second_of_neutral_and_key_1() {
+        let mut rig = Rig::new(Place::Keyboard, Place::Keyboard);
+        rig.live.stop_key(rig.now_ms);
+        rig.run(500);
+        rig.press(HandKey::Gesture(1));
+        rig.run(800);
+        assert_eq!(rig.live.bridge().safety().state(), State::Stopped);
+        rig.press(HandKey::Gesture(1));
+        rig.run(100);
+        assert_eq!(rig.live.bridge().safety().state(), State::Armed);
+    }
+
+    #[test]
+    fn a_new_board_is_told_its_thresholds_once() {
+        let mut live = Live::new(&Config::default(), Place::Board, Place::Nobody, 0);
+        live.step(1, [false; 2]);
+        assert!(live.take_outgoing(Hand::Left).is_empty(), "nothing is sent into a bootloader");
+        live.step(2, [true; 2]);
+        assert_eq!(live.take_outgoing(Hand::Left).len(), 1, "who is there?");
+        let mut wire = Vec::new();
+        send_hello(&mut wire);
+        live.receive(Hand::Left, &wire, 3);
+        live.step(3, [true; 2]);
+        let sent = live.take_outgoing(Hand::Left);
+        let mut decoder = shared_proto::frame::Decoder::<HOST_FRAME_MAX>::new();
+        let mut seen = Vec::new();
+        for &byte in sent.iter().flatten() {
+            if let Some(HostMessage::SetThresholds { thresholds, .. }) = decoder.push_host(byte) {
+                seen.push(thresholds.start_mrad);
+            }
+        }
+        assert_eq!(seen, [262]);
+    }
+
+    fn send_hello(wire: &mut Vec<u8>) {
+        let mut keys = KeyLeft::new(crate::keyboard::KeyTimes::default());
+        let mut buffer = [0; HOST_FRAME_MAX];
+        let request = encode_host(&HostMessage::HelloRequest, &mut buffer).unwrap();
+        keys.receive(request, 0, wire);
+    }
+}

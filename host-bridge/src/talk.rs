@@ -1,0 +1,368 @@
+//! One board on one port, talked to in turns: what `list`, `doctor`, `calibrate`, `record` and
+//! `send-model` share.
+
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, channel};
+use std::time::Duration;
+
+use shared_proto::frame::{BOARD_FRAME_MAX, Decoder, HOST_FRAME_MAX, encode_host};
+use shared_proto::message::{
+    Ack, AckResult, Board, BoardMessage, Fault, HostMessage, LeftState, Pong, Status,
+};
+use shared_proto::version;
+
+use crate::links::{Clock, LinkEvent, News, SerialLink, SerialSettings, SystemClock};
+
+/// A request is sent again after this long without an answer.
+const REPEAT_MS: u64 = 1000;
+
+/// What a board or its link says, without borrowed parts.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Said {
+    /// The port is open.
+    Opened,
+    /// It is not, or no longer; why and what to do.
+    Closed(String),
+    /// Who is there.
+    Hello(Who),
+    /// What its model needs and names.
+    Model(ModelNeeds),
+    /// A left state.
+    Left(LeftState),
+    /// A right state: sequence number, board time, label of the last event, number of events.
+    Right {
+        /// One more for each.
+        sequence: u16,
+        /// Board clock at the newest sample.
+        board_time_ms: u32,
+        /// Gestures so far.
+        events: u8,
+        /// The last one.
+        label: u8,
+        /// Health flags.
+        health: u8,
+    },
+    /// Raw samples.
+    Raw(RawBatch),
+    /// Counters.
+    Status(Status),
+    /// Trouble.
+    Fault(Fault),
+    /// Answer to a ping.
+    Pong(Pong),
+    /// Answer to a request.
+    Ack(Ack),
+}
+
+/// A hello.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Who {
+    /// Protocol version.
+    pub version: (u8, u8),
+    /// Kind of board.
+    pub board: Board,
+    /// Version of its firmware.
+    pub firmware: String,
+    /// Different after each start.
+    pub boot_id: u32,
+    /// CRC-32 of its model; 0 = none.
+    pub model_id: u32,
+    /// Samples per second.
+    pub sample_hz: u16,
+    /// Why it cannot be used, and what to do.
+    pub problem: Option<String>,
+}
+
+/// What the running model needs and names.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ModelNeeds {
+    /// CRC-32 of the blob.
+    pub model_id: u32,
+    /// How features are made.
+    pub recipe: u8,
+    /// Values per sample.
+    pub axes: u8,
+    /// Samples per second.
+    pub sample_hz: u16,
+    /// Samples per window.
+    pub window: u16,
+    /// Names of the outputs in order.
+    pub labels: Vec<String>,
+}
+
+/// Raw samples as sent.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RawBatch {
+    /// Number of the first sample since the board's start.
+    pub first_sample: u32,
+    /// Values per sample.
+    pub axes: u8,
+    /// Physical value of one count: m/s², deg/s, µT.
+    pub scale: [f32; 3],
+    /// Sample after sample.
+    pub counts: Vec<i16>,
+}
+
+/// Why a talk failed; the text says what to do.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum TalkError {
+    /// The port cannot be opened or was lost.
+    #[error("{0}")]
+    Closed(String),
+    /// The port is open, but nobody says hello.
+    #[error(
+        "{port}: nobody answers; is the right board on this port, and has it been flashed? \
+         `host-bridge list` asks all ports"
+    )]
+    Nobody {
+        /// The port.
+        port: String,
+    },
+    /// There is a board, but not one that this program can use.
+    #[error("{0}")]
+    Unusable(String),
+    /// A request was not answered.
+    #[error("{port}: the board did not answer a request; restart it and try again")]
+    NoAnswer {
+        /// The port.
+        port: String,
+    },
+    /// A request was refused.
+    #[error("{port}: {advice}")]
+    Refused {
+        /// The port.
+        port: String,
+        /// As the board says it.
+        result: AckResult,
+        /// What it means and what to do.
+        advice: String,
+    },
+}
+
+/// What an answer means, and what to do.
+pub fn advice(result: AckResult) -> &'static str {
+    match result {
+        AckResult::Ok => "done",
+        AckResult::Started => "it has begun",
+        AckResult::Busy => "the board is busy with another request; try again in a few seconds",
+        AckResult::Unsupported => "this board does not do that; is it the other hand's port?",
+        AckResult::OutOfRange => "a value is out of range for the board; update its firmware",
+        AckResult::Unsteady => "the hand moved, or the pose cannot be right; hold still and try again",
+        AckResult::ModelDoesNotFit => {
+            "the model does not fit the board: recipe, axes, rate, window and size must; train it again \
+             with this version's `models train`, or flash the firmware for its axes"
+        }
+        AckResult::WrongOffset => "the board lost its place in the model; send it again",
+        AckResult::BadChecksum => "the model arrived damaged; send it again",
+        AckResult::StorageFailed => "the board's memory did not take the data; try again, or replace the board",
+        AckResult::NotBonded => "Bluetooth writes need pairing; pair in the system's settings, or use the cable",
+        AckResult::Unknown(_) => "the board gave an answer that this version does not know; update host-bridge",
+    }
+}
+
+/// A port, its board, and what it says.
+pub struct Talk {
+    link: SerialLink,
+    events: Receiver<LinkEvent<()>>,
+    clock: Arc<dyn Clock>,
+    decoder: Decoder<BOARD_FRAME_MAX>,
+    said: std::collections::VecDeque<(u64, Said)>,
+    request: u16,
+}
+
+impl Talk {
+    /// Opens a port; what comes of it is said.
+    pub fn open(port: &str, settings: SerialSettings) -> Self {
+        let clock: Arc<dyn Clock> = Arc::new(SystemClock::start());
+        let (sender, events) = channel();
+        let link = SerialLink::start((), port, settings, Arc::clone(&clock), sender);
+        Talk { link, events, clock, decoder: Decoder::new(), said: Default::default(), request: 0 }
+    }
+
+    /// The port's name.
+    pub fn port(&self) -> &str {
+        self.link.port()
+    }
+
+    /// Time on the clock that marks what is said.
+    pub fn now_ms(&self) -> u64 {
+        self.clock.now_ms()
+    }
+
+    /// Frames so far, and damaged ones.
+    pub fn frames(&self) -> (u32, u32) {
+        let counters = self.decoder.counters();
+        (counters.frames, counters.damaged())
+    }
+
+    /// May bytes be sent now? Not early after the port was opened.
+    pub fn is_ready(&self) -> bool {
+        self.link.is_ready()
+    }
+
+    /// Sends a message; false when it is not on its way.
+    pub fn send(&self, message: &HostMessage<'_>) -> bool {
+        let mut buffer = [0; HOST_FRAME_MAX];
+        encode_host(message, &mut buffer).is_ok_and(|frame| self.link.send(frame))
+    }
+
+    /// A number for the next request.
+    pub fn next_request(&mut self) -> u16 {
+        self.request = self.request.wrapping_add(1);
+        self.request
+    }
+
+    /// The next thing said, with its time of arrival; waits so long at most.
+    pub fn next(&mut self, patience_ms: u64) -> Option<(u64, Said)> {
+        let until_ms = self.now_ms() + patience_ms;
+        loop {
+            if let Some(said) = self.said.pop_front() {
+                return Some(said);
+            }
+            let left_ms = until_ms.saturating_sub(self.now_ms());
+            let event = self.events.recv_timeout(Duration::from_millis(left_ms)).ok()?;
+            match event.news {
+                News::Opened => self.said.push_back((event.at_ms, Said::Opened)),
+                News::Closed(why) => self.said.push_back((event.at_ms, Said::Closed(why))),
+                News::Bytes(bytes) => {
+                    for byte in bytes {
+                        if let Some(said) = self.decoder.push_board(byte).and_then(|m| owned(&m)) {
+                            self.said.push_back((event.at_ms, said));
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    /// Who is there. Asks twice a second as soon as that is safe.
+    ///
+    /// # Errors
+    /// [`TalkError`] if the port does not open, nobody answers in time, or the board cannot be used.
+    pub fn hello(&mut self, patience_ms: u64) -> Result<Who, TalkError> {
+        let who = self.meet(patience_ms)?;
+        match &who.problem {
+            Some(problem) => Err(TalkError::Unusable(format!("{}: {problem}", self.port()))),
+            None => Ok(who),
+        }
+    }
+
+    /// The same, also for a board that cannot be used.
+    ///
+    /// # Errors
+    /// [`TalkError`] if the port does not open or nobody answers in time.
+    pub fn meet(&mut self, patience_ms: u64) -> Result<Who, TalkError> {
+        let until_ms = self.now_ms() + patience_ms;
+        let mut asked_ms = None;
+        while self.now_ms() < until_ms {
+            let due = asked_ms.is_none_or(|t| self.now_ms() - t >= 500);
+            if due && self.is_ready() && self.send(&HostMessage::HelloRequest) {
+                asked_ms = Some(self.now_ms());
+            }
+            match self.next(20) {
+                Some((_, Said::Hello(who))) => return Ok(who),
+                Some((_, Said::Closed(why))) => return Err(TalkError::Closed(why)),
+                _ => {}
+            }
+        }
+        Err(TalkError::Nobody { port: self.port().to_owned() })
+    }
+
+    /// What a right hand's model needs; `None` where the board does not say.
+    pub fn model(&mut self, patience_ms: u64) -> Option<ModelNeeds> {
+        let until_ms = self.now_ms() + patience_ms;
+        let mut asked_ms = self.now_ms();
+        while self.now_ms() < until_ms {
+            match self.next(50) {
+                Some((_, Said::Model(model))) => return Some(model),
+                _ if self.now_ms() - asked_ms > 700 => {
+                    asked_ms = self.now_ms();
+                    self.send(&HostMessage::HelloRequest);
+                }
+                _ => {}
+            }
+        }
+        None
+    }
+
+    /// Sends a request, again every second, until its last answer; a `Started` only prolongs the wait.
+    ///
+    /// # Errors
+    /// [`TalkError`] if the link breaks, no answer comes in time, or the board refuses.
+    pub fn request(
+        &mut self,
+        patience_ms: u64,
+        make: impl Fn(u16) -> HostMessage<'static>,
+    ) -> Result<Ack, TalkError> {
+        let request = self.next_request();
+        let until_ms = self.now_ms() + patience_ms;
+        let (mut asked_ms, mut started) = (None, false);
+        while self.now_ms() < until_ms {
+            let due = asked_ms.is_none_or(|t| self.now_ms() - t >= REPEAT_MS);
+            if due && !started && self.send(&make(request)) {
+                asked_ms = Some(self.now_ms());
+            }
+            match self.next(20) {
+                Some((_, Said::Ack(ack))) if ack.request == request => match ack.result {
+                    AckResult::Started => started = true,
+                    AckResult::Ok => return Ok(ack),
+                    result => {
+                        return Err(TalkError::Refused {
+                            port: self.port().to_owned(),
+                            result,
+                            advice: advice(result).to_owned(),
+                        });
+                    }
+                },
+                Some((_, Said::Closed(why))) => return Err(TalkError::Closed(why)),
+                // A restart forgets the request.
+                Some((_, Said::Hello(_))) if asked_ms.is_some() => started = false,
+                _ => {}
+            }
+        }
+        Err(TalkError::NoAnswer { port: self.port().to_owned() })
+    }
+}
+
+/// A message without its borrowed parts; `None` where its content contradicts itself.
+fn owned(message: &BoardMessage<'_>) -> Option<Said> {
+    Some(match message {
+        BoardMessage::Hello(hello) => Said::Hello(Who {
+            version: (hello.major, hello.minor),
+            board: hello.board,
+            firmware: hello.firmware.to_owned(),
+            boot_id: hello.boot_id,
+            model_id: hello.model_id,
+            sample_hz: hello.sample_hz,
+            problem: version::check(hello).err().map(|mismatch| mismatch.to_string()),
+        }),
+        BoardMessage::ModelInfo(info) => Said::Model(ModelNeeds {
+            model_id: info.model_id,
+            recipe: info.recipe,
+            axes: info.axes,
+            sample_hz: info.sample_hz,
+            window: info.window,
+            labels: info.labels.split(',').map(str::to_owned).collect(),
+        }),
+        BoardMessage::Left(state) => Said::Left(*state),
+        BoardMessage::Right(state) => Said::Right {
+            sequence: state.sequence,
+            board_time_ms: state.board_time_ms,
+            events: state.events,
+            label: state.label,
+            health: state.health,
+        },
+        BoardMessage::RawImu(raw) => {
+            let whole = matches!(raw.axes, 3 | 6 | 9) && raw.counts.len() % (2 * usize::from(raw.axes)) == 0;
+            if !whole || raw.scale.iter().any(|s| !s.is_finite()) {
+                return None;
+            }
+            let counts = raw.counts.chunks_exact(2).map(|b| i16::from_le_bytes([b[0], b[1]])).collect();
+            Said::Raw(RawBatch { first_sample: raw.first_sample, axes: raw.axes, scale: raw.scale, counts })
+        }
+        BoardMessage::Status(status) => Said::Status(*status),
+        BoardMessage::Fault(fault) => Said::Fault(*fault),
+        BoardMessage::Pong(pong) => Said::Pong(*pong),
+        BoardMessage::Ack(ack) => Said::Ack(*ack),
+    })
+}

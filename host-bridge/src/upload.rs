@@ -1,0 +1,326 @@
+//! A model on its way to a board: pieces out, acknowledgements in. Sans-IO.
+//!
+//! ```text
+//! Begin ──Ok──► Chunk at the offset the board wants ──… Ok(size)──► Commit ──Ok──► Done
+//!   ▲             │ no answer for a second, link cut: the same piece again
+//!   └─────────────┘ board restarted, lost its place: from the start
+//! ```
+
+use shared_dsp::mlp::{Model, ModelError};
+use shared_proto::message::{Ack, AckResult, HostMessage, MODEL_CHUNK_MAX, ModelBegin, ModelInfo};
+
+use crate::talk::{ModelNeeds, advice};
+
+/// Without an answer for so long, ask again.
+const REPEAT_MS: u64 = 1000;
+/// Making room takes longer: four pages of flash.
+const REPEAT_BEGIN_MS: u64 = 3000;
+/// How often a transfer may start over.
+const MOST_BEGINS: u32 = 20;
+
+/// Where a transfer stands.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Stage {
+    /// To be announced.
+    Begin,
+    /// The board wants the piece at this offset.
+    Chunk(u32),
+    /// All there: to be verified and kept.
+    Commit,
+    /// Kept; used after the next restart.
+    Done,
+    /// Given up; why and what to do.
+    Failed(String),
+}
+
+/// One transfer.
+#[derive(Clone, Debug)]
+pub struct Upload<'b> {
+    blob: &'b [u8],
+    model: Model<'b>,
+    stage: Stage,
+    request: u16,
+    asked_ms: Option<u64>,
+    /// The board has said that it is at it.
+    started: bool,
+    begins: u32,
+}
+
+/// Why a model cannot be sent to a board at all; `None` when it fits.
+///
+/// Its labels may differ from those of the running model: they come with it.
+pub fn misfit(model: &Model<'_>, board: &ModelNeeds) -> Option<String> {
+    let info = model.info();
+    let pairs = [
+        ("axes", info.axes as u32, u32::from(board.axes)),
+        ("samples per second", info.sample_hz.into(), board.sample_hz.into()),
+        ("samples per window", info.window.into(), board.window.into()),
+    ];
+    let (what, model_has, board_has) = pairs.into_iter().find(|(_, model, board)| model != board)?;
+    Some(format!(
+        "the model is made for {model_has} {what}, the board runs {board_has}; train one with {board_has} \
+         (models train), or flash firmware-nano33 for {model_has}"
+    ))
+}
+
+impl<'b> Upload<'b> {
+    /// A transfer of this blob that has not begun. `request` numbers its first message.
+    ///
+    /// # Errors
+    /// [`ModelError`] if the bytes are no model.
+    pub fn new(blob: &'b [u8], request: u16) -> Result<Self, ModelError> {
+        let model = Model::parse(blob)?;
+        Ok(Upload { blob, model, stage: Stage::Begin, request, asked_ms: None, started: false, begins: 0 })
+    }
+
+    /// Where it stands.
+    pub fn stage(&self) -> &Stage {
+        &self.stage
+    }
+
+    /// Bytes that the board is known to have, and all.
+    pub fn progress(&self) -> (usize, usize) {
+        let done = match self.stage {
+            Stage::Chunk(offset) => offset as usize,
+            Stage::Commit | Stage::Done => self.blob.len(),
+            Stage::Begin | Stage::Failed(_) => 0,
+        };
+        (done, self.blob.len())
+    }
+
+    /// The message to send now, if any: once, and again when no answer came. Call [`Upload::unsent`]
+    /// where the link did not take it.
+    pub fn poll(&mut self, now_ms: u64) -> Option<HostMessage<'b>> {
+        let patience_ms = if self.stage == Stage::Begin || self.started { REPEAT_BEGIN_MS } else { REPEAT_MS };
+        if self.asked_ms.is_some_and(|asked| now_ms.saturating_sub(asked) < patience_ms) {
+            return None;
+        }
+        let request = self.request;
+        let message = match self.stage {
+            Stage::Begin => {
+                self.begins += 1;
+                if self.begins > MOST_BEGINS {
+                    self.stage = Stage::Failed(format!(
+                        "the transfer started over {MOST_BEGINS} times; check the cable and try again"
+                    ));
+                    return None;
+                }
+                let info = self.model.info();
+                HostMessage::ModelBegin(ModelBegin {
+                    request,
+                    info: ModelInfo {
+                        model_id: info.model_id,
+                        recipe: info.recipe.id(),
+                        axes: info.axes as u8,
+                        sample_hz: info.sample_hz,
+                        window: info.window,
+                        labels: info.label_text,
+                    },
+                    scaling: [1.0; 3],
+                    size: self.blob.len() as u32,
+                })
+            }
+            Stage::Chunk(offset) => {
+                let start = (offset as usize).min(self.blob.len());
+                let end = (start + MODEL_CHUNK_MAX).min(self.blob.len());
+                HostMessage::ModelChunk { request, offset, data: &self.blob[start..end] }
+            }
+            Stage::Commit => HostMessage::ModelCommit { request, crc32: self.model.info().model_id },
+            Stage::Done | Stage::Failed(_) => return None,
+        };
+        self.asked_ms = Some(now_ms);
+        self.started = false;
+        Some(message)
+    }
+
+    /// The last message did not leave: send it again at the next chance.
+    pub fn unsent(&mut self) {
+        self.asked_ms = None;
+        if self.stage == Stage::Begin {
+            self.begins = self.begins.saturating_sub(1);
+        }
+    }
+
+    /// The board restarted: it has forgotten what was announced.
+    pub fn restarted(&mut self) {
+        if !matches!(self.stage, Stage::Done | Stage::Failed(_)) {
+            self.go(Stage::Begin);
+        }
+    }
+
+    /// An answer came.
+    pub fn ack(&mut self, ack: &Ack) {
+        if ack.request != self.request || self.asked_ms.is_none() {
+            return;
+        }
+        let size = self.blob.len() as u32;
+        let wanted = |offset: u32| if offset >= size { Stage::Commit } else { Stage::Chunk(offset) };
+        match ack.result {
+            AckResult::Started => self.started = true,
+            AckResult::Ok if self.stage == Stage::Commit => self.go(Stage::Done),
+            AckResult::Ok => self.go(wanted(ack.next_offset)),
+            // Nothing is announced there (any more).
+            AckResult::WrongOffset if ack.next_offset == 0 => self.go(Stage::Begin),
+            AckResult::WrongOffset => self.go(wanted(ack.next_offset)),
+            AckResult::BadChecksum | AckResult::StorageFailed => self.go(Stage::Begin),
+            // Asked again after the usual pause.
+            AckResult::Busy => {}
+            result => self.go(Stage::Failed(advice(result).to_owned())),
+        }
+    }
+
+    fn go(&mut self, stage: Stage) {
+        self.stage = stage;
+        self.request = self.request.wrapping_add(1);
+        self.asked_ms = None;
+        self.started = false;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use shared_dsp::mlp::crc32;
+
+    fn blob() -> Vec<u8> {
+        crate::hands::ModelFile::bundled().unwrap().blob().to_vec()
+    }
+
+    /// The board's side, as the firmware does it, in few words.
+    #[derive(Default)]
+    struct Receiver {
+        announced: Option<(u32, u32)>,
+        data: Vec<u8>,
+        kept: Option<u32>,
+    }
+
+    impl Receiver {
+        fn take(&mut self, message: &HostMessage<'_>) -> Vec<Ack> {
+            let (request, result) = match *message {
+                HostMessage::ModelBegin(begin) => {
+                    self.announced = Some((begin.size, begin.info.model_id));
+                    self.data.clear();
+                    let started = Ack { request: begin.request, result: AckResult::Started, next_offset: 0 };
+                    let ok = Ack { result: AckResult::Ok, ..started };
+                    return vec![started, ok];
+                }
+                HostMessage::ModelChunk { request, offset, data } => {
+                    let at = self.data.len();
+                    if self.announced.is_none() || offset as usize != at {
+                        (request, AckResult::WrongOffset)
+                    } else {
+                        self.data.extend_from_slice(data);
+                        (request, AckResult::Ok)
+                    }
+                }
+                HostMessage::ModelCommit { request, crc32: crc } => match self.announced {
+                    Some((size, id)) if size as usize == self.data.len() => {
+                        if id == crc && crc32(&self.data) == crc {
+                            self.kept = Some(crc);
+                            self.announced = None;
+                            self.data.clear();
+                            (request, AckResult::Ok)
+                        } else {
+                            (request, AckResult::BadChecksum)
+                        }
+                    }
+                    _ => (request, AckResult::WrongOffset),
+                },
+                _ => return Vec::new(),
+            };
+            let next_offset = if self.announced.is_some() { self.data.len() as u32 } else { 0 };
+            vec![Ack { request, result, next_offset }]
+        }
+    }
+
+    #[test]
+    fn a_good_line_takes_one_message_per_piece() {
+        let blob = blob();
+        let mut upload = Upload::new(&blob, 0).unwrap();
+        let mut board = Receiver::default();
+        let mut messages = 0;
+        while *upload.stage() != Stage::Done {
+            let message = upload.poll(messages).expect("nothing to wait for");
+            messages += 1;
+            for ack in board.take(&message) {
+                upload.ack(&ack);
+            }
+        }
+        assert_eq!(messages as usize, 2 + blob.len().div_ceil(MODEL_CHUNK_MAX));
+        assert_eq!(board.kept, Some(crc32(&blob)));
+    }
+
+    #[test]
+    fn a_model_for_other_axes_is_refused_before_anything_is_sent() {
+        let blob = blob();
+        let model = Model::parse(&blob).unwrap();
+        let info = model.info();
+        let mut board = ModelNeeds {
+            model_id: 1,
+            recipe: 0,
+            axes: info.axes as u8,
+            sample_hz: info.sample_hz,
+            window: info.window,
+            labels: vec!["x".to_owned()],
+        };
+        assert_eq!(misfit(&model, &board), None);
+        board.axes = 6;
+        let text = misfit(&model, &board).unwrap();
+        assert!(text.contains("9 axes") && text.contains("runs 6"), "{text}");
+        board.axes = 9;
+        board.window = 100;
+        assert!(misfit(&model, &board).unwrap().contains("samples per window"));
+    }
+
+    #[test]
+    fn a_refusal_ends_it_with_advice() {
+        let blob = blob();
+        let mut upload = Upload::new(&blob, 5).unwrap();
+        upload.poll(0);
+        upload.ack(&Ack { request: 5, result: AckResult::ModelDoesNotFit, next_offset: 0 });
+        let Stage::Failed(text) = upload.stage() else { panic!("{:?}", upload.stage()) };
+        assert!(text.contains("models train"), "{text}");
+        assert_eq!(upload.poll(10_000), None);
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(200))]
+        /// Whatever is lost or comes twice, however often the board restarts (a few times), what is
+        /// kept in the end is the model, whole.
+        #[test]
+        fn losses_repetitions_and_restarts_only_cost_time(
+            fates in prop::collection::vec(0u8..20, 0..200),
+        ) {
+            let blob = blob();
+            let mut upload = Upload::new(&blob, u16::MAX - 3).unwrap();
+            let mut board = Receiver::default();
+            let mut fates = fates.into_iter();
+            let (mut restarts, mut now_ms) = (0, 0u64);
+            while *upload.stage() != Stage::Done && now_ms < 3_600_000 {
+                now_ms += 10;
+                let Some(message) = upload.poll(now_ms) else { continue };
+                match fates.next() {
+                    Some(0) => {} // the message is lost
+                    Some(1) => { board.take(&message); } // the answer is lost
+                    Some(2) => {
+                        // It arrives twice.
+                        let mut acks = board.take(&message);
+                        acks.extend(board.take(&message));
+                        acks.iter().for_each(|ack| upload.ack(ack));
+                    }
+                    Some(3) if restarts < 5 => {
+                        restarts += 1;
+                        board.announced = None;
+                        board.data.clear();
+                        upload.restarted();
+                    }
+                    Some(4) => upload.unsent(),
+                    _ => board.take(&message).iter().for_each(|ack| upload.ack(ack)),
+                }
+            }
+            prop_assert_eq!(upload.stage(), &Stage::Done);
+            prop_assert_eq!(board.kept, Some(crc32(&blob)));
+        }
+    }
+}
