@@ -1,7 +1,7 @@
 //! Plays a session against the wall clock, and shows it.
 
 use std::io::IsTerminal as _;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -53,7 +53,8 @@ impl PlayOptions {
         let about = || format!("{}", file.display());
         let text = std::fs::read_to_string(file).with_context(about)?;
         let scene = Scene::parse(&text).with_context(about)?;
-        let planner = Planner::new(SerialArm::gen3(), scene).with_context(about)?;
+        let arm = arm(&scene, file)?;
+        let planner = Planner::new(arm, scene).with_context(about)?;
         Ok(Simulator::in_scene(Arc::new(planner)))
     }
 
@@ -65,6 +66,25 @@ impl PlayOptions {
         );
         Ok(())
     }
+}
+
+/// The scene's arm: the Gen3, or one from a file beside the scene's.
+fn arm(scene: &Scene, scene_file: &Path) -> Result<SerialArm> {
+    let Some(urdf) = &scene.arm.urdf else { return Ok(SerialArm::gen3()) };
+    let file = scene_file.parent().unwrap_or(Path::new("")).join(urdf);
+    #[cfg(feature = "urdf")]
+    {
+        let about = || format!("{}", file.display());
+        let text = std::fs::read_to_string(&file).with_context(about)?;
+        let missing = host_bridge::arm::urdf::Missing {
+            tip: scene.arm.tip.clone(),
+            link_radius_m: scene.arm.link_radius_m,
+            acceleration_rad_s2: scene.arm.acceleration_rad_s2,
+        };
+        host_bridge::arm::urdf::parse(&text, &missing).with_context(about)
+    }
+    #[cfg(not(feature = "urdf"))]
+    anyhow::bail!("{}: this program reads no URDF; build it with `--features urdf`", file.display())
 }
 
 /// Somebody pressed q or Ctrl-C.

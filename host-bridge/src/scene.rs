@@ -11,6 +11,7 @@
 //! route = "direct"            # or "via-home", as in the paper
 //! velocity_scaling = 0.1
 //! acceleration_scaling = 0.05
+//! # urdf = "arm.urdf"         # another arm than the Gen3 (build with `--features urdf`); then also give poses
 //!
 //! [[box]]                     # upright boxes; x forward, y left, z up from the robot's start on the floor
 //! name = "table"
@@ -23,6 +24,8 @@
 //! position_m = [0.6, 0.1, 0.9]
 //! quaternion_wxyz = [0, 1, 0, 0]
 //! ```
+
+use std::path::PathBuf;
 
 use serde::Deserialize;
 
@@ -123,8 +126,8 @@ pub enum Route {
     Direct,
 }
 
-/// How the arm moves.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+/// Which arm it is, and how it moves.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ArmTable {
     /// Which way.
@@ -137,6 +140,14 @@ pub struct ArmTable {
     pub margin_m: f64,
     /// Equal seeds give equal plans.
     pub seed: u64,
+    /// Another arm than the Gen3: its file, seen from the scene file (feature `urdf`).
+    pub urdf: Option<PathBuf>,
+    /// The last link of that arm, where the file has several ends.
+    pub tip: Option<String>,
+    /// Around the bones of its links that have no simple shapes in the file.
+    pub link_radius_m: f64,
+    /// For its joints that have none in the file, before scaling.
+    pub acceleration_rad_s2: f64,
 }
 
 impl Default for ArmTable {
@@ -147,6 +158,10 @@ impl Default for ArmTable {
             acceleration_scaling: ACCELERATION_SCALING,
             margin_m: 0.01,
             seed: 1,
+            urdf: None,
+            tip: None,
+            link_radius_m: 0.06,
+            acceleration_rad_s2: 1.0,
         }
     }
 }
@@ -249,6 +264,8 @@ impl Scene {
             }
         }
         positive("arm: margin_m", self.arm.margin_m)?;
+        positive("arm: link_radius_m", self.arm.link_radius_m)?;
+        positive("arm: acceleration_rad_s2", self.arm.acceleration_rad_s2)?;
         for (i, shape) in self.boxes.iter().enumerate() {
             let name = &shape.name;
             shape.size_m.iter().try_for_each(|&size| positive(&format!("box '{name}': size_m"), size))?;
