@@ -5,6 +5,7 @@ use embassy_nrf::peripherals::{P0_14, P0_15, P0_22, P1_00, TWISPI0};
 use embassy_nrf::twim::{self, Twim};
 use embassy_nrf::{Peri, bind_interrupts};
 use embassy_time::{Duration, Timer};
+use embedded_hal_async::i2c::{ErrorType, I2c, Operation};
 use static_cell::ConstStaticCell;
 
 bind_interrupts!(struct Irqs {
@@ -86,9 +87,30 @@ impl SensorBus {
     }
 
     /// The bus controller at 400 kHz, until it is dropped.
-    pub fn open(&mut self) -> Twim<'_> {
+    pub fn open(&mut self) -> Wire<'_> {
         let mut config = twim::Config::default();
         config.frequency = twim::Frequency::K400;
-        Twim::new(self.twim.reborrow(), Irqs, self.sda.reborrow(), self.scl.reborrow(), config, self.tx_buffer)
+        let (twim, sda, scl) = (self.twim.reborrow(), self.sda.reborrow(), self.scl.reborrow());
+        Wire(Twim::new(twim, Irqs, sda, scl, config, self.tx_buffer))
+    }
+}
+
+/// The bus controller, with a pause after a failed transfer.
+///
+/// embassy-nrf's driver asks for a stop condition after an error and does not wait for it: the "stopped" event
+/// would end the next transfer before it has begun, with a buffer of zeros.
+pub struct Wire<'a>(Twim<'a>);
+
+impl ErrorType for Wire<'_> {
+    type Error = twim::Error;
+}
+
+impl I2c for Wire<'_> {
+    async fn transaction(&mut self, address: u8, operations: &mut [Operation<'_>]) -> Result<(), twim::Error> {
+        let result = I2c::transaction(&mut self.0, address, operations).await;
+        if result.is_err() {
+            Timer::after(Duration::from_micros(200)).await;
+        }
+        result
     }
 }

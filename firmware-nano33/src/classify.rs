@@ -15,8 +15,9 @@ use crate::link::broadcast;
 use crate::sample::{AXES, SAMPLE_HZ, SAMPLES, SENSOR, Sample, Taken};
 use crate::state::{self, ALIVE_CLASSIFY, SENSOR_OK};
 
-/// Without a sample for so long the window is emptied and the laptop is told, and again every hop.
-const SILENCE: Duration = Duration::from_millis(80);
+/// Without a sample for so long the window is emptied and the laptop is told, and again and again. Longer than
+/// erasing a page of flash, in which samples wait in the sensor.
+const SILENCE: Duration = Duration::from_millis(120);
 
 /// Whether this image can run a model with these needs.
 pub fn can_run(recipe: u8, axes: usize, sample_hz: u16, window: u16) -> bool {

@@ -53,8 +53,9 @@ pub const SENSOR: Config = Config {
     scale: nano33_sensor::lsm9ds1::Scale::DataSheet,
 };
 
-/// Transfers of one poll take about 1 ms; after this the bus is taken to be stuck.
-const POLL_TIMEOUT: Duration = Duration::from_millis(20);
+/// Transfers of one poll take about 1 ms, 15 with a full FIFO, and erasing a page of flash stops the processor for
+/// 85 ms in between; after this the bus is taken to be stuck.
+const POLL_TIMEOUT: Duration = Duration::from_millis(150);
 /// Without new sets for so long the sensor is asked whether it still has its settings.
 const SILENCE: Duration = Duration::from_millis(50);
 /// A failing sensor is started anew after so long; its FIFO holds 134 ms.
@@ -80,7 +81,7 @@ pub async fn run(mut bus: SensorBus) -> ! {
     let mut attempt = 0u32;
     loop {
         let mut imu = Lsm9ds1::new(bus.open(), SENSOR);
-        let why = match with_timeout(POLL_TIMEOUT * 2, imu.start(&mut Delay)).await {
+        let why = match with_timeout(POLL_TIMEOUT, imu.start(&mut Delay)).await {
             Ok(Ok(())) => {
                 attempt = 0;
                 stream(&mut imu, &mut batch, &mut next).await

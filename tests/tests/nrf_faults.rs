@@ -1,0 +1,146 @@
+//! What goes wrong on a hand: no panic, no false gesture, recovery within a second, and a word about it.
+#![cfg(feature = "nrf")]
+
+use shared_proto::message::{FaultKind, HostMessage, Mode, health};
+use tests::nrf::lsm9ds1::Still;
+use tests::nrf::session::Session;
+
+/// A board that lies still and has filled its window.
+fn resting() -> Session {
+    let mut session = Session::uart(Box::new(Still));
+    session.run_ms(3000);
+    assert_eq!(session.heard.states.last().unwrap().health, 0);
+    session
+}
+
+/// Samples flow again within a second, the window fills, and nothing was named.
+fn recovers(session: &mut Session, what: &str) {
+    let dropped = |s: &Session| s.heard.statuses.last().unwrap().dropped_samples;
+    session.run_ms(1000);
+    let sensor_ok = session.heard.states.last().unwrap().health & health::SENSOR == 0;
+    assert!(sensor_ok, "{what}: the sensor is still away after a second");
+    session.run_ms(1000);
+    let before = dropped(session);
+    session.run_ms(2000);
+    assert_eq!(dropped(session), before, "{what}: samples are still lost");
+    let last = session.heard.states.last().unwrap();
+    assert_eq!((last.health, last.events), (0, 0), "{what}");
+    assert!(session.board.resets.iter().all(|&r| r == 4), "{what}: {:?}", session.board.resets);
+    assert!(!session.heard.faults.iter().any(|f| f.kind == FaultKind::Panic));
+    println!("{what}: recovered, {} samples lost", before);
+}
+
+#[test]
+fn single_transfers_that_nobody_acknowledges_lose_no_sample() {
+    let mut session = resting();
+    let before = *session.heard.statuses.last().unwrap();
+    for _ in 0..5 {
+        session.board.soc().bus.nacks = 2;
+        session.run_ms(200);
+    }
+    session.run_ms(1100);
+    let after = *session.heard.statuses.last().unwrap();
+    assert!(after.sensor_errors >= before.sensor_errors + 5);
+    assert_eq!(after.dropped_samples, before.dropped_samples);
+    assert!(session.heard.states.iter().rev().take(20).all(|s| s.health == 0 && s.events == 0));
+}
+
+#[test]
+fn an_unplugged_sensor_is_reported_and_taken_back_within_a_second() {
+    let mut session = resting();
+    session.board.soc().bus.unplugged = true;
+    session.run_ms(2000);
+    let last = session.heard.states.last().unwrap();
+    assert_eq!(last.health & health::SENSOR, health::SENSOR);
+    assert!(session.heard.faults.iter().any(|f| f.kind == FaultKind::SensorMissing));
+    assert!(session.board.soc().led()[0] || session.run_until_that(1100, |s| s.board.soc().led()[0]), "red light");
+    session.board.soc().bus.unplugged = false;
+    session.board.soc().bus.sensor.power_cycle();
+    recovers(&mut session, "unplugged sensor");
+}
+
+#[test]
+fn a_bus_that_a_device_holds_is_cleared() {
+    let mut session = resting();
+    session.board.soc().bus.stuck_clocks = 7;
+    recovers(&mut session, "stuck bus");
+    assert!(session.heard.faults.iter().any(|f| f.kind == FaultKind::BusStuck));
+}
+
+#[test]
+fn a_sensor_that_lost_its_settings_is_set_up_again() {
+    let mut session = resting();
+    session.board.soc().bus.sensor.power_cycle();
+    recovers(&mut session, "sensor reset");
+}
+
+#[test]
+fn a_rev2_board_is_named_and_names_no_gesture() {
+    let mut session = Session::uart(Box::new(Still));
+    session.board.soc().bus.rev2 = true;
+    session.run_ms(3000);
+    session.send(&HostMessage::HelloRequest);
+    session.run_ms(200);
+    let faults = &session.heard.faults;
+    assert!(faults.iter().any(|f| f.kind == FaultKind::BoardRev2), "{faults:?}");
+    assert!(session.heard.states.iter().all(|s| s.health & health::SENSOR != 0 && s.events == 0));
+}
+
+#[test]
+fn random_bytes_from_the_laptop_are_counted_and_change_nothing() {
+    let mut session = resting();
+    let mut random = 12345u64;
+    let mut sent = 0;
+    for _ in 0..20 {
+        let bytes: Vec<u8> = (0..400)
+            .map(|_| {
+                random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+                (random >> 56) as u8
+            })
+            .collect();
+        session.board.uart_in(&bytes);
+        sent += bytes.len();
+        session.run_ms(50);
+    }
+    let pongs = session.heard.pongs;
+    session.run_ms(100);
+    // A delimiter ends whatever the noise began.
+    session.board.uart_in(&[0]);
+    session.send(&HostMessage::Ping { id: 7 });
+    session.run_ms(50);
+    assert_eq!(session.heard.pongs, pongs + 1);
+    recovers(&mut session, "random bytes");
+    let status = session.heard.statuses.last().unwrap();
+    println!("{sent} random bytes, {} damaged frames counted", status.bad_frames);
+    assert!(status.bad_frames > 5);
+    assert_eq!(status.mode, Mode::Classify);
+}
+
+#[test]
+fn a_board_whose_tasks_stand_still_is_restarted_by_its_watchdog_and_says_so() {
+    let mut session = resting();
+    let hello = session.heard.hellos.len();
+    // The processor stands still for longer than the watchdog waits.
+    let soc = session.board.soc();
+    soc.nvmc.busy_until = soc.now + tests::nrf::time::ms(2500);
+    session.run_ms(4000);
+    assert!(session.board.resets.contains(&2), "{:?}", session.board.resets);
+    session.send(&HostMessage::HelloRequest);
+    session.run_ms(100);
+    assert_eq!(session.heard.hellos.len(), hello + 1);
+    assert!(session.heard.faults.iter().any(|f| f.kind == FaultKind::Watchdog));
+}
+
+#[test]
+fn in_record_mode_every_sample_arrives_once_and_in_order() {
+    let mut session = resting();
+    let ack = session.ask(5, &HostMessage::SetMode { request: 5, mode: Mode::Record }).expect("an answer");
+    assert_eq!(ack.result, shared_proto::message::AckResult::Ok);
+    session.heard.raw.clear();
+    session.run_ms(10_000);
+    let raw = &session.heard.raw;
+    assert!(raw.windows(2).all(|w| w[1].0 == w[0].0 + 8), "batches follow each other");
+    assert!(raw.iter().all(|r| r.1.len() == 8 * 9));
+    assert!((123..=126).contains(&raw.len()), "{} batches", raw.len());
+    assert_eq!(session.damaged(), 0);
+}

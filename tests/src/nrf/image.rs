@@ -68,6 +68,11 @@ impl Image {
         self.symbols.get(name).unwrap_or_else(|| panic!("the image has no `{name}`")) & !1
     }
 
+    /// Full names of the functions whose names hold all of these words.
+    pub fn functions_with(&self, words: &[&str]) -> Vec<String> {
+        self.symbols.keys().filter(|name| words.iter().all(|w| name.contains(w))).cloned().collect()
+    }
+
     /// A word of the image.
     pub fn word(&self, address: u32) -> Option<u32> {
         self.pieces.iter().find_map(|(start, bytes)| {

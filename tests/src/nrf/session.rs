@@ -98,6 +98,14 @@ impl Session {
         found(self)
     }
 
+    /// Share of time awake by the board's own count, in parts per thousand.
+    ///
+    /// # Panics
+    /// Where the board has sent no status.
+    pub fn board_load(&self) -> u16 {
+        self.heard.statuses.last().expect("a status").load_permille
+    }
+
     /// Damaged frames from the board.
     pub fn damaged(&self) -> u32 {
         self.decoder.counters().damaged()
