@@ -148,7 +148,8 @@ impl Board {
         for (start, len) in [
             (SLOTS_START, SLOTS_END - SLOTS_START),
             (0x1000_0000, 0x2000),
-            (0x4000_0000, 0x3_0000),
+            // With the hidden registers that errata of USB are about.
+            (0x4000_0000, 0x10_0000),
             (0x5000_0000, 0x1000),
             (0xE000_1000, 0x1000),
             (0xE000_E000, 0x1000),
