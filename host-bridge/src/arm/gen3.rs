@@ -34,6 +34,7 @@ pub const JOINT_NAMES: [&str; JOINTS] =
     ["joint_1", "joint_2", "joint_3", "joint_4", "joint_5", "joint_6", "joint_7"];
 
 /// Kinova's own home pose (kortex SRDF, `Home`), in rad.
+#[allow(clippy::approx_constant)] // 3.14 is what the file says
 pub const HOME: Joints = [0.0, 0.26, 3.14, -2.27, 0.0, 0.96, 1.57];
 
 /// Origin of each joint in its parent's frame: xyz in metres, then a rotation about x in quarter turns.

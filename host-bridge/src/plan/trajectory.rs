@@ -272,6 +272,7 @@ mod tests {
     }
 
     #[test]
+    #[allow(clippy::approx_constant)] // 3.14 is what Kinova's file says
     fn kinovas_own_poses_take_the_times_of_moveit() {
         // Figures of shared/reference/robotics.md, from MoveIt at scaling 0.1 and 0.05.
         let limits = JointLimits::paper();
