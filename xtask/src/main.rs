@@ -1,6 +1,7 @@
 //! The chores. `cargo xtask test` is what a user and CI run.
 
 mod firmware_avr;
+mod firmware_nano33;
 mod python;
 mod real_data;
 mod steps;
@@ -20,6 +21,7 @@ usage: cargo xtask VERB
                                 --only the steps whose name contains WORD, --list names them
   firmware avr [--baud N] [--no-stack]
                                 the left hand's image: size, stack, how to flash it
+  firmware nano33               the right hand's images: flash and RAM per part
   help                          this text
 ";
 
@@ -40,6 +42,10 @@ fn run(args: &[String]) -> Result<ExitCode> {
         ["test", rest @ ..] => test::run(rest),
         ["firmware", "avr", rest @ ..] => {
             firmware_avr::run(rest)?;
+            Ok(ExitCode::SUCCESS)
+        }
+        ["firmware", "nano33", rest @ ..] => {
+            firmware_nano33::run(rest)?;
             Ok(ExitCode::SUCCESS)
         }
         [] | ["help" | "--help" | "-h"] => {

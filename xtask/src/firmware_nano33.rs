@@ -1,0 +1,122 @@
+//! `cargo xtask firmware nano33`: builds both variants of the right hand's image and says where their bytes are.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use anyhow::{Context, Result, bail};
+
+use crate::root;
+use crate::steps::{output, sh};
+use crate::toolchain::{Target, cargo};
+
+/// A variant's name, and what cargo needs to build it.
+const VARIANTS: [(&str, &[&str], &str); 2] = [
+    ("ble", &[], "behind S140 at 0x27000 (needs an SWD probe)"),
+    (
+        "bootloader",
+        &["--no-default-features", "--features", "bootloader"],
+        "behind the stock Arduino bootloader at 0x10000, without Bluetooth",
+    ),
+];
+
+/// Parts of the image and the words in the names of their symbols, first match wins.
+const PARTS: [(&str, &[&str]); 6] = [
+    ("network", &["10shared_dsp3mlp", "10shared_dsp7softmax", "10shared_dsp6recipe", "5model7BUNDLED"]),
+    ("features", &["10shared_dsp"]),
+    ("driver", &["nano33_sensor", "4twim", "6sample", "3bus"]),
+    ("bluetooth", &["14nrf_softdevice", "nrf_softdevice", "6nano333ble", "3ble"]),
+    ("usb", &["11embassy_usb", "3usb", "usbd"]),
+    ("rest", &[""]),
+];
+
+/// Builds and prints; takes no arguments.
+///
+/// # Errors
+/// Where a variant does not build.
+pub fn run(args: &[&str]) -> Result<()> {
+    if !args.is_empty() {
+        bail!("`cargo xtask firmware nano33` takes no arguments");
+    }
+    for (name, options, what) in VARIANTS {
+        let image = build(name, options)?;
+        println!("\n{name}: {what}\n  {}", image.display());
+        report(&image)?;
+    }
+    println!("\nFlash it: firmware-nano33/README.md");
+    Ok(())
+}
+
+fn build(name: &str, options: &[&str]) -> Result<PathBuf> {
+    let target = std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root().join("target"), PathBuf::from);
+    let mut command = cargo(Target::Thumb, "build")?;
+    command
+        .args(["--release", "--locked"])
+        .args(options)
+        .current_dir(root().join("firmware-nano33"))
+        .env("CARGO_TARGET_DIR", &target);
+    // Debian's compiler has no linker of its own for this target.
+    if command.get_program() == "/usr/bin/cargo" {
+        command.env("CARGO_TARGET_THUMBV7EM_NONE_EABIHF_LINKER", "ld.lld");
+    }
+    sh(&mut command)?;
+    let folder = target.join(Target::Thumb.triple()).join("release");
+    let image = folder.join(format!("nano33-{name}"));
+    std::fs::copy(folder.join("nano33"), &image)
+        .with_context(|| format!("{} is not there", folder.display()))?;
+    Ok(image)
+}
+
+fn report(image: &Path) -> Result<()> {
+    // Names stay mangled: each holds its path as `length name`.
+    let nm = tool("nm");
+    let text = output(Command::new(nm).args(["--print-size", "--radix=d"]).arg(image))?;
+    let mut sizes: BTreeMap<&str, (u64, u64)> = BTreeMap::new();
+    for line in text.lines() {
+        let fields: Vec<&str> = line.split_whitespace().collect();
+        let [address, size, kind, symbol] = fields[..] else { continue };
+        let (Ok(address), Ok(size)) = (address.parse::<u64>(), size.parse::<u64>()) else { continue };
+        // defmt's strings are never loaded.
+        if address < 0x1_0000 || kind.eq_ignore_ascii_case("a") {
+            continue;
+        }
+        let part =
+            PARTS.iter().find(|(_, words)| words.iter().any(|w| symbol.contains(w))).map_or("rest", |p| p.0);
+        let entry = sizes.entry(part).or_default();
+        if address >= 0x2000_0000 {
+            entry.1 += size;
+        }
+        if address < 0x2000_0000 || kind.eq_ignore_ascii_case("d") {
+            entry.0 += size;
+        }
+    }
+    println!("  {:<10} {:>9} {:>9}", "part", "flash B", "RAM B");
+    let mut total = (0, 0);
+    for (part, _) in PARTS {
+        let (flash, ram) = sizes.get(part).copied().unwrap_or_default();
+        println!("  {part:<10} {flash:>9} {ram:>9}");
+        total = (total.0 + flash, total.1 + ram);
+    }
+    println!("  {:<10} {:>9} {:>9}   (named symbols)", "sum", total.0, total.1);
+    for line in output(Command::new(tool("size")).arg("-A").arg(image))?.lines() {
+        let mut fields = line.split_whitespace();
+        if let (
+            Some(section @ (".vector_table" | ".text" | ".rodata" | ".data" | ".bss" | ".uninit")),
+            Some(bytes),
+        ) = (fields.next(), fields.next())
+        {
+            println!("  {section:<14} {bytes:>9} B");
+        }
+    }
+    Ok(())
+}
+
+/// `llvm-nm` and `llvm-size`, or binutils', which read ELF files of any machine's symbols.
+fn tool(name: &str) -> String {
+    let llvm = format!("llvm-{name}");
+    if Command::new(&llvm).arg("--version").output().is_ok_and(|o| o.status.success()) {
+        llvm
+    } else {
+        name.into()
+    }
+}
