@@ -65,12 +65,13 @@ impl ModelFiles {
         let file = || model.to_owned();
         let network = tflite::read(bytes).map_err(|source| ModelError::Tflite { file: file(), source })?;
         let (inputs, outputs) = (network.inputs(), network.outputs());
-        if inputs != card.axes * 13 || outputs != card.labels.len() {
+        let features = card.scaling.mean.len();
+        if inputs != features || outputs != card.labels.len() {
             let what = format!(
                 "the network is {inputs} to {outputs}, its card says {} axes ({} features) and {} \
                  labels; put the card beside it that was written with it",
                 card.axes,
-                card.axes * 13,
+                features,
                 card.labels.len()
             );
             return Err(ModelError::Mismatch { file: file(), what });
@@ -125,6 +126,7 @@ pub fn recipe(name: &str) -> Option<Recipe> {
     match name {
         "raw" => Some(Recipe::Raw),
         "log-power" => Some(Recipe::LogPower),
+        "aligned" => Some(Recipe::Aligned),
         _ => None,
     }
 }
@@ -134,6 +136,7 @@ pub fn recipe_name(recipe: Recipe) -> &'static str {
     match recipe {
         Recipe::Raw => "raw",
         Recipe::LogPower => "log-power",
+        Recipe::Aligned => "aligned",
     }
 }
 

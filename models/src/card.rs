@@ -174,7 +174,9 @@ impl Card {
         if card.format != FORMAT {
             return Err(error(format!("format {}, this tool reads {FORMAT}", card.format)));
         }
-        let inputs = card.axes * 13;
+        // A recipe that is not known here is refused later, by name.
+        let inputs = crate::blob::recipe(&card.features)
+            .map_or(card.scaling.mean.len(), |recipe| recipe.feature_count(card.axes));
         if !matches!(card.axes, 3 | 6 | 9)
             || card.scaling.mean.len() != inputs
             || card.scaling.deviation.len() != inputs

@@ -85,6 +85,28 @@ impl Dataset {
     /// Reads a folder; `axes` keeps only the first 3, 6 or 9 axes of every recording, `None` as
     /// many as all of them have.
     pub fn read(folder: &Path, axes: Option<usize>) -> Result<Self, DatasetError> {
+        Self::read_where(folder, axes, |_, _| true)
+    }
+
+    /// The people of a folder, sorted, from the names of the files alone.
+    pub fn people_of(folder: &Path) -> Result<Vec<String>, DatasetError> {
+        let mut people = BTreeSet::new();
+        for entry in list(folder)?.into_iter().filter(|entry| entry.is_dir()) {
+            for name in list(&entry)?.iter().map(|file| file_name(file)) {
+                if let Some((person, _)) = name.strip_suffix(".csv").and_then(|stem| stem.split_once("__")) {
+                    people.insert(person.to_owned());
+                }
+            }
+        }
+        Ok(people.into_iter().collect())
+    }
+
+    /// Reads the part of a folder for whose label and person `wanted` holds. The other files are not even opened.
+    pub fn read_where(
+        folder: &Path,
+        axes: Option<usize>,
+        wanted: impl Fn(&str, &str) -> bool,
+    ) -> Result<Self, DatasetError> {
         let mut items = Vec::new();
         let mut ignored = Vec::new();
         for entry in list(folder)? {
@@ -104,6 +126,9 @@ impl Dataset {
                     Some((person, number)) if !person.is_empty() && !number.is_empty() => person,
                     _ => return Err(DatasetError::Name { file }),
                 };
+                if !wanted(&labels::canonical(&folder_name), person) {
+                    continue;
+                }
                 let recording = Recording::read(&file)?;
                 if let Some(wanted) = axes
                     && recording.axes() < wanted

@@ -13,6 +13,8 @@ pub mod bundled;
 pub mod card;
 pub mod dataset;
 pub mod labels;
+#[cfg(feature = "train")]
+pub mod people;
 pub mod recording;
 pub mod score;
 pub mod synth;

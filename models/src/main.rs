@@ -22,6 +22,8 @@ enum Verb {
     Splits(cmd::splits::Cmd),
     Infer(cmd::infer::Cmd),
     Card(cmd::card::Cmd),
+    People(cmd::people::Cmd),
+    Adapt(cmd::adapt::Cmd),
 }
 
 fn main() -> anyhow::Result<()> {
@@ -36,5 +38,7 @@ fn main() -> anyhow::Result<()> {
         Verb::Splits(cmd) => cmd.run(),
         Verb::Infer(cmd) => cmd.run(),
         Verb::Card(cmd) => cmd.run(),
+        Verb::People(cmd) => cmd.run(),
+        Verb::Adapt(cmd) => cmd.run(),
     }
 }

@@ -3,11 +3,12 @@
 use std::collections::BTreeMap;
 
 use shared_dsp::mlp::Model;
+use shared_dsp::recipe::Recipe;
 
 use crate::card::{Card, Score};
 use crate::dataset::Dataset;
 use crate::tflite::{FloatLayer, infer_float};
-use crate::windows::{PER_AXIS, features_every, prepare};
+use crate::windows::{features_every, prepare};
 use crate::{RATE_HZ, blob};
 
 /// Samples from one scored window to the next: 1 s.
@@ -50,8 +51,7 @@ impl Classifier<'_> {
             Self::Float { card, layers } => best(&infer_float(layers, &standardise(card, transformed))),
             Self::Int8(model) => {
                 let mut scores = vec![0i8; model.info().label_count];
-                let (axes, _) = raw.as_chunks::<PER_AXIS>();
-                if model.classify(axes, &mut scores).is_err() {
+                if model.classify_features(raw, &mut scores).is_err() {
                     return usize::MAX;
                 }
                 best(&scores)
@@ -87,15 +87,16 @@ pub struct Scored {
 
 /// Computes what is needed to score a data set with models of these labels and this recipe.
 pub fn scored(dataset: &Dataset, labels: &[String], features: &str) -> Vec<Scored> {
-    let recipe = blob::recipe(features).unwrap_or(shared_dsp::recipe::Recipe::Raw);
+    let recipe = blob::recipe(features).unwrap_or(Recipe::Raw);
     let one = |item: &crate::dataset::Item| {
         let (ready, prepared) = prepare(&item.recording);
-        let raw = features_every(&ready, shared_dsp::recipe::Recipe::Raw, STRIDE);
+        let measured = if recipe == Recipe::Aligned { Recipe::Aligned } else { Recipe::Raw };
+        let raw = features_every(&ready, measured, STRIDE);
         let transformed = raw
             .iter()
             .map(|window| {
                 let values = window.iter().enumerate();
-                values.map(|(n, &value)| recipe.transform(n % PER_AXIS, value)).collect()
+                values.map(|(n, &value)| recipe.transform(n, value)).collect()
             })
             .collect();
         Scored {

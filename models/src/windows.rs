@@ -1,5 +1,6 @@
 //! From a recording to the features of its windows, computed by the code that boards run.
 
+use shared_dsp::aligned::AlignedWindow;
 use shared_dsp::features::FeatureWindow;
 use shared_dsp::recipe::Recipe;
 
@@ -43,7 +44,7 @@ fn mirrored(recording: &Recording) -> Recording {
 }
 
 /// Features of every window of a prepared recording whose start is a multiple of `stride_hops`
-/// hops, after `recipe`: 13 per axis, axis after axis.
+/// hops, after `recipe`: 13 per axis, axis after axis, or those of recipe 3.
 pub fn features(recording: &Recording, recipe: Recipe, stride_hops: usize) -> Vec<Vec<f32>> {
     match recording.axes() {
         3 => stream::<3>(recording, recipe, stride_hops),
@@ -52,7 +53,41 @@ pub fn features(recording: &Recording, recipe: Recipe, stride_hops: usize) -> Ve
     }
 }
 
+/// Features of recipe 3 of one window: [`WINDOW`] samples, one after the other.
+pub fn aligned_features(axes: usize, window: &[f32]) -> Vec<f32> {
+    fn run<const A: usize>(window: &[f32]) -> Vec<f32> {
+        let mut state = AlignedWindow::<A>::new();
+        for sample in window.as_chunks::<A>().0 {
+            state.push(sample);
+        }
+        state.features().to_vec()
+    }
+    match axes {
+        3 => run::<3>(window),
+        6 => run::<6>(window),
+        _ => run::<9>(window),
+    }
+}
+
+fn aligned_stream<const A: usize>(recording: &Recording, stride_hops: usize) -> Vec<Vec<f32>> {
+    let mut window = AlignedWindow::<A>::new();
+    let mut all = Vec::new();
+    let mut hops = 0;
+    for sample in recording.samples().filter_map(|sample| sample.first_chunk::<A>()) {
+        if window.push(sample) {
+            if hops % stride_hops == 0 {
+                all.push(window.features().to_vec());
+            }
+            hops += 1;
+        }
+    }
+    all
+}
+
 fn stream<const A: usize>(recording: &Recording, recipe: Recipe, stride_hops: usize) -> Vec<Vec<f32>> {
+    if recipe == Recipe::Aligned {
+        return aligned_stream::<A>(recording, stride_hops);
+    }
     let mut window = FeatureWindow::<A>::new();
     let mut all = Vec::new();
     let mut hops = 0;

@@ -1,8 +1,10 @@
 //! The verbs, and what they share.
 
+pub mod adapt;
 pub mod card;
 pub mod eval;
 pub mod infer;
+pub mod people;
 pub mod splits;
 pub mod synth;
 pub mod train;
@@ -21,6 +23,18 @@ pub enum RecipeName {
     Default,
     /// The paper's: 30 epochs, batch 32, learning rate 5e-4, 20 % validation
     Paper,
+    /// Features in the hand's own frame, for people it has never met
+    Aligned,
+}
+
+impl RecipeName {
+    pub fn recipe(self) -> Recipe {
+        match self {
+            Self::Default => Recipe::default(),
+            Self::Paper => Recipe::paper(),
+            Self::Aligned => Recipe::aligned(),
+        }
+    }
 }
 
 /// Which recordings, and how to train on them.
@@ -44,10 +58,7 @@ pub struct Source {
 
 impl Source {
     pub fn recipe(&self) -> Recipe {
-        match self.recipe {
-            RecipeName::Default => Recipe::default(),
-            RecipeName::Paper => Recipe::paper(),
-        }
+        self.recipe.recipe()
     }
 
     pub fn dataset(&self) -> anyhow::Result<Dataset> {

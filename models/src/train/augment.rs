@@ -98,7 +98,7 @@ impl fmt::Display for Augmentation {
 }
 
 /// Rotation by `angle` about `axis` (any length but 0).
-fn rotation(axis: [f64; 3], angle: f64) -> [[f64; 3]; 3] {
+pub(super) fn rotation(axis: [f64; 3], angle: f64) -> [[f64; 3]; 3] {
     let length = axis.iter().map(|v| v * v).sum::<f64>().sqrt().max(1e-9);
     let [x, y, z] = axis.map(|v| v / length);
     let (s, c) = angle.sin_cos();
@@ -110,7 +110,7 @@ fn rotation(axis: [f64; 3], angle: f64) -> [[f64; 3]; 3] {
     ]
 }
 
-fn apply(matrix: &[[f64; 3]; 3], v: [f64; 3]) -> [f32; 3] {
+pub(super) fn apply(matrix: &[[f64; 3]; 3], v: [f64; 3]) -> [f32; 3] {
     std::array::from_fn(|row| (0..3).map(|k| matrix[row][k] * v[k]).sum::<f64>() as f32)
 }
 

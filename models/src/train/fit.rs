@@ -143,8 +143,8 @@ fn fit_here(
 ) -> Result<Fitted> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let inputs = learn.first().map_or(0, |(input, _)| input.len());
-    let [a, b, c] = recipe.hidden;
-    let net = Net::new(&[inputs, a, b, c, labels], &mut rng)?;
+    let widths: Vec<usize> = [&[inputs], recipe.hidden, &[labels]].concat();
+    let net = Net::new(&widths, &mut rng)?;
     let learn = Rows::new(learn, labels, recipe.label_smoothing)?;
     let check = Rows::new(check, labels, recipe.label_smoothing)?;
     let mut rate = recipe.learning_rate;

@@ -4,10 +4,13 @@
 //! which threads finish: the same seed gives the same files on one machine with any number of
 //! threads.
 
+mod aligned;
 mod augment;
 mod fit;
 mod quantise;
 mod split;
+mod steps;
+mod vary;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -27,8 +30,10 @@ use crate::tflite::{self, FloatLayer, Network};
 use crate::windows::{PER_AXIS, features, prepare};
 use crate::{HOP, RATE_HZ, WINDOW, blob};
 
+pub use aligned::{Memory, MemoryError};
 pub use augment::Augmentation;
 pub use split::held_out;
+pub use steps::Steps;
 
 /// How to train. [`Recipe::default`] trains until it converges; [`Recipe::paper`] as the paper says.
 #[derive(Clone, Debug, PartialEq)]
@@ -38,7 +43,7 @@ pub struct Recipe {
     /// How features become inputs.
     pub features: shared_dsp::recipe::Recipe,
     /// Widths of the hidden layers.
-    pub hidden: [usize; 3],
+    pub hidden: &'static [usize],
     /// Most epochs.
     pub epochs: usize,
     /// Epochs without a better validation loss before the learning rate is halved; after
@@ -60,6 +65,8 @@ pub struct Recipe {
     pub stride_hops: usize,
     /// How recordings are varied.
     pub augmentation: Augmentation,
+    /// Fixed steps instead of epochs; then nothing decides when to stop, and windows are varied one by one.
+    pub steps: Option<Steps>,
 }
 
 impl Recipe {
@@ -68,7 +75,7 @@ impl Recipe {
         Self {
             name: "paper",
             features: shared_dsp::recipe::Recipe::Raw,
-            hidden: [20, 10, 5],
+            hidden: &[20, 10, 5],
             epochs: 30,
             patience: None,
             halvings: 0,
@@ -79,6 +86,30 @@ impl Recipe {
             validation_fraction: 0.2,
             stride_hops: 5,
             augmentation: Augmentation::NONE,
+            steps: None,
+        }
+    }
+}
+
+impl Recipe {
+    /// For people that the model has never met: features in the hand's own frame ([`shared_dsp::aligned`]), windows
+    /// varied as other hands would, and a number of steps that nobody's recordings decide.
+    pub fn aligned() -> Self {
+        Self {
+            name: "aligned",
+            features: shared_dsp::recipe::Recipe::Aligned,
+            hidden: &[32, 16],
+            epochs: 0,
+            patience: None,
+            halvings: 0,
+            batch: Steps::TRAIN.batch,
+            learning_rate: Steps::TRAIN.learning_rate,
+            weight_decay: 0.0,
+            label_smoothing: Steps::TRAIN.label_smoothing,
+            validation_fraction: 0.0,
+            stride_hops: 1,
+            augmentation: Augmentation { copies: 10, ..Augmentation::NONE },
+            steps: Some(Steps::TRAIN),
         }
     }
 }
@@ -88,7 +119,7 @@ impl Default for Recipe {
         Self {
             name: "default",
             features: shared_dsp::recipe::Recipe::LogPower,
-            hidden: [20, 10, 5],
+            hidden: &[20, 10, 5],
             epochs: 150,
             patience: Some(4),
             halvings: 4,
@@ -99,6 +130,7 @@ impl Default for Recipe {
             validation_fraction: 0.15,
             stride_hops: 5,
             augmentation: Augmentation::DEFAULT,
+            steps: None,
         }
     }
 }
@@ -151,10 +183,57 @@ pub struct Trained {
     pub float_tflite: Vec<u8>,
     /// Bytes of the int8 file.
     pub int8_tflite: Vec<u8>,
+    /// What [`adapt`] needs of the people it was trained on; only with the recipe `aligned`.
+    pub memory: Option<Memory>,
+}
+
+/// Teaches a model one more person from a few windows of them, [`WINDOW`] samples one after the other, with their
+/// labels. Everything else stays: labels, scaling, and by rehearsal what it knows of the others.
+///
+/// # Errors
+/// If the library that fits networks fails, or the result cannot be quantised.
+pub fn adapt(
+    model: &Trained,
+    memory: &Memory,
+    examples: &[(Vec<f32>, usize)],
+    person: &str,
+    seed: u64,
+) -> Result<Trained, TrainError> {
+    let adapted = aligned::adapt(&model.card, &model.float, memory, examples, seed)?;
+    let mut card = Card {
+        about: format!("{}; adapted to {person} with {} windows", model.card.about, examples.len()),
+        test: None,
+        validation: None,
+        ..model.card.clone()
+    };
+    *card.data.people.entry(person.to_owned()).or_default() += examples.len();
+    let int8 = aligned::int8(&adapted.layers, &adapted.rows, card.scaling.limit);
+    let blob = blob::build(&card, &int8).map_err(TrainError::Quantise)?;
+    card.model_id = blob::model_id(&blob);
+    let int8_tflite = tflite::write(&Network::Int8(int8));
+    card.tflite_sha256 = sha256(&int8_tflite);
+    let float_tflite = tflite::write(&Network::Float(adapted.layers.clone()));
+    Ok(Trained { card, float: adapted.layers, float_tflite, int8_tflite, memory: Some(memory.clone()) })
+}
+
+/// The windows of a recording that [`adapt`] learns from: one each second.
+pub fn examples_of(recording: &crate::recording::Recording) -> Vec<Vec<f32>> {
+    aligned::cut(&prepare(recording).0)
 }
 
 impl Trained {
-    /// Writes `NAME.tflite`, `NAME.float.tflite` and `NAME.card.json`, the card last.
+    /// The blob that boards and bridge run.
+    ///
+    /// # Errors
+    /// If the numbers cannot be put into one.
+    pub fn blob(&self) -> Result<Vec<u8>, TrainError> {
+        match tflite::read(&self.int8_tflite) {
+            Ok(Network::Int8(layers)) => blob::build(&self.card, &layers).map_err(TrainError::Quantise),
+            _ => Err(TrainError::Quantise("the int8 file cannot be read back".to_owned())),
+        }
+    }
+
+    /// Writes `NAME.tflite`, `NAME.float.tflite` and `NAME.card.json`, the card last, and `NAME.memory.bin` if there is one.
     pub fn write(&self, folder: &Path) -> Result<[PathBuf; 3], TrainError> {
         let files = ["tflite", "float.tflite", "card.json"]
             .map(|ending| folder.join(format!("{}.{ending}", self.card.name)));
@@ -164,6 +243,10 @@ impl Trained {
         let contents = [&self.int8_tflite, &self.float_tflite, json.as_bytes()];
         for (file, bytes) in files.iter().zip(contents) {
             write_whole(file, bytes).map_err(|source| TrainError::Io { file: file.clone(), source })?;
+        }
+        if let Some(memory) = &self.memory {
+            let file = folder.join(format!("{}.memory.bin", self.card.name));
+            write_whole(&file, &memory.to_bytes()).map_err(|source| TrainError::Io { file, source })?;
         }
         Ok(files)
     }
@@ -214,11 +297,16 @@ pub fn train(dataset: &Dataset, test: &[String], recipe: &Recipe, job: &Job) -> 
             learn.extend(part.varied.iter().map(|w| (w.as_slice(), part.label)));
         }
     }
-    if check.is_empty() {
+    if check.is_empty() && recipe.steps.is_none() {
         // Too few recordings to spare any: the training windows themselves decide when to stop.
         check.clone_from(&learn);
     }
-    let scaling = scaling(&learn, used.axes * PER_AXIS);
+    let scaling = if recipe.steps.is_some() {
+        let own: Vec<&[f32]> = windows.iter().flat_map(|part| part.own.iter().map(Vec::as_slice)).collect();
+        aligned::scaling(&learn, &own)
+    } else {
+        scaling(&learn, used.axes * PER_AXIS)
+    };
 
     let mut card = Card {
         format: card::FORMAT,
@@ -242,7 +330,10 @@ pub fn train(dataset: &Dataset, test: &[String], recipe: &Recipe, job: &Job) -> 
             batch: recipe.batch,
             learning_rate: recipe.learning_rate,
             validation_fraction: recipe.validation_fraction,
-            augmentation: recipe.augmentation.to_string(),
+            augmentation: match recipe.steps {
+                Some(_) => format!("{} copies of each window: {}", recipe.augmentation.copies, vary::WORDS),
+                None => recipe.augmentation.to_string(),
+            },
             windows: learn.len(),
         },
         data: Data {
@@ -265,7 +356,15 @@ pub fn train(dataset: &Dataset, test: &[String], recipe: &Recipe, job: &Job) -> 
     };
     let (learn, check) = (inputs(&learn), inputs(&check));
     let progress = bar(job, recipe.epochs, "training");
-    let fitted = fit::fit(&learn, &check, labels.len(), recipe, job.seed, &progress)?;
+    let fitted = match &recipe.steps {
+        Some(plan) => {
+            let start = steps::Start::Widths(recipe.hidden);
+            let layers = steps::fit(&learn, labels.len(), &start, plan, job.seed)?;
+            let epochs = (plan.count * plan.batch).div_ceil(learn.len().max(1));
+            fit::Fitted { layers, epochs, best_epoch: epochs }
+        }
+        None => fit::fit(&learn, &check, labels.len(), recipe, job.seed, &progress)?,
+    };
     progress.finish_and_clear();
     card.training.epochs = fitted.epochs;
     card.training.best_epoch = fitted.best_epoch;
@@ -294,7 +393,9 @@ pub fn train(dataset: &Dataset, test: &[String], recipe: &Recipe, job: &Job) -> 
     let validation_scores = both(&used.filtered(|item| validation.contains(&item.name)));
     card.test = test_scores;
     card.validation = validation_scores;
-    Ok(Trained { card, float: fitted.layers, float_tflite, int8_tflite })
+    let memory =
+        recipe.steps.map(|_| Memory::new(&learn, labels.len(), card.scaling.limit, job.seed));
+    Ok(Trained { card, float: fitted.layers, float_tflite, int8_tflite, memory })
 }
 
 fn check_labels(used: &Dataset) -> Result<(), TrainError> {
@@ -321,6 +422,13 @@ fn check_labels(used: &Dataset) -> Result<(), TrainError> {
 fn all_windows(used: &Dataset, labels: &[String], recipe: &Recipe, job: &Job) -> Vec<Windows> {
     let progress = bar(job, used.items.len(), "features");
     let one = |(index, item): (usize, &Item)| {
+        let label = labels.iter().position(|label| *label == item.label).unwrap_or_default();
+        if recipe.steps.is_some() {
+            let mut rng = ChaCha8Rng::seed_from_u64(job.seed);
+            rng.set_stream(1 + index as u64);
+            progress.inc(1);
+            return aligned::windows(item, label, recipe.augmentation.copies, &rng);
+        }
         let (ready, prepared) = prepare(&item.recording);
         let own = features(&ready, recipe.features, recipe.stride_hops);
         let varied = (0..recipe.augmentation.copies)
@@ -333,7 +441,6 @@ fn all_windows(used: &Dataset, labels: &[String], recipe: &Recipe, job: &Job) ->
             })
             .collect();
         progress.inc(1);
-        let label = labels.iter().position(|label| *label == item.label).unwrap_or_default();
         Windows { label, own, varied, padded: prepared.padded, resampled: prepared.resampled }
     };
     let windows = used.items.par_iter().enumerate().map(one).collect();

@@ -1,0 +1,221 @@
+//! What the recipe `aligned` does its own way: windows, scaling, and the memory that lets it learn another person.
+
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use super::vary::{Kind, vary};
+use super::{Windows, quantise, steps};
+use crate::card::{Card, Scaling};
+use crate::dataset::Item;
+use crate::recording::Recording;
+use crate::tflite::FloatLayer;
+use crate::windows::{aligned_features, prepare};
+use crate::{RATE_HZ, WINDOW};
+
+/// Samples from one training window to the next: 1 s.
+const STRIDE: usize = RATE_HZ as usize;
+/// Rows that a model remembers of the people it was trained on.
+const MEMORY_ROWS: usize = 4096;
+/// Varied copies of each window of a new person.
+const COPIES_OF_NEW: usize = 60;
+
+/// The windows of a recording at the models' rate, one after the other in each: sample after sample.
+pub(super) fn cut(ready: &Recording) -> Vec<Vec<f32>> {
+    let starts = (0..=ready.len().saturating_sub(WINDOW)).step_by(STRIDE);
+    starts.map(|start| ready.slice(start, WINDOW).samples().flatten().copied().collect()).collect()
+}
+
+/// Features of a recording's windows and of `copies` varied ones of each.
+pub(super) fn windows(item: &Item, label: usize, copies: usize, rng: &ChaCha8Rng) -> Windows {
+    let (ready, prepared) = prepare(&item.recording);
+    let (axes, kind) = (ready.axes(), Kind::of(&item.label));
+    let mut rng = rng.clone();
+    let (mut own, mut varied) = (Vec::new(), Vec::new());
+    for window in cut(&ready) {
+        own.push(aligned_features(axes, &window));
+        for _ in 0..copies {
+            varied.push(aligned_features(axes, &vary(&window, axes, kind, &mut rng)));
+        }
+    }
+    Windows { label, own, varied, padded: prepared.padded, resampled: prepared.resampled }
+}
+
+/// Mean and deviation over all training windows; the limit is one that 999 of 1000 inputs of unvaried ones keep.
+pub(super) fn scaling(learn: &[(&[f32], usize)], own: &[&[f32]]) -> Scaling {
+    let inputs = learn.first().map_or(0, |(window, _)| window.len());
+    let count = learn.len().max(1) as f64;
+    let (mut mean, mut deviation) = (Vec::new(), Vec::new());
+    for feature in 0..inputs {
+        let values = || learn.iter().map(|(window, _)| f64::from(window[feature]));
+        let centre = values().sum::<f64>() / count;
+        let variance = values().map(|value| (value - centre).powi(2)).sum::<f64>() / count;
+        mean.push(centre as f32);
+        // The addition keeps a feature that hardly varies from becoming an amplifier of noise.
+        deviation.push((variance.sqrt() + 0.1) as f32);
+    }
+    let scaled = |window: &&[f32]| -> Vec<f32> {
+        window.iter().enumerate().map(|(n, value)| ((value - mean[n]) / deviation[n]).abs()).collect()
+    };
+    let mut sizes: Vec<f32> = own.iter().flat_map(scaled).collect();
+    let at = (sizes.len() as f64 * 0.999) as usize;
+    let limit = match sizes.len() {
+        0 => 4.0,
+        count => sizes.select_nth_unstable_by(at.min(count - 1), f32::total_cmp).1.clamp(1.0, 20.0),
+    };
+    Scaling { mean, deviation, limit }
+}
+
+/// Inputs of the people that a model was trained on, as many of each label, so that it does not forget them.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Memory {
+    /// int8 inputs, each (round(input / limit · 127)), with their label.
+    rows: Vec<(Vec<i8>, u8)>,
+}
+
+/// Why a memory file cannot be used.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+pub struct MemoryError(String);
+
+const MAGIC: &[u8; 8] = b"BIMANMEM";
+
+impl Memory {
+    pub(super) fn new(rows: &[(Vec<f32>, usize)], labels: usize, limit: f32, seed: u64) -> Self {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        rng.set_stream(1 << 42);
+        let chosen = balanced(rows.iter().map(|(_, label)| *label), labels, MEMORY_ROWS, &mut rng);
+        let int8 = |value: &f32| (value / limit * 127.0).round().clamp(-127.0, 127.0) as i8;
+        let row = |index: usize| (rows[index].0.iter().map(int8).collect(), rows[index].1 as u8);
+        Self { rows: chosen.into_iter().map(row).collect() }
+    }
+
+    /// Rows of inputs with their labels.
+    fn inputs(&self, limit: f32) -> Vec<(Vec<f32>, usize)> {
+        let float = |value: &i8| f32::from(*value) * limit / 127.0;
+        self.rows.iter().map(|(row, label)| (row.iter().map(float).collect(), usize::from(*label))).collect()
+    }
+
+    /// The bytes of `NAME.memory.bin`: `BIMANMEM`, rows and inputs per row as u32 little-endian, then each row's label
+    /// and inputs.
+    pub fn to_bytes(&self) -> Vec<u8> {
+        let width = self.rows.first().map_or(0, |(row, _)| row.len());
+        let mut bytes = MAGIC.to_vec();
+        bytes.extend((self.rows.len() as u32).to_le_bytes());
+        bytes.extend((width as u32).to_le_bytes());
+        for (row, label) in &self.rows {
+            bytes.push(*label);
+            bytes.extend(row.iter().map(|value| *value as u8));
+        }
+        bytes
+    }
+
+    /// Reads the bytes of a memory that belongs to a model with this card.
+    ///
+    /// # Errors
+    /// If they are something else, damaged, or of another model.
+    pub fn parse(bytes: &[u8], card: &Card) -> Result<Self, MemoryError> {
+        let error =
+            |what: &str| MemoryError(format!("{what}; copy the .memory.bin again or train the model again"));
+        let rest = bytes.strip_prefix(MAGIC).ok_or_else(|| error("this is no memory of a model"))?;
+        let (sizes, rest) = rest.split_first_chunk::<8>().ok_or_else(|| error("the memory is cut short"))?;
+        let [a, b, c, d, e, f, g, h] = *sizes;
+        let (rows, width) =
+            (u32::from_le_bytes([a, b, c, d]) as usize, u32::from_le_bytes([e, f, g, h]) as usize);
+        if width != card.scaling.mean.len() {
+            return Err(error(&format!(
+                "the memory has {width} inputs, the model {}",
+                card.scaling.mean.len()
+            )));
+        }
+        if rows == 0 || Some(rest.len()) != rows.checked_mul(width + 1) {
+            return Err(error("the memory is cut short"));
+        }
+        let rows: Vec<(Vec<i8>, u8)> = rest
+            .chunks_exact(width + 1)
+            .map(|row| (row[1..].iter().map(|value| *value as i8).collect(), row[0]))
+            .collect();
+        if rows.iter().any(|(_, label)| usize::from(*label) >= card.labels.len()) {
+            return Err(error("the memory names a label that the model does not have"));
+        }
+        Ok(Self { rows })
+    }
+
+    /// Share of the rows, in per cent, to which a network gives their label.
+    pub fn accuracy(&self, layers: &[FloatLayer], limit: f32) -> f64 {
+        let rows = self.inputs(limit);
+        let right = rows.iter().filter(|(input, label)| {
+            let scores = crate::tflite::infer_float(layers, input);
+            (0..scores.len()).all(|n| n == *label || scores[n] < scores[*label])
+        });
+        100.0 * right.count() as f64 / rows.len().max(1) as f64
+    }
+}
+
+/// Indices of `count` rows, as many of each label that there is, drawn with replacement.
+fn balanced(
+    labels: impl Iterator<Item = usize>,
+    kinds: usize,
+    count: usize,
+    rng: &mut ChaCha8Rng,
+) -> Vec<usize> {
+    let mut of_label = vec![Vec::new(); kinds];
+    for (index, label) in labels.enumerate() {
+        of_label[label].push(index);
+    }
+    of_label.retain(|indices| !indices.is_empty());
+    if of_label.is_empty() {
+        return Vec::new();
+    }
+    (0..count)
+        .map(|n| {
+            let indices = &of_label[n % of_label.len()];
+            indices[rng.random_range(0..indices.len())]
+        })
+        .collect()
+}
+
+/// An adapted network.
+pub(super) struct Adapted {
+    pub layers: Vec<FloatLayer>,
+    /// The inputs it was fitted to.
+    pub rows: Vec<(Vec<f32>, usize)>,
+}
+
+/// Fits a network to one more person: half of what it sees is new, half is what it remembers.
+pub(super) fn adapt(
+    card: &Card,
+    layers: &[FloatLayer],
+    memory: &Memory,
+    examples: &[(Vec<f32>, usize)],
+    seed: u64,
+) -> candle_core::Result<Adapted> {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    rng.set_stream(1 << 43);
+    let mut new = Vec::new();
+    for (window, label) in examples {
+        let kind = Kind::of(&card.labels[*label]);
+        let mut add = |window: &[f32]| {
+            new.push((crate::score::standardise(card, &aligned_features(card.axes, window)), *label));
+        };
+        add(window);
+        for _ in 0..COPIES_OF_NEW {
+            add(&vary(window, card.axes, kind, &mut rng));
+        }
+    }
+    let mut rows = memory.inputs(card.scaling.limit);
+    let chosen = balanced(new.iter().map(|(_, label)| *label), card.labels.len(), rows.len(), &mut rng);
+    rows.extend(chosen.into_iter().map(|index| new[index].clone()));
+    let start = steps::Start::Layers(layers);
+    let layers = steps::fit(&rows, card.labels.len(), &start, &steps::Steps::ADAPT, seed)?;
+    Ok(Adapted { layers, rows })
+}
+
+/// Int8 layers of a fitted network.
+pub(super) fn int8(
+    layers: &[FloatLayer],
+    rows: &[(Vec<f32>, usize)],
+    limit: f32,
+) -> Vec<shared_dsp::mlp::DenseSpec> {
+    let calibration: Vec<&[f32]> = rows.iter().map(|(input, _)| input.as_slice()).collect();
+    quantise::quantise(layers, &calibration, limit)
+}

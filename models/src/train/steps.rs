@@ -1,0 +1,180 @@
+//! Fitting in a fixed number of steps, for the recipe `aligned`: batches drawn at random, a learning rate that
+//! warms up and falls as a cosine, and an average of the weights as the result. Nothing is held back to decide when
+//! to stop, and a network that exists can be the start.
+
+use candle_core::{D, Device, Result, Tensor, Var};
+use candle_nn::{AdamW, Optimizer, ParamsAdamW};
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
+
+use crate::tflite::FloatLayer;
+
+/// How to fit in steps.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Steps {
+    /// Number of steps.
+    pub count: usize,
+    /// Windows per step.
+    pub batch: usize,
+    /// Largest learning rate (Adam).
+    pub learning_rate: f64,
+    /// Steps until it is reached.
+    pub warm_up: usize,
+    /// Share of the probability that is spread over all labels.
+    pub label_smoothing: f32,
+    /// Weight of the sum of squared weights in the loss.
+    pub decay: f64,
+    /// Share that the average of the weights keeps per step, in the long run.
+    pub keep: f64,
+}
+
+impl Steps {
+    /// For a new network.
+    pub const TRAIN: Self = Self {
+        count: 1500,
+        batch: 128,
+        learning_rate: 3e-3,
+        warm_up: 50,
+        label_smoothing: 0.1,
+        decay: 1e-4,
+        keep: 0.995,
+    };
+    /// For a network that only has to learn one more person.
+    pub const ADAPT: Self = Self { count: 800, learning_rate: 2e-3, keep: 0.98, ..Self::TRAIN };
+}
+
+/// What a network starts from.
+pub(super) enum Start<'a> {
+    /// Random weights for these hidden widths.
+    Widths(&'a [usize]),
+    /// The weights of a network.
+    Layers(&'a [FloatLayer]),
+}
+
+/// Fits a network to rows of inputs with their labels, rare labels counting as much as common ones.
+///
+/// On one thread: the matrices are so small that sharing them out costs more than it brings.
+pub(super) fn fit(
+    rows: &[(Vec<f32>, usize)],
+    labels: usize,
+    start: &Start<'_>,
+    plan: &Steps,
+    seed: u64,
+) -> Result<Vec<FloatLayer>> {
+    let run = || fit_here(rows, labels, start, plan, seed);
+    match rayon::ThreadPoolBuilder::new().num_threads(1).build() {
+        Ok(pool) => pool.install(run),
+        Err(_) => run(),
+    }
+}
+
+fn fit_here(
+    rows: &[(Vec<f32>, usize)],
+    labels: usize,
+    start: &Start<'_>,
+    plan: &Steps,
+    seed: u64,
+) -> Result<Vec<FloatLayer>> {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    rng.set_stream(1 << 41);
+    let width = rows.first().map_or(0, |(input, _)| input.len());
+    let layers = first_layers(start, width, labels, &mut rng)?;
+    let vars: Vec<Var> = layers.iter().flat_map(|(w, b)| [w.clone(), b.clone()]).collect();
+    let mut average: Vec<Tensor> = vars.iter().map(|var| var.as_tensor().copy()).collect::<Result<_>>()?;
+
+    let mut counts = vec![0usize; labels];
+    for (_, label) in rows {
+        counts[*label] += 1;
+    }
+    let weight = |label: usize| rows.len() as f32 / (labels * counts[label].max(1)) as f32;
+    let inputs: Vec<f32> = rows.iter().flat_map(|(input, _)| input.iter().copied()).collect();
+    let spread = plan.label_smoothing / labels as f32;
+    let targets: Vec<f32> = rows
+        .iter()
+        .flat_map(|(_, label)| {
+            let target =
+                move |n: usize| if n == *label { spread + 1.0 - plan.label_smoothing } else { spread };
+            let weight = weight(*label);
+            (0..labels).map(move |n| weight * target(n))
+        })
+        .collect();
+    let inputs = Tensor::from_vec(inputs, (rows.len(), width), &Device::Cpu)?;
+    let targets = Tensor::from_vec(targets, (rows.len(), labels), &Device::Cpu)?;
+
+    let params = ParamsAdamW { lr: plan.learning_rate, weight_decay: 0.0, ..Default::default() };
+    let mut optimizer = AdamW::new(vars.clone(), params)?;
+    for step in 0..plan.count {
+        let chosen: Vec<u32> = (0..plan.batch).map(|_| rng.random_range(0..rows.len() as u32)).collect();
+        let chosen = Tensor::from_vec(chosen, plan.batch, &Device::Cpu)?;
+        let (x, y) = (inputs.index_select(&chosen, 0)?, targets.index_select(&chosen, 0)?);
+        let logs = candle_nn::ops::log_softmax(&forward(&layers, x)?, D::Minus1)?;
+        let mut loss = (logs * y)?.sum_all()?.affine(-1.0 / plan.batch as f64, 0.0)?;
+        for (weights, _) in &layers {
+            loss = (loss + weights.sqr()?.sum_all()?.affine(plan.decay, 0.0)?)?;
+        }
+        let warm = ((step + 1) as f64 / plan.warm_up as f64).min(1.0);
+        let fall = 0.5 * (1.0 + (std::f64::consts::PI * step as f64 / plan.count as f64).cos());
+        optimizer.set_learning_rate(plan.learning_rate * warm * fall);
+        optimizer.backward_step(&loss)?;
+        // At first the average forgets fast: it must not remember the random start.
+        let time = (step + 1) as f64;
+        let keep = plan.keep.min((1.0 + time) / (10.0 + time));
+        for (mean, var) in average.iter_mut().zip(&vars) {
+            *mean = (mean.affine(keep, 0.0)? + var.as_tensor().detach().affine(1.0 - keep, 0.0)?)?;
+        }
+    }
+    let last = layers.len() - 1;
+    let (pairs, _) = average.as_chunks::<2>();
+    let export = |(index, [weights, biases]): (usize, &[Tensor; 2])| {
+        Ok(FloatLayer { weights: weights.t()?.to_vec2()?, biases: biases.to_vec1()?, relu: index < last })
+    };
+    pairs.iter().enumerate().map(export).collect()
+}
+
+fn forward(layers: &[(Var, Var)], mut x: Tensor) -> Result<Tensor> {
+    for (index, (weights, biases)) in layers.iter().enumerate() {
+        x = x.matmul(weights)?.broadcast_add(biases)?;
+        if index + 1 < layers.len() {
+            x = x.relu()?;
+        }
+    }
+    Ok(x)
+}
+
+/// Weights (inputs × outputs) and biases of each layer.
+fn first_layers(
+    start: &Start<'_>,
+    width: usize,
+    labels: usize,
+    rng: &mut ChaCha8Rng,
+) -> Result<Vec<(Var, Var)>> {
+    let layer = |weights: Vec<f32>, biases: Vec<f32>, inputs: usize| {
+        let outputs = biases.len();
+        // Stored as rows of inputs.
+        let weights = Tensor::from_vec(weights, (outputs, inputs), &Device::Cpu)?.t()?.contiguous()?;
+        Ok((Var::from_tensor(&weights)?, Var::from_vec(biases, outputs, &Device::Cpu)?))
+    };
+    match start {
+        Start::Layers(layers) => {
+            let one = |l: &FloatLayer| {
+                layer(l.weights.concat(), l.biases.clone(), l.weights.first().map_or(0, Vec::len))
+            };
+            layers.iter().map(one).collect()
+        }
+        Start::Widths(hidden) => {
+            let widths: Vec<usize> =
+                std::iter::once(width).chain(hidden.iter().copied()).chain(std::iter::once(labels)).collect();
+            let one = |pair: &[usize]| {
+                let deviation = (2.0 / pair[0] as f64).sqrt();
+                let normal = |_| {
+                    let value: f64 = StandardNormal.sample(rng);
+                    (value * deviation) as f32
+                };
+                let weights = (0..pair[0] * pair[1]).map(normal).collect();
+                layer(weights, vec![0.0; pair[1]], pair[0])
+            };
+            widths.windows(2).map(one).collect()
+        }
+    }
+}

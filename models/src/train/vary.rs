@@ -1,0 +1,180 @@
+//! Varying single windows for the recipe `aligned`: what other hands would do, and sensors worn otherwise.
+//!
+//! In this order: tempo, phase and evenness; size (fast movements take more force); the sensor turned on the hand
+//! and the hand mirrored; tremor; an offset of the accelerometer. Idle windows are never made much larger, so that
+//! slow and small gestures stay gestures.
+
+use std::f64::consts::{PI, TAU};
+
+use rand::Rng;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, Exp1, StandardNormal};
+
+use super::augment::{apply, rotation};
+use crate::WINDOW;
+
+/// What the aligned recipe does, for the card.
+pub(super) const WORDS: &str = "tempo ×0.67 to 1.49 and uneven, shift ±0.2 s, size ×0.37 to 1.49 (other 0.5 to 2, idle \
+     0.5 to 1.35), sensor turned at will about gravity and up to 25° about any axis, mirrored, tremor of 3 to 10 Hz, \
+     accelerometer offset 0.3 m/s²";
+
+/// What kind of movement a label stands for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Kind {
+    Gesture,
+    Idle,
+    Other,
+}
+
+impl Kind {
+    pub fn of(label: &str) -> Self {
+        match label {
+            "idle" => Self::Idle,
+            "other" => Self::Other,
+            _ => Self::Gesture,
+        }
+    }
+
+    /// Range of the size's logarithm.
+    fn sizes(self) -> (f64, f64) {
+        match self {
+            Self::Gesture => (-1.0, 0.4),
+            Self::Other => (-0.7, 0.7),
+            Self::Idle => (-0.7, 0.3),
+        }
+    }
+}
+
+/// A varied copy of a window: [`WINDOW`] samples of 3, 6 or 9 axes, one after the other.
+pub(super) fn vary(window: &[f32], axes: usize, kind: Kind, rng: &mut ChaCha8Rng) -> Vec<f32> {
+    let uniform = |rng: &mut ChaCha8Rng, low: f64, high: f64| rng.random_range(low..high);
+    let stretch = uniform(rng, -0.4, 0.4).exp();
+    let shift = uniform(rng, -20.0, 20.0);
+    let (phase, bend) = (uniform(rng, 0.0, TAU), uniform(rng, 0.0, 0.1) * WINDOW as f64 / TAU);
+    let (low, high) = kind.sizes();
+    let size = uniform(rng, low, high).exp();
+    // Idle has no tempo that its force could follow.
+    let tempo = if kind == Kind::Idle { 1.0 } else { stretch };
+
+    let mut samples: Vec<[f64; 9]> = (0..WINDOW)
+        .map(|n| {
+            let (n, half) = (n as f64, WINDOW as f64 / 2.0);
+            let at = (n - half) * stretch + half + shift + bend * (TAU * n / WINDOW as f64 + phase).sin();
+            sample_at(window, axes, at)
+        })
+        .collect();
+
+    let mut gravity = [0.0; 3];
+    for sample in &samples {
+        for (sum, value) in gravity.iter_mut().zip(sample) {
+            *sum += value / WINDOW as f64;
+        }
+    }
+    let axis = [0; 3].map(|_| StandardNormal.sample(rng));
+    let tilt = rotation(axis, 25f64.to_radians() * uniform(rng, 0.0, 1.0).sqrt());
+    let heading = rotation(gravity, uniform(rng, -PI, PI));
+    let mirrored = rng.random_bool(0.5);
+    for sample in &mut samples {
+        for (value, centre) in sample.iter_mut().zip(gravity) {
+            *value = centre + (*value - centre) * size * tempo * tempo;
+        }
+        for value in &mut sample[3..6] {
+            *value *= size * tempo;
+        }
+        for (index, triad) in sample.as_chunks_mut::<3>().0.iter_mut().enumerate() {
+            if mirrored {
+                // Reflected in y; rotation and magnetic field are axial vectors.
+                triad[1] = -triad[1];
+                if index > 0 {
+                    *triad = triad.map(|value| -value);
+                }
+            }
+            *triad = apply(&tilt, apply(&heading, *triad).map(f64::from)).map(f64::from);
+        }
+    }
+
+    let pace = uniform(rng, 3.0, 10.0);
+    let (start, length) = (uniform(rng, 0.0, 150.0), uniform(rng, 50.0, 200.0));
+    let strength: f64 = 0.5 * <Exp1 as Distribution<f64>>::sample(&Exp1, rng);
+    let strength = strength * (spread(&samples) / 2.0).min(1.0);
+    let tremor: [(f64, f64); 6] =
+        std::array::from_fn(|_| (strength * uniform(rng, 0.0, 1.0), uniform(rng, 0.0, TAU)));
+    let offset = [0; 3].map(|_| 0.3 * <StandardNormal as Distribution<f64>>::sample(&StandardNormal, rng));
+    let mut values = Vec::with_capacity(WINDOW * axes);
+    for (n, sample) in samples.iter().enumerate() {
+        let envelope = (PI * ((n as f64 - start) / length).clamp(0.0, 1.0)).sin();
+        for (axis, value) in sample.iter().take(axes).enumerate() {
+            let unit = [3.0, 40.0, 0.0][axis / 3];
+            let shake = tremor.get(axis).map_or(0.0, |(size, phase)| {
+                unit * size * envelope * (TAU * pace * n as f64 / crate::RATE_HZ + phase).sin()
+            });
+            values.push((value + shake + offset.get(axis).unwrap_or(&0.0)) as f32);
+        }
+    }
+    values
+}
+
+/// Values between two samples; beyond the ends the window is played backward.
+fn sample_at(window: &[f32], axes: usize, at: f64) -> [f64; 9] {
+    let last = (WINDOW - 1) as f64;
+    let at = at.rem_euclid(2.0 * last);
+    let at = if at > last { 2.0 * last - at } else { at };
+    let left = (at as usize).min(WINDOW - 2);
+    let part = at - left as f64;
+    std::array::from_fn(|axis| {
+        if axis >= axes {
+            return 0.0;
+        }
+        let (a, b) = (f64::from(window[left * axes + axis]), f64::from(window[(left + 1) * axes + axis]));
+        a + (b - a) * part
+    })
+}
+
+/// Root of the accelerometer's summed variances.
+fn spread(samples: &[[f64; 9]]) -> f64 {
+    let count = samples.len() as f64;
+    let variance = |axis: usize| {
+        let mean = samples.iter().map(|sample| sample[axis]).sum::<f64>() / count;
+        samples.iter().map(|sample| (sample[axis] - mean).powi(2)).sum::<f64>() / count
+    };
+    (variance(0) + variance(1) + variance(2)).sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::SeedableRng;
+
+    #[test]
+    fn a_still_hand_stays_still_but_for_an_offset() {
+        let row = [0.0, 3.0, 9.0, 0.0, 0.0, 0.0, 20.0, 0.0, -40.0f32];
+        let window: Vec<f32> = row.iter().copied().cycle().take(9 * WINDOW).collect();
+        for seed in 0..20 {
+            let varied = vary(&window, 9, Kind::Gesture, &mut ChaCha8Rng::seed_from_u64(seed));
+            let (rows, _) = varied.as_chunks::<9>();
+            let length = |v: &[f32]| v.iter().map(|x| x * x).sum::<f32>().sqrt();
+            for sample in rows {
+                assert!(sample.iter().zip(&rows[0]).all(|(a, b)| (a - b).abs() < 1e-3), "it does not move");
+                assert!((length(&sample[..3]) - length(&row[..3])).abs() < 2.0);
+                assert!((length(&sample[6..]) - length(&row[6..])).abs() < 1e-3);
+            }
+        }
+    }
+
+    #[test]
+    fn idle_windows_grow_by_a_third_at_most() {
+        let window: Vec<f32> =
+            (0..WINDOW).flat_map(|n| [if n % 2 == 0 { 0.1 } else { -0.1 }, 0.0, 9.8f32]).collect();
+        for seed in 0..50 {
+            let varied = vary(&window, 3, Kind::Idle, &mut ChaCha8Rng::seed_from_u64(seed));
+            let samples: Vec<[f64; 9]> = varied
+                .as_chunks::<3>()
+                .0
+                .iter()
+                .map(|v| std::array::from_fn(|a| if a < 3 { f64::from(v[a]) } else { 0.0 }))
+                .collect();
+            // Tremor adds at most in proportion to what moves.
+            assert!(spread(&samples) < 0.1 * 1.35 + 0.3, "seed {seed}");
+        }
+    }
+}
