@@ -298,7 +298,8 @@ mod tests {
 
     #[test]
     fn values_of_another_kind_and_broken_text_are_named_with_their_line() {
-        for (text, line) in [("\n[tilt]\nend_mrad = 'x'\n", 3), ("\n[tilt\n", 2), ("[ports]\nbaud = -1\n", 2)] {
+        for (text, line) in [("\n[tilt]\nend_mrad = 'x'\n", 3), ("\n[tilt\n", 2), ("[ports]\nbaud = -1\n", 2)]
+        {
             match Config::parse(text) {
                 Err(ConfigError::Text { line: found, .. }) => assert_eq!(found, line, "{text}"),
                 other => panic!("{text}: {other:?}"),

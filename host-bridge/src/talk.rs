@@ -154,9 +154,15 @@ pub fn advice(result: AckResult) -> &'static str {
         }
         AckResult::WrongOffset => "the board lost its place in the model; send it again",
         AckResult::BadChecksum => "the model arrived damaged; send it again",
-        AckResult::StorageFailed => "the board's memory did not take the data; try again, or replace the board",
-        AckResult::NotBonded => "Bluetooth writes need pairing; pair in the system's settings, or use the cable",
-        AckResult::Unknown(_) => "the board gave an answer that this version does not know; update host-bridge",
+        AckResult::StorageFailed => {
+            "the board's memory did not take the data; try again, or replace the board"
+        }
+        AckResult::NotBonded => {
+            "Bluetooth writes need pairing; pair in the system's settings, or use the cable"
+        }
+        AckResult::Unknown(_) => {
+            "the board gave an answer that this version does not know; update host-bridge"
+        }
     }
 }
 

@@ -91,7 +91,8 @@ impl<'b> Upload<'b> {
     /// The message to send now, if any: once, and again when no answer came. Call [`Upload::unsent`]
     /// where the link did not take it.
     pub fn poll(&mut self, now_ms: u64) -> Option<HostMessage<'b>> {
-        let patience_ms = if self.stage == Stage::Begin || self.started { REPEAT_BEGIN_MS } else { REPEAT_MS };
+        let patience_ms =
+            if self.stage == Stage::Begin || self.started { REPEAT_BEGIN_MS } else { REPEAT_MS };
         if self.asked_ms.is_some_and(|asked| now_ms.saturating_sub(asked) < patience_ms) {
             return None;
         }

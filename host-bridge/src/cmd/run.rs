@@ -135,15 +135,18 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     };
     let links = [open(Hand::Left, &left), open(Hand::Right, &right)];
     let name = |port: &str| if port.is_empty() { "none".to_owned() } else { port.to_owned() };
-    let title =
-        format!("bimanual: left hand {}, right hand {}, simulated robot", name(&left), name(&right));
+    let title = format!("bimanual: left hand {}, right hand {}, simulated robot", name(&left), name(&right));
     let mut session = Session {
         live: Live::new(&config, places[0], places[1], clock.now_ms()),
         view: if wants_view { Some(View::open(&title)?) } else { None },
         json: args.json,
         links,
         released_ms: None,
-        keys: if places.contains(&Place::Keyboard) { format!("{KEYS}\n{HAND_KEYS}") } else { KEYS.to_owned() },
+        keys: if places.contains(&Place::Keyboard) {
+            format!("{KEYS}\n{HAND_KEYS}")
+        } else {
+            KEYS.to_owned()
+        },
     };
     if session.view.is_none() && !args.json {
         session.line(&title);

@@ -59,7 +59,9 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     println!("{port}: {}, runs model {old:08x} ({})", who.board, board.labels.join(", "));
     println!("sending {new:08x} ({}), {} bytes", file.labels().join(", "), file.blob().len());
     for label in MotionMap::default().without_motion(file.labels()) {
-        println!("note: '{label}' has no motion yet; give it one under [motions] in a --config file of `run`");
+        println!(
+            "note: '{label}' has no motion yet; give it one under [motions] in a --config file of `run`"
+        );
     }
     if old == new && !args.force {
         println!("the board runs this model already; nothing to do");

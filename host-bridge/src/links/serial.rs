@@ -183,10 +183,8 @@ impl<I: Copy> Reader<I> {
 
     fn open(&self) -> Result<Box<dyn SerialPort>, String> {
         let explain = |error: serialport::Error| explain(&self.port, &error);
-        let port = serialport::new(&self.port, self.settings.baud)
-            .timeout(READ_PATIENCE)
-            .open()
-            .map_err(explain)?;
+        let port =
+            serialport::new(&self.port, self.settings.baud).timeout(READ_PATIENCE).open().map_err(explain)?;
         let mut writer = port.try_clone().map_err(explain)?;
         writer.set_timeout(WRITE_PATIENCE).map_err(explain)?;
         // What waited in the port's buffer is old.

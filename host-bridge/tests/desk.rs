@@ -1,0 +1,415 @@
+//! The program with boards behind pseudo-terminals: what a user types, what comes out, and what happens
+//! when a cable is pulled or a board restarts. The boards run the hands' own code (`support/double.rs`);
+//! the firmware images themselves are emulated in the `tests` crate.
+#![cfg(unix)]
+
+#[path = "support/double.rs"]
+mod double;
+
+use std::io::{BufRead as _, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::mpsc::{Receiver, channel};
+use std::time::{Duration, Instant};
+
+use double::{BENT, Double, FORWARD, LEVEL};
+use models::blob::{ModelFiles, model_id};
+use models::card::Card;
+use models::recording::Recording;
+use shared_dsp::tilt;
+use shared_proto::message::Heading;
+
+/// Nothing here takes nearly so long; a hang must not stop the tests.
+const PATIENCE: Duration = Duration::from_secs(40);
+
+fn heading(heading: tilt::Heading) -> Heading {
+    match heading {
+        tilt::Heading::Neutral => Heading::Neutral,
+        tilt::Heading::Between => Heading::Between,
+        tilt::Heading::Forward => Heading::Forward,
+        tilt::Heading::Backward => Heading::Backward,
+        tilt::Heading::Left => Heading::Left,
+        tilt::Heading::Right => Heading::Right,
+    }
+}
+
+/// The program under way, read line by line.
+struct Running {
+    child: Child,
+    lines: Receiver<String>,
+    seen: Vec<String>,
+}
+
+fn start(args: &[&str]) -> Running {
+    let alone = double::STARTING.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+    let mut child = Command::new(env!("CARGO_BIN_EXE_host-bridge"))
+        .args(args)
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    drop(alone);
+    let (sender, lines) = channel();
+    let (out, err) = (child.stdout.take().unwrap(), child.stderr.take().unwrap());
+    let also = sender.clone();
+    std::thread::spawn(move || {
+        BufReader::new(out).lines().map_while(Result::ok).for_each(|line| drop(sender.send(line)));
+    });
+    std::thread::spawn(move || {
+        BufReader::new(err).lines().map_while(Result::ok).for_each(|line| drop(also.send(line)));
+    });
+    Running { child, lines, seen: Vec::new() }
+}
+
+impl Running {
+    /// Waits for a line with all these words.
+    fn wait(&mut self, words: &[&str]) -> String {
+        let until = Instant::now() + PATIENCE;
+        loop {
+            match self.lines.recv_timeout(until.saturating_duration_since(Instant::now())) {
+                Ok(line) => {
+                    self.seen.push(line.clone());
+                    if words.iter().all(|word| line.contains(word)) {
+                        return line;
+                    }
+                }
+                Err(_) => {
+                    let _ = self.child.kill();
+                    panic!("no line with {words:?}; there were\n{}", self.seen.join("\n"));
+                }
+            }
+        }
+    }
+
+    fn interrupt(&self) {
+        Command::new("kill").args(["-INT", &self.child.id().to_string()]).status().unwrap();
+    }
+
+    /// Waits for the end; how it ended, and all it printed.
+    fn end(mut self) -> (ExitStatus, String) {
+        let until = Instant::now() + PATIENCE;
+        while let Ok(line) = self.lines.recv_timeout(until.saturating_duration_since(Instant::now())) {
+            self.seen.push(line);
+        }
+        if self.child.try_wait().unwrap().is_none() && Instant::now() >= until {
+            let _ = self.child.kill();
+            panic!("it does not end; it printed\n{}", self.seen.join("\n"));
+        }
+        (self.child.wait().unwrap(), self.seen.join("\n"))
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+    }
+}
+
+fn run(args: &[&str]) -> (ExitStatus, String) {
+    start(args).end()
+}
+
+fn files(folder: &Path) -> Vec<String> {
+    let mut names: Vec<_> = std::fs::read_dir(folder)
+        .map(|entries| entries.map(|e| e.unwrap().file_name().into_string().unwrap()).collect())
+        .unwrap_or_default();
+    names.sort();
+    names
+}
+
+#[test]
+fn list_names_who_answers_and_gives_hints_where_nobody_does() {
+    let folder = tempfile::tempdir().unwrap();
+    let (left, right) = (Double::left(folder.path()), Double::right(folder.path(), 0.0));
+    let (status, text) = run(&["list", &left.port(), &right.port()]);
+    assert!(status.success(), "{text}");
+    for word in ["the left hand (Arduino Nano)", "the right hand (Nano 33 BLE Sense)", "model "] {
+        assert!(text.contains(word), "{word} in\n{text}");
+    }
+    let (status, text) = run(&["list", "/no/such/port"]);
+    assert_eq!(status.code(), Some(1));
+    for word in ["/no/such/port", "cable", "dialout", "driver", "keyboard"] {
+        assert!(text.contains(word), "{word} in\n{text}");
+    }
+}
+
+#[test]
+fn a_pulled_cable_halts_the_robot_and_a_replugged_one_needs_neutral() {
+    let folder = tempfile::tempdir().unwrap();
+    let left = Double::left(folder.path());
+    let mut run = start(&["run", "--left", &left.port(), "--json", "--seconds", "60"]);
+    run.wait(&["\"state\"", "armed"]);
+    left.hold(FORWARD);
+    run.wait(&["\"heading\":\"forward\""]);
+    std::thread::sleep(Duration::from_millis(700));
+    left.pull();
+    run.wait(&["\"open\":false", "comes back by itself"]);
+    run.wait(&["\"halt\"", "silence"]);
+    run.wait(&["\"state\"", "stale"]);
+    // Plugged in while still tilted: the board starts anew, and nothing moves.
+    left.plug();
+    run.wait(&["\"open\":true"]);
+    run.wait(&["hand-started"]);
+    std::thread::sleep(Duration::from_millis(1000));
+    let before = run.seen.len();
+    left.hold(LEVEL);
+    run.wait(&["\"state\"", "armed"]);
+    assert!(!run.seen[before..].iter().any(|line| line.contains("\"forward\"")), "{:#?}", run.seen);
+    // A restart without losing the port halts too.
+    left.hold(FORWARD);
+    run.wait(&["\"heading\":\"forward\""]);
+    left.restart();
+    run.wait(&["\"halt\""]);
+    left.hold(LEVEL);
+    run.wait(&["\"state\"", "armed"]);
+}
+
+#[test]
+fn both_hands_on_their_ports_move_base_and_arm() {
+    let folder = tempfile::tempdir().unwrap();
+    let (left, right) = (Double::left(folder.path()), Double::right(folder.path(), 0.0));
+    let mut run =
+        start(&["run", "--left", &left.port(), "--right", &right.port(), "--json", "--seconds", "25"]);
+    run.wait(&["\"state\"", "armed"]);
+    left.hold(FORWARD);
+    run.wait(&["\"heading\":\"forward\""]);
+    std::thread::sleep(Duration::from_millis(500));
+    left.hold(LEVEL);
+    run.wait(&["\"gesture\"", "started"]);
+    let (status, text) = run.end();
+    assert!(status.success(), "{text}");
+    let last: serde_json::Value = serde_json::from_str(text.lines().last().unwrap()).unwrap();
+    assert_eq!(last["event"], "end");
+    assert!(last["odometry"]["path_m"].as_f64().unwrap() > 0.1, "{last}");
+    for hand in [0, 1] {
+        assert!(last["round_trip_ms"][hand].as_u64().is_some(), "both boards answer pings: {last}");
+        // On a machine that is short of time some may go; the boards drop what nobody reads.
+        assert!(last["frames"][hand]["lost"].as_u64().unwrap() < 50, "{last}");
+    }
+}
+
+#[test]
+fn left_handed_exchanges_the_ports() {
+    let folder = tempfile::tempdir().unwrap();
+    let left = Double::left(folder.path());
+    let config = folder.path().join("desk.toml");
+    std::fs::write(&config, format!("left_handed = true\n[ports]\nright = '{}'\n", left.port())).unwrap();
+    let config = config.display().to_string();
+    let mut run = start(&["run", "--config", &config, "--json", "--seconds", "30"]);
+    run.wait(&["\"state\"", "armed"]);
+    left.hold(FORWARD);
+    run.wait(&["\"heading\":\"forward\""]);
+}
+
+#[test]
+fn calibrate_walks_through_three_poses_and_doctor_is_content_afterwards() {
+    let folder = tempfile::tempdir().unwrap();
+    let left = Double::left(folder.path());
+    let (status, text) = run(&["doctor", "--left", &left.port(), "--seconds", "2"]);
+    assert_eq!(status.code(), Some(1), "{text}");
+    assert!(text.contains("host-bridge calibrate"), "{text}");
+
+    let mut calibrate = start(&["calibrate", "--port", &left.port(), "--every", "0.4"]);
+    calibrate.wait(&["1.", "level"]);
+    calibrate.wait(&["3.", "bend both"]);
+    left.hold(BENT);
+    let (status, text) = calibrate.end();
+    assert!(status.success(), "{text}");
+    assert!(text.contains("pitch 0°, roll 0°") || text.contains("pitch -0°"), "{text}");
+
+    left.hold(LEVEL);
+    let (status, text) = run(&["doctor", "--left", &left.port(), "--seconds", "3"]);
+    assert!(text.contains("all is well") && status.success(), "{text}");
+    for word in ["protocol 1.0", "samples 100 Hz", "ppm", "ping and back", "0.00 % of the states lost"] {
+        assert!(text.contains(word), "{word} in\n{text}");
+    }
+}
+
+#[test]
+fn a_pose_that_cannot_be_right_is_refused_and_says_why() {
+    let folder = tempfile::tempdir().unwrap();
+    let left = Double::left(folder.path());
+    // Straight fingers where bent ones are asked for.
+    let (status, text) = run(&["calibrate", "--port", &left.port(), "--every", "0"]);
+    assert_eq!(status.code(), Some(1), "{text}");
+    assert_eq!(text.matches("hold still and try again").count(), 3, "{text}");
+    let (status, text) = run(&["calibrate", "--port", &left.port()]);
+    assert_eq!(status.code(), Some(1), "{text}");
+    assert!(text.contains("--every"), "{text}");
+}
+
+#[test]
+fn record_writes_what_the_sensor_read_in_the_training_layout() {
+    let folder = tempfile::tempdir().unwrap();
+    let right = Double::right(folder.path(), 0.0);
+    let out = folder.path().join("recordings");
+    let record = |more: &[&str]| {
+        let (port, out) = (right.port(), out.display().to_string());
+        let mut args = vec!["record", "--port", &port, "--person", "me", "--out", &out, "--countdown", "0"];
+        args.extend(more);
+        run(&args)
+    };
+    for n in 1..=2 {
+        let (status, text) = record(&["--label", "circle", "--seconds", "1.5"]);
+        assert!(status.success() && text.contains("no gaps") && text.contains("models train"), "{text}");
+        let file = out.join(format!("circle/me__{n}.csv"));
+        let header = std::fs::read_to_string(&file).unwrap();
+        assert!(header.starts_with("timestamp,accX,accY,accZ,gyrX,gyrY,gyrZ,magX,magY,magZ\n"));
+        let recording = Recording::read(&file).unwrap();
+        assert_eq!((recording.axes(), recording.len()), (9, 150));
+        // A stretch of the recording that the board plays, to half a count of its scale.
+        let played = Path::new(env!("CARGO_MANIFEST_DIR")).join("sessions/demo/right.csv");
+        let played = Recording::read(&played).unwrap().resampled();
+        let near = |a: &[f32], b: &[f32]| (0..9).all(|i| (a[i] - b[i]).abs() <= [0.004, 0.041, 0.013][i / 3]);
+        let played: Vec<_> = played.samples().collect();
+        let recorded: Vec<_> = recording.samples().collect();
+        assert!(
+            played.windows(150).any(|stretch| stretch.iter().zip(&recorded).all(|(a, b)| near(a, b))),
+            "take {n} is no stretch of what was played"
+        );
+    }
+    let (status, text) = record(&["--guided", "--labels", "idle,wave", "--seconds", "0.5"]);
+    assert!(status.success(), "{text}");
+    assert_eq!(files(&out), ["circle", "idle", "wave"]);
+    assert_eq!(files(&out.join("wave")), ["me__1.csv"]);
+
+    // Names that would leave the folder are refused before the port is opened.
+    let (status, text) = record(&["--label", "../x"]);
+    assert!(status.code() == Some(1) && text.contains("letters"), "{text}");
+}
+
+#[test]
+fn a_recording_that_breaks_off_leaves_nothing_behind() {
+    let folder = tempfile::tempdir().unwrap();
+    let right = Double::right(folder.path(), 0.0);
+    let out = folder.path().join("recordings");
+    type Break = fn(&Double, &Running);
+    let breaks: [(Break, i32, &str); 3] = [
+        (|_, run| run.interrupt(), 130, "not saved"),
+        (|board, _| board.restart(), 1, "restart"),
+        (|board, _| board.pull(), 1, "nothing was saved"),
+    ];
+    for (how, code, word) in breaks {
+        let (port, folder) = (right.port(), out.display().to_string());
+        let mut record = start(&[
+            "record",
+            "--port",
+            &port,
+            "--label",
+            "circle",
+            "--person",
+            "me",
+            "--seconds",
+            "30",
+            "--countdown",
+            "0",
+            "--out",
+            &folder,
+        ]);
+        record.wait(&["go: circle"]);
+        std::thread::sleep(Duration::from_millis(600));
+        how(&right, &record);
+        let (status, text) = record.end();
+        assert_eq!(status.code(), Some(code), "{text}");
+        assert!(text.contains(word), "{word} in\n{text}");
+        assert!(files(&out.join("circle")).is_empty(), "{:?}", files(&out.join("circle")));
+    }
+}
+
+/// The bundled model with one label renamed: another blob, another id.
+fn renamed_model(folder: &Path) -> (PathBuf, String) {
+    let bundled = Path::new(env!("CARGO_MANIFEST_DIR")).join("../models/bundled/right-9axis.tflite");
+    let bytes = std::fs::read(&bundled).unwrap();
+    let mut card = Card::read(&bundled).unwrap();
+    let place = card.labels.iter().position(|label| label == "circle").unwrap();
+    card.labels[place] = "wave".to_owned();
+    let files = ModelFiles { network: models::tflite::read(&bytes).unwrap(), card: card.clone() };
+    card.model_id = model_id(&files.blob().unwrap());
+    let file = folder.join("mine.tflite");
+    std::fs::write(&file, bytes).unwrap();
+    std::fs::write(folder.join("mine.card.json"), serde_json::to_string(&card).unwrap()).unwrap();
+    (file, card.model_id)
+}
+
+#[test]
+fn a_model_sent_through_cuts_and_restarts_runs_after_the_next_start() {
+    let folder = tempfile::tempdir().unwrap();
+    let right = Double::right(folder.path(), 0.0);
+    let (file, id) = renamed_model(folder.path());
+    let file = file.display().to_string();
+
+    let mut send = start(&["send-model", &file, "--port", &right.port()]);
+    send.wait(&["sending", &id]);
+    std::thread::sleep(Duration::from_millis(250));
+    right.pull();
+    send.wait(&["comes back by itself"]);
+    right.plug_without_restart();
+    std::thread::sleep(Duration::from_millis(900));
+    right.restart();
+    send.wait(&["the board restarted"]);
+    let (status, text) = send.end();
+    assert!(status.success(), "{text}");
+    assert!(text.contains(&format!("→ {id}")) && text.contains("next restart"), "{text}");
+
+    // Not before a restart.
+    let (_, text) = run(&["doctor", "--right", &right.port(), "--seconds", "1"]);
+    assert!(!text.contains(&format!("model {id}")), "{text}");
+    right.restart();
+    std::thread::sleep(Duration::from_millis(2500));
+    let (_, text) = run(&["doctor", "--right", &right.port(), "--seconds", "2"]);
+    assert!(text.contains(&format!("model {id}")) && text.contains("wave"), "{text}");
+    assert!(text.contains("no motion for wave"), "{text}");
+    let (status, text) = run(&["send-model", &file, "--port", &right.port()]);
+    assert!(status.success() && text.contains("already"), "{text}");
+}
+
+#[test]
+fn the_wrong_hand_on_a_port_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let (left, right) = (Double::left(folder.path()), Double::right(folder.path(), 0.0));
+    let (file, _) = renamed_model(folder.path());
+    let file = file.display().to_string();
+    for args in [
+        vec!["calibrate", "--port", &right.port(), "--every", "0"],
+        vec!["record", "--port", &left.port(), "--label", "circle", "--person", "me"],
+        vec!["send-model", &file, "--port", &left.port()],
+    ] {
+        let (status, text) = run(&args);
+        assert_eq!(status.code(), Some(1), "{args:?}: {text}");
+        assert!(text.contains("answers; only the"), "{args:?}: {text}");
+    }
+    let mut run = start(&["run", "--left", &right.port(), "--headless", "--seconds", "20"]);
+    run.wait(&["swap the ports"]);
+}
+
+#[test]
+fn bad_options_and_configurations_say_what_to_do() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("desk.toml");
+    std::fs::write(&file, "[safety]\n\nstale = 100\n").unwrap();
+    let file = file.display().to_string();
+    for (args, words) in [
+        (vec!["run"], vec!["--left PORT", "keyboard", "list"]),
+        (vec!["run", "--config", &file], vec!["desk.toml", "line 3", "safety.stale_ms"]),
+        (vec!["run", "--config", "/no/such.toml"], vec!["/no/such.toml"]),
+        (vec!["run", "--left", "keyboard", "--headless"], vec!["terminal"]),
+        (vec!["run", "--left", "/dev/x", "--right", "/dev/x"], vec!["same port"]),
+        (vec!["run", "--right", "ble:Hand"], vec!["Bluetooth", "USB cable"]),
+        (vec!["calibrate"], vec!["--port", "list"]),
+        (vec!["doctor"], vec!["--left", "list"]),
+        (vec!["record", "--person", "me"], vec!["--label"]),
+        (vec!["record", "--label", "a", "--person", "a__b", "--port", "x"], vec!["underscores"]),
+        (vec!["send-model", "/no/such.tflite", "--port", "x"], vec!["/no/such.tflite"]),
+        (vec!["calibrate", "--port", "/no/such/port", "--every", "0"], vec!["/no/such/port", "plug"]),
+    ] {
+        let (status, text) = run(&args);
+        assert!(!status.success(), "{args:?}: {text}");
+        for word in words {
+            assert!(text.contains(word), "{args:?} must name {word}: {text}");
+        }
+    }
+    let (status, text) = run(&["run", "--left-handed", "--left", "/dev/ttyACM0", "--print-config"]);
+    assert!(status.success());
+    assert!(text.contains("left_handed = true") && text.contains("left = \"/dev/ttyACM0\""), "{text}");
+}
