@@ -5,7 +5,8 @@ use std::{env, fs};
 
 fn main() {
     let out = PathBuf::from(env::var_os("OUT_DIR").expect("cargo sets OUT_DIR"));
-    let layout = if env::var_os("CARGO_FEATURE_BLE").is_some() { "../memory.x" } else { "memory-bootloader.x" };
+    let layout =
+        if env::var_os("CARGO_FEATURE_BLE").is_some() { "../memory.x" } else { "memory-bootloader.x" };
     fs::copy(layout, out.join("memory.x")).expect("the memory layout is readable");
     // The model trained on simulated wearers, as the board reads it (models/bundled).
     let blob = models::bundled::blob().expect("the bundled model is intact");

@@ -171,10 +171,9 @@ async fn save_bonds(bonder: &'static Bonder) -> ! {
         words[0] = BOND_MAGIC;
         // SAFETY: plain integers, copied as bytes into room of at least their size.
         unsafe {
-            (&raw const bond).cast::<u8>().copy_to_nonoverlapping(
-                words[1..].as_mut_ptr().cast(),
-                size_of::<Bond>(),
-            );
+            (&raw const bond)
+                .cast::<u8>()
+                .copy_to_nonoverlapping(words[1..].as_mut_ptr().cast(), size_of::<Bond>());
         }
         let mut flash = SoftDeviceFlash;
         let saved = match flash.erase_page(BOND_PAGE).await {

@@ -106,7 +106,11 @@ impl ErrorType for Wire<'_> {
 }
 
 impl I2c for Wire<'_> {
-    async fn transaction(&mut self, address: u8, operations: &mut [Operation<'_>]) -> Result<(), twim::Error> {
+    async fn transaction(
+        &mut self,
+        address: u8,
+        operations: &mut [Operation<'_>],
+    ) -> Result<(), twim::Error> {
         let result = I2c::transaction(&mut self.0, address, operations).await;
         if result.is_err() {
             Timer::after(Duration::from_micros(200)).await;

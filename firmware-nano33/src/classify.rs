@@ -36,7 +36,11 @@ pub fn fits(model: &Model<'_>) -> bool {
 /// One sample into the window; tests watch its arguments and count its instructions.
 #[inline(never)]
 #[unsafe(no_mangle)]
-extern "C" fn bimanual_sample(counts: &[i16; AXES], hand: &mut RightHand<'static, AXES>, time_ms: u32) -> bool {
+extern "C" fn bimanual_sample(
+    counts: &[i16; AXES],
+    hand: &mut RightHand<'static, AXES>,
+    time_ms: u32,
+) -> bool {
     let scale = SENSOR.scale();
     let values = core::array::from_fn(|axis| f32::from(counts[axis]) * scale[axis / 3]);
     hand.push(&values, time_ms).is_some()

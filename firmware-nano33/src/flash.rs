@@ -1,8 +1,8 @@
 //! Writing to flash: through the chip's controller, or through the SoftDevice, which owns it.
 
-use crate::storage::{Flash, FlashFailed};
 #[cfg(feature = "ble")]
 use crate::storage::PAGE_BYTES;
+use crate::storage::{Flash, FlashFailed};
 
 /// The chip's controller. Erasing a page stops the processor for about 85 ms.
 #[cfg(not(feature = "ble"))]

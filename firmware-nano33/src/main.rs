@@ -71,12 +71,10 @@ fn main() -> ! {
         rx: p.P1_10,
         tx: p.P1_03,
     };
-    let off = |pin: embassy_nrf::Peri<'static, embassy_nrf::gpio::AnyPin>| Output::new(pin, Level::High, OutputDrive::Standard);
-    let led = watch::Led {
-        red: off(p.P0_24.into()),
-        green: off(p.P0_16.into()),
-        blue: off(p.P0_06.into()),
+    let off = |pin: embassy_nrf::Peri<'static, embassy_nrf::gpio::AnyPin>| {
+        Output::new(pin, Level::High, OutputDrive::Standard)
     };
+    let led = watch::Led { red: off(p.P0_24.into()), green: off(p.P0_16.into()), blue: off(p.P0_06.into()) };
     let watchdog = watch::start_watchdog(p.WDT);
     // SAFETY: taken once, here.
     let core = unsafe { cortex_m::Peripherals::steal() };
@@ -105,7 +103,10 @@ fn main() -> ! {
         });
 
         #[embassy_executor::task]
-        async fn run_usb(usbd: embassy_nrf::Peri<'static, embassy_nrf::peripherals::USBD>, vbus: HardwareVbusDetect) {
+        async fn run_usb(
+            usbd: embassy_nrf::Peri<'static, embassy_nrf::peripherals::USBD>,
+            vbus: HardwareVbusDetect,
+        ) {
             usb::run(usbd, vbus).await
         }
         #[embassy_executor::task]

@@ -125,7 +125,13 @@ impl<F: Flash> Store<F> {
             Some(Slot::B) => Slot::A,
             // The compiled-in model runs: keep the newer one, whatever it is.
             None => match (Slot::A.read(), Slot::B.read()) {
-                (Ok(Some((_, a))), Ok(Some((_, b)))) => if a > b { Slot::B } else { Slot::A },
+                (Ok(Some((_, a))), Ok(Some((_, b)))) => {
+                    if a > b {
+                        Slot::B
+                    } else {
+                        Slot::A
+                    }
+                }
                 (Ok(Some(_)), _) => Slot::B,
                 _ => Slot::A,
             },

@@ -36,7 +36,17 @@ pub async fn run(parts: Parts) -> ! {
     config.baudrate = uarte::Baudrate::Baud115200;
     let (ppi1, ppi2, group) = parts.ppi;
     let uart = BufferedUarte::new(
-        parts.uarte, parts.timer, ppi1, ppi2, group, parts.rx, parts.tx, Irqs, config, RX.take(), TX.take(),
+        parts.uarte,
+        parts.timer,
+        ppi1,
+        ppi2,
+        group,
+        parts.rx,
+        parts.tx,
+        Irqs,
+        config,
+        RX.take(),
+        TX.take(),
     );
     let (mut rx, mut tx) = uart.split();
     let outbox = Link::Uart.outbox();

@@ -2,8 +2,8 @@
 
 use embassy_futures::join::join3;
 use embassy_futures::select::{Either, select};
-use embassy_nrf::usb::vbus_detect::VbusDetect;
 use embassy_nrf::peripherals::USBD;
+use embassy_nrf::usb::vbus_detect::VbusDetect;
 use embassy_nrf::{Peri, bind_interrupts, usb};
 use embassy_time::{Duration, Timer, with_timeout};
 use embassy_usb::class::cdc_acm::{CdcAcmClass, State};

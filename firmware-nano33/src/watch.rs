@@ -22,7 +22,9 @@ pub struct Led {
 }
 
 /// Restarts the board unless [`feed`] runs and all tasks are alive.
-pub fn start_watchdog(wdt: embassy_nrf::Peri<'static, embassy_nrf::peripherals::WDT>) -> Option<WatchdogHandle> {
+pub fn start_watchdog(
+    wdt: embassy_nrf::Peri<'static, embassy_nrf::peripherals::WDT>,
+) -> Option<WatchdogHandle> {
     let mut config = wdt::Config::default();
     config.timeout_ticks = 2 * 32768;
     config.action_during_debug_halt = wdt::HaltConfig::Pause;

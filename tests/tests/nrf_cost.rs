@@ -10,7 +10,9 @@ struct Wild;
 impl Motion for Wild {
     fn at(&self, t: f64) -> [f64; 9] {
         let wave = |hz: f64| (std::f64::consts::TAU * hz * t).sin();
-        std::array::from_fn(|i| [8.0, 8.0, 9.8, 300.0, 200.0, 100.0, 30.0, 20.0, 40.0][i] * wave(0.7 + 0.9 * i as f64))
+        std::array::from_fn(|i| {
+            [8.0, 8.0, 9.8, 300.0, 200.0, 100.0, 30.0, 20.0, 40.0][i] * wave(0.7 + 0.9 * i as f64)
+        })
     }
 }
 
@@ -50,14 +52,20 @@ fn instructions_per_hop_and_inference_and_the_time_awake_are_within_their_aims()
     let features: Vec<u64> =
         features.iter().flat_map(|&p| session.board.calls(p)).skip(40).map(|c| c.instructions).collect();
     let load = session.board_load();
-    println!("per hop (80 ms), all       {:>7} instructions median, {} worst", median(hops.clone()), hops.iter().max().unwrap());
+    println!(
+        "per hop (80 ms), all       {:>7} instructions median, {} worst",
+        median(hops.clone()),
+        hops.iter().max().unwrap()
+    );
     println!(
         "  features                 {:>7} median, {} worst (aim 6,000; best peer 66,643 per window)",
         median(features.clone()),
         features.iter().max().unwrap()
     );
     println!("  features to int8         {:>7} median", classify - network);
-    println!("  inference with softmax   {network:>7} median (aim 5,500; best peer 11,713; the paper 64,000 cycles)");
+    println!(
+        "  inference with softmax   {network:>7} median (aim 5,500; best peer 11,713; the paper 64,000 cycles)"
+    );
     println!("worst single sample        {worst_sample:>7} instructions");
     println!(
         "awake                      {:>6.2} % (aim 5 %; 1.5 cycles per instruction); the board says {load} per mille",
@@ -72,5 +80,8 @@ fn instructions_per_hop_and_inference_and_the_time_awake_are_within_their_aims()
     assert!(network <= 5_500, "inference: {network} instructions");
     assert!(*features.iter().max().unwrap() <= 6_000, "features of a hop");
     assert!(share <= 0.05, "awake {share}");
-    assert!((f64::from(load) / 1000.0 - share).abs() < 0.01, "the board's own figure differs: {load} per mille");
+    assert!(
+        (f64::from(load) / 1000.0 - share).abs() < 0.01,
+        "the board's own figure differs: {load} per mille"
+    );
 }

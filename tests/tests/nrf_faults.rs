@@ -53,7 +53,10 @@ fn an_unplugged_sensor_is_reported_and_taken_back_within_a_second() {
     let last = session.heard.states.last().unwrap();
     assert_eq!(last.health & health::SENSOR, health::SENSOR);
     assert!(session.heard.faults.iter().any(|f| f.kind == FaultKind::SensorMissing));
-    assert!(session.board.soc().led()[0] || session.run_until_that(1100, |s| s.board.soc().led()[0]), "red light");
+    assert!(
+        session.board.soc().led()[0] || session.run_until_that(1100, |s| s.board.soc().led()[0]),
+        "red light"
+    );
     session.board.soc().bus.unplugged = false;
     session.board.soc().bus.sensor.power_cycle();
     recovers(&mut session, "unplugged sensor");
@@ -94,7 +97,8 @@ fn random_bytes_from_the_laptop_are_counted_and_change_nothing() {
     for _ in 0..20 {
         let bytes: Vec<u8> = (0..400)
             .map(|_| {
-                random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+                random =
+                    random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
                 (random >> 56) as u8
             })
             .collect();

@@ -69,7 +69,8 @@ fn announce(session: &mut Session, begin: ModelBegin<'_>) -> AckResult {
 fn pieces(session: &mut Session, blob: &[u8], most: usize) {
     for (i, data) in blob.chunks(MODEL_CHUNK_MAX).enumerate().take(most) {
         let offset = (i * MODEL_CHUNK_MAX) as u32;
-        let ack = session.ask(100 + i as u16, &HostMessage::ModelChunk { request: 100 + i as u16, offset, data });
+        let ack =
+            session.ask(100 + i as u16, &HostMessage::ModelChunk { request: 100 + i as u16, offset, data });
         assert_eq!(ack.map(|a| (a.result, a.next_offset)), Some((AckResult::Ok, offset + data.len() as u32)));
     }
 }
@@ -110,7 +111,9 @@ fn a_model_is_kept_after_its_check_and_used_after_the_restart() {
         assert_ne!(model_id(&mut session), old);
         session.run_ms(1100);
     }
-    assert!(!session.heard.faults.iter().any(|f| f.kind == FaultKind::ModelDamaged || f.kind == FaultKind::Panic));
+    assert!(
+        !session.heard.faults.iter().any(|f| f.kind == FaultKind::ModelDamaged || f.kind == FaultKind::Panic)
+    );
 }
 
 #[test]

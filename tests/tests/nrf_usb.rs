@@ -31,7 +31,10 @@ fn plug_in(session: &mut Session) -> Port {
     soc.usb.host_reads = true;
     soc.power.set_vbus(true, soc.now);
     soc.settle();
-    assert!(session.run_until_that(500, |s| s.board.soc().usb.is_attached()), "the device does not show itself");
+    assert!(
+        session.run_until_that(500, |s| s.board.soc().usb.is_attached()),
+        "the device does not show itself"
+    );
     session.run_ms(10);
     let device = control(session, [0x80, 6, 0, 1, 0, 0, 18, 0], &[]);
     assert_eq!(device.len(), 18);

@@ -95,8 +95,8 @@ impl Grid {
         // An age below its bound means that sets come faster than thought.
         let error_us = age_us - self.age_us;
         let gain = if self.polls < 200 { 1.0 / 32.0 } else { 1.0 / 256.0 };
-        self.period_us = (self.period_us + error_us * gain)
-            .clamp(self.nominal_us * 0.9, self.nominal_us * 1.1);
+        self.period_us =
+            (self.period_us + error_us * gain).clamp(self.nominal_us * 0.9, self.nominal_us * 1.1);
     }
 
     /// The sample for this grid time, or nothing where the sets around it are not known.

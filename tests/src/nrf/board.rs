@@ -303,7 +303,8 @@ impl Board {
             soc.write(0x4001_1304, 1 << 16, 4);
         }
         let (stack, entry) = (self.load(table), self.load(table + 4));
-        for register in [RegisterARM::IPSR, RegisterARM::PRIMASK, RegisterARM::BASEPRI, RegisterARM::CONTROL] {
+        for register in [RegisterARM::IPSR, RegisterARM::PRIMASK, RegisterARM::BASEPRI, RegisterARM::CONTROL]
+        {
             self.set_reg(register, 0);
         }
         self.set_reg(RegisterARM::XPSR, 1 << 24);
@@ -390,8 +391,14 @@ impl Board {
         let size = if with_fp { 0x68 } else { 0x20 };
         let frame = (sp - size) & !7;
         let aligned = u32::from(sp & 4 != 0);
-        let registers =
-            [RegisterARM::R0, RegisterARM::R1, RegisterARM::R2, RegisterARM::R3, RegisterARM::R12, RegisterARM::LR];
+        let registers = [
+            RegisterARM::R0,
+            RegisterARM::R1,
+            RegisterARM::R2,
+            RegisterARM::R3,
+            RegisterARM::R12,
+            RegisterARM::LR,
+        ];
         let mut words: Vec<u32> = registers.iter().map(|&r| self.reg(r)).collect();
         words.push(self.reg(RegisterARM::PC) & !1);
         words.push(xpsr & !(1 << 9) & !0x1FF | aligned << 9 | (xpsr & 0x1FF));
@@ -431,8 +438,14 @@ impl Board {
         let word = |board: &Self, i: u32| board.load(frame + 4 * i);
         let xpsr = word(self, 7);
         let size = if with_fp { 0x68 } else { 0x20 };
-        let registers =
-            [RegisterARM::R0, RegisterARM::R1, RegisterARM::R2, RegisterARM::R3, RegisterARM::R12, RegisterARM::LR];
+        let registers = [
+            RegisterARM::R0,
+            RegisterARM::R1,
+            RegisterARM::R2,
+            RegisterARM::R3,
+            RegisterARM::R12,
+            RegisterARM::LR,
+        ];
         for (i, &register) in registers.iter().enumerate() {
             let value = word(self, i as u32);
             self.set_reg(register, value);
@@ -527,11 +540,16 @@ impl Board {
             }
             Some(Stop::ExceptionReturn) => self.leave(),
             Some(Stop::Supervisor) => panic!("SVC at {:#x}", self.reg(RegisterARM::PC)),
-            Some(Stop::Fault(at)) => panic!("the core faults at {at:#x}, lr {:#x}", self.reg(RegisterARM::LR)),
+            Some(Stop::Fault(at)) => {
+                panic!("the core faults at {at:#x}, lr {:#x}", self.reg(RegisterARM::LR))
+            }
             None => {
                 let at = self.reg(RegisterARM::PC);
                 let access = self.uc.get_data().bad_access.clone();
-                panic!("the core stops at {at:#x} (lr {:#x}): {result:?} {access:?}", self.reg(RegisterARM::LR))
+                panic!(
+                    "the core stops at {at:#x} (lr {:#x}): {result:?} {access:?}",
+                    self.reg(RegisterARM::LR)
+                )
             }
         }
     }

@@ -56,7 +56,8 @@ impl Bus {
             self.nacks -= 1;
             return Reply::AddressNack;
         }
-        let there = if self.rev2 { address == 0x68 || address == 0x10 } else { Lsm9ds1::has_address(address) };
+        let there =
+            if self.rev2 { address == 0x68 || address == 0x10 } else { Lsm9ds1::has_address(address) };
         if self.powered && !self.unplugged && there { Reply::Ack } else { Reply::AddressNack }
     }
 

@@ -97,7 +97,11 @@ impl Nvic {
         let ready = self.pending & self.enabled;
         let irqs = (0..IRQS).filter(|&i| ready & (1 << i) != 0).map(|i| i + FIRST_IRQ);
         let system = self.pendsv.then_some(PENDSV);
-        system.into_iter().chain(irqs).min_by_key(|&e| (self.priority_of(e), e)).filter(|&e| self.priority_of(e) < limit)
+        system
+            .into_iter()
+            .chain(irqs)
+            .min_by_key(|&e| (self.priority_of(e), e))
+            .filter(|&e| self.priority_of(e) < limit)
     }
 
     /// Whether an enabled interrupt is pending, whatever its priority (wakes a sleeping core).
@@ -136,13 +140,21 @@ impl Nvic {
             0x200 | 0x204 => half(self.pending, offset - 0x200),
             0x280 | 0x284 => half(self.pending, offset - 0x280),
             0x300 | 0x304 => {
-                let active =
-                    self.active.iter().filter(|&&e| e >= FIRST_IRQ).fold(0u64, |a, &e| a | 1 << (e - FIRST_IRQ));
+                let active = self
+                    .active
+                    .iter()
+                    .filter(|&&e| e >= FIRST_IRQ)
+                    .fold(0u64, |a, &e| a | 1 << (e - FIRST_IRQ));
                 half(active, offset - 0x300)
             }
             0x400..=0x42F => {
                 let at = offset as usize - 0x400;
-                u32::from_le_bytes([self.priority[at], self.priority[at + 1], self.priority[at + 2], self.priority[at + 3]])
+                u32::from_le_bytes([
+                    self.priority[at],
+                    self.priority[at + 1],
+                    self.priority[at + 2],
+                    self.priority[at + 3],
+                ])
             }
             // CPUID of a Cortex-M4 r0p1.
             0xD00 => 0x410F_C241,

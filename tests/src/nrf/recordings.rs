@@ -7,10 +7,7 @@ use super::lsm9ds1::Replay;
 /// Folder of the shared data; `BIMANUAL_SHARED` may name another `shared`.
 pub fn data() -> PathBuf {
     std::env::var_os("BIMANUAL_SHARED")
-        .map_or_else(
-            || PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared")),
-            PathBuf::from,
-        )
+        .map_or_else(|| PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared")), PathBuf::from)
         .join("data")
 }
 
@@ -19,7 +16,8 @@ pub fn data() -> PathBuf {
 /// # Panics
 /// Where a file is not what its README says.
 pub fn joined(set: &str, class: &str, most: usize) -> Option<(Replay, usize)> {
-    let mut files: Vec<_> = std::fs::read_dir(data().join(set).join(class)).ok()?.flatten().map(|f| f.path()).collect();
+    let mut files: Vec<_> =
+        std::fs::read_dir(data().join(set).join(class)).ok()?.flatten().map(|f| f.path()).collect();
     files.sort();
     files.truncate(most);
     let mut rows = Vec::new();

@@ -116,7 +116,9 @@ impl Session {
             let Some(payload) = self.decoder.push(byte) else { continue };
             let heard = &mut self.heard;
             match parse_board(payload).expect("a message of this version") {
-                BoardMessage::Hello(Hello { boot_id, model_id, .. }) => heard.hellos.push((boot_id, model_id)),
+                BoardMessage::Hello(Hello { boot_id, model_id, .. }) => {
+                    heard.hellos.push((boot_id, model_id))
+                }
                 BoardMessage::Right(r) => heard.states.push(Right {
                     at,
                     sequence: r.sequence,
@@ -133,7 +135,8 @@ impl Session {
                 BoardMessage::Ack(a) => heard.acks.push(a),
                 BoardMessage::Pong(_) => heard.pongs += 1,
                 BoardMessage::RawImu(raw) => {
-                    let counts = raw.counts.chunks_exact(2).map(|c| i16::from_le_bytes([c[0], c[1]])).collect();
+                    let counts =
+                        raw.counts.chunks_exact(2).map(|c| i16::from_le_bytes([c[0], c[1]])).collect();
                     heard.raw.push((raw.first_sample, counts));
                 }
                 BoardMessage::ModelInfo(_) | BoardMessage::Left(_) => {}

@@ -137,7 +137,8 @@ impl Rng {
     /// Raises what is due by now.
     pub fn advance(&mut self, now: u64) {
         if self.running && self.due <= now {
-            self.state = self.state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            self.state =
+                self.state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
             self.value = (self.state >> 56) as u32;
             self.due = now + us(120);
             self.events.fire(0);

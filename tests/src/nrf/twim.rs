@@ -98,7 +98,8 @@ impl Twim {
             let address = self.address as u8;
             match self.doing {
                 Doing::Sending => {
-                    let bytes = ram.get(self.tx[0], self.tx[1] as usize).map(<[u8]>::to_vec).unwrap_or_default();
+                    let bytes =
+                        ram.get(self.tx[0], self.tx[1] as usize).map(<[u8]>::to_vec).unwrap_or_default();
                     let reply = bus.write(address, &bytes, at);
                     self.tx[2] = bytes.len() as u32;
                     self.finish(reply, at, LASTTX);

@@ -293,7 +293,8 @@ impl Usbd {
                 self.pointers[(offset as usize - 0x600) / 0x14][(offset as usize - 0x600) % 0x14 / 4] = value;
             }
             0x700..=0x79C if (offset - 0x700) % 0x14 < 12 => {
-                self.pointers[8 + (offset as usize - 0x700) / 0x14][(offset as usize - 0x700) % 0x14 / 4] = value;
+                self.pointers[8 + (offset as usize - 0x700) / 0x14][(offset as usize - 0x700) % 0x14 / 4] =
+                    value;
             }
             _ => {
                 if !self.events.write(offset, value) {
