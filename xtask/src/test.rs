@@ -6,7 +6,7 @@ use anyhow::{Result, bail, ensure};
 
 use crate::steps::{Step, output, run_all, sh};
 use crate::tools::{CROSS_LINK, CROSS_RUST, EMULATORS, QEMU};
-use crate::{firmware_avr, python, real_data, root, toolchain};
+use crate::{firmware_avr, firmware_nano33, python, real_data, root, toolchain};
 
 /// Runs the steps.
 ///
@@ -58,7 +58,8 @@ fn steps() -> Vec<Step> {
         Step::new("format", || {
             sh(&mut cargo(&["fmt", "--all", "--check"]))?;
             for folder in ["firmware-nano-avr", "firmware-nano33"] {
-                sh(cargo(&["fmt", "--all", "--check"]).current_dir(root().join(folder)))?;
+                // Not --all, which would format the shared crates again.
+                sh(cargo(&["fmt", "--check"]).current_dir(root().join(folder)))?;
             }
             Ok(())
         }),
@@ -118,6 +119,10 @@ fn steps() -> Vec<Step> {
             QEMU.ensure()
         }),
         Step::new("left hand: image and size", || firmware_avr::run(&[])),
+        Step::new("right hand: images and size", || firmware_nano33::run(&[])),
+        Step::new("laptop and Cortex-M4F agree on all bits", || {
+            sh(Command::new("sh").current_dir(root()).arg("shared-dsp/bench-m4f/run.sh"))
+        }),
         Step::new("left hand on an emulated Nano", || emulated("avr")),
         Step::new("right hand on an emulated Nano 33", || emulated("nrf")),
     ]
