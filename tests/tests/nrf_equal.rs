@@ -20,7 +20,6 @@ fn blob() -> Vec<u8> {
 }
 
 struct Window {
-    numbers: usize,
     counts: Vec<[i16; 9]>,
     times_ms: Vec<u32>,
     at: Vec<u64>,
@@ -32,7 +31,7 @@ fn run(motion: Box<dyn Motion>, clock_ratio: f64, seconds: u64) -> (Session, Win
     session.board.soc().bus.sensor.clock_ratio = clock_ratio;
     let tap = session.board.tap("bimanual_sample", 18);
     session.run_ms(seconds * 1000);
-    let mut window = Window { numbers: 0, counts: Vec::new(), times_ms: Vec::new(), at: Vec::new() };
+    let mut window = Window { counts: Vec::new(), times_ms: Vec::new(), at: Vec::new() };
     for call in session.board.tapped(tap) {
         let mut counts = [0; 9];
         for (place, bytes) in counts.iter_mut().zip(call.bytes.chunks_exact(2)) {
@@ -41,7 +40,6 @@ fn run(motion: Box<dyn Motion>, clock_ratio: f64, seconds: u64) -> (Session, Win
         window.counts.push(counts);
         window.times_ms.push(call.registers[2]);
         window.at.push(call.at);
-        window.numbers += 1;
     }
     (session, window)
 }
@@ -119,8 +117,8 @@ fn a_minute_has_6000_samples_on_the_crystals_grid_whatever_the_sensors_clock() {
         // Distance to the truth at the grid time less the stated delay (1.1 periods of 238 Hz).
         let scale = Config::default().scale();
         let mut worst = [0.0f64; 2];
-        let mut k = (f64::from(window.times_ms[from]) / 10.0).round() as u64;
-        for counts in &window.counts[from..] {
+        let first = (f64::from(window.times_ms[from]) / 10.0).round() as u64;
+        for (k, counts) in (first..).zip(&window.counts[from..]) {
             let grid = (k * 32768 / 100) as f64 / 32768.0;
             // The board's clock starts some milliseconds after power-up: find it from the first sample.
             let truth = Swing.at(grid + offset(&session) - 1.1 / 238.0);
@@ -129,7 +127,6 @@ fn a_minute_has_6000_samples_on_the_crystals_grid_whatever_the_sensors_clock() {
                 let error = (f64::from(counts[axis]) * unit - truth[axis]).abs() / unit;
                 worst[axis / 3] = worst[axis / 3].max(error);
             }
-            k += 1;
         }
         println!(
             "sensor clock x{ratio}: {minute} samples in 60 s, {} dropped after start; worst error {:.1} counts of \

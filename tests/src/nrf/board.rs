@@ -536,7 +536,7 @@ impl Board {
             Some(Stop::Wait { at, for_event }) => {
                 self.set_reg(RegisterARM::PC, (at + 2) | 1);
                 let event = std::mem::take(&mut self.uc.get_data_mut().event);
-                self.asleep = !(for_event && event) && !(!for_event && self.soc().nvic.any_ready());
+                self.asleep = if for_event { !event } else { !self.soc().nvic.any_ready() };
             }
             Some(Stop::ExceptionReturn) => self.leave(),
             Some(Stop::Supervisor) => panic!("SVC at {:#x}", self.reg(RegisterARM::PC)),

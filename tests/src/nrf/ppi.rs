@@ -33,7 +33,7 @@ impl Ppi {
             0x500 | 0x504 | 0x508 => self.enabled,
             0x510..=0x5AC => {
                 let index = (offset as usize - 0x510) / 8;
-                if offset % 8 == 0 { self.event[index] } else { self.task[index] }
+                if offset.is_multiple_of(8) { self.event[index] } else { self.task[index] }
             }
             0x800..=0x814 => self.groups[(offset as usize - 0x800) / 4],
             0x910..=0x98C => self.fork[(offset as usize - 0x910) / 4],
@@ -47,14 +47,14 @@ impl Ppi {
             // Group tasks: enable, disable, for groups 0 to 5.
             0x000..=0x02C if value & 1 != 0 => {
                 let channels = self.groups[offset as usize / 8];
-                if offset % 8 == 0 { self.enabled |= channels } else { self.enabled &= !channels }
+                if offset.is_multiple_of(8) { self.enabled |= channels } else { self.enabled &= !channels }
             }
             0x500 => self.enabled = value,
             0x504 => self.enabled |= value,
             0x508 => self.enabled &= !value,
             0x510..=0x5AC => {
                 let index = (offset as usize - 0x510) / 8;
-                if offset % 8 == 0 { self.event[index] = value } else { self.task[index] = value }
+                if offset.is_multiple_of(8) { self.event[index] = value } else { self.task[index] = value }
             }
             0x800..=0x814 => self.groups[(offset as usize - 0x800) / 4] = value,
             0x910..=0x98C => self.fork[(offset as usize - 0x910) / 4] = value,

@@ -31,5 +31,5 @@ pub fn joined(set: &str, class: &str, most: usize) -> Option<(Replay, usize)> {
             rows.push(row);
         }
     }
-    (!rows.is_empty()).then(|| (Replay { rows, interval: 0.01, start: 0.2 }, files.len()))
+    (!rows.is_empty()).then_some((Replay { rows, interval: 0.01, start: 0.2 }, files.len()))
 }

@@ -30,7 +30,7 @@ impl Timer {
 
     fn value(&self, now: u64) -> u32 {
         let since =
-            if self.mode == 0 && self.running { (now - self.started) / 4 >> self.prescaler } else { 0 };
+            if self.mode == 0 && self.running { ((now - self.started) / 4) >> self.prescaler } else { 0 };
         self.count.wrapping_add(since as u32) & self.mask()
     }
 
