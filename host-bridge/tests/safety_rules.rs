@@ -639,9 +639,9 @@ impl Watch {
         for _ in 0..ms {
             rig.run(1);
             let (wheels, arm, place) = (rig.robot.wheels_rad_s(), rig.robot.arm(), rig.robot.odometry());
-            for i in 0..2 {
-                prop_assert!(wheels[i].abs() <= 10.0 + 1e-9, "a cap of 1 m/s on 10 cm wheels");
-                prop_assert!((wheels[i] - self.wheels[i]).abs() <= 0.010 + 1e-9);
+            for (new, old) in wheels.iter().zip(self.wheels) {
+                prop_assert!(new.abs() <= 10.0 + 1e-9, "a cap of 1 m/s on 10 cm wheels");
+                prop_assert!((new - old).abs() <= 0.010 + 1e-9);
             }
             for i in 0..7 {
                 prop_assert!(arm.velocity_rad_s[i].abs() <= limits.velocity_rad_s[i] * (1.0 + 1e-9));

@@ -110,7 +110,7 @@ fn stream<const A: usize>(recording: &Recording, recipe: Recipe, stride_hops: us
 ///
 /// Each window is fed anew, as its start is not one of the board's hops in general.
 pub fn features_every(recording: &Recording, recipe: Recipe, stride: usize) -> Vec<Vec<f32>> {
-    if stride % HOP == 0 {
+    if stride.is_multiple_of(HOP) {
         return features(recording, recipe, stride / HOP);
     }
     let starts = (0..=recording.len().saturating_sub(WINDOW)).step_by(stride);

@@ -225,7 +225,8 @@ fn advice(heard: &Heard) -> Vec<String> {
     if heard.restarts > 0 {
         advice.push(format!("the board restarted {} times: check its power and cable", heard.restarts));
     }
-    if heard.who.version.1 < PROTOCOL_MINOR {
+    // Wider than u8: no minor is below the first one, 0, which clippy would point out.
+    if u16::from(heard.who.version.1) < u16::from(PROTOCOL_MINOR) {
         advice.push("the firmware is older than this program: flash it anew for all functions".to_owned());
     }
     if heard.frames.1 > 1 {

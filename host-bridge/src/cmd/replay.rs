@@ -74,7 +74,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
                 ),
             );
         }
-        for label in map.unknown_labels(labels, &args.play.map) {
+        if let Some(label) = map.unknown_labels(labels, &args.play.map).into_iter().next() {
             bail!("--map: the model has no label '{label}'; it has {}", labels.join(", "));
         }
     }

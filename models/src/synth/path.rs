@@ -184,7 +184,7 @@ struct Player {
 
 enum Kind {
     Rest,
-    Periodic(Periodic),
+    Periodic(Box<Periodic>),
     /// Restless position and posture.
     Restless {
         position: [Smooth; 3],
@@ -230,7 +230,7 @@ impl Player {
         let onset_s = (wearer.onset_s * rng.random_range(0.8..1.25)).min(segment.whole_s / 2.0);
         let kind = match segment.motion {
             Motion::Idle(kind) => idle(rng, kind, segment.whole_s),
-            gesture => Kind::Periodic(Periodic::new(wearer, rng, gesture)),
+            gesture => Kind::Periodic(Box::new(Periodic::new(wearer, rng, gesture))),
         };
         Self { whole_s: segment.whole_s, onset_s, kind }
     }
@@ -247,8 +247,8 @@ impl Player {
             Kind::Periodic(periodic) => {
                 if size > 0.0 {
                     let at = periodic.at(t);
-                    for axis in 0..3 {
-                        pose.position_m[axis] += size * at[axis];
+                    for (position, offset) in pose.position_m.iter_mut().zip(at) {
+                        *position += size * offset;
                     }
                 }
             }
