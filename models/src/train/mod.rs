@@ -369,7 +369,17 @@ pub fn train(dataset: &Dataset, test: &[String], recipe: &Recipe, job: &Job) -> 
     card.training.epochs = fitted.epochs;
     card.training.best_epoch = fitted.best_epoch;
 
-    let calibration: Vec<&[f32]> = learn.iter().map(|(input, _)| input.as_slice()).collect();
+    // Varied windows go further than real ones do: their rare extremes would cost every value a part of its int8 range.
+    let own: Vec<Vec<f32>> = match recipe.steps {
+        Some(_) => {
+            windows.iter().flat_map(|part| &part.own).map(|window| standardise(&card, window)).collect()
+        }
+        _ => Vec::new(),
+    };
+    let calibration: Vec<&[f32]> = match own.as_slice() {
+        [] => learn.iter().map(|(input, _)| input.as_slice()).collect(),
+        own => own.iter().map(Vec::as_slice).collect(),
+    };
     let int8 = quantise::quantise(&fitted.layers, &calibration, card.scaling.limit);
     let blob = blob::build(&card, &int8).map_err(TrainError::Quantise)?;
     card.model_id = blob::model_id(&blob);
@@ -393,8 +403,7 @@ pub fn train(dataset: &Dataset, test: &[String], recipe: &Recipe, job: &Job) -> 
     let validation_scores = both(&used.filtered(|item| validation.contains(&item.name)));
     card.test = test_scores;
     card.validation = validation_scores;
-    let memory =
-        recipe.steps.map(|_| Memory::new(&learn, labels.len(), card.scaling.limit, job.seed));
+    let memory = recipe.steps.map(|_| Memory::new(&learn, labels.len(), card.scaling.limit, job.seed));
     Ok(Trained { card, float: fitted.layers, float_tflite, int8_tflite, memory })
 }
 

@@ -129,7 +129,29 @@ fn fit_here(
     let export = |(index, [weights, biases]): (usize, &[Tensor; 2])| {
         Ok(FloatLayer { weights: weights.t()?.to_vec2()?, biases: biases.to_vec1()?, relu: index < last })
     };
-    pairs.iter().enumerate().map(export).collect()
+    let mut layers: Vec<FloatLayer> = pairs.iter().enumerate().map(export).collect::<Result<_>>()?;
+    equalise(&mut layers);
+    Ok(layers)
+}
+
+/// Lets the weights into and out of each hidden unit have the same largest size, which changes no output: a unit
+/// that is twice as large and counts half is the same. Then one int8 scale per layer serves all of its units (Nagel
+/// et al., 2019).
+fn equalise(layers: &mut [FloatLayer]) {
+    for index in 1..layers.len() {
+        let Some([before, after]) = layers.get_mut(index - 1..=index) else { continue };
+        for (unit, (row, bias)) in before.weights.iter_mut().zip(&mut before.biases).enumerate() {
+            let into = row.iter().fold(0.0f32, |most, weight| most.max(weight.abs()));
+            let out = after.weights.iter().fold(0.0f32, |most, row| most.max(row[unit].abs()));
+            if !(before.relu && into > 1e-6 && out > 1e-6) {
+                continue;
+            }
+            let scale = (out / into).sqrt();
+            row.iter_mut().for_each(|weight| *weight *= scale);
+            *bias *= scale;
+            after.weights.iter_mut().for_each(|row| row[unit] /= scale);
+        }
+    }
 }
 
 fn forward(layers: &[(Var, Var)], mut x: Tensor) -> Result<Tensor> {
