@@ -29,7 +29,12 @@ pub struct Live {
     sources: [Source; 2],
     tilt: TiltThresholds,
     request: u16,
+    /// Request number of the set-up that a hand's board has not acknowledged, and when it was sent.
+    set_ups: [Option<(u16, Option<u64>)>; 2],
 }
+
+/// A set-up without an answer is sent again after this long.
+const SET_UP_INTERVAL_MS: u64 = 1000;
 
 /// What a hand is to be.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -61,6 +66,7 @@ impl Live {
             ],
             tilt: config.tilt.into(),
             request: 0,
+            set_ups: [None; 2],
         }
     }
 
@@ -128,6 +134,12 @@ impl Live {
         let events = self.bridge.take_events();
         for event in &events {
             if let EventKind::HandStarted { hand, .. } = event.kind {
+                self.request = self.request.wrapping_add(1);
+                self.set_ups[hand as usize] = Some((self.request, None));
+            }
+        }
+        for hand in [Hand::Left, Hand::Right] {
+            if ready[hand as usize] {
                 self.set_up(hand, now_ms);
             }
         }
@@ -143,9 +155,18 @@ impl Live {
     }
 
     /// A board that has just started gets the thresholds; one that was left in record mode is called back.
+    /// Asked until it answers.
     fn set_up(&mut self, hand: Hand, now_ms: u64) {
-        self.request = self.request.wrapping_add(1);
-        let request = self.request;
+        let Some((request, sent_ms)) = self.set_ups[hand as usize] else { return };
+        let answered = self.bridge.last_ack(hand).is_some_and(|ack| ack.request == request);
+        if answered || !matches!(self.sources[hand as usize], Source::Board(_)) {
+            self.set_ups[hand as usize] = None;
+            return;
+        }
+        if sent_ms.is_some_and(|sent| now_ms.saturating_sub(sent) < SET_UP_INTERVAL_MS) {
+            return;
+        }
+        self.set_ups[hand as usize] = Some((request, Some(now_ms)));
         let message = match hand {
             Hand::Left => HostMessage::SetThresholds { request, thresholds: self.tilt },
             Hand::Right => HostMessage::SetMode { request, mode: Mode::Classify },
@@ -305,7 +326,7 @@ mod tests {
     }
 
     #[test]
-    fn a_new_board_is_told_its_thresholds_once() {
+    fn a_new_board_is_told_its_thresholds_until_it_has_heard() {
         let mut live = Live::new(&Config::default(), Place::Board, Place::Nobody, 0);
         live.step(1, [false; 2]);
         assert!(live.take_outgoing(Hand::Left).is_empty(), "nothing is sent into a bootloader");
@@ -314,16 +335,32 @@ mod tests {
         let mut wire = Vec::new();
         send_hello(&mut wire);
         live.receive(Hand::Left, &wire, 3);
-        live.step(3, [true; 2]);
-        let sent = live.take_outgoing(Hand::Left);
-        let mut decoder = shared_proto::frame::Decoder::<HOST_FRAME_MAX>::new();
-        let mut seen = Vec::new();
-        for &byte in sent.iter().flatten() {
-            if let Some(HostMessage::SetThresholds { thresholds, .. }) = decoder.push_host(byte) {
-                seen.push(thresholds.start_mrad);
+        let told = |live: &mut Live, now_ms: u64, ready: bool| {
+            live.step(now_ms, [ready; 2]);
+            let mut decoder = shared_proto::frame::Decoder::<HOST_FRAME_MAX>::new();
+            let mut seen = Vec::new();
+            for &byte in live.take_outgoing(Hand::Left).iter().flatten() {
+                if let Some(HostMessage::SetThresholds { request, thresholds }) = decoder.push_host(byte) {
+                    assert_eq!(thresholds.start_mrad, 262);
+                    seen.push(request);
+                }
             }
-        }
-        assert_eq!(seen, [262]);
+            seen
+        };
+        assert!(told(&mut live, 3, false).is_empty(), "the link takes nothing yet");
+        assert_eq!(told(&mut live, 4, true), [1]);
+        assert!(told(&mut live, 1003, true).is_empty());
+        assert_eq!(told(&mut live, 1004, true), [1], "no answer");
+        let ack = shared_proto::message::Ack {
+            request: 1,
+            result: shared_proto::message::AckResult::Ok,
+            next_offset: 0,
+        };
+        let mut buffer = [0; shared_proto::frame::BOARD_FRAME_MAX];
+        let message = shared_proto::message::BoardMessage::Ack(ack);
+        let frame = shared_proto::frame::encode_board(&message, &mut buffer).unwrap();
+        live.receive(Hand::Left, frame, 1005);
+        assert!(told(&mut live, 5000, true).is_empty());
     }
 
     fn send_hello(wire: &mut Vec<u8>) {

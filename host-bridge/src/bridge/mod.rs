@@ -4,7 +4,7 @@ mod events;
 
 pub use events::{BridgeEvent, Drops, EventKind, GestureOutcome, HeadingName};
 
-use shared_proto::message::{Heading, HostMessage};
+use shared_proto::message::{Ack, Heading, HostMessage};
 
 use crate::arm::ArmMotion;
 use crate::arm::sequencer::{Busy, NotStarted};
@@ -33,6 +33,7 @@ pub struct Bridge {
     driven: (Twist, u64),
     events: Vec<BridgeEvent>,
     heard: Vec<Heard>,
+    last_acks: [Option<Ack>; 2],
 }
 
 impl Bridge {
@@ -57,6 +58,7 @@ impl Bridge {
             driven: (Twist::ZERO, 0),
             events: Vec::new(),
             heard: Vec::new(),
+            last_acks: [None; 2],
         }
     }
 
@@ -92,6 +94,11 @@ impl Bridge {
     /// The ping that a hand's board is due now, if any. Ask only when it can really be sent.
     pub fn ping(&mut self, hand: Hand, now_ms: u64) -> Option<HostMessage<'static>> {
         self.link_mut(hand).ping(now_ms)
+    }
+
+    /// A hand's newest answer to a request (hellos and pongs are none).
+    pub fn last_ack(&self, hand: Hand) -> Option<Ack> {
+        self.last_acks[hand as usize]
     }
 
     /// The operator's stop: a key, a button.
@@ -212,7 +219,8 @@ impl Bridge {
                 let fault = format!("{:?} (detail {:#x})", fault.kind, fault.detail);
                 self.note(now_ms, EventKind::BoardFault { hand, fault });
             }
-            Heard::Status(_) | Heard::Pong(_) | Heard::Ack(_) => {}
+            Heard::Ack(ack) => self.last_acks[hand as usize] = Some(ack),
+            Heard::Status(_) | Heard::Pong(_) => {}
         }
     }
 
