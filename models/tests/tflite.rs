@@ -90,17 +90,18 @@ fn float_network() -> Network {
 }
 
 fn int8_network() -> Network {
-    let layer = |outputs: usize, inputs: usize, relu| DenseSpec {
+    let layer = |outputs: usize, inputs: usize, (input_scale, input_zero_point), relu| DenseSpec {
         weights: vec![vec![-3; inputs]; outputs],
         biases: vec![1000; outputs],
-        input_scale: 0.03,
-        input_zero_point: -1,
+        input_scale,
+        input_zero_point,
         weight_scale: 0.01,
         output_scale: 0.05,
         output_zero_point: -128,
         relu,
     };
-    Network::Int8(vec![layer(5, 39, true), layer(3, 5, false)])
+    // What one layer gives out, the next takes in.
+    Network::Int8(vec![layer(5, 39, (0.03, -1), true), layer(3, 5, (0.05, -128), false)])
 }
 
 #[test]
