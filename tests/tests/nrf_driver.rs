@@ -76,7 +76,7 @@ fn every_setting_reads_one_g_and_the_earths_field_in_its_own_scale() {
             let config = Config { accel, rate, scale: Scale::DataSheet };
             let mut driver = Driver::new(Wire { bus: &mut bus, now: &mut now }, config);
             wait(driver.start(&mut NoWait)).unwrap();
-            let mut wire = driver.release();
+            let wire = driver.release();
             *wire.now += ms(100);
             let mut driver = Driver::new(wire, config);
             let mut batch = Batch::default();
