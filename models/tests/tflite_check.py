@@ -7,6 +7,7 @@ random inputs and on inputs that look like features; the float file the same num
 Needs only python3: it makes itself a virtual environment beside the binary from requirements.txt.
 """
 
+import importlib.util
 import os
 import subprocess
 import sys
@@ -19,11 +20,11 @@ ROWS = 500
 
 
 def in_environment(binary: Path) -> None:
-    """Starts this script again in the virtual environment, unless it runs there already."""
+    """Starts this script again in a virtual environment, unless the runtime is there already."""
+    if importlib.util.find_spec("ai_edge_litert"):
+        return
     place = binary.parent / "tflite-venv"
     python = place / "bin" / "python"
-    if Path(sys.prefix) == place:
-        return
     done = place / "requirements.txt"
     wanted = (HERE / "requirements.txt").read_text()
     if not done.exists() or done.read_text() != wanted:
