@@ -182,6 +182,7 @@ struct Player {
     kind: Kind,
 }
 
+#[expect(clippy::large_enum_variant, reason = "a handful per recording")]
 enum Kind {
     Rest,
     Periodic(Box<Periodic>),
