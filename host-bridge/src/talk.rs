@@ -359,7 +359,8 @@ fn owned(message: &BoardMessage<'_>) -> Option<Said> {
             health: state.health,
         },
         BoardMessage::RawImu(raw) => {
-            let whole = matches!(raw.axes, 3 | 6 | 9) && raw.counts.len() % (2 * usize::from(raw.axes)) == 0;
+            let whole =
+                matches!(raw.axes, 3 | 6 | 9) && raw.counts.len().is_multiple_of(2 * usize::from(raw.axes));
             if !whole || raw.scale.iter().any(|s| !s.is_finite()) {
                 return None;
             }
