@@ -164,6 +164,7 @@ pub fn join(files: &[PathBuf], axes: usize) -> Result<Recording, ModelFileError>
 }
 
 /// The hand's code for each number of axes.
+#[expect(clippy::large_enum_variant, reason = "one of them exists, for a whole session")]
 enum AnyHand<'m> {
     Three(RightHand<'m, 3>),
     Six(RightHand<'m, 6>),
