@@ -1,8 +1,8 @@
 //! Simulated wearers: recordings of the paper's seven classes from people who do not exist.
 //!
 //! The paper's recordings are not public, so the bundled model learns from simulated hands. Here
-//! they are made: a [`Wearer`] has a size, tempo, posture, tremor and habits; a [`path`] turns a
-//! script of motions into a smooth hand path; [`sensor`] turns the path into what an LSM9DS1 on
+//! they are made: a [`Wearer`] has a size, tempo, posture, tremor and habits; a path turns a
+//! script of motions into a smooth hand path; a sensor model turns the path into what an LSM9DS1 on
 //! that hand would report. Everything follows from the wearer's key, so the same wearer gives the
 //! same bytes on one machine, whatever the number of threads.
 //!
