@@ -42,19 +42,19 @@ pub fn splits() -> Result<()> {
     Ok(())
 }
 
-/// A three-axis model of its own, and recordings that it never saw, joined and replayed into the simulator.
+/// A model of its own, and recordings that it never saw, joined and replayed into the simulator.
 pub fn replay() -> Result<()> {
     let Some(folder) = set("nano33-lsm9ds1-9axis") else { return Ok(()) };
     let out = target_dir().join("real-data");
     fs::create_dir_all(&out)?;
     sh(cargo(&["run", "--quiet", "--locked", "-p", "models", "--", "train"])
         .arg(&folder)
-        .args(["--axes", "3", "--test", "0.2", "--name", "three-axes", "--about", "real recordings", "--out"])
+        .args(["--test", "0.2", "--name", "held-out", "--about", "real recordings", "--out"])
         .arg(&out))?;
-    let list = fs::read_to_string(out.join("three-axes.test.txt"))?;
+    let list = fs::read_to_string(out.join("held-out.test.txt"))?;
     let mut replay = cargo(&["run", "--quiet", "--locked", "-p", "host-bridge", "--", "replay"]);
     replay.args(["--headless", "--speed", "0", "--json", "--map", "peak=pick-up", "--map", "wave=place"]);
-    replay.arg("--model").arg(out.join("three-axes.tflite"));
+    replay.arg("--model").arg(out.join("held-out.tflite"));
     for file in list.lines().filter(|line| !line.is_empty()) {
         replay.arg("--right").arg(folder.join(file));
     }
