@@ -164,25 +164,18 @@ impl<'b> Session<'b> {
 
     /// Starts the measurement of a delay where an event is the cause of motion.
     fn time(&mut self, event: &BridgeEvent) {
-        let sample_ms = |lines: &[Line<'_>], hand, board_ms| {
-            lines.iter().find(|line| line.hand == hand).map(|line| line.board.laptop_time_ms(board_ms))
-        };
+        // The boards' clocks start with the session, so their times are the laptop's.
         match &event.kind {
             EventKind::Gesture { outcome: GestureOutcome::Started(_), window_end_board_ms, .. } => {
-                if let Some(at_ms) = sample_ms(&self.lines, Hand::Right, *window_end_board_ms) {
-                    self.gesture_to_arm.begin(at_ms);
-                }
+                self.gesture_to_arm.begin((*window_end_board_ms).into());
             }
             EventKind::MotionEnded { .. } => self.gesture_to_arm.cancel(),
             EventKind::Heading { twist, sample_board_ms, .. } => {
                 // Only a start from rest has a first motion to see.
                 let still = self.robot.wheels_rad_s() == [0.0; 2];
                 self.tilt_to_wheels.cancel();
-                if still
-                    && *twist != crate::base::Twist::ZERO
-                    && let Some(at_ms) = sample_ms(&self.lines, Hand::Left, *sample_board_ms)
-                {
-                    self.tilt_to_wheels.begin(at_ms);
+                if still && *twist != crate::base::Twist::ZERO {
+                    self.tilt_to_wheels.begin((*sample_board_ms).into());
                 }
             }
             _ => {}

@@ -154,10 +154,6 @@ impl<B: Board> Board for BadCable<B> {
         self.board.receive(bytes, wire);
     }
 
-    fn laptop_time_ms(&self, board_time_ms: u32) -> u64 {
-        self.board.laptop_time_ms(board_time_ms)
-    }
-
     fn ended(&self) -> bool {
         self.board.ended()
     }

@@ -120,10 +120,6 @@ impl Board for LeftBoard {
         }
     }
 
-    fn laptop_time_ms(&self, board_time_ms: u32) -> u64 {
-        board_time_ms.into()
-    }
-
     fn ended(&self) -> bool {
         self.next >= self.recording.samples.len()
     }

@@ -9,16 +9,13 @@ pub use right::{ModelFile, ModelFileError, RightBoard, join};
 use shared_proto::frame::{BOARD_FRAME_MAX, DELIMITER, Decoder, HOST_FRAME_MAX, encode_board};
 use shared_proto::message::{BoardMessage, HostMessage};
 
-/// A board in virtual time: on the wire it looks like a real one.
+/// A board in virtual time: on the wire it looks like a real one. Its clock starts with the session.
 pub trait Board {
     /// Lets the time become `now_ms`; the bytes sent meanwhile are appended to `wire`.
     fn step(&mut self, now_ms: u64, wire: &mut Vec<u8>);
 
     /// Takes bytes from the laptop; answers are appended to `wire`.
     fn receive(&mut self, bytes: &[u8], wire: &mut Vec<u8>);
-
-    /// Time at which the board's clock shows `board_time_ms`.
-    fn laptop_time_ms(&self, board_time_ms: u32) -> u64;
 
     /// The recording is over: the board is silent from now on.
     fn ended(&self) -> bool;

@@ -295,10 +295,6 @@ impl Board for RightBoard<'_> {
         }
     }
 
-    fn laptop_time_ms(&self, board_time_ms: u32) -> u64 {
-        board_time_ms.into()
-    }
-
     fn ended(&self) -> bool {
         self.next >= self.recording.len()
     }
