@@ -7,9 +7,6 @@ use shared_dsp::recipe::Recipe;
 use crate::recording::Recording;
 use crate::{HOP, WINDOW};
 
-/// Features per axis.
-pub const PER_AXIS: usize = 13;
-
 /// What was done to a recording to make windows of it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Prepared {
@@ -69,36 +66,36 @@ pub fn aligned_features(axes: usize, window: &[f32]) -> Vec<f32> {
     }
 }
 
-fn aligned_stream<const A: usize>(recording: &Recording, stride_hops: usize) -> Vec<Vec<f32>> {
-    let mut window = AlignedWindow::<A>::new();
+fn stream<const A: usize>(recording: &Recording, recipe: Recipe, stride_hops: usize) -> Vec<Vec<f32>> {
+    match recipe {
+        Recipe::Aligned => {
+            let features = |window: &AlignedWindow<A>| window.features().to_vec();
+            every(recording, stride_hops, AlignedWindow::new(), AlignedWindow::push, features)
+        }
+        Recipe::Raw | Recipe::LogPower => {
+            let features = |window: &FeatureWindow<A>| {
+                let transform = |(index, value): (usize, &f32)| recipe.transform(index, *value);
+                window.features().iter().flat_map(|axis| axis.iter().enumerate().map(transform)).collect()
+            };
+            every(recording, stride_hops, FeatureWindow::new(), FeatureWindow::push, features)
+        }
+    }
+}
+
+/// Pushes a recording through a window and reads its features at every `stride_hops`th full hop.
+fn every<W, const A: usize>(
+    recording: &Recording,
+    stride_hops: usize,
+    mut window: W,
+    push: impl Fn(&mut W, &[f32; A]) -> bool,
+    features: impl Fn(&W) -> Vec<f32>,
+) -> Vec<Vec<f32>> {
     let mut all = Vec::new();
     let mut hops = 0;
     for sample in recording.samples().filter_map(|sample| sample.first_chunk::<A>()) {
-        if window.push(sample) {
+        if push(&mut window, sample) {
             if hops % stride_hops == 0 {
-                all.push(window.features().to_vec());
-            }
-            hops += 1;
-        }
-    }
-    all
-}
-
-fn stream<const A: usize>(recording: &Recording, recipe: Recipe, stride_hops: usize) -> Vec<Vec<f32>> {
-    if recipe == Recipe::Aligned {
-        return aligned_stream::<A>(recording, stride_hops);
-    }
-    let mut window = FeatureWindow::<A>::new();
-    let mut all = Vec::new();
-    let mut hops = 0;
-    for sample in recording.samples() {
-        let Some(sample) = sample.first_chunk::<A>() else { continue };
-        if window.push(sample) {
-            if hops % stride_hops == 0 {
-                let features = window.features().iter().flat_map(|axis| {
-                    axis.iter().enumerate().map(|(index, &value)| recipe.transform(index, value))
-                });
-                all.push(features.collect());
+                all.push(features(&window));
             }
             hops += 1;
         }

@@ -5,7 +5,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::vary::{Kind, vary};
 use super::{Windows, quantise, steps};
-use crate::card::{Card, Scaling};
+use crate::card::Card;
 use crate::dataset::Item;
 use crate::recording::Recording;
 use crate::tflite::FloatLayer;
@@ -40,29 +40,9 @@ pub(super) fn windows(item: &Item, label: usize, copies: usize, rng: &ChaCha8Rng
     Windows { label, own, varied, padded: prepared.padded, resampled: prepared.resampled }
 }
 
-/// Mean and deviation over all training windows; the limit is one that 999 of 1000 inputs of unvaried ones keep.
-pub(super) fn scaling(learn: &[(&[f32], usize)], own: &[&[f32]]) -> Scaling {
-    let inputs = learn.first().map_or(0, |(window, _)| window.len());
-    let count = learn.len().max(1) as f64;
-    let (mut mean, mut deviation) = (Vec::new(), Vec::new());
-    for feature in 0..inputs {
-        let values = || learn.iter().map(|(window, _)| f64::from(window[feature]));
-        let centre = values().sum::<f64>() / count;
-        let variance = values().map(|value| (value - centre).powi(2)).sum::<f64>() / count;
-        mean.push(centre as f32);
-        // The addition keeps a feature that hardly varies from becoming an amplifier of noise.
-        deviation.push((variance.sqrt() + 0.1) as f32);
-    }
-    let scaled = |window: &&[f32]| -> Vec<f32> {
-        window.iter().enumerate().map(|(n, value)| ((value - mean[n]) / deviation[n]).abs()).collect()
-    };
-    let mut sizes: Vec<f32> = own.iter().flat_map(scaled).collect();
-    let at = (sizes.len() as f64 * 0.999) as usize;
-    let limit = match sizes.len() {
-        0 => 4.0,
-        count => sizes.select_nth_unstable_by(at.min(count - 1), f32::total_cmp).1.clamp(1.0, 20.0),
-    };
-    Scaling { mean, deviation, limit }
+/// What a feature is divided by. The addition keeps one that hardly varies from becoming an amplifier of noise.
+pub(super) fn divisor(_mean: f64, deviation: f64) -> f64 {
+    deviation + 0.1
 }
 
 /// Inputs of the people that a model was trained on, as many of each label, so that it does not forget them.

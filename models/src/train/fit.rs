@@ -8,6 +8,7 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::Recipe;
+use super::net::{Layers, export, forward, on_one_thread, vars};
 use crate::tflite::FloatLayer;
 
 /// A fitted network.
@@ -17,51 +18,25 @@ pub(super) struct Fitted {
     pub best_epoch: usize,
 }
 
-struct Net {
-    layers: Vec<(Var, Var)>,
+/// He initialisation from our own random numbers: candle's are not seeded on the CPU.
+fn random_layers(widths: &[usize], rng: &mut ChaCha8Rng) -> Result<Layers> {
+    let mut layers = Vec::new();
+    for pair in widths.windows(2) {
+        let (inputs, outputs) = (pair[0], pair[1]);
+        let limit = (6.0 / inputs as f32).sqrt();
+        let weights: Vec<f32> = (0..inputs * outputs).map(|_| rng.random_range(-limit..limit)).collect();
+        // A small positive bias keeps the few units of the narrow layers alive at the start.
+        let biases = vec![0.05f32; outputs];
+        layers.push((
+            Var::from_vec(weights, (inputs, outputs), &Device::Cpu)?,
+            Var::from_vec(biases, outputs, &Device::Cpu)?,
+        ));
+    }
+    Ok(layers)
 }
 
-impl Net {
-    /// He initialisation from our own random numbers: candle's are not seeded on the CPU.
-    fn new(widths: &[usize], rng: &mut ChaCha8Rng) -> Result<Self> {
-        let mut layers = Vec::new();
-        for pair in widths.windows(2) {
-            let (inputs, outputs) = (pair[0], pair[1]);
-            let limit = (6.0 / inputs as f32).sqrt();
-            let weights: Vec<f32> = (0..inputs * outputs).map(|_| rng.random_range(-limit..limit)).collect();
-            // A small positive bias keeps the few units of the narrow layers alive at the start.
-            let biases = vec![0.05f32; outputs];
-            layers.push((
-                Var::from_vec(weights, (inputs, outputs), &Device::Cpu)?,
-                Var::from_vec(biases, outputs, &Device::Cpu)?,
-            ));
-        }
-        Ok(Self { layers })
-    }
-
-    fn vars(&self) -> Vec<Var> {
-        self.layers.iter().flat_map(|(w, b)| [w.clone(), b.clone()]).collect()
-    }
-
-    /// Logarithms of the probabilities.
-    fn forward(&self, inputs: &Tensor) -> Result<Tensor> {
-        let mut x = inputs.clone();
-        for (index, (weights, biases)) in self.layers.iter().enumerate() {
-            x = x.matmul(weights)?.broadcast_add(biases)?;
-            if index + 1 < self.layers.len() {
-                x = x.relu()?;
-            }
-        }
-        candle_nn::ops::log_softmax(&x, D::Minus1)
-    }
-
-    fn export(&self) -> Result<Vec<FloatLayer>> {
-        let last = self.layers.len() - 1;
-        let layer = |(index, (weights, biases)): (usize, &(Var, Var))| {
-            Ok(FloatLayer { weights: weights.t()?.to_vec2()?, biases: biases.to_vec1()?, relu: index < last })
-        };
-        self.layers.iter().enumerate().map(layer).collect()
-    }
+fn exported(net: &Layers) -> Result<Vec<FloatLayer>> {
+    export(net.iter().map(|(weights, biases)| (weights.as_tensor(), biases.as_tensor())))
 }
 
 /// Rows of inputs with their target distributions.
@@ -108,16 +83,15 @@ impl Rows {
         })
     }
 
-    fn loss(&self, net: &Net, from: usize, count: usize) -> Result<Tensor> {
-        let logs = net.forward(&self.inputs.narrow(0, from, count)?)?;
+    fn loss(&self, net: &Layers, from: usize, count: usize) -> Result<Tensor> {
+        let logits = forward(net, &self.inputs.narrow(0, from, count)?)?;
+        let logs = candle_nn::ops::log_softmax(&logits, D::Minus1)?;
         let targets = self.targets.narrow(0, from, count)?;
         (logs * targets)?.sum_all()?.affine(-1.0 / count as f64, 0.0)
     }
 }
 
 /// Fits a network to `learn`; `check` decides when to stop and which weights to keep.
-///
-/// On one thread: the matrices are so small that sharing them out costs more than it brings.
 pub(super) fn fit(
     learn: &[(Vec<f32>, usize)],
     check: &[(Vec<f32>, usize)],
@@ -126,11 +100,7 @@ pub(super) fn fit(
     seed: u64,
     progress: &ProgressBar,
 ) -> Result<Fitted> {
-    let run = || fit_here(learn, check, labels, recipe, seed, progress);
-    match rayon::ThreadPoolBuilder::new().num_threads(1).build() {
-        Ok(pool) => pool.install(run),
-        Err(_) => run(),
-    }
+    on_one_thread(|| fit_here(learn, check, labels, recipe, seed, progress))
 }
 
 fn fit_here(
@@ -144,16 +114,16 @@ fn fit_here(
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let inputs = learn.first().map_or(0, |(input, _)| input.len());
     let widths: Vec<usize> = [&[inputs], recipe.hidden, &[labels]].concat();
-    let net = Net::new(&widths, &mut rng)?;
+    let net = random_layers(&widths, &mut rng)?;
     let learn = Rows::new(learn, labels, recipe.label_smoothing)?;
     let check = Rows::new(check, labels, recipe.label_smoothing)?;
     let mut rate = recipe.learning_rate;
     let params = ParamsAdamW { lr: rate, weight_decay: recipe.weight_decay, ..Default::default() };
-    let mut optimizer = AdamW::new(net.vars(), params)?;
+    let mut optimizer = AdamW::new(vars(&net), params)?;
 
     let count = learn.len()?;
     let mut order: Vec<u32> = (0..count as u32).collect();
-    let mut best = (f32::INFINITY, 0, net.export()?);
+    let mut best = (f32::INFINITY, 0, exported(&net)?);
     let (mut stale, mut halvings, mut epochs) = (0, 0, 0);
     for epoch in 1..=recipe.epochs {
         order.shuffle(&mut rng);
@@ -165,7 +135,7 @@ fn fit_here(
         epochs = epoch;
         let loss: f32 = check.loss(&net, 0, check.len()?)?.to_dtype(DType::F32)?.to_scalar()?;
         if loss < best.0 {
-            best = (loss, epoch, net.export()?);
+            best = (loss, epoch, exported(&net)?);
             stale = 0;
         } else {
             stale += 1;

@@ -7,12 +7,14 @@
 mod aligned;
 mod augment;
 mod fit;
+mod net;
 mod quantise;
 mod split;
 mod steps;
 mod vary;
 
 use std::collections::BTreeMap;
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
 use indicatif::{ProgressBar, ProgressStyle};
@@ -27,7 +29,7 @@ use crate::dataset::{Dataset, Item};
 use crate::recording::write_whole;
 use crate::score::{Classifier, score, scored, standardise};
 use crate::tflite::{self, FloatLayer, Network};
-use crate::windows::{PER_AXIS, features, prepare};
+use crate::windows::{features, prepare};
 use crate::{HOP, RATE_HZ, WINDOW, blob};
 
 pub use aligned::{Memory, MemoryError};
@@ -301,11 +303,10 @@ pub fn train(dataset: &Dataset, test: &[String], recipe: &Recipe, job: &Job) -> 
         // Too few recordings to spare any: the training windows themselves decide when to stop.
         check.clone_from(&learn);
     }
-    let scaling = if recipe.steps.is_some() {
-        let own: Vec<&[f32]> = windows.iter().flat_map(|part| part.own.iter().map(Vec::as_slice)).collect();
-        aligned::scaling(&learn, &own)
-    } else {
-        scaling(&learn, used.axes * PER_AXIS)
+    let real = || windows.iter().flat_map(|part| part.own.iter().map(Vec::as_slice));
+    let scaling = match recipe.steps {
+        Some(_) => scaling(&learn, aligned::divisor, real(), 1.0..=20.0),
+        None => scaling(&learn, divisor, learn.iter().map(|(window, _)| *window), 3.0..=10.0),
     };
 
     let mut card = Card {
@@ -369,16 +370,15 @@ pub fn train(dataset: &Dataset, test: &[String], recipe: &Recipe, job: &Job) -> 
     card.training.epochs = fitted.epochs;
     card.training.best_epoch = fitted.best_epoch;
 
-    // Varied windows go further than real ones do: their rare extremes would cost every value a part of its int8 range.
-    let own: Vec<Vec<f32>> = match recipe.steps {
+    let real_inputs: Vec<Vec<f32>>;
+    let calibration: Vec<&[f32]> = match recipe.steps {
+        // Varied windows go further than real ones do: their rare extremes would cost every value a part of its
+        // int8 range.
         Some(_) => {
-            windows.iter().flat_map(|part| &part.own).map(|window| standardise(&card, window)).collect()
+            real_inputs = real().map(|window| standardise(&card, window)).collect();
+            real_inputs.iter().map(Vec::as_slice).collect()
         }
-        _ => Vec::new(),
-    };
-    let calibration: Vec<&[f32]> = match own.as_slice() {
-        [] => learn.iter().map(|(input, _)| input.as_slice()).collect(),
-        own => own.iter().map(Vec::as_slice).collect(),
+        None => learn.iter().map(|(input, _)| input.as_slice()).collect(),
     };
     let int8 = quantise::quantise(&fitted.layers, &calibration, card.scaling.limit);
     let blob = blob::build(&card, &int8).map_err(TrainError::Quantise)?;
@@ -457,31 +457,42 @@ fn all_windows(used: &Dataset, labels: &[String], recipe: &Recipe, job: &Job) ->
     windows
 }
 
-/// Mean and deviation per feature, and a limit that 999 of 1000 inputs keep.
-fn scaling(learn: &[(&[f32], usize)], inputs: usize) -> Scaling {
+/// Mean and divisor per feature over the training windows, and a limit, within `limits`, that 999 of 1000 inputs of
+/// the windows `real` keep.
+fn scaling<'a>(
+    learn: &[(&[f32], usize)],
+    divisor: impl Fn(f64, f64) -> f64,
+    real: impl Iterator<Item = &'a [f32]>,
+    limits: RangeInclusive<f32>,
+) -> Scaling {
+    let inputs = learn.first().map_or(0, |(window, _)| window.len());
     let count = learn.len().max(1) as f64;
-    let mut mean = vec![0.0f32; inputs];
-    let mut deviation = vec![1.0f32; inputs];
+    let (mut mean, mut deviation) = (Vec::new(), Vec::new());
     for feature in 0..inputs {
         let values = || learn.iter().map(|(window, _)| f64::from(window[feature]));
         let centre = values().sum::<f64>() / count;
         let variance = values().map(|v| (v - centre).powi(2)).sum::<f64>() / count;
-        mean[feature] = centre as f32;
-        // A feature that hardly varies must not become an amplifier of noise.
-        deviation[feature] = variance.sqrt().max(1e-3 * centre.abs()).max(1e-6) as f32;
+        mean.push(centre as f32);
+        deviation.push(divisor(centre, variance.sqrt()) as f32);
     }
-    let mut sizes: Vec<f32> = learn
-        .iter()
-        .flat_map(|(window, _)| window.iter().enumerate().map(|(n, v)| ((v - mean[n]) / deviation[n]).abs()))
-        .collect();
+    let mut sizes = Vec::new();
+    for window in real {
+        sizes.extend(window.iter().enumerate().map(|(n, v)| ((v - mean[n]) / deviation[n]).abs()));
+    }
     let at = (sizes.len() as f64 * 0.999) as usize;
-    let limit = if sizes.is_empty() {
-        4.0
-    } else {
-        let at = at.min(sizes.len() - 1);
-        sizes.select_nth_unstable_by(at, f32::total_cmp).1.clamp(3.0, 10.0)
+    let limit = match sizes.len() {
+        0 => 4.0,
+        count => {
+            let at = at.min(count - 1);
+            sizes.select_nth_unstable_by(at, f32::total_cmp).1.clamp(*limits.start(), *limits.end())
+        }
     };
     Scaling { mean, deviation, limit }
+}
+
+/// What a feature is divided by. One that hardly varies must not become an amplifier of noise.
+fn divisor(mean: f64, deviation: f64) -> f64 {
+    deviation.max(1e-3 * mean.abs()).max(1e-6)
 }
 
 fn count<'a>(set: &'a Dataset, key: impl Fn(&'a Item) -> &'a String) -> BTreeMap<String, usize> {

@@ -8,6 +8,7 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
+use super::net::{Layers, export, forward, on_one_thread, vars};
 use crate::tflite::FloatLayer;
 
 /// How to fit in steps.
@@ -53,8 +54,6 @@ pub(super) enum Start<'a> {
 }
 
 /// Fits a network to rows of inputs with their labels, rare labels counting as much as common ones.
-///
-/// On one thread: the matrices are so small that sharing them out costs more than it brings.
 pub(super) fn fit(
     rows: &[(Vec<f32>, usize)],
     labels: usize,
@@ -62,11 +61,7 @@ pub(super) fn fit(
     plan: &Steps,
     seed: u64,
 ) -> Result<Vec<FloatLayer>> {
-    let run = || fit_here(rows, labels, start, plan, seed);
-    match rayon::ThreadPoolBuilder::new().num_threads(1).build() {
-        Ok(pool) => pool.install(run),
-        Err(_) => run(),
-    }
+    on_one_thread(|| fit_here(rows, labels, start, plan, seed))
 }
 
 fn fit_here(
@@ -80,7 +75,7 @@ fn fit_here(
     rng.set_stream(1 << 41);
     let width = rows.first().map_or(0, |(input, _)| input.len());
     let layers = first_layers(start, width, labels, &mut rng)?;
-    let vars: Vec<Var> = layers.iter().flat_map(|(w, b)| [w.clone(), b.clone()]).collect();
+    let vars = vars(&layers);
     let mut average: Vec<Tensor> = vars.iter().map(|var| var.as_tensor().copy()).collect::<Result<_>>()?;
 
     let mut counts = vec![0usize; labels];
@@ -108,7 +103,7 @@ fn fit_here(
         let chosen: Vec<u32> = (0..plan.batch).map(|_| rng.random_range(0..rows.len() as u32)).collect();
         let chosen = Tensor::from_vec(chosen, plan.batch, &Device::Cpu)?;
         let (x, y) = (inputs.index_select(&chosen, 0)?, targets.index_select(&chosen, 0)?);
-        let logs = candle_nn::ops::log_softmax(&forward(&layers, x)?, D::Minus1)?;
+        let logs = candle_nn::ops::log_softmax(&forward(&layers, &x)?, D::Minus1)?;
         let mut loss = (logs * y)?.sum_all()?.affine(-1.0 / plan.batch as f64, 0.0)?;
         for (weights, _) in &layers {
             loss = (loss + weights.sqr()?.sum_all()?.affine(plan.decay, 0.0)?)?;
@@ -124,12 +119,8 @@ fn fit_here(
             *mean = (mean.affine(keep, 0.0)? + var.as_tensor().detach().affine(1.0 - keep, 0.0)?)?;
         }
     }
-    let last = layers.len() - 1;
     let (pairs, _) = average.as_chunks::<2>();
-    let export = |(index, [weights, biases]): (usize, &[Tensor; 2])| {
-        Ok(FloatLayer { weights: weights.t()?.to_vec2()?, biases: biases.to_vec1()?, relu: index < last })
-    };
-    let mut layers: Vec<FloatLayer> = pairs.iter().enumerate().map(export).collect::<Result<_>>()?;
+    let mut layers = export(pairs.iter().map(|[weights, biases]| (weights, biases)))?;
     equalise(&mut layers);
     Ok(layers)
 }
@@ -154,23 +145,7 @@ fn equalise(layers: &mut [FloatLayer]) {
     }
 }
 
-fn forward(layers: &[(Var, Var)], mut x: Tensor) -> Result<Tensor> {
-    for (index, (weights, biases)) in layers.iter().enumerate() {
-        x = x.matmul(weights)?.broadcast_add(biases)?;
-        if index + 1 < layers.len() {
-            x = x.relu()?;
-        }
-    }
-    Ok(x)
-}
-
-/// Weights (inputs × outputs) and biases of each layer.
-fn first_layers(
-    start: &Start<'_>,
-    width: usize,
-    labels: usize,
-    rng: &mut ChaCha8Rng,
-) -> Result<Vec<(Var, Var)>> {
+fn first_layers(start: &Start<'_>, width: usize, labels: usize, rng: &mut ChaCha8Rng) -> Result<Layers> {
     let layer = |weights: Vec<f32>, biases: Vec<f32>, inputs: usize| {
         let outputs = biases.len();
         // Stored as rows of inputs.
