@@ -76,6 +76,12 @@ fn main() -> ! {
     };
     let led = watch::Led { red: off(p.P0_24.into()), green: off(p.P0_16.into()), blue: off(p.P0_06.into()) };
     let watchdog = watch::start_watchdog(p.WDT);
+    let spawn_common = move |spawner: embassy_executor::Spawner, model| {
+        spawner.spawn(watch::run(watchdog, led).expect("spawned once"));
+        spawner.spawn(sample::run(bus).expect("spawned once"));
+        spawner.spawn(classify::run(model).expect("spawned once"));
+        spawner.spawn(uart::run(uart).expect("spawned once"));
+    };
     // SAFETY: taken once, here.
     let core = unsafe { cortex_m::Peripherals::steal() };
 
@@ -87,10 +93,7 @@ fn main() -> ! {
         awake::run(core.DCB, core.DWT, |spawner| {
             watch::report_last_run(reasons);
             let (model, store) = model::choose(flash);
-            spawner.spawn(watch::run(watchdog, led).expect("spawned once"));
-            spawner.spawn(sample::run(bus).expect("spawned once"));
-            spawner.spawn(classify::run(model).expect("spawned once"));
-            spawner.spawn(uart::run(uart).expect("spawned once"));
+            spawn_common(spawner, model);
             spawner.spawn(ble::run_control(model, store).expect("spawned once"));
             ble::spawn(spawner, softdevice, p.USBD);
         })
@@ -123,10 +126,7 @@ fn main() -> ! {
         awake::run(core.DCB, core.DWT, |spawner| {
             watch::report_last_run(reasons);
             let (model, store) = model::choose(flash);
-            spawner.spawn(watch::run(watchdog, led).expect("spawned once"));
-            spawner.spawn(sample::run(bus).expect("spawned once"));
-            spawner.spawn(classify::run(model).expect("spawned once"));
-            spawner.spawn(uart::run(uart).expect("spawned once"));
+            spawn_common(spawner, model);
             spawner.spawn(run_control(model, store).expect("spawned once"));
             spawner.spawn(run_usb(p.USBD, HardwareVbusDetect::new(Irqs)).expect("spawned once"));
         })

@@ -1,48 +1,29 @@
 """Trains a small model and runs its files in TensorFlow Lite's own reference kernels.
 
-    python3 models/tests/tflite_check.py path/to/models-binary
+    pip install -r models/tests/requirements.txt
+    cargo build --release -p models
+    python models/tests/tflite_check.py target/release/models
 
 The int8 file must give the same bytes in TFLite (BUILTIN_REF, no delegate) as in our kernels, on
 random inputs and on inputs that look like features; the float file the same numbers to 1e-5.
-Needs only python3: it makes itself a virtual environment beside the binary from requirements.txt.
 """
 
-import importlib.util
-import os
 import subprocess
 import sys
 import tempfile
-import venv
 from pathlib import Path
+
+import numpy as np
+from ai_edge_litert.interpreter import Interpreter, OpResolverType
 
 HERE = Path(__file__).resolve().parent
 ROWS = 500
-
-
-def in_environment(binary: Path) -> None:
-    """Starts this script again in a virtual environment, unless the runtime is there already."""
-    if importlib.util.find_spec("ai_edge_litert"):
-        return
-    place = binary.parent / "tflite-venv"
-    python = place / "bin" / "python"
-    done = place / "requirements.txt"
-    wanted = (HERE / "requirements.txt").read_text()
-    if not done.exists() or done.read_text() != wanted:
-        venv.create(place, with_pip=True, clear=True)
-        subprocess.run([python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check",
-                        "-r", HERE / "requirements.txt"], check=True)
-        done.write_text(wanted)
-    os.execv(python, [str(python), __file__, str(binary)])
 
 
 def main() -> None:
     if len(sys.argv) != 2:
         sys.exit(__doc__)
     binary = Path(sys.argv[1]).resolve()
-    in_environment(binary)
-
-    import numpy as np
-    from ai_edge_litert.interpreter import Interpreter, OpResolverType
 
     def ours(model: Path, rows) -> list:
         with tempfile.NamedTemporaryFile("w", suffix=".csv") as file:

@@ -6,9 +6,9 @@ use std::process::Command;
 
 use anyhow::{Context, Result, bail};
 
-use crate::root;
 use crate::steps::{output, sh};
 use crate::toolchain::{Target, cargo};
+use crate::{root, target_dir};
 
 /// A variant's name, and what cargo needs to build it.
 const VARIANTS: [(&str, &[&str], &str); 2] = [
@@ -30,15 +30,16 @@ const PARTS: [(&str, &[&str]); 6] = [
     ("rest", &[""]),
 ];
 
-/// Builds and prints; takes no arguments.
+/// Builds and prints; the name of a variant chooses that one.
 ///
 /// # Errors
-/// Where a variant does not build.
+/// Where a variant does not build, or there is none of that name.
 pub fn run(args: &[&str]) -> Result<()> {
-    if !args.is_empty() {
-        bail!("`cargo xtask firmware nano33` takes no arguments");
+    let chosen = |name: &str| args.is_empty() || args == [name];
+    if !VARIANTS.iter().any(|(name, ..)| chosen(name)) {
+        bail!("`cargo xtask firmware nano33` takes ble or bootloader, not `{}`", args.join(" "));
     }
-    for (name, options, what) in VARIANTS {
+    for (name, options, what) in VARIANTS.into_iter().filter(|(name, ..)| chosen(name)) {
         let image = build(name, options)?;
         println!("\n{name}: {what}\n  {}", image.display());
         report(&image)?;
@@ -48,17 +49,13 @@ pub fn run(args: &[&str]) -> Result<()> {
 }
 
 fn build(name: &str, options: &[&str]) -> Result<PathBuf> {
-    let target = std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root().join("target"), PathBuf::from);
+    let target = target_dir();
     let mut command = cargo(Target::Thumb, "build")?;
     command
         .args(["--release", "--locked"])
         .args(options)
         .current_dir(root().join("firmware-nano33"))
         .env("CARGO_TARGET_DIR", &target);
-    // Debian's compiler has no linker of its own for this target.
-    if command.get_program() == "/usr/bin/cargo" {
-        command.env("CARGO_TARGET_THUMBV7EM_NONE_EABIHF_LINKER", "ld.lld");
-    }
     sh(&mut command)?;
     let folder = target.join(Target::Thumb.triple()).join("release");
     let image = folder.join(format!("nano33-{name}"));

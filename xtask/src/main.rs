@@ -21,7 +21,8 @@ usage: cargo xtask VERB
                                 --only the steps whose name contains WORD, --list names them
   firmware avr [--baud N] [--no-stack]
                                 the left hand's image: size, stack, how to flash it
-  firmware nano33               the right hand's images: flash and RAM per part
+  firmware nano33 [ble|bootloader]
+                                the right hand's images: flash and RAM per part
   help                          this text
 ";
 
@@ -62,4 +63,9 @@ fn run(args: &[String]) -> Result<ExitCode> {
 /// The root of the repository.
 pub fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("xtask lies in the root").to_path_buf()
+}
+
+/// Where cargo puts what it builds.
+pub fn target_dir() -> PathBuf {
+    std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root().join("target"), PathBuf::from)
 }

@@ -6,8 +6,8 @@ use std::process::Command;
 
 use anyhow::{Context, Result, bail};
 
-use crate::root;
 use crate::steps::sh;
+use crate::{root, target_dir};
 
 /// The interpreter of an environment that holds exactly these requirement files, made on first use.
 ///
@@ -41,9 +41,4 @@ pub fn environment(name: &str, requirements: &[&str]) -> Result<PathBuf> {
 
 fn works(python: &Path) -> bool {
     Command::new(python).arg("--version").output().is_ok_and(|o| o.status.success())
-}
-
-/// Where cargo puts what it builds.
-pub fn target_dir() -> PathBuf {
-    std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root().join("target"), PathBuf::from)
 }

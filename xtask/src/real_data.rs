@@ -5,10 +5,9 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail, ensure};
 
-use crate::python::target_dir;
-use crate::root;
 use crate::steps::{output, sh};
 use crate::test::cargo;
+use crate::{root, target_dir};
 
 /// Least mean accuracy per recording over five random splits of the LSM9DS1 set, in per cent.
 const SPLITS_MIN: f64 = 97.0;

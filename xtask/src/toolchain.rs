@@ -48,6 +48,10 @@ pub fn cargo(target: Target, subcommand: &str) -> Result<Command> {
         command.env("RUSTC", "/usr/bin/rustc").env("RUSTC_BOOTSTRAP", "1");
         // Clippy and rustdoc of rustup would not match this compiler.
         command.env_remove("RUSTUP_TOOLCHAIN").env_remove("RUSTDOC");
+        if target == Target::Thumb {
+            // Debian's compiler has no linker of its own for this target.
+            command.env("CARGO_TARGET_THUMBV7EM_NONE_EABIHF_LINKER", "ld.lld");
+        }
         command.args([subcommand, "-Zbuild-std=core"]);
         command
     } else {
@@ -63,7 +67,9 @@ pub fn cargo(target: Target, subcommand: &str) -> Result<Command> {
         )
     };
     // Set by the cargo that runs this program; the inner one must find its own.
-    command.env_remove("CARGO").env_remove("RUSTFLAGS").env_remove("CARGO_ENCODED_RUSTFLAGS");
+    for name in ["CARGO", "RUSTFLAGS", "CARGO_ENCODED_RUSTFLAGS", "LD_LIBRARY_PATH"] {
+        command.env_remove(name);
+    }
     command.args(["--target", target.triple()]);
     Ok(command)
 }
