@@ -74,6 +74,7 @@ pub struct Base {
     config: BaseConfig,
     target_rad_s: [f64; 2],
     wheels_rad_s: [f64; 2],
+    wheels_rad: [f64; 2],
     odometry: Odometry,
     covariance: Covariance,
 }
@@ -85,6 +86,7 @@ impl Base {
             config,
             target_rad_s: [0.0; 2],
             wheels_rad_s: [0.0; 2],
+            wheels_rad: [0.0; 2],
             odometry: Odometry::default(),
             covariance: [[0.0; 3]; 3],
         }
@@ -120,6 +122,9 @@ impl Base {
         }
         let mean = [0, 1].map(|i| 0.5 * (before[i] + self.wheels_rad_s[i]));
         let travelled = self.twist_of(mean);
+        for (turned, speed) in self.wheels_rad.iter_mut().zip(mean) {
+            *turned += speed * dt_s;
+        }
         self.grow_covariance(mean.map(|w| w * self.config.wheel_radius_m * dt_s));
         self.odometry.advance(travelled, dt_s);
         self.odometry.twist = self.twist_of(self.wheels_rad_s);
@@ -169,6 +174,11 @@ impl Base {
     /// Speeds of the left and the right wheel in rad/s.
     pub fn wheels_rad_s(&self) -> [f64; 2] {
         self.wheels_rad_s
+    }
+
+    /// How far the left and the right wheel have turned since the start, in rad.
+    pub fn wheels_rad(&self) -> [f64; 2] {
+        self.wheels_rad
     }
 
     /// How long it takes to rest from its speed now.

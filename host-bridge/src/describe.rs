@@ -1,8 +1,8 @@
 //! Events as lines for people. Degrees appear here and nowhere deeper.
 
-use host_bridge::bridge::{BridgeEvent, EventKind, GestureOutcome, HeadingName};
-use host_bridge::safety::{HaltReason, Hand, Ignored, State};
-use host_bridge::session::{SessionEvent, Summary};
+use crate::bridge::{BridgeEvent, EventKind, GestureOutcome, HeadingName};
+use crate::safety::{HaltReason, Hand, Ignored, State};
+use crate::session::{SessionEvent, Summary};
 
 /// One line, without its time.
 pub fn text(event: &SessionEvent) -> String {
@@ -107,11 +107,11 @@ pub fn heading_name(heading: HeadingName) -> &'static str {
 /// What a session came to, in a few lines.
 pub fn summary(summary: &Summary) -> String {
     let here = summary.odometry;
-    let delay = |d: host_bridge::latency::DelaySummary| match (d.median_ms, d.worst_ms) {
+    let delay = |d: crate::latency::DelaySummary| match (d.median_ms, d.worst_ms) {
         (Some(median), Some(worst)) => format!("median {median} ms, worst {worst} ms of {}", d.count),
         _ => "none".to_owned(),
     };
-    let line = |hand: Hand, counters: Option<host_bridge::link::LinkCounters>| match counters {
+    let line = |hand: Hand, counters: Option<crate::link::LinkCounters>| match counters {
         Some(c) => format!("{hand} {} ({} damaged, {} lost)", c.frames, c.damaged, c.lost),
         None => format!("{hand} none"),
     };

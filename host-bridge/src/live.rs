@@ -8,7 +8,9 @@ use shared_proto::message::{HostMessage, Mode, TiltThresholds};
 use crate::bridge::{Bridge, BridgeEvent, EventKind};
 use crate::config::Config;
 use crate::keyboard::{HandKey, KeyLeft, KeyRight};
+use crate::observe::{Now, OperatorKey, Tap};
 use crate::safety::Hand;
+use crate::session::SessionEvent;
 use crate::sim::{SimConfig, Simulator};
 
 /// What stands for a hand.
@@ -31,6 +33,7 @@ pub struct Live {
     request: u16,
     /// Request number of the set-up that a hand's board has not acknowledged, and when it was sent.
     set_ups: [Option<(u16, Option<u64>)>; 2],
+    tap: Tap,
 }
 
 /// A set-up without an answer is sent again after this long.
@@ -48,17 +51,22 @@ pub enum Place {
 }
 
 impl Live {
-    /// A session that starts at `now_ms` with the robot at rest.
+    /// A session that starts at `now_ms` with the configured robot at rest, and nothing around it.
     pub fn new(config: &Config, left: Place, right: Place, now_ms: u64) -> Self {
+        let sim = SimConfig { base: config.base, arm_limits: config.arm_limits(), ..SimConfig::default() };
+        Live::with_robot(config, left, right, Simulator::new(sim), now_ms)
+    }
+
+    /// The same with a robot of your own.
+    pub fn with_robot(config: &Config, left: Place, right: Place, robot: Simulator, now_ms: u64) -> Self {
         let source = |place, keys: Source| match place {
             Place::Nobody => Source::Nobody,
             Place::Board => Source::Board(Vec::new()),
             Place::Keyboard => keys,
         };
-        let sim = SimConfig { base: config.base, arm_limits: config.arm_limits(), ..SimConfig::default() };
         Live {
             bridge: Bridge::with(config.motion_map(), config.speed, config.safety),
-            robot: Simulator::new(sim),
+            robot,
             robot_ms: now_ms,
             sources: [
                 source(left, Source::KeyLeft(Box::new(KeyLeft::new(config.keyboard)))),
@@ -67,7 +75,18 @@ impl Live {
             tilt: config.tilt.into(),
             request: 0,
             set_ups: [None; 2],
+            tap: Tap::default(),
         }
+    }
+
+    /// Where observers look on.
+    pub fn tap_mut(&mut self) -> &mut Tap {
+        &mut self.tap
+    }
+
+    /// The state at `now_ms`, as observers see it.
+    pub fn now(&self, now_ms: u64) -> Now<'_> {
+        Now { time_ms: now_ms, bridge: &self.bridge, robot: &self.robot }
     }
 
     /// The bridge.
@@ -83,6 +102,7 @@ impl Live {
     /// Bytes of a hand's board. `now_ms` is the time at which they are *handled*: bytes that waited
     /// somewhere are thereby as old as they are, and dropped if they are too old.
     pub fn receive(&mut self, hand: Hand, bytes: &[u8], now_ms: u64) {
+        self.tap.show(|observer| observer.received(now_ms, hand, bytes));
         self.bridge.receive(hand, bytes, now_ms, &mut self.robot);
     }
 
@@ -106,11 +126,13 @@ impl Live {
 
     /// The operator's stop.
     pub fn stop_key(&mut self, now_ms: u64) {
+        self.tap.show(|observer| observer.operated(now_ms, OperatorKey::Stop));
         self.bridge.stop_key(now_ms, &mut self.robot);
     }
 
     /// The release key, pressed and confirmed.
     pub fn release_key(&mut self, now_ms: u64) {
+        self.tap.show(|observer| observer.operated(now_ms, OperatorKey::Release));
         self.bridge.release_key(now_ms, &mut self.robot);
     }
 
@@ -142,6 +164,14 @@ impl Live {
             if ready[hand as usize] {
                 self.set_up(hand, now_ms);
             }
+        }
+        if !self.tap.is_idle() {
+            for event in &events {
+                let event = SessionEvent::Bridge(event.clone());
+                self.tap.show(|observer| observer.happened(&event));
+            }
+            let now = Now { time_ms: now_ms, bridge: &self.bridge, robot: &self.robot };
+            self.tap.show(|observer| observer.state(&now));
         }
         events
     }
@@ -177,6 +207,7 @@ impl Live {
     fn send(&mut self, hand: Hand, message: &HostMessage<'_>, now_ms: u64) {
         let mut buffer = [0; HOST_FRAME_MAX];
         let Ok(frame) = encode_host(message, &mut buffer) else { return };
+        self.tap.show(|observer| observer.sent(now_ms, hand, frame));
         let mut wire = Vec::new();
         match &mut self.sources[hand as usize] {
             Source::Nobody => {}

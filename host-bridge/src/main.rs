@@ -1,7 +1,6 @@
 //! Command line of the bridge: one file per verb in `cmd/`.
 
 mod cmd;
-mod describe;
 mod play;
 mod view;
 

@@ -7,13 +7,13 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result, ensure};
 use host_bridge::arm::model::SerialArm;
+use host_bridge::describe;
 use host_bridge::intent::MotionMap;
 use host_bridge::plan::Planner;
 use host_bridge::scene::Scene;
 use host_bridge::session::{Session, SessionEvent};
 use host_bridge::sim::{SimConfig, Simulator};
 
-use crate::describe;
 use crate::view::{Key, View};
 
 /// Options of everything that plays a session.

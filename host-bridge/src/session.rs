@@ -12,6 +12,7 @@ use crate::hands::Board;
 use crate::intent::{Caps, MotionMap};
 use crate::latency::{DelaySummary, Delays};
 use crate::link::LinkCounters;
+use crate::observe::{Now, OperatorKey, Tap};
 use crate::robot::Robot;
 use crate::safety::{HaltReason, Hand};
 use crate::sim::{SimConfig, Simulator};
@@ -39,6 +40,7 @@ pub struct Session<'b> {
     tilt_to_wheels: Delays,
     ended_ms: Option<u64>,
     log: Vec<BridgeEvent>,
+    tap: Tap,
 }
 
 impl<'b> Session<'b> {
@@ -76,7 +78,18 @@ impl<'b> Session<'b> {
             tilt_to_wheels: Delays::default(),
             ended_ms: None,
             log: Vec::new(),
+            tap: Tap::default(),
         }
+    }
+
+    /// Where observers look on.
+    pub fn tap_mut(&mut self) -> &mut Tap {
+        &mut self.tap
+    }
+
+    /// The state now, as observers see it.
+    pub fn now(&self) -> Now<'_> {
+        Now { time_ms: self.now_ms, bridge: &self.bridge, robot: &self.robot }
     }
 
     /// Virtual time.
@@ -96,11 +109,13 @@ impl<'b> Session<'b> {
 
     /// The operator presses the stop key now.
     pub fn stop_key(&mut self) {
+        self.tap.show(|observer| observer.operated(self.now_ms, OperatorKey::Stop));
         self.bridge.stop_key(self.now_ms, &mut self.robot);
     }
 
     /// The operator has pressed and confirmed the release key now.
     pub fn release_key(&mut self) {
+        self.tap.show(|observer| observer.operated(self.now_ms, OperatorKey::Release));
         self.bridge.release_key(self.now_ms, &mut self.robot);
     }
 
@@ -121,14 +136,23 @@ impl<'b> Session<'b> {
         for line in &mut self.lines {
             bytes.clear();
             line.board.step(now_ms, &mut bytes);
+            if !self.tap.is_idle()
+                && let Some(sample) = line.board.sample()
+            {
+                self.tap.show(|observer| observer.sampled(now_ms, &sample));
+            }
             line.up.write(&bytes);
             bytes.clear();
             line.up.step(&mut bytes);
+            if !bytes.is_empty() {
+                self.tap.show(|observer| observer.received(now_ms, line.hand, &bytes));
+            }
             self.bridge.receive(line.hand, &bytes, now_ms, &mut self.robot);
 
             if let Some(message) = self.bridge.poll(line.hand, now_ms) {
                 let mut buffer = [0; HOST_FRAME_MAX];
                 if let Ok(frame) = encode_host(&message, &mut buffer) {
+                    self.tap.show(|observer| observer.sent(now_ms, line.hand, frame));
                     line.down.write(frame);
                 }
             }
@@ -159,7 +183,13 @@ impl<'b> Session<'b> {
             self.ended_ms = Some(self.now_ms);
         }
         self.log.extend(events.iter().cloned());
-        events.into_iter().map(SessionEvent::Bridge).chain(ended).collect()
+        let events: Vec<SessionEvent> = events.into_iter().map(SessionEvent::Bridge).chain(ended).collect();
+        for event in &events {
+            self.tap.show(|observer| observer.happened(event));
+        }
+        let now = Now { time_ms: self.now_ms, bridge: &self.bridge, robot: &self.robot };
+        self.tap.show(|observer| observer.state(&now));
+        events
     }
 
     /// Starts the measurement of a delay where an event is the cause of motion.

@@ -3,14 +3,16 @@
 use std::sync::Arc;
 
 use crate::arm::gen3::Joints;
+use crate::arm::model::SerialArm;
 use crate::arm::motions::READY;
 use crate::arm::profile::{JointLimits, Sample};
 use crate::arm::sequencer::{ArmReport, ArmState, NotStarted};
 use crate::arm::{ArmMotion, Sequencer};
-use crate::base::{Base, BaseConfig, Odometry, Twist};
+use crate::base::{Base, BaseConfig, Covariance, Odometry, Twist};
 use crate::plan::guard::{Guard, Moving, TICK_MS};
 use crate::plan::{Placement, Planner};
 use crate::robot::Robot;
+use crate::scene::Scene;
 
 /// Length of one step.
 pub const STEP_MS: u64 = 1;
@@ -46,6 +48,8 @@ pub struct Simulator {
     timed_out: bool,
     /// In a scene: plans the arm's motions, and holds back what would touch something.
     planner: Option<Arc<Planner>>,
+    /// Where there is no scene: the Gen3 with nothing around.
+    bare: Arc<(SerialArm, Scene)>,
     plans: u64,
     wanted: Twist,
     guard_due_ms: u64,
@@ -72,6 +76,7 @@ impl Simulator {
             timeouts: 0,
             timed_out: false,
             planner: None,
+            bare: Arc::new((SerialArm::gen3(), Scene::default())),
             plans: 0,
             wanted: Twist::ZERO,
             guard_due_ms: 0,
@@ -103,6 +108,37 @@ impl Simulator {
     /// Speeds of the left and the right wheel in rad/s.
     pub fn wheels_rad_s(&self) -> [f64; 2] {
         self.base.wheels_rad_s()
+    }
+
+    /// How far the left and the right wheel have turned since the start, in rad.
+    pub fn wheels_rad(&self) -> [f64; 2] {
+        self.base.wheels_rad()
+    }
+
+    /// How sure the odometry is.
+    pub fn covariance(&self) -> Covariance {
+        self.base.covariance()
+    }
+
+    /// Size and limits of the base.
+    pub fn base_config(&self) -> &BaseConfig {
+        self.base.config()
+    }
+
+    /// Which arm it has.
+    pub fn arm_model(&self) -> &SerialArm {
+        self.planner.as_ref().map_or(&self.bare.0, |planner| planner.world().arm())
+    }
+
+    /// Limits that the arm's motions keep.
+    pub fn arm_limits(&self) -> &JointLimits {
+        self.arm.limits()
+    }
+
+    /// What stands around it, and the shape of its base; of its base, only the body and the arm's foot count
+    /// where no scene was given.
+    pub fn scene(&self) -> &Scene {
+        self.planner.as_ref().map_or(&self.bare.1, |planner| planner.world().scene())
     }
 
     /// How often the robot had to stop by itself.

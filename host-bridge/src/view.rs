@@ -13,12 +13,11 @@ use crossterm::{cursor, execute, queue};
 use host_bridge::arm::gen3::flange_pose;
 use host_bridge::arm::sequencer::Leg;
 use host_bridge::bridge::Bridge;
+use host_bridge::describe;
 use host_bridge::robot::Robot as _;
 use host_bridge::safety::{Hand, State};
 use host_bridge::session::Session;
 use host_bridge::sim::Simulator;
-
-use crate::describe;
 
 /// Cells of the map of the base's path.
 const MAP_WIDTH: usize = 44;

@@ -4,7 +4,7 @@ mod events;
 
 pub use events::{BridgeEvent, Drops, EventKind, GestureOutcome, HeadingName};
 
-use shared_proto::message::{Ack, Heading, HostMessage};
+use shared_proto::message::{Ack, Heading, HostMessage, LeftState};
 
 use crate::arm::ArmMotion;
 use crate::arm::sequencer::{Busy, NotStarted};
@@ -27,8 +27,8 @@ pub struct Bridge {
     map: MotionMap,
     drops: Drops,
     scores: Vec<f32>,
-    tilt_mrad: (i16, i16),
-    heading: Heading,
+    left_state: LeftState,
+    right_health: u8,
     was_armed: bool,
     driven: (Twist, u64),
     events: Vec<BridgeEvent>,
@@ -52,8 +52,8 @@ impl Bridge {
             map,
             drops: Drops::default(),
             scores: Vec::new(),
-            tilt_mrad: (0, 0),
-            heading: Heading::Neutral,
+            left_state: LeftState { heading: Heading::Neutral, ..LeftState::default() },
+            right_health: 0,
             was_armed: false,
             driven: (Twist::ZERO, 0),
             events: Vec::new(),
@@ -151,7 +151,18 @@ impl Bridge {
 
     /// The left hand's newest pitch and roll in milliradians, and its heading (whether or not it acts).
     pub fn left_hand(&self) -> (i16, i16, HeadingName) {
-        (self.tilt_mrad.0, self.tilt_mrad.1, self.heading.into())
+        let LeftState { pitch_mrad, roll_mrad, heading, .. } = self.left_state;
+        (pitch_mrad, roll_mrad, heading.into())
+    }
+
+    /// The left hand's newest state as received, late or not.
+    pub fn left_state(&self) -> &LeftState {
+        &self.left_state
+    }
+
+    /// Health flags of the right hand's newest state.
+    pub fn right_health(&self) -> u8 {
+        self.right_health
     }
 
     fn link_mut(&mut self, hand: Hand) -> &mut HandLink {
@@ -199,8 +210,7 @@ impl Bridge {
                     middle_bends,
                     stop: state.stop,
                 };
-                self.tilt_mrad = (state.pitch_mrad, state.roll_mrad);
-                self.heading = state.heading;
+                self.left_state = state;
                 self.apply(event, now_ms, robot);
                 let heading = self.safety.heading();
                 // A halt has its own event.
@@ -239,6 +249,7 @@ impl Bridge {
             releases: self.map.motion(label) == Some(ArmMotion::Home),
         });
         self.scores = report.scores;
+        self.right_health = report.health;
         let event = safety::Event::Right {
             age_ms: report.age_ms,
             healthy: is_healthy(report.health),

@@ -5,13 +5,13 @@ use std::process::ExitCode;
 
 use anyhow::{Context as _, Result};
 use host_bridge::adc::AdcRecording;
+use host_bridge::describe;
 use host_bridge::hands::{LeftBoard, ModelFile, RightBoard};
 use host_bridge::script::{Check, Script};
 use host_bridge::session::{Session, Summary};
 use models::recording::Recording;
 use serde::Serialize;
 
-use crate::describe;
 use crate::play::{PlayOptions, play, say};
 
 const SCRIPT: &str = include_str!("../../sessions/demo/session.toml");

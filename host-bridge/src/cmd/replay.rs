@@ -6,13 +6,13 @@ use std::process::ExitCode;
 use anyhow::{Context as _, Result, bail};
 use host_bridge::adc::AdcRecording;
 use host_bridge::bridge::{BridgeEvent, EventKind};
+use host_bridge::describe;
 use host_bridge::hands::{Board, LeftBoard, ModelFile, RightBoard, join};
 use host_bridge::safety::State;
 use host_bridge::script::CalibrationTable;
 use host_bridge::session::{Session, Summary};
 use serde::Serialize;
 
-use crate::describe;
 use crate::play::{PlayOptions, play, say};
 
 /// Options.

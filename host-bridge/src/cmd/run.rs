@@ -10,6 +10,7 @@ use std::time::Duration;
 use anyhow::{Result, bail, ensure};
 use crossterm::event::{KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
 use host_bridge::bridge::BridgeEvent;
+use host_bridge::describe;
 use host_bridge::keyboard::HandKey;
 use host_bridge::links::{Clock, LinkEvent, News, SerialLink, SystemClock};
 use host_bridge::live::{Live, Place};
@@ -20,7 +21,6 @@ use serde::Serialize;
 use shared_proto::message::Heading;
 
 use super::ports::{check_name, read_config, settings};
-use crate::describe;
 use crate::view::{Scene, View};
 
 /// Bytes wake the loop at once; without any it turns this often.

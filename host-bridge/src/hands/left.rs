@@ -1,5 +1,6 @@
 //! The left hand from a recording of its converter.
 
+use shared_dsp::flex::bend_permille;
 use shared_dsp::left::{AdcCounts, LeftHand, LeftOutput};
 use shared_dsp::left_calibration::{Calibration, CalibrationStep};
 use shared_dsp::tilt::{self, TiltThresholds};
@@ -9,6 +10,7 @@ use shared_proto::message::{
 
 use super::{Board, Port};
 use crate::adc::AdcRecording;
+use crate::observe::Sample;
 
 /// States are sent this often, and at once on a change.
 const STATE_INTERVAL_MS: u64 = 20;
@@ -26,6 +28,8 @@ pub struct LeftBoard {
     said_hello: bool,
     /// Calibration steps still to be taken, the next one last.
     captures: Vec<CalibrationStep>,
+    /// Samples before this one were taken before the last step.
+    before: usize,
 }
 
 impl LeftBoard {
@@ -41,6 +45,7 @@ impl LeftBoard {
             last_sent_ms: None,
             said_hello: false,
             captures: Vec::new(),
+            before: 0,
         }
     }
 
@@ -100,6 +105,7 @@ impl Board for LeftBoard {
             self.said_hello = true;
             self.hello(wire);
         }
+        self.before = self.next;
         while let Some(&(time_ms, counts)) = self.recording.samples.get(self.next)
             && time_ms <= now_ms
         {
@@ -118,6 +124,15 @@ impl Board for LeftBoard {
         if self.port.is_asked_for_hello(bytes) && !self.ended() {
             self.hello(wire);
         }
+    }
+
+    fn sample(&self) -> Option<Sample<'_>> {
+        let (_, counts) = *self.recording.samples.get(self.before..self.next)?.last()?;
+        let (reading, calibration) = (AdcCounts::from_ten_bit(counts), self.hand.calibration());
+        let bends_permille = [reading.index, reading.middle];
+        let bends_permille =
+            [0, 1].map(|i| bend_permille(bends_permille[i], calibration.rest[i], calibration.bend[i]));
+        Some(Sample::Left { counts, bends_permille })
     }
 
     fn ended(&self) -> bool {

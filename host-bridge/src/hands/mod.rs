@@ -9,6 +9,8 @@ pub use right::{ModelFile, ModelFileError, RightBoard, join};
 use shared_proto::frame::{BOARD_FRAME_MAX, DELIMITER, Decoder, HOST_FRAME_MAX, encode_board};
 use shared_proto::message::{BoardMessage, HostMessage};
 
+use crate::observe::Sample;
+
 /// A board in virtual time: on the wire it looks like a real one. Its clock starts with the session.
 pub trait Board {
     /// Lets the time become `now_ms`; the bytes sent meanwhile are appended to `wire`.
@@ -16,6 +18,11 @@ pub trait Board {
 
     /// Takes bytes from the laptop; answers are appended to `wire`.
     fn receive(&mut self, bytes: &[u8], wire: &mut Vec<u8>);
+
+    /// The reading of its sensors that it took in the last step, if any, for observers.
+    fn sample(&self) -> Option<Sample<'_>> {
+        None
+    }
 
     /// The recording is over: the board is silent from now on.
     fn ended(&self) -> bool;

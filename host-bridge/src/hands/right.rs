@@ -14,6 +14,7 @@ use shared_proto::message::{
 };
 
 use super::{Board, Port};
+use crate::observe::Sample;
 
 /// A sample every so often: recordings are brought to 100 Hz first.
 const SAMPLE_INTERVAL_MS: u64 = 10;
@@ -201,6 +202,8 @@ pub struct RightBoard<'m> {
     boot_id: u32,
     sequence: u16,
     said_hello: bool,
+    /// Samples before this one were taken before the last step.
+    before: usize,
 }
 
 impl<'m> RightBoard<'m> {
@@ -228,6 +231,7 @@ impl<'m> RightBoard<'m> {
             boot_id,
             sequence: 0,
             said_hello: false,
+            before: 0,
         })
     }
 
@@ -278,6 +282,7 @@ impl Board for RightBoard<'_> {
             self.said_hello = true;
             self.hello(wire);
         }
+        self.before = self.next;
         while !self.ended() && self.next as u64 * SAMPLE_INTERVAL_MS <= now_ms {
             // The board's wrapping clock.
             let time_ms = (self.next as u64 * SAMPLE_INTERVAL_MS) as u32;
@@ -293,6 +298,11 @@ impl Board for RightBoard<'_> {
         if self.port.is_asked_for_hello(bytes) && !self.ended() {
             self.hello(wire);
         }
+    }
+
+    fn sample(&self) -> Option<Sample<'_>> {
+        let newest = self.next.checked_sub(1).filter(|newest| *newest >= self.before)?;
+        self.recording.samples().nth(newest).map(|values| Sample::Right { values })
     }
 
     fn ended(&self) -> bool {

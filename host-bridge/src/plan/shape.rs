@@ -4,11 +4,13 @@
 //! nanoseconds and is the same on every machine. A general collision library (parry3d) would bring 30-odd
 //! crates for two functions; `tests/mujoco/check.py` compares these with an independent engine instead.
 
+use serde::Serialize;
+
 /// A point or a direction in metres.
 pub type Point = [f64; 3];
 
 /// All points nearer than `radius_m` to a straight line from `a_m` to `b_m`. A sphere has equal ends.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Capsule {
     /// One end of the centre line.
     pub a_m: Point,
@@ -19,7 +21,7 @@ pub struct Capsule {
 }
 
 /// A box that stands upright, turned only about the vertical.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct UprightBox {
     /// Its middle.
     pub center_m: Point,

@@ -160,6 +160,12 @@ impl Safety {
         self.watch(hand).live
     }
 
+    /// Age of a connected hand's newest valid sample.
+    pub fn age_ms(&self, hand: Hand, now_ms: u64) -> Option<u64> {
+        let watch = self.watch(hand);
+        watch.connected.then(|| now_ms.saturating_sub(watch.sample_ms))
+    }
+
     /// Handles one event. `now_ms` is the laptop's clock and must not run back; if it does, it stands.
     #[must_use = "an action that is not carried out may leave the robot moving"]
     pub fn step(&mut self, event: Event, now_ms: u64) -> Vec<Action> {
