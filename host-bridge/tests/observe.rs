@@ -56,7 +56,7 @@ impl Observer for Recorder {
     fn state(&mut self, now: &Now<'_>) {
         let mut record = self.0.borrow_mut();
         record.seen.push(Seen::Step(now.time_ms));
-        if now.time_ms % 1000 == 0 {
+        if now.time_ms.is_multiple_of(1000) {
             record.last = Some(Snapshot::of(now));
         }
     }
