@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use anyhow::{Context, Result, bail, ensure};
 
 use crate::steps::{output, sh};
-use crate::test::cargo;
+use crate::test::built;
 use crate::{root, target_dir};
 
 /// Least mean accuracy per recording over five random splits of the LSM9DS1 set, in per cent.
@@ -28,7 +28,7 @@ fn set(name: &str) -> Option<PathBuf> {
 /// Five random splits of the nine-axis set: the mean accuracy, float and int8.
 pub fn splits() -> Result<()> {
     let Some(folder) = set("nano33-lsm9ds1-9axis") else { return Ok(()) };
-    let text = output(cargo(&["run", "--quiet", "--locked", "-p", "models", "--", "splits"]).arg(&folder))?;
+    let text = output(built("models")?.arg("splits").arg(&folder))?;
     print!("{text}");
     let mean = text.lines().last().context("`models splits` printed nothing")?;
     let figures: Vec<f64> = mean.split_whitespace().filter_map(|word| word.parse().ok()).collect();
@@ -46,13 +46,24 @@ pub fn replay() -> Result<()> {
     let Some(folder) = set("nano33-lsm9ds1-9axis") else { return Ok(()) };
     let out = target_dir().join("real-data");
     fs::create_dir_all(&out)?;
-    sh(cargo(&["run", "--quiet", "--locked", "-p", "models", "--", "train"])
+    sh(built("models")?
+        .arg("train")
         .arg(&folder)
         .args(["--test", "0.2", "--name", "held-out", "--about", "real recordings", "--out"])
         .arg(&out))?;
     let list = fs::read_to_string(out.join("held-out.test.txt"))?;
-    let mut replay = cargo(&["run", "--quiet", "--locked", "-p", "host-bridge", "--", "replay"]);
-    replay.args(["--headless", "--speed", "0", "--json", "--map", "peak=pick-up", "--map", "wave=place"]);
+    let mut replay = built("host-bridge")?;
+    replay.args([
+        "replay",
+        "--headless",
+        "--speed",
+        "0",
+        "--json",
+        "--map",
+        "peak=pick-up",
+        "--map",
+        "wave=place",
+    ]);
     replay.arg("--model").arg(out.join("held-out.tflite"));
     for file in list.lines().filter(|line| !line.is_empty()) {
         replay.arg("--right").arg(folder.join(file));

@@ -53,8 +53,41 @@ pub fn cargo(args: &[&str]) -> Command {
     command
 }
 
+/// The laptop's cargo over the whole workspace with every feature that this machine can build.
+///
+/// Always the same choice: cargo sets the features of shared dependencies by the packages that are built
+/// together, and would compile most of them again for any other choice.
+fn cargo_for_all(subcommand: &str) -> Command {
+    let mut command = cargo(&[subcommand, "--workspace", "--locked"]);
+    if EMULATORS.is_complete() {
+        command.args(["--features", "tests/avr,tests/nrf,host-bridge/urdf"]);
+    } else {
+        command.args(["--exclude", "tests", "--features", "host-bridge/urdf"]);
+    }
+    command
+}
+
+/// A program or example of the workspace as the tests built it; `name` is its path below the build folder.
+///
+/// # Errors
+/// Where the workspace does not build.
+pub fn built(name: &str) -> Result<Command> {
+    sh(cargo_for_all("test").args(["--quiet", "--no-run"]))?;
+    let mut command = Command::new(target_dir().join("debug").join(name));
+    command.current_dir(root());
+    Ok(command)
+}
+
 fn steps() -> Vec<Step> {
     vec![
+        Step::new("tools for the boards", || {
+            if !toolchain::is_complete() {
+                CROSS_RUST.ensure()?;
+            }
+            CROSS_LINK.ensure()?;
+            EMULATORS.ensure()?;
+            QEMU.ensure()
+        }),
         Step::new("format", || {
             sh(&mut cargo(&["fmt", "--all", "--check"]))?;
             for folder in ["firmware-nano-avr", "firmware-nano33"] {
@@ -63,16 +96,17 @@ fn steps() -> Vec<Step> {
             }
             Ok(())
         }),
-        Step::new("clippy", || {
-            let scope = ["clippy", "--workspace", "--exclude", "tests", "--all-targets", "--locked"];
-            sh(cargo(&scope).args(["--", "-D", "warnings"]))
-        }),
+        Step::new("clippy", || sh(cargo_for_all("clippy").args(["--all-targets", "--", "-D", "warnings"]))),
         Step::new("documentation", || {
-            sh(cargo(&["doc", "--workspace", "--exclude", "tests", "--no-deps", "--locked"])
-                .env("RUSTDOCFLAGS", "-D warnings"))
+            sh(cargo_for_all("doc").arg("--no-deps").env("RUSTDOCFLAGS", "-D warnings"))
         }),
-        Step::new("unit and behaviour tests", || {
-            sh(&mut cargo(&["test", "--workspace", "--exclude", "tests", "--locked"]))
+        Step::new("left hand: image and size", || firmware_avr::run(&[])),
+        Step::new("right hand: images and size", || firmware_nano33::run(&[])),
+        Step::new("tests, with both boards emulated", || {
+            sh(cargo_for_all("test").args(["--no-fail-fast", "--", "--show-output"]))
+        }),
+        Step::new("laptop and Cortex-M4F agree on all bits", || {
+            sh(Command::new("sh").current_dir(root()).arg("shared-dsp/bench-m4f/run.sh"))
         }),
         Step::new("the demo, as a new user runs it", || {
             let demo =
@@ -83,51 +117,28 @@ fn steps() -> Vec<Step> {
             Ok(())
         }),
         Step::new("features against numpy", || {
-            sh(&mut cargo(&["build", "--locked", "-p", "shared-dsp", "--example", "features_dump"]))?;
-            let requirements = "shared-dsp/tests/reference/requirements.txt";
-            let python = python::environment("numpy", &[requirements])?;
+            let python = python::environment("numpy", &["shared-dsp/tests/reference/requirements.txt"])?;
             sh(Command::new(python)
                 .current_dir(root())
                 .arg("shared-dsp/tests/reference/features_ref.py")
                 .arg("--dump")
-                .arg(target_dir().join("debug/examples/features_dump")))
+                .arg(built("examples/features_dump")?.get_program()))
         }),
         Step::new("trained models in TensorFlow Lite", || {
-            sh(&mut cargo(&["build", "--locked", "-p", "models"]))?;
             let python = python::environment("tflite", &["models/tests/requirements.txt"])?;
             sh(Command::new(python)
                 .current_dir(root())
                 .arg("models/tests/tflite_check.py")
-                .arg(target_dir().join("debug/models")))
+                .arg(built("models")?.get_program()))
         }),
         Step::new("real recordings, five random splits", real_data::splits),
         Step::new("real recordings into the simulator", real_data::replay),
         Step::new("planned motions in MuJoCo", || {
             let traces = target_dir().join("plan-traces");
             std::fs::create_dir_all(&traces)?;
-            sh(cargo(&["run", "--quiet", "--locked", "-p", "host-bridge", "--example", "plan-trace", "--"])
-                .arg(&traces))?;
+            sh(built("examples/plan-trace")?.arg(&traces))?;
             let python = python::environment("mujoco", &["tests/mujoco/requirements.txt"])?;
             sh(Command::new(python).current_dir(root()).arg("tests/mujoco/check.py").arg(&traces))
         }),
-        Step::new("tools for the boards", || {
-            if !toolchain::is_complete() {
-                CROSS_RUST.ensure()?;
-            }
-            CROSS_LINK.ensure()?;
-            EMULATORS.ensure()?;
-            QEMU.ensure()
-        }),
-        Step::new("left hand: image and size", || firmware_avr::run(&[])),
-        Step::new("laptop and Cortex-M4F agree on all bits", || {
-            sh(Command::new("sh").current_dir(root()).arg("shared-dsp/bench-m4f/run.sh"))
-        }),
-        Step::new("left hand on an emulated Nano", || emulated("avr")),
-        Step::new("right hand: images and size", || firmware_nano33::run(&[])),
-        Step::new("right hand on an emulated Nano 33", || emulated("nrf")),
     ]
-}
-
-fn emulated(feature: &str) -> Result<()> {
-    sh(cargo(&["test", "--locked", "-p", "tests", "--features", feature]).args(["--", "--nocapture"]))
 }

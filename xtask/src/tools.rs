@@ -41,6 +41,11 @@ impl Packages {
         self.names.iter().copied().filter(|name| !is_installed(name)).collect()
     }
 
+    /// Whether nothing is missing.
+    pub fn is_complete(&self) -> bool {
+        self.missing().is_empty()
+    }
+
     /// Installs what is missing where that needs no question (root on Debian), else names it.
     ///
     /// # Errors
