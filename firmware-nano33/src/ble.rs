@@ -6,45 +6,45 @@
 //! | frames to the laptop (notify) | `b1a40002-…` |
 //! | frames to the board (write, write without response; needs an encrypted, bonded link) | `b1a40003-…` |
 //!
-//! Frames are a byte stream in both directions, cut wherever the MTU says. Pairing is "just works" with
-//! bonding (nrf-softdevice has no LE Secure Connections); states may be read by any laptop, writes may
-//! not. The newest bond is kept in flash. This file is the only one, with `flash.rs`, that knows
+//! Frames are a byte stream in both directions, cut wherever the MTU says. States may be read by any
+//! laptop; who may write is said in `bonds.rs`. These two files and `flash.rs` are the only ones that know
 //! nrf-softdevice.
 
-use core::cell::Cell;
-
 use embassy_executor::Spawner;
-use embassy_futures::join::join;
+use embassy_futures::join::join3;
 use embassy_futures::select::select;
 use embassy_nrf::Peri;
 use embassy_nrf::peripherals::USBD;
 use embassy_nrf::usb::vbus_detect::SoftwareVbusDetect;
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_sync::channel::Channel;
-use embassy_sync::signal::Signal;
 use embassy_time::{Duration, Timer};
 use nrf_softdevice::ble::advertisement_builder::{Flag, LegacyAdvertisementBuilder, ServiceList};
 use nrf_softdevice::ble::gatt_server::NotifyValueError;
-use nrf_softdevice::ble::security::SecurityHandler;
-use nrf_softdevice::ble::{
-    Connection, EncryptionInfo, IdentityKey, MasterId, SecurityMode, gatt_server, peripheral,
-};
+use nrf_softdevice::ble::{Connection, SecurityMode, gatt_server, peripheral};
 use nrf_softdevice::{SocEvent, Softdevice, raw};
 use shared_dsp::mlp::Model;
+use shared_proto::frame::DELIMITER;
 use static_cell::StaticCell;
 
+use crate::bonds::{Bonder, save_bonds};
 use crate::control;
 use crate::flash::SoftDeviceFlash;
 use crate::link::{Inlet, Link};
-use crate::storage::{BOND_PAGE, Flash, PAGE_BYTES, Store};
+use crate::storage::Store;
 use crate::transfer::Transfer;
 
 /// Bytes of one notification or write: the largest MTU less three of header.
 const PAYLOAD: usize = 244;
 /// Notifications that the SoftDevice queues. A state every 80 ms needs one; raw batches and answers more.
 const QUEUE: u8 = 8;
-/// Connection interval in 1.25 ms: 7.5 to 15 ms.
-const INTERVAL: (u16, u16) = (6, 12);
+/// Connection intervals in 1.25 ms that are asked for in turn: 7.5 to 15 ms, and 15 ms for systems that refuse less.
+const INTERVALS: [(u16, u16); 2] = [(6, 12), (12, 12)];
+/// A laptop answers a request for an interval within so long.
+const ANSWER: Duration = Duration::from_secs(5);
+/// Connection events that the board may sleep through while it has nothing to say: what it has to say leaves
+/// within one interval all the same, a laptop's frame arrives within five, and the radio is off in between.
+const LATENCY: u16 = 4;
 /// A link that is silent for so long (10 ms) is gone.
 const SUPERVISION: u16 = 200;
 /// Advertising interval in 0.625 ms: 30 ms.
@@ -116,82 +116,6 @@ pub fn random(softdevice: &Softdevice) -> u32 {
     u32::from_le_bytes(bytes)
 }
 
-/// The keys of the laptop that bonded last.
-#[derive(Clone, Copy)]
-#[repr(C)]
-struct Bond {
-    master_id: MasterId,
-    key: EncryptionInfo,
-    peer: IdentityKey,
-}
-
-const BOND_MAGIC: u32 = u32::from_le_bytes(*b"BMB1");
-const BOND_WORDS: usize = size_of::<Bond>().div_ceil(4);
-
-/// Answers the SoftDevice's questions about keys.
-struct Bonder {
-    bond: Cell<Option<Bond>>,
-    to_save: Signal<CriticalSectionRawMutex, Bond>,
-}
-
-impl Bonder {
-    fn load() -> Self {
-        let page = BOND_PAGE as *const u32;
-        // SAFETY: memory-mapped flash that the linker gives to nobody; the bytes of a bond that this image wrote
-        // (the magic word holds its layout's version) are valid for its plain integer fields.
-        let bond = unsafe {
-            (page.read_volatile() == BOND_MAGIC).then(|| page.add(1).cast::<Bond>().read_unaligned())
-        };
-        Self { bond: Cell::new(bond), to_save: Signal::new() }
-    }
-}
-
-impl SecurityHandler for Bonder {
-    fn can_bond(&self, _: &Connection) -> bool {
-        true
-    }
-
-    fn on_bonded(&self, _: &Connection, master_id: MasterId, key: EncryptionInfo, peer: IdentityKey) {
-        let bond = Bond { master_id, key, peer };
-        self.bond.set(Some(bond));
-        self.to_save.signal(bond);
-    }
-
-    fn get_key(&self, _: &Connection, master_id: MasterId) -> Option<EncryptionInfo> {
-        self.bond.get().filter(|b| b.master_id == master_id).map(|b| b.key)
-    }
-}
-
-/// Writes bonds to flash.
-#[embassy_executor::task]
-async fn save_bonds(bonder: &'static Bonder) -> ! {
-    loop {
-        let bond = bonder.to_save.wait().await;
-        let mut words = [0; 1 + BOND_WORDS];
-        words[0] = BOND_MAGIC;
-        // SAFETY: plain integers, copied as bytes into room of at least their size.
-        unsafe {
-            (&raw const bond)
-                .cast::<u8>()
-                .copy_to_nonoverlapping(words[1..].as_mut_ptr().cast(), size_of::<Bond>());
-        }
-        let mut flash = SoftDeviceFlash;
-        let saved = match flash.erase_page(BOND_PAGE).await {
-            // The magic word last: a write that breaks leaves no bond.
-            Ok(()) => match flash.write(BOND_PAGE + 4, &words[1..]).await {
-                Ok(()) => flash.write(BOND_PAGE, &words[..1]).await,
-                Err(e) => Err(e),
-            },
-            Err(e) => Err(e),
-        };
-        if saved.is_err() {
-            defmt::warn!("the bond was not saved; pair again after a restart");
-        }
-    }
-}
-
-const _: () = assert!(4 + BOND_WORDS * 4 <= PAGE_BYTES as usize);
-
 /// Answers the laptop.
 #[embassy_executor::task]
 pub async fn run_control(model: &'static Model<'static>, store: Store<SoftDeviceFlash>) {
@@ -240,8 +164,9 @@ async fn run_radio(softdevice: &'static Softdevice, server: &'static Server, bon
             adv_data: &ADVERTISEMENT,
             scan_data: &SCAN_RESPONSE,
         };
+        bonder.forget_link();
         match peripheral::advertise_pairable(softdevice, advertisement, &config, bonder).await {
-            Ok(connection) => serve(&connection, server).await,
+            Ok(connection) => serve(&connection, server, bonder).await,
             Err(_) => Timer::after(Duration::from_millis(100)).await,
         }
     }
@@ -250,17 +175,44 @@ async fn run_radio(softdevice: &'static Softdevice, server: &'static Server, bon
 /// Writes on their way from S140's callback to the decoder. What does not fit is lost, and the laptop repeats it.
 static WRITES: Channel<CriticalSectionRawMutex, Payload, 4> = Channel::new();
 
-async fn serve(connection: &Connection, server: &Server) {
+/// Asks the laptop for an interval until it grants one, or leaves it at what it wants.
+async fn negotiate(connection: &Connection) {
+    for (min, max) in INTERVALS {
+        let _ = connection.set_conn_params(raw::ble_gap_conn_params_t {
+            min_conn_interval: min,
+            max_conn_interval: max,
+            slave_latency: LATENCY,
+            conn_sup_timeout: SUPERVISION,
+        });
+        Timer::after(ANSWER).await;
+        if connection.conn_params().max_conn_interval <= max {
+            return;
+        }
+    }
+}
+
+/// Queues a piece of a frame; false where the queue stays full for longer than a hop, since the frame is late then.
+async fn queue(connection: &Connection, server: &Server, piece: &[u8]) -> bool {
+    let Ok(piece) = Payload::from_slice(piece) else { return false };
+    // The queue empties once per connection interval.
+    for _ in 0..16 {
+        match server.hand.out_notify(connection, &piece) {
+            Ok(()) => return true,
+            Err(NotifyValueError::Disconnected) => return false,
+            Err(NotifyValueError::Raw(_)) => Timer::after(Duration::from_millis(5)).await,
+        }
+    }
+    false
+}
+
+async fn serve(connection: &Connection, server: &Server, bonder: &Bonder) {
     let outbox = Link::Ble.outbox();
     WRITES.clear();
-    let _ = connection.set_conn_params(raw::ble_gap_conn_params_t {
-        min_conn_interval: INTERVAL.0,
-        max_conn_interval: INTERVAL.1,
-        slave_latency: 0,
-        conn_sup_timeout: SUPERVISION,
-    });
     let events = gatt_server::run(connection, server, |ServerEvent::Hand(event)| match event {
-        HandServiceEvent::OutCccdWrite { notifications } => outbox.set_open(notifications),
+        HandServiceEvent::OutCccdWrite { notifications } => {
+            outbox.set_open(notifications);
+            bonder.keep_subscription(connection);
+        }
         HandServiceEvent::InputWrite(bytes) => {
             let _ = WRITES.try_send(bytes);
         }
@@ -269,30 +221,29 @@ async fn serve(connection: &Connection, server: &Server) {
         let mut inlet = Inlet::new(Link::Ble);
         loop {
             let bytes = WRITES.receive().await;
-            // S140 has checked it already (`security` above); this is the second lock.
-            let trusted = !matches!(connection.security_mode(), SecurityMode::NoAccess | SecurityMode::Open);
-            inlet.take(&bytes, trusted).await;
+            // S140 has checked that the link is encrypted (`security` above), not that the keys are kept.
+            inlet.take(&bytes, bonder.trusts()).await;
         }
     };
     let send = async {
+        // The beginning of a frame left and its end did not: the next one must not be taken for it.
+        let mut torn = false;
         loop {
             let frame = outbox.next().await;
+            if torn && !queue(connection, server, &[DELIMITER]).await {
+                continue;
+            }
+            torn = false;
             let room = usize::from(connection.att_mtu()).saturating_sub(3).clamp(20, PAYLOAD);
-            'frame: for piece in frame.chunks(room) {
-                let Ok(piece) = Payload::from_slice(piece) else { break };
-                // The queue empties once per connection interval; a frame that waits longer than a hop is late.
-                for _ in 0..16 {
-                    match server.hand.out_notify(connection, &piece) {
-                        Ok(()) => continue 'frame,
-                        Err(NotifyValueError::Disconnected) => break 'frame,
-                        Err(NotifyValueError::Raw(_)) => Timer::after(Duration::from_millis(5)).await,
-                    }
+            for (i, piece) in frame.chunks(room).enumerate() {
+                if !queue(connection, server, piece).await {
+                    torn = i > 0;
+                    break;
                 }
-                break;
             }
         }
     };
-    select(events, join(receive, send)).await;
+    select(events, join3(negotiate(connection), receive, send)).await;
     outbox.set_open(false);
 }
 

@@ -33,7 +33,8 @@ impl Flash for Controller {
     }
 }
 
-/// The SoftDevice's flash calls, which fit between radio events. One user at a time.
+/// The SoftDevice's flash calls, which fit between radio events. One user at a time. Where the radio leaves no room
+/// (while a link begins, changes or ends) the SoftDevice gives up after a while, and is asked again.
 #[cfg(feature = "ble")]
 #[derive(Clone, Copy)]
 pub struct SoftDeviceFlash;
@@ -63,13 +64,25 @@ impl SoftDeviceFlash {
     }
 }
 
+/// Times that an operation is asked for, and the pause in between.
+#[cfg(feature = "ble")]
+const TRIES: usize = 5;
+#[cfg(feature = "ble")]
+const PAUSE: embassy_time::Duration = embassy_time::Duration::from_millis(50);
+
 #[cfg(feature = "ble")]
 impl Flash for SoftDeviceFlash {
     async fn erase_page(&mut self, address: u32) -> Result<(), FlashFailed> {
         use embedded_storage_async::nor_flash::NorFlash;
         let mut calls = CALLS.lock().await;
         let calls = calls.as_mut().ok_or(FlashFailed)?;
-        calls.0.erase(address, address + PAGE_BYTES).await.map_err(|_| FlashFailed)
+        for _ in 0..TRIES {
+            if calls.0.erase(address, address + PAGE_BYTES).await.is_ok() {
+                return Ok(());
+            }
+            embassy_time::Timer::after(PAUSE).await;
+        }
+        Err(FlashFailed)
     }
 
     async fn write(&mut self, address: u32, words: &[u32]) -> Result<(), FlashFailed> {
@@ -78,6 +91,13 @@ impl Flash for SoftDeviceFlash {
         let bytes = unsafe { core::slice::from_raw_parts(words.as_ptr().cast::<u8>(), words.len() * 4) };
         let mut calls = CALLS.lock().await;
         let calls = calls.as_mut().ok_or(FlashFailed)?;
-        calls.0.write(address, bytes).await.map_err(|_| FlashFailed)
+        for _ in 0..TRIES {
+            // The same words once more change nothing.
+            if calls.0.write(address, bytes).await.is_ok() {
+                return Ok(());
+            }
+            embassy_time::Timer::after(PAUSE).await;
+        }
+        Err(FlashFailed)
     }
 }

@@ -6,6 +6,8 @@
 mod awake;
 #[cfg(feature = "ble")]
 mod ble;
+#[cfg(feature = "ble")]
+mod bonds;
 mod bus;
 mod classify;
 mod control;

@@ -12,6 +12,8 @@ use super::lsm9ds1::{Lsm9ds1, Motion};
 use super::memory::{FLASH_BYTES, RAM_BYTES, RAM_START};
 use super::nvic::FIRST_IRQ;
 use super::soc::{SLOTS_END, SLOTS_START, Soc};
+use super::softdevice::rules::FORWARD_CYCLES;
+use super::softdevice::{APPLICATION, Core, SoftDevice};
 use super::time::{HZ, us};
 
 /// Cycles per two instructions: the flash has wait states and loads take two cycles; 1.5 per
@@ -63,6 +65,9 @@ struct World {
     thread_instructions: u64,
     half: u64,
     event: bool,
+    /// Cycles of executed instructions, and how many they were when interrupts were masked.
+    executed: u64,
+    masked_since: Option<u64>,
     blocks: HashMap<u32, u64>,
     probes: HashMap<u32, usize>,
     calls: Vec<Vec<Call>>,
@@ -70,6 +75,19 @@ struct World {
     taps: HashMap<u32, (usize, usize)>,
     tapped: Vec<Vec<Tapped>>,
     bad_access: Option<String>,
+}
+
+impl World {
+    /// PRIMASK changes; S140 does not like it long.
+    fn mask(&mut self, masks: bool) {
+        if masks {
+            self.masked_since.get_or_insert(self.executed);
+        } else if let Some(since) = self.masked_since.take()
+            && let Some(softdevice) = self.soc.softdevice.as_mut().filter(|s| s.is_enabled())
+        {
+            softdevice.rules.masked(self.executed - since);
+        }
+    }
 }
 
 /// How the image is started.
@@ -117,6 +135,9 @@ impl Board {
         for (address, bytes) in &image.pieces {
             soc.flash[*address as usize..][..bytes.len()].copy_from_slice(bytes);
         }
+        if boot == Boot::SoftDevice {
+            soc.softdevice = Some(Box::default());
+        }
         let world = World {
             soc,
             stop: None,
@@ -124,6 +145,8 @@ impl Board {
             thread_instructions: 0,
             half: 0,
             event: false,
+            executed: 0,
+            masked_since: None,
             blocks: HashMap::new(),
             probes: HashMap::new(),
             calls: Vec::new(),
@@ -233,6 +256,7 @@ impl Board {
             world.half += count * CYCLES_PER_TWO;
             let cycles = world.half / 2;
             world.half %= 2;
+            world.executed += cycles;
             world.soc.now += cycles;
             world.soc.awake += cycles;
         })
@@ -253,8 +277,9 @@ impl Board {
             false
         })
         .expect("a hook");
-        // WFE, WFI and SEV, wherever they may stand.
+        // WFE, WFI, SEV and what masks interrupts, wherever they may stand.
         for (at, half) in flash.chunks_exact(2).enumerate() {
+            let next = flash.get(at * 2 + 2..at * 2 + 4).map_or(0, |b| u16::from_le_bytes([b[0], b[1]]));
             let at = (at * 2) as u64;
             match u16::from_le_bytes([half[0], half[1]]) {
                 0xBF20 | 0xBF30 => {
@@ -267,6 +292,19 @@ impl Board {
                 }
                 0xBF40 => {
                     uc.add_code_hook(at, at, |uc, _, _| uc.get_data_mut().event = true).expect("a hook");
+                }
+                // CPSID and CPSIE; MSR PRIMASK from a register.
+                0xB672 | 0xB662 => {
+                    let masks = half[0] == 0x72;
+                    uc.add_code_hook(at, at, move |uc, _, _| uc.get_data_mut().mask(masks)).expect("a hook");
+                }
+                first @ 0xF380..=0xF38F if next == 0x8810 => {
+                    let register = RegisterARM::R0 as i32 + i32::from(first & 0xF);
+                    uc.add_code_hook(at, at, move |uc, _, _| {
+                        let masks = uc.reg_read(register).unwrap_or(0) & 1 != 0;
+                        uc.get_data_mut().mask(masks);
+                    })
+                    .expect("a hook");
                 }
                 _ => {}
             }
@@ -316,6 +354,7 @@ impl Board {
         self.asleep = false;
         let world = self.uc.get_data_mut();
         world.event = false;
+        world.masked_since = None;
         world.open.clear();
     }
 
@@ -419,7 +458,16 @@ impl Board {
             (true, false) => 0xFFFF_FFE9,
             (true, true) => 0xFFFF_FFE1u32,
         };
-        let table = self.soc().nvic.vector_table;
+        let mut table = self.soc().nvic.vector_table;
+        if self.boot == Boot::SoftDevice && table == 0 {
+            // The table at 0 is the MBR's, which forwards to S140, which forwards to the application.
+            table = APPLICATION;
+            self.spend(FORWARD_CYCLES);
+            let soc = self.soc();
+            if let Some(softdevice) = soc.softdevice.as_mut().filter(|s| s.is_enabled()) {
+                softdevice.rules.interrupt(exception - FIRST_IRQ, &soc.nvic);
+            }
+        }
         let vector = self.load(table + 4 * exception as u32);
         assert!(vector & 1 == 1, "exception {exception} has no handler in the table at {table:#x}");
         self.set_reg(RegisterARM::CONTROL, 0);
@@ -488,6 +536,8 @@ impl Board {
                 soc.awake += still;
             }
             soc.advance();
+            self.softdevice_woke();
+            let soc = self.soc();
             let now = soc.now;
             if soc.watchdog.bites(now) {
                 self.reset(2);
@@ -519,6 +569,7 @@ impl Board {
             }
             self.execute(until);
         }
+        self.softdevice_woke();
     }
 
     fn execute(&mut self, until: u64) {
@@ -539,7 +590,7 @@ impl Board {
                 self.asleep = if for_event { !event } else { !self.soc().nvic.any_ready() };
             }
             Some(Stop::ExceptionReturn) => self.leave(),
-            Some(Stop::Supervisor) => panic!("SVC at {:#x}", self.reg(RegisterARM::PC)),
+            Some(Stop::Supervisor) => self.supervisor_call(),
             Some(Stop::Fault(at)) => {
                 panic!("the core faults at {at:#x}, lr {:#x}", self.reg(RegisterARM::LR))
             }
@@ -552,6 +603,50 @@ impl Board {
                 )
             }
         }
+    }
+
+    /// S140's own interrupts end a sleep, and what breaks its rules ends the run.
+    ///
+    /// # Panics
+    /// Where a rule of S140 is broken.
+    fn softdevice_woke(&mut self) {
+        let world = self.uc.get_data_mut();
+        let Some(softdevice) = &mut world.soc.softdevice else { return };
+        world.event |= std::mem::take(&mut softdevice.woke);
+        if let Some(broken) = softdevice.rules.broken() {
+            let broken = broken.to_string();
+            panic!("a rule of S140 is broken near {:#x}: {broken}", self.reg(RegisterARM::PC));
+        }
+    }
+
+    fn supervisor_call(&mut self) {
+        let pc = self.reg(RegisterARM::PC) & !1;
+        let number = (self.load((pc - 2) & !3) >> (8 * ((pc - 2) & 3))) as u8;
+        let core = Core {
+            args: [RegisterARM::R0, RegisterARM::R1, RegisterARM::R2, RegisterARM::R3].map(|r| self.reg(r)),
+            sp: self.reg(RegisterARM::SP),
+            masked: self.reg(RegisterARM::PRIMASK) & 1 != 0,
+            statics_end: self.image.symbols.get("__sheap").copied().unwrap_or(RAM_START),
+        };
+        let soc = self.soc();
+        let Some(mut softdevice) = soc.softdevice.take() else {
+            panic!("SVC {number} at {pc:#x} without S140");
+        };
+        let answer = softdevice.call(number, core, soc);
+        soc.softdevice = Some(softdevice);
+        soc.settle();
+        self.set_reg(RegisterARM::R0, answer);
+        self.set_reg(RegisterARM::PC, pc | 1);
+        self.spend(super::softdevice::rules::CALL_CYCLES);
+        self.uc.get_data_mut().event = true;
+    }
+
+    /// S140 below the image.
+    ///
+    /// # Panics
+    /// Where the image does not run behind S140.
+    pub fn softdevice(&mut self) -> &mut SoftDevice {
+        self.soc().softdevice.as_mut().expect("the image runs behind S140")
     }
 
     /// Runs for so many milliseconds of virtual time.

@@ -2,8 +2,9 @@
 //!
 //! Needs the package `libunicorn-dev` (Debian) and the cargo feature `nrf`. One peripheral per file, each
 //! with its own tests, since emulators lie a little. What is not modelled: wait states of the flash (see
-//! `board::CYCLES_PER_TWO`), bus contention, analog behaviour of pins, the radio.
+//! `board::CYCLES_PER_TWO`), bus contention, analog behaviour of pins, the radio's waves.
 
+pub mod ble_host;
 pub mod board;
 pub mod build;
 pub mod events;
@@ -19,6 +20,7 @@ pub mod recordings;
 pub mod rtc;
 pub mod session;
 pub mod soc;
+pub mod softdevice;
 pub mod system;
 pub mod time;
 pub mod timer;

@@ -1,8 +1,9 @@
-//! A laptop at the emulated board's serial port: requests in, messages out.
+//! A laptop at the emulated board's serial port or Bluetooth: requests in, messages out.
 
 use shared_proto::frame::{BOARD_FRAME_MAX, Decoder, encode_host, parse_board};
 use shared_proto::message::{Ack, BoardMessage, Fault, Hello, HostMessage, Status};
 
+use super::ble_host::BleHost;
 use super::board::{Board, Boot};
 use super::build::{Variant, image};
 use super::lsm9ds1::Motion;
@@ -49,26 +50,55 @@ pub struct Heard {
     pub pongs: usize,
 }
 
+/// Bytes from the board to messages.
+#[derive(Default)]
+pub struct Listener {
+    /// What the board said.
+    pub heard: Heard,
+    decoder: Decoder<BOARD_FRAME_MAX>,
+}
+
 /// A board and who listens to it.
 pub struct Session {
     /// The board.
     pub board: Board,
-    /// What it said.
+    /// What it said to this laptop.
     pub heard: Heard,
     decoder: Decoder<BOARD_FRAME_MAX>,
+    /// Bluetooth, where the laptop uses it; then another one listens at D0.
+    pub ble: Option<BleHost>,
+    /// What that other laptop heard.
+    pub uart: Listener,
 }
 
 impl Session {
     /// Starts the image behind the stock bootloader, with a laptop at D0 and D1.
     pub fn uart(motion: Box<dyn Motion>) -> Self {
-        let board = Board::new(image(Variant::Bootloader), Boot::StockBootloader, motion);
-        Self { board, heard: Heard::default(), decoder: Decoder::new() }
+        Self::new(Board::new(image(Variant::Bootloader), Boot::StockBootloader, motion), None)
+    }
+
+    /// Starts the image behind S140, with a laptop that connects over Bluetooth by itself.
+    pub fn ble(motion: Box<dyn Motion>) -> Self {
+        let mut board = Board::new(image(Variant::Ble), Boot::SoftDevice, motion);
+        let mut host = BleHost::default();
+        host.connect(&mut board);
+        Self::new(board, Some(host))
+    }
+
+    fn new(board: Board, ble: Option<BleHost>) -> Self {
+        Self { board, heard: Heard::default(), decoder: Decoder::new(), ble, uart: Listener::default() }
     }
 
     /// Runs and listens.
     pub fn run_ms(&mut self, milliseconds: u64) {
-        self.board.run_ms(milliseconds);
-        self.listen();
+        // A laptop's Bluetooth reacts to what it sees.
+        let step = if self.ble.is_some() { 5 } else { milliseconds };
+        let mut left = milliseconds;
+        while left > 0 {
+            self.board.run_ms(left.min(step));
+            left -= left.min(step);
+            self.listen();
+        }
     }
 
     /// Runs in steps of a millisecond until something holds or time is up; whether it held.
@@ -86,7 +116,10 @@ impl Session {
     pub fn send(&mut self, message: &HostMessage<'_>) {
         let mut buffer = [0; 512];
         let frame = encode_host(message, &mut buffer).expect("fits a frame").to_vec();
-        self.board.uart_in(&frame);
+        match &mut self.ble {
+            Some(host) => host.send(&mut self.board, &frame),
+            None => self.board.uart_in(&frame),
+        }
     }
 
     /// Sends a message and waits for the acknowledgement of this request number.
@@ -112,35 +145,45 @@ impl Session {
     }
 
     fn listen(&mut self) {
-        for (at, byte) in self.board.soc().uart.take_sent() {
-            let Some(payload) = self.decoder.push(byte) else { continue };
-            let heard = &mut self.heard;
-            match parse_board(payload).expect("a message of this version") {
-                BoardMessage::Hello(Hello { boot_id, model_id, .. }) => {
-                    heard.hellos.push((boot_id, model_id))
-                }
-                BoardMessage::Right(r) => heard.states.push(Right {
-                    at,
-                    sequence: r.sequence,
-                    board_time_ms: r.board_time_ms,
-                    events: r.events,
-                    label: r.label,
-                    confidence: r.confidence,
-                    event_window_end_ms: r.event_window_end_ms,
-                    scores: r.scores.to_vec(),
-                    health: r.health,
-                }),
-                BoardMessage::Status(s) => heard.statuses.push(s),
-                BoardMessage::Fault(f) => heard.faults.push(f),
-                BoardMessage::Ack(a) => heard.acks.push(a),
-                BoardMessage::Pong(_) => heard.pongs += 1,
-                BoardMessage::RawImu(raw) => {
-                    let counts =
-                        raw.counts.chunks_exact(2).map(|c| i16::from_le_bytes([c[0], c[1]])).collect();
-                    heard.raw.push((raw.first_sample, counts));
-                }
-                BoardMessage::ModelInfo(_) | BoardMessage::Left(_) => {}
+        let uart = self.board.soc().uart.take_sent();
+        let Some(host) = &mut self.ble else {
+            return uart.into_iter().for_each(|(at, byte)| self.heard.push(&mut self.decoder, at, byte));
+        };
+        host.step(&mut self.board);
+        for (at, byte) in host.read(&mut self.board) {
+            self.heard.push(&mut self.decoder, at, byte);
+        }
+        for (at, byte) in uart {
+            self.uart.heard.push(&mut self.uart.decoder, at, byte);
+        }
+    }
+}
+
+impl Heard {
+    fn push(&mut self, decoder: &mut Decoder<BOARD_FRAME_MAX>, at: u64, byte: u8) {
+        let Some(payload) = decoder.push(byte) else { return };
+        match parse_board(payload).expect("a message of this version") {
+            BoardMessage::Hello(Hello { boot_id, model_id, .. }) => self.hellos.push((boot_id, model_id)),
+            BoardMessage::Right(r) => self.states.push(Right {
+                at,
+                sequence: r.sequence,
+                board_time_ms: r.board_time_ms,
+                events: r.events,
+                label: r.label,
+                confidence: r.confidence,
+                event_window_end_ms: r.event_window_end_ms,
+                scores: r.scores.to_vec(),
+                health: r.health,
+            }),
+            BoardMessage::Status(s) => self.statuses.push(s),
+            BoardMessage::Fault(f) => self.faults.push(f),
+            BoardMessage::Ack(a) => self.acks.push(a),
+            BoardMessage::Pong(_) => self.pongs += 1,
+            BoardMessage::RawImu(raw) => {
+                let counts = raw.counts.chunks_exact(2).map(|c| i16::from_le_bytes([c[0], c[1]])).collect();
+                self.raw.push((raw.first_sample, counts));
             }
+            BoardMessage::ModelInfo(_) | BoardMessage::Left(_) => {}
         }
     }
 }

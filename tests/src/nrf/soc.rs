@@ -9,6 +9,7 @@ use super::memory::{FLASH_BYTES, Ram};
 use super::nvic::Nvic;
 use super::ppi::Ppi;
 use super::rtc::Rtc;
+use super::softdevice::SoftDevice;
 use super::system::{ClockPower, Rng, Watchdog};
 use super::timer::Timer;
 use super::twim::Twim;
@@ -27,8 +28,8 @@ const NVMC: usize = 30;
 const PPI: usize = 31;
 const USBD: usize = 39;
 
-/// Start of the flash that the firmware writes itself.
-pub const SLOTS_START: u32 = 0xD8000;
+/// Start of the flash that the firmware writes itself: bond keys, then models.
+pub const SLOTS_START: u32 = 0xD7000;
 /// Its end.
 pub const SLOTS_END: u32 = 0xE0000;
 
@@ -61,6 +62,8 @@ pub struct Soc {
     ppi: Ppi,
     /// USB device.
     pub usb: Usbd,
+    /// S140, where the image runs behind it.
+    pub softdevice: Option<Box<SoftDevice>>,
     /// Pins.
     pub ports: [Port; 2],
     /// The sensor bus.
@@ -96,6 +99,7 @@ impl Soc {
             nvmc: Nvmc::default(),
             ppi: Ppi::default(),
             usb: Usbd::default(),
+            softdevice: None,
             ports: Default::default(),
             bus: Bus::new(sensor),
             others: Default::default(),
@@ -121,6 +125,9 @@ impl Soc {
         self.nvmc.reset();
         self.ppi = Ppi::default();
         self.usb.reset();
+        if let Some(softdevice) = &mut self.softdevice {
+            softdevice.reset(self.now);
+        }
         self.ports = Default::default();
         self.others.clear();
         self.wires();
@@ -220,6 +227,7 @@ impl Soc {
 
     /// The core reads.
     pub fn read(&mut self, address: u32, size: u32) -> u32 {
+        self.check(address, None);
         let word = self.read_word(address & !3);
         let shifted = word >> (8 * (address & 3));
         match size {
@@ -229,8 +237,18 @@ impl Soc {
         }
     }
 
-    /// The core or the PPI writes.
+    /// What S140 has to say to an access of the core.
+    fn check(&mut self, address: u32, write: Option<u32>) {
+        if let Some(softdevice) = &mut self.softdevice
+            && softdevice.is_enabled()
+        {
+            softdevice.rules.access(address, write);
+        }
+    }
+
+    /// The core writes.
     pub fn write(&mut self, address: u32, value: u32, size: u32) {
+        self.check(address, Some(value));
         self.write_quietly(address, value, size);
         self.run_ppi();
         self.settle();
@@ -326,7 +344,9 @@ impl Soc {
         let mut lines = 0;
         self.for_each_events(|page, events| lines |= u64::from(events.irq()) << page);
         self.nvic.set_lines(lines);
+        let softdevice = self.softdevice.as_ref().and_then(|s| s.due(&self.power, self.now));
         self.due = [
+            softdevice,
             self.power.due(),
             self.uart.due(),
             self.twim.due(),
@@ -352,6 +372,10 @@ impl Soc {
             self.rtc1.advance(at);
             self.rng.advance(at);
             self.usb.advance(at, &mut self.ram);
+            if let Some(mut softdevice) = self.softdevice.take() {
+                softdevice.advance(at, self);
+                self.softdevice = Some(softdevice);
+            }
             self.run_ppi();
             self.settle();
         }

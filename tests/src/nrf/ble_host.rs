@@ -1,0 +1,85 @@
+//! A laptop's Bluetooth as its operating system and our bridge use it: connects by itself, again and again; encrypts
+//! with the kept keys or pairs; asks for a large MTU; subscribes; then frames go both ways.
+
+use super::board::Board;
+use super::softdevice::central::{Command, Happening};
+
+/// What Linux asks for.
+const MTU: u16 = 517;
+/// Bytes of a write before the MTU is known.
+const SMALLEST_WRITE: usize = 20;
+
+/// The laptop's side of a Bluetooth link. The frames' bytes are those of a UART, cut as the MTU says.
+#[derive(Clone, Debug)]
+pub struct BleHost {
+    /// Whether it pairs where it has no keys.
+    pub pairs: bool,
+    /// Whether it keeps the keys of a pairing.
+    pub bonds: bool,
+    seen: usize,
+    taken: usize,
+    room: usize,
+    ready: bool,
+}
+
+impl Default for BleHost {
+    fn default() -> Self {
+        Self { pairs: true, bonds: true, seen: 0, taken: 0, room: SMALLEST_WRITE, ready: false }
+    }
+}
+
+impl BleHost {
+    /// Looks for the board from now on.
+    pub fn connect(&mut self, board: &mut Board) {
+        board.softdevice().central.connects = true;
+    }
+
+    /// Reacts to what happened since the last call; call it every few milliseconds.
+    pub fn step(&mut self, board: &mut Board) {
+        let central = &mut board.softdevice().central;
+        for index in self.seen..central.log.len() {
+            match central.log[index].1 {
+                Happening::Connected(_) => {
+                    (self.room, self.ready) = (SMALLEST_WRITE, false);
+                    central.order([Command::ExchangeMtu(MTU)]);
+                    if central.bond.is_some() {
+                        central.order([Command::Encrypt]);
+                    } else if self.pairs {
+                        central.order([Command::Pair { bond: self.bonds }]);
+                    }
+                    central.order([Command::Subscribe(true)]);
+                }
+                // The board has forgotten us: pair anew.
+                Happening::KeyMissing if self.pairs => {
+                    central.commands.push_front(Command::Pair { bond: self.bonds });
+                }
+                Happening::Mtu(mtu) => self.room = usize::from(mtu) - 3,
+                Happening::Subscribed(on) => self.ready = on,
+                Happening::Disconnected(_) => self.ready = false,
+                _ => {}
+            }
+        }
+        self.seen = central.log.len();
+    }
+
+    /// Whether frames flow.
+    pub fn is_ready(&self) -> bool {
+        self.ready
+    }
+
+    /// Bytes notified since the last call, with the cycle at which each was here.
+    pub fn read(&mut self, board: &mut Board) -> Vec<(u64, u8)> {
+        let now = board.now();
+        let notified = &board.softdevice().central.notified;
+        let here = notified[self.taken..].iter().take_while(|(at, _)| *at <= now).count();
+        let new = &notified[self.taken..self.taken + here];
+        self.taken += here;
+        new.iter().flat_map(|(at, bytes)| bytes.iter().map(|&b| (*at, b))).collect()
+    }
+
+    /// Writes bytes, in pieces as the MTU says, without responses.
+    pub fn send(&mut self, board: &mut Board, bytes: &[u8]) {
+        let pieces = bytes.chunks(self.room).map(|piece| Command::WriteCommand(piece.to_vec()));
+        board.softdevice().central.order(pieces);
+    }
+}

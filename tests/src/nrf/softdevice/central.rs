@@ -1,0 +1,228 @@
+//! A laptop's Bluetooth: finds the board, connects, pairs, subscribes, writes, and notes what it hears.
+//!
+//! Tests give it [`Command`]s, which it works through in order over connection events, and read [`Happening`]s.
+
+use std::collections::VecDeque;
+
+/// What the laptop does next.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Command {
+    /// Asks for a larger ATT MTU.
+    ExchangeMtu(u16),
+    /// Asks for the 2 Mbit/s radio.
+    FastRadio,
+    /// Turns notifications on or off.
+    Subscribe(bool),
+    /// Pairs anew, keeping the keys (bonding) or not.
+    Pair {
+        /// Both sides keep the keys.
+        bond: bool,
+    },
+    /// Encrypts with the keys of the last bond.
+    Encrypt,
+    /// Writes and waits for the response.
+    Write(Vec<u8>),
+    /// Writes without response.
+    WriteCommand(Vec<u8>),
+    /// Ends the link.
+    Disconnect,
+}
+
+/// What the laptop noticed.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Happening {
+    /// The link stands, with this interval in 1.25 ms.
+    Connected(u16),
+    /// The link is gone, for this reason of [`super::abi::reason`].
+    Disconnected(u8),
+    /// The board asked for an interval between these, in 1.25 ms, with this latency and supervision timeout (10 ms).
+    AskedFor {
+        /// Shortest.
+        min: u16,
+        /// Longest.
+        max: u16,
+        /// Events that the board may sleep through.
+        latency: u16,
+        /// Silence that ends the link.
+        supervision: u16,
+        /// The laptop agreed.
+        granted: bool,
+    },
+    /// A new interval is used, in 1.25 ms.
+    Interval(u16),
+    /// The ATT MTU.
+    Mtu(u16),
+    /// Bytes per radio packet.
+    DataLength(u16),
+    /// Pairing is done.
+    Paired {
+        /// The keys are kept.
+        bonded: bool,
+    },
+    /// The link is encrypted with kept keys.
+    Encrypted,
+    /// The board does not know the keys (any more).
+    KeyMissing,
+    /// The board answered the subscription.
+    Subscribed(bool),
+    /// The board answered a write: done, or refused with this ATT error.
+    Written(Result<(), u8>),
+}
+
+/// Keys that both sides kept.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Bond {
+    /// The long term key.
+    pub key: [u8; 16],
+    /// Its number.
+    pub diversifier: u16,
+    /// And the rest of its number.
+    pub random: [u8; 8],
+}
+
+/// An advertisement as heard.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Heard {
+    /// Advertising data.
+    pub data: Vec<u8>,
+    /// Scan response.
+    pub response: Vec<u8>,
+}
+
+impl Heard {
+    /// The content of the first structure of this type.
+    pub fn part(&self, kind: u8) -> Option<&[u8]> {
+        [&self.data, &self.response].into_iter().find_map(|bytes| {
+            let mut rest = bytes.as_slice();
+            while let [len, kind_here, ..] = *rest {
+                let len = usize::from(len);
+                if len > 0 && kind_here == kind {
+                    return rest.get(2..=len);
+                }
+                rest = rest.get(1 + len..)?;
+            }
+            None
+        })
+    }
+}
+
+/// The laptop.
+#[derive(Clone, Debug)]
+pub struct Central {
+    /// Its address.
+    pub address: [u8; 6],
+    /// It hears and is heard.
+    pub in_range: bool,
+    /// It connects as soon as it hears the board.
+    pub connects: bool,
+    /// Interval of new connections, in 1.25 ms.
+    pub first_interval: u16,
+    /// Shortest interval that it grants, in 1.25 ms.
+    pub shortest_interval: u16,
+    /// It supports long radio packets.
+    pub long_packets: bool,
+    /// What it still has to do.
+    pub commands: VecDeque<Command>,
+    /// What happened, with the cycle.
+    pub log: Vec<(u64, Happening)>,
+    /// Notifications with the cycle at which each was complete.
+    pub notified: Vec<(u64, Vec<u8>)>,
+    /// The last advertisement.
+    pub heard: Option<Heard>,
+    /// Advertisements so far.
+    pub advertisements: u64,
+    /// Keys of the board.
+    pub bond: Option<Bond>,
+    lost_at: Option<u64>,
+    connected: bool,
+}
+
+impl Default for Central {
+    fn default() -> Self {
+        Self {
+            address: [0x11, 0x22, 0x33, 0x44, 0x55, 0xC6],
+            in_range: true,
+            connects: false,
+            // Linux' default: 30 ms, and whatever a peripheral asks for.
+            first_interval: 24,
+            shortest_interval: 6,
+            long_packets: true,
+            commands: VecDeque::new(),
+            log: Vec::new(),
+            notified: Vec::new(),
+            heard: None,
+            advertisements: 0,
+            bond: None,
+            lost_at: None,
+            connected: false,
+        }
+    }
+}
+
+impl Central {
+    /// Gives commands.
+    pub fn order(&mut self, commands: impl IntoIterator<Item = Command>) {
+        self.commands.extend(commands);
+    }
+
+    /// Whether it has a link.
+    pub fn is_connected(&self) -> bool {
+        self.connected
+    }
+
+    /// Happenings so far that answer to a question.
+    pub fn saw(&self, what: impl Fn(&Happening) -> bool) -> usize {
+        self.log.iter().filter(|(_, h)| what(h)).count()
+    }
+
+    pub(super) fn tell(&mut self, at: u64, what: Happening) {
+        match what {
+            Happening::Connected(_) => self.connected = true,
+            Happening::Disconnected(_) => self.connected = false,
+            _ => {}
+        }
+        self.log.push((at, what));
+    }
+
+    /// What was left to do belongs to the link that is gone.
+    pub(super) fn left(&mut self) {
+        self.commands.clear();
+    }
+
+    /// The board fell silent (it restarted); this is noticed at this cycle.
+    pub(super) fn silence(&mut self, noticed_at: u64) {
+        self.lost_at = Some(noticed_at);
+        self.left();
+    }
+
+    pub(super) fn may_connect(&self) -> bool {
+        self.connects && self.in_range && !self.connected && self.lost_at.is_none()
+    }
+
+    pub(super) fn advance(&mut self, now: u64) {
+        if self.lost_at.is_some_and(|at| at <= now) {
+            self.lost_at = None;
+            self.tell(now, Happening::Disconnected(super::abi::reason::TIMEOUT));
+        }
+    }
+
+    pub(super) fn due(&self) -> Option<u64> {
+        self.lost_at
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn parts_of_an_advertisement_are_found_in_either_packet_and_damage_ends_the_search() {
+        let heard = Heard { data: vec![2, 1, 6, 3, 0xFF, 1, 2], response: vec![3, 9, b'h', b'i', 0] };
+        assert_eq!(heard.part(1), Some(&[6][..]));
+        assert_eq!(heard.part(0xFF), Some(&[1, 2][..]));
+        assert_eq!(heard.part(9), Some(&b"hi"[..]));
+        assert_eq!(heard.part(7), None);
+        let broken = Heard { data: vec![200, 1, 6], response: Vec::new() };
+        assert_eq!(broken.part(1), None);
+    }
+}

@@ -1,0 +1,252 @@
+//! What S140 forbids the application, and how much RAM and time it takes for itself.
+
+use std::collections::BTreeMap;
+
+use super::super::nvic::Nvic;
+use super::super::time::us;
+
+/// Interrupts that are S140's: POWER_CLOCK, RADIO, TIMER0, RTC0, TEMP, RNG, ECB, CCM_AAR, SWI5.
+pub const OWN_IRQS: u64 =
+    1 << 0 | 1 << 1 | 1 << 8 | 1 << 11 | 1 << 12 | 1 << 13 | 1 << 14 | 1 << 15 | 1 << 25;
+/// The interrupt that says that events wait (SWI2_EGU2).
+pub const EVENT_IRQ: usize = 22;
+/// Its priority, and that of the calls.
+pub const EVENT_PRIORITY: u8 = 6;
+/// Priority of the calls.
+pub const CALL_PRIORITY: u8 = 4;
+/// Priorities of S140's own work.
+const OWN_PRIORITIES: [u8; 3] = [0, 1, 4];
+/// Peripherals that are S140's, by page: CLOCK and POWER, RADIO, TIMER0, RTC0, TEMP, RNG, ECB, CCM and AAR, EGU1 and
+/// EGU2 and EGU5, NVMC with ACL, MWU.
+const OWN_PAGES: [u32; 13] = [0, 1, 8, 11, 12, 13, 14, 15, 21, 22, 25, 30, 32];
+/// Names to go with them.
+const PAGE_NAMES: [&str; 13] = [
+    "POWER/CLOCK",
+    "RADIO",
+    "TIMER0",
+    "RTC0",
+    "TEMP",
+    "RNG",
+    "ECB",
+    "CCM/AAR",
+    "EGU1",
+    "EGU2",
+    "EGU5",
+    "NVMC",
+    "MWU",
+];
+/// Longest time that PRIMASK may hold S140's interrupts back. Nordic names no figure; a radio packet's turn-around
+/// is 150 us, of which S140 needs most.
+pub const LONGEST_PRIMASK: u64 = us(10);
+/// Most that S140 uses of the application's stack, by its specification.
+pub const STACK_BYTES: u32 = 0x700;
+/// Cycles of one call, S140's own handler and its checks.
+pub const CALL_CYCLES: u64 = us(5);
+/// Cycles until S140 has forwarded an interrupt to the application's table.
+pub const FORWARD_CYCLES: u64 = 40;
+
+/// Time that S140 takes from the core, typical values of the SoftDevice specification ("BLE peripheral connection
+/// processor usage patterns"): prepare 40, start 18, after a packet 30, at the end 90 us, and 40 us at
+/// priority 4 per packet.
+pub const fn connection_event(packets: u64) -> u64 {
+    us(40 + 18 + 90 + packets * (30 + 40))
+}
+
+/// Time of an advertising event on three channels: prepare, three packets, end.
+pub const ADVERTISING_EVENT: u64 = us(40 + 3 * (18 + 30) + 90);
+
+/// Configuration as set by `sd_ble_cfg_set`.
+#[derive(Clone, Debug)]
+pub struct Config {
+    /// Tags of connection configurations.
+    pub tag: Option<u8>,
+    /// Connections.
+    pub links: u32,
+    /// Radio time of a connection event in 1.25 ms.
+    pub event_length: u16,
+    /// Largest ATT MTU.
+    pub mtu: u16,
+    /// Notifications that may wait.
+    pub notifications: usize,
+    /// Vendor UUIDs.
+    pub uuids: usize,
+    /// Bytes of the attribute table.
+    pub table: u32,
+    /// The device name.
+    pub name: Vec<u8>,
+    /// Roles as peripheral.
+    pub peripherals: u8,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Self {
+            tag: None,
+            links: 1,
+            event_length: 3,
+            mtu: 23,
+            notifications: 1,
+            uuids: 10,
+            table: 1408,
+            name: b"nRF5x".to_vec(),
+            peripherals: 1,
+        }
+    }
+}
+
+impl Config {
+    /// RAM that S140 wants from its start. Nordic documents no formula; this is an estimate on the safe side of
+    /// known figures (no link 5.6 KB; one link with MTU 247 about 11 to 16 KB; five with 9 notifications 56 KB).
+    pub fn ram_bytes(&self) -> u32 {
+        let link = 1500 + (24 + self.notifications as u32) * (u32::from(self.mtu) + 20);
+        5752 + self.table + 16 * self.uuids as u32 + self.links * link
+    }
+}
+
+/// What was broken, and how often.
+#[derive(Clone, Debug, Default)]
+pub struct Rules {
+    broken: BTreeMap<String, u64>,
+}
+
+impl Rules {
+    /// Notes a broken rule.
+    pub fn broke(&mut self, what: impl Into<String>) {
+        *self.broken.entry(what.into()).or_default() += 1;
+    }
+
+    /// A rule that was broken, in words.
+    pub fn broken(&self) -> Option<&str> {
+        self.broken.keys().next().map(String::as_str)
+    }
+
+    /// An access of the core to a register while S140 is enabled.
+    pub fn access(&mut self, address: u32, write: Option<u32>) {
+        let how = if write.is_some() { "writes" } else { "reads" };
+        let page = address >> 12 & 0xFF;
+        match address {
+            0x4000_0000..=0x4002_FFFF => {
+                if let Some(i) = OWN_PAGES.iter().position(|&p| p == page) {
+                    self.broke(format!("the image {how} {} at {address:#010x}", PAGE_NAMES[i]));
+                }
+                if page == 31
+                    && let Some(value) = write
+                {
+                    self.ppi(address & 0xFFF, value);
+                }
+            }
+            0xE000_E100..=0xE000_E2FF => {
+                let high = address & 4 != 0;
+                let own = if high { (OWN_IRQS >> 32) as u32 } else { OWN_IRQS as u32 };
+                if write.is_some_and(|value| value & own != 0) {
+                    self.broke(format!(
+                        "the image writes an interrupt of S140 in the NVIC at {address:#010x}"
+                    ));
+                }
+            }
+            0xE000_E400..=0xE000_E42F if write.is_some() => {
+                let irq = address - 0xE000_E400;
+                if OWN_IRQS & (1 << irq) != 0 {
+                    self.broke(format!("the image writes the priority of S140's interrupt {irq}"));
+                }
+            }
+            0xE000_ED08 if write.is_some() => self.broke("the image moves the vector table"),
+            _ => {}
+        }
+    }
+
+    // Channels 17 to 31 and groups 4 and 5 are S140's.
+    fn ppi(&mut self, offset: u32, value: u32) {
+        let own = match offset {
+            0x000..=0x02C => offset / 8 >= 4,
+            0x500 | 0x504 | 0x508 => value >> 17 != 0,
+            0x510..=0x59C => (offset - 0x510) / 8 >= 17,
+            0x800..=0x814 => (offset - 0x800) / 4 >= 4 || value >> 17 != 0,
+            0x910..=0x98C => (offset - 0x910) / 4 >= 17,
+            _ => false,
+        };
+        if own {
+            self.broke(format!("the image writes a PPI channel or group of S140 at {offset:#x}"));
+        }
+    }
+
+    /// An interrupt of the application is about to run.
+    pub fn interrupt(&mut self, irq: usize, nvic: &Nvic) {
+        if OWN_IRQS & (1 << irq) != 0 {
+            self.broke(format!("interrupt {irq} is S140's, the image has it enabled"));
+        }
+        let priority = nvic.irq_priority(irq);
+        if OWN_PRIORITIES.contains(&priority) {
+            self.broke(format!("interrupt {irq} has priority {priority}, which is S140's"));
+        }
+    }
+
+    /// Interrupts have been masked for so many cycles.
+    pub fn masked(&mut self, cycles: u64) {
+        if cycles > LONGEST_PRIMASK {
+            self.broke(format!("PRIMASK held all interrupts for {} us", cycles / us(1)));
+        }
+    }
+}
+
+/// Whether `sd_softdevice_enable` would accept the interrupts as they are set.
+pub fn interrupts_fit(nvic: &Nvic) -> bool {
+    (0..48).filter(|&irq| nvic.is_enabled(irq)).all(|irq| {
+        OWN_IRQS & (1 << irq) == 0 && irq != EVENT_IRQ && !OWN_PRIORITIES.contains(&nvic.irq_priority(irq))
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn breaks(what: impl FnOnce(&mut Rules)) -> bool {
+        let mut rules = Rules::default();
+        what(&mut rules);
+        rules.broken().is_some()
+    }
+
+    #[test]
+    fn peripherals_of_s140_are_out_of_reach_and_others_are_not() {
+        for page in [0x4000_0000, 0x4000_1000, 0x4000_8000, 0x4000_B000, 0x4000_D000, 0x4001_E000] {
+            assert!(breaks(|r| r.access(page + 0x504, None)), "{page:#x}");
+            assert!(breaks(|r| r.access(page + 0x504, Some(1))), "{page:#x}");
+        }
+        // UARTE0, TWIM0, RTC1, TIMER1, WDT, USBD.
+        for page in [0x4000_2000, 0x4000_3000, 0x4001_1000, 0x4000_9000, 0x4001_0000, 0x4002_7000] {
+            assert!(!breaks(|r| r.access(page + 0x504, Some(1))), "{page:#x}");
+        }
+        assert!(!breaks(|r| r.access(0x4001_F504, Some(0b11))));
+        assert!(breaks(|r| r.access(0x4001_F504, Some(1 << 17))));
+        assert!(breaks(|r| r.access(0xE000_E180, Some(1))));
+        assert!(!breaks(|r| r.access(0xE000_E180, Some(!(OWN_IRQS as u32)))));
+    }
+
+    #[test]
+    fn an_enabled_interrupt_at_priority_0_1_or_4_is_refused() {
+        for priority in 0..8u32 {
+            let mut nvic = Nvic::default();
+            nvic.write(0x400 + 2, priority << 5, 1);
+            assert!(interrupts_fit(&nvic), "not enabled yet");
+            nvic.write(0x100, 1 << 2, 4);
+            assert_eq!(interrupts_fit(&nvic), ![0, 1, 4].contains(&priority), "priority {priority}");
+        }
+        let mut nvic = Nvic::default();
+        nvic.write(0x400 + 1, 2 << 5, 1);
+        nvic.write(0x100, 1 << 1, 4);
+        assert!(!interrupts_fit(&nvic), "the radio's");
+    }
+
+    #[test]
+    fn more_notifications_and_a_larger_mtu_need_more_ram() {
+        let small = Config::default();
+        let large = Config { mtu: 247, notifications: 8, ..Config::default() };
+        assert!(large.ram_bytes() > small.ram_bytes() + 8 * 224);
+    }
+
+    #[test]
+    fn masked_interrupts_are_counted_from_10_us_on() {
+        assert!(!breaks(|r| r.masked(us(10))));
+        assert!(breaks(|r| r.masked(us(11))));
+    }
+}

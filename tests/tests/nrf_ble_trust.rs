@@ -1,0 +1,240 @@
+//! Who may change the board over Bluetooth: only a laptop with kept keys; models and bonds outlive a restart.
+#![cfg(feature = "nrf")]
+
+use shared_dsp::mlp::{BlobSpec, DenseSpec, Model, build_blob, crc32};
+use shared_dsp::recipe::Recipe;
+use shared_proto::message::{AckResult, HostMessage, MODEL_CHUNK_MAX, Mode, ModelBegin, ModelInfo};
+use tests::nrf::ble_host::BleHost;
+use tests::nrf::lsm9ds1::Still;
+use tests::nrf::session::Session;
+use tests::nrf::softdevice::central::{Command, Happening};
+
+const BOND_PAGE: usize = 0xD7000;
+/// ATT error "insufficient authentication".
+const REFUSED: u8 = 5;
+
+fn wait_until_ready(session: &mut Session) {
+    let is_ready = session.run_until_that(6000, |s| s.ble.as_ref().is_some_and(|b| b.is_ready()));
+    assert!(is_ready, "{:?}", session.board.softdevice().central.log);
+}
+
+fn ready() -> Session {
+    let mut session = Session::ble(Box::new(Still));
+    wait_until_ready(&mut session);
+    session
+}
+
+/// A laptop that pairs without keeping keys, or not at all.
+fn stranger(pairs: bool) -> Session {
+    let mut session = Session::ble(Box::new(Still));
+    let mut host = BleHost::default();
+    (host.pairs, host.bonds) = (pairs, false);
+    session.ble = Some(host);
+    wait_until_ready(&mut session);
+    session
+}
+
+fn log(session: &mut Session) -> Vec<Happening> {
+    session.board.softdevice().central.log.iter().map(|(_, what)| what.clone()).collect()
+}
+
+fn restart(session: &mut Session) {
+    session.run_ms(500);
+    session.board.soc().nvic.reset_wanted = true;
+    // The laptop notices that the board is gone, then finds it again.
+    session.run_ms(2500);
+    wait_until_ready(session);
+}
+
+fn model_id(session: &mut Session) -> u32 {
+    let before = session.heard.hellos.len();
+    session.send(&HostMessage::HelloRequest);
+    assert!(session.run_until_that(500, |s| s.heard.hellos.len() > before), "no hello");
+    session.heard.hellos.last().unwrap().1
+}
+
+#[test]
+fn without_keys_states_are_read_but_writes_are_refused() {
+    let mut session = stranger(false);
+    session.board.softdevice().central.order([Command::Write(vec![0, 1, 2]), Command::WriteCommand(vec![0])]);
+    session.run_ms(2000);
+    assert!(session.heard.states.len() > 20);
+    let log = log(&mut session);
+    assert!(log.contains(&Happening::Written(Err(REFUSED))), "{log:?}");
+    assert_eq!(session.heard.statuses.last().unwrap().bad_frames, 0, "nothing came through");
+    // It pairs and keeps the keys: now it may.
+    session.board.softdevice().central.order([Command::Pair { bond: true }, Command::Write(vec![0])]);
+    session.run_ms(1000);
+    assert_eq!(self::log(&mut session).last(), Some(&Happening::Written(Ok(()))));
+    let answer = session.ask(3, &HostMessage::SetMode { request: 3, mode: Mode::Idle }).unwrap();
+    assert_eq!(answer.result, AckResult::Ok);
+}
+
+#[test]
+fn a_laptop_that_pairs_without_keeping_keys_changes_nothing() {
+    let mut session = stranger(true);
+    assert!(log(&mut session).contains(&Happening::Paired { bonded: false }));
+    let answer = session.ask(3, &HostMessage::SetMode { request: 3, mode: Mode::Idle }).unwrap();
+    assert_eq!(answer.result, AckResult::NotBonded);
+    let blob = other_model(3);
+    let model = Model::parse(&blob).unwrap();
+    assert_eq!(announce(&mut session, begin(&blob, &model)), AckResult::NotBonded);
+    assert_eq!(session.board.soc().nvmc.erased, 0);
+    // What changes nothing is answered.
+    model_id(&mut session);
+}
+
+#[test]
+fn a_bond_outlives_a_restart_and_later_nobody_else_takes_its_place() {
+    let mut session = ready();
+    session.run_ms(1000);
+    assert_eq!(session.board.soc().flash[BOND_PAGE..BOND_PAGE + 4], *b"BMB2", "in flash");
+    restart(&mut session);
+    let after = log(&mut session);
+    assert_eq!(after.iter().filter(|h| matches!(h, Happening::Paired { .. })).count(), 1, "{after:?}");
+    assert!(after.contains(&Happening::Encrypted) && !after.contains(&Happening::KeyMissing));
+    let answer = session.ask(3, &HostMessage::SetMode { request: 3, mode: Mode::Classify }).unwrap();
+    assert_eq!(answer.result, AckResult::Ok);
+
+    // A bonded laptop need not subscribe again.
+    session.ble = None;
+    session.board.softdevice().central.order([Command::Disconnect]);
+    session.run_ms(200);
+    session.board.softdevice().central.order([Command::Encrypt]);
+    let notified = session.board.softdevice().central.notified.len();
+    session.run_ms(2000);
+    assert!(session.board.softdevice().central.notified.len() > notified + 15, "notifies by itself");
+
+    // Two minutes later a stranger's pairing is no bond.
+    session.run_ms(120_000);
+    session.board.softdevice().central.order([Command::Disconnect]);
+    session.run_ms(200);
+    let kept = session.board.softdevice().central.bond.take();
+    session.board.softdevice().central.order([Command::Pair { bond: true }]);
+    session.run_ms(1000);
+    assert_eq!(log(&mut session).last(), Some(&Happening::Paired { bonded: false }));
+    session.board.softdevice().central.order([Command::Disconnect]);
+    session.run_ms(200);
+    session.board.softdevice().central.bond = kept;
+    session.board.softdevice().central.order([Command::Encrypt]);
+    session.run_ms(1000);
+    let last = log(&mut session).pop();
+    assert_eq!(last, Some(Happening::Encrypted), "the owner's keys still work");
+}
+
+#[test]
+fn random_bytes_are_counted_and_change_nothing() {
+    let mut session = ready();
+    let before = model_id(&mut session);
+    session.run_ms(1000);
+    let erased = session.board.soc().nvmc.erased;
+    let mut random = fastrand::Rng::with_seed(140);
+    // Full packets too: 244 bytes are the most that fit.
+    for len in [1, 20, 100, 238, 239, 240, 243, 244].into_iter().cycle().take(400) {
+        let bytes = std::iter::repeat_with(|| random.u8(..)).take(len).collect();
+        session.board.softdevice().central.order([Command::WriteCommand(bytes)]);
+        session.run_ms(5);
+    }
+    session.run_ms(3000);
+    let status = session.heard.statuses.last().unwrap();
+    println!("{} damaged frames counted in 400 random writes", status.bad_frames);
+    assert!(status.bad_frames > 100);
+    assert_eq!(status.mode, Mode::Classify);
+    assert_eq!(status.dropped_samples, session.heard.statuses[0].dropped_samples);
+    assert_eq!(session.board.soc().nvmc.erased, erased);
+    assert_eq!(session.board.resets, [4], "no panic");
+    assert!(session.heard.states.iter().all(|s| s.events == 0));
+    session.board.softdevice().central.order([Command::WriteCommand(vec![0])]);
+    assert_eq!(model_id(&mut session), before);
+}
+
+/// Another model of the same shape, with weights from a seed.
+fn other_model(seed: u32) -> Vec<u8> {
+    let sizes = [117, 20, 10, 5, 7];
+    let mut random = fastrand::Rng::with_seed(seed.into());
+    let layers = (0..4)
+        .map(|l| DenseSpec {
+            weights: (0..sizes[l + 1]).map(|_| (0..sizes[l]).map(|_| random.i8(-127..)).collect()).collect(),
+            biases: (0..sizes[l + 1]).map(|_| i32::from(random.i8(..)) * 16).collect(),
+            input_scale: 0.05,
+            input_zero_point: 0,
+            weight_scale: 0.01,
+            output_scale: 0.05,
+            output_zero_point: if l < 3 { -128 } else { 0 },
+            relu: l < 3,
+        })
+        .collect();
+    build_blob(&BlobSpec {
+        recipe: Recipe::Raw,
+        axes: 9,
+        sample_hz: 100,
+        window: 200,
+        hop: 8,
+        labels: ["idle", "a", "b", "c", "d", "e", "f"].map(String::from).to_vec(),
+        scaling: vec![(1.0, 0.0); 117],
+        layers,
+    })
+    .expect("a valid model")
+}
+
+fn begin<'a>(blob: &'a [u8], model: &Model<'a>) -> ModelBegin<'a> {
+    let info = model.info();
+    ModelBegin {
+        request: 1,
+        info: ModelInfo {
+            model_id: crc32(blob),
+            recipe: info.recipe.id(),
+            axes: info.axes as u8,
+            sample_hz: info.sample_hz,
+            window: info.window,
+            labels: info.label_text,
+        },
+        scaling: [1.0; 3],
+        size: blob.len() as u32,
+    }
+}
+
+fn announce(session: &mut Session, begin: ModelBegin<'_>) -> AckResult {
+    let before = session.heard.acks.len();
+    session.send(&HostMessage::ModelBegin(begin));
+    let done = |s: &mut Session| s.heard.acks[before..].iter().any(|a| a.result != AckResult::Started);
+    assert!(session.run_until_that(4000, done));
+    session.heard.acks.last().expect("an answer").result
+}
+
+#[test]
+fn a_model_sent_over_bluetooth_is_used_after_a_restart_though_the_flash_is_refused_at_times() {
+    let mut session = ready();
+    session.run_ms(1000);
+    let bundled = model_id(&mut session);
+    let blob = other_model(1);
+    let model = Model::parse(&blob).unwrap();
+    session.board.softdevice().flash_refusals = 2;
+    let from = session.board.now();
+    assert_eq!(announce(&mut session, begin(&blob, &model)), AckResult::Ok);
+    for (i, data) in blob.chunks(MODEL_CHUNK_MAX).enumerate() {
+        let offset = (i * MODEL_CHUNK_MAX) as u32;
+        if i == 20 {
+            session.board.softdevice().flash_refusals = 1;
+        }
+        let request = 100 + i as u16;
+        let answer = || HostMessage::ModelChunk { request, offset, data };
+        let mut ack = session.ask(request, &answer());
+        if ack.is_none() {
+            // The flash had to be asked twice; the answer comes late.
+            session.run_ms(300);
+            ack = session.heard.acks.iter().rev().find(|a| a.request == request).copied();
+        }
+        assert_eq!(ack.map(|a| (a.result, a.next_offset)), Some((AckResult::Ok, offset + data.len() as u32)));
+    }
+    let commit = HostMessage::ModelCommit { request: 9, crc32: crc32(&blob) };
+    assert_eq!(session.ask(9, &commit).unwrap().result, AckResult::Ok);
+    let seconds = session.board.now() - from;
+    println!("{} bytes of model in {:.1} s over Bluetooth", blob.len(), seconds as f64 / 64e6);
+    assert!(session.board.softdevice().calls[&41] > 20, "written through S140");
+    assert_eq!(model_id(&mut session), bundled, "until the restart");
+    restart(&mut session);
+    assert_eq!(model_id(&mut session), crc32(&blob));
+    let worst = session.heard.statuses.iter().map(|s| s.dropped_samples).max();
+    println!("dropped samples so far: {worst:?}");
+}
