@@ -64,7 +64,7 @@ pub enum ModelFileError {
     /// A recording cannot be used.
     #[error(transparent)]
     Recording(#[from] RecordingError),
-    /// A recording has other axes than the model.
+    /// A recording has fewer axes than the model.
     #[error(
         "{file}, line 1, column {column}: the recording has {recording} axes, the model needs {model}; \
          give a model of {recording} axes with --model, or a recording of {model} axes"
@@ -72,7 +72,7 @@ pub enum ModelFileError {
     Axes {
         /// The recording.
         file: PathBuf,
-        /// First column that is missing or too much, from 1.
+        /// First column that is missing, from 1.
         column: usize,
         /// Axes of the recording.
         recording: usize,
@@ -141,21 +141,23 @@ impl ModelFile {
 
 /// Reads recordings, brings each to 100 Hz, and joins them into one stream without a pause.
 ///
+/// Of recordings with more axes than `axes`, the first ones are used, as in `models eval`.
+///
 /// # Errors
-/// [`ModelFileError`] if one cannot be read, or has other axes than the model. All are checked first.
+/// [`ModelFileError`] if one cannot be read, or has fewer axes than the model. All are checked first.
 pub fn join(files: &[PathBuf], axes: usize) -> Result<Recording, ModelFileError> {
     let mut values = Vec::new();
     for file in files {
         let recording = Recording::read(file)?;
-        if recording.axes() != axes {
+        if recording.axes() < axes {
             return Err(ModelFileError::Axes {
                 file: file.clone(),
-                column: recording.axes().min(axes) + 2,
+                column: recording.axes() + 2,
                 recording: recording.axes(),
                 model: axes,
             });
         }
-        for sample in recording.resampled().samples() {
+        for sample in recording.resampled().with_axes(axes).samples() {
             values.extend_from_slice(sample);
         }
     }
@@ -307,5 +309,22 @@ impl Board for RightBoard<'_> {
 
     fn ended(&self) -> bool {
         self.next >= self.recording.len()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_model_of_three_axes_takes_the_first_three_of_a_nine_axis_recording() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("nine.csv");
+        let header = "timestamp,accX,accY,accZ,gyrX,gyrY,gyrZ,magX,magY,magZ\n";
+        std::fs::write(&file, format!("{header}0,1,2,3,4,5,6,7,8,9\n10,1,2,3,4,5,6,7,8,9\n")).unwrap();
+        let joined = join(&[file.clone(), file], 3).unwrap();
+        assert_eq!(joined.axes(), 3);
+        assert!(joined.samples().all(|sample| sample == [1.0, 2.0, 3.0]));
+        assert_eq!(joined.len(), 4);
     }
 }
