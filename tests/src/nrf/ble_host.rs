@@ -41,7 +41,7 @@ impl BleHost {
             match central.log[index].1 {
                 Happening::Connected(_) => {
                     (self.room, self.ready) = (SMALLEST_WRITE, false);
-                    central.order([Command::ExchangeMtu(MTU)]);
+                    central.order([Command::ExchangeMtu(MTU), Command::FastRadio]);
                     if central.bond.is_some() {
                         central.order([Command::Encrypt]);
                     } else if self.pairs {
