@@ -5,8 +5,9 @@
 //!        └──────────── hands ──────────┘   └──── link ────┘  └ safety, intent ┘  └ sim ┘
 //! ```
 //!
-//! Everything here but `links` and `talk` is sans-IO: bytes, events and the time go in, actions come
-//! out. Ports and clocks live in `links`; files and terminals only the binary knows.
+//! Everything here but `links`, `talk` and `web` is sans-IO: bytes, events and the time go in, actions come
+//! out. Ports and clocks live in `links`, sockets in `web`; files and terminals only the binary knows.
+//! Whoever wants to look on hangs on the tap in `observe`.
 
 pub mod adc;
 pub mod arm;
@@ -33,4 +34,5 @@ pub mod sim;
 pub mod survey;
 pub mod talk;
 pub mod upload;
+pub mod web;
 pub mod wire;

@@ -13,8 +13,15 @@ use host_bridge::plan::Planner;
 use host_bridge::scene::Scene;
 use host_bridge::session::{Session, SessionEvent};
 use host_bridge::sim::{SimConfig, Simulator};
+use host_bridge::web::Web;
 
+use crate::cmd::web::WebArgs;
 use crate::view::{Key, View};
+
+/// The terminal is drawn this often.
+const DRAW_INTERVAL: Duration = Duration::from_millis(33);
+/// The session is moved on this often.
+const TURN: Duration = Duration::from_millis(4);
 
 /// Options of everything that plays a session.
 #[derive(clap::Args, Clone, Debug)]
@@ -35,6 +42,8 @@ pub struct PlayOptions {
     /// Scene (TOML: boxes, poses, base, arm): the arm plans its ways, and nothing is touched
     #[arg(long, value_name = "FILE.toml")]
     pub scene: Option<PathBuf>,
+    #[command(flatten)]
+    pub web: WebArgs,
 }
 
 impl PlayOptions {
@@ -49,13 +58,7 @@ impl PlayOptions {
 
     /// The simulated robot, in the scene asked for.
     pub fn robot(&self) -> Result<Simulator> {
-        let Some(file) = &self.scene else { return Ok(Simulator::new(SimConfig::default())) };
-        let about = || format!("{}", file.display());
-        let text = std::fs::read_to_string(file).with_context(about)?;
-        let scene = Scene::parse(&text).with_context(about)?;
-        let arm = arm(&scene, file)?;
-        let planner = Planner::new(arm, scene).with_context(about)?;
-        Ok(Simulator::in_scene(Arc::new(planner)))
+        self.scene.as_deref().map_or_else(|| Ok(Simulator::new(SimConfig::default())), robot_in_scene)
     }
 
     fn check(&self) -> Result<()> {
@@ -66,6 +69,16 @@ impl PlayOptions {
         );
         Ok(())
     }
+}
+
+/// The simulated robot in the scene of a file.
+pub fn robot_in_scene(file: &Path) -> Result<Simulator> {
+    let about = || format!("{}", file.display());
+    let text = std::fs::read_to_string(file).with_context(about)?;
+    let scene = Scene::parse(&text).with_context(about)?;
+    let arm = arm(&scene, file)?;
+    let planner = Planner::new(arm, scene).with_context(about)?;
+    Ok(Simulator::in_scene(Arc::new(planner)))
 }
 
 /// The scene's arm: the Gen3, or one from a file beside the scene's.
@@ -92,15 +105,22 @@ fn arm(scene: &Scene, scene_file: &Path) -> Result<SerialArm> {
 #[error("interrupted")]
 pub struct Interrupted;
 
-/// Plays to the end.
-pub fn play(session: &mut Session<'_>, options: &PlayOptions, title: &str) -> Result<()> {
+/// Plays to the end. `page_unasked`: beside the live view there is a page, too, where one can be had.
+pub fn play(session: &mut Session<'_>, options: &PlayOptions, title: &str, page_unasked: bool) -> Result<()> {
     options.check()?;
     let a_terminal = std::io::stdout().is_terminal() && std::io::stdin().is_terminal();
     let wants_view = a_terminal && !options.headless && !options.json;
-    let mut view = if wants_view { Some(View::open(title)?) } else { None };
-    if view.is_none() {
-        say(options, title);
+    let web = options.web.start(page_unasked && wants_view)?;
+    let mut headline = title.to_owned();
+    if let Some(web) = &web {
+        session.tap_mut().add(Box::new(web.watcher(title)));
+        headline += &format!("\npage: {}", web.url());
     }
+    let mut view = if wants_view { Some(View::open(&headline)?) } else { None };
+    if view.is_none() {
+        say(options, &headline);
+    }
+    let mut drawn: Option<Instant> = None;
     let started = Instant::now();
     while !session.finished() {
         let wanted_ms = if options.speed == 0.0 {
@@ -113,18 +133,27 @@ pub fn play(session: &mut Session<'_>, options: &PlayOptions, title: &str) -> Re
                 note(&event, view.as_mut(), options);
             }
         }
+        if web.as_ref().is_some_and(Web::take_stop) {
+            session.stop_key();
+        }
         match &mut view {
             Some(view) => {
-                view.draw(session, options.speed)?;
-                match view.key(Duration::from_millis(33))? {
+                if drawn.is_none_or(|at| at.elapsed() >= DRAW_INTERVAL) {
+                    drawn = Some(Instant::now());
+                    view.draw(session, options.speed)?;
+                }
+                match view.key(TURN)? {
                     Some(Key::Quit) => return Err(Interrupted.into()),
                     Some(Key::Stop) => session.stop_key(),
                     None => {}
                 }
             }
-            None if options.speed > 0.0 => std::thread::sleep(Duration::from_millis(2)),
+            None if options.speed > 0.0 => std::thread::sleep(TURN),
             None => {}
         }
+    }
+    if let Some(web) = web {
+        web.end(&session.now());
     }
     Ok(())
 }

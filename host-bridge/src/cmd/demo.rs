@@ -12,6 +12,7 @@ use host_bridge::session::{Session, Summary};
 use models::recording::Recording;
 use serde::Serialize;
 
+use super::web::has_display;
 use crate::play::{PlayOptions, play, say};
 
 const SCRIPT: &str = include_str!("../../sessions/demo/session.toml");
@@ -49,7 +50,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     let mut session = Session::with_robot(Some(Box::new(left)), Some(Box::new(right)), map, robot);
 
     let title = format!("bimanual demo: {}", script.title);
-    play(&mut session, &args.play, &format!("{title}\nmodel: {about}"))?;
+    play(&mut session, &args.play, &format!("{title}\nmodel: {about}"), has_display())?;
 
     let summary = session.summary();
     let checks = script.expect.check(&summary);

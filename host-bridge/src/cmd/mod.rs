@@ -9,3 +9,4 @@ pub mod record;
 pub mod replay;
 pub mod run;
 pub mod send_model;
+pub mod web;

@@ -81,7 +81,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     let unmapped = map.without_motion(labels);
     let mut session = Session::with_robot(left, right, map.clone(), robot);
     let about = model_about.as_deref().unwrap_or("none (no right hand)");
-    play(&mut session, &args.play, &format!("{title}\nmodel: {about}"))?;
+    play(&mut session, &args.play, &format!("{title}\nmodel: {about}"), false)?;
 
     let summary = session.summary();
     say(&args.play, &describe::summary(&summary));

@@ -17,10 +17,13 @@ use host_bridge::live::{Live, Place};
 use host_bridge::robot::Robot as _;
 use host_bridge::safety::Hand;
 use host_bridge::session::SessionEvent;
+use host_bridge::web::Web;
 use serde::Serialize;
 use shared_proto::message::Heading;
 
 use super::ports::{check_name, read_config, settings};
+use super::web::WebArgs;
+use crate::play::robot_in_scene;
 use crate::view::{Scene, View};
 
 /// Bytes wake the loop at once; without any it turns this often.
@@ -59,6 +62,12 @@ pub struct Args {
     /// End after so many seconds
     #[arg(long, value_name = "SECONDS")]
     seconds: Option<f64>,
+    /// Scene (TOML: boxes, poses, base, arm): the arm plans its ways, and nothing is touched. Its base and
+    /// arm take the place of the configuration's
+    #[arg(long, value_name = "FILE.toml")]
+    scene: Option<PathBuf>,
+    #[command(flatten)]
+    web: WebArgs,
 }
 
 #[derive(Serialize)]
@@ -68,6 +77,13 @@ struct LinkLine<'a> {
     hand: Hand,
     open: bool,
     text: &'a str,
+}
+
+#[derive(Serialize)]
+struct PageLine<'a> {
+    time_ms: u64,
+    event: &'static str,
+    url: &'a str,
 }
 
 #[derive(Serialize)]
@@ -125,6 +141,8 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         "a keyboard hand needs the live view: start it in a terminal, without --headless and --json"
     );
 
+    let robot = args.scene.as_deref().map(robot_in_scene).transpose()?;
+    let web = args.web.start(false)?;
     let clock = Arc::new(SystemClock::start());
     let (sender, events) = channel();
     let open = |hand: Hand, port: &str| {
@@ -135,12 +153,22 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     };
     let links = [open(Hand::Left, &left), open(Hand::Right, &right)];
     let name = |port: &str| if port.is_empty() { "none".to_owned() } else { port.to_owned() };
-    let title = format!("bimanual: left hand {}, right hand {}, simulated robot", name(&left), name(&right));
+    let mut title =
+        format!("bimanual: left hand {}, right hand {}, simulated robot", name(&left), name(&right));
+    let mut live = match robot {
+        None => Live::new(&config, places[0], places[1], clock.now_ms()),
+        Some(robot) => Live::with_robot(&config, places[0], places[1], robot, clock.now_ms()),
+    };
+    if let Some(web) = &web {
+        live.tap_mut().add(Box::new(web.watcher(&title)));
+        title += &format!("\npage: {}", web.url());
+    }
     let mut session = Session {
-        live: Live::new(&config, places[0], places[1], clock.now_ms()),
+        live,
         view: if wants_view { Some(View::open(&title)?) } else { None },
         json: args.json,
         links,
+        web,
         released_ms: None,
         keys: if places.contains(&Place::Keyboard) {
             format!("{KEYS}\n{HAND_KEYS}")
@@ -150,6 +178,10 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     };
     if session.view.is_none() && !args.json {
         session.line(&title);
+    }
+    if let (true, Some(web)) = (args.json, &session.web) {
+        let line = PageLine { time_ms: clock.now_ms(), event: "page", url: &web.url() };
+        session.line(&serde_json::to_string(&line)?);
     }
     let until_ms = args.seconds.map_or(u64::MAX, |seconds| (seconds * 1000.0) as u64);
     session.turn_until(until_ms, &*clock, &events)?;
@@ -162,6 +194,7 @@ struct Session {
     view: Option<View>,
     json: bool,
     links: [Option<SerialLink>; 2],
+    web: Option<Web>,
     released_ms: Option<u64>,
     keys: String,
 }
@@ -186,6 +219,9 @@ impl Session {
                 Err(RecvTimeoutError::Disconnected) => std::thread::sleep(TURN),
             }
             let now_ms = clock.now_ms();
+            if self.web.as_ref().is_some_and(Web::take_stop) {
+                self.live.stop_key(now_ms);
+            }
             let ready = [0, 1].map(|i| self.links[i].as_ref().is_some_and(SerialLink::is_ready));
             for event in self.live.step(now_ms, ready) {
                 self.note(event)?;
@@ -297,6 +333,9 @@ impl Session {
 
     fn end(&mut self, time_ms: u64) {
         self.view = None;
+        if let Some(web) = self.web.take() {
+            web.end(&self.live.now(time_ms));
+        }
         let bridge = self.live.bridge();
         let odometry = self.live.robot().odometry();
         let links = [Hand::Left, Hand::Right].map(|hand| bridge.link(hand));

@@ -1,0 +1,70 @@
+//! The state of the demo at given times, as one JSON object per line. An example of an observer; `tests/web`
+//! compares what the page draws with it.
+//!
+//! ```text
+//! printf '1000\n2500\n' | cargo run -p host-bridge --example state-at [SCENE.toml]
+//! ```
+
+use std::collections::BTreeSet;
+use std::io::BufRead as _;
+use std::path::Path;
+use std::sync::Arc;
+
+use anyhow::{Context as _, Result};
+use host_bridge::adc::AdcRecording;
+use host_bridge::arm::model::SerialArm;
+use host_bridge::hands::{LeftBoard, ModelFile, RightBoard};
+use host_bridge::intent::MotionMap;
+use host_bridge::observe::{Now, Observer, Snapshot, link_poses_in_world};
+use host_bridge::plan::Planner;
+use host_bridge::robot::Robot as _;
+use host_bridge::scene::Scene;
+use host_bridge::script::Script;
+use host_bridge::session::Session;
+use host_bridge::sim::{SimConfig, Simulator};
+use models::recording::Recording;
+
+/// Prints the state at these times.
+struct Printer(BTreeSet<u64>);
+
+impl Observer for Printer {
+    fn state(&mut self, now: &Now<'_>) {
+        if self.0.remove(&now.time_ms) {
+            let links = link_poses_in_world(now, &now.robot.arm().joints_rad);
+            let line = serde_json::json!({ "state": Snapshot::of(now), "links": links });
+            println!("{line}");
+        }
+    }
+}
+
+fn main() -> Result<()> {
+    let robot = match std::env::args().nth(1) {
+        None => Simulator::new(SimConfig::default()),
+        Some(file) => {
+            let text = std::fs::read_to_string(&file).with_context(|| file.clone())?;
+            let scene = Scene::parse(&text).with_context(|| file.clone())?;
+            Simulator::in_scene(Arc::new(Planner::new(SerialArm::gen3(), scene).context(file)?))
+        }
+    };
+    let mut times = BTreeSet::new();
+    for line in std::io::stdin().lock().lines() {
+        let line = line?;
+        times.insert(line.trim().parse().with_context(|| format!("'{line}' is no time in ms"))?);
+    }
+    let last_ms = times.last().copied().unwrap_or(0);
+
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("sessions/demo");
+    let script = Script::parse(&std::fs::read_to_string(folder.join("session.toml"))?)?;
+    let model = ModelFile::bundled()?;
+    let left = AdcRecording::read(&folder.join("left.csv"))?;
+    let right = Recording::read(&folder.join("right.csv"))?;
+    let left = LeftBoard::new(left, Some(script.calibration.into()), 1);
+    let right = RightBoard::new(right.resampled(), &model, 1)?;
+    let mut session =
+        Session::with_robot(Some(Box::new(left)), Some(Box::new(right)), MotionMap::default(), robot);
+    session.tap_mut().add(Box::new(Printer(times)));
+    while session.now_ms() < last_ms && !session.finished() {
+        session.step();
+    }
+    Ok(())
+}

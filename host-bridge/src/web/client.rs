@@ -1,0 +1,148 @@
+//! One page's WebSocket: frames out as fast as the page takes them, `stop` and acknowledgements in.
+
+use std::io;
+use std::net::TcpStream;
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
+
+use tungstenite::handshake::derive_accept_key;
+use tungstenite::protocol::{Role, WebSocketConfig};
+use tungstenite::{Error, Message, WebSocket};
+
+use super::history::Told;
+use super::{Counted, IN_FLIGHT_MAX, Shared};
+
+/// The thread looks for news this often; what the page sends wakes it at once.
+const TURN: Duration = Duration::from_millis(4);
+
+/// A page that has taken nothing for so long is let go; it connects again by itself.
+const TAKES_NOTHING: Duration = Duration::from_secs(30);
+
+/// Longest message of a page: it has little to say.
+const MESSAGE_MAX: usize = 256;
+
+/// The answer to a request for a WebSocket, or `None` if it is no such request.
+pub fn accept(head: &httparse::Request<'_, '_>) -> Option<Vec<u8>> {
+    let has = |name: &str, word: &str| {
+        let mut found = head.headers.iter().filter(|h| h.name.eq_ignore_ascii_case(name));
+        found.any(|h| {
+            let value = std::str::from_utf8(h.value).unwrap_or_default();
+            value.split(',').any(|part| part.trim().eq_ignore_ascii_case(word))
+        })
+    };
+    let key = head.headers.iter().find(|h| h.name.eq_ignore_ascii_case("sec-websocket-key"))?;
+    let is_upgrade = head.method == Some("GET")
+        && has("connection", "upgrade")
+        && has("upgrade", "websocket")
+        && has("sec-websocket-version", "13");
+    is_upgrade.then(|| {
+        let accepted = derive_accept_key(key.value);
+        format!(
+            "HTTP/1.1 101 Switching Protocols\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n\
+             Sec-WebSocket-Accept: {accepted}\r\n\r\n"
+        )
+        .into_bytes()
+    })
+}
+
+/// Serves a page until it goes, the session ends, or the server closes. `rest` came behind the request.
+pub fn run(stream: TcpStream, rest: Vec<u8>, shared: &Shared) {
+    let _counted = Counted::new(&shared.pages);
+    if stream.set_read_timeout(Some(TURN)).is_err() {
+        return;
+    }
+    let config = WebSocketConfig::default()
+        .read_buffer_size(4096)
+        .write_buffer_size(0)
+        .max_message_size(Some(MESSAGE_MAX))
+        .max_frame_size(Some(MESSAGE_MAX));
+    let socket = WebSocket::from_partially_read(stream, rest, Role::Server, Some(config));
+    let mut page = Page {
+        socket,
+        shared,
+        told: Told::default(),
+        greeted: false,
+        sent: 0,
+        taken: 0,
+        taken_at: Instant::now(),
+    };
+    // Whatever ends the connection, the page shows that it is gone and tries again.
+    let _ = page.run();
+}
+
+struct Page<'a> {
+    socket: WebSocket<TcpStream>,
+    shared: &'a Shared,
+    told: Told,
+    greeted: bool,
+    /// Frames sent, and acknowledged.
+    sent: u64,
+    taken: u64,
+    taken_at: Instant,
+}
+
+impl Page<'_> {
+    fn run(&mut self) -> Result<(), Error> {
+        loop {
+            // Asked before the last look at the history, so that the end finds nothing untold.
+            let over = self.shared.over.load(Ordering::SeqCst);
+            if over || self.sent - self.taken < IN_FLIGHT_MAX {
+                self.tell()?;
+            } else if self.taken_at.elapsed() > TAKES_NOTHING {
+                return self.socket.close(None);
+            }
+            if over || self.shared.closing.load(Ordering::SeqCst) {
+                self.socket.send(Message::text(r#"{"over":true}"#))?;
+                return self.socket.close(None);
+            }
+            match self.socket.read() {
+                Ok(Message::Text(text)) => {
+                    if !self.hear(text.as_str()) {
+                        return self.socket.close(None);
+                    }
+                }
+                // Control frames are answered by the library.
+                Ok(Message::Ping(_) | Message::Pong(_) | Message::Close(_)) => {}
+                Ok(_) => return self.socket.close(None),
+                Err(Error::Io(error))
+                    if matches!(error.kind(), io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut) => {}
+                Err(error) => return Err(error),
+            }
+        }
+    }
+
+    /// Sends the newest state and what belongs to it.
+    fn tell(&mut self) -> Result<(), Error> {
+        let (hello, frame) = {
+            let history = self.shared.history();
+            let hello = if self.greeted { None } else { history.hello.clone() };
+            let known = self.greeted || hello.is_some();
+            (hello, if known { history.frame(&mut self.told) } else { None })
+        };
+        if let Some(hello) = hello {
+            self.greeted = true;
+            self.socket.send(Message::text(&*hello))?;
+        }
+        if let Some(frame) = frame {
+            if self.sent == self.taken {
+                self.taken_at = Instant::now();
+            }
+            self.sent += 1;
+            self.socket.send(Message::text(frame.to_json()))?;
+        }
+        Ok(())
+    }
+
+    /// False for what no page of ours says.
+    fn hear(&mut self, text: &str) -> bool {
+        match text {
+            "stop" => self.shared.stop.store(true, Ordering::SeqCst),
+            "took" if self.taken < self.sent => {
+                self.taken += 1;
+                self.taken_at = Instant::now();
+            }
+            _ => return false,
+        }
+        true
+    }
+}

@@ -1,0 +1,139 @@
+//! One request: a file that is compiled in, the live WebSocket, or a refusal that says why.
+
+use std::io::{Read as _, Write as _};
+use std::net::TcpStream;
+use std::time::{Duration, Instant};
+
+use super::gate::{Claims, Refused};
+use super::{Shared, client};
+
+/// Longest head of a request.
+const HEAD_MAX: usize = 8192;
+const HEADERS_MAX: usize = 64;
+
+/// Whoever has not asked by then is let go.
+const PATIENCE: Duration = Duration::from_secs(5);
+
+/// Nothing from elsewhere, nothing inline, in nobody's frame.
+const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; \
+                      base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
+
+const HTML: &str = "text/html; charset=utf-8";
+const SCRIPT: &str = "text/javascript; charset=utf-8";
+
+/// Path, kind and content of everything there is.
+const FILES: [(&str, &str, &str); 9] = [
+    ("/", HTML, include_str!("page/index.html")),
+    ("/page.css", "text/css; charset=utf-8", include_str!("page/page.css")),
+    ("/icon.svg", "image/svg+xml", include_str!("page/icon.svg")),
+    ("/main.js", SCRIPT, include_str!("page/main.js")),
+    ("/link.js", SCRIPT, include_str!("page/link.js")),
+    ("/panels.js", SCRIPT, include_str!("page/panels.js")),
+    ("/robot.js", SCRIPT, include_str!("page/robot.js")),
+    ("/draw.js", SCRIPT, include_str!("page/draw.js")),
+    ("/matrix.js", SCRIPT, include_str!("page/matrix.js")),
+];
+
+/// Answers the one request of a connection.
+pub fn serve(mut stream: TcpStream, shared: &Shared) {
+    // A socket that refuses its settings is broken, and reading from it says so too.
+    let _ = stream.set_nodelay(true);
+    let _ = stream.set_write_timeout(Some(PATIENCE));
+    let mut buffer = Vec::new();
+    let Some(length) = read_head(&mut stream, &mut buffer) else {
+        answer(&mut stream, "431 Request Header Fields Too Large", "text/plain", "too long a request", true);
+        return;
+    };
+    if length == 0 {
+        return;
+    }
+    let mut headers = [httparse::EMPTY_HEADER; HEADERS_MAX];
+    let mut head = httparse::Request::new(&mut headers);
+    let Ok(httparse::Status::Complete(_)) = head.parse(&buffer[..length]) else {
+        answer(&mut stream, "400 Bad Request", "text/plain", "no request that this server reads", true);
+        return;
+    };
+    let (path, query) = split_target(head.path.unwrap_or_default());
+    let claims = Claims {
+        host: header(&head, "host"),
+        origin: header(&head, "origin"),
+        token: query.split('&').find_map(|pair| pair.strip_prefix("token=")),
+    };
+    let refuse = |stream: &mut TcpStream, refused: Refused| {
+        answer(stream, "403 Forbidden", "text/plain; charset=utf-8", &format!("{refused}\n"), true);
+    };
+    if path == "/live" {
+        match (shared.gate.live(&claims), client::accept(&head)) {
+            (Err(refused), _) => refuse(&mut stream, refused),
+            (Ok(()), None) => {
+                answer(&mut stream, "426 Upgrade Required", "text/plain", "a WebSocket\n", true)
+            }
+            (Ok(()), Some(response)) => {
+                let rest = buffer.split_off(length);
+                if stream.write_all(&response).is_ok() {
+                    client::run(stream, rest, shared);
+                }
+            }
+        }
+        return;
+    }
+    let with_body = match head.method {
+        Some("GET") => true,
+        Some("HEAD") => false,
+        _ => {
+            answer(&mut stream, "405 Method Not Allowed", "text/plain", "GET or HEAD\n", true);
+            return;
+        }
+    };
+    let Some((_, kind, content)) = FILES.iter().find(|(known, ..)| *known == path) else {
+        answer(&mut stream, "404 Not Found", "text/plain", "there is only the page at /\n", with_body);
+        return;
+    };
+    match if path == "/" { shared.gate.page(&claims) } else { shared.gate.file(&claims) } {
+        Ok(()) => answer(&mut stream, "200 OK", kind, content, with_body),
+        Err(refused) => refuse(&mut stream, refused),
+    }
+}
+
+/// Reads up to the empty line. How long the head is: 0 if nobody asks, `None` if it is too long.
+fn read_head(stream: &mut TcpStream, buffer: &mut Vec<u8>) -> Option<usize> {
+    let until = Instant::now() + PATIENCE;
+    let mut piece = [0; 2048];
+    while buffer.len() < HEAD_MAX {
+        let left = until.saturating_duration_since(Instant::now());
+        if left.is_zero() || stream.set_read_timeout(Some(left)).is_err() {
+            return Some(0);
+        }
+        match stream.read(&mut piece) {
+            Ok(0) | Err(_) => return Some(0),
+            Ok(count) => buffer.extend_from_slice(&piece[..count]),
+        }
+        if let Some(end) = buffer.windows(4).position(|four| four == b"\r\n\r\n") {
+            return Some(end + 4);
+        }
+    }
+    None
+}
+
+/// A header that is there exactly once.
+fn header<'a>(head: &httparse::Request<'_, 'a>, name: &str) -> Option<&'a str> {
+    let mut found = head.headers.iter().filter(|h| h.name.eq_ignore_ascii_case(name));
+    let only = found.next().filter(|_| found.next().is_none())?;
+    Some(std::str::from_utf8(only.value).unwrap_or_default())
+}
+
+fn split_target(target: &str) -> (&str, &str) {
+    target.split_once('?').unwrap_or((target, ""))
+}
+
+fn answer(stream: &mut TcpStream, status: &str, kind: &str, content: &str, with_body: bool) {
+    let head = format!(
+        "HTTP/1.1 {status}\r\nContent-Type: {kind}\r\nContent-Length: {}\r\nConnection: close\r\n\
+         Cache-Control: no-store\r\nContent-Security-Policy: {POLICY}\r\nX-Content-Type-Options: nosniff\r\n\
+         Referrer-Policy: no-referrer\r\nCross-Origin-Resource-Policy: same-origin\r\n\r\n",
+        content.len()
+    );
+    let body = if with_body { content.as_bytes() } else { &[] };
+    // Whoever hangs up on an answer does not need it.
+    let _ = stream.write_all(head.as_bytes()).and_then(|()| stream.write_all(body));
+}

@@ -1,0 +1,302 @@
+// Everything on the page but the picture: texts, bars, tables, traces. Writes only what has changed.
+
+const $ = (id) => document.getElementById(id);
+const degrees = (rad) => (rad * 180) / Math.PI;
+const svgMove = (x, y) => `translate(${x.toFixed(1)} ${y.toFixed(1)})`;
+
+/** Sets a text, an attribute or a style only where it differs: the browser then has nothing to do. */
+function put(element, name, value) {
+  element.shown ??= {};
+  if (element.shown[name] === value) return;
+  element.shown[name] = value;
+  if (name === "text") element.textContent = value;
+  else if (name === "bar") element.style.transform = value;
+  else if (name === "left") element.style.left = value;
+  else if (name === "class") element.className = value;
+  else element.setAttribute(name, value);
+}
+
+const SAFETY = {
+  waiting: "waiting for neutral hands",
+  armed: "armed",
+  stale: "a hand is silent",
+  stopped: "STOPPED",
+};
+
+const HEADINGS = { neutral: "neutral", between: "between", forward: "forward ↑", backward: "backward ↓", left: "turn left ↺", right: "turn right ↻" };
+
+/** The bubble touches the rim at this tilt. */
+const TILT_MAX_RAD = Math.PI / 4;
+const RIM = 48;
+
+function bar(name, kind) {
+  const row = document.createElement("div");
+  row.className = "bar";
+  const label = document.createElement("span");
+  label.id = `bar-${name}`;
+  label.textContent = name;
+  const track = document.createElement("span");
+  track.className = `track ${kind}`;
+  track.setAttribute("role", "meter");
+  track.setAttribute("aria-labelledby", label.id);
+  const fill = document.createElement("i");
+  track.append(fill);
+  const text = document.createElement("output");
+  row.append(label, track, text);
+  return { row, track, fill, text };
+}
+
+export class Panels {
+  constructor() {
+    this.labels = null;
+    this.scores = [];
+    this.joints = [];
+    this.samples = [];
+    this.lines = [];
+    this.traces = $("traces");
+    this.slow = 0;
+    this.traced = 0;
+    this.still = matchMedia("(prefers-reduced-motion: reduce)");
+    this.spoken = "";
+  }
+
+  /** A session begins. */
+  begin({ title, setting }) {
+    this.setting = setting;
+    this.samples = [];
+    $("events").replaceChildren();
+    const [first, ...rest] = title.split("\n");
+    put($("title"), "text", [first.replace(/^bimanual:? ?/, ""), setting.scene, ...rest].filter(Boolean).join(" · "));
+    this.joints = setting.joints.map((joint) => {
+      const made = bar(joint.name.replace("_", " "), "needle");
+      const [low, high] = joint.limit_rad ?? [-Math.PI, Math.PI];
+      put(made.track, "aria-valuemin", degrees(low).toFixed(0));
+      put(made.track, "aria-valuemax", degrees(high).toFixed(0));
+      made.row.title = joint.limit_rad ? `limits ${degrees(low).toFixed(0)}° to ${degrees(high).toFixed(0)}°` : "turns without end";
+      return { ...made, low, high, endless: !joint.limit_rad };
+    });
+    $("joints").replaceChildren(...this.joints.map((made) => made.row));
+  }
+
+  /** What a frame says for the first time. */
+  news({ imu, events, bends_permille }) {
+    this.bends = bends_permille;
+    this.samples.push(...imu);
+    if (this.samples.length > 900) this.samples.splice(0, this.samples.length - 800);
+    if (events.length > 0) this.addEvents(events);
+  }
+
+  addEvents(events) {
+    const list = $("events");
+    const atEnd = list.scrollHeight - list.scrollTop - list.clientHeight < 30;
+    for (const { time_ms, class: kind, text } of events) {
+      const item = document.createElement("li");
+      const time = document.createElement("time");
+      time.textContent = `${(time_ms / 1000).toFixed(2)} s`;
+      const what = document.createElement("span");
+      what.className = kind;
+      what.textContent = text;
+      item.append(time, what);
+      list.append(item);
+    }
+    while (list.childElementCount > 200) list.firstElementChild.remove();
+    if (atEnd) list.scrollTop = list.scrollHeight;
+    // Read out only what a person must know now: the newest halt or motion of these.
+    const urgent = events.filter((event) => event.class !== "").at(-1);
+    if (urgent) this.say(urgent.text);
+  }
+
+  /** Read out by screen readers. */
+  say(text) {
+    $("spoken").textContent = text;
+  }
+
+  /** The state. `now` is the browser's clock in ms. */
+  show(state, now) {
+    this.showQuick(state);
+    if (now - this.slow >= 100) {
+      this.slow = now;
+      this.showTexts(state);
+    }
+    // Scrolling traces are motion too: for those who want little of it they move on once a second.
+    if (now - this.traced >= (this.still.matches ? 1000 : 33)) {
+      this.traced = now;
+      this.drawTraces(state.time_ms);
+    }
+  }
+
+  showQuick({ safety, left, right, arm, odometry, caps }) {
+    put($("safety"), "data-state", safety);
+    put($("safety-text"), "text", SAFETY[safety]);
+    const far = Math.max(1, Math.hypot(left.pitch_rad, left.roll_rad) / TILT_MAX_RAD);
+    const scale = (RIM - 7) / TILT_MAX_RAD / far;
+    put($("bubble"), "transform", svgMove(-left.roll_rad * scale, -left.pitch_rad * scale));
+    const known = this.bends !== null && this.bends !== undefined;
+    ["index", "middle"].forEach((finger, i) => {
+      const share = known ? Math.min(Math.max(this.bends[i] / 1000, 0), 1) : 0;
+      put($(finger).firstElementChild, "bar", `scaleX(${share.toFixed(2)})`);
+      put($(finger), "aria-valuenow", String(Math.round(share * 100)));
+      put($(finger), "class", known ? "track" : "track unknown");
+    });
+    this.showScores(right);
+    arm.joints_rad.slice(0, this.joints.length).forEach((angle, i) => {
+      const { fill, track, low, high, endless } = this.joints[i];
+      const turn = endless ? Math.atan2(Math.sin(angle), Math.cos(angle)) : angle;
+      const share = (turn - low) / (high - low);
+      put(fill, "left", `${(share * 100).toFixed(1)}%`);
+      put(track, "aria-valuenow", degrees(turn).toFixed(0));
+      put(track, "class", !endless && (share < 0.05 || share > 0.95) ? "track needle near" : "track needle");
+    });
+    for (const [name, speed, cap] of [
+      ["linear", odometry.twist.linear_m_s, caps.linear_m_s],
+      ["angular", odometry.twist.angular_rad_s, caps.angular_rad_s],
+    ]) {
+      const share = Math.min(Math.max(speed / cap, -1), 1);
+      put($(name).firstElementChild, "bar", `scaleX(${(share / 2).toFixed(3)})`);
+      put($(name), "aria-valuenow", String(Math.round(share * 100)));
+    }
+  }
+
+  showScores({ labels, scores }) {
+    const names = labels.join();
+    if (names !== this.labels) {
+      this.labels = names;
+      this.scores = labels.map((label) => bar(label, ""));
+      const none = document.createElement("p");
+      none.className = "quiet";
+      none.textContent = "no model yet";
+      $("scores").replaceChildren(...(labels.length > 0 ? this.scores.map((made) => made.row) : [none]));
+      for (const { track } of this.scores) {
+        put(track, "aria-valuemin", "0");
+        put(track, "aria-valuemax", "100");
+      }
+    }
+    const top = Math.max(...scores);
+    this.scores.forEach(({ row, fill, track, text }, i) => {
+      const score = scores[i] ?? 0;
+      put(fill, "bar", `scaleX(${score.toFixed(2)})`);
+      put(track, "aria-valuenow", String(Math.round(score * 100)));
+      put(text, "text", score.toFixed(2));
+      put(row, "class", score === top && score > 0 ? "bar top" : "bar");
+    });
+  }
+
+  /** Figures that nobody reads sixty times a second. */
+  showTexts(state) {
+    const { left, right, arm, odometry, caps } = state;
+    put($("clock"), "text", `${(state.time_ms / 1000).toFixed(1)} s`);
+    put($("heading"), "text", left.link.connected ? HEADINGS[left.heading] : "no left hand");
+    const tilt = (rad, one, other) => `${Math.abs(degrees(rad)).toFixed(0)}° ${rad < 0 ? other : one}`;
+    put($("tilt-text"), "text", `${tilt(left.pitch_rad, "forward", "backward")}, ${tilt(left.roll_rad, "left", "right")}`);
+    put($("caps"), "text", `at most ${caps.linear_m_s.toFixed(2)} m/s, ${degrees(caps.angular_rad_s).toFixed(0)} °/s`);
+    for (const [finger, count] of [["index", left.index_bends], ["middle", left.middle_bends]]) {
+      put($(`${finger}-text`), "text", left.stop ? "stop" : `${count} bend${count === 1 ? "" : "s"}`);
+    }
+    this.joints.forEach(({ text }, i) => put(text, "text", `${degrees(arm.joints_rad[i]).toFixed(0)}°`));
+    put($("linear-text"), "text", `${odometry.twist.linear_m_s.toFixed(2)} m/s`);
+    put($("angular-text"), "text", `${degrees(odometry.twist.angular_rad_s).toFixed(0)} °/s`);
+    const legs = { "to-home": "home first", "to-goal": "on its way", halting: "halting" };
+    const doing = arm.running ? `${arm.running[0].replaceAll("-", " ")}: ${legs[arm.running[1]]}` : "arm at rest";
+    put($("doing"), "text", doing);
+    const where = `x ${odometry.x_m.toFixed(2)} m, y ${odometry.y_m.toFixed(2)} m, ${degrees(odometry.heading_rad).toFixed(0)}°`;
+    put($("base-text"), "text", `base: ${where}; ${odometry.path_m.toFixed(1)} m driven`);
+    put($("scene-text"), "text", `Base at ${where}. ${doing}. ${this.setting.boxes.length} boxes around.`);
+    this.showLinks(left.link, right.link);
+  }
+
+  showLinks(left, right) {
+    const life = (link) => (!link.connected ? "none" : link.live ? "live" : "silent");
+    const ms = (value) => (value === null ? "–" : `${value} ms`);
+    const rows = [
+      ["state", life],
+      ["newest sample", (link) => (link.connected ? ms(link.age_ms) : "–")],
+      ["round trip", (link) => ms(link.round_trip_ms)],
+      ["frames", (link) => link.counters.frames],
+      ["lost", (link) => link.counters.lost],
+      ["damaged", (link) => link.counters.damaged + link.counters.unreadable],
+      ["health", (link) => (link.health === 0 ? "good" : `flags ${link.health.toString(2)}`)],
+    ];
+    if (this.lines.length === 0) {
+      this.lines = rows.map(([name]) => {
+        const row = document.createElement("tr");
+        const head = document.createElement("th");
+        head.scope = "row";
+        head.textContent = name;
+        const cells = [document.createElement("td"), document.createElement("td")];
+        row.append(head, ...cells);
+        $("links").append(row);
+        return cells;
+      });
+    }
+    rows.forEach(([name, value], i) => {
+      [left, right].forEach((link, hand) => {
+        const cell = this.lines[i][hand];
+        const shown = value(link);
+        put(cell, "text", String(shown));
+        if (name === "state") put(cell, "class", link.live ? "ok" : link.connected ? "doubt" : "");
+        if (name === "lost" || name === "damaged") put(cell, "class", shown > 0 ? "doubt" : "");
+      });
+    });
+  }
+
+  /** Colours have changed with the theme. */
+  recolour(style) {
+    this.colours = ["x", "y", "z"].map((axis) => style.getPropertyValue(`--${axis}`).trim());
+    this.quiet = style.getPropertyValue("--quiet").trim();
+    this.edge = style.getPropertyValue("--edge").trim();
+    this.traced = 0;
+  }
+
+  /** Accelerometer, gyroscope and magnetometer, each with its own scale. */
+  drawTraces(time_ms) {
+    const canvas = this.traces;
+    const share = Math.min(devicePixelRatio || 1, 2);
+    const [width, height] = [Math.round(this.width * share), Math.round(this.height * share)];
+    if (!(width > 0 && height > 0)) return;
+    if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
+    const pen = (this.pen ??= canvas.getContext("2d"));
+    pen.setTransform(share, 0, 0, share, 0, 0);
+    pen.clearRect(0, 0, this.width, this.height);
+    pen.font = "11px system-ui, sans-serif";
+    const from_ms = time_ms - 6000;
+    const samples = this.samples;
+    const axes = samples.length > 0 ? samples.at(-1).length - 1 : 0;
+    if (axes === 0) {
+      pen.fillStyle = this.quiet;
+      pen.fillText("The board keeps its samples and sends what it makes of them.", 0, 14);
+      return;
+    }
+    let first = samples.findIndex((sample) => sample[0] >= from_ms);
+    if (first < 0) first = samples.length;
+    const groups = [["acceleration", "m/s²", 30], ["turning", "°/s", 500], ["magnetic", "µT", 80]].slice(0, axes / 3);
+    const band = this.height / groups.length;
+    groups.forEach(([name, unit, most], group) => {
+      const middle = band * (group + 0.5);
+      pen.strokeStyle = this.edge;
+      pen.lineWidth = 1;
+      pen.beginPath();
+      pen.moveTo(0, middle);
+      pen.lineTo(this.width, middle);
+      pen.stroke();
+      pen.lineWidth = 1.3;
+      for (let axis = 0; axis < 3; axis++) {
+        pen.strokeStyle = this.colours[axis];
+        pen.beginPath();
+        // Every second sample: more than the eye sees at this size.
+        for (let i = first + (first % 2); i < samples.length; i += 2) {
+          const value = Math.min(Math.max(samples[i][1 + 3 * group + axis] / most, -1), 1);
+          pen.lineTo(((samples[i][0] - from_ms) / 6000) * this.width, middle - value * band * 0.46);
+        }
+        pen.stroke();
+      }
+      pen.fillStyle = this.quiet;
+      pen.fillText(`${name} ±${most} ${unit}`, 0, band * group + 10);
+    });
+  }
+
+  /** How large the traces are on the screen. */
+  measure() {
+    this.width = this.traces.clientWidth;
+    this.height = this.traces.clientHeight;
+  }
+}

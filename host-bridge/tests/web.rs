@@ -1,0 +1,248 @@
+//! The page's server as a browser, a stranger and a rude client meet it. Sockets on the loopback only.
+
+use std::io::{Read as _, Write as _};
+use std::net::{SocketAddr, TcpStream};
+use std::time::{Duration, Instant};
+
+use host_bridge::config::Config;
+use host_bridge::live::{Live, Place};
+use host_bridge::safety::State;
+use host_bridge::web::{CONNECTIONS_MAX, Web, WebError, WebOptions};
+use serde_json::Value;
+use tungstenite::client::IntoClientRequest as _;
+use tungstenite::{Message, WebSocket};
+
+const PATIENCE: Duration = Duration::from_secs(20);
+
+fn any_port() -> WebOptions {
+    WebOptions { port: 0, ..WebOptions::default() }
+}
+
+/// Status and body of one request with these lines.
+fn ask(address: SocketAddr, request: &str, headers: &[(&str, &str)]) -> (String, String) {
+    let mut stream = TcpStream::connect(address).unwrap();
+    stream.set_read_timeout(Some(PATIENCE)).unwrap();
+    let headers: String = headers.iter().map(|(name, value)| format!("{name}: {value}\r\n")).collect();
+    stream.write_all(format!("{request} HTTP/1.1\r\n{headers}\r\n").as_bytes()).unwrap();
+    let mut answer = String::new();
+    // A server that does not read all of a bad request resets the connection behind its answer.
+    let _ = stream.read_to_string(&mut answer);
+    let (head, body) = answer.split_once("\r\n\r\n").unwrap_or((&answer, ""));
+    (head.to_owned(), body.to_owned())
+}
+
+fn open(web: &Web, origin: Option<&str>, query: &str) -> Result<WebSocket<TcpStream>, u16> {
+    let stream = TcpStream::connect(web.address()).unwrap();
+    stream.set_read_timeout(Some(PATIENCE)).unwrap();
+    let mut request = format!("ws://{}/live{query}", web.address()).into_client_request().unwrap();
+    if let Some(origin) = origin {
+        request.headers_mut().insert("Origin", origin.parse().unwrap());
+    }
+    match tungstenite::client(request, stream) {
+        Ok((socket, _)) => Ok(socket),
+        Err(tungstenite::HandshakeError::Failure(tungstenite::Error::Http(response))) => {
+            Err(response.status().as_u16())
+        }
+        Err(error) => panic!("{error}"),
+    }
+}
+
+fn own_origin(web: &Web) -> String {
+    format!("http://{}", web.address())
+}
+
+fn message(socket: &mut WebSocket<TcpStream>) -> Value {
+    loop {
+        if let Message::Text(text) = socket.read().unwrap() {
+            return serde_json::from_str(text.as_str()).unwrap();
+        }
+    }
+}
+
+/// A session with keys for both hands, and its page.
+fn session() -> (Web, Live) {
+    let web = Web::start(&any_port()).unwrap();
+    let mut live = Live::new(&Config::default(), Place::Keyboard, Place::Keyboard, 0);
+    live.tap_mut().add(Box::new(web.watcher("a test\nsecond line")));
+    for now_ms in 1..500 {
+        live.step(now_ms, [true; 2]);
+    }
+    assert_eq!(live.bridge().safety().state(), State::Armed);
+    (web, live)
+}
+
+#[test]
+fn the_page_and_its_files_come_whole_with_a_strict_policy_and_nothing_else_does() {
+    let web = Web::start(&any_port()).unwrap();
+    let host = web.address().to_string();
+    let get = |target: &str| ask(web.address(), &format!("GET {target}"), &[("Host", &host)]);
+    let (head, page) = get("/");
+    assert!(head.starts_with("HTTP/1.1 200 OK"), "{head}");
+    assert!(head.contains("default-src 'none'") && head.contains("frame-ancestors 'none'"), "{head}");
+    assert!(page.ends_with("</html>\n"));
+    for (file, kind) in [("page.css", "text/css"), ("main.js", "text/javascript"), ("icon.svg", "image/svg")]
+    {
+        assert!(page.contains(file), "{file}");
+        let (head, _) = get(&format!("/{file}"));
+        assert!(head.starts_with("HTTP/1.1 200") && head.contains(kind), "{head}");
+    }
+    // Nothing from elsewhere: the page must work offline.
+    for file in
+        ["/", "/page.css", "/main.js", "/link.js", "/panels.js", "/robot.js", "/draw.js", "/matrix.js"]
+    {
+        let (_, text) = get(file);
+        assert!(!text.contains("https://") && !text.contains("//cdn"), "{file}");
+        // Whatever one module imports is served.
+        for import in text.lines().filter(|line| line.starts_with("import ")) {
+            let name = import.split('"').nth(1).unwrap().trim_start_matches('.');
+            assert!(get(name).0.starts_with("HTTP/1.1 200"), "{file} imports {name}");
+        }
+    }
+    for (target, status) in [("/secret", "404"), ("/../Cargo.toml", "404"), ("/live", "403")] {
+        assert!(get(target).0.starts_with(&format!("HTTP/1.1 {status}")), "{target}: {}", get(target).0);
+    }
+    let (head, _) = ask(web.address(), "POST /", &[("Host", &host)]);
+    assert!(head.starts_with("HTTP/1.1 405"), "{head}");
+    let (head, body) = ask(web.address(), "HEAD /", &[("Host", &host)]);
+    assert!(head.starts_with("HTTP/1.1 200") && body.is_empty(), "{head}");
+}
+
+#[test]
+fn foreign_names_and_foreign_pages_are_refused() {
+    let (web, _live) = session();
+    let host = web.address().to_string();
+    let (head, body) = ask(web.address(), "GET /", &[("Host", "robot.evil.example")]);
+    assert!(head.starts_with("HTTP/1.1 403") && body.contains("localhost"), "{head} {body}");
+    let (head, _) = ask(web.address(), "GET /", &[]);
+    assert!(head.starts_with("HTTP/1.1 403"), "no Host: {head}");
+    let (head, _) = ask(web.address(), "GET /", &[("Host", &host), ("Host", "127.0.0.1")]);
+    assert!(head.starts_with("HTTP/1.1 403"), "two of them: {head}");
+    let (head, _) = ask(web.address(), "GET /main.js", &[("Host", &host), ("Origin", "http://evil.example")]);
+    assert!(head.starts_with("HTTP/1.1 403"), "{head}");
+    for origin in [None, Some("http://evil.example"), Some("null"), Some("https://127.0.0.1")] {
+        assert_eq!(open(&web, origin, "").err(), Some(403), "{origin:?}");
+    }
+    let mut socket = open(&web, Some(&own_origin(&web)), "").unwrap();
+    assert_eq!(message(&mut socket)["hello"], 1);
+}
+
+#[test]
+fn a_token_is_needed_where_it_was_set_and_set_where_others_can_come_in() {
+    let everybody = "0.0.0.0".parse().unwrap();
+    let open_door = Web::start(&WebOptions { address: everybody, port: 0, token: None });
+    assert!(matches!(open_door, Err(WebError::TokenNeeded(_))));
+    let weak = Web::start(&WebOptions { token: Some("secret".to_owned()), ..any_port() });
+    assert!(matches!(weak, Err(WebError::BadToken)));
+
+    let token = "0123456789abcdef";
+    let web = Web::start(&WebOptions { token: Some(token.to_owned()), ..any_port() }).unwrap();
+    assert!(web.url().ends_with(&format!("/?token={token}")));
+    let host = web.address().to_string();
+    assert!(ask(web.address(), "GET /", &[("Host", &host)]).0.starts_with("HTTP/1.1 403"));
+    let known = ask(web.address(), &format!("GET /?token={token}"), &[("Host", &host)]).0;
+    assert!(known.starts_with("HTTP/1.1 200"), "{known}");
+    let origin = own_origin(&web);
+    assert_eq!(open(&web, Some(&origin), "").err(), Some(403));
+    assert_eq!(open(&web, Some(&origin), "?token=0123456789abcdeX").err(), Some(403));
+    assert!(open(&web, Some(&origin), &format!("?token={token}")).is_ok());
+}
+
+#[test]
+fn a_taken_port_is_an_error_that_names_another() {
+    let web = Web::start(&any_port()).unwrap();
+    let again = Web::start(&WebOptions { port: web.address().port(), ..any_port() });
+    let text = again.err().unwrap().to_string();
+    assert!(text.contains("in use") && text.contains("--web="), "{text}");
+}
+
+#[test]
+fn a_page_is_told_setting_and_state_and_its_stop_stops_the_robot_as_the_stop_key_does() {
+    let (web, mut live) = session();
+    let mut socket = open(&web, Some(&own_origin(&web)), "").unwrap();
+    let hello = message(&mut socket);
+    assert_eq!(hello["title"], "a test\nsecond line");
+    assert_eq!(hello["setting"]["joints"].as_array().unwrap().len(), 7);
+    let frame = message(&mut socket);
+    assert_eq!(frame["state"]["safety"], "waiting", "the first state; a later one needs time to pass");
+    socket.send(Message::text("took")).unwrap();
+    assert!(!web.take_stop());
+    socket.send(Message::text("stop")).unwrap();
+    let began = Instant::now();
+    while !web.take_stop() {
+        assert!(began.elapsed() < PATIENCE);
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    assert!(!web.take_stop(), "once");
+    live.stop_key(500);
+    web.end(&live.now(501));
+    let frame = message(&mut socket);
+    assert_eq!(frame["state"]["safety"], "stopped");
+    assert_eq!(frame["state"]["time_ms"], 501);
+    assert_eq!(message(&mut socket)["over"], true);
+}
+
+#[test]
+fn a_page_that_takes_nothing_gets_four_frames_and_then_only_the_newest() {
+    let (web, mut live) = session();
+    let mut socket = open(&web, Some(&own_origin(&web)), "").unwrap();
+    message(&mut socket);
+    let mut seen = vec![message(&mut socket)];
+    // 0.4 s of states that nobody acknowledges, for at least ten publications.
+    for now_ms in 500..600 {
+        live.step(now_ms, [true; 2]);
+        std::thread::sleep(Duration::from_millis(4));
+    }
+    for _ in 1..4 {
+        seen.push(message(&mut socket));
+    }
+    socket.get_ref().set_read_timeout(Some(Duration::from_millis(100))).unwrap();
+    assert!(socket.read().is_err(), "a fifth frame came");
+    socket.get_ref().set_read_timeout(Some(PATIENCE)).unwrap();
+    socket.send(Message::text("took")).unwrap();
+    let next = message(&mut socket);
+    let number = |frame: &Value| frame["frame"].as_u64().unwrap();
+    assert!(number(&next) > number(&seen[3]) + 1, "{} after {}", number(&next), number(&seen[3]));
+    assert!(next["state"]["time_ms"].as_u64().unwrap() >= 590, "{}", next["state"]["time_ms"]);
+}
+
+#[test]
+fn rude_clients_are_let_go_and_others_are_still_served() {
+    let (web, _live) = session();
+    let origin = own_origin(&web);
+    for rude in [Message::text("drive"), Message::text("took"), Message::binary(vec![0; 64])] {
+        let mut socket = open(&web, Some(&origin), "").unwrap();
+        // The first frame is not taken: "took" is then once right, and wrong the second time.
+        for _ in 0..8 {
+            let _ = socket.send(rude.clone());
+        }
+        let ended = (0..50).any(|_| socket.read().is_err());
+        assert!(ended, "{rude:?}");
+    }
+    let mut socket = open(&web, Some(&origin), "").unwrap();
+    let _ = socket.send(Message::text("x".repeat(100_000)));
+    assert!((0..50).any(|_| socket.read().is_err()), "long messages");
+    assert!(!web.take_stop(), "none of it was a stop");
+
+    let (head, _) = ask(web.address(), "GET /", &[("Host", "x"), ("Pad", &"y".repeat(9000))]);
+    assert!(head.is_empty() || head.starts_with("HTTP/1.1 431"), "{head}");
+    let (head, _) = ask(web.address(), "nonsense\u{1}", &[]);
+    assert!(head.starts_with("HTTP/1.1 400"), "{head}");
+
+    // Whoever opens connections and says nothing does not lock others out for ever.
+    let silent: Vec<TcpStream> =
+        (0..CONNECTIONS_MAX).map(|_| TcpStream::connect(web.address()).unwrap()).collect();
+    drop(silent);
+    let host = web.address().to_string();
+    let began = Instant::now();
+    loop {
+        let mut stream = TcpStream::connect(web.address()).unwrap();
+        let _ = stream.write_all(format!("GET / HTTP/1.1\r\nHost: {host}\r\n\r\n").as_bytes());
+        let mut answer = Vec::new();
+        let _ = stream.read_to_end(&mut answer);
+        if answer.starts_with(b"HTTP/1.1 200") {
+            break;
+        }
+        assert!(began.elapsed() < PATIENCE);
+        std::thread::sleep(Duration::from_millis(5));
+    }
+}
