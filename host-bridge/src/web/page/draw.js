@@ -150,7 +150,7 @@ function meshes() {
     return ball;
   };
   const tube = [];
-  const sides = 28;
+  const sides = 24;
   for (let i = 0; i < sides; i++) {
     const [c0, s0, c1, s1] = [i, i + 1].flatMap((k) => {
       const p = (2 * Math.PI * k) / sides;
@@ -165,7 +165,22 @@ function meshes() {
     }
   }
   const ground = [-1, -1, 0, 1, -1, 0, 1, 1, 0, -1, -1, 0, 1, 1, 0, -1, 1, 0];
-  return { box, ball: round(24, 12), tube, ground };
+  return { box, ball: round(20, 10), tube, ground };
+}
+
+/** Corners that are the same are kept once, so that each is worked out once. */
+function indexed(values, width) {
+  const [known, corners, order] = [new Map(), [], []];
+  for (let i = 0; i < values.length; i += width) {
+    const corner = values.slice(i, i + width);
+    const name = corner.map((v) => v.toFixed(4)).join();
+    if (!known.has(name)) {
+      known.set(name, known.size);
+      corners.push(...corner);
+    }
+    order.push(known.get(name));
+  }
+  return { corners: new Float32Array(corners), order: new Uint16Array(order) };
 }
 
 /** Points of a line that grows at its end; the graphics card keeps them. */
@@ -235,14 +250,17 @@ export class Renderer {
       const array = gl.createVertexArray();
       gl.bindVertexArray(array);
       gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
-      gl.bufferData(gl.ARRAY_BUFFER, new Float32Array(values), gl.STATIC_DRAW);
+      const { corners, order } = indexed(values, width);
+      gl.bufferData(gl.ARRAY_BUFFER, corners, gl.STATIC_DRAW);
+      gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
+      gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, order, gl.STATIC_DRAW);
       gl.enableVertexAttribArray(0);
       gl.vertexAttribPointer(0, 3, gl.FLOAT, false, 4 * width, 0);
       if (width === 6) {
         gl.enableVertexAttribArray(1);
         gl.vertexAttribPointer(1, 3, gl.FLOAT, false, 24, 12);
       }
-      this.meshes[name] = { array, count: values.length / width };
+      this.meshes[name] = { array, count: order.length };
     }
     gl.bindVertexArray(null);
     this.path = new Line(gl, this.lines);
@@ -315,7 +333,7 @@ export class Renderer {
     gl.uniform3fv(this.floor.line_colour, colours.grid);
     gl.uniform3fv(this.floor.sky_colour, colours.sky);
     gl.bindVertexArray(this.meshes.ground.array);
-    gl.drawArrays(gl.TRIANGLES, 0, this.meshes.ground.count);
+    gl.drawElements(gl.TRIANGLES, this.meshes.ground.count, gl.UNSIGNED_SHORT, 0);
 
     this.drawShadows(scene.parts, view, colours);
     this.drawLine(this.path, view, colours.path, 2.2, 0, false);
@@ -344,7 +362,7 @@ export class Renderer {
     gl.uniformMatrix4fv(this.parts.model, false, part.matrix);
     gl.uniform3fv(this.parts.colour, colours[part.colour]);
     gl.bindVertexArray(mesh.array);
-    gl.drawArrays(gl.TRIANGLES, 0, mesh.count);
+    gl.drawElements(gl.TRIANGLES, mesh.count, gl.UNSIGNED_SHORT, 0);
   }
 
   /** Each pixel of the floor is darkened once, however many parts shade it. */
@@ -364,7 +382,7 @@ export class Renderer {
       const mesh = this.meshes[part.mesh];
       gl.uniformMatrix4fv(this.shadows.model, false, part.matrix);
       gl.bindVertexArray(mesh.array);
-      gl.drawArrays(gl.TRIANGLES, 0, mesh.count);
+      gl.drawElements(gl.TRIANGLES, mesh.count, gl.UNSIGNED_SHORT, 0);
     }
     gl.depthMask(true);
     gl.disable(gl.STENCIL_TEST);

@@ -33,7 +33,7 @@ function bar(name, kind) {
   const row = document.createElement("div");
   row.className = "bar";
   const label = document.createElement("span");
-  label.id = `bar-${name}`;
+  label.id = `bar-${name.replaceAll(" ", "-")}`;
   label.textContent = name;
   const track = document.createElement("span");
   track.className = `track ${kind}`;
@@ -254,7 +254,7 @@ export class Panels {
     const [width, height] = [Math.round(this.width * share), Math.round(this.height * share)];
     if (!(width > 0 && height > 0)) return;
     if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
-    const pen = (this.pen ??= canvas.getContext("2d"));
+    const pen = (this.pen ??= canvas.getContext("2d", { willReadFrequently: true }));
     pen.setTransform(share, 0, 0, share, 0, 0);
     pen.clearRect(0, 0, this.width, this.height);
     pen.font = "11px system-ui, sans-serif";
