@@ -152,3 +152,50 @@ fn bad_input_names_file_line_and_column_and_moves_nothing() {
     }
     assert!(Path::new(&good).exists());
 }
+
+#[test]
+fn a_page_that_cannot_be_served_is_an_error_that_says_what_to_do() {
+    let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let port = taken.local_addr().unwrap().port();
+    let web = format!("--web={port}");
+    let refused: [(&[&str], &str); 4] = [
+        (&["demo", "--headless", &web], "choose another port with --web="),
+        (&["demo", "--headless", "--web-listen", "0.0.0.0"], "--web-token"),
+        (&["demo", "--headless", "--web", "--web-token", "short"], "16 to 128 letters"),
+        (&["run", "--left", "/dev/none", "--headless", &web], "in use"),
+    ];
+    for (args, says) in refused {
+        let output = host_bridge(args);
+        assert_eq!(output.status.code(), Some(1), "{args:?}");
+        assert!(stderr(&output).contains(says), "{args:?}: {}", stderr(&output));
+    }
+}
+
+#[test]
+fn run_takes_a_scene_and_names_its_page() {
+    let scene = format!("{}/scenes/room.toml", env!("CARGO_MANIFEST_DIR"));
+    let run = |scene: &str| {
+        let more = ["--json", "--web=0", "--seconds", "0.3", "--scene", scene];
+        let args: Vec<&str> = ["run", "--left", "/dev/none"].into_iter().chain(more).collect();
+        host_bridge(&args)
+    };
+    let output = run(&scene);
+    assert!(output.status.success(), "{}", stderr(&output));
+    let lines: Vec<serde_json::Value> = String::from_utf8(output.stdout)
+        .unwrap()
+        .lines()
+        .map(|line| serde_json::from_str(line).expect("each line is a JSON object"))
+        .collect();
+    let page = lines.iter().find(|line| line["event"] == "page").expect("the page's address");
+    assert!(page["url"].as_str().unwrap().starts_with("http://127.0.0.1:"), "{page}");
+    let output = run("nowhere.toml");
+    assert_eq!(output.status.code(), Some(1));
+    assert!(stderr(&output).contains("nowhere.toml"), "{}", stderr(&output));
+}
+
+#[test]
+fn the_demo_passes_in_the_room_too_and_its_stop_is_the_only_halt_by_hand() {
+    let scene = format!("{}/scenes/room.toml", env!("CARGO_MANIFEST_DIR"));
+    let output = host_bridge(&["demo", "--headless", "--speed", "0", "--json", "--scene", &scene]);
+    assert!(output.status.success(), "{}", stderr(&output));
+}

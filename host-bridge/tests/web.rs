@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use host_bridge::config::Config;
 use host_bridge::live::{Live, Place};
 use host_bridge::safety::State;
-use host_bridge::web::{CONNECTIONS_MAX, Web, WebError, WebOptions};
+use host_bridge::web::{CONNECTIONS_MAX, IN_FLIGHT_MAX, Web, WebError, WebOptions};
 use serde_json::Value;
 use tungstenite::client::IntoClientRequest as _;
 use tungstenite::{Message, WebSocket};
@@ -182,7 +182,7 @@ fn a_page_is_told_setting_and_state_and_its_stop_stops_the_robot_as_the_stop_key
 }
 
 #[test]
-fn a_page_that_takes_nothing_gets_four_frames_and_then_only_the_newest() {
+fn a_page_that_takes_nothing_gets_two_frames_and_then_only_the_newest() {
     let (web, mut live) = session();
     let mut socket = open(&web, Some(&own_origin(&web)), "").unwrap();
     message(&mut socket);
@@ -192,16 +192,17 @@ fn a_page_that_takes_nothing_gets_four_frames_and_then_only_the_newest() {
         live.step(now_ms, [true; 2]);
         std::thread::sleep(Duration::from_millis(4));
     }
-    for _ in 1..4 {
+    for _ in 1..IN_FLIGHT_MAX {
         seen.push(message(&mut socket));
     }
     socket.get_ref().set_read_timeout(Some(Duration::from_millis(100))).unwrap();
-    assert!(socket.read().is_err(), "a fifth frame came");
+    assert!(socket.read().is_err(), "one frame too many");
     socket.get_ref().set_read_timeout(Some(PATIENCE)).unwrap();
     socket.send(Message::text("took")).unwrap();
     let next = message(&mut socket);
     let number = |frame: &Value| frame["frame"].as_u64().unwrap();
-    assert!(number(&next) > number(&seen[3]) + 1, "{} after {}", number(&next), number(&seen[3]));
+    let before = number(&seen[1]);
+    assert!(number(&next) > before + 1, "{} after {before}", number(&next));
     assert!(next["state"]["time_ms"].as_u64().unwrap() >= 590, "{}", next["state"]["time_ms"]);
 }
 

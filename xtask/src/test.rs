@@ -5,7 +5,7 @@ use std::process::{Command, ExitCode};
 use anyhow::{Result, bail, ensure};
 
 use crate::steps::{Step, output, run_all, sh};
-use crate::tools::{CROSS_LINK, CROSS_RUST, EMULATORS, QEMU};
+use crate::tools::{BROWSER, CROSS_LINK, CROSS_RUST, EMULATORS, QEMU};
 use crate::{firmware_avr, firmware_nano33, python, real_data, root, target_dir, toolchain};
 
 /// Runs the steps.
@@ -139,6 +139,15 @@ fn steps() -> Vec<Step> {
             sh(built("examples/plan-trace")?.arg(&traces))?;
             let python = python::environment("mujoco", &["tests/mujoco/requirements.txt"])?;
             sh(Command::new(python).current_dir(root()).arg("tests/mujoco/check.py").arg(&traces))
+        }),
+        Step::new("the page in headless Chromium", || {
+            BROWSER.ensure()?;
+            built("examples/state-at")?;
+            let python = python::environment("web", &["tests/web/requirements.txt"])?;
+            sh(Command::new(python)
+                .current_dir(root())
+                .arg("tests/web/check.py")
+                .arg(target_dir().join("debug")))
         }),
     ]
 }

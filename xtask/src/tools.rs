@@ -25,6 +25,10 @@ pub const CROSS_LINK: Packages = Packages {
 pub const QEMU: Packages =
     Packages { purpose: "counting instructions on a Cortex-M4F", names: &["qemu-system-arm"] };
 
+/// A browser to look at the page with, and letters for it.
+pub const BROWSER: Packages =
+    Packages { purpose: "the page in a browser", names: &["chromium", "fonts-dejavu-core"] };
+
 /// What the emulated boards stand on.
 pub const EMULATORS: Packages = Packages {
     purpose: "emulated boards",

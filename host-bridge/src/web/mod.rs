@@ -39,7 +39,7 @@ pub use watcher::Watcher;
 pub const DEFAULT_PORT: u16 = 8042;
 
 /// Frames that a page may have on their way without having acknowledged one.
-pub const IN_FLIGHT_MAX: u64 = 4;
+pub const IN_FLIGHT_MAX: u64 = 2;
 
 /// Connections at a time: a browser opens up to six for the files, each page keeps one.
 pub const CONNECTIONS_MAX: usize = 24;

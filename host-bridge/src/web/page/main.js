@@ -221,6 +221,7 @@ function frame(now) {
   if ($("scene").parentElement.dataset.state !== state.safety) $("scene").parentElement.dataset.state = state.safety;
   if (renderer) draw();
   showContact();
+  link.took();
 }
 
 canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());

@@ -64,7 +64,7 @@ export class Panels {
   begin({ title, setting }) {
     this.setting = setting;
     this.samples = [];
-    $("events").replaceChildren();
+    $("event-list").replaceChildren();
     const [first, ...rest] = title.split("\n");
     put($("title"), "text", [first.replace(/^bimanual:? ?/, ""), setting.scene, ...rest].filter(Boolean).join(" · "));
     this.joints = setting.joints.map((joint) => {
@@ -87,8 +87,8 @@ export class Panels {
   }
 
   addEvents(events) {
-    const list = $("events");
-    const atEnd = list.scrollHeight - list.scrollTop - list.clientHeight < 30;
+    const [list, box] = [$("event-list"), $("events")];
+    const atEnd = box.scrollHeight - box.scrollTop - box.clientHeight < 30;
     for (const { time_ms, class: kind, text } of events) {
       const item = document.createElement("li");
       const time = document.createElement("time");
@@ -100,7 +100,7 @@ export class Panels {
       list.append(item);
     }
     while (list.childElementCount > 200) list.firstElementChild.remove();
-    if (atEnd) list.scrollTop = list.scrollHeight;
+    if (atEnd) box.scrollTop = box.scrollHeight;
     // Read out only what a person must know now: the newest halt or motion of these.
     const urgent = events.filter((event) => event.class !== "").at(-1);
     if (urgent) this.say(urgent.text);
