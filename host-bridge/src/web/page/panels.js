@@ -268,7 +268,7 @@ export class Panels {
     }
     let first = samples.findIndex((sample) => sample[0] >= from_ms);
     if (first < 0) first = samples.length;
-    const groups = [["acceleration", "m/s²", 30], ["turning", "°/s", 500], ["magnetic", "µT", 80]].slice(0, axes / 3);
+    const groups = [["acceleration", "m/s²", 20], ["turning", "°/s", 250], ["magnetic", "µT", 80]].slice(0, axes / 3);
     const band = this.height / groups.length;
     groups.forEach(([name, unit, most], group) => {
       const middle = band * (group + 0.5);
