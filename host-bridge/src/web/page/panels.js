@@ -261,11 +261,8 @@ export class Panels {
     const from_ms = time_ms - 6000;
     const samples = this.samples;
     const axes = samples.length > 0 ? samples.at(-1).length - 1 : 0;
-    if (axes === 0) {
-      pen.fillStyle = this.quiet;
-      pen.fillText("The board keeps its samples and sends what it makes of them.", 0, 14);
-      return;
-    }
+    $("no-samples").hidden = axes > 0;
+    if (axes === 0) return;
     let first = samples.findIndex((sample) => sample[0] >= from_ms);
     if (first < 0) first = samples.length;
     const groups = [["acceleration", "m/s²", 20], ["turning", "°/s", 250], ["magnetic", "µT", 80]].slice(0, axes / 3);
