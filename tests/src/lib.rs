@@ -5,3 +5,6 @@ pub mod avr;
 
 #[cfg(feature = "nrf")]
 pub mod nrf;
+
+#[cfg(all(feature = "avr", feature = "nrf"))]
+pub mod two_hands;

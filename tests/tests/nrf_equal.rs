@@ -1,14 +1,19 @@
 //! The board computes what a laptop computes, bit for bit, on a grid of exactly 100 Hz.
 #![cfg(feature = "nrf")]
 
+use models::synth::{self, Segment};
 use nano33_sensor::lsm9ds1::Config;
 use shared_dsp::decision::DecisionConfig;
+use shared_dsp::features::FeatureWindow;
 use shared_dsp::mlp::Model;
+use shared_dsp::recipe::Recipe;
 use shared_dsp::right::RightHand;
-use tests::nrf::lsm9ds1::Motion;
+use tests::nrf::board::Tapped;
+use tests::nrf::lsm9ds1::{Motion, Replay, Still};
 use tests::nrf::recordings;
 use tests::nrf::session::Session;
 use tests::nrf::time::HZ;
+use tests::nrf::transfer::{install, random_model};
 
 fn full() -> bool {
     std::env::var_os("BIMANUAL_FULL").is_some()
@@ -23,6 +28,8 @@ struct Window {
     counts: Vec<[i16; 9]>,
     times_ms: Vec<u32>,
     at: Vec<u64>,
+    /// The board's memory of the hand, once a second, and after how many samples.
+    memory: Vec<(usize, Vec<u8>)>,
 }
 
 /// Runs for some seconds; what the board put into its window, and the session.
@@ -30,24 +37,66 @@ fn run(motion: Box<dyn Motion>, clock_ratio: f64, seconds: u64) -> (Session, Win
     let mut session = Session::uart(motion);
     session.board.soc().bus.sensor.clock_ratio = clock_ratio;
     let tap = session.board.tap("bimanual_sample", 18);
-    session.run_ms(seconds * 1000);
-    let mut window = Window { counts: Vec::new(), times_ms: Vec::new(), at: Vec::new() };
-    for call in session.board.tapped(tap) {
-        let mut counts = [0; 9];
-        for (place, bytes) in counts.iter_mut().zip(call.bytes.chunks_exact(2)) {
-            *place = i16::from_le_bytes([bytes[0], bytes[1]]);
+    let mut memory = Vec::new();
+    for second in 1..=seconds {
+        session.run_ms(1000 - session.board.now() / tests::nrf::time::ms(1) % 1000);
+        // Not in the middle of a hop.
+        while !session.board.is_asleep() {
+            session.run_ms(1);
         }
-        window.counts.push(counts);
-        window.times_ms.push(call.registers[2]);
-        window.at.push(call.at);
+        let taken = session.board.tapped(tap);
+        if let (Some(last), true) = (taken.last(), second > 3) {
+            let hand = last.registers[1];
+            let count = taken.len();
+            memory.push((count, session.board.soc().ram.get(hand, 28 << 10).expect("in RAM").to_vec()));
+        }
     }
+    let window = Window { memory, ..window_of(session.board.tapped(tap)) };
     (session, window)
 }
 
-/// Compares every state that the board sent with the laptop's on the board's own samples; hops compared.
+/// What a tap on `bimanual_sample` saw.
+fn window_of(calls: &[Tapped]) -> Window {
+    let counts = |call: &Tapped| {
+        std::array::from_fn(|axis| i16::from_le_bytes([call.bytes[2 * axis], call.bytes[2 * axis + 1]]))
+    };
+    Window {
+        counts: calls.iter().map(counts).collect(),
+        times_ms: calls.iter().map(|call| call.registers[2]).collect(),
+        at: calls.iter().map(|call| call.at).collect(),
+        memory: Vec::new(),
+    }
+}
+
+/// Compares every state that the board sent, and its features once a second, with the laptop's on the board's own
+/// samples; hops compared.
 fn compare(session: &Session, window: &Window) -> usize {
-    let blob = blob();
-    let mut hand = RightHand::<9>::new(Model::parse(&blob).unwrap(), DecisionConfig::default()).unwrap();
+    compare_features(window);
+    compare_with(&blob(), session, window)
+}
+
+/// The laptop's features must stand in the board's memory, all bits equal.
+fn compare_features(window: &Window) {
+    let scale = Config::default().scale();
+    let mut features = FeatureWindow::<9>::new();
+    let mut memory = window.memory.iter();
+    let mut due = memory.next();
+    let mut compared = 0;
+    for (n, counts) in window.counts.iter().enumerate() {
+        features.push(&std::array::from_fn(|axis| f32::from(counts[axis]) * scale[axis / 3]));
+        let Some((_, bytes)) = due.filter(|(count, _)| *count == n + 1) else { continue };
+        let wanted: Vec<u8> = features.features().iter().flatten().flat_map(|f| f.to_le_bytes()).collect();
+        let found = (0..=bytes.len() - wanted.len()).step_by(4).any(|at| bytes[at..].starts_with(&wanted));
+        assert!(found || !features.is_full(), "features after {} samples differ", n + 1);
+        compared += usize::from(found);
+        due = memory.next();
+    }
+    assert!(compared + 1 >= window.memory.len(), "{compared} of {} compared", window.memory.len());
+}
+
+/// The same for a board that runs another model.
+fn compare_with(blob: &[u8], session: &Session, window: &Window) -> usize {
+    let mut hand = RightHand::<9>::new(Model::parse(blob).unwrap(), DecisionConfig::default()).unwrap();
     let scale = Config::default().scale();
     let mut states = session.heard.states.iter();
     let mut hops = 0;
@@ -68,24 +117,133 @@ fn compare(session: &Session, window: &Window) -> usize {
     hops
 }
 
+/// Seconds that the first row stands before the recording begins, so that the sensor's clock is known by then.
+const LEAD_S: u64 = 3;
+/// How far a grid sample lies behind its grid time (`sensor/src/grid.rs`), in s.
+const DELAY_S: f64 = 1.1 / 238.0;
+/// How wrong the grid may be about when a set was taken, in ms: the stated error of the resampling in time.
+const TIMING_MS: f64 = 0.5;
+
+/// The sensor's clock against the board's in the comparisons below.
+const CLOCK_RATIO: f64 = 1.013;
+
+/// What a recording became on its way into the board's window.
+struct Resampled {
+    session: Session,
+    window: Window,
+    /// Distances between sample and row in counts, with the distance allowed; the first six axes.
+    errors: Vec<(f64, f64)>,
+}
+
+/// Replays rows of 100 Hz such that row n is due at the sensor when the board's sample `100 · LEAD_S + n` is, and
+/// compares each sample with its row.
+///
+/// Between two rows the hand moves along a straight line; m and m' are its slopes before and after a row, in counts
+/// per ms. The sensor takes a set every p ms and rounds it (half a count), the grid draws straight lines between sets
+/// and rounds (half a count). A line that bridges the row's corner misses it by at most |m' − m| · p / 4, and a time
+/// that is wrong by [`TIMING_MS`] costs that much of the steeper slope. The magnetometer (80 Hz) is not interpolated: its
+/// newest value was taken between the rows before and after.
+fn resample(rows: Vec<[f64; 9]>) -> Resampled {
+    let clock_start_s = {
+        let mut session = Session::uart(Box::new(Still));
+        session.run_ms(50);
+        offset(&session)
+    };
+    let start = clock_start_s + LEAD_S as f64 - DELAY_S;
+    let seconds = LEAD_S + (rows.len() as u64).div_ceil(100) + 1;
+    let replay = Replay { rows: rows.clone(), interval: 0.01, start };
+    let (session, window) = run(Box::new(replay), CLOCK_RATIO, seconds);
+    assert_eq!(offset(&session), clock_start_s, "the board starts as it did before");
+    assert_eq!(session.damaged(), 0);
+
+    let scale = Config::default().scale();
+    let period_ms = CLOCK_RATIO * 1000.0 / 238.0;
+    let mut errors = Vec::new();
+    let mut next = 0;
+    for (counts, &time_ms) in window.counts.iter().zip(&window.times_ms) {
+        let number = (f64::from(time_ms) / 10.0).round() as usize;
+        let Some(n) = number.checked_sub(100 * LEAD_S as usize).filter(|&n| n < rows.len()) else { continue };
+        assert_eq!(n, next, "no sample is missing and none comes twice");
+        next += 1;
+        let (before, here, after) = (rows[n.saturating_sub(1)], rows[n], rows[(n + 1).min(rows.len() - 1)]);
+        for axis in 0..9 {
+            let unit = f64::from(scale[axis / 3]);
+            let [before, here, after] = [before, here, after].map(|row| row[axis] / unit);
+            let got = f64::from(counts[axis]);
+            if axis < 6 {
+                let (m, m_next) = ((here - before) / 10.0, (after - here) / 10.0);
+                let corner = (m_next - m).abs() * period_ms / 4.0;
+                let allowed = 1.0 + corner + TIMING_MS * m.abs().max(m_next.abs());
+                let error = (got - here.clamp(-32_768.0, 32_767.0)).abs();
+                assert!(error <= allowed, "row {n}, axis {axis}: {error:.1} counts, {allowed:.1} allowed");
+                errors.push((error, allowed));
+            } else {
+                let (low, high) = (before.min(here).min(after), before.max(here).max(after));
+                assert!((low - 1.0..=high + 1.0).contains(&got), "row {n}, axis {axis}: {got} counts");
+            }
+        }
+    }
+    assert_eq!(next, rows.len(), "every row has its sample");
+    Resampled { session, window, errors }
+}
+
+/// Prints how far samples lie from the rows of their recordings.
+fn say(what: &str, errors: &mut [(f64, f64)]) {
+    let used = errors.iter().map(|(error, allowed)| error / allowed).fold(0.0, f64::max);
+    let within_one = errors.iter().filter(|(error, _)| *error <= 1.0).count() as f64 / errors.len() as f64;
+    errors.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let at = |share: f64| errors[((errors.len() - 1) as f64 * share) as usize].0;
+    println!(
+        "{what}: {} values differ from the CSV by {:.2} counts (median), {:.1} (99 %), {:.0} (worst); {:.0} % by at \
+         most one; never by more than {:.0} % of the bound",
+        errors.len(),
+        at(0.5),
+        at(0.99),
+        at(1.0),
+        within_one * 100.0,
+        used * 100.0
+    );
+}
+
 #[test]
 fn on_real_recordings_scores_and_events_are_the_laptops_bit_for_bit() {
     let most = if full() { 146 } else { 26 };
-    let (mut recordings, mut hops, mut events) = (0, 0, 0);
+    let (mut recordings, mut hops, mut events, mut errors) = (0, 0, 0, Vec::new());
     for class in ["circle", "peak", "wave", "other"] {
         let Some((replay, files)) = recordings::joined("nano33-lsm9ds1-9axis", class, most) else {
             println!("skipped: {} is absent", recordings::data().display());
             return;
         };
-        let seconds = (replay.rows.len() as u64).div_ceil(100) + 1;
-        let (session, window) = run(Box::new(replay), 1.013, seconds);
-        assert_eq!(session.damaged(), 0);
+        let Resampled { session, window, errors: these } = resample(replay.rows);
         hops += compare(&session, &window);
         recordings += files;
         events += session.heard.states.last().map_or(0, |s| usize::from(s.events));
+        errors.extend(these);
     }
     println!("{recordings} recordings, {hops} hops, {events} events: board equals laptop");
+    say("real recordings", &mut errors);
     assert!(recordings >= 100 && hops > 2000);
+}
+
+#[test]
+fn on_simulated_wearers_scores_and_events_are_the_laptops_bit_for_bit() {
+    let wearers = if full() { 20 } else { 3 };
+    let (mut hops, mut events, mut errors) = (0, 0, Vec::new());
+    for index in 1..=wearers {
+        let mut script = vec![Segment::new(synth::Motion::IDLE, 2.0)];
+        for gesture in synth::Motion::GESTURES {
+            script.push(Segment::new(gesture, 2.5));
+            script.push(Segment::new(synth::Motion::IDLE, 1.5));
+        }
+        let recording = synth::session(&synth::Wearer::evaluation(21, index), 0, &script);
+        let Resampled { session, window, errors: these } = resample(recordings::rows(&recording));
+        hops += compare(&session, &window);
+        events += session.heard.states.last().map_or(0, |s| usize::from(s.events));
+        errors.extend(these);
+    }
+    println!("{wearers} simulated wearers, {hops} hops, {events} events: board equals laptop");
+    say("simulated wearers", &mut errors);
+    assert!(events >= 5 * wearers as usize, "{events} events of {} gestures", 6 * wearers);
 }
 
 struct Swing;
@@ -145,4 +303,54 @@ fn a_minute_has_6000_samples_on_the_crystals_grid_whatever_the_sensors_clock() {
 /// Seconds from power-up to the start of the board's clock.
 fn offset(session: &Session) -> f64 {
     session.board.clock_start() as f64 / HZ as f64
+}
+
+/// A model of recipe 3 takes the place of the bundled one, over the wire.
+#[test]
+fn a_received_model_of_recipe_aligned_computes_what_the_laptop_computes() {
+    let mut script = Vec::new();
+    for gesture in synth::Motion::GESTURES {
+        script.push(Segment::new(gesture, 2.0));
+        script.push(Segment::new(synth::Motion::IDLE, 1.0));
+    }
+    let rows = recordings::rows(&synth::session(&synth::Wearer::evaluation(22, 1), 0, &script));
+    // Weights that, as they happen to be, name something.
+    let names_something = |blob: &Vec<u8>| {
+        let model = Model::parse(blob).unwrap();
+        let mut hand = RightHand::<9>::new(model, DecisionConfig::default()).unwrap();
+        rows.iter().enumerate().for_each(|(n, row)| {
+            hand.push(&row.map(|v| v as f32), 10 * n as u32);
+        });
+        hand.output().events >= 3
+    };
+    let blob = (1..)
+        .map(|seed| random_model(Recipe::Aligned, &[32, 16], seed))
+        .find(names_something)
+        .expect("such weights are not rare");
+
+    let mut session = Session::uart(Box::new(Still));
+    session.run_ms(500);
+    session.board.soc().bus.sensor.clock_ratio = CLOCK_RATIO;
+    let tap = session.board.tap("bimanual_sample", 18);
+    install(&mut session, &blob);
+    let start = session.board.seconds();
+    let seconds = rows.len() as u64 / 100;
+    session.board.soc().bus.sensor.set_motion(Box::new(Replay { rows, interval: 0.01, start }));
+    session.run_ms(seconds * 1000);
+
+    let mut window = window_of(session.board.tapped(tap));
+    // From the restart on: there the board's clock began anew.
+    let first = window.times_ms.windows(2).rposition(|w| w[1] < w[0]).map_or(0, |n| n + 1);
+    window.times_ms.drain(..first);
+    window.counts.drain(..first);
+    let states = &mut session.heard.states;
+    let first = states.windows(2).rposition(|w| w[1].board_time_ms < w[0].board_time_ms).map_or(0, |n| n + 1);
+    states.drain(..first);
+    let hops = compare_with(&blob, &session, &window);
+    let events = session.heard.states.last().map_or(0, |s| s.events);
+    let mut scores: Vec<_> = session.heard.states.iter().map(|s| &s.scores).collect();
+    scores.sort();
+    scores.dedup();
+    println!("recipe aligned: {hops} hops, {} different scores, {events} events: equal", scores.len());
+    assert!(hops as u64 >= seconds * 12 && scores.len() > 50 && events > 0);
 }

@@ -1,90 +1,16 @@
 //! A model sent over the wire: kept, used after the restart, and never at the cost of the old one.
 #![cfg(feature = "nrf")]
 
-use shared_dsp::mlp::{BlobSpec, DenseSpec, Model, build_blob, crc32};
+use shared_dsp::mlp::{Model, crc32};
 use shared_dsp::recipe::Recipe;
 use shared_proto::message::{AckResult, FaultKind, HostMessage, MODEL_CHUNK_MAX, ModelBegin, ModelInfo};
 use tests::nrf::lsm9ds1::Still;
 use tests::nrf::session::Session;
+use tests::nrf::transfer::{announce, begin, model_id, pieces, random_model, restart};
 
-/// Another model of the same shape, with weights from a seed.
+/// Another model of the bundled one's shape.
 fn other_model(seed: u32) -> Vec<u8> {
-    let sizes = [117, 20, 10, 5, 7];
-    let mut state = seed;
-    let mut random = move || {
-        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-        ((state >> 24) as i8).max(-127)
-    };
-    let layers = (0..4)
-        .map(|l| DenseSpec {
-            weights: (0..sizes[l + 1]).map(|_| (0..sizes[l]).map(|_| random()).collect()).collect(),
-            biases: (0..sizes[l + 1]).map(|_| i32::from(random()) * 16).collect(),
-            input_scale: 0.05,
-            input_zero_point: 0,
-            weight_scale: 0.01,
-            output_scale: 0.05,
-            output_zero_point: if l < 3 { -128 } else { 0 },
-            relu: l < 3,
-        })
-        .collect();
-    build_blob(&BlobSpec {
-        recipe: Recipe::Raw,
-        axes: 9,
-        sample_hz: 100,
-        window: 200,
-        hop: 8,
-        labels: ["idle", "a", "b", "c", "d", "e", "f"].map(String::from).to_vec(),
-        scaling: vec![(1.0, 0.0); 117],
-        layers,
-    })
-    .expect("a valid model")
-}
-
-fn begin<'a>(blob: &'a [u8], model: &Model<'a>) -> ModelBegin<'a> {
-    let info = model.info();
-    ModelBegin {
-        request: 1,
-        info: ModelInfo {
-            model_id: crc32(blob),
-            recipe: info.recipe.id(),
-            axes: info.axes as u8,
-            sample_hz: info.sample_hz,
-            window: info.window,
-            labels: info.label_text,
-        },
-        scaling: [1.0; 3],
-        size: blob.len() as u32,
-    }
-}
-
-/// Announces the model and waits until its place is empty.
-fn announce(session: &mut Session, begin: ModelBegin<'_>) -> AckResult {
-    let before = session.heard.acks.len();
-    session.send(&HostMessage::ModelBegin(begin));
-    session.run_until_that(2000, |s| s.heard.acks[before..].iter().any(|a| a.result != AckResult::Started));
-    session.heard.acks.last().expect("an answer").result
-}
-
-/// Sends pieces until `most` have been taken.
-fn pieces(session: &mut Session, blob: &[u8], most: usize) {
-    for (i, data) in blob.chunks(MODEL_CHUNK_MAX).enumerate().take(most) {
-        let offset = (i * MODEL_CHUNK_MAX) as u32;
-        let ack =
-            session.ask(100 + i as u16, &HostMessage::ModelChunk { request: 100 + i as u16, offset, data });
-        assert_eq!(ack.map(|a| (a.result, a.next_offset)), Some((AckResult::Ok, offset + data.len() as u32)));
-    }
-}
-
-fn restart(session: &mut Session) {
-    session.board.soc().nvic.reset_wanted = true;
-    session.run_ms(300);
-}
-
-fn model_id(session: &mut Session) -> u32 {
-    session.send(&HostMessage::HelloRequest);
-    let before = session.heard.hellos.len();
-    assert!(session.run_until_that(500, |s| s.heard.hellos.len() > before), "no hello");
-    session.heard.hellos.last().unwrap().1
+    random_model(Recipe::Raw, &[20, 10, 5], seed)
 }
 
 #[test]

@@ -353,8 +353,8 @@ impl<'a> Model<'a> {
         Ok(())
     }
 
-    /// One input in int8 range; 0 beyond the last one.
-    #[inline]
+    /// One input in int8 range; 0 beyond the last one. A call: inlined it would stand there four times.
+    #[inline(never)]
     fn quantise_one(&self, features: &[f32], index: usize) -> i32 {
         let (Some(&feature), Some(pair)) = (features.get(index), self.scaling.get(index)) else {
             return 0;

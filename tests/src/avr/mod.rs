@@ -2,11 +2,13 @@
 //!
 //! - [`nano`] is the board: voltages in, serial bytes in and out, EEPROM, power cuts;
 //! - [`image`] finds and builds the image and reads its size;
+//! - [`recorded`] plays a recording of a hand at its pins;
 //! - [`wearer`] is a hand with its sensors: poses, tremor, bends, and the data sheets' tolerances;
 //! - [`session`] is a wearer with a running board: calibrate, move, look at decoded states.
 
 pub mod image;
 pub mod nano;
+pub mod recorded;
 pub mod session;
 pub mod street;
 pub mod trials;

@@ -44,7 +44,23 @@ pub struct Call {
     pub at: u64,
     /// Executed instructions, those of interrupts in between left out.
     pub instructions: u64,
+    /// Bytes below the stack pointer of the call that were written to; 0 unless [asked for](Board::probe_stack).
+    pub stack_bytes: u32,
 }
+
+/// A measured call under way.
+#[derive(Clone, Copy, Debug)]
+struct Open {
+    back: u32,
+    probe: usize,
+    at: u64,
+    instructions_before: u64,
+    stack_pointer: u32,
+}
+
+/// Bytes below the stack pointer that are painted to see how deep a call goes.
+const PAINTED: usize = 2048;
+const PAINT: u8 = 0x6B;
 
 /// What a tap saw at one call.
 #[derive(Clone, Debug)]
@@ -71,7 +87,9 @@ struct World {
     blocks: HashMap<u32, u64>,
     probes: HashMap<u32, usize>,
     calls: Vec<Vec<Call>>,
-    open: Vec<(u32, usize, u64, u64)>,
+    /// Probes that paint the stack.
+    painting: Vec<usize>,
+    open: Vec<Open>,
     taps: HashMap<u32, (usize, usize)>,
     tapped: Vec<Vec<Tapped>>,
     bad_access: Option<String>,
@@ -150,6 +168,7 @@ impl Board {
             blocks: HashMap::new(),
             probes: HashMap::new(),
             calls: Vec::new(),
+            painting: Vec::new(),
             open: Vec::new(),
             taps: HashMap::new(),
             tapped: Vec::new(),
@@ -227,18 +246,32 @@ impl Board {
             let soc = &mut world.soc;
             let count = *world.blocks.entry(address).or_insert_with(|| decode(&soc.flash, address, size));
             if !world.open.is_empty() && soc.nvic.active().is_empty() {
-                while let Some(&(back, probe, at, before)) = world.open.last() {
-                    if back != address {
+                while let Some(&open) = world.open.last() {
+                    if open.back != address {
                         break;
                     }
                     world.open.pop();
-                    world.calls[probe].push(Call { at, instructions: world.thread_instructions - before });
+                    let instructions = world.thread_instructions - open.instructions_before;
+                    let stack_bytes = if world.painting.contains(&open.probe) {
+                        let below = world.soc.ram.get(open.stack_pointer - PAINTED as u32, PAINTED);
+                        let clean = below.map_or(0, |b| b.iter().take_while(|&&byte| byte == PAINT).count());
+                        (PAINTED - clean) as u32
+                    } else {
+                        0
+                    };
+                    world.calls[open.probe].push(Call { at: open.at, instructions, stack_bytes });
                 }
             }
             if let Some(&probe) = world.probes.get(&address) {
-                let lr = uc.reg_read(RegisterARM::LR).unwrap_or(0) as u32 & !1;
+                let back = uc.reg_read(RegisterARM::LR).unwrap_or(0) as u32 & !1;
+                let stack_pointer = uc.reg_read(RegisterARM::SP).unwrap_or(0) as u32;
                 let world = uc.get_data_mut();
-                world.open.push((lr, probe, world.soc.now, world.thread_instructions));
+                if world.painting.contains(&probe) {
+                    // What lies below the stack pointer is nobody's.
+                    world.soc.ram.put(stack_pointer - PAINTED as u32, &[PAINT; PAINTED]);
+                }
+                let (at, instructions_before) = (world.soc.now, world.thread_instructions);
+                world.open.push(Open { back, probe, at, instructions_before, stack_pointer });
             }
             let world = uc.get_data_mut();
             if let Some(&(tap, len)) = world.taps.get(&address) {
@@ -380,6 +413,11 @@ impl Board {
         super::time::cycle_of_tick(self.uc.get_data().soc.rtc1.zero_tick())
     }
 
+    /// The processor waits for an event.
+    pub fn is_asleep(&self) -> bool {
+        self.asleep
+    }
+
     /// Executed instructions.
     pub fn instructions(&self) -> u64 {
         self.uc.get_data().instructions
@@ -402,6 +440,14 @@ impl Board {
         world.calls.push(Vec::new());
         world.probes.insert(address, world.calls.len() - 1);
         world.calls.len() - 1
+    }
+
+    /// As [`Self::probe`], and measures how deep the stack gets. Where such functions call each other, what the outer one
+    /// did before the call is forgotten.
+    pub fn probe_stack(&mut self, function: &str) -> usize {
+        let probe = self.probe(function);
+        self.uc.get_data_mut().painting.push(probe);
+        probe
     }
 
     /// Calls measured so far.

@@ -13,6 +13,8 @@ pub struct Image {
     pub pieces: Vec<(u32, Vec<u8>)>,
     /// Addresses of functions and objects by name.
     pub symbols: BTreeMap<String, u32>,
+    /// Bytes of functions and objects by name.
+    pub sizes: BTreeMap<String, u32>,
     /// Where the vector table lies.
     pub vector_table: u32,
     /// Bytes of flash and of statics in RAM.
@@ -55,6 +57,7 @@ impl Image {
                 && !name.starts_with('$')
             {
                 image.symbols.insert(name.to_string(), symbol.address() as u32);
+                image.sizes.insert(name.to_string(), symbol.size() as u32);
             }
         }
         image

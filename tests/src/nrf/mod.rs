@@ -24,6 +24,8 @@ pub mod softdevice;
 pub mod system;
 pub mod time;
 pub mod timer;
+pub mod transfer;
 pub mod twim;
 pub mod uarte;
+pub mod usb_host;
 pub mod usbd;

@@ -2,6 +2,8 @@
 
 use std::path::PathBuf;
 
+use models::recording::Recording;
+
 use super::lsm9ds1::Replay;
 
 /// Folder of the shared data; `BIMANUAL_SHARED` may name another `shared`.
@@ -32,4 +34,9 @@ pub fn joined(set: &str, class: &str, most: usize) -> Option<(Replay, usize)> {
         }
     }
     (!rows.is_empty()).then_some((Replay { rows, interval: 0.01, start: 0.2 }, files.len()))
+}
+
+/// The rows of a recording with nine axes.
+pub fn rows(recording: &Recording) -> Vec<[f64; 9]> {
+    recording.samples().map(|sample| std::array::from_fn(|axis| f64::from(sample[axis]))).collect()
 }

@@ -1,0 +1,77 @@
+//! A recording of the left hand at the emulated board's pins: converter counts back to voltages.
+
+use std::cell::Cell;
+use std::rc::Rc;
+
+use fastrand::Rng;
+use host_bridge::script::CalibrationTable;
+use shared_dsp::left::ONE_G;
+use shared_proto::message::{AckResult, CalibrationStep};
+
+use super::image;
+use super::nano::{CYCLES_PER_MS, Line, Nano, Voltages};
+use super::session::{BLANK, Session};
+use super::wearer::{SUPPLY_MV, normal};
+
+/// Conversions that the board adds up per sample.
+const OVERSAMPLING: f64 = 8.0;
+
+/// The middle of a 10-bit conversion, in mV.
+fn millivolts(counts: f64) -> f64 {
+    (counts + 0.5) / 1024.0 * SUPPLY_MV
+}
+
+/// Samples of all five lines at 100 Hz, straight lines between them; the first and the last one stay.
+pub struct Recorded {
+    samples: Vec<[u16; 5]>,
+    start_cycle: u64,
+}
+
+impl Recorded {
+    /// A recording whose first sample is due at a moment of the board's clock.
+    pub fn new(samples: Vec<[u16; 5]>, start_cycle: u64) -> Self {
+        Self { samples, start_cycle }
+    }
+}
+
+impl Voltages for Recorded {
+    fn at(&mut self, line: u8, cycle: u64) -> Line {
+        let place = cycle.saturating_sub(self.start_cycle) as f64 / (10 * CYCLES_PER_MS) as f64;
+        let sample =
+            |index: usize| f64::from(self.samples[index.min(self.samples.len() - 1)][usize::from(line)]);
+        let (before, after) = (sample(place as usize), sample(place as usize + 1));
+        Line::Millivolts(millivolts(before + (after - before) * place.fract()))
+    }
+}
+
+/// A running board that was calibrated over the wire, in a hand whose sensors read as in this table.
+///
+/// # Panics
+/// Where the board refuses a step.
+pub fn calibrated(table: &CalibrationTable) -> Nano {
+    let [x, y, z] = table.zero;
+    let level = [x, y, z + ONE_G].map(f64::from);
+    let held = Rc::new(Cell::new([0.0; 5]));
+    let hold = |flex: [u16; 2]| {
+        let [x, y, z] = level;
+        held.set([x, y, z, flex[0].into(), flex[1].into()].map(|sum| sum / OVERSAMPLING));
+    };
+    hold(table.rest);
+    let mut rng = Rng::with_seed(3);
+    let pins = {
+        let held = Rc::clone(&held);
+        move |line: u8, _| {
+            Line::Millivolts(millivolts(held.get()[usize::from(line)]) + 1.6 * normal(&mut rng))
+        }
+    };
+    let mut session = Session::new(&image::path(), &BLANK, Box::new(pins));
+    session.run_ms(300.0);
+    assert_eq!(session.calibrate(CalibrationStep::Neutral), AckResult::Ok, "neutral");
+    assert_eq!(session.calibrate(CalibrationStep::Rest), AckResult::Ok, "rest");
+    hold(table.bend);
+    session.run_ms(100.0);
+    assert_eq!(session.calibrate(CalibrationStep::Bend), AckResult::Ok, "bend");
+    hold(table.rest);
+    session.run_ms(500.0);
+    session.nano
+}

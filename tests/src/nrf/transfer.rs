@@ -1,0 +1,121 @@
+//! A laptop that sends a model to the emulated board, piece by piece.
+
+use shared_dsp::mlp::{BlobSpec, DenseSpec, Model, build_blob, crc32};
+use shared_dsp::recipe::Recipe;
+use shared_proto::message::{AckResult, HostMessage, MODEL_CHUNK_MAX, ModelBegin, ModelInfo};
+
+use super::session::Session;
+
+/// A model of nine axes and seven labels with weights from a seed.
+///
+/// # Panics
+/// Where the widths are too large for a blob.
+pub fn random_model(recipe: Recipe, hidden: &[usize], seed: u32) -> Vec<u8> {
+    const AXES: usize = 9;
+    let inputs = recipe.feature_count(AXES);
+    let sizes: Vec<usize> = [inputs].iter().chain(hidden).chain(&[7]).copied().collect();
+    let mut state = seed;
+    let mut random = move || {
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        ((state >> 24) as i8).max(-127)
+    };
+    let last = hidden.len();
+    let layers = (0..=last)
+        .map(|l| DenseSpec {
+            weights: (0..sizes[l + 1]).map(|_| (0..sizes[l]).map(|_| random()).collect()).collect(),
+            biases: (0..sizes[l + 1]).map(|_| i32::from(random()) * 16).collect(),
+            input_scale: 0.05,
+            input_zero_point: 0,
+            weight_scale: 0.01,
+            output_scale: 0.05,
+            output_zero_point: if l < last { -128 } else { 0 },
+            relu: l < last,
+        })
+        .collect();
+    // The features of recipe 3 lie about 0, as wide as 1.
+    let scale = if recipe == Recipe::Aligned { 60.0 } else { 1.0 };
+    build_blob(&BlobSpec {
+        recipe,
+        axes: AXES,
+        sample_hz: 100,
+        window: 200,
+        hop: 8,
+        labels: ["idle", "a", "b", "c", "d", "e", "f"].map(String::from).to_vec(),
+        scaling: vec![(scale, 0.0); inputs],
+        layers,
+    })
+    .expect("a valid model")
+}
+
+/// The announcement of a model.
+pub fn begin<'a>(blob: &'a [u8], model: &Model<'a>) -> ModelBegin<'a> {
+    let info = model.info();
+    ModelBegin {
+        request: 1,
+        info: ModelInfo {
+            model_id: crc32(blob),
+            recipe: info.recipe.id(),
+            axes: info.axes as u8,
+            sample_hz: info.sample_hz,
+            window: info.window,
+            labels: info.label_text,
+        },
+        scaling: [1.0; 3],
+        size: blob.len() as u32,
+    }
+}
+
+/// Announces the model and waits until its place is empty; the answer.
+///
+/// # Panics
+/// Without an answer.
+pub fn announce(session: &mut Session, begin: ModelBegin<'_>) -> AckResult {
+    let before = session.heard.acks.len();
+    session.send(&HostMessage::ModelBegin(begin));
+    session.run_until_that(2000, |s| s.heard.acks[before..].iter().any(|a| a.result != AckResult::Started));
+    session.heard.acks.last().expect("an answer").result
+}
+
+/// Sends pieces until `most` have been taken.
+///
+/// # Panics
+/// Where one is refused.
+pub fn pieces(session: &mut Session, blob: &[u8], most: usize) {
+    for (i, data) in blob.chunks(MODEL_CHUNK_MAX).enumerate().take(most) {
+        let offset = (i * MODEL_CHUNK_MAX) as u32;
+        let ack =
+            session.ask(100 + i as u16, &HostMessage::ModelChunk { request: 100 + i as u16, offset, data });
+        assert_eq!(ack.map(|a| (a.result, a.next_offset)), Some((AckResult::Ok, offset + data.len() as u32)));
+    }
+}
+
+/// Restarts the board.
+pub fn restart(session: &mut Session) {
+    session.board.soc().nvic.reset_wanted = true;
+    session.run_ms(300);
+}
+
+/// The id of the model that runs.
+///
+/// # Panics
+/// Without a hello.
+pub fn model_id(session: &mut Session) -> u32 {
+    session.send(&HostMessage::HelloRequest);
+    let before = session.heard.hellos.len();
+    assert!(session.run_until_that(500, |s| s.heard.hellos.len() > before), "no hello");
+    session.heard.hellos.last().unwrap().1
+}
+
+/// Sends a whole model, which runs after a restart.
+///
+/// # Panics
+/// Where the board does not take it.
+pub fn install(session: &mut Session, blob: &[u8]) {
+    let model = Model::parse(blob).expect("a model");
+    assert_eq!(announce(session, begin(blob, &model)), AckResult::Ok);
+    pieces(session, blob, usize::MAX);
+    let commit = HostMessage::ModelCommit { request: 9, crc32: crc32(blob) };
+    assert_eq!(session.ask(9, &commit).expect("an answer").result, AckResult::Ok);
+    restart(session);
+    assert_eq!(model_id(session), crc32(blob));
+}

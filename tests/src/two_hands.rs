@@ -1,0 +1,292 @@
+//! Both emulated boards, one bridge, one simulated robot, in virtual time.
+//!
+//! ```text
+//! voltages -> ATmega328P (simavr) -> serial bytes -------\
+//!                                                          bridge -> robot, 1 ms per step
+//! motion   -> nRF52840 (unicorn)  -> UART or USB bytes --/
+//! ```
+//!
+//! Each board has a clock of its own; a step lets both run up to the same moment of the desk's time.
+
+use host_bridge::bridge::{Bridge, BridgeEvent};
+use host_bridge::intent::MotionMap;
+use host_bridge::safety::{Hand, State};
+use host_bridge::sim::{SimConfig, Simulator};
+use shared_proto::frame::{HOST_FRAME_MAX, encode_host};
+
+use crate::avr::image::path as left_image;
+use crate::avr::nano::{self, Nano, Voltages};
+use crate::nrf::board::{Board, Boot};
+use crate::nrf::build::{Variant, image};
+use crate::nrf::lsm9ds1::Motion;
+use crate::nrf::time;
+use crate::nrf::usb_host::UsbHost;
+
+/// The left board with its cable.
+pub struct Left {
+    /// The board.
+    pub nano: Nano,
+    /// The cable's data lines hold.
+    pub cable: bool,
+    /// The board's clock when the desk's was 0; negative for a board that got power later.
+    zero_cycle: i64,
+    /// A byte that left the board after the present millisecond.
+    early: Option<(u64, u8)>,
+}
+
+impl Left {
+    /// A running board; what it has said so far is lost.
+    pub fn new(mut nano: Nano) -> Self {
+        while nano.sent().is_some() {}
+        Self { cable: true, zero_cycle: nano.cycle() as i64, early: None, nano }
+    }
+
+    /// The board's clock in seconds at a moment of the desk's time: when a wearer's hand moves.
+    pub fn seconds_at(&self, desk_ms: u64) -> f64 {
+        self.cycle_at(desk_ms) as f64 / (1000 * nano::CYCLES_PER_MS) as f64
+    }
+
+    fn cycle_at(&self, desk_ms: u64) -> u64 {
+        (self.zero_cycle + (desk_ms * nano::CYCLES_PER_MS) as i64) as u64
+    }
+
+    fn run_to(&mut self, desk_ms: u64) -> Vec<u8> {
+        let end = self.cycle_at(desk_ms);
+        self.nano.run_until(end);
+        let mut bytes = Vec::new();
+        while let Some((cycle, byte)) = self.early.take().or_else(|| self.nano.sent()) {
+            if cycle > end {
+                self.early = Some((cycle, byte));
+                break;
+            }
+            bytes.push(byte);
+        }
+        if self.cable { bytes } else { Vec::new() }
+    }
+
+    /// The cable is the supply: pulled and put back, the board starts anew with what its EEPROM holds.
+    pub fn power_again(&mut self, desk_ms: u64, voltages: Box<dyn Voltages>) {
+        let eeprom = self.nano.eeprom();
+        self.nano = Nano::new(&left_image(), &eeprom, voltages);
+        self.zero_cycle = -((desk_ms * nano::CYCLES_PER_MS) as i64);
+        self.early = None;
+        self.cable = true;
+    }
+}
+
+/// How the right board is connected.
+#[derive(Debug)]
+pub enum Wire {
+    /// D0 and D1; whether the cable holds.
+    Uart(bool),
+    /// The USB cable.
+    Usb(UsbHost),
+}
+
+/// The right board with its cable.
+pub struct Right {
+    /// The board.
+    pub board: Board,
+    /// The cable.
+    pub wire: Wire,
+    zero_cycle: u64,
+}
+
+impl Right {
+    /// The image for the stock bootloader, started by its stand-in and connected. `wear` is given the board's clock in
+    /// seconds at the desk's time 0, one second from power-up (USB wants to be enumerated first).
+    ///
+    /// # Panics
+    /// Where the USB port is not there by then.
+    pub fn start<M: Motion + 'static>(usb: bool, wear: impl FnOnce(f64) -> M) -> Self {
+        const START_MS: u64 = 1000;
+        let motion = wear(START_MS as f64 / 1000.0);
+        let mut board = Board::new(image(Variant::Bootloader), Boot::StockBootloader, Box::new(motion));
+        let mut wire = Wire::Uart(true);
+        if usb {
+            board.run_ms(50);
+            let mut host = UsbHost::default();
+            host.plug_in(&mut board);
+            while !host.is_ready() {
+                board.run_ms(1);
+                host.step(&mut board);
+                assert!(board.now() < time::ms(START_MS), "no serial port: {host:?}");
+            }
+            wire = Wire::Usb(host);
+        }
+        board.run_until(time::ms(START_MS));
+        board.soc().uart.take_sent();
+        Self { board, wire, zero_cycle: time::ms(START_MS) }
+    }
+
+    /// The board's emulated clock (cycles since power-up) at a moment of the desk's time.
+    pub fn cycle_at(&self, desk_ms: u64) -> u64 {
+        self.zero_cycle + time::ms(desk_ms)
+    }
+
+    fn is_connected(&self) -> bool {
+        match &self.wire {
+            Wire::Uart(cable) => *cable,
+            Wire::Usb(host) => host.is_ready(),
+        }
+    }
+
+    fn run_to(&mut self, desk_ms: u64) -> Vec<u8> {
+        let end = self.cycle_at(desk_ms);
+        self.board.run_until(end);
+        let uart = self.board.uart_out();
+        match &mut self.wire {
+            Wire::Uart(true) => uart,
+            Wire::Uart(false) => Vec::new(),
+            Wire::Usb(host) => {
+                host.step(&mut self.board);
+                host.read(&mut self.board)
+            }
+        }
+    }
+
+    fn send(&mut self, bytes: &[u8]) {
+        match &mut self.wire {
+            Wire::Uart(true) => self.board.uart_in(bytes),
+            Wire::Uart(false) => {}
+            Wire::Usb(host) => host.write(&mut self.board, bytes),
+        }
+    }
+}
+
+/// What a bad cable does: changes the bytes that a board sent in a millisecond, and gives those that come to the
+/// board besides the laptop's.
+pub type Disturbance = Box<dyn FnMut(Hand, &mut Vec<u8>) -> Vec<u8>>;
+
+/// The desk: boards, laptop, robot.
+pub struct TwoHands {
+    /// The left board, if it takes part.
+    pub left: Option<Left>,
+    /// The right board, if it takes part.
+    pub right: Option<Right>,
+    /// The laptop.
+    pub bridge: Bridge,
+    /// The robot.
+    pub robot: Simulator,
+    /// Everything that happened on the bridge, with the desk's time.
+    pub log: Vec<BridgeEvent>,
+    /// What the cables do to the bytes.
+    pub disturbance: Option<Disturbance>,
+    now_ms: u64,
+}
+
+impl TwoHands {
+    /// The boards run already; the bridge has not heard of them yet.
+    pub fn new(left: Option<Left>, right: Option<Right>) -> Self {
+        Self {
+            left,
+            right,
+            bridge: Bridge::new(MotionMap::default()),
+            robot: Simulator::new(SimConfig::default()),
+            log: Vec::new(),
+            disturbance: None,
+            now_ms: 0,
+        }
+    }
+
+    /// The desk's time.
+    pub fn now_ms(&self) -> u64 {
+        self.now_ms
+    }
+
+    /// The left board's clock in seconds.
+    ///
+    /// # Panics
+    /// Without a left board.
+    pub fn left_seconds(&self) -> f64 {
+        self.left.as_ref().expect("a left board").seconds_at(self.now_ms)
+    }
+
+    /// One millisecond: the boards run, the bridge reads what has arrived and answers, the robot moves.
+    pub fn step(&mut self) {
+        self.now_ms += 1;
+        let now_ms = self.now_ms;
+        for hand in [Hand::Left, Hand::Right] {
+            let bytes = match hand {
+                Hand::Left => self.left.as_mut().map(|left| left.run_to(now_ms)),
+                Hand::Right => self.right.as_mut().map(|right| right.run_to(now_ms)),
+            };
+            let Some(mut bytes) = bytes else { continue };
+            if let Some(disturbance) = &mut self.disturbance {
+                let to_board = disturbance(hand, &mut bytes);
+                self.send(hand, &to_board);
+            }
+            self.bridge.receive(hand, &bytes, now_ms, &mut self.robot);
+        }
+        self.bridge.step(now_ms, &mut self.robot);
+        for hand in [Hand::Left, Hand::Right] {
+            while let Some(message) = self.next_message(hand) {
+                let mut buffer = [0; HOST_FRAME_MAX];
+                let frame = encode_host(&message, &mut buffer).expect("the bridge's messages fit");
+                self.send(hand, frame);
+            }
+        }
+        self.log.extend(self.bridge.take_events());
+        self.robot.step(1);
+    }
+
+    fn next_message(&mut self, hand: Hand) -> Option<shared_proto::message::HostMessage<'static>> {
+        let connected = match hand {
+            Hand::Left => self.left.as_ref().is_some_and(|left| left.cable),
+            Hand::Right => self.right.as_ref().is_some_and(Right::is_connected),
+        };
+        // A laptop cannot write to a port that is gone.
+        if !connected {
+            return None;
+        }
+        self.bridge.poll(hand, self.now_ms).or_else(|| self.bridge.ping(hand, self.now_ms))
+    }
+
+    fn send(&mut self, hand: Hand, bytes: &[u8]) {
+        match (hand, &mut self.left, &mut self.right) {
+            (Hand::Left, Some(left), _) if left.cable => left.nano.send(bytes),
+            (Hand::Right, _, Some(right)) => right.send(bytes),
+            _ => {}
+        }
+    }
+
+    /// A while.
+    pub fn run_ms(&mut self, ms: u64) {
+        for _ in 0..ms {
+            self.step();
+        }
+    }
+
+    /// Runs until something holds; how long it took.
+    ///
+    /// # Panics
+    /// Where it does not hold in time.
+    pub fn run_until(&mut self, what: &str, most_ms: u64, mut holds: impl FnMut(&Self) -> bool) -> u64 {
+        let start_ms = self.now_ms;
+        while !holds(self) {
+            self.step();
+            let passed_ms = self.now_ms - start_ms;
+            assert!(passed_ms <= most_ms, "{what}: not within {most_ms} ms; {:#?}", self.last_events());
+        }
+        self.now_ms - start_ms
+    }
+
+    fn last_events(&self) -> &[BridgeEvent] {
+        &self.log[self.log.len().saturating_sub(12)..]
+    }
+
+    /// Does any wheel turn?
+    pub fn base_moves(&self) -> bool {
+        self.robot.wheels_rad_s() != [0.0; 2]
+    }
+
+    /// Does any joint turn?
+    pub fn arm_moves(&self) -> bool {
+        !host_bridge::robot::Robot::arm(&self.robot).at_rest()
+    }
+
+    /// The hands drive the robot.
+    pub fn is_armed(&self) -> bool {
+        self.bridge.safety().state() == State::Armed
+    }
+}

@@ -1,0 +1,413 @@
+//! Both hands at once: the two boards' images, emulated, at one bridge with one simulated robot.
+#![cfg(all(feature = "avr", feature = "nrf"))]
+
+use std::cell::RefCell;
+use std::path::Path;
+use std::rc::Rc;
+
+use fastrand::Rng;
+use host_bridge::adc::AdcRecording;
+use host_bridge::bridge::{EventKind, GestureOutcome};
+use host_bridge::robot::Robot;
+use host_bridge::safety::{HaltReason, Hand as Which};
+use host_bridge::script::Script;
+use host_bridge::sim::{SimConfig, Simulator};
+use models::recording::Recording;
+use models::synth::{Motion, Segment, Wearer as RightWearer, session};
+use tests::avr::image;
+use tests::avr::nano::Nano;
+use tests::avr::recorded::{Recorded, calibrated};
+use tests::avr::session::BLANK;
+use tests::avr::wearer::{Hand, Sensors, Wearer};
+use tests::nrf::lsm9ds1::{Replay, Still};
+use tests::nrf::recordings::rows;
+use tests::two_hands::{Disturbance, Left, Right, TwoHands, Wire};
+
+fn full() -> bool {
+    std::env::var_os("BIMANUAL_FULL").is_some()
+}
+
+/// A nominal left hand on a board that has never been calibrated, and the hand to steer.
+fn left_hand(seed: u64) -> (Nano, Rc<RefCell<Hand>>) {
+    let (wearer, hand) = Wearer::new(Sensors::nominal(), (0.0, 0.0), None, Rng::with_seed(seed));
+    (Nano::new(&image::path(), &BLANK, Box::new(wearer)), hand)
+}
+
+const FORWARD_RAD: f64 = 0.5;
+
+/// The bundled session: recorded hands, and what they must come to, written down with them.
+struct Demo {
+    left: AdcRecording,
+    right: Recording,
+    script: Script,
+}
+
+fn demo() -> Demo {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../host-bridge/sessions/demo");
+    let script = std::fs::read_to_string(folder.join("session.toml")).expect("the session is in the tree");
+    Demo {
+        left: AdcRecording::read(&folder.join("left.csv")).expect("the left hand's recording"),
+        right: Recording::read(&folder.join("right.csv")).expect("the right hand's recording"),
+        script: Script::parse(&script).expect("the session's script"),
+    }
+}
+
+/// Plays the bundled session on both boards, and compares with what it says must come out.
+fn play_demo(usb: bool) {
+    let Demo { left, right, script } = demo();
+    let seconds = left.samples.len() as u64 / 100;
+    let expect = &script.expect;
+    let mut nano = calibrated(&script.calibration);
+    let samples: Vec<[u16; 5]> = left.samples.iter().map(|(_, counts)| *counts).collect();
+    nano.set_voltages(Box::new(Recorded::new(samples, nano.cycle())));
+    let motion = |start| Replay { rows: rows(&right), interval: 0.01, start };
+    let mut desk = TwoHands::new(Some(Left::new(nano)), Some(Right::start(usb, motion)));
+    desk.run_ms(seconds * 1000);
+
+    let (mut gestures, mut poses, mut halts, mut releases) = (vec![], vec![], vec![], 0);
+    let mut together = 0;
+    for event in &desk.log {
+        match &event.kind {
+            EventKind::Gesture { label, .. } => gestures.push(label.clone()),
+            EventKind::MotionEnded { motion, reached: true } => poses.push(motion.name().to_owned()),
+            EventKind::Halt { reason } => halts.push(*reason),
+            EventKind::Released => releases += 1,
+            EventKind::Heading { .. } => together += 1,
+            _ => {}
+        }
+    }
+    let here = desk.robot.odometry();
+    let cap = desk.bridge.caps().linear_m_s;
+    let wire = if usb { "USB" } else { "UART" };
+    let place = &expect.base;
+    println!("{:<12}{:<76}in virtual time over {wire}", "", "as scripted");
+    println!("{:<12}{:<76}{}", "gestures", expect.gestures.join(" "), gestures.join(" "));
+    println!("{:<12}{:<76}{}", "arm poses", expect.poses.join(" "), poses.join(" "));
+    let (scripted, got) = (
+        format!("x {:.3} m, y {:.3} m, {:.3} rad", place.x_m, place.y_m, place.heading_rad),
+        format!("x {:.3} m, y {:.3} m, {:.3} rad", here.x_m, here.y_m, here.heading_rad),
+    );
+    println!("{:<12}{:<76}{}", "base", scripted, got);
+    println!("{:<12}{:<76}{cap:.4}, {} commands, path {:.2} m", "cap", expect.cap, together, here.path_m);
+    assert_eq!(gestures, expect.gestures);
+    assert_eq!(poses, expect.poses);
+    assert_eq!(halts, vec![HaltReason::OperatorStop; expect.stops as usize]);
+    assert_eq!(releases, expect.stops);
+    assert!((cap - expect.cap).abs() <= 0.001);
+    assert!((here.x_m - place.x_m).hypot(here.y_m - place.y_m) <= place.within_m, "{here:?}");
+    assert!((here.heading_rad - place.heading_rad).abs() <= place.within_rad, "{here:?}");
+    assert_eq!(desk.robot.timeouts(), 0);
+    let (left, right) = (desk.left.as_ref().unwrap(), desk.right.as_mut().unwrap());
+    assert_eq!(left.nano.resets(), 0);
+    assert_eq!(right.board.soc().nvic.vector_table, 0x10000, "the image has moved the table to its own");
+    for hand in [Which::Left, Which::Right] {
+        let counters = desk.bridge.link(hand).counters();
+        // The port was opened in the middle of a frame.
+        assert!(counters.damaged <= 1 && counters.lost == 0, "{hand}: {counters:?}");
+    }
+}
+
+#[test]
+fn the_bundled_session_on_both_emulated_boards_over_uart_comes_to_what_its_script_says() {
+    play_demo(false);
+}
+
+#[test]
+fn the_bundled_session_on_both_emulated_boards_over_usb_comes_to_what_its_script_says() {
+    play_demo(true);
+}
+
+fn median(sorted: &[f64]) -> f64 {
+    sorted[sorted.len() / 2]
+}
+
+/// Simulated wearers whom no model has seen draw gesture after gesture; each starts the arm of a rested robot.
+#[test]
+fn the_arm_moves_within_50_ms_of_the_sample_that_decides() {
+    const REST_S: f64 = 2.0;
+    const GESTURE_S: f64 = 3.0;
+    let wearers: u32 = if full() { 40 } else { 6 };
+    let (mut to_arm_ms, mut to_event_s, mut others) = (Vec::new(), Vec::new(), Vec::new());
+    for index in 1..=wearers {
+        let mut script = vec![Segment::new(Motion::IDLE, 1.0 + REST_S)];
+        for gesture in Motion::GESTURES {
+            script.push(Segment::new(gesture, GESTURE_S));
+            script.push(Segment::new(Motion::IDLE, REST_S));
+        }
+        let wearer = RightWearer::evaluation(11, index);
+        let recording = session(&wearer, 0, &script);
+        let mut start_s = 0.0;
+        // Another phase of hop and millisecond for each wearer, and another sensor clock.
+        let mut right = Right::start(false, |zero_s| {
+            start_s = zero_s + 0.080 * f64::from(index) / f64::from(wearers) + 0.0003;
+            Replay { rows: rows(&recording), interval: 0.01, start: start_s }
+        });
+        right.board.soc().bus.sensor.clock_ratio = [0.97, 1.0, 1.03][index as usize % 3];
+        let mut desk = TwoHands::new(None, Some(right));
+        let (mut seen, mut deciding) = (0, None);
+        let seconds = 1.0 + REST_S + 6.0 * (GESTURE_S + REST_S);
+        while (desk.now_ms() as f64) < seconds * 1000.0 {
+            desk.step();
+            let now_ms = desk.now_ms();
+            let right = desk.right.as_ref().unwrap();
+            for event in &desk.log[seen..] {
+                let EventKind::Gesture { label, outcome, window_end_board_ms, .. } = &event.kind else {
+                    continue;
+                };
+                let board_s = right.cycle_at(event.time_ms) as f64 / tests::nrf::time::HZ as f64;
+                let since_s = board_s - start_s - 1.0 - REST_S;
+                let gesture = (since_s / (GESTURE_S + REST_S)).floor();
+                let onset_to_event_s = since_s - gesture * (GESTURE_S + REST_S);
+                let meant = Motion::GESTURES.get(gesture as usize).map_or("idle", |g| g.label());
+                if label == meant {
+                    to_event_s.push(onset_to_event_s);
+                } else {
+                    others.push(format!("{}: {label} for {meant}", wearer.name));
+                }
+                if matches!(outcome, GestureOutcome::Started(_)) {
+                    // The grid time of the window's last sample, on the emulated clock.
+                    let number = (f64::from(*window_end_board_ms) / 10.0).round() as u64;
+                    let tick = number * 32_768 / 100;
+                    deciding = Some(right.board.clock_start() + tests::nrf::time::cycle_of_tick(tick));
+                }
+            }
+            seen = desk.log.len();
+            if let Some(sample) = deciding
+                && desk.arm_moves()
+            {
+                let cycles = right.cycle_at(now_ms) - sample;
+                // The sensor took it that much before its grid time (sensor/src/grid.rs).
+                let delay_ms = 1100.0 / 238.0;
+                to_arm_ms.push(cycles as f64 / tests::nrf::time::ms(1) as f64 + delay_ms);
+                deciding = None;
+                // A rested robot for the next gesture; this one has shown what it was asked for.
+                desk.robot = Simulator::new(SimConfig::default());
+            }
+        }
+    }
+    let mut waiting_s = to_event_s.clone();
+    to_arm_ms.sort_by(f64::total_cmp);
+    waiting_s.sort_by(f64::total_cmp);
+    println!(
+        "{} gestures of {wearers} wearers, {} named otherwise {others:?}",
+        to_arm_ms.len(),
+        others.len()
+    );
+    println!("{:<58}{:>10}{:>10}{:>8}", "", "median", "worst", "limit");
+    println!(
+        "{:<58}{:>7.1} ms{:>7.1} ms{:>8}",
+        "last sample of the deciding hop to first joint velocity",
+        median(&to_arm_ms),
+        to_arm_ms.last().unwrap(),
+        "50 ms"
+    );
+    println!(
+        "{:<58}{:>8.2} s{:>8.2} s{:>8}",
+        "onset of the gesture to its event",
+        median(&waiting_s),
+        waiting_s.last().unwrap(),
+        "none"
+    );
+    assert!(to_arm_ms.len() >= 5 * wearers as usize, "{} gestures", to_arm_ms.len());
+    assert!(*to_arm_ms.last().unwrap() <= 50.0);
+}
+
+/// The right hand strokes to and fro every 10 s, for 3 s, from 4 s on.
+fn strokes(count: usize) -> impl FnOnce(f64) -> Replay {
+    let mut script = vec![Segment::new(Motion::IDLE, 4.0)];
+    for _ in 0..count {
+        script.push(Segment::new(Motion::ToFro, 3.0));
+        script.push(Segment::new(Motion::IDLE, 7.0));
+    }
+    let rows = rows(&session(&RightWearer::demo(2), 0, &script));
+    move |start| Replay { rows, interval: 0.01, start }
+}
+
+/// A desk whose left hand a test steers.
+struct Steered {
+    desk: TwoHands,
+    hand: Rc<RefCell<Hand>>,
+}
+
+impl Steered {
+    fn new(usb: bool, count: usize) -> Self {
+        let (mut nano, hand) = left_hand(31);
+        nano.run_ms(600.0);
+        let right = Right::start(usb, strokes(count));
+        Self { desk: TwoHands::new(Some(Left::new(nano)), Some(right)), hand }
+    }
+
+    fn tilt(&mut self, pitch_rad: f64) {
+        self.hand.borrow_mut().tilt(pitch_rad, 0.0, self.desk.left_seconds(), 0.1);
+    }
+
+    /// Drives forward until a stroke has started the arm, too.
+    fn both_move(&mut self) {
+        self.tilt(0.0);
+        self.desk.run_until("armed", 8000, TwoHands::is_armed);
+        // Half a second before the next stroke.
+        let strokes_before = (self.desk.now_ms() + 500).saturating_sub(4000).div_ceil(10_000);
+        self.desk.run_ms(3500 + 10_000 * strokes_before - self.desk.now_ms());
+        self.tilt(FORWARD_RAD);
+        self.desk.run_until("the arm", 4000, TwoHands::arm_moves);
+        self.desk.run_ms(300);
+        assert!(self.desk.base_moves() && self.desk.arm_moves(), "both move");
+    }
+
+    /// The robot halts because of this hand's silence; when it rested.
+    fn halts(&mut self, hand: Which) -> (u64, u64) {
+        let halted_ms = self.desk.run_until("a halt", 260, |d| !d.is_armed());
+        let rests = |d: &TwoHands| !d.base_moves() && !d.arm_moves();
+        let rested_ms = halted_ms + self.desk.run_until("rest", 1500, rests);
+        let halt = self.desk.log.iter().rev().find_map(|event| match event.kind {
+            EventKind::Halt { reason } => Some(reason),
+            _ => None,
+        });
+        assert_eq!(halt, Some(HaltReason::Silence(hand)));
+        (halted_ms, rested_ms)
+    }
+
+    /// Nothing moves for a while, though the left hand is still tilted; after neutral it does.
+    fn needs_neutral(&mut self, what: &str) {
+        for _ in 0..3500 {
+            self.desk.step();
+            assert!(!self.desk.base_moves() && !self.desk.arm_moves(), "{what}: moves without neutral");
+        }
+        self.tilt(0.0);
+        self.desk.run_until("armed again", 1000, TwoHands::is_armed);
+        self.desk.run_ms(300);
+        self.tilt(FORWARD_RAD);
+        self.desk.run_until("the base drives again", 300, TwoHands::base_moves);
+        self.tilt(0.0);
+        self.desk.run_until("the base stops again", 1500, |d| !d.base_moves());
+    }
+}
+
+fn say(what: &str, (halted_ms, rested_ms): (u64, u64)) {
+    println!("{what:<36} halt after {halted_ms:>3} ms, at rest after {rested_ms:>4} ms, then needs neutral");
+}
+
+#[test]
+fn a_cable_pulled_in_mid_drive_stops_base_and_arm_and_put_back_it_needs_neutral() {
+    let mut steered = Steered::new(false, 6);
+
+    steered.both_move();
+    steered.desk.left.as_mut().unwrap().cable = false;
+    say("left cable pulled", steered.halts(Which::Left));
+    steered.desk.run_ms(500);
+    steered.desk.left.as_mut().unwrap().cable = true;
+    steered.needs_neutral("left cable put back");
+
+    steered.both_move();
+    let Some(right) = &mut steered.desk.right else { unreachable!() };
+    right.wire = Wire::Uart(false);
+    say("right cable (UART) pulled", steered.halts(Which::Right));
+    steered.desk.run_ms(500);
+    steered.desk.right.as_mut().unwrap().wire = Wire::Uart(true);
+    steered.needs_neutral("right cable (UART) put back");
+
+    // The left cable is the board's supply: put back, it starts anew, in a hand that is tilted still.
+    steered.both_move();
+    steered.desk.left.as_mut().unwrap().cable = false;
+    say("left board without power", steered.halts(Which::Left));
+    steered.desk.run_ms(500);
+    let (wearer, hand) = Wearer::new(Sensors::nominal(), (0.0, 0.0), None, Rng::with_seed(32));
+    hand.borrow_mut().tilt(FORWARD_RAD, 0.0, 0.0, 0.0);
+    let now_ms = steered.desk.now_ms();
+    steered.desk.left.as_mut().unwrap().power_again(now_ms, Box::new(wearer));
+    steered.hand = hand;
+    steered.needs_neutral("left board with power again");
+}
+
+#[test]
+fn a_usb_cable_pulled_and_a_touch_at_1200_baud_stop_the_robot() {
+    let mut steered = Steered::new(true, 4);
+
+    steered.both_move();
+    let pull = |right: &mut Right| {
+        let Wire::Usb(host) = &mut right.wire else { unreachable!() };
+        host.unplug(&mut right.board);
+    };
+    pull(steered.desk.right.as_mut().unwrap());
+    say("right cable (USB) pulled", steered.halts(Which::Right));
+    steered.desk.run_ms(500);
+    let right = steered.desk.right.as_mut().unwrap();
+    let Wire::Usb(host) = &mut right.wire else { unreachable!() };
+    host.plug_in(&mut right.board);
+    steered.needs_neutral("right cable (USB) put back");
+
+    steered.both_move();
+    let right = steered.desk.right.as_mut().unwrap();
+    let Wire::Usb(host) = &mut right.wire else { unreachable!() };
+    host.touch();
+    steered.desk.run_until("the bootloader", 200, |d| d.right.as_ref().unwrap().board.in_bootloader);
+    say("right board touched at 1200 baud", steered.halts(Which::Right));
+}
+
+/// How bad a cable is, per thousand: bytes from a board that are damaged, and milliseconds in which others come
+/// among them. The lines to the boards are half full of noise at any rate.
+fn noise(damaged: u32, disturbed: u32, mut rng: Rng) -> Disturbance {
+    Box::new(move |_, bytes| {
+        for byte in bytes.iter_mut() {
+            if rng.u32(..1000) < damaged {
+                *byte ^= 1 << rng.u8(..8);
+            }
+        }
+        if rng.u32(..1000) < disturbed {
+            let at = rng.usize(..=bytes.len());
+            bytes.splice(at..at, (0..rng.usize(1..9)).map(|_| rng.u8(..)).collect::<Vec<_>>());
+        }
+        (0..6).map(|_| if rng.u8(..) < 20 { 0 } else { rng.u8(..) }).collect()
+    })
+}
+
+#[test]
+fn random_bytes_on_both_links_move_nothing_that_the_hands_do_not() {
+    let seconds = if full() { 60 } else { 4 };
+    let (mut nano, hand) = left_hand(33);
+    nano.run_ms(600.0);
+    let right = Right::start(false, |_| Still);
+    let mut desk = TwoHands::new(Some(Left::new(nano)), Some(right));
+    desk.run_until("armed", 5000, TwoHands::is_armed);
+    let tilt = |desk: &TwoHands, pitch_rad| {
+        hand.borrow_mut().tilt(pitch_rad, 0.0, desk.left_seconds(), 0.1);
+    };
+    let mut paths_m = Vec::new();
+    for (damaged, disturbed) in [(1, 8), (12, 200)] {
+        desk.disturbance = Some(noise(damaged, disturbed, Rng::with_seed(u64::from(damaged))));
+        let before_m = desk.robot.odometry().path_m;
+        for second in 0..seconds {
+            let tilted = second % 2 == 1;
+            tilt(&desk, if tilted { FORWARD_RAD } else { 0.0 });
+            for ms in 0..1000 {
+                desk.step();
+                let twist = desk.bridge.twist();
+                // Forward, or halted in doubt; after the hand went neutral, its last command may stand for 300 ms.
+                assert!(twist.linear_m_s >= 0.0 && twist.angular_rad_s == 0.0, "{twist:?}");
+                assert!(tilted || ms < 300 || twist.linear_m_s == 0.0, "{twist:?} at neutral");
+                assert!(!desk.arm_moves());
+            }
+        }
+        paths_m.push(desk.robot.odometry().path_m - before_m);
+    }
+    desk.disturbance = None;
+    let damaged = [Which::Left, Which::Right].map(|hand| desk.bridge.link(hand).counters().damaged);
+    println!(
+        "{} s of noise on both links: {damaged:?} damaged frames counted, forward by {:.2} m with a bad cable and by \
+         {:.2} m with a hopeless one",
+        2 * seconds,
+        paths_m[0],
+        paths_m[1]
+    );
+    assert!(damaged.iter().all(|&count| u64::from(count) >= seconds));
+    assert!(paths_m[0] > 0.1, "a bad cable does not keep the hand from driving");
+    let here = desk.robot.odometry();
+    assert!(here.y_m.abs() < 1e-9 && here.heading_rad.abs() < 1e-9, "{here:?}");
+    assert_eq!(desk.left.as_ref().unwrap().nano.resets(), 0);
+    assert!(desk.right.as_ref().unwrap().board.resets.iter().all(|&reason| reason == 4));
+    tilt(&desk, 0.0);
+    desk.run_until("armed after the noise", 3000, TwoHands::is_armed);
+    desk.run_ms(500);
+    tilt(&desk, FORWARD_RAD);
+    desk.run_until("the base follows the hand again", 400, TwoHands::base_moves);
+}
