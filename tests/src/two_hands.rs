@@ -3,7 +3,7 @@
 //! ```text
 //! voltages -> ATmega328P (simavr) -> serial bytes -------\
 //!                                                          bridge -> robot, 1 ms per step
-//! motion   -> nRF52840 (unicorn)  -> UART or USB bytes --/
+//! motion   -> nRF52840 (unicorn)  -> UART, USB, BLE -----/
 //! ```
 //!
 //! Each board has a clock of its own; a step lets both run up to the same moment of the desk's time.
@@ -16,6 +16,7 @@ use shared_proto::frame::{HOST_FRAME_MAX, encode_host};
 
 use crate::avr::image::path as left_image;
 use crate::avr::nano::{self, Nano, Voltages};
+use crate::nrf::ble_host::BleHost;
 use crate::nrf::board::{Board, Boot};
 use crate::nrf::build::{Variant, image};
 use crate::nrf::lsm9ds1::Motion;
@@ -74,13 +75,26 @@ impl Left {
     }
 }
 
-/// How the right board is connected.
+/// What connects the right board.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Link {
+    /// D0 and D1.
+    Uart,
+    /// The USB cable.
+    Usb,
+    /// Bluetooth: the other image, behind the model of S140.
+    Ble,
+}
+
+/// The right board's connection as it stands.
 #[derive(Debug)]
 pub enum Wire {
     /// D0 and D1; whether the cable holds.
     Uart(bool),
     /// The USB cable.
     Usb(UsbHost),
+    /// Bluetooth.
+    Ble(BleHost),
 }
 
 /// The right board with its cable.
@@ -93,30 +107,47 @@ pub struct Right {
 }
 
 impl Right {
-    /// The image for the stock bootloader, started by its stand-in and connected. `wear` is given the board's clock in
-    /// seconds at the desk's time 0, one second from power-up (USB wants to be enumerated first).
+    /// A board that has been started (for UART and USB by the stand-in for the stock bootloader) and connected. `wear` is
+    /// given the board's clock in seconds at the desk's time 0, some seconds from power-up.
     ///
     /// # Panics
-    /// Where the USB port is not there by then.
-    pub fn start<M: Motion + 'static>(usb: bool, wear: impl FnOnce(f64) -> M) -> Self {
-        const START_MS: u64 = 1000;
-        let motion = wear(START_MS as f64 / 1000.0);
-        let mut board = Board::new(image(Variant::Bootloader), Boot::StockBootloader, Box::new(motion));
-        let mut wire = Wire::Uart(true);
-        if usb {
-            board.run_ms(50);
-            let mut host = UsbHost::default();
-            host.plug_in(&mut board);
-            while !host.is_ready() {
-                board.run_ms(1);
-                host.step(&mut board);
-                assert!(board.now() < time::ms(START_MS), "no serial port: {host:?}");
+    /// Where it is not connected by then.
+    pub fn start<M: Motion + 'static>(link: Link, wear: impl FnOnce(f64) -> M) -> Self {
+        // A laptop pairs before it subscribes.
+        let start_ms = if link == Link::Ble { 4000 } else { 1000 };
+        let motion = Box::new(wear(start_ms as f64 / 1000.0));
+        let (variant, boot) = match link {
+            Link::Uart | Link::Usb => (Variant::Bootloader, Boot::StockBootloader),
+            Link::Ble => (Variant::Ble, Boot::SoftDevice),
+        };
+        let mut board = Board::new(image(variant), boot, motion);
+        let mut wire = match link {
+            Link::Uart => Wire::Uart(true),
+            Link::Usb => {
+                board.run_ms(50);
+                let mut host = UsbHost::default();
+                host.plug_in(&mut board);
+                Wire::Usb(host)
             }
-            wire = Wire::Usb(host);
+            Link::Ble => {
+                let mut host = BleHost::default();
+                host.connect(&mut board);
+                Wire::Ble(host)
+            }
+        };
+        while board.now() < time::ms(start_ms) {
+            board.run_ms(1);
+            match &mut wire {
+                Wire::Uart(_) => {}
+                Wire::Usb(host) => host.step(&mut board),
+                Wire::Ble(host) => host.step(&mut board),
+            }
         }
-        board.run_until(time::ms(START_MS));
-        board.soc().uart.take_sent();
-        Self { board, wire, zero_cycle: time::ms(START_MS) }
+        let zero_cycle = board.now();
+        let mut right = Self { board, wire, zero_cycle };
+        assert!(right.is_connected(), "not connected after {start_ms} ms: {:?}", right.wire);
+        right.run_to(0);
+        right
     }
 
     /// The board's emulated clock (cycles since power-up) at a moment of the desk's time.
@@ -128,6 +159,7 @@ impl Right {
         match &self.wire {
             Wire::Uart(cable) => *cable,
             Wire::Usb(host) => host.is_ready(),
+            Wire::Ble(host) => host.is_ready(),
         }
     }
 
@@ -142,6 +174,10 @@ impl Right {
                 host.step(&mut self.board);
                 host.read(&mut self.board)
             }
+            Wire::Ble(host) => {
+                host.step(&mut self.board);
+                host.read(&mut self.board).into_iter().map(|(_, byte)| byte).collect()
+            }
         }
     }
 
@@ -150,6 +186,7 @@ impl Right {
             Wire::Uart(true) => self.board.uart_in(bytes),
             Wire::Uart(false) => {}
             Wire::Usb(host) => host.write(&mut self.board, bytes),
+            Wire::Ble(host) => host.send(&mut self.board, bytes),
         }
     }
 }

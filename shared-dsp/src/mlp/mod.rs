@@ -373,7 +373,7 @@ impl<'a> Model<'a> {
         self.infer_with_logits(inputs, &mut [0; MAX_LABELS], scores)
     }
 
-    /// As [`Model::infer`], and also gives the inputs of the softmax (only the first `label_count`).
+    /// As [`Model::infer`], and also gives the inputs of the softmax: the first `label_count`, then anything.
     ///
     /// # Errors
     /// If there are not as many inputs or scores as the model has.
@@ -424,8 +424,7 @@ impl<'a> Model<'a> {
         logits: &mut [i8; MAX_LABELS],
         scores: &mut [i8],
     ) -> Result<(), WrongLength> {
-        let logits = logits.get_mut(..self.info.label_count).ok_or(WrongLength)?;
-        if scores.len() != logits.len() {
+        if scores.len() != self.info.label_count {
             return Err(WrongLength);
         }
         if self.small {
@@ -433,21 +432,27 @@ impl<'a> Model<'a> {
         } else {
             self.with_scratch::<LARGE_SCRATCH_QUADS>(fill, logits);
         }
-        softmax(self.exponentials, logits, scores);
+        softmax(self.exponentials, logits.get(..scores.len()).ok_or(WrongLength)?, scores);
         Ok(())
     }
 
+    // Two functions, so that what fills the inputs is there once and has left the stack when the layers run.
     #[inline(never)]
-    fn with_scratch<const QUADS: usize>(&self, fill: &dyn Fn(&mut [Quad]), logits: &mut [i8]) {
+    fn with_scratch<const QUADS: usize>(&self, fill: &dyn Fn(&mut [Quad]), logits: &mut [i8; MAX_LABELS]) {
         let mut scratch = [0; QUADS];
-        fill(&mut scratch);
+        Self::fill(&mut scratch, fill);
         self.forward(&mut scratch, logits);
+    }
+
+    #[inline(never)]
+    fn fill(scratch: &mut [Quad], fill: &dyn Fn(&mut [Quad])) {
+        fill(scratch);
     }
 
     /// Runs the layers. The inputs stand at the start of `scratch`; then inputs and outputs take turns at
     /// its two ends.
     #[inline(never)]
-    fn forward(&self, scratch: &mut [Quad], logits: &mut [i8]) {
+    fn forward(&self, scratch: &mut [Quad], logits: &mut [i8; MAX_LABELS]) {
         let mut layers = self.layers;
         let mut at_start = true;
         while let Some(dense) = Dense::take(&mut layers) {
@@ -463,7 +468,7 @@ impl<'a> Model<'a> {
             };
             layer(dense.blocks, input, &mut output[..outs], &dense.requantise);
             if layers.is_empty() {
-                for (four, quad) in logits.chunks_mut(4).zip(&*output) {
+                for (four, quad) in logits.chunks_exact_mut(4).zip(&*output) {
                     for (logit, value) in four.iter_mut().zip(unpack(*quad)) {
                         *logit = value;
                     }
