@@ -13,6 +13,7 @@ use crate::arm::profile::JointLimits;
 use crate::base::BaseConfig;
 use crate::intent::{MotionMap, SpeedRules};
 use crate::keyboard::KeyTimes;
+use crate::ros2::Ros2Config;
 use crate::safety::SafetyTimes;
 
 /// All settings. The default is what the paper says, or the safest.
@@ -35,6 +36,8 @@ pub struct Config {
     pub base: BaseConfig,
     /// The simulated arm.
     pub arm: Arm,
+    /// The robot on a ROS 2 graph, for `--ros2`.
+    pub ros2: Ros2Config,
     /// Label → motion. Labels that are not named keep the paper's motion.
     pub motions: BTreeMap<String, String>,
 }
@@ -232,6 +235,7 @@ impl Config {
             (1200..=2_000_000).contains(&self.ports.baud) && self.ports.settle_ms <= 60_000,
             "ports: baud lies between 1200 and 2000000, settle_ms is at most 60000",
         )?;
+        self.ros2.check().map_err(ConfigError::Value)?;
         let mut map = MotionMap::default();
         for (label, motion) in &self.motions {
             map.assign(&format!("{label}={motion}"))
@@ -319,6 +323,7 @@ mod tests {
             "[keyboard]\nfirst_press_ms = 10000",
             "[arm]\nvelocity_scaling = 3.0",
             "[base]\ntrack_m = 0.0",
+            "[ros2]\nrate_hz = 1",
             "[motions]\ncircle = 'fly'",
             "[motions]\nidle = 'home'",
         ] {

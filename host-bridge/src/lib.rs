@@ -5,8 +5,8 @@
 //!        └──────────── hands ──────────┘   └──── link ────┘  └ safety, intent ┘  └ sim ┘
 //! ```
 //!
-//! Everything here but `links`, `talk` and `web` is sans-IO: bytes, events and the time go in, actions come
-//! out. Ports and clocks live in `links`, sockets in `web`; files and terminals only the binary knows.
+//! Everything here but `links`, `talk`, `web` and `ros2::node` is sans-IO: bytes, events and the time go in,
+//! actions come out. Ports and clocks live in `links`, sockets in `web` and `ros2::node`; files and terminals only the binary knows.
 //! Whoever wants to look on hangs on the tap in `observe`.
 
 pub mod adc;
@@ -26,6 +26,7 @@ pub mod live;
 pub mod observe;
 pub mod plan;
 pub mod robot;
+pub mod ros2;
 pub mod safety;
 pub mod scene;
 pub mod script;

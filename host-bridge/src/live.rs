@@ -5,10 +5,15 @@
 use shared_proto::frame::{HOST_FRAME_MAX, encode_host};
 use shared_proto::message::{HostMessage, Mode, TiltThresholds};
 
+use crate::arm::ArmMotion;
+use crate::arm::sequencer::{ArmReport, ArmState, NotStarted};
+use crate::base::{Odometry, Twist};
 use crate::bridge::{Bridge, BridgeEvent, EventKind};
 use crate::config::Config;
 use crate::keyboard::{HandKey, KeyLeft, KeyRight};
 use crate::observe::{Now, OperatorKey, Tap};
+use crate::robot::Robot;
+use crate::ros2::RosRobot;
 use crate::safety::Hand;
 use crate::session::SessionEvent;
 use crate::sim::{SimConfig, Simulator};
@@ -28,6 +33,8 @@ pub struct Live {
     robot: Simulator,
     /// The robot has been simulated up to here.
     robot_ms: u64,
+    /// A robot on a ROS 2 graph, driven too.
+    ros: Option<RosRobot>,
     sources: [Source; 2],
     tilt: TiltThresholds,
     request: u16,
@@ -68,6 +75,7 @@ impl Live {
             bridge: Bridge::with(config.motion_map(), config.speed, config.safety),
             robot,
             robot_ms: now_ms,
+            ros: None,
             sources: [
                 source(left, Source::KeyLeft(Box::new(KeyLeft::new(config.keyboard)))),
                 source(right, Source::KeyRight(Box::new(KeyRight::new()))),
@@ -89,6 +97,18 @@ impl Live {
         Now { time_ms: now_ms, bridge: &self.bridge, robot: &self.robot }
     }
 
+    /// Drives this robot too. Where it has an arm, that arm says whether a motion may start and how it ended;
+    /// the simulator then only shows what was asked for.
+    pub fn with_ros(mut self, robot: RosRobot) -> Self {
+        self.ros = Some(robot);
+        self
+    }
+
+    /// That robot.
+    pub fn ros_mut(&mut self) -> Option<&mut RosRobot> {
+        self.ros.as_mut()
+    }
+
     /// The bridge.
     pub fn bridge(&self) -> &Bridge {
         &self.bridge
@@ -103,7 +123,8 @@ impl Live {
     /// somewhere are thereby as old as they are, and dropped if they are too old.
     pub fn receive(&mut self, hand: Hand, bytes: &[u8], now_ms: u64) {
         self.tap.show(|observer| observer.received(now_ms, hand, bytes));
-        self.bridge.receive(hand, bytes, now_ms, &mut self.robot);
+        let mut robot = both(&mut self.robot, &mut self.ros, now_ms);
+        self.bridge.receive(hand, bytes, now_ms, &mut robot);
     }
 
     /// A key of those that stand for a hand.
@@ -127,13 +148,15 @@ impl Live {
     /// The operator's stop.
     pub fn stop_key(&mut self, now_ms: u64) {
         self.tap.show(|observer| observer.operated(now_ms, OperatorKey::Stop));
-        self.bridge.stop_key(now_ms, &mut self.robot);
+        let mut robot = both(&mut self.robot, &mut self.ros, now_ms);
+        self.bridge.stop_key(now_ms, &mut robot);
     }
 
     /// The release key, pressed and confirmed.
     pub fn release_key(&mut self, now_ms: u64) {
         self.tap.show(|observer| observer.operated(now_ms, OperatorKey::Release));
-        self.bridge.release_key(now_ms, &mut self.robot);
+        let mut robot = both(&mut self.robot, &mut self.ros, now_ms);
+        self.bridge.release_key(now_ms, &mut robot);
     }
 
     /// Lets the time become `now_ms`; call it every few milliseconds. `ready` says which hands' links
@@ -143,6 +166,9 @@ impl Live {
         // real one would have.
         self.robot.step(now_ms.saturating_sub(self.robot_ms));
         self.robot_ms = self.robot_ms.max(now_ms);
+        if let Some(ros) = &mut self.ros {
+            ros.step(now_ms);
+        }
         for hand in [Hand::Left, Hand::Right] {
             self.play_keys(hand, now_ms);
             if ready[hand as usize] || !matches!(self.sources[hand as usize], Source::Board(_)) {
@@ -152,7 +178,7 @@ impl Live {
                 }
             }
         }
-        self.bridge.step(now_ms, &mut self.robot);
+        self.bridge.step(now_ms, &mut both(&mut self.robot, &mut self.ros, now_ms));
         let events = self.bridge.take_events();
         for event in &events {
             if let EventKind::HandStarted { hand, .. } = event.kind {
@@ -233,11 +259,73 @@ impl Live {
     }
 }
 
+/// The simulator and a robot elsewhere as one.
+struct Both<'a> {
+    simulator: &'a mut Simulator,
+    ros: Option<&'a mut RosRobot>,
+}
+
+fn both<'a>(simulator: &'a mut Simulator, ros: &'a mut Option<RosRobot>, now_ms: u64) -> Both<'a> {
+    let mut ros = ros.as_mut();
+    if let Some(ros) = &mut ros {
+        ros.at(now_ms);
+    }
+    Both { simulator, ros }
+}
+
+impl Both<'_> {
+    fn arm_elsewhere(&mut self) -> Option<&mut RosRobot> {
+        self.ros.as_deref_mut().filter(|ros| ros.moves_arm())
+    }
+}
+
+impl Robot for Both<'_> {
+    fn drive(&mut self, twist: Twist) {
+        self.simulator.drive(twist);
+        if let Some(ros) = &mut self.ros {
+            ros.drive(twist);
+        }
+    }
+
+    fn start_motion(&mut self, motion: ArmMotion) -> Result<(), NotStarted> {
+        let Some(ros) = self.arm_elsewhere() else { return self.simulator.start_motion(motion) };
+        ros.start_motion(motion)?;
+        // Only a picture: it may still be busy with the last one.
+        let _ = self.simulator.start_motion(motion);
+        Ok(())
+    }
+
+    fn halt(&mut self) {
+        self.simulator.halt();
+        if let Some(ros) = &mut self.ros {
+            ros.halt();
+        }
+    }
+
+    fn arm(&self) -> ArmState {
+        match &self.ros {
+            Some(ros) if ros.moves_arm() => ros.arm(),
+            _ => self.simulator.arm(),
+        }
+    }
+
+    fn odometry(&self) -> Odometry {
+        self.simulator.odometry()
+    }
+
+    fn take_arm_report(&mut self) -> Option<ArmReport> {
+        let simulated = self.simulator.take_arm_report();
+        match self.arm_elsewhere() {
+            Some(ros) => ros.take_arm_report(),
+            None => simulated,
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::bridge::GestureOutcome;
-    use crate::robot::Robot as _;
     use crate::safety::State;
     use shared_proto::message::Heading;
 
@@ -354,6 +442,28 @@ mod tests {
         rig.press(HandKey::Gesture(1));
         rig.run(100);
         assert_eq!(rig.live.bridge().safety().state(), State::Armed);
+    }
+
+    #[test]
+    fn a_robot_elsewhere_is_driven_too_and_its_arm_decides() {
+        use crate::arm::profile::JointLimits;
+        use crate::ros2::{Output, Ros2Config};
+        let config = Config::default();
+        let ros = RosRobot::new(&Ros2Config::default(), JointLimits::paper());
+        let live = Live::new(&config, Place::Keyboard, Place::Keyboard, 0).with_ros(ros);
+        let mut rig = Rig { live, now_ms: 0, events: Vec::new() };
+        rig.run(1000);
+        assert!(rig.live.ros_mut().unwrap().take_outputs().is_empty(), "armed, at rest");
+        rig.press(FORWARD);
+        rig.run(300);
+        let sent = rig.live.ros_mut().unwrap().take_outputs();
+        assert_eq!(sent, [Output::Twist(Twist { linear_m_s: 0.5, angular_rad_s: 0.0 })], "the newest");
+        assert!(rig.speed_m_s() > 0.2, "the picture drives, too");
+        rig.press(HandKey::Gesture(6));
+        rig.run(100);
+        let refused = |event: &EventKind| matches!(event, EventKind::MotionRefused { .. });
+        assert!(rig.events.iter().any(refused), "nobody has told where the joints are");
+        assert!(rig.live.robot().arm().at_rest(), "the picture does not run ahead");
     }
 
     #[test]

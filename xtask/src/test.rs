@@ -5,7 +5,7 @@ use std::process::{Command, ExitCode};
 use anyhow::{Result, bail, ensure};
 
 use crate::steps::{Step, output, run_all, sh};
-use crate::tools::{BROWSER, CROSS_LINK, CROSS_RUST, EMULATORS, QEMU};
+use crate::tools::{BROWSER, CROSS_LINK, CROSS_RUST, EMULATORS, NETWORK, QEMU};
 use crate::{firmware_avr, firmware_nano33, python, real_data, root, target_dir, toolchain};
 
 /// Runs the steps.
@@ -60,9 +60,9 @@ pub fn cargo(args: &[&str]) -> Command {
 fn cargo_for_all(subcommand: &str) -> Command {
     let mut command = cargo(&[subcommand, "--workspace", "--locked"]);
     if EMULATORS.is_complete() {
-        command.args(["--features", "tests/avr,tests/nrf,host-bridge/urdf"]);
+        command.args(["--features", "tests/avr,tests/nrf,host-bridge/urdf,host-bridge/ros2"]);
     } else {
-        command.args(["--exclude", "tests", "--features", "host-bridge/urdf"]);
+        command.args(["--exclude", "tests", "--features", "host-bridge/urdf,host-bridge/ros2"]);
     }
     command
 }
@@ -104,6 +104,13 @@ fn steps() -> Vec<Step> {
         Step::new("right hand: images and size", || firmware_nano33::run(&[])),
         Step::new("tests, with both boards emulated", || {
             sh(cargo_for_all("test").args(["--no-fail-fast", "--", "--show-output"]))
+        }),
+        Step::new("ROS 2 against Cyclone DDS", || {
+            NETWORK.ensure()?;
+            let python = python::environment("ros2", &["tests/ros2/requirements.txt"])?;
+            sh(cargo_for_all("test")
+                .args(["--test", "ros2", "--", "--nocapture"])
+                .env("BIMANUAL_ROS2_PYTHON", python))
         }),
         Step::new("laptop and Cortex-M4F agree on all bits", || {
             sh(Command::new("sh").current_dir(root()).arg("shared-dsp/bench-m4f/run.sh"))

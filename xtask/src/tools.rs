@@ -35,6 +35,10 @@ pub const EMULATORS: Packages = Packages {
     names: &["libclang-dev", "clang", "libelf-dev", "libzstd-dev", "libunicorn-dev", "pkg-config"],
 };
 
+/// Networks of a test's own, with losses in them.
+pub const NETWORK: Packages =
+    Packages { purpose: "networks with losses", names: &["iproute2", "iptables", "util-linux"] };
+
 impl Packages {
     /// The command that a person types.
     pub fn install_line(&self) -> String {

@@ -32,6 +32,9 @@ pub struct Args {
     /// Configuration file with the ports
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
+    /// Examine the ROS 2 graph: who listens to which topic, and why nobody does
+    #[arg(long)]
+    ros2: bool,
     /// How long to listen; the clock's drift needs some time
     #[arg(long, default_value_t = 5.0)]
     seconds: f64,
@@ -44,7 +47,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     let chosen = |asked: &Option<String>, known: &str| asked.clone().unwrap_or_else(|| known.to_owned());
     let ports = [chosen(&args.left, &config.ports.left), chosen(&args.right, &config.ports.right)];
     let ports: Vec<_> = ports.into_iter().filter(|p| !p.is_empty() && p != "keyboard").collect();
-    if ports.is_empty() {
+    if ports.is_empty() && !args.ros2 {
         bail!("name a port with --left or --right; `host-bridge list` shows them");
     }
     for port in &ports {
@@ -64,7 +67,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         let lost = || Report { lines: Vec::new(), advice: vec!["the examination broke off".to_owned()] };
         threads.into_iter().map(|thread| thread.join().unwrap_or_else(|_| lost())).collect()
     });
-    let mut well = true;
+    let mut well = !args.ros2 || super::ros2::doctor(&config.ros2, args.seconds)?;
     for (port, report) in ports.iter().zip(&reports) {
         println!("\n{port}");
         for line in &report.lines {

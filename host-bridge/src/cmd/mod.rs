@@ -7,6 +7,7 @@ pub mod list;
 pub mod ports;
 pub mod record;
 pub mod replay;
+pub mod ros2;
 pub mod run;
 pub mod send_model;
 pub mod web;

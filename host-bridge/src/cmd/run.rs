@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
-use std::time::Duration;
+use std::time::{Duration, SystemTime};
 
 use anyhow::{Result, bail, ensure};
 use crossterm::event::{KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
@@ -15,6 +15,7 @@ use host_bridge::keyboard::HandKey;
 use host_bridge::links::{Clock, LinkEvent, News, SerialLink, SystemClock};
 use host_bridge::live::{Live, Place};
 use host_bridge::robot::Robot as _;
+use host_bridge::ros2::{ArmInterface, Counts, RosRobot};
 use host_bridge::safety::Hand;
 use host_bridge::session::SessionEvent;
 use host_bridge::web::Web;
@@ -22,6 +23,7 @@ use serde::Serialize;
 use shared_proto::message::Heading;
 
 use super::ports::{check_name, read_config, settings};
+use super::ros2::Link;
 use super::web::WebArgs;
 use crate::play::robot_in_scene;
 use crate::view::{Scene, View};
@@ -53,6 +55,15 @@ pub struct Args {
     /// The hands change places: --left is the gesture board, --right the tilt board
     #[arg(long)]
     left_handed: bool,
+    /// Drive a robot on a ROS 2 graph too, as the configuration says under ros2
+    #[arg(long)]
+    ros2: bool,
+    /// Speeds as Twist, not TwistStamped
+    #[arg(long, requires = "ros2")]
+    unstamped: bool,
+    /// There is no robot: publish the simulator's joint states, odometry and transforms
+    #[arg(long, requires = "ros2")]
+    publish_sim: bool,
     /// No live view: print events as lines
     #[arg(long)]
     headless: bool,
@@ -87,18 +98,32 @@ struct PageLine<'a> {
 }
 
 #[derive(Serialize)]
+struct RosLine<'a> {
+    time_ms: u64,
+    event: &'static str,
+    text: &'a str,
+}
+
+#[derive(Serialize)]
 struct EndLine {
     time_ms: u64,
     event: &'static str,
     odometry: host_bridge::base::Odometry,
     frames: [host_bridge::link::LinkCounters; 2],
     round_trip_ms: [Option<u64>; 2],
+    #[serde(skip_serializing_if = "Option::is_none")]
+    ros2: Option<Counts>,
 }
 
 /// Runs until somebody quits or the time is over.
 pub fn run(args: &Args) -> Result<ExitCode> {
     let mut config = read_config(args.config.as_deref())?;
     config.left_handed |= args.left_handed;
+    config.ros2.stamped &= !args.unstamped;
+    if args.publish_sim {
+        // The simulator's arm is the one that moves.
+        config.ros2.arm = ArmInterface::None;
+    }
     for (asked, known) in [(&args.left, &mut config.ports.left), (&args.right, &mut config.ports.right)] {
         if let Some(port) = asked {
             known.clone_from(port);
@@ -143,6 +168,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
 
     let robot = args.scene.as_deref().map(robot_in_scene).transpose()?;
     let web = args.web.start(false)?;
+    let ros = if args.ros2 { Some(Link::open(&config.ros2, args.publish_sim)?) } else { None };
     let clock = Arc::new(SystemClock::start());
     let (sender, events) = channel();
     let open = |hand: Hand, port: &str| {
@@ -153,18 +179,22 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     };
     let links = [open(Hand::Left, &left), open(Hand::Right, &right)];
     let name = |port: &str| if port.is_empty() { "none".to_owned() } else { port.to_owned() };
-    let mut title =
-        format!("bimanual: left hand {}, right hand {}, simulated robot", name(&left), name(&right));
+    let about = ros.as_ref().map_or("simulated robot".to_owned(), Link::about);
+    let mut title = format!("bimanual: left hand {}, right hand {}, {about}", name(&left), name(&right));
     let mut live = match robot {
         None => Live::new(&config, places[0], places[1], clock.now_ms()),
         Some(robot) => Live::with_robot(&config, places[0], places[1], robot, clock.now_ms()),
     };
+    if ros.is_some() {
+        live = live.with_ros(RosRobot::new(&config.ros2, config.arm_limits()));
+    }
     if let Some(web) = &web {
         live.tap_mut().add(Box::new(web.watcher(&title)));
         title += &format!("\npage: {}", web.url());
     }
     let mut session = Session {
         live,
+        ros,
         view: if wants_view { Some(View::open(&title)?) } else { None },
         json: args.json,
         links,
@@ -185,12 +215,14 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     }
     let until_ms = args.seconds.map_or(u64::MAX, |seconds| (seconds * 1000.0) as u64);
     session.turn_until(until_ms, &*clock, &events)?;
-    session.end(clock.now_ms());
+    let counts = session.ros.take().map(|ros| ros.end(&mut session.live, &*clock));
+    session.end(clock.now_ms(), counts);
     Ok(ExitCode::SUCCESS)
 }
 
 struct Session {
     live: Live,
+    ros: Option<Link>,
     view: Option<View>,
     json: bool,
     links: [Option<SerialLink>; 2],
@@ -207,15 +239,17 @@ impl Session {
         events: &Receiver<LinkEvent<Hand>>,
     ) -> Result<()> {
         let mut drawn_ms = 0;
-        while clock.now_ms() < until_ms {
+        while clock.now_ms() < until_ms && !self.ros.as_ref().is_some_and(Link::interrupted) {
+            let mut woken = SystemTime::now();
             match events.recv_timeout(TURN) {
                 Ok(event) => {
+                    woken = SystemTime::now();
                     self.heard(event, clock.now_ms());
                     while let Ok(event) = events.try_recv() {
                         self.heard(event, clock.now_ms());
                     }
                 }
-                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Timeout) => woken = SystemTime::now(),
                 Err(RecvTimeoutError::Disconnected) => std::thread::sleep(TURN),
             }
             let now_ms = clock.now_ms();
@@ -223,8 +257,16 @@ impl Session {
                 self.live.stop_key(now_ms);
             }
             let ready = [0, 1].map(|i| self.links[i].as_ref().is_some_and(SerialLink::is_ready));
-            for event in self.live.step(now_ms, ready) {
+            let told = self.ros.as_mut().map(|ros| ros.receive(&mut self.live, now_ms)).unwrap_or_default();
+            let events = self.live.step(now_ms, ready);
+            if let Some(ros) = &mut self.ros {
+                ros.send(&mut self.live, &events, now_ms, woken);
+            }
+            for event in events {
                 self.note(event)?;
+            }
+            for text in told {
+                self.ros_line(now_ms, &text);
             }
             for hand in [Hand::Left, Hand::Right] {
                 for frame in self.live.take_outgoing(hand) {
@@ -270,6 +312,15 @@ impl Session {
             self.line(&serde_json::to_string(&line).unwrap_or_default());
         } else {
             self.line(&format!("{:>8.3} s  {hand} hand: {text}", time_ms as f64 / 1000.0));
+        }
+    }
+
+    fn ros_line(&mut self, time_ms: u64, text: &str) {
+        if self.json {
+            let line = RosLine { time_ms, event: "ros2", text };
+            self.line(&serde_json::to_string(&line).unwrap_or_default());
+        } else {
+            self.line(&format!("{:>8.3} s  ROS 2: {text}", time_ms as f64 / 1000.0));
         }
     }
 
@@ -331,7 +382,7 @@ impl Session {
         false
     }
 
-    fn end(&mut self, time_ms: u64) {
+    fn end(&mut self, time_ms: u64, ros2: Option<Counts>) {
         self.view = None;
         if let Some(web) = self.web.take() {
             web.end(&self.live.now(time_ms));
@@ -346,6 +397,7 @@ impl Session {
                 odometry,
                 frames: links.map(|link| link.counters()),
                 round_trip_ms: links.map(|link| link.round_trip_ms()),
+                ros2,
             };
             self.line(&serde_json::to_string(&end).unwrap_or_default());
             return;
@@ -360,5 +412,8 @@ impl Session {
             links[1].counters().lost
         );
         self.line(&text);
+        if let Some(counts) = ros2 {
+            self.line(&format!("ROS 2: {} speeds and {} arm motions sent", counts.twists, counts.motions));
+        }
     }
 }

@@ -81,6 +81,9 @@ pub enum Refusal {
         /// What was spent.
         checks: u64,
     },
+    /// The robot is elsewhere, and cannot be moved now.
+    #[error("{0}")]
+    NotReady(String),
 }
 
 /// A pose of the scene file cannot be used.

@@ -185,6 +185,12 @@ impl Trajectory {
         Sample { joints_rad, velocity_rad_s }
     }
 
+    /// When the acceleration changes, and the end. In between, positions and speeds at both ends say all.
+    pub fn knots_s(&self) -> Vec<f64> {
+        let starts = self.pieces.iter().map(|piece| piece.start_s).filter(|&start_s| start_s > 0.0);
+        starts.chain([self.duration_s]).collect()
+    }
+
     /// Start and end of the stretches in which the arm leaves the path's straight ways.
     pub fn corners_s(&self) -> Vec<(f64, f64)> {
         let cuts = self.pieces.iter().filter(|piece| {

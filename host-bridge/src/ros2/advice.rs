@@ -1,0 +1,370 @@
+//! What `doctor --ros2` says about a graph: who listens, and why nobody does.
+
+use std::collections::BTreeSet;
+
+use super::config::{ArmInterface, Connection, Ros2Config};
+
+/// A reader or writer of somebody else.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Endpoint {
+    /// As on the wire: `rt/cmd_vel`.
+    pub topic: String,
+    /// As on the wire: `geometry_msgs::msg::dds_::Twist_`.
+    pub type_name: String,
+    /// Asks for (or offers) that lost messages are sent again.
+    pub reliable: bool,
+    /// Asks for (or offers) messages from before it came.
+    pub transient_local: bool,
+}
+
+/// What was discovered.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Graph {
+    /// Others than us.
+    pub participants: BTreeSet<String>,
+    /// Their readers.
+    pub readers: Vec<Endpoint>,
+    /// Their writers.
+    pub writers: Vec<Endpoint>,
+}
+
+/// What this machine's sockets tell.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Machine {
+    /// Domains in which somebody on this machine listens.
+    pub domains: BTreeSet<u16>,
+    /// A Zenoh router listens.
+    pub zenoh: bool,
+}
+
+impl Machine {
+    /// From the text of Linux's `/proc/net/udp` and `/proc/net/tcp`.
+    pub fn from_proc(udp: &str, tcp: &str) -> Self {
+        let ports = |text: &str, listening_only: bool| -> BTreeSet<u16> {
+            let port = |line: &str| {
+                let mut words = line.split_whitespace();
+                let local = words.nth(1)?;
+                let state = words.nth(1)?;
+                let port = u16::from_str_radix(local.rsplit(':').next()?, 16).ok()?;
+                (!listening_only || state == "0A").then_some(port)
+            };
+            text.lines().skip(1).filter_map(port).collect()
+        };
+        // A participant's ports: 7400 + 250 domain + 10 + 2 number, and one more for its data.
+        let domain = |port: u16| {
+            let offset = port.checked_sub(7400)?;
+            let within = offset % 250;
+            (within >= 10 && within.is_multiple_of(2)).then_some(offset / 250)
+        };
+        let udp = ports(udp, false);
+        // Both ports must be there: single ones belong to somebody else.
+        let pairs = udp.iter().filter(|&&port| port < u16::MAX && udp.contains(&(port + 1)));
+        let domains = pairs.filter_map(|&port| domain(port)).collect();
+        Machine { domains, zenoh: ports(tcp, true).contains(&7447) }
+    }
+}
+
+/// A topic of ours.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Topic {
+    /// As people write it: `/cmd_vel`.
+    pub name: String,
+    /// As on the wire.
+    pub topic: String,
+    /// As on the wire.
+    pub type_name: String,
+    /// We write it; otherwise we read it.
+    pub written: bool,
+    /// Our offer or request.
+    pub reliable: bool,
+    /// Nothing works without somebody at the other end.
+    pub needed: bool,
+    /// The key in `[ros2]`.
+    pub key: &'static str,
+}
+
+/// Names and types on the wire.
+pub mod wire {
+    /// `geometry_msgs::msg::dds_::Twist_`
+    pub const TWIST: &str = "geometry_msgs::msg::dds_::Twist_";
+    /// `geometry_msgs::msg::dds_::TwistStamped_`
+    pub const TWIST_STAMPED: &str = "geometry_msgs::msg::dds_::TwistStamped_";
+    /// `diagnostic_msgs::msg::dds_::DiagnosticArray_`
+    pub const DIAGNOSTICS: &str = "diagnostic_msgs::msg::dds_::DiagnosticArray_";
+    /// `sensor_msgs::msg::dds_::JointState_`
+    pub const JOINT_STATE: &str = "sensor_msgs::msg::dds_::JointState_";
+    /// `trajectory_msgs::msg::dds_::JointTrajectory_`
+    pub const TRAJECTORY: &str = "trajectory_msgs::msg::dds_::JointTrajectory_";
+    /// Requests of the action's goals.
+    pub const SEND_GOAL: &str = "control_msgs::action::dds_::FollowJointTrajectory_SendGoal_Request_";
+
+    /// A topic's name on the wire.
+    pub fn topic(name: &str) -> String {
+        format!("rt{name}")
+    }
+
+    /// The topic on which goals for a controller are sent.
+    pub fn send_goal(controller: &str) -> String {
+        format!("rq{controller}/follow_joint_trajectory/_action/send_goalRequest")
+    }
+}
+
+/// `geometry_msgs::msg::dds_::Twist_` → `geometry_msgs/msg/Twist`.
+pub fn ros_type(type_name: &str) -> String {
+    let plain = type_name.replace("::dds_::", "::").replace("::", "/");
+    plain.strip_suffix('_').unwrap_or(&plain).to_owned()
+}
+
+/// `rt/cmd_vel` → `/cmd_vel`.
+pub fn ros_name(topic: &str) -> String {
+    match topic.split_once('/') {
+        Some((_, name)) => format!("/{name}"),
+        None => topic.to_owned(),
+    }
+}
+
+/// The topics of a configuration.
+pub fn topics(config: &Ros2Config) -> Vec<Topic> {
+    let plain = |key, name: &str, type_name: &str, written, reliable, needed| {
+        let name = config.resolve(name);
+        let topic = wire::topic(&name);
+        Topic { name, topic, type_name: type_name.to_owned(), written, reliable, needed, key }
+    };
+    let twist = if config.stamped { wire::TWIST_STAMPED } else { wire::TWIST };
+    let controller = config.resolve(&config.arm_controller);
+    let mut topics = vec![
+        plain("cmd_vel", &config.cmd_vel, twist, true, config.reliable, true),
+        plain("diagnostics", &config.diagnostics, wire::DIAGNOSTICS, true, true, false),
+    ];
+    match config.arm {
+        ArmInterface::None => return topics,
+        ArmInterface::Topic => {
+            let name = format!("{controller}/joint_trajectory");
+            topics.push(plain("arm_controller", &name, wire::TRAJECTORY, true, true, true));
+        }
+        ArmInterface::Action => topics.push(Topic {
+            name: format!("{controller}/follow_joint_trajectory"),
+            topic: wire::send_goal(&controller),
+            type_name: wire::SEND_GOAL.to_owned(),
+            written: true,
+            reliable: true,
+            needed: true,
+            key: "arm_controller",
+        }),
+    }
+    topics.push(plain("joint_states", &config.joint_states, wire::JOINT_STATE, false, false, true));
+    topics
+}
+
+/// Why these two do not match; `None` = they do.
+fn mismatch(ours: &Topic, theirs: &Endpoint) -> Option<String> {
+    if ours.type_name != theirs.type_name {
+        return Some(format!("is {}, ours {}", ros_type(&theirs.type_name), ros_type(&ours.type_name)));
+    }
+    if ours.written && theirs.reliable && !ours.reliable {
+        return Some("asks for reliable, ours is best effort: set reliable = true".to_owned());
+    }
+    if ours.written && theirs.transient_local {
+        return Some("asks for transient local, ours is volatile: make that reader volatile".to_owned());
+    }
+    None
+}
+
+/// What was found about one topic.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Finding {
+    /// For people, in order.
+    pub lines: Vec<String>,
+    /// What to do.
+    pub advice: Vec<String>,
+}
+
+/// Looks at one topic.
+pub fn look_at(ours: &Topic, graph: &Graph) -> Finding {
+    let (others, role) =
+        if ours.written { (&graph.readers, "reader") } else { (&graph.writers, "publisher") };
+    let (mut lines, mut advice) = (Vec::new(), Vec::new());
+    let kept = |reliable| if reliable { "reliable" } else { "best effort" };
+    let there: Vec<&Endpoint> = others.iter().filter(|other| other.topic == ours.topic).collect();
+    let matched = there.iter().filter(|other| mismatch(ours, other).is_none()).count();
+    lines.push(format!(
+        "{} [{}, {}]: {matched} {role}{} matched",
+        ours.name,
+        ros_type(&ours.type_name),
+        kept(ours.reliable),
+        if matched == 1 { "" } else { "s" }
+    ));
+    for other in &there {
+        let durable = if other.transient_local { "transient local" } else { "volatile" };
+        let (wire_type, reliable) = (ros_type(&other.type_name), kept(other.reliable));
+        match mismatch(ours, other) {
+            None => lines.push(format!("  {role}: {wire_type}, {reliable}, {durable}")),
+            Some(why) => {
+                lines.push(format!("  {role} NOT matched: {wire_type}, {reliable}, {durable}"));
+                advice.push(format!("{}: a {role} {why}{}", ours.name, remedy(ours, other)));
+            }
+        }
+    }
+    if matched > 0 && ours.key == "cmd_vel" {
+        let writers = graph.writers.iter().filter(|w| w.topic == ours.topic).count();
+        if writers > 0 {
+            advice.push(format!(
+                "{}: {writers} other publisher{} too; put twist_mux between them and the base",
+                ours.name,
+                if writers == 1 { "" } else { "s" }
+            ));
+        }
+    }
+    if there.is_empty() && ours.needed && !graph.participants.is_empty() {
+        let same_type = others.iter().filter(|other| other.type_name == ours.type_name);
+        let mut names: Vec<String> = same_type.map(|other| ros_name(&other.topic)).collect();
+        names.sort();
+        names.dedup();
+        let known = if ours.topic.starts_with("rq/") {
+            // Only the controller's part of the name.
+            let tail = "/follow_joint_trajectory/_action/send_goalRequest";
+            names.iter().filter_map(|name| name.strip_suffix(tail)).map(str::to_owned).collect()
+        } else {
+            names
+        };
+        advice.push(if known.is_empty() {
+            format!(
+                "{}: no {role} on it or of its type: is that node running, its controller active?",
+                ours.name
+            )
+        } else {
+            format!(
+                "{}: no {role} there, but on {}: set {} or namespace in [ros2]",
+                ours.name,
+                known.join(", "),
+                ours.key
+            )
+        });
+    }
+    Finding { lines, advice }
+}
+
+fn remedy(ours: &Topic, other: &Endpoint) -> &'static str {
+    match (ours.type_name.as_str(), other.type_name.as_str()) {
+        (wire::TWIST_STAMPED, wire::TWIST) => "; run with --unstamped, or set stamped = false in [ros2]",
+        (wire::TWIST, wire::TWIST_STAMPED) => "; run without --unstamped, or set stamped = true in [ros2]",
+        _ => "",
+    }
+}
+
+/// What to do where nobody is seen at all.
+pub fn nobody(connection: &Connection, machine: &Machine) -> Vec<String> {
+    let mut advice = Vec::new();
+    let others: Vec<String> =
+        machine.domains.iter().filter(|d| **d != connection.domain_id).map(u16::to_string).collect();
+    if !others.is_empty() {
+        advice.push(format!(
+            "on this machine somebody is in domain {}, not {}: set ROS_DOMAIN_ID or domain_id in [ros2]",
+            others.join(", "),
+            connection.domain_id
+        ));
+    }
+    if machine.zenoh {
+        advice.push(
+            "a Zenoh router listens on this machine: a robot on rmw_zenoh_cpp is not seen over DDS; run it with \
+             RMW_IMPLEMENTATION=rmw_cyclonedds_cpp, or zenoh-bridge-ros2dds beside it"
+                .to_owned(),
+        );
+    }
+    if connection.interfaces.iter().any(std::net::IpAddr::is_loopback) {
+        advice.push("only this machine is searched (interfaces, ROS_AUTOMATIC_DISCOVERY_RANGE)".to_owned());
+    } else {
+        advice.push(
+            "robots on other machines are found by multicast to 239.255.0.1: same network, no firewall on UDP \
+             7400 and up, Wi-Fi that passes multicast; name the interface in [ros2] where there are several"
+                .to_owned(),
+        );
+    }
+    advice.push("`echo $ROS_DOMAIN_ID $RMW_IMPLEMENTATION` on the robot shows what it uses".to_owned());
+    advice
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn reader(topic: &str, type_name: &str) -> Endpoint {
+        let (topic, type_name) = (topic.to_owned(), type_name.to_owned());
+        Endpoint { topic, type_name, reliable: true, transient_local: false }
+    }
+
+    fn graph(readers: Vec<Endpoint>) -> Graph {
+        Graph { participants: BTreeSet::from(["robot".to_owned()]), readers, writers: Vec::new() }
+    }
+
+    fn cmd_vel(change: impl Fn(&mut Ros2Config), readers: Vec<Endpoint>) -> Finding {
+        let mut config = Ros2Config::default();
+        change(&mut config);
+        look_at(&topics(&config)[0], &graph(readers))
+    }
+
+    #[test]
+    fn a_matched_reader_is_shown_with_its_type_and_needs_no_advice() {
+        let found = cmd_vel(|_| {}, vec![reader("rt/cmd_vel", wire::TWIST_STAMPED)]);
+        assert_eq!(found.advice, [""; 0]);
+        assert!(
+            found.lines[0].contains("/cmd_vel [geometry_msgs/msg/TwistStamped, reliable]: 1 reader matched")
+        );
+        assert!(found.lines[1].contains("reliable, volatile"), "{:?}", found.lines);
+    }
+
+    #[test]
+    fn twist_against_twist_stamped_is_named_with_the_option_that_helps() {
+        let found = cmd_vel(|_| {}, vec![reader("rt/cmd_vel", wire::TWIST)]);
+        assert!(found.lines[0].contains("0 readers"));
+        assert!(found.advice[0].contains("--unstamped"), "{:?}", found.advice);
+        let found = cmd_vel(|c| c.stamped = false, vec![reader("rt/cmd_vel", wire::TWIST_STAMPED)]);
+        assert!(found.advice[0].contains("stamped = true"), "{:?}", found.advice);
+    }
+
+    #[test]
+    fn quality_of_service_that_cannot_match_is_named() {
+        let found = cmd_vel(|c| c.reliable = false, vec![reader("rt/cmd_vel", wire::TWIST_STAMPED)]);
+        assert!(found.advice[0].contains("reliable = true"), "{:?}", found.advice);
+        let durable = Endpoint { transient_local: true, ..reader("rt/cmd_vel", wire::TWIST_STAMPED) };
+        assert!(cmd_vel(|_| {}, vec![durable]).advice[0].contains("volatile"));
+    }
+
+    #[test]
+    fn a_reader_of_the_type_elsewhere_is_suggested() {
+        let there = reader("rt/diff_drive_controller/cmd_vel", wire::TWIST_STAMPED);
+        let found = cmd_vel(|_| {}, vec![there]);
+        assert!(found.advice[0].contains("/diff_drive_controller/cmd_vel"), "{:?}", found.advice);
+        let goals = reader(&wire::send_goal("/gen3/joint_trajectory_controller"), wire::SEND_GOAL);
+        let found = look_at(&topics(&Ros2Config::default())[2], &graph(vec![goals]));
+        assert!(found.advice[0].contains("on /gen3/joint_trajectory_controller:"), "{:?}", found.advice);
+    }
+
+    #[test]
+    fn another_publisher_of_the_speed_is_a_case_for_twist_mux() {
+        let mut graph = graph(vec![reader("rt/cmd_vel", wire::TWIST_STAMPED)]);
+        graph.writers.push(reader("rt/cmd_vel", wire::TWIST_STAMPED));
+        assert!(look_at(&topics(&Ros2Config::default())[0], &graph).advice[0].contains("twist_mux"));
+    }
+
+    #[test]
+    fn sockets_tell_other_domains_and_a_zenoh_router() {
+        let udp = "  sl  local_address rem_address   st\n   1: 00000000:3BCC 00000000:0000 07\n   \
+                   2: 00000000:3BCD 00000000:0000 07\n   3: 00000000:1CF2 00000000:0000 07\n";
+        let tcp = "  sl  local_address rem_address   st\n   0: 00000000:1D17 00000000:0000 0A\n";
+        // 0x3BCC = 15308 = 7400 + 250 * 31 + 158; 0x1CF2 = 7410 alone; 0x1D17 = 7447.
+        let machine = Machine::from_proc(udp, tcp);
+        assert_eq!(machine, Machine { domains: BTreeSet::from([31]), zenoh: true });
+        let connection = Ros2Config::default().connection(&Default::default()).unwrap();
+        let advice = nobody(&connection, &machine).join("\n");
+        for word in ["domain 31, not 0", "Zenoh", "multicast"] {
+            assert!(advice.contains(word), "{advice}");
+        }
+    }
+
+    #[test]
+    fn names_on_the_wire_read_as_people_write_them() {
+        assert_eq!(ros_type(wire::TWIST_STAMPED), "geometry_msgs/msg/TwistStamped");
+        assert_eq!(ros_name("rt/cell1/cmd_vel"), "/cell1/cmd_vel");
+    }
+}
