@@ -33,7 +33,7 @@ pub struct Card {
     pub window: u16,
     /// Samples per hop.
     pub hop: u16,
-    /// How features become numbers to scale: `raw` or `log-power` (`shared_dsp::recipe`).
+    /// How features become numbers to scale: `raw`, `log-power` or `aligned` (`shared_dsp::recipe`).
     pub features: String,
     /// How those become inputs of the network.
     pub scaling: Scaling,
@@ -61,7 +61,7 @@ pub struct Scaling {
 /// How a model was trained.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Training {
-    /// `default` or `paper`.
+    /// `aligned`, `log-power` (once called `default`) or `paper`.
     pub recipe: String,
     /// Everything random follows from it.
     pub seed: u64,
@@ -120,7 +120,7 @@ pub struct Scores {
 pub struct Score {
     /// Right windows in per cent (stride 1 s).
     pub per_window: f64,
-    /// Right recordings in per cent (majority of windows).
+    /// Right recordings in per cent (largest mean probability of their windows).
     pub per_recording: f64,
     /// Recordings: `confusion[true label][given label]`.
     pub confusion: Vec<Vec<usize>>,

@@ -12,11 +12,16 @@ pub mod blob;
 pub mod bundled;
 pub mod card;
 pub mod dataset;
+pub mod events;
 pub mod labels;
 #[cfg(feature = "train")]
 pub mod people;
 pub mod recording;
+#[cfg(feature = "train")]
+pub mod report;
 pub mod score;
+#[cfg(feature = "train")]
+pub mod study;
 pub mod synth;
 pub mod tflite;
 #[cfg(feature = "train")]

@@ -24,6 +24,9 @@ enum Verb {
     Card(cmd::card::Cmd),
     People(cmd::people::Cmd),
     Adapt(cmd::adapt::Cmd),
+    Events(cmd::events::Cmd),
+    Report(cmd::report::Cmd),
+    Simulated(cmd::simulated::Cmd),
 }
 
 fn main() -> anyhow::Result<()> {
@@ -40,5 +43,8 @@ fn main() -> anyhow::Result<()> {
         Verb::Card(cmd) => cmd.run(),
         Verb::People(cmd) => cmd.run(),
         Verb::Adapt(cmd) => cmd.run(),
+        Verb::Events(cmd) => cmd.run(),
+        Verb::Report(cmd) => cmd.run(),
+        Verb::Simulated(cmd) => cmd.run(),
     }
 }

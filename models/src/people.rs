@@ -3,16 +3,21 @@
 //! A fold reads the files of the other people only; those of the held-out person are opened after the model is
 //! finished, to score it. So nothing of theirs can reach training, scaling, stopping or quantisation.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
+use shared_dsp::decision::is_rest;
 use shared_dsp::mlp::Model;
+use shared_dsp::right::ModelMismatch;
 
-use crate::card::Score;
-use crate::dataset::{Dataset, DatasetError};
-use crate::score::{Classifier, score, scored};
+use crate::card::Scores;
+use crate::dataset::{Dataset, DatasetError, Item};
+use crate::events::{Stream, Tally, play};
+use crate::score::{Classifier, given, scored, summary};
+use crate::synth::{Take, Wearer, session, takes};
 use crate::train::{Job, Recipe, TrainError, Trained, adapt, examples_of, held_out, train};
 
 /// What is tried.
@@ -40,6 +45,9 @@ pub enum TrialError {
     /// A trained model does not parse: a mistake of ours.
     #[error("the trained model is damaged: {0}")]
     Model(#[from] shared_dsp::mlp::ModelError),
+    /// A trained model does not run on its own recordings: a mistake of ours.
+    #[error("the trained model does not run: {0}")]
+    Mismatch(#[from] ModelMismatch),
 }
 
 /// Right recordings in per cent, float and int8.
@@ -60,17 +68,46 @@ impl Accuracy {
             int8: all.iter().map(|a| a.int8).sum::<f64>() / count,
         }
     }
+
+    /// The least of several, float and int8 each on its own.
+    pub fn worst(all: &[Self]) -> Self {
+        let least = |pick: fn(&Self) -> f64| all.iter().map(pick).fold(f64::INFINITY, f64::min);
+        Self { float: least(|a| a.float), int8: least(|a| a.int8) }
+    }
 }
 
-/// A person's accuracy with so many examples per class shown.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// What a model made of recordings.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Graded {
+    /// Labels of rows and columns of the confusion matrices.
+    pub labels: Vec<String>,
+    /// Of the float and of the int8 network.
+    pub scores: Scores,
+    /// Per recording, how probable the int8 network found the label that it gave, and whether that was right.
+    pub beliefs: Vec<(f32, bool)>,
+}
+
+impl Graded {
+    /// Right recordings.
+    pub fn accuracy(&self) -> Accuracy {
+        Accuracy { float: self.scores.float.per_recording, int8: self.scores.int8.per_recording }
+    }
+
+    /// Mean accuracy of several.
+    pub fn mean<'a>(all: impl IntoIterator<Item = &'a Self>) -> Accuracy {
+        Accuracy::mean(&all.into_iter().map(Self::accuracy).collect::<Vec<_>>())
+    }
+}
+
+/// A person's recordings after a model has been shown so many examples per class.
+#[derive(Clone, Debug, PartialEq)]
 pub struct Shown {
     /// Examples per class; 0: the model as it was.
     pub examples: usize,
     /// On recordings of the person that are never shown, however many are.
-    pub new: Accuracy,
+    pub new: Graded,
     /// On recordings of the others that took no part in anything.
-    pub old: Accuracy,
+    pub old: Graded,
 }
 
 impl Trial<'_> {
@@ -78,9 +115,12 @@ impl Trial<'_> {
         Job { name: "trial".to_owned(), about: String::new(), seed, excluded: Vec::new(), progress: false }
     }
 
+    fn uses(&self, label: &str) -> bool {
+        self.labels.is_empty() || self.labels.iter().any(|used| used == label)
+    }
+
     fn read(&self, axes: Option<usize>, person: impl Fn(&str) -> bool) -> Result<Dataset, DatasetError> {
-        let wanted = |label: &str| self.labels.is_empty() || self.labels.iter().any(|l| l == label);
-        Dataset::read_where(self.folder, axes, |label, name| wanted(label) && person(name))
+        Dataset::read_where(self.folder, axes, |label, name| self.uses(label) && person(name))
     }
 
     /// A model that has never met `person`.
@@ -89,19 +129,59 @@ impl Trial<'_> {
         Ok(train(&others, &[], self.recipe, &Self::job(seed))?)
     }
 
-    /// How a model that has never met `person` does on all their recordings.
-    pub fn stranger(&self, person: &str, seed: u64) -> Result<Accuracy, TrialError> {
+    /// What a model that has never met `person` makes of all their recordings.
+    pub fn stranger(&self, person: &str, seed: u64) -> Result<Graded, TrialError> {
         let model = self.without(person, seed)?;
         let theirs = self.read(Some(model.card.axes), |name| name == person)?;
-        accuracy(&model, &theirs)
+        grade(&model, &theirs)
     }
 
-    /// How a model does on a fifth of the recordings, chosen by the seed and kept out of training.
-    pub fn random_split(&self, seed: u64) -> Result<Accuracy, TrialError> {
+    /// What a model makes of a fifth of the recordings, chosen by the seed and kept out of training.
+    pub fn random_split(&self, seed: u64) -> Result<Graded, TrialError> {
         let all = self.read(self.axes, |_| true)?;
         let test = held_out(&all, 0.2, seed);
         let model = train(&all, &test, self.recipe, &Self::job(seed))?;
-        accuracy(&model, &all.filtered(|item| test.contains(&item.name)))
+        grade(&model, &all.filtered(|item| test.contains(&item.name)))
+    }
+
+    /// What a model that has never met `person` makes of them when it knows only the first part of the others'
+    /// recordings, `share` of each label's in an order by the seed.
+    pub fn stranger_after(&self, person: &str, share: f64, seed: u64) -> Result<Graded, TrialError> {
+        let others = self.read(self.axes, |name| name != person)?;
+        let dropped = held_out(&others, 1.0 - share, seed);
+        let model = train(&others, &dropped, self.recipe, &Self::job(seed))?;
+        grade(&model, &self.read(Some(model.card.axes), |name| name == person)?)
+    }
+
+    /// Events of a model that has never met `person`: of all their recordings, those of no gesture too whatever labels
+    /// are used, joined into a stream, and of
+    /// simulated wearers of the `crowd` who make no gesture for `aimless_s` seconds.
+    pub fn events(
+        &self,
+        person: &str,
+        aimless_s: f64,
+        seed: u64,
+        crowd: u64,
+    ) -> Result<(Tally, Tally), TrialError> {
+        let model = self.without(person, seed)?;
+        let theirs = Dataset::read_where(self.folder, Some(model.card.axes), |label, name| {
+            name == person && (is_rest(label) || self.uses(label))
+        })?;
+        let blob = model.blob()?;
+        let network = Model::parse(&blob)?;
+        let (axes, labels) = (model.card.axes, &model.card.labels);
+        let mut real = Tally::default();
+        let stream = Stream::joined(&theirs.items.iter().collect::<Vec<_>>(), axes, seed);
+        real.count(&stream, &play(network, &stream)?, labels);
+        let mut simulated = Tally::default();
+        // Ten minutes of each wearer.
+        const EACH_S: f64 = 600.0;
+        for index in 0..(aimless_s / EACH_S).ceil() as u32 {
+            let left_s = aimless_s - f64::from(index) * EACH_S;
+            let stream = Stream::aimless(crowd, index + 1, left_s.min(EACH_S)).with_axes(axes);
+            simulated.count(&stream, &play(network, &stream)?, labels);
+        }
+        Ok((real, simulated))
     }
 
     /// How a model does that knows four fifths of the others' recordings and is shown `counts` examples of 2 s per
@@ -124,7 +204,7 @@ impl Trial<'_> {
             items.shuffle(&mut rng);
             let (first, rest) = items.split_at(most.min(items.len() / 2));
             tested.extend(rest.iter().map(|item| item.name.clone()));
-            let cut = |item: &&crate::dataset::Item| {
+            let cut = |item: &&Item| {
                 let mut windows = examples_of(&item.recording);
                 windows.shuffle(&mut rng);
                 windows.pop().map(|window| (window, index))
@@ -141,20 +221,66 @@ impl Trial<'_> {
                 _ => None,
             };
             let model = adapted.as_ref().unwrap_or(&model);
-            rows.push(Shown { examples, new: accuracy(model, &test)?, old: accuracy(model, &old)? });
+            rows.push(Shown { examples, new: grade(model, &test)?, old: grade(model, &old)? });
         }
         Ok(rows)
     }
 }
 
-/// Float and int8 accuracy of a model on recordings.
-pub fn accuracy(model: &Trained, recordings: &Dataset) -> Result<Accuracy, TrialError> {
+/// What a model makes of real recordings that was trained on simulated wearers only, `wearers` of them, with these
+/// labels and the axes of the recordings.
+pub fn from_simulated(
+    recipe: &Recipe,
+    wearers: u32,
+    labels: &[String],
+    real: &Dataset,
+    seed: u64,
+) -> Result<Graded, TrialError> {
+    let simulated = simulated(wearers, labels, real.axes, seed);
+    grade(&train(&simulated, &[], recipe, &Trial::job(seed))?, real)
+}
+
+/// Recordings of simulated wearers as a data set, without files.
+fn simulated(wearers: u32, wanted: &[String], axes: usize, seed: u64) -> Dataset {
+    const SECONDS: f64 = 6.0;
+    let of_wearer = |index: u32| {
+        let wearer = Wearer::training(seed, index);
+        let takes = takes(SECONDS).into_iter().filter(|take| wanted.iter().any(|label| label == take.label));
+        let item = |(number, take): (usize, Take)| Item {
+            file: PathBuf::new(),
+            name: format!("{}/{}__{:03}.csv", take.label, wearer.name, take.number),
+            label: take.label.to_owned(),
+            person: wearer.name.clone(),
+            recording: session(&wearer, number as u64, &take.script).with_axes(axes),
+        };
+        takes.enumerate().map(item).collect::<Vec<_>>()
+    };
+    let mut items: Vec<Item> = (1..=wearers).into_par_iter().flat_map_iter(of_wearer).collect();
+    items.sort_by(|a, b| a.name.cmp(&b.name));
+    let mut labels: Vec<String> = wanted.to_vec();
+    crate::labels::sort(&mut labels);
+    Dataset { folder: PathBuf::new(), items, labels, axes, ignored: Vec::new(), narrowed: 0 }
+}
+
+/// What a model makes of recordings.
+pub fn grade(model: &Trained, recordings: &Dataset) -> Result<Graded, TrialError> {
     let (card, labels) = (&model.card, model.card.labels.len());
     let recordings = scored(recordings, &card.labels, &card.features);
     let blob = model.blob()?;
-    let right = |score: Score| score.per_recording;
-    Ok(Accuracy {
-        float: right(score(&Classifier::Float { card, layers: &model.float }, &recordings, labels)),
-        int8: right(score(&Classifier::Int8(Model::parse(&blob)?), &recordings, labels)),
+    let run = |classifier: Classifier<'_>| -> Vec<_> {
+        recordings.iter().map(|recording| given(&classifier, recording, labels)).collect()
+    };
+    let float = run(Classifier::Float { card, layers: &model.float });
+    let int8 = run(Classifier::Int8(Model::parse(&blob)?));
+    let belief = |(recording, given): (&crate::score::Scored, &crate::score::Given)| {
+        (given.probability, recording.truth == Some(given.label))
+    };
+    Ok(Graded {
+        beliefs: recordings.iter().zip(&int8).map(belief).collect(),
+        scores: Scores {
+            float: summary(&recordings, &float, labels),
+            int8: summary(&recordings, &int8, labels),
+        },
+        labels: card.labels.clone(),
     })
 }

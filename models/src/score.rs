@@ -1,4 +1,5 @@
-//! Scoring a network on recordings: per window, per recording (majority), per person.
+//! Scoring a network on recordings: per window, per recording (the largest mean probability of its windows), per
+//! person.
 
 use std::collections::BTreeMap;
 
@@ -43,23 +44,24 @@ pub fn standardise(card: &Card, features: &[f32]) -> Vec<f32> {
 }
 
 impl Classifier<'_> {
-    /// Index of the most probable label; of equals the first.
+    /// Probability of each label; none where the number of features is not the model's.
     ///
     /// The int8 network gets raw features and applies its recipe itself.
-    pub fn label(&self, raw: &[f32], transformed: &[f32]) -> usize {
+    pub fn probabilities(&self, raw: &[f32], transformed: &[f32]) -> Vec<f32> {
         match self {
-            Self::Float { card, layers } => best(&infer_float(layers, &standardise(card, transformed))),
+            Self::Float { card, layers } => infer_float(layers, &standardise(card, transformed)),
             Self::Int8(model) => {
                 let mut scores = vec![0i8; model.info().label_count];
-                if model.classify_features(raw, &mut scores).is_err() {
-                    return usize::MAX;
+                match model.classify_features(raw, &mut scores) {
+                    Ok(()) => scores.iter().map(|score| (f32::from(*score) + 128.0) / 256.0).collect(),
+                    Err(_) => Vec::new(),
                 }
-                best(&scores)
             }
         }
     }
 }
 
+/// Index of the largest value; of equals the first.
 fn best<T: PartialOrd + Copy>(values: &[T]) -> usize {
     let mut best = 0;
     for (index, value) in values.iter().enumerate() {
@@ -110,26 +112,52 @@ pub fn scored(dataset: &Dataset, labels: &[String], features: &str) -> Vec<Score
     dataset.items.iter().map(one).collect()
 }
 
+/// What a classifier makes of one recording.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Given {
+    /// Index of the label with the largest mean probability.
+    pub label: usize,
+    /// That probability.
+    pub probability: f32,
+    /// Windows, and how many of them have the true label on their own.
+    pub windows: (usize, usize),
+}
+
+/// What a classifier of `labels` labels makes of a recording.
+pub fn given(classifier: &Classifier<'_>, recording: &Scored, labels: usize) -> Given {
+    let mut sum = vec![0.0f32; labels];
+    let mut right = 0;
+    for (raw, transformed) in recording.raw.iter().zip(&recording.transformed) {
+        let probabilities = classifier.probabilities(raw, transformed);
+        right += usize::from(!probabilities.is_empty() && Some(best(&probabilities)) == recording.truth);
+        for (sum, probability) in sum.iter_mut().zip(&probabilities) {
+            *sum += probability;
+        }
+    }
+    let label = best(&sum);
+    let windows = recording.raw.len();
+    let probability = sum.get(label).copied().unwrap_or_default() / windows.max(1) as f32;
+    Given { label, probability, windows: (windows, right) }
+}
+
 /// Scores a classifier. A recording whose label the model does not know counts as wrong and stands
 /// in no row of the confusion matrix.
 pub fn score(classifier: &Classifier<'_>, recordings: &[Scored], labels: usize) -> Score {
+    let given: Vec<Given> = recordings.iter().map(|recording| given(classifier, recording, labels)).collect();
+    summary(recordings, &given, labels)
+}
+
+/// The figures of what a classifier gave each recording.
+pub fn summary(recordings: &[Scored], given: &[Given], labels: usize) -> Score {
     let mut confusion = vec![vec![0; labels]; labels];
     let mut people: BTreeMap<String, (usize, usize)> = BTreeMap::new();
     let (mut windows, mut right_windows, mut right) = (0, 0, 0);
-    for recording in recordings {
-        let mut votes = vec![0usize; labels];
-        for (raw, transformed) in recording.raw.iter().zip(&recording.transformed) {
-            let given = classifier.label(raw, transformed);
-            windows += 1;
-            right_windows += usize::from(Some(given) == recording.truth);
-            if let Some(vote) = votes.get_mut(given) {
-                *vote += 1;
-            }
-        }
-        let given = best(&votes);
-        let is_right = recording.truth == Some(given);
-        if let Some(truth) = recording.truth {
-            confusion[truth][given] += 1;
+    for (recording, given) in recordings.iter().zip(given) {
+        windows += given.windows.0;
+        right_windows += given.windows.1;
+        let is_right = recording.truth == Some(given.label);
+        if let Some(cell) = recording.truth.and_then(|truth| confusion.get_mut(truth)?.get_mut(given.label)) {
+            *cell += 1;
         }
         right += usize::from(is_right);
         let person = people.entry(recording.person.clone()).or_default();

@@ -71,13 +71,18 @@ fn synth_train_and_eval_work_together_and_do_not_depend_on_the_number_of_threads
             "0.2",
             "--seed",
             "3",
+            "--steps",
+            "300",
         ]);
     }
     assert_eq!(contents(&folder.path().join("data1")), contents(&folder.path().join("data2")));
     let written = contents(&folder.path().join("out1"));
     assert_eq!(written, contents(&folder.path().join("out2")));
     let names: Vec<&str> = written.keys().map(String::as_str).collect();
-    assert_eq!(names, ["tiny.card.json", "tiny.float.tflite", "tiny.test.txt", "tiny.tflite"]);
+    assert_eq!(
+        names,
+        ["tiny.card.json", "tiny.float.tflite", "tiny.memory.bin", "tiny.test.txt", "tiny.tflite"]
+    );
 
     let card = String::from_utf8(written["tiny.card.json"].clone()).unwrap();
     assert!(card.contains("simulated wearers, not real people"), "the card says what the data is");

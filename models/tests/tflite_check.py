@@ -51,14 +51,14 @@ def main() -> None:
         data = Path(folder) / "data"
         subprocess.run([binary, "synth", "--out", data, "--wearers", "2", "--seconds", "3"],
                        check=True, stdout=subprocess.DEVNULL)
-        for axes in (3, 9):
-            subprocess.run([binary, "train", data, "--out", folder, "--name", f"fresh{axes}",
-                            "--recipe", "paper", "--axes", str(axes)],
+        for recipe, axes, width in (("paper", 3, 39), ("paper", 9, 117), ("aligned", 3, 45), ("aligned", 9, 89)):
+            name = f"{recipe}{axes}"
+            subprocess.run([binary, "train", data, "--out", folder, "--name", name,
+                            "--recipe", recipe, "--axes", str(axes), "--steps", "100"],
                            check=True, stdout=subprocess.DEVNULL)
-            models.append((Path(folder) / f"fresh{axes}", axes))
-        models.append((HERE.parent / "bundled" / "right-9axis", 9))
-        for model, axes in models:
-            width = 13 * axes
+            models.append((Path(folder) / name, width))
+        models.append((HERE.parent / "bundled" / "right-9axis", 117))
+        for model, width in models:
             uniform = rng.integers(-128, 128, (ROWS, width))
             natural = np.clip(np.rint(rng.normal(0, 25, (ROWS, width))), -128, 127)
             rows = np.concatenate([uniform, natural]).astype(np.int8)

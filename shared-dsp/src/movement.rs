@@ -36,6 +36,8 @@ pub struct MovementConfig {
     pub average_hops: u8,
     /// Least mean probability.
     pub min_confidence: u8,
+    /// Most mean probability of all rest labels together: which gesture it is may be open longer than that it is one.
+    pub max_rest: u8,
     /// After an event, a different gesture must be seen for so many hops in a row …
     pub change_hops: u8,
     /// … each with this mean probability.
@@ -55,6 +57,7 @@ impl MovementConfig {
             decide_hops: 20,
             average_hops: 5,
             min_confidence: 141,
+            max_rest: 255,
             change_hops: 25,
             change_confidence: 205,
         }
@@ -137,6 +140,7 @@ impl MovementDecision {
                 self.change = (0, 0);
                 fires = is_gesture
                     && confidence >= config.min_confidence
+                    && self.rest(scores.len().min(MAX_LABELS)) <= config.max_rest
                     && run.hops >= config.min_hops
                     && run.moving >= config.min_moving
                     && (ended || run.hops >= config.decide_hops);
@@ -172,14 +176,26 @@ impl MovementDecision {
 
     /// The label with the largest mean, and the mean.
     fn best(&self, labels: usize) -> Option<(u8, u8)> {
-        let average = usize::from(self.config.average_hops);
-        let sum = |label: usize| -> u16 {
-            let hops = (0..usize::from(self.known)).map(|back| (self.next + average - back) % average);
-            hops.map(|hop| u16::from(self.scores[hop][label])).sum()
-        };
         let (label, sum) =
-            (0..labels).map(|label| (label as u8, sum(label))).rev().max_by_key(|(_, sum)| *sum)?;
-        Some((label, (sum / u16::from(self.known.max(1))) as u8))
+            (0..labels).map(|label| (label as u8, self.sum(label))).rev().max_by_key(|(_, sum)| *sum)?;
+        Some((label, self.mean(sum)))
+    }
+
+    /// Mean probability of all rest labels together.
+    fn rest(&self, labels: usize) -> u8 {
+        let rest = (0..labels).filter(|label| self.rest_labels & (1 << label) != 0);
+        self.mean(rest.map(|label| self.sum(label)).sum())
+    }
+
+    /// A label's probabilities of the last hops, added.
+    fn sum(&self, label: usize) -> u16 {
+        let average = usize::from(self.config.average_hops);
+        let hops = (0..usize::from(self.known)).map(|back| (self.next + average - back) % average);
+        hops.map(|hop| u16::from(self.scores[hop][label])).sum()
+    }
+
+    fn mean(&self, sum: u16) -> u8 {
+        (sum / u16::from(self.known.max(1))).min(255) as u8
     }
 }
 
@@ -246,6 +262,23 @@ mod tests {
             );
         }
         assert_eq!(run(&mut decision(), &[(500, 1, 141, MOVING)]), [(19, 1)]);
+    }
+
+    #[test]
+    fn a_movement_that_may_well_be_none_makes_no_event() {
+        let config = MovementConfig { min_confidence: 110, max_rest: 70, ..MovementConfig::for_axes(9) };
+        // Probabilities of idle, circle, other and up-down of 256.
+        for (shares, event) in [
+            ([0, 120, 66, 70], true),
+            ([0, 140, 76, 40], false),
+            ([40, 140, 40, 36], false),
+            ([0, 109, 0, 108], false),
+        ] {
+            let mut decision = MovementDecision::new(LABELS.iter().copied(), config);
+            let scores = shares.map(|share: i16| (share - 128) as i8);
+            let fired = (0..60).any(|_| decision.step(&scores, MOVING).is_some());
+            assert_eq!(fired, event, "{shares:?}");
+        }
     }
 
     #[test]

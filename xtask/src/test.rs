@@ -139,6 +139,7 @@ fn steps() -> Vec<Step> {
                 .arg(built("models")?.get_program()))
         }),
         Step::new("real recordings, five random splits", real_data::splits),
+        Step::new("real people that a model has never met", real_data::strangers),
         Step::new("real recordings into the simulator", real_data::replay),
         Step::new("planned motions in MuJoCo", || {
             let traces = target_dir().join("plan-traces");

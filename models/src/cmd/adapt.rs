@@ -6,7 +6,7 @@ use anyhow::Context;
 use clap::Args;
 use models::blob::ModelFiles;
 use models::dataset::Dataset;
-use models::people::accuracy;
+use models::people::grade;
 use models::tflite::{self, Network};
 use models::train::{Memory, Trained, adapt, examples_of};
 
@@ -62,7 +62,7 @@ impl Cmd {
             memory.accuracy(&model.float, limit),
             memory.accuracy(&adapted.float, limit)
         );
-        let (before, now) = (accuracy(&model, &theirs)?, accuracy(&adapted, &theirs)?);
+        let (before, now) = (grade(&model, &theirs)?.accuracy(), grade(&adapted, &theirs)?.accuracy());
         println!(
             "the shown recordings themselves: {:.2} % right before, {:.2} % now (int8)",
             before.int8, now.int8

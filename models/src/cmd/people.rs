@@ -1,109 +1,132 @@
 //! `models people`: each person held out in turn, random splits, and a few examples shown.
 
 use std::path::PathBuf;
+use std::str::FromStr;
+use std::time::Instant;
 
 use clap::Args;
+use indicatif::ProgressBar;
 use models::dataset::Dataset;
-use models::people::{Accuracy, Shown, Trial};
-use rayon::prelude::*;
+use models::people::Trial;
+use models::study::{Study, widest_gap};
+use models::train::Recipe;
 
 use super::RecipeName;
 
 /// Hold out each person in turn and print how models do that have never met them
 #[derive(Args)]
 pub struct Cmd {
-    /// Folder with <label>/<person>__<n>.csv
-    folder: PathBuf,
+    /// Folders with <label>/<person>__<n>.csv; FOLDER:LABEL,LABEL,... uses only these labels
+    #[arg(required = true, value_name = "FOLDER[:LABEL,...]")]
+    folders: Vec<Set>,
     /// Models per row, with the seeds 1, 2, ...
     #[arg(long, default_value_t = 5)]
     seeds: u64,
     /// Recipes to compare (repeatable) [default: paper and aligned]
     #[arg(long, value_enum)]
     recipe: Vec<RecipeName>,
-    /// Use only these labels (repeatable) [default: all]
-    #[arg(long, value_name = "LABEL")]
-    label: Vec<String>,
     /// Use only the first 3, 6 or 9 axes [default: all that every recording has]
     #[arg(long, value_parser = clap::builder::PossibleValuesParser::new(["3", "6", "9"]))]
     axes: Option<String>,
     /// Also adapt to each person with so many examples of 2 s per class (recipe aligned)
-    #[arg(long, value_delimiter = ',', value_name = "N,N,...")]
+    #[arg(long, value_delimiter = ',', value_name = "N,N,...", default_value = "1,3,10")]
     examples: Vec<usize>,
+    #[command(flatten)]
+    short: super::Short,
 }
 
-impl Cmd {
-    pub fn run(self) -> anyhow::Result<()> {
-        anyhow::ensure!(self.seeds > 0, "--seeds takes a number above 0");
-        let people = Dataset::people_of(&self.folder)?;
-        let labels: Vec<String> = self.label.iter().map(|label| models::labels::canonical(label)).collect();
-        let axes = self.axes.as_deref().and_then(|text| text.parse().ok());
-        let known = Dataset::read_where(&self.folder, axes, |label, _| {
-            labels.is_empty() || labels.iter().any(|l| l == label)
-        })?;
-        let people: Vec<String> =
-            people.into_iter().filter(|person| known.people().contains(person)).collect();
+/// A folder and which of its labels are used; none: all.
+#[derive(Clone, Debug)]
+pub struct Set {
+    pub folder: PathBuf,
+    pub labels: Vec<String>,
+}
+
+impl FromStr for Set {
+    type Err = std::convert::Infallible;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        let whole = PathBuf::from(text);
+        Ok(match text.rsplit_once(':') {
+            Some((folder, labels)) if !whole.exists() => Self {
+                folder: folder.into(),
+                labels: labels.split(',').map(models::labels::canonical).collect(),
+            },
+            _ => Self { folder: whole, labels: Vec::new() },
+        })
+    }
+}
+
+impl Set {
+    /// Reads the part of the folder that is used.
+    pub fn read(&self, axes: Option<usize>) -> anyhow::Result<Dataset> {
+        Ok(Dataset::read_where(&self.folder, axes, |label, _| {
+            self.labels.is_empty() || self.labels.iter().any(|wanted| wanted == label)
+        })?)
+    }
+
+    /// The people in it, at least two, and a line that says what it is.
+    pub fn people(&self, axes: Option<usize>) -> anyhow::Result<(Vec<String>, String)> {
+        let known = self.read(axes)?;
+        let people = known.people();
         anyhow::ensure!(
             people.len() >= 2,
             "{}: recordings of {} person(s); at least 2 are needed to hold one out",
             self.folder.display(),
             people.len()
         );
-        println!(
+        let what = format!(
             "{}: {} recordings, labels {}, {} axes",
             self.folder.display(),
             known.items.len(),
             known.labels.join(" "),
             known.axes
         );
-        drop(known);
-        println!("right recordings in per cent, mean of {} seeds", self.seeds);
-        println!("{:<8} {:<28} {:>8} {:>8}", "recipe", "tested on", "float", "int8");
-        let names = match self.recipe.as_slice() {
-            [] => vec![RecipeName::Paper, RecipeName::Aligned],
-            names => names.to_vec(),
-        };
-        for name in names {
-            let recipe = name.recipe();
-            let trial = Trial { folder: &self.folder, axes, labels: &labels, recipe: &recipe };
-            let row = |what: &str, a: Accuracy| {
-                println!("{:<8} {what:<28} {:>8.2} {:>8.2}", recipe.name, a.float, a.int8)
-            };
-            let seeds = || (1..=self.seeds).into_par_iter();
-            let strangers = people.iter().map(|person| {
-                let all = seeds().map(|seed| trial.stranger(person, seed)).collect::<Result<Vec<_>, _>>()?;
-                row(&format!("{person}, never met"), Accuracy::mean(&all));
-                Ok(Accuracy::mean(&all))
-            });
-            summary(&row, "never met", &strangers.collect::<anyhow::Result<Vec<_>>>()?);
-            let splits = seeds().map(|seed| trial.random_split(seed)).collect::<Result<Vec<_>, _>>()?;
-            row("random fifth, same people", Accuracy::mean(&splits));
-            if self.examples.is_empty() || recipe.steps.is_none() {
-                continue;
-            }
-            let mut counts = self.examples.clone();
-            counts.insert(0, 0);
-            let mut of_person: Vec<Vec<Vec<Shown>>> = Vec::new();
-            for person in &people {
-                of_person
-                    .push(seeds().map(|seed| trial.shown(person, &counts, seed)).collect::<Result<_, _>>()?);
-            }
-            for (index, count) in counts.iter().enumerate() {
-                let mean = |runs: &Vec<Vec<Shown>>, pick: fn(&Shown) -> Accuracy| {
-                    Accuracy::mean(&runs.iter().map(|run| pick(&run[index])).collect::<Vec<_>>())
-                };
-                let new: Vec<_> = of_person.iter().map(|runs| mean(runs, |shown| shown.new)).collect();
-                let old: Vec<_> = of_person.iter().map(|runs| mean(runs, |shown| shown.old)).collect();
-                summary(&row, &format!("{count} shown per class"), &new);
-                row(&format!("{count} shown, the others"), Accuracy::mean(&old));
-            }
-        }
-        Ok(())
+        Ok((people, what))
     }
 }
 
-/// Mean and worst of several people.
-fn summary(row: &impl Fn(&str, Accuracy), what: &str, people: &[Accuracy]) {
-    row(&format!("{what}: mean"), Accuracy::mean(people));
-    let worst = |pick: fn(&Accuracy) -> f64| people.iter().map(pick).fold(f64::INFINITY, f64::min);
-    row(&format!("{what}: worst"), Accuracy { float: worst(|a| a.float), int8: worst(|a| a.int8) });
+/// The recipes that are compared: those named, or the paper's and the best.
+pub fn recipes(names: &[RecipeName]) -> Vec<Recipe> {
+    match names {
+        [] => vec![Recipe::paper(), Recipe::aligned()],
+        names => names.iter().map(|name| name.recipe()).collect(),
+    }
+}
+
+impl Cmd {
+    pub fn run(self) -> anyhow::Result<()> {
+        anyhow::ensure!(self.seeds > 0, "--seeds takes a number above 0");
+        let start = Instant::now();
+        let axes = self.axes.as_deref().and_then(|text| text.parse().ok());
+        let mut all = Vec::new();
+        for set in &self.folders {
+            let (people, what) = set.people(axes)?;
+            println!("{what}");
+            println!("right recordings in per cent, mean of {} seeds", self.seeds);
+            println!("{:<9} {:<28} {:>8} {:>8}", "recipe", "tested on", "float", "int8");
+            for recipe in self.short.shorten(recipes(&self.recipe)) {
+                let trial = Trial { folder: &set.folder, axes, labels: &set.labels, recipe: &recipe };
+                let progress = ProgressBar::new_spinner();
+                let done = |what: &str| {
+                    progress.set_message(what.to_owned());
+                    progress.tick();
+                };
+                let study = Study::run(&trial, &people, self.seeds, &self.examples, done)?;
+                progress.finish_and_clear();
+                let rows = study.rows();
+                for row in &rows {
+                    let a = row.accuracy;
+                    println!("{:<9} {:<28} {:>8.2} {:>8.2}", recipe.name, row.what, a.float, a.int8);
+                }
+                if recipe.steps.is_some() {
+                    all.extend(rows);
+                }
+            }
+        }
+        let whose = if all.is_empty() { "" } else { " of recipe aligned" };
+        println!("largest difference of int8 and float in a row{whose}: {:.2} points", widest_gap(&all));
+        println!("{:.0} s", start.elapsed().as_secs_f64());
+        Ok(())
+    }
 }

@@ -5,6 +5,7 @@
 //! both ends (minimum jerk), so that the whole has a continuous acceleration.
 
 use std::f64::consts::TAU;
+use std::ops::Range;
 
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
@@ -49,11 +50,16 @@ pub enum IdleKind {
     Walk,
     /// Turning the hand over and back.
     Turn,
+    /// Moving and turning in all directions, fast or slowly, hardly ever pausing: gesticulating, handling things.
+    Scatter,
 }
 
 impl IdleKind {
-    /// Every kind.
+    /// What a wearer between gestures does.
     pub const ALL: [Self; 5] = [Self::Still, Self::Fidget, Self::Reach, Self::Walk, Self::Turn];
+    /// Every kind, what a wearer without a gesture in mind does.
+    pub const EVERY: [Self; 6] =
+        [Self::Still, Self::Fidget, Self::Reach, Self::Walk, Self::Turn, Self::Scatter];
 }
 
 impl Motion {
@@ -291,8 +297,12 @@ fn idle(rng: &mut ChaCha8Rng, kind: IdleKind, seconds: f64) -> Kind {
                 posture: [0; 3].map(|_| Smooth::new(rng, 0.2, 1.5, turn_rad)),
             }
         }
-        IdleKind::Reach => moves(rng, seconds, 0.25, 0.4),
-        IdleKind::Turn => moves(rng, seconds, 0.03, 1.1),
+        IdleKind::Reach => moves(rng, seconds, 0.25, 0.4, 0.45..1.1, 0.7..2.5),
+        IdleKind::Turn => moves(rng, seconds, 0.03, 1.1, 0.45..1.1, 0.7..2.5),
+        IdleKind::Scatter => {
+            let (reach_m, turn_rad) = (rng.random_range(0.03..0.3), rng.random_range(0.1..1.6));
+            moves(rng, seconds, reach_m, turn_rad, 0.3..1.0, 0.0..0.6)
+        }
         IdleKind::Walk => Kind::Walk {
             step_hz: rng.random_range(1.5..2.2),
             phase: rng.random_range(0.0..TAU),
@@ -305,13 +315,20 @@ fn idle(rng: &mut ChaCha8Rng, kind: IdleKind, seconds: f64) -> Kind {
 }
 
 /// Moves to places around the resting point, never far from it, with pauses between.
-fn moves(rng: &mut ChaCha8Rng, seconds: f64, reach_m: f64, turn_rad: f64) -> Kind {
+fn moves(
+    rng: &mut ChaCha8Rng,
+    seconds: f64,
+    reach_m: f64,
+    turn_rad: f64,
+    lengths_s: Range<f64>,
+    pauses_s: Range<f64>,
+) -> Kind {
     const PAUSE_S: f64 = 0.5;
     let mut list = Vec::new();
     let mut now = Pose::default();
     let mut t = rng.random_range(0.0..1.5);
     loop {
-        let length_s = rng.random_range(0.45..1.1);
+        let length_s = rng.random_range(lengths_s.clone());
         let mut place = Pose {
             position_m: [0; 3].map(|_| normal(rng, reach_m * 0.6, reach_m)),
             posture_rad: [0; 3].map(|_| normal(rng, turn_rad * 0.6, turn_rad)),
@@ -331,7 +348,7 @@ fn moves(rng: &mut ChaCha8Rng, seconds: f64, reach_m: f64, turn_rad: f64) -> Kin
             return Kind::Moves(list);
         }
         now = place;
-        t += length_s + rng.random_range(0.7..2.5);
+        t += length_s + rng.random_range(pauses_s.clone());
     }
 }
 

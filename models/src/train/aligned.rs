@@ -1,5 +1,8 @@
 //! What the recipe `aligned` does its own way: windows, scaling, and the memory that lets it learn another person.
 
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, PoisonError};
+
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -8,6 +11,7 @@ use super::{Windows, quantise, steps};
 use crate::card::Card;
 use crate::dataset::Item;
 use crate::recording::Recording;
+use crate::synth::{IdleKind, Motion, Segment, Wearer, session};
 use crate::tflite::FloatLayer;
 use crate::windows::{aligned_features, prepare};
 use crate::{RATE_HZ, WINDOW};
@@ -38,6 +42,43 @@ pub(super) fn windows(item: &Item, label: usize, copies: usize, rng: &ChaCha8Rng
         }
     }
     Windows { label, own, varied, padded: prepared.padded, resampled: prepared.resampled }
+}
+
+/// What simulated wearers do that is no gesture, one thing after the other.
+const AIMLESS: [IdleKind; 8] = [
+    IdleKind::Still,
+    IdleKind::Fidget,
+    IdleKind::Reach,
+    IdleKind::Walk,
+    IdleKind::Turn,
+    IdleKind::Scatter,
+    IdleKind::Scatter,
+    IdleKind::Scatter,
+];
+
+/// Features of windows that several trainings use.
+type Shared = Arc<Vec<Vec<f32>>>;
+
+/// Features of windows in which `wearers` simulated people move but make no gesture, the same for every training.
+///
+/// Few recordings show what a hand does when it makes no gesture, and those of one person little of it.
+pub(super) fn aimless(axes: usize, wearers: u32) -> Shared {
+    const SECONDS: f64 = 8.0;
+    static MADE: Mutex<BTreeMap<(usize, u32), Shared>> = Mutex::new(BTreeMap::new());
+    let mut made = MADE.lock().unwrap_or_else(PoisonError::into_inner);
+    let make = || {
+        let of_wearer = |index: u32| {
+            let wearer = Wearer::training(0, index);
+            let takes = AIMLESS.into_iter().enumerate();
+            takes.flat_map(move |(take, kind)| {
+                let script = [Segment::new(Motion::Idle(kind), SECONDS)];
+                let recording = session(&wearer, take as u64, &script).with_axes(axes);
+                cut(&recording).into_iter().map(move |window| aligned_features(axes, &window))
+            })
+        };
+        Arc::new((1..=wearers).flat_map(of_wearer).collect())
+    };
+    Arc::clone(made.entry((axes, wearers)).or_insert_with(make))
 }
 
 /// What a feature is divided by. The addition keeps one that hardly varies from becoming an amplifier of noise.
@@ -186,7 +227,8 @@ pub(super) fn adapt(
     let chosen = balanced(new.iter().map(|(_, label)| *label), card.labels.len(), rows.len(), &mut rng);
     rows.extend(chosen.into_iter().map(|index| new[index].clone()));
     let start = steps::Start::Layers(layers);
-    let layers = steps::fit(&rows, card.labels.len(), &start, &steps::Steps::ADAPT, seed)?;
+    let plan = &steps::Steps::ADAPT;
+    let layers = steps::fit(&rows, card.labels.len(), &start, plan, card.scaling.limit, seed)?;
     Ok(Adapted { layers, rows })
 }
 

@@ -37,7 +37,7 @@ pub use augment::Augmentation;
 pub use split::held_out;
 pub use steps::Steps;
 
-/// How to train. [`Recipe::default`] trains until it converges; [`Recipe::paper`] as the paper says.
+/// How to train: [`Recipe::aligned`], the default; [`Recipe::log_power`]; [`Recipe::paper`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Recipe {
     /// Name in the card.
@@ -69,6 +69,8 @@ pub struct Recipe {
     pub augmentation: Augmentation,
     /// Fixed steps instead of epochs; then nothing decides when to stop, and windows are varied one by one.
     pub steps: Option<Steps>,
+    /// Simulated wearers whose movements are shown as `other`, where there is this label; with fixed steps only.
+    pub bystanders: u32,
 }
 
 impl Recipe {
@@ -89,6 +91,7 @@ impl Recipe {
             stride_hops: 5,
             augmentation: Augmentation::NONE,
             steps: None,
+            bystanders: 0,
         }
     }
 }
@@ -100,7 +103,7 @@ impl Recipe {
         Self {
             name: "aligned",
             features: shared_dsp::recipe::Recipe::Aligned,
-            hidden: &[32, 16],
+            hidden: &[24, 12],
             epochs: 0,
             patience: None,
             halvings: 0,
@@ -112,14 +115,17 @@ impl Recipe {
             stride_hops: 1,
             augmentation: Augmentation { copies: 10, ..Augmentation::NONE },
             steps: Some(Steps::TRAIN),
+            bystanders: 30,
         }
     }
 }
 
-impl Default for Recipe {
-    fn default() -> Self {
+impl Recipe {
+    /// Features per axis, trained until it converges. It knows directions against the board, as the paper's does; the
+    /// bundled model is made with it.
+    pub fn log_power() -> Self {
         Self {
-            name: "default",
+            name: "log-power",
             features: shared_dsp::recipe::Recipe::LogPower,
             hidden: &[20, 10, 5],
             epochs: 150,
@@ -133,7 +139,14 @@ impl Default for Recipe {
             stride_hops: 5,
             augmentation: Augmentation::DEFAULT,
             steps: None,
+            bystanders: 0,
         }
+    }
+}
+
+impl Default for Recipe {
+    fn default() -> Self {
+        Self::aligned()
     }
 }
 
@@ -303,6 +316,15 @@ pub fn train(dataset: &Dataset, test: &[String], recipe: &Recipe, job: &Job) -> 
         // Too few recordings to spare any: the training windows themselves decide when to stop.
         check.clone_from(&learn);
     }
+    // As `idle` they would teach that whoever moves slowly rests.
+    let no_gesture = labels.iter().position(|label| label == "other");
+    let bystanders = match (recipe.bystanders, no_gesture) {
+        (1.., Some(label)) => Some((aligned::aimless(used.axes, recipe.bystanders), label)),
+        _ => None,
+    };
+    if let Some((windows, label)) = &bystanders {
+        learn.extend(windows.iter().map(|window| (window.as_slice(), *label)));
+    }
     let real = || windows.iter().flat_map(|part| part.own.iter().map(Vec::as_slice));
     let scaling = match recipe.steps {
         Some(_) => scaling(&learn, aligned::divisor, real(), 1.0..=20.0),
@@ -332,7 +354,16 @@ pub fn train(dataset: &Dataset, test: &[String], recipe: &Recipe, job: &Job) -> 
             learning_rate: recipe.learning_rate,
             validation_fraction: recipe.validation_fraction,
             augmentation: match recipe.steps {
-                Some(_) => format!("{} copies of each window: {}", recipe.augmentation.copies, vary::WORDS),
+                Some(_) => {
+                    let copies = recipe.augmentation.copies;
+                    let aimless = bystanders.as_ref().map_or(0, |(windows, _)| windows.len());
+                    let words = vary::WORDS;
+                    format!(
+                        "{copies} copies of each window: {words}; and {aimless} windows of {} simulated \
+                         wearers who make no gesture",
+                        recipe.bystanders
+                    )
+                }
                 None => recipe.augmentation.to_string(),
             },
             windows: learn.len(),
@@ -360,7 +391,7 @@ pub fn train(dataset: &Dataset, test: &[String], recipe: &Recipe, job: &Job) -> 
     let fitted = match &recipe.steps {
         Some(plan) => {
             let start = steps::Start::Widths(recipe.hidden);
-            let layers = steps::fit(&learn, labels.len(), &start, plan, job.seed)?;
+            let layers = steps::fit(&learn, labels.len(), &start, plan, card.scaling.limit, job.seed)?;
             let epochs = (plan.count * plan.batch).div_ceil(learn.len().max(1));
             fit::Fitted { layers, epochs, best_epoch: epochs }
         }
@@ -503,12 +534,15 @@ fn count<'a>(set: &'a Dataset, key: impl Fn(&'a Item) -> &'a String) -> BTreeMap
     counts
 }
 
-/// SHA-256 over the names and contents of the recordings, in order.
+/// SHA-256 over the names and contents of the recordings, in order; of one without a file, what its file would hold.
 pub fn data_hash(set: &Dataset) -> Result<String, TrainError> {
     let mut hash = Sha256::new();
     for item in &set.items {
-        let bytes =
-            std::fs::read(&item.file).map_err(|source| TrainError::Io { file: item.file.clone(), source })?;
+        let bytes = match item.file.as_os_str().is_empty() {
+            true => item.recording.to_csv().into_bytes(),
+            false => std::fs::read(&item.file)
+                .map_err(|source| TrainError::Io { file: item.file.clone(), source })?,
+        };
         hash.update((item.name.len() as u64).to_le_bytes());
         hash.update(item.name.as_bytes());
         hash.update((bytes.len() as u64).to_le_bytes());

@@ -2,6 +2,8 @@
 
 use candle_core::{Result, Tensor, Var};
 
+use super::quantise;
+
 use crate::tflite::FloatLayer;
 
 /// Weights (inputs × outputs) and biases of each layer.
@@ -22,6 +24,45 @@ pub(super) fn forward(layers: &Layers, inputs: &Tensor) -> Result<Tensor> {
         }
     }
     Ok(x)
+}
+
+/// How int8 will round a network, for steps that see it: the gradient passes as if nothing was rounded.
+pub(super) struct Rounding {
+    /// Largest input.
+    limit: f64,
+    /// Per layer, smallest and largest output.
+    ranges: Vec<(f64, f64)>,
+}
+
+impl Rounding {
+    /// With the ranges that `rows` reach.
+    pub fn new(layers: &[FloatLayer], rows: &[(Vec<f32>, usize)], limit: f32) -> Self {
+        let inputs: Vec<&[f32]> = rows.iter().map(|(input, _)| input.as_slice()).collect();
+        let ranges = quantise::ranges(layers, &inputs);
+        let wide = |(low, high): (f32, f32)| (f64::from(low), f64::from(high));
+        Self { limit: f64::from(limit), ranges: ranges.into_iter().map(wide).collect() }
+    }
+
+    /// As [`forward`], rounded.
+    pub fn forward(&self, layers: &Layers, inputs: &Tensor) -> Result<Tensor> {
+        let mut x = steps(&inputs.clamp(-self.limit, self.limit)?, self.limit / 127.5)?;
+        for (index, ((weights, biases), (low, high))) in layers.iter().zip(&self.ranges).enumerate() {
+            let largest = weights.as_tensor().detach().abs()?.max_all()?.to_scalar::<f32>()?;
+            let weights = steps(weights.as_tensor(), f64::from(largest).max(1e-9) / 127.0)?;
+            x = x.matmul(&weights)?.broadcast_add(biases)?;
+            if index + 1 < layers.len() {
+                x = x.relu()?;
+            }
+            x = steps(&x.clamp(*low, *high)?, (high - low).max(1e-9) / 255.0)?;
+        }
+        Ok(x)
+    }
+}
+
+/// Rounded to whole steps; the gradient is that of what was given.
+fn steps(x: &Tensor, step: f64) -> Result<Tensor> {
+    let rounded = x.detach().affine(1.0 / step, 0.0)?.round()?.affine(step, 0.0)?;
+    x + (rounded - x.detach())?
 }
 
 /// The layers as plain numbers, from weights (inputs × outputs) and biases.

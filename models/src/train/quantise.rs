@@ -11,15 +11,9 @@ const CALIBRATION: usize = 4000;
 
 /// Quantises a network whose inputs are limited to ±`limit`.
 pub(super) fn quantise(layers: &[FloatLayer], inputs: &[&[f32]], limit: f32) -> Vec<DenseSpec> {
-    let step = inputs.len().div_ceil(CALIBRATION).max(1);
-    let mut values: Vec<Vec<f32>> = inputs.iter().step_by(step).map(|row| row.to_vec()).collect();
     let (mut input_scale, mut input_zero_point) = scale_of(-limit, limit);
     let mut specs = Vec::new();
-    for layer in layers {
-        values = values.iter().map(|row| run(layer, row)).collect();
-        let flat = || values.iter().flatten().copied();
-        let low = flat().fold(0.0, f32::min);
-        let high = flat().fold(0.0, f32::max);
+    for (layer, (low, high)) in layers.iter().zip(ranges(layers, inputs)) {
         let (output_scale, output_zero_point) = scale_of(low, high);
         let largest = layer.weights.iter().flatten().fold(0.0f32, |m, w| m.max(w.abs()));
         let weight_scale = if largest > 0.0 { largest / 127.0 } else { 1.0 };
@@ -38,6 +32,19 @@ pub(super) fn quantise(layers: &[FloatLayer], inputs: &[&[f32]], limit: f32) -> 
         (input_scale, input_zero_point) = (output_scale, output_zero_point);
     }
     specs
+}
+
+/// Smallest and largest output of each layer that inputs reach, 0 among them.
+pub(super) fn ranges(layers: &[FloatLayer], inputs: &[&[f32]]) -> Vec<(f32, f32)> {
+    let step = inputs.len().div_ceil(CALIBRATION).max(1);
+    let mut values: Vec<Vec<f32>> = inputs.iter().step_by(step).map(|row| row.to_vec()).collect();
+    let mut ranges = Vec::new();
+    for layer in layers {
+        values = values.iter().map(|row| run(layer, row)).collect();
+        let flat = || values.iter().flatten().copied();
+        ranges.push((flat().fold(0.0, f32::min), flat().fold(0.0, f32::max)));
+    }
+    ranges
 }
 
 fn run(layer: &FloatLayer, inputs: &[f32]) -> Vec<f32> {

@@ -16,12 +16,9 @@ pub fn held_out(dataset: &Dataset, fraction: f64, seed: u64) -> Vec<String> {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         rng.set_stream((1 << 40) + stream as u64);
         names.shuffle(&mut rng);
-        let count = (names.len() as f64 * fraction).round() as usize;
-        chosen.extend(names.into_iter().take(count).cloned());
         // At least one must stay to learn from.
-        if count > 0 && chosen.len() == dataset.items.len() {
-            chosen.pop();
-        }
+        let count = ((names.len() as f64 * fraction).round() as usize).min(names.len().saturating_sub(1));
+        chosen.extend(names.into_iter().take(count).cloned());
     }
     chosen.sort();
     chosen

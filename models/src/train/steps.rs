@@ -1,14 +1,18 @@
 //! Fitting in a fixed number of steps, for the recipe `aligned`: batches drawn at random, a learning rate that
 //! warms up and falls as a cosine, and an average of the weights as the result. Nothing is held back to decide when
 //! to stop, and a network that exists can be the start.
+//!
+//! Several networks from different starts are merged into one whose logits are the mean of theirs: they err
+//! differently on people whom none has met. The last steps see what int8 will round (Jacob et al., 2018).
 
 use candle_core::{D, Device, Result, Tensor, Var};
 use candle_nn::{AdamW, Optimizer, ParamsAdamW};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
+use rayon::prelude::*;
 
-use super::net::{Layers, export, forward, on_one_thread, vars};
+use super::net::{Layers, Rounding, export, forward, on_one_thread, vars};
 use crate::tflite::FloatLayer;
 
 /// How to fit in steps.
@@ -28,6 +32,11 @@ pub struct Steps {
     pub decay: f64,
     /// Share that the average of the weights keeps per step, in the long run.
     pub keep: f64,
+    /// Networks that are fitted from different starts and merged into one; those of [`crate::train::Recipe::hidden`]
+    /// are the widths of each.
+    pub members: usize,
+    /// Steps after that in which weights and activations are rounded as int8 rounds them.
+    pub rounded: usize,
 }
 
 impl Steps {
@@ -40,9 +49,16 @@ impl Steps {
         label_smoothing: 0.1,
         decay: 1e-4,
         keep: 0.995,
+        members: 3,
+        rounded: 300,
     };
     /// For a network that only has to learn one more person.
-    pub const ADAPT: Self = Self { count: 800, learning_rate: 2e-3, keep: 0.98, ..Self::TRAIN };
+    pub const ADAPT: Self = Self { count: 800, learning_rate: 2e-3, keep: 0.98, members: 1, ..Self::TRAIN };
+
+    /// The steps at the end that see what int8 rounds.
+    fn last(self) -> Self {
+        Self { count: self.rounded, learning_rate: 5e-4, warm_up: 20, keep: 0.98, ..self }
+    }
 }
 
 /// What a network starts from.
@@ -53,26 +69,81 @@ pub(super) enum Start<'a> {
     Layers(&'a [FloatLayer]),
 }
 
-/// Fits a network to rows of inputs with their labels, rare labels counting as much as common ones.
+/// Fits a network to rows of inputs with their labels, rare labels counting as much as common ones. `limit` is the
+/// largest input.
 pub(super) fn fit(
     rows: &[(Vec<f32>, usize)],
     labels: usize,
     start: &Start<'_>,
     plan: &Steps,
+    limit: f32,
     seed: u64,
 ) -> Result<Vec<FloatLayer>> {
-    on_one_thread(|| fit_here(rows, labels, start, plan, seed))
+    let member = |index: usize| on_one_thread(|| one(rows, labels, start, plan, None, (seed, index as u64)));
+    let members: Vec<_> = (0..plan.members.max(1)).into_par_iter().map(member).collect::<Result<_>>()?;
+    let mut layers = merged(&members);
+    equalise(&mut layers);
+    if plan.rounded > 0 {
+        let rounding = Rounding::new(&layers, rows, limit);
+        let (start, plan) = (Start::Layers(&layers), plan.last());
+        layers = on_one_thread(|| one(rows, labels, &start, &plan, Some(&rounding), (seed, 1 << 16)))?;
+    }
+    Ok(layers)
 }
 
-fn fit_here(
+/// One network whose logits are the mean of several networks' of the same shape.
+fn merged(members: &[Vec<FloatLayer>]) -> Vec<FloatLayer> {
+    let [first, rest @ ..] = members else { return Vec::new() };
+    if rest.is_empty() {
+        return first.clone();
+    }
+    let (count, last) = (members.len(), first.len() - 1);
+    let layer = |index: usize| {
+        let parts: Vec<&FloatLayer> = members.iter().map(|layers| &layers[index]).collect();
+        let relu = parts[0].relu;
+        if index == last {
+            // Side by side: the mean of what each says.
+            let share = 1.0 / count as f32;
+            let row = |output: usize| {
+                parts.iter().flat_map(|part| part.weights[output].iter().map(|w| w * share)).collect()
+            };
+            let bias = |output: usize| parts.iter().map(|part| part.biases[output] * share).sum();
+            let outputs = parts[0].biases.len();
+            return FloatLayer {
+                weights: (0..outputs).map(row).collect(),
+                biases: (0..outputs).map(bias).collect(),
+                relu,
+            };
+        }
+        let mut weights = Vec::new();
+        for (place, part) in parts.iter().enumerate() {
+            for row in &part.weights {
+                // The first layer's inputs are everybody's; behind it each member sees its own alone.
+                weights.push(if index == 0 {
+                    row.clone()
+                } else {
+                    let mut wide = vec![0.0; row.len() * count];
+                    wide[place * row.len()..(place + 1) * row.len()].copy_from_slice(row);
+                    wide
+                });
+            }
+        }
+        FloatLayer { weights, biases: parts.iter().flat_map(|part| part.biases.clone()).collect(), relu }
+    };
+    (0..=last).map(layer).collect()
+}
+
+/// One network by one plan; `rounding` makes it see int8. The second number is a stream of its own.
+fn one(
     rows: &[(Vec<f32>, usize)],
     labels: usize,
     start: &Start<'_>,
     plan: &Steps,
-    seed: u64,
+    rounding: Option<&Rounding>,
+    (seed, stream): (u64, u64),
 ) -> Result<Vec<FloatLayer>> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    rng.set_stream(1 << 41);
+    rng.set_stream((1 << 41) + stream);
     let width = rows.first().map_or(0, |(input, _)| input.len());
     let layers = first_layers(start, width, labels, &mut rng)?;
     let vars = vars(&layers);
@@ -103,7 +174,11 @@ fn fit_here(
         let chosen: Vec<u32> = (0..plan.batch).map(|_| rng.random_range(0..rows.len() as u32)).collect();
         let chosen = Tensor::from_vec(chosen, plan.batch, &Device::Cpu)?;
         let (x, y) = (inputs.index_select(&chosen, 0)?, targets.index_select(&chosen, 0)?);
-        let logs = candle_nn::ops::log_softmax(&forward(&layers, &x)?, D::Minus1)?;
+        let logits = match rounding {
+            Some(rounding) => rounding.forward(&layers, &x)?,
+            None => forward(&layers, &x)?,
+        };
+        let logs = candle_nn::ops::log_softmax(&logits, D::Minus1)?;
         let mut loss = (logs * y)?.sum_all()?.affine(-1.0 / plan.batch as f64, 0.0)?;
         for (weights, _) in &layers {
             loss = (loss + weights.sqr()?.sum_all()?.affine(plan.decay, 0.0)?)?;
@@ -120,9 +195,7 @@ fn fit_here(
         }
     }
     let (pairs, _) = average.as_chunks::<2>();
-    let mut layers = export(pairs.iter().map(|[weights, biases]| (weights, biases)))?;
-    equalise(&mut layers);
-    Ok(layers)
+    export(pairs.iter().map(|[weights, biases]| (weights, biases)))
 }
 
 /// Lets the weights into and out of each hidden unit have the same largest size, which changes no output: a unit

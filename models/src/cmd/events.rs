@@ -1,0 +1,107 @@
+//! `models events`: streams of people held out through the right hand as a board runs it.
+
+use std::time::Instant;
+
+use clap::Args;
+use indicatif::ProgressBar;
+use models::events::Tally;
+use models::people::Trial;
+use models::study::Events;
+
+use super::RecipeName;
+use super::people::Set;
+
+/// Hold out each person in turn, play their recordings as a stream and count the gesture events
+#[derive(Args)]
+pub struct Cmd {
+    /// Folders with <label>/<person>__<n>.csv; FOLDER:LABEL,LABEL,... uses only these labels
+    #[arg(required = true, value_name = "FOLDER[:LABEL,...]")]
+    folders: Vec<Set>,
+    /// Models per person, with the seeds 1, 2, ...
+    #[arg(long, default_value_t = 5)]
+    seeds: u64,
+    /// How to train
+    #[arg(long, value_enum, default_value = "aligned")]
+    recipe: RecipeName,
+    /// Use only the first 3, 6 or 9 axes [default: all that every recording has]
+    #[arg(long, value_parser = clap::builder::PossibleValuesParser::new(["3", "6", "9"]))]
+    axes: Option<String>,
+    /// Hours of simulated wearers who make no gesture, per folder
+    #[arg(long, default_value_t = 1.0)]
+    hours: f64,
+    /// Name each recording that was not understood and what came instead
+    #[arg(long)]
+    errors: bool,
+    #[command(flatten)]
+    short: super::Short,
+}
+
+impl Cmd {
+    pub fn run(self) -> anyhow::Result<()> {
+        anyhow::ensure!(self.seeds > 0, "--seeds takes a number above 0");
+        anyhow::ensure!((0.0..=1000.0).contains(&self.hours), "--hours takes 0 to 1000");
+        let start = Instant::now();
+        let axes = self.axes.as_deref().and_then(|text| text.parse().ok());
+        let recipe = self.short.shorten(vec![self.recipe.recipe()]).remove(0);
+        for set in &self.folders {
+            let (people, what) = set.people(axes)?;
+            println!("{what}, recipe {}, {} seeds", recipe.name, self.seeds);
+            println!(
+                "{:<8} {:>9} {:>8} {:>7} {:>6} {:>8} {:>8} {:>9} {:>7} {:>7}",
+                "person",
+                "performed",
+                "right, %",
+                "missed",
+                "wrong",
+                "several",
+                "delay, s",
+                "no gesture",
+                "false",
+                "stray"
+            );
+            let trial = Trial { folder: &set.folder, axes, labels: &set.labels, recipe: &recipe };
+            let progress = ProgressBar::new_spinner();
+            let done = |what: &str| {
+                progress.set_message(what.to_owned());
+                progress.tick();
+            };
+            let events = Events::run(&trial, &people, self.seeds, self.hours * 3600.0, done)?;
+            progress.finish_and_clear();
+            for (person, tally) in events.people.iter().zip(&events.real) {
+                print(person, tally);
+            }
+            print("all", &events.together());
+            if self.hours > 0.0 {
+                let simulated = &events.simulated;
+                println!(
+                    "simulated wearers without a gesture: {} events in {:.1} h, {:.2} per hour",
+                    simulated.rest_events,
+                    simulated.rest_s / 3600.0,
+                    simulated.false_per_hour()
+                );
+            }
+            if self.errors {
+                for (person, tally) in events.people.iter().zip(&events.real) {
+                    tally.errors.iter().for_each(|error| println!("{person} {error}"));
+                }
+            }
+        }
+        println!("{:.0} s", start.elapsed().as_secs_f64());
+        Ok(())
+    }
+}
+
+fn print(person: &str, tally: &Tally) {
+    println!(
+        "{person:<8} {:>9} {:>8.2} {:>7} {:>6} {:>8} {:>8} {:>10} {:>7} {:>7}",
+        tally.performed,
+        tally.right_per_cent(),
+        tally.missed,
+        tally.wrong,
+        tally.several,
+        tally.median_delay(),
+        tally.rests,
+        tally.rest_events,
+        tally.stray_events
+    );
+}

@@ -1,0 +1,98 @@
+//! `models report`: one HTML page about a folder and how models do on it.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use indicatif::ProgressBar;
+use models::people::{Trial, TrialError};
+use models::recording::write_whole;
+use models::report::{Facts, NetworkSize, Report, html};
+use models::study::{Events, Study};
+use rayon::prelude::*;
+use shared_dsp::mlp::Model;
+
+use super::RecipeName;
+use super::people::{Set, recipes};
+
+/// Write one self-contained HTML page: what a folder holds and how models do that have never met its people
+#[derive(Args)]
+pub struct Cmd {
+    /// Folder with <label>/<person>__<n>.csv; FOLDER:LABEL,LABEL,... uses only these labels
+    #[arg(value_name = "FOLDER[:LABEL,...]")]
+    set: Set,
+    /// Where to write it
+    #[arg(long, default_value = "report.html")]
+    out: PathBuf,
+    /// Models per figure, with the seeds 1, 2, ...
+    #[arg(long, default_value_t = 5)]
+    seeds: u64,
+    /// Recipes to compare (repeatable); events are the last one's [default: paper and aligned]
+    #[arg(long, value_enum)]
+    recipe: Vec<RecipeName>,
+    /// Use only the first 3, 6 or 9 axes [default: all that every recording has]
+    #[arg(long, value_parser = clap::builder::PossibleValuesParser::new(["3", "6", "9"]))]
+    axes: Option<String>,
+    /// Adapt to each person with so many examples of 2 s per class (recipe aligned)
+    #[arg(long, value_delimiter = ',', value_name = "N,N,...", default_value = "1,3,10")]
+    examples: Vec<usize>,
+    /// Hours of simulated wearers who make no gesture
+    #[arg(long, default_value_t = 1.0)]
+    hours: f64,
+    #[command(flatten)]
+    short: super::Short,
+}
+
+/// Shares of the others' recordings in the learning curves.
+const SHARES: [f64; 4] = [0.1, 0.25, 0.5, 1.0];
+
+impl Cmd {
+    pub fn run(self) -> anyhow::Result<()> {
+        anyhow::ensure!(self.seeds > 0, "--seeds takes a number above 0");
+        anyhow::ensure!((0.0..=1000.0).contains(&self.hours), "--hours takes 0 to 1000");
+        let axes = self.axes.as_deref().and_then(|text| text.parse().ok());
+        let (people, what) = self.set.people(axes)?;
+        println!("{what}");
+        let progress = ProgressBar::new_spinner();
+        let done = |what: &str| {
+            progress.set_message(what.to_owned());
+            progress.tick();
+        };
+        let (mut studies, mut networks, mut learning, mut events) =
+            (Vec::new(), Vec::new(), Vec::new(), None);
+        for recipe in self.short.shorten(recipes(&self.recipe)) {
+            let trial = Trial { folder: &self.set.folder, axes, labels: &self.set.labels, recipe: &recipe };
+            studies.push(Study::run(&trial, &people, self.seeds, &self.examples, done)?);
+            let model = trial.without(&people[0], 1)?;
+            let mut widths = vec![model.card.scaling.mean.len()];
+            widths.extend(model.float.iter().map(|layer| layer.biases.len()));
+            let blob = model.blob()?;
+            Model::parse(&blob)?;
+            networks.push(NetworkSize { widths, blob_bytes: blob.len() });
+            for person in &people {
+                let point = |share: &f64| -> Result<(f64, f64), TrialError> {
+                    Ok((*share, trial.stranger_after(person, *share, 1)?.accuracy().int8))
+                };
+                let points = SHARES.par_iter().map(point).collect::<Result<Vec<_>, _>>()?;
+                learning.push((format!("{}: {person}", recipe.name), points));
+            }
+            events = Some(Events::run(&trial, &people, self.seeds, self.hours * 3600.0, done)?);
+        }
+        progress.finish_and_clear();
+        let report = Report {
+            title: format!("Gestures in {}", self.set.folder.display()),
+            seeds: self.seeds,
+            facts: Facts::of(&self.set.read(axes)?),
+            studies,
+            networks,
+            events,
+            learning,
+        };
+        if let Some(folder) = self.out.parent() {
+            std::fs::create_dir_all(folder)?;
+        }
+        write_whole(&self.out, html(&report).as_bytes())
+            .map_err(|error| anyhow::anyhow!("{}: {error}; check --out", self.out.display()))?;
+        println!("{}", self.out.display());
+        Ok(())
+    }
+}

@@ -1,0 +1,94 @@
+//! `models simulated`: how far simulated wearers resemble real people.
+
+use std::time::Instant;
+
+use clap::Args;
+use models::people::{Accuracy, Graded, from_simulated};
+use rayon::prelude::*;
+
+use super::RecipeName;
+use super::people::Set;
+
+/// Train on simulated wearers only and test on real recordings whose labels the simulator knows
+#[derive(Args)]
+pub struct Cmd {
+    /// Folders with <label>/<person>__<n>.csv; FOLDER:LABEL,LABEL,... uses only these labels
+    #[arg(required = true, value_name = "FOLDER[:LABEL,...]")]
+    folders: Vec<Set>,
+    /// Models per row, with the seeds 1, 2, ...
+    #[arg(long, default_value_t = 5)]
+    seeds: u64,
+    /// How to train
+    #[arg(long, value_enum, default_value = "aligned")]
+    recipe: RecipeName,
+    /// What the models know: LABEL,LABEL,... [default: the four that real recordings have, then the paper's seven]
+    #[arg(long, value_delimiter = ',')]
+    labels: Vec<String>,
+    /// Use only the first 3, 6 or 9 axes [default: all that every recording has]
+    #[arg(long, value_parser = clap::builder::PossibleValuesParser::new(["3", "6", "9"]))]
+    axes: Option<String>,
+    /// Simulated wearers to train on
+    #[arg(long, default_value_t = 40)]
+    wearers: u32,
+}
+
+/// Labels of the simulator that real recordings have.
+const REAL: [&str; 4] = ["idle", "up-down", "left-right", "circle"];
+
+impl Cmd {
+    pub fn run(self) -> anyhow::Result<()> {
+        anyhow::ensure!(self.seeds > 0 && self.wearers > 0, "--seeds and --wearers take a number above 0");
+        let start = Instant::now();
+        let axes = self.axes.as_deref().and_then(|text| text.parse().ok());
+        let mut recipe = self.recipe.recipe();
+        // Simulated wearers differ more than copies of one would.
+        recipe.augmentation.copies = recipe.augmentation.copies.min(3);
+        let known: Vec<Vec<String>> = match self.labels.as_slice() {
+            [] => [REAL.as_slice(), &models::labels::PAPER]
+                .map(|labels| labels.iter().map(|label| (*label).to_owned()).collect())
+                .into(),
+            labels => vec![labels.iter().map(|label| models::labels::canonical(label)).collect()],
+        };
+        println!("trained on {} simulated wearers only; right real recordings in per cent", self.wearers);
+        for labels in &known {
+            println!("models that know {}", labels.join(" "));
+            for set in &self.folders {
+                let all = set.read(axes)?;
+                let real = all.filtered(|item| labels.contains(&item.label));
+                if real.items.is_empty() {
+                    println!("{}: none of these labels", set.folder.display());
+                    continue;
+                }
+                let runs: Vec<Graded> = (1..=self.seeds)
+                    .into_par_iter()
+                    .map(|seed| from_simulated(&recipe, self.wearers, labels, &real, seed))
+                    .collect::<Result<_, _>>()?;
+                let accuracy: Accuracy = Graded::mean(&runs);
+                println!(
+                    "{}, {} axes, {} recordings of {}: float {:.2}, int8 {:.2}",
+                    set.folder.display(),
+                    real.axes,
+                    real.items.len(),
+                    real.labels.join(" "),
+                    accuracy.float,
+                    accuracy.int8
+                );
+                let labels = &runs[0].labels;
+                for (truth, label) in
+                    labels.iter().enumerate().filter(|(_, label)| real.labels.contains(label))
+                {
+                    let sum = |given: usize| {
+                        runs.iter().map(|run| run.scores.int8.confusion[truth][given]).sum::<usize>()
+                    };
+                    let given: Vec<String> = (0..labels.len())
+                        .filter(|given| sum(*given) > 0)
+                        .map(|given| format!("{} {}", labels[given], sum(given)))
+                        .collect();
+                    println!("  {label} taken for: {}", given.join(", "));
+                }
+            }
+        }
+        println!("{:.0} s", start.elapsed().as_secs_f64());
+        Ok(())
+    }
+}

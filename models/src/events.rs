@@ -1,0 +1,360 @@
+//! From recordings to events: recordings of one person joined into a stream, played through the right hand as a board
+//! runs it, and what came of each performed gesture.
+//!
+//! Between two recordings the hand rests: it holds the posture in which the last one ended, turns smoothly into the one
+//! in which the next begins, and holds that, with the noise of a held hand. A recording of a gesture counts as one
+//! performed gesture, however often it repeats its shape, and its first sample as the onset, though people begin a
+//! little later: delays are overestimated.
+
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
+use shared_dsp::decision::{DecisionConfig, is_rest};
+use shared_dsp::mlp::Model;
+use shared_dsp::right::{ModelMismatch, RightHand};
+
+use crate::RATE_HZ;
+use crate::dataset::Item;
+use crate::synth::{IdleKind, Motion, Segment, Wearer, session};
+
+/// Rest between two recordings in s: turning into the next posture, then still.
+const TURN_S: f64 = 0.4;
+const BEFORE_S: std::ops::Range<f64> = 0.3..0.8;
+const AFTER_S: std::ops::Range<f64> = 0.7..1.3;
+/// Until then after its end an event still belongs to a recording: a decision may wait for the hand to rest.
+const TAIL_S: f64 = 0.9;
+
+/// A recording in a stream: samples from `start` to before `end`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Part {
+    /// First sample.
+    pub start: usize,
+    /// Behind the last sample.
+    pub end: usize,
+    /// Its label.
+    pub label: String,
+    /// Its name in its data set.
+    pub name: String,
+}
+
+/// Recordings of one person, one after the other.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Stream {
+    /// Values per sample: 3, 6 or 9.
+    pub axes: usize,
+    /// Samples at the models' rate, one after the other.
+    pub values: Vec<f32>,
+    /// Where the recordings stand, in order.
+    pub parts: Vec<Part>,
+}
+
+impl Stream {
+    /// Joins recordings, in an order that follows from the seed.
+    pub fn joined(items: &[&Item], axes: usize, seed: u64) -> Self {
+        use rand::seq::SliceRandom;
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        rng.set_stream(1 << 45);
+        let mut order: Vec<&Item> = items.to_vec();
+        order.shuffle(&mut rng);
+        let mut stream = Self { axes, ..Self::default() };
+        for item in order {
+            let recording = item.recording.with_axes(axes).resampled();
+            let rows: Vec<&[f32]> = recording.samples().collect();
+            stream.rest_until(&posture(&rows[..rows.len().min(POSTURE)]), &mut rng);
+            let start = stream.len();
+            stream.values.extend(rows.iter().copied().flatten());
+            let (end, label) = (stream.len(), item.label.clone());
+            stream.parts.push(Part { start, end, label, name: item.name.clone() });
+        }
+        let last = stream.end_posture();
+        stream.rest_until(&last, &mut rng);
+        stream
+    }
+
+    /// A simulated wearer, never one of those that models learn from, who does many things but no gesture.
+    pub fn aimless(seed: u64, index: u32, seconds: f64) -> Self {
+        let wearer = Wearer::evaluation(seed, index);
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        rng.set_stream((1 << 46) + u64::from(index));
+        let mut script = Vec::new();
+        let mut left_s = seconds;
+        while left_s > 0.0 {
+            let kinds = IdleKind::EVERY;
+            let kind = kinds[rng.random_range(0..kinds.len())];
+            let length_s = rng.random_range(5.0..20.0);
+            script.push(Segment::new(Motion::Idle(kind), length_s));
+            left_s -= length_s;
+        }
+        let recording = session(&wearer, 1, &script);
+        let values: Vec<f32> = recording.samples().flatten().copied().collect();
+        let end = recording.len();
+        let part = Part { start: 0, end, label: "idle".to_owned(), name: wearer.name };
+        Self { axes: recording.axes(), values, parts: vec![part] }
+    }
+
+    /// The same with the first axes only.
+    pub fn with_axes(mut self, axes: usize) -> Self {
+        if axes < self.axes {
+            let rows = self.values.chunks_exact(self.axes);
+            self.values = rows.flat_map(|row| row[..axes].iter().copied()).collect();
+            self.axes = axes;
+        }
+        self
+    }
+
+    /// Samples.
+    pub fn len(&self) -> usize {
+        self.values.len() / self.axes.max(1)
+    }
+
+    /// Whether there is nothing in it.
+    pub fn is_empty(&self) -> bool {
+        self.values.is_empty()
+    }
+
+    fn end_posture(&self) -> Vec<f64> {
+        let rows: Vec<&[f32]> = self.values.chunks_exact(self.axes).collect();
+        posture(&rows[rows.len().saturating_sub(POSTURE)..])
+    }
+
+    /// Rests from the posture at the end into the one given.
+    fn rest_until(&mut self, next: &[f64], rng: &mut ChaCha8Rng) {
+        let last = if self.is_empty() { next.to_vec() } else { self.end_posture() };
+        let before = rng.random_range(BEFORE_S);
+        let seconds = before + TURN_S + rng.random_range(AFTER_S);
+        // A held hand is not still: between a table and a tense arm.
+        let quiet: f64 = rng.random_range(-1.5f64..0.7).exp();
+        let turn = turn_rate_deg(&last, next);
+        for n in 0..(seconds * RATE_HZ) as usize {
+            let part = ((n as f64 / RATE_HZ - before) / TURN_S).clamp(0.0, 1.0);
+            let moved = part * part * part * (10.0 + part * (6.0 * part - 15.0));
+            // Derivative of the above per second.
+            let pace = 30.0 * (part * (1.0 - part)).powi(2) / TURN_S;
+            for axis in 0..self.axes {
+                let noise: f64 = StandardNormal.sample(rng);
+                let value = match axis {
+                    0..3 => last[axis] + (next[axis] - last[axis]) * moved + 0.12 * quiet * noise,
+                    3..6 => turn[axis - 3] * pace + 1.5 * quiet * noise,
+                    _ => last[axis] + (next[axis] - last[axis]) * moved,
+                };
+                self.values.push(value as f32);
+            }
+        }
+    }
+}
+
+/// Samples whose mean is a posture: 0.15 s.
+const POSTURE: usize = 15;
+
+fn posture(rows: &[&[f32]]) -> Vec<f64> {
+    let axes = rows.first().map_or(0, |row| row.len());
+    let count = rows.len().max(1) as f64;
+    (0..axes).map(|axis| rows.iter().map(|row| f64::from(row[axis])).sum::<f64>() / count).collect()
+}
+
+/// The rotation between two postures as their accelerometers see it, in deg about each axis.
+fn turn_rate_deg(from: &[f64], to: &[f64]) -> [f64; 3] {
+    let length = |v: &[f64]| v[..3].iter().map(|x| x * x).sum::<f64>().sqrt().max(1e-6);
+    let (a, b) = (length(from), length(to));
+    let cross = |i: usize, j: usize| (to[i] * from[j] - to[j] * from[i]) / (a * b);
+    let axis = [cross(1, 2), cross(2, 0), cross(0, 1)];
+    let sine = axis.iter().map(|x| x * x).sum::<f64>().sqrt();
+    let cosine = (0..3).map(|i| from[i] * to[i]).sum::<f64>() / (a * b);
+    let angle = sine.atan2(cosine).to_degrees();
+    axis.map(|x| if sine > 1e-9 { x / sine * angle } else { 0.0 })
+}
+
+/// What came of streams.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Tally {
+    /// Gestures performed.
+    pub performed: usize,
+    /// Exactly one event came, of the right label.
+    pub right: usize,
+    /// No event came.
+    pub missed: usize,
+    /// One event came, of another label.
+    pub wrong: usize,
+    /// Several events came.
+    pub several: usize,
+    /// Recordings of no gesture.
+    pub rests: usize,
+    /// Events in those.
+    pub rest_events: usize,
+    /// Events outside of all recordings, in the rest between.
+    pub stray_events: usize,
+    /// Time of the recordings of no gesture, in s.
+    pub rest_s: f64,
+    /// From onset to event of those that were right, in s.
+    pub delays_s: Vec<f64>,
+    /// Names of recordings that were not understood, with what came instead.
+    pub errors: Vec<String>,
+}
+
+impl Tally {
+    /// Adds another one.
+    pub fn add(&mut self, other: &Self) {
+        self.performed += other.performed;
+        self.right += other.right;
+        self.missed += other.missed;
+        self.wrong += other.wrong;
+        self.several += other.several;
+        self.rests += other.rests;
+        self.rest_events += other.rest_events;
+        self.stray_events += other.stray_events;
+        self.rest_s += other.rest_s;
+        self.delays_s.extend(&other.delays_s);
+        self.errors.extend(other.errors.iter().cloned());
+    }
+
+    /// Performed gestures with exactly one right event, in per cent.
+    pub fn right_per_cent(&self) -> f64 {
+        100.0 * self.right as f64 / self.performed.max(1) as f64
+    }
+
+    /// Half of the right events came faster; in s. None without any.
+    pub fn median_delay_s(&self) -> Option<f64> {
+        let mut delays = self.delays_s.clone();
+        delays.sort_by(f64::total_cmp);
+        delays.get(delays.len() / 2).copied()
+    }
+
+    /// [`Self::median_delay_s`] for people.
+    pub fn median_delay(&self) -> String {
+        self.median_delay_s().map_or_else(|| "–".to_owned(), |delay| format!("{delay:.2}"))
+    }
+
+    /// Events in recordings of no gesture, per hour.
+    pub fn false_per_hour(&self) -> f64 {
+        3600.0 * self.rest_events as f64 / self.rest_s.max(1e-9)
+    }
+
+    /// Counts what events (sample, label) came in a stream. A gesture that the model does not know is left out.
+    pub fn count(&mut self, stream: &Stream, events: &[(usize, usize)], labels: &[String]) {
+        let tail = (TAIL_S * RATE_HZ) as usize;
+        let mut counted = 0;
+        for (index, part) in stream.parts.iter().enumerate() {
+            // At most until the next recording begins.
+            let next = stream.parts.get(index + 1).map_or(usize::MAX, |next| next.start);
+            let until = (part.end + tail).min(next);
+            let mine: Vec<_> = events.iter().filter(|(at, _)| (part.start..until).contains(at)).collect();
+            counted += mine.len();
+            let got = || mine.iter().map(|(_, label)| labels[*label].as_str()).collect::<Vec<_>>().join(", ");
+            if is_rest(&part.label) {
+                self.rests += 1;
+                self.rest_events += mine.len();
+                self.rest_s += (part.end - part.start) as f64 / RATE_HZ;
+                if !mine.is_empty() {
+                    self.errors.push(format!("{}: {}", part.name, got()));
+                }
+                continue;
+            }
+            let Some(truth) = labels.iter().position(|label| *label == part.label) else { continue };
+            self.performed += 1;
+            match mine.as_slice() {
+                [(at, label)] if *label == truth => {
+                    self.right += 1;
+                    self.delays_s.push((at - part.start) as f64 / RATE_HZ);
+                    continue;
+                }
+                [] => self.missed += 1,
+                [_] => self.wrong += 1,
+                _ => self.several += 1,
+            }
+            self.errors.push(format!("{}: {}", part.name, if mine.is_empty() { "-".into() } else { got() }));
+        }
+        self.stray_events += events.len() - counted;
+    }
+}
+
+/// Events of a stream, (sample, label), as a board makes them.
+///
+/// # Errors
+/// If the model is for other samples.
+pub fn play(model: Model<'_>, stream: &Stream) -> Result<Vec<(usize, usize)>, ModelMismatch> {
+    fn run<const A: usize>(model: Model<'_>, values: &[f32]) -> Result<Vec<(usize, usize)>, ModelMismatch> {
+        let mut hand = RightHand::<A>::new(model, DecisionConfig::default())?;
+        let mut events = Vec::new();
+        for (n, sample) in values.as_chunks::<A>().0.iter().enumerate() {
+            if let Some(output) = hand.push(sample, (n * 10) as u32)
+                && output.is_event
+            {
+                events.push((n, usize::from(output.label)));
+            }
+        }
+        Ok(events)
+    }
+    match stream.axes {
+        3 => run::<3>(model, &stream.values),
+        6 => run::<6>(model, &stream.values),
+        _ => run::<9>(model, &stream.values),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::recording::Recording;
+    use std::path::PathBuf;
+
+    fn item(label: &str, number: usize, gravity: [f32; 3]) -> Item {
+        let values = gravity.iter().copied().cycle().take(600).collect();
+        Item {
+            file: PathBuf::new(),
+            name: format!("{label}/p__{number}.csv"),
+            label: label.to_owned(),
+            person: "p".to_owned(),
+            recording: Recording::new(3, (0..200).map(|n| f64::from(n) * 10.0).collect(), values),
+        }
+    }
+
+    #[test]
+    fn recordings_are_joined_by_rest_without_jumps() {
+        let items = [item("circle", 1, [0.0, 0.0, 9.8]), item("wave", 1, [9.8, 0.0, 0.0])];
+        let stream = Stream::joined(&items.iter().collect::<Vec<_>>(), 3, 1);
+        assert_eq!(stream.parts.len(), 2);
+        let [first, second] = [&stream.parts[0], &stream.parts[1]];
+        let rest_s = (second.start - first.end) as f64 / RATE_HZ;
+        assert!((1.4..2.5).contains(&rest_s), "{rest_s} s");
+        let rows: Vec<&[f32]> = stream.values.chunks(3).collect();
+        for pair in rows.windows(2) {
+            assert!((0..3).all(|a| (pair[0][a] - pair[1][a]).abs() < 2.5), "{pair:?}");
+        }
+        assert_eq!(stream, Stream::joined(&items.iter().collect::<Vec<_>>(), 3, 1));
+    }
+
+    #[test]
+    fn a_quarter_turn_is_ninety_degrees_about_the_axis_across() {
+        let turn = turn_rate_deg(&[0.0, 0.0, 9.8], &[9.8, 0.0, 0.0]);
+        // Gravity seen from a board turns against the board: nose up is a turn about -y.
+        assert!((turn[1] + 90.0).abs() < 1e-6 && turn[0].abs() < 1e-6 && turn[2].abs() < 1e-6, "{turn:?}");
+    }
+
+    #[test]
+    fn events_are_counted_for_the_recording_that_they_come_in() {
+        let part = |start: usize, end: usize, label: &str| Part {
+            start,
+            end,
+            label: label.to_owned(),
+            name: label.to_owned(),
+        };
+        let parts = vec![
+            part(100, 300, "circle"),
+            part(500, 700, "wave"),
+            part(900, 1100, "circle"),
+            part(1300, 1500, "wave"),
+            part(1700, 1900, "other"),
+            part(2100, 2300, "unknown"),
+        ];
+        let stream = Stream { axes: 3, values: vec![0.0; 3 * 2600], parts };
+        let labels = ["circle", "other", "wave"].map(String::from);
+        let events = [(280, 0), (450, 2), (600, 0), (1000, 0), (1050, 2), (1990, 0), (1980, 0)];
+        let mut tally = Tally::default();
+        tally.count(&stream, &events, &labels);
+        assert_eq!((tally.performed, tally.right), (4, 1));
+        assert_eq!((tally.missed, tally.wrong, tally.several), (1, 1, 1));
+        assert_eq!((tally.rests, tally.rest_events, tally.stray_events), (1, 1, 2));
+        assert_eq!(tally.delays_s, [1.8]);
+        assert_eq!(tally.right_per_cent(), 25.0);
+    }
+}

@@ -1,0 +1,147 @@
+//! Small drawings as SVG text, for a page that needs nothing else.
+
+use std::fmt::Write as _;
+
+/// Text that stands in HTML as it is.
+pub fn escape(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+}
+
+/// A named line through points (x, y) in 0..=1 each.
+pub struct Line<'a> {
+    /// What it is.
+    pub name: &'a str,
+    /// Its points.
+    pub points: Vec<(f64, f64)>,
+}
+
+const COLOURS: [&str; 6] = ["#1f5fa8", "#c8501e", "#2e8b57", "#7b4fa3", "#8a6d1b", "#555"];
+const WIDTH: f64 = 360.0;
+const HEIGHT: f64 = 260.0;
+const LEFT: f64 = 46.0;
+const TOP: f64 = 12.0;
+const PLOT: (f64, f64) = (300.0, 200.0);
+
+/// A diagram of lines. `x_ticks` and `y_ticks` are places in 0..=1 with their text; `diagonal` draws y = x.
+pub fn lines(
+    (x_name, y_name): (&str, &str),
+    x_ticks: &[(f64, String)],
+    y_ticks: &[(f64, String)],
+    diagonal: bool,
+    lines: &[Line<'_>],
+) -> String {
+    let x = |part: f64| LEFT + part.clamp(0.0, 1.0) * PLOT.0;
+    let y = |part: f64| TOP + (1.0 - part.clamp(0.0, 1.0)) * PLOT.1;
+    let height = HEIGHT + 16.0 * lines.len() as f64;
+    let mut svg = format!("<svg viewBox=\"0 0 {WIDTH} {height}\" width=\"{WIDTH}\" role=\"img\">");
+    let _ = write!(
+        svg,
+        "<rect x=\"{LEFT}\" y=\"{TOP}\" width=\"{}\" height=\"{}\" fill=\"none\" stroke=\"#999\"/>",
+        PLOT.0, PLOT.1
+    );
+    for (at, text) in x_ticks {
+        let (at, text) = (x(*at), escape(text));
+        let _ = write!(
+            svg,
+            "<text x=\"{at:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{text}</text>",
+            y(0.0) + 14.0
+        );
+    }
+    for (at, text) in y_ticks {
+        let (at, text) = (y(*at), escape(text));
+        let _ = write!(
+            svg,
+            "<line x1=\"{LEFT}\" x2=\"{:.1}\" y1=\"{at:.1}\" y2=\"{at:.1}\" stroke=\"#ddd\"/>\
+             <text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">{text}</text>",
+            x(1.0),
+            LEFT - 4.0,
+            at + 4.0
+        );
+    }
+    if diagonal {
+        let _ = write!(
+            svg,
+            "<line x1=\"{:.1}\" y1=\"{:.1}\" x2=\"{:.1}\" y2=\"{:.1}\" stroke=\"#999\" stroke-dasharray=\"4 3\"/>",
+            x(0.0),
+            y(0.0),
+            x(1.0),
+            y(1.0)
+        );
+    }
+    for (line, colour) in lines.iter().zip(COLOURS.iter().cycle()) {
+        let points: Vec<String> =
+            line.points.iter().map(|(px, py)| format!("{:.1},{:.1}", x(*px), y(*py))).collect();
+        let _ = write!(
+            svg,
+            "<polyline points=\"{}\" fill=\"none\" stroke=\"{colour}\" stroke-width=\"2\"/>",
+            points.join(" ")
+        );
+        for point in &points {
+            let (px, py) = point.split_once(',').unwrap_or(("0", "0"));
+            let _ = write!(svg, "<circle cx=\"{px}\" cy=\"{py}\" r=\"3\" fill=\"{colour}\"/>");
+        }
+    }
+    let _ = write!(
+        svg,
+        "<text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{}</text>",
+        x(0.5),
+        y(0.0) + 32.0,
+        escape(x_name)
+    );
+    let _ = write!(
+        svg,
+        "<text transform=\"translate(11 {:.1}) rotate(-90)\" text-anchor=\"middle\">{}</text>",
+        y(0.5),
+        escape(y_name)
+    );
+    for (index, (line, colour)) in lines.iter().zip(COLOURS.iter().cycle()).enumerate() {
+        let at = HEIGHT + 16.0 * index as f64;
+        let _ = write!(
+            svg,
+            "<rect x=\"{LEFT}\" y=\"{:.1}\" width=\"12\" height=\"4\" fill=\"{colour}\"/>\
+             <text x=\"{:.1}\" y=\"{at:.1}\">{}</text>",
+            at - 6.0,
+            LEFT + 18.0,
+            escape(line.name)
+        );
+    }
+    svg + "</svg>"
+}
+
+/// A map of values in −1..=1: a row per name, a column per column name (shown where the mouse rests).
+pub fn heat(rows: &[(String, Vec<f64>)], columns: &[String]) -> String {
+    const CELL: (f64, f64) = (9.0, 18.0);
+    const NAMES: f64 = 110.0;
+    let width = NAMES + CELL.0 * columns.len() as f64;
+    let height = CELL.1 * rows.len() as f64;
+    let mut svg = format!("<svg viewBox=\"0 0 {width} {height}\" width=\"{width}\" role=\"img\">");
+    for (index, (name, values)) in rows.iter().enumerate() {
+        let y = CELL.1 * index as f64;
+        let _ = write!(svg, "<text x=\"0\" y=\"{:.1}\">{}</text>", y + 13.0, escape(name));
+        for (place, (value, column)) in values.iter().zip(columns).enumerate() {
+            let _ = write!(
+                svg,
+                "<rect x=\"{:.1}\" y=\"{y:.1}\" width=\"{}\" height=\"{}\" fill=\"{}\"><title>{}: {} {value:+.2}</title></rect>",
+                NAMES + CELL.0 * place as f64,
+                CELL.0,
+                CELL.1,
+                colour(*value),
+                escape(name),
+                escape(column)
+            );
+        }
+    }
+    svg + "</svg>"
+}
+
+/// Blue below zero, white at zero, red above.
+pub fn colour(value: f64) -> String {
+    let part = value.clamp(-1.0, 1.0);
+    let fade = |end: f64| (255.0 + (end - 255.0) * part.abs()).round() as u8;
+    let [r, g, b] = if part < 0.0 {
+        [fade(40.0), fade(90.0), fade(180.0)]
+    } else {
+        [fade(200.0), fade(60.0), fade(30.0)]
+    };
+    format!("#{r:02x}{g:02x}{b:02x}")
+}

@@ -1,0 +1,94 @@
+//! The page of `models report`: it needs nothing else, and its figures are those of the other commands.
+//!
+//! Recordings here are synthetic, and training is short: what is tested does not depend on how good models are.
+
+mod common;
+
+use std::process::Command;
+
+fn models(args: &[&str]) -> String {
+    let output = Command::new(env!("CARGO_BIN_EXE_models")).args(args).output().expect("the tool starts");
+    let errors = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{args:?}: {errors}");
+    String::from_utf8(output.stdout).unwrap()
+}
+
+const QUICK: [&str; 4] = ["--seeds", "1", "--steps", "60"];
+
+#[test]
+fn the_page_needs_nothing_else_and_its_figures_are_those_of_the_other_commands() {
+    let data = common::folder();
+    let folder = data.path().to_str().unwrap();
+    let out = data.path().join("page.html");
+    models(
+        &[
+            &["report", folder, "--examples", "1", "--hours", "0.05", "--out", out.to_str().unwrap()],
+            &QUICK[..],
+        ]
+        .concat(),
+    );
+    let page = std::fs::read_to_string(&out).unwrap();
+    std::fs::remove_file(&out).unwrap();
+
+    for outside in ["http", "//", "src=", "href=", "url(", "@import", "<link", "<script", "<img", "<iframe"] {
+        assert!(!page.contains(outside), "the page must not reach outside itself: {outside}");
+    }
+    for (tag, least) in [("svg", 4), ("table", 26), ("div", 10), ("h2", 7)] {
+        let (opened, closed) =
+            (page.matches(&format!("<{tag}")).count(), page.matches(&format!("</{tag}>")).count());
+        assert_eq!(opened, closed, "{tag}");
+        assert!(opened >= least, "{opened} {tag}");
+    }
+    assert!(page.starts_with("<!DOCTYPE html>") && page.ends_with("</html>\n"));
+    assert!(!page.contains("NaN"));
+
+    // Every row of the table, to the last digit.
+    let text = models(&[&["people", folder, "--examples", "1"], &QUICK[..]].concat());
+    let mut rows = 0;
+    for line in text.lines().filter(|line| line.starts_with("paper ") || line.starts_with("aligned ")) {
+        let words: Vec<&str> = line.split_whitespace().collect();
+        let [recipe, what @ .., float, int8] = words.as_slice() else { panic!("{line}") };
+        let row =
+            format!("<tr><td>{recipe}</td><td>{}</td><td>{float}</td><td>{int8}</td></tr>", what.join(" "));
+        assert!(page.contains(&row), "not on the page: {row}");
+        rows += 1;
+    }
+    assert_eq!(
+        rows,
+        6 + 12,
+        "three people, mean, worst and a random fifth; aligned with 0 and 1 shown as well"
+    );
+
+    let text = models(&[&["events", folder, "--hours", "0.05"], &QUICK[..]].concat());
+    let mut rows = 0;
+    for line in text.lines() {
+        let words: Vec<&str> = line.split_whitespace().collect();
+        let [
+            person @ ("a" | "b" | "c" | "all"),
+            performed,
+            right,
+            missed,
+            wrong,
+            several,
+            delay,
+            rests,
+            events,
+            stray,
+        ] = words.as_slice()
+        else {
+            continue;
+        };
+        let row = format!(
+            "<tr><td>{person}</td><td>{performed}</td><td>{right}</td><td>{missed}</td><td>{wrong}</td>\
+             <td>{several}</td><td>{delay}</td><td>{rests}</td><td>{events}</td>"
+        );
+        let start = page.find(&row).unwrap_or_else(|| panic!("not on the page: {row}"));
+        let end = page[start..].find("</tr>").unwrap();
+        assert!(page[start..start + end].ends_with(&format!("<td>{stray}</td>")), "{stray}");
+        rows += 1;
+    }
+    assert_eq!(rows, 4);
+    let simulated = text.lines().find(|line| line.starts_with("simulated wearers")).unwrap();
+    let (_, figures) = simulated.split_once(": ").unwrap();
+    assert!(page.contains(figures), "{figures}");
+}
