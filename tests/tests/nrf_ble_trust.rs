@@ -125,6 +125,20 @@ fn a_bond_outlives_a_restart_and_later_nobody_else_takes_its_place() {
 }
 
 #[test]
+fn a_board_that_has_lost_its_keys_says_so_and_pairs_anew() {
+    let mut session = ready();
+    session.run_ms(500);
+    session.board.soc().flash[BOND_PAGE..BOND_PAGE + 4096].fill(0xFF);
+    restart(&mut session);
+    session.run_ms(500);
+    let log = log(&mut session);
+    let missing = log.iter().position(|h| *h == Happening::KeyMissing).expect("no key");
+    assert!(log[missing..].contains(&Happening::Paired { bonded: true }), "{log:?}");
+    let answer = session.ask(3, &HostMessage::SetMode { request: 3, mode: Mode::Classify }).unwrap();
+    assert_eq!(answer.result, AckResult::Ok);
+}
+
+#[test]
 fn random_bytes_are_counted_and_change_nothing() {
     let mut session = ready();
     let before = model_id(&mut session);
