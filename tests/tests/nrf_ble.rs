@@ -6,13 +6,14 @@ use nano33_sensor::lsm9ds1::Config;
 use shared_dsp::decision::DecisionConfig;
 use shared_dsp::mlp::Model;
 use shared_dsp::right::RightHand;
-use shared_proto::frame::{BOARD_FRAME_MAX, Decoder};
-use shared_proto::message::{HostMessage, Mode};
+use shared_proto::frame::{BOARD_FRAME_MAX, Decoder, HOST_FRAME_MAX, encode_host};
+use shared_proto::message::{BoardMessage, HostMessage, Mode};
 use tests::nrf::lsm9ds1::{Replay, Still};
 use tests::nrf::session::Session;
 use tests::nrf::softdevice::abi::reason;
 use tests::nrf::softdevice::central::{Command, Happening};
 use tests::nrf::time::{HZ, ms};
+use tests::nrf::usb_host::UsbHost;
 
 const SERVICE: u128 = 0xb1a4_0001_6d61_4e75_a1b2_5c3d_9e7f_0a33;
 const ADVERTISED_NAME: u8 = 9;
@@ -229,6 +230,52 @@ fn it_advertises_again_after_every_kind_of_disconnect_and_the_laptop_is_back_by_
     assert_eq!(log.iter().filter(|h| matches!(h, Happening::Paired { .. })).count(), 1, "paired once");
     assert_eq!(log.iter().filter(|h| **h == Happening::Encrypted).count(), 2, "kept keys");
     assert_eq!(session.damaged(), 0);
+}
+
+#[test]
+fn usb_and_uart_go_on_while_s140_owns_clock_and_power() {
+    let mut session = ready();
+    let mut usb = UsbHost::default();
+    usb.plug_in(&mut session.board);
+    let mut bytes = Vec::new();
+    let mut step = |session: &mut Session, usb: &mut UsbHost| {
+        session.run_ms(1);
+        usb.step(&mut session.board);
+        bytes.extend(usb.read(&mut session.board));
+    };
+    while !usb.is_ready() {
+        step(&mut session, &mut usb);
+        assert!(session.board.now() < 6 * HZ, "no serial port: {usb:?}");
+    }
+    assert!(session.board.soc().power.crystal, "USB needs the crystal");
+    let mut buffer = [0; HOST_FRAME_MAX];
+    usb.write(&mut session.board, encode_host(&HostMessage::HelloRequest, &mut buffer).unwrap());
+    let (air, wire) = (session.heard.states.len(), session.uart.heard.states.len());
+    for _ in 0..2000 {
+        step(&mut session, &mut usb);
+    }
+    let (air, wire) = (session.heard.states.len() - air, session.uart.heard.states.len() - wire);
+    // Pulled and put back.
+    usb.unplug(&mut session.board);
+    for _ in 0..300 {
+        step(&mut session, &mut usb);
+    }
+    usb.plug_in(&mut session.board);
+    for _ in 0..1000 {
+        step(&mut session, &mut usb);
+    }
+    assert!(usb.is_ready());
+    let mut decoder = Decoder::<BOARD_FRAME_MAX>::new();
+    let (mut states, mut hellos) = (0, 0);
+    for byte in bytes {
+        match decoder.push_board(byte) {
+            Some(BoardMessage::Right(_)) => states += 1,
+            Some(BoardMessage::Hello(_)) => hellos += 1,
+            _ => {}
+        }
+    }
+    println!("in 2 s {air} states over the air and {wire} on the wire, beside them {states} over USB in 3 s");
+    assert!((24..=26).contains(&air) && (24..=26).contains(&wire) && states >= 30 && hellos == 1);
 }
 
 #[test]

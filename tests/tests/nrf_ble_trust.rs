@@ -1,13 +1,14 @@
 //! Who may change the board over Bluetooth: only a laptop with kept keys; models and bonds outlive a restart.
 #![cfg(feature = "nrf")]
 
-use shared_dsp::mlp::{BlobSpec, DenseSpec, Model, build_blob, crc32};
+use shared_dsp::mlp::{Model, crc32};
 use shared_dsp::recipe::Recipe;
-use shared_proto::message::{AckResult, HostMessage, MODEL_CHUNK_MAX, Mode, ModelBegin, ModelInfo};
+use shared_proto::message::{AckResult, HostMessage, MODEL_CHUNK_MAX, Mode};
 use tests::nrf::ble_host::BleHost;
 use tests::nrf::lsm9ds1::Still;
 use tests::nrf::session::Session;
 use tests::nrf::softdevice::central::{Command, Happening};
+use tests::nrf::transfer::{announce, begin, model_id, random_model};
 
 const BOND_PAGE: usize = 0xD7000;
 /// ATT error "insufficient authentication".
@@ -46,13 +47,6 @@ fn restart(session: &mut Session) {
     wait_until_ready(session);
 }
 
-fn model_id(session: &mut Session) -> u32 {
-    let before = session.heard.hellos.len();
-    session.send(&HostMessage::HelloRequest);
-    assert!(session.run_until_that(500, |s| s.heard.hellos.len() > before), "no hello");
-    session.heard.hellos.last().unwrap().1
-}
-
 #[test]
 fn without_keys_states_are_read_but_writes_are_refused() {
     let mut session = stranger(false);
@@ -76,7 +70,7 @@ fn a_laptop_that_pairs_without_keeping_keys_changes_nothing() {
     assert!(log(&mut session).contains(&Happening::Paired { bonded: false }));
     let answer = session.ask(3, &HostMessage::SetMode { request: 3, mode: Mode::Idle }).unwrap();
     assert_eq!(answer.result, AckResult::NotBonded);
-    let blob = other_model(3);
+    let blob = random_model(Recipe::Raw, &[20, 10, 5], 3);
     let model = Model::parse(&blob).unwrap();
     assert_eq!(announce(&mut session, begin(&blob, &model)), AckResult::NotBonded);
     assert_eq!(session.board.soc().nvmc.erased, 0);
@@ -164,66 +158,12 @@ fn random_bytes_are_counted_and_change_nothing() {
     assert_eq!(model_id(&mut session), before);
 }
 
-/// Another model of the same shape, with weights from a seed.
-fn other_model(seed: u32) -> Vec<u8> {
-    let sizes = [117, 20, 10, 5, 7];
-    let mut random = fastrand::Rng::with_seed(seed.into());
-    let layers = (0..4)
-        .map(|l| DenseSpec {
-            weights: (0..sizes[l + 1]).map(|_| (0..sizes[l]).map(|_| random.i8(-127..)).collect()).collect(),
-            biases: (0..sizes[l + 1]).map(|_| i32::from(random.i8(..)) * 16).collect(),
-            input_scale: 0.05,
-            input_zero_point: 0,
-            weight_scale: 0.01,
-            output_scale: 0.05,
-            output_zero_point: if l < 3 { -128 } else { 0 },
-            relu: l < 3,
-        })
-        .collect();
-    build_blob(&BlobSpec {
-        recipe: Recipe::Raw,
-        axes: 9,
-        sample_hz: 100,
-        window: 200,
-        hop: 8,
-        labels: ["idle", "a", "b", "c", "d", "e", "f"].map(String::from).to_vec(),
-        scaling: vec![(1.0, 0.0); 117],
-        layers,
-    })
-    .expect("a valid model")
-}
-
-fn begin<'a>(blob: &'a [u8], model: &Model<'a>) -> ModelBegin<'a> {
-    let info = model.info();
-    ModelBegin {
-        request: 1,
-        info: ModelInfo {
-            model_id: crc32(blob),
-            recipe: info.recipe.id(),
-            axes: info.axes as u8,
-            sample_hz: info.sample_hz,
-            window: info.window,
-            labels: info.label_text,
-        },
-        scaling: [1.0; 3],
-        size: blob.len() as u32,
-    }
-}
-
-fn announce(session: &mut Session, begin: ModelBegin<'_>) -> AckResult {
-    let before = session.heard.acks.len();
-    session.send(&HostMessage::ModelBegin(begin));
-    let done = |s: &mut Session| s.heard.acks[before..].iter().any(|a| a.result != AckResult::Started);
-    assert!(session.run_until_that(4000, done));
-    session.heard.acks.last().expect("an answer").result
-}
-
 #[test]
 fn a_model_sent_over_bluetooth_is_used_after_a_restart_though_flash_and_link_fail_on_the_way() {
     let mut session = ready();
     session.run_ms(1000);
     let bundled = model_id(&mut session);
-    let blob = other_model(1);
+    let blob = random_model(Recipe::Raw, &[20, 10, 5], 1);
     let model = Model::parse(&blob).unwrap();
     session.board.softdevice().flash_refusals = 2;
     let from = session.board.now();
