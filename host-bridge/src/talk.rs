@@ -11,10 +11,13 @@ use shared_proto::message::{
 };
 use shared_proto::version;
 
-use crate::links::{Clock, LinkEvent, News, SerialLink, SerialSettings, SystemClock};
+use crate::links::{Clock, Link, LinkEvent, News, SerialSettings, SystemClock, is_ble};
 
 /// A request is sent again after this long without an answer.
 const REPEAT_MS: u64 = 1000;
+
+/// A board behind Bluetooth is looked for and connected first.
+const BLE_MEET_MS: u64 = 30_000;
 
 /// What a board or its link says, without borrowed parts.
 #[derive(Clone, Debug, PartialEq)]
@@ -168,7 +171,7 @@ pub fn advice(result: AckResult) -> &'static str {
 
 /// A port, its board, and what it says.
 pub struct Talk {
-    link: SerialLink,
+    link: Link,
     events: Receiver<LinkEvent<()>>,
     clock: Arc<dyn Clock>,
     decoder: Decoder<BOARD_FRAME_MAX>,
@@ -181,7 +184,7 @@ impl Talk {
     pub fn open(port: &str, settings: SerialSettings) -> Self {
         let clock: Arc<dyn Clock> = Arc::new(SystemClock::start());
         let (sender, events) = channel();
-        let link = SerialLink::start((), port, settings, Arc::clone(&clock), sender);
+        let link = Link::start((), port, settings, Arc::clone(&clock), sender);
         Talk { link, events, clock, decoder: Decoder::new(), said: Default::default(), request: 0 }
     }
 
@@ -258,6 +261,7 @@ impl Talk {
     /// # Errors
     /// [`TalkError`] if the port does not open or nobody answers in time.
     pub fn meet(&mut self, patience_ms: u64) -> Result<Who, TalkError> {
+        let patience_ms = if is_ble(self.port()) { patience_ms.max(BLE_MEET_MS) } else { patience_ms };
         let until_ms = self.now_ms() + patience_ms;
         let mut asked_ms = None;
         while self.now_ms() < until_ms {

@@ -12,6 +12,8 @@ pub mod blob;
 pub mod bundled;
 pub mod card;
 pub mod dataset;
+#[cfg(feature = "train")]
+pub mod edge_impulse;
 pub mod events;
 pub mod labels;
 #[cfg(feature = "train")]

@@ -27,6 +27,7 @@ enum Verb {
     Events(cmd::events::Cmd),
     Report(cmd::report::Cmd),
     Simulated(cmd::simulated::Cmd),
+    Import(cmd::import::Cmd),
 }
 
 fn main() -> anyhow::Result<()> {
@@ -46,5 +47,6 @@ fn main() -> anyhow::Result<()> {
         Verb::Events(cmd) => cmd.run(),
         Verb::Report(cmd) => cmd.run(),
         Verb::Simulated(cmd) => cmd.run(),
+        Verb::Import(cmd) => cmd.run(),
     }
 }

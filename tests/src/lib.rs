@@ -8,3 +8,9 @@ pub mod nrf;
 
 #[cfg(all(feature = "avr", feature = "nrf"))]
 pub mod two_hands;
+
+#[cfg(all(unix, any(feature = "avr", feature = "nrf")))]
+pub mod desk;
+
+#[cfg(all(unix, feature = "ble"))]
+pub mod bluez;

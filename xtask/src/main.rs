@@ -2,6 +2,7 @@
 
 mod firmware_avr;
 mod firmware_nano33;
+mod package;
 mod python;
 mod real_data;
 mod steps;
@@ -23,6 +24,7 @@ usage: cargo xtask VERB
                                 the left hand's image: size, stack, how to flash it
   firmware nano33 [ble|bootloader]
                                 the right hand's images: flash and RAM per part
+  package                       an archive for Linux on x86-64 under target/package
   help                          this text
 ";
 
@@ -47,6 +49,10 @@ fn run(args: &[String]) -> Result<ExitCode> {
         }
         ["firmware", "nano33", rest @ ..] => {
             firmware_nano33::run(rest)?;
+            Ok(ExitCode::SUCCESS)
+        }
+        ["package"] => {
+            package::run()?;
             Ok(ExitCode::SUCCESS)
         }
         [] | ["help" | "--help" | "-h"] => {

@@ -60,7 +60,7 @@ pub fn cargo(args: &[&str]) -> Command {
 fn cargo_for_all(subcommand: &str) -> Command {
     let mut command = cargo(&[subcommand, "--workspace", "--locked"]);
     if EMULATORS.is_complete() {
-        command.args(["--features", "tests/avr,tests/nrf,host-bridge/urdf,host-bridge/ros2"]);
+        command.args(["--features", "tests/avr,tests/nrf,tests/ble,host-bridge/urdf,host-bridge/ros2"]);
     } else {
         command.args(["--exclude", "tests", "--features", "host-bridge/urdf,host-bridge/ros2"]);
     }
@@ -103,7 +103,10 @@ fn steps() -> Vec<Step> {
         Step::new("left hand: image and size", || firmware_avr::run(&[])),
         Step::new("right hand: images and size", || firmware_nano33::run(&[])),
         Step::new("tests, with both boards emulated", || {
-            sh(cargo_for_all("test").args(["--no-fail-fast", "--", "--show-output"]))
+            // The tests at the desk run the programs that are built along with them.
+            sh(cargo_for_all("test")
+                .args(["--no-fail-fast", "--", "--show-output"])
+                .env("BIMANUAL_PROGRAMS", target_dir().join("debug")))
         }),
         Step::new("ROS 2 against Cyclone DDS", || {
             NETWORK.ensure()?;
@@ -121,6 +124,13 @@ fn steps() -> Vec<Step> {
             let summary = output(&mut cargo(&demo))?;
             println!("{}", summary.trim());
             ensure!(summary.trim_start().starts_with('{'), "the summary is not one JSON object");
+            // The lean build names what it takes to have Bluetooth.
+            let lean = ["run", "--quiet", "--release", "--locked", "--", "doctor", "--right", "ble"];
+            let refused = String::from_utf8_lossy(&cargo(&lean).output()?.stderr).into_owned();
+            ensure!(
+                ["--features ble", "libdbus-1-dev"].iter().all(|word| refused.contains(word)),
+                "{refused}"
+            );
             Ok(())
         }),
         Step::new("features against numpy", || {

@@ -29,15 +29,28 @@ pub const QEMU: Packages =
 pub const BROWSER: Packages =
     Packages { purpose: "the page in a browser", names: &["chromium", "fonts-dejavu-core"] };
 
-/// What the emulated boards stand on.
+/// What the emulated boards stand on, and the double of the laptop's Bluetooth.
 pub const EMULATORS: Packages = Packages {
-    purpose: "emulated boards",
-    names: &["libclang-dev", "clang", "libelf-dev", "libzstd-dev", "libunicorn-dev", "pkg-config"],
+    purpose: "emulated boards and Bluetooth's double",
+    names: &[
+        "libclang-dev",
+        "clang",
+        "libelf-dev",
+        "libzstd-dev",
+        "libunicorn-dev",
+        "pkg-config",
+        "libdbus-1-dev",
+        "dbus-daemon",
+    ],
 };
 
 /// Networks of a test's own, with losses in them.
 pub const NETWORK: Packages =
     Packages { purpose: "networks with losses", names: &["iproute2", "iptables", "util-linux"] };
+
+/// Bluetooth in the packaged programs.
+pub const BLUETOOTH: Packages =
+    Packages { purpose: "Bluetooth on the laptop", names: &["libdbus-1-dev", "pkg-config"] };
 
 impl Packages {
     /// The command that a person types.

@@ -1,4 +1,4 @@
-//! `host-bridge list`: serial ports, and which hand answers on each.
+//! `host-bridge list`: serial ports and Bluetooth boards, and which hand answers on each.
 
 use std::process::ExitCode;
 
@@ -8,11 +8,14 @@ use host_bridge::talk::{Talk, TalkError, Who};
 
 /// An old Nano takes 2 s to start; then it is asked twice.
 const PATIENCE_MS: u64 = 4500;
+/// Ports that are asked besides the USB ports found, separated by colons: adapters that the system does not
+/// take for USB, pseudo-terminals, emulated boards.
+const MORE_PORTS: &str = "BIMANUAL_PORTS";
 
 /// Options.
 #[derive(clap::Args, Clone, Debug)]
 pub struct Args {
-    /// Ports to ask besides the USB ports found
+    /// Ports to ask besides the USB ports found (the variable BIMANUAL_PORTS names more, separated by colons)
     #[arg(value_name = "PORT")]
     ports: Vec<String>,
     /// Only name the ports, do not open them (opening resets a Nano)
@@ -23,7 +26,9 @@ pub struct Args {
 /// Asks all ports at once. The exit code says whether a hand was found.
 pub fn run(args: &Args) -> Result<ExitCode> {
     let (mut asked, others): (Vec<_>, Vec<_>) = ports().into_iter().partition(|port| port.is_usb);
-    for name in &args.ports {
+    let more = std::env::var(MORE_PORTS).unwrap_or_default();
+    let more = more.split(':').filter(|name| !name.is_empty()).map(str::to_owned);
+    for name in &args.ports.iter().cloned().chain(more).collect::<Vec<_>>() {
         super::ports::check_name(name)?;
         if !asked.iter().any(|port| port.name == *name) {
             let about = "named by you".to_owned();
@@ -39,6 +44,14 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         }
         return Ok(ExitCode::SUCCESS);
     }
+    let bluetooth = match bluetooth() {
+        Ok(found) => {
+            let none = found.is_empty();
+            asked.extend(found);
+            none.then(|| "no right hand is in reach".to_owned())
+        }
+        Err(problem) => Some(problem),
+    };
     let answers: Vec<Result<Who, TalkError>> = std::thread::scope(|scope| {
         let asking: Vec<_> = asked
             .iter()
@@ -70,12 +83,27 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         };
         println!("{}  {}  → {said}", port.name, port.about);
     }
+    if let Some(problem) = bluetooth {
+        let named = if problem.starts_with("Bluetooth") { "" } else { "Bluetooth: " };
+        println!("{named}{problem}");
+    }
     if hands > 0 {
         return Ok(ExitCode::SUCCESS);
     }
     let what = if asked.is_empty() { "no USB serial port was found" } else { "no hand answered" };
     print_hints(what, others.len());
     Ok(ExitCode::FAILURE)
+}
+
+/// The boards that advertise, or why none can be seen.
+#[cfg(feature = "ble")]
+fn bluetooth() -> Result<Vec<PortAbout>, String> {
+    host_bridge::links::ble_devices(std::time::Duration::from_secs(3))
+}
+
+#[cfg(not(feature = "ble"))]
+fn bluetooth() -> Result<Vec<PortAbout>, String> {
+    Err(super::ports::NO_BLUETOOTH.to_owned())
 }
 
 fn print_hints(what: &str, others: usize) {

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail};
 use host_bridge::config::Config;
-use host_bridge::links::SerialSettings;
+use host_bridge::links::{SerialSettings, is_ble};
 use host_bridge::safety::Hand;
 
 /// A configuration file, or the defaults.
@@ -36,18 +36,23 @@ pub fn port_of(hand: Hand, asked: Option<&str>, config: &Config) -> Result<Strin
     Ok(port.to_owned())
 }
 
-/// Refuses what is no serial port by its name.
+/// Refuses Bluetooth where this build has none.
 pub fn check_name(port: &str) -> Result<()> {
-    if port == "ble" || port.starts_with("ble:") {
-        bail!("'{port}': this version has no Bluetooth link; connect the board with its USB cable");
+    if cfg!(not(feature = "ble")) && is_ble(port) {
+        bail!("'{port}': {NO_BLUETOOTH}; or connect the board with its USB cable");
     }
     Ok(())
 }
 
+/// What to do for Bluetooth where this build has none.
+pub const NO_BLUETOOTH: &str = "this build has no Bluetooth link: `cargo install --path host-bridge --features ble` makes \
+                                one (Debian: it needs the packages libdbus-1-dev and pkg-config), and the packaged \
+                                archive has it";
+
 /// The one board that a verb talks to.
 #[derive(clap::Args, Clone, Debug)]
 pub struct PortOptions {
-    /// The board's port, for example /dev/ttyACM0; `host-bridge list` shows them
+    /// The board's port, for example /dev/ttyACM0, or `ble[:NAME]`; `host-bridge list` shows them
     #[arg(long, visible_aliases = ["left", "right"])]
     pub port: Option<String>,
     /// Configuration file (TOML); `host-bridge run --print-config` writes one

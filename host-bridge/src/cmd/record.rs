@@ -82,7 +82,12 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     let mut done = Ok(());
     for (number, label) in labels.iter().enumerate() {
         if args.guided {
-            println!("{} of {}: {label}", number + 1, labels.len());
+            let what = if label == "idle" {
+                " (what a hand does between gestures: rest, reach, turn over, walk)"
+            } else {
+                ""
+            };
+            println!("{} of {}: {label}{what}", number + 1, labels.len());
         }
         done = session.record(label);
         if done.is_err() {
@@ -95,7 +100,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     if back.is_err() {
         println!("the board did not go back to classifying; restart it, or just start `host-bridge run`");
     }
-    println!("next: models train {} --out models", args.out.display());
+    println!("next: models train {} --out trained", args.out.display());
     Ok(ExitCode::SUCCESS)
 }
 

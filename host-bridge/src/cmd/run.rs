@@ -7,12 +7,12 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::time::{Duration, SystemTime};
 
-use anyhow::{Result, bail, ensure};
+use anyhow::{Context as _, Result, bail, ensure};
 use crossterm::event::{KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
 use host_bridge::bridge::BridgeEvent;
 use host_bridge::describe;
 use host_bridge::keyboard::HandKey;
-use host_bridge::links::{Clock, LinkEvent, News, SerialLink, SystemClock};
+use host_bridge::links::{Clock, Link as BoardLink, LinkEvent, News, SystemClock};
 use host_bridge::live::{Live, Place};
 use host_bridge::robot::Robot as _;
 use host_bridge::ros2::{ArmInterface, Counts, RosRobot};
@@ -43,8 +43,8 @@ pub struct Args {
     /// Port of the left hand's board (tilt, bends: the base), or `keyboard`
     #[arg(long, value_name = "PORT|keyboard")]
     left: Option<String>,
-    /// Port of the right hand's board (gestures: the arm), or `keyboard`
-    #[arg(long, value_name = "PORT|keyboard")]
+    /// Port of the right hand's board (gestures: the arm), `ble[:NAME]`, or `keyboard`
+    #[arg(long, value_name = "PORT|ble[:NAME]|keyboard")]
     right: Option<String>,
     /// Configuration file (TOML) with ports, thresholds, limits and motions
     #[arg(long, value_name = "FILE")]
@@ -52,6 +52,9 @@ pub struct Args {
     /// Print the configuration in effect, all keys, and do nothing else
     #[arg(long)]
     print_config: bool,
+    /// Gives a label of your own model a motion, such as wave=pick-up (repeatable)
+    #[arg(long, value_name = "LABEL=MOTION")]
+    map: Vec<String>,
     /// The hands change places: --left is the gesture board, --right the tilt board
     #[arg(long)]
     left_handed: bool,
@@ -129,6 +132,12 @@ pub fn run(args: &Args) -> Result<ExitCode> {
             known.clone_from(port);
         }
     }
+    for mapping in &args.map {
+        let (label, motion) =
+            mapping.split_once('=').context("--map takes LABEL=MOTION, such as wave=pick-up")?;
+        config.motions.insert(label.to_owned(), motion.to_owned());
+    }
+    config.check()?;
     if args.print_config {
         print!("{}", config.to_toml());
         return Ok(ExitCode::SUCCESS);
@@ -174,7 +183,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     let open = |hand: Hand, port: &str| {
         (place(port) == Place::Board).then(|| {
             let clock: Arc<dyn Clock> = clock.clone();
-            SerialLink::start(hand, port, settings(&config), clock, sender.clone())
+            BoardLink::start(hand, port, settings(&config), clock, sender.clone())
         })
     };
     let links = [open(Hand::Left, &left), open(Hand::Right, &right)];
@@ -225,7 +234,7 @@ struct Session {
     ros: Option<Link>,
     view: Option<View>,
     json: bool,
-    links: [Option<SerialLink>; 2],
+    links: [Option<BoardLink>; 2],
     web: Option<Web>,
     released_ms: Option<u64>,
     keys: String,
@@ -256,7 +265,7 @@ impl Session {
             if self.web.as_ref().is_some_and(Web::take_stop) {
                 self.live.stop_key(now_ms);
             }
-            let ready = [0, 1].map(|i| self.links[i].as_ref().is_some_and(SerialLink::is_ready));
+            let ready = [0, 1].map(|i| self.links[i].as_ref().is_some_and(BoardLink::is_ready));
             let told = self.ros.as_mut().map(|ros| ros.receive(&mut self.live, now_ms)).unwrap_or_default();
             let events = self.live.step(now_ms, ready);
             if let Some(ros) = &mut self.ros {

@@ -60,7 +60,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     println!("sending {new:08x} ({}), {} bytes", file.labels().join(", "), file.blob().len());
     for label in MotionMap::default().without_motion(file.labels()) {
         println!(
-            "note: '{label}' has no motion yet; give it one under [motions] in a --config file of `run`"
+            "note: '{label}' has no motion yet; `run --map {label}=MOTION` gives it one, or [motions] in its --config"
         );
     }
     if old == new && !args.force {

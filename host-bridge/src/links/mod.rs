@@ -1,16 +1,81 @@
-//! Real links: serial ports, each read by a thread of its own, and the clock they share.
+//! Real links: serial ports and (feature `ble`) Bluetooth, each with a thread of its own, and the clock they
+//! share.
 //!
 //! A link opens its port, hands on every byte with its time of arrival, and opens the port again by
 //! itself when it fails. It never sends into a board that has just been reset: opening the port of an
 //! Arduino Nano restarts it, and its bootloader would take our bytes for a program to be flashed.
 
+#[cfg(feature = "ble")]
+mod ble;
 mod ports;
 mod serial;
 
+#[cfg(feature = "ble")]
+pub use ble::{BleLink, ble_devices};
 pub use ports::{PortAbout, hints, ports};
 pub use serial::{SerialLink, SerialSettings};
 
+use std::sync::Arc;
+use std::sync::mpsc::Sender;
 use std::time::Instant;
+
+/// Does this name (`ble` or `ble:NAME`) mean a board behind Bluetooth?
+pub fn is_ble(port: &str) -> bool {
+    port == "ble" || port.starts_with("ble:")
+}
+
+/// A link to a board, whatever lies between; dropping it closes it.
+pub enum Link {
+    /// A serial port: a USB-serial chip, or USB of the board's own.
+    Serial(SerialLink),
+    /// Bluetooth.
+    #[cfg(feature = "ble")]
+    Ble(BleLink),
+}
+
+impl Link {
+    /// Starts the link's thread. Everything it has to say goes to `events`, marked with `link`.
+    pub fn start<I: Copy + Send + 'static>(
+        link: I,
+        port: &str,
+        settings: SerialSettings,
+        clock: Arc<dyn Clock>,
+        events: Sender<LinkEvent<I>>,
+    ) -> Self {
+        #[cfg(feature = "ble")]
+        if is_ble(port) {
+            return Link::Ble(BleLink::start(link, port, clock, events));
+        }
+        Link::Serial(SerialLink::start(link, port, settings, clock, events))
+    }
+
+    /// As the user named it.
+    pub fn port(&self) -> &str {
+        match self {
+            Link::Serial(link) => link.port(),
+            #[cfg(feature = "ble")]
+            Link::Ble(link) => link.port(),
+        }
+    }
+
+    /// May bytes be sent now?
+    pub fn is_ready(&self) -> bool {
+        match self {
+            Link::Serial(link) => link.is_ready(),
+            #[cfg(feature = "ble")]
+            Link::Ble(link) => link.is_ready(),
+        }
+    }
+
+    /// Sends one frame; false when it is not on its way. Nothing is kept for later: late is dropped.
+    pub fn send(&self, frame: &[u8]) -> bool {
+        match self {
+            Link::Serial(link) => link.send(frame),
+            #[cfg(feature = "ble")]
+            Link::Ble(link) => link.send(frame),
+        }
+    }
+}
 
 /// Milliseconds that never step back. Everything behind the links gets its time from here.
 pub trait Clock: Send + Sync {

@@ -4,6 +4,7 @@ pub mod adapt;
 pub mod card;
 pub mod eval;
 pub mod events;
+pub mod import;
 pub mod infer;
 pub mod people;
 pub mod report;

@@ -1,0 +1,414 @@
+//! The right hand over Bluetooth Low Energy: found by its service, connected, and found again by itself.
+//!
+//! Everything about the system's Bluetooth is btleplug's (on Linux: BlueZ by way of D-Bus). Frames are a
+//! byte stream: notifications from the board, writes to it. Writes are confirmed ones: a board that wants a
+//! bonded link refuses the first, whereupon the system pairs, or says why not.
+
+use std::cell::Cell;
+use std::future::Future;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::Sender;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use btleplug::api::{
+    Central as _, CentralState, Characteristic, Manager as _, Peripheral as _, ScanFilter, WriteType,
+};
+use btleplug::platform::{Adapter, Manager, Peripheral};
+use futures::StreamExt as _;
+use tokio::sync::mpsc;
+use uuid::Uuid;
+
+use super::{Clock, LinkEvent, News, PortAbout};
+
+/// The board's service, as in `firmware-nano33/src/ble.rs`.
+pub const SERVICE: Uuid = Uuid::from_u128(0xb1a4_0001_6d61_4e75_a1b2_5c3d_9e7f_0a33);
+/// Frames from the board (notify).
+pub const FROM_BOARD: Uuid = Uuid::from_u128(0xb1a4_0002_6d61_4e75_a1b2_5c3d_9e7f_0a33);
+/// Frames to the board (write).
+pub const TO_BOARD: Uuid = Uuid::from_u128(0xb1a4_0003_6d61_4e75_a1b2_5c3d_9e7f_0a33);
+
+/// First pause before a board is looked for again; doubled each time, up to the last.
+const FIRST_PAUSE: Duration = Duration::from_millis(100);
+const LAST_PAUSE: Duration = Duration::from_secs(2);
+/// How long one search for the board lasts.
+const SEARCH: Duration = Duration::from_secs(10);
+/// How long connecting and finding the service may take.
+const CONNECT: Duration = Duration::from_secs(15);
+/// How long disconnecting may take.
+const FAREWELL: Duration = Duration::from_secs(1);
+/// What has been found is looked at this often, and whether the board is still there.
+const LOOK: Duration = Duration::from_millis(200);
+/// How often the thread looks whether it should end.
+const END: Duration = Duration::from_millis(50);
+/// Frames on their way out; a link that is slower than that loses them.
+const QUEUE: usize = 8;
+/// Header bytes of a write, and the least that every link carries.
+const HEADER: u16 = 3;
+const LEAST_PAYLOAD: u16 = 20;
+
+/// Where frames go while the board is connected.
+type Outgoing = Arc<Mutex<Option<mpsc::Sender<Vec<u8>>>>>;
+
+/// A board behind Bluetooth with its thread; dropping it disconnects.
+pub struct BleLink {
+    port: String,
+    outgoing: Outgoing,
+    ended: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl BleLink {
+    /// Starts the thread. Everything it has to say goes to `events`, marked with `link`. `port` is `ble` for the
+    /// nearest board, or `ble:` with a name or an address.
+    pub fn start<I: Copy + Send + 'static>(
+        link: I,
+        port: &str,
+        clock: Arc<dyn Clock>,
+        events: Sender<LinkEvent<I>>,
+    ) -> Self {
+        let outgoing = Arc::new(Mutex::new(None));
+        let ended = Arc::new(AtomicBool::new(false));
+        let name = port.strip_prefix("ble:").filter(|name| !name.is_empty()).map(str::to_owned);
+        let radio =
+            Radio { link, name, clock, outgoing: Arc::clone(&outgoing), ended: Arc::clone(&ended), events };
+        let thread = Some(std::thread::spawn(move || radio.run()));
+        BleLink { port: port.to_owned(), outgoing, ended, thread }
+    }
+
+    /// `ble` or `ble:NAME`.
+    pub fn port(&self) -> &str {
+        &self.port
+    }
+
+    /// May frames be sent now?
+    pub fn is_ready(&self) -> bool {
+        lock(&self.outgoing).is_some()
+    }
+
+    /// Sends one frame; false when it is not on its way. Nothing is kept for later: late is dropped.
+    pub fn send(&self, frame: &[u8]) -> bool {
+        lock(&self.outgoing).as_ref().is_some_and(|outgoing| outgoing.try_send(frame.to_vec()).is_ok())
+    }
+}
+
+impl Drop for BleLink {
+    fn drop(&mut self) {
+        self.ended.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+/// A panic elsewhere does not make a link unusable.
+fn lock<T>(what: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
+    what.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Boards that advertise now, as `ble:NAME`; looks for so long.
+///
+/// # Errors
+/// Why there is no Bluetooth here, and what to do.
+pub fn ble_devices(patience: Duration) -> Result<Vec<PortAbout>, String> {
+    runtime()?.block_on(async {
+        let (_session, adapter) = adapter().await?;
+        scan(&adapter).await?;
+        tokio::time::sleep(patience).await;
+        let found = candidates(&adapter).await?;
+        let _ = adapter.stop_scan().await;
+        let is_unique = |name: &str| found.iter().filter(|seen| seen.name == name).count() == 1;
+        let about = |seen: &Seen| PortAbout {
+            name: format!("ble:{}", if is_unique(&seen.name) { &seen.name } else { &seen.address }),
+            about: match seen.rssi_dbm {
+                Some(dbm) => format!("Bluetooth {}, {dbm} dBm", seen.address),
+                None => format!("Bluetooth {}", seen.address),
+            },
+            is_usb: false,
+        };
+        Ok(found.iter().map(about).collect())
+    })
+}
+
+/// A new one for each attempt: its end also ends what the session with the system has left running.
+fn runtime() -> Result<tokio::runtime::Runtime, String> {
+    let built = tokio::runtime::Builder::new_current_thread().enable_all().build();
+    built.map_err(|error| format!("Bluetooth: {error}; try again"))
+}
+
+struct Radio<I> {
+    link: I,
+    name: Option<String>,
+    clock: Arc<dyn Clock>,
+    outgoing: Outgoing,
+    ended: Arc<AtomicBool>,
+    events: Sender<LinkEvent<I>>,
+}
+
+impl<I: Copy> Radio<I> {
+    fn run(&self) {
+        let mut pause = FIRST_PAUSE;
+        let mut said = None;
+        while !self.is_over() {
+            let was_open = Cell::new(false);
+            let problem = match runtime() {
+                Ok(runtime) => runtime.block_on(self.attempt(&was_open)),
+                Err(problem) => problem,
+            };
+            *lock(&self.outgoing) = None;
+            if was_open.get() {
+                (said, pause) = (None, FIRST_PAUSE);
+            }
+            if self.is_over() {
+                return;
+            }
+            if said.as_ref() != Some(&problem) {
+                self.tell(News::Closed(problem.clone()));
+                said = Some(problem);
+            }
+            let mut left = pause;
+            while !self.is_over() && !left.is_zero() {
+                std::thread::sleep(END.min(left));
+                left = left.saturating_sub(END);
+            }
+            pause = (pause * 2).min(LAST_PAUSE);
+        }
+    }
+
+    fn is_over(&self) -> bool {
+        self.ended.load(Ordering::Relaxed)
+    }
+
+    async fn over(&self) -> String {
+        while !self.is_over() {
+            tokio::time::sleep(END).await;
+        }
+        "ended".to_owned()
+    }
+
+    fn tell(&self, news: News) {
+        // Where nobody listens any more, the program is about to end.
+        let _ = self.events.send(LinkEvent { link: self.link, at_ms: self.clock.now_ms(), news });
+    }
+
+    /// One connection from search to end; why it ended.
+    async fn attempt(&self, was_open: &Cell<bool>) -> String {
+        let over = async {
+            let why = self.over().await;
+            if was_open.get() {
+                // A connection says goodbye first; it has seen the end, too.
+                tokio::time::sleep(FAREWELL * 2).await;
+            }
+            why
+        };
+        tokio::select! {
+            why = over => why,
+            result = self.connect_and_serve(was_open) => match result {
+                Ok(why) | Err(why) => why,
+            },
+        }
+    }
+
+    async fn connect_and_serve(&self, was_open: &Cell<bool>) -> Result<String, String> {
+        let (_session, adapter) = adapter().await?;
+        let board = self.find(&adapter).await?;
+        let name = board.name;
+        let (input, output) = within(CONNECT, connect(&board.peripheral, &name)).await.unwrap_or_else(|| {
+            Err(format!("{name} (Bluetooth) does not let itself be connected; is it near, and not connected elsewhere?"))
+        })?;
+        let peripheral = board.peripheral;
+        let notes = peripheral.notifications().await.map_err(|error| trouble(&error))?;
+        peripheral.subscribe(&input).await.map_err(|error| trouble(&error))?;
+        let (sender, waiting) = mpsc::channel(QUEUE);
+        *lock(&self.outgoing) = Some(sender);
+        was_open.set(true);
+        self.tell(News::Opened);
+        let gone = || {
+            format!(
+                "{name} (Bluetooth) is gone; bring it near and switch it on, the link comes back by itself"
+            )
+        };
+        let why = tokio::select! {
+            () = self.listen(notes) => gone(),
+            why = write(&peripheral, &output, waiting, &name) => why.unwrap_or_else(gone),
+            () = watch(&adapter, &peripheral) => gone(),
+            why = self.over() => why,
+        };
+        *lock(&self.outgoing) = None;
+        let _ = within(FAREWELL, peripheral.disconnect()).await;
+        Ok(why)
+    }
+
+    /// The wanted board, once it is near.
+    async fn find(&self, adapter: &Adapter) -> Result<Seen, String> {
+        scan(adapter).await?;
+        let found = within(SEARCH, async {
+            loop {
+                let found = candidates(adapter).await?;
+                let best = found.into_iter().filter(|seen| seen.is(self.name.as_deref()));
+                if let Some(best) = best.max_by_key(|seen| seen.rssi_dbm) {
+                    return Ok(best);
+                }
+                if adapter.adapter_state().await.is_ok_and(|state| state == CentralState::PoweredOff) {
+                    return Err(off());
+                }
+                tokio::time::sleep(LOOK).await;
+            }
+        });
+        let found = found.await;
+        let _ = adapter.stop_scan().await;
+        found.unwrap_or_else(|| {
+            let what = self.name.as_deref().unwrap_or("no right hand");
+            Err(format!(
+                "Bluetooth: {what} is not in reach; is the board on, with the firmware that has Bluetooth, and not \
+                 connected elsewhere? `host-bridge list` shows who is there"
+            ))
+        })
+    }
+
+    async fn listen(&self, mut notes: impl futures::Stream<Item = btleplug::api::ValueNotification> + Unpin) {
+        while let Some(note) = notes.next().await {
+            if note.uuid == FROM_BOARD {
+                self.tell(News::Bytes(note.value));
+            }
+        }
+    }
+}
+
+async fn within<T>(patience: Duration, what: impl Future<Output = T>) -> Option<T> {
+    tokio::time::timeout(patience, what).await.ok()
+}
+
+/// Writes what is to be sent; why it cannot go on, if the link itself still stands.
+async fn write(
+    board: &Peripheral,
+    to: &Characteristic,
+    mut waiting: mpsc::Receiver<Vec<u8>>,
+    name: &str,
+) -> Option<String> {
+    let room = board.mtu().saturating_sub(HEADER).max(LEAST_PAYLOAD).into();
+    while let Some(frame) = waiting.recv().await {
+        for piece in frame.chunks(room) {
+            if let Err(error) = board.write(to, piece, WriteType::WithResponse).await {
+                let text = error.to_string();
+                let refused = ["paired", "uthenti", "ncrypt", "ermi"].iter().any(|word| text.contains(word));
+                return refused.then(|| {
+                    format!(
+                        "{name} (Bluetooth) takes nothing from a laptop that is not paired: pair it once in the system's \
+                         settings, or with `bluetoothctl pair {}` ({text})",
+                        board.address()
+                    )
+                });
+            }
+        }
+    }
+    None
+}
+
+/// Returns when the board or Bluetooth itself is gone.
+async fn watch(adapter: &Adapter, board: &Peripheral) {
+    loop {
+        tokio::time::sleep(LOOK).await;
+        let powered = adapter.adapter_state().await.is_ok_and(|state| state == CentralState::PoweredOn);
+        if !powered || !board.is_connected().await.unwrap_or(false) {
+            return;
+        }
+    }
+}
+
+/// The two characteristics of a board that is connected now.
+async fn connect(board: &Peripheral, name: &str) -> Result<(Characteristic, Characteristic), String> {
+    board.connect().await.map_err(|error| trouble(&error))?;
+    board.discover_services().await.map_err(|error| trouble(&error))?;
+    let all: Vec<Characteristic> = board.services().into_iter().flat_map(|s| s.characteristics).collect();
+    let find = |uuid| all.iter().find(|c| c.uuid == uuid && c.service_uuid == SERVICE).cloned();
+    match (find(FROM_BOARD), find(TO_BOARD)) {
+        (Some(input), Some(output)) => Ok((input, output)),
+        _ => Err(format!("{name} (Bluetooth) is no right hand of this version; flash firmware-nano33 again")),
+    }
+}
+
+/// A board that advertises.
+struct Seen {
+    peripheral: Peripheral,
+    name: String,
+    address: String,
+    rssi_dbm: Option<i16>,
+}
+
+impl Seen {
+    fn is(&self, wanted: Option<&str>) -> bool {
+        wanted.is_none_or(|wanted| wanted == self.name || wanted.eq_ignore_ascii_case(&self.address))
+    }
+}
+
+async fn scan(adapter: &Adapter) -> Result<(), String> {
+    adapter.start_scan(ScanFilter { services: vec![SERVICE] }).await.map_err(|error| trouble(&error))
+}
+
+/// Boards with our service that are really there: the system also remembers others.
+async fn candidates(adapter: &Adapter) -> Result<Vec<Seen>, String> {
+    let mut found = Vec::new();
+    for peripheral in adapter.peripherals().await.map_err(|error| trouble(&error))? {
+        // One that vanishes while it is looked at was not meant.
+        let Ok(Some(about)) = peripheral.properties().await else { continue };
+        let near = about.rssi.is_some() || peripheral.is_connected().await.unwrap_or(false);
+        if near && about.services.contains(&SERVICE) {
+            let address = about.address.to_string();
+            let name = about.local_name.unwrap_or_else(|| address.clone());
+            found.push(Seen { peripheral, name, address, rssi_dbm: about.rssi });
+        }
+    }
+    Ok(found)
+}
+
+/// An adapter that is switched on. btleplug would switch one on itself; that is the user's to do.
+async fn adapter() -> Result<(Manager, Adapter), String> {
+    let manager = Manager::new().await.map_err(|error| trouble(&error))?;
+    let adapters = manager.adapters().await.map_err(|error| trouble(&error))?;
+    if adapters.is_empty() {
+        return Err(
+            "Bluetooth: this computer has no adapter; plug one in, or connect the board with its USB cable"
+                .into(),
+        );
+    }
+    for adapter in adapters {
+        if adapter.adapter_state().await.is_ok_and(|state| state == CentralState::PoweredOn) {
+            return Ok((manager, adapter));
+        }
+    }
+    Err(off())
+}
+
+fn off() -> String {
+    "Bluetooth is off: switch it on in the system's settings, or with `bluetoothctl power on` (`rfkill unblock \
+     bluetooth` where a switch blocks it)"
+        .to_owned()
+}
+
+/// The system's refusal with what to do.
+fn trouble(error: &btleplug::Error) -> String {
+    let text = error.to_string();
+    let none =
+        ["ServiceUnknown", "not provided by any", "NameHasNoOwner", "Failed to connect to socket", "activat"];
+    if none.iter().any(|word| text.contains(word)) {
+        return "Bluetooth: the system's service does not run: `sudo systemctl start bluetooth` (Debian: package bluez)"
+            .to_owned();
+    }
+    format!("Bluetooth: {text}; try again, or connect the board with its USB cable")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_service_that_does_not_run_is_told_with_what_to_do() {
+        let refused = "The name org.bluez was not provided by any .service files";
+        let text = trouble(&btleplug::Error::Other(refused.into()));
+        assert!(text.contains("systemctl start bluetooth"), "{text}");
+        let text = trouble(&btleplug::Error::NotConnected);
+        assert!(text.contains("USB cable"), "{text}");
+    }
+}

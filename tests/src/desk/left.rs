@@ -1,0 +1,107 @@
+//! The left hand at the desk: the Nano's image in simavr, behind the USB-serial chip that resets it
+//! whenever a program opens the port, and behind its bootloader.
+
+use std::cell::RefCell;
+use std::path::Path;
+use std::rc::Rc;
+
+use fastrand::Rng;
+
+use super::station::{Board, Station};
+use crate::avr::image;
+use crate::avr::nano::Nano;
+use crate::avr::session::BLANK;
+use crate::avr::wearer::{Hand, Sensors, Wearer};
+
+/// The bootloader listens for so long after a reset, and says nothing.
+const BOOTLOADER_MS: u64 = 700;
+
+/// The board on its wearer.
+pub struct Left {
+    nano: Nano,
+    hand: Rc<RefCell<Hand>>,
+    /// Left of the bootloader's time.
+    bootloader_ms: u64,
+    /// Time that bootloaders have taken, which the emulated program never saw.
+    skipped_ms: u64,
+    powered: bool,
+}
+
+/// A running left hand.
+pub type LeftStation = Station<Left>;
+
+impl Left {
+    /// A board that was never calibrated, on a hand that is level and straight, with its port at `place`.
+    pub fn start(place: &Path) -> LeftStation {
+        let image = image::path();
+        Station::start(place, move || {
+            let (wearer, hand) = Wearer::new(Sensors::nominal(), (0.0, 0.0), None, Rng::with_seed(7));
+            let nano = Nano::new(&image, &BLANK, Box::new(wearer));
+            Self { nano, hand, bootloader_ms: 0, skipped_ms: 0, powered: false }
+        })
+    }
+
+    /// Tips the hand forward by so many radians.
+    pub fn tilt(&mut self, forward_rad: f64) {
+        let now_s = self.nano.now_ms() / 1000.0;
+        self.hand.borrow_mut().tilt(forward_rad, 0.0, now_s, 0.15);
+    }
+
+    /// Bends both fingers: 0 is straight, 1 as far as is comfortable.
+    pub fn bend(&mut self, depth: f64) {
+        let now_s = self.nano.now_ms() / 1000.0;
+        (0..2).for_each(|finger| self.hand.borrow_mut().bend(finger, depth, now_s, 0.1));
+    }
+
+    fn reset(&mut self) {
+        self.nano.reset();
+        self.bootloader_ms = BOOTLOADER_MS;
+    }
+}
+
+impl Board for Left {
+    fn now_ms(&self) -> u64 {
+        self.nano.now_ms() as u64 + self.skipped_ms
+    }
+
+    fn run_until_ms(&mut self, ms: u64) {
+        let mut left_ms = ms.saturating_sub(self.now_ms());
+        let skipped = if self.powered { left_ms.min(self.bootloader_ms) } else { left_ms };
+        self.bootloader_ms = self.bootloader_ms.saturating_sub(skipped);
+        self.skipped_ms += skipped;
+        left_ms -= skipped;
+        if left_ms > 0 {
+            self.nano.run_ms(left_ms as f64);
+        }
+    }
+
+    fn sent(&mut self) -> Vec<u8> {
+        std::iter::from_fn(|| self.nano.sent()).map(|(_, byte)| byte).collect()
+    }
+
+    fn receive(&mut self, bytes: &[u8]) {
+        if self.bootloader_ms == 0 {
+            self.nano.send(bytes);
+        }
+    }
+
+    fn opened(&mut self, open: bool) {
+        if open {
+            self.reset();
+        }
+    }
+
+    fn pulled(&mut self) {
+        self.powered = false;
+    }
+
+    fn plugged(&mut self) {
+        self.powered = true;
+        self.reset();
+    }
+
+    fn restart(&mut self) -> bool {
+        self.reset();
+        false
+    }
+}

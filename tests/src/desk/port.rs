@@ -1,0 +1,95 @@
+//! A pseudo-terminal as a board's port, at a path that stays the same when the cable is plugged in again.
+
+use std::io::{ErrorKind, Read as _, Write as _};
+use std::os::fd::{FromRawFd as _, IntoRawFd as _, OwnedFd};
+use std::path::PathBuf;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use serialport::{SerialPort as _, TTYPort};
+
+/// How long reading waits for bytes, and writing for somebody who reads.
+const PATIENCE: Duration = Duration::from_millis(1);
+
+static STARTING: Mutex<()> = Mutex::new(());
+
+/// A program that is started while a pseudo-terminal is being made would inherit the board's end, and no
+/// cable would ever be pulled: whoever starts one holds this.
+pub fn alone() -> MutexGuard<'static, ()> {
+    STARTING.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// The board's end of a cable.
+pub struct Port {
+    place: PathBuf,
+    board: Option<TTYPort>,
+}
+
+impl Port {
+    /// A port that will be at this path; the cable is not plugged in.
+    pub fn new(place: PathBuf) -> Self {
+        Self { place, board: None }
+    }
+
+    /// Is the cable plugged in?
+    pub fn is_plugged(&self) -> bool {
+        self.board.is_some()
+    }
+
+    /// Plugs the cable in: the path appears.
+    ///
+    /// # Panics
+    /// Where the system has no pseudo-terminal left.
+    pub fn plug(&mut self) {
+        let _alone = alone();
+        let (board, laptop) = TTYPort::pair().expect("a pseudo-terminal");
+        // Safety: the port gives its descriptor away and is gone. The copy is not inherited by programs.
+        let board = unsafe { OwnedFd::from_raw_fd(board.into_raw_fd()) };
+        let copy = board.try_clone().expect("a descriptor");
+        drop(board);
+        let mut port = unsafe { TTYPort::from_raw_fd(copy.into_raw_fd()) };
+        port.set_timeout(PATIENCE).expect("a timeout");
+        // Renamed into its place, so that nobody ever finds half a link.
+        let fresh = self.place.with_extension("new");
+        let _ = std::fs::remove_file(&fresh);
+        std::os::unix::fs::symlink(laptop.name().expect("a name"), &fresh).expect("a link");
+        std::fs::rename(&fresh, &self.place).expect("a link");
+        self.board = Some(port);
+    }
+
+    /// Pulls the cable: the path is gone, and whoever has it open is told.
+    pub fn pull(&mut self) {
+        let _ = std::fs::remove_file(&self.place);
+        self.board = None;
+    }
+
+    /// Sends to the laptop what it takes; the rest is lost, as on a real line.
+    pub fn write(&mut self, mut bytes: &[u8]) {
+        let Some(port) = &mut self.board else { return };
+        while !bytes.is_empty() {
+            match port.write(bytes) {
+                Ok(count @ 1..) => bytes = &bytes[count..],
+                _ => return,
+            }
+        }
+    }
+
+    /// What the laptop has sent, and whether it has the port open. Waits a millisecond at most.
+    pub fn read(&mut self, into: &mut Vec<u8>) -> bool {
+        let Some(port) = &mut self.board else { return false };
+        let mut buffer = [0; 1024];
+        match port.read(&mut buffer) {
+            Ok(count) => {
+                into.extend_from_slice(&buffer[..count]);
+                true
+            }
+            Err(error) => matches!(error.kind(), ErrorKind::TimedOut | ErrorKind::Interrupted),
+        }
+    }
+}
+
+impl Drop for Port {
+    fn drop(&mut self) {
+        self.pull();
+    }
+}

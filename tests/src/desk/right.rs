@@ -1,0 +1,162 @@
+//! The right hand at the desk: the Nano 33's image in unicorn, its USB cable, and a simulated wearer.
+
+use std::cell::RefCell;
+use std::path::Path;
+use std::rc::Rc;
+
+use models::synth::{IdleKind, Motion as Doing, Segment, Wearer, session};
+
+use super::station::{Board, Station};
+use super::usb;
+use crate::nrf::board::{self, Boot};
+use crate::nrf::build::{Variant, image};
+use crate::nrf::lsm9ds1::Motion;
+use crate::nrf::time::{HZ, ms};
+
+/// Simulated recordings are at 100 Hz.
+const ROWS_PER_S: f64 = 100.0;
+const IDLE_S: f64 = 20.0;
+
+/// What the wearer does, steered while the board runs.
+struct Hand {
+    wearer: Wearer,
+    idle: Vec<[f64; 9]>,
+    rows: Vec<[f64; 9]>,
+    start_s: f64,
+    take: u64,
+}
+
+fn rows(wearer: &Wearer, take: u64, script: &[Segment]) -> Vec<[f64; 9]> {
+    let recording = session(wearer, take, script);
+    recording.samples().map(|sample| std::array::from_fn(|i| f64::from(sample[i]))).collect()
+}
+
+impl Hand {
+    fn new(wearer: Wearer) -> Self {
+        let idle = rows(&wearer, 1000, &[Segment::new(Doing::IDLE, IDLE_S)]);
+        Self { wearer, idle, rows: Vec::new(), start_s: 0.0, take: 0 }
+    }
+
+    fn at(&self, seconds: f64) -> [f64; 9] {
+        let place = (seconds - self.start_s) * ROWS_PER_S;
+        if place >= 0.0 && place + 1.0 < self.rows.len() as f64 {
+            return between(&self.rows, place);
+        }
+        // To the end and back again, without a jump.
+        let turn = (self.idle.len() - 2) as f64;
+        let place = (seconds * ROWS_PER_S).rem_euclid(2.0 * turn);
+        between(&self.idle, if place < turn { place } else { 2.0 * turn - place })
+    }
+}
+
+fn between(rows: &[[f64; 9]], place: f64) -> [f64; 9] {
+    let (index, part) = (place as usize, place.fract());
+    std::array::from_fn(|i| rows[index][i] + (rows[index + 1][i] - rows[index][i]) * part)
+}
+
+struct Shared(Rc<RefCell<Hand>>);
+
+impl Motion for Shared {
+    fn at(&self, seconds: f64) -> [f64; 9] {
+        self.0.borrow().at(seconds)
+    }
+}
+
+/// The board on its wearer.
+pub struct Right {
+    board: board::Board,
+    hand: Rc<RefCell<Hand>>,
+    usb: Option<usb::Port>,
+}
+
+/// A running right hand.
+pub type RightStation = Station<Right>;
+
+impl Right {
+    /// A board with the image behind the stock bootloader and no model but the one compiled in, on this
+    /// wearer's still hand, with its port at `place`.
+    pub fn start(place: &Path, wearer: Wearer) -> RightStation {
+        let image = image(Variant::Bootloader);
+        Station::start(place, move || {
+            let hand = Rc::new(RefCell::new(Hand::new(wearer)));
+            let motion = Box::new(Shared(Rc::clone(&hand)));
+            let board = board::Board::new(image, Boot::StockBootloader, motion);
+            Self { board, hand, usb: None }
+        })
+    }
+
+    /// The wearer makes this movement from now on for so many seconds, then rests.
+    pub fn perform(&mut self, motion: Doing, seconds: f64) {
+        self.play(&[Segment::new(motion, seconds)]);
+    }
+
+    /// The wearer does what hands do between gestures, for so many seconds.
+    pub fn be_idle(&mut self, seconds: f64) {
+        let kinds = IdleKind::ALL;
+        let part = seconds / kinds.len() as f64;
+        self.play(&kinds.map(|kind| Segment::new(Doing::Idle(kind), part)));
+    }
+
+    /// Words written to flash since power-up: how far a model has come.
+    pub fn words_written(&mut self) -> u64 {
+        self.board.soc().nvmc.written
+    }
+
+    /// The wearer plays a script from now on, then rests.
+    pub fn play(&mut self, script: &[Segment]) {
+        let mut hand = self.hand.borrow_mut();
+        hand.take += 1;
+        hand.start_s = self.board.seconds();
+        hand.rows = rows(&hand.wearer, hand.take, script);
+    }
+}
+
+impl Board for Right {
+    fn now_ms(&self) -> u64 {
+        self.board.now() / ms(1)
+    }
+
+    fn run_until_ms(&mut self, until_ms: u64) {
+        self.board.run_until(until_ms * (HZ / 1000));
+    }
+
+    fn sent(&mut self) -> Vec<u8> {
+        // Nobody listens at D0.
+        self.board.uart_out();
+        match self.usb {
+            Some(port) => std::mem::take(&mut self.board.soc().usb.received[port.input]),
+            None => Vec::new(),
+        }
+    }
+
+    fn receive(&mut self, bytes: &[u8]) {
+        if let Some(port) = self.usb {
+            let soc = self.board.soc();
+            soc.usb.send(port.output, bytes);
+            soc.settle();
+        }
+    }
+
+    fn opened(&mut self, open: bool) {
+        if self.usb.is_some() {
+            usb::line(&mut self.board, 115_200, open);
+        }
+    }
+
+    fn pulled(&mut self) {
+        if self.usb.take().is_some() {
+            usb::pull(&mut self.board);
+        }
+    }
+
+    fn plugged(&mut self) {
+        // The cable was its supply.
+        self.board.soc().nvic.reset_wanted = true;
+        self.board.run_ms(50);
+        self.usb = Some(usb::plug_in(&mut self.board));
+    }
+
+    fn restart(&mut self) -> bool {
+        true
+    }
+}

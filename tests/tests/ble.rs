@@ -1,0 +1,118 @@
+//! The right hand over Bluetooth: the program and btleplug are real, BlueZ is a double on a private bus, and the
+//! board behind it is the emulated Nano 33, whose frames a pseudo-terminal carries in the place of the air.
+//! There is no radio here.
+#![cfg(all(feature = "ble", feature = "nrf", unix))]
+
+use std::process::{Command, ExitStatus};
+use std::time::Duration;
+
+use models::synth::{Motion, Wearer};
+use tests::bluez::{Bluez, Bus};
+use tests::desk::program::{Desk, Running, folder, start};
+use tests::desk::right::{Right, RightStation};
+
+const TRIES: u32 = 6;
+const TRY: Duration = Duration::from_secs(12);
+
+fn bridge(bus: &str, args: &[&str]) -> Running {
+    println!("$ host-bridge {}", args.join(" "));
+    let mut command = Command::new(folder().join("host-bridge"));
+    command.args(args).env("DBUS_SYSTEM_BUS_ADDRESS", bus);
+    start(command)
+}
+
+fn run(bus: &Bus, args: &[&str]) -> (ExitStatus, String) {
+    bridge(&bus.address, args).end()
+}
+
+fn draw(run: &mut Running, right: &RightStation) {
+    for _ in 0..TRIES {
+        if !run.is_armed() {
+            run.wait(&["\"event\":\"state\"", "armed"]);
+        }
+        right.with(|board| board.perform(Motion::Circle, 4.0));
+        if run.wait_for(TRY, &["\"gesture\"", "circle", "started"]).is_some() {
+            return;
+        }
+    }
+    panic!("no gesture moves the arm; there were\n{}", run.seen.join("\n"));
+}
+
+#[test]
+fn a_board_is_found_by_its_service_answers_and_is_told_apart_from_a_bluetooth_that_is_off() {
+    let desk = Desk::new("ble-list");
+    let bus = Bus::start(&desk.path(""));
+    // A system without the service.
+    let (status, text) = run(&bus, &["list"]);
+    assert!(!status.success() && text.contains("sudo systemctl start bluetooth"), "{text}");
+    let (status, text) = bridge("unix:path=/no/such/bus", &["doctor", "--right", "ble"]).end();
+    assert!(!status.success() && text.contains("Bluetooth"), "{text}");
+
+    let right = Right::start(&desk.path("air"), Wearer::demo(1));
+    let bluez = Bluez::start(&bus, &desk.path("air"));
+    let (status, text) = run(&bus, &["list"]);
+    assert!(status.success(), "{text}");
+    for word in [
+        "ble:bimanual-right",
+        "C0:FF:EE:00:00:33, -57 dBm",
+        "the right hand (Nano 33 BLE Sense), firmware",
+        "model ",
+    ] {
+        assert!(text.contains(word), "{word} in\n{text}");
+    }
+    let (_, text) = run(&bus, &["doctor", "--right", "ble:c0:ff:ee:00:00:33", "--seconds", "2"]);
+    for word in ["idle, up-down", "ping and back", "ppm", " 0 damaged"] {
+        assert!(text.contains(word), "{word} in\n{text}");
+    }
+
+    // Writes need a paired laptop.
+    bluez.pair(false);
+    let (status, text) = run(&bus, &["doctor", "--right", "ble", "--seconds", "1"]);
+    assert!(!status.success() && text.contains("bluetoothctl pair C0:FF:EE:00:00:33"), "{text}");
+    bluez.pair(true);
+
+    bluez.power(false);
+    let (status, text) = run(&bus, &["list"]);
+    assert!(
+        !status.success() && text.contains("Bluetooth: Bluetooth is off") || text.contains("is off"),
+        "{text}"
+    );
+    assert!(text.contains("bluetoothctl power on"), "{text}");
+    bluez.power(true);
+    right.pull();
+    let (status, text) = run(&bus, &["list"]);
+    assert!(!status.success() && text.contains("no right hand is in reach"), "{text}");
+}
+
+#[test]
+fn a_gesture_over_bluetooth_moves_the_arm_and_a_lost_link_halts_it_and_comes_back_by_itself() {
+    let desk = Desk::new("ble-run");
+    let bus = Bus::start(&desk.path(""));
+    let right = Right::start(&desk.path("air"), Wearer::demo(1));
+    let bluez = Bluez::start(&bus, &desk.path("air"));
+    bluez.power(false);
+    let args = ["run", "--right", "ble:bimanual-right", "--json", "--seconds", "600"];
+    let mut run = bridge(&bus.address, &args);
+    run.wait(&["\"open\":false", "Bluetooth is off"]);
+    bluez.power(true);
+    run.wait(&["\"open\":true"]);
+    draw(&mut run, &right);
+
+    // Out of reach, and back.
+    right.pull();
+    run.wait(&["\"open\":false", "is gone"]);
+    if run.is_armed() {
+        run.wait(&["\"halt\""]);
+    }
+    right.plug();
+    run.wait(&["\"open\":true"]);
+    run.wait(&["hand-started"]);
+    draw(&mut run, &right);
+
+    // Bluetooth is switched off in the middle.
+    bluez.power(false);
+    run.wait(&["\"open\":false"]);
+    bluez.power(true);
+    run.wait(&["\"open\":true"]);
+    draw(&mut run, &right);
+}

@@ -1,0 +1,278 @@
+//! The program at the desk with both emulated boards: their flashed images, at the pace of the wall clock,
+//! behind pseudo-terminals. What a user types, on the bytes that the firmware sends, with cables pulled
+//! and boards restarted.
+//!
+//! The dead-man takes a board whose emulator was kept waiting by a busy machine for one whose states come
+//! late, and is right. So whatever moves the robot is tried again from neutral, as a person would.
+#![cfg(all(feature = "avr", feature = "nrf", unix))]
+
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use fastrand::Rng;
+use models::blob::{ModelFiles, model_id};
+use models::card::Card;
+use models::recording::Recording;
+use models::synth::{Motion, Wearer};
+use tests::desk::left::{Left, LeftStation};
+use tests::desk::program::{Desk, Running, bridge, run};
+use tests::desk::right::{Right, RightStation};
+
+/// Tries of something that a busy machine may spoil.
+const TRIES: u32 = 6;
+/// How long one try may take.
+const TRY: Duration = Duration::from_secs(12);
+
+fn armed(run: &mut Running) {
+    if !run.is_armed() {
+        run.wait(&["\"event\":\"state\"", "armed"]);
+    }
+}
+
+/// Level, then forward, until the base drives.
+fn drive_forward(run: &mut Running, left: &LeftStation) {
+    for _ in 0..TRIES {
+        left.with(|board| board.tilt(0.0));
+        armed(run);
+        left.with(|board| board.tilt(0.6));
+        if run.wait_for(TRY, &["\"heading\":\"forward\""]).is_some() {
+            return;
+        }
+    }
+    panic!("the base does not drive; there were\n{}", run.seen.join("\n"));
+}
+
+/// Draws until a gesture of this name starts a motion of the arm.
+fn draw(run: &mut Running, right: &RightStation, motion: Motion, label: &str) {
+    for _ in 0..TRIES {
+        armed(run);
+        right.with(move |board| board.perform(motion, 4.0));
+        if run.wait_for(TRY, &["\"gesture\"", label, "started"]).is_some() {
+            return;
+        }
+    }
+    panic!("{label} starts nothing; there were\n{}", run.seen.join("\n"));
+}
+
+/// What `run --json` printed as its last line.
+fn summary(text: &str) -> serde_json::Value {
+    serde_json::from_str(text.lines().last().unwrap_or_default()).expect("the last line is an object")
+}
+
+#[test]
+fn list_and_doctor_name_both_hands_and_calibrate_is_kept_in_the_board() {
+    let desk = Desk::new("desk-doctor");
+    let left = Left::start(&desk.path("nano"));
+    let right = Right::start(&desk.path("nano33"), Wearer::demo(1));
+    let (status, text) = run(&["list", &left.port(), &right.port()]);
+    assert!(status.success(), "{text}");
+    for word in
+        ["the left hand (Arduino Nano), firmware", "the right hand (Nano 33 BLE Sense), firmware", "model "]
+    {
+        assert!(text.contains(word), "{word} in\n{text}");
+    }
+
+    let (_, text) = run(&["doctor", "--left", &left.port(), "--right", &right.port(), "--seconds", "2"]);
+    for word in [
+        "not calibrated: `host-bridge calibrate`",
+        "samples 100 Hz",
+        "ppm",
+        "ping and back",
+        "idle, up-down",
+        "load",
+    ] {
+        assert!(text.contains(word), "{word} in\n{text}");
+    }
+
+    let port = left.port();
+    let mut calibrate = bridge(&["calibrate", "--port", &port]);
+    for (step, depth) in [("1.", 0.0), ("2.", 0.0), ("3.", 1.0)] {
+        calibrate.wait(&[step, "press Enter"]);
+        left.with(move |board| board.bend(depth));
+        std::thread::sleep(Duration::from_millis(600));
+        calibrate.type_line("");
+    }
+    let (status, text) = calibrate.end();
+    assert!(status.success() && text.contains("calibrated and kept in the board"), "{text}");
+    left.with(|board| board.bend(0.0));
+
+    // Opening the port restarts the board: what it knows now comes from its EEPROM.
+    let (_, text) = run(&["doctor", "--left", &left.port(), "--seconds", "1"]);
+    assert!(text.contains("the left hand") && !text.contains("not calibrated"), "{text}");
+
+    // Where the wrong board answers, nothing is done, and the text says which one it is.
+    let (status, text) = run(&["calibrate", "--port", &right.port()]);
+    assert!(!status.success() && text.contains("answers; only the left"), "{text}");
+}
+
+#[test]
+fn both_hands_move_base_and_arm_through_pulled_cables_and_restarts() {
+    let desk = Desk::new("desk-run");
+    let left = Left::start(&desk.path("nano"));
+    let right = Right::start(&desk.path("nano33"), Wearer::demo(1));
+    let (port, other) = (left.port(), right.port());
+    let mut run = bridge(&["run", "--left", &port, "--right", &other, "--json", "--seconds", "600"]);
+    draw(&mut run, &right, Motion::Circle, "circle");
+    drive_forward(&mut run, &left);
+
+    // A reset of the board that drives: halt, and still tilted it starts nothing.
+    left.restart();
+    run.wait(&["\"halt\""]);
+    drive_forward(&mut run, &left);
+
+    // Cables pulled at any moment, drawn by chance: each time the robot halts, and goes on from neutral only.
+    let mut rng = Rng::with_seed(5);
+    let pulls = if std::env::var_os("BIMANUAL_FULL").is_some() { 20 } else { 2 };
+    for pull in 0..pulls {
+        std::thread::sleep(Duration::from_millis(rng.u64(0..400)));
+        run.catch_up();
+        if pull % 2 == 0 {
+            left.pull()
+        } else {
+            right.pull()
+        }
+        run.wait(&["\"open\":false", "comes back by itself"]);
+        if run.is_armed() {
+            run.wait(&["\"halt\""]);
+        }
+        std::thread::sleep(Duration::from_millis(rng.u64(0..400)));
+        let before = run.seen.len();
+        if pull % 2 == 0 {
+            left.plug()
+        } else {
+            right.plug()
+        }
+        run.wait(&["hand-started"]);
+        std::thread::sleep(Duration::from_millis(300));
+        run.catch_up();
+        let moved = run.seen[before..].iter().any(|line| line.contains("\"heading\":\"forward\""));
+        assert!(!moved, "a hand that was never neutral moves the robot:\n{}", run.seen.join("\n"));
+        drive_forward(&mut run, &left);
+    }
+    // The right one restarts without anybody touching its cable.
+    right.restart();
+    run.wait(&["\"open\":false"]);
+    run.wait(&["hand-started"]);
+    left.with(|board| board.tilt(0.0));
+    draw(&mut run, &right, Motion::Circle, "circle");
+}
+
+#[test]
+fn the_run_ends_with_its_figures_and_loses_next_to_nothing() {
+    let desk = Desk::new("desk-figures");
+    let left = Left::start(&desk.path("nano"));
+    let right = Right::start(&desk.path("nano33"), Wearer::demo(2));
+    let (port, other) = (left.port(), right.port());
+    let (status, text) = run(&["run", "--left", &port, "--right", &other, "--json", "--seconds", "8"]);
+    assert!(status.success(), "{text}");
+    let last = summary(&text);
+    assert_eq!(last["event"], "end");
+    for (hand, least) in [(0, 10), (1, 10)] {
+        let frames = &last["frames"][hand];
+        assert!(frames["frames"].as_u64() > Some(least), "{last}");
+        // The port was opened in the middle of a frame, perhaps.
+        assert!(frames["damaged"].as_u64() <= Some(1), "{last}");
+        assert!(last["round_trip_ms"][hand].as_u64().is_some(), "both boards answer pings: {last}");
+    }
+}
+
+#[test]
+fn recordings_hold_what_the_sensor_felt_and_a_spoilt_take_leaves_nothing() {
+    let desk = Desk::new("desk-record");
+    let right = Right::start(&desk.path("nano33"), Wearer::demo(1));
+    let (port, out) = (right.port(), desk.text("recordings"));
+    let options = ["record", "--port", &port, "--person", "me", "--out", &out, "--countdown", "0"];
+    let record = |more: &[&str]| bridge(&[&options, more].concat());
+
+    let mut take = record(&["--label", "up-down", "--seconds", "3"]);
+    take.wait(&["go: up-down"]);
+    right.with(|board| board.perform(Motion::UpDown, 4.0));
+    let (status, text) = take.end();
+    assert!(status.success() && text.contains("300 samples, no gaps"), "{text}");
+    let file = desk.path("recordings/up-down/me__1.csv");
+    assert!(std::fs::read_to_string(&file).unwrap().starts_with("timestamp,accX,accY,accZ,gyrX"));
+    let recording = Recording::read(&file).unwrap();
+    assert_eq!((recording.axes(), recording.len()), (9, 300));
+    // The strokes are along the vertical, where gravity is.
+    let swing = |axis: usize| {
+        let values: Vec<f32> = recording.samples().map(|sample| sample[axis]).collect();
+        values.iter().copied().fold(f32::MIN, f32::max) - values.iter().copied().fold(f32::MAX, f32::min)
+    };
+    assert!(swing(2) > 5.0 && swing(2) > swing(1), "{} {} {} m/s²", swing(0), swing(1), swing(2));
+
+    let (status, text) = record(&["--guided", "--labels", "idle,wave", "--seconds", "0.5"]).end();
+    assert!(status.success(), "{text}");
+    assert!(desk.path("recordings/wave/me__1.csv").is_file(), "{text}");
+
+    type Break = fn(&RightStation, &Running);
+    let breaks: [(Break, &str); 3] = [
+        (|board, _| board.pull(), "nothing was saved"),
+        (|board, _| board.restart(), "nothing was saved"),
+        (|_, run| run.interrupt(), "not saved"),
+    ];
+    for (how, word) in breaks {
+        right.plug();
+        let mut take = record(&["--label", "circle", "--seconds", "30"]);
+        take.wait(&["go: circle"]);
+        std::thread::sleep(Duration::from_millis(400));
+        how(&right, &take);
+        let (status, text) = take.end();
+        assert!(!status.success() && text.contains(word), "{word} in\n{text}");
+        assert!(!desk.path("recordings/circle/me__1.csv").exists(), "{text}");
+    }
+}
+
+/// The bundled model with one label renamed: another blob, another id.
+fn renamed_model(folder: &Path) -> (PathBuf, String) {
+    let bundled = Path::new(env!("CARGO_MANIFEST_DIR")).join("../models/bundled/right-9axis.tflite");
+    let bytes = std::fs::read(&bundled).unwrap();
+    let mut card = Card::read(&bundled).unwrap();
+    let place = card.labels.iter().position(|label| label == "circle").unwrap();
+    card.labels[place] = "wave".to_owned();
+    let files = ModelFiles { network: models::tflite::read(&bytes).unwrap(), card: card.clone() };
+    card.model_id = model_id(&files.blob().unwrap());
+    let file = folder.join("mine.tflite");
+    std::fs::write(&file, bytes).unwrap();
+    std::fs::write(folder.join("mine.card.json"), card.to_json()).unwrap();
+    (file, card.model_id)
+}
+
+#[test]
+fn a_model_sent_through_a_cut_and_a_restart_classifies_after_the_next_one() {
+    let desk = Desk::new("desk-model");
+    let right = Right::start(&desk.path("nano33"), Wearer::demo(1));
+    let port = right.port();
+    let (file, id) = renamed_model(desk.path("").as_path());
+    let file = file.display().to_string();
+
+    // In the middle of the transfer, of some 1270 words.
+    right.pull_when(|board| board.words_written() > 500);
+    let mut send = bridge(&["send-model", &file, "--port", &port]);
+    send.wait(&["sending", &id]);
+    send.wait(&["comes back by itself"]);
+    // The cable was its supply: the board starts anew, and so does the transfer.
+    right.plug();
+    let (status, text) = send.end();
+    assert!(status.success() && text.contains(&format!("→ {id}")), "{text}");
+
+    let (_, text) = run(&["doctor", "--right", &port, "--seconds", "1"]);
+    assert!(
+        text.contains("model ") && !text.contains(&format!("model {id}")),
+        "not before a restart: {text}"
+    );
+    right.restart();
+    let mut shown = String::new();
+    for _ in 0..TRIES {
+        shown = run(&["doctor", "--right", &port, "--seconds", "1"]).1;
+        if shown.contains(&format!("model {id}")) {
+            break;
+        }
+    }
+    assert!(shown.contains(&format!("model {id}")) && shown.contains("wave"), "{shown}");
+
+    let config = desk.path("desk.toml");
+    std::fs::write(&config, format!("[ports]\nright = '{port}'\n[motions]\nwave = 'pick-up'\n")).unwrap();
+    let config = config.display().to_string();
+    let mut run = bridge(&["run", "--config", &config, "--json", "--seconds", "600"]);
+    draw(&mut run, &right, Motion::Circle, "wave");
+}
