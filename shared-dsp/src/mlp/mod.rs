@@ -65,7 +65,7 @@ const HEADER_BYTES: usize = 28;
 const LAYER_HEADER_BYTES: usize = 12;
 
 /// Inputs and outputs of one layer take this many quads at most, so that a usual network needs little stack.
-const SMALL_SCRATCH_QUADS: usize = 36;
+const SMALL_SCRATCH_QUADS: usize = 35;
 const LARGE_SCRATCH_QUADS: usize = 2 * MAX_WIDTH / 4;
 
 /// Why a blob is refused.
@@ -455,7 +455,8 @@ impl<'a> Model<'a> {
     fn forward(&self, scratch: &mut [Quad], logits: &mut [i8; MAX_LABELS]) {
         let mut layers = self.layers;
         let mut at_start = true;
-        while let Some(dense) = Dense::take(&mut layers) {
+        // By reference: a copy of the layer's numbers would stand on the stack.
+        while let Some(dense) = &Dense::take(&mut layers) {
             let (ins, outs) = (dense.inputs.div_ceil(4), dense.outputs.div_ceil(4));
             let middle = if at_start { ins } else { scratch.len().saturating_sub(ins) };
             let Some((start, end)) = scratch.split_at_mut_checked(middle) else { return };
