@@ -18,6 +18,8 @@ pub mod config;
 pub mod describe;
 pub mod hands;
 pub mod intent;
+#[cfg(feature = "mcap")]
+pub mod journal;
 pub mod keyboard;
 pub mod latency;
 pub mod link;

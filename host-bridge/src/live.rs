@@ -11,7 +11,7 @@ use crate::base::{Odometry, Twist};
 use crate::bridge::{Bridge, BridgeEvent, EventKind};
 use crate::config::Config;
 use crate::keyboard::{HandKey, KeyLeft, KeyRight};
-use crate::observe::{Now, OperatorKey, Tap};
+use crate::observe::{Now, OperatorKey, Tap, Turn};
 use crate::robot::Robot;
 use crate::ros2::RosRobot;
 use crate::safety::Hand;
@@ -164,7 +164,9 @@ impl Live {
     pub fn step(&mut self, now_ms: u64, ready: [bool; 2]) -> Vec<BridgeEvent> {
         // First what has passed: after a pause of this program the robot has stopped by itself, as a
         // real one would have.
-        self.robot.step(now_ms.saturating_sub(self.robot_ms));
+        let passed_ms = now_ms.saturating_sub(self.robot_ms);
+        self.tap.show(|observer| observer.turned(Turn::Moved(passed_ms)));
+        self.robot.step(passed_ms);
         self.robot_ms = self.robot_ms.max(now_ms);
         if let Some(ros) = &mut self.ros {
             ros.step(now_ms);
@@ -178,6 +180,7 @@ impl Live {
                 }
             }
         }
+        self.tap.show(|observer| observer.turned(Turn::Decided(now_ms)));
         self.bridge.step(now_ms, &mut both(&mut self.robot, &mut self.ros, now_ms));
         let events = self.bridge.take_events();
         for event in &events {

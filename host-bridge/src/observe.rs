@@ -1,7 +1,7 @@
 //! Where a running session shows itself: one tap that any number of observers hang on.
 //!
 //! ```text
-//! Session (demo, replay) ─┐          received, sent, sampled, operated, happened, state
+//! Session (demo, replay) ─┐          received, sent, sampled, operated, turned, happened, state
 //!                         ├─► Tap ──────────────────────────────────────────────────────► Observer …
 //! Live (run) ─────────────┘                  in the order in which it happened
 //! ```
@@ -73,6 +73,10 @@ pub trait Observer {
     /// The operator pressed a key (or a button) of the bridge, just before it acts.
     fn operated(&mut self, _time_ms: u64, _key: OperatorKey) {}
 
+    /// The session goes on, between what comes in: with this, the bytes and the keys, anybody can do all of it
+    /// again, in the same order.
+    fn turned(&mut self, _turn: Turn) {}
+
     /// Something happened.
     fn happened(&mut self, _event: &SessionEvent) {}
 
@@ -92,6 +96,11 @@ impl Tap {
         self.observers.push(observer);
     }
 
+    /// Lets all observers go; those that hand things over do so now at the latest.
+    pub fn clear(&mut self) {
+        self.observers.clear();
+    }
+
     /// Nobody looks.
     pub fn is_idle(&self) -> bool {
         self.observers.is_empty()
@@ -103,6 +112,15 @@ impl Tap {
             show(observer.as_mut());
         }
     }
+}
+
+/// How a session goes on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Turn {
+    /// The bridge is about to let this time come ([`Bridge::step`]), in ms.
+    Decided(u64),
+    /// The robot is about to move on by so much ([`Simulator::step`]), in ms.
+    Moved(u64),
 }
 
 /// One reading of a hand's sensors.

@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result, ensure};
 use host_bridge::arm::model::SerialArm;
+use host_bridge::config::Config;
 use host_bridge::describe;
 use host_bridge::intent::MotionMap;
 use host_bridge::plan::Planner;
@@ -15,6 +16,7 @@ use host_bridge::session::{Session, SessionEvent};
 use host_bridge::sim::{SimConfig, Simulator};
 use host_bridge::web::Web;
 
+use crate::cmd::keep::{KeepArgs, Start};
 use crate::cmd::web::WebArgs;
 use crate::view::{Key, View};
 
@@ -44,6 +46,8 @@ pub struct PlayOptions {
     pub scene: Option<PathBuf>,
     #[command(flatten)]
     pub web: WebArgs,
+    #[command(flatten)]
+    pub keep: KeepArgs,
 }
 
 impl PlayOptions {
@@ -121,6 +125,17 @@ pub fn play(session: &mut Session<'_>, options: &PlayOptions, title: &str, page_
         say(options, &headline);
     }
     let mut drawn: Option<Instant> = None;
+    let mut keeper = options.keep.start(
+        session.tap_mut(),
+        &Start {
+            title,
+            config: &Config::default(),
+            maps: &options.map,
+            scene: options.scene.as_deref(),
+            now_ms: 0,
+            live: false,
+        },
+    )?;
     let started = Instant::now();
     while !session.finished() {
         let wanted_ms = if options.speed == 0.0 {
@@ -135,6 +150,12 @@ pub fn play(session: &mut Session<'_>, options: &PlayOptions, title: &str, page_
         }
         if web.as_ref().is_some_and(Web::take_stop) {
             session.stop_key();
+        }
+        if let Some(problem) = keeper.take_problem() {
+            match &mut view {
+                Some(view) => view.note(problem),
+                None => say(options, &problem),
+            }
         }
         match &mut view {
             Some(view) => {
@@ -154,6 +175,10 @@ pub fn play(session: &mut Session<'_>, options: &PlayOptions, title: &str, page_
     }
     if let Some(web) = web {
         web.end(&session.now());
+    }
+    drop(view);
+    if let Some(line) = keeper.end(session.tap_mut()) {
+        say(options, &line);
     }
     Ok(())
 }

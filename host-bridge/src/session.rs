@@ -12,7 +12,7 @@ use crate::hands::Board;
 use crate::intent::{Caps, MotionMap};
 use crate::latency::{DelaySummary, Delays};
 use crate::link::LinkCounters;
-use crate::observe::{Now, OperatorKey, Tap};
+use crate::observe::{Now, OperatorKey, Tap, Turn};
 use crate::robot::Robot;
 use crate::safety::{HaltReason, Hand};
 use crate::sim::{SimConfig, Simulator};
@@ -166,11 +166,13 @@ impl<'b> Session<'b> {
                 ended.push(SessionEvent::RecordingEnded { time_ms: now_ms, hand: line.hand });
             }
         }
+        self.tap.show(|observer| observer.turned(Turn::Decided(now_ms)));
         self.bridge.step(now_ms, &mut self.robot);
         let events = self.bridge.take_events();
         for event in &events {
             self.time(event);
         }
+        self.tap.show(|observer| observer.turned(Turn::Moved(1)));
         self.robot.step(1);
         self.now_ms += 1;
         if !self.robot.arm().at_rest() {

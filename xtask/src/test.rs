@@ -60,9 +60,17 @@ pub fn cargo(args: &[&str]) -> Command {
 fn cargo_for_all(subcommand: &str) -> Command {
     let mut command = cargo(&[subcommand, "--workspace", "--locked"]);
     if EMULATORS.is_complete() {
-        command.args(["--features", "tests/avr,tests/nrf,tests/ble,host-bridge/urdf,host-bridge/ros2"]);
+        command.args([
+            "--features",
+            "tests/avr,tests/nrf,tests/ble,host-bridge/urdf,host-bridge/ros2,host-bridge/mcap",
+        ]);
     } else {
-        command.args(["--exclude", "tests", "--features", "host-bridge/urdf,host-bridge/ros2"]);
+        command.args([
+            "--exclude",
+            "tests",
+            "--features",
+            "host-bridge/urdf,host-bridge/ros2,host-bridge/mcap",
+        ]);
     }
     command
 }
@@ -167,6 +175,19 @@ fn steps() -> Vec<Step> {
                 .current_dir(root())
                 .arg("tests/web/check.py")
                 .arg(target_dir().join("debug")))
+        }),
+        Step::new("a session's file read by others", || {
+            let folder = target_dir().join("session-file");
+            // Files of sessions are never written over.
+            let _ = std::fs::remove_dir_all(&folder);
+            std::fs::create_dir_all(&folder)?;
+            let (file, summary) = (folder.join("demo.mcap"), folder.join("demo.json"));
+            let mut demo = built("host-bridge")?;
+            demo.args(["demo", "--headless", "--speed", "0", "--json", "--record"]).arg(&file);
+            std::fs::write(&summary, output(&mut demo)?)?;
+            let python = python::environment("mcap", &["tests/mcap/requirements.txt"])?;
+            sh(Command::new(python).current_dir(root()).arg("tests/mcap/check.py").arg(&file).arg(&summary))?;
+            sh(built("host-bridge")?.arg("replay").arg(&file))
         }),
     ]
 }

@@ -18,8 +18,11 @@ use crate::play::{PlayOptions, play, say};
 /// Options.
 #[derive(clap::Args, Clone, Debug)]
 pub struct Args {
+    /// A session that `--record` has written: the same again, compared with what is in the file
+    #[arg(value_name = "FILE.mcap", conflicts_with_all = ["right", "left", "record", "scene", "map"])]
+    session: Option<PathBuf>,
     /// Recordings of the right hand (timestamp_ms,accX,…); several are joined into one stream
-    #[arg(long, value_name = "IMU.csv", num_args = 1.., required_unless_present = "left")]
+    #[arg(long, value_name = "IMU.csv", num_args = 1.., required_unless_present_any = ["left", "session"])]
     right: Vec<PathBuf>,
     /// Recording of the left hand (timestamp_ms,x,y,z,index,middle: 10-bit counts at 100 Hz)
     #[arg(long, value_name = "ADC.csv")]
@@ -46,6 +49,9 @@ struct Report<'a> {
 
 /// Plays them. Everything is read and checked before anything moves.
 pub fn run(args: &Args) -> Result<ExitCode> {
+    if let Some(file) = &args.session {
+        return again(file, args);
+    }
     let map = args.play.motion_map()?;
     let robot = args.play.robot()?;
     let left = args.left.as_deref().map(|file| read_left(file, args.calibration.as_deref())).transpose()?;
@@ -102,6 +108,49 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         println!("{}", serde_json::to_string(&report)?);
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// A session of a file once more.
+#[cfg(feature = "mcap")]
+fn again(file: &Path, args: &Args) -> Result<ExitCode> {
+    use host_bridge::session::SessionEvent;
+    let about = || format!("{}", file.display());
+    let bytes = std::fs::read(file).with_context(about)?;
+    let replay = host_bridge::journal::replay(&bytes).with_context(about)?;
+    for event in &replay.events {
+        let event = SessionEvent::Bridge(event.clone());
+        if !describe::is_echo(&event) {
+            let time_s = describe::time_ms(&event) as f64 / 1000.0;
+            say(&args.play, &format!("{time_s:>8.3} s  {}", describe::text(&event)));
+        }
+    }
+    if let Some(why) = &replay.cut {
+        say(&args.play, &format!("the file ends within a message ({why}): its last moments are missing"));
+    }
+    if let Some(gap_ms) = replay.gap_ms {
+        let at_s = gap_ms as f64 / 1000.0;
+        say(&args.play, &format!("from {at_s:.3} s on the file has gaps (the disk was too slow): ends here"));
+    }
+    let verdict = match &replay.first_difference {
+        None if replay.is_same() => "all the same, bit for bit".to_owned(),
+        None => "nothing to compare".to_owned(),
+        Some(first) => format!("{} DIFFERENT, the first: {first}", replay.different),
+    };
+    let (seconds, compared) = (replay.seconds, replay.compared);
+    say(&args.play, &format!("{seconds:.1} s, {compared} messages compared: {verdict}"));
+    if args.play.json {
+        println!("{}", serde_json::to_string(&replay)?);
+    }
+    Ok(if replay.is_same() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
+/// Says that this program cannot.
+#[cfg(not(feature = "mcap"))]
+fn again(file: &Path, _args: &Args) -> Result<ExitCode> {
+    bail!(
+        "{}: this program was built without sessions on disk; build it with `--features mcap`",
+        file.display()
+    )
 }
 
 fn read_left(file: &Path, calibration: Option<&Path>) -> Result<Box<dyn Board>> {

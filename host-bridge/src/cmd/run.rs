@@ -22,6 +22,7 @@ use host_bridge::web::Web;
 use serde::Serialize;
 use shared_proto::message::Heading;
 
+use super::keep::{KeepArgs, Keeper, Start};
 use super::ports::{check_name, read_config, settings};
 use super::ros2::Link;
 use super::web::WebArgs;
@@ -82,6 +83,8 @@ pub struct Args {
     scene: Option<PathBuf>,
     #[command(flatten)]
     web: WebArgs,
+    #[command(flatten)]
+    keep: KeepArgs,
 }
 
 #[derive(Serialize)]
@@ -201,9 +204,19 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         live.tap_mut().add(Box::new(web.watcher(&title)));
         title += &format!("\npage: {}", web.url());
     }
+    let start = Start {
+        title: &title,
+        config: &config,
+        maps: &[],
+        scene: args.scene.as_deref(),
+        now_ms: clock.now_ms(),
+        live: true,
+    };
+    let keeper = args.keep.start(live.tap_mut(), &start)?;
     let mut session = Session {
         live,
         ros,
+        keeper,
         view: if wants_view { Some(View::open(&title)?) } else { None },
         json: args.json,
         links,
@@ -232,6 +245,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
 struct Session {
     live: Live,
     ros: Option<Link>,
+    keeper: Keeper,
     view: Option<View>,
     json: bool,
     links: [Option<BoardLink>; 2],
@@ -264,6 +278,9 @@ impl Session {
             let now_ms = clock.now_ms();
             if self.web.as_ref().is_some_and(Web::take_stop) {
                 self.live.stop_key(now_ms);
+            }
+            if let Some(problem) = self.keeper.take_problem() {
+                self.told(&problem);
             }
             let ready = [0, 1].map(|i| self.links[i].as_ref().is_some_and(BoardLink::is_ready));
             let told = self.ros.as_mut().map(|ros| ros.receive(&mut self.live, now_ms)).unwrap_or_default();
@@ -391,10 +408,23 @@ impl Session {
         false
     }
 
+    /// About the session's file.
+    fn told(&mut self, text: &str) {
+        if self.json {
+            let line = serde_json::json!({ "event": "file", "text": text });
+            self.line(&line.to_string());
+        } else {
+            self.line(text);
+        }
+    }
+
     fn end(&mut self, time_ms: u64, ros2: Option<Counts>) {
         self.view = None;
         if let Some(web) = self.web.take() {
             web.end(&self.live.now(time_ms));
+        }
+        if let Some(line) = self.keeper.end(self.live.tap_mut()) {
+            self.told(&line);
         }
         let bridge = self.live.bridge();
         let odometry = self.live.robot().odometry();

@@ -1,0 +1,103 @@
+//! The option that writes a session to a file, shared by the verbs that move a robot.
+
+use std::path::PathBuf;
+
+use anyhow::Result;
+use host_bridge::observe::Tap;
+
+#[cfg(feature = "mcap")]
+use host_bridge::journal::{Disk, SceneText, Setup, WhenFull};
+
+/// Whether and where to write it.
+#[derive(clap::Args, Clone, Debug, Default)]
+pub struct KeepArgs {
+    /// Write everything that happens to a new file, for `replay FILE.mcap`, Foxglove and ROS tools
+    #[arg(long, value_name = "FILE.mcap")]
+    pub record: Option<PathBuf>,
+}
+
+/// What a session starts with.
+pub struct Start<'a> {
+    /// One line for people.
+    pub title: &'a str,
+    /// Limits, times, base, arm, motions.
+    pub config: &'a host_bridge::config::Config,
+    /// `LABEL=MOTION`, more of them.
+    pub maps: &'a [String],
+    /// What stands around.
+    pub scene: Option<&'a std::path::Path>,
+    /// The session's clock now.
+    pub now_ms: u64,
+    /// Something real moves: nothing may delay the session.
+    pub live: bool,
+}
+
+/// The file, if there is one.
+#[derive(Default)]
+pub struct Keeper {
+    #[cfg(feature = "mcap")]
+    disk: Option<Disk>,
+}
+
+impl KeepArgs {
+    /// Creates the file and hangs its observer on the session.
+    #[cfg(feature = "mcap")]
+    pub fn start(&self, tap: &mut Tap, start: &Start<'_>) -> Result<Keeper> {
+        use std::time::{SystemTime, UNIX_EPOCH};
+        let Some(file) = &self.record else { return Ok(Keeper::default()) };
+        let day = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+        let setup = Setup {
+            title: start.title.to_owned(),
+            config: start.config.clone(),
+            maps: start.maps.to_vec(),
+            scene: start.scene.map(SceneText::read).transpose()?,
+            origin_ns: (day.as_nanos() as u64).saturating_sub(start.now_ms * 1_000_000),
+        };
+        let when_full = if start.live { WhenFull::Drop } else { WhenFull::Wait };
+        let (disk, recorder) = Disk::create(file, &setup, when_full).map_err(anyhow::Error::msg)?;
+        tap.add(Box::new(recorder));
+        Ok(Keeper { disk: Some(disk) })
+    }
+
+    /// Says that this program cannot.
+    #[cfg(not(feature = "mcap"))]
+    pub fn start(&self, _tap: &mut Tap, start: &Start<'_>) -> Result<Keeper> {
+        let Start { title: _, config: _, maps: _, scene: _, now_ms: _, live: _ } = start;
+        anyhow::ensure!(
+            self.record.is_none(),
+            "--record: this program was built without sessions on disk; build it with `--features mcap`"
+        );
+        Ok(Keeper::default())
+    }
+}
+
+impl Keeper {
+    /// Why nothing more is written, said once.
+    pub fn take_problem(&mut self) -> Option<String> {
+        #[cfg(feature = "mcap")]
+        return self.disk.as_mut().and_then(Disk::take_problem);
+        #[cfg(not(feature = "mcap"))]
+        None
+    }
+
+    /// Writes what waits; one line about the file, if there is one.
+    pub fn end(&mut self, tap: &mut Tap) -> Option<String> {
+        tap.clear();
+        #[cfg(feature = "mcap")]
+        return self.disk.take().map(|disk| {
+            let file = disk.file().display().to_string();
+            let told = disk.is_told();
+            let kept = disk.close();
+            let lost = match kept.lost {
+                0 => String::new(),
+                lost => format!("; the disk was too slow for {lost} messages"),
+            };
+            match kept.problem.filter(|_| !told) {
+                Some(problem) => problem,
+                None => format!("{file}: {} messages{lost}", kept.messages),
+            }
+        });
+        #[cfg(not(feature = "mcap"))]
+        None
+    }
+}

@@ -1,0 +1,313 @@
+//! A file's bytes and keys through a bridge and a robot again.
+
+use std::collections::{BTreeMap, VecDeque};
+
+use mcap::McapError;
+use mcap::read::{ChunkFlattener, Options};
+use mcap::records::Record;
+use serde::Serialize;
+use shared_proto::frame::{Decoder, HOST_FRAME_MAX, encode_host};
+use shared_proto::message::HostMessage;
+
+use super::METADATA;
+use super::cdr::Reader;
+use super::messages::{Entry, Origin};
+use super::setup::{Setup, SetupError};
+use super::topics::Topic;
+use crate::base::Odometry;
+use crate::bridge::{Bridge, BridgeEvent};
+use crate::observe::{Now, OperatorKey};
+use crate::robot::Robot as _;
+use crate::safety::Hand;
+use crate::session::SessionEvent;
+use crate::sim::Simulator;
+
+/// What a replay came to.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Replay {
+    /// Of the session.
+    pub title: String,
+    /// Time of the session that was replayed.
+    pub seconds: f64,
+    /// Everything that happened, in order.
+    pub events: Vec<BridgeEvent>,
+    /// Messages by topic.
+    pub messages: BTreeMap<&'static str, u64>,
+    /// Messages that were made again and compared.
+    pub compared: u64,
+    /// Those of them that came out otherwise.
+    pub different: u64,
+    /// The first of these.
+    pub first_difference: Option<String>,
+    /// The file ends early: it was being written, or it is damaged.
+    pub cut: Option<String>,
+    /// From here on the file has gaps, because the disk was too slow: nothing behind this was replayed.
+    pub gap_ms: Option<u64>,
+    /// The base at the end.
+    pub odometry: Odometry,
+    /// The robot rests at the end.
+    pub at_rest: bool,
+}
+
+impl Replay {
+    /// All that followed was the same.
+    pub fn is_same(&self) -> bool {
+        self.different == 0 && self.compared > 0
+    }
+}
+
+/// The file cannot be replayed.
+#[derive(Debug, thiserror::Error)]
+pub enum ReplayError {
+    /// It is no MCAP file.
+    #[error("this is no MCAP file ({0}); give a file that `--record` has written")]
+    Form(#[from] McapError),
+    /// Another program wrote it.
+    #[error("the file was not written by this program's `--record`: it does not say how its session started")]
+    NoSetup,
+    /// Its session cannot be started.
+    #[error(transparent)]
+    Setup(#[from] SetupError),
+    /// A message is not as its type says.
+    #[error("{topic}, at {seconds:.3} s: the message cannot be read; the file is damaged")]
+    Message {
+        /// Where.
+        topic: &'static str,
+        /// When.
+        seconds: f64,
+    },
+}
+
+/// Replays a file's bytes, to its end or to where it is damaged.
+///
+/// # Errors
+/// [`ReplayError`] where nothing can be replayed.
+pub fn replay(file: &[u8]) -> Result<Replay, ReplayError> {
+    let records = ChunkFlattener::new_with_options(file, Options::IgnoreEndMagic.into())?;
+    let mut topics = BTreeMap::new();
+    let mut player: Option<Player> = None;
+    let mut cut = None;
+    for record in records {
+        match record {
+            Err(error) if player.is_none() => return Err(error.into()),
+            Err(error) => {
+                cut = Some(error.to_string());
+                break;
+            }
+            Ok(Record::Metadata(metadata)) if metadata.name == METADATA && player.is_none() => {
+                player = Some(Player::new(&Setup::from_metadata(&metadata.metadata)?)?);
+            }
+            Ok(Record::Channel(channel)) => {
+                if let Some(topic) = Topic::named(&channel.topic) {
+                    topics.insert(channel.id, topic);
+                }
+            }
+            Ok(Record::Message { header, data }) => {
+                let player = player.as_mut().ok_or(ReplayError::NoSetup)?;
+                let Some(&topic) = topics.get(&header.channel_id) else { continue };
+                let time_ms = header.log_time.saturating_sub(player.origin.nanoseconds) / 1_000_000;
+                let entry = Entry { topic, time_ms, data: data.into_owned() };
+                if player.take(entry)? == Then::Stop {
+                    break;
+                }
+            }
+            Ok(_) => {}
+        }
+    }
+    let player = player.ok_or(ReplayError::NoSetup)?;
+    Ok(player.end(cut))
+}
+
+#[derive(PartialEq)]
+enum Then {
+    GoOn,
+    Stop,
+}
+
+struct Player {
+    origin: Origin,
+    bridge: Bridge,
+    robot: Simulator,
+    /// What follows from the last steps, and must be in the file next.
+    due: VecDeque<Entry>,
+    now_ms: u64,
+    result: Replay,
+}
+
+impl Player {
+    fn new(setup: &Setup) -> Result<Self, SetupError> {
+        let robot = setup.robot()?;
+        Ok(Player {
+            origin: Origin { nanoseconds: setup.origin_ns },
+            bridge: setup.bridge()?,
+            due: VecDeque::new(),
+            now_ms: 0,
+            result: Replay {
+                title: setup.title.clone(),
+                seconds: 0.0,
+                events: Vec::new(),
+                messages: BTreeMap::new(),
+                compared: 0,
+                different: 0,
+                first_difference: None,
+                cut: None,
+                gap_ms: None,
+                odometry: robot.odometry(),
+                at_rest: true,
+            },
+            robot,
+        })
+    }
+
+    fn take(&mut self, entry: Entry) -> Result<Then, ReplayError> {
+        let (topic, time_ms) = (entry.topic, entry.time_ms);
+        if topic == Topic::Lost {
+            self.result.gap_ms = Some(time_ms);
+            return Ok(Then::Stop);
+        }
+        *self.result.messages.entry(topic.name()).or_default() += 1;
+        let now = Now { time_ms, bridge: &self.bridge, robot: &self.robot };
+        let again = match topic {
+            Topic::LeftReceived
+            | Topic::RightReceived
+            | Topic::LeftSent
+            | Topic::RightSent
+            | Topic::Operated
+            | Topic::Turns => {
+                let unreadable =
+                    ReplayError::Message { topic: topic.name(), seconds: time_ms as f64 / 1000.0 };
+                self.repeat(&entry).ok_or(unreadable)?;
+                return Ok(Then::GoOn);
+            }
+            Topic::LeftSample
+            | Topic::RightSample
+            | Topic::Imu
+            | Topic::Magnetic
+            | Topic::Log
+            | Topic::Lost => {
+                return Ok(Then::GoOn);
+            }
+            Topic::Events | Topic::Intents | Topic::Stops => self.due.pop_front(),
+            Topic::Hands => Some(self.origin.hands(&now)),
+            Topic::Twist => Some(self.origin.twist(&now)),
+            Topic::Joints => Some(self.origin.joints(&now)),
+            Topic::Odometry => Some(self.origin.odometry(&now)),
+            Topic::Transforms => Some(self.origin.transforms(&now)),
+        };
+        self.result.compared += 1;
+        if again.as_ref() != Some(&entry) {
+            self.differs(format!("{}, at {:.3} s", topic.name(), time_ms as f64 / 1000.0));
+        }
+        Ok(Then::GoOn)
+    }
+
+    fn differs(&mut self, what: String) {
+        self.result.different += 1;
+        self.result.first_difference.get_or_insert(what);
+    }
+
+    /// What came in, and steps. `None` where the message cannot be read.
+    fn repeat(&mut self, entry: &Entry) -> Option<()> {
+        let mut reader = Reader::new(&entry.data)?;
+        if entry.topic == Topic::Turns {
+            for _ in 0..reader.u32()? {
+                match (reader.u8()?, reader.u64()?) {
+                    (0, time_ms) => self.decide(time_ms),
+                    (1, passed_ms) => self.robot.step(passed_ms),
+                    _ => return None,
+                }
+            }
+            return Some(());
+        }
+        reader.i32()?;
+        reader.u32()?;
+        let time_ms = reader.u64()?;
+        match entry.topic {
+            Topic::LeftReceived => self.bridge.receive(Hand::Left, reader.blob()?, time_ms, &mut self.robot),
+            Topic::RightReceived => {
+                self.bridge.receive(Hand::Right, reader.blob()?, time_ms, &mut self.robot);
+            }
+            Topic::LeftSent => self.send(Hand::Left, reader.blob()?, time_ms),
+            Topic::RightSent => self.send(Hand::Right, reader.blob()?, time_ms),
+            _ => match reader.u8()? {
+                0 => self.bridge.stop_key(time_ms, &mut self.robot),
+                1 => self.bridge.release_key(time_ms, &mut self.robot),
+                _ => return None,
+            },
+        }
+        Some(())
+    }
+
+    fn decide(&mut self, time_ms: u64) {
+        self.now_ms = time_ms;
+        self.bridge.step(time_ms, &mut self.robot);
+        for event in self.bridge.take_events() {
+            self.result.events.push(event.clone());
+            let entries = self.origin.event(&SessionEvent::Bridge(event));
+            self.due.extend(entries.into_iter().filter(|entry| entry.topic != Topic::Log));
+        }
+    }
+
+    /// A link remembers when it asked and when it pinged: that decides how old states are.
+    fn send(&mut self, hand: Hand, frame: &[u8], time_ms: u64) {
+        let mut decoder = Decoder::<HOST_FRAME_MAX>::new();
+        let mut sent = None;
+        for &byte in frame {
+            sent = match decoder.push_host(byte) {
+                Some(HostMessage::HelloRequest) => Some(true),
+                Some(HostMessage::Ping { .. }) => Some(false),
+                Some(_) => return,
+                None => sent,
+            };
+        }
+        let again = match sent {
+            Some(true) => self.bridge.poll(hand, time_ms),
+            Some(false) => self.bridge.ping(hand, time_ms),
+            None => None,
+        };
+        let mut buffer = [0; HOST_FRAME_MAX];
+        let again = again.and_then(|message| encode_host(&message, &mut buffer).ok());
+        self.result.compared += 1;
+        if again != Some(frame) {
+            self.differs(format!("frame to the {hand} hand, at {:.3} s", time_ms as f64 / 1000.0));
+        }
+    }
+
+    fn end(mut self, cut: Option<String>) -> Replay {
+        if cut.is_none()
+            && self.result.gap_ms.is_none()
+            && let Some(entry) = self.due.pop_front()
+        {
+            let seconds = entry.time_ms as f64 / 1000.0;
+            self.differs(format!("{}, at {seconds:.3} s: is not in the file", entry.topic.name()));
+        }
+        Replay {
+            seconds: self.now_ms as f64 / 1000.0,
+            cut,
+            odometry: self.robot.odometry(),
+            at_rest: self.robot.at_rest(),
+            ..self.result
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_no_such_file_is_refused_with_the_reason() {
+        for (bytes, told) in
+            [(&b""[..], "no MCAP file"), (b"timestamp,accX\n0,1\n and a few more", "no MCAP file")]
+        {
+            let error = replay(bytes).unwrap_err().to_string();
+            assert!(error.contains(told), "{error}");
+        }
+        // A whole file of another program: magic, header, data end, footer, magic.
+        let mut file = Vec::new();
+        let mut writer = mcap::Writer::new(std::io::Cursor::new(&mut file)).unwrap();
+        writer.finish().unwrap();
+        drop(writer);
+        assert!(matches!(replay(&file), Err(ReplayError::NoSetup)));
+    }
+}

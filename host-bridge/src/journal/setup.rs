@@ -1,0 +1,183 @@
+//! What a session started with: enough to start the same one again.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use serde::{Deserialize, Serialize};
+
+use crate::arm::model::SerialArm;
+use crate::bridge::Bridge;
+use crate::config::Config;
+use crate::intent::MotionMap;
+use crate::plan::Planner;
+use crate::scene::Scene;
+use crate::sim::{SimConfig, Simulator};
+
+/// See the module.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Setup {
+    /// One line for people.
+    pub title: String,
+    /// Limits, times, base, arm, motions.
+    pub config: Config,
+    /// `LABEL=MOTION`, in the order in which they were given; they come after those of `config`.
+    pub maps: Vec<String>,
+    /// What stood around.
+    pub scene: Option<SceneText>,
+    /// Time of day at which the session's clock was zero, in nanoseconds since 1970.
+    pub origin_ns: u64,
+}
+
+/// A scene with all that it names.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct SceneText {
+    /// Where it was read.
+    pub file: PathBuf,
+    /// The scene.
+    pub toml: String,
+    /// Its arm, if it is not the Gen3.
+    pub urdf: Option<String>,
+}
+
+/// A session cannot be started like that.
+#[derive(Debug, thiserror::Error)]
+pub enum SetupError {
+    /// A file cannot be read.
+    #[error("{file}: {source}")]
+    Read {
+        /// Which.
+        file: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// The scene cannot be used.
+    #[error("{file}: {problem}")]
+    Scene {
+        /// Which.
+        file: PathBuf,
+        /// Why, and what to do.
+        problem: String,
+    },
+    /// The file's metadata are of another version, or damaged.
+    #[error("the session's settings cannot be read: {0}; it was written by another version of this program")]
+    Metadata(String),
+}
+
+impl SceneText {
+    /// Reads a scene file and the arm beside it.
+    ///
+    /// # Errors
+    /// [`SetupError`] if one is missing or the scene is none.
+    pub fn read(file: &Path) -> Result<Self, SetupError> {
+        let text = |file: &Path| {
+            std::fs::read_to_string(file).map_err(|source| SetupError::Read { file: file.to_owned(), source })
+        };
+        let toml = text(file)?;
+        let scene = Scene::parse(&toml)
+            .map_err(|error| SetupError::Scene { file: file.to_owned(), problem: error.to_string() })?;
+        let beside = |urdf: &PathBuf| file.parent().unwrap_or(Path::new("")).join(urdf);
+        let urdf = scene.arm.urdf.as_ref().map(|urdf| text(&beside(urdf))).transpose()?;
+        Ok(SceneText { file: file.to_owned(), toml, urdf })
+    }
+
+    /// Plans in it.
+    ///
+    /// # Errors
+    /// [`SetupError::Scene`].
+    pub fn planner(&self) -> Result<Planner, SetupError> {
+        let bad = |problem: String| SetupError::Scene { file: self.file.clone(), problem };
+        let scene = Scene::parse(&self.toml).map_err(|error| bad(error.to_string()))?;
+        let arm = match &self.urdf {
+            None => SerialArm::gen3(),
+            Some(urdf) => arm(urdf, &scene).map_err(bad)?,
+        };
+        Planner::new(arm, scene).map_err(|error| bad(error.to_string()))
+    }
+}
+
+#[cfg(feature = "urdf")]
+fn arm(urdf: &str, scene: &Scene) -> Result<SerialArm, String> {
+    let missing = crate::arm::urdf::Missing {
+        tip: scene.arm.tip.clone(),
+        link_radius_m: scene.arm.link_radius_m,
+        acceleration_rad_s2: scene.arm.acceleration_rad_s2,
+    };
+    crate::arm::urdf::parse(urdf, &missing).map_err(|error| error.to_string())
+}
+
+#[cfg(not(feature = "urdf"))]
+fn arm(_urdf: &str, _scene: &Scene) -> Result<SerialArm, String> {
+    Err("this program reads no URDF; build it with `--features urdf`".to_owned())
+}
+
+impl Setup {
+    /// The motions of all labels.
+    ///
+    /// # Errors
+    /// [`SetupError::Metadata`] for a mapping that is none.
+    pub fn motion_map(&self) -> Result<MotionMap, SetupError> {
+        let mut map = self.config.motion_map();
+        for mapping in &self.maps {
+            map.assign(mapping).map_err(|error| SetupError::Metadata(error.to_string()))?;
+        }
+        Ok(map)
+    }
+
+    /// A bridge that waits for its hands.
+    ///
+    /// # Errors
+    /// As [`Setup::motion_map`].
+    pub fn bridge(&self) -> Result<Bridge, SetupError> {
+        Ok(Bridge::with(self.motion_map()?, self.config.speed, self.config.safety))
+    }
+
+    /// The robot at rest.
+    ///
+    /// # Errors
+    /// [`SetupError::Scene`].
+    pub fn robot(&self) -> Result<Simulator, SetupError> {
+        match &self.scene {
+            Some(scene) => Ok(Simulator::in_scene(Arc::new(scene.planner()?))),
+            None => Ok(Simulator::new(SimConfig {
+                base: self.config.base,
+                arm_limits: self.config.arm_limits(),
+                ..SimConfig::default()
+            })),
+        }
+    }
+
+    /// As the file keeps it.
+    pub fn to_metadata(&self) -> BTreeMap<String, String> {
+        let mut metadata = BTreeMap::from([
+            ("version".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),
+            ("title".to_owned(), self.title.clone()),
+            ("config".to_owned(), self.config.to_toml()),
+            ("maps".to_owned(), serde_json::to_string(&self.maps).unwrap_or_default()),
+            ("origin_ns".to_owned(), self.origin_ns.to_string()),
+        ]);
+        if let Some(scene) = &self.scene {
+            metadata.insert("scene".to_owned(), serde_json::to_string(scene).unwrap_or_default());
+        }
+        metadata
+    }
+
+    /// From the file.
+    ///
+    /// # Errors
+    /// [`SetupError::Metadata`].
+    pub fn from_metadata(metadata: &BTreeMap<String, String>) -> Result<Self, SetupError> {
+        let bad = |what: String| SetupError::Metadata(what);
+        let text = |key: &str| {
+            metadata.get(key).map(String::as_str).ok_or_else(|| bad(format!("there is no '{key}'")))
+        };
+        let scene = metadata.get("scene").map(|scene| serde_json::from_str(scene)).transpose();
+        Ok(Setup {
+            title: text("title")?.to_owned(),
+            config: Config::parse(text("config")?).map_err(|error| bad(error.to_string()))?,
+            maps: serde_json::from_str(text("maps")?).map_err(|error| bad(error.to_string()))?,
+            scene: scene.map_err(|error| bad(error.to_string()))?,
+            origin_ns: text("origin_ns")?.parse().map_err(|_| bad("origin_ns is no number".to_owned()))?,
+        })
+    }
+}

@@ -1,0 +1,335 @@
+//! Sessions on disk: what is written is all that there is, and stays readable whatever happens.
+#![cfg(feature = "mcap")]
+
+use std::io::{self, BufRead as _, BufReader};
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::sync::mpsc::{Receiver, channel};
+use std::sync::{Arc, Mutex};
+
+use host_bridge::adc::AdcRecording;
+use host_bridge::config::Config;
+use host_bridge::hands::{LeftBoard, ModelFile, RightBoard};
+use host_bridge::intent::MotionMap;
+use host_bridge::journal::sink::Storage;
+use host_bridge::journal::{Disk, Kept, Replay, SceneText, Setup, WhenFull, replay};
+use host_bridge::keyboard::HandKey;
+use host_bridge::live::{Live, Place};
+use host_bridge::robot::Robot as _;
+use host_bridge::safety::Hand;
+use host_bridge::script::Script;
+use host_bridge::session::Session;
+use models::recording::Recording;
+use shared_proto::message::Heading;
+
+/// A disk in memory, of so many bytes; a writer waits while the other end of `gate` holds it.
+#[derive(Clone)]
+struct Memory {
+    bytes: Arc<Mutex<Vec<u8>>>,
+    size: usize,
+    gate: Arc<Mutex<Option<Receiver<()>>>>,
+}
+
+impl Memory {
+    fn of_size(size: usize) -> Self {
+        Memory { bytes: Arc::default(), size, gate: Arc::default() }
+    }
+
+    fn file(&self) -> Vec<u8> {
+        self.bytes.lock().unwrap().clone()
+    }
+}
+
+impl Storage for Memory {
+    fn write_at(&mut self, at: u64, bytes: &[u8]) -> io::Result<()> {
+        if let Some(gate) = self.gate.lock().unwrap().as_ref() {
+            // Until the other end is gone.
+            while gate.recv().is_ok() {}
+        }
+        let mut disk = self.bytes.lock().unwrap();
+        let at = at as usize;
+        let fits = bytes.len().min(self.size.saturating_sub(at));
+        let end = (at + fits).max(disk.len());
+        disk.resize(end, 0);
+        disk[at..at + fits].copy_from_slice(&bytes[..fits]);
+        if fits < bytes.len() { Err(io::ErrorKind::StorageFull.into()) } else { Ok(()) }
+    }
+
+    fn cut(&mut self, length: u64) -> io::Result<()> {
+        self.bytes.lock().unwrap().resize(length as usize, 0);
+        Ok(())
+    }
+}
+
+fn setup() -> Setup {
+    Setup { title: "a test".to_owned(), origin_ns: 1_700_000_000_123_456_789, ..Setup::default() }
+}
+
+fn with_demo<T>(setup: &Setup, look: impl FnOnce(&mut Session<'_>) -> T) -> T {
+    let file = |name: &str| Path::new(env!("CARGO_MANIFEST_DIR")).join("sessions/demo").join(name);
+    let script = Script::parse(&std::fs::read_to_string(file("session.toml")).unwrap()).unwrap();
+    let model = ModelFile::bundled().unwrap();
+    let left = AdcRecording::read(&file("left.csv")).unwrap();
+    let right = Recording::read(&file("right.csv")).unwrap();
+    let left = LeftBoard::new(left, Some(script.calibration.into()), 1);
+    let right = RightBoard::new(right.resampled(), &model, 1).unwrap();
+    let robot = setup.robot().unwrap();
+    let mut session =
+        Session::with_robot(Some(Box::new(left)), Some(Box::new(right)), MotionMap::default(), robot);
+    look(&mut session)
+}
+
+fn play(session: &mut Session<'_>, until_ms: u64, stop_ms: Option<u64>) {
+    while session.now_ms() < until_ms && !session.finished() {
+        if Some(session.now_ms()) == stop_ms {
+            session.stop_key();
+        }
+        session.step();
+    }
+}
+
+/// The demo on a disk; what became of the file.
+fn recorded_demo(setup: &Setup, until_ms: u64, stop_ms: Option<u64>, memory: &Memory) -> Kept {
+    with_demo(setup, |session| {
+        let start = Disk::with_storage(memory.clone(), Path::new("a.mcap"), setup, WhenFull::Wait);
+        let (disk, recorder) = start.unwrap();
+        session.tap_mut().add(Box::new(recorder));
+        play(session, until_ms, stop_ms);
+        session.tap_mut().clear();
+        disk.close()
+    })
+}
+
+fn assert_same(replay: &Replay) {
+    assert_eq!((replay.first_difference.as_ref(), replay.cut.as_ref(), replay.gap_ms), (None, None, None));
+    assert!(replay.is_same());
+}
+
+#[test]
+fn a_played_session_from_its_file_is_the_same_bit_for_bit() {
+    let memory = Memory::of_size(usize::MAX);
+    let kept = recorded_demo(&setup(), 30_000, Some(15_000), &memory);
+    assert_eq!((kept.lost, kept.problem), (0, None));
+    let file = memory.file();
+    assert_eq!(kept.bytes, file.len() as u64);
+    let again = replay(&file).unwrap();
+    assert_same(&again);
+    with_demo(&setup(), |session| {
+        play(session, 30_000, Some(15_000));
+        let summary = session.summary();
+        assert_eq!(again.events, summary.events);
+        assert_eq!(again.odometry, summary.odometry);
+        assert!(summary.events.len() > 10);
+        assert_eq!(summary.stops, 1);
+    });
+    // 100 Hz, 50 Hz, 20 Hz over 30 s, both ends of the first interval counted; and the samples of both hands.
+    let counted = |topic: &str| again.messages.get(topic).copied().unwrap_or_default();
+    let topics = ["/joint_states", "/odom", "/tf", "/cmd_vel", "/hands/state"].map(counted);
+    assert_eq!(topics, [3001, 1501, 1501, 1501, 601]);
+    assert_eq!([counted("/hands/left/sample"), counted("/hands/right/imu")], [3000, 3000]);
+    assert_eq!(counted("/events"), again.events.len() as u64);
+    assert_eq!(counted("/bridge/operated"), 1);
+    assert_eq!(again.messages.values().sum::<u64>(), kept.messages);
+}
+
+#[test]
+fn planned_motions_are_the_same_too() {
+    let scene = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes/shelf.toml");
+    let setup = Setup { scene: Some(SceneText::read(&scene).unwrap()), ..setup() };
+    let memory = Memory::of_size(usize::MAX);
+    recorded_demo(&setup, 25_000, None, &memory);
+    let again = replay(&memory.file()).unwrap();
+    assert_same(&again);
+    let text = format!("{:?}", again.events);
+    assert!(text.contains("Started("), "an arm motion was among it: {text}");
+}
+
+/// A live session: keys for both hands, irregular turns, pings, a stop and its release, a pause.
+fn live_session(memory: &Memory, when_full: WhenFull, until_ms: u64) -> (Live, Disk) {
+    let mut config = Config::default();
+    config.speed.start = 0.3;
+    config.motions.insert("rectangle".to_owned(), "home".to_owned());
+    let setup = Setup { config: config.clone(), ..setup() };
+    let (disk, recorder) =
+        Disk::with_storage(memory.clone(), Path::new("a.mcap"), &setup, when_full).unwrap();
+    let mut now_ms = 77;
+    let mut live = Live::new(&config, Place::Keyboard, Place::Keyboard, now_ms);
+    live.tap_mut().add(Box::new(recorder));
+    let mut turn = 0_u64;
+    while now_ms < until_ms {
+        turn += 1;
+        now_ms += 1 + turn % 4;
+        if turn == 2500 {
+            now_ms += 700;
+        }
+        match turn {
+            500 | 900 | 1700 => live.press(HandKey::Arrow(Heading::Forward), now_ms),
+            600 => live.press(HandKey::Gesture(2), now_ms),
+            1000 => live.stop_key(now_ms),
+            1600 => live.press(HandKey::Gesture(1), now_ms),
+            1800 => live.press(HandKey::Faster, now_ms),
+            1900 => live.press(HandKey::Gesture(5), now_ms),
+            // Noise on a line, between two turns.
+            2000 => live.receive(Hand::Left, &[7, 0, 255, 3], now_ms),
+            _ => {}
+        }
+        live.step(now_ms, [true; 2]);
+    }
+    (live, disk)
+}
+
+#[test]
+fn a_live_session_from_its_file_is_the_same_bit_for_bit() {
+    let memory = Memory::of_size(usize::MAX);
+    let (mut live, disk) = live_session(&memory, WhenFull::Wait, 10_000);
+    live.tap_mut().clear();
+    assert_eq!(disk.close().problem, None);
+    let again = replay(&memory.file()).unwrap();
+    assert_same(&again);
+    assert_eq!(again.odometry, live.robot().odometry());
+    assert!(again.odometry.path_m > 0.1, "{:?}", again.odometry);
+    let text = serde_json::to_string(&again.events).unwrap();
+    for needed in ["\"released\"", "operator-stop", "\"started\"", "\"gesture\""] {
+        assert!(text.contains(needed), "{needed}: {text}");
+    }
+    assert!(again.messages["/bridge/right/sent"] > 8, "hellos and a ping a second");
+}
+
+#[test]
+fn a_file_in_which_one_bit_of_a_command_differs_is_found_out() {
+    let memory = Memory::of_size(usize::MAX);
+    recorded_demo(&setup(), 10_000, None, &memory);
+    let file = memory.file();
+    // Checksums of chunks are not looked at by this reader: what follows must tell.
+    let name = b"left_wheel\0";
+    let joints: Vec<usize> =
+        (0..file.len() - name.len()).filter(|&at| &file[at..at + name.len()] == name).collect();
+    assert!(joints.len() > 900);
+    let mut changed = file;
+    // Behind both names and the count: the first joint's angle, its last bit.
+    let at = joints[800];
+    let after = changed[at..].windows(12).position(|w| w == b"right_wheel\0").unwrap() + at + 12;
+    let count = (after..).find(|&i| changed[i] == 9).unwrap();
+    let angle = count + 4 + (8 - (count + 4) % 8) % 8;
+    changed[angle + 9] ^= 1;
+    let again = replay(&changed).unwrap();
+    assert_eq!(again.different, 1);
+    assert!(again.first_difference.unwrap().starts_with("/joint_states"));
+}
+
+#[test]
+fn a_full_disk_is_told_once_and_leaves_a_whole_file_while_the_session_goes_on() {
+    let memory = Memory::of_size(3_000_000);
+    let (summary, kept) = with_demo(&setup(), |session| {
+        let start = Disk::with_storage(memory.clone(), Path::new("a.mcap"), &setup(), WhenFull::Wait);
+        let (disk, recorder) = start.unwrap();
+        session.tap_mut().add(Box::new(recorder));
+        play(session, 60_000, None);
+        session.tap_mut().clear();
+        (session.summary(), disk.close())
+    });
+    let problem = kept.problem.unwrap();
+    assert!(problem.starts_with("a.mcap: ") && problem.contains("the session goes on"), "{problem}");
+    let plain = with_demo(&setup(), |session| {
+        play(session, 60_000, None);
+        session.summary()
+    });
+    assert_eq!(summary, plain);
+    let file = memory.file();
+    assert!(file.len() <= 3_000_000);
+    assert!(file.ends_with(b"\x89MCAP0\r\n"));
+    let again = replay(&file).unwrap();
+    assert_same_until(&again, &plain.events);
+    // Chunks of 1 MiB: at least one is there.
+    assert!(again.seconds > 3.0, "{}", again.seconds);
+}
+
+fn assert_same_until(again: &Replay, events: &[host_bridge::bridge::BridgeEvent]) {
+    assert_eq!(again.different, 0, "{:?}", again.first_difference);
+    assert!(again.is_same());
+    assert!(again.events.len() <= events.len());
+    assert_eq!(again.events, events[..again.events.len()]);
+}
+
+#[test]
+fn a_disk_that_stands_still_never_delays_a_live_session_and_the_gap_is_known() {
+    let memory = Memory::of_size(usize::MAX);
+    let (hold, gate) = channel::<()>();
+    let start = Disk::with_storage(memory.clone(), Path::new("a.mcap"), &setup(), WhenFull::Drop);
+    let (disk, recorder) = start.unwrap();
+    *memory.gate.lock().unwrap() = Some(gate);
+    let mut live = Live::new(&Config::default(), Place::Keyboard, Place::Nobody, 0);
+    live.tap_mut().add(Box::new(recorder));
+    // Were a single write waited for, this would never end.
+    for now_ms in 1..120_000 {
+        live.step(now_ms, [true; 2]);
+    }
+    drop(hold);
+    live.tap_mut().clear();
+    let kept = disk.close();
+    assert!(kept.lost > 1000, "{kept:?}");
+    assert_eq!(kept.problem, None);
+    let again = replay(&memory.file()).unwrap();
+    assert_eq!(again.different, 0, "{:?}", again.first_difference);
+    assert!(again.gap_ms.is_some() || again.seconds < 119.0, "{again:?}");
+    assert!(again.seconds > 1.0);
+}
+
+#[test]
+fn a_file_cut_anywhere_gives_what_was_before_the_cut() {
+    let memory = Memory::of_size(usize::MAX);
+    recorded_demo(&setup(), 6_000, None, &memory);
+    let file = memory.file();
+    let whole = replay(&file).unwrap();
+    for share in [0.4, 0.7, 0.95] {
+        let again = replay(&file[..(file.len() as f64 * share) as usize]).unwrap();
+        assert_eq!(again.different, 0, "{:?}", again.first_difference);
+        assert_eq!(again.events, whole.events[..again.events.len()]);
+    }
+    assert!(replay(&file[..100]).is_err());
+}
+
+#[test]
+fn a_killed_program_leaves_a_file_up_to_its_last_second() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("killed.mcap");
+    let mut program = Command::new(env!("CARGO_BIN_EXE_host-bridge"));
+    program.args(["demo", "--headless", "--speed", "1", "--record"]).arg(&file);
+    let mut child = program.stdout(Stdio::piped()).spawn().unwrap();
+    let lines = BufReader::new(child.stdout.take().unwrap()).lines();
+    // Events are told as they happen: the first one after 3 s is the moment of the kill.
+    let mut seen_s = 0.0;
+    for line in lines {
+        let line = line.unwrap();
+        if let Some((time, _)) = line.split_once(" s  ")
+            && let Ok(time_s) = time.trim().parse::<f64>()
+        {
+            seen_s = time_s;
+        }
+        if seen_s > 3.0 {
+            break;
+        }
+    }
+    // SIGKILL.
+    child.kill().unwrap();
+    child.wait().unwrap();
+    assert!(seen_s > 3.0);
+    let bytes = std::fs::read(&file).unwrap();
+    let again = replay(&bytes).unwrap();
+    assert_eq!(again.different, 0, "{:?}", again.first_difference);
+    assert!(again.seconds > seen_s - 1.0, "{} of {seen_s} s", again.seconds);
+
+    // And the program itself reads it.
+    let mut program = Command::new(env!("CARGO_BIN_EXE_host-bridge"));
+    let output = program.arg("replay").arg(&file).arg("--json").output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let json: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(json["different"], 0);
+    // A file that is there is not written over.
+    let mut program = Command::new(env!("CARGO_BIN_EXE_host-bridge"));
+    let output =
+        program.args(["demo", "--headless", "--speed", "0", "--record"]).arg(&file).output().unwrap();
+    assert!(!output.status.success());
+    assert!(String::from_utf8_lossy(&output.stderr).contains("choose another"));
+    assert_eq!(std::fs::read(&file).unwrap(), bytes);
+}
