@@ -199,3 +199,14 @@ fn the_demo_passes_in_the_room_too_and_its_stop_is_the_only_halt_by_hand() {
     let output = host_bridge(&["demo", "--headless", "--speed", "0", "--json", "--scene", &scene]);
     assert!(output.status.success(), "{}", stderr(&output));
 }
+
+#[cfg(feature = "urdf")]
+#[test]
+fn another_arm_from_a_file_beside_its_scene_performs_the_demo() {
+    let scene = format!("{}/scenes/other-arm.toml", env!("CARGO_MANIFEST_DIR"));
+    let output = host_bridge(&["demo", "--headless", "--speed", "0", "--json", "--scene", &scene]);
+    assert!(output.status.success(), "{}", stderr(&output));
+    let report: serde_json::Value = serde_json::from_slice(&output.stdout).expect("one JSON value");
+    let reached: Vec<_> = report["poses_reached"].as_array().unwrap().iter().map(|p| &p["motion"]).collect();
+    assert_eq!(reached, ["home", "pick-up", "place", "place-top-right", "place-bottom-right", "random-top"]);
+}

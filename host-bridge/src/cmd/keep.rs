@@ -71,33 +71,38 @@ impl KeepArgs {
     }
 }
 
+#[cfg(feature = "mcap")]
 impl Keeper {
     /// Why nothing more is written, said once.
     pub fn take_problem(&mut self) -> Option<String> {
-        #[cfg(feature = "mcap")]
-        return self.disk.as_mut().and_then(Disk::take_problem);
-        #[cfg(not(feature = "mcap"))]
-        None
+        self.disk.as_mut()?.take_problem()
     }
 
     /// Writes what waits; one line about the file, if there is one.
     pub fn end(&mut self, tap: &mut Tap) -> Option<String> {
         tap.clear();
-        #[cfg(feature = "mcap")]
-        return self.disk.take().map(|disk| {
-            let file = disk.file().display().to_string();
-            let told = disk.is_told();
-            let kept = disk.close();
-            let lost = match kept.lost {
-                0 => String::new(),
-                lost => format!("; the disk was too slow for {lost} messages"),
-            };
-            match kept.problem.filter(|_| !told) {
-                Some(problem) => problem,
-                None => format!("{file}: {} messages{lost}", kept.messages),
-            }
-        });
-        #[cfg(not(feature = "mcap"))]
+        let disk = self.disk.take()?;
+        let (file, told) = (disk.file().display().to_string(), disk.is_told());
+        let kept = disk.close();
+        let lost = match kept.lost {
+            0 => String::new(),
+            lost => format!("; the disk was too slow for {lost} messages"),
+        };
+        let line = format!("{file}: {} messages{lost}", kept.messages);
+        Some(kept.problem.filter(|_| !told).unwrap_or(line))
+    }
+}
+
+#[cfg(not(feature = "mcap"))]
+impl Keeper {
+    /// There is no file.
+    pub fn take_problem(&mut self) -> Option<String> {
+        None
+    }
+
+    /// There is no file.
+    pub fn end(&mut self, tap: &mut Tap) -> Option<String> {
+        tap.clear();
         None
     }
 }

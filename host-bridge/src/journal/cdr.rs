@@ -161,20 +161,12 @@ mod tests {
     fn fields_are_aligned_behind_the_header_and_texts_end_in_zero() {
         let mut writer = Writer::new();
         let message = writer.u8(7).u32(1).string("ab").f64(1.5).blob(&[9, 8]).take();
-        // u8, 3 of padding, u32; length 3 with the zero, "ab\0"; padding to 16; 1.5; length 2, two bytes.
-        let expected = [
-            0, 1, 0, 0, 7, 0, 0, 0, 1, 0, 0, 0, 3, 0, 0, 0, b'a', b'b', 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0,
-            0xf8, 0x3f, 2, 0, 0, 0, 9, 8,
-        ];
-        assert_eq!(message[..20], expected[..20]);
-        // 4 + 4 + 4 + 3 = 15 bytes, so that the double starts at 16.
-        assert_eq!(message, {
-            let mut bytes = expected[..19].to_vec();
-            bytes.push(0);
-            bytes.extend(1.5_f64.to_le_bytes());
-            bytes.extend([2, 0, 0, 0, 9, 8]);
-            bytes
-        });
+        let mut expected = vec![0, 1, 0, 0, 7, 0, 0, 0, 1, 0, 0, 0, 3, 0, 0, 0, b'a', b'b', 0];
+        // 15 bytes behind the header: one of padding before the double.
+        expected.push(0);
+        expected.extend(1.5_f64.to_le_bytes());
+        expected.extend([2, 0, 0, 0, 9, 8]);
+        assert_eq!(message, expected);
     }
 
     #[test]

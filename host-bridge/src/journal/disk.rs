@@ -122,7 +122,8 @@ impl Disk {
             due_ms: [0; 3],
         };
         let theirs = shared.clone();
-        let work = move || Work { writer, channels, origin, shared: theirs, messages: 0 }.run(&waiting);
+        let work =
+            move || Work { writer, channels, origin, shared: theirs, messages: 0, waiting: 0 }.run(&waiting);
         let thread = std::thread::Builder::new().name("session file".to_owned()).spawn(work);
         let thread = Some(thread.map_err(|error| error.to_string())?);
         Ok((Disk { file: file.to_owned(), thread, shared, told: false }, recorder))
@@ -210,6 +211,8 @@ struct Work<S: Storage> {
     origin: Origin,
     shared: Arc<Shared>,
     messages: u64,
+    /// Bytes that are not on the disk yet, about.
+    waiting: u64,
 }
 
 impl<S: Storage> Work<S> {
@@ -239,8 +242,9 @@ impl<S: Storage> Work<S> {
                 }
                 Err(RecvTimeoutError::Timeout) => {}
             }
-            if flushed.elapsed() >= FLUSH_INTERVAL {
+            if flushed.elapsed() >= FLUSH_INTERVAL || self.waiting >= CHUNK_BYTES {
                 self.writer.flush()?;
+                self.waiting = 0;
                 flushed = Instant::now();
             }
         }
@@ -257,6 +261,7 @@ impl<S: Storage> Work<S> {
         };
         self.writer.write_to_known_channel(&header, &entry.data)?;
         self.messages += 1;
+        self.waiting += entry.data.len() as u64;
         Ok(())
     }
 }

@@ -16,7 +16,7 @@ use super::setup::{Setup, SetupError};
 use super::topics::Topic;
 use crate::base::Odometry;
 use crate::bridge::{Bridge, BridgeEvent};
-use crate::observe::{Now, OperatorKey};
+use crate::observe::Now;
 use crate::robot::Robot as _;
 use crate::safety::Hand;
 use crate::session::SessionEvent;
@@ -298,7 +298,7 @@ mod tests {
     #[test]
     fn what_is_no_such_file_is_refused_with_the_reason() {
         for (bytes, told) in
-            [(&b""[..], "no MCAP file"), (b"timestamp,accX\n0,1\n and a few more", "no MCAP file")]
+            [(&b""[..], "no MCAP file"), (&b"timestamp,accX\n0,1\n and a few more"[..], "no MCAP file")]
         {
             let error = replay(bytes).unwrap_err().to_string();
             assert!(error.contains(told), "{error}");

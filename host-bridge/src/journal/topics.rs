@@ -144,7 +144,7 @@ impl Topic {
                 if let Some((name, _)) = TYPES.iter().find(|(name, _)| *name == used)
                     && !parts.contains(name)
                 {
-                    parts.push(name);
+                    parts.push(*name);
                 }
             }
         }
