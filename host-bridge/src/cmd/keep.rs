@@ -17,6 +17,7 @@ pub struct KeepArgs {
 }
 
 /// What a session starts with.
+#[cfg_attr(not(feature = "mcap"), expect(dead_code, reason = "nobody writes it down"))]
 pub struct Start<'a> {
     /// One line for people.
     pub title: &'a str,
@@ -61,8 +62,7 @@ impl KeepArgs {
 
     /// Says that this program cannot.
     #[cfg(not(feature = "mcap"))]
-    pub fn start(&self, _tap: &mut Tap, start: &Start<'_>) -> Result<Keeper> {
-        let Start { title: _, config: _, maps: _, scene: _, now_ms: _, live: _ } = start;
+    pub fn start(&self, _tap: &mut Tap, _start: &Start<'_>) -> Result<Keeper> {
         anyhow::ensure!(
             self.record.is_none(),
             "--record: this program was built without sessions on disk; build it with `--features mcap`"
