@@ -9,7 +9,7 @@
 //! * [`setup`]: what a session started with, as the file's metadata,
 //! * [`disk`]: the writer, which never keeps a session waiting that moves a real robot,
 //! * [`sink`]: the file on the disk, which is whole after every write,
-//! * [`replay`]: bytes and keys of a file through a bridge and a robot again; every message that follows from
+//! * [`mod@replay`]: bytes and keys of a file through a bridge and a robot again; every message that follows from
 //!   them must be the one in the file, bit for bit,
 //! * [`cdr`]: how ROS 2 lays out a message.
 //!
