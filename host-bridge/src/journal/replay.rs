@@ -83,6 +83,10 @@ pub enum ReplayError {
 /// # Errors
 /// [`ReplayError`] where nothing can be replayed.
 pub fn replay(file: &[u8]) -> Result<Replay, ReplayError> {
+    // The lenient reader takes an empty file for one whose end is missing.
+    if !file.starts_with(mcap::MAGIC) {
+        return Err(mcap::McapError::BadMagic.into());
+    }
     let records = ChunkFlattener::new_with_options(file, Options::IgnoreEndMagic.into())?;
     let mut topics = BTreeMap::new();
     let mut player: Option<Player> = None;
