@@ -7,22 +7,18 @@
 
 use std::collections::BTreeSet;
 use std::io::BufRead as _;
-use std::path::Path;
 use std::sync::Arc;
 
 use anyhow::{Context as _, Result};
-use host_bridge::adc::AdcRecording;
 use host_bridge::arm::model::SerialArm;
-use host_bridge::hands::{LeftBoard, ModelFile, RightBoard};
+use host_bridge::demo::Demo;
+use host_bridge::hands::ModelFile;
 use host_bridge::intent::MotionMap;
 use host_bridge::observe::{Now, Observer, Snapshot, link_poses_in_world};
 use host_bridge::plan::Planner;
 use host_bridge::robot::Robot as _;
 use host_bridge::scene::Scene;
-use host_bridge::script::Script;
-use host_bridge::session::Session;
 use host_bridge::sim::{SimConfig, Simulator};
-use models::recording::Recording;
 
 /// Prints the state at these times.
 struct Printer(BTreeSet<u64>);
@@ -53,15 +49,8 @@ fn main() -> Result<()> {
     }
     let last_ms = times.last().copied().unwrap_or(0);
 
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("sessions/demo");
-    let script = Script::parse(&std::fs::read_to_string(folder.join("session.toml"))?)?;
     let model = ModelFile::bundled()?;
-    let left = AdcRecording::read(&folder.join("left.csv"))?;
-    let right = Recording::read(&folder.join("right.csv"))?;
-    let left = LeftBoard::new(left, Some(script.calibration.into()), 1);
-    let right = RightBoard::new(right.resampled(), &model, 1)?;
-    let mut session =
-        Session::with_robot(Some(Box::new(left)), Some(Box::new(right)), MotionMap::default(), robot);
+    let mut session = Demo::bundled().session(&model, MotionMap::default(), robot)?;
     session.tap_mut().add(Box::new(Printer(times)));
     while session.now_ms() < last_ms && !session.finished() {
         session.step();

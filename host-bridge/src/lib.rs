@@ -15,6 +15,7 @@ pub mod base;
 pub mod bridge;
 pub mod capture;
 pub mod config;
+pub mod demo;
 pub mod describe;
 pub mod hands;
 pub mod intent;

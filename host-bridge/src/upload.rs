@@ -7,8 +7,9 @@
 //! ```
 
 use shared_dsp::mlp::{Model, ModelError};
-use shared_proto::message::{Ack, AckResult, HostMessage, MODEL_CHUNK_MAX, ModelBegin, ModelInfo};
+use shared_proto::message::{Ack, AckResult, HostMessage, MODEL_CHUNK_MAX, ModelBegin};
 
+use crate::hands::model_info_on_the_wire;
 use crate::talk::{ModelNeeds, advice};
 
 /// Without an answer for so long, ask again.
@@ -106,17 +107,9 @@ impl<'b> Upload<'b> {
                     ));
                     return None;
                 }
-                let info = self.model.info();
                 HostMessage::ModelBegin(ModelBegin {
                     request,
-                    info: ModelInfo {
-                        model_id: info.model_id,
-                        recipe: info.recipe.id(),
-                        axes: info.axes as u8,
-                        sample_hz: info.sample_hz,
-                        window: info.window,
-                        labels: info.label_text,
-                    },
+                    info: model_info_on_the_wire(self.model.info()),
                     scaling: [1.0; 3],
                     size: self.blob.len() as u32,
                 })

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use host_bridge::adc::AdcRecording;
 use host_bridge::bridge::GestureOutcome;
+use host_bridge::demo::Demo;
 use host_bridge::hands::{Board, LeftBoard, ModelFile, RightBoard};
 use host_bridge::intent::MotionMap;
 use host_bridge::safety::HaltReason;
@@ -21,15 +22,15 @@ fn committed(name: &str) -> String {
 }
 
 fn left() -> AdcRecording {
-    AdcRecording::parse(Path::new("left.csv"), committed("left.csv").as_bytes()).unwrap()
+    Demo::bundled().left
 }
 
 fn right() -> Recording {
-    Recording::parse(Path::new("right.csv"), committed("right.csv").as_bytes()).unwrap()
+    Demo::bundled().right
 }
 
 fn script() -> Script {
-    Script::parse(&committed("session.toml")).unwrap()
+    Demo::bundled().script
 }
 
 /// Plays to the end.

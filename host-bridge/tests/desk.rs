@@ -16,22 +16,9 @@ use double::{BENT, Double, FORWARD, LEVEL};
 use models::blob::{ModelFiles, model_id};
 use models::card::Card;
 use models::recording::Recording;
-use shared_dsp::tilt;
-use shared_proto::message::Heading;
 
 /// Nothing here takes nearly so long; a hang must not stop the tests.
 const PATIENCE: Duration = Duration::from_secs(40);
-
-fn heading(heading: tilt::Heading) -> Heading {
-    match heading {
-        tilt::Heading::Neutral => Heading::Neutral,
-        tilt::Heading::Between => Heading::Between,
-        tilt::Heading::Forward => Heading::Forward,
-        tilt::Heading::Backward => Heading::Backward,
-        tilt::Heading::Left => Heading::Left,
-        tilt::Heading::Right => Heading::Right,
-    }
-}
 
 /// The program under way, read line by line.
 struct Running {

@@ -8,9 +8,9 @@ use std::sync::mpsc::{Receiver, channel};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use host_bridge::adc::AdcRecording;
 use host_bridge::config::Config;
-use host_bridge::hands::{LeftBoard, ModelFile, RightBoard};
+use host_bridge::demo::Demo;
+use host_bridge::hands::ModelFile;
 use host_bridge::intent::MotionMap;
 use host_bridge::journal::sink::Storage;
 use host_bridge::journal::{Disk, Kept, Replay, SceneText, Setup, WhenFull, replay};
@@ -18,9 +18,7 @@ use host_bridge::keyboard::HandKey;
 use host_bridge::live::{Live, Place};
 use host_bridge::robot::Robot as _;
 use host_bridge::safety::Hand;
-use host_bridge::script::Script;
 use host_bridge::session::Session;
-use models::recording::Recording;
 use shared_proto::message::Heading;
 
 /// A disk in memory, of so many bytes; a writer waits while the other end of `gate` holds it.
@@ -67,17 +65,9 @@ fn setup() -> Setup {
 }
 
 fn with_demo<T>(setup: &Setup, look: impl FnOnce(&mut Session<'_>) -> T) -> T {
-    let file = |name: &str| Path::new(env!("CARGO_MANIFEST_DIR")).join("sessions/demo").join(name);
-    let script = Script::parse(&std::fs::read_to_string(file("session.toml")).unwrap()).unwrap();
     let model = ModelFile::bundled().unwrap();
-    let left = AdcRecording::read(&file("left.csv")).unwrap();
-    let right = Recording::read(&file("right.csv")).unwrap();
-    let left = LeftBoard::new(left, Some(script.calibration.into()), 1);
-    let right = RightBoard::new(right.resampled(), &model, 1).unwrap();
     let robot = setup.robot().unwrap();
-    let mut session =
-        Session::with_robot(Some(Box::new(left)), Some(Box::new(right)), MotionMap::default(), robot);
-    look(&mut session)
+    look(&mut Demo::bundled().session(&model, MotionMap::default(), robot).unwrap())
 }
 
 fn play(session: &mut Session<'_>, until_ms: u64, stop_ms: Option<u64>) {

@@ -1,20 +1,17 @@
 //! What the tap shows is all that there is: a bridge that gets only that does the same.
 
 use std::cell::RefCell;
-use std::path::Path;
 use std::rc::Rc;
 
-use host_bridge::adc::AdcRecording;
 use host_bridge::bridge::{Bridge, BridgeEvent};
-use host_bridge::hands::{LeftBoard, ModelFile, RightBoard};
+use host_bridge::demo::Demo;
+use host_bridge::hands::ModelFile;
 use host_bridge::intent::MotionMap;
 use host_bridge::observe::{Now, Observer, OperatorKey, Sample, Setting, Snapshot, link_poses_in_world};
 use host_bridge::robot::Robot as _;
 use host_bridge::safety::{Hand, State};
-use host_bridge::script::Script;
-use host_bridge::session::{Session, SessionEvent};
+use host_bridge::session::SessionEvent;
 use host_bridge::sim::{SimConfig, Simulator};
-use models::recording::Recording;
 
 #[derive(Clone, Debug, PartialEq)]
 enum Seen {
@@ -64,14 +61,9 @@ impl Observer for Recorder {
 
 #[test]
 fn a_bridge_fed_with_what_an_observer_saw_does_the_same() {
-    let file = |name: &str| Path::new(env!("CARGO_MANIFEST_DIR")).join("sessions/demo").join(name);
-    let script = Script::parse(&std::fs::read_to_string(file("session.toml")).unwrap()).unwrap();
     let model = ModelFile::bundled().unwrap();
-    let left = AdcRecording::read(&file("left.csv")).unwrap();
-    let right = Recording::read(&file("right.csv")).unwrap();
-    let left = LeftBoard::new(left, Some(script.calibration.into()), 1);
-    let right = RightBoard::new(right.resampled(), &model, 1).unwrap();
-    let mut session = Session::new(Some(Box::new(left)), Some(Box::new(right)), MotionMap::default());
+    let robot = Simulator::new(SimConfig::default());
+    let mut session = Demo::bundled().session(&model, MotionMap::default(), robot).unwrap();
     let record = Rc::new(RefCell::new(Record::default()));
     session.tap_mut().add(Box::new(Recorder(record.clone())));
     for ms in 0..20_000 {

@@ -20,21 +20,8 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use double::{BENT, Double, FORWARD, LEVEL};
 use host_bridge::arm::gen3::HOME;
 use serde_json::Value;
-use shared_dsp::tilt;
-use shared_proto::message::Heading;
 
 const PATIENCE: Duration = Duration::from_secs(60);
-
-fn heading(heading: tilt::Heading) -> Heading {
-    match heading {
-        tilt::Heading::Neutral => Heading::Neutral,
-        tilt::Heading::Between => Heading::Between,
-        tilt::Heading::Forward => Heading::Forward,
-        tilt::Heading::Backward => Heading::Backward,
-        tilt::Heading::Left => Heading::Left,
-        tilt::Heading::Right => Heading::Right,
-    }
-}
 
 /// One after the other: they measure time.
 static ALONE: Mutex<()> = Mutex::new(());

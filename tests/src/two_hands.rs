@@ -31,15 +31,13 @@ pub struct Left {
     pub cable: bool,
     /// The board's clock when the desk's was 0; negative for a board that got power later.
     zero_cycle: i64,
-    /// A byte that left the board after the present millisecond.
-    early: Option<(u64, u8)>,
 }
 
 impl Left {
     /// A running board; what it has said so far is lost.
     pub fn new(mut nano: Nano) -> Self {
         while nano.sent().is_some() {}
-        Self { cable: true, zero_cycle: nano.cycle() as i64, early: None, nano }
+        Self { cable: true, zero_cycle: nano.cycle() as i64, nano }
     }
 
     /// The board's clock in seconds at a moment of the desk's time: when a wearer's hand moves.
@@ -54,14 +52,7 @@ impl Left {
     fn run_to(&mut self, desk_ms: u64) -> Vec<u8> {
         let end = self.cycle_at(desk_ms);
         self.nano.run_until(end);
-        let mut bytes = Vec::new();
-        while let Some((cycle, byte)) = self.early.take().or_else(|| self.nano.sent()) {
-            if cycle > end {
-                self.early = Some((cycle, byte));
-                break;
-            }
-            bytes.push(byte);
-        }
+        let bytes = self.nano.sent_until(end);
         if self.cable { bytes } else { Vec::new() }
     }
 
@@ -70,7 +61,6 @@ impl Left {
         let eeprom = self.nano.eeprom();
         self.nano = Nano::new(&left_image(), &eeprom, voltages);
         self.zero_cycle = -((desk_ms * nano::CYCLES_PER_MS) as i64);
-        self.early = None;
         self.cable = true;
     }
 }

@@ -2,17 +2,14 @@
 #![cfg(all(feature = "avr", feature = "nrf"))]
 
 use std::cell::RefCell;
-use std::path::Path;
 use std::rc::Rc;
 
 use fastrand::Rng;
-use host_bridge::adc::AdcRecording;
 use host_bridge::bridge::{EventKind, GestureOutcome};
+use host_bridge::demo::Demo;
 use host_bridge::robot::Robot;
 use host_bridge::safety::{HaltReason, Hand as Which};
-use host_bridge::script::Script;
 use host_bridge::sim::{SimConfig, Simulator};
-use models::recording::Recording;
 use models::synth::{Motion, Segment, Wearer as RightWearer, session};
 use tests::avr::image;
 use tests::avr::nano::Nano;
@@ -35,26 +32,9 @@ fn left_hand(seed: u64) -> (Nano, Rc<RefCell<Hand>>) {
 
 const FORWARD_RAD: f64 = 0.5;
 
-/// The bundled session: recorded hands, and what they must come to, written down with them.
-struct Demo {
-    left: AdcRecording,
-    right: Recording,
-    script: Script,
-}
-
-fn demo() -> Demo {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../host-bridge/sessions/demo");
-    let script = std::fs::read_to_string(folder.join("session.toml")).expect("the session is in the tree");
-    Demo {
-        left: AdcRecording::read(&folder.join("left.csv")).expect("the left hand's recording"),
-        right: Recording::read(&folder.join("right.csv")).expect("the right hand's recording"),
-        script: Script::parse(&script).expect("the session's script"),
-    }
-}
-
 /// Plays the bundled session on both boards, and compares with what it says must come out.
 fn play_demo(link: Link) {
-    let Demo { left, right, script } = demo();
+    let Demo { left, right, script } = Demo::bundled();
     let seconds = left.samples.len() as u64 / 100;
     let expect = &script.expect;
     let mut nano = calibrated(&script.calibration);

@@ -1,23 +1,17 @@
 //! `host-bridge demo`: the bundled session of both hands, checked against its script.
 
-use std::path::Path;
 use std::process::ExitCode;
 
-use anyhow::{Context as _, Result};
-use host_bridge::adc::AdcRecording;
+use anyhow::Result;
+use host_bridge::demo::Demo;
 use host_bridge::describe;
-use host_bridge::hands::{LeftBoard, ModelFile, RightBoard};
-use host_bridge::script::{Check, Script};
-use host_bridge::session::{Session, Summary};
-use models::recording::Recording;
+use host_bridge::hands::ModelFile;
+use host_bridge::script::Check;
+use host_bridge::session::Summary;
 use serde::Serialize;
 
 use super::web::has_display;
 use crate::play::{PlayOptions, play, say};
-
-const SCRIPT: &str = include_str!("../../sessions/demo/session.toml");
-const LEFT: &[u8] = include_bytes!("../../sessions/demo/left.csv");
-const RIGHT: &[u8] = include_bytes!("../../sessions/demo/right.csv");
 
 /// Options.
 #[derive(clap::Args, Clone, Debug)]
@@ -40,14 +34,11 @@ struct Report<'a> {
 pub fn run(args: &Args) -> Result<ExitCode> {
     let map = args.play.motion_map()?;
     let robot = args.play.robot()?;
-    let script = Script::parse(SCRIPT).context("the bundled session.toml")?;
-    let left = AdcRecording::parse(Path::new("sessions/demo/left.csv"), LEFT)?;
-    let right = Recording::parse(Path::new("sessions/demo/right.csv"), RIGHT)?;
+    let demo = Demo::bundled();
+    let script = demo.script.clone();
     let model = ModelFile::bundled()?;
     let about = format!("{} ({})", model.name(), model.about());
-    let left = LeftBoard::new(left, Some(script.calibration.into()), 1);
-    let right = RightBoard::new(right.resampled(), &model, 1)?;
-    let mut session = Session::with_robot(Some(Box::new(left)), Some(Box::new(right)), map, robot);
+    let mut session = demo.session(&model, map, robot)?;
 
     let title = format!("bimanual demo: {}", script.title);
     play(&mut session, &args.play, &format!("{title}\nmodel: {about}"), has_display())?;

@@ -263,16 +263,16 @@ impl Session {
     ) -> Result<()> {
         let mut drawn_ms = 0;
         while clock.now_ms() < until_ms && !self.ros.as_ref().is_some_and(Link::interrupted) {
-            let mut woken = SystemTime::now();
-            match events.recv_timeout(TURN) {
+            let event = events.recv_timeout(TURN);
+            let woken = SystemTime::now();
+            match event {
                 Ok(event) => {
-                    woken = SystemTime::now();
                     self.heard(event, clock.now_ms());
                     while let Ok(event) = events.try_recv() {
                         self.heard(event, clock.now_ms());
                     }
                 }
-                Err(RecvTimeoutError::Timeout) => woken = SystemTime::now(),
+                Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => std::thread::sleep(TURN),
             }
             let now_ms = clock.now_ms();

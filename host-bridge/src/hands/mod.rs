@@ -3,8 +3,8 @@
 mod left;
 mod right;
 
-pub use left::LeftBoard;
-pub use right::{ModelFile, ModelFileError, RightBoard, join};
+pub use left::{LeftBoard, heading_on_the_wire};
+pub use right::{ModelFile, ModelFileError, RightBoard, join, model_info_on_the_wire};
 
 use shared_proto::frame::{BOARD_FRAME_MAX, DELIMITER, Decoder, HOST_FRAME_MAX, encode_board};
 use shared_proto::message::{BoardMessage, HostMessage};

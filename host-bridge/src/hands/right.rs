@@ -6,7 +6,7 @@ use models::blob::ModelFiles;
 use models::card::Card;
 use models::recording::{Recording, RecordingError};
 use shared_dsp::decision::DecisionConfig;
-use shared_dsp::mlp::Model;
+use shared_dsp::mlp::{self, Model};
 use shared_dsp::right::{ModelMismatch, RightHand, RightOutput};
 use shared_proto::message::{
     Board as BoardKind, BoardMessage, Hello, LABELS_MAX, ModelInfo, PROTOCOL_MAJOR, PROTOCOL_MINOR,
@@ -249,15 +249,7 @@ impl<'m> RightBoard<'m> {
             sample_hz: info.sample_hz,
         };
         self.port.send(&BoardMessage::Hello(hello), wire);
-        let model = ModelInfo {
-            model_id: info.model_id,
-            recipe: info.recipe.id(),
-            axes: info.axes as u8,
-            sample_hz: info.sample_hz,
-            window: info.window,
-            labels: info.label_text,
-        };
-        self.port.send(&BoardMessage::ModelInfo(model), wire);
+        self.port.send(&BoardMessage::ModelInfo(model_info_on_the_wire(&info)), wire);
     }
 
     fn send(&mut self, output: &RightOutput, wire: &mut Vec<u8>) {
@@ -309,6 +301,18 @@ impl Board for RightBoard<'_> {
 
     fn ended(&self) -> bool {
         self.next >= self.recording.len()
+    }
+}
+
+/// What the wire says of a model.
+pub fn model_info_on_the_wire<'a>(info: &mlp::ModelInfo<'a>) -> ModelInfo<'a> {
+    ModelInfo {
+        model_id: info.model_id,
+        recipe: info.recipe.id(),
+        axes: info.axes as u8,
+        sample_hz: info.sample_hz,
+        window: info.window,
+        labels: info.label_text,
     }
 }
 

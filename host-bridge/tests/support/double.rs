@@ -9,7 +9,7 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use host_bridge::hands::ModelFile;
+use host_bridge::hands::{ModelFile, heading_on_the_wire, model_info_on_the_wire};
 use models::recording::Recording;
 use serialport::{SerialPort as _, TTYPort};
 use shared_dsp::decision::DecisionConfig;
@@ -20,7 +20,7 @@ use shared_dsp::right::RightHand;
 use shared_dsp::tilt::TiltThresholds;
 use shared_proto::frame::{BOARD_FRAME_MAX, DELIMITER, Decoder, HOST_FRAME_MAX, encode_board};
 use shared_proto::message::{
-    Ack, AckResult, Board, BoardMessage, CalibrationStep, Hello, HostMessage, LeftState, Mode, ModelInfo,
+    Ack, AckResult, Board, BoardMessage, CalibrationStep, Hello, HostMessage, LeftState, Mode,
     PROTOCOL_MAJOR, PROTOCOL_MINOR, Pong, RawImu, RightState, Status, health,
 };
 
@@ -327,7 +327,7 @@ impl Hand for Left {
                     board_time_ms: now_ms,
                     pitch_mrad: output.pitch_mrad,
                     roll_mrad: output.roll_mrad,
-                    heading: super::heading(output.heading),
+                    heading: heading_on_the_wire(output.heading),
                     index_bends: output.index_bends,
                     middle_bends: output.middle_bends,
                     stop: output.stop,
@@ -431,17 +431,7 @@ impl Hand for Right {
             }),
             out,
         );
-        put(
-            &BoardMessage::ModelInfo(ModelInfo {
-                model_id: info.model_id,
-                recipe: info.recipe.id(),
-                axes: info.axes as u8,
-                sample_hz: info.sample_hz,
-                window: info.window,
-                labels: info.label_text,
-            }),
-            out,
-        );
+        put(&BoardMessage::ModelInfo(model_info_on_the_wire(info)), out);
     }
 
     fn sample(&mut self, now_ms: u32, mode: Mode, out: &mut Vec<u8>) {

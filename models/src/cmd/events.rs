@@ -23,9 +23,8 @@ pub struct Cmd {
     /// How to train
     #[arg(long, value_enum, default_value = "aligned")]
     recipe: RecipeName,
-    /// Use only the first 3, 6 or 9 axes [default: all that every recording has]
-    #[arg(long, value_parser = clap::builder::PossibleValuesParser::new(["3", "6", "9"]))]
-    axes: Option<String>,
+    #[command(flatten)]
+    axes: super::Axes,
     /// Hours of simulated wearers who make no gesture, per folder
     #[arg(long, default_value_t = 1.0)]
     hours: f64,
@@ -41,7 +40,7 @@ impl Cmd {
         anyhow::ensure!(self.seeds > 0, "--seeds takes a number above 0");
         anyhow::ensure!((0.0..=1000.0).contains(&self.hours), "--hours takes 0 to 1000");
         let start = Instant::now();
-        let axes = self.axes.as_deref().and_then(|text| text.parse().ok());
+        let axes = self.axes.count();
         let recipe = self.short.shorten(vec![self.recipe.recipe()]).remove(0);
         for set in &self.folders {
             let (people, what) = set.people(axes)?;

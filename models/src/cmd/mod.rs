@@ -61,6 +61,21 @@ impl Short {
     }
 }
 
+/// How much of each sample is used.
+#[derive(Args)]
+pub struct Axes {
+    /// Use only the first 3, 6 or 9 axes [default: all that every recording has]
+    #[arg(long, value_parser = clap::builder::PossibleValuesParser::new(["3", "6", "9"]))]
+    axes: Option<String>,
+}
+
+impl Axes {
+    /// The number asked for; none: all that every recording has.
+    pub fn count(&self) -> Option<usize> {
+        self.axes.as_deref().and_then(|text| text.parse().ok())
+    }
+}
+
 /// Which recordings, and how to train on them.
 #[derive(Args)]
 pub struct Source {
@@ -74,9 +89,8 @@ pub struct Source {
     recipe: RecipeName,
     #[command(flatten)]
     short: Short,
-    /// Use only the first 3, 6 or 9 axes [default: all that every recording has]
-    #[arg(long, value_parser = clap::builder::PossibleValuesParser::new(["3", "6", "9"]))]
-    axes: Option<String>,
+    #[command(flatten)]
+    axes: Axes,
     /// Leave out everything that this person recorded (repeatable)
     #[arg(long, value_name = "PERSON")]
     pub exclude_person: Vec<String>,
@@ -89,7 +103,7 @@ impl Source {
 
     /// The recordings. Those of people who are left out are not even opened.
     pub fn dataset(&self) -> anyhow::Result<Dataset> {
-        let axes = self.axes.as_deref().and_then(|text| text.parse().ok());
+        let axes = self.axes.count();
         let people = Dataset::people_of(&self.folder)?;
         for person in &self.exclude_person {
             anyhow::ensure!(

@@ -25,9 +25,8 @@ pub struct Cmd {
     /// Recipes to compare (repeatable) [default: paper and aligned]
     #[arg(long, value_enum)]
     recipe: Vec<RecipeName>,
-    /// Use only the first 3, 6 or 9 axes [default: all that every recording has]
-    #[arg(long, value_parser = clap::builder::PossibleValuesParser::new(["3", "6", "9"]))]
-    axes: Option<String>,
+    #[command(flatten)]
+    axes: super::Axes,
     /// Also adapt to each person with so many examples of 2 s per class (recipe aligned)
     #[arg(long, value_delimiter = ',', value_name = "N,N,...", default_value = "1,3,10")]
     examples: Vec<usize>,
@@ -98,7 +97,7 @@ impl Cmd {
     pub fn run(self) -> anyhow::Result<()> {
         anyhow::ensure!(self.seeds > 0, "--seeds takes a number above 0");
         let start = Instant::now();
-        let axes = self.axes.as_deref().and_then(|text| text.parse().ok());
+        let axes = self.axes.count();
         let mut all = Vec::new();
         for set in &self.folders {
             let (people, what) = set.people(axes)?;

@@ -29,9 +29,8 @@ pub struct Cmd {
     /// Recipes to compare (repeatable); events are the last one's [default: paper and aligned]
     #[arg(long, value_enum)]
     recipe: Vec<RecipeName>,
-    /// Use only the first 3, 6 or 9 axes [default: all that every recording has]
-    #[arg(long, value_parser = clap::builder::PossibleValuesParser::new(["3", "6", "9"]))]
-    axes: Option<String>,
+    #[command(flatten)]
+    axes: super::Axes,
     /// Adapt to each person with so many examples of 2 s per class (recipe aligned)
     #[arg(long, value_delimiter = ',', value_name = "N,N,...", default_value = "1,3,10")]
     examples: Vec<usize>,
@@ -49,7 +48,7 @@ impl Cmd {
     pub fn run(self) -> anyhow::Result<()> {
         anyhow::ensure!(self.seeds > 0, "--seeds takes a number above 0");
         anyhow::ensure!((0.0..=1000.0).contains(&self.hours), "--hours takes 0 to 1000");
-        let axes = self.axes.as_deref().and_then(|text| text.parse().ok());
+        let axes = self.axes.count();
         let (people, what) = self.set.people(axes)?;
         println!("{what}");
         let progress = ProgressBar::new_spinner();

@@ -24,9 +24,8 @@ pub struct Cmd {
     /// What the models know: LABEL,LABEL,... [default: the four that real recordings have, then the paper's seven]
     #[arg(long, value_delimiter = ',')]
     labels: Vec<String>,
-    /// Use only the first 3, 6 or 9 axes [default: all that every recording has]
-    #[arg(long, value_parser = clap::builder::PossibleValuesParser::new(["3", "6", "9"]))]
-    axes: Option<String>,
+    #[command(flatten)]
+    axes: super::Axes,
     /// Simulated wearers to train on
     #[arg(long, default_value_t = 40)]
     wearers: u32,
@@ -39,7 +38,7 @@ impl Cmd {
     pub fn run(self) -> anyhow::Result<()> {
         anyhow::ensure!(self.seeds > 0 && self.wearers > 0, "--seeds and --wearers take a number above 0");
         let start = Instant::now();
-        let axes = self.axes.as_deref().and_then(|text| text.parse().ok());
+        let axes = self.axes.count();
         let mut recipe = self.recipe.recipe();
         // Simulated wearers differ more than copies of one would.
         recipe.augmentation.copies = recipe.augmentation.copies.min(3);

@@ -207,6 +207,13 @@ impl Nano {
         self.wires.sent.borrow_mut().pop_front()
     }
 
+    /// The bytes whose last bit has left by this clock; later ones stay for the next call.
+    pub fn sent_until(&mut self, cycle: u64) -> Vec<u8> {
+        let mut queue = self.wires.sent.borrow_mut();
+        let count = queue.partition_point(|&(at, _)| at <= cycle);
+        queue.drain(..count).map(|(_, byte)| byte).collect()
+    }
+
     /// Sends bytes to the board, back to back, from now on or after what is under way.
     pub fn send(&mut self, bytes: &[u8]) {
         let mut queue = self.wires.to_receive.borrow_mut();

@@ -17,8 +17,6 @@ pub struct Street {
     /// The robot.
     pub robot: Simulator,
     now_ms: u64,
-    /// A byte that left the board after the present millisecond.
-    early: Option<(u64, u8)>,
 }
 
 impl Street {
@@ -30,7 +28,6 @@ impl Street {
             bridge: Bridge::new(MotionMap::default()),
             robot: Simulator::new(SimConfig::default()),
             now_ms,
-            early: None,
         }
     }
 
@@ -44,14 +41,7 @@ impl Street {
         self.now_ms += 1;
         let end = self.now_ms * CYCLES_PER_MS;
         self.nano.run_until(end);
-        let mut bytes = Vec::new();
-        while let Some((cycle, byte)) = self.early.take().or_else(|| self.nano.sent()) {
-            if cycle > end {
-                self.early = Some((cycle, byte));
-                break;
-            }
-            bytes.push(byte);
-        }
+        let bytes = self.nano.sent_until(end);
         self.bridge.receive(Hand::Left, &bytes, self.now_ms, &mut self.robot);
         self.bridge.step(self.now_ms, &mut self.robot);
         while let Some(message) = self.bridge.poll(Hand::Left, self.now_ms) {

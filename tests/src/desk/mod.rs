@@ -12,5 +12,3 @@ pub mod program;
 #[cfg(feature = "nrf")]
 pub mod right;
 pub mod station;
-#[cfg(feature = "nrf")]
-mod usb;

@@ -7,11 +7,11 @@ use std::rc::Rc;
 use models::synth::{IdleKind, Motion as Doing, Segment, Wearer, session};
 
 use super::station::{Board, Station};
-use super::usb;
 use crate::nrf::board::{self, Boot};
 use crate::nrf::build::{Variant, image};
 use crate::nrf::lsm9ds1::Motion;
 use crate::nrf::time::{HZ, ms};
+use crate::nrf::usb_host::UsbHost;
 
 /// Simulated recordings are at 100 Hz.
 const ROWS_PER_S: f64 = 100.0;
@@ -66,13 +66,22 @@ impl Motion for Shared {
 pub struct Right {
     board: board::Board,
     hand: Rc<RefCell<Hand>>,
-    usb: Option<usb::Port>,
+    usb: UsbHost,
 }
 
 /// A running right hand.
 pub type RightStation = Station<Right>;
 
 impl Right {
+    fn settle_usb(&mut self) {
+        let ready = (0..6000).any(|_| {
+            self.board.run_ms(1);
+            self.usb.step(&mut self.board);
+            self.usb.is_ready()
+        });
+        assert!(ready, "no serial port: {:?}", self.usb);
+    }
+
     /// A board with the image behind the stock bootloader and no model but the one compiled in, on this
     /// wearer's still hand, with its port at `place`.
     pub fn start(place: &Path, wearer: Wearer) -> RightStation {
@@ -81,7 +90,7 @@ impl Right {
             let hand = Rc::new(RefCell::new(Hand::new(wearer)));
             let motion = Box::new(Shared(Rc::clone(&hand)));
             let board = board::Board::new(image, Boot::StockBootloader, motion);
-            Self { board, hand, usb: None }
+            Self { board, hand, usb: UsbHost::default() }
         })
     }
 
@@ -123,37 +132,32 @@ impl Board for Right {
     fn sent(&mut self) -> Vec<u8> {
         // Nobody listens at D0.
         self.board.uart_out();
-        match self.usb {
-            Some(port) => std::mem::take(&mut self.board.soc().usb.received[port.input]),
-            None => Vec::new(),
-        }
+        self.usb.read(&mut self.board)
     }
 
     fn receive(&mut self, bytes: &[u8]) {
-        if let Some(port) = self.usb {
-            let soc = self.board.soc();
-            soc.usb.send(port.output, bytes);
-            soc.settle();
-        }
+        self.usb.write(&mut self.board, bytes);
     }
 
     fn opened(&mut self, open: bool) {
-        if self.usb.is_some() {
-            usb::line(&mut self.board, 115_200, open);
+        if self.usb.is_ready() {
+            self.usb.open(open);
+            self.settle_usb();
         }
     }
 
     fn pulled(&mut self) {
-        if self.usb.take().is_some() {
-            usb::pull(&mut self.board);
-        }
+        self.usb.unplug(&mut self.board);
     }
 
     fn plugged(&mut self) {
         // The cable was its supply.
         self.board.soc().nvic.reset_wanted = true;
         self.board.run_ms(50);
-        self.usb = Some(usb::plug_in(&mut self.board));
+        self.usb.plug_in(&mut self.board);
+        self.settle_usb();
+        // No program has the port open yet.
+        self.opened(false);
     }
 
     fn restart(&mut self) -> bool {

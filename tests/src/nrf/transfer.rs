@@ -1,8 +1,9 @@
 //! A laptop that sends a model to the emulated board, piece by piece.
 
+use host_bridge::hands::model_info_on_the_wire;
 use shared_dsp::mlp::{BlobSpec, DenseSpec, Model, build_blob, crc32};
 use shared_dsp::recipe::Recipe;
-use shared_proto::message::{AckResult, HostMessage, MODEL_CHUNK_MAX, ModelBegin, ModelInfo};
+use shared_proto::message::{AckResult, HostMessage, MODEL_CHUNK_MAX, ModelBegin};
 
 use super::session::Session;
 
@@ -49,17 +50,9 @@ pub fn random_model(recipe: Recipe, hidden: &[usize], seed: u32) -> Vec<u8> {
 
 /// The announcement of a model.
 pub fn begin<'a>(blob: &'a [u8], model: &Model<'a>) -> ModelBegin<'a> {
-    let info = model.info();
     ModelBegin {
         request: 1,
-        info: ModelInfo {
-            model_id: crc32(blob),
-            recipe: info.recipe.id(),
-            axes: info.axes as u8,
-            sample_hz: info.sample_hz,
-            window: info.window,
-            labels: info.label_text,
-        },
+        info: model_info_on_the_wire(model.info()),
         scaling: [1.0; 3],
         size: blob.len() as u32,
     }

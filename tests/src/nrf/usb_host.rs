@@ -81,6 +81,11 @@ impl UsbHost {
         *self = Self::default();
     }
 
+    /// A program opens the port, or closes it.
+    pub fn open(&mut self, open: bool) {
+        self.to_ask.extend([Request::Baud(115_200), Request::Open(open)]);
+    }
+
     /// Closes the port after having opened it at 1200 baud: Arduino's way to ask for the bootloader.
     pub fn touch(&mut self) {
         self.to_ask.extend([Request::Baud(1200), Request::Open(false)]);

@@ -1,0 +1,56 @@
+//! The bundled session: recorded hands, and what they must come to, written down with them.
+
+use std::path::Path;
+
+use models::recording::Recording;
+
+use crate::adc::AdcRecording;
+use crate::hands::{LeftBoard, ModelFile, ModelFileError, RightBoard};
+use crate::intent::MotionMap;
+use crate::script::Script;
+use crate::session::Session;
+use crate::sim::Simulator;
+
+const SCRIPT: &str = include_str!("../sessions/demo/session.toml");
+const LEFT: &[u8] = include_bytes!("../sessions/demo/left.csv");
+const RIGHT: &[u8] = include_bytes!("../sessions/demo/right.csv");
+
+/// Both hands' recordings and their script. The hands are simulated wearers.
+pub struct Demo {
+    /// The left hand's converter at 100 Hz.
+    pub left: AdcRecording,
+    /// The right hand's sensor.
+    pub right: Recording,
+    /// Calibration of the left hand, and what must come out.
+    pub script: Script,
+}
+
+impl Demo {
+    /// The one inside this program.
+    ///
+    /// # Panics
+    /// Never: the files are compiled in, and the tests read them.
+    pub fn bundled() -> Self {
+        let read = "the bundled session is whole";
+        Demo {
+            left: AdcRecording::parse(Path::new("sessions/demo/left.csv"), LEFT).expect(read),
+            right: Recording::parse(Path::new("sessions/demo/right.csv"), RIGHT).expect(read),
+            script: Script::parse(SCRIPT).expect(read),
+        }
+    }
+
+    /// Both hands on this robot, at their beginning.
+    ///
+    /// # Errors
+    /// [`ModelFileError`] if the model is for other axes.
+    pub fn session(
+        self,
+        model: &ModelFile,
+        map: MotionMap,
+        robot: Simulator,
+    ) -> Result<Session<'_>, ModelFileError> {
+        let left = LeftBoard::new(self.left, Some(self.script.calibration.into()), 1);
+        let right = RightBoard::new(self.right.resampled(), model, 1)?;
+        Ok(Session::with_robot(Some(Box::new(left)), Some(Box::new(right)), map, robot))
+    }
+}
