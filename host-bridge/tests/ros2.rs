@@ -2,257 +2,45 @@
 //! graph: `tests/ros2/peer.py`, on Eclipse Cyclone DDS. `cargo xtask test --only "ROS 2"` runs it; it sets
 //! BIMANUAL_ROS2_PYTHON to an interpreter that has the packages.
 //!
-//! All traffic stays on loopback, or in a network namespace that the test makes itself.
+//! Each test makes a network of its own (a namespace) where it may, and so disturbs no other.
 #![cfg(unix)]
 
 #[allow(dead_code)]
 #[path = "support/double.rs"]
 mod double;
 
-use std::io::{BufRead as _, BufReader, Write as _};
-use std::path::Path;
-use std::process::{Child, ChildStdin, Command, ExitStatus, Stdio};
-use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
-use std::sync::mpsc::{Receiver, channel};
-use std::sync::{Arc, Mutex, MutexGuard};
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+#[allow(dead_code)]
+#[path = "support/graph.rs"]
+mod graph;
+
+use std::process::Command;
+use std::sync::{MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
 
 use double::{BENT, Double, FORWARD, LEVEL};
+use graph::{
+    DECISION_MS, Lateness, Network, SILENCE_MS, Teller, armed, bridge, domain, is, is_full, middle_and_worst,
+    network, number, peer, python, speed, wall_s,
+};
 use host_bridge::arm::gen3::HOME;
 use serde_json::Value;
 
-const PATIENCE: Duration = Duration::from_secs(60);
-
-/// One after the other: they measure time.
-static ALONE: Mutex<()> = Mutex::new(());
-
-fn python() -> Option<String> {
-    let python = std::env::var("BIMANUAL_ROS2_PYTHON").ok();
-    if python.is_none() {
-        println!("SKIPPED: BIMANUAL_ROS2_PYTHON is not set; `cargo xtask test --only \"ROS 2\"` sets it");
-    }
-    python
+fn starting() -> MutexGuard<'static, ()> {
+    double::STARTING.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-fn alone() -> MutexGuard<'static, ()> {
-    ALONE.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
-}
-
-fn is_full() -> bool {
-    std::env::var_os("BIMANUAL_FULL").is_some()
-}
-
-fn wall_s() -> f64 {
-    SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_secs_f64()
-}
-
-/// A domain that nobody else on this machine is likely to use.
-fn domain() -> u32 {
-    static NEXT: AtomicU32 = AtomicU32::new(0);
-    20 + (std::process::id() * 7 + NEXT.fetch_add(1, Ordering::Relaxed)) % 80
-}
-
-/// A program that prints one JSON object per line.
-struct Teller {
-    what: &'static str,
-    child: Child,
-    orders: Option<ChildStdin>,
-    lines: Receiver<(f64, Value)>,
-    /// Every line with the time at which it was read.
-    seen: Vec<(f64, Value)>,
-    errors: Receiver<String>,
-}
-
-fn start(what: &'static str, command: &mut Command) -> Teller {
-    let alone = double::STARTING.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
-    let mut child = command
-        .stdin(Stdio::piped())
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped())
-        .spawn()
-        .unwrap_or_else(|error| panic!("{what} does not start: {error}"));
-    drop(alone);
-    let (sender, lines) = channel();
-    let (out, err) = (child.stdout.take().unwrap(), child.stderr.take().unwrap());
-    std::thread::spawn(move || {
-        for line in BufReader::new(out).lines().map_while(Result::ok) {
-            let value = serde_json::from_str(&line).unwrap_or(Value::String(line));
-            drop(sender.send((wall_s(), value)));
-        }
-    });
-    let (sender, errors) = channel();
-    std::thread::spawn(move || {
-        BufReader::new(err).lines().map_while(Result::ok).for_each(|line| drop(sender.send(line)));
-    });
-    Teller { what, orders: child.stdin.take(), child, lines, seen: Vec::new(), errors }
-}
-
-impl Teller {
-    fn fail(&mut self, why: &str) -> ! {
-        let _ = self.child.kill();
-        let tail: Vec<String> = self.seen.iter().rev().take(40).rev().map(|(_, v)| v.to_string()).collect();
-        let errors: Vec<String> = self.errors.try_iter().collect();
-        panic!("{}: {why}; last lines:\n{}\n{}", self.what, tail.join("\n"), errors.join("\n"));
-    }
-
-    /// Takes in what was said, without waiting.
-    fn catch_up(&mut self) {
-        self.seen.extend(self.lines.try_iter());
-    }
-
-    /// Waits for a line from the `from`th on; its place.
-    fn wait_from(&mut self, from: usize, what: &str, mut fits: impl FnMut(&Value) -> bool) -> usize {
-        let until = Instant::now() + PATIENCE;
-        let mut place = from;
-        loop {
-            while place < self.seen.len() {
-                if fits(&self.seen[place].1) {
-                    return place;
-                }
-                place += 1;
-            }
-            match self.lines.recv_timeout(until.saturating_duration_since(Instant::now())) {
-                Ok(line) => self.seen.push(line),
-                Err(_) => self.fail(&format!("no line for '{what}'")),
-            }
-        }
-    }
-
-    /// Waits for a line that was not there before now.
-    fn wait(&mut self, what: &str, fits: impl FnMut(&Value) -> bool) -> Value {
-        self.catch_up();
-        let from = self.seen.len();
-        let place = self.wait_from(from, what, fits);
-        self.seen[place].1.clone()
-    }
-
-    /// Waits for a line that may have been there already.
-    fn has(&mut self, what: &str, fits: impl FnMut(&Value) -> bool) -> Value {
-        let place = self.wait_from(0, what, fits);
-        self.seen[place].1.clone()
-    }
-
-    fn order(&mut self, order: &str) {
-        let orders = self.orders.as_mut().expect("its input is open");
-        writeln!(orders, "{order}").unwrap();
-    }
-
-    /// Everything it says from now on for so long.
-    fn listen(&mut self, time: Duration) -> Vec<Value> {
-        self.catch_up();
-        let from = self.seen.len();
-        std::thread::sleep(time);
-        self.catch_up();
-        self.seen[from..].iter().map(|(_, value)| value.clone()).collect()
-    }
-
-    fn interrupt(&self) {
-        Command::new("kill").args(["-INT", &self.child.id().to_string()]).status().unwrap();
-    }
-
-    /// Waits for the end; what it printed on standard error.
-    fn end(mut self) -> (ExitStatus, Vec<Value>, String) {
-        drop(self.orders.take());
-        let until = Instant::now() + PATIENCE;
-        while let Ok(line) = self.lines.recv_timeout(until.saturating_duration_since(Instant::now())) {
-            self.seen.push(line);
-        }
-        if self.child.try_wait().unwrap().is_none() && Instant::now() >= until {
-            self.fail("does not end");
-        }
-        let errors: Vec<String> = self.errors.iter().collect();
-        let seen = std::mem::take(&mut self.seen);
-        (self.child.wait().unwrap(), seen.into_iter().map(|(_, value)| value).collect(), errors.join("\n"))
-    }
-}
-
-impl Drop for Teller {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
-}
-
-fn peer(python: &str, domain: u32, options: &[&str]) -> Teller {
-    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/ros2/peer.py");
-    let mut command = Command::new(python);
-    command.arg(script).args(["--domain", &domain.to_string()]).args(options);
-    start("the robot", &mut command)
-}
-
-fn bridge(folder: &Path, domain: u32, section: &str, options: &[&str]) -> Teller {
-    let config = folder.join(format!("desk-{domain}.toml"));
-    // Two stations may share a domain.
-    let config = if config.exists() { folder.join(format!("desk-{}.toml", section.len())) } else { config };
-    let text = format!(
-        "[ros2]\ndomain_id = {domain}\ninterfaces = ['127.0.0.1']\nmiddleware = 'cyclonedds'\n{section}"
-    );
-    std::fs::write(&config, text).unwrap();
-    let mut command = Command::new(env!("CARGO_BIN_EXE_host-bridge"));
-    command.args(["run", "--ros2", "--json", "--config"]).arg(&config).args(options);
-    start("the bridge", &mut command)
-}
-
-fn is(value: &Value, event: &str) -> bool {
-    value["event"] == event
-}
-
-fn number(value: &Value) -> f64 {
-    value.as_f64().unwrap_or(f64::NAN)
-}
-
-fn speed(value: &Value) -> Option<(f64, f64)> {
-    is(value, "speed").then(|| (number(&value["linear"]), number(&value["angular"])))
-}
-
-fn armed(value: &Value) -> bool {
-    is(value, "state") && value["state"] == "armed"
-}
-
-/// Delays in ms: the middle one and the longest.
-fn middle_and_worst(mut delays_ms: Vec<f64>) -> (f64, f64) {
-    delays_ms.sort_by(f64::total_cmp);
-    (delays_ms[delays_ms.len() / 2], delays_ms[delays_ms.len() - 1])
-}
-
-/// How late this machine wakes a thread that slept: a busy one says nothing about the program's own delays.
-struct Lateness {
-    ended: Arc<AtomicBool>,
-    thread: std::thread::JoinHandle<Vec<f64>>,
-}
-
-impl Lateness {
-    fn watch() -> Self {
-        let ended = Arc::new(AtomicBool::new(false));
-        let is_over = Arc::clone(&ended);
-        let thread = std::thread::spawn(move || {
-            let mut late_ms = Vec::new();
-            while !is_over.load(Ordering::Relaxed) {
-                let start = Instant::now();
-                std::thread::sleep(Duration::from_millis(5));
-                late_ms.push(start.elapsed().as_secs_f64() * 1000.0 - 5.0);
-            }
-            late_ms
-        });
-        Lateness { ended, thread }
-    }
-
-    /// Whether times measured meanwhile can be judged: nine sleeps of ten ended within 2 ms.
-    fn was_quiet(self) -> bool {
-        self.ended.store(true, Ordering::Relaxed);
-        let mut late_ms = self.thread.join().unwrap();
-        late_ms.sort_by(f64::total_cmp);
-        let mostly_ms = late_ms[late_ms.len() * 9 / 10];
-        if mostly_ms > 2.0 {
-            println!("NOT JUDGED: this machine is busy and wakes a thread {mostly_ms:.1} ms late");
-        }
-        mostly_ms <= 2.0
-    }
+fn host_bridge() -> &'static str {
+    env!("CARGO_BIN_EXE_host-bridge")
 }
 
 #[test]
 fn hands_drive_an_independent_robot_with_right_types_values_quality_and_in_time() {
-    let (Some(python), _alone) = (python(), alone()) else { return };
+    let Some(python) = python() else { return };
+    let network =
+        network("hands_drive_an_independent_robot_with_right_types_values_quality_and_in_time", true);
+    if matches!(network, Network::Over) {
+        return;
+    }
     let folder = tempfile::tempdir().unwrap();
     let domain = domain();
     let (left, right) = (Double::left(folder.path()), Double::right(folder.path(), 0.0));
@@ -297,7 +85,7 @@ fn hands_drive_an_independent_robot_with_right_types_values_quality_and_in_time(
     }
     let (middle_ms, worst_ms) = middle_and_worst(delays_ms);
     println!("tilt, decision to robot: median {middle_ms:.2} ms, worst {worst_ms:.2} ms of 20");
-    assert!(!lateness.was_quiet() || middle_ms <= 10.0);
+    assert!(!lateness.was_quiet() || middle_ms <= DECISION_MS);
 
     // After a stop zero is repeated at 50 Hz for a second; then there is silence.
     left.hold(FORWARD);
@@ -369,7 +157,7 @@ fn hands_drive_an_independent_robot_with_right_types_values_quality_and_in_time(
     let zero = robot.wait("zero", |v| speed(v).is_some_and(|s| s.0 == 0.0));
     let silence_ms = (number(&zero["t"]) - pulled_s) * 1000.0;
     println!("a board's cable is pulled: zero at the robot after {silence_ms:.0} ms");
-    assert!(!lateness.was_quiet() || silence_ms <= 350.0);
+    assert!(!lateness.was_quiet() || silence_ms <= SILENCE_MS);
     left.hold(LEVEL);
     left.plug();
     bridge.wait("armed again", armed);
@@ -402,7 +190,11 @@ fn hands_drive_an_independent_robot_with_right_types_values_quality_and_in_time(
 
 #[test]
 fn the_simulators_state_is_published_only_where_no_robot_is() {
-    let (Some(python), _alone) = (python(), alone()) else { return };
+    let Some(python) = python() else { return };
+    let network = network("the_simulators_state_is_published_only_where_no_robot_is", false);
+    if matches!(network, Network::Over) {
+        return;
+    }
     let folder = tempfile::tempdir().unwrap();
     let domain = domain();
     let left = Double::left(folder.path());
@@ -457,7 +249,11 @@ fn the_simulators_state_is_published_only_where_no_robot_is() {
 
 #[test]
 fn on_the_topic_a_motion_is_a_trajectory_and_a_stop_is_one_that_brakes() {
-    let (Some(python), _alone) = (python(), alone()) else { return };
+    let Some(python) = python() else { return };
+    let network = network("on_the_topic_a_motion_is_a_trajectory_and_a_stop_is_one_that_brakes", false);
+    if matches!(network, Network::Over) {
+        return;
+    }
     let folder = tempfile::tempdir().unwrap();
     let domain = domain();
     let (left, right) = (Double::left(folder.path()), Double::right(folder.path(), 0.0));
@@ -488,7 +284,11 @@ fn on_the_topic_a_motion_is_a_trajectory_and_a_stop_is_one_that_brakes() {
 
 #[test]
 fn doctor_names_what_is_wrong() {
-    let (Some(python), _alone) = (python(), alone()) else { return };
+    let Some(python) = python() else { return };
+    let network = network("doctor_names_what_is_wrong", false);
+    if matches!(network, Network::Over) {
+        return;
+    }
     let folder = tempfile::tempdir().unwrap();
     let domain = domain();
     let mut robot = peer(&python, domain, &["--robot", "--action", "--unstamped"]);
@@ -525,28 +325,17 @@ fn doctor_names_what_is_wrong() {
     assert!(!well && text.contains(&format!("in domain {domain}, not {}", domain + 100)), "{text}");
 }
 
-// What follows needs a network of its own: the test starts itself again in a new namespace.
+// What follows needs a network of its own, and does not run without.
 
-/// Runs an ignored test of this file alone in a new network namespace; true where that could be done.
-fn in_own_network(test: &str) -> bool {
-    let unshare = |words: &[&str]| {
-        let mut command = Command::new("unshare");
-        command.arg("-n").args(words);
-        command
-    };
-    let probe = unshare(&["sh", "-c", "ip link set lo up && iptables -L >/dev/null"])
-        .stdout(Stdio::null())
-        .stderr(Stdio::null())
-        .status();
-    if !probe.is_ok_and(|status| status.success()) {
-        println!("SKIPPED: needs root, unshare, iproute2 and iptables, to make a network of its own");
-        return false;
+fn has_own_network(test: &str, measures: bool) -> bool {
+    match network(test, measures) {
+        Network::Own => true,
+        Network::Over => false,
+        Network::Loopback(_) => {
+            println!("SKIPPED: losses and a site's traffic are not for the machine's own loopback");
+            false
+        }
     }
-    let exe = std::env::current_exe().unwrap();
-    let exe = exe.to_str().unwrap();
-    let status = unshare(&[exe, "--ignored", "--exact", test, "--nocapture"]).status().unwrap();
-    assert!(status.success(), "{test} failed");
-    true
 }
 
 fn net(words: &[&str]) {
@@ -554,27 +343,18 @@ fn net(words: &[&str]) {
     assert!(status.success(), "{words:?}");
 }
 
-#[test]
-fn a_fifth_of_the_datagrams_lost_moves_the_robot_never_by_old_commands() {
-    let (Some(_), _alone) = (python(), alone()) else { return };
-    in_own_network("loss");
+/// A number from the environment, or the usual one.
+fn number_of(name: &str, usual: u64) -> u64 {
+    std::env::var(name).ok().map_or(usual, |text| text.parse().expect("a number"))
 }
 
 #[test]
-#[ignore = "started by the test above, in a network of its own"]
-fn loss() {
-    let python = python().unwrap();
-    let lossy_s: f64 = match std::env::var("BIMANUAL_LOSS_S") {
-        Ok(text) => text.parse().unwrap(),
-        Err(_) => {
-            if is_full() {
-                120.0
-            } else {
-                15.0
-            }
-        }
-    };
-    net(&["ip", "link", "set", "lo", "up"]);
+fn a_fifth_of_the_datagrams_lost_moves_the_robot_never_by_old_commands() {
+    let Some(python) = python() else { return };
+    if !has_own_network("a_fifth_of_the_datagrams_lost_moves_the_robot_never_by_old_commands", false) {
+        return;
+    }
+    let lossy_s = number_of("BIMANUAL_LOSS_S", if is_full() { 600 } else { 120 }) as f64;
     let folder = tempfile::tempdir().unwrap();
     let left = Double::left(folder.path());
     let mut robot = peer(&python, 1, &["--base-only", "--seconds", "3600"]);
@@ -645,46 +425,15 @@ fn loss() {
 
 #[test]
 fn twenty_bridges_and_twenty_robots_share_this_machine() {
-    let (Some(_), _alone) = (python(), alone()) else { return };
+    let Some(python) = python() else { return };
     if !is_full() {
         println!("SKIPPED: 20 pairs for 60 s run under --full");
         return;
     }
-    in_own_network("pairs");
-}
-
-/// Resident memory in MB and processor seconds so far.
-fn used(pid: u32) -> (f64, f64) {
-    let status = std::fs::read_to_string(format!("/proc/{pid}/status")).unwrap_or_default();
-    let kb = status.lines().find_map(|line| line.strip_prefix("VmRSS:"));
-    let kb: f64 = kb.and_then(|text| text.split_whitespace().next()?.parse().ok()).unwrap_or(0.0);
-    let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).unwrap_or_default();
-    let fields: Vec<&str> = stat.rsplit(')').next().unwrap_or("").split_whitespace().collect();
-    let ticks = |place: usize| fields.get(place).and_then(|text| text.parse::<f64>().ok()).unwrap_or(0.0);
-    // Clock ticks of 10 ms; user and system time are the 14th and 15th fields.
-    (kb / 1024.0, (ticks(11) + ticks(12)) / 100.0)
-}
-
-/// Bytes and datagrams on loopback so far, in this network.
-fn traffic() -> (f64, f64) {
-    let table = std::fs::read_to_string("/proc/net/dev").unwrap_or_default();
-    let line = table.lines().find_map(|line| line.trim().strip_prefix("lo:")).unwrap_or("");
-    let fields: Vec<f64> = line.split_whitespace().filter_map(|word| word.parse().ok()).collect();
-    (fields.first().copied().unwrap_or(0.0), fields.get(1).copied().unwrap_or(0.0))
-}
-
-#[test]
-#[ignore = "started by the test above, in a network of its own"]
-fn pairs() {
-    let python = python().unwrap();
-    let number_of = |name: &str, usual: usize| {
-        std::env::var(name).ok().map_or(usual, |text| text.parse().expect("a number"))
-    };
-    let (pairs, seconds) = (number_of("BIMANUAL_PAIRS", 20), number_of("BIMANUAL_PAIRS_S", 60) as u64);
-    net(&["ip", "link", "set", "lo", "up"]);
-    // As on a site's network: participants find each other by multicast.
-    net(&["ip", "link", "set", "lo", "multicast", "on"]);
-    net(&["ip", "route", "add", "224.0.0.0/4", "dev", "lo"]);
+    if !has_own_network("twenty_bridges_and_twenty_robots_share_this_machine", true) {
+        return;
+    }
+    let (pairs, seconds) = (number_of("BIMANUAL_PAIRS", 20), number_of("BIMANUAL_PAIRS_S", 60));
     let folder = tempfile::tempdir().unwrap();
     let mut all: Vec<(Double, Teller, Teller)> = Vec::new();
     for pair in 1..=pairs {
@@ -751,5 +500,25 @@ fn pairs() {
     );
     println!("network per pair: {:.1} kB/s in {datagrams_s:.0} datagrams per second", bytes_s / 1000.0);
     assert_eq!(lost, 0);
-    assert!(sent > 40 * seconds * pairs as u64, "{sent}");
+    assert!(sent > 40 * seconds * pairs, "{sent}");
+}
+
+/// Resident memory in MB and processor seconds so far.
+fn used(pid: u32) -> (f64, f64) {
+    let status = std::fs::read_to_string(format!("/proc/{pid}/status")).unwrap_or_default();
+    let kb = status.lines().find_map(|line| line.strip_prefix("VmRSS:"));
+    let kb: f64 = kb.and_then(|text| text.split_whitespace().next()?.parse().ok()).unwrap_or(0.0);
+    let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).unwrap_or_default();
+    let fields: Vec<&str> = stat.rsplit(')').next().unwrap_or("").split_whitespace().collect();
+    let ticks = |place: usize| fields.get(place).and_then(|text| text.parse::<f64>().ok()).unwrap_or(0.0);
+    // Clock ticks of 10 ms; user and system time are the 14th and 15th fields.
+    (kb / 1024.0, (ticks(11) + ticks(12)) / 100.0)
+}
+
+/// Bytes and datagrams on loopback so far, in this network.
+fn traffic() -> (f64, f64) {
+    let table = std::fs::read_to_string("/proc/net/dev").unwrap_or_default();
+    let line = table.lines().find_map(|line| line.trim().strip_prefix("lo:")).unwrap_or("");
+    let fields: Vec<f64> = line.split_whitespace().filter_map(|word| word.parse().ok()).collect();
+    (fields.first().copied().unwrap_or(0.0), fields.get(1).copied().unwrap_or(0.0))
 }

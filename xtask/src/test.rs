@@ -121,7 +121,8 @@ fn steps() -> Vec<Step> {
             NETWORK.ensure()?;
             let python = python::environment("ros2", &["tests/ros2/requirements.txt"])?;
             sh(cargo_for_all("test")
-                .args(["--test", "ros2", "--", "--nocapture"])
+                .args(["--no-fail-fast", "--test", "ros2", "--", "--nocapture"])
+                .env("BIMANUAL_PROGRAMS", target_dir().join("debug"))
                 .env("BIMANUAL_ROS2_PYTHON", python))
         }),
         Step::new("laptop and Cortex-M4F agree on all bits", || {

@@ -98,7 +98,10 @@ fn report(talk: &mut Talk) {
             last = Some(state);
         }
     }
-    let Some(state) = last else { return };
+    let Some(state) = last else {
+        println!("calibrated and kept in the board, which has fallen silent since: see `host-bridge doctor`");
+        return;
+    };
     let degrees = |mrad: i16| (f64::from(mrad) / 1000.0).to_degrees();
     println!(
         "calibrated and kept in the board; it reads pitch {:.0}°, roll {:.0}° now",

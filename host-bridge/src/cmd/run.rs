@@ -12,7 +12,7 @@ use crossterm::event::{KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
 use host_bridge::bridge::BridgeEvent;
 use host_bridge::describe;
 use host_bridge::keyboard::HandKey;
-use host_bridge::links::{Clock, Link as BoardLink, LinkEvent, News, SystemClock};
+use host_bridge::links::{Clock, Link as BoardLink, LinkEvent, News, SystemClock, is_ble};
 use host_bridge::live::{Live, Place};
 use host_bridge::robot::Robot as _;
 use host_bridge::ros2::{ArmInterface, Counts, RosRobot};
@@ -327,7 +327,11 @@ impl Session {
         match event.news {
             // By the time of handling: what waited is as old as it is.
             News::Bytes(bytes) => self.live.receive(hand, &bytes, now_ms),
-            News::Opened => self.link_line(now_ms, hand, true, "the port is open"),
+            News::Opened => {
+                let over_air = self.links[hand as usize].as_ref().is_some_and(|link| is_ble(link.port()));
+                let what = if over_air { "connected over Bluetooth" } else { "the port is open" };
+                self.link_line(now_ms, hand, true, what);
+            }
             News::Closed(why) => self.link_line(now_ms, hand, false, &why),
         }
     }

@@ -43,8 +43,13 @@ impl Left {
 
     /// Tips the hand forward by so many radians.
     pub fn tilt(&mut self, forward_rad: f64) {
+        self.lean(forward_rad, 0.0);
+    }
+
+    /// Tips the hand forward and to the left by so many radians.
+    pub fn lean(&mut self, forward_rad: f64, left_rad: f64) {
         let now_s = self.nano.now_ms() / 1000.0;
-        self.hand.borrow_mut().tilt(forward_rad, 0.0, now_s, 0.15);
+        self.hand.borrow_mut().tilt(forward_rad, left_rad, now_s, 0.15);
     }
 
     /// Bends both fingers: 0 is straight, 1 as far as is comfortable.

@@ -1,0 +1,309 @@
+//! The other side of the graph: `tests/ros2/peer.py` as a robot, the program beside it, and a network of their own.
+//!
+//! Whoever includes this has `starting()`, held while a program is started, and `host_bridge()`, its path.
+
+use std::io::{BufRead as _, BufReader, Write as _};
+use std::path::Path;
+use std::process::{Child, ChildStdin, Command, ExitStatus, Stdio};
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use std::sync::mpsc::{Receiver, channel};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+use serde_json::Value;
+
+use super::{host_bridge, starting};
+
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// Those that measure time are not disturbed by each other.
+static ALONE: Mutex<()> = Mutex::new(());
+
+pub fn python() -> Option<String> {
+    let python = std::env::var("BIMANUAL_ROS2_PYTHON").ok();
+    if python.is_none() {
+        println!("SKIPPED: BIMANUAL_ROS2_PYTHON is not set; `cargo xtask test --only \"ROS 2\"` sets it");
+    }
+    python
+}
+
+fn alone() -> MutexGuard<'static, ()> {
+    ALONE.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+pub fn is_full() -> bool {
+    std::env::var_os("BIMANUAL_FULL").is_some()
+}
+
+pub fn wall_s() -> f64 {
+    SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_secs_f64()
+}
+
+/// A domain that nobody else on this machine is likely to use.
+pub fn domain() -> u32 {
+    static NEXT: AtomicU32 = AtomicU32::new(0);
+    20 + (std::process::id() * 7 + NEXT.fetch_add(1, Ordering::Relaxed)) % 80
+}
+
+/// A program that prints one JSON object per line.
+pub struct Teller {
+    what: &'static str,
+    pub child: Child,
+    orders: Option<ChildStdin>,
+    lines: Receiver<(f64, Value)>,
+    /// Every line with the time at which it was read.
+    pub seen: Vec<(f64, Value)>,
+    errors: Receiver<String>,
+}
+
+pub fn start(what: &'static str, command: &mut Command) -> Teller {
+    let alone = starting();
+    let mut child = command
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap_or_else(|error| panic!("{what} does not start: {error}"));
+    drop(alone);
+    let (sender, lines) = channel();
+    let (out, err) = (child.stdout.take().unwrap(), child.stderr.take().unwrap());
+    std::thread::spawn(move || {
+        for line in BufReader::new(out).lines().map_while(Result::ok) {
+            let value = serde_json::from_str(&line).unwrap_or(Value::String(line));
+            drop(sender.send((wall_s(), value)));
+        }
+    });
+    let (sender, errors) = channel();
+    std::thread::spawn(move || {
+        BufReader::new(err).lines().map_while(Result::ok).for_each(|line| drop(sender.send(line)));
+    });
+    Teller { what, orders: child.stdin.take(), child, lines, seen: Vec::new(), errors }
+}
+
+impl Teller {
+    pub fn fail(&mut self, why: &str) -> ! {
+        let _ = self.child.kill();
+        let tail: Vec<String> = self.seen.iter().rev().take(40).rev().map(|(_, v)| v.to_string()).collect();
+        let errors: Vec<String> = self.errors.try_iter().collect();
+        panic!("{}: {why}; last lines:\n{}\n{}", self.what, tail.join("\n"), errors.join("\n"));
+    }
+
+    /// Takes in what was said, without waiting.
+    pub fn catch_up(&mut self) {
+        self.seen.extend(self.lines.try_iter());
+    }
+
+    /// Waits so long for a line from the `from`th on; its place.
+    pub fn find(
+        &mut self,
+        from: usize,
+        patience: Duration,
+        mut fits: impl FnMut(&Value) -> bool,
+    ) -> Option<usize> {
+        let until = Instant::now() + patience;
+        let mut place = from;
+        loop {
+            while place < self.seen.len() {
+                if fits(&self.seen[place].1) {
+                    return Some(place);
+                }
+                place += 1;
+            }
+            self.seen.push(self.lines.recv_timeout(until.saturating_duration_since(Instant::now())).ok()?);
+        }
+    }
+
+    /// The same, and fails where none comes.
+    pub fn wait_from(&mut self, from: usize, what: &str, fits: impl FnMut(&Value) -> bool) -> usize {
+        match self.find(from, PATIENCE, fits) {
+            Some(place) => place,
+            None => self.fail(&format!("no line for '{what}'")),
+        }
+    }
+
+    /// Waits so long for a line that was not there before now.
+    pub fn wait_for(&mut self, patience: Duration, fits: impl FnMut(&Value) -> bool) -> Option<Value> {
+        self.catch_up();
+        let place = self.find(self.seen.len(), patience, fits)?;
+        Some(self.seen[place].1.clone())
+    }
+
+    /// Waits for a line that was not there before now.
+    pub fn wait(&mut self, what: &str, fits: impl FnMut(&Value) -> bool) -> Value {
+        self.catch_up();
+        let from = self.seen.len();
+        let place = self.wait_from(from, what, fits);
+        self.seen[place].1.clone()
+    }
+
+    /// Waits for a line that may have been there already.
+    pub fn has(&mut self, what: &str, fits: impl FnMut(&Value) -> bool) -> Value {
+        let place = self.wait_from(0, what, fits);
+        self.seen[place].1.clone()
+    }
+
+    pub fn order(&mut self, order: &str) {
+        let orders = self.orders.as_mut().expect("its input is open");
+        writeln!(orders, "{order}").unwrap();
+    }
+
+    /// Everything it says from now on for so long.
+    pub fn listen(&mut self, time: Duration) -> Vec<Value> {
+        self.catch_up();
+        let from = self.seen.len();
+        std::thread::sleep(time);
+        self.catch_up();
+        self.seen[from..].iter().map(|(_, value)| value.clone()).collect()
+    }
+
+    pub fn interrupt(&self) {
+        Command::new("kill").args(["-INT", &self.child.id().to_string()]).status().unwrap();
+    }
+
+    /// Waits for the end; what it printed on standard error.
+    pub fn end(mut self) -> (ExitStatus, Vec<Value>, String) {
+        drop(self.orders.take());
+        let until = Instant::now() + PATIENCE;
+        while let Ok(line) = self.lines.recv_timeout(until.saturating_duration_since(Instant::now())) {
+            self.seen.push(line);
+        }
+        if self.child.try_wait().unwrap().is_none() && Instant::now() >= until {
+            self.fail("does not end");
+        }
+        let errors: Vec<String> = self.errors.iter().collect();
+        let seen = std::mem::take(&mut self.seen);
+        (self.child.wait().unwrap(), seen.into_iter().map(|(_, value)| value).collect(), errors.join("\n"))
+    }
+}
+
+impl Drop for Teller {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+pub fn peer(python: &str, domain: u32, options: &[&str]) -> Teller {
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/ros2/peer.py");
+    let mut command = Command::new(python);
+    command.arg(script).args(["--domain", &domain.to_string()]).args(options);
+    start("the robot", &mut command)
+}
+
+pub fn bridge(folder: &Path, domain: u32, section: &str, options: &[&str]) -> Teller {
+    let config = folder.join(format!("desk-{domain}.toml"));
+    // Two stations may share a domain.
+    let config = if config.exists() { folder.join(format!("desk-{}.toml", section.len())) } else { config };
+    let text = format!(
+        "[ros2]\ndomain_id = {domain}\ninterfaces = ['127.0.0.1']\nmiddleware = 'cyclonedds'\n{section}"
+    );
+    std::fs::write(&config, text).unwrap();
+    let mut command = Command::new(host_bridge());
+    command.args(["run", "--ros2", "--json", "--config"]).arg(&config).args(options);
+    start("the bridge", &mut command)
+}
+
+pub fn is(value: &Value, event: &str) -> bool {
+    value["event"] == event
+}
+
+pub fn number(value: &Value) -> f64 {
+    value.as_f64().unwrap_or(f64::NAN)
+}
+
+pub fn speed(value: &Value) -> Option<(f64, f64)> {
+    is(value, "speed").then(|| (number(&value["linear"]), number(&value["angular"])))
+}
+
+pub fn armed(value: &Value) -> bool {
+    is(value, "state") && value["state"] == "armed"
+}
+
+/// Delays in ms: the middle one and the longest.
+pub fn middle_and_worst(mut delays_ms: Vec<f64>) -> (f64, f64) {
+    delays_ms.sort_by(f64::total_cmp);
+    (delays_ms[delays_ms.len() / 2], delays_ms[delays_ms.len() - 1])
+}
+
+/// How late this machine wakes a thread that slept: a busy one says nothing about the program's own delays.
+pub struct Lateness {
+    ended: Arc<AtomicBool>,
+    thread: std::thread::JoinHandle<Vec<f64>>,
+}
+
+impl Lateness {
+    pub fn watch() -> Self {
+        let ended = Arc::new(AtomicBool::new(false));
+        let is_over = Arc::clone(&ended);
+        let thread = std::thread::spawn(move || {
+            let mut late_ms = Vec::new();
+            while !is_over.load(Ordering::Relaxed) {
+                let start = Instant::now();
+                std::thread::sleep(Duration::from_millis(5));
+                late_ms.push(start.elapsed().as_secs_f64() * 1000.0 - 5.0);
+            }
+            late_ms
+        });
+        Lateness { ended, thread }
+    }
+
+    /// Whether times measured meanwhile can be judged: nine sleeps of ten ended within 2 ms.
+    pub fn was_quiet(self) -> bool {
+        self.ended.store(true, Ordering::Relaxed);
+        let mut late_ms = self.thread.join().unwrap();
+        late_ms.sort_by(f64::total_cmp);
+        let mostly_ms = late_ms[late_ms.len() * 9 / 10];
+        if mostly_ms > 2.0 {
+            println!("NOT JUDGED: this machine is busy and wakes a thread {mostly_ms:.1} ms late");
+        }
+        mostly_ms <= 2.0
+    }
+}
+
+/// How long the robot may go on after a board fell silent.
+pub const SILENCE_MS: f64 = 350.0;
+/// From the bridge's decision to the robot, the middle one.
+pub const DECISION_MS: f64 = 10.0;
+
+/// Where the traffic of a test goes.
+pub enum Network {
+    /// A network that only this test has, in which datagrams can be dropped.
+    Own,
+    /// The machine's loopback, which only root can avoid: one test after the other.
+    Loopback(MutexGuard<'static, ()>),
+    /// The test has run and passed in another process, in a network of its own.
+    Over,
+}
+
+/// A network for this test: it starts itself again in a new namespace. `test` is its name; those that measure times
+/// do so one after the other.
+pub fn network(test: &str, measures: bool) -> Network {
+    const INSIDE: &str = "BIMANUAL_OWN_NETWORK";
+    if std::env::var_os(INSIDE).is_some() {
+        return Network::Own;
+    }
+    let lock = measures.then(alone);
+    let unshare = |script: &str| {
+        let mut command = Command::new("unshare");
+        command.args(["-n", "sh", "-c", script]);
+        command
+    };
+    // As on a site's network, participants can find each other by multicast.
+    let up = "ip link set lo up && ip link set lo multicast on && ip route add 224.0.0.0/4 dev lo";
+    let probe = unshare(&format!("{up} && iptables -L >/dev/null"))
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .status();
+    if !probe.is_ok_and(|status| status.success()) {
+        println!("on loopback: a network of its own needs root, unshare, iproute2 and iptables");
+        return Network::Loopback(lock.unwrap_or_else(alone));
+    }
+    let mut again = unshare(&format!("{up} && exec \"$0\" --exact \"$1\" --nocapture"));
+    let child = {
+        let _starting = starting();
+        again.arg(std::env::current_exe().unwrap()).arg(test).env(INSIDE, "1").spawn()
+    };
+    let status = child.and_then(|mut child| child.wait()).unwrap();
+    assert!(status.success(), "{test} failed in a network of its own");
+    Network::Over
+}

@@ -1,0 +1,189 @@
+//! From both emulated boards to a robot on ROS 2: their flashed images at the pace of the clock behind
+//! pseudo-terminals, the program, DDS, and Eclipse Cyclone DDS at the other end (`tests/ros2/peer.py`).
+//! `cargo xtask test --only "ROS 2"` runs it; it sets BIMANUAL_ROS2_PYTHON.
+//!
+//! As in `desk.rs`, what moves the robot is tried again from neutral: a busy machine keeps the emulators waiting.
+#![cfg(all(feature = "avr", feature = "nrf", unix))]
+
+#[allow(dead_code)]
+#[path = "../../host-bridge/tests/support/graph.rs"]
+mod graph;
+
+use std::path::PathBuf;
+use std::sync::MutexGuard;
+use std::time::Duration;
+
+use graph::{
+    DECISION_MS, Lateness, Network, SILENCE_MS, Teller, armed, bridge, domain, is, is_full, middle_and_worst,
+    network, number, peer, python, speed, wall_s,
+};
+use host_bridge::arm::ArmMotion;
+use host_bridge::arm::gen3::HOME;
+use models::synth::{Motion, Wearer};
+use serde_json::{Value, json};
+use tests::desk::left::{Left, LeftStation};
+use tests::desk::program::{Desk, folder};
+use tests::desk::right::Right;
+
+/// Tries of something that a busy machine may spoil, and how long one may take.
+const TRIES: u32 = 6;
+const TRY: Duration = Duration::from_secs(12);
+/// The arm's pace in the robot: its motions take 3 to 7 s.
+const PACE: &str = "8";
+
+fn starting() -> MutexGuard<'static, ()> {
+    tests::desk::port::alone()
+}
+
+fn host_bridge() -> PathBuf {
+    folder().join("host-bridge")
+}
+
+fn is_armed(bridge: &mut Teller) -> bool {
+    bridge.catch_up();
+    bridge.seen.iter().rev().find(|(_, v)| is(v, "state")).is_some_and(|(_, v)| armed(v))
+}
+
+/// Level, then tilted by these angles, until the robot has this speed; the first message that says so.
+fn tilt(
+    (bridge, robot): (&mut Teller, &mut Teller),
+    left: &LeftStation,
+    (pitch_rad, roll_rad): (f64, f64),
+    wanted: (f64, f64),
+) -> Value {
+    for _ in 0..TRIES {
+        left.with(|board| board.tilt(0.0));
+        if !is_armed(bridge) {
+            bridge.wait("armed", armed);
+        }
+        left.with(move |board| board.lean(pitch_rad, roll_rad));
+        if let Some(first) = robot.wait_for(TRY, |v| speed(v).is_some_and(|s| s != (0.0, 0.0))) {
+            assert_eq!(speed(&first), Some(wanted));
+            return first;
+        }
+    }
+    bridge.fail("the robot does not move")
+}
+
+fn delay_ms(message: &Value) -> f64 {
+    (number(&message["t"]) - number(&message["stamp"])) * 1000.0
+}
+
+fn is_zero(message: &Value) -> bool {
+    speed(message) == Some((0.0, 0.0))
+}
+
+/// A gesture's place among the diagnostics, if it started a motion.
+fn started(message: &Value) -> Option<&Value> {
+    let gesture = &message["status"]["bimanual: gesture"];
+    let outcome = gesture["outcome"].as_str().filter(|_| is(message, "diagnostics"))?;
+    outcome.starts_with("started").then_some(gesture)
+}
+
+#[test]
+fn both_boards_reach_a_robot_on_the_graph_in_time_and_a_silent_one_stops_it() {
+    let Some(python) = python() else { return };
+    let network = network("both_boards_reach_a_robot_on_the_graph_in_time_and_a_silent_one_stops_it", true);
+    if matches!(network, Network::Over) {
+        return;
+    }
+    let desk = Desk::new("ros2");
+    let left = Left::start(&desk.path("nano"));
+    let right = Right::start(&desk.path("nano33"), Wearer::demo(1));
+    let domain = domain();
+    let mut robot = peer(&python, domain, &["--robot", "--action", "--pace", PACE]);
+    robot.has("ready", |v| is(v, "ready"));
+    let ports = ["--left", &left.port(), "--right", &right.port()];
+    let mut bridge = bridge(&desk.path(""), domain, "", &ports);
+    bridge.has("the robot's reader", |v| {
+        is(v, "ros2") && v["text"].as_str().is_some_and(|text| text.contains("1 reader on /cmd_vel"))
+    });
+    bridge.has("armed", armed);
+    robot.catch_up();
+    assert!(!robot.seen.iter().any(|(_, v)| speed(v).is_some()), "nothing is sent while nothing moves");
+
+    // Tilt, in the paper's four directions; both caps start at 0.5.
+    let lateness = Lateness::watch();
+    let mut delays_ms = Vec::new();
+    let directions = [
+        ((0.6, 0.0), (0.5, 0.0)),
+        ((-0.6, 0.0), (-0.5, 0.0)),
+        ((0.0, 0.6), (0.0, 0.5)),
+        ((0.0, -0.6), (0.0, -0.5)),
+    ];
+    for _ in 0..if is_full() { 25 } else { 2 } {
+        for (angles, wanted) in directions {
+            let first = tilt((&mut bridge, &mut robot), &left, angles, wanted);
+            assert_eq!((&first["frame"], &first["became"]), (&json!("base_link"), &json!("acted")));
+            assert_eq!(first["rest"], json!([0.0, 0.0, 0.0, 0.0]));
+            delays_ms.push(delay_ms(&first));
+            left.with(|board| board.tilt(0.0));
+            delays_ms.push(delay_ms(&robot.wait("zero", is_zero)));
+        }
+    }
+    let tilts = delays_ms.len();
+
+    // A gesture: its name among the diagnostics, its motion as a goal.
+    let mut told = None;
+    for _ in 0..TRIES {
+        if !is_armed(&mut bridge) {
+            bridge.wait("armed", armed);
+        }
+        right.with(|board| board.perform(Motion::ToFro, 4.0));
+        told = robot.wait_for(TRY, |v| started(v).is_some());
+        if told.is_some() {
+            break;
+        }
+    }
+    let Some(told) = told else { bridge.fail("no gesture starts a motion") };
+    let gesture = started(&told).expect("as waited for");
+    assert_eq!((&gesture["message"], &gesture["outcome"]), (&json!("to-fro"), &json!("started pick-up")));
+    for part in ["bridge", "left hand", "right hand"] {
+        let status = &told["status"][format!("bimanual: {part}")];
+        assert_eq!(status["level"], 0, "{part}: {status}");
+    }
+    delays_ms.push(delay_ms(&told));
+    let (middle_ms, worst_ms) = middle_and_worst(delays_ms);
+    let quiet = lateness.was_quiet();
+
+    let stamp_s = number(&told["stamp"]);
+    let goal = robot.wait_from(0, "its goal", |v| is(v, "goal") && number(&v["t"]) >= stamp_s);
+    let goal = robot.seen[goal].1.clone();
+    println!(
+        "boards to robot, decision to arrival: {tilts} tilts and a gesture, median {middle_ms:.2} ms, worst \
+         {worst_ms:.2} ms; the gesture's diagnostics {:.2} ms, its goal {:.2} ms",
+        delay_ms(&told),
+        (number(&goal["t"]) - stamp_s) * 1000.0
+    );
+    assert!(!quiet || middle_ms <= DECISION_MS);
+    let joints: Vec<String> = (1..=7).map(|joint| format!("joint_{joint}")).collect();
+    assert_eq!(goal["joints"], json!(joints));
+    let points = goal["points"].as_array().expect("points");
+    let near = |point: &Value, pose: [f64; 7]| (0..7).all(|j| (number(&point[1][j]) - pose[j]).abs() < 0.05);
+    assert!(near(&points[0], HOME), "it starts where the arm is: {}", points[0]);
+    let last = &points[points.len() - 1];
+    assert!(near(last, ArmMotion::PickUp.goal(0)), "it ends in the gesture's pose: {last}");
+    assert!((0..7).all(|j| number(&last[2][j]) == 0.0), "it ends at rest: {last}");
+    let finished = robot.wait("the arm arrives", |v| is(v, "finished") && v["id"] == goal["id"]);
+    assert_eq!(finished["status"], 4);
+    bridge.has("arrival", |v| is(v, "motion-ended") && v["reached"] == true);
+
+    // A board falls silent: its cable is pulled; then one whose program hangs, with the port open.
+    type Silence = fn(&LeftStation);
+    let silences: [(&str, Silence); 2] =
+        [("its cable is pulled", |left| left.pull()), ("its program hangs", |left| left.pace(0.0))];
+    let pulls = if is_full() { 10 } else { 1 };
+    for (how, fall_silent) in std::iter::repeat_n(silences[0], pulls).chain([silences[1]]) {
+        tilt((&mut bridge, &mut robot), &left, (0.6, 0.0), (0.5, 0.0));
+        std::thread::sleep(Duration::from_millis(400));
+        bridge.catch_up();
+        let (before, lateness, silent_s) = (bridge.seen.len(), Lateness::watch(), wall_s());
+        fall_silent(&left);
+        let zero = robot.wait("zero", is_zero);
+        let silence_ms = (number(&zero["t"]) - silent_s) * 1000.0;
+        println!("a board falls silent, {how}: zero at the robot after {silence_ms:.0} ms");
+        assert!(!lateness.was_quiet() || silence_ms <= SILENCE_MS);
+        bridge.wait_from(before, "the halt", |v| is(v, "halt"));
+        left.plug();
+    }
+}
