@@ -64,7 +64,7 @@ fn motions(planner: &Planner, seeds: u64, file: &Path) -> Result<()> {
                     .map_err(|refusal| anyhow!("{refusal}"))?;
                 let samples = (plan.trajectory.duration_s() * 100.0).ceil() as u64;
                 for k in 0..=samples {
-                    let joints_rad = plan.trajectory.sample(k as f64 / 100.0).joints_rad;
+                    let joints_rad = plan.trajectory.motion(k as f64 / 100.0).joints_rad;
                     write(&mut out, std::iter::once(number).chain(joints_rad))?;
                 }
                 number += 1.0;

@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 use shared_proto::message::TiltThresholds;
 use toml::de::{DeTable, DeValue};
 
+use crate::arm::model::SerialArm;
 use crate::arm::profile::JointLimits;
 use crate::base::BaseConfig;
 use crate::intent::{MotionMap, SpeedRules};
@@ -90,7 +91,7 @@ impl From<Tilt> for TiltThresholds {
     }
 }
 
-/// How much of the arm's own limits may be used, 0 to 1.
+/// How much of the arm's own limits may be used, 0 to 1; and whether its accelerations may jump.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Arm {
@@ -98,14 +99,26 @@ pub struct Arm {
     pub velocity_scaling: f64,
     /// Share of the largest joint accelerations.
     pub acceleration_scaling: f64,
+    /// Accelerations rise and fall no faster than `jerk_rad_s3`, also while stopping.
+    pub jerk_limited: bool,
+    /// Of all joints; not scaled.
+    pub jerk_rad_s3: f64,
 }
 
 impl Default for Arm {
     fn default() -> Self {
-        use crate::arm::gen3::{ACCELERATION_SCALING, VELOCITY_SCALING};
-        Arm { velocity_scaling: VELOCITY_SCALING, acceleration_scaling: ACCELERATION_SCALING }
+        use crate::arm::gen3::{ACCELERATION_SCALING, MAX_JERK_RAD_S3, VELOCITY_SCALING};
+        Arm {
+            velocity_scaling: VELOCITY_SCALING,
+            acceleration_scaling: ACCELERATION_SCALING,
+            jerk_limited: false,
+            jerk_rad_s3: MAX_JERK_RAD_S3,
+        }
     }
 }
+
+/// Least jerk limit, in rad/s³: from full speed at the paper's scaling a stop then takes about a second.
+pub const JERK_LEAST_RAD_S3: f64 = 0.5;
 
 /// Why a configuration cannot be used; the text names the line and what to do.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -173,11 +186,9 @@ impl Config {
 
     /// Limits of the arm.
     pub fn arm_limits(&self) -> JointLimits {
-        use crate::arm::gen3::{MAX_ACCELERATION_RAD_S2, MAX_VELOCITY_RAD_S};
-        JointLimits {
-            velocity_rad_s: MAX_VELOCITY_RAD_S.map(|v| v * self.arm.velocity_scaling),
-            acceleration_rad_s2: MAX_ACCELERATION_RAD_S2.map(|a| a * self.arm.acceleration_scaling),
-        }
+        let Arm { velocity_scaling, acceleration_scaling, jerk_limited, jerk_rad_s3 } = self.arm;
+        let limits = SerialArm::gen3().limits(velocity_scaling, acceleration_scaling);
+        if jerk_limited { limits.with_jerk(jerk_rad_s3) } else { limits }
     }
 
     /// Are all values sound? Called by [`Config::parse`]; call it again after a change by hand.
@@ -230,6 +241,10 @@ impl Config {
         ensure(
             within(self.arm.velocity_scaling, 0.01, 1.0) && within(self.arm.acceleration_scaling, 0.01, 1.0),
             "arm: scalings lie between 0.01 and 1",
+        )?;
+        ensure(
+            within(self.arm.jerk_rad_s3, JERK_LEAST_RAD_S3, f64::MAX),
+            "arm: jerk_rad_s3 is 0.5 or more: with less, a stop would take seconds",
         )?;
         ensure(
             (1200..=2_000_000).contains(&self.ports.baud) && self.ports.settle_ms <= 60_000,
@@ -322,6 +337,7 @@ mod tests {
             "[tilt]\nneutral_mrad = 300",
             "[keyboard]\nfirst_press_ms = 10000",
             "[arm]\nvelocity_scaling = 3.0",
+            "[arm]\njerk_limited = true\njerk_rad_s3 = 0.0",
             "[base]\ntrack_m = 0.0",
             "[ros2]\nrate_hz = 1",
             "[motions]\ncircle = 'fly'",

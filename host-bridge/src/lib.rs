@@ -5,8 +5,9 @@
 //!        └──────────── hands ──────────┘   └──── link ────┘  └ safety, intent ┘  └ sim ┘
 //! ```
 //!
-//! Everything here but `links`, `talk`, `web` and `ros2::node` is sans-IO: bytes, events and the time go in,
-//! actions come out. Ports and clocks live in `links`, sockets in `web` and `ros2::node`; files and terminals only the binary knows.
+//! Everything here but `links`, `talk`, `web`, `foxglove` and `ros2::node` is sans-IO: bytes, events and the time go in,
+//! actions come out. Ports and clocks live in `links`, sockets in `web`,
+//! `foxglove` and `ros2::node`; files and terminals only the binary knows.
 //! Whoever wants to look on hangs on the tap in `observe`.
 
 pub mod adc;
@@ -17,6 +18,7 @@ pub mod capture;
 pub mod config;
 pub mod demo;
 pub mod describe;
+pub mod foxglove;
 pub mod hands;
 pub mod intent;
 #[cfg(feature = "mcap")]
@@ -37,6 +39,7 @@ pub mod session;
 pub mod sim;
 pub mod survey;
 pub mod talk;
+pub mod topics;
 pub mod upload;
 pub mod web;
 pub mod wire;

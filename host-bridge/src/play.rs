@@ -16,7 +16,7 @@ use host_bridge::session::{Session, SessionEvent};
 use host_bridge::sim::{SimConfig, Simulator};
 use host_bridge::web::Web;
 
-use crate::cmd::keep::{KeepArgs, Start};
+use crate::cmd::keep::{KeepArgs, Start, origin};
 use crate::cmd::web::WebArgs;
 use crate::view::{Key, View};
 
@@ -44,6 +44,9 @@ pub struct PlayOptions {
     /// Scene (TOML: boxes, poses, base, arm): the arm plans its ways, and nothing is touched
     #[arg(long, value_name = "FILE.toml")]
     pub scene: Option<PathBuf>,
+    /// The arm's accelerations rise and fall no faster than 4.3 rad/s³ (in a scene, its file says so)
+    #[arg(long, conflicts_with = "scene")]
+    pub jerk_limited: bool,
     #[command(flatten)]
     pub web: WebArgs,
     #[command(flatten)]
@@ -60,9 +63,20 @@ impl PlayOptions {
         Ok(map)
     }
 
+    /// The default configuration with the changes asked for.
+    fn config(&self) -> Config {
+        let mut config = Config::default();
+        config.arm.jerk_limited = self.jerk_limited;
+        config
+    }
+
     /// The simulated robot, in the scene asked for.
     pub fn robot(&self) -> Result<Simulator> {
-        self.scene.as_deref().map_or_else(|| Ok(Simulator::new(SimConfig::default())), robot_in_scene)
+        let bare = || {
+            let arm_limits = self.config().arm_limits();
+            Ok(Simulator::new(SimConfig { arm_limits, ..SimConfig::default() }))
+        };
+        self.scene.as_deref().map_or_else(bare, robot_in_scene)
     }
 
     fn check(&self) -> Result<()> {
@@ -115,7 +129,13 @@ pub fn play(session: &mut Session<'_>, options: &PlayOptions, title: &str, page_
     let a_terminal = std::io::stdout().is_terminal() && std::io::stdin().is_terminal();
     let wants_view = a_terminal && !options.headless && !options.json;
     let web = options.web.start(page_unasked && wants_view)?;
+    let origin = origin(session.now_ms());
+    let foxglove = options.web.start_foxglove(origin)?;
     let mut headline = title.to_owned();
+    if let Some(foxglove) = &foxglove {
+        session.tap_mut().add(Box::new(foxglove.teller()));
+        headline += &format!("\nfoxglove: {}", foxglove.url());
+    }
     if let Some(web) = &web {
         session.tap_mut().add(Box::new(web.watcher(title)));
         headline += &format!("\npage: {}", web.url());
@@ -129,10 +149,10 @@ pub fn play(session: &mut Session<'_>, options: &PlayOptions, title: &str, page_
         session.tap_mut(),
         &Start {
             title,
-            config: &Config::default(),
+            config: &options.config(),
             maps: &options.map,
             scene: options.scene.as_deref(),
-            now_ms: 0,
+            origin,
             live: false,
         },
     )?;
@@ -177,7 +197,11 @@ pub fn play(session: &mut Session<'_>, options: &PlayOptions, title: &str, page_
         web.end(&session.now());
     }
     drop(view);
-    if let Some(line) = keeper.end(session.tap_mut()) {
+    let line = keeper.end(session.tap_mut());
+    if let Some(foxglove) = foxglove {
+        foxglove.end();
+    }
+    if let Some(line) = line {
         say(options, &line);
     }
     Ok(())

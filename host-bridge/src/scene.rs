@@ -11,6 +11,8 @@
 //! route = "direct"            # or "via-home", as in the paper
 //! velocity_scaling = 0.1
 //! acceleration_scaling = 0.05
+//! jerk_limited = false        # true: accelerations rise and fall no faster than jerk_rad_s3
+//! jerk_rad_s3 = 4.3           # of all joints, not scaled
 //! # urdf = "arm.urdf"         # another arm than the Gen3 (build with `--features urdf`); then also give poses
 //!
 //! [[box]]                     # upright boxes; x forward, y left, z up from the robot's start on the floor
@@ -29,9 +31,10 @@ use std::path::PathBuf;
 
 use serde::Deserialize;
 
-use crate::arm::gen3::{ACCELERATION_SCALING, JOINTS, Joints, Pose, VELOCITY_SCALING};
+use crate::arm::gen3::{ACCELERATION_SCALING, JOINTS, Joints, MAX_JERK_RAD_S3, Pose, VELOCITY_SCALING};
 use crate::arm::profile::JointLimits;
 use crate::base::BaseConfig;
+use crate::config::JERK_LEAST_RAD_S3;
 use crate::plan::shape::{Point, UprightBox};
 
 /// Everything in the file, checked.
@@ -136,6 +139,10 @@ pub struct ArmTable {
     pub velocity_scaling: f64,
     /// Share of the arm's accelerations that is used.
     pub acceleration_scaling: f64,
+    /// Accelerations rise and fall no faster than `jerk_rad_s3`, also while stopping.
+    pub jerk_limited: bool,
+    /// Of all joints; not scaled.
+    pub jerk_rad_s3: f64,
     /// Plans keep this far from everything at least, and half of it where nobody looked.
     pub margin_m: f64,
     /// Equal seeds give equal plans.
@@ -156,6 +163,8 @@ impl Default for ArmTable {
             route: Route::default(),
             velocity_scaling: VELOCITY_SCALING,
             acceleration_scaling: ACCELERATION_SCALING,
+            jerk_limited: false,
+            jerk_rad_s3: MAX_JERK_RAD_S3,
             margin_m: 0.01,
             seed: 1,
             urdf: None,
@@ -263,6 +272,12 @@ impl Scene {
                 return Err(format!("{name} = {value}: must be at most 1"));
             }
         }
+        let jerk_rad_s3 = self.arm.jerk_rad_s3;
+        if !(jerk_rad_s3.is_finite() && jerk_rad_s3 >= JERK_LEAST_RAD_S3) {
+            return Err(format!(
+                "arm: jerk_rad_s3 = {jerk_rad_s3}: must be a number of {JERK_LEAST_RAD_S3} or more"
+            ));
+        }
         positive("arm: margin_m", self.arm.margin_m)?;
         positive("arm: link_radius_m", self.arm.link_radius_m)?;
         positive("arm: acceleration_rad_s2", self.arm.acceleration_rad_s2)?;
@@ -288,7 +303,8 @@ impl Scene {
 
     /// Scaled limits of an arm in this scene.
     pub fn limits(&self, arm: &crate::arm::model::SerialArm) -> JointLimits {
-        arm.limits(self.arm.velocity_scaling, self.arm.acceleration_scaling)
+        let limits = arm.limits(self.arm.velocity_scaling, self.arm.acceleration_scaling);
+        if self.arm.jerk_limited { limits.with_jerk(self.arm.jerk_rad_s3) } else { limits }
     }
 
     /// The goals in the order of the file.
@@ -359,6 +375,7 @@ mod tests {
             ("[[box]]\nname = \"a\"\ncenter_m = [0, 0, 0]\nsize_m = [1, 0, 1]", "box 'a': size_m = 0"),
             ("[base]\ntrack_m = -1.0", "base: track_m = -1"),
             ("[arm]\nvelocity_scaling = 2.0", "must be at most 1"),
+            ("[arm]\njerk_rad_s3 = 0.1", "arm: jerk_rad_s3 = 0.1"),
             ("[[pose]]\nname = \"p\"\nposition_m = [0, 0, 0]", "pose 'p' needs either"),
             ("[[pose]]\nname = \"p\"\njoints_rad = [nan]", "pose 'p': joints_rad"),
             ("[base]\nwheels = 3", "line 2"),

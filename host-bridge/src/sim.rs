@@ -5,7 +5,7 @@ use std::sync::Arc;
 use crate::arm::gen3::Joints;
 use crate::arm::model::SerialArm;
 use crate::arm::motions::READY;
-use crate::arm::profile::{JointLimits, Sample};
+use crate::arm::profile::JointLimits;
 use crate::arm::sequencer::{ArmReport, ArmState, NotStarted};
 use crate::arm::{ArmMotion, Sequencer};
 use crate::base::{Base, BaseConfig, Covariance, Odometry, Twist};
@@ -243,8 +243,7 @@ impl Robot for Simulator {
 }
 
 fn moving(base: &Base, arm: &Sequencer) -> Moving {
-    let ArmState { joints_rad, velocity_rad_s, .. } = arm.state();
-    Moving::now(base, Sample { joints_rad, velocity_rad_s })
+    Moving::now(base, arm.motion())
 }
 
 #[cfg(test)]

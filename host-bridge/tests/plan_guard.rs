@@ -6,6 +6,7 @@ use std::sync::Arc;
 use host_bridge::arm::gen3::{JOINTS, Joints};
 use host_bridge::arm::model::SerialArm;
 use host_bridge::arm::motions::{ALL_MOTIONS, READY};
+use host_bridge::arm::profile::JointLimits;
 use host_bridge::base::Twist;
 use host_bridge::plan::random::Random;
 use host_bridge::plan::{Placement, Planner};
@@ -23,6 +24,25 @@ fn in_scene(text: &str, arm_start_rad: Joints) -> (Simulator, Arc<Planner>) {
 fn clearance_m(robot: &Simulator, planner: &Planner) -> f64 {
     let around = planner.world().around(Placement::from(robot.odometry()));
     around.arm_clearance(&robot.arm().joints_rad).distance_m.min(around.base_clearance().distance_m)
+}
+
+/// Watches how fast the joints' accelerations change, by their speeds at every millisecond.
+struct Jerks([[f64; JOINTS]; 2]);
+
+impl Jerks {
+    fn new(robot: &Simulator) -> Self {
+        Jerks([robot.arm().velocity_rad_s; 2])
+    }
+
+    fn look(&mut self, robot: &Simulator, limits: &JointLimits) {
+        let now = robot.arm().velocity_rad_s;
+        let [before, last] = self.0;
+        for i in 0..JOINTS {
+            let bend = (now[i] - 2.0 * last[i] + before[i]).abs() / 1e-6;
+            assert!(bend <= limits.jerk_rad_s3[i] * (1.0 + 1e-6) + 1e-6, "joint {i}: {bend} rad/s³");
+        }
+        self.0 = [last, now];
+    }
 }
 
 const WALL: &str = r#"
@@ -106,11 +126,14 @@ fn base_and_arm_at_random_never_touch_anything_and_always_stop_in_time() {
         size_m = [0.1, 3.0, 1.0]
     "#;
     let runs = if std::env::var_os("BIMANUAL_FULL").is_some() { 200 } else { 12 };
+    let smooth = format!("[arm]\njerk_limited = true\n{clutter}");
     let (mut nearest_m, mut stops, mut motions, mut refused) = (f64::INFINITY, 0, 0, 0);
     let (mut slowest_ms, mut way_m) = (0, 0.0);
     for seed in 0..runs {
-        let (mut robot, planner) = in_scene(clutter, READY);
+        // Every third run with limited jerk.
+        let (mut robot, planner) = in_scene(if seed % 3 == 2 { &smooth } else { clutter }, READY);
         let limits = *planner.limits();
+        let mut jerks = Jerks::new(&robot);
         let mut random = Random::new(seed);
         for _ in 0..10 {
             let twist =
@@ -125,7 +148,10 @@ fn base_and_arm_at_random_never_touch_anything_and_always_stop_in_time() {
                 let before = robot.arm();
                 let wheels = robot.wheels_rad_s();
                 robot.drive(twist);
-                robot.step(10);
+                for _ in 0..10 {
+                    robot.step(1);
+                    jerks.look(&robot, &limits);
+                }
                 nearest_m = nearest_m.min(clearance_m(&robot, &planner));
                 assert!(nearest_m > 0.0, "seed {seed}");
                 let now = robot.arm();
@@ -144,7 +170,11 @@ fn base_and_arm_at_random_never_touch_anything_and_always_stop_in_time() {
                 while !robot.at_rest() {
                     robot.step(1);
                     ms += 1;
-                    assert!(ms <= 1210, "1.2 m/s at 1 m/s² take 1.2 s, the arm 0.33 s");
+                    jerks.look(&robot, &limits);
+                    assert!(
+                        ms <= 1210,
+                        "1.2 m/s at 1 m/s² take 1.2 s, the arm 0.33 s, or 0.6 s with limited jerk"
+                    );
                     nearest_m = nearest_m.min(clearance_m(&robot, &planner));
                     assert!(nearest_m > 0.0, "seed {seed}");
                 }

@@ -9,7 +9,7 @@ use std::time::Instant;
 use host_bridge::arm::gen3::{JOINTS, Joints, Pose};
 use host_bridge::arm::ik;
 use host_bridge::arm::model::SerialArm;
-use host_bridge::plan::trajectory::Motion;
+use host_bridge::arm::profile::Motion;
 use host_bridge::plan::{Kind, Placement, Plan, Planner, Refusal};
 use host_bridge::scene::Scene;
 
@@ -50,8 +50,7 @@ fn execute(planner: &Planner, plan: &Plan, from: &Joints, to: &Joints) -> f64 {
         nearest = nearest.min(around.arm_clearance(&now.joints_rad).distance_m);
         before = now;
     }
-    let Motion { joints_rad, velocity_rad_s, .. } = before;
-    assert_eq!((joints_rad, velocity_rad_s), (*to, [0.0; JOINTS]), "ends at the pose, at rest");
+    assert_eq!(before, Motion::at_rest(*to), "ends at the pose, at rest");
     nearest
 }
 
@@ -132,12 +131,12 @@ fn goals_that_cannot_be_reached_safely_are_refused_with_the_reason() {
             let position_m = [0, 1, 2].map(|k| shape.center_m[k] - scene.base.mount_m[k]);
             for (_, joints) in poses {
                 let rotation = planner.world().arm().flange_pose(joints).rotation;
-                let Ok(joints) =
+                let Ok(found) =
                     ik::solve(planner.world().arm(), &Pose { position_m, rotation }, joints, 1, |_| true)
                 else {
                     continue;
                 };
-                let refusal = refused(&joints);
+                let refusal = refused(&found.joints_rad);
                 assert!(matches!(refusal, Refusal::GoalBlocked { .. }), "{refusal}");
                 inside += 1;
             }

@@ -25,6 +25,12 @@ pub const VELOCITY_SCALING: f64 = 0.1;
 /// Share of [`MAX_ACCELERATION_RAD_S2`] that motions use, as in the paper.
 pub const ACCELERATION_SCALING: f64 = 0.05;
 
+/// Jerk limit of all joints in rad/s³, where jerk is limited: not scaled.
+///
+/// Our choice: the paper's acceleration of 0.43 rad/s² is built up in 0.1 s. Kinova publishes none; MoveIt's
+/// smoothing takes 100 rad/s³ or more where a robot names none, which would be there in 4 ms.
+pub const MAX_JERK_RAD_S3: f64 = 4.3;
+
 /// Joints 2, 4 and 6 turn this far either way; `None` = without end.
 pub const POSITION_LIMIT_RAD: [Option<f64>; JOINTS] =
     [None, Some(2.24), None, Some(2.57), None, Some(2.09), None];

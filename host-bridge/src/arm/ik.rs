@@ -1,16 +1,29 @@
 //! Inverse kinematics: joint angles for a place and an orientation of the flange.
 //!
 //! Damped least squares (Nakamura and Hanafusa 1986) with the damping raised where a step does not help,
-//! and restarts from seeded random angles. The budget is counted in steps, so that results do not depend
-//! on the machine: [`STEPS_MAX`] is far within 0.2 s (`tests/plan_ik.rs` prints the time).
+//! and restarts from seeded random angles. The budget is counted in steps and in looks at what is around
+//! ([`Budget`]), never in time: equal calls give equal answers on any machine. A place further away than the
+//! arm is long is refused without a step ([`SerialArm::beyond_reach_m`]). `tests/plan_ik.rs` prints what both
+//! take.
 
 use super::gen3::{JOINTS, Joints, Pose};
 use super::model::SerialArm;
 use crate::plan::random::Random;
 use crate::plan::shape::{dot, sub};
 
-/// Steps that one search may take over all its restarts.
-pub const STEPS_MAX: usize = 10_000;
+/// What one search may spend over all its restarts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Budget {
+    /// Steps of the solver.
+    pub steps: usize,
+    /// Solutions that are shown to `accept`, which may look at everything around the arm.
+    pub looks: usize,
+}
+
+impl Budget {
+    /// Far within 0.2 s of one core.
+    pub const DEFAULT: Budget = Budget { steps: 3000, looks: 200 };
+}
 
 /// Steps before a start is given up.
 const STEPS_PER_START: usize = 100;
@@ -18,17 +31,41 @@ const STEPS_PER_START: usize = 100;
 /// Solutions are at least this near, in m and in rad.
 pub const TOLERANCE: f64 = 1e-9;
 
+/// Joint angles that were found.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Solution {
+    /// Within the limits, in rad.
+    pub joints_rad: Joints,
+    /// What it took.
+    pub steps: usize,
+}
+
 /// No angles were found.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-#[error(
-    "no joint angles were found that put the flange there (nearest: {position_mm:.1} mm and {angle_mrad:.1} mrad off); \
-     it may be out of reach, or blocked: choose another place"
-)]
-pub struct Unreachable {
-    /// Distance of the nearest try.
-    pub position_mm: f64,
-    /// Its wrong turn.
-    pub angle_mrad: f64,
+pub enum Unreachable {
+    /// The arm is too short.
+    #[error(
+        "the flange cannot get there: the place is {beyond_mm:.0} mm beyond the arm's reach; choose a nearer one"
+    )]
+    Beyond {
+        /// By so much at least.
+        beyond_mm: f64,
+    },
+    /// The search ended without an answer.
+    #[error(
+        "no joint angles were found that put the flange there (nearest: {position_mm:.1} mm and {angle_mrad:.1} mrad \
+         off, {looks} solutions touch something); it may be out of reach, or blocked: choose another place"
+    )]
+    NotFound {
+        /// Distance of the nearest try.
+        position_mm: f64,
+        /// Its wrong turn.
+        angle_mrad: f64,
+        /// What was spent: steps,
+        steps: usize,
+        /// and solutions that were not accepted.
+        looks: usize,
+    },
 }
 
 type Six = [f64; 6];
@@ -37,27 +74,46 @@ type Six = [f64; 6];
 /// try starts from `start_rad`; a solution near it is found first.
 ///
 /// # Errors
-/// [`Unreachable`] after [`STEPS_MAX`] steps.
+/// [`Unreachable`], at the latest when the [`Budget::DEFAULT`] is spent.
 pub fn solve(
     arm: &SerialArm,
     target: &Pose,
     start_rad: &Joints,
     seed: u64,
+    accept: impl FnMut(&Joints) -> bool,
+) -> Result<Solution, Unreachable> {
+    let beyond_m = arm.beyond_reach_m(target);
+    if beyond_m > 0.0 {
+        return Err(Unreachable::Beyond { beyond_mm: 1000.0 * beyond_m });
+    }
+    search(arm, target, start_rad, seed, Budget::DEFAULT, accept)
+}
+
+/// The search alone, with a budget of your own.
+///
+/// # Errors
+/// [`Unreachable::NotFound`] when the budget is spent.
+pub fn search(
+    arm: &SerialArm,
+    target: &Pose,
+    start_rad: &Joints,
+    seed: u64,
+    budget: Budget,
     mut accept: impl FnMut(&Joints) -> bool,
-) -> Result<Joints, Unreachable> {
+) -> Result<Solution, Unreachable> {
     let mut random = Random::new(seed);
-    let mut steps = 0;
+    let (mut steps, mut looks) = (0, 0);
     let mut nearest = (f64::INFINITY, [f64::INFINITY; 6]);
     let mut joints_rad = *start_rad;
-    while steps < STEPS_MAX {
+    while steps < budget.steps && looks < budget.looks {
         into_limits(arm, &mut joints_rad);
         let mut damping = 1e-3;
         let (mut error, mut poses) = error_at(arm, target, &joints_rad);
-        for _ in 0..STEPS_PER_START {
+        // At least one, so that a start at a solution that is not accepted costs something, too.
+        steps += 1;
+        let until = budget.steps.min(steps + STEPS_PER_START);
+        while steps < until && length(&error) >= TOLERANCE {
             steps += 1;
-            if length(&error) < TOLERANCE {
-                break;
-            }
             let mut tried = joints_rad;
             let step = damped_step(arm, &poses, &error, damping);
             for (joint, step) in tried.iter_mut().zip(step) {
@@ -76,8 +132,11 @@ pub fn solve(
                 }
             }
         }
-        if length(&error) < TOLERANCE && accept(&joints_rad) {
-            return Ok(joints_rad);
+        if length(&error) < TOLERANCE {
+            looks += 1;
+            if accept(&joints_rad) {
+                return Ok(Solution { joints_rad, steps });
+            }
         }
         if length(&error) < nearest.0 {
             nearest = (length(&error), error);
@@ -89,9 +148,11 @@ pub fn solve(
         }
     }
     let [x, y, z, u, v, w] = nearest.1;
-    Err(Unreachable {
+    Err(Unreachable::NotFound {
         position_mm: 1000.0 * dot([x, y, z], [x, y, z]).sqrt(),
         angle_mrad: 1000.0 * dot([u, v, w], [u, v, w]).sqrt(),
+        steps,
+        looks,
     })
 }
 

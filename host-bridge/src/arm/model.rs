@@ -145,15 +145,52 @@ impl SerialArm {
         Ok(())
     }
 
-    /// Speeds and accelerations, each scaled (0 to 1; the paper uses 0.1 and 0.05).
+    /// Speeds and accelerations, each scaled (0 to 1; the paper uses 0.1 and 0.05). Jerk is not limited.
     pub fn limits(&self, velocity_scaling: f64, acceleration_scaling: f64) -> JointLimits {
         // A joint that is not there never moves; its limits must not be zero only for division's sake.
-        let mut limits = JointLimits { velocity_rad_s: [1.0; JOINTS], acceleration_rad_s2: [1.0; JOINTS] };
+        let mut limits = JointLimits {
+            velocity_rad_s: [1.0; JOINTS],
+            acceleration_rad_s2: [1.0; JOINTS],
+            jerk_rad_s3: [f64::INFINITY; JOINTS],
+        };
         for (i, joint) in self.joints.iter().enumerate() {
             limits.velocity_rad_s[i] = joint.velocity_rad_s * velocity_scaling;
             limits.acceleration_rad_s2[i] = joint.acceleration_rad_s2 * acceleration_scaling;
         }
         limits
+    }
+
+    /// How far the flange's place is beyond what the arm could reach were its middle joints free to stretch; 0 or
+    /// less = perhaps within reach. Also says no to a place whose orientation turns the last link away.
+    ///
+    /// The flange's pose fixes the last joint's origin and axis, and so the circle on which the joint before
+    /// it lies; the foot fixes the circle of the second joint. No stretched chain is longer than its parts.
+    pub fn beyond_reach_m(&self, flange: &Pose) -> f64 {
+        let (Some(first), Some(last)) = (self.joints.first(), self.joints.last()) else { return 0.0 };
+        if self.joints.len() < 3 {
+            return 0.0;
+        }
+        // Turned back by the flange's own offset. That leaves the last joint's angle open, not its axis.
+        let turned =
+            |rotation: &Rotation, p: Point| rotation.map(|row| row[0] * p[0] + row[1] * p[1] + row[2] * p[2]);
+        let transposed = |r: &Rotation| [0, 1, 2].map(|row| [0, 1, 2].map(|col| r[col][row]));
+        let back = Pose::IDENTITY.then([0.0; 3], transposed(&self.flange_rotation));
+        let last_frame = flange.then([0.0; 3], back.rotation);
+        let offset_m = turned(&last_frame.rotation, self.flange_m);
+        let axis = turned(&last_frame.rotation, last.axis);
+        // The last joint as seen from the one before it, in the last joint's own axes.
+        let link_m = turned(&transposed(&last.origin_rotation), last.origin_m);
+        let (along_m, around_m) = along_and_around(link_m, last.axis);
+        let hand_m: Point = [0, 1, 2].map(|k| flange.position_m[k] - offset_m[k] - axis[k] * along_m);
+
+        let second = &self.joints[1];
+        let foot = Pose::IDENTITY.then(first.origin_m, first.origin_rotation);
+        let (rise_m, swing_m) = along_and_around(second.origin_m, first.axis);
+        let shoulder_m = foot.then(first.axis.map(|a| a * rise_m), Pose::IDENTITY.rotation).position_m;
+
+        let middle = &self.joints[2..self.joints.len() - 1];
+        let length_m = middle.iter().map(|joint| norm(joint.origin_m)).sum::<f64>() + swing_m + around_m;
+        norm([0, 1, 2].map(|k| hand_m[k] - shoulder_m[k])) - length_m
     }
 
     /// For each joint, how far from its origin a point of the arm beyond it can be at most, in m: a turn by
@@ -169,6 +206,12 @@ impl SerialArm {
         }
         lever
     }
+}
+
+/// A vector's part along a unit axis, and the length of what is left.
+fn along_and_around(vector: Point, axis: Point) -> (f64, f64) {
+    let along: f64 = (0..3).map(|k| vector[k] * axis[k]).sum();
+    (along, norm([0, 1, 2].map(|k| vector[k] - along * axis[k])))
 }
 
 /// A turn about a unit axis (Rodrigues).
@@ -218,6 +261,27 @@ mod tests {
             let moved = norm(crate::plan::shape::sub(one.position_m, two.position_m));
             assert!(moved <= 0.01 * lever[i], "joint {i}: {moved}");
         }
+    }
+
+    #[test]
+    fn what_the_arm_does_reach_is_never_called_beyond_reach() {
+        let arm = SerialArm::gen3();
+        let mut random = crate::plan::random::Random::new(3);
+        let mut nearest_m = f64::NEG_INFINITY;
+        for _ in 0..20_000 {
+            let joints: Joints = std::array::from_fn(|_| random.between(-3.0, 3.0));
+            nearest_m = nearest_m.max(arm.beyond_reach_m(&arm.flange_pose(&joints)));
+        }
+        assert!(nearest_m <= 1e-12, "{nearest_m}");
+        // Straight up there is next to nothing left to stretch.
+        let mut straight = arm.flange_pose(&[0.0; JOINTS]);
+        assert!((-0.003..=1e-12).contains(&arm.beyond_reach_m(&straight)));
+        straight.position_m[2] += 0.003;
+        assert!(arm.beyond_reach_m(&straight) > 0.0);
+        // The same place with the tool bent down would need a longer arm.
+        let mut down = arm.flange_pose(&[0.0; JOINTS]);
+        down.rotation = [[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]];
+        assert!(arm.beyond_reach_m(&down) > 0.3);
     }
 
     #[test]

@@ -1,8 +1,8 @@
-//! What the joints may do, and where they are at one instant. Motion in time is
+//! What the joints may do, and how they move at one instant. Motion in time is
 //! [`Trajectory`](crate::plan::Trajectory).
 
 use super::gen3::{
-    ACCELERATION_SCALING, Joints, MAX_ACCELERATION_RAD_S2, MAX_VELOCITY_RAD_S, VELOCITY_SCALING,
+    ACCELERATION_SCALING, JOINTS, Joints, MAX_ACCELERATION_RAD_S2, MAX_VELOCITY_RAD_S, VELOCITY_SCALING,
 };
 
 /// What a move must not exceed.
@@ -12,23 +12,41 @@ pub struct JointLimits {
     pub velocity_rad_s: Joints,
     /// In rad/s².
     pub acceleration_rad_s2: Joints,
+    /// In rad/s³; infinite = accelerations may jump.
+    pub jerk_rad_s3: Joints,
 }
 
 impl JointLimits {
-    /// The arm's own limits, scaled as in the paper (0.1 and 0.05).
+    /// The arm's own limits, scaled as in the paper (0.1 and 0.05); jerk is not limited.
     pub fn paper() -> Self {
         JointLimits {
             velocity_rad_s: MAX_VELOCITY_RAD_S.map(|v| v * VELOCITY_SCALING),
             acceleration_rad_s2: MAX_ACCELERATION_RAD_S2.map(|a| a * ACCELERATION_SCALING),
+            jerk_rad_s3: [f64::INFINITY; JOINTS],
         }
+    }
+
+    /// The same with a limit of the jerk of all joints.
+    #[must_use]
+    pub fn with_jerk(self, jerk_rad_s3: f64) -> Self {
+        JointLimits { jerk_rad_s3: [jerk_rad_s3; JOINTS], ..self }
     }
 }
 
-/// Positions and speeds of all joints at one instant.
+/// Positions, speeds and accelerations of all joints at one instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Sample {
+pub struct Motion {
     /// In rad.
     pub joints_rad: Joints,
     /// In rad/s.
     pub velocity_rad_s: Joints,
+    /// In rad/s².
+    pub acceleration_rad_s2: Joints,
+}
+
+impl Motion {
+    /// Nothing moves.
+    pub fn at_rest(joints_rad: Joints) -> Self {
+        Motion { joints_rad, velocity_rad_s: [0.0; JOINTS], acceleration_rad_s2: [0.0; JOINTS] }
+    }
 }

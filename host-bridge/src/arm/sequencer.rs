@@ -4,9 +4,9 @@ use std::sync::Arc;
 
 use serde::Serialize;
 
-use super::gen3::{HOME, JOINTS, Joints};
+use super::gen3::{HOME, Joints};
 use super::motions::ArmMotion;
-use super::profile::{JointLimits, Sample};
+use super::profile::{JointLimits, Motion};
 use crate::plan::{Plan, Refusal, Trajectory};
 
 /// Which part of a motion is under way.
@@ -92,7 +92,7 @@ impl Running {
 #[derive(Clone, Debug)]
 pub struct Sequencer {
     limits: JointLimits,
-    here: Sample,
+    here: Motion,
     running: Option<Running>,
     random_draws: usize,
     report: Option<ArmReport>,
@@ -101,13 +101,7 @@ pub struct Sequencer {
 impl Sequencer {
     /// An arm at rest.
     pub fn new(joints_rad: Joints, limits: JointLimits) -> Self {
-        Sequencer {
-            limits,
-            here: Sample { joints_rad, velocity_rad_s: [0.0; JOINTS] },
-            running: None,
-            random_draws: 0,
-            report: None,
-        }
+        Sequencer { limits, here: Motion::at_rest(joints_rad), running: None, random_draws: 0, report: None }
     }
 
     /// Where the motion would end if it were started now.
@@ -161,7 +155,7 @@ impl Sequencer {
     pub fn step(&mut self, dt_s: f64) {
         let Some(running) = &mut self.running else { return };
         running.elapsed_s += dt_s;
-        self.here = running.trajectory.sample(running.elapsed_s);
+        self.here = running.trajectory.motion(running.elapsed_s);
         if running.elapsed_s >= running.trajectory.duration_s() {
             let (motion, reached) = (running.motion, !running.halting);
             self.report = Some(ArmReport { motion, reached, joints_rad: self.here.joints_rad });
@@ -172,6 +166,11 @@ impl Sequencer {
     /// Limits that it keeps.
     pub fn limits(&self) -> &JointLimits {
         &self.limits
+    }
+
+    /// How it moves now.
+    pub fn motion(&self) -> Motion {
+        self.here
     }
 
     /// The arm as it is now.

@@ -1,9 +1,11 @@
 //! The option that writes a session to a file, shared by the verbs that move a robot.
 
 use std::path::PathBuf;
+use std::time::{SystemTime, UNIX_EPOCH};
 
 use anyhow::Result;
 use host_bridge::observe::Tap;
+use host_bridge::topics::Origin;
 
 #[cfg(feature = "mcap")]
 use host_bridge::journal::{Disk, SceneText, Setup, WhenFull};
@@ -27,10 +29,16 @@ pub struct Start<'a> {
     pub maps: &'a [String],
     /// What stands around.
     pub scene: Option<&'a std::path::Path>,
-    /// The session's clock now.
-    pub now_ms: u64,
+    /// When the session's clock was zero.
+    pub origin: Origin,
     /// Something real moves: nothing may delay the session.
     pub live: bool,
+}
+
+/// The time of day at which a session's clock was zero that now says `now_ms`.
+pub fn origin(now_ms: u64) -> Origin {
+    let day = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    Origin { nanoseconds: (day.as_nanos() as u64).saturating_sub(now_ms * 1_000_000) }
 }
 
 /// The file, if there is one.
@@ -44,15 +52,13 @@ impl KeepArgs {
     /// Creates the file and hangs its observer on the session.
     #[cfg(feature = "mcap")]
     pub fn start(&self, tap: &mut Tap, start: &Start<'_>) -> Result<Keeper> {
-        use std::time::{SystemTime, UNIX_EPOCH};
         let Some(file) = &self.record else { return Ok(Keeper::default()) };
-        let day = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
         let setup = Setup {
             title: start.title.to_owned(),
             config: start.config.clone(),
             maps: start.maps.to_vec(),
             scene: start.scene.map(SceneText::read).transpose()?,
-            origin_ns: (day.as_nanos() as u64).saturating_sub(start.now_ms * 1_000_000),
+            origin_ns: start.origin.nanoseconds,
         };
         let when_full = if start.live { WhenFull::Drop } else { WhenFull::Wait };
         let (disk, recorder) = Disk::create(file, &setup, when_full).map_err(anyhow::Error::msg)?;

@@ -19,7 +19,7 @@ use crate::play::{PlayOptions, play, say};
 #[derive(clap::Args, Clone, Debug)]
 pub struct Args {
     /// A session that `--record` has written: the same again, compared with what is in the file
-    #[arg(value_name = "FILE.mcap", conflicts_with_all = ["right", "left", "record", "scene", "map"])]
+    #[arg(value_name = "FILE.mcap", conflicts_with_all = ["right", "left", "record", "scene", "map", "jerk_limited"])]
     session: Option<PathBuf>,
     /// Recordings of the right hand (timestamp_ms,accX,…); several are joined into one stream
     #[arg(long, value_name = "IMU.csv", num_args = 1.., required_unless_present_any = ["left", "session"])]

@@ -11,6 +11,7 @@ use anyhow::{Context as _, Result, bail, ensure};
 use crossterm::event::{KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
 use host_bridge::bridge::BridgeEvent;
 use host_bridge::describe;
+use host_bridge::foxglove::Foxglove;
 use host_bridge::keyboard::HandKey;
 use host_bridge::links::{Clock, Link as BoardLink, LinkEvent, News, SystemClock, is_ble};
 use host_bridge::live::{Live, Place};
@@ -22,7 +23,7 @@ use host_bridge::web::Web;
 use serde::Serialize;
 use shared_proto::message::Heading;
 
-use super::keep::{KeepArgs, Keeper, Start};
+use super::keep::{KeepArgs, Keeper, Start, origin};
 use super::ports::{check_name, read_config, settings};
 use super::ros2::Link;
 use super::web::WebArgs;
@@ -81,6 +82,10 @@ pub struct Args {
     /// arm take the place of the configuration's
     #[arg(long, value_name = "FILE.toml")]
     scene: Option<PathBuf>,
+    /// The arm's accelerations rise and fall no faster than the configuration's jerk_rad_s3 (in a scene, its
+    /// file says so)
+    #[arg(long, conflicts_with = "scene")]
+    jerk_limited: bool,
     #[command(flatten)]
     web: WebArgs,
     #[command(flatten)]
@@ -125,6 +130,7 @@ struct EndLine {
 pub fn run(args: &Args) -> Result<ExitCode> {
     let mut config = read_config(args.config.as_deref())?;
     config.left_handed |= args.left_handed;
+    config.arm.jerk_limited |= args.jerk_limited;
     config.ros2.stamped &= !args.unstamped;
     if args.publish_sim {
         // The simulator's arm is the one that moves.
@@ -200,18 +206,18 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     if ros.is_some() {
         live = live.with_ros(RosRobot::new(&config.ros2, config.arm_limits()));
     }
+    let origin = origin(clock.now_ms());
+    let foxglove = args.web.start_foxglove(origin)?;
+    if let Some(foxglove) = &foxglove {
+        live.tap_mut().add(Box::new(foxglove.teller()));
+        title += &format!("\nfoxglove: {}", foxglove.url());
+    }
     if let Some(web) = &web {
         live.tap_mut().add(Box::new(web.watcher(&title)));
         title += &format!("\npage: {}", web.url());
     }
-    let start = Start {
-        title: &title,
-        config: &config,
-        maps: &[],
-        scene: args.scene.as_deref(),
-        now_ms: clock.now_ms(),
-        live: true,
-    };
+    let start =
+        Start { title: &title, config: &config, maps: &[], scene: args.scene.as_deref(), origin, live: true };
     let keeper = args.keep.start(live.tap_mut(), &start)?;
     let mut session = Session {
         live,
@@ -231,14 +237,21 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     if session.view.is_none() && !args.json {
         session.line(&title);
     }
-    if let (true, Some(web)) = (args.json, &session.web) {
-        let line = PageLine { time_ms: clock.now_ms(), event: "page", url: &web.url() };
-        session.line(&serde_json::to_string(&line)?);
+    let urls =
+        [("page", session.web.as_ref().map(Web::url)), ("foxglove", foxglove.as_ref().map(Foxglove::url))];
+    for (event, url) in urls {
+        if let (true, Some(url)) = (args.json, url) {
+            let line = PageLine { time_ms: clock.now_ms(), event, url: &url };
+            session.line(&serde_json::to_string(&line)?);
+        }
     }
     let until_ms = args.seconds.map_or(u64::MAX, |seconds| (seconds * 1000.0) as u64);
     session.turn_until(until_ms, &*clock, &events)?;
     let counts = session.ros.take().map(|ros| ros.end(&mut session.live, &*clock));
     session.end(clock.now_ms(), counts);
+    if let Some(foxglove) = foxglove {
+        foxglove.end();
+    }
     Ok(ExitCode::SUCCESS)
 }
 

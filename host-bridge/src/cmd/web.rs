@@ -1,8 +1,10 @@
-//! Options of the page, shared by the verbs that move a robot.
+//! Options of the page and of what Foxglove is shown, shared by the verbs that move a robot.
 
 use std::net::IpAddr;
 
 use anyhow::Result;
+use host_bridge::foxglove::{Foxglove, FoxgloveOptions};
+use host_bridge::topics::Origin;
 use host_bridge::web::{DEFAULT_PORT, Web, WebError, WebOptions};
 
 /// Whether and where to serve the page.
@@ -11,8 +13,14 @@ pub struct WebArgs {
     /// Show the session on a page for the browser, on 127.0.0.1 (port 8042; 0 = any free one)
     #[arg(long, value_name = "PORT", num_args = 0..=1, require_equals = true, default_missing_value = "8042")]
     web: Option<u16>,
-    /// Let other machines have the page, with its stop button: listen on this address (0.0.0.0 = all);
-    /// needs --web-token
+    /// Serve the session to Foxglove, live, on 127.0.0.1 (port 8765; 0 = any free one)
+    #[arg(long, value_name = "PORT", num_args = 0..=1, require_equals = true, default_missing_value = "8765")]
+    foxglove: Option<u16>,
+    /// Another page that may look on as Foxglove does, such as http://localhost:8080 (repeatable)
+    #[arg(long, value_name = "ORIGIN", requires = "foxglove")]
+    foxglove_origin: Vec<String>,
+    /// Let other machines have the page, with its stop button, and what Foxglove is shown: listen on this
+    /// address (0.0.0.0 = all); needs --web-token
     #[arg(long, value_name = "ADDR")]
     web_listen: Option<IpAddr>,
     /// What a page must know: 16 or more letters and digits. It crosses the network as it is: for more
@@ -24,18 +32,26 @@ pub struct WebArgs {
 impl WebArgs {
     /// Starts the server if it was asked for; `unasked` also without that, where a port is to be had.
     pub fn start(&self, unasked: bool) -> Result<Option<Web>> {
-        let asked = self.web.is_some() || self.web_listen.is_some() || self.web_token.is_some();
-        if !asked {
+        let rules = self.web_listen.is_some() || self.web_token.is_some();
+        // Rules alone ask for the page, unless they are for Foxglove.
+        if self.web.is_none() && (!rules || self.foxglove.is_some()) {
             let options = [WebOptions::default(), WebOptions { port: 0, ..WebOptions::default() }];
             return Ok(options.iter().filter(|_| unasked).find_map(|options| Web::start(options).ok()));
         }
-        let options = WebOptions {
-            address: self.web_listen.unwrap_or(WebOptions::default().address),
-            port: self.web.unwrap_or(DEFAULT_PORT),
-            token: self.web_token.clone(),
-        };
-        let started: Result<Web, WebError> = Web::start(&options);
+        let started: Result<Web, WebError> = Web::start(&self.options(self.web.unwrap_or(DEFAULT_PORT)));
         Ok(Some(started?))
+    }
+
+    /// Starts serving Foxglove if it was asked for.
+    pub fn start_foxglove(&self, origin: Origin) -> Result<Option<Foxglove>> {
+        let Some(port) = self.foxglove else { return Ok(None) };
+        let options = FoxgloveOptions { server: self.options(port), origins: self.foxglove_origin.clone() };
+        Ok(Some(Foxglove::start(&options, origin)?))
+    }
+
+    fn options(&self, port: u16) -> WebOptions {
+        let address = self.web_listen.unwrap_or(WebOptions::default().address);
+        WebOptions { address, port, token: self.web_token.clone() }
     }
 }
 

@@ -15,13 +15,9 @@ use mcap::write::NoSeek;
 use mcap::{McapError, WriteOptions, Writer};
 
 use super::METADATA;
-use super::messages::{Entry, Origin};
 use super::setup::Setup;
 use super::sink::{Sink, Storage};
-use super::topics::Topic;
-use crate::observe::{Now, Observer, OperatorKey, Sample, Turn};
-use crate::safety::Hand;
-use crate::session::SessionEvent;
+use crate::topics::{ENCODING, Entry, Origin, Outlet, SCHEMA_ENCODING, Teller, Topic};
 
 /// Messages that may wait for the disk: over ten seconds of a live session.
 const QUEUE: usize = 8192;
@@ -31,12 +27,6 @@ const FLUSH_INTERVAL: Duration = Duration::from_millis(500);
 const CHUNK_BYTES: u64 = 1 << 20;
 /// The file's end is waited for so long.
 const POLL: Duration = Duration::from_millis(50);
-/// More steps than this are not held back for one message.
-const TURNS_MAX: usize = 1000;
-
-const JOINTS_INTERVAL_MS: u64 = 10;
-const ODOMETRY_INTERVAL_MS: u64 = 20;
-const HANDS_INTERVAL_MS: u64 = 50;
 
 /// What happens while the disk is slower than the session.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -60,6 +50,7 @@ pub struct Kept {
     pub problem: Option<String>,
 }
 
+/// What the session's side and the writer's side both know.
 #[derive(Debug, Default)]
 struct Shared {
     closing: AtomicBool,
@@ -109,18 +100,11 @@ impl Disk {
         let origin = Origin { nanoseconds: setup.origin_ns };
         let begun = begin(storage, setup);
         let (writer, channels) = begun.map_err(|error| reason(&error))?;
-        let (queue, waiting) = sync_channel(QUEUE);
+        let (sender, waiting) = sync_channel(QUEUE);
         let shared = Arc::new(Shared::default());
-        let recorder = Recorder {
-            queue: Some(queue),
-            shared: shared.clone(),
-            when_full,
-            origin,
-            turns: Vec::new(),
-            time_ms: 0,
-            missing: 0,
-            due_ms: [0; 3],
-        };
+        let queue =
+            Queue { sender: Some(sender), shared: shared.clone(), when_full, origin, time_ms: 0, missing: 0 };
+        let recorder = Teller::new(origin, queue);
         let theirs = shared.clone();
         let work =
             move || Work { writer, channels, origin, shared: theirs, messages: 0, waiting: 0 }.run(&waiting);
@@ -198,8 +182,8 @@ fn begin<S: Storage>(storage: S, setup: &Setup) -> Result<(FileWriter<S>, Vec<u1
     let qos = BTreeMap::from([("offered_qos_profiles".to_owned(), String::new())]);
     let mut channels = Vec::new();
     for topic in Topic::ALL {
-        let schema = writer.add_schema(topic.kind(), "ros2msg", topic.schema().as_bytes())?;
-        channels.push(writer.add_channel(schema, topic.name(), "cdr", &qos)?);
+        let schema = writer.add_schema(topic.kind(), SCHEMA_ENCODING, topic.schema().as_bytes())?;
+        channels.push(writer.add_channel(schema, topic.name(), ENCODING, &qos)?);
     }
     writer.flush()?;
     Ok((writer, channels))
@@ -267,136 +251,58 @@ impl<S: Storage> Work<S> {
 }
 
 /// The observer of a session that is written.
+pub type Recorder = Teller<Queue>;
+
+/// What waits for the disk.
 #[derive(Debug)]
-pub struct Recorder {
-    queue: Option<SyncSender<Entry>>,
+pub struct Queue {
+    sender: Option<SyncSender<Entry>>,
     shared: Arc<Shared>,
     when_full: WhenFull,
     origin: Origin,
-    turns: Vec<Turn>,
     time_ms: u64,
     /// Dropped since the last message that was not.
     missing: u64,
-    /// When joints, odometry and hands are due.
-    due_ms: [u64; 3],
 }
 
-impl Recorder {
+impl Queue {
+    fn try_send(&mut self, entry: Entry) -> bool {
+        match self.sender.as_ref().map(|sender| sender.try_send(entry)) {
+            Some(Err(TrySendError::Full(_))) => false,
+            Some(Err(TrySendError::Disconnected(_))) => {
+                self.sender = None;
+                true
+            }
+            Some(Ok(())) | None => true,
+        }
+    }
+}
+
+impl Outlet for Queue {
     fn put(&mut self, entry: Entry) {
-        let Some(queue) = &self.queue else { return };
+        self.time_ms = entry.time_ms;
         if self.when_full == WhenFull::Wait {
-            if queue.send(entry).is_err() {
-                self.queue = None;
+            if self.sender.as_ref().is_some_and(|sender| sender.send(entry).is_err()) {
+                self.sender = None;
             }
             return;
         }
-        if self.missing > 0 {
-            match queue.try_send(self.origin.lost(entry.time_ms, self.missing)) {
-                Ok(()) => self.missing = 0,
-                Err(TrySendError::Full(_)) => return self.lose(),
-                Err(TrySendError::Disconnected(_)) => self.queue = None,
-            }
+        // First the word that some are missing, in their place.
+        if self.missing > 0 && self.try_send(self.origin.lost(entry.time_ms, self.missing)) {
+            self.missing = 0;
         }
-        let Some(queue) = &self.queue else { return };
-        match queue.try_send(entry) {
-            Ok(()) => {}
-            Err(TrySendError::Full(_)) => self.lose(),
-            Err(TrySendError::Disconnected(_)) => self.queue = None,
-        }
-    }
-
-    fn lose(&mut self) {
-        self.missing += 1;
-        self.shared.lost.fetch_add(1, Ordering::Relaxed);
-    }
-
-    /// The steps so far, before anything whose place among them counts.
-    fn put_turns(&mut self) {
-        if !self.turns.is_empty() {
-            let entry = self.origin.turns(self.time_ms, &self.turns);
-            self.turns.clear();
-            self.put(entry);
-        }
-    }
-
-    fn is_due(&mut self, which: usize, time_ms: u64, interval_ms: u64) -> bool {
-        let due = time_ms >= self.due_ms[which];
-        if due {
-            self.due_ms[which] = time_ms - time_ms % interval_ms + interval_ms;
-        }
-        due
-    }
-}
-
-impl Observer for Recorder {
-    fn received(&mut self, time_ms: u64, hand: Hand, bytes: &[u8]) {
-        self.put_turns();
-        self.put(self.origin.bytes(time_ms, hand, true, bytes));
-    }
-
-    fn sent(&mut self, time_ms: u64, hand: Hand, frame: &[u8]) {
-        self.put_turns();
-        self.put(self.origin.bytes(time_ms, hand, false, frame));
-    }
-
-    fn sampled(&mut self, time_ms: u64, sample: &Sample<'_>) {
-        for entry in self.origin.sample(time_ms, sample) {
-            self.put(entry);
-        }
-    }
-
-    fn operated(&mut self, time_ms: u64, key: OperatorKey) {
-        self.put_turns();
-        self.put(self.origin.operated(time_ms, key));
-    }
-
-    fn turned(&mut self, turn: Turn) {
-        if let Turn::Decided(time_ms) = turn {
-            self.time_ms = self.time_ms.max(time_ms);
-        }
-        if turn != Turn::Moved(0) {
-            self.turns.push(turn);
-        }
-        if self.turns.len() >= TURNS_MAX {
-            self.put_turns();
-        }
-    }
-
-    fn happened(&mut self, event: &SessionEvent) {
-        self.put_turns();
-        for entry in self.origin.event(event) {
-            self.put(entry);
-        }
-    }
-
-    fn state(&mut self, now: &Now<'_>) {
-        let time_ms = now.time_ms;
-        if self.is_due(0, time_ms, JOINTS_INTERVAL_MS) {
-            self.put_turns();
-            self.put(self.origin.joints(now));
-        }
-        if self.is_due(1, time_ms, ODOMETRY_INTERVAL_MS) {
-            self.put_turns();
-            self.put(self.origin.twist(now));
-            self.put(self.origin.odometry(now));
-            self.put(self.origin.transforms(now));
-        }
-        if self.is_due(2, time_ms, HANDS_INTERVAL_MS) {
-            self.put_turns();
-            self.put(self.origin.hands(now));
+        if self.missing > 0 || !self.try_send(entry) {
+            self.missing += 1;
+            self.shared.lost.fetch_add(1, Ordering::Relaxed);
         }
     }
 }
 
-impl Drop for Recorder {
+impl Drop for Queue {
     fn drop(&mut self) {
-        self.put_turns();
         if self.missing > 0 {
             // The last word, if there is room for it.
-            let lost = self.origin.lost(self.time_ms, self.missing);
-            if let Some(queue) = &self.queue {
-                let _ = queue.try_send(lost);
-            }
+            self.try_send(self.origin.lost(self.time_ms, self.missing));
         }
     }
 }

@@ -4,25 +4,19 @@
 //! Tap ──► Recorder ══ bounded queue ══► Disk (own thread) ──► FILE.mcap ──► Replay: the same again, compared
 //! ```
 //!
-//! * [`topics`]: the streams in the file and their types, which Foxglove and ROS 2 tools read,
-//! * [`messages`]: each message made from what observers are shown,
 //! * [`setup`]: what a session started with, as the file's metadata,
 //! * [`disk`]: the writer, which never keeps a session waiting that moves a real robot,
 //! * [`sink`]: the file on the disk, which is whole after every write,
 //! * [`mod@replay`]: bytes and keys of a file through a bridge and a robot again; every message that follows from
-//!   them must be the one in the file, bit for bit,
-//! * [`cdr`]: how ROS 2 lays out a message.
+//!   them must be the one in the file, bit for bit.
 //!
-//! The file's profile is `ros2`, its messages are CDR. Times of day are the session's clock plus the time of day
+//! What is written is what [`crate::topics`] makes of a session. The file's profile is `ros2`, its messages are CDR. Times of day are the session's clock plus the time of day
 //! at its start; messages that a replay needs carry the session's own milliseconds, too.
 
-pub mod cdr;
 pub mod disk;
-pub mod messages;
 pub mod replay;
 pub mod setup;
 pub mod sink;
-pub mod topics;
 
 pub use disk::{Disk, Kept, Recorder, WhenFull};
 pub use replay::{Replay, ReplayError, replay};

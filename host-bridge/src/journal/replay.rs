@@ -10,10 +10,7 @@ use shared_proto::frame::{Decoder, HOST_FRAME_MAX, encode_host};
 use shared_proto::message::HostMessage;
 
 use super::METADATA;
-use super::cdr::Reader;
-use super::messages::{Entry, Origin};
 use super::setup::{Setup, SetupError};
-use super::topics::Topic;
 use crate::base::Odometry;
 use crate::bridge::{Bridge, BridgeEvent};
 use crate::observe::Now;
@@ -21,6 +18,8 @@ use crate::robot::Robot as _;
 use crate::safety::Hand;
 use crate::session::SessionEvent;
 use crate::sim::Simulator;
+use crate::topics::cdr::Reader;
+use crate::topics::{Entry, Origin, Topic};
 
 /// What a replay came to.
 #[derive(Clone, Debug, PartialEq, Serialize)]

@@ -4,8 +4,8 @@
 //! motion is allowed only if, after it, both can brake to rest with nothing touched. Since that is so after
 //! every tick, braking is always safe, and is what happens where a tick is not allowed.
 
-use crate::arm::gen3::JOINTS;
-use crate::arm::profile::{JointLimits, Sample};
+use crate::arm::gen3::{JOINTS, Joints};
+use crate::arm::profile::{JointLimits, Motion};
 use crate::base::{Base, Odometry, Twist};
 use crate::plan::collision::{Placement, World};
 use crate::plan::trajectory::Trajectory;
@@ -24,12 +24,12 @@ pub struct Moving {
     /// How long the base takes to rest.
     pub base_braking_s: f64,
     /// The arm.
-    pub arm: Sample,
+    pub arm: Motion,
 }
 
 impl Moving {
     /// Both as they are now.
-    pub fn now(base: &Base, arm: Sample) -> Self {
+    pub fn now(base: &Base, arm: Motion) -> Self {
         Moving { odometry: base.odometry(), base_braking_s: base.braking_s(), arm }
     }
 }
@@ -61,14 +61,13 @@ impl Guard<'_> {
         if nearest_m <= 0.0 {
             return false;
         }
-        // A point moves this far from one instant to the next at most; the speed changes evenly in between.
         let clear = |pair: &[&Moving]| {
             let step_s = TICK_MS as f64 / 1000.0 / instants.len() as f64;
-            let way_m = self.speed_m_s(pair[0]).max(self.speed_m_s(pair[1])) * step_s;
+            let way_m = self.way_m(pair[0], pair[1], step_s);
             self.nearest_m(&pair[1].odometry, &pair[1].arm, None) - way_m >= 0.5 * margin_m
         };
         let tick_s = TICK_MS as f64 / 1000.0;
-        let way_m = self.speed_m_s(now).max(self.speed_m_s(next)) * tick_s;
+        let way_m = self.way_m(now, next, tick_s);
         let through: Vec<&Moving> = std::iter::once(now).chain(instants).collect();
         (nearest_m - way_m >= margin_m || through.windows(2).all(clear)) && self.can_brake(next, margin_m)
     }
@@ -84,11 +83,9 @@ impl Guard<'_> {
         let middle_s = 0.5 * (start_s + end_s);
         let (odometry, arm) = braking.at(middle_s);
         let half_s = 0.5 * (end_s - start_s);
-        let (base_m, arm_m) = {
-            // Braking only slows down: nothing is faster than at the start of the stretch.
-            let (odometry, arm) = braking.at(start_s);
-            (self.base_speed_m_s(&odometry.twist) * half_s, self.arm_speed_m_s(&arm) * half_s)
-        };
+        // The base only slows down; a joint may still gain speed until its acceleration is gone.
+        let base_m = self.base_speed_m_s(&braking.at(start_s).0.twist) * half_s;
+        let arm_m = self.lever_speed_m_s(&braking.arm.fastest_rad_s(start_s, end_s)) * half_s;
         let nearest_m = self.nearest_m(&odometry, &arm, None);
         if nearest_m < braking.margin_m {
             return false;
@@ -101,7 +98,7 @@ impl Guard<'_> {
     }
 
     /// Shortest distance; less what each can move, where that is given for base and arm.
-    fn nearest_m(&self, odometry: &Odometry, arm: &Sample, moves_m: Option<(f64, f64)>) -> f64 {
+    fn nearest_m(&self, odometry: &Odometry, arm: &Motion, moves_m: Option<(f64, f64)>) -> f64 {
         let (base_m, arm_m) = moves_m.unwrap_or((0.0, 0.0));
         let around = self.world.around(Placement::from(*odometry));
         let (own, boxes) = around.arm_clearances(&arm.joints_rad);
@@ -109,8 +106,16 @@ impl Guard<'_> {
         (own.distance_m - arm_m).min(boxes.distance_m - arm_m - base_m).min(body.distance_m - base_m)
     }
 
+    /// A point moves this far from one instant to the next at most. The speed changes evenly in between, but
+    /// for the bend that a limited jerk allows it.
+    fn way_m(&self, from: &Moving, to: &Moving, step_s: f64) -> f64 {
+        let bend =
+            self.limits.jerk_rad_s3.map(|j| if j.is_finite() { j * step_s * step_s / 8.0 } else { 0.0 });
+        (self.speed_m_s(from).max(self.speed_m_s(to)) + self.lever_speed_m_s(&bend)) * step_s
+    }
+
     fn speed_m_s(&self, moving: &Moving) -> f64 {
-        self.base_speed_m_s(&moving.odometry.twist) + self.arm_speed_m_s(&moving.arm)
+        self.base_speed_m_s(&moving.odometry.twist) + self.lever_speed_m_s(&moving.arm.velocity_rad_s)
     }
 
     /// No point of the robot is moved faster by the base.
@@ -122,14 +127,14 @@ impl Guard<'_> {
     }
 
     /// No point of the arm is moved faster by its joints.
-    fn arm_speed_m_s(&self, arm: &Sample) -> f64 {
-        (0..JOINTS).map(|i| arm.velocity_rad_s[i].abs() * self.world.lever_m()[i]).sum()
+    fn lever_speed_m_s(&self, velocity_rad_s: &Joints) -> f64 {
+        (0..JOINTS).map(|i| velocity_rad_s[i].abs() * self.world.lever_m()[i]).sum()
     }
 }
 
 impl Braking<'_> {
     /// Base and arm, so long after they began to brake.
-    fn at(&self, time_s: f64) -> (Odometry, Sample) {
+    fn at(&self, time_s: f64) -> (Odometry, Motion) {
         let mut odometry = self.from.odometry;
         let braking_s = self.from.base_braking_s;
         let t = time_s.min(braking_s);
@@ -141,6 +146,6 @@ impl Braking<'_> {
             odometry.twist =
                 Twist { linear_m_s: twist.linear_m_s * left, angular_rad_s: twist.angular_rad_s * left };
         }
-        (odometry, self.arm.sample(time_s))
+        (odometry, self.arm.motion(time_s))
     }
 }

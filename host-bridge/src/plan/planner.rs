@@ -135,8 +135,11 @@ impl Planner {
                     arm.check(&joints_rad).map_err(|error| bad(error.to_string()))?;
                     joints_rad
                 }
-                Goal::Flange(pose) => ik::solve(arm, &pose, &arm.home_rad, scene.arm.seed, safe)
-                    .map_err(|error| bad(error.to_string()))?,
+                Goal::Flange(pose) => {
+                    ik::solve(arm, &pose, &arm.home_rad, scene.arm.seed, safe)
+                        .map_err(|error| bad(error.to_string()))?
+                        .joints_rad
+                }
             };
             Ok((name.to_owned(), joints_rad))
         };
@@ -258,14 +261,19 @@ impl Planner {
     fn corners_are_clear(&self, around: &Surroundings<'_>, motion: &Trajectory, margin_m: f64) -> bool {
         motion.corners_s().into_iter().all(|(start_s, end_s)| {
             let steps = ((end_s - start_s) / BRAKING_INTERVAL_S).ceil().max(1.0) as usize;
-            let at = |k: usize| motion.sample(start_s + (end_s - start_s) * k as f64 / steps as f64);
+            let at = |k: usize| motion.motion(start_s + (end_s - start_s) * k as f64 / steps as f64);
             (0..=steps).all(|k| {
                 let here = at(k);
-                let rest = Trajectory::braking(here, &self.limits).goal_rad();
                 let onward = at((k + 1).min(steps)).joints_rad;
-                self.world.arm().check(&rest).is_ok()
-                    && around.way_is_clear(&here.joints_rad, &onward, margin_m)
-                    && around.way_is_clear(&here.joints_rad, &rest, margin_m)
+                let braking = Trajectory::braking(here, &self.limits);
+                let mut from = here.joints_rad;
+                around.way_is_clear(&from, &onward, margin_m)
+                    && braking.knots_s().into_iter().all(|knot_s| {
+                        let way = (from, braking.motion(knot_s).joints_rad);
+                        from = way.1;
+                        self.world.arm().check(&way.1).is_ok()
+                            && around.way_is_clear(&way.0, &way.1, margin_m)
+                    })
             })
         })
     }

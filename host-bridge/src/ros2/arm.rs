@@ -11,7 +11,7 @@ use super::message::{JointState, JointTrajectory, JointTrajectoryPoint, Time};
 use super::robot::Output;
 use crate::arm::ArmMotion;
 use crate::arm::gen3::{HOME, JOINTS, Joints, POSITION_LIMIT_RAD, joint_beyond_limit};
-use crate::arm::profile::{JointLimits, Sample};
+use crate::arm::profile::{JointLimits, Motion};
 use crate::arm::sequencer::{ArmReport, ArmState, Busy, Leg, NotStarted};
 use crate::plan::{Refusal, Trajectory};
 
@@ -169,9 +169,9 @@ impl ArmLink {
         self.listened_to = listened_to;
     }
 
-    /// All joints, if all were heard of lately.
-    pub fn sample(&self, now_ms: u64) -> Option<Sample> {
-        let mut sample = Sample { joints_rad: [0.0; JOINTS], velocity_rad_s: [0.0; JOINTS] };
+    /// All joints, if all were heard of lately; accelerations are not told.
+    pub fn sample(&self, now_ms: u64) -> Option<Motion> {
+        let mut sample = Motion::at_rest([0.0; JOINTS]);
         for (joint, seen) in self.seen.iter().enumerate() {
             let seen = seen.filter(|seen| now_ms.saturating_sub(seen.at_ms) <= self.max_age_ms)?;
             sample.joints_rad[joint] = seen.position_rad;
@@ -277,7 +277,9 @@ impl ArmLink {
             outputs.push(Output::Cancel { goal: run.goal });
             return;
         }
-        let from = fresh.unwrap_or_else(|| run.trajectory.sample(run.elapsed_s(now_ms)));
+        let planned = run.trajectory.motion(run.elapsed_s(now_ms));
+        let from =
+            fresh.map_or(planned, |seen| Motion { acceleration_rad_s2: planned.acceleration_rad_s2, ..seen });
         let braking = Trajectory::braking(from, &self.limits);
         run.trajectory = braking.clone();
         run.moving_since_ms = Some(now_ms);
@@ -371,8 +373,9 @@ impl ArmLink {
 
     /// The arm as far as known; angles that are not are not-a-number.
     pub fn state(&self, now_ms: u64) -> ArmState {
-        let unknown = Sample { joints_rad: [f64::NAN; JOINTS], velocity_rad_s: [f64::NAN; JOINTS] };
-        let Sample { joints_rad, velocity_rad_s } = self.sample(now_ms).unwrap_or(unknown);
+        let unknown = [f64::NAN; JOINTS];
+        let (joints_rad, velocity_rad_s) =
+            self.sample(now_ms).map_or((unknown, unknown), |seen| (seen.joints_rad, seen.velocity_rad_s));
         let leg = |run: &Run| {
             if run.stopping_since_ms.is_some() {
                 Leg::Halting
@@ -488,7 +491,7 @@ mod tests {
                     + v0 * h * s * (1.0 - s).powi(2)
                     + p1 * s * s * (3.0 - 2.0 * s)
                     + v1 * h * s * s * (s - 1.0);
-                let planned = trajectory.sample(t0 + s * h).joints_rad[3];
+                let planned = trajectory.motion(t0 + s * h).joints_rad[3];
                 assert!((cubic - planned).abs() < 1e-6, "{cubic} {planned} at {t0}");
             }
             before = (t1, p1, v1);

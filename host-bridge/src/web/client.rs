@@ -23,6 +23,11 @@ const MESSAGE_MAX: usize = 256;
 
 /// The answer to a request for a WebSocket, or `None` if it is no such request.
 pub fn accept(head: &httparse::Request<'_, '_>) -> Option<Vec<u8>> {
+    accept_with(head, "")
+}
+
+/// The same with more header lines, each ended.
+pub fn accept_with(head: &httparse::Request<'_, '_>, more: &str) -> Option<Vec<u8>> {
     let has = |name: &str, word: &str| {
         let mut found = head.headers.iter().filter(|h| h.name.eq_ignore_ascii_case(name));
         found.any(|h| {
@@ -39,14 +44,14 @@ pub fn accept(head: &httparse::Request<'_, '_>) -> Option<Vec<u8>> {
         let accepted = derive_accept_key(key.value);
         format!(
             "HTTP/1.1 101 Switching Protocols\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n\
-             Sec-WebSocket-Accept: {accepted}\r\n\r\n"
+             Sec-WebSocket-Accept: {accepted}\r\n{more}\r\n"
         )
         .into_bytes()
     })
 }
 
 /// Serves a page until it goes, the session ends, or the server closes. `rest` came behind the request.
-pub fn run(stream: TcpStream, rest: Vec<u8>, shared: &Shared) {
+pub(super) fn run(stream: TcpStream, rest: Vec<u8>, shared: &Shared) {
     let _counted = Counted::new(&shared.pages);
     if stream.set_read_timeout(Some(TURN)).is_err() {
         return;

@@ -2,7 +2,8 @@
 //!
 //! Two things could reach a server on 127.0.0.1 besides its owner: another site's page, whose WebSocket is not
 //! bound to its own origin, and a name that somebody else's DNS points at 127.0.0.1 (DNS rebinding). So the
-//! name that was asked for must be an address or `localhost`, and the page that asks must be ours.
+//! name that was asked for must be an address or `localhost`, and the page that asks must be ours (or, where it
+//! may only look on, one that was named).
 
 use std::net::{IpAddr, SocketAddr};
 
@@ -83,6 +84,20 @@ impl Gate {
     pub fn live(&self, claims: &Claims<'_>) -> Result<(), Refused> {
         self.check_host(claims)?;
         self.check_origin(claims)?;
+        self.check_token(claims)
+    }
+
+    /// May this request look on, without a way to stop anything? Programs that are no browsers say nothing of
+    /// where they come from; a browser's page must be ours or one of `origins`.
+    ///
+    /// # Errors
+    /// [`Refused`].
+    pub fn look(&self, claims: &Claims<'_>, origins: &[String]) -> Result<(), Refused> {
+        self.check_host(claims)?;
+        let named = claims.origin.is_none_or(|origin| origins.iter().any(|known| known == origin));
+        if !named {
+            self.check_origin(claims)?;
+        }
         self.check_token(claims)
     }
 
@@ -208,6 +223,25 @@ mod tests {
         assert_eq!((gate.page(&known), gate.live(&known)), (Ok(()), Ok(())));
         let renamed = Claims { host: Some("robot.example:8042"), ..known };
         assert_eq!(gate.page(&renamed), Err(Refused::Host), "a name may be anybody's");
+    }
+
+    #[test]
+    fn whoever_only_looks_on_is_no_browser_or_a_named_page() {
+        let origins = ["https://viewer.example".to_owned()];
+        let host = "127.0.0.1:8765";
+        let open = gate(host, None);
+        for origin in [None, Some("https://viewer.example"), Some("http://127.0.0.1:8765")] {
+            assert_eq!(open.look(&claims(host, origin), &origins), Ok(()), "{origin:?}");
+        }
+        for origin in ["http://viewer.example", "https://viewer.example.evil", "null", "", "file://"] {
+            assert_eq!(open.look(&claims(host, Some(origin)), &origins), Err(Refused::Origin), "{origin}");
+        }
+        assert_eq!(open.look(&claims("evil.example:8765", None), &origins), Err(Refused::Host));
+        let closed = gate("0.0.0.0:8765", Some(SECRET));
+        let stranger = claims("192.168.1.7:8765", Some("https://viewer.example"));
+        assert_eq!(closed.look(&stranger, &origins), Err(Refused::Token));
+        let known = Claims { token: Some(SECRET), ..stranger };
+        assert_eq!(closed.look(&known, &origins), Ok(()));
     }
 
     #[test]

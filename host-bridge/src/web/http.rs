@@ -35,7 +35,19 @@ const FILES: [(&str, &str, &str); 9] = [
 ];
 
 /// Answers the one request of a connection.
-pub fn serve(mut stream: TcpStream, shared: &Shared) {
+pub(super) fn serve(stream: TcpStream, shared: &Shared) {
+    with_request(stream, |stream, request, rest| page_or_file(stream, &request, rest, shared));
+}
+
+/// One request.
+pub struct Request<'a, 'h> {
+    pub head: &'a httparse::Request<'h, 'a>,
+    pub path: &'a str,
+    pub claims: Claims<'a>,
+}
+
+/// Reads a request, or says why there is none; hands it over with what came behind it.
+pub fn with_request(mut stream: TcpStream, then: impl FnOnce(TcpStream, Request<'_, '_>, Vec<u8>)) {
     // A socket that refuses its settings is broken, and reading from it says so too.
     let _ = stream.set_nodelay(true);
     let _ = stream.set_write_timeout(Some(PATIENCE));
@@ -47,9 +59,10 @@ pub fn serve(mut stream: TcpStream, shared: &Shared) {
     if length == 0 {
         return;
     }
+    let rest = buffer.split_off(length);
     let mut headers = [httparse::EMPTY_HEADER; HEADERS_MAX];
     let mut head = httparse::Request::new(&mut headers);
-    let Ok(httparse::Status::Complete(_)) = head.parse(&buffer[..length]) else {
+    let Ok(httparse::Status::Complete(_)) = head.parse(&buffer) else {
         answer(&mut stream, "400 Bad Request", "text/plain", "no request that this server reads", true);
         return;
     };
@@ -59,17 +72,23 @@ pub fn serve(mut stream: TcpStream, shared: &Shared) {
         origin: header(&head, "origin"),
         token: query.split('&').find_map(|pair| pair.strip_prefix("token=")),
     };
-    let refuse = |stream: &mut TcpStream, refused: Refused| {
-        answer(stream, "403 Forbidden", "text/plain; charset=utf-8", &format!("{refused}\n"), true);
-    };
-    if path == "/live" {
-        match (shared.gate.live(&claims), client::accept(&head)) {
+    then(stream, Request { head: &head, path, claims }, rest);
+}
+
+/// Says no.
+pub fn refuse(stream: &mut TcpStream, refused: Refused) {
+    answer(stream, "403 Forbidden", "text/plain; charset=utf-8", &format!("{refused}\n"), true);
+}
+
+fn page_or_file(mut stream: TcpStream, request: &Request<'_, '_>, rest: Vec<u8>, shared: &Shared) {
+    let Request { head, path, claims } = request;
+    if *path == "/live" {
+        match (shared.gate.live(claims), client::accept(head)) {
             (Err(refused), _) => refuse(&mut stream, refused),
             (Ok(()), None) => {
                 answer(&mut stream, "426 Upgrade Required", "text/plain", "a WebSocket\n", true)
             }
             (Ok(()), Some(response)) => {
-                let rest = buffer.split_off(length);
                 if stream.write_all(&response).is_ok() {
                     client::run(stream, rest, shared);
                 }
@@ -85,11 +104,11 @@ pub fn serve(mut stream: TcpStream, shared: &Shared) {
             return;
         }
     };
-    let Some((_, kind, content)) = FILES.iter().find(|(known, ..)| *known == path) else {
+    let Some((_, kind, content)) = FILES.iter().find(|(known, ..)| known == path) else {
         answer(&mut stream, "404 Not Found", "text/plain", "there is only the page at /\n", with_body);
         return;
     };
-    match if path == "/" { shared.gate.page(&claims) } else { shared.gate.file(&claims) } {
+    match if *path == "/" { shared.gate.page(claims) } else { shared.gate.file(claims) } {
         Ok(()) => answer(&mut stream, "200 OK", kind, content, with_body),
         Err(refused) => refuse(&mut stream, refused),
     }
@@ -116,7 +135,7 @@ fn read_head(stream: &mut TcpStream, buffer: &mut Vec<u8>) -> Option<usize> {
 }
 
 /// A header that is there exactly once.
-fn header<'a>(head: &httparse::Request<'_, 'a>, name: &str) -> Option<&'a str> {
+pub fn header<'a>(head: &httparse::Request<'_, 'a>, name: &str) -> Option<&'a str> {
     let mut found = head.headers.iter().filter(|h| h.name.eq_ignore_ascii_case(name));
     let only = found.next().filter(|_| found.next().is_none())?;
     Some(std::str::from_utf8(only.value).unwrap_or_default())
@@ -126,7 +145,7 @@ fn split_target(target: &str) -> (&str, &str) {
     target.split_once('?').unwrap_or((target, ""))
 }
 
-fn answer(stream: &mut TcpStream, status: &str, kind: &str, content: &str, with_body: bool) {
+pub fn answer(stream: &mut TcpStream, status: &str, kind: &str, content: &str, with_body: bool) {
     let head = format!(
         "HTTP/1.1 {status}\r\nContent-Type: {kind}\r\nContent-Length: {}\r\nConnection: close\r\n\
          Cache-Control: no-store\r\nContent-Security-Policy: {POLICY}\r\nX-Content-Type-Options: nosniff\r\n\

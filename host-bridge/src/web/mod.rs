@@ -6,6 +6,7 @@
 //! ```
 //!
 //! * [`gate`]: who may ask: names of hosts, origins, the token,
+//! * [`server`]: a port and its threads,
 //! * `http`: one request, one of a few files that are compiled in,
 //! * `history`: what a page that comes late must still be told,
 //! * `watcher`: from the tap to that history,
@@ -18,14 +19,14 @@
 //! Threads and two small crates instead of an asynchronous server: `httparse` (hyper's own parser) reads the
 //! request, `tungstenite` speaks WebSocket. `axum` would bring 69 crates for five files.
 
-mod client;
+pub(crate) mod client;
 pub mod gate;
 mod history;
-mod http;
+pub(crate) mod http;
+pub mod server;
 mod watcher;
 
-use std::io;
-use std::net::{IpAddr, Ipv4Addr, SocketAddr, TcpListener, TcpStream};
+use std::net::{Ipv4Addr, SocketAddr};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
@@ -33,6 +34,8 @@ use std::time::{Duration, Instant};
 use crate::observe::Now;
 use gate::Gate;
 use history::History;
+use server::{Bound, Counted, Name, Server};
+pub use server::{CONNECTIONS_MAX, WebError, WebOptions};
 pub use watcher::Watcher;
 
 /// Where the page is, unless asked for elsewhere.
@@ -41,67 +44,15 @@ pub const DEFAULT_PORT: u16 = 8042;
 /// Frames that a page may have on their way without having acknowledged one.
 pub const IN_FLIGHT_MAX: u64 = 2;
 
-/// Connections at a time: a browser opens up to six for the files, each page keeps one.
-pub const CONNECTIONS_MAX: usize = 24;
-
 /// Pages get this long to hear that the session is over.
 const FAREWELL: Duration = Duration::from_millis(300);
 
-/// Where to serve, and to whom.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct WebOptions {
-    /// Address to listen on. Other machines reach it only where it is not a loopback address.
-    pub address: IpAddr,
-    /// Port; 0 = any free one.
-    pub port: u16,
-    /// What a page must know. Needed where other machines can reach the address.
-    pub token: Option<String>,
-}
+const NAME: Name = Name { what: "the page", option: "--web" };
 
 impl Default for WebOptions {
     fn default() -> Self {
         WebOptions { address: Ipv4Addr::LOCALHOST.into(), port: DEFAULT_PORT, token: None }
     }
-}
-
-/// Why there is no page; the text says what to do.
-#[derive(Debug, thiserror::Error)]
-pub enum WebError {
-    /// Somebody else has the port.
-    #[error(
-        "the page cannot be served: {address} is in use, perhaps by another bimanual; choose another port with \
-         --web={}, or --web=0 for any free one",
-        other_port(address)
-    )]
-    PortTaken {
-        /// Which.
-        address: SocketAddr,
-    },
-    /// The system does not let us.
-    #[error(
-        "the page cannot be served on {address}: {source}; choose another port with --web=PORT (1024 or above), \
-         or another address of this machine with --web-listen ADDR"
-    )]
-    Listen {
-        /// Where.
-        address: SocketAddr,
-        /// What the system said.
-        source: io::Error,
-    },
-    /// Other machines could reach the page, and nothing keeps them out.
-    #[error(
-        "--web-listen {0} lets other machines in: give a token of 16 or more letters and digits with --web-token, \
-         or leave --web-listen out and forward the port over ssh"
-    )]
-    TokenNeeded(IpAddr),
-    /// The token is too easy or does not fit into an address.
-    #[error("--web-token takes {min} to 128 letters, digits, - and _ (for example from `openssl rand -hex 16`)",
-        min = gate::TOKEN_MIN)]
-    BadToken,
-}
-
-fn other_port(address: &SocketAddr) -> u16 {
-    address.port().checked_add(1).unwrap_or(DEFAULT_PORT)
 }
 
 /// What session, server and pages share.
@@ -112,7 +63,6 @@ struct Shared {
     stop: AtomicBool,
     over: AtomicBool,
     closing: AtomicBool,
-    connections: AtomicUsize,
     pages: AtomicUsize,
 }
 
@@ -126,8 +76,7 @@ impl Shared {
 /// A running server. Dropping it closes the port.
 pub struct Web {
     shared: Arc<Shared>,
-    address: SocketAddr,
-    token: Option<String>,
+    server: Server,
 }
 
 impl Web {
@@ -136,45 +85,27 @@ impl Web {
     /// # Errors
     /// [`WebError`] where the port cannot be had, or other machines would get in without a token.
     pub fn start(options: &WebOptions) -> Result<Self, WebError> {
-        match &options.token {
-            Some(token) if !gate::is_fit_as_token(token) => return Err(WebError::BadToken),
-            None if !options.address.is_loopback() => return Err(WebError::TokenNeeded(options.address)),
-            _ => {}
-        }
-        let wanted = SocketAddr::new(options.address, options.port);
-        let listener = TcpListener::bind(wanted).map_err(|source| match source.kind() {
-            io::ErrorKind::AddrInUse => WebError::PortTaken { address: wanted },
-            _ => WebError::Listen { address: wanted, source },
-        })?;
-        let address = listener.local_addr().map_err(|source| WebError::Listen { address: wanted, source })?;
+        let bound = Bound::new(options, NAME)?;
         let shared = Arc::new(Shared {
-            gate: Gate::new(address, options.token.clone()),
+            gate: bound.gate(),
             history: Mutex::default(),
             stop: AtomicBool::new(false),
             over: AtomicBool::new(false),
             closing: AtomicBool::new(false),
-            connections: AtomicUsize::new(0),
             pages: AtomicUsize::new(0),
         });
         let serving = shared.clone();
-        std::thread::spawn(move || accept(&listener, &serving));
-        Ok(Web { shared, address, token: options.token.clone() })
+        Ok(Web { shared, server: bound.serve(move |stream| http::serve(stream, &serving)) })
     }
 
     /// What to type into a browser.
     pub fn url(&self) -> String {
-        let host = match self.address.ip() {
-            ip if ip.is_unspecified() => "ADDRESS-OF-THIS-MACHINE".to_owned(),
-            IpAddr::V6(ip) => format!("[{ip}]"),
-            IpAddr::V4(ip) => ip.to_string(),
-        };
-        let query = self.token.as_ref().map_or(String::new(), |token| format!("?token={token}"));
-        format!("http://{host}:{}/{query}", self.address.port())
+        self.server.url("http")
     }
 
     /// Where it listens.
     pub fn address(&self) -> SocketAddr {
-        self.address
+        self.server.address()
     }
 
     /// What to hang on the session's tap. `title` is the page's headline.
@@ -207,57 +138,5 @@ impl Web {
 impl Drop for Web {
     fn drop(&mut self) {
         self.shared.closing.store(true, Ordering::SeqCst);
-        // Wakes the accepting thread, so that it sees the flag and lets go of the port.
-        let ip = match self.address.ip() {
-            ip if ip.is_unspecified() && ip.is_ipv4() => Ipv4Addr::LOCALHOST.into(),
-            ip if ip.is_unspecified() => std::net::Ipv6Addr::LOCALHOST.into(),
-            ip => ip,
-        };
-        let here = SocketAddr::new(ip, self.address.port());
-        let _ = TcpStream::connect_timeout(&here, Duration::from_millis(200));
     }
-}
-
-fn accept(listener: &TcpListener, shared: &Arc<Shared>) {
-    loop {
-        let accepted = listener.accept();
-        if shared.closing.load(Ordering::SeqCst) {
-            return;
-        }
-        match accepted {
-            Ok((stream, _)) => serve_in_thread(stream, shared),
-            // Out of file descriptors, for example: no reason to turn as fast as possible.
-            Err(_) => std::thread::sleep(Duration::from_millis(50)),
-        }
-    }
-}
-
-/// Counts itself out when dropped.
-struct Counted<'a>(&'a AtomicUsize);
-
-impl<'a> Counted<'a> {
-    fn new(count: &'a AtomicUsize) -> Self {
-        count.fetch_add(1, Ordering::SeqCst);
-        Counted(count)
-    }
-}
-
-impl Drop for Counted<'_> {
-    fn drop(&mut self) {
-        self.0.fetch_sub(1, Ordering::SeqCst);
-    }
-}
-
-fn serve_in_thread(stream: TcpStream, shared: &Arc<Shared>) {
-    let shared = shared.clone();
-    if shared.connections.load(Ordering::SeqCst) >= CONNECTIONS_MAX {
-        // Closed without a word: whoever opens so many is no browser.
-        return;
-    }
-    let serve = move || {
-        let _counted = Counted::new(&shared.connections);
-        http::serve(stream, &shared);
-    };
-    // Without a thread the connection is closed, and the browser asks again.
-    let _ = std::thread::Builder::new().name("page".to_owned()).spawn(serve);
 }

@@ -1,7 +1,7 @@
-//! Every message of the file, made from what observers are shown.
+//! Every message, made from what observers are shown.
 
+use super::Topic;
 use super::cdr::Writer;
-use super::topics::Topic;
 use crate::arm::Pose;
 use crate::bridge::{BridgeEvent, EventKind};
 use crate::describe;
@@ -17,7 +17,7 @@ pub const BASE: &str = "base_link";
 /// Frame of the arm's foot.
 pub const ARM: &str = "arm_base";
 
-/// A message, ready to be written.
+/// A message, ready to be written or sent.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Entry {
     /// Where.

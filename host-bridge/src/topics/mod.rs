@@ -1,4 +1,25 @@
-//! What is in the file: topics, and their types as ROS 2 describes them.
+//! What a session says, for files and for live viewers: topics, and their types as ROS 2 describes them.
+//!
+//! ```text
+//! Tap ──► Teller (an Observer) ──► Outlet: a file (`journal`), or Foxglove over the network (`foxglove`)
+//! ```
+//!
+//! * this file: the streams and their types, the only definition of both,
+//! * [`messages`]: each message made from what observers are shown,
+//! * [`tell`]: which message is due when,
+//! * [`cdr`]: how ROS 2 lays out a message.
+
+pub mod cdr;
+pub mod messages;
+pub mod tell;
+
+pub use messages::{Entry, Origin};
+pub use tell::{Outlet, Teller};
+
+/// How messages are laid out, as MCAP and Foxglove name it.
+pub const ENCODING: &str = "cdr";
+/// How types are described, as MCAP and Foxglove name it.
+pub const SCHEMA_ENCODING: &str = "ros2msg";
 
 /// A stream of messages of one type.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]

@@ -1,0 +1,205 @@
+//! The session as Foxglove gets it: what is advertised is what a file has, what is sent is the simulator's state,
+//! and who may look on. Sockets on the loopback only. `tests/foxglove/check.py` does the same with other
+//! people's packages.
+
+use std::io::{Read as _, Write as _};
+use std::net::TcpStream;
+use std::time::{Duration, Instant};
+
+use host_bridge::config::Config;
+use host_bridge::foxglove::{Foxglove, FoxgloveOptions};
+use host_bridge::keyboard::HandKey;
+use host_bridge::live::{Live, Place};
+use host_bridge::robot::Robot as _;
+use host_bridge::topics::{Origin, Topic};
+use host_bridge::web::{WebError, WebOptions};
+use serde_json::{Value, json};
+use shared_proto::message::Heading;
+use tungstenite::client::IntoClientRequest as _;
+use tungstenite::{Message, WebSocket};
+
+const PATIENCE: Duration = Duration::from_secs(20);
+const ORIGIN: Origin = Origin { nanoseconds: 1_700_000_000_000_000_000 };
+
+fn any_port() -> FoxgloveOptions {
+    FoxgloveOptions {
+        server: WebOptions { port: 0, ..WebOptions::default() },
+        origins: vec!["http://localhost:8080".to_owned()],
+    }
+}
+
+fn open(
+    foxglove: &Foxglove,
+    origin: Option<&str>,
+    protocol: &str,
+    query: &str,
+) -> Result<WebSocket<TcpStream>, u16> {
+    let stream = TcpStream::connect(foxglove.address()).unwrap();
+    stream.set_read_timeout(Some(PATIENCE)).unwrap();
+    let mut request = format!("ws://{}/{query}", foxglove.address()).into_client_request().unwrap();
+    if let Some(origin) = origin {
+        request.headers_mut().insert("Origin", origin.parse().unwrap());
+    }
+    if !protocol.is_empty() {
+        request.headers_mut().insert("Sec-WebSocket-Protocol", protocol.parse().unwrap());
+    }
+    match tungstenite::client(request, stream) {
+        Ok((socket, response)) => {
+            let chosen = response.headers().get("sec-websocket-protocol").unwrap();
+            assert!(protocol.contains(chosen.to_str().unwrap()));
+            Ok(socket)
+        }
+        Err(tungstenite::HandshakeError::Failure(tungstenite::Error::Http(response))) => {
+            Err(response.status().as_u16())
+        }
+        Err(error) => panic!("{error}"),
+    }
+}
+
+fn words(socket: &mut WebSocket<TcpStream>) -> Value {
+    loop {
+        if let Message::Text(text) = socket.read().unwrap() {
+            return serde_json::from_str(text.as_str()).unwrap();
+        }
+    }
+}
+
+/// Subscription, time in ms of the session, payload behind the four bytes that say how it is laid out.
+fn data(socket: &mut WebSocket<TcpStream>) -> (u32, u64, Vec<u8>) {
+    loop {
+        if let Message::Binary(bytes) = socket.read().unwrap() {
+            assert_eq!((bytes[0], &bytes[13..17]), (1, &[0, 1, 0, 0][..]));
+            let time_ns = u64::from_le_bytes(bytes[5..13].try_into().unwrap());
+            let time_ms = (time_ns - ORIGIN.nanoseconds) / 1_000_000;
+            return (u32::from_le_bytes(bytes[1..5].try_into().unwrap()), time_ms, bytes[17..].to_vec());
+        }
+    }
+}
+
+fn session(foxglove: &Foxglove) -> Live {
+    let mut live = Live::new(&Config::default(), Place::Keyboard, Place::Keyboard, 0);
+    live.tap_mut().add(Box::new(foxglove.teller()));
+    for now_ms in 1..500 {
+        live.step(now_ms, [true; 2]);
+    }
+    live
+}
+
+#[test]
+fn a_viewer_is_told_every_topic_and_gets_what_it_subscribes_to_as_the_simulator_has_it() {
+    let foxglove = Foxglove::start(&any_port(), ORIGIN).unwrap();
+    assert!(foxglove.url().starts_with("ws://127.0.0.1:"));
+    let mut live = session(&foxglove);
+    let mut socket = open(&foxglove, None, "foxglove.websocket.v1", "").unwrap();
+    let info = words(&mut socket);
+    assert_eq!((&info["op"], &info["sessionId"]), (&json!("serverInfo"), &json!("1700000000000000000")));
+    let told = words(&mut socket);
+    let channels = told["channels"].as_array().unwrap();
+    let named = |name: &str| channels.iter().find(|c| c["topic"] == name).unwrap()["id"].as_u64().unwrap();
+    assert_eq!(channels.len(), Topic::ALL.len());
+    let wish = json!({ "op": "subscribe", "subscriptions": [
+        { "id": 41, "channelId": named("/odom") }, { "id": 42, "channelId": named("/joint_states") } ] });
+    socket.send(Message::text(wish.to_string())).unwrap();
+
+    // The subscription takes effect some time: until the first message comes, time passes.
+    let mut now_ms = 500;
+    live.press(HandKey::Arrow(Heading::Forward), now_ms);
+    live.press(HandKey::Gesture(2), now_ms);
+    let mut states = std::collections::BTreeMap::new();
+    let began = Instant::now();
+    while now_ms < 1500 || began.elapsed() < Duration::from_millis(300) {
+        now_ms += 1;
+        live.step(now_ms, [true; 2]);
+        let robot = live.robot();
+        states.insert(now_ms, (robot.arm(), robot.odometry(), robot.wheels_rad()));
+        std::thread::sleep(Duration::from_micros(200));
+    }
+    let mut seen = [0, 0];
+    while seen[0] < 20 || seen[1] < 40 {
+        let (id, time_ms, payload) = data(&mut socket);
+        let (arm, odometry, wheels_rad) = &states[&time_ms];
+        let has = |values: &[f64]| {
+            let bytes: Vec<u8> = values.iter().flat_map(|value| value.to_le_bytes()).collect();
+            payload.windows(bytes.len()).any(|window| window == bytes)
+        };
+        match id {
+            41 => assert!(has(&[odometry.x_m, odometry.y_m, 0.0])),
+            42 => assert!(has(&[&arm.joints_rad[..], wheels_rad].concat())),
+            other => panic!("subscription {other}"),
+        }
+        seen[(id - 41) as usize] += 1;
+    }
+    assert!(live.robot().odometry().x_m > 0.01 && !live.robot().arm().at_rest(), "something moved");
+
+    socket.send(Message::text(r#"{"op":"unsubscribe","subscriptionIds":[41,42]}"#)).unwrap();
+    socket.send(Message::text(r#"{"op":"advertise","channels":[]}"#)).unwrap();
+    socket.send(Message::binary(vec![1, 0, 0, 0, 0])).unwrap();
+    for _ in 0..2 {
+        let refused = words(&mut socket);
+        assert_eq!((&refused["op"], &refused["level"]), (&json!("status"), &json!(1)), "{refused}");
+    }
+    for _ in 0..100 {
+        now_ms += 1;
+        live.step(now_ms, [true; 2]);
+    }
+    foxglove.end();
+    assert!(matches!(socket.read(), Ok(Message::Close(_)) | Err(_)), "nothing more, and the end");
+}
+
+#[test]
+fn strangers_stay_out_and_foxglove_comes_in() {
+    let foxglove = Foxglove::start(&any_port(), ORIGIN).unwrap();
+    let v1 = "foxglove.sdk.v1";
+    for origin in
+        ["http://evil.example", "null", "https://app.foxglove.dev.evil.example", "http://localhost:8081"]
+    {
+        assert_eq!(open(&foxglove, Some(origin), v1, "").err(), Some(403), "{origin}");
+    }
+    for origin in [None, Some("https://app.foxglove.dev"), Some("file://"), Some("http://localhost:8080")] {
+        assert!(open(&foxglove, origin, v1, "").is_ok(), "{origin:?}");
+    }
+    assert_eq!(open(&foxglove, None, "", "").err(), Some(400), "no protocol");
+    assert_eq!(open(&foxglove, None, "foxglove.sdk.v9", "").err(), Some(400), "another protocol");
+    assert!(open(&foxglove, None, "foxglove.sdk.v9, foxglove.websocket.v1", "").is_ok());
+
+    let mut stream = TcpStream::connect(foxglove.address()).unwrap();
+    stream.write_all(b"GET / HTTP/1.1\r\nHost: robot.evil.example\r\n\r\n").unwrap();
+    let mut answer = String::new();
+    let _ = stream.read_to_string(&mut answer);
+    assert!(answer.starts_with("HTTP/1.1 403"), "{answer}");
+
+    let token = "0123456789abcdef";
+    let mut options = any_port();
+    options.server.token = Some(token.to_owned());
+    let closed = Foxglove::start(&options, ORIGIN).unwrap();
+    assert!(closed.url().ends_with(&format!("/?token={token}")));
+    assert_eq!(open(&closed, None, v1, "").err(), Some(403));
+    assert!(open(&closed, None, v1, &format!("?token={token}")).is_ok());
+    options.server = WebOptions { address: "0.0.0.0".parse().unwrap(), port: 0, token: None };
+    assert!(matches!(Foxglove::start(&options, ORIGIN), Err(WebError::TokenNeeded(_))));
+
+    options.server = WebOptions { port: foxglove.address().port(), ..any_port().server };
+    let taken = Foxglove::start(&options, ORIGIN).err().unwrap().to_string();
+    assert!(taken.contains("in use") && taken.contains("--foxglove="), "{taken}");
+}
+
+#[test]
+fn a_viewer_that_takes_nothing_loses_messages_and_delays_nobody() {
+    let foxglove = Foxglove::start(&any_port(), ORIGIN).unwrap();
+    let mut live = session(&foxglove);
+    let mut socket = open(&foxglove, None, "foxglove.sdk.v1", "").unwrap();
+    let all: Vec<Value> = (0..Topic::ALL.len()).map(|k| json!({ "id": k, "channelId": k })).collect();
+    socket.send(Message::text(json!({ "op": "subscribe", "subscriptions": all }).to_string())).unwrap();
+    // Were a single message waited for, this would never end: it is far more than sockets and queue hold.
+    let (mut now_ms, began) = (500, Instant::now());
+    while now_ms < 200_000 || began.elapsed() < Duration::from_millis(500) {
+        now_ms += 1;
+        live.step(now_ms, [true; 2]);
+    }
+    let lost = (0..1_000_000).find_map(|_| match socket.read().unwrap() {
+        Message::Text(text) if text.as_str().contains("too slow for") => Some(text.to_string()),
+        _ => None,
+    });
+    println!("{lost:?}");
+    assert!(lost.is_some());
+}
