@@ -177,6 +177,14 @@ fn steps() -> Vec<Step> {
                 .arg("tests/web/check.py")
                 .arg(target_dir().join("debug")))
         }),
+        Step::new("a live session as Foxglove sees it", || {
+            built("examples/state-at")?;
+            let python = python::environment("foxglove", &["tests/foxglove/requirements.txt"])?;
+            sh(Command::new(python)
+                .current_dir(root())
+                .arg("tests/foxglove/check.py")
+                .arg(target_dir().join("debug")))
+        }),
         Step::new("a session's file read by others", || {
             let folder = target_dir().join("session-file");
             // Files of sessions are never written over.
