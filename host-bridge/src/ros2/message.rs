@@ -1,4 +1,5 @@
-//! The ROS 2 messages that are spoken here, field by field as in the Jazzy packages.
+//! The ROS 2 messages that are spoken here, field by field as in the Jazzy packages: over DDS, in the files of
+//! sessions and to Foxglove ([`crate::topics`]).
 //!
 //! Arrays of 36 are written as 6 × 6, which is the same on the wire.
 
@@ -7,6 +8,8 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use serde::{Deserialize, Serialize};
 
 use crate::base;
+use crate::robot::Robot as _;
+use crate::sim::Simulator;
 
 /// `builtin_interfaces/Time`, also used for `Duration`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -27,6 +30,11 @@ impl Time {
     /// A duration of so many seconds; negative ones become zero.
     pub fn after_s(seconds: f64) -> Self {
         let nanoseconds = (seconds.max(0.0) * 1e9).round() as u64;
+        Time::at_ns(nanoseconds)
+    }
+
+    /// So many nanoseconds since 1970.
+    pub fn at_ns(nanoseconds: u64) -> Self {
         Time {
             sec: i32::try_from(nanoseconds / 1_000_000_000).unwrap_or(i32::MAX),
             nanosec: (nanoseconds % 1_000_000_000) as u32,
@@ -57,6 +65,12 @@ pub struct Vector3 {
     pub y: f64,
     /// Up.
     pub z: f64,
+}
+
+impl From<[f64; 3]> for Vector3 {
+    fn from([x, y, z]: [f64; 3]) -> Self {
+        Vector3 { x, y, z }
+    }
 }
 
 /// `geometry_msgs/Quaternion`.
@@ -146,6 +160,30 @@ pub struct Odometry {
     pub twist: TwistWithCovariance,
 }
 
+impl Odometry {
+    /// Where the simulated base is, how it moves, and how sure that is.
+    pub fn of(robot: &Simulator, header: Header, child_frame_id: String) -> Self {
+        let odometry = robot.odometry();
+        // x, y, z and the turns about them; of ours, 0, 1 and 5.
+        let (mut covariance, ours) = ([[0.0; 6]; 6], [0, 1, 5]);
+        for (row, values) in robot.covariance().iter().enumerate() {
+            for (column, value) in values.iter().enumerate() {
+                covariance[ours[row]][ours[column]] = *value;
+            }
+        }
+        let Transform { translation, rotation } = Transform::of_base(robot);
+        Odometry {
+            header,
+            child_frame_id,
+            pose: PoseWithCovariance {
+                pose: Pose { position: translation, orientation: rotation },
+                covariance,
+            },
+            twist: TwistWithCovariance { twist: odometry.twist.into(), covariance: [[0.0; 6]; 6] },
+        }
+    }
+}
+
 /// `geometry_msgs/Transform`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Transform {
@@ -153,6 +191,17 @@ pub struct Transform {
     pub translation: Vector3,
     /// Unit quaternion.
     pub rotation: Quaternion,
+}
+
+impl Transform {
+    /// The simulated base in the frame in which it started.
+    pub fn of_base(robot: &Simulator) -> Self {
+        let odometry = robot.odometry();
+        Transform {
+            translation: Vector3 { x: odometry.x_m, y: odometry.y_m, z: 0.0 },
+            rotation: Quaternion::yaw(odometry.heading_rad),
+        }
+    }
 }
 
 /// `geometry_msgs/TransformStamped`.
@@ -186,6 +235,55 @@ pub struct JointState {
     pub velocity: Vec<f64>,
     /// Nm; may be empty.
     pub effort: Vec<f64>,
+}
+
+/// `sensor_msgs/Imu`. A covariance that begins with -1 says that there is no such reading.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Imu {
+    /// When, and of which part.
+    pub header: Header,
+    /// Unit quaternion.
+    pub orientation: Quaternion,
+    /// Row by row.
+    pub orientation_covariance: [f64; 9],
+    /// rad/s.
+    pub angular_velocity: Vector3,
+    /// Row by row.
+    pub angular_velocity_covariance: [f64; 9],
+    /// m/s².
+    pub linear_acceleration: Vector3,
+    /// Row by row.
+    pub linear_acceleration_covariance: [f64; 9],
+}
+
+/// `sensor_msgs/MagneticField`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct MagneticField {
+    /// When, and of which part.
+    pub header: Header,
+    /// Tesla.
+    pub magnetic_field: Vector3,
+    /// Row by row.
+    pub magnetic_field_covariance: [f64; 9],
+}
+
+/// `rcl_interfaces/Log`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Log {
+    /// When.
+    pub stamp: Time,
+    /// 20 = to know, 30 = a warning.
+    pub level: u8,
+    /// Who says it.
+    pub name: String,
+    /// What.
+    pub msg: String,
+    /// Source file; empty here.
+    pub file: String,
+    /// Function; empty here.
+    pub function: String,
+    /// Line; 0 here.
+    pub line: u32,
 }
 
 /// `trajectory_msgs/JointTrajectoryPoint`.

@@ -408,28 +408,12 @@ impl RosNode {
             velocity: arm.velocity_rad_s.to_vec(),
             effort: Vec::new(),
         };
-        let odometry = simulator.odometry();
-        let place = ros::Vector3 { x: odometry.x_m, y: odometry.y_m, z: 0.0 };
-        let turn = ros::Quaternion::yaw(odometry.heading_rad);
-        let mut pose_covariance = [[0.0; 6]; 6];
-        let covariance = simulator.covariance();
-        // x, y and the turn about z among the six.
-        for (row, &to_row) in [0, 1, 5].iter().enumerate() {
-            for (col, &to_col) in [0, 1, 5].iter().enumerate() {
-                pose_covariance[to_row][to_col] = covariance[row][col];
-            }
-        }
-        let pose = ros::Pose { position: place, orientation: turn };
-        let odom = ros::Odometry {
-            header: header(&self.config.odom_frame),
-            child_frame_id: self.config.base_frame.clone(),
-            pose: ros::PoseWithCovariance { pose, covariance: pose_covariance },
-            twist: ros::TwistWithCovariance { twist: odometry.twist.into(), covariance: [[0.0; 6]; 6] },
-        };
+        let base_frame = || self.config.base_frame.clone();
+        let odom = ros::Odometry::of(simulator, header(&self.config.odom_frame), base_frame());
         let transform = ros::TransformStamped {
             header: header(&self.config.odom_frame),
-            child_frame_id: self.config.base_frame.clone(),
-            transform: ros::Transform { translation: place, rotation: turn },
+            child_frame_id: base_frame(),
+            transform: ros::Transform::of_base(simulator),
         };
         let sent = [
             topics.joint_states.publish(joint_state).is_ok(),

@@ -1,106 +1,238 @@
 //! CDR, little endian, as ROS 2 writes its messages: four bytes of header, then the fields in turn, each
 //! aligned to its size as counted from behind the header.
+//!
+//! [`encode`] takes whatever serde can show that CDR knows: numbers, texts, sequences, arrays and structures.
+//! The messages' types are thereby those that go over DDS, too ([`crate::ros2::message`]).
 
-/// Writes one message.
-#[derive(Debug)]
-pub struct Writer {
-    bytes: Vec<u8>,
-}
+use std::fmt;
+
+use serde::Serialize;
+use serde::ser::{Impossible, SerializeSeq, SerializeStruct, SerializeTuple, Serializer};
 
 /// Marks CDR, little endian.
 const HEADER: [u8; 4] = [0, 1, 0, 0];
 
+/// One message.
+///
+/// # Errors
+/// It has something that ROS 2 messages have not: options, maps, enumerations with values.
+pub fn encode(message: &impl Serialize) -> Result<Vec<u8>, fmt::Error> {
+    let mut writer = Writer { bytes: HEADER.to_vec() };
+    message.serialize(&mut writer)?;
+    Ok(writer.bytes)
+}
+
+struct Writer {
+    bytes: Vec<u8>,
+}
+
+type Done = Result<(), fmt::Error>;
+
 impl Writer {
-    /// An empty message.
-    pub fn new() -> Self {
-        Writer { bytes: HEADER.to_vec() }
-    }
-
-    fn put<const N: usize>(&mut self, value: [u8; N]) -> &mut Self {
-        while !(self.bytes.len() - HEADER.len()).is_multiple_of(N) {
-            self.bytes.push(0);
-        }
+    fn put<const N: usize>(&mut self, value: [u8; N]) -> Done {
+        let length = (self.bytes.len() - HEADER.len()).next_multiple_of(N) + HEADER.len();
+        self.bytes.resize(length, 0);
         self.bytes.extend_from_slice(&value);
-        self
-    }
-
-    /// `uint8`.
-    pub fn u8(&mut self, value: u8) -> &mut Self {
-        self.put([value])
-    }
-
-    /// `int16`.
-    pub fn i16(&mut self, value: i16) -> &mut Self {
-        self.put(value.to_le_bytes())
-    }
-
-    /// `uint16`.
-    pub fn u16(&mut self, value: u16) -> &mut Self {
-        self.put(value.to_le_bytes())
-    }
-
-    /// `int32`.
-    pub fn i32(&mut self, value: i32) -> &mut Self {
-        self.put(value.to_le_bytes())
-    }
-
-    /// `uint32`.
-    pub fn u32(&mut self, value: u32) -> &mut Self {
-        self.put(value.to_le_bytes())
-    }
-
-    /// `uint64`.
-    pub fn u64(&mut self, value: u64) -> &mut Self {
-        self.put(value.to_le_bytes())
-    }
-
-    /// `float32`.
-    pub fn f32(&mut self, value: f32) -> &mut Self {
-        self.put(value.to_le_bytes())
-    }
-
-    /// `float64`.
-    pub fn f64(&mut self, value: f64) -> &mut Self {
-        self.put(value.to_le_bytes())
-    }
-
-    /// `float64[N]`, or any run of such fields.
-    pub fn f64s(&mut self, values: &[f64]) -> &mut Self {
-        for value in values {
-            self.f64(*value);
-        }
-        self
+        Ok(())
     }
 
     /// The length of a sequence, before its elements.
-    pub fn count(&mut self, count: usize) -> &mut Self {
-        self.u32(u32::try_from(count).unwrap_or(u32::MAX))
-    }
-
-    /// `string`.
-    pub fn string(&mut self, text: &str) -> &mut Self {
-        self.count(text.len() + 1);
-        self.bytes.extend_from_slice(text.as_bytes());
-        self.bytes.push(0);
-        self
-    }
-
-    /// `uint8[]`.
-    pub fn blob(&mut self, bytes: &[u8]) -> &mut Self {
-        self.count(bytes.len());
-        self.bytes.extend_from_slice(bytes);
-        self
-    }
-
-    /// The message.
-    pub fn take(&mut self) -> Vec<u8> {
-        std::mem::take(&mut self.bytes)
+    fn count(&mut self, count: usize) -> Done {
+        self.put(u32::try_from(count).map_err(|_| fmt::Error)?.to_le_bytes())
     }
 }
 
-impl Default for Writer {
-    fn default() -> Self {
-        Writer::new()
+impl Serializer for &mut Writer {
+    type Ok = ();
+    type Error = fmt::Error;
+    type SerializeSeq = Self;
+    type SerializeTuple = Self;
+    type SerializeTupleStruct = Impossible<(), fmt::Error>;
+    type SerializeTupleVariant = Impossible<(), fmt::Error>;
+    type SerializeMap = Impossible<(), fmt::Error>;
+    type SerializeStruct = Self;
+    type SerializeStructVariant = Impossible<(), fmt::Error>;
+
+    fn serialize_bool(self, value: bool) -> Done {
+        self.put([u8::from(value)])
+    }
+
+    fn serialize_i8(self, value: i8) -> Done {
+        self.put(value.to_le_bytes())
+    }
+
+    fn serialize_i16(self, value: i16) -> Done {
+        self.put(value.to_le_bytes())
+    }
+
+    fn serialize_i32(self, value: i32) -> Done {
+        self.put(value.to_le_bytes())
+    }
+
+    fn serialize_i64(self, value: i64) -> Done {
+        self.put(value.to_le_bytes())
+    }
+
+    fn serialize_u8(self, value: u8) -> Done {
+        self.put([value])
+    }
+
+    fn serialize_u16(self, value: u16) -> Done {
+        self.put(value.to_le_bytes())
+    }
+
+    fn serialize_u32(self, value: u32) -> Done {
+        self.put(value.to_le_bytes())
+    }
+
+    fn serialize_u64(self, value: u64) -> Done {
+        self.put(value.to_le_bytes())
+    }
+
+    fn serialize_f32(self, value: f32) -> Done {
+        self.put(value.to_le_bytes())
+    }
+
+    fn serialize_f64(self, value: f64) -> Done {
+        self.put(value.to_le_bytes())
+    }
+
+    fn serialize_char(self, _: char) -> Done {
+        Err(fmt::Error)
+    }
+
+    fn serialize_str(self, text: &str) -> Done {
+        self.count(text.len() + 1)?;
+        self.bytes.extend_from_slice(text.as_bytes());
+        self.put([0])
+    }
+
+    fn serialize_bytes(self, bytes: &[u8]) -> Done {
+        self.count(bytes.len())?;
+        self.bytes.extend_from_slice(bytes);
+        Ok(())
+    }
+
+    fn serialize_none(self) -> Done {
+        Err(fmt::Error)
+    }
+
+    fn serialize_some<T: Serialize + ?Sized>(self, _: &T) -> Done {
+        Err(fmt::Error)
+    }
+
+    fn serialize_unit(self) -> Done {
+        Err(fmt::Error)
+    }
+
+    fn serialize_unit_struct(self, _: &'static str) -> Done {
+        Err(fmt::Error)
+    }
+
+    fn serialize_unit_variant(self, _: &'static str, _: u32, _: &'static str) -> Done {
+        Err(fmt::Error)
+    }
+
+    fn serialize_newtype_struct<T: Serialize + ?Sized>(self, _: &'static str, value: &T) -> Done {
+        value.serialize(self)
+    }
+
+    fn serialize_newtype_variant<T: Serialize + ?Sized>(
+        self,
+        _: &'static str,
+        _: u32,
+        _: &'static str,
+        _: &T,
+    ) -> Done {
+        Err(fmt::Error)
+    }
+
+    fn serialize_seq(self, length: Option<usize>) -> Result<Self, fmt::Error> {
+        self.count(length.ok_or(fmt::Error)?)?;
+        Ok(self)
+    }
+
+    fn serialize_tuple(self, _: usize) -> Result<Self, fmt::Error> {
+        Ok(self)
+    }
+
+    fn serialize_tuple_struct(
+        self,
+        _: &'static str,
+        _: usize,
+    ) -> Result<Self::SerializeTupleStruct, fmt::Error> {
+        Err(fmt::Error)
+    }
+
+    fn serialize_tuple_variant(
+        self,
+        _: &'static str,
+        _: u32,
+        _: &'static str,
+        _: usize,
+    ) -> Result<Self::SerializeTupleVariant, fmt::Error> {
+        Err(fmt::Error)
+    }
+
+    fn serialize_map(self, _: Option<usize>) -> Result<Self::SerializeMap, fmt::Error> {
+        Err(fmt::Error)
+    }
+
+    fn serialize_struct(self, _: &'static str, _: usize) -> Result<Self, fmt::Error> {
+        Ok(self)
+    }
+
+    fn serialize_struct_variant(
+        self,
+        _: &'static str,
+        _: u32,
+        _: &'static str,
+        _: usize,
+    ) -> Result<Self::SerializeStructVariant, fmt::Error> {
+        Err(fmt::Error)
+    }
+
+    fn is_human_readable(&self) -> bool {
+        false
+    }
+}
+
+impl SerializeSeq for &mut Writer {
+    type Ok = ();
+    type Error = fmt::Error;
+
+    fn serialize_element<T: Serialize + ?Sized>(&mut self, value: &T) -> Done {
+        value.serialize(&mut **self)
+    }
+
+    fn end(self) -> Done {
+        Ok(())
+    }
+}
+
+impl SerializeTuple for &mut Writer {
+    type Ok = ();
+    type Error = fmt::Error;
+
+    fn serialize_element<T: Serialize + ?Sized>(&mut self, value: &T) -> Done {
+        value.serialize(&mut **self)
+    }
+
+    fn end(self) -> Done {
+        Ok(())
+    }
+}
+
+impl SerializeStruct for &mut Writer {
+    type Ok = ();
+    type Error = fmt::Error;
+
+    fn serialize_field<T: Serialize + ?Sized>(&mut self, _: &'static str, value: &T) -> Done {
+        value.serialize(&mut **self)
+    }
+
+    fn end(self) -> Done {
+        Ok(())
     }
 }
 
@@ -157,21 +289,46 @@ impl<'a> Reader<'a> {
 mod tests {
     use super::*;
 
+    #[derive(Serialize)]
+    struct Inner<'a> {
+        flag: bool,
+        data: &'a [u8],
+    }
+
+    #[derive(Serialize)]
+    struct Example<'a> {
+        kind: u8,
+        count: u32,
+        text: &'a str,
+        value: f64,
+        pair: [i16; 2],
+        many: Vec<Inner<'a>>,
+    }
+
     #[test]
     fn fields_are_aligned_behind_the_header_and_texts_end_in_zero() {
-        let mut writer = Writer::new();
-        let message = writer.u8(7).u32(1).string("ab").f64(1.5).blob(&[9, 8]).take();
+        let many = vec![Inner { flag: true, data: &[9, 8] }];
+        let message =
+            encode(&Example { kind: 7, count: 1, text: "ab", value: 1.5, pair: [-1, 2], many }).unwrap();
         let mut expected = vec![0, 1, 0, 0, 7, 0, 0, 0, 1, 0, 0, 0, 3, 0, 0, 0, b'a', b'b', 0];
         // 15 bytes behind the header: one of padding before the double.
         expected.push(0);
         expected.extend(1.5_f64.to_le_bytes());
-        expected.extend([2, 0, 0, 0, 9, 8]);
+        // An array has no length; a sequence has.
+        expected.extend([255, 255, 2, 0, 1, 0, 0, 0, 1, 0, 0, 0, 2, 0, 0, 0, 9, 8]);
         assert_eq!(message, expected);
     }
 
     #[test]
+    fn what_no_message_of_ros_has_is_an_error() {
+        assert!(encode(&Some(1)).is_err());
+        assert!(encode(&()).is_err());
+        assert!(encode(&std::collections::BTreeMap::from([(1, 2)])).is_err());
+    }
+
+    #[test]
     fn what_is_cut_short_or_of_another_kind_is_none() {
-        let message = Writer::new().u8(1).u64(5).blob(b"xyz").take();
+        let message = encode(&(1_u8, 5_u64, b"xyz".as_slice())).unwrap();
         let read = |bytes: &[u8]| {
             let mut reader = Reader::new(bytes)?;
             Some((reader.u8()?, reader.u64()?, reader.blob()?.to_vec()))

@@ -1,12 +1,15 @@
 //! Every message, made from what observers are shown.
 
+use serde::Serialize;
+
 use super::Topic;
-use super::cdr::Writer;
+use super::cdr::encode;
 use crate::arm::Pose;
 use crate::bridge::{BridgeEvent, EventKind};
 use crate::describe;
 use crate::observe::{Now, OperatorKey, Sample, Turn};
 use crate::robot::Robot as _;
+use crate::ros2::message::{self as ros, Header, Time};
 use crate::safety::Hand;
 use crate::session::SessionEvent;
 
@@ -35,83 +38,62 @@ pub struct Origin {
     pub nanoseconds: u64,
 }
 
+impl Entry {
+    fn new(topic: Topic, time_ms: u64, message: &impl Serialize) -> Self {
+        // No type of ours, or of those of ROS, has anything that CDR has not.
+        Entry { topic, time_ms, data: encode(message).unwrap_or_default() }
+    }
+}
+
 impl Origin {
     /// The time of day.
     pub fn at(self, time_ms: u64) -> u64 {
         self.nanoseconds.saturating_add(time_ms.saturating_mul(1_000_000))
     }
 
-    fn stamp(self, writer: &mut Writer, time_ms: u64) {
-        let at = self.at(time_ms);
-        let seconds = i32::try_from(at / 1_000_000_000).unwrap_or(i32::MAX);
-        writer.i32(seconds).u32((at % 1_000_000_000) as u32);
+    fn stamp(self, time_ms: u64) -> Time {
+        Time::at_ns(self.at(time_ms))
     }
 
-    fn header(self, writer: &mut Writer, time_ms: u64, frame: &str) {
-        self.stamp(writer, time_ms);
-        writer.string(frame);
-    }
-
-    fn with_header(self, time_ms: u64, frame: &str) -> Writer {
-        let mut writer = Writer::new();
-        self.header(&mut writer, time_ms, frame);
-        writer
+    fn header(self, time_ms: u64, frame: &str) -> Header {
+        Header { stamp: self.stamp(time_ms), frame_id: frame.to_owned() }
     }
 
     /// Bytes of a link.
-    pub fn bytes(self, time_ms: u64, hand: Hand, received: bool, bytes: &[u8]) -> Entry {
+    pub fn bytes(self, time_ms: u64, hand: Hand, received: bool, data: &[u8]) -> Entry {
         let topic = match (hand, received) {
             (Hand::Left, true) => Topic::LeftReceived,
             (Hand::Left, false) => Topic::LeftSent,
             (Hand::Right, true) => Topic::RightReceived,
             (Hand::Right, false) => Topic::RightSent,
         };
-        let mut writer = Writer::new();
-        self.stamp(&mut writer, time_ms);
-        Entry { topic, time_ms, data: writer.u64(time_ms).blob(bytes).take() }
+        Entry::new(topic, time_ms, &Bytes { stamp: self.stamp(time_ms), time_ms, data })
     }
 
     /// A key.
     pub fn operated(self, time_ms: u64, key: OperatorKey) -> Entry {
-        let mut writer = Writer::new();
-        self.stamp(&mut writer, time_ms);
-        let data = writer.u64(time_ms).u8(u8::from(key == OperatorKey::Release)).take();
-        Entry { topic: Topic::Operated, time_ms, data }
+        let key = u8::from(key == OperatorKey::Release);
+        Entry::new(Topic::Operated, time_ms, &Operated { stamp: self.stamp(time_ms), time_ms, key })
     }
 
     /// Steps, of which the last one ended at `time_ms`.
     pub fn turns(self, time_ms: u64, turns: &[Turn]) -> Entry {
-        let mut writer = Writer::new();
-        writer.count(turns.len());
-        for turn in turns {
-            match turn {
-                Turn::Decided(ms) => writer.u8(0).u64(*ms),
-                Turn::Moved(ms) => writer.u8(1).u64(*ms),
-            };
-        }
-        Entry { topic: Topic::Turns, time_ms, data: writer.take() }
+        let turn = |turn: &Turn| match turn {
+            Turn::Decided(ms) => OneTurn { kind: 0, ms: *ms },
+            Turn::Moved(ms) => OneTurn { kind: 1, ms: *ms },
+        };
+        Entry::new(Topic::Turns, time_ms, &Turns { turns: turns.iter().map(turn).collect() })
     }
 
     /// A reading: as the recording has it, and as ROS wants it.
     pub fn sample(self, time_ms: u64, sample: &Sample<'_>) -> Vec<Entry> {
-        let entry = |topic, mut writer: Writer| Entry { topic, time_ms, data: writer.take() };
-        match sample {
+        match *sample {
             Sample::Left { counts, bends_permille } => {
-                let mut writer = self.with_header(time_ms, "left_hand");
-                counts.iter().for_each(|count| {
-                    writer.u16(*count);
-                });
-                bends_permille.iter().for_each(|bend| {
-                    writer.i16(*bend);
-                });
-                vec![entry(Topic::LeftSample, writer)]
+                let header = self.header(time_ms, "left_hand");
+                vec![Entry::new(Topic::LeftSample, time_ms, &LeftSample { header, counts, bends_permille })]
             }
             Sample::Right { values } => {
-                let mut raw = self.with_header(time_ms, "right_hand");
-                raw.count(values.len());
-                values.iter().for_each(|value| {
-                    raw.f32(*value);
-                });
+                let header = self.header(time_ms, "right_hand");
                 let three = |from: usize, factor: f64| -> Option<[f64; 3]> {
                     let found = values.get(from..from + 3)?;
                     Some([0, 1, 2].map(|i| f64::from(found[i]) * factor))
@@ -119,21 +101,25 @@ impl Origin {
                 // A first element of -1 is ROS's way to say that there is no such reading.
                 let mut unknown = [0.0; 9];
                 unknown[0] = -1.0;
-                let known = [0.0; 9];
-                let mut entries = vec![entry(Topic::RightSample, raw)];
+                let raw = RightSample { header: header.clone(), values };
+                let mut entries = vec![Entry::new(Topic::RightSample, time_ms, &raw)];
                 if let Some(acceleration) = three(0, 1.0) {
-                    let mut imu = self.with_header(time_ms, "right_hand");
-                    imu.f64s(&[0.0, 0.0, 0.0, 1.0]).f64s(&unknown);
                     let turning = three(3, std::f64::consts::PI / 180.0);
-                    imu.f64s(&turning.unwrap_or_default());
-                    imu.f64s(if turning.is_some() { &known } else { &unknown });
-                    imu.f64s(&acceleration).f64s(&known);
-                    entries.push(entry(Topic::Imu, imu));
+                    let imu = ros::Imu {
+                        header: header.clone(),
+                        orientation: ros::Quaternion { w: 1.0, ..ros::Quaternion::default() },
+                        orientation_covariance: unknown,
+                        angular_velocity: turning.unwrap_or_default().into(),
+                        angular_velocity_covariance: if turning.is_some() { [0.0; 9] } else { unknown },
+                        linear_acceleration: acceleration.into(),
+                        linear_acceleration_covariance: [0.0; 9],
+                    };
+                    entries.push(Entry::new(Topic::Imu, time_ms, &imu));
                 }
                 if let Some(field) = three(6, 1e-6) {
-                    let mut magnetic = self.with_header(time_ms, "right_hand");
-                    magnetic.f64s(&field).f64s(&known);
-                    entries.push(entry(Topic::Magnetic, magnetic));
+                    let magnetic =
+                        ros::MagneticField { header, magnetic_field: field.into(), ..Default::default() };
+                    entries.push(Entry::new(Topic::Magnetic, time_ms, &magnetic));
                 }
                 entries
             }
@@ -145,26 +131,23 @@ impl Origin {
         let time_ms = describe::time_ms(event);
         let text = describe::text(event);
         let mut entries = Vec::new();
-        let mut push =
-            |topic, writer: &mut Writer| entries.push(Entry { topic, time_ms, data: writer.take() });
         let mut warning = false;
         if let SessionEvent::Bridge(bridge_event) = event {
             let BridgeEvent { kind, .. } = bridge_event;
-            let json = serde_json::to_string(bridge_event).unwrap_or_default();
-            push(Topic::Events, self.with_header(time_ms, "").u64(time_ms).string(&text).string(&json));
-            if let Some(intent) = Intent::of(kind) {
-                let mut writer = self.with_header(time_ms, "");
-                writer.string(intent.hand).string(&intent.name).string(&intent.outcome);
-                writer.f32(intent.confidence).u64(intent.age_ms).f64s(&intent.speed);
-                push(Topic::Intents, &mut writer);
+            let (header, json) =
+                (self.header(time_ms, ""), serde_json::to_string(bridge_event).unwrap_or_default());
+            let event = Event { header: header.clone(), time_ms, text: &text, json: &json };
+            entries.push(Entry::new(Topic::Events, time_ms, &event));
+            if let Some(intent) = Intent::of(kind, &header) {
+                entries.push(Entry::new(Topic::Intents, time_ms, &intent));
             }
             let stop = match kind {
-                EventKind::Halt { reason } => Some((1, plain(reason))),
-                EventKind::Released => Some((0, String::new())),
+                EventKind::Halt { reason } => Some((true, plain(reason))),
+                EventKind::Released => Some((false, String::new())),
                 _ => None,
             };
             if let Some((halted, reason)) = stop {
-                push(Topic::Stops, self.with_header(time_ms, "").u8(halted).string(&reason));
+                entries.push(Entry::new(Topic::Stops, time_ms, &Stop { header, halted, reason }));
             }
             warning = matches!(
                 kind,
@@ -174,108 +157,176 @@ impl Origin {
                     | EventKind::MotionRefused { .. }
             );
         }
-        let mut log = Writer::new();
-        self.stamp(&mut log, time_ms);
-        log.u8(if warning { 30 } else { 20 }).string("bimanual").string(&text).string("").string("").u32(0);
-        push(Topic::Log, &mut log);
+        let log = ros::Log {
+            stamp: self.stamp(time_ms),
+            level: if warning { 30 } else { 20 },
+            name: "bimanual".to_owned(),
+            msg: text,
+            ..ros::Log::default()
+        };
+        entries.push(Entry::new(Topic::Log, time_ms, &log));
         entries
     }
 
     /// What the hands say.
     pub fn hands(self, now: &Now<'_>) -> Entry {
         let bridge = now.bridge;
-        let left = bridge.left_state();
-        let mut writer = self.with_header(now.time_ms, "");
-        writer.string(&plain(&bridge.safety().state()));
-        writer.f64(f64::from(left.pitch_mrad) / 1000.0).f64(f64::from(left.roll_mrad) / 1000.0);
-        writer.string(describe::heading_name(left.heading.into())).u8(u8::from(left.stop));
-        let labels = bridge.link(Hand::Right).model().map_or(&[][..], |model| &model.labels);
-        writer.count(labels.len());
-        for label in labels {
-            writer.string(label);
-        }
-        writer.count(bridge.scores().len());
-        for score in bridge.scores() {
-            writer.f32(*score);
-        }
-        let caps = bridge.caps();
-        writer.f64(caps.linear_m_s).f64(caps.angular_rad_s);
-        Entry { topic: Topic::Hands, time_ms: now.time_ms, data: writer.take() }
+        let (left, caps) = (bridge.left_state(), bridge.caps());
+        let hands = Hands {
+            header: self.header(now.time_ms, ""),
+            safety: plain(&bridge.safety().state()),
+            pitch_rad: f64::from(left.pitch_mrad) / 1000.0,
+            roll_rad: f64::from(left.roll_mrad) / 1000.0,
+            heading: describe::heading_name(left.heading.into()),
+            both_fingers: left.stop,
+            labels: bridge.link(Hand::Right).model().map_or(&[][..], |model| &model.labels),
+            scores: bridge.scores(),
+            cap_m_s: caps.linear_m_s,
+            cap_rad_s: caps.angular_rad_s,
+        };
+        Entry::new(Topic::Hands, now.time_ms, &hands)
     }
 
     /// What the base is asked for.
     pub fn twist(self, now: &Now<'_>) -> Entry {
-        let twist = now.bridge.twist();
-        let mut writer = self.with_header(now.time_ms, BASE);
-        writer.f64s(&[twist.linear_m_s, 0.0, 0.0]).f64s(&[0.0, 0.0, twist.angular_rad_s]);
-        Entry { topic: Topic::Twist, time_ms: now.time_ms, data: writer.take() }
+        let twist =
+            ros::TwistStamped { header: self.header(now.time_ms, BASE), twist: now.bridge.twist().into() };
+        Entry::new(Topic::Twist, now.time_ms, &twist)
     }
 
     /// Arm joints, then the wheels.
     pub fn joints(self, now: &Now<'_>) -> Entry {
         let (arm, model) = (now.robot.arm(), now.robot.arm_model());
         let joints = model.joints.len().min(arm.joints_rad.len());
-        let mut writer = self.with_header(now.time_ms, "");
-        writer.count(joints + 2);
-        for joint in &model.joints[..joints] {
-            writer.string(&joint.name);
-        }
-        writer.string("left_wheel").string("right_wheel");
-        writer.count(joints + 2).f64s(&arm.joints_rad[..joints]).f64s(&now.robot.wheels_rad());
-        writer.count(joints + 2).f64s(&arm.velocity_rad_s[..joints]).f64s(&now.robot.wheels_rad_s());
-        writer.count(0);
-        Entry { topic: Topic::Joints, time_ms: now.time_ms, data: writer.take() }
+        let names = model.joints[..joints].iter().map(|joint| joint.name.as_str());
+        let state = ros::JointState {
+            header: self.header(now.time_ms, ""),
+            name: names.chain(["left_wheel", "right_wheel"]).map(str::to_owned).collect(),
+            position: [&arm.joints_rad[..joints], &now.robot.wheels_rad()].concat(),
+            velocity: [&arm.velocity_rad_s[..joints], &now.robot.wheels_rad_s()].concat(),
+            effort: Vec::new(),
+        };
+        Entry::new(Topic::Joints, now.time_ms, &state)
     }
 
     /// Where the base is, and how sure that is.
     pub fn odometry(self, now: &Now<'_>) -> Entry {
-        let odometry = now.robot.odometry();
-        let mut writer = self.with_header(now.time_ms, ODOM);
-        writer.string(BASE);
-        writer.f64s(&[odometry.x_m, odometry.y_m, 0.0]).f64s(&about_z(odometry.heading_rad));
-        // Rows and columns: x, y, z and the turns about them; of ours, 0, 1 and 5.
-        let mut covariance = [0.0; 36];
-        let ours = [0, 1, 5];
-        for (row, values) in now.robot.covariance().iter().enumerate() {
-            for (column, value) in values.iter().enumerate() {
-                covariance[6 * ours[row] + ours[column]] = *value;
-            }
-        }
-        writer.f64s(&covariance);
-        let twist = odometry.twist;
-        writer.f64s(&[twist.linear_m_s, 0.0, 0.0, 0.0, 0.0, twist.angular_rad_s]).f64s(&[0.0; 36]);
-        Entry { topic: Topic::Odometry, time_ms: now.time_ms, data: writer.take() }
+        let odometry = ros::Odometry::of(now.robot, self.header(now.time_ms, ODOM), BASE.to_owned());
+        Entry::new(Topic::Odometry, now.time_ms, &odometry)
     }
 
     /// Base in the world, foot on the base, links and flange on the foot.
     pub fn transforms(self, now: &Now<'_>) -> Entry {
-        let (odometry, model) = (now.robot.odometry(), now.robot.arm_model());
+        let model = now.robot.arm_model();
         let links = model.link_poses(&now.robot.arm().joints_rad);
         let joints = model.joints.len().min(links.len() - 1);
-        let mut writer = Writer::new();
-        writer.count(3 + joints);
-        let mut put = |parent: &str, child: &str, at_m: [f64; 3], turned_xyzw: [f64; 4]| {
-            self.header(&mut writer, now.time_ms, parent);
-            writer.string(child).f64s(&at_m).f64s(&turned_xyzw);
+        let put = |parent: &str, child: String, transform| ros::TransformStamped {
+            header: self.header(now.time_ms, parent),
+            child_frame_id: child,
+            transform,
         };
-        put(ODOM, BASE, [odometry.x_m, odometry.y_m, 0.0], about_z(odometry.heading_rad));
-        put(BASE, ARM, now.robot.scene().base.mount_m, about_z(0.0));
+        let on_foot =
+            |pose: &Pose| ros::Transform { translation: pose.position_m.into(), rotation: quaternion(pose) };
+        let foot = ros::Transform {
+            translation: now.robot.scene().base.mount_m.into(),
+            rotation: ros::Quaternion::yaw(0.0),
+        };
+        let mut transforms = vec![
+            put(ODOM, BASE.to_owned(), ros::Transform::of_base(now.robot)),
+            put(BASE, ARM.to_owned(), foot),
+        ];
         for (joint, pose) in model.joints.iter().zip(&links[..joints]) {
-            put(ARM, &format!("{}_link", joint.name), pose.position_m, quaternion_xyzw(pose));
+            transforms.push(put(ARM, format!("{}_link", joint.name), on_foot(pose)));
         }
-        let flange = &links[links.len() - 1];
-        put(ARM, "flange", flange.position_m, quaternion_xyzw(flange));
-        Entry { topic: Topic::Transforms, time_ms: now.time_ms, data: writer.take() }
+        transforms.push(put(ARM, "flange".to_owned(), on_foot(&links[links.len() - 1])));
+        Entry::new(Topic::Transforms, now.time_ms, &ros::TfMessage { transforms })
     }
 
     /// So many messages are missing.
     pub fn lost(self, time_ms: u64, messages: u64) -> Entry {
-        Entry { topic: Topic::Lost, time_ms, data: self.with_header(time_ms, "").u64(messages).take() }
+        Entry::new(Topic::Lost, time_ms, &Lost { header: self.header(time_ms, ""), messages })
     }
 }
 
+// Our own types, field by field as `TYPES` (in the module above) describes them.
+
+#[derive(Serialize)]
+struct Bytes<'a> {
+    stamp: Time,
+    time_ms: u64,
+    data: &'a [u8],
+}
+
+#[derive(Serialize)]
+struct Operated {
+    stamp: Time,
+    time_ms: u64,
+    key: u8,
+}
+
+#[derive(Serialize)]
+struct Turns {
+    turns: Vec<OneTurn>,
+}
+
+#[derive(Serialize)]
+struct OneTurn {
+    kind: u8,
+    ms: u64,
+}
+
+#[derive(Serialize)]
+struct LeftSample {
+    header: Header,
+    counts: [u16; 5],
+    bends_permille: [i16; 2],
+}
+
+#[derive(Serialize)]
+struct RightSample<'a> {
+    header: Header,
+    values: &'a [f32],
+}
+
+#[derive(Serialize)]
+struct Hands<'a> {
+    header: Header,
+    safety: String,
+    pitch_rad: f64,
+    roll_rad: f64,
+    heading: &'a str,
+    both_fingers: bool,
+    labels: &'a [String],
+    scores: &'a [f32],
+    cap_m_s: f64,
+    cap_rad_s: f64,
+}
+
+#[derive(Serialize)]
+struct Event<'a> {
+    header: Header,
+    time_ms: u64,
+    text: &'a str,
+    json: &'a str,
+}
+
+#[derive(Serialize)]
+struct Stop {
+    header: Header,
+    halted: bool,
+    reason: String,
+}
+
+#[derive(Serialize)]
+struct Lost {
+    header: Header,
+    messages: u64,
+}
+
 /// An event that a hand asked for.
+#[derive(Serialize)]
 struct Intent {
+    header: Header,
     hand: &'static str,
     name: String,
     outcome: String,
@@ -286,9 +337,11 @@ struct Intent {
 }
 
 impl Intent {
-    fn of(kind: &EventKind) -> Option<Self> {
+    fn of(kind: &EventKind, header: &Header) -> Option<Self> {
+        let header = header.clone();
         match kind {
             EventKind::Heading { heading, twist, age_ms, .. } => Some(Intent {
+                header,
                 hand: "left",
                 name: describe::heading_name(*heading).to_owned(),
                 outcome: "drive".to_owned(),
@@ -297,6 +350,7 @@ impl Intent {
                 speed: [twist.linear_m_s, twist.angular_rad_s],
             }),
             EventKind::Caps { cap, .. } => Some(Intent {
+                header,
                 hand: "left",
                 name: "cap".to_owned(),
                 outcome: "cap".to_owned(),
@@ -305,6 +359,7 @@ impl Intent {
                 speed: [*cap, *cap],
             }),
             EventKind::Gesture { label, confidence, age_ms, outcome, .. } => Some(Intent {
+                header,
                 hand: "right",
                 name: label.clone(),
                 outcome: plain(outcome),
@@ -326,9 +381,9 @@ fn plain(value: &impl serde::Serialize) -> String {
     }
 }
 
-fn about_z(angle_rad: f64) -> [f64; 4] {
-    let (s, c) = (0.5 * angle_rad).sin_cos();
-    [0.0, 0.0, s, c]
+fn quaternion(pose: &Pose) -> ros::Quaternion {
+    let [x, y, z, w] = quaternion_xyzw(pose);
+    ros::Quaternion { x, y, z, w }
 }
 
 /// By the largest component, so that no division is by something small.
