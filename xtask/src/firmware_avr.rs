@@ -36,12 +36,11 @@ pub fn run(args: &[&str]) -> Result<()> {
         }
     }
     let folder = root().join("firmware-nano-avr");
-    let target_dir = folder.join("target");
     let mut build = toolchain::cargo(Target::Avr, "build")?;
     build.current_dir(&folder).env_remove("CARGO_TARGET_DIR").args(["--release", "--locked", "--target-dir"]);
-    build.arg(&target_dir).args(["--no-default-features", "--features", &format!("baud-{baud}")]);
+    build.arg(folder.join("target")).args(["--no-default-features", "--features", &format!("baud-{baud}")]);
     sh(&mut build)?;
-    let elf = target_dir.join("avr-none/release/firmware-nano-avr.elf");
+    let elf = image();
     let hex = elf.with_extension("hex");
     sh(Command::new("avr-objcopy").args(["-O", "ihex", "-R", ".eeprom"]).arg(&elf).arg(&hex))
         .context("avr-objcopy comes with binutils-avr")?;
@@ -73,6 +72,11 @@ pub fn run(args: &[&str]) -> Result<()> {
         bail!("the image is larger than allowed");
     }
     Ok(())
+}
+
+/// Where the image lies once it is built.
+pub fn image() -> PathBuf {
+    root().join("firmware-nano-avr/target/avr-none/release/firmware-nano-avr.elf")
 }
 
 struct Size {

@@ -57,11 +57,15 @@ fn build(name: &str, options: &[&str]) -> Result<PathBuf> {
         .current_dir(root().join("firmware-nano33"))
         .env("CARGO_TARGET_DIR", &target);
     sh(&mut command)?;
-    let folder = target.join(Target::Thumb.triple()).join("release");
-    let image = folder.join(format!("nano33-{name}"));
-    std::fs::copy(folder.join("nano33"), &image)
-        .with_context(|| format!("{} is not there", folder.display()))?;
+    let image = image(name);
+    let last = image.with_file_name("nano33");
+    std::fs::copy(&last, &image).with_context(|| format!("{} is not there", last.display()))?;
     Ok(image)
+}
+
+/// Where the image of a variant lies once it is built.
+pub fn image(name: &str) -> PathBuf {
+    target_dir().join(Target::Thumb.triple()).join("release").join(format!("nano33-{name}"))
 }
 
 fn report(image: &Path) -> Result<()> {

@@ -8,7 +8,7 @@ use anyhow::{Context, Result, bail, ensure};
 
 use crate::steps::{output, sh};
 use crate::test::cargo;
-use crate::tools::BLUETOOTH;
+use crate::tools::{self, BLUETOOTH};
 use crate::{root, target_dir};
 
 /// Files of the repository and where they go.
@@ -40,7 +40,7 @@ pub fn run() -> Result<()> {
         cfg!(all(target_os = "linux", target_arch = "x86_64")),
         "the archive is for Linux on x86-64: make it there; elsewhere `cargo install --path host-bridge`"
     );
-    BLUETOOTH.ensure()?;
+    tools::ensure(&[&BLUETOOTH])?;
     // With all its features: Bluetooth and whatever else is optional.
     sh(&mut cargo(&["build", "--release", "--locked", "-p", "host-bridge", "--all-features", "--bins"]))?;
     sh(&mut cargo(&["build", "--release", "--locked", "-p", "models", "--bins"]))?;

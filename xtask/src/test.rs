@@ -1,12 +1,18 @@
-//! `cargo xtask test`: every check, in the order in which a failure is cheapest to find.
+//! `cargo xtask test`: every check.
+//!
+//! First all is built: the laptop's side, and beside it the boards' images. Then what keeps time with the wall clock
+//! runs step by step, and beside it, at low priority, everything that gives the same result at any pace. So no
+//! processor waits for a clock or a linker.
 
-use std::process::{Command, ExitCode};
+use std::fs::File;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, ExitCode, Stdio};
 
-use anyhow::{Result, bail, ensure};
+use anyhow::{Context, Result, bail, ensure};
 
 use crate::steps::{Step, output, run_all, sh};
 use crate::tools::{BROWSER, CROSS_LINK, CROSS_RUST, EMULATORS, NETWORK, QEMU};
-use crate::{firmware_avr, firmware_nano33, python, real_data, root, target_dir, toolchain};
+use crate::{firmware_avr, firmware_nano33, python, real_data, root, target_dir, toolchain, tools};
 
 /// Runs the steps.
 ///
@@ -15,12 +21,18 @@ use crate::{firmware_avr, firmware_nano33, python, real_data, root, target_dir, 
 pub fn run(args: &[&str]) -> Result<ExitCode> {
     let mut full = false;
     let mut list = false;
+    let mut group: Option<&str> = None;
     let mut only: Option<String> = None;
     let mut args = args.iter();
     while let Some(&arg) = args.next() {
         match (arg, args.as_slice().first()) {
             ("--full", _) => full = true,
             ("--list", _) => list = true,
+            // How this program starts itself for the steps that run beside others.
+            ("--group", Some(name)) => {
+                group = Some(name);
+                args.next();
+            }
             ("--only", Some(word)) => {
                 only = Some((*word).to_string());
                 args.next();
@@ -32,18 +44,83 @@ pub fn run(args: &[&str]) -> Result<ExitCode> {
         // SAFETY: no other thread runs yet; every test below inherits it.
         unsafe { std::env::set_var("BIMANUAL_FULL", "1") };
     }
-    let mut steps = steps();
-    if let Some(word) = only {
-        steps.retain(|s| s.name.contains(&word));
-        if steps.is_empty() {
-            bail!("no step is named like `{word}`; --list names them");
+    if let Some(name) = group {
+        let (_, steps) = groups().into_iter().find(|(n, _)| *n == name).context("no such group")?;
+        return Ok(code(run_all(&steps)));
+    }
+    if only.is_some() || list {
+        let mut steps: Vec<Step> = groups().into_iter().flat_map(|(_, steps)| steps).collect();
+        if let Some(word) = only {
+            steps.retain(|s| s.name.contains(&word));
         }
+        ensure!(!steps.is_empty(), "no step is named like that; --list names them");
+        if list {
+            steps.iter().for_each(|s| println!("{}", s.name));
+            return Ok(ExitCode::SUCCESS);
+        }
+        return Ok(code(run_all(&steps)));
     }
-    if list {
-        steps.iter().for_each(|s| println!("{}", s.name));
-        return Ok(ExitCode::SUCCESS);
+    // Asked for now: a build of the workspace puts an equal file in its place, and this one has no name then.
+    let program = std::env::current_exe()?;
+    let mut passed = run_all(&tools_and_format());
+    let images = Beside::start(&program, IMAGES, 0)?;
+    passed &= run_all(&laptop());
+    passed &= images.wait()?;
+    if passed {
+        // All of it lies there: no test needs to look whether it is up to date.
+        announce("PROGRAMS", &target_dir().join("debug"));
+        announce("AVR_ELF", &firmware_avr::image());
+        announce("NANO33_ELF", &firmware_nano33::image("bootloader"));
+        announce("NANO33_BLE_ELF", &firmware_nano33::image("ble"));
     }
-    Ok(run_all(&steps))
+    let rest = Beside::start(&program, ANY_PACE, 19)?;
+    passed &= run_all(&in_time());
+    passed &= rest.wait()?;
+    Ok(code(passed))
+}
+
+/// Says in the environment of all that follows where something lies, so that nothing builds it again.
+fn announce(what: &str, path: &Path) {
+    // SAFETY: this program has one thread.
+    unsafe { std::env::set_var(format!("BIMANUAL_{what}"), path) };
+}
+
+fn code(passed: bool) -> ExitCode {
+    if passed { ExitCode::SUCCESS } else { ExitCode::FAILURE }
+}
+
+/// A group of steps in a process of its own, while other steps run here.
+struct Beside {
+    group: &'static str,
+    child: Child,
+    log: PathBuf,
+}
+
+impl Beside {
+    /// Starts it; `nice` is 0 (as this process) to 19 (only what others leave).
+    fn start(program: &Path, group: &'static str, nice: u8) -> Result<Self> {
+        std::fs::create_dir_all(target_dir())?;
+        let log = target_dir().join(format!("xtask-{}.log", group.replace(' ', "-")));
+        let file = File::create(&log).with_context(|| log.display().to_string())?;
+        let child = Command::new("nice")
+            .args(["-n", &nice.to_string()])
+            .arg(program)
+            .args(["test", "--group", group])
+            .stdin(Stdio::null())
+            .stdout(file.try_clone()?)
+            .stderr(file)
+            .spawn()
+            .context("`nice` does not start")?;
+        Ok(Self { group, child, log })
+    }
+
+    /// Waits for the end and shows all that was said; whether all passed.
+    fn wait(mut self) -> Result<bool> {
+        let passed = self.child.wait()?.success();
+        println!("\n=== beside it: {} ===", self.group);
+        std::io::copy(&mut File::open(&self.log)?, &mut std::io::stdout())?;
+        Ok(passed)
+    }
 }
 
 /// The laptop's cargo, in the root.
@@ -75,26 +152,50 @@ fn cargo_for_all(subcommand: &str) -> Command {
     command
 }
 
-/// A program or example of the workspace as the tests built it; `name` is its path below the build folder.
+/// The folder of the workspace's programs and examples as the tests built them.
+///
+/// # Errors
+/// Where the workspace does not build.
+fn programs() -> Result<PathBuf> {
+    if let Some(folder) = std::env::var_os("BIMANUAL_PROGRAMS") {
+        return Ok(folder.into());
+    }
+    sh(cargo_for_all("test").args(["--quiet", "--no-run"]))?;
+    Ok(target_dir().join("debug"))
+}
+
+/// A program or example of the workspace; `name` is its path below the folder of programs.
 ///
 /// # Errors
 /// Where the workspace does not build.
 pub fn built(name: &str) -> Result<Command> {
-    sh(cargo_for_all("test").args(["--quiet", "--no-run"]))?;
-    let mut command = Command::new(target_dir().join("debug").join(name));
+    let mut command = Command::new(programs()?.join(name));
     command.current_dir(root());
     Ok(command)
 }
 
-fn steps() -> Vec<Step> {
+/// The boards' images.
+const IMAGES: &str = "the boards' images";
+/// What gives the same result at any pace.
+const ANY_PACE: &str = "what runs at any pace";
+
+/// All steps, by group.
+fn groups() -> Vec<(&'static str, Vec<Step>)> {
     vec![
-        Step::new("tools for the boards", || {
-            if !toolchain::is_complete() {
-                CROSS_RUST.ensure()?;
-            }
-            CROSS_LINK.ensure()?;
-            EMULATORS.ensure()?;
-            QEMU.ensure()
+        ("first", tools_and_format()),
+        ("the laptop's side", laptop()),
+        (IMAGES, images()),
+        ("in time", in_time()),
+        (ANY_PACE, any_pace()),
+    ]
+}
+
+fn tools_and_format() -> Vec<Step> {
+    vec![
+        Step::new("tools that are no Rust crates", || {
+            let rust = if toolchain::is_complete() { None } else { Some(&CROSS_RUST) };
+            let others = [&CROSS_LINK, &EMULATORS, &QEMU, &NETWORK, &BROWSER];
+            tools::ensure(&rust.into_iter().chain(others).collect::<Vec<_>>())
         }),
         Step::new("format", || {
             sh(&mut cargo(&["fmt", "--all", "--check"]))?;
@@ -104,29 +205,62 @@ fn steps() -> Vec<Step> {
             }
             Ok(())
         }),
+    ]
+}
+
+fn laptop() -> Vec<Step> {
+    vec![
         Step::new("clippy", || sh(cargo_for_all("clippy").args(["--all-targets", "--", "-D", "warnings"]))),
-        Step::new("documentation", || {
-            sh(cargo_for_all("doc").arg("--no-deps").env("RUSTDOCFLAGS", "-D warnings"))
-        }),
-        // The stack is measured, and held to its limit, by the tests below.
+        Step::new("tests and programs, built", || programs().map(drop)),
+    ]
+}
+
+fn images() -> Vec<Step> {
+    vec![
+        // The stack is measured, and held to its limit, by the tests.
         Step::new("left hand: image and size", || firmware_avr::run(&["--no-stack"])),
         Step::new("right hand: images and size", || firmware_nano33::run(&[])),
-        Step::new("tests, with both boards emulated", || {
-            // The tests at the desk run the programs that are built along with them.
+        Step::new("laptop and Cortex-M4F agree on all bits", || {
+            sh(Command::new("sh").current_dir(root()).arg("shared-dsp/bench-m4f/run.sh"))
+        }),
+    ]
+}
+
+/// What keeps time with the wall clock, one after the other.
+fn in_time() -> Vec<Step> {
+    vec![
+        Step::new("at the desk, with both boards emulated", || {
             sh(cargo_for_all("test")
-                .args(["--no-fail-fast", "--", "--show-output"])
-                .env("BIMANUAL_PROGRAMS", target_dir().join("debug")))
+                .args(["--no-fail-fast", "--test", "live", "--", "--show-output"])
+                .env("BIMANUAL_PROGRAMS", programs()?))
         }),
         Step::new("ROS 2 against Cyclone DDS", || {
-            NETWORK.ensure()?;
             let python = python::environment("ros2", &["tests/ros2/requirements.txt"])?;
             sh(cargo_for_all("test")
                 .args(["--no-fail-fast", "--test", "ros2", "--", "--nocapture"])
-                .env("BIMANUAL_PROGRAMS", target_dir().join("debug"))
+                .env("BIMANUAL_PROGRAMS", programs()?)
                 .env("BIMANUAL_ROS2_PYTHON", python))
         }),
-        Step::new("laptop and Cortex-M4F agree on all bits", || {
-            sh(Command::new("sh").current_dir(root()).arg("shared-dsp/bench-m4f/run.sh"))
+        Step::new("the page in headless Chromium", || {
+            let python = python::environment("web", &["tests/web/requirements.txt"])?;
+            sh(Command::new(python).current_dir(root()).arg("tests/web/check.py").arg(programs()?))
+        }),
+        Step::new("a live session as Foxglove sees it", || {
+            let python = python::environment("foxglove", &["tests/foxglove/requirements.txt"])?;
+            sh(Command::new(python).current_dir(root()).arg("tests/foxglove/check.py").arg(programs()?))
+        }),
+    ]
+}
+
+fn any_pace() -> Vec<Step> {
+    vec![
+        Step::new("tests, with both boards emulated", || {
+            sh(cargo_for_all("test")
+                .args(["--no-fail-fast", "--", "--show-output", "--skip", "live::"])
+                .env("BIMANUAL_PROGRAMS", programs()?))
+        }),
+        Step::new("documentation", || {
+            sh(cargo_for_all("doc").arg("--no-deps").env("RUSTDOCFLAGS", "-D warnings"))
         }),
         Step::new("the demo, as a new user runs it", || {
             let demo =
@@ -167,23 +301,6 @@ fn steps() -> Vec<Step> {
             sh(built("examples/plan-trace")?.arg(&traces))?;
             let python = python::environment("mujoco", &["tests/mujoco/requirements.txt"])?;
             sh(Command::new(python).current_dir(root()).arg("tests/mujoco/check.py").arg(&traces))
-        }),
-        Step::new("the page in headless Chromium", || {
-            BROWSER.ensure()?;
-            built("examples/state-at")?;
-            let python = python::environment("web", &["tests/web/requirements.txt"])?;
-            sh(Command::new(python)
-                .current_dir(root())
-                .arg("tests/web/check.py")
-                .arg(target_dir().join("debug")))
-        }),
-        Step::new("a live session as Foxglove sees it", || {
-            built("examples/state-at")?;
-            let python = python::environment("foxglove", &["tests/foxglove/requirements.txt"])?;
-            sh(Command::new(python)
-                .current_dir(root())
-                .arg("tests/foxglove/check.py")
-                .arg(target_dir().join("debug")))
         }),
         Step::new("a session's file read by others", || {
             let folder = target_dir().join("session-file");

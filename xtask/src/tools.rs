@@ -66,32 +66,33 @@ impl Packages {
     pub fn is_complete(&self) -> bool {
         self.missing().is_empty()
     }
+}
 
-    /// Installs what is missing where that needs no question (root on Debian), else names it.
-    ///
-    /// # Errors
-    /// The packages that are missing, with the line that installs them.
-    pub fn ensure(&self) -> Result<()> {
-        let missing = self.missing();
-        if missing.is_empty() {
-            return Ok(());
-        }
-        let can_install =
-            is_root() && Command::new("apt-get").arg("--version").stdout(Stdio::null()).status().is_ok();
-        if !can_install {
-            bail!(
-                "missing for {}: {}\n  On Debian or Ubuntu: {}\n  Elsewhere: the packages of the same purpose.",
-                self.purpose,
-                missing.join(" "),
-                self.install_line()
-            );
-        }
-        eprintln!("installing for {}: {}", self.purpose, missing.join(" "));
-        apt_get(&["update", "-qq"])?;
-        let mut args = vec!["install", "-y", "-qq", "--no-install-recommends"];
-        args.extend(missing);
-        apt_get(&args)
+/// Installs what is missing where that needs no question (root on Debian), else names it.
+///
+/// # Errors
+/// The packages that are missing and what for, with the line that installs them.
+pub fn ensure(wanted: &[&Packages]) -> Result<()> {
+    let missing: Vec<&str> = wanted.iter().flat_map(|packages| packages.missing()).collect();
+    if missing.is_empty() {
+        return Ok(());
     }
+    let can_install =
+        is_root() && Command::new("apt-get").arg("--version").stdout(Stdio::null()).status().is_ok();
+    if !can_install {
+        let list = |p: &&&Packages| format!("  {}: {}", p.purpose, p.missing().join(" "));
+        let lists: Vec<String> = wanted.iter().filter(|p| !p.is_complete()).map(|p| list(&p)).collect();
+        bail!(
+            "missing for\n{}\n  On Debian or Ubuntu: sudo apt-get install {}\n  Elsewhere: the packages of the same purpose.",
+            lists.join("\n"),
+            missing.join(" ")
+        );
+    }
+    eprintln!("installing: {}", missing.join(" "));
+    apt_get(&["update", "-qq"])?;
+    let mut args = vec!["install", "-y", "-qq", "--no-install-recommends"];
+    args.extend(missing);
+    apt_get(&args)
 }
 
 fn apt_get(args: &[&str]) -> Result<()> {

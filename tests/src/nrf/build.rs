@@ -15,22 +15,20 @@ pub enum Variant {
     Ble,
 }
 
-/// The image of a variant, built by `cargo xtask firmware nano33`. `BIMANUAL_NANO33_ELF` names another one behind the
-/// stock bootloader.
+/// The image of a variant, built by `cargo xtask firmware nano33`. `BIMANUAL_NANO33_ELF` and `BIMANUAL_NANO33_BLE_ELF`
+/// name other ones, or these where they are built already, as `cargo xtask test` does.
 ///
 /// # Panics
 /// Where it does not build; the reason is on the terminal.
 pub fn image(variant: Variant) -> Image {
     static BOOTLOADER: OnceLock<PathBuf> = OnceLock::new();
     static BLE: OnceLock<PathBuf> = OnceLock::new();
-    if let (Variant::Bootloader, Some(path)) = (variant, std::env::var_os("BIMANUAL_NANO33_ELF")) {
-        return Image::load(Path::new(&path));
-    }
-    let cell = match variant {
-        Variant::Bootloader => &BOOTLOADER,
-        Variant::Ble => &BLE,
+    let (cell, given) = match variant {
+        Variant::Bootloader => (&BOOTLOADER, "BIMANUAL_NANO33_ELF"),
+        Variant::Ble => (&BLE, "BIMANUAL_NANO33_BLE_ELF"),
     };
-    Image::load(cell.get_or_init(|| build(variant)))
+    let path = cell.get_or_init(|| std::env::var_os(given).map_or_else(|| build(variant), PathBuf::from));
+    Image::load(path)
 }
 
 fn build(variant: Variant) -> PathBuf {

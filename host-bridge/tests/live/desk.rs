@@ -1,10 +1,6 @@
 //! The program with boards behind pseudo-terminals: what a user types, what comes out, and what happens
 //! when a cable is pulled or a board restarts. The boards run the hands' own code (`support/double.rs`);
 //! the firmware images themselves are emulated in the `tests` crate.
-#![cfg(unix)]
-
-#[path = "support/double.rs"]
-mod double;
 
 use std::io::{BufRead as _, BufReader};
 use std::path::{Path, PathBuf};
@@ -12,10 +8,11 @@ use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
 
-use double::{BENT, Double, FORWARD, LEVEL};
 use models::blob::{ModelFiles, model_id};
 use models::card::Card;
 use models::recording::Recording;
+
+use crate::double::{self, BENT, Double, FORWARD, LEVEL};
 
 /// Nothing here takes nearly so long; a hang must not stop the tests.
 const PATIENCE: Duration = Duration::from_secs(40);
