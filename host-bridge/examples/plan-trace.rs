@@ -7,6 +7,7 @@
 //! |---|---|
 //! | `SCENE.motions` | scene's motions at 100 Hz, one after the other: motion's number, seven angles in rad |
 //! | `SCENE.clearances` | seven angles, the flange's x y z in the arm's frame, shortest distance, all in m |
+//! | `moves.jerk` | single moves with limited jerk: from, to, limits of speed, acceleration and jerk (seven each), duration; when it is halted, how long that takes, in s |
 //! | `base.path` | every 2 ms: speed of the left and right wheel in rad/s, x, y, heading, path length |
 //!
 //! `BIMANUAL_FULL=1` writes 34 seeds per pair of poses instead of 2.
@@ -18,9 +19,10 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context as _, Result, anyhow};
 use host_bridge::arm::gen3::Joints;
 use host_bridge::arm::model::SerialArm;
+use host_bridge::arm::profile::JointLimits;
 use host_bridge::base::{Base, BaseConfig, Twist};
 use host_bridge::plan::random::Random;
-use host_bridge::plan::{Placement, Planner};
+use host_bridge::plan::{Placement, Planner, Trajectory};
 use host_bridge::scene::Scene;
 
 const SCENES: [(&str, &str); 3] = [
@@ -38,6 +40,7 @@ fn main() -> Result<()> {
         motions(&planner, seeds, &directory.join(format!("{name}.motions")))?;
         clearances(&planner, &directory.join(format!("{name}.clearances")))?;
     }
+    moves(&directory.join("moves.jerk"))?;
     base(&directory.join("base.path"))
 }
 
@@ -87,6 +90,31 @@ fn clearances(planner: &Planner, file: &Path) -> Result<()> {
         let flange_m = world.arm().flange_pose(&joints_rad).position_m;
         let distance_m = around.arm_clearance(&joints_rad).distance_m;
         write(&mut out, joints_rad.into_iter().chain(flange_m).chain([distance_m]))?;
+    }
+    Ok(out.flush()?)
+}
+
+/// Short and long moves, with limits from gentle to stiff.
+fn moves(file: &Path) -> Result<()> {
+    let papers = JointLimits::paper();
+    let mut random = Random::new(6);
+    let mut out = create(file)?;
+    for _ in 0..500 {
+        let length = 10.0_f64.powf(random.between(-3.0, 0.3));
+        let from: Joints = std::array::from_fn(|_| random.between(-2.0, 2.0));
+        let to: Joints = from.map(|angle| angle + length * random.between(-1.0, 1.0));
+        let stiffer = 10.0_f64.powf(random.between(0.0, 1.3));
+        let limits = JointLimits {
+            acceleration_rad_s2: papers.acceleration_rad_s2.map(|a| a * stiffer),
+            jerk_rad_s3: [10.0_f64.powf(random.between(-0.3, 2.0)); 7],
+            ..papers
+        };
+        let motion = Trajectory::through(&[from, to], &[], &limits);
+        let halted_s = random.between(0.0, 1.0) * motion.duration_s();
+        let braking_s = Trajectory::braking(motion.motion(halted_s), &limits).duration_s();
+        let all_limits = [limits.velocity_rad_s, limits.acceleration_rad_s2, limits.jerk_rad_s3];
+        let row = [from, to].into_iter().chain(all_limits).flatten();
+        write(&mut out, row.chain([motion.duration_s(), halted_s, braking_s]))?;
     }
     Ok(out.flush()?)
 }

@@ -1,4 +1,5 @@
-"""Looks at what the planner, the kinematics and the base do with an independent engine, MuJoCo.
+"""Looks at what the planner, the kinematics and the base do with independent engines: MuJoCo, and Ruckig for moves
+with limited jerk.
 
     cargo run -p host-bridge --example plan-trace -- DIRECTORY
     python tests/mujoco/check.py DIRECTORY        (packages: tests/mujoco/requirements.txt)
@@ -15,6 +16,7 @@ import tomllib
 
 import mujoco
 import numpy as np
+import ruckig
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 SCENES = ["posts", "shelf", "bins"]
@@ -171,6 +173,32 @@ def scene(name, directory):
     check(data.ncon > 0, f"{name}: an arm bent into its base is seen ({data.ncon} contacts)")
 
 
+def moves(directory):
+    """Single moves with limited jerk against Ruckig's time-optimal ones, along the straight line in joint space."""
+    rows = np.fromfile(directory / "moves.jerk", "<f8").reshape(-1, 38)
+    engine, worst, worst_stop, shapes = ruckig.Ruckig(1), 0.0, 0.0, set()
+    for row in rows:
+        way = np.abs(row[7:14] - row[:7])
+        v, a, j = (float(np.min(row[k : k + 7] / way)) for k in (14, 21, 28))
+        wanted, motion = ruckig.InputParameter(1), ruckig.Trajectory(1)
+        wanted.target_position = [1.0]
+        wanted.max_velocity, wanted.max_acceleration, wanted.max_jerk = [v], [a], [j]
+        assert engine.calculate(wanted, motion) == ruckig.Result.Working
+        worst = max(worst, abs(motion.duration - row[35]) / row[35])
+        # From where Ruckig's own motion is at that moment.
+        _, [speed], [acceleration] = motion.at_time(row[36])
+        wanted.control_interface = ruckig.ControlInterface.Velocity
+        wanted.current_velocity, wanted.current_acceleration = [speed], [acceleration]
+        assert engine.calculate(wanted, motion) == ruckig.Result.Working
+        worst_stop = max(worst_stop, abs(motion.duration - row[37]))
+        shapes.add((row[35] > 1 / v + v / a + a / j - 1e-9, acceleration > 1e-9, acceleration < -1e-9))
+    check(
+        len(rows) == 500 and len(shapes) >= 5 and worst < 1e-6 and worst_stop < 1e-5,
+        f"jerk: {len(rows)} moves of {len(shapes)} shapes take Ruckig's time within {worst:.1e}, "
+        f"and so do stops on the way within {1000 * worst_stop:.1e} ms",
+    )
+
+
 BASE = """<mujoco>
   <default><geom solref="0.004 1"/></default>
   <option timestep="0.002" noslip_iterations="10" impratio="10" integrator="implicitfast"/>
@@ -219,6 +247,7 @@ def main():
     kinematics()
     for name in SCENES:
         scene(name, directory)
+    moves(directory)
     base(directory)
     print(f"{len(failures)} failed")
     sys.exit(1 if failures else 0)
