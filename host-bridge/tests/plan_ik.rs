@@ -2,6 +2,10 @@
 //! Times are printed, as the processor's time of this thread, and asserted nowhere:
 //! `cargo test --release -p host-bridge --test plan_ik -- --nocapture`.
 
+#[path = "support/cpu.rs"]
+mod cpu;
+
+use cpu::timed;
 use host_bridge::arm::gen3::{HOME, Joints, Pose};
 use host_bridge::arm::ik::{self, Budget, Solution, Unreachable};
 use host_bridge::arm::model::SerialArm;
@@ -11,18 +15,6 @@ use host_bridge::scene::Scene;
 
 /// The budget before there was one of 0.2 s.
 const FORMER: Budget = Budget { steps: 10_000, looks: usize::MAX };
-
-/// Processor time of this thread in ms, where the system tells it.
-fn cpu_ms() -> f64 {
-    let text = std::fs::read_to_string("/proc/thread-self/schedstat").unwrap_or_default();
-    text.split(' ').next().and_then(|ns| ns.parse::<f64>().ok()).map_or(f64::NAN, |ns| ns / 1e6)
-}
-
-fn timed<T>(work: impl FnOnce() -> T) -> (T, f64) {
-    let before = cpu_ms();
-    let done = work();
-    (done, cpu_ms() - before)
-}
 
 fn anywhere(arm: &SerialArm, random: &mut Random) -> Pose {
     let joints: Joints = std::array::from_fn(|i| {

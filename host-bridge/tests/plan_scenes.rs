@@ -1,11 +1,13 @@
 //! Planning where the straight way is blocked: three scenes, six poses each, all ordered pairs, many seeds.
 //! What is planned is executed by the arm in virtual time and looked at every 10 ms.
 //!
-//! `BIMANUAL_FULL=1` runs 34 seeds per pair. `tests/mujoco/check.py` looks at the same motions with an
-//! independent engine.
+//! `BIMANUAL_FULL=1` runs 34 seeds per pair. Times are the processor's, printed and asserted nowhere.
+//! `tests/mujoco/check.py` looks at the same motions with an independent engine.
 
-use std::time::Instant;
+#[path = "support/cpu.rs"]
+mod cpu;
 
+use cpu::timed;
 use host_bridge::arm::gen3::{JOINTS, Joints, Pose};
 use host_bridge::arm::ik;
 use host_bridge::arm::model::SerialArm;
@@ -75,9 +77,8 @@ fn blocked_ways_are_gone_around_without_touching_anything() {
                 }
                 blocked += usize::from(!around.way_is_clear(from, to, 1e-4));
                 for seed in 0..seeds() {
-                    let start = Instant::now();
-                    let plan = planner.plan(from, to, Placement::default(), seed);
-                    times_ms.push(start.elapsed().as_secs_f64() * 1000.0);
+                    let (plan, took_ms) = timed(|| planner.plan(from, to, Placement::default(), seed));
+                    times_ms.push(took_ms);
                     tried += 1;
                     let Ok(plan) = plan else { continue };
                     solved += 1;
