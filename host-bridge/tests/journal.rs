@@ -8,6 +8,7 @@ use std::sync::mpsc::{Receiver, channel};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
+use host_bridge::bridge::EventKind;
 use host_bridge::config::Config;
 use host_bridge::demo::Demo;
 use host_bridge::hands::ModelFile;
@@ -121,6 +122,23 @@ fn a_played_session_from_its_file_is_the_same_bit_for_bit() {
     assert_eq!(counted("/events"), again.events.len() as u64);
     assert_eq!(counted("/bridge/operated"), 1);
     assert_eq!(again.messages.values().sum::<u64>(), kept.messages);
+}
+
+#[test]
+fn motions_with_limited_jerk_are_the_same_too_and_take_longer() {
+    let mut smooth = setup();
+    smooth.config.arm.jerk_limited = true;
+    let first_pose_ms = |setup: &Setup| {
+        let memory = Memory::of_size(usize::MAX);
+        recorded_demo(setup, 10_000, None, &memory);
+        let again = replay(&memory.file()).unwrap();
+        assert_same(&again);
+        let reached = again.events.iter().find(|e| matches!(e.kind, EventKind::MotionEnded { .. }));
+        reached.expect("the arm was home by then").time_ms
+    };
+    let (even_ms, smooth_ms) = (first_pose_ms(&setup()), first_pose_ms(&smooth));
+    // 0.43 rad/s² are built up, and taken back, at 4.3 rad/s³.
+    assert_eq!(smooth_ms - even_ms, 100);
 }
 
 #[test]
