@@ -136,8 +136,12 @@ fn listen(talk: &mut Talk, who: Who, listen_ms: u64) -> Heard {
         closed: None,
         restarts: 0,
     };
+    let mut meet = false;
     while talk.now_ms() < until_ms {
         let now_ms = talk.now_ms();
+        if meet && talk.is_ready() {
+            meet = !talk.send(&HostMessage::HelloRequest);
+        }
         if now_ms >= next_ping_ms && talk.is_ready() {
             next_ping_ms = now_ms + PING_MS;
             pings += 1;
@@ -169,7 +173,11 @@ fn listen(talk: &mut Talk, who: Who, listen_ms: u64) -> Heard {
                 heard.survey.restarted();
             }
             Some((_, Said::Closed(why))) => heard.closed = Some(why),
-            Some((_, Said::Opened)) => heard.restarts += 1,
+            // Perhaps a board that started anew, with another clock: its hello says so.
+            Some((_, Said::Opened)) => {
+                heard.survey.restarted();
+                meet = true;
+            }
             _ => {}
         }
     }
@@ -221,10 +229,11 @@ fn lines(heard: &Heard) -> Vec<String> {
 fn advice(heard: &Heard) -> Vec<String> {
     let left = is_left(heard.who.board);
     let (state_hz, drift_ppm) = if left { (50.0, RESONATOR_DRIFT_PPM) } else { (12.5, CRYSTAL_DRIFT_PPM) };
-    let mut advice = heard.survey.advice(state_hz, f64::from(drift_ppm));
-    if let Some(why) = &heard.closed {
-        advice.push(format!("the link broke meanwhile: {why}"));
-    }
+    let mut advice = match &heard.closed {
+        // What was measured before and after says little.
+        Some(why) => vec![format!("the link broke meanwhile: {why}; then ask again")],
+        None => heard.survey.advice(state_hz, f64::from(drift_ppm)),
+    };
     if heard.restarts > 0 {
         advice.push(format!("the board restarted {} times: check its power and cable", heard.restarts));
     }

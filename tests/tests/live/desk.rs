@@ -17,6 +17,7 @@ use models::synth::{Motion, Wearer};
 use tests::desk::left::{Left, LeftStation};
 use tests::desk::program::{Desk, Running, bridge, run};
 use tests::desk::right::{Right, RightStation};
+use tests::desk::station::{Board, Station};
 
 /// Tries of something that a busy machine may spoil.
 const TRIES: u32 = 6;
@@ -220,6 +221,64 @@ fn recordings_hold_what_the_sensor_felt_and_a_spoilt_take_leaves_nothing() {
         assert!(!status.success() && text.contains(word), "{word} in\n{text}");
         assert!(!desk.path("recordings/circle/me__1.csv").exists(), "{text}");
     }
+}
+
+/// Runs a verb and pulls the cable (or presses reset) after so long, whatever it is doing then. It must end by itself,
+/// without a panic, and say what to do where it was kept from its work.
+fn disturbed<B: Board + 'static>(
+    board: &Station<B>,
+    args: &[&str],
+    after: Duration,
+    how: fn(&Station<B>),
+) -> String {
+    board.plug();
+    let verb = bridge(args);
+    std::thread::sleep(after);
+    how(board);
+    let (status, text) = verb.end();
+    assert!(!text.contains("panicked"), "{text}");
+    let advises = ["plug", "host-bridge list", "restart", "run calibrate again"];
+    assert!(status.success() || advises.iter().any(|word| text.contains(word)), "{args:?}: {text}");
+    text
+}
+
+#[test]
+fn a_cable_pulled_or_a_reset_at_any_moment_ends_every_verb_with_advice() {
+    let desk = Desk::new("desk-pulls");
+    let left = Left::start(&desk.path("nano"));
+    let right = Right::start(&desk.path("nano33"), Wearer::demo(1));
+    let (port, other, out) = (left.port(), right.port(), desk.text("recordings"));
+    let rounds = if std::env::var_os("BIMANUAL_FULL").is_some() { 10 } else { 1 };
+    let mut rng = Rng::with_seed(9);
+    let moment = |rng: &mut Rng| Duration::from_millis(rng.u64(0..3000));
+    for _ in 0..rounds {
+        let [a, b, c, d] = [(); 4].map(|()| moment(&mut rng));
+        let [e, f, g] = [(); 3].map(|()| moment(&mut rng));
+        std::thread::scope(|scope| {
+            scope.spawn(|| {
+                let calibrate = ["calibrate", "--port", &port, "--every", "0.5"];
+                disturbed(&left, &calibrate, a, Station::pull);
+                disturbed(&left, &calibrate, b, Station::restart);
+                disturbed(&left, &["list", &port], c, Station::pull);
+                disturbed(&left, &["doctor", "--left", &port, "--seconds", "3"], d, Station::pull);
+            });
+            scope.spawn(|| {
+                let doctor = ["doctor", "--right", &other, "--seconds", "3"];
+                disturbed(&right, &doctor, e, Station::pull);
+                let text = disturbed(&right, &doctor, f, Station::restart);
+                assert!(!text.contains("replace the board"), "two clocks are taken for one: {text}");
+                let record =
+                    ["record", "--port", &other, "--person", "me", "--label", "circle", "--out", &out];
+                let text = disturbed(&right, &[&record[..], &["--seconds", "60"]].concat(), g, Station::pull);
+                assert!(!desk.path("recordings/circle/me__1.csv").exists(), "{text}");
+            });
+        });
+    }
+    // Neither board is the worse for it.
+    left.plug();
+    right.plug();
+    let (status, text) = run(&["list", &port, &other]);
+    assert!(status.success() && text.contains("the left hand") && text.contains("the right hand"), "{text}");
 }
 
 /// The bundled model with one label renamed: another blob, another id.

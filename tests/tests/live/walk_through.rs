@@ -138,6 +138,8 @@ fn the_lines_of_the_readme_lead_from_list_to_a_gesture_of_ones_own_in_ten_minute
             }
             ["host-bridge", "run", ..] => {
                 let mut run = shell.start(line);
+                // The left board starts anew when its port is opened; until then the right hand may be armed alone.
+                run.wait(&["left hand: the left hand"]);
                 run.wait(&["armed"]);
                 for _ in 0..6 {
                     right.with(|board| board.perform(Motion::LeftRight, 4.0));
