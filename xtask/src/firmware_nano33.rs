@@ -113,7 +113,7 @@ fn report(image: &Path) -> Result<()> {
 }
 
 /// `llvm-nm` and `llvm-size`, or binutils', which read ELF files of any machine's symbols.
-fn tool(name: &str) -> String {
+pub fn tool(name: &str) -> String {
     let llvm = format!("llvm-{name}");
     if Command::new(&llvm).arg("--version").output().is_ok_and(|o| o.status.success()) {
         llvm

@@ -1,33 +1,50 @@
-//! `cargo xtask package`: what a user unpacks who has no Rust: programs, model, documents, licences, udev rules.
+//! `cargo xtask package`: what a user unpacks who has no Rust: programs, the boards' images, model, scenes, documents,
+//! licences, udev rules.
 
+use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Context, Result, ensure};
 
 use crate::steps::{output, sh};
 use crate::test::cargo;
 use crate::tools::{self, BLUETOOTH};
-use crate::{root, target_dir};
+use crate::{firmware_avr, firmware_nano33, root, target_dir};
 
-/// Files of the repository and where they go.
-const FILES: [(&str, &str); 15] = [
-    ("README.md", "README.md"),
-    ("CHANGELOG.md", "CHANGELOG.md"),
-    ("LICENSE-MIT", "LICENSE-MIT"),
-    ("LICENSE-APACHE", "LICENSE-APACHE"),
+/// Files of the repository that keep their places, so that the documents' links hold.
+const FILES: [&str; 25] = [
+    "CHANGELOG.md",
+    "LICENSE-APACHE",
+    "LICENSE-MIT",
+    "README.md",
+    "docs/page-dark.png",
+    "docs/page-light.png",
+    "docs/ros2.md",
+    "docs/sites.md",
+    "docs/wiring.svg",
+    "firmware-nano-avr/README.md",
+    "firmware-nano-avr/wiring.svg",
+    "firmware-nano33/README.md",
+    "firmware-nano33/docs/swd-pads.svg",
+    "host-bridge/README.md",
+    "host-bridge/scenes/bins.toml",
+    "host-bridge/scenes/other-arm.toml",
+    "host-bridge/scenes/other-arm.urdf",
+    "host-bridge/scenes/posts.toml",
+    "host-bridge/scenes/room.toml",
+    "host-bridge/scenes/shelf.toml",
+    "host-bridge/src/plan/README.md",
+    "models/README.md",
+    "models/bundled/right-9axis.card.json",
+    "models/bundled/right-9axis.tflite",
+    "shared-proto/WIRE.md",
+];
+/// Files that lie elsewhere in the archive.
+const MOVED: [(&str, &str); 2] = [
     ("xtask/package/INSTALL.txt", "INSTALL.txt"),
     ("xtask/package/99-bimanual.rules", "udev/99-bimanual.rules"),
-    ("models/bundled/right-9axis.tflite", "models/right-9axis.tflite"),
-    ("models/bundled/right-9axis.card.json", "models/right-9axis.card.json"),
-    ("docs/wiring.svg", "docs/wiring.svg"),
-    ("host-bridge/README.md", "doc/host-bridge.md"),
-    ("host-bridge/src/plan/README.md", "doc/planning.md"),
-    ("models/README.md", "doc/models.md"),
-    ("shared-proto/WIRE.md", "doc/WIRE.md"),
-    ("firmware-nano-avr/README.md", "doc/firmware-nano-avr.md"),
-    ("firmware-nano33/README.md", "doc/firmware-nano33.md"),
 ];
 const PROGRAMS: [&str; 2] = ["host-bridge", "models"];
 
@@ -50,9 +67,10 @@ pub fn run() -> Result<()> {
     if folder.exists() {
         fs::remove_dir_all(&folder)?;
     }
-    for (from, to) in FILES {
+    for (from, to) in FILES.into_iter().map(|file| (file, file)).chain(MOVED) {
         copy(&root().join(from), &folder.join(to))?;
     }
+    images(&folder.join("firmware"))?;
     for program in PROGRAMS {
         let to = folder.join("bin").join(program);
         copy(&target_dir().join("release").join(program), &to)?;
@@ -77,7 +95,7 @@ pub fn run() -> Result<()> {
         "--format",
         "{p}: {l}",
     ]))?;
-    fs::write(folder.join("LICENCES-OF-PARTS.txt"), parts(&licences)?)?;
+    fs::write(folder.join("LICENCES-OF-PARTS.txt"), notices(&parts(&licences)?)?)?;
     let archive = place.join(format!("{name}.tar.gz"));
     // The same content gives the same bytes.
     let mut tar = Command::new("tar");
@@ -88,26 +106,79 @@ pub fn run() -> Result<()> {
     Ok(())
 }
 
+/// The boards' images as avrdude, bossac and probe-rs take them.
+fn images(folder: &Path) -> Result<()> {
+    fs::create_dir_all(folder)?;
+    firmware_avr::run(&["--no-stack"])?;
+    copy(&firmware_avr::image().with_extension("hex"), &folder.join("nano.hex"))?;
+    firmware_nano33::run(&[])?;
+    for (variant, format, ending) in [("ble", "ihex", "hex"), ("bootloader", "binary", "bin")] {
+        let objcopy = firmware_nano33::tool("objcopy");
+        let (from, to) = (firmware_nano33::image(variant), folder.join(format!("nano33-{variant}.{ending}")));
+        sh(Command::new(objcopy).args(["-O", format]).arg(from).arg(to))?;
+    }
+    Ok(())
+}
+
 fn copy(from: &Path, to: &PathBuf) -> Result<()> {
     fs::create_dir_all(to.parent().context("a folder")?)?;
     fs::copy(from, to).with_context(|| format!("{} is not there", from.display()))?;
     Ok(())
 }
 
-/// One line per foreign crate with its licence.
-fn parts(tree: &str) -> Result<String> {
-    let ours = |line: &str| line.contains("(/");
-    let mut lines: Vec<&str> = tree.lines().filter(|line| !line.trim().is_empty() && !ours(line)).collect();
-    lines.sort_unstable();
-    lines.dedup();
-    if let Some(line) = lines.iter().find(|line| line.trim_end().ends_with(':') || line.contains("GPL")) {
-        bail!("{line}: a part without a licence, or with one that the archive must not carry");
+/// A foreign crate in the programs: `name vVERSION` and its licence.
+type Part<'a> = (&'a str, &'a str);
+
+/// The foreign crates, once each.
+fn parts(tree: &str) -> Result<Vec<Part<'_>>> {
+    let ours = |line: &&str| line.contains("(/");
+    let mut parts = Vec::new();
+    for line in tree.lines().filter(|line| !line.trim().is_empty() && !ours(line)) {
+        let (part, licence) = line.split_once(": ").unwrap_or((line.trim_end_matches(':'), ""));
+        // Of several licences one is enough; after a slash stands one, too.
+        let free = licence
+            .split(" OR ")
+            .flat_map(|l| l.split('/'))
+            .any(|l| !l.trim().is_empty() && !l.contains("GPL"));
+        ensure!(free, "{line}: a part without a licence, or with one that the archive must not carry");
+        parts.push((part.trim_end_matches(" (proc-macro)"), licence));
     }
-    Ok(format!(
-        "The programs are built from these crates. Their sources, with the texts of their licences, are in the Rust \
-         package registry.\n\n{}\n",
-        lines.join("\n")
-    ))
+    parts.sort_unstable();
+    parts.dedup();
+    Ok(parts)
+}
+
+/// All parts with their licences, and what their packages say about them, each text once.
+fn notices(parts: &[Part<'_>]) -> Result<String> {
+    let home = std::env::var_os("CARGO_HOME").map(PathBuf::from);
+    let home =
+        home.or_else(|| std::env::home_dir().map(|home| home.join(".cargo"))).context("no CARGO_HOME")?;
+    let mut sources = Vec::new();
+    for registry in fs::read_dir(home.join("registry/src")).context("cargo keeps its sources elsewhere")? {
+        sources.push(registry?.path());
+    }
+    let mut texts: BTreeMap<String, Vec<&str>> = BTreeMap::new();
+    let mut list = String::new();
+    for (part, licence) in parts {
+        let folder = part.replace(" v", "-");
+        let folder = sources.iter().map(|registry| registry.join(&folder)).find(|folder| folder.is_dir());
+        let folder = folder.with_context(|| format!("the sources of {part} are not there"))?;
+        list += &format!("{part}: {licence}\n");
+        for file in fs::read_dir(folder)? {
+            let file = file?;
+            let name = file.file_name().to_string_lossy().to_uppercase();
+            let tells = ["LICENSE", "LICENCE", "COPYING", "COPYRIGHT", "NOTICE", "UNLICENSE"];
+            if file.file_type()?.is_file() && tells.iter().any(|word| name.starts_with(word)) {
+                let text = String::from_utf8_lossy(&fs::read(file.path())?).trim_end().to_owned();
+                texts.entry(text).or_default().push(part);
+            }
+        }
+    }
+    let mut all = format!("The programs are built from these crates:\n\n{list}");
+    for (text, of) in &texts {
+        all += &format!("\n{}\n{}\n\n{text}\n", "=".repeat(80), of.join(", "));
+    }
+    Ok(all)
 }
 
 /// As a user: unpack, run.
@@ -118,18 +189,57 @@ fn try_out(archive: &Path, name: &str, into: &Path) -> Result<()> {
     fs::create_dir_all(into)?;
     sh(Command::new("tar").arg("-C").arg(into).arg("-xzf").arg(archive))?;
     let bin = into.join(name).join("bin");
-    for program in PROGRAMS {
-        print!("{}", output(Command::new(bin.join(program)).arg("--version"))?);
+    let home = into.join("an-empty-folder");
+    fs::create_dir(&home)?;
+    let program = |name: &str| {
+        let mut command = Command::new(bin.join(name));
+        command.current_dir(&home).env("HOME", &home);
+        command
+    };
+    for name in PROGRAMS {
+        print!("{}", output(program(name).arg("--version"))?);
     }
-    let demo = output(Command::new(bin.join("host-bridge")).args(["demo", "--headless", "--speed", "0"]))?;
-    ensure!(!demo.contains("FAILED"), "the unpacked demo does not come out as scripted:\n{demo}");
-    // There may be no radio here; what counts is that the program looks for one.
-    let doctor = Command::new(bin.join("host-bridge"))
-        .args(["doctor", "--right", "ble"])
-        .env("DBUS_SYSTEM_BUS_ADDRESS", "unix:path=/nonexistent")
-        .output()?;
-    let said =
-        String::from_utf8_lossy(&doctor.stdout).into_owned() + &String::from_utf8_lossy(&doctor.stderr);
-    ensure!(said.contains("Bluetooth") && !said.contains("--features ble"), "no Bluetooth in it: {said}");
+    // With a session's file, so that MCAP is in it.
+    let demo = ["demo", "--headless", "--speed", "0", "--json", "--record", "demo.mcap"];
+    let demo = output(program("host-bridge").args(demo))?;
+    ensure!(demo.contains("\"ok\":true"), "the unpacked demo does not come out as scripted:\n{demo}");
+    let urdf = into.join(name).join("host-bridge/scenes/other-arm.toml");
+    output(
+        program("host-bridge").args(["demo", "--headless", "--speed", "0", "--json", "--scene"]).arg(urdf),
+    )?;
+    // Whatever answers here, and whoever is on the graph: they look, and say what they see.
+    for (words, said) in [
+        (&["list"][..], "Bluetooth"),
+        (&["doctor", "--right", "ble"], "Bluetooth"),
+        (&["doctor", "--ros2", "--seconds", "1"], "ROS 2: domain"),
+    ] {
+        let found = program("host-bridge")
+            .args(words)
+            .env("DBUS_SYSTEM_BUS_ADDRESS", "unix:path=/nonexistent")
+            .output()?;
+        let text =
+            String::from_utf8_lossy(&found.stdout).into_owned() + &String::from_utf8_lossy(&found.stderr);
+        ensure!(text.contains(said) && !text.contains("--features"), "{words:?}: no {said} in it: {text}");
+        println!("host-bridge {}: {}", words.join(" "), text.trim());
+    }
     Ok(fs::remove_dir_all(into)?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::parts;
+
+    #[test]
+    fn one_free_licence_is_enough_and_none_is_not() {
+        let tree = "b v2.0.0: MIT OR GPL-3.0-only\n\na v1.0.0 (proc-macro): MIT/Apache-2.0\nb v2.0.0: MIT OR GPL-3.0-only\nours v0.1.0 (/here): \n";
+        assert_eq!(
+            parts(tree).unwrap(),
+            [("a v1.0.0", "MIT/Apache-2.0"), ("b v2.0.0", "MIT OR GPL-3.0-only")]
+        );
+        for tree in
+            ["c v1.0.0: GPL-2.0-only\n", "c v1.0.0: LGPL-2.1 OR GPL-3.0\n", "c v1.0.0:\n", "c v1.0.0: \n"]
+        {
+            assert!(parts(tree).is_err(), "{tree}");
+        }
+    }
 }
