@@ -46,6 +46,22 @@ const MOVED: [(&str, &str); 2] = [
     ("xtask/package/INSTALL.txt", "INSTALL.txt"),
     ("xtask/package/99-bimanual.rules", "udev/99-bimanual.rules"),
 ];
+/// What is in the archive, as cargo names it, and what it runs on. The right hand's image with Bluetooth is not: it holds
+/// Nordic's interface of the S140, whose licence is for those who flash it.
+const PARTS: [(&[&str], &str); 3] = [
+    (&["-p", "host-bridge", "-p", "models", "--all-features"], "x86_64-unknown-linux-gnu"),
+    (&["--manifest-path", "firmware-nano-avr/Cargo.toml"], "avr-none"),
+    (
+        &[
+            "--manifest-path",
+            "firmware-nano33/Cargo.toml",
+            "--no-default-features",
+            "--features",
+            "bootloader",
+        ],
+        "thumbv7em-none-eabihf",
+    ),
+];
 const PROGRAMS: [&str; 2] = ["host-bridge", "models"];
 
 /// Builds the archive under `target/package`, unpacks it once and runs what is in it.
@@ -77,25 +93,12 @@ pub fn run() -> Result<()> {
         // Line tables are for developers; where binutils is missing they stay.
         let _ = Command::new("strip").arg(&to).status();
     }
-    let licences = output(&mut cargo(&[
-        "tree",
-        "--locked",
-        "-p",
-        "host-bridge",
-        "-p",
-        "models",
-        "--all-features",
-        "--edges",
-        "normal",
-        "--prefix",
-        "none",
-        "--no-dedupe",
-        "--target",
-        "x86_64-unknown-linux-gnu",
-        "--format",
-        "{p}: {l}",
-    ]))?;
-    fs::write(folder.join("LICENCES-OF-PARTS.txt"), notices(&parts(&licences)?)?)?;
+    let mut trees = String::new();
+    for (options, target) in PARTS {
+        let mut tree = cargo(&["tree", "--locked", "--edges", "normal", "--prefix", "none", "--no-dedupe"]);
+        trees += &output(tree.args(["--format", "{p}: {l}", "--target", target]).args(options))?;
+    }
+    fs::write(folder.join("LICENCES-OF-PARTS.txt"), notices(&parts(&trees)?)?)?;
     let archive = place.join(format!("{name}.tar.gz"));
     // The same content gives the same bytes.
     let mut tar = Command::new("tar");
@@ -106,18 +109,15 @@ pub fn run() -> Result<()> {
     Ok(())
 }
 
-/// The boards' images as avrdude, bossac and probe-rs take them.
+/// The boards' images as avrdude and bossac take them.
 fn images(folder: &Path) -> Result<()> {
     fs::create_dir_all(folder)?;
     firmware_avr::run(&["--no-stack"])?;
     copy(&firmware_avr::image().with_extension("hex"), &folder.join("nano.hex"))?;
-    firmware_nano33::run(&[])?;
-    for (variant, format, ending) in [("ble", "ihex", "hex"), ("bootloader", "binary", "bin")] {
-        let objcopy = firmware_nano33::tool("objcopy");
-        let (from, to) = (firmware_nano33::image(variant), folder.join(format!("nano33-{variant}.{ending}")));
-        sh(Command::new(objcopy).args(["-O", format]).arg(from).arg(to))?;
-    }
-    Ok(())
+    firmware_nano33::run(&["bootloader"])?;
+    let objcopy = firmware_nano33::tool("objcopy");
+    let (from, to) = (firmware_nano33::image("bootloader"), folder.join("nano33-bootloader.bin"));
+    sh(Command::new(objcopy).args(["-O", "binary"]).arg(from).arg(to))
 }
 
 fn copy(from: &Path, to: &PathBuf) -> Result<()> {
@@ -174,7 +174,7 @@ fn notices(parts: &[Part<'_>]) -> Result<String> {
             }
         }
     }
-    let mut all = format!("The programs are built from these crates:\n\n{list}");
+    let mut all = format!("Programs and images are built from these crates:\n\n{list}");
     for (text, of) in &texts {
         all += &format!("\n{}\n{}\n\n{text}\n", "=".repeat(80), of.join(", "));
     }
