@@ -12,7 +12,7 @@ use anyhow::{Context, Result, bail, ensure};
 
 use crate::steps::{Step, output, run_all, sh};
 use crate::tools::{BROWSER, CROSS_LINK, CROSS_RUST, EMULATORS, NETWORK, QEMU};
-use crate::{firmware_avr, firmware_nano33, python, real_data, root, target_dir, toolchain, tools};
+use crate::{firmware_avr, firmware_nano33, package, python, real_data, root, target_dir, toolchain, tools};
 
 /// Runs the steps.
 ///
@@ -253,7 +253,7 @@ fn in_time() -> Vec<Step> {
 }
 
 fn any_pace() -> Vec<Step> {
-    vec![
+    let mut steps = vec![
         Step::new("tests, with both boards emulated", || {
             sh(cargo_for_all("test")
                 .args(["--no-fail-fast", "--", "--show-output", "--skip", "live::"])
@@ -315,5 +315,10 @@ fn any_pace() -> Vec<Step> {
             sh(Command::new(python).current_dir(root()).arg("tests/mcap/check.py").arg(&file).arg(&summary))?;
             sh(built("host-bridge")?.arg("replay").arg(&file))
         }),
-    ]
+    ];
+    if std::env::var_os("BIMANUAL_FULL").is_some() {
+        // Minutes of building with another choice of features.
+        steps.push(Step::new("the archive, unpacked and run", package::run));
+    }
+    steps
 }
