@@ -17,8 +17,7 @@ use graph::{
     DECISION_MS, Lateness, Network, SILENCE_MS, Teller, armed, bridge, domain, is, is_full, middle_and_worst,
     network, number, peer, python, speed, wall_s,
 };
-use host_bridge::arm::ArmMotion;
-use host_bridge::arm::gen3::HOME;
+use host_bridge::arm::motions::random_top_poses;
 use models::synth::{Motion, Wearer};
 use serde_json::{Value, json};
 use tests::desk::left::{Left, LeftStation};
@@ -80,6 +79,11 @@ fn started(message: &Value) -> Option<&Value> {
     outcome.starts_with("started").then_some(gesture)
 }
 
+/// How many gestures a message tells of; the last one is repeated every second.
+fn gestures(message: &Value) -> u32 {
+    message["status"]["bimanual: gesture"]["count"].as_str().and_then(|count| count.parse().ok()).unwrap_or(0)
+}
+
 #[test]
 fn both_boards_reach_a_robot_on_the_graph_in_time_and_a_silent_one_stops_it() {
     let Some(python) = python() else { return };
@@ -129,15 +133,22 @@ fn both_boards_reach_a_robot_on_the_graph_in_time_and_a_silent_one_stops_it() {
         if !is_armed(&mut bridge) {
             bridge.wait("armed", armed);
         }
-        right.with(|board| board.perform(Motion::ToFro, 4.0));
-        told = robot.wait_for(TRY, |v| started(v).is_some());
-        if told.is_some() {
+        robot.catch_up();
+        let before = robot.seen.iter().map(|(_, v)| gestures(v)).max().unwrap_or(0);
+        right.with(|board| board.perform(Motion::Circle, 4.0));
+        let is_new = |v: &Value| started(v).is_some() && gestures(v) > before;
+        let Some(came) = robot.wait_for(TRY, is_new) else { continue };
+        if started(&came).is_some_and(|gesture| gesture["message"] == "circle") {
+            told = Some(came);
             break;
         }
+        // Even this network errs at times; the arm must be at rest before the next try.
+        println!("not a circle: {}", came["status"]["bimanual: gesture"]);
+        bridge.wait("the other motion's end", |v| is(v, "motion-ended"));
     }
-    let Some(told) = told else { bridge.fail("no gesture starts a motion") };
+    let Some(told) = told else { bridge.fail("no circle starts a motion") };
     let gesture = started(&told).expect("as waited for");
-    assert_eq!((&gesture["message"], &gesture["outcome"]), (&json!("to-fro"), &json!("started pick-up")));
+    assert_eq!(gesture["outcome"], "started random-top");
     for part in ["bridge", "left hand", "right hand"] {
         let status = &told["status"][format!("bimanual: {part}")];
         assert_eq!(status["level"], 0, "{part}: {status}");
@@ -160,9 +171,8 @@ fn both_boards_reach_a_robot_on_the_graph_in_time_and_a_silent_one_stops_it() {
     assert_eq!(goal["joints"], json!(joints));
     let points = goal["points"].as_array().expect("points");
     let near = |point: &Value, pose: [f64; 7]| (0..7).all(|j| (number(&point[1][j]) - pose[j]).abs() < 0.05);
-    assert!(near(&points[0], HOME), "it starts where the arm is: {}", points[0]);
     let last = &points[points.len() - 1];
-    assert!(near(last, ArmMotion::PickUp.goal(0)), "it ends in the gesture's pose: {last}");
+    assert!(random_top_poses().iter().any(|pose| near(last, *pose)), "it ends in the gesture's pose: {last}");
     assert!((0..7).all(|j| number(&last[2][j]) == 0.0), "it ends at rest: {last}");
     let finished = robot.wait("the arm arrives", |v| is(v, "finished") && v["id"] == goal["id"]);
     assert_eq!(finished["status"], 4);
