@@ -158,6 +158,14 @@ impl Card {
         model.with_file_name(format!("{stem}.card.json"))
     }
 
+    /// Of each label, whether it can be what a recording shows. `other` cannot where no recording of it was there to
+    /// learn from: the model knows it from simulated wearers, so that boards can tell that something is no gesture.
+    pub fn answers(&self) -> Vec<bool> {
+        let known = &self.data.labels;
+        let one = |label: &String| known.is_empty() || label != "other" || known.contains_key(label);
+        self.labels.iter().map(one).collect()
+    }
+
     /// Reads the card beside a model.
     pub fn read(model: &Path) -> Result<Self, CardError> {
         let file = Self::path(model);

@@ -36,3 +36,11 @@ pub const RATE_HZ: f64 = 100.0;
 pub const WINDOW: usize = 200;
 /// Samples from one window to the next on the board (80 ms).
 pub const HOP: usize = 8;
+
+/// Networks that the recipe `aligned` fits from different starts and merges into one.
+pub const ALIGNED_MEMBERS: usize = 3;
+/// Widths of the hidden layers of each of them.
+pub const ALIGNED_MEMBER_HIDDEN: [usize; 2] = [24, 12];
+/// Widths of the hidden layers of what they are merged into, which boards run: what it costs there is tested.
+pub const ALIGNED_HIDDEN: [usize; 2] =
+    [ALIGNED_MEMBERS * ALIGNED_MEMBER_HIDDEN[0], ALIGNED_MEMBERS * ALIGNED_MEMBER_HIDDEN[1]];

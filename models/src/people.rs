@@ -237,7 +237,9 @@ pub fn from_simulated(
     seed: u64,
 ) -> Result<Graded, TrialError> {
     let simulated = simulated(wearers, labels, real.axes, seed);
-    grade(&train(&simulated, &[], recipe, &Trial::job(seed))?, real)
+    // What they do without a gesture is shown as `idle`.
+    let recipe = Recipe { bystanders: 0, ..recipe.clone() };
+    grade(&train(&simulated, &[], &recipe, &Trial::job(seed))?, real)
 }
 
 /// Recordings of simulated wearers as a data set, without files.
@@ -264,11 +266,11 @@ fn simulated(wearers: u32, wanted: &[String], axes: usize, seed: u64) -> Dataset
 
 /// What a model makes of recordings.
 pub fn grade(model: &Trained, recordings: &Dataset) -> Result<Graded, TrialError> {
-    let (card, labels) = (&model.card, model.card.labels.len());
+    let (card, answers) = (&model.card, model.card.answers());
     let recordings = scored(recordings, &card.labels, &card.features);
     let blob = model.blob()?;
     let run = |classifier: Classifier<'_>| -> Vec<_> {
-        recordings.iter().map(|recording| given(&classifier, recording, labels)).collect()
+        recordings.iter().map(|recording| given(&classifier, recording, &answers)).collect()
     };
     let float = run(Classifier::Float { card, layers: &model.float });
     let int8 = run(Classifier::Int8(Model::parse(&blob)?));
@@ -278,8 +280,8 @@ pub fn grade(model: &Trained, recordings: &Dataset) -> Result<Graded, TrialError
     Ok(Graded {
         beliefs: recordings.iter().zip(&int8).map(belief).collect(),
         scores: Scores {
-            float: summary(&recordings, &float, labels),
-            int8: summary(&recordings, &int8, labels),
+            float: summary(&recordings, &float, answers.len()),
+            int8: summary(&recordings, &int8, answers.len()),
         },
         labels: card.labels.clone(),
     })

@@ -61,15 +61,15 @@ impl Classifier<'_> {
     }
 }
 
-/// Index of the largest value; of equals the first.
-fn best<T: PartialOrd + Copy>(values: &[T]) -> usize {
-    let mut best = 0;
-    for (index, value) in values.iter().enumerate() {
-        if *value > values[best] {
-            best = index;
+/// Index of the largest value that is an answer; of equals the first.
+fn best(values: &[f32], answers: &[bool]) -> usize {
+    let mut best = None;
+    for (index, value) in values.iter().enumerate().filter(|(index, _)| answers[*index]) {
+        if best.is_none_or(|best: usize| *value > values[best]) {
+            best = Some(index);
         }
     }
-    best
+    best.unwrap_or_default()
 }
 
 /// A recording's windows at stride 1 s.
@@ -123,18 +123,19 @@ pub struct Given {
     pub windows: (usize, usize),
 }
 
-/// What a classifier of `labels` labels makes of a recording.
-pub fn given(classifier: &Classifier<'_>, recording: &Scored, labels: usize) -> Given {
-    let mut sum = vec![0.0f32; labels];
+/// What a classifier makes of a recording; `answers` says of each label whether it may be one ([`Card::answers`]).
+pub fn given(classifier: &Classifier<'_>, recording: &Scored, answers: &[bool]) -> Given {
+    let mut sum = vec![0.0f32; answers.len()];
     let mut right = 0;
     for (raw, transformed) in recording.raw.iter().zip(&recording.transformed) {
         let probabilities = classifier.probabilities(raw, transformed);
-        right += usize::from(!probabilities.is_empty() && Some(best(&probabilities)) == recording.truth);
+        right +=
+            usize::from(!probabilities.is_empty() && Some(best(&probabilities, answers)) == recording.truth);
         for (sum, probability) in sum.iter_mut().zip(&probabilities) {
             *sum += probability;
         }
     }
-    let label = best(&sum);
+    let label = best(&sum, answers);
     let windows = recording.raw.len();
     let probability = sum.get(label).copied().unwrap_or_default() / windows.max(1) as f32;
     Given { label, probability, windows: (windows, right) }
@@ -142,9 +143,10 @@ pub fn given(classifier: &Classifier<'_>, recording: &Scored, labels: usize) -> 
 
 /// Scores a classifier. A recording whose label the model does not know counts as wrong and stands
 /// in no row of the confusion matrix.
-pub fn score(classifier: &Classifier<'_>, recordings: &[Scored], labels: usize) -> Score {
-    let given: Vec<Given> = recordings.iter().map(|recording| given(classifier, recording, labels)).collect();
-    summary(recordings, &given, labels)
+pub fn score(classifier: &Classifier<'_>, recordings: &[Scored], answers: &[bool]) -> Score {
+    let given: Vec<Given> =
+        recordings.iter().map(|recording| given(classifier, recording, answers)).collect();
+    summary(recordings, &given, answers.len())
 }
 
 /// The figures of what a classifier gave each recording.

@@ -101,6 +101,8 @@ fn a_model_learns_one_more_person_and_keeps_labels_and_scaling() {
         })
         .collect();
     assert_eq!(examples.len(), 12, "three recordings of 5 s have four windows each");
+    let widths: Vec<usize> = model.float.iter().map(|layer| layer.biases.len()).collect();
+    assert_eq!(widths[..2], models::ALIGNED_HIDDEN, "the shape whose cost on the board is tested");
     let memory = model.memory.as_ref().unwrap();
     let adapted = adapt(&model, memory, &examples, "b", 1).unwrap();
     assert_ne!(adapted.int8_tflite, model.int8_tflite);

@@ -22,6 +22,9 @@
 //! and 2 deg/s); then ln(√e + f) + 1 per triad and direction; last 2·(|gravity| − 1 g). That is 45 for an accelerometer
 //! and 89 with a gyroscope. `tests/reference/aligned_ref.py` is the same in numpy.
 //!
+//! Turning is linear, so it comes last: sums of products and lines are made of the channels as they are, and ten lines
+//! are turned instead of 25 hops.
+//!
 //! Gravity is the mean acceleration of the window. Below 10⁻³ m/s² it has no direction: what remains is finite and the
 //! floors keep it small. A window in which nothing moves gives the same constants in any posture.
 
@@ -53,6 +56,66 @@ pub const fn feature_count(axes: usize) -> usize {
 /// A series of hops in one direction.
 type Series = [f32; HOPS];
 
+/// Three channels of a window, as the sensor has them.
+struct Triad {
+    mean: [f32; 3],
+    /// Mean products of deviations from the mean.
+    products: [[f32; 3]; 3],
+    /// See [`AlignedWindow::spectrum`].
+    lines: [[(f32, f32); LINES]; 3],
+}
+
+impl Triad {
+    /// The matrix of the products times a vector.
+    #[inline(always)]
+    fn times(&self, vector: [f32; 3]) -> [f32; 3] {
+        self.products.map(|row| dot(row, vector))
+    }
+}
+
+/// Eight samples of a channel.
+struct Hop {
+    mean: f32,
+    /// Mean square about the mean.
+    variance: f32,
+}
+
+impl Hop {
+    #[inline(always)]
+    fn new(samples: &[f32; HOP]) -> Self {
+        // About the first sample: the mean of a resting hand is exact, its variance 0.
+        let first = samples[0];
+        let offset = samples.iter().fold(0.0, |sum, sample| sum + (sample - first)) * (1.0 / HOP as f32);
+        let squares = samples.iter().fold(0.0, |sum, sample| {
+            let deviation = (sample - first) - offset;
+            sum + deviation * deviation
+        });
+        Self { mean: first + offset, variance: squares * (1.0 / HOP as f32) }
+    }
+
+    /// Whether all samples are numbers within the limit for sure: x² ≤ 2·(mean² + Σ(x − mean)²) for each.
+    #[inline(always)]
+    fn is_tame(&self) -> bool {
+        self.mean * self.mean + HOP as f32 * self.variance <= SAMPLE_LIMIT * SAMPLE_LIMIT / 2.0
+    }
+}
+
+/// Limits magnitudes and lets values that are no numbers repeat the one before; tells how many these were.
+#[cold]
+#[inline(never)]
+fn repair(samples: &mut [f32; HOP], mut held: f32) -> u32 {
+    let mut replaced = 0;
+    for sample in samples {
+        if sample.is_finite() {
+            held = sample.clamp(-SAMPLE_LIMIT, SAMPLE_LIMIT);
+        } else {
+            replaced += 1;
+        }
+        *sample = held;
+    }
+    replaced
+}
+
 /// How much the hand moves now, for [`crate::movement`].
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Movement {
@@ -71,10 +134,10 @@ pub struct AlignedWindow<const A: usize> {
     staged: usize,
     /// The last good sample.
     held: [f32; CHANNELS],
-    /// Means of the hops, a ring.
-    bins: [[f32; CHANNELS]; HOPS],
+    /// Per channel the means of the hops, a ring.
+    bins: [Series; CHANNELS],
     /// Variance inside the hops, summed over the directions of a triad.
-    tremor: [[f32; 2]; HOPS],
+    tremor: [Series; 2],
     /// Where the oldest hop stands.
     oldest: usize,
     hops: usize,
@@ -94,8 +157,8 @@ impl<const A: usize> AlignedWindow<A> {
             stage: [[0.0; HOP]; CHANNELS],
             staged: 0,
             held: [0.0; CHANNELS],
-            bins: [[0.0; CHANNELS]; HOPS],
-            tremor: [[0.0; 2]; HOPS],
+            bins: [[0.0; HOPS]; CHANNELS],
+            tremor: [[0.0; HOPS]; 2],
             oldest: 0,
             hops: 0,
             features: [0.0; MAX_FEATURES],
@@ -122,26 +185,18 @@ impl<const A: usize> AlignedWindow<A> {
         self.staged = 0;
         let mut replaced = 0;
         let slot = self.oldest.min(HOPS - 1);
-        let (bin, tremor) = (&mut self.bins[slot], &mut self.tremor[slot]);
-        *tremor = [0.0; 2];
-        for (index, samples) in self.stage.iter_mut().enumerate().take(Self::USED) {
-            for sample in samples.iter_mut() {
-                if sample.is_finite() {
-                    self.held[index] = sample.clamp(-SAMPLE_LIMIT, SAMPLE_LIMIT);
-                } else {
-                    replaced += 1;
+        for (index, tremor) in self.tremor.iter_mut().enumerate().take(Self::TRIADS) {
+            tremor[slot] = 0.0;
+            for channel in 3 * index..3 * index + 3 {
+                let mut hop = Hop::new(&self.stage[channel]);
+                if !hop.is_tame() {
+                    replaced += repair(&mut self.stage[channel], self.held[channel]);
+                    hop = Hop::new(&self.stage[channel]);
                 }
-                *sample = self.held[index];
+                self.held[channel] = self.stage[channel][HOP - 1];
+                self.bins[channel][slot] = hop.mean;
+                tremor[slot] += hop.variance;
             }
-            // About the first sample: the mean of a resting hand is exact, its variance 0.
-            let first = samples[0];
-            let offset = samples.iter().fold(0.0, |sum, sample| sum + (sample - first)) * (1.0 / HOP as f32);
-            let squares = samples.iter().fold(0.0, |sum, sample| {
-                let deviation = (sample - first) - offset;
-                sum + deviation * deviation
-            });
-            bin[index] = first + offset;
-            tremor[index / 3] += squares * (1.0 / HOP as f32);
         }
         self.oldest = if slot + 1 < HOPS { slot + 1 } else { 0 };
         self.hops = (self.hops + 1).min(HOPS);
@@ -181,75 +236,146 @@ impl<const A: usize> AlignedWindow<A> {
     /// How much the hand moved in the last hops.
     pub fn movement(&self) -> Movement {
         let count = if Self::TRIADS == 2 { 4 } else { 8 };
-        let last = |back: usize| &self.bins[(self.oldest + HOPS - 1 - back) % HOPS];
-        let newest = last(0);
         let count = count.min(self.hops.max(1));
+        let place = |back: usize| (self.oldest + HOPS - 1 - back) % HOPS;
         let mut variance = 0.0;
-        for (axis, reference) in newest.iter().enumerate().take(3) {
+        for channel in &self.bins[..3] {
+            let reference = channel[place(0)];
             let (mut sum, mut squares) = (0.0, 0.0);
             for back in 0..count {
-                let deviation = last(back)[axis] - reference;
+                let deviation = channel[place(back)] - reference;
                 sum += deviation;
                 squares += deviation * deviation;
             }
             let mean = sum / count as f32;
             variance += (squares / count as f32 - mean * mean).max(0.0);
         }
-        let [_, _, _, x, y, z] = *newest;
+        let [_, _, _, x, y, z] = self.bins.each_ref().map(|channel| channel[place(0)]);
         Movement { acceleration: square_root(variance), rotation: square_root(x * x + y * y + z * z) }
     }
 
-    /// The hops of three channels from `first`, oldest first.
-    fn series(&self, first: usize) -> [Series; 3] {
-        let (new, old) = self.bins.split_at(self.oldest.min(HOPS));
-        let mut all = [[0.0; HOPS]; 3];
-        for (index, bin) in old.iter().chain(new).enumerate() {
-            for (series, value) in all.iter_mut().zip(&bin[first..first + 3]) {
-                series[index] = *value;
+    /// The three channels from `first` on.
+    #[inline(always)]
+    fn triad(&self, first: usize) -> Triad {
+        let mut centred = [[0.0; HOPS]; 3];
+        let mut mean = [0.0; 3];
+        let mut lines = [[(0.0, 0.0); LINES]; 3];
+        for (index, series) in centred.iter_mut().enumerate() {
+            let (new, old) = self.bins[first + index].split_at(self.oldest.min(HOPS - 1));
+            // About the oldest hop, so that a constant leaves nothing behind.
+            let start = old[0];
+            let mut sum = 0.0;
+            for (place, value) in series.iter_mut().zip(old.iter().chain(new)) {
+                *place = value - start;
+                sum += *place;
             }
+            let offset = sum * (1.0 / HOPS as f32);
+            series.iter_mut().for_each(|value| *value -= offset);
+            mean[index] = start + offset;
+            Self::spectrum(series, &mut lines[index]);
         }
-        all
+        let product = |a: usize, b: usize| {
+            let sum = centred[a].iter().zip(&centred[b]).fold(0.0, |sum, (x, y)| sum + x * y);
+            sum * (1.0 / HOPS as f32)
+        };
+        let (xy, xz, yz) = (product(0, 1), product(0, 2), product(1, 2));
+        let products = [[product(0, 0), xy, xz], [xy, product(1, 1), yz], [xz, yz, product(2, 2)]];
+        Triad { mean, products, lines }
     }
 
     #[inline(never)]
     fn extract(&mut self) {
-        let mut triads = [self.series(0), [[0.0; HOPS]; 3]];
-        if Self::TRIADS == 2 {
-            triads[1] = self.series(3);
-        }
-        let gravity = triads[0].each_mut().map(centre);
-        let length = square_root(dot(gravity, gravity));
-        let frame = frame(gravity.map(|value| value / length.max(1e-3)));
-        turn(&mut triads[0], &frame, 1.0 / G);
-        if Self::TRIADS == 2 {
-            turn(&mut triads[1], &frame, 1.0 / 100.0);
-        }
-        // The rotation's mean counts: a hand that turned one way has turned about that direction.
-        let (cosine, sine) = principal(&triads[Self::TRIADS - 1]);
-        let floors = [ACC_FLOOR, GYRO_FLOOR];
+        let acceleration = self.triad(0);
+        let length = square_root(dot(acceleration.mean, acceleration.mean));
+        let [up, across, along] = frame(acceleration.mean.map(|value| value / length.max(1e-3)));
+        // Where the rotation has most power, its mean included: a hand that turned one way turned about that direction.
+        let rotation = (Self::TRIADS == 2).then(|| self.triad(3));
+        let (cosine, sine) = match &rotation {
+            Some(rotation) => principal(rotation, rotation.mean, across, along),
+            None => principal(&acceleration, [0.0; 3], across, along),
+        };
+        let second = core::array::from_fn(|i| cosine * across[i] + sine * along[i]);
+        let third = core::array::from_fn(|i| cosine * along[i] - sine * across[i]);
+        let frame = [up, second, third];
+
         let mut writer = Writer { place: self.features.iter_mut() };
         let mut squares = [[0.0; 3]; 2];
-        for ((triad, floor), squares) in triads.iter_mut().zip(floors).zip(&mut squares).take(Self::TRIADS) {
-            let [_, second, third] = &mut *triad;
-            for (b, c) in second.iter_mut().zip(third) {
-                (*b, *c) = (cosine * *b + sine * *c, cosine * *c - sine * *b);
-            }
-            for series in triad.iter_mut() {
-                centre(series);
-            }
-            *squares = describe(triad, floor, &mut writer);
+        squares[0] = describe(&acceleration, &frame, 1.0 / G, ACC_FLOOR, &mut writer);
+        if let Some(rotation) = &rotation {
+            squares[1] = describe(rotation, &frame, 1.0 / 100.0, GYRO_FLOOR, &mut writer);
         }
         let tremor_floors = [(1.0 / G, 0.01), (1.0 / 100.0, 0.02)];
-        for (index, (unit, floor)) in tremor_floors.into_iter().enumerate().take(Self::TRIADS) {
-            let mean = self.tremor.iter().fold(0.0, |sum, tremor| sum + tremor[index]) * (1.0 / HOPS as f32);
+        for (tremor, (unit, floor)) in self.tremor.iter().zip(tremor_floors).take(Self::TRIADS) {
+            let mean = tremor.iter().fold(0.0, |sum, tremor| sum + tremor) * (1.0 / HOPS as f32);
             writer.push(ln(square_root(mean) * unit + floor) * 0.5 + 1.5);
         }
-        for (squares, floor) in squares.iter().zip(floors).take(Self::TRIADS) {
+        for (squares, floor) in squares.iter().zip([ACC_FLOOR, GYRO_FLOOR]).take(Self::TRIADS) {
             for &square in squares {
                 writer.push(ln(square_root(square) + floor) + 1.0);
             }
         }
         writer.push(2.0 * (length * (1.0 / G) - 1.0));
+    }
+
+    /// Lines 1 to 10 of the 32-point transform of a series under the Hann window, with the middle hop as time 0.
+    ///
+    /// Where time starts does not matter: all series turn alike, and only magnitudes and products with conjugates are
+    /// used. About the middle, sums of mirrored hops meet cosines and differences sines. Hops m and 16 − m from the middle
+    /// meet the same ones up to sign, so they are folded, apart for odd and even lines; so are m and 8 − m for the even
+    /// lines, and lines 7 and 9 share their terms.
+    #[inline(never)]
+    fn spectrum(series: &Series, lines: &mut [(f32, f32); LINES]) {
+        const MIDDLE: usize = HOPS / 2;
+        let (mut s, mut d) = ([0.0; 13], [0.0; 13]);
+        for (m, weight) in HANN.iter().enumerate() {
+            let (after, before) = (series[MIDDLE + 1 + m], series[MIDDLE - 1 - m]);
+            s[m + 1] = weight * (after + before);
+            d[m + 1] = weight * (after - before);
+        }
+        let x = series[MIDDLE];
+        let (c1, r, c3) = (COSINES[2], COSINES[4], COSINES[6]);
+
+        // Even lines; hops 13 to 15 from the middle are none.
+        let (e4, e5, e6, e7) = (s[4] + s[12], s[5] + s[11], s[6] + s[10], s[7] + s[9]);
+        let (p1, p2, p3) = (s[1] - e7, s[2] - e6, s[3] - e5);
+        let (q1, q2, q3) = (s[1] + e7, s[2] + e6, s[3] + e5);
+        let (f4, f5, f6, f7) = (d[4] - d[12], d[5] - d[11], d[6] - d[10], d[7] - d[9]);
+        let (g1, g2, g3) = (d[1] + f7, d[2] + f6, d[3] + f5);
+        let (h1, h2, h3) = (d[1] - f7, d[2] - f6, d[3] - f5);
+        let (minus, plus) = (x - s[8], x + s[8]);
+        let (rp, rg) = (r * p2, r * g2);
+        let (t, u) = (c3 * p1 - c1 * p3, c1 * g1 - c3 * g3);
+        lines[1] = (minus + rp + (c1 * p1 + c3 * p3), c3 * g1 + c1 * g3 + rg + f4);
+        lines[3] = (plus - e4 + r * (q1 - q3), r * (h1 + h3) + h2);
+        lines[5] = (minus - rp + t, u + (rg - f4));
+        lines[7] = (plus + e4 - q2, h1 - h3);
+        lines[9] = (minus - rp - t, u - (rg - f4));
+
+        // Odd lines: hops at odd and at even distance apart.
+        let [_, a1, _, a3, _, a5, _, a7] = COSINES;
+        let (o4, o5, o6, o7) = (s[4] - s[12], s[5] - s[11], s[6] - s[10], s[7] - s[9]);
+        let (i4, i5, i6, i7) = (d[4] + d[12], d[5] + d[11], d[6] + d[10], d[7] + d[9]);
+        let (u, v, w) = (c1 * s[2] + c3 * o6, c3 * s[2] - c1 * o6, r * o4);
+        let (re1, re3, re5, re7) = ((x + w) + u, (x - w) + v, (x - w) - v, (x + w) - u);
+        let (u, v, w) = (c3 * d[2] + c1 * i6, c1 * d[2] - c3 * i6, r * i4);
+        let (im1, im3, im5, im7) = (u + w + d[8], v + w - d[8], v - w + d[8], u - w - d[8]);
+        let ((s1, s3), (d1, d3)) = ((s[1], s[3]), (d[1], d[3]));
+        lines[0] = (
+            re1 + ((a1 * s1 + a3 * s3) + (a5 * o5 + a7 * o7)),
+            im1 + ((a7 * d1 + a5 * d3) + (a3 * i5 + a1 * i7)),
+        );
+        lines[2] = (
+            re3 + ((a3 * s1 - a7 * s3) - (a1 * o5 + a5 * o7)),
+            im3 + ((a5 * d1 + a1 * d3) + (a7 * i5 - a3 * i7)),
+        );
+        lines[4] = (
+            re5 + ((a5 * s1 - a1 * s3) + (a7 * o5 + a3 * o7)),
+            im5 + ((a3 * d1 + a7 * d3) - (a1 * i5 - a5 * i7)),
+        );
+        let re = (a7 * s1 - a5 * s3) + (a3 * o5 - a1 * o7);
+        let im = (a1 * d1 - a3 * d3) + (a5 * i5 - a7 * i7);
+        lines[6] = (re7 + re, im + im7);
+        lines[8] = (re7 - re, im - im7);
     }
 }
 
@@ -276,17 +402,6 @@ fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
-/// Takes the mean away and gives it.
-fn centre(series: &mut Series) -> f32 {
-    // About the first hop, so that a constant leaves nothing behind.
-    let first = series[0];
-    let offset = series.iter().fold(0.0, |sum, value| sum + (value - first)) * (1.0 / HOPS as f32);
-    for value in series.iter_mut() {
-        *value = (*value - first) - offset;
-    }
-    first + offset
-}
-
 /// Up, and two horizontal directions. Features do not depend on which.
 fn frame(up: [f32; 3]) -> [[f32; 3]; 3] {
     let across = if up[0].abs() > 0.9 { up[1] } else { up[0] };
@@ -299,24 +414,13 @@ fn frame(up: [f32; 3]) -> [[f32; 3]; 3] {
     [up, e, f]
 }
 
-/// Expresses three series in another frame and unit.
-fn turn(triad: &mut [Series; 3], frame: &[[f32; 3]; 3], unit: f32) {
-    let [x, y, z] = triad;
-    for ((x, y), z) in x.iter_mut().zip(y).zip(z) {
-        let vector = [*x * unit, *y * unit, *z * unit];
-        [*x, *y, *z] = [dot(frame[0], vector), dot(frame[1], vector), dot(frame[2], vector)];
-    }
-}
-
-/// Cosine and sine of the angle from the second to the direction with the most power among second and third.
-fn principal(triad: &[Series; 3]) -> (f32, f32) {
-    let (mut difference, mut product) = (0.0, 0.0);
-    for (a, b) in triad[1].iter().zip(&triad[2]) {
-        difference += a * a - b * b;
-        product += a * b;
-    }
+/// Cosine and sine of the angle from `across` to the direction with the most power among it and `along`, about a
+/// mean or, with a mean of zeros, without it.
+fn principal(triad: &Triad, mean: [f32; 3], across: [f32; 3], along: [f32; 3]) -> (f32, f32) {
+    let (turned, a, b) = (triad.times(along), dot(mean, across), dot(mean, along));
+    let difference = (dot(across, triad.times(across)) + a * a) - (dot(along, turned) + b * b);
     // tan 2θ = 2·product / difference; half-angle formulas on the side where nothing cancels.
-    let twice = 2.0 * product;
+    let twice = 2.0 * (dot(across, turned) + a * b);
     let length = square_root(difference * difference + twice * twice);
     if length < 1e-12 {
         return (1.0, 0.0);
@@ -327,11 +431,13 @@ fn principal(triad: &[Series; 3]) -> (f32, f32) {
     if difference >= 0.0 { (large, sign * small) } else { (small, sign * large) }
 }
 
-/// Writes the first [`TRIAD_FEATURES`] of a centred triad; gives the mean squares.
-fn describe(triad: &[Series; 3], floor: f32, out: &mut Writer<'_>) -> [f32; 3] {
-    let squares = triad
-        .each_ref()
-        .map(|series| series.iter().fold(0.0, |sum, value| sum + value * value) * (1.0 / HOPS as f32));
+/// Writes the first [`TRIAD_FEATURES`] of a triad seen in a frame; gives the mean squares. It stands twice in a window's
+/// code, for speed.
+#[inline(always)]
+fn describe(triad: &Triad, frame: &[[f32; 3]; 3], unit: f32, floor: f32, out: &mut Writer<'_>) -> [f32; 3] {
+    let frame = frame.map(|direction| direction.map(|value| value * unit));
+    // Rounding may leave a little less than nothing.
+    let squares = frame.map(|direction| dot(direction, triad.times(direction)).max(0.0));
     let energy = squares[0] + squares[1] + squares[2];
     let root = square_root(energy);
     out.push(2.0 * root / (root + 2.0 * floor) - 1.0);
@@ -339,11 +445,18 @@ fn describe(triad: &[Series; 3], floor: f32, out: &mut Writer<'_>) -> [f32; 3] {
     for square in squares {
         out.push(square * share - 1.0);
     }
-    let lines = triad.each_ref().map(spectrum);
-    let scales = lines.each_ref().map(|lines| {
-        let sum = lines.iter().fold(0.0, |sum, (re, im)| sum + (re * re + im * im));
-        1.0 / square_root(sum + 60.0 * floor * floor)
-    });
+    let mut lines = [[(0.0, 0.0); LINES]; 3];
+    let mut scales = [0.0; 3];
+    for ((turned, scale), direction) in lines.iter_mut().zip(&mut scales).zip(frame) {
+        let mut sum = 60.0 * floor * floor;
+        for (line, place) in turned.iter_mut().enumerate() {
+            let [x, y, z] = triad.lines.each_ref().map(|lines| lines[line]);
+            let (re, im) = (dot(direction, [x.0, y.0, z.0]), dot(direction, [x.1, y.1, z.1]));
+            *place = (re, im);
+            sum += re * re + im * im;
+        }
+        *scale = 1.0 / square_root(sum);
+    }
     for line in 0..LINES {
         for (lines, scale) in lines.iter().zip(&scales) {
             let (re, im) = lines[line];
@@ -379,8 +492,8 @@ const HANN: [f32; 12] = [
     0.014_529_091,
 ];
 
-/// cos(2πm/32), m = 0 to 8.
-const QUARTER: [f32; 9] = [
+/// cos(2πm/32), m = 0 to 7.
+const COSINES: [f32; 8] = [
     1.0,
     0.980_785_25,
     0.923_879_5,
@@ -389,66 +502,34 @@ const QUARTER: [f32; 9] = [
     0.555_570_24,
     0.382_683_43,
     0.195_090_32,
-    0.0,
 ];
 
-const fn cosine(m: usize) -> f32 {
-    match m % 32 {
-        m @ 0..=8 => QUARTER[m],
-        m @ 9..=16 => -QUARTER[16 - m],
-        m @ 17..=24 => -QUARTER[m - 16],
-        m => QUARTER[32 - m],
-    }
-}
+#[cfg(test)]
+mod tests {
+    use super::*;
 
-/// cos and sin of 2πkm/32 for lines k = 1 to 10 and m = 1 to 8.
-const TURNS: [[(f32, f32); 8]; LINES] = {
-    let mut table = [[(0.0, 0.0); 8]; LINES];
-    let mut k = 0;
-    while k < LINES {
-        let mut m = 0;
-        while m < 8 {
-            let turn = (k + 1) * (m + 1);
-            table[k][m] = (cosine(turn), cosine(turn + 24));
-            m += 1;
+    #[test]
+    fn lines_equal_the_definition() {
+        let mut state = 1u32;
+        for round in 0..300 {
+            let series: Series = core::array::from_fn(|_| {
+                state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                (state >> 8) as f32 / 1e7 - 0.8
+            });
+            let mut lines = [(0.0, 0.0); LINES];
+            AlignedWindow::<9>::spectrum(&series, &mut lines);
+            for (index, (re, im)) in lines.into_iter().enumerate() {
+                let (mut cosines, mut sines) = (0f64, 0f64);
+                for (n, &x) in series.iter().enumerate() {
+                    let m = n as f64 - 12.0;
+                    let weighted = f64::from(x) * (0.5 + 0.5 * (core::f64::consts::TAU * m / 26.0).cos());
+                    let angle = core::f64::consts::TAU * (index + 1) as f64 * m / 32.0;
+                    cosines += weighted * angle.cos();
+                    sines += weighted * angle.sin();
+                }
+                let close = |got: f32, expected: f64| (f64::from(got) - expected).abs() < 3e-6;
+                assert!(close(re, cosines) && close(im, sines), "round {round}, line {}", index + 1);
+            }
         }
-        k += 1;
     }
-    table
-};
-
-/// Lines 1 to 10 of the 32-point transform of a series under the Hann window, with the middle hop as time 0.
-///
-/// Where time starts does not matter: all series turn alike, and only magnitudes and products with conjugates are used.
-/// About the middle, sums of mirrored hops meet cosines and differences sines; m and 16 − m share one of these up to sign.
-fn spectrum(series: &Series) -> [(f32, f32); LINES] {
-    const MIDDLE: usize = HOPS / 2;
-    let mut sums = [0.0; 16];
-    let mut differences = [0.0; 16];
-    for (m, weight) in HANN.iter().enumerate() {
-        let (after, before) = (series[MIDDLE + 1 + m], series[MIDDLE - 1 - m]);
-        sums[m + 1] = weight * (after + before);
-        differences[m + 1] = weight * (after - before);
-    }
-    // Of even and of odd lines.
-    let mut folded = [[(0.0, 0.0); 8]; 2];
-    for m in 1..8 {
-        let (s, t) = (sums[m], sums[16 - m]);
-        let (d, e) = (differences[m], differences[16 - m]);
-        folded[0][m - 1] = (s + t, d - e);
-        folded[1][m - 1] = (s - t, d + e);
-    }
-    folded[0][7] = (sums[8], differences[8]);
-    folded[1][7] = folded[0][7];
-    let mut lines = [(0.0, 0.0); LINES];
-    for (index, (line, turns)) in lines.iter_mut().zip(&TURNS).enumerate() {
-        let terms = &folded[(index + 1) % 2];
-        let (mut re, mut im) = (series[MIDDLE], 0.0);
-        for ((s, d), (cosine, sine)) in terms.iter().zip(turns) {
-            re += s * cosine;
-            im += d * sine;
-        }
-        *line = (re, im);
-    }
-    lines
 }

@@ -1,14 +1,15 @@
 //! From scores and movement, one set per hop, to one event per movement of the hand.
 //!
 //! ```text
-//!          the hand moves            long enough, and it is over or 1.6 s old,
+//!          the hand moves            long enough, and it is over or 1.8 s old,
 //!                                    and the mean of the last scores is sure of a gesture
 //!   still ───────────────▶ moving ────────────────────────────────────────────▶ event, then spent
 //!     ▲                      │                                                      │
 //!     └──────────────────────┴───────────── some hops without movement ─────────────┘
 //! ```
-//! A movement that goes on after its event makes another one only if it becomes, surely and for two seconds, a
-//! *different* gesture; the same gesture again needs rest in between. The labels `idle` and `other` never make an event.
+//! A gesture shows soon. A movement that has made no event for a while is something else, and makes one only if it
+//! becomes, surely and for two seconds, a gesture; so does one that goes on after its event, if it becomes a *different*
+//! gesture. The same gesture again needs rest in between. The labels `idle` and `other` never make an event.
 
 use crate::aligned::Movement;
 use crate::decision::{Event, is_rest};
@@ -38,7 +39,9 @@ pub struct MovementConfig {
     pub min_confidence: u8,
     /// Most mean probability of all rest labels together: which gesture it is may be open longer than that it is one.
     pub max_rest: u8,
-    /// After an event, a different gesture must be seen for so many hops in a row …
+    /// A movement without an event after so many hops is a long one.
+    pub late_hops: u8,
+    /// In a long movement, and after an event, a (different) gesture must be seen for so many hops in a row …
     pub change_hops: u8,
     /// … each with this mean probability.
     pub change_confidence: u8,
@@ -53,11 +56,12 @@ impl MovementConfig {
             rotation: 30.0,
             rest_hops: if has_gyro { 3 } else { 6 },
             min_hops: 9,
-            min_moving: if has_gyro { 8 } else { 18 },
-            decide_hops: 20,
-            average_hops: 5,
-            min_confidence: 141,
-            max_rest: 255,
+            min_moving: if has_gyro { 8 } else { 22 },
+            decide_hops: 22,
+            average_hops: if has_gyro { 6 } else { 8 },
+            min_confidence: 154,
+            max_rest: if has_gyro { 64 } else { 51 },
+            late_hops: if has_gyro { 30 } else { 60 },
             change_hops: 25,
             change_confidence: 205,
         }
@@ -136,7 +140,7 @@ impl MovementDecision {
         let is_gesture = self.rest_labels & (1 << label) == 0;
         let mut fires = false;
         match run.fired {
-            None => {
+            None if run.hops <= config.late_hops => {
                 self.change = (0, 0);
                 fires = is_gesture
                     && confidence >= config.min_confidence
@@ -145,12 +149,12 @@ impl MovementDecision {
                     && run.moving >= config.min_moving
                     && (ended || run.hops >= config.decide_hops);
             }
-            Some(fired) if is_gesture && label != fired && confidence >= config.change_confidence => {
+            fired if is_gesture && fired != Some(label) && confidence >= config.change_confidence => {
                 let (last, count) = self.change;
                 self.change = (label, if label == last { count.saturating_add(1) } else { 1 });
                 fires = self.change.1 >= config.change_hops;
             }
-            Some(_) => self.change = (0, 0),
+            _ => self.change = (0, 0),
         }
         if fires {
             run.fired = Some(label);
@@ -236,9 +240,26 @@ mod tests {
     }
 
     #[test]
-    fn a_long_movement_makes_one_event_after_twenty_hops_and_no_second() {
+    fn a_long_movement_makes_one_event_before_its_end_and_no_second() {
         let pieces = [(10, 0, 250, STILL), (300, 1, 250, MOVING), (20, 0, 250, STILL)];
-        assert_eq!(run(&mut decision(), &pieces), [(29, 1)]);
+        assert_eq!(run(&mut decision(), &pieces), [(31, 1)], "22 hops");
+    }
+
+    #[test]
+    fn what_looks_like_a_gesture_late_in_a_movement_must_be_sure_for_two_seconds() {
+        // With the 31st hop it is late; the mean passes 205 with the fifth hop of the gesture.
+        let pieces = [(31, 2, 250, MOVING), (28, 1, 250, MOVING), (20, 2, 250, MOVING), (9, 1, 250, STILL)];
+        assert_eq!(run(&mut decision(), &pieces[..2]), []);
+        assert_eq!(
+            run(&mut decision(), &[(31, 2, 250, MOVING), (20, 1, 250, MOVING), pieces[2], pieces[3]]),
+            []
+        );
+        assert_eq!(run(&mut decision(), &[(31, 2, 250, MOVING), (60, 1, 250, MOVING)]), [(59, 1)]);
+        assert_eq!(
+            run(&mut decision(), &[(31, 2, 250, MOVING), (60, 1, 200, MOVING)]),
+            [],
+            "not sure enough"
+        );
     }
 
     #[test]
@@ -254,14 +275,14 @@ mod tests {
 
     #[test]
     fn movement_that_is_idle_other_or_unsure_makes_no_event() {
-        for (label, probability) in [(0, 255), (2, 255), (1, 140)] {
+        for (label, probability) in [(0, 255), (2, 255), (1, 153)] {
             assert_eq!(
                 run(&mut decision(), &[(500, label, probability, MOVING)]),
                 [],
                 "{label} at {probability}"
             );
         }
-        assert_eq!(run(&mut decision(), &[(500, 1, 141, MOVING)]), [(19, 1)]);
+        assert_eq!(run(&mut decision(), &[(500, 1, 154, MOVING)]), [(21, 1)]);
     }
 
     #[test]
@@ -284,28 +305,28 @@ mod tests {
     #[test]
     fn a_different_gesture_without_rest_needs_two_sure_seconds() {
         // Five hops until the mean has changed; at 250 the mean passes 205 with the fifth.
-        let pieces = [(40, 1, 250, MOVING), (28, 3, 250, MOVING), (40, 1, 250, MOVING)];
-        assert_eq!(run(&mut decision(), &pieces), [(19, 1)]);
+        let pieces = [(40, 1, 250, MOVING), (27, 3, 250, MOVING), (40, 1, 250, MOVING)];
+        assert_eq!(run(&mut decision(), &pieces), [(21, 1)]);
         let pieces = [(40, 1, 250, MOVING), (60, 3, 250, MOVING)];
-        assert_eq!(run(&mut decision(), &pieces), [(19, 1), (68, 3)]);
+        assert_eq!(run(&mut decision(), &pieces), [(21, 1), (68, 3)]);
     }
 
     #[test]
     fn the_same_gesture_again_needs_rest() {
         let gesture = (25, 1, 250, MOVING);
         let pause = |hops| (hops, 0, 250, STILL);
-        assert_eq!(run(&mut decision(), &[gesture, pause(2), gesture]), [(19, 1)]);
-        assert_eq!(run(&mut decision(), &[gesture, pause(3), gesture]), [(19, 1), (47, 1)]);
+        assert_eq!(run(&mut decision(), &[gesture, pause(2), gesture]), [(21, 1)]);
+        assert_eq!(run(&mut decision(), &[gesture, pause(3), gesture]), [(21, 1), (49, 1)]);
     }
 
     #[test]
     fn after_a_gap_a_spent_movement_stays_spent_until_rest() {
         let mut decision = decision();
-        assert_eq!(run(&mut decision, &[(30, 1, 250, MOVING)]), [(19, 1)]);
+        assert_eq!(run(&mut decision, &[(30, 1, 250, MOVING)]), [(21, 1)]);
         decision.reset();
         assert_eq!(
             run(&mut decision, &[(60, 1, 250, MOVING), (3, 0, 250, STILL), (30, 1, 250, MOVING)]),
-            [(82, 1)]
+            [(84, 1)]
         );
         decision.reset();
     }

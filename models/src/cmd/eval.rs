@@ -52,12 +52,12 @@ impl Cmd {
         let recordings = scored(&dataset, &card.labels, &card.features);
         let padded = recordings.iter().filter(|recording| recording.padded).count();
         println!("{padded} recordings shorter than the window were padded (forward, then backward)");
-        let labels = card.labels.len();
+        let answers = card.answers();
         let result = match &files.network {
-            Network::Float(layers) => score(&Classifier::Float { card, layers }, &recordings, labels),
+            Network::Float(layers) => score(&Classifier::Float { card, layers }, &recordings, &answers),
             Network::Int8(_) => {
                 let blob = files.blob().map_err(anyhow::Error::msg)?;
-                score(&Classifier::Int8(Model::parse(&blob)?), &recordings, labels)
+                score(&Classifier::Int8(Model::parse(&blob)?), &recordings, &answers)
             }
         };
         super::print_score(&result, &card.labels);

@@ -52,14 +52,16 @@ pub enum IdleKind {
     Turn,
     /// Moving and turning in all directions, fast or slowly, hardly ever pausing: gesticulating, handling things.
     Scatter,
+    /// To and back faster than any gesture, in bursts: shaking a bottle, brushing, scratching, hammering.
+    Shake,
 }
 
 impl IdleKind {
     /// What a wearer between gestures does.
     pub const ALL: [Self; 5] = [Self::Still, Self::Fidget, Self::Reach, Self::Walk, Self::Turn];
     /// Every kind, what a wearer without a gesture in mind does.
-    pub const EVERY: [Self; 6] =
-        [Self::Still, Self::Fidget, Self::Reach, Self::Walk, Self::Turn, Self::Scatter];
+    pub const EVERY: [Self; 7] =
+        [Self::Still, Self::Fidget, Self::Reach, Self::Walk, Self::Turn, Self::Scatter, Self::Shake];
 }
 
 impl Motion {
@@ -207,6 +209,15 @@ enum Kind {
         nod_rad: f64,
         wander: Smooth,
     },
+    Shake {
+        hz: f64,
+        hurry: Smooth,
+        /// It shakes while this is above 0.
+        bursts: Smooth,
+        /// Size and phase per direction.
+        position: [(f64, f64); 3],
+        posture: [(f64, f64); 3],
+    },
 }
 
 struct Periodic {
@@ -282,6 +293,15 @@ impl Player {
                 pose.posture_rad[1] += size * nod_rad * (step + 0.5).sin();
                 pose.posture_rad[0] += size * nod_rad * (step / 2.0 + 0.7).sin();
             }
+            Kind::Shake { hz, hurry, bursts, position, posture } => {
+                let angle = TAU * hz * t + hurry.at(t);
+                let size = size * minimum_jerk(0.5 + bursts.at(t));
+                for axis in 0..3 {
+                    let (reach_m, turn_rad) = (position[axis], posture[axis]);
+                    pose.position_m[axis] += size * reach_m.0 * (angle + reach_m.1).sin();
+                    pose.posture_rad[axis] += size * turn_rad.0 * (angle + turn_rad.1).sin();
+                }
+            }
         }
     }
 }
@@ -311,6 +331,26 @@ fn idle(rng: &mut ChaCha8Rng, kind: IdleKind, seconds: f64) -> Kind {
             nod_rad: rng.random_range(0.02..0.15),
             wander: Smooth::new(rng, 0.1, 0.5, 0.3),
         },
+        IdleKind::Shake => {
+            // As many between 2.5 and 3 Hz as between 5 and 6.
+            let hz = rng.random_range(2.5f64.ln()..6.0f64.ln()).exp();
+            // Force and turning, not reach, are what a hand can do at any pace: 1 to 15 m/s², 0.3 to 5 rad/s.
+            let reach_m = rng.random_range(0.0f64..2.7).exp() / (TAU * hz).powi(2);
+            let turn_rad = rng.random_range(-1.2f64..1.6).exp() / (TAU * hz);
+            // Nearly along one line, as a hinge moves.
+            let mut along = |size: f64| {
+                let phase = rng.random_range(0.0..TAU);
+                [0; 3].map(|_| (normal(rng, 0.6 * size, size), phase + normal(rng, 0.3, 0.9)))
+            };
+            let (position, posture) = (along(reach_m), along(turn_rad));
+            Kind::Shake {
+                hz,
+                hurry: Smooth::new(rng, 0.1, 0.8, 0.8),
+                bursts: Smooth::new(rng, 0.05, 0.4, 0.8),
+                position,
+                posture,
+            }
+        }
     }
 }
 

@@ -45,7 +45,7 @@ pub(super) fn windows(item: &Item, label: usize, copies: usize, rng: &ChaCha8Rng
 }
 
 /// What simulated wearers do that is no gesture, one thing after the other.
-const AIMLESS: [IdleKind; 8] = [
+const AIMLESS: [IdleKind; 10] = [
     IdleKind::Still,
     IdleKind::Fidget,
     IdleKind::Reach,
@@ -54,6 +54,8 @@ const AIMLESS: [IdleKind; 8] = [
     IdleKind::Scatter,
     IdleKind::Scatter,
     IdleKind::Scatter,
+    IdleKind::Shake,
+    IdleKind::Shake,
 ];
 
 /// Features of windows that several trainings use.

@@ -22,7 +22,7 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use sha2::{Digest, Sha256};
-use shared_dsp::mlp::Model;
+use shared_dsp::mlp::{MAX_LABELS, Model};
 
 use crate::card::{self, Card, Data, Scaling, Scores, Training};
 use crate::dataset::{Dataset, Item};
@@ -69,7 +69,8 @@ pub struct Recipe {
     pub augmentation: Augmentation,
     /// Fixed steps instead of epochs; then nothing decides when to stop, and windows are varied one by one.
     pub steps: Option<Steps>,
-    /// Simulated wearers whose movements are shown as `other`, where there is this label; with fixed steps only.
+    /// Simulated wearers whose movements are shown as `other`, a label that is added where the recordings have none:
+    /// what is no gesture must have a place to go. With fixed steps only.
     pub bystanders: u32,
 }
 
@@ -103,7 +104,7 @@ impl Recipe {
         Self {
             name: "aligned",
             features: shared_dsp::recipe::Recipe::Aligned,
-            hidden: &[24, 12],
+            hidden: &crate::ALIGNED_MEMBER_HIDDEN,
             epochs: 0,
             patience: None,
             halvings: 0,
@@ -115,7 +116,7 @@ impl Recipe {
             stride_hops: 1,
             augmentation: Augmentation { copies: 10, ..Augmentation::NONE },
             steps: Some(Steps::TRAIN),
-            bystanders: 30,
+            bystanders: 100,
         }
     }
 }
@@ -149,6 +150,9 @@ impl Default for Recipe {
         Self::aligned()
     }
 }
+
+/// What makes no gesture, yet is not at rest.
+const OTHER: &str = "other";
 
 /// What else a training needs to know.
 #[derive(Clone, Debug)]
@@ -296,7 +300,11 @@ pub fn train(dataset: &Dataset, test: &[String], recipe: &Recipe, job: &Job) -> 
     let test_set = dataset.filtered(|item| test.contains(&item.name));
     let used = dataset.filtered(|item| !test.contains(&item.name));
     check_labels(&used)?;
-    let labels = used.labels.clone();
+    let mut labels = used.labels.clone();
+    if recipe.bystanders > 0 && labels.len() < MAX_LABELS && !labels.iter().any(|label| label == OTHER) {
+        labels.push(OTHER.to_owned());
+        crate::labels::sort(&mut labels);
+    }
     let validation = held_out(&used, recipe.validation_fraction, job.seed);
 
     let windows = all_windows(&used, &labels, recipe, job);
@@ -317,7 +325,7 @@ pub fn train(dataset: &Dataset, test: &[String], recipe: &Recipe, job: &Job) -> 
         check.clone_from(&learn);
     }
     // As `idle` they would teach that whoever moves slowly rests.
-    let no_gesture = labels.iter().position(|label| label == "other");
+    let no_gesture = labels.iter().position(|label| label == OTHER);
     let bystanders = match (recipe.bystanders, no_gesture) {
         (1.., Some(label)) => Some((aligned::aimless(used.axes, recipe.bystanders), label)),
         _ => None,
@@ -426,8 +434,8 @@ pub fn train(dataset: &Dataset, test: &[String], recipe: &Recipe, job: &Job) -> 
         let recordings = scored(set, &labels, &card.features);
         let float = Classifier::Float { card: &card, layers: &fitted.layers };
         Some(Scores {
-            float: score(&float, &recordings, labels.len()),
-            int8: score(&Classifier::Int8(model), &recordings, labels.len()),
+            float: score(&float, &recordings, &card.answers()),
+            int8: score(&Classifier::Int8(model), &recordings, &card.answers()),
         })
     };
     let test_scores = both(&test_set);
@@ -445,11 +453,11 @@ fn check_labels(used: &Dataset) -> Result<(), TrainError> {
             used.folder.display(),
             labels.len()
         ),
-        labels if labels.len() > shared_dsp::mlp::MAX_LABELS => format!(
+        labels if labels.len() > MAX_LABELS => format!(
             "{}: {} labels; a board holds at most {}: merge or remove some",
             used.folder.display(),
             labels.len(),
-            shared_dsp::mlp::MAX_LABELS
+            MAX_LABELS
         ),
         labels => match labels.iter().find(|label| label.contains(',') || label.is_empty()) {
             Some(label) => format!("label {label:?} is empty or has a comma; rename its folder"),

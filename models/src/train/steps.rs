@@ -49,7 +49,7 @@ impl Steps {
         label_smoothing: 0.1,
         decay: 1e-4,
         keep: 0.995,
-        members: 3,
+        members: crate::ALIGNED_MEMBERS,
         rounded: 300,
     };
     /// For a network that only has to learn one more person.
