@@ -53,9 +53,13 @@ pub struct Short {
 impl Short {
     /// The recipes with as many steps as asked for.
     pub fn shorten(&self, mut recipes: Vec<Recipe>) -> Vec<Recipe> {
-        for plan in recipes.iter_mut().filter_map(|recipe| recipe.steps.as_mut()) {
-            plan.count = self.steps.unwrap_or(plan.count);
-            plan.rounded = plan.rounded.min(plan.count);
+        for recipe in &mut recipes {
+            let (Some(plan), Some(count)) = (&mut recipe.steps, self.steps) else { continue };
+            // Fewer steps see fewer simulated wearers.
+            let fewer = (recipe.bystanders as usize * count).div_ceil(plan.count) as u32;
+            recipe.bystanders = recipe.bystanders.min(fewer);
+            plan.count = count;
+            plan.rounded = plan.rounded.min(count);
         }
         recipes
     }

@@ -123,8 +123,12 @@ impl Cmd {
                 }
             }
         }
-        let whose = if all.is_empty() { "" } else { " of recipe aligned" };
-        println!("largest difference of int8 and float in a row{whose}: {:.2} points", widest_gap(&all));
+        if !all.is_empty() {
+            println!(
+                "largest difference of int8 and float in a row of recipe aligned: {:.2} points",
+                widest_gap(&all)
+            );
+        }
         println!("{:.0} s", start.elapsed().as_secs_f64());
         Ok(())
     }
