@@ -15,7 +15,10 @@ use crate::base::BaseConfig;
 use crate::intent::{MotionMap, SpeedRules};
 use crate::keyboard::KeyTimes;
 use crate::ros2::Ros2Config;
-use crate::safety::SafetyTimes;
+use crate::safety::{Hand, SafetyTimes};
+
+/// The port that is none: keys stand for the hand.
+pub const KEYBOARD: &str = "keyboard";
 
 /// All settings. The default is what the paper says, or the safest.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -172,6 +175,18 @@ impl Config {
     pub fn to_toml(&self) -> String {
         // Strings, numbers and tables: nothing that could fail.
         toml::to_string(self).unwrap_or_default()
+    }
+
+    /// The ports of the left and of the right hand, exchanged for left-handed people; empty where there is none.
+    pub fn hand_ports(&self) -> [&str; 2] {
+        let Ports { left, right, .. } = &self.ports;
+        if self.left_handed { [right, left] } else { [left, right] }
+    }
+
+    /// The hands that are boards.
+    pub fn boards(&self) -> impl Iterator<Item = Hand> {
+        let ports = [Hand::Left, Hand::Right].into_iter().zip(self.hand_ports());
+        ports.filter(|(_, port)| !port.is_empty() && *port != KEYBOARD).map(|(hand, _)| hand)
     }
 
     /// The paper's map with this file's changes.

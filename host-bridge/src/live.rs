@@ -71,8 +71,10 @@ impl Live {
             Place::Board => Source::Board(Vec::new()),
             Place::Keyboard => keys,
         };
+        let boards = [(Hand::Left, left), (Hand::Right, right)];
+        let boards = boards.into_iter().filter(|(_, place)| *place == Place::Board).map(|(hand, _)| hand);
         Live {
-            bridge: Bridge::with(config.motion_map(), config.speed, config.safety),
+            bridge: Bridge::with(config.motion_map(), config.speed, config.safety).awaiting(boards),
             robot,
             robot_ms: now_ms,
             ros: None,

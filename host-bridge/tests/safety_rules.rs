@@ -5,7 +5,9 @@
 mod support;
 
 use host_bridge::arm::ArmMotion;
+use host_bridge::bridge::Bridge;
 use host_bridge::bridge::GestureOutcome::{Busy, Late, NotArmed, Released, Started};
+use host_bridge::intent::MotionMap;
 use host_bridge::robot::Robot;
 use host_bridge::safety::{Hand, State};
 use proptest::prelude::*;
@@ -42,6 +44,20 @@ fn both_hands_must_be_neutral_at_once() {
     assert_eq!(rig.state(), State::Waiting);
     assert!(!rig.take_moved());
     rig.point(Heading::Neutral, 200);
+    assert_eq!(rig.state(), State::Armed);
+}
+
+#[test]
+fn a_hand_that_was_announced_is_waited_for() {
+    let mut rig = Rig::empty();
+    rig.bridge = Bridge::new(MotionMap::default()).awaiting([Hand::Left, Hand::Right]);
+    rig.connect(Hand::Right, 1);
+    rig.run(1000);
+    rig.gesture(2);
+    assert_eq!(rig.state(), State::Waiting, "the hand that stops the robot is not there");
+    assert!(!rig.take_moved());
+    rig.connect(Hand::Left, 1);
+    rig.run(200);
     assert_eq!(rig.state(), State::Armed);
 }
 

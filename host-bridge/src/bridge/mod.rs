@@ -62,6 +62,13 @@ impl Bridge {
         }
     }
 
+    /// Nothing moves before these hands have said hello.
+    #[must_use]
+    pub fn awaiting(mut self, hands: impl IntoIterator<Item = Hand>) -> Self {
+        hands.into_iter().for_each(|hand| self.safety.await_hand(hand));
+        self
+    }
+
     /// Takes bytes of one hand's link, in any slicing, and acts on what they say.
     pub fn receive(&mut self, hand: Hand, bytes: &[u8], now_ms: u64, robot: &mut dyn Robot) {
         let mut heard = std::mem::take(&mut self.heard);

@@ -10,6 +10,7 @@ use std::time::{Duration, SystemTime};
 use anyhow::{Context as _, Result, bail, ensure};
 use crossterm::event::{KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
 use host_bridge::bridge::BridgeEvent;
+use host_bridge::config::KEYBOARD;
 use host_bridge::describe;
 use host_bridge::foxglove::Foxglove;
 use host_bridge::keyboard::HandKey;
@@ -154,10 +155,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     if let Some(seconds) = args.seconds {
         ensure!(seconds > 0.0 && seconds <= 1e6, "--seconds takes more than 0");
     }
-    let (mut left, mut right) = (config.ports.left.clone(), config.ports.right.clone());
-    if config.left_handed {
-        std::mem::swap(&mut left, &mut right);
-    }
+    let [left, right] = config.hand_ports().map(str::to_owned);
     if left.is_empty() && right.is_empty() {
         bail!(
             "no hand: give --left PORT, --right PORT or both (`host-bridge list` shows the ports); without \
@@ -165,7 +163,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         );
     }
     ensure!(
-        left == "keyboard" || left != right,
+        left == KEYBOARD || left != right,
         "{left}: both hands cannot be on the same port; `host-bridge list` shows the ports"
     );
     for port in [&left, &right] {
@@ -175,7 +173,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     let wants_view = is_terminal && !args.headless && !args.json;
     let place = |port: &str| match port {
         "" => Place::Nobody,
-        "keyboard" => Place::Keyboard,
+        KEYBOARD => Place::Keyboard,
         _ => Place::Board,
     };
     let places = [place(&left), place(&right)];

@@ -129,7 +129,8 @@ impl Setup {
     /// # Errors
     /// As [`Setup::motion_map`].
     pub fn bridge(&self) -> Result<Bridge, SetupError> {
-        Ok(Bridge::with(self.motion_map()?, self.config.speed, self.config.safety))
+        Ok(Bridge::with(self.motion_map()?, self.config.speed, self.config.safety)
+            .awaiting(self.config.boards()))
     }
 
     /// The robot at rest.

@@ -3,6 +3,8 @@
 //! Glossary
 //! * **hand**: one board. It is *connected* from its first hello on, for the rest of the session: a
 //!   hand that went silent is not forgotten, it holds the robot still until it is back.
+//! * **awaited**: somebody said that this hand takes part, and it has not said hello yet. Until it has,
+//!   nothing moves: the other hand must not drive without the one that can stop it.
 //! * **live**: the hand's newest valid state is younger than [`STALE_MS`] by the time of its *sample*,
 //!   so nothing older than that ever moves the robot.
 //! * **neutral**: the left hand within its dead zone; the right hand with a resting class on top.
@@ -53,7 +55,7 @@ impl Default for SafetyTimes {
 }
 
 /// ```text
-///            all connected hands live and neutral for 100 ms
+///      no hand awaited, all live and neutral for 100 ms
 ///   Waiting ─────────────────────────────────────────────► Armed
 ///    ▲   ▲                                                │ │ │
 ///    │   └──────────── a hand (re)started ────────────────┘ │ │
@@ -68,7 +70,7 @@ impl Default for SafetyTimes {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum State {
-    /// Nothing moves until every connected hand was seen neutral.
+    /// Nothing moves until every awaited hand is there and every connected one was seen neutral.
     Waiting,
     /// The hands drive the robot.
     Armed,
@@ -80,6 +82,7 @@ pub enum State {
 
 #[derive(Clone, Copy, Debug, Default)]
 struct Watch {
+    awaited: bool,
     connected: bool,
     live: bool,
     /// Host time of the newest valid sample.
@@ -140,6 +143,12 @@ impl Safety {
         }
     }
 
+    /// Nothing moves before this hand has said hello.
+    pub fn await_hand(&mut self, hand: Hand) {
+        let watch = self.watch_mut(hand);
+        watch.awaited = !watch.connected;
+    }
+
     /// The state now.
     pub fn state(&self) -> State {
         self.state
@@ -176,8 +185,13 @@ impl Safety {
             Event::Tick => {}
             Event::Started(hand) => {
                 // Counts as a sign of life, so that a new hand has 250 ms to send its first state.
-                *self.watch_mut(hand) =
-                    Watch { connected: true, live: true, sample_ms: self.now_ms, neutral_since_ms: None };
+                *self.watch_mut(hand) = Watch {
+                    awaited: false,
+                    connected: true,
+                    live: true,
+                    sample_ms: self.now_ms,
+                    neutral_since_ms: None,
+                };
                 if hand == Hand::Right {
                     self.right_rested = false;
                 }
@@ -294,7 +308,9 @@ impl Safety {
     /// Everybody connected is live, and the left hand (where there is one) has been neutral up to now,
     /// for a second already at `time_ms`. Without a left hand, the right one must have rested instead.
     fn neutral_long_enough_at(&self, time_ms: u64) -> bool {
-        let all_live = (self.left.connected || self.right.connected) && self.connected_hands_live();
+        let all_live = (self.left.connected || self.right.connected)
+            && !self.awaits_a_hand()
+            && self.connected_hands_live();
         let neutral = if self.left.connected {
             let since_ms = self.left.neutral_since_ms;
             since_ms.is_some_and(|since| time_ms.saturating_sub(since) >= self.times.release_neutral_ms)
@@ -311,6 +327,10 @@ impl Safety {
         {
             self.right_rested = true;
         }
+    }
+
+    fn awaits_a_hand(&self) -> bool {
+        self.left.awaited || self.right.awaited
     }
 
     fn connected_hands_live(&self) -> bool {
@@ -353,7 +373,10 @@ impl Safety {
     }
 
     fn arm_if_all_neutral(&mut self, actions: &mut Vec<Action>) {
-        if !matches!(self.state, State::Waiting | State::Stale) || !self.connected_hands_live() {
+        if !matches!(self.state, State::Waiting | State::Stale)
+            || self.awaits_a_hand()
+            || !self.connected_hands_live()
+        {
             return;
         }
         let hands = [self.left, self.right];
