@@ -231,13 +231,13 @@ fn in_time() -> Vec<Step> {
     vec![
         Step::new("at the desk, with both boards emulated", || {
             sh(cargo_for_all("test")
-                .args(["--no-fail-fast", "--test", "live", "--", "--show-output"])
+                .args(["--no-fail-fast", "--test", "live", "--", "--show-output", "--skip", "live::ros2::"])
                 .env("BIMANUAL_PROGRAMS", programs()?))
         }),
         Step::new("ROS 2 against Cyclone DDS", || {
             let python = python::environment("ros2", &["tests/ros2/requirements.txt"])?;
             sh(cargo_for_all("test")
-                .args(["--no-fail-fast", "--test", "ros2", "--", "--nocapture"])
+                .args(["--no-fail-fast", "--test", "live", "live::ros2::", "--", "--nocapture"])
                 .env("BIMANUAL_PROGRAMS", programs()?)
                 .env("BIMANUAL_ROS2_PYTHON", python))
         }),

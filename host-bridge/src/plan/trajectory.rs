@@ -401,6 +401,26 @@ mod tests {
         assert_eq!((braked.duration_s(), braked.goal_rad()), (0.0, HOME));
     }
 
+    /// All joints are equally far on their ways at any time, and never turn back by more than `slack` of it.
+    fn keeps_to_the_line(
+        motion: &Trajectory,
+        duration_s: f64,
+        (from, to): (&Joints, &Joints),
+        slack: f64,
+    ) -> Result<(), TestCaseError> {
+        let mut gone = 0.0;
+        for k in 0..=50 {
+            let now = motion.motion(f64::from(k) / 50.0 * duration_s);
+            let shares: Joints = std::array::from_fn(|i| (now.joints_rad[i] - from[i]) / (to[i] - from[i]));
+            for i in 0..JOINTS {
+                prop_assert!((shares[i] - shares[0]).abs() * (to[i] - from[i]).abs() < 1e-9);
+            }
+            prop_assert!(shares[0] >= gone - slack && shares[0] <= 1.0 + slack, "never turns back");
+            gone = shares[0];
+        }
+        Ok(())
+    }
+
     proptest! {
         #[test]
         fn one_way_takes_as_long_as_the_formula_says_and_keeps_to_the_line(
@@ -416,17 +436,7 @@ mod tests {
             let expected_s = if v * v > a { 2.0 / a.sqrt() } else { 1.0 / v + v / a };
             let motion = Trajectory::through(&[from, to], &[], &limits);
             prop_assert!((motion.duration_s() - expected_s).abs() < 1e-9);
-            let mut gone = 0.0;
-            for k in 0..=50 {
-                let now = motion.motion(f64::from(k) / 50.0 * expected_s);
-                let shares: Joints =
-                    std::array::from_fn(|i| (now.joints_rad[i] - from[i]) / (to[i] - from[i]));
-                for i in 0..JOINTS {
-                    prop_assert!((shares[i] - shares[0]).abs() * (to[i] - from[i]).abs() < 1e-9);
-                }
-                prop_assert!(shares[0] >= gone - 1e-12 && shares[0] <= 1.0 + 1e-12, "never turns back");
-                gone = shares[0];
-            }
+            keeps_to_the_line(&motion, expected_s, (&from, &to), 1e-12)?;
             prop_assert_eq!(motion.motion(motion.duration_s()).joints_rad, to);
         }
 
@@ -457,17 +467,7 @@ mod tests {
             prop_assert!((motion.duration_s() - expected_s).abs() < 1e-9 * expected_s, "{} {expected_s}", motion.duration_s());
             let even = Trajectory::through(&[from, to], &[], &limits.with_jerk(f64::INFINITY));
             prop_assert!(even.duration_s() <= motion.duration_s() + 1e-9);
-            let mut gone = 0.0;
-            for k in 0..=50 {
-                let now = motion.motion(f64::from(k) / 50.0 * expected_s);
-                let shares: Joints =
-                    std::array::from_fn(|i| (now.joints_rad[i] - from[i]) / (to[i] - from[i]));
-                for i in 0..JOINTS {
-                    prop_assert!((shares[i] - shares[0]).abs() * (to[i] - from[i]).abs() < 1e-9);
-                }
-                prop_assert!(shares[0] >= gone - 1e-9 && shares[0] <= 1.0 + 1e-9, "never turns back");
-                gone = shares[0];
-            }
+            keeps_to_the_line(&motion, expected_s, (&from, &to), 1e-9)?;
             prop_assert_eq!(motion.motion(motion.duration_s()), Motion::at_rest(to));
         }
 

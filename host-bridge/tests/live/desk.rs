@@ -3,16 +3,15 @@
 //! the firmware images themselves are emulated in the `tests` crate.
 
 use std::io::{BufRead as _, BufReader};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
 
-use models::blob::{ModelFiles, model_id};
-use models::card::Card;
 use models::recording::Recording;
 
 use crate::double::{self, BENT, Double, FORWARD, LEVEL};
+use crate::renamed::renamed_model;
 
 /// Nothing here takes nearly so long; a hang must not stop the tests.
 const PATIENCE: Duration = Duration::from_secs(40);
@@ -299,21 +298,6 @@ fn a_recording_that_breaks_off_leaves_nothing_behind() {
         assert!(text.contains(word), "{word} in\n{text}");
         assert!(files(&out.join("circle")).is_empty(), "{:?}", files(&out.join("circle")));
     }
-}
-
-/// The bundled model with one label renamed: another blob, another id.
-fn renamed_model(folder: &Path) -> (PathBuf, String) {
-    let bundled = Path::new(env!("CARGO_MANIFEST_DIR")).join("../models/bundled/right-9axis.tflite");
-    let bytes = std::fs::read(&bundled).unwrap();
-    let mut card = Card::read(&bundled).unwrap();
-    let place = card.labels.iter().position(|label| label == "circle").unwrap();
-    card.labels[place] = "wave".to_owned();
-    let files = ModelFiles { network: models::tflite::read(&bytes).unwrap(), card: card.clone() };
-    card.model_id = model_id(&files.blob().unwrap());
-    let file = folder.join("mine.tflite");
-    std::fs::write(&file, bytes).unwrap();
-    std::fs::write(folder.join("mine.card.json"), serde_json::to_string(&card).unwrap()).unwrap();
-    (file, card.model_id)
 }
 
 #[test]

@@ -19,22 +19,16 @@ const PATIENCE: Duration = Duration::from_secs(60);
 /// Those that measure time are not disturbed by each other.
 static ALONE: Mutex<()> = Mutex::new(());
 
-pub fn python() -> Option<String> {
-    let python = std::env::var("BIMANUAL_ROS2_PYTHON").ok();
-    if python.is_none() {
-        println!("SKIPPED: BIMANUAL_ROS2_PYTHON is not set; `cargo xtask test --only \"ROS 2\"` sets it");
-    }
-    python
-}
-
 fn alone() -> MutexGuard<'static, ()> {
     ALONE.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
+/// Is this the long run (`cargo xtask test --full`)?
 pub fn is_full() -> bool {
     std::env::var_os("BIMANUAL_FULL").is_some()
 }
 
+/// Seconds since 1970, as the robot's stamps are.
 pub fn wall_s() -> f64 {
     SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_secs_f64()
 }
@@ -48,6 +42,7 @@ pub fn domain() -> u32 {
 /// A program that prints one JSON object per line.
 pub struct Teller {
     what: &'static str,
+    /// The process.
     pub child: Child,
     orders: Option<ChildStdin>,
     lines: Receiver<(f64, Value)>,
@@ -56,6 +51,7 @@ pub struct Teller {
     errors: Receiver<String>,
 }
 
+/// Starts such a program; `what` names it where it fails.
 pub fn start(what: &'static str, command: &mut Command) -> Teller {
     let alone = starting();
     let mut child = command
@@ -81,6 +77,7 @@ pub fn start(what: &'static str, command: &mut Command) -> Teller {
 }
 
 impl Teller {
+    /// Ends the test with what was said last.
     pub fn fail(&mut self, why: &str) -> ! {
         let _ = self.child.kill();
         let tail: Vec<String> = self.seen.iter().rev().take(40).rev().map(|(_, v)| v.to_string()).collect();
@@ -130,10 +127,10 @@ impl Teller {
 
     /// Waits for a line that was not there before now.
     pub fn wait(&mut self, what: &str, fits: impl FnMut(&Value) -> bool) -> Value {
-        self.catch_up();
-        let from = self.seen.len();
-        let place = self.wait_from(from, what, fits);
-        self.seen[place].1.clone()
+        match self.wait_for(PATIENCE, fits) {
+            Some(value) => value,
+            None => self.fail(&format!("no line for '{what}'")),
+        }
     }
 
     /// Waits for a line that may have been there already.
@@ -142,6 +139,7 @@ impl Teller {
         self.seen[place].1.clone()
     }
 
+    /// Types a line.
     pub fn order(&mut self, order: &str) {
         let orders = self.orders.as_mut().expect("its input is open");
         writeln!(orders, "{order}").unwrap();
@@ -156,6 +154,7 @@ impl Teller {
         self.seen[from..].iter().map(|(_, value)| value.clone()).collect()
     }
 
+    /// Presses Ctrl-C.
     pub fn interrupt(&self) {
         Command::new("kill").args(["-INT", &self.child.id().to_string()]).status().unwrap();
     }
@@ -183,6 +182,7 @@ impl Drop for Teller {
     }
 }
 
+/// The robot, or whoever `options` make of it.
 pub fn peer(python: &str, domain: u32, options: &[&str]) -> Teller {
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/ros2/peer.py");
     let mut command = Command::new(python);
@@ -190,6 +190,7 @@ pub fn peer(python: &str, domain: u32, options: &[&str]) -> Teller {
     start("the robot", &mut command)
 }
 
+/// The program under test with `section` in its configuration's `[ros2]`.
 pub fn bridge(folder: &Path, domain: u32, section: &str, options: &[&str]) -> Teller {
     let config = folder.join(format!("desk-{domain}.toml"));
     // Two stations may share a domain.
@@ -203,20 +204,41 @@ pub fn bridge(folder: &Path, domain: u32, section: &str, options: &[&str]) -> Te
     start("the bridge", &mut command)
 }
 
+/// Whether a line tells of this.
 pub fn is(value: &Value, event: &str) -> bool {
     value["event"] == event
 }
 
+/// A number, or not a number.
 pub fn number(value: &Value) -> f64 {
     value.as_f64().unwrap_or(f64::NAN)
 }
 
+/// The twist that the robot took over, in m/s and rad/s.
 pub fn speed(value: &Value) -> Option<(f64, f64)> {
     is(value, "speed").then(|| (number(&value["linear"]), number(&value["angular"])))
 }
 
+/// Whether the bridge says that it is armed.
 pub fn armed(value: &Value) -> bool {
     is(value, "state") && value["state"] == "armed"
+}
+
+/// From a message's stamp to its arrival.
+pub fn delay_ms(message: &Value) -> f64 {
+    (number(&message["t"]) - number(&message["stamp"])) * 1000.0
+}
+
+/// A gesture's place among the diagnostics, if it started a motion.
+pub fn started(message: &Value) -> Option<&Value> {
+    let gesture = &message["status"]["bimanual: gesture"];
+    let outcome = gesture["outcome"].as_str().filter(|_| is(message, "diagnostics"))?;
+    outcome.starts_with("started").then_some(gesture)
+}
+
+/// How many gestures a message tells of; the last one is repeated every second.
+pub fn gestures(message: &Value) -> u32 {
+    message["status"]["bimanual: gesture"]["count"].as_str().and_then(|count| count.parse().ok()).unwrap_or(0)
 }
 
 /// Delays in ms: the middle one and the longest.
@@ -232,6 +254,7 @@ pub struct Lateness {
 }
 
 impl Lateness {
+    /// Begins to look.
     pub fn watch() -> Self {
         let ended = Arc::new(AtomicBool::new(false));
         let is_over = Arc::clone(&ended);
@@ -265,22 +288,27 @@ pub const SILENCE_MS: f64 = 350.0;
 /// From the bridge's decision to the robot, the middle one.
 pub const DECISION_MS: f64 = 10.0;
 
-/// Where the traffic of a test goes.
-pub enum Network {
-    /// A network that only this test has, in which datagrams can be dropped.
-    Own,
-    /// The machine's loopback, which only root can avoid: one test after the other.
-    Loopback(MutexGuard<'static, ()>),
-    /// The test has run and passed in another process, in a network of its own.
-    Over,
+/// What a test on the graph stands on.
+pub struct Site {
+    /// The interpreter that has the robot's packages.
+    pub python: String,
+    /// A network that only this test has, in which datagrams can be dropped. Else it is the machine's loopback.
+    pub has_own_network: bool,
+    /// Others wait as long as this test runs.
+    _alone: Option<MutexGuard<'static, ()>>,
 }
 
-/// A network for this test: it starts itself again in a new namespace. `test` is its name; those that measure times
-/// do so one after the other.
-pub fn network(test: &str, measures: bool) -> Network {
+/// A place for the test of this name (in a module `live::ros2`), which starts itself again in a new network namespace
+/// where it may; `None` where it has run and passed there, or cannot run at all. Those that measure times do so one
+/// after the other, as do all on loopback.
+pub fn site(test: &str, measures: bool) -> Option<Site> {
     const INSIDE: &str = "BIMANUAL_OWN_NETWORK";
+    let Ok(python) = std::env::var("BIMANUAL_ROS2_PYTHON") else {
+        println!("SKIPPED: BIMANUAL_ROS2_PYTHON is not set; `cargo xtask test --only \"ROS 2\"` sets it");
+        return None;
+    };
     if std::env::var_os(INSIDE).is_some() {
-        return Network::Own;
+        return Some(Site { python, has_own_network: true, _alone: None });
     }
     let lock = measures.then(alone);
     let unshare = |script: &str| {
@@ -296,14 +324,18 @@ pub fn network(test: &str, measures: bool) -> Network {
         .status();
     if !probe.is_ok_and(|status| status.success()) {
         println!("on loopback: a network of its own needs root, unshare, iproute2 and iptables");
-        return Network::Loopback(lock.unwrap_or_else(alone));
+        return Some(Site { python, has_own_network: false, _alone: lock.or_else(|| Some(alone())) });
     }
     let mut again = unshare(&format!("{up} && exec \"$0\" --exact \"$1\" --nocapture"));
     let child = {
         let _starting = starting();
-        again.arg(std::env::current_exe().unwrap()).arg(test).env(INSIDE, "1").spawn()
+        again
+            .arg(std::env::current_exe().unwrap())
+            .arg(format!("live::ros2::{test}"))
+            .env(INSIDE, "1")
+            .spawn()
     };
     let status = child.and_then(|mut child| child.wait()).unwrap();
     assert!(status.success(), "{test} failed in a network of its own");
-    Network::Over
+    None
 }

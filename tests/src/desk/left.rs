@@ -4,9 +4,11 @@
 use std::cell::RefCell;
 use std::path::Path;
 use std::rc::Rc;
+use std::time::Duration;
 
 use fastrand::Rng;
 
+use super::program::Running;
 use super::station::{Board, Station};
 use crate::avr::image;
 use crate::avr::nano::Nano;
@@ -29,6 +31,18 @@ pub struct Left {
 
 /// A running left hand.
 pub type LeftStation = Station<Left>;
+
+impl LeftStation {
+    /// Does what `host-bridge calibrate` asks for: level, straight, bent.
+    pub fn take_three_poses(&self, calibrate: &mut Running) {
+        for (step, depth) in [("1.", 0.0), ("2.", 0.0), ("3.", 1.0)] {
+            calibrate.wait(&[step, "press Enter"]);
+            self.with(move |board| board.bend(depth));
+            std::thread::sleep(Duration::from_millis(600));
+            calibrate.type_line("");
+        }
+    }
+}
 
 impl Left {
     /// A board that was never calibrated, on a hand that is level and straight, with its port at `place`.

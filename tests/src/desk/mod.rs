@@ -5,6 +5,8 @@
 //! - [`left`] is the Nano behind its USB-serial chip, [`right`] the Nano 33 with USB of its own;
 //! - [`program`] runs what a user types and reads what comes out.
 
+#[path = "../../../host-bridge/tests/support/graph.rs"]
+pub mod graph;
 #[cfg(feature = "avr")]
 pub mod left;
 pub mod port;
@@ -12,3 +14,11 @@ pub mod program;
 #[cfg(feature = "nrf")]
 pub mod right;
 pub mod station;
+
+fn starting() -> std::sync::MutexGuard<'static, ()> {
+    port::alone()
+}
+
+fn host_bridge() -> std::path::PathBuf {
+    program::folder().join("host-bridge")
+}

@@ -6,18 +6,17 @@
 //! late, and is right. So whatever moves the robot is tried again from neutral, as a person would.
 #![cfg(all(feature = "avr", feature = "nrf", unix))]
 
-use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use fastrand::Rng;
-use models::blob::{ModelFiles, model_id};
-use models::card::Card;
 use models::recording::Recording;
 use models::synth::{Motion, Wearer};
 use tests::desk::left::{Left, LeftStation};
 use tests::desk::program::{Desk, Running, bridge, run};
 use tests::desk::right::{Right, RightStation};
 use tests::desk::station::{Board, Station};
+
+use crate::renamed::renamed_model;
 
 /// Tries of something that a busy machine may spoil.
 const TRIES: u32 = 6;
@@ -87,12 +86,7 @@ fn list_and_doctor_name_both_hands_and_calibrate_is_kept_in_the_board() {
 
     let port = left.port();
     let mut calibrate = bridge(&["calibrate", "--port", &port]);
-    for (step, depth) in [("1.", 0.0), ("2.", 0.0), ("3.", 1.0)] {
-        calibrate.wait(&[step, "press Enter"]);
-        left.with(move |board| board.bend(depth));
-        std::thread::sleep(Duration::from_millis(600));
-        calibrate.type_line("");
-    }
+    left.take_three_poses(&mut calibrate);
     let (status, text) = calibrate.end();
     assert!(status.success() && text.contains("calibrated and kept in the board"), "{text}");
     left.with(|board| board.bend(0.0));
@@ -279,21 +273,6 @@ fn a_cable_pulled_or_a_reset_at_any_moment_ends_every_verb_with_advice() {
     right.plug();
     let (status, text) = run(&["list", &port, &other]);
     assert!(status.success() && text.contains("the left hand") && text.contains("the right hand"), "{text}");
-}
-
-/// The bundled model with one label renamed: another blob, another id.
-fn renamed_model(folder: &Path) -> (PathBuf, String) {
-    let bundled = Path::new(env!("CARGO_MANIFEST_DIR")).join("../models/bundled/right-9axis.tflite");
-    let bytes = std::fs::read(&bundled).unwrap();
-    let mut card = Card::read(&bundled).unwrap();
-    let place = card.labels.iter().position(|label| label == "circle").unwrap();
-    card.labels[place] = "wave".to_owned();
-    let files = ModelFiles { network: models::tflite::read(&bytes).unwrap(), card: card.clone() };
-    card.model_id = model_id(&files.blob().unwrap());
-    let file = folder.join("mine.tflite");
-    std::fs::write(&file, bytes).unwrap();
-    std::fs::write(folder.join("mine.card.json"), card.to_json()).unwrap();
-    (file, card.model_id)
 }
 
 #[test]

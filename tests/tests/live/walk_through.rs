@@ -98,12 +98,7 @@ fn the_lines_of_the_readme_lead_from_list_to_a_gesture_of_ones_own_in_ten_minute
             }
             ["host-bridge", "calibrate", ..] => {
                 let mut calibrate = shell.start(line);
-                for (step, depth) in [("1.", 0.0), ("2.", 0.0), ("3.", 1.0)] {
-                    calibrate.wait(&[step, "press Enter"]);
-                    left.with(move |board| board.bend(depth));
-                    std::thread::sleep(Duration::from_millis(600));
-                    calibrate.type_line("");
-                }
+                left.take_three_poses(&mut calibrate);
                 let (status, text) = calibrate.end();
                 assert!(status.success(), "{text}");
                 left.with(|board| board.bend(0.0));

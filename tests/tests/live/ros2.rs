@@ -5,23 +5,17 @@
 //! As in `desk.rs`, what moves the robot is tried again from neutral: a busy machine keeps the emulators waiting.
 #![cfg(all(feature = "avr", feature = "nrf", unix))]
 
-#[allow(dead_code)]
-#[path = "../../host-bridge/tests/support/graph.rs"]
-mod graph;
-
-use std::path::PathBuf;
-use std::sync::MutexGuard;
 use std::time::Duration;
 
-use graph::{
-    DECISION_MS, Lateness, Network, SILENCE_MS, Teller, armed, bridge, domain, is, is_full, middle_and_worst,
-    network, number, peer, python, speed, wall_s,
-};
 use host_bridge::arm::motions::random_top_poses;
 use models::synth::{Motion, Wearer};
 use serde_json::{Value, json};
+use tests::desk::graph::{
+    DECISION_MS, Lateness, SILENCE_MS, Teller, armed, bridge, delay_ms, domain, gestures, is, is_full,
+    middle_and_worst, number, peer, site, speed, started, wall_s,
+};
 use tests::desk::left::{Left, LeftStation};
-use tests::desk::program::{Desk, folder};
+use tests::desk::program::Desk;
 use tests::desk::right::Right;
 
 /// Tries of something that a busy machine may spoil, and how long one may take.
@@ -29,14 +23,6 @@ const TRIES: u32 = 6;
 const TRY: Duration = Duration::from_secs(12);
 /// The arm's pace in the robot: its motions take 3 to 7 s.
 const PACE: &str = "8";
-
-fn starting() -> MutexGuard<'static, ()> {
-    tests::desk::port::alone()
-}
-
-fn host_bridge() -> PathBuf {
-    folder().join("host-bridge")
-}
 
 fn is_armed(bridge: &mut Teller) -> bool {
     bridge.catch_up();
@@ -64,38 +50,21 @@ fn tilt(
     bridge.fail("the robot does not move")
 }
 
-fn delay_ms(message: &Value) -> f64 {
-    (number(&message["t"]) - number(&message["stamp"])) * 1000.0
-}
-
 fn is_zero(message: &Value) -> bool {
     speed(message) == Some((0.0, 0.0))
 }
 
-/// A gesture's place among the diagnostics, if it started a motion.
-fn started(message: &Value) -> Option<&Value> {
-    let gesture = &message["status"]["bimanual: gesture"];
-    let outcome = gesture["outcome"].as_str().filter(|_| is(message, "diagnostics"))?;
-    outcome.starts_with("started").then_some(gesture)
-}
-
-/// How many gestures a message tells of; the last one is repeated every second.
-fn gestures(message: &Value) -> u32 {
-    message["status"]["bimanual: gesture"]["count"].as_str().and_then(|count| count.parse().ok()).unwrap_or(0)
-}
-
 #[test]
 fn both_boards_reach_a_robot_on_the_graph_in_time_and_a_silent_one_stops_it() {
-    let Some(python) = python() else { return };
-    let network = network("both_boards_reach_a_robot_on_the_graph_in_time_and_a_silent_one_stops_it", true);
-    if matches!(network, Network::Over) {
+    let Some(site) = site("both_boards_reach_a_robot_on_the_graph_in_time_and_a_silent_one_stops_it", true)
+    else {
         return;
-    }
+    };
     let desk = Desk::new("ros2");
     let left = Left::start(&desk.path("nano"));
     let right = Right::start(&desk.path("nano33"), Wearer::demo(1));
     let domain = domain();
-    let mut robot = peer(&python, domain, &["--robot", "--action", "--pace", PACE]);
+    let mut robot = peer(&site.python, domain, &["--robot", "--action", "--pace", PACE]);
     robot.has("ready", |v| is(v, "ready"));
     let ports = ["--left", &left.port(), "--right", &right.port()];
     let mut bridge = bridge(&desk.path(""), domain, "", &ports);

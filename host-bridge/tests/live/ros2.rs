@@ -3,48 +3,30 @@
 //! BIMANUAL_ROS2_PYTHON to an interpreter that has the packages.
 //!
 //! Each test makes a network of its own (a namespace) where it may, and so disturbs no other.
-#![cfg(unix)]
-
-#[allow(dead_code)]
-#[path = "support/double.rs"]
-mod double;
-
-#[allow(dead_code)]
-#[path = "support/graph.rs"]
-mod graph;
 
 use std::process::Command;
-use std::sync::{MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use double::{BENT, Double, FORWARD, LEVEL};
-use graph::{
-    DECISION_MS, Lateness, Network, SILENCE_MS, Teller, armed, bridge, domain, is, is_full, middle_and_worst,
-    network, number, peer, python, speed, wall_s,
-};
 use host_bridge::arm::gen3::HOME;
 use serde_json::Value;
 
-fn starting() -> MutexGuard<'static, ()> {
-    double::STARTING.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
-fn host_bridge() -> &'static str {
-    env!("CARGO_BIN_EXE_host-bridge")
-}
+use crate::double::{BENT, Double, FORWARD, LEVEL};
+use crate::graph::{
+    DECISION_MS, Lateness, SILENCE_MS, Site, Teller, armed, bridge, delay_ms, domain, gestures, is, is_full,
+    middle_and_worst, number, peer, site, speed, started, wall_s,
+};
 
 #[test]
 fn hands_drive_an_independent_robot_with_right_types_values_quality_and_in_time() {
-    let Some(python) = python() else { return };
-    let network =
-        network("hands_drive_an_independent_robot_with_right_types_values_quality_and_in_time", true);
-    if matches!(network, Network::Over) {
+    let Some(site) =
+        site("hands_drive_an_independent_robot_with_right_types_values_quality_and_in_time", true)
+    else {
         return;
-    }
+    };
     let folder = tempfile::tempdir().unwrap();
     let domain = domain();
     let (left, right) = (Double::left(folder.path()), Double::right(folder.path(), 0.0));
-    let mut robot = peer(&python, domain, &["--robot", "--action", "--pace", "8"]);
+    let mut robot = peer(&site.python, domain, &["--robot", "--action", "--pace", "8"]);
     robot.has("ready", |v| is(v, "ready"));
     let mut bridge = bridge(folder.path(), domain, "", &["--left", &left.port(), "--right", &right.port()]);
 
@@ -71,7 +53,6 @@ fn hands_drive_an_independent_robot_with_right_types_values_quality_and_in_time(
     let lateness = Lateness::watch();
     // Tilt: values, and the time from the decision to the robot.
     let mut delays_ms = Vec::new();
-    let delay_ms = |value: &Value| (number(&value["t"]) - number(&value["stamp"])) * 1000.0;
     for _ in 0..10 {
         left.hold(FORWARD);
         let first = robot.wait("forward", |v| speed(v).is_some_and(|s| s.0 > 0.0));
@@ -110,16 +91,9 @@ fn hands_drive_an_independent_robot_with_right_types_values_quality_and_in_time(
     assert!((0.8..=1.5).contains(&(last_s - first_s)), "zero for {} s", last_s - first_s);
 
     // Gestures: as diagnostics, and as a motion of the arm from where it is.
-    let gesture = |v: &Value| {
-        let gesture = &v["status"]["bimanual: gesture"];
-        is(v, "diagnostics") && gesture["outcome"].as_str().is_some_and(|o| o.starts_with("started"))
-    };
     robot.catch_up();
-    let count = |v: &Value| {
-        v["status"]["bimanual: gesture"]["count"].as_str().and_then(|c| c.parse().ok()).unwrap_or(0)
-    };
-    let before: u32 = robot.seen.iter().map(|(_, v)| count(v)).max().unwrap_or(0);
-    let told = robot.wait("a new gesture", |v| gesture(v) && count(v) > before);
+    let before = robot.seen.iter().map(|(_, v)| gestures(v)).max().unwrap_or(0);
+    let told = robot.wait("a new gesture", |v| started(v).is_some() && gestures(v) > before);
     // Decided together; either may be said first.
     let stamp_s = number(&told["stamp"]);
     let goal = robot.wait_from(0, "its goal", |v| is(v, "goal") && number(&v["t"]) >= stamp_s);
@@ -190,15 +164,11 @@ fn hands_drive_an_independent_robot_with_right_types_values_quality_and_in_time(
 
 #[test]
 fn the_simulators_state_is_published_only_where_no_robot_is() {
-    let Some(python) = python() else { return };
-    let network = network("the_simulators_state_is_published_only_where_no_robot_is", false);
-    if matches!(network, Network::Over) {
-        return;
-    }
+    let Some(site) = site("the_simulators_state_is_published_only_where_no_robot_is", false) else { return };
     let folder = tempfile::tempdir().unwrap();
     let domain = domain();
     let left = Double::left(folder.path());
-    let mut viewer = peer(&python, domain, &["--sim", "--unstamped", "--namespace", "/cell1"]);
+    let mut viewer = peer(&site.python, domain, &["--sim", "--unstamped", "--namespace", "/cell1"]);
     viewer.has("ready", |v| is(v, "ready"));
     let options = ["--left", &left.port(), "--unstamped", "--publish-sim"];
     let mut bridge = bridge(folder.path(), domain, "namespace = '/cell1'\n", &options);
@@ -227,7 +197,7 @@ fn the_simulators_state_is_published_only_where_no_robot_is() {
     assert!(number(&moved["position"][0]) >= 0.2 && moved["child"] == "base_link", "{moved}");
 
     // A robot appears: the simulator's state is no longer published.
-    let mut robot = peer(&python, domain, &["--robot", "--namespace", "/cell1", "--unstamped"]);
+    let mut robot = peer(&site.python, domain, &["--robot", "--namespace", "/cell1", "--unstamped"]);
     robot.has("ready", |v| is(v, "ready"));
     bridge.has("the robot was seen", |v| {
         is(v, "ros2") && v["text"].as_str().unwrap().contains("somebody else publishes /cell1/joint_states")
@@ -249,15 +219,14 @@ fn the_simulators_state_is_published_only_where_no_robot_is() {
 
 #[test]
 fn on_the_topic_a_motion_is_a_trajectory_and_a_stop_is_one_that_brakes() {
-    let Some(python) = python() else { return };
-    let network = network("on_the_topic_a_motion_is_a_trajectory_and_a_stop_is_one_that_brakes", false);
-    if matches!(network, Network::Over) {
+    let Some(site) = site("on_the_topic_a_motion_is_a_trajectory_and_a_stop_is_one_that_brakes", false)
+    else {
         return;
-    }
+    };
     let folder = tempfile::tempdir().unwrap();
     let domain = domain();
     let (left, right) = (Double::left(folder.path()), Double::right(folder.path(), 0.0));
-    let mut robot = peer(&python, domain, &["--robot", "--pace", "1"]);
+    let mut robot = peer(&site.python, domain, &["--robot", "--pace", "1"]);
     robot.has("ready", |v| is(v, "ready"));
     let options = ["--left", &left.port(), "--right", &right.port()];
     let mut bridge = bridge(folder.path(), domain, "arm = 'topic'\n", &options);
@@ -284,14 +253,10 @@ fn on_the_topic_a_motion_is_a_trajectory_and_a_stop_is_one_that_brakes() {
 
 #[test]
 fn doctor_names_what_is_wrong() {
-    let Some(python) = python() else { return };
-    let network = network("doctor_names_what_is_wrong", false);
-    if matches!(network, Network::Over) {
-        return;
-    }
+    let Some(site) = site("doctor_names_what_is_wrong", false) else { return };
     let folder = tempfile::tempdir().unwrap();
     let domain = domain();
-    let mut robot = peer(&python, domain, &["--robot", "--action", "--unstamped"]);
+    let mut robot = peer(&site.python, domain, &["--robot", "--action", "--unstamped"]);
     robot.has("ready", |v| is(v, "ready"));
     let doctor = |domain: u32, section: &str| {
         let config = folder.path().join("doctor.toml");
@@ -327,15 +292,12 @@ fn doctor_names_what_is_wrong() {
 
 // What follows needs a network of its own, and does not run without.
 
-fn has_own_network(test: &str, measures: bool) -> bool {
-    match network(test, measures) {
-        Network::Own => true,
-        Network::Over => false,
-        Network::Loopback(_) => {
-            println!("SKIPPED: losses and a site's traffic are not for the machine's own loopback");
-            false
-        }
+fn own_site(test: &str, measures: bool) -> Option<Site> {
+    let site = site(test, measures)?;
+    if !site.has_own_network {
+        println!("SKIPPED: losses and a site's traffic are not for the machine's own loopback");
     }
+    Some(site).filter(|site| site.has_own_network)
 }
 
 fn net(words: &[&str]) {
@@ -350,14 +312,14 @@ fn number_of(name: &str, usual: u64) -> u64 {
 
 #[test]
 fn a_fifth_of_the_datagrams_lost_moves_the_robot_never_by_old_commands() {
-    let Some(python) = python() else { return };
-    if !has_own_network("a_fifth_of_the_datagrams_lost_moves_the_robot_never_by_old_commands", false) {
+    let Some(site) = own_site("a_fifth_of_the_datagrams_lost_moves_the_robot_never_by_old_commands", false)
+    else {
         return;
-    }
+    };
     let lossy_s = number_of("BIMANUAL_LOSS_S", if is_full() { 600 } else { 120 }) as f64;
     let folder = tempfile::tempdir().unwrap();
     let left = Double::left(folder.path());
-    let mut robot = peer(&python, 1, &["--base-only", "--seconds", "3600"]);
+    let mut robot = peer(&site.python, 1, &["--base-only", "--seconds", "3600"]);
     robot.has("ready", |v| is(v, "ready"));
     let mut bridge = bridge(folder.path(), 1, "", &["--left", &left.port()]);
     bridge.has("armed", armed);
@@ -425,14 +387,11 @@ fn a_fifth_of_the_datagrams_lost_moves_the_robot_never_by_old_commands() {
 
 #[test]
 fn twenty_bridges_and_twenty_robots_share_this_machine() {
-    let Some(python) = python() else { return };
     if !is_full() {
         println!("SKIPPED: 20 pairs for 60 s run under --full");
         return;
     }
-    if !has_own_network("twenty_bridges_and_twenty_robots_share_this_machine", true) {
-        return;
-    }
+    let Some(site) = own_site("twenty_bridges_and_twenty_robots_share_this_machine", true) else { return };
     let (pairs, seconds) = (number_of("BIMANUAL_PAIRS", 20), number_of("BIMANUAL_PAIRS_S", 60));
     let folder = tempfile::tempdir().unwrap();
     let mut all: Vec<(Double, Teller, Teller)> = Vec::new();
@@ -442,7 +401,7 @@ fn twenty_bridges_and_twenty_robots_share_this_machine() {
         let left = Double::left(&folder);
         let space = format!("/cell{pair}");
         let options = ["--namespace", &space, "--quiet", "--base-only", "--multicast"];
-        let mut robot = peer(&python, 1, &options);
+        let mut robot = peer(&site.python, 1, &options);
         robot.has("ready", |v| is(v, "ready"));
         let section = format!("namespace = '{space}'\n");
         let bridge = bridge(&folder, 1, &section, &["--left", &left.port()]);
