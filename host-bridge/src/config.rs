@@ -15,10 +15,21 @@ use crate::base::BaseConfig;
 use crate::intent::{MotionMap, SpeedRules};
 use crate::keyboard::KeyTimes;
 use crate::ros2::Ros2Config;
-use crate::safety::{Hand, SafetyTimes};
+use crate::safety::SafetyTimes;
 
 /// The port that is none: keys stand for the hand.
 pub const KEYBOARD: &str = "keyboard";
+
+/// What a hand is to be.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Place {
+    /// Left out.
+    Nobody,
+    /// A board on a link.
+    Board,
+    /// Keys.
+    Keyboard,
+}
 
 /// All settings. The default is what the paper says, or the safest.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -183,10 +194,13 @@ impl Config {
         if self.left_handed { [right, left] } else { [left, right] }
     }
 
-    /// The hands that are boards.
-    pub fn boards(&self) -> impl Iterator<Item = Hand> {
-        let ports = [Hand::Left, Hand::Right].into_iter().zip(self.hand_ports());
-        ports.filter(|(_, port)| !port.is_empty() && *port != KEYBOARD).map(|(hand, _)| hand)
+    /// What each hand is to be.
+    pub fn places(&self) -> [Place; 2] {
+        self.hand_ports().map(|port| match port {
+            "" => Place::Nobody,
+            KEYBOARD => Place::Keyboard,
+            _ => Place::Board,
+        })
     }
 
     /// The paper's map with this file's changes.

@@ -9,7 +9,7 @@ use crate::arm::ArmMotion;
 use crate::arm::sequencer::{ArmReport, ArmState, NotStarted};
 use crate::base::{Odometry, Twist};
 use crate::bridge::{Bridge, BridgeEvent, EventKind};
-use crate::config::Config;
+use crate::config::{Config, Place};
 use crate::keyboard::{HandKey, KeyLeft, KeyRight};
 use crate::observe::{Now, OperatorKey, Tap, Turn};
 use crate::robot::Robot;
@@ -46,17 +46,6 @@ pub struct Live {
 /// A set-up without an answer is sent again after this long.
 const SET_UP_INTERVAL_MS: u64 = 1000;
 
-/// What a hand is to be.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Place {
-    /// Left out.
-    Nobody,
-    /// A board on a link.
-    Board,
-    /// Keys.
-    Keyboard,
-}
-
 impl Live {
     /// A session that starts at `now_ms` with the configured robot at rest, and nothing around it.
     pub fn new(config: &Config, left: Place, right: Place, now_ms: u64) -> Self {
@@ -71,10 +60,8 @@ impl Live {
             Place::Board => Source::Board(Vec::new()),
             Place::Keyboard => keys,
         };
-        let boards = [(Hand::Left, left), (Hand::Right, right)];
-        let boards = boards.into_iter().filter(|(_, place)| *place == Place::Board).map(|(hand, _)| hand);
         Live {
-            bridge: Bridge::with(config.motion_map(), config.speed, config.safety).awaiting(boards),
+            bridge: Bridge::with(config.motion_map(), config.speed, config.safety).awaiting([left, right]),
             robot,
             robot_ms: now_ms,
             ros: None,

@@ -7,6 +7,7 @@ mod support;
 use host_bridge::arm::ArmMotion;
 use host_bridge::bridge::Bridge;
 use host_bridge::bridge::GestureOutcome::{Busy, Late, NotArmed, Released, Started};
+use host_bridge::config::Place;
 use host_bridge::intent::MotionMap;
 use host_bridge::robot::Robot;
 use host_bridge::safety::{Hand, State};
@@ -50,7 +51,7 @@ fn both_hands_must_be_neutral_at_once() {
 #[test]
 fn a_hand_that_was_announced_is_waited_for() {
     let mut rig = Rig::empty();
-    rig.bridge = Bridge::new(MotionMap::default()).awaiting([Hand::Left, Hand::Right]);
+    rig.bridge = Bridge::new(MotionMap::default()).awaiting([Place::Board; 2]);
     rig.connect(Hand::Right, 1);
     rig.run(1000);
     rig.gesture(2);

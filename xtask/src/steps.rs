@@ -1,9 +1,16 @@
-//! Runs named steps, goes on after a failure, and ends with one table.
+//! Runs named steps, goes on after a failure, and ends with one table and the reason of every failure.
 
-use std::process::{Command, Stdio};
+use std::fs::File;
+use std::io::{Read, Write};
+use std::process::{Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
+
+use crate::target_dir;
+
+/// How many of a failed command's last lines stand under the table, where whoever reads a long log looks first.
+const LAST_LINES: usize = 50;
 
 /// One thing to check.
 pub struct Step {
@@ -20,18 +27,49 @@ impl Step {
     }
 }
 
+/// How a step went.
+pub struct Outcome {
+    name: &'static str,
+    time: Duration,
+    /// Why it failed.
+    pub error: Option<String>,
+}
+
 /// Runs a command to its end with its output shown.
 ///
 /// # Errors
-/// Where it does not start or does not exit with 0.
+/// Where it does not start or does not exit with 0: with its last lines.
 pub fn sh(command: &mut Command) -> Result<()> {
     eprintln!("$ {}", shown(command));
-    let status = command
+    // By way of a file, not of a pipe: what a command leaves running in the background would keep a pipe open.
+    std::fs::create_dir_all(target_dir())?;
+    let path = target_dir().join(format!("xtask-{}.log", std::process::id()));
+    let log = File::create(&path).with_context(|| path.display().to_string())?;
+    let mut said = File::open(&path)?;
+    std::fs::remove_file(&path)?;
+    let mut child = command
         .stdin(Stdio::null())
-        .status()
+        .stdout(log.try_clone()?)
+        .stderr(log)
+        .spawn()
         .with_context(|| format!("{} does not start", shown(command)))?;
+    let mut text = Vec::new();
+    let status: ExitStatus = loop {
+        let ended = child.try_wait()?;
+        let printed = text.len();
+        said.read_to_end(&mut text)?;
+        std::io::stdout().write_all(&text[printed..])?;
+        std::io::stdout().flush()?;
+        match ended {
+            Some(status) => break status,
+            None => std::thread::sleep(Duration::from_millis(50)),
+        }
+    };
     if !status.success() {
-        bail!("`{}` ended with {status}", shown(command));
+        let text = String::from_utf8_lossy(&text);
+        let lines: Vec<&str> = text.lines().collect();
+        let last = lines[lines.len().saturating_sub(LAST_LINES)..].join("\n  | ");
+        bail!("`{}` ended with {status}\n  | {last}", shown(command));
     }
     Ok(())
 }
@@ -60,29 +98,33 @@ fn shown(command: &Command) -> String {
     words.map(|w| w.to_string_lossy().into_owned()).collect::<Vec<_>>().join(" ")
 }
 
-/// Runs all steps and prints the table; whether all passed.
-pub fn run_all(steps: &[Step]) -> bool {
-    let mut results: Vec<(&str, Duration, Option<String>)> = Vec::new();
-    for step in steps {
+/// Runs all steps.
+pub fn run_all(steps: &[Step]) -> Vec<Outcome> {
+    let run = |step: &Step| {
         println!("\n=== {} ===", step.name);
         let start = Instant::now();
         let error = (step.check)().err().map(|e| format!("{e:#}"));
-        if let Some(error) = &error {
-            println!("FAILED {}: {error}", step.name);
+        if error.is_some() {
+            println!("FAILED {}", step.name);
         }
-        results.push((step.name, start.elapsed(), error));
-    }
+        Outcome { name: step.name, time: start.elapsed(), error }
+    };
+    steps.iter().map(run).collect()
+}
+
+/// Prints the table, and below it why steps failed; whether all passed.
+pub fn report(outcomes: &[Outcome]) -> bool {
     println!("\n{:<48} {:>8}  result", "step", "seconds");
-    for (name, time, error) in &results {
-        let result = if error.is_none() { "ok" } else { "FAILED" };
-        println!("{name:<48} {:>8.1}  {result}", time.as_secs_f64());
+    for outcome in outcomes {
+        let result = if outcome.error.is_none() { "ok" } else { "FAILED" };
+        println!("{:<48} {:>8.1}  {result}", outcome.name, outcome.time.as_secs_f64());
     }
-    let failed = results.iter().filter(|r| r.2.is_some()).count();
-    for (name, _, error) in &results {
-        if let Some(error) = error {
-            println!("\nFAILED {name}\n  {error}");
+    let failed = outcomes.iter().filter(|o| o.error.is_some()).count();
+    for outcome in outcomes {
+        if let Some(error) = &outcome.error {
+            println!("\nFAILED {}\n  {error}", outcome.name);
         }
     }
-    println!("\nsteps: {} passed, {failed} failed", results.len() - failed);
+    println!("\nsteps: {} passed, {failed} failed", outcomes.len() - failed);
     failed == 0
 }

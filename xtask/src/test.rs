@@ -10,7 +10,7 @@ use std::process::{Child, Command, ExitCode, Stdio};
 
 use anyhow::{Context, Result, bail, ensure};
 
-use crate::steps::{Step, output, run_all, sh};
+use crate::steps::{Step, output, report, run_all, sh};
 use crate::tools::{BROWSER, CROSS_LINK, CROSS_RUST, EMULATORS, NETWORK, QEMU};
 use crate::{firmware_avr, firmware_nano33, package, python, real_data, root, target_dir, toolchain, tools};
 
@@ -46,7 +46,7 @@ pub fn run(args: &[&str]) -> Result<ExitCode> {
     }
     if let Some(name) = group {
         let (_, steps) = groups().into_iter().find(|(n, _)| *n == name).context("no such group")?;
-        return Ok(code(run_all(&steps)));
+        return Ok(code(report(&run_all(&steps))));
     }
     if only.is_some() || list {
         let mut steps: Vec<Step> = groups().into_iter().flat_map(|(_, steps)| steps).collect();
@@ -58,25 +58,29 @@ pub fn run(args: &[&str]) -> Result<ExitCode> {
             steps.iter().for_each(|s| println!("{}", s.name));
             return Ok(ExitCode::SUCCESS);
         }
-        return Ok(code(run_all(&steps)));
+        return Ok(code(report(&run_all(&steps))));
     }
     // Asked for now: a build of the workspace puts an equal file in its place, and this one has no name then.
     let program = std::env::current_exe()?;
-    let mut passed = run_all(&tools_and_format());
+    let mut outcomes = run_all(&tools_and_format());
     let images = Beside::start(&program, IMAGES, 0)?;
-    passed &= run_all(&laptop());
-    passed &= images.wait()?;
-    if passed {
-        // All of it lies there: no test needs to look whether it is up to date.
-        announce("PROGRAMS", &target_dir().join("debug"));
-        announce("AVR_ELF", &firmware_avr::image());
-        announce("NANO33_ELF", &firmware_nano33::image("bootloader"));
-        announce("NANO33_BLE_ELF", &firmware_nano33::image("ble"));
+    outcomes.extend(run_all(&laptop()));
+    let images_built = images.wait()?;
+    if !images_built || outcomes.iter().any(|o| o.error.is_some()) {
+        report(&outcomes);
+        println!("the tests were not started: first this has to be mended");
+        return Ok(ExitCode::FAILURE);
     }
+    // All of it lies there: no test needs to look whether it is up to date.
+    announce("PROGRAMS", &target_dir().join("debug"));
+    announce("AVR_ELF", &firmware_avr::image());
+    announce("NANO33_ELF", &firmware_nano33::image("bootloader"));
+    announce("NANO33_BLE_ELF", &firmware_nano33::image("ble"));
     let rest = Beside::start(&program, ANY_PACE, 19)?;
-    passed &= run_all(&in_time());
-    passed &= rest.wait()?;
-    Ok(code(passed))
+    outcomes.extend(run_all(&in_time()));
+    let rest_passed = rest.wait()?;
+    // Last, so that no other output stands between a reader and what failed.
+    Ok(code(report(&outcomes) && rest_passed))
 }
 
 /// Says in the environment of all that follows where something lies, so that nothing builds it again.

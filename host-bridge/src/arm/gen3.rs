@@ -27,7 +27,7 @@ pub const ACCELERATION_SCALING: f64 = 0.05;
 
 /// Jerk limit of all joints in rad/s³, where jerk is limited: not scaled.
 ///
-/// Our choice: the paper's acceleration of 0.43 rad/s² is built up in 0.1 s. Kinova publishes none; MoveIt's
+/// Our choice: the paper's acceleration of 0.43 rad/s² is built up in 0.1 s. We know of none by Kinova; MoveIt's
 /// smoothing takes 100 rad/s³ or more where a robot names none, which would be there in 4 ms.
 pub const MAX_JERK_RAD_S3: f64 = 4.3;
 

@@ -9,6 +9,7 @@ use shared_proto::message::{Ack, Heading, HostMessage, LeftState};
 use crate::arm::ArmMotion;
 use crate::arm::sequencer::{Busy, NotStarted};
 use crate::base::Twist;
+use crate::config::Place;
 use crate::intent::{Caps, MotionMap, SpeedRules, is_rest};
 use crate::link::{HandLink, Heard, NewGesture, RightReport, is_healthy};
 use crate::robot::Robot;
@@ -62,10 +63,14 @@ impl Bridge {
         }
     }
 
-    /// Nothing moves before these hands have said hello.
+    /// Nothing moves before the hands that are boards have said hello.
     #[must_use]
-    pub fn awaiting(mut self, hands: impl IntoIterator<Item = Hand>) -> Self {
-        hands.into_iter().for_each(|hand| self.safety.await_hand(hand));
+    pub fn awaiting(mut self, [left, right]: [Place; 2]) -> Self {
+        for (hand, place) in [(Hand::Left, left), (Hand::Right, right)] {
+            if place == Place::Board {
+                self.safety.await_hand(hand);
+            }
+        }
         self
     }
 

@@ -10,12 +10,12 @@ use std::time::{Duration, SystemTime};
 use anyhow::{Context as _, Result, bail, ensure};
 use crossterm::event::{KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
 use host_bridge::bridge::BridgeEvent;
-use host_bridge::config::KEYBOARD;
+use host_bridge::config::{KEYBOARD, Place};
 use host_bridge::describe;
 use host_bridge::foxglove::Foxglove;
 use host_bridge::keyboard::HandKey;
 use host_bridge::links::{Clock, Link as BoardLink, LinkEvent, News, SystemClock, is_ble};
-use host_bridge::live::{Live, Place};
+use host_bridge::live::Live;
 use host_bridge::robot::Robot as _;
 use host_bridge::ros2::{ArmInterface, Counts, RosRobot};
 use host_bridge::safety::Hand;
@@ -171,12 +171,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     }
     let is_terminal = std::io::stdout().is_terminal() && std::io::stdin().is_terminal();
     let wants_view = is_terminal && !args.headless && !args.json;
-    let place = |port: &str| match port {
-        "" => Place::Nobody,
-        KEYBOARD => Place::Keyboard,
-        _ => Place::Board,
-    };
-    let places = [place(&left), place(&right)];
+    let places = config.places();
     ensure!(
         wants_view || !places.contains(&Place::Keyboard),
         "a keyboard hand needs the live view: start it in a terminal, without --headless and --json"
@@ -188,7 +183,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     let clock = Arc::new(SystemClock::start());
     let (sender, events) = channel();
     let open = |hand: Hand, port: &str| {
-        (place(port) == Place::Board).then(|| {
+        (places[hand as usize] == Place::Board).then(|| {
             let clock: Arc<dyn Clock> = clock.clone();
             BoardLink::start(hand, port, settings(&config), clock, sender.clone())
         })

@@ -130,7 +130,7 @@ impl Setup {
     /// As [`Setup::motion_map`].
     pub fn bridge(&self) -> Result<Bridge, SetupError> {
         Ok(Bridge::with(self.motion_map()?, self.config.speed, self.config.safety)
-            .awaiting(self.config.boards()))
+            .awaiting(self.config.places()))
     }
 
     /// The robot at rest.
