@@ -18,7 +18,7 @@
 //!
 //! ```
 //! use std::{cell::Cell, rc::Rc};
-//! use host_bridge::{config::Config, live::{Live, Place}, keyboard::HandKey};
+//! use host_bridge::{config::{Config, Place}, live::Live, keyboard::HandKey};
 //! use host_bridge::{observe::{Now, Observer}, robot::Robot as _};
 //! use shared_proto::message::Heading;
 //!

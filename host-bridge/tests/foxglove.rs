@@ -6,10 +6,10 @@ use std::io::{Read as _, Write as _};
 use std::net::TcpStream;
 use std::time::{Duration, Instant};
 
-use host_bridge::config::Config;
+use host_bridge::config::{Config, Place};
 use host_bridge::foxglove::{Foxglove, FoxgloveOptions};
 use host_bridge::keyboard::HandKey;
-use host_bridge::live::{Live, Place};
+use host_bridge::live::Live;
 use host_bridge::robot::Robot as _;
 use host_bridge::topics::{Origin, Topic};
 use host_bridge::web::{WebError, WebOptions};

@@ -9,14 +9,14 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use host_bridge::bridge::EventKind;
-use host_bridge::config::Config;
+use host_bridge::config::{Config, Place};
 use host_bridge::demo::Demo;
 use host_bridge::hands::ModelFile;
 use host_bridge::intent::MotionMap;
 use host_bridge::journal::sink::Storage;
 use host_bridge::journal::{Disk, Kept, Replay, SceneText, Setup, WhenFull, replay};
 use host_bridge::keyboard::HandKey;
-use host_bridge::live::{Live, Place};
+use host_bridge::live::Live;
 use host_bridge::robot::Robot as _;
 use host_bridge::safety::Hand;
 use host_bridge::session::Session;

@@ -4,8 +4,8 @@ use std::io::{Read as _, Write as _};
 use std::net::{SocketAddr, TcpStream};
 use std::time::{Duration, Instant};
 
-use host_bridge::config::Config;
-use host_bridge::live::{Live, Place};
+use host_bridge::config::{Config, Place};
+use host_bridge::live::Live;
 use host_bridge::safety::State;
 use host_bridge::web::{CONNECTIONS_MAX, IN_FLIGHT_MAX, Web, WebError, WebOptions};
 use serde_json::Value;

@@ -32,7 +32,16 @@ pub struct Outcome {
     name: &'static str,
     time: Duration,
     /// Why it failed.
-    pub error: Option<String>,
+    error: Option<String>,
+    /// Why it failed before, where it was tried again.
+    before: Option<String>,
+}
+
+impl Outcome {
+    /// Did the step fail?
+    pub fn failed(&self) -> bool {
+        self.error.is_some()
+    }
 }
 
 /// Runs a command to its end with its output shown.
@@ -100,31 +109,47 @@ fn shown(command: &Command) -> String {
 
 /// Runs all steps.
 pub fn run_all(steps: &[Step]) -> Vec<Outcome> {
-    let run = |step: &Step| {
-        println!("\n=== {} ===", step.name);
-        let start = Instant::now();
-        let error = (step.check)().err().map(|e| format!("{e:#}"));
-        if error.is_some() {
-            println!("FAILED {}", step.name);
-        }
-        Outcome { name: step.name, time: start.elapsed(), error }
-    };
     steps.iter().map(run).collect()
+}
+
+/// Runs those of the steps that failed once more; the table says so.
+pub fn run_failed_again(steps: &[Step], outcomes: &mut [Outcome]) {
+    for (step, outcome) in steps.iter().zip(outcomes).filter(|(_, outcome)| outcome.failed()) {
+        let before = outcome.error.take();
+        *outcome = Outcome { before, ..run(step) };
+    }
+}
+
+fn run(step: &Step) -> Outcome {
+    println!("\n=== {} ===", step.name);
+    let start = Instant::now();
+    let error = (step.check)().err().map(|e| format!("{e:#}"));
+    if error.is_some() {
+        println!("FAILED {}", step.name);
+    }
+    Outcome { name: step.name, time: start.elapsed(), error, before: None }
 }
 
 /// Prints the table, and below it why steps failed; whether all passed.
 pub fn report(outcomes: &[Outcome]) -> bool {
     println!("\n{:<48} {:>8}  result", "step", "seconds");
     for outcome in outcomes {
-        let result = if outcome.error.is_none() { "ok" } else { "FAILED" };
+        let result = match (&outcome.error, &outcome.before) {
+            (Some(_), _) => "FAILED",
+            (None, Some(_)) => "ok, tried again alone",
+            (None, None) => "ok",
+        };
         println!("{:<48} {:>8.1}  {result}", outcome.name, outcome.time.as_secs_f64());
     }
-    let failed = outcomes.iter().filter(|o| o.error.is_some()).count();
     for outcome in outcomes {
+        if let Some(error) = &outcome.before {
+            println!("\nfailed at first: {}\n  {error}", outcome.name);
+        }
         if let Some(error) = &outcome.error {
             println!("\nFAILED {}\n  {error}", outcome.name);
         }
     }
+    let failed = outcomes.iter().filter(|o| o.failed()).count();
     println!("\nsteps: {} passed, {failed} failed", outcomes.len() - failed);
     failed == 0
 }

@@ -10,7 +10,7 @@ use std::process::{Child, Command, ExitCode, Stdio};
 
 use anyhow::{Context, Result, bail, ensure};
 
-use crate::steps::{Step, output, report, run_all, sh};
+use crate::steps::{Outcome, Step, output, report, run_all, run_failed_again, sh};
 use crate::tools::{BROWSER, CROSS_LINK, CROSS_RUST, EMULATORS, NETWORK, QEMU};
 use crate::{firmware_avr, firmware_nano33, package, python, real_data, root, target_dir, toolchain, tools};
 
@@ -66,7 +66,7 @@ pub fn run(args: &[&str]) -> Result<ExitCode> {
     let images = Beside::start(&program, IMAGES, 0)?;
     outcomes.extend(run_all(&laptop()));
     let images_built = images.wait()?;
-    if !images_built || outcomes.iter().any(|o| o.error.is_some()) {
+    if !images_built || outcomes.iter().any(Outcome::failed) {
         report(&outcomes);
         println!("the tests were not started: first this has to be mended");
         return Ok(ExitCode::FAILURE);
@@ -77,8 +77,12 @@ pub fn run(args: &[&str]) -> Result<ExitCode> {
     announce("NANO33_ELF", &firmware_nano33::image("bootloader"));
     announce("NANO33_BLE_ELF", &firmware_nano33::image("ble"));
     let rest = Beside::start(&program, ANY_PACE, 19)?;
-    outcomes.extend(run_all(&in_time()));
+    let in_time = in_time();
+    let mut timed = run_all(&in_time);
     let rest_passed = rest.wait()?;
+    // What runs beside it can make a slow machine late; alone it has to hold.
+    run_failed_again(&in_time, &mut timed);
+    outcomes.extend(timed);
     // Last, so that no other output stands between a reader and what failed.
     Ok(code(report(&outcomes) && rest_passed))
 }
