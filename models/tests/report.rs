@@ -13,7 +13,7 @@ fn models(args: &[&str]) -> String {
     String::from_utf8(output.stdout).unwrap()
 }
 
-const QUICK: [&str; 4] = ["--seeds", "1", "--steps", "60"];
+const QUICK: [&str; 4] = ["--seeds", "1", "--steps", "20"];
 
 #[test]
 fn the_page_needs_nothing_else_and_its_figures_are_those_of_the_other_commands() {

@@ -17,7 +17,10 @@ fn main() {
     let windows = common::rows::<f32>("windows.csv").concat();
     write("windows.bin", windows.iter().flat_map(|x| x.to_le_bytes()).collect());
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let layout = root.join("link.ld");
+    println!("cargo::rustc-link-arg-bins=-T{}", layout.display());
+    println!("cargo::rustc-link-arg-bins=--gc-sections");
     println!("cargo::rerun-if-changed=build.rs");
     println!("cargo::rerun-if-changed={}", root.join("../tests/data").display());
-    println!("cargo::rerun-if-changed={}", root.join("link.ld").display());
+    println!("cargo::rerun-if-changed={}", layout.display());
 }

@@ -7,7 +7,8 @@
 # Needs qemu-system-arm, ld.lld, and a rustc that can build `core` from source (Debian's: rustc, rust-src).
 set -eu
 cd "$(dirname "$0")"
-target=${CARGO_TARGET_DIR:-target}
+# The folder of the boards' images, which need the same `core`.
+target=${CARGO_TARGET_DIR:-$(cd ../.. && pwd)/target}
 export CARGO_TARGET_DIR="$target"
 RUSTC=${BENCH_RUSTC:-/usr/bin/rustc} RUSTC_BOOTSTRAP=1 ${BENCH_CARGO:-/usr/bin/cargo} build --quiet --release \
     -Zbuild-std=core --target thumbv7em-none-eabihf --bins
@@ -20,7 +21,7 @@ empty=$(flash empty)
 echo "network_flash_growth_bytes=$(($(flash network) - empty))"
 echo "features_flash_growth_bytes=$(($(flash window) - empty))"
 
-# The same checks here. The bare-metal settings of .cargo/config.toml are for the other target only.
+# The same checks here. The bare-metal linker of .cargo/config.toml is for the other target only.
 host=$(cargo run --quiet --release --manifest-path host/Cargo.toml)
 echo "$board" | grep '^crc_' | sort > "$target/board.crc"
 echo "$host" | sort > "$target/host.crc"

@@ -10,10 +10,10 @@ fn jobs(parts: Parts, seeds: std::ops::Range<u64>, count: u32) -> Vec<Job> {
     seeds.map(|seed| Job { seed, parts, count }).collect()
 }
 
-/// 400 trials (100 per direction), 20 wearers with 5 tilts per direction each. The short run has 5 wearers.
+/// 400 trials (100 per direction), 20 wearers with 5 tilts per direction each. The short run has 2 wearers.
 #[test]
 fn the_papers_400_tilts_are_right_and_none_is_reversed() {
-    let wearers = if is_full() { 20 } else { 4 };
+    let wearers = if is_full() { 20 } else { 2 };
     let results: Vec<Tilts> = run(WORKER, "tilts", &jobs(Parts::Drawn, 1000..1000 + wearers, 5));
     let sum = |of: fn(&Tilts) -> u32| results.iter().map(of).sum::<u32>();
     let (trials, right, reversed) = (sum(|t| t.trials), sum(|t| t.right), sum(|t| t.reversed));
@@ -36,7 +36,7 @@ fn the_papers_400_tilts_are_right_and_none_is_reversed() {
 /// 10 minutes, half of them by the wearers whose parts make every tilt look largest.
 #[test]
 fn tremor_of_11_degrees_never_commands() {
-    let (wearers, seconds) = if is_full() { (3, 100) } else { (1, 25) };
+    let (wearers, seconds) = if is_full() { (3, 100) } else { (1, 10) };
     let mut all = jobs(Parts::Drawn, 2000..2000 + wearers, seconds);
     all.extend(jobs(Parts::Loudest, 2100..2100 + wearers, seconds));
     let results: Vec<Quiet> = run(WORKER, "tremor", &all);
@@ -52,7 +52,7 @@ fn tremor_of_11_degrees_never_commands() {
 
 #[test]
 fn bends_count_once_whatever_their_depth_and_speed() {
-    let (wearers, each) = if is_full() { (10, 100) } else { (2, 30) };
+    let (wearers, each) = if is_full() { (10, 100) } else { (2, 12) };
     let results: Vec<BendCounts> = run(WORKER, "bends", &jobs(Parts::Drawn, 3000..3000 + wearers, each));
     println!("{:<8}{:>8}{:>14}{:>14}", "finger", "bends", "counted once", "paper");
     let mut total = 0;
@@ -72,7 +72,7 @@ fn bends_count_once_whatever_their_depth_and_speed() {
 
 #[test]
 fn a_hand_that_only_tilts_bends_nothing() {
-    let (wearers, seconds) = if is_full() { (6, 60) } else { (2, 15) };
+    let (wearers, seconds) = if is_full() { (6, 60) } else { (2, 8) };
     let results: Vec<Quiet> = run(WORKER, "tilting", &jobs(Parts::Drawn, 4000..4000 + wearers, seconds));
     let commands: u32 = results.iter().map(|q| q.commands).sum();
     let bends: u32 = results.iter().map(|q| q.bends).sum();

@@ -207,7 +207,7 @@ fn say(what: &str, errors: &mut [(f64, f64)]) {
 
 #[test]
 fn on_real_recordings_scores_and_events_are_the_laptops_bit_for_bit() {
-    let most = if full() { 146 } else { 26 };
+    let most = if full() { 146 } else { 13 };
     let (mut recordings, mut hops, mut events, mut errors) = (0, 0, 0, Vec::new());
     for class in ["circle", "peak", "wave", "other"] {
         let Some((replay, files)) = recordings::joined("nano33-lsm9ds1-9axis", class, most) else {
@@ -222,12 +222,12 @@ fn on_real_recordings_scores_and_events_are_the_laptops_bit_for_bit() {
     }
     println!("{recordings} recordings, {hops} hops, {events} events: board equals laptop");
     say("real recordings", &mut errors);
-    assert!(recordings >= 100 && hops > 2000);
+    assert!(recordings >= 52 && hops > 1000);
 }
 
 #[test]
 fn on_simulated_wearers_scores_and_events_are_the_laptops_bit_for_bit() {
-    let wearers = if full() { 20 } else { 3 };
+    let wearers = if full() { 20 } else { 2 };
     let (mut hops, mut events, mut errors) = (0, 0, Vec::new());
     for index in 1..=wearers {
         let mut script = vec![Segment::new(synth::Motion::IDLE, 2.0)];

@@ -32,10 +32,12 @@ fn left_hand(seed: u64) -> (Nano, Rc<RefCell<Hand>>) {
 
 const FORWARD_RAD: f64 = 0.5;
 
-/// Plays the bundled session on both boards, and compares with what it says must come out.
+/// Plays the bundled session on both boards, and compares with what it says must come out. The short run plays all of
+/// it over one link, and its first gestures over the others.
 fn play_demo(link: Link) {
+    let whole = full() || link == Link::Uart;
     let Demo { left, right, script } = Demo::bundled();
-    let seconds = left.samples.len() as u64 / 100;
+    let seconds = if whole { left.samples.len() as u64 / 100 } else { 36 };
     let expect = &script.expect;
     let mut nano = calibrated(&script.calibration);
     let samples: Vec<[u16; 5]> = left.samples.iter().map(|(_, counts)| *counts).collect();
@@ -68,13 +70,19 @@ fn play_demo(link: Link) {
     );
     println!("{:<12}{:<76}{}", "base", scripted, got);
     println!("{:<12}{:<76}{cap:.4}, {} commands, path {:.2} m", "cap", expect.cap, together, here.path_m);
-    assert_eq!(gestures, expect.gestures);
-    assert_eq!(poses, expect.poses);
-    assert_eq!(halts, vec![HaltReason::OperatorStop; expect.stops as usize]);
-    assert_eq!(releases, expect.stops);
-    assert!((cap - expect.cap).abs() <= 0.001);
-    assert!((here.x_m - place.x_m).hypot(here.y_m - place.y_m) <= place.within_m, "{here:?}");
-    assert!((here.heading_rad - place.heading_rad).abs() <= place.within_rad, "{here:?}");
+    if whole {
+        assert_eq!(gestures, expect.gestures);
+        assert_eq!(poses, expect.poses);
+        assert_eq!(halts, vec![HaltReason::OperatorStop; expect.stops as usize]);
+        assert_eq!(releases, expect.stops);
+        assert!((cap - expect.cap).abs() <= 0.001);
+        assert!((here.x_m - place.x_m).hypot(here.y_m - place.y_m) <= place.within_m, "{here:?}");
+        assert!((here.heading_rad - place.heading_rad).abs() <= place.within_rad, "{here:?}");
+    } else {
+        assert!(gestures.len() >= 3 && expect.gestures.starts_with(&gestures), "{gestures:?}");
+        assert!(poses.len() >= 2 && expect.poses.starts_with(&poses), "{poses:?}");
+        assert!(here.path_m > 1.0 && together > 0, "{here:?}");
+    }
     assert_eq!(desk.robot.timeouts(), 0);
     let (left, right) = (desk.left.as_ref().unwrap(), desk.right.as_mut().unwrap());
     assert_eq!(left.nano.resets(), 0);
@@ -112,7 +120,7 @@ fn median(sorted: &[f64]) -> f64 {
 fn the_arm_moves_within_50_ms_of_the_sample_that_decides() {
     const REST_S: f64 = 2.0;
     const GESTURE_S: f64 = 3.0;
-    let wearers: u32 = if full() { 40 } else { 6 };
+    let wearers: u32 = if full() { 40 } else { 3 };
     let (mut to_arm_ms, mut to_event_s, mut others) = (Vec::new(), Vec::new(), Vec::new());
     for index in 1..=wearers {
         let mut script = vec![Segment::new(Motion::IDLE, 1.0 + REST_S)];

@@ -5,9 +5,9 @@ use std::process::Command;
 
 use anyhow::{Context, Result, bail};
 
-use crate::root;
 use crate::steps::{output, sh};
 use crate::toolchain::{self, Target};
+use crate::{root, target_dir};
 
 /// What an ATmega328P with a 2 KB bootloader has, and what the issue allows, in bytes.
 const FLASH_LIMIT: u64 = 20 * 1024;
@@ -35,10 +35,9 @@ pub fn run(args: &[&str]) -> Result<()> {
             _ => bail!("`cargo xtask firmware avr` takes --baud and --no-stack, not `{arg}`"),
         }
     }
-    let folder = root().join("firmware-nano-avr");
     let mut build = toolchain::cargo(Target::Avr, "build")?;
-    build.current_dir(&folder).env_remove("CARGO_TARGET_DIR").args(["--release", "--locked", "--target-dir"]);
-    build.arg(folder.join("target")).args(["--no-default-features", "--features", &format!("baud-{baud}")]);
+    build.current_dir(root().join("firmware-nano-avr")).env("CARGO_TARGET_DIR", target_dir());
+    build.args(["--release", "--locked", "--no-default-features", "--features", &format!("baud-{baud}")]);
     sh(&mut build)?;
     let elf = image();
     let hex = elf.with_extension("hex");
@@ -76,7 +75,7 @@ pub fn run(args: &[&str]) -> Result<()> {
 
 /// Where the image lies once it is built.
 pub fn image() -> PathBuf {
-    root().join("firmware-nano-avr/target/avr-none/release/firmware-nano-avr.elf")
+    target_dir().join("avr-none/release/firmware-nano-avr.elf")
 }
 
 struct Size {

@@ -9,16 +9,27 @@ use anyhow::{Context, Result, bail};
 use crate::steps::sh;
 use crate::{root, target_dir};
 
-/// The interpreter of an environment that holds exactly these requirement files, made on first use.
+/// What the checks want, each beside its check.
+const REQUIREMENTS: [&str; 7] = [
+    "models/tests/requirements.txt",
+    "shared-dsp/tests/reference/requirements.txt",
+    "tests/foxglove/requirements.txt",
+    "tests/mcap/requirements.txt",
+    "tests/mujoco/requirements.txt",
+    "tests/ros2/requirements.txt",
+    "tests/web/requirements.txt",
+];
+
+/// The interpreter of an environment that holds exactly what the checks want, made on first use.
 ///
 /// # Errors
 /// Where there is no Python 3 with `venv`, or a package does not install: says what to install.
-pub fn environment(name: &str, requirements: &[&str]) -> Result<PathBuf> {
-    let place = target_dir().join(format!("venv-{name}"));
+pub fn environment() -> Result<PathBuf> {
+    let place = target_dir().join("venv");
     let python = place.join("bin/python");
     let mut wanted = String::new();
-    for file in requirements {
-        wanted += &fs::read_to_string(root().join(file)).with_context(|| (*file).to_string())?;
+    for file in REQUIREMENTS {
+        wanted += &fs::read_to_string(root().join(file)).context(file)?;
     }
     let stamp = place.join("requirements.installed");
     if fs::read_to_string(&stamp).is_ok_and(|installed| installed == wanted) && works(&python) {
@@ -27,8 +38,16 @@ pub fn environment(name: &str, requirements: &[&str]) -> Result<PathBuf> {
     sh(Command::new("python3").args(["-m", "venv", "--clear"]).arg(&place))
         .context("needs Python 3.11 or later with venv (Debian: apt-get install python3 python3-venv)")?;
     let mut pip = Command::new(&python);
-    pip.current_dir(root()).args(["-m", "pip", "install", "--quiet", "--disable-pip-version-check"]);
-    for file in requirements {
+    // Compiled when used, not all of it at once.
+    pip.current_dir(root()).args([
+        "-m",
+        "pip",
+        "install",
+        "--quiet",
+        "--disable-pip-version-check",
+        "--no-compile",
+    ]);
+    for file in REQUIREMENTS {
         pip.args(["-r", file]);
     }
     sh(&mut pip)?;

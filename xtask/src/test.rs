@@ -1,8 +1,9 @@
 //! `cargo xtask test`: every check.
 //!
-//! First all is built: the laptop's side, and beside it the boards' images. Then what keeps time with the wall clock
-//! runs step by step, and beside it, at low priority, everything that gives the same result at any pace. So no
-//! processor waits for a clock or a linker.
+//! While tools are fetched, the demo is built and run as a new user does it, which needs none of them. Then all is built:
+//! the laptop's side, and beside it the boards' images. Then what keeps time with the wall clock runs step by step, and
+//! beside it, at low priority, everything that gives the same result at any pace. So no processor waits for a network, a
+//! clock or a linker.
 
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -62,29 +63,38 @@ pub fn run(args: &[&str]) -> Result<ExitCode> {
     }
     // Asked for now: a build of the workspace puts an equal file in its place, and this one has no name then.
     let program = std::env::current_exe()?;
-    let mut outcomes = run_all(&tools_and_format());
+    let tools = Beside::start(&program, TOOLS, 0)?;
+    let mut outcomes = run_all(&first());
+    let mut passed = tools.wait()?;
     let images = Beside::start(&program, IMAGES, 0)?;
     outcomes.extend(run_all(&laptop()));
     let images_built = images.wait()?;
-    if !images_built || outcomes.iter().any(Outcome::failed) {
+    // Where a tool is missing and named, all goes on that needs none.
+    if outcomes.iter().any(Outcome::failed) || (passed && !images_built) {
         report(&outcomes);
         println!("the tests were not started: first this has to be mended");
         return Ok(ExitCode::FAILURE);
     }
-    // All of it lies there: no test needs to look whether it is up to date.
-    announce("PROGRAMS", &target_dir().join("debug"));
-    announce("AVR_ELF", &firmware_avr::image());
-    announce("NANO33_ELF", &firmware_nano33::image("bootloader"));
-    announce("NANO33_BLE_ELF", &firmware_nano33::image("ble"));
-    let rest = Beside::start(&program, ANY_PACE, 19)?;
+    passed &= images_built;
+    if passed {
+        // All of it lies there: no test needs to look whether it is up to date.
+        announce("PROGRAMS", &target_dir().join("debug"));
+        announce("AVR_ELF", &firmware_avr::image());
+        announce("NANO33_ELF", &firmware_nano33::image("bootloader"));
+        announce("NANO33_BLE_ELF", &firmware_nano33::image("ble"));
+    }
+    let tests = Beside::start(&program, TESTS, 19)?;
+    let others = Beside::start(&program, OTHERS, 19)?;
     let in_time = in_time();
     let mut timed = run_all(&in_time);
-    let rest_passed = rest.wait()?;
+    passed &= tests.wait()?;
+    passed &= others.wait()?;
     // What runs beside it can make a slow machine late; alone it has to hold.
     run_failed_again(&in_time, &mut timed);
     outcomes.extend(timed);
     // Last, so that no other output stands between a reader and what failed.
-    Ok(code(report(&outcomes) && rest_passed))
+    passed &= report(&outcomes);
+    Ok(code(passed))
 }
 
 /// Says in the environment of all that follows where something lies, so that nothing builds it again.
@@ -182,35 +192,63 @@ pub fn built(name: &str) -> Result<Command> {
     Ok(command)
 }
 
+/// What is not Rust.
+const TOOLS: &str = "tools";
 /// The boards' images.
 const IMAGES: &str = "the boards' images";
-/// What gives the same result at any pace.
-const ANY_PACE: &str = "what runs at any pace";
+/// Tests that give the same result at any pace.
+const TESTS: &str = "tests at any pace";
+/// What others' programs say to ours, at any pace.
+const OTHERS: &str = "checks by other programs";
 
 /// All steps, by group.
 fn groups() -> Vec<(&'static str, Vec<Step>)> {
     vec![
-        ("first", tools_and_format()),
+        (TOOLS, tools()),
+        ("first", first()),
         ("the laptop's side", laptop()),
         (IMAGES, images()),
         ("in time", in_time()),
-        (ANY_PACE, any_pace()),
+        (TESTS, tests()),
+        (OTHERS, others()),
     ]
 }
 
-fn tools_and_format() -> Vec<Step> {
+fn tools() -> Vec<Step> {
     vec![
         Step::new("tools that are no Rust crates", || {
             let rust = if toolchain::is_complete() { None } else { Some(&CROSS_RUST) };
             let others = [&CROSS_LINK, &EMULATORS, &QEMU, &NETWORK, &BROWSER];
             tools::ensure(&rust.into_iter().chain(others).collect::<Vec<_>>())
         }),
+        Step::new("packages of the checks in Python", || python::environment().map(drop)),
+    ]
+}
+
+/// What needs nothing but Rust.
+fn first() -> Vec<Step> {
+    vec![
         Step::new("format", || {
             sh(&mut cargo(&["fmt", "--all", "--check"]))?;
             for folder in ["firmware-nano-avr", "firmware-nano33"] {
                 // Not --all, which would format the shared crates again.
                 sh(cargo(&["fmt", "--check"]).current_dir(root().join(folder)))?;
             }
+            Ok(())
+        }),
+        Step::new("the demo, as a new user runs it", || {
+            let demo =
+                ["run", "--release", "--locked", "--", "demo", "--headless", "--speed", "20", "--json"];
+            let summary = output(&mut cargo(&demo))?;
+            println!("{}", summary.trim());
+            ensure!(summary.trim_start().starts_with('{'), "the summary is not one JSON object");
+            // The lean build names what it takes to have Bluetooth.
+            let lean = ["run", "--quiet", "--release", "--locked", "--", "doctor", "--right", "ble"];
+            let refused = String::from_utf8_lossy(&cargo(&lean).output()?.stderr).into_owned();
+            ensure!(
+                ["--features ble", "libdbus-1-dev"].iter().all(|word| refused.contains(word)),
+                "{refused}"
+            );
             Ok(())
         }),
     ]
@@ -243,25 +281,25 @@ fn in_time() -> Vec<Step> {
                 .env("BIMANUAL_PROGRAMS", programs()?))
         }),
         Step::new("ROS 2 against Cyclone DDS", || {
-            let python = python::environment("ros2", &["tests/ros2/requirements.txt"])?;
+            let python = python::environment()?;
             sh(cargo_for_all("test")
                 .args(["--no-fail-fast", "--test", "live", "live::ros2::", "--", "--nocapture"])
                 .env("BIMANUAL_PROGRAMS", programs()?)
                 .env("BIMANUAL_ROS2_PYTHON", python))
         }),
         Step::new("the page in headless Chromium", || {
-            let python = python::environment("web", &["tests/web/requirements.txt"])?;
+            let python = python::environment()?;
             sh(Command::new(python).current_dir(root()).arg("tests/web/check.py").arg(programs()?))
         }),
         Step::new("a live session as Foxglove sees it", || {
-            let python = python::environment("foxglove", &["tests/foxglove/requirements.txt"])?;
+            let python = python::environment()?;
             sh(Command::new(python).current_dir(root()).arg("tests/foxglove/check.py").arg(programs()?))
         }),
     ]
 }
 
-fn any_pace() -> Vec<Step> {
-    let mut steps = vec![
+fn tests() -> Vec<Step> {
+    vec![
         Step::new("tests, with both boards emulated", || {
             sh(cargo_for_all("test")
                 .args(["--no-fail-fast", "--", "--show-output", "--skip", "live::"])
@@ -270,23 +308,13 @@ fn any_pace() -> Vec<Step> {
         Step::new("documentation", || {
             sh(cargo_for_all("doc").arg("--no-deps").env("RUSTDOCFLAGS", "-D warnings"))
         }),
-        Step::new("the demo, as a new user runs it", || {
-            let demo =
-                ["run", "--release", "--locked", "--", "demo", "--headless", "--speed", "20", "--json"];
-            let summary = output(&mut cargo(&demo))?;
-            println!("{}", summary.trim());
-            ensure!(summary.trim_start().starts_with('{'), "the summary is not one JSON object");
-            // The lean build names what it takes to have Bluetooth.
-            let lean = ["run", "--quiet", "--release", "--locked", "--", "doctor", "--right", "ble"];
-            let refused = String::from_utf8_lossy(&cargo(&lean).output()?.stderr).into_owned();
-            ensure!(
-                ["--features ble", "libdbus-1-dev"].iter().all(|word| refused.contains(word)),
-                "{refused}"
-            );
-            Ok(())
-        }),
+    ]
+}
+
+fn others() -> Vec<Step> {
+    let mut steps = vec![
         Step::new("features against numpy", || {
-            let python = python::environment("numpy", &["shared-dsp/tests/reference/requirements.txt"])?;
+            let python = python::environment()?;
             sh(Command::new(python)
                 .current_dir(root())
                 .arg("shared-dsp/tests/reference/features_ref.py")
@@ -294,7 +322,7 @@ fn any_pace() -> Vec<Step> {
                 .arg(built("examples/features_dump")?.get_program()))
         }),
         Step::new("trained models in TensorFlow Lite", || {
-            let python = python::environment("tflite", &["models/tests/requirements.txt"])?;
+            let python = python::environment()?;
             sh(Command::new(python)
                 .current_dir(root())
                 .arg("models/tests/tflite_check.py")
@@ -307,7 +335,7 @@ fn any_pace() -> Vec<Step> {
             let traces = target_dir().join("plan-traces");
             std::fs::create_dir_all(&traces)?;
             sh(built("examples/plan-trace")?.arg(&traces))?;
-            let python = python::environment("mujoco", &["tests/mujoco/requirements.txt"])?;
+            let python = python::environment()?;
             sh(Command::new(python).current_dir(root()).arg("tests/mujoco/check.py").arg(&traces))
         }),
         Step::new("a session's file read by others", || {
@@ -319,7 +347,7 @@ fn any_pace() -> Vec<Step> {
             let mut demo = built("host-bridge")?;
             demo.args(["demo", "--headless", "--speed", "0", "--json", "--record"]).arg(&file);
             std::fs::write(&summary, output(&mut demo)?)?;
-            let python = python::environment("mcap", &["tests/mcap/requirements.txt"])?;
+            let python = python::environment()?;
             sh(Command::new(python).current_dir(root()).arg("tests/mcap/check.py").arg(&file).arg(&summary))?;
             sh(built("host-bridge")?.arg("replay").arg(&file))
         }),

@@ -316,7 +316,7 @@ fn a_fifth_of_the_datagrams_lost_moves_the_robot_never_by_old_commands() {
     else {
         return;
     };
-    let lossy_s = number_of("BIMANUAL_LOSS_S", if is_full() { 600 } else { 120 }) as f64;
+    let lossy_s = number_of("BIMANUAL_LOSS_S", if is_full() { 600 } else { 40 }) as f64;
     let folder = tempfile::tempdir().unwrap();
     let left = Double::left(folder.path());
     let mut robot = peer(&site.python, 1, &["--base-only", "--seconds", "3600"]);

@@ -28,7 +28,9 @@ pub fn path() -> PathBuf {
             .status()
             .expect("cargo starts");
         assert!(status.success(), "`cargo xtask firmware avr` failed");
-        root().join("firmware-nano-avr/target/avr-none/release/firmware-nano-avr.elf")
+        let target =
+            std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root().join("target"), PathBuf::from);
+        target.join("avr-none/release/firmware-nano-avr.elf")
     })
     .clone()
 }
