@@ -22,7 +22,7 @@ const SCENES: [(&str, &str); 3] = [
 ];
 
 fn seeds() -> u64 {
-    if std::env::var_os("BIMANUAL_FULL").is_some() { 34 } else { 4 }
+    if std::env::var_os("BIMANUAL_FULL").is_some() { 34 } else { 2 }
 }
 
 fn planner(scene: &str) -> Planner {

@@ -27,7 +27,7 @@ pub struct Trial<'a> {
     pub folder: &'a Path,
     /// Axes used; none: as many as all recordings have.
     pub axes: Option<usize>,
-    /// Labels used; empty: all.
+    /// Labels tried; empty: all. Models also learn from the others' recordings of no gesture (`idle`, `other`).
     pub labels: &'a [String],
     /// How models are trained.
     pub recipe: &'a Recipe,
@@ -119,38 +119,52 @@ impl Trial<'_> {
         self.labels.is_empty() || self.labels.iter().any(|used| used == label)
     }
 
-    fn read(&self, axes: Option<usize>, person: impl Fn(&str) -> bool) -> Result<Dataset, DatasetError> {
-        Dataset::read_where(self.folder, axes, |label, name| self.uses(label) && person(name))
+    /// Recordings to test with.
+    fn read(&self, axes: usize, person: impl Fn(&str) -> bool) -> Result<Dataset, DatasetError> {
+        Dataset::read_where(self.folder, Some(axes), |label, name| self.uses(label) && person(name))
+    }
+
+    /// Recordings to learn from.
+    fn read_to_learn(&self, person: impl Fn(&str) -> bool) -> Result<Dataset, DatasetError> {
+        let learns = |label: &str| self.uses(label) || is_rest(label);
+        Dataset::read_where(self.folder, self.axes, |label, name| learns(label) && person(name))
+    }
+
+    /// What a model makes of recordings of the labels tried; it answers with one of these.
+    fn grade(&self, model: &Trained, recordings: &Dataset) -> Result<Graded, TrialError> {
+        let mut answers = model.card.answers();
+        answers.iter_mut().zip(&model.card.labels).for_each(|(answer, label)| *answer &= self.uses(label));
+        graded(model, recordings, &answers)
     }
 
     /// A model that has never met `person`.
     pub fn without(&self, person: &str, seed: u64) -> Result<Trained, TrialError> {
-        let others = self.read(self.axes, |name| name != person)?;
+        let others = self.read_to_learn(|name| name != person)?;
         Ok(train(&others, &[], self.recipe, &Self::job(seed))?)
     }
 
     /// What a model that has never met `person` makes of all their recordings.
     pub fn stranger(&self, person: &str, seed: u64) -> Result<Graded, TrialError> {
         let model = self.without(person, seed)?;
-        let theirs = self.read(Some(model.card.axes), |name| name == person)?;
-        grade(&model, &theirs)
+        let theirs = self.read(model.card.axes, |name| name == person)?;
+        self.grade(&model, &theirs)
     }
 
     /// What a model makes of a fifth of the recordings, chosen by the seed and kept out of training.
     pub fn random_split(&self, seed: u64) -> Result<Graded, TrialError> {
-        let all = self.read(self.axes, |_| true)?;
+        let all = self.read_to_learn(|_| true)?;
         let test = held_out(&all, 0.2, seed);
         let model = train(&all, &test, self.recipe, &Self::job(seed))?;
-        grade(&model, &all.filtered(|item| test.contains(&item.name)))
+        self.grade(&model, &all.filtered(|item| test.contains(&item.name) && self.uses(&item.label)))
     }
 
     /// What a model that has never met `person` makes of them when it knows only the first part of the others'
     /// recordings, `share` of each label's in an order by the seed.
     pub fn stranger_after(&self, person: &str, share: f64, seed: u64) -> Result<Graded, TrialError> {
-        let others = self.read(self.axes, |name| name != person)?;
+        let others = self.read_to_learn(|name| name != person)?;
         let dropped = held_out(&others, 1.0 - share, seed);
         let model = train(&others, &dropped, self.recipe, &Self::job(seed))?;
-        grade(&model, &self.read(Some(model.card.axes), |name| name == person)?)
+        self.grade(&model, &self.read(model.card.axes, |name| name == person)?)
     }
 
     /// Events of a model that has never met `person`: of all their recordings, those of no gesture too whatever labels
@@ -187,11 +201,11 @@ impl Trial<'_> {
     /// How a model does that knows four fifths of the others' recordings and is shown `counts` examples of 2 s per
     /// class of `person`, each cut from another recording.
     pub fn shown(&self, person: &str, counts: &[usize], seed: u64) -> Result<Vec<Shown>, TrialError> {
-        let others = self.read(self.axes, |name| name != person)?;
+        let others = self.read_to_learn(|name| name != person)?;
         let kept = held_out(&others, 0.2, seed);
         let model = train(&others, &kept, self.recipe, &Self::job(seed))?;
-        let old = others.filtered(|item| kept.contains(&item.name));
-        let theirs = self.read(Some(model.card.axes), |name| name == person)?;
+        let old = others.filtered(|item| kept.contains(&item.name) && self.uses(&item.label));
+        let theirs = self.read(model.card.axes, |name| name == person)?;
         let most = counts.iter().copied().max().unwrap_or(0);
         // Per class, in an order by the seed: first what may be shown (at most half), then what is tested.
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
@@ -221,7 +235,7 @@ impl Trial<'_> {
                 _ => None,
             };
             let model = adapted.as_ref().unwrap_or(&model);
-            rows.push(Shown { examples, new: grade(model, &test)?, old: grade(model, &old)? });
+            rows.push(Shown { examples, new: self.grade(model, &test)?, old: self.grade(model, &old)? });
         }
         Ok(rows)
     }
@@ -239,7 +253,8 @@ pub fn from_simulated(
     let simulated = simulated(wearers, labels, real.axes, seed);
     // What they do without a gesture is shown as `idle`.
     let recipe = Recipe { bystanders: 0, ..recipe.clone() };
-    grade(&train(&simulated, &[], &recipe, &Trial::job(seed))?, real)
+    let model = train(&simulated, &[], &recipe, &Trial::job(seed))?;
+    grade(&model, real)
 }
 
 /// Recordings of simulated wearers as a data set, without files.
@@ -266,11 +281,16 @@ fn simulated(wearers: u32, wanted: &[String], axes: usize, seed: u64) -> Dataset
 
 /// What a model makes of recordings.
 pub fn grade(model: &Trained, recordings: &Dataset) -> Result<Graded, TrialError> {
-    let (card, answers) = (&model.card, model.card.answers());
+    graded(model, recordings, &model.card.answers())
+}
+
+/// What a model makes of recordings; `answers` says of each of its labels whether it may be given.
+fn graded(model: &Trained, recordings: &Dataset, answers: &[bool]) -> Result<Graded, TrialError> {
+    let card = &model.card;
     let recordings = scored(recordings, &card.labels, &card.features);
     let blob = model.blob()?;
     let run = |classifier: Classifier<'_>| -> Vec<_> {
-        recordings.iter().map(|recording| given(&classifier, recording, &answers)).collect()
+        recordings.iter().map(|recording| given(&classifier, recording, answers)).collect()
     };
     let float = run(Classifier::Float { card, layers: &model.float });
     let int8 = run(Classifier::Int8(Model::parse(&blob)?));

@@ -60,7 +60,7 @@ impl MovementConfig {
             decide_hops: 22,
             average_hops: if has_gyro { 6 } else { 8 },
             min_confidence: 154,
-            max_rest: if has_gyro { 64 } else { 51 },
+            max_rest: 51,
             late_hops: if has_gyro { 30 } else { 60 },
             change_hops: 25,
             change_confidence: 205,

@@ -120,7 +120,7 @@ fn median(sorted: &[f64]) -> f64 {
 fn the_arm_moves_within_50_ms_of_the_sample_that_decides() {
     const REST_S: f64 = 2.0;
     const GESTURE_S: f64 = 3.0;
-    let wearers: u32 = if full() { 40 } else { 3 };
+    let wearers: u32 = if full() { 40 } else { 2 };
     let (mut to_arm_ms, mut to_event_s, mut others) = (Vec::new(), Vec::new(), Vec::new());
     for index in 1..=wearers {
         let mut script = vec![Segment::new(Motion::IDLE, 1.0 + REST_S)];

@@ -14,7 +14,7 @@ use super::people::Set;
 /// Hold out each person in turn, play their recordings as a stream and count the gesture events
 #[derive(Args)]
 pub struct Cmd {
-    /// Folders with <label>/<person>__<n>.csv; FOLDER:LABEL,LABEL,... uses only these labels
+    /// Folders with <label>/<person>__<n>.csv; FOLDER:LABEL,LABEL,... tries only these labels
     #[arg(required = true, value_name = "FOLDER[:LABEL,...]")]
     folders: Vec<Set>,
     /// Models per person, with the seeds 1, 2, ...

@@ -16,7 +16,7 @@ use super::RecipeName;
 /// Hold out each person in turn and print how models do that have never met them
 #[derive(Args)]
 pub struct Cmd {
-    /// Folders with <label>/<person>__<n>.csv; FOLDER:LABEL,LABEL,... uses only these labels
+    /// Folders with <label>/<person>__<n>.csv; FOLDER:LABEL,LABEL,... tries only these labels
     #[arg(required = true, value_name = "FOLDER[:LABEL,...]")]
     folders: Vec<Set>,
     /// Models per row, with the seeds 1, 2, ...

@@ -17,7 +17,7 @@ use super::people::{Set, recipes};
 /// Write one self-contained HTML page: what a folder holds and how models do that have never met its people
 #[derive(Args)]
 pub struct Cmd {
-    /// Folder with <label>/<person>__<n>.csv; FOLDER:LABEL,LABEL,... uses only these labels
+    /// Folder with <label>/<person>__<n>.csv; FOLDER:LABEL,LABEL,... tries only these labels
     #[arg(value_name = "FOLDER[:LABEL,...]")]
     set: Set,
     /// Where to write it
