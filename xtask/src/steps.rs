@@ -153,3 +153,44 @@ pub fn report(outcomes: &[Outcome]) -> bool {
     println!("\nsteps: {} passed, {failed} failed", outcomes.len() - failed);
     failed == 0
 }
+
+#[cfg(test)]
+mod tests {
+    use std::cell::Cell;
+    use std::rc::Rc;
+
+    use super::*;
+
+    /// A step that fails the first `times` times.
+    fn failing(name: &'static str, times: u32) -> Step {
+        let left = Rc::new(Cell::new(times));
+        Step::new(name, move || match left.get() {
+            0 => Ok(()),
+            n => {
+                left.set(n - 1);
+                bail!("late")
+            }
+        })
+    }
+
+    #[test]
+    fn what_failed_is_tried_once_more_and_the_first_reason_is_kept() {
+        let steps = [failing("well", 0), failing("once", 1), failing("always", u32::MAX)];
+        let mut outcomes = run_all(&steps);
+        assert_eq!(outcomes.iter().map(Outcome::failed).collect::<Vec<_>>(), [false, true, true]);
+        run_failed_again(&steps, &mut outcomes);
+        assert_eq!(outcomes.iter().map(Outcome::failed).collect::<Vec<_>>(), [false, false, true]);
+        let before: Vec<_> = outcomes.iter().map(|o| o.before.as_deref()).collect();
+        assert_eq!(before, [None, Some("late"), Some("late")]);
+        assert!(!report(&outcomes));
+        assert!(report(&outcomes[..2]));
+    }
+
+    #[test]
+    fn a_command_that_fails_gives_its_last_lines() {
+        let script = "for n in $(seq 200); do echo line $n; done; exit 3";
+        let error = sh(Command::new("sh").args(["-c", script])).unwrap_err().to_string();
+        assert!(error.contains("exit status: 3") && error.ends_with("| line 200"), "{error}");
+        assert_eq!(error.lines().count(), 1 + LAST_LINES);
+    }
+}
