@@ -32,11 +32,8 @@ enum Verb {
 
 fn main() -> anyhow::Result<()> {
     let cli = Cli::parse();
-    let threads = match cli.threads {
-        Some(threads) => threads,
-        None => std::thread::available_parallelism()?.get(),
-    };
-    rayon::ThreadPoolBuilder::new().num_threads(threads).build_global()?;
+    // None: as many as rayon finds right.
+    rayon::ThreadPoolBuilder::new().num_threads(cli.threads.unwrap_or(0)).build_global()?;
     // Unless this is set, candle counts the processors anew for every product of matrices, which takes a fifth of the
     // time of a training; and products here are too small to be shared out.
     // SAFETY: no thread that looks at the environment runs yet.

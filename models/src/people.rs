@@ -124,10 +124,14 @@ impl Trial<'_> {
         Dataset::read_where(self.folder, Some(axes), |label, name| self.uses(label) && person(name))
     }
 
-    /// Recordings to learn from.
-    fn read_to_learn(&self, person: impl Fn(&str) -> bool) -> Result<Dataset, DatasetError> {
-        let learns = |label: &str| self.uses(label) || is_rest(label);
-        Dataset::read_where(self.folder, self.axes, |label, name| learns(label) && person(name))
+    /// Recordings to learn from, and to make a stream of: those of no gesture too, whatever labels are tried.
+    fn read_with_rest(
+        &self,
+        axes: Option<usize>,
+        person: impl Fn(&str) -> bool,
+    ) -> Result<Dataset, DatasetError> {
+        let wanted = |label: &str| self.uses(label) || is_rest(label);
+        Dataset::read_where(self.folder, axes, |label, name| wanted(label) && person(name))
     }
 
     /// What a model makes of recordings of the labels tried; it answers with one of these.
@@ -139,7 +143,7 @@ impl Trial<'_> {
 
     /// A model that has never met `person`.
     pub fn without(&self, person: &str, seed: u64) -> Result<Trained, TrialError> {
-        let others = self.read_to_learn(|name| name != person)?;
+        let others = self.read_with_rest(self.axes, |name| name != person)?;
         Ok(train(&others, &[], self.recipe, &Self::job(seed))?)
     }
 
@@ -152,7 +156,7 @@ impl Trial<'_> {
 
     /// What a model makes of a fifth of the recordings, chosen by the seed and kept out of training.
     pub fn random_split(&self, seed: u64) -> Result<Graded, TrialError> {
-        let all = self.read_to_learn(|_| true)?;
+        let all = self.read_with_rest(self.axes, |_| true)?;
         let test = held_out(&all, 0.2, seed);
         let model = train(&all, &test, self.recipe, &Self::job(seed))?;
         self.grade(&model, &all.filtered(|item| test.contains(&item.name) && self.uses(&item.label)))
@@ -161,15 +165,15 @@ impl Trial<'_> {
     /// What a model that has never met `person` makes of them when it knows only the first part of the others'
     /// recordings, `share` of each label's in an order by the seed.
     pub fn stranger_after(&self, person: &str, share: f64, seed: u64) -> Result<Graded, TrialError> {
-        let others = self.read_to_learn(|name| name != person)?;
+        let others = self.read_with_rest(self.axes, |name| name != person)?;
         let dropped = held_out(&others, 1.0 - share, seed);
         let model = train(&others, &dropped, self.recipe, &Self::job(seed))?;
         self.grade(&model, &self.read(model.card.axes, |name| name == person)?)
     }
 
     /// Events of a model that has never met `person`: of all their recordings, those of no gesture too whatever labels
-    /// are used, joined into a stream, and of
-    /// simulated wearers of the `crowd` who make no gesture for `aimless_s` seconds.
+    /// are tried, joined into a stream, and of simulated wearers of the `crowd` who make no gesture for `aimless_s`
+    /// seconds.
     pub fn events(
         &self,
         person: &str,
@@ -178,9 +182,7 @@ impl Trial<'_> {
         crowd: u64,
     ) -> Result<(Tally, Tally), TrialError> {
         let model = self.without(person, seed)?;
-        let theirs = Dataset::read_where(self.folder, Some(model.card.axes), |label, name| {
-            name == person && (is_rest(label) || self.uses(label))
-        })?;
+        let theirs = self.read_with_rest(Some(model.card.axes), |name| name == person)?;
         let blob = model.blob()?;
         let network = Model::parse(&blob)?;
         let (axes, labels) = (model.card.axes, &model.card.labels);
@@ -201,7 +203,7 @@ impl Trial<'_> {
     /// How a model does that knows four fifths of the others' recordings and is shown `counts` examples of 2 s per
     /// class of `person`, each cut from another recording.
     pub fn shown(&self, person: &str, counts: &[usize], seed: u64) -> Result<Vec<Shown>, TrialError> {
-        let others = self.read_to_learn(|name| name != person)?;
+        let others = self.read_with_rest(self.axes, |name| name != person)?;
         let kept = held_out(&others, 0.2, seed);
         let model = train(&others, &kept, self.recipe, &Self::job(seed))?;
         let old = others.filtered(|item| kept.contains(&item.name) && self.uses(&item.label));

@@ -1,5 +1,8 @@
 //! End-to-end tests.
 
+#[cfg(any(feature = "avr", feature = "nrf"))]
+mod firmware;
+
 #[cfg(feature = "avr")]
 pub mod avr;
 
@@ -14,3 +17,8 @@ pub mod desk;
 
 #[cfg(all(unix, feature = "ble"))]
 pub mod bluez;
+
+/// Is this the long run (`cargo xtask test --full`)?
+pub fn is_full() -> bool {
+    std::env::var_os("BIMANUAL_FULL").is_some()
+}

@@ -13,7 +13,7 @@ use tests::avr::nano::EEPROM_BYTES;
 use tests::avr::session::{BLANK, Seen, Session, is_command};
 use tests::avr::street::Street;
 use tests::avr::wearer::{Fault, Hand, Sensors, Wearer};
-use tests::avr::workers::is_full;
+use tests::is_full;
 
 const FORWARD_RAD: f64 = 0.52;
 

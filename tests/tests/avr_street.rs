@@ -11,7 +11,7 @@ use tests::avr::nano::{CYCLES_PER_MS, Line, Nano};
 use tests::avr::session::{BLANK, Session};
 use tests::avr::street::Street;
 use tests::avr::wearer::{Sensors, Wearer, normal};
-use tests::avr::workers::is_full;
+use tests::is_full;
 
 /// Pins of a nominal hand that tips forward in one step at a given clock.
 fn stepping(at: Rc<RefCell<(u64, f64)>>) -> impl FnMut(u8, u64) -> Line {

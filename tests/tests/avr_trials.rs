@@ -2,7 +2,8 @@
 #![cfg(feature = "avr")]
 
 use tests::avr::trials::{BendCounts, Job, Parts, Quiet, Tilts};
-use tests::avr::workers::{is_full, run};
+use tests::avr::workers::run;
+use tests::is_full;
 
 const WORKER: &str = env!("CARGO_BIN_EXE_avr_trials");
 

@@ -57,7 +57,7 @@ fn a_transfer_that_breaks_at_any_piece_leaves_the_old_model() {
     let blob = other_model(2);
     let model = Model::parse(&blob).unwrap();
     let all = blob.len().div_ceil(MODEL_CHUNK_MAX);
-    let step = if std::env::var_os("BIMANUAL_FULL").is_some() { 1 } else { 8 };
+    let step = if tests::is_full() { 1 } else { 8 };
     let mut broken = 0;
     for after in (0..=all).step_by(step) {
         assert_eq!(announce(&mut session, begin(&blob, &model)), AckResult::Ok);

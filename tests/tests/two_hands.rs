@@ -16,13 +16,10 @@ use tests::avr::nano::Nano;
 use tests::avr::recorded::{Recorded, calibrated};
 use tests::avr::session::BLANK;
 use tests::avr::wearer::{Hand, Sensors, Wearer};
+use tests::is_full;
 use tests::nrf::lsm9ds1::{Replay, Still};
 use tests::nrf::recordings::rows;
 use tests::two_hands::{Disturbance, Left, Link, Right, TwoHands, Wire};
-
-fn full() -> bool {
-    std::env::var_os("BIMANUAL_FULL").is_some()
-}
 
 /// A nominal left hand on a board that has never been calibrated, and the hand to steer.
 fn left_hand(seed: u64) -> (Nano, Rc<RefCell<Hand>>) {
@@ -35,7 +32,7 @@ const FORWARD_RAD: f64 = 0.5;
 /// Plays the bundled session on both boards, and compares with what it says must come out. The short run plays all of
 /// it over one link, and its first gestures over the others.
 fn play_demo(link: Link) {
-    let whole = full() || link == Link::Uart;
+    let whole = is_full() || link == Link::Uart;
     let Demo { left, right, script } = Demo::bundled();
     let seconds = if whole { left.samples.len() as u64 / 100 } else { 36 };
     let expect = &script.expect;
@@ -120,7 +117,7 @@ fn median(sorted: &[f64]) -> f64 {
 fn the_arm_moves_within_50_ms_of_the_sample_that_decides() {
     const REST_S: f64 = 2.0;
     const GESTURE_S: f64 = 3.0;
-    let wearers: u32 = if full() { 40 } else { 2 };
+    let wearers: u32 = if is_full() { 40 } else { 2 };
     let (mut to_arm_ms, mut to_event_s, mut others) = (Vec::new(), Vec::new(), Vec::new());
     for index in 1..=wearers {
         let mut script = vec![Segment::new(Motion::IDLE, 1.0 + REST_S)];
@@ -357,7 +354,7 @@ fn noise(damaged: u32, disturbed: u32, mut rng: Rng) -> Disturbance {
 
 #[test]
 fn random_bytes_on_both_links_move_nothing_that_the_hands_do_not() {
-    let seconds = if full() { 60 } else { 4 };
+    let seconds = if is_full() { 60 } else { 4 };
     let (mut nano, hand) = left_hand(33);
     nano.run_ms(600.0);
     let right = Right::start(Link::Uart, |_| Still);

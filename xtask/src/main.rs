@@ -71,6 +71,11 @@ pub fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("xtask lies in the root").to_path_buf()
 }
 
+/// Is this the long run (`cargo xtask test --full`)?
+pub fn is_full() -> bool {
+    std::env::var_os("BIMANUAL_FULL").is_some()
+}
+
 /// Where cargo puts what it builds.
 pub fn target_dir() -> PathBuf {
     std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root().join("target"), PathBuf::from)

@@ -7,7 +7,7 @@ use anyhow::{Context, Result, bail, ensure};
 
 use crate::steps::{output, sh};
 use crate::test::built;
-use crate::{root, target_dir};
+use crate::{is_full, root, target_dir};
 
 /// Least mean accuracy per recording over random splits of the LSM9DS1 set, in per cent.
 const SPLITS_MIN: f64 = 97.0;
@@ -31,7 +31,7 @@ fn set(name: &str) -> Option<PathBuf> {
 /// Random splits of the nine-axis set, five under `--full`: the mean accuracy, float and int8.
 pub fn splits() -> Result<()> {
     let Some(folder) = set("nano33-lsm9ds1-9axis") else { return Ok(()) };
-    let splits = if std::env::var_os("BIMANUAL_FULL").is_some() { "5" } else { "2" };
+    let splits = if is_full() { "5" } else { "2" };
     let text = output(built("models")?.arg("splits").arg(&folder).args(["--splits", splits]))?;
     print!("{text}");
     let mean = text.lines().last().context("`models splits` printed nothing")?;
@@ -51,7 +51,7 @@ pub fn strangers() -> Result<()> {
     let (Some(nine), Some(acc)) = (set("nano33-lsm9ds1-9axis"), set("nano33rev2-acc-people")) else {
         return Ok(());
     };
-    let full = std::env::var_os("BIMANUAL_FULL").is_some();
+    let full = is_full();
     let slack = if full { 0.0 } else { 2.0 };
     let acc = format!("{}:circle,leftright,idle", acc.display());
     let mut people = built("models")?;

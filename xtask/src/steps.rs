@@ -74,13 +74,7 @@ pub fn sh(command: &mut Command) -> Result<()> {
             None => std::thread::sleep(Duration::from_millis(50)),
         }
     };
-    if !status.success() {
-        let text = String::from_utf8_lossy(&text);
-        let lines: Vec<&str> = text.lines().collect();
-        let last = lines[lines.len().saturating_sub(LAST_LINES)..].join("\n  | ");
-        bail!("`{}` ended with {status}\n  | {last}", shown(command));
-    }
-    Ok(())
+    well_ended(command, status, &String::from_utf8_lossy(&text))
 }
 
 /// Runs a command to its end and returns what it printed on standard output.
@@ -97,9 +91,19 @@ pub fn output(command: &mut Command) -> Result<String> {
     let text = String::from_utf8_lossy(&output.stdout).into_owned();
     if !output.status.success() {
         print!("{text}");
-        bail!("`{}` ended with {}", shown(command), output.status);
     }
+    well_ended(command, output.status, &text)?;
     Ok(text)
+}
+
+/// That a command ended with 0; else its last lines are the error.
+fn well_ended(command: &Command, status: ExitStatus, text: &str) -> Result<()> {
+    if !status.success() {
+        let lines: Vec<&str> = text.lines().collect();
+        let last = lines[lines.len().saturating_sub(LAST_LINES)..].join("\n  | ");
+        bail!("`{}` ended with {status}\n  | {last}", shown(command));
+    }
+    Ok(())
 }
 
 fn shown(command: &Command) -> String {

@@ -13,7 +13,9 @@ use anyhow::{Context, Result, bail, ensure};
 
 use crate::steps::{Outcome, Step, output, report, run_all, run_failed_again, sh};
 use crate::tools::{BROWSER, CROSS_LINK, CROSS_RUST, EMULATORS, NETWORK, QEMU};
-use crate::{firmware_avr, firmware_nano33, package, python, real_data, root, target_dir, toolchain, tools};
+use crate::{
+    firmware_avr, firmware_nano33, is_full, package, python, real_data, root, target_dir, toolchain, tools,
+};
 
 /// Runs the steps.
 ///
@@ -355,7 +357,7 @@ fn others() -> Vec<Step> {
             sh(built("host-bridge")?.arg("replay").arg(&file))
         }),
     ];
-    if std::env::var_os("BIMANUAL_FULL").is_some() {
+    if is_full() {
         // Minutes of building with another choice of features.
         steps.push(Step::new("the archive, unpacked and run", package::run));
     }

@@ -1,15 +1,9 @@
 //! The image under test: the very file that `cargo xtask firmware avr` makes and a user flashes.
 
 use std::path::PathBuf;
-use std::process::Command;
 use std::sync::OnceLock;
 
 use object::{Object, ObjectSection, ObjectSymbol};
-
-/// The root of the repository.
-pub fn root() -> PathBuf {
-    PathBuf::from(env!("CARGO_MANIFEST_DIR")).parent().expect("tests lies in the root").to_path_buf()
-}
 
 /// The image, built if need be. `BIMANUAL_AVR_ELF` names another one.
 ///
@@ -21,16 +15,7 @@ pub fn path() -> PathBuf {
         if let Some(path) = std::env::var_os("BIMANUAL_AVR_ELF") {
             return path.into();
         }
-        let status = Command::new("cargo")
-            .current_dir(root())
-            .args(["xtask", "firmware", "avr", "--no-stack"])
-            .stdout(std::process::Stdio::null())
-            .status()
-            .expect("cargo starts");
-        assert!(status.success(), "`cargo xtask firmware avr` failed");
-        let target =
-            std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root().join("target"), PathBuf::from);
-        target.join("avr-none/release/firmware-nano-avr.elf")
+        crate::firmware::build(&["avr", "--no-stack"], "avr-none/release/firmware-nano-avr.elf")
     })
     .clone()
 }

@@ -38,8 +38,3 @@ pub fn run<J: Serialize, R: DeserializeOwned>(program: &str, verb: &str, jobs: &
     }
     results
 }
-
-/// Is this the long run (`cargo xtask test --full`)?
-pub fn is_full() -> bool {
-    std::env::var("BIMANUAL_FULL").is_ok_and(|v| v == "1")
-}

@@ -1,7 +1,6 @@
 //! Builds the firmware images that the tests run, once per test run.
 
-use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::path::PathBuf;
 use std::sync::{Mutex, OnceLock};
 
 use super::image::Image;
@@ -39,14 +38,5 @@ fn build(variant: Variant) -> PathBuf {
         Variant::Bootloader => "bootloader",
         Variant::Ble => "ble",
     };
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("tests lies in the root");
-    let status = Command::new("cargo")
-        .current_dir(root)
-        .args(["xtask", "firmware", "nano33", name])
-        .stdout(Stdio::null())
-        .status()
-        .expect("cargo starts");
-    assert!(status.success(), "`cargo xtask firmware nano33 {name}` failed");
-    let target = std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root.join("target"), PathBuf::from);
-    target.join("thumbv7em-none-eabihf/release").join(format!("nano33-{name}"))
+    crate::firmware::build(&["nano33", name], &format!("thumbv7em-none-eabihf/release/nano33-{name}"))
 }

@@ -15,6 +15,7 @@ use tests::desk::left::{Left, LeftStation};
 use tests::desk::program::{Desk, Running, bridge, run};
 use tests::desk::right::{Right, RightStation};
 use tests::desk::station::{Board, Station};
+use tests::is_full;
 
 use crate::renamed::renamed_model;
 
@@ -117,7 +118,7 @@ fn both_hands_move_base_and_arm_through_pulled_cables_and_restarts() {
 
     // Cables pulled at any moment, drawn by chance: each time the robot halts, and goes on from neutral only.
     let mut rng = Rng::with_seed(5);
-    let pulls = if std::env::var_os("BIMANUAL_FULL").is_some() { 20 } else { 2 };
+    let pulls = if is_full() { 20 } else { 2 };
     for pull in 0..pulls {
         std::thread::sleep(Duration::from_millis(rng.u64(0..400)));
         run.catch_up();
@@ -242,7 +243,7 @@ fn a_cable_pulled_or_a_reset_at_any_moment_ends_every_verb_with_advice() {
     let left = Left::start(&desk.path("nano"));
     let right = Right::start(&desk.path("nano33"), Wearer::demo(1));
     let (port, other, out) = (left.port(), right.port(), desk.text("recordings"));
-    let rounds = if std::env::var_os("BIMANUAL_FULL").is_some() { 10 } else { 1 };
+    let rounds = if is_full() { 10 } else { 1 };
     let mut rng = Rng::with_seed(9);
     let moment = |rng: &mut Rng| Duration::from_millis(rng.u64(0..3000));
     for _ in 0..rounds {
