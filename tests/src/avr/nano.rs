@@ -17,6 +17,8 @@ use simavr_ffi as ffi;
 pub const CYCLES_PER_MS: u64 = 16_000;
 /// Time of one byte at 115200 baud (136 clocks per bit), of the 11 bits that simavr's receiver takes.
 const CYCLES_PER_BYTE: u64 = 11 * 8 * 17;
+/// Clocks that the emulator runs before it looks up again; after a reset as many may be missing from the count.
+const CYCLES_AT_ONCE: u64 = 160;
 /// Bytes of EEPROM.
 pub const EEPROM_BYTES: usize = 1024;
 /// Addresses of registers in data space.
@@ -160,12 +162,16 @@ impl Nano {
     /// Where the program crashes, stops for ever, or selects a wrong reference for the converter.
     pub fn run_until(&mut self, cycle: u64) {
         let mut last = self.cycle();
+        let mut has_heartbeat = false;
         while last < cycle {
             // Safety: the board is alive; the callbacks get the boxed wires.
             let state = unsafe {
-                let left = cycle - last;
-                // Wakes a sleeping program in time.
-                ffi::avr_cycle_timer_register(self.avr, left, Some(on_heartbeat), null_mut());
+                if !has_heartbeat {
+                    // Wakes a sleeping program in time.
+                    ffi::avr_cycle_timer_register(self.avr, cycle - last, Some(on_heartbeat), null_mut());
+                    (*self.avr).run_cycle_limit = CYCLES_AT_ONCE;
+                    has_heartbeat = true;
+                }
                 ffi::avr_run(self.avr)
             };
             assert!(
@@ -177,6 +183,7 @@ impl Nano {
             if now + self.wires.before_reset.get() < last {
                 self.wires.before_reset.set(last);
                 self.resets += 1;
+                has_heartbeat = false;
                 // Its timers are gone: what was under way to the board is lost.
                 self.wires.to_receive.borrow_mut().clear();
             }

@@ -3,8 +3,6 @@
 //! Unicorn executes instructions; everything else is here. Time goes by instructions while the core is
 //! awake and jumps to the next due event while it sleeps.
 
-use std::collections::HashMap;
-
 use unicorn_engine::{Arch, ArmCpuModel, HookType, Mode, Prot, RegisterARM, Unicorn};
 
 use super::image::Image;
@@ -84,13 +82,15 @@ struct World {
     /// Cycles of executed instructions, and how many they were when interrupts were masked.
     executed: u64,
     masked_since: Option<u64>,
-    blocks: HashMap<u32, u64>,
-    probes: HashMap<u32, usize>,
+    /// Instructions of the block that starts at each half-word of flash; 0 where none was executed yet.
+    blocks: Vec<u16>,
+    /// Addresses and numbers; few, and looked through at every block.
+    probes: Vec<(u32, usize)>,
     calls: Vec<Vec<Call>>,
     /// Probes that paint the stack.
     painting: Vec<usize>,
     open: Vec<Open>,
-    taps: HashMap<u32, (usize, usize)>,
+    taps: Vec<(u32, usize, usize)>,
     tapped: Vec<Vec<Tapped>>,
     bad_access: Option<String>,
 }
@@ -156,6 +156,7 @@ impl Board {
         if boot == Boot::SoftDevice {
             soc.softdevice = Some(Box::default());
         }
+        let blocks = vec![0; soc.flash.len() / 2];
         let world = World {
             soc,
             stop: None,
@@ -165,12 +166,12 @@ impl Board {
             event: false,
             executed: 0,
             masked_since: None,
-            blocks: HashMap::new(),
-            probes: HashMap::new(),
+            blocks,
+            probes: Vec::new(),
             calls: Vec::new(),
             painting: Vec::new(),
             open: Vec::new(),
-            taps: HashMap::new(),
+            taps: Vec::new(),
             tapped: Vec::new(),
             bad_access: None,
         };
@@ -244,7 +245,15 @@ impl Board {
             }
             let world = uc.get_data_mut();
             let soc = &mut world.soc;
-            let count = *world.blocks.entry(address).or_insert_with(|| decode(&soc.flash, address, size));
+            let count = match world.blocks.get_mut(address as usize / 2) {
+                Some(&mut known @ 1..) => u64::from(known),
+                Some(unknown) => {
+                    let count = decode(&soc.flash, address, size);
+                    *unknown = count as u16;
+                    count
+                }
+                None => decode(&soc.flash, address, size),
+            };
             if !world.open.is_empty() && soc.nvic.active().is_empty() {
                 while let Some(&open) = world.open.last() {
                     if open.back != address {
@@ -262,7 +271,7 @@ impl Board {
                     world.calls[open.probe].push(Call { at: open.at, instructions, stack_bytes });
                 }
             }
-            if let Some(&probe) = world.probes.get(&address) {
+            if let Some(&(_, probe)) = world.probes.iter().find(|(at, _)| *at == address) {
                 let back = uc.reg_read(RegisterARM::LR).unwrap_or(0) as u32 & !1;
                 let stack_pointer = uc.reg_read(RegisterARM::SP).unwrap_or(0) as u32;
                 let world = uc.get_data_mut();
@@ -274,7 +283,7 @@ impl Board {
                 world.open.push(Open { back, probe, at, instructions_before, stack_pointer });
             }
             let world = uc.get_data_mut();
-            if let Some(&(tap, len)) = world.taps.get(&address) {
+            if let Some(&(_, tap, len)) = world.taps.iter().find(|(at, ..)| *at == address) {
                 let registers = [RegisterARM::R0, RegisterARM::R1, RegisterARM::R2, RegisterARM::R3]
                     .map(|r| uc.reg_read(r).unwrap_or(0) as u32);
                 let bytes = uc.mem_read_as_vec(registers[0].into(), len).unwrap_or_default();
@@ -438,7 +447,7 @@ impl Board {
         let address = self.image.function(function);
         let world = self.uc.get_data_mut();
         world.calls.push(Vec::new());
-        world.probes.insert(address, world.calls.len() - 1);
+        world.probes.push((address, world.calls.len() - 1));
         world.calls.len() - 1
     }
 
@@ -460,7 +469,7 @@ impl Board {
         let address = self.image.function(function);
         let world = self.uc.get_data_mut();
         world.tapped.push(Vec::new());
-        world.taps.insert(address, (world.tapped.len() - 1, len));
+        world.taps.push((address, world.tapped.len() - 1, len));
         world.tapped.len() - 1
     }
 

@@ -34,6 +34,11 @@ impl Events {
         self.happened & u64::from(self.enabled) != 0
     }
 
+    /// Whether there are events for the PPI.
+    pub fn has_fired(&self) -> bool {
+        !self.fired.is_empty()
+    }
+
     /// Events raised since the last call, for the PPI.
     pub fn take_fired(&mut self) -> Vec<u32> {
         std::mem::take(&mut self.fired)

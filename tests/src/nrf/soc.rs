@@ -324,9 +324,10 @@ impl Soc {
         loop {
             let mut fired = Vec::new();
             self.for_each_events(|page, events| {
-                fired.extend(
-                    events.take_fired().into_iter().map(|e| 0x4000_0000 + (page << 12) + 0x100 + 4 * e),
-                );
+                if events.has_fired() {
+                    let register = |event| 0x4000_0000 + (page << 12) + 0x100 + 4 * event;
+                    fired.extend(events.take_fired().into_iter().map(register));
+                }
             });
             if fired.is_empty() {
                 return;
