@@ -49,23 +49,23 @@ fn converter() -> ADC {
 
 /// Chooses a line against AREF: REFS1 and REFS0 stay 0, results stand at the right (ADLAR 0).
 fn select(adc: &ADC, line: u8) {
-    adc.admux().write(|w| unsafe { w.bits(line & 0x0F) });
+    adc.admux.write(|w| unsafe { w.bits(line & 0x0F) });
 }
 
 fn convert(adc: &ADC) {
     // ADEN, ADSC and ADIE.
-    adc.adcsra().write(|w| unsafe { w.bits(0b1100_1000 | PRESCALER) });
+    adc.adcsra.write(|w| unsafe { w.bits(0b1100_1000 | PRESCALER) });
 }
 
 /// Switches the converter on. Interrupts are off.
 pub fn start() {
     let adc = converter();
     select(&adc, GROUND);
-    adc.adcsrb().write(|w| unsafe { w.bits(0) });
+    adc.adcsrb.write(|w| unsafe { w.bits(0) });
     // The digital buffers of A0..A4 would only draw current.
-    adc.didr0().write(|w| unsafe { w.bits(0b0001_1111) });
+    adc.didr0.write(|w| unsafe { w.bits(0b0001_1111) });
     // ADEN, and ADIF written as 1 clears it.
-    adc.adcsra().write(|w| unsafe { w.bits(0b1001_0000 | PRESCALER) });
+    adc.adcsra.write(|w| unsafe { w.bits(0b1001_0000 | PRESCALER) });
 }
 
 /// Begins the sample of this period; a sample that was not finished or not fetched counts as dropped.
@@ -85,7 +85,7 @@ pub fn begin_sample(cs: CriticalSection<'_>) {
             return;
         }
         count(&RESTARTS);
-        converter().adcsra().write(|w| unsafe { w.bits(0) });
+        converter().adcsra.write(|w| unsafe { w.bits(0) });
         start();
     }
     burst.late = 0;
@@ -104,7 +104,7 @@ fn ADC() {
     interrupt::free(|cs| {
         let mut burst = BURST.borrow(cs).borrow_mut();
         let adc = converter();
-        let value = adc.adc().read().bits();
+        let value = adc.adc.read().bits();
         if !burst.running {
             return;
         }

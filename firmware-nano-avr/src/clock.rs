@@ -20,14 +20,14 @@ static ASLEEP: Mutex<Cell<u32>> = Mutex::new(Cell::new(0));
 pub fn start() {
     // Safety: TIMER1 belongs to this module, and interrupts are off.
     let tc1 = unsafe { Peripherals::steal() }.TC1;
-    tc1.tccr1a().write(|w| unsafe { w.bits(0) });
-    tc1.tccr1b().write(|w| unsafe { w.bits(0) });
-    tc1.tcnt1().write(|w| unsafe { w.bits(0) });
-    tc1.ocr1a().write(|w| unsafe { w.bits(TICKS - 1) });
-    tc1.tifr1().write(|w| unsafe { w.bits(0xFF) });
-    tc1.timsk1().write(|w| w.ocie1a().set_bit());
+    tc1.tccr1a.write(|w| unsafe { w.bits(0) });
+    tc1.tccr1b.write(|w| unsafe { w.bits(0) });
+    tc1.tcnt1.write(|w| w.bits(0));
+    tc1.ocr1a.write(|w| w.bits(TICKS - 1));
+    tc1.tifr1.write(|w| unsafe { w.bits(0xFF) });
+    tc1.timsk1.write(|w| w.ocie1a().set_bit());
     // Clear on compare (WGM12), clock / 8 (CS11).
-    tc1.tccr1b().write(|w| unsafe { w.bits(0b0000_1010) });
+    tc1.tccr1b.write(|w| unsafe { w.bits(0b0000_1010) });
 }
 
 #[avr_device::interrupt(atmega328p)]
@@ -47,7 +47,7 @@ pub fn periods() -> u32 {
 /// TIMER1's count within the present period.
 pub fn ticks_in_period() -> u16 {
     // Safety: a read; the two bytes share a latch with the interrupt's accesses, hence no interrupts.
-    interrupt::free(|_| unsafe { Peripherals::steal() }.TC1.tcnt1().read().bits())
+    interrupt::free(|_| unsafe { Peripherals::steal() }.TC1.tcnt1.read().bits())
 }
 
 /// Books the time asleep since [`ticks_in_period`] was `then`, less than one period ago.

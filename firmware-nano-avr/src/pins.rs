@@ -14,10 +14,10 @@ struct CalibrationPin;
 pub fn start() {
     // Safety: both ports belong to this module.
     let dp = unsafe { Peripherals::steal() };
-    dp.PORTB.ddrb().write(|w| w.pb5().set_bit());
-    dp.PORTB.portb().write(|w| unsafe { w.bits(0) });
-    dp.PORTD.ddrd().write(|w| unsafe { w.bits(0) });
-    dp.PORTD.portd().write(|w| w.pd2().set_bit());
+    dp.PORTB.ddrb.write(|w| w.pb5().set_bit());
+    dp.PORTB.portb.write(|w| unsafe { w.bits(0) });
+    dp.PORTD.ddrd.write(|w| unsafe { w.bits(0) });
+    dp.PORTD.portd.write(|w| w.pd2().set_bit());
     // Time for the pull-up to charge the pin.
     for _ in 0..200 {
         avr_device::asm::nop();
@@ -35,12 +35,12 @@ impl ErrorType for Light {
 
 impl OutputPin for Light {
     fn set_low(&mut self) -> Result<(), Infallible> {
-        unsafe { Peripherals::steal() }.PORTB.portb().modify(|_, w| w.pb5().clear_bit());
+        unsafe { Peripherals::steal() }.PORTB.portb.modify(|_, w| w.pb5().clear_bit());
         Ok(())
     }
 
     fn set_high(&mut self) -> Result<(), Infallible> {
-        unsafe { Peripherals::steal() }.PORTB.portb().modify(|_, w| w.pb5().set_bit());
+        unsafe { Peripherals::steal() }.PORTB.portb.modify(|_, w| w.pb5().set_bit());
         Ok(())
     }
 }
@@ -51,7 +51,7 @@ impl ErrorType for CalibrationPin {
 
 impl InputPin for CalibrationPin {
     fn is_high(&mut self) -> Result<bool, Infallible> {
-        Ok(unsafe { Peripherals::steal() }.PORTD.pind().read().pd2().bit_is_set())
+        Ok(unsafe { Peripherals::steal() }.PORTD.pind.read().pd2().bit_is_set())
     }
 
     fn is_low(&mut self) -> Result<bool, Infallible> {

@@ -34,12 +34,12 @@ pub fn begin() -> Cause {
     avr_device::interrupt::disable();
     // Safety: nothing else runs yet.
     let dp = unsafe { Peripherals::steal() };
-    let reset_flags = dp.CPU.mcusr().read().bits();
+    let reset_flags = dp.CPU.mcusr.read().bits();
     // WDRF holds the watchdog on, so it goes first. Some bootloaders have cleared it already.
-    dp.CPU.mcusr().write(|w| unsafe { w.bits(0) });
+    dp.CPU.mcusr.write(|w| unsafe { w.bits(0) });
     set_watchdog(0);
-    let mark = dp.CPU.gpior0().read().bits();
-    dp.CPU.gpior0().write(|w| unsafe { w.bits(0) });
+    let mark = dp.CPU.gpior0.read().bits();
+    dp.CPU.gpior0.write(|w| w.bits(0));
     match mark {
         MARK_PANIC => Cause::Panic,
         MARK_WATCHDOG => Cause::Watchdog,
@@ -51,7 +51,7 @@ pub fn begin() -> Cause {
 /// Restarts by jump since the last reset.
 pub fn restarts() -> u8 {
     // Safety: a register that only this module writes.
-    unsafe { Peripherals::steal() }.CPU.gpior1().read().bits()
+    unsafe { Peripherals::steal() }.CPU.gpior1.read().bits()
 }
 
 /// Starts the watchdog: after 0.25 s a reset, or where the old bootloader would trap it, an interrupt.
@@ -96,12 +96,12 @@ fn restart(mark: u8) -> ! {
     avr_device::interrupt::disable();
     // Safety: interrupts are off, and nothing of this run goes on.
     let dp = unsafe { Peripherals::steal() };
-    dp.ADC.adcsra().write(|w| unsafe { w.bits(0) });
-    dp.TC1.timsk1().write(|w| unsafe { w.bits(0) });
-    dp.USART0.ucsr0b().write(|w| unsafe { w.bits(0) });
-    dp.CPU.gpior0().write(|w| unsafe { w.bits(mark) });
+    dp.ADC.adcsra.write(|w| unsafe { w.bits(0) });
+    dp.TC1.timsk1.write(|w| unsafe { w.bits(0) });
+    dp.USART0.ucsr0b.write(|w| unsafe { w.bits(0) });
+    dp.CPU.gpior0.write(|w| w.bits(mark));
     let restarts = restarts().wrapping_add(1);
-    dp.CPU.gpior1().write(|w| unsafe { w.bits(restarts) });
+    dp.CPU.gpior1.write(|w| w.bits(restarts));
     set_watchdog(0);
     unsafe { asm!("jmp 0", options(noreturn)) }
 }

@@ -45,23 +45,23 @@ pub struct Serial;
 pub fn start() {
     // Safety: USART0 belongs to this module.
     let usart = unsafe { Peripherals::steal() }.USART0;
-    usart.ucsr0b().write(|w| unsafe { w.bits(0) });
-    usart.ucsr0a().write(|w| w.u2x0().set_bit());
+    usart.ucsr0b.write(|w| unsafe { w.bits(0) });
+    usart.ucsr0a.write(|w| w.u2x0().set_bit());
     // 8 data bits, no parity, one stop bit.
-    usart.ucsr0c().write(|w| unsafe { w.bits(0b0000_0110) });
+    usart.ucsr0c.write(|w| unsafe { w.bits(0b0000_0110) });
     // Last: the emulator works out its speed at this write.
-    usart.ubrr0().write(|w| unsafe { w.bits(UBRR) });
+    usart.ubrr0.write(|w| w.bits(UBRR));
     // RXCIE, RXEN, TXEN.
-    usart.ucsr0b().write(|w| unsafe { w.bits(0b1001_1000) });
+    usart.ucsr0b.write(|w| unsafe { w.bits(0b1001_1000) });
 }
 
 #[avr_device::interrupt(atmega328p)]
 fn USART_RX() {
     // Safety: one register each.
     let usart = unsafe { Peripherals::steal() }.USART0;
-    let status = usart.ucsr0a().read();
+    let status = usart.ucsr0a.read();
     let damaged = status.fe0().bit_is_set() || status.dor0().bit_is_set();
-    let byte = usart.udr0().read().bits();
+    let byte = usart.udr0.read().bits();
     interrupt::free(|cs| {
         let full = RECEIVED.borrow(cs).borrow_mut().push_back(byte).is_err();
         if full || damaged {
@@ -77,10 +77,10 @@ fn USART_UDRE() {
     let usart = unsafe { Peripherals::steal() }.USART0;
     interrupt::free(|cs| match TO_SEND.borrow(cs).borrow_mut().pop_front() {
         Some(byte) => {
-            usart.udr0().write(|w| unsafe { w.bits(byte) });
+            usart.udr0.write(|w| w.bits(byte));
         }
         None => {
-            usart.ucsr0b().modify(|_, w| w.udrie0().clear_bit());
+            usart.ucsr0b.modify(|_, w| w.udrie0().clear_bit());
         }
     });
 }
@@ -152,7 +152,7 @@ impl Write for Serial {
                 // Safety: one bit; the interrupt that clears it is kept out.
                 interrupt::free(|_| {
                     let usart = unsafe { Peripherals::steal() }.USART0;
-                    usart.ucsr0b().modify(|_, w| w.udrie0().set_bit());
+                    usart.ucsr0b.modify(|_, w| w.udrie0().set_bit());
                 });
                 return Ok(count);
             }
