@@ -16,6 +16,7 @@ use shared_dsp::right::ModelMismatch;
 use crate::card::Scores;
 use crate::dataset::{Dataset, DatasetError, Item};
 use crate::events::{Stream, Tally, play};
+use crate::recording::Recording;
 use crate::score::{Classifier, given, scored, summary};
 use crate::synth::{Take, Wearer, session, takes};
 use crate::train::{Job, Recipe, TrainError, Trained, adapt, examples_of, held_out, train};
@@ -259,20 +260,35 @@ pub fn from_simulated(
     grade(&model, real)
 }
 
-/// Recordings of simulated wearers as a data set, without files.
+/// Recordings of simulated wearers as a data set, without files. They are [untaught](Wearer::untaught), as those are who
+/// made the real recordings.
 fn simulated(wearers: u32, wanted: &[String], axes: usize, seed: u64) -> Dataset {
     const SECONDS: f64 = 6.0;
+    // Start and samples of two short recordings cut out of each gesture.
+    const SHORT: [(usize, usize); 2] = [(150, 105), (300, 130)];
     let of_wearer = |index: u32| {
-        let wearer = Wearer::training(seed, index);
+        let wearer = Wearer::training(seed, index).untaught();
         let takes = takes(SECONDS).into_iter().filter(|take| wanted.iter().any(|label| label == take.label));
-        let item = |(number, take): (usize, Take)| Item {
+        let item = |number: u64, take: &Take, recording: Recording| Item {
             file: PathBuf::new(),
-            name: format!("{}/{}__{:03}.csv", take.label, wearer.name, take.number),
+            name: format!("{}/{}__{number:03}.csv", take.label, wearer.name),
             label: take.label.to_owned(),
             person: wearer.name.clone(),
-            recording: session(&wearer, number as u64, &take.script).with_axes(axes),
+            recording,
         };
-        takes.enumerate().map(item).collect::<Vec<_>>()
+        let items = |(number, take): (usize, Take)| {
+            let whole = session(&wearer, number as u64, &take.script).with_axes(axes);
+            let mut items = Vec::new();
+            if take.label != "idle" {
+                // What others recorded is often shorter than a window; then it is padded, which changes what is felt.
+                for ((from, len), number) in SHORT.into_iter().zip(500..) {
+                    items.push(item(number, &take, whole.slice(from, len)));
+                }
+            }
+            items.push(item(take.number, &take, whole));
+            items
+        };
+        takes.enumerate().flat_map(items).collect::<Vec<_>>()
     };
     let mut items: Vec<Item> = (1..=wearers).into_par_iter().flat_map_iter(of_wearer).collect();
     items.sort_by(|a, b| a.name.cmp(&b.name));

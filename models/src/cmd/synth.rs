@@ -34,6 +34,9 @@ pub struct Cmd {
     /// Which wearers
     #[arg(long, value_enum, default_value = "training")]
     group: GroupName,
+    /// Wearers whom nobody told how to move: slower and faster, circles in any plane
+    #[arg(long)]
+    untaught: bool,
 }
 
 impl Cmd {
@@ -55,19 +58,21 @@ impl Cmd {
         }
         let about = format!(
             "simulated wearers, not real people: models synth --group {} --seed {} --wearers {} \
-             --seconds {}\n",
+             --seconds {}{}\n",
             match self.group {
                 GroupName::Training => "training",
                 GroupName::Evaluation => "evaluation",
             },
             self.seed,
             self.wearers,
-            self.seconds
+            self.seconds,
+            if self.untaught { " --untaught" } else { "" }
         );
         std::fs::write(part.join("ABOUT.txt"), about)?;
         let progress = ProgressBar::new(u64::from(self.wearers));
         let made = (1..=self.wearers).into_par_iter().try_for_each(|index| {
             let wearer = Wearer::new(group, self.seed, index);
+            let wearer = if self.untaught { wearer.untaught() } else { wearer };
             for (number, take) in takes.iter().enumerate() {
                 let file = format!("{}/{}__{:03}.csv", take.label, wearer.name, take.number);
                 session(&wearer, number as u64, &take.script).write(&part.join(file))?;

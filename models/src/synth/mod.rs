@@ -159,6 +159,37 @@ mod tests {
     }
 
     #[test]
+    fn untaught_wearers_draw_circles_in_any_plane_and_others_upright_ones() {
+        let quietest = |untaught: bool| {
+            let mut count = [0; 3];
+            for index in 0..60 {
+                let wearer = Wearer::training(1, index);
+                let recording = of(Motion::Circle, &if untaught { wearer.untaught() } else { wearer });
+                let felt: Vec<f64> = (0..3).map(|a| deviation(&column(&recording, a))).collect();
+                count[(0..3).min_by(|&a, &b| felt[a].total_cmp(&felt[b])).unwrap()] += 1;
+            }
+            count
+        };
+        // Forward, to the left, up: across which of them the circle lies.
+        assert!(quietest(false)[0] >= 50, "{:?}", quietest(false));
+        assert!(quietest(true).iter().all(|&count| count >= 8), "{:?}", quietest(true));
+    }
+
+    #[test]
+    fn untaught_wearers_are_the_same_persons_each_time_and_differ_more_in_tempo() {
+        assert_eq!(Wearer::training(7, 3).untaught(), Wearer::training(7, 3).untaught());
+        let spread = |untaught: bool| {
+            let logs: Vec<f64> = (0..200)
+                .map(|index| Wearer::training(1, index))
+                .map(|wearer| if untaught { wearer.untaught() } else { wearer })
+                .map(|wearer| wearer.stroke_hz.ln())
+                .collect();
+            deviation(&logs)
+        };
+        assert!(spread(true) > 1.5 * spread(false), "{} and {}", spread(true), spread(false));
+    }
+
+    #[test]
     fn the_sensor_clips_quantises_and_repeats_the_magnetometer() {
         let recording = of(Motion::UpDown, &Wearer::training(1, 5));
         let limit = 4.0 * 9.806_65 + 0.01;

@@ -415,7 +415,11 @@ impl Periodic {
             Shape::Circle => wearer.aspect.max(0.75) * normal(rng, 0.06, 0.12).exp(),
             Shape::Rectangle => wearer.aspect * normal(rng, 0.08, 0.15).exp(),
         };
-        let tilt = std::array::from_fn(|axis| wearer.tilt_rad[axis] + normal(rng, 0.05, 0.12));
+        let mut tilt: [f64; 3] = std::array::from_fn(|axis| wearer.tilt_rad[axis] + normal(rng, 0.05, 0.12));
+        if gesture == Motion::Circle {
+            tilt[1] += wearer.circle_rad[0];
+            tilt[2] += wearer.circle_rad[1];
+        }
         let turn = rotation(tilt);
         let third = 3 - first - second;
         let column = |axis: usize| std::array::from_fn(|row| turn[row][axis]);

@@ -1,5 +1,7 @@
 //! Who wears the glove: body, habits and the errors of the board's sensors.
 
+use std::f64::consts::FRAC_PI_2;
+
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
@@ -48,6 +50,8 @@ pub struct Wearer {
     pub(super) posture_rad: [f64; 3],
     /// Tilt of the plane and direction of gestures.
     pub(super) tilt_rad: [f64; 3],
+    /// Turn of the plane of circles out of the upright one, about y and about z.
+    pub(super) circle_rad: [f64; 2],
     /// Size of the movement across the intended one, relative.
     pub(super) slop: f64,
     /// How much size and tempo wander, relative.
@@ -106,6 +110,7 @@ impl Wearer {
             coupling: r.random_range(0.15..0.9),
             posture_rad: [normal(r, 0.12, 0.28), normal(r, 0.14, 0.3), normal(r, 0.12, 0.28)],
             tilt_rad: [normal(r, 0.08, 0.18), normal(r, 0.08, 0.18), normal(r, 0.1, 0.2)],
+            circle_rad: [0.0; 2],
             slop: r.random_range(0.03..0.16),
             wander: r.random_range(0.05..0.22),
             corner: r.random_range(0.1..0.35),
@@ -126,6 +131,20 @@ impl Wearer {
             gain: [0.01, 0.02, 0.03].map(|spread| [0; 3].map(|_| 1.0 + normal(r, spread, 3.0 * spread))),
             mag_every: if r.random_bool(0.6) { 5 } else { 4 },
         }
+    }
+
+    /// The same person with habits as far apart as those of real people, who were not told how to move: half as fast or
+    /// twice as fast, circles in any plane, the hand turning with the arm as if it hung on the elbow.
+    #[must_use]
+    pub fn untaught(mut self) -> Self {
+        let r = &mut self.rng(u64::MAX - 1);
+        for hz in [&mut self.stroke_hz, &mut self.circle_hz, &mut self.rectangle_hz] {
+            *hz *= normal(r, 0.35, 0.8).exp();
+        }
+        self.speed_m_s *= normal(r, 0.2, 0.4).exp();
+        self.circle_rad = [0; 2].map(|_| r.random_range(-FRAC_PI_2..FRAC_PI_2));
+        self.coupling = r.random_range(0.15..1.4);
+        self
     }
 
     /// The random numbers of one take.
