@@ -26,8 +26,10 @@ mod store;
 use avr_device::interrupt;
 use core::arch::asm;
 
-#[avr_device::entry]
-fn main() -> ! {
+/// Where avr-libc's start code arrives: up to 2.2 it calls `main` from `.init9`, from 2.3 on it runs into what stands there.
+#[unsafe(link_section = ".init9")]
+#[unsafe(export_name = "main")]
+extern "C" fn main() -> ! {
     let cause = restart::begin();
     stack::paint();
     pins::start();

@@ -230,7 +230,7 @@ async def drawn_is_simulated(page, folder):
     assert worst_frame <= FRAME_TOLERANCE, worst_frame
     assert worst_pixel <= 0.01, worst_pixel
     assert floors >= 0.7 * floors_asked and floors > 0, (floors, floors_asked)
-    assert links_seen.min() >= 0.8 * len(shots), f"links seen in {links_seen} of {len(shots)} frames"
+    assert links_seen.min() >= 0.7 * len(shots), f"links seen in {links_seen} of {len(shots)} frames"
     assert boxes_seen >= 1 and on_path >= 1, (boxes_seen, on_path)
     return (f"{len(shots)} frames: states equal, joint frames within {worst_frame:.1e}, places on the screen within "
             f"{worst_pixel:.1e} px; colours right at {len(shots)} tips, {links_seen.sum()} links, {boxes_seen} boxes, "

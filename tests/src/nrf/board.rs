@@ -271,7 +271,7 @@ impl Board {
                     world.calls[open.probe].push(Call { at: open.at, instructions, stack_bytes });
                 }
             }
-            if let Some(&(_, probe)) = world.probes.iter().find(|(at, _)| *at == address) {
+            if let Some(&(_, probe)) = world.probes.iter().rev().find(|(at, _)| *at == address) {
                 let back = uc.reg_read(RegisterARM::LR).unwrap_or(0) as u32 & !1;
                 let stack_pointer = uc.reg_read(RegisterARM::SP).unwrap_or(0) as u32;
                 let world = uc.get_data_mut();
@@ -283,7 +283,7 @@ impl Board {
                 world.open.push(Open { back, probe, at, instructions_before, stack_pointer });
             }
             let world = uc.get_data_mut();
-            if let Some(&(_, tap, len)) = world.taps.iter().find(|(at, ..)| *at == address) {
+            if let Some(&(_, tap, len)) = world.taps.iter().rev().find(|(at, ..)| *at == address) {
                 let registers = [RegisterARM::R0, RegisterARM::R1, RegisterARM::R2, RegisterARM::R3]
                     .map(|r| uc.reg_read(r).unwrap_or(0) as u32);
                 let bytes = uc.mem_read_as_vec(registers[0].into(), len).unwrap_or_default();
