@@ -122,10 +122,13 @@ def colour_near(image, at, radius=1):
 
 
 def unlike(image, at, colour):
-    """Share of the pixels around a place that have another colour. Lines of the grid are never most of them."""
+    """Share of the pixels around a place that have another colour, or another hue: a lit side of the arm can be as bright
+    as the floor, but is greyer. Lines of the grid are never most of them."""
     x, y = int(at[0]), int(at[1])
     patch = image[y - 3 : y + 4, x - 3 : x + 4].reshape(-1, 3)
-    return (np.abs(patch - colour).max(axis=1) > 8).mean()
+    hue = patch / np.maximum(patch.sum(axis=1, keepdims=True), 1.0)
+    other_hue = np.abs(hue - colour / colour.sum()).max(axis=1) > 0.003
+    return (other_hue | (np.abs(patch - colour).max(axis=1) > 8)).mean()
 
 
 def inside(size, at, margin=12):
@@ -179,8 +182,7 @@ async def drawn_is_simulated(page, folder):
     worst_frame = worst_pixel = 0.0
     marker, floor = theme_colour("marker"), theme_colour("floor")
     box, path = theme_colour("box"), theme_colour("path")
-    on_path = boxes_seen = floors = floors_asked = 0
-    links_seen = np.zeros(len(shots[0]["frames"]) - 1, dtype=int)
+    on_path = boxes_seen = links_seen = floors = floors_asked = 0
     for shot in shots:
         truth = simulated[shot["state"]["time_ms"]]
         same(shot["state"], truth["state"])
@@ -205,10 +207,12 @@ async def drawn_is_simulated(page, folder):
         odometry = truth["state"]["odometry"]
         base = project(view, size, [odometry["x_m"], odometry["y_m"], 0.55])
         assert np.abs(base - np.array(size) / 2).max() < 1.0, (base, size)
-        # Along each link there is robot, not floor; a side of it may be lit just so that it has the floor's colour.
+        # Along each link there is robot, not floor.
         links = [np.array(link["position_m"]) for link in truth["links"]]
-        for n, (one, two) in enumerate(zip(links, links[1:])):
-            links_seen[n] += unlike(image, project(view, size, (one + two) / 2), floor) > 0.6
+        for one, two in zip(links, links[1:]):
+            at = project(view, size, (one + two) / 2)
+            assert unlike(image, at, floor) > 0.6, f"a link is missing at {at}"
+            links_seen += 1
         for drawn_box in shot["boxes"]:
             at = project(view, size, drawn_box["top"])
             worst_pixel = max(worst_pixel, np.abs(at - drawn_box["pixel"]).max())
@@ -230,10 +234,9 @@ async def drawn_is_simulated(page, folder):
     assert worst_frame <= FRAME_TOLERANCE, worst_frame
     assert worst_pixel <= 0.01, worst_pixel
     assert floors >= 0.7 * floors_asked and floors > 0, (floors, floors_asked)
-    assert links_seen.min() >= 0.7 * len(shots), f"links seen in {links_seen} of {len(shots)} frames"
     assert boxes_seen >= 1 and on_path >= 1, (boxes_seen, on_path)
     return (f"{len(shots)} frames: states equal, joint frames within {worst_frame:.1e}, places on the screen within "
-            f"{worst_pixel:.1e} px; colours right at {len(shots)} tips, {links_seen.sum()} links, {boxes_seen} boxes, "
+            f"{worst_pixel:.1e} px; colours right at {len(shots)} tips, {links_seen} links, {boxes_seen} boxes, "
             f"{on_path} places of the path, {floors} of bare floor")
 
 

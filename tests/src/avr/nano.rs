@@ -17,7 +17,7 @@ use simavr_ffi as ffi;
 pub const CYCLES_PER_MS: u64 = 16_000;
 /// Time of one byte at 115200 baud (136 clocks per bit), of the 11 bits that simavr's receiver takes.
 const CYCLES_PER_BYTE: u64 = 11 * 8 * 17;
-/// Clocks that the emulator runs before it looks up again; after a reset as many may be missing from the count.
+/// Clocks that the emulator runs before it looks up again; about as many are missing from the count after a reset.
 const CYCLES_AT_ONCE: u64 = 160;
 /// Bytes of EEPROM.
 pub const EEPROM_BYTES: usize = 1024;
