@@ -255,7 +255,7 @@ pub fn from_simulated(
 ) -> Result<Graded, TrialError> {
     let simulated = simulated(wearers, labels, real.axes, seed);
     // What they do without a gesture is shown as `idle`.
-    let recipe = Recipe { bystanders: 0, ..recipe.clone() };
+    let recipe = Recipe { bystanders: 0, performers: 0, ..recipe.clone() };
     let model = train(&simulated, &[], &recipe, &Trial::job(seed))?;
     grade(&model, real)
 }

@@ -13,7 +13,7 @@ use models::train::{Recipe, Steps, adapt, examples_of};
 /// The aligned recipe, shorter: what is tested does not depend on how long it trains.
 fn recipe() -> Recipe {
     let steps = Some(Steps { count: 150, rounded: 60, ..Steps::TRAIN });
-    Recipe { steps, bystanders: 5, ..Recipe::aligned() }
+    Recipe { steps, bystanders: 5, performers: 5, ..Recipe::aligned() }
 }
 
 fn trial<'a>(folder: &'a Path, recipe: &'a Recipe) -> Trial<'a> {

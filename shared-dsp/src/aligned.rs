@@ -119,8 +119,7 @@ fn repair(samples: &mut [f32; HOP], mut held: f32) -> u32 {
 /// How much the hand moves now, for [`crate::movement`].
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Movement {
-    /// Root of the summed variances of the acceleration's hops, in m/s²: the last four hops with a gyroscope, eight
-    /// without.
+    /// Root of the summed variances of the acceleration over the last four hops, in m/s².
     pub acceleration: f32,
     /// Magnitude of the rotation rate in the last hop, in deg/s; 0 without a gyroscope.
     pub rotation: f32,
@@ -235,8 +234,7 @@ impl<const A: usize> AlignedWindow<A> {
 
     /// How much the hand moved in the last hops.
     pub fn movement(&self) -> Movement {
-        let count = if Self::TRIADS == 2 { 4 } else { 8 };
-        let count = count.min(self.hops.max(1));
+        let count = self.hops.clamp(1, 4);
         let place = |back: usize| (self.oldest + HOPS - 1 - back) % HOPS;
         let mut variance = 0.0;
         for channel in &self.bins[..3] {

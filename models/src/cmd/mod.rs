@@ -56,8 +56,9 @@ impl Short {
         for recipe in &mut recipes {
             let (Some(plan), Some(count)) = (&mut recipe.steps, self.steps) else { continue };
             // Fewer steps see fewer simulated wearers.
-            let fewer = (recipe.bystanders as usize * count).div_ceil(plan.count) as u32;
-            recipe.bystanders = recipe.bystanders.min(fewer);
+            let fewer = |wearers: u32| wearers.min((wearers as usize * count).div_ceil(plan.count) as u32);
+            recipe.bystanders = fewer(recipe.bystanders);
+            recipe.performers = fewer(recipe.performers);
             plan.count = count;
             plan.rounded = plan.rounded.min(count);
         }

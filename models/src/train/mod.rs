@@ -72,6 +72,9 @@ pub struct Recipe {
     /// Simulated wearers whose movements are shown as `other`, a label that is added where the recordings have none:
     /// what is no gesture must have a place to go. With fixed steps only.
     pub bystanders: u32,
+    /// Simulated wearers, [untaught](crate::synth::Wearer::untaught), who show those gestures that the simulator knows
+    /// by name beside the people of the recordings, who are few. With fixed steps only.
+    pub performers: u32,
 }
 
 impl Recipe {
@@ -93,6 +96,7 @@ impl Recipe {
             augmentation: Augmentation::NONE,
             steps: None,
             bystanders: 0,
+            performers: 0,
         }
     }
 }
@@ -117,6 +121,7 @@ impl Recipe {
             augmentation: Augmentation { copies: 10, ..Augmentation::NONE },
             steps: Some(Steps::TRAIN),
             bystanders: 100,
+            performers: 100,
         }
     }
 }
@@ -141,6 +146,7 @@ impl Recipe {
             augmentation: Augmentation::DEFAULT,
             steps: None,
             bystanders: 0,
+            performers: 0,
         }
     }
 }
@@ -333,6 +339,15 @@ pub fn train(dataset: &Dataset, test: &[String], recipe: &Recipe, job: &Job) -> 
     if let Some((windows, label)) = &bystanders {
         learn.extend(windows.iter().map(|window| (window.as_slice(), *label)));
     }
+    // What a model remembers of people is what people did.
+    let remembered = learn.len();
+    let performed = match recipe.performers {
+        0 => Vec::new(),
+        performers => aligned::performed(used.axes, performers, &labels),
+    };
+    for (windows, label) in &performed {
+        learn.extend(windows.iter().map(|window| (window.as_slice(), *label)));
+    }
     let real = || windows.iter().flat_map(|part| part.own.iter().map(Vec::as_slice));
     let scaling = match recipe.steps {
         Some(_) => scaling(&learn, aligned::divisor, real(), 1.0..=20.0),
@@ -365,11 +380,12 @@ pub fn train(dataset: &Dataset, test: &[String], recipe: &Recipe, job: &Job) -> 
                 Some(_) => {
                     let copies = recipe.augmentation.copies;
                     let aimless = bystanders.as_ref().map_or(0, |(windows, _)| windows.len());
+                    let shown: usize = performed.iter().map(|(windows, _)| windows.len()).sum();
                     let words = vary::WORDS;
                     format!(
-                        "{copies} copies of each window: {words}; and {aimless} windows of {} simulated \
-                         wearers who make no gesture",
-                        recipe.bystanders
+                        "{copies} copies of each window: {words}; {aimless} windows of {} simulated wearers \
+                         who make no gesture and {shown} of {} who make those that the simulator knows",
+                        recipe.bystanders, recipe.performers
                     )
                 }
                 None => recipe.augmentation.to_string(),
@@ -442,7 +458,8 @@ pub fn train(dataset: &Dataset, test: &[String], recipe: &Recipe, job: &Job) -> 
     let validation_scores = both(&used.filtered(|item| validation.contains(&item.name)));
     card.test = test_scores;
     card.validation = validation_scores;
-    let memory = recipe.steps.map(|_| Memory::new(&learn, labels.len(), card.scaling.limit, job.seed));
+    let memory =
+        recipe.steps.map(|_| Memory::new(&learn[..remembered], labels.len(), card.scaling.limit, job.seed));
     Ok(Trained { card, float: fitted.layers, float_tflite, int8_tflite, memory })
 }
 

@@ -2,7 +2,8 @@
 //!
 //! In this order: tempo, phase and evenness; size (fast movements take more force); the sensor turned on the hand
 //! and the hand mirrored; tremor; an offset of the accelerometer. Idle windows are never made much larger, so that
-//! slow and small gestures stay gestures.
+//! slow and small gestures stay gestures. In half of the copies the movement begins or ends inside the window and the hand
+//! rests before or after, as it does on a board.
 
 use std::f64::consts::{PI, TAU};
 
@@ -14,7 +15,8 @@ use super::augment::{apply, rotation};
 use crate::WINDOW;
 
 /// What the aligned recipe does, for the card.
-pub(super) const WORDS: &str = "tempo ×0.67 to 1.49 and uneven, shift ±0.2 s, size ×0.37 to 1.49 (other 0.5 to 2, idle \
+pub(super) const WORDS: &str = "tempo ×0.67 to 1.49 and uneven, shift ±0.2 s, or ±0.6 s with the \
+     hand at rest before and after, size ×0.37 to 1.49 (other 0.5 to 2, idle \
      0.5 to 1.35), sensor turned at will about gravity and up to 25° about any axis, mirrored, tremor of 3 to 10 Hz, \
      accelerometer offset 0.3 m/s²";
 
@@ -49,7 +51,9 @@ impl Kind {
 pub(super) fn vary(window: &[f32], axes: usize, kind: Kind, rng: &mut ChaCha8Rng) -> Vec<f32> {
     let uniform = |rng: &mut ChaCha8Rng, low: f64, high: f64| rng.random_range(low..high);
     let stretch = uniform(rng, -0.4, 0.4).exp();
-    let shift = uniform(rng, -20.0, 20.0);
+    let rest = rng.random_bool(0.5).then(|| ends(window, axes));
+    let most = if rest.is_some() { 60.0 } else { 20.0 };
+    let shift = uniform(rng, -most, most);
     let (phase, bend) = (uniform(rng, 0.0, TAU), uniform(rng, 0.0, 0.1) * WINDOW as f64 / TAU);
     let (low, high) = kind.sizes();
     let size = uniform(rng, low, high).exp();
@@ -60,7 +64,7 @@ pub(super) fn vary(window: &[f32], axes: usize, kind: Kind, rng: &mut ChaCha8Rng
         .map(|n| {
             let (n, half) = (n as f64, WINDOW as f64 / 2.0);
             let at = (n - half) * stretch + half + shift + bend * (TAU * n / WINDOW as f64 + phase).sin();
-            sample_at(window, axes, at)
+            sample_at(window, axes, at, rest.as_ref())
         })
         .collect();
 
@@ -114,9 +118,29 @@ pub(super) fn vary(window: &[f32], axes: usize, kind: Kind, rng: &mut ChaCha8Rng
     values
 }
 
-/// Values between two samples; beyond the ends the window is played backward.
-fn sample_at(window: &[f32], axes: usize, at: f64) -> [f64; 9] {
+/// What a hand measures that rests as it was held at the start and at the end of a window, for 0.15 s each.
+fn ends(window: &[f32], axes: usize) -> [[f64; 9]; 2] {
+    const SAMPLES: usize = 15;
+    let values = SAMPLES * axes;
+    [&window[..values], &window[window.len() - values..]].map(|part| {
+        let mean = |axis: usize| part.iter().skip(axis).step_by(axes).map(|v| f64::from(*v)).sum::<f64>();
+        // It does not turn.
+        std::array::from_fn(|axis| match axis {
+            3..6 => 0.0,
+            axis if axis < axes => mean(axis) / SAMPLES as f64,
+            _ => 0.0,
+        })
+    })
+}
+
+/// Values between two samples; beyond the ends those of the rest there, or the window played backward.
+fn sample_at(window: &[f32], axes: usize, at: f64, rest: Option<&[[f64; 9]; 2]>) -> [f64; 9] {
     let last = (WINDOW - 1) as f64;
+    if let Some([before, after]) = rest
+        && !(0.0..=last).contains(&at)
+    {
+        return if at < 0.0 { *before } else { *after };
+    }
     let at = at.rem_euclid(2.0 * last);
     let at = if at > last { 2.0 * last - at } else { at };
     let left = (at as usize).min(WINDOW - 2);
@@ -159,6 +183,29 @@ mod tests {
                 assert!((length(&sample[6..]) - length(&row[6..])).abs() < 1e-3);
             }
         }
+    }
+
+    #[test]
+    fn a_movement_begins_or_ends_inside_some_copies_and_the_hand_rests_there_as_it_was_held() {
+        // It moves all the time, but for the first and the last moment: then it feels other things.
+        let window: Vec<f32> = (0..WINDOW)
+            .flat_map(|n| match n {
+                0..15 => [6.0, 0.0, 8.0f32],
+                185.. => [0.0, 6.0, 8.0],
+                _ => [0.0, 4.0 * (n as f32 * 0.13).sin(), 9.8],
+            })
+            .collect();
+        let mut resting = 0;
+        for seed in 0..200 {
+            let varied = vary(&window, 3, Kind::Gesture, &mut ChaCha8Rng::seed_from_u64(seed));
+            let (rows, _) = varied.as_chunks::<3>();
+            let is_still = |rows: &[[f32; 3]]| {
+                rows.iter().all(|row| (0..3).all(|axis| (row[axis] - rows[0][axis]).abs() < 0.02))
+            };
+            resting += usize::from(is_still(&rows[..30]) || is_still(&rows[WINDOW - 30..]));
+        }
+        // Half of the copies rest; in some of those the rest is shorter than 0.3 s, or tremor reaches it.
+        assert!((30..100).contains(&resting), "{resting} of 200");
     }
 
     #[test]
