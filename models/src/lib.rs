@@ -38,9 +38,9 @@ pub const WINDOW: usize = 200;
 pub const HOP: usize = 8;
 
 /// Networks that the recipe `aligned` fits from different starts and merges into one.
-pub const ALIGNED_MEMBERS: usize = 3;
+pub const ALIGNED_MEMBERS: usize = 4;
 /// Widths of the hidden layers of each of them.
-pub const ALIGNED_MEMBER_HIDDEN: [usize; 2] = [24, 12];
+pub const ALIGNED_MEMBER_HIDDEN: [usize; 2] = [20, 10];
 /// Widths of the hidden layers of what they are merged into, which boards run: what it costs there is tested.
 pub const ALIGNED_HIDDEN: [usize; 2] =
     [ALIGNED_MEMBERS * ALIGNED_MEMBER_HIDDEN[0], ALIGNED_MEMBERS * ALIGNED_MEMBER_HIDDEN[1]];

@@ -60,7 +60,7 @@ impl MovementConfig {
             decide_hops: 22,
             average_hops: if has_gyro { 4 } else { 8 },
             min_confidence: 128,
-            max_rest: if has_gyro { 38 } else { 26 },
+            max_rest: if has_gyro { 36 } else { 26 },
             late_hops: if has_gyro { 30 } else { 60 },
             change_hops: 25,
             change_confidence: 205,

@@ -121,7 +121,7 @@ impl Recipe {
             augmentation: Augmentation { copies: 10, ..Augmentation::NONE },
             steps: Some(Steps::TRAIN),
             bystanders: 100,
-            performers: 100,
+            performers: 40,
         }
     }
 }
