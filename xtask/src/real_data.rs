@@ -91,8 +91,9 @@ pub fn strangers() -> Result<()> {
         };
         let (right, no_gesture, wrong) = (figure(2)?, figure(7)?, figure(8)?);
         ensure!(right >= floor - slack, "{right} % of gestures gave exactly one right event");
+        // One seed plays 146 recordings: two more or less are chance.
         ensure!(
-            wrong <= no_gesture * FALSE_MAX / 100.0,
+            wrong <= no_gesture * (FALSE_MAX + slack) / 100.0,
             "{wrong} events in {no_gesture} recordings of no gesture"
         );
     }
