@@ -144,9 +144,10 @@ impl Stream {
 }
 
 /// Samples whose mean is a posture: 0.15 s.
-const POSTURE: usize = 15;
+pub(crate) const POSTURE: usize = 15;
 
-fn posture(rows: &[&[f32]]) -> Vec<f64> {
+/// The mean of some samples: what a hand measures that is held like that.
+pub(crate) fn posture(rows: &[&[f32]]) -> Vec<f64> {
     let axes = rows.first().map_or(0, |row| row.len());
     let count = rows.len().max(1) as f64;
     (0..axes).map(|axis| rows.iter().map(|row| f64::from(row[axis])).sum::<f64>() / count).collect()

@@ -341,10 +341,7 @@ pub fn train(dataset: &Dataset, test: &[String], recipe: &Recipe, job: &Job) -> 
     }
     // What a model remembers of people is what people did.
     let remembered = learn.len();
-    let performed = match recipe.performers {
-        0 => Vec::new(),
-        performers => aligned::performed(used.axes, performers, &labels),
-    };
+    let performed = aligned::performed(used.axes, recipe.performers, &labels);
     for (windows, label) in &performed {
         learn.extend(windows.iter().map(|window| (window.as_slice(), *label)));
     }

@@ -13,12 +13,12 @@ use rand_distr::{Distribution, Exp1, StandardNormal};
 
 use super::augment::{apply, rotation};
 use crate::WINDOW;
+use crate::events::{POSTURE, posture};
 
 /// What the aligned recipe does, for the card.
 pub(super) const WORDS: &str = "tempo ×0.67 to 1.49 and uneven, shift ±0.2 s, or ±0.6 s with the \
-     hand at rest before and after, size ×0.37 to 1.49 (other 0.5 to 2, idle \
-     0.5 to 1.35), sensor turned at will about gravity and up to 25° about any axis, mirrored, tremor of 3 to 10 Hz, \
-     accelerometer offset 0.3 m/s²";
+     hand at rest before and after, size ×0.37 to 1.49 (other 0.5 to 2, idle 0.5 to 1.35), sensor turned at will about \
+     gravity and up to 25° about any axis, mirrored, tremor of 3 to 10 Hz, accelerometer offset 0.3 m/s²";
 
 /// What kind of movement a label stands for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -118,17 +118,14 @@ pub(super) fn vary(window: &[f32], axes: usize, kind: Kind, rng: &mut ChaCha8Rng
     values
 }
 
-/// What a hand measures that rests as it was held at the start and at the end of a window, for 0.15 s each.
+/// What a hand measures that rests, without turning, as it was held at the start and at the end of a window.
 fn ends(window: &[f32], axes: usize) -> [[f64; 9]; 2] {
-    const SAMPLES: usize = 15;
-    let values = SAMPLES * axes;
-    [&window[..values], &window[window.len() - values..]].map(|part| {
-        let mean = |axis: usize| part.iter().skip(axis).step_by(axes).map(|v| f64::from(*v)).sum::<f64>();
-        // It does not turn.
+    let rows: Vec<&[f32]> = window.chunks_exact(axes).collect();
+    [&rows[..POSTURE], &rows[WINDOW - POSTURE..]].map(|part| {
+        let held = posture(part);
         std::array::from_fn(|axis| match axis {
             3..6 => 0.0,
-            axis if axis < axes => mean(axis) / SAMPLES as f64,
-            _ => 0.0,
+            _ => held.get(axis).copied().unwrap_or_default(),
         })
     })
 }
