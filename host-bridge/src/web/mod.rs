@@ -36,7 +36,7 @@ use gate::Gate;
 use history::History;
 use server::{Bound, Counted, Name, Server};
 pub use server::{CONNECTIONS_MAX, WebError, WebOptions};
-pub use watcher::Watcher;
+pub use watcher::{INTERVAL, Watcher};
 
 /// Where the page is, unless asked for elsewhere.
 pub const DEFAULT_PORT: u16 = 8042;

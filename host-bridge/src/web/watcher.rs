@@ -13,8 +13,9 @@ use crate::observe::{Now, Observer, Sample, Setting, Snapshot, link_poses_in_wor
 use crate::robot::Robot as _;
 use crate::session::SessionEvent;
 
-/// A little less than a frame of a 60 Hz display.
-const INTERVAL: Duration = Duration::from_millis(15);
+/// A new state is published this long after the last at the earliest: a little less than a frame of a 60 Hz
+/// display.
+pub const INTERVAL: Duration = Duration::from_millis(15);
 
 /// Path and trace are looked at this often (in the session's time) …
 const TRAIL_INTERVAL_MS: u64 = 40;
