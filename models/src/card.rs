@@ -107,7 +107,7 @@ pub struct Data {
 }
 
 /// Scores of the float and the int8 network on the same recordings.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Scores {
     /// float32.
     pub float: Score,
@@ -116,7 +116,7 @@ pub struct Scores {
 }
 
 /// How a network did.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Score {
     /// Right windows in per cent (stride 1 s).
     pub per_window: f64,

@@ -17,7 +17,7 @@ use crate::card::Scores;
 use crate::dataset::{Dataset, DatasetError, Item};
 use crate::events::{Stream, Tally, play};
 use crate::recording::Recording;
-use crate::score::{Classifier, given, scored, summary};
+use crate::score::{Classifier, Given, given, scored, summary};
 use crate::synth::{Take, Wearer, session, takes};
 use crate::train::{Job, Recipe, TrainError, Trained, adapt, examples_of, held_out, train};
 
@@ -84,8 +84,21 @@ pub struct Graded {
     pub labels: Vec<String>,
     /// Of the float and of the int8 network.
     pub scores: Scores,
-    /// Per recording, how probable the int8 network found the label that it gave, and whether that was right.
-    pub beliefs: Vec<(f32, bool)>,
+    /// What the int8 network answered to each recording.
+    pub answers: Vec<Answer>,
+}
+
+/// What the int8 network answered to a recording.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Answer {
+    /// Name of the recording in its data set.
+    pub recording: String,
+    /// Index in [`Graded::labels`].
+    pub label: usize,
+    /// How probable the network found that, 0 to 1.
+    pub probability: f32,
+    /// Whether it was right.
+    pub right: bool,
 }
 
 impl Graded {
@@ -305,21 +318,24 @@ pub fn grade(model: &Trained, recordings: &Dataset) -> Result<Graded, TrialError
 /// What a model makes of recordings; `answers` says of each of its labels whether it may be given.
 fn graded(model: &Trained, recordings: &Dataset, answers: &[bool]) -> Result<Graded, TrialError> {
     let card = &model.card;
-    let recordings = scored(recordings, &card.labels, &card.features);
+    let scored = scored(recordings, &card.labels, &card.features);
     let blob = model.blob()?;
-    let run = |classifier: Classifier<'_>| -> Vec<_> {
-        recordings.iter().map(|recording| given(&classifier, recording, answers)).collect()
+    let run = |classifier: Classifier<'_>| -> Vec<Given> {
+        scored.iter().map(|recording| given(&classifier, recording, answers)).collect()
     };
     let float = run(Classifier::Float { card, layers: &model.float });
     let int8 = run(Classifier::Int8(Model::parse(&blob)?));
-    let belief = |(recording, given): (&crate::score::Scored, &crate::score::Given)| {
-        (given.probability, recording.truth == Some(given.label))
-    };
+    let answered = recordings.items.iter().zip(&scored).zip(&int8).map(|((item, scored), given)| Answer {
+        recording: item.name.clone(),
+        label: given.label,
+        probability: given.probability,
+        right: scored.truth == Some(given.label),
+    });
     Ok(Graded {
-        beliefs: recordings.iter().zip(&int8).map(belief).collect(),
+        answers: answered.collect(),
         scores: Scores {
-            float: summary(&recordings, &float, answers.len()),
-            int8: summary(&recordings, &int8, answers.len()),
+            float: summary(&scored, &float, answers.len()),
+            int8: summary(&scored, &int8, answers.len()),
         },
         labels: card.labels.clone(),
     })

@@ -1,6 +1,8 @@
 //! A whole comparison on one folder: every person held out in turn, a random fifth, and a few examples shown, for
 //! several seeds. `models people` prints its rows, `models report` draws them: the same figures from the same code.
 
+use std::collections::BTreeMap;
+
 use rayon::prelude::*;
 
 use crate::events::Tally;
@@ -98,6 +100,53 @@ impl Study {
         }
         rows
     }
+
+    /// Recordings of people never met that most of the models take for something else, the surest first.
+    pub fn doubts(&self) -> Vec<Doubt> {
+        let mut doubts: BTreeMap<&str, Doubt> = BTreeMap::new();
+        for runs in &self.strangers {
+            for (run, answer) in
+                runs.iter().flat_map(|run| run.answers.iter().map(move |answer| (run, answer)))
+            {
+                let doubt = doubts.entry(&answer.recording).or_insert_with(|| Doubt {
+                    recording: answer.recording.clone(),
+                    models: runs.len(),
+                    given: BTreeMap::new(),
+                });
+                if !answer.right {
+                    let given = doubt.given.entry(run.labels[answer.label].clone()).or_default();
+                    given.push(answer.probability);
+                }
+            }
+        }
+        let mut doubts: Vec<Doubt> =
+            doubts.into_values().filter(|doubt| 2 * doubt.wrong() > doubt.models).collect();
+        doubts.sort_by(|a, b| b.sureness().total_cmp(&a.sureness()));
+        doubts
+    }
+}
+
+/// A recording that models take for something else: perhaps its label is wrong.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Doubt {
+    /// Its name in its data set.
+    pub recording: String,
+    /// Models that have judged it.
+    pub models: usize,
+    /// Labels given that were not its own, with the probability of each answer.
+    pub given: BTreeMap<String, Vec<f32>>,
+}
+
+impl Doubt {
+    /// Models that gave another label.
+    pub fn wrong(&self) -> usize {
+        self.given.values().map(Vec::len).sum()
+    }
+
+    /// Probabilities of the other labels over all models, those that were right counting as 0.
+    pub fn sureness(&self) -> f32 {
+        self.given.values().flatten().sum::<f32>() / self.models.max(1) as f32
+    }
 }
 
 /// Largest difference between float and int8 in a row, in points.
@@ -151,5 +200,55 @@ impl Events {
         let mut sum = Tally::default();
         self.real.iter().for_each(|tally| sum.add(tally));
         sum
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::card::Scores;
+    use crate::people::Answer;
+
+    /// A run in which recordings (name, label given, probability, right) were answered.
+    fn run(answers: &[(&str, usize, f32, bool)]) -> Graded {
+        let answer = |&(recording, label, probability, right): &(&str, usize, f32, bool)| Answer {
+            recording: recording.to_owned(),
+            label,
+            probability,
+            right,
+        };
+        Graded {
+            labels: ["circle", "other", "wave"].map(String::from).to_vec(),
+            scores: Scores::default(),
+            answers: answers.iter().map(answer).collect(),
+        }
+    }
+
+    #[test]
+    fn a_recording_is_doubted_when_most_models_take_it_for_something_else() {
+        let strangers = vec![
+            vec![
+                run(&[("wave/a__1.csv", 2, 0.9, true), ("other/a__1.csv", 2, 0.6, false)]),
+                run(&[("wave/a__1.csv", 0, 0.9, false), ("other/a__1.csv", 0, 0.3, false)]),
+            ],
+            vec![run(&[("circle/b__1.csv", 1, 0.8, false)]), run(&[("circle/b__1.csv", 1, 0.6, false)])],
+        ];
+        let study = Study {
+            recipe: "aligned",
+            people: vec!["a".to_owned(), "b".to_owned()],
+            strangers,
+            random: Vec::new(),
+            shown: Vec::new(),
+        };
+        let doubts = study.doubts();
+        let names: Vec<&str> = doubts.iter().map(|doubt| doubt.recording.as_str()).collect();
+        assert_eq!(
+            names,
+            ["circle/b__1.csv", "other/a__1.csv"],
+            "half of the models is not most; the surest first"
+        );
+        assert_eq!((doubts[0].wrong(), doubts[0].models), (2, 2));
+        assert!((doubts[0].sureness() - 0.7).abs() < 1e-6);
+        assert_eq!(doubts[1].given.keys().collect::<Vec<_>>(), ["circle", "wave"]);
     }
 }

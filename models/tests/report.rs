@@ -33,12 +33,13 @@ fn the_page_needs_nothing_else_and_its_figures_are_those_of_the_other_commands()
     for outside in ["http", "//", "src=", "href=", "url(", "@import", "<link", "<script", "<img", "<iframe"] {
         assert!(!page.contains(outside), "the page must not reach outside itself: {outside}");
     }
-    for (tag, least) in [("svg", 4), ("table", 26), ("div", 10), ("h2", 7)] {
+    for (tag, least) in [("svg", 4), ("table", 26), ("div", 10), ("h2", 8)] {
         let (opened, closed) =
             (page.matches(&format!("<{tag}")).count(), page.matches(&format!("</{tag}>")).count());
         assert_eq!(opened, closed, "{tag}");
         assert!(opened >= least, "{opened} {tag}");
     }
+    assert!(page.contains("<h2>Recordings to look at</h2>"));
     assert!(page.starts_with("<!DOCTYPE html>") && page.ends_with("</html>\n"));
     assert!(!page.contains("NaN"));
 

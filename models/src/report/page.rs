@@ -28,6 +28,9 @@ pub fn html(report: &Report) -> String {
     for study in &report.studies {
         confusions(&mut page, study);
     }
+    if let Some(study) = report.studies.last() {
+        doubts(&mut page, study);
+    }
     if let Some(events) = &report.events {
         event_table(&mut page, events);
     }
@@ -176,6 +179,45 @@ fn confusions(page: &mut String, study: &Study) {
     }
 }
 
+/// Recordings whose label may be wrong.
+fn doubts(page: &mut String, study: &Study) {
+    const MOST: usize = 30;
+    let doubts = study.doubts();
+    let _ = write!(
+        page,
+        "<h2>Recordings to look at</h2>\n<p>Taken for something else by most of the models (recipe {}, int8) that have never met the \
+         person: {}.</p>\n",
+        escape(study.recipe),
+        doubts.len()
+    );
+    if doubts.is_empty() {
+        return;
+    }
+    page.push_str("<table>");
+    row(page, "th", &["recording", "taken for", "by so many models", "how surely, 0 to 1"].map(String::from));
+    for doubt in doubts.iter().take(MOST) {
+        let given: Vec<&str> = doubt.given.keys().map(String::as_str).collect();
+        row(
+            page,
+            "td",
+            &[
+                doubt.recording.clone(),
+                given.join(", "),
+                format!("{} of {}", doubt.wrong(), doubt.models),
+                format!("{:.2}", doubt.sureness()),
+            ],
+        );
+    }
+    page.push_str("</table>\n");
+    if doubts.len() > MOST {
+        let _ = writeln!(page, "<p>And {} more, less surely.</p>", doubts.len() - MOST);
+    }
+    page.push_str(
+        "<p class=\"note\">One of them alone may have the wrong label, or begin or end with another movement: look at it before you train \
+         on it. Many of one person and label: this person does it otherwise than the others, and should be shown to the model.</p>\n",
+    );
+}
+
 fn event_table(page: &mut String, events: &Events) {
     page.push_str("<h2>Events</h2>\n<p>Recordings of people never met, joined into streams and played through the right hand as a board runs it.</p>\n<table>");
     let head = [
@@ -225,11 +267,12 @@ fn calibration(page: &mut String, study: &Study) {
     let curve = |graded: Vec<&Graded>| -> Vec<(f64, f64)> {
         const BINS: usize = 10;
         let mut bins = [(0usize, 0usize, 0.0f64); BINS];
-        for (belief, right) in graded.iter().flat_map(|run| &run.beliefs) {
-            let bin = &mut bins[((f64::from(*belief) * BINS as f64) as usize).min(BINS - 1)];
+        for answer in graded.iter().flat_map(|run| &run.answers) {
+            let belief = f64::from(answer.probability);
+            let bin = &mut bins[((belief * BINS as f64) as usize).min(BINS - 1)];
             bin.0 += 1;
-            bin.1 += usize::from(*right);
-            bin.2 += f64::from(*belief);
+            bin.1 += usize::from(answer.right);
+            bin.2 += belief;
         }
         let full = bins.iter().filter(|(count, _, _)| *count >= 3);
         full.map(|(count, right, sum)| (sum / *count as f64, *right as f64 / *count as f64)).collect()
