@@ -22,5 +22,6 @@ pub mod powers;
 pub mod recipe;
 pub mod right;
 pub mod sliding;
+pub mod slow;
 pub mod softmax;
 pub mod tilt;

@@ -10,6 +10,11 @@
 //! A gesture shows soon. A movement that has made no event for a while is something else, and makes one only if it
 //! becomes, surely and for two seconds, a gesture; so does one that goes on after its event, if it becomes a *different*
 //! gesture. The same gesture again needs rest in between. The labels `idle` and `other` never make an event.
+//!
+//! Where there are scores of a slow window too ([`crate::slow`]), a long movement that they take for a gesture, for as long as
+//! it takes to be sure, makes its event as well: somebody's left-right may take longer than the usual window holds. Who
+//! moves so slowly also pauses for longer: then it takes twice the rest to begin anew. Whether it has become a different
+//! gesture is for the usual window to say.
 
 use crate::aligned::Movement;
 use crate::decision::{Event, is_rest};
@@ -45,6 +50,12 @@ pub struct MovementConfig {
     pub change_hops: u8,
     /// … each with this mean probability.
     pub change_confidence: u8,
+    /// A movement without an event after so many hops may be a slow gesture, if the slow window shows one …
+    pub slow_after_hops: u8,
+    /// … for so many hops in a row, usual ones …
+    pub slow_hops: u8,
+    /// … each with this mean probability over the last [`MAX_AVERAGE_HOPS`] hops of the slow window.
+    pub slow_confidence: u8,
 }
 
 impl MovementConfig {
@@ -64,6 +75,9 @@ impl MovementConfig {
             late_hops: if has_gyro { 30 } else { 60 },
             change_hops: 25,
             change_confidence: 205,
+            slow_after_hops: 50,
+            slow_hops: 40,
+            slow_confidence: 180,
         }
     }
 }
@@ -75,6 +89,87 @@ struct Run {
     moving: u8,
     /// Label of its last event.
     fired: Option<u8>,
+    /// Whether one of its events was seen in the slow window.
+    slow: bool,
+}
+
+/// A gesture that is seen hop after hop.
+#[derive(Clone, Copy, Debug, Default)]
+struct Streak {
+    label: u8,
+    hops: u8,
+}
+
+impl Streak {
+    /// Takes what is seen now; tells for how many hops in a row.
+    fn see(&mut self, seen: Option<Event>) -> u8 {
+        *self = match seen {
+            Some(Event { label, .. }) if label == self.label => {
+                Self { label, hops: self.hops.saturating_add(1) }
+            }
+            Some(Event { label, .. }) => Self { label, hops: 1 },
+            None => Self::default(),
+        };
+        self.hops
+    }
+}
+
+/// Probabilities of the last scores, a ring.
+#[derive(Clone, Debug)]
+struct Average {
+    rows: [[u8; MAX_LABELS]; MAX_AVERAGE_HOPS],
+    next: u8,
+    /// How many there are, and how many there may be.
+    known: u8,
+    most: u8,
+}
+
+impl Average {
+    fn new(most: u8) -> Self {
+        let most = most.clamp(1, MAX_AVERAGE_HOPS as u8);
+        Self { rows: [[0; MAX_LABELS]; MAX_AVERAGE_HOPS], next: 0, known: 0, most }
+    }
+
+    fn push(&mut self, scores: &[i8]) {
+        let row = &mut self.rows[usize::from(self.next)];
+        *row = [0; MAX_LABELS];
+        for (place, score) in row.iter_mut().zip(scores) {
+            *place = (i16::from(*score) + 128) as u8;
+        }
+        self.next = (self.next + 1) % self.most;
+        self.known = (self.known + 1).min(self.most);
+    }
+
+    fn clear(&mut self) {
+        (self.next, self.known) = (0, 0);
+    }
+
+    /// The label with the largest mean, and the mean; none without scores.
+    fn best(&self, labels: usize) -> Option<Event> {
+        if self.known == 0 {
+            return None;
+        }
+        // Of equal ones the last is taken, hence backwards.
+        let sums = (0..labels).rev().map(|label| (label as u8, self.sum(label)));
+        let (label, sum) = sums.max_by_key(|(_, sum)| *sum)?;
+        Some(Event { label, confidence: self.mean(sum) })
+    }
+
+    /// Mean probability of some labels, bit i standing for label i, all together.
+    fn together(&self, labels: u16) -> u8 {
+        let sums = (0..MAX_LABELS).filter(|label| labels & (1 << label) != 0).map(|label| self.sum(label));
+        self.mean(sums.sum())
+    }
+
+    /// A label's probabilities, added.
+    fn sum(&self, label: usize) -> u16 {
+        // Until the ring is full, its rows are the first ones.
+        self.rows[..usize::from(self.known)].iter().map(|row| u16::from(row[label])).sum()
+    }
+
+    fn mean(&self, sum: u16) -> u8 {
+        (sum / u16::from(self.known.max(1))).min(255) as u8
+    }
 }
 
 /// Watches scores and movement of one hand.
@@ -83,14 +178,14 @@ pub struct MovementDecision {
     config: MovementConfig,
     /// Bit i: label i is rest.
     rest_labels: u16,
-    /// Probabilities of the last hops, a ring; `known` of them.
-    scores: [[u8; MAX_LABELS]; MAX_AVERAGE_HOPS],
-    next: usize,
-    known: u8,
+    scores: Average,
+    slow_scores: Average,
     run: Option<Run>,
     quiet: u8,
-    /// A different gesture after an event, and for how many hops it has been seen.
-    change: (u8, u8),
+    /// A gesture late in a movement, or a different one after an event.
+    change: Streak,
+    /// A gesture in the slow window.
+    slow: Streak,
 }
 
 impl MovementDecision {
@@ -98,32 +193,25 @@ impl MovementDecision {
     pub fn new<'a>(labels: impl Iterator<Item = &'a str>, config: MovementConfig) -> Self {
         let rest = labels.take(MAX_LABELS).enumerate().filter(|(_, label)| is_rest(label));
         Self {
-            config: MovementConfig {
-                average_hops: config.average_hops.clamp(1, MAX_AVERAGE_HOPS as u8),
-                ..config
-            },
+            config,
             rest_labels: rest.fold(0, |bits, (index, _)| bits | (1 << index)),
-            scores: [[0; MAX_LABELS]; MAX_AVERAGE_HOPS],
-            next: 0,
-            known: 0,
+            scores: Average::new(config.average_hops),
+            slow_scores: Average::new(MAX_AVERAGE_HOPS as u8),
             run: None,
             quiet: 0,
-            change: (0, 0),
+            change: Streak::default(),
+            slow: Streak::default(),
         }
     }
 
-    /// Takes the int8 scores of a hop, one per label: (score + 128) / 256 is the probability. Of equal means the
-    /// first label wins; no scores say nothing.
-    pub fn step(&mut self, scores: &[i8], movement: Movement) -> Option<Event> {
+    /// Takes the int8 scores of a hop, one per label: (score + 128) / 256 is the probability; and those of the slow
+    /// window where it has new ones. Of equal means the first label wins; no scores say nothing.
+    pub fn step(&mut self, scores: &[i8], slow: Option<&[i8]>, movement: Movement) -> Option<Event> {
         let config = self.config;
-        let average = usize::from(config.average_hops);
-        self.next = (self.next + 1) % average;
-        let row = &mut self.scores[self.next];
-        *row = [0; MAX_LABELS];
-        for (place, score) in row.iter_mut().zip(scores) {
-            *place = (i16::from(*score) + 128) as u8;
+        self.scores.push(scores);
+        if let Some(slow) = slow {
+            self.slow_scores.push(slow);
         }
-        self.known = (self.known + 1).min(config.average_hops);
 
         let moves = movement.acceleration > config.acceleration || movement.rotation > config.rotation;
         if moves {
@@ -135,71 +223,66 @@ impl MovementDecision {
         }
         let mut run = self.run?;
         run.hops = run.hops.saturating_add(1);
-        let ended = self.quiet >= config.rest_hops;
-        let (label, confidence) = self.best(scores.len().min(MAX_LABELS))?;
-        let is_gesture = self.rest_labels & (1 << label) == 0;
-        let mut fires = false;
-        match run.fired {
-            None if run.hops <= config.late_hops => {
-                self.change = (0, 0);
-                fires = is_gesture
-                    && confidence >= config.min_confidence
-                    && self.rest(scores.len().min(MAX_LABELS)) <= config.max_rest
-                    && run.hops >= config.min_hops
-                    && run.moving >= config.min_moving
-                    && (ended || run.hops >= config.decide_hops);
+        let quiet = self.quiet;
+        let is_over = |run: Run| quiet >= config.rest_hops.saturating_mul(1 + u8::from(run.slow));
+        let ended = is_over(run);
+
+        let labels = scores.len().min(MAX_LABELS);
+        let gesture = |scores: &Average, least: u8| {
+            let best = scores.best(labels)?;
+            (self.rest_labels & (1 << best.label) == 0 && best.confidence >= least).then_some(best)
+        };
+        let is_new = run.fired.is_none();
+        let mut event = None;
+        if is_new && run.hops <= config.late_hops {
+            self.change = Streak::default();
+            if run.hops >= config.min_hops
+                && run.moving >= config.min_moving
+                && (ended || run.hops >= config.decide_hops)
+                && self.scores.together(self.rest_labels) <= config.max_rest
+            {
+                event = gesture(&self.scores, config.min_confidence);
             }
-            fired if is_gesture && fired != Some(label) && confidence >= config.change_confidence => {
-                let (last, count) = self.change;
-                self.change = (label, if label == last { count.saturating_add(1) } else { 1 });
-                fires = self.change.1 >= config.change_hops;
+        } else {
+            let seen = gesture(&self.scores, config.change_confidence);
+            let seen = seen.filter(|seen| run.fired != Some(seen.label));
+            if self.change.see(seen) >= config.change_hops {
+                event = seen;
             }
-            _ => self.change = (0, 0),
         }
-        if fires {
-            run.fired = Some(label);
-            self.change = (0, 0);
+        let mut slow = None;
+        if is_new && run.hops > config.slow_after_hops {
+            slow = gesture(&self.slow_scores, config.slow_confidence);
         }
-        self.run = (!ended).then_some(run);
-        fires.then_some(Event { label, confidence })
+        if self.slow.see(slow) >= config.slow_hops && slow.is_some() && event.is_none() {
+            event = slow;
+            run.slow = true;
+        }
+        if let Some(event) = event {
+            run.fired = Some(event.label);
+            self.change = Streak::default();
+        }
+        self.run = (!is_over(run)).then_some(run);
+        if self.run.is_none() {
+            self.slow = Streak::default();
+        }
+        event
     }
 
     /// Forgets the last hops, after a gap. A movement that had its event before the gap gets no second one: rest is
     /// still needed.
     pub fn reset(&mut self) {
-        self.known = 0;
+        self.scores.clear();
+        self.slow_scores.clear();
         self.quiet = 0;
-        self.change = (0, 0);
-        self.run = self.run.map(|run| Run { fired: run.fired, ..Run::default() });
+        self.change = Streak::default();
+        self.slow = Streak::default();
+        self.run = self.run.map(|run| Run { hops: 0, moving: 0, ..run });
     }
 
     /// Whether a movement is under way.
     pub fn is_moving(&self) -> bool {
         self.run.is_some()
-    }
-
-    /// The label with the largest mean, and the mean.
-    fn best(&self, labels: usize) -> Option<(u8, u8)> {
-        let (label, sum) =
-            (0..labels).map(|label| (label as u8, self.sum(label))).rev().max_by_key(|(_, sum)| *sum)?;
-        Some((label, self.mean(sum)))
-    }
-
-    /// Mean probability of all rest labels together.
-    fn rest(&self, labels: usize) -> u8 {
-        let rest = (0..labels).filter(|label| self.rest_labels & (1 << label) != 0);
-        self.mean(rest.map(|label| self.sum(label)).sum())
-    }
-
-    /// A label's probabilities of the last hops, added.
-    fn sum(&self, label: usize) -> u16 {
-        let average = usize::from(self.config.average_hops);
-        let hops = (0..usize::from(self.known)).map(|back| (self.next + average - back) % average);
-        hops.map(|hop| u16::from(self.scores[hop][label])).sum()
-    }
-
-    fn mean(&self, sum: u16) -> u8 {
-        (sum / u16::from(self.known.max(1))).min(255) as u8
     }
 }
 
@@ -228,7 +311,7 @@ mod tests {
             .iter()
             .flat_map(|&(count, label, p, movement)| (0..count).map(move |_| (label, p, movement)));
         let step = |(index, (label, p, movement)): (usize, _)| {
-            decision.step(&scores(label, p), movement).map(|event| (index, event.label))
+            decision.step(&scores(label, p), None, movement).map(|event| (index, event.label))
         };
         hops.enumerate().filter_map(step).collect()
     }
@@ -297,7 +380,7 @@ mod tests {
         ] {
             let mut decision = MovementDecision::new(LABELS.iter().copied(), config);
             let scores = shares.map(|share: i16| (share - 128) as i8);
-            let fired = (0..60).any(|_| decision.step(&scores, MOVING).is_some());
+            let fired = (0..60).any(|_| decision.step(&scores, None, MOVING).is_some());
             assert_eq!(fired, event, "{shares:?}");
         }
     }
@@ -319,6 +402,56 @@ mod tests {
         assert_eq!(run(&mut decision(), &[gesture, pause(3), gesture]), [(21, 1), (49, 1)]);
     }
 
+    /// Runs pieces of (hops, probability of label 1 in the slow window, movement) in which the usual window says `other`.
+    fn run_slow(decision: &mut MovementDecision, pieces: &[(usize, i16, Movement)]) -> Vec<(usize, u8)> {
+        let hops = pieces.iter().flat_map(|&(count, p, movement)| (0..count).map(move |_| (p, movement)));
+        let step = |(index, (p, movement)): (usize, _)| {
+            let slow = scores(1, p);
+            // A slow hop is two usual ones.
+            let slow = (index % 2 == 1).then_some(slow.as_slice());
+            decision.step(&scores(2, 250), slow, movement).map(|event| (index, event.label))
+        };
+        hops.enumerate().filter_map(step).collect()
+    }
+
+    #[test]
+    fn what_only_the_slow_window_sees_makes_an_event_after_seven_seconds() {
+        assert_eq!(run_slow(&mut decision(), &[(300, 180, MOVING)]), [(89, 1)], "50 hops and 40");
+        assert_eq!(run_slow(&mut decision(), &[(300, 179, MOVING)]), []);
+        assert_eq!(run_slow(&mut decision(), &[(86, 250, MOVING), (300, 250, STILL)]), []);
+        // In the mean of eight a single doubt is none, and a long one is.
+        let doubt = |hops| [(80, 250, MOVING), (hops, 0, MOVING), (40, 250, MOVING)];
+        assert_eq!(run_slow(&mut decision(), &doubt(2)), [(89, 1)]);
+        assert_eq!(run_slow(&mut decision(), &doubt(12)), []);
+    }
+
+    #[test]
+    fn the_slow_window_adds_nothing_to_a_movement_that_had_its_event() {
+        let mut decision = decision();
+        let slow = scores(3, 250);
+        let mut step = |hop: usize| decision.step(&scores(1, 250), Some(&slow), MOVING).map(|_| hop);
+        assert_eq!((0..300).filter_map(&mut step).collect::<Vec<_>>(), [21]);
+    }
+
+    #[test]
+    fn after_a_slow_gesture_it_takes_twice_the_rest_to_begin_anew() {
+        let gesture = (100, 250, MOVING);
+        let pause = |hops| (hops, 250, STILL);
+        assert_eq!(run_slow(&mut decision(), &[gesture, pause(5), gesture]), [(89, 1)]);
+        assert_eq!(run_slow(&mut decision(), &[gesture, pause(6), gesture]), [(89, 1), (195, 1)]);
+        // Also when the event comes with the movement's end.
+        let gesture = (87, 250, MOVING);
+        assert_eq!(run_slow(&mut decision(), &[gesture, pause(5), (100, 250, MOVING)]), [(89, 1)]);
+    }
+
+    #[test]
+    fn after_a_gap_the_slow_window_counts_anew() {
+        let mut decision = decision();
+        assert_eq!(run_slow(&mut decision, &[(89, 250, MOVING)]), []);
+        decision.reset();
+        assert_eq!(run_slow(&mut decision, &[(100, 250, MOVING)]), [(89, 1)]);
+    }
+
     #[test]
     fn after_a_gap_a_spent_movement_stays_spent_until_rest() {
         let mut decision = decision();
@@ -336,8 +469,8 @@ mod tests {
         let bad = Movement { acceleration: f32::NAN, rotation: f32::NAN };
         let (mut empty, mut numberless) = (decision(), decision());
         for _ in 0..100 {
-            assert_eq!(empty.step(&[], MOVING), None);
-            assert_eq!(numberless.step(&scores(1, 255), bad), None);
+            assert_eq!(empty.step(&[], None, MOVING), None);
+            assert_eq!(numberless.step(&scores(1, 255), None, bad), None);
         }
     }
 }

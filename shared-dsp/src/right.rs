@@ -6,6 +6,7 @@ use crate::features::{FeatureWindow, HOP, WINDOW};
 use crate::mlp::{MAX_LABELS, Model};
 use crate::movement::{MovementConfig, MovementDecision};
 use crate::recipe::Recipe;
+use crate::slow::SlowWindow;
 use core::fmt;
 
 /// Why a model cannot run on a hand.
@@ -50,7 +51,7 @@ pub struct RightOutput {
     pub window_end_ms: u32,
     /// Whether the window is full. Where it is not (at start, after a gap), scores are those before the gap.
     pub full: bool,
-    /// Whether the window holds values that were no numbers and were replaced.
+    /// Whether the window, or the slow one behind it, holds values that were no numbers and were replaced.
     pub replaced: bool,
     /// Gestures performed since start, wrapping.
     pub events: u8,
@@ -96,7 +97,7 @@ enum Pipeline<const A: usize> {
     /// Recipes 1 and 2.
     PerAxis { window: FeatureWindow<A>, decision: GestureDecision },
     /// Recipe 3.
-    Aligned { window: AlignedWindow<A>, decision: MovementDecision },
+    Aligned { window: AlignedWindow<A>, slow: SlowWindow<A>, decision: MovementDecision },
 }
 
 impl<const A: usize> Pipeline<A> {
@@ -104,7 +105,10 @@ impl<const A: usize> Pipeline<A> {
     fn push(&mut self, sample: &[f32; A]) -> bool {
         match self {
             Self::PerAxis { window, .. } => window.push(sample),
-            Self::Aligned { window, .. } => window.push(sample),
+            Self::Aligned { window, slow, .. } => {
+                slow.push(sample);
+                window.push(sample)
+            }
         }
     }
 
@@ -116,9 +120,14 @@ impl<const A: usize> Pipeline<A> {
                 let _ = model.classify(window.features(), scores);
                 decision.step(scores)
             }
-            Self::Aligned { window, decision } => {
+            Self::Aligned { window, slow, decision } => {
                 let _ = model.classify_features(window.features(), scores);
-                decision.step(scores, window.movement())
+                let mut slow_scores = [i8::MIN; MAX_LABELS];
+                let slow_scores = slow.new_features().map(|features| {
+                    let _ = model.classify_features(features, &mut slow_scores[..scores.len()]);
+                    &slow_scores[..scores.len()]
+                });
+                decision.step(scores, slow_scores, window.movement())
             }
         }
     }
@@ -129,8 +138,9 @@ impl<const A: usize> Pipeline<A> {
                 window.reset();
                 decision.reset();
             }
-            Self::Aligned { window, decision } => {
+            Self::Aligned { window, slow, decision } => {
                 window.reset();
+                slow.reset();
                 decision.reset();
             }
         }
@@ -146,7 +156,7 @@ impl<const A: usize> Pipeline<A> {
     fn is_tainted(&self) -> bool {
         match self {
             Self::PerAxis { window, .. } => window.is_tainted(),
-            Self::Aligned { window, .. } => window.is_tainted(),
+            Self::Aligned { window, slow, .. } => window.is_tainted() || slow.is_tainted(),
         }
     }
 }
@@ -187,6 +197,7 @@ impl<'m, const A: usize> RightHand<'m, A> {
                 },
                 Recipe::Aligned => Pipeline::Aligned {
                     window: AlignedWindow::new(),
+                    slow: SlowWindow::new(),
                     decision: MovementDecision::new(info.labels(), MovementConfig::for_axes(A)),
                 },
             },

@@ -5,31 +5,39 @@ use shared_dsp::mlp::{BlobSpec, DenseSpec, Model, build_blob};
 use shared_dsp::recipe::Recipe;
 use shared_dsp::right::{ModelMismatch, RightHand};
 
-/// One layer that says `shake` when the variance of the first axis is above 4, else `idle`.
+/// One layer that says `label` where its weighted inputs are above 0, else `idle`; these inputs have a weight, 1 or -1.
+fn blob_of(
+    recipe: Recipe,
+    axes: usize,
+    hop: u16,
+    label: &str,
+    scaling: Vec<(f32, f32)>,
+    weighted: &[(usize, i8)],
+) -> Vec<u8> {
+    let weights = |sign: i8| {
+        let mut weights = vec![0; scaling.len()];
+        weighted.iter().for_each(|&(input, weight)| weights[input] = 100 * sign * weight);
+        weights
+    };
+    let layers = vec![DenseSpec {
+        weights: vec![weights(-1), weights(1)],
+        biases: vec![0, 0],
+        input_scale: 0.1,
+        input_zero_point: 0,
+        weight_scale: 0.01,
+        output_scale: 0.1,
+        output_zero_point: 0,
+        relu: false,
+    }];
+    let labels = vec!["idle".into(), label.into()];
+    build_blob(&BlobSpec { recipe, axes, sample_hz: 100, window: 200, hop, labels, scaling, layers }).unwrap()
+}
+
+/// Says `shake` when the variance of the first axis is above 4.
 fn blob(axes: usize, hop: u16) -> Vec<u8> {
     let mut scaling = vec![(0.0, 0.0); 13 * axes];
     scaling[2] = (8.0, -32.0);
-    let weights = |sign: i8| (0..13 * axes).map(|i| if i == 2 { 100 * sign } else { 0 }).collect();
-    build_blob(&BlobSpec {
-        recipe: Recipe::Raw,
-        axes,
-        sample_hz: 100,
-        window: 200,
-        hop,
-        labels: vec!["idle".into(), "shake".into()],
-        scaling,
-        layers: vec![DenseSpec {
-            weights: vec![weights(-1), weights(1)],
-            biases: vec![0, 0],
-            input_scale: 0.1,
-            input_zero_point: 0,
-            weight_scale: 0.01,
-            output_scale: 0.1,
-            output_zero_point: 0,
-            relu: false,
-        }],
-    })
-    .unwrap()
+    blob_of(Recipe::Raw, axes, hop, "shake", scaling, &[(2, 1)])
 }
 
 /// Shakes where `shaking` says so; sample number in, axes out.
@@ -110,4 +118,53 @@ fn replaced_values_are_reported_while_they_are_in_the_window() {
         }
     }
     assert_eq!(hand.replaced(), 1);
+}
+
+/// Says `sway` where the window shows more of 1.17 Hz than of 0.39 Hz across gravity.
+fn sway_blob(axes: usize) -> Vec<u8> {
+    // Line after line of three directions each, behind four other features; the second direction is the swaying one.
+    let (low, high) = (4 + 1, 4 + 3 * 2 + 1);
+    let scaling = vec![(60.0, 0.0); Recipe::Aligned.feature_count(axes)];
+    blob_of(Recipe::Aligned, axes, 8, "sway", scaling, &[(high, 1), (low, -1)])
+}
+
+/// Samples at which a hand that sways at so many Hz has its events.
+fn sway<const A: usize>(hand: &mut RightHand<'_, A>, hz: f32, samples: usize) -> Vec<usize> {
+    let mut events = Vec::new();
+    for n in 0..samples {
+        let mut sample = [0.0; A];
+        sample[0] = 8.0 * (core::f32::consts::TAU * hz * n as f32 / 100.0).sin();
+        sample[2] = 9.81;
+        if hand.push(&sample, 10 * n as u32).is_some_and(|output| output.is_event) {
+            events.push(n);
+        }
+    }
+    events
+}
+
+#[test]
+fn without_a_gyroscope_a_gesture_at_half_the_tempo_makes_its_event_later() {
+    let blob = sway_blob(3);
+    let hand = || RightHand::<3>::new(Model::parse(&blob).unwrap(), DecisionConfig::default()).unwrap();
+    let usual = sway(&mut hand(), 0.9, 1500);
+    assert!(matches!(usual[..], [at] if at < 400), "{usual:?}");
+    let slow = sway(&mut hand(), 0.45, 1500);
+    assert!(matches!(slow[..], [at] if (400..1100).contains(&at)), "{slow:?}");
+
+    let blob = sway_blob(6);
+    let mut hand = RightHand::<6>::new(Model::parse(&blob).unwrap(), DecisionConfig::default()).unwrap();
+    assert_eq!(sway(&mut hand, 0.45, 1500), [], "with one there is no slow window");
+}
+
+#[test]
+fn after_a_gap_at_any_sample_a_slow_gesture_is_seen_as_from_the_start() {
+    let blob = sway_blob(3);
+    let hand = || RightHand::<3>::new(Model::parse(&blob).unwrap(), DecisionConfig::default()).unwrap();
+    let expected = sway(&mut hand(), 0.45, 1500);
+    for before in (1..20).chain(400..420) {
+        let mut hand = hand();
+        assert_eq!(sway(&mut hand, 0.45, before), []);
+        hand.gap();
+        assert_eq!(sway(&mut hand, 0.45, 1500), expected, "a gap after {before} samples");
+    }
 }

@@ -1,0 +1,145 @@
+//! A window of four seconds, for gestures that take longer than the usual one holds.
+//!
+//! Two samples after each other are averaged and given to a second [`AlignedWindow`]: it sees the hand as if it moved at
+//! twice its tempo, and the same network judges it, which has learnt what gestures look like at tempos around the usual one.
+//! A left-right of 0.45 Hz, which an accelerometer alone can hardly tell from swaying within two seconds, is then one
+//! of 0.9 Hz. (Accelerations stay what they are; of a true one at twice the tempo they would be four times as large. The
+//! features are mostly shares.)
+//!
+//! Only for models without a gyroscope, whose features cost half: on the recordings of real people, those with a
+//! gyroscope gain nothing by it. With 6 or 9 axes nothing is computed.
+
+use crate::aligned::AlignedWindow;
+
+/// A window of 4 s over samples of `A` axes, with a hop of 16 samples.
+#[derive(Clone, Debug)]
+pub struct SlowWindow<const A: usize> {
+    window: AlignedWindow<A>,
+    /// The sample that waits for the next one.
+    first: Option<[f32; A]>,
+    is_new: bool,
+}
+
+impl<const A: usize> SlowWindow<A> {
+    /// Whether samples of so many axes have no gyroscope.
+    const RUNS: bool = A < 6;
+
+    /// An empty window.
+    pub const fn new() -> Self {
+        Self { window: AlignedWindow::new(), first: None, is_new: false }
+    }
+
+    /// Takes a sample. A value that is no number makes no number of its pair, which then repeats the last good one.
+    #[inline]
+    pub fn push(&mut self, sample: &[f32; A]) {
+        if !Self::RUNS {
+            return;
+        }
+        let Some(first) = self.first.take() else {
+            self.first = Some(*sample);
+            self.is_new = false;
+            return;
+        };
+        // Halved first: the sum of two large values may be no number.
+        self.is_new = self.window.push(&core::array::from_fn(|axis| 0.5 * first[axis] + 0.5 * sample[axis]));
+    }
+
+    /// The features, where the last sample completed a hop and the window is full.
+    pub fn new_features(&self) -> Option<&[f32]> {
+        (Self::RUNS && self.is_new).then(|| self.window.features())
+    }
+
+    /// Whether the window holds values that were no numbers and have been replaced.
+    pub fn is_tainted(&self) -> bool {
+        self.window.is_tainted()
+    }
+
+    /// Forgets all samples.
+    pub fn reset(&mut self) {
+        *self = Self::new();
+    }
+}
+
+impl<const A: usize> Default for SlowWindow<A> {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::vec::Vec;
+
+    /// A sway of so many Hz, on a board that lies flat.
+    fn sway(hz: f32, samples: usize) -> Vec<[f32; 3]> {
+        let angle = |n: usize| core::f32::consts::TAU * hz * n as f32 / 100.0;
+        (0..samples).map(|n| [3.0 * angle(n).sin(), angle(2 * n).cos(), 9.8]).collect()
+    }
+
+    /// Samples from which on there are features, and the last ones.
+    fn play(samples: &[[f32; 3]]) -> (Vec<usize>, Vec<f32>) {
+        let mut slow = SlowWindow::<3>::new();
+        let mut last = Vec::new();
+        let mut new = Vec::new();
+        for (n, sample) in samples.iter().enumerate() {
+            slow.push(sample);
+            if let Some(features) = slow.new_features() {
+                new.push(n + 1);
+                last = features.to_vec();
+            }
+        }
+        (new, last)
+    }
+
+    #[test]
+    fn features_are_new_after_four_seconds_and_then_every_sixteen_samples() {
+        assert_eq!(play(&sway(0.45, 450)).0, [400, 416, 432, 448]);
+    }
+
+    #[test]
+    fn a_movement_looks_as_it_does_to_the_usual_window_at_twice_its_tempo() {
+        // 0.5 Hz: four seconds are two periods, as two seconds are of 1 Hz.
+        let (_, slow) = play(&sway(0.5, 400));
+        let mut usual = AlignedWindow::<3>::new();
+        sway(1.0, 200).iter().for_each(|sample| {
+            usual.push(sample);
+        });
+        for (index, (a, b)) in slow.iter().zip(usual.features()).enumerate() {
+            assert!((a - b).abs() < 0.05, "feature {index}: {a} and {b}");
+        }
+        // … and not as at its own.
+        sway(0.5, 200).iter().for_each(|sample| {
+            usual.push(sample);
+        });
+        assert!(slow.iter().zip(usual.features()).any(|(a, b)| (a - b).abs() > 0.5));
+    }
+
+    #[test]
+    fn bad_values_stay_finite_and_leave_with_a_reset() {
+        let mut samples = sway(0.5, 400);
+        samples[100] = [f32::NAN, f32::INFINITY, f32::MAX];
+        samples[101] = [f32::MAX; 3];
+        let (new, features) = play(&samples);
+        assert_eq!(new, [400]);
+        assert!(features.iter().all(|value| value.is_finite()), "{features:?}");
+
+        let mut slow = SlowWindow::<3>::new();
+        samples[..101].iter().for_each(|sample| slow.push(sample));
+        slow.reset();
+        let (_, expected) = play(&sway(0.5, 400));
+        sway(0.5, 400).iter().for_each(|sample| slow.push(sample));
+        assert_eq!(
+            slow.new_features(),
+            Some(expected.as_slice()),
+            "also the sample that waited for its pair"
+        );
+    }
+
+    #[test]
+    fn with_a_gyroscope_nothing_is_computed() {
+        let mut slow = SlowWindow::<6>::new();
+        (0..1000).for_each(|_| slow.push(&[1.0; 6]));
+        assert_eq!(slow.new_features(), None);
+    }
+}
