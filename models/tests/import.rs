@@ -119,9 +119,9 @@ fn an_int8_network_of_dense_layers_gets_a_card_and_is_the_same_model() {
     assert!(text.contains(&model_id(&files.blob().unwrap())), "{text}");
 
     for (more, word) in [
-        (vec![], "name the network's 7 outputs"),
-        (vec!["--labels", "a,b"], "7 outputs, but --labels names 2"),
-        (vec!["--labels", &labels, "--axes", "3"], "117 inputs, but 3 axes make 39 features"),
+        (vec![], "name the network's 8 outputs"),
+        (vec!["--labels", "a,b"], "8 outputs, but --labels names 2"),
+        (vec!["--labels", &labels, "--axes", "3"], "89 inputs, but 3 axes make 45 features"),
     ] {
         let (ok, text) = import(&more);
         assert!(!ok && text.contains(word), "{word} in {text}");

@@ -17,13 +17,18 @@ struct Tally {
     delays_s: Vec<f64>,
 }
 
-/// The six gestures, 5 s each, with 7 s of various idle movement between.
+/// Rest before and after what the hand does between two gestures, in s: a movement is over when the hand has rested.
+const REST_S: f64 = 1.0;
+
+/// The six gestures, 5 s each, with 5 s of various idle movement and two rests between.
 fn play(model: Model<'_>, wearer: &Wearer, take: u64, config: DecisionConfig, tally: &mut Tally) {
     let mut script = vec![Segment::new(Motion::IDLE, 5.0)];
     for (n, gesture) in Motion::GESTURES.into_iter().enumerate() {
         let idle = if n % 2 == 0 { IdleKind::Still } else { IdleKind::ALL[(n + take as usize) % 5] };
         script.push(Segment::new(gesture, 5.0));
-        script.push(Segment::new(Motion::Idle(idle), 7.0));
+        script.push(Segment::new(Motion::IDLE, REST_S));
+        script.push(Segment::new(Motion::Idle(idle), 5.0));
+        script.push(Segment::new(Motion::IDLE, REST_S));
     }
     let recording = session(wearer, take, &script);
     let mut hand = RightHand::<9>::new(model, config).expect("9 axes");
@@ -70,10 +75,6 @@ fn bundled() -> Vec<u8> {
     models::blob::read(&file).expect("the bundled model").0
 }
 
-/// The floor for events; measured is more (README). The rest are mostly gestures taken for another one in
-/// their first second, before the window is full of them.
-const FLOOR_PER_CENT: usize = 94;
-
 #[test]
 fn demo_wearer_2_gets_one_right_event_for_every_gesture() {
     let blob = bundled();
@@ -82,39 +83,34 @@ fn demo_wearer_2_gets_one_right_event_for_every_gesture() {
     assert_eq!((tally.right_once, tally.wrong, tally.outside), (6, 0, 0));
 }
 
-#[test]
-fn demo_wearers_get_one_right_event_for_almost_every_gesture() {
+/// Plays wearers, and holds them to a floor: measured is more (README).
+fn at_least(per_cent: usize, wearers: impl Iterator<Item = (Wearer, u64)>) {
     let blob = bundled();
     let model = Model::parse(&blob).unwrap();
     let mut tally = Tally::default();
-    for index in 1..=20 {
-        play(model, &Wearer::demo(index), 0, DecisionConfig::default(), &mut tally);
+    for (wearer, take) in wearers {
+        play(model, &wearer, take, DecisionConfig::default(), &mut tally);
     }
-    println!("{} of {} right, {} outside", tally.right_once, tally.performed, tally.outside);
-    assert!(tally.right_once * 100 >= tally.performed * FLOOR_PER_CENT);
-    assert!(tally.outside <= 4, "{} events outside gestures", tally.outside);
+    let Tally { performed, right_once, outside, delays_s, .. } = &mut tally;
+    delays_s.sort_by(f64::total_cmp);
+    let median_s = delays_s[delays_s.len() / 2];
+    println!("{right_once} of {performed} right, {outside} outside, median {median_s:.2} s");
+    assert!(*right_once * 100 >= *performed * per_cent, "{right_once} of {performed}");
+    assert!(*outside * 60 <= *performed, "{outside} events outside of {performed} gestures");
+    assert!(median_s <= 2.5, "{median_s} s from onset to event");
+}
+
+#[test]
+fn demo_wearers_get_one_right_event_for_almost_every_gesture() {
+    at_least(94, (1..=20).map(|index| (Wearer::demo(index), 0)));
 }
 
 #[test]
 fn unseen_wearers_get_one_right_event_for_almost_every_gesture() {
-    let blob = bundled();
-    let model = Model::parse(&blob).unwrap();
-    let mut tally = Tally::default();
-    for index in 1..=60 {
-        play(model, &Wearer::evaluation(9, index), u64::from(index), DecisionConfig::default(), &mut tally);
-    }
-    tally.delays_s.sort_by(f64::total_cmp);
-    let median_s = tally.delays_s[tally.delays_s.len() / 2];
-    println!(
-        "{} of {} right, {} outside, median {median_s:.2} s",
-        tally.right_once, tally.performed, tally.outside
-    );
-    assert!(
-        tally.right_once * 100 >= tally.performed * FLOOR_PER_CENT,
-        "{} of {}",
-        tally.right_once,
-        tally.performed
-    );
-    assert!(tally.outside <= 8, "{} events outside gestures", tally.outside);
-    assert!(median_s <= 2.5, "{median_s} s from onset to event");
+    at_least(94, (1..=60).map(|index| (Wearer::evaluation(9, index), u64::from(index))));
+}
+
+#[test]
+fn wearers_whom_nobody_told_how_to_move_get_one_for_most() {
+    at_least(90, (1..=60).map(|index| (Wearer::evaluation(9, index).untaught(), u64::from(index))));
 }

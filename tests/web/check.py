@@ -398,7 +398,7 @@ async def usable_by_all(page, folder):
             await page.media(prefers_color_scheme=scheme)
             await open_page(page, running.url)
             await running.says("armed")
-            await page.until("document.querySelectorAll('#scores .bar').length === 7", "the scores")
+            await page.until("document.querySelectorAll('#scores .bar').length === 8", "the scores")
             contrasts = await page.run(LUMINANCE)
             assert len(contrasts) > 60, len(contrasts)
             least[scheme], text = min(contrasts)

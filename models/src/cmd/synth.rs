@@ -34,14 +34,19 @@ pub struct Cmd {
     /// Which wearers
     #[arg(long, value_enum, default_value = "training")]
     group: GroupName,
-    /// Wearers whom nobody told how to move: slower and faster, circles in any plane
-    #[arg(long)]
-    untaught: bool,
+    /// The last so many of them were told by nobody how to move: slower and faster, circles in any plane
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    untaught: u32,
 }
 
 impl Cmd {
     pub fn run(self) -> anyhow::Result<()> {
         anyhow::ensure!((1..=9999).contains(&self.wearers), "--wearers takes 1 to 9999");
+        anyhow::ensure!(
+            self.untaught <= self.wearers,
+            "--untaught takes 0 to {}, all of --wearers",
+            self.wearers
+        );
         anyhow::ensure!((2.0..=600.0).contains(&self.seconds), "--seconds takes 2 to 600");
         let full = std::fs::read_dir(&self.out).is_ok_and(|mut entries| entries.next().is_some());
         anyhow::ensure!(!full, "{}: not empty; give a new folder with --out", self.out.display());
@@ -58,7 +63,7 @@ impl Cmd {
         }
         let about = format!(
             "simulated wearers, not real people: models synth --group {} --seed {} --wearers {} \
-             --seconds {}{}\n",
+             --seconds {} --untaught {}\n",
             match self.group {
                 GroupName::Training => "training",
                 GroupName::Evaluation => "evaluation",
@@ -66,13 +71,13 @@ impl Cmd {
             self.seed,
             self.wearers,
             self.seconds,
-            if self.untaught { " --untaught" } else { "" }
+            self.untaught
         );
         std::fs::write(part.join("ABOUT.txt"), about)?;
         let progress = ProgressBar::new(u64::from(self.wearers));
         let made = (1..=self.wearers).into_par_iter().try_for_each(|index| {
             let wearer = Wearer::new(group, self.seed, index);
-            let wearer = if self.untaught { wearer.untaught() } else { wearer };
+            let wearer = if index > self.wearers - self.untaught { wearer.untaught() } else { wearer };
             for (number, take) in takes.iter().enumerate() {
                 let file = format!("{}/{}__{:03}.csv", take.label, wearer.name, take.number);
                 session(&wearer, number as u64, &take.script).write(&part.join(file))?;

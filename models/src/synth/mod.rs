@@ -46,6 +46,11 @@ pub struct Take {
     pub script: Vec<Segment>,
 }
 
+impl Take {
+    /// From this number on takes hold only the first or last moments of a gesture.
+    pub const FIRST_PART: u64 = 101;
+}
+
 /// The takes of one wearer: `seconds` of each gesture, and as `idle` half as long of each kind of
 /// idle movement, and the moments in which a gesture has only just begun or is nearly over (at most
 /// 0.8 s in the window), which must not be taken for the gesture yet or still. In the recordings of
@@ -81,8 +86,16 @@ pub fn takes(seconds: f64) -> Vec<Take> {
             let before = Segment::cut(idle, REACH_S, REACH_S - REST_S, REST_S);
             let after = Segment::cut(idle, REACH_S, 0.0, REST_S);
             let number = number + more;
-            takes.push(Take { label: "idle", number: 101 + number, script: vec![before, first] });
-            takes.push(Take { label: "idle", number: 201 + number, script: vec![last, after] });
+            takes.push(Take {
+                label: "idle",
+                number: Take::FIRST_PART + number,
+                script: vec![before, first],
+            });
+            takes.push(Take {
+                label: "idle",
+                number: Take::FIRST_PART + 100 + number,
+                script: vec![last, after],
+            });
         }
     }
     takes
