@@ -1,8 +1,11 @@
 //! The bundled model: its files belong together, say where they come from, and work on new wearers.
 
-use std::path::PathBuf;
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+use std::process::Command;
 
 use models::dataset::{Dataset, Item};
+use models::events::{Stream, Tally, play};
 use models::score::{Classifier, score, scored};
 use models::synth::{Group, Take, Wearer, session, takes};
 use models::{blob, bundled, labels};
@@ -84,4 +87,89 @@ fn wearers_that_it_never_met_are_understood() {
         println!("untaught: {untaught}: {right} of {all} recordings, {per_cent:.2} %");
         assert!(per_cent >= floor, "{per_cent:.2} %");
     }
+}
+
+/// Real recordings of the very board and sensor, by people whom the model has never met.
+#[test]
+fn real_circles_are_circles_and_three_that_are_shown_make_it_sure() {
+    let here = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let shared = std::env::var_os("BIMANUAL_SHARED").map_or_else(|| here.join("../../shared"), PathBuf::from);
+    let folder = shared.join("data/nano33-lsm9ds1-9axis");
+    if !folder.is_dir() {
+        println!("skipped: {} is not here (BIMANUAL_SHARED names the folder)", folder.display());
+        return;
+    }
+    let files = bundled::files().unwrap();
+    let card = &files.card;
+    let made = files.blob().unwrap();
+    let model = Model::parse(&made).unwrap();
+    let real = Dataset::read_where(&folder, Some(9), |_, _| true).unwrap();
+    let circles = real.filtered(|item| item.label == "circle");
+    let recordings = scored(&circles, &card.labels, &card.features);
+    let result = score(&Classifier::Int8(model), &recordings, &card.answers());
+    println!("{:.2} % of {} circles", result.per_recording, recordings.len());
+    assert!(recordings.len() >= 100 && result.per_recording >= 90.0, "{:.2} %", result.per_recording);
+
+    // Shown three circles of one of the two people.
+    let shown: Vec<&Item> = circles.items.iter().filter(|item| item.person == "s1").take(3).collect();
+    let out = tempfile::tempdir().unwrap();
+    let path = |name: &str| out.path().join(name).to_string_lossy().into_owned();
+    std::fs::create_dir_all(path("few/circle")).unwrap();
+    for item in &shown {
+        std::fs::copy(&item.file, out.path().join("few").join(&item.name)).unwrap();
+    }
+    run_models(&["adapt", BUNDLED, &path("few"), "--person", "s1", "--out", &path("mine"), "--name", "mine"]);
+    let (adapted, _) = blob::read(&out.path().join("mine/mine.tflite")).unwrap();
+
+    let people: BTreeSet<&String> = real.items.iter().map(|item| &item.person).collect();
+    for (what, blob, floor) in [("as it is", &made, 50.0), ("with three circles shown", &adapted, 85.0)] {
+        let model = Model::parse(blob).unwrap();
+        let mut tally = Tally::default();
+        for person in &people {
+            let is_theirs = |item: &&Item| {
+                item.person == **person
+                    && ["circle", "other"].contains(&&*item.label)
+                    && shown.iter().all(|shown| shown.name != item.name)
+            };
+            let stream = Stream::joined(&real.items.iter().filter(is_theirs).collect::<Vec<_>>(), 9, 1);
+            tally.count(&stream, &play(model, &stream).unwrap(), &card.labels);
+        }
+        println!(
+            "{what}: {} of {} circles make one right event, {:.1} %; {} events in {} recordings of other movement",
+            tally.right,
+            tally.performed,
+            tally.right_per_cent(),
+            tally.rest_events,
+            tally.rests
+        );
+        assert!(tally.right_per_cent() >= floor && tally.wrong + tally.several <= 3, "{:?}", tally.errors);
+        assert!(tally.rest_events <= 3, "{} in {}", tally.rest_events, tally.rests);
+    }
+}
+
+const BUNDLED: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/bundled/right-9axis.tflite");
+
+/// Runs the tool; what it printed.
+fn run_models(args: &[&str]) -> String {
+    let output = Command::new(env!("CARGO_BIN_EXE_models")).args(args).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).unwrap()
+}
+
+#[test]
+fn it_learns_one_more_person_and_forgets_nobody() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_string_lossy().into_owned();
+    let new = ["--group", "evaluation", "--wearers", "1", "--untaught", "1", "--seconds", "4"];
+    run_models(&[&["synth", "--out", &path("new")][..], &new].concat());
+    let text = run_models(&["adapt", BUNDLED, &path("new"), "--person", "e0001", "--out", &path("mine")]);
+    println!("{text}");
+    // "...: 93.21 % right before, 96.44 % now"
+    for what in ["rehearsed windows of the people it knew", "the shown recordings themselves"] {
+        let line = text.lines().find(|line| line.starts_with(what)).unwrap();
+        let figures: Vec<f64> = line.split_whitespace().filter_map(|word| word.parse().ok()).collect();
+        let [before, now] = figures[..] else { panic!("{line}") };
+        assert!(now >= before - 1.0, "{line}");
+    }
+    assert!(blob::read(&folder.path().join("mine/right-9axis-e0001.tflite")).is_ok());
 }

@@ -14,7 +14,7 @@ use crate::tools::{self, BLUETOOTH};
 use crate::{firmware_avr, firmware_nano33, root, target_dir};
 
 /// Files of the repository that keep their places, so that the documents' links hold.
-const FILES: [&str; 25] = [
+const FILES: [&str; 27] = [
     "CHANGELOG.md",
     "LICENSE-APACHE",
     "LICENSE-MIT",
@@ -38,6 +38,8 @@ const FILES: [&str; 25] = [
     "host-bridge/src/plan/README.md",
     "models/README.md",
     "models/bundled/right-9axis.card.json",
+    "models/bundled/right-9axis.float.tflite",
+    "models/bundled/right-9axis.memory.bin",
     "models/bundled/right-9axis.tflite",
     "shared-proto/WIRE.md",
 ];
