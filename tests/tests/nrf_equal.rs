@@ -59,32 +59,25 @@ fn watch(session: &mut Session, tap: usize, seconds: u64) -> Vec<(usize, Vec<u8>
     memory
 }
 
-/// The laptop's features, of any recipe.
-enum Features {
-    PerAxis(FeatureWindow<9>),
-    Aligned(AlignedWindow<9>),
-}
+/// Takes a sample, gives no features until the window is full.
+type Features = Box<dyn FnMut(&[f32; 9]) -> Option<Vec<f32>>>;
 
-impl Features {
-    fn new(recipe: Recipe) -> Self {
-        match recipe {
-            Recipe::Raw | Recipe::LogPower => Self::PerAxis(FeatureWindow::new()),
-            Recipe::Aligned => Self::Aligned(AlignedWindow::new()),
+/// The laptop's features of a recipe.
+fn features(recipe: Recipe) -> Features {
+    match recipe {
+        Recipe::Raw | Recipe::LogPower => {
+            let mut window = FeatureWindow::<9>::new();
+            Box::new(move |sample| {
+                window.push(sample);
+                window.is_full().then(|| window.features().as_flattened().to_vec())
+            })
         }
-    }
-
-    fn push(&mut self, sample: &[f32; 9]) {
-        match self {
-            Self::PerAxis(window) => window.push(sample),
-            Self::Aligned(window) => window.push(sample),
-        };
-    }
-
-    /// None until the window is full.
-    fn get(&self) -> Option<&[f32]> {
-        match self {
-            Self::PerAxis(window) => window.is_full().then(|| window.features().as_flattened()),
-            Self::Aligned(window) => window.is_full().then(|| window.features()),
+        Recipe::Aligned => {
+            let mut window = AlignedWindow::<9>::new();
+            Box::new(move |sample| {
+                window.push(sample);
+                window.is_full().then(|| window.features().to_vec())
+            })
         }
     }
 }
@@ -131,15 +124,15 @@ fn compare(blob: &[u8], session: &Session, window: &Window) -> usize {
 /// The laptop's features must stand in the board's memory, all bits equal.
 fn compare_features(recipe: Recipe, window: &Window) {
     let scale = Config::default().scale();
-    let mut features = Features::new(recipe);
+    let mut features = features(recipe);
     let mut memory = window.memory.iter();
     let mut due = memory.next();
     let mut compared = 0;
     for (n, counts) in window.counts.iter().enumerate() {
-        features.push(&std::array::from_fn(|axis| f32::from(counts[axis]) * scale[axis / 3]));
+        let now = features(&std::array::from_fn(|axis| f32::from(counts[axis]) * scale[axis / 3]));
         let Some((_, bytes)) = due.filter(|(count, _)| *count == n + 1) else { continue };
         due = memory.next();
-        let Some(wanted) = features.get() else { continue };
+        let Some(wanted) = now else { continue };
         let wanted: Vec<u8> = wanted.iter().flat_map(|f| f.to_le_bytes()).collect();
         let found = (0..=bytes.len() - wanted.len()).step_by(4).any(|at| bytes[at..].starts_with(&wanted));
         assert!(found, "features after {} samples differ", n + 1);
