@@ -3,6 +3,7 @@
 
 use std::path::PathBuf;
 
+use models::events::{self, Stream};
 use models::synth::{IdleKind, Motion, Segment, Wearer, session};
 use shared_dsp::decision::DecisionConfig;
 use shared_dsp::mlp::Model;
@@ -113,4 +114,14 @@ fn unseen_wearers_get_one_right_event_for_almost_every_gesture() {
 #[test]
 fn wearers_whom_nobody_told_how_to_move_get_one_for_most() {
     at_least(90, (1..=60).map(|index| (Wearer::evaluation(9, index).untaught(), u64::from(index))));
+}
+
+#[test]
+fn two_hours_of_movement_without_a_gesture_make_few_events() {
+    let blob = bundled();
+    let model = Model::parse(&blob).unwrap();
+    let count = |index| events::play(model, &Stream::aimless(5, index, 600.0)).unwrap().len();
+    let events: usize = (1..=12).map(count).sum();
+    println!("{events} events in two hours without a gesture");
+    assert!(events <= 12, "{events}");
 }
