@@ -91,7 +91,7 @@ impl ModelFile {
         Ok(ModelFile { blob, card })
     }
 
-    /// The bundled model: 9 axes, the paper's labels, trained on simulated wearers only.
+    /// The bundled model: 9 axes, the paper's labels and `other`, trained on simulated wearers only.
     ///
     /// # Errors
     /// [`ModelFileError`] if the files that were compiled in do not belong together.

@@ -127,8 +127,7 @@ impl Recipe {
 }
 
 impl Recipe {
-    /// Features per axis, trained until it converges. It knows directions against the board, as the paper's does; the
-    /// bundled model is made with it.
+    /// Features per axis, trained until it converges. It knows directions against the board, as the paper's does.
     pub fn log_power() -> Self {
         Self {
             name: "log-power",
