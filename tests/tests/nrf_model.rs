@@ -8,7 +8,7 @@ use tests::nrf::lsm9ds1::Still;
 use tests::nrf::session::Session;
 use tests::nrf::transfer::{announce, begin, model_id, pieces, random_model, restart};
 
-/// Another model of the bundled one's shape.
+/// A model of the paper's shape.
 fn other_model(seed: u32) -> Vec<u8> {
     random_model(Recipe::Raw, &[20, 10, 5], seed)
 }
