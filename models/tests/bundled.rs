@@ -2,7 +2,6 @@
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
-use std::process::Command;
 
 use models::dataset::{Dataset, Item};
 use models::events::{Stream, Tally, play};
@@ -12,14 +11,23 @@ use models::{blob, bundled, labels};
 use shared_dsp::decision::is_rest;
 use shared_dsp::mlp::{Model, crc32};
 
+#[path = "common/shared.rs"]
+mod shared;
+#[path = "common/tool.rs"]
+mod tool;
+
+use shared::shared;
+use tool::good;
+
+const BUNDLED: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/bundled/right-9axis.tflite");
+
 #[test]
 fn the_blob_follows_from_file_and_card_and_its_id_is_the_cards() {
     let files = bundled::files().unwrap();
     let made = bundled::blob().unwrap();
     assert_eq!(made, files.blob().unwrap());
     assert_eq!(format!("{:08x}", crc32(&made)), files.card.model_id);
-    let on_disk = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("bundled/right-9axis.tflite");
-    assert_eq!(blob::read(&on_disk).unwrap().0, made);
+    assert_eq!(blob::read(Path::new(BUNDLED)).unwrap().0, made);
     let model = Model::parse(&made).unwrap();
     // `other` is what a hand does that makes none of the gestures: like `idle` it never makes an event.
     let labels: Vec<_> = model.info().labels().collect();
@@ -92,13 +100,7 @@ fn wearers_that_it_never_met_are_understood() {
 /// Real recordings of the very board and sensor, by people whom the model has never met.
 #[test]
 fn real_circles_are_circles_and_three_that_are_shown_make_it_sure() {
-    let here = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let shared = std::env::var_os("BIMANUAL_SHARED").map_or_else(|| here.join("../../shared"), PathBuf::from);
-    let folder = shared.join("data/nano33-lsm9ds1-9axis");
-    if !folder.is_dir() {
-        println!("skipped: {} is not here (BIMANUAL_SHARED names the folder)", folder.display());
-        return;
-    }
+    let Some(folder) = shared("data/nano33-lsm9ds1-9axis") else { return };
     let files = bundled::files().unwrap();
     let card = &files.card;
     let made = files.blob().unwrap();
@@ -118,7 +120,7 @@ fn real_circles_are_circles_and_three_that_are_shown_make_it_sure() {
     for item in &shown {
         std::fs::copy(&item.file, out.path().join("few").join(&item.name)).unwrap();
     }
-    run_models(&["adapt", BUNDLED, &path("few"), "--person", "s1", "--out", &path("mine"), "--name", "mine"]);
+    good(&["adapt", BUNDLED, &path("few"), "--person", "s1", "--out", &path("mine"), "--name", "mine"]);
     let (adapted, _) = blob::read(&out.path().join("mine/mine.tflite")).unwrap();
 
     let people: BTreeSet<&String> = real.items.iter().map(|item| &item.person).collect();
@@ -147,22 +149,13 @@ fn real_circles_are_circles_and_three_that_are_shown_make_it_sure() {
     }
 }
 
-const BUNDLED: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/bundled/right-9axis.tflite");
-
-/// Runs the tool; what it printed.
-fn run_models(args: &[&str]) -> String {
-    let output = Command::new(env!("CARGO_BIN_EXE_models")).args(args).output().unwrap();
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    String::from_utf8(output.stdout).unwrap()
-}
-
 #[test]
 fn it_learns_one_more_person_and_forgets_nobody() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name).to_string_lossy().into_owned();
     let new = ["--group", "evaluation", "--wearers", "1", "--untaught", "1", "--seconds", "4"];
-    run_models(&[&["synth", "--out", &path("new")][..], &new].concat());
-    let text = run_models(&["adapt", BUNDLED, &path("new"), "--person", "e0001", "--out", &path("mine")]);
+    good(&[&["synth", "--out", &path("new")][..], &new].concat());
+    let text = good(&["adapt", BUNDLED, &path("new"), "--person", "e0001", "--out", &path("mine")]);
     println!("{text}");
     // "...: 93.21 % right before, 96.44 % now"
     for what in ["rehearsed windows of the people it knew", "the shown recordings themselves"] {

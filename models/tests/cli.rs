@@ -2,18 +2,11 @@
 
 use std::collections::BTreeMap;
 use std::path::Path;
-use std::process::{Command, Output};
 
-fn models(args: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_models")).args(args).output().expect("the tool starts")
-}
+#[path = "common/tool.rs"]
+mod tool;
 
-fn good(args: &[&str]) -> String {
-    let output = models(args);
-    let errors = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{args:?}: {errors}");
-    String::from_utf8(output.stdout).unwrap()
-}
+use tool::{good, models};
 
 fn bad(args: &[&str]) -> String {
     let output = models(args);

@@ -5,9 +5,7 @@ use std::path::PathBuf;
 
 use models::events::{self, Stream};
 use models::synth::{IdleKind, Motion, Segment, Wearer, session};
-use shared_dsp::decision::DecisionConfig;
 use shared_dsp::mlp::Model;
-use shared_dsp::right::RightHand;
 
 #[derive(Debug, Default)]
 struct Tally {
@@ -22,7 +20,7 @@ struct Tally {
 const REST_S: f64 = 1.0;
 
 /// The six gestures, 5 s each, with 5 s of various idle movement and two rests between.
-fn play(model: Model<'_>, wearer: &Wearer, take: u64, config: DecisionConfig, tally: &mut Tally) {
+fn play(model: Model<'_>, wearer: &Wearer, take: u64, tally: &mut Tally) {
     let mut script = vec![Segment::new(Motion::IDLE, 5.0)];
     for (n, gesture) in Motion::GESTURES.into_iter().enumerate() {
         let idle = if n % 2 == 0 { IdleKind::Still } else { IdleKind::ALL[(n + take as usize) % 5] };
@@ -32,16 +30,10 @@ fn play(model: Model<'_>, wearer: &Wearer, take: u64, config: DecisionConfig, ta
         script.push(Segment::new(Motion::IDLE, REST_S));
     }
     let recording = session(wearer, take, &script);
-    let mut hand = RightHand::<9>::new(model, config).expect("9 axes");
-    let mut events = Vec::new();
-    for (n, sample) in recording.samples().enumerate() {
-        let sample = sample.first_chunk().expect("9 axes");
-        if let Some(output) = hand.push(sample, n as u32 * 10)
-            && output.is_event
-        {
-            events.push((n as f64 / 100.0, usize::from(output.label)));
-        }
-    }
+    let values = recording.samples().flatten().copied().collect();
+    let stream = Stream { axes: recording.axes(), values, parts: Vec::new() };
+    let events = events::play(model, &stream).expect("9 axes");
+    let events: Vec<_> = events.into_iter().map(|(n, label)| (n as f64 / 100.0, label)).collect();
     let labels: Vec<&str> = model.info().labels().collect();
     let mut during = 0;
     for (n, gesture) in Motion::GESTURES.into_iter().enumerate() {
@@ -80,7 +72,7 @@ fn bundled() -> Vec<u8> {
 fn demo_wearer_2_gets_one_right_event_for_every_gesture() {
     let blob = bundled();
     let mut tally = Tally::default();
-    play(Model::parse(&blob).unwrap(), &Wearer::demo(2), 0, DecisionConfig::default(), &mut tally);
+    play(Model::parse(&blob).unwrap(), &Wearer::demo(2), 0, &mut tally);
     assert_eq!((tally.right_once, tally.wrong, tally.outside), (6, 0, 0));
 }
 
@@ -90,7 +82,7 @@ fn at_least(per_cent: usize, wearers: impl Iterator<Item = (Wearer, u64)>) {
     let model = Model::parse(&blob).unwrap();
     let mut tally = Tally::default();
     for (wearer, take) in wearers {
-        play(model, &wearer, take, DecisionConfig::default(), &mut tally);
+        play(model, &wearer, take, &mut tally);
     }
     let Tally { performed, right_once, outside, delays_s, .. } = &mut tally;
     delays_s.sort_by(f64::total_cmp);

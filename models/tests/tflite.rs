@@ -7,16 +7,11 @@ use proptest::prelude::*;
 use shared_dsp::mlp::{BlobSpec, DenseSpec, Model, build_blob};
 use shared_dsp::recipe::Recipe;
 
-/// The folder `shared` beside the repository, if it is there.
+#[path = "common/shared.rs"]
+mod shared;
+
 fn reference(name: &str) -> Option<PathBuf> {
-    let beside = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../shared");
-    let shared = std::env::var_os("BIMANUAL_SHARED").map_or(beside, PathBuf::from);
-    let file = shared.join("reference/mlp").join(name);
-    if !file.exists() {
-        println!("skipped: {} is not there", file.display());
-        return None;
-    }
-    Some(file)
+    shared::shared(&format!("reference/mlp/{name}"))
 }
 
 fn rows<T: std::str::FromStr>(file: PathBuf) -> Vec<Vec<T>> {

@@ -94,6 +94,9 @@ fn say(cost: &Cost) {
     println!("stack of the network      {:>7} B", cost.stack);
 }
 
+/// Words in the names of the network's code.
+const NETWORK: [&str; 3] = ["10shared_dsp3mlp", "10shared_dsp7softmax", "bimanual_layer"];
+
 /// Bytes of flash of the symbols whose names hold one of these words.
 fn flash_of(image: &Image, words: &[&str]) -> u32 {
     let is_ours = |name: &str| words.iter().any(|word| name.contains(word));
@@ -131,8 +134,7 @@ fn a_network_of_the_papers_shape_is_within_the_aims_of_its_peers() {
     println!("received model: recipe log-power, 117 features of nine axes, 117-20-10-5-7");
     say(&cost);
     check_time_awake(&cost, session.board_load());
-    let code =
-        flash_of(session.board.image(), &["10shared_dsp3mlp", "10shared_dsp7softmax", "bimanual_layer"]);
+    let code = flash_of(session.board.image(), &NETWORK);
     let scaling = 8 * 117;
     let flash = code + blob.len() as u32;
     // ../shared/reference/peers.md: the network with softmax, from int8 inputs; the best of each column and the paper.
@@ -163,7 +165,7 @@ fn the_bundled_network_stays_within_the_papers_memory_and_40_000_instructions_pe
     say(&cost);
     check_time_awake(&cost, session.board_load());
     let image = session.board.image();
-    let code = flash_of(image, &["10shared_dsp3mlp", "10shared_dsp7softmax", "bimanual_layer"]);
+    let code = flash_of(image, &NETWORK);
     let (flash, window) = (code + flash_of(image, &["5model7BUNDLED"]), size_of::<AlignedWindow<9>>());
     let features = flash_of(image, &["10shared_dsp7aligned"]);
     println!("{:<40}{:>14}{:>10}{:>8}", "inference", "instructions", "flash B", "RAM B");

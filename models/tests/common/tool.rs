@@ -1,0 +1,16 @@
+//! The tool `models`, run as a user runs it.
+
+use std::process::{Command, Output};
+
+/// How it ended.
+pub fn models(args: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_models")).args(args).output().expect("the tool starts")
+}
+
+/// What it prints where it must succeed.
+pub fn good(args: &[&str]) -> String {
+    let output = models(args);
+    let errors = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{args:?}: {errors}");
+    String::from_utf8(output.stdout).unwrap()
+}
