@@ -186,9 +186,17 @@ impl Recording {
 
     /// Reads a CSV file.
     pub fn read(file: &Path) -> Result<Self, RecordingError> {
+        Self::read_as(file, &Reading::default())
+    }
+
+    /// Reads a CSV file as [`Reading`] says.
+    ///
+    /// # Errors
+    /// As [`Self::parse_as`].
+    pub fn read_as(file: &Path, reading: &Reading) -> Result<Self, RecordingError> {
         let bytes =
             std::fs::read(file).map_err(|source| RecordingError::Io { file: file.to_owned(), source })?;
-        Self::parse(file, &bytes)
+        Self::parse_as(file, &bytes, reading)
     }
 
     /// Reads the bytes of a CSV file; `file` is only for the errors. Units that the file does not declare are ours, or

@@ -159,7 +159,9 @@ fn files_of_ten_programs_become_the_same_recording() {
     let g = |v: &[f64; 9]| [v[0] / G, v[1] / G, v[2] / G];
     let n = 300;
     let six = |v: [f64; 9], separator: &str| list(&[g(&v), [v[3], v[4], v[5]]].concat(), separator);
-    let cases: [(&str, usize, &[&str], Vec<(&str, String)>); 13] = [
+    // Program, axes, options, files.
+    type Case<'a> = (&'a str, usize, &'a [&'a str], Vec<(&'a str, String)>);
+    let cases: [Case; 13] = [
         // Arduino's gesture tutorial.
         (
             "arduino",

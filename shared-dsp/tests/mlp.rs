@@ -179,7 +179,11 @@ fn dense(rng: &mut impl FnMut() -> u64, inputs: usize, outputs: usize, relu: boo
         output_scale: 0.001 * 10f32.powi((rng() % 4) as i32),
         output_zero_point,
         relu,
-        largest: if rng() % 3 == 0 { output_zero_point.saturating_add((rng() % 100) as i8) } else { i8::MAX },
+        largest: if rng().is_multiple_of(3) {
+            output_zero_point.saturating_add((rng() % 100) as i8)
+        } else {
+            i8::MAX
+        },
     }
 }
 

@@ -651,7 +651,7 @@ fn other_factor(
     let is_other = judge(source.factor.unwrap_or(1.0));
     let other = super::names::factor(sensor, theirs).unwrap_or(1.0);
     match (source.factor, is_other) {
-        (Some(factor), Some(true)) if factor == 1.0 => Err(format!(
+        (Some(1.0), Some(true)) => Err(format!(
             "the file says that {sensor} is in {ours}, but its samples look like {theirs}; say which with --units {theirs} or \
              --units {ours}"
         )),

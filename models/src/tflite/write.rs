@@ -128,9 +128,11 @@ struct Constants {
     weights: Vec<u8>,
     biases: Vec<u8>,
     activation: i8,
-    /// Scales of weights and biases, then scale and zero point of the outputs.
-    quantisation: Option<(Vec<f32>, Vec<f32>, (f32, i64))>,
+    quantisation: Option<Scales>,
 }
+
+/// Scales of weights and biases, then scale and zero point of the outputs.
+type Scales = (Vec<f32>, Vec<f32>, (f32, i64));
 
 /// The bytes of a TFLite file with this network: one input `[1, inputs]`, one output `[1, labels]`.
 pub fn write(network: &Network) -> Vec<u8> {
