@@ -12,6 +12,8 @@ pub mod config;
 pub mod control;
 pub mod demo;
 #[cfg(feature = "mcap")]
+pub mod export;
+#[cfg(feature = "mcap")]
 pub mod journal;
 pub mod robots;
 pub mod script;
