@@ -34,6 +34,11 @@ pub fn text(event: &SessionEvent) -> String {
         EventKind::Halt { reason } => match reason {
             HaltReason::OperatorStop => "HALT: stop by the operator; caps back to 0.50".to_owned(),
             HaltReason::Silence(hand) => format!("HALT: nothing valid from the {hand} hand for 250 ms"),
+            HaltReason::Unanswered(hand) => {
+                format!(
+                    "HALT: the {hand} hand has not answered for 500 ms: how old its states are, nobody knows"
+                )
+            }
             HaltReason::Unhealthy(hand) => format!("HALT: the {hand} hand is in doubt"),
             HaltReason::Restart(hand) => format!("HALT: the {hand} hand has started anew"),
         },

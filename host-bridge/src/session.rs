@@ -149,7 +149,8 @@ impl<'b> Session<'b> {
             }
             self.bridge.receive(line.hand, &bytes, now_ms, &mut self.robot);
 
-            if let Some(message) = self.bridge.poll(line.hand, now_ms) {
+            let wanted = [self.bridge.poll(line.hand, now_ms), self.bridge.ping(line.hand, now_ms)];
+            for message in wanted.into_iter().flatten() {
                 let mut buffer = [0; HOST_FRAME_MAX];
                 if let Ok(frame) = encode_host(&message, &mut buffer) {
                     self.tap.show(|observer| observer.sent(now_ms, line.hand, frame));

@@ -87,6 +87,12 @@ impl Bridge {
     /// Lets time pass; must be called every few milliseconds, whether or not bytes came.
     pub fn step(&mut self, now_ms: u64, robot: &mut dyn Robot) {
         self.apply(safety::Event::Tick, now_ms, robot);
+        for hand in [Hand::Left, Hand::Right] {
+            // Before the first state there is the 250 ms of the dead-man for the first answer.
+            if self.safety.live(hand) && self.link(hand).stopped_answering(now_ms) {
+                self.apply(safety::Event::Unanswered(hand), now_ms, robot);
+            }
+        }
         if let Some(report) = robot.take_arm_report() {
             let (motion, reached) = (report.motion, report.reached);
             self.note(now_ms, EventKind::MotionEnded { motion, reached });
@@ -216,6 +222,7 @@ impl Bridge {
                 let before = command(self.safety.heading());
                 let event = safety::Event::Left {
                     age_ms,
+                    prompt: self.left.is_prompt(self.safety.times().prompt_ms(), now_ms),
                     healthy: is_healthy(state.health),
                     heading: state.heading,
                     index_bends,
@@ -264,6 +271,7 @@ impl Bridge {
         self.right_health = report.health;
         let event = safety::Event::Right {
             age_ms: report.age_ms,
+            prompt: self.right.is_prompt(self.safety.times().prompt_ms(), now_ms),
             healthy: is_healthy(report.health),
             resting,
             gesture,

@@ -10,7 +10,6 @@ use host_bridge::links::SerialSettings;
 use host_bridge::survey::Survey;
 use host_bridge::talk::{ModelNeeds, Said, Talk, Who};
 use shared_dsp::mlp::crc32;
-use shared_proto::clock::{CRYSTAL_DRIFT_PPM, RESONATOR_DRIFT_PPM};
 use shared_proto::message::{
     Board, Fault, HostMessage, Mode, PROTOCOL_MAJOR, PROTOCOL_MINOR, Status, health,
 };
@@ -225,6 +224,11 @@ fn lines(heard: &Heard) -> Vec<String> {
     }
     lines
 }
+
+/// More drift than this of a board with a crystal, in parts per million, is worth a word.
+const CRYSTAL_DRIFT_PPM: u32 = 500;
+/// The same for an Arduino Nano, whose 16 MHz come from a ceramic resonator (0.5 % and ageing).
+const RESONATOR_DRIFT_PPM: u32 = 10_000;
 
 fn advice(heard: &Heard) -> Vec<String> {
     let left = is_left(heard.who.board);

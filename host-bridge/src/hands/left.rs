@@ -26,6 +26,7 @@ pub struct LeftBoard {
     sequence: u16,
     last_sent_ms: Option<u64>,
     said_hello: bool,
+    now_ms: u64,
     /// Calibration steps still to be taken, the next one last.
     captures: Vec<CalibrationStep>,
     /// Samples before this one were taken before the last step.
@@ -44,6 +45,7 @@ impl LeftBoard {
             sequence: 0,
             last_sent_ms: None,
             said_hello: false,
+            now_ms: 0,
             captures: Vec::new(),
             before: 0,
         }
@@ -101,6 +103,7 @@ impl LeftBoard {
 
 impl Board for LeftBoard {
     fn step(&mut self, now_ms: u64, wire: &mut Vec<u8>) {
+        self.now_ms = now_ms;
         if !self.said_hello && !self.ended() {
             self.said_hello = true;
             self.hello(wire);
@@ -121,7 +124,8 @@ impl Board for LeftBoard {
     }
 
     fn receive(&mut self, bytes: &[u8], wire: &mut Vec<u8>) {
-        if self.port.is_asked_for_hello(bytes) && !self.ended() {
+        // A board whose recording is over is silent.
+        if !self.ended() && self.port.is_asked_for_hello(bytes, self.now_ms as u32, wire) {
             self.hello(wire);
         }
     }

@@ -7,7 +7,7 @@ pub use left::{LeftBoard, heading_on_the_wire};
 pub use right::{ModelFile, ModelFileError, RightBoard, join, model_info_on_the_wire};
 
 use shared_proto::frame::{BOARD_FRAME_MAX, DELIMITER, Decoder, HOST_FRAME_MAX, encode_board};
-use shared_proto::message::{BoardMessage, HostMessage};
+use shared_proto::message::{BoardMessage, HostMessage, Pong};
 
 use crate::observe::Sample;
 
@@ -49,11 +49,17 @@ impl Port {
         }
     }
 
-    /// Takes the laptop's bytes; true when it asks who is there.
-    fn is_asked_for_hello(&mut self, bytes: &[u8]) -> bool {
+    /// Takes the laptop's bytes and answers its pings with the board's time; true when it asks who is there.
+    fn is_asked_for_hello(&mut self, bytes: &[u8], board_time_ms: u32, wire: &mut Vec<u8>) -> bool {
         let mut asked = false;
         for &byte in bytes {
-            asked |= self.decoder.push_host(byte) == Some(HostMessage::HelloRequest);
+            match self.decoder.push_host(byte) {
+                Some(HostMessage::HelloRequest) => asked = true,
+                Some(HostMessage::Ping { id }) => {
+                    self.send(&BoardMessage::Pong(Pong { id, board_time_ms }), wire);
+                }
+                _ => {}
+            }
         }
         asked
     }

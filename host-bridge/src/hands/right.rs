@@ -204,6 +204,7 @@ pub struct RightBoard<'m> {
     boot_id: u32,
     sequence: u16,
     said_hello: bool,
+    now_ms: u64,
     /// Samples before this one were taken before the last step.
     before: usize,
 }
@@ -233,6 +234,7 @@ impl<'m> RightBoard<'m> {
             boot_id,
             sequence: 0,
             said_hello: false,
+            now_ms: 0,
             before: 0,
         })
     }
@@ -272,6 +274,7 @@ impl<'m> RightBoard<'m> {
 
 impl Board for RightBoard<'_> {
     fn step(&mut self, now_ms: u64, wire: &mut Vec<u8>) {
+        self.now_ms = now_ms;
         if !self.said_hello && !self.ended() {
             self.said_hello = true;
             self.hello(wire);
@@ -289,7 +292,8 @@ impl Board for RightBoard<'_> {
     }
 
     fn receive(&mut self, bytes: &[u8], wire: &mut Vec<u8>) {
-        if self.port.is_asked_for_hello(bytes) && !self.ended() {
+        // A board whose recording is over is silent.
+        if !self.ended() && self.port.is_asked_for_hello(bytes, self.now_ms as u32, wire) {
             self.hello(wire);
         }
     }
