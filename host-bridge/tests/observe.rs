@@ -17,6 +17,8 @@ use host_bridge::sim::{SimConfig, Simulator};
 enum Seen {
     Bytes(u64, Hand, Vec<u8>),
     Stop(u64),
+    /// A frame went out, and its time: how old states are depends on when pings were sent.
+    Sent(u64, Hand),
     Step(u64),
 }
 
@@ -35,8 +37,9 @@ impl Observer for Recorder {
     fn received(&mut self, time_ms: u64, hand: Hand, bytes: &[u8]) {
         self.0.borrow_mut().seen.push(Seen::Bytes(time_ms, hand, bytes.to_vec()));
     }
-    fn sent(&mut self, _time_ms: u64, _hand: Hand, _frame: &[u8]) {
+    fn sent(&mut self, time_ms: u64, hand: Hand, _frame: &[u8]) {
         self.0.borrow_mut().sent += 1;
+        self.0.borrow_mut().seen.push(Seen::Sent(time_ms, hand));
     }
     fn sampled(&mut self, _time_ms: u64, sample: &Sample<'_>) {
         self.0.borrow_mut().samples[usize::from(matches!(sample, Sample::Right { .. }))] += 1;
@@ -80,6 +83,10 @@ fn a_bridge_fed_with_what_an_observer_saw_does_the_same() {
     for seen in &record.seen {
         match seen {
             Seen::Bytes(time_ms, hand, bytes) => bridge.receive(*hand, bytes, *time_ms, &mut robot),
+            // Either was due then, and the bridge knows which.
+            Seen::Sent(time_ms, hand) => {
+                let _ = bridge.poll(*hand, *time_ms).or_else(|| bridge.ping(*hand, *time_ms));
+            }
             Seen::Stop(time_ms) => bridge.stop_key(*time_ms, &mut robot),
             Seen::Step(after_ms) => {
                 bridge.step(after_ms - 1, &mut robot);
