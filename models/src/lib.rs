@@ -21,6 +21,7 @@ pub mod people;
 pub mod recording;
 #[cfg(feature = "train")]
 pub mod report;
+pub mod say;
 pub mod score;
 #[cfg(feature = "train")]
 pub mod study;

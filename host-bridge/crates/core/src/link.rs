@@ -341,7 +341,7 @@ impl HandLink {
         }
         let identity = Identity {
             board: hello.board.to_string(),
-            firmware: hello.firmware.to_owned(),
+            firmware: printable(hello.firmware),
             boot_id: hello.boot_id,
             model_id: hello.model_id,
             sample_hz: hello.sample_hz,
@@ -368,7 +368,7 @@ impl HandLink {
         let model = ModelSummary {
             model_id: info.model_id,
             axes: info.axes,
-            labels: info.labels.split(',').map(str::to_owned).collect(),
+            labels: info.labels.split(',').map(printable).collect(),
         };
         if self.model.as_ref() == Some(&model) {
             return None;
@@ -452,6 +452,16 @@ impl HandLink {
 /// The most that a time on a board's clock can be on the laptop's.
 fn with_drift(board_ms: u64) -> u64 {
     board_ms + board_ms * u64::from(DRIFT_PPM) / 1_000_000
+}
+
+/// A board's text without what a terminal would obey: control characters, and those that turn the direction
+/// of writing.
+pub fn printable(text: &str) -> String {
+    let obeyed = |c: char| {
+        c.is_control()
+            || matches!(c, '\u{200e}'..='\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
+    };
+    text.chars().map(|c| if obeyed(c) { char::REPLACEMENT_CHARACTER } else { c }).collect()
 }
 
 /// Which hand a board is for, if it is known.

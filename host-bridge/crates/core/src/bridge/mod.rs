@@ -8,6 +8,7 @@ use shared_proto::message::{Ack, Heading, HostMessage, LeftState};
 
 use host_robot::{Busy, Door, MotionName, NotStarted, Report, Twist};
 
+use crate::doubt;
 use crate::intent::{Caps, MotionMap, SpeedRules, is_rest};
 use crate::link::{HandLink, Heard, NewGesture, RightReport, is_healthy};
 use crate::safety::{self, Action, Hand, Ignored, Safety, SafetyTimes, State};
@@ -32,6 +33,8 @@ pub struct Bridge {
     events: Vec<BridgeEvent>,
     heard: Vec<Heard>,
     last_acks: [Option<Ack>; 2],
+    /// Flags that were told.
+    told_health: [u8; 2],
 }
 
 impl Bridge {
@@ -57,6 +60,7 @@ impl Bridge {
             events: Vec::new(),
             heard: Vec::new(),
             last_acks: [None; 2],
+            told_health: [0; 2],
         }
     }
 
@@ -224,6 +228,7 @@ impl Bridge {
                 self.note(now_ms, EventKind::Model { model, without_motion });
             }
             Heard::Left { age_ms, state, index_bends, middle_bends } => {
+                self.tell_health(hand, state.health, now_ms);
                 let before = command(self.safety.heading());
                 let event = safety::Event::Left {
                     age_ms,
@@ -258,7 +263,15 @@ impl Bridge {
         }
     }
 
+    /// A hand in doubt says why, before it halts anything.
+    fn tell_health(&mut self, hand: Hand, flags: u8, now_ms: u64) {
+        if std::mem::replace(&mut self.told_health[hand as usize], flags) != flags {
+            self.note(now_ms, EventKind::HandHealth { hand, flags, reasons: doubt::reasons(flags) });
+        }
+    }
+
     fn right(&mut self, report: RightReport, now_ms: u64, robot: &mut dyn Door) {
+        self.tell_health(Hand::Right, report.health, now_ms);
         let labels = self.right.model().map_or(&[][..], |model| &model.labels);
         let resting = rests(labels, &report.scores);
         let label = |new: NewGesture| labels.get(usize::from(new.label)).cloned();
@@ -331,6 +344,7 @@ impl Bridge {
                 Action::Ignored(what) => {
                     match what {
                         Ignored::LateState(_) => self.drops.late_states += 1,
+                        Ignored::ImpossibleBends => self.drops.bends_impossible += 1,
                         Ignored::BendsWhileNotArmed => self.drops.bends_while_not_armed += 1,
                         Ignored::LateGesture => outcome = Some(GestureOutcome::Late),
                         Ignored::GestureWhileNotArmed => outcome = Some(GestureOutcome::NotArmed),

@@ -108,6 +108,8 @@ pub enum Ignored {
     LateGesture,
     /// A gesture while not armed.
     GestureWhileNotArmed,
+    /// More bends in one state than fingers can make meanwhile.
+    ImpossibleBends,
     /// Bends while not armed.
     BendsWhileNotArmed,
     /// The release key while a right hand is connected, or before 1 s of neutral.

@@ -31,6 +31,10 @@ pub const STALE_MS: u64 = 250;
 /// silence, proves nothing.
 pub const ARM_NEUTRAL_MS: u64 = 100;
 
+/// A state that reports more bends of one finger is not believed: between two states that count there are at
+/// most [`STALE_MS`], and a finger bends and straightens five times a second at most.
+pub const BENDS_MAX: u8 = 3;
+
 /// Neutral rests on so many samples.
 pub const NEUTRAL_SAMPLES: u32 = 3;
 
@@ -282,7 +286,9 @@ impl Safety {
                     self.left.lose(self.now_ms);
                     self.leave_armed(State::Stale, HaltReason::Unhealthy(Hand::Left), &mut actions);
                 }
-                if bends && self.state == State::Armed {
+                if index_bends.max(middle_bends) > BENDS_MAX {
+                    actions.push(Action::Ignored(Ignored::ImpossibleBends));
+                } else if bends && self.state == State::Armed {
                     actions.push(Action::Bends { index: index_bends, middle: middle_bends });
                 } else if bends {
                     actions.push(Action::Ignored(Ignored::BendsWhileNotArmed));

@@ -9,16 +9,17 @@
 mod ble;
 mod clock;
 mod ports;
+mod queue;
 mod serial;
 
 #[cfg(feature = "ble")]
 pub use ble::{BleLink, ble_devices};
 pub use clock::{Clock, SystemClock};
 pub use ports::{PortAbout, hints, ports};
+pub use queue::{EventReceiver, EventSender, queue};
 pub use serial::{SerialLink, SerialSettings};
 
 use std::sync::Arc;
-use std::sync::mpsc::Sender;
 
 /// Does this name (`ble` or `ble:NAME`) mean a board behind Bluetooth?
 pub fn is_ble(port: &str) -> bool {
@@ -41,7 +42,7 @@ impl Link {
         port: &str,
         settings: SerialSettings,
         clock: Arc<dyn Clock>,
-        events: Sender<LinkEvent<I>>,
+        events: EventSender<I>,
     ) -> Self {
         #[cfg(feature = "ble")]
         if is_ble(port) {
