@@ -4,8 +4,8 @@
 use std::io::{Read as _, Write as _};
 use std::os::fd::{FromRawFd as _, IntoRawFd as _, OwnedFd};
 use std::path::{Path, PathBuf};
-use std::sync::Mutex;
 use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
@@ -38,7 +38,7 @@ const SCALE: [f32; 3] = [0.000_732 * 9.806_65, 0.07, 0.014];
 /// would ever be pulled: whoever starts one takes this first.
 pub static STARTING: Mutex<()> = Mutex::new(());
 
-fn board_and_laptop() -> (TTYPort, TTYPort) {
+pub fn board_and_laptop() -> (TTYPort, TTYPort) {
     let _alone = STARTING.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
     let (board, laptop) = TTYPort::pair().expect("a pseudo-terminal");
     // Safety: the port gives its descriptor away and is gone. The copy is not inherited by programs.
@@ -65,6 +65,7 @@ enum Order {
 /// A board on a port; its thread ends with it.
 pub struct Double {
     orders: Sender<Order>,
+    mode: Arc<Mutex<Mode>>,
     thread: Option<JoinHandle<()>>,
     /// What to give to `--left` or `--right`: a link to the pseudo-terminal.
     pub port: PathBuf,
@@ -87,9 +88,16 @@ impl Double {
         let (orders, received) = channel();
         let place = port.clone();
         let (ready, is_ready) = channel();
-        let thread = std::thread::spawn(move || Machine::new(make(), place, &ready).run(&received));
+        let mode = Arc::new(Mutex::new(Mode::Classify));
+        let told = Arc::clone(&mode);
+        let thread = std::thread::spawn(move || Machine::new(make(), place, told, &ready).run(&received));
         is_ready.recv().expect("the board starts");
-        Double { orders, thread: Some(thread), port }
+        Double { orders, mode, thread: Some(thread), port }
+    }
+
+    /// It is not recording.
+    pub fn classifies(&self) -> bool {
+        *self.mode.lock().unwrap() == Mode::Classify
     }
 
     pub fn port(&self) -> String {
@@ -154,19 +162,21 @@ struct Machine {
     port: Option<TTYPort>,
     decoder: Decoder<HOST_FRAME_MAX>,
     mode: Mode,
+    told_mode: Arc<Mutex<Mode>>,
     boot_id: u32,
     started: Instant,
     next_sample_ms: u64,
 }
 
 impl Machine {
-    fn new(hand: Box<dyn Hand>, place: PathBuf, ready: &Sender<()>) -> Self {
+    fn new(hand: Box<dyn Hand>, place: PathBuf, told_mode: Arc<Mutex<Mode>>, ready: &Sender<()>) -> Self {
         let mut machine = Machine {
             hand,
             place,
             port: None,
             decoder: Decoder::new(),
             mode: Mode::Classify,
+            told_mode,
             boot_id: 100,
             started: Instant::now(),
             next_sample_ms: 0,
@@ -240,6 +250,7 @@ impl Machine {
                     }
                     Some(HostMessage::SetMode { request, mode }) => {
                         self.mode = mode;
+                        *self.told_mode.lock().unwrap() = mode;
                         ack(request, AckResult::Ok, 0, &mut out);
                     }
                     Some(message) => self.hand.request(&message, &mut out),
