@@ -20,9 +20,8 @@ use moving::{Virtual as _, bare};
 #[derive(Clone, Debug, PartialEq)]
 enum Seen {
     Bytes(u64, Hand, Vec<u8>),
-    Stop(u64),
-    /// A frame went out, and its time: how old states are depends on when pings were sent.
     Sent(u64, Hand),
+    Stop(u64),
     Moved(u64),
     Decided(u64),
 }
@@ -43,9 +42,8 @@ impl Observer for Recorder {
         self.0.lock().unwrap().seen.push(Seen::Bytes(time_ms, hand, bytes.to_vec()));
     }
     fn sent(&mut self, time_ms: u64, hand: Hand, _frame: &[u8]) {
-        let mut record = self.0.lock().unwrap();
-        record.sent += 1;
-        record.seen.push(Seen::Sent(time_ms, hand));
+        self.0.lock().unwrap().seen.push(Seen::Sent(time_ms, hand));
+        self.0.lock().unwrap().sent += 1;
     }
     fn sampled(&mut self, _time_ms: u64, sample: &Sample<'_>) {
         self.0.lock().unwrap().samples[usize::from(matches!(sample, Sample::Right { .. }))] += 1;

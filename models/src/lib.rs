@@ -14,6 +14,7 @@ pub mod card;
 pub mod dataset;
 #[cfg(feature = "train")]
 pub mod edge_impulse;
+pub mod errors;
 pub mod events;
 pub mod labels;
 #[cfg(feature = "train")]
@@ -23,6 +24,7 @@ pub mod recording;
 pub mod report;
 pub mod say;
 pub mod score;
+pub mod sheet;
 #[cfg(feature = "train")]
 pub mod study;
 pub mod synth;
