@@ -71,6 +71,12 @@ pub struct Swing {
     swings: u8,
 }
 
+impl Default for Swing {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
 impl Swing {
     /// A hand that has not moved.
     pub const fn new() -> Self {
