@@ -57,7 +57,7 @@ impl Rig {
             self.period();
             let mut counts = AdcCounts::from_ten_bit(conversions);
             // The last bit of a real converter is never still.
-            counts.z += u16::from(self.now_ms / PERIOD_MS % 2 == 0);
+            counts.z += u16::from((self.now_ms / PERIOD_MS).is_multiple_of(2));
             self.board.sample(counts, self.now_ms, &mut self.line);
         }
     }
