@@ -152,6 +152,13 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         print!("{}", config.to_toml());
         return Ok(ExitCode::SUCCESS);
     }
+    // The robot's own arm is not planned for yet: it would drive straight through what the scene describes.
+    ensure!(
+        !args.ros2 || args.publish_sim || args.scene.is_none(),
+        "--scene with --ros2 is refused: only the simulator is planned around the scene's boxes; the robot would \
+         get the built-in poses and straight motions through home. Leave --scene out to drive the robot without \
+         collision checks, or leave --ros2 out to try the scene in the simulator"
+    );
     if let Some(seconds) = args.seconds {
         ensure!(seconds > 0.0 && seconds <= 1e6, "--seconds takes more than 0");
     }
