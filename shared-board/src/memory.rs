@@ -4,10 +4,24 @@ use crate::calibration_store::{CalibrationStore, Eeprom, Progress};
 use crate::models::MappedFlash;
 use crate::slots::STORE_BYTES;
 use core::cell::Cell;
+use core::pin::pin;
+use core::task::{Context, Poll, Waker};
 use embedded_storage_async::nor_flash::{ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash};
 use shared_dsp::left_calibration::Calibration;
 use std::vec;
 use std::vec::Vec;
+
+/// The outcome of a future that never waits, such as what a [`ModelStore`](crate::models::ModelStore) does with a
+/// [`RamFlash`].
+///
+/// # Panics
+/// If it waits.
+pub fn at_once<F: Future>(future: F) -> F::Output {
+    match pin!(future).poll(&mut Context::from_waker(Waker::noop())) {
+        Poll::Ready(outcome) => outcome,
+        Poll::Pending => panic!("nothing waits for memory"),
+    }
+}
 
 /// An EEPROM in RAM.
 #[derive(Clone, Debug)]

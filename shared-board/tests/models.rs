@@ -3,10 +3,9 @@
 mod common;
 
 use common::Line;
-use embassy_futures::block_on;
 use proptest::prelude::*;
 use shared_board::hand::model_info_on_the_wire;
-use shared_board::memory::RamFlash;
+use shared_board::memory::{RamFlash, at_once};
 use shared_board::models::{Found, MappedFlash, ModelRequest, ModelStore, Runs};
 use shared_board::slots::{BLOB_MAX, Slot};
 use shared_dsp::mlp::{BlobSpec, DenseSpec, Model, build_blob, crc32};
@@ -57,7 +56,7 @@ fn begin(blob: &[u8]) -> ModelBegin<'_> {
 /// Asks and returns the last answer: its result and the offset that is wanted next.
 fn ask(store: &mut ModelStore<RamFlash>, request: &ModelRequest<'_>) -> (AckResult, u32) {
     let mut line = Line::default();
-    block_on(store.answer(request, async || (), &mut line));
+    at_once(store.answer(request, async || (), &mut line));
     let last = *line.all_acks().last().expect("an answer");
     (last.result, last.next_offset)
 }
@@ -124,7 +123,7 @@ fn every_answer_names_the_offset_that_is_wanted_next() {
     let blob = blob(1);
     let mut line = Line::default();
     let mut store = open(RamFlash::blank()).0;
-    block_on(store.answer(&ModelRequest::Begin(begin(&blob)), async || (), &mut line));
+    at_once(store.answer(&ModelRequest::Begin(begin(&blob)), async || (), &mut line));
     assert_eq!(line.acks(), [(1, AckResult::Started), (1, AckResult::Ok)]);
     let chunk =
         |offset: u32| ModelRequest::Chunk { request: 2, offset, data: &blob[offset as usize..][..64] };
@@ -151,7 +150,7 @@ fn each_erased_page_is_followed_by_a_pause() {
     let mut store = open(RamFlash::blank()).0;
     let mut pauses = 0;
     let mut line = Line::default();
-    block_on(store.answer(&ModelRequest::Begin(begin(&blob)), async || pauses += 1, &mut line));
+    at_once(store.answer(&ModelRequest::Begin(begin(&blob)), async || pauses += 1, &mut line));
     assert_eq!(pauses, 4);
 }
 
