@@ -174,11 +174,6 @@ impl<H: Hand> RightBoard<H> {
         }
     }
 
-    /// What names the gestures.
-    pub fn hand(&self) -> &H {
-        &self.hand
-    }
-
     /// Says who this board is and what its model names, and repeats its faults.
     fn hello(&self, out: &mut impl FrameOut) {
         let model = self.hand.model();
