@@ -39,6 +39,8 @@ pub struct RightBoard<H> {
     sequence: u16,
     board_time_ms: u32,
     sensor_ok: bool,
+    /// It has said who it is since it started.
+    greeted: bool,
     raw: RawBatch,
     faults: FaultLog,
 }
@@ -53,6 +55,7 @@ impl<H: Hand> RightBoard<H> {
             sequence: 0,
             board_time_ms: 0,
             sensor_ok: false,
+            greeted: false,
             raw: RawBatch::new(),
             faults: FaultLog::new(),
         }
@@ -80,8 +83,10 @@ impl<H: Hand> RightBoard<H> {
         }
     }
 
-    /// Sends the state or the batch of samples that the last [`RightBoard::sample`] completed.
+    /// Sends the state or the batch of samples that the last [`RightBoard::sample`] completed; before the first
+    /// one, a hello.
     pub fn send_due(&mut self, out: &mut impl FrameOut) {
+        self.greet(out);
         match self.mode {
             Mode::Classify => self.send_state(out),
             Mode::Record => self.raw.send(self.hand.scale().unwrap_or_default(), out),
@@ -98,6 +103,7 @@ impl<H: Hand> RightBoard<H> {
     /// No sample came for [`SILENCE_MS`]: the window is emptied and the laptop hears of it.
     pub fn silence(&mut self, out: &mut impl FrameOut) {
         self.gap();
+        self.greet(out);
         if self.mode == Mode::Classify {
             self.send_state(out);
         }
@@ -171,6 +177,14 @@ impl<H: Hand> RightBoard<H> {
             (false, _) => Light::SensorGone,
             (true, Mode::Record) => Light::Recording,
             (true, _) => Light::Well,
+        }
+    }
+
+    /// A laptop that listens already hears of the start.
+    fn greet(&mut self, out: &mut impl FrameOut) {
+        if !self.greeted {
+            self.greeted = true;
+            self.hello(out);
         }
     }
 
