@@ -1,12 +1,14 @@
 //! Recordings that behave like boards: raw samples in, frames out, through the very code that boards run.
 
+mod delayed;
 mod left;
 mod right;
 pub mod virtual_board;
 mod wired;
 
+pub use delayed::Delayed;
 pub use left::LeftBoard;
-pub use right::{ModelFile, ModelFileError, RightBoard, join};
+pub use right::{Joined, ModelFile, ModelFileError, RightBoard, join};
 pub use wired::Wired;
 
 use host_core::observe::Sample;
