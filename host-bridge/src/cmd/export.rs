@@ -7,7 +7,6 @@ use anyhow::Result;
 
 /// Options.
 #[derive(clap::Args, Clone, Debug)]
-#[cfg_attr(not(feature = "mcap"), expect(dead_code, reason = "this program reads no sessions"))]
 pub struct Args {
     /// Sessions that `--record` has written, of one robot; their episodes are numbered through
     #[arg(required = true, value_name = "SESSION.mcap")]
