@@ -38,6 +38,7 @@ extern "C" fn main() -> ! {
     let boot_id = store::next_boot_id();
     let app = app::install(cause, boot_id, pins::calibration_wanted());
     clock::start();
+    allow_sleep();
     restart::arm();
     loop {
         app.poll();
@@ -53,4 +54,11 @@ extern "C" fn main() -> ! {
             clock::add_sleep_since(asleep_at);
         }
     }
+}
+
+/// Lets SLEEP stop the processor, and nothing else (idle): without SMCR.SE it does nothing.
+fn allow_sleep() {
+    const SE_IDLE: u8 = 1;
+    // Safety: a register that nobody else writes.
+    unsafe { avr_device::atmega328p::Peripherals::steal() }.CPU.smcr.write(|w| unsafe { w.bits(SE_IDLE) });
 }

@@ -12,7 +12,7 @@ use shared_proto::message::{BoardMessage, Mode, RAW_COUNTS_MAX, RawImu, RightSta
 use static_cell::StaticCell;
 
 use crate::link::broadcast;
-use crate::sample::{AXES, SAMPLE_HZ, SAMPLES, SENSOR, Sample, Taken};
+use crate::sample::{AXES, SAMPLE_HZ, SAMPLES, Sample, Taken};
 use crate::state::{self, ALIVE_CLASSIFY, SENSOR_OK};
 
 /// Without a sample for so long the window is emptied and the laptop is told, and again and again. Longer than
@@ -41,7 +41,7 @@ extern "C" fn bimanual_sample(
     hand: &mut RightHand<'static, AXES>,
     time_ms: u32,
 ) -> bool {
-    let scale = SENSOR.scale();
+    let scale = nano33_sensor::SCALE;
     let values = core::array::from_fn(|axis| f32::from(counts[axis]) * scale[axis / 3]);
     hand.push(&values, time_ms).is_some()
 }
@@ -150,7 +150,7 @@ impl RawBatch {
                 sequence: self.sequence,
                 first_sample: self.first,
                 axes: AXES as u8,
-                scale: SENSOR.scale(),
+                scale: nano33_sensor::SCALE,
                 counts: &self.bytes,
             }));
             self.sequence = self.sequence.wrapping_add(1);

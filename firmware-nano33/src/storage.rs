@@ -12,7 +12,7 @@
 
 use shared_dsp::mlp::{Model, crc32};
 
-/// Start of the slots; `memory.x` and `memory-bootloader.x` end the image's flash here.
+/// Start of the slots; the layouts in `src/boards` end the image's flash here.
 pub const SLOTS_START: u32 = 0x000D_8000;
 /// The page before them holds the keys of the laptop that bonded last.
 #[cfg(feature = "ble")]

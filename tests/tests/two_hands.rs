@@ -133,7 +133,7 @@ fn the_arm_moves_within_50_ms_of_the_sample_that_decides() {
             start_s = zero_s + 0.080 * f64::from(index) / f64::from(wearers) + 0.0003;
             Replay { rows: rows(&recording), interval: 0.01, start: start_s }
         });
-        right.board.soc().bus.sensor.clock_ratio = [0.97, 1.0, 1.03][index as usize % 3];
+        right.board.soc().bus.sensor.set_clock_ratio([0.97, 1.0, 1.03][index as usize % 3]);
         let mut desk = TwoHands::new(None, Some(right));
         let (mut seen, mut deciding) = (0, None);
         let seconds = 1.0 + REST_S + 6.0 * (GESTURE_S + REST_S);
