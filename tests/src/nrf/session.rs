@@ -1,7 +1,7 @@
 //! A laptop at the emulated board's serial port or Bluetooth: requests in, messages out.
 
 use shared_proto::frame::{BOARD_FRAME_MAX, Decoder, encode_host, parse_board};
-use shared_proto::message::{Ack, BoardMessage, Fault, Hello, HostMessage, Status};
+use shared_proto::message::{About, Ack, BoardMessage, Fault, Hello, HostMessage, Status};
 
 use super::ble_host::BleHost;
 use super::board::{Board, Boot, Kind};
@@ -46,6 +46,8 @@ pub struct Heard {
     pub acks: Vec<Ack>,
     /// Raw samples: number of the first, and counts.
     pub raw: Vec<(u32, Vec<i16>)>,
+    /// What the board is made of, as it said last.
+    pub about: Option<About>,
     /// Pongs.
     pub pongs: usize,
 }
@@ -211,6 +213,7 @@ impl Heard {
                 let counts = raw.counts.chunks_exact(2).map(|c| i16::from_le_bytes([c[0], c[1]])).collect();
                 self.raw.push((raw.first_sample, counts));
             }
+            BoardMessage::About(about) => self.about = Some(about),
             BoardMessage::ModelInfo(_) | BoardMessage::Left(_) => {}
         }
     }
