@@ -11,13 +11,13 @@ use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_sync::channel::Channel;
 use embassy_time::{Delay, Duration, Instant, TICK_HZ, Timer, with_timeout};
 use nano33_sensor::grid::Grid;
-use nano33_sensor::found::{Found, Kind};
+use nano33_sensor::found::Found;
 use nano33_sensor::{Batch, Imu, ImuError};
 use shared_proto::message::FaultKind;
 
-use crate::boards;
 use crate::bus::SensorBus;
-use crate::state::{self, ALIVE_SAMPLE, DROPPED_SAMPLES, REV2, SENSOR_ERRORS, SENSOR_OK};
+use crate::{about, board, boards};
+use crate::state::{self, ALIVE_SAMPLE, DROPPED_SAMPLES, SENSOR_ERRORS, SENSOR_OK};
 
 /// Samples per second.
 pub const SAMPLE_HZ: u64 = 100;
@@ -109,7 +109,10 @@ async fn attempt_once(
         Ok(Err(error)) => return error,
         Err(_) => return ImuError::Bus(boards::SENSORS[0].address()),
     };
-    REV2.store(imu.kind() == Kind::Bmi270, Ordering::Relaxed);
+    about::found(imu.kind(), imu.axes());
+    if !board::with(|board| board.model_can_run()) {
+        state::report(FaultKind::NoMagnetometer, imu.axes() as u32);
+    }
     match with_timeout(START_TIMEOUT, imu.start(&mut Delay)).await {
         Ok(Ok(())) => {
             *attempt = 0;

@@ -1,8 +1,8 @@
 //! The boards that this firmware is built for, one file each: pins, sensors, names, memory (the `.x` files), and what their
 //! bootloader leaves behind and wants. Nothing else here knows which board it is.
 //!
-//! A file offers `SENSORS`, `START_MS`, `USB`, [`Parts`] from `parts`, `begin` (before anything else runs) and
-//! `enter_bootloader`.
+//! A file offers `SENSORS`, `START_MS`, `USB`, `kind` (its name on the wire), [`Parts`] from `parts`, `begin` (before
+//! anything else runs) and `enter_bootloader`.
 
 #[cfg(not(feature = "xiao"))]
 mod nano33;
@@ -10,9 +10,9 @@ mod nano33;
 mod xiao;
 
 #[cfg(not(feature = "xiao"))]
-pub use nano33::{SENSORS, START_MS, USB, begin, enter_bootloader, parts};
+pub use nano33::{SENSORS, START_MS, USB, begin, enter_bootloader, kind, parts};
 #[cfg(feature = "xiao")]
-pub use xiao::{SENSORS, START_MS, USB, begin, enter_bootloader, parts};
+pub use xiao::{SENSORS, START_MS, USB, begin, enter_bootloader, kind, parts};
 
 use embassy_nrf::Peri;
 use embassy_nrf::gpio::{AnyPin, Level, Output, OutputDrive};

@@ -2,6 +2,7 @@
 
 use embassy_nrf::Peripherals;
 use nano33_sensor::found::Kind;
+use shared_proto::message::{Board, Sensor};
 
 use super::{Parts, UsbNames, off};
 use crate::bus::{SensorBus, SensorPins};
@@ -15,6 +16,11 @@ pub const START_MS: u64 = 50;
 
 /// Arduino's ids for a sketch on this board, which its drivers and udev rules know.
 pub const USB: UsbNames = UsbNames { ids: (0x2341, 0x805A), product: "bimanual right hand" };
+
+/// The revisions differ by their sensor.
+pub fn kind(sensor: Sensor) -> Board {
+    if sensor == Sensor::Bmi270 { Board::RightNano33Rev2 } else { Board::RightNano33 }
+}
 
 /// Wires roles to pins.
 pub fn parts(p: Peripherals) -> Parts {

@@ -5,6 +5,7 @@
 
 use embassy_nrf::Peripherals;
 use nano33_sensor::found::Kind;
+use shared_proto::message::{Board, Sensor};
 
 use super::{Parts, UsbNames, off};
 use crate::bus::{SensorBus, SensorPins};
@@ -18,6 +19,11 @@ pub const START_MS: u64 = 50;
 
 /// Seeed's ids for a program on this board.
 pub const USB: UsbNames = UsbNames { ids: (0x2886, 0x8045), product: "bimanual right hand (XIAO)" };
+
+/// Whatever its sensor.
+pub fn kind(_: Sensor) -> Board {
+    Board::RightXiao
+}
 
 /// Wires roles to pins.
 pub fn parts(p: Peripherals) -> Parts {
