@@ -105,7 +105,8 @@ impl SensorBus {
         config.frequency = twim::Frequency::K400;
         let (twim, sda, scl) = (self.twim.reborrow(), self.sda.reborrow(), self.scl.reborrow());
         let wire = Wire(Twim::new(twim, Irqs, sda, scl, config, self.tx_buffer));
-        embassy_nrf::pac::TWIM0.frequency().write_value(embassy_nrf::pac::twim::vals::Frequency(FREQUENCY));
+        let frequency = twim::Frequency::from_bits(FREQUENCY);
+        embassy_nrf::pac::TWIM0.frequency().write(|w| w.set_frequency(frequency));
         wire
     }
 }

@@ -231,8 +231,8 @@ fn a_broken_bmi270_and_one_with_half_a_configuration_are_not_started() {
     start(&mut driver, &wire).unwrap();
     wire.with(|bus, _| bus.sensor.fail());
     assert_eq!(wait(driver.check()), Err(ImuError::Reset(0x68)));
-    // One piece of the upload goes to the wrong place.
-    wire.with(|bus, _| bus.sensor.lose_write(0x5C));
+    // A byte of the upload is lost, and all behind it lie wrong.
+    wire.with(|bus, _| bus.sensor.lose_write(0x5E));
     assert_eq!(start(&mut driver, &wire), Err(ImuError::Reset(0x68)));
     assert_eq!(start(&mut driver, &wire), Ok(()));
 }

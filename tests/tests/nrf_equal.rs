@@ -375,8 +375,10 @@ fn a_minute(kind: Kind, ratio: f64) {
     );
     assert!((5999..=6001).contains(&minute));
     assert!(window.times_ms.windows(2).all(|w| (9..=11).contains(&(w[1] - w[0]))));
-    // Slopes here are up to 61 m/s^3 and 2,100 deg/s^2: 0.5 ms of timing error is 25 and 15 counts.
-    assert!(worst[0] <= 26.0 && worst[1] <= 16.0, "{worst:?}");
+    // Slopes here are up to 61 m/s^3 and 2,100 deg/s^2: 0.5 ms of timing error is 25 and 15 counts. 200 and 208 Hz at these
+    // ratios are 25/12 and 13/6 of 100 Hz: polls meet few phases of the sensor's period, and know its age to 0.8 ms only.
+    let timing = if kind == Kind::Nano33 { 1.0 } else { 1.7 };
+    assert!(worst[0] <= 26.0 * timing && worst[1] <= 16.0 * timing, "{worst:?}");
 }
 
 /// Seconds from power-up to the start of the board's clock.

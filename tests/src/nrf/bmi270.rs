@@ -377,7 +377,7 @@ mod tests {
     #[test]
     fn a_set_is_gyroscope_then_accelerometer_scaled_turned_and_clipped() {
         let (mut sensor, now) = running(Box::new(Moved));
-        let now = now + ms(100);
+        let now = now + ms(102);
         // 200 Hz; the gyroscope's first values come after 45 ms.
         assert_eq!(get(&mut sensor, FIFO_LENGTH, now), (20 * 12u16).to_le_bytes());
         let bytes: [u8; 240] = get(&mut sensor, FIFO_DATA, now);

@@ -180,6 +180,7 @@ pub struct Board {
     image: Image,
     boot: Boot,
     kind: Kind,
+    slow_crystal: bool,
     asleep: bool,
     frames: Vec<bool>,
     /// Resets since power-up, with their reasons (RESETREAS).
@@ -283,6 +284,7 @@ impl Board {
             image,
             boot,
             kind,
+            slow_crystal: false,
             asleep: false,
             frames: Vec::new(),
             resets: Vec::new(),
@@ -438,7 +440,7 @@ impl Board {
     /// What the bootloader or the MBR does before the image's first instruction.
     fn start(&mut self) {
         let table = self.image.vector_table;
-        let (boot, kind) = (self.boot, self.kind);
+        let (boot, kind, slow_crystal) = (self.boot, self.kind, self.slow_crystal);
         let soc = self.soc();
         if kind == Kind::Xiao && soc.power.read(0x51C) == 0x57 {
             soc.power.write(0x51C, 0, 0);
@@ -463,9 +465,11 @@ impl Board {
                 soc.write(0x4000_2000 + offset, value, 4);
             }
             soc.write(0x4000_2000, 1, 4);
-            // RTC1's compare interrupt is enabled, and CLOCK's where the slow crystal took its time.
+            // RTC1's compare interrupt is enabled.
             soc.write(0x4001_1304, 1 << 16, 4);
-            soc.write(0x4000_0304, 1 << 1, 4);
+            if slow_crystal {
+                soc.write(0x4000_0304, 1 << 1, 4);
+            }
         }
         let (stack, entry) = (self.load(table), self.load(table + 4));
         for register in [RegisterARM::IPSR, RegisterARM::PRIMASK, RegisterARM::BASEPRI, RegisterARM::CONTROL]
@@ -733,6 +737,12 @@ impl Board {
     pub fn press_reset(&mut self) {
         self.in_bootloader = false;
         self.reset(PIN);
+    }
+
+    /// The slow crystal took longer to start than the stock bootloader waits: it leaves CLOCK's interrupt enabled.
+    pub fn leave_clock_interrupt(&mut self) {
+        self.slow_crystal = true;
+        self.start();
     }
 
     /// The program finds itself at the start of this function.

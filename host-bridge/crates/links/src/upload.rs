@@ -60,8 +60,8 @@ pub fn misfit(model: &Model<'_>, board: &ModelNeeds) -> Option<String> {
         ));
     }
     let pairs = [
-        ("samples per second", info.sample_hz.into(), board.sample_hz.into()),
-        ("samples per window", info.window.into(), board.window.into()),
+        ("samples per second", info.sample_hz, board.sample_hz),
+        ("samples per window", info.window, board.window),
     ];
     let (what, model_has, board_has) = pairs.into_iter().find(|(_, model, board)| model != board)?;
     Some(format!(
