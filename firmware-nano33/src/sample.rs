@@ -10,14 +10,14 @@ use core::sync::atomic::Ordering;
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_sync::channel::Channel;
 use embassy_time::{Delay, Duration, Instant, TICK_HZ, Timer, with_timeout};
-use nano33_sensor::grid::Grid;
 use nano33_sensor::found::Found;
+use nano33_sensor::grid::Grid;
 use nano33_sensor::{Batch, Imu, ImuError};
 use shared_proto::message::FaultKind;
 
 use crate::bus::SensorBus;
-use crate::{about, board, boards};
 use crate::state::{self, ALIVE_SAMPLE, DROPPED_SAMPLES, SENSOR_ERRORS, SENSOR_OK};
+use crate::{about, board, boards};
 
 /// Samples per second.
 pub const SAMPLE_HZ: u64 = 100;
@@ -98,12 +98,7 @@ pub async fn run(mut bus: SensorBus) -> ! {
 }
 
 /// Finds the sensor, starts it, and samples until it fails.
-async fn attempt_once(
-    bus: &mut SensorBus,
-    batch: &mut Batch,
-    next: &mut u64,
-    attempt: &mut u32,
-) -> ImuError {
+async fn attempt_once(bus: &mut SensorBus, batch: &mut Batch, next: &mut u64, attempt: &mut u32) -> ImuError {
     let mut imu = match with_timeout(POLL_TIMEOUT, Found::find(bus.open(), boards::SENSORS)).await {
         Ok(Ok(imu)) => imu,
         Ok(Err(error)) => return error,

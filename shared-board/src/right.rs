@@ -12,8 +12,8 @@ use shared_proto::frame::{
     RIGHT_STATE_FRAME_MAX, STATUS_FRAME_MAX,
 };
 use shared_proto::message::{
-    About, Ack, AckResult, Board, Fault, FaultKind, HostMessage, Mode, Pong, RAW_COUNTS_MAX, RawImu, RightState,
-    Status, health,
+    About, Ack, AckResult, Board, Fault, FaultKind, HostMessage, Mode, Pong, RAW_COUNTS_MAX, RawImu,
+    RightState, Status, health,
 };
 
 /// Without a sample for this long [`RightBoard::silence`] is due, and again after each further period. Longer than

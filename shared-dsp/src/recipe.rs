@@ -114,7 +114,8 @@ mod tests {
 
     #[test]
     fn a_model_runs_where_all_that_it_reads_is_there() {
-        let runs = |recipe: Recipe| [3, 6, 9].map(|model| [3, 6, 9].map(|sample| recipe.runs_on(model, sample)));
+        let runs =
+            |recipe: Recipe| [3, 6, 9].map(|model| [3, 6, 9].map(|sample| recipe.runs_on(model, sample)));
         assert_eq!(runs(Recipe::Raw), [[true; 3], [false, true, true], [false, false, true]]);
         assert_eq!(runs(Recipe::Aligned), [[true, false, false], [false, true, true], [false, true, true]]);
         assert_eq!([Recipe::Aligned, Recipe::LogPower].map(|recipe| recipe.reads(9)), [6, 9]);

@@ -319,7 +319,11 @@ fn a_program_that_restarts_for_ever_does_not_wear_out_the_eeprom() {
                 }
             }
         }
-        println!("{} restarts, {} bytes of EEPROM written", session.nano.resets(), session.nano.eeprom_write_count() - before);
+        println!(
+            "{} restarts, {} bytes of EEPROM written",
+            session.nano.resets(),
+            session.nano.eeprom_write_count() - before
+        );
         assert!(session.nano.resets() >= 12 && ids.len() >= 12);
         assert_eq!(session.nano.eeprom_write_count(), before, "optiboot {optiboot}");
         let count = ids.len();

@@ -44,7 +44,11 @@ fn sensor_faults_of_every_board_are_reported_and_mended_within_a_second() {
         session.board.soc().bus.unplugged = false;
         session.board.soc().bus.sensor.power_cycle();
         session.run_ms(1000);
-        assert_eq!(session.heard.states.last().unwrap().health & health::SENSOR, 0, "{kind:?}: plugged in again");
+        assert_eq!(
+            session.heard.states.last().unwrap().health & health::SENSOR,
+            0,
+            "{kind:?}: plugged in again"
+        );
         session.board.soc().bus.stuck_clocks = 7;
         session.run_ms(1000);
         assert!(session.heard.faults.iter().any(|f| f.kind == FaultKind::BusStuck), "{kind:?}");
@@ -58,7 +62,11 @@ fn sensor_faults_of_every_board_are_reported_and_mended_within_a_second() {
         assert!(session.heard.statuses.last().unwrap().sensor_errors > errors);
         session.run_ms(2000);
         assert_eq!(session.heard.states.last().unwrap().health, 0, "{kind:?}: the window is full again");
-        assert!(session.board.resets.iter().all(|&reason| reason == 4), "{kind:?}: {:?}", session.board.resets);
+        assert!(
+            session.board.resets.iter().all(|&reason| reason == 4),
+            "{kind:?}: {:?}",
+            session.board.resets
+        );
     }
 }
 
@@ -98,7 +106,11 @@ fn the_xiaos_file_puts_every_byte_of_the_image_into_its_place_and_none_elsewhere
     let mut flash = vec![None; 1 << 20];
     for (n, block) in file.chunks(512).enumerate() {
         let word = |at: usize| u32::from_le_bytes([block[at], block[at + 1], block[at + 2], block[at + 3]]);
-        assert_eq!((word(0), word(4), word(508)), (0x0A32_4655, 0x9E5D_5157, 0x0AB1_6F30), "block {n}: magic");
+        assert_eq!(
+            (word(0), word(4), word(508)),
+            (0x0A32_4655, 0x9E5D_5157, 0x0AB1_6F30),
+            "block {n}: magic"
+        );
         assert_eq!(word(8), 0x2000, "block {n}: a family, and nothing else of note");
         assert_eq!(word(28), 0xADA5_2840, "block {n}: nRF52840");
         assert_eq!((word(20) as usize, word(24) as usize), (n, blocks), "block {n}: its number");

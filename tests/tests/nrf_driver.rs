@@ -149,7 +149,17 @@ struct Swing;
 impl Motion for Swing {
     fn at(&self, seconds: f64) -> [f64; 9] {
         let wave = |hz: f64| (std::f64::consts::TAU * hz * seconds).sin();
-        [3.0 * wave(0.5), -2.0 * wave(0.7), 9.8, 200.0 * wave(0.4), 50.0, -120.0 * wave(0.9), 20.0, 0.0, -40.0]
+        [
+            3.0 * wave(0.5),
+            -2.0 * wave(0.7),
+            9.8,
+            200.0 * wave(0.4),
+            50.0,
+            -120.0 * wave(0.9),
+            20.0,
+            0.0,
+            -40.0,
+        ]
     }
 }
 
@@ -167,7 +177,11 @@ fn sees_the_swing<I: Imu>(driver: &mut I, wire: &Wire) {
             let value = f64::from(set[axis]) * f64::from(SCALE[axis / 3]);
             // The fastest change of each over one and a half periods, and rounding.
             let slack = [0.08, 0.08, 0.003, 5.0, 0.1, 6.5][axis];
-            assert!((value - wanted[axis]).abs() < slack, "set {n} axis {axis}: {value}, not {}", wanted[axis]);
+            assert!(
+                (value - wanted[axis]).abs() < slack,
+                "set {n} axis {axis}: {value}, not {}",
+                wanted[axis]
+            );
         }
     }
 }

@@ -297,7 +297,8 @@ fn on_simulated_wearers_scores_and_events_are_the_laptops_bit_for_bit() {
             script.push(Segment::new(synth::Motion::IDLE, 1.5));
         }
         let recording = synth::session(&synth::Wearer::evaluation(21, index), 0, &script);
-        let Resampled { session, window, errors: these } = resample(Kind::Nano33, recordings::rows(&recording));
+        let Resampled { session, window, errors: these } =
+            resample(Kind::Nano33, recordings::rows(&recording));
         hops += compare(&blob(), &session, &window);
         events += session.heard.states.last().map_or(0, |s| usize::from(s.events));
         errors.extend(these);

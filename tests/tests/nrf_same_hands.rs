@@ -117,7 +117,8 @@ fn right(rows: &[[f64; 9]], wanted: &[(f64, f64, usize)], model: &Model<'_>) -> 
         sensor.set_clock_ratio(ratio);
         let events = events(sensor, model, seconds);
         let named = |&&(from, to, label): &&(f64, f64, usize)| {
-            let mut during = events.iter().filter(|(at, _)| (LEAD_S + from..LEAD_S + to).contains(at)).peekable();
+            let mut during =
+                events.iter().filter(|(at, _)| (LEAD_S + from..LEAD_S + to).contains(at)).peekable();
             during.peek().is_some() && during.all(|&(_, is)| is == label)
         };
         wanted.iter().filter(named).count()

@@ -18,7 +18,11 @@ const VARIANTS: [(&str, &[&str], &str); 3] = [
         &["--no-default-features", "--features", "bootloader"],
         "Nano 33 BLE Sense and Rev2, behind the stock Arduino bootloader at 0x10000, without Bluetooth",
     ),
-    ("xiao", &["--features", "xiao"], "XIAO nRF52840 Sense, behind the S140 that it is sold with, by drag and drop"),
+    (
+        "xiao",
+        &["--features", "xiao"],
+        "XIAO nRF52840 Sense, behind the S140 that it is sold with, by drag and drop",
+    ),
 ];
 
 /// Where the XIAO's image starts, behind S140.

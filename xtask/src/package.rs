@@ -64,10 +64,7 @@ const PARTS: [(&[&str], &str); 4] = [
         "thumbv7em-none-eabihf",
     ),
     // Both images with Bluetooth.
-    (
-        &["--manifest-path", "firmware-nano33/Cargo.toml", "--features", "xiao"],
-        "thumbv7em-none-eabihf",
-    ),
+    (&["--manifest-path", "firmware-nano33/Cargo.toml", "--features", "xiao"], "thumbv7em-none-eabihf"),
 ];
 /// Crates whose licence is a file of their own: read, and fit for an archive that carries the file. Nordic's five clauses let
 /// its interface of the S140 be passed on in images for Nordic's chips.
@@ -272,7 +269,8 @@ mod tests {
             ("10c4", "ea60"),
         ] {
             let line = rules.lines().find(|line| {
-                line.contains(&format!("idVendor}}==\"{vendor}\"")) && (product.is_empty() || line.contains(&format!("idProduct}}==\"{product}\"")))
+                line.contains(&format!("idVendor}}==\"{vendor}\""))
+                    && (product.is_empty() || line.contains(&format!("idProduct}}==\"{product}\"")))
             });
             assert!(line.is_some_and(|line| line.contains("TAG+=\"uaccess\"")), "{vendor}:{product}");
         }

@@ -20,16 +20,8 @@ pub fn encode(image: &[u8], address: u32, family: u32) -> Vec<u8> {
     let mut file = Vec::with_capacity(blocks * BLOCK);
     for (number, piece) in image.chunks(PAYLOAD).enumerate() {
         let place = address + (number * PAYLOAD) as u32;
-        let head = [
-            MAGIC[0],
-            MAGIC[1],
-            HAS_FAMILY,
-            place,
-            PAYLOAD as u32,
-            number as u32,
-            blocks as u32,
-            family,
-        ];
+        let head =
+            [MAGIC[0], MAGIC[1], HAS_FAMILY, place, PAYLOAD as u32, number as u32, blocks as u32, family];
         let start = file.len();
         file.extend(head.iter().flat_map(|word| word.to_le_bytes()));
         file.extend_from_slice(piece);

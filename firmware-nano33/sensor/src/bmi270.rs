@@ -201,6 +201,9 @@ mod tests {
         // 1 g is 8192 counts here and 8197 there; 100 deg/s 1638 here and 1429 there.
         assert_eq!(rev1([1638, 0, -1638], [0, 8192, 8192]), [-8197, 0, 8197, 0, -1428, -1428]);
         // The ends of the range neither wrap nor change their sign.
-        assert_eq!(rev1([0, i16::MIN, i16::MAX], [i16::MIN, i16::MAX, i16::MIN])[..3], [i16::MIN, i16::MAX, i16::MIN]);
+        assert_eq!(
+            rev1([0, i16::MIN, i16::MAX], [i16::MIN, i16::MAX, i16::MIN])[..3],
+            [i16::MIN, i16::MAX, i16::MIN]
+        );
     }
 }

@@ -12,7 +12,8 @@ use host_bridge::talk::{ModelNeeds, Said, Talk, Who};
 use shared_dsp::mlp::crc32;
 use shared_proto::clock::{CRYSTAL_DRIFT_PPM, RESONATOR_DRIFT_PPM};
 use shared_proto::message::{
-    About, Board, Fault, HostMessage, Image, Mode, PROTOCOL_MAJOR, PROTOCOL_MINOR, ResetCause, Sensor, Status, health,
+    About, Board, Fault, HostMessage, Image, Mode, PROTOCOL_MAJOR, PROTOCOL_MINOR, ResetCause, Sensor,
+    Status, health,
 };
 
 use super::ports::{check_name, read_config, settings};

@@ -134,8 +134,7 @@ impl Nano {
                 before_reset: Cell::new(0),
                 conversions: Cell::new(0),
             });
-            let nano =
-                Self { avr, wires, resets: 0, asleep: 0, optiboot: false, waiting_since: None };
+            let nano = Self { avr, wires, resets: 0, asleep: 0, optiboot: false, waiting_since: None };
             nano.connect();
             nano.set_eeprom(eeprom);
             nano

@@ -325,7 +325,9 @@ mod tests {
     fn running(motion: Box<dyn Motion>) -> (Bmi270, u64) {
         let mut sensor = Bmi270::new(motion);
         let now = upload(&mut sensor, &nano33_sensor::bmi270::CONFIGURATION) + INITIALISE;
-        for (register, value) in [(0x40, 0xA9), (0x41, 0x01), (0x42, 0xE9), (0x43, 0), (0x49, 0xC0), (0x7D, 0x0E)] {
+        for (register, value) in
+            [(0x40, 0xA9), (0x41, 0x01), (0x42, 0xE9), (0x43, 0), (0x49, 0xC0), (0x7D, 0x0E)]
+        {
             set(&mut sensor, register, value, now);
         }
         (sensor, now)

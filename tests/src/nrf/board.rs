@@ -5,9 +5,9 @@
 
 use unicorn_engine::{Arch, ArmCpuModel, HookType, Mode, Prot, RegisterARM, Unicorn};
 
-use super::image::Image;
 use super::bmi270::Bmi270;
 use super::i2c::Sensor;
+use super::image::Image;
 use super::lsm6ds3::Lsm6ds3;
 use super::lsm9ds1::{Lsm9ds1, Motion};
 use super::memory::{FLASH_BYTES, RAM_BYTES, RAM_START};

@@ -101,7 +101,11 @@ impl Bus {
             return Reply::AddressNack;
         }
         let there = self.sensor.has_address(address);
-        if self.powered && self.wired && now >= self.awake_at && !self.unplugged && there { Reply::Ack } else { Reply::AddressNack }
+        if self.powered && self.wired && now >= self.awake_at && !self.unplugged && there {
+            Reply::Ack
+        } else {
+            Reply::AddressNack
+        }
     }
 
     /// The controller writes.
