@@ -138,7 +138,7 @@ pub fn topics(config: &Ros2Config) -> Vec<Topic> {
     ];
     match config.arm {
         ArmInterface::None => return topics,
-        ArmInterface::Topic => {
+        ArmInterface::Topic | ArmInterface::Stream => {
             let name = format!("{controller}/joint_trajectory");
             topics.push(plain("arm_controller", &name, wire::TRAJECTORY, true, true, true));
         }
@@ -336,7 +336,10 @@ mod tests {
         let found = cmd_vel(|_| {}, vec![there]);
         assert!(found.advice[0].contains("/diff_drive_controller/cmd_vel"), "{:?}", found.advice);
         let goals = reader(&wire::send_goal("/gen3/joint_trajectory_controller"), wire::SEND_GOAL);
-        let found = look_at(&topics(&Ros2Config::default())[2], &graph(vec![goals]));
+        let found = look_at(
+            &topics(&Ros2Config { arm: ArmInterface::Action, ..Ros2Config::default() })[2],
+            &graph(vec![goals]),
+        );
         assert!(found.advice[0].contains("on /gen3/joint_trajectory_controller:"), "{:?}", found.advice);
     }
 
