@@ -2,7 +2,7 @@
 
 use crate::FrameOut;
 use shared_proto::frame::FAULT_FRAME_MAX;
-use shared_proto::message::{Fault, FaultKind};
+use shared_proto::message::Fault;
 
 const KEPT: usize = 4;
 
@@ -32,11 +32,6 @@ impl FaultLog {
             crate::send::<FAULT_FRAME_MAX>(fault, out);
         }
     }
-
-    /// Kinds of the faults that are kept.
-    pub fn kinds(&self) -> impl Iterator<Item = FaultKind> {
-        self.kept.iter().flatten().map(|fault| fault.kind)
-    }
 }
 
 #[cfg(test)]
@@ -53,7 +48,8 @@ mod tests {
             log.report(fault(kind.into(), 1), &mut ignore);
             log.report(fault(kind.into(), 2), &mut ignore);
         }
-        assert_eq!(log.kinds().map(u8::from).collect::<Vec<_>>(), [0, 1, 2, 5]);
+        let kinds: Vec<u8> = log.kept.iter().flatten().map(|fault| fault.kind.into()).collect();
+        assert_eq!(kinds, [0, 1, 2, 5]);
         assert!(log.kept.iter().flatten().all(|fault| fault.detail == 2), "the newest of its kind");
         let mut frames = 0;
         log.repeat(&mut |_: &[u8]| {

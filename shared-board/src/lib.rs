@@ -18,6 +18,33 @@
 //!
 //! Nothing here waits, looks at a clock or knows a register. Time is the board's own clock in milliseconds since
 //! start, which wraps after 49 days.
+//!
+//! # A left board in ten lines
+//! ```
+//! use shared_board::Identity;
+//! use shared_board::left::{LeftBoard, Start};
+//! # use shared_board::memory::RamEeprom;
+//! # use shared_dsp::left::AdcCounts;
+//! # use shared_proto::message::{Board, Status};
+//! # let (eeprom, level) = (RamEeprom::blank(), AdcCounts::from_ten_bit([512, 512, 614, 704, 704]));
+//! let mut line = Vec::new();
+//! let mut out = |frame: &[u8]| {
+//!     line.extend_from_slice(frame);
+//!     true // false where the line has no room
+//! };
+//! let who = Identity { board: Board::LeftNano, firmware: "0.1.0", boot_id: 1, sample_hz: 100 };
+//! let mut board = LeftBoard::start(who, eeprom, Start::default(), &mut out);
+//! for now_ms in (10..=1000).step_by(10) {
+//!     if board.period(now_ms, &mut out) {
+//!         board.status(Status::default(), now_ms, &mut out); // what the drivers have counted
+//!     }
+//!     board.sample(level, now_ms, &mut out);
+//!     board.receive(0, now_ms, &mut out); // bytes from the laptop, as they come
+//!     assert!(!board.light());
+//! }
+//! // A hello, fifty states and one more for the first neutral, a status: each ends in a zero byte.
+//! assert_eq!(line.iter().filter(|&&byte| byte == 0).count(), 1 + 1 + 51 + 1);
+//! ```
 #![no_std]
 #![forbid(unsafe_code)]
 

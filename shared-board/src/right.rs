@@ -41,6 +41,8 @@ pub struct RightBoard<H> {
     board_time_ms: u32,
     sensor_ok: bool,
     about: Option<About>,
+    /// It has said who it is since it started.
+    greeted: bool,
     raw: RawBatch,
     faults: FaultLog,
 }
@@ -56,6 +58,7 @@ impl<H: Hand> RightBoard<H> {
             board_time_ms: 0,
             sensor_ok: false,
             about: None,
+            greeted: false,
             raw: RawBatch::new(),
             faults: FaultLog::new(),
         }
@@ -88,8 +91,10 @@ impl<H: Hand> RightBoard<H> {
         }
     }
 
-    /// Sends the state or the batch of samples that the last [`RightBoard::sample`] completed.
+    /// Sends the state or the batch of samples that the last [`RightBoard::sample`] completed; before the first
+    /// one, a hello.
     pub fn send_due(&mut self, out: &mut impl FrameOut) {
+        self.greet(out);
         match self.mode {
             Mode::Classify => self.send_state(out),
             Mode::Record => self.raw.send(self.hand.scale().unwrap_or_default(), out),
@@ -106,6 +111,7 @@ impl<H: Hand> RightBoard<H> {
     /// No sample came for [`SILENCE_MS`]: the window is emptied and the laptop hears of it.
     pub fn silence(&mut self, out: &mut impl FrameOut) {
         self.gap();
+        self.greet(out);
         if self.mode == Mode::Classify {
             self.send_state(out);
         }
@@ -200,9 +206,12 @@ impl<H: Hand> RightBoard<H> {
         }
     }
 
-    /// What names the gestures.
-    pub fn hand(&self) -> &H {
-        &self.hand
+    /// A laptop that listens already hears of the start.
+    fn greet(&mut self, out: &mut impl FrameOut) {
+        if !self.greeted {
+            self.greeted = true;
+            self.hello(out);
+        }
     }
 
     /// Says who this board is and what its model names, and repeats its faults.

@@ -123,11 +123,12 @@ fn a_state_goes_out_each_hop_and_says_gap_until_the_window_is_full() {
 }
 
 #[test]
-fn nobody_is_greeted_who_did_not_ask_and_who_asks_hears_of_the_model_and_the_faults() {
+fn a_start_is_announced_once_and_who_asks_hears_of_the_model_and_the_faults() {
     let blob = blob();
     let mut rig = Rig::new(&blob);
     rig.samples(240);
-    assert!(rig.line.hellos().is_empty());
+    assert_eq!(rig.line.hellos(), [9]);
+    assert!(rig.line.all(|m| Some(matches!(m, BoardMessage::Hello(_))))[0], "first of all");
     rig.board.report(FaultKind::Watchdog, 0, 1, &mut rig.line);
     rig.board.report(FaultKind::SensorMissing, 0x6B, 2, &mut rig.line);
     rig.line.clear();
