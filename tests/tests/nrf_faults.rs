@@ -82,7 +82,7 @@ fn a_sensor_that_takes_35_ms_to_start_is_no_fault() {
     let mut session = resting();
     session.send(&HostMessage::HelloRequest);
     session.run_ms(200);
-    assert_eq!(session.heard.hellos.len(), 1);
+    assert!(!session.heard.hellos.is_empty());
     assert!(session.heard.faults.is_empty(), "{:?}", session.heard.faults);
 }
 

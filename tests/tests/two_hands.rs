@@ -49,7 +49,7 @@ fn play_demo(link: Link) {
     for event in &desk.log {
         match &event.kind {
             EventKind::Gesture { label, .. } => gestures.push(label.clone()),
-            EventKind::MotionEnded { motion, reached: true } => poses.push(motion.name().to_owned()),
+            EventKind::MotionEnded { motion, reached: true } => poses.push(motion.as_str().to_owned()),
             EventKind::Halt { reason } => halts.push(*reason),
             EventKind::Released => releases += 1,
             EventKind::Heading { .. } => together += 1,
