@@ -218,3 +218,74 @@ fn texts(reader: &mut Reader<'_>) -> Option<Vec<String>> {
 fn numbers(reader: &mut Reader<'_>) -> Option<Vec<f64>> {
     (0..reader.u32()?.min(1 << 10)).map(|_| number(reader)).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use host_topics::cdr::encode;
+    use host_topics::message::{Header, JointState, Odometry, TwistStamped};
+
+    /// A file of a few messages of each stream.
+    fn small() -> Vec<u8> {
+        let mut bytes = std::io::Cursor::new(Vec::new());
+        let mut writer = mcap::WriteOptions::new().compression(None).create(&mut bytes).unwrap();
+        let metadata =
+            BTreeMap::from([("title".to_owned(), "t".to_owned()), ("origin_ns".to_owned(), "5".to_owned())]);
+        writer.write_metadata(&mcap::records::Metadata { name: METADATA.to_owned(), metadata }).unwrap();
+        let joints = JointState {
+            header: Header::default(),
+            name: vec!["joint_1".to_owned(), "left_wheel".to_owned()],
+            position: vec![0.5, 7.0],
+            velocity: vec![0.0, 0.0],
+            effort: Vec::new(),
+        };
+        let messages = [
+            (Topic::Joints, encode(&joints).unwrap()),
+            (Topic::Odometry, encode(&Odometry::default()).unwrap()),
+            (Topic::Twist, encode(&TwistStamped::default()).unwrap()),
+        ];
+        for (topic, data) in &messages {
+            let id = writer.add_channel(0, topic.name(), "cdr", &BTreeMap::new()).unwrap();
+            for n in 0..3 {
+                let log_time = 5 + n * 20_000_000;
+                let header = mcap::records::MessageHeader {
+                    channel_id: id,
+                    sequence: 0,
+                    log_time,
+                    publish_time: log_time,
+                };
+                writer.write_to_known_channel(&header, data).unwrap();
+            }
+        }
+        writer.finish().unwrap();
+        drop(writer);
+        bytes.into_inner()
+    }
+
+    #[test]
+    fn streams_are_read_without_the_wheels() {
+        let streams = Streams::read(&small()).unwrap();
+        assert_eq!(
+            (streams.title.as_str(), streams.joint_names.as_slice()),
+            ("t", &["joint_1".to_owned()][..])
+        );
+        assert_eq!(streams.joints[2], (40, vec![0.5]));
+        assert_eq!((streams.base.len(), streams.asked.len()), (3, 3));
+    }
+
+    proptest::proptest! {
+        #[test]
+        fn damaged_files_never_panic(
+            changes in proptest::collection::vec((0usize..4000, 0u8..), 1..12),
+            cut in 0usize..4000,
+        ) {
+            let mut bytes = small();
+            for (at, value) in changes {
+                let at = at % bytes.len();
+                bytes[at] = value;
+            }
+            let _ = Streams::read(&bytes);
+            let _ = Streams::read(&bytes[..cut % bytes.len()]);
+        }
+    }
+}

@@ -21,6 +21,9 @@ use host_sim::Simulator;
 use host_topics::cdr::Reader;
 use host_topics::{Entry, Origin, Topic};
 
+/// No step of a session is longer, in ms: a laptop may have slept.
+const PAUSE_MS: u64 = 3_600_000;
+
 /// What a replay came to.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Replay {
@@ -256,10 +259,12 @@ impl Player {
         let mut reader = Reader::new(&entry.data)?;
         if entry.topic == Topic::Turns {
             for _ in 0..reader.u32()? {
+                // Beyond that a number is damaged, and stepping there would take for ever.
+                let latest_ms = self.now_ms.max(entry.time_ms).saturating_add(PAUSE_MS);
                 match (reader.u8()?, reader.u64()?) {
-                    (0, time_ms) => self.decide(time_ms),
-                    (1, passed_ms) => {
-                        self.moved_ms = self.moved_ms.saturating_add(passed_ms);
+                    (0, time_ms) if time_ms <= self.now_ms.saturating_add(PAUSE_MS) => self.decide(time_ms),
+                    (1, passed_ms) if passed_ms <= PAUSE_MS && self.moved_ms + passed_ms <= latest_ms => {
+                        self.moved_ms += passed_ms;
                         self.robot.step(self.moved_ms);
                     }
                     _ => return None,
