@@ -147,6 +147,22 @@ fn the_xiao_runs_over_bluetooth_and_a_touch_at_1200_baud_shows_its_drive() {
     assert!(session.board.in_bootloader, "its bootloader feeds the watchdog");
 }
 
+/// A divider of 1 MΩ and 510 kΩ, whose lower end must stay low or the pin gets the battery's voltage.
+#[test]
+fn the_xiao_measures_its_battery() {
+    for battery_mv in [3300.0, 4150.0] {
+        let mut session = Session::of_kind(Kind::Xiao, Box::new(Still));
+        session.board.soc().saadc.inputs_mv[7] = battery_mv * 510.0 / 1510.0;
+        session.run_ms(1500);
+        session.send(&HostMessage::HelloRequest);
+        session.run_ms(100);
+        assert_eq!(session.board.soc().ports[0].drives(14), Some(false));
+        let said = session.heard.about.expect("it says so after its hello").battery_mv;
+        println!("{battery_mv} mV: {said} mV");
+        assert!((f64::from(said) - battery_mv).abs() < 6.0, "{said} mV, not {battery_mv}");
+    }
+}
+
 /// Reads the file as a bootloader does: every block by itself, and what it puts into flash.
 #[test]
 fn the_xiaos_file_puts_every_byte_of_the_image_into_its_place_and_none_elsewhere() {
