@@ -87,6 +87,7 @@ pub fn run(args: &[&str]) -> Result<ExitCode> {
         announce("AVR_ELF", &firmware_avr::image());
         announce("NANO33_ELF", &firmware_nano33::image("bootloader"));
         announce("NANO33_BLE_ELF", &firmware_nano33::image("ble"));
+        announce("XIAO_ELF", &firmware_nano33::image("xiao"));
     }
     let tests = Beside::start(&program, TESTS, 19)?;
     let others = Beside::start(&program, OTHERS, 19)?;
