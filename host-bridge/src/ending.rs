@@ -141,12 +141,14 @@ mod tests {
         let quit = Arc::new(AtomicBool::new(false));
         let ending = Ending::watch(&quit, false).unwrap();
         let began = Instant::now();
-        let _ = std::thread::Builder::new().name("some reader".to_owned()).spawn(|| panic!("it broke")).unwrap();
+        let _ =
+            std::thread::Builder::new().name("some reader".to_owned()).spawn(|| panic!("it broke")).unwrap();
         while !quit.load(Ordering::SeqCst) {
             assert!(began.elapsed() < Duration::from_secs(20));
             std::thread::yield_now();
         }
-        let told = ending.panicked().is_none_or(|text| text.contains("some reader") && text.contains("it broke"));
+        let told =
+            ending.panicked().is_none_or(|text| text.contains("some reader") && text.contains("it broke"));
         println!("row: a panic in a thread: the halt | 1 | {} ms | 20 ms", began.elapsed().as_millis());
         match how.as_str() {
             "ends" => std::process::exit(if told { 42 } else { 43 }),
@@ -160,7 +162,8 @@ mod tests {
         for (how, code) in [("ends", 42), ("hangs", FORCED)] {
             let began = Instant::now();
             let mut child = Command::new(std::env::current_exe().unwrap());
-            let done = child.args(["--exact", "ending::tests::child", "--nocapture"]).env(CHILD, how).output();
+            let done =
+                child.args(["--exact", "ending::tests::child", "--nocapture"]).env(CHILD, how).output();
             let done = done.unwrap();
             assert_eq!(done.status.code(), Some(code), "{}", String::from_utf8_lossy(&done.stderr));
             assert!(began.elapsed() < Duration::from_secs(20), "{how}");

@@ -45,17 +45,18 @@ const FAULTS: &[Fault] = &[
         &[],
     ),
     fault("mutated streams", &["-p", "shared-proto", "--test", "mutations"], &[]),
-    fault("each signal, and a closed or stalled terminal", LIVE, &[
-        "live::stops::each_signal",
-        "live::stops::a_signal",
-        "live::stops::a_terminal",
-    ]),
+    fault(
+        "each signal, and a closed or stalled terminal",
+        LIVE,
+        &["live::stops::each_signal", "live::stops::a_signal", "live::stops::a_terminal"],
+    ),
     fault("a panic in any thread", &["-p", "host-bridge", "--lib"], &["ending::"]),
     fault("floods", LIVE, &["live::stops::floods", "live::stops::a_hand_that_falls_silent"]),
-    fault("the reader of --json stops; output that nobody takes", LIVE, &[
-        "live::stops::a_reader",
-        "live::stops::output",
-    ]),
+    fault(
+        "the reader of --json stops; output that nobody takes",
+        LIVE,
+        &["live::stops::a_reader", "live::stops::output"],
+    ),
     fault("stopped and continued", LIVE, &["live::stops::a_program"]),
     fault("delays on the very program", LIVE, &["live::stops::a_board"]),
     fault("record cut short, or twice at a time", LIVE, &["live::stops::a_recording", "live::stops::two"]),
@@ -90,7 +91,11 @@ pub fn run(args: &[&str]) -> Result<ExitCode> {
             println!("| {name} | {} | {} |", row.join(" | "), if *ok { "held" } else { "MISSED" });
         }
     }
-    println!("\n{} minutes; {}", began.elapsed().as_secs() / 60, if held { "every row held" } else { "a row MISSED" });
+    println!(
+        "\n{} minutes; {}",
+        began.elapsed().as_secs() / 60,
+        if held { "every row held" } else { "a row MISSED" }
+    );
     Ok(if held { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
@@ -132,7 +137,8 @@ mod tests {
 
     #[test]
     fn the_number_of_tests_is_read_from_what_cargo_says() {
-        let line = "test result: ok. 12 passed; 0 failed; 0 ignored; 0 measured; 3 filtered out; finished in 1.2s";
+        let line =
+            "test result: ok. 12 passed; 0 failed; 0 ignored; 0 measured; 3 filtered out; finished in 1.2s";
         assert_eq!(passed(line), Some(12));
         assert_eq!(passed("test result: FAILED. 7 passed; 1 failed; 0 ignored"), Some(7));
         assert_eq!(passed("running 3 tests"), None);

@@ -47,9 +47,13 @@ fn check_collision(collision: &Collision) -> Result<(), String> {
     match &collision.geometry {
         Geometry::Box { size } => positive("a box's size", &size.0),
         Geometry::Sphere { radius } => positive("a sphere's radius", &[*radius]),
-        Geometry::Cylinder { radius, length } => positive("a cylinder's radius or length", &[*radius, *length]),
+        Geometry::Cylinder { radius, length } => {
+            positive("a cylinder's radius or length", &[*radius, *length])
+        }
         Geometry::Capsule { radius, length } => positive("a capsule's radius or length", &[*radius, *length]),
-        Geometry::Mesh { scale, .. } => scale.as_ref().map_or(Ok(()), |scale| finite("a mesh's scale", &scale.0)),
+        Geometry::Mesh { scale, .. } => {
+            scale.as_ref().map_or(Ok(()), |scale| finite("a mesh's scale", &scale.0))
+        }
     }
 }
 
