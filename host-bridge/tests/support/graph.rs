@@ -1,4 +1,4 @@
-//! The other side of the graph: `tests/ros2/peer.py` as a robot, the program beside it, and a network of their own.
+//! The other side of the graph: `tests/ros2/peer.py` (Cyclone DDS) or `rclpy_peer.py` (Fast DDS) as a robot, the program beside it, and a network of their own.
 //!
 //! Whoever includes this has `starting()`, held while a program is started, and `host_bridge()`, its path.
 
@@ -182,11 +182,22 @@ impl Drop for Teller {
     }
 }
 
+/// The robot's program below `tests/ros2`.
+fn peer_script() -> String {
+    std::env::var("BIMANUAL_ROS2_PEER").unwrap_or_else(|_| "peer.py".to_owned())
+}
+
+/// Whether the robot is ROS 2's own client library on Fast DDS; else it is Cyclone DDS.
+pub fn is_rclpy() -> bool {
+    peer_script() == "rclpy_peer.py"
+}
+
 /// The robot, or whoever `options` make of it.
 pub fn peer(python: &str, domain: u32, options: &[&str]) -> Teller {
-    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/ros2/peer.py");
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/ros2").join(peer_script());
     let mut command = Command::new(python);
     command.arg(script).args(["--domain", &domain.to_string()]).args(options);
+    command.env_remove("RMW_IMPLEMENTATION");
     start("the robot", &mut command)
 }
 
@@ -195,12 +206,13 @@ pub fn bridge(folder: &Path, domain: u32, section: &str, options: &[&str]) -> Te
     let config = folder.join(format!("desk-{domain}.toml"));
     // Two stations may share a domain.
     let config = if config.exists() { folder.join(format!("desk-{}.toml", section.len())) } else { config };
-    let text = format!(
-        "[ros2]\ndomain_id = {domain}\ninterfaces = ['127.0.0.1']\nmiddleware = 'cyclonedds'\n{section}"
-    );
+    let text = format!("[ros2]\ndomain_id = {domain}\ninterfaces = ['127.0.0.1']\n{section}");
     std::fs::write(&config, text).unwrap();
     let mut command = Command::new(host_bridge());
     command.args(["run", "--ros2", "--json", "--config"]).arg(&config).args(options);
+    for variable in ["ROS_DOMAIN_ID", "RMW_IMPLEMENTATION", "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY"] {
+        command.env_remove(variable);
+    }
     start("the bridge", &mut command)
 }
 
