@@ -95,7 +95,8 @@ fn say_where_python_is(venv: &Path) -> Result<()> {
     let script = "import sysconfig, numpy; print(sysconfig.get_path('include')); print(numpy.get_include())";
     let told = Command::new(venv.join("bin/python")).args(["-c", script]).output()?;
     let told = String::from_utf8_lossy(&told.stdout).into_owned();
-    let (include, numpy) = told.trim().split_once('\n').context("Python does not say where its headers are")?;
+    let (include, numpy) =
+        told.trim().split_once('\n').context("Python does not say where its headers are")?;
     ensure!(
         Path::new(include).join("Python.h").is_file(),
         "{include} has no Python.h (Debian: apt-get install python3-dev)"
@@ -133,7 +134,8 @@ fn interface_files(package: &str) -> Result<Vec<String>> {
 
 /// Builds one package of interfaces into `install`.
 fn build(place: &Path, package: &str, parts: &[&str]) -> Result<()> {
-    let (source, build, venv) = (place.join("src").join(package), place.join("build").join(package), place.join("venv"));
+    let (source, build, venv) =
+        (place.join("src").join(package), place.join("build").join(package), place.join("venv"));
     for folder in [&source, &build] {
         // What another version left behind.
         let _ = fs::remove_dir_all(folder);
@@ -171,7 +173,14 @@ fn build(place: &Path, package: &str, parts: &[&str]) -> Result<()> {
     };
     let is = |name: &str, value: &Path| format!("-D{name}={}", value.display());
     sh(cmake()
-        .args(["-G", "Ninja", "-Wno-dev", "-Wno-deprecated", "-DBUILD_TESTING=OFF", "-DCMAKE_BUILD_TYPE=MinSizeRel"])
+        .args([
+            "-G",
+            "Ninja",
+            "-Wno-dev",
+            "-Wno-deprecated",
+            "-DBUILD_TESTING=OFF",
+            "-DCMAKE_BUILD_TYPE=MinSizeRel",
+        ])
         .arg(is("CMAKE_PREFIX_PATH", &venv))
         .arg(is("CMAKE_INSTALL_PREFIX", &place.join("install")))
         .arg(is("Python3_EXECUTABLE", &venv.join("bin/python")))

@@ -14,7 +14,8 @@ use anyhow::{Context, Result, bail, ensure};
 use crate::steps::{Outcome, Step, output, report, run_all, run_failed_again, sh};
 use crate::tools::{BROWSER, CROSS_LINK, CROSS_RUST, EMULATORS, NETWORK, QEMU};
 use crate::{
-    firmware_avr, firmware_nano33, is_full, jazzy, package, python, real_data, root, target_dir, toolchain, tools,
+    firmware_avr, firmware_nano33, is_full, jazzy, package, python, real_data, root, target_dir, toolchain,
+    tools,
 };
 
 /// Runs the steps.

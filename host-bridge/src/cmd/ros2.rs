@@ -9,14 +9,14 @@ pub use on::{Link, doctor};
 mod on {
     use std::sync::Arc;
     use std::sync::atomic::{AtomicBool, Ordering};
-    use std::time::{Duration, SystemTime};
+    use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
     use anyhow::{Result, bail};
     use host_bridge::bridge::BridgeEvent;
     use host_bridge::links::Clock;
     use host_bridge::live::Live;
     use host_bridge::robot::Robot as _;
-    use host_bridge::ros2::advice::{Machine, look_at, nobody, topics};
+    use host_bridge::ros2::advice::{Heard, Machine, look_at, nobody, topics, tried, variables};
     use host_bridge::ros2::config::{Connection, RosEnvironment};
     use host_bridge::ros2::diagnostics::Diagnostics;
     use host_bridge::ros2::message::Time;
@@ -29,6 +29,11 @@ mod on {
     /// Zero and cancellations are sent for so long at the end.
     const FAREWELL_MS: u64 = 300;
 
+    /// Since 1970.
+    fn seconds(time: SystemTime) -> f64 {
+        time.duration_since(UNIX_EPOCH).unwrap_or_default().as_secs_f64()
+    }
+
     fn connection(config: &Ros2Config) -> Result<Connection> {
         config.connection(&RosEnvironment::read()).map_err(anyhow::Error::msg)
     }
@@ -39,6 +44,7 @@ mod on {
         diagnostics: Diagnostics,
         name: String,
         about: String,
+        notes: Vec<String>,
         interrupted: Arc<AtomicBool>,
     }
 
@@ -46,7 +52,7 @@ mod on {
         /// Joins the graph.
         pub fn open(config: &Ros2Config, publish_sim: bool) -> Result<Self> {
             let connection = connection(config)?;
-            let node = RosNode::open(config, &connection, publish_sim)?;
+            let mut node = RosNode::open(config, &connection, publish_sim)?;
             if publish_sim {
                 std::thread::sleep(SEARCH);
                 let rivals = node.rivals();
@@ -73,6 +79,7 @@ mod on {
                 diagnostics: Diagnostics::default(),
                 name: config.node.clone(),
                 about,
+                notes: variables(&RosEnvironment::read()),
                 interrupted,
             })
         }
@@ -89,14 +96,18 @@ mod on {
 
         /// Takes what came in; what a person should know.
         pub fn receive(&mut self, live: &mut Live, now_ms: u64) -> Vec<String> {
-            live.ros_mut().map(|robot| self.node.receive(robot, now_ms)).unwrap_or_default()
+            let mut notes = std::mem::take(&mut self.notes);
+            if let Some(robot) = live.ros_mut() {
+                notes.extend(self.node.receive(robot, seconds(SystemTime::now()), now_ms));
+            }
+            notes
         }
 
         /// Sends what was decided since `woken`.
         pub fn send(&mut self, live: &mut Live, events: &[BridgeEvent], now_ms: u64, woken: SystemTime) {
             let stamp = Time::at(woken);
             if let Some(robot) = live.ros_mut() {
-                self.node.send(robot, stamp);
+                self.node.send(robot, seconds(woken), now_ms);
             }
             for event in events {
                 self.diagnostics.note(event);
@@ -115,20 +126,32 @@ mod on {
             let until_ms = clock.now_ms() + FAREWELL_MS;
             while clock.now_ms() < until_ms {
                 let now_ms = clock.now_ms();
-                self.node.receive(robot, now_ms);
+                self.node.receive(robot, seconds(SystemTime::now()), now_ms);
                 robot.step(now_ms);
-                self.node.send(robot, Time::at(SystemTime::now()));
+                self.node.send(robot, seconds(SystemTime::now()), now_ms);
                 std::thread::sleep(Duration::from_millis(5));
             }
             self.node.counts()
         }
     }
 
-    /// Looks at the graph for a while; is all well?
+    /// Looks at the graph for a while, and tries; is all well?
     pub fn doctor(config: &Ros2Config, seconds: f64) -> Result<bool> {
-        let connection = connection(config)?;
-        let node = RosNode::open(config, &connection, false)?;
-        std::thread::sleep(Duration::from_secs_f64(seconds));
+        let environment = RosEnvironment::read();
+        let connection = match connection(config) {
+            Ok(connection) => connection,
+            Err(why) => {
+                println!("\nROS 2\n  → {why}");
+                return Ok(false);
+            }
+        };
+        let mut node = RosNode::open(config, &connection, false)?;
+        let start = Instant::now();
+        let mut heard = Heard::default();
+        while start.elapsed().as_secs_f64() < seconds {
+            std::thread::sleep(Duration::from_millis(10));
+            heard = node.examine(self::seconds(SystemTime::now()), start.elapsed().as_millis() as u64);
+        }
         let graph = node.graph();
         println!("\nROS 2: domain {} (from {})", connection.domain_id, connection.domain_from);
         let interfaces: Vec<String> = connection.interfaces.iter().map(ToString::to_string).collect();
@@ -136,14 +159,13 @@ mod on {
             "  interfaces: {}",
             if interfaces.is_empty() { "all".to_owned() } else { interfaces.join(", ") }
         );
-        println!(
-            "  goals as {} has them; {} other participant{}",
-            if connection.cyclone_services { "rmw_cyclonedds_cpp" } else { "rmw_fastrtps_cpp" },
-            graph.participants.len(),
-            if graph.participants.len() == 1 { "" } else { "s" }
-        );
+        for (id, other) in &graph.participants {
+            let name = other.name.as_deref().filter(|name| !name.is_empty());
+            let name = name.map(|name| format!(" \"{name}\"")).unwrap_or_default();
+            println!("  participant {id}: {}, protocol {}{name}", other.vendor, other.version);
+        }
         let mut advice = Vec::new();
-        for topic in topics(config) {
+        for topic in topics(config, &graph) {
             let found = look_at(&topic, &graph);
             for line in found.lines {
                 println!("  {line}");
@@ -158,6 +180,13 @@ mod on {
             let tcp = read("/proc/net/tcp") + &read("/proc/net/tcp6");
             advice.push("nobody else is in this domain".to_owned());
             advice.extend(nobody(&connection, &Machine::from_proc(&udp, &tcp)));
+            advice.extend(variables(&environment));
+        } else {
+            let found = tried(config, &graph, &heard, &environment);
+            for line in found.lines {
+                println!("  {line}");
+            }
+            advice.extend(found.advice);
         }
         for line in &advice {
             println!("  → {line}");

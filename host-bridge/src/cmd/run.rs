@@ -132,7 +132,9 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     let mut config = read_config(args.config.as_deref())?;
     config.left_handed |= args.left_handed;
     config.arm.jerk_limited |= args.jerk_limited;
-    config.ros2.stamped &= !args.unstamped;
+    if args.unstamped {
+        config.ros2.stamped = Some(false);
+    }
     if args.publish_sim {
         // The simulator's arm is the one that moves.
         config.ros2.arm = ArmInterface::None;

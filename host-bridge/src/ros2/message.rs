@@ -56,6 +56,13 @@ pub struct Header {
     pub frame_id: String,
 }
 
+/// `rosgraph_msgs/Clock`: a simulation's time.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Clock {
+    /// Now.
+    pub clock: Time,
+}
+
 /// `geometry_msgs/Vector3` and `Point`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Vector3 {
@@ -403,6 +410,20 @@ pub struct FollowFeedback {
     pub desired: JointTrajectoryPoint,
     /// Where it is.
     pub actual: JointTrajectoryPoint,
+}
+
+/// `control_msgs/JointTrajectoryControllerState`, as far as it is used: what follows differs between releases and is not
+/// read.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct ControllerState {
+    /// When.
+    pub header: Header,
+    /// Joints.
+    pub joint_names: Vec<String>,
+    /// Where the controller wants the arm to be now.
+    pub reference: JointTrajectoryPoint,
+    /// Where it is.
+    pub feedback: JointTrajectoryPoint,
 }
 
 /// `diagnostic_msgs/KeyValue`.

@@ -10,12 +10,24 @@
 
 pub mod advice;
 pub mod arm;
+pub mod clocks;
 pub mod config;
+#[cfg(feature = "ros2")]
+mod device;
 pub mod diagnostics;
+#[cfg(feature = "ros2")]
+mod follow;
+pub mod hashes;
+#[cfg(feature = "ros2")]
+mod joined;
 pub mod message;
 #[cfg(feature = "ros2")]
 pub mod node;
 pub mod robot;
+pub mod vendor;
+#[cfg(feature = "ros2")]
+mod watch;
 
-pub use config::{ArmInterface, Middleware, Ros2Config};
+pub use clocks::Stamp;
+pub use config::{ArmInterface, Ros2Config};
 pub use robot::{Counts, Output, RosRobot};

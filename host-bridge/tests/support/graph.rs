@@ -210,7 +210,9 @@ pub fn bridge(folder: &Path, domain: u32, section: &str, options: &[&str]) -> Te
     std::fs::write(&config, text).unwrap();
     let mut command = Command::new(host_bridge());
     command.args(["run", "--ros2", "--json", "--config"]).arg(&config).args(options);
-    for variable in ["ROS_DOMAIN_ID", "RMW_IMPLEMENTATION", "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY"] {
+    for variable in
+        ["ROS_DOMAIN_ID", "RMW_IMPLEMENTATION", "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY"]
+    {
         command.env_remove(variable);
     }
     start("the bridge", &mut command)
