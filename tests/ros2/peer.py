@@ -109,8 +109,8 @@ class Net:
         self.waitset = WaitSet(self.participant)
         self.readers, self.servers, self.matched = [], [], {}
 
-    def read(self, name, kind, handle):
-        reader = DataReader(self.participant, Topic(self.participant, name, kind), qos=RELIABLE)
+    def read(self, name, kind, handle, qos=RELIABLE):
+        reader = DataReader(self.participant, Topic(self.participant, name, kind), qos=qos)
         condition = ReadCondition(reader, SampleState.Any | ViewState.Any | InstanceState.Any)
         self.waitset.attach(condition)
         self.readers.append((name, reader, handle, condition))
@@ -118,8 +118,8 @@ class Net:
     def write(self, name, kind, qos):
         return DataWriter(self.participant, Topic(self.participant, name, kind), qos=qos)
 
-    def listen(self, name, kind, handle):
-        self.read(f"rt{name}", getattr(ros, kind), handle)
+    def listen(self, name, kind, handle, latched=False):
+        self.read(f"rt{name}", getattr(ros, kind), handle, LATCHED if latched else RELIABLE)
 
     def writer(self, name, kind, latched=False):
         return self.write(f"rt{name}", getattr(ros, kind), LATCHED if latched else RELIABLE).write

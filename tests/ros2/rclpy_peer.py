@@ -107,8 +107,8 @@ class Net:
         self.read = []
         self.matched = {}
 
-    def listen(self, name, kind, handle):
-        qos = qos_profile_system_default if kind in AS_CONTROLLERS else RELIABLE
+    def listen(self, name, kind, handle, latched=False):
+        qos = LATCHED if latched else qos_profile_system_default if kind in AS_CONTROLLERS else RELIABLE
         self.node.create_subscription(getattr(ROS, kind), name, lambda message: handle(time.time(), message), qos)
         self.read.append(f"rt{name}")
 

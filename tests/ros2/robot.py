@@ -57,6 +57,8 @@ def options(description):
     parser.add_argument("--base-only", action="store_true", help="no arm, no diagnostics")
     parser.add_argument("--robot", action="store_true", help="publishes joint states, has an arm")
     parser.add_argument("--action", action="store_true", help="the arm takes goals, too")
+    parser.add_argument("--inactive", action="store_true", help="the arm's controller is there, but not active")
+    parser.add_argument("--demanding", action="store_true", help="wants speeds from before it came (transient local)")
     parser.add_argument("--gripper", choices=["parallel", "command"], help="has a gripper behind this kind of action")
     parser.add_argument("--blocked", type=float, help="an object stops the gripper at this position in m")
     parser.add_argument("--odom", action="store_true", help="publishes odometry at 50 Hz")
@@ -76,7 +78,7 @@ def options(description):
 
 
 class Robot:
-    """`net` carries it: `listen(name, kind, handle)`, `writer(name, kind, latched=False)`, which returns what sends a
+    """`net` carries it: `listen(name, kind, handle, latched=False)`, `writer(name, kind, latched=False)`, which returns what sends a
     message, and `action(name, kind, judge, start, cancel)`, which returns a server with `feedback` and `finish`.
     `ros` has the messages' classes. Handlers get the wall clock and the message."""
 
@@ -94,7 +96,8 @@ class Robot:
         self.arm_moved = False
         space = opts.namespace
         self.clock = net.writer("/clock", "Clock") if opts.sim_time else None
-        net.listen(f"{space}/cmd_vel", "Twist" if opts.unstamped else "TwistStamped", self.speed)
+        net.listen(f"{space}/cmd_vel", "Twist" if opts.unstamped else "TwistStamped", self.speed,
+                   opts.demanding)
         self.states = self.follow = self.controller_state = self.gripper_action = self.odom = None
         if not opts.base_only:
             net.listen("/diagnostics", "DiagnosticArray", self.diagnostics)
@@ -177,7 +180,7 @@ class Robot:
         """`accept`, `reject`, `silent` or `late`, and a line for what will not become a goal at once."""
         trajectory = plain(goal.trajectory)
         why = self.arm.refusal(trajectory, self.now())
-        verdict = "reject" if why else self.mode
+        verdict = "reject" if why or self.opts.inactive else self.mode
         if verdict != "accept":
             self.say_trajectory("goal", now, trajectory, id="", mode=verdict, refused=why)
         return verdict
@@ -250,7 +253,7 @@ class Robot:
             angles = [p + self.random.gauss(0.0, self.opts.noise) for p in arm.reported()]
             self.states(ros.JointState(header=self.header(now - self.opts.states_late), name=JOINTS, position=angles,
                                        velocity=arm.velocity, effort=[]))
-        if count % 2 == 0:
+        if count % 2 == 0 and not self.opts.inactive:
             self.controller_state(self.state_message(now))
         if count % 10 == 0 and arm.goal is not None:
             desired, actual, error = self.three_points()

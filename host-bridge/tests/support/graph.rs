@@ -201,12 +201,13 @@ pub fn peer(python: &str, domain: u32, options: &[&str]) -> Teller {
     start("the robot", &mut command)
 }
 
-/// The program under test with `section` in its configuration's `[ros2]`.
+/// The program under test with `section` in its configuration's `[ros2]`; speeds are stamped, so that the test sees how
+/// old they are.
 pub fn bridge(folder: &Path, domain: u32, section: &str, options: &[&str]) -> Teller {
     let config = folder.join(format!("desk-{domain}.toml"));
     // Two stations may share a domain.
     let config = if config.exists() { folder.join(format!("desk-{}.toml", section.len())) } else { config };
-    let text = format!("[ros2]\ndomain_id = {domain}\ninterfaces = ['127.0.0.1']\n{section}");
+    let text = format!("[ros2]\ndomain_id = {domain}\ninterfaces = ['127.0.0.1']\nstamp = 'wall'\n{section}");
     std::fs::write(&config, text).unwrap();
     let mut command = Command::new(host_bridge());
     command.args(["run", "--ros2", "--json", "--config"]).arg(&config).args(options);

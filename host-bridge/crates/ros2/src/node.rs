@@ -1,0 +1,441 @@
+//! The node on the graph: DDS in, DDS out. Nothing is decided here.
+//!
+//! RustDDS runs its own threads; everything here returns at once. A node whose threads have ended is opened anew, on
+//! a thread of its own. Needs the feature `ros2`.
+
+use std::sync::mpsc::{Receiver, TryRecvError, channel};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use super::advice::{Endpoint, Graph, Heard, topics, wire};
+use super::clocks::{Clocks, Difference, Source};
+use super::config::{Connection, Ros2Config};
+use super::follow::named;
+use super::joined::{Arm, Joined, NodeError, Published, Speed, rivals};
+use super::robot::{Counts, Output, RosRobot};
+use host_robot::{Picture, Robot as _};
+use host_topics::message as ros;
+
+/// The graph is looked at this often: discovery takes far longer.
+const LOOK_INTERVAL_MS: u64 = 250;
+/// The node's threads are looked at this often.
+const WATCH_INTERVAL_MS: u64 = 100;
+/// The simulator's state is published this often.
+const SIM_INTERVAL_MS: u64 = 20;
+
+/// See the module.
+pub struct RosNode {
+    config: Ros2Config,
+    connection: Connection,
+    publish_sim: bool,
+    /// `None` while it is opened anew.
+    joined: Option<Joined>,
+    published: Arc<Mutex<Option<Published>>>,
+    opening: Option<Receiver<Result<(Joined, Published), NodeError>>>,
+    clocks: Clocks,
+    heard: Heard,
+    controller_state: Option<(u64, ros::ControllerState)>,
+    looked_ms: Option<u64>,
+    watched_ms: Option<u64>,
+    readers: usize,
+    /// What was said last about each of these, so that it is said once.
+    said: [Option<String>; 3],
+    counts: Counts,
+}
+
+/// What a robot says about itself.
+enum HeardOf<'a> {
+    Arm(&'a ros::JointState),
+    Base(&'a ros::Odometry),
+}
+
+/// Places in `said`.
+const SPEED: usize = 0;
+const SERVERS: usize = 1;
+const CLOCKS: usize = 2;
+
+impl RosNode {
+    /// Joins the graph. With `publish_sim` the simulator's state is to be published; look at [`RosNode::rivals`]
+    /// before the first [`RosPublisher::publish_sim`].
+    ///
+    /// # Errors
+    /// [`NodeError`]: the domain or a topic cannot be had.
+    pub fn open(
+        config: &Ros2Config,
+        connection: &Connection,
+        publish_sim: bool,
+    ) -> Result<(Self, RosPublisher), NodeError> {
+        let (joined, published) = Joined::open(config, connection, publish_sim)?;
+        let published = Arc::new(Mutex::new(Some(published)));
+        let publisher =
+            RosPublisher { config: config.clone(), published: Arc::clone(&published), sim_published_ms: 0 };
+        let node = RosNode {
+            joined: Some(joined),
+            published,
+            config: config.clone(),
+            connection: connection.clone(),
+            publish_sim,
+            opening: None,
+            clocks: Clocks::default(),
+            heard: Heard::default(),
+            controller_state: None,
+            looked_ms: None,
+            watched_ms: None,
+            readers: 0,
+            said: [None, None, None],
+            counts: Counts::default(),
+        };
+        Ok((node, publisher))
+    }
+
+    /// What was sent and heard.
+    pub fn counts(&self) -> Counts {
+        self.counts
+    }
+
+    /// Everybody else on the graph.
+    pub fn graph(&mut self) -> Graph {
+        self.joined.as_mut().map(Joined::graph).unwrap_or_default()
+    }
+
+    /// Topics of the simulator that somebody else publishes.
+    pub fn rivals(&mut self) -> Vec<String> {
+        let graph = self.graph();
+        rivals(&self.config, &graph)
+    }
+
+    /// The node is on the graph and its threads are alive.
+    pub fn is_alive(&self) -> bool {
+        self.joined.as_ref().is_some_and(|joined| joined.watch.is_alive())
+    }
+
+    /// The robot's clock against the one that it should agree with; `None` where the robot stamps nothing.
+    pub fn clock_difference(&self, now_ms: u64) -> Option<Difference> {
+        self.clocks.difference(now_ms)
+    }
+
+    /// The robot's time of now in seconds, for trajectories; `None` where it is not known.
+    pub fn robot_time_s(&self, wall_s: f64, now_ms: u64) -> Option<f64> {
+        self.clocks.robot_s(wall_s, now_ms)
+    }
+
+    /// Why nothing may be armed; `None` = nothing stands against it here.
+    pub fn refusal(&self, now_ms: u64) -> Option<String> {
+        if self.joined.is_none() {
+            return Some("the node on the graph is being opened anew".to_owned());
+        }
+        self.clocks.refusal(now_ms)
+    }
+
+    /// Takes what came in at `wall_s` (seconds since 1970). Returns what a person should know.
+    pub fn receive(&mut self, robot: &mut RosRobot, wall_s: f64, now_ms: u64) -> Vec<String> {
+        robot.at(now_ms);
+        let mut notes = Vec::new();
+        self.watch(robot, now_ms, &mut notes);
+        self.hear(wall_s, now_ms, |heard| match heard {
+            HeardOf::Arm(state) => robot.see(state),
+            HeardOf::Base(odometry) => robot.see_base(odometry),
+        });
+        if let Some(Arm::Action(follow)) = self.joined.as_mut().map(|joined| &mut joined.arm) {
+            for (goal, answer) in follow.answers() {
+                robot.answer(goal, answer);
+            }
+        }
+        notes.extend(robot.take_notes());
+        if self.looked_ms.is_none_or(|at| now_ms.saturating_sub(at) >= LOOK_INTERVAL_MS) {
+            self.looked_ms = Some(now_ms);
+            self.look(robot, now_ms, &mut notes);
+        }
+        notes
+    }
+
+    /// Takes what the robot says about itself.
+    fn hear(&mut self, wall_s: f64, now_ms: u64, mut see: impl FnMut(HeardOf<'_>)) {
+        let Some(joined) = &mut self.joined else { return };
+        // What cannot be read is dropped.
+        while let Ok(Some((clock, _))) = joined.clock.take() {
+            self.heard.clocks += 1;
+            self.clocks.hear_clock(clock.clock.seconds(), now_ms);
+        }
+        while let Some(Ok(Some((state, _)))) = joined.joint_states.as_ref().map(|states| states.take()) {
+            self.counts.joint_states += 1;
+            self.clocks.hear(Source::JointStates, state.header.stamp.seconds(), wall_s, now_ms);
+            see(HeardOf::Arm(&state));
+        }
+        while let Some(Ok(Some((odom, _)))) = joined.odom.as_ref().map(|odom| odom.take()) {
+            self.clocks.hear(Source::Odometry, odom.header.stamp.seconds(), wall_s, now_ms);
+            see(HeardOf::Base(&odom));
+        }
+        while let Some(Ok(Some((state, _)))) = joined.controller_state.as_ref().map(|states| states.take()) {
+            self.heard.controller_states += 1;
+            self.controller_state = Some((now_ms, state));
+        }
+    }
+
+    /// Examines the graph without a robot to move: hears, and asks the arm's server something harmless. Call it
+    /// often; what was found so far.
+    pub fn examine(&mut self, wall_s: f64, now_ms: u64) -> Heard {
+        self.hear(wall_s, now_ms, |_| {});
+        if self.looked_ms.is_none_or(|at| now_ms.saturating_sub(at) >= LOOK_INTERVAL_MS) {
+            self.looked_ms = Some(now_ms);
+            if let Some(joined) = &mut self.joined {
+                let graph = joined.graph();
+                if let Arm::Action(follow) = &mut joined.arm {
+                    // Why it cannot be asked shows in what is not answered.
+                    if follow.look(&mut joined.node, &graph) == Ok(true) {
+                        follow.ask();
+                    }
+                }
+            }
+        }
+        if let Some(Arm::Action(follow)) = self.joined.as_mut().map(|joined| &mut joined.arm) {
+            let _ = follow.answers();
+            self.heard.probe = follow.probe();
+        }
+        Heard {
+            joint_states: self.counts.joint_states,
+            difference: self.clocks.difference(now_ms),
+            refusal: self.clocks.refusal(now_ms),
+            ..self.heard.clone()
+        }
+    }
+
+    /// What the arm's controller said last about itself, and when it came.
+    pub fn controller_state(&self) -> Option<&(u64, ros::ControllerState)> {
+        self.controller_state.as_ref()
+    }
+
+    /// Opens a node anew whose threads have ended, and halts the robot meanwhile.
+    fn watch(&mut self, robot: &mut RosRobot, now_ms: u64, notes: &mut Vec<String>) {
+        if self.watched_ms.is_some_and(|at| now_ms.saturating_sub(at) < WATCH_INTERVAL_MS) {
+            return;
+        }
+        self.watched_ms = Some(now_ms);
+        if let Some(opening) = &self.opening {
+            match opening.try_recv() {
+                Ok(Ok((joined, published))) => {
+                    *lock(&self.published) = Some(published);
+                    notes.push("the node is on the graph again".to_owned());
+                    (self.joined, self.opening, self.looked_ms) = (Some(joined), None, None);
+                }
+                Ok(Err(error)) => {
+                    notes.push(format!("{error}; tried again"));
+                    self.open_anew();
+                }
+                Err(TryRecvError::Disconnected) => self.open_anew(),
+                Err(TryRecvError::Empty) => {}
+            }
+            return;
+        }
+        if self.joined.as_ref().is_some_and(|joined| !joined.watch.is_alive()) {
+            notes.push(
+                "ALARM: the node's threads have ended (this process was stopped or suspended): no stop reaches the \
+                 robot until it is open again; the robot's own timeouts act"
+                    .to_owned(),
+            );
+            robot.halt();
+            robot.set_arm_listened_to(false);
+            self.readers = 0;
+            self.clocks = Clocks::default();
+            self.open_anew();
+        }
+    }
+
+    fn open_anew(&mut self) {
+        let (sender, receiver) = channel();
+        let dead = (self.joined.take(), lock(&self.published).take());
+        let (config, connection, publish_sim) =
+            (self.config.clone(), self.connection.clone(), self.publish_sim);
+        // Nothing waits for it: a dead node's end may take its time.
+        std::thread::spawn(move || {
+            drop(sender.send(Joined::open(&config, &connection, publish_sim)));
+            drop(dead);
+        });
+        self.opening = Some(receiver);
+    }
+
+    /// Says something once, until it changes.
+    fn say(&mut self, place: usize, what: Option<String>, notes: &mut Vec<String>) {
+        if self.said[place] != what {
+            notes.extend(what.clone());
+            self.said[place] = what;
+        }
+    }
+
+    fn look(&mut self, robot: &mut RosRobot, now_ms: u64, notes: &mut Vec<String>) {
+        let Some(joined) = &mut self.joined else { return };
+        let graph = joined.graph();
+        let cmd_vel = self.config.resolve(&self.config.cmd_vel);
+        let topic = wire::topic(&cmd_vel);
+        let kinds = [wire::TWIST_STAMPED, wire::TWIST]
+            .map(|kind| graph.readers.iter().filter(|r| r.topic == topic && r.type_name == kind).count());
+        let mut speed_note = None;
+        if self.config.stamped.is_none() && kinds.iter().sum::<usize>() > 0 {
+            let stamped = kinds[0] > 0;
+            if stamped != joined.is_stamped()
+                && let Err(error) = joined.set_stamped(&self.config, stamped)
+            {
+                notes.push(error.to_string());
+            }
+            speed_note = (kinds[0] > 0 && kinds[1] > 0).then(|| {
+                format!(
+                    "{cmd_vel} has readers of TwistStamped ({}) and of Twist ({}): TwistStamped is sent; set stamped \
+                     in [ros2] for the other",
+                    kinds[0], kinds[1]
+                )
+            });
+        }
+        let readers = kinds[usize::from(!joined.is_stamped())];
+        let mut servers_note = None;
+        let listened_to = match &mut joined.arm {
+            Arm::None => false,
+            Arm::Topic(_) => {
+                let name =
+                    topics(&self.config, &graph).into_iter().find(|topic| topic.key == "arm_controller");
+                let match_of = |r: &Endpoint| {
+                    name.as_ref().is_some_and(|ours| r.topic == ours.topic && r.type_name == ours.type_name)
+                };
+                graph.readers.iter().any(match_of)
+            }
+            Arm::Action(follow) => {
+                let servers = follow.servers(&graph);
+                servers_note = match servers.as_slice() {
+                    [] => None,
+                    [one] => Some(format!("goals go to an action server on {}", one.vendor)),
+                    several => Some(format!(
+                        "{} action servers of one name: {}; no motion starts before only one is left",
+                        several.len(),
+                        named(several)
+                    )),
+                };
+                follow.look(&mut joined.node, &graph).unwrap_or_else(|error| {
+                    notes.push(error.to_string());
+                    false
+                })
+            }
+        };
+        let rivals = if self.publish_sim { rivals(&self.config, &graph) } else { Vec::new() };
+        if !rivals.is_empty() {
+            // Nor after the node was opened anew.
+            self.publish_sim = false;
+            if let Some(published) = &mut *lock(&self.published) {
+                published.sim = None;
+            }
+            notes.push(format!(
+                "somebody else publishes {}: the simulator's state is no longer published",
+                rivals.join(", ")
+            ));
+        }
+        robot.set_arm_listened_to(listened_to);
+        if readers != self.readers {
+            notes.push(match readers {
+                0 => format!("nobody listens to {cmd_vel} any more"),
+                1 => format!("1 reader on {cmd_vel}"),
+                n => format!("{n} readers on {cmd_vel}; all of them move"),
+            });
+            self.readers = readers;
+        }
+        self.say(SPEED, speed_note, notes);
+        self.say(SERVERS, servers_note, notes);
+        // Without its figures, which change all the time.
+        let clocks = self.clocks.refusal(now_ms);
+        if clocks.is_some() != self.said[CLOCKS].is_some() {
+            self.say(CLOCKS, clocks.map(|why| format!("the clocks do not agree: {why}")), notes);
+        }
+    }
+
+    /// Sends what the robot wants sent, decided at `wall_s` (seconds since 1970).
+    pub fn send(&mut self, robot: &mut RosRobot, wall_s: f64, now_ms: u64) {
+        for output in robot.take_outputs() {
+            let Some(joined) = &mut self.joined else {
+                self.counts.failed += 1;
+                continue;
+            };
+            let sent = match output {
+                Output::Twist(twist) => {
+                    self.counts.twists += 1;
+                    let twist = ros::Twist::from(twist);
+                    match &joined.speed {
+                        Speed::Plain(publisher) => publisher.publish(twist).is_ok(),
+                        Speed::Stamped(publisher) => {
+                            let stamp = self.clocks.stamp_s(self.config.stamp, wall_s, now_ms);
+                            let header = ros::Header {
+                                stamp: ros::Time::after_s(stamp),
+                                frame_id: self.config.base_frame.clone(),
+                            };
+                            publisher.publish(ros::TwistStamped { header, twist }).is_ok()
+                        }
+                    }
+                }
+                Output::Trajectory(trajectory) => match &joined.arm {
+                    Arm::Topic(publisher) => {
+                        self.counts.motions += 1;
+                        publisher.publish(trajectory).is_ok()
+                    }
+                    _ => false,
+                },
+                Output::Goal { goal, trajectory } => match &mut joined.arm {
+                    Arm::Action(follow) => {
+                        self.counts.motions += 1;
+                        follow.send(goal, trajectory)
+                    }
+                    _ => false,
+                },
+                Output::Cancel { goal } => match &joined.arm {
+                    Arm::Action(follow) => follow.cancel(goal),
+                    _ => false,
+                },
+            };
+            self.counts.failed += u64::from(!sent);
+        }
+    }
+}
+
+/// What the program publishes beside its commands: diagnostics, and the simulator where that is the robot.
+pub struct RosPublisher {
+    config: Ros2Config,
+    published: Arc<Mutex<Option<Published>>>,
+    sim_published_ms: u64,
+}
+
+impl RosPublisher {
+    /// Publishes what the hands do.
+    pub fn diagnose(&mut self, message: ros::DiagnosticArray) {
+        if let Some(published) = &*lock(&self.published) {
+            // A message that cannot be handed over is late by the next one.
+            let _ = published.diagnostics.publish(message);
+        }
+    }
+
+    /// Publishes the simulator's state, if that is wanted and due.
+    pub fn publish_sim(&mut self, simulator: &Picture, now_ms: u64, stamp: ros::Time) {
+        let published = lock(&self.published);
+        let Some(topics) = published.as_ref().and_then(|published| published.sim.as_ref()) else { return };
+        if now_ms.saturating_sub(self.sim_published_ms) < SIM_INTERVAL_MS {
+            return;
+        }
+        self.sim_published_ms = now_ms;
+        let header = |frame: &str| ros::Header { stamp, frame_id: frame.to_owned() };
+        let arm = &simulator.arm;
+        let joint_state = ros::JointState {
+            header: header(""),
+            name: self.config.joint_names.to_vec(),
+            position: arm.joints_rad.to_vec(),
+            velocity: arm.velocity_rad_s.to_vec(),
+            effort: Vec::new(),
+        };
+        let base_frame = || self.config.base_frame.clone();
+        let odom = ros::Odometry::of(simulator, header(&self.config.odom_frame), base_frame());
+        let transform = ros::TransformStamped {
+            header: header(&self.config.odom_frame),
+            child_frame_id: base_frame(),
+            transform: ros::Transform::of_base(simulator),
+        };
+        let _ = topics.joint_states.publish(joint_state);
+        let _ = topics.odom.publish(odom);
+        let _ = topics.tf.publish(ros::TfMessage { transforms: vec![transform] });
+    }
+}
+
+fn lock(published: &Mutex<Option<Published>>) -> MutexGuard<'_, Option<Published>> {
+    published.lock().unwrap_or_else(PoisonError::into_inner)
+}
