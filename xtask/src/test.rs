@@ -296,6 +296,7 @@ fn in_time() -> Vec<Step> {
         }),
         Step::new("ROS 2 against rclpy on Fast DDS", || {
             let Some(python) = jazzy::environment()? else { return Ok(()) };
+            sh(Command::new(&python).current_dir(root()).arg("tests/ros2/hashes.py"))?;
             sh(cargo_for_all("test")
                 .args(["--no-fail-fast", "--test", "live", "live::ros2::", "--", "--nocapture"])
                 .env("BIMANUAL_PROGRAMS", programs()?)

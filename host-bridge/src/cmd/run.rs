@@ -20,7 +20,7 @@ use host_bridge::links::{Clock, Link as BoardLink, SystemClock, is_ble};
 use host_bridge::observe::{Now, SessionEvent};
 use host_bridge::robot::{Door, Robot};
 use host_bridge::robots::{Echoed, Stage};
-use host_bridge::ros2::{ArmInterface, Counts};
+use host_bridge::ros2::{ArmInterface, Counts, Stamped};
 use host_bridge::safety::Hand;
 use host_bridge::source::Source;
 use host_bridge::view::{Scene, View};
@@ -130,7 +130,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     config.left_handed |= args.left_handed;
     config.arm.jerk_limited |= args.jerk_limited;
     if args.unstamped {
-        config.ros2.stamped = Some(false);
+        config.ros2.stamped = Stamped::Fixed(false);
     }
     if args.publish_sim {
         // The simulator's arm is the one that moves.

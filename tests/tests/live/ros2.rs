@@ -69,7 +69,7 @@ fn both_boards_reach_a_robot_on_the_graph_in_time_and_a_silent_one_stops_it() {
     let ports = ["--left", &left.port(), "--right", &right.port()];
     let mut bridge = bridge(&desk.path(""), domain, "", &ports);
     bridge.has("the robot's reader", |v| {
-        is(v, "ros2") && v["text"].as_str().is_some_and(|text| text.contains("1 reader on /cmd_vel"))
+        is(v, "robot") && v["text"].as_str().is_some_and(|text| text.contains("1 reader on /cmd_vel"))
     });
     bridge.has("armed", armed);
     robot.catch_up();

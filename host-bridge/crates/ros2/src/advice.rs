@@ -152,7 +152,7 @@ pub fn topics(config: &Ros2Config, graph: &Graph) -> Vec<Topic> {
     };
     let speed = wire::topic(&config.resolve(&config.cmd_vel));
     let wants = |kind: &str| graph.readers.iter().any(|r| r.topic == speed && r.type_name == kind);
-    let stamped = config.stamped.unwrap_or_else(|| wants(wire::TWIST_STAMPED) || !wants(wire::TWIST));
+    let stamped = config.stamped.fixed().unwrap_or_else(|| wants(wire::TWIST_STAMPED) || !wants(wire::TWIST));
     let twist = if stamped { wire::TWIST_STAMPED } else { wire::TWIST };
     let controller = config.resolve(&config.arm_controller);
     let mut topics = vec![
@@ -513,7 +513,10 @@ mod tests {
         let found = cmd_vel(|_| {}, both);
         assert!(found.lines[0].contains("TwistStamped, reliable]: 1 reader"), "{:?}", found.lines);
         assert!(found.advice[0].contains("stamped = false"), "{:?}", found.advice);
-        let found = cmd_vel(|c| c.stamped = Some(false), vec![reader("rt/cmd_vel", wire::TWIST_STAMPED)]);
+        let found = cmd_vel(
+            |c| c.stamped = super::super::Stamped::Fixed(false),
+            vec![reader("rt/cmd_vel", wire::TWIST_STAMPED)],
+        );
         assert!(found.advice[0].contains("--unstamped"), "{:?}", found.advice);
     }
 

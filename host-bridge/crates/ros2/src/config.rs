@@ -20,6 +20,37 @@ pub enum ArmInterface {
     None,
 }
 
+/// Whether speeds are stamped: `true`, `false` or `"auto"`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(untagged)]
+pub enum Stamped {
+    /// As said.
+    Fixed(bool),
+    /// As whoever listens wants them.
+    Open(Auto),
+}
+
+/// The word `auto`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Auto {
+    /// `auto`
+    Auto,
+}
+
+impl Stamped {
+    /// As whoever listens wants them.
+    pub const AUTO: Stamped = Stamped::Open(Auto::Auto);
+
+    /// What is said; `None` = whoever listens decides.
+    pub fn fixed(self) -> Option<bool> {
+        match self {
+            Stamped::Fixed(stamped) => Some(stamped),
+            Stamped::Open(Auto::Auto) => None,
+        }
+    }
+}
+
 /// See the module.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -33,10 +64,9 @@ pub struct Ros2Config {
     /// Addresses of the network interfaces to use; empty = all. `ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST`
     /// and `ROS_LOCALHOST_ONLY=1` count as `["127.0.0.1"]` where nothing else is said.
     pub interfaces: Vec<IpAddr>,
-    /// Speeds as `TwistStamped` (Jazzy's diff_drive_controller) or as `Twist` (Nav2's side); where nothing is said, as
+    /// Speeds as `TwistStamped` (true, as Jazzy's diff_drive_controller wants them), as `Twist` (false), or `"auto"`: as
     /// whoever listens wants them.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub stamped: Option<bool>,
+    pub stamped: Stamped,
     /// What stamps speeds get.
     pub stamp: Stamp,
     /// Topic of the base's speed. Names without a leading slash are in the namespace.
@@ -83,7 +113,7 @@ impl Default for Ros2Config {
             namespace: String::new(),
             domain_id: -1,
             interfaces: Vec::new(),
-            stamped: None,
+            stamped: Stamped::AUTO,
             stamp: Stamp::Zero,
             cmd_vel: text("cmd_vel"),
             rate_hz: 50,

@@ -148,7 +148,7 @@ impl Joined {
         if !config.reliable {
             speed_qos = speed_qos.reliability_best_effort();
         }
-        let speed = speed(&mut node, config, config.stamped.unwrap_or(true), &speed_qos)?;
+        let speed = speed(&mut node, config, config.stamped.fixed().unwrap_or(true), &speed_qos)?;
         let diagnostics = config.resolve(&config.diagnostics);
         let diagnostics = publisher(&mut node, &diagnostics, ("diagnostic_msgs", "DiagnosticArray"), &qos)?;
         let controller = config.resolve(&config.arm_controller);

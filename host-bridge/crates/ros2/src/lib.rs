@@ -29,5 +29,5 @@ pub mod vendor;
 mod watch;
 
 pub use clocks::Stamp;
-pub use config::{ArmInterface, Ros2Config};
+pub use config::{ArmInterface, Ros2Config, Stamped};
 pub use robot::{Counts, Output, RosRobot};

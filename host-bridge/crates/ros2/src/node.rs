@@ -269,7 +269,7 @@ impl RosNode {
         let kinds = [wire::TWIST_STAMPED, wire::TWIST]
             .map(|kind| graph.readers.iter().filter(|r| r.topic == topic && r.type_name == kind).count());
         let mut speed_note = None;
-        if self.config.stamped.is_none() && kinds.iter().sum::<usize>() > 0 {
+        if self.config.stamped.fixed().is_none() && kinds.iter().sum::<usize>() > 0 {
             let stamped = kinds[0] > 0;
             if stamped != joined.is_stamped()
                 && let Err(error) = joined.set_stamped(&self.config, stamped)
