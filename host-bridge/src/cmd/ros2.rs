@@ -21,7 +21,7 @@ mod on {
     use host_bridge::ros2::config::{Connection, RosEnvironment};
     use host_bridge::ros2::driver::RosDriver;
     use host_bridge::ros2::node::{RosNode, RosPublisher};
-    use host_bridge::ros2::{Counts, Ros2Config, RosRobot};
+    use host_bridge::ros2::{ArmInterface, Counts, Ros2Config, RosRobot};
     use host_bridge::topics::diagnostics::Diagnostics;
     use host_bridge::topics::message::Time;
 
@@ -124,7 +124,13 @@ mod on {
                 return Ok(false);
             }
         };
-        let (mut node, publisher) = RosNode::open(config, &connection, false)?;
+        // The controller can be asked by its action alone, whichever way the arm is moved.
+        let arm = match config.arm {
+            ArmInterface::None => ArmInterface::None,
+            _ => ArmInterface::Action,
+        };
+        let asking = Ros2Config { arm, ..config.clone() };
+        let (mut node, publisher) = RosNode::open(&asking, &connection, false)?;
         let start = Instant::now();
         let mut heard = Heard::default();
         while start.elapsed().as_secs_f64() < seconds {

@@ -28,7 +28,12 @@ fn hands_drive_an_independent_robot_with_right_types_values_quality_and_in_time(
     let (left, right) = (Double::left(folder.path()), Double::right(folder.path(), 0.0));
     let mut robot = peer(&site.python, domain, &["--robot", "--action", "--pace", "8"]);
     robot.has("ready", |v| is(v, "ready"));
-    let mut bridge = bridge(folder.path(), domain, "", &["--left", &left.port(), "--right", &right.port()]);
+    let mut bridge = bridge(
+        folder.path(),
+        domain,
+        "arm = 'action'\n",
+        &["--left", &left.port(), "--right", &right.port()],
+    );
 
     // Types and quality of service, as the other side's middleware has them.
     for (topic, type_name) in [
@@ -250,6 +255,63 @@ fn on_the_topic_a_motion_is_a_trajectory_and_a_stop_is_one_that_brakes() {
     );
     bridge.has("halted", |v| is(v, "motion-ended") && v["reached"] == false);
     assert!(!robot.seen.iter().any(|(_, v)| is(v, "goal")), "never both ways");
+}
+
+/// The base's speed as the robot's controller has it.
+fn base_speed(value: &Value) -> Option<f64> {
+    is(value, "base").then(|| number(&value["linear"]))
+}
+
+#[test]
+fn a_killed_bridge_is_a_base_at_rest_and_a_stopped_one_is_on_the_graph_again() {
+    let Some(site) = site("a_killed_bridge_is_a_base_at_rest_and_a_stopped_one_is_on_the_graph_again", true)
+    else {
+        return;
+    };
+    for clock in ["--odom", "--sim-time"] {
+        let folder = tempfile::tempdir().unwrap();
+        let domain = domain();
+        let left = Double::left(folder.path());
+        let mut robot = peer(&site.python, domain, &["--robot", "--odom", clock]);
+        robot.has("ready", |v| is(v, "ready"));
+        // As it is by default, written down so that the test's own stamps are not taken.
+        let mut bridge = bridge(folder.path(), domain, "stamp = 'zero'\n", &["--left", &left.port()]);
+        bridge.has("the reader", |v| is(v, "robot") && v["text"].as_str().unwrap().contains("1 reader"));
+        bridge.has("armed", armed);
+        left.hold(FORWARD);
+        robot.wait("forward", |v| base_speed(v) == Some(0.5));
+
+        // Stopped and continued, as by a debugger, a frozen container or suspend.
+        bridge.signal("STOP");
+        robot.wait("it stops by itself", |v| is(v, "stopped"));
+        let continued_s = wall_s();
+        bridge.signal("CONT");
+        let says = |words: &'static str| {
+            move |v: &Value| is(v, "robot") && v["text"].as_str().is_some_and(|text| text.contains(words))
+        };
+        bridge.wait("the alarm", says("ALARM"));
+        let alarmed_s = wall_s();
+        let place = bridge.wait_from(0, "the graph again", says("on the graph again"));
+        let again_s = bridge.seen[place].0;
+        println!(
+            "{clock}: stopped and continued; noticed after {:.0} ms, on the graph again after {:.0} ms",
+            (alarmed_s - continued_s) * 1000.0,
+            (again_s - continued_s) * 1000.0
+        );
+        assert!(again_s - continued_s < 5.0, "on any machine");
+        left.hold(LEVEL);
+        bridge.wait("armed again", armed);
+        std::thread::sleep(Duration::from_millis(300));
+        left.hold(FORWARD);
+        robot.wait("forward again", |v| base_speed(v) == Some(0.5));
+
+        let (lateness, killed_s) = (Lateness::watch(), wall_s());
+        bridge.signal("KILL");
+        let stopped = robot.wait("it stops by itself", |v| is(v, "stopped"));
+        let took_ms = (number(&stopped["t"]) - killed_s) * 1000.0;
+        println!("{clock}: killed; speed 0 after {took_ms:.0} ms");
+        assert!(!lateness.was_quiet() || took_ms <= 600.0, "{took_ms} ms");
+    }
 }
 
 /// One set-up that is not as it should be, and what `doctor` has to say about it.

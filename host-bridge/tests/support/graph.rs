@@ -156,7 +156,12 @@ impl Teller {
 
     /// Presses Ctrl-C.
     pub fn interrupt(&self) {
-        Command::new("kill").args(["-INT", &self.child.id().to_string()]).status().unwrap();
+        self.signal("INT");
+    }
+
+    /// Sends a signal of this name.
+    pub fn signal(&self, name: &str) {
+        Command::new("kill").args([&format!("-{name}"), &self.child.id().to_string()]).status().unwrap();
     }
 
     /// Waits for the end; what it printed on standard error.
@@ -201,13 +206,14 @@ pub fn peer(python: &str, domain: u32, options: &[&str]) -> Teller {
     start("the robot", &mut command)
 }
 
-/// The program under test with `section` in its configuration's `[ros2]`; speeds are stamped, so that the test sees how
-/// old they are.
+/// The program under test with `section` in its configuration's `[ros2]`. Speeds are stamped, so that the test sees how
+/// old they are, unless the section says otherwise.
 pub fn bridge(folder: &Path, domain: u32, section: &str, options: &[&str]) -> Teller {
     let config = folder.join(format!("desk-{domain}.toml"));
     // Two stations may share a domain.
     let config = if config.exists() { folder.join(format!("desk-{}.toml", section.len())) } else { config };
-    let text = format!("[ros2]\ndomain_id = {domain}\ninterfaces = ['127.0.0.1']\nstamp = 'wall'\n{section}");
+    let stamp = if section.contains("stamp = ") { "" } else { "stamp = 'wall'\n" };
+    let text = format!("[ros2]\ndomain_id = {domain}\ninterfaces = ['127.0.0.1']\n{stamp}{section}");
     std::fs::write(&config, text).unwrap();
     let mut command = Command::new(host_bridge());
     command.args(["run", "--ros2", "--json", "--config"]).arg(&config).args(options);

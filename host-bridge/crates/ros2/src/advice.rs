@@ -161,7 +161,7 @@ pub fn topics(config: &Ros2Config, graph: &Graph) -> Vec<Topic> {
     ];
     match config.arm {
         ArmInterface::None => return topics,
-        ArmInterface::Topic => {
+        ArmInterface::Topic | ArmInterface::Stream => {
             let name = format!("{controller}/joint_trajectory");
             topics.push(plain("arm_controller", &name, wire::TRAJECTORY, true, true, true));
         }
@@ -370,9 +370,7 @@ pub fn tried(config: &Ros2Config, graph: &Graph, heard: &Heard, environment: &Ro
         ));
     }
     let action = wire::send_goal(&controller);
-    if config.arm == ArmInterface::Action
-        && let Some(server) = graph.readers.iter().find(|r| r.topic == action)
-    {
+    if has_arm && let Some(server) = graph.readers.iter().find(|r| r.topic == action) {
         match heard.probe {
             Probe::Answered => lines.push(format!("action server on {}: answers", server.vendor)),
             Probe::Waiting => advice.push(format!(
@@ -393,7 +391,8 @@ pub fn tried(config: &Ros2Config, graph: &Graph, heard: &Heard, environment: &Ro
             ));
         }
     }
-    let speaks = graph.readers.iter().any(|r| r.topic == action);
+    let pieces = wire::topic(&format!("{controller}/joint_trajectory"));
+    let speaks = graph.readers.iter().any(|r| r.topic == action || r.topic == pieces);
     if has_arm && speaks && heard.controller_states == 0 {
         advice.push(format!(
             "{controller}: says nothing on its controller_state: it is not active and rejects every motion; `ros2 \
@@ -535,7 +534,8 @@ mod tests {
         assert!(found.advice[0].contains("/diff_drive_controller/cmd_vel"), "{:?}", found.advice);
         let goals = reader(&wire::send_goal("/gen3/joint_trajectory_controller"), wire::SEND_GOAL);
         let graph = graph(vec![goals]);
-        let found = look_at(&topics(&Ros2Config::default(), &graph)[2], &graph);
+        let config = Ros2Config { arm: ArmInterface::Action, ..Ros2Config::default() };
+        let found = look_at(&topics(&config, &graph)[2], &graph);
         assert!(found.advice[0].contains("on /gen3/joint_trajectory_controller:"), "{:?}", found.advice);
     }
 
@@ -563,7 +563,8 @@ mod tests {
         let server = reader(&wire::send_goal("/joint_trajectory_controller"), wire::SEND_GOAL);
         let mut graph = graph(vec![server.clone(), server]);
         graph.writers = vec![reader("rt/joint_states", wire::JOINT_STATE); 2];
-        let topics = topics(&Ros2Config::default(), &graph);
+        let config = Ros2Config { arm: ArmInterface::Action, ..Ros2Config::default() };
+        let topics = topics(&config, &graph);
         assert!(look_at(&topics[2], &graph).advice[0].contains("2 action servers"));
         assert!(look_at(&topics[3], &graph).advice[0].contains("2 publishers"));
     }

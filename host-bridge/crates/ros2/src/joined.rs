@@ -163,8 +163,10 @@ impl Joined {
         };
         let arm = match config.arm {
             ArmInterface::None => Arm::None,
-            ArmInterface::Topic => {
+            ArmInterface::Topic | ArmInterface::Stream => {
                 let name = format!("{controller}/joint_trajectory");
+                // A piece that waits is of no use once the next one is there.
+                let qos = qos.clone().history(History::KeepLast { depth: 1 });
                 Arm::Topic(Box::new(publisher(
                     &mut node,
                     &name,

@@ -24,6 +24,7 @@ pub mod joined;
 #[cfg(feature = "ros2")]
 pub mod node;
 pub mod robot;
+pub mod stream;
 pub mod vendor;
 #[cfg(feature = "ros2")]
 mod watch;

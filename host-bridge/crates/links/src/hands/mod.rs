@@ -1,11 +1,13 @@
 //! Recordings that behave like boards: raw samples in, frames out, through the very code that boards run.
 
+mod delayed;
 mod left;
 mod right;
 mod wired;
 
+pub use delayed::Delayed;
 pub use left::{LeftBoard, heading_on_the_wire};
-pub use right::{ModelFile, ModelFileError, RightBoard, join, model_info_on_the_wire};
+pub use right::{Joined, ModelFile, ModelFileError, RightBoard, join, model_info_on_the_wire};
 pub use wired::Wired;
 
 use shared_proto::frame::{BOARD_FRAME_MAX, DELIMITER, Decoder, HOST_FRAME_MAX, encode_board};

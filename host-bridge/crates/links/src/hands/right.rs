@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use models::blob::ModelFiles;
 use models::card::Card;
 use models::recording::{Recording, RecordingError};
+use models::sheet::Reading;
 use shared_dsp::decision::DecisionConfig;
 use shared_dsp::mlp::{self, Model};
 use shared_dsp::right::{ModelMismatch, RightHand, RightOutput};
@@ -116,6 +117,11 @@ impl ModelFile {
         self.card.axes
     }
 
+    /// Axes of the model, and how many of them a recording must have.
+    pub fn axes_of_recordings(&self) -> (usize, usize) {
+        (self.card.axes, self.card.axes_needed())
+    }
+
     /// Names of the outputs in order.
     pub fn labels(&self) -> &[String] {
         &self.card.labels
@@ -139,31 +145,58 @@ impl ModelFile {
     }
 }
 
-/// Reads recordings, brings each to 100 Hz, and joins them into one stream without a pause.
+/// Reads recordings, brings each to 100 Hz, and joins them into one stream of `axes` axes without a pause; its notes are
+/// those of the recordings, its first time is the first one's.
 ///
-/// Of recordings with more axes than `axes`, the first ones are used, as in `models eval`.
+/// Of recordings with more axes than `axes`, the first ones are used, as in `models eval`; `needed` of them must be
+/// there, and what is not is 0.
 ///
 /// # Errors
-/// [`ModelFileError`] if one cannot be read, or has fewer axes than the model. All are checked first.
-pub fn join(files: &[PathBuf], axes: usize) -> Result<Recording, ModelFileError> {
+/// [`ModelFileError`] if one cannot be read, or has fewer axes than needed. All are checked first.
+pub fn join(
+    files: &[PathBuf],
+    (axes, needed): (usize, usize),
+    reading: &Reading,
+) -> Result<Joined, ModelFileError> {
     let mut values = Vec::new();
+    let mut notes = Vec::new();
+    let mut start_ms = None;
     for file in files {
-        let recording = Recording::read(file)?;
-        if recording.axes() < axes {
+        let recording = Recording::read_as(file, reading)?;
+        if recording.axes() < needed {
             return Err(ModelFileError::Axes {
                 file: file.clone(),
                 column: recording.axes() + 2,
                 recording: recording.axes(),
-                model: axes,
+                model: needed,
             });
         }
-        for sample in recording.resampled().with_axes(axes).samples() {
-            values.extend_from_slice(sample);
+        notes.extend(recording.notes().iter().map(|note| format!("{}: {note}", file.display())));
+        start_ms = start_ms.or(recording.time_ms().first().copied());
+        let used = recording.axes().min(axes);
+        for sample in recording.resampled().samples() {
+            values.extend_from_slice(&sample[..used]);
+            values.extend(std::iter::repeat_n(0.0, axes - used));
         }
     }
     let count = (values.len() / axes) as u64;
     let time_ms = (0..count).map(|n| (n * SAMPLE_INTERVAL_MS) as f64).collect();
-    Ok(Recording::new(axes, time_ms, values))
+    Ok(Joined {
+        recording: Recording::new(axes, time_ms, values),
+        notes,
+        start_ms: start_ms.unwrap_or_default(),
+    })
+}
+
+/// Recordings, one behind the other.
+#[derive(Clone, Debug)]
+pub struct Joined {
+    /// At 100 Hz, from time 0.
+    pub recording: Recording,
+    /// What was judged, mended or left out in reading them.
+    pub notes: Vec<String>,
+    /// The first time in the first file, in ms.
+    pub start_ms: f64,
 }
 
 /// The hand's code for each number of axes.
@@ -326,9 +359,18 @@ mod tests {
         let file = folder.path().join("nine.csv");
         let header = "timestamp,accX,accY,accZ,gyrX,gyrY,gyrZ,magX,magY,magZ\n";
         std::fs::write(&file, format!("{header}0,1,2,3,4,5,6,7,8,9\n10,1,2,3,4,5,6,7,8,9\n")).unwrap();
-        let joined = join(&[file.clone(), file], 3).unwrap();
+        let joined = join(&[file.clone(), file.clone()], (3, 3), &Reading::default()).unwrap().recording;
         assert_eq!(joined.axes(), 3);
         assert!(joined.samples().all(|sample| sample == [1.0, 2.0, 3.0]));
         assert_eq!(joined.len(), 4);
+        // A model that reads no magnetometer takes what has none.
+        let six = folder.path().join("six.csv");
+        std::fs::write(&six, "time,ax,ay,az,gx,gy,gz\n5000,1,2,9,4,5,6\n5010,1,2,9,4,5,6\n").unwrap();
+        let joined = join(std::slice::from_ref(&six), (9, 6), &Reading::default()).unwrap();
+        assert_eq!((joined.start_ms, joined.recording.axes()), (5000.0, 9));
+        assert!(
+            joined.recording.samples().all(|sample| sample == [1.0, 2.0, 9.0, 4.0, 5.0, 6.0, 0.0, 0.0, 0.0])
+        );
+        assert!(join(&[six], (9, 9), &Reading::default()).is_err());
     }
 }
