@@ -20,7 +20,7 @@ use host_core::engine::Engine;
 use host_core::observe::{SessionEvent, Snapshot};
 use host_core::safety::Hand;
 use host_core::source::HandKey;
-use host_links::links::{Clock, Link, LinkEvent, News};
+use host_links::links::{Clock, EventReceiver, Link, News};
 use host_robot::Door;
 
 /// Bytes wake the loop at once; without any it turns this often.
@@ -105,7 +105,7 @@ pub struct Work<D: Door> {
     /// The boards' links.
     pub links: [Option<Link>; 2],
     /// Where they report.
-    pub events: Receiver<LinkEvent<Hand>>,
+    pub events: EventReceiver<Hand>,
     /// Somebody else who may ask for a stop; asked at every turn, and must not wait.
     pub asks_for_stop: Box<dyn Fn() -> bool + Send>,
     /// The session ends by itself then.
@@ -246,7 +246,7 @@ impl<D: Door> Running<D> {
                             self.waiting.links.push(LinkReport { time_ms: now_ms, hand: event.link, closed });
                         }
                     }
-                    next = if began.elapsed() < RECEIVE_MAX { work.events.try_recv().ok() } else { None };
+                    next = if began.elapsed() < RECEIVE_MAX { work.events.try_recv() } else { None };
                 }
             }
             Err(RecvTimeoutError::Timeout) => {}

@@ -9,11 +9,14 @@ mod double;
 mod graph;
 #[path = "support/renamed.rs"]
 mod renamed;
+#[path = "support/talker.rs"]
+mod talker;
 
 mod live {
     mod desk;
     #[cfg(feature = "ros2")]
     mod ros2;
+    mod stops;
 }
 
 #[cfg(feature = "ros2")]

@@ -1,28 +1,28 @@
-//! Boards behind pseudo-terminals: they run the hands' own code on recordings, answer the laptop as the
-//! firmware does, and can be unplugged and restarted at any moment.
+//! Boards behind pseudo-terminals: they run the boards' own code on recordings, and can be unplugged and restarted at
+//! any moment.
 
 use std::io::{Read as _, Write as _};
 use std::os::fd::{FromRawFd as _, IntoRawFd as _, OwnedFd};
 use std::path::{Path, PathBuf};
-use std::sync::Mutex;
 use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use host_bridge::hands::{ModelFile, heading_on_the_wire, model_info_on_the_wire};
+use host_bridge::hands::ModelFile;
+use host_bridge::hands::virtual_board::{PERIOD_MS, VirtualLeft, VirtualRight, onto};
 use models::recording::Recording;
 use serialport::{SerialPort as _, TTYPort};
+use shared_board::Identity;
+use shared_board::hand::CountHand;
+use shared_board::memory::{RamEeprom, RamFlash, at_once};
+use shared_board::models::{MappedFlash as _, ModelRequest, ModelStore, Runs};
 use shared_dsp::decision::DecisionConfig;
-use shared_dsp::left::{AdcCounts, LeftHand};
-use shared_dsp::left_calibration::CalibrationStep as Step;
-use shared_dsp::mlp::{Model, crc32};
+use shared_dsp::left::AdcCounts;
+use shared_dsp::mlp::Model;
 use shared_dsp::right::RightHand;
-use shared_dsp::tilt::TiltThresholds;
-use shared_proto::frame::{BOARD_FRAME_MAX, DELIMITER, Decoder, HOST_FRAME_MAX, encode_board};
-use shared_proto::message::{
-    Ack, AckResult, Board, BoardMessage, CalibrationStep, Hello, HostMessage, LeftState, Mode,
-    PROTOCOL_MAJOR, PROTOCOL_MINOR, Pong, RawImu, RightState, Status, health,
-};
+use shared_proto::frame::{Decoder, HOST_FRAME_MAX};
+use shared_proto::message::{Board, HostMessage, Mode};
 
 /// A level left hand with straight fingers.
 pub const LEVEL: [u16; 5] = [512, 512, 614, 704, 704];
@@ -38,7 +38,7 @@ const SCALE: [f32; 3] = [0.000_732 * 9.806_65, 0.07, 0.014];
 /// would ever be pulled: whoever starts one takes this first.
 pub static STARTING: Mutex<()> = Mutex::new(());
 
-fn board_and_laptop() -> (TTYPort, TTYPort) {
+pub fn board_and_laptop() -> (TTYPort, TTYPort) {
     let _alone = STARTING.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
     let (board, laptop) = TTYPort::pair().expect("a pseudo-terminal");
     // Safety: the port gives its descriptor away and is gone. The copy is not inherited by programs.
@@ -65,6 +65,7 @@ enum Order {
 /// A board on a port; its thread ends with it.
 pub struct Double {
     orders: Sender<Order>,
+    mode: Arc<Mutex<Mode>>,
     thread: Option<JoinHandle<()>>,
     /// What to give to `--left` or `--right`: a link to the pseudo-terminal.
     pub port: PathBuf,
@@ -87,9 +88,16 @@ impl Double {
         let (orders, received) = channel();
         let place = port.clone();
         let (ready, is_ready) = channel();
-        let thread = std::thread::spawn(move || Machine::new(make(), place, &ready).run(&received));
+        let mode = Arc::new(Mutex::new(Mode::Classify));
+        let asked = Arc::clone(&mode);
+        let thread = std::thread::spawn(move || Machine::new(make(), place, &ready).run(&received, &asked));
         is_ready.recv().expect("the board starts");
-        Double { orders, thread: Some(thread), port }
+        Double { orders, mode, thread: Some(thread), port }
+    }
+
+    /// The last mode that it was asked for is not the one that records.
+    pub fn classifies(&self) -> bool {
+        *self.mode.lock().unwrap() == Mode::Classify
     }
 
     pub fn port(&self) -> String {
@@ -130,30 +138,18 @@ impl Drop for Double {
 /// What differs between the hands.
 trait Hand {
     /// The board starts; its clock is at 0.
-    fn reset(&mut self);
-    fn hello(&self, boot_id: u32, out: &mut Vec<u8>);
+    fn restart(&mut self, boot_id: u32);
     /// The sample of this time, every 10 ms.
-    fn sample(&mut self, now_ms: u32, mode: Mode, out: &mut Vec<u8>);
-    /// A request that is not for both hands.
-    fn request(&mut self, message: &HostMessage<'_>, out: &mut Vec<u8>);
+    fn sample(&mut self, now_ms: u64, wire: &mut Vec<u8>);
+    /// Bytes from the laptop.
+    fn receive(&mut self, bytes: &[u8], now_ms: u64, wire: &mut Vec<u8>);
     fn hold(&mut self, _counts: [u16; 5]) {}
-}
-
-fn put(message: &BoardMessage<'_>, out: &mut Vec<u8>) {
-    let mut buffer = [0; BOARD_FRAME_MAX];
-    out.extend_from_slice(encode_board(message, &mut buffer).expect("fits"));
-}
-
-fn ack(request: u16, result: AckResult, next_offset: u32, out: &mut Vec<u8>) {
-    put(&BoardMessage::Ack(Ack { request, result, next_offset }), out);
 }
 
 struct Machine {
     hand: Box<dyn Hand>,
     place: PathBuf,
     port: Option<TTYPort>,
-    decoder: Decoder<HOST_FRAME_MAX>,
-    mode: Mode,
     boot_id: u32,
     started: Instant,
     next_sample_ms: u64,
@@ -161,16 +157,8 @@ struct Machine {
 
 impl Machine {
     fn new(hand: Box<dyn Hand>, place: PathBuf, ready: &Sender<()>) -> Self {
-        let mut machine = Machine {
-            hand,
-            place,
-            port: None,
-            decoder: Decoder::new(),
-            mode: Mode::Classify,
-            boot_id: 100,
-            started: Instant::now(),
-            next_sample_ms: 0,
-        };
+        let mut machine =
+            Machine { hand, place, port: None, boot_id: 100, started: Instant::now(), next_sample_ms: 0 };
         machine.plug();
         machine.restart();
         ready.send(()).unwrap();
@@ -189,12 +177,7 @@ impl Machine {
         self.boot_id += 1;
         self.started = Instant::now();
         self.next_sample_ms = 0;
-        self.mode = Mode::Classify;
-        self.decoder = Decoder::new();
-        self.hand.reset();
-        let mut out = vec![DELIMITER];
-        self.hand.hello(self.boot_id, &mut out);
-        self.write(&out);
+        self.hand.restart(self.boot_id);
     }
 
     fn write(&mut self, bytes: &[u8]) {
@@ -204,8 +187,8 @@ impl Machine {
         }
     }
 
-    fn run(mut self, orders: &Receiver<Order>) {
-        let mut status_ms = 0;
+    fn run(mut self, orders: &Receiver<Order>, asked: &Mutex<Mode>) {
+        let mut decoder = Decoder::<HOST_FRAME_MAX>::new();
         loop {
             while let Ok(order) = orders.try_recv() {
                 match order {
@@ -229,140 +212,57 @@ impl Machine {
             if read == 0 {
                 std::thread::sleep(Duration::from_millis(1));
             }
-            let mut out = Vec::new();
+            let mut wire = Vec::new();
             let now_ms = self.started.elapsed().as_millis() as u64;
-            let mut decoder = std::mem::take(&mut self.decoder);
             for &byte in &buffer[..read] {
-                match decoder.push_host(byte) {
-                    Some(HostMessage::HelloRequest) => self.hand.hello(self.boot_id, &mut out),
-                    Some(HostMessage::Ping { id }) => {
-                        put(&BoardMessage::Pong(Pong { id, board_time_ms: now_ms as u32 }), &mut out);
-                    }
-                    Some(HostMessage::SetMode { request, mode }) => {
-                        self.mode = mode;
-                        ack(request, AckResult::Ok, 0, &mut out);
-                    }
-                    Some(message) => self.hand.request(&message, &mut out),
-                    None => {}
+                if let Some(HostMessage::SetMode { mode, .. }) = decoder.push_host(byte) {
+                    *asked.lock().unwrap() = mode;
                 }
             }
-            self.decoder = decoder;
+            self.hand.receive(&buffer[..read], now_ms, &mut wire);
             while self.next_sample_ms <= now_ms {
-                self.hand.sample(self.next_sample_ms as u32, self.mode, &mut out);
-                self.next_sample_ms += 10;
+                self.hand.sample(self.next_sample_ms, &mut wire);
+                self.next_sample_ms += PERIOD_MS;
             }
-            if now_ms >= status_ms + 1000 || now_ms < status_ms {
-                status_ms = now_ms;
-                let status = Status { uptime_ms: now_ms as u32, mode: self.mode, ..Status::default() };
-                put(&BoardMessage::Status(status), &mut out);
-            }
-            if !out.is_empty() {
-                self.write(&out);
+            if !wire.is_empty() {
+                self.write(&wire);
             }
         }
     }
 }
 
 struct Left {
-    hand: LeftHand,
+    board: VirtualLeft,
     counts: [u16; 5],
     dither: u16,
-    sequence: u16,
-    asked: Option<u16>,
 }
 
 impl Left {
     fn new() -> Self {
-        let hand = LeftHand::new(None, TiltThresholds::DEFAULT, 0);
-        Left { hand, counts: LEVEL, dither: 0, sequence: 0, asked: None }
+        Left { board: Self::start(0, RamEeprom::blank()), counts: LEVEL, dither: 0 }
+    }
+
+    fn start(boot_id: u32, memory: RamEeprom) -> VirtualLeft {
+        let identity = Identity { board: Board::LeftNano, firmware: "double", boot_id, sample_hz: 100 };
+        VirtualLeft::start(identity, memory)
     }
 }
 
 impl Hand for Left {
-    fn reset(&mut self) {
-        // The calibration is in EEPROM.
-        let kept = *self.hand.calibration();
-        let is_kept = kept != Default::default();
-        self.hand = LeftHand::new(is_kept.then_some(kept), TiltThresholds::DEFAULT, 0);
-        (self.sequence, self.asked) = (0, None);
+    fn restart(&mut self, boot_id: u32) {
+        self.board = Self::start(boot_id, self.board.clone().into_memory());
     }
 
-    fn hello(&self, boot_id: u32, out: &mut Vec<u8>) {
-        put(
-            &BoardMessage::Hello(Hello {
-                major: PROTOCOL_MAJOR,
-                minor: PROTOCOL_MINOR,
-                board: Board::LeftNano,
-                firmware: "double",
-                boot_id,
-                model_id: 0,
-                sample_hz: 100,
-            }),
-            out,
-        );
-    }
-
-    fn sample(&mut self, now_ms: u32, mode: Mode, out: &mut Vec<u8>) {
+    fn sample(&mut self, now_ms: u64, wire: &mut Vec<u8>) {
         // The last bit of a real converter is never still.
         self.dither ^= 1;
         let mut counts = AdcCounts::from_ten_bit(self.counts);
         counts.z += self.dither;
-        let output = self.hand.step(counts, now_ms);
-        if let (Some(ended), Some(request)) = (self.hand.take_captured(), self.asked) {
-            self.asked = None;
-            let result = match ended {
-                Ok(calibration) => {
-                    self.hand.set_calibration(Some(calibration));
-                    AckResult::Ok
-                }
-                Err(_) => AckResult::Unsteady,
-            };
-            ack(request, result, 0, out);
-        }
-        if mode == Mode::Classify && (now_ms.is_multiple_of(20) || output.changed) {
-            self.sequence = self.sequence.wrapping_add(1);
-            put(
-                &BoardMessage::Left(LeftState {
-                    sequence: self.sequence,
-                    board_time_ms: now_ms,
-                    pitch_mrad: output.pitch_mrad,
-                    roll_mrad: output.roll_mrad,
-                    heading: heading_on_the_wire(output.heading),
-                    index_bends: output.index_bends,
-                    middle_bends: output.middle_bends,
-                    stop: output.stop,
-                    health: output.health,
-                }),
-                out,
-            );
-        }
+        self.board.period(Some(counts), now_ms, wire);
     }
 
-    fn request(&mut self, message: &HostMessage<'_>, out: &mut Vec<u8>) {
-        match *message {
-            HostMessage::Calibrate { request, step } => {
-                let step = match step {
-                    CalibrationStep::Neutral => Step::Neutral,
-                    CalibrationStep::Rest => Step::Rest,
-                    CalibrationStep::Bend => Step::Bend,
-                    CalibrationStep::Reset => {
-                        self.hand.set_calibration(None);
-                        return ack(request, AckResult::Ok, 0, out);
-                    }
-                };
-                let started = self.hand.start_capture(step);
-                if started {
-                    self.asked = Some(request);
-                }
-                ack(request, if started { AckResult::Started } else { AckResult::Busy }, 0, out);
-            }
-            HostMessage::SetThresholds { request, thresholds: t } => {
-                let (neutral_mrad, end_mrad, start_mrad) = (t.neutral_mrad, t.end_mrad, t.start_mrad);
-                let taken = self.hand.set_thresholds(TiltThresholds { neutral_mrad, end_mrad, start_mrad });
-                ack(request, if taken { AckResult::Ok } else { AckResult::OutOfRange }, 0, out);
-            }
-            _ => {}
-        }
+    fn receive(&mut self, bytes: &[u8], now_ms: u64, wire: &mut Vec<u8>) {
+        self.board.receive(bytes, now_ms, wire);
     }
 
     fn hold(&mut self, counts: [u16; 5]) {
@@ -370,21 +270,13 @@ impl Hand for Left {
     }
 }
 
+const RUNS: Runs = Runs { axes: 9, sample_hz: 100 };
+
 struct Right {
-    blob: &'static [u8],
-    hand: RightHand<'static, 9>,
+    board: VirtualRight<CountHand<'static, 9>>,
+    store: ModelStore<RamFlash>,
     samples: Vec<[i16; 9]>,
     start: usize,
-    sequence: u16,
-    raw: Vec<[i16; 9]>,
-    raw_sequence: u16,
-    announced: Option<(u32, u32, Vec<u8>)>,
-    /// Kept by a commit, used from the next start on.
-    stored: Option<&'static [u8]>,
-}
-
-fn right_hand(blob: &'static [u8]) -> RightHand<'static, 9> {
-    RightHand::new(Model::parse(blob).unwrap(), DecisionConfig::default()).expect("9 axes")
 }
 
 impl Right {
@@ -392,136 +284,43 @@ impl Right {
         let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("sessions/demo/right.csv");
         let recording = Recording::read(&file).unwrap().resampled();
         let count = |s: &[f32]| std::array::from_fn(|i| (s[i] / SCALE[i / 3]).round() as i16);
-        let blob: &'static [u8] = ModelFile::bundled().unwrap().blob().to_vec().leak();
-        Right {
-            blob,
-            hand: right_hand(blob),
-            samples: recording.samples().map(count).collect(),
-            start: (start_s * 100.0) as usize,
-            sequence: 0,
-            raw: Vec::new(),
-            raw_sequence: 0,
-            announced: None,
-            stored: None,
-        }
+        let (board, store) = Self::start(0, RamFlash::blank());
+        let start = (start_s * 100.0) as usize;
+        Right { board, store, samples: recording.samples().map(count).collect(), start }
+    }
+
+    /// With the model in flash, or the bundled one.
+    fn start(boot_id: u32, flash: RamFlash) -> (VirtualRight<CountHand<'static, 9>>, ModelStore<RamFlash>) {
+        let (store, found) = ModelStore::open(flash, RUNS);
+        let blob = match found.model {
+            Some(place) => store.flash().mapped()[place.offset()..][..place.len].to_vec(),
+            None => ModelFile::bundled().unwrap().blob().to_vec(),
+        };
+        let model = Model::parse(blob.leak()).unwrap();
+        let hand = RightHand::new(model, DecisionConfig::default()).expect("9 axes");
+        let identity = Identity { board: Board::RightNano33, firmware: "double", boot_id, sample_hz: 100 };
+        (VirtualRight::start(identity, CountHand::new(hand, SCALE)), store)
     }
 }
 
 impl Hand for Right {
-    fn reset(&mut self) {
-        self.blob = self.stored.unwrap_or(self.blob);
-        self.hand = right_hand(self.blob);
-        self.sequence = 0;
-        self.raw.clear();
-        self.announced = None;
+    fn restart(&mut self, boot_id: u32) {
+        (self.board, self.store) = Self::start(boot_id, self.store.flash().clone());
     }
 
-    fn hello(&self, boot_id: u32, out: &mut Vec<u8>) {
-        let model = Model::parse(self.blob).unwrap();
-        let info = model.info();
-        put(
-            &BoardMessage::Hello(Hello {
-                major: PROTOCOL_MAJOR,
-                minor: PROTOCOL_MINOR,
-                board: Board::RightNano33,
-                firmware: "double",
-                boot_id,
-                model_id: info.model_id,
-                sample_hz: info.sample_hz,
-            }),
-            out,
-        );
-        put(&BoardMessage::ModelInfo(model_info_on_the_wire(info)), out);
-    }
-
-    fn sample(&mut self, now_ms: u32, mode: Mode, out: &mut Vec<u8>) {
-        let number = now_ms as usize / 10;
+    fn sample(&mut self, now_ms: u64, wire: &mut Vec<u8>) {
+        let number = (now_ms / PERIOD_MS) as usize;
         let counts = self.samples[(self.start + number) % self.samples.len()];
-        let sample: [f32; 9] = std::array::from_fn(|i| f32::from(counts[i]) * SCALE[i / 3]);
-        if let Some(output) = self.hand.push(&sample, now_ms)
-            && mode == Mode::Classify
-        {
-            self.sequence = self.sequence.wrapping_add(1);
-            let scores = output.score_bytes();
-            let used = if output.full { output.scores().len() } else { 0 };
-            put(
-                &BoardMessage::Right(RightState {
-                    sequence: self.sequence,
-                    board_time_ms: output.window_end_ms,
-                    events: output.events,
-                    label: output.label,
-                    confidence: output.confidence,
-                    event_window_end_ms: output.event_window_end_ms,
-                    scores: &scores[..used],
-                    health: if output.full { 0 } else { health::GAP },
-                }),
-                out,
-            );
-        }
-        self.raw.push(counts);
-        if self.raw.len() == 8 {
-            let bytes: Vec<u8> = self.raw.iter().flatten().flat_map(|c| c.to_le_bytes()).collect();
-            self.raw.clear();
-            if mode == Mode::Record {
-                self.raw_sequence = self.raw_sequence.wrapping_add(1);
-                put(
-                    &BoardMessage::RawImu(RawImu {
-                        sequence: self.raw_sequence,
-                        first_sample: number as u32 - 7,
-                        axes: 9,
-                        scale: SCALE,
-                        counts: &bytes,
-                    }),
-                    out,
-                );
-            }
-        }
+        self.board.sample(&counts, now_ms, wire);
     }
 
-    /// As `firmware-nano33/src/transfer.rs`.
-    fn request(&mut self, message: &HostMessage<'_>, out: &mut Vec<u8>) {
-        let (request, result) = match *message {
-            HostMessage::ModelBegin(begin) => {
-                if begin.info.axes != 9 {
-                    return ack(begin.request, AckResult::ModelDoesNotFit, 0, out);
-                }
-                self.announced = Some((begin.size, begin.info.model_id, Vec::new()));
-                ack(begin.request, AckResult::Started, 0, out);
-                // Erasing four pages takes a third of a second.
-                std::thread::sleep(Duration::from_millis(50));
-                (begin.request, AckResult::Ok)
-            }
-            HostMessage::ModelChunk { request, offset, data } => {
-                // Flash is slow, and a test needs time to pull the cable.
-                std::thread::sleep(Duration::from_millis(20));
-                match &mut self.announced {
-                    Some((_, _, blob)) if blob.len() == offset as usize => {
-                        blob.extend_from_slice(data);
-                        (request, AckResult::Ok)
-                    }
-                    _ => (request, AckResult::WrongOffset),
-                }
-            }
-            HostMessage::ModelCommit { request, crc32: crc } => match self.announced.take() {
-                Some((size, id, blob)) if size as usize == blob.len() => {
-                    if id == crc && crc32(&blob) == crc && Model::parse(&blob).is_ok() {
-                        self.stored = Some(blob.leak());
-                        (request, AckResult::Ok)
-                    } else {
-                        (request, AckResult::BadChecksum)
-                    }
-                }
-                kept => {
-                    self.announced = kept;
-                    (request, AckResult::WrongOffset)
-                }
-            },
-            HostMessage::Calibrate { request, .. } | HostMessage::SetThresholds { request, .. } => {
-                (request, AckResult::Unsupported)
-            }
-            _ => return,
-        };
-        let next = self.announced.as_ref().map_or(0, |(_, _, blob)| blob.len() as u32);
-        ack(request, result, next, out);
+    fn receive(&mut self, bytes: &[u8], now_ms: u64, wire: &mut Vec<u8>) {
+        let store = &mut self.store;
+        self.board.receive(bytes, now_ms, wire, |request, wire| {
+            // Flash is slow, and a test needs time to pull the cable. Erasing four pages takes a third of a second.
+            let ms = if matches!(request, ModelRequest::Begin(_)) { 50 } else { 20 };
+            std::thread::sleep(Duration::from_millis(ms));
+            at_once(store.answer(request, async || (), &mut onto(wire)));
+        });
     }
 }

@@ -1,6 +1,6 @@
 //! A laptop that sends a model to the emulated board, piece by piece.
 
-use host_bridge::hands::model_info_on_the_wire;
+use shared_board::hand::model_info_on_the_wire;
 use shared_dsp::mlp::{BlobSpec, DenseSpec, Model, build_blob, crc32};
 use shared_dsp::recipe::Recipe;
 use shared_proto::message::{AckResult, HostMessage, MODEL_CHUNK_MAX, ModelBegin};

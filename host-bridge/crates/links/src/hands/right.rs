@@ -6,19 +6,19 @@ use models::blob::ModelFiles;
 use models::card::Card;
 use models::recording::{Recording, RecordingError};
 use models::sheet::Reading;
+use shared_board::Identity;
+use shared_board::hand::ValueHand;
 use shared_dsp::decision::DecisionConfig;
-use shared_dsp::mlp::{self, Model};
-use shared_dsp::right::{ModelMismatch, RightHand, RightOutput};
-use shared_proto::message::{
-    Board as BoardKind, BoardMessage, Hello, LABELS_MAX, ModelInfo, PROTOCOL_MAJOR, PROTOCOL_MINOR,
-    RightState,
-};
+use shared_dsp::mlp::Model;
+use shared_dsp::right::{ModelMismatch, RightHand};
+use shared_proto::message::{Board as BoardKind, LABELS_MAX};
 
-use super::{Board, Port};
+use super::Board;
+use super::virtual_board::{PERIOD_MS, VirtualRight, no_store};
 use host_core::observe::Sample;
 
-/// A sample every so often: recordings are brought to 100 Hz first.
-const SAMPLE_INTERVAL_MS: u64 = 10;
+/// What one count stands for in record mode, in m/s², deg/s and µT: that of the right board's sensor.
+const COUNT: [f32; 3] = [0.000_732 * 9.806_65, 0.07, 0.014];
 
 const BUNDLED: &[u8] = include_bytes!("../../../../../models/bundled/right-9axis.tflite");
 const BUNDLED_CARD: &[u8] = include_bytes!("../../../../../models/bundled/right-9axis.card.json");
@@ -180,7 +180,7 @@ pub fn join(
         }
     }
     let count = (values.len() / axes) as u64;
-    let time_ms = (0..count).map(|n| (n * SAMPLE_INTERVAL_MS) as f64).collect();
+    let time_ms = (0..count).map(|n| (n * PERIOD_MS) as f64).collect();
     Ok(Joined {
         recording: Recording::new(axes, time_ms, values),
         notes,
@@ -199,31 +199,22 @@ pub struct Joined {
     pub start_ms: f64,
 }
 
-/// The hand's code for each number of axes.
-#[expect(clippy::large_enum_variant, reason = "one of them exists, for a whole session")]
-enum AnyHand<'m> {
-    Three(RightHand<'m, 3>),
-    Six(RightHand<'m, 6>),
-    Nine(RightHand<'m, 9>),
+/// The board's code for any number of axes.
+trait AnyAxes: Send {
+    /// The sample of `time_ms`; it has the axes of the model.
+    fn sample(&mut self, values: &[f32], time_ms: u64, wire: &mut Vec<u8>);
+    fn receive(&mut self, bytes: &[u8], now_ms: u64, wire: &mut Vec<u8>);
 }
 
-impl<'m> AnyHand<'m> {
-    fn new(model: Model<'m>) -> Result<Self, ModelMismatch> {
-        let config = DecisionConfig::default();
-        Ok(match model.info().axes {
-            3 => AnyHand::Three(RightHand::new(model, config)?),
-            6 => AnyHand::Six(RightHand::new(model, config)?),
-            _ => AnyHand::Nine(RightHand::new(model, config)?),
-        })
+impl<const A: usize> AnyAxes for VirtualRight<ValueHand<'_, A>> {
+    fn sample(&mut self, values: &[f32], time_ms: u64, wire: &mut Vec<u8>) {
+        if let Ok(values) = values.try_into() {
+            VirtualRight::sample(self, values, time_ms, wire);
+        }
     }
 
-    fn push(&mut self, sample: &[f32], time_ms: u32) -> Option<RightOutput> {
-        // The recording has the model's axes: `RightBoard::new` has seen to that.
-        match self {
-            AnyHand::Three(hand) => hand.push(sample.try_into().ok()?, time_ms).copied(),
-            AnyHand::Six(hand) => hand.push(sample.try_into().ok()?, time_ms).copied(),
-            AnyHand::Nine(hand) => hand.push(sample.try_into().ok()?, time_ms).copied(),
-        }
+    fn receive(&mut self, bytes: &[u8], now_ms: u64, wire: &mut Vec<u8>) {
+        VirtualRight::receive(self, bytes, now_ms, wire, no_store);
     }
 }
 
@@ -231,12 +222,7 @@ impl<'m> AnyHand<'m> {
 pub struct RightBoard<'m> {
     recording: Recording,
     next: usize,
-    model: Model<'m>,
-    hand: AnyHand<'m>,
-    port: Port,
-    boot_id: u32,
-    sequence: u16,
-    said_hello: bool,
+    board: Box<dyn AnyAxes + 'm>,
     /// Samples before this one were taken before the last step.
     before: usize,
 }
@@ -254,76 +240,47 @@ impl<'m> RightBoard<'m> {
             return Err(ModelFileError::Labels { name: name(), length });
         }
         let unfit = |source| ModelFileError::Unfit { name: name(), source };
-        if parsed.info().axes != recording.axes() {
-            return Err(unfit(ModelMismatch::Axes { model: parsed.info().axes, hand: recording.axes() }));
+        let axes = parsed.info().axes;
+        if axes != recording.axes() {
+            return Err(unfit(ModelMismatch::Axes { model: axes, hand: recording.axes() }));
         }
-        Ok(RightBoard {
-            recording,
-            next: 0,
-            model: parsed,
-            hand: AnyHand::new(parsed).map_err(unfit)?,
-            port: Port::default(),
-            boot_id,
-            sequence: 0,
-            said_hello: false,
-            before: 0,
-        })
-    }
-
-    fn hello(&mut self, wire: &mut Vec<u8>) {
-        let info = *self.model.info();
-        let hello = Hello {
-            major: PROTOCOL_MAJOR,
-            minor: PROTOCOL_MINOR,
+        let identity = Identity {
             board: BoardKind::RightReplay,
             firmware: env!("CARGO_PKG_VERSION"),
-            boot_id: self.boot_id,
-            model_id: info.model_id,
-            sample_hz: info.sample_hz,
+            boot_id,
+            sample_hz: parsed.info().sample_hz,
         };
-        self.port.send(&BoardMessage::Hello(hello), wire);
-        self.port.send(&BoardMessage::ModelInfo(model_info_on_the_wire(&info)), wire);
+        let board = match axes {
+            3 => any_axes::<3>(identity, parsed),
+            6 => any_axes::<6>(identity, parsed),
+            _ => any_axes::<9>(identity, parsed),
+        };
+        Ok(RightBoard { recording, next: 0, board: board.map_err(unfit)?, before: 0 })
     }
+}
 
-    fn send(&mut self, output: &RightOutput, wire: &mut Vec<u8>) {
-        let scores = output.score_bytes();
-        let count = if output.full { output.scores().len() } else { 0 };
-        let state = RightState {
-            sequence: self.sequence,
-            board_time_ms: output.window_end_ms,
-            events: output.events,
-            label: output.label,
-            confidence: output.confidence,
-            event_window_end_ms: output.event_window_end_ms,
-            scores: &scores[..count],
-            health: 0,
-        };
-        self.sequence = self.sequence.wrapping_add(1);
-        self.port.send(&BoardMessage::Right(state), wire);
-    }
+fn any_axes<'m, const A: usize>(
+    identity: Identity,
+    model: Model<'m>,
+) -> Result<Box<dyn AnyAxes + 'm>, ModelMismatch> {
+    let hand = RightHand::<A>::new(model, DecisionConfig::default())?;
+    Ok(Box::new(VirtualRight::start(identity, ValueHand::new(hand, COUNT))))
 }
 
 impl Board for RightBoard<'_> {
     fn step(&mut self, now_ms: u64, wire: &mut Vec<u8>) {
-        if !self.said_hello && !self.ended() {
-            self.said_hello = true;
-            self.hello(wire);
-        }
         self.before = self.next;
-        while !self.ended() && self.next as u64 * SAMPLE_INTERVAL_MS <= now_ms {
-            // The board's wrapping clock.
-            let time_ms = (self.next as u64 * SAMPLE_INTERVAL_MS) as u32;
-            let sample = self.recording.samples().nth(self.next);
+        while self.next as u64 * PERIOD_MS <= now_ms
+            && let Some(sample) = self.recording.samples().nth(self.next)
+        {
+            self.board.sample(sample, self.next as u64 * PERIOD_MS, wire);
             self.next += 1;
-            if let Some(output) = sample.and_then(|sample| self.hand.push(sample, time_ms)) {
-                self.send(&output, wire);
-            }
         }
     }
 
     fn receive(&mut self, bytes: &[u8], now_ms: u64, wire: &mut Vec<u8>) {
-        if self.port.is_asked_for_hello(bytes, now_ms, wire) && !self.ended() {
-            self.hello(wire);
+        if !self.ended() {
+            self.board.receive(bytes, now_ms, wire);
         }
     }
 
@@ -334,18 +291,6 @@ impl Board for RightBoard<'_> {
 
     fn ended(&self) -> bool {
         self.next >= self.recording.len()
-    }
-}
-
-/// What the wire says of a model.
-pub fn model_info_on_the_wire<'a>(info: &mlp::ModelInfo<'a>) -> ModelInfo<'a> {
-    ModelInfo {
-        model_id: info.model_id,
-        recipe: info.recipe.id(),
-        axes: info.axes as u8,
-        sample_hz: info.sample_hz,
-        window: info.window,
-        labels: info.label_text,
     }
 }
 
