@@ -284,15 +284,16 @@ fn a_killed_bridge_is_a_base_at_rest_and_a_stopped_one_is_on_the_graph_again() {
         // Stopped and continued, as by a debugger, a frozen container or suspend.
         bridge.signal("STOP");
         robot.wait("it stops by itself", |v| is(v, "stopped"));
-        let continued_s = wall_s();
+        bridge.catch_up();
+        let (from, continued_s) = (bridge.seen.len(), wall_s());
         bridge.signal("CONT");
         let says = |words: &'static str| {
             move |v: &Value| is(v, "robot") && v["text"].as_str().is_some_and(|text| text.contains(words))
         };
-        bridge.wait("the alarm", says("ALARM"));
-        let alarmed_s = wall_s();
-        let place = bridge.wait_from(0, "the graph again", says("on the graph again"));
-        let again_s = bridge.seen[place].0;
+        let alarm = bridge.wait_from(from, "the alarm", says("ALARM"));
+        let place = bridge.wait_from(alarm, "the graph again", says("on the graph again"));
+        let (alarmed_s, again_s) = (bridge.seen[alarm].0, bridge.seen[place].0);
+        bridge.wait_from(place, "the reader", says("1 reader"));
         println!(
             "{clock}: stopped and continued; noticed after {:.0} ms, on the graph again after {:.0} ms",
             (alarmed_s - continued_s) * 1000.0,
