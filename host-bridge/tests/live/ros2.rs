@@ -379,8 +379,8 @@ fn doctor_tries_and_names_what_is_wrong() {
             &["simulated time", "never stops by itself"],
         ),
         wrong("two writers", &[ROBOT, &["--robot"]], "", &["2 publishers"]),
-        wrong("two servers", &[ROBOT, ROBOT], "", &["2 action servers"]),
-        wrong("no server", &[&["--robot"]], "", &["is that node running, its controller active?"]),
+        wrong("two servers", &[ROBOT, ROBOT], "", &["2 controllers of one name"]),
+        wrong("no server", &[&["--robot"]], "arm = 'action'\n", &["is that node running, its controller active?"]),
         wrong(
             "a controller that rejects",
             &[&["--robot", "--action", "--inactive"]],
@@ -411,7 +411,7 @@ fn doctor_tries_and_names_what_is_wrong() {
         let kind = if unstamped { "Twist" } else { "TwistStamped" };
         for word in [
             &*format!("/cmd_vel [geometry_msgs/msg/{kind}, reliable]: 1 reader matched"),
-            "FollowJointTrajectory_SendGoal_Request, reliable]: 1 reader matched",
+            "trajectory_msgs/msg/JointTrajectory, reliable]: 1 reader matched",
             "/joint_states [sensor_msgs/msg/JointState, best effort]: 1 publisher matched",
             &*format!("publisher: sensor_msgs/msg/JointState, reliable, volatile, {vendor}"),
             &*format!("action server on {vendor}: answers"),

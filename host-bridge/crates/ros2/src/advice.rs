@@ -251,11 +251,11 @@ pub fn look_at(ours: &Topic, graph: &Graph) -> Finding {
             ));
         }
     }
-    if matched > 1 && ours.topic.starts_with("rq/") {
+    if matched > 1 && ours.key == "arm_controller" {
         let servers: Vec<String> =
             there.iter().map(|s| format!("{} ({})", s.vendor, s.participant)).collect();
         advice.push(format!(
-            "{}: {matched} action servers of one name: {}; end all but one, no motion starts before",
+            "{}: {matched} controllers of one name: {}; end all but one, no motion starts before",
             ours.name,
             servers.join(", ")
         ));
@@ -565,7 +565,7 @@ mod tests {
         graph.writers = vec![reader("rt/joint_states", wire::JOINT_STATE); 2];
         let config = Ros2Config { arm: ArmInterface::Action, ..Ros2Config::default() };
         let topics = topics(&config, &graph);
-        assert!(look_at(&topics[2], &graph).advice[0].contains("2 action servers"));
+        assert!(look_at(&topics[2], &graph).advice[0].contains("2 controllers of one name"));
         assert!(look_at(&topics[3], &graph).advice[0].contains("2 publishers"));
     }
 

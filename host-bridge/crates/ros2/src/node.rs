@@ -289,23 +289,21 @@ impl RosNode {
         let listened_to = match &mut joined.arm {
             Arm::None => false,
             Arm::Topic(_) => {
-                let name =
-                    topics(&self.config, &graph).into_iter().find(|topic| topic.key == "arm_controller");
-                let match_of = |r: &Endpoint| {
-                    name.as_ref().is_some_and(|ours| r.topic == ours.topic && r.type_name == ours.type_name)
+                let topics = topics(&self.config, &graph);
+                let ours = topics.iter().find(|topic| topic.key == "arm_controller");
+                let match_of = |r: &&Endpoint| {
+                    ours.is_some_and(|ours| r.topic == ours.topic && r.type_name == ours.type_name)
                 };
-                graph.readers.iter().any(match_of)
+                let controllers: Vec<&Endpoint> = graph.readers.iter().filter(match_of).collect();
+                servers_note = (controllers.len() > 1).then(|| too_many(&controllers));
+                controllers.len() == 1
             }
             Arm::Action(follow) => {
                 let servers = follow.servers(&graph);
                 servers_note = match servers.as_slice() {
                     [] => None,
                     [one] => Some(format!("goals go to an action server on {}", one.vendor)),
-                    several => Some(format!(
-                        "{} action servers of one name: {}; no motion starts before only one is left",
-                        several.len(),
-                        named(several)
-                    )),
+                    several => Some(too_many(several)),
                 };
                 follow.look(&mut joined.node, &graph).unwrap_or_else(|error| {
                     notes.push(error.to_string());
@@ -388,6 +386,14 @@ impl RosNode {
             self.counts.failed += u64::from(!sent);
         }
     }
+}
+
+fn too_many(controllers: &[&Endpoint]) -> String {
+    format!(
+        "{} controllers of one name: {}; no motion starts before only one is left",
+        controllers.len(),
+        named(controllers)
+    )
 }
 
 /// What the program publishes beside its commands: diagnostics, and the simulator where that is the robot.
