@@ -10,6 +10,7 @@ mod steps;
 mod test;
 mod toolchain;
 mod tools;
+mod uf2;
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;

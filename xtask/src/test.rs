@@ -88,6 +88,7 @@ pub fn run(args: &[&str]) -> Result<ExitCode> {
         announce("AVR_ELF", &firmware_avr::image());
         announce("NANO33_ELF", &firmware_nano33::image("bootloader"));
         announce("NANO33_BLE_ELF", &firmware_nano33::image("ble"));
+        announce("XIAO_ELF", &firmware_nano33::image("xiao"));
     }
     let tests = Beside::start(&program, TESTS, 19)?;
     let others = Beside::start(&program, OTHERS, 19)?;
@@ -163,14 +164,14 @@ fn cargo_for_all(subcommand: &str) -> Command {
     if EMULATORS.is_complete() {
         command.args([
             "--features",
-            "tests/avr,tests/nrf,tests/ble,host-bridge/urdf,host-bridge/ros2,host-bridge/mcap",
+            "tests/avr,tests/nrf,tests/ble,host-bridge/urdf,host-bridge/ros2,host-bridge/lerobot",
         ]);
     } else {
         command.args([
             "--exclude",
             "tests",
             "--features",
-            "host-bridge/urdf,host-bridge/ros2,host-bridge/mcap",
+            "host-bridge/urdf,host-bridge/ros2,host-bridge/lerobot",
         ]);
     }
     command
@@ -364,8 +365,16 @@ fn others() -> Vec<Step> {
             demo.args(["demo", "--headless", "--speed", "0", "--json", "--record"]).arg(&file);
             std::fs::write(&summary, output(&mut demo)?)?;
             let python = python::environment()?;
-            sh(Command::new(python).current_dir(root()).arg("tests/mcap/check.py").arg(&file).arg(&summary))?;
-            sh(built("host-bridge")?.arg("replay").arg(&file))
+            sh(Command::new(&python)
+                .current_dir(root())
+                .arg("tests/mcap/check.py")
+                .arg(&file)
+                .arg(&summary))?;
+            sh(built("host-bridge")?.arg("replay").arg(&file))?;
+            let set = folder.join("set");
+            let mut export = built("host-bridge")?;
+            sh(export.arg("export").arg(&file).arg("--lerobot").arg(&set).args(["--episodes", "motions"]))?;
+            sh(Command::new(python).current_dir(root()).arg("tests/lerobot/check.py").arg(&set))
         }),
     ];
     if is_full() {
