@@ -380,7 +380,12 @@ fn doctor_tries_and_names_what_is_wrong() {
         ),
         wrong("two writers", &[ROBOT, &["--robot"]], "", &["2 publishers"]),
         wrong("two servers", &[ROBOT, ROBOT], "", &["2 controllers of one name"]),
-        wrong("no server", &[&["--robot"]], "arm = 'action'\n", &["is that node running, its controller active?"]),
+        wrong(
+            "no server",
+            &[&["--robot"]],
+            "arm = 'action'\n",
+            &["is that node running, its controller active?"],
+        ),
         wrong(
             "a controller that rejects",
             &[&["--robot", "--action", "--inactive"]],
