@@ -312,7 +312,6 @@ pub fn run(args: &Args) -> Result<ExitCode> {
 type AnyRobot = Box<dyn Robot + Send>;
 
 /// The robot that is there: one on a graph, or the simulator.
-#[expect(clippy::type_complexity, reason = "three things that belong to one choice")]
 fn robot(
     stage: &Stage,
     config: &Config,
