@@ -1,5 +1,6 @@
 //! The chores. `cargo xtask test` is what a user and CI run.
 
+mod campaign;
 mod firmware_avr;
 mod firmware_nano33;
 mod jazzy;
@@ -22,6 +23,7 @@ usage: cargo xtask VERB
 
   test [--full] [--only WORD]   every test; --full runs the long versions (under 80 minutes),
                                 --only the steps whose name contains WORD, --list names them
+  campaign [--short]            what must hold when something else fails, in one table (under 80 minutes)
   firmware avr [--baud N] [--no-stack]
                                 the left hand's image: size, stack, how to flash it
   firmware nano33 [ble|bootloader]
@@ -46,6 +48,7 @@ fn run(args: &[String]) -> Result<ExitCode> {
     let words: Vec<&str> = args.iter().map(String::as_str).collect();
     match words.as_slice() {
         ["test", rest @ ..] => test::run(rest),
+        ["campaign", rest @ ..] => campaign::run(rest),
         ["firmware", "avr", rest @ ..] => {
             firmware_avr::run(rest)?;
             Ok(ExitCode::SUCCESS)
