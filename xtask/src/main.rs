@@ -1,7 +1,9 @@
 //! The chores. `cargo xtask test` is what a user and CI run.
 
+mod campaign;
 mod firmware_avr;
 mod firmware_nano33;
+mod jazzy;
 mod package;
 mod python;
 mod real_data;
@@ -21,11 +23,13 @@ usage: cargo xtask VERB
 
   test [--full] [--only WORD]   every test; --full runs the long versions (under 80 minutes),
                                 --only the steps whose name contains WORD, --list names them
+  campaign [--short]            what must hold when something else fails, in one table (under 80 minutes)
   firmware avr [--baud N] [--no-stack]
                                 the left hand's image: size, stack, how to flash it
   firmware nano33 [ble|bootloader]
                                 the right hand's images: flash and RAM per part
   package                       an archive for Linux on x86-64 under target/package
+  ros2                          ROS 2 Jazzy's rclpy below target, for tests/ros2/rclpy_peer.py: prints its Python
   help                          this text
 ";
 
@@ -44,6 +48,7 @@ fn run(args: &[String]) -> Result<ExitCode> {
     let words: Vec<&str> = args.iter().map(String::as_str).collect();
     match words.as_slice() {
         ["test", rest @ ..] => test::run(rest),
+        ["campaign", rest @ ..] => campaign::run(rest),
         ["firmware", "avr", rest @ ..] => {
             firmware_avr::run(rest)?;
             Ok(ExitCode::SUCCESS)
@@ -54,6 +59,12 @@ fn run(args: &[String]) -> Result<ExitCode> {
         }
         ["package"] => {
             package::run()?;
+            Ok(ExitCode::SUCCESS)
+        }
+        ["ros2"] => {
+            if let Some(python) = jazzy::environment()? {
+                println!("{}", python.display());
+            }
             Ok(ExitCode::SUCCESS)
         }
         [] | ["help" | "--help" | "-h"] => {
