@@ -3,7 +3,9 @@
 use std::collections::BTreeMap;
 
 use host_topics::Topic;
-use host_topics::cdr::Reader;
+use host_topics::bimanual::{Event, Operated};
+use host_topics::cdr::decode;
+use host_topics::message::{JointState, Odometry, Twist, TwistStamped};
 use mcap::McapError;
 use mcap::read::{ChunkFlattener, Options};
 use mcap::records::Record;
@@ -121,19 +123,15 @@ impl Streams {
 
     /// `None` where the message cannot be read.
     fn take(&mut self, topic: Topic, time_ms: u64, data: &[u8]) -> Option<Result<(), ExportError>> {
-        let mut reader = Reader::new(data)?;
         match topic {
             Topic::Joints => {
-                header(&mut reader)?;
-                let names = texts(&mut reader)?;
-                let positions = numbers(&mut reader)?;
-                if names.len() != positions.len() {
+                let JointState { name: names, position: positions, .. } = decode(data)?;
+                if names.len() != positions.len() || !positions.iter().all(|rad| rad.is_finite()) {
                     return None;
                 }
-                let kept = |name: &String| !name.ends_with("_wheel");
-                let pairs = names.iter().zip(&positions).filter(|(name, _)| kept(name));
+                let pairs = names.into_iter().zip(positions);
                 let (names, positions): (Vec<String>, Vec<f64>) =
-                    pairs.map(|(name, position)| (name.clone(), *position)).unzip();
+                    pairs.filter(|(name, _)| !name.ends_with("_wheel")).unzip();
                 if self.joints.is_empty() {
                     self.joint_names = names;
                 } else if names != self.joint_names {
@@ -142,34 +140,24 @@ impl Streams {
                 self.joints.push((time_ms, positions));
             }
             Topic::Odometry => {
-                header(&mut reader)?;
-                reader.blob()?;
-                let [x, y, _] = three(&mut reader)?;
-                let [_, _, z] = three(&mut reader)?;
-                let w = number(&mut reader)?;
-                for _ in 0..36 {
-                    number(&mut reader)?;
+                let Odometry { pose, twist, .. } = decode(data)?;
+                let (place, [linear, angular]) = (pose.pose, speeds(&twist.twist)?);
+                let turn_rad = 2.0 * place.orientation.z.atan2(place.orientation.w);
+                let base = [place.position.x, place.position.y, turn_rad, linear, angular];
+                if !base.iter().all(|number| number.is_finite()) {
+                    return None;
                 }
-                let ([linear, _, _], [_, _, angular]) = (three(&mut reader)?, three(&mut reader)?);
-                self.base.push((time_ms, [x, y, 2.0 * z.atan2(w), linear, angular]));
+                self.base.push((time_ms, base));
             }
-            Topic::Twist => {
-                header(&mut reader)?;
-                let ([linear, _, _], [_, _, angular]) = (three(&mut reader)?, three(&mut reader)?);
-                self.asked.push((time_ms, [linear, angular]));
-            }
+            Topic::Twist => self.asked.push((time_ms, speeds(&decode::<TwistStamped>(data)?.twist)?)),
             Topic::Events => {
-                header(&mut reader)?;
-                let time_ms = reader.u64()?;
-                text(&mut reader)?;
-                let json: serde_json::Value = serde_json::from_str(&text(&mut reader)?).ok()?;
+                let Event { time_ms, json, .. } = decode(data)?;
+                let json: serde_json::Value = serde_json::from_str(&json).ok()?;
                 self.events.extend(happened(&json).map(|happened| (time_ms, happened)));
             }
             Topic::Operated => {
-                reader.i32()?;
-                reader.u32()?;
-                let time_ms = reader.u64()?;
-                if reader.u8()? == 0 {
+                let Operated { time_ms, key, .. } = decode(data)?;
+                if key == 0 {
                     self.events.push((time_ms, Happened::StopKey));
                 }
             }
@@ -191,39 +179,17 @@ fn happened(json: &serde_json::Value) -> Option<Happened> {
     }
 }
 
-fn header(reader: &mut Reader<'_>) -> Option<()> {
-    reader.i32()?;
-    reader.u32()?;
-    reader.blob().map(drop)
-}
-
-fn number(reader: &mut Reader<'_>) -> Option<f64> {
-    reader.u64().map(f64::from_bits).filter(|number| number.is_finite())
-}
-
-fn three(reader: &mut Reader<'_>) -> Option<[f64; 3]> {
-    Some([number(reader)?, number(reader)?, number(reader)?])
-}
-
-fn text(reader: &mut Reader<'_>) -> Option<String> {
-    let bytes = reader.blob()?;
-    String::from_utf8(bytes.strip_suffix(&[0]).unwrap_or(bytes).to_vec()).ok()
-}
-
-fn texts(reader: &mut Reader<'_>) -> Option<Vec<String>> {
-    // Not more than a message can hold, whatever it says.
-    (0..reader.u32()?.min(1 << 10)).map(|_| text(reader)).collect()
-}
-
-fn numbers(reader: &mut Reader<'_>) -> Option<Vec<f64>> {
-    (0..reader.u32()?.min(1 << 10)).map(|_| number(reader)).collect()
+/// Forward and to the left; `None` for NaN and infinity.
+fn speeds(twist: &Twist) -> Option<[f64; 2]> {
+    let speeds = [twist.linear.x, twist.angular.z];
+    speeds.iter().all(|speed| speed.is_finite()).then_some(speeds)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use host_topics::cdr::encode;
-    use host_topics::message::{Header, JointState, Odometry, TwistStamped};
+    use host_topics::message::Header;
 
     /// A file of a few messages of each stream.
     fn small() -> Vec<u8> {
@@ -240,9 +206,9 @@ mod tests {
             effort: Vec::new(),
         };
         let messages = [
-            (Topic::Joints, encode(&joints).unwrap()),
-            (Topic::Odometry, encode(&Odometry::default()).unwrap()),
-            (Topic::Twist, encode(&TwistStamped::default()).unwrap()),
+            (Topic::Joints, encode(&joints)),
+            (Topic::Odometry, encode(&Odometry::default())),
+            (Topic::Twist, encode(&TwistStamped::default())),
         ];
         for (topic, data) in &messages {
             let id = writer.add_channel(0, topic.name(), "cdr", &BTreeMap::new()).unwrap();
