@@ -11,7 +11,7 @@ use shared_proto::message::{
 };
 use shared_proto::version;
 
-use crate::links::{Clock, Link, LinkEvent, News, SerialSettings, SystemClock, is_ble};
+use crate::links::{Clock, Link, LinkEvent, News, SerialSettings, SystemClock, Waiter, is_ble};
 
 /// A request is sent again after this long without an answer.
 const REPEAT_MS: u64 = 1000;
@@ -174,6 +174,7 @@ pub struct Talk {
     link: Link,
     events: Receiver<LinkEvent<()>>,
     clock: Arc<dyn Clock>,
+    waiter: Waiter,
     decoder: Decoder<BOARD_FRAME_MAX>,
     said: std::collections::VecDeque<(u64, Said)>,
     request: u16,
@@ -183,9 +184,10 @@ impl Talk {
     /// Opens a port; what comes of it is said.
     pub fn open(port: &str, settings: SerialSettings) -> Self {
         let clock: Arc<dyn Clock> = Arc::new(SystemClock::start());
+        let waiter = clock.waiter();
         let (sender, events) = channel();
         let link = Link::start((), port, settings, Arc::clone(&clock), sender);
-        Talk { link, events, clock, decoder: Decoder::new(), said: Default::default(), request: 0 }
+        Talk { link, events, clock, waiter, decoder: Decoder::new(), said: Default::default(), request: 0 }
     }
 
     /// The port's name.
@@ -196,6 +198,11 @@ impl Talk {
     /// Time on the clock that marks what is said.
     pub fn now_ms(&self) -> u64 {
         self.clock.now_ms()
+    }
+
+    /// Where the thread that talks waits for anything else than what is said.
+    pub fn waiter(&self) -> &Waiter {
+        &self.waiter
     }
 
     /// Frames so far, and damaged ones.
@@ -229,7 +236,7 @@ impl Talk {
                 return Some(said);
             }
             let left_ms = until_ms.saturating_sub(self.now_ms());
-            let event = self.events.recv_timeout(Duration::from_millis(left_ms)).ok()?;
+            let event = self.waiter.receive(&self.events, Duration::from_millis(left_ms)).ok()?;
             match event.news {
                 News::Opened => self.said.push_back((event.at_ms, Said::Opened)),
                 News::Closed(why) => self.said.push_back((event.at_ms, Said::Closed(why))),

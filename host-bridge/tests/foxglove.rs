@@ -18,7 +18,8 @@ use shared_proto::message::Heading;
 use tungstenite::client::IntoClientRequest as _;
 use tungstenite::{Message, WebSocket};
 
-const PATIENCE: Duration = Duration::from_secs(20);
+/// By the wall clock; a hang must not stop the tests.
+const PATIENCE: Duration = Duration::from_secs(120);
 const ORIGIN: Origin = Origin { nanoseconds: 1_700_000_000_000_000_000 };
 
 fn any_port() -> FoxgloveOptions {

@@ -1,7 +1,9 @@
-//! What runs at the pace of the wall clock: the program with boards behind pseudo-terminals.
-//! `cargo test -- --skip live::` leaves it out.
+//! The program with boards behind pseudo-terminals, in one time. `cargo test -- --skip live::` leaves it out.
 #![cfg(unix)]
 
+#[path = "support/desk/mod.rs"]
+#[allow(dead_code)] // each crate of tests uses its own part
+mod desk;
 #[path = "support/double.rs"]
 mod double;
 #[cfg(feature = "ros2")]
@@ -10,18 +12,15 @@ mod graph;
 #[path = "support/renamed.rs"]
 mod renamed;
 
+#[cfg(feature = "ros2")]
+use desk::{port, program, time};
+
 mod live {
     mod desk;
     #[cfg(feature = "ros2")]
     mod ros2;
 }
 
-#[cfg(feature = "ros2")]
-fn starting() -> std::sync::MutexGuard<'static, ()> {
-    double::STARTING.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
-}
-
-#[cfg(feature = "ros2")]
 fn host_bridge() -> &'static str {
     env!("CARGO_BIN_EXE_host-bridge")
 }

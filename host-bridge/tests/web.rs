@@ -12,7 +12,8 @@ use serde_json::Value;
 use tungstenite::client::IntoClientRequest as _;
 use tungstenite::{Message, WebSocket};
 
-const PATIENCE: Duration = Duration::from_secs(20);
+/// By the wall clock; a hang must not stop the tests.
+const PATIENCE: Duration = Duration::from_secs(120);
 
 fn any_port() -> WebOptions {
     WebOptions { port: 0, ..WebOptions::default() }

@@ -13,7 +13,7 @@ mod on {
 
     use anyhow::{Result, bail};
     use host_bridge::bridge::BridgeEvent;
-    use host_bridge::links::Clock;
+    use host_bridge::links::{Clock, Waiter};
     use host_bridge::live::Live;
     use host_bridge::robot::Robot as _;
     use host_bridge::ros2::advice::{Machine, look_at, nobody, topics};
@@ -108,7 +108,7 @@ mod on {
         }
 
         /// Stops the robot and says good-bye.
-        pub fn end(mut self, live: &mut Live, clock: &dyn Clock) -> Counts {
+        pub fn end(mut self, live: &mut Live, clock: &dyn Clock, waiter: &Waiter) -> Counts {
             let Some(robot) = live.ros_mut() else { return self.node.counts() };
             robot.at(clock.now_ms());
             robot.halt();
@@ -118,7 +118,7 @@ mod on {
                 self.node.receive(robot, now_ms);
                 robot.step(now_ms);
                 self.node.send(robot, Time::at(SystemTime::now()));
-                std::thread::sleep(Duration::from_millis(5));
+                waiter.sleep(Duration::from_millis(5));
             }
             self.node.counts()
         }
@@ -176,7 +176,7 @@ mod off {
 
     use anyhow::{Result, bail};
     use host_bridge::bridge::BridgeEvent;
-    use host_bridge::links::Clock;
+    use host_bridge::links::{Clock, Waiter};
     use host_bridge::live::Live;
     use host_bridge::ros2::{Counts, Ros2Config};
 
@@ -213,7 +213,7 @@ mod off {
         }
 
         /// Never called.
-        pub fn end(self, _: &mut Live, _: &dyn Clock) -> Counts {
+        pub fn end(self, _: &mut Live, _: &dyn Clock, _: &Waiter) -> Counts {
             match self.0 {}
         }
     }

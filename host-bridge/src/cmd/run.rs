@@ -14,7 +14,7 @@ use host_bridge::config::{KEYBOARD, Place};
 use host_bridge::describe;
 use host_bridge::foxglove::Foxglove;
 use host_bridge::keyboard::HandKey;
-use host_bridge::links::{Clock, Link as BoardLink, LinkEvent, News, SystemClock, is_ble};
+use host_bridge::links::{Clock, Link as BoardLink, LinkEvent, News, SystemClock, Waiter, is_ble};
 use host_bridge::live::Live;
 use host_bridge::robot::Robot as _;
 use host_bridge::ros2::{ArmInterface, Counts, RosRobot};
@@ -181,6 +181,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     let web = args.web.start(false)?;
     let ros = if args.ros2 { Some(Link::open(&config.ros2, args.publish_sim)?) } else { None };
     let clock = Arc::new(SystemClock::start());
+    let waiter = clock.waiter();
     let (sender, events) = channel();
     let open = |hand: Hand, port: &str| {
         (places[hand as usize] == Place::Board).then(|| {
@@ -239,8 +240,8 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         }
     }
     let until_ms = args.seconds.map_or(u64::MAX, |seconds| (seconds * 1000.0) as u64);
-    session.turn_until(until_ms, &*clock, &events)?;
-    let counts = session.ros.take().map(|ros| ros.end(&mut session.live, &*clock));
+    session.turn_until(until_ms, &*clock, &waiter, &events)?;
+    let counts = session.ros.take().map(|ros| ros.end(&mut session.live, &*clock, &waiter));
     session.end(clock.now_ms(), counts);
     if let Some(foxglove) = foxglove {
         foxglove.end();
@@ -265,11 +266,12 @@ impl Session {
         &mut self,
         until_ms: u64,
         clock: &dyn Clock,
+        waiter: &Waiter,
         events: &Receiver<LinkEvent<Hand>>,
     ) -> Result<()> {
         let mut drawn_ms = 0;
         while clock.now_ms() < until_ms && !self.ros.as_ref().is_some_and(Link::interrupted) {
-            let event = events.recv_timeout(TURN);
+            let event = waiter.receive(events, TURN);
             let woken = SystemTime::now();
             match event {
                 Ok(event) => {
@@ -279,7 +281,7 @@ impl Session {
                     }
                 }
                 Err(RecvTimeoutError::Timeout) => {}
-                Err(RecvTimeoutError::Disconnected) => std::thread::sleep(TURN),
+                Err(RecvTimeoutError::Disconnected) => waiter.sleep(TURN),
             }
             let now_ms = clock.now_ms();
             if self.web.as_ref().is_some_and(Web::take_stop) {

@@ -7,17 +7,20 @@
 
 #[cfg(feature = "ble")]
 mod ble;
+mod clock;
 mod ports;
 mod serial;
+#[cfg(feature = "test-clock")]
+mod test_clock;
 
 #[cfg(feature = "ble")]
 pub use ble::{BleLink, ble_devices};
+pub use clock::{Clock, SystemClock, Waiter, Waker};
 pub use ports::{PortAbout, hints, ports};
 pub use serial::{SerialLink, SerialSettings};
 
 use std::sync::Arc;
 use std::sync::mpsc::Sender;
-use std::time::Instant;
 
 /// Does this name (`ble` or `ble:NAME`) mean a board behind Bluetooth?
 pub fn is_ble(port: &str) -> bool {
@@ -74,29 +77,6 @@ impl Link {
             #[cfg(feature = "ble")]
             Link::Ble(link) => link.send(frame),
         }
-    }
-}
-
-/// Milliseconds that never step back. Everything behind the links gets its time from here.
-pub trait Clock: Send + Sync {
-    /// Time since some fixed moment.
-    fn now_ms(&self) -> u64;
-}
-
-/// The machine's monotonic clock, from the moment it was made.
-#[derive(Clone, Copy, Debug)]
-pub struct SystemClock(Instant);
-
-impl SystemClock {
-    /// A clock that shows 0 now.
-    pub fn start() -> Self {
-        SystemClock(Instant::now())
-    }
-}
-
-impl Clock for SystemClock {
-    fn now_ms(&self) -> u64 {
-        self.0.elapsed().as_millis() as u64
     }
 }
 

@@ -1,17 +1,11 @@
-//! Boards behind pseudo-terminals: they run the hands' own code on recordings, answer the laptop as the
-//! firmware does, and can be unplugged and restarted at any moment.
+//! Boards on a desk: they run the hands' own code on recordings, answer the laptop as the firmware does, and can be
+//! unplugged and restarted at any moment.
 
-use std::io::{Read as _, Write as _};
-use std::os::fd::{FromRawFd as _, IntoRawFd as _, OwnedFd};
-use std::path::{Path, PathBuf};
-use std::sync::Mutex;
-use std::sync::mpsc::{Receiver, Sender, channel};
-use std::thread::JoinHandle;
-use std::time::{Duration, Instant};
+use std::collections::VecDeque;
+use std::path::Path;
 
 use host_bridge::hands::{ModelFile, heading_on_the_wire, model_info_on_the_wire};
 use models::recording::Recording;
-use serialport::{SerialPort as _, TTYPort};
 use shared_dsp::decision::DecisionConfig;
 use shared_dsp::left::{AdcCounts, LeftHand};
 use shared_dsp::left_calibration::CalibrationStep as Step;
@@ -20,9 +14,12 @@ use shared_dsp::right::RightHand;
 use shared_dsp::tilt::TiltThresholds;
 use shared_proto::frame::{BOARD_FRAME_MAX, DELIMITER, Decoder, HOST_FRAME_MAX, encode_board};
 use shared_proto::message::{
-    Ack, AckResult, Board, BoardMessage, CalibrationStep, Hello, HostMessage, LeftState, Mode,
+    Ack, AckResult, Board as Kind, BoardMessage, CalibrationStep, Hello, HostMessage, LeftState, Mode,
     PROTOCOL_MAJOR, PROTOCOL_MINOR, Pong, RawImu, RightState, Status, health,
 };
+
+use crate::desk::program::Desk;
+use crate::desk::station::{Board, Station};
 
 /// A level left hand with straight fingers.
 pub const LEVEL: [u16; 5] = [512, 512, 614, 704, 704];
@@ -34,97 +31,67 @@ pub const BENT: [u16; 5] = [512, 512, 614, 536, 536];
 /// Scale of the LSM9DS1 as the right board uses it.
 const SCALE: [f32; 3] = [0.000_732 * 9.806_65, 0.07, 0.014];
 
-/// A program started while a pseudo-terminal is being made would inherit its board's end, and no cable
-/// would ever be pulled: whoever starts one takes this first.
-pub static STARTING: Mutex<()> = Mutex::new(());
-
-fn board_and_laptop() -> (TTYPort, TTYPort) {
-    let _alone = STARTING.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
-    let (board, laptop) = TTYPort::pair().expect("a pseudo-terminal");
-    // Safety: the port gives its descriptor away and is gone. The copy is not inherited by programs.
-    let board = unsafe { OwnedFd::from_raw_fd(board.into_raw_fd()) };
-    let copy = board.try_clone().expect("a descriptor");
-    (unsafe { TTYPort::from_raw_fd(copy.into_raw_fd()) }, laptop)
-}
-
-/// What a test does to a board.
-enum Order {
-    /// The cable is pulled; the board stays powered (or not: it does not matter to the laptop).
-    Pull,
-    /// And plugged in again, which restarts a board without a battery.
-    Plug {
-        restarts: bool,
-    },
-    /// Reset without losing the port.
-    Restart,
-    /// The left hand holds this now.
-    Hold([u16; 5]),
-    End,
-}
-
-/// A board on a port; its thread ends with it.
-pub struct Double {
-    orders: Sender<Order>,
-    thread: Option<JoinHandle<()>>,
-    /// What to give to `--left` or `--right`: a link to the pseudo-terminal.
-    pub port: PathBuf,
-}
+/// A board on a port.
+pub struct Double(Station<Machine>);
 
 impl Double {
     /// A left hand at rest.
-    pub fn left(folder: &Path) -> Self {
-        let port = folder.join("left");
-        Self::start(port, || Box::new(Left::new()))
+    pub fn left(desk: &Desk) -> Self {
+        Self::left_named(desk, "left")
+    }
+
+    /// The same with a port of another name.
+    pub fn left_named(desk: &Desk, name: &str) -> Self {
+        Self::start(desk, name, Box::new(Left::new()))
     }
 
     /// A right hand that plays the demo's recording from `start_s` on, again and again.
-    pub fn right(folder: &Path, start_s: f64) -> Self {
-        let port = folder.join("right");
-        Self::start(port, move || Box::new(Right::new(start_s)))
+    pub fn right(desk: &Desk, start_s: f64) -> Self {
+        Self::start(desk, "right", Box::new(Right::new(start_s)))
     }
 
-    fn start(port: PathBuf, make: impl FnOnce() -> Box<dyn Hand> + Send + 'static) -> Self {
-        let (orders, received) = channel();
-        let place = port.clone();
-        let (ready, is_ready) = channel();
-        let thread = std::thread::spawn(move || Machine::new(make(), place, &ready).run(&received));
-        is_ready.recv().expect("the board starts");
-        Double { orders, thread: Some(thread), port }
+    fn start(desk: &Desk, name: &str, hand: Box<dyn Hand>) -> Self {
+        Double(Station::start(desk.time(), &desk.path(name), Machine::new(hand)))
     }
 
+    /// What to give to `--left` or `--right`.
     pub fn port(&self) -> String {
-        self.port.display().to_string()
+        self.0.port()
     }
 
+    /// The cable is pulled.
     pub fn pull(&self) {
-        self.orders.send(Order::Pull).unwrap();
+        self.0.pull();
     }
 
+    /// And plugged in again, which restarts a board without a battery.
     pub fn plug(&self) {
-        self.orders.send(Order::Plug { restarts: true }).unwrap();
+        self.0.plug();
     }
 
     /// The cable was loose for a moment; the board has its own battery.
     pub fn plug_without_restart(&self) {
-        self.orders.send(Order::Plug { restarts: false }).unwrap();
+        self.0.with(|machine| machine.has_battery = true);
+        self.0.plug();
+        self.0.with(|machine| machine.has_battery = false);
     }
 
+    /// Reset without losing the port.
     pub fn restart(&self) {
-        self.orders.send(Order::Restart).unwrap();
+        self.0.restart();
     }
 
+    /// The left hand holds this now.
     pub fn hold(&self, counts: [u16; 5]) {
-        self.orders.send(Order::Hold(counts)).unwrap();
+        self.0.with(|machine| machine.hand.hold(counts));
     }
 }
 
-impl Drop for Double {
-    fn drop(&mut self) {
-        let _ = self.orders.send(Order::End);
-        if let Some(thread) = self.thread.take() {
-            let _ = thread.join();
-        }
-    }
+/// What a board does only after a while, and is busy until then.
+#[derive(Default)]
+struct Later {
+    ms: u64,
+    bytes: Vec<u8>,
 }
 
 /// What differs between the hands.
@@ -135,7 +102,7 @@ trait Hand {
     /// The sample of this time, every 10 ms.
     fn sample(&mut self, now_ms: u32, mode: Mode, out: &mut Vec<u8>);
     /// A request that is not for both hands.
-    fn request(&mut self, message: &HostMessage<'_>, out: &mut Vec<u8>);
+    fn request(&mut self, message: &HostMessage<'_>, out: &mut Vec<u8>, later: &mut Later);
     fn hold(&mut self, _counts: [u16; 5]) {}
 }
 
@@ -150,116 +117,115 @@ fn ack(request: u16, result: AckResult, next_offset: u32, out: &mut Vec<u8>) {
 
 struct Machine {
     hand: Box<dyn Hand>,
-    place: PathBuf,
-    port: Option<TTYPort>,
     decoder: Decoder<HOST_FRAME_MAX>,
     mode: Mode,
     boot_id: u32,
-    started: Instant,
-    next_sample_ms: u64,
+    /// Since power-on, and when it started last.
+    now_ms: u64,
+    started_ms: u64,
+    has_battery: bool,
+    busy_until_ms: u64,
+    later: Later,
+    incoming: VecDeque<u8>,
+    outgoing: Vec<u8>,
 }
 
 impl Machine {
-    fn new(hand: Box<dyn Hand>, place: PathBuf, ready: &Sender<()>) -> Self {
-        let mut machine = Machine {
+    fn new(hand: Box<dyn Hand>) -> Self {
+        Machine {
             hand,
-            place,
-            port: None,
             decoder: Decoder::new(),
             mode: Mode::Classify,
             boot_id: 100,
-            started: Instant::now(),
-            next_sample_ms: 0,
-        };
-        machine.plug();
-        machine.restart();
-        ready.send(()).unwrap();
-        machine
+            now_ms: 0,
+            started_ms: 0,
+            has_battery: false,
+            busy_until_ms: 0,
+            later: Later::default(),
+            incoming: VecDeque::new(),
+            outgoing: Vec::new(),
+        }
     }
 
-    fn plug(&mut self) {
-        let (mut board, laptop) = board_and_laptop();
-        board.set_timeout(Duration::from_millis(1)).unwrap();
-        let _ = std::fs::remove_file(&self.place);
-        std::os::unix::fs::symlink(laptop.name().expect("a name"), &self.place).unwrap();
-        self.port = Some(board);
-    }
-
-    fn restart(&mut self) {
+    fn boot(&mut self) {
         self.boot_id += 1;
-        self.started = Instant::now();
-        self.next_sample_ms = 0;
+        self.started_ms = self.now_ms;
+        self.busy_until_ms = 0;
+        self.later = Later::default();
+        self.incoming.clear();
         self.mode = Mode::Classify;
         self.decoder = Decoder::new();
         self.hand.reset();
-        let mut out = vec![DELIMITER];
-        self.hand.hello(self.boot_id, &mut out);
-        self.write(&out);
+        self.outgoing.push(DELIMITER);
+        self.hand.hello(self.boot_id, &mut self.outgoing);
     }
 
-    fn write(&mut self, bytes: &[u8]) {
-        if let Some(port) = &mut self.port {
-            // Nobody there, or nobody reads: dropped, as on a real line.
-            let _ = port.write(bytes);
+    fn listen(&mut self) {
+        let mut decoder = std::mem::take(&mut self.decoder);
+        while self.now_ms >= self.busy_until_ms {
+            self.outgoing.append(&mut self.later.bytes);
+            let Some(byte) = self.incoming.pop_front() else { break };
+            let (out, board_time_ms) = (&mut self.outgoing, (self.now_ms - self.started_ms) as u32);
+            match decoder.push_host(byte) {
+                Some(HostMessage::HelloRequest) => self.hand.hello(self.boot_id, out),
+                Some(HostMessage::Ping { id }) => put(&BoardMessage::Pong(Pong { id, board_time_ms }), out),
+                Some(HostMessage::SetMode { request, mode }) => {
+                    self.mode = mode;
+                    ack(request, AckResult::Ok, 0, out);
+                }
+                Some(message) => {
+                    self.later.ms = 0;
+                    self.hand.request(&message, out, &mut self.later);
+                    self.busy_until_ms = self.now_ms + self.later.ms;
+                }
+                None => {}
+            }
+        }
+        self.decoder = decoder;
+    }
+}
+
+impl Board for Machine {
+    fn now_ms(&self) -> u64 {
+        self.now_ms
+    }
+
+    fn run_until_ms(&mut self, until_ms: u64) {
+        while self.now_ms < until_ms {
+            self.now_ms += 1;
+            self.listen();
+            let time_ms = self.now_ms - self.started_ms;
+            if time_ms.is_multiple_of(10) {
+                self.hand.sample(time_ms as u32, self.mode, &mut self.outgoing);
+            }
+            if time_ms.is_multiple_of(1000) {
+                let status = Status { uptime_ms: time_ms as u32, mode: self.mode, ..Status::default() };
+                put(&BoardMessage::Status(status), &mut self.outgoing);
+            }
         }
     }
 
-    fn run(mut self, orders: &Receiver<Order>) {
-        let mut status_ms = 0;
-        loop {
-            while let Ok(order) = orders.try_recv() {
-                match order {
-                    Order::Pull => {
-                        self.port = None;
-                        let _ = std::fs::remove_file(&self.place);
-                    }
-                    Order::Plug { restarts } => {
-                        self.plug();
-                        if restarts {
-                            self.restart();
-                        }
-                    }
-                    Order::Restart => self.restart(),
-                    Order::Hold(counts) => self.hand.hold(counts),
-                    Order::End => return,
-                }
-            }
-            let mut buffer = [0; 512];
-            let read = self.port.as_mut().map_or(0, |port| port.read(&mut buffer).unwrap_or(0));
-            if read == 0 {
-                std::thread::sleep(Duration::from_millis(1));
-            }
-            let mut out = Vec::new();
-            let now_ms = self.started.elapsed().as_millis() as u64;
-            let mut decoder = std::mem::take(&mut self.decoder);
-            for &byte in &buffer[..read] {
-                match decoder.push_host(byte) {
-                    Some(HostMessage::HelloRequest) => self.hand.hello(self.boot_id, &mut out),
-                    Some(HostMessage::Ping { id }) => {
-                        put(&BoardMessage::Pong(Pong { id, board_time_ms: now_ms as u32 }), &mut out);
-                    }
-                    Some(HostMessage::SetMode { request, mode }) => {
-                        self.mode = mode;
-                        ack(request, AckResult::Ok, 0, &mut out);
-                    }
-                    Some(message) => self.hand.request(&message, &mut out),
-                    None => {}
-                }
-            }
-            self.decoder = decoder;
-            while self.next_sample_ms <= now_ms {
-                self.hand.sample(self.next_sample_ms as u32, self.mode, &mut out);
-                self.next_sample_ms += 10;
-            }
-            if now_ms >= status_ms + 1000 || now_ms < status_ms {
-                status_ms = now_ms;
-                let status = Status { uptime_ms: now_ms as u32, mode: self.mode, ..Status::default() };
-                put(&BoardMessage::Status(status), &mut out);
-            }
-            if !out.is_empty() {
-                self.write(&out);
-            }
+    fn sent(&mut self) -> Vec<u8> {
+        std::mem::take(&mut self.outgoing)
+    }
+
+    fn receive(&mut self, bytes: &[u8]) {
+        self.incoming.extend(bytes);
+    }
+
+    fn opened(&mut self, _: bool) {}
+
+    fn pulled(&mut self) {}
+
+    fn plugged(&mut self) {
+        if !self.has_battery {
+            self.boot();
         }
+    }
+
+    fn restart(&mut self) -> bool {
+        self.boot();
+        false
     }
 }
 
@@ -292,7 +258,7 @@ impl Hand for Left {
             &BoardMessage::Hello(Hello {
                 major: PROTOCOL_MAJOR,
                 minor: PROTOCOL_MINOR,
-                board: Board::LeftNano,
+                board: Kind::LeftNano,
                 firmware: "double",
                 boot_id,
                 model_id: 0,
@@ -338,7 +304,7 @@ impl Hand for Left {
         }
     }
 
-    fn request(&mut self, message: &HostMessage<'_>, out: &mut Vec<u8>) {
+    fn request(&mut self, message: &HostMessage<'_>, out: &mut Vec<u8>, _: &mut Later) {
         match *message {
             HostMessage::Calibrate { request, step } => {
                 let step = match step {
@@ -423,7 +389,7 @@ impl Hand for Right {
             &BoardMessage::Hello(Hello {
                 major: PROTOCOL_MAJOR,
                 minor: PROTOCOL_MINOR,
-                board: Board::RightNano33,
+                board: Kind::RightNano33,
                 firmware: "double",
                 boot_id,
                 model_id: info.model_id,
@@ -479,7 +445,7 @@ impl Hand for Right {
     }
 
     /// As `firmware-nano33/src/transfer.rs`.
-    fn request(&mut self, message: &HostMessage<'_>, out: &mut Vec<u8>) {
+    fn request(&mut self, message: &HostMessage<'_>, out: &mut Vec<u8>, later: &mut Later) {
         let (request, result) = match *message {
             HostMessage::ModelBegin(begin) => {
                 if begin.info.axes != 9 {
@@ -488,12 +454,12 @@ impl Hand for Right {
                 self.announced = Some((begin.size, begin.info.model_id, Vec::new()));
                 ack(begin.request, AckResult::Started, 0, out);
                 // Erasing four pages takes a third of a second.
-                std::thread::sleep(Duration::from_millis(50));
+                later.ms = 50;
                 (begin.request, AckResult::Ok)
             }
             HostMessage::ModelChunk { request, offset, data } => {
                 // Flash is slow, and a test needs time to pull the cable.
-                std::thread::sleep(Duration::from_millis(20));
+                later.ms = 20;
                 match &mut self.announced {
                     Some((_, _, blob)) if blob.len() == offset as usize => {
                         blob.extend_from_slice(data);
@@ -522,6 +488,6 @@ impl Hand for Right {
             _ => return,
         };
         let next = self.announced.as_ref().map_or(0, |(_, _, blob)| blob.len() as u32);
-        ack(request, result, next, out);
+        ack(request, result, next, &mut later.bytes);
     }
 }

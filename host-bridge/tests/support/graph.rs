@@ -1,20 +1,29 @@
 //! The other side of the graph: `tests/ros2/peer.py` as a robot, the program beside it, and a network of their own.
 //!
-//! Whoever includes this has `starting()`, held while a program is started, and `host_bridge()`, its path.
+//! DDS and the robot keep time by the wall clock, as do the delays that are measured here. Boards and program share one
+//! time, which goes no faster than that, and slower on a busy machine; so tests wait for what comes, and judge delays
+//! only where the machine was quiet.
+//!
+//! Whoever includes this has `host_bridge()`, the program's path, and the parts of `desk`.
 
 use std::io::{BufRead as _, BufReader, Write as _};
 use std::path::Path;
-use std::process::{Child, ChildStdin, Command, ExitStatus, Stdio};
+use std::process::{ChildStdin, Command, ExitStatus, Stdio};
+use std::rc::Rc;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
-use std::sync::mpsc::{Receiver, channel};
+use std::sync::mpsc::{Receiver, TryRecvError, channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use serde_json::Value;
 
-use super::{host_bridge, starting};
+use super::host_bridge;
+use super::port::alone as starting;
+use super::program::Desk;
+use super::time::{Process, Time};
 
-const PATIENCE: Duration = Duration::from_secs(60);
+/// By the wall clock; a hang must not stop the tests.
+const PATIENCE: Duration = Duration::from_secs(240);
 
 /// Those that measure time are not disturbed by each other.
 static ALONE: Mutex<()> = Mutex::new(());
@@ -42,8 +51,9 @@ pub fn domain() -> u32 {
 /// A program that prints one JSON object per line.
 pub struct Teller {
     what: &'static str,
+    time: Time,
     /// The process.
-    pub child: Child,
+    pub process: Rc<Process>,
     orders: Option<ChildStdin>,
     lines: Receiver<(f64, Value)>,
     /// Every line with the time at which it was read.
@@ -51,18 +61,19 @@ pub struct Teller {
     errors: Receiver<String>,
 }
 
-/// Starts such a program; `what` names it where it fails.
-pub fn start(what: &'static str, command: &mut Command) -> Teller {
-    let alone = starting();
-    let mut child = command
-        .stdin(Stdio::piped())
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped())
-        .spawn()
-        .unwrap_or_else(|error| panic!("{what} does not start: {error}"));
-    drop(alone);
+/// Starts such a program in this way; `what` names it where it fails.
+fn start(
+    what: &'static str,
+    time: &Time,
+    command: &mut Command,
+    spawn: impl FnOnce(&mut Command) -> Rc<Process>,
+) -> Teller {
+    let process = spawn(command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped()));
+    let (orders, out, err) = {
+        let mut child = process.child();
+        (child.stdin.take(), child.stdout.take().unwrap(), child.stderr.take().unwrap())
+    };
     let (sender, lines) = channel();
-    let (out, err) = (child.stdout.take().unwrap(), child.stderr.take().unwrap());
     std::thread::spawn(move || {
         for line in BufReader::new(out).lines().map_while(Result::ok) {
             let value = serde_json::from_str(&line).unwrap_or(Value::String(line));
@@ -73,13 +84,13 @@ pub fn start(what: &'static str, command: &mut Command) -> Teller {
     std::thread::spawn(move || {
         BufReader::new(err).lines().map_while(Result::ok).for_each(|line| drop(sender.send(line)));
     });
-    Teller { what, orders: child.stdin.take(), child, lines, seen: Vec::new(), errors }
+    Teller { what, time: time.clone(), process, orders, lines, seen: Vec::new(), errors }
 }
 
 impl Teller {
     /// Ends the test with what was said last.
     pub fn fail(&mut self, why: &str) -> ! {
-        let _ = self.child.kill();
+        self.process.kill();
         let tail: Vec<String> = self.seen.iter().rev().take(40).rev().map(|(_, v)| v.to_string()).collect();
         let errors: Vec<String> = self.errors.try_iter().collect();
         panic!("{}: {why}; last lines:\n{}\n{}", self.what, tail.join("\n"), errors.join("\n"));
@@ -106,7 +117,19 @@ impl Teller {
                 }
                 place += 1;
             }
-            self.seen.push(self.lines.recv_timeout(until.saturating_duration_since(Instant::now())).ok()?);
+            let line = self.next(until)?;
+            self.seen.push(line);
+        }
+    }
+
+    /// The next line, while time goes on; none at the end of the patience or of the program.
+    fn next(&mut self, until: Instant) -> Option<(f64, Value)> {
+        loop {
+            match self.lines.try_recv() {
+                Ok(line) => return Some(line),
+                Err(TryRecvError::Empty) if Instant::now() < until => self.time.step(),
+                Err(_) => return None,
+            }
         }
     }
 
@@ -149,59 +172,70 @@ impl Teller {
     pub fn listen(&mut self, time: Duration) -> Vec<Value> {
         self.catch_up();
         let from = self.seen.len();
-        std::thread::sleep(time);
+        self.time.pass(time);
         self.catch_up();
         self.seen[from..].iter().map(|(_, value)| value.clone()).collect()
     }
 
     /// Presses Ctrl-C.
     pub fn interrupt(&self) {
-        Command::new("kill").args(["-INT", &self.child.id().to_string()]).status().unwrap();
+        self.process.interrupt();
     }
 
     /// Waits for the end; what it printed on standard error.
     pub fn end(mut self) -> (ExitStatus, Vec<Value>, String) {
         drop(self.orders.take());
         let until = Instant::now() + PATIENCE;
-        while let Ok(line) = self.lines.recv_timeout(until.saturating_duration_since(Instant::now())) {
+        while let Some(line) = self.next(until) {
             self.seen.push(line);
         }
-        if self.child.try_wait().unwrap().is_none() && Instant::now() >= until {
+        if Instant::now() >= until {
             self.fail("does not end");
         }
         let errors: Vec<String> = self.errors.iter().collect();
         let seen = std::mem::take(&mut self.seen);
-        (self.child.wait().unwrap(), seen.into_iter().map(|(_, value)| value).collect(), errors.join("\n"))
+        (self.process.wait(), seen.into_iter().map(|(_, value)| value).collect(), errors.join("\n"))
     }
 }
 
-impl Drop for Teller {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
+/// A desk whose time goes no faster than the wall clock.
+pub fn desk(name: &str) -> Desk {
+    let desk = Desk::new(name);
+    desk.time().keep_pace();
+    desk
 }
 
 /// The robot, or whoever `options` make of it.
-pub fn peer(python: &str, domain: u32, options: &[&str]) -> Teller {
+pub fn peer(desk: &Desk, python: &str, domain: u32, options: &[&str]) -> Teller {
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/ros2/peer.py");
     let mut command = Command::new(python);
     command.arg(script).args(["--domain", &domain.to_string()]).args(options);
-    start("the robot", &mut command)
+    start("the robot", desk.time(), &mut command, Process::on_its_own)
 }
 
 /// The program under test with `section` in its configuration's `[ros2]`.
-pub fn bridge(folder: &Path, domain: u32, section: &str, options: &[&str]) -> Teller {
-    let config = folder.join(format!("desk-{domain}.toml"));
-    // Two stations may share a domain.
-    let config = if config.exists() { folder.join(format!("desk-{}.toml", section.len())) } else { config };
+pub fn bridge(desk: &Desk, domain: u32, section: &str, options: &[&str]) -> Teller {
+    let mut command = bridge_command(desk, domain, section, options);
+    start("the bridge", desk.time(), &mut command, |command| desk.time().spawn(command))
+}
+
+/// The same on the machine's own clock.
+pub fn bridge_on_its_own(desk: &Desk, domain: u32, section: &str, options: &[&str]) -> Teller {
+    let mut command = bridge_command(desk, domain, section, options);
+    start("the bridge", desk.time(), &mut command, Process::on_its_own)
+}
+
+fn bridge_command(desk: &Desk, domain: u32, section: &str, options: &[&str]) -> Command {
+    // Several stations may share a domain.
+    let numbers = (0..).map(|number| desk.path(&format!("desk-{domain}-{number}.toml")));
+    let config = numbers.into_iter().find(|config| !config.exists()).expect("a free name");
     let text = format!(
         "[ros2]\ndomain_id = {domain}\ninterfaces = ['127.0.0.1']\nmiddleware = 'cyclonedds'\n{section}"
     );
     std::fs::write(&config, text).unwrap();
     let mut command = Command::new(host_bridge());
     command.args(["run", "--ros2", "--json", "--config"]).arg(&config).args(options);
-    start("the bridge", &mut command)
+    command
 }
 
 /// Whether a line tells of this.

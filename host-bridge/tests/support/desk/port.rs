@@ -8,9 +8,6 @@ use std::time::Duration;
 
 use serialport::{SerialPort as _, TTYPort};
 
-/// How long reading waits for bytes, and writing for somebody who reads.
-const PATIENCE: Duration = Duration::from_millis(1);
-
 static STARTING: Mutex<()> = Mutex::new(());
 
 /// A program that is started while a pseudo-terminal is being made would inherit the board's end, and no
@@ -48,7 +45,7 @@ impl Port {
         let copy = board.try_clone().expect("a descriptor");
         drop(board);
         let mut port = unsafe { TTYPort::from_raw_fd(copy.into_raw_fd()) };
-        port.set_timeout(PATIENCE).expect("a timeout");
+        port.set_timeout(Duration::ZERO).expect("a timeout");
         // Renamed into its place, so that nobody ever finds half a link.
         let fresh = self.place.with_extension("new");
         let _ = std::fs::remove_file(&fresh);
@@ -74,16 +71,15 @@ impl Port {
         }
     }
 
-    /// What the laptop has sent, and whether it has the port open. Waits a millisecond at most.
+    /// What the laptop has sent, and whether it has the port open. Waits for nothing.
     pub fn read(&mut self, into: &mut Vec<u8>) -> bool {
         let Some(port) = &mut self.board else { return false };
         let mut buffer = [0; 1024];
-        match port.read(&mut buffer) {
-            Ok(count) => {
-                into.extend_from_slice(&buffer[..count]);
-                true
+        loop {
+            match port.read(&mut buffer) {
+                Ok(count) => into.extend_from_slice(&buffer[..count]),
+                Err(error) => return matches!(error.kind(), ErrorKind::TimedOut | ErrorKind::Interrupted),
             }
-            Err(error) => matches!(error.kind(), ErrorKind::TimedOut | ErrorKind::Interrupted),
         }
     }
 }
