@@ -10,10 +10,12 @@ use shared_proto::message::TiltThresholds;
 use toml::de::{DeTable, DeValue};
 
 use crate::arm::model::SerialArm;
-use crate::arm::profile::JointLimits;
+use crate::arm::motions::{MotionTable, PoseTable};
+use crate::arm::scene::JERK_MIN_RAD_S3;
 use crate::base::BaseConfig;
 use crate::intent::{MotionMap, SpeedRules};
 use crate::keyboard::KeyTimes;
+use crate::robot::JointLimits;
 use crate::ros2::Ros2Config;
 use crate::safety::SafetyTimes;
 
@@ -53,8 +55,12 @@ pub struct Config {
     pub arm: Arm,
     /// The robot on a ROS 2 graph, for `--ros2`.
     pub ros2: Ros2Config,
-    /// Label → motion. Labels that are not named keep the paper's motion.
+    /// Label → motion or pose. Labels that are not named keep the paper's motion.
     pub motions: BTreeMap<String, String>,
+    /// Motions of one's own; they replace bundled ones of the same name.
+    pub motion: Vec<MotionTable>,
+    /// Poses of one's own, by joint angles.
+    pub pose: Vec<PoseTable>,
 }
 
 /// Where the boards are.
@@ -130,9 +136,6 @@ impl Default for Arm {
         }
     }
 }
-
-/// Least jerk limit, in rad/s³: from full speed at the paper's scaling a stop then takes about a second.
-pub const JERK_LEAST_RAD_S3: f64 = 0.5;
 
 /// Why a configuration cannot be used; the text names the line and what to do.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -213,6 +216,11 @@ impl Config {
         map
     }
 
+    /// Its changes of the paper's map, as `LABEL=MOTION`.
+    pub fn mappings(&self) -> Vec<String> {
+        self.motions.iter().map(|(label, motion)| format!("{label}={motion}")).collect()
+    }
+
     /// Limits of the arm.
     pub fn arm_limits(&self) -> JointLimits {
         let Arm { velocity_scaling, acceleration_scaling, jerk_limited, jerk_rad_s3 } = self.arm;
@@ -272,7 +280,7 @@ impl Config {
             "arm: scalings lie between 0.01 and 1",
         )?;
         ensure(
-            within(self.arm.jerk_rad_s3, JERK_LEAST_RAD_S3, f64::MAX),
+            within(self.arm.jerk_rad_s3, JERK_MIN_RAD_S3, f64::MAX),
             "arm: jerk_rad_s3 is 0.5 or more: with less, a stop would take seconds",
         )?;
         ensure(
@@ -319,7 +327,7 @@ fn check_keys(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::arm::ArmMotion;
+    use crate::robot::MotionName;
 
     #[test]
     fn what_is_printed_reads_back_as_the_same_and_names_every_key() {
@@ -380,7 +388,7 @@ mod tests {
     #[test]
     fn a_label_of_your_own_gets_a_motion_and_the_others_keep_theirs() {
         let map = Config::parse("[motions]\nwave = 'pick-up'\n").unwrap().motion_map();
-        assert_eq!(map.motion("wave"), Some(ArmMotion::PickUp));
-        assert_eq!(map.motion("circle"), Some(ArmMotion::RandomTop));
+        assert_eq!(map.motion("wave"), Some(&MotionName::from("pick-up")));
+        assert_eq!(map.motion("circle"), Some(&MotionName::from("random-top")));
     }
 }

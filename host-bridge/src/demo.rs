@@ -4,12 +4,14 @@ use std::path::Path;
 
 use models::recording::Recording;
 
-use crate::adc::AdcRecording;
-use crate::hands::{LeftBoard, ModelFile, ModelFileError, RightBoard};
-use crate::intent::MotionMap;
+use host_core::intent::MotionMap;
+use host_core::session::Session;
+use host_core::source::Source;
+use host_links::adc::AdcRecording;
+use host_links::hands::{LeftBoard, ModelFile, ModelFileError, RightBoard, Wired};
+use host_robot::Door;
+
 use crate::script::Script;
-use crate::session::Session;
-use crate::sim::Simulator;
 
 const SCRIPT: &str = include_str!("../sessions/demo/session.toml");
 const LEFT: &[u8] = include_bytes!("../sessions/demo/left.csv");
@@ -39,18 +41,18 @@ impl Demo {
         }
     }
 
-    /// Both hands on this robot, at their beginning.
+    /// Both hands before this robot, at their beginning.
     ///
     /// # Errors
     /// [`ModelFileError`] if the model is for other axes.
-    pub fn session(
+    pub fn session<D: Door>(
         self,
         model: &ModelFile,
         map: MotionMap,
-        robot: Simulator,
-    ) -> Result<Session<'_>, ModelFileError> {
+        door: D,
+    ) -> Result<Session<'_, D>, ModelFileError> {
         let left = LeftBoard::new(self.left, Some(self.script.calibration.into()), 1);
         let right = RightBoard::new(self.right.resampled(), model, 1)?;
-        Ok(Session::with_robot(Some(Box::new(left)), Some(Box::new(right)), map, robot))
+        Ok(Session::new([Source::here(Wired::new(left)), Source::here(Wired::new(right))], map, door))
     }
 }

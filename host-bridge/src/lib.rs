@@ -1,45 +1,27 @@
-//! The laptop side of the two-hand interface.
+//! The laptop side of the two-hand interface, put together: configuration, the demo, recorded sessions.
 //!
 //! ```text
-//! hand → samples → features/tilt → event → frame → wire → frame → intent → limits → robot
-//!        └──────────── hands ──────────┘   └──── link ────┘  └ safety, intent ┘  └ sim ┘
+//! hand → samples → features/tilt → event → frame → wire → frame → intent → limits → director → robot
+//!        └─────────── host-links ───────────┘    └──── host-core ────┘   └ host-arm ┘  └ host-sim, host-ros2 ┘
 //! ```
 //!
-//! Everything here but `links`, `talk`, `web`, `foxglove` and `ros2::node` is sans-IO: bytes, events and the time go in,
-//! actions come out. Ports and clocks live in `links`, sockets in `web`,
-//! `foxglove` and `ros2::node`; files and terminals only the binary knows.
-//! Whoever wants to look on hangs on the tap in `observe`.
+//! Each room is a crate of its own below `crates/`, so that rustc keeps what it may not know (docs/ARCHITECTURE.md).
+//! Their modules are offered here under one roof.
 
-pub mod adc;
-pub mod arm;
-pub mod base;
-pub mod bridge;
-pub mod capture;
 pub mod config;
+pub mod control;
 pub mod demo;
-pub mod describe;
-pub mod foxglove;
-pub mod hands;
-pub mod intent;
 #[cfg(feature = "mcap")]
 pub mod journal;
-pub mod keyboard;
-pub mod latency;
-pub mod link;
-pub mod links;
-pub mod live;
-pub mod observe;
-pub mod plan;
-pub mod robot;
-pub mod ros2;
-pub mod safety;
-pub mod scene;
+pub mod robots;
 pub mod script;
-pub mod session;
-pub mod sim;
-pub mod survey;
-pub mod talk;
-pub mod topics;
-pub mod upload;
-pub mod web;
-pub mod wire;
+
+pub use host_arm::{self as arm, plan, scene};
+pub use host_core::{bridge, describe, engine, intent, latency, link, observe, safety, session, source};
+pub use host_links::{adc, capture, hands, keyboard, links, survey, talk, upload, wire};
+pub use host_robot as robot;
+pub use host_robot::base;
+pub use host_ros2 as ros2;
+pub use host_sim as sim;
+pub use host_topics as topics;
+pub use host_views::{foxglove, view, web};

@@ -2,7 +2,6 @@
 
 mod cmd;
 mod play;
-mod view;
 
 use std::process::ExitCode;
 

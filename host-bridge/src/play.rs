@@ -2,23 +2,26 @@
 
 use std::io::IsTerminal as _;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result, ensure};
 use host_bridge::arm::model::SerialArm;
+use host_bridge::arm::{Director, Motions};
 use host_bridge::config::Config;
 use host_bridge::describe;
 use host_bridge::intent::MotionMap;
+use host_bridge::observe::{SessionEvent, Snapshot};
 use host_bridge::plan::Planner;
+use host_bridge::robot::Door;
+use host_bridge::robots::Stage;
 use host_bridge::scene::Scene;
-use host_bridge::session::{Session, SessionEvent};
-use host_bridge::sim::{SimConfig, Simulator};
+use host_bridge::session::Session;
+use host_bridge::sim::Simulator;
+use host_bridge::view::{Key, Scene as Shown, View};
 use host_bridge::web::Web;
 
 use crate::cmd::keep::{KeepArgs, Start, origin};
 use crate::cmd::web::WebArgs;
-use crate::view::{Key, View};
 
 /// The terminal is drawn this often.
 const DRAW_INTERVAL: Duration = Duration::from_millis(33);
@@ -37,8 +40,8 @@ pub struct PlayOptions {
     /// Print one JSON object at the end on stdout; events go to stderr
     #[arg(long)]
     pub json: bool,
-    /// Give a label an arm motion, LABEL=MOTION; may be repeated. Motions: home, pick-up, place,
-    /// place-top-right, place-bottom-right, random-top
+    /// Give a label an arm motion or pose, LABEL=MOTION; may be repeated. Without a scene: home, pick-up, place,
+    /// place-top-right, place-bottom-right, random-top and the poses of motions/paper.toml
     #[arg(long, value_name = "LABEL=MOTION")]
     pub map: Vec<String>,
     /// Scene (TOML: boxes, poses, base, arm): the arm plans its ways, and nothing is touched
@@ -54,15 +57,6 @@ pub struct PlayOptions {
 }
 
 impl PlayOptions {
-    /// The paper's map with the changes asked for.
-    pub fn motion_map(&self) -> Result<MotionMap> {
-        let mut map = MotionMap::default();
-        for mapping in &self.map {
-            map.assign(mapping)?;
-        }
-        Ok(map)
-    }
-
     /// The default configuration with the changes asked for.
     fn config(&self) -> Config {
         let mut config = Config::default();
@@ -70,13 +64,20 @@ impl PlayOptions {
         config
     }
 
-    /// The simulated robot, in the scene asked for.
-    pub fn robot(&self) -> Result<Simulator> {
-        let bare = || {
-            let arm_limits = self.config().arm_limits();
-            Ok(Simulator::new(SimConfig { arm_limits, ..SimConfig::default() }))
-        };
-        self.scene.as_deref().map_or_else(bare, robot_in_scene)
+    /// What stands around, and what the arm can be asked to do.
+    pub fn stage(&self) -> Result<Stage> {
+        stage(&self.config(), self.scene.as_deref())
+    }
+
+    /// The simulated robot behind its door, and the paper's map with the changes asked for.
+    pub fn robot_and_map(&self) -> Result<(Director<Simulator>, MotionMap)> {
+        let door = self.stage()?.simulated(&self.config());
+        let mut map = MotionMap::default();
+        for mapping in &self.map {
+            map.assign(mapping)?;
+        }
+        check_motions(&map, &self.map, door.motions())?;
+        Ok((door, map))
     }
 
     fn check(&self) -> Result<()> {
@@ -89,14 +90,26 @@ impl PlayOptions {
     }
 }
 
-/// The simulated robot in the scene of a file.
-pub fn robot_in_scene(file: &Path) -> Result<Simulator> {
+/// A stage as configured, in the scene of a file.
+pub fn stage(config: &Config, scene: Option<&Path>) -> Result<Stage> {
+    let Some(file) = scene else { return Ok(Stage::new(config, None)?) };
     let about = || format!("{}", file.display());
     let text = std::fs::read_to_string(file).with_context(about)?;
     let scene = Scene::parse(&text).with_context(about)?;
     let arm = arm(&scene, file)?;
     let planner = Planner::new(arm, scene).with_context(about)?;
-    Ok(Simulator::in_scene(Arc::new(planner)))
+    Stage::new(config, Some(planner)).with_context(about)
+}
+
+/// What was mapped by hand must exist; of the paper's own map, another arm may lack some.
+pub fn check_motions(map: &MotionMap, mappings: &[String], motions: &Motions) -> Result<()> {
+    for label in mappings.iter().filter_map(|mapping| mapping.split_once('=')).map(|(label, _)| label.trim())
+    {
+        if let Some(motion) = map.motion(label) {
+            motions.get(motion.as_str()).with_context(|| format!("in the mapping of '{label}'"))?;
+        }
+    }
+    Ok(())
 }
 
 /// The scene's arm: the Gen3, or one from a file beside the scene's.
@@ -124,7 +137,12 @@ fn arm(scene: &Scene, scene_file: &Path) -> Result<SerialArm> {
 pub struct Interrupted;
 
 /// Plays to the end. `page_unasked`: beside the live view there is a page, too, where one can be had.
-pub fn play(session: &mut Session<'_>, options: &PlayOptions, title: &str, page_unasked: bool) -> Result<()> {
+pub fn play<D: Door>(
+    session: &mut Session<'_, D>,
+    options: &PlayOptions,
+    title: &str,
+    page_unasked: bool,
+) -> Result<()> {
     options.check()?;
     let a_terminal = std::io::stdout().is_terminal() && std::io::stdin().is_terminal();
     let wants_view = a_terminal && !options.headless && !options.json;
@@ -154,6 +172,7 @@ pub fn play(session: &mut Session<'_>, options: &PlayOptions, title: &str, page_
             scene: options.scene.as_deref(),
             origin,
             live: false,
+            robot_elsewhere: false,
         },
     )?;
     let started = Instant::now();
@@ -181,7 +200,11 @@ pub fn play(session: &mut Session<'_>, options: &PlayOptions, title: &str, page_
             Some(view) => {
                 if drawn.is_none_or(|at| at.elapsed() >= DRAW_INTERVAL) {
                     drawn = Some(Instant::now());
-                    view.draw(session, options.speed)?;
+                    view.draw(&Shown {
+                        snapshot: &Snapshot::of(&session.now()),
+                        keys: "space: stop   q: quit",
+                        pace: format!("×{}   ", options.speed),
+                    })?;
                 }
                 match view.key(TURN)? {
                     Some(Key::Quit) => return Err(Interrupted.into()),

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use shared_dsp::left_calibration::Calibration;
 
-use crate::session::Summary;
+use host_core::session::Summary;
 
 /// A recorded session.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -114,7 +114,7 @@ impl Expect {
             Check { what, expected, got, ok }
         };
         let labels: Vec<String> = summary.gestures.iter().map(|g| g.label.clone()).collect();
-        let poses: Vec<String> = summary.poses_reached.iter().map(|p| p.motion.name().to_owned()).collect();
+        let poses: Vec<String> = summary.poses_reached.iter().map(|p| p.motion.as_str().to_owned()).collect();
         let here = summary.odometry;
         let off_m = (here.x_m - self.base.x_m).hypot(here.y_m - self.base.y_m);
         let off_rad = (here.heading_rad - self.base.heading_rad).abs();

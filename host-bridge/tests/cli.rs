@@ -210,3 +210,11 @@ fn another_arm_from_a_file_beside_its_scene_performs_the_demo() {
     let reached: Vec<_> = report["poses_reached"].as_array().unwrap().iter().map(|p| &p["motion"]).collect();
     assert_eq!(reached, ["home", "pick-up", "place", "place-top-right", "place-bottom-right", "random-top"]);
 }
+
+#[test]
+fn a_scene_together_with_a_robot_is_refused_since_only_the_simulator_is_planned_for() {
+    let scene = format!("{}/scenes/posts.toml", env!("CARGO_MANIFEST_DIR"));
+    let output = host_bridge(&["run", "--ros2", "--scene", &scene, "--right", "/dev/null"]);
+    assert_eq!(output.status.code(), Some(1));
+    assert!(stderr(&output).contains("only the simulator is planned"), "{}", stderr(&output));
+}

@@ -32,8 +32,7 @@ struct Report<'a> {
 
 /// Plays it; the exit code says whether everything came out as scripted.
 pub fn run(args: &Args) -> Result<ExitCode> {
-    let map = args.play.motion_map()?;
-    let robot = args.play.robot()?;
+    let (robot, map) = args.play.robot_and_map()?;
     let demo = Demo::bundled();
     let script = demo.script.clone();
     let model = ModelFile::bundled()?;

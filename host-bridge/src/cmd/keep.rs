@@ -33,6 +33,8 @@ pub struct Start<'a> {
     pub origin: Origin,
     /// Something real moves: nothing may delay the session.
     pub live: bool,
+    /// The robot is not the simulator.
+    pub robot_elsewhere: bool,
 }
 
 /// The time of day at which a session's clock was zero that now says `now_ms`.
@@ -59,9 +61,11 @@ impl KeepArgs {
             maps: start.maps.to_vec(),
             scene: start.scene.map(SceneText::read).transpose()?,
             origin_ns: start.origin.nanoseconds,
+            robot_elsewhere: start.robot_elsewhere,
         };
         let when_full = if start.live { WhenFull::Drop } else { WhenFull::Wait };
-        let (disk, recorder) = Disk::create(file, &setup, when_full).map_err(anyhow::Error::msg)?;
+        let (disk, recorder) =
+            Disk::create(file, setup.to_metadata(), start.origin, when_full).map_err(anyhow::Error::msg)?;
         tap.add(Box::new(recorder));
         Ok(Keeper { disk: Some(disk) })
     }

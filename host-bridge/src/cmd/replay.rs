@@ -7,10 +7,11 @@ use anyhow::{Context as _, Result, bail};
 use host_bridge::adc::AdcRecording;
 use host_bridge::bridge::{BridgeEvent, EventKind};
 use host_bridge::describe;
-use host_bridge::hands::{Board, LeftBoard, ModelFile, RightBoard, join};
+use host_bridge::hands::{LeftBoard, ModelFile, RightBoard, Wired, join};
 use host_bridge::safety::State;
 use host_bridge::script::CalibrationTable;
 use host_bridge::session::{Session, Summary};
+use host_bridge::source::Source;
 use serde::Serialize;
 
 use crate::play::{PlayOptions, play, say};
@@ -52,8 +53,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     if let Some(file) = &args.session {
         return again(file, args);
     }
-    let map = args.play.motion_map()?;
-    let robot = args.play.robot()?;
+    let (robot, map) = args.play.robot_and_map()?;
     let left = args.left.as_deref().map(|file| read_left(file, args.calibration.as_deref())).transpose()?;
     if let (Some(model), true) = (&args.model, args.right.is_empty()) {
         bail!("--model {} is for a right hand; give its recording with --right", model.display());
@@ -63,9 +63,10 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         (Some(file), false) => Some(ModelFile::read(file)?),
         (None, false) => Some(ModelFile::bundled()?),
     };
-    let right: Option<Box<dyn Board + '_>> = match &model {
-        Some(model) => Some(Box::new(RightBoard::new(join(&args.right, model.axes())?, model, 1)?)),
-        None => None,
+    let left = left.map_or(Source::Nobody, |board| Source::here(Wired::new(board)));
+    let right = match &model {
+        Some(model) => Source::here(Wired::new(RightBoard::new(join(&args.right, model.axes())?, model, 1)?)),
+        None => Source::Nobody,
     };
     let labels = model.as_ref().map_or(&[][..], ModelFile::labels);
     let model_about = model.as_ref().map(|model| format!("{} ({})", model.name(), model.about()));
@@ -85,7 +86,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         }
     }
     let unmapped = map.without_motion(labels);
-    let mut session = Session::with_robot(left, right, map.clone(), robot);
+    let mut session = Session::new([left, right], map.clone(), robot);
     let about = model_about.as_deref().unwrap_or("none (no right hand)");
     play(&mut session, &args.play, &format!("{title}\nmodel: {about}"), false)?;
 
@@ -113,7 +114,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
 /// A session of a file once more.
 #[cfg(feature = "mcap")]
 fn again(file: &Path, args: &Args) -> Result<ExitCode> {
-    use host_bridge::session::SessionEvent;
+    use host_bridge::observe::SessionEvent;
     let about = || format!("{}", file.display());
     let bytes = std::fs::read(file).with_context(about)?;
     let replay = host_bridge::journal::replay(&bytes).with_context(about)?;
@@ -153,7 +154,7 @@ fn again(file: &Path, _args: &Args) -> Result<ExitCode> {
     )
 }
 
-fn read_left(file: &Path, calibration: Option<&Path>) -> Result<Box<dyn Board>> {
+fn read_left(file: &Path, calibration: Option<&Path>) -> Result<LeftBoard> {
     let recording = AdcRecording::read(file)?;
     let board = match calibration {
         None => LeftBoard::new(recording, None, 1),
@@ -167,5 +168,5 @@ fn read_left(file: &Path, calibration: Option<&Path>) -> Result<Box<dyn Board>> 
             LeftBoard::new(recording, Some(table.into()), 1)
         }
     };
-    Ok(Box::new(board))
+    Ok(board)
 }

@@ -3,39 +3,42 @@
 use std::io::{IsTerminal as _, Write as _};
 use std::path::PathBuf;
 use std::process::ExitCode;
-use std::sync::Arc;
-use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
-use std::time::{Duration, SystemTime};
+use std::sync::mpsc::channel;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result, bail, ensure};
 use crossterm::event::{KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
-use host_bridge::bridge::BridgeEvent;
-use host_bridge::config::{KEYBOARD, Place};
+use host_bridge::bridge::Bridge;
+use host_bridge::config::{Config, KEYBOARD, Place};
+use host_bridge::control::{Control, Flags, Order, Report, Work};
 use host_bridge::describe;
+use host_bridge::engine::Engine;
 use host_bridge::foxglove::Foxglove;
-use host_bridge::keyboard::HandKey;
-use host_bridge::links::{Clock, Link as BoardLink, LinkEvent, News, SystemClock, Waiter, is_ble};
-use host_bridge::live::Live;
-use host_bridge::robot::Robot as _;
-use host_bridge::ros2::{ArmInterface, Counts, RosRobot};
+use host_bridge::keyboard::{HandKey, KeyLeft, KeyRight};
+use host_bridge::links::{Clock, Link as BoardLink, SystemClock, is_ble};
+use host_bridge::observe::{Now, SessionEvent};
+use host_bridge::robot::{Door, Robot};
+use host_bridge::robots::{Echoed, Stage};
+use host_bridge::ros2::{ArmInterface, Counts};
 use host_bridge::safety::Hand;
-use host_bridge::session::SessionEvent;
+use host_bridge::source::Source;
+use host_bridge::view::{Scene, View};
 use host_bridge::web::Web;
 use serde::Serialize;
 use shared_proto::message::Heading;
+use signal_hook::consts::{SIGINT, SIGTERM};
 
 use super::keep::{KeepArgs, Keeper, Start, origin};
 use super::ports::{check_name, read_config, settings};
-use super::ros2::Link;
+use super::ros2::{FAREWELL_MS, Graph, Output};
 use super::web::WebArgs;
-use crate::play::robot_in_scene;
-use crate::view::{Scene, View};
+use crate::play::{check_motions, stage};
 
-/// Bytes wake the loop at once; without any it turns this often.
-const TURN: Duration = Duration::from_millis(2);
-const DRAW_MS: u64 = 33;
+/// Keys are looked for this often, also when nothing happens.
+const PATIENCE: Duration = Duration::from_millis(10);
 /// The release key must be pressed twice within this time.
-const CONFIRM_MS: u64 = 2000;
+const CONFIRM: Duration = Duration::from_secs(2);
 
 const KEYS: &str = "space: stop   r r: release a stop (no right hand)   Esc: quit";
 const HAND_KEYS: &str = "keyboard: arrows drive while held, q faster, z slower; 1-6 gestures";
@@ -110,19 +113,13 @@ struct PageLine<'a> {
 }
 
 #[derive(Serialize)]
-struct RosLine<'a> {
-    time_ms: u64,
-    event: &'static str,
-    text: &'a str,
-}
-
-#[derive(Serialize)]
 struct EndLine {
     time_ms: u64,
     event: &'static str,
     odometry: host_bridge::base::Odometry,
     frames: [host_bridge::link::LinkCounters; 2],
     round_trip_ms: [Option<u64>; 2],
+    events_not_printed: u64,
     #[serde(skip_serializing_if = "Option::is_none")]
     ros2: Option<Counts>,
 }
@@ -177,170 +174,191 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         "a keyboard hand needs the live view: start it in a terminal, without --headless and --json"
     );
 
-    let robot = args.scene.as_deref().map(robot_in_scene).transpose()?;
+    let stage = stage(&config, args.scene.as_deref())?;
+    let map = config.motion_map();
+    check_motions(&map, &config.mappings(), &stage.motions)?;
     let web = args.web.start(false)?;
-    let ros = if args.ros2 { Some(Link::open(&config.ros2, args.publish_sim)?) } else { None };
-    let clock = Arc::new(SystemClock::start());
-    let waiter = clock.waiter();
+    let graph = if args.ros2 {
+        let base = stage.simulator(&config).base_limits().to_owned();
+        Some(Graph::open(&config.ros2, stage.limits, base, args.publish_sim)?)
+    } else {
+        None
+    };
+    let clock: Arc<dyn Clock> = Arc::new(SystemClock::start());
+    // At work until the control thread is.
+    let starting = clock.waiter();
     let (sender, events) = channel();
     let open = |hand: Hand, port: &str| {
-        (places[hand as usize] == Place::Board).then(|| {
-            let clock: Arc<dyn Clock> = clock.clone();
-            BoardLink::start(hand, port, settings(&config), clock, sender.clone())
-        })
+        (places[hand as usize] == Place::Board)
+            .then(|| BoardLink::start(hand, port, settings(&config), Arc::clone(&clock), sender.clone()))
     };
     let links = [open(Hand::Left, &left), open(Hand::Right, &right)];
+    let over_air = [0, 1].map(|i: usize| links[i].as_ref().is_some_and(|link| is_ble(link.port())));
     let name = |port: &str| if port.is_empty() { "none".to_owned() } else { port.to_owned() };
-    let about = ros.as_ref().map_or("simulated robot".to_owned(), Link::about);
+    let about = graph.as_ref().map_or("simulated robot".to_owned(), |graph| graph.about.clone());
     let mut title = format!("bimanual: left hand {}, right hand {}, {about}", name(&left), name(&right));
-    let mut live = match robot {
-        None => Live::new(&config, places[0], places[1], clock.now_ms()),
-        Some(robot) => Live::with_robot(&config, places[0], places[1], robot, clock.now_ms()),
+    let source = |place: Place, keys: &dyn Fn() -> Source<'static>| match place {
+        Place::Nobody => Source::Nobody,
+        Place::Board => Source::link(),
+        Place::Keyboard => keys(),
     };
-    if ros.is_some() {
-        live = live.with_ros(RosRobot::new(&config.ros2, config.arm_limits()));
-    }
+    let sources = [
+        source(places[0], &|| Source::here(KeyLeft::new(config.keyboard))),
+        source(places[1], &|| Source::here(KeyRight::new())),
+    ];
+    let (counts, output, robot) = robot(&stage, &config, graph, args.publish_sim, clock.now_ms());
+    let robot_elsewhere = counts.is_some() && !args.publish_sim;
+    let bridge = Bridge::with(map, config.speed, config.safety);
+    let mut engine =
+        Engine::new(bridge, stage.before(robot), sources, clock.now_ms()).with_tilt(config.tilt.into());
     let origin = origin(clock.now_ms());
+    if let Some(output) = output {
+        engine.tap_mut().add(Box::new(output));
+    }
     let foxglove = args.web.start_foxglove(origin)?;
     if let Some(foxglove) = &foxglove {
-        live.tap_mut().add(Box::new(foxglove.teller()));
+        engine.tap_mut().add(Box::new(foxglove.teller()));
         title += &format!("\nfoxglove: {}", foxglove.url());
     }
     if let Some(web) = &web {
-        live.tap_mut().add(Box::new(web.watcher(&title)));
+        engine.tap_mut().add(Box::new(web.watcher(&title)));
         title += &format!("\npage: {}", web.url());
     }
-    let start =
-        Start { title: &title, config: &config, maps: &[], scene: args.scene.as_deref(), origin, live: true };
-    let keeper = args.keep.start(live.tap_mut(), &start)?;
-    let mut session = Session {
-        live,
-        ros,
-        keeper,
+    let start = Start {
+        title: &title,
+        config: &config,
+        maps: &[],
+        scene: args.scene.as_deref(),
+        origin,
+        live: true,
+        robot_elsewhere,
+    };
+    let keeper = args.keep.start(engine.tap_mut(), &start)?;
+    let flags = Flags::default();
+    for signal in [SIGINT, SIGTERM] {
+        signal_hook::flag::register(signal, flags.quit_flag())?;
+    }
+    let keys =
+        if places.contains(&Place::Keyboard) { format!("{KEYS}\n{HAND_KEYS}") } else { KEYS.to_owned() };
+    let mut screen = Screen {
         view: if wants_view { Some(View::open(&title)?) } else { None },
         json: args.json,
-        links,
-        web,
-        released_ms: None,
-        keys: if places.contains(&Place::Keyboard) {
-            format!("{KEYS}\n{HAND_KEYS}")
-        } else {
-            KEYS.to_owned()
-        },
+        keeper,
+        over_air,
+        released: None,
+        keys,
     };
-    if session.view.is_none() && !args.json {
-        session.line(&title);
+    if screen.view.is_none() && !args.json {
+        screen.line(&title);
     }
-    let urls =
-        [("page", session.web.as_ref().map(Web::url)), ("foxglove", foxglove.as_ref().map(Foxglove::url))];
+    let urls = [("page", web.as_ref().map(Web::url)), ("foxglove", foxglove.as_ref().map(Foxglove::url))];
     for (event, url) in urls {
         if let (true, Some(url)) = (args.json, url) {
             let line = PageLine { time_ms: clock.now_ms(), event, url: &url };
-            session.line(&serde_json::to_string(&line)?);
+            screen.line(&serde_json::to_string(&line)?);
         }
     }
-    let until_ms = args.seconds.map_or(u64::MAX, |seconds| (seconds * 1000.0) as u64);
-    session.turn_until(until_ms, &*clock, &waiter, &events)?;
-    let counts = session.ros.take().map(|ros| ros.end(&mut session.live, &*clock, &waiter));
-    session.end(clock.now_ms(), counts);
+    let work = Work {
+        engine,
+        clock: Arc::clone(&clock),
+        links,
+        events,
+        asks_for_stop: web.as_ref().map_or_else(|| Box::new(|| false) as _, |web| Box::new(web.stops()) as _),
+        until_ms: args.seconds.map_or(u64::MAX, |seconds| (seconds * 1000.0) as u64),
+        farewell_ms: if counts.is_some() { FAREWELL_MS } else { 0 },
+    };
+    let control = Control::start(work, flags.clone())?;
+    drop(starting);
+    let shown = screen.show(&control, &flags);
+    let dropped = control.dropped();
+    let engine = control.end();
+    screen.view = None;
+    shown?;
+    let mut engine = engine.context("the control thread failed; the robot was halted")?;
+    let time_ms = clock.now_ms();
+    if let Some(web) = web {
+        web.end(&engine.now(time_ms));
+    }
+    if let Some(line) = screen.keeper.end(engine.tap_mut()) {
+        screen.told(&line);
+    }
+    let counts = counts.map(|counts| *counts.lock().unwrap_or_else(PoisonError::into_inner));
+    screen.end(&engine.now(time_ms), counts, dropped);
     if let Some(foxglove) = foxglove {
         foxglove.end();
     }
     Ok(ExitCode::SUCCESS)
 }
 
-struct Session {
-    live: Live,
-    ros: Option<Link>,
-    keeper: Keeper,
+type AnyRobot = Box<dyn Robot + Send>;
+
+/// The robot that is there: one on a graph, or the simulator.
+#[expect(clippy::type_complexity, reason = "three things that belong to one choice")]
+fn robot(
+    stage: &Stage,
+    config: &Config,
+    graph: Option<Graph>,
+    publish_sim: bool,
+    now_ms: u64,
+) -> (Option<Arc<Mutex<Counts>>>, Option<Output>, AnyRobot) {
+    let simulator = || stage.simulator(config).starting_at(now_ms);
+    match graph {
+        None => (None, None, Box::new(simulator())),
+        Some(Graph { driver, output, counts, .. }) => {
+            let robot: AnyRobot = if publish_sim {
+                Box::new(Echoed { simulator: simulator(), graph: driver })
+            } else {
+                Box::new(driver)
+            };
+            (Some(counts), Some(output), robot)
+        }
+    }
+}
+
+/// The terminal: draws, prints and takes keys. Nothing here can delay the control thread.
+struct Screen {
     view: Option<View>,
     json: bool,
-    links: [Option<BoardLink>; 2],
-    web: Option<Web>,
-    released_ms: Option<u64>,
+    keeper: Keeper,
+    over_air: [bool; 2],
+    /// When the release key was pressed once.
+    released: Option<Instant>,
     keys: String,
 }
 
-impl Session {
-    fn turn_until(
-        &mut self,
-        until_ms: u64,
-        clock: &dyn Clock,
-        waiter: &Waiter,
-        events: &Receiver<LinkEvent<Hand>>,
-    ) -> Result<()> {
-        let mut drawn_ms = 0;
-        while clock.now_ms() < until_ms && !self.ros.as_ref().is_some_and(Link::interrupted) {
-            let event = waiter.receive(events, TURN);
-            let woken = SystemTime::now();
-            match event {
-                Ok(event) => {
-                    self.heard(event, clock.now_ms());
-                    while let Ok(event) = events.try_recv() {
-                        self.heard(event, clock.now_ms());
-                    }
-                }
-                Err(RecvTimeoutError::Timeout) => {}
-                Err(RecvTimeoutError::Disconnected) => waiter.sleep(TURN),
-            }
-            let now_ms = clock.now_ms();
-            if self.web.as_ref().is_some_and(Web::take_stop) {
-                self.live.stop_key(now_ms);
-            }
+impl Screen {
+    fn show<D: Door + Send + 'static>(&mut self, control: &Control<D>, flags: &Flags) -> Result<()> {
+        loop {
+            let Ok(report) = control.report(PATIENCE) else { return Ok(()) };
             if let Some(problem) = self.keeper.take_problem() {
                 self.told(&problem);
             }
-            let ready = [0, 1].map(|i| self.links[i].as_ref().is_some_and(BoardLink::is_ready));
-            let told = self.ros.as_mut().map(|ros| ros.receive(&mut self.live, now_ms)).unwrap_or_default();
-            let events = self.live.step(now_ms, ready);
-            if let Some(ros) = &mut self.ros {
-                ros.send(&mut self.live, &events, now_ms, woken);
-            }
-            for event in events {
+            let Report { events, links, snapshot } = report.unwrap_or_default();
+            for event in &events {
                 self.note(event)?;
             }
-            for text in told {
-                self.ros_line(now_ms, &text);
+            for link in links {
+                let what = if self.over_air[link.hand as usize] {
+                    "connected over Bluetooth"
+                } else {
+                    "the port is open"
+                };
+                self.link_line(
+                    link.time_ms,
+                    link.hand,
+                    link.closed.is_none(),
+                    link.closed.as_deref().unwrap_or(what),
+                );
             }
-            for hand in [Hand::Left, Hand::Right] {
-                for frame in self.live.take_outgoing(hand) {
-                    if let Some(link) = &self.links[hand as usize] {
-                        link.send(&frame);
-                    }
+            let Some(view) = &mut self.view else { continue };
+            if let Some(snapshot) = &snapshot {
+                view.draw(&Scene { snapshot, keys: &self.keys, pace: String::new() })?;
+            }
+            while let Some(key) = self.view.as_mut().and_then(|view| view.pressed().transpose()) {
+                if self.press(key?, control, flags) {
+                    return Ok(());
                 }
             }
-            if let Some(view) = &mut self.view {
-                if now_ms - drawn_ms >= DRAW_MS {
-                    drawn_ms = now_ms;
-                    view.draw_scene(&Scene {
-                        bridge: self.live.bridge(),
-                        robot: self.live.robot(),
-                        now_ms,
-                        keys: &self.keys,
-                        pace: String::new(),
-                    })?;
-                }
-                while let Some(key) = self.view.as_mut().and_then(|view| view.pressed().transpose()) {
-                    if self.press(key?, now_ms) {
-                        return Ok(());
-                    }
-                }
-            }
-        }
-        Ok(())
-    }
-
-    fn heard(&mut self, event: LinkEvent<Hand>, now_ms: u64) {
-        let hand = event.link;
-        match event.news {
-            // By the time of handling: what waited is as old as it is.
-            News::Bytes(bytes) => self.live.receive(hand, &bytes, now_ms),
-            News::Opened => {
-                let over_air = self.links[hand as usize].as_ref().is_some_and(|link| is_ble(link.port()));
-                let what = if over_air { "connected over Bluetooth" } else { "the port is open" };
-                self.link_line(now_ms, hand, true, what);
-            }
-            News::Closed(why) => self.link_line(now_ms, hand, false, &why),
         }
     }
 
@@ -353,25 +371,13 @@ impl Session {
         }
     }
 
-    fn ros_line(&mut self, time_ms: u64, text: &str) {
-        if self.json {
-            let line = RosLine { time_ms, event: "ros2", text };
-            self.line(&serde_json::to_string(&line).unwrap_or_default());
-        } else {
-            self.line(&format!("{:>8.3} s  ROS 2: {text}", time_ms as f64 / 1000.0));
-        }
-    }
-
-    fn note(&mut self, event: BridgeEvent) -> Result<()> {
-        if self.json {
-            let line = serde_json::to_string(&event)?;
+    fn note(&mut self, event: &SessionEvent) -> Result<()> {
+        if let (true, SessionEvent::Bridge(event)) = (self.json, event) {
+            let line = serde_json::to_string(event)?;
             self.line(&line);
-            return Ok(());
-        }
-        let event = SessionEvent::Bridge(event);
-        if !describe::is_echo(&event) {
-            let time_s = describe::time_ms(&event) as f64 / 1000.0;
-            self.line(&format!("{time_s:>8.3} s  {}", describe::text(&event)));
+        } else if !self.json && !describe::is_echo(event) {
+            let time_s = describe::time_ms(event) as f64 / 1000.0;
+            self.line(&format!("{time_s:>8.3} s  {}", describe::text(event)));
         }
         Ok(())
     }
@@ -388,7 +394,12 @@ impl Session {
     }
 
     /// Handles a key; true when it means to quit.
-    fn press(&mut self, key: KeyEvent, now_ms: u64) -> bool {
+    fn press<D: Door + Send + 'static>(
+        &mut self,
+        key: KeyEvent,
+        control: &Control<D>,
+        flags: &Flags,
+    ) -> bool {
         let hand_key = match key.code {
             KeyCode::Up => Some(HandKey::Arrow(Heading::Forward)),
             KeyCode::Down => Some(HandKey::Arrow(Heading::Backward)),
@@ -400,18 +411,18 @@ impl Session {
             _ => None,
         };
         match (key.kind, hand_key) {
-            (KeyEventKind::Release, Some(key)) => self.live.release_hand_key(key),
+            (KeyEventKind::Release, Some(key)) => control.order(Order::Up(key)),
             (KeyEventKind::Release, None) => {}
-            (_, Some(key)) => self.live.press(key, now_ms),
+            (_, Some(key)) => control.order(Order::Press(key)),
             (_, None) => match key.code {
                 KeyCode::Esc => return true,
                 KeyCode::Char('c') if key.modifiers.contains(KeyModifiers::CONTROL) => return true,
-                KeyCode::Char(' ') => self.live.stop_key(now_ms),
-                KeyCode::Char('r') if self.released_ms.take().is_some_and(|t| now_ms - t < CONFIRM_MS) => {
-                    self.live.release_key(now_ms);
+                KeyCode::Char(' ') => flags.stop(),
+                KeyCode::Char('r') if self.released.take().is_some_and(|at| at.elapsed() < CONFIRM) => {
+                    control.order(Order::Release);
                 }
                 KeyCode::Char('r') => {
-                    self.released_ms = Some(now_ms);
+                    self.released = Some(Instant::now());
                     self.line("press r again to release the stop");
                 }
                 _ => {}
@@ -430,24 +441,17 @@ impl Session {
         }
     }
 
-    fn end(&mut self, time_ms: u64, ros2: Option<Counts>) {
-        self.view = None;
-        if let Some(web) = self.web.take() {
-            web.end(&self.live.now(time_ms));
-        }
-        if let Some(line) = self.keeper.end(self.live.tap_mut()) {
-            self.told(&line);
-        }
-        let bridge = self.live.bridge();
-        let odometry = self.live.robot().odometry();
-        let links = [Hand::Left, Hand::Right].map(|hand| bridge.link(hand));
+    fn end(&mut self, now: &Now<'_>, ros2: Option<Counts>, dropped: u64) {
+        let odometry = now.robot.picture().odometry;
+        let links = [Hand::Left, Hand::Right].map(|hand| now.bridge.link(hand));
         if self.json {
             let end = EndLine {
-                time_ms,
+                time_ms: now.time_ms,
                 event: "end",
                 odometry,
                 frames: links.map(|link| link.counters()),
                 round_trip_ms: links.map(|link| link.round_trip_ms()),
+                events_not_printed: dropped,
                 ros2,
             };
             self.line(&serde_json::to_string(&end).unwrap_or_default());
@@ -455,7 +459,7 @@ impl Session {
         }
         let text = format!(
             "{:.1} s; base: {:.2} m driven; frames: left {} ({} lost), right {} ({} lost)",
-            time_ms as f64 / 1000.0,
+            now.time_ms as f64 / 1000.0,
             odometry.path_m,
             links[0].counters().frames,
             links[0].counters().lost,
@@ -463,6 +467,9 @@ impl Session {
             links[1].counters().lost
         );
         self.line(&text);
+        if dropped > 0 {
+            self.line(&format!("{dropped} events were not printed: the terminal was too slow"));
+        }
         if let Some(counts) = ros2 {
             self.line(&format!("ROS 2: {} speeds and {} arm motions sent", counts.twists, counts.motions));
         }

@@ -2,17 +2,20 @@
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use crate::arm::model::SerialArm;
-use crate::bridge::Bridge;
-use crate::config::Config;
-use crate::intent::MotionMap;
-use crate::plan::Planner;
-use crate::scene::Scene;
-use crate::sim::{SimConfig, Simulator};
+use host_arm::Director;
+use host_arm::model::SerialArm;
+use host_arm::plan::Planner;
+use host_arm::scene::Scene;
+use host_core::bridge::Bridge;
+use host_core::intent::MotionMap;
+use host_core::safety::Hand;
+use host_sim::Simulator;
+
+use crate::config::{Config, Place};
+use crate::robots::Stage;
 
 /// See the module.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -27,6 +30,8 @@ pub struct Setup {
     pub scene: Option<SceneText>,
     /// Time of day at which the session's clock was zero, in nanoseconds since 1970.
     pub origin_ns: u64,
+    /// A robot elsewhere was driven: what it did cannot be computed again.
+    pub robot_elsewhere: bool,
 }
 
 /// A scene with all that it names.
@@ -98,12 +103,12 @@ impl SceneText {
 
 #[cfg(feature = "urdf")]
 fn arm(urdf: &str, scene: &Scene) -> Result<SerialArm, String> {
-    let missing = crate::arm::urdf::Missing {
+    let missing = host_arm::urdf::Missing {
         tip: scene.arm.tip.clone(),
         link_radius_m: scene.arm.link_radius_m,
         acceleration_rad_s2: scene.arm.acceleration_rad_s2,
     };
-    crate::arm::urdf::parse(urdf, &missing).map_err(|error| error.to_string())
+    host_arm::urdf::parse(urdf, &missing).map_err(|error| error.to_string())
 }
 
 #[cfg(not(feature = "urdf"))]
@@ -129,23 +134,30 @@ impl Setup {
     /// # Errors
     /// As [`Setup::motion_map`].
     pub fn bridge(&self) -> Result<Bridge, SetupError> {
-        Ok(Bridge::with(self.motion_map()?, self.config.speed, self.config.safety)
-            .awaiting(self.config.places()))
+        let bridge = Bridge::with(self.motion_map()?, self.config.speed, self.config.safety);
+        let hands = [Hand::Left, Hand::Right].into_iter().zip(self.config.places());
+        Ok(hands
+            .filter(|(_, place)| *place == Place::Board)
+            .fold(bridge, |bridge, (hand, _)| bridge.awaiting(hand)))
     }
 
-    /// The robot at rest.
+    /// What stood around, and what the arm could be asked to do.
     ///
     /// # Errors
     /// [`SetupError::Scene`].
-    pub fn robot(&self) -> Result<Simulator, SetupError> {
-        match &self.scene {
-            Some(scene) => Ok(Simulator::in_scene(Arc::new(scene.planner()?))),
-            None => Ok(Simulator::new(SimConfig {
-                base: self.config.base,
-                arm_limits: self.config.arm_limits(),
-                ..SimConfig::default()
-            })),
-        }
+    pub fn stage(&self) -> Result<Stage, SetupError> {
+        let planner = self.scene.as_ref().map(SceneText::planner).transpose()?;
+        let file = || self.scene.as_ref().map(|scene| scene.file.clone()).unwrap_or_default();
+        Stage::new(&self.config, planner)
+            .map_err(|error| SetupError::Scene { file: file(), problem: error.to_string() })
+    }
+
+    /// The simulated robot at rest, behind its door.
+    ///
+    /// # Errors
+    /// [`SetupError::Scene`].
+    pub fn robot(&self) -> Result<Director<Simulator>, SetupError> {
+        Ok(self.stage()?.simulated(&self.config))
     }
 
     /// As the file keeps it.
@@ -156,6 +168,7 @@ impl Setup {
             ("config".to_owned(), self.config.to_toml()),
             ("maps".to_owned(), serde_json::to_string(&self.maps).unwrap_or_default()),
             ("origin_ns".to_owned(), self.origin_ns.to_string()),
+            ("robot".to_owned(), if self.robot_elsewhere { "elsewhere" } else { "simulated" }.to_owned()),
         ]);
         if let Some(scene) = &self.scene {
             metadata.insert("scene".to_owned(), serde_json::to_string(scene).unwrap_or_default());
@@ -179,6 +192,7 @@ impl Setup {
             maps: serde_json::from_str(text("maps")?).map_err(|error| bad(error.to_string()))?,
             scene: scene.map_err(|error| bad(error.to_string()))?,
             origin_ns: text("origin_ns")?.parse().map_err(|_| bad("origin_ns is no number".to_owned()))?,
+            robot_elsewhere: metadata.get("robot").is_some_and(|robot| robot == "elsewhere"),
         })
     }
 }

@@ -1,0 +1,111 @@
+//! Figures of the Kinova Gen3 (7 degrees of freedom).
+//!
+//! Frames: the base frame has x forward, y left, z up; the flange is kortex's `end_effector_link`.
+//! Source of all figures: kortex_description, `gen3/7dof/urdf/gen3_macro.xacro`
+//!. The result equals the reference table in
+//! `tests/data/kinova_gen3_fk.csv` (see `tests/arm_kinematics.rs`).
+
+use host_robot::{JOINTS, JointLimits, Joints};
+
+/// Fastest joint speeds of the URDF in rad/s (80°/s and 70°/s).
+pub const MAX_VELOCITY_RAD_S: Joints = [1.3963, 1.3963, 1.3963, 1.3963, 1.2218, 1.2218, 1.2218];
+
+/// Largest joint acceleration in rad/s², the same for all joints (MoveIt configuration of kortex).
+pub const MAX_ACCELERATION_RAD_S2: Joints = [8.6; JOINTS];
+
+/// Share of [`MAX_VELOCITY_RAD_S`] that motions use, as in the paper.
+pub const VELOCITY_SCALING: f64 = 0.1;
+
+/// Share of [`MAX_ACCELERATION_RAD_S2`] that motions use, as in the paper.
+pub const ACCELERATION_SCALING: f64 = 0.05;
+
+/// Jerk limit of all joints in rad/s³, where jerk is limited: not scaled.
+///
+/// Our choice: the paper's acceleration of 0.43 rad/s² is built up in 0.1 s. We know of none by Kinova; MoveIt's
+/// smoothing takes 100 rad/s³ or more where a robot names none, which would be there in 4 ms.
+pub const MAX_JERK_RAD_S3: f64 = 4.3;
+
+/// The arm's own limits, scaled as in the paper; jerk is not limited.
+pub fn paper_limits() -> JointLimits {
+    JointLimits {
+        velocity_rad_s: MAX_VELOCITY_RAD_S.map(|v| v * VELOCITY_SCALING),
+        acceleration_rad_s2: MAX_ACCELERATION_RAD_S2.map(|a| a * ACCELERATION_SCALING),
+        jerk_rad_s3: [f64::INFINITY; JOINTS],
+    }
+}
+
+/// Joints 2, 4 and 6 turn this far either way; `None` = without end.
+pub const POSITION_LIMIT_RAD: [Option<f64>; JOINTS] =
+    [None, Some(2.24), None, Some(2.57), None, Some(2.09), None];
+
+/// Joint names of ros2_kortex.
+pub const JOINT_NAMES: [&str; JOINTS] =
+    ["joint_1", "joint_2", "joint_3", "joint_4", "joint_5", "joint_6", "joint_7"];
+
+/// Kinova's own home pose (kortex SRDF, `Home`), in rad.
+#[allow(clippy::approx_constant)] // 3.14 is what the file says
+pub const HOME: Joints = [0.0, 0.26, 3.14, -2.27, 0.0, 0.96, 1.57];
+
+/// Origin of each joint in its parent's frame: xyz in metres, then a rotation about x in quarter turns.
+const ORIGINS: [([f64; 3], Quarter); JOINTS + 1] = [
+    ([0.0, 0.0, 0.15643], Quarter::Two),
+    ([0.0, 0.005375, -0.12838], Quarter::One),
+    ([0.0, -0.21038, -0.006375], Quarter::Three),
+    ([0.0, 0.006375, -0.21038], Quarter::One),
+    ([0.0, -0.20843, -0.006375], Quarter::Three),
+    ([0.0, 0.00017505, -0.10593], Quarter::One),
+    ([0.0, -0.10593, -0.00017505], Quarter::Three),
+    ([0.0, 0.0, -0.061525], Quarter::Two),
+];
+
+/// Quarter turns about x; exact, where sin and cos of π would not be.
+#[derive(Clone, Copy)]
+enum Quarter {
+    One,
+    Two,
+    Three,
+}
+
+impl Quarter {
+    /// (cos, sin)
+    fn cos_sin(self) -> (f64, f64) {
+        match self {
+            Quarter::One => (0.0, 1.0),
+            Quarter::Two => (-1.0, 0.0),
+            Quarter::Three => (0.0, -1.0),
+        }
+    }
+}
+
+/// Origin of a joint (or, last, of the flange) in its parent's frame: metres, rotation matrix.
+pub(super) fn origin(joint: usize) -> ([f64; 3], [[f64; 3]; 3]) {
+    let (origin_m, roll) = ORIGINS[joint];
+    let (c, s) = roll.cos_sin();
+    (origin_m, [[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+}
+
+/// The first joint beyond its limit (counted from 0), if any. Not-a-number is beyond every limit.
+pub fn joint_beyond_limit(joints_rad: &Joints) -> Option<usize> {
+    (0..JOINTS).find(|&i| {
+        let within = match POSITION_LIMIT_RAD[i] {
+            Some(limit) => joints_rad[i].abs() <= limit,
+            None => joints_rad[i].is_finite(),
+        };
+        !within
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn limits_hold_for_home_and_catch_excess_and_nan() {
+        assert_eq!(joint_beyond_limit(&HOME), None);
+        let mut joints = HOME;
+        joints[3] = -2.6;
+        assert_eq!(joint_beyond_limit(&joints), Some(3));
+        joints[0] = f64::NAN;
+        assert_eq!(joint_beyond_limit(&joints), Some(0));
+    }
+}

@@ -1,0 +1,234 @@
+//! Inverse kinematics: joint angles for a place and an orientation of the flange.
+//!
+//! Damped least squares (Nakamura and Hanafusa 1986) with the damping raised where a step does not help,
+//! and restarts from seeded random angles. The budget is counted in steps and in looks at what is around
+//! ([`Budget`]), never in time: equal calls give equal answers on any machine. A place further away than the
+//! arm is long is refused without a step ([`SerialArm::beyond_reach_m`]). `tests/plan_ik.rs` prints what both
+//! take.
+
+use super::model::SerialArm;
+use host_robot::Random;
+use host_robot::shape::{dot, sub};
+use host_robot::{JOINTS, Joints, Pose};
+
+/// What one search may spend over all its restarts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Budget {
+    /// Steps of the solver.
+    pub steps: usize,
+    /// Solutions that are shown to `accept`, which may look at everything around the arm.
+    pub looks: usize,
+}
+
+impl Budget {
+    /// Far within 0.2 s of one core.
+    pub const DEFAULT: Budget = Budget { steps: 3000, looks: 200 };
+}
+
+/// Steps before a start is given up.
+const STEPS_PER_START: usize = 100;
+
+/// Solutions are at least this near, in m and in rad.
+pub const TOLERANCE: f64 = 1e-9;
+
+/// Joint angles that were found.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Solution {
+    /// Within the limits, in rad.
+    pub joints_rad: Joints,
+    /// What it took.
+    pub steps: usize,
+}
+
+/// No angles were found.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum Unreachable {
+    /// The arm is too short.
+    #[error(
+        "the flange cannot get there: the place is {beyond_mm:.0} mm beyond the arm's reach; choose a nearer one"
+    )]
+    Beyond {
+        /// By so much at least.
+        beyond_mm: f64,
+    },
+    /// The search ended without an answer.
+    #[error(
+        "no joint angles were found that put the flange there (nearest: {position_mm:.1} mm and {angle_mrad:.1} mrad \
+         off, {looks} solutions touch something); it may be out of reach, or blocked: choose another place"
+    )]
+    NotFound {
+        /// Distance of the nearest try.
+        position_mm: f64,
+        /// Its wrong turn.
+        angle_mrad: f64,
+        /// What was spent: steps,
+        steps: usize,
+        /// and solutions that were not accepted.
+        looks: usize,
+    },
+}
+
+type Six = [f64; 6];
+
+/// Finds joint angles within the limits for which `accept` says yes (such as: touches nothing). The first
+/// try starts from `start_rad`; a solution near it is found first.
+///
+/// # Errors
+/// [`Unreachable`], at the latest when the [`Budget::DEFAULT`] is spent.
+pub fn solve(
+    arm: &SerialArm,
+    target: &Pose,
+    start_rad: &Joints,
+    seed: u64,
+    accept: impl FnMut(&Joints) -> bool,
+) -> Result<Solution, Unreachable> {
+    let beyond_m = arm.beyond_reach_m(target);
+    if beyond_m > 0.0 {
+        return Err(Unreachable::Beyond { beyond_mm: 1000.0 * beyond_m });
+    }
+    search(arm, target, start_rad, seed, Budget::DEFAULT, accept)
+}
+
+/// The search alone, with a budget of your own.
+///
+/// # Errors
+/// [`Unreachable::NotFound`] when the budget is spent.
+pub fn search(
+    arm: &SerialArm,
+    target: &Pose,
+    start_rad: &Joints,
+    seed: u64,
+    budget: Budget,
+    mut accept: impl FnMut(&Joints) -> bool,
+) -> Result<Solution, Unreachable> {
+    let mut random = Random::new(seed);
+    let (mut steps, mut looks) = (0, 0);
+    let mut nearest = (f64::INFINITY, [f64::INFINITY; 6]);
+    let mut joints_rad = *start_rad;
+    while steps < budget.steps && looks < budget.looks {
+        into_limits(arm, &mut joints_rad);
+        let mut damping = 1e-3;
+        let (mut error, mut poses) = error_at(arm, target, &joints_rad);
+        // At least one, so that a start at a solution that is not accepted costs something, too.
+        steps += 1;
+        let until = budget.steps.min(steps + STEPS_PER_START);
+        while steps < until && length(&error) >= TOLERANCE {
+            steps += 1;
+            let mut tried = joints_rad;
+            let step = damped_step(arm, &poses, &error, damping);
+            for (joint, step) in tried.iter_mut().zip(step) {
+                // Long steps leave the range in which the angles are nearly linear.
+                *joint += step.clamp(-0.5, 0.5);
+            }
+            into_limits(arm, &mut tried);
+            let (tried_error, tried_poses) = error_at(arm, target, &tried);
+            if length(&tried_error) < length(&error) {
+                (joints_rad, error, poses) = (tried, tried_error, tried_poses);
+                damping = (damping * 0.3).max(1e-12);
+            } else {
+                damping *= 10.0;
+                if damping > 1e3 {
+                    break;
+                }
+            }
+        }
+        if length(&error) < TOLERANCE {
+            looks += 1;
+            if accept(&joints_rad) {
+                return Ok(Solution { joints_rad, steps });
+            }
+        }
+        if length(&error) < nearest.0 {
+            nearest = (length(&error), error);
+        }
+        for (i, joint) in arm.joints.iter().enumerate() {
+            let pi = std::f64::consts::PI;
+            let (low, high) = joint.limit_rad.unwrap_or((start_rad[i] - pi, start_rad[i] + pi));
+            joints_rad[i] = random.between(low, high);
+        }
+    }
+    let [x, y, z, u, v, w] = nearest.1;
+    Err(Unreachable::NotFound {
+        position_mm: 1000.0 * dot([x, y, z], [x, y, z]).sqrt(),
+        angle_mrad: 1000.0 * dot([u, v, w], [u, v, w]).sqrt(),
+        steps,
+        looks,
+    })
+}
+
+fn into_limits(arm: &SerialArm, joints_rad: &mut Joints) {
+    for (joint, angle) in arm.joints.iter().zip(joints_rad) {
+        if let Some((low, high)) = joint.limit_rad {
+            *angle = angle.clamp(low, high);
+        }
+    }
+}
+
+fn length(error: &Six) -> f64 {
+    error.iter().map(|e| e * e).sum::<f64>().sqrt()
+}
+
+/// What is missing: the way in m, then the turn as axis times angle in rad; and the frames.
+fn error_at(arm: &SerialArm, target: &Pose, joints_rad: &Joints) -> (Six, [Pose; JOINTS + 1]) {
+    let poses = arm.link_poses(joints_rad);
+    let here = poses[JOINTS];
+    let way = sub(target.position_m, here.position_m);
+    // The turn that is left, in the base frame: target · hereᵀ.
+    let mut rotation = [[0.0; 3]; 3];
+    for (row, out) in rotation.iter_mut().enumerate() {
+        for (col, value) in out.iter_mut().enumerate() {
+            *value = dot(target.rotation[row], here.rotation[col]);
+        }
+    }
+    let [mut w, x, y, z] = Pose { position_m: [0.0; 3], rotation }.quaternion_wxyz();
+    let half_sine = dot([x, y, z], [x, y, z]).sqrt();
+    w = w.min(1.0);
+    // Small turns: the angle is twice the vector part.
+    let scale = if half_sine < 1e-9 { 2.0 } else { 2.0 * half_sine.atan2(w) / half_sine };
+    ([way[0], way[1], way[2], scale * x, scale * y, scale * z], poses)
+}
+
+/// Jᵀ (J Jᵀ + λ I)⁻¹ e
+fn damped_step(arm: &SerialArm, poses: &[Pose; JOINTS + 1], error: &Six, damping: f64) -> Joints {
+    let tip = poses[JOINTS].position_m;
+    let mut columns = [[0.0; 6]; JOINTS];
+    for (i, joint) in arm.joints.iter().enumerate() {
+        let axis = poses[i].rotation.map(|row| dot(row, joint.axis));
+        let r = sub(tip, poses[i].position_m);
+        columns[i] = [
+            axis[1] * r[2] - axis[2] * r[1],
+            axis[2] * r[0] - axis[0] * r[2],
+            axis[0] * r[1] - axis[1] * r[0],
+            axis[0],
+            axis[1],
+            axis[2],
+        ];
+    }
+    let mut normal = [[0.0; 6]; 6];
+    for (row, line) in normal.iter_mut().enumerate() {
+        for (col, value) in line.iter_mut().enumerate() {
+            *value = columns.iter().map(|c| c[row] * c[col]).sum();
+        }
+        line[row] += damping;
+    }
+    let weights = solve_symmetric(normal, *error);
+    columns.map(|column| (0..6).map(|k| column[k] * weights[k]).sum())
+}
+
+/// Solves A x = b for a symmetric, positive definite A (Cholesky).
+fn solve_symmetric(mut a: [[f64; 6]; 6], mut b: Six) -> Six {
+    for i in 0..6 {
+        for j in 0..=i {
+            let sum = a[i][j] - (0..j).map(|k| a[i][k] * a[j][k]).sum::<f64>();
+            // The damping keeps the diagonal above zero; rounding must not undo it.
+            a[i][j] = if i == j { sum.max(1e-18).sqrt() } else { sum / a[j][j] };
+        }
+    }
+    for i in 0..6 {
+        b[i] = (b[i] - (0..i).map(|k| a[i][k] * b[k]).sum::<f64>()) / a[i][i];
+    }
+    for i in (0..6).rev() {
+        b[i] = (b[i] - (i + 1..6).map(|k| a[k][i] * b[k]).sum::<f64>()) / a[i][i];
+    }
+    b
+}

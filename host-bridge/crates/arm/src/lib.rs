@@ -1,0 +1,20 @@
+//! The arm: what it is, where it can go, and who sends it there.
+//!
+//! * [`model`], [`gen3`], `urdf`: joints, limits, shapes and forward kinematics,
+//! * [`ik`]: from a place of the flange to joint angles,
+//! * [`scene`], [`plan`]: what stands around, and motions that touch nothing,
+//! * [`motions`]: named motions and poses, as data,
+//! * [`director`]: all of it between the bridge and any robot.
+
+pub mod director;
+pub mod gen3;
+pub mod ik;
+pub mod model;
+pub mod motions;
+pub mod plan;
+pub mod scene;
+#[cfg(feature = "urdf")]
+pub mod urdf;
+
+pub use director::Director;
+pub use motions::Motions;

@@ -1,0 +1,296 @@
+//! What a serial arm is: joints, limits, the shapes of its links, named poses. Its forward kinematics.
+//!
+//! The Gen3 is built in ([`SerialArm::gen3`]); any other arm with up to seven turning joints comes from a
+//! URDF file (feature `urdf`, see `arm/urdf.rs`). An arm with fewer joints leaves the last values of
+//! [`Joints`] at zero.
+
+use host_robot::{JOINTS, Joints, Pose};
+
+use super::gen3::{HOME, JOINT_NAMES, MAX_ACCELERATION_RAD_S2, MAX_VELOCITY_RAD_S, POSITION_LIMIT_RAD};
+use host_robot::JointLimits;
+use host_robot::shape::{Capsule, Point, norm};
+
+/// Name of the built-in arm.
+const GEN3: &str = "Kinova Gen3 (7 joints)";
+
+/// Rotation matrix, row by row.
+pub type Rotation = [[f64; 3]; 3];
+
+/// One turning joint and the link that it turns.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ArmJoint {
+    /// As in the robot's own description.
+    pub name: String,
+    /// Where the joint sits in its parent's frame, in m.
+    pub origin_m: Point,
+    /// How its frame is turned against its parent's.
+    pub origin_rotation: Rotation,
+    /// Axis in its own frame, of length 1.
+    pub axis: Point,
+    /// Least and greatest angle; `None` = turns without end.
+    pub limit_rad: Option<(f64, f64)>,
+    /// Fastest turn.
+    pub velocity_rad_s: f64,
+    /// Largest acceleration.
+    pub acceleration_rad_s2: f64,
+    /// Shapes of the link that turns with the joint, in the joint's frame. They enclose the link.
+    pub shapes: Vec<Capsule>,
+}
+
+/// An arm.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SerialArm {
+    /// For people.
+    pub name: String,
+    /// From the foot on; one to seven.
+    pub joints: Vec<ArmJoint>,
+    /// The flange in the last joint's frame.
+    pub flange_m: Point,
+    /// How the flange is turned against the last joint.
+    pub flange_rotation: Rotation,
+    /// Shapes of the foot, which does not move, in the arm's base frame.
+    pub foot: Vec<Capsule>,
+    /// The pose to go to first and to fall back to, in rad.
+    pub home_rad: Joints,
+}
+
+/// Why joint values cannot be used.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum JointError {
+    /// Not-a-number or infinite.
+    #[error("{joint} is no finite angle")]
+    NotFinite {
+        /// Which.
+        joint: String,
+    },
+    /// Beyond the limit.
+    #[error("{joint} at {value_rad:.3} rad is beyond its limits of {low_rad:.3} to {high_rad:.3} rad")]
+    BeyondLimit {
+        /// Which.
+        joint: String,
+        /// What was asked for.
+        value_rad: f64,
+        /// Least.
+        low_rad: f64,
+        /// Greatest.
+        high_rad: f64,
+    },
+}
+
+impl SerialArm {
+    /// The Kinova Gen3 with seven joints, figures as in [`super::gen3`], links as capsules.
+    ///
+    /// The capsules are ours, around the lines between the joints' origins: 50 mm for the three large links,
+    /// 45 mm for the forearm, 42 mm for the wrist.
+    pub fn gen3() -> Self {
+        let joints = (0..JOINTS).map(|i| {
+            let (origin_m, origin_rotation) = super::gen3::origin(i);
+            let (next_m, _) = super::gen3::origin(i + 1);
+            let radius_m = [0.050, 0.050, 0.050, 0.045, 0.042, 0.042, 0.042][i];
+            ArmJoint {
+                name: JOINT_NAMES[i].to_owned(),
+                origin_m,
+                origin_rotation,
+                axis: [0.0, 0.0, 1.0],
+                limit_rad: POSITION_LIMIT_RAD[i].map(|limit| (-limit, limit)),
+                velocity_rad_s: MAX_VELOCITY_RAD_S[i],
+                acceleration_rad_s2: MAX_ACCELERATION_RAD_S2[i],
+                shapes: vec![Capsule { a_m: [0.0; 3], b_m: next_m, radius_m }],
+            }
+        });
+        let (flange_m, flange_rotation) = super::gen3::origin(JOINTS);
+        SerialArm {
+            name: GEN3.to_owned(),
+            joints: joints.collect(),
+            flange_m,
+            flange_rotation,
+            foot: vec![Capsule { a_m: [0.0, 0.0, 0.05], b_m: [0.0, 0.0, 0.15643], radius_m: 0.050 }],
+            home_rad: HOME,
+        }
+    }
+
+    /// It is the built-in arm, for which poses are bundled.
+    pub fn is_gen3(&self) -> bool {
+        self.name == GEN3
+    }
+
+    /// Frames of the joints, and of the flange last, in the arm's base frame. Frames of joints that the
+    /// arm does not have equal the flange's.
+    pub fn link_poses(&self, joints_rad: &Joints) -> [Pose; JOINTS + 1] {
+        let mut poses = [Pose::IDENTITY; JOINTS + 1];
+        let mut pose = Pose::IDENTITY;
+        for (i, joint) in self.joints.iter().enumerate() {
+            pose = pose.then(joint.origin_m, joint.origin_rotation);
+            pose = pose.then([0.0; 3], turn_about(joint.axis, joints_rad[i]));
+            poses[i] = pose;
+        }
+        let flange = pose.then(self.flange_m, self.flange_rotation);
+        poses[self.joints.len()..].fill(flange);
+        poses
+    }
+
+    /// Where the flange is.
+    pub fn flange_pose(&self, joints_rad: &Joints) -> Pose {
+        self.link_poses(joints_rad)[JOINTS]
+    }
+
+    /// All values are within the limits.
+    ///
+    /// # Errors
+    /// Names the first joint that is not.
+    pub fn check(&self, joints_rad: &Joints) -> Result<(), JointError> {
+        for (joint, &value_rad) in self.joints.iter().zip(joints_rad) {
+            let name = || joint.name.clone();
+            if !value_rad.is_finite() {
+                return Err(JointError::NotFinite { joint: name() });
+            }
+            if let Some((low_rad, high_rad)) = joint.limit_rad
+                && !(low_rad..=high_rad).contains(&value_rad)
+            {
+                return Err(JointError::BeyondLimit { joint: name(), value_rad, low_rad, high_rad });
+            }
+        }
+        Ok(())
+    }
+
+    /// Speeds and accelerations, each scaled (0 to 1; the paper uses 0.1 and 0.05). Jerk is not limited.
+    pub fn limits(&self, velocity_scaling: f64, acceleration_scaling: f64) -> JointLimits {
+        // A joint that is not there never moves; its limits must not be zero only for division's sake.
+        let mut limits = JointLimits {
+            velocity_rad_s: [1.0; JOINTS],
+            acceleration_rad_s2: [1.0; JOINTS],
+            jerk_rad_s3: [f64::INFINITY; JOINTS],
+        };
+        for (i, joint) in self.joints.iter().enumerate() {
+            limits.velocity_rad_s[i] = joint.velocity_rad_s * velocity_scaling;
+            limits.acceleration_rad_s2[i] = joint.acceleration_rad_s2 * acceleration_scaling;
+        }
+        limits
+    }
+
+    /// How far the flange's place is beyond what the arm could reach were its middle joints free to stretch; 0 or
+    /// less = perhaps within reach. Also says no to a place whose orientation turns the last link away.
+    ///
+    /// The flange's pose fixes the last joint's origin and axis, and so the circle on which the joint before
+    /// it lies; the foot fixes the circle of the second joint. No stretched chain is longer than its parts.
+    pub fn beyond_reach_m(&self, flange: &Pose) -> f64 {
+        let (Some(first), Some(last)) = (self.joints.first(), self.joints.last()) else { return 0.0 };
+        if self.joints.len() < 3 {
+            return 0.0;
+        }
+        // Turned back by the flange's own offset. That leaves the last joint's angle open, not its axis.
+        let turned =
+            |rotation: &Rotation, p: Point| rotation.map(|row| row[0] * p[0] + row[1] * p[1] + row[2] * p[2]);
+        let transposed = |r: &Rotation| [0, 1, 2].map(|row| [0, 1, 2].map(|col| r[col][row]));
+        let back = Pose::IDENTITY.then([0.0; 3], transposed(&self.flange_rotation));
+        let last_frame = flange.then([0.0; 3], back.rotation);
+        let offset_m = turned(&last_frame.rotation, self.flange_m);
+        let axis = turned(&last_frame.rotation, last.axis);
+        // The last joint as seen from the one before it, in the last joint's own axes.
+        let link_m = turned(&transposed(&last.origin_rotation), last.origin_m);
+        let (along_m, around_m) = along_and_around(link_m, last.axis);
+        let hand_m: Point = [0, 1, 2].map(|k| flange.position_m[k] - offset_m[k] - axis[k] * along_m);
+
+        let second = &self.joints[1];
+        let foot = Pose::IDENTITY.then(first.origin_m, first.origin_rotation);
+        let (rise_m, swing_m) = along_and_around(second.origin_m, first.axis);
+        let shoulder_m = foot.then(first.axis.map(|a| a * rise_m), Pose::IDENTITY.rotation).position_m;
+
+        let middle = &self.joints[2..self.joints.len() - 1];
+        let length_m = middle.iter().map(|joint| norm(joint.origin_m)).sum::<f64>() + swing_m + around_m;
+        norm([0, 1, 2].map(|k| hand_m[k] - shoulder_m[k])) - length_m
+    }
+
+    /// For each joint, how far from its origin a point of the arm beyond it can be at most, in m: a turn by
+    /// an angle moves no point of the arm further than the angle times this.
+    pub fn lever_m(&self) -> Joints {
+        let mut lever = [0.0; JOINTS];
+        let mut beyond: f64 = 0.0;
+        for (i, joint) in self.joints.iter().enumerate().rev() {
+            let shapes = joint.shapes.iter().map(|c| norm(c.a_m).max(norm(c.b_m)) + c.radius_m);
+            beyond = shapes.fold(beyond, f64::max);
+            lever[i] = beyond;
+            beyond += norm(joint.origin_m);
+        }
+        lever
+    }
+}
+
+/// A vector's part along a unit axis, and the length of what is left.
+fn along_and_around(vector: Point, axis: Point) -> (f64, f64) {
+    let along: f64 = (0..3).map(|k| vector[k] * axis[k]).sum();
+    (along, norm([0, 1, 2].map(|k| vector[k] - along * axis[k])))
+}
+
+/// A turn about a unit axis (Rodrigues).
+fn turn_about(axis: Point, angle_rad: f64) -> Rotation {
+    let (s, c) = angle_rad.sin_cos();
+    let [x, y, z] = axis;
+    let v = 1.0 - c;
+    [
+        [x * x * v + c, x * y * v - z * s, x * z * v + y * s],
+        [y * x * v + z * s, y * y * v + c, y * z * v - x * s],
+        [z * x * v - y * s, z * y * v + x * s, z * z * v + c],
+    ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gen3;
+
+    #[test]
+    fn the_gen3s_zero_pose_is_straight_up_and_its_limits_are_the_papers() {
+        let arm = SerialArm::gen3();
+        assert!((arm.flange_pose(&[0.0; JOINTS]).position_m[2] - 1.1873).abs() < 1e-3);
+        let limits = arm.limits(gen3::VELOCITY_SCALING, gen3::ACCELERATION_SCALING);
+        assert_eq!(limits, gen3::paper_limits());
+    }
+
+    #[test]
+    fn no_point_moves_further_than_the_levers_say() {
+        let arm = SerialArm::gen3();
+        let lever = arm.lever_m();
+        let mut random = host_robot::Random::new(1);
+        for _ in 0..2000 {
+            let joints: Joints = std::array::from_fn(|_| random.between(-3.0, 3.0));
+            let i = random.below(JOINTS);
+            let mut turned = joints;
+            turned[i] += 0.01;
+            let (one, two) = (arm.flange_pose(&joints), arm.flange_pose(&turned));
+            let moved = norm(host_robot::shape::sub(one.position_m, two.position_m));
+            assert!(moved <= 0.01 * lever[i], "joint {i}: {moved}");
+        }
+    }
+
+    #[test]
+    fn what_the_arm_does_reach_is_never_called_beyond_reach() {
+        let arm = SerialArm::gen3();
+        let mut random = host_robot::Random::new(3);
+        let mut nearest_m = f64::NEG_INFINITY;
+        for _ in 0..20_000 {
+            let joints: Joints = std::array::from_fn(|_| random.between(-3.0, 3.0));
+            nearest_m = nearest_m.max(arm.beyond_reach_m(&arm.flange_pose(&joints)));
+        }
+        assert!(nearest_m <= 1e-12, "{nearest_m}");
+        // Straight up there is next to nothing left to stretch.
+        let mut straight = arm.flange_pose(&[0.0; JOINTS]);
+        assert!((-0.01..=1e-12).contains(&arm.beyond_reach_m(&straight)));
+        straight.position_m[2] += 0.01;
+        assert!(arm.beyond_reach_m(&straight) > 0.0);
+        // The same place with the tool bent down would need a longer arm.
+        let mut down = arm.flange_pose(&[0.0; JOINTS]);
+        down.rotation = [[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]];
+        assert!(arm.beyond_reach_m(&down) > 0.3);
+    }
+
+    #[test]
+    fn values_out_of_limits_are_named() {
+        let arm = SerialArm::gen3();
+        let mut joints = HOME;
+        joints[3] = -2.6;
+        assert!(arm.check(&joints).unwrap_err().to_string().contains("joint_4 at -2.600 rad"));
+        joints[0] = f64::NAN;
+        assert!(matches!(arm.check(&joints), Err(JointError::NotFinite { .. })));
+    }
+}

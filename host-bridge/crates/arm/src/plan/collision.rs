@@ -1,0 +1,368 @@
+//! How near the robot is to itself and to its surroundings.
+//!
+//! Checks between two configurations are exact, not sampled: a turn moves no point of the arm further than
+//! the angle times the joint's lever, so one distance clears a whole stretch of the way
+//! ([`Surroundings::way_is_clear`]).
+
+use std::cell::Cell;
+
+use crate::model::SerialArm;
+use crate::scene::Scene;
+use host_robot::Odometry;
+use host_robot::shape::{Capsule, Point, UprightBox};
+use host_robot::{JOINTS, Joints};
+
+/// Where the base stands in the scene.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Placement {
+    /// Forward of the scene's origin.
+    pub x_m: f64,
+    /// Left of it.
+    pub y_m: f64,
+    /// Turned to the left.
+    pub heading_rad: f64,
+}
+
+impl From<Odometry> for Placement {
+    fn from(odometry: Odometry) -> Self {
+        Placement { x_m: odometry.x_m, y_m: odometry.y_m, heading_rad: odometry.heading_rad }
+    }
+}
+
+/// A part of the robot or of the scene.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Part {
+    /// The arm's foot (0) or the link of a joint, counted from 1.
+    Link(usize),
+    /// The body of the base.
+    Base,
+    /// A box of the scene.
+    Box(usize),
+    /// The ground under the robot.
+    Floor,
+}
+
+/// The two parts that are nearest to each other.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Clearance {
+    /// Distance in m; negative where they overlap.
+    pub distance_m: f64,
+    /// Which.
+    pub parts: (Part, Part),
+}
+
+impl Clearance {
+    const NOTHING: Clearance = Clearance { distance_m: f64::INFINITY, parts: (Part::Floor, Part::Floor) };
+
+    fn tighten(&mut self, distance_m: f64, one: Part, two: Part) {
+        if distance_m < self.distance_m {
+            *self = Clearance { distance_m, parts: (one, two) };
+        }
+    }
+}
+
+/// Robot and scene: everything that can collide.
+#[derive(Clone, Debug)]
+pub struct World {
+    arm: SerialArm,
+    scene: Scene,
+    lever_m: Joints,
+    /// Pairs of links that can touch.
+    pairs: Vec<(usize, usize)>,
+}
+
+impl World {
+    /// Puts an arm into a scene.
+    pub fn new(arm: SerialArm, scene: Scene) -> Self {
+        let links = arm.joints.len() + 1;
+        let mut world = World { lever_m: arm.lever_m(), arm, scene, pairs: Vec::new() };
+        // Neighbours share a joint and always touch; its limit keeps them apart.
+        let pairs = (0..links).flat_map(|one| (one + 2..links).map(move |two| (one, two)));
+        world.pairs = pairs.filter(|&(one, two)| two > one + 2 || world.can_touch(one)).collect();
+        world
+    }
+
+    /// Whether a link and the next but one can touch within the limits of the two joints between them. As in
+    /// MoveIt's set-up, pairs that never touch are not looked at: their constant nearness would hide
+    /// everything else.
+    fn can_touch(&self, link: usize) -> bool {
+        const STEPS: usize = 48;
+        let range = |joint: usize| {
+            let pi = std::f64::consts::PI;
+            let (low, high) = self.arm.joints[joint].limit_rad.unwrap_or((-pi, pi));
+            (0..=STEPS).map(move |k| low + (high - low) * k as f64 / STEPS as f64)
+        };
+        range(link).any(|first| {
+            range(link + 1).any(|second| {
+                let mut joints_rad = [0.0; JOINTS];
+                (joints_rad[link], joints_rad[link + 1]) = (first, second);
+                self.pair_distance_m(&self.shapes(&joints_rad), link, link + 2) <= 0.0
+            })
+        })
+    }
+
+    fn pair_distance_m(&self, shapes: &[(usize, Capsule)], one: usize, two: usize) -> f64 {
+        let of = |wanted: usize| shapes.iter().filter(move |(link, _)| *link == wanted);
+        let distances = of(one).flat_map(|(_, a)| of(two).map(move |(_, b)| a.distance_m(b)));
+        distances.fold(f64::INFINITY, f64::min)
+    }
+
+    /// The arm.
+    pub fn arm(&self) -> &SerialArm {
+        &self.arm
+    }
+
+    /// The scene.
+    pub fn scene(&self) -> &Scene {
+        &self.scene
+    }
+
+    /// How far a point of the arm moves at most when each joint turns by one radian, in m.
+    pub fn lever_m(&self) -> &Joints {
+        &self.lever_m
+    }
+
+    /// Name of a part, for people.
+    pub fn name(&self, part: Part) -> &str {
+        match part {
+            Part::Link(0) => "the arm's foot",
+            Part::Link(link) => &self.arm.joints[link - 1].name,
+            Part::Base => "the base",
+            Part::Box(i) => &self.scene.boxes[i].name,
+            Part::Floor => "the floor",
+        }
+    }
+
+    /// What the arm has around it when the base stands there.
+    pub fn around(&self, placement: Placement) -> Surroundings<'_> {
+        let mount_m = self.scene.base.mount_m;
+        let (s, c) = placement.heading_rad.sin_cos();
+        let boxes = self.scene.boxes.iter().map(|b| {
+            let (x, y) = (b.center_m[0] - placement.x_m, b.center_m[1] - placement.y_m);
+            UprightBox {
+                center_m: [
+                    c * x + s * y - mount_m[0],
+                    c * y - s * x - mount_m[1],
+                    b.center_m[2] - mount_m[2],
+                ],
+                half_m: b.size_m.map(|size| 0.5 * size),
+                yaw_rad: b.yaw_rad - placement.heading_rad,
+            }
+        });
+        let mut base = self.scene.base.body();
+        for (center, mount) in base.center_m.iter_mut().zip(mount_m) {
+            *center -= mount;
+        }
+        Surroundings { world: self, boxes: boxes.collect(), base, floor_m: -mount_m[2], checks: Cell::new(0) }
+    }
+
+    /// Shapes of foot and links in the arm's frame, with the number of their link.
+    fn shapes(&self, joints_rad: &Joints) -> Vec<(usize, Capsule)> {
+        let poses = self.arm.link_poses(joints_rad);
+        let mut shapes: Vec<(usize, Capsule)> = self.arm.foot.iter().map(|shape| (0, *shape)).collect();
+        for (i, (joint, pose)) in self.arm.joints.iter().zip(&poses).enumerate() {
+            let place = |p: Point| -> Point {
+                let turned = pose.rotation.map(|row| row[0] * p[0] + row[1] * p[1] + row[2] * p[2]);
+                [0, 1, 2].map(|k| pose.position_m[k] + turned[k])
+            };
+            shapes.extend(joint.shapes.iter().map(|shape| {
+                (i + 1, Capsule { a_m: place(shape.a_m), b_m: place(shape.b_m), radius_m: shape.radius_m })
+            }));
+        }
+        shapes
+    }
+}
+
+/// The scene as the arm sees it from one place. Counts the checks made.
+#[derive(Clone, Debug)]
+pub struct Surroundings<'w> {
+    world: &'w World,
+    boxes: Vec<UprightBox>,
+    base: UprightBox,
+    floor_m: f64,
+    checks: Cell<u64>,
+}
+
+impl Surroundings<'_> {
+    /// The world that this is a view of.
+    pub fn world(&self) -> &World {
+        self.world
+    }
+
+    /// How many configurations of the arm were checked against everything.
+    pub fn checks(&self) -> u64 {
+        self.checks.get()
+    }
+
+    /// The arm's nearest approach to itself, the base, the boxes and the floor.
+    pub fn arm_clearance(&self, joints_rad: &Joints) -> Clearance {
+        let (own, boxes) = self.arm_clearances(joints_rad);
+        if own.distance_m < boxes.distance_m { own } else { boxes }
+    }
+
+    /// The same apart: to the robot itself and the floor, which is the same wherever the base stands; and
+    /// to the boxes.
+    pub fn arm_clearances(&self, joints_rad: &Joints) -> (Clearance, Clearance) {
+        self.checks.set(self.checks.get() + 1);
+        let shapes = self.world.shapes(joints_rad);
+        let (mut own, mut boxes) = (Clearance::NOTHING, Clearance::NOTHING);
+        for &(link, shape) in &shapes {
+            // Foot and first link stand on the base and never come nearer to it, or to the floor.
+            if link >= 2 {
+                own.tighten(shape.distance_to_box_m(&self.base), Part::Link(link), Part::Base);
+                own.tighten(shape.lowest_m() - self.floor_m, Part::Link(link), Part::Floor);
+            }
+            let (middle_m, reach_m) = shape.bounds_m();
+            for (i, obstacle) in self.boxes.iter().enumerate() {
+                if obstacle.distance_to_point_m(middle_m) - reach_m < boxes.distance_m {
+                    boxes.tighten(shape.distance_to_box_m(obstacle), Part::Link(link), Part::Box(i));
+                }
+            }
+        }
+        for &(one, two) in &self.world.pairs {
+            let distance_m = self.world.pair_distance_m(&shapes, one, two);
+            own.tighten(distance_m, Part::Link(one), Part::Link(two));
+        }
+        (own, boxes)
+    }
+
+    /// The base's nearest approach to the boxes.
+    pub fn base_clearance(&self) -> Clearance {
+        let mut nearest = Clearance::NOTHING;
+        for (i, obstacle) in self.boxes.iter().enumerate() {
+            nearest.tighten(self.base.distance_m(obstacle), Part::Base, Part::Box(i));
+        }
+        nearest
+    }
+
+    /// Nothing comes nearer than half the margin anywhere on the straight way in joint space, and nothing
+    /// nearer than the margin where it was looked at.
+    pub fn way_is_clear(&self, from_rad: &Joints, to_rad: &Joints, margin_m: f64) -> bool {
+        let sweep_m = self.sweep_m(from_rad, to_rad);
+        self.arm_clearance(to_rad).distance_m >= margin_m
+            && self.stretch_is_clear(from_rad, to_rad, (0.0, 1.0), sweep_m, margin_m)
+    }
+
+    /// Between two shares of the way, of which the whole sweeps `sweep_m`.
+    fn stretch_is_clear(
+        &self,
+        from_rad: &Joints,
+        to_rad: &Joints,
+        (start, end): (f64, f64),
+        sweep_m: f64,
+        margin_m: f64,
+    ) -> bool {
+        let middle = 0.5 * (start + end);
+        let reach_m = 0.5 * (end - start) * sweep_m;
+        let joints_rad = between(from_rad, to_rad, middle);
+        let distance_m = self.arm_clearance(&joints_rad).distance_m;
+        if distance_m < margin_m {
+            return false;
+        }
+        // Half a stretch on, nothing can be nearer than this less what was swept.
+        if distance_m - reach_m >= 0.5 * margin_m {
+            return true;
+        }
+        self.stretch_is_clear(from_rad, to_rad, (start, middle), sweep_m, margin_m)
+            && self.stretch_is_clear(from_rad, to_rad, (middle, end), sweep_m, margin_m)
+    }
+
+    /// No point of the arm moves further than this on the way between two configurations.
+    pub fn sweep_m(&self, from_rad: &Joints, to_rad: &Joints) -> f64 {
+        (0..JOINTS).map(|i| (to_rad[i] - from_rad[i]).abs() * self.world.lever_m[i]).sum()
+    }
+}
+
+/// A point on the straight way between two configurations.
+pub fn between(from_rad: &Joints, to_rad: &Joints, share: f64) -> Joints {
+    std::array::from_fn(|i| from_rad[i] + share * (to_rad[i] - from_rad[i]))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gen3::HOME;
+    use crate::motions::Motions;
+    use host_robot::Random;
+
+    fn world(scene: &str) -> World {
+        World::new(SerialArm::gen3(), Scene::parse(scene).unwrap())
+    }
+
+    #[test]
+    fn the_named_poses_are_clear_of_the_robot_itself() {
+        let world = world("");
+        let around = world.around(Placement::default());
+        let motions = Motions::paper();
+        for (name, joints) in motions.poses() {
+            let nearest = around.arm_clearance(&joints);
+            println!("{:.3} m {:?}", nearest.distance_m, nearest.parts);
+            assert!(nearest.distance_m > 0.02, "{name}: {nearest:?} {joints:?}");
+        }
+    }
+
+    #[test]
+    fn of_the_gen3_no_link_can_touch_the_next_but_one() {
+        let world = world("");
+        assert!(world.pairs.iter().all(|(one, two)| two - one >= 3), "{:?}", world.pairs);
+        assert_eq!(world.pairs.len(), 15);
+    }
+
+    #[test]
+    fn a_folded_arm_meets_itself_and_a_bowing_one_the_base() {
+        let world = world("");
+        let around = world.around(Placement::default());
+        let folded = around.arm_clearance(&[0.0, 0.0, 0.0, 2.5, 0.0, 1.6, 0.0]);
+        assert!(
+            folded.distance_m < 0.0 && matches!(folded.parts, (Part::Link(_), Part::Link(_))),
+            "{folded:?}"
+        );
+        let bowing = around.arm_clearance(&[1.57, 2.2, 0.0, 0.5, 0.0, 0.0, 0.0]);
+        assert!(bowing.distance_m < 0.0, "{bowing:?}");
+        assert!(matches!(bowing.parts, (Part::Link(_), Part::Base | Part::Floor)), "{bowing:?}");
+    }
+
+    #[test]
+    fn boxes_stay_where_they_are_when_the_base_moves() {
+        let world = world("[[box]]\nname = \"post\"\ncenter_m = [2.0, 0.5, 0.5]\nsize_m = [0.2, 0.2, 1.0]");
+        // Half the base is 0.3 m long: 2.0 - 0.1 - 0.3 ahead of the start, if straight ahead.
+        let at = |x_m, y_m, heading_rad| {
+            world.around(Placement { x_m, y_m, heading_rad }).base_clearance().distance_m
+        };
+        assert!((at(1.0, 0.5, 0.0) - 0.6).abs() < 1e-12);
+        assert!((at(2.0, -0.5, std::f64::consts::FRAC_PI_2) - 0.6).abs() < 1e-12);
+        assert_eq!(at(2.0, 0.5, 0.7), 0.0);
+        let nearest = world.around(Placement { x_m: 1.3, y_m: 0.5, heading_rad: 0.0 });
+        let reaching = nearest.arm_clearance(&[0.0, 1.57, 0.0, 0.0, 0.0, 0.0, 0.0]);
+        assert!(reaching.distance_m < 0.0 && reaching.parts.1 == Part::Box(0), "{reaching:?}");
+        assert_eq!(world.name(reaching.parts.1), "post");
+    }
+
+    #[test]
+    fn a_clear_way_is_clear_wherever_one_looks() {
+        let world = world("[[box]]\nname = \"post\"\ncenter_m = [0.55, 0.0, 0.8]\nsize_m = [0.1, 0.1, 0.8]");
+        let around = world.around(Placement::default());
+        let (mut random, mut clear, mut blocked) = (Random::new(7), 0, 0);
+        for _ in 0..300 {
+            let mut pick = || -> Joints { std::array::from_fn(|i| HOME[i] + random.between(-1.0, 1.0)) };
+            let (from, to) = (pick(), pick());
+            if world.arm().check(&from).and(world.arm().check(&to)).is_err() {
+                continue;
+            }
+            if around.arm_clearance(&from).distance_m < 0.01 {
+                continue;
+            }
+            let least = (0..=400)
+                .map(|k| around.arm_clearance(&between(&from, &to, f64::from(k) / 400.0)).distance_m)
+                .fold(f64::INFINITY, f64::min);
+            if around.way_is_clear(&from, &to, 0.01) {
+                assert!(least >= 0.005, "{least}");
+                clear += 1;
+            } else {
+                assert!(least < 0.0101, "{least}");
+                blocked += 1;
+            }
+        }
+        assert!(clear > 20 && blocked > 20, "{clear} {blocked}");
+    }
+}

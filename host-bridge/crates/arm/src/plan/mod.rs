@@ -1,0 +1,21 @@
+//! Motion planning for the arm: what is in the way, a way around it, and how fast to take it.
+//!
+//! ```text
+//! pose ─► planner ─► straight? ─► rrt + shortcuts ─► via home ─► refusal
+//!            │            └──────── collision ◄─ shape, scene, arm::model
+//!            └─► trajectory: a path in time, within the limits
+//! guard: at run time, keeps base and arm where both can still stop before they touch anything
+//! ```
+//!
+//! * [`collision`]: robot and scene, and how near they are,
+//! * [`rrt`]: the search for a way,
+//! * [`planner`]: all of it in turn,
+//! * [`guard`]: allows only motion from which one can still stop.
+
+pub mod collision;
+pub mod guard;
+pub mod planner;
+pub mod rrt;
+
+pub use collision::{Placement, World};
+pub use planner::{Kind, Plan, Planner, Refusal};

@@ -1,0 +1,270 @@
+//! From one pose to another: straight if that is clear, else around what is in the way, else via home;
+//! else a refusal with its reason.
+
+use crate::ik;
+use crate::model::{JointError, SerialArm};
+use crate::motions::{MotionError, joints_of};
+use crate::plan::collision::{Clearance, Placement, Surroundings, World};
+use crate::plan::rrt::{Search, connect, shorten};
+use crate::scene::{Goal, Route, Scene};
+use host_robot::JointLimits;
+use host_robot::Joints;
+use host_robot::Random;
+use host_robot::Trajectory;
+
+/// Checks that one search may use before it gives up.
+const CHECKS_MAX: u64 = 30_000;
+
+/// Corners are looked at this often for where braking would lead.
+const BRAKING_INTERVAL_S: f64 = 0.05;
+
+/// A path with more corners than this stops at all of them or at none.
+const CHOICE_CORNERS_MAX: usize = 4;
+
+/// How a way was found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// All joints straight to the goal.
+    Straight,
+    /// Around something.
+    Around,
+    /// Through the home pose.
+    ViaHome,
+}
+
+/// A motion that is safe where the scene is as described.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Plan {
+    /// The motion in time.
+    pub trajectory: Trajectory,
+    /// Its corners, both ends included, in rad.
+    pub path_rad: Vec<Joints>,
+    /// How it was found.
+    pub kind: Kind,
+    /// When it passes home, if it goes there first.
+    pub home_s: Option<f64>,
+    /// Checks of one configuration against everything that it took.
+    pub checks: u64,
+}
+
+/// Why the arm does not move.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum Refusal {
+    /// The goal is no configuration of this arm.
+    #[error("the goal cannot be reached: {0}; choose another pose")]
+    GoalBeyondLimit(JointError),
+    /// The arm would touch something there.
+    #[error(
+        "the goal is not safe: {one} would come within {distance_mm:.0} mm of {two}; move {two} or choose another pose"
+    )]
+    GoalBlocked {
+        /// One part.
+        one: String,
+        /// The other.
+        two: String,
+        /// Their distance at the goal; negative where they overlap.
+        distance_mm: f64,
+    },
+    /// The arm touches something now, or is beyond a limit.
+    #[error("the arm cannot start: {one} touches {two}; free it by hand")]
+    StartBlocked {
+        /// One part.
+        one: String,
+        /// The other.
+        two: String,
+    },
+    /// The arm's own angles make no sense.
+    #[error("the arm cannot start: {0}; bring it back within its limits")]
+    StartBeyondLimit(JointError),
+    /// Nothing was found.
+    #[error("no safe way was found in {checks} checks, via home neither; go home first or clear the way")]
+    NoWay {
+        /// What was spent.
+        checks: u64,
+    },
+}
+
+/// A pose of the scene file cannot be used.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error(transparent)]
+pub struct BadPose(#[from] pub MotionError);
+
+/// Plans motions in one world.
+#[derive(Clone, Debug)]
+pub struct Planner {
+    world: World,
+    limits: JointLimits,
+    goals: Vec<(String, Joints)>,
+}
+
+impl Planner {
+    /// A planner; route, scaling, margin, seed and poses come from the scene. A pose named `home` replaces
+    /// the arm's own.
+    ///
+    /// # Errors
+    /// A pose beyond the joints' limits, or a place for which no safe joint angles were found.
+    pub fn new(mut arm: SerialArm, scene: Scene) -> Result<Self, BadPose> {
+        // A home pose must be known before the world is made, and needs no inverse kinematics to be useful.
+        for (name, goal) in scene.goals() {
+            if let ("home", Goal::Joints(angles)) = (name, goal) {
+                arm.home_rad = joints_of(&arm, name, &angles).map_err(BadPose)?;
+            }
+        }
+        let limits = scene.limits(&arm);
+        let mut planner = Planner { world: World::new(arm, scene), limits, goals: Vec::new() };
+        planner.goals = planner.solve_goals()?;
+        Ok(planner)
+    }
+
+    fn solve_goals(&self) -> Result<Vec<(String, Joints)>, BadPose> {
+        let (arm, scene) = (self.world.arm(), self.world.scene());
+        let around = self.world.around(Placement::default());
+        // Twice the margin, so that there is a way in.
+        let safe = |joints: &Joints| around.arm_clearance(joints).distance_m >= 2.0 * scene.arm.margin_m;
+        let solve = |(name, goal): (&str, Goal)| {
+            let bad = |reason: String| BadPose(MotionError::Pose { name: name.to_owned(), reason });
+            let joints_rad = match goal {
+                Goal::Joints(angles) => joints_of(arm, name, &angles).map_err(BadPose)?,
+                Goal::Flange(pose) => {
+                    ik::solve(arm, &pose, &arm.home_rad, scene.arm.seed, safe)
+                        .map_err(|error| bad(error.to_string()))?
+                        .joints_rad
+                }
+            };
+            Ok((name.to_owned(), joints_rad))
+        };
+        scene.goals().into_iter().map(solve).collect()
+    }
+
+    /// The poses of the scene file, as joint angles.
+    pub fn goals(&self) -> &[(String, Joints)] {
+        &self.goals
+    }
+
+    /// The pose of that name.
+    pub fn goal(&self, name: &str) -> Option<Joints> {
+        self.goals.iter().find(|(known, _)| known == name).map(|(_, joints_rad)| *joints_rad)
+    }
+
+    /// Robot and scene.
+    pub fn world(&self) -> &World {
+        &self.world
+    }
+
+    /// Scaled limits of the joints.
+    pub fn limits(&self) -> &JointLimits {
+        &self.limits
+    }
+
+    /// Plans from rest to rest with the base standing at `placement`. `turn` sets apart plans that are
+    /// otherwise alike: equal turns give equal plans.
+    ///
+    /// # Errors
+    /// [`Refusal`], with which nothing moves.
+    pub fn plan(
+        &self,
+        from_rad: &Joints,
+        to_rad: &Joints,
+        placement: Placement,
+        turn: u64,
+    ) -> Result<Plan, Refusal> {
+        let arm = self.world.arm();
+        arm.check(to_rad).map_err(Refusal::GoalBeyondLimit)?;
+        arm.check(from_rad).map_err(Refusal::StartBeyondLimit)?;
+        let around = self.world.around(placement);
+        let name = |part| self.world.name(part).to_owned();
+
+        let Clearance { distance_m, parts: (one, two) } = around.arm_clearance(to_rad);
+        if distance_m < self.world.scene().arm.margin_m {
+            let (one, two, distance_mm) = (name(one), name(two), distance_m * 1000.0);
+            return Err(Refusal::GoalBlocked { one, two, distance_mm });
+        }
+        let Clearance { distance_m, parts: (one, two) } = around.arm_clearance(from_rad);
+        if distance_m <= 0.0 {
+            return Err(Refusal::StartBlocked { one: name(one), two: name(two) });
+        }
+        // An arm that was stopped near something may leave, but come no nearer.
+        let margin_m = self.world.scene().arm.margin_m.min(0.8 * distance_m);
+        let seed = Random::new(self.world.scene().arm.seed ^ turn.wrapping_mul(0x9E37_79B9)).bits();
+        let search = Search { margin_m, checks_max: CHECKS_MAX, seed };
+
+        let home_rad = arm.home_rad;
+        let via_home = || -> Option<Plan> {
+            if around.arm_clearance(&home_rad).distance_m < margin_m {
+                return None;
+            }
+            let (there, _) = self.leg(&around, from_rad, &home_rad, &search)?;
+            let (onward, _) = self.leg(&around, &home_rad, to_rad, &search)?;
+            let home_s = Some(there.trajectory.duration_s());
+            let mut path_rad = there.path_rad;
+            path_rad.extend(&onward.path_rad[1..]);
+            let trajectory = there.trajectory.then(&onward.trajectory);
+            Some(Plan { trajectory, path_rad, kind: Kind::ViaHome, home_s, checks: 0 })
+        };
+        let direct = || -> Option<Plan> { Some(self.leg(&around, from_rad, to_rad, &search)?.0) };
+        let found = match self.world.scene().arm.route {
+            Route::ViaHome => via_home(),
+            Route::Direct => direct().or_else(via_home),
+        };
+        let checks = around.checks();
+        match found {
+            Some(plan) => Ok(Plan { checks, ..plan }),
+            None => Err(Refusal::NoWay { checks }),
+        }
+    }
+
+    /// One way from rest to rest: straight, or around.
+    fn leg(
+        &self,
+        around: &Surroundings<'_>,
+        from_rad: &Joints,
+        to_rad: &Joints,
+        search: &Search,
+    ) -> Option<(Plan, Kind)> {
+        let (path_rad, kind) = if around.way_is_clear(from_rad, to_rad, search.margin_m) {
+            (vec![*from_rad, *to_rad], Kind::Straight)
+        } else {
+            let path = connect(around, from_rad, to_rad, search)?;
+            (shorten(around, path, search), Kind::Around)
+        };
+        let trajectory = self.quickest(around, &path_rad, search.margin_m);
+        Some((Plan { trajectory, path_rad, kind, home_s: None, checks: 0 }, kind))
+    }
+
+    /// The quickest motion along a clear path of which every cut corner is clear too, and every way to
+    /// brake there.
+    fn quickest(&self, around: &Surroundings<'_>, path_rad: &[Joints], margin_m: f64) -> Trajectory {
+        let corners = path_rad.len().saturating_sub(2);
+        let choices: Vec<Vec<bool>> = if corners <= CHOICE_CORNERS_MAX {
+            (0..1 << corners).map(|bits| (0..corners).map(|k| bits >> k & 1 == 1).collect()).collect()
+        } else {
+            vec![vec![false; corners], vec![true; corners]]
+        };
+        let mut motions: Vec<Trajectory> =
+            choices.iter().map(|stops| Trajectory::through(path_rad, stops, &self.limits)).collect();
+        motions.sort_by(|a, b| a.duration_s().total_cmp(&b.duration_s()));
+        let clear = motions.into_iter().find(|motion| self.corners_are_clear(around, motion, margin_m));
+        // With a stop at every corner the motion is the path itself, which is clear.
+        clear.unwrap_or_else(|| Trajectory::through(path_rad, &vec![true; corners], &self.limits))
+    }
+
+    fn corners_are_clear(&self, around: &Surroundings<'_>, motion: &Trajectory, margin_m: f64) -> bool {
+        motion.corners_s().into_iter().all(|(start_s, end_s)| {
+            let steps = ((end_s - start_s) / BRAKING_INTERVAL_S).ceil().max(1.0) as usize;
+            let at = |k: usize| motion.motion(start_s + (end_s - start_s) * k as f64 / steps as f64);
+            (0..=steps).all(|k| {
+                let here = at(k);
+                let onward = at((k + 1).min(steps)).joints_rad;
+                let braking = Trajectory::braking(here, &self.limits);
+                let mut from = here.joints_rad;
+                around.way_is_clear(&from, &onward, margin_m)
+                    && braking.knots_s().into_iter().all(|knot_s| {
+                        let way = (from, braking.motion(knot_s).joints_rad);
+                        from = way.1;
+                        self.world.arm().check(&way.1).is_ok()
+                            && around.way_is_clear(&way.0, &way.1, margin_m)
+                    })
+            })
+        })
+    }
+}

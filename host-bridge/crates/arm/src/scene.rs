@@ -1,0 +1,406 @@
+//! The scene file: what stands around the robot, how big its base is, and how its arm is to move.
+//!
+//! ```toml
+//! [base]                      # every line is optional
+//! wheel_radius_m = 0.1
+//! track_m = 0.4
+//! size_m = [0.6, 0.5, 0.35]   # length, width, height of the body, which floats 0.05 m above the floor
+//! mount_m = [0.1, 0.0, 0.4]   # the arm's foot
+//!
+//! [arm]
+//! route = "direct"            # or "via-home", as in the paper
+//! velocity_scaling = 0.1
+//! acceleration_scaling = 0.05
+//! jerk_limited = false        # true: accelerations rise and fall no faster than jerk_rad_s3
+//! jerk_rad_s3 = 4.3           # of all joints, not scaled
+//! # urdf = "arm.urdf"         # another arm than the Gen3 (build with `--features urdf`); then also give poses
+//!
+//! [[box]]                     # upright boxes; x forward, y left, z up from the robot's start on the floor
+//! name = "table"
+//! center_m = [0.8, 0.0, 0.35]
+//! size_m = [0.6, 1.2, 0.7]
+//! yaw_rad = 0.0
+//!
+//! [[pose]]                    # joint angles, or where the flange shall be; a motion's name (home, pick-up,
+//! name = "pick-up"            # place, …) replaces that motion; "ready" is where the simulated arm starts.
+//!                             # Any pose is also a motion: --map wave="bin 1"
+//! position_m = [0.6, 0.1, 0.9]
+//! quaternion_wxyz = [0, 1, 0, 0]
+//! ```
+
+use std::path::PathBuf;
+
+use serde::Deserialize;
+
+use host_robot::Pose;
+
+use crate::gen3::{ACCELERATION_SCALING, MAX_JERK_RAD_S3, VELOCITY_SCALING};
+use crate::motions::MotionTable;
+use host_robot::BaseConfig;
+use host_robot::JointLimits;
+use host_robot::shape::{Point, UprightBox};
+
+/// Everything in the file, checked.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Scene {
+    /// One line for people.
+    #[serde(default)]
+    pub title: String,
+    /// Size of the base and its wheels.
+    #[serde(default)]
+    pub base: BaseTable,
+    /// How the arm moves.
+    #[serde(default)]
+    pub arm: ArmTable,
+    /// What stands around.
+    #[serde(default, rename = "box")]
+    pub boxes: Vec<NamedBox>,
+    /// Named goals.
+    #[serde(default, rename = "pose")]
+    pub poses: Vec<NamedPose>,
+    /// Motions of its own.
+    #[serde(default, rename = "motion")]
+    pub motions: Vec<MotionTable>,
+}
+
+/// The mobile base.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct BaseTable {
+    /// Radius of the driven wheels.
+    pub wheel_radius_m: f64,
+    /// Distance between the wheels' contact points.
+    pub track_m: f64,
+    /// Fastest wheel speed.
+    pub wheel_speed_max_rad_s: f64,
+    /// Largest change of wheel speed per second.
+    pub wheel_acceleration_max_rad_s2: f64,
+    /// Variance that each metre of a wheel's way adds to that way, in m²/m.
+    pub wheel_variance_m: f64,
+    /// Length, width and height of the body, which reaches down to 0.05 m above the floor.
+    pub size_m: Point,
+    /// The arm's foot, from the point on the floor between the wheels.
+    pub mount_m: Point,
+}
+
+/// Minimum jerk limit: from full speed at the paper's scaling a stop then takes about a second.
+pub const JERK_MIN_RAD_S3: f64 = 0.5;
+
+/// The lowest part of the base's body is this far above the floor.
+const GROUND_CLEARANCE_M: f64 = 0.05;
+
+impl Default for BaseTable {
+    fn default() -> Self {
+        let base = BaseConfig::default();
+        BaseTable {
+            wheel_radius_m: base.wheel_radius_m,
+            track_m: base.track_m,
+            wheel_speed_max_rad_s: base.wheel_speed_max_rad_s,
+            wheel_acceleration_max_rad_s2: base.wheel_acceleration_max_rad_s2,
+            wheel_variance_m: base.wheel_variance_m,
+            size_m: [0.6, 0.5, 0.35],
+            mount_m: [0.1, 0.0, 0.4],
+        }
+    }
+}
+
+impl BaseTable {
+    /// The body as seen from the point on the floor between the wheels.
+    pub fn body(&self) -> UprightBox {
+        UprightBox {
+            center_m: [0.0, 0.0, GROUND_CLEARANCE_M + 0.5 * self.size_m[2]],
+            half_m: self.size_m.map(|size| 0.5 * size),
+            yaw_rad: 0.0,
+        }
+    }
+
+    /// What the base's own motion needs.
+    pub fn config(&self) -> BaseConfig {
+        BaseConfig {
+            wheel_radius_m: self.wheel_radius_m,
+            track_m: self.track_m,
+            wheel_speed_max_rad_s: self.wheel_speed_max_rad_s,
+            wheel_acceleration_max_rad_s2: self.wheel_acceleration_max_rad_s2,
+            wheel_variance_m: self.wheel_variance_m,
+        }
+    }
+}
+
+/// Which way the arm takes to a pose.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Route {
+    /// Home first, as in the paper.
+    ViaHome,
+    /// The planned way; via home only where none is found.
+    #[default]
+    Direct,
+}
+
+/// Which arm it is, and how it moves.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ArmTable {
+    /// Which way.
+    pub route: Route,
+    /// Share of the arm's speeds that is used.
+    pub velocity_scaling: f64,
+    /// Share of the arm's accelerations that is used.
+    pub acceleration_scaling: f64,
+    /// Accelerations rise and fall no faster than `jerk_rad_s3`, also while stopping.
+    pub jerk_limited: bool,
+    /// Of all joints; not scaled.
+    pub jerk_rad_s3: f64,
+    /// Plans keep this far from everything at least, and half of it where nobody looked.
+    pub margin_m: f64,
+    /// Equal seeds give equal plans.
+    pub seed: u64,
+    /// Another arm than the Gen3: its file, seen from the scene file (feature `urdf`).
+    pub urdf: Option<PathBuf>,
+    /// The last link of that arm, where the file has several ends.
+    pub tip: Option<String>,
+    /// Around the bones of its links that have no simple shapes in the file.
+    pub link_radius_m: f64,
+    /// For its joints that have none in the file, before scaling.
+    pub acceleration_rad_s2: f64,
+}
+
+impl Default for ArmTable {
+    fn default() -> Self {
+        ArmTable {
+            route: Route::default(),
+            velocity_scaling: VELOCITY_SCALING,
+            acceleration_scaling: ACCELERATION_SCALING,
+            jerk_limited: false,
+            jerk_rad_s3: MAX_JERK_RAD_S3,
+            margin_m: 0.01,
+            seed: 1,
+            urdf: None,
+            tip: None,
+            link_radius_m: 0.06,
+            acceleration_rad_s2: 1.0,
+        }
+    }
+}
+
+/// An upright box.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct NamedBox {
+    /// Unlike the other boxes'.
+    pub name: String,
+    /// Its middle.
+    pub center_m: Point,
+    /// Length, width, height.
+    pub size_m: Point,
+    /// Turned to the left.
+    #[serde(default)]
+    pub yaw_rad: f64,
+}
+
+impl NamedBox {
+    /// Its shape, as collision checks take it.
+    pub fn shape(&self) -> UprightBox {
+        UprightBox {
+            center_m: self.center_m,
+            half_m: self.size_m.map(|size| 0.5 * size),
+            yaw_rad: self.yaw_rad,
+        }
+    }
+}
+
+/// A goal of the arm: joint angles, or a place of the flange.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct NamedPose {
+    /// Unlike the other poses'.
+    pub name: String,
+    /// One angle per joint.
+    pub joints_rad: Option<Vec<f64>>,
+    /// Place of the flange, from the robot's start on the floor.
+    pub position_m: Option<Point>,
+    /// Orientation of the flange, whose z axis points out of the arm.
+    pub quaternion_wxyz: Option<[f64; 4]>,
+}
+
+/// What a pose asks for.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Goal {
+    /// These angles, one per joint of the arm.
+    Joints(Vec<f64>),
+    /// The flange there, in the arm's base frame, with the base at the start.
+    Flange(Pose),
+}
+
+/// The file cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum SceneError {
+    /// It is no TOML, or has the wrong fields.
+    #[error("{0}")]
+    Toml(#[from] toml::de::Error),
+    /// A value makes no sense.
+    #[error("{0}")]
+    Value(String),
+}
+
+impl Default for Scene {
+    /// Nothing around, the default base, the paper's scaling.
+    fn default() -> Self {
+        Scene {
+            title: String::new(),
+            base: BaseTable::default(),
+            arm: ArmTable::default(),
+            boxes: Vec::new(),
+            poses: Vec::new(),
+            motions: Vec::new(),
+        }
+    }
+}
+
+impl Scene {
+    /// Reads a scene and checks every value.
+    ///
+    /// # Errors
+    /// Says what is wrong: line and column for the form, the name of the table for a value.
+    pub fn parse(text: &str) -> Result<Self, SceneError> {
+        let scene: Scene = toml::from_str(text)?;
+        scene.check().map_err(SceneError::Value)?;
+        Ok(scene)
+    }
+
+    fn check(&self) -> Result<(), String> {
+        let positive = |name: &str, value: f64| {
+            let fine = value.is_finite() && value > 0.0;
+            if fine { Ok(()) } else { Err(format!("{name} = {value}: must be a number above 0")) }
+        };
+        let base = &self.base;
+        positive("base: wheel_radius_m", base.wheel_radius_m)?;
+        positive("base: track_m", base.track_m)?;
+        positive("base: wheel_speed_max_rad_s", base.wheel_speed_max_rad_s)?;
+        positive("base: wheel_acceleration_max_rad_s2", base.wheel_acceleration_max_rad_s2)?;
+        positive("base: wheel_variance_m", base.wheel_variance_m)?;
+        base.size_m.iter().try_for_each(|&size| positive("base: size_m", size))?;
+        if !base.mount_m.iter().all(|m| m.is_finite()) {
+            return Err("base: mount_m must be three numbers".to_owned());
+        }
+        for (name, value) in [
+            ("arm: velocity_scaling", self.arm.velocity_scaling),
+            ("arm: acceleration_scaling", self.arm.acceleration_scaling),
+        ] {
+            positive(name, value)?;
+            if value > 1.0 {
+                return Err(format!("{name} = {value}: must be at most 1"));
+            }
+        }
+        let jerk_rad_s3 = self.arm.jerk_rad_s3;
+        if !(jerk_rad_s3.is_finite() && jerk_rad_s3 >= JERK_MIN_RAD_S3) {
+            return Err(format!(
+                "arm: jerk_rad_s3 = {jerk_rad_s3}: must be a number of {JERK_MIN_RAD_S3} or more"
+            ));
+        }
+        positive("arm: margin_m", self.arm.margin_m)?;
+        positive("arm: link_radius_m", self.arm.link_radius_m)?;
+        positive("arm: acceleration_rad_s2", self.arm.acceleration_rad_s2)?;
+        for (i, shape) in self.boxes.iter().enumerate() {
+            let name = &shape.name;
+            shape.size_m.iter().try_for_each(|&size| positive(&format!("box '{name}': size_m"), size))?;
+            if !(shape.center_m.iter().all(|m| m.is_finite()) && shape.yaw_rad.is_finite()) {
+                return Err(format!("box '{name}': center_m and yaw_rad must be numbers"));
+            }
+            if self.boxes[..i].iter().any(|other| other.name == *name) {
+                return Err(format!("box '{name}' is there twice; give each its own name"));
+            }
+        }
+        for (i, pose) in self.poses.iter().enumerate() {
+            let name = &pose.name;
+            self.goal(pose)?;
+            if self.poses[..i].iter().any(|other| other.name == *name) {
+                return Err(format!("pose '{name}' is there twice; give each its own name"));
+            }
+        }
+        Ok(())
+    }
+
+    /// Scaled limits of an arm in this scene.
+    pub fn limits(&self, arm: &crate::model::SerialArm) -> JointLimits {
+        let limits = arm.limits(self.arm.velocity_scaling, self.arm.acceleration_scaling);
+        if self.arm.jerk_limited { limits.with_jerk(self.arm.jerk_rad_s3) } else { limits }
+    }
+
+    /// The goals in the order of the file.
+    pub fn goals(&self) -> Vec<(&str, Goal)> {
+        // Every pose was read once by `check`.
+        self.poses.iter().filter_map(|pose| Some((pose.name.as_str(), self.goal(pose).ok()?))).collect()
+    }
+
+    fn goal(&self, pose: &NamedPose) -> Result<Goal, String> {
+        let name = &pose.name;
+        match (&pose.joints_rad, pose.position_m, pose.quaternion_wxyz) {
+            (Some(angles), None, None) => {
+                if !angles.iter().all(|a| a.is_finite()) {
+                    return Err(format!("pose '{name}': joints_rad must be finite angles"));
+                }
+                Ok(Goal::Joints(angles.clone()))
+            }
+            (None, Some(position_m), Some(q)) => {
+                let length = q.iter().map(|c| c * c).sum::<f64>().sqrt();
+                if !(length.is_finite() && length > 0.5 && position_m.iter().all(|m| m.is_finite())) {
+                    return Err(format!("pose '{name}': position_m or quaternion_wxyz is no place"));
+                }
+                let mount_m = self.base.mount_m;
+                Ok(Goal::Flange(Pose {
+                    position_m: [0, 1, 2].map(|k| position_m[k] - mount_m[k]),
+                    rotation: rotation(q.map(|c| c / length)),
+                }))
+            }
+            _ => Err(format!(
+                "pose '{name}' needs either joints_rad, or position_m together with quaternion_wxyz"
+            )),
+        }
+    }
+}
+
+/// Rotation matrix of a unit quaternion.
+fn rotation([w, x, y, z]: [f64; 4]) -> [[f64; 3]; 3] {
+    [
+        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
+        [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
+        [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
+    ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_empty_file_is_the_papers_robot_with_nothing_around() {
+        let scene = Scene::parse("").unwrap();
+        assert_eq!(scene, Scene::default());
+        assert_eq!(scene.base.config(), BaseConfig::default());
+        assert_eq!(scene.limits(&crate::model::SerialArm::gen3()), crate::gen3::paper_limits());
+    }
+
+    #[test]
+    fn wheels_and_track_come_from_the_file() {
+        let scene = Scene::parse("[base]\nwheel_radius_m = 0.05\ntrack_m = 0.3").unwrap();
+        assert_eq!((scene.base.config().wheel_radius_m, scene.base.config().track_m), (0.05, 0.3));
+    }
+
+    #[test]
+    fn wrong_values_are_named() {
+        for (text, told) in [
+            ("[[box]]\nname = \"a\"\ncenter_m = [0, 0, 0]\nsize_m = [1, 0, 1]", "box 'a': size_m = 0"),
+            ("[base]\ntrack_m = -1.0", "base: track_m = -1"),
+            ("[arm]\nvelocity_scaling = 2.0", "must be at most 1"),
+            ("[arm]\njerk_rad_s3 = 0.1", "arm: jerk_rad_s3 = 0.1"),
+            ("[[pose]]\nname = \"p\"\nposition_m = [0, 0, 0]", "pose 'p' needs either"),
+            ("[[pose]]\nname = \"p\"\njoints_rad = [nan]", "pose 'p': joints_rad"),
+            ("[base]\nwheels = 3", "line 2"),
+        ] {
+            let error = Scene::parse(text).unwrap_err().to_string();
+            assert!(error.contains(told), "{error}");
+        }
+    }
+}

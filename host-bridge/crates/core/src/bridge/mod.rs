@@ -1,0 +1,374 @@
+//! The bridge itself: links, safety and intents wired to a robot. Bytes and the time come in.
+
+mod events;
+
+pub use events::{BridgeEvent, Drops, EventKind, GestureOutcome, HeadingName};
+
+use shared_proto::message::{Ack, Heading, HostMessage, LeftState};
+
+use host_robot::{Busy, Door, MotionName, NotStarted, Report, Twist};
+
+use crate::intent::{Caps, MotionMap, SpeedRules, is_rest};
+use crate::link::{HandLink, Heard, NewGesture, RightReport, is_healthy};
+use crate::safety::{self, Action, Hand, Ignored, Safety, SafetyTimes, State};
+
+/// The base's speed is repeated this often, so that the robot knows that the bridge lives.
+pub const DRIVE_INTERVAL_MS: u64 = 20;
+
+/// The bridge.
+#[derive(Clone, Debug)]
+pub struct Bridge {
+    left: HandLink,
+    right: HandLink,
+    safety: Safety,
+    caps: Caps,
+    map: MotionMap,
+    drops: Drops,
+    scores: Vec<f32>,
+    left_state: LeftState,
+    right_health: u8,
+    was_armed: bool,
+    driven: (Twist, u64),
+    events: Vec<BridgeEvent>,
+    heard: Vec<Heard>,
+    last_acks: [Option<Ack>; 2],
+}
+
+impl Bridge {
+    /// A bridge that waits for its hands.
+    pub fn new(map: MotionMap) -> Self {
+        Bridge::with(map, SpeedRules::default(), SafetyTimes::default())
+    }
+
+    /// The same with other limits.
+    pub fn with(map: MotionMap, speed: SpeedRules, times: SafetyTimes) -> Self {
+        Bridge {
+            left: HandLink::new(Hand::Left),
+            right: HandLink::new(Hand::Right),
+            safety: Safety::with(times),
+            caps: Caps::new(speed),
+            map,
+            drops: Drops::default(),
+            scores: Vec::new(),
+            left_state: LeftState { heading: Heading::Neutral, ..LeftState::default() },
+            right_health: 0,
+            was_armed: false,
+            driven: (Twist::ZERO, 0),
+            events: Vec::new(),
+            heard: Vec::new(),
+            last_acks: [None; 2],
+        }
+    }
+
+    /// Nothing moves before this hand has said hello.
+    #[must_use]
+    pub fn awaiting(mut self, hand: Hand) -> Self {
+        self.safety.await_hand(hand);
+        self
+    }
+
+    /// Lets go of motions that the robot does not have.
+    #[must_use]
+    pub fn known_to(mut self, knows: impl Fn(&MotionName) -> bool) -> Self {
+        self.map = self.map.known_to(knows);
+        self
+    }
+
+    /// Takes bytes of one hand's link, in any slicing, and acts on what they say.
+    pub fn receive(&mut self, hand: Hand, bytes: &[u8], now_ms: u64, robot: &mut dyn Door) {
+        let mut heard = std::mem::take(&mut self.heard);
+        self.link_mut(hand).receive(bytes, now_ms, &mut heard);
+        for message in heard.drain(..) {
+            self.handle(hand, message, now_ms, robot);
+        }
+        self.heard = heard;
+    }
+
+    /// Lets time pass; must be called every few milliseconds, whether or not bytes came.
+    pub fn step(&mut self, now_ms: u64, robot: &mut dyn Door) {
+        self.apply(safety::Event::Tick, now_ms, robot);
+        for report in robot.take_reports() {
+            let kind = match report {
+                Report::MotionEnded { motion, reached } => EventKind::MotionEnded { motion, reached },
+                Report::BaseHeld { reason } => EventKind::BaseHeld { reason },
+                Report::BaseFree => EventKind::BaseFree,
+                Report::Note(text) => EventKind::Robot { text },
+            };
+            self.note(now_ms, kind);
+        }
+        let due = now_ms.saturating_sub(self.driven.1) >= DRIVE_INTERVAL_MS;
+        // Before the first neutral nothing at all is sent.
+        if self.was_armed && (due || self.twist() != self.driven.0) {
+            self.drive(now_ms, robot);
+        }
+    }
+
+    /// What to send to a hand's board now, if anything.
+    pub fn poll(&mut self, hand: Hand, now_ms: u64) -> Option<HostMessage<'static>> {
+        self.link_mut(hand).poll(now_ms)
+    }
+
+    /// The ping that a hand's board is due now, if any. Ask only when it can really be sent.
+    pub fn ping(&mut self, hand: Hand, now_ms: u64) -> Option<HostMessage<'static>> {
+        self.link_mut(hand).ping(now_ms)
+    }
+
+    /// A hand's newest answer to a request (hellos and pongs are none).
+    pub fn last_ack(&self, hand: Hand) -> Option<Ack> {
+        self.last_acks[hand as usize]
+    }
+
+    /// The operator's stop: a key, a button.
+    pub fn stop_key(&mut self, now_ms: u64, robot: &mut dyn Door) {
+        self.apply(safety::Event::StopKey, now_ms, robot);
+    }
+
+    /// The release key, pressed and confirmed; has an effect only where no right hand is connected.
+    pub fn release_key(&mut self, now_ms: u64, robot: &mut dyn Door) {
+        self.apply(safety::Event::ReleaseKey, now_ms, robot);
+    }
+
+    /// What happened since the last call.
+    pub fn take_events(&mut self) -> Vec<BridgeEvent> {
+        std::mem::take(&mut self.events)
+    }
+
+    /// The safety machine.
+    pub fn safety(&self) -> &Safety {
+        &self.safety
+    }
+
+    /// The link of one hand.
+    pub fn link(&self, hand: Hand) -> &HandLink {
+        match hand {
+            Hand::Left => &self.left,
+            Hand::Right => &self.right,
+        }
+    }
+
+    /// The caps now.
+    pub fn caps(&self) -> Caps {
+        self.caps
+    }
+
+    /// The speed that the base is asked for now: zero unless armed.
+    pub fn twist(&self) -> Twist {
+        self.caps.twist(self.safety.heading())
+    }
+
+    /// What was dropped so far.
+    pub fn drops(&self) -> Drops {
+        self.drops
+    }
+
+    /// The right hand's newest scores, one per label of its model.
+    pub fn scores(&self) -> &[f32] {
+        &self.scores
+    }
+
+    /// The left hand's newest pitch and roll in milliradians, and its heading (whether or not it acts).
+    pub fn left_hand(&self) -> (i16, i16, HeadingName) {
+        let LeftState { pitch_mrad, roll_mrad, heading, .. } = self.left_state;
+        (pitch_mrad, roll_mrad, heading.into())
+    }
+
+    /// The left hand's newest state as received, late or not.
+    pub fn left_state(&self) -> &LeftState {
+        &self.left_state
+    }
+
+    /// Health flags of the right hand's newest state.
+    pub fn right_health(&self) -> u8 {
+        self.right_health
+    }
+
+    fn link_mut(&mut self, hand: Hand) -> &mut HandLink {
+        match hand {
+            Hand::Left => &mut self.left,
+            Hand::Right => &mut self.right,
+        }
+    }
+
+    fn note(&mut self, time_ms: u64, kind: EventKind) {
+        self.events.push(BridgeEvent { time_ms, kind });
+    }
+
+    fn drive(&mut self, now_ms: u64, robot: &mut dyn Door) {
+        let twist = self.twist();
+        self.driven = (twist, now_ms);
+        robot.drive(twist);
+    }
+
+    fn handle(&mut self, hand: Hand, heard: Heard, now_ms: u64, robot: &mut dyn Door) {
+        match heard {
+            Heard::Started(identity) => {
+                self.note(now_ms, EventKind::HandStarted { hand, identity });
+                if hand == Hand::Right {
+                    self.scores.clear();
+                }
+                self.apply(safety::Event::Started(hand), now_ms, robot);
+            }
+            Heard::Unusable(problem) => {
+                self.note(now_ms, EventKind::HandUnusable { hand, problem });
+                self.apply(safety::Event::Unusable(hand), now_ms, robot);
+            }
+            Heard::Model(model) => {
+                let without = self.map.without_motion(&model.labels);
+                let without_motion = without.into_iter().map(str::to_owned).collect();
+                self.note(now_ms, EventKind::Model { model, without_motion });
+            }
+            Heard::Left { age_ms, state, index_bends, middle_bends } => {
+                let before = command(self.safety.heading());
+                let event = safety::Event::Left {
+                    age_ms,
+                    healthy: is_healthy(state.health),
+                    heading: state.heading,
+                    index_bends,
+                    middle_bends,
+                    stop: state.stop,
+                };
+                self.left_state = state;
+                self.apply(event, now_ms, robot);
+                let heading = self.safety.heading();
+                // A halt has its own event.
+                if self.safety.state() == State::Armed && command(heading) != before {
+                    let event = EventKind::Heading {
+                        heading: heading.into(),
+                        twist: self.twist(),
+                        sample_board_ms: state.board_time_ms,
+                        age_ms,
+                    };
+                    self.note(now_ms, event);
+                }
+            }
+            Heard::Right(report) => self.right(report, now_ms, robot),
+            Heard::Fault(fault) => {
+                let fault = format!("{:?} (detail {:#x})", fault.kind, fault.detail);
+                self.note(now_ms, EventKind::BoardFault { hand, fault });
+            }
+            Heard::Ack(ack) => self.last_acks[hand as usize] = Some(ack),
+            Heard::Status(_) | Heard::Pong(_) => {}
+        }
+    }
+
+    fn right(&mut self, report: RightReport, now_ms: u64, robot: &mut dyn Door) {
+        let labels = self.right.model().map_or(&[][..], |model| &model.labels);
+        let resting = rests(labels, &report.scores);
+        let label = |new: NewGesture| labels.get(usize::from(new.label)).cloned();
+        let named = report.gesture.and_then(|new| label(new).map(|label| (new, label)));
+        if let Some(new) = report.gesture {
+            let unnamed = if named.is_some() { new.unnamed } else { new.unnamed.saturating_add(1) };
+            self.drops.gestures_unnamed += u32::from(unnamed);
+        }
+        let gesture = named.as_ref().map(|(new, label)| safety::Gesture {
+            label: new.label,
+            age_ms: new.age_ms,
+            releases: self.map.motion(label).is_some_and(|motion| *motion == *MotionName::HOME),
+        });
+        self.scores = report.scores;
+        self.right_health = report.health;
+        let event = safety::Event::Right {
+            age_ms: report.age_ms,
+            healthy: is_healthy(report.health),
+            resting,
+            gesture,
+        };
+        let outcome = self.apply(event, now_ms, robot);
+        if let Some((new, label)) = named {
+            let outcome = outcome.unwrap_or(GestureOutcome::Late);
+            match &outcome {
+                GestureOutcome::Started(_) | GestureOutcome::Released => {}
+                GestureOutcome::Busy(_) => self.drops.gestures_while_busy += 1,
+                GestureOutcome::Refused(_) => self.drops.gestures_refused += 1,
+                GestureOutcome::NoMotion => self.drops.gestures_without_motion += 1,
+                GestureOutcome::Late => self.drops.late_gestures += 1,
+                GestureOutcome::NotArmed => self.drops.gestures_while_not_armed += 1,
+            }
+            let event = EventKind::Gesture {
+                label,
+                confidence: new.confidence,
+                window_end_board_ms: new.window_end_ms,
+                age_ms: new.age_ms,
+                outcome,
+            };
+            self.note(now_ms, event);
+        }
+    }
+
+    /// Lets the safety machine decide and carries its actions out. What follows from a gesture, if one came.
+    fn apply(&mut self, event: safety::Event, now_ms: u64, robot: &mut dyn Door) -> Option<GestureOutcome> {
+        let mut outcome = None;
+        for action in self.safety.step(event, now_ms) {
+            match action {
+                Action::Halt(reason) => {
+                    robot.halt();
+                    self.driven = (Twist::ZERO, now_ms);
+                    self.note(now_ms, EventKind::Halt { reason });
+                }
+                Action::ResetCaps => self.caps = Caps::new(self.caps.rules),
+                Action::Entered(state) => {
+                    self.was_armed |= state == State::Armed;
+                    self.note(now_ms, EventKind::State { state });
+                }
+                Action::Released => {
+                    outcome = Some(GestureOutcome::Released);
+                    self.note(now_ms, EventKind::Released);
+                }
+                Action::Bends { index, middle } => {
+                    self.caps.bend(index, middle);
+                    let cap = self.caps.linear_m_s;
+                    self.note(now_ms, EventKind::Caps { index, middle, cap });
+                }
+                Action::Gesture(gesture) => outcome = Some(self.start(gesture.label, now_ms, robot)),
+                Action::Ignored(what) => {
+                    match what {
+                        Ignored::LateState(_) => self.drops.late_states += 1,
+                        Ignored::BendsWhileNotArmed => self.drops.bends_while_not_armed += 1,
+                        Ignored::LateGesture => outcome = Some(GestureOutcome::Late),
+                        Ignored::GestureWhileNotArmed => outcome = Some(GestureOutcome::NotArmed),
+                        Ignored::ReleaseKey => {}
+                    }
+                    // Late states come in bursts; the count says enough.
+                    if !matches!(what, Ignored::LateState(_)) {
+                        self.note(now_ms, EventKind::Ignored { what });
+                    }
+                }
+            }
+        }
+        outcome
+    }
+
+    fn start(&mut self, label: u8, now_ms: u64, robot: &mut dyn Door) -> GestureOutcome {
+        let name = self.right.model().and_then(|model| model.labels.get(usize::from(label)));
+        let Some(motion) = name.and_then(|name| self.map.motion(name)).cloned() else {
+            return GestureOutcome::NoMotion;
+        };
+        match robot.start_motion(&motion) {
+            Ok(()) => GestureOutcome::Started(motion),
+            Err(NotStarted::Busy(Busy(running))) => GestureOutcome::Busy(running),
+            Err(NotStarted::Refused(reason)) => {
+                self.note(now_ms, EventKind::MotionRefused { motion: motion.clone(), reason });
+                GestureOutcome::Refused(motion)
+            }
+        }
+    }
+}
+
+/// What a heading asks of the base: neutral and between are one to it.
+fn command(heading: Heading) -> Heading {
+    if heading == Heading::Between { Heading::Neutral } else { heading }
+}
+
+/// Does the right hand rest? Without scores nobody knows; a model without a resting class cannot tell,
+/// and is then not waited for.
+fn rests(labels: &[String], scores: &[f32]) -> bool {
+    if scores.is_empty() || scores.len() != labels.len() {
+        return false;
+    }
+    if !labels.iter().any(|label| is_rest(label)) {
+        return true;
+    }
+    // Of equal scores the first label wins, as on the board. All zero means that nothing was computed.
+    let top = (0..scores.len()).rev().max_by(|&a, &b| scores[a].total_cmp(&scores[b]));
+    top.is_some_and(|top| scores[top] > 0.0 && is_rest(&labels[top]))
+}

@@ -1,0 +1,142 @@
+//! Events as lines for people. Degrees appear here and nowhere deeper.
+
+use crate::bridge::{BridgeEvent, EventKind, GestureOutcome, HeadingName};
+use crate::observe::SessionEvent;
+use crate::safety::{HaltReason, Hand, Ignored, State};
+use crate::session::Summary;
+
+/// One line, without its time.
+pub fn text(event: &SessionEvent) -> String {
+    let kind = match event {
+        SessionEvent::RecordingEnded { hand, .. } => {
+            return format!("{hand} hand: the recording is over; silence will halt the robot");
+        }
+        SessionEvent::Bridge(BridgeEvent { kind, .. }) => kind,
+    };
+    match kind {
+        EventKind::HandStarted { hand, identity } => {
+            format!("{hand} hand: {}, firmware {}", identity.board, identity.firmware)
+        }
+        EventKind::HandUnusable { hand, problem } => format!("{hand} hand: {problem}"),
+        EventKind::Model { model, without_motion } => {
+            let mut line = format!("model {:08x}: {}", model.model_id, model.labels.join(", "));
+            if !without_motion.is_empty() {
+                line += &format!("; without a motion (see --map): {}", without_motion.join(", "));
+            }
+            line
+        }
+        EventKind::BoardFault { hand, fault } => format!("{hand} hand: fault {fault}"),
+        EventKind::State { state } => match state {
+            State::Waiting => "waiting for neutral".to_owned(),
+            State::Armed => "armed".to_owned(),
+            State::Stale => "a hand is silent or in doubt: still until it is back and neutral".to_owned(),
+            State::Stopped => "stopped: hold neutral for 1 s, then up-down".to_owned(),
+        },
+        EventKind::Halt { reason } => match reason {
+            HaltReason::OperatorStop => "HALT: stop by the operator; caps back to 0.50".to_owned(),
+            HaltReason::Silence(hand) => format!("HALT: nothing valid from the {hand} hand for 250 ms"),
+            HaltReason::Unhealthy(hand) => format!("HALT: the {hand} hand is in doubt"),
+            HaltReason::Restart(hand) => format!("HALT: the {hand} hand has started anew"),
+        },
+        EventKind::Released => "the stop is released".to_owned(),
+        EventKind::Heading { heading, twist, .. } => match heading {
+            HeadingName::Neutral | HeadingName::Between => "left hand: base halts".to_owned(),
+            HeadingName::Forward | HeadingName::Backward => {
+                format!("left hand: {} at {:.2} m/s", heading_name(*heading), twist.linear_m_s.abs())
+            }
+            HeadingName::Left | HeadingName::Right => {
+                let speed_deg_s = twist.angular_rad_s.abs().to_degrees();
+                format!("left hand: turn {} at {speed_deg_s:.0}°/s", heading_name(*heading))
+            }
+        },
+        EventKind::Caps { index, middle, cap } => {
+            let finger = if *index >= *middle { "index" } else { "middle" };
+            format!("left hand: {finger} bend, cap {cap:.3}")
+        }
+        EventKind::Gesture { label, confidence, outcome, .. } => {
+            let then = match outcome {
+                GestureOutcome::Started(motion) => format!("the arm starts {motion}"),
+                GestureOutcome::Released => "releases the stop".to_owned(),
+                GestureOutcome::Busy(motion) => format!("dropped, the arm is busy with {motion}"),
+                GestureOutcome::Refused(motion) => format!("dropped, {motion} is not safe now"),
+                GestureOutcome::NoMotion => "no motion (see --map)".to_owned(),
+                GestureOutcome::Late => "dropped, too old".to_owned(),
+                GestureOutcome::NotArmed => "dropped, not armed".to_owned(),
+            };
+            format!("right hand: {label} ({confidence:.2}) → {then}")
+        }
+        EventKind::MotionEnded { motion, reached: true } => format!("arm: {motion} reached"),
+        EventKind::MotionEnded { motion, reached: false } => format!("arm: {motion} given up on the way"),
+        EventKind::MotionRefused { motion, reason } => format!("arm: {motion} refused: {reason}"),
+        EventKind::BaseHeld { reason } => format!("the base is held back: {reason}"),
+        EventKind::BaseFree => "the base is free again".to_owned(),
+        EventKind::Robot { text } => format!("robot: {text}"),
+        EventKind::Ignored { what } => match what {
+            Ignored::LateState(hand) => format!("{hand} hand: a late state was dropped"),
+            Ignored::LateGesture => "a late gesture was dropped".to_owned(),
+            Ignored::GestureWhileNotArmed => "a gesture while not armed was dropped".to_owned(),
+            Ignored::BendsWhileNotArmed => "bends while not armed were dropped".to_owned(),
+            Ignored::ReleaseKey => "the release key has no effect now".to_owned(),
+        },
+    }
+}
+
+/// Whether the line would only repeat what the next or the last one says.
+pub fn is_echo(event: &SessionEvent) -> bool {
+    let SessionEvent::Bridge(event) = event else { return false };
+    let gesture = |what: &Ignored| matches!(what, Ignored::LateGesture | Ignored::GestureWhileNotArmed);
+    matches!(&event.kind, EventKind::Ignored { what } if gesture(what))
+}
+
+/// When it happened.
+pub fn time_ms(event: &SessionEvent) -> u64 {
+    match event {
+        SessionEvent::Bridge(event) => event.time_ms,
+        SessionEvent::RecordingEnded { time_ms, .. } => *time_ms,
+    }
+}
+
+/// Name of a heading.
+pub fn heading_name(heading: HeadingName) -> &'static str {
+    match heading {
+        HeadingName::Neutral => "neutral",
+        HeadingName::Between => "between",
+        HeadingName::Forward => "forward",
+        HeadingName::Backward => "backward",
+        HeadingName::Left => "left",
+        HeadingName::Right => "right",
+    }
+}
+
+/// What a session came to, in a few lines.
+pub fn summary(summary: &Summary) -> String {
+    let here = summary.odometry;
+    let delay = |d: crate::latency::DelaySummary| match (d.median_ms, d.worst_ms) {
+        (Some(median), Some(worst)) => format!("median {median} ms, worst {worst} ms of {}", d.count),
+        _ => "none".to_owned(),
+    };
+    let line = |hand: Hand, counters: Option<crate::link::LinkCounters>| match counters {
+        Some(c) => format!("{hand} {} ({} damaged, {} lost)", c.frames, c.damaged, c.lost),
+        None => format!("{hand} none"),
+    };
+    format!(
+        "{:.1} s: {} gestures, {} poses reached, {} stops, {} releases\n\
+         base: x {:.3} m, y {:.3} m, {:.1}°, {:.2} m driven; caps {:.3}\n\
+         frames: {}, {}\n\
+         latency: window end → arm {}; sample → wheels {}",
+        summary.seconds,
+        summary.gestures.len(),
+        summary.poses_reached.len(),
+        summary.stops,
+        summary.releases,
+        here.x_m,
+        here.y_m,
+        here.heading_rad.to_degrees(),
+        here.path_m,
+        summary.caps.linear_m_s,
+        line(Hand::Left, summary.frames.left),
+        line(Hand::Right, summary.frames.right),
+        delay(summary.latency.window_end_to_arm),
+        delay(summary.latency.sample_to_wheels),
+    )
+}

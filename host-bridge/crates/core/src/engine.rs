@@ -1,0 +1,254 @@
+//! The one engine: receive, decide, act, observe, always in this order.
+//!
+//! Sans-IO: time and bytes come in. Three drivers run it: virtual time ([`crate::session`]), the clock (the program's
+//! control thread), and a session's file (`replay`).
+//!
+//! ```text
+//! advance(now):  the robot moves up to now ─► hands speak, their bytes are received ─► what boards need is sent
+//!                ─► the bridge decides ─► the robot is handed what was decided ─► observers look
+//! receive(hand, bytes, now), stop_key(now), release_key(now): at once, between two turns
+//! ```
+
+use host_robot::{Door, MotionName};
+use shared_proto::frame::{HOST_FRAME_MAX, encode_host};
+use shared_proto::message::{HostMessage, Mode, TiltThresholds};
+
+use crate::bridge::{Bridge, BridgeEvent, EventKind};
+use crate::observe::{Now, OperatorKey, SessionEvent, Tap, Turn};
+use crate::safety::Hand;
+use crate::source::{HandKey, Source};
+
+/// A set-up without an answer is sent again after this long.
+const SET_UP_INTERVAL_MS: u64 = 1000;
+
+/// See the module. `'b` is what its hands borrow.
+pub struct Engine<'b, D> {
+    bridge: Bridge,
+    door: D,
+    /// The robot has moved up to here.
+    moved_ms: u64,
+    sources: [Source<'b>; 2],
+    tilt: Option<TiltThresholds>,
+    request: u16,
+    /// Request number of the set-up that a hand's board has not acknowledged, and when it was sent.
+    set_ups: [Option<(u16, Option<u64>)>; 2],
+    tap: Tap,
+}
+
+impl<'b, D: Door> Engine<'b, D> {
+    /// An engine that starts at `now_ms`.
+    pub fn new(bridge: Bridge, door: D, sources: [Source<'b>; 2], now_ms: u64) -> Self {
+        let boards = [Hand::Left, Hand::Right].into_iter().zip(&sources);
+        let boards: Vec<Hand> = boards.filter(|(_, source)| source.is_link()).map(|(hand, _)| hand).collect();
+        let bridge = boards
+            .into_iter()
+            .fold(bridge, Bridge::awaiting)
+            .known_to(|motion: &MotionName| door.knows(motion));
+        Engine {
+            bridge,
+            door,
+            moved_ms: now_ms,
+            sources,
+            tilt: None,
+            request: 0,
+            set_ups: [None; 2],
+            tap: Tap::default(),
+        }
+    }
+
+    /// Boards of the left hand are told these thresholds when they have started.
+    #[must_use]
+    pub fn with_tilt(self, tilt: TiltThresholds) -> Self {
+        Engine { tilt: Some(tilt), ..self }
+    }
+
+    /// Where observers look on.
+    pub fn tap_mut(&mut self) -> &mut Tap {
+        &mut self.tap
+    }
+
+    /// The state at `now_ms`, as observers see it.
+    pub fn now(&self, now_ms: u64) -> Now<'_> {
+        Now { time_ms: now_ms, bridge: &self.bridge, robot: &self.door }
+    }
+
+    /// The bridge.
+    pub fn bridge(&self) -> &Bridge {
+        &self.bridge
+    }
+
+    /// The door to the robot.
+    pub fn door(&self) -> &D {
+        &self.door
+    }
+
+    /// The door, to hand the robot what came from elsewhere.
+    pub fn door_mut(&mut self) -> &mut D {
+        &mut self.door
+    }
+
+    /// Bytes of a hand's board. `now_ms` is the time at which they are *handled*: bytes that waited
+    /// somewhere are thereby as old as they are, and dropped if they are too old.
+    pub fn receive(&mut self, hand: Hand, bytes: &[u8], now_ms: u64) {
+        self.tap.show(|observer| observer.received(now_ms, hand, bytes));
+        self.bridge.receive(hand, bytes, now_ms, &mut self.door);
+    }
+
+    /// A key of those that stand for a hand.
+    pub fn press(&mut self, key: HandKey, now_ms: u64) {
+        for source in &mut self.sources {
+            source.press(key, now_ms);
+        }
+    }
+
+    /// Such a key is up.
+    pub fn release_hand_key(&mut self, key: HandKey) {
+        for source in &mut self.sources {
+            source.release(key);
+        }
+    }
+
+    /// The operator's stop.
+    pub fn stop_key(&mut self, now_ms: u64) {
+        self.tap.show(|observer| observer.operated(now_ms, OperatorKey::Stop));
+        self.bridge.stop_key(now_ms, &mut self.door);
+        self.door.send();
+    }
+
+    /// The release key, pressed and confirmed.
+    pub fn release_key(&mut self, now_ms: u64) {
+        self.tap.show(|observer| observer.operated(now_ms, OperatorKey::Release));
+        self.bridge.release_key(now_ms, &mut self.door);
+    }
+
+    /// The program ends: base and arm are brought to rest.
+    pub fn halt(&mut self) {
+        self.door.halt();
+        self.door.send();
+    }
+
+    /// Lets the robot move on; the first part of a turn.
+    pub fn move_on(&mut self, passed_ms: u64) {
+        self.tap.show(|observer| observer.turned(Turn::Moved(passed_ms)));
+        self.moved_ms += passed_ms;
+        self.door.step(self.moved_ms);
+    }
+
+    /// Lets the bridge decide; the last part of a turn.
+    pub fn decide(&mut self, now_ms: u64) -> Vec<BridgeEvent> {
+        self.tap.show(|observer| observer.turned(Turn::Decided(now_ms)));
+        self.bridge.step(now_ms, &mut self.door);
+        self.door.send();
+        self.bridge.take_events()
+    }
+
+    /// Shows observers what happened, and how things stand.
+    pub fn show(&mut self, events: &[SessionEvent], now_ms: u64) {
+        if self.tap.is_idle() {
+            return;
+        }
+        for event in events {
+            self.tap.show(|observer| observer.happened(event));
+        }
+        let now = Now { time_ms: now_ms, bridge: &self.bridge, robot: &self.door };
+        self.tap.show(|observer| observer.state(&now));
+    }
+
+    /// Lets the time become `now_ms`; call it every few milliseconds. `ready` says which hands' links
+    /// take bytes now. What happened comes back; what is to be sent waits in [`Engine::take_outgoing`].
+    pub fn advance(&mut self, now_ms: u64, ready: [bool; 2]) -> Vec<SessionEvent> {
+        // First what has passed: after a pause of this program the robot has stopped by itself.
+        self.move_on(now_ms.saturating_sub(self.moved_ms));
+        let mut happened = Vec::new();
+        for hand in [Hand::Left, Hand::Right] {
+            self.play(hand, now_ms, &mut happened);
+            if ready[hand as usize] || !self.sources[hand as usize].is_link() {
+                let wanted = [self.bridge.poll(hand, now_ms), self.bridge.ping(hand, now_ms)];
+                for message in wanted.into_iter().flatten() {
+                    self.send(hand, &message, now_ms);
+                }
+            }
+        }
+        let events = self.decide(now_ms);
+        for event in &events {
+            if let EventKind::HandStarted { hand, .. } = event.kind {
+                self.request = self.request.wrapping_add(1);
+                self.set_ups[hand as usize] = Some((self.request, None));
+            }
+        }
+        for hand in [Hand::Left, Hand::Right] {
+            if ready[hand as usize] {
+                self.set_up(hand, now_ms);
+            }
+        }
+        let events: Vec<SessionEvent> =
+            events.into_iter().map(SessionEvent::Bridge).chain(happened).collect();
+        self.show(&events, now_ms);
+        events
+    }
+
+    /// Every hand that is played has come to its end.
+    pub fn ended(&self) -> bool {
+        self.sources.iter().all(Source::ended)
+    }
+
+    /// The frames that wait for a hand's board.
+    pub fn take_outgoing(&mut self, hand: Hand) -> Vec<Vec<u8>> {
+        match &mut self.sources[hand as usize] {
+            Source::Link(frames) => std::mem::take(frames),
+            _ => Vec::new(),
+        }
+    }
+
+    /// A board that has just started gets the thresholds; one that was left in record mode is called back.
+    /// Asked until it answers.
+    fn set_up(&mut self, hand: Hand, now_ms: u64) {
+        let Some((request, sent_ms)) = self.set_ups[hand as usize] else { return };
+        let answered = self.bridge.last_ack(hand).is_some_and(|ack| ack.request == request);
+        if answered || !self.sources[hand as usize].is_link() {
+            self.set_ups[hand as usize] = None;
+            return;
+        }
+        if sent_ms.is_some_and(|sent| now_ms.saturating_sub(sent) < SET_UP_INTERVAL_MS) {
+            return;
+        }
+        self.set_ups[hand as usize] = Some((request, Some(now_ms)));
+        let message = match (hand, self.tilt) {
+            (Hand::Left, Some(thresholds)) => HostMessage::SetThresholds { request, thresholds },
+            _ => HostMessage::SetMode { request, mode: Mode::Classify },
+        };
+        self.send(hand, &message, now_ms);
+    }
+
+    fn send(&mut self, hand: Hand, message: &HostMessage<'_>, now_ms: u64) {
+        let mut buffer = [0; HOST_FRAME_MAX];
+        let Ok(frame) = encode_host(message, &mut buffer) else { return };
+        self.tap.show(|observer| observer.sent(now_ms, hand, frame));
+        let mut wire = Vec::new();
+        match &mut self.sources[hand as usize] {
+            Source::Nobody => {}
+            Source::Link(frames) => frames.push(frame.to_vec()),
+            Source::Here { hand, .. } => hand.receive(frame, now_ms, &mut wire),
+        }
+        if !wire.is_empty() {
+            self.receive(hand, &wire, now_ms);
+        }
+    }
+
+    fn play(&mut self, hand: Hand, now_ms: u64, happened: &mut Vec<SessionEvent>) {
+        let mut wire = Vec::new();
+        if let Source::Here { hand: played, end_noted } = &mut self.sources[hand as usize] {
+            played.step(now_ms, &mut wire);
+            if let Some(sample) = played.sample().filter(|_| !self.tap.is_idle()) {
+                self.tap.show(|observer| observer.sampled(now_ms, &sample));
+            }
+            if played.ended() && !*end_noted {
+                *end_noted = true;
+                happened.push(SessionEvent::RecordingEnded { time_ms: now_ms, hand });
+            }
+        }
+        if !wire.is_empty() {
+            self.receive(hand, &wire, now_ms);
+        }
+    }
+}

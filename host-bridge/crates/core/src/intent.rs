@@ -1,0 +1,249 @@
+//! From what the hands say to what the robot should do. Pure: no time, no links.
+
+use serde::{Deserialize, Serialize};
+use shared_proto::message::Heading;
+
+use host_robot::{MotionName, Twist};
+
+/// The caps on forward and turning speed, and how bends change them.
+///
+/// Both caps move together: each bend of the index finger multiplies them by 1.10, each bend of the
+/// middle finger by 0.90, within [0.05, 1.0] (the paper's table II and figures).
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Caps {
+    /// Fastest forward or backward speed, in m/s.
+    pub linear_m_s: f64,
+    /// Fastest turn, in rad/s.
+    pub angular_rad_s: f64,
+    /// How they start and change.
+    #[serde(skip)]
+    pub rules: SpeedRules,
+}
+
+/// Where the caps start, and how bends change them: the same numbers for m/s and rad/s.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SpeedRules {
+    /// Where both caps start, and where a stop puts them.
+    pub start: f64,
+    /// Never slower.
+    pub least: f64,
+    /// Never faster.
+    pub most: f64,
+    /// Factor per bend of the index finger.
+    pub faster: f64,
+    /// Factor per bend of the middle finger.
+    pub slower: f64,
+}
+
+impl Default for SpeedRules {
+    fn default() -> Self {
+        let (start, least, most) = (Caps::START, Caps::LEAST, Caps::MOST);
+        SpeedRules { start, least, most, faster: Caps::FASTER, slower: Caps::SLOWER }
+    }
+}
+
+impl Caps {
+    /// Where both caps start, and where a stop puts them.
+    pub const START: f64 = 0.5;
+    /// Never slower.
+    pub const LEAST: f64 = 0.05;
+    /// Never faster.
+    pub const MOST: f64 = 1.0;
+    /// Per bend of the index finger.
+    pub const FASTER: f64 = 1.10;
+    /// Per bend of the middle finger.
+    pub const SLOWER: f64 = 0.90;
+
+    /// Caps at their start.
+    pub fn new(rules: SpeedRules) -> Self {
+        Caps { linear_m_s: rules.start, angular_rad_s: rules.start, rules }
+    }
+
+    /// Applies bends. Where one state reports bends of both fingers, their order is unknown; those of
+    /// the middle finger come last, so that clipping errs on the slow side.
+    pub fn bend(&mut self, index: u8, middle: u8) {
+        let SpeedRules { least, most, faster, slower, .. } = self.rules;
+        let steps =
+            std::iter::repeat_n(faster, index.into()).chain(std::iter::repeat_n(slower, middle.into()));
+        for factor in steps {
+            for cap in [&mut self.linear_m_s, &mut self.angular_rad_s] {
+                // Not `clamp`, which panics where the limits are crossed.
+                *cap = (*cap * factor).min(most).max(least);
+            }
+        }
+    }
+
+    /// The twist of a heading (the paper's table II).
+    pub fn twist(&self, heading: Heading) -> Twist {
+        let (linear, angular) = match heading {
+            Heading::Neutral | Heading::Between => (0.0, 0.0),
+            Heading::Forward => (1.0, 0.0),
+            Heading::Backward => (-1.0, 0.0),
+            Heading::Left => (0.0, 1.0),
+            Heading::Right => (0.0, -1.0),
+        };
+        Twist { linear_m_s: linear * self.linear_m_s, angular_rad_s: angular * self.angular_rad_s }
+    }
+}
+
+impl Default for Caps {
+    fn default() -> Self {
+        Caps::new(SpeedRules::default())
+    }
+}
+
+/// Which gesture starts which arm motion.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MotionMap {
+    entries: Vec<(String, MotionName)>,
+}
+
+impl Default for MotionMap {
+    /// The paper's six.
+    fn default() -> Self {
+        let entries = [
+            ("up-down", MotionName::HOME),
+            ("to-fro", "pick-up"),
+            ("left-right", "place"),
+            ("rectangle", "place-top-right"),
+            ("rectangle-flat", "place-bottom-right"),
+            ("circle", "random-top"),
+        ];
+        MotionMap { entries: entries.map(|(label, motion)| (label.to_owned(), motion.into())).into() }
+    }
+}
+
+/// `LABEL=MOTION` could not be understood.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum MapError {
+    /// There is no `=`, or no label before it.
+    #[error("'{0}' is no mapping; write LABEL=MOTION, for example wave=pick-up")]
+    NoPair(String),
+    /// A resting class cannot start anything.
+    #[error("'{0}' is the class of a resting hand and cannot start a motion; map another label")]
+    Rest(String),
+}
+
+impl MotionMap {
+    /// Adds or replaces one entry, written `LABEL=MOTION`.
+    ///
+    /// # Errors
+    /// [`MapError`] if the text is no such pair, or maps a resting class.
+    pub fn assign(&mut self, mapping: &str) -> Result<(), MapError> {
+        let (label, motion) = mapping
+            .split_once('=')
+            .map(|(label, motion)| (label.trim(), motion.trim()))
+            .filter(|(label, motion)| !label.is_empty() && !motion.is_empty())
+            .ok_or_else(|| MapError::NoPair(mapping.to_owned()))?;
+        if is_rest(label) {
+            return Err(MapError::Rest(label.to_owned()));
+        }
+        let motion = MotionName::from(motion.trim_matches('"'));
+        self.entries.retain(|(known, _)| !same_label(known, label));
+        self.entries.push((label.to_owned(), motion));
+        Ok(())
+    }
+
+    /// The motion of a label, if it has one.
+    pub fn motion(&self, label: &str) -> Option<&MotionName> {
+        if is_rest(label) {
+            return None;
+        }
+        self.entries.iter().find(|(known, _)| same_label(known, label)).map(|(_, motion)| motion)
+    }
+
+    /// Lets go of entries whose motion this robot does not have: of the paper's six, another arm may have fewer.
+    #[must_use]
+    pub fn known_to(mut self, knows: impl Fn(&MotionName) -> bool) -> Self {
+        self.entries.retain(|(_, motion)| knows(motion));
+        self
+    }
+
+    /// Of these labels, the ones that do nothing; resting classes are meant to, and left out.
+    pub fn without_motion<'a>(&self, labels: &'a [String]) -> Vec<&'a str> {
+        let idle = |label: &&str| !is_rest(label) && self.motion(label).is_none();
+        labels.iter().map(String::as_str).filter(idle).collect()
+    }
+
+    /// Entries whose label none of these labels is: typing errors, mostly.
+    pub fn unknown_labels(&self, labels: &[String], mappings: &[String]) -> Vec<String> {
+        let wanted = mappings.iter().filter_map(|m| m.split_once('=')).map(|(label, _)| label.trim());
+        wanted.filter(|w| !labels.iter().any(|l| same_label(l, w))).map(str::to_owned).collect()
+    }
+}
+
+/// `idle` and `other`: the hand rests, or does what is no gesture.
+pub fn is_rest(label: &str) -> bool {
+    same_label(label, "idle") || same_label(label, "other")
+}
+
+/// Labels are compared without case and punctuation: `leftright` = `left-right` = `Left_Right`.
+fn same_label(a: &str, b: &str) -> bool {
+    let letters = |s: &str| -> String {
+        s.chars().filter(|c| c.is_alphanumeric()).flat_map(char::to_lowercase).collect()
+    };
+    letters(a) == letters(b)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn eight_index_bends_reach_the_top_and_seven_middle_bends_lead_to_0_478() {
+        let mut caps = Caps::default();
+        for _ in 0..8 {
+            caps.bend(1, 0);
+        }
+        assert_eq!(caps, Caps { linear_m_s: 1.0, angular_rad_s: 1.0, ..Caps::default() });
+        for _ in 0..7 {
+            caps.bend(0, 1);
+        }
+        assert!((caps.linear_m_s - 0.478).abs() < 5e-4);
+        assert_eq!(caps.linear_m_s, caps.angular_rad_s);
+    }
+
+    #[test]
+    fn caps_stay_within_their_range_however_often_a_finger_bends() {
+        let mut caps = Caps::default();
+        caps.bend(255, 0);
+        assert_eq!(caps.linear_m_s, 1.0);
+        caps.bend(0, 255);
+        assert_eq!(caps.linear_m_s, 0.05);
+    }
+
+    #[test]
+    fn headings_give_the_twists_of_table_ii() {
+        let caps = Caps::default();
+        let twist = |linear_m_s, angular_rad_s| Twist { linear_m_s, angular_rad_s };
+        assert_eq!(caps.twist(Heading::Forward), twist(0.5, 0.0));
+        assert_eq!(caps.twist(Heading::Backward), twist(-0.5, 0.0));
+        assert_eq!(caps.twist(Heading::Left), twist(0.0, 0.5));
+        assert_eq!(caps.twist(Heading::Right), twist(0.0, -0.5));
+        assert_eq!(caps.twist(Heading::Neutral), Twist::ZERO);
+        assert_eq!(caps.twist(Heading::Between), Twist::ZERO);
+    }
+
+    #[test]
+    fn a_mapping_replaces_the_papers_and_aliases_are_one_label() {
+        let mut map = MotionMap::default();
+        assert_eq!(map.motion("leftright"), Some(&MotionName::from("place")));
+        map.assign("wave=pick-up").unwrap();
+        map.assign("LeftRight=home").unwrap();
+        assert_eq!(map.motion("wave"), Some(&MotionName::from("pick-up")));
+        assert_eq!(map.motion("left-right"), Some(&MotionName::from("home")));
+        let labels = ["idle", "peak", "wave", "other"].map(str::to_owned);
+        assert_eq!(map.without_motion(&labels), ["peak"]);
+    }
+
+    #[test]
+    fn bad_mappings_are_refused() {
+        let mut map = MotionMap::default();
+        assert!(matches!(map.assign("wave"), Err(MapError::NoPair(_))));
+        assert!(matches!(map.assign("=home"), Err(MapError::NoPair(_))));
+        assert!(matches!(map.assign("wave="), Err(MapError::NoPair(_))));
+        assert!(matches!(map.assign("idle=home"), Err(MapError::Rest(_))));
+        assert_eq!(map, MotionMap::default());
+    }
+}

@@ -1,0 +1,13 @@
+//! From bytes to decisions: links, safety, intents, the bridge and the one engine. Sans-IO: bytes, events and the time
+//! go in, actions come out. Knows no files, sockets, clocks, arms or robots, but [`host_robot::Door`].
+
+pub mod bridge;
+pub mod describe;
+pub mod engine;
+pub mod intent;
+pub mod latency;
+pub mod link;
+pub mod observe;
+pub mod safety;
+pub mod session;
+pub mod source;

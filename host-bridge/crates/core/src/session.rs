@@ -1,0 +1,274 @@
+//! A session in virtual time: the engine, one millisecond after the other.
+//!
+//! Nothing here looks at a clock, so a session gives the same result at any speed.
+
+use host_robot::{Door, MotionName, Odometry, Twist};
+use serde::Serialize;
+
+use crate::bridge::{Bridge, BridgeEvent, Drops, EventKind, GestureOutcome};
+use crate::engine::Engine;
+use crate::intent::{Caps, MotionMap};
+use crate::latency::{DelaySummary, Delays};
+use crate::link::LinkCounters;
+use crate::observe::{Now, SessionEvent, Tap};
+use crate::safety::{HaltReason, Hand};
+use crate::source::Source;
+
+/// After the last recording has ended, the robot has this long to come to rest.
+const TAIL_MS: u64 = 3000;
+
+/// See the module.
+pub struct Session<'b, D> {
+    engine: Engine<'b, D>,
+    now_ms: u64,
+    began: bool,
+    takes_part: [bool; 2],
+    gesture_to_arm: Delays,
+    tilt_to_wheels: Delays,
+    ended_ms: Option<u64>,
+    log: Vec<BridgeEvent>,
+}
+
+impl<'b, D: Door> Session<'b, D> {
+    /// Hands, of which either may be missing, a bridge with this map, and a robot behind its door.
+    pub fn new(sources: [Source<'b>; 2], map: MotionMap, door: D) -> Self {
+        let takes_part = [sources[0].is_there(), sources[1].is_there()];
+        Session {
+            engine: Engine::new(Bridge::new(map), door, sources, 0),
+            now_ms: 0,
+            began: false,
+            takes_part,
+            gesture_to_arm: Delays::default(),
+            tilt_to_wheels: Delays::default(),
+            ended_ms: None,
+            log: Vec::new(),
+        }
+    }
+
+    /// Where observers look on.
+    pub fn tap_mut(&mut self) -> &mut Tap {
+        self.engine.tap_mut()
+    }
+
+    /// The state now, as observers see it.
+    pub fn now(&self) -> Now<'_> {
+        self.engine.now(self.now_ms)
+    }
+
+    /// Virtual time.
+    pub fn now_ms(&self) -> u64 {
+        self.now_ms
+    }
+
+    /// The bridge.
+    pub fn bridge(&self) -> &Bridge {
+        self.engine.bridge()
+    }
+
+    /// The door to the robot.
+    pub fn door(&self) -> &D {
+        self.engine.door()
+    }
+
+    /// The operator presses the stop key now.
+    pub fn stop_key(&mut self) {
+        self.engine.stop_key(self.now_ms);
+    }
+
+    /// The operator has pressed and confirmed the release key now.
+    pub fn release_key(&mut self) {
+        self.engine.release_key(self.now_ms);
+    }
+
+    fn at_rest(&self) -> bool {
+        let picture = self.door().picture();
+        picture.arm.at_rest() && picture.wheels_rad_s == [0.0; 2]
+    }
+
+    /// All recordings are over and the robot rests, or has had its time to.
+    pub fn finished(&self) -> bool {
+        self.ended_ms.is_some_and(|ended_ms| {
+            let passed_ms = self.now_ms - ended_ms;
+            // The dead-man needs its 250 ms before rest means anything.
+            passed_ms >= TAIL_MS || (passed_ms > 500 && self.at_rest())
+        })
+    }
+
+    /// Lets one millisecond pass (the first call begins at 0); what happened in it.
+    pub fn step(&mut self) -> Vec<SessionEvent> {
+        if self.began {
+            self.now_ms += 1;
+        }
+        self.began = true;
+        let events = self.engine.advance(self.now_ms, [false; 2]);
+        let picture = self.door().picture();
+        if !picture.arm.at_rest() {
+            self.gesture_to_arm.moved(self.now_ms);
+        }
+        let wheels_rest = picture.wheels_rad_s == [0.0; 2];
+        if !wheels_rest {
+            self.tilt_to_wheels.moved(self.now_ms);
+        }
+        for event in &events {
+            if let SessionEvent::Bridge(event) = event {
+                self.time(event, wheels_rest);
+                self.log.push(event.clone());
+            }
+        }
+        if self.ended_ms.is_none() && self.engine.ended() {
+            self.ended_ms = Some(self.now_ms);
+        }
+        events
+    }
+
+    /// Starts the measurement of a delay where an event is the cause of motion.
+    fn time(&mut self, event: &BridgeEvent, wheels_rest: bool) {
+        // The boards' clocks start with the session, so their times are the laptop's.
+        match &event.kind {
+            EventKind::Gesture { outcome: GestureOutcome::Started(_), window_end_board_ms, .. } => {
+                self.gesture_to_arm.begin((*window_end_board_ms).into());
+            }
+            EventKind::MotionEnded { .. } => self.gesture_to_arm.cancel(),
+            EventKind::Heading { twist, sample_board_ms, .. } => {
+                // Only a start from rest has a first motion to see.
+                self.tilt_to_wheels.cancel();
+                if wheels_rest && *twist != Twist::ZERO {
+                    self.tilt_to_wheels.begin((*sample_board_ms).into());
+                }
+            }
+            _ => {}
+        }
+    }
+
+    /// What the session came to.
+    pub fn summary(&self) -> Summary {
+        let mut gestures = Vec::new();
+        let mut poses_reached = Vec::new();
+        let mut halts = Vec::new();
+        let (mut stops, mut releases) = (0, 0);
+        for event in &self.log {
+            let time_ms = event.time_ms;
+            match &event.kind {
+                EventKind::Gesture { label, confidence, outcome, .. } => gestures.push(GestureRecord {
+                    time_ms,
+                    label: label.clone(),
+                    confidence: *confidence,
+                    outcome: outcome.clone(),
+                }),
+                EventKind::MotionEnded { motion, reached: true } => {
+                    poses_reached.push(PoseRecord { time_ms, motion: motion.clone() });
+                }
+                EventKind::Halt { reason } => {
+                    stops += u32::from(*reason == HaltReason::OperatorStop);
+                    halts.push(HaltRecord { time_ms, reason: *reason });
+                }
+                EventKind::Released => releases += 1,
+                _ => {}
+            }
+        }
+        let bridge = self.bridge();
+        let counters = |hand: Hand| self.takes_part[hand as usize].then(|| bridge.link(hand).counters());
+        let picture = self.door().picture();
+        Summary {
+            seconds: self.now_ms as f64 / 1000.0,
+            gestures,
+            poses_reached,
+            stops,
+            releases,
+            halts,
+            caps: bridge.caps(),
+            odometry: picture.odometry,
+            at_rest: self.at_rest(),
+            frames: Frames { left: counters(Hand::Left), right: counters(Hand::Right) },
+            drops: bridge.drops(),
+            robot_timeouts: picture.timeouts,
+            latency: Latency {
+                window_end_to_arm: self.gesture_to_arm.summary(),
+                sample_to_wheels: self.tilt_to_wheels.summary(),
+            },
+            events: self.log.clone(),
+        }
+    }
+}
+
+/// What a session came to; one JSON object.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Summary {
+    /// Virtual time passed.
+    pub seconds: f64,
+    /// Every gesture event, in order.
+    pub gestures: Vec<GestureRecord>,
+    /// Arm motions that reached their pose, in order.
+    pub poses_reached: Vec<PoseRecord>,
+    /// Operator's stops.
+    pub stops: u32,
+    /// Releases of them.
+    pub releases: u32,
+    /// Every halt, in order.
+    pub halts: Vec<HaltRecord>,
+    /// The caps at the end.
+    pub caps: Caps,
+    /// The base at the end.
+    pub odometry: Odometry,
+    /// The robot rests at the end.
+    pub at_rest: bool,
+    /// What came over the links.
+    pub frames: Frames,
+    /// What was dropped.
+    pub drops: Drops,
+    /// How often the robot had to stop by itself.
+    pub robot_timeouts: u32,
+    /// Delays, in virtual time.
+    pub latency: Latency,
+    /// Everything that happened, in order.
+    pub events: Vec<BridgeEvent>,
+}
+
+/// One gesture event.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct GestureRecord {
+    /// When the bridge heard of it.
+    pub time_ms: u64,
+    /// Its name.
+    pub label: String,
+    /// 0 to 1.
+    pub confidence: f32,
+    /// What followed.
+    pub outcome: GestureOutcome,
+}
+
+/// One pose reached.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct PoseRecord {
+    /// When.
+    pub time_ms: u64,
+    /// By which motion.
+    pub motion: MotionName,
+}
+
+/// One halt.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct HaltRecord {
+    /// When.
+    pub time_ms: u64,
+    /// Why.
+    pub reason: HaltReason,
+}
+
+/// Link counters of both hands; `null` for a hand that takes no part.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Frames {
+    /// Of the left hand.
+    pub left: Option<LinkCounters>,
+    /// Of the right hand.
+    pub right: Option<LinkCounters>,
+}
+
+/// Delays.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Latency {
+    /// From the end of the deciding window to the arm's first joint velocity.
+    pub window_end_to_arm: DelaySummary,
+    /// From the sample that starts a command to the first wheel speed (starts from rest).
+    pub sample_to_wheels: DelaySummary,
+}

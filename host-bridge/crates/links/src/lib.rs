@@ -1,0 +1,16 @@
+//! Where hands come from: serial ports, Bluetooth, recordings, keys; and the client that talks to one board.
+//!
+//! * [`links`]: ports, and the clock that they share,
+//! * [`hands`], [`keyboard`]: what behaves like a board inside this program, with [`wire`] between,
+//! * [`talk`], [`upload`], [`capture`], [`survey`]: one board asked for something, as `doctor`, `record` and
+//!   `send-model` do.
+
+pub mod adc;
+pub mod capture;
+pub mod hands;
+pub mod keyboard;
+pub mod links;
+pub mod survey;
+pub mod talk;
+pub mod upload;
+pub mod wire;

@@ -1,0 +1,362 @@
+//! The base: two driven wheels, integrated along exact arcs.
+//!
+//! Frames: x forward, y left, angles counter-clockwise seen from above; the odometry frame is where the
+//! base stood at the start. Wheels never exceed their speed and acceleration; where a twist asks for
+//! more, both wheels are scaled alike, so that the base stays on its path and is only slower.
+
+use serde::{Deserialize, Serialize};
+
+use crate::robot::{BaseState, Wheels};
+
+/// What the base is asked to do.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Twist {
+    /// Forward speed in m/s.
+    pub linear_m_s: f64,
+    /// Turning speed in rad/s, positive = left.
+    pub angular_rad_s: f64,
+}
+
+impl Twist {
+    /// No motion.
+    pub const ZERO: Twist = Twist { linear_m_s: 0.0, angular_rad_s: 0.0 };
+}
+
+/// Size and limits of the base.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct BaseConfig {
+    /// Radius of the driven wheels.
+    pub wheel_radius_m: f64,
+    /// Distance between the wheels' contact points.
+    pub track_m: f64,
+    /// Fastest wheel speed.
+    pub wheel_speed_max_rad_s: f64,
+    /// Largest change of wheel speed per second.
+    pub wheel_acceleration_max_rad_s2: f64,
+    /// Variance that each metre of a wheel's way adds to that way, in m²/m: slip, and a worn radius.
+    pub wheel_variance_m: f64,
+}
+
+impl Default for BaseConfig {
+    /// 10 cm wheels, 40 cm apart, 1.2 m/s and 1.0 m/s² at the rim: room for the largest cap (1.0 m/s).
+    /// Their way is known to 1 cm (one standard deviation) after a metre.
+    fn default() -> Self {
+        BaseConfig {
+            wheel_radius_m: 0.1,
+            track_m: 0.4,
+            wheel_speed_max_rad_s: 12.0,
+            wheel_acceleration_max_rad_s2: 10.0,
+            wheel_variance_m: 1e-4,
+        }
+    }
+}
+
+impl BaseConfig {
+    /// Speeds of the left and the right wheel in rad/s that make a twist, whatever their limits.
+    pub fn wheels_rad_s(&self, twist: Twist) -> [f64; 2] {
+        let turn_m_s = twist.angular_rad_s * self.track_m / 2.0;
+        [twist.linear_m_s - turn_m_s, twist.linear_m_s + turn_m_s]
+            .map(|rim_m_s| rim_m_s / self.wheel_radius_m)
+    }
+}
+
+/// Where the base thinks it is, from its wheels.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Odometry {
+    /// Forward of the start, in m.
+    pub x_m: f64,
+    /// Left of the start, in m.
+    pub y_m: f64,
+    /// Turned to the left since the start, in rad, not wrapped.
+    pub heading_rad: f64,
+    /// Length of the path, in m.
+    pub path_m: f64,
+    /// Speed now.
+    pub twist: Twist,
+}
+
+/// Covariance of x (m), y (m) and heading (rad), in this order.
+pub type Covariance = [[f64; 3]; 3];
+
+/// The base as it is now, and what it is asked to do.
+#[derive(Clone, Debug)]
+pub struct Base {
+    config: BaseConfig,
+    target_rad_s: [f64; 2],
+    wheels_rad_s: [f64; 2],
+    wheels_rad: [f64; 2],
+    odometry: Odometry,
+    covariance: Covariance,
+}
+
+impl Base {
+    /// A base at rest.
+    pub fn new(config: BaseConfig) -> Self {
+        Base {
+            config,
+            target_rad_s: [0.0; 2],
+            wheels_rad_s: [0.0; 2],
+            wheels_rad: [0.0; 2],
+            odometry: Odometry::default(),
+            covariance: [[0.0; 3]; 3],
+        }
+    }
+
+    /// A base that moves as reported; wheels that are not reported are those of its twist.
+    pub fn at(config: BaseConfig, state: &BaseState) -> Self {
+        let wheels = state.wheels.unwrap_or_else(|| Wheels {
+            speed_rad_s: config.wheels_rad_s(state.odometry.twist),
+            ..Wheels::default()
+        });
+        Base {
+            config,
+            target_rad_s: wheels.speed_rad_s,
+            wheels_rad_s: wheels.speed_rad_s,
+            wheels_rad: wheels.angle_rad,
+            odometry: state.odometry,
+            covariance: state.covariance,
+        }
+    }
+
+    /// Everything that it reports of itself.
+    pub fn state(&self) -> BaseState {
+        let wheels = Wheels { speed_rad_s: self.wheels_rad_s, angle_rad: self.wheels_rad };
+        BaseState { odometry: self.odometry, covariance: self.covariance, wheels: Some(wheels) }
+    }
+
+    /// Sets the speed to reach. A twist with NaN or infinity halts.
+    pub fn drive(&mut self, twist: Twist) {
+        if !(twist.linear_m_s.is_finite() && twist.angular_rad_s.is_finite()) {
+            self.target_rad_s = [0.0; 2];
+            return;
+        }
+        let wheels = self.config.wheels_rad_s(twist);
+        let fastest = wheels[0].abs().max(wheels[1].abs());
+        let scale = (self.config.wheel_speed_max_rad_s / fastest).min(1.0);
+        self.target_rad_s = wheels.map(|w| w * scale);
+    }
+
+    /// Lets `dt_s` seconds pass.
+    pub fn step(&mut self, dt_s: f64) {
+        let before = self.wheels_rad_s;
+        let change = [self.target_rad_s[0] - before[0], self.target_rad_s[1] - before[1]];
+        let largest = change[0].abs().max(change[1].abs());
+        let allowed = self.config.wheel_acceleration_max_rad_s2 * dt_s;
+        if largest <= allowed {
+            self.wheels_rad_s = self.target_rad_s;
+        } else {
+            // Both wheels arrive together: a halting base keeps to its arc.
+            for (wheel, change) in self.wheels_rad_s.iter_mut().zip(change) {
+                *wheel += change * allowed / largest;
+            }
+        }
+        let mean = [0, 1].map(|i| 0.5 * (before[i] + self.wheels_rad_s[i]));
+        let travelled = self.twist_of(mean);
+        for (turned, speed) in self.wheels_rad.iter_mut().zip(mean) {
+            *turned += speed * dt_s;
+        }
+        self.grow_covariance(mean.map(|w| w * self.config.wheel_radius_m * dt_s));
+        self.odometry.advance(travelled, dt_s);
+        self.odometry.twist = self.twist_of(self.wheels_rad_s);
+    }
+
+    /// First-order propagation of the wheels' errors through one small step of the way.
+    fn grow_covariance(&mut self, [left_m, right_m]: [f64; 2]) {
+        let track_m = self.config.track_m;
+        let arc_m = 0.5 * (left_m + right_m);
+        let (s, c) = (self.odometry.heading_rad + 0.5 * (right_m - left_m) / track_m).sin_cos();
+        // How the step's end changes with the place it starts from, and with each wheel's way.
+        let from_start = [[1.0, 0.0, -arc_m * s], [0.0, 1.0, arc_m * c], [0.0, 0.0, 1.0]];
+        let sideways = 0.5 * arc_m / track_m;
+        let from_left = [0.5 * c + sideways * s, 0.5 * s - sideways * c, -1.0 / track_m];
+        let from_right = [0.5 * c - sideways * s, 0.5 * s + sideways * c, 1.0 / track_m];
+        let [left, right] = [left_m, right_m].map(|way_m| self.config.wheel_variance_m * way_m.abs());
+        let before = self.covariance;
+        for row in 0..3 {
+            for col in 0..3 {
+                let mut sum =
+                    left * from_left[row] * from_left[col] + right * from_right[row] * from_right[col];
+                for i in 0..3 {
+                    for j in 0..3 {
+                        sum += from_start[row][i] * before[i][j] * from_start[col][j];
+                    }
+                }
+                self.covariance[row][col] = sum;
+            }
+        }
+    }
+
+    fn twist_of(&self, wheels_rad_s: [f64; 2]) -> Twist {
+        let [left, right] = wheels_rad_s.map(|w| w * self.config.wheel_radius_m);
+        Twist { linear_m_s: 0.5 * (left + right), angular_rad_s: (right - left) / self.config.track_m }
+    }
+
+    /// Position, path length and speed.
+    pub fn odometry(&self) -> Odometry {
+        self.odometry
+    }
+
+    /// How sure the odometry is.
+    pub fn covariance(&self) -> Covariance {
+        self.covariance
+    }
+
+    /// Speeds of the left and the right wheel in rad/s.
+    pub fn wheels_rad_s(&self) -> [f64; 2] {
+        self.wheels_rad_s
+    }
+
+    /// How far the left and the right wheel have turned since the start, in rad.
+    pub fn wheels_rad(&self) -> [f64; 2] {
+        self.wheels_rad
+    }
+
+    /// How long it takes to rest from its speed now.
+    pub fn braking_s(&self) -> f64 {
+        let fastest = self.wheels_rad_s[0].abs().max(self.wheels_rad_s[1].abs());
+        fastest / self.config.wheel_acceleration_max_rad_s2
+    }
+
+    /// Size and limits.
+    pub fn config(&self) -> &BaseConfig {
+        &self.config
+    }
+}
+
+impl Odometry {
+    /// Moves along the arc of a constant twist; exact for any turn.
+    pub fn advance(&mut self, twist: Twist, dt_s: f64) {
+        let half_turn = 0.5 * twist.angular_rad_s * dt_s;
+        let arc_m = twist.linear_m_s * dt_s;
+        // The chord of an arc is shorter than the arc by sin(α/2)/(α/2), and points half the turn ahead.
+        let chord_m = if half_turn.abs() < 1e-8 { arc_m } else { arc_m * half_turn.sin() / half_turn };
+        let direction = self.heading_rad + half_turn;
+        self.x_m += chord_m * direction.cos();
+        self.y_m += chord_m * direction.sin();
+        self.heading_rad += 2.0 * half_turn;
+        self.path_m += arc_m.abs();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use std::f64::consts::{FRAC_PI_2, PI};
+
+    #[test]
+    fn a_quarter_circle_ends_a_radius_ahead_and_a_radius_to_the_left() {
+        let mut odometry = Odometry::default();
+        // Radius 2 m: 1 m/s and 0.5 rad/s, in steps of very different lengths.
+        for share in [0.5, 0.25, 0.125, 0.125] {
+            odometry.advance(Twist { linear_m_s: 1.0, angular_rad_s: 0.5 }, PI * share);
+        }
+        assert!((odometry.x_m - 2.0).abs() < 1e-12);
+        assert!((odometry.y_m - 2.0).abs() < 1e-12);
+        assert!((odometry.heading_rad - FRAC_PI_2).abs() < 1e-12);
+        assert!((odometry.path_m - PI).abs() < 1e-12);
+    }
+
+    #[test]
+    fn too_fast_a_twist_is_slowed_on_the_same_curve() {
+        let mut base = Base::new(BaseConfig::default());
+        base.drive(Twist { linear_m_s: 2.0, angular_rad_s: 1.0 });
+        for _ in 0..1000 {
+            base.step(0.005);
+        }
+        let twist = base.odometry().twist;
+        assert!((twist.angular_rad_s / twist.linear_m_s - 0.5).abs() < 1e-12);
+        assert!((base.wheels_rad_s()[1] - 12.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn halting_keeps_to_the_arc() {
+        let mut base = Base::new(BaseConfig::default());
+        base.drive(Twist { linear_m_s: 0.5, angular_rad_s: 0.5 });
+        for _ in 0..400 {
+            base.step(0.005);
+        }
+        base.drive(Twist::ZERO);
+        while base.wheels_rad_s() != [0.0; 2] {
+            let twist = base.odometry().twist;
+            assert!((twist.linear_m_s - twist.angular_rad_s).abs() < 1e-9);
+            base.step(0.005);
+        }
+    }
+
+    #[test]
+    fn a_twist_that_is_no_number_halts() {
+        let mut base = Base::new(BaseConfig::default());
+        base.drive(Twist { linear_m_s: 0.5, angular_rad_s: 0.0 });
+        base.step(1.0);
+        base.drive(Twist { linear_m_s: f64::NAN, angular_rad_s: 0.0 });
+        base.step(1.0);
+        assert_eq!(base.wheels_rad_s(), [0.0; 2]);
+    }
+
+    #[test]
+    fn the_covariance_is_that_of_many_runs_with_such_wheels() {
+        let config = BaseConfig::default();
+        let mut base = Base::new(config);
+        // A curve to the left, and then one to the right.
+        let mut ways = Vec::new();
+        for (linear_m_s, angular_rad_s) in [(0.5, 0.4), (0.5, -0.6)] {
+            base.drive(Twist { linear_m_s, angular_rad_s });
+            for _ in 0..400 {
+                let before = base.wheels_rad_s();
+                base.step(0.01);
+                let after = base.wheels_rad_s();
+                ways.push([0, 1].map(|i| 0.5 * (before[i] + after[i]) * config.wheel_radius_m * 0.01));
+            }
+        }
+        let mut random = crate::Random::new(8);
+        // A sum of twelve even numbers is near enough to normal, with variance 1.
+        let mut normal = || (0..12).map(|_| random.between(-0.5, 0.5)).sum::<f64>();
+        let runs = 4000;
+        let (end, mut seen) = (base.odometry(), [[0.0; 3]; 3]);
+        for _ in 0..runs {
+            let mut odometry = Odometry::default();
+            for way in &ways {
+                let [left, right] =
+                    way.map(|way_m| way_m + normal() * (config.wheel_variance_m * way_m.abs()).sqrt());
+                let (linear_m_s, angular_rad_s) = (0.5 * (left + right), (right - left) / config.track_m);
+                odometry.advance(Twist { linear_m_s, angular_rad_s }, 1.0);
+            }
+            let off =
+                [odometry.x_m - end.x_m, odometry.y_m - end.y_m, odometry.heading_rad - end.heading_rad];
+            for row in 0..3 {
+                for col in 0..3 {
+                    seen[row][col] += off[row] * off[col] / f64::from(runs);
+                }
+            }
+        }
+        let covariance = base.covariance();
+        for row in 0..3 {
+            for col in 0..3 {
+                let scale = (covariance[row][row] * covariance[col][col]).sqrt();
+                let (a, b) = (seen[row][col], covariance[row][col]);
+                assert!((a - b).abs() < 0.08 * scale, "{row} {col}: {a} seen, {b} computed");
+            }
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn wheel_limits_hold(twists in prop::collection::vec((-3.0..3.0_f64, -6.0..6.0_f64), 1..20)) {
+            let mut base = Base::new(BaseConfig::default());
+            let dt_s = 0.005;
+            for (linear_m_s, angular_rad_s) in twists {
+                base.drive(Twist { linear_m_s, angular_rad_s });
+                for _ in 0..50 {
+                    let before = base.wheels_rad_s();
+                    base.step(dt_s);
+                    for (a, b) in before.into_iter().zip(base.wheels_rad_s()) {
+                        prop_assert!(b.abs() <= 12.0 + 1e-9);
+                        prop_assert!((b - a).abs() <= 10.0 * dt_s + 1e-9);
+                    }
+                }
+            }
+        }
+    }
+}

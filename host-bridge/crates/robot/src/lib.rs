@@ -1,0 +1,48 @@
+//! What a robot is to the bridge: the words that every other crate shares, and two traits.
+//!
+//! ```text
+//! bridge ─► Door ─► (director: goals, planning, guard) ─► Robot ─► simulator, ROS 2, …
+//!            │                                              │
+//! observers ◄┴── Picture, RobotSetting ◄── its own state ◄──┘
+//! ```
+//!
+//! * [`Robot`]: what every robot has. The simulator is one robot; a robot on a ROS 2 graph is another.
+//! * [`Door`]: what the bridge commands and observers look through; the arm director implements it once for all.
+//! * [`base`], [`pose`], [`limits`], [`trajectory`], [`shape`]: geometry and motion, without time or links.
+
+pub mod base;
+pub mod door;
+pub mod limits;
+pub mod pose;
+pub mod random;
+pub mod robot;
+pub mod setting;
+pub mod shape;
+pub mod trajectory;
+
+pub use base::{Base, BaseConfig, Covariance, Odometry, Twist};
+pub use door::{ArmState, Busy, Door, Leg, MotionName, NotStarted, Picture, Report};
+pub use limits::{JointLimits, Motion};
+pub use pose::{JOINTS, Joints, Pose};
+pub use random::Random;
+pub use robot::{BaseState, End, Following, Reading, Robot, Wheels};
+pub use setting::{JointSetting, RobotSetting, SceneBox};
+pub use trajectory::Trajectory;
+
+/// The Gen3's figures, for tests of what does not know any arm.
+#[cfg(test)]
+mod gen3 {
+    use crate::{JOINTS, JointLimits, Joints};
+
+    #[allow(clippy::approx_constant)] // 3.14 is what Kinova's file says
+    pub const HOME: Joints = [0.0, 0.26, 3.14, -2.27, 0.0, 0.96, 1.57];
+
+    /// Kinova's limits at the paper's scaling of 0.1 and 0.05.
+    pub fn paper_limits() -> JointLimits {
+        JointLimits {
+            velocity_rad_s: [1.3963, 1.3963, 1.3963, 1.3963, 1.2218, 1.2218, 1.2218].map(|v| v * 0.1),
+            acceleration_rad_s2: [8.6 * 0.05; JOINTS],
+            jerk_rad_s3: [f64::INFINITY; JOINTS],
+        }
+    }
+}

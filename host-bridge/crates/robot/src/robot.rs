@@ -1,0 +1,176 @@
+//! What every robot has, simulated or real.
+
+use std::sync::Arc;
+
+use crate::base::{BaseConfig, Covariance, Odometry, Twist};
+use crate::limits::{JointLimits, Motion};
+use crate::trajectory::Trajectory;
+
+/// Something that a robot reports of itself, and how old it is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Reading<T> {
+    /// What it reports.
+    pub value: T,
+    /// Time since it was measured, or since it arrived where the robot does not say.
+    pub age_ms: u64,
+}
+
+/// The base as it reports itself.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct BaseState {
+    /// Where it is, and how fast.
+    pub odometry: Odometry,
+    /// How sure that is.
+    pub covariance: Covariance,
+    /// Its wheels, where it reports them.
+    pub wheels: Option<Wheels>,
+}
+
+/// The left and the right wheel.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Wheels {
+    /// Speeds in rad/s.
+    pub speed_rad_s: [f64; 2],
+    /// Angles turned since the start in rad.
+    pub angle_rad: [f64; 2],
+}
+
+/// What the arm does with the trajectory that it was given.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Following {
+    /// It has none.
+    Idle,
+    /// It is so far along it.
+    Moving {
+        /// Time since the trajectory's start, in s.
+        elapsed_s: f64,
+    },
+    /// It has given the trajectory up and brakes.
+    Halting,
+}
+
+/// How following a trajectory ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum End {
+    /// The arm rests at the trajectory's end.
+    Reached,
+    /// It rests, or is believed to, somewhere else.
+    Halted,
+}
+
+/// A base and an arm. What it reports is its own state, never what it was asked for.
+///
+/// **Stops by itself**: an implementation brings the base to rest when [`drive`](Robot::drive) ceases to be
+/// called. No method blocks.
+pub trait Robot {
+    /// Lets the time become `now_ms`.
+    fn step(&mut self, now_ms: u64);
+
+    /// Joint angles, speeds and (where known) accelerations; `None` = unknown, or older than the robot accepts.
+    fn arm(&self) -> Option<Reading<Motion>>;
+
+    /// Pose and speed of the base; `None` = unknown.
+    fn base(&self) -> Option<Reading<BaseState>>;
+
+    /// Speed, acceleration and jerk that the arm's motions keep.
+    fn joint_limits(&self) -> &JointLimits;
+
+    /// Size and limits of the base.
+    fn base_limits(&self) -> &BaseConfig;
+
+    /// Sets the base's speed. Also says that the bridge is alive.
+    fn drive(&mut self, twist: Twist);
+
+    /// Whether the arm could follow a trajectory now.
+    ///
+    /// # Errors
+    /// Why not, and what to do.
+    fn can_follow(&self) -> Result<(), String>;
+
+    /// Lets the arm follow a trajectory that starts where it is. One that is already followed is replaced.
+    ///
+    /// # Errors
+    /// Why it does not; nothing moves then.
+    fn follow(&mut self, trajectory: Arc<Trajectory>) -> Result<(), String>;
+
+    /// What the arm does with its trajectory.
+    fn following(&self) -> Following;
+
+    /// How the last trajectory ended; once per trajectory.
+    fn take_end(&mut self) -> Option<End>;
+
+    /// Brings the arm to rest within its limits; its trajectory is given up.
+    fn halt_arm(&mut self);
+
+    /// Brings base and arm to rest within their limits.
+    fn halt(&mut self);
+
+    /// The longest time between a command and its effect.
+    fn reaction_ms(&self) -> u64 {
+        0
+    }
+
+    /// How often the robot had to stop by itself, as far as known.
+    fn timeouts(&self) -> u32 {
+        0
+    }
+
+    /// What a person should know, once each.
+    fn take_notes(&mut self) -> Vec<String> {
+        Vec::new()
+    }
+
+    /// Hands over what was decided in this turn; called at the end of each.
+    fn send(&mut self) {}
+}
+
+impl<R: Robot + ?Sized> Robot for Box<R> {
+    fn step(&mut self, now_ms: u64) {
+        (**self).step(now_ms);
+    }
+    fn arm(&self) -> Option<Reading<Motion>> {
+        (**self).arm()
+    }
+    fn base(&self) -> Option<Reading<BaseState>> {
+        (**self).base()
+    }
+    fn joint_limits(&self) -> &JointLimits {
+        (**self).joint_limits()
+    }
+    fn base_limits(&self) -> &BaseConfig {
+        (**self).base_limits()
+    }
+    fn drive(&mut self, twist: Twist) {
+        (**self).drive(twist);
+    }
+    fn can_follow(&self) -> Result<(), String> {
+        (**self).can_follow()
+    }
+    fn follow(&mut self, trajectory: Arc<Trajectory>) -> Result<(), String> {
+        (**self).follow(trajectory)
+    }
+    fn following(&self) -> Following {
+        (**self).following()
+    }
+    fn take_end(&mut self) -> Option<End> {
+        (**self).take_end()
+    }
+    fn halt_arm(&mut self) {
+        (**self).halt_arm();
+    }
+    fn halt(&mut self) {
+        (**self).halt();
+    }
+    fn reaction_ms(&self) -> u64 {
+        (**self).reaction_ms()
+    }
+    fn timeouts(&self) -> u32 {
+        (**self).timeouts()
+    }
+    fn take_notes(&mut self) -> Vec<String> {
+        (**self).take_notes()
+    }
+    fn send(&mut self) {
+        (**self).send();
+    }
+}

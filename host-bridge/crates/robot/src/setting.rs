@@ -1,0 +1,62 @@
+//! What does not change in a session: the robot, its limits, its surroundings.
+
+use serde::Serialize;
+
+use crate::base::BaseConfig;
+use crate::shape::{Capsule, Point, UprightBox};
+
+/// Frames: the world is where the base started, x forward, y left, z up from the floor.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct RobotSetting {
+    /// The scene's title; empty without a scene.
+    pub scene: String,
+    /// What stands around.
+    pub boxes: Vec<SceneBox>,
+    /// Wheels and limits of the base.
+    pub base: BaseConfig,
+    /// The base's body, as seen from the point on the floor between its wheels.
+    pub body: UprightBox,
+    /// The arm's foot, as seen from the same point.
+    pub mount_m: Point,
+    /// Of the arm.
+    pub arm_name: String,
+    /// From the foot on.
+    pub joints: Vec<JointSetting>,
+    /// The flange in the last joint's frame.
+    pub flange_m: Point,
+    /// How the flange is turned against the last joint.
+    pub flange_rotation: [[f64; 3]; 3],
+    /// Shapes of the arm's foot, in the arm's base frame.
+    pub foot: Vec<Capsule>,
+}
+
+/// A box of the scene.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct SceneBox {
+    /// From the scene file.
+    pub name: String,
+    /// Where.
+    #[serde(flatten)]
+    pub shape: UprightBox,
+}
+
+/// One joint and the link that it turns.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct JointSetting {
+    /// As in the robot's own description.
+    pub name: String,
+    /// Where the joint sits in its parent's frame.
+    pub origin_m: Point,
+    /// How its frame is turned against its parent's.
+    pub origin_rotation: [[f64; 3]; 3],
+    /// Axis in its own frame.
+    pub axis: Point,
+    /// Minimum and maximum angle; `None` = turns without end.
+    pub limit_rad: Option<(f64, f64)>,
+    /// Maximum speed that motions use.
+    pub velocity_max_rad_s: f64,
+    /// Maximum acceleration that motions use.
+    pub acceleration_max_rad_s2: f64,
+    /// The link, in the joint's frame.
+    pub shapes: Vec<Capsule>,
+}

@@ -1,0 +1,540 @@
+//! Motion along a path of several straight ways in joint space, at constant accelerations or at constant
+//! jerks.
+//!
+//! Between two corners the speed is constant; around a corner it changes from one way's to the next's (a
+//! parabolic blend, Kunz and Stilman 2011), so the arm need not stop there. Speeds within a blend lie between
+//! those of the ways, and the blend lasts as long as the slowest joint needs: position, speed and acceleration
+//! keep their limits exactly, at every instant and not only at samples. On one way alone the joint with the
+//! least speed in hand sets the pace: v = min(vᵢ/|Δqᵢ|), a = min(aᵢ/|Δqᵢ|), and the duration is 1/v + v/a, or
+//! 2/√a where v² > a, as MoveIt's time-optimal profile has it.
+//!
+//! Where jerk is limited, each change of speed is a ramp whose acceleration rises, stays and falls, the same
+//! shape for all joints. It covers as much way as the even change of the same length, so that blends stay
+//! centred on their corners and everything above holds. On one way this is the seven-segment S-curve, which
+//! is the quickest there is (Biagiotti and Melchiorri 2008, section 3.4).
+
+use crate::{JOINTS, JointLimits, Joints, Motion};
+
+/// A stretch of constant jerk (which may be zero).
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Piece {
+    start_s: f64,
+    duration_s: f64,
+    from: Motion,
+    jerk_rad_s3: Joints,
+}
+
+impl Piece {
+    /// `time_s` after the piece's own start.
+    fn at(&self, time_s: f64) -> Motion {
+        let t = time_s.clamp(0.0, self.duration_s);
+        let (from, jerk) = (&self.from, &self.jerk_rad_s3);
+        let even =
+            plus(&plus(&from.joints_rad, &from.velocity_rad_s, t), &from.acceleration_rad_s2, 0.5 * t * t);
+        Motion {
+            joints_rad: plus(&even, jerk, t * t * t / 6.0),
+            velocity_rad_s: plus(
+                &plus(&from.velocity_rad_s, &from.acceleration_rad_s2, t),
+                jerk,
+                0.5 * t * t,
+            ),
+            acceleration_rad_s2: plus(&from.acceleration_rad_s2, jerk, t),
+        }
+    }
+}
+
+/// A motion to rest, from rest or (while braking) from motion.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Trajectory {
+    pieces: Vec<Piece>,
+    /// Start and end of the blends.
+    corners_s: Vec<(f64, f64)>,
+    /// Where it ends, exactly.
+    to_rad: Joints,
+    duration_s: f64,
+}
+
+fn scaled(a: &Joints, factor: f64) -> Joints {
+    a.map(|x| x * factor)
+}
+
+fn minus(a: &Joints, b: &Joints) -> Joints {
+    std::array::from_fn(|i| a[i] - b[i])
+}
+
+fn plus(a: &Joints, b: &Joints, factor: f64) -> Joints {
+    std::array::from_fn(|i| a[i] + factor * b[i])
+}
+
+/// The greatest of what the joints ask for, in units of their limits.
+fn most(of: &Joints, limits: &Joints) -> f64 {
+    (0..JOINTS).map(|i| of[i].abs() / limits[i]).fold(0.0, f64::max)
+}
+
+/// How a change of speed goes: the acceleration rises, stays, and falls as it rose.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Ramp {
+    duration_s: f64,
+    /// How long it rises, and how long it falls; 0 = it jumps.
+    rise_s: f64,
+}
+
+/// The quickest change of speed, all joints alike.
+fn ramp(change_rad_s: &Joints, limits: &JointLimits) -> Ramp {
+    let even_s = most(change_rad_s, &limits.acceleration_rad_s2);
+    let jerk_s2 = most(change_rad_s, &limits.jerk_rad_s3);
+    if jerk_s2 == 0.0 {
+        Ramp { duration_s: even_s, rise_s: 0.0 }
+    } else if even_s * even_s >= jerk_s2 {
+        Ramp { duration_s: even_s + jerk_s2 / even_s, rise_s: jerk_s2 / even_s }
+    } else {
+        // The greatest acceleration is not reached.
+        Ramp { duration_s: 2.0 * jerk_s2.sqrt(), rise_s: jerk_s2.sqrt() }
+    }
+}
+
+impl Trajectory {
+    fn ending_at(to_rad: Joints) -> Self {
+        Trajectory { pieces: Vec::new(), corners_s: Vec::new(), to_rad, duration_s: 0.0 }
+    }
+
+    /// Through all points of a path in turn, stopping at the corners for which `stops` says so. Corners
+    /// without a stop are cut a little. `stops` counts from the first corner after the start.
+    pub fn through(path_rad: &[Joints], stops: &[bool], limits: &JointLimits) -> Self {
+        let mut trajectory = Trajectory::ending_at(path_rad.last().copied().unwrap_or_default());
+        let mut start = 0;
+        for end in 1..path_rad.len() {
+            if end + 1 == path_rad.len() || stops.get(end - 1).copied().unwrap_or(false) {
+                trajectory.append_blended(&path_rad[start..=end], limits);
+                start = end;
+            }
+        }
+        trajectory
+    }
+
+    /// One motion after the other; the second starts where the first ends.
+    #[must_use]
+    pub fn then(mut self, next: &Trajectory) -> Self {
+        let after_s = self.duration_s;
+        self.pieces.extend(next.pieces.iter().map(|p| Piece { start_s: p.start_s + after_s, ..*p }));
+        self.corners_s.extend(next.corners_s.iter().map(|(start, end)| (start + after_s, end + after_s)));
+        Trajectory { to_rad: next.to_rad, duration_s: after_s + next.duration_s, ..self }
+    }
+
+    /// Brakes from motion as fast as the limits allow, all joints together, straight on.
+    ///
+    /// Where jerk is limited, an acceleration that is there now must be let go first. On a straight way that
+    /// happens as quickly as can be; within a blend, where speed and acceleration point to different sides,
+    /// the acceleration goes to zero for all joints alike before braking begins.
+    pub fn braking(from: Motion, limits: &JointLimits) -> Self {
+        let mut trajectory = Trajectory::ending_at(from.joints_rad);
+        let release_s = most(&from.acceleration_rad_s2, &limits.jerk_rad_s3);
+        if release_s > 0.0 && trajectory.brake_on_the_line(from, limits) {
+            return trajectory;
+        }
+        let mut here = from;
+        if release_s > 0.0 {
+            here = trajectory.push(here, scaled(&from.acceleration_rad_s2, -1.0 / release_s), release_s);
+        }
+        let ramp = ramp(&here.velocity_rad_s, limits);
+        trajectory.to_rad = plus(&here.joints_rad, &here.velocity_rad_s, 0.5 * ramp.duration_s);
+        trajectory.push_change(here.joints_rad, &here.velocity_rad_s, &[0.0; JOINTS], ramp);
+        trajectory
+    }
+
+    /// Brakes in the least time where the acceleration points along the motion, or against it. False where
+    /// that is not so; then nothing has changed.
+    fn brake_on_the_line(&mut self, from: Motion, limits: &JointLimits) -> bool {
+        let (speed, acceleration) = (&from.velocity_rad_s, &from.acceleration_rad_s2);
+        let dot = |a: &Joints, b: &Joints| -> f64 { (0..JOINTS).map(|i| a[i] * b[i]).sum() };
+        // All in units of the speed now: speed 1, acceleration `gain`, limits `most_gain` and `jerk`.
+        let gain = dot(acceleration, speed) / dot(speed, speed);
+        let off = minus(acceleration, &scaled(speed, gain));
+        if !gain.is_finite() || most(&off, &limits.acceleration_rad_s2) > 1e-9 {
+            return false;
+        }
+        let most_gain = 1.0 / most(speed, &limits.acceleration_rad_s2);
+        let jerk = 1.0 / most(speed, &limits.jerk_rad_s3);
+        // So much speed is lost (or won) while the acceleration goes to zero.
+        let released = 0.5 * gain * gain / jerk;
+        if gain < 0.0 && released > 1.0 - 1e-9 {
+            // The last moments of a ramp to rest. Should more be lost than there is, the line turns back.
+            if released < 1.0 + 1e-6 {
+                let duration_s = -2.0 / gain;
+                self.to_rad = self.push(from, scaled(acceleration, -1.0 / duration_s), duration_s).joints_rad;
+            }
+            return released < 1.0 + 1e-6;
+        }
+        let least = (jerk + 0.5 * gain * gain).sqrt().min(most_gain).max(-gain);
+        let hold_s = (1.0 + released - least * least / jerk) / least;
+        let here = self.push(from, scaled(speed, -jerk), (gain + least) / jerk);
+        let here = Motion { acceleration_rad_s2: scaled(speed, -least), ..here };
+        let here = self.push(here, [0.0; JOINTS], hold_s);
+        self.to_rad = self.push(here, scaled(speed, jerk), least / jerk).joints_rad;
+        true
+    }
+
+    fn append_blended(&mut self, path_rad: &[Joints], limits: &JointLimits) {
+        let points: Vec<Joints> = path_rad.iter().copied().fold(Vec::new(), |mut points, point| {
+            if points.last() != Some(&point) {
+                points.push(point);
+            }
+            points
+        });
+        let ways: Vec<Joints> = points.windows(2).map(|two| minus(&two[1], &two[0])).collect();
+        if ways.is_empty() {
+            return;
+        }
+        let speeds = fastest_speeds(&ways, limits);
+        let velocities: Vec<Joints> = ways.iter().zip(&speeds).map(|(way, s)| scaled(way, *s)).collect();
+        let blends = blends(&velocities, limits);
+        let rest = [0.0; JOINTS];
+        for (k, point) in points.iter().enumerate() {
+            let before = if k == 0 { &rest } else { &velocities[k - 1] };
+            let after = velocities.get(k).unwrap_or(&rest);
+            let blend_s = blends[k].duration_s;
+            if blend_s > 0.0 {
+                // A blend is centred on its corner; at either end, where one speed is zero, the other
+                // way's half of it is where the arm rests, and it takes that long more.
+                let start_s = self.duration_s;
+                self.push_change(plus(point, before, -0.5 * blend_s), before, after, blends[k]);
+                if k > 0 && k < ways.len() {
+                    self.corners_s.push((start_s, self.duration_s));
+                }
+            }
+            if let Some(speed) = speeds.get(k) {
+                let cruise_s = 1.0 / speed - 0.5 * (blend_s + blends[k + 1].duration_s);
+                let joints_rad = plus(point, after, 0.5 * blend_s);
+                self.push(Motion { velocity_rad_s: *after, ..Motion::at_rest(joints_rad) }, rest, cruise_s);
+            }
+        }
+    }
+
+    /// From one speed to another.
+    fn push_change(&mut self, from_rad: Joints, before: &Joints, after: &Joints, ramp: Ramp) {
+        let Ramp { duration_s, rise_s } = ramp;
+        if duration_s <= 0.0 {
+            return;
+        }
+        let greatest = scaled(&minus(after, before), 1.0 / (duration_s - rise_s));
+        let mut here = Motion { velocity_rad_s: *before, ..Motion::at_rest(from_rad) };
+        if rise_s > 0.0 {
+            here = self.push(here, scaled(&greatest, 1.0 / rise_s), rise_s);
+        }
+        here.acceleration_rad_s2 = greatest;
+        here = self.push(here, [0.0; JOINTS], duration_s - 2.0 * rise_s);
+        if rise_s > 0.0 {
+            self.push(here, scaled(&greatest, -1.0 / rise_s), rise_s);
+        }
+    }
+
+    /// One more piece; how things stand at its end.
+    fn push(&mut self, from: Motion, jerk_rad_s3: Joints, duration_s: f64) -> Motion {
+        if duration_s <= 0.0 {
+            return from;
+        }
+        let piece = Piece { start_s: self.duration_s, duration_s, from, jerk_rad_s3 };
+        self.pieces.push(piece);
+        self.duration_s += duration_s;
+        piece.at(duration_s)
+    }
+
+    /// Seconds until rest.
+    pub fn duration_s(&self) -> f64 {
+        self.duration_s
+    }
+
+    /// Where it ends.
+    pub fn goal_rad(&self) -> Joints {
+        self.to_rad
+    }
+
+    /// Everything, `time_s` after the start; at the goal and at rest from the end on.
+    pub fn motion(&self, time_s: f64) -> Motion {
+        let next = self.pieces.partition_point(|piece| piece.start_s <= time_s);
+        match self.pieces.get(next.saturating_sub(1)) {
+            Some(piece) if time_s < self.duration_s => piece.at(time_s - piece.start_s),
+            _ => Motion::at_rest(self.to_rad),
+        }
+    }
+
+    /// The greatest speed of each joint between two instants, either way it turns.
+    pub fn fastest_rad_s(&self, start_s: f64, end_s: f64) -> Joints {
+        let mut fastest = [0.0_f64; JOINTS];
+        for piece in &self.pieces {
+            let (start, end) = (start_s - piece.start_s, end_s - piece.start_s);
+            if start > piece.duration_s || end < 0.0 {
+                continue;
+            }
+            let (first, last) = (piece.at(start), piece.at(end));
+            for (i, fastest) in fastest.iter_mut().enumerate() {
+                let mut speed = first.velocity_rad_s[i].abs().max(last.velocity_rad_s[i].abs());
+                let jerk = piece.jerk_rad_s3[i];
+                if first.acceleration_rad_s2[i] * last.acceleration_rad_s2[i] < 0.0 {
+                    // In between it neither gains nor loses: from the first instant on, a²/2j.
+                    let a = first.acceleration_rad_s2[i];
+                    speed = speed.max((first.velocity_rad_s[i] - 0.5 * a * a / jerk).abs());
+                }
+                *fastest = fastest.max(speed);
+            }
+        }
+        fastest
+    }
+
+    /// When jerk or acceleration change, and the end. In between, positions and speeds at both ends say all.
+    pub fn knots_s(&self) -> Vec<f64> {
+        let starts = self.pieces.iter().map(|piece| piece.start_s).filter(|&start_s| start_s > 0.0);
+        starts.chain([self.duration_s]).collect()
+    }
+
+    /// Start and end of the stretches in which the arm leaves the path's straight ways.
+    pub fn corners_s(&self) -> Vec<(f64, f64)> {
+        self.corners_s.clone()
+    }
+}
+
+fn blends(velocities: &[Joints], limits: &JointLimits) -> Vec<Ramp> {
+    let rest = [0.0; JOINTS];
+    (0..=velocities.len())
+        .map(|k| {
+            let before = if k == 0 { &rest } else { &velocities[k - 1] };
+            ramp(&minus(velocities.get(k).unwrap_or(&rest), before), limits)
+        })
+        .collect()
+}
+
+/// Speeds in ways per second, as fast as the limits of the joints and of the blends allow.
+fn fastest_speeds(ways: &[Joints], limits: &JointLimits) -> Vec<f64> {
+    let top: Vec<f64> = ways.iter().map(|way| 1.0 / most(way, &limits.velocity_rad_s)).collect();
+    // Blends must not reach into each other.
+    let fits = |speeds: &[f64]| {
+        let velocities: Vec<Joints> = ways.iter().zip(speeds).map(|(way, s)| scaled(way, *s)).collect();
+        let blends = blends(&velocities, limits);
+        speeds
+            .iter()
+            .zip(blends.windows(2))
+            .all(|(s, b)| 1.0 / s >= 0.5 * (b[0].duration_s + b[1].duration_s))
+    };
+    if fits(&top) {
+        return top;
+    }
+    if let [way] = ways {
+        // A single way too short for full speed: one ramp up and one down, nothing in between. A hair below,
+        // lest the rounded ramps be longer than the way.
+        return vec![top_of_two_ramps(way, limits) * (1.0 - 1e-12)];
+    }
+    // All slowed alike until they fit (a slower motion always does), then each as fast as the others let it.
+    let slowed = |factor: f64| top.iter().map(|s| s * factor).collect::<Vec<_>>();
+    let mut speeds = slowed(bisect(|factor| fits(&slowed(factor))));
+    for _ in 0..4 {
+        for k in 0..speeds.len() {
+            let now = speeds[k];
+            let with = |share: f64| {
+                let mut tried = speeds.clone();
+                tried[k] = now + share * (top[k] - now);
+                tried
+            };
+            let share = if fits(&with(1.0)) { 1.0 } else { bisect(|share| fits(&with(share))) };
+            speeds = with(share);
+        }
+    }
+    speeds
+}
+
+/// The speed, in ways per second, at which a ramp up and a ramp down together are the whole way: the ramp's
+/// time equals the reciprocal of the speed.
+fn top_of_two_ramps(way: &Joints, limits: &JointLimits) -> f64 {
+    let acceleration = most(way, &limits.acceleration_rad_s2);
+    let jerk = most(way, &limits.jerk_rad_s3);
+    let rise_s = jerk / acceleration;
+    let speed = 2.0 / (rise_s + (rise_s * rise_s + 4.0 * acceleration).sqrt());
+    if speed * acceleration * acceleration >= jerk { speed } else { (0.25 / jerk).cbrt() }
+}
+
+/// The greatest share that was found to fit; 0 fits.
+fn bisect(fits: impl Fn(f64) -> bool) -> f64 {
+    let (mut low, mut high) = (0.0, 1.0);
+    for _ in 0..40 {
+        let middle = 0.5 * (low + high);
+        if fits(middle) { low = middle } else { high = middle }
+    }
+    low
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gen3::{HOME, paper_limits};
+    use proptest::prelude::*;
+
+    fn joints() -> impl Strategy<Value = Joints> {
+        prop::array::uniform7(-2.0..2.0_f64)
+    }
+
+    #[test]
+    #[allow(clippy::approx_constant)] // 3.14 is what Kinova's file says
+    fn kinovas_own_poses_take_the_times_of_moveit() {
+        // Figures computed with MoveIt's time parameterization at scaling 0.1 and 0.05.
+        let limits = paper_limits();
+        let retract = [0.0, -0.35, 3.14, -2.54, 0.0, -0.87, 1.57];
+        let up = Trajectory::through(&[[0.0; JOINTS], HOME], &[], &limits).duration_s();
+        let back = Trajectory::through(&[HOME, retract], &[], &limits).duration_s();
+        assert!((up - 22.81).abs() < 0.01, "{up}");
+        assert!((back - 15.26).abs() < 0.01, "{back}");
+    }
+
+    #[test]
+    fn a_short_move_never_reaches_full_speed() {
+        let mut to = HOME;
+        to[0] += 0.01;
+        let duration = Trajectory::through(&[HOME, to], &[], &paper_limits()).duration_s();
+        assert!((duration - 2.0 * (0.01_f64 / 0.43).sqrt()).abs() < 1e-9);
+    }
+
+    #[test]
+    fn equal_ends_take_no_time() {
+        let limits = paper_limits();
+        let still = Trajectory::through(&[HOME, HOME], &[], &limits);
+        assert_eq!((still.duration_s(), still.motion(1.0).joints_rad), (0.0, HOME));
+        let braked = Trajectory::braking(still.motion(0.0), &limits);
+        assert_eq!((braked.duration_s(), braked.goal_rad()), (0.0, HOME));
+    }
+
+    /// All joints are equally far on their ways at any time, and never turn back by more than `slack` of it.
+    fn keeps_to_the_line(
+        motion: &Trajectory,
+        duration_s: f64,
+        (from, to): (&Joints, &Joints),
+        slack: f64,
+    ) -> Result<(), TestCaseError> {
+        let mut gone = 0.0;
+        for k in 0..=50 {
+            let now = motion.motion(f64::from(k) / 50.0 * duration_s);
+            let shares: Joints = std::array::from_fn(|i| (now.joints_rad[i] - from[i]) / (to[i] - from[i]));
+            for i in 0..JOINTS {
+                prop_assert!((shares[i] - shares[0]).abs() * (to[i] - from[i]).abs() < 1e-9);
+            }
+            prop_assert!(shares[0] >= gone - slack && shares[0] <= 1.0 + slack, "never turns back");
+            gone = shares[0];
+        }
+        Ok(())
+    }
+
+    proptest! {
+        #[test]
+        fn one_way_takes_as_long_as_the_formula_says_and_keeps_to_the_line(
+            from in joints(), to in joints(), share in 0.001..1.0_f64,
+        ) {
+            let limits = paper_limits();
+            let way = scaled(&minus(&to, &from), share);
+            let to = plus(&from, &way, 1.0);
+            let least = |limit: &Joints| {
+                (0..JOINTS).map(|i| limit[i] / way[i].abs()).fold(f64::INFINITY, f64::min)
+            };
+            let (v, a) = (least(&limits.velocity_rad_s), least(&limits.acceleration_rad_s2));
+            let expected_s = if v * v > a { 2.0 / a.sqrt() } else { 1.0 / v + v / a };
+            let motion = Trajectory::through(&[from, to], &[], &limits);
+            prop_assert!((motion.duration_s() - expected_s).abs() < 1e-9);
+            keeps_to_the_line(&motion, expected_s, (&from, &to), 1e-12)?;
+            prop_assert_eq!(motion.motion(motion.duration_s()).joints_rad, to);
+        }
+
+        #[test]
+        fn one_way_with_limited_jerk_is_the_textbooks_s_curve(
+            from in joints(), to in joints(), share in 0.0001..1.0_f64, jerk in 0.5..500.0_f64,
+            scaling in 0.02..1.0_f64,
+        ) {
+            let mut limits = paper_limits().with_jerk(jerk);
+            limits.acceleration_rad_s2 = scaled(&limits.acceleration_rad_s2, scaling / 0.05);
+            let way = scaled(&minus(&to, &from), share);
+            let to = plus(&from, &way, 1.0);
+            let least = |limit: &Joints| {
+                (0..JOINTS).map(|i| limit[i] / way[i].abs()).fold(f64::INFINITY, f64::min)
+            };
+            let (v, a, j) =
+                (least(&limits.velocity_rad_s), least(&limits.acceleration_rad_s2), least(&limits.jerk_rad_s3));
+            // Biagiotti and Melchiorri 2008, 3.4: from rest to rest, for a way of 1.
+            let ramp_s = if v * j < a * a { 2.0 * (v / j).sqrt() } else { a / j + v / a };
+            let expected_s = if 1.0 / v >= ramp_s {
+                1.0 / v + ramp_s
+            } else if 1.0 >= 2.0 * a.powi(3) / (j * j) {
+                2.0 * (0.5 * a / j + (0.25 * (a / j).powi(2) + 1.0 / a).sqrt())
+            } else {
+                4.0 * (0.5 / j).cbrt()
+            };
+            let motion = Trajectory::through(&[from, to], &[], &limits);
+            prop_assert!((motion.duration_s() - expected_s).abs() < 1e-9 * expected_s, "{} {expected_s}", motion.duration_s());
+            let even = Trajectory::through(&[from, to], &[], &limits.with_jerk(f64::INFINITY));
+            prop_assert!(even.duration_s() <= motion.duration_s() + 1e-9);
+            keeps_to_the_line(&motion, expected_s, (&from, &to), 1e-9)?;
+            prop_assert_eq!(motion.motion(motion.duration_s()), Motion::at_rest(to));
+        }
+
+        #[test]
+        fn limits_hold_at_every_sample_and_while_braking(
+            path in prop::collection::vec(joints(), 2..7), short in 0.01..1.0_f64,
+            stops in prop::array::uniform5(any::<bool>()), when in 0.0..1.0_f64,
+            jerk in prop_oneof![Just(f64::INFINITY), 0.5..100.0_f64],
+        ) {
+            let limits = paper_limits().with_jerk(jerk);
+            let path: Vec<Joints> = path.iter().map(|joints| scaled(joints, short)).collect();
+            let plan = Trajectory::through(&path, &stops, &limits);
+            let stopping = Trajectory::through(&path, &[true; 5], &limits);
+            prop_assert!(plan.duration_s().is_finite() && stopping.duration_s() > 0.0);
+            let halt_s = when * plan.duration_s();
+            let halted = plan.motion(halt_s);
+            let halting = Trajectory::braking(halted, &limits);
+            // The time to let an acceleration go and to build it up, twice each, and to brake in between.
+            let rise_s = 0.43 / jerk;
+            let even_s = 0.1397 / 0.43;
+            prop_assert!(halting.duration_s() <= (even_s + 3.0 * rise_s).max(2.0 * (0.15 / jerk).sqrt() + 3.0 * rise_s));
+            prop_assert!((0..JOINTS).all(|i| (halting.motion(0.0).joints_rad[i] - halted.joints_rad[i]).abs() < 1e-12));
+            for (motion, end_s) in [(&plan, plan.duration_s()), (&halting, halting.duration_s())] {
+                let dt_s = 0.01;
+                let fastest = motion.fastest_rad_s(0.0, end_s);
+                let mut before = motion.motion(0.0);
+                let mut time_s = 0.0;
+                while time_s < end_s + dt_s {
+                    time_s += dt_s;
+                    let now = motion.motion(time_s);
+                    for i in 0..JOINTS {
+                        let (v, a) = (limits.velocity_rad_s[i], limits.acceleration_rad_s2[i]);
+                        prop_assert!(now.velocity_rad_s[i].abs() <= v * (1.0 + 1e-9));
+                        prop_assert!(now.acceleration_rad_s2[i].abs() <= a * (1.0 + 1e-6));
+                        let change = (now.acceleration_rad_s2[i] - before.acceleration_rad_s2[i]).abs();
+                        prop_assert!(change <= jerk * dt_s * (1.0 + 1e-5) + 1e-9, "{change} {jerk}");
+                        let change = (now.velocity_rad_s[i] - before.velocity_rad_s[i]).abs();
+                        prop_assert!(change <= a * dt_s * (1.0 + 1e-6) + 1e-9);
+                        let step = (now.joints_rad[i] - before.joints_rad[i]).abs();
+                        prop_assert!(step <= v * dt_s * (1.0 + 1e-6) + 1e-9);
+                    }
+                    let slower = now.velocity_rad_s.iter().zip(fastest).all(|(v, most)| v.abs() <= most + 1e-12);
+                    prop_assert!(slower, "{now:?} {fastest:?}");
+                    before = now;
+                }
+                prop_assert_eq!(before, Motion::at_rest(motion.goal_rad()));
+            }
+            prop_assert_eq!(plan.goal_rad(), *path.last().unwrap());
+        }
+
+        #[test]
+        fn braking_on_a_straight_way_stays_on_it_and_stops_before_its_end(
+            from in joints(), to in joints(), when in 0.0..1.0_f64, jerk in 0.5..100.0_f64,
+        ) {
+            let limits = paper_limits().with_jerk(jerk);
+            let plan = Trajectory::through(&[from, to], &[], &limits);
+            let halt_s = when * plan.duration_s();
+            let halting = Trajectory::braking(plan.motion(halt_s), &limits);
+            prop_assert!(halting.duration_s() <= plan.duration_s() - halt_s + 1e-6, "nothing stops quicker");
+            for k in 0..=20 {
+                let now = halting.motion(f64::from(k) / 20.0 * halting.duration_s());
+                let shares: Joints =
+                    std::array::from_fn(|i| (now.joints_rad[i] - from[i]) / (to[i] - from[i]));
+                for i in 0..JOINTS {
+                    prop_assert!((shares[i] - shares[0]).abs() * (to[i] - from[i]).abs() < 1e-7);
+                }
+                prop_assert!(shares[0] <= 1.0 + 1e-7);
+            }
+        }
+    }
+}

@@ -1,0 +1,585 @@
+//! An arm behind a `joint_trajectory_controller`: what is asked of it, and what became of that.
+//!
+//! Sans-IO. A trajectory starts at the angles that the robot itself reports, is sent as a whole, and is under way until the controller (action) or the angles and the time (topic) say that it is over. A
+//! stop cancels it; whatever is accepted after that is cancelled, too.
+
+use std::sync::Arc;
+
+use super::config::{ArmInterface, Ros2Config};
+use super::robot::Output;
+use host_robot::{End, Following, JOINTS, JointLimits, Motion, Reading, Trajectory};
+use host_topics::message::{JointState, JointTrajectory, JointTrajectoryPoint, Time};
+
+/// Besides the instants at which the acceleration changes, one point per so long.
+const GRID_S: f64 = 0.25;
+/// Controllers want times that grow.
+const LEAST_STEP_S: f64 = 0.001;
+/// The goal is reached within this, where nobody else says so.
+const REACHED_RAD: f64 = 0.05;
+/// A cancellation is asked for again after this long.
+const CANCEL_INTERVAL_MS: u64 = 200;
+/// And given up after this long.
+const CANCEL_PATIENCE_MS: u64 = 5000;
+/// A motion may take this much longer than planned.
+const OVERDUE_MS: u64 = 10_000;
+
+/// What an action server says about a goal.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Answer {
+    /// It will be carried out.
+    Accepted,
+    /// It will not.
+    Rejected,
+    /// So far, in seconds of the trajectory.
+    Progress(f64),
+    /// The pose was reached.
+    Succeeded,
+    /// It was cancelled or aborted; the text says why.
+    Ended(String),
+}
+
+/// A trajectory as points in time: between them cubics through positions and speeds give the same motion.
+pub fn points(trajectory: &Trajectory) -> Vec<JointTrajectoryPoint> {
+    let end_s = trajectory.duration_s();
+    let mut times_s = trajectory.knots_s();
+    times_s.extend((1..).map(|k| f64::from(k) * GRID_S).take_while(|t| *t < end_s));
+    times_s.sort_by(f64::total_cmp);
+    let mut kept: Vec<f64> = Vec::new();
+    for time_s in times_s {
+        let last_s = kept.last().copied().unwrap_or(0.0);
+        if time_s - last_s >= LEAST_STEP_S && end_s - time_s >= LEAST_STEP_S {
+            kept.push(time_s);
+        }
+    }
+    kept.push(end_s.max(LEAST_STEP_S));
+    let point = |time_s: f64| {
+        let motion = trajectory.motion(time_s);
+        JointTrajectoryPoint {
+            positions: motion.joints_rad.to_vec(),
+            velocities: motion.velocity_rad_s.to_vec(),
+            time_from_start: Time::after_s(time_s),
+            ..JointTrajectoryPoint::default()
+        }
+    };
+    kept.into_iter().map(point).collect()
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Seen {
+    position_rad: f64,
+    velocity_rad_s: f64,
+    at_ms: u64,
+}
+
+#[derive(Clone, Debug)]
+struct Run {
+    goal: u32,
+    trajectory: Arc<Trajectory>,
+    asked_ms: u64,
+    /// When it began to move; `None` = no answer yet.
+    moving_since_ms: Option<u64>,
+    /// As the controller says.
+    elapsed_s: Option<f64>,
+    /// It is given up since then.
+    stopping_since_ms: Option<u64>,
+    cancelled_ms: u64,
+}
+
+impl Run {
+    fn elapsed_s(&self, now_ms: u64) -> f64 {
+        let by_time = self.moving_since_ms.map_or(0.0, |since| now_ms.saturating_sub(since) as f64 / 1000.0);
+        self.elapsed_s.unwrap_or(by_time)
+    }
+}
+
+/// See the module.
+#[derive(Clone, Debug)]
+pub struct ArmLink {
+    interface: ArmInterface,
+    names: [String; JOINTS],
+    limits: JointLimits,
+    max_age_ms: u64,
+    answer_ms: u64,
+    seen: [Option<Seen>; JOINTS],
+    /// Somebody takes goals (or trajectories).
+    listened_to: bool,
+    run: Option<Run>,
+    goals: u32,
+    end: Option<End>,
+    notes: Vec<String>,
+}
+
+impl ArmLink {
+    /// An arm of which nothing is known yet.
+    pub fn new(config: &Ros2Config, limits: JointLimits) -> Self {
+        ArmLink {
+            interface: config.arm,
+            names: config.joint_names.clone(),
+            limits,
+            max_age_ms: config.joint_states_max_age_ms,
+            answer_ms: config.answer_ms,
+            seen: [None; JOINTS],
+            listened_to: false,
+            run: None,
+            goals: 0,
+            end: None,
+            notes: Vec::new(),
+        }
+    }
+
+    /// How motions are sent.
+    pub fn interface(&self) -> ArmInterface {
+        self.interface
+    }
+
+    /// Takes angles; joints that are not the arm's and values that are no numbers are left out.
+    pub fn see(&mut self, state: &JointState, now_ms: u64) {
+        for (name, &position_rad) in state.name.iter().zip(&state.position) {
+            let Some(joint) = self.names.iter().position(|own| own == name) else { continue };
+            let place = state.name.iter().position(|other| other == name);
+            let velocity = place.and_then(|place| state.velocity.get(place)).copied();
+            let velocity_rad_s = velocity.filter(|v| v.is_finite()).unwrap_or(0.0);
+            if position_rad.is_finite() {
+                self.seen[joint] = Some(Seen { position_rad, velocity_rad_s, at_ms: now_ms });
+            }
+        }
+    }
+
+    /// Whether somebody takes goals (or trajectories) at all.
+    pub fn set_listened_to(&mut self, listened_to: bool) {
+        self.listened_to = listened_to;
+    }
+
+    /// All joints, if all were heard of lately; accelerations are not told.
+    pub fn sample(&self, now_ms: u64) -> Option<Motion> {
+        let mut sample = Motion::at_rest([0.0; JOINTS]);
+        for (joint, seen) in self.seen.iter().enumerate() {
+            let seen = seen.filter(|seen| now_ms.saturating_sub(seen.at_ms) <= self.max_age_ms)?;
+            sample.joints_rad[joint] = seen.position_rad;
+            sample.velocity_rad_s[joint] = seen.velocity_rad_s;
+        }
+        Some(sample)
+    }
+
+    /// The same, and how old the oldest of it is.
+    pub fn reading(&self, now_ms: u64) -> Option<Reading<Motion>> {
+        let value = self.sample(now_ms)?;
+        let ages_ms = self.seen.iter().flatten().map(|seen| now_ms.saturating_sub(seen.at_ms));
+        Some(Reading { value, age_ms: ages_ms.max().unwrap_or_default() })
+    }
+
+    /// Whether a trajectory could be sent now.
+    ///
+    /// # Errors
+    /// The arm's angles are unknown or old, or nobody listens.
+    pub fn can_follow(&self, now_ms: u64) -> Result<(), String> {
+        if self.interface == ArmInterface::None {
+            return Err("this robot's arm is not driven (arm = \"none\" in [ros2])".to_owned());
+        }
+        self.sample(now_ms).ok_or_else(|| self.what_is_missing(now_ms))?;
+        if !self.listened_to {
+            let what = match self.interface {
+                ArmInterface::Action => "no action server takes goals",
+                _ => "nobody takes trajectories",
+            };
+            return Err(format!("{what}: is the arm's controller active? `doctor --ros2` tells"));
+        }
+        Ok(())
+    }
+
+    /// Sends a trajectory.
+    ///
+    /// # Errors
+    /// As [`ArmLink::can_follow`]; one at a time.
+    pub fn follow(
+        &mut self,
+        trajectory: Arc<Trajectory>,
+        now_ms: u64,
+        outputs: &mut Vec<Output>,
+    ) -> Result<(), String> {
+        if self.run.is_some() {
+            return Err("the arm still follows another trajectory".to_owned());
+        }
+        self.can_follow(now_ms)?;
+        self.goals += 1;
+        outputs.push(self.output(self.goals, &trajectory));
+        self.run = Some(Run {
+            goal: self.goals,
+            trajectory,
+            asked_ms: now_ms,
+            moving_since_ms: (self.interface == ArmInterface::Topic).then_some(now_ms),
+            elapsed_s: None,
+            stopping_since_ms: None,
+            cancelled_ms: 0,
+        });
+        Ok(())
+    }
+
+    /// What became of it so far.
+    pub fn following(&self, now_ms: u64) -> Following {
+        match &self.run {
+            None => Following::Idle,
+            Some(run) if run.stopping_since_ms.is_some() => Following::Halting,
+            Some(run) => Following::Moving { elapsed_s: run.elapsed_s(now_ms) },
+        }
+    }
+
+    fn output(&self, goal: u32, trajectory: &Trajectory) -> Output {
+        let trajectory = JointTrajectory {
+            joint_names: self.names.to_vec(),
+            points: points(trajectory),
+            ..JointTrajectory::default()
+        };
+        match self.interface {
+            ArmInterface::Action => Output::Goal { goal, trajectory },
+            _ => Output::Trajectory(trajectory),
+        }
+    }
+
+    fn what_is_missing(&self, now_ms: u64) -> String {
+        let old =
+            |seen: &Option<Seen>| seen.is_none_or(|seen| now_ms.saturating_sub(seen.at_ms) > self.max_age_ms);
+        let missing: Vec<&str> = self
+            .seen
+            .iter()
+            .zip(&self.names)
+            .filter(|(seen, _)| old(seen))
+            .map(|(_, n)| n.as_str())
+            .collect();
+        format!(
+            "no angles of {} within {} ms: is the joint_state_broadcaster active, and are joint_names and \
+             joint_states in [ros2] the robot's?",
+            missing.join(", "),
+            self.max_age_ms
+        )
+    }
+
+    /// Gives the motion up, if there is one.
+    pub fn halt(&mut self, now_ms: u64, outputs: &mut Vec<Output>) {
+        let fresh = self.sample(now_ms);
+        let Some(run) = &mut self.run else { return };
+        if run.stopping_since_ms.is_some() {
+            return;
+        }
+        run.stopping_since_ms = Some(now_ms);
+        run.cancelled_ms = now_ms;
+        if self.interface == ArmInterface::Action {
+            outputs.push(Output::Cancel { goal: run.goal });
+            return;
+        }
+        let planned = run.trajectory.motion(run.elapsed_s(now_ms));
+        let from =
+            fresh.map_or(planned, |seen| Motion { acceleration_rad_s2: planned.acceleration_rad_s2, ..seen });
+        let braking = Trajectory::braking(from, &self.limits);
+        let braking = Arc::new(braking);
+        run.trajectory = Arc::clone(&braking);
+        run.moving_since_ms = Some(now_ms);
+        let output = self.output(0, &braking);
+        outputs.push(output);
+    }
+
+    /// Takes what the action server says.
+    pub fn answer(&mut self, goal: u32, answer: Answer, now_ms: u64, outputs: &mut Vec<Output>) {
+        let Some(run) = self.run.as_mut().filter(|run| run.goal == goal) else {
+            if answer == Answer::Accepted {
+                // Given up long ago: nothing that is late may move.
+                outputs.push(Output::Cancel { goal });
+                self.notes.push("the arm's controller accepted a goal too late; it is cancelled".to_owned());
+            }
+            return;
+        };
+        match answer {
+            Answer::Accepted => {
+                run.moving_since_ms = Some(now_ms);
+                if run.stopping_since_ms.is_some() {
+                    run.cancelled_ms = now_ms;
+                    outputs.push(Output::Cancel { goal });
+                }
+            }
+            Answer::Progress(elapsed_s) => run.elapsed_s = Some(elapsed_s),
+            Answer::Succeeded => self.end(true),
+            Answer::Rejected => {
+                self.notes.push("the arm's controller rejected the goal; its log says why".to_owned());
+                self.end(false);
+            }
+            Answer::Ended(why) => {
+                if run.stopping_since_ms.is_none() {
+                    self.notes.push(format!("the arm's controller gave up: {why}"));
+                }
+                self.end(false);
+            }
+        }
+    }
+
+    fn end(&mut self, reached: bool) {
+        if self.run.take().is_some() {
+            self.end = Some(if reached { End::Reached } else { End::Halted });
+        }
+    }
+
+    /// Lets the time become `now_ms`.
+    pub fn step(&mut self, now_ms: u64, outputs: &mut Vec<Output>) {
+        let sample = self.sample(now_ms);
+        let Some(run) = &mut self.run else { return };
+        let planned_ms = (run.trajectory.duration_s() * 1000.0) as u64;
+        if self.interface == ArmInterface::Topic {
+            let since_ms = now_ms.saturating_sub(run.moving_since_ms.unwrap_or(now_ms));
+            if since_ms < planned_ms {
+                return;
+            }
+            let goal = run.trajectory.goal_rad();
+            let near = |(here, goal): (&f64, &f64)| (here - goal).abs() <= REACHED_RAD;
+            let arrived = sample.is_some_and(|sample| sample.joints_rad.iter().zip(&goal).all(near));
+            if run.stopping_since_ms.is_some() {
+                self.end(false);
+            } else if arrived {
+                self.end(true);
+            } else if since_ms > planned_ms + OVERDUE_MS {
+                self.notes.push("the arm did not arrive at its pose".to_owned());
+                self.end(false);
+            }
+            return;
+        }
+        if let Some(since_ms) = run.stopping_since_ms {
+            if now_ms.saturating_sub(since_ms) > CANCEL_PATIENCE_MS {
+                self.notes.push("the arm's controller does not confirm the cancellation".to_owned());
+                self.end(false);
+            } else if now_ms.saturating_sub(run.cancelled_ms) >= CANCEL_INTERVAL_MS {
+                run.cancelled_ms = now_ms;
+                outputs.push(Output::Cancel { goal: run.goal });
+            }
+            return;
+        }
+        let silent = run.moving_since_ms.is_none() && now_ms.saturating_sub(run.asked_ms) > self.answer_ms;
+        let overdue =
+            run.moving_since_ms.is_some_and(|since| now_ms.saturating_sub(since) > planned_ms + OVERDUE_MS);
+        if silent || overdue {
+            let why = if silent { "does not answer" } else { "does not finish" };
+            self.notes.push(format!("the arm's controller {why}; the goal is cancelled"));
+            self.halt(now_ms, outputs);
+        }
+    }
+
+    /// How the last trajectory ended; once.
+    pub fn take_end(&mut self) -> Option<End> {
+        self.end.take()
+    }
+
+    /// What a person should know, once.
+    pub fn take_notes(&mut self) -> Vec<String> {
+        std::mem::take(&mut self.notes)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use host_robot::Joints;
+
+    const HOME: Joints = [0.0, 0.26, 3.1, -2.27, 0.0, 0.96, 1.57];
+    const GOAL: Joints = [0.0, 1.01, 3.1, -1.72, 0.0, 0.41, 1.57];
+
+    fn names() -> Vec<String> {
+        (1..=JOINTS).map(|i| format!("joint_{i}")).collect()
+    }
+
+    fn limits() -> JointLimits {
+        JointLimits {
+            velocity_rad_s: [0.13963; JOINTS],
+            acceleration_rad_s2: [0.43; JOINTS],
+            jerk_rad_s3: [f64::INFINITY; JOINTS],
+        }
+    }
+
+    fn angles(joints: Joints) -> JointState {
+        JointState {
+            name: names(),
+            position: joints.to_vec(),
+            velocity: vec![0.0; JOINTS],
+            ..JointState::default()
+        }
+    }
+
+    struct Rig {
+        arm: ArmLink,
+        outputs: Vec<Output>,
+        now_ms: u64,
+    }
+
+    impl Rig {
+        fn new(interface: ArmInterface) -> Self {
+            let config = Ros2Config { arm: interface, ..Ros2Config::default() };
+            let mut arm = ArmLink::new(&config, limits());
+            arm.set_listened_to(true);
+            arm.see(&angles(HOME), 0);
+            Rig { arm, outputs: Vec::new(), now_ms: 0 }
+        }
+
+        fn start(&mut self) -> Result<(), String> {
+            let here = self.arm.sample(self.now_ms).map_or(HOME, |sample| sample.joints_rad);
+            let trajectory = Trajectory::through(&[here, GOAL], &[], &limits());
+            self.arm.follow(Arc::new(trajectory), self.now_ms, &mut self.outputs)
+        }
+
+        fn answer(&mut self, goal: u32, answer: Answer) {
+            self.arm.answer(goal, answer, self.now_ms, &mut self.outputs);
+        }
+
+        fn run(&mut self, ms: u64) -> Vec<Output> {
+            for _ in 0..ms / 10 {
+                self.now_ms += 10;
+                self.arm.step(self.now_ms, &mut self.outputs);
+            }
+            std::mem::take(&mut self.outputs)
+        }
+    }
+
+    #[test]
+    fn a_goal_is_the_trajectory_from_its_start_to_rest_at_its_end() {
+        let mut rig = Rig::new(ArmInterface::Action);
+        rig.start().unwrap();
+        let [Output::Goal { goal: 1, trajectory }] = &rig.outputs[..] else { panic!("{:?}", rig.outputs) };
+        assert_eq!(trajectory.joint_names, names());
+        let points = &trajectory.points;
+        assert!((points[0].positions[1] - HOME[1]).abs() < 0.02, "starts there");
+        let last = points.last().unwrap();
+        assert_eq!(last.velocities, [0.0; JOINTS]);
+        assert!((last.positions[1] - GOAL[1]).abs() < 1e-12);
+        let times: Vec<f64> = points.iter().map(|p| p.time_from_start.seconds()).collect();
+        assert!(times.windows(2).all(|t| t[1] > t[0]) && times[0] > 0.0);
+        assert_eq!(trajectory.header, host_topics::message::Header::default(), "starts on arrival");
+    }
+
+    #[test]
+    fn cubics_through_the_points_are_the_planned_motion() {
+        let mut from = HOME;
+        from[3] += 0.8;
+        let trajectory = Trajectory::through(&[from, HOME], &[], &limits());
+        let sent = points(&trajectory);
+        let mut before = (0.0, from[3], 0.0);
+        for point in &sent {
+            let (t0, p0, v0) = before;
+            let (t1, p1, v1) = (point.time_from_start.seconds(), point.positions[3], point.velocities[3]);
+            let h = t1 - t0;
+            for k in 1..10 {
+                let s = f64::from(k) / 10.0;
+                let cubic = p0 * (1.0 + 2.0 * s) * (1.0 - s).powi(2)
+                    + v0 * h * s * (1.0 - s).powi(2)
+                    + p1 * s * s * (3.0 - 2.0 * s)
+                    + v1 * h * s * s * (s - 1.0);
+                let planned = trajectory.motion(t0 + s * h).joints_rad[3];
+                assert!((cubic - planned).abs() < 1e-6, "{cubic} {planned} at {t0}");
+            }
+            before = (t1, p1, v1);
+        }
+    }
+
+    #[test]
+    fn nothing_is_sent_from_unknown_or_old_joints_or_to_nobody() {
+        let mut rig = Rig::new(ArmInterface::Action);
+        rig.run(600);
+        assert!(rig.start().unwrap_err().contains("joint_1"), "too old");
+        let mut part = angles(HOME);
+        part.name.truncate(6);
+        part.position.truncate(6);
+        rig.arm.see(&part, rig.now_ms);
+        let text = rig.start().unwrap_err();
+        assert!(text.contains("joint_7") && !text.contains("joint_1,"), "{text}");
+        // The gripper's joint comes in a message of its own, as some drivers have it.
+        let last = JointState { name: vec!["joint_7".into()], position: vec![1.57], ..JointState::default() };
+        rig.arm.see(&last, rig.now_ms);
+        rig.start().unwrap();
+
+        let mut rig = Rig::new(ArmInterface::Action);
+        rig.arm.set_listened_to(false);
+        assert!(rig.start().unwrap_err().contains("no action server"));
+        let mut broken = angles(HOME);
+        broken.position[0] = f64::NAN;
+        let mut fresh = Rig::new(ArmInterface::Action);
+        fresh.arm.seen = [None; JOINTS];
+        fresh.arm.see(&broken, 0);
+        assert!(fresh.start().unwrap_err().contains("joint_1"));
+        assert!(rig.outputs.is_empty() && fresh.outputs.is_empty());
+    }
+
+    #[test]
+    fn success_and_failure_are_reported_once_and_a_second_goal_waits() {
+        let mut rig = Rig::new(ArmInterface::Action);
+        rig.start().unwrap();
+        assert!(rig.start().unwrap_err().contains("another trajectory"));
+        rig.answer(1, Answer::Accepted);
+        assert_eq!(rig.arm.following(0), Following::Moving { elapsed_s: 0.0 });
+        rig.answer(1, Answer::Succeeded);
+        assert_eq!(rig.arm.take_end(), Some(End::Reached));
+        assert_eq!(rig.arm.take_end(), None);
+        rig.start().unwrap();
+        rig.answer(2, Answer::Rejected);
+        assert_eq!(rig.arm.take_end(), Some(End::Halted));
+    }
+
+    #[test]
+    fn a_stop_cancels_until_the_controller_confirms() {
+        let mut rig = Rig::new(ArmInterface::Action);
+        rig.start().unwrap();
+        rig.answer(1, Answer::Accepted);
+        rig.run(500);
+        rig.arm.halt(rig.now_ms, &mut rig.outputs);
+        assert_eq!(rig.outputs, [Output::Cancel { goal: 1 }]);
+        rig.outputs.clear();
+        assert_eq!(rig.run(450), [Output::Cancel { goal: 1 }, Output::Cancel { goal: 1 }]);
+        assert!(rig.start().is_err(), "still braking");
+        rig.answer(1, Answer::Ended("cancelled".to_owned()));
+        assert_eq!(rig.arm.take_end(), Some(End::Halted));
+        assert!(rig.run(1000).is_empty());
+    }
+
+    #[test]
+    fn a_goal_without_an_answer_is_cancelled_and_so_is_one_accepted_too_late() {
+        let mut rig = Rig::new(ArmInterface::Action);
+        rig.start().unwrap();
+        rig.outputs.clear();
+        assert!(rig.run(1000).is_empty());
+        assert_eq!(rig.run(20), [Output::Cancel { goal: 1 }]);
+        rig.run(6000);
+        assert_eq!(rig.arm.take_end(), Some(End::Halted));
+        rig.answer(1, Answer::Accepted);
+        assert_eq!(rig.outputs, [Output::Cancel { goal: 1 }]);
+        assert!(!rig.arm.take_notes().is_empty());
+    }
+
+    #[test]
+    fn a_stop_between_goal_and_answer_cancels_again_when_it_is_accepted() {
+        let mut rig = Rig::new(ArmInterface::Action);
+        rig.start().unwrap();
+        rig.arm.halt(0, &mut rig.outputs);
+        rig.outputs.clear();
+        rig.answer(1, Answer::Accepted);
+        assert_eq!(rig.outputs, [Output::Cancel { goal: 1 }]);
+    }
+
+    #[test]
+    fn on_the_topic_a_stop_brakes_from_where_the_arm_is_and_arrival_is_seen_in_its_angles() {
+        let mut rig = Rig::new(ArmInterface::Topic);
+        rig.start().unwrap();
+        assert!(matches!(&rig.outputs[..], [Output::Trajectory(_)]));
+        rig.outputs.clear();
+        rig.run(1000);
+        let mut moving = angles(HOME);
+        moving.velocity[1] = 0.13;
+        rig.arm.see(&moving, rig.now_ms);
+        rig.arm.halt(rig.now_ms, &mut rig.outputs);
+        let [Output::Trajectory(braking)] = &rig.outputs[..] else { panic!("{:?}", rig.outputs) };
+        let last = braking.points.last().unwrap();
+        assert!(last.velocities.iter().all(|v| *v == 0.0));
+        assert!((last.positions[1] - HOME[1] - 0.13 * 0.13 / 2.0 / 0.43).abs() < 1e-9, "v²/2a further");
+        rig.run(1000);
+        assert_eq!(rig.arm.take_end(), Some(End::Halted));
+
+        let mut rig = Rig::new(ArmInterface::Topic);
+        rig.start().unwrap();
+        rig.run(7000);
+        rig.arm.see(&angles(GOAL), rig.now_ms);
+        rig.run(100);
+        assert_eq!(rig.arm.take_end(), Some(End::Reached));
+    }
+}

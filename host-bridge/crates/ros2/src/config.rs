@@ -1,0 +1,333 @@
+//! The section `[ros2]` of the configuration: names, frames, quality of service, times.
+
+use std::net::{IpAddr, Ipv4Addr};
+
+use serde::{Deserialize, Serialize};
+
+use host_robot::JOINTS;
+
+/// How arm motions are sent. One of them, never both.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum ArmInterface {
+    /// As `FollowJointTrajectory` goals: with feedback, and cancelled on a stop.
+    #[default]
+    Action,
+    /// As `JointTrajectory` messages; a stop sends a braking trajectory.
+    Topic,
+    /// Not at all.
+    None,
+}
+
+/// What the robot's ROS runs on; action goals are wrapped differently.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Middleware {
+    /// What `RMW_IMPLEMENTATION` says; Cyclone DDS if it says nothing, as `ros2_kortex` recommends.
+    #[default]
+    Env,
+    /// `rmw_cyclonedds_cpp`.
+    Cyclonedds,
+    /// `rmw_fastrtps_cpp`, and others that follow DDS-RPC.
+    Fastrtps,
+}
+
+/// See the module.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Ros2Config {
+    /// Name of the node.
+    pub node: String,
+    /// Namespace of this operator and robot, such as `/cell1`; empty = none.
+    pub namespace: String,
+    /// DDS domain, 0 to 232; -1 = `ROS_DOMAIN_ID`, or 0.
+    pub domain_id: i32,
+    /// Addresses of the network interfaces to use; empty = all. `ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST`
+    /// and `ROS_LOCALHOST_ONLY=1` count as `["127.0.0.1"]` where nothing else is said.
+    pub interfaces: Vec<IpAddr>,
+    /// What the robot's ROS runs on.
+    pub middleware: Middleware,
+    /// Speeds as `TwistStamped` (Jazzy's diff_drive_controller), or as `Twist`.
+    pub stamped: bool,
+    /// Topic of the base's speed. Names without a leading slash are in the namespace.
+    pub cmd_vel: String,
+    /// Speeds per second while driving or stopping.
+    pub rate_hz: u32,
+    /// After a stop zero is repeated for so long; then silence.
+    pub stop_ms: u64,
+    /// Speeds older than this are dropped on the way by middleware that can (Fast DDS); 0 = never.
+    pub lifespan_ms: u64,
+    /// Messages that a topic keeps for slow readers.
+    pub depth: u32,
+    /// Lost messages are sent again. A best-effort writer reaches no reliable reader.
+    pub reliable: bool,
+    /// How arm motions are sent.
+    pub arm: ArmInterface,
+    /// The arm's controller.
+    pub arm_controller: String,
+    /// Joints 1 to 7 as the robot names them.
+    pub joint_names: [String; JOINTS],
+    /// Where the arm's angles are read (or, with `--publish-sim`, written).
+    pub joint_states: String,
+    /// Angles older than this are not planned from.
+    pub joint_states_max_age_ms: u64,
+    /// A goal without an answer for so long is given up and cancelled.
+    pub answer_ms: u64,
+    /// Where the base's odometry is read (or, with `--publish-sim`, written).
+    pub odom: String,
+    /// Transforms of the simulator, with `--publish-sim`.
+    pub tf: String,
+    /// Gestures and states of the hands.
+    pub diagnostics: String,
+    /// Frame of the odometry.
+    pub odom_frame: String,
+    /// Frame of the base, and of its speed.
+    pub base_frame: String,
+}
+
+impl Default for Ros2Config {
+    fn default() -> Self {
+        let text = str::to_owned;
+        Ros2Config {
+            node: text("bimanual"),
+            namespace: String::new(),
+            domain_id: -1,
+            interfaces: Vec::new(),
+            middleware: Middleware::Env,
+            stamped: true,
+            cmd_vel: text("cmd_vel"),
+            rate_hz: 50,
+            stop_ms: 1000,
+            lifespan_ms: 500,
+            depth: 10,
+            reliable: true,
+            arm: ArmInterface::Action,
+            arm_controller: text("joint_trajectory_controller"),
+            joint_names: std::array::from_fn(|i| format!("joint_{}", i + 1)),
+            joint_states: text("joint_states"),
+            joint_states_max_age_ms: 500,
+            answer_ms: 1000,
+            odom: text("odom"),
+            tf: text("/tf"),
+            diagnostics: text("/diagnostics"),
+            odom_frame: text("odom"),
+            base_frame: text("base_link"),
+        }
+    }
+}
+
+/// What the environment says; looked up by whoever starts the program.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct RosEnvironment {
+    /// `ROS_DOMAIN_ID`.
+    pub domain_id: Option<String>,
+    /// `RMW_IMPLEMENTATION`.
+    pub rmw: Option<String>,
+    /// `ROS_AUTOMATIC_DISCOVERY_RANGE`.
+    pub discovery_range: Option<String>,
+    /// `ROS_LOCALHOST_ONLY`.
+    pub localhost_only: Option<String>,
+}
+
+impl RosEnvironment {
+    /// This process's.
+    pub fn read() -> Self {
+        let get = |name: &str| std::env::var(name).ok().filter(|value| !value.is_empty());
+        RosEnvironment {
+            domain_id: get("ROS_DOMAIN_ID"),
+            rmw: get("RMW_IMPLEMENTATION"),
+            discovery_range: get("ROS_AUTOMATIC_DISCOVERY_RANGE"),
+            localhost_only: get("ROS_LOCALHOST_ONLY"),
+        }
+    }
+}
+
+/// Where and how to connect, decided.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Connection {
+    /// DDS domain.
+    pub domain_id: u16,
+    /// Who said so.
+    pub domain_from: &'static str,
+    /// Addresses of the interfaces; empty = all.
+    pub interfaces: Vec<IpAddr>,
+    /// Goals are wrapped as `rmw_cyclonedds_cpp` does it; otherwise as DDS-RPC has it.
+    pub cyclone_services: bool,
+}
+
+/// The largest domain whose ports exist.
+const DOMAIN_MAX: i32 = 232;
+
+impl Ros2Config {
+    /// Are all values sound?
+    ///
+    /// # Errors
+    /// What is wrong, and what is right.
+    pub fn check(&self) -> Result<(), String> {
+        let ensure = |sound: bool, what: &str| if sound { Ok(()) } else { Err(format!("ros2: {what}")) };
+        ensure(is_name(&self.node), "node is letters, digits and underscores, not starting with a digit")?;
+        ensure(
+            self.namespace.is_empty() || self.namespace.starts_with('/') && are_names(&self.namespace[1..]),
+            "namespace is empty or like \"/cell1\"",
+        )?;
+        ensure((-1..=DOMAIN_MAX).contains(&self.domain_id), "domain_id lies between 0 and 232, or is -1")?;
+        let topics = [
+            ("cmd_vel", &self.cmd_vel),
+            ("arm_controller", &self.arm_controller),
+            ("joint_states", &self.joint_states),
+            ("odom", &self.odom),
+            ("tf", &self.tf),
+            ("diagnostics", &self.diagnostics),
+        ];
+        for (key, name) in topics {
+            ensure(
+                are_names(name.strip_prefix('/').unwrap_or(name)),
+                &format!("{key} = \"{name}\" is no name; names are like \"cmd_vel\" or \"/robot/cmd_vel\""),
+            )?;
+        }
+        ensure((5..=50).contains(&self.rate_hz), "rate_hz lies between 5 and 50: robots stop after 0.5 s")?;
+        ensure((100..=60_000).contains(&self.stop_ms), "stop_ms lies between 100 and 60000")?;
+        ensure(
+            self.lifespan_ms == 0 || (100..=5000).contains(&self.lifespan_ms),
+            "lifespan_ms is 0 or lies between 100 and 5000",
+        )?;
+        ensure((1..=100).contains(&self.depth), "depth lies between 1 and 100")?;
+        ensure(
+            (50..=5000).contains(&self.joint_states_max_age_ms) && (100..=10_000).contains(&self.answer_ms),
+            "joint_states_max_age_ms lies between 50 and 5000, answer_ms between 100 and 10000",
+        )?;
+        let mut names = self.joint_names.to_vec();
+        names.sort();
+        names.dedup();
+        ensure(
+            names.len() == JOINTS && !names.contains(&String::new()),
+            "joint_names are seven different names",
+        )?;
+        ensure(
+            !self.odom_frame.is_empty() && !self.base_frame.is_empty() && self.odom_frame != self.base_frame,
+            "odom_frame and base_frame are two different names",
+        )
+    }
+
+    /// A name with its namespace.
+    pub fn resolve(&self, name: &str) -> String {
+        if name.starts_with('/') { name.to_owned() } else { format!("{}/{name}", self.namespace) }
+    }
+
+    /// Decides between this file and the environment.
+    ///
+    /// # Errors
+    /// What in the environment cannot be used, and what to do.
+    pub fn connection(&self, environment: &RosEnvironment) -> Result<Connection, String> {
+        let (domain, domain_from) = match (self.domain_id, &environment.domain_id) {
+            (0.., _) => (self.domain_id, "the configuration"),
+            (_, Some(text)) => match text.trim().parse() {
+                Ok(domain) if (0..=DOMAIN_MAX).contains(&domain) => (domain, "ROS_DOMAIN_ID"),
+                _ => return Err(format!("ROS_DOMAIN_ID = '{text}' is no domain; choose one from 0 to 232")),
+            },
+            (_, None) => (0, "ROS's default"),
+        };
+        let local = environment.discovery_range.as_deref() == Some("LOCALHOST")
+            || environment.localhost_only.as_deref() == Some("1");
+        let interfaces = if self.interfaces.is_empty() && local {
+            vec![IpAddr::V4(Ipv4Addr::LOCALHOST)]
+        } else {
+            self.interfaces.clone()
+        };
+        let cyclone_services = match (self.middleware, environment.rmw.as_deref()) {
+            (Middleware::Cyclonedds, _) | (Middleware::Env, None | Some("rmw_cyclonedds_cpp")) => true,
+            (Middleware::Env, Some(zenoh)) if zenoh.contains("zenoh") => {
+                return Err(format!(
+                    "RMW_IMPLEMENTATION = {zenoh}: the bridge speaks DDS. Run the robot with \
+                     rmw_cyclonedds_cpp or rmw_fastrtps_cpp, or start zenoh-bridge-ros2dds beside it"
+                ));
+            }
+            (Middleware::Fastrtps | Middleware::Env, _) => false,
+        };
+        // `check` and the match above keep it within 0 to 232.
+        let domain_id = u16::try_from(domain).unwrap_or(0);
+        Ok(Connection { domain_id, domain_from, interfaces, cyclone_services })
+    }
+}
+
+/// One part of a name, as ROS 2 has them.
+fn is_name(name: &str) -> bool {
+    let starts = name.chars().next().is_some_and(|c| c.is_ascii_alphabetic() || c == '_');
+    starts && name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_') && !name.contains("__")
+}
+
+/// Parts with slashes between them.
+fn are_names(names: &str) -> bool {
+    names.split('/').all(is_name)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_in_the_namespace_unless_they_start_with_a_slash() {
+        let config = Ros2Config { namespace: "/cell1".to_owned(), ..Ros2Config::default() };
+        assert_eq!(config.resolve("cmd_vel"), "/cell1/cmd_vel");
+        assert_eq!(config.resolve("/tf"), "/tf");
+        assert_eq!(Ros2Config::default().resolve("cmd_vel"), "/cmd_vel");
+    }
+
+    #[test]
+    fn bad_values_are_named() {
+        let bad = |change: fn(&mut Ros2Config)| {
+            let mut config = Ros2Config::default();
+            change(&mut config);
+            config.check().unwrap_err()
+        };
+        assert!(Ros2Config::default().check().is_ok());
+        assert!(bad(|c| c.namespace = "cell1".to_owned()).contains("namespace"));
+        assert!(bad(|c| c.cmd_vel = "cmd vel".to_owned()).contains("cmd_vel"));
+        assert!(bad(|c| c.tf = "//tf".to_owned()).contains("tf"));
+        assert!(bad(|c| c.rate_hz = 1).contains("0.5 s"));
+        assert!(bad(|c| c.domain_id = 300).contains("domain_id"));
+        assert!(bad(|c| c.joint_names[0] = "joint_2".to_owned()).contains("seven different"));
+        assert!(bad(|c| c.node = "7up".to_owned()).contains("node"));
+    }
+
+    #[test]
+    fn the_configuration_goes_before_the_environment_and_that_before_the_default() {
+        let environment = RosEnvironment {
+            domain_id: Some("42".to_owned()),
+            rmw: Some("rmw_fastrtps_cpp".to_owned()),
+            discovery_range: Some("LOCALHOST".to_owned()),
+            localhost_only: None,
+        };
+        let mut config = Ros2Config::default();
+        let default = config.connection(&RosEnvironment::default()).unwrap();
+        assert_eq!((default.domain_id, default.cyclone_services), (0, true));
+        assert!(default.interfaces.is_empty());
+        let from_environment = config.connection(&environment).unwrap();
+        assert_eq!(from_environment.domain_id, 42);
+        assert!(!from_environment.cyclone_services);
+        assert_eq!(from_environment.interfaces, [IpAddr::V4(Ipv4Addr::LOCALHOST)]);
+        config.domain_id = 7;
+        config.middleware = Middleware::Cyclonedds;
+        config.interfaces = vec!["10.0.0.2".parse().unwrap()];
+        let own = config.connection(&environment).unwrap();
+        assert_eq!((own.domain_id, own.cyclone_services), (7, true));
+        assert_eq!(own.interfaces, config.interfaces);
+    }
+
+    #[test]
+    fn zenoh_and_a_broken_domain_are_errors_that_say_what_to_do() {
+        let config = Ros2Config::default();
+        let with = |domain_id: Option<&str>, rmw: Option<&str>| {
+            let text = |t: &str| t.to_owned();
+            let environment = RosEnvironment {
+                domain_id: domain_id.map(text),
+                rmw: rmw.map(text),
+                ..RosEnvironment::default()
+            };
+            config.connection(&environment).unwrap_err()
+        };
+        assert!(with(None, Some("rmw_zenoh_cpp")).contains("zenoh-bridge-ros2dds"));
+        assert!(with(Some("abc"), None).contains("0 to 232"));
+        assert!(with(Some("233"), None).contains("0 to 232"));
+    }
+}

@@ -1,0 +1,21 @@
+//! ROS 2: the bridge as one more node on the graph, with nothing to install or source.
+//!
+//! ```text
+//! director ─► RosRobot (what to send when) ─► node (DDS) ─► /cmd_vel, arm controller
+//!                 ▲                             │
+//!                 └── joint states, odometry, answers
+//! ```
+//! Everything but `node` is sans-IO and always built, so that its rules are tested and a configuration
+//! file reads the same everywhere. `node` and `driver` need the feature `ros2`. How to use it: `docs/ros2.md`.
+
+pub mod advice;
+pub mod arm;
+pub mod config;
+#[cfg(feature = "ros2")]
+pub mod driver;
+#[cfg(feature = "ros2")]
+pub mod node;
+pub mod robot;
+
+pub use config::{ArmInterface, Middleware, Ros2Config};
+pub use robot::{Counts, Output, RosRobot};

@@ -1,0 +1,416 @@
+//! A robot on a ROS 2 graph: what to publish when. Sans-IO; `ros2::node` carries it out.
+//!
+//! Safety on the graph: before the bridge was armed for the first time (which needs neutral) nothing is
+//! sent. While driving, the speed is repeated at a fixed rate; after a stop zero is, for a bounded time;
+//! then there is silence, so that another source may drive. A stop also cancels the arm's motion.
+
+use std::sync::Arc;
+
+use serde::Serialize;
+
+use super::arm::{Answer, ArmLink};
+use super::config::Ros2Config;
+use host_robot::{
+    BaseConfig, BaseState, End, Following, JointLimits, Motion, Odometry, Reading, Robot, Trajectory, Twist,
+};
+use host_topics::message::{self as ros, JointState, JointTrajectory};
+
+/// A bridge that says nothing for so long stands still.
+const QUIET_MS: u64 = 250;
+
+/// The longest time between a command and its effect: the network, the controller's cycle, and what it takes to hear of it.
+const REACTION_MS: u64 = 60;
+
+/// What goes out.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Output {
+    /// The base's speed, decided now.
+    Twist(Twist),
+    /// An arm motion for the action server.
+    Goal {
+        /// Our number for it.
+        goal: u32,
+        /// The motion.
+        trajectory: JointTrajectory,
+    },
+    /// This goal must end.
+    Cancel {
+        /// Our number for it.
+        goal: u32,
+    },
+    /// An arm motion for the controller's topic.
+    Trajectory(JointTrajectory),
+}
+
+/// What was sent and heard.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Counts {
+    /// Speeds.
+    pub twists: u64,
+    /// Arm motions.
+    pub motions: u64,
+    /// Messages that could not be handed over.
+    pub failed: u64,
+    /// Joint states heard.
+    pub joint_states: u64,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Base {
+    /// Nothing is sent.
+    Silent,
+    /// The speed is repeated.
+    Driving,
+    /// Zero is repeated.
+    Stopping { since_ms: u64 },
+}
+
+/// See the module.
+#[derive(Clone, Debug)]
+pub struct RosRobot {
+    interval_ms: u64,
+    stop_ms: u64,
+    now_ms: u64,
+    /// The bridge has been armed once.
+    allowed: bool,
+    base: Base,
+    wanted: Twist,
+    /// When the bridge last said so.
+    wanted_ms: u64,
+    sent_ms: Option<u64>,
+    arm: ArmLink,
+    outputs: Vec<Output>,
+    limits: JointLimits,
+    base_limits: BaseConfig,
+    /// Its newest odometry, from where it was first seen, and when that came.
+    seen: Option<(BaseState, u64)>,
+    first: Option<Odometry>,
+}
+
+impl RosRobot {
+    /// A robot that nothing was said to yet.
+    pub fn new(config: &Ros2Config, limits: JointLimits, base_limits: BaseConfig) -> Self {
+        RosRobot {
+            // The bridge repeats itself every 20 ms, a turn of its loop later at most.
+            interval_ms: (1000 / u64::from(config.rate_hz.max(1))).saturating_sub(2),
+            stop_ms: config.stop_ms,
+            now_ms: 0,
+            allowed: false,
+            base: Base::Silent,
+            wanted: Twist::ZERO,
+            wanted_ms: 0,
+            sent_ms: None,
+            arm: ArmLink::new(config, limits),
+            outputs: Vec::new(),
+            limits,
+            base_limits,
+            seen: None,
+            first: None,
+        }
+    }
+
+    /// Sets the time for what follows.
+    pub fn at(&mut self, now_ms: u64) {
+        self.now_ms = self.now_ms.max(now_ms);
+    }
+
+    /// Angles that the robot reports.
+    pub fn see(&mut self, state: &JointState) {
+        self.arm.see(state, self.now_ms);
+    }
+
+    /// Odometry that the robot reports. The scene's origin is where the base was first seen.
+    pub fn see_base(&mut self, odometry: &ros::Odometry) {
+        let position = odometry.pose.pose.position;
+        let here = Odometry {
+            x_m: position.x,
+            y_m: position.y,
+            heading_rad: odometry.pose.pose.orientation.yaw_rad(),
+            path_m: 0.0,
+            twist: Twist {
+                linear_m_s: odometry.twist.twist.linear.x,
+                angular_rad_s: odometry.twist.twist.angular.z,
+            },
+        };
+        let values = [here.x_m, here.y_m, here.heading_rad, here.twist.linear_m_s, here.twist.angular_rad_s];
+        if !values.iter().all(|value| value.is_finite()) {
+            return;
+        }
+        let first = *self.first.get_or_insert(here);
+        let (s, c) = first.heading_rad.sin_cos();
+        let (x, y) = (here.x_m - first.x_m, here.y_m - first.y_m);
+        let mut moved = Odometry { x_m: c * x + s * y, y_m: c * y - s * x, ..here };
+        moved.heading_rad -= first.heading_rad;
+        if let Some((last, _)) = self.seen {
+            let step_m = (moved.x_m - last.odometry.x_m).hypot(moved.y_m - last.odometry.y_m);
+            moved.path_m = last.odometry.path_m + step_m;
+            // Turned on from where it was, not wrapped.
+            let turn = moved.heading_rad - last.odometry.heading_rad;
+            moved.heading_rad -= std::f64::consts::TAU * (turn / std::f64::consts::TAU).round();
+        }
+        let mut covariance = [[0.0; 3]; 3];
+        let from = [0, 1, 5];
+        for (row, values) in covariance.iter_mut().enumerate() {
+            for (column, value) in values.iter_mut().enumerate() {
+                *value = odometry.pose.covariance[from[row]][from[column]];
+            }
+        }
+        self.seen = Some((BaseState { odometry: moved, covariance, wheels: None }, self.now_ms));
+    }
+
+    /// Whether anybody takes arm motions.
+    pub fn set_arm_listened_to(&mut self, listened_to: bool) {
+        self.arm.set_listened_to(listened_to);
+    }
+
+    /// An answer of the action server.
+    pub fn answer(&mut self, goal: u32, answer: Answer) {
+        self.arm.answer(goal, answer, self.now_ms, &mut self.outputs);
+    }
+
+    /// What is to be sent, in order.
+    pub fn take_outputs(&mut self) -> Vec<Output> {
+        std::mem::take(&mut self.outputs)
+    }
+
+    fn stop_base(&mut self) {
+        self.wanted = Twist::ZERO;
+        self.base = Base::Stopping { since_ms: self.now_ms };
+        self.send_speed();
+    }
+
+    fn send_speed(&mut self) {
+        self.sent_ms = Some(self.now_ms);
+        // Of what was decided in one turn of the loop only the last counts: no two with one stamp.
+        self.outputs.retain(|output| !matches!(output, Output::Twist(_)));
+        self.outputs.push(Output::Twist(self.wanted));
+    }
+
+    fn repeat(&mut self) {
+        if let Base::Stopping { since_ms } = self.base
+            && self.now_ms.saturating_sub(since_ms) > self.stop_ms
+        {
+            self.base = Base::Silent;
+        }
+        let due = self.sent_ms.is_none_or(|sent| self.now_ms.saturating_sub(sent) >= self.interval_ms);
+        if self.base != Base::Silent && due {
+            self.send_speed();
+        }
+    }
+}
+
+impl Robot for RosRobot {
+    /// Repeats, waits and gives up as the module says.
+    fn step(&mut self, now_ms: u64) {
+        self.at(now_ms);
+        let quiet_ms = self.now_ms.saturating_sub(self.wanted_ms);
+        if self.base == Base::Driving && quiet_ms >= QUIET_MS {
+            // This program stood still. What it wanted then is old.
+            self.stop_base();
+        }
+        self.repeat();
+        self.arm.step(self.now_ms, &mut self.outputs);
+    }
+
+    fn arm(&self) -> Option<Reading<Motion>> {
+        self.arm.reading(self.now_ms)
+    }
+
+    fn base(&self) -> Option<Reading<BaseState>> {
+        let (value, at_ms) = self.seen?;
+        Some(Reading { value, age_ms: self.now_ms.saturating_sub(at_ms) })
+    }
+
+    fn joint_limits(&self) -> &JointLimits {
+        &self.limits
+    }
+
+    fn base_limits(&self) -> &BaseConfig {
+        &self.base_limits
+    }
+
+    fn drive(&mut self, twist: Twist) {
+        self.allowed = true;
+        let sound = twist.linear_m_s.is_finite() && twist.angular_rad_s.is_finite();
+        let twist = if sound { twist } else { Twist::ZERO };
+        self.wanted_ms = self.now_ms;
+        if twist == Twist::ZERO {
+            // At rest already: whoever else drives is not disturbed.
+            if self.base == Base::Driving {
+                self.stop_base();
+            }
+            return;
+        }
+        let changed = self.base != Base::Driving || twist != self.wanted;
+        self.base = Base::Driving;
+        self.wanted = twist;
+        if changed {
+            self.send_speed();
+        }
+        // Repeating is `step`'s work.
+    }
+
+    fn can_follow(&self) -> Result<(), String> {
+        self.arm.can_follow(self.now_ms)
+    }
+
+    fn follow(&mut self, trajectory: Arc<Trajectory>) -> Result<(), String> {
+        self.arm.follow(trajectory, self.now_ms, &mut self.outputs)
+    }
+
+    fn following(&self) -> Following {
+        self.arm.following(self.now_ms)
+    }
+
+    fn take_end(&mut self) -> Option<End> {
+        self.arm.take_end()
+    }
+
+    fn halt_arm(&mut self) {
+        self.arm.halt(self.now_ms, &mut self.outputs);
+    }
+
+    fn halt(&mut self) {
+        if self.allowed {
+            self.stop_base();
+        }
+        self.halt_arm();
+    }
+
+    fn reaction_ms(&self) -> u64 {
+        REACTION_MS
+    }
+
+    fn take_notes(&mut self) -> Vec<String> {
+        self.arm.take_notes()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn limits() -> JointLimits {
+        use host_robot::JOINTS;
+        JointLimits {
+            velocity_rad_s: [0.14; JOINTS],
+            acceleration_rad_s2: [0.43; JOINTS],
+            jerk_rad_s3: [f64::INFINITY; JOINTS],
+        }
+    }
+
+    const FORWARD: Twist = Twist { linear_m_s: 0.5, angular_rad_s: 0.0 };
+
+    struct Rig {
+        robot: RosRobot,
+        now_ms: u64,
+        /// What the bridge says every 20 ms.
+        bridge: Option<Twist>,
+    }
+
+    impl Rig {
+        fn new() -> Self {
+            let robot = RosRobot::new(&Ros2Config::default(), limits(), BaseConfig::default());
+            Rig { robot, now_ms: 1000, bridge: None }
+        }
+
+        /// Time and speed of what was sent.
+        fn run(&mut self, ms: u64) -> Vec<(u64, f64)> {
+            let mut sent = Vec::new();
+            for _ in 0..ms {
+                self.now_ms += 1;
+                self.robot.step(self.now_ms);
+                if let Some(twist) = self.bridge.filter(|_| self.now_ms.is_multiple_of(20)) {
+                    self.robot.drive(twist);
+                }
+                sent.extend(self.robot.take_outputs().into_iter().map(|output| match output {
+                    Output::Twist(twist) => (self.now_ms, twist.linear_m_s),
+                    other => panic!("{other:?}"),
+                }));
+            }
+            sent
+        }
+    }
+
+    #[test]
+    fn nothing_is_sent_before_the_bridge_was_armed_not_even_by_a_stop() {
+        let mut rig = Rig::new();
+        rig.robot.halt();
+        assert!(rig.run(2000).is_empty());
+        // Armed, at rest: still nobody is disturbed.
+        rig.bridge = Some(Twist::ZERO);
+        assert!(rig.run(2000).is_empty());
+    }
+
+    #[test]
+    fn a_speed_is_sent_at_once_and_then_50_times_per_second() {
+        let mut rig = Rig::new();
+        rig.bridge = Some(FORWARD);
+        let sent = rig.run(2020);
+        assert_eq!(sent[0], (1020, 0.5), "at once");
+        assert!(sent.windows(2).all(|two| (15..=25).contains(&(two[1].0 - two[0].0))), "{sent:?}");
+        assert!(sent.iter().all(|(_, speed)| *speed == 0.5));
+        rig.bridge = Some(Twist { linear_m_s: 0.55, ..FORWARD });
+        assert_eq!(rig.run(20).last().unwrap().1, 0.55, "a change does not wait");
+    }
+
+    #[test]
+    fn after_a_stop_zero_is_repeated_for_a_second_and_then_there_is_silence() {
+        for halted in [false, true] {
+            let mut rig = Rig::new();
+            rig.bridge = Some(FORWARD);
+            rig.run(500);
+            rig.bridge = Some(Twist::ZERO);
+            if halted {
+                rig.robot.halt();
+            }
+            let start_ms = rig.now_ms;
+            let sent = rig.run(5000);
+            let zeros: Vec<_> = sent.iter().filter(|(_, speed)| *speed == 0.0).collect();
+            assert!(zeros[0].0 - start_ms <= 20, "{:?}", zeros[0]);
+            assert!(zeros.len() >= 45, "{}", zeros.len());
+            let last_ms = zeros.last().unwrap().0 - start_ms;
+            assert!((950..=1060).contains(&last_ms), "{last_ms}");
+            // Nothing but zero after the first zero.
+            let first = sent.iter().position(|(_, speed)| *speed == 0.0).unwrap();
+            assert!(sent[first..].iter().all(|(_, speed)| *speed == 0.0));
+        }
+    }
+
+    #[test]
+    fn an_operators_stop_at_rest_is_said_aloud() {
+        let mut rig = Rig::new();
+        rig.bridge = Some(Twist::ZERO);
+        rig.run(100);
+        rig.robot.halt();
+        assert!(rig.run(3000).len() >= 45);
+        assert!(rig.run(3000).is_empty());
+    }
+
+    #[test]
+    fn a_bridge_that_says_nothing_more_stops_the_base_within_a_quarter_second() {
+        let mut rig = Rig::new();
+        rig.bridge = Some(FORWARD);
+        rig.run(500);
+        rig.bridge = None;
+        let start_ms = rig.now_ms;
+        let sent = rig.run(2000);
+        let zero = sent.iter().find(|(_, speed)| *speed == 0.0).unwrap();
+        assert!(zero.0 - start_ms <= 251, "{zero:?}");
+        // The program stood still for a while: the first thing it sends is zero.
+        rig.bridge = Some(FORWARD);
+        rig.run(500);
+        rig.bridge = None;
+        rig.now_ms += 3000;
+        assert_eq!(rig.run(1), [(rig.now_ms, 0.0)]);
+    }
+
+    #[test]
+    fn speeds_that_are_no_numbers_stop() {
+        let mut rig = Rig::new();
+        rig.bridge = Some(FORWARD);
+        rig.run(100);
+        rig.bridge = Some(Twist { linear_m_s: f64::NAN, angular_rad_s: 0.0 });
+        assert_eq!(rig.run(30).last().unwrap().1, 0.0);
+    }
+}

@@ -1,0 +1,269 @@
+//! The simulated robot: a differential-drive base with an arm, in steps of a millisecond.
+
+use std::sync::Arc;
+
+use host_robot::{
+    Base, BaseConfig, BaseState, End, Following, JointLimits, Joints, Motion, Odometry, Reading, Robot,
+    Trajectory, Twist,
+};
+
+/// Length of one step.
+pub const STEP_MS: u64 = 1;
+
+/// Without a command for this long the robot stops by itself.
+pub const COMMAND_TIMEOUT_MS: u64 = 500;
+
+/// Figures of the simulated robot.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SimConfig {
+    /// Size and limits of the base.
+    pub base: BaseConfig,
+    /// Where the arm starts, in rad.
+    pub arm_start_rad: Joints,
+    /// Scaled limits of the arm.
+    pub arm_limits: JointLimits,
+}
+
+/// The arm: it follows one trajectory at a time, exactly.
+#[derive(Clone, Debug)]
+struct Arm {
+    here: Motion,
+    following: Option<(Arc<Trajectory>, f64)>,
+    halting: bool,
+    end: Option<End>,
+}
+
+/// A robot in virtual time.
+#[derive(Clone, Debug)]
+pub struct Simulator {
+    base: Base,
+    arm: Arm,
+    arm_limits: JointLimits,
+    now_ms: u64,
+    last_command_ms: u64,
+    timeouts: u32,
+    timed_out: bool,
+}
+
+impl Simulator {
+    /// A robot at rest at time 0.
+    pub fn new(config: SimConfig) -> Self {
+        Simulator {
+            base: Base::new(config.base),
+            arm: Arm {
+                here: Motion::at_rest(config.arm_start_rad),
+                following: None,
+                halting: false,
+                end: None,
+            },
+            arm_limits: config.arm_limits,
+            now_ms: 0,
+            last_command_ms: 0,
+            timeouts: 0,
+            timed_out: false,
+        }
+    }
+
+    /// The same robot whose clock shows `now_ms`.
+    #[must_use]
+    pub fn starting_at(self, now_ms: u64) -> Self {
+        Simulator { now_ms, last_command_ms: now_ms, ..self }
+    }
+
+    /// Neither a wheel nor a joint moves.
+    pub fn at_rest(&self) -> bool {
+        self.base.wheels_rad_s() == [0.0; 2] && self.arm.here.velocity_rad_s.iter().all(|v| *v == 0.0)
+    }
+
+    /// Speeds of the left and the right wheel in rad/s.
+    pub fn wheels_rad_s(&self) -> [f64; 2] {
+        self.base.wheels_rad_s()
+    }
+
+    /// Where the base is, and how fast.
+    pub fn odometry(&self) -> Odometry {
+        self.base.odometry()
+    }
+
+    /// How the arm moves.
+    pub fn motion(&self) -> Motion {
+        self.arm.here
+    }
+
+    fn heard(&mut self) {
+        self.last_command_ms = self.now_ms;
+        self.timed_out = false;
+    }
+}
+
+impl Arm {
+    fn step(&mut self, dt_s: f64) {
+        let Some((trajectory, elapsed_s)) = &mut self.following else { return };
+        *elapsed_s += dt_s;
+        self.here = trajectory.motion(*elapsed_s);
+        if *elapsed_s >= trajectory.duration_s() {
+            self.end = Some(if self.halting { End::Halted } else { End::Reached });
+            self.following = None;
+            self.halting = false;
+        }
+    }
+
+    /// Gives the trajectory up and brakes as fast as the limits allow, straight on.
+    fn halt(&mut self, limits: &JointLimits) {
+        if self.following.is_some() && !self.halting {
+            self.following = Some((Arc::new(Trajectory::braking(self.here, limits)), 0.0));
+            self.halting = true;
+        }
+    }
+}
+
+impl Robot for Simulator {
+    fn step(&mut self, now_ms: u64) {
+        let dt_s = STEP_MS as f64 / 1000.0;
+        while self.now_ms + STEP_MS <= now_ms {
+            self.now_ms += STEP_MS;
+            if self.now_ms - self.last_command_ms > COMMAND_TIMEOUT_MS && !self.timed_out {
+                self.timed_out = true;
+                self.timeouts += u32::from(!self.at_rest());
+                self.base.drive(Twist::ZERO);
+                self.arm.halt(&self.arm_limits);
+            }
+            self.base.step(dt_s);
+            self.arm.step(dt_s);
+        }
+    }
+
+    fn arm(&self) -> Option<Reading<Motion>> {
+        Some(Reading { value: self.arm.here, age_ms: 0 })
+    }
+
+    fn base(&self) -> Option<Reading<BaseState>> {
+        Some(Reading { value: self.base.state(), age_ms: 0 })
+    }
+
+    fn joint_limits(&self) -> &JointLimits {
+        &self.arm_limits
+    }
+
+    fn base_limits(&self) -> &BaseConfig {
+        self.base.config()
+    }
+
+    fn drive(&mut self, twist: Twist) {
+        self.heard();
+        self.base.drive(twist);
+    }
+
+    fn can_follow(&self) -> Result<(), String> {
+        Ok(())
+    }
+
+    fn follow(&mut self, trajectory: Arc<Trajectory>) -> Result<(), String> {
+        self.heard();
+        self.arm.following = Some((trajectory, 0.0));
+        self.arm.halting = false;
+        Ok(())
+    }
+
+    fn following(&self) -> Following {
+        match self.arm.following {
+            None => Following::Idle,
+            Some(_) if self.arm.halting => Following::Halting,
+            Some((_, elapsed_s)) => Following::Moving { elapsed_s },
+        }
+    }
+
+    fn take_end(&mut self) -> Option<End> {
+        self.arm.end.take()
+    }
+
+    fn halt_arm(&mut self) {
+        self.arm.halt(&self.arm_limits);
+    }
+
+    fn halt(&mut self) {
+        self.heard();
+        self.base.drive(Twist::ZERO);
+        self.arm.halt(&self.arm_limits);
+    }
+
+    fn timeouts(&self) -> u32 {
+        self.timeouts
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use host_robot::JOINTS;
+
+    const START_RAD: Joints = [0.1; JOINTS];
+    const GOAL_RAD: Joints = [1.0; JOINTS];
+
+    fn robot() -> Simulator {
+        let arm_limits = JointLimits {
+            velocity_rad_s: [0.14; JOINTS],
+            acceleration_rad_s2: [0.43; JOINTS],
+            jerk_rad_s3: [f64::INFINITY; JOINTS],
+        };
+        Simulator::new(SimConfig { base: BaseConfig::default(), arm_start_rad: START_RAD, arm_limits })
+    }
+
+    fn to_goal(robot: &Simulator) -> Arc<Trajectory> {
+        Arc::new(Trajectory::through(&[START_RAD, GOAL_RAD], &[], robot.joint_limits()))
+    }
+
+    /// Lets time pass; every 20 ms the bridge says the same.
+    fn run(robot: &mut Simulator, ms: u64, twist: Option<Twist>) {
+        for _ in 0..ms {
+            if let Some(twist) = twist.filter(|_| robot.now_ms.is_multiple_of(20)) {
+                robot.drive(twist);
+            }
+            robot.step(robot.now_ms + 1);
+        }
+    }
+
+    #[test]
+    fn without_commands_base_and_arm_come_to_rest_by_themselves() {
+        let mut robot = robot();
+        robot.follow(to_goal(&robot)).unwrap();
+        run(&mut robot, 2000, Some(Twist { linear_m_s: 1.0, angular_rad_s: 0.0 }));
+        assert!(!robot.at_rest());
+        // 0.5 s of silence, then 1 s to brake from 1 m/s at 1 m/s².
+        run(&mut robot, 480, None);
+        assert!((robot.odometry().twist.linear_m_s - 1.0).abs() < 1e-9);
+        run(&mut robot, 1030, None);
+        assert!(robot.at_rest());
+        assert_eq!(robot.timeouts(), 1);
+        assert_eq!(robot.take_end(), Some(End::Halted));
+        run(&mut robot, 10_000, None);
+        assert!(robot.at_rest());
+    }
+
+    #[test]
+    fn a_halted_trajectory_is_not_taken_up_again_and_halting_twice_changes_nothing() {
+        let mut robot = robot();
+        robot.follow(to_goal(&robot)).unwrap();
+        run(&mut robot, 1000, Some(Twist::ZERO));
+        robot.halt();
+        run(&mut robot, 100, Some(Twist::ZERO));
+        let before = robot.motion();
+        robot.halt();
+        assert_eq!((robot.motion(), robot.following()), (before, Following::Halting));
+        run(&mut robot, 300, Some(Twist::ZERO));
+        assert_eq!(robot.following(), Following::Idle, "braking takes at most v/a = 0.326 s");
+        let rested = robot.motion();
+        run(&mut robot, 3000, Some(Twist::ZERO));
+        assert_eq!(robot.motion(), rested);
+    }
+
+    #[test]
+    fn a_trajectory_ends_at_its_goal_once() {
+        let mut robot = robot();
+        robot.follow(to_goal(&robot)).unwrap();
+        run(&mut robot, 10_000, Some(Twist::ZERO));
+        assert_eq!(robot.motion(), Motion::at_rest(GOAL_RAD));
+        assert_eq!(robot.take_end(), Some(End::Reached));
+        assert_eq!(robot.take_end(), None);
+    }
+}

@@ -1,0 +1,179 @@
+//! Hands, gestures and the bridge's state as `diagnostic_msgs`, for `rqt_robot_monitor` and the like.
+
+use crate::message::{DiagnosticArray, DiagnosticStatus, Header, KeyValue, Time};
+use host_core::bridge::{Bridge, BridgeEvent, EventKind};
+use host_core::safety::{Hand, State};
+
+/// Repeated this often where nothing happens.
+pub const INTERVAL_MS: u64 = 1000;
+
+/// Collects what happened, and says when it is to be published.
+#[derive(Clone, Debug, Default)]
+pub struct Diagnostics {
+    gestures: u32,
+    /// Label, confidence, age in ms, outcome.
+    gesture: Option<(String, f32, u64, String)>,
+    motion: Option<String>,
+    labels: Vec<String>,
+    hardware: [String; 2],
+    due: bool,
+    published_ms: Option<u64>,
+}
+
+impl Diagnostics {
+    /// Takes what happened.
+    pub fn note(&mut self, event: &BridgeEvent) {
+        match &event.kind {
+            EventKind::HandStarted { hand, identity } => {
+                self.hardware[*hand as usize] = format!("{} {:08x}", identity.board, identity.boot_id);
+            }
+            EventKind::Model { model, .. } => self.labels.clone_from(&model.labels),
+            EventKind::Gesture { label, confidence, age_ms, outcome, .. } => {
+                self.gestures = self.gestures.wrapping_add(1);
+                let outcome = serde_json::to_value(outcome).ok().map(|value| match value {
+                    serde_json::Value::String(text) => text,
+                    serde_json::Value::Object(pair) => pair
+                        .iter()
+                        .map(|(what, motion)| format!("{what} {}", motion.as_str().unwrap_or_default()))
+                        .collect(),
+                    other => other.to_string(),
+                });
+                self.gesture = Some((label.clone(), *confidence, *age_ms, outcome.unwrap_or_default()));
+            }
+            EventKind::MotionEnded { motion, reached } => {
+                self.motion = Some(format!("{motion} {}", if *reached { "reached" } else { "halted" }));
+            }
+            EventKind::MotionRefused { motion, reason } => {
+                self.motion = Some(format!("{motion} refused: {reason}"));
+            }
+            EventKind::Ignored { .. } => return,
+            _ => {}
+        }
+        self.due = true;
+    }
+
+    /// The message, if one is to be published now: at once after an event, else once a second.
+    pub fn take(&mut self, node: &str, bridge: &Bridge, now_ms: u64, stamp: Time) -> Option<DiagnosticArray> {
+        let late = self.published_ms.is_none_or(|at| now_ms.saturating_sub(at) >= INTERVAL_MS);
+        if !self.due && !late {
+            return None;
+        }
+        self.due = false;
+        self.published_ms = Some(now_ms);
+        let mut status = vec![self.bridge(bridge), self.left(bridge), self.right(bridge)];
+        status.extend(self.gesture());
+        for part in &mut status {
+            part.name = format!("{node}: {}", part.name);
+        }
+        Some(DiagnosticArray { header: Header { stamp, frame_id: String::new() }, status })
+    }
+
+    fn bridge(&self, bridge: &Bridge) -> DiagnosticStatus {
+        let state = bridge.safety().state();
+        let (level, message) = match state {
+            State::Armed => (DiagnosticStatus::OK, "armed"),
+            State::Waiting => (DiagnosticStatus::WARN, "waiting for neutral hands"),
+            State::Stopped => (DiagnosticStatus::WARN, "stopped by the operator"),
+            State::Stale => (DiagnosticStatus::ERROR, "a hand is silent or not fit to act on"),
+        };
+        let twist = bridge.twist();
+        let caps = bridge.caps();
+        let mut values = vec![
+            value("linear_m_s", twist.linear_m_s),
+            value("angular_rad_s", twist.angular_rad_s),
+            value("cap_m_s", caps.linear_m_s),
+            value("late_states", bridge.drops().late_states),
+            value("late_gestures", bridge.drops().late_gestures),
+        ];
+        values.extend(self.motion.as_ref().map(|motion| value("motion", motion)));
+        part("bridge", level, message, "", values)
+    }
+
+    fn left(&self, bridge: &Bridge) -> DiagnosticStatus {
+        let (level, message) = health(bridge, Hand::Left);
+        let (pitch_mrad, roll_mrad, heading) = bridge.left_hand();
+        let heading = serde_json::to_value(heading).ok();
+        let heading = heading.and_then(|h| h.as_str().map(str::to_owned)).unwrap_or_default();
+        let values =
+            vec![value("heading", heading), value("pitch_mrad", pitch_mrad), value("roll_mrad", roll_mrad)];
+        part("left hand", level, message, &self.hardware[0], values)
+    }
+
+    fn right(&self, bridge: &Bridge) -> DiagnosticStatus {
+        let (level, message) = health(bridge, Hand::Right);
+        let scores = self.labels.iter().zip(bridge.scores());
+        let values = scores.map(|(label, score)| value(label, format!("{score:.3}"))).collect();
+        part("right hand", level, message, &self.hardware[1], values)
+    }
+
+    fn gesture(&self) -> Option<DiagnosticStatus> {
+        let (label, confidence, age_ms, outcome) = self.gesture.as_ref()?;
+        let values = vec![
+            value("count", self.gestures),
+            value("confidence", format!("{confidence:.3}")),
+            value("age_ms", age_ms),
+            value("outcome", outcome),
+        ];
+        Some(part("gesture", DiagnosticStatus::OK, label, "", values))
+    }
+}
+
+fn health(bridge: &Bridge, hand: Hand) -> (u8, &'static str) {
+    let safety = bridge.safety();
+    match (safety.connected(hand), safety.live(hand)) {
+        (true, true) => (DiagnosticStatus::OK, "live"),
+        (true, false) => (DiagnosticStatus::ERROR, "silent or not fit to act on"),
+        (false, _) => (DiagnosticStatus::STALE, "not connected"),
+    }
+}
+
+fn value(key: &str, value: impl ToString) -> KeyValue {
+    KeyValue { key: key.to_owned(), value: value.to_string() }
+}
+
+fn part(name: &str, level: u8, message: &str, hardware: &str, values: Vec<KeyValue>) -> DiagnosticStatus {
+    DiagnosticStatus {
+        level,
+        name: name.to_owned(),
+        message: message.to_owned(),
+        hardware_id: hardware.to_owned(),
+        values,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use host_core::bridge::GestureOutcome;
+    use host_core::intent::MotionMap;
+    use host_robot::MotionName;
+
+    #[test]
+    fn events_are_published_at_once_and_a_quiet_bridge_once_a_second() {
+        let bridge = Bridge::new(MotionMap::default());
+        let mut diagnostics = Diagnostics::default();
+        let at = |diagnostics: &mut Diagnostics, now_ms| {
+            diagnostics.take("bimanual", &bridge, now_ms, Time::default())
+        };
+        let first = at(&mut diagnostics, 0).unwrap();
+        let names: Vec<&str> = first.status.iter().map(|s| s.name.as_str()).collect();
+        assert_eq!(names, ["bimanual: bridge", "bimanual: left hand", "bimanual: right hand"]);
+        assert_eq!(first.status[1].level, DiagnosticStatus::STALE);
+        assert_eq!(at(&mut diagnostics, 999), None);
+        assert!(at(&mut diagnostics, 1000).is_some());
+        let kind = EventKind::Gesture {
+            label: "circle".to_owned(),
+            confidence: 0.9,
+            window_end_board_ms: 0,
+            age_ms: 7,
+            outcome: GestureOutcome::Started(MotionName::from("random-top")),
+        };
+        diagnostics.note(&BridgeEvent { time_ms: 1001, kind });
+        let message = at(&mut diagnostics, 1001).unwrap();
+        let gesture = message.status.last().unwrap();
+        assert_eq!((gesture.name.as_str(), gesture.message.as_str()), ("bimanual: gesture", "circle"));
+        let outcome = gesture.values.iter().find(|v| v.key == "outcome").unwrap();
+        assert_eq!(outcome.value, "started random-top");
+        assert_eq!(at(&mut diagnostics, 1002), None);
+    }
+}

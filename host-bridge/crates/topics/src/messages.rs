@@ -1,0 +1,440 @@
+//! Every message, made from what observers are shown.
+
+use serde::Serialize;
+
+use super::Topic;
+use super::cdr::encode;
+use crate::message::{self as ros, Header, Time};
+use host_core::bridge::{BridgeEvent, EventKind};
+use host_core::describe;
+use host_core::observe::SessionEvent;
+use host_core::observe::{Now, OperatorKey, Sample, Turn};
+use host_core::safety::Hand;
+use host_robot::Pose;
+
+/// Frame in which the base's way is told.
+pub const ODOM: &str = "odom";
+/// Frame of the base, on the floor between its wheels.
+pub const BASE: &str = "base_link";
+/// Frame of the arm's foot.
+pub const ARM: &str = "arm_base";
+
+/// A message, ready to be written or sent.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Entry {
+    /// Where.
+    pub topic: Topic,
+    /// When, on the session's clock.
+    pub time_ms: u64,
+    /// What, in CDR.
+    pub data: Vec<u8>,
+}
+
+/// Time of day at which the session's clock was zero.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Origin {
+    /// Since 1970.
+    pub nanoseconds: u64,
+}
+
+impl Entry {
+    fn new(topic: Topic, time_ms: u64, message: &impl Serialize) -> Self {
+        // No type of ours, or of those of ROS, has anything that CDR has not.
+        Entry { topic, time_ms, data: encode(message).unwrap_or_default() }
+    }
+}
+
+impl Origin {
+    /// The time of day.
+    pub fn at(self, time_ms: u64) -> u64 {
+        self.nanoseconds.saturating_add(time_ms.saturating_mul(1_000_000))
+    }
+
+    fn stamp(self, time_ms: u64) -> Time {
+        Time::at_ns(self.at(time_ms))
+    }
+
+    fn header(self, time_ms: u64, frame: &str) -> Header {
+        Header { stamp: self.stamp(time_ms), frame_id: frame.to_owned() }
+    }
+
+    /// Bytes of a link.
+    pub fn bytes(self, time_ms: u64, hand: Hand, received: bool, data: &[u8]) -> Entry {
+        let topic = match (hand, received) {
+            (Hand::Left, true) => Topic::LeftReceived,
+            (Hand::Left, false) => Topic::LeftSent,
+            (Hand::Right, true) => Topic::RightReceived,
+            (Hand::Right, false) => Topic::RightSent,
+        };
+        Entry::new(topic, time_ms, &Bytes { stamp: self.stamp(time_ms), time_ms, data })
+    }
+
+    /// A key.
+    pub fn operated(self, time_ms: u64, key: OperatorKey) -> Entry {
+        let key = u8::from(key == OperatorKey::Release);
+        Entry::new(Topic::Operated, time_ms, &Operated { stamp: self.stamp(time_ms), time_ms, key })
+    }
+
+    /// Steps, of which the last one ended at `time_ms`.
+    pub fn turns(self, time_ms: u64, turns: &[Turn]) -> Entry {
+        let turn = |turn: &Turn| match turn {
+            Turn::Decided(ms) => OneTurn { kind: 0, ms: *ms },
+            Turn::Moved(ms) => OneTurn { kind: 1, ms: *ms },
+        };
+        Entry::new(Topic::Turns, time_ms, &Turns { turns: turns.iter().map(turn).collect() })
+    }
+
+    /// A reading: as the recording has it, and as ROS wants it.
+    pub fn sample(self, time_ms: u64, sample: &Sample<'_>) -> Vec<Entry> {
+        match *sample {
+            Sample::Left { counts, bends_permille } => {
+                let header = self.header(time_ms, "left_hand");
+                vec![Entry::new(Topic::LeftSample, time_ms, &LeftSample { header, counts, bends_permille })]
+            }
+            Sample::Right { values } => {
+                let header = self.header(time_ms, "right_hand");
+                let three = |from: usize, factor: f64| -> Option<[f64; 3]> {
+                    let found = values.get(from..from + 3)?;
+                    Some([0, 1, 2].map(|i| f64::from(found[i]) * factor))
+                };
+                // A first element of -1 is ROS's way to say that there is no such reading.
+                let mut unknown = [0.0; 9];
+                unknown[0] = -1.0;
+                let raw = RightSample { header: header.clone(), values };
+                let mut entries = vec![Entry::new(Topic::RightSample, time_ms, &raw)];
+                if let Some(acceleration) = three(0, 1.0) {
+                    let turning = three(3, std::f64::consts::PI / 180.0);
+                    let imu = ros::Imu {
+                        header: header.clone(),
+                        orientation: ros::Quaternion { w: 1.0, ..ros::Quaternion::default() },
+                        orientation_covariance: unknown,
+                        angular_velocity: turning.unwrap_or_default().into(),
+                        angular_velocity_covariance: if turning.is_some() { [0.0; 9] } else { unknown },
+                        linear_acceleration: acceleration.into(),
+                        linear_acceleration_covariance: [0.0; 9],
+                    };
+                    entries.push(Entry::new(Topic::Imu, time_ms, &imu));
+                }
+                if let Some(field) = three(6, 1e-6) {
+                    let magnetic =
+                        ros::MagneticField { header, magnetic_field: field.into(), ..Default::default() };
+                    entries.push(Entry::new(Topic::Magnetic, time_ms, &magnetic));
+                }
+                entries
+            }
+        }
+    }
+
+    /// An event, on all topics that it is for.
+    pub fn event(self, event: &SessionEvent) -> Vec<Entry> {
+        let time_ms = describe::time_ms(event);
+        let text = describe::text(event);
+        let mut entries = Vec::new();
+        let mut warning = false;
+        if let SessionEvent::Bridge(bridge_event) = event {
+            let BridgeEvent { kind, .. } = bridge_event;
+            let (header, json) =
+                (self.header(time_ms, ""), serde_json::to_string(bridge_event).unwrap_or_default());
+            let event = Event { header: header.clone(), time_ms, text: &text, json: &json };
+            entries.push(Entry::new(Topic::Events, time_ms, &event));
+            if let Some(intent) = Intent::of(kind, &header) {
+                entries.push(Entry::new(Topic::Intents, time_ms, &intent));
+            }
+            let stop = match kind {
+                EventKind::Halt { reason } => Some((true, plain(reason))),
+                EventKind::Released => Some((false, String::new())),
+                _ => None,
+            };
+            if let Some((halted, reason)) = stop {
+                entries.push(Entry::new(Topic::Stops, time_ms, &Stop { header, halted, reason }));
+            }
+            warning = matches!(
+                kind,
+                EventKind::Halt { .. }
+                    | EventKind::BoardFault { .. }
+                    | EventKind::HandUnusable { .. }
+                    | EventKind::MotionRefused { .. }
+            );
+        }
+        let log = ros::Log {
+            stamp: self.stamp(time_ms),
+            level: if warning { 30 } else { 20 },
+            name: "bimanual".to_owned(),
+            msg: text,
+            ..ros::Log::default()
+        };
+        entries.push(Entry::new(Topic::Log, time_ms, &log));
+        entries
+    }
+
+    /// What the hands say.
+    pub fn hands(self, now: &Now<'_>) -> Entry {
+        let bridge = now.bridge;
+        let (left, caps) = (bridge.left_state(), bridge.caps());
+        let hands = Hands {
+            header: self.header(now.time_ms, ""),
+            safety: plain(&bridge.safety().state()),
+            pitch_rad: f64::from(left.pitch_mrad) / 1000.0,
+            roll_rad: f64::from(left.roll_mrad) / 1000.0,
+            heading: describe::heading_name(left.heading.into()),
+            both_fingers: left.stop,
+            labels: bridge.link(Hand::Right).model().map_or(&[][..], |model| &model.labels),
+            scores: bridge.scores(),
+            cap_m_s: caps.linear_m_s,
+            cap_rad_s: caps.angular_rad_s,
+        };
+        Entry::new(Topic::Hands, now.time_ms, &hands)
+    }
+
+    /// What the base is asked for.
+    pub fn twist(self, now: &Now<'_>) -> Entry {
+        let twist =
+            ros::TwistStamped { header: self.header(now.time_ms, BASE), twist: now.bridge.twist().into() };
+        Entry::new(Topic::Twist, now.time_ms, &twist)
+    }
+
+    /// Arm joints, then the wheels.
+    pub fn joints(self, now: &Now<'_>) -> Entry {
+        let (picture, model) = (now.robot.picture(), now.robot.setting());
+        let arm = &picture.arm;
+        let joints = model.joints.len().min(arm.joints_rad.len());
+        let names = model.joints[..joints].iter().map(|joint| joint.name.as_str());
+        let state = ros::JointState {
+            header: self.header(now.time_ms, ""),
+            name: names.chain(["left_wheel", "right_wheel"]).map(str::to_owned).collect(),
+            position: [&arm.joints_rad[..joints], &picture.wheels_rad].concat(),
+            velocity: [&arm.velocity_rad_s[..joints], &picture.wheels_rad_s].concat(),
+            effort: Vec::new(),
+        };
+        Entry::new(Topic::Joints, now.time_ms, &state)
+    }
+
+    /// Where the base is, and how sure that is.
+    pub fn odometry(self, now: &Now<'_>) -> Entry {
+        let odometry =
+            ros::Odometry::of(&now.robot.picture(), self.header(now.time_ms, ODOM), BASE.to_owned());
+        Entry::new(Topic::Odometry, now.time_ms, &odometry)
+    }
+
+    /// Base in the world, foot on the base, links and flange on the foot.
+    pub fn transforms(self, now: &Now<'_>) -> Entry {
+        let (picture, model) = (now.robot.picture(), now.robot.setting());
+        let links = now.robot.link_poses(&picture.arm.joints_rad);
+        let joints = model.joints.len().min(links.len() - 1);
+        let put = |parent: &str, child: String, transform| ros::TransformStamped {
+            header: self.header(now.time_ms, parent),
+            child_frame_id: child,
+            transform,
+        };
+        let on_foot =
+            |pose: &Pose| ros::Transform { translation: pose.position_m.into(), rotation: quaternion(pose) };
+        let foot = ros::Transform { translation: model.mount_m.into(), rotation: ros::Quaternion::yaw(0.0) };
+        let mut transforms = vec![
+            put(ODOM, BASE.to_owned(), ros::Transform::of_base(&picture)),
+            put(BASE, ARM.to_owned(), foot),
+        ];
+        for (joint, pose) in model.joints.iter().zip(&links[..joints]) {
+            transforms.push(put(ARM, format!("{}_link", joint.name), on_foot(pose)));
+        }
+        transforms.push(put(ARM, "flange".to_owned(), on_foot(&links[links.len() - 1])));
+        Entry::new(Topic::Transforms, now.time_ms, &ros::TfMessage { transforms })
+    }
+
+    /// So many messages are missing.
+    pub fn lost(self, time_ms: u64, messages: u64) -> Entry {
+        Entry::new(Topic::Lost, time_ms, &Lost { header: self.header(time_ms, ""), messages })
+    }
+}
+
+// Our own types, field by field as `TYPES` (in the module above) describes them.
+
+#[derive(Serialize)]
+struct Bytes<'a> {
+    stamp: Time,
+    time_ms: u64,
+    data: &'a [u8],
+}
+
+#[derive(Serialize)]
+struct Operated {
+    stamp: Time,
+    time_ms: u64,
+    key: u8,
+}
+
+#[derive(Serialize)]
+struct Turns {
+    turns: Vec<OneTurn>,
+}
+
+#[derive(Serialize)]
+struct OneTurn {
+    kind: u8,
+    ms: u64,
+}
+
+#[derive(Serialize)]
+struct LeftSample {
+    header: Header,
+    counts: [u16; 5],
+    bends_permille: [i16; 2],
+}
+
+#[derive(Serialize)]
+struct RightSample<'a> {
+    header: Header,
+    values: &'a [f32],
+}
+
+#[derive(Serialize)]
+struct Hands<'a> {
+    header: Header,
+    safety: String,
+    pitch_rad: f64,
+    roll_rad: f64,
+    heading: &'a str,
+    both_fingers: bool,
+    labels: &'a [String],
+    scores: &'a [f32],
+    cap_m_s: f64,
+    cap_rad_s: f64,
+}
+
+#[derive(Serialize)]
+struct Event<'a> {
+    header: Header,
+    time_ms: u64,
+    text: &'a str,
+    json: &'a str,
+}
+
+#[derive(Serialize)]
+struct Stop {
+    header: Header,
+    halted: bool,
+    reason: String,
+}
+
+#[derive(Serialize)]
+struct Lost {
+    header: Header,
+    messages: u64,
+}
+
+/// An event that a hand asked for.
+#[derive(Serialize)]
+struct Intent {
+    header: Header,
+    hand: &'static str,
+    name: String,
+    outcome: String,
+    confidence: f32,
+    age_ms: u64,
+    /// Forward and turning, where it is about speed.
+    speed: [f64; 2],
+}
+
+impl Intent {
+    fn of(kind: &EventKind, header: &Header) -> Option<Self> {
+        let header = header.clone();
+        match kind {
+            EventKind::Heading { heading, twist, age_ms, .. } => Some(Intent {
+                header,
+                hand: "left",
+                name: describe::heading_name(*heading).to_owned(),
+                outcome: "drive".to_owned(),
+                confidence: 1.0,
+                age_ms: *age_ms,
+                speed: [twist.linear_m_s, twist.angular_rad_s],
+            }),
+            EventKind::Caps { cap, .. } => Some(Intent {
+                header,
+                hand: "left",
+                name: "cap".to_owned(),
+                outcome: "cap".to_owned(),
+                confidence: 1.0,
+                age_ms: 0,
+                speed: [*cap, *cap],
+            }),
+            EventKind::Gesture { label, confidence, age_ms, outcome, .. } => Some(Intent {
+                header,
+                hand: "right",
+                name: label.clone(),
+                outcome: plain(outcome),
+                confidence: *confidence,
+                age_ms: *age_ms,
+                speed: [0.0; 2],
+            }),
+            _ => None,
+        }
+    }
+}
+
+/// As in the JSON summary; texts without their quotes.
+fn plain(value: &impl serde::Serialize) -> String {
+    match serde_json::to_value(value) {
+        Ok(serde_json::Value::String(text)) => text,
+        Ok(other) => other.to_string(),
+        Err(_) => String::new(),
+    }
+}
+
+fn quaternion(pose: &Pose) -> ros::Quaternion {
+    let [x, y, z, w] = quaternion_xyzw(pose);
+    ros::Quaternion { x, y, z, w }
+}
+
+/// By the largest component, so that no division is by something small.
+fn quaternion_xyzw(pose: &Pose) -> [f64; 4] {
+    let r = &pose.rotation;
+    let trace = r[0][0] + r[1][1] + r[2][2];
+    // Four times the square of w, x, y, z.
+    let squares =
+        [1.0 + trace, 1.0 + 2.0 * r[0][0] - trace, 1.0 + 2.0 * r[1][1] - trace, 1.0 + 2.0 * r[2][2] - trace];
+    let largest = (1..4).fold(0, |best, k| if squares[k] > squares[best] { k } else { best });
+    let twice = squares[largest].max(0.0).sqrt();
+    let share = 0.5 / twice;
+    let (a, b, c) = (r[2][1] - r[1][2], r[0][2] - r[2][0], r[1][0] - r[0][1]);
+    let (d, e, f) = (r[0][1] + r[1][0], r[0][2] + r[2][0], r[1][2] + r[2][1]);
+    match largest {
+        0 => [a * share, b * share, c * share, 0.5 * twice],
+        1 => [0.5 * twice, d * share, e * share, a * share],
+        2 => [d * share, 0.5 * twice, f * share, b * share],
+        _ => [e * share, f * share, 0.5 * twice, c * share],
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn quaternions_turn_as_their_matrices_do() {
+        let (s, c) = 0.7_f64.sin_cos();
+        let turned = |rotation| quaternion_xyzw(&Pose { position_m: [0.0; 3], rotation });
+        let half = 0.35_f64.sin_cos();
+        for (rotation, expected) in [
+            ([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], [0.0, 0.0, 0.0, 1.0]),
+            ([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]], [0.0, 0.0, half.0, half.1]),
+            ([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]], [half.0, 0.0, 0.0, half.1]),
+            ([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]], [0.0, half.0, 0.0, half.1]),
+            // Half a turn about each axis.
+            ([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]], [1.0, 0.0, 0.0, 0.0]),
+            ([[-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0]], [0.0, 1.0, 0.0, 0.0]),
+            ([[-1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0]], [0.0, 0.0, 1.0, 0.0]),
+        ] {
+            for (got, expected) in turned(rotation).iter().zip(expected) {
+                assert!((got - expected).abs() < 1e-12, "{rotation:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn stamps_are_the_time_of_day() {
+        let origin = Origin { nanoseconds: 1_700_000_000_900_000_000 };
+        let entry = origin.operated(250, OperatorKey::Release);
+        let mut reader = super::super::cdr::Reader::new(&entry.data).unwrap();
+        assert_eq!((reader.i32(), reader.u32()), (Some(1_700_000_001), Some(150_000_000)));
+        assert_eq!((reader.u64(), reader.u8()), (Some(250), Some(1)));
+    }
+}

@@ -1,0 +1,125 @@
+//! Which message is due when: from the tap to an outlet.
+
+use super::messages::{Entry, Origin};
+use host_core::observe::SessionEvent;
+use host_core::observe::{Now, Observer, OperatorKey, Sample, Turn};
+use host_core::safety::Hand;
+
+/// More steps than this are not held back for one message.
+const TURNS_MAX: usize = 1000;
+
+const JOINTS_INTERVAL_MS: u64 = 10;
+const ODOMETRY_INTERVAL_MS: u64 = 20;
+const HANDS_INTERVAL_MS: u64 = 50;
+
+/// Takes messages in their order. It is called from within the session's loop.
+pub trait Outlet {
+    /// One more.
+    fn put(&mut self, entry: Entry);
+}
+
+/// The observer that makes every message of a session: joints at 100 Hz, odometry, speeds and transforms at
+/// 50 Hz, the hands' state at 20 Hz, all else as it happens.
+#[derive(Debug)]
+pub struct Teller<O: Outlet> {
+    origin: Origin,
+    outlet: O,
+    turns: Vec<Turn>,
+    time_ms: u64,
+    /// When joints, odometry and hands are due.
+    due_ms: [u64; 3],
+}
+
+impl<O: Outlet> Teller<O> {
+    /// Hangs an outlet on a session whose clock was zero at `origin`.
+    pub fn new(origin: Origin, outlet: O) -> Self {
+        Teller { origin, outlet, turns: Vec::new(), time_ms: 0, due_ms: [0; 3] }
+    }
+
+    fn put(&mut self, entry: Entry) {
+        self.outlet.put(entry);
+    }
+
+    /// The steps so far, before anything whose place among them counts.
+    fn put_turns(&mut self) {
+        if !self.turns.is_empty() {
+            let entry = self.origin.turns(self.time_ms, &self.turns);
+            self.turns.clear();
+            self.put(entry);
+        }
+    }
+
+    fn is_due(&mut self, which: usize, time_ms: u64, interval_ms: u64) -> bool {
+        let due = time_ms >= self.due_ms[which];
+        if due {
+            self.due_ms[which] = time_ms - time_ms % interval_ms + interval_ms;
+        }
+        due
+    }
+}
+
+impl<O: Outlet> Observer for Teller<O> {
+    fn received(&mut self, time_ms: u64, hand: Hand, bytes: &[u8]) {
+        self.put_turns();
+        self.put(self.origin.bytes(time_ms, hand, true, bytes));
+    }
+
+    fn sent(&mut self, time_ms: u64, hand: Hand, frame: &[u8]) {
+        self.put_turns();
+        self.put(self.origin.bytes(time_ms, hand, false, frame));
+    }
+
+    fn sampled(&mut self, time_ms: u64, sample: &Sample<'_>) {
+        for entry in self.origin.sample(time_ms, sample) {
+            self.put(entry);
+        }
+    }
+
+    fn operated(&mut self, time_ms: u64, key: OperatorKey) {
+        self.put_turns();
+        self.put(self.origin.operated(time_ms, key));
+    }
+
+    fn turned(&mut self, turn: Turn) {
+        if let Turn::Decided(time_ms) = turn {
+            self.time_ms = self.time_ms.max(time_ms);
+        }
+        if turn != Turn::Moved(0) {
+            self.turns.push(turn);
+        }
+        if self.turns.len() >= TURNS_MAX {
+            self.put_turns();
+        }
+    }
+
+    fn happened(&mut self, event: &SessionEvent) {
+        self.put_turns();
+        for entry in self.origin.event(event) {
+            self.put(entry);
+        }
+    }
+
+    fn state(&mut self, now: &Now<'_>) {
+        let time_ms = now.time_ms;
+        if self.is_due(0, time_ms, JOINTS_INTERVAL_MS) {
+            self.put_turns();
+            self.put(self.origin.joints(now));
+        }
+        if self.is_due(1, time_ms, ODOMETRY_INTERVAL_MS) {
+            self.put_turns();
+            self.put(self.origin.twist(now));
+            self.put(self.origin.odometry(now));
+            self.put(self.origin.transforms(now));
+        }
+        if self.is_due(2, time_ms, HANDS_INTERVAL_MS) {
+            self.put_turns();
+            self.put(self.origin.hands(now));
+        }
+    }
+}
+
+impl<O: Outlet> Drop for Teller<O> {
+    fn drop(&mut self) {
+        self.put_turns();
+    }
+}

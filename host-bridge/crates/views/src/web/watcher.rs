@@ -1,0 +1,124 @@
+//! From the tap to the history that pages are told.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use serde::Serialize;
+
+use super::Shared;
+use super::history::EventLine;
+use host_core::bridge::{BridgeEvent, EventKind};
+use host_core::describe;
+use host_core::observe::SessionEvent;
+use host_core::observe::{Now, Observer, Sample, Setting, Snapshot, link_poses_in_world};
+
+/// A new state is published this long after the last at the earliest: a little less than a frame of a 60 Hz
+/// display.
+pub const INTERVAL: Duration = Duration::from_millis(15);
+
+/// Path and trace are looked at this often (in the session's time) …
+const TRAIL_INTERVAL_MS: u64 = 40;
+/// … and get a point after each so many metres.
+const PATH_STEP_M: f64 = 0.02;
+const TRACE_STEP_M: f64 = 0.01;
+
+#[derive(Serialize)]
+struct Hello<'a> {
+    hello: u32,
+    version: &'a str,
+    title: &'a str,
+    setting: &'a Setting,
+}
+
+/// Hangs on a session's tap, and never waits for a page.
+pub struct Watcher {
+    shared: Arc<Shared>,
+    title: String,
+    published: Option<Instant>,
+    trail_due_ms: u64,
+}
+
+impl Watcher {
+    pub(super) fn new(shared: Arc<Shared>, title: &str) -> Self {
+        Watcher { shared, title: title.to_owned(), published: None, trail_due_ms: 0 }
+    }
+
+    fn greet(&self, now: &Now<'_>) {
+        let (setting, version) = (Setting::of(now), env!("CARGO_PKG_VERSION"));
+        let hello = Hello { hello: 1, version, title: &self.title, setting: &setting };
+        let hello = serde_json::to_string(&hello).unwrap_or_default();
+        self.shared.history().hello = Some(hello.into());
+    }
+
+    fn trail(&mut self, now: &Now<'_>) {
+        let picture = now.robot.picture();
+        let odometry = picture.odometry;
+        let here = [odometry.x_m, odometry.y_m];
+        let flange = link_poses_in_world(now, &picture.arm.joints_rad)[host_robot::JOINTS].position_m;
+        let mut history = self.shared.history();
+        if history.path.newest().is_none_or(|last| distance(last, &here) >= PATH_STEP_M) {
+            history.path.push(here);
+        }
+        if history.trace.newest().is_none_or(|last| distance(last, &flange) >= TRACE_STEP_M) {
+            history.trace.push(flange);
+        }
+    }
+}
+
+/// Makes this the newest state.
+pub(super) fn publish(shared: &Shared, now: &Now<'_>) {
+    // Numbers, texts and lists: nothing that could fail.
+    let state = serde_json::to_string(&Snapshot::of(now)).unwrap_or_default();
+    let mut history = shared.history();
+    history.state = state.into();
+    history.version += 1;
+}
+
+fn distance<const N: usize>(one: &[f64; N], two: &[f64; N]) -> f64 {
+    one.iter().zip(two).map(|(a, b)| (a - b) * (a - b)).sum::<f64>().sqrt()
+}
+
+impl Observer for Watcher {
+    fn sampled(&mut self, time_ms: u64, sample: &Sample<'_>) {
+        let mut history = self.shared.history();
+        match sample {
+            Sample::Left { bends_permille, .. } => history.bends_permille = Some(*bends_permille),
+            Sample::Right { values } => {
+                let time = std::iter::once(time_ms as f32);
+                history.imu.push(time.chain(values.iter().copied()).collect());
+            }
+        }
+    }
+
+    fn happened(&mut self, event: &SessionEvent) {
+        if describe::is_echo(event) {
+            return;
+        }
+        let class = match event {
+            SessionEvent::Bridge(BridgeEvent { kind, .. }) => match kind {
+                EventKind::Halt { .. } | EventKind::HandUnusable { .. } | EventKind::BoardFault { .. } => {
+                    "halt"
+                }
+                EventKind::Gesture { .. } | EventKind::MotionEnded { .. } => "motion",
+                _ => "",
+            },
+            SessionEvent::RecordingEnded { .. } => "",
+        };
+        let line = EventLine { time_ms: describe::time_ms(event), class, text: describe::text(event) };
+        self.shared.history().events.push(line);
+    }
+
+    fn state(&mut self, now: &Now<'_>) {
+        if now.time_ms >= self.trail_due_ms {
+            self.trail_due_ms = now.time_ms + TRAIL_INTERVAL_MS;
+            self.trail(now);
+        }
+        if self.published.is_none() {
+            self.greet(now);
+        }
+        if self.published.is_none_or(|at| at.elapsed() >= INTERVAL) {
+            self.published = Some(Instant::now());
+            publish(&self.shared, now);
+        }
+    }
+}

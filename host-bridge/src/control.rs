@@ -1,0 +1,325 @@
+//! The control thread: the engine against the clock.
+//!
+//! ```text
+//! links ══ bytes ══►┐                       ┌══► links (frames for boards)
+//! keys, page, signals ═►  Control (engine)  ├══► Report: events and states, for whoever draws and prints
+//!                                           └──► observers on the tap, robot
+//! ```
+//!
+//! Everything that comes in is taken in bounded portions, everything that goes out is handed over or dropped: no
+//! terminal, file, pipe or socket can keep this thread from a stop. When it ends, by order or by a panic, the robot is
+//! halted.
+
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use host_core::engine::Engine;
+use host_core::observe::{SessionEvent, Snapshot};
+use host_core::safety::Hand;
+use host_core::source::HandKey;
+use host_links::links::{Clock, Link, LinkEvent, News, Waiter};
+use host_robot::Door;
+
+/// Bytes wake the loop at once; without any it turns this often.
+const TURN: Duration = Duration::from_millis(2);
+/// Bytes are taken for so long at most before the engine gets its turn.
+const RECEIVE_MAX: Duration = Duration::from_millis(5);
+/// A state is reported this often.
+const STATE_INTERVAL_MS: u64 = 33;
+/// Reports that may wait for whoever prints them.
+const REPORTS_MAX: usize = 64;
+/// Events that may wait when nobody takes reports; older ones are dropped and counted.
+const BACKLOG_MAX: usize = 1000;
+
+/// What a person or the program orders.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Order {
+    /// A key that stands for a hand is pressed or repeated.
+    Press(HandKey),
+    /// Such a key is up.
+    Up(HandKey),
+    /// The release key, pressed and confirmed.
+    Release,
+}
+
+/// What happened to a link.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct LinkReport {
+    /// When.
+    pub time_ms: u64,
+    /// Whose.
+    pub hand: Hand,
+    /// `None` = open; else why it is not, and what to do.
+    pub closed: Option<String>,
+}
+
+/// What happened since the last one.
+#[derive(Clone, Debug, Default)]
+pub struct Report {
+    /// In order.
+    pub events: Vec<SessionEvent>,
+    /// In order.
+    pub links: Vec<LinkReport>,
+    /// How things stand, every 33 ms.
+    pub snapshot: Option<Snapshot>,
+}
+
+/// Flags that anybody may set at any time, without waiting.
+#[derive(Clone, Default)]
+pub struct Flags {
+    stop: Arc<AtomicBool>,
+    quit: Arc<AtomicBool>,
+}
+
+impl Flags {
+    /// The operator's stop. One flag, not a queue: to stop twice is to stop.
+    pub fn stop(&self) {
+        self.stop.store(true, Ordering::SeqCst);
+    }
+
+    /// The session ends: base and arm are halted.
+    pub fn quit(&self) {
+        self.quit.store(true, Ordering::SeqCst);
+    }
+
+    /// It was asked to end.
+    pub fn is_quitting(&self) -> bool {
+        self.quit.load(Ordering::SeqCst)
+    }
+
+    /// The flag of [`Flags::quit`], for a signal handler.
+    pub fn quit_flag(&self) -> Arc<AtomicBool> {
+        Arc::clone(&self.quit)
+    }
+}
+
+/// What the control thread works with.
+pub struct Work<D: Door> {
+    /// The engine, at its beginning.
+    pub engine: Engine<'static, D>,
+    /// The time.
+    pub clock: Arc<dyn Clock>,
+    /// The boards' links.
+    pub links: [Option<Link>; 2],
+    /// Where they report.
+    pub events: Receiver<LinkEvent<Hand>>,
+    /// Somebody else who may ask for a stop; asked at every turn, and must not wait.
+    pub asks_for_stop: Box<dyn Fn() -> bool + Send>,
+    /// The session ends by itself then.
+    pub until_ms: u64,
+    /// After the last halt the robot is served for so long, so that it hears of it.
+    pub farewell_ms: u64,
+}
+
+/// The running thread. Dropping it ends the session.
+pub struct Control<D: Door> {
+    flags: Flags,
+    orders: SyncSender<Order>,
+    reports: Receiver<Report>,
+    dropped: Arc<AtomicU64>,
+    result: Arc<Mutex<Option<Engine<'static, D>>>>,
+    /// Where whoever takes the reports waits.
+    waiter: Waiter,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl<D: Door + Send + 'static> Control<D> {
+    /// Starts the thread.
+    ///
+    /// # Errors
+    /// The system gives no thread.
+    pub fn start(work: Work<D>, flags: Flags) -> std::io::Result<Self> {
+        let (orders, incoming) = sync_channel(REPORTS_MAX);
+        let (outgoing, reports) = sync_channel(REPORTS_MAX);
+        let (dropped, result) = (Arc::new(AtomicU64::new(0)), Arc::new(Mutex::new(None)));
+        let waiter = work.clock.waiter();
+        let mut running = Running {
+            waiter: work.clock.waiter(),
+            work: Some(work),
+            flags: flags.clone(),
+            orders: incoming,
+            reports: outgoing,
+            waiting: Report::default(),
+            state_ms: None,
+            dropped: Arc::clone(&dropped),
+            result: Arc::clone(&result),
+        };
+        let thread = std::thread::Builder::new().name("control".to_owned()).spawn(move || running.run())?;
+        Ok(Control { flags, orders, reports, dropped, result, waiter, thread: Some(thread) })
+    }
+
+    /// Hands an order over; one that does not fit is dropped: it would be late.
+    pub fn order(&self, order: Order) {
+        let _ = self.orders.try_send(order);
+    }
+
+    /// What happened, as soon as there is something, within `patience`; `None` = nothing yet.
+    ///
+    /// # Errors
+    /// The thread is over.
+    pub fn report(&self, patience: Duration) -> Result<Option<Report>, Over> {
+        match self.waiter.receive(&self.reports, patience) {
+            Ok(report) => Ok(Some(report)),
+            Err(RecvTimeoutError::Timeout) => Ok(None),
+            Err(RecvTimeoutError::Disconnected) => Err(Over),
+        }
+    }
+
+    /// Events that nobody took in time.
+    pub fn dropped(&self) -> u64 {
+        self.dropped.load(Ordering::Relaxed)
+    }
+
+    /// Ends the session and gives the engine back; `None` = the thread has panicked, and the robot was halted.
+    pub fn end(mut self) -> Option<Engine<'static, D>> {
+        self.join();
+        self.result.lock().unwrap_or_else(PoisonError::into_inner).take()
+    }
+}
+
+impl<D: Door> Control<D> {
+    fn join(&mut self) {
+        self.flags.quit();
+        if let Some(thread) = self.thread.take() {
+            // A panic was printed where it happened.
+            let _ = self.waiter.aside(|| thread.join());
+        }
+    }
+}
+
+impl<D: Door> Drop for Control<D> {
+    fn drop(&mut self) {
+        self.join();
+    }
+}
+
+/// The control thread is over.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Over;
+
+struct Running<D: Door> {
+    waiter: Waiter,
+    /// There until the thread ends.
+    work: Option<Work<D>>,
+    flags: Flags,
+    orders: Receiver<Order>,
+    reports: SyncSender<Report>,
+    waiting: Report,
+    state_ms: Option<u64>,
+    dropped: Arc<AtomicU64>,
+    result: Arc<Mutex<Option<Engine<'static, D>>>>,
+}
+
+impl<D: Door> Running<D> {
+    fn run(&mut self) {
+        while let Some(work) = &mut self.work {
+            if work.clock.now_ms() >= work.until_ms || self.flags.is_quitting() {
+                break;
+            }
+            self.turn();
+        }
+        if let Some(mut work) = self.work.take() {
+            farewell(&mut work, &self.waiter);
+            *self.result.lock().unwrap_or_else(PoisonError::into_inner) = Some(work.engine);
+        }
+        let _ = self.reports.try_send(std::mem::take(&mut self.waiting));
+    }
+
+    fn turn(&mut self) {
+        let Some(work) = &mut self.work else { return };
+        match self.waiter.receive(&work.events, TURN) {
+            Ok(event) => {
+                let began = Instant::now();
+                let mut next = Some(event);
+                while let Some(event) = next {
+                    let now_ms = work.clock.now_ms();
+                    match event.news {
+                        // By the time of handling: what waited is as old as it is.
+                        News::Bytes(bytes) => work.engine.receive(event.link, &bytes, now_ms),
+                        News::Opened => {
+                            self.waiting.links.push(LinkReport {
+                                time_ms: now_ms,
+                                hand: event.link,
+                                closed: None,
+                            });
+                        }
+                        News::Closed(why) => {
+                            let closed = Some(why);
+                            self.waiting.links.push(LinkReport { time_ms: now_ms, hand: event.link, closed });
+                        }
+                    }
+                    next = if began.elapsed() < RECEIVE_MAX { work.events.try_recv().ok() } else { None };
+                }
+            }
+            Err(RecvTimeoutError::Timeout) => {}
+            Err(RecvTimeoutError::Disconnected) => self.waiter.sleep(TURN),
+        }
+        let now_ms = work.clock.now_ms();
+        if self.flags.stop.swap(false, Ordering::SeqCst) | (work.asks_for_stop)() {
+            work.engine.stop_key(now_ms);
+        }
+        for order in self.orders.try_iter().take(REPORTS_MAX) {
+            match order {
+                Order::Press(key) => work.engine.press(key, now_ms),
+                Order::Up(key) => work.engine.release_hand_key(key),
+                Order::Release => work.engine.release_key(now_ms),
+            }
+        }
+        let ready = [0, 1].map(|i: usize| work.links[i].as_ref().is_some_and(Link::is_ready));
+        self.waiting.events.extend(work.engine.advance(now_ms, ready));
+        for hand in [Hand::Left, Hand::Right] {
+            for frame in work.engine.take_outgoing(hand) {
+                if let Some(link) = &work.links[hand as usize] {
+                    link.send(&frame);
+                }
+            }
+        }
+        if self.state_ms.is_none_or(|at| now_ms.saturating_sub(at) >= STATE_INTERVAL_MS) {
+            self.state_ms = Some(now_ms);
+            self.waiting.snapshot = Some(Snapshot::of(&work.engine.now(now_ms)));
+        }
+        self.hand_over();
+    }
+
+    fn hand_over(&mut self) {
+        let Report { events, links, snapshot } = &self.waiting;
+        if events.is_empty() && links.is_empty() && snapshot.is_none() {
+            return;
+        }
+        match self.reports.try_send(std::mem::take(&mut self.waiting)) {
+            Ok(()) | Err(TrySendError::Disconnected(_)) => {}
+            Err(TrySendError::Full(report)) => {
+                self.waiting = report;
+                let events = self.waiting.events.len().saturating_sub(BACKLOG_MAX);
+                self.waiting.events.drain(..events);
+                let links = self.waiting.links.len().saturating_sub(BACKLOG_MAX);
+                self.waiting.links.drain(..links);
+                self.dropped.fetch_add((events + links) as u64, Ordering::Relaxed);
+            }
+        }
+    }
+}
+
+fn farewell<D: Door>(work: &mut Work<D>, waiter: &Waiter) {
+    work.engine.halt();
+    let until_ms = work.clock.now_ms() + work.farewell_ms;
+    while work.clock.now_ms() < until_ms {
+        let now_ms = work.clock.now_ms();
+        let door = work.engine.door_mut();
+        door.step(now_ms);
+        door.send();
+        waiter.sleep(Duration::from_millis(5));
+    }
+}
+
+impl<D: Door> Drop for Running<D> {
+    /// By a panic: the robot is halted all the same.
+    fn drop(&mut self) {
+        if let Some(work) = &mut self.work {
+            farewell(work, &self.waiter);
+        }
+    }
+}

@@ -1,0 +1,140 @@
+//! The robots that the bridge can stand before, behind the one door.
+
+use std::sync::Arc;
+
+use host_arm::plan::Planner;
+use host_arm::{Director, Motions};
+use host_robot::{
+    BaseConfig, BaseState, End, Following, JointLimits, Motion, Reading, Robot, Trajectory, Twist,
+};
+use host_sim::{SimConfig, Simulator};
+
+use crate::config::Config;
+
+/// What stands around the robot, and what its arm can be asked to do.
+#[derive(Clone, Debug)]
+pub struct Stage {
+    /// What the arm can be asked to do.
+    pub motions: Motions,
+    /// In a scene: who plans in it.
+    pub planner: Option<Arc<Planner>>,
+    /// Limits that the arm's motions keep.
+    pub limits: JointLimits,
+}
+
+impl Stage {
+    /// As configured, with a scene or without.
+    ///
+    /// # Errors
+    /// A motion or pose that does not fit the arm, by name.
+    pub fn new(config: &Config, planner: Option<Planner>) -> Result<Self, host_arm::motions::MotionError> {
+        let Some(planner) = planner else {
+            let arm = host_arm::model::SerialArm::gen3();
+            let motions = Motions::new(&arm, &[], &config.pose, &config.motion)?;
+            return Ok(Stage { motions, planner: None, limits: config.arm_limits() });
+        };
+        let world = planner.world();
+        let tables = [&world.scene().motions[..], &config.motion].concat();
+        let motions = Motions::new(world.arm(), planner.goals(), &config.pose, &tables)?;
+        Ok(Stage { motions, limits: *planner.limits(), planner: Some(Arc::new(planner)) })
+    }
+
+    /// The simulator as configured here, its arm at the pose `ready` (or at home).
+    pub fn simulator(&self, config: &Config) -> Simulator {
+        let base = self.planner.as_ref().map_or(config.base, |planner| planner.world().scene().base.config());
+        let home = || self.motions.pose("home").unwrap_or_default();
+        let arm_start_rad = self.motions.pose("ready").unwrap_or_else(home);
+        Simulator::new(SimConfig { base, arm_start_rad, arm_limits: self.limits })
+    }
+
+    /// The arm director before a robot.
+    pub fn before<R: Robot>(&self, robot: R) -> Director<R> {
+        match &self.planner {
+            None => Director::new(robot, self.motions.clone()),
+            Some(planner) => Director::in_scene(robot, self.motions.clone(), Arc::clone(planner)),
+        }
+    }
+
+    /// The simulator behind its door, as tests and played sessions want it.
+    pub fn simulated(&self, config: &Config) -> Director<Simulator> {
+        self.before(self.simulator(config))
+    }
+}
+
+/// The Gen3 with nothing around, by default figures.
+///
+/// # Panics
+/// Never: the bundled motions fit the bundled arm, and a test reads them.
+pub fn bare() -> Director<Simulator> {
+    let config = Config::default();
+    let stage = Stage::new(&config, None).expect("the bundled motions fit the bundled arm");
+    stage.simulated(&config)
+}
+
+/// The Gen3 in a scene.
+///
+/// # Panics
+/// Where the scene's motions do not fit; for tests.
+pub fn in_scene(planner: Planner) -> Director<Simulator> {
+    let config = Config::default();
+    Stage::new(&config, Some(planner)).expect("motions that fit the arm").simulated(&config)
+}
+
+/// The simulator is the robot, and a graph hears the speeds that it is given.
+pub struct Echoed<R> {
+    /// The robot.
+    pub simulator: Simulator,
+    /// Who hears of it.
+    pub graph: R,
+}
+
+impl<R: Robot> Robot for Echoed<R> {
+    fn step(&mut self, now_ms: u64) {
+        self.simulator.step(now_ms);
+        self.graph.step(now_ms);
+    }
+    fn arm(&self) -> Option<Reading<Motion>> {
+        self.simulator.arm()
+    }
+    fn base(&self) -> Option<Reading<BaseState>> {
+        self.simulator.base()
+    }
+    fn joint_limits(&self) -> &JointLimits {
+        self.simulator.joint_limits()
+    }
+    fn base_limits(&self) -> &BaseConfig {
+        self.simulator.base_limits()
+    }
+    fn drive(&mut self, twist: Twist) {
+        self.simulator.drive(twist);
+        self.graph.drive(twist);
+    }
+    fn can_follow(&self) -> Result<(), String> {
+        self.simulator.can_follow()
+    }
+    fn follow(&mut self, trajectory: Arc<Trajectory>) -> Result<(), String> {
+        self.simulator.follow(trajectory)
+    }
+    fn following(&self) -> Following {
+        self.simulator.following()
+    }
+    fn take_end(&mut self) -> Option<End> {
+        self.simulator.take_end()
+    }
+    fn halt_arm(&mut self) {
+        self.simulator.halt_arm();
+    }
+    fn halt(&mut self) {
+        self.simulator.halt();
+        self.graph.halt();
+    }
+    fn timeouts(&self) -> u32 {
+        self.simulator.timeouts()
+    }
+    fn take_notes(&mut self) -> Vec<String> {
+        self.graph.take_notes()
+    }
+    fn send(&mut self) {
+        self.graph.send();
+    }
+}
