@@ -17,12 +17,14 @@ use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, anyhow};
-use host_bridge::arm::gen3::Joints;
+use host_bridge::arm::gen3::paper_limits;
 use host_bridge::arm::model::SerialArm;
-use host_bridge::arm::profile::JointLimits;
 use host_bridge::base::{Base, BaseConfig, Twist};
-use host_bridge::plan::random::Random;
-use host_bridge::plan::{Placement, Planner, Trajectory};
+use host_bridge::plan::{Placement, Planner};
+use host_bridge::robot::JointLimits;
+use host_bridge::robot::Joints;
+use host_bridge::robot::Random;
+use host_bridge::robot::Trajectory;
 use host_bridge::scene::Scene;
 
 const SCENES: [(&str, &str); 3] = [
@@ -96,7 +98,7 @@ fn clearances(planner: &Planner, file: &Path) -> Result<()> {
 
 /// Short and long moves, with limits from gentle to stiff.
 fn moves(file: &Path) -> Result<()> {
-    let papers = JointLimits::paper();
+    let papers = paper_limits();
     let mut random = Random::new(6);
     let mut out = create(file)?;
     for _ in 0..500 {

@@ -7,18 +7,17 @@
 
 use std::collections::BTreeSet;
 use std::io::BufRead as _;
-use std::sync::Arc;
 
 use anyhow::{Context as _, Result};
 use host_bridge::arm::model::SerialArm;
+use host_bridge::config::Config;
 use host_bridge::demo::Demo;
 use host_bridge::hands::ModelFile;
 use host_bridge::intent::MotionMap;
 use host_bridge::observe::{Now, Observer, Snapshot, link_poses_in_world};
 use host_bridge::plan::Planner;
-use host_bridge::robot::Robot as _;
+use host_bridge::robots::Stage;
 use host_bridge::scene::Scene;
-use host_bridge::sim::{SimConfig, Simulator};
 
 /// Prints the state at these times.
 struct Printer(BTreeSet<u64>);
@@ -26,7 +25,7 @@ struct Printer(BTreeSet<u64>);
 impl Observer for Printer {
     fn state(&mut self, now: &Now<'_>) {
         if self.0.remove(&now.time_ms) {
-            let links = link_poses_in_world(now, &now.robot.arm().joints_rad);
+            let links = link_poses_in_world(now, &now.robot.picture().arm.joints_rad);
             let line = serde_json::json!({ "state": Snapshot::of(now), "links": links });
             println!("{line}");
         }
@@ -34,14 +33,16 @@ impl Observer for Printer {
 }
 
 fn main() -> Result<()> {
-    let robot = match std::env::args().nth(1) {
-        None => Simulator::new(SimConfig::default()),
+    let planner = match std::env::args().nth(1) {
+        None => None,
         Some(file) => {
             let text = std::fs::read_to_string(&file).with_context(|| file.clone())?;
             let scene = Scene::parse(&text).with_context(|| file.clone())?;
-            Simulator::in_scene(Arc::new(Planner::new(SerialArm::gen3(), scene).context(file)?))
+            Some(Planner::new(SerialArm::gen3(), scene).context(file)?)
         }
     };
+    let config = Config::default();
+    let robot = Stage::new(&config, planner)?.simulated(&config);
     let mut times = BTreeSet::new();
     for line in std::io::stdin().lock().lines() {
         let line = line?;

@@ -377,7 +377,6 @@ mod tests {
             "[arm]\njerk_limited = true\njerk_rad_s3 = 0.0",
             "[base]\ntrack_m = 0.0",
             "[ros2]\nrate_hz = 1",
-            "[motions]\ncircle = 'fly'",
             "[motions]\nidle = 'home'",
         ] {
             let error = Config::parse(text).unwrap_err();

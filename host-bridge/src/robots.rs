@@ -39,6 +39,14 @@ impl Stage {
         Ok(Stage { motions, limits: *planner.limits(), planner: Some(Arc::new(planner)) })
     }
 
+    /// The Gen3 with nothing around, as configured by default.
+    ///
+    /// # Panics
+    /// Never: the bundled motions fit the bundled arm, and tests read them.
+    pub fn bare() -> Self {
+        Stage::new(&Config::default(), None).expect("the bundled motions fit the bundled arm")
+    }
+
     /// The simulator as configured here, its arm at the pose `ready` (or at home).
     pub fn simulator(&self, config: &Config) -> Simulator {
         let base = self.planner.as_ref().map_or(config.base, |planner| planner.world().scene().base.config());
@@ -59,25 +67,6 @@ impl Stage {
     pub fn simulated(&self, config: &Config) -> Director<Simulator> {
         self.before(self.simulator(config))
     }
-}
-
-/// The Gen3 with nothing around, by default figures.
-///
-/// # Panics
-/// Never: the bundled motions fit the bundled arm, and a test reads them.
-pub fn bare() -> Director<Simulator> {
-    let config = Config::default();
-    let stage = Stage::new(&config, None).expect("the bundled motions fit the bundled arm");
-    stage.simulated(&config)
-}
-
-/// The Gen3 in a scene.
-///
-/// # Panics
-/// Where the scene's motions do not fit; for tests.
-pub fn in_scene(planner: Planner) -> Director<Simulator> {
-    let config = Config::default();
-    Stage::new(&config, Some(planner)).expect("motions that fit the arm").simulated(&config)
 }
 
 /// The simulator is the robot, and a graph hears the speeds that it is given.

@@ -1,12 +1,25 @@
 //! The arm against the reference table, and the table of motions against the paper.
 
-use host_bridge::arm::gen3::{
-    HOME, JOINTS, Joints, MAX_JERK_RAD_S3, flange_pose, joint_beyond_limit, link_poses,
-};
-use host_bridge::arm::motions::{ALL_MOTIONS, READY, random_top_poses};
-use host_bridge::arm::profile::JointLimits;
-use host_bridge::arm::{ArmMotion, Pose, Sequencer};
-use host_bridge::plan::Trajectory;
+use host_bridge::arm::gen3::{HOME, MAX_JERK_RAD_S3, joint_beyond_limit, paper_limits};
+use host_bridge::arm::model::SerialArm;
+use host_bridge::robot::Trajectory;
+use host_bridge::robot::{Door as _, JOINTS, Joints, Pose, Twist};
+
+#[path = "support/moving.rs"]
+mod moving;
+
+use moving::{Virtual as _, bare, pose};
+
+const MOTIONS: [&str; 6] =
+    ["home", "pick-up", "place", "place-top-right", "place-bottom-right", "random-top"];
+
+fn flange_pose(joints_rad: &Joints) -> Pose {
+    SerialArm::gen3().flange_pose(joints_rad)
+}
+
+fn random_top_poses() -> [Joints; 8] {
+    std::array::from_fn(|i| pose(&format!("top-{}", i + 1)))
+}
 
 /// Angle between two orientations; stable near zero, where arc cosines are not.
 fn angle_rad(a: [f64; 4], b: [f64; 4]) -> f64 {
@@ -35,7 +48,7 @@ fn forward_kinematics_equals_the_reference_on_all_rows() {
 
 /// As in the paper, and with limited jerk.
 fn move_s(from: Joints, to: Joints) -> [f64; 2] {
-    let papers = JointLimits::paper();
+    let papers = paper_limits();
     [papers, papers.with_jerk(MAX_JERK_RAD_S3)]
         .map(|limits| Trajectory::through(&[from, to], &[], &limits).duration_s())
 }
@@ -46,15 +59,11 @@ fn single_moves_take_the_papers_times_within_5_per_cent() {
     let mean = |k: usize| circles.iter().map(|times_s| times_s[k]).sum::<f64>() / circles.len() as f64;
     let circle_mean = [mean(0), mean(1)];
     let rows = [
-        ("ready → home (up-down)", move_s(READY, HOME), 3.3),
-        ("home → pick-up (to-fro)", move_s(HOME, ArmMotion::PickUp.goal(0)), 5.7),
-        ("home → place (left-right)", move_s(HOME, ArmMotion::Place.goal(0)), 6.1),
-        ("home → place-top-right (rectangle)", move_s(HOME, ArmMotion::PlaceTopRight.goal(0)), 6.4),
-        (
-            "home → place-bottom-right (rectangle-flat)",
-            move_s(HOME, ArmMotion::PlaceBottomRight.goal(0)),
-            7.1,
-        ),
+        ("ready → home (up-down)", move_s(pose("ready"), HOME), 3.3),
+        ("home → pick-up (to-fro)", move_s(HOME, pose("pick-up")), 5.7),
+        ("home → place (left-right)", move_s(HOME, pose("place")), 6.1),
+        ("home → place-top-right (rectangle)", move_s(HOME, pose("place-top-right")), 6.4),
+        ("home → place-bottom-right (rectangle-flat)", move_s(HOME, pose("place-bottom-right")), 7.1),
         ("home → random-top (circle), mean of 8", circle_mean, 5.9),
     ];
     println!("{:<45}{:>8}{:>8}{:>8}{:>15}", "move", "paper s", "here s", "off %", "jerk-limited s");
@@ -77,45 +86,51 @@ fn poses_are_where_their_names_say_within_limits_and_above_the_table() {
             tool[0][2], tool[1][2], tool[2][2]
         );
     };
-    show("ready", &READY);
-    for motion in ALL_MOTIONS {
-        show(motion.name(), &motion.goal(0));
+    show("ready", &pose("ready"));
+    for name in &MOTIONS[..5] {
+        show(name, &pose(name));
     }
     // x forward, y left, z up.
     let down = |joints: &Joints| flange_pose(joints).rotation[2][2] < -0.3;
-    let pick = ArmMotion::PickUp.goal(0);
+    let pick = pose("pick-up");
     assert!(at(&pick)[2] < home[2] - 0.2 && at(&pick)[0] > 0.3 && at(&pick)[1].abs() < 0.05 && down(&pick));
-    let place = ArmMotion::Place.goal(0);
+    let place = pose("place");
     assert!(at(&place)[1] > 0.25 && at(&place)[2] < home[2] - 0.2 && down(&place));
-    let top_right = at(&ArmMotion::PlaceTopRight.goal(0));
+    let top_right = at(&pose("place-top-right"));
     assert!(top_right[1] < -0.25 && top_right[2] > home[2] + 0.1);
-    let bottom_right = ArmMotion::PlaceBottomRight.goal(0);
+    let bottom_right = pose("place-bottom-right");
     assert!(at(&bottom_right)[1] < -0.25 && at(&bottom_right)[2] < home[2] - 0.2 && down(&bottom_right));
     for pose in random_top_poses() {
         show("random-top", &pose);
         assert!(at(&pose)[2] > home[2] + 0.2, "{:?}", at(&pose));
     }
-    let all = ALL_MOTIONS.map(|motion| motion.goal(0)).into_iter().chain(random_top_poses()).chain([READY]);
+    let named = MOTIONS[..5].iter().map(|name| pose(name));
+    let all = named.chain(random_top_poses()).chain([pose("ready")]);
     for joints in all {
         assert_eq!(joint_beyond_limit(&joints), None);
-        let lowest = link_poses(&joints).iter().map(|pose: &Pose| pose.position_m[2]).fold(1.0, f64::min);
+        let lowest = SerialArm::gen3()
+            .link_poses(&joints)
+            .iter()
+            .map(|pose: &Pose| pose.position_m[2])
+            .fold(1.0, f64::min);
         assert!(lowest > 0.1 - 1e-9, "{lowest} {joints:?}");
     }
 }
 
 #[test]
 fn every_pair_of_motions_keeps_joint_limits_all_the_way() {
-    for first in ALL_MOTIONS {
-        for second in ALL_MOTIONS {
-            let mut arm = Sequencer::new(READY, JointLimits::paper());
+    for first in MOTIONS {
+        for second in MOTIONS {
+            let mut robot = bare();
             for motion in [first, second] {
-                arm.start(motion).unwrap();
-                while arm.state().running.is_some() {
-                    arm.step(0.005);
-                    let state = arm.state();
+                robot.start(motion).unwrap();
+                while robot.arm().running.is_some() {
+                    robot.drive(Twist::ZERO);
+                    robot.pass(5);
+                    let state = robot.arm();
                     assert_eq!(joint_beyond_limit(&state.joints_rad), None);
                     for i in 0..JOINTS {
-                        let limit = JointLimits::paper().velocity_rad_s[i];
+                        let limit = paper_limits().velocity_rad_s[i];
                         assert!(state.velocity_rad_s[i].abs() <= limit * (1.0 + 1e-9));
                     }
                 }

@@ -212,9 +212,24 @@ fn another_arm_from_a_file_beside_its_scene_performs_the_demo() {
 }
 
 #[test]
-fn a_scene_together_with_a_robot_is_refused_since_only_the_simulator_is_planned_for() {
-    let scene = format!("{}/scenes/posts.toml", env!("CARGO_MANIFEST_DIR"));
-    let output = host_bridge(&["run", "--ros2", "--scene", &scene, "--right", "/dev/null"]);
+fn a_motion_that_does_not_exist_is_refused_with_those_that_do() {
+    for verb in
+        [&["demo", "--headless"][..], &["replay", "--left", "/dev/null"], &["run", "--right", "/dev/null"]]
+    {
+        let output = host_bridge(&[verb, &["--map", "wave=jump"]].concat());
+        assert_eq!(output.status.code(), Some(1), "{verb:?}");
+        let text = stderr(&output);
+        assert!(text.contains("'jump'") && text.contains("pick-up") && text.contains("'wave'"), "{text}");
+    }
+}
+
+#[test]
+fn a_scene_whose_pose_does_not_fit_its_arm_is_refused_by_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = folder.path().join("few.toml");
+    std::fs::write(&scene, "[[pose]]\nname = \"pick-up\"\njoints_rad = [1.5]\n").unwrap();
+    let output = host_bridge(&["demo", "--headless", "--scene", scene.to_str().unwrap()]);
     assert_eq!(output.status.code(), Some(1));
-    assert!(stderr(&output).contains("only the simulator is planned"), "{}", stderr(&output));
+    let text = stderr(&output);
+    assert!(text.contains("'pick-up'") && text.contains("1 angles") && text.contains("7 joints"), "{text}");
 }

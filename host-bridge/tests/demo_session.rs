@@ -5,12 +5,16 @@ use std::path::Path;
 use host_bridge::adc::AdcRecording;
 use host_bridge::bridge::GestureOutcome;
 use host_bridge::demo::Demo;
-use host_bridge::hands::{Board, LeftBoard, ModelFile, RightBoard};
+use host_bridge::hands::{LeftBoard, ModelFile, RightBoard, Wired};
 use host_bridge::intent::MotionMap;
 use host_bridge::safety::HaltReason;
 use host_bridge::script::Script;
 use host_bridge::session::{Session, Summary};
+use host_bridge::source::{HandSource, Source};
 use models::recording::Recording;
+
+#[path = "support/moving.rs"]
+mod moving;
 
 #[allow(dead_code)]
 #[path = "../examples/make-demo-session.rs"]
@@ -36,10 +40,12 @@ fn script() -> Script {
 /// Plays to the end.
 fn run(left: Option<AdcRecording>, right: Option<Recording>, map: MotionMap) -> Summary {
     let model = ModelFile::bundled().unwrap();
-    let left =
-        left.map(|left| Box::new(LeftBoard::new(left, Some(script().calibration.into()), 1)) as Box<_>);
-    let right = right.map(|right| Box::new(RightBoard::new(right, &model, 1).unwrap()) as Box<_>);
-    let mut session = Session::new(left, right, map);
+    let left = left.map_or(Source::Nobody, |left| {
+        Source::here(Wired::new(LeftBoard::new(left, Some(script().calibration.into()), 1)))
+    });
+    let right = right
+        .map_or(Source::Nobody, |right| Source::here(Wired::new(RightBoard::new(right, &model, 1).unwrap())));
+    let mut session = Session::new([left, right], map, moving::bare());
     while !session.finished() {
         session.step();
     }
@@ -121,8 +127,8 @@ fn a_map_changes_what_a_gesture_does() {
     let mut map = MotionMap::default();
     map.assign("to-fro=place").unwrap();
     let summary = run(None, Some(right()), map);
-    let outcome = summary.gestures.iter().find(|gesture| gesture.label == "to-fro").unwrap().outcome;
-    assert_eq!(outcome, GestureOutcome::Started(host_bridge::arm::ArmMotion::Place));
+    let outcome = &summary.gestures.iter().find(|gesture| gesture.label == "to-fro").unwrap().outcome;
+    assert_eq!(*outcome, GestureOutcome::Started("place".into()));
 }
 
 /// A board on a bad cable: one byte in a thousand is damaged, one in ten thousand is lost.
@@ -138,7 +144,7 @@ impl<B> BadCable<B> {
     }
 }
 
-impl<B: Board> Board for BadCable<B> {
+impl<B: HandSource> HandSource for BadCable<B> {
     fn step(&mut self, now_ms: u64, wire: &mut Vec<u8>) {
         let mut clean = Vec::new();
         self.board.step(now_ms, &mut clean);
@@ -151,8 +157,8 @@ impl<B: Board> Board for BadCable<B> {
         }
     }
 
-    fn receive(&mut self, bytes: &[u8], wire: &mut Vec<u8>) {
-        self.board.receive(bytes, wire);
+    fn receive(&mut self, bytes: &[u8], now_ms: u64, wire: &mut Vec<u8>) {
+        self.board.receive(bytes, now_ms, wire);
     }
 
     fn ended(&self) -> bool {
@@ -165,11 +171,11 @@ fn a_bad_cable_costs_frames_but_no_gesture_no_bend_and_no_safety() {
     let model = ModelFile::bundled().unwrap();
     let left = LeftBoard::new(left(), Some(script().calibration.into()), 1);
     let right = RightBoard::new(right(), &model, 1).unwrap();
-    let mut session = Session::new(
-        Some(Box::new(BadCable { board: left, state: 1 })),
-        Some(Box::new(BadCable { board: right, state: 2 })),
-        MotionMap::default(),
-    );
+    let cables = [
+        Source::here(BadCable { board: Wired::new(left), state: 1 }),
+        Source::here(BadCable { board: Wired::new(right), state: 2 }),
+    ];
+    let mut session = Session::new(cables, MotionMap::default(), moving::bare());
     while !session.finished() {
         session.step();
     }

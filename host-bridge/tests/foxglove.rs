@@ -7,16 +7,23 @@ use std::net::TcpStream;
 use std::time::{Duration, Instant};
 
 use host_bridge::config::{Config, Place};
+use host_bridge::engine::Engine;
 use host_bridge::foxglove::{Foxglove, FoxgloveOptions};
 use host_bridge::keyboard::HandKey;
-use host_bridge::live::Live;
-use host_bridge::robot::Robot as _;
+use host_bridge::robot::Door as _;
 use host_bridge::topics::{Origin, Topic};
 use host_bridge::web::{WebError, WebOptions};
 use serde_json::{Value, json};
 use shared_proto::message::Heading;
 use tungstenite::client::IntoClientRequest as _;
 use tungstenite::{Message, WebSocket};
+
+#[path = "support/moving.rs"]
+mod moving;
+
+use moving::{Robot, Virtual as _, live as live_engine};
+
+type Live = Engine<'static, Robot>;
 
 /// By the wall clock; a hang must not stop the tests.
 const PATIENCE: Duration = Duration::from_secs(120);
@@ -91,10 +98,10 @@ fn arrived(socket: &mut WebSocket<TcpStream>) -> Vec<Data> {
 }
 
 fn session(foxglove: &Foxglove) -> Live {
-    let mut live = Live::new(&Config::default(), Place::Keyboard, Place::Keyboard, 0);
+    let mut live = live_engine(&Config::default(), Place::Keyboard, Place::Keyboard);
     live.tap_mut().add(Box::new(foxglove.teller()));
     for now_ms in 1..500 {
-        live.step(now_ms, [true; 2]);
+        live.advance(now_ms, [true; 2]);
     }
     live
 }
@@ -126,9 +133,9 @@ fn a_viewer_is_told_every_topic_and_gets_what_it_subscribes_to_as_the_simulator_
         assert!(began.elapsed() < PATIENCE, "{seen:?}");
         for _ in 0..100 {
             now_ms += 1;
-            live.step(now_ms, [true; 2]);
-            let robot = live.robot();
-            states.insert(now_ms, (robot.arm(), robot.odometry(), robot.wheels_rad()));
+            live.advance(now_ms, [true; 2]);
+            let robot = live.door().picture();
+            states.insert(now_ms, (robot.arm, robot.odometry, robot.wheels_rad));
         }
         for (id, time_ms, payload) in arrived(&mut socket) {
             let (arm, odometry, wheels_rad) = &states[&time_ms];
@@ -144,7 +151,7 @@ fn a_viewer_is_told_every_topic_and_gets_what_it_subscribes_to_as_the_simulator_
             seen[(id - 41) as usize] += 1;
         }
     }
-    assert!(live.robot().odometry().x_m > 0.01 && !live.robot().arm().at_rest(), "something moved");
+    assert!(live.door().odometry().x_m > 0.01 && !live.door().arm().at_rest(), "something moved");
 
     socket.send(Message::text(r#"{"op":"unsubscribe","subscriptionIds":[41,42]}"#)).unwrap();
     socket.send(Message::text(r#"{"op":"advertise","channels":[]}"#)).unwrap();
@@ -155,7 +162,7 @@ fn a_viewer_is_told_every_topic_and_gets_what_it_subscribes_to_as_the_simulator_
     }
     for _ in 0..100 {
         now_ms += 1;
-        live.step(now_ms, [true; 2]);
+        live.advance(now_ms, [true; 2]);
     }
     foxglove.end();
     assert!(matches!(socket.read(), Ok(Message::Close(_)) | Err(_)), "nothing more, and the end");
@@ -212,7 +219,7 @@ fn a_viewer_that_takes_nothing_loses_messages_and_delays_nobody() {
     let mut pass = |steps| {
         for _ in 0..steps {
             now_ms += 1;
-            live.step(now_ms, [true; 2]);
+            live.advance(now_ms, [true; 2]);
         }
     };
     while arrived(&mut socket).is_empty() {

@@ -11,16 +11,23 @@ use std::time::{Duration, Instant};
 use host_bridge::bridge::EventKind;
 use host_bridge::config::{Config, Place};
 use host_bridge::demo::Demo;
+use host_bridge::engine::Engine;
 use host_bridge::hands::ModelFile;
 use host_bridge::intent::MotionMap;
 use host_bridge::journal::sink::Storage;
 use host_bridge::journal::{Disk, Kept, Replay, SceneText, Setup, WhenFull, replay};
 use host_bridge::keyboard::HandKey;
-use host_bridge::live::Live;
-use host_bridge::robot::Robot as _;
 use host_bridge::safety::Hand;
 use host_bridge::session::Session;
+use host_bridge::topics::Origin;
 use shared_proto::message::Heading;
+
+#[path = "support/moving.rs"]
+mod moving;
+
+use moving::{Robot, Virtual as _, live as live_engine};
+
+type Live = Engine<'static, Robot>;
 
 /// A disk in memory, of so many bytes; a writer waits while the other end of `gate` holds it.
 #[derive(Clone)]
@@ -61,17 +68,19 @@ impl Storage for Memory {
     }
 }
 
+const ORIGIN: Origin = Origin { nanoseconds: 1_700_000_000_123_456_789 };
+
 fn setup() -> Setup {
-    Setup { title: "a test".to_owned(), origin_ns: 1_700_000_000_123_456_789, ..Setup::default() }
+    Setup { title: "a test".to_owned(), origin_ns: ORIGIN.nanoseconds, ..Setup::default() }
 }
 
-fn with_demo<T>(setup: &Setup, look: impl FnOnce(&mut Session<'_>) -> T) -> T {
+fn with_demo<T>(setup: &Setup, look: impl FnOnce(&mut Session<'_, Robot>) -> T) -> T {
     let model = ModelFile::bundled().unwrap();
     let robot = setup.robot().unwrap();
     look(&mut Demo::bundled().session(&model, MotionMap::default(), robot).unwrap())
 }
 
-fn play(session: &mut Session<'_>, until_ms: u64, stop_ms: Option<u64>) {
+fn play(session: &mut Session<'_, Robot>, until_ms: u64, stop_ms: Option<u64>) {
     while session.now_ms() < until_ms && !session.finished() {
         if Some(session.now_ms()) == stop_ms {
             session.stop_key();
@@ -83,7 +92,13 @@ fn play(session: &mut Session<'_>, until_ms: u64, stop_ms: Option<u64>) {
 /// The demo on a disk; what became of the file.
 fn recorded_demo(setup: &Setup, until_ms: u64, stop_ms: Option<u64>, memory: &Memory) -> Kept {
     with_demo(setup, |session| {
-        let start = Disk::with_storage(memory.clone(), Path::new("a.mcap"), setup, WhenFull::Wait);
+        let start = Disk::with_storage(
+            memory.clone(),
+            Path::new("a.mcap"),
+            setup.to_metadata(),
+            ORIGIN,
+            WhenFull::Wait,
+        );
         let (disk, recorder) = start.unwrap();
         session.tap_mut().add(Box::new(recorder));
         play(session, until_ms, stop_ms);
@@ -160,9 +175,10 @@ fn live_session(memory: &Memory, when_full: WhenFull, until_ms: u64) -> (Live, D
     config.motions.insert("rectangle".to_owned(), "home".to_owned());
     let setup = Setup { config: config.clone(), ..setup() };
     let (disk, recorder) =
-        Disk::with_storage(memory.clone(), Path::new("a.mcap"), &setup, when_full).unwrap();
+        Disk::with_storage(memory.clone(), Path::new("a.mcap"), setup.to_metadata(), ORIGIN, when_full)
+            .unwrap();
     let mut now_ms = 77;
-    let mut live = Live::new(&config, Place::Keyboard, Place::Keyboard, now_ms);
+    let mut live = moving::live_before(moving::bare(), &config, Place::Keyboard, Place::Keyboard, now_ms);
     live.tap_mut().add(Box::new(recorder));
     let mut turn = 0_u64;
     while now_ms < until_ms {
@@ -182,7 +198,7 @@ fn live_session(memory: &Memory, when_full: WhenFull, until_ms: u64) -> (Live, D
             2000 => live.receive(Hand::Left, &[7, 0, 255, 3], now_ms),
             _ => {}
         }
-        live.step(now_ms, [true; 2]);
+        live.advance(now_ms, [true; 2]);
     }
     (live, disk)
 }
@@ -195,7 +211,7 @@ fn a_live_session_from_its_file_is_the_same_bit_for_bit() {
     assert_eq!(disk.close().problem, None);
     let again = replay(&memory.file()).unwrap();
     assert_same(&again);
-    assert_eq!(again.odometry, live.robot().odometry());
+    assert_eq!(again.odometry, live.door().odometry());
     assert!(again.odometry.path_m > 0.1, "{:?}", again.odometry);
     let text = serde_json::to_string(&again.events).unwrap();
     for needed in ["\"released\"", "operator-stop", "\"started\"", "\"gesture\""] {
@@ -230,7 +246,13 @@ fn a_file_in_which_one_bit_of_a_command_differs_is_found_out() {
 fn a_full_disk_is_told_once_and_leaves_a_whole_file_while_the_session_goes_on() {
     let memory = Memory::of_size(3_000_000);
     let (summary, kept) = with_demo(&setup(), |session| {
-        let start = Disk::with_storage(memory.clone(), Path::new("a.mcap"), &setup(), WhenFull::Wait);
+        let start = Disk::with_storage(
+            memory.clone(),
+            Path::new("a.mcap"),
+            setup().to_metadata(),
+            ORIGIN,
+            WhenFull::Wait,
+        );
         let (disk, recorder) = start.unwrap();
         session.tap_mut().add(Box::new(recorder));
         play(session, 60_000, None);
@@ -264,10 +286,16 @@ fn assert_same_until(again: &Replay, events: &[host_bridge::bridge::BridgeEvent]
 fn a_disk_that_stands_still_never_delays_a_live_session_and_the_gap_is_known() {
     let memory = Memory::of_size(usize::MAX);
     let (hold, gate) = channel::<()>();
-    let start = Disk::with_storage(memory.clone(), Path::new("a.mcap"), &setup(), WhenFull::Drop);
+    let start = Disk::with_storage(
+        memory.clone(),
+        Path::new("a.mcap"),
+        setup().to_metadata(),
+        ORIGIN,
+        WhenFull::Drop,
+    );
     let (disk, recorder) = start.unwrap();
     *memory.gate.lock().unwrap() = Some(gate);
-    let mut live = Live::new(&Config::default(), Place::Keyboard, Place::Nobody, 0);
+    let mut live = live_engine(&Config::default(), Place::Keyboard, Place::Nobody);
     live.tap_mut().add(Box::new(recorder));
     // Were a single write waited for, this would never end.
     let started = Instant::now();
@@ -275,7 +303,7 @@ fn a_disk_that_stands_still_never_delays_a_live_session_and_the_gap_is_known() {
     // Long enough for the writer to get to its first write.
     while now_ms < 120_000 || started.elapsed() < Duration::from_secs(2) {
         now_ms += 1;
-        live.step(now_ms, [true; 2]);
+        live.advance(now_ms, [true; 2]);
     }
     drop(hold);
     live.tap_mut().clear();

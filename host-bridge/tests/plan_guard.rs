@@ -1,27 +1,28 @@
 //! Base and arm in a scene, moved at random: neither ever touches anything, and both always come to rest
 //! within the time that the limits allow.
 
-use std::sync::Arc;
-
-use host_bridge::arm::gen3::{JOINTS, Joints};
 use host_bridge::arm::model::SerialArm;
-use host_bridge::arm::motions::{ALL_MOTIONS, READY};
-use host_bridge::arm::profile::JointLimits;
 use host_bridge::base::Twist;
-use host_bridge::plan::random::Random;
 use host_bridge::plan::{Placement, Planner};
-use host_bridge::robot::Robot;
+use host_bridge::robot::Door as _;
+use host_bridge::robot::JointLimits;
+use host_bridge::robot::Random;
+use host_bridge::robot::{JOINTS, Joints};
 use host_bridge::scene::Scene;
-use host_bridge::sim::Simulator;
 
-fn in_scene(text: &str, arm_start_rad: Joints) -> (Simulator, Arc<Planner>) {
+#[path = "support/moving.rs"]
+mod moving;
+
+use moving::{Robot, Virtual as _, pose};
+
+fn in_scene(text: &str, arm_start_rad: Joints) -> (Robot, Planner) {
     let text = format!("[[pose]]\nname = \"ready\"\njoints_rad = {arm_start_rad:?}\n{text}");
-    let planner = Arc::new(Planner::new(SerialArm::gen3(), Scene::parse(&text).unwrap()).unwrap());
-    (Simulator::in_scene(planner.clone()), planner)
+    let planner = Planner::new(SerialArm::gen3(), Scene::parse(&text).unwrap()).unwrap();
+    (moving::in_scene(planner.clone()), planner)
 }
 
 /// Distance to everything, in m.
-fn clearance_m(robot: &Simulator, planner: &Planner) -> f64 {
+fn clearance_m(robot: &Robot, planner: &Planner) -> f64 {
     let around = planner.world().around(Placement::from(robot.odometry()));
     around.arm_clearance(&robot.arm().joints_rad).distance_m.min(around.base_clearance().distance_m)
 }
@@ -30,11 +31,11 @@ fn clearance_m(robot: &Simulator, planner: &Planner) -> f64 {
 struct Jerks([[f64; JOINTS]; 2]);
 
 impl Jerks {
-    fn new(robot: &Simulator) -> Self {
+    fn new(robot: &Robot) -> Self {
         Jerks([robot.arm().velocity_rad_s; 2])
     }
 
-    fn look(&mut self, robot: &Simulator, limits: &JointLimits) {
+    fn look(&mut self, robot: &Robot, limits: &JointLimits) {
         let now = robot.arm().velocity_rad_s;
         let [before, last] = self.0;
         for i in 0..JOINTS {
@@ -54,11 +55,11 @@ size_m = [0.2, 4.0, 0.5]
 
 #[test]
 fn a_base_driven_at_a_wall_stops_before_it_and_can_leave() {
-    let (mut robot, planner) = in_scene(WALL, READY);
+    let (mut robot, planner) = in_scene(WALL, pose("ready"));
     let forward = Twist { linear_m_s: 1.0, angular_rad_s: 0.0 };
     for _ in 0..1000 {
         robot.drive(forward);
-        robot.step(20);
+        robot.pass(20);
         assert!(clearance_m(&robot, &planner) > 0.0);
     }
     // The wall's face is at 1.9 m, the base's at 0.3 m ahead of its middle.
@@ -67,7 +68,7 @@ fn a_base_driven_at_a_wall_stops_before_it_and_can_leave() {
     assert!(robot.at_rest());
     for _ in 0..100 {
         robot.drive(Twist { linear_m_s: -0.5, angular_rad_s: 0.0 });
-        robot.step(20);
+        robot.pass(20);
     }
     assert!(robot.odometry().x_m < stopped_m - 0.5);
 }
@@ -81,7 +82,7 @@ fn an_arm_that_reaches_out_keeps_the_base_from_a_wall_that_the_base_would_not_to
     let (mut robot, planner) = in_scene(&board, reaching);
     for _ in 0..1000 {
         robot.drive(Twist { linear_m_s: 1.0, angular_rad_s: 0.0 });
-        robot.step(20);
+        robot.pass(20);
         assert!(clearance_m(&robot, &planner) > 0.0);
     }
     // 0.9 m of arm ahead of its foot at 0.1 m, before a board at 1.9 m.
@@ -96,12 +97,12 @@ fn a_goal_behind_the_scenes_boxes_is_refused_and_nothing_moves() {
         center_m = [0.7, 0.0, 0.45]
         size_m = [0.5, 0.5, 0.5]
     "#;
-    let (mut robot, _) = in_scene(pick_up_blocked, READY);
-    let refusal = robot.start_motion(host_bridge::arm::ArmMotion::PickUp).unwrap_err().to_string();
+    let (mut robot, _) = in_scene(pick_up_blocked, pose("ready"));
+    let refusal = robot.start("pick-up").unwrap_err().to_string();
     println!("{refusal}");
     assert!(refusal.contains("crate"), "{refusal}");
-    robot.step(100);
-    assert!(robot.at_rest() && robot.arm().joints_rad == READY);
+    robot.pass(100);
+    assert!(robot.at_rest() && robot.arm().joints_rad == pose("ready"));
 }
 
 #[test]
@@ -125,13 +126,14 @@ fn base_and_arm_at_random_never_touch_anything_and_always_stop_in_time() {
         center_m = [-1.5, 0.0, 0.5]
         size_m = [0.1, 3.0, 1.0]
     "#;
+    let motion_names = ["home", "pick-up", "place", "place-top-right", "place-bottom-right", "random-top"];
     let runs = if std::env::var_os("BIMANUAL_FULL").is_some() { 200 } else { 12 };
     let smooth = format!("[arm]\njerk_limited = true\n{clutter}");
     let (mut nearest_m, mut stops, mut motions, mut refused) = (f64::INFINITY, 0, 0, 0);
     let (mut slowest_ms, mut way_m) = (0, 0.0);
     for seed in 0..runs {
         // Every third run with limited jerk.
-        let (mut robot, planner) = in_scene(if seed % 3 == 2 { &smooth } else { clutter }, READY);
+        let (mut robot, planner) = in_scene(if seed % 3 == 2 { &smooth } else { clutter }, pose("ready"));
         let limits = *planner.limits();
         let mut jerks = Jerks::new(&robot);
         let mut random = Random::new(seed);
@@ -139,7 +141,7 @@ fn base_and_arm_at_random_never_touch_anything_and_always_stop_in_time() {
             let twist =
                 Twist { linear_m_s: random.between(-1.0, 1.0), angular_rad_s: random.between(-1.0, 1.0) };
             if robot.arm().running.is_none() {
-                match robot.start_motion(ALL_MOTIONS[random.below(6)]) {
+                match robot.start(motion_names[random.below(6)]) {
                     Ok(()) => motions += 1,
                     Err(_) => refused += 1,
                 }
@@ -149,7 +151,7 @@ fn base_and_arm_at_random_never_touch_anything_and_always_stop_in_time() {
                 let wheels = robot.wheels_rad_s();
                 robot.drive(twist);
                 for _ in 0..10 {
-                    robot.step(1);
+                    robot.pass(1);
                     jerks.look(&robot, &limits);
                 }
                 nearest_m = nearest_m.min(clearance_m(&robot, &planner));
@@ -168,7 +170,7 @@ fn base_and_arm_at_random_never_touch_anything_and_always_stop_in_time() {
                 robot.halt();
                 let mut ms = 0;
                 while !robot.at_rest() {
-                    robot.step(1);
+                    robot.pass(1);
                     ms += 1;
                     jerks.look(&robot, &limits);
                     assert!(
@@ -181,7 +183,7 @@ fn base_and_arm_at_random_never_touch_anything_and_always_stop_in_time() {
                 slowest_ms = slowest_ms.max(ms);
             }
         }
-        stops += robot.guard_stops();
+        stops += robot.picture().guard_stops;
         way_m += robot.odometry().path_m;
     }
     println!(

@@ -6,11 +6,12 @@
 mod cpu;
 
 use cpu::timed;
-use host_bridge::arm::gen3::{HOME, Joints, Pose};
+use host_bridge::arm::gen3::HOME;
 use host_bridge::arm::ik::{self, Budget, Solution, Unreachable};
 use host_bridge::arm::model::SerialArm;
-use host_bridge::plan::random::Random;
 use host_bridge::plan::{Placement, World};
+use host_bridge::robot::Random;
+use host_bridge::robot::{Joints, Pose};
 use host_bridge::scene::Scene;
 
 /// The budget before there was one of 0.2 s.

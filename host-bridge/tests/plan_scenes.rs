@@ -8,11 +8,11 @@
 mod cpu;
 
 use cpu::timed;
-use host_bridge::arm::gen3::{JOINTS, Joints, Pose};
 use host_bridge::arm::ik;
 use host_bridge::arm::model::SerialArm;
-use host_bridge::arm::profile::Motion;
 use host_bridge::plan::{Kind, Placement, Plan, Planner, Refusal};
+use host_bridge::robot::Motion;
+use host_bridge::robot::{JOINTS, Joints, Pose};
 use host_bridge::scene::Scene;
 
 const SCENES: [(&str, &str); 3] = [

@@ -1,15 +1,16 @@
 //! The table of motions: for all ordered pairs of the named poses, via home as in the paper beside the
 //! planned way, with the shortest clearance and the end-point error.
 
-use host_bridge::arm::gen3::{JOINTS, Joints, MAX_JERK_RAD_S3};
+use host_bridge::arm::gen3::MAX_JERK_RAD_S3;
 use host_bridge::arm::model::SerialArm;
-use host_bridge::arm::motions::{ALL_MOTIONS, READY};
-use host_bridge::arm::profile::{JointLimits, Motion};
-use host_bridge::arm::{ArmMotion, Sequencer};
 use host_bridge::plan::{Kind, Placement, Planner};
-use host_bridge::robot::Robot;
+use host_bridge::robot::{Door as _, JOINTS, JointLimits, Joints, Motion};
 use host_bridge::scene::Scene;
-use host_bridge::sim::Simulator;
+
+#[path = "support/moving.rs"]
+mod moving;
+
+use moving::{Robot, Virtual as _, pose};
 
 fn planner(scene: &str) -> Planner {
     Planner::new(SerialArm::gen3(), Scene::parse(scene).unwrap()).unwrap()
@@ -32,14 +33,14 @@ fn assert_within(limits: &JointLimits, before: &Motion, now: &Motion, dt_s: f64)
     }
 }
 
-fn run_to_rest_s(arm: &mut Sequencer) -> f64 {
-    let mut time_s = 0.0;
-    while arm.state().running.is_some() {
-        arm.step(0.001);
-        time_s += 0.001;
-        assert!(time_s < 60.0);
+fn run_to_rest_s(robot: &mut Robot) -> f64 {
+    let from_ms = robot.now_ms();
+    while robot.arm().running.is_some() {
+        robot.drive(host_bridge::base::Twist::ZERO);
+        robot.pass(1);
+        assert!(robot.now_ms() < from_ms + 60_000);
     }
-    time_s
+    (robot.now_ms() - from_ms) as f64 / 1000.0
 }
 
 #[test]
@@ -48,8 +49,8 @@ fn all_pairs_of_motions_via_home_and_direct() {
     let smooth = planner("[arm]\njerk_limited = true");
     assert_eq!(smooth.limits().jerk_rad_s3, [MAX_JERK_RAD_S3; JOINTS]);
     let around = direct.world().around(Placement::default());
-    let poses: Vec<(&str, Joints)> =
-        ALL_MOTIONS.map(|m| (m.name(), m.goal(0))).into_iter().chain([("ready", READY)]).collect();
+    let names = ["home", "pick-up", "place", "place-top-right", "place-bottom-right", "top-1", "ready"];
+    let poses: Vec<(&str, Joints)> = names.map(|name| (name, pose(name))).into();
     println!(
         "{:<19}{:<19}{:>11}{:>10}{:>15}{:>13}{:>11}{:>11}",
         "from", "to", "via home s", "direct s", "jerk-limited s", "via home mm", "direct mm", "error rad"
@@ -63,26 +64,22 @@ fn all_pairs_of_motions_via_home_and_direct() {
             assert_eq!((there.kind, plan.kind), (Kind::ViaHome, Kind::Straight));
             assert_eq!(smoothly.path_rad, plan.path_rad);
 
-            // All executed, as the simulator does.
+            // All followed, as the simulator does.
             let mut ends = Vec::new();
             let mut clearances_m = Vec::new();
             for (plan, limits) in
                 [(there, direct.limits()), (plan, direct.limits()), (smoothly, smooth.limits())]
             {
                 let mut clearance_m = f64::INFINITY;
-                let mut arm = Sequencer::new(*from, *limits);
                 let expected_s = plan.trajectory.duration_s();
-                arm.start_planned(ArmMotion::Home, plan).unwrap();
-                let mut time_s = 0.0;
-                while arm.state().running.is_some() {
-                    let before = arm.motion();
-                    arm.step(0.01);
-                    time_s += 0.01;
-                    assert_within(limits, &before, &arm.motion(), 0.01);
-                    clearance_m = around.arm_clearance(&arm.state().joints_rad).distance_m.min(clearance_m);
+                let mut here = Motion::at_rest(*from);
+                for step in 1..=(expected_s * 100.0).ceil() as u32 {
+                    let next = plan.trajectory.motion(f64::from(step) * 0.01);
+                    assert_within(limits, &here, &next, 0.01);
+                    clearance_m = around.arm_clearance(&next.joints_rad).distance_m.min(clearance_m);
+                    here = next;
                 }
-                assert!((time_s - expected_s).abs() < 0.0101, "{time_s} {expected_s}");
-                let joints = arm.state().joints_rad;
+                let joints = here.joints_rad;
                 let error = joints.iter().zip(to).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
                 assert!(error <= 1e-6);
                 ends.push((expected_s, error));
@@ -115,22 +112,19 @@ fn all_pairs_of_motions_via_home_and_direct() {
 
 #[test]
 fn without_a_scene_the_arm_goes_home_first_and_with_one_it_need_not() {
-    let mut papers = Sequencer::new(ArmMotion::Place.goal(0), *planner("").limits());
-    papers.start(ArmMotion::PlaceTopRight).unwrap();
+    let mut papers = moving::bare();
+    papers.start("place").unwrap();
+    run_to_rest_s(&mut papers);
+    papers.start("place-top-right").unwrap();
     let papers_s = run_to_rest_s(&mut papers);
 
-    let mut robot = Simulator::in_scene(planner(&starting_at(ArmMotion::Place.goal(0))).into());
-    robot.start_motion(ArmMotion::PlaceTopRight).unwrap();
-    let mut direct_s = 0.0;
-    while robot.arm().running.is_some() {
-        robot.drive(host_bridge::base::Twist::ZERO);
-        robot.step(10);
-        direct_s += 0.01;
-    }
+    let mut robot = moving::in_scene(planner(&starting_at(pose("place"))));
+    robot.start("place-top-right").unwrap();
+    let direct_s = run_to_rest_s(&mut robot);
     println!("place → place-top-right: via home {papers_s:.2} s, direct {direct_s:.2} s");
-    assert_eq!(robot.arm().joints_rad, ArmMotion::PlaceTopRight.goal(0));
-    assert_eq!(papers.state().joints_rad, robot.arm().joints_rad);
+    assert_eq!(robot.arm().joints_rad, pose("place-top-right"));
+    assert_eq!(papers.arm().joints_rad, robot.arm().joints_rad);
     // 6.1 s to home and 6.4 s on; straight, joint 1 turns by 1.654 rad.
     assert!((12.3..12.7).contains(&papers_s) && (12.0..12.3).contains(&direct_s));
-    assert_eq!(robot.guard_stops(), 0);
+    assert_eq!(robot.picture().guard_stops, 0);
 }

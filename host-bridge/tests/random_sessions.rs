@@ -6,16 +6,15 @@
 
 mod support;
 
-use host_bridge::arm::gen3::JOINTS;
-use host_bridge::arm::profile::JointLimits;
+use host_bridge::arm::gen3::paper_limits;
 use host_bridge::base::BaseConfig;
 use host_bridge::bridge::EventKind;
-use host_bridge::plan::random::Random;
-use host_bridge::robot::Robot;
+use host_bridge::robot::JOINTS;
+use host_bridge::robot::Random;
 use host_bridge::safety::{Hand, State};
 use shared_proto::message::Heading;
 
-use support::Rig;
+use support::{Rig, Virtual as _};
 
 const HEADINGS: [Heading; 6] =
     [Heading::Neutral, Heading::Between, Heading::Forward, Heading::Backward, Heading::Left, Heading::Right];
@@ -50,7 +49,7 @@ impl Watch {
     }
 
     fn look(&mut self, rig: &Rig, seen: &mut Seen) {
-        let (limits, base, dt_s) = (JointLimits::paper(), BaseConfig::default(), 0.001);
+        let (limits, base, dt_s) = (paper_limits(), BaseConfig::default(), 0.001);
         let (arm, wheels, odometry) = (rig.robot.arm(), rig.robot.wheels_rad_s(), rig.robot.odometry());
         for i in 0..JOINTS {
             let (v, a) = (limits.velocity_rad_s[i], limits.acceleration_rad_s2[i]);

@@ -4,16 +4,13 @@
 
 mod support;
 
-use host_bridge::arm::ArmMotion;
 use host_bridge::bridge::Bridge;
 use host_bridge::bridge::GestureOutcome::{Busy, Late, NotArmed, Released, Started};
-use host_bridge::config::Place;
 use host_bridge::intent::MotionMap;
-use host_bridge::robot::Robot;
 use host_bridge::safety::{Hand, State};
 use proptest::prelude::*;
 use shared_proto::message::{Board, Heading, PROTOCOL_MAJOR, health};
-use support::{LABELS, Rig, hello, hello_of, model};
+use support::{LABELS, Rig, Virtual as _, hello, hello_of, model, pose};
 
 /// From 0.5 m/s at 1 m/s² in 0.5 s; the arm within 0.33 s. A little more for the frame in flight.
 const REST_MS: u64 = 520;
@@ -51,7 +48,7 @@ fn both_hands_must_be_neutral_at_once() {
 #[test]
 fn a_hand_that_was_announced_is_waited_for() {
     let mut rig = Rig::empty();
-    rig.bridge = Bridge::new(MotionMap::default()).awaiting([Place::Board; 2]);
+    rig.bridge = Bridge::new(MotionMap::default()).awaiting(Hand::Left).awaiting(Hand::Right);
     rig.connect(Hand::Right, 1);
     rig.run(1000);
     rig.gesture(2);
@@ -72,7 +69,7 @@ fn one_hand_alone_is_enough_for_its_own_part() {
     let mut right = Rig::with(&[Hand::Right]);
     right.run(200);
     right.gesture(2);
-    assert_eq!(right.take_outcomes(), [Started(ArmMotion::PickUp)]);
+    assert_eq!(right.take_outcomes(), [Started("pick-up".into())]);
     assert!(right.arm_moves());
 }
 
@@ -370,7 +367,7 @@ fn release_is_neutral_for_a_second_then_up_down_and_moves_nothing() {
     rig.run(3000);
     assert!(!rig.take_moved(), "release alone moves nothing");
     rig.gesture(1);
-    assert_eq!(rig.take_outcomes(), [Started(ArmMotion::Home)]);
+    assert_eq!(rig.take_outcomes(), [Started("home".into())]);
     assert!(rig.take_moved());
 }
 
@@ -491,10 +488,10 @@ fn a_gesture_while_a_motion_runs_is_dropped_counted_and_not_queued() {
     rig.gesture(2);
     rig.run(1000);
     rig.gesture(3);
-    assert_eq!(rig.take_outcomes(), [Started(ArmMotion::PickUp), Busy(ArmMotion::PickUp)]);
+    assert_eq!(rig.take_outcomes(), [Started("pick-up".into()), Busy("pick-up".into())]);
     assert_eq!(rig.bridge.drops().gestures_while_busy, 1);
     rig.run(20_000);
-    assert_eq!(rig.robot.arm().joints_rad, ArmMotion::PickUp.goal(0));
+    assert_eq!(rig.robot.arm().joints_rad, pose("pick-up"));
     assert!(rig.take_outcomes().is_empty());
 }
 
@@ -521,7 +518,7 @@ fn gestures_whose_frames_were_lost_are_acted_on_once_and_only_the_last() {
     rig.right.label = 2;
     rig.right.event_window_end_ms = rig.board_time_ms();
     rig.run(100);
-    assert_eq!(rig.take_outcomes(), [Started(ArmMotion::PickUp)]);
+    assert_eq!(rig.take_outcomes(), [Started("pick-up".into())]);
     assert_eq!(rig.bridge.drops().gestures_unnamed, 2);
 }
 
@@ -652,7 +649,7 @@ impl Watch {
     }
 
     fn run(&mut self, rig: &mut Rig, ms: u64) -> Result<(), TestCaseError> {
-        let limits = host_bridge::arm::profile::JointLimits::paper();
+        let limits = host_bridge::arm::gen3::paper_limits();
         for _ in 0..ms {
             rig.run(1);
             let (wheels, arm, place) = (rig.robot.wheels_rad_s(), rig.robot.arm(), rig.robot.odometry());

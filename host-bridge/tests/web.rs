@@ -5,12 +5,19 @@ use std::net::{SocketAddr, TcpStream};
 use std::time::{Duration, Instant};
 
 use host_bridge::config::{Config, Place};
-use host_bridge::live::Live;
+use host_bridge::engine::Engine;
 use host_bridge::safety::State;
 use host_bridge::web::{CONNECTIONS_MAX, IN_FLIGHT_MAX, INTERVAL, Web, WebError, WebOptions};
 use serde_json::Value;
 use tungstenite::client::IntoClientRequest as _;
 use tungstenite::{Message, WebSocket};
+
+#[path = "support/moving.rs"]
+mod moving;
+
+use moving::{Robot, live as live_engine};
+
+type Live = Engine<'static, Robot>;
 
 /// By the wall clock; a hang must not stop the tests.
 const PATIENCE: Duration = Duration::from_secs(120);
@@ -63,10 +70,10 @@ fn message(socket: &mut WebSocket<TcpStream>) -> Value {
 /// A session with keys for both hands, and its page.
 fn session() -> (Web, Live) {
     let web = Web::start(&any_port()).unwrap();
-    let mut live = Live::new(&Config::default(), Place::Keyboard, Place::Keyboard, 0);
+    let mut live = live_engine(&Config::default(), Place::Keyboard, Place::Keyboard);
     live.tap_mut().add(Box::new(web.watcher("a test\nsecond line")));
     for now_ms in 1..499 {
-        live.step(now_ms, [true; 2]);
+        live.advance(now_ms, [true; 2]);
     }
     publish_step(&mut live, 499);
     assert_eq!(live.bridge().safety().state(), State::Armed);
@@ -76,7 +83,7 @@ fn session() -> (Web, Live) {
 /// A step whose state pages are told. How many of the steps before were told is the machine's affair.
 fn publish_step(live: &mut Live, now_ms: u64) {
     std::thread::sleep(INTERVAL);
-    live.step(now_ms, [true; 2]);
+    live.advance(now_ms, [true; 2]);
 }
 
 #[test]

@@ -5,7 +5,7 @@ with limited jerk.
     python tests/mujoco/check.py DIRECTORY        (packages: tests/mujoco/requirements.txt)
 
 The models are written here, from the figures in shared/reference/hardware.md (part G) and the sizes in
-host-bridge/src/arm/model.rs and the scene files. Exit code 0 = everything holds.
+host-bridge/crates/arm/src/model.rs and the scene files. Exit code 0 = everything holds.
 """
 
 import csv

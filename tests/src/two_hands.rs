@@ -8,10 +8,14 @@
 //!
 //! Each board has a clock of its own; a step lets both run up to the same moment of the desk's time.
 
+use host_bridge::arm::Director;
 use host_bridge::bridge::{Bridge, BridgeEvent};
+use host_bridge::config::Config;
 use host_bridge::intent::MotionMap;
+use host_bridge::robot::Door as _;
+use host_bridge::robots::Stage;
 use host_bridge::safety::{Hand, State};
-use host_bridge::sim::{SimConfig, Simulator};
+use host_bridge::sim::Simulator;
 use shared_proto::frame::{HOST_FRAME_MAX, encode_host};
 
 use crate::avr::image::path as left_image;
@@ -194,7 +198,7 @@ pub struct TwoHands {
     /// The laptop.
     pub bridge: Bridge,
     /// The robot.
-    pub robot: Simulator,
+    pub robot: Director<Simulator>,
     /// Everything that happened on the bridge, with the desk's time.
     pub log: Vec<BridgeEvent>,
     /// What the cables do to the bytes.
@@ -209,7 +213,7 @@ impl TwoHands {
             left,
             right,
             bridge: Bridge::new(MotionMap::default()),
-            robot: Simulator::new(SimConfig::default()),
+            robot: Stage::bare().simulated(&Config::default()),
             log: Vec::new(),
             disturbance: None,
             now_ms: 0,
@@ -254,7 +258,7 @@ impl TwoHands {
             }
         }
         self.log.extend(self.bridge.take_events());
-        self.robot.step(1);
+        self.robot.step(self.robot.now_ms() + 1);
     }
 
     fn next_message(&mut self, hand: Hand) -> Option<shared_proto::message::HostMessage<'static>> {
@@ -304,12 +308,12 @@ impl TwoHands {
 
     /// Does any wheel turn?
     pub fn base_moves(&self) -> bool {
-        self.robot.wheels_rad_s() != [0.0; 2]
+        self.robot.robot().wheels_rad_s() != [0.0; 2]
     }
 
     /// Does any joint turn?
     pub fn arm_moves(&self) -> bool {
-        !host_bridge::robot::Robot::arm(&self.robot).at_rest()
+        !self.robot.picture().arm.at_rest()
     }
 
     /// The hands drive the robot.

@@ -112,7 +112,7 @@ fn the_papers_speed_modulation_comes_out_of_the_emulated_board() {
         street.run_ms(start_ms + to - street.now_ms());
         let cap = street.bridge.caps().linear_m_s;
         let commanded = street.bridge.twist().linear_m_s;
-        let base = host_bridge::robot::Robot::odometry(&street.robot).twist.linear_m_s;
+        let base = host_bridge::robot::Door::picture(&street.robot).odometry.twist.linear_m_s;
         let span = format!("{:.1}–{:.1}", from as f64 / 1000.0, to as f64 / 1000.0);
         println!("{span:>10}  {what:<20}{paper:>8.2}{cap:>8.3}{commanded:>10.3}{base:>8.3}");
         assert!((commanded - expected).abs() <= 0.01, "{what}: commanded {commanded:.3}, not {expected:.3}");

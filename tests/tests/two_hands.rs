@@ -6,10 +6,11 @@ use std::rc::Rc;
 
 use fastrand::Rng;
 use host_bridge::bridge::{EventKind, GestureOutcome};
+use host_bridge::config::Config;
 use host_bridge::demo::Demo;
-use host_bridge::robot::Robot;
+use host_bridge::robot::Door as _;
+use host_bridge::robots::Stage;
 use host_bridge::safety::{HaltReason, Hand as Which};
-use host_bridge::sim::{SimConfig, Simulator};
 use models::synth::{Motion, Segment, Wearer as RightWearer, session};
 use tests::avr::image;
 use tests::avr::nano::Nano;
@@ -55,7 +56,7 @@ fn play_demo(link: Link) {
             _ => {}
         }
     }
-    let here = desk.robot.odometry();
+    let here = desk.robot.picture().odometry;
     let cap = desk.bridge.caps().linear_m_s;
     let place = &expect.base;
     println!("{:<12}{:<76}in virtual time over {link:?}", "", "as scripted");
@@ -80,7 +81,7 @@ fn play_demo(link: Link) {
         assert!(poses.len() >= 2 && expect.poses.starts_with(&poses), "{poses:?}");
         assert!(here.path_m > 1.0 && together > 0, "{here:?}");
     }
-    assert_eq!(desk.robot.timeouts(), 0);
+    assert_eq!(desk.robot.picture().timeouts, 0);
     let (left, right) = (desk.left.as_ref().unwrap(), desk.right.as_mut().unwrap());
     assert_eq!(left.nano.resets(), 0);
     if link != Link::Ble {
@@ -172,7 +173,7 @@ fn the_arm_moves_within_50_ms_of_the_sample_that_decides() {
                 to_arm_ms.push(cycles as f64 / tests::nrf::time::ms(1) as f64 + delay_ms);
                 deciding = None;
                 // A rested robot for the next gesture; this one has shown what it was asked for.
-                desk.robot = Simulator::new(SimConfig::default());
+                desk.robot = Stage::bare().simulated(&Config::default());
             }
         }
     }
@@ -367,7 +368,7 @@ fn random_bytes_on_both_links_move_nothing_that_the_hands_do_not() {
     let mut paths_m = Vec::new();
     for (damaged, disturbed) in [(1, 8), (12, 200)] {
         desk.disturbance = Some(noise(damaged, disturbed, Rng::with_seed(u64::from(damaged))));
-        let before_m = desk.robot.odometry().path_m;
+        let before_m = desk.robot.picture().odometry.path_m;
         for second in 0..seconds {
             let tilted = second % 2 == 1;
             tilt(&desk, if tilted { FORWARD_RAD } else { 0.0 });
@@ -380,7 +381,7 @@ fn random_bytes_on_both_links_move_nothing_that_the_hands_do_not() {
                 assert!(!desk.arm_moves());
             }
         }
-        paths_m.push(desk.robot.odometry().path_m - before_m);
+        paths_m.push(desk.robot.picture().odometry.path_m - before_m);
     }
     desk.disturbance = None;
     let damaged = [Which::Left, Which::Right].map(|hand| desk.bridge.link(hand).counters().damaged);
@@ -393,7 +394,7 @@ fn random_bytes_on_both_links_move_nothing_that_the_hands_do_not() {
     );
     assert!(damaged.iter().all(|&count| u64::from(count) >= seconds));
     assert!(paths_m[0] > 0.1, "a bad cable does not keep the hand from driving");
-    let here = desk.robot.odometry();
+    let here = desk.robot.picture().odometry;
     assert!(here.y_m.abs() < 1e-9 && here.heading_rad.abs() < 1e-9, "{here:?}");
     assert_eq!(desk.left.as_ref().unwrap().nano.resets(), 0);
     assert!(desk.right.as_ref().unwrap().board.resets.iter().all(|&reason| reason == 4));

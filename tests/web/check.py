@@ -153,7 +153,7 @@ def same(one, two, where="state"):
 
 def theme_colour(name):
     """A colour of the light theme, as page.css has it."""
-    css = (ROOT / "host-bridge/src/web/page/page.css").read_text()
+    css = (ROOT / "host-bridge/crates/views/src/web/page/page.css").read_text()
     text = css.split(f"--{name}: #")[1][:6]
     return np.array([int(text[i : i + 2], 16) for i in (0, 2, 4)], dtype=float)
 

@@ -35,7 +35,7 @@ const FILES: [&str; 27] = [
     "host-bridge/scenes/posts.toml",
     "host-bridge/scenes/room.toml",
     "host-bridge/scenes/shelf.toml",
-    "host-bridge/src/plan/README.md",
+    "host-bridge/crates/arm/src/plan/README.md",
     "models/README.md",
     "models/bundled/right-9axis.card.json",
     "models/bundled/right-9axis.float.tflite",

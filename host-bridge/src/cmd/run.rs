@@ -18,8 +18,10 @@ use host_bridge::foxglove::Foxglove;
 use host_bridge::keyboard::{HandKey, KeyLeft, KeyRight};
 use host_bridge::links::{Clock, Link as BoardLink, SystemClock, is_ble};
 use host_bridge::observe::{Now, SessionEvent};
+use host_bridge::robot::brake::longest_s;
 use host_bridge::robot::{Door, Robot};
 use host_bridge::robots::{Echoed, Stage};
+use host_bridge::ros2::stream::HORIZON_MS;
 use host_bridge::ros2::{ArmInterface, Counts};
 use host_bridge::safety::Hand;
 use host_bridge::source::Source;
@@ -37,6 +39,8 @@ use crate::play::{check_motions, stage};
 
 /// Keys are looked for this often, also when nothing happens.
 const PATIENCE: Duration = Duration::from_millis(10);
+/// An arm on a graph that takes longer to brake is not driven.
+const BRAKING_MAX_S: f64 = 1.0;
 /// The release key must be pressed twice within this time.
 const CONFIRM: Duration = Duration::from_secs(2);
 
@@ -178,6 +182,12 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     let map = config.motion_map();
     check_motions(&map, &config.mappings(), &stage.motions)?;
     let web = args.web.start(false)?;
+    let braking_s = longest_s(&stage.limits);
+    ensure!(
+        !args.ros2 || config.ros2.arm != ArmInterface::Stream || braking_s <= BRAKING_MAX_S,
+        "the arm would take {braking_s:.1} s to brake: lower velocity_scaling or raise acceleration_scaling under \
+         [arm] until it is {BRAKING_MAX_S} s or less"
+    );
     let graph = if args.ros2 {
         let base = stage.simulator(&config).base_limits().to_owned();
         Some(Graph::open(&config.ros2, stage.limits, base, args.publish_sim)?)
@@ -195,7 +205,17 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     let links = [open(Hand::Left, &left), open(Hand::Right, &right)];
     let over_air = [0, 1].map(|i: usize| links[i].as_ref().is_some_and(|link| is_ble(link.port())));
     let name = |port: &str| if port.is_empty() { "none".to_owned() } else { port.to_owned() };
-    let about = graph.as_ref().map_or("simulated robot".to_owned(), |graph| graph.about.clone());
+    let third_stop = match config.ros2.arm {
+        ArmInterface::None => String::new(),
+        ArmInterface::Stream => {
+            format!(", arm at rest {:.2} s after the last word", 0.001 * HORIZON_MS as f64 + braking_s)
+        }
+        ArmInterface::Action | ArmInterface::Topic => {
+            ", arm in whole motions: without a third stop".to_owned()
+        }
+    };
+    let about =
+        graph.as_ref().map_or("simulated robot".to_owned(), |graph| graph.about.clone() + &third_stop);
     let mut title = format!("bimanual: left hand {}, right hand {}, {about}", name(&left), name(&right));
     let source = |place: Place, keys: &dyn Fn() -> Source<'static>| match place {
         Place::Nobody => Source::Nobody,

@@ -44,7 +44,7 @@ fn hands_drive_an_independent_robot_with_right_types_values_quality_and_in_time(
         assert_eq!((&matched["reliable"], &matched["volatile"]), (&Value::Bool(true), &Value::Bool(true)));
     }
     bridge.has("the robot's reader", |v| {
-        is(v, "ros2") && v["text"].as_str().unwrap().contains("1 reader on /cmd_vel")
+        is(v, "robot") && v["text"].as_str().unwrap().contains("1 reader on /cmd_vel")
     });
     bridge.has("armed", armed);
     robot.catch_up();
@@ -178,7 +178,7 @@ fn the_simulators_state_is_published_only_where_no_robot_is() {
     assert_eq!(joints["name"].as_array().unwrap().len(), 7);
     assert!((number(&joints["position"][6]) - HOME[6]).abs() < 1e-9, "{joints}");
     bridge.has("armed", armed);
-    bridge.has("the reader", |v| is(v, "ros2") && v["text"].as_str().unwrap().contains("/cell1/cmd_vel"));
+    bridge.has("the reader", |v| is(v, "robot") && v["text"].as_str().unwrap().contains("/cell1/cmd_vel"));
     left.hold(FORWARD);
     let driven = viewer.wait("forward", |v| speed(v).is_some_and(|s| s.0 > 0.0));
     assert_eq!(speed(&driven), Some((0.5, 0.0)));
@@ -193,7 +193,7 @@ fn the_simulators_state_is_published_only_where_no_robot_is() {
     let mut robot = peer(&desk, &site.python, domain, &["--robot", "--namespace", "/cell1", "--unstamped"]);
     robot.has("ready", |v| is(v, "ready"));
     bridge.has("the robot was seen", |v| {
-        is(v, "ros2") && v["text"].as_str().unwrap().contains("somebody else publishes /cell1/joint_states")
+        is(v, "robot") && v["text"].as_str().unwrap().contains("somebody else publishes /cell1/joint_states")
     });
     viewer.listen(Duration::from_millis(300));
     assert!(!viewer.listen(Duration::from_millis(500)).iter().any(|v| is(v, "odom")));
@@ -312,7 +312,7 @@ fn a_fifth_of_the_datagrams_lost_moves_the_robot_never_by_old_commands() {
     robot.has("ready", |v| is(v, "ready"));
     let mut bridge = bridge(&desk, 1, "", &["--left", &left.port()]);
     bridge.has("armed", armed);
-    bridge.has("the reader", |v| is(v, "ros2") && v["text"].as_str().unwrap().contains("1 reader"));
+    bridge.has("the reader", |v| is(v, "robot") && v["text"].as_str().unwrap().contains("1 reader"));
     left.hold(FORWARD);
     robot.wait("forward", |v| speed(v).is_some_and(|s| s.0 > 0.0));
     let rule =
@@ -397,7 +397,7 @@ fn twenty_bridges_and_twenty_robots_share_this_machine() {
     }
     for (_, bridge, robot) in &mut all {
         bridge.has("armed", armed);
-        bridge.has("the reader", |v| is(v, "ros2") && v["text"].as_str().unwrap().contains("1 reader"));
+        bridge.has("the reader", |v| is(v, "robot") && v["text"].as_str().unwrap().contains("1 reader"));
         robot.has("the writer", |v| is(v, "matched"));
     }
     desk.pass(Duration::from_secs(2));

@@ -3,13 +3,17 @@
 
 use host_bridge::bridge::{Bridge, EventKind, GestureOutcome};
 use host_bridge::intent::MotionMap;
-use host_bridge::robot::Robot;
 use host_bridge::safety::{Hand, State};
-use host_bridge::sim::{SimConfig, Simulator};
 use shared_proto::frame::{BOARD_FRAME_MAX, encode_board};
 use shared_proto::message::{
     Board, BoardMessage, Heading, Hello, LeftState, ModelInfo, PROTOCOL_MAJOR, PROTOCOL_MINOR, RightState,
 };
+
+#[path = "moving.rs"]
+pub mod moving;
+
+#[allow(unused_imports)] // each test file uses its own part
+pub use moving::{Robot, Virtual, bare, pose};
 
 pub const LABELS: &str = "idle,up-down,to-fro,left-right,rectangle,rectangle-flat,circle";
 
@@ -55,7 +59,7 @@ pub struct RightHand {
 /// Both hands, the bridge and the robot.
 pub struct Rig {
     pub bridge: Bridge,
-    pub robot: Simulator,
+    pub robot: Robot,
     pub now_ms: u64,
     pub left: LeftState,
     pub right: RightHand,
@@ -74,7 +78,7 @@ impl Rig {
         let neutral = LeftState { heading: Heading::Neutral, ..LeftState::default() };
         Rig {
             bridge: Bridge::new(MotionMap::default()),
-            robot: Simulator::new(SimConfig::default()),
+            robot: bare(),
             now_ms: 10_000,
             left: neutral,
             right: RightHand {
@@ -169,7 +173,7 @@ impl Rig {
                 }
             }
             self.bridge.step(self.now_ms, &mut self.robot);
-            self.robot.step(1);
+            self.robot.pass(1);
             self.now_ms += 1;
             self.moved |= !self.robot.at_rest();
             self.events.extend(self.bridge.take_events().into_iter().map(|event| event.kind));
@@ -220,7 +224,7 @@ impl Rig {
     /// What followed from the gestures so far; forgets them.
     pub fn take_outcomes(&mut self) -> Vec<GestureOutcome> {
         let outcomes = self.events.iter().filter_map(|event| match event {
-            EventKind::Gesture { outcome, .. } => Some(*outcome),
+            EventKind::Gesture { outcome, .. } => Some(outcome.clone()),
             _ => None,
         });
         let outcomes = outcomes.collect();

@@ -1,9 +1,13 @@
 //! The whole street: voltages → emulated board → serial bytes → bridge → simulated base, in 1 ms steps.
 
+use host_bridge::arm::Director;
 use host_bridge::bridge::Bridge;
+use host_bridge::config::Config;
 use host_bridge::intent::MotionMap;
+use host_bridge::robot::Door as _;
+use host_bridge::robots::Stage;
 use host_bridge::safety::Hand;
-use host_bridge::sim::{SimConfig, Simulator};
+use host_bridge::sim::Simulator;
 use shared_proto::frame::{HOST_FRAME_MAX, encode_host};
 
 use super::nano::{CYCLES_PER_MS, Nano};
@@ -15,7 +19,7 @@ pub struct Street {
     /// The laptop.
     pub bridge: Bridge,
     /// The robot.
-    pub robot: Simulator,
+    pub robot: Director<Simulator>,
     now_ms: u64,
 }
 
@@ -26,7 +30,7 @@ impl Street {
         Self {
             nano,
             bridge: Bridge::new(MotionMap::default()),
-            robot: Simulator::new(SimConfig::default()),
+            robot: Stage::bare().simulated(&Config::default()),
             now_ms,
         }
     }
@@ -49,7 +53,7 @@ impl Street {
             let frame = encode_host(&message, &mut buffer).expect("the bridge's messages fit");
             self.nano.send(frame);
         }
-        self.robot.step(1);
+        self.robot.step(self.robot.now_ms() + 1);
     }
 
     /// A while.
@@ -61,6 +65,6 @@ impl Street {
 
     /// Does any wheel turn?
     pub fn moves(&self) -> bool {
-        self.robot.wheels_rad_s() != [0.0; 2]
+        self.robot.robot().wheels_rad_s() != [0.0; 2]
     }
 }

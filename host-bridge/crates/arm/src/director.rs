@@ -105,6 +105,11 @@ impl<R: Robot> Director<R> {
         &mut self.robot
     }
 
+    /// The time that it was last stepped to.
+    pub fn now_ms(&self) -> u64 {
+        self.now_ms
+    }
+
     /// What the arm can be asked to do.
     pub fn motions(&self) -> &Motions {
         &self.motions

@@ -8,9 +8,11 @@
 //!
 //! * [`Robot`]: what every robot has. The simulator is one robot; a robot on a ROS 2 graph is another.
 //! * [`Door`]: what the bridge commands and observers look through; the arm director implements it once for all.
+//! * [`brake`]: braking along a trajectory's own path,
 //! * [`base`], [`pose`], [`limits`], [`trajectory`], [`shape`]: geometry and motion, without time or links.
 
 pub mod base;
+pub mod brake;
 pub mod door;
 pub mod limits;
 pub mod pose;

@@ -138,7 +138,7 @@ pub fn topics(config: &Ros2Config) -> Vec<Topic> {
     ];
     match config.arm {
         ArmInterface::None => return topics,
-        ArmInterface::Topic => {
+        ArmInterface::Topic | ArmInterface::Stream => {
             let name = format!("{controller}/joint_trajectory");
             topics.push(plain("arm_controller", &name, wire::TRAJECTORY, true, true, true));
         }

@@ -1,5 +1,8 @@
 //! An arm behind a `joint_trajectory_controller`: what is asked of it, and what became of that.
 //!
+//! Three ways: a stream of short pieces ([`crate::stream`]), one goal of an action, one message. Only the first is an arm that
+//! stops when this program dies.
+//!
 //! Sans-IO. A trajectory starts at the angles that the robot itself reports, is sent as a whole, and is under way until the controller (action) or the angles and the time (topic) say that it is over. A
 //! stop cancels it; whatever is accepted after that is cancelled, too.
 
@@ -7,6 +10,7 @@ use std::sync::Arc;
 
 use super::config::{ArmInterface, Ros2Config};
 use super::robot::Output;
+use super::stream::{Late, RobotClock, Stream, off_rad};
 use host_robot::{End, Following, JOINTS, JointLimits, Motion, Reading, Trajectory};
 use host_topics::message::{JointState, JointTrajectory, JointTrajectoryPoint, Time};
 
@@ -16,6 +20,10 @@ const GRID_S: f64 = 0.25;
 const LEAST_STEP_S: f64 = 0.001;
 /// The goal is reached within this, where nobody else says so.
 const REACHED_RAD: f64 = 0.05;
+/// An arm that is further than this from where it should have been within the last [`FOLLOW_STEPS`] times 20 ms is
+/// stopped.
+const FOLLOW_RAD: f64 = 0.1;
+const FOLLOW_STEPS: u32 = 10;
 /// A cancellation is asked for again after this long.
 const CANCEL_INTERVAL_MS: u64 = 200;
 /// And given up after this long.
@@ -80,6 +88,8 @@ struct Run {
     moving_since_ms: Option<u64>,
     /// As the controller says.
     elapsed_s: Option<f64>,
+    /// Sent in pieces.
+    stream: Option<Stream>,
     /// It is given up since then.
     stopping_since_ms: Option<u64>,
     cancelled_ms: u64,
@@ -101,6 +111,7 @@ pub struct ArmLink {
     max_age_ms: u64,
     answer_ms: u64,
     seen: [Option<Seen>; JOINTS],
+    clock: RobotClock,
     /// Somebody takes goals (or trajectories).
     listened_to: bool,
     run: Option<Run>,
@@ -119,6 +130,7 @@ impl ArmLink {
             max_age_ms: config.joint_states_max_age_ms,
             answer_ms: config.answer_ms,
             seen: [None; JOINTS],
+            clock: RobotClock::default(),
             listened_to: false,
             run: None,
             goals: 0,
@@ -134,6 +146,7 @@ impl ArmLink {
 
     /// Takes angles; joints that are not the arm's and values that are no numbers are left out.
     pub fn see(&mut self, state: &JointState, now_ms: u64) {
+        self.clock.see(state.header.stamp, now_ms);
         for (name, &position_rad) in state.name.iter().zip(&state.position) {
             let Some(joint) = self.names.iter().position(|own| own == name) else { continue };
             let place = state.name.iter().position(|other| other == name);
@@ -177,6 +190,13 @@ impl ArmLink {
             return Err("this robot's arm is not driven (arm = \"none\" in [ros2])".to_owned());
         }
         self.sample(now_ms).ok_or_else(|| self.what_is_missing(now_ms))?;
+        if self.interface == ArmInterface::Stream && self.clock.at_ns(now_ms).is_none() {
+            return Err(
+                "the robot's joint states carry no time stamps, so pieces of a motion cannot be timed; \
+                        arm = \"action\" in [ros2] sends whole goals instead, which have no third stop"
+                    .to_owned(),
+            );
+        }
         if !self.listened_to {
             let what = match self.interface {
                 ArmInterface::Action => "no action server takes goals",
@@ -202,16 +222,22 @@ impl ArmLink {
         }
         self.can_follow(now_ms)?;
         self.goals += 1;
-        outputs.push(self.output(self.goals, &trajectory));
+        let robot_ns = self.clock.at_ns(now_ms).filter(|_| self.interface == ArmInterface::Stream);
+        let stream = robot_ns.map(Stream::new);
+        if stream.is_none() {
+            outputs.push(self.output(self.goals, &trajectory));
+        }
         self.run = Some(Run {
             goal: self.goals,
             trajectory,
             asked_ms: now_ms,
             moving_since_ms: (self.interface == ArmInterface::Topic).then_some(now_ms),
             elapsed_s: None,
+            stream,
             stopping_since_ms: None,
             cancelled_ms: 0,
         });
+        self.step(now_ms, outputs);
         Ok(())
     }
 
@@ -220,6 +246,10 @@ impl ArmLink {
         match &self.run {
             None => Following::Idle,
             Some(run) if run.stopping_since_ms.is_some() => Following::Halting,
+            Some(Run { stream: Some(stream), .. }) => {
+                let robot_ns = self.clock.at_ns(now_ms).unwrap_or_default();
+                Following::Moving { elapsed_s: stream.elapsed_s(robot_ns).max(0.0) }
+            }
             Some(run) => Following::Moving { elapsed_s: run.elapsed_s(now_ms) },
         }
     }
@@ -263,6 +293,12 @@ impl ArmLink {
         }
         run.stopping_since_ms = Some(now_ms);
         run.cancelled_ms = now_ms;
+        if let Some(stream) = &mut run.stream {
+            let robot_ns = self.clock.at_ns(now_ms).unwrap_or_default();
+            let points = stream.halt(&run.trajectory, &self.limits, robot_ns);
+            outputs.push(Output::Trajectory(stream.message(&self.names, points)));
+            return;
+        }
         if self.interface == ArmInterface::Action {
             outputs.push(Output::Cancel { goal: run.goal });
             return;
@@ -320,6 +356,10 @@ impl ArmLink {
     /// Lets the time become `now_ms`.
     pub fn step(&mut self, now_ms: u64, outputs: &mut Vec<Output>) {
         let sample = self.sample(now_ms);
+        if self.interface == ArmInterface::Stream {
+            self.step_stream(sample, now_ms, outputs);
+            return;
+        }
         let Some(run) = &mut self.run else { return };
         let planned_ms = (run.trajectory.duration_s() * 1000.0) as u64;
         if self.interface == ArmInterface::Topic {
@@ -328,8 +368,7 @@ impl ArmLink {
                 return;
             }
             let goal = run.trajectory.goal_rad();
-            let near = |(here, goal): (&f64, &f64)| (here - goal).abs() <= REACHED_RAD;
-            let arrived = sample.is_some_and(|sample| sample.joints_rad.iter().zip(&goal).all(near));
+            let arrived = sample.is_some_and(|sample| off_rad(&sample.joints_rad, &goal) <= REACHED_RAD);
             if run.stopping_since_ms.is_some() {
                 self.end(false);
             } else if arrived {
@@ -357,6 +396,61 @@ impl ArmLink {
             let why = if silent { "does not answer" } else { "does not finish" };
             self.notes.push(format!("the arm's controller {why}; the goal is cancelled"));
             self.halt(now_ms, outputs);
+        }
+    }
+
+    /// The same for a trajectory in pieces.
+    fn step_stream(&mut self, sample: Option<Motion>, now_ms: u64, outputs: &mut Vec<Output>) {
+        let Some(robot_ns) = self.clock.at_ns(now_ms) else { return };
+        let Some(Run { trajectory, stream: Some(stream), stopping_since_ms, .. }) = &mut self.run else {
+            return;
+        };
+        if stream.has_braked(robot_ns) {
+            self.end(false);
+            return;
+        }
+        if stopping_since_ms.is_some() {
+            return;
+        }
+        let elapsed_s = stream.elapsed_s(robot_ns);
+        let problem = match sample {
+            None => Some("the arm's angles are no longer heard of".to_owned()),
+            Some(sample) => {
+                // Where it should have been at some time of late.
+                let ago = |k: u32| trajectory.motion((elapsed_s - f64::from(k) * 0.02).max(0.0)).joints_rad;
+                let off = (0..=FOLLOW_STEPS)
+                    .map(|k| off_rad(&sample.joints_rad, &ago(k)))
+                    .fold(f64::INFINITY, f64::min);
+                (off > FOLLOW_RAD).then(|| {
+                    format!(
+                        "the arm does not follow ({off:.2} rad off): does another goal run, is its speed scaled \
+                         down, or is something in its way?"
+                    )
+                })
+            }
+        };
+        if let Some(problem) = problem {
+            self.notes.push(format!("{problem} It was stopped"));
+            self.halt(now_ms, outputs);
+            return;
+        }
+        match stream.renew(trajectory, &self.limits, now_ms, robot_ns) {
+            Ok(Some(points)) => outputs.push(Output::Trajectory(stream.message(&self.names, points))),
+            Ok(None) => {}
+            Err(Late) => {
+                *stopping_since_ms = Some(now_ms);
+                self.notes.push("this program was late: the arm has come to rest by itself".to_owned());
+                return;
+            }
+        }
+        let over_s = elapsed_s - trajectory.duration_s();
+        let goal_rad = trajectory.goal_rad();
+        if over_s >= 0.0 && sample.is_some_and(|sample| off_rad(&sample.joints_rad, &goal_rad) <= REACHED_RAD)
+        {
+            self.end(true);
+        } else if over_s * 1000.0 > OVERDUE_MS as f64 {
+            self.notes.push("the arm did not arrive at its pose".to_owned());
+            self.end(false);
         }
     }
 

@@ -10,10 +10,13 @@ use host_robot::JOINTS;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum ArmInterface {
-    /// As `FollowJointTrajectory` goals: with feedback, and cancelled on a stop.
+    /// As short pieces on the controller's topic, each ending at rest: a dead program is an arm at rest.
     #[default]
+    Stream,
+    /// As whole `FollowJointTrajectory` goals: with feedback, and cancelled on a stop. **No third stop**: the arm of a dead
+    /// program finishes its goal.
     Action,
-    /// As `JointTrajectory` messages; a stop sends a braking trajectory.
+    /// As whole `JointTrajectory` messages; a stop sends a braking trajectory. **No third stop** either.
     Topic,
     /// Not at all.
     None,
@@ -101,7 +104,7 @@ impl Default for Ros2Config {
             lifespan_ms: 500,
             depth: 10,
             reliable: true,
-            arm: ArmInterface::Action,
+            arm: ArmInterface::Stream,
             arm_controller: text("joint_trajectory_controller"),
             joint_names: std::array::from_fn(|i| format!("joint_{}", i + 1)),
             joint_states: text("joint_states"),

@@ -16,6 +16,7 @@ pub mod driver;
 #[cfg(feature = "ros2")]
 pub mod node;
 pub mod robot;
+pub mod stream;
 
 pub use config::{ArmInterface, Middleware, Ros2Config};
 pub use robot::{Counts, Output, RosRobot};

@@ -148,13 +148,14 @@ impl RosNode {
         let controller = config.resolve(&config.arm_controller);
         let arm = match config.arm {
             ArmInterface::None => Arm::None,
-            ArmInterface::Topic => {
+            ArmInterface::Topic | ArmInterface::Stream => {
                 let name = format!("{controller}/joint_trajectory");
                 Arm::Topic(Box::new(publisher(
                     &mut node,
                     &name,
                     ("trajectory_msgs", "JointTrajectory"),
-                    &reliable,
+                    // A piece that waits is of no use once the next one is there.
+                    &reliable.clone().history(History::KeepLast { depth: 1 }),
                 )?))
             }
             ArmInterface::Action => {

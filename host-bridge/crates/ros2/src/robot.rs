@@ -38,7 +38,7 @@ pub enum Output {
         /// Our number for it.
         goal: u32,
     },
-    /// An arm motion for the controller's topic.
+    /// An arm motion, or a piece of one, for the controller's topic.
     Trajectory(JointTrajectory),
 }
 

@@ -39,6 +39,11 @@ impl Time {
         }
     }
 
+    /// The same in nanoseconds.
+    pub fn nanoseconds(self) -> i64 {
+        i64::from(self.sec) * 1_000_000_000 + i64::from(self.nanosec)
+    }
+
     /// In seconds.
     pub fn seconds(self) -> f64 {
         f64::from(self.sec) + f64::from(self.nanosec) * 1e-9

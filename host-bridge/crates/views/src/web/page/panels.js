@@ -139,7 +139,8 @@ export class Panels {
       put($(finger), "class", known ? "track" : "track unknown");
     });
     this.showScores(right);
-    arm.joints_rad.slice(0, this.joints.length).forEach((angle, i) => {
+    arm.joints_rad.slice(0, this.joints.length).forEach((reported, i) => {
+      const angle = reported ?? 0;
       const { fill, track, low, high, endless } = this.joints[i];
       const turn = endless ? Math.atan2(Math.sin(angle), Math.cos(angle)) : angle;
       const share = (turn - low) / (high - low);
@@ -192,14 +193,18 @@ export class Panels {
     for (const [finger, count] of [["index", left.index_bends], ["middle", left.middle_bends]]) {
       put($(`${finger}-text`), "text", left.stop ? "stop" : `${count} bend${count === 1 ? "" : "s"}`);
     }
-    this.joints.forEach(({ text }, i) => put(text, "text", `${degrees(arm.joints_rad[i]).toFixed(0)}°`));
+    this.joints.forEach(({ text }, i) => put(text, "text", arm.joints_rad[i] === null ? "–" : `${degrees(arm.joints_rad[i]).toFixed(0)}°`));
     put($("linear-text"), "text", `${odometry.twist.linear_m_s.toFixed(2)} m/s`);
     put($("angular-text"), "text", `${degrees(odometry.twist.angular_rad_s).toFixed(0)} °/s`);
     const legs = { "to-home": "home first", "to-goal": "on its way", halting: "halting" };
     const doing = arm.running ? `${arm.running[0].replaceAll("-", " ")}: ${legs[arm.running[1]]}` : "arm at rest";
-    put($("doing"), "text", doing);
+    const heard = state.arm_age_ms === null ? "the arm reports nothing" : doing;
+    const late = state.arm_age_ms > 100 ? ` (${state.arm_age_ms} ms old)` : "";
+    put($("doing"), "text", heard + late);
     const where = `x ${odometry.x_m.toFixed(2)} m, y ${odometry.y_m.toFixed(2)} m, ${degrees(odometry.heading_rad).toFixed(0)}°`;
-    put($("base-text"), "text", `base: ${where}; ${odometry.path_m.toFixed(1)} m driven`);
+    const held = state.held ? `; held back: ${state.held}` : "";
+    const known = state.base_age_ms === null ? "reports nothing" : `${where}; ${odometry.path_m.toFixed(1)} m driven`;
+    put($("base-text"), "text", `base: ${known}${held}`);
     put($("scene-text"), "text", `Base at ${where}. ${doing}. ${this.setting.boxes.length} boxes around.`);
     this.showLinks(left.link, right.link);
   }

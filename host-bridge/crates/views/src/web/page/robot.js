@@ -5,6 +5,8 @@ import { along, apply, multiply, pose, rotation, scaling, translation } from "./
 /** Links are drawn this much thinner than the shapes that the planner keeps clear of things. */
 const LINK_SHARE = 0.84;
 const BAND_M = 0.022;
+/** A lag of less than this is not worth a second picture. */
+const GHOST_RAD = 0.03;
 const WHEEL_HALF_WIDTH_M = 0.022;
 
 /** Where the base stands. */
@@ -14,12 +16,12 @@ export function baseFrame(state) {
 }
 
 /** Frames of the joints in the world, and of the flange last: forward kinematics from the joint angles. */
-export function jointFrames(setting, state) {
+export function jointFrames(setting, state, joints = state.arm.joints_rad) {
   const frames = [];
   let frame = multiply(baseFrame(state), translation(setting.mount_m));
   setting.joints.forEach((joint, i) => {
     frame = multiply(frame, pose(joint.origin_m, joint.origin_rotation));
-    frame = multiply(frame, rotation(joint.axis, state.arm.joints_rad[i]));
+    frame = multiply(frame, rotation(joint.axis, joints[i] ?? 0));
     frames.push(frame);
   });
   frames.push(multiply(frame, pose(setting.flange_m, setting.flange_rotation)));
@@ -54,6 +56,17 @@ function disc(parts, frame, radius, half, colour) {
 export function sceneParts(setting) {
   const still = translation([0, 0, 0]);
   return setting.boxes.map((box) => ({ mesh: "box", matrix: uprightBox(still, box), colour: "box", name: box.name }));
+}
+
+/** Where the arm should be by now, as a thin skeleton, while the arm itself is elsewhere. */
+function ghost(parts, setting, state) {
+  const asked = state.reference_rad;
+  if (!asked || asked.every((angle, i) => Math.abs(angle - (state.arm.joints_rad[i] ?? 0)) < GHOST_RAD)) return;
+  const points = jointFrames(setting, state, asked).map((frame) => apply(frame, [0, 0, 0]));
+  const world = translation([0, 0, 0]);
+  for (let i = 1; i < points.length; i += 1) {
+    capsule(parts, world, { a_m: points[i - 1], b_m: points[i], radius_m: 0.012 }, 1, "lamp");
+  }
 }
 
 /** Everything that moves: the base, its wheels, the arm. */
@@ -99,6 +112,9 @@ export function robotParts(setting, state) {
     const grounded = { ...shape, a_m: [shape.a_m[0], shape.a_m[1], 0] };
     capsule(parts, mount, grounded, LINK_SHARE, "link");
   }
+  // An arm that reports nothing is not drawn: nobody knows where it is.
+  if (state.arm_age_ms === null) return parts;
+  ghost(parts, setting, state);
   const frames = jointFrames(setting, state);
   setting.joints.forEach((joint, i) => {
     const radius = joint.shapes[0]?.radius_m ?? 0.04;

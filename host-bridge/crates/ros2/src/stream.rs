@@ -1,0 +1,362 @@
+//! A trajectory in short pieces, so that an arm has a third stop: each piece is the next quarter second of the plan and
+//! then braking along the planned path. A dead laptop, a cut cable or a frozen program is an arm at rest.
+//!
+//! ```text
+//! plan      ────────────────────────────────────────────────►
+//! piece 1   ▪────────╲__                ▪ a point in the past
+//! piece 2        ▪────────╲__           ╲__ braking on the path, at the plan's acceleration and jerk
+//! piece 3             ▪────────╲__      every 100 ms
+//! ```
+//!
+//! Rules of Jazzy's joint_trajectory_controller that this rests on (ros2_controllers, `joint_trajectory_controller.cpp`
+//! and `trajectory.cpp`): a message on the topic replaces the running one; a stamp of zero means "now" and would jump or
+//! blend; with a stamp, the trajectory is sampled at the controller's own time, between a point in the past and the next
+//! one exactly; the last point is held. So all pieces of a motion share one stamp in the robot's clock.
+
+use std::collections::VecDeque;
+
+use host_robot::{JointLimits, Joints, Motion, Trajectory, brake};
+use host_topics::message::{Header, JointTrajectory, JointTrajectoryPoint, Time};
+
+/// So much of the plan is in each piece, from now on.
+pub const HORIZON_MS: u64 = 250;
+/// A piece is sent this often.
+pub const RENEW_MS: u64 = 100;
+/// Each piece begins so long ago.
+const PAST_S: f64 = 0.02;
+/// The first piece begins to move so long after it was sent, and its timeline so long before that.
+const LEAD_S: f64 = 0.05;
+const HOLD_S: f64 = 0.5;
+/// A stop takes effect so long after it was sent.
+const STOP_LEAD_S: f64 = 0.01;
+/// Points of a piece are so far apart at most.
+const GRID_S: f64 = 0.05;
+/// Points of braking.
+const BRAKE_GRID_S: f64 = 0.02;
+/// Controllers want times that grow.
+const STEP_MIN_S: f64 = 0.001;
+
+/// The robot's clock, from the stamps of what it reports: never ahead of the robot's own.
+#[derive(Clone, Debug, Default)]
+pub struct RobotClock {
+    /// Arrival and how far the stamp was ahead of our clock, in ms and ns.
+    seen: VecDeque<(u64, i64)>,
+}
+
+impl RobotClock {
+    /// Messages of so long decide: the one with the shortest way says most.
+    const WINDOW_MS: u64 = 2000;
+
+    /// A message with this stamp has arrived; a zero stamp says nothing.
+    pub fn see(&mut self, stamp: Time, now_ms: u64) {
+        if stamp == Time::default() {
+            return;
+        }
+        let ahead_ns = stamp.nanoseconds() - now_ms as i64 * 1_000_000;
+        self.seen.retain(|(at_ms, _)| now_ms.saturating_sub(*at_ms) < RobotClock::WINDOW_MS);
+        self.seen.push_back((now_ms, ahead_ns));
+        if self.seen.len() > 1024 {
+            self.seen.pop_front();
+        }
+    }
+
+    /// Its time in ns at `now_ms`; `None` = it stamps nothing.
+    pub fn at_ns(&self, now_ms: u64) -> Option<i64> {
+        let ahead_ns = self.seen.iter().map(|(_, ahead_ns)| *ahead_ns).max()?;
+        Some(now_ms as i64 * 1_000_000 + ahead_ns)
+    }
+}
+
+/// One trajectory on its way.
+#[derive(Clone, Debug)]
+pub struct Stream {
+    /// Robot time at the trajectory's start.
+    start_ns: i64,
+    /// The last piece: when it was sent, and from where on it brakes.
+    sent: Option<(u64, f64)>,
+    /// It is given up: from there on it brakes, until then.
+    braking: Option<(f64, f64)>,
+}
+
+impl Stream {
+    /// Begins shortly after `robot_ns`.
+    pub fn new(robot_ns: i64) -> Self {
+        Stream { start_ns: robot_ns + (LEAD_S * 1e9) as i64, sent: None, braking: None }
+    }
+
+    /// Time since the trajectory's start on the robot's clock, in s; negative before it.
+    pub fn elapsed_s(&self, robot_ns: i64) -> f64 {
+        (robot_ns - self.start_ns) as f64 / 1e9
+    }
+
+    /// Where the arm should be.
+    pub fn reference(&self, trajectory: &Trajectory, limits: &JointLimits, robot_ns: i64) -> Motion {
+        let elapsed_s = self.elapsed_s(robot_ns).max(0.0);
+        match self.braking {
+            Some((from_s, _)) if elapsed_s > from_s => {
+                let instants = brake::along(trajectory, from_s, limits);
+                let passed_s = elapsed_s - from_s;
+                let k = instants.partition_point(|instant| instant.time_s <= passed_s).saturating_sub(1);
+                instants[k].motion
+            }
+            _ => trajectory.motion(elapsed_s),
+        }
+    }
+
+    /// It has been given up, and the arm rests by now.
+    pub fn has_braked(&self, robot_ns: i64) -> bool {
+        self.braking.is_some_and(|(_, until_s)| self.elapsed_s(robot_ns) > until_s)
+    }
+
+    /// The next piece, if it is due. `Err` = it is too late: the arm has begun to brake by itself.
+    pub fn renew(
+        &mut self,
+        trajectory: &Trajectory,
+        limits: &JointLimits,
+        now_ms: u64,
+        robot_ns: i64,
+    ) -> Result<Option<Vec<JointTrajectoryPoint>>, Late> {
+        let elapsed_s = self.elapsed_s(robot_ns);
+        if let Some((sent_ms, brakes_from_s)) = self.sent {
+            if now_ms.saturating_sub(sent_ms) < RENEW_MS || self.braking.is_some() {
+                return Ok(None);
+            }
+            // The new piece must arrive while the old one still follows the plan.
+            if elapsed_s + STOP_LEAD_S >= brakes_from_s && brakes_from_s < trajectory.duration_s() {
+                self.give_up(trajectory, limits, brakes_from_s);
+                return Err(Late);
+            }
+        }
+        let from_s = (elapsed_s.max(0.0) + HORIZON_MS as f64 / 1000.0).min(trajectory.duration_s());
+        self.sent = Some((now_ms, from_s));
+        Ok(Some(self.points(trajectory, limits, elapsed_s, from_s)))
+    }
+
+    /// A piece that brakes now.
+    pub fn halt(
+        &mut self,
+        trajectory: &Trajectory,
+        limits: &JointLimits,
+        robot_ns: i64,
+    ) -> Vec<JointTrajectoryPoint> {
+        let elapsed_s = self.elapsed_s(robot_ns);
+        let from_s = (elapsed_s + STOP_LEAD_S).clamp(0.0, trajectory.duration_s());
+        self.give_up(trajectory, limits, from_s);
+        self.points(trajectory, limits, elapsed_s, from_s)
+    }
+
+    fn give_up(&mut self, trajectory: &Trajectory, limits: &JointLimits, from_s: f64) {
+        let takes_s = brake::along(trajectory, from_s, limits).last().map_or(0.0, |end| end.time_s);
+        self.braking = Some((from_s, from_s + takes_s));
+    }
+
+    /// The plan up to `from_s`, then braking; times count from the stamp.
+    fn points(
+        &self,
+        trajectory: &Trajectory,
+        limits: &JointLimits,
+        elapsed_s: f64,
+        from_s: f64,
+    ) -> Vec<JointTrajectoryPoint> {
+        let first_s = (elapsed_s - PAST_S).max(-HOLD_S);
+        let mut times_s = vec![first_s];
+        times_s
+            .extend(trajectory.knots_s().into_iter().filter(|knot_s| *knot_s > first_s && *knot_s < from_s));
+        times_s.extend((1..).map(|k| first_s + f64::from(k) * GRID_S).take_while(|time_s| *time_s < from_s));
+        if first_s < 0.0 && from_s > 0.0 {
+            times_s.push(0.0);
+        }
+        times_s.sort_by(f64::total_cmp);
+        let mut points: Vec<(f64, Motion)> = Vec::new();
+        for time_s in times_s {
+            let far = points.last().is_none_or(|(last_s, _)| time_s - last_s >= STEP_MIN_S);
+            if far && from_s - time_s >= STEP_MIN_S {
+                points.push((time_s, trajectory.motion(time_s.max(0.0))));
+            }
+        }
+        let instants = brake::along(trajectory, from_s, limits);
+        let (mut next_s, last) = (0.0, instants.len() - 1);
+        for (k, instant) in instants.iter().enumerate() {
+            // The last regular point keeps its distance from the end.
+            let room = instants[last].time_s - instant.time_s >= STEP_MIN_S;
+            if k == last || (instant.time_s >= next_s && room) {
+                points.push((from_s + instant.time_s, instant.motion));
+                next_s = instant.time_s + BRAKE_GRID_S;
+            }
+        }
+        let point = |(time_s, motion): (f64, Motion)| JointTrajectoryPoint {
+            positions: motion.joints_rad.to_vec(),
+            velocities: motion.velocity_rad_s.to_vec(),
+            time_from_start: Time::after_s(HOLD_S + time_s),
+            ..JointTrajectoryPoint::default()
+        };
+        points.into_iter().map(point).collect()
+    }
+
+    /// The message of these points.
+    pub fn message(&self, joint_names: &[String], points: Vec<JointTrajectoryPoint>) -> JointTrajectory {
+        let stamp_ns = (self.start_ns - (HOLD_S * 1e9) as i64).max(1);
+        JointTrajectory {
+            header: Header { stamp: Time::at_ns(stamp_ns as u64), ..Header::default() },
+            joint_names: joint_names.to_vec(),
+            points,
+        }
+    }
+}
+
+/// The next piece would come after the arm has begun to brake by itself.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Late;
+
+/// Largest difference of a joint, with whole turns left out for joints that turn without end.
+pub fn off_rad(here_rad: &Joints, there_rad: &Joints) -> f64 {
+    use std::f64::consts::TAU;
+    let off = here_rad.iter().zip(there_rad).map(|(a, b)| {
+        let off = (a - b).rem_euclid(TAU);
+        off.min(TAU - off)
+    });
+    off.fold(0.0, f64::max)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use host_robot::JOINTS;
+
+    const FROM: Joints = [0.0, 0.26, 3.0, -2.27, 0.0, 0.96, 1.57];
+
+    fn limits() -> JointLimits {
+        JointLimits {
+            velocity_rad_s: [0.13963; JOINTS],
+            acceleration_rad_s2: [0.43; JOINTS],
+            jerk_rad_s3: [f64::INFINITY; JOINTS],
+        }
+    }
+
+    fn trajectory() -> Trajectory {
+        let mut to = FROM;
+        to[1] += 0.75;
+        to[3] += 0.55;
+        Trajectory::through(&[FROM, to], &[], &limits())
+    }
+
+    /// A controller after Jazzy's rules: it samples the last message at its own time, cubics between points, and holds
+    /// the last one.
+    struct Controller {
+        message: Option<JointTrajectory>,
+    }
+
+    impl Controller {
+        fn at(&self, robot_ns: i64) -> Option<(f64, f64)> {
+            let message = self.message.as_ref()?;
+            assert_ne!(message.header.stamp, Time::default(), "never 'now'");
+            let time_s = (robot_ns - message.header.stamp.nanoseconds()) as f64 / 1e9;
+            let points = &message.points;
+            assert!(points[0].time_from_start.seconds() <= time_s, "a point in the past");
+            let k = points.partition_point(|point| point.time_from_start.seconds() <= time_s);
+            let (p, v) =
+                |point: &JointTrajectoryPoint| -> (f64, f64) { (point.positions[1], point.velocities[1]) }(
+                    &points[k - 1],
+                );
+            let Some(next) = points.get(k) else { return Some((p, 0.0)) };
+            let (t0, t1) = (points[k - 1].time_from_start.seconds(), next.time_from_start.seconds());
+            let (h, q, w) = (t1 - t0, next.positions[1], next.velocities[1]);
+            let s = (time_s - t0) / h;
+            let position = p * (1.0 + 2.0 * s) * (1.0 - s).powi(2)
+                + v * h * s * (1.0 - s).powi(2)
+                + q * s * s * (3.0 - 2.0 * s)
+                + w * h * s * s * (s - 1.0);
+            Some((position, v + (w - v) * s))
+        }
+    }
+
+    const BOOT_NS: i64 = 1_700_000_000_000_000_000;
+
+    /// Runs for `ms`, with pieces until `dead_ms`; positions of joint 2, a millisecond apart.
+    fn run(ms: u64, dead_ms: u64, halt_ms: Option<u64>) -> Vec<f64> {
+        let trajectory = trajectory();
+        let mut stream = Stream::new(BOOT_NS);
+        let mut controller = Controller { message: None };
+        let mut seen = Vec::new();
+        for now_ms in 0..ms {
+            let robot_ns = BOOT_NS + now_ms as i64 * 1_000_000;
+            if halt_ms == Some(now_ms) {
+                let points = stream.halt(&trajectory, &limits(), robot_ns);
+                controller.message = Some(stream.message(&[], points));
+            } else if now_ms < dead_ms
+                && halt_ms.is_none_or(|at| now_ms < at)
+                && let Ok(Some(points)) = stream.renew(&trajectory, &limits(), now_ms, robot_ns)
+            {
+                controller.message = Some(stream.message(&[], points));
+            }
+            seen.push(controller.at(robot_ns).unwrap().0);
+        }
+        seen
+    }
+
+    #[test]
+    fn pieces_add_up_to_the_plan() {
+        let seen = run(8000, u64::MAX, None);
+        let trajectory = trajectory();
+        for (ms, position) in seen.iter().enumerate() {
+            let planned = trajectory.motion((ms as f64 / 1000.0 - LEAD_S).max(0.0)).joints_rad[1];
+            assert!((position - planned).abs() < 1e-6, "{ms} ms: {position} {planned}");
+        }
+    }
+
+    #[test]
+    fn a_dead_program_is_an_arm_at_rest_within_a_quarter_second_and_its_braking_time_without_a_jump() {
+        let braking_ms = (brake::longest_s(&limits()) * 1000.0) as u64;
+        let mut worst_ms = 0;
+        for dead_ms in (100..5000).step_by(173) {
+            let seen = run(8000, dead_ms, None);
+            let rest_ms =
+                seen.windows(2).rposition(|two| (two[1] - two[0]).abs() > 1e-9).unwrap_or(0) as u64 + 1;
+            worst_ms = worst_ms.max(rest_ms.saturating_sub(dead_ms));
+            assert!(rest_ms <= dead_ms + HORIZON_MS + braking_ms + 20, "{dead_ms}: {rest_ms}");
+            for three in seen.windows(3) {
+                let acceleration = (three[2] - 2.0 * three[1] + three[0]) * 1e6;
+                assert!(acceleration.abs() < 0.43 * 1.1, "{acceleration}");
+            }
+        }
+        println!("worst: {worst_ms} ms; braking {braking_ms} ms");
+    }
+
+    #[test]
+    fn a_stop_brakes_at_once_on_the_path() {
+        for halt_ms in (200..5000).step_by(333) {
+            let seen = run(8000, u64::MAX, Some(halt_ms));
+            let rest_ms =
+                seen.windows(2).rposition(|two| (two[1] - two[0]).abs() > 1e-9).unwrap_or(0) as u64 + 1;
+            assert!(rest_ms <= halt_ms + 325 + 20, "{halt_ms}: {rest_ms}");
+            for three in seen.windows(3) {
+                assert!(((three[2] - 2.0 * three[1] + three[0]) * 1e6).abs() < 0.43 * 1.1);
+            }
+        }
+    }
+
+    #[test]
+    fn a_piece_that_would_come_after_the_arm_began_to_brake_is_not_sent() {
+        let trajectory = trajectory();
+        let mut stream = Stream::new(BOOT_NS);
+        let at = |ms: i64| BOOT_NS + ms * 1_000_000;
+        assert!(stream.renew(&trajectory, &limits(), 0, at(0)).unwrap().is_some());
+        assert_eq!(stream.renew(&trajectory, &limits(), 50, at(50)), Ok(None));
+        assert!(stream.renew(&trajectory, &limits(), 150, at(150)).unwrap().is_some());
+        assert_eq!(stream.renew(&trajectory, &limits(), 600, at(600)), Err(Late));
+        assert!(!stream.has_braked(at(600)) && stream.has_braked(at(1200)));
+    }
+
+    #[test]
+    fn the_robots_clock_is_never_taken_to_be_ahead_of_what_it_is() {
+        let mut clock = RobotClock::default();
+        assert_eq!(clock.at_ns(0), None);
+        clock.see(Time::default(), 5);
+        assert_eq!(clock.at_ns(5), None);
+        // Its clock shows 1 s at our 0 ms; messages take 3 to 40 ms.
+        for (sent_ms, delay_ms) in [(100, 40), (200, 3), (300, 17)] {
+            clock.see(Time::at_ns(1_000_000_000 + sent_ms * 1_000_000), sent_ms + delay_ms);
+        }
+        assert_eq!(clock.at_ns(400), Some(1_000_000_000 + 397 * 1_000_000));
+    }
+}

@@ -1,0 +1,136 @@
+//! What `docs/ADDING.md` promises: a robot of one's own behind the same door, an output on the tap, and poses, motions
+//! and another arm as data.
+
+use std::sync::{Arc, Mutex};
+
+use host_bridge::arm::Motions;
+use host_bridge::arm::gen3::paper_limits;
+use host_bridge::base::{BaseConfig, Twist};
+use host_bridge::config::{Config, Place};
+use host_bridge::keyboard::HandKey;
+use host_bridge::observe::{Now, Observer};
+use host_bridge::robot::{
+    BaseState, End, Following, JointLimits, Motion, MotionName, Reading, Robot, Trajectory,
+};
+use host_bridge::robots::Stage;
+use shared_proto::message::Heading;
+
+#[path = "support/moving.rs"]
+mod moving;
+
+use moving::{Virtual as _, live_before, pose};
+
+/// A robot in thirty lines: it is where it was told to be, at once, and stops when it is not driven.
+struct Puppet {
+    limits: JointLimits,
+    base: BaseConfig,
+    here: Motion,
+    speeds: Arc<Mutex<Vec<Twist>>>,
+    end: Option<End>,
+}
+
+impl Robot for Puppet {
+    fn step(&mut self, _now_ms: u64) {}
+    fn arm(&self) -> Option<Reading<Motion>> {
+        Some(Reading { value: self.here, age_ms: 0 })
+    }
+    fn base(&self) -> Option<Reading<BaseState>> {
+        None
+    }
+    fn joint_limits(&self) -> &JointLimits {
+        &self.limits
+    }
+    fn base_limits(&self) -> &BaseConfig {
+        &self.base
+    }
+    fn drive(&mut self, twist: Twist) {
+        self.speeds.lock().unwrap().push(twist);
+    }
+    fn can_follow(&self) -> Result<(), String> {
+        Ok(())
+    }
+    fn follow(&mut self, trajectory: Arc<Trajectory>) -> Result<(), String> {
+        self.here = Motion::at_rest(trajectory.goal_rad());
+        self.end = Some(End::Reached);
+        Ok(())
+    }
+    fn following(&self) -> Following {
+        Following::Idle
+    }
+    fn take_end(&mut self) -> Option<End> {
+        self.end.take()
+    }
+    fn halt_arm(&mut self) {}
+    fn halt(&mut self) {
+        self.drive(Twist::ZERO);
+    }
+}
+
+/// An output in eight lines: the fastest speed that was asked for.
+struct Fastest(Arc<Mutex<f64>>);
+
+impl Observer for Fastest {
+    fn state(&mut self, now: &Now<'_>) {
+        let mut fastest = self.0.lock().unwrap();
+        *fastest = fastest.max(now.bridge.twist().linear_m_s);
+    }
+}
+
+#[test]
+fn a_robot_of_ones_own_is_driven_moved_and_shown_and_an_output_sees_it() {
+    let speeds = Arc::new(Mutex::new(Vec::new()));
+    let puppet = Puppet {
+        limits: paper_limits(),
+        base: BaseConfig::default(),
+        here: Motion::at_rest(pose("ready")),
+        speeds: Arc::clone(&speeds),
+        end: None,
+    };
+    let config = Config::default();
+    let door = Stage::bare().before(puppet);
+    let mut live = live_before(door, &config, Place::Keyboard, Place::Keyboard, 0);
+    let fastest = Arc::new(Mutex::new(0.0));
+    live.tap_mut().add(Box::new(Fastest(Arc::clone(&fastest))));
+    for now_ms in 1..=2000 {
+        match now_ms {
+            1000 => live.press(HandKey::Arrow(Heading::Forward), now_ms),
+            1700 => live.press(HandKey::Gesture(2), now_ms),
+            _ => {}
+        }
+        live.advance(now_ms, [true; 2]);
+    }
+    assert_eq!(*fastest.lock().unwrap(), 0.5);
+    assert!(speeds.lock().unwrap().contains(&Twist { linear_m_s: 0.5, angular_rad_s: 0.0 }));
+    assert_eq!(live.door().robot().here.joints_rad, pose("pick-up"));
+}
+
+#[test]
+fn a_motion_and_a_pose_in_the_configuration_are_carried_out_without_a_change_of_source() {
+    let config = Config::parse(
+        r#"
+        [motions]
+        wave = "fetch"
+        [[pose]]
+        name = "above the cup"
+        joints_rad = [0.0, 0.9, 3.14, -1.7, 0.0, 0.4, 1.57]
+        [[motion]]
+        name = "fetch"
+        steps = [{ to = "above the cup" }, { to = "pick-up" }]
+        "#,
+    )
+    .unwrap();
+    let mut robot = Stage::new(&config, None).unwrap().simulated(&config);
+    let name = config.motion_map().motion("wave").cloned().unwrap();
+    assert_eq!(name, MotionName::from("fetch"));
+    robot.start(name.as_str()).unwrap();
+    let mut passed_cup = false;
+    while robot.arm().running.is_some() {
+        use host_bridge::robot::Door as _;
+        robot.drive(Twist::ZERO);
+        robot.pass(10);
+        let arm = robot.arm();
+        passed_cup |= arm.joints_rad.iter().zip([0.0, 0.9, 3.14, -1.7]).all(|(a, b)| (a - b).abs() < 1e-3);
+    }
+    assert!(passed_cup);
+    assert_eq!(robot.arm().joints_rad, Motions::paper().pose("pick-up").unwrap());
+}

@@ -1,0 +1,91 @@
+//! The simulated robot and a live engine, in virtual time, for tests.
+#![allow(dead_code)] // each test file uses its own part
+
+use host_bridge::arm::{Director, Motions};
+use host_bridge::base::Odometry;
+use host_bridge::bridge::Bridge;
+use host_bridge::config::{Config, Place};
+use host_bridge::engine::Engine;
+use host_bridge::keyboard::{KeyLeft, KeyRight};
+use host_bridge::plan::Planner;
+use host_bridge::robot::{ArmState, Door, Joints, MotionName, NotStarted};
+use host_bridge::robots::Stage;
+use host_bridge::sim::Simulator;
+use host_bridge::source::Source;
+
+/// The simulator behind its door.
+pub type Robot = Director<Simulator>;
+
+/// Nothing around.
+pub fn bare() -> Robot {
+    let config = Config::default();
+    Stage::new(&config, None).unwrap().simulated(&config)
+}
+
+/// In a scene.
+pub fn in_scene(planner: Planner) -> Robot {
+    let config = Config::default();
+    Stage::new(&config, Some(planner)).unwrap().simulated(&config)
+}
+
+/// The paper's pose of that name.
+pub fn pose(name: &str) -> Joints {
+    Motions::paper().pose(name).unwrap()
+}
+
+/// What tests ask of it.
+pub trait Virtual {
+    fn pass(&mut self, ms: u64);
+    fn start(&mut self, motion: &str) -> Result<(), NotStarted>;
+    fn arm(&self) -> ArmState;
+    fn odometry(&self) -> Odometry;
+    fn at_rest(&self) -> bool;
+    fn wheels_rad_s(&self) -> [f64; 2];
+}
+
+impl Virtual for Robot {
+    fn pass(&mut self, ms: u64) {
+        self.step(self.now_ms() + ms);
+    }
+    fn start(&mut self, motion: &str) -> Result<(), NotStarted> {
+        self.start_motion(&MotionName::from(motion))
+    }
+    fn arm(&self) -> ArmState {
+        self.picture().arm
+    }
+    fn odometry(&self) -> Odometry {
+        self.robot().odometry()
+    }
+    fn at_rest(&self) -> bool {
+        self.robot().at_rest()
+    }
+    fn wheels_rad_s(&self) -> [f64; 2] {
+        self.robot().wheels_rad_s()
+    }
+}
+
+/// An engine as `run` makes it, with the simulator and these hands.
+pub fn live(config: &Config, left: Place, right: Place) -> Engine<'static, Robot> {
+    live_before(bare(), config, left, right, 0)
+}
+
+/// The same before another robot.
+pub fn live_before<D: Door>(
+    door: D,
+    config: &Config,
+    left: Place,
+    right: Place,
+    now_ms: u64,
+) -> Engine<'static, D> {
+    let source = |place, keys: Source<'static>| match place {
+        Place::Nobody => Source::Nobody,
+        Place::Board => Source::link(),
+        Place::Keyboard => keys,
+    };
+    let sources = [
+        source(left, Source::here(KeyLeft::new(config.keyboard))),
+        source(right, Source::here(KeyRight::new())),
+    ];
+    let bridge = Bridge::with(config.motion_map(), config.speed, config.safety);
+    Engine::new(bridge, door, sources, now_ms).with_tilt(config.tilt.into())
+}
