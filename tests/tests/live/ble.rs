@@ -21,7 +21,7 @@ const SOON: Duration = Duration::from_secs(12);
 
 /// A desk whose time goes no faster than the wall clock.
 fn desk(name: &str) -> Desk {
-    let desk = desk(name);
+    let desk = Desk::new(name);
     desk.time().keep_pace();
     desk
 }
