@@ -1,13 +1,13 @@
 //! The left hand's firmware: an Arduino Nano (ATmega328P, 16 MHz) with an ADXL335 and two flex sensors.
 //!
-//! This crate holds pins, converter, serial line, timer, EEPROM and watchdog. Every judgement (what a
-//! tilt means, what a bend is, what a fault is) is `shared_dsp`'s, every byte on the wire
-//! `shared_proto`'s.
+//! This crate holds pins, converter, serial line, timer, EEPROM and watchdog. What the board says, when, and what
+//! it answers is `shared_board`'s, every judgement (what a tilt means, what a bend is, what a fault is)
+//! `shared_dsp`'s, every byte on the wire `shared_proto`'s.
 //!
 //! ```text
-//!  TIMER1 100 Hz ─▶ adc: 45 conversions, 4.7 ms ─▶ app ─▶ shared_dsp::left ─▶ shared_proto ─▶ serial
+//!  TIMER1 100 Hz ─▶ adc: 45 conversions, 4.7 ms ─▶ app ─▶ shared_board::left ─▶ serial
 //!                                                   ▲ ▼
-//!                               serial (laptop) ────┘ store (EEPROM)
+//!                               serial (laptop) ────┘ eeprom
 //! ```
 #![no_std]
 #![no_main]
@@ -21,7 +21,6 @@ mod pins;
 mod restart;
 mod serial;
 mod stack;
-mod store;
 
 use avr_device::interrupt;
 use core::arch::asm;
@@ -35,8 +34,7 @@ extern "C" fn main() -> ! {
     pins::start();
     serial::start();
     adc::start();
-    let boot_id = store::next_boot_id();
-    let app = app::install(cause, boot_id, pins::calibration_wanted());
+    let app = app::install(cause, pins::calibration_wanted());
     clock::start();
     restart::arm();
     loop {

@@ -23,7 +23,7 @@ use nrf_softdevice::ble::advertisement_builder::{Flag, LegacyAdvertisementBuilde
 use nrf_softdevice::ble::gatt_server::NotifyValueError;
 use nrf_softdevice::ble::{Connection, SecurityMode, gatt_server, peripheral};
 use nrf_softdevice::{SocEvent, Softdevice, raw};
-use shared_dsp::mlp::Model;
+use shared_board::models::ModelStore;
 use shared_proto::frame::DELIMITER;
 use static_cell::StaticCell;
 
@@ -31,8 +31,7 @@ use crate::bonds::{Bonder, save_bonds};
 use crate::control;
 use crate::flash::SoftDeviceFlash;
 use crate::link::{Inlet, Link};
-use crate::storage::Store;
-use crate::transfer::Transfer;
+use crate::storage::Slots;
 
 /// Bytes of one notification or write: the largest MTU less three of header.
 const PAYLOAD: usize = 244;
@@ -118,8 +117,8 @@ pub fn random(softdevice: &Softdevice) -> u32 {
 
 /// Answers the laptop.
 #[embassy_executor::task]
-pub async fn run_control(model: &'static Model<'static>, store: Store<SoftDeviceFlash>) {
-    control::run(model, Transfer::new(store)).await
+pub async fn run_control(store: ModelStore<Slots<SoftDeviceFlash>>) {
+    control::run(store).await
 }
 
 /// Runs S140's events, and tells the USB driver of cable and power, which are S140's too.

@@ -7,8 +7,8 @@ use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_sync::channel::Channel;
-use shared_proto::frame::{BOARD_FRAME_MAX, Decoder, HOST_FRAME_MAX, encode_board};
-use shared_proto::message::BoardMessage;
+use shared_board::FrameOut;
+use shared_proto::frame::{BOARD_FRAME_MAX, Decoder, HOST_FRAME_MAX};
 
 /// A frame ready for the wire.
 pub type Frame = heapless::Vec<u8, BOARD_FRAME_MAX>;
@@ -93,27 +93,25 @@ impl Link {
             Link::Ble => &BLE,
         }
     }
+}
 
-    /// Sends a message on this link.
-    pub fn send(self, message: &BoardMessage<'_>) {
-        let mut buffer = [0; BOARD_FRAME_MAX];
-        if let Ok(frame) = encode_board(message, &mut buffer) {
-            self.outbox().put(frame);
-        }
+impl FrameOut for Link {
+    fn send(&mut self, frame: &[u8]) -> bool {
+        self.outbox().put(frame);
+        true
     }
 }
 
-/// Sends a message on every link where somebody listens.
-pub fn broadcast(message: &BoardMessage<'_>) {
-    let mut buffer = [0; BOARD_FRAME_MAX];
-    match encode_board(message, &mut buffer) {
-        Ok(frame) => {
-            UART.put(frame);
-            USB.put(frame);
-            #[cfg(feature = "ble")]
-            BLE.put(frame);
-        }
-        Err(_) => defmt::error!("a message does not fit its frame"),
+/// Every link where somebody listens.
+pub struct Everywhere;
+
+impl FrameOut for Everywhere {
+    fn send(&mut self, frame: &[u8]) -> bool {
+        UART.put(frame);
+        USB.put(frame);
+        #[cfg(feature = "ble")]
+        BLE.put(frame);
+        true
     }
 }
 

@@ -1,4 +1,5 @@
-//! The right hand: wiring only. Samples flow `sample -> classify -> link`, requests `link -> control`.
+//! The right hand: wiring only. Samples flow `sample -> classify -> board -> link`, requests
+//! `link -> control -> board`. What the board says and answers is `shared_board`'s.
 #![no_std]
 #![no_main]
 #![allow(async_fn_in_trait, reason = "one executor, one core")]
@@ -6,6 +7,7 @@
 mod awake;
 #[cfg(feature = "ble")]
 mod ble;
+mod board;
 #[cfg(feature = "ble")]
 mod bonds;
 mod bus;
@@ -17,7 +19,6 @@ mod model;
 mod sample;
 mod state;
 mod storage;
-mod transfer;
 mod uart;
 mod usb;
 mod watch;
@@ -78,10 +79,10 @@ fn main() -> ! {
     };
     let led = watch::Led { red: off(p.P0_24.into()), green: off(p.P0_16.into()), blue: off(p.P0_06.into()) };
     let watchdog = watch::start_watchdog(p.WDT);
-    let spawn_common = move |spawner: embassy_executor::Spawner, model| {
+    let spawn_common = move |spawner: embassy_executor::Spawner| {
         spawner.spawn(watch::run(watchdog, led).expect("spawned once"));
         spawner.spawn(sample::run(bus).expect("spawned once"));
-        spawner.spawn(classify::run(model).expect("spawned once"));
+        spawner.spawn(classify::run().expect("spawned once"));
         spawner.spawn(uart::run(uart).expect("spawned once"));
     };
     // SAFETY: taken once, here.
@@ -93,10 +94,10 @@ fn main() -> ! {
         state::BOOT_ID.store(ble::random(softdevice), core::sync::atomic::Ordering::Relaxed);
         let flash = flash::SoftDeviceFlash::new(softdevice);
         awake::run(core.DCB, core.DWT, |spawner| {
+            let store = model::install(flash);
             watch::report_last_run(reasons);
-            let (model, store) = model::choose(flash);
-            spawn_common(spawner, model);
-            spawner.spawn(ble::run_control(model, store).expect("spawned once"));
+            spawn_common(spawner);
+            spawner.spawn(ble::run_control(store).expect("spawned once"));
             ble::spawn(spawner, softdevice, p.USBD);
         })
     }
@@ -115,21 +116,18 @@ fn main() -> ! {
             usb::run(usbd, vbus).await
         }
         #[embassy_executor::task]
-        async fn run_control(
-            model: &'static shared_dsp::mlp::Model<'static>,
-            store: storage::Store<flash::Controller>,
-        ) {
-            control::run(model, transfer::Transfer::new(store)).await
+        async fn run_control(store: shared_board::models::ModelStore<storage::Slots<flash::Controller>>) {
+            control::run(store).await
         }
 
         let mut rng = embassy_nrf::rng::Rng::new_blocking(p.RNG);
         state::BOOT_ID.store(rng.blocking_next_u32(), core::sync::atomic::Ordering::Relaxed);
         let flash = flash::Controller::new(p.NVMC);
         awake::run(core.DCB, core.DWT, |spawner| {
+            let store = model::install(flash);
             watch::report_last_run(reasons);
-            let (model, store) = model::choose(flash);
-            spawn_common(spawner, model);
-            spawner.spawn(run_control(model, store).expect("spawned once"));
+            spawn_common(spawner);
+            spawner.spawn(run_control(store).expect("spawned once"));
             spawner.spawn(run_usb(p.USBD, HardwareVbusDetect::new(Irqs)).expect("spawned once"));
         })
     }

@@ -1,11 +1,19 @@
 //! Which model runs: the newest received one that is intact and fits, else the compiled-in one.
 
-use shared_dsp::mlp::Model;
-use shared_proto::message::FaultKind;
-use static_cell::StaticCell;
+use core::sync::atomic::Ordering;
 
-use crate::storage::{self, Flash, Store};
-use crate::{classify, state};
+use shared_board::Identity;
+use shared_board::hand::CountHand;
+use shared_board::models::ModelStore;
+use shared_dsp::decision::DecisionConfig;
+use shared_dsp::mlp::Model;
+use shared_dsp::right::RightHand;
+use shared_proto::message::{Board as BoardKind, FaultKind};
+
+use crate::board::{self, Board, RUNS};
+use crate::sample::{SAMPLE_HZ, SENSOR};
+use crate::state;
+use crate::storage::{self, Flash, Slots};
 
 /// At a multiple of 4 bytes the network runs about three times as fast.
 #[repr(C, align(4))]
@@ -13,22 +21,24 @@ struct Aligned<T: ?Sized>(T);
 
 static BUNDLED: &Aligned<[u8]> = &Aligned(*include_bytes!(concat!(env!("OUT_DIR"), "/model.blob")));
 
-/// The model to run, and the store for the next one.
-pub fn choose<F: Flash>(flash: F) -> (&'static Model<'static>, Store<F>) {
-    static MODEL: StaticCell<Model<'static>> = StaticCell::new();
-    let found = storage::find(classify::fits);
+/// Installs the board with the model to run, and gives the store for the next one.
+pub fn install<F: Flash>(flash: F) -> ModelStore<Slots<F>> {
+    let (store, found) = ModelStore::open(Slots(flash), RUNS);
+    let blob = found.model.map_or(&BUNDLED.0, storage::blob);
+    // The store has parsed a stored one; the bundled one is checked by build.rs.
+    let hand =
+        Model::parse(blob).ok().and_then(|model| RightHand::new(model, DecisionConfig::default()).ok());
+    let Some(hand) = hand else { defmt::unreachable!("checked before") };
+    defmt::info!("model {:#010x}, from {}", hand.model().info().model_id, defmt::Debug2Format(&found.model));
+    let identity = Identity {
+        board: BoardKind::RightNano33,
+        firmware: env!("CARGO_PKG_VERSION"),
+        boot_id: state::BOOT_ID.load(Ordering::Relaxed),
+        sample_hz: SAMPLE_HZ as u16,
+    };
+    board::install(Board::new(identity, CountHand::new(hand, SENSOR.scale())));
     if found.damaged {
         state::report(FaultKind::ModelDamaged, 0);
     }
-    let (slot, blob) = match found.model {
-        Some((slot, blob)) => (Some(slot), blob),
-        None => (None, &BUNDLED.0),
-    };
-    let model = match Model::parse(blob) {
-        Ok(model) => model,
-        // `find` has parsed a stored one; the bundled one is checked by build.rs.
-        Err(_) => defmt::unreachable!("checked before"),
-    };
-    defmt::info!("model {:#010x}, from slot {}", model.info().model_id, slot);
-    (MODEL.init(model), Store::new(flash, slot))
+    store
 }

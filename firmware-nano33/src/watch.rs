@@ -5,10 +5,12 @@ use core::sync::atomic::Ordering;
 use embassy_nrf::gpio::{Level, Output};
 use embassy_nrf::wdt::{self, Watchdog, WatchdogHandle};
 use embassy_time::{Duration, Ticker, Timer};
-use shared_proto::message::{BoardMessage, FaultKind, Mode, Status};
+use shared_board::right::Light;
+use shared_proto::message::{FaultKind, Status};
 
 use crate::awake::{Load, free_stack_bytes};
-use crate::link::{self, broadcast};
+use crate::board;
+use crate::link::{self, Everywhere};
 use crate::state::{self, ALIVE, ALIVE_CLASSIFY, ALIVE_SAMPLE};
 
 /// Red, green and blue of the board's LED; low is on.
@@ -49,21 +51,22 @@ pub async fn run(mut watchdog: Option<WatchdogHandle>, mut led: Led) -> ! {
                 handle.pet();
             }
         }
-        broadcast(&BoardMessage::Status(Status {
-            uptime_ms: state::now_ms(),
+        let counted = Status {
             dropped_samples: state::DROPPED_SAMPLES.load(Ordering::Relaxed),
             sensor_errors: state::SENSOR_ERRORS.load(Ordering::Relaxed),
             bad_frames: link::BAD_FRAMES.load(Ordering::Relaxed),
             free_stack_bytes: free_stack_bytes(),
             load_permille: load.permille(),
-            mode: state::mode(),
-        }));
-        let light = if !state::SENSOR_OK.load(Ordering::Relaxed) {
-            &mut led.red
-        } else if state::mode() == Mode::Record {
-            &mut led.blue
-        } else {
-            &mut led.green
+            ..Status::default()
+        };
+        let light = board::with(|board| {
+            board.status(counted, state::now_ms(), &mut Everywhere);
+            board.light()
+        });
+        let light = match light {
+            Light::SensorGone => &mut led.red,
+            Light::Recording => &mut led.blue,
+            Light::Well => &mut led.green,
         };
         // A short flash: the LED draws more than the rest of the board.
         light.set_level(Level::Low);

@@ -184,7 +184,10 @@ fn a_bad_cable_costs_frames_but_no_gesture_no_bend_and_no_safety() {
     println!("{frames:?}");
     let (left, right) = (frames.left.unwrap(), frames.right.unwrap());
     assert!(left.damaged > 50 && right.damaged > 20);
-    // Two frames glued together by a damaged delimiter count as damaged once.
-    assert!(left.lost >= left.damaged && right.lost >= right.damaged);
+    // Two frames glued together by a damaged delimiter count as damaged once. What is damaged and not lost is no state
+    // but an answer to a ping or a status.
+    let unnumbered = summary.seconds as u32 * 11;
+    assert!(left.lost > 20 && left.lost + unnumbered / 20 >= left.damaged, "{left:?}");
+    assert!(right.lost > 10 && right.lost + unnumbered / 20 >= right.damaged, "{right:?}");
     assert!(script().expect.check(&summary).iter().all(|check| check.ok), "{summary:?}");
 }

@@ -20,6 +20,7 @@ use moving::{Virtual as _, bare};
 #[derive(Clone, Debug, PartialEq)]
 enum Seen {
     Bytes(u64, Hand, Vec<u8>),
+    Sent(u64, Hand),
     Stop(u64),
     Moved(u64),
     Decided(u64),
@@ -40,7 +41,8 @@ impl Observer for Recorder {
     fn received(&mut self, time_ms: u64, hand: Hand, bytes: &[u8]) {
         self.0.lock().unwrap().seen.push(Seen::Bytes(time_ms, hand, bytes.to_vec()));
     }
-    fn sent(&mut self, _time_ms: u64, _hand: Hand, _frame: &[u8]) {
+    fn sent(&mut self, time_ms: u64, hand: Hand, _frame: &[u8]) {
+        self.0.lock().unwrap().seen.push(Seen::Sent(time_ms, hand));
         self.0.lock().unwrap().sent += 1;
     }
     fn sampled(&mut self, _time_ms: u64, sample: &Sample<'_>) {
@@ -90,6 +92,10 @@ fn a_bridge_fed_with_what_an_observer_saw_does_the_same() {
     for seen in &record.seen {
         match seen {
             Seen::Bytes(time_ms, hand, bytes) => bridge.receive(*hand, bytes, *time_ms, &mut robot),
+            // Either was due then, and the bridge knows which.
+            Seen::Sent(time_ms, hand) => {
+                let _ = bridge.poll(*hand, *time_ms).or_else(|| bridge.ping(*hand, *time_ms));
+            }
             Seen::Stop(time_ms) => bridge.stop_key(*time_ms, &mut robot),
             Seen::Moved(passed_ms) => robot.pass(*passed_ms),
             Seen::Decided(time_ms) => {

@@ -166,6 +166,11 @@ impl Card {
         self.labels.iter().map(one).collect()
     }
 
+    /// Axes that a recording must have: recipe `aligned` makes its features of accelerometer and gyroscope alone.
+    pub fn axes_needed(&self) -> usize {
+        if self.features == "aligned" { self.axes.min(6) } else { self.axes }
+    }
+
     /// Reads the card beside a model.
     pub fn read(model: &Path) -> Result<Self, CardError> {
         let file = Self::path(model);
@@ -181,6 +186,10 @@ impl Card {
         let card: Self = serde_json::from_slice(bytes).map_err(|e| error(e.to_string()))?;
         if card.format != FORMAT {
             return Err(error(format!("format {}, this tool reads {FORMAT}", card.format)));
+        }
+        if let Some(twice) = (1..card.labels.len()).find(|at| card.labels[..*at].contains(&card.labels[*at]))
+        {
+            return Err(error(format!("the label {:?} is there twice", card.labels[twice])));
         }
         // A recipe that is not known here is refused later, by name.
         let inputs = crate::blob::recipe(&card.features)

@@ -67,7 +67,10 @@ pub enum DatasetError {
         folder: PathBuf,
     },
     /// A recording lacks axes that were asked for.
-    #[error("{file}: {found} axes, but {wanted} are wanted; use --axes {found} or leave the file out")]
+    #[error(
+        "{file}: {found} axes, but {wanted} are wanted; leave the file out, or use a model of {found} axes \
+         (`models train --axes {found}`)"
+    )]
     Axes {
         /// The file.
         file: PathBuf,
@@ -243,7 +246,8 @@ mod tests {
         assert_eq!((set.axes, set.narrowed), (3, 1));
         assert!(set.items.iter().all(|item| item.recording.axes() == 3));
         let text = Dataset::read(data.path(), Some(6)).unwrap_err().to_string();
-        assert!(text.contains("a/p__1.csv: 3 axes, but 6 are wanted; use --axes 3"), "{text}");
+        assert!(text.contains("a/p__1.csv: 3 axes, but 6 are wanted"), "{text}");
+        assert!(text.contains("models train --axes 3"), "{text}");
     }
 
     #[test]

@@ -5,17 +5,22 @@ pub const PAPER: [&str; 7] =
     ["idle", "up-down", "to-fro", "left-right", "rectangle", "rectangle-flat", "circle"];
 
 /// Aliases, spelled as [`squash`] leaves them, and what they mean.
-const ALIASES: [(&str, &str); 21] = [
+const ALIASES: [(&str, &str); 26] = [
     ("idle", "idle"),
     ("still", "idle"),
     ("rest", "idle"),
     ("updown", "up-down"),
     ("vertical", "up-down"),
+    ("downup", "up-down"),
     ("tofro", "to-fro"),
     ("toandfro", "to-fro"),
     ("forwardbackward", "to-fro"),
     ("forwardback", "to-fro"),
+    ("backandforth", "to-fro"),
+    ("backwardforward", "to-fro"),
+    ("backforth", "to-fro"),
     ("leftright", "left-right"),
+    ("rightleft", "left-right"),
     ("sideways", "left-right"),
     ("horizontal", "left-right"),
     ("rectangle", "rectangle"),
@@ -29,6 +34,40 @@ const ALIASES: [(&str, &str); 21] = [
     ("round", "circle"),
 ];
 
+/// What movement is called that is no gesture: a model learns it as [`OTHER`], which never does anything.
+const NO_GESTURE: [&str; 6] = ["noise", "unknown", "background", "none", "negative", "other"];
+
+/// The label of all movement that is no gesture.
+pub const OTHER: &str = "other";
+
+/// Whether a name other than [`OTHER`] stands for movement that is no gesture.
+///
+/// ```
+/// assert!(models::labels::is_no_gesture("Noise"));
+/// assert!(!models::labels::is_no_gesture("other") && !models::labels::is_no_gesture("circle"));
+/// ```
+pub fn is_no_gesture(name: &str) -> bool {
+    let squashed = squash(name);
+    squashed != OTHER && NO_GESTURE.contains(&squashed.as_str())
+}
+
+/// Canonical names of a list of labels, each once.
+///
+/// # Errors
+/// Two of them mean the same: says which.
+pub fn canonical_list(names: &[String]) -> Result<Vec<String>, String> {
+    let labels: Vec<String> = names.iter().map(|name| canonical(name)).collect();
+    for (at, label) in labels.iter().enumerate() {
+        if let Some(first) = labels[..at].iter().position(|other| other == label) {
+            return Err(format!(
+                "{:?} and {:?} are both {label}; give each output a name of its own",
+                names[first], names[at]
+            ));
+        }
+    }
+    Ok(labels)
+}
+
 /// Lower case without separators, so that `Left_Right`, `left-right` and `leftright` are one.
 fn squash(name: &str) -> String {
     name.chars().filter(|c| c.is_alphanumeric()).flat_map(char::to_lowercase).collect()
@@ -37,7 +76,7 @@ fn squash(name: &str) -> String {
 /// The canonical name of a label.
 ///
 /// Aliases of the paper's labels become the paper's; any other name is kept, lower-cased, with
-/// spaces and underscores turned into hyphens.
+/// spaces and underscores turned into hyphens. What is no gesture ([`is_no_gesture`]) becomes [`OTHER`].
 ///
 /// ```
 /// assert_eq!(models::labels::canonical("LeftRight"), "left-right");
@@ -46,6 +85,9 @@ fn squash(name: &str) -> String {
 /// ```
 pub fn canonical(name: &str) -> String {
     let squashed = squash(name);
+    if NO_GESTURE.contains(&squashed.as_str()) {
+        return OTHER.to_owned();
+    }
     match ALIASES.iter().find(|(alias, _)| *alias == squashed) {
         Some((_, label)) => (*label).to_owned(),
         None => name
@@ -82,6 +124,10 @@ mod tests {
             ("leftright", "left-right"),
             ("Left_Right", "left-right"),
             ("updown", "up-down"),
+            ("down-up", "up-down"),
+            ("right_left", "left-right"),
+            ("noise", "other"),
+            ("Background", "other"),
             ("up down", "up-down"),
             ("tofro", "to-fro"),
             ("rect", "rectangle"),
@@ -98,6 +144,14 @@ mod tests {
             assert_eq!(squash(alias), alias);
             assert!(PAPER.contains(&label));
         }
+    }
+
+    #[test]
+    fn names_that_mean_the_same_are_not_two_labels() {
+        let names = |list: &str| list.split(',').map(String::from).collect::<Vec<_>>();
+        assert_eq!(canonical_list(&names("circle,Big Wave")).unwrap(), ["circle", "big-wave"]);
+        let error = canonical_list(&names("circle,wave,round")).unwrap_err();
+        assert!(error.contains("\"circle\" and \"round\" are both circle"), "{error}");
     }
 
     #[test]

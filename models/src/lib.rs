@@ -14,6 +14,7 @@ pub mod card;
 pub mod dataset;
 #[cfg(feature = "train")]
 pub mod edge_impulse;
+pub mod errors;
 pub mod events;
 pub mod labels;
 #[cfg(feature = "train")]
@@ -22,6 +23,7 @@ pub mod recording;
 #[cfg(feature = "train")]
 pub mod report;
 pub mod score;
+pub mod sheet;
 #[cfg(feature = "train")]
 pub mod study;
 pub mod synth;

@@ -1,15 +1,16 @@
 //! One recording of the right hand: reading, checking, resampling and writing its CSV file.
 //!
-//! The format is Edge Impulse's: a header `timestamp` or `timestamp_ms`, then `accX,accY,accZ`
-//! (m/s²), optionally `gyrX,gyrY,gyrZ` (deg/s), optionally `magX,magY,magZ` (µT); times in ms.
-//! Nothing is dropped or repaired silently: what cannot be used is an error that names the file,
-//! the line and the column and says what to do.
+//! The format that is written is Edge Impulse's: a header `timestamp` or `timestamp_ms`, then `accX,accY,accZ`
+//! (m/s²), optionally `gyrX,gyrY,gyrZ` (deg/s), optionally `magX,magY,magZ` (µT); times in ms. What is read besides,
+//! [`crate::sheet`] says. Nothing is dropped or repaired silently: what was mended is in [`Recording::notes`], and what
+//! cannot be used is an error that names the file, the line and the column and says what to do.
 
 use std::fmt::Write as _;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use crate::RATE_HZ;
+use crate::sheet::{self, Reading, Sheet};
 
 /// Column names in the order of a sample's axes.
 pub const AXIS_NAMES: [&str; 9] = ["accX", "accY", "accZ", "gyrX", "gyrY", "gyrZ", "magX", "magY", "magZ"];
@@ -20,7 +21,7 @@ pub const MIN_RATE_HZ: f64 = 25.0;
 pub const MAX_RATE_HZ: f64 = 500.0;
 
 /// A rate this near to the wanted one is the wanted one: samples are used as they are.
-const SAME_RATE: f64 = 0.01;
+pub(crate) const SAME_RATE: f64 = 0.01;
 
 /// Samples of 3, 6 or 9 axes with their times.
 #[derive(Clone, Debug, PartialEq)]
@@ -28,6 +29,7 @@ pub struct Recording {
     axes: usize,
     time_ms: Vec<f64>,
     values: Vec<f32>,
+    notes: Vec<String>,
 }
 
 /// Why a recording cannot be used; the text says what to do.
@@ -49,20 +51,49 @@ pub enum RecordingError {
         /// What is missing.
         what: &'static str,
     },
-    /// The header is not one of those that are understood.
+    /// The columns of a recording are not found.
     #[error(
-        "{file}, line 1, column {column} ({name:?}): {problem}; the header must be \
-         timestamp (or timestamp_ms),accX,accY,accZ[,gyrX,gyrY,gyrZ[,magX,magY,magZ]]"
+        "{file}, line {line}{}: {problem}; a recording has the columns timestamp (or timestamp_ms),accX,accY,accZ\
+         [,gyrX,gyrY,gyrZ[,magX,magY,magZ]] or others that `models import --columns` names",
+        column_name(*.column, .name)
     )]
     Header {
         /// The file.
         file: PathBuf,
-        /// Column, from 1.
+        /// Line, from 1.
+        line: u64,
+        /// Column, from 1; 0: none in particular.
         column: usize,
         /// Its name.
         name: String,
         /// What is wrong with it.
-        problem: &'static str,
+        problem: String,
+    },
+    /// No column holds times.
+    #[error(
+        "{file}: there is no column of times; if the rate is known, say it with --rate, for example `models import --rate 119`"
+    )]
+    NoTimes {
+        /// The file.
+        file: PathBuf,
+    },
+    /// Samples are not in the units that are wanted or declared.
+    #[error("{file}: {problem}")]
+    Units {
+        /// The file.
+        file: PathBuf,
+        /// What they look like, and what to do.
+        problem: String,
+    },
+    /// Several recordings in one file.
+    #[error(
+        "{file}: the file holds {takes} recordings, one after the other; `models import` makes a file of each"
+    )]
+    Takes {
+        /// The file.
+        file: PathBuf,
+        /// How many.
+        takes: usize,
     },
     /// A row has too few or too many values.
     #[error(
@@ -150,97 +181,45 @@ impl Recording {
     pub fn new(axes: usize, time_ms: Vec<f64>, values: Vec<f32>) -> Self {
         assert!(matches!(axes, 3 | 6 | 9), "3, 6 or 9 axes");
         assert_eq!(values.len(), time_ms.len() * axes, "one value per axis and time");
-        Self { axes, time_ms, values }
+        Self { axes, time_ms, values, notes: Vec::new() }
     }
 
     /// Reads a CSV file.
     pub fn read(file: &Path) -> Result<Self, RecordingError> {
-        let bytes =
-            std::fs::read(file).map_err(|source| RecordingError::Io { file: file.to_owned(), source })?;
-        Self::parse(file, &bytes)
+        Self::read_as(file, &Reading::default())
     }
 
-    /// Reads the bytes of a CSV file; `file` is only for the errors.
+    /// Reads a CSV file as [`Reading`] says.
+    ///
+    /// # Errors
+    /// As [`Self::parse_as`].
+    pub fn read_as(file: &Path, reading: &Reading) -> Result<Self, RecordingError> {
+        let bytes =
+            std::fs::read(file).map_err(|source| RecordingError::Io { file: file.to_owned(), source })?;
+        Self::parse_as(file, &bytes, reading)
+    }
+
+    /// Reads the bytes of a CSV file; `file` is only for the errors. Units that the file does not declare are ours, or
+    /// it is refused.
     pub fn parse(file: &Path, bytes: &[u8]) -> Result<Self, RecordingError> {
-        let owned = || file.to_owned();
-        let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
-        let mut reader = csv::ReaderBuilder::new()
-            .has_headers(false)
-            .flexible(true)
-            .trim(csv::Trim::All)
-            .from_reader(bytes);
-        let text_error = |error: csv::Error| RecordingError::Text {
-            file: owned(),
-            line: error.position().map_or(1, csv::Position::line),
-            what: error.to_string(),
-        };
+        Self::parse_as(file, bytes, &Reading::default())
+    }
 
-        let mut row = csv::StringRecord::new();
-        if !reader.read_record(&mut row).map_err(text_error)? {
-            return Err(RecordingError::Empty { file: owned(), what: "the file is empty" });
+    /// The same of a file that is read as [`Reading`] says.
+    ///
+    /// # Errors
+    /// [`RecordingError`], also where the file holds several recordings.
+    pub fn parse_as(file: &Path, bytes: &[u8], reading: &Reading) -> Result<Self, RecordingError> {
+        let Sheet { mut takes, notes } = sheet::parse(file, bytes, reading)?;
+        match takes.pop() {
+            Some(recording) if takes.is_empty() => Ok(Self { notes, ..recording }),
+            _ => Err(RecordingError::Takes { file: file.to_owned(), takes: takes.len() + 1 }),
         }
-        let header: Vec<String> = row.iter().map(String::from).collect();
-        let axes = parse_header(file, &header)?;
+    }
 
-        let mut time_ms: Vec<f64> = Vec::new();
-        let mut values: Vec<f32> = Vec::new();
-        while reader.read_record(&mut row).map_err(text_error)? {
-            let line = row.position().map_or(0, csv::Position::line);
-            if row.len() != header.len() {
-                return Err(RecordingError::Row {
-                    file: owned(),
-                    line,
-                    column: row.len().min(header.len()) + 1,
-                    found: row.len(),
-                    expected: header.len(),
-                });
-            }
-            for (index, text) in row.iter().enumerate() {
-                let value_error = |wanted| RecordingError::Value {
-                    file: owned(),
-                    line,
-                    column: index + 1,
-                    name: header[index].clone(),
-                    value: text.to_owned(),
-                    wanted,
-                };
-                let value: f64 = text.parse().map_err(|_| value_error("number"))?;
-                // Rounding to float32 may overflow although the text is a finite number.
-                if !value.is_finite() || !(value as f32).is_finite() {
-                    return Err(value_error("finite number"));
-                }
-                if index > 0 {
-                    values.push(value as f32);
-                } else if let Some(&before_ms) = time_ms.last()
-                    && value <= before_ms
-                {
-                    return Err(RecordingError::Time {
-                        file: owned(),
-                        line,
-                        column: 1,
-                        name: header[0].clone(),
-                        time_ms: value,
-                        before_ms,
-                    });
-                } else {
-                    time_ms.push(value);
-                }
-            }
-        }
-        if time_ms.len() < 2 {
-            let what = if time_ms.is_empty() {
-                "there are no samples below the header"
-            } else {
-                "one sample is not enough to tell the sampling rate"
-            };
-            return Err(RecordingError::Empty { file: owned(), what });
-        }
-        let recording = Self { axes, time_ms, values };
-        let rate_hz = recording.rate_hz();
-        if !(MIN_RATE_HZ * (1.0 - SAME_RATE)..=MAX_RATE_HZ * (1.0 + SAME_RATE)).contains(&rate_hz) {
-            return Err(RecordingError::Rate { file: owned(), rate_hz });
-        }
-        Ok(recording)
+    /// What was judged, mended or left out when it was read, in words.
+    pub fn notes(&self) -> &[String] {
+        &self.notes
     }
 
     /// Axes per sample: 3 (accelerometer), 6 (and gyroscope) or 9 (and magnetometer).
@@ -286,6 +265,12 @@ impl Recording {
     pub fn gaps(&self) -> usize {
         let limit_ms = 2.5 * 1000.0 / self.rate_hz();
         self.time_ms.windows(2).filter(|pair| pair[1] - pair[0] > limit_ms).count()
+    }
+
+    /// Pauses longer than `limit_ms`: the sample before each, and how long it is.
+    pub fn holes(&self, limit_ms: f64) -> Vec<(usize, f64)> {
+        let steps = self.time_ms.windows(2).map(|pair| pair[1] - pair[0]).enumerate();
+        steps.filter(|(_, step)| *step > limit_ms).collect()
     }
 
     /// The first `axes` axes only.
@@ -405,28 +390,11 @@ pub fn write_whole(file: &Path, bytes: &[u8]) -> std::io::Result<()> {
     renamed
 }
 
-/// Checks the header and returns the number of axes.
-fn parse_header(file: &Path, header: &[String]) -> Result<usize, RecordingError> {
-    let error = |index: usize, problem| RecordingError::Header {
-        file: file.to_owned(),
-        column: index + 1,
-        name: header.get(index).cloned().unwrap_or_default(),
-        problem,
-    };
-    if !matches!(header[0].as_str(), "timestamp" | "timestamp_ms") {
-        return Err(error(0, "this is not a time column"));
-    }
-    for (index, name) in header.iter().enumerate().skip(1) {
-        match AXIS_NAMES.get(index - 1) {
-            None => return Err(error(index, "this column is one too many")),
-            Some(wanted) if wanted != name => {
-                return Err(error(index, "another column is expected here"));
-            }
-            Some(_) => {}
-        }
-    }
-    match header.len() - 1 {
-        axes @ (3 | 6 | 9) => Ok(axes),
-        _ => Err(error(header.len(), "a column is missing here")),
+/// `, column 3 ("accZ")`, as far as it is known.
+fn column_name(column: usize, name: &str) -> String {
+    match (column, name) {
+        (0, "") => String::new(),
+        (0, name) => format!(" ({name:?})"),
+        (column, name) => format!(", column {column} ({name:?})"),
     }
 }

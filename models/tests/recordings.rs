@@ -45,21 +45,23 @@ fn an_empty_file_and_a_header_alone_are_refused() {
 }
 
 #[test]
-fn wrong_columns_are_named_with_the_header_that_is_wanted() {
-    let wanted = "; the header must be timestamp (or timestamp_ms),\
-                  accX,accY,accZ[,gyrX,gyrY,gyrZ[,magX,magY,magZ]]";
+fn wrong_columns_are_named_with_those_that_are_wanted() {
+    let wanted = "; a recording has the columns timestamp (or timestamp_ms),accX,accY,accZ\
+                  [,gyrX,gyrY,gyrZ[,magX,magY,magZ]] or others that `models import --columns` names";
     for (text, place) in [
-        ("time,accX,accY,accZ\n", "a/b__1.csv, line 1, column 1 (\"time\"): this is not a time column"),
         (
-            "timestamp,accX,accZ,accY\n",
-            "a/b__1.csv, line 1, column 3 (\"accZ\"): another column is expected here",
+            "time,speed,turn\n",
+            "a/b__1.csv, line 1, column 1 (\"time\"): no columns of an accelerometer are named",
         ),
         (
-            "timestamp,accX,accY,accZ,magX,magY,magZ\n",
-            "a/b__1.csv, line 1, column 5 (\"magX\"): another column is expected here",
+            "timestamp,accX,accY,accZ,gyrX\n",
+            "a/b__1.csv, line 1, column 5 (\"gyrX\"): this sensor has no y and no z; delete what is not whole, \
+             name columns with --columns, or record it again",
         ),
-        ("timestamp,accX,accY,accZ,gyrX\n", "a/b__1.csv, line 1, column 6 (\"\"): a column is missing here"),
-        ("0,1,2,3\n", "a/b__1.csv, line 1, column 1 (\"0\"): this is not a time column"),
+        (
+            "0,1,2,3\n",
+            "a/b__1.csv, line 1, column 1 (\"0\"): the file has no header; name its columns with --columns",
+        ),
     ] {
         assert_eq!(error(text), format!("{place}{wanted}"));
     }
@@ -93,7 +95,7 @@ fn a_value_that_is_no_finite_number_is_named_with_line_and_column() {
 }
 
 #[test]
-fn time_that_does_not_rise_is_named() {
+fn time_that_falls_or_never_rises_is_named() {
     for second in ["0", "-5"] {
         let text = error(&format!("timestamp,accX,accY,accZ\n0,1,2,3\n{second},1,2,3\n"));
         assert!(
@@ -108,14 +110,18 @@ fn time_that_does_not_rise_is_named() {
 #[test]
 fn rates_outside_25_to_500_hz_are_refused_and_inside_accepted() {
     let at = |interval: f64| {
-        let rows: String = (0..50).map(|n| format!("{},1,2,3\n", f64::from(n) * interval)).collect();
+        let rows: String = (0..50).map(|n| format!("{},1,2,9.5\n", f64::from(n) * interval)).collect();
         parse(&format!("timestamp,accX,accY,accZ\n{rows}"))
     };
-    assert!(at(0.01).unwrap_err().to_string().contains("the sampling rate is 100000.0 Hz"));
+    assert!(at(0.1).unwrap_err().to_string().contains("the sampling rate is 10000.0 Hz"));
     assert!(at(50.0).unwrap_err().to_string().contains("25 to 500 Hz are needed"));
     for interval in [2.0, 8.403, 10.0, 40.0] {
         assert!(at(interval).is_ok(), "{interval}");
     }
+    // In seconds, which are told by their rate and said.
+    let seconds = at(0.01).unwrap();
+    assert!((seconds.rate_hz() - 100.0).abs() < 1e-6);
+    assert_eq!(seconds.notes(), ["times (timestamp) are in s, by the rate"]);
 }
 
 #[test]

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use models::tflite::{FloatLayer, Network, TfliteError, infer_float, read, write};
+use models::tflite::{End, FloatLayer, Network, TfliteError, infer_float, read, read_to_end, write};
 use proptest::prelude::*;
 use shared_dsp::mlp::{BlobSpec, DenseSpec, Model, build_blob};
 use shared_dsp::recipe::Recipe;
@@ -66,6 +66,79 @@ fn tensorflows_float_file_gives_its_scores() {
     }
 }
 
+/// A file that `make_tflite_fixtures.py` has made.
+fn fixture(name: &str) -> Vec<u8> {
+    let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/tflite_fixtures");
+    std::fs::read(folder.join(name)).unwrap()
+}
+
+/// Inputs that the script gave to TFLite's interpreter: the same formula.
+fn fixture_input(row: u64, rows: u64, width: u64) -> Vec<i8> {
+    let one = |column: u64| {
+        let mixed = (row * 1009 + column * 9176 + 12345) * 2_654_435_761;
+        let full = ((mixed >> 13) % 256) as i64 - 128;
+        (if row < rows / 2 { full.div_euclid(4) } else { full }) as i8
+    };
+    (0..width).map(one).collect()
+}
+
+#[test]
+fn tensorflows_exports_in_eight_modes_give_the_answers_of_its_interpreter() {
+    const ROWS: u64 = 1000;
+    let modes = ["int8", "uint8", "float-io", "per-tensor", "reshape", "logits", "no-bias", "relu6"];
+    for (network, width, outputs) in [("paper", 117, 7), ("three", 39, 5)] {
+        for mode in modes {
+            let name = format!("{network}-{mode}");
+            let (layers, end) = read_to_end(&fixture(&format!("{name}.tflite"))).unwrap();
+            let Network::Int8(layers) = layers else { panic!("{name}") };
+            assert_eq!(end, if mode == "logits" { End::Logits } else { End::Softmax }, "{name}");
+            let per_channel = layers.iter().any(|layer| layer.weight_scales.len() > 1);
+            assert_eq!(per_channel, mode != "per-tensor", "{name}");
+            let blob = blob(layers);
+            // What an older image can read stays as it was.
+            assert_eq!(blob[4], if per_channel { 2 } else { 1 }, "{name}");
+            let model = Model::parse(&blob).unwrap();
+            let wanted = fixture(&format!("{name}.answers.bin"));
+            assert_eq!(wanted.len() as u64, ROWS * outputs);
+            let mut different = std::collections::BTreeSet::new();
+            for (row, wanted) in wanted.chunks(outputs as usize).enumerate() {
+                let wanted: Vec<i8> = wanted.iter().map(|&byte| byte as i8).collect();
+                let input = fixture_input(row as u64, ROWS, width);
+                let (mut logits, mut scores) = ([0; shared_dsp::mlp::MAX_LABELS], vec![0; outputs as usize]);
+                model.infer_with_logits(&input, &mut logits, &mut scores).unwrap();
+                let got = if end == End::Logits { &logits[..outputs as usize] } else { &scores[..] };
+                assert_eq!(got, wanted, "{name}, input {row}");
+                different.insert(wanted);
+            }
+            assert!(different.len() > 50, "{name}: {} answers say little", different.len());
+        }
+    }
+}
+
+#[test]
+fn what_tensorflow_exports_besides_is_refused_by_name() {
+    for (mode, told) in [
+        (
+            "dynamic",
+            "INT8 weights for FLOAT32 values (dynamic range); export the full-integer (int8) network",
+        ),
+        ("float16", "DEQUANTIZE on weights of type FLOAT16; export the full-integer (int8) network"),
+        ("tanh", "operator 1 of the TFLite file is TANH; only FULLY_CONNECTED"),
+    ] {
+        let error = read(&fixture(&format!("paper-{mode}.tflite"))).unwrap_err().to_string();
+        assert!(error.contains(told), "{mode}: {error}");
+    }
+    assert!(matches!(read(&fixture("paper-float.tflite")), Ok(Network::Float(layers)) if layers.len() == 4));
+}
+
+#[test]
+fn networks_of_every_mode_survive_our_writing_and_reading() {
+    for mode in ["int8", "per-tensor", "relu6", "no-bias"] {
+        let network = read(&fixture(&format!("paper-{mode}.tflite"))).unwrap();
+        assert_eq!(read(&write(&network)).unwrap(), network, "{mode}");
+    }
+}
+
 #[test]
 fn what_tensorflow_wrote_survives_our_writing_and_reading() {
     for name in ["mlp_int8.tflite", "mlp_float.tflite"] {
@@ -90,10 +163,11 @@ fn int8_network() -> Network {
         biases: vec![1000; outputs],
         input_scale,
         input_zero_point,
-        weight_scale: 0.01,
+        weight_scales: vec![0.01],
         output_scale: 0.05,
         output_zero_point: -128,
         relu,
+        largest: i8::MAX,
     };
     // What one layer gives out, the next takes in.
     Network::Int8(vec![layer(5, 39, (0.03, -1), true), layer(3, 5, (0.05, -128), false)])

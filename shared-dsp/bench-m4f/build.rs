@@ -10,6 +10,7 @@ fn main() {
     let write = |name: &str, bytes: Vec<u8>| std::fs::write(out.join(name), bytes).unwrap();
     let mut spec = common::reference_spec();
     write("raw.blob", shared_dsp::mlp::build_blob(&spec).unwrap());
+    write("rows.blob", shared_dsp::mlp::build_blob(&common::per_row_spec()).unwrap());
     spec.recipe = shared_dsp::recipe::Recipe::LogPower;
     write("log.blob", shared_dsp::mlp::build_blob(&spec).unwrap());
     let inputs = common::rows::<i8>("inputs_int8.csv").concat();

@@ -129,14 +129,22 @@ fn damaged_headers_have_typed_errors() {
 fn naive(spec: &BlobSpec, input: &[i8]) -> Vec<i8> {
     let mut x: Vec<i8> = input.to_vec();
     for layer in &spec.layers {
-        let real = f64::from(layer.input_scale * layer.weight_scale) / f64::from(layer.output_scale);
-        let exponent = real.log2().floor() as i32 + 1;
-        let multiplier = (real / 2f64.powi(exponent) * 2f64.powi(31)).round() as i64;
+        let scale_of = |row: usize| {
+            let product = match layer.weight_scales.as_slice() {
+                [one] => f64::from(layer.input_scale * one),
+                rows => f64::from(layer.input_scale) * f64::from(rows[row]),
+            };
+            let real = product / f64::from(layer.output_scale);
+            let exponent = real.log2().floor() as i32 + 1;
+            ((real / 2f64.powi(exponent) * 2f64.powi(31)).round() as i64, exponent)
+        };
         x = layer
             .weights
             .iter()
             .zip(&layer.biases)
-            .map(|(row, &bias)| {
+            .enumerate()
+            .map(|(index, (row, &bias))| {
+                let (multiplier, exponent) = scale_of(index);
                 let sum: i64 = row
                     .iter()
                     .zip(&x)
@@ -146,7 +154,8 @@ fn naive(spec: &BlobSpec, input: &[i8]) -> Vec<i8> {
                 let product = (sum + i64::from(bias)) * multiplier;
                 let scaled = ((i128::from(product) + (1i128 << (shift - 1))) >> shift) as i64;
                 let low = if layer.relu { i64::from(layer.output_zero_point) } else { -128 };
-                (scaled + i64::from(layer.output_zero_point)).clamp(low.max(-128), 127) as i8
+                (scaled + i64::from(layer.output_zero_point)).clamp(low.max(-128), i64::from(layer.largest))
+                    as i8
             })
             .collect();
     }
@@ -154,6 +163,7 @@ fn naive(spec: &BlobSpec, input: &[i8]) -> Vec<i8> {
 }
 
 fn dense(rng: &mut impl FnMut() -> u64, inputs: usize, outputs: usize, relu: bool) -> DenseSpec {
+    let output_zero_point = (rng() % 256) as i8;
     DenseSpec {
         weights: (0..outputs)
             .map(|_| (0..inputs).map(|_| (rng() % 255) as i8).map(|w| w.max(-127)).collect())
@@ -161,11 +171,36 @@ fn dense(rng: &mut impl FnMut() -> u64, inputs: usize, outputs: usize, relu: boo
         biases: (0..outputs).map(|_| (rng() % 20001) as i32 - 10000).collect(),
         input_scale: 0.02,
         input_zero_point: (rng() % 256) as i8,
-        weight_scale: 0.01,
+        // As TFLite has it by default, each row has a scale of its own.
+        weight_scales: match rng() % 2 {
+            0 => vec![0.01],
+            _ => (0..outputs).map(|_| 0.001 + (rng() % 1000) as f32 * 2e-5).collect(),
+        },
         output_scale: 0.001 * 10f32.powi((rng() % 4) as i32),
-        output_zero_point: (rng() % 256) as i8,
+        output_zero_point,
         relu,
+        largest: if rng().is_multiple_of(3) {
+            output_zero_point.saturating_add((rng() % 100) as i8)
+        } else {
+            i8::MAX
+        },
     }
+}
+
+#[test]
+fn only_what_needs_the_second_version_of_the_blob_is_of_it() {
+    let mut spec = reference_spec();
+    assert_eq!(build_blob(&spec).unwrap()[4], 1);
+    spec.layers[0].largest = 100;
+    let blob = build_blob(&spec).unwrap();
+    assert_eq!(blob[4], 2);
+    // An image that knows version 1 alone must not read it as one.
+    let mut first = blob.clone();
+    first[4] = 1;
+    assert_eq!(Model::parse(&first).map(|_| ()), Err(ModelError::Layer { layer: 0 }));
+    spec.layers[0].weight_scales = vec![0.1, 0.2];
+    let error = build_blob(&spec).unwrap_err().to_string();
+    assert!(error.contains("2 scales for 20 outputs"), "{error}");
 }
 
 proptest! {
@@ -209,8 +244,13 @@ proptest! {
         edits in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 0..12),
         header_edits in prop::collection::vec((0usize..28, any::<u8>()), 0..3),
         cut in prop::option::of(any::<prop::sample::Index>()),
+        per_row: bool,
     ) {
-        let mut blob = build_blob(&reference_spec()).unwrap();
+        let mut spec = reference_spec();
+        if per_row {
+            spec.layers[1].weight_scales = (1..=10).map(|row| 0.001 * row as f32).collect();
+        }
+        let mut blob = build_blob(&spec).unwrap();
         for (at, value) in &edits {
             let at = at.index(blob.len());
             blob[at] = *value;

@@ -24,10 +24,11 @@ fn blob_of(
         biases: vec![0, 0],
         input_scale: 0.1,
         input_zero_point: 0,
-        weight_scale: 0.01,
+        weight_scales: vec![0.01],
         output_scale: 0.1,
         output_zero_point: 0,
         relu: false,
+        largest: i8::MAX,
     }];
     let labels = vec!["idle".into(), label.into()];
     build_blob(&BlobSpec { recipe, axes, sample_hz: 100, window: 200, hop, labels, scaling, layers }).unwrap()

@@ -3,15 +3,16 @@
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use anyhow::{Context as _, Result, bail};
+use anyhow::{Context as _, Result, bail, ensure};
 use host_bridge::adc::AdcRecording;
 use host_bridge::bridge::{BridgeEvent, EventKind};
 use host_bridge::describe;
-use host_bridge::hands::{LeftBoard, ModelFile, RightBoard, Wired, join};
+use host_bridge::hands::{Delayed, LeftBoard, ModelFile, RightBoard, Wired, join};
 use host_bridge::safety::State;
 use host_bridge::script::CalibrationTable;
 use host_bridge::session::{Session, Summary};
 use host_bridge::source::Source;
+use models::sheet::{Columns, Reading, Units};
 use serde::Serialize;
 
 use crate::play::{PlayOptions, play, say};
@@ -25,18 +26,47 @@ pub struct Args {
     /// Recordings of the right hand (timestamp_ms,accX,…); several are joined into one stream
     #[arg(long, value_name = "IMU.csv", num_args = 1.., required_unless_present_any = ["left", "session"])]
     right: Vec<PathBuf>,
-    /// Recording of the left hand (timestamp_ms,x,y,z,index,middle: 10-bit counts at 100 Hz)
+    /// Recording of the left hand (timestamp_ms,x,y,z,index,middle: counts of 8 to 12 bits at 50 to 500 Hz)
     #[arg(long, value_name = "ADC.csv")]
     left: Option<PathBuf>,
     /// Model for the right hand, int8, with its card beside it; else the bundled one (9 axes)
     #[arg(long, value_name = "FILE.tflite")]
     model: Option<PathBuf>,
     /// Calibration of the left hand: a TOML file with zero, rest and bend; or `start`, to take neutral
-    /// and rest from the first 1.3 s (hand level and still, fingers straight); else nominal parts
+    /// and rest from the first 1.6 s (hand level and still, fingers straight); else nominal parts
     #[arg(long, value_name = "FILE.toml|start", requires = "left")]
     calibration: Option<PathBuf>,
     #[command(flatten)]
+    reading: ReadingOptions,
+    /// Start both recordings at once, even if their times are of one clock
+    #[arg(long, requires = "left", requires = "right")]
+    own_clocks: bool,
+    #[command(flatten)]
     play: PlayOptions,
+}
+
+/// How recordings of the right hand are read.
+#[derive(clap::Args, Clone, Debug)]
+struct ReadingOptions {
+    /// Units of the right hand's recordings, whatever they say: g, mg or m/s2; rad/s or deg/s; uT or gauss
+    #[arg(long, value_name = "UNIT,...", value_parser = |text: &str| text.parse::<Units>())]
+    units: Option<Units>,
+    /// Samples per second of recordings without times
+    #[arg(long, value_name = "HZ")]
+    rate: Option<f64>,
+    /// What columns are: ours in the file's order (time,accX,accY,accZ,-), or OURS=THEIRS,... by name or number
+    #[arg(long, value_name = "COLUMNS", value_parser = |text: &str| text.parse::<Columns>())]
+    columns: Option<Columns>,
+}
+
+impl ReadingOptions {
+    fn reading(&self) -> Result<Reading> {
+        if let Some(rate) = self.rate {
+            ensure!((25.0..=500.0).contains(&rate), "--rate takes 25 to 500 Hz");
+        }
+        let units = self.units.unwrap_or_default();
+        Ok(Reading { units, rate_hz: self.rate, columns: self.columns.clone(), guess: false })
+    }
 }
 
 #[derive(Serialize)]
@@ -63,10 +93,27 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         (Some(file), false) => Some(ModelFile::read(file)?),
         (None, false) => Some(ModelFile::bundled()?),
     };
-    let left = left.map_or(Source::Nobody, |board| Source::here(Wired::new(board)));
-    let right = match &model {
-        Some(model) => Source::here(Wired::new(RightBoard::new(join(&args.right, model.axes())?, model, 1)?)),
-        None => Source::Nobody,
+    let reading = args.reading.reading()?;
+    let right =
+        model.as_ref().map(|model| join(&args.right, model.axes_of_recordings(), &reading)).transpose()?;
+    let mut delays_ms = [0, 0];
+    if let (Some(left), Some(right), false) = (&left, &right, args.own_clocks) {
+        let spans = [left.span_ms, [right.start_ms, right.start_ms + 10.0 * right.recording.len() as f64]];
+        let (delays, line) = aligned(spans);
+        delays_ms = delays;
+        line.iter().for_each(|line| say(&args.play, line));
+    }
+    let notes = left.iter().flat_map(|left| &left.notes).chain(right.iter().flat_map(|right| &right.notes));
+    notes.for_each(|note| say(&args.play, note));
+    let [left_ms, right_ms] = delays_ms;
+    let left =
+        left.map_or(Source::Nobody, |left| Source::here(Wired::new(Delayed::new(left.board, left_ms))));
+    let right = match (&model, right) {
+        (Some(model), Some(right)) => {
+            let board = RightBoard::new(right.recording, model, 1)?;
+            Source::here(Wired::new(Delayed::new(board, right_ms)))
+        }
+        _ => Source::Nobody,
     };
     let labels = model.as_ref().map_or(&[][..], ModelFile::labels);
     let model_about = model.as_ref().map(|model| format!("{} ({})", model.name(), model.about()));
@@ -132,7 +179,19 @@ fn again(file: &Path, args: &Args) -> Result<ExitCode> {
         let at_s = gap_ms as f64 / 1000.0;
         say(&args.play, &format!("from {at_s:.3} s on the file has gaps (the disk was too slow): ends here"));
     }
+    if replay.missing > 0 || !replay.absent.is_empty() {
+        let absent = match replay.absent.as_slice() {
+            [] => String::new(),
+            topics => format!(" (nothing of {})", topics.join(", ")),
+        };
+        say(
+            &args.play,
+            &format!("{} messages{absent} are missing: another program has taken them out", replay.missing),
+        );
+    }
+    let whole = replay.missing == 0 && replay.absent.is_empty();
     let verdict = match &replay.first_difference {
+        None if replay.is_same() && !whole => "what is there is the same".to_owned(),
         None if replay.is_same() => "all the same, bit for bit".to_owned(),
         None => "nothing to compare".to_owned(),
         Some(first) => format!("{} DIFFERENT, the first: {first}", replay.different),
@@ -154,8 +213,20 @@ fn again(file: &Path, _args: &Args) -> Result<ExitCode> {
     )
 }
 
-fn read_left(file: &Path, calibration: Option<&Path>) -> Result<LeftBoard> {
-    let recording = AdcRecording::read(file)?;
+/// The left hand's board, and what its file said.
+struct Left {
+    board: LeftBoard,
+    notes: Vec<String>,
+    /// First and last time in the file.
+    span_ms: [f64; 2],
+}
+
+fn read_left(file: &Path, calibration: Option<&Path>) -> Result<Left> {
+    let read = AdcRecording::read(file)?;
+    let length_ms = read.recording.samples.last().map_or(0, |(time_ms, _)| *time_ms);
+    let span_ms = [read.start_ms, read.start_ms + length_ms as f64];
+    let notes = read.notes.iter().map(|note| format!("{}: {note}", file.display())).collect();
+    let recording = read.recording;
     let board = match calibration {
         None => LeftBoard::new(recording, None, 1),
         Some(start) if start == Path::new("start") => {
@@ -168,5 +239,26 @@ fn read_left(file: &Path, calibration: Option<&Path>) -> Result<LeftBoard> {
             LeftBoard::new(recording, Some(table.into()), 1)
         }
     };
-    Ok(board)
+    Ok(Left { board, notes, span_ms })
+}
+
+/// How much later than the session each hand begins, left and right, by the first and last times of their recordings;
+/// and what is to be said of that. Times that overlap are of one clock.
+fn aligned([left, right]: [[f64; 2]; 2]) -> ([u64; 2], Option<String>) {
+    let late_ms = left[0] - right[0];
+    if late_ms.abs() < 1.0 {
+        return ([0, 0], None);
+    }
+    if left[0] > right[1] || right[0] > left[1] {
+        let line = "the recordings' times do not overlap: they are of two clocks, and both start at once";
+        return ([0, 0], Some(line.to_owned()));
+    }
+    let (hand, other) = if late_ms > 0.0 { ("left", "right") } else { ("right", "left") };
+    let line = format!(
+        "the {hand} hand's recording begins {:.3} s after the {other} one's, by their times, and is played so; \
+         --own-clocks starts both at once",
+        late_ms.abs() / 1000.0
+    );
+    let late = late_ms.abs().round() as u64;
+    (if late_ms > 0.0 { [late, 0] } else { [0, late] }, Some(line))
 }

@@ -40,6 +40,10 @@ pub struct Replay {
     pub first_difference: Option<String>,
     /// The file ends early: it was being written, or it is damaged.
     pub cut: Option<String>,
+    /// Messages that the recording program numbered and that are not in the file: taken out by another program.
+    pub missing: u64,
+    /// Topics that a session always has and of which the file has nothing.
+    pub absent: Vec<&'static str>,
     /// From here on the file has gaps, because the disk was too slow: nothing behind this was replayed.
     pub gap_ms: Option<u64>,
     /// The base at the end.
@@ -90,6 +94,7 @@ pub fn replay(file: &[u8]) -> Result<Replay, ReplayError> {
     let mut topics = BTreeMap::new();
     let mut player: Option<Player> = None;
     let mut cut = None;
+    let mut numbers = Numbers::default();
     for record in records {
         match record {
             Err(error) if player.is_none() => return Err(error.into()),
@@ -108,6 +113,7 @@ pub fn replay(file: &[u8]) -> Result<Replay, ReplayError> {
             Ok(Record::Message { header, data }) => {
                 let player = player.as_mut().ok_or(ReplayError::NoSetup)?;
                 let Some(&topic) = topics.get(&header.channel_id) else { continue };
+                numbers.take(header.sequence);
                 let time_ms = header.log_time.saturating_sub(player.origin.nanoseconds) / 1_000_000;
                 let entry = Entry { topic, time_ms, data: data.into_owned() };
                 if player.take(entry)? == Then::Stop {
@@ -118,7 +124,33 @@ pub fn replay(file: &[u8]) -> Result<Replay, ReplayError> {
         }
     }
     let player = player.ok_or(ReplayError::NoSetup)?;
-    Ok(player.end(cut))
+    let mut result = player.end(cut);
+    result.missing = numbers.missing();
+    // These are in every session from its first moment on.
+    let always =
+        [Topic::Turns, Topic::Hands, Topic::Twist, Topic::Joints, Topic::Odometry, Topic::Transforms];
+    let names = always.into_iter().map(Topic::name);
+    result.absent = names.filter(|name| !result.messages.contains_key(name)).collect();
+    Ok(result)
+}
+
+/// The numbers that the recording program gave its messages, through all topics from 0 on.
+#[derive(Default)]
+struct Numbers {
+    count: u64,
+    largest: u32,
+}
+
+impl Numbers {
+    fn take(&mut self, number: u32) {
+        self.count += 1;
+        self.largest = self.largest.max(number);
+    }
+
+    /// How many are not there. A program that gives its own numbers, or none, gives away nothing.
+    fn missing(&self) -> u64 {
+        (u64::from(self.largest) + 1).saturating_sub(self.count)
+    }
 }
 
 #[derive(PartialEq)]
@@ -159,6 +191,8 @@ impl Player {
                 different: 0,
                 first_difference: None,
                 cut: None,
+                missing: 0,
+                absent: Vec::new(),
                 gap_ms: None,
                 odometry: Odometry::default(),
                 at_rest: true,

@@ -1,25 +1,21 @@
-//! Boards on a desk: they run the hands' own code on recordings, answer the laptop as the firmware does, and can be
-//! unplugged and restarted at any moment.
+//! Boards on a desk: they run the boards' own code on recordings, and can be unplugged and restarted at any moment.
 
 use std::collections::VecDeque;
 use std::path::Path;
 
-use host_bridge::hands::{ModelFile, heading_on_the_wire, model_info_on_the_wire};
+use host_bridge::hands::ModelFile;
+use host_bridge::hands::virtual_board::{PERIOD_MS, VirtualLeft, VirtualRight, onto};
 use models::recording::Recording;
+use shared_board::Identity;
+use shared_board::hand::CountHand;
+use shared_board::memory::{RamEeprom, RamFlash, at_once};
+use shared_board::models::{MappedFlash as _, ModelRequest, ModelStore, Runs};
 use shared_dsp::decision::DecisionConfig;
-use shared_dsp::left::{AdcCounts, LeftHand};
-use shared_dsp::left_calibration::CalibrationStep as Step;
-use shared_dsp::mlp::{Model, crc32};
+use shared_dsp::left::AdcCounts;
+use shared_dsp::mlp::Model;
 use shared_dsp::right::RightHand;
-use shared_dsp::tilt::TiltThresholds;
-use shared_proto::frame::{BOARD_FRAME_MAX, DELIMITER, Decoder, HOST_FRAME_MAX, encode_board};
-use shared_proto::message::{
-    Ack, AckResult, Board as Kind, BoardMessage, CalibrationStep, Hello, HostMessage, LeftState, Mode,
-    PROTOCOL_MAJOR, PROTOCOL_MINOR, Pong, RawImu, RightState, Status, health,
-};
-
-use crate::desk::program::Desk;
-use crate::desk::station::{Board, Station};
+use shared_proto::frame::{Decoder, HOST_FRAME_MAX};
+use shared_proto::message::{Board, HostMessage, Mode};
 
 /// A level left hand with straight fingers.
 pub const LEVEL: [u16; 5] = [512, 512, 614, 704, 704];
@@ -87,101 +83,62 @@ impl Double {
     }
 }
 
-/// What a board does only after a while, and is busy until then.
-#[derive(Default)]
-struct Later {
-    ms: u64,
-    bytes: Vec<u8>,
-}
-
 /// What differs between the hands.
 trait Hand {
     /// The board starts; its clock is at 0.
-    fn reset(&mut self);
-    fn hello(&self, boot_id: u32, out: &mut Vec<u8>);
+    fn restart(&mut self, boot_id: u32);
     /// The sample of this time, every 10 ms.
-    fn sample(&mut self, now_ms: u32, mode: Mode, out: &mut Vec<u8>);
-    /// A request that is not for both hands.
-    fn request(&mut self, message: &HostMessage<'_>, out: &mut Vec<u8>, later: &mut Later);
+    fn sample(&mut self, now_ms: u64, wire: &mut Vec<u8>);
+    /// A byte from the laptop. For so many milliseconds the board is busy, and answers only then.
+    fn receive(&mut self, byte: u8, now_ms: u64, wire: &mut Vec<u8>) -> u64;
     fn hold(&mut self, _counts: [u16; 5]) {}
-}
-
-fn put(message: &BoardMessage<'_>, out: &mut Vec<u8>) {
-    let mut buffer = [0; BOARD_FRAME_MAX];
-    out.extend_from_slice(encode_board(message, &mut buffer).expect("fits"));
-}
-
-fn ack(request: u16, result: AckResult, next_offset: u32, out: &mut Vec<u8>) {
-    put(&BoardMessage::Ack(Ack { request, result, next_offset }), out);
 }
 
 struct Machine {
     hand: Box<dyn Hand>,
-    decoder: Decoder<HOST_FRAME_MAX>,
-    mode: Mode,
     boot_id: u32,
     /// Since power-on, and when it started last.
     now_ms: u64,
     started_ms: u64,
     has_battery: bool,
     busy_until_ms: u64,
-    later: Later,
     incoming: VecDeque<u8>,
-    outgoing: Vec<u8>,
+    /// Sent when it is no longer busy.
+    later: Vec<u8>,
+    wire: Vec<u8>,
 }
 
 impl Machine {
     fn new(hand: Box<dyn Hand>) -> Self {
         Machine {
             hand,
-            decoder: Decoder::new(),
-            mode: Mode::Classify,
             boot_id: 100,
             now_ms: 0,
             started_ms: 0,
             has_battery: false,
             busy_until_ms: 0,
-            later: Later::default(),
             incoming: VecDeque::new(),
-            outgoing: Vec::new(),
+            later: Vec::new(),
+            wire: Vec::new(),
         }
     }
 
     fn boot(&mut self) {
         self.boot_id += 1;
         self.started_ms = self.now_ms;
-        self.busy_until_ms = 0;
-        self.later = Later::default();
+        self.busy_until_ms = self.now_ms;
         self.incoming.clear();
-        self.mode = Mode::Classify;
-        self.decoder = Decoder::new();
-        self.hand.reset();
-        self.outgoing.push(DELIMITER);
-        self.hand.hello(self.boot_id, &mut self.outgoing);
+        self.later.clear();
+        self.hand.restart(self.boot_id);
     }
 
-    fn listen(&mut self) {
-        let mut decoder = std::mem::take(&mut self.decoder);
+    fn listen(&mut self, time_ms: u64) {
         while self.now_ms >= self.busy_until_ms {
-            self.outgoing.append(&mut self.later.bytes);
+            self.wire.append(&mut self.later);
             let Some(byte) = self.incoming.pop_front() else { break };
-            let (out, board_time_ms) = (&mut self.outgoing, (self.now_ms - self.started_ms) as u32);
-            match decoder.push_host(byte) {
-                Some(HostMessage::HelloRequest) => self.hand.hello(self.boot_id, out),
-                Some(HostMessage::Ping { id }) => put(&BoardMessage::Pong(Pong { id, board_time_ms }), out),
-                Some(HostMessage::SetMode { request, mode }) => {
-                    self.mode = mode;
-                    ack(request, AckResult::Ok, 0, out);
-                }
-                Some(message) => {
-                    self.later.ms = 0;
-                    self.hand.request(&message, out, &mut self.later);
-                    self.busy_until_ms = self.now_ms + self.later.ms;
-                }
-                None => {}
-            }
+            let busy_ms = self.hand.receive(byte, time_ms, &mut self.later);
+            self.busy_until_ms = self.now_ms + busy_ms;
         }
-        self.decoder = decoder;
     }
 }
 
@@ -192,21 +149,17 @@ impl Board for Machine {
 
     fn run_until_ms(&mut self, until_ms: u64) {
         while self.now_ms < until_ms {
-            self.now_ms += 1;
-            self.listen();
             let time_ms = self.now_ms - self.started_ms;
-            if time_ms.is_multiple_of(10) {
-                self.hand.sample(time_ms as u32, self.mode, &mut self.outgoing);
+            self.listen(time_ms);
+            if time_ms.is_multiple_of(PERIOD_MS) {
+                self.hand.sample(time_ms, &mut self.wire);
             }
-            if time_ms.is_multiple_of(1000) {
-                let status = Status { uptime_ms: time_ms as u32, mode: self.mode, ..Status::default() };
-                put(&BoardMessage::Status(status), &mut self.outgoing);
-            }
+            self.now_ms += 1;
         }
     }
 
     fn sent(&mut self) -> Vec<u8> {
-        std::mem::take(&mut self.outgoing)
+        std::mem::take(&mut self.wire)
     }
 
     fn receive(&mut self, bytes: &[u8]) {
@@ -230,105 +183,38 @@ impl Board for Machine {
 }
 
 struct Left {
-    hand: LeftHand,
+    board: VirtualLeft,
     counts: [u16; 5],
     dither: u16,
-    sequence: u16,
-    asked: Option<u16>,
 }
 
 impl Left {
     fn new() -> Self {
-        let hand = LeftHand::new(None, TiltThresholds::DEFAULT, 0);
-        Left { hand, counts: LEVEL, dither: 0, sequence: 0, asked: None }
+        Left { board: Self::start(0, RamEeprom::blank()), counts: LEVEL, dither: 0 }
+    }
+
+    fn start(boot_id: u32, memory: RamEeprom) -> VirtualLeft {
+        let identity = Identity { board: Kind::LeftNano, firmware: "double", boot_id, sample_hz: 100 };
+        VirtualLeft::start(identity, memory)
     }
 }
 
 impl Hand for Left {
-    fn reset(&mut self) {
-        // The calibration is in EEPROM.
-        let kept = *self.hand.calibration();
-        let is_kept = kept != Default::default();
-        self.hand = LeftHand::new(is_kept.then_some(kept), TiltThresholds::DEFAULT, 0);
-        (self.sequence, self.asked) = (0, None);
+    fn restart(&mut self, boot_id: u32) {
+        self.board = Self::start(boot_id, self.board.clone().into_memory());
     }
 
-    fn hello(&self, boot_id: u32, out: &mut Vec<u8>) {
-        put(
-            &BoardMessage::Hello(Hello {
-                major: PROTOCOL_MAJOR,
-                minor: PROTOCOL_MINOR,
-                board: Kind::LeftNano,
-                firmware: "double",
-                boot_id,
-                model_id: 0,
-                sample_hz: 100,
-            }),
-            out,
-        );
-    }
-
-    fn sample(&mut self, now_ms: u32, mode: Mode, out: &mut Vec<u8>) {
+    fn sample(&mut self, now_ms: u64, wire: &mut Vec<u8>) {
         // The last bit of a real converter is never still.
         self.dither ^= 1;
         let mut counts = AdcCounts::from_ten_bit(self.counts);
         counts.z += self.dither;
-        let output = self.hand.step(counts, now_ms);
-        if let (Some(ended), Some(request)) = (self.hand.take_captured(), self.asked) {
-            self.asked = None;
-            let result = match ended {
-                Ok(calibration) => {
-                    self.hand.set_calibration(Some(calibration));
-                    AckResult::Ok
-                }
-                Err(_) => AckResult::Unsteady,
-            };
-            ack(request, result, 0, out);
-        }
-        if mode == Mode::Classify && (now_ms.is_multiple_of(20) || output.changed) {
-            self.sequence = self.sequence.wrapping_add(1);
-            put(
-                &BoardMessage::Left(LeftState {
-                    sequence: self.sequence,
-                    board_time_ms: now_ms,
-                    pitch_mrad: output.pitch_mrad,
-                    roll_mrad: output.roll_mrad,
-                    heading: heading_on_the_wire(output.heading),
-                    index_bends: output.index_bends,
-                    middle_bends: output.middle_bends,
-                    stop: output.stop,
-                    health: output.health,
-                }),
-                out,
-            );
-        }
+        self.board.period(Some(counts), now_ms, wire);
     }
 
-    fn request(&mut self, message: &HostMessage<'_>, out: &mut Vec<u8>, _: &mut Later) {
-        match *message {
-            HostMessage::Calibrate { request, step } => {
-                let step = match step {
-                    CalibrationStep::Neutral => Step::Neutral,
-                    CalibrationStep::Rest => Step::Rest,
-                    CalibrationStep::Bend => Step::Bend,
-                    CalibrationStep::Reset => {
-                        self.hand.set_calibration(None);
-                        return ack(request, AckResult::Ok, 0, out);
-                    }
-                };
-                let started = self.hand.start_capture(step);
-                if started {
-                    self.asked = Some(request);
-                }
-                ack(request, if started { AckResult::Started } else { AckResult::Busy }, 0, out);
-            }
-            HostMessage::SetThresholds { request, thresholds: t } => {
-                let (neutral_mrad, end_mrad, start_mrad) = (t.neutral_mrad, t.end_mrad, t.start_mrad);
-                let taken = self.hand.set_thresholds(TiltThresholds { neutral_mrad, end_mrad, start_mrad });
-                ack(request, if taken { AckResult::Ok } else { AckResult::OutOfRange }, 0, out);
-            }
-            _ => {}
-        }
+    fn receive(&mut self, byte: u8, now_ms: u64, wire: &mut Vec<u8>) -> u64 {
+        self.board.receive(&[byte], now_ms, wire);
+        0
     }
 
     fn hold(&mut self, counts: [u16; 5]) {
@@ -336,21 +222,13 @@ impl Hand for Left {
     }
 }
 
+const RUNS: Runs = Runs { axes: 9, sample_hz: 100 };
+
 struct Right {
-    blob: &'static [u8],
-    hand: RightHand<'static, 9>,
+    board: VirtualRight<CountHand<'static, 9>>,
+    store: ModelStore<RamFlash>,
     samples: Vec<[i16; 9]>,
     start: usize,
-    sequence: u16,
-    raw: Vec<[i16; 9]>,
-    raw_sequence: u16,
-    announced: Option<(u32, u32, Vec<u8>)>,
-    /// Kept by a commit, used from the next start on.
-    stored: Option<&'static [u8]>,
-}
-
-fn right_hand(blob: &'static [u8]) -> RightHand<'static, 9> {
-    RightHand::new(Model::parse(blob).unwrap(), DecisionConfig::default()).expect("9 axes")
 }
 
 impl Right {
@@ -358,136 +236,43 @@ impl Right {
         let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("sessions/demo/right.csv");
         let recording = Recording::read(&file).unwrap().resampled();
         let count = |s: &[f32]| std::array::from_fn(|i| (s[i] / SCALE[i / 3]).round() as i16);
-        let blob: &'static [u8] = ModelFile::bundled().unwrap().blob().to_vec().leak();
-        Right {
-            blob,
-            hand: right_hand(blob),
-            samples: recording.samples().map(count).collect(),
-            start: (start_s * 100.0) as usize,
-            sequence: 0,
-            raw: Vec::new(),
-            raw_sequence: 0,
-            announced: None,
-            stored: None,
-        }
+        let (board, store) = Self::start(0, RamFlash::blank());
+        let start = (start_s * 100.0) as usize;
+        Right { board, store, samples: recording.samples().map(count).collect(), start }
+    }
+
+    /// With the model in flash, or the bundled one.
+    fn start(boot_id: u32, flash: RamFlash) -> (VirtualRight<CountHand<'static, 9>>, ModelStore<RamFlash>) {
+        let (store, found) = ModelStore::open(flash, RUNS);
+        let blob = match found.model {
+            Some(place) => store.flash().mapped()[place.offset()..][..place.len].to_vec(),
+            None => ModelFile::bundled().unwrap().blob().to_vec(),
+        };
+        let model = Model::parse(blob.leak()).unwrap();
+        let hand = RightHand::new(model, DecisionConfig::default()).expect("9 axes");
+        let identity = Identity { board: Kind::RightNano33, firmware: "double", boot_id, sample_hz: 100 };
+        (VirtualRight::start(identity, CountHand::new(hand, SCALE)), store)
     }
 }
 
 impl Hand for Right {
-    fn reset(&mut self) {
-        self.blob = self.stored.unwrap_or(self.blob);
-        self.hand = right_hand(self.blob);
-        self.sequence = 0;
-        self.raw.clear();
-        self.announced = None;
+    fn restart(&mut self, boot_id: u32) {
+        (self.board, self.store) = Self::start(boot_id, self.store.flash().clone());
     }
 
-    fn hello(&self, boot_id: u32, out: &mut Vec<u8>) {
-        let model = Model::parse(self.blob).unwrap();
-        let info = model.info();
-        put(
-            &BoardMessage::Hello(Hello {
-                major: PROTOCOL_MAJOR,
-                minor: PROTOCOL_MINOR,
-                board: Kind::RightNano33,
-                firmware: "double",
-                boot_id,
-                model_id: info.model_id,
-                sample_hz: info.sample_hz,
-            }),
-            out,
-        );
-        put(&BoardMessage::ModelInfo(model_info_on_the_wire(info)), out);
-    }
-
-    fn sample(&mut self, now_ms: u32, mode: Mode, out: &mut Vec<u8>) {
-        let number = now_ms as usize / 10;
+    fn sample(&mut self, now_ms: u64, wire: &mut Vec<u8>) {
+        let number = (now_ms / PERIOD_MS) as usize;
         let counts = self.samples[(self.start + number) % self.samples.len()];
-        let sample: [f32; 9] = std::array::from_fn(|i| f32::from(counts[i]) * SCALE[i / 3]);
-        if let Some(output) = self.hand.push(&sample, now_ms)
-            && mode == Mode::Classify
-        {
-            self.sequence = self.sequence.wrapping_add(1);
-            let scores = output.score_bytes();
-            let used = if output.full { output.scores().len() } else { 0 };
-            put(
-                &BoardMessage::Right(RightState {
-                    sequence: self.sequence,
-                    board_time_ms: output.window_end_ms,
-                    events: output.events,
-                    label: output.label,
-                    confidence: output.confidence,
-                    event_window_end_ms: output.event_window_end_ms,
-                    scores: &scores[..used],
-                    health: if output.full { 0 } else { health::GAP },
-                }),
-                out,
-            );
-        }
-        self.raw.push(counts);
-        if self.raw.len() == 8 {
-            let bytes: Vec<u8> = self.raw.iter().flatten().flat_map(|c| c.to_le_bytes()).collect();
-            self.raw.clear();
-            if mode == Mode::Record {
-                self.raw_sequence = self.raw_sequence.wrapping_add(1);
-                put(
-                    &BoardMessage::RawImu(RawImu {
-                        sequence: self.raw_sequence,
-                        first_sample: number as u32 - 7,
-                        axes: 9,
-                        scale: SCALE,
-                        counts: &bytes,
-                    }),
-                    out,
-                );
-            }
-        }
+        self.board.sample(&counts, now_ms, wire);
     }
 
-    /// As `firmware-nano33/src/transfer.rs`.
-    fn request(&mut self, message: &HostMessage<'_>, out: &mut Vec<u8>, later: &mut Later) {
-        let (request, result) = match *message {
-            HostMessage::ModelBegin(begin) => {
-                if begin.info.axes != 9 {
-                    return ack(begin.request, AckResult::ModelDoesNotFit, 0, out);
-                }
-                self.announced = Some((begin.size, begin.info.model_id, Vec::new()));
-                ack(begin.request, AckResult::Started, 0, out);
-                // Erasing four pages takes a third of a second.
-                later.ms = 50;
-                (begin.request, AckResult::Ok)
-            }
-            HostMessage::ModelChunk { request, offset, data } => {
-                // Flash is slow, and a test needs time to pull the cable.
-                later.ms = 20;
-                match &mut self.announced {
-                    Some((_, _, blob)) if blob.len() == offset as usize => {
-                        blob.extend_from_slice(data);
-                        (request, AckResult::Ok)
-                    }
-                    _ => (request, AckResult::WrongOffset),
-                }
-            }
-            HostMessage::ModelCommit { request, crc32: crc } => match self.announced.take() {
-                Some((size, id, blob)) if size as usize == blob.len() => {
-                    if id == crc && crc32(&blob) == crc && Model::parse(&blob).is_ok() {
-                        self.stored = Some(blob.leak());
-                        (request, AckResult::Ok)
-                    } else {
-                        (request, AckResult::BadChecksum)
-                    }
-                }
-                kept => {
-                    self.announced = kept;
-                    (request, AckResult::WrongOffset)
-                }
-            },
-            HostMessage::Calibrate { request, .. } | HostMessage::SetThresholds { request, .. } => {
-                (request, AckResult::Unsupported)
-            }
-            _ => return,
-        };
-        let next = self.announced.as_ref().map_or(0, |(_, _, blob)| blob.len() as u32);
-        ack(request, result, next, &mut later.bytes);
+    fn receive(&mut self, byte: u8, now_ms: u64, wire: &mut Vec<u8>) -> u64 {
+        let (store, mut busy_ms) = (&mut self.store, 0);
+        self.board.receive(&[byte], now_ms, wire, |request, wire| {
+            // Flash is slow, and a test needs time to pull the cable. Erasing four pages takes a third of a second.
+            busy_ms += if matches!(request, ModelRequest::Begin(_)) { 50 } else { 20 };
+            at_once(store.answer(request, async || (), &mut onto(wire)));
+        });
+        busy_ms
     }
 }

@@ -35,8 +35,9 @@ impl Cmd {
     pub fn run(self) -> anyhow::Result<()> {
         let (model, memory) = read(&self.model)?;
         let card = &model.card;
-        let theirs = Dataset::read_where(&self.folder, Some(card.axes), |_, person| person == self.person)
-            .with_context(|| format!("recordings of {:?} in {}", self.person, self.folder.display()))?;
+        let theirs =
+            Dataset::read_where(&self.folder, Some(card.axes_needed()), |_, person| person == self.person)
+                .with_context(|| format!("recordings of {:?} in {}", self.person, self.folder.display()))?;
         let mut examples = Vec::new();
         for item in &theirs.items {
             let label = card.labels.iter().position(|label| *label == item.label);

@@ -28,7 +28,7 @@ impl Cmd {
         let files = ModelFiles::read(&self.model)?;
         let card = &files.card;
         println!("{}: {} ({})", self.model.display(), card.name, card.about);
-        let mut dataset = super::read(&self.folder, Some(card.axes))?;
+        let mut dataset = super::read(&self.folder, Some(card.axes_needed()))?;
         if let Some(list) = &self.only {
             let text = std::fs::read_to_string(list)
                 .map_err(|error| anyhow::anyhow!("{}: {error}; check the path", list.display()))?;

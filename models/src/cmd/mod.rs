@@ -150,6 +150,18 @@ fn read_where(folder: &Path, axes: Option<usize>, person: impl Fn(&str) -> bool)
     for file in &dataset.ignored {
         println!("not a recording, left out: {}", file.display());
     }
+    let folders: std::collections::BTreeSet<&str> =
+        dataset.items.iter().filter_map(|item| item.name.split('/').next()).collect();
+    for folder in folders.into_iter().filter(|folder| models::labels::is_no_gesture(folder)) {
+        println!("{folder} is taken to be no gesture (other); rename the folder if it is one");
+    }
+    let noted: Vec<_> = dataset.items.iter().filter(|item| !item.recording.notes().is_empty()).collect();
+    for item in noted.iter().take(3) {
+        println!("{}: {}", item.name, item.recording.notes().join("; "));
+    }
+    if noted.len() > 3 {
+        println!("and the like of {} more recordings", noted.len() - 3);
+    }
     let gaps = dataset.items.iter().filter(|item| item.recording.gaps() > 0).count();
     if gaps > 0 {
         println!("{gaps} recordings have gaps in time, which are bridged by straight lines");

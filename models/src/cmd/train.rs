@@ -74,8 +74,17 @@ impl Cmd {
         for file in trained.write(&self.out)? {
             println!("{}", file.display());
         }
-        if !test.is_empty() {
-            let list = self.out.join(format!("{}.test.txt", self.name));
+        let list = self.out.join(format!("{}.test.txt", self.name));
+        if test.is_empty() {
+            // That of an earlier model of this name would have this one scored on what it has learned.
+            match std::fs::remove_file(&list) {
+                Ok(()) => println!("removed {}: it was of the model that was here before", list.display()),
+                Err(error) if error.kind() == std::io::ErrorKind::NotFound => {}
+                Err(error) => {
+                    anyhow::bail!("{}: {error}; it is of an older model, delete it", list.display())
+                }
+            }
+        } else {
             models::recording::write_whole(&list, (test.join("\n") + "\n").as_bytes())?;
             println!("{} ({} recordings kept out of training)", list.display(), test.len());
         }

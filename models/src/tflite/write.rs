@@ -35,13 +35,13 @@ struct Writer<'a> {
     operators: Vec<Finished>,
 }
 
-/// What distinguishes a tensor; `scale` and `zero_point` only for quantised ones.
+/// What distinguishes a tensor; scales (one, or one per channel) and zero point only for quantised ones.
 struct Tensor<'a> {
     name: &'a str,
     shape: &'a [i32],
     kind: i8,
     data: &'a [u8],
-    quantisation: Option<(f32, i64)>,
+    quantisation: Option<(Vec<f32>, i64)>,
 }
 
 impl Writer<'_> {
@@ -68,9 +68,9 @@ impl Writer<'_> {
         let buffer = if tensor.data.is_empty() { 0 } else { self.buffer(tensor.data) };
         let name = self.out.create_string(tensor.name);
         let shape = self.out.create_vector(tensor.shape);
-        let quantisation = tensor.quantisation.map(|(scale, zero_point)| {
-            let scales = self.out.create_vector(&[scale]);
-            let zero_points = self.out.create_vector(&[zero_point]);
+        let quantisation = tensor.quantisation.as_ref().map(|(scales, zero_point)| {
+            let zero_points = self.out.create_vector(&vec![*zero_point; scales.len()]);
+            let scales = self.out.create_vector(scales);
             let table = self.out.start_table();
             self.out.push_slot_always(slot(2), scales);
             self.out.push_slot_always(slot(3), zero_points);
@@ -116,6 +116,7 @@ struct Activation(i8);
 
 impl Activation {
     fn of<'a>(&self, name: &'a str, shape: &'a [i32], quantisation: Option<(f32, i64)>) -> Tensor<'a> {
+        let quantisation = quantisation.map(|(scale, zero_point)| (vec![scale], zero_point));
         Tensor { name, shape, kind: self.0, data: &[], quantisation }
     }
 }
@@ -126,10 +127,12 @@ struct Constants {
     inputs: i32,
     weights: Vec<u8>,
     biases: Vec<u8>,
-    relu: bool,
-    /// Scales of weights and biases, then scale and zero point of the outputs.
-    quantisation: Option<(f32, f32, (f32, i64))>,
+    activation: i8,
+    quantisation: Option<Scales>,
 }
+
+/// Scales of weights and biases, then scale and zero point of the outputs.
+type Scales = (Vec<f32>, Vec<f32>, (f32, i64));
 
 /// The bytes of a TFLite file with this network: one input `[1, inputs]`, one output `[1, labels]`.
 pub fn write(network: &Network) -> Vec<u8> {
@@ -142,7 +145,7 @@ pub fn write(network: &Network) -> Vec<u8> {
                 inputs: layer.weights[0].len() as i32,
                 weights: float(&layer.weights.concat()),
                 biases: float(&layer.biases),
-                relu: layer.relu,
+                activation: if layer.relu { schema::RELU } else { 0 },
                 quantisation: None,
             });
             (None, constants.collect())
@@ -153,10 +156,14 @@ pub fn write(network: &Network) -> Vec<u8> {
                 inputs: layer.weights[0].len() as i32,
                 weights: layer.weights.iter().flatten().map(|&w| w as u8).collect(),
                 biases: int32(&layer.biases),
-                relu: layer.relu,
+                activation: match (layer.relu, layer.largest) {
+                    (false, _) => 0,
+                    (true, i8::MAX) => schema::RELU,
+                    (true, _) => schema::RELU6,
+                },
                 quantisation: Some((
-                    layer.weight_scale,
-                    layer.input_scale * layer.weight_scale,
+                    layer.weight_scales.clone(),
+                    layer.weight_scales.iter().map(|scale| layer.input_scale * scale).collect(),
                     (layer.output_scale, i64::from(layer.output_zero_point)),
                 )),
             });
@@ -180,25 +187,25 @@ pub fn write(network: &Network) -> Vec<u8> {
     let input = w.tensor(&activation.of("features", &[1, layers[0].inputs], input_quantisation));
     let mut at = input;
     for (index, layer) in layers.iter().enumerate() {
-        let scales = layer.quantisation;
+        let scales = layer.quantisation.as_ref();
         let weights = w.tensor(&Tensor {
             name: &format!("dense{index}/weights"),
             shape: &[layer.outputs, layer.inputs],
             kind,
             data: &layer.weights,
-            quantisation: scales.map(|(weight, _, _)| (weight, 0)),
+            quantisation: scales.map(|(weights, _, _)| (weights.clone(), 0)),
         });
         let biases = w.tensor(&Tensor {
             name: &format!("dense{index}/biases"),
             shape: &[layer.outputs],
             kind: bias_kind,
             data: &layer.biases,
-            quantisation: scales.map(|(_, bias, _)| (bias, 0)),
+            quantisation: scales.map(|(_, biases, _)| (biases.clone(), 0)),
         });
         let name = format!("dense{index}");
-        let after = w.tensor(&activation.of(&name, &[1, layer.outputs], scales.map(|(_, _, out)| out)));
+        let after = w.tensor(&activation.of(&name, &[1, layer.outputs], scales.map(|(_, _, out)| *out)));
         let table = w.out.start_table();
-        w.out.push_slot(slot(0), if layer.relu { schema::RELU } else { 0 }, 0);
+        w.out.push_slot(slot(0), layer.activation, 0);
         let options = w.out.end_table(table);
         w.operator(0, &[at, weights, biases], after, schema::FULLY_CONNECTED_OPTIONS, options);
         at = after;

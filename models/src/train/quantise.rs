@@ -24,10 +24,11 @@ pub(super) fn quantise(layers: &[FloatLayer], inputs: &[&[f32]], limit: f32) -> 
             biases: layer.biases.iter().map(|b| (f64::from(*b) / bias_scale).round() as i32).collect(),
             input_scale,
             input_zero_point,
-            weight_scale,
+            weight_scales: vec![weight_scale],
             output_scale,
             output_zero_point,
             relu: layer.relu,
+            largest: i8::MAX,
         });
         (input_scale, input_zero_point) = (output_scale, output_zero_point);
     }
@@ -97,7 +98,7 @@ mod tests {
                     .zip(row)
                     .map(|(w, x)| i32::from(*w) * (x / spec.input_scale).round() as i32)
                     .sum();
-                let got = (sum + spec.biases[n]) as f32 * spec.input_scale * spec.weight_scale;
+                let got = (sum + spec.biases[n]) as f32 * spec.input_scale * spec.weight_scales[0];
                 assert!((got - want[n]).abs() < 0.05, "{got} {}", want[n]);
             }
         }

@@ -1,32 +1,43 @@
 //! Makes a blob from the numbers in a quantised TFLite model. For hosts.
 
-use super::kernel::{encode, surplus};
-use super::{BLOB_VERSION, MAGIC, MAX_AXES, MAX_LABELS, MAX_LAYERS, MAX_WIDTH, Model, ModelError};
+use super::kernel::{ROW_SCALE_BYTES, encode, surplus};
+use super::{
+    BLOB_VERSION, BLOB_VERSION_PER_ROW, MAGIC, MAX_AXES, MAX_LABELS, MAX_LAYERS, MAX_WIDTH, Model, ModelError,
+};
 use crate::recipe::Recipe;
 use crate::softmax::table::exponentials;
 use core::fmt;
 use std::string::String;
 use std::vec::Vec;
 
-/// One fully connected layer with per-tensor quantisation, as TFLite stores it.
+/// One fully connected layer as TFLite stores it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DenseSpec {
     /// `weights[output][input]`, each in −127..=127, zero point 0.
     pub weights: Vec<Vec<i8>>,
-    /// One per output, in units of `input_scale * weight_scale`.
+    /// One per output, in units of the input scale times its weights' scale.
     pub biases: Vec<i32>,
     /// Real value of one step of the inputs.
     pub input_scale: f32,
     /// Input that stands for 0.
     pub input_zero_point: i8,
-    /// Real value of one step of the weights.
-    pub weight_scale: f32,
+    /// Real value of one step of the weights: one for all, or one per output (TFLite's quantisation per channel).
+    pub weight_scales: Vec<f32>,
     /// Real value of one step of the outputs.
     pub output_scale: f32,
     /// Output that stands for 0.
     pub output_zero_point: i8,
     /// Whether a ReLU is fused into the layer.
     pub relu: bool,
+    /// Largest output, 127 unless a ReLU6 ends below it.
+    pub largest: i8,
+}
+
+impl DenseSpec {
+    /// Its rows are not scaled and limited alike, as version 1 of the blob has it.
+    fn is_per_row(&self) -> bool {
+        self.weight_scales.len() != 1 || self.largest != i8::MAX
+    }
 }
 
 /// Everything in a blob.
@@ -129,7 +140,10 @@ pub fn build_blob(spec: &BlobSpec) -> Result<Vec<u8>, BuildError> {
 
     let mut blob = Vec::new();
     blob.extend(MAGIC);
-    blob.extend([BLOB_VERSION, spec.recipe.id(), spec.axes as u8, spec.layers.len() as u8]);
+    // What version 1 can say stays in version 1: older images read it, and a model's id does not change.
+    let per_row = spec.layers.iter().any(DenseSpec::is_per_row);
+    let version = if per_row { BLOB_VERSION_PER_ROW } else { BLOB_VERSION };
+    blob.extend([version, spec.recipe.id(), spec.axes as u8, spec.layers.len() as u8]);
     for short in [spec.sample_hz, spec.window, spec.hop, inputs as u16] {
         blob.extend(short.to_le_bytes());
     }
@@ -183,21 +197,25 @@ fn push_layer(blob: &mut Vec<u8>, index: usize, layer: &DenseSpec, inputs: usize
     if layer.weights.iter().flatten().any(|&weight| weight == -128) {
         return Err(BuildError::Value(std::format!("layer {index}: weight −128 (TFLite uses −127 to 127)")));
     }
-    // TFLite multiplies the two scales as floats and divides as doubles.
-    let real = f64::from(layer.input_scale * layer.weight_scale) / f64::from(layer.output_scale);
-    let (multiplier, right_shift) = quantise_multiplier(real)
-        .and_then(|(multiplier, exponent)| Some((multiplier, u8::try_from(31 - exponent).ok()?)))
-        .filter(|(_, shift)| (1..=62).contains(shift))
-        .ok_or_else(|| {
-            BuildError::Value(std::format!(
-                "layer {index}: its scales give the factor {real:e}, out of range"
-            ))
-        })?;
+    if layer.weight_scales.len() != 1 && layer.weight_scales.len() != outputs {
+        return shape(std::format!(
+            "layer {index}: {} scales for {outputs} outputs",
+            layer.weight_scales.len()
+        ));
+    }
+    let scales = row_scales(index, layer)?;
     let smallest = if layer.relu { layer.output_zero_point } else { i8::MIN };
+    if layer.largest < smallest {
+        return Err(BuildError::Value(std::format!(
+            "layer {index}: its largest output is below its smallest"
+        )));
+    }
+    let per_row = layer.is_per_row();
     blob.extend((inputs as u16).to_le_bytes());
     blob.extend((outputs as u16).to_le_bytes());
+    let (multiplier, right_shift) = if per_row { (0, layer.largest as u8) } else { scales[0] };
     blob.extend(multiplier.to_le_bytes());
-    blob.extend([right_shift, layer.output_zero_point as u8, smallest as u8, 0]);
+    blob.extend([right_shift, layer.output_zero_point as u8, smallest as u8, u8::from(per_row)]);
 
     for block in 0..outputs.div_ceil(4) {
         let rows: Vec<usize> = (4 * block..4 * block + 4).collect();
@@ -225,5 +243,44 @@ fn push_layer(blob: &mut Vec<u8>, index: usize, layer: &DenseSpec, inputs: usize
             }
         }
     }
+    if per_row {
+        for block in 0..outputs.div_ceil(4) {
+            let row = |n: usize| {
+                let row = (4 * block + n).min(outputs - 1);
+                scales[row.min(scales.len() - 1)]
+            };
+            let before = blob.len();
+            blob.extend((0..4).flat_map(|n| row(n).0.to_le_bytes()));
+            blob.extend((0..4).map(|n| row(n).1));
+            debug_assert_eq!(blob.len() - before, ROW_SCALE_BYTES);
+        }
+    }
     Ok(())
+}
+
+/// Multiplier and right shift of each scale of the weights.
+fn row_scales(index: usize, layer: &DenseSpec) -> Result<Vec<(i32, u8)>, BuildError> {
+    let one = |&weight_scale: &f32| {
+        // TFLite multiplies the two scales of a whole tensor as floats, of a channel as doubles; it divides as doubles.
+        let product = if layer.weight_scales.len() == 1 {
+            f64::from(layer.input_scale * weight_scale)
+        } else {
+            f64::from(layer.input_scale) * f64::from(weight_scale)
+        };
+        let real = product / f64::from(layer.output_scale);
+        let scale = quantise_multiplier(real);
+        // Of a row of zeros nothing is left; TFLite then multiplies by 0, which this does to every sum of 32 bits.
+        if layer.weight_scales.len() > 1 && scale.is_some_and(|(_, exponent)| exponent < -31) {
+            return Ok((1 << 30, 62));
+        }
+        scale
+            .and_then(|(multiplier, exponent)| Some((multiplier, u8::try_from(31 - exponent).ok()?)))
+            .filter(|(_, shift)| (1..=62).contains(shift))
+            .ok_or_else(|| {
+                BuildError::Value(std::format!(
+                    "layer {index}: its scales give the factor {real:e}, out of range"
+                ))
+            })
+    };
+    layer.weight_scales.iter().map(one).collect()
 }

@@ -18,6 +18,8 @@
 pub(crate) const BIAS_BYTES: usize = 16;
 /// Bytes of weights that meet one [`Quad`]: four rows of four weights.
 pub(crate) const QUAD_WEIGHT_BYTES: usize = 16;
+/// Bytes of the scales of four rows that are not scaled alike: four multipliers, four shifts.
+pub(crate) const ROW_SCALE_BYTES: usize = 20;
 
 /// Four inputs as the kernel wants them: two half-words X.
 pub(crate) type Quad = u32;
@@ -89,6 +91,58 @@ pub(crate) fn layer(blocks: &[u8], inputs: &[Quad], outputs: &mut [Quad], requan
     portable(blocks, inputs, outputs, requantise);
 }
 
+/// Computes a layer whose rows have scales of their own: as [`layer`], with [`ROW_SCALE_BYTES`] of `scales` for each
+/// four outputs. Of `shared`, zero point and smallest output hold for all rows; none gets above `largest`.
+#[cfg_attr(cortex_m4f, inline(never))]
+pub(crate) fn layer_per_row(
+    blocks: &[u8],
+    scales: &[u8],
+    inputs: &[Quad],
+    outputs: &mut [Quad],
+    shared: &Requantise,
+    largest: i8,
+) {
+    let block_bytes = BIAS_BYTES + inputs.len() * QUAD_WEIGHT_BYTES;
+    let (scales, _) = scales.as_chunks::<ROW_SCALE_BYTES>();
+    for ((block, scales), output) in blocks.chunks_exact(block_bytes).zip(scales).zip(outputs) {
+        let mut sums = [0; 4];
+        sums_of(block, inputs, &mut sums);
+        let (multipliers, shifts) = scales.split_at(16);
+        let mut values = [0; 4];
+        for (((value, sum), multiplier), shift) in
+            values.iter_mut().zip(sums).zip(multipliers.as_chunks::<4>().0).zip(shifts)
+        {
+            let own = Requantise {
+                multiplier: i32::from_le_bytes(*multiplier),
+                shift: u32::from(*shift),
+                ..*shared
+            };
+            *value = own.apply(sum).min(largest);
+        }
+        *output = pack(values);
+    }
+}
+
+/// Weighted sums of the four rows of a block, with their biases.
+fn sums_of(block: &[u8], inputs: &[Quad], sums: &mut [i32; 4]) {
+    #[cfg(cortex_m4f)]
+    if cortex_m4f::sums(block, inputs, sums) {
+        return;
+    }
+    let (words, _) = block.as_chunks::<4>();
+    for (row, sum) in sums.iter_mut().enumerate() {
+        *sum = row_sum(words, row, inputs);
+    }
+}
+
+/// The weighted sum of one row of a block, with its bias.
+#[cfg_attr(cortex_m4f, cold, inline(never))]
+fn row_sum(words: &[[u8; 4]], row: usize, inputs: &[Quad]) -> i32 {
+    let Some((bias, weights)) = words.get(row..).and_then(<[_]>::split_first) else { return 0 };
+    let sum = weights.iter().skip(3).step_by(4).zip(inputs).fold(0, |sum, (h, &x)| one_quad(sum, *h, x));
+    (sum >> 8).wrapping_add(i32::from_le_bytes(*bias))
+}
+
 /// Says in plain arithmetic what the assembly below does.
 #[cfg_attr(cortex_m4f, cold, inline(never))]
 fn portable(blocks: &[u8], inputs: &[Quad], outputs: &mut [Quad], requantise: &Requantise) {
@@ -97,15 +151,7 @@ fn portable(blocks: &[u8], inputs: &[Quad], outputs: &mut [Quad], requantise: &R
         let (words, _) = block.as_chunks::<4>();
         let mut values = [0; 4];
         for (row, value) in values.iter_mut().enumerate() {
-            if let Some((bias, weights)) = words.get(row..).and_then(<[_]>::split_first) {
-                let sum = weights
-                    .iter()
-                    .skip(3)
-                    .step_by(4)
-                    .zip(inputs)
-                    .fold(0, |sum, (h, &x)| one_quad(sum, *h, x));
-                *value = requantise.apply((sum >> 8).wrapping_add(i32::from_le_bytes(*bias)));
-            }
+            *value = requantise.apply(row_sum(words, row, inputs));
         }
         *output = pack(values);
     }
@@ -149,6 +195,39 @@ mod cortex_m4f {
         };
     }
 
+    /// Sums of the four rows of a block in r4 to r7, with their biases: r0 = arguments, r1 = block, which moves on.
+    macro_rules! sums {
+        () => {
+            concat!(
+                "adds r1, #16\n", // the biases come last
+                "ldrd r2, r3, [r0]\n",
+                "movs r4, #0\n",
+                "movs r5, #0\n",
+                "movs r6, #0\n",
+                "movs r7, #0\n",
+                "lsrs r3, r3, #1\n",
+                "bcc 1f\n",
+                quad!(),
+                "\ncmp r3, #0\n",
+                "beq 2f\n",
+                "1:\n",
+                quad!(),
+                "\n",
+                quad!(),
+                "\nsubs r3, #1\n",
+                "bne 1b\n",
+                "2:\n",
+                "ldr r2, [r0, #8]\n",
+                "subs r2, r1, r2\n",
+                "ldm r2, {{r8-r11}}\n",
+                "add r4, r8, r4, asr #8\n",
+                "add r5, r9, r5, asr #8\n",
+                "add r6, r10, r6, asr #8\n",
+                "add r7, r11, r7, asr #8"
+            )
+        };
+    }
+
     /// Layout known to the assembly.
     #[repr(C)]
     struct Arguments {
@@ -173,30 +252,7 @@ mod cortex_m4f {
         "bimanual_layer:",
         "push {{r4-r11, lr}}",
         "0:",
-        "adds r1, #16", // the biases come last
-        "ldrd r2, r3, [r0]",
-        "movs r4, #0",
-        "movs r5, #0",
-        "movs r6, #0",
-        "movs r7, #0",
-        "lsrs r3, r3, #1",
-        "bcc 1f",
-        quad!(),
-        "cmp r3, #0",
-        "beq 2f",
-        "1:",
-        quad!(),
-        quad!(),
-        "subs r3, #1",
-        "bne 1b",
-        "2:",
-        "ldr r2, [r0, #8]",
-        "subs r2, r1, r2",
-        "ldm r2, {{r8-r11}}",
-        "add r4, r8, r4, asr #8",
-        "add r5, r9, r5, asr #8",
-        "add r6, r10, r6, asr #8",
-        "add r7, r11, r7, asr #8",
+        sums!(),
         "add r2, r0, #12",
         "ldm r2, {{r3, r8-r12}}", // outputs, multiplier, rounding, shift, zero point, smallest
         "smmla r4, r4, r8, r9",
@@ -244,8 +300,48 @@ mod cortex_m4f {
         ".text",
     );
 
+    core::arch::global_asm!(
+        ".section .text.bimanual_sums,\"ax\",%progbits",
+        ".global bimanual_sums",
+        ".type bimanual_sums,%function",
+        ".thumb_func",
+        // r0 = arguments, r1 = block
+        "bimanual_sums:",
+        "push {{r4-r11, lr}}",
+        sums!(),
+        "ldr r3, [r0, #12]",
+        "stm r3, {{r4-r7}}",
+        "pop {{r4-r11, pc}}",
+        ".size bimanual_sums, . - bimanual_sums",
+        ".text",
+    );
+
+    /// What [`Arguments`] begins with, and where the sums go.
+    #[repr(C)]
+    struct SumArguments {
+        inputs: *const Quad, // 0
+        quads: usize,        // 4, at least 1
+        block_bytes: usize,  // 8
+        sums: *mut [i32; 4], // 12
+    }
+
     unsafe extern "C" {
         fn bimanual_layer(arguments: *mut Arguments, blocks: *const u8);
+        fn bimanual_sums(arguments: *const SumArguments, block: *const u8);
+    }
+
+    /// False, with nothing done, where the assembly does not apply.
+    #[inline(always)]
+    pub(super) fn sums(block: &[u8], inputs: &[Quad], sums: &mut [i32; 4]) -> bool {
+        let block_bytes = BIAS_BYTES + inputs.len() * QUAD_WEIGHT_BYTES;
+        let fits = block.as_ptr().addr() & 3 == 0 && !inputs.is_empty() && block.len() >= block_bytes;
+        if fits {
+            let arguments = SumArguments { inputs: inputs.as_ptr(), quads: inputs.len(), block_bytes, sums };
+            // SAFETY: the block is aligned and as long as the inputs want it; the routine reads both, writes the sums,
+            // and keeps to the procedure call standard.
+            unsafe { bimanual_sums(&arguments, block.as_ptr()) };
+        }
+        fits
     }
 
     /// False, with nothing done, where the assembly does not apply.

@@ -10,7 +10,7 @@
 //! | offset | bytes | what |
 //! |---|---|---|
 //! | 0 | 4 | `BMLP` |
-//! | 4 | 1 | format version, 1 |
+//! | 4 | 1 | format version, 1; 2 where a layer's rows have scales of their own |
 //! | 5 | 1 | recipe ([`crate::recipe`]) |
 //! | 6 | 1 | axes, 1 to 9 |
 //! | 7 | 1 | layers, 1 to 8 |
@@ -34,6 +34,10 @@
 //! and the weights in the order of [`kernel`](self): four columns of row 0, of row 1, 2, 3, then the next
 //! four columns. Missing rows and columns are filled with zeros. Zero points of the inputs are folded into
 //! the biases.
+//!
+//! In version 2 the last byte of a layer's header may be 1: then each row has a scale of its own. The header's
+//! multiplier is 0, in place of the shift stands the largest output i8, and behind the weights there are for each four
+//! outputs four multipliers i32 and four shifts u8.
 
 #[cfg(feature = "build")]
 mod builder;
@@ -45,7 +49,9 @@ pub use builder::{BlobSpec, BuildError, DenseSpec, build_blob};
 use crate::recipe::Recipe;
 use crate::softmax::softmax;
 use core::fmt;
-use kernel::{BIAS_BYTES, QUAD_WEIGHT_BYTES, Quad, Requantise, layer, pack, unpack};
+use kernel::{
+    BIAS_BYTES, QUAD_WEIGHT_BYTES, Quad, ROW_SCALE_BYTES, Requantise, layer, layer_per_row, pack, unpack,
+};
 
 /// Most layers in a blob.
 pub const MAX_LAYERS: usize = 8;
@@ -59,6 +65,8 @@ pub const MAX_AXES: usize = 9;
 pub const FEATURES_PER_AXIS: usize = 13;
 /// Version of the blob's format.
 pub const BLOB_VERSION: u8 = 1;
+/// Version of blobs with layers whose rows have scales of their own.
+pub const BLOB_VERSION_PER_ROW: u8 = 2;
 
 const MAGIC: &[u8; 4] = b"BMLP";
 const HEADER_BYTES: usize = 28;
@@ -105,7 +113,8 @@ impl fmt::Display for ModelError {
             Self::NotAModel => f.write_str("this is no model blob (it does not start with BMLP)"),
             Self::Version(version) => write!(
                 f,
-                "the model blob has format {version}, this program reads {BLOB_VERSION}: make it anew with `models`"
+                "the model blob has format {version}, this program reads {BLOB_VERSION} and {BLOB_VERSION_PER_ROW}: make it anew \
+                 with `models`"
             ),
             Self::Recipe(recipe) => {
                 write!(
@@ -189,6 +198,10 @@ struct Dense<'a> {
     outputs: usize,
     requantise: Requantise,
     blocks: &'a [u8],
+    /// Scales of the rows, where each has its own; else none.
+    row_scales: &'a [u8],
+    /// 1 where each row has its own scale, 0 where all have one.
+    per_row: u8,
 }
 
 impl<'a> Dense<'a> {
@@ -199,6 +212,12 @@ impl<'a> Dense<'a> {
         let outputs = usize::from(u16::from_le_bytes([header[2], header[3]]));
         let block = BIAS_BYTES + inputs.div_ceil(4) * QUAD_WEIGHT_BYTES;
         let (blocks, rest) = rest.split_at_checked(outputs.div_ceil(4) * block)?;
+        let per_row = header[11];
+        let (row_scales, rest) = if per_row == 0 {
+            (&[][..], rest)
+        } else {
+            rest.split_at_checked(outputs.div_ceil(4) * ROW_SCALE_BYTES)?
+        };
         *bytes = rest;
         let requantise = Requantise {
             multiplier: i32::from_le_bytes([header[4], header[5], header[6], header[7]]),
@@ -206,14 +225,27 @@ impl<'a> Dense<'a> {
             zero_point: i32::from(header[9] as i8),
             smallest: i32::from(header[10] as i8),
         };
-        Some(Self { inputs, outputs, requantise, blocks })
+        Some(Self { inputs, outputs, requantise, blocks, row_scales, per_row })
     }
 
-    fn is_sound(&self) -> bool {
-        (1..=MAX_WIDTH).contains(&self.inputs)
-            && (1..=MAX_WIDTH).contains(&self.outputs)
-            && self.requantise.multiplier >= 1 << 30
-            && (1..=62).contains(&self.requantise.shift)
+    /// Of a blob of this version.
+    fn is_sound(&self, version: u8) -> bool {
+        let scale = |multiplier: i32, shift: u32| multiplier >= 1 << 30 && (1..=62).contains(&shift);
+        let scaled = match self.per_row {
+            0 => scale(self.requantise.multiplier, self.requantise.shift),
+            1 => {
+                let largest = i32::from(self.requantise.shift as u8 as i8);
+                let (blocks, _) = self.row_scales.as_chunks::<ROW_SCALE_BYTES>();
+                let all = blocks.iter().all(|block| {
+                    let (multipliers, shifts) = block.split_at(16);
+                    let pairs = multipliers.as_chunks::<4>().0.iter().zip(shifts);
+                    pairs.fold(true, |all, (m, s)| all & scale(i32::from_le_bytes(*m), u32::from(*s)))
+                });
+                version == BLOB_VERSION_PER_ROW && all && largest >= self.requantise.smallest
+            }
+            _ => false,
+        };
+        (1..=MAX_WIDTH).contains(&self.inputs) && (1..=MAX_WIDTH).contains(&self.outputs) && scaled
     }
 }
 
@@ -230,7 +262,7 @@ impl<'a> Model<'a> {
         if !header.starts_with(MAGIC) {
             return Err(ModelError::NotAModel);
         }
-        if header[4] != BLOB_VERSION {
+        if !matches!(header[4], BLOB_VERSION | BLOB_VERSION_PER_ROW) {
             return Err(ModelError::Version(header[4]));
         }
         let recipe = Recipe::from_id(header[5]).ok_or(ModelError::Recipe(header[5]))?;
@@ -266,7 +298,7 @@ impl<'a> Model<'a> {
         let mut scratch = 0;
         for layer in 0..layer_count {
             let dense = Dense::take(&mut tail).ok_or(ModelError::Truncated)?;
-            if !dense.is_sound() || dense.inputs != width {
+            if !dense.is_sound(header[4]) || dense.inputs != width {
                 return Err(ModelError::Layer { layer });
             }
             scratch = scratch.max(width.div_ceil(4) + dense.outputs.div_ceil(4));
@@ -467,7 +499,14 @@ impl<'a> Model<'a> {
             } else {
                 (&*end, start)
             };
-            layer(dense.blocks, input, &mut output[..outs], &dense.requantise);
+            if dense.per_row == 0 {
+                layer(dense.blocks, input, &mut output[..outs], &dense.requantise);
+            } else {
+                // Where the others have a shift stands the largest output.
+                let largest = dense.requantise.shift as u8 as i8;
+                let output = &mut output[..outs];
+                layer_per_row(dense.blocks, dense.row_scales, input, output, &dense.requantise, largest);
+            }
             if layers.is_empty() {
                 for (four, quad) in logits.chunks_exact_mut(4).zip(&*output) {
                     for (logit, value) in four.iter_mut().zip(unpack(*quad)) {

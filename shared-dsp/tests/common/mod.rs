@@ -36,10 +36,11 @@ pub fn reference_spec() -> BlobSpec {
         biases: layer["b"].as_array().unwrap().iter().map(|b| integer(b) as i32).collect(),
         input_scale: scale(&layer["in_scale"]),
         input_zero_point: integer(&layer["in_zp"]) as i8,
-        weight_scale: scale(&layer["w_scale"]),
+        weight_scales: vec![scale(&layer["w_scale"])],
         output_scale: scale(&layer["out_scale"]),
         output_zero_point: integer(&layer["out_zp"]) as i8,
         relu: index + 1 < layers.len(),
+        largest: i8::MAX,
     };
     BlobSpec {
         recipe: Recipe::Raw,
@@ -53,4 +54,15 @@ pub fn reference_spec() -> BlobSpec {
         scaling: (0..117).map(|i| (0.5 + i as f32 / 100.0, i as f32 - 60.0)).collect(),
         layers: layers.iter().enumerate().map(dense).collect(),
     }
+}
+
+/// The same network with a scale for each row, and an upper limit such as a ReLU6 sets.
+pub fn per_row_spec() -> BlobSpec {
+    let mut spec = reference_spec();
+    for layer in &mut spec.layers {
+        let scale = layer.weight_scales[0];
+        layer.weight_scales = (0..layer.weights.len()).map(|row| scale * (0.4 + 0.11 * row as f32)).collect();
+    }
+    spec.layers[0].largest = 90;
+    spec
 }

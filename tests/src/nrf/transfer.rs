@@ -1,6 +1,6 @@
 //! A laptop that sends a model to the emulated board, piece by piece.
 
-use host_bridge::hands::model_info_on_the_wire;
+use shared_board::hand::model_info_on_the_wire;
 use shared_dsp::mlp::{BlobSpec, DenseSpec, Model, build_blob, crc32};
 use shared_dsp::recipe::Recipe;
 use shared_proto::message::{AckResult, HostMessage, MODEL_CHUNK_MAX, ModelBegin};
@@ -27,10 +27,11 @@ pub fn random_model(recipe: Recipe, hidden: &[usize], seed: u32) -> Vec<u8> {
             biases: (0..sizes[l + 1]).map(|_| i32::from(random()) * 16).collect(),
             input_scale: 0.05,
             input_zero_point: 0,
-            weight_scale: 0.01,
+            weight_scales: vec![0.01],
             output_scale: 0.05,
             output_zero_point: if l < last { -128 } else { 0 },
             relu: l < last,
+            largest: i8::MAX,
         })
         .collect();
     // The features of recipe 3 lie about 0, as wide as 1.

@@ -16,30 +16,7 @@
 //! One that talks to the world hands over to a thread of its own through something bounded, and drops what
 //! does not fit. Nothing comes back this way either: an observer cannot move or stop the robot.
 //!
-//! ```
-//! use std::{cell::Cell, rc::Rc};
-//! use host_bridge::{config::{Config, Place}, live::Live, keyboard::HandKey};
-//! use host_bridge::{observe::{Now, Observer}, robot::Robot as _};
-//! use shared_proto::message::Heading;
-//!
-//! struct Fastest(Rc<Cell<f64>>);
-//! impl Observer for Fastest {
-//!     fn state(&mut self, now: &Now<'_>) {
-//!         self.0.set(self.0.get().max(now.robot.odometry().twist.linear_m_s));
-//!     }
-//! }
-//!
-//! let fastest = Rc::new(Cell::new(0.0));
-//! let mut live = Live::new(&Config::default(), Place::Keyboard, Place::Nobody, 0);
-//! live.tap_mut().add(Box::new(Fastest(fastest.clone())));
-//! for now_ms in 1..2000 {
-//!     if now_ms == 1000 {
-//!         live.press(HandKey::Arrow(Heading::Forward), now_ms);
-//!     }
-//!     live.step(now_ms, [true; 2]);
-//! }
-//! assert!(fastest.get() > 0.4);
-//! ```
+//! `tests/adding.rs` of host-bridge has an observer in eight lines.
 
 use host_robot::{ArmState, Door, JOINTS, Joints, Odometry, Pose, RobotSetting, Twist};
 use serde::Serialize;

@@ -21,7 +21,6 @@ const TAIL_MS: u64 = 3000;
 pub struct Session<'b, D> {
     engine: Engine<'b, D>,
     now_ms: u64,
-    began: bool,
     takes_part: [bool; 2],
     gesture_to_arm: Delays,
     tilt_to_wheels: Delays,
@@ -36,7 +35,6 @@ impl<'b, D: Door> Session<'b, D> {
         Session {
             engine: Engine::new(Bridge::new(map), door, sources, 0),
             now_ms: 0,
-            began: false,
             takes_part,
             gesture_to_arm: Delays::default(),
             tilt_to_wheels: Delays::default(),
@@ -94,12 +92,8 @@ impl<'b, D: Door> Session<'b, D> {
         })
     }
 
-    /// Lets one millisecond pass (the first call begins at 0); what happened in it.
+    /// Lets one millisecond pass, the first one at 0; what happened in it.
     pub fn step(&mut self) -> Vec<SessionEvent> {
-        if self.began {
-            self.now_ms += 1;
-        }
-        self.began = true;
         let events = self.engine.advance(self.now_ms, [false; 2]);
         let picture = self.door().picture();
         if !picture.arm.at_rest() {
@@ -115,6 +109,7 @@ impl<'b, D: Door> Session<'b, D> {
                 self.log.push(event.clone());
             }
         }
+        self.now_ms += 1;
         if self.ended_ms.is_none() && self.engine.ended() {
             self.ended_ms = Some(self.now_ms);
         }

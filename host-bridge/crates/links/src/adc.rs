@@ -1,8 +1,8 @@
 //! Recordings of the left hand: raw converter counts, as the Nano reads them.
 //!
-//! CSV with the header `timestamp_ms,x,y,z,index,middle` (or `timestamp`): plain 10-bit conversions, 0 to
-//! 1023, at 100 Hz. Nothing is repaired silently: what cannot be used is an error that names the file,
-//! the line and the column and says what to do.
+//! CSV with the header `timestamp_ms,x,y,z,index,middle` (or `timestamp`): conversions of 8 to 12 bits at 50 to 500 Hz,
+//! which become what the board takes, 10 bits (0 to 1023) at 100 Hz; [`Read::notes`] say so. Nothing is repaired silently:
+//! what cannot be used is an error that names the file, the line and the column and says what to do.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -13,8 +13,13 @@ pub const LINE_NAMES: [&str; 5] = ["x", "y", "z", "index", "middle"];
 /// Largest conversion.
 pub const COUNT_MAX: u16 = 1023;
 
-/// The board samples every 10 ms; a recording must be this near to that on average.
+/// The board samples every 10 ms; a recording this near to that on average is taken as it is.
 const INTERVAL_MS: std::ops::RangeInclusive<f64> = 9.0..=11.0;
+/// Mean intervals that can be brought to that: 50 to 500 Hz.
+const USABLE_MS: std::ops::RangeInclusive<f64> = 1.98..=20.2;
+/// Bits of converters that are told by their values, from so many samples on.
+const BITS: std::ops::RangeInclusive<u32> = 8..=12;
+const ENOUGH: usize = 100;
 
 /// Samples of all five lines with their times.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -56,10 +61,10 @@ pub enum AdcError {
         /// What is wrong and what to do.
         problem: String,
     },
-    /// The sampling rate is not the board's.
+    /// The sampling rate cannot become the board's.
     #[error(
-        "{file}, column 1: one sample every {interval_ms:.2} ms, but the left hand is sampled every 10 ms; \
-         times must be in milliseconds, at 100 Hz"
+        "{file}, column 1: one sample every {interval_ms:.2} ms, but 2 to 20 ms (50 to 500 Hz) are needed; \
+         times must be in milliseconds"
     )]
     Rate {
         /// The file.
@@ -69,14 +74,25 @@ pub enum AdcError {
     },
 }
 
+/// A recording from a file, with what was done to it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Read {
+    /// As the board would have taken it.
+    pub recording: AdcRecording,
+    /// What was judged and changed, in words.
+    pub notes: Vec<String>,
+    /// The first time in the file, in ms.
+    pub start_ms: f64,
+}
+
 impl AdcRecording {
     /// Reads a CSV file.
     ///
     /// # Errors
     /// [`AdcError`] for anything but a whole recording.
-    pub fn read(file: &Path) -> Result<Self, AdcError> {
+    pub fn read(file: &Path) -> Result<Read, AdcError> {
         let bytes = std::fs::read(file).map_err(|source| AdcError::Io { file: file.to_owned(), source })?;
-        Self::parse(file, &bytes)
+        Self::read_bytes(file, &bytes)
     }
 
     /// Reads the bytes of a CSV file; `file` is only for the errors.
@@ -84,6 +100,10 @@ impl AdcRecording {
     /// # Errors
     /// As [`Self::read`].
     pub fn parse(file: &Path, bytes: &[u8]) -> Result<Self, AdcError> {
+        Ok(Self::read_bytes(file, bytes)?.recording)
+    }
+
+    fn read_bytes(file: &Path, bytes: &[u8]) -> Result<Read, AdcError> {
         let bad = |line: u64, column: usize, name: &str, problem: String| AdcError::Bad {
             file: file.to_owned(),
             line,
@@ -109,7 +129,7 @@ impl AdcRecording {
         }
         check_header(&row).map_err(|(column, name, problem)| bad(1, column, &name, problem))?;
 
-        let mut samples: Vec<(u64, [u16; 5])> = Vec::new();
+        let mut samples: Vec<(u64, f64, [u16; 5])> = Vec::new();
         let mut first_ms = 0.0;
         let mut before_ms = f64::NEG_INFINITY;
         while reader.read_record(&mut row).map_err(text)? {
@@ -130,7 +150,7 @@ impl AdcRecording {
                     format!("{:?} is not a number; correct it or delete the line", &row[0]),
                 )
             })?;
-            if time_ms <= before_ms {
+            if time_ms < before_ms || (time_ms == before_ms && samples.len() < 2) {
                 let problem = format!(
                     "time {time_ms} ms follows {before_ms} ms; times must rise: sort the rows, or split \
                      the file where a second recording starts"
@@ -144,27 +164,56 @@ impl AdcRecording {
             let mut counts = [0; 5];
             for (i, count) in counts.iter_mut().enumerate() {
                 let value = &row[i + 1];
-                *count = value.parse().ok().filter(|c| *c <= COUNT_MAX).ok_or_else(|| {
-                    let problem = format!(
-                        "{value:?} is not a whole number from 0 to {COUNT_MAX}; \
-                         raw 10-bit conversions are needed: correct it or delete the line"
-                    );
-                    bad(line, i + 2, LINE_NAMES[i], problem)
-                })?;
+                *count = value
+                    .parse()
+                    .map_err(|_| bad(line, i + 2, LINE_NAMES[i], not_a_count(value, COUNT_MAX)))?;
             }
-            samples.push(((time_ms - first_ms).round() as u64, counts));
+            samples.push((line, time_ms - first_ms, counts));
         }
-        let Some(last) = samples.last() else {
-            return Err(empty("there are no samples below the header"));
-        };
         if samples.len() < 2 {
-            return Err(empty("one sample is not enough to tell the sampling rate"));
+            let what = if samples.is_empty() {
+                "there are no samples below the header"
+            } else {
+                "one sample is not enough to tell the sampling rate"
+            };
+            return Err(empty(what));
         }
-        let interval_ms = last.0 as f64 / (samples.len() - 1) as f64;
-        if !INTERVAL_MS.contains(&interval_ms) {
-            return Err(AdcError::Rate { file: file.to_owned(), interval_ms });
+        let mut notes = Vec::new();
+        let bits = bits(&samples);
+        let largest = (1u16 << bits) - 1;
+        for (line, _, counts) in &samples {
+            if let Some(i) = counts.iter().position(|count| *count > largest) {
+                return Err(bad(*line, i + 2, LINE_NAMES[i], not_a_count(&counts[i].to_string(), largest)));
+            }
         }
-        Ok(AdcRecording { samples })
+        if bits != 10 {
+            notes.push(format!("the conversions have {bits} bits, by their values; the board's have 10"));
+        }
+        let equal = samples.windows(2).filter(|pair| pair[0].1 == pair[1].1).count();
+        if equal > 0 {
+            notes.push(format!("{equal} samples have the time of the one before"));
+        }
+        let span_ms = samples.last().map_or(0.0, |last| last.1);
+        let interval_ms = span_ms / (samples.len() - 1) as f64;
+        let ten =
+            |count: f64| (count * f64::from(1u16 << 10) / f64::from(1u16 << bits)).round().min(1023.0) as u16;
+        let samples = if INTERVAL_MS.contains(&interval_ms) {
+            let one = |(_, time, counts): &(u64, f64, [u16; 5])| {
+                (time.round() as u64, counts.map(|count| ten(f64::from(count))))
+            };
+            samples.iter().map(one).collect()
+        } else {
+            // A pause in a recording at a rate that can be used is none of the rate.
+            let usual = usual_interval(&samples);
+            if !USABLE_MS.contains(&usual) {
+                return Err(AdcError::Rate { file: file.to_owned(), interval_ms });
+            }
+            if !INTERVAL_MS.contains(&usual) {
+                notes.push(format!("{:.0} samples a second become 100", 1000.0 / usual));
+            }
+            resampled(&samples, usual, ten)
+        };
+        Ok(Read { recording: AdcRecording { samples }, notes, start_ms: first_ms })
     }
 
     /// The CSV text.
@@ -175,6 +224,77 @@ impl AdcRecording {
         }
         text
     }
+}
+
+fn not_a_count(value: &str, largest: u16) -> String {
+    format!(
+        "{value:?} is not a whole number from 0 to {largest}; raw conversions are needed: correct it or delete the line"
+    )
+}
+
+/// Bits of the converter: fingers at rest stand at two thirds of its range, so most of a recording's values lie below
+/// its end and not all below half of it. Few samples are taken as the board's.
+fn bits(samples: &[(u64, f64, [u16; 5])]) -> u32 {
+    if samples.len() < ENOUGH {
+        return 10;
+    }
+    let mut all: Vec<u16> = samples.iter().flat_map(|(_, _, counts)| *counts).collect();
+    all.sort_unstable();
+    let high = all[all.len() * 19 / 20];
+    BITS.into_iter().find(|bits| u32::from(high) < 1 << bits).unwrap_or(*BITS.end())
+}
+
+/// Median interval in ms.
+fn usual_interval(samples: &[(u64, f64, [u16; 5])]) -> f64 {
+    let mut steps: Vec<f64> = samples.windows(2).map(|pair| pair[1].1 - pair[0].1).collect();
+    steps.sort_unstable_by(f64::total_cmp);
+    steps[steps.len() / 2]
+}
+
+/// Samples every 10 ms, between their neighbours, or the mean of those within 5 ms where they come faster; none in pauses.
+fn resampled(
+    samples: &[(u64, f64, [u16; 5])],
+    usual_ms: f64,
+    ten: impl Fn(f64) -> u16,
+) -> Vec<(u64, [u16; 5])> {
+    const STEP_MS: u64 = 10;
+    let pause_ms = (3.0 * usual_ms).max(50.0);
+    let end_ms = samples.last().map_or(0.0, |last| last.1);
+    let mut taken = Vec::new();
+    let (mut left, mut from, mut to) = (0, 0, 0);
+    // Not slot by slot through a pause that a wrong clock made endless.
+    let mut time_ms = 0;
+    while time_ms as f64 <= end_ms {
+        let at = time_ms as f64;
+        while left + 2 < samples.len() && samples[left + 1].1 <= at {
+            left += 1;
+        }
+        let (before, after) = (&samples[left], &samples[left + 1]);
+        if after.1 - before.1 > pause_ms && at > before.1 {
+            time_ms = ((after.1 / STEP_MS as f64).ceil() as u64 * STEP_MS).max(time_ms + STEP_MS);
+            continue;
+        }
+        while samples[from].1 < at - 5.0 {
+            from += 1;
+        }
+        while to < samples.len() && samples[to].1 < at + 5.0 {
+            to += 1;
+        }
+        let near = &samples[from.min(to)..to];
+        let counts = std::array::from_fn(|line| {
+            if usual_ms < 7.0 && !near.is_empty() {
+                ten(near.iter().map(|(_, _, counts)| f64::from(counts[line])).sum::<f64>()
+                    / near.len() as f64)
+            } else {
+                let (a, b) = (f64::from(before.2[line]), f64::from(after.2[line]));
+                let part = ((at - before.1) / (after.1 - before.1).max(1e-9)).clamp(0.0, 1.0);
+                ten(a + (b - a) * part)
+            }
+        });
+        taken.push((time_ms, counts));
+        time_ms += STEP_MS;
+    }
+    taken
 }
 
 /// Column, its name and what is wrong with it.
@@ -217,6 +337,67 @@ mod tests {
         assert_eq!(parse(text).unwrap().samples[1], (10, [1, 2, 3, 4, 5]));
     }
 
+    /// A level hand with straight fingers that tilts once, from a converter of so many bits.
+    fn level(rate_hz: f64, bits: u32, seconds: f64) -> String {
+        let full = f64::from(1u32 << bits);
+        let row = |n: usize| {
+            let t = n as f64 / rate_hz;
+            let tilt = 0.05 * (t * 2.0).sin();
+            let counts = [0.52 + tilt, 0.485, 0.61, 0.673, 0.699].map(|part| (part * full).round());
+            format!("{},{}\n", t * 1000.0, counts.map(|count| count.to_string()).join(","))
+        };
+        HEADER.to_owned() + &(0..(seconds * rate_hz) as usize).map(row).collect::<String>()
+    }
+
+    #[test]
+    fn other_rates_and_bits_become_the_boards() {
+        let board = parse(&level(100.0, 10, 3.0)).unwrap();
+        for (rate_hz, bits) in
+            [(50.0, 10), (104.0, 10), (119.0, 12), (200.0, 8), (250.0, 9), (500.0, 11), (100.0, 12)]
+        {
+            let text = level(rate_hz, bits, 3.0);
+            let read = AdcRecording::read_bytes(Path::new("left.csv"), text.as_bytes()).unwrap();
+            assert_eq!(read.notes.is_empty(), rate_hz == 104.0, "{rate_hz}, {bits}: {:?}", read.notes);
+            if rate_hz == 104.0 {
+                continue;
+            }
+            assert!(read.recording.samples.len().abs_diff(board.samples.len()) < 4, "{rate_hz}, {bits}");
+            for ((time, counts), (time_then, counts_then)) in
+                read.recording.samples.iter().zip(&board.samples)
+            {
+                assert_eq!(time, time_then);
+                let near = |(a, b): (&u16, &u16)| a.abs_diff(*b) <= if bits == 8 { 4 } else { 3 };
+                assert!(
+                    counts.iter().zip(counts_then).all(near),
+                    "{rate_hz}, {bits}: {counts:?} {counts_then:?}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn one_value_beyond_the_converters_range_is_an_error_and_no_other_converter() {
+        let mut lines: Vec<String> = level(100.0, 10, 3.0).lines().map(str::to_owned).collect();
+        lines[150] = "1490,1500,500,600,690,700".to_owned();
+        let error = parse(&(lines.join("\n") + "\n")).unwrap_err();
+        assert!(error.contains("line 151, column 2 (x)") && error.contains("0 to 1023"), "{error}");
+    }
+
+    #[test]
+    fn a_pause_stays_a_pause_at_any_rate() {
+        let text = level(50.0, 10, 4.0);
+        let late = |line: &str| -> String {
+            match line.split_once(',').and_then(|(time, rest)| Some((time.parse::<f64>().ok()?, rest))) {
+                Some((time, rest)) if time >= 2000.0 => format!("{},{rest}\n", time + 3000.0),
+                _ => format!("{line}\n"),
+            }
+        };
+        let text: String = text.lines().map(late).collect();
+        let samples = parse(&text).unwrap().samples;
+        let longest = samples.windows(2).map(|pair| pair[1].0 - pair[0].0).max();
+        assert_eq!(longest, Some(3020));
+    }
+
     #[test]
     fn each_fault_names_file_line_and_column() {
         let row = |text: &str| parse(&format!("{HEADER}0,1,2,3,4,5\n{text}")).unwrap_err();
@@ -233,7 +414,7 @@ mod tests {
             (row("10,1,2,-1,4,5"), "line 3, column 4 (z)"),
             (row("NaN,1,2,3,4,5"), "line 3, column 1 (timestamp_ms)"),
             (row("0,1,2,3,4,5"), "line 3, column 1 (timestamp_ms)"),
-            (row("20,1,2,3,4,5"), "every 20.00 ms"),
+            (row("30,1,2,3,4,5"), "every 30.00 ms"),
         ] {
             assert!(error.contains(place), "{error}");
             assert!(error.contains("left.csv"), "{error}");

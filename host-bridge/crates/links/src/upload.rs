@@ -6,10 +6,10 @@
 //!   └─────────────┘ board restarted, lost its place: from the start
 //! ```
 
+use shared_board::hand::model_info_on_the_wire;
 use shared_dsp::mlp::{Model, ModelError};
 use shared_proto::message::{Ack, AckResult, HostMessage, MODEL_CHUNK_MAX, ModelBegin};
 
-use crate::hands::model_info_on_the_wire;
 use crate::talk::{ModelNeeds, advice};
 
 /// Without an answer for so long, ask again.
@@ -175,64 +175,68 @@ impl<'b> Upload<'b> {
 mod tests {
     use super::*;
     use proptest::prelude::*;
+    use shared_board::memory::{RamFlash, at_once};
+    use shared_board::models::{MappedFlash as _, ModelRequest, ModelStore, Runs};
     use shared_dsp::mlp::crc32;
+    use shared_proto::frame::{BOARD_FRAME_MAX, Decoder};
+    use shared_proto::message::BoardMessage;
 
     fn blob() -> Vec<u8> {
         crate::hands::ModelFile::bundled().unwrap().blob().to_vec()
     }
 
-    /// The board's side, as the firmware does it, in few words.
-    #[derive(Default)]
-    struct Receiver {
-        announced: Option<(u32, u32)>,
-        data: Vec<u8>,
-        kept: Option<u32>,
-    }
+    /// The board's side: the boards' own store of models.
+    struct Receiver(ModelStore<RamFlash>);
 
     impl Receiver {
+        fn new() -> Self {
+            Receiver(open(RamFlash::blank()))
+        }
+
         fn take(&mut self, message: &HostMessage<'_>) -> Vec<Ack> {
-            let (request, result) = match *message {
-                HostMessage::ModelBegin(begin) => {
-                    self.announced = Some((begin.size, begin.info.model_id));
-                    self.data.clear();
-                    let started = Ack { request: begin.request, result: AckResult::Started, next_offset: 0 };
-                    let ok = Ack { result: AckResult::Ok, ..started };
-                    return vec![started, ok];
-                }
+            let request = match *message {
+                HostMessage::ModelBegin(begin) => ModelRequest::Begin(begin),
                 HostMessage::ModelChunk { request, offset, data } => {
-                    let at = self.data.len();
-                    if self.announced.is_none() || offset as usize != at {
-                        (request, AckResult::WrongOffset)
-                    } else {
-                        self.data.extend_from_slice(data);
-                        (request, AckResult::Ok)
-                    }
+                    ModelRequest::Chunk { request, offset, data }
                 }
-                HostMessage::ModelCommit { request, crc32: crc } => match self.announced {
-                    Some((size, id)) if size as usize == self.data.len() => {
-                        if id == crc && crc32(&self.data) == crc {
-                            self.kept = Some(crc);
-                            self.announced = None;
-                            self.data.clear();
-                            (request, AckResult::Ok)
-                        } else {
-                            (request, AckResult::BadChecksum)
-                        }
-                    }
-                    _ => (request, AckResult::WrongOffset),
-                },
+                HostMessage::ModelCommit { request, crc32 } => ModelRequest::Commit { request, crc32 },
                 _ => return Vec::new(),
             };
-            let next_offset = if self.announced.is_some() { self.data.len() as u32 } else { 0 };
-            vec![Ack { request, result, next_offset }]
+            let mut acks = Vec::new();
+            let mut decoder = Decoder::<BOARD_FRAME_MAX>::new();
+            at_once(self.0.answer(&request, async || (), &mut |frame: &[u8]| {
+                for &byte in frame {
+                    if let Some(BoardMessage::Ack(ack)) = decoder.push_board(byte) {
+                        acks.push(ack);
+                    }
+                }
+                true
+            }));
+            acks
         }
+
+        fn restart(&mut self) {
+            self.0 = open(self.0.flash().clone());
+        }
+
+        /// CRC of the model that runs after a restart.
+        fn kept(&self) -> Option<u32> {
+            let (store, found) = ModelStore::open(self.0.flash().clone(), RUNS);
+            found.model.map(|place| crc32(&store.flash().mapped()[place.offset()..][..place.len]))
+        }
+    }
+
+    const RUNS: Runs = Runs { axes: 9, sample_hz: 100 };
+
+    fn open(flash: RamFlash) -> ModelStore<RamFlash> {
+        ModelStore::open(flash, RUNS).0
     }
 
     #[test]
     fn a_good_line_takes_one_message_per_piece() {
         let blob = blob();
         let mut upload = Upload::new(&blob, 0).unwrap();
-        let mut board = Receiver::default();
+        let mut board = Receiver::new();
         let mut messages = 0;
         while *upload.stage() != Stage::Done {
             let message = upload.poll(messages).expect("nothing to wait for");
@@ -242,7 +246,7 @@ mod tests {
             }
         }
         assert_eq!(messages as usize, 2 + blob.len().div_ceil(MODEL_CHUNK_MAX));
-        assert_eq!(board.kept, Some(crc32(&blob)));
+        assert_eq!(board.kept(), Some(crc32(&blob)));
     }
 
     #[test]
@@ -288,7 +292,7 @@ mod tests {
         ) {
             let blob = blob();
             let mut upload = Upload::new(&blob, u16::MAX - 3).unwrap();
-            let mut board = Receiver::default();
+            let mut board = Receiver::new();
             let mut fates = fates.into_iter();
             let (mut restarts, mut now_ms) = (0, 0u64);
             while *upload.stage() != Stage::Done && now_ms < 3_600_000 {
@@ -305,8 +309,7 @@ mod tests {
                     }
                     Some(3) if restarts < 5 => {
                         restarts += 1;
-                        board.announced = None;
-                        board.data.clear();
+                        board.restart();
                         upload.restarted();
                     }
                     Some(4) => upload.unsent(),
@@ -314,7 +317,7 @@ mod tests {
                 }
             }
             prop_assert_eq!(upload.stage(), &Stage::Done);
-            prop_assert_eq!(board.kept, Some(crc32(&blob)));
+            prop_assert_eq!(board.kept(), Some(crc32(&blob)));
         }
     }
 }

@@ -336,7 +336,10 @@ mod tests {
         let found = cmd_vel(|_| {}, vec![there]);
         assert!(found.advice[0].contains("/diff_drive_controller/cmd_vel"), "{:?}", found.advice);
         let goals = reader(&wire::send_goal("/gen3/joint_trajectory_controller"), wire::SEND_GOAL);
-        let found = look_at(&topics(&Ros2Config::default())[2], &graph(vec![goals]));
+        let found = look_at(
+            &topics(&Ros2Config { arm: ArmInterface::Action, ..Ros2Config::default() })[2],
+            &graph(vec![goals]),
+        );
         assert!(found.advice[0].contains("on /gen3/joint_trajectory_controller:"), "{:?}", found.advice);
     }
 

@@ -22,5 +22,8 @@ fn main() {
         println!("crc_{name}_scores={scores:08x}");
     }
     println!("crc_network={:08x}", checks::of_network(&raw, &inputs));
+    let rows = build_blob(&common::per_row_spec()).expect("the reference network fits");
+    println!("crc_rows={:08x}", checks::of_network(&rows, &inputs));
+    println!("crc_rows_unaligned={:08x}", checks::of_unaligned_network(&rows, &inputs));
     println!("crc_network_unaligned={:08x}", checks::of_unaligned_network(&raw, &inputs));
 }

@@ -103,6 +103,15 @@ pub extern "C" fn main() {
         let _ = writeln!(Host, "crc_{name}_scores={of_scores:08x}");
     }
     let _ = writeln!(Host, "crc_network={:08x}", checks::of_network(raw, inputs));
+    let rows = bytes!("rows.blob");
+    let _ = writeln!(Host, "crc_rows={:08x}", checks::of_network(rows, inputs));
+    let _ = writeln!(Host, "crc_rows_unaligned={:08x}", checks::of_unaligned_network(rows, inputs));
+    if let Ok(model) = Model::parse(rows) {
+        let instructions = count(|| {
+            let _ = black_box(&model).infer(black_box(&input), black_box(&mut scores));
+        });
+        let _ = writeln!(Host, "infer_rows_instructions={instructions}");
+    }
     let _ = writeln!(Host, "crc_network_unaligned={:08x}", checks::of_unaligned_network(raw, inputs));
     let _ = writeln!(Host, "blob_bytes={}", raw.len());
     exit();

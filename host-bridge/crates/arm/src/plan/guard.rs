@@ -76,8 +76,10 @@ impl Guard<'_> {
     pub fn nearest(&self, odometry: &Odometry, arm: &Motion) -> String {
         let around = self.world.around(Placement::from(*odometry));
         let (own, boxes) = around.arm_clearances(&arm.joints_rad);
-        let all = [own, boxes, around.base_clearance()];
-        let nearest = all.into_iter().min_by(|a, b| a.distance_m.total_cmp(&b.distance_m));
+        // The robot's own parts are always near each other; they count only where they hold it.
+        let own = Some(own).filter(|own| own.distance_m < 2.0 * MARGIN_M);
+        let all = [boxes, around.base_clearance()].into_iter().chain(own);
+        let nearest = all.min_by(|a, b| a.distance_m.total_cmp(&b.distance_m));
         nearest.map_or_else(String::new, |clearance| {
             let (one, two) = clearance.parts;
             let (one, two) = (self.world.name(one), self.world.name(two));

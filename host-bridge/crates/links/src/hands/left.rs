@@ -1,33 +1,33 @@
 //! The left hand from a recording of its converter.
 
-use shared_dsp::flex::bend_permille;
-use shared_dsp::left::{AdcCounts, LeftHand, LeftOutput};
-use shared_dsp::left_calibration::{Calibration, CalibrationStep};
-use shared_dsp::tilt::{self, TiltThresholds};
-use shared_proto::message::{
-    Board as BoardKind, BoardMessage, Heading, Hello, LeftState, PROTOCOL_MAJOR, PROTOCOL_MINOR,
-};
-
-use super::{Board, Port};
-use crate::adc::AdcRecording;
 use host_core::observe::Sample;
+use shared_board::Identity;
+use shared_board::memory::RamEeprom;
+use shared_dsp::flex::bend_permille;
+use shared_dsp::left::AdcCounts;
+use shared_dsp::left_calibration::Calibration;
+use shared_proto::frame::{HOST_TO_LEFT_FRAME_MAX, encode_host};
+use shared_proto::message::{Board as BoardKind, CalibrationStep, HostMessage};
 
-/// States are sent this often, and at once on a change.
-const STATE_INTERVAL_MS: u64 = 20;
+use super::Board;
+use super::virtual_board::{PERIOD_MS, VirtualLeft};
+use crate::adc::AdcRecording;
 
-/// Plays a recording as the Nano would.
+/// A sample this late still belongs to its period; later, it has none.
+const JITTER_MS: u64 = PERIOD_MS / 2;
+/// From the start of one calibration step to the next: 64 samples, and an EEPROM's time to keep them.
+const STEP_MS: u64 = 900;
+
+/// Plays a recording as the Nano would: each sample begins a period of the board's clock.
 #[derive(Clone, Debug)]
 pub struct LeftBoard {
     recording: AdcRecording,
     next: usize,
-    hand: LeftHand,
-    port: Port,
-    boot_id: u32,
-    sequence: u16,
-    last_sent_ms: Option<u64>,
-    said_hello: bool,
-    /// Calibration steps still to be taken, the next one last.
-    captures: Vec<CalibrationStep>,
+    board: VirtualLeft,
+    /// When the next period begins if no sample comes.
+    period_ms: u64,
+    /// Calibration steps still to be asked for, with their times, the next one last.
+    steps: Vec<(u64, CalibrationStep)>,
     /// Samples before this one were taken before the last step.
     before: usize,
 }
@@ -35,100 +35,69 @@ pub struct LeftBoard {
 impl LeftBoard {
     /// A board that starts at time 0; `calibration` is what its EEPROM holds.
     pub fn new(recording: AdcRecording, calibration: Option<Calibration>, boot_id: u32) -> Self {
+        let memory = calibration.map_or_else(RamEeprom::blank, |kept| RamEeprom::with(&kept));
+        let identity = Identity {
+            board: BoardKind::LeftReplay,
+            firmware: env!("CARGO_PKG_VERSION"),
+            boot_id,
+            sample_hz: 100,
+        };
         LeftBoard {
             recording,
             next: 0,
-            hand: LeftHand::new(calibration, TiltThresholds::DEFAULT, 0),
-            port: Port::default(),
-            boot_id,
-            sequence: 0,
-            last_sent_ms: None,
-            said_hello: false,
-            captures: Vec::new(),
+            board: VirtualLeft::start(identity, memory),
+            period_ms: 0,
+            steps: Vec::new(),
             before: 0,
         }
     }
 
-    /// Takes neutral and rest from the first 1.3 s, as if the wearer had asked for it: the hand level and
+    /// Takes neutral and rest from the first 1.6 s, as if the wearer had asked for it: the hand level and
     /// still, the fingers straight. Where it is not, the calibration stays what it was.
     #[must_use]
     pub fn calibrated_at_start(mut self) -> Self {
-        self.captures = vec![CalibrationStep::Rest, CalibrationStep::Neutral];
+        self.steps = vec![(STEP_MS, CalibrationStep::Rest), (0, CalibrationStep::Neutral)];
         self
     }
 
-    fn calibrate(&mut self) {
-        if let Some(Ok(calibration)) = self.hand.take_captured() {
-            self.hand.set_calibration(Some(calibration));
+    /// Asks the board for what is due, in its own words.
+    fn calibrate(&mut self, now_ms: u64, wire: &mut Vec<u8>) {
+        while let Some((_, step)) = self.steps.pop_if(|(at_ms, _)| *at_ms <= now_ms) {
+            let message = HostMessage::Calibrate { request: self.steps.len() as u16, step };
+            let mut buffer = [0; HOST_TO_LEFT_FRAME_MAX];
+            if let Ok(frame) = encode_host(&message, &mut buffer) {
+                self.board.receive(frame, now_ms, wire);
+            }
         }
-        if !self.hand.is_capturing()
-            && let Some(step) = self.captures.pop()
-        {
-            self.hand.start_capture(step);
-        }
-    }
-
-    fn hello(&mut self, wire: &mut Vec<u8>) {
-        let hello = Hello {
-            major: PROTOCOL_MAJOR,
-            minor: PROTOCOL_MINOR,
-            board: BoardKind::LeftReplay,
-            firmware: env!("CARGO_PKG_VERSION"),
-            boot_id: self.boot_id,
-            model_id: 0,
-            sample_hz: 100,
-        };
-        self.port.send(&BoardMessage::Hello(hello), wire);
-    }
-
-    fn send(&mut self, output: LeftOutput, time_ms: u64, wire: &mut Vec<u8>) {
-        self.last_sent_ms = Some(time_ms);
-        let state = LeftState {
-            sequence: self.sequence,
-            board_time_ms: time_ms as u32,
-            pitch_mrad: output.pitch_mrad,
-            roll_mrad: output.roll_mrad,
-            heading: heading_on_the_wire(output.heading),
-            index_bends: output.index_bends,
-            middle_bends: output.middle_bends,
-            stop: output.stop,
-            health: output.health,
-        };
-        self.sequence = self.sequence.wrapping_add(1);
-        self.port.send(&BoardMessage::Left(state), wire);
     }
 }
 
 impl Board for LeftBoard {
     fn step(&mut self, now_ms: u64, wire: &mut Vec<u8>) {
-        if !self.said_hello && !self.ended() {
-            self.said_hello = true;
-            self.hello(wire);
-        }
         self.before = self.next;
-        while let Some(&(time_ms, counts)) = self.recording.samples.get(self.next)
-            && time_ms <= now_ms
-        {
-            self.next += 1;
-            self.calibrate();
-            // The board's wrapping clock.
-            let output = self.hand.step(AdcCounts::from_ten_bit(counts), time_ms as u32);
-            let due = self.last_sent_ms.is_none_or(|sent| time_ms - sent >= STATE_INTERVAL_MS);
-            if due || output.changed {
-                self.send(output, time_ms, wire);
+        while let Some(&(time_ms, counts)) = self.recording.samples.get(self.next) {
+            let is_on_time = self.next == 0 || time_ms <= self.period_ms + JITTER_MS;
+            let at_ms = if is_on_time { time_ms } else { self.period_ms };
+            if at_ms > now_ms {
+                break;
             }
+            let counts = is_on_time.then(|| AdcCounts::from_ten_bit(counts));
+            self.next += usize::from(is_on_time);
+            self.calibrate(at_ms, wire);
+            self.board.period(counts, at_ms, wire);
+            self.period_ms = at_ms + PERIOD_MS;
         }
     }
 
     fn receive(&mut self, bytes: &[u8], now_ms: u64, wire: &mut Vec<u8>) {
-        if self.port.is_asked_for_hello(bytes, now_ms, wire) && !self.ended() {
-            self.hello(wire);
+        if !self.ended() {
+            self.board.receive(bytes, now_ms, wire);
         }
     }
 
     fn sample(&self) -> Option<Sample<'_>> {
         let (_, counts) = *self.recording.samples.get(self.before..self.next)?.last()?;
-        let (reading, calibration) = (AdcCounts::from_ten_bit(counts), self.hand.calibration());
+        let (reading, calibration) = (AdcCounts::from_ten_bit(counts), self.board.calibration());
         let bends_permille = [reading.index, reading.middle];
         let bends_permille =
             [0, 1].map(|i| bend_permille(bends_permille[i], calibration.rest[i], calibration.bend[i]));
@@ -140,14 +109,65 @@ impl Board for LeftBoard {
     }
 }
 
-/// The hand's heading as the wire names it.
-pub fn heading_on_the_wire(heading: tilt::Heading) -> Heading {
-    match heading {
-        tilt::Heading::Neutral => Heading::Neutral,
-        tilt::Heading::Between => Heading::Between,
-        tilt::Heading::Forward => Heading::Forward,
-        tilt::Heading::Backward => Heading::Backward,
-        tilt::Heading::Left => Heading::Left,
-        tilt::Heading::Right => Heading::Right,
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use shared_proto::frame::{BOARD_FRAME_MAX, Decoder};
+    use shared_proto::message::{BoardMessage, LeftState, health};
+
+    /// A level hand with straight fingers, in the last bit of which nothing stands still.
+    fn still(times_ms: impl Iterator<Item = u64>) -> AdcRecording {
+        let samples = times_ms.enumerate().map(|(i, t)| (t, [512, 512, 614 + (i % 2) as u16, 704, 704]));
+        AdcRecording { samples: samples.collect() }
+    }
+
+    /// Plays to the end; all states.
+    fn play(mut board: LeftBoard) -> Vec<LeftState> {
+        let mut wire = Vec::new();
+        for now_ms in 0.. {
+            board.step(now_ms, &mut wire);
+            if board.ended() {
+                break;
+            }
+        }
+        let mut decoder = Decoder::<BOARD_FRAME_MAX>::new();
+        let states = wire.iter().filter_map(|&byte| match decoder.push_board(byte) {
+            Some(BoardMessage::Left(state)) => Some(state),
+            _ => None,
+        });
+        states.collect()
+    }
+
+    #[test]
+    fn samples_that_come_a_little_early_or_late_are_all_taken() {
+        let jitter = |n: u64| [0, 3, 5, 1][n as usize % 4];
+        let states = play(LeftBoard::new(still((0..200).map(|n| 10 * n + jitter(n))), None, 1));
+        // Every second sample, and the first neutral at once.
+        assert!((100..=101).contains(&states.len()), "{}", states.len());
+        assert!(states.iter().all(|s| s.health == health::DEFAULT_CALIBRATION));
+    }
+
+    #[test]
+    fn a_hole_in_the_recording_is_a_converter_that_delivers_nothing() {
+        let states = play(LeftBoard::new(still((0..100).chain(150..200).map(|n| 10 * n)), None, 1));
+        let stuck = |from: u32, to: u32| {
+            let mut among = states.iter().filter(|s| (from..to).contains(&s.board_time_ms));
+            among.all(|s| s.health & health::STUCK != 0)
+        };
+        assert!(!stuck(0, 1000) && stuck(1100, 1500) && !stuck(1800, 2000), "{states:?}");
+        // A period is over before its sample is missed.
+        assert!(
+            states.windows(2).all(|w| w[1].board_time_ms - w[0].board_time_ms <= 30),
+            "it goes on talking"
+        );
+    }
+
+    #[test]
+    fn neutral_and_rest_are_taken_from_the_first_1600_ms_if_asked_for() {
+        let states = play(LeftBoard::new(still((0..200).map(|n| 10 * n)), None, 1).calibrated_at_start());
+        let last = states.last().unwrap();
+        assert_eq!(last.health, 0, "calibrated");
+        let from = states.iter().find(|s| s.board_time_ms > 1600).unwrap();
+        assert_eq!(from.health, 0);
     }
 }

@@ -5,19 +5,20 @@ use std::path::{Path, PathBuf};
 use models::blob::ModelFiles;
 use models::card::Card;
 use models::recording::{Recording, RecordingError};
+use models::sheet::Reading;
+use shared_board::Identity;
+use shared_board::hand::ValueHand;
 use shared_dsp::decision::DecisionConfig;
-use shared_dsp::mlp::{self, Model};
-use shared_dsp::right::{ModelMismatch, RightHand, RightOutput};
-use shared_proto::message::{
-    Board as BoardKind, BoardMessage, Hello, LABELS_MAX, ModelInfo, PROTOCOL_MAJOR, PROTOCOL_MINOR,
-    RightState,
-};
+use shared_dsp::mlp::Model;
+use shared_dsp::right::{ModelMismatch, RightHand};
+use shared_proto::message::{Board as BoardKind, LABELS_MAX};
 
-use super::{Board, Port};
+use super::Board;
+use super::virtual_board::{PERIOD_MS, VirtualRight, no_store};
 use host_core::observe::Sample;
 
-/// A sample every so often: recordings are brought to 100 Hz first.
-const SAMPLE_INTERVAL_MS: u64 = 10;
+/// What one count stands for in record mode, in m/s², deg/s and µT: that of the right board's sensor.
+const COUNT: [f32; 3] = [0.000_732 * 9.806_65, 0.07, 0.014];
 
 const BUNDLED: &[u8] = include_bytes!("../../../../../models/bundled/right-9axis.tflite");
 const BUNDLED_CARD: &[u8] = include_bytes!("../../../../../models/bundled/right-9axis.card.json");
@@ -116,6 +117,11 @@ impl ModelFile {
         self.card.axes
     }
 
+    /// Axes of the model, and how many of them a recording must have.
+    pub fn axes_of_recordings(&self) -> (usize, usize) {
+        (self.card.axes, self.card.axes_needed())
+    }
+
     /// Names of the outputs in order.
     pub fn labels(&self) -> &[String] {
         &self.card.labels
@@ -139,58 +145,76 @@ impl ModelFile {
     }
 }
 
-/// Reads recordings, brings each to 100 Hz, and joins them into one stream without a pause.
+/// Reads recordings, brings each to 100 Hz, and joins them into one stream of `axes` axes without a pause; its notes are
+/// those of the recordings, its first time is the first one's.
 ///
-/// Of recordings with more axes than `axes`, the first ones are used, as in `models eval`.
+/// Of recordings with more axes than `axes`, the first ones are used, as in `models eval`; `needed` of them must be
+/// there, and what is not is 0.
 ///
 /// # Errors
-/// [`ModelFileError`] if one cannot be read, or has fewer axes than the model. All are checked first.
-pub fn join(files: &[PathBuf], axes: usize) -> Result<Recording, ModelFileError> {
+/// [`ModelFileError`] if one cannot be read, or has fewer axes than needed. All are checked first.
+pub fn join(
+    files: &[PathBuf],
+    (axes, needed): (usize, usize),
+    reading: &Reading,
+) -> Result<Joined, ModelFileError> {
     let mut values = Vec::new();
+    let mut notes = Vec::new();
+    let mut start_ms = None;
     for file in files {
-        let recording = Recording::read(file)?;
-        if recording.axes() < axes {
+        let recording = Recording::read_as(file, reading)?;
+        if recording.axes() < needed {
             return Err(ModelFileError::Axes {
                 file: file.clone(),
                 column: recording.axes() + 2,
                 recording: recording.axes(),
-                model: axes,
+                model: needed,
             });
         }
-        for sample in recording.resampled().with_axes(axes).samples() {
-            values.extend_from_slice(sample);
+        notes.extend(recording.notes().iter().map(|note| format!("{}: {note}", file.display())));
+        start_ms = start_ms.or(recording.time_ms().first().copied());
+        let used = recording.axes().min(axes);
+        for sample in recording.resampled().samples() {
+            values.extend_from_slice(&sample[..used]);
+            values.extend(std::iter::repeat_n(0.0, axes - used));
         }
     }
     let count = (values.len() / axes) as u64;
-    let time_ms = (0..count).map(|n| (n * SAMPLE_INTERVAL_MS) as f64).collect();
-    Ok(Recording::new(axes, time_ms, values))
+    let time_ms = (0..count).map(|n| (n * PERIOD_MS) as f64).collect();
+    Ok(Joined {
+        recording: Recording::new(axes, time_ms, values),
+        notes,
+        start_ms: start_ms.unwrap_or_default(),
+    })
 }
 
-/// The hand's code for each number of axes.
-#[expect(clippy::large_enum_variant, reason = "one of them exists, for a whole session")]
-enum AnyHand<'m> {
-    Three(RightHand<'m, 3>),
-    Six(RightHand<'m, 6>),
-    Nine(RightHand<'m, 9>),
+/// Recordings, one behind the other.
+#[derive(Clone, Debug)]
+pub struct Joined {
+    /// At 100 Hz, from time 0.
+    pub recording: Recording,
+    /// What was judged, mended or left out in reading them.
+    pub notes: Vec<String>,
+    /// The first time in the first file, in ms.
+    pub start_ms: f64,
 }
 
-impl<'m> AnyHand<'m> {
-    fn new(model: Model<'m>) -> Result<Self, ModelMismatch> {
-        let config = DecisionConfig::default();
-        Ok(match model.info().axes {
-            3 => AnyHand::Three(RightHand::new(model, config)?),
-            6 => AnyHand::Six(RightHand::new(model, config)?),
-            _ => AnyHand::Nine(RightHand::new(model, config)?),
-        })
+/// The board's code for any number of axes.
+trait AnyAxes: Send {
+    /// The sample of `time_ms`; it has the axes of the model.
+    fn sample(&mut self, values: &[f32], time_ms: u64, wire: &mut Vec<u8>);
+    fn receive(&mut self, bytes: &[u8], now_ms: u64, wire: &mut Vec<u8>);
+}
+
+impl<const A: usize> AnyAxes for VirtualRight<ValueHand<'_, A>> {
+    fn sample(&mut self, values: &[f32], time_ms: u64, wire: &mut Vec<u8>) {
+        if let Ok(values) = values.try_into() {
+            VirtualRight::sample(self, values, time_ms, wire);
+        }
     }
 
-    fn push(&mut self, sample: &[f32], time_ms: u32) -> Option<RightOutput> {
-        // The recording has the model's axes: `RightBoard::new` has seen to that.
-        match self {
-            AnyHand::Three(hand) => hand.push(sample.try_into().ok()?, time_ms).copied(),
-            AnyHand::Six(hand) => hand.push(sample.try_into().ok()?, time_ms).copied(),
-            AnyHand::Nine(hand) => hand.push(sample.try_into().ok()?, time_ms).copied(),
-        }
+    fn receive(&mut self, bytes: &[u8], now_ms: u64, wire: &mut Vec<u8>) {
+        VirtualRight::receive(self, bytes, now_ms, wire, no_store);
     }
 }
 
@@ -198,12 +222,7 @@ impl<'m> AnyHand<'m> {
 pub struct RightBoard<'m> {
     recording: Recording,
     next: usize,
-    model: Model<'m>,
-    hand: AnyHand<'m>,
-    port: Port,
-    boot_id: u32,
-    sequence: u16,
-    said_hello: bool,
+    board: Box<dyn AnyAxes + 'm>,
     /// Samples before this one were taken before the last step.
     before: usize,
 }
@@ -221,76 +240,47 @@ impl<'m> RightBoard<'m> {
             return Err(ModelFileError::Labels { name: name(), length });
         }
         let unfit = |source| ModelFileError::Unfit { name: name(), source };
-        if parsed.info().axes != recording.axes() {
-            return Err(unfit(ModelMismatch::Axes { model: parsed.info().axes, hand: recording.axes() }));
+        let axes = parsed.info().axes;
+        if axes != recording.axes() {
+            return Err(unfit(ModelMismatch::Axes { model: axes, hand: recording.axes() }));
         }
-        Ok(RightBoard {
-            recording,
-            next: 0,
-            model: parsed,
-            hand: AnyHand::new(parsed).map_err(unfit)?,
-            port: Port::default(),
-            boot_id,
-            sequence: 0,
-            said_hello: false,
-            before: 0,
-        })
-    }
-
-    fn hello(&mut self, wire: &mut Vec<u8>) {
-        let info = *self.model.info();
-        let hello = Hello {
-            major: PROTOCOL_MAJOR,
-            minor: PROTOCOL_MINOR,
+        let identity = Identity {
             board: BoardKind::RightReplay,
             firmware: env!("CARGO_PKG_VERSION"),
-            boot_id: self.boot_id,
-            model_id: info.model_id,
-            sample_hz: info.sample_hz,
+            boot_id,
+            sample_hz: parsed.info().sample_hz,
         };
-        self.port.send(&BoardMessage::Hello(hello), wire);
-        self.port.send(&BoardMessage::ModelInfo(model_info_on_the_wire(&info)), wire);
+        let board = match axes {
+            3 => any_axes::<3>(identity, parsed),
+            6 => any_axes::<6>(identity, parsed),
+            _ => any_axes::<9>(identity, parsed),
+        };
+        Ok(RightBoard { recording, next: 0, board: board.map_err(unfit)?, before: 0 })
     }
+}
 
-    fn send(&mut self, output: &RightOutput, wire: &mut Vec<u8>) {
-        let scores = output.score_bytes();
-        let count = if output.full { output.scores().len() } else { 0 };
-        let state = RightState {
-            sequence: self.sequence,
-            board_time_ms: output.window_end_ms,
-            events: output.events,
-            label: output.label,
-            confidence: output.confidence,
-            event_window_end_ms: output.event_window_end_ms,
-            scores: &scores[..count],
-            health: 0,
-        };
-        self.sequence = self.sequence.wrapping_add(1);
-        self.port.send(&BoardMessage::Right(state), wire);
-    }
+fn any_axes<'m, const A: usize>(
+    identity: Identity,
+    model: Model<'m>,
+) -> Result<Box<dyn AnyAxes + 'm>, ModelMismatch> {
+    let hand = RightHand::<A>::new(model, DecisionConfig::default())?;
+    Ok(Box::new(VirtualRight::start(identity, ValueHand::new(hand, COUNT))))
 }
 
 impl Board for RightBoard<'_> {
     fn step(&mut self, now_ms: u64, wire: &mut Vec<u8>) {
-        if !self.said_hello && !self.ended() {
-            self.said_hello = true;
-            self.hello(wire);
-        }
         self.before = self.next;
-        while !self.ended() && self.next as u64 * SAMPLE_INTERVAL_MS <= now_ms {
-            // The board's wrapping clock.
-            let time_ms = (self.next as u64 * SAMPLE_INTERVAL_MS) as u32;
-            let sample = self.recording.samples().nth(self.next);
+        while self.next as u64 * PERIOD_MS <= now_ms
+            && let Some(sample) = self.recording.samples().nth(self.next)
+        {
+            self.board.sample(sample, self.next as u64 * PERIOD_MS, wire);
             self.next += 1;
-            if let Some(output) = sample.and_then(|sample| self.hand.push(sample, time_ms)) {
-                self.send(&output, wire);
-            }
         }
     }
 
     fn receive(&mut self, bytes: &[u8], now_ms: u64, wire: &mut Vec<u8>) {
-        if self.port.is_asked_for_hello(bytes, now_ms, wire) && !self.ended() {
-            self.hello(wire);
+        if !self.ended() {
+            self.board.receive(bytes, now_ms, wire);
         }
     }
 
@@ -304,18 +294,6 @@ impl Board for RightBoard<'_> {
     }
 }
 
-/// What the wire says of a model.
-pub fn model_info_on_the_wire<'a>(info: &mlp::ModelInfo<'a>) -> ModelInfo<'a> {
-    ModelInfo {
-        model_id: info.model_id,
-        recipe: info.recipe.id(),
-        axes: info.axes as u8,
-        sample_hz: info.sample_hz,
-        window: info.window,
-        labels: info.label_text,
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -326,9 +304,18 @@ mod tests {
         let file = folder.path().join("nine.csv");
         let header = "timestamp,accX,accY,accZ,gyrX,gyrY,gyrZ,magX,magY,magZ\n";
         std::fs::write(&file, format!("{header}0,1,2,3,4,5,6,7,8,9\n10,1,2,3,4,5,6,7,8,9\n")).unwrap();
-        let joined = join(&[file.clone(), file], 3).unwrap();
+        let joined = join(&[file.clone(), file.clone()], (3, 3), &Reading::default()).unwrap().recording;
         assert_eq!(joined.axes(), 3);
         assert!(joined.samples().all(|sample| sample == [1.0, 2.0, 3.0]));
         assert_eq!(joined.len(), 4);
+        // A model that reads no magnetometer takes what has none.
+        let six = folder.path().join("six.csv");
+        std::fs::write(&six, "time,ax,ay,az,gx,gy,gz\n5000,1,2,9,4,5,6\n5010,1,2,9,4,5,6\n").unwrap();
+        let joined = join(std::slice::from_ref(&six), (9, 6), &Reading::default()).unwrap();
+        assert_eq!((joined.start_ms, joined.recording.axes()), (5000.0, 9));
+        assert!(
+            joined.recording.samples().all(|sample| sample == [1.0, 2.0, 9.0, 4.0, 5.0, 6.0, 0.0, 0.0, 0.0])
+        );
+        assert!(join(&[six], (9, 9), &Reading::default()).is_err());
     }
 }

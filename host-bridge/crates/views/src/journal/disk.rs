@@ -39,7 +39,7 @@ pub enum WhenFull {
 /// What became of a file.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Kept {
-    /// Messages in it.
+    /// Messages that are in it, on the disk.
     pub messages: u64,
     /// Its length.
     pub bytes: u64,
@@ -88,6 +88,8 @@ impl Disk {
             ErrorKind::AlreadyExists => about(&"there is a file of this name; choose another"),
             _ => about(&error),
         })?;
+        // Whoever finds the file without its end knows by this that somebody writes it. Not every disk can.
+        let _ = storage.try_lock();
         Disk::with_storage(storage, file, metadata, origin, when_full).map_err(|error| about(&error))
     }
 
@@ -110,8 +112,9 @@ impl Disk {
             Queue { sender: Some(sender), shared: shared.clone(), when_full, origin, time_ms: 0, missing: 0 };
         let recorder = Teller::new(origin, queue);
         let theirs = shared.clone();
-        let work =
-            move || Work { writer, channels, origin, shared: theirs, messages: 0, waiting: 0 }.run(&waiting);
+        let work = move || {
+            Work { writer, channels, origin, shared: theirs, messages: 0, kept: 0, waiting: 0 }.run(&waiting)
+        };
         let thread = std::thread::Builder::new().name("session file".to_owned()).spawn(work);
         let thread = Some(thread.map_err(|error| error.to_string())?);
         Ok((Disk { file: file.to_owned(), thread, shared, told: false }, recorder))
@@ -202,6 +205,8 @@ struct Work<S: Storage> {
     origin: Origin,
     shared: Arc<Shared>,
     messages: u64,
+    /// Of these, on the disk.
+    kept: u64,
     /// Bytes that are not on the disk yet, about.
     waiting: u64,
 }
@@ -211,15 +216,19 @@ impl<S: Storage> Work<S> {
     fn run(mut self, queue: &Receiver<Entry>) -> (u64, u64) {
         let written = self.write_all(queue).and_then(|()| self.writer.finish().map(drop));
         // Also after a failure: then it finds that the file has its end already.
-        let closed = self.writer.into_inner().into_inner().finish();
-        let length = closed.as_ref().map_or(0, |(_, length)| *length);
+        let sink = self.writer.into_inner().into_inner();
+        let good = sink.length();
+        let closed = sink.finish();
+        let length = closed.as_ref().map_or(good, |(_, length)| *length);
+        // What waited in memory when the disk failed is not in the file.
+        let messages = if written.is_ok() && closed.is_ok() { self.messages } else { self.kept };
         let problem = written.map_err(|error| reason(&error)).err();
         if let Some(problem) = problem.or(closed.err().map(|error| error.to_string()))
             && let Ok(mut place) = self.shared.problem.lock()
         {
             *place = Some(problem);
         }
-        (self.messages, length)
+        (messages, length)
     }
 
     fn write_all(&mut self, queue: &Receiver<Entry>) -> Result<(), McapError> {
@@ -235,6 +244,7 @@ impl<S: Storage> Work<S> {
             }
             if flushed.elapsed() >= FLUSH_INTERVAL || self.waiting >= CHUNK_BYTES {
                 self.writer.flush()?;
+                self.kept = self.messages;
                 self.waiting = 0;
                 flushed = Instant::now();
             }

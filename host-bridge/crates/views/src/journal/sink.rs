@@ -8,7 +8,7 @@ use std::fs::File;
 use std::io::{self, Seek, SeekFrom, Write};
 
 /// Data end without a checksum, footer without a summary, magic bytes.
-const END: [u8; 50] = {
+pub(super) const END: [u8; 50] = {
     let mut end = [0; 50];
     // Operation code and length of the record, then zeros.
     end[0] = 0x0f;
@@ -64,6 +64,11 @@ impl<S: Storage> Sink<S> {
     /// Writes from the start of the storage on.
     pub fn new(storage: S) -> Self {
         Sink { storage, good: 0, waiting: Vec::new(), failed: false }
+    }
+
+    /// Bytes of the file that is on the disk, with its end.
+    pub fn length(&self) -> u64 {
+        if self.good > 0 { self.good + END.len() as u64 } else { 0 }
     }
 
     fn put(&mut self, end: &[u8]) -> io::Result<()> {

@@ -2,25 +2,17 @@
 //!
 //! Such a file is one object: `payload.interval_ms`, `payload.sensors` (names and units) and `payload.values`
 //! (one row of numbers per sample). Signatures are not checked: they say who sent a file, not whether it is
-//! sound. What cannot be used is an error that names the file, the place in it, and what to do.
+//! sound. Columns and units are found and judged as those of CSV files are ([`crate::sheet`]). What cannot be used is an
+//! error that names the file, the place in it, and what to do. [`export`] knows the labels of a whole export.
+
+pub mod export;
 
 use std::path::{Path, PathBuf};
 
 use serde_json::Value;
 
-use crate::labels;
-use crate::recording::{AXIS_NAMES, MAX_RATE_HZ, MIN_RATE_HZ, Recording};
-
-/// Gravity in m/s², by definition.
-const G: f64 = 9.806_65;
-
-/// Units by kind of sensor: how they are spelled, and how many of ours one of them is.
-const ACCELERATION: &[(&str, f64)] =
-    &[("m/s2", 1.0), ("m/s²", 1.0), ("m/s^2", 1.0), ("ms2", 1.0), ("g", G), ("mg", G / 1000.0)];
-const TURN_RATE: &[(&str, f64)] =
-    &[("deg/s", 1.0), ("°/s", 1.0), ("dps", 1.0), ("degps", 1.0), ("rad/s", 180.0 / std::f64::consts::PI)];
-const FIELD: &[(&str, f64)] =
-    &[("ut", 1.0), ("µt", 1.0), ("utesla", 1.0), ("gauss", 100.0), ("gs", 100.0), ("mgauss", 0.1)];
+use crate::recording::{MAX_RATE_HZ, MIN_RATE_HZ, Recording, RecordingError};
+use crate::sheet::{self, Reading};
 
 /// What a file holds.
 #[derive(Clone, Debug, PartialEq)]
@@ -29,8 +21,8 @@ pub struct Imported {
     pub recording: Recording,
     /// What the file calls the device, if it does.
     pub device: Option<String>,
-    /// Sensors in the file that have no place in ours.
-    pub left_out: Vec<String>,
+    /// What was judged or left out, in words.
+    pub notes: Vec<String>,
 }
 
 /// Why a file cannot be imported; the text says where and what to do.
@@ -52,6 +44,9 @@ pub enum ImportError {
         /// What the parser said, with line and column or the byte.
         what: String,
     },
+    /// Its columns or units cannot be used.
+    #[error(transparent)]
+    Recording(#[from] RecordingError),
     /// A part is missing, or is not what it should be.
     #[error("{file}, {place}: {what}")]
     Place {
@@ -122,16 +117,16 @@ fn shown(value: &Value) -> String {
 ///
 /// # Errors
 /// [`ImportError`].
-pub fn read(file: &Path) -> Result<Imported, ImportError> {
+pub fn read(file: &Path, reading: &Reading) -> Result<Imported, ImportError> {
     let bytes = std::fs::read(file).map_err(|source| ImportError::Io { file: file.to_owned(), source })?;
-    parse(file, &bytes)
+    parse(file, &bytes, reading)
 }
 
 /// The same from memory: JSON if it begins like an object, else CBOR. `file` is only for the errors.
 ///
 /// # Errors
 /// [`ImportError`].
-pub fn parse(file: &Path, bytes: &[u8]) -> Result<Imported, ImportError> {
+pub fn parse(file: &Path, bytes: &[u8], reading: &Reading) -> Result<Imported, ImportError> {
     let refused = |what: String| ImportError::Text { file: file.to_owned(), what };
     let text = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
     let is_json = text.iter().find(|byte| !byte.is_ascii_whitespace()) == Some(&b'{');
@@ -152,18 +147,21 @@ pub fn parse(file: &Path, bytes: &[u8]) -> Result<Imported, ImportError> {
         );
     }
     let sensors = reader.list(reader.member(payload, "payload", "sensors")?, "payload.sensors")?;
-    let columns = columns(&reader, sensors)?;
+    let names = names(&reader, sensors)?;
+    let mut table = sheet::Table::new(file, names, reading)?;
+    let (factors, declared) = factors(&reader, sensors, &table, reading)?;
+    table.declare(declared);
     let rows = reader.list(reader.member(payload, "payload", "values")?, "payload.values")?;
     if rows.len() < 2 {
         return reader.wrong("payload.values", format!("{} samples; at least two are needed", rows.len()));
     }
-    let mut values = Vec::with_capacity(rows.len() * columns.used.len());
+    let mut numbers = Vec::with_capacity(sensors.len());
     for (index, row) in rows.iter().enumerate() {
-        let place = format!("payload.values[{index}]");
-        let row = reader.list(row, &place)?;
+        let place = || format!("payload.values[{index}]");
+        let row = reader.list(row, &place())?;
         if row.len() != sensors.len() {
             return reader.wrong(
-                &place,
+                &place(),
                 format!(
                     "{} values for {} sensors; the file is cut off or damaged here",
                     row.len(),
@@ -171,102 +169,82 @@ pub fn parse(file: &Path, bytes: &[u8]) -> Result<Imported, ImportError> {
                 ),
             );
         }
-        for &(column, factor) in &columns.used {
-            let value = reader.number(&row[column], &format!("{place}[{column}]"))?;
-            values.push((value * factor) as f32);
+        numbers.clear();
+        for (column, value) in row.iter().enumerate() {
+            numbers.push(match factors[column] {
+                None => 0.0,
+                Some(factor) => match value.as_f64().filter(|number| (*number as f32).is_finite()) {
+                    Some(number) => number * factor,
+                    None => reader.number(value, &format!("{}[{column}]", place()))?,
+                },
+            });
         }
+        table.push(&numbers);
     }
-    let time_ms = (0..rows.len()).map(|n| n as f64 * interval_ms).collect();
-    Ok(Imported {
-        recording: Recording::new(columns.used.len(), time_ms, values),
-        device: payload.get("device_name").and_then(Value::as_str).map(str::to_owned),
-        left_out: columns.left_out,
-    })
+    let (recording, mut notes) = table.finish(file, interval_ms, reading)?;
+    let left_out: Vec<&str> = (0..sensors.len())
+        .filter(|column| factors[*column].is_none())
+        .filter_map(|column| sensors[column].get("name")?.as_str())
+        .collect();
+    if !left_out.is_empty() {
+        notes.push(format!("left out {}", left_out.join(", ")));
+    }
+    let device = payload.get("device_name").and_then(Value::as_str).map(str::to_owned);
+    Ok(Imported { recording, device, notes })
 }
 
-struct Columns {
-    /// Per axis of ours: which column, and its factor.
-    used: Vec<(usize, f64)>,
-    left_out: Vec<String>,
-}
-
-fn columns(reader: &Reader<'_>, sensors: &[Value]) -> Result<Columns, ImportError> {
-    let mut found: [Option<(usize, f64)>; 9] = [None; 9];
-    let mut left_out = Vec::new();
-    for (column, sensor) in sensors.iter().enumerate() {
+/// The sensors' names.
+fn names(reader: &Reader<'_>, sensors: &[Value]) -> Result<Vec<String>, ImportError> {
+    let one = |(column, sensor): (usize, &Value)| {
         let place = format!("payload.sensors[{column}]");
         let name = reader.member(sensor, &place, "name")?;
-        let Some(name) = name.as_str() else {
-            return reader.wrong(&format!("{place}.name"), format!("{} is no name", shown(name)));
-        };
-        let Some(axis) = AXIS_NAMES.iter().position(|axis| axis.eq_ignore_ascii_case(name.trim())) else {
-            left_out.push(name.to_owned());
-            continue;
-        };
-        let units = reader.member(sensor, &place, "units")?;
-        let known = [ACCELERATION, TURN_RATE, FIELD][axis / 3];
-        let spelled = units.as_str().unwrap_or_default().trim().to_lowercase();
-        let Some((_, factor)) = known.iter().find(|(unit, _)| *unit == spelled) else {
-            let names: Vec<&str> = known.iter().map(|(unit, _)| *unit).collect();
-            return reader.wrong(
-                &format!("{place}.units"),
-                format!(
-                    "{name} in {}, but only {} are known; correct the units",
-                    shown(units),
-                    names.join(", ")
-                ),
-            );
-        };
-        if found[axis].replace((column, *factor)).is_some() {
-            return reader.wrong(&format!("{place}.name"), format!("{name} is there twice; delete one"));
+        match name.as_str() {
+            Some(name) => Ok(name.trim().to_owned()),
+            None => reader.wrong(&format!("{place}.name"), format!("{} is no name", shown(name))),
         }
-    }
-    let axes = (1..=3).map(|kinds| 3 * kinds).rev().find(|&axes| found[..axes].iter().all(Option::is_some));
-    let missing = |range: std::ops::Range<usize>| -> Vec<&str> {
-        range.filter(|&axis| found[axis].is_none()).map(|axis| AXIS_NAMES[axis]).collect()
     };
-    let Some(axes) = axes else {
-        return reader.wrong(
-            "payload.sensors",
-            format!("{} is missing; a recording needs accX, accY and accZ", missing(0..3).join(", ")),
-        );
-    };
-    // A sensor of which an axis is missing would be left out in silence.
-    if let Some(kind) = (axes / 3..3).find(|kind| found[kind * 3..kind * 3 + 3].iter().any(Option::is_some)) {
-        // The magnetometer alone, without the gyroscope, has no place either.
-        let missing = missing(axes..kind * 3 + 3);
-        return reader.wrong(
-            "payload.sensors",
-            format!(
-                "{} is missing beside the others; delete what is not whole, or record it again",
-                missing.join(", ")
-            ),
-        );
-    }
-    Ok(Columns { used: found[..axes].iter().flatten().copied().collect(), left_out })
+    sensors.iter().enumerate().map(one).collect()
 }
 
-/// The label of a file: from the `info.labels` of its export, else the part of its name before the first dot,
-/// as the ingestion service names files. Canonical.
-pub fn label_of(file: &Path) -> Option<String> {
-    for folder in file.ancestors().skip(1).take(3) {
-        let Ok(bytes) = std::fs::read(folder.join("info.labels")) else { continue };
-        let Ok(info) = serde_json::from_slice::<Value>(&bytes) else { continue };
-        let inside = file.strip_prefix(folder).ok()?.to_string_lossy().replace('\\', "/");
-        let entry = info
-            .get("files")?
-            .as_array()?
-            .iter()
-            .find(|entry| entry.get("path").and_then(Value::as_str) == Some(inside.as_str()));
-        let label = entry.and_then(|entry| entry.get("label"));
-        let label = label.and_then(|label| label.as_str().or_else(|| label.get("label")?.as_str()));
-        if let Some(label) = label {
-            return Some(labels::canonical(label));
-        }
+/// Per column that is used, the factor to our unit, and 1 where the file declares none; which sensors' units it declares.
+fn factors(
+    reader: &Reader<'_>,
+    sensors: &[Value],
+    table: &sheet::Table,
+    reading: &Reading,
+) -> Result<(Vec<Option<f64>>, [bool; 3]), ImportError> {
+    let mut factors = vec![None; sensors.len()];
+    let used: Vec<_> = table.columns().collect();
+    let mut declared = [true; 3];
+    for &(column, sensor) in &used {
+        let place = format!("payload.sensors[{column}].units");
+        let units = sensors[column].get("units").unwrap_or(&Value::Null);
+        let spelled = units.as_str().unwrap_or_default().trim().to_lowercase();
+        factors[column] = match sheet::factor(sensor, &spelled) {
+            _ if reading.units.of(sensor).is_some() => {
+                declared[sensor as usize] = false;
+                Some(1.0)
+            }
+            Some(factor) => Some(factor),
+            // As the data forwarder writes them where nobody said.
+            None if matches!(spelled.as_str(), "" | "n/a" | "na" | "none" | "-") => {
+                declared[sensor as usize] = false;
+                Some(1.0)
+            }
+            None => {
+                return reader.wrong(
+                    &place,
+                    format!(
+                        "{} in {}, but only {} are known; say what it is with --units",
+                        sensors[column].get("name").and_then(Value::as_str).unwrap_or_default(),
+                        shown(units),
+                        sheet::unit_names(sensor).join(", ")
+                    ),
+                );
+            }
+        };
     }
-    let name = file.file_name()?.to_string_lossy().into_owned();
-    let label = name.split('.').next().filter(|label| !label.is_empty())?;
-    Some(labels::canonical(label))
+    Ok((factors, declared))
 }
 
 #[cfg(test)]
@@ -285,8 +263,10 @@ mod tests {
         })
     }
 
+    const GUESS: Reading = Reading { units: sheet::Units::NONE, rate_hz: None, columns: None, guess: true };
+
     fn parsed(root: &Value) -> Result<Imported, ImportError> {
-        parse(Path::new("wave.1.json"), root.to_string().as_bytes())
+        parse(Path::new("wave.1.json"), root.to_string().as_bytes(), &GUESS)
     }
 
     fn error(sensors: Value, values: Value) -> String {
@@ -303,7 +283,7 @@ mod tests {
         let from_json = parsed(&root).unwrap();
         let mut cbor = Vec::new();
         ciborium::into_writer(&root, &mut cbor).unwrap();
-        let from_cbor = parse(Path::new("wave.1.cbor"), &cbor).unwrap();
+        let from_cbor = parse(Path::new("wave.1.cbor"), &cbor, &GUESS).unwrap();
         assert_eq!(from_json, from_cbor);
         assert_eq!(from_json.device.as_deref(), Some("ac:87:a3"));
         let rows: Vec<&[f32]> = from_json.recording.samples().collect();
@@ -320,7 +300,7 @@ mod tests {
         ]);
         let row = json!([1.0, 20.0, 1.0, -1.0, 1000.0, 5.0, 6.0]);
         let imported = parsed(&file(sensors, json!([row, row]))).unwrap();
-        assert_eq!(imported.left_out, ["temperature"]);
+        assert_eq!(imported.notes, ["left out temperature"]);
         assert_eq!(imported.recording.axes(), 6);
         let sample: Vec<f32> = imported.recording.samples().next().unwrap().to_vec();
         let expected = [9.80665, -9.80665, 9.80665, 5.0, 6.0, 57.295_78];
@@ -340,12 +320,9 @@ mod tests {
             (error(acc(), json!("Ref-BINARY-i16 (4 bytes)")), ["payload.values", "binary attachment"]),
             (
                 error(json!([{"name": "accX", "units": "m/s2"}]), rows.clone()),
-                ["payload.sensors", "accY, accZ is missing"],
+                ["wave.1.json", "this sensor has no y and no z"],
             ),
-            (
-                error(json!([{"name": "accX", "units": "furlong"}]), rows.clone()),
-                ["payload.sensors[0].units", "m/s2"],
-            ),
+            (error(acc_in("furlong"), rows.clone()), ["payload.sensors[0].units", "m/s2"]),
             (error(json!([{"units": "g"}]), rows.clone()), ["payload.sensors[0].name", "is missing"]),
             (parsed(&json!({"payload": {}})).unwrap_err().to_string(), ["payload.interval_ms", "is missing"]),
             (
@@ -353,42 +330,75 @@ mod tests {
                 ["payload.interval_ms", "2 to 40 ms"],
             ),
             (
-                parse(Path::new("a.json"), b"{\n \"x\": ]").unwrap_err().to_string(),
+                parse(Path::new("a.json"), b"{\n \"x\": ]", &GUESS).unwrap_err().to_string(),
                 ["a.json", "line 2 column 7"],
             ),
-            (parse(Path::new("a.cbor"), &[0xa1, 0x61]).unwrap_err().to_string(), ["a.cbor", "CBOR"]),
+            (parse(Path::new("a.cbor"), &[0xa1, 0x61], &GUESS).unwrap_err().to_string(), ["a.cbor", "CBOR"]),
         ] {
             assert!(words.iter().all(|word| text.contains(word)), "{words:?} in {text}");
         }
         let mut lone = acc();
         lone.as_array_mut().unwrap().push(json!({"name": "magX", "units": "uT"}));
         let text = error(lone, json!([[1, 2, 3, 4], [1, 2, 3, 4]]));
-        assert!(text.contains("gyrX, gyrY, gyrZ, magY, magZ is missing"), "{text}");
+        assert!(text.contains("(\"magX\"): this sensor has no y and no z"), "{text}");
+    }
+
+    /// Two seconds of a hand that waves, `unit` times.
+    fn waved(unit: f64) -> Value {
+        let row = |n: u32| {
+            let s = (f64::from(n) * 0.09).sin();
+            json!([(3.0 * s + 1.0) * unit, 0.5 * unit, 9.7 * unit])
+        };
+        (0..200).map(row).collect()
+    }
+
+    fn acc_in(units: &str) -> Value {
+        ["accX", "accY", "accZ"].iter().map(|name| json!({"name": name, "units": units})).collect()
     }
 
     #[test]
-    fn the_label_is_in_the_export_or_in_the_name() {
-        assert_eq!(label_of(Path::new("/nowhere/Left_Right.28ta5.cbor")).as_deref(), Some("left-right"));
-        let folder = tempfile::tempdir().unwrap();
-        std::fs::create_dir(folder.path().join("training")).unwrap();
-        let info = json!({"version": 1, "files": [
-            {"path": "training/a.cbor", "category": "training", "label": {"type": "label", "label": "Big Wave"}},
-        ]});
-        std::fs::write(folder.path().join("info.labels"), info.to_string()).unwrap();
-        assert_eq!(label_of(&folder.path().join("training/a.cbor")).as_deref(), Some("big-wave"));
-        assert_eq!(label_of(&folder.path().join("training/b.cbor")).as_deref(), Some("b"));
+    fn a_unit_that_gravity_contradicts_is_refused_and_one_that_is_not_said_is_judged() {
+        let g = 1.0 / 9.80665;
+        let text = error(acc_in("m/s2"), waved(g));
+        assert!(text.contains("gravity at rest is about 1 m/s²") && text.contains("--units g"), "{text}");
+        let right = parsed(&file(acc_in("m/s2"), waved(1.0))).unwrap();
+        let close = |a: &Recording, b: &Recording| {
+            a.samples().flatten().zip(b.samples().flatten()).all(|(a, b)| (a - b).abs() < 1e-4)
+        };
+        for units in ["N/A", ""] {
+            let judged = parsed(&file(acc_in(units), waved(g))).unwrap();
+            assert!(close(&judged.recording, &right.recording));
+            assert_eq!(judged.notes, ["the accelerometer is in g, by gravity"]);
+        }
+        // What the user says goes before what the file says.
+        let told = Reading { units: "g".parse().unwrap(), ..GUESS };
+        let root = file(acc_in("m/s2"), waved(g)).to_string();
+        let told = parse(Path::new("x.json"), root.as_bytes(), &told).unwrap();
+        assert!(close(&told.recording, &right.recording) && told.notes.is_empty(), "{:?}", told.notes);
+    }
+
+    #[test]
+    fn columns_of_ones_own_can_be_named() {
+        let own: Value = ["p", "q", "r"].iter().map(|name| json!({"name": name, "units": "N/A"})).collect();
+        let root = file(own, waved(1.0)).to_string();
+        let text = parse(Path::new("x.json"), root.as_bytes(), &GUESS).unwrap_err().to_string();
+        assert!(text.contains("no columns of an accelerometer") && text.contains("--columns"), "{text}");
+        let columns = Some("accX=r,accY=q,accZ=p".parse().unwrap());
+        let named = parse(Path::new("x.json"), root.as_bytes(), &Reading { columns, ..GUESS }).unwrap();
+        let first: Vec<f32> = named.recording.samples().next().unwrap().to_vec();
+        assert_eq!(first, [9.7, 0.5, 1.0]);
     }
 
     proptest::proptest! {
         #[test]
         fn damaged_files_never_panic(bytes in proptest::collection::vec(0u8.., 0..400), place in 0usize..400) {
-            let _ = parse(Path::new("x"), &bytes);
+            let _ = parse(Path::new("x"), &bytes, &GUESS);
             let mut cbor = Vec::new();
             ciborium::into_writer(&file(acc(), json!([[1, 2, 3], [1, 2, 3]])), &mut cbor).unwrap();
             let place = place % cbor.len();
             cbor[place] ^= bytes.first().copied().unwrap_or(1);
-            let _ = parse(Path::new("x"), &cbor);
-            let _ = parse(Path::new("x"), &cbor[..place]);
+            let _ = parse(Path::new("x"), &cbor, &GUESS);
+            let _ = parse(Path::new("x"), &cbor[..place], &GUESS);
         }
     }
 }

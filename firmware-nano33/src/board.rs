@@ -1,0 +1,41 @@
+//! The one board, which all tasks share. There is one executor, so they take turns; nobody keeps it across an `await`.
+
+use core::cell::RefCell;
+use core::sync::atomic::Ordering;
+
+use embassy_sync::blocking_mutex::ThreadModeMutex;
+use embassy_sync::once_lock::OnceLock;
+use shared_board::hand::CountHand;
+use shared_board::models::Runs;
+use shared_board::right::RightBoard;
+use shared_proto::message::Board as BoardKind;
+
+use crate::sample::{AXES, SAMPLE_HZ};
+use crate::state::{REV2, SENSOR_OK};
+
+/// The board's logic.
+pub type Board = RightBoard<CountHand<'static, AXES>>;
+
+/// What models this image can run.
+pub const RUNS: Runs = Runs { axes: AXES as u8, sample_hz: SAMPLE_HZ as u16 };
+
+static BOARD: OnceLock<ThreadModeMutex<RefCell<Board>>> = OnceLock::new();
+
+/// Puts the board in its place. Called once, before any task runs.
+pub fn install(board: Board) {
+    if BOARD.init(ThreadModeMutex::new(RefCell::new(board))).is_err() {
+        defmt::unreachable!("installed once");
+    }
+}
+
+/// Does something with the board, which knows what the sensor's driver has found out.
+pub fn with<R>(act: impl FnOnce(&mut Board) -> R) -> R {
+    let Some(board) = BOARD.try_get() else { defmt::unreachable!("installed before any task runs") };
+    board.lock(|board| {
+        let mut board = board.borrow_mut();
+        board.set_sensor_ok(SENSOR_OK.load(Ordering::Relaxed));
+        let rev2 = REV2.load(Ordering::Relaxed);
+        board.set_board(if rev2 { BoardKind::RightNano33Rev2 } else { BoardKind::RightNano33 });
+        act(&mut board)
+    })
+}

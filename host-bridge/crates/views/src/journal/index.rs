@@ -1,0 +1,124 @@
+//! The index that a killed recording lacks.
+//!
+//! A session's file is whole after every write ([`super::sink`]), but readers that jump in it want the index at its end,
+//! which only an orderly close writes. Whoever starts next writes it: the messages are copied into a new file, which then
+//! takes the old one's place. A file that is still being written is locked and left alone.
+
+use std::collections::{BTreeMap, HashMap};
+use std::fs::File;
+use std::io::{BufWriter, Read as _, Seek as _, SeekFrom};
+use std::path::{Path, PathBuf};
+
+use mcap::read::{ChunkFlattener, Options};
+use mcap::records::Record;
+use mcap::{McapError, WriteOptions, Writer};
+
+use super::sink::END;
+
+/// Gives a file its index, if it is one of ours that was not closed; true if it did.
+///
+/// # Errors
+/// It cannot be read or written. The file is then as it was.
+pub fn complete(file: &Path) -> Result<bool, String> {
+    let about = |error: &dyn std::fmt::Display| format!("{}: {error}", file.display());
+    let mut old = File::open(file).map_err(|error| about(&error))?;
+    let length = old.metadata().map_err(|error| about(&error))?.len();
+    let mut end = [0; END.len()];
+    if length < END.len() as u64
+        || old.seek(SeekFrom::End(-(END.len() as i64))).is_err()
+        || old.read_exact(&mut end).is_err()
+        || end != END
+        // Somebody is writing it.
+        || old.try_lock_shared().is_err()
+    {
+        return Ok(false);
+    }
+    let bytes = std::fs::read(file).map_err(|error| about(&error))?;
+    let part = part_of(file);
+    let copied = copy(&bytes, &part).map_err(|error| error.to_string());
+    let renamed = copied.and_then(|()| std::fs::rename(&part, file).map_err(|error| error.to_string()));
+    if let Err(error) = renamed {
+        let _ = std::fs::remove_file(&part);
+        return Err(about(&error));
+    }
+    Ok(true)
+}
+
+/// The same for every file beside `file`; those that got an index, and what went wrong.
+pub fn complete_beside(file: &Path) -> Vec<Result<PathBuf, String>> {
+    let folder = match file.parent() {
+        Some(folder) if folder != Path::new("") => folder,
+        _ => Path::new("."),
+    };
+    let Ok(entries) = std::fs::read_dir(folder) else { return Vec::new() };
+    let mut files: Vec<PathBuf> = entries.flatten().map(|entry| entry.path()).collect();
+    files.retain(|file| file.extension().is_some_and(|ending| ending == "mcap") && file.is_file());
+    files.sort();
+    let one = |file: PathBuf| match complete(&file) {
+        Ok(true) => Some(Ok(file)),
+        Ok(false) => None,
+        Err(error) => Some(Err(error)),
+    };
+    files.into_iter().filter_map(one).collect()
+}
+
+fn part_of(file: &Path) -> PathBuf {
+    let mut name = file.file_name().unwrap_or_default().to_owned();
+    name.push(format!(".{}.part", std::process::id()));
+    file.with_file_name(name)
+}
+
+/// Everything in the file, as far as it goes, into a new one that is closed.
+fn copy(bytes: &[u8], to: &Path) -> Result<(), McapError> {
+    let mut out = BufWriter::new(File::create(to)?);
+    {
+        let mut library = String::new();
+        let mut profile = String::new();
+        let mut writer: Option<Writer<&mut BufWriter<File>>> = None;
+        let mut target = Some(&mut out);
+        let mut schemas = HashMap::from([(0, 0)]);
+        let mut channels = HashMap::new();
+        for record in ChunkFlattener::new_with_options(bytes, Options::IgnoreEndMagic.into())? {
+            // What is damaged behind here was lost before.
+            let Ok(record) = record else { break };
+            if let Record::Header(header) = &record {
+                (library, profile) = (header.library.clone(), header.profile.clone());
+            }
+            if writer.is_none()
+                && let Some(target) = target.take()
+            {
+                let options =
+                    WriteOptions::new().profile(profile.clone()).library(library.clone()).compression(None);
+                writer = Some(options.create(target)?);
+            }
+            let Some(writer) = &mut writer else { break };
+            match record {
+                Record::Metadata(metadata) => writer.write_metadata(&metadata)?,
+                Record::Schema { header, data } => {
+                    let id = writer.add_schema(&header.name, &header.encoding, &data)?;
+                    schemas.insert(header.id, id);
+                }
+                Record::Channel(channel) => {
+                    let schema = schemas.get(&channel.schema_id).copied().unwrap_or_default();
+                    let metadata: &BTreeMap<String, String> = &channel.metadata;
+                    let id =
+                        writer.add_channel(schema, &channel.topic, &channel.message_encoding, metadata)?;
+                    channels.insert(channel.id, id);
+                }
+                Record::Message { mut header, data } => {
+                    if let Some(&id) = channels.get(&header.channel_id) {
+                        header.channel_id = id;
+                        writer.write_to_known_channel(&header, &data)?;
+                    }
+                }
+                _ => {}
+            }
+        }
+        match &mut writer {
+            Some(writer) => writer.finish().map(drop)?,
+            None => return Err(McapError::BadMagic),
+        }
+    }
+    out.into_inner().map_err(|error| McapError::Io(error.into_error()))?.sync_all()?;
+    Ok(())
+}

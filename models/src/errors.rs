@@ -1,0 +1,21 @@
+//! Errors for people.
+
+/// An error and what led to it, each cause once: many errors already name their cause.
+///
+/// ```
+/// let error = models::recording::Recording::read("no/such.csv".as_ref()).unwrap_err();
+/// let text = models::errors::in_full(&error);
+/// assert_eq!(text.matches("No such file").count(), 1, "{text}");
+/// ```
+pub fn in_full(error: &dyn std::error::Error) -> String {
+    let mut text = error.to_string();
+    let mut cause = error.source();
+    while let Some(error) = cause {
+        let more = error.to_string();
+        if !text.contains(&more) {
+            text = format!("{text}: {more}");
+        }
+        cause = error.source();
+    }
+    text
+}

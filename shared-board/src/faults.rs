@@ -1,0 +1,61 @@
+//! Faults that a laptop which connects later should still hear of.
+
+use crate::FrameOut;
+use shared_proto::frame::FAULT_FRAME_MAX;
+use shared_proto::message::Fault;
+
+const KEPT: usize = 4;
+
+/// The first faults of each kind since start, and the newest: one of each kind, four in all.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct FaultLog {
+    kept: [Option<Fault>; KEPT],
+}
+
+impl FaultLog {
+    /// Nothing has gone wrong yet.
+    pub const fn new() -> Self {
+        Self { kept: [None; KEPT] }
+    }
+
+    /// Keeps a fault and sends it. Where there is no room, the newest gives way.
+    pub fn report(&mut self, fault: Fault, out: &mut impl FrameOut) {
+        let same = self.kept.iter().position(|f| f.is_some_and(|f| f.kind == fault.kind));
+        let free = self.kept.iter().position(Option::is_none);
+        self.kept[same.or(free).unwrap_or(KEPT - 1)] = Some(fault);
+        crate::send::<FAULT_FRAME_MAX>(&fault, out);
+    }
+
+    /// Sends all that is kept.
+    pub fn repeat(&self, out: &mut impl FrameOut) {
+        for fault in self.kept.iter().flatten() {
+            crate::send::<FAULT_FRAME_MAX>(fault, out);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::vec::Vec;
+
+    #[test]
+    fn one_fault_of_each_kind_is_kept_and_the_newest_gives_way() {
+        let mut log = FaultLog::new();
+        let mut ignore = |_: &[u8]| true;
+        let fault = |kind, detail| Fault { uptime_ms: 1, kind, detail };
+        for kind in 0..6u8 {
+            log.report(fault(kind.into(), 1), &mut ignore);
+            log.report(fault(kind.into(), 2), &mut ignore);
+        }
+        let kinds: Vec<u8> = log.kept.iter().flatten().map(|fault| fault.kind.into()).collect();
+        assert_eq!(kinds, [0, 1, 2, 5]);
+        assert!(log.kept.iter().flatten().all(|fault| fault.detail == 2), "the newest of its kind");
+        let mut frames = 0;
+        log.repeat(&mut |_: &[u8]| {
+            frames += 1;
+            true
+        });
+        assert_eq!(frames, 4);
+    }
+}

@@ -1,0 +1,298 @@
+//! The left board: samples to states, requests to acknowledgements, one status per second.
+
+use crate::calibration_store::{CalibrationStore, Eeprom, Progress};
+use crate::{FrameOut, Identity, STATUS_INTERVAL_MS};
+use shared_dsp::left::{AdcCounts, LeftHand, LeftOutput};
+use shared_dsp::left_calibration::{self as calibration, Calibration, CaptureError, Stored};
+use shared_dsp::left_guided::{Guided, GuidedAction};
+use shared_dsp::tilt;
+use shared_proto::frame::{DELIMITER, Decoder, HOST_TO_LEFT_FRAME_MAX, LEFT_BOARD_FRAME_MAX};
+use shared_proto::message::{
+    Ack, AckResult, BoardBody, CalibrationStep, Fault, FaultKind, Heading, LeftRequest, LeftState, Mode,
+    Pong, Status, TiltThresholds,
+};
+
+/// A state goes out with every second sample: 50 Hz.
+const SAMPLES_PER_STATE: u8 = 2;
+
+/// Who asked for the calibration step or the write that is under way.
+#[derive(Clone, Copy, Debug)]
+enum Asker {
+    Nobody,
+    /// The laptop, with its request number.
+    Host(u16),
+    /// The pin at power-on.
+    Pin {
+        guided: Guided,
+        /// What to go back to.
+        before: Option<Calibration>,
+    },
+}
+
+/// How a board starts.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Start {
+    /// What ended the run before: a watchdog, a panic.
+    pub fault: Option<FaultKind>,
+    /// Calibrate now, guided by the light, without a laptop.
+    pub guided: bool,
+}
+
+/// The left board behind its registers. `M` keeps the calibration.
+///
+/// The time of all calls is the beginning of the present sampling period on the board's clock.
+#[derive(Clone, Debug)]
+pub struct LeftBoard<M> {
+    identity: Identity,
+    hand: LeftHand,
+    store: CalibrationStore<M>,
+    decoder: Decoder<HOST_TO_LEFT_FRAME_MAX>,
+    asker: Asker,
+    mode: Mode,
+    sequence: u16,
+    last_status_ms: u32,
+    samples_until_state: u8,
+    sampled_in_period: bool,
+    /// A change that found no room on the way out.
+    owed: bool,
+    hello_owed: bool,
+    fault_owed: Option<FaultKind>,
+    light: bool,
+}
+
+impl<M: Eeprom> LeftBoard<M> {
+    /// Loads the calibration and ends whatever half frame an earlier run left on the line.
+    pub fn start(identity: Identity, memory: M, start: Start, out: &mut impl FrameOut) -> Self {
+        let (store, stored) = CalibrationStore::load(memory);
+        let calibration = match stored {
+            Stored::Good { record, .. } => Some(record.calibration),
+            Stored::Blank | Stored::Damaged => None,
+        };
+        let damaged = matches!(stored, Stored::Damaged).then_some(FaultKind::CalibrationDamaged);
+        out.send(&[DELIMITER]);
+        Self {
+            identity,
+            hand: LeftHand::new(calibration, tilt::TiltThresholds::DEFAULT, 0),
+            store,
+            decoder: Decoder::new(),
+            asker: if start.guided {
+                Asker::Pin { guided: Guided::new(0), before: calibration }
+            } else {
+                Asker::Nobody
+            },
+            mode: Mode::Classify,
+            sequence: 0,
+            last_status_ms: 0,
+            samples_until_state: 1,
+            sampled_in_period: true,
+            owed: false,
+            hello_owed: true,
+            fault_owed: start.fault.or(damaged),
+            light: false,
+        }
+    }
+
+    /// Takes the sample of this period.
+    #[inline(never)]
+    pub fn sample(&mut self, counts: AdcCounts, now_ms: u32, out: &mut impl FrameOut) {
+        self.sampled_in_period = true;
+        let output = self.hand.step(counts, now_ms);
+        self.on_output(output, now_ms, out);
+    }
+
+    /// A new period began; its sample follows. Returns whether [`LeftBoard::status`] is due.
+    #[inline(never)]
+    pub fn period(&mut self, now_ms: u32, out: &mut impl FrameOut) -> bool {
+        if !self.sampled_in_period {
+            let output = self.hand.no_sample(now_ms);
+            self.on_output(output, now_ms, out);
+        }
+        self.sampled_in_period = false;
+        self.calibrate(now_ms, out);
+        if self.hello_owed {
+            self.hello_owed = !send(&self.identity.hello(0), out);
+        } else if let Some(kind) = self.fault_owed
+            && send(&Fault { uptime_ms: now_ms, kind, detail: 0 }, out)
+        {
+            self.fault_owed = None;
+        }
+        let due = now_ms.wrapping_sub(self.last_status_ms) >= STATUS_INTERVAL_MS;
+        if due {
+            self.last_status_ms = now_ms;
+        }
+        due
+    }
+
+    /// Sends what the drivers have counted (in `bad_frames`: bytes that came too fast), with the board's own part:
+    /// time, damaged frames and mode.
+    #[inline]
+    pub fn status(&self, mut counted: Status, now_ms: u32, out: &mut impl FrameOut) {
+        counted.uptime_ms = now_ms;
+        counted.bad_frames = counted.bad_frames.wrapping_add(self.decoder.counters().damaged());
+        counted.mode = self.mode;
+        send(&counted, out);
+    }
+
+    /// Takes a byte from the laptop; what answers it goes out at once, a hello with the next period.
+    #[inline(never)]
+    pub fn receive(&mut self, byte: u8, now_ms: u32, out: &mut impl FrameOut) {
+        let Some(message) = self.decoder.push_left_request(byte) else { return };
+        let (request, result) = match message {
+            LeftRequest::HelloRequest => {
+                self.hello_owed = true;
+                return;
+            }
+            LeftRequest::Ping { id } => {
+                send(&Pong { id, board_time_ms: now_ms }, out);
+                return;
+            }
+            LeftRequest::SetMode { request, mode: Mode::Record } => (request, AckResult::Unsupported),
+            LeftRequest::SetMode { request, mode } => {
+                self.mode = mode;
+                (request, AckResult::Ok)
+            }
+            LeftRequest::Calibrate { request, step } => (request, self.start_calibration(request, step)),
+            LeftRequest::SetThresholds { request, thresholds } => {
+                let TiltThresholds { neutral_mrad, end_mrad, start_mrad } = thresholds;
+                let taken =
+                    self.hand.set_thresholds(tilt::TiltThresholds { neutral_mrad, end_mrad, start_mrad });
+                (request, if taken { AckResult::Ok } else { AckResult::OutOfRange })
+            }
+        };
+        acknowledge(request, result, out);
+    }
+
+    /// Whether the light is on. It guides the calibration without a laptop, and is off otherwise.
+    pub fn light(&self) -> bool {
+        self.light
+    }
+
+    /// The calibration in use.
+    pub fn calibration(&self) -> &Calibration {
+        self.hand.calibration()
+    }
+
+    /// The memory, for the board's next start.
+    pub fn into_memory(self) -> M {
+        self.store.into_memory()
+    }
+
+    #[inline(never)]
+    fn on_output(&mut self, output: LeftOutput, now_ms: u32, out: &mut impl FrameOut) {
+        self.owed |= output.changed;
+        self.samples_until_state -= 1;
+        let due = self.samples_until_state == 0;
+        if due {
+            self.samples_until_state = SAMPLES_PER_STATE;
+        }
+        if (due || self.owed) && self.mode == Mode::Classify {
+            let state = LeftState {
+                sequence: self.sequence,
+                board_time_ms: now_ms,
+                pitch_mrad: output.pitch_mrad,
+                roll_mrad: output.roll_mrad,
+                heading: heading_on_the_wire(output.heading),
+                index_bends: output.index_bends,
+                middle_bends: output.middle_bends,
+                stop: output.stop,
+                health: output.health,
+            };
+            if send(&state, out) {
+                self.sequence = self.sequence.wrapping_add(1);
+                self.owed = false;
+            }
+        }
+    }
+
+    /// Moves calibration along: steps that ended, bytes to write, the guide's light.
+    #[inline(never)]
+    fn calibrate(&mut self, now_ms: u32, out: &mut impl FrameOut) {
+        let ended = self.hand.take_captured();
+        let kept = self.store.poll();
+        match &mut self.asker {
+            Asker::Nobody => {}
+            Asker::Host(request) => {
+                let request = *request;
+                let result = match (ended, kept) {
+                    (Some(Ok(new)), _) => {
+                        self.hand.set_calibration(Some(new));
+                        self.store.keep(&new);
+                        return;
+                    }
+                    (Some(Err(CaptureError::Moved | CaptureError::Impossible)), _) => AckResult::Unsteady,
+                    (None, Progress::Done) => AckResult::Ok,
+                    (None, Progress::Failed) => AckResult::StorageFailed,
+                    (None, Progress::None) => return,
+                };
+                self.asker = Asker::Nobody;
+                acknowledge(request, result, out);
+            }
+            Asker::Pin { guided, before } => {
+                let taken = ended.map(|outcome| outcome.is_ok());
+                if let Some(Ok(new)) = ended {
+                    self.hand.set_calibration(Some(new));
+                }
+                match guided.step(taken, now_ms) {
+                    GuidedAction::Wait => {}
+                    GuidedAction::Start(step) => {
+                        self.hand.start_capture(step);
+                    }
+                    GuidedAction::Keep => self.store.keep(self.hand.calibration()),
+                    GuidedAction::GiveUp => {
+                        self.hand.set_calibration(*before);
+                        self.asker = Asker::Nobody;
+                        self.light = false;
+                        return;
+                    }
+                }
+                self.light = guided.light(now_ms) || self.store.is_busy();
+                if kept != Progress::None {
+                    self.asker = Asker::Nobody;
+                }
+            }
+        }
+    }
+
+    #[inline(never)]
+    fn start_calibration(&mut self, request: u16, step: CalibrationStep) -> AckResult {
+        if !matches!(self.asker, Asker::Nobody) || self.store.is_busy() {
+            return AckResult::Busy;
+        }
+        let step = match step {
+            CalibrationStep::Neutral => calibration::CalibrationStep::Neutral,
+            CalibrationStep::Rest => calibration::CalibrationStep::Rest,
+            CalibrationStep::Bend => calibration::CalibrationStep::Bend,
+            CalibrationStep::Reset => {
+                self.hand.set_calibration(None);
+                self.store.forget();
+                self.asker = Asker::Host(request);
+                return AckResult::Started;
+            }
+        };
+        self.hand.start_capture(step);
+        self.asker = Asker::Host(request);
+        AckResult::Started
+    }
+}
+
+#[inline(never)]
+fn acknowledge(request: u16, result: AckResult, out: &mut impl FrameOut) {
+    send(&Ack { request, result, next_offset: 0 }, out);
+}
+
+/// One buffer size for all messages: the left board has no room for the code of several.
+fn send(body: &impl BoardBody, out: &mut impl FrameOut) -> bool {
+    crate::send::<LEFT_BOARD_FRAME_MAX>(body, out)
+}
+
+/// The hand's heading as the wire names it.
+pub fn heading_on_the_wire(heading: tilt::Heading) -> Heading {
+    match heading {
+        tilt::Heading::Neutral => Heading::Neutral,
+        tilt::Heading::Between => Heading::Between,
+        tilt::Heading::Forward => Heading::Forward,
+        tilt::Heading::Backward => Heading::Backward,
+        tilt::Heading::Left => Heading::Left,
+        tilt::Heading::Right => Heading::Right,
+    }
+}

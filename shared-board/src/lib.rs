@@ -1,0 +1,119 @@
+//! What a board does, without its pins: samples, bytes and time in; frames, memory operations and light out.
+//!
+//! ```text
+//!  samples ─▶ ┌───────────────────────┐ ─▶ frames
+//!  bytes   ─▶ │ LeftBoard, RightBoard │ ─▶ light
+//!  time    ─▶ └───────────────────────┘
+//!                      │ ModelRequest
+//!                      ▼
+//!                  ModelStore ─▶ flash
+//! ```
+//!
+//! * [`left::LeftBoard`]: tilt and bends, calibration kept in EEPROM, thresholds.
+//! * [`right::RightBoard`]: gestures, record mode, what a model needs.
+//! * [`models::ModelStore`]: receives a model over the wire into one of two slots of NOR flash.
+//!
+//! The firmware of both boards, replayed recordings, keyboard hands and the doubles of the tests all run this
+//! code. They differ in where samples come from and where frames go, and in nothing else.
+//!
+//! Nothing here waits, looks at a clock or knows a register. Time is the board's own clock in milliseconds since
+//! start, which wraps after 49 days.
+//!
+//! # A left board in ten lines
+//! ```
+//! use shared_board::Identity;
+//! use shared_board::left::{LeftBoard, Start};
+//! # use shared_board::memory::RamEeprom;
+//! # use shared_dsp::left::AdcCounts;
+//! # use shared_proto::message::{Board, Status};
+//! # let (eeprom, level) = (RamEeprom::blank(), AdcCounts::from_ten_bit([512, 512, 614, 704, 704]));
+//! let mut line = Vec::new();
+//! let mut out = |frame: &[u8]| {
+//!     line.extend_from_slice(frame);
+//!     true // false where the line has no room
+//! };
+//! let who = Identity { board: Board::LeftNano, firmware: "0.1.0", boot_id: 1, sample_hz: 100 };
+//! let mut board = LeftBoard::start(who, eeprom, Start::default(), &mut out);
+//! for now_ms in (10..=1000).step_by(10) {
+//!     if board.period(now_ms, &mut out) {
+//!         board.status(Status::default(), now_ms, &mut out); // what the drivers have counted
+//!     }
+//!     board.sample(level, now_ms, &mut out);
+//!     board.receive(0, now_ms, &mut out); // bytes from the laptop, as they come
+//!     assert!(!board.light());
+//! }
+//! // A hello, fifty states and one more for the first neutral, a status: each ends in a zero byte.
+//! assert_eq!(line.iter().filter(|&&byte| byte == 0).count(), 1 + 1 + 51 + 1);
+//! ```
+#![no_std]
+#![forbid(unsafe_code)]
+
+#[cfg(any(test, feature = "host"))]
+extern crate std;
+
+pub mod calibration_store;
+pub mod faults;
+pub mod hand;
+pub mod left;
+#[cfg(any(test, feature = "host"))]
+pub mod memory;
+pub mod models;
+pub mod right;
+pub mod slots;
+
+use shared_proto::frame::encode_body;
+use shared_proto::message::{Board, BoardBody, Hello, PROTOCOL_MAJOR, PROTOCOL_MINOR};
+
+/// Where frames go: a serial line, a radio, a vector of bytes.
+///
+/// Every `FnMut(&[u8]) -> bool` is one.
+pub trait FrameOut {
+    /// Takes a frame whole or not at all; false where there is no room for it now.
+    fn send(&mut self, frame: &[u8]) -> bool;
+}
+
+impl<F: FnMut(&[u8]) -> bool> FrameOut for F {
+    fn send(&mut self, frame: &[u8]) -> bool {
+        self(frame)
+    }
+}
+
+/// Who a board says it is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Identity {
+    /// Which hand, and which board.
+    pub board: Board,
+    /// Version of the program that runs the board's code, such as `0.1.0`.
+    pub firmware: &'static str,
+    /// Different after each start.
+    pub boot_id: u32,
+    /// Samples per second.
+    pub sample_hz: u16,
+}
+
+impl Identity {
+    /// The hello of this board; `model_id` is 0 where no model runs.
+    fn hello(&self, model_id: u32) -> Hello<'static> {
+        Hello {
+            major: PROTOCOL_MAJOR,
+            minor: PROTOCOL_MINOR,
+            board: self.board,
+            firmware: self.firmware,
+            boot_id: self.boot_id,
+            model_id,
+            sample_hz: self.sample_hz,
+        }
+    }
+}
+
+/// Time between two statuses.
+pub const STATUS_INTERVAL_MS: u32 = 1000;
+
+/// Encodes a message into a buffer of `N` bytes, its `…_FRAME_MAX`, and hands it over.
+fn send<const N: usize>(body: &impl BoardBody, out: &mut impl FrameOut) -> bool {
+    let mut buffer = [0; N];
+    match encode_body(body, &mut buffer) {
+        Ok(frame) => out.send(frame),
+        Err(_) => false,
+    }
+}

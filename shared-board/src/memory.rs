@@ -1,0 +1,186 @@
+//! A board's memories on a laptop: EEPROM and NOR flash that lose power where a test wants them to.
+
+use crate::calibration_store::{CalibrationStore, Eeprom, Progress};
+use crate::models::MappedFlash;
+use crate::slots::STORE_BYTES;
+use core::cell::Cell;
+use core::pin::pin;
+use core::task::{Context, Poll, Waker};
+use embedded_storage_async::nor_flash::{ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash};
+use shared_dsp::left_calibration::Calibration;
+use std::vec;
+use std::vec::Vec;
+
+/// The outcome of a future that never waits, such as what a [`ModelStore`](crate::models::ModelStore) does with a
+/// [`RamFlash`].
+///
+/// # Panics
+/// If it waits.
+pub fn at_once<F: Future>(future: F) -> F::Output {
+    match pin!(future).poll(&mut Context::from_waker(Waker::noop())) {
+        Poll::Ready(outcome) => outcome,
+        Poll::Pending => panic!("nothing waits for memory"),
+    }
+}
+
+/// An EEPROM in RAM.
+#[derive(Clone, Debug)]
+pub struct RamEeprom {
+    bytes: [u8; 128],
+    /// Bytes written so far.
+    pub writes: u32,
+    /// Bytes that it still keeps; what is written later is lost, as after a power cut.
+    pub writes_left: u32,
+    /// How many questions after a write it is busy for.
+    pub busy_for: u32,
+    busy: Cell<u32>,
+}
+
+impl RamEeprom {
+    /// Never written.
+    pub fn blank() -> Self {
+        Self { bytes: [0xFF; 128], writes: 0, writes_left: u32::MAX, busy_for: 0, busy: Cell::new(0) }
+    }
+
+    /// As a board leaves it that has kept this calibration.
+    pub fn with(calibration: &Calibration) -> Self {
+        let (mut store, _) = CalibrationStore::load(Self::blank());
+        store.keep(calibration);
+        while store.poll() == Progress::None {}
+        store.into_memory()
+    }
+
+    /// A byte, to be damaged.
+    pub fn byte_mut(&mut self, address: usize) -> &mut u8 {
+        &mut self.bytes[address]
+    }
+}
+
+impl Eeprom for RamEeprom {
+    fn is_busy(&self) -> bool {
+        let left = self.busy.get();
+        self.busy.set(left.saturating_sub(1));
+        left > 0
+    }
+
+    fn read(&self, address: u16) -> u8 {
+        self.bytes.get(usize::from(address)).copied().unwrap_or(0xFF)
+    }
+
+    fn write(&mut self, address: u16, byte: u8) {
+        self.writes += 1;
+        self.busy.set(self.busy_for);
+        if self.writes_left == 0 {
+            return;
+        }
+        self.writes_left -= 1;
+        if let Some(place) = self.bytes.get_mut(usize::from(address)) {
+            *place = byte;
+        }
+    }
+}
+
+/// NOR flash in RAM: writing clears bits, erasing sets a page of them.
+#[derive(Clone, Debug)]
+pub struct RamFlash {
+    bytes: Vec<u8>,
+    /// Words and pages done so far.
+    pub operations: u32,
+    /// Words and pages until the power goes: in the middle of that one, at any bit. Nothing is done afterwards.
+    pub cut_after: Option<u32>,
+    /// Decides which bits a torn operation has reached.
+    pub torn: u32,
+}
+
+impl RamFlash {
+    /// Erased.
+    pub fn blank() -> Self {
+        Self { bytes: vec![0xFF; STORE_BYTES], operations: 0, cut_after: None, torn: 1 }
+    }
+
+    /// Power again.
+    pub fn power_up(&mut self) {
+        self.cut_after = None;
+    }
+
+    /// A byte, to be damaged.
+    pub fn byte_mut(&mut self, offset: usize) -> &mut u8 {
+        &mut self.bytes[offset]
+    }
+
+    fn random(&mut self) -> u8 {
+        self.torn = self.torn.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        (self.torn >> 24) as u8
+    }
+
+    /// Sets bytes to `new`, whole or (at the power cut) in some bits only.
+    fn operate(&mut self, offset: usize, new: &[u8]) -> Result<(), NorFlashErrorKind> {
+        let is_cut = match &mut self.cut_after {
+            Some(0) => return Err(NorFlashErrorKind::Other),
+            Some(left) => {
+                *left -= 1;
+                *left == 0
+            }
+            None => false,
+        };
+        self.operations += 1;
+        for (i, &new) in new.iter().enumerate() {
+            let reached = if is_cut { self.random() } else { 0xFF };
+            let old = self.bytes[offset + i];
+            self.bytes[offset + i] = (new & reached) | (old & !reached);
+        }
+        if is_cut { Err(NorFlashErrorKind::Other) } else { Ok(()) }
+    }
+}
+
+impl ErrorType for RamFlash {
+    type Error = NorFlashErrorKind;
+}
+
+impl ReadNorFlash for RamFlash {
+    const READ_SIZE: usize = 1;
+
+    async fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), Self::Error> {
+        let start = offset as usize;
+        let found = self.bytes.get(start..start + bytes.len()).ok_or(NorFlashErrorKind::OutOfBounds)?;
+        bytes.copy_from_slice(found);
+        Ok(())
+    }
+
+    fn capacity(&self) -> usize {
+        self.bytes.len()
+    }
+}
+
+impl NorFlash for RamFlash {
+    const WRITE_SIZE: usize = 4;
+    const ERASE_SIZE: usize = 0x1000;
+
+    async fn erase(&mut self, from: u32, to: u32) -> Result<(), Self::Error> {
+        if !from.is_multiple_of(0x1000) || !to.is_multiple_of(0x1000) {
+            return Err(NorFlashErrorKind::NotAligned);
+        }
+        if from > to || to as usize > self.bytes.len() {
+            return Err(NorFlashErrorKind::OutOfBounds);
+        }
+        (from..to).step_by(0x1000).try_for_each(|page| self.operate(page as usize, &[0xFF; 0x1000]))
+    }
+
+    async fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), Self::Error> {
+        let start = offset as usize;
+        if !offset.is_multiple_of(4) || !bytes.len().is_multiple_of(4) || bytes.as_ptr().align_offset(4) != 0
+        {
+            return Err(NorFlashErrorKind::NotAligned);
+        }
+        let old = self.bytes.get(start..start + bytes.len()).ok_or(NorFlashErrorKind::OutOfBounds)?;
+        // Only an erased page takes any bytes; a real one would keep both, and nobody would notice.
+        assert!(old.iter().zip(bytes).all(|(old, new)| old & new == *new), "written without being erased");
+        bytes.chunks(4).enumerate().try_for_each(|(i, word)| self.operate(start + 4 * i, word))
+    }
+}
+
+impl MappedFlash for RamFlash {
+    fn mapped(&self) -> &[u8] {
+        &self.bytes
+    }
+}

@@ -1,0 +1,295 @@
+//! A model on its way from the laptop to flash.
+//!
+//! ```text
+//! Begin -> Started ... Ok(0) -> Chunk -> Ok(next) ... Chunk -> Ok(size) -> Commit -> Ok
+//! ```
+//!
+//! A piece at another offset than the wanted one is refused with the wanted one, so a laptop whose
+//! acknowledgement was lost goes on from there. A new `Begin` starts over. The model that runs is never
+//! overwritten: a transfer goes to the other slot, and nothing that breaks touches the model that runs.
+
+use crate::slots::{BLOB_MAX, Content, HEADER_BYTES, MAGIC, SLOT_BYTES, Slot, is_newer, look};
+use crate::{FrameOut, send};
+use embedded_storage_async::nor_flash::NorFlash;
+use shared_dsp::features::{HOP, WINDOW};
+use shared_dsp::mlp::{Model, crc32};
+use shared_dsp::recipe::Recipe;
+use shared_proto::frame::ACK_FRAME_MAX;
+use shared_proto::message::{Ack, AckResult, MODEL_CHUNK_MAX, ModelBegin, ModelInfo};
+
+/// NOR flash that can also be read like memory, as that of a microcontroller.
+///
+/// Its first [`STORE_BYTES`](crate::slots::STORE_BYTES) are the store's. One write is a multiple of four bytes, at
+/// an address that is one, from memory that is aligned to four.
+pub trait MappedFlash: NorFlash {
+    /// All of its bytes.
+    fn mapped(&self) -> &[u8];
+}
+
+/// A message about models.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum ModelRequest<'r> {
+    /// A model is announced.
+    Begin(ModelBegin<'r>),
+    /// A piece of it.
+    Chunk {
+        /// Echoed in the answer.
+        request: u16,
+        /// Where the data belongs, in bytes.
+        offset: u32,
+        /// The piece.
+        data: &'r [u8],
+    },
+    /// All pieces are there: check and keep it.
+    Commit {
+        /// Echoed in the answer.
+        request: u16,
+        /// CRC-32 of the whole blob.
+        crc32: u32,
+    },
+}
+
+impl ModelRequest<'_> {
+    /// Answers for a board that stores no models.
+    pub fn refuse(&self, out: &mut impl FrameOut) {
+        let (Self::Begin(ModelBegin { request, .. })
+        | Self::Chunk { request, .. }
+        | Self::Commit { request, .. }) = *self;
+        acknowledge(request, AckResult::Unsupported, 0, out);
+    }
+}
+
+/// What an image can run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Runs {
+    /// Values per sample of its sensor.
+    pub axes: u8,
+    /// Samples per second.
+    pub sample_hz: u16,
+}
+
+impl Runs {
+    /// Whether a model that needs this can run.
+    pub fn takes(self, needs: &ModelInfo<'_>) -> bool {
+        Recipe::from_id(needs.recipe).is_some()
+            && needs.axes == self.axes
+            && needs.sample_hz == self.sample_hz
+            && usize::from(needs.window) == WINDOW
+    }
+
+    /// Whether this blob is a model that can run.
+    pub fn takes_blob(self, blob: &[u8]) -> bool {
+        Model::parse(blob).is_ok_and(|model| {
+            let info = model.info();
+            self.takes(&crate::hand::model_info_on_the_wire(info)) && usize::from(info.hop) == HOP
+        })
+    }
+}
+
+/// A stored model that can run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Place {
+    /// Where it is.
+    pub slot: Slot,
+    /// Bytes of its blob.
+    pub len: usize,
+}
+
+impl Place {
+    /// Where the blob begins, in bytes from the beginning of the store.
+    pub const fn offset(self) -> usize {
+        self.slot.offset() + HEADER_BYTES
+    }
+}
+
+/// What was found at start.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Found {
+    /// The newest intact model that this image can run.
+    pub model: Option<Place>,
+    /// A slot holds something damaged, or a model that this image cannot run.
+    pub damaged: bool,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Transfer {
+    slot: Slot,
+    size: u32,
+    model_id: u32,
+    next: u32,
+}
+
+/// Receives one model at a time into the slot that is not in use.
+#[derive(Clone, Debug)]
+pub struct ModelStore<F> {
+    flash: F,
+    runs: Runs,
+    running: Option<Slot>,
+    transfer: Option<Transfer>,
+}
+
+impl<F: MappedFlash> ModelStore<F> {
+    /// Looks for the model to run. Whoever starts the board runs it; without one, the compiled-in model.
+    pub fn open(flash: F, runs: Runs) -> (Self, Found) {
+        let mut found = Found { model: None, damaged: false };
+        let mut newest = 0;
+        for slot in Slot::ALL {
+            match look(flash.mapped(), slot) {
+                Content::Empty => {}
+                Content::Blob { blob, sequence } if runs.takes_blob(blob) => {
+                    if found.model.is_none() || is_newer(sequence, newest) {
+                        newest = sequence;
+                        found.model = Some(Place { slot, len: blob.len() });
+                    }
+                }
+                Content::Blob { .. } | Content::Damaged => found.damaged = true,
+            }
+        }
+        (Self { flash, runs, running: found.model.map(|place| place.slot), transfer: None }, found)
+    }
+
+    /// The flash.
+    pub fn flash(&self) -> &F {
+        &self.flash
+    }
+
+    /// The flash, for the board's next start.
+    pub fn into_flash(self) -> F {
+        self.flash
+    }
+
+    /// Does what is asked and answers it. Each page that is erased is followed by `pause`, in which a board
+    /// fetches the samples that its sensor kept meanwhile.
+    pub async fn answer(
+        &mut self,
+        request: &ModelRequest<'_>,
+        pause: impl AsyncFnMut(),
+        out: &mut impl FrameOut,
+    ) {
+        let (request, result) = match *request {
+            ModelRequest::Begin(begin) => (begin.request, self.begin(&begin, pause, out).await),
+            ModelRequest::Chunk { request, offset, data } => (request, self.chunk(offset, data).await),
+            ModelRequest::Commit { request, crc32 } => (request, self.commit(crc32).await),
+        };
+        acknowledge(request, result, self.transfer.map_or(0, |t| t.next), out);
+    }
+
+    /// Refuses a model that this image cannot run, else makes room.
+    async fn begin(
+        &mut self,
+        begin: &ModelBegin<'_>,
+        mut pause: impl AsyncFnMut(),
+        out: &mut impl FrameOut,
+    ) -> AckResult {
+        self.transfer = None;
+        let fits = self.runs.takes(&begin.info) && (1..=BLOB_MAX).contains(&(begin.size as usize));
+        if !fits {
+            return AckResult::ModelDoesNotFit;
+        }
+        acknowledge(begin.request, AckResult::Started, 0, out);
+        let slot = self.target();
+        for page in (slot.offset()..slot.offset() + SLOT_BYTES).step_by(F::ERASE_SIZE) {
+            if self.flash.erase(page as u32, (page + F::ERASE_SIZE) as u32).await.is_err() {
+                return AckResult::StorageFailed;
+            }
+            pause().await;
+        }
+        self.transfer = Some(Transfer { slot, size: begin.size, model_id: begin.info.model_id, next: 0 });
+        AckResult::Ok
+    }
+
+    async fn chunk(&mut self, offset: u32, data: &[u8]) -> AckResult {
+        let Some(transfer) = &mut self.transfer else { return AckResult::WrongOffset };
+        if offset != transfer.next {
+            return AckResult::WrongOffset;
+        }
+        let end = u64::from(offset) + data.len() as u64;
+        let is_last = end == u64::from(transfer.size);
+        if data.is_empty() || end > u64::from(transfer.size) || (!data.len().is_multiple_of(4) && !is_last) {
+            return AckResult::OutOfRange;
+        }
+        // A last piece is filled up with ones, which write nothing.
+        let mut aligned = Aligned([0xFF; MODEL_CHUNK_MAX]);
+        let Some(place) = aligned.0.get_mut(..data.len()) else { return AckResult::OutOfRange };
+        place.copy_from_slice(data);
+        let words = &aligned.0[..data.len().next_multiple_of(4)];
+        let at = transfer.slot.offset() + HEADER_BYTES + offset as usize;
+        if self.flash.write(at as u32, words).await.is_err() {
+            // Flash cannot be written twice: start over.
+            self.transfer = None;
+            return AckResult::StorageFailed;
+        }
+        transfer.next = end as u32;
+        AckResult::Ok
+    }
+
+    /// Keeps the model if it is whole, is the announced one and can run.
+    async fn commit(&mut self, crc: u32) -> AckResult {
+        let Some(transfer) = self.transfer.filter(|t| t.next == t.size) else {
+            return AckResult::WrongOffset;
+        };
+        let start = transfer.slot.offset() + HEADER_BYTES;
+        let blob = self.flash.mapped().get(start..start + transfer.size as usize).unwrap_or_default();
+        let result = if crc != transfer.model_id || crc32(blob) != crc {
+            AckResult::BadChecksum
+        } else if !self.runs.takes_blob(blob) {
+            AckResult::ModelDoesNotFit
+        } else if self.validate(&transfer, crc).await.is_err() {
+            AckResult::StorageFailed
+        } else {
+            AckResult::Ok
+        };
+        self.transfer = None;
+        result
+    }
+
+    /// Makes the written blob valid: from the next start on it is used.
+    async fn validate(&mut self, transfer: &Transfer, crc: u32) -> Result<(), ()> {
+        let mut newest = None;
+        for slot in Slot::ALL {
+            if let Content::Blob { sequence, .. } = look(self.flash.mapped(), slot)
+                && newest.is_none_or(|newest| is_newer(sequence, newest))
+            {
+                newest = Some(sequence);
+            }
+        }
+        let sequence = newest.map_or(1, |newest| newest.wrapping_add(1));
+        let mut words = Aligned([0; HEADER_BYTES]);
+        for (place, word) in words.0.chunks_exact_mut(4).zip([MAGIC, transfer.size, crc, sequence]) {
+            place.copy_from_slice(&word.to_le_bytes());
+        }
+        // The magic number last: without it the slot counts as empty.
+        let at = transfer.slot.offset() as u32;
+        self.flash.write(at + 4, &words.0[4..]).await.map_err(drop)?;
+        self.flash.write(at, &words.0[..4]).await.map_err(drop)?;
+        match look(self.flash.mapped(), transfer.slot) {
+            Content::Blob { .. } => Ok(()),
+            Content::Empty | Content::Damaged => Err(()),
+        }
+    }
+
+    /// The slot that a transfer goes to.
+    fn target(&self) -> Slot {
+        if let Some(running) = self.running {
+            return running.other();
+        }
+        // The compiled-in model runs: keep the newer one, whatever it is.
+        let [a, b] = Slot::ALL.map(|slot| look(self.flash.mapped(), slot));
+        match (a, b) {
+            (Content::Blob { sequence: a, .. }, Content::Blob { sequence: b, .. }) if is_newer(a, b) => {
+                Slot::B
+            }
+            (Content::Blob { .. }, Content::Blob { .. }) => Slot::A,
+            (Content::Blob { .. }, _) => Slot::B,
+            _ => Slot::A,
+        }
+    }
+}
+
+/// Flash controllers take whole words.
+#[repr(align(4))]
+struct Aligned<const N: usize>([u8; N]);
+
+fn acknowledge(request: u16, result: AckResult, next_offset: u32, out: &mut impl FrameOut) {
+    send::<ACK_FRAME_MAX>(&Ack { request, result, next_offset }, out);
+}

@@ -1,0 +1,286 @@
+//! The right board: samples to gestures or to raw batches, by mode; requests to answers.
+
+use crate::faults::FaultLog;
+use crate::hand::Hand;
+use crate::models::ModelRequest;
+use crate::{FrameOut, Identity, send};
+use shared_dsp::features::HOP;
+use shared_dsp::mlp::MAX_AXES;
+use shared_proto::frame::{
+    ACK_FRAME_MAX, HELLO_FRAME_MAX, MODEL_INFO_FRAME_MAX, PONG_FRAME_MAX, RAW_IMU_FRAME_MAX,
+    RIGHT_STATE_FRAME_MAX, STATUS_FRAME_MAX,
+};
+use shared_proto::message::{
+    Ack, AckResult, Board, Fault, FaultKind, HostMessage, Mode, Pong, RAW_COUNTS_MAX, RawImu, RightState,
+    Status, health,
+};
+
+/// Without a sample for this long [`RightBoard::silence`] is due, and again after each further period. Longer than
+/// erasing a page of flash, in which samples wait in the sensor.
+pub const SILENCE_MS: u32 = 120;
+
+/// What the board's light says.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Light {
+    /// Red: the sensor does not deliver.
+    SensorGone,
+    /// Blue: raw samples are recorded.
+    Recording,
+    /// Green: gestures are named, or the board idles.
+    Well,
+}
+
+/// The right board behind its registers. `H` names the gestures.
+#[derive(Clone, Debug)]
+pub struct RightBoard<H> {
+    identity: Identity,
+    hand: H,
+    mode: Mode,
+    sequence: u16,
+    board_time_ms: u32,
+    sensor_ok: bool,
+    /// It has said who it is since it started.
+    greeted: bool,
+    raw: RawBatch,
+    faults: FaultLog,
+}
+
+impl<H: Hand> RightBoard<H> {
+    /// A board that starts now. Its sensor has not delivered yet.
+    pub fn new(identity: Identity, hand: H) -> Self {
+        Self {
+            identity,
+            hand,
+            mode: Mode::Classify,
+            sequence: 0,
+            board_time_ms: 0,
+            sensor_ok: false,
+            greeted: false,
+            raw: RawBatch::new(),
+            faults: FaultLog::new(),
+        }
+    }
+
+    /// Takes sample `number` since start with its time; returns whether [`RightBoard::send_due`] has something.
+    ///
+    /// In two calls, since this one is all arithmetic and the other one is all wire.
+    #[inline]
+    pub fn sample(&mut self, sample: &H::Sample, time_ms: u32, number: u32) -> bool {
+        match self.mode {
+            Mode::Classify => {
+                self.board_time_ms = time_ms;
+                self.hand.push(sample, time_ms)
+            }
+            mode => {
+                // Samples that the window did not see are a gap in it.
+                self.hand.gap();
+                let mut counts = [0; MAX_AXES];
+                mode == Mode::Record && {
+                    let axes = self.hand.counts(sample, &mut counts);
+                    self.raw.push(number, &counts[..axes])
+                }
+            }
+        }
+    }
+
+    /// Sends the state or the batch of samples that the last [`RightBoard::sample`] completed; before the first
+    /// one, a hello.
+    pub fn send_due(&mut self, out: &mut impl FrameOut) {
+        self.greet(out);
+        match self.mode {
+            Mode::Classify => self.send_state(out),
+            Mode::Record => self.raw.send(self.hand.scale().unwrap_or_default(), out),
+            Mode::Idle => {}
+        }
+    }
+
+    /// Samples are missing here.
+    pub fn gap(&mut self) {
+        self.hand.gap();
+        self.raw.clear();
+    }
+
+    /// No sample came for [`SILENCE_MS`]: the window is emptied and the laptop hears of it.
+    pub fn silence(&mut self, out: &mut impl FrameOut) {
+        self.gap();
+        self.greet(out);
+        if self.mode == Mode::Classify {
+            self.send_state(out);
+        }
+    }
+
+    /// Whether the sensor delivers.
+    pub fn set_sensor_ok(&mut self, ok: bool) {
+        self.sensor_ok = ok;
+    }
+
+    /// The driver has found out which board this is.
+    pub fn set_board(&mut self, board: Board) {
+        self.identity.board = board;
+    }
+
+    /// Sends a fault, and keeps it for those who connect later.
+    pub fn report(&mut self, kind: FaultKind, detail: u32, now_ms: u32, out: &mut impl FrameOut) {
+        self.faults.report(Fault { uptime_ms: now_ms, kind, detail }, out);
+    }
+
+    /// Answers a message. One about models is handed back: a [`ModelStore`](crate::models::ModelStore) answers it.
+    ///
+    /// `trusted` says whether the link may change what the board does and keeps (Bluetooth: bonded).
+    pub fn receive<'r>(
+        &mut self,
+        message: &HostMessage<'r>,
+        trusted: bool,
+        now_ms: u32,
+        out: &mut impl FrameOut,
+    ) -> Option<ModelRequest<'r>> {
+        let (request, result) = match *message {
+            HostMessage::HelloRequest => {
+                self.hello(out);
+                return None;
+            }
+            HostMessage::Ping { id } => {
+                send::<PONG_FRAME_MAX>(&Pong { id, board_time_ms: now_ms }, out);
+                return None;
+            }
+            HostMessage::Calibrate { request, .. } | HostMessage::SetThresholds { request, .. } => {
+                (request, AckResult::Unsupported)
+            }
+            HostMessage::SetMode { request, mode } => (request, self.set_mode(mode, trusted)),
+            HostMessage::ModelBegin(begin) if trusted => return Some(ModelRequest::Begin(begin)),
+            HostMessage::ModelChunk { request, offset, data } if trusted => {
+                return Some(ModelRequest::Chunk { request, offset, data });
+            }
+            HostMessage::ModelCommit { request, crc32 } if trusted => {
+                return Some(ModelRequest::Commit { request, crc32 });
+            }
+            HostMessage::ModelBegin(begin) => (begin.request, AckResult::NotBonded),
+            HostMessage::ModelChunk { request, .. } | HostMessage::ModelCommit { request, .. } => {
+                (request, AckResult::NotBonded)
+            }
+        };
+        send::<ACK_FRAME_MAX>(&Ack { request, result, next_offset: 0 }, out);
+        None
+    }
+
+    /// Sends what the drivers have counted, with the board's own part: time and mode. Due every
+    /// [`STATUS_INTERVAL_MS`](crate::STATUS_INTERVAL_MS).
+    pub fn status(&self, mut counted: Status, now_ms: u32, out: &mut impl FrameOut) {
+        counted.uptime_ms = now_ms;
+        counted.mode = self.mode;
+        send::<STATUS_FRAME_MAX>(&counted, out);
+    }
+
+    /// What the light says now.
+    pub fn light(&self) -> Light {
+        match (self.sensor_ok, self.mode) {
+            (false, _) => Light::SensorGone,
+            (true, Mode::Record) => Light::Recording,
+            (true, _) => Light::Well,
+        }
+    }
+
+    /// A laptop that listens already hears of the start.
+    fn greet(&mut self, out: &mut impl FrameOut) {
+        if !self.greeted {
+            self.greeted = true;
+            self.hello(out);
+        }
+    }
+
+    /// Says who this board is and what its model names, and repeats its faults.
+    fn hello(&self, out: &mut impl FrameOut) {
+        let model = self.hand.model();
+        send::<HELLO_FRAME_MAX>(&self.identity.hello(model.model_id), out);
+        send::<MODEL_INFO_FRAME_MAX>(&model, out);
+        self.faults.repeat(out);
+    }
+
+    fn set_mode(&mut self, mode: Mode, trusted: bool) -> AckResult {
+        if !trusted {
+            return AckResult::NotBonded;
+        }
+        if mode == Mode::Record && self.hand.scale().is_none() {
+            return AckResult::Unsupported;
+        }
+        self.mode = mode;
+        AckResult::Ok
+    }
+
+    fn send_state(&mut self, out: &mut impl FrameOut) {
+        let output = self.hand.output();
+        let mut flags = 0;
+        if !self.sensor_ok {
+            flags |= health::SENSOR;
+        }
+        if !output.full || output.replaced {
+            flags |= health::GAP;
+        }
+        let scores = output.score_bytes();
+        let state = RightState {
+            sequence: self.sequence,
+            board_time_ms: self.board_time_ms,
+            events: output.events,
+            label: output.label,
+            confidence: output.confidence,
+            event_window_end_ms: output.event_window_end_ms,
+            scores: &scores[..output.scores().len()],
+            health: flags,
+        };
+        send::<RIGHT_STATE_FRAME_MAX>(&state, out);
+        self.sequence = self.sequence.wrapping_add(1);
+    }
+}
+
+/// Samples on their way out in record mode, a hop at a time.
+#[derive(Clone, Copy, Debug)]
+struct RawBatch {
+    sequence: u16,
+    first: u32,
+    samples: usize,
+    axes: usize,
+    bytes: [u8; RAW_COUNTS_MAX],
+}
+
+impl RawBatch {
+    const fn new() -> Self {
+        Self { sequence: 0, first: 0, samples: 0, axes: 0, bytes: [0; RAW_COUNTS_MAX] }
+    }
+
+    fn clear(&mut self) {
+        self.samples = 0;
+    }
+
+    /// Takes a sample; true when the batch is full.
+    fn push(&mut self, number: u32, counts: &[i16]) -> bool {
+        // A batch has no gaps inside.
+        let expected = self.first.wrapping_add(self.samples as u32);
+        if self.samples == 0 || self.samples == HOP || number != expected {
+            self.samples = 0;
+            self.first = number;
+        }
+        self.axes = counts.len();
+        let places = self.bytes.chunks_exact_mut(2).skip(self.samples * counts.len());
+        for (place, count) in places.zip(counts) {
+            place.copy_from_slice(&count.to_le_bytes());
+        }
+        self.samples += 1;
+        self.samples == HOP
+    }
+
+    fn send(&mut self, scale: [f32; 3], out: &mut impl FrameOut) {
+        let used = (2 * self.samples * self.axes).min(RAW_COUNTS_MAX);
+        let batch = RawImu {
+            sequence: self.sequence,
+            first_sample: self.first,
+            axes: self.axes as u8,
+            scale,
+            counts: &self.bytes[..used],
+        };
+        send::<RAW_IMU_FRAME_MAX>(&batch, out);
+        self.sequence = self.sequence.wrapping_add(1);
+        self.clear();
+    }
+}
+
+const _: () = assert!(HOP * MAX_AXES * 2 <= RAW_COUNTS_MAX);

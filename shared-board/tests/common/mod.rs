@@ -1,0 +1,80 @@
+//! The laptop's end of a board's line.
+#![allow(dead_code)] // each test file uses its own part
+
+use shared_board::FrameOut;
+use shared_proto::frame::{BOARD_FRAME_MAX, Decoder, HOST_FRAME_MAX, encode_host};
+use shared_proto::message::{Ack, AckResult, BoardMessage, Fault, HostMessage, LeftState, Pong, Status};
+
+/// Takes frames while it has room, and decodes them.
+#[derive(Default)]
+pub struct Line {
+    bytes: Vec<u8>,
+    /// No frame goes out.
+    pub is_full: bool,
+}
+
+impl FrameOut for Line {
+    fn send(&mut self, frame: &[u8]) -> bool {
+        if !self.is_full {
+            self.bytes.extend_from_slice(frame);
+        }
+        !self.is_full
+    }
+}
+
+impl Line {
+    /// Forgets what came.
+    pub fn clear(&mut self) {
+        self.bytes.clear();
+    }
+
+    /// What came, as far as `pick` wants it. It stays, so that a test may ask for something else, too.
+    pub fn all<T>(&self, pick: impl Fn(BoardMessage<'_>) -> Option<T>) -> Vec<T> {
+        let mut decoder = Decoder::<BOARD_FRAME_MAX>::new();
+        let mut picked = Vec::new();
+        for &byte in &self.bytes {
+            picked.extend(decoder.push_board(byte).and_then(&pick));
+        }
+        let counters = decoder.counters();
+        assert_eq!(
+            counters.damaged() + counters.malformed + counters.unknown,
+            0,
+            "a board sends whole frames"
+        );
+        picked
+    }
+
+    pub fn left(&self) -> Vec<LeftState> {
+        self.all(|m| if let BoardMessage::Left(state) = m { Some(state) } else { None })
+    }
+
+    pub fn acks(&self) -> Vec<(u16, AckResult)> {
+        self.all_acks().into_iter().map(|ack| (ack.request, ack.result)).collect()
+    }
+
+    pub fn all_acks(&self) -> Vec<Ack> {
+        self.all(|m| if let BoardMessage::Ack(ack) = m { Some(ack) } else { None })
+    }
+
+    pub fn faults(&self) -> Vec<Fault> {
+        self.all(|m| if let BoardMessage::Fault(fault) = m { Some(fault) } else { None })
+    }
+
+    pub fn statuses(&self) -> Vec<Status> {
+        self.all(|m| if let BoardMessage::Status(status) = m { Some(status) } else { None })
+    }
+
+    pub fn pongs(&self) -> Vec<Pong> {
+        self.all(|m| if let BoardMessage::Pong(pong) = m { Some(pong) } else { None })
+    }
+
+    /// Boot ids.
+    pub fn hellos(&self) -> Vec<u32> {
+        self.all(|m| if let BoardMessage::Hello(hello) = m { Some(hello.boot_id) } else { None })
+    }
+}
+
+/// The laptop's message as a frame.
+pub fn frame(message: &HostMessage<'_>) -> Vec<u8> {
+    encode_host(message, &mut [0; HOST_FRAME_MAX]).expect("fits").to_vec()
+}

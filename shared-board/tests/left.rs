@@ -1,0 +1,323 @@
+//! What a laptop may expect of a left board.
+
+mod common;
+
+use common::{Line, frame};
+use proptest::prelude::*;
+use shared_board::Identity;
+use shared_board::calibration_store::next_boot_id;
+use shared_board::left::{LeftBoard, Start};
+use shared_board::memory::RamEeprom;
+use shared_dsp::left::AdcCounts;
+use shared_dsp::left_calibration::{CAPTURE_SAMPLES, Calibration};
+use shared_proto::message::{
+    AckResult, Board, BoardMessage, CalibrationStep, FaultKind, Heading, HostMessage, LeftState, Mode,
+    Status, TiltThresholds, health,
+};
+
+/// x, y, z, index, middle in 10-bit conversions: level with straight fingers, as the default calibration expects.
+const LEVEL: [u16; 5] = [512, 512, 614, 704, 704];
+/// 30° forward.
+const FORWARD: [u16; 5] = [563, 512, 601, 704, 704];
+const BENT: [u16; 5] = [512, 512, 614, 536, 536];
+const PERIOD_MS: u32 = 10;
+
+/// A board in virtual time, and what came from it.
+struct Rig {
+    board: LeftBoard<RamEeprom>,
+    line: Line,
+    now_ms: u32,
+    request: u16,
+}
+
+impl Rig {
+    fn start(memory: RamEeprom) -> Self {
+        Self::started(memory, Start::default())
+    }
+
+    fn started(mut memory: RamEeprom, start: Start) -> Self {
+        let mut line = Line::default();
+        let boot_id = next_boot_id(&mut memory, 0);
+        let identity = Identity { board: Board::LeftNano, firmware: "test", boot_id, sample_hz: 100 };
+        let board = LeftBoard::start(identity, memory, start, &mut line);
+        Rig { board, line, now_ms: 0, request: 0 }
+    }
+
+    fn period(&mut self) {
+        self.now_ms += PERIOD_MS;
+        if self.board.period(self.now_ms, &mut self.line) {
+            let counted = Status { bad_frames: 7, ..Status::default() };
+            self.board.status(counted, self.now_ms, &mut self.line);
+        }
+    }
+
+    /// The hand holds still for a while.
+    fn hold(&mut self, conversions: [u16; 5], ms: u32) {
+        for _ in 0..ms / PERIOD_MS {
+            self.period();
+            let mut counts = AdcCounts::from_ten_bit(conversions);
+            // The last bit of a real converter is never still.
+            counts.z += u16::from((self.now_ms / PERIOD_MS).is_multiple_of(2));
+            self.board.sample(counts, self.now_ms, &mut self.line);
+        }
+    }
+
+    fn send(&mut self, message: &HostMessage<'_>) {
+        for byte in frame(message) {
+            self.board.receive(byte, self.now_ms, &mut self.line);
+        }
+    }
+
+    fn calibrate(&mut self, step: CalibrationStep) -> u16 {
+        self.request += 1;
+        self.send(&HostMessage::Calibrate { request: self.request, step });
+        self.request
+    }
+
+    fn last(&self) -> LeftState {
+        *self.line.left().last().expect("a state")
+    }
+
+    /// The next start with the same EEPROM.
+    fn restart(self) -> Self {
+        Rig::start(self.board.into_memory())
+    }
+}
+
+#[test]
+fn a_hello_comes_first_and_states_follow_fifty_times_a_second() {
+    let mut rig = Rig::start(RamEeprom::blank());
+    rig.hold(LEVEL, 1000);
+    let first = rig.line.all(|m| Some(matches!(m, BoardMessage::Hello(_))))[0];
+    assert!(first);
+    let states = rig.line.left();
+    // The heading's change from between to neutral is sent at once, between two.
+    assert_eq!(states.len(), 51);
+    for (i, state) in states.iter().enumerate() {
+        assert_eq!(state.sequence, i as u16);
+    }
+    assert_eq!(rig.last().heading, Heading::Neutral);
+}
+
+#[test]
+fn a_change_is_sent_at_once() {
+    let mut rig = Rig::start(RamEeprom::blank());
+    rig.hold(LEVEL, 100);
+    rig.hold(FORWARD, 100);
+    let states = rig.line.left();
+    let change = states.iter().find(|s| s.heading == Heading::Forward).expect("a command");
+    // Two samples must agree: those of the periods that began at 110 and 120 ms.
+    assert_eq!(change.board_time_ms, 120);
+}
+
+#[test]
+fn a_status_comes_every_second_with_what_the_drivers_and_the_decoder_have_counted() {
+    let mut rig = Rig::start(RamEeprom::blank());
+    rig.hold(LEVEL, 500);
+    for byte in [9, 9, 9, 0] {
+        rig.board.receive(byte, rig.now_ms, &mut rig.line);
+    }
+    rig.hold(LEVEL, 2600);
+    let statuses = rig.line.statuses();
+    assert_eq!(statuses.iter().map(|s| s.uptime_ms).collect::<Vec<_>>(), [1000, 2000, 3000]);
+    assert!(statuses.iter().all(|s| s.bad_frames == 8));
+}
+
+#[test]
+fn who_asks_is_answered_and_who_does_not_know_the_board_is_told() {
+    let mut rig = Rig::start(RamEeprom::blank());
+    rig.hold(LEVEL, 100);
+    let boot_ids = rig.line.hellos();
+    rig.line.clear();
+    rig.send(&HostMessage::Ping { id: 5 });
+    let pong = rig.line.pongs()[0];
+    assert_eq!((pong.id, pong.board_time_ms), (5, 100));
+    rig.send(&HostMessage::HelloRequest);
+    rig.hold(LEVEL, 20);
+    assert_eq!(rig.line.hellos(), boot_ids);
+    // The model's messages are for the other board.
+    rig.send(&HostMessage::ModelCommit { request: 3, crc32: 0 });
+    assert!(rig.line.acks().is_empty());
+}
+
+#[test]
+fn idle_silences_states_and_there_is_nothing_to_record() {
+    let mut rig = Rig::start(RamEeprom::blank());
+    rig.hold(LEVEL, 100);
+    rig.send(&HostMessage::SetMode { request: 1, mode: Mode::Record });
+    rig.send(&HostMessage::SetMode { request: 2, mode: Mode::Idle });
+    assert_eq!(rig.line.acks(), [(1, AckResult::Unsupported), (2, AckResult::Ok)]);
+    rig.line.clear();
+    rig.hold(LEVEL, 2000);
+    assert!(rig.line.left().is_empty());
+    assert_eq!(rig.line.statuses().last().unwrap().mode, Mode::Idle);
+    rig.send(&HostMessage::SetMode { request: 3, mode: Mode::Classify });
+    rig.hold(LEVEL, 40);
+    assert!(!rig.line.left().is_empty());
+}
+
+#[test]
+fn thresholds_are_taken_if_they_make_sense() {
+    let mut rig = Rig::start(RamEeprom::blank());
+    rig.hold(LEVEL, 100);
+    let wide = TiltThresholds { neutral_mrad: 87, end_mrad: 600, start_mrad: 700 };
+    rig.send(&HostMessage::SetThresholds { request: 1, thresholds: wide });
+    rig.send(&HostMessage::SetThresholds {
+        request: 2,
+        thresholds: TiltThresholds { start_mrad: 500, ..wide },
+    });
+    assert_eq!(rig.line.acks(), [(1, AckResult::Ok), (2, AckResult::OutOfRange)]);
+    rig.hold(LEVEL, 100);
+    rig.hold(FORWARD, 500);
+    assert!(rig.line.left().iter().all(|s| s.heading != Heading::Forward), "30° is too little now");
+}
+
+#[test]
+fn a_calibration_step_is_acknowledged_twice_and_kept_across_the_restart() {
+    let mut rig = Rig::start(RamEeprom::blank());
+    rig.hold(LEVEL, 100);
+    assert_eq!(rig.last().health, health::DEFAULT_CALIBRATION);
+    let moved = [520, 505, 610, 690, 710];
+    let request = rig.calibrate(CalibrationStep::Neutral);
+    assert_eq!(rig.line.acks(), [(request, AckResult::Started)]);
+    // Another one has to wait.
+    let refused = rig.calibrate(CalibrationStep::Rest);
+    assert_eq!(rig.line.acks().last(), Some(&(refused, AckResult::Busy)));
+    rig.hold(moved, u32::from(CAPTURE_SAMPLES) * PERIOD_MS + 500);
+    assert_eq!(rig.line.acks().last(), Some(&(request, AckResult::Ok)));
+    let calibration = *rig.board.calibration();
+    assert_ne!(calibration, Calibration::DEFAULT);
+    assert_eq!(rig.last().health, 0);
+
+    let mut rig = rig.restart();
+    rig.hold(moved, 100);
+    assert_eq!(*rig.board.calibration(), calibration);
+    assert_eq!((rig.last().health, rig.last().heading), (0, Heading::Neutral));
+
+    let request = rig.calibrate(CalibrationStep::Reset);
+    rig.hold(LEVEL, 1000);
+    assert_eq!(rig.line.acks(), [(request, AckResult::Started), (request, AckResult::Ok)]);
+    let mut rig = rig.restart();
+    rig.hold(LEVEL, 100);
+    assert_eq!(rig.last().health, health::DEFAULT_CALIBRATION);
+}
+
+#[test]
+fn a_moving_hand_and_a_worn_out_memory_are_told_apart() {
+    let mut rig = Rig::start(RamEeprom::blank());
+    rig.hold(LEVEL, 100);
+    let request = rig.calibrate(CalibrationStep::Neutral);
+    rig.hold(LEVEL, 300);
+    rig.hold(FORWARD, 500);
+    assert_eq!(rig.line.acks().last(), Some(&(request, AckResult::Unsteady)));
+
+    let mut memory = RamEeprom::blank();
+    memory.writes_left = 8;
+    let mut rig = Rig::start(memory);
+    rig.hold(LEVEL, 100);
+    let request = rig.calibrate(CalibrationStep::Neutral);
+    rig.hold(LEVEL, 1500);
+    assert_eq!(rig.line.acks().last(), Some(&(request, AckResult::StorageFailed)));
+}
+
+#[test]
+fn what_ended_the_last_run_follows_the_hello() {
+    for (fault, expected) in
+        [(FaultKind::Watchdog, FaultKind::Watchdog), (FaultKind::Panic, FaultKind::Panic)]
+    {
+        let start = Start { fault: Some(fault), guided: false };
+        let mut rig = Rig::started(RamEeprom::blank(), start);
+        rig.hold(LEVEL, 100);
+        assert_eq!(rig.line.faults().iter().map(|f| f.kind).collect::<Vec<_>>(), [expected]);
+    }
+    let mut rig = Rig::start(RamEeprom::blank());
+    rig.hold(LEVEL, 100);
+    assert!(rig.line.faults().is_empty());
+}
+
+#[test]
+fn a_damaged_calibration_is_reported_and_defaults_are_used() {
+    let mut memory = RamEeprom::with(&Calibration { rest: [5000, 5000], ..Calibration::DEFAULT });
+    // The first record goes to the first slot.
+    *memory.byte_mut(5) ^= 1;
+    let mut rig = Rig::start(memory);
+    rig.hold(LEVEL, 100);
+    assert_eq!(rig.line.faults()[0].kind, FaultKind::CalibrationDamaged);
+    assert_eq!(*rig.board.calibration(), Calibration::DEFAULT);
+}
+
+#[test]
+fn a_full_line_owes_the_hello_and_the_last_change() {
+    let mut rig = Rig::start(RamEeprom::blank());
+    rig.line.is_full = true;
+    rig.hold(LEVEL, 100);
+    rig.hold(FORWARD, 100);
+    rig.line.is_full = false;
+    rig.hold(FORWARD, 10);
+    assert_eq!(rig.line.hellos().len(), 1);
+    let states = rig.line.left();
+    assert_eq!((states[0].sequence, states[0].heading), (0, Heading::Forward));
+}
+
+#[test]
+fn a_converter_that_stops_is_a_fault_after_a_tenth_of_a_second() {
+    let mut rig = Rig::start(RamEeprom::blank());
+    rig.hold(LEVEL, 100);
+    rig.hold(FORWARD, 100);
+    rig.line.clear();
+    for _ in 0..30 {
+        rig.period();
+    }
+    let states = rig.line.left();
+    assert_eq!(states[0].heading, Heading::Forward, "one missing sample changes nothing");
+    assert_eq!(rig.last().heading, Heading::Neutral);
+    assert_ne!(rig.last().health & health::STUCK, 0);
+}
+
+#[test]
+fn the_light_guides_a_wearer_without_a_laptop() {
+    let start = Start { fault: None, guided: true };
+    let mut rig = Rig::started(RamEeprom::blank(), start);
+    let mut lit = Vec::new();
+    // Three seconds to get ready, neutral and rest (1.3 s), three seconds to bend, bend.
+    for ms in 0..9000 / PERIOD_MS {
+        rig.hold(if ms * PERIOD_MS < 4400 { LEVEL } else { BENT }, PERIOD_MS);
+        lit.push(rig.board.light());
+    }
+    assert!(lit.iter().any(|&on| on) && lit.iter().any(|&on| !on));
+    assert!(!rig.board.light());
+    let calibration = *rig.board.calibration();
+    let mut rig = rig.restart();
+    rig.hold(LEVEL, 100);
+    assert_eq!(*rig.board.calibration(), calibration);
+    assert_eq!(rig.last().health, 0, "calibrated");
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+
+    /// Whatever comes in, whole frames with sequence numbers without a hole go out.
+    #[test]
+    fn noise_from_the_laptop_and_from_the_hand_leaves_the_board_working(
+        noise in prop::collection::vec((any::<[u16; 5]>(), prop::collection::vec(any::<u8>(), 0..20)), 1..200),
+    ) {
+        let mut rig = Rig::start(RamEeprom::blank());
+        for (counts, bytes) in &noise {
+            rig.period();
+            let [x, y, z, index, middle] = counts.map(|v| v % (AdcCounts::MAX + 1));
+            rig.board.sample(AdcCounts { x, y, z, index, middle }, rig.now_ms, &mut rig.line);
+            for &byte in bytes {
+                rig.board.receive(byte, rig.now_ms, &mut rig.line);
+            }
+        }
+        rig.board.receive(0, rig.now_ms, &mut rig.line);
+        rig.line.clear();
+        rig.send(&HostMessage::SetMode { request: 1, mode: Mode::Classify });
+        rig.send(&HostMessage::Ping { id: 1 });
+        rig.hold(LEVEL, 200);
+        prop_assert_eq!(rig.line.pongs().len(), 1);
+        let states = rig.line.left();
+        prop_assert!(states.len() >= 10);
+        prop_assert!(states.windows(2).all(|w| w[1].sequence == w[0].sequence.wrapping_add(1)));
+    }
+}

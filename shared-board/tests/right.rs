@@ -1,0 +1,306 @@
+//! What a laptop may expect of a right board.
+
+mod common;
+
+use common::{Line, frame};
+use proptest::prelude::*;
+use shared_board::Identity;
+use shared_board::hand::{CountHand, Hand, ValueHand};
+use shared_board::models::ModelRequest;
+use shared_board::right::{Light, RightBoard};
+use shared_dsp::decision::DecisionConfig;
+use shared_dsp::mlp::{BlobSpec, DenseSpec, MAX_AXES, Model, build_blob};
+use shared_dsp::recipe::Recipe;
+use shared_dsp::right::RightHand;
+use shared_proto::frame::{HOST_FRAME_MAX, parse_host};
+use shared_proto::message::{
+    AckResult, Board, BoardMessage, FaultKind, HostMessage, Mode, ModelBegin, ModelInfo, Status, health,
+};
+
+const SCALE: [f32; 3] = [0.01, 0.07, 0.014];
+const LABELS: [&str; 3] = ["idle", "a", "b"];
+
+/// A network of three axes with some weights.
+fn blob() -> Vec<u8> {
+    let inputs = Recipe::Raw.feature_count(3);
+    let weight = |i: usize| ((i * 37) % 255) as i8;
+    build_blob(&BlobSpec {
+        recipe: Recipe::Raw,
+        axes: 3,
+        sample_hz: 100,
+        window: 200,
+        hop: 8,
+        labels: LABELS.map(String::from).to_vec(),
+        scaling: vec![(1.0, 0.0); inputs],
+        layers: vec![DenseSpec {
+            weights: (0..3)
+                .map(|row| (0..inputs).map(|i| weight(row * inputs + i).max(-127)).collect())
+                .collect(),
+            biases: vec![0; 3],
+            input_scale: 0.05,
+            input_zero_point: 0,
+            weight_scale: 0.01,
+            output_scale: 0.05,
+            output_zero_point: 0,
+            relu: false,
+        }],
+    })
+    .expect("a valid model")
+}
+
+fn hand(blob: &[u8]) -> CountHand<'_, 3> {
+    let model = Model::parse(blob).expect("a model");
+    CountHand::new(RightHand::new(model, DecisionConfig::default()).expect("three axes"), SCALE)
+}
+
+fn identity() -> Identity {
+    Identity { board: Board::RightNano33, firmware: "test", boot_id: 9, sample_hz: 100 }
+}
+
+struct Rig<'m> {
+    board: RightBoard<CountHand<'m, 3>>,
+    line: Line,
+    number: u32,
+}
+
+/// Sequence, board time, health and number of scores of a state.
+type State = (u16, u32, u8, usize);
+
+impl<'m> Rig<'m> {
+    fn new(blob: &'m [u8]) -> Self {
+        let mut board = RightBoard::new(identity(), hand(blob));
+        board.set_sensor_ok(true);
+        Rig { board, line: Line::default(), number: 0 }
+    }
+
+    fn samples(&mut self, count: u32) {
+        for _ in 0..count {
+            let n = self.number as i16;
+            if self.board.sample(&[n, n.wrapping_mul(3), -n], self.number * 10, self.number) {
+                self.board.send_due(&mut self.line);
+            }
+            self.number += 1;
+        }
+    }
+
+    fn send<'r>(&mut self, message: &HostMessage<'r>) -> Option<ModelRequest<'r>> {
+        self.board.receive(message, true, self.number * 10, &mut self.line)
+    }
+
+    fn states(&self) -> Vec<State> {
+        self.line.all(|m| match m {
+            BoardMessage::Right(s) => Some((s.sequence, s.board_time_ms, s.health, s.scores.len())),
+            _ => None,
+        })
+    }
+
+    /// First sample and counts of the raw batches.
+    fn raw(&self) -> Vec<(u32, Vec<i16>)> {
+        self.line.all(|m| match m {
+            BoardMessage::RawImu(raw) => {
+                assert_eq!((raw.axes, raw.scale), (3, SCALE));
+                let counts = raw.counts.chunks_exact(2).map(|c| i16::from_le_bytes([c[0], c[1]]));
+                Some((raw.first_sample, counts.collect()))
+            }
+            _ => None,
+        })
+    }
+}
+
+#[test]
+fn a_state_goes_out_each_hop_and_says_gap_until_the_window_is_full() {
+    let blob = blob();
+    let mut rig = Rig::new(&blob);
+    rig.samples(240);
+    let states = rig.states();
+    assert_eq!(states.len(), 30);
+    for (i, (sequence, time_ms, flags, scores)) in states.into_iter().enumerate() {
+        assert_eq!((usize::from(sequence), time_ms as usize), (i, 80 * (i + 1) - 10));
+        // The window of 200 samples is full with the 25th hop. There is one score per label from the first on.
+        assert_eq!(flags, if i < 24 { health::GAP } else { 0 }, "hop {i}");
+        assert_eq!(scores, LABELS.len());
+    }
+}
+
+#[test]
+fn a_start_is_announced_once_and_who_asks_hears_of_the_model_and_the_faults() {
+    let blob = blob();
+    let mut rig = Rig::new(&blob);
+    rig.samples(240);
+    assert_eq!(rig.line.hellos(), [9]);
+    assert!(rig.line.all(|m| Some(matches!(m, BoardMessage::Hello(_))))[0], "first of all");
+    rig.board.report(FaultKind::Watchdog, 0, 1, &mut rig.line);
+    rig.board.report(FaultKind::SensorMissing, 0x6B, 2, &mut rig.line);
+    rig.line.clear();
+    rig.send(&HostMessage::HelloRequest);
+    assert_eq!(rig.line.hellos(), [9]);
+    let labels = rig.line.all(|m| match m {
+        BoardMessage::ModelInfo(info) => Some((info.axes, info.labels.to_owned())),
+        _ => None,
+    });
+    assert_eq!(labels, [(3, "idle,a,b".to_owned())]);
+    let kinds: Vec<_> = rig.line.faults().iter().map(|f| f.kind).collect();
+    assert_eq!(kinds, [FaultKind::Watchdog, FaultKind::SensorMissing]);
+    rig.send(&HostMessage::Ping { id: 3 });
+    assert_eq!((rig.line.pongs()[0].id, rig.line.pongs()[0].board_time_ms), (3, 2400));
+}
+
+#[test]
+fn the_left_hands_requests_are_refused_and_an_untrusted_link_changes_nothing() {
+    let blob = blob();
+    let mut rig = Rig::new(&blob);
+    let step = shared_proto::message::CalibrationStep::Neutral;
+    rig.send(&HostMessage::Calibrate { request: 1, step });
+    let begin = ModelBegin {
+        request: 2,
+        info: ModelInfo { model_id: 1, recipe: 1, axes: 3, sample_hz: 100, window: 200, labels: "x" },
+        scaling: [1.0; 3],
+        size: 10,
+    };
+    let untrusted = [
+        HostMessage::ModelBegin(begin),
+        HostMessage::ModelChunk { request: 3, offset: 0, data: &[1] },
+        HostMessage::ModelCommit { request: 4, crc32: 1 },
+        HostMessage::SetMode { request: 5, mode: Mode::Record },
+    ];
+    for message in &untrusted {
+        assert_eq!(rig.board.receive(message, false, 0, &mut rig.line), None);
+    }
+    let refused = |request| (request, AckResult::NotBonded);
+    assert_eq!(
+        rig.line.acks(),
+        [(1, AckResult::Unsupported), refused(2), refused(3), refused(4), refused(5)]
+    );
+    assert_eq!(rig.board.light(), Light::Well);
+    // A trusted one is handed to the store; a board without one refuses.
+    rig.line.clear();
+    for (i, message) in untrusted[..3].iter().enumerate() {
+        let request = rig.send(message).expect("for the store");
+        request.refuse(&mut rig.line);
+        assert_eq!(rig.line.acks()[i], (2 + i as u16, AckResult::Unsupported));
+    }
+}
+
+#[test]
+fn record_mode_sends_each_sample_once_in_whole_hops() {
+    let blob = blob();
+    let mut rig = Rig::new(&blob);
+    rig.samples(5);
+    rig.send(&HostMessage::SetMode { request: 1, mode: Mode::Record });
+    assert_eq!((rig.line.acks(), rig.board.light()), (vec![(1, AckResult::Ok)], Light::Recording));
+    rig.samples(20);
+    let raw = rig.raw();
+    assert_eq!(raw.iter().map(|r| r.0).collect::<Vec<_>>(), [5, 13]);
+    assert_eq!(raw[0].1[..6], [5, 15, -5, 6, 18, -6]);
+    assert!(raw.iter().all(|r| r.1.len() == 24));
+    assert!(rig.states().is_empty());
+    // A gap: what was begun is not sent, and the next batch has no hole.
+    rig.line.clear();
+    rig.number += 3;
+    rig.samples(16);
+    assert_eq!(rig.raw().iter().map(|r| r.0).collect::<Vec<_>>(), [28, 36]);
+    rig.board.gap();
+    rig.line.clear();
+    rig.samples(8);
+    assert_eq!(rig.raw()[0].0, 44);
+    // What the window did not see is a gap in it.
+    rig.send(&HostMessage::SetMode { request: 2, mode: Mode::Classify });
+    rig.line.clear();
+    rig.samples(240);
+    let full: Vec<_> = rig.states().iter().map(|s| s.2 == 0).collect();
+    assert_eq!(full.iter().position(|&full| full), Some(24));
+}
+
+#[test]
+fn idle_is_silent_but_for_statuses() {
+    let blob = blob();
+    let mut rig = Rig::new(&blob);
+    rig.send(&HostMessage::SetMode { request: 1, mode: Mode::Idle });
+    rig.line.clear();
+    rig.samples(300);
+    rig.board.silence(&mut rig.line);
+    assert!(rig.states().is_empty() && rig.raw().is_empty());
+    let counted = Status { dropped_samples: 4, bad_frames: 2, ..Status::default() };
+    rig.board.status(counted, 3000, &mut rig.line);
+    let status = rig.line.statuses()[0];
+    assert_eq!((status.uptime_ms, status.dropped_samples, status.bad_frames), (3000, 4, 2));
+    assert_eq!(status.mode, Mode::Idle);
+}
+
+#[test]
+fn a_sensor_that_falls_silent_is_said_with_the_time_of_its_last_sample() {
+    let blob = blob();
+    let mut rig = Rig::new(&blob);
+    rig.samples(241);
+    assert_eq!(rig.states().last().unwrap().2, 0);
+    rig.board.set_sensor_ok(false);
+    assert_eq!(rig.board.light(), Light::SensorGone);
+    rig.board.silence(&mut rig.line);
+    rig.board.silence(&mut rig.line);
+    let states = rig.states();
+    let [.., first, second] = states[..] else { panic!("{states:?}") };
+    assert_eq!((first.1, first.2), (2400, health::SENSOR | health::GAP));
+    assert_eq!(second.0, first.0 + 1);
+}
+
+#[test]
+fn measured_values_become_the_counts_that_a_sensor_would_have_given() {
+    let blob = blob();
+    let model = Model::parse(&blob).unwrap();
+    let hand = ValueHand::new(RightHand::<3>::new(model, DecisionConfig::default()).unwrap(), SCALE);
+    let mut counts = [0; MAX_AXES];
+    for (value, count) in [
+        (0.0, 0),
+        (1.0, 100),
+        (-1.0, -100),
+        (0.0149, 1),
+        (-0.0151, -2),
+        (1e9, 32767),
+        (-1e9, -32768),
+        (f32::NAN, 0),
+    ] {
+        assert_eq!(hand.counts(&[value; 3], &mut counts), 3);
+        assert_eq!(counts[..3], [count; 3], "{value}");
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+
+    /// Samples in counts and the same samples in physical units name the same gestures.
+    #[test]
+    fn counts_and_values_are_the_same_hand(samples in prop::collection::vec(any::<[i16; 3]>(), 400)) {
+        let blob = blob();
+        let mut counted = hand(&blob);
+        let model = Model::parse(&blob).unwrap();
+        let mut valued = ValueHand::new(RightHand::<3>::new(model, DecisionConfig::default()).unwrap(), SCALE);
+        for (i, sample) in samples.iter().enumerate() {
+            let values = sample.map(|count| f32::from(count) * SCALE[0]);
+            prop_assert_eq!(counted.push(sample, i as u32), valued.push(&values, i as u32));
+        }
+        prop_assert_eq!(counted.output(), valued.output());
+    }
+
+    /// Any intact message in any mode is answered at most once, and never ends the board's work.
+    #[test]
+    fn messages_of_any_content_leave_the_board_working(
+        payloads in prop::collection::vec(prop::collection::vec(any::<u8>(), 1..40), 0..40),
+    ) {
+        let blob = blob();
+        let mut rig = Rig::new(&blob);
+        for payload in &payloads {
+            rig.samples(3);
+            if let Ok(message) = parse_host(payload) {
+                let before = rig.line.all_acks().len();
+                rig.send(&message);
+                prop_assert!(rig.line.all_acks().len() <= before + 1);
+            }
+        }
+        let mode = HostMessage::SetMode { request: 1, mode: Mode::Classify };
+        assert!(frame(&mode).len() <= HOST_FRAME_MAX);
+        rig.send(&mode);
+        rig.line.clear();
+        rig.samples(16);
+        prop_assert_eq!(rig.states().len(), 2);
+    }
+}
