@@ -43,7 +43,9 @@ pub struct App {
 /// The one [`App`]. In static memory, so that `.bss` shows what it takes.
 static mut APP: MaybeUninit<App> = MaybeUninit::uninit();
 
-/// Makes the [`App`]; `guided` starts the calibration that one light guides. Called once per start.
+/// Makes the [`App`]; `guided` starts the calibration that one light guides. Called once per start. Not
+/// inlined: its copy on the stack would stay there for ever.
+#[inline(never)]
 pub fn install(cause: Cause, guided: bool) -> &'static mut App {
     // Safety: the only use of `APP`, before interrupts are on; they never touch it.
     let place = unsafe { &mut *addr_of_mut!(APP) };

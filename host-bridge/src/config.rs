@@ -284,8 +284,8 @@ impl Config {
             "arm: jerk_rad_s3 is 0.5 or more: with less, a stop would take seconds",
         )?;
         ensure(
-            (1200..=2_000_000).contains(&self.ports.baud) && self.ports.settle_ms <= 60_000,
-            "ports: baud lies between 1200 and 2000000, settle_ms is at most 60000",
+            (9600..=2_000_000).contains(&self.ports.baud) && self.ports.settle_ms <= 60_000,
+            "ports: baud lies between 9600 and 2000000 (1200 resets boards into their bootloader), settle_ms is at most 60000",
         )?;
         self.ros2.check().map_err(ConfigError::Value)?;
         let mut map = MotionMap::default();

@@ -20,7 +20,7 @@ use host_core::engine::Engine;
 use host_core::observe::{SessionEvent, Snapshot};
 use host_core::safety::Hand;
 use host_core::source::HandKey;
-use host_links::links::{Clock, Link, LinkEvent, News, Waiter};
+use host_links::links::{Clock, EventReceiver, Link, News, Waiter};
 use host_robot::Door;
 
 /// Bytes wake the loop at once; without any it turns this often.
@@ -105,7 +105,7 @@ pub struct Work<D: Door> {
     /// The boards' links.
     pub links: [Option<Link>; 2],
     /// Where they report.
-    pub events: Receiver<LinkEvent<Hand>>,
+    pub events: EventReceiver<Hand>,
     /// Somebody else who may ask for a stop; asked at every turn, and must not wait.
     pub asks_for_stop: Box<dyn Fn() -> bool + Send>,
     /// The session ends by itself then.
@@ -230,7 +230,7 @@ impl<D: Door> Running<D> {
 
     fn turn(&mut self) {
         let Some(work) = &mut self.work else { return };
-        match self.waiter.receive(&work.events, TURN) {
+        match self.waiter.hear(&work.events, TURN) {
             Ok(event) => {
                 let began = Instant::now();
                 let mut next = Some(event);
@@ -251,7 +251,7 @@ impl<D: Door> Running<D> {
                             self.waiting.links.push(LinkReport { time_ms: now_ms, hand: event.link, closed });
                         }
                     }
-                    next = if began.elapsed() < RECEIVE_MAX { work.events.try_recv().ok() } else { None };
+                    next = if began.elapsed() < RECEIVE_MAX { work.events.try_recv() } else { None };
                 }
             }
             Err(RecvTimeoutError::Timeout) => {}

@@ -11,13 +11,16 @@
 pub mod config;
 pub mod control;
 pub mod demo;
+pub mod ending;
 #[cfg(feature = "mcap")]
 pub mod journal;
 pub mod robots;
 pub mod script;
 
 pub use host_arm::{self as arm, plan, scene};
-pub use host_core::{bridge, describe, engine, intent, latency, link, observe, safety, session, source};
+pub use host_core::{
+    bridge, describe, doubt, engine, intent, latency, link, observe, safety, session, source,
+};
 pub use host_links::{adc, capture, hands, keyboard, links, survey, talk, upload, wire};
 pub use host_robot as robot;
 pub use host_robot::base;

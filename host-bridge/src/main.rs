@@ -1,5 +1,8 @@
 //! Command line of the bridge: one file per verb in `cmd/`.
 
+#[macro_use]
+extern crate models;
+
 mod cmd;
 mod play;
 
@@ -51,6 +54,7 @@ fn main() -> ExitCode {
         Some(Verb::SendModel(args)) => cmd::send_model::run(&args),
     };
     match done {
+        Ok(_) if models::say::lost() => ExitCode::FAILURE,
         Ok(code) => code,
         // As a shell reports a program that was ended by Ctrl-C.
         Err(error) if error.is::<play::Interrupted>() => ExitCode::from(130),

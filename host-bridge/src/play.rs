@@ -2,6 +2,8 @@
 
 use std::io::IsTerminal as _;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result, ensure};
@@ -9,6 +11,7 @@ use host_bridge::arm::model::SerialArm;
 use host_bridge::arm::{Director, Motions};
 use host_bridge::config::Config;
 use host_bridge::describe;
+use host_bridge::ending::Ending;
 use host_bridge::intent::MotionMap;
 use host_bridge::observe::{SessionEvent, Snapshot};
 use host_bridge::plan::Planner;
@@ -175,8 +178,13 @@ pub fn play<D: Door>(
             robot_elsewhere: false,
         },
     )?;
+    let ended = Arc::new(AtomicBool::new(false));
+    let _ending = Ending::watch(&ended, view.is_some())?;
     let started = Instant::now();
     while !session.finished() {
+        if ended.load(Ordering::SeqCst) {
+            return Err(Interrupted.into());
+        }
         let wanted_ms = if options.speed == 0.0 {
             session.now_ms() + 1000
         } else {

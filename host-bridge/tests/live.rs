@@ -9,8 +9,12 @@ mod double;
 #[cfg(feature = "ros2")]
 #[path = "support/graph.rs"]
 mod graph;
+#[path = "support/lateness.rs"]
+mod lateness;
 #[path = "support/renamed.rs"]
 mod renamed;
+#[path = "support/talker.rs"]
+mod talker;
 
 #[cfg(feature = "ros2")]
 use desk::{port, program, time};
@@ -19,6 +23,7 @@ mod live {
     mod desk;
     #[cfg(feature = "ros2")]
     mod ros2;
+    mod stops;
 }
 
 fn host_bridge() -> &'static str {

@@ -192,6 +192,128 @@ fn a_burst_after_a_stall_is_not_replayed() {
     assert_eq!(rig.bridge.caps().linear_m_s, 0.5, "bends of the stall do not count later");
 }
 
+/// A left hand alone, tilted backward, on a prompt link; not armed.
+fn tilted_backward() -> Rig {
+    let mut rig = Rig::with(&[Hand::Left]);
+    rig.point(Heading::Backward, 1000);
+    assert_eq!(rig.state(), State::Waiting);
+    rig
+}
+
+#[test]
+fn one_neutral_frame_in_a_burst_does_not_arm() {
+    let mut rig = tilted_backward();
+    rig.talking[0] = false;
+    let mut burst = Vec::new();
+    for k in 0..10 {
+        rig.left.heading = if k == 0 { Heading::Neutral } else { Heading::Forward };
+        burst.extend(rig.left_frame());
+        rig.run(20);
+    }
+    rig.send(Hand::Left, &burst);
+    rig.talking[0] = true;
+    rig.run(1000);
+    assert!(!rig.take_moved());
+    assert_eq!(rig.state(), State::Waiting);
+}
+
+#[test]
+fn one_neutral_frame_and_then_a_gap_does_not_arm() {
+    for gap_ms in [100, 140, 200, 240] {
+        let mut rig = tilted_backward();
+        rig.talking[0] = false;
+        rig.left.heading = Heading::Neutral;
+        rig.send_left();
+        rig.run(gap_ms);
+        rig.talking[0] = true;
+        rig.point(Heading::Forward, 1000);
+        assert!(!rig.take_moved(), "{gap_ms} ms");
+        assert_eq!(rig.state(), State::Waiting);
+    }
+}
+
+#[test]
+fn two_neutral_frames_do_not_arm_however_far_apart_and_three_do() {
+    let mut rig = tilted_backward();
+    rig.talking[0] = false;
+    rig.left.heading = Heading::Neutral;
+    rig.send_left();
+    rig.run(120);
+    rig.send_left();
+    rig.run(60);
+    assert_eq!(rig.state(), State::Waiting);
+    rig.send_left();
+    assert_eq!(rig.state(), State::Armed);
+}
+
+#[test]
+fn a_stall_that_ends_in_neutral_frames_arms_only_after_100_ms_more() {
+    let mut rig = tilted_backward();
+    rig.talking[0] = false;
+    rig.left.heading = Heading::Neutral;
+    let mut burst = Vec::new();
+    for _ in 0..10 {
+        burst.extend(rig.left_frame());
+        rig.run(20);
+    }
+    // 200 ms of neutral, all of it known only now.
+    rig.send(Hand::Left, &burst);
+    rig.talking[0] = true;
+    rig.run(90);
+    assert_eq!(rig.state(), State::Waiting);
+    rig.run(60);
+    assert_eq!(rig.state(), State::Armed);
+}
+
+#[test]
+fn neutral_samples_from_before_a_stop_do_not_count_towards_its_release() {
+    let mut rig = Rig::armed();
+    rig.talking[0] = false;
+    let mut before = Vec::new();
+    for _ in 0..6 {
+        before.extend(rig.left_frame());
+        rig.run(20);
+    }
+    let (now_ms, robot) = (rig.now_ms, &mut rig.robot);
+    rig.bridge.stop_key(now_ms, robot);
+    rig.send(Hand::Left, &before);
+    rig.talking[0] = true;
+    rig.run(990);
+    rig.gesture(1);
+    assert_eq!(rig.state(), State::Stopped, "0.99 s of neutral at the gesture's end");
+    rig.gesture(1);
+    assert_eq!(rig.state(), State::Armed);
+}
+
+#[test]
+fn any_pause_of_the_process_needs_neutral_afterwards() {
+    for pause_ms in [251, 1000, 5000, 60_000, 3_600_000] {
+        let mut rig = Rig::armed();
+        rig.point(Heading::Forward, 500);
+        assert_eq!(rig.bridge.twist().linear_m_s, 0.5);
+        // Stopped, frozen, suspended: the boards' clocks go on, nothing was read meanwhile.
+        rig.now_ms += pause_ms;
+        rig.run(3000);
+        assert_eq!(rig.bridge.twist().linear_m_s, 0.0, "after {pause_ms} ms");
+        rig.point(Heading::Neutral, 300);
+        rig.point(Heading::Forward, 100);
+        assert_eq!(rig.bridge.twist().linear_m_s, 0.5, "after {pause_ms} ms");
+    }
+}
+
+#[test]
+fn neutral_counts_on_a_prompt_link_only() {
+    let mut rig = tilted_backward();
+    rig.answering[0] = false;
+    // The last answer is 100 ms old at most: a ping that waits for 125 ms is not prompt any more.
+    rig.point(Heading::Backward, 240);
+    rig.point(Heading::Neutral, 2000);
+    assert_ne!(rig.state(), State::Armed);
+    rig.answering[0] = true;
+    rig.run(300);
+    assert_eq!(rig.state(), State::Armed);
+}
+
 #[test]
 fn a_burst_from_before_the_link_was_opened_starts_nothing() {
     let mut rig = Rig::empty();

@@ -22,6 +22,7 @@ pub mod people;
 pub mod recording;
 #[cfg(feature = "train")]
 pub mod report;
+pub mod say;
 pub mod score;
 pub mod sheet;
 #[cfg(feature = "train")]

@@ -1,5 +1,8 @@
 //! `models`: train, score and make models of gestures. One file per verb in `cmd/`.
 
+#[macro_use]
+extern crate models;
+
 mod cmd;
 
 use std::process::ExitCode;

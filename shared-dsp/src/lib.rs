@@ -25,3 +25,4 @@ pub mod sliding;
 pub mod slow;
 pub mod softmax;
 pub mod tilt;
+pub mod tilt_start;

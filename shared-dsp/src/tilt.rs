@@ -9,11 +9,15 @@
 //! *roll* φ = atan(ay / √(ax² + az²)) is positive when it tips to the **left** (left edge down).
 //!
 //! ```text
-//!            both within 5°                     larger tilt beyond 15°, twice running
+//!            both within 5°                     larger tilt beyond 15°, and meant
 //!  unarmed ───────────────▶ Neutral ◀──▶ Between ──────────────▶ Forward/Backward/Left/Right
 //!     ▲                                     ▲                         │
-//!     └── start, fault, capture             └──── below 12°, twice ───┘
+//!     └── start, fault, capture, palm up    └──── below 12°, twice ───┘
 //! ```
+//!
+//! When a tilt is meant, [`crate::tilt_start`] says.
+
+use crate::tilt_start::{Start, Swing};
 
 /// Where the hand points. At most one command at a time: the larger tilt wins.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -71,6 +75,17 @@ impl Tilt {
             roll_mrad: atan_mrad(a.y, root_of_squares(a.x, a.z)),
         }
     }
+
+    /// The tilt towards a command's heading; 0 for others.
+    fn along(self, heading: Heading) -> i16 {
+        match heading {
+            Heading::Forward => self.pitch_mrad,
+            Heading::Backward => -self.pitch_mrad,
+            Heading::Left => self.roll_mrad,
+            Heading::Right => -self.roll_mrad,
+            Heading::Neutral | Heading::Between => 0,
+        }
+    }
 }
 
 /// When a command starts and ends, in milliradians.
@@ -104,7 +119,8 @@ impl Default for TiltThresholds {
     }
 }
 
-/// Samples in a row that must agree before the heading changes: 20 ms at 100 Hz.
+/// Samples in a row that must agree before a command ends or neutral begins: 20 ms at 100 Hz. The same
+/// number of samples with gravity on the palm's side is a hand turned over.
 pub const DEBOUNCE_SAMPLES: u8 = 2;
 
 /// Turns tilts, one per sample, into a debounced heading with hysteresis.
@@ -115,12 +131,25 @@ pub struct TiltDetector {
     candidate: Heading,
     agreed: u8,
     armed: bool,
+    /// The command that may start.
+    start: Option<(Heading, Start)>,
+    swings: [Swing; 2],
+    turned_over: u8,
 }
 
 impl TiltDetector {
     /// Starts unarmed: no command before the hand has been neutral.
     pub fn new(thresholds: TiltThresholds) -> Self {
-        Self { thresholds, heading: Heading::Between, candidate: Heading::Between, agreed: 0, armed: false }
+        Self {
+            thresholds,
+            heading: Heading::Between,
+            candidate: Heading::Between,
+            agreed: 0,
+            armed: false,
+            start: None,
+            swings: [Swing::new(); 2],
+            turned_over: 0,
+        }
     }
 
     /// Replaces the thresholds from the next sample on; the hand must be neutral again first.
@@ -142,25 +171,62 @@ impl TiltDetector {
     pub fn hold(&mut self) -> Heading {
         self.agreed = 0;
         self.candidate = self.heading;
+        self.start = None;
         self.heading
+    }
+
+    /// A sample with gravity on the palm's side: a jolt, or (from the second one on) a hand that is turned
+    /// over, whose tilts mean nothing and whose neutral is none.
+    pub fn turned_over(&mut self) -> Heading {
+        let samples = self.turned_over.saturating_add(1);
+        if samples >= DEBOUNCE_SAMPLES {
+            self.disarm();
+        }
+        self.turned_over = samples;
+        self.hold()
     }
 
     /// Takes the tilt of one sample and returns the heading after it.
     #[inline(never)]
     pub fn step(&mut self, tilt: Tilt) -> Heading {
+        self.turned_over = 0;
+        let swings = [self.swings[0].step(tilt.pitch_mrad), self.swings[1].step(tilt.roll_mrad)];
         let wanted = self.wanted(tilt);
-        if wanted == self.heading {
+        // A command that has not started is nothing yet.
+        let settled = if wanted.is_command() && wanted != self.heading { Heading::Between } else { wanted };
+        if settled == self.heading {
             self.agreed = 0;
         } else {
-            self.agreed = if wanted == self.candidate { self.agreed.saturating_add(1) } else { 1 };
+            self.agreed = if settled == self.candidate { self.agreed.saturating_add(1) } else { 1 };
             if self.agreed >= DEBOUNCE_SAMPLES {
-                self.heading = wanted;
+                self.heading = settled;
                 self.agreed = 0;
             }
         }
-        self.candidate = wanted;
+        self.candidate = settled;
         self.armed |= self.heading == Heading::Neutral;
+        if self.is_meant(wanted, tilt) && swings == [false; 2] {
+            self.heading = wanted;
+            self.start = None;
+        }
         self.heading
+    }
+
+    /// Is the command that this tilt asks for meant?
+    fn is_meant(&mut self, wanted: Heading, tilt: Tilt) -> bool {
+        if wanted == self.heading {
+            self.start = None;
+            return false;
+        }
+        // A start outlives a dip below its threshold, as a command does.
+        let going = self.start.filter(|&(heading, _)| {
+            heading == wanted
+                || (!wanted.is_command() && tilt.along(heading) >= self.thresholds.end_mrad as i16)
+        });
+        let begun = || wanted.is_command().then(|| (wanted, Start::new(tilt.along(wanted))));
+        self.start = going.or_else(begun);
+        let Some((heading, start)) = &mut self.start else { return false };
+        start.step(tilt.along(*heading), self.thresholds.start_mrad) && *heading == wanted
     }
 
     /// The heading that this tilt alone asks for, given the present one.
@@ -319,7 +385,7 @@ mod tests {
             (0.0, 16.0, Heading::Left),
             (0.0, -16.0, Heading::Right),
         ] {
-            assert_eq!(run(&mut detector_at_neutral(), pitch, roll, 2), heading);
+            assert_eq!(run(&mut detector_at_neutral(), pitch, roll, 10), heading);
         }
     }
 
@@ -327,7 +393,7 @@ mod tests {
     fn a_command_starts_beyond_15_degrees_and_ends_below_12() {
         let mut d = detector_at_neutral();
         assert_eq!(run(&mut d, 14.9, 0.0, 50), Heading::Between);
-        assert_eq!(run(&mut d, 15.1, 0.0, 2), Heading::Forward);
+        assert_eq!(run(&mut d, 15.1, 0.0, 10), Heading::Forward);
         assert_eq!(run(&mut d, 12.1, 0.0, 50), Heading::Forward);
         assert_eq!(run(&mut d, 11.9, 0.0, 2), Heading::Between);
         assert_eq!(run(&mut d, 14.9, 0.0, 50), Heading::Between);
@@ -340,7 +406,9 @@ mod tests {
             assert_eq!(d.step(tilt(40.0, 0.0)), Heading::Neutral);
             assert_eq!(d.step(tilt(0.0, 0.0)), Heading::Neutral);
         }
-        run(&mut d, 20.0, 0.0, 2);
+        // A hand that was just seen to swing must come to rest.
+        assert_eq!(run(&mut d, 20.0, 0.0, 40), Heading::Between);
+        assert_eq!(run(&mut d, 20.0, 0.0, 20), Heading::Forward);
         for _ in 0..20 {
             assert_eq!(d.step(tilt(0.0, 0.0)), Heading::Forward);
             assert_eq!(d.step(tilt(20.0, 0.0)), Heading::Forward);
@@ -351,28 +419,44 @@ mod tests {
     fn samples_that_ask_for_different_headings_do_not_add_up() {
         let mut d = detector_at_neutral();
         for _ in 0..20 {
-            assert_eq!(d.step(tilt(20.0, 0.0)), Heading::Neutral);
-            assert_eq!(d.step(tilt(0.0, 20.0)), Heading::Neutral);
+            assert!(!d.step(tilt(20.0, 0.0)).is_command());
+            assert!(!d.step(tilt(0.0, 20.0)).is_command());
         }
     }
 
     #[test]
     fn the_larger_tilt_wins_and_keeps_its_lead() {
         let mut d = detector_at_neutral();
-        assert_eq!(run(&mut d, 20.0, 18.0, 2), Heading::Forward);
+        assert_eq!(run(&mut d, 20.0, 18.0, 10), Heading::Forward);
         assert_eq!(run(&mut d, 20.0, 22.9, 50), Heading::Forward);
-        assert_eq!(run(&mut d, 20.0, 23.2, 2), Heading::Left);
+        assert_eq!(run(&mut d, 20.0, 23.2, 10), Heading::Left);
         assert_eq!(run(&mut d, 20.0, 18.0, 50), Heading::Left);
         let mut d = detector_at_neutral();
-        assert_eq!(run(&mut d, -17.0, -25.0, 2), Heading::Right);
+        assert_eq!(run(&mut d, -17.0, -25.0, 10), Heading::Right);
     }
 
     #[test]
-    fn a_reversal_goes_straight_over_when_the_hand_does() {
+    fn a_reversal_needs_no_neutral_and_ends_the_old_command_at_once() {
         let mut d = detector_at_neutral();
-        run(&mut d, 30.0, 0.0, 2);
+        assert_eq!(run(&mut d, 30.0, 0.0, 10), Heading::Forward);
         assert_eq!(run(&mut d, -30.0, 0.0, 1), Heading::Forward);
-        assert_eq!(run(&mut d, -30.0, 0.0, 1), Heading::Backward);
+        assert_eq!(run(&mut d, -30.0, 0.0, 1), Heading::Between);
+        assert_eq!(run(&mut d, -30.0, 0.0, 8), Heading::Backward);
+    }
+
+    #[test]
+    fn a_hand_turned_over_is_not_neutral_ends_a_command_and_needs_neutral_afterwards() {
+        let mut d = TiltDetector::new(TiltThresholds::DEFAULT);
+        for _ in 0..100 {
+            assert_eq!(d.turned_over(), Heading::Between);
+        }
+        let mut d = detector_at_neutral();
+        run(&mut d, 30.0, 0.0, 10);
+        assert_eq!(d.turned_over(), Heading::Forward, "one sample is a jolt");
+        assert_eq!(d.turned_over(), Heading::Between);
+        assert_eq!(run(&mut d, 30.0, 0.0, 100), Heading::Between);
+        run(&mut d, 0.0, 0.0, 2);
+        assert_eq!(run(&mut d, 30.0, 0.0, 10), Heading::Forward);
     }
 
     #[test]
@@ -390,7 +474,7 @@ mod tests {
         assert_eq!(run(&mut d, 0.0, 0.0, 1), Heading::Between);
         assert_eq!(run(&mut d, 30.0, 0.0, 100), Heading::Between);
         run(&mut d, 0.0, 0.0, 2);
-        assert_eq!(run(&mut d, 30.0, 0.0, 2), Heading::Forward);
+        assert_eq!(run(&mut d, 30.0, 0.0, 10), Heading::Forward);
         d.disarm();
         assert_eq!(run(&mut d, 30.0, 0.0, 100), Heading::Between);
     }

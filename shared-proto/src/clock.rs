@@ -1,50 +1,44 @@
-//! How old a frame is: the board's clock seen from the laptop. No clock inside; time comes in.
+//! How old a frame can be: the board's clock seen from the laptop. No clock inside; time comes in.
 //!
-//! A frame says when its newest sample was taken on the board's clock. The frame with the shortest way
-//! shows how that clock stands to the laptop's; every other frame's age is how much later it came than
-//! that one would have. Ages are therefore short by the shortest way itself (a few ms), and by a delay
-//! that *every* frame since the restart has shared. A round trip ([`BoardClock::pong`]) bounds both.
+//! A frame says when its newest sample was taken on the board's clock. Only a round trip says what that
+//! means here: a board that answers a ping with its time read its clock *after* the ping was sent. So the
+//! sample of a later frame was taken at least that much later, and the age that follows is an **upper
+//! bound**: too old by the ping's path to the board, never too young. A delay that all frames share, a
+//! queue that grows and a clock that drifts all make frames older here, and none makes them younger.
+//!
+//! ```text
+//! laptop  ──┬────────────────────────────────┬──►   age ≤ now − sent − (sample − pong)
+//!      sent ╲                                ╱ now
+//! board  ────╲──┬────────────┬──────────────╱──►
+//!              pong        sample
+//! ```
 
-use crate::message::Board;
+/// A board's clock may run this much fast or slow against the laptop's, in parts per million. Far more
+/// than any board needs (an Arduino Nano's resonator: 5,000): with ten pings per second it costs 5 ms.
+pub const DRIFT_PPM: u32 = 50_000;
 
-/// Drift allowed for a board with a crystal, in parts per million of the time passed.
-pub const CRYSTAL_DRIFT_PPM: u32 = 500;
-/// Drift allowed for an Arduino Nano, whose 16 MHz come from a ceramic resonator (0.5 % and ageing).
-pub const RESONATOR_DRIFT_PPM: u32 = 10_000;
-
-/// Maps one board's time onto the laptop's and tells the age of its frames.
+/// Maps one board's time onto the laptop's, and bounds the age of what is stamped with it.
 ///
-/// The laptop's time is milliseconds on any clock that never steps back. A board whose clock runs slow
-/// seems to send ever later; up to the allowed drift that is not taken for age. The price: a queue that
-/// grows more slowly than that goes unseen until a pong.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// The laptop's time is milliseconds on any clock that never steps back.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct BoardClock {
-    drift_ppm: u32,
-    base: Option<Base>,
+    anchor: Option<Anchor>,
 }
 
+/// The board's clock did not show `board_ms` before the laptop's showed `host_us`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Base {
-    /// Newest board time, as sent and without the wrap.
-    newest_ms: u32,
-    newest_unwrapped_ms: i64,
-    /// Laptop minus board, on the shortest way: microseconds, for slow drift over short times.
-    offset_us: i64,
-    /// Laptop time at which `offset_us` held.
-    at_us: i64,
+struct Anchor {
+    board_ms: u32,
+    host_us: i64,
 }
 
-impl Base {
-    /// Board time without the wrap: the one nearest to the newest known, up to 24 days either way.
-    fn unwrapped_ms(&self, board_time_ms: u32) -> i64 {
-        let step = board_time_ms.wrapping_sub(self.newest_ms) as i32;
-        self.newest_unwrapped_ms + i64::from(step)
-    }
-
-    fn offset_us(&self, now_us: i64, drift_ppm: u32) -> i64 {
-        let passed_us = (now_us - self.at_us).max(0);
-        // Dividing first keeps centuries within range.
-        self.offset_us.saturating_add((passed_us / 1000).saturating_mul(i64::from(drift_ppm)) / 1000)
+impl Anchor {
+    /// The laptop's earliest time at which the board's clock can have shown `board_ms`: the nearest
+    /// such time to the anchor, up to 24 days either way across the wrap.
+    fn earliest_us(&self, board_ms: u32) -> i64 {
+        let step_ms = i64::from(board_ms.wrapping_sub(self.board_ms) as i32);
+        // Both stamps are whole milliseconds rounded down: the way between may be one shorter.
+        self.host_us + (step_ms - 1) * 1000 - step_ms.abs() * i64::from(DRIFT_PPM) / 1000
     }
 }
 
@@ -55,69 +49,42 @@ fn micros(ms: u64) -> i64 {
 }
 
 impl BoardClock {
-    /// A clock without a base that allows this much drift, in parts per million.
-    pub const fn new(drift_ppm: u32) -> Self {
-        Self { drift_ppm, base: None }
+    /// A clock that knows of no round trip: everything is as old as can be.
+    pub const fn new() -> Self {
+        Self { anchor: None }
     }
 
-    /// A clock without a base, with the drift that this board's clock may have.
-    pub const fn for_board(board: Board) -> Self {
-        Self::new(match board {
-            Board::LeftNano => RESONATOR_DRIFT_PPM,
-            _ => CRYSTAL_DRIFT_PPM,
-        })
-    }
-
-    /// Forgets the base: the board has restarted, and its clock with it.
+    /// Forgets every round trip: the board has restarted, and its clock with it.
     pub fn rebase(&mut self) {
-        self.base = None;
+        self.anchor = None;
     }
 
-    /// A frame with this board time has arrived: its age in milliseconds.
-    ///
-    /// The first one is the base and has age 0. A board that restarted unseen (its clock is back at 0)
-    /// shows an age as long as its former run: ask it for a hello.
-    pub fn arrived(&mut self, board_time_ms: u32, now_ms: u64) -> u64 {
-        self.learn(board_time_ms, now_ms, now_ms, false);
-        self.age_ms(board_time_ms, now_ms)
+    /// A pong has arrived at `now_ms` for the ping sent at `sent_ms`: the board's clock showed
+    /// `board_time_ms` somewhere between. False if that is earlier than a pong before showed: then the
+    /// board has restarted unseen, and nothing is known of its clock.
+    pub fn pong(&mut self, board_time_ms: u32, sent_ms: u64, now_ms: u64) -> bool {
+        let fresh = Anchor { board_ms: board_time_ms, host_us: micros(sent_ms.min(now_ms)) };
+        let Some(old) = self.anchor else {
+            self.anchor = Some(fresh);
+            return true;
+        };
+        if (board_time_ms.wrapping_sub(old.board_ms) as i32) < 0 {
+            self.anchor = None;
+            return false;
+        }
+        // The one that proves more; unless it is disproved, by a clock that runs faster than allowed.
+        let known_us = old.earliest_us(board_time_ms).min(micros(now_ms));
+        self.anchor = Some(Anchor { host_us: fresh.host_us.max(known_us), ..fresh });
+        true
     }
 
-    /// A pong has arrived for the ping sent at `sent_ms`: the board's clock stood at `board_time_ms`
-    /// somewhere between. Afterwards ages are wrong by no more than this round trip took.
-    pub fn pong(&mut self, board_time_ms: u32, sent_ms: u64, now_ms: u64) {
-        self.learn(board_time_ms, sent_ms.min(now_ms), now_ms, true);
-    }
-
-    /// Age of anything stamped with board time, such as the end of a window; learns nothing.
-    /// Without a base as old as can be: `u64::MAX`.
+    /// The most that the age of anything stamped with board time can be, in milliseconds: a frame's
+    /// newest sample, the end of a window. Without a round trip as old as can be: `u64::MAX`.
     pub fn age_ms(&self, board_time_ms: u32, now_ms: u64) -> u64 {
-        let Some(base) = &self.base else { return u64::MAX };
-        let now_us = micros(now_ms);
-        let way_us = now_us - base.unwrapped_ms(board_time_ms) * 1000;
-        (way_us - base.offset_us(now_us, self.drift_ppm)).max(0) as u64 / 1000
-    }
-
-    /// The board's clock stood at `board_time_ms` before `now_ms`, and (if `round_trip`) after `sent_ms`.
-    fn learn(&mut self, board_time_ms: u32, sent_ms: u64, now_ms: u64, round_trip: bool) {
-        let now_us = micros(now_ms);
-        let base = self.base.get_or_insert(Base {
-            newest_ms: board_time_ms,
-            newest_unwrapped_ms: i64::from(board_time_ms),
-            offset_us: i64::MAX,
-            at_us: now_us,
-        });
-        let board_ms = base.unwrapped_ms(board_time_ms);
-        let mut offset_us = base.offset_us(now_us, self.drift_ppm).min(now_us - board_ms * 1000);
-        if round_trip {
-            // Both clocks show whole milliseconds, so the board's may have been almost one further.
-            offset_us = offset_us.max(micros(sent_ms) - (board_ms + 1) * 1000);
-        }
-        base.offset_us = offset_us;
-        base.at_us = base.at_us.max(now_us);
-        if board_ms > base.newest_unwrapped_ms {
-            base.newest_ms = board_time_ms;
-            base.newest_unwrapped_ms = board_ms;
-        }
+        let Some(anchor) = &self.anchor else { return u64::MAX };
+        // The laptop's clock is rounded down, too.
+        let now_us = micros(now_ms) + 999;
+        (now_us - anchor.earliest_us(board_time_ms)).max(0) as u64 / 1000
     }
 }
 
@@ -126,107 +93,119 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
+    /// A clock with a round trip: the ping left at 1000, and the board showed 0 when it answered.
+    fn anchored() -> BoardClock {
+        let mut clock = BoardClock::new();
+        assert!(clock.pong(0, 1000, 1004));
+        clock
+    }
+
     #[test]
-    fn a_late_frame_shows_its_age_and_the_next_one_does_not() {
-        let mut clock = BoardClock::new(CRYSTAL_DRIFT_PPM);
-        assert_eq!(clock.arrived(1000, 50_003), 0);
-        assert_eq!(clock.arrived(1020, 50_023), 0);
-        assert_eq!(clock.arrived(1040, 50_343), 299); // 300 late, less the allowed drift of 0.16 ms
-        assert_eq!(clock.arrived(1340, 50_343), 0);
+    fn without_a_round_trip_everything_is_too_old() {
+        assert_eq!(BoardClock::new().age_ms(0, 0), u64::MAX);
+    }
+
+    #[test]
+    fn a_frame_is_as_old_as_it_can_be_with_the_path_of_the_ping_added() {
+        let clock = anchored();
+        // Taken 20 ms after the pong, at 1020 at the earliest; 1 ms for stamps, 1 ms of drift.
+        assert_eq!(clock.age_ms(20, 1024), 6);
+        assert_eq!(clock.age_ms(20, 1324), 306);
+    }
+
+    #[test]
+    fn a_delay_that_every_frame_and_every_pong_shares_is_seen() {
+        let mut clock = BoardClock::new();
+        // All that the board sends takes 1.5 s; the pings arrive at once.
+        for k in 0..20u64 {
+            let sent = 10_000 + 100 * k;
+            assert!(clock.pong(sent as u32, sent, sent + 1500));
+        }
+        let age = clock.age_ms(13_000, 14_500);
+        assert!((1500..1600).contains(&age), "{age} ms");
+    }
+
+    #[test]
+    fn a_link_that_became_slow_stays_old_for_ever() {
+        let mut clock = anchored();
+        // Every 100 ms a pong that took 1.5 s on its way back, for half an hour.
+        for k in 1..18_000u64 {
+            let sent = 1000 + 100 * k;
+            clock.pong((100 * k) as u32, sent, sent + 1500);
+            assert!(clock.age_ms((100 * k) as u32, sent + 1500) >= 1500);
+        }
     }
 
     #[test]
     fn frames_that_a_stalled_laptop_reads_at_once_are_each_as_old_as_they_are() {
-        let mut clock = BoardClock::new(CRYSTAL_DRIFT_PPM);
-        clock.arrived(0, 10_000);
-        for k in 1..=100 {
-            let age = clock.arrived(k * 20, 12_000);
-            // Less the drift allowed in those 2 s.
-            assert_eq!(age, (2000 - u64::from(k) * 20).saturating_sub(1), "frame {k}");
+        let clock = anchored();
+        for k in 1..=100u64 {
+            let (age, truth) = (clock.age_ms((k * 20) as u32, 3000), 2000 - k * 20);
+            // 1 ms for stamps, and the drift that is possible since the pong.
+            assert!((truth..=truth + 2 + k).contains(&age), "frame {k}: {age}");
         }
     }
 
     #[test]
-    fn without_a_base_everything_is_too_old() {
-        assert_eq!(BoardClock::new(0).age_ms(0, 0), u64::MAX);
-    }
-
-    #[test]
-    fn a_restart_is_a_huge_age_until_it_is_known() {
-        let mut clock = BoardClock::new(CRYSTAL_DRIFT_PPM);
-        clock.arrived(600_000, 1_000_000);
-        assert!(clock.arrived(20, 1_000_020) > 590_000);
-        clock.rebase();
-        assert_eq!(clock.arrived(40, 1_000_040), 0);
-    }
-
-    #[test]
-    fn a_pong_uncovers_a_delay_that_every_frame_has_shared() {
-        let mut clock = BoardClock::new(CRYSTAL_DRIFT_PPM);
-        assert_eq!(clock.arrived(0, 400), 0); // 400 ms late: nobody can know yet
-        clock.pong(410, 405, 415);
-        // 400 ms, less the pong's 5 ms of way back and a trace of drift.
-        assert_eq!(clock.arrived(20, 420), 394);
-    }
-
-    #[test]
-    fn pongs_hold_a_clock_that_is_far_slower_than_allowed() {
-        let mut clock = BoardClock::new(CRYSTAL_DRIFT_PPM);
-        let mut worst = 0;
-        for host_ms in (0..600_000u64).step_by(20) {
-            let board_ms = (host_ms * 98 / 100) as u32;
-            if host_ms % 1000 == 0 {
-                clock.pong(board_ms, host_ms, host_ms);
-            }
-            worst = worst.max(clock.arrived(board_ms, host_ms));
-        }
-        assert!(worst <= 21, "{worst} ms"); // 2 % of the second between pongs, and 1 for whole ms
+    fn a_clock_that_steps_back_is_a_restart_and_nothing_is_known() {
+        let mut clock = BoardClock::new();
+        assert!(clock.pong(600_000, 1_000_000, 1_000_004));
+        assert!(clock.age_ms(20, 1_000_020) > 590_000);
+        assert!(!clock.pong(30, 1_000_030, 1_000_034));
+        assert_eq!(clock.age_ms(40, 1_000_040), u64::MAX);
     }
 
     #[test]
     fn extreme_times_do_not_panic() {
         for now in [0, 1, u64::MAX / 2, u64::MAX] {
             for board in [0, 1, u32::MAX / 2, u32::MAX] {
-                let mut clock = BoardClock::new(u32::MAX);
-                clock.arrived(board, now);
+                let mut clock = BoardClock::new();
+                clock.pong(board, now, now);
                 clock.pong(!board, u64::MAX, now);
-                clock.arrived(!board, !now);
+                clock.pong(board.wrapping_add(1), !now, now);
                 clock.age_ms(board, u64::MAX);
             }
         }
     }
 
-    /// A board that runs `ppm` fast against the laptop.
+    /// What a board's clock shows: `ppm` fast against the laptop, whole milliseconds.
     fn board_ms(host_us: i64, ppm: i64, start_ms: u32) -> u32 {
         start_ms.wrapping_add(((host_us + host_us * ppm / 1_000_000) / 1000) as u32)
     }
 
     proptest! {
-        /// Whatever the drift within the allowance, ages never fall short by more than the drift that
-        /// the allowance could hide since the last prompt frame, nor exceed the true delay by more than
-        /// a clock tick. Start near the wrap included.
+        /// Whatever the drift within the allowance and the delays of pings, pongs and frames: no age is
+        /// ever below the truth, nor above it by more than the shortest recent ping's path allows.
         #[test]
-        fn ages_are_true_within_the_drift_since_the_last_prompt_frame(
-            ppm in -500i64..=500,
+        fn ages_are_never_too_young_and_too_old_by_the_path_of_a_ping_only(
+            ppm in -50_000i64..=50_000,
             start_ms in prop_oneof![any::<u32>(), (u32::MAX - 30_000)..=u32::MAX],
-            way_ms in 0i64..30,
-            delays_ms in prop::collection::vec(prop_oneof![3 => Just(0i64), 1 => 0i64..2000], 1..2000),
+            paths_us in prop::collection::vec((0i64..400_000, 0i64..3_000_000, 0i64..3_000_000), 1..200),
         ) {
-            let mut clock = BoardClock::new(CRYSTAL_DRIFT_PPM);
-            let mut prompt_us = 0;
-            for (k, &extra) in delays_ms.iter().enumerate() {
-                let sample_us = k as i64 * 20_000;
-                let extra = if k == 0 { 0 } else { extra };
-                let arrival_us = sample_us + (way_ms + extra) * 1000;
-                if extra == 0 {
-                    prompt_us = arrival_us;
-                }
-                let age = clock.arrived(board_ms(sample_us, ppm, start_ms), (arrival_us / 1000) as u64) as i64;
-                // A late one is seen among frames that were prompt meanwhile: time has stepped back
-                // here, which the clock must take as standing still.
-                let hidden_ms = 1 + (arrival_us - prompt_us) / 1_000_000;
-                prop_assert!(age >= extra - hidden_ms - 1, "age {} of {}", age, extra);
-                prop_assert!(age <= extra + 1, "age {} of {}", age, extra);
+            let mut clock = BoardClock::new();
+            for (k, &(there, back, delay)) in paths_us.iter().enumerate() {
+                // Times on the laptop in microseconds, each rounded down where it is read.
+                let sent = 5_000_000 + k as i64 * 100_000 + k as i64 * 137;
+                let at_board = sent + there.min(99_000);
+                let ms = |us: i64| (us / 1000) as u64;
+                clock.pong(board_ms(at_board, ppm, start_ms), ms(sent), ms(at_board + back));
+                let sample = at_board + 20_123;
+                let arrival = sample + delay;
+                let age = clock.age_ms(board_ms(sample, ppm, start_ms), ms(arrival)) as i64 * 1000;
+                prop_assert!(age >= delay - 1000, "age {} of {}", age, delay);
+                prop_assert!(age <= delay + there.min(99_000) + 20_123 / 10 + 5000, "age {} of {}", age, delay);
+            }
+        }
+
+        /// Even a clock that runs a fifth fast hides no more than it gains between two pongs.
+        #[test]
+        fn a_clock_far_faster_than_allowed_hides_little(back_ms in 0u64..30) {
+            let mut clock = BoardClock::new();
+            for k in 1..6000u64 {
+                let host = 100 * k;
+                clock.pong((host * 6 / 5) as u32, host, host + back_ms);
+                let age = clock.age_ms(((host + 90) * 6 / 5) as u32, host + 90 + 200);
+                prop_assert!(age + 25 + back_ms >= 200, "{} ms of 200", age);
             }
         }
 
@@ -236,36 +215,18 @@ mod tests {
             start_ms: u32,
             steps in prop::collection::vec((0u32..1_000_000, 0u64..1_000_000), 1..50),
         ) {
-            let (mut plain, mut shifted) = (BoardClock::new(0), BoardClock::new(0));
+            let (mut plain, mut shifted) = (BoardClock::new(), BoardClock::new());
             let (mut board, mut now) = (0u32, 0u64);
             for (board_step, now_step) in steps {
                 board += board_step;
                 now += now_step;
+                plain.pong(board, now / 2, now);
+                shifted.pong(board.wrapping_add(start_ms), now / 2, now);
                 prop_assert_eq!(
-                    plain.arrived(board, now),
-                    shifted.arrived(board.wrapping_add(start_ms), now)
+                    plain.age_ms(board + 7, now),
+                    shifted.age_ms(board.wrapping_add(start_ms).wrapping_add(7), now)
                 );
             }
-        }
-
-        /// After a round trip, the age of a frame is wrong by no more than that round trip.
-        #[test]
-        fn a_round_trip_bounds_the_error_of_ages(
-            there_ms in 0u64..500,
-            back_ms in 0u64..500,
-            first_delay_ms in 0u64..5000,
-            delay_ms in 0u64..5000,
-            board_ahead_ms: u32,
-        ) {
-            let mut clock = BoardClock::new(0);
-            let board = |host_ms: u64| (host_ms as u32).wrapping_add(board_ahead_ms);
-            clock.arrived(board(1000), 1000 + first_delay_ms);
-            let sent = 7000;
-            clock.pong(board(sent + there_ms), sent, sent + there_ms + back_ms);
-            let age = clock.arrived(board(9000), 9000 + delay_ms);
-            let low = delay_ms.saturating_sub(back_ms.min(first_delay_ms));
-            prop_assert!(age >= low, "{} < {}", age, low);
-            prop_assert!(age <= delay_ms + there_ms + 1);
         }
     }
 }

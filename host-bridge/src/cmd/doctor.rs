@@ -4,16 +4,14 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use anyhow::{Result, bail, ensure};
+use host_bridge::doubt;
 use host_bridge::hands::ModelFile;
 use host_bridge::intent::MotionMap;
 use host_bridge::links::SerialSettings;
 use host_bridge::survey::Survey;
 use host_bridge::talk::{ModelNeeds, Said, Talk, Who};
 use shared_dsp::mlp::crc32;
-use shared_proto::clock::{CRYSTAL_DRIFT_PPM, RESONATOR_DRIFT_PPM};
-use shared_proto::message::{
-    Board, Fault, HostMessage, Mode, PROTOCOL_MAJOR, PROTOCOL_MINOR, Status, health,
-};
+use shared_proto::message::{Board, Fault, HostMessage, Mode, PROTOCOL_MAJOR, PROTOCOL_MINOR, Status};
 
 use super::ports::{check_name, read_config, settings};
 
@@ -226,6 +224,11 @@ fn lines(heard: &Heard) -> Vec<String> {
     lines
 }
 
+/// More drift than this of a board with a crystal, in parts per million, is worth a word.
+const CRYSTAL_DRIFT_PPM: u32 = 500;
+/// The same for an Arduino Nano, whose 16 MHz come from a ceramic resonator (0.5 % and ageing).
+const RESONATOR_DRIFT_PPM: u32 = 10_000;
+
 fn advice(heard: &Heard) -> Vec<String> {
     let left = is_left(heard.who.board);
     let (state_hz, drift_ppm) = if left { (50.0, RESONATOR_DRIFT_PPM) } else { (12.5, CRYSTAL_DRIFT_PPM) };
@@ -244,16 +247,7 @@ fn advice(heard: &Heard) -> Vec<String> {
     if heard.frames.1 > 1 {
         advice.push(format!("{} damaged frames: check the cable, use 115200 baud", heard.frames.1));
     }
-    let told = [
-        (health::SENSOR, "the accelerometer does not answer or a line is open: check its wires"),
-        (health::FLEX, "a flex sensor is open or shorted: check its wires and divider"),
-        (health::GRAVITY, "gravity reads impossible: `host-bridge calibrate`, and check the supply (3.3 V)"),
-        (health::STUCK, "the converter repeats itself: restart the board"),
-        (health::DEFAULT_CALIBRATION, "not calibrated: `host-bridge calibrate` takes a minute"),
-        (health::GAP, "samples are missing from the window: look at load and sensor errors"),
-        (health::MODEL, "the model cannot run on this board: send another with `host-bridge send-model`"),
-    ];
-    advice.extend(told.iter().filter(|(bit, _)| heard.health & bit != 0).map(|(_, text)| (*text).to_owned()));
+    advice.extend(doubt::reasons(heard.health).into_iter().map(str::to_owned));
     for fault in &heard.faults {
         advice.push(format!("the board reported {:?} (detail {:#x})", fault.kind, fault.detail));
     }

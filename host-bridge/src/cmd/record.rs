@@ -1,6 +1,6 @@
 //! `host-bridge record`: the right hand's raw samples into files that `models train` and Edge Impulse read.
 
-use std::io::{IsTerminal as _, Write as _};
+use std::io::{ErrorKind, IsTerminal as _, Write as _};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -8,6 +8,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Context as _, Result, bail, ensure};
 use host_bridge::capture::{Collector, sparkline};
+use host_bridge::ending::Ending;
 use host_bridge::keyboard::LABELS;
 use host_bridge::safety::Hand;
 use host_bridge::talk::{Said, Talk};
@@ -19,6 +20,8 @@ use crate::play::Interrupted;
 
 const HELLO_MS: u64 = 6000;
 const REQUEST_MS: u64 = 4000;
+/// A program that was told to end has less time to bring the board back.
+const BACK_MS: u64 = 700;
 /// Without samples for so long the board is not recording.
 const SILENCE_MS: u64 = 3000;
 /// In a guided session a spoilt take is taken again.
@@ -66,10 +69,13 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         check_name("label", label)?;
     }
     let (port, settings) = args.port.resolve(Hand::Right)?;
-    // From here on Ctrl-C is a flag, so that the board can be brought back to classifying.
+    // From here on an end from outside is a flag, so that the board can be brought back to classifying.
     let interrupted = Arc::new(AtomicBool::new(false));
-    signal_hook::flag::register(signal_hook::consts::SIGINT, Arc::clone(&interrupted))
-        .context("Ctrl-C cannot be caught here")?;
+    let _ending = Ending::watch(&interrupted, false).context("signals cannot be caught here")?;
+    // Whether there is room is known before the take, not after it.
+    for label in &labels {
+        make_folder(&args.out.join(label))?;
+    }
 
     let mut talk = Talk::open(&port, settings);
     let who = talk.hello(HELLO_MS)?;
@@ -95,7 +101,8 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         }
     }
     // However it ended. If the board does not answer, `run` will call it back.
-    let back = session.talk.request(REQUEST_MS, mode(Mode::Classify));
+    let patience_ms = if session.is_interrupted() { BACK_MS } else { REQUEST_MS };
+    let back = session.talk.request(patience_ms, mode(Mode::Classify));
     done?;
     if back.is_err() {
         println!("the board did not go back to classifying; restart it, or just start `host-bridge run`");
@@ -180,8 +187,12 @@ impl Session<'_> {
         Ok(collector)
     }
 
+    fn is_interrupted(&self) -> bool {
+        self.interrupted.load(Ordering::Relaxed)
+    }
+
     fn ensure_wanted(&self) -> Result<()> {
-        if self.interrupted.load(Ordering::Relaxed) {
+        if self.is_interrupted() {
             println!("\ninterrupted: this take was not saved");
             return Err(Interrupted.into());
         }
@@ -213,8 +224,12 @@ impl Session<'_> {
         let file = next_file(&self.args.out.join(label), &self.args.person)?;
         // Edge Impulse's header; our own tools read both.
         let text = collector.recording().to_csv().replacen("timestamp_ms", "timestamp", 1);
-        write_whole(&file, text.as_bytes())
-            .with_context(|| format!("{}: cannot be written; is there room, and may you?", file.display()))?;
+        let about = || format!("{}: cannot be written; is there room, and may you?", file.display());
+        if let Err(error) = write_whole(&file, text.as_bytes()) {
+            // The empty file only kept the name.
+            let _ = std::fs::remove_file(&file);
+            return Err(error).with_context(about);
+        }
         println!("   saved {} ({samples} samples, no gaps)", file.display());
         if clipped > 0 {
             println!(
@@ -226,10 +241,21 @@ impl Session<'_> {
     }
 }
 
-/// The first number that is free.
-fn next_file(folder: &Path, person: &str) -> Result<PathBuf> {
+fn make_folder(folder: &Path) -> Result<()> {
     std::fs::create_dir_all(folder)
-        .with_context(|| format!("{}: the folder cannot be made", folder.display()))?;
-    let file = |n: u32| folder.join(format!("{person}__{n}.csv"));
-    (1..u32::MAX).map(file).find(|file| !file.exists()).context("no free file name")
+        .with_context(|| format!("{}: the folder cannot be made", folder.display()))
+}
+
+/// The first number that is free, taken: the file is there from now on, empty, so that nobody else takes it.
+fn next_file(folder: &Path, person: &str) -> Result<PathBuf> {
+    make_folder(folder)?;
+    for n in 1..u32::MAX {
+        let file = folder.join(format!("{person}__{n}.csv"));
+        match std::fs::File::create_new(&file) {
+            Ok(_) => return Ok(file),
+            Err(error) if error.kind() == ErrorKind::AlreadyExists => {}
+            Err(error) => return Err(error).with_context(|| format!("{}: cannot be made", file.display())),
+        }
+    }
+    bail!("{}: no free file name", folder.display())
 }

@@ -3,7 +3,6 @@
 use std::io::{IsTerminal as _, Write as _};
 use std::path::PathBuf;
 use std::process::ExitCode;
-use std::sync::mpsc::channel;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -13,10 +12,11 @@ use host_bridge::bridge::Bridge;
 use host_bridge::config::{Config, KEYBOARD, Place};
 use host_bridge::control::{Control, Flags, Order, Report, Work};
 use host_bridge::describe;
+use host_bridge::ending::Ending;
 use host_bridge::engine::Engine;
 use host_bridge::foxglove::Foxglove;
 use host_bridge::keyboard::{HandKey, KeyLeft, KeyRight};
-use host_bridge::links::{Clock, Link as BoardLink, SystemClock, is_ble};
+use host_bridge::links::{Clock, Link as BoardLink, SystemClock, is_ble, queue};
 use host_bridge::observe::{Now, SessionEvent};
 use host_bridge::robot::brake::longest_s;
 use host_bridge::robot::{Door, Robot};
@@ -29,7 +29,6 @@ use host_bridge::view::{Scene, View};
 use host_bridge::web::Web;
 use serde::Serialize;
 use shared_proto::message::Heading;
-use signal_hook::consts::{SIGINT, SIGTERM};
 
 use super::keep::{KeepArgs, Keeper, Start, origin};
 use super::ports::{check_name, read_config, settings};
@@ -197,7 +196,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     let clock: Arc<dyn Clock> = Arc::new(SystemClock::start());
     // At work until the control thread is.
     let starting = clock.waiter();
-    let (sender, events) = channel();
+    let (sender, events) = queue();
     let open = |hand: Hand, port: &str| {
         (places[hand as usize] == Place::Board)
             .then(|| BoardLink::start(hand, port, settings(&config), Arc::clone(&clock), sender.clone()))
@@ -255,9 +254,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     };
     let keeper = args.keep.start(engine.tap_mut(), &start)?;
     let flags = Flags::default();
-    for signal in [SIGINT, SIGTERM] {
-        signal_hook::flag::register(signal, flags.quit_flag())?;
-    }
+    let ending = Ending::watch(&flags.quit_flag(), wants_view)?;
     let keys =
         if places.contains(&Place::Keyboard) { format!("{KEYS}\n{HAND_KEYS}") } else { KEYS.to_owned() };
     let mut screen = Screen {
@@ -306,6 +303,9 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     screen.end(&engine.now(time_ms), counts, dropped);
     if let Some(foxglove) = foxglove {
         foxglove.end();
+    }
+    if let Some(text) = ending.panicked() {
+        bail!("a thread failed, and the robot was halted; please report this: {text}");
     }
     Ok(ExitCode::SUCCESS)
 }

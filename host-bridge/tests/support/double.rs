@@ -15,7 +15,10 @@ use shared_dsp::left::AdcCounts;
 use shared_dsp::mlp::Model;
 use shared_dsp::right::RightHand;
 use shared_proto::frame::{Decoder, HOST_FRAME_MAX};
-use shared_proto::message::{Board, HostMessage, Mode};
+use shared_proto::message::{Board as Kind, HostMessage, Mode};
+
+use crate::desk::program::Desk;
+use crate::desk::station::{Board, Station};
 
 /// A level left hand with straight fingers.
 pub const LEVEL: [u16; 5] = [512, 512, 614, 704, 704];
@@ -43,7 +46,12 @@ impl Double {
 
     /// A right hand that plays the demo's recording from `start_s` on, again and again.
     pub fn right(desk: &Desk, start_s: f64) -> Self {
-        Self::start(desk, "right", Box::new(Right::new(start_s)))
+        Self::right_named(desk, "right", start_s)
+    }
+
+    /// The same with a port of another name.
+    pub fn right_named(desk: &Desk, name: &str, start_s: f64) -> Self {
+        Self::start(desk, name, Box::new(Right::new(start_s)))
     }
 
     fn start(desk: &Desk, name: &str, hand: Box<dyn Hand>) -> Self {
@@ -77,6 +85,11 @@ impl Double {
         self.0.restart();
     }
 
+    /// The last mode that it was asked for is not the one that records.
+    pub fn classifies(&self) -> bool {
+        self.0.with(|machine| machine.asked == Mode::Classify)
+    }
+
     /// The left hand holds this now.
     pub fn hold(&self, counts: [u16; 5]) {
         self.0.with(|machine| machine.hand.hold(counts));
@@ -96,6 +109,8 @@ trait Hand {
 
 struct Machine {
     hand: Box<dyn Hand>,
+    decoder: Decoder<HOST_FRAME_MAX>,
+    asked: Mode,
     boot_id: u32,
     /// Since power-on, and when it started last.
     now_ms: u64,
@@ -112,6 +127,8 @@ impl Machine {
     fn new(hand: Box<dyn Hand>) -> Self {
         Machine {
             hand,
+            decoder: Decoder::new(),
+            asked: Mode::Classify,
             boot_id: 100,
             now_ms: 0,
             started_ms: 0,
@@ -136,6 +153,9 @@ impl Machine {
         while self.now_ms >= self.busy_until_ms {
             self.wire.append(&mut self.later);
             let Some(byte) = self.incoming.pop_front() else { break };
+            if let Some(HostMessage::SetMode { mode, .. }) = self.decoder.push_host(byte) {
+                self.asked = mode;
+            }
             let busy_ms = self.hand.receive(byte, time_ms, &mut self.later);
             self.busy_until_ms = self.now_ms + busy_ms;
         }

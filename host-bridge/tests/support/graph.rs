@@ -10,9 +10,9 @@ use std::io::{BufRead as _, BufReader, Write as _};
 use std::path::Path;
 use std::process::{ChildStdin, Command, ExitStatus, Stdio};
 use std::rc::Rc;
-use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::mpsc::{Receiver, TryRecvError, channel};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use serde_json::Value;
@@ -179,7 +179,7 @@ impl Teller {
 
     /// Presses Ctrl-C.
     pub fn interrupt(&self) {
-        self.process.interrupt();
+        self.process.signal("-INT");
     }
 
     /// Waits for the end; what it printed on standard error.
@@ -279,42 +279,6 @@ pub fn gestures(message: &Value) -> u32 {
 pub fn middle_and_worst(mut delays_ms: Vec<f64>) -> (f64, f64) {
     delays_ms.sort_by(f64::total_cmp);
     (delays_ms[delays_ms.len() / 2], delays_ms[delays_ms.len() - 1])
-}
-
-/// How late this machine wakes a thread that slept: a busy one says nothing about the program's own delays.
-pub struct Lateness {
-    ended: Arc<AtomicBool>,
-    thread: std::thread::JoinHandle<Vec<f64>>,
-}
-
-impl Lateness {
-    /// Begins to look.
-    pub fn watch() -> Self {
-        let ended = Arc::new(AtomicBool::new(false));
-        let is_over = Arc::clone(&ended);
-        let thread = std::thread::spawn(move || {
-            let mut late_ms = Vec::new();
-            while !is_over.load(Ordering::Relaxed) {
-                let start = Instant::now();
-                std::thread::sleep(Duration::from_millis(5));
-                late_ms.push(start.elapsed().as_secs_f64() * 1000.0 - 5.0);
-            }
-            late_ms
-        });
-        Lateness { ended, thread }
-    }
-
-    /// Whether times measured meanwhile can be judged: nine sleeps of ten ended within 2 ms.
-    pub fn was_quiet(self) -> bool {
-        self.ended.store(true, Ordering::Relaxed);
-        let mut late_ms = self.thread.join().unwrap();
-        late_ms.sort_by(f64::total_cmp);
-        let mostly_ms = late_ms[late_ms.len() * 9 / 10];
-        if mostly_ms > 2.0 {
-            println!("NOT JUDGED: this machine is busy and wakes a thread {mostly_ms:.1} ms late");
-        }
-        mostly_ms <= 2.0
-    }
 }
 
 /// How long the robot may go on after a board fell silent.

@@ -6,7 +6,8 @@ use host_bridge::intent::MotionMap;
 use host_bridge::safety::{Hand, State};
 use shared_proto::frame::{BOARD_FRAME_MAX, encode_board};
 use shared_proto::message::{
-    Board, BoardMessage, Heading, Hello, LeftState, ModelInfo, PROTOCOL_MAJOR, PROTOCOL_MINOR, RightState,
+    Board, BoardMessage, Heading, Hello, HostMessage, LeftState, ModelInfo, PROTOCOL_MAJOR, PROTOCOL_MINOR,
+    Pong, RightState,
 };
 
 #[path = "moving.rs"]
@@ -65,6 +66,8 @@ pub struct Rig {
     pub right: RightHand,
     /// Hands that send their state by themselves.
     pub talking: [bool; 2],
+    /// Hands that answer pings, at once.
+    pub answering: [bool; 2],
     /// How far the boards' clocks are from the laptop's.
     pub board_ahead_ms: u32,
     pub events: Vec<EventKind>,
@@ -90,6 +93,7 @@ impl Rig {
                 health: 0,
             },
             talking: [false; 2],
+            answering: [true; 2],
             board_ahead_ms: 0x8000_0000,
             events: Vec::new(),
             moved: false,
@@ -161,9 +165,20 @@ impl Rig {
         self.send(Hand::Right, &frame);
     }
 
-    /// Lets time pass; talking hands send their state every 20 ms.
+    fn answer_ping(&mut self, hand: Hand) {
+        if let Some(HostMessage::Ping { id }) = self.bridge.ping(hand, self.now_ms)
+            && self.answering[hand as usize]
+        {
+            let board_time_ms = self.board_time_ms();
+            self.send(hand, &encode(&BoardMessage::Pong(Pong { id, board_time_ms })));
+        }
+    }
+
+    /// Lets time pass; talking hands send their state every 20 ms, and all hands answer pings.
     pub fn run(&mut self, ms: u64) {
         for _ in 0..ms {
+            self.answer_ping(Hand::Left);
+            self.answer_ping(Hand::Right);
             if self.now_ms.is_multiple_of(20) {
                 if self.talking[0] {
                     self.send_left();

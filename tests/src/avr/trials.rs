@@ -33,12 +33,16 @@ pub struct Job {
     pub count: u32,
 }
 
+/// From the start of a movement of at most 220 ms: 80 ms of grace, and 130 ms for telling a tilt that is
+/// meant from a swing.
+pub const IN_TIME_MS: f64 = 430.0;
+
 /// How the tilts of one wearer went.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Tilts {
     /// Trials.
     pub trials: u32,
-    /// That command within 300 ms and no other within 2 s.
+    /// That command within [`IN_TIME_MS`] and no other within 2 s.
     pub right: u32,
     /// The opposite command at any time.
     pub reversed: u32,
@@ -150,7 +154,7 @@ pub fn tilts(job: Job) -> Tilts {
         result.trials += 1;
         result.reversed += u32::from(others.contains(&opposite(wanted)));
         match first {
-            Some(latency_ms) if latency_ms <= 300.0 && others.is_empty() => {
+            Some(latency_ms) if latency_ms <= IN_TIME_MS && others.is_empty() => {
                 result.right += 1;
                 result.latencies_ms.push(latency_ms);
             }

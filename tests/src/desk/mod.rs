@@ -7,6 +7,8 @@
 
 #[path = "../../../host-bridge/tests/support/graph.rs"]
 pub mod graph;
+#[path = "../../../host-bridge/tests/support/lateness.rs"]
+pub mod lateness;
 #[cfg(feature = "avr")]
 pub mod left;
 pub mod programs;

@@ -11,9 +11,10 @@ use host_bridge::arm::Motions;
 use models::synth::{Motion, Wearer};
 use serde_json::{Value, json};
 use tests::desk::graph::{
-    DECISION_MS, Lateness, SILENCE_MS, Teller, armed, bridge, delay_ms, desk, domain, gestures, is, is_full,
+    DECISION_MS, SILENCE_MS, Teller, armed, bridge, delay_ms, desk, domain, gestures, is, is_full,
     middle_and_worst, number, peer, site, speed, started, wall_s,
 };
+use tests::desk::lateness::Lateness;
 use tests::desk::left::{Left, LeftStation};
 use tests::desk::right::Right;
 

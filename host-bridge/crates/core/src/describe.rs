@@ -26,6 +26,10 @@ pub fn text(event: &SessionEvent) -> String {
             line
         }
         EventKind::BoardFault { hand, fault } => format!("{hand} hand: fault {fault}"),
+        EventKind::HandHealth { hand, reasons, .. } if reasons.is_empty() => {
+            format!("{hand} hand: well again")
+        }
+        EventKind::HandHealth { hand, reasons, .. } => format!("{hand} hand: {}", reasons.join("; ")),
         EventKind::State { state } => match state {
             State::Waiting => "waiting for neutral".to_owned(),
             State::Armed => "armed".to_owned(),
@@ -35,6 +39,11 @@ pub fn text(event: &SessionEvent) -> String {
         EventKind::Halt { reason } => match reason {
             HaltReason::OperatorStop => "HALT: stop by the operator; caps back to 0.50".to_owned(),
             HaltReason::Silence(hand) => format!("HALT: nothing valid from the {hand} hand for 250 ms"),
+            HaltReason::Unanswered(hand) => {
+                format!(
+                    "HALT: the {hand} hand has not answered for 500 ms: how old its states are, nobody knows"
+                )
+            }
             HaltReason::Unhealthy(hand) => format!("HALT: the {hand} hand is in doubt"),
             HaltReason::Restart(hand) => format!("HALT: the {hand} hand has started anew"),
         },
@@ -75,6 +84,9 @@ pub fn text(event: &SessionEvent) -> String {
             Ignored::LateState(hand) => format!("{hand} hand: a late state was dropped"),
             Ignored::LateGesture => "a late gesture was dropped".to_owned(),
             Ignored::GestureWhileNotArmed => "a gesture while not armed was dropped".to_owned(),
+            Ignored::ImpossibleBends => {
+                "more bends in one state than fingers can make were dropped".to_owned()
+            }
             Ignored::BendsWhileNotArmed => "bends while not armed were dropped".to_owned(),
             Ignored::ReleaseKey => "the release key has no effect now".to_owned(),
         },

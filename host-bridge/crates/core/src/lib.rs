@@ -3,6 +3,7 @@
 
 pub mod bridge;
 pub mod describe;
+pub mod doubt;
 pub mod engine;
 pub mod intent;
 pub mod latency;

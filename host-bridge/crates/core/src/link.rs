@@ -7,9 +7,14 @@
 //! ```
 //! States before the first hello, repeated ones and overtaken ones are counted and dropped here. How
 //! old a state may be is for [`crate::safety`] to say: a late state can still stop the robot.
+//!
+//! Ages are upper bounds, and rest on round trips: pings go out ten times a second, whether or not the
+//! ones before are answered, and a board that answers none has only states that are too old.
+
+use std::collections::VecDeque;
 
 use serde::Serialize;
-use shared_proto::clock::BoardClock;
+use shared_proto::clock::{BoardClock, DRIFT_PPM};
 use shared_proto::counter::{CounterTracker, Order, SequenceTracker};
 use shared_proto::frame::{BOARD_FRAME_MAX, Counters, Decoder};
 use shared_proto::message::{
@@ -23,8 +28,14 @@ use crate::safety::Hand;
 /// While nothing usable comes, ask who is there this often.
 pub const HELLO_INTERVAL_MS: u64 = 500;
 
-/// A known board is pinged this often, so that the error of ages stays bounded.
-pub const PING_INTERVAL_MS: u64 = 1000;
+/// A known board is pinged this often: ages rest on the answers.
+pub const PING_INTERVAL_MS: u64 = 100;
+
+/// A board that has answered no ping for this long is as good as silent, whatever it sends.
+pub const ANSWER_PATIENCE_MS: u64 = 500;
+
+/// So many pings may be on their way at once; an answer after more than 6 s is none.
+const PINGS_IN_FLIGHT: usize = 64;
 
 /// This many overtaken states in a row mean that the board restarted and its hello was lost.
 const OVERTAKEN_MEANS_RESTART: u32 = 3;
@@ -66,7 +77,7 @@ pub enum Heard {
     Model(ModelSummary),
     /// A left state, newer than all before it.
     Left {
-        /// Age of the sample.
+        /// The most that the age of the sample can be.
         age_ms: u64,
         /// As received.
         state: LeftState,
@@ -90,7 +101,7 @@ pub enum Heard {
 /// A right state without its borrowed scores.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RightReport {
-    /// Age of the newest sample.
+    /// The most that the age of the newest sample can be.
     pub age_ms: u64,
     /// Board clock at the newest sample.
     pub board_time_ms: u32,
@@ -111,7 +122,7 @@ pub struct NewGesture {
     pub confidence: f32,
     /// Board clock at the end of the deciding window.
     pub window_end_ms: u32,
-    /// Age of that window's end.
+    /// The most that the age of that window's end can be.
     pub age_ms: u64,
     /// Gestures before it whose label nobody will know: their frames were lost.
     pub unnamed: u8,
@@ -159,9 +170,14 @@ pub struct HandLink {
     overtaken_in_a_row: u32,
     last_state_ms: Option<u64>,
     last_request_ms: Option<u64>,
+    /// Ids and times of the pings that may still be answered, oldest first.
+    pings: VecDeque<(u32, u64)>,
     /// Id and time of the last ping.
     pinged: Option<(u32, u64)>,
-    round_trip_ms: Option<u64>,
+    /// How long the newest answered ping took, and when its answer came.
+    round_trip: Option<(u64, u64)>,
+    /// The board's clock stepped back: nothing counts before it has said who it is.
+    restarted: bool,
 }
 
 impl HandLink {
@@ -170,7 +186,7 @@ impl HandLink {
         HandLink {
             hand,
             decoder: Decoder::new(),
-            clock: BoardClock::for_board(Board::LeftNano),
+            clock: BoardClock::new(),
             sequence: SequenceTracker::new(),
             index: CounterTracker::new(),
             middle: CounterTracker::new(),
@@ -181,8 +197,10 @@ impl HandLink {
             overtaken_in_a_row: 0,
             last_state_ms: None,
             last_request_ms: None,
+            pings: VecDeque::new(),
             pinged: None,
-            round_trip_ms: None,
+            round_trip: None,
+            restarted: false,
         }
     }
 
@@ -209,21 +227,21 @@ impl HandLink {
 
     /// Takes bytes in any slicing, as they arrive; what they say is appended to `heard`.
     pub fn receive(&mut self, bytes: &[u8], now_ms: u64, heard: &mut Vec<Heard>) {
+        // The decoder lends its buffer to the message, and handling one needs the rest of the link.
+        let mut decoder = std::mem::take(&mut self.decoder);
         for &byte in bytes {
-            // The decoder lends its buffer to the message, and handling one needs the rest of the link.
-            let mut decoder = std::mem::take(&mut self.decoder);
             if let Some(message) = decoder.push_board(byte) {
                 heard.extend(self.handle(message, now_ms));
             }
-            self.decoder = decoder;
         }
+        self.decoder = decoder;
     }
 
     /// What to send to the board now, if anything.
     pub fn poll(&mut self, now_ms: u64) -> Option<HostMessage<'static>> {
         let silent = |since: Option<u64>| since.is_none_or(|t| now_ms.saturating_sub(t) >= HELLO_INTERVAL_MS);
         let known = self.identity.is_some() && (self.hand == Hand::Left || self.model.is_some());
-        let restarted = self.overtaken_in_a_row >= OVERTAKEN_MEANS_RESTART;
+        let restarted = self.restarted || self.overtaken_in_a_row >= OVERTAKEN_MEANS_RESTART;
         if (!known || restarted || silent(self.last_state_ms)) && silent(self.last_request_ms) {
             self.last_request_ms = Some(now_ms);
             return Some(HostMessage::HelloRequest);
@@ -239,21 +257,43 @@ impl HandLink {
         }
         let id = self.pinged.map_or(0, |(id, _)| id.wrapping_add(1));
         self.pinged = Some((id, now_ms));
+        if self.pings.len() == PINGS_IN_FLIGHT {
+            self.pings.pop_front();
+        }
+        self.pings.push_back((id, now_ms));
         Some(HostMessage::Ping { id })
     }
 
-    /// How long the last ping took, there and back.
+    /// How long the newest answered ping took, there and back.
     pub fn round_trip_ms(&self) -> Option<u64> {
-        self.round_trip_ms
+        self.round_trip.map(|(took_ms, _)| took_ms)
+    }
+
+    /// The board has answered a ping within the last [`ANSWER_PATIENCE_MS`].
+    pub fn answers(&self, now_ms: u64) -> bool {
+        self.round_trip.is_some_and(|(_, at_ms)| now_ms.saturating_sub(at_ms) < ANSWER_PATIENCE_MS)
+    }
+
+    /// The board has answered pings, and for [`ANSWER_PATIENCE_MS`] no more.
+    pub fn stopped_answering(&self, now_ms: u64) -> bool {
+        self.round_trip.is_some() && !self.answers(now_ms)
+    }
+
+    /// The newest round trip is fresh and took less than `limit_ms`, and no ping since has waited longer.
+    pub fn is_prompt(&self, limit_ms: u64, now_ms: u64) -> bool {
+        let waiting = self.pings.front().is_some_and(|&(_, sent)| now_ms.saturating_sub(sent) >= limit_ms);
+        self.answers(now_ms) && !waiting && self.round_trip.is_some_and(|(took, _)| took < limit_ms)
     }
 
     fn pong(&mut self, pong: &Pong, now_ms: u64) {
-        // The answer to an earlier ping has been overtaken, and says less than the next one will.
-        if let Some((id, sent_ms)) = self.pinged
-            && id == pong.id
-        {
-            self.clock.pong(pong.board_time_ms, sent_ms, now_ms);
-            self.round_trip_ms = Some(now_ms.saturating_sub(sent_ms));
+        // An answer that another has overtaken says less than that one did; one to no ping says nothing.
+        let Some(at) = self.pings.iter().position(|&(id, _)| id == pong.id) else { return };
+        let Some((_, sent_ms)) = self.pings.drain(..=at).next_back() else { return };
+        if self.clock.pong(pong.board_time_ms, sent_ms, now_ms) {
+            self.round_trip = Some((now_ms.saturating_sub(sent_ms), now_ms));
+        } else {
+            self.round_trip = None;
+            self.restarted = true;
         }
     }
 
@@ -295,17 +335,25 @@ impl HandLink {
             self.model = None;
             return Some(Heard::Unusable(problem));
         }
+        self.restarted = false;
         if self.identity.as_ref().is_some_and(|known| known.boot_id == hello.boot_id) {
             return None;
         }
         let identity = Identity {
             board: hello.board.to_string(),
-            firmware: hello.firmware.to_owned(),
+            firmware: printable(hello.firmware),
             boot_id: hello.boot_id,
             model_id: hello.model_id,
             sample_hz: hello.sample_hz,
         };
-        self.clock = BoardClock::for_board(hello.board);
+        self.clock.rebase();
+        // Answers of the board's life before are about another clock.
+        self.pings.clear();
+        self.round_trip = None;
+        if let Some((_, sent_ms)) = &mut self.pinged {
+            // The next one is due at once.
+            *sent_ms = 0;
+        }
         self.sequence.rebase();
         self.index.rebase();
         self.middle.rebase();
@@ -320,7 +368,7 @@ impl HandLink {
         let model = ModelSummary {
             model_id: info.model_id,
             axes: info.axes,
-            labels: info.labels.split(',').map(str::to_owned).collect(),
+            labels: info.labels.split(',').map(printable).collect(),
         };
         if self.model.as_ref() == Some(&model) {
             return None;
@@ -376,8 +424,9 @@ impl HandLink {
             confidence: f32::from(state.confidence) / 255.0,
             window_end_ms: state.event_window_end_ms,
             // By the state's own age, so that an event's age never falls below it.
-            age_ms: age_ms
-                .saturating_add(u64::from(state.board_time_ms.wrapping_sub(state.event_window_end_ms))),
+            age_ms: age_ms.saturating_add(with_drift(
+                state.board_time_ms.wrapping_sub(state.event_window_end_ms).into(),
+            )),
             unnamed: new - 1,
         });
         Some(Heard::Right(RightReport {
@@ -391,12 +440,28 @@ impl HandLink {
     }
 
     fn age_of_state(&mut self, board_time_ms: u32, now_ms: u64) -> u64 {
-        let age_ms = self.clock.arrived(board_time_ms, now_ms);
+        let known = !self.restarted && self.answers(now_ms);
+        let age_ms = if known { self.clock.age_ms(board_time_ms, now_ms) } else { u64::MAX };
         if age_ms < HELLO_INTERVAL_MS {
             self.last_state_ms = Some(now_ms);
         }
         age_ms
     }
+}
+
+/// The most that a time on a board's clock can be on the laptop's.
+fn with_drift(board_ms: u64) -> u64 {
+    board_ms + board_ms * u64::from(DRIFT_PPM) / 1_000_000
+}
+
+/// A board's text without what a terminal would obey: control characters, and those that turn the direction
+/// of writing.
+pub fn printable(text: &str) -> String {
+    let obeyed = |c: char| {
+        c.is_control()
+            || matches!(c, '\u{200e}'..='\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
+    };
+    text.chars().map(|c| if obeyed(c) { char::REPLACEMENT_CHARACTER } else { c }).collect()
 }
 
 /// Which hand a board is for, if it is known.

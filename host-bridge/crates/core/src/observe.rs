@@ -179,7 +179,7 @@ pub struct LinkSnapshot {
     pub live: bool,
     /// Age of its newest valid sample.
     pub age_ms: Option<u64>,
-    /// How long the last ping took, there and back; played recordings are not pinged.
+    /// How long the newest answered ping took, there and back.
     pub round_trip_ms: Option<u64>,
     /// What became of its frames.
     pub counters: LinkCounters,

@@ -2,7 +2,6 @@
 //! `send-model` share.
 
 use std::sync::Arc;
-use std::sync::mpsc::{Receiver, channel};
 use std::time::Duration;
 
 use shared_proto::frame::{BOARD_FRAME_MAX, Decoder, HOST_FRAME_MAX, encode_host};
@@ -11,7 +10,9 @@ use shared_proto::message::{
 };
 use shared_proto::version;
 
-use crate::links::{Clock, Link, LinkEvent, News, SerialSettings, SystemClock, Waiter, is_ble};
+use host_core::link::printable;
+
+use crate::links::{Clock, EventReceiver, Link, News, SerialSettings, SystemClock, Waiter, is_ble, queue};
 
 /// A request is sent again after this long without an answer.
 const REPEAT_MS: u64 = 1000;
@@ -172,7 +173,7 @@ pub fn advice(result: AckResult) -> &'static str {
 /// A port, its board, and what it says.
 pub struct Talk {
     link: Link,
-    events: Receiver<LinkEvent<()>>,
+    events: EventReceiver<()>,
     clock: Arc<dyn Clock>,
     waiter: Waiter,
     decoder: Decoder<BOARD_FRAME_MAX>,
@@ -185,7 +186,7 @@ impl Talk {
     pub fn open(port: &str, settings: SerialSettings) -> Self {
         let clock: Arc<dyn Clock> = Arc::new(SystemClock::start());
         let waiter = clock.waiter();
-        let (sender, events) = channel();
+        let (sender, events) = queue();
         let link = Link::start((), port, settings, Arc::clone(&clock), sender);
         Talk { link, events, clock, waiter, decoder: Decoder::new(), said: Default::default(), request: 0 }
     }
@@ -231,12 +232,18 @@ impl Talk {
     /// The next thing said, with its time of arrival; waits so long at most.
     pub fn next(&mut self, patience_ms: u64) -> Option<(u64, Said)> {
         let until_ms = self.now_ms() + patience_ms;
+        let mut asked = false;
         loop {
             if let Some(said) = self.said.pop_front() {
                 return Some(said);
             }
             let left_ms = until_ms.saturating_sub(self.now_ms());
-            let event = self.waiter.receive(&self.events, Duration::from_millis(left_ms)).ok()?;
+            // A board that floods says nothing either.
+            if left_ms == 0 && asked {
+                return None;
+            }
+            asked = true;
+            let event = self.waiter.hear(&self.events, Duration::from_millis(left_ms)).ok()?;
             match event.news {
                 News::Opened => self.said.push_back((event.at_ms, Said::Opened)),
                 News::Closed(why) => self.said.push_back((event.at_ms, Said::Closed(why))),
@@ -347,7 +354,7 @@ fn owned(message: &BoardMessage<'_>) -> Option<Said> {
         BoardMessage::Hello(hello) => Said::Hello(Who {
             version: (hello.major, hello.minor),
             board: hello.board,
-            firmware: hello.firmware.to_owned(),
+            firmware: printable(hello.firmware),
             boot_id: hello.boot_id,
             model_id: hello.model_id,
             sample_hz: hello.sample_hz,
@@ -359,7 +366,7 @@ fn owned(message: &BoardMessage<'_>) -> Option<Said> {
             axes: info.axes,
             sample_hz: info.sample_hz,
             window: info.window,
-            labels: info.labels.split(',').map(str::to_owned).collect(),
+            labels: info.labels.split(',').map(printable).collect(),
         }),
         BoardMessage::Left(state) => Said::Left(*state),
         BoardMessage::Right(state) => Said::Right {

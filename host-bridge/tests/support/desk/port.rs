@@ -16,6 +16,19 @@ pub fn alone() -> MutexGuard<'static, ()> {
     STARTING.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
+/// A pseudo-terminal: the board's end, which no program inherits, and the laptop's.
+///
+/// # Panics
+/// Where the system has none left.
+pub fn pair() -> (TTYPort, TTYPort) {
+    let _alone = alone();
+    let (board, laptop) = TTYPort::pair().expect("a pseudo-terminal");
+    // Safety: the port gives its descriptor away and is gone. The copy is not inherited by programs.
+    let board = unsafe { OwnedFd::from_raw_fd(board.into_raw_fd()) };
+    let copy = board.try_clone().expect("a descriptor");
+    (unsafe { TTYPort::from_raw_fd(copy.into_raw_fd()) }, laptop)
+}
+
 /// The board's end of a cable.
 pub struct Port {
     place: PathBuf,
@@ -38,13 +51,7 @@ impl Port {
     /// # Panics
     /// Where the system has no pseudo-terminal left.
     pub fn plug(&mut self) {
-        let _alone = alone();
-        let (board, laptop) = TTYPort::pair().expect("a pseudo-terminal");
-        // Safety: the port gives its descriptor away and is gone. The copy is not inherited by programs.
-        let board = unsafe { OwnedFd::from_raw_fd(board.into_raw_fd()) };
-        let copy = board.try_clone().expect("a descriptor");
-        drop(board);
-        let mut port = unsafe { TTYPort::from_raw_fd(copy.into_raw_fd()) };
+        let (mut port, laptop) = pair();
         port.set_timeout(Duration::ZERO).expect("a timeout");
         // Renamed into its place, so that nobody ever finds half a link.
         let fresh = self.place.with_extension("new");

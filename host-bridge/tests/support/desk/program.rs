@@ -240,7 +240,12 @@ impl Running {
 
     /// Presses Ctrl-C.
     pub fn interrupt(&self) {
-        self.process.interrupt();
+        self.signal("-INT");
+    }
+
+    /// Sends a signal.
+    pub fn signal(&self, name: &str) {
+        self.process.signal(name);
     }
 
     /// Waits for the end; how it ended, and all it printed.

@@ -161,10 +161,10 @@ impl Process {
         !matches!(*self.follows.borrow(), Follows::Nothing)
     }
 
-    /// Presses Ctrl-C.
-    pub fn interrupt(&self) {
+    /// Sends a signal, such as `-INT` (Ctrl-C).
+    pub fn signal(&self, name: &str) {
         let _alone = alone();
-        let _ = Command::new("kill").args(["-INT", &self.child.borrow().id().to_string()]).status();
+        let _ = Command::new("kill").args([name, &self.id().to_string()]).status();
     }
 
     /// Ends it.

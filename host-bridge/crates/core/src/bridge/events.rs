@@ -50,6 +50,15 @@ pub enum EventKind {
         /// What, as the board names it.
         fault: String,
     },
+    /// The flags of a hand's health changed.
+    HandHealth {
+        /// Which.
+        hand: Hand,
+        /// Bits of `shared_proto::message::health`; 0 = well.
+        flags: u8,
+        /// What they mean, and what to do.
+        reasons: Vec<&'static str>,
+    },
     /// The safety machine changed its state.
     State {
         /// The new state.
@@ -184,6 +193,8 @@ pub enum GestureOutcome {
 pub struct Drops {
     /// States older than 250 ms.
     pub late_states: u32,
+    /// States with more bends than fingers can make.
+    pub bends_impossible: u32,
     /// Gestures decided more than 250 ms ago.
     pub late_gestures: u32,
     /// Gestures while another motion ran.

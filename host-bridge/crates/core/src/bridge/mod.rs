@@ -8,6 +8,7 @@ use shared_proto::message::{Ack, Heading, HostMessage, LeftState};
 
 use host_robot::{Busy, Door, MotionName, NotStarted, Report, Twist};
 
+use crate::doubt;
 use crate::intent::{Caps, MotionMap, SpeedRules, is_rest};
 use crate::link::{HandLink, Heard, NewGesture, RightReport, is_healthy};
 use crate::safety::{self, Action, Hand, Ignored, Safety, SafetyTimes, State};
@@ -32,6 +33,8 @@ pub struct Bridge {
     events: Vec<BridgeEvent>,
     heard: Vec<Heard>,
     last_acks: [Option<Ack>; 2],
+    /// Flags that were told.
+    told_health: [u8; 2],
 }
 
 impl Bridge {
@@ -57,6 +60,7 @@ impl Bridge {
             events: Vec::new(),
             heard: Vec::new(),
             last_acks: [None; 2],
+            told_health: [0; 2],
         }
     }
 
@@ -87,6 +91,12 @@ impl Bridge {
     /// Lets time pass; must be called every few milliseconds, whether or not bytes came.
     pub fn step(&mut self, now_ms: u64, robot: &mut dyn Door) {
         self.apply(safety::Event::Tick, now_ms, robot);
+        for hand in [Hand::Left, Hand::Right] {
+            // Before the first state there is the 250 ms of the dead-man for the first answer.
+            if self.safety.live(hand) && self.link(hand).stopped_answering(now_ms) {
+                self.apply(safety::Event::Unanswered(hand), now_ms, robot);
+            }
+        }
         for report in robot.take_reports() {
             let kind = match report {
                 Report::MotionEnded { motion, reached } => EventKind::MotionEnded { motion, reached },
@@ -218,9 +228,11 @@ impl Bridge {
                 self.note(now_ms, EventKind::Model { model, without_motion });
             }
             Heard::Left { age_ms, state, index_bends, middle_bends } => {
+                self.tell_health(hand, state.health, now_ms);
                 let before = command(self.safety.heading());
                 let event = safety::Event::Left {
                     age_ms,
+                    prompt: self.left.is_prompt(self.safety.times().prompt_ms(), now_ms),
                     healthy: is_healthy(state.health),
                     heading: state.heading,
                     index_bends,
@@ -251,7 +263,15 @@ impl Bridge {
         }
     }
 
+    /// A hand in doubt says why, before it halts anything.
+    fn tell_health(&mut self, hand: Hand, flags: u8, now_ms: u64) {
+        if std::mem::replace(&mut self.told_health[hand as usize], flags) != flags {
+            self.note(now_ms, EventKind::HandHealth { hand, flags, reasons: doubt::reasons(flags) });
+        }
+    }
+
     fn right(&mut self, report: RightReport, now_ms: u64, robot: &mut dyn Door) {
+        self.tell_health(Hand::Right, report.health, now_ms);
         let labels = self.right.model().map_or(&[][..], |model| &model.labels);
         let resting = rests(labels, &report.scores);
         let label = |new: NewGesture| labels.get(usize::from(new.label)).cloned();
@@ -269,6 +289,7 @@ impl Bridge {
         self.right_health = report.health;
         let event = safety::Event::Right {
             age_ms: report.age_ms,
+            prompt: self.right.is_prompt(self.safety.times().prompt_ms(), now_ms),
             healthy: is_healthy(report.health),
             resting,
             gesture,
@@ -323,6 +344,7 @@ impl Bridge {
                 Action::Ignored(what) => {
                     match what {
                         Ignored::LateState(_) => self.drops.late_states += 1,
+                        Ignored::ImpossibleBends => self.drops.bends_impossible += 1,
                         Ignored::BendsWhileNotArmed => self.drops.bends_while_not_armed += 1,
                         Ignored::LateGesture => outcome = Some(GestureOutcome::Late),
                         Ignored::GestureWhileNotArmed => outcome = Some(GestureOutcome::NotArmed),

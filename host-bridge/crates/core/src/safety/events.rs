@@ -44,10 +44,14 @@ pub enum Event {
     Started(Hand),
     /// A hand is there but must not be acted on (the versions differ): as if it were silent.
     Unusable(Hand),
+    /// The hand answers no pings, so that nobody knows how old its states are: as if it were silent.
+    Unanswered(Hand),
     /// The left hand's state, newer than all before it.
     Left {
-        /// Age of the sample.
+        /// The most that the age of the sample can be.
         age_ms: u64,
+        /// The link's last round trip is fresh and short: neutral counts.
+        prompt: bool,
         /// No health flag that forbids to act.
         healthy: bool,
         /// Where the hand points.
@@ -61,8 +65,10 @@ pub enum Event {
     },
     /// The right hand's state, newer than all before it.
     Right {
-        /// Age of the newest sample.
+        /// The most that the age of the newest sample can be.
         age_ms: u64,
+        /// The link's last round trip is fresh and short: rest counts.
+        prompt: bool,
         /// No health flag that forbids to act.
         healthy: bool,
         /// A resting class has the highest score.
@@ -84,6 +90,8 @@ pub enum HaltReason {
     OperatorStop,
     /// No valid state for 250 ms.
     Silence(Hand),
+    /// No ping was answered for 500 ms.
+    Unanswered(Hand),
     /// The hand says that it cannot be trusted.
     Unhealthy(Hand),
     /// The hand is new or has restarted.
@@ -100,6 +108,8 @@ pub enum Ignored {
     LateGesture,
     /// A gesture while not armed.
     GestureWhileNotArmed,
+    /// More bends in one state than fingers can make meanwhile.
+    ImpossibleBends,
     /// Bends while not armed.
     BendsWhileNotArmed,
     /// The release key while a right hand is connected, or before 1 s of neutral.

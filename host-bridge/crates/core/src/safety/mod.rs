@@ -7,7 +7,9 @@
 //!   nothing moves: the other hand must not drive without the one that can stop it.
 //! * **live**: the hand's newest valid state is younger than [`STALE_MS`] by the time of its *sample*,
 //!   so nothing older than that ever moves the robot.
-//! * **neutral**: the left hand within its dead zone; the right hand with a resting class on top.
+//! * **prompt**: the link's last round trip is fresh, and shorter than half of that limit.
+//! * **neutral**: the left hand within its dead zone; the right hand with a resting class on top. It counts
+//!   on a prompt link only.
 //! * **release**: the gesture that ends a stop (the one that brings the arm home: up-down).
 //!
 //! The machine is sans-IO: [`Safety::step`] takes an event and the time, and answers with actions.
@@ -24,10 +26,20 @@ use shared_proto::message::Heading;
 /// A state older than this is dropped; a hand silent for this long halts the robot.
 pub const STALE_MS: u64 = 250;
 
-/// All hands must be neutral together for this long before anything may act. Frames that waited in some
-/// buffer until the link was opened come in one burst and look fresh, because nothing is known yet to
-/// compare their clock with: a burst that says "neutral, forward" must not start the base.
+/// All hands must be neutral together for this long before anything may act, from the arrival of the first
+/// neutral sample to the taking of the newest: a burst after a stall, or one neutral frame and then
+/// silence, proves nothing.
 pub const ARM_NEUTRAL_MS: u64 = 100;
+
+/// A state that reports more bends of one finger is not believed: between two states that count there are at
+/// most [`STALE_MS`], and a finger bends and straightens five times a second at most.
+pub const BENDS_MAX: u8 = 3;
+
+/// Neutral rests on so many samples.
+pub const NEUTRAL_SAMPLES: u32 = 3;
+
+/// A hand whose pings go unanswered for this long is not acted on.
+pub use crate::link::ANSWER_PATIENCE_MS;
 
 /// The hands must be neutral for this long before a stop can be released.
 pub const RELEASE_NEUTRAL_MS: u64 = 1000;
@@ -42,6 +54,13 @@ pub struct SafetyTimes {
     pub arm_neutral_ms: u64,
     /// See [`RELEASE_NEUTRAL_MS`].
     pub release_neutral_ms: u64,
+}
+
+impl SafetyTimes {
+    /// Neutral counts only while round trips are shorter than this: half of [`STALE_MS`].
+    pub fn prompt_ms(&self) -> u64 {
+        self.stale_ms / 2
+    }
 }
 
 impl Default for SafetyTimes {
@@ -60,8 +79,8 @@ impl Default for SafetyTimes {
 ///    ▲   ▲                                                │ │ │
 ///    │   └──────────── a hand (re)started ────────────────┘ │ │
 ///    │                                                      │ │
-///    │ all live                    250 ms silence, bad      │ │
-///    └────────── Stale ◄───────────health, wrong version────┘ │
+///    │ all live             250 ms silence, no answers,     │ │
+///    └────────── Stale ◄───────bad health, wrong version────┘ │
 ///                                                             │ both fingers, stop key
 ///   Armed ◄── neutral for 1 s, then the release ── Stopped ◄──┴── (from every state)
 /// ```
@@ -85,23 +104,56 @@ struct Watch {
     awaited: bool,
     connected: bool,
     live: bool,
-    /// Host time of the newest valid sample.
+    /// Host time of the newest valid sample, at the earliest.
     sample_ms: u64,
-    /// Neutral without a break since this time.
-    neutral_since_ms: Option<u64>,
+    /// Samples taken before this time are no neutral ones: something happened then that takes it back.
+    reset_ms: u64,
+    neutral: Option<Neutral>,
+}
+
+/// Neutral samples without another between them.
+#[derive(Clone, Copy, Debug)]
+struct Neutral {
+    /// Host time of the first one, at the latest.
+    first_ms: u64,
+    /// Host time of the newest one, at the earliest.
+    newest_ms: u64,
+    samples: u32,
+}
+
+impl Neutral {
+    /// Has neutral been held for `long_ms` at `time_ms`, as far as samples show?
+    fn held(&self, long_ms: u64, time_ms: u64) -> bool {
+        self.samples >= NEUTRAL_SAMPLES
+            && self.newest_ms.min(time_ms).saturating_sub(self.first_ms) >= long_ms
+    }
 }
 
 impl Watch {
-    fn lose(&mut self) {
+    fn lose(&mut self, now_ms: u64) {
         self.live = false;
-        self.neutral_since_ms = None;
+        self.reset(now_ms);
     }
 
-    fn refresh(&mut self, sample_ms: u64, neutral: bool) {
+    /// Whatever was neutral before now must be so again.
+    fn reset(&mut self, now_ms: u64) {
+        self.reset_ms = now_ms;
+        self.neutral = None;
+    }
+
+    fn refresh(&mut self, age_ms: u64, neutral: bool, now_ms: u64) {
+        let sample_ms = now_ms.saturating_sub(age_ms);
         self.live = true;
         // Ages jitter: time on a hand never runs back.
         self.sample_ms = self.sample_ms.max(sample_ms);
-        self.neutral_since_ms = if neutral { self.neutral_since_ms.or(Some(self.sample_ms)) } else { None };
+        if !neutral {
+            self.neutral = None;
+        } else if let Some(neutral) = &mut self.neutral {
+            neutral.newest_ms = neutral.newest_ms.max(sample_ms);
+            neutral.samples = neutral.samples.saturating_add(1);
+        } else if sample_ms >= self.reset_ms {
+            self.neutral = Some(Neutral { first_ms: now_ms, newest_ms: sample_ms, samples: 1 });
+        }
     }
 }
 
@@ -149,6 +201,11 @@ impl Safety {
         watch.awaited = !watch.connected;
     }
 
+    /// The times in force.
+    pub fn times(&self) -> SafetyTimes {
+        self.times
+    }
+
     /// The state now.
     pub fn state(&self) -> State {
         self.state
@@ -190,7 +247,8 @@ impl Safety {
                     connected: true,
                     live: true,
                     sample_ms: self.now_ms,
-                    neutral_since_ms: None,
+                    reset_ms: self.now_ms,
+                    neutral: None,
                 };
                 if hand == Hand::Right {
                     self.right_rested = false;
@@ -199,11 +257,19 @@ impl Safety {
             }
             Event::Unusable(hand) => {
                 if self.connected(hand) {
-                    self.watch_mut(hand).lose();
+                    let now_ms = self.now_ms;
+                    self.watch_mut(hand).lose(now_ms);
                     self.leave_armed(State::Stale, HaltReason::Unhealthy(hand), &mut actions);
                 }
             }
-            Event::Left { age_ms, healthy, heading, index_bends, middle_bends, stop } => {
+            Event::Unanswered(hand) => {
+                if self.live(hand) {
+                    let now_ms = self.now_ms;
+                    self.watch_mut(hand).lose(now_ms);
+                    self.leave_armed(State::Stale, HaltReason::Unanswered(hand), &mut actions);
+                }
+            }
+            Event::Left { age_ms, prompt, healthy, heading, index_bends, middle_bends, stop } => {
                 if !self.left.connected {
                     return actions;
                 }
@@ -217,21 +283,23 @@ impl Safety {
                     return actions;
                 }
                 if !healthy {
-                    self.left.lose();
+                    self.left.lose(self.now_ms);
                     self.leave_armed(State::Stale, HaltReason::Unhealthy(Hand::Left), &mut actions);
                 }
-                if bends && self.state == State::Armed {
+                if index_bends.max(middle_bends) > BENDS_MAX {
+                    actions.push(Action::Ignored(Ignored::ImpossibleBends));
+                } else if bends && self.state == State::Armed {
                     actions.push(Action::Bends { index: index_bends, middle: middle_bends });
                 } else if bends {
                     actions.push(Action::Ignored(Ignored::BendsWhileNotArmed));
                 }
                 if healthy {
                     self.heading = heading;
-                    let neutral = heading == Heading::Neutral && !stop;
-                    self.left.refresh(self.now_ms.saturating_sub(age_ms), neutral);
+                    let neutral = heading == Heading::Neutral && !stop && prompt;
+                    self.left.refresh(age_ms, neutral, self.now_ms);
                 }
             }
-            Event::Right { age_ms, healthy, resting, gesture } => {
+            Event::Right { age_ms, prompt, healthy, resting, gesture } => {
                 if !self.right.connected {
                     return actions;
                 }
@@ -240,11 +308,10 @@ impl Safety {
                     return actions;
                 }
                 if healthy {
-                    let sample_ms = self.now_ms.saturating_sub(age_ms);
-                    self.right.refresh(sample_ms, resting && gesture.is_none());
+                    self.right.refresh(age_ms, resting && gesture.is_none() && prompt, self.now_ms);
                     self.note_rest_during_stop();
                 } else {
-                    self.right.lose();
+                    self.right.lose(self.now_ms);
                     self.leave_armed(State::Stale, HaltReason::Unhealthy(Hand::Right), &mut actions);
                 }
                 if let Some(gesture) = gesture {
@@ -286,7 +353,7 @@ impl Safety {
         for hand in [Hand::Left, Hand::Right] {
             let watch = self.watch_mut(hand);
             if watch.connected && watch.live && now_ms.saturating_sub(watch.sample_ms) >= stale_ms {
-                watch.lose();
+                watch.lose(now_ms);
                 self.leave_armed(State::Stale, HaltReason::Silence(hand), actions);
             }
         }
@@ -312,8 +379,7 @@ impl Safety {
             && !self.awaits_a_hand()
             && self.connected_hands_live();
         let neutral = if self.left.connected {
-            let since_ms = self.left.neutral_since_ms;
-            since_ms.is_some_and(|since| time_ms.saturating_sub(since) >= self.times.release_neutral_ms)
+            self.left.neutral.is_some_and(|neutral| neutral.held(self.times.release_neutral_ms, time_ms))
         } else {
             self.right_rested
         };
@@ -322,8 +388,8 @@ impl Safety {
 
     fn note_rest_during_stop(&mut self) {
         if self.state == State::Stopped
-            && let Some(since) = self.right.neutral_since_ms
-            && self.now_ms.saturating_sub(since) >= self.times.release_neutral_ms
+            && let Some(neutral) = self.right.neutral
+            && neutral.held(self.times.release_neutral_ms, self.now_ms)
         {
             self.right_rested = true;
         }
@@ -339,8 +405,8 @@ impl Safety {
 
     fn stop(&mut self, actions: &mut Vec<Action>) {
         // Neutral must be held from the stop on, not from before it.
-        self.left.neutral_since_ms = None;
-        self.right.neutral_since_ms = None;
+        self.left.reset(self.now_ms);
+        self.right.reset(self.now_ms);
         self.right_rested = false;
         if self.state != State::Stopped {
             actions.push(Action::Halt(HaltReason::OperatorStop));
@@ -357,8 +423,8 @@ impl Safety {
     /// Halts if armed, and goes to `next` unless the operator's stop holds.
     fn leave_armed(&mut self, next: State, reason: HaltReason, actions: &mut Vec<Action>) {
         // Whatever was neutral before the disturbance must be so again after it.
-        self.left.neutral_since_ms = None;
-        self.right.neutral_since_ms = None;
+        self.left.reset(self.now_ms);
+        self.right.reset(self.now_ms);
         self.right_rested = false;
         if self.state == State::Armed {
             actions.push(Action::Halt(reason));
@@ -380,12 +446,20 @@ impl Safety {
             return;
         }
         let hands = [self.left, self.right];
-        let mut connected = hands.iter().filter(|watch| watch.connected).peekable();
-        if connected.peek().is_none() {
+        let connected = || hands.iter().filter(|watch| watch.connected);
+        if connected().next().is_none() {
             return;
         }
-        let long_enough = |since: u64| self.now_ms.saturating_sub(since) >= self.times.arm_neutral_ms;
-        if connected.all(|watch| watch.neutral_since_ms.is_some_and(long_enough)) {
+        // Together: what counts is the time for which all of them were.
+        let all: Option<Vec<Neutral>> = connected().map(|watch| watch.neutral).collect();
+        let together = all.and_then(|all| {
+            all.into_iter().reduce(|a, b| Neutral {
+                first_ms: a.first_ms.max(b.first_ms),
+                newest_ms: a.newest_ms.min(b.newest_ms),
+                samples: a.samples.min(b.samples),
+            })
+        });
+        if together.is_some_and(|neutral| neutral.held(self.times.arm_neutral_ms, self.now_ms)) {
             self.enter(State::Armed, actions);
         } else if self.state == State::Stale {
             self.enter(State::Waiting, actions);

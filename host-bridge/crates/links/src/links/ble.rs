@@ -7,7 +7,6 @@
 use std::cell::Cell;
 use std::future::Future;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::Sender;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
@@ -20,7 +19,7 @@ use futures::StreamExt as _;
 use tokio::sync::mpsc;
 use uuid::Uuid;
 
-use super::{Clock, LinkEvent, News, PortAbout};
+use super::{Clock, EventSender, LinkEvent, News, PortAbout};
 
 /// The board's service, as in `firmware-nano33/src/ble.rs`.
 pub const SERVICE: Uuid = Uuid::from_u128(0xb1a4_0001_6d61_4e75_a1b2_5c3d_9e7f_0a33);
@@ -66,7 +65,7 @@ impl BleLink {
         link: I,
         port: &str,
         clock: Arc<dyn Clock>,
-        events: Sender<LinkEvent<I>>,
+        events: EventSender<I>,
     ) -> Self {
         let outgoing = Arc::new(Mutex::new(None));
         let ended = Arc::new(AtomicBool::new(false));
@@ -143,7 +142,7 @@ struct Radio<I> {
     clock: Arc<dyn Clock>,
     outgoing: Outgoing,
     ended: Arc<AtomicBool>,
-    events: Sender<LinkEvent<I>>,
+    events: EventSender<I>,
 }
 
 impl<I: Copy> Radio<I> {
@@ -189,7 +188,7 @@ impl<I: Copy> Radio<I> {
 
     fn tell(&self, news: News) {
         // Where nobody listens any more, the program is about to end.
-        let _ = self.events.send(LinkEvent { link: self.link, at_ms: self.clock.now_ms(), news });
+        self.events.send(LinkEvent { link: self.link, at_ms: self.clock.now_ms(), news });
     }
 
     /// One connection from search to end; why it ended.

@@ -5,7 +5,14 @@
 //! it goes on when every waiter waits, so that board, wire and program keep one time, however busy the machine is.
 
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
-use std::time::{Duration, Instant};
+use std::time::Duration;
+
+use rustix::time::{ClockId, clock_gettime};
+
+use super::{EventReceiver, LinkEvent};
+
+#[cfg(feature = "test-clock")]
+use std::sync::mpsc::TryRecvError;
 
 #[cfg(feature = "test-clock")]
 use super::test_clock::{Bell, Seat, TestClock};
@@ -19,10 +26,13 @@ pub trait Clock: Send + Sync {
     fn waiter(&self) -> Waiter;
 }
 
-/// The machine's monotonic clock, from the moment at which it was made.
+/// The machine's time since it booted, from the moment at which this was made.
+///
+/// `std::time::Instant` stands still on Linux while the machine is suspended: after an hour's sleep every
+/// hand would look as fresh as before it. This one goes on, so that a sleep is a silence like any other.
 #[derive(Clone, Copy, Debug)]
 pub struct SystemClock {
-    started: Instant,
+    start_ms: u64,
     /// A test's clock in its place, and what that showed then.
     #[cfg(feature = "test-clock")]
     test: Option<(&'static TestClock, u64)>,
@@ -32,7 +42,7 @@ impl SystemClock {
     /// A clock that shows 0 now.
     pub fn start() -> Self {
         SystemClock {
-            started: Instant::now(),
+            start_ms: since_boot_ms(),
             #[cfg(feature = "test-clock")]
             test: TestClock::of_this_process().map(|clock| (clock, clock.now_ms())),
         }
@@ -45,7 +55,7 @@ impl Clock for SystemClock {
         if let Some((clock, start_ms)) = self.test {
             return clock.now_ms() - start_ms;
         }
-        self.started.elapsed().as_millis() as u64
+        since_boot_ms().saturating_sub(self.start_ms)
     }
 
     fn waiter(&self) -> Waiter {
@@ -54,6 +64,17 @@ impl Clock for SystemClock {
             seat: self.test.map(|(clock, _)| clock.seat()),
         }
     }
+}
+
+fn since_boot_ms() -> u64 {
+    // Elsewhere (macOS) the monotonic clock counts sleep itself.
+    #[cfg(any(target_os = "linux", target_os = "android"))]
+    let clock = ClockId::Boottime;
+    #[cfg(not(any(target_os = "linux", target_os = "android")))]
+    let clock = ClockId::Monotonic;
+    let time = clock_gettime(clock);
+    // Neither is negative, nor does it reach the end of a u64.
+    time.tv_sec as u64 * 1000 + time.tv_nsec as u64 / 1_000_000
 }
 
 /// Where one thread waits for time to pass. While it exists and does not wait, its thread is at work.
@@ -80,9 +101,32 @@ impl Waiter {
     pub fn receive<T>(&self, channel: &Receiver<T>, patience: Duration) -> Result<T, RecvTimeoutError> {
         #[cfg(feature = "test-clock")]
         if let Some(seat) = &self.seat {
-            return seat.receive(channel, patience);
+            return seat.until(patience, || match channel.try_recv() {
+                Err(TryRecvError::Empty) => None,
+                Err(TryRecvError::Disconnected) => Some(Err(RecvTimeoutError::Disconnected)),
+                Ok(value) => Some(Ok(value)),
+            });
         }
         channel.recv_timeout(patience)
+    }
+
+    /// The same for what links have to say.
+    ///
+    /// # Errors
+    /// As [`EventReceiver::recv_timeout`].
+    pub fn hear<I>(
+        &self,
+        events: &EventReceiver<I>,
+        patience: Duration,
+    ) -> Result<LinkEvent<I>, RecvTimeoutError> {
+        #[cfg(feature = "test-clock")]
+        if let Some(seat) = &self.seat {
+            return seat.until(patience, || match events.recv_timeout(Duration::ZERO) {
+                Err(RecvTimeoutError::Timeout) => None,
+                done => Some(done),
+            });
+        }
+        events.recv_timeout(patience)
     }
 
     /// How long the operating system may keep this thread waiting for input; [`Waiter::pause`] follows where none came.
@@ -135,5 +179,19 @@ impl Waker {
         if let Some(bell) = &self.bell {
             bell.ring();
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_clock_counts_the_time_that_the_machine_slept() {
+        // Both clocks began at boot; only one of them goes on in a sleep. On a machine that never slept
+        // they show the same, so the other half of the proof is the clock's name.
+        let awake = clock_gettime(ClockId::Monotonic);
+        let awake_ms = awake.tv_sec as u64 * 1000 + awake.tv_nsec as u64 / 1_000_000;
+        assert!(since_boot_ms() >= awake_ms);
     }
 }

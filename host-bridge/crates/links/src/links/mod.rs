@@ -9,6 +9,7 @@
 mod ble;
 mod clock;
 mod ports;
+mod queue;
 mod serial;
 #[cfg(feature = "test-clock")]
 mod test_clock;
@@ -17,10 +18,10 @@ mod test_clock;
 pub use ble::{BleLink, ble_devices};
 pub use clock::{Clock, SystemClock, Waiter, Waker};
 pub use ports::{PortAbout, hints, ports};
+pub use queue::{EventReceiver, EventSender, queue};
 pub use serial::{SerialLink, SerialSettings};
 
 use std::sync::Arc;
-use std::sync::mpsc::Sender;
 
 /// Does this name (`ble` or `ble:NAME`) mean a board behind Bluetooth?
 pub fn is_ble(port: &str) -> bool {
@@ -43,7 +44,7 @@ impl Link {
         port: &str,
         settings: SerialSettings,
         clock: Arc<dyn Clock>,
-        events: Sender<LinkEvent<I>>,
+        events: EventSender<I>,
     ) -> Self {
         #[cfg(feature = "ble")]
         if is_ble(port) {

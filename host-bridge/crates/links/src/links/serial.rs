@@ -2,7 +2,6 @@
 
 use std::io::{ErrorKind, Read as _, Write as _};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::Sender;
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::thread::JoinHandle;
 use std::time::Duration;
@@ -10,7 +9,7 @@ use std::time::Duration;
 use serialport::SerialPort;
 use shared_proto::frame::DELIMITER;
 
-use super::{Clock, LinkEvent, News, Waiter, Waker};
+use super::{Clock, EventSender, LinkEvent, News, Waiter, Waker};
 
 /// First pause before a port is opened again; doubled each time, up to [`LAST_PAUSE`].
 const FIRST_PAUSE: Duration = Duration::from_millis(100);
@@ -70,7 +69,7 @@ impl SerialLink {
         port: &str,
         settings: SerialSettings,
         clock: Arc<dyn Clock>,
-        events: Sender<LinkEvent<I>>,
+        events: EventSender<I>,
     ) -> Self {
         let line = Arc::new(Mutex::new(Line::default()));
         let ended = Arc::new(AtomicBool::new(false));
@@ -139,7 +138,7 @@ struct Reader<I> {
     clock: Arc<dyn Clock>,
     line: Arc<Mutex<Line>>,
     ended: Arc<AtomicBool>,
-    events: Sender<LinkEvent<I>>,
+    events: EventSender<I>,
 }
 
 impl<I: Copy> Reader<I> {
@@ -184,7 +183,7 @@ impl<I: Copy> Reader<I> {
 
     fn tell(&self, news: News) {
         // Where nobody listens any more, the program is about to end.
-        let _ = self.events.send(LinkEvent { link: self.link, at_ms: self.clock.now_ms(), news });
+        self.events.send(LinkEvent { link: self.link, at_ms: self.clock.now_ms(), news });
     }
 
     fn open(&self) -> Result<Box<dyn SerialPort>, String> {
@@ -251,14 +250,13 @@ fn explain(port: &str, error: &serialport::Error) -> String {
 mod tests {
     use super::super::SystemClock;
     use super::*;
-    use std::sync::mpsc::channel;
 
     #[test]
     fn a_port_that_is_not_there_is_reported_once_and_takes_nothing() {
-        let (sender, events) = channel();
+        let (sender, events) = super::super::queue();
         let clock = Arc::new(SystemClock::start());
         let link = SerialLink::start(7, "/no/such/port", SerialSettings::default(), clock, sender);
-        let event = events.recv().unwrap();
+        let event = events.recv_timeout(Duration::from_secs(10)).unwrap();
         assert_eq!(event.link, 7);
         let News::Closed(text) = event.news else { panic!("{event:?}") };
         assert!(text.contains("/no/such/port") && text.contains("host-bridge list"), "{text}");

@@ -5,7 +5,7 @@
 
 use std::io::{Read as _, Write as _};
 use std::os::unix::net::UnixStream;
-use std::sync::mpsc::{Receiver, RecvTimeoutError, TryRecvError};
+use std::sync::mpsc::RecvTimeoutError;
 use std::sync::{Condvar, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::Duration;
 
@@ -129,14 +129,16 @@ impl Seat {
         self.wait(until_ms);
     }
 
-    /// As `Receiver::recv_timeout`.
-    pub fn receive<T>(&self, channel: &Receiver<T>, patience: Duration) -> Result<T, RecvTimeoutError> {
+    /// Looks at every millisecond whether there is something, for so long.
+    pub fn until<T>(
+        &self,
+        patience: Duration,
+        mut look: impl FnMut() -> Option<Result<T, RecvTimeoutError>>,
+    ) -> Result<T, RecvTimeoutError> {
         let until_ms = self.clock.now_ms() + patience.as_millis() as u64;
         loop {
-            match channel.try_recv() {
-                Ok(value) => return Ok(value),
-                Err(TryRecvError::Disconnected) => return Err(RecvTimeoutError::Disconnected),
-                Err(TryRecvError::Empty) => {}
+            if let Some(result) = look() {
+                return result;
             }
             let now_ms = self.clock.now_ms();
             if now_ms >= until_ms {

@@ -1,0 +1,131 @@
+//! The end of the program is a stop, however it comes about: a signal, a terminal that is gone, a panic in any
+//! thread.
+//!
+//! ```text
+//! INT, TERM, HUP, QUIT ─┐
+//! terminal hung up     ─┼─► the session's quit flag ─► base and arm are halted ─► the program ends
+//! panic in any thread  ─┘                           └─► after 0.9 s without an end: the terminal is given back,
+//!                                                       and the process exits
+//! ```
+//! Where SIGHUP was ignored from the start (`nohup`) it stays ignored; a terminal that hangs up is the end of input
+//! all the same.
+
+use std::io;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use crossterm::terminal::disable_raw_mode;
+use host_links::links::{Clock as _, SystemClock};
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use signal_hook::consts::{SIGHUP, SIGINT, SIGQUIT, SIGTERM};
+
+/// A program that was told to end and has not is ended after this long.
+const PATIENCE_MS: u64 = 900;
+/// How often is looked.
+const LOOK: Duration = Duration::from_millis(10);
+
+/// Leaves the alternate screen and shows the cursor: what the live view changed.
+const RESTORE: &[u8] = b"\x1b[?1049l\x1b[?25h\r\n";
+
+/// The exit code of a session that was told to end and had to be ended.
+const FORCED: i32 = 1;
+
+/// See the module. Dropping it changes nothing: the program is about to end.
+pub struct Ending {
+    panicked: Arc<Mutex<Option<String>>>,
+}
+
+impl Ending {
+    /// From now on every such end sets `quit`. `screen`: the live view has the terminal.
+    ///
+    /// # Errors
+    /// The system does not let signals be caught.
+    pub fn watch(quit: &Arc<AtomicBool>, screen: bool) -> io::Result<Self> {
+        // Set by an end from outside only: a session that the operator ends may take its time.
+        let told = Arc::new(AtomicBool::new(false));
+        for signal in [SIGINT, SIGTERM, SIGQUIT, SIGHUP] {
+            if signal == SIGHUP && hangups_are_ignored() {
+                continue;
+            }
+            signal_hook::flag::register(signal, Arc::clone(quit))?;
+            signal_hook::flag::register(signal, Arc::clone(&told))?;
+        }
+        let panicked = Arc::new(Mutex::new(None));
+        watch_panics(quit, &told, &panicked, screen);
+        let quit = Arc::clone(quit);
+        let clock = SystemClock::start();
+        let waiter = clock.waiter();
+        std::thread::Builder::new().name("ending".to_owned()).spawn(move || {
+            let mut since_ms = None;
+            loop {
+                waiter.sleep(LOOK);
+                if screen && terminal_is_gone() {
+                    told.store(true, Ordering::SeqCst);
+                    quit.store(true, Ordering::SeqCst);
+                }
+                let now_ms = clock.now_ms();
+                if told.load(Ordering::SeqCst) && now_ms - *since_ms.get_or_insert(now_ms) >= PATIENCE_MS {
+                    if screen {
+                        give_terminal_back();
+                    }
+                    std::process::exit(FORCED);
+                }
+            }
+        })?;
+        Ok(Ending { panicked })
+    }
+
+    /// What a thread that panicked had to say, if one did.
+    pub fn panicked(&self) -> Option<String> {
+        self.panicked.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+}
+
+fn watch_panics(
+    quit: &Arc<AtomicBool>,
+    told: &Arc<AtomicBool>,
+    panicked: &Arc<Mutex<Option<String>>>,
+    screen: bool,
+) {
+    let (quit, told, panicked) = (Arc::clone(quit), Arc::clone(told), Arc::clone(panicked));
+    let before = std::panic::take_hook();
+    std::panic::set_hook(Box::new(move |info| {
+        // The halt first; words later.
+        quit.store(true, Ordering::SeqCst);
+        told.store(true, Ordering::SeqCst);
+        let thread = std::thread::current().name().unwrap_or("a thread").to_owned();
+        *panicked.lock().unwrap_or_else(PoisonError::into_inner) = Some(format!("{thread}: {info}"));
+        if screen {
+            give_terminal_back();
+        }
+        before(info);
+    }));
+}
+
+/// Was this program started with SIGHUP ignored? (`std` cannot say; Linux's /proc can.)
+fn hangups_are_ignored() -> bool {
+    let Ok(status) = std::fs::read_to_string("/proc/self/status") else { return false };
+    let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).is_some_and(|mask| mask & 1 != 0)
+}
+
+/// Has the terminal behind the standard input hung up? Whoever read from it would read for ever.
+fn terminal_is_gone() -> bool {
+    let stdin = io::stdin();
+    let mut look = [PollFd::new(&stdin, PollFlags::empty())];
+    let at_once = Timespec { tv_sec: 0, tv_nsec: 0 };
+    let gone = PollFlags::HUP | PollFlags::ERR | PollFlags::NVAL;
+    poll(&mut look, Some(&at_once)).is_ok() && look[0].revents().intersects(gone)
+}
+
+/// Gives the terminal back as it was, as far as that can be done without waiting for it.
+fn give_terminal_back() {
+    let _ = disable_raw_mode();
+    let stdout = io::stdout();
+    let mut look = [PollFd::new(&stdout, PollFlags::OUT)];
+    let at_once = Timespec { tv_sec: 0, tv_nsec: 0 };
+    if poll(&mut look, Some(&at_once)).is_ok() && look[0].revents().contains(PollFlags::OUT) {
+        let _ = rustix::io::write(&stdout, RESTORE);
+    }
+}

@@ -1,0 +1,206 @@
+//! A left board that a test drives word by word: late, silent, flooding. Message by message it is a real one;
+//! what it says is the test's. It keeps time by the wall clock: what a program does that is stopped, flooded or without
+//! a reader is the system's affair, too.
+
+use std::collections::VecDeque;
+use std::io::{Read as _, Write as _};
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use serialport::{SerialPort as _, TTYPort};
+use shared_proto::frame::{BOARD_FRAME_MAX, DELIMITER, Decoder, HOST_FRAME_MAX, encode_board};
+use shared_proto::message::{
+    Ack, AckResult, Board, BoardMessage, Heading, Hello, HostMessage, LeftState, PROTOCOL_MAJOR,
+    PROTOCOL_MINOR, Pong,
+};
+
+use crate::desk::port::pair;
+
+const STATE_INTERVAL: Duration = Duration::from_millis(20);
+
+/// What it says besides its states.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Flood {
+    /// As fast as the line takes them.
+    Zeros,
+    /// The newest state, again and again: intact frames.
+    States,
+    /// Hellos of one board.
+    Hellos,
+}
+
+/// What the test wants of it now.
+#[derive(Clone, Copy, Debug)]
+pub struct Wish {
+    pub heading: Heading,
+    pub silent: bool,
+    /// Everything that it says takes so long.
+    pub delay: Duration,
+    pub flood: Option<Flood>,
+    over: bool,
+}
+
+/// The board on its pseudo-terminal; its thread ends with it.
+pub struct Talker {
+    wish: Arc<Mutex<Wish>>,
+    said: Arc<Mutex<Instant>>,
+    thread: Option<JoinHandle<()>>,
+    port: PathBuf,
+}
+
+fn lock<T>(what: &Mutex<T>) -> MutexGuard<'_, T> {
+    what.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Talker {
+    pub fn start(folder: &Path) -> Self {
+        let (mut board, laptop) = pair();
+        board.set_timeout(Duration::from_millis(1)).unwrap();
+        let port = folder.join("talker");
+        let _ = std::fs::remove_file(&port);
+        std::os::unix::fs::symlink(laptop.name().expect("a name"), &port).unwrap();
+        let wish = Wish {
+            heading: Heading::Neutral,
+            silent: false,
+            delay: Duration::ZERO,
+            flood: None,
+            over: false,
+        };
+        let (wish, said) = (Arc::new(Mutex::new(wish)), Arc::new(Mutex::new(Instant::now())));
+        let machine = Machine {
+            board,
+            _laptop: laptop,
+            wish: Arc::clone(&wish),
+            said: Arc::clone(&said),
+            began: Instant::now(),
+            sequence: 0,
+            waiting: VecDeque::new(),
+        };
+        let thread = Some(std::thread::spawn(move || machine.run()));
+        Talker { wish, said, thread, port }
+    }
+
+    pub fn port(&self) -> String {
+        self.port.display().to_string()
+    }
+
+    /// Changes what is wanted.
+    pub fn set(&self, change: impl FnOnce(&mut Wish)) {
+        change(&mut lock(&self.wish));
+    }
+
+    pub fn point(&self, heading: Heading) {
+        self.set(|wish| wish.heading = heading);
+    }
+
+    /// When it sent its last state.
+    pub fn last_state(&self) -> Instant {
+        *lock(&self.said)
+    }
+}
+
+impl Drop for Talker {
+    fn drop(&mut self) {
+        self.set(|wish| wish.over = true);
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+struct Machine {
+    board: TTYPort,
+    /// Kept open, so that the board's end lives while nobody has the port.
+    _laptop: TTYPort,
+    wish: Arc<Mutex<Wish>>,
+    said: Arc<Mutex<Instant>>,
+    began: Instant,
+    sequence: u16,
+    /// On the way to the laptop.
+    waiting: VecDeque<(Instant, Vec<u8>)>,
+}
+
+fn encode(message: &BoardMessage<'_>) -> Vec<u8> {
+    encode_board(message, &mut [0; BOARD_FRAME_MAX]).expect("fits").to_vec()
+}
+
+impl Machine {
+    fn now_ms(&self) -> u32 {
+        self.began.elapsed().as_millis() as u32
+    }
+
+    fn hello(&self) -> Vec<u8> {
+        encode(&BoardMessage::Hello(Hello {
+            major: PROTOCOL_MAJOR,
+            minor: PROTOCOL_MINOR,
+            board: Board::LeftNano,
+            firmware: "0.1.0",
+            boot_id: 4711,
+            model_id: 0,
+            sample_hz: 100,
+        }))
+    }
+
+    fn state(&self, heading: Heading) -> Vec<u8> {
+        let state = LeftState {
+            sequence: self.sequence,
+            board_time_ms: self.now_ms(),
+            heading,
+            ..LeftState::default()
+        };
+        encode(&BoardMessage::Left(state))
+    }
+
+    fn run(mut self) {
+        let mut decoder = Decoder::<HOST_FRAME_MAX>::new();
+        let mut next_state = Instant::now();
+        let mut buffer = [0; 512];
+        self.waiting.push_back((Instant::now(), vec![DELIMITER]));
+        loop {
+            let wish = *lock(&self.wish);
+            if wish.over {
+                return;
+            }
+            let read = self.board.read(&mut buffer).unwrap_or(0);
+            let due = Instant::now() + wish.delay;
+            for &byte in &buffer[..read] {
+                let answer = match decoder.push_host(byte) {
+                    Some(HostMessage::HelloRequest) => self.hello(),
+                    Some(HostMessage::Ping { id }) => {
+                        encode(&BoardMessage::Pong(Pong { id, board_time_ms: self.now_ms() }))
+                    }
+                    Some(
+                        HostMessage::SetThresholds { request, .. } | HostMessage::SetMode { request, .. },
+                    ) => encode(&BoardMessage::Ack(Ack { request, result: AckResult::Ok, next_offset: 0 })),
+                    _ => continue,
+                };
+                self.waiting.push_back((due, answer));
+            }
+            if Instant::now() >= next_state {
+                next_state = Instant::now() + STATE_INTERVAL;
+                if !wish.silent {
+                    self.sequence = self.sequence.wrapping_add(1);
+                    self.waiting.push_back((due, self.state(wish.heading)));
+                    *lock(&self.said) = Instant::now();
+                }
+            }
+            while self.waiting.front().is_some_and(|(due, _)| *due <= Instant::now()) {
+                let (_, bytes) = self.waiting.pop_front().expect("it was there");
+                let _ = self.board.write(&bytes);
+            }
+            if let Some(flood) = wish.flood {
+                let chunk = match flood {
+                    Flood::Zeros => vec![0; 16 * 1024],
+                    Flood::States => self.state(wish.heading).repeat(600),
+                    Flood::Hellos => self.hello().repeat(400),
+                };
+                let until = Instant::now() + Duration::from_millis(5);
+                while Instant::now() < until {
+                    let _ = self.board.write(&chunk);
+                }
+            }
+        }
+    }
+}
