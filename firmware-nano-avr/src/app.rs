@@ -52,7 +52,7 @@ pub fn install(cause: Cause, guided: bool) -> &'static mut App {
     let identity = Identity {
         board: Board::LeftNano,
         firmware: env!("CARGO_PKG_VERSION"),
-        boot_id: next_boot_id(&mut Memory, restart::restarts()),
+        boot_id: next_boot_id(&mut Memory, restart::starts()),
         sample_hz: clock::SAMPLE_HZ,
     };
     let fault = match cause {

@@ -36,6 +36,7 @@ extern "C" fn main() -> ! {
     adc::start();
     let app = app::install(cause, pins::calibration_wanted());
     clock::start();
+    allow_sleep();
     restart::arm();
     loop {
         app.poll();
@@ -51,4 +52,11 @@ extern "C" fn main() -> ! {
             clock::add_sleep_since(asleep_at);
         }
     }
+}
+
+/// Lets SLEEP stop the processor, and nothing else (idle): without SMCR.SE it does nothing.
+fn allow_sleep() {
+    const SE_IDLE: u8 = 1;
+    // Safety: a register that nobody else writes.
+    unsafe { avr_device::atmega328p::Peripherals::steal() }.CPU.smcr.write(|w| unsafe { w.bits(SE_IDLE) });
 }

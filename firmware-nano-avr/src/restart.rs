@@ -5,10 +5,16 @@
 //! somebody pulls the plug. So where that bootloader is found in flash, the watchdog only interrupts,
 //! and the interrupt restarts the program by a jump to 0, past the bootloader. A program that hangs
 //! with interrupts off is not caught there: the board is silent, which stops the robot, until the
-//! laptop opens the port again (that pulls the reset line). Elsewhere the watchdog resets.
+//! laptop opens the port again (that pulls the reset line). Elsewhere the watchdog interrupts first, which leaves
+//! word, and resets at its next time-out.
+//!
+//! **What stays unsaid.** Under Optiboot, which hides the reason of a reset, a program that hangs with interrupts off is reset
+//! like any other, but that start looks like one by the reset button and is not reported. Its boot id is new.
 
 use avr_device::atmega328p::Peripherals;
 use core::arch::asm;
+use core::mem::MaybeUninit;
+use core::ptr::{addr_of, addr_of_mut};
 
 /// What led to this start.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -21,15 +27,53 @@ pub enum Cause {
     Panic,
 }
 
-/// Left in GPIOR0, which a restart by jump keeps and a reset clears.
+/// What a restart leaves in RAM for the next start. (Registers would not do: a reset clears them, and Optiboot clears
+/// MCUSR, which says why there was one, before it starts the program.)
+#[repr(C)]
+#[derive(Clone, Copy)]
+struct Kept {
+    magic: [u8; 2],
+    /// A mark below; 0 for a start that nobody announced.
+    cause: u8,
+    /// Starts since the last power-up, wrapping.
+    starts: u8,
+    check: u8,
+}
+
+const MAGIC: [u8; 2] = [0x3A, 0xC5];
 const MARK_WATCHDOG: u8 = 0x57;
 const MARK_PANIC: u8 = 0x50;
 /// MCUSR: the watchdog reset flag.
 const WDRF: u8 = 1 << 3;
 
+impl Kept {
+    fn new(cause: u8, starts: u8) -> Self {
+        Self { magic: MAGIC, cause, starts, check: !(cause ^ starts) }
+    }
+
+    /// Nothing after a power-up, when RAM holds anything.
+    fn load() -> Option<Self> {
+        // Safety: bytes, of which any value is one, and nobody else touches them.
+        let kept = unsafe { addr_of!(KEPT).cast::<Self>().read_volatile() };
+        (kept.magic == MAGIC && kept.check == !(kept.cause ^ kept.starts)).then_some(kept)
+    }
+
+    fn store(self) {
+        // Safety: as above.
+        unsafe { addr_of_mut!(KEPT).cast::<Self>().write_volatile(self) }
+    }
+}
+
+/// The start code leaves this section alone, and so do both bootloaders.
+#[unsafe(link_section = ".noinit")]
+static mut KEPT: MaybeUninit<Kept> = MaybeUninit::uninit();
+
+/// Leaves word for the next start.
+fn leave(cause: u8) {
+    Kept::new(cause, starts()).store();
+}
+
 /// Stops the watchdog, before anything else, and tells why the board started.
-///
-/// The count of restarts by jump since the last reset stays in GPIOR1 (see [`restarts`]).
 pub fn begin() -> Cause {
     avr_device::interrupt::disable();
     // Safety: nothing else runs yet.
@@ -38,28 +82,28 @@ pub fn begin() -> Cause {
     // WDRF holds the watchdog on, so it goes first. Some bootloaders have cleared it already.
     dp.CPU.mcusr.write(|w| unsafe { w.bits(0) });
     set_watchdog(0);
-    let mark = dp.CPU.gpior0.read().bits();
-    dp.CPU.gpior0.write(|w| w.bits(0));
-    match mark {
-        MARK_PANIC => Cause::Panic,
-        MARK_WATCHDOG => Cause::Watchdog,
+    let kept = Kept::load();
+    Kept::new(0, kept.map_or(0, |kept| kept.starts.wrapping_add(1))).store();
+    match kept.map(|kept| kept.cause) {
+        Some(MARK_PANIC) => Cause::Panic,
+        Some(MARK_WATCHDOG) => Cause::Watchdog,
         _ if reset_flags & WDRF != 0 => Cause::Watchdog,
         _ => Cause::Ordinary,
     }
 }
 
-/// Restarts by jump since the last reset.
-pub fn restarts() -> u8 {
-    // Safety: a register that only this module writes.
-    unsafe { Peripherals::steal() }.CPU.gpior1.read().bits()
+/// Starts since the last power-up, this one not counted, wrapping.
+pub fn starts() -> u8 {
+    Kept::load().map_or(0, |kept| kept.starts)
 }
 
-/// Starts the watchdog: after 0.25 s a reset, or where the old bootloader would trap it, an interrupt.
+/// Starts the watchdog: after 0.25 s an interrupt, and after as long again a reset, unless that leads into the old
+/// bootloader's trap.
 pub fn arm() {
     const WDIE: u8 = 1 << 6;
     const WDE: u8 = 1 << 3;
     const QUARTER_SECOND: u8 = 4;
-    let mode = if has_old_bootloader() { WDIE } else { WDE };
+    let mode = if has_old_bootloader() { WDIE } else { WDIE | WDE };
     set_watchdog(mode | QUARTER_SECOND);
 }
 
@@ -99,16 +143,19 @@ fn restart(mark: u8) -> ! {
     dp.ADC.adcsra.write(|w| unsafe { w.bits(0) });
     dp.TC1.timsk1.write(|w| unsafe { w.bits(0) });
     dp.USART0.ucsr0b.write(|w| unsafe { w.bits(0) });
-    dp.CPU.gpior0.write(|w| w.bits(mark));
-    let restarts = restarts().wrapping_add(1);
-    dp.CPU.gpior1.write(|w| w.bits(restarts));
+    leave(mark);
     set_watchdog(0);
     unsafe { asm!("jmp 0", options(noreturn)) }
 }
 
 #[avr_device::interrupt(atmega328p)]
 fn WDT() {
-    restart(MARK_WATCHDOG)
+    if has_old_bootloader() {
+        restart(MARK_WATCHDOG)
+    }
+    leave(MARK_WATCHDOG);
+    // The next time-out resets.
+    loop {}
 }
 
 #[panic_handler]

@@ -18,6 +18,7 @@ use embassy_nrf::peripherals::USBD;
 use embassy_nrf::usb::vbus_detect::SoftwareVbusDetect;
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_sync::channel::Channel;
+use embassy_sync::watch::Watch;
 use embassy_time::{Duration, Timer};
 use nrf_softdevice::ble::advertisement_builder::{Flag, LegacyAdvertisementBuilder, ServiceList};
 use nrf_softdevice::ble::gatt_server::NotifyValueError;
@@ -121,6 +122,27 @@ pub async fn run_control(store: ModelStore<Slots<SoftDeviceFlash>>) {
     control::run(store).await
 }
 
+/// Whether the USB cable is in.
+static CABLE: Watch<CriticalSectionRawMutex, bool, 1> = Watch::new();
+
+/// Waits until the USB cable is in, or out. For one task.
+pub async fn cable(wanted: bool) {
+    if let Some(mut cable) = CABLE.receiver() {
+        cable.get_and(|&is| is == wanted).await;
+    }
+}
+
+/// USBREGSTATUS: the cable is in; the regulator's output is ready.
+const VBUS_DETECTED: u32 = 1;
+const OUTPUT_READY: u32 = 2;
+
+fn usb_power() -> u32 {
+    let mut status = 0;
+    // SAFETY: plain call of the enabled SoftDevice.
+    unsafe { raw::sd_power_usbregstatus_get(&mut status) };
+    status
+}
+
 /// Runs S140's events, and tells the USB driver of cable and power, which are S140's too.
 #[embassy_executor::task]
 async fn run_softdevice(softdevice: &'static Softdevice, vbus: &'static SoftwareVbusDetect) -> ! {
@@ -130,11 +152,18 @@ async fn run_softdevice(softdevice: &'static Softdevice, vbus: &'static Software
                 // USB needs the crystal. SAFETY: plain call of the enabled SoftDevice.
                 unsafe { raw::sd_clock_hfclk_request() };
                 vbus.detected(true);
+                // That has made the driver forget that power is ready, and S140 tells "ready" before "detected" where
+                // both wait.
+                if usb_power() & OUTPUT_READY != 0 {
+                    vbus.ready();
+                }
+                CABLE.sender().send(true);
             }
             SocEvent::PowerUsbRemoved => {
                 // SAFETY: as above.
                 unsafe { raw::sd_clock_hfclk_release() };
                 vbus.detected(false);
+                CABLE.sender().send(false);
             }
             SocEvent::PowerUsbPowerReady => vbus.ready(),
             _ => {}
@@ -256,18 +285,20 @@ pub fn spawn(spawner: Spawner, softdevice: &'static mut Softdevice, usbd: Peri<'
         Err(_) => defmt::panic!("the attribute table does not fit S140's memory"),
     };
     let bonder = &*BONDER.init(Bonder::load());
-    let mut status = 0;
     // SAFETY: plain calls of the enabled SoftDevice.
     unsafe {
         raw::sd_power_usbdetected_enable(1);
         raw::sd_power_usbremoved_enable(1);
         raw::sd_power_usbpwrrdy_enable(1);
-        raw::sd_power_usbregstatus_get(&mut status);
-        if status & 1 != 0 {
-            raw::sd_clock_hfclk_request();
-        }
     }
-    let vbus = &*VBUS.init(SoftwareVbusDetect::new(status & 1 != 0, status & 2 != 0));
+    let status = usb_power();
+    let plugged = status & VBUS_DETECTED != 0;
+    if plugged {
+        // SAFETY: as above.
+        unsafe { raw::sd_clock_hfclk_request() };
+    }
+    CABLE.sender().send(plugged);
+    let vbus = &*VBUS.init(SoftwareVbusDetect::new(plugged, status & OUTPUT_READY != 0));
     let softdevice = &*softdevice;
     spawner.spawn(run_softdevice(softdevice, vbus).expect("spawned once"));
     spawner.spawn(run_radio(softdevice, server, bonder).expect("spawned once"));

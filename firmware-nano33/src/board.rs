@@ -8,15 +8,15 @@ use embassy_sync::once_lock::OnceLock;
 use shared_board::hand::CountHand;
 use shared_board::models::Runs;
 use shared_board::right::RightBoard;
-use shared_proto::message::Board as BoardKind;
 
 use crate::sample::{AXES, SAMPLE_HZ};
-use crate::state::{REV2, SENSOR_OK};
+use crate::state::SENSOR_OK;
+use crate::{about, boards};
 
 /// The board's logic.
 pub type Board = RightBoard<CountHand<'static, AXES>>;
 
-/// What models this image can run.
+/// What models this image can run, where its sensor has all nine axes.
 pub const RUNS: Runs = Runs { axes: AXES as u8, sample_hz: SAMPLE_HZ as u16 };
 
 static BOARD: OnceLock<ThreadModeMutex<RefCell<Board>>> = OnceLock::new();
@@ -34,8 +34,9 @@ pub fn with<R>(act: impl FnOnce(&mut Board) -> R) -> R {
     board.lock(|board| {
         let mut board = board.borrow_mut();
         board.set_sensor_ok(SENSOR_OK.load(Ordering::Relaxed));
-        let rev2 = REV2.load(Ordering::Relaxed);
-        board.set_board(if rev2 { BoardKind::RightNano33Rev2 } else { BoardKind::RightNano33 });
+        let about = about::now();
+        board.set_board(boards::kind(about.sensor));
+        board.set_about(about);
         act(&mut board)
     })
 }

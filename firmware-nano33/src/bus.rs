@@ -1,24 +1,41 @@
 //! Power and wires of the sensors inside the module.
 
-use embassy_nrf::gpio::{Flex, Level, Output, OutputDrive};
-use embassy_nrf::peripherals::{P0_14, P0_15, P0_22, P1_00, TWISPI0};
+use embassy_nrf::gpio::{AnyPin, Flex, Level, Output, OutputDrive};
+use embassy_nrf::peripherals::TWISPI0;
 use embassy_nrf::twim::{self, Twim};
 use embassy_nrf::{Peri, bind_interrupts};
 use embassy_time::{Duration, Timer};
 use embedded_hal_async::i2c::{ErrorType, I2c, Operation};
 use static_cell::ConstStaticCell;
 
+use crate::boards;
+
 bind_interrupts!(struct Irqs {
     TWISPI0 => twim::InterruptHandler<TWISPI0>;
 });
 
-/// The internal I2C bus. (The bus on the header, A4 and A5, is another one.)
+/// The sensor's pins.
+pub struct SensorPins {
+    /// I2C data.
+    pub sda: Peri<'static, AnyPin>,
+    /// I2C clock.
+    pub scl: Peri<'static, AnyPin>,
+    /// Supplies the sensor when high.
+    pub power: Peri<'static, AnyPin>,
+    /// Supplies the bus' pull-ups when high, where they have a pin of their own.
+    pub pull_ups: Option<Peri<'static, AnyPin>>,
+}
+
+/// 390 kHz. At the nominal 400 kHz the clock's low period is too short for I2C (nRF52840 erratum 219).
+const FREQUENCY: u32 = 0x0620_0000;
+
+/// The internal I2C bus. (A bus on the board's header is another one.)
 pub struct SensorBus {
     twim: Peri<'static, TWISPI0>,
-    sda: Peri<'static, P0_14>,
-    scl: Peri<'static, P0_15>,
+    sda: Peri<'static, AnyPin>,
+    scl: Peri<'static, AnyPin>,
     power: Output<'static>,
-    pull_ups: Output<'static>,
+    pull_ups: Option<Output<'static>>,
     tx_buffer: &'static mut [u8; 8],
 }
 
@@ -26,30 +43,26 @@ static TX_BUFFER: ConstStaticCell<[u8; 8]> = ConstStaticCell::new([0; 8]);
 
 impl SensorBus {
     /// The bus without power.
-    pub fn new(
-        twim: Peri<'static, TWISPI0>,
-        sda: Peri<'static, P0_14>,
-        scl: Peri<'static, P0_15>,
-        power: Peri<'static, P0_22>,
-        pull_ups: Peri<'static, P1_00>,
-    ) -> Self {
+    pub fn new(twim: Peri<'static, TWISPI0>, pins: SensorPins) -> Self {
         Self {
             twim,
-            sda,
-            scl,
-            // A Rev2's sensors need the high drive.
-            power: Output::new(power, Level::Low, OutputDrive::HighDrive),
-            pull_ups: Output::new(pull_ups, Level::Low, OutputDrive::Standard),
+            sda: pins.sda,
+            scl: pins.scl,
+            // The sensors of a Rev2 and of a XIAO need the high drive.
+            power: Output::new(pins.power, Level::Low, OutputDrive::HighDrive),
+            pull_ups: pins.pull_ups.map(|pin| Output::new(pin, Level::Low, OutputDrive::Standard)),
             tx_buffer: TX_BUFFER.take(),
         }
     }
 
-    /// Sensors on (P0.22), 10 ms, then the pull-ups (P1.00): the order of this board.
+    /// Sensor on, 10 ms, then the pull-ups, as Arduino does it; then the sensor gets its time to start.
     pub async fn power_up(&mut self) {
         self.power.set_high();
         Timer::after(Duration::from_millis(10)).await;
-        self.pull_ups.set_high();
-        Timer::after(Duration::from_millis(1)).await;
+        if let Some(pull_ups) = &mut self.pull_ups {
+            pull_ups.set_high();
+        }
+        Timer::after(Duration::from_millis(boards::START_MS - 10)).await;
     }
 
     /// Frees a bus on which a device holds SDA low: up to nine clocks until it lets go, then a stop.
@@ -86,12 +99,15 @@ impl SensorBus {
         true
     }
 
-    /// The bus controller at 400 kHz, until it is dropped.
+    /// The bus controller, until it is dropped.
     pub fn open(&mut self) -> Wire<'_> {
         let mut config = twim::Config::default();
         config.frequency = twim::Frequency::K400;
         let (twim, sda, scl) = (self.twim.reborrow(), self.sda.reborrow(), self.scl.reborrow());
-        Wire(Twim::new(twim, Irqs, sda, scl, config, self.tx_buffer))
+        let wire = Wire(Twim::new(twim, Irqs, sda, scl, config, self.tx_buffer));
+        let frequency = twim::Frequency::from_bits(FREQUENCY);
+        embassy_nrf::pac::TWIM0.frequency().write(|w| w.set_frequency(frequency));
+        wire
     }
 }
 

@@ -5,7 +5,7 @@ use shared_board::models::{MappedFlash, ModelStore};
 use shared_proto::frame::parse_host;
 
 use crate::link::INBOX;
-use crate::{board, state};
+use crate::{about, board, state};
 
 /// After a page was erased, which stops the processor for 85 ms; the sensor's FIFO holds 134 ms.
 const PAUSE: Duration = Duration::from_millis(40);
@@ -20,6 +20,9 @@ pub async fn run<F: MappedFlash>(mut store: ModelStore<F>) -> ! {
         let request =
             board::with(|board| board.receive(&message, received.trusted, state::now_ms(), &mut link));
         if let Some(request) = request {
+            if let axes @ 1.. = about::now().axes {
+                store.set_axes(axes);
+            }
             store.answer(&request, async || Timer::after(PAUSE).await, &mut link).await;
         }
     }

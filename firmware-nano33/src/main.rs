@@ -4,10 +4,12 @@
 #![no_main]
 #![allow(async_fn_in_trait, reason = "one executor, one core")]
 
+mod about;
 mod awake;
 #[cfg(feature = "ble")]
 mod ble;
 mod board;
+mod boards;
 #[cfg(feature = "ble")]
 mod bonds;
 mod bus;
@@ -25,11 +27,12 @@ mod watch;
 
 #[cfg(all(feature = "ble", feature = "bootloader"))]
 compile_error!("choose one: `--features bootloader` goes with `--no-default-features`");
+#[cfg(all(feature = "xiao", feature = "bootloader"))]
+compile_error!("`xiao` goes with `ble`: S140 is on that board already");
 #[cfg(not(any(feature = "ble", feature = "bootloader")))]
 compile_error!("choose one: `ble` (default) or `--no-default-features --features bootloader`");
 
 use defmt_rtt as _;
-use embassy_nrf::gpio::{Level, Output, OutputDrive};
 use embassy_nrf::interrupt::{self, InterruptExt, Priority};
 
 /// Logs are for the probe; the laptop hears of it at the next start.
@@ -43,6 +46,7 @@ fn panic(info: &core::panic::PanicInfo<'_>) -> ! {
 #[cortex_m_rt::entry]
 fn main() -> ! {
     awake::paint_stack();
+    boards::begin();
     let mut config = embassy_nrf::config::Config::default();
     config.lfclk_source = embassy_nrf::config::LfclkSource::ExternalXtal;
     // The SoftDevice owns the fast crystal; without it, USB needs the crystal on.
@@ -50,6 +54,8 @@ fn main() -> ! {
     {
         config.hfclk_source = embassy_nrf::config::HfclkSource::ExternalXtal;
     }
+    // The converter instead of the linear regulator halves the current; its coil is on every board here.
+    config.dcdc.reg1 = true;
     // 0, 1 and 4 belong to the SoftDevice.
     config.time_interrupt_priority = Priority::P2;
     config.gpiote_interrupt_priority = Priority::P7;
@@ -58,6 +64,9 @@ fn main() -> ! {
     // Bits are cleared by writing ones.
     embassy_nrf::pac::POWER.resetreas().write_value(reasons);
     let reasons = reasons.0;
+    about::started(reasons);
+    // The flash's cache: fewer fetches, less current.
+    embassy_nrf::pac::NVMC.icachecnf().write(|w| w.set_cacheen(true));
     for (irq, priority) in [
         (interrupt::TWISPI0, Priority::P3),
         (interrupt::UARTE0, Priority::P3),
@@ -66,19 +75,9 @@ fn main() -> ! {
         irq.set_priority(priority);
     }
 
-    let bus = bus::SensorBus::new(p.TWISPI0, p.P0_14, p.P0_15, p.P0_22, p.P1_00);
-    let uart = uart::Parts {
-        uarte: p.UARTE0,
-        timer: p.TIMER1,
-        ppi: (p.PPI_CH0, p.PPI_CH1, p.PPI_GROUP0),
-        rx: p.P1_10,
-        tx: p.P1_03,
-    };
-    let off = |pin: embassy_nrf::Peri<'static, embassy_nrf::gpio::AnyPin>| {
-        Output::new(pin, Level::High, OutputDrive::Standard)
-    };
-    let led = watch::Led { red: off(p.P0_24.into()), green: off(p.P0_16.into()), blue: off(p.P0_06.into()) };
-    let watchdog = watch::start_watchdog(p.WDT);
+    let parts = boards::parts(p);
+    let (bus, uart, led) = (parts.bus, parts.uart, parts.led);
+    let watchdog = watch::start_watchdog(parts.watchdog);
     let spawn_common = move |spawner: embassy_executor::Spawner| {
         spawner.spawn(watch::run(watchdog, led).expect("spawned once"));
         spawner.spawn(sample::run(bus).expect("spawned once"));
@@ -98,7 +97,7 @@ fn main() -> ! {
             watch::report_last_run(reasons);
             spawn_common(spawner);
             spawner.spawn(ble::run_control(store).expect("spawned once"));
-            ble::spawn(spawner, softdevice, p.USBD);
+            ble::spawn(spawner, softdevice, parts.usbd);
         })
     }
     #[cfg(not(feature = "ble"))]
@@ -120,15 +119,15 @@ fn main() -> ! {
             control::run(store).await
         }
 
-        let mut rng = embassy_nrf::rng::Rng::new_blocking(p.RNG);
+        let mut rng = embassy_nrf::rng::Rng::new_blocking(parts.random);
         state::BOOT_ID.store(rng.blocking_next_u32(), core::sync::atomic::Ordering::Relaxed);
-        let flash = flash::Controller::new(p.NVMC);
+        let flash = flash::Controller::new(parts.flash);
         awake::run(core.DCB, core.DWT, |spawner| {
             let store = model::install(flash);
             watch::report_last_run(reasons);
             spawn_common(spawner);
             spawner.spawn(run_control(store).expect("spawned once"));
-            spawner.spawn(run_usb(p.USBD, HardwareVbusDetect::new(Irqs)).expect("spawned once"));
+            spawner.spawn(run_usb(parts.usbd, HardwareVbusDetect::new(Irqs)).expect("spawned once"));
         })
     }
 }

@@ -8,12 +8,12 @@ use shared_board::models::ModelStore;
 use shared_dsp::decision::DecisionConfig;
 use shared_dsp::mlp::Model;
 use shared_dsp::right::RightHand;
-use shared_proto::message::{Board as BoardKind, FaultKind};
+use shared_proto::message::{FaultKind, Sensor};
 
 use crate::board::{self, Board, RUNS};
-use crate::sample::{SAMPLE_HZ, SENSOR};
-use crate::state;
+use crate::sample::SAMPLE_HZ;
 use crate::storage::{self, Flash, Slots};
+use crate::{boards, state};
 
 /// At a multiple of 4 bytes the network runs about three times as fast.
 #[repr(C, align(4))]
@@ -31,12 +31,12 @@ pub fn install<F: Flash>(flash: F) -> ModelStore<Slots<F>> {
     let Some(hand) = hand else { defmt::unreachable!("checked before") };
     defmt::info!("model {:#010x}, from {}", hand.model().info().model_id, defmt::Debug2Format(&found.model));
     let identity = Identity {
-        board: BoardKind::RightNano33,
+        board: boards::kind(Sensor::None),
         firmware: env!("CARGO_PKG_VERSION"),
         boot_id: state::BOOT_ID.load(Ordering::Relaxed),
         sample_hz: SAMPLE_HZ as u16,
     };
-    board::install(Board::new(identity, CountHand::new(hand, SENSOR.scale())));
+    board::install(Board::new(identity, CountHand::new(hand, nano33_sensor::SCALE)));
     if found.damaged {
         state::report(FaultKind::ModelDamaged, 0);
     }

@@ -10,20 +10,22 @@ use core::sync::atomic::Ordering;
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_sync::channel::Channel;
 use embassy_time::{Delay, Duration, Instant, TICK_HZ, Timer, with_timeout};
+use nano33_sensor::found::Found;
 use nano33_sensor::grid::Grid;
-use nano33_sensor::lsm9ds1::{ADDRESS_AG, Config, Lsm9ds1};
 use nano33_sensor::{Batch, Imu, ImuError};
 use shared_proto::message::FaultKind;
 
 use crate::bus::SensorBus;
-use crate::state::{self, ALIVE_SAMPLE, DROPPED_SAMPLES, REV2, SENSOR_ERRORS, SENSOR_OK};
+use crate::state::{self, ALIVE_SAMPLE, DROPPED_SAMPLES, SENSOR_ERRORS, SENSOR_OK};
+use crate::{about, board, boards};
 
 /// Samples per second.
 pub const SAMPLE_HZ: u64 = 100;
 /// Values per sample.
 pub const AXES: usize = 9;
 
-/// One sample on the grid, in counts: accX accY accZ gyrX gyrY gyrZ magX magY magZ.
+/// One sample on the grid, in counts of [`nano33_sensor::SCALE`]: accX accY accZ gyrX gyrY gyrZ magX magY magZ. The last three
+/// are 0 where the board has no magnetometer.
 #[derive(Clone, Copy, Debug)]
 pub struct Sample {
     /// Its number since start.
@@ -46,13 +48,6 @@ pub enum Taken {
 /// Samples on their way to the window.
 pub static SAMPLES: Channel<CriticalSectionRawMutex, Taken, 16> = Channel::new();
 
-/// How the sensor is set up: ±4 g, 238 Hz, data-sheet scale.
-pub const SENSOR: Config = Config {
-    accel: nano33_sensor::lsm9ds1::AccelRange::G4,
-    rate: nano33_sensor::lsm9ds1::Rate::Hz238,
-    scale: nano33_sensor::lsm9ds1::Scale::DataSheet,
-};
-
 /// Transfers of one poll take about 1 ms, 15 with a full FIFO, and erasing a page of flash stops the processor for
 /// 85 ms in between; after this the bus is taken to be stuck.
 const POLL_TIMEOUT: Duration = Duration::from_millis(150);
@@ -60,8 +55,12 @@ const POLL_TIMEOUT: Duration = Duration::from_millis(150);
 const SILENCE: Duration = Duration::from_millis(50);
 /// A failing sensor is started anew after so long; its FIFO holds 134 ms.
 const PATIENCE: Duration = Duration::from_millis(60);
+/// A sensor is set up within so long; the BMI270's own program takes half of it.
+const START_TIMEOUT: Duration = Duration::from_millis(800);
 /// Between attempts to start the sensor.
 const RETRY: Duration = Duration::from_millis(250);
+/// Failures in a row until the laptop is told: one may be a hiccup. Then every fourth.
+const TOLD_FROM: u32 = 2;
 
 fn tick_of(number: u64) -> Instant {
     Instant::from_ticks(number * TICK_HZ / SAMPLE_HZ)
@@ -80,21 +79,12 @@ pub async fn run(mut bus: SensorBus) -> ! {
     let mut next = 0;
     let mut attempt = 0u32;
     loop {
-        let mut imu = Lsm9ds1::new(bus.open(), SENSOR);
-        let why = match with_timeout(POLL_TIMEOUT, imu.start(&mut Delay)).await {
-            Ok(Ok(())) => {
-                attempt = 0;
-                stream(&mut imu, &mut batch, &mut next).await
-            }
-            Ok(Err(error)) => error,
-            Err(_) => ImuError::Bus(ADDRESS_AG),
-        };
-        drop(imu);
+        let why = attempt_once(&mut bus, &mut batch, &mut next, &mut attempt).await;
         SENSOR_OK.store(false, Ordering::Relaxed);
         let _ = SAMPLES.try_send(Taken::Gap);
         if bus.clear().await {
             state::report(FaultKind::BusStuck, attempt);
-        } else if attempt % 4 == 0 {
+        } else if attempt >= TOLD_FROM && (attempt - TOLD_FROM) % 4 == 0 {
             say(why);
         }
         // At once after the first failure, so that a hiccup costs little.
@@ -107,17 +97,34 @@ pub async fn run(mut bus: SensorBus) -> ! {
     }
 }
 
+/// Finds the sensor, starts it, and samples until it fails.
+async fn attempt_once(bus: &mut SensorBus, batch: &mut Batch, next: &mut u64, attempt: &mut u32) -> ImuError {
+    let mut imu = match with_timeout(POLL_TIMEOUT, Found::find(bus.open(), boards::SENSORS)).await {
+        Ok(Ok(imu)) => imu,
+        Ok(Err(error)) => return error,
+        Err(_) => return ImuError::Bus(boards::SENSORS[0].address()),
+    };
+    about::found(imu.kind(), imu.axes());
+    if !board::with(|board| board.model_can_run()) {
+        state::report(FaultKind::NoMagnetometer, imu.axes() as u32);
+    }
+    match with_timeout(START_TIMEOUT, imu.start(&mut Delay)).await {
+        Ok(Ok(())) => {
+            *attempt = 0;
+            batch.magnetometer = [0; 3];
+            stream(&mut imu, batch, next).await
+        }
+        Ok(Err(error)) => error,
+        Err(_) => ImuError::Bus(imu.kind().address()),
+    }
+}
+
 fn say(why: ImuError) {
     match why {
-        ImuError::Missing(address) | ImuError::Bus(address) => {
+        ImuError::Missing(address) | ImuError::Bus(address) | ImuError::Reset(address) => {
             state::report(FaultKind::SensorMissing, address.into());
         }
-        ImuError::Reset => state::report(FaultKind::SensorMissing, ADDRESS_AG.into()),
         ImuError::Unknown(who) => state::report(FaultKind::SensorUnknown, who.into()),
-        ImuError::Rev2 => {
-            REV2.store(true, Ordering::Relaxed);
-            state::report(FaultKind::BoardRev2, 0);
-        }
     }
 }
 
@@ -161,7 +168,7 @@ async fn stream<I: Imu>(imu: &mut I, batch: &mut Batch, next: &mut u64) -> ImuEr
             }
             Err(_) => {
                 SENSOR_ERRORS.fetch_add(1, Ordering::Relaxed);
-                return ImuError::Bus(ADDRESS_AG);
+                return ImuError::Bus(boards::SENSORS[0].address());
             }
         }
         if !batch.sets().is_empty() {
@@ -170,7 +177,9 @@ async fn stream<I: Imu>(imu: &mut I, batch: &mut Batch, next: &mut u64) -> ImuEr
         } else if asked - last_sets > SILENCE {
             match imu.check().await {
                 Err(error) => return error,
-                Ok(()) if asked - last_sets > SILENCE * 2 => return ImuError::Reset,
+                Ok(()) if asked - last_sets > SILENCE * 2 => {
+                    return ImuError::Reset(boards::SENSORS[0].address());
+                }
                 Ok(()) => {}
             }
         }

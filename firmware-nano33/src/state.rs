@@ -14,8 +14,6 @@ pub static DROPPED_SAMPLES: AtomicU32 = AtomicU32::new(0);
 pub static SENSOR_ERRORS: AtomicU32 = AtomicU32::new(0);
 /// The sensor delivers.
 pub static SENSOR_OK: AtomicBool = AtomicBool::new(false);
-/// The sensors of a Rev2 board were found.
-pub static REV2: AtomicBool = AtomicBool::new(false);
 /// Different after each start.
 pub static BOOT_ID: AtomicU32 = AtomicU32::new(0);
 

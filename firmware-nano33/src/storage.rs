@@ -6,7 +6,7 @@ use embedded_storage_async::nor_flash::{
 use shared_board::models::{MappedFlash, Place};
 use shared_board::slots::STORE_BYTES;
 
-/// Start of the slots; `memory.x` and `memory-bootloader.x` end the image's flash here.
+/// Start of the slots; the layouts in `src/boards` end the image's flash here.
 pub const SLOTS_START: u32 = 0x000D_8000;
 /// The page before them holds the keys of the laptop that bonded last.
 #[cfg(feature = "ble")]

@@ -1,9 +1,13 @@
-//! D0 (TX, P1.03) and D1 (RX, P1.10) at 115200 baud, 8N1. Not 5 V tolerant.
+//! The header's serial port at 115200 baud, 8N1. Not 5 V tolerant.
+//!
+//! A receiver that waits keeps the fast clock on, half a milliampere and more. So the image with Bluetooth, which may run
+//! on a battery, has this port only while the USB cable is in.
 
 use embassy_futures::join::join;
 use embassy_nrf::buffered_uarte::{self, BufferedUarte};
-use embassy_nrf::peripherals::{P1_03, P1_10, PPI_CH0, PPI_CH1, PPI_GROUP0, TIMER1, UARTE0};
-use embassy_nrf::{Peri, bind_interrupts, uarte};
+use embassy_nrf::gpio::{AnyPin, Pin, Port};
+use embassy_nrf::peripherals::{PPI_CH0, PPI_CH1, PPI_GROUP0, TIMER1, UARTE0};
+use embassy_nrf::{Peri, bind_interrupts, pac, uarte};
 use static_cell::ConstStaticCell;
 
 use crate::link::{Inlet, Link};
@@ -20,34 +24,58 @@ pub struct Parts {
     pub timer: Peri<'static, TIMER1>,
     /// Wiring of the counting.
     pub ppi: (Peri<'static, PPI_CH0>, Peri<'static, PPI_CH1>, Peri<'static, PPI_GROUP0>),
-    /// D1.
-    pub rx: Peri<'static, P1_10>,
-    /// D0.
-    pub tx: Peri<'static, P1_03>,
+    /// From the laptop.
+    pub rx: Peri<'static, AnyPin>,
+    /// To the laptop.
+    pub tx: Peri<'static, AnyPin>,
 }
 
 static RX: ConstStaticCell<[u8; 256]> = ConstStaticCell::new([0; 256]);
 static TX: ConstStaticCell<[u8; 256]> = ConstStaticCell::new([0; 256]);
 
 /// Sends and receives for ever.
+#[cfg(not(feature = "ble"))]
 #[embassy_executor::task]
-pub async fn run(parts: Parts) -> ! {
+pub async fn run(mut parts: Parts) -> ! {
+    serve(&mut parts, RX.take(), TX.take()).await
+}
+
+/// Sends and receives while the USB cable is in.
+#[cfg(feature = "ble")]
+#[embassy_executor::task]
+pub async fn run(mut parts: Parts) -> ! {
+    let (rx, tx) = (RX.take(), TX.take());
+    loop {
+        crate::ble::cable(true).await;
+        embassy_futures::select::select(serve(&mut parts, rx, tx), crate::ble::cable(false)).await;
+        Link::Uart.outbox().set_open(false);
+    }
+}
+
+async fn serve(parts: &mut Parts, rx: &mut [u8], tx: &mut [u8]) -> ! {
     let mut config = uarte::Config::default();
     config.baudrate = uarte::Baudrate::Baud115200;
-    let (ppi1, ppi2, group) = parts.ppi;
+    let (ppi1, ppi2, group) = &mut parts.ppi;
+    let (port, pin) = (parts.rx.port(), parts.rx.pin());
     let uart = BufferedUarte::new(
-        parts.uarte,
-        parts.timer,
-        ppi1,
-        ppi2,
-        group,
-        parts.rx,
-        parts.tx,
+        parts.uarte.reborrow(),
+        parts.timer.reborrow(),
+        ppi1.reborrow(),
+        ppi2.reborrow(),
+        group.reborrow(),
+        parts.rx.reborrow(),
+        parts.tx.reborrow(),
         Irqs,
         config,
-        RX.take(),
-        TX.take(),
+        rx,
+        tx,
     );
+    // The driver leaves the pin floating: with nothing plugged in it would receive noise.
+    let pins = match port {
+        Port::Port0 => pac::P0,
+        Port::Port1 => pac::P1,
+    };
+    pins.pin_cnf(pin.into()).modify(|w| w.set_pull(pac::gpio::vals::Pull::Pullup));
     let (mut rx, mut tx) = uart.split();
     let outbox = Link::Uart.outbox();
     // A wire does not say whether somebody listens.

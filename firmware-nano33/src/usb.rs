@@ -10,32 +10,31 @@ use embassy_usb::class::cdc_acm::{CdcAcmClass, State};
 use embassy_usb::{Builder, Config, UsbVersion};
 use static_cell::{ConstStaticCell, StaticCell};
 
+use crate::boards;
 use crate::link::{Inlet, Link};
 
 bind_interrupts!(struct Irqs {
     USBD => usb::InterruptHandler<USBD>;
 });
 
-/// Arduino's ids for a sketch on this board, which its drivers and udev rules know.
-const VENDOR: u16 = 0x2341;
-const PRODUCT: u16 = 0x805A;
 const TOUCH_BAUD: u32 = 1200;
 const PACKET: usize = 64;
-/// Word that the stock bootloader looks for in GPREGRET after a reset.
-const STAY_IN_BOOTLOADER: u8 = 0xB0;
 /// A laptop that stopped reading: its frames are dropped, not queued.
 const STALLED: Duration = Duration::from_millis(100);
 
 static CONFIG_DESCRIPTOR: ConstStaticCell<[u8; 128]> = ConstStaticCell::new([0; 128]);
 static CONTROL: ConstStaticCell<[u8; 64]> = ConstStaticCell::new([0; 64]);
+static SERIAL: ConstStaticCell<[u8; 16]> = ConstStaticCell::new([b'0'; 16]);
 static STATE: StaticCell<State<'static>> = StaticCell::new();
 
 /// Serves the port for ever.
 pub async fn run<V: VbusDetect + 'static>(usbd: Peri<'static, USBD>, vbus: V) -> ! {
     let driver = usb::Driver::new(usbd, Irqs, vbus);
-    let mut config = Config::new(VENDOR, PRODUCT);
+    let (vendor, product) = boards::USB.ids;
+    let mut config = Config::new(vendor, product);
     config.manufacturer = Some("bimanual");
-    config.product = Some("bimanual right hand");
+    config.product = Some(boards::USB.product);
+    config.serial_number = Some(serial_number());
     config.bcd_usb = UsbVersion::Two;
     let mut builder =
         Builder::new(driver, config, CONFIG_DESCRIPTOR.take(), &mut [], &mut [], CONTROL.take());
@@ -53,7 +52,9 @@ pub async fn run<V: VbusDetect + 'static>(usbd: Peri<'static, USBD>, vbus: V) ->
                     Either::Second(()) => {
                         outbox.set_open(control.dtr());
                         if sender.line_coding().data_rate() == TOUCH_BAUD && !control.dtr() {
-                            enter_bootloader().await;
+                            // The laptop gets its answer first.
+                            Timer::after(Duration::from_millis(50)).await;
+                            boards::enter_bootloader();
                         }
                         continue;
                     }
@@ -93,16 +94,13 @@ pub async fn run<V: VbusDetect + 'static>(usbd: Peri<'static, USBD>, vbus: V) ->
     unreachable!("all run for ever")
 }
 
-/// Restarts into the stock bootloader.
-async fn enter_bootloader() -> ! {
-    // The laptop gets its answer first.
-    Timer::after(Duration::from_millis(50)).await;
-    #[cfg(not(feature = "ble"))]
-    embassy_nrf::pac::POWER.gpregret().write(|w| w.set_gpregret(STAY_IN_BOOTLOADER));
-    // SAFETY: plain calls of the enabled SoftDevice, which owns the register.
-    #[cfg(feature = "ble")]
-    unsafe {
-        nrf_softdevice::raw::sd_power_gpregret_set(0, STAY_IN_BOOTLOADER.into());
+/// The chip's own number in hexadecimal, by which operating systems tell two boards apart.
+fn serial_number() -> &'static str {
+    let text = SERIAL.take();
+    let id = [1, 0].map(|word| embassy_nrf::pac::FICR.deviceid(word).read());
+    for (i, digit) in text.iter_mut().enumerate() {
+        let nibble = (id[i / 8] >> (28 - 4 * (i % 8))) & 0xF;
+        *digit = b"0123456789ABCDEF"[nibble as usize];
     }
-    cortex_m::peripheral::SCB::sys_reset()
+    core::str::from_utf8(text).unwrap_or("0")
 }

@@ -75,12 +75,16 @@ pub async fn run(mut watchdog: Option<WatchdogHandle>, mut led: Led) -> ! {
     }
 }
 
-/// Where a panic leaves its mark for the next start.
-#[unsafe(link_section = ".uninit.panicked")]
-static mut PANICKED: u32 = 0;
+unsafe extern "C" {
+    /// Where a panic leaves its mark for the next start: a word that neither the image nor a bootloader uses
+    /// (`src/boards/*.x`).
+    #[link_name = "_kept"]
+    static mut PANICKED: u32;
+}
 const MARK: u32 = 0xDEAD_0A33;
 
 /// Leaves the mark and restarts.
+#[inline(never)]
 pub fn restart_after_panic() -> ! {
     // SAFETY: one core, interrupts off, and nobody else touches it.
     unsafe {

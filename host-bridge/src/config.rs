@@ -236,6 +236,8 @@ impl Config {
         let ensure = |sound: bool, what: &str| {
             if sound { Ok(()) } else { Err(ConfigError::Value(what.to_owned())) }
         };
+        // First, for what follows asks each of them about all others.
+        ensure(self.motions.len() <= 200, "motions: at most 200 labels; a model names no more than 16")?;
         let Tilt { neutral_mrad, end_mrad, start_mrad } = self.tilt;
         ensure(
             shared_dsp::tilt::TiltThresholds { neutral_mrad, end_mrad, start_mrad }.are_sound(),

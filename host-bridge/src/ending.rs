@@ -129,3 +129,49 @@ fn give_terminal_back() {
         let _ = rustix::io::write(&stdout, RESTORE);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::process::Command;
+
+    const CHILD: &str = "BIMANUAL_TEST_ENDING";
+
+    /// Run by the test below in a process of its own: what is watched there is the whole process.
+    #[test]
+    fn child() {
+        let Ok(how) = std::env::var(CHILD) else { return };
+        let quit = Arc::new(AtomicBool::new(false));
+        let ending = Ending::watch(&quit, false).unwrap();
+        let began = Instant::now();
+        let _ =
+            std::thread::Builder::new().name("some reader".to_owned()).spawn(|| panic!("it broke")).unwrap();
+        while !quit.load(Ordering::SeqCst) {
+            assert!(began.elapsed() < Duration::from_secs(20));
+            std::thread::yield_now();
+        }
+        let told =
+            ending.panicked().is_none_or(|text| text.contains("some reader") && text.contains("it broke"));
+        println!("row: a panic in a thread: the halt | 1 | {} ms | 20 ms", began.elapsed().as_millis());
+        match how.as_str() {
+            "ends" => std::process::exit(if told { 42 } else { 43 }),
+            // A session that does not end by itself is ended.
+            _ => std::thread::sleep(Duration::from_secs(60)),
+        }
+    }
+
+    #[test]
+    fn a_panic_in_any_thread_halts_and_a_program_that_hangs_then_is_ended() {
+        for (how, code) in [("ends", 42), ("hangs", FORCED)] {
+            let began = Instant::now();
+            let mut child = Command::new(std::env::current_exe().unwrap());
+            let done =
+                child.args(["--exact", "ending::tests::child", "--nocapture"]).env(CHILD, how).output();
+            let done = done.unwrap();
+            assert_eq!(done.status.code(), Some(code), "{}", String::from_utf8_lossy(&done.stderr));
+            assert!(began.elapsed() < Duration::from_secs(20), "{how}");
+            let said = String::from_utf8_lossy(&done.stdout);
+            said.lines().filter(|line| line.contains("row:")).for_each(|line| println!("{line}"));
+        }
+    }
+}

@@ -13,6 +13,8 @@ pub mod control;
 pub mod demo;
 pub mod ending;
 #[cfg(feature = "mcap")]
+pub mod export;
+#[cfg(feature = "mcap")]
 pub mod journal;
 pub mod robots;
 pub mod script;

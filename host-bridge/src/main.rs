@@ -36,6 +36,8 @@ enum Verb {
     Calibrate(cmd::calibrate::Args),
     /// Records gestures of your own for `models train`
     Record(cmd::record::Args),
+    /// Makes data sets of recorded sessions, for those who train robots
+    Export(cmd::export::Args),
     /// Sends a model of your own to the right hand's board
     SendModel(cmd::send_model::Args),
 }
@@ -51,6 +53,7 @@ fn main() -> ExitCode {
         Some(Verb::Doctor(args)) => cmd::doctor::run(&args),
         Some(Verb::Calibrate(args)) => cmd::calibrate::run(&args),
         Some(Verb::Record(args)) => cmd::record::run(&args),
+        Some(Verb::Export(args)) => cmd::export::run(&args),
         Some(Verb::SendModel(args)) => cmd::send_model::run(&args),
     };
     match done {
@@ -59,7 +62,7 @@ fn main() -> ExitCode {
         // As a shell reports a program that was ended by Ctrl-C.
         Err(error) if error.is::<play::Interrupted>() => ExitCode::from(130),
         Err(error) => {
-            eprintln!("error: {error:#}");
+            eprintln!("error: {}", models::errors::in_full(&*error));
             ExitCode::FAILURE
         }
     }

@@ -105,7 +105,8 @@ fn q_and_z_change_the_cap_and_numbers_start_motions() {
     rig.run(300);
     assert!((rig.live.bridge().caps().linear_m_s - 0.55).abs() < 1e-9);
     rig.press(HandKey::Slower);
-    rig.run(100);
+    // A held bend counts after 130 ms, by the board's own rules.
+    rig.run(200);
     assert!((rig.live.bridge().caps().linear_m_s - 0.495).abs() < 1e-9);
     rig.press(HandKey::Gesture(6));
     rig.run(100);
@@ -211,4 +212,6 @@ fn send_hello(wire: &mut Vec<u8>) {
     let mut buffer = [0; HOST_FRAME_MAX];
     let request = encode_host(&HostMessage::HelloRequest, &mut buffer).unwrap();
     keys.receive(request, 0, wire);
+    // What is owed goes out with the next period.
+    keys.step(0, wire);
 }

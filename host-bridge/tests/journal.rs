@@ -273,6 +273,9 @@ fn a_full_disk_is_told_once_and_leaves_a_whole_file_while_the_session_goes_on() 
     assert_same_until(&again, &plain.events);
     // Chunks of 1 MiB: at least one is there.
     assert!(again.seconds > 3.0, "{}", again.seconds);
+    // What is said to be in it is in it.
+    assert_eq!(kept.messages, again.messages.values().sum::<u64>());
+    assert_eq!(kept.bytes, file.len() as u64);
 }
 
 fn assert_same_until(again: &Replay, events: &[host_bridge::bridge::BridgeEvent]) {

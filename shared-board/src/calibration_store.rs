@@ -1,16 +1,19 @@
 //! Where the left hand's calibration is kept: two slots in EEPROM, written in turn, one byte per call.
 //!
 //! ```text
-//! 0x000 slot 0 (20 bytes)   0x020 slot 1 (20 bytes)   0x040 count of starts (4 bytes)
+//! 0x020 slot 0 (20 bytes)   0x040 slot 1 (20 bytes)   0x060 count of power-ups (4 bytes)
 //! ```
+//!
+//! Address 0 stays empty: it is what a supply that fails during a write hits, since the address register holds 0 after a
+//! reset.
 //!
 //! A new record goes to the slot that is not in use, so a power cut at any moment leaves the last good
 //! one. What a record looks like, and which slot counts, is `shared_dsp::left_calibration`'s.
 
 use shared_dsp::left_calibration::{Calibration, RECORD_BYTES, Record, Stored};
 
-const SLOTS: [u16; 2] = [0x000, 0x020];
-const STARTS: u16 = 0x040;
+const SLOTS: [u16; 2] = [0x020, 0x040];
+const POWER_UPS: u16 = 0x060;
 
 /// Memory that is written byte by byte and keeps its bytes without power. Never written, it reads 0xFF.
 pub trait Eeprom {
@@ -22,26 +25,25 @@ pub trait Eeprom {
     fn write(&mut self, address: u16, byte: u8);
 }
 
-/// Counts this start and makes a number of it that no other start has.
-///
-/// `restarts` counts the restarts since the last reset that no reset was needed for (watchdog, panic). They get
-/// numbers of their own without a write, so that a failing program does not wear out the EEPROM.
+/// Makes a number that no other start has: of power-ups, which are counted here, and of `starts` since the last one, this one not
+/// counted, which RAM remembers. A program that fails and restarts for ever must not wear out the EEPROM.
 #[inline(never)]
-pub fn next_boot_id(memory: &mut impl Eeprom, restarts: u8) -> u32 {
+pub fn next_boot_id(memory: &mut impl Eeprom, starts: u8) -> u32 {
     let mut bytes = [0; 4];
     for (i, byte) in bytes.iter_mut().enumerate() {
-        *byte = memory.read(STARTS + i as u16);
+        *byte = memory.read(POWER_UPS + i as u16);
     }
-    let mut starts = u32::from_le_bytes(bytes);
-    if restarts == 0 {
-        starts = starts.wrapping_add(1);
-        for (i, (new, old)) in starts.to_le_bytes().into_iter().zip(bytes).enumerate() {
+    let mut power_ups = u32::from_le_bytes(bytes);
+    // Also each time that RAM's count has run over.
+    if starts == 0 {
+        power_ups = power_ups.wrapping_add(1);
+        for (i, (new, old)) in power_ups.to_le_bytes().into_iter().zip(bytes).enumerate() {
             if new != old {
-                memory.write(STARTS + i as u16, new);
+                memory.write(POWER_UPS + i as u16, new);
             }
         }
     }
-    starts << 8 | u32::from(restarts)
+    power_ups << 8 | u32::from(starts)
 }
 
 #[inline(never)]

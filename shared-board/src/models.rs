@@ -62,7 +62,7 @@ impl ModelRequest<'_> {
 /// What an image can run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Runs {
-    /// Values per sample of its sensor.
+    /// Values per sample of its sensor. A model may read fewer.
     pub axes: u8,
     /// Samples per second.
     pub sample_hz: u16,
@@ -71,8 +71,8 @@ pub struct Runs {
 impl Runs {
     /// Whether a model that needs this can run.
     pub fn takes(self, needs: &ModelInfo<'_>) -> bool {
-        Recipe::from_id(needs.recipe).is_some()
-            && needs.axes == self.axes
+        Recipe::from_id(needs.recipe)
+            .is_some_and(|recipe| recipe.runs_on(usize::from(needs.axes), usize::from(self.axes)))
             && needs.sample_hz == self.sample_hz
             && usize::from(needs.window) == WINDOW
     }
@@ -146,6 +146,11 @@ impl<F: MappedFlash> ModelStore<F> {
             }
         }
         (Self { flash, runs, running: found.model.map(|place| place.slot), transfer: None }, found)
+    }
+
+    /// The driver has found out how many axes the sensor has: what comes from now on must run on it.
+    pub fn set_axes(&mut self, axes: u8) {
+        self.runs.axes = axes;
     }
 
     /// The flash.

@@ -6,13 +6,14 @@ use crate::models::ModelRequest;
 use crate::{FrameOut, Identity, send};
 use shared_dsp::features::HOP;
 use shared_dsp::mlp::MAX_AXES;
+use shared_dsp::recipe::Recipe;
 use shared_proto::frame::{
-    ACK_FRAME_MAX, HELLO_FRAME_MAX, MODEL_INFO_FRAME_MAX, PONG_FRAME_MAX, RAW_IMU_FRAME_MAX,
+    ABOUT_FRAME_MAX, ACK_FRAME_MAX, HELLO_FRAME_MAX, MODEL_INFO_FRAME_MAX, PONG_FRAME_MAX, RAW_IMU_FRAME_MAX,
     RIGHT_STATE_FRAME_MAX, STATUS_FRAME_MAX,
 };
 use shared_proto::message::{
-    Ack, AckResult, Board, Fault, FaultKind, HostMessage, Mode, Pong, RAW_COUNTS_MAX, RawImu, RightState,
-    Status, health,
+    About, Ack, AckResult, Board, Fault, FaultKind, HostMessage, Mode, Pong, RAW_COUNTS_MAX, RawImu,
+    RightState, Status, health,
 };
 
 /// Without a sample for this long [`RightBoard::silence`] is due, and again after each further period. Longer than
@@ -39,6 +40,7 @@ pub struct RightBoard<H> {
     sequence: u16,
     board_time_ms: u32,
     sensor_ok: bool,
+    about: Option<About>,
     /// It has said who it is since it started.
     greeted: bool,
     raw: RawBatch,
@@ -55,6 +57,7 @@ impl<H: Hand> RightBoard<H> {
             sequence: 0,
             board_time_ms: 0,
             sensor_ok: false,
+            about: None,
             greeted: false,
             raw: RawBatch::new(),
             faults: FaultLog::new(),
@@ -69,14 +72,19 @@ impl<H: Hand> RightBoard<H> {
         match self.mode {
             Mode::Classify => {
                 self.board_time_ms = time_ms;
-                self.hand.push(sample, time_ms)
+                if self.model_can_run() {
+                    return self.hand.push(sample, time_ms);
+                }
+                // The laptop hears why nothing is named, as often as it would hear what is.
+                self.hand.gap();
+                number.is_multiple_of(HOP as u32)
             }
             mode => {
                 // Samples that the window did not see are a gap in it.
                 self.hand.gap();
                 let mut counts = [0; MAX_AXES];
                 mode == Mode::Record && {
-                    let axes = self.hand.counts(sample, &mut counts);
+                    let axes = self.hand.counts(sample, &mut counts).min(self.axes().unwrap_or(MAX_AXES));
                     self.raw.push(number, &counts[..axes])
                 }
             }
@@ -112,6 +120,24 @@ impl<H: Hand> RightBoard<H> {
     /// Whether the sensor delivers.
     pub fn set_sensor_ok(&mut self, ok: bool) {
         self.sensor_ok = ok;
+    }
+
+    /// What the board is made of, as far as its driver knows by now; said after each hello.
+    pub fn set_about(&mut self, about: About) {
+        self.about = Some(about);
+    }
+
+    /// Values per sample that mean something, once the sensor is known.
+    fn axes(&self) -> Option<usize> {
+        self.about.map(|about| usize::from(about.axes)).filter(|&axes| axes > 0)
+    }
+
+    /// Whether the sensor has all that the model reads.
+    pub fn model_can_run(&self) -> bool {
+        let model = self.hand.model();
+        let runs_on =
+            |axes| Recipe::from_id(model.recipe).is_none_or(|r| r.runs_on(usize::from(model.axes), axes));
+        self.axes().is_none_or(runs_on)
     }
 
     /// The driver has found out which board this is.
@@ -193,6 +219,9 @@ impl<H: Hand> RightBoard<H> {
         let model = self.hand.model();
         send::<HELLO_FRAME_MAX>(&self.identity.hello(model.model_id), out);
         send::<MODEL_INFO_FRAME_MAX>(&model, out);
+        if let Some(about) = &self.about {
+            send::<ABOUT_FRAME_MAX>(about, out);
+        }
         self.faults.repeat(out);
     }
 
@@ -209,7 +238,7 @@ impl<H: Hand> RightBoard<H> {
 
     fn send_state(&mut self, out: &mut impl FrameOut) {
         let output = self.hand.output();
-        let mut flags = 0;
+        let mut flags = if self.model_can_run() { 0 } else { health::MODEL };
         if !self.sensor_ok {
             flags |= health::SENSOR;
         }

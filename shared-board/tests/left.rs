@@ -8,7 +8,7 @@ use shared_board::Identity;
 use shared_board::calibration_store::next_boot_id;
 use shared_board::left::{LeftBoard, Start};
 use shared_board::memory::RamEeprom;
-use shared_dsp::left::AdcCounts;
+use shared_dsp::left::{AdcCounts, LeftHand};
 use shared_dsp::left_calibration::{CAPTURE_SAMPLES, Calibration};
 use shared_proto::message::{
     AckResult, Board, BoardMessage, CalibrationStep, FaultKind, Heading, HostMessage, LeftState, Mode,
@@ -103,11 +103,24 @@ fn a_hello_comes_first_and_states_follow_fifty_times_a_second() {
 fn a_change_is_sent_at_once() {
     let mut rig = Rig::start(RamEeprom::blank());
     rig.hold(LEVEL, 100);
-    rig.hold(FORWARD, 100);
-    let states = rig.line.left();
-    let change = states.iter().find(|s| s.heading == Heading::Forward).expect("a command");
-    // Two samples must agree: those of the periods that began at 110 and 120 ms.
-    assert_eq!(change.board_time_ms, 120);
+    rig.hold(FORWARD, 500);
+    rig.hold(LEVEL, 500);
+    // The hand alone says when its heading changes.
+    let mut hand = LeftHand::new(None, shared_dsp::tilt::TiltThresholds::DEFAULT, 0);
+    let mut changes = Vec::new();
+    for now_ms in (10..=1100).step_by(10) {
+        let pose = if (110..=600).contains(&now_ms) { FORWARD } else { LEVEL };
+        let mut counts = AdcCounts::from_ten_bit(pose);
+        counts.z += u16::from((now_ms / PERIOD_MS).is_multiple_of(2));
+        if hand.step(counts, now_ms).changed {
+            changes.push(now_ms);
+        }
+    }
+    assert!(changes.len() >= 3, "neutral, forward, and forward's end: {changes:?}");
+    let sent: Vec<u32> = rig.line.left().iter().map(|s| s.board_time_ms).collect();
+    assert!(changes.iter().all(|change| sent.contains(change)), "{changes:?} in {sent:?}");
+    let commands = rig.line.left().iter().filter(|s| s.heading == Heading::Forward).count();
+    assert!(commands > 10, "{commands}");
 }
 
 #[test]

@@ -34,10 +34,11 @@ fn spec(seed: i8, axes: usize, hop: u16) -> Vec<u8> {
             biases: vec![0; 2],
             input_scale: 0.05,
             input_zero_point: 0,
-            weight_scale: 0.01,
+            weight_scales: vec![0.01],
             output_scale: 0.05,
             output_zero_point: 0,
             relu: false,
+            largest: 127,
         }],
     })
     .expect("a valid model")

@@ -47,6 +47,23 @@ impl Recipe {
         }
     }
 
+    /// Values of a sample, from the first on, that a model for so many axes reads: recipe 3 reads no magnetometer.
+    pub const fn reads(self, axes: usize) -> usize {
+        match self {
+            Self::Aligned if axes > 6 => 6,
+            _ => axes,
+        }
+    }
+
+    /// Whether a model for `model` axes can run on samples of `sample` axes: all that it reads is there, and what more there
+    /// is does not change its features (a window with a gyroscope makes other ones of recipe 3 than one without).
+    pub const fn runs_on(self, model: usize, sample: usize) -> bool {
+        match self {
+            Self::Raw | Self::LogPower => model <= sample,
+            Self::Aligned => crate::aligned::feature_count(model) == crate::aligned::feature_count(sample),
+        }
+    }
+
     /// Network input of a feature; `index` counts all features of a window, 13 per axis for recipes 1 and 2.
     pub fn transform(self, index: usize, value: f32) -> f32 {
         match self {
@@ -93,6 +110,15 @@ mod tests {
             assert!(error <= 1e-6 * expected.abs().max(1.0), "log10({x}): error {error:e}");
             x *= 1.003;
         }
+    }
+
+    #[test]
+    fn a_model_runs_where_all_that_it_reads_is_there() {
+        let runs =
+            |recipe: Recipe| [3, 6, 9].map(|model| [3, 6, 9].map(|sample| recipe.runs_on(model, sample)));
+        assert_eq!(runs(Recipe::Raw), [[true; 3], [false, true, true], [false, false, true]]);
+        assert_eq!(runs(Recipe::Aligned), [[true, false, false], [false, true, true], [false, true, true]]);
+        assert_eq!([Recipe::Aligned, Recipe::LogPower].map(|recipe| recipe.reads(9)), [6, 9]);
     }
 
     #[test]

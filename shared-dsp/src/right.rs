@@ -12,7 +12,7 @@ use core::fmt;
 /// Why a model cannot run on a hand.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ModelMismatch {
-    /// The model wants another number of values per sample.
+    /// The model wants more values per sample, or other ones.
     Axes {
         /// What the model wants.
         model: usize,
@@ -81,7 +81,8 @@ impl RightOutput {
     }
 }
 
-/// Everything that the right hand computes, for samples of `A` axes.
+/// Everything that the right hand computes, for samples of `A` axes. The model may read fewer of them
+/// ([`Recipe::runs_on`]).
 #[derive(Clone, Debug)]
 pub struct RightHand<'m, const A: usize> {
     model: Model<'m>,
@@ -117,7 +118,9 @@ impl<const A: usize> Pipeline<A> {
         // Lengths have been compared in `RightHand::new`, so this does not fail; if it did, scores would stay.
         match self {
             Self::PerAxis { window, decision } => {
-                let _ = model.classify(window.features(), scores);
+                // Of more axes than the model has, the first ones.
+                let axes = model.info().axes.min(A);
+                let _ = model.classify(&window.features()[..axes], scores);
                 decision.step(scores)
             }
             Self::Aligned { window, slow, decision } => {
@@ -171,7 +174,7 @@ impl<'m, const A: usize> RightHand<'m, A> {
     /// If the model is for other samples or windows.
     pub fn new(model: Model<'m>, config: DecisionConfig) -> Result<Self, ModelMismatch> {
         let info = model.info();
-        if info.axes != A {
+        if !info.recipe.runs_on(info.axes, A) {
             return Err(ModelMismatch::Axes { model: info.axes, hand: A });
         }
         if (usize::from(info.window), usize::from(info.hop)) != (WINDOW, HOP) {

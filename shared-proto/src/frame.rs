@@ -70,6 +70,8 @@ pub const ACK_FRAME_MAX: usize = frame_len(VARIANT + U16 + U8 + U32);
 const MODEL_INFO_MAX: usize = U32 + 2 * U8 + 2 * U16 + bytes(LABELS_MAX);
 /// Largest frame of a [`ModelInfo`](BoardMessage::ModelInfo), in bytes.
 pub const MODEL_INFO_FRAME_MAX: usize = frame_len(VARIANT + MODEL_INFO_MAX);
+/// Largest frame of an [`About`](BoardMessage::About), in bytes.
+pub const ABOUT_FRAME_MAX: usize = frame_len(VARIANT + 4 * U8 + U16);
 
 /// Largest frame that any board sends, in bytes: the laptop's receive buffer.
 pub const BOARD_FRAME_MAX: usize = max(&[
@@ -82,6 +84,7 @@ pub const BOARD_FRAME_MAX: usize = max(&[
     PONG_FRAME_MAX,
     ACK_FRAME_MAX,
     MODEL_INFO_FRAME_MAX,
+    ABOUT_FRAME_MAX,
 ]);
 /// Largest frame that the left board sends, in bytes: its send buffer.
 pub const LEFT_BOARD_FRAME_MAX: usize = max(&[
@@ -242,7 +245,7 @@ impl core::fmt::Display for ParseError {
 impl core::error::Error for ParseError {}
 
 /// How many messages this version knows; their numbers on the wire are below.
-const BOARD_MESSAGES: u8 = 9;
+const BOARD_MESSAGES: u8 = 10;
 const HOST_MESSAGES: u8 = 8;
 const LEFT_REQUESTS: u8 = 5;
 

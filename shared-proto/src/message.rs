@@ -47,7 +47,7 @@ macro_rules! open_list {
 /// Raised when a message is reshaped; both sides must have the same one.
 pub const PROTOCOL_MAJOR: u8 = 1;
 /// Raised when a message is added; the older side ignores what it does not know.
-pub const PROTOCOL_MINOR: u8 = 0;
+pub const PROTOCOL_MINOR: u8 = 1;
 
 /// What a board sends to the laptop.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -74,6 +74,8 @@ pub enum BoardMessage<'a> {
     /// What the running model expects and names, sent after each hello of a right hand.
     #[serde(borrow)]
     ModelInfo(ModelInfo<'a>),
+    /// What a right hand's board is made of, sent after each hello (since 1.1).
+    About(About),
 }
 
 /// What the laptop sends to a board.
@@ -188,6 +190,7 @@ board_bodies! {
     Pong = 6,
     Ack = 7,
     ModelInfo<'_> = 8,
+    About = 9,
 }
 
 /// Largest piece of a model in one frame, in bytes. All but the last have this size.
@@ -214,6 +217,8 @@ open_list! {
         LeftReplay = 3,
         /// A recording played by the laptop as the right hand.
         RightReplay = 4,
+        /// Seeed XIAO nRF52840 Sense (LSM6DS3TR-C): gestures.
+        RightXiao = 5,
     }
 }
 
@@ -234,6 +239,63 @@ pub struct Hello<'a> {
     pub model_id: u32,
     /// Samples per second.
     pub sample_hz: u16,
+}
+
+open_list! {
+    /// Motion sensors of right hands.
+    Sensor {
+        /// None has been found yet.
+        None = 0,
+        /// Nano 33 BLE Sense: nine axes.
+        Lsm9ds1 = 1,
+        /// Nano 33 BLE Sense Rev2: six axes that may be used.
+        Bmi270 = 2,
+        /// XIAO nRF52840 Sense: six axes.
+        Lsm6ds3 = 3,
+    }
+}
+
+open_list! {
+    /// What a right hand's image runs behind.
+    Image {
+        /// The stock Arduino bootloader, without Bluetooth.
+        Bootloader = 0,
+        /// Nordic's S140, flashed with a probe.
+        S140 = 1,
+        /// S140 and a UF2 bootloader, as the XIAO is sold.
+        Uf2 = 2,
+    }
+}
+
+open_list! {
+    /// Why a board started.
+    ResetCause {
+        /// Power.
+        PowerUp = 0,
+        /// The reset button.
+        Pin = 1,
+        /// The watchdog.
+        Watchdog = 2,
+        /// The program itself, or a bootloader.
+        Software = 3,
+        /// Something else, such as a debugger.
+        Other = 4,
+    }
+}
+
+/// What a right hand's board is made of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct About {
+    /// The sensor that was found.
+    pub sensor: Sensor,
+    /// Values per sample that mean something: 9, 6, or 0 while no sensor is found. A model that reads more cannot run.
+    pub axes: u8,
+    /// The variant of the firmware.
+    pub image: Image,
+    /// Why the board started.
+    pub reset: ResetCause,
+    /// Battery in millivolts; 0 = unknown.
+    pub battery_mv: u16,
 }
 
 /// Where the left hand points. At most one command at a time: the larger tilt wins.
@@ -380,7 +442,7 @@ open_list! {
         SensorMissing = 0,
         /// The sensor is not the expected one; detail = its WHO_AM_I.
         SensorUnknown = 1,
-        /// The board is a Rev2, which this image does not support.
+        /// The board is a Rev2, which an image of version 0.1.0 did not support. Later ones do.
         BoardRev2 = 2,
         /// The bus was stuck and has been cleared.
         BusStuck = 3,
@@ -392,6 +454,9 @@ open_list! {
         CalibrationDamaged = 6,
         /// The stored model was damaged or does not fit; the compiled-in one is in use.
         ModelDamaged = 7,
+        /// The running model reads a magnetometer and this board has none that may be used: no gesture comes from it;
+        /// detail = axes of its sensor.
+        NoMagnetometer = 8,
     }
 }
 

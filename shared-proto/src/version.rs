@@ -57,7 +57,7 @@ impl fmt::Display for Mismatch {
         f.write_str("update the board (plug it in, then `cargo run --release` in ")?;
         f.write_str(match board {
             Board::LeftNano => "firmware-nano-avr/)",
-            Board::RightNano33 => "firmware-nano33/)",
+            Board::RightNano33 | Board::RightNano33Rev2 | Board::RightXiao => "firmware-nano33/)",
             _ => "the folder of its firmware)",
         })
     }
@@ -71,6 +71,7 @@ impl fmt::Display for Board {
             Self::LeftNano => "the left hand (Arduino Nano)",
             Self::RightNano33 => "the right hand (Nano 33 BLE Sense)",
             Self::RightNano33Rev2 => "the right hand (Nano 33 BLE Sense Rev2)",
+            Self::RightXiao => "the right hand (XIAO nRF52840 Sense)",
             Self::LeftReplay => "the recorded left hand",
             Self::RightReplay => "the recorded right hand",
             Self::Unknown(number) => return write!(f, "a board of unknown kind {number}"),

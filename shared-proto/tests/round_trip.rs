@@ -73,6 +73,7 @@ proptest! {
             BoardMessage::Pong(body) => encode_body(&body, &mut again),
             BoardMessage::Ack(body) => encode_body(&body, &mut again),
             BoardMessage::ModelInfo(body) => encode_body(&body, &mut again),
+            BoardMessage::About(body) => encode_body(&body, &mut again),
         };
         prop_assert_eq!(frame, body);
 

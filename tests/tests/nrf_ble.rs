@@ -102,6 +102,7 @@ fn wearer() -> (Replay, u64) {
 fn notifications_carry_the_frames_of_the_uart_and_the_laptops_own_labels() {
     let (replay, seconds) = wearer();
     let mut session = Session::ble(Box::new(replay));
+    session.charge();
     let tap = session.board.tap("bimanual_sample", 18);
     wait_until_ready(&mut session);
     session.send(&HostMessage::HelloRequest);
@@ -180,6 +181,7 @@ fn notifications_carry_the_frames_of_the_uart_and_the_laptops_own_labels() {
 #[test]
 fn a_link_that_stalls_costs_old_states_not_new_ones_and_nothing_else_waits() {
     let mut session = ready();
+    session.charge();
     session.run_ms(3000);
     let dropped = session.heard.statuses.last().unwrap().dropped_samples;
     // Shorter than the supervision timeout: the link survives.

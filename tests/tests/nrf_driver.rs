@@ -1,21 +1,53 @@
-//! The LSM9DS1 driver against the sensor's model, without board or processor.
+//! The sensors' drivers against their models, without board or processor.
 #![cfg(feature = "nrf")]
 
+use std::cell::Cell;
 use std::pin::pin;
+use std::rc::Rc;
 use std::task::{Context, Poll, Waker};
 
 use embedded_hal_async::delay::DelayNs;
 use embedded_hal_async::i2c::{ErrorKind, ErrorType, I2c, NoAcknowledgeSource, Operation};
+use nano33_sensor::bmi270::Bmi270 as Bmi270Driver;
+use nano33_sensor::found::{Found, Kind};
+use nano33_sensor::lsm6ds3::Lsm6ds3 as Lsm6ds3Driver;
 use nano33_sensor::lsm9ds1::{AccelRange, Config, Lsm9ds1 as Driver, Rate, Scale};
-use nano33_sensor::{Batch, Imu, ImuError};
-use tests::nrf::i2c::{Bus, Reply};
+use nano33_sensor::{Batch, Imu, ImuError, SCALE};
+use tests::nrf::bmi270::Bmi270;
+use tests::nrf::i2c::{Bus, Reply, Sensor};
+use tests::nrf::lsm6ds3::Lsm6ds3;
 use tests::nrf::lsm9ds1::{Lsm9ds1, Motion, Still};
-use tests::nrf::time::{ms, us};
+use tests::nrf::time::{HZ, ms, us};
 
-/// The emulated bus as a driver sees it; each transfer takes 100 us.
-struct Wire<'a> {
-    bus: &'a mut Bus,
-    now: &'a mut u64,
+/// The emulated bus as a driver sees it, in virtual time; each transfer takes 100 us.
+#[derive(Clone)]
+struct Wire {
+    bus: Rc<Cell<Option<Bus>>>,
+    now: Rc<Cell<u64>>,
+}
+
+impl Wire {
+    fn new(sensor: impl Sensor + 'static) -> Self {
+        let mut bus = Bus::new(Box::new(sensor));
+        bus.powered = true;
+        Self { bus: Rc::new(Cell::new(Some(bus))), now: Rc::default() }
+    }
+
+    /// Does something with the bus.
+    fn with<T>(&self, what: impl FnOnce(&mut Bus, u64) -> T) -> T {
+        let mut bus = self.bus.take().expect("one at a time");
+        let result = what(&mut bus, self.now.get());
+        self.bus.set(Some(bus));
+        result
+    }
+
+    fn pass(&self, time: u64) {
+        self.now.set(self.now.get() + time);
+    }
+
+    fn delay(&self) -> Clock {
+        Clock(self.now.clone())
+    }
 }
 
 #[derive(Debug)]
@@ -27,18 +59,18 @@ impl embedded_hal_async::i2c::Error for Nack {
     }
 }
 
-impl ErrorType for Wire<'_> {
+impl ErrorType for Wire {
     type Error = Nack;
 }
 
-impl I2c for Wire<'_> {
+impl I2c for Wire {
     async fn transaction(&mut self, address: u8, operations: &mut [Operation<'_>]) -> Result<(), Nack> {
-        *self.now += us(100);
+        self.pass(us(100));
         for operation in operations {
-            let reply = match operation {
-                Operation::Write(bytes) => self.bus.write(address, bytes, *self.now),
-                Operation::Read(bytes) => self.bus.read(address, bytes, *self.now),
-            };
+            let reply = self.with(|bus, now| match operation {
+                Operation::Write(bytes) => bus.write(address, bytes, now),
+                Operation::Read(bytes) => bus.read(address, bytes, now),
+            });
             if reply != Reply::Ack {
                 return Err(Nack);
             }
@@ -47,10 +79,12 @@ impl I2c for Wire<'_> {
     }
 }
 
-struct NoWait;
+struct Clock(Rc<Cell<u64>>);
 
-impl DelayNs for NoWait {
-    async fn delay_ns(&mut self, _: u32) {}
+impl DelayNs for Clock {
+    async fn delay_ns(&mut self, ns: u32) {
+        self.0.set(self.0.get() + u64::from(ns) * HZ / 1_000_000_000);
+    }
 }
 
 fn wait<T>(future: impl Future<Output = T>) -> T {
@@ -61,27 +95,36 @@ fn wait<T>(future: impl Future<Output = T>) -> T {
     }
 }
 
-fn bus(motion: Box<dyn Motion>) -> Bus {
-    let mut bus = Bus::new(Lsm9ds1::new(motion));
-    bus.powered = true;
-    bus
+fn start<I: Imu>(driver: &mut I, wire: &Wire) -> Result<(), ImuError> {
+    wait(driver.start(&mut wire.delay()))
+}
+
+/// Sets of the next so many milliseconds, fetched every 10 ms.
+fn sets<I: Imu>(driver: &mut I, wire: &Wire, milliseconds: u64) -> Vec<[i16; 6]> {
+    let mut all = Vec::new();
+    let mut batch = Batch::default();
+    for _ in 0..milliseconds / 10 {
+        wire.pass(ms(10));
+        wait(driver.poll(&mut batch)).unwrap();
+        assert!(!batch.overrun);
+        all.extend_from_slice(batch.sets());
+    }
+    all
 }
 
 #[test]
 fn every_setting_reads_one_g_and_the_earths_field_in_its_own_scale() {
     for accel in [AccelRange::G2, AccelRange::G4] {
         for rate in [Rate::Hz119, Rate::Hz238] {
-            let mut now = 0;
-            let mut bus = bus(Box::new(Still));
+            let wire = Wire::new(Lsm9ds1::new(Box::new(Still)));
             let config = Config { accel, rate, scale: Scale::DataSheet };
-            let mut driver = Driver::new(Wire { bus: &mut bus, now: &mut now }, config);
-            wait(driver.start(&mut NoWait)).unwrap();
-            let wire = driver.release();
-            *wire.now += ms(100);
-            let mut driver = Driver::new(wire, config);
+            let mut driver = Driver::new(wire.clone(), config);
+            start(&mut driver, &wire).unwrap();
+            wire.pass(ms(100));
             let mut batch = Batch::default();
             wait(driver.poll(&mut batch)).unwrap();
-            let expected = if rate == Rate::Hz119 { 11 } else { 23 };
+            // Five sets are dropped while the filters settle.
+            let expected = if rate == Rate::Hz119 { 6 } else { 18 };
             assert!((expected..=expected + 2).contains(&batch.sets().len()), "{}", batch.sets().len());
             let [accel_scale, _, mag_scale] = config.scale();
             let z = f32::from(batch.sets()[0][2]) * accel_scale;
@@ -100,41 +143,131 @@ fn arduinos_scale_is_12_8_per_cent_smaller_for_gyroscope_and_magnetometer() {
     assert!((mag / mag_arduino - 1.1469).abs() < 1e-3);
 }
 
+/// All directions differ, and change.
+struct Swing;
+
+impl Motion for Swing {
+    fn at(&self, seconds: f64) -> [f64; 9] {
+        let wave = |hz: f64| (std::f64::consts::TAU * hz * seconds).sin();
+        [
+            3.0 * wave(0.5),
+            -2.0 * wave(0.7),
+            9.8,
+            200.0 * wave(0.4),
+            50.0,
+            -120.0 * wave(0.9),
+            20.0,
+            0.0,
+            -40.0,
+        ]
+    }
+}
+
+/// What stands in a motion at a time when the sensor is asked late: the same in every frame of counts.
+fn sees_the_swing<I: Imu>(driver: &mut I, wire: &Wire) {
+    start(driver, wire).unwrap();
+    let sets = sets(driver, wire, 1000);
+    let period = 1.0 / f64::from(driver.nominal_hz());
+    let newest = wire.now.get() as f64 / HZ as f64;
+    // The newest set is less than a period and a transfer old.
+    for (n, set) in sets.iter().rev().take(100).enumerate() {
+        let at = newest - (n as f64 + 0.5) * period;
+        let wanted = Swing.at(at);
+        for axis in 0..6 {
+            let value = f64::from(set[axis]) * f64::from(SCALE[axis / 3]);
+            // The fastest change of each over one and a half periods, and rounding.
+            let slack = [0.08, 0.08, 0.003, 5.0, 0.1, 6.5][axis];
+            assert!(
+                (value - wanted[axis]).abs() < slack,
+                "set {n} axis {axis}: {value}, not {}",
+                wanted[axis]
+            );
+        }
+    }
+}
+
 #[test]
-fn who_is_not_there_or_not_right_is_named() {
-    let mut now = 0;
-    let start = |bus: &mut Bus, now: &mut u64| {
-        wait(Driver::new(Wire { bus, now }, Config::default()).start(&mut NoWait))
-    };
-    let mut away = bus(Box::new(Still));
-    away.unplugged = true;
-    assert_eq!(start(&mut away, &mut now), Err(ImuError::Missing(0x6B)));
-    let mut rev2 = bus(Box::new(Still));
-    rev2.rev2 = true;
-    assert_eq!(start(&mut rev2, &mut now), Err(ImuError::Rev2));
-    let mut flaky = bus(Box::new(Still));
-    assert_eq!(start(&mut flaky, &mut now), Ok(()));
-    let mut driver = Driver::new(Wire { bus: &mut flaky, now: &mut now }, Config::default());
-    wait(driver.start(&mut NoWait)).unwrap();
+fn every_sensor_tells_the_same_motion_in_the_same_counts_and_axes() {
+    let wire = Wire::new(Lsm9ds1::new(Box::new(Swing)));
+    sees_the_swing(&mut Driver::new(wire.clone(), Config::default()), &wire);
+    let wire = Wire::new(Bmi270::new(Box::new(Swing)));
+    sees_the_swing(&mut Bmi270Driver::new(wire.clone()), &wire);
+    let wire = Wire::new(Lsm6ds3::new(Box::new(Swing)));
+    sees_the_swing(&mut Lsm6ds3Driver::new(wire.clone()), &wire);
+}
+
+#[test]
+fn the_sensor_that_is_there_is_found_and_what_is_not_is_named() {
+    const ALL: [Kind; 3] = [Kind::Lsm9ds1, Kind::Bmi270, Kind::Lsm6ds3];
+    let find = |wire: &Wire, kinds: &[Kind]| wait(Found::find(wire.clone(), kinds)).map(|f| f.kind());
+    let rev1 = Wire::new(Lsm9ds1::new(Box::new(Still)));
+    let rev2 = Wire::new(Bmi270::new(Box::new(Still)));
+    let xiao = Wire::new(Lsm6ds3::new(Box::new(Still)));
+    assert_eq!(find(&rev1, &ALL), Ok(Kind::Lsm9ds1));
+    assert_eq!(find(&rev2, &ALL), Ok(Kind::Bmi270));
+    assert_eq!(find(&xiao, &ALL), Ok(Kind::Lsm6ds3));
+    rev1.with(|bus, _| bus.unplugged = true);
+    assert_eq!(find(&rev1, &ALL), Err(ImuError::Missing(0x6B)));
+    assert_eq!(find(&xiao, &[Kind::Bmi270]), Err(ImuError::Missing(0x68)));
+}
+
+/// Starts, then loses a setting on the way or afterwards; `register` is one whose loss changes the scale.
+fn notices<I: Imu>(driver: &mut I, wire: &Wire, address: u8, register: u8) {
+    wire.with(|bus, _| bus.sensor.lose_write(register));
+    assert_eq!(start(driver, wire), Err(ImuError::Reset(address)), "{register:#x} did not arrive");
+    assert_eq!(start(driver, wire), Ok(()));
     assert_eq!(wait(driver.check()), Ok(()));
-    let wire = driver.release();
-    wire.bus.sensor.power_cycle();
-    let mut driver = Driver::new(wire, Config::default());
-    assert_eq!(wait(driver.check()), Err(ImuError::Reset));
+    wire.with(|bus, _| bus.sensor.power_cycle());
+    assert_eq!(wait(driver.check()), Err(ImuError::Reset(address)));
+}
+
+#[test]
+fn a_setting_that_did_not_arrive_is_noticed_at_the_start_and_a_lost_one_later() {
+    // CTRL_REG6_XL: the accelerometer would stay at ±2 g. FIFO_CTRL and CTRL_REG9: no FIFO.
+    for register in [0x20, 0x23] {
+        let wire = Wire::new(Lsm9ds1::new(Box::new(Still)));
+        notices(&mut Driver::new(wire.clone(), Config::default()), &wire, 0x6B, register);
+    }
+    for register in [0x41, 0x49] {
+        let wire = Wire::new(Bmi270::new(Box::new(Still)));
+        notices(&mut Bmi270Driver::new(wire.clone()), &wire, 0x68, register);
+    }
+    for register in [0x10, 0x11] {
+        let wire = Wire::new(Lsm6ds3::new(Box::new(Still)));
+        notices(&mut Lsm6ds3Driver::new(wire.clone()), &wire, 0x6A, register);
+    }
+}
+
+#[test]
+fn a_broken_bmi270_and_one_with_half_a_configuration_are_not_started() {
+    let wire = Wire::new(Bmi270::new(Box::new(Still)));
+    let mut driver = Bmi270Driver::new(wire.clone());
+    start(&mut driver, &wire).unwrap();
+    wire.with(|bus, _| bus.sensor.fail());
+    assert_eq!(wait(driver.check()), Err(ImuError::Reset(0x68)));
+    // A byte of the upload is lost, and all behind it lie wrong.
+    wire.with(|bus, _| bus.sensor.lose_write(0x5E));
+    assert_eq!(start(&mut driver, &wire), Err(ImuError::Reset(0x68)));
+    assert_eq!(start(&mut driver, &wire), Ok(()));
+}
+
+fn says_that_sets_are_lost<I: Imu>(driver: &mut I, wire: &Wire) {
+    start(driver, wire).unwrap();
+    wire.pass(ms(500));
+    let mut batch = Batch::default();
+    wait(driver.poll(&mut batch)).unwrap();
+    assert!(batch.overrun);
+    wire.pass(ms(10));
+    wait(driver.poll(&mut batch)).unwrap();
+    assert!(!batch.overrun);
 }
 
 #[test]
 fn a_late_poll_says_that_sets_are_lost() {
-    let mut now = 0;
-    let mut bus = bus(Box::new(Still));
-    let mut driver = Driver::new(Wire { bus: &mut bus, now: &mut now }, Config::default());
-    wait(driver.start(&mut NoWait)).unwrap();
-    let wire = driver.release();
-    *wire.now += ms(500);
-    let mut driver = Driver::new(wire, Config::default());
-    let mut batch = Batch::default();
-    wait(driver.poll(&mut batch)).unwrap();
-    assert!(batch.overrun);
-    wait(driver.poll(&mut batch)).unwrap();
-    assert!(!batch.overrun);
+    let wire = Wire::new(Lsm9ds1::new(Box::new(Still)));
+    says_that_sets_are_lost(&mut Driver::new(wire.clone(), Config::default()), &wire);
+    let wire = Wire::new(Bmi270::new(Box::new(Still)));
+    says_that_sets_are_lost(&mut Bmi270Driver::new(wire.clone()), &wire);
+    let wire = Wire::new(Lsm6ds3::new(Box::new(Still)));
+    says_that_sets_are_lost(&mut Lsm6ds3Driver::new(wire.clone()), &wire);
 }

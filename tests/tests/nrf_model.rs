@@ -88,7 +88,7 @@ fn models_that_this_image_cannot_run_are_refused_before_anything_is_erased() {
     let good = begin(&blob, &model);
     let info = good.info;
     for bad in [
-        ModelBegin { info: ModelInfo { axes: 3, ..info }, ..good },
+        ModelBegin { info: ModelInfo { axes: 12, ..info }, ..good },
         ModelBegin { info: ModelInfo { recipe: 99, ..info }, ..good },
         ModelBegin { info: ModelInfo { sample_hz: 104, ..info }, ..good },
         ModelBegin { info: ModelInfo { window: 128, ..info }, ..good },

@@ -90,13 +90,73 @@ fn a_laptop_that_stops_reading_gets_fresh_states_when_it_reads_again() {
 }
 
 #[test]
-fn a_touch_at_1200_baud_returns_to_the_bootloader() {
+fn a_touch_at_1200_baud_returns_to_the_bootloader_which_has_all_the_time_it_needs() {
     let mut session = Session::uart(Box::new(Still));
     session.run_ms(500);
     let mut host = plug_in(&mut session);
     assert!(!session.board.in_bootloader);
     host.touch();
-    settle(&mut session, &mut host);
-    session.run_ms(500);
+    // The watchdog itself does the reset, so that it is off afterwards.
+    for _ in 0..3000 {
+        session.run_ms(1);
+        host.step(&mut session.board);
+        if session.board.in_bootloader {
+            break;
+        }
+    }
     assert!(session.board.in_bootloader);
+    // An upload takes 6 s; a watchdog that still ran would end it and start half an image.
+    session.run_ms(30_000);
+    assert!(session.board.in_bootloader, "resets {:?}", session.board.resets);
+    session.board.press_reset();
+    session.run_ms(500);
+    assert!(!session.board.in_bootloader, "a press of reset starts the image");
+}
+
+#[test]
+fn two_boards_at_one_laptop_differ_by_the_chips_own_number() {
+    let mut session = Session::uart(Box::new(Still));
+    session.run_ms(500);
+    let host = plug_in(&mut session);
+    assert_eq!(host.serial_number.as_deref(), Some("9ABCDEF012345678"));
+}
+
+#[test]
+fn behind_s140_a_cable_attaches_though_ready_is_told_before_detected() {
+    let mut session = Session::ble(Box::new(Still));
+    session.run_ms(1000);
+    // The processor stands still while the cable goes in: both events wait afterwards.
+    let soc = session.board.soc();
+    soc.nvmc.busy_until = soc.now + tests::nrf::time::ms(10);
+    let mut host = plug_in(&mut session);
+    session.run_ms(1000);
+    host.read(&mut session.board);
+    session.run_ms(2000);
+    assert!((24..=26).contains(&messages(&mut session, &mut host).0));
+}
+
+#[test]
+fn the_converter_and_the_cache_are_on_in_both_images() {
+    for mut session in [Session::uart(Box::new(Still)), Session::ble(Box::new(Still))] {
+        session.run_ms(500);
+        let soc = session.board.soc();
+        assert!(soc.power.converter && soc.nvmc.cache);
+    }
+}
+
+#[test]
+fn behind_s140_the_serial_line_runs_only_while_the_cable_is_in() {
+    let mut session = Session::ble(Box::new(Still));
+    session.run_ms(3000);
+    assert!(!session.board.soc().uart.is_receiving(), "a receiver keeps the fast clock on");
+    assert_eq!(session.uart.heard.states.len(), 0);
+    let mut host = plug_in(&mut session);
+    session.run_ms(2000);
+    assert!(session.uart.heard.states.len() > 20);
+    host.unplug(&mut session.board);
+    session.run_ms(200);
+    let before = session.uart.heard.states.len();
+    session.run_ms(2000);
+    assert!(!session.board.soc().uart.is_receiving());
+    assert_eq!(session.uart.heard.states.len(), before);
 }

@@ -49,7 +49,7 @@ fn play_demo(link: Link) {
     for event in &desk.log {
         match &event.kind {
             EventKind::Gesture { label, .. } => gestures.push(label.clone()),
-            EventKind::MotionEnded { motion, reached: true } => poses.push(motion.name().to_owned()),
+            EventKind::MotionEnded { motion, reached: true } => poses.push(motion.as_str().to_owned()),
             EventKind::Halt { reason } => halts.push(*reason),
             EventKind::Released => releases += 1,
             EventKind::Heading { .. } => together += 1,
@@ -134,7 +134,7 @@ fn the_arm_moves_within_50_ms_of_the_sample_that_decides() {
             start_s = zero_s + 0.080 * f64::from(index) / f64::from(wearers) + 0.0003;
             Replay { rows: rows(&recording), interval: 0.01, start: start_s }
         });
-        right.board.soc().bus.sensor.clock_ratio = [0.97, 1.0, 1.03][index as usize % 3];
+        right.board.soc().bus.sensor.set_clock_ratio([0.97, 1.0, 1.03][index as usize % 3]);
         let mut desk = TwoHands::new(None, Some(right));
         let (mut seen, mut deciding) = (0, None);
         let seconds = 1.0 + REST_S + 6.0 * (GESTURE_S + REST_S);

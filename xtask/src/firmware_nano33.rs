@@ -1,4 +1,4 @@
-//! `cargo xtask firmware nano33`: builds both variants of the right hand's image and says where their bytes are.
+//! `cargo xtask firmware nano33`: builds the variants of the right hand's image and says where their bytes are.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -8,17 +8,25 @@ use anyhow::{Context, Result, bail};
 
 use crate::steps::{output, sh};
 use crate::toolchain::{Target, cargo};
-use crate::{root, target_dir};
+use crate::{root, target_dir, uf2};
 
 /// A variant's name, and what cargo needs to build it.
-const VARIANTS: [(&str, &[&str], &str); 2] = [
-    ("ble", &[], "behind S140 at 0x27000 (needs an SWD probe)"),
+const VARIANTS: [(&str, &[&str], &str); 3] = [
+    ("ble", &[], "Nano 33 BLE Sense and Rev2, behind S140 at 0x27000 (needs an SWD probe)"),
     (
         "bootloader",
         &["--no-default-features", "--features", "bootloader"],
-        "behind the stock Arduino bootloader at 0x10000, without Bluetooth",
+        "Nano 33 BLE Sense and Rev2, behind the stock Arduino bootloader at 0x10000, without Bluetooth",
+    ),
+    (
+        "xiao",
+        &["--features", "xiao"],
+        "XIAO nRF52840 Sense, behind the S140 that it is sold with, by drag and drop",
     ),
 ];
+
+/// Where the XIAO's image starts, behind S140.
+const XIAO_ORIGIN: u32 = 0x27000;
 
 /// Parts of the image and the words in the names of their symbols, first match wins.
 const PARTS: [(&str, &[&str]); 6] = [
@@ -35,13 +43,25 @@ const PARTS: [(&str, &[&str]); 6] = [
 /// # Errors
 /// Where a variant does not build, or there is none of that name.
 pub fn run(args: &[&str]) -> Result<()> {
-    let chosen = |name: &str| args.is_empty() || args == [name];
+    let chosen = |name: &str| match args {
+        [] => true,
+        ["--board", "nano33"] => name != "xiao",
+        ["--board", board] => name == *board && name == "xiao",
+        [only] => name == *only,
+        _ => false,
+    };
     if !VARIANTS.iter().any(|(name, ..)| chosen(name)) {
-        bail!("`cargo xtask firmware nano33` takes ble or bootloader, not `{}`", args.join(" "));
+        bail!(
+            "`cargo xtask firmware nano33` takes ble, bootloader or xiao, or --board nano33 or xiao, not `{}`",
+            args.join(" ")
+        );
     }
     for (name, options, what) in VARIANTS.into_iter().filter(|(name, ..)| chosen(name)) {
         let image = build(name, options)?;
         println!("\n{name}: {what}\n  {}", image.display());
+        if name == "xiao" {
+            println!("  {}", make_uf2(&image)?.display());
+        }
         report(&image)?;
     }
     println!("\nFlash it: firmware-nano33/README.md");
@@ -66,6 +86,14 @@ fn build(name: &str, options: &[&str]) -> Result<PathBuf> {
 /// Where the image of a variant lies once it is built.
 pub fn image(name: &str) -> PathBuf {
     target_dir().join(Target::Thumb.triple()).join("release").join(format!("nano33-{name}"))
+}
+
+/// The image as the XIAO's bootloader takes it, beside the linked one.
+fn make_uf2(image: &Path) -> Result<PathBuf> {
+    let (raw, file) = (image.with_extension("bin"), image.with_extension("uf2"));
+    sh(Command::new(tool("objcopy")).args(["-O", "binary"]).arg(image).arg(&raw))?;
+    std::fs::write(&file, uf2::encode(&std::fs::read(&raw)?, XIAO_ORIGIN, uf2::NRF52840))?;
+    Ok(file)
 }
 
 fn report(image: &Path) -> Result<()> {

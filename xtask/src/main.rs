@@ -1,5 +1,6 @@
 //! The chores. `cargo xtask test` is what a user and CI run.
 
+mod campaign;
 mod firmware_avr;
 mod firmware_nano33;
 mod package;
@@ -9,6 +10,7 @@ mod steps;
 mod test;
 mod toolchain;
 mod tools;
+mod uf2;
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -18,10 +20,16 @@ use anyhow::Result;
 const HELP: &str = "\
 usage: cargo xtask VERB
 
+<<<<<<< HEAD
   test [--quick | --full] [--only WORD]
                                 every test, in under 30 minutes on 2 cores; --quick only format, clippy and unit
                                 tests of the laptop's side, for daily work (under 5 minutes); --full the long
                                 forms (under 90); --only the steps whose name contains WORD, --list names them
+=======
+  test [--full] [--only WORD]   every test; --full runs the long versions (under 80 minutes),
+                                --only the steps whose name contains WORD, --list names them
+  campaign [--short]            what must hold when something else fails, in one table (under 80 minutes)
+>>>>>>> main
   firmware avr [--baud N] [--no-stack]
                                 the left hand's image: size, stack, how to flash it
   firmware nano33 [ble|bootloader]
@@ -45,6 +53,7 @@ fn run(args: &[String]) -> Result<ExitCode> {
     let words: Vec<&str> = args.iter().map(String::as_str).collect();
     match words.as_slice() {
         ["test", rest @ ..] => test::run(rest),
+        ["campaign", rest @ ..] => campaign::run(rest),
         ["firmware", "avr", rest @ ..] => {
             firmware_avr::run(rest)?;
             Ok(ExitCode::SUCCESS)

@@ -14,7 +14,7 @@ use crate::tools::{self, BLUETOOTH};
 use crate::{firmware_avr, firmware_nano33, root, target_dir};
 
 /// Files of the repository that keep their places, so that the documents' links hold.
-const FILES: [&str; 27] = [
+const FILES: [&str; 28] = [
     "CHANGELOG.md",
     "LICENSE-APACHE",
     "LICENSE-MIT",
@@ -28,6 +28,7 @@ const FILES: [&str; 27] = [
     "firmware-nano-avr/wiring.svg",
     "firmware-nano33/README.md",
     "firmware-nano33/docs/swd-pads.svg",
+    "firmware-nano33/sensor/NOTICE-Bosch.txt",
     "host-bridge/README.md",
     "host-bridge/scenes/bins.toml",
     "host-bridge/scenes/other-arm.toml",
@@ -46,11 +47,10 @@ const FILES: [&str; 27] = [
 /// Files that lie elsewhere in the archive.
 const MOVED: [(&str, &str); 2] = [
     ("xtask/package/INSTALL.txt", "INSTALL.txt"),
-    ("xtask/package/99-bimanual.rules", "udev/99-bimanual.rules"),
+    ("xtask/package/60-bimanual.rules", "udev/60-bimanual.rules"),
 ];
-/// What is in the archive, as cargo names it, and what it runs on. The right hand's image with Bluetooth is not: it holds
-/// Nordic's interface of the S140, whose licence is for those who flash it.
-const PARTS: [(&[&str], &str); 3] = [
+/// What is in the archive, as cargo names it, and what it runs on.
+const PARTS: [(&[&str], &str); 4] = [
     (&["-p", "host-bridge", "-p", "models", "--all-features"], "x86_64-unknown-linux-gnu"),
     (&["--manifest-path", "firmware-nano-avr/Cargo.toml"], "avr-none"),
     (
@@ -63,7 +63,14 @@ const PARTS: [(&[&str], &str); 3] = [
         ],
         "thumbv7em-none-eabihf",
     ),
+    // Both images with Bluetooth.
+    (&["--manifest-path", "firmware-nano33/Cargo.toml", "--features", "xiao"], "thumbv7em-none-eabihf"),
 ];
+/// Crates whose licence is a file of their own: read, and fit for an archive that carries the file. Nordic's five clauses let
+/// its interface of the S140 be passed on in images for Nordic's chips.
+const LICENCE_FILES: [(&str, &str); 1] = [("nrf-softdevice-s140", "Nordic's five clauses")];
+/// What a part holds that its own crate does not say.
+const MORE_NOTICES: [&str; 1] = ["firmware-nano33/sensor/NOTICE-Bosch.txt"];
 const PROGRAMS: [&str; 2] = ["host-bridge", "models"];
 
 /// Builds the archive under `target/package`, unpacks it once and runs what is in it.
@@ -116,10 +123,14 @@ fn images(folder: &Path) -> Result<()> {
     fs::create_dir_all(folder)?;
     firmware_avr::run(&["--no-stack"])?;
     copy(&firmware_avr::image().with_extension("hex"), &folder.join("nano.hex"))?;
-    firmware_nano33::run(&["bootloader"])?;
-    let objcopy = firmware_nano33::tool("objcopy");
-    let (from, to) = (firmware_nano33::image("bootloader"), folder.join("nano33-bootloader.bin"));
-    sh(Command::new(objcopy).args(["-O", "binary"]).arg(from).arg(to))
+    firmware_nano33::run(&[])?;
+    for (variant, format, name) in
+        [("bootloader", "binary", "nano33-bootloader.bin"), ("ble", "ihex", "nano33-s140.hex")]
+    {
+        let mut objcopy = Command::new(firmware_nano33::tool("objcopy"));
+        sh(objcopy.args(["-O", format]).arg(firmware_nano33::image(variant)).arg(folder.join(name)))?;
+    }
+    copy(&firmware_nano33::image("xiao").with_extension("uf2"), &folder.join("xiao.uf2"))
 }
 
 fn copy(from: &Path, to: &PathBuf) -> Result<()> {
@@ -137,6 +148,9 @@ fn parts(tree: &str) -> Result<Vec<Part<'_>>> {
     let mut parts = Vec::new();
     for line in tree.lines().filter(|line| !line.trim().is_empty() && !ours(line)) {
         let (part, licence) = line.split_once(": ").unwrap_or((line.trim_end_matches(':'), ""));
+        let name = part.split(' ').next().unwrap_or("");
+        let by_file = LICENCE_FILES.iter().find(|(of, _)| *of == name && licence.trim().is_empty());
+        let licence = by_file.map_or(licence, |(_, licence)| licence);
         // Of several licences one is enough; after a slash stands one, too.
         let free = licence
             .split(" OR ")
@@ -179,6 +193,9 @@ fn notices(parts: &[Part<'_>]) -> Result<String> {
     let mut all = format!("Programs and images are built from these crates:\n\n{list}");
     for (text, of) in &texts {
         all += &format!("\n{}\n{}\n\n{text}\n", "=".repeat(80), of.join(", "));
+    }
+    for file in MORE_NOTICES {
+        all += &format!("\n{}\n{}", "=".repeat(80), fs::read_to_string(root().join(file))?);
     }
     Ok(all)
 }
@@ -229,7 +246,35 @@ fn try_out(archive: &Path, name: &str, into: &Path) -> Result<()> {
 
 #[cfg(test)]
 mod tests {
-    use super::parts;
+    use super::{MOVED, parts};
+
+    /// systemd gives the port to who sits there in 73-seat-late.rules, by a tag that must be set before.
+    #[test]
+    fn the_udev_rule_is_read_in_time_and_knows_every_board() {
+        let (from, to) = MOVED.into_iter().find(|(from, _)| from.ends_with(".rules")).unwrap();
+        let name = to.rsplit('/').next().unwrap();
+        assert!(name < "73-seat-late.rules", "{name}");
+        let rules = std::fs::read_to_string(crate::root().join(from)).unwrap();
+        for (vendor, product) in [
+            ("2341", ""),
+            ("2a03", ""),
+            ("239a", ""),
+            ("2886", "0045"),
+            ("2886", "8045"),
+            ("0403", "6001"),
+            ("1a86", "7523"),
+            ("1a86", "7522"),
+            ("1a86", "5523"),
+            ("1a86", "55d4"),
+            ("10c4", "ea60"),
+        ] {
+            let line = rules.lines().find(|line| {
+                line.contains(&format!("idVendor}}==\"{vendor}\""))
+                    && (product.is_empty() || line.contains(&format!("idProduct}}==\"{product}\"")))
+            });
+            assert!(line.is_some_and(|line| line.contains("TAG+=\"uaccess\"")), "{vendor}:{product}");
+        }
+    }
 
     #[test]
     fn one_free_licence_is_enough_and_none_is_not() {
@@ -238,6 +283,7 @@ mod tests {
             parts(tree).unwrap(),
             [("a v1.0.0", "MIT/Apache-2.0"), ("b v2.0.0", "MIT OR GPL-3.0-only")]
         );
+        assert_eq!(parts("nrf-softdevice-s140 v0.1.2: \n").unwrap().len(), 1);
         for tree in
             ["c v1.0.0: GPL-2.0-only\n", "c v1.0.0: LGPL-2.1 OR GPL-3.0\n", "c v1.0.0:\n", "c v1.0.0: \n"]
         {

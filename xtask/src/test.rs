@@ -103,6 +103,7 @@ fn run_groups() -> Result<ExitCode> {
         announce("AVR_ELF", &firmware_avr::image());
         announce("NANO33_ELF", &firmware_nano33::image("bootloader"));
         announce("NANO33_BLE_ELF", &firmware_nano33::image("ble"));
+        announce("XIAO_ELF", &firmware_nano33::image("xiao"));
     }
     let tests = Beside::start(&program, TESTS, 19)?;
     let others = Beside::start(&program, OTHERS, 19)?;
@@ -179,8 +180,24 @@ fn cargo_for_laptop(subcommand: &str) -> Command {
 /// Always the same choice: cargo sets the features of shared dependencies by the packages that are built
 /// together, and would compile most of them again for any other choice.
 fn cargo_for_all(subcommand: &str) -> Command {
+<<<<<<< HEAD
     if !EMULATORS.is_complete() {
         return cargo_for_laptop(subcommand);
+=======
+    let mut command = cargo(&[subcommand, "--workspace", "--locked"]);
+    if EMULATORS.is_complete() {
+        command.args([
+            "--features",
+            "tests/avr,tests/nrf,tests/ble,host-bridge/urdf,host-bridge/ros2,host-bridge/lerobot",
+        ]);
+    } else {
+        command.args([
+            "--exclude",
+            "tests",
+            "--features",
+            "host-bridge/urdf,host-bridge/ros2,host-bridge/lerobot",
+        ]);
+>>>>>>> main
     }
     let features = format!("tests/avr,tests/nrf,tests/ble,{LAPTOP}");
     cargo(&[subcommand, "--workspace", "--locked", "--features", &features])
@@ -384,8 +401,16 @@ fn others() -> Vec<Step> {
             demo.args(["demo", "--headless", "--speed", "0", "--json", "--record"]).arg(&file);
             std::fs::write(&summary, output(&mut demo)?)?;
             let python = python::environment()?;
-            sh(Command::new(python).current_dir(root()).arg("tests/mcap/check.py").arg(&file).arg(&summary))?;
-            sh(built("host-bridge")?.arg("replay").arg(&file))
+            sh(Command::new(&python)
+                .current_dir(root())
+                .arg("tests/mcap/check.py")
+                .arg(&file)
+                .arg(&summary))?;
+            sh(built("host-bridge")?.arg("replay").arg(&file))?;
+            let set = folder.join("set");
+            let mut export = built("host-bridge")?;
+            sh(export.arg("export").arg(&file).arg("--lerobot").arg(&set).args(["--episodes", "motions"]))?;
+            sh(Command::new(python).current_dir(root()).arg("tests/lerobot/check.py").arg(&set))
         }),
     ];
     if is_full() {

@@ -1,21 +1,31 @@
-//! The Nano 33 BLE Sense's motion sensor, without the board: everything here runs on a laptop too.
+//! The right hand's motion sensors, without the board: everything here runs on a laptop too.
 //!
 //! ```text
-//! LSM9DS1 FIFO (238 Hz, the sensor's own clock) -> Imu::poll -> Grid -> 100 Hz, the board's crystal
+//! FIFO (the sensor's own clock) -> Imu::poll -> Grid -> 100 Hz, the board's crystal
 //! ```
 //!
-//! * [`lsm9ds1`]: the driver, async over embedded-hal-async I2C.
+//! * [`lsm9ds1`] (Nano 33 BLE Sense), [`bmi270`] (its Rev2) and [`lsm6ds3`] (XIAO nRF52840 Sense): the drivers, async over
+//!   embedded-hal-async I2C. [`found`] looks which one is there.
 //! * [`grid`]: finds out when the sensor took each set, and interpolates onto the 100 Hz grid.
-//! * [`Imu`]: what a second sensor (Rev2: BMI270 + BMM150) would have to offer.
+//! * [`Imu`]: what a sensor has to offer. All of them speak in the same counts and axes, so one model serves all.
 #![no_std]
 
+pub mod bmi270;
+pub mod found;
 pub mod grid;
+mod i2c;
+pub mod lsm6ds3;
 pub mod lsm9ds1;
 
-/// One accelerometer and gyroscope set in counts: accX accY accZ gyrX gyrY gyrZ.
+/// One accelerometer and gyroscope set: accX accY accZ gyrX gyrY gyrZ, in counts of [`SCALE`] along the raw axes of a
+/// Rev1 board's LSM9DS1 (left-handed, see [`lsm9ds1`]).
 pub type Set = [i16; 6];
 
-/// Deepest FIFO of a supported sensor, in sets.
+/// Physical value of one count of accelerometer, gyroscope and magnetometer, whatever sensor it comes from: m/s², deg/s,
+/// µT. The LSM9DS1's sensitivities at ±4 g, ±2000 deg/s and ±4 gauss; drivers of other sensors convert.
+pub const SCALE: [f32; 3] = [0.122e-3 * 9.80665, 0.07, 0.014];
+
+/// Most sets that one poll fetches; more waiting sets count as an overrun.
 pub const FIFO_SETS: usize = 32;
 
 /// What waited in the sensor since the last poll.
@@ -25,7 +35,7 @@ pub struct Batch {
     len: usize,
     /// The FIFO was full: sets were lost before the first one here.
     pub overrun: bool,
-    /// The newest magnetometer values in counts.
+    /// The newest magnetometer values in counts; zeros from a sensor of six axes.
     pub magnetometer: [i16; 3],
 }
 
@@ -66,12 +76,11 @@ pub enum ImuError {
     Missing(u8),
     /// Something else answers; its WHO_AM_I.
     Unknown(u8),
-    /// The sensors of a Rev2 board answer (BMI270), which this image does not support.
-    Rev2,
     /// A transfer failed; the bus address.
     Bus(u8),
-    /// The sensor lost its settings (power dip).
-    Reset,
+    /// The sensor at this bus address has other settings than it was given: one did not arrive, or it lost them (power
+    /// dip).
+    Reset(u8),
 }
 
 /// A motion sensor with a FIFO.
@@ -80,10 +89,10 @@ pub trait Imu {
     /// Sets per second by the data sheet. The true rate may differ by some per cent.
     fn nominal_hz(&self) -> f32;
 
-    /// Physical value of one count: m/s², deg/s, µT.
-    fn scale(&self) -> [f32; 3];
+    /// Values per sample that mean something: 9, or 6 without a magnetometer.
+    fn axes(&self) -> usize;
 
-    /// Checks who answers, resets and configures the sensor, and starts its FIFO.
+    /// Resets and configures the sensor, reads its settings back, and starts its FIFO.
     ///
     /// # Errors
     /// Says what is wrong with the sensor or the bus.

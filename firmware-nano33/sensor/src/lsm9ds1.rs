@@ -11,21 +11,22 @@
 use embedded_hal_async::delay::DelayNs;
 use embedded_hal_async::i2c::I2c;
 
+use crate::i2c::{Setting, read, set, triple, verify};
 use crate::{Batch, Imu, ImuError};
 
 /// Bus address of the accelerometer and gyroscope on this board (SA0 high).
 pub const ADDRESS_AG: u8 = 0x6B;
 /// Bus address of the magnetometer on this board.
 pub const ADDRESS_MAG: u8 = 0x1E;
-/// Bus address of the BMI270, the motion sensor of a Rev2 board.
-pub const ADDRESS_BMI270: u8 = 0x68;
 
-const WHO_AM_I: u8 = 0x0F;
-const WHO_AM_I_AG: u8 = 0x68;
+pub(crate) const WHO_AM_I: u8 = 0x0F;
+pub(crate) const WHO_AM_I_AG: u8 = 0x68;
 const WHO_AM_I_MAG: u8 = 0x3D;
-const CHIP_ID_BMI270: u8 = 0x24;
 
 const CTRL_REG1_G: u8 = 0x10;
+const STATUS: u8 = 0x17;
+/// The sensor is still busy with its start or its reset.
+const BOOT_STATUS: u8 = 1 << 3;
 const OUT_X_G: u8 = 0x18;
 const CTRL_REG6_XL: u8 = 0x20;
 const CTRL_REG8: u8 = 0x22;
@@ -50,6 +51,20 @@ const FIFO_COUNT: u8 = 0x3F;
 /// Sets to drop after a start: the first after a change of the FIFO mode, and four while the
 /// gyroscope's filter settles (data sheet, table 12).
 const SETTLING_SETS: u8 = 5;
+
+/// Settings of the magnetometer's die.
+const MAG: [Setting; 5] = [
+    // Temperature compensation, ultra-high performance, 80 Hz.
+    (CTRL_REG1_M, 0x80 | (3 << 5) | (7 << 2)),
+    // ±4 gauss.
+    (CTRL_REG2_M, 0),
+    // Z too in ultra-high performance.
+    (CTRL_REG4_M, 3 << 2),
+    // Block data update.
+    (CTRL_REG5_M, 0x40),
+    // Continuous conversion.
+    (CTRL_REG3_M, 0),
+];
 
 /// Range of the accelerometer.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -105,6 +120,19 @@ impl Config {
         }
     }
 
+    /// Settings of the accelerometer's and gyroscope's die.
+    fn ag(&self) -> [Setting; 5] {
+        [
+            // Block data update, address increment.
+            (CTRL_REG8, 0x44),
+            (CTRL_REG1_G, self.ctrl_reg1_g()),
+            (CTRL_REG6_XL, self.ctrl_reg6_xl()),
+            // FIFO on, overwriting its oldest.
+            (CTRL_REG9, 0x02),
+            (FIFO_CTRL, FIFO_CONTINUOUS),
+        ]
+    }
+
     fn ctrl_reg1_g(&self) -> u8 {
         // FS = 11: ±2000 deg/s.
         match self.rate {
@@ -146,34 +174,27 @@ impl<I: I2c> Lsm9ds1<I> {
         self.i2c
     }
 
-    async fn write(&mut self, address: u8, register: u8, value: u8) -> Result<(), ImuError> {
-        self.i2c.write(address, &[register, value]).await.map_err(|_| ImuError::Bus(address))
-    }
-
-    async fn read<const N: usize>(&mut self, address: u8, register: u8) -> Result<[u8; N], ImuError> {
-        let mut bytes = [0; N];
-        match self.i2c.write_read(address, &[register], &mut bytes).await {
-            Ok(()) => Ok(bytes),
-            Err(_) => Err(ImuError::Bus(address)),
-        }
-    }
-
     /// Both dies are there and are what they should be.
     async fn identify(&mut self) -> Result<(), ImuError> {
         for (address, wanted) in [(ADDRESS_AG, WHO_AM_I_AG), (ADDRESS_MAG, WHO_AM_I_MAG)] {
-            match self.read::<1>(address, WHO_AM_I).await {
+            match read::<1, _>(&mut self.i2c, address, WHO_AM_I).await {
                 Ok([who]) if who == wanted => {}
                 Ok([who]) => return Err(ImuError::Unknown(who)),
-                Err(_) => {
-                    // A Rev2 board has other sensors at other addresses; say so by name.
-                    return Err(match self.read::<1>(ADDRESS_BMI270, 0x00).await {
-                        Ok([CHIP_ID_BMI270]) => ImuError::Rev2,
-                        _ => ImuError::Missing(address),
-                    });
-                }
+                Err(_) => return Err(ImuError::Missing(address)),
             }
         }
         Ok(())
+    }
+
+    /// Waits until the accelerometer's die has started.
+    async fn booted(&mut self, delay: &mut impl DelayNs) -> Result<(), ImuError> {
+        for _ in 0..10 {
+            if read::<1, _>(&mut self.i2c, ADDRESS_AG, STATUS).await?[0] & BOOT_STATUS == 0 {
+                return Ok(());
+            }
+            delay.delay_ms(5).await;
+        }
+        Err(ImuError::Reset(ADDRESS_AG))
     }
 }
 
@@ -185,70 +206,49 @@ impl<I: I2c> Imu for Lsm9ds1<I> {
         }
     }
 
-    fn scale(&self) -> [f32; 3] {
-        self.config.scale()
+    fn axes(&self) -> usize {
+        9
     }
 
     async fn start(&mut self, delay: &mut impl DelayNs) -> Result<(), ImuError> {
         self.identify().await?;
         // Software reset of both dies (with address increment kept on), then the 10 ms of Arduino's library.
-        self.write(ADDRESS_AG, CTRL_REG8, 0x05).await?;
-        self.write(ADDRESS_MAG, CTRL_REG2_M, 0x0C).await?;
+        set(&mut self.i2c, ADDRESS_AG, &[(CTRL_REG8, 0x05)]).await?;
+        set(&mut self.i2c, ADDRESS_MAG, &[(CTRL_REG2_M, 0x0C)]).await?;
         delay.delay_ms(10).await;
-
-        let config = self.config;
-        for (register, value) in [
-            // Block data update, address increment.
-            (CTRL_REG8, 0x44),
-            (CTRL_REG1_G, config.ctrl_reg1_g()),
-            (CTRL_REG6_XL, config.ctrl_reg6_xl()),
-            // FIFO on, emptied by bypass, then overwriting its oldest.
-            (CTRL_REG9, 0x02),
-            (FIFO_CTRL, FIFO_BYPASS),
-            (FIFO_CTRL, FIFO_CONTINUOUS),
-        ] {
-            self.write(ADDRESS_AG, register, value).await?;
-        }
-        for (register, value) in [
-            // Temperature compensation, ultra-high performance, 80 Hz.
-            (CTRL_REG1_M, 0x80 | (3 << 5) | (7 << 2)),
-            // ±4 gauss.
-            (CTRL_REG2_M, 0),
-            // Z too in ultra-high performance.
-            (CTRL_REG4_M, 3 << 2),
-            // Block data update.
-            (CTRL_REG5_M, 0x40),
-            // Continuous conversion.
-            (CTRL_REG3_M, 0),
-        ] {
-            self.write(ADDRESS_MAG, register, value).await?;
-        }
+        self.booted(delay).await?;
+        // The FIFO is emptied by bypass first.
+        set(&mut self.i2c, ADDRESS_AG, &[(FIFO_CTRL, FIFO_BYPASS)]).await?;
+        let ag = self.config.ag();
+        set(&mut self.i2c, ADDRESS_AG, &ag).await?;
+        set(&mut self.i2c, ADDRESS_MAG, &MAG).await?;
+        verify(&mut self.i2c, ADDRESS_AG, &ag).await?;
+        verify(&mut self.i2c, ADDRESS_MAG, &MAG).await?;
         self.to_drop = SETTLING_SETS;
         Ok(())
     }
 
     async fn poll(&mut self, batch: &mut Batch) -> Result<(), ImuError> {
         batch.clear();
-        let [source] = self.read::<1>(ADDRESS_AG, FIFO_SRC).await?;
+        let [source] = read::<1, _>(&mut self.i2c, ADDRESS_AG, FIFO_SRC).await?;
         batch.overrun = source & FIFO_OVERRUN != 0;
         for _ in 0..source & FIFO_COUNT {
             // One burst rolls from the gyroscope's registers (18h..1Dh) to the accelerometer's (28h..2Dh).
-            let b = self.read::<12>(ADDRESS_AG, OUT_X_G).await?;
-            let at = |i: usize| i16::from_le_bytes([b[i], b[i + 1]]);
+            let b = read::<12, _>(&mut self.i2c, ADDRESS_AG, OUT_X_G).await?;
+            let ([gx, gy, gz], [ax, ay, az]) = (triple(&b[..6]), triple(&b[6..]));
             if self.to_drop > 0 {
                 self.to_drop -= 1;
             } else {
-                batch.push([at(6), at(8), at(10), at(0), at(2), at(4)]);
+                batch.push([ax, ay, az, gx, gy, gz]);
             }
         }
-        let b = self.read::<6>(ADDRESS_MAG, OUT_X_L_M | MAG_AUTO_INCREMENT).await?;
-        batch.magnetometer = [0, 2, 4].map(|i| i16::from_le_bytes([b[i], b[i + 1]]));
+        let b = read::<6, _>(&mut self.i2c, ADDRESS_MAG, OUT_X_L_M | MAG_AUTO_INCREMENT).await?;
+        batch.magnetometer = triple(&b);
         Ok(())
     }
 
     async fn check(&mut self) -> Result<(), ImuError> {
-        let [ag] = self.read::<1>(ADDRESS_AG, CTRL_REG1_G).await?;
-        let [mag] = self.read::<1>(ADDRESS_MAG, CTRL_REG3_M).await?;
-        if ag == self.config.ctrl_reg1_g() && mag == 0 { Ok(()) } else { Err(ImuError::Reset) }
+        verify(&mut self.i2c, ADDRESS_AG, &self.config.ag()).await?;
+        verify(&mut self.i2c, ADDRESS_MAG, &[(CTRL_REG3_M, 0)]).await
     }
 }

@@ -11,7 +11,9 @@ use host_bridge::links::SerialSettings;
 use host_bridge::survey::Survey;
 use host_bridge::talk::{ModelNeeds, Said, Talk, Who};
 use shared_dsp::mlp::crc32;
-use shared_proto::message::{Board, Fault, HostMessage, Mode, PROTOCOL_MAJOR, PROTOCOL_MINOR, Status};
+use shared_proto::message::{
+    About, Board, Fault, HostMessage, Image, Mode, PROTOCOL_MAJOR, PROTOCOL_MINOR, ResetCause, Sensor, Status,
+};
 
 use super::ports::{check_name, read_config, settings};
 
@@ -91,6 +93,7 @@ struct Report {
 struct Heard {
     who: Who,
     model: Option<ModelNeeds>,
+    about: Option<About>,
     survey: Survey,
     status: Option<Status>,
     faults: Vec<Fault>,
@@ -126,6 +129,7 @@ fn listen(talk: &mut Talk, who: Who, listen_ms: u64) -> Heard {
     let mut heard = Heard {
         who,
         model: None,
+        about: None,
         survey: Survey::default(),
         status: None,
         faults: Vec::new(),
@@ -160,6 +164,7 @@ fn listen(talk: &mut Talk, who: Who, listen_ms: u64) -> Heard {
                 heard.survey.round_trip(at_ms.saturating_sub(pinged.1));
             }
             Some((_, Said::Model(model))) => heard.model = Some(model),
+            Some((_, Said::About(about))) => heard.about = Some(about),
             Some((_, Said::Status(status))) => heard.status = Some(status),
             Some((_, Said::Fault(fault))) => {
                 heard.faults.retain(|known| known.kind != fault.kind);
@@ -189,6 +194,9 @@ fn lines(heard: &Heard) -> Vec<String> {
         "{}, firmware {}, protocol {}.{}, boot {:08x}",
         who.board, who.firmware, who.version.0, who.version.1, who.boot_id
     )];
+    if let Some(about) = &heard.about {
+        lines.push(made_of(about));
+    }
     if who.model_id != 0 {
         let labels = heard.model.as_ref().map(|m| m.labels.join(", ")).unwrap_or_default();
         let needs = heard.model.as_ref().map_or(String::new(), |m| {
@@ -228,6 +236,33 @@ fn lines(heard: &Heard) -> Vec<String> {
 const CRYSTAL_DRIFT_PPM: u32 = 500;
 /// The same for an Arduino Nano, whose 16 MHz come from a ceramic resonator (0.5 % and ageing).
 const RESONATOR_DRIFT_PPM: u32 = 10_000;
+
+/// Sensor, image, why it started, battery.
+fn made_of(about: &About) -> String {
+    let sensor = match about.sensor {
+        Sensor::None => "no sensor found".to_owned(),
+        Sensor::Unknown(number) => format!("a sensor that is not known here ({number}), {} axes", about.axes),
+        known => format!("sensor {}, {} axes", format!("{known:?}").to_uppercase(), about.axes),
+    };
+    let image = match about.image {
+        Image::Bootloader => "behind the Arduino bootloader, without Bluetooth".to_owned(),
+        Image::S140 => "behind S140".to_owned(),
+        Image::Uf2 => "behind S140 and the UF2 bootloader".to_owned(),
+        Image::Unknown(number) => format!("of a kind that is not known here ({number})"),
+    };
+    let reset = match about.reset {
+        ResetCause::PowerUp => "power-up",
+        ResetCause::Pin => "the reset button",
+        ResetCause::Watchdog => "its watchdog",
+        ResetCause::Software => "itself or its bootloader",
+        _ => "something else",
+    };
+    let battery = match about.battery_mv {
+        0 => "unknown".to_owned(),
+        mv => format!("{:.2} V", f64::from(mv) / 1000.0),
+    };
+    format!("{sensor}; image {image}; started by {reset}; battery {battery}")
+}
 
 fn advice(heard: &Heard) -> Vec<String> {
     let left = is_left(heard.who.board);

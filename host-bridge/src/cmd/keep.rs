@@ -55,6 +55,15 @@ impl KeepArgs {
     #[cfg(feature = "mcap")]
     pub fn start(&self, tap: &mut Tap, start: &Start<'_>) -> Result<Keeper> {
         let Some(file) = &self.record else { return Ok(Keeper::default()) };
+        // A recording that was killed gets the index that it lacks.
+        for done in host_bridge::journal::index::complete_beside(file) {
+            match done {
+                Ok(file) => {
+                    eprintln!("{}: its recording was cut short; it has its index now", file.display())
+                }
+                Err(problem) => eprintln!("{problem}; it has no index"),
+            }
+        }
         let setup = Setup {
             title: start.title.to_owned(),
             config: start.config.clone(),

@@ -3,6 +3,7 @@
 pub mod calibrate;
 pub mod demo;
 pub mod doctor;
+pub mod export;
 pub mod keep;
 pub mod list;
 pub mod ports;

@@ -68,6 +68,14 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     for label in &labels {
         check_name("label", label)?;
     }
+    // Before anybody performs anything for it.
+    for label in &labels {
+        let folder = args.out.join(label);
+        let trial = next_file(&folder, &args.person)?.with_extension("trial");
+        std::fs::write(&trial, []).and_then(|()| std::fs::remove_file(&trial)).with_context(|| {
+            format!("{}: nothing can be written here; is there room, and may you?", folder.display())
+        })?;
+    }
     let (port, settings) = args.port.resolve(Hand::Right)?;
     // From here on an end from outside is a flag, so that the board can be brought back to classifying.
     let interrupted = Arc::new(AtomicBool::new(false));

@@ -163,6 +163,9 @@ pub fn run(args: &Args) -> Result<ExitCode> {
 fn again(file: &Path, args: &Args) -> Result<ExitCode> {
     use host_bridge::observe::SessionEvent;
     let about = || format!("{}", file.display());
+    if host_bridge::journal::index::complete(file).unwrap_or(false) {
+        say(&args.play, "the recording was cut short; the file has its index now");
+    }
     let bytes = std::fs::read(file).with_context(about)?;
     let replay = host_bridge::journal::replay(&bytes).with_context(about)?;
     for event in &replay.events {

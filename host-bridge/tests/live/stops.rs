@@ -85,10 +85,38 @@ impl Bridge {
     /// Driving forward, and where to look for what follows.
     fn driving(talker: &Talker, more: &[&str]) -> (Self, usize) {
         let bridge = Bridge::start(talker, more);
-        bridge.wait(0, |line| line["event"] == "state" && line["state"] == "armed");
-        talker.point(Heading::Forward);
-        let from = bridge.wait(0, |line| line["event"] == "heading" && line["heading"] == "forward").0 + 1;
+        let from = bridge.drive(talker, 0);
         (bridge, from)
+    }
+
+    /// Drives forward from neutral; where to look for what follows. A busy machine makes the board late, and the bridge
+    /// is right to halt then: it goes on from neutral.
+    fn drive(&self, talker: &Talker, mut from: usize) -> usize {
+        let until = Instant::now() + PATIENCE;
+        loop {
+            talker.point(Heading::Neutral);
+            while !self.is_armed() {
+                assert!(Instant::now() < until, "never armed; lines: {:#?}", self.lines.lock().unwrap());
+                std::thread::sleep(Duration::from_millis(2));
+            }
+            talker.point(Heading::Forward);
+            let soon = Instant::now() + Duration::from_secs(2);
+            while Instant::now() < soon {
+                let forward = |line: &Value| line["event"] == "heading" && line["heading"] == "forward";
+                if let Some((at, ..)) = self.seen(from, forward) {
+                    return at + 1;
+                }
+                std::thread::sleep(Duration::from_millis(2));
+            }
+            from = self.lines.lock().unwrap().len();
+        }
+    }
+
+    /// As the last state says.
+    fn is_armed(&self) -> bool {
+        let lines = self.lines.lock().unwrap();
+        let last = lines.iter().rev().find(|(_, line)| line["event"] == "state");
+        last.is_some_and(|(_, line)| line["state"] == "armed")
     }
 
     fn seen(&self, from: usize, wanted: impl Fn(&Value) -> bool) -> Option<(usize, Instant, Value)> {
@@ -188,9 +216,11 @@ struct OnTerminal {
     terminal: File,
 }
 
+/// A copy that no other program inherits: it would keep the terminal from vanishing.
 fn file(port: TTYPort) -> File {
     // Safety: the port gives its descriptor away.
-    unsafe { OwnedFd::from_raw_fd(port.into_raw_fd()) }.into()
+    let port: OwnedFd = unsafe { OwnedFd::from_raw_fd(port.into_raw_fd()) };
+    port.try_clone().unwrap().into()
 }
 
 impl OnTerminal {
@@ -379,10 +409,7 @@ fn a_program_that_was_stopped_and_continued_moves_nothing_before_neutral() {
         std::thread::sleep(Duration::from_millis(1500));
         let moved = bridge.seen(at, |line| line["event"] == "heading");
         assert!(moved.is_none(), "after {pause_ms} ms: {moved:?}");
-        talker.point(Heading::Neutral);
-        bridge.wait(at, |line| line["event"] == "state" && line["state"] == "armed");
-        talker.point(Heading::Forward);
-        bridge.wait(at, |line| line["event"] == "heading" && line["heading"] == "forward");
+        bridge.drive(&talker, at);
     }
     println!("row: stopped and continued: nothing before neutral | {} | 0 moves | 0 moves", pauses_ms.len());
 }

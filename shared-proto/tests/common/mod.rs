@@ -31,7 +31,7 @@ pub struct Material {
 }
 
 /// Kinds of [`BoardMessage`] and [`HostMessage`].
-pub const BOARD_KINDS: usize = 9;
+pub const BOARD_KINDS: usize = 10;
 pub const HOST_KINDS: usize = 8;
 
 impl Material {
@@ -150,7 +150,14 @@ impl Material {
                 result: AckResult::from(w[1] as u8),
                 next_offset: w[2],
             }),
-            _ => BoardMessage::ModelInfo(self.model_info()),
+            8 => BoardMessage::ModelInfo(self.model_info()),
+            _ => BoardMessage::About(About {
+                sensor: Sensor::from(w[0] as u8),
+                axes: w[1] as u8,
+                image: Image::from(w[2] as u8),
+                reset: ResetCause::from(w[3] as u8),
+                battery_mv: w[4] as u16,
+            }),
         }
     }
 

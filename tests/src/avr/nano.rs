@@ -2,8 +2,9 @@
 //!
 //! simavr paces a sleeping program to the wall clock; here its sleep callback does nothing, so virtual
 //! time runs as fast as the laptop can. simavr's quirks that matter: a UART byte takes 11 bit times
-//! instead of 10 (so our latencies are overstated a little), an EEPROM byte is written at once, and a
-//! reset sets its cycle counter back to 0 (we keep the total).
+//! instead of 10 (so our latencies are overstated a little), an EEPROM byte is written at once, a
+//! reset sets its cycle counter back to 0 (we keep the total), and two lies that are mended here: it sleeps without
+//! SMCR.SE, and a watchdog that may interrupt never resets a program that has interrupts off.
 
 use std::cell::{Cell, RefCell};
 use std::collections::VecDeque;
@@ -24,6 +25,9 @@ pub const EEPROM_BYTES: usize = 1024;
 /// Addresses of registers in data space.
 const ADMUX: u16 = 0x7C;
 const EECR: u16 = 0x3F;
+const SMCR: usize = 0x53;
+const MCUSR: usize = 0x54;
+const WDTCSR: usize = 0x60;
 /// RAM begins behind the registers.
 const RAM: std::ops::Range<usize> = 0x100..0x900;
 
@@ -76,11 +80,20 @@ struct Wires {
     conversions: Cell<u64>,
 }
 
+thread_local! {
+    /// Clocks asleep of the board that runs on this thread (simavr's sleep callback takes no parameter).
+    static ASLEEP: Cell<u64> = const { Cell::new(0) };
+}
+
 /// The board.
 pub struct Nano {
     avr: *mut ffi::avr_t,
     wires: Box<Wires>,
     resets: u32,
+    asleep: u64,
+    optiboot: bool,
+    /// Since when the watchdog's interrupt waits.
+    waiting_since: Option<u64>,
 }
 
 const fn ioctl(name: &[u8; 4]) -> u32 {
@@ -104,7 +117,7 @@ impl Nano {
             firmware.avcc = 5000;
             firmware.aref = 3300;
             ffi::avr_load_firmware(avr, &mut firmware);
-            (*avr).sleep = Some(no_sleep);
+            (*avr).sleep = Some(on_sleep);
             // RAM wakes up with anything in it.
             for address in RAM {
                 *(*avr).data.add(address) = (address as u8).wrapping_mul(37) ^ 0x5A;
@@ -121,7 +134,7 @@ impl Nano {
                 before_reset: Cell::new(0),
                 conversions: Cell::new(0),
             });
-            let nano = Self { avr, wires, resets: 0 };
+            let nano = Self { avr, wires, resets: 0, asleep: 0, optiboot: false, waiting_since: None };
             nano.connect();
             nano.set_eeprom(eeprom);
             nano
@@ -179,11 +192,15 @@ impl Nano {
                 "the program ended (state {state}) at {:.1} ms",
                 self.now_ms()
             );
+            self.asleep += ASLEEP.replace(0);
+            self.watchdog_interrupt_must_not_wait();
             let now = unsafe { (*self.avr).cycle };
             if now + self.wires.before_reset.get() < last {
                 self.wires.before_reset.set(last);
                 self.resets += 1;
                 has_heartbeat = false;
+                self.waiting_since = None;
+                self.pass_optiboot();
                 // Its timers are gone: what was under way to the board is lost.
                 self.wires.to_receive.borrow_mut().clear();
             }
@@ -197,6 +214,51 @@ impl Nano {
     /// Runs for a while.
     pub fn run_ms(&mut self, ms: f64) {
         self.run_until(self.cycle() + (ms * CYCLES_PER_MS as f64) as u64);
+    }
+
+    /// Where the watchdog's interrupt is not taken until its next time-out, that one resets (data sheet, "Interrupt and
+    /// System Reset Mode").
+    fn watchdog_interrupt_must_not_wait(&mut self) {
+        const WDIF: u8 = 1 << 7;
+        const WDIE: u8 = 1 << 6;
+        const WDE: u8 = 1 << 3;
+        let control = self.peek(WDTCSR);
+        if control & (WDIF | WDIE | WDE) != WDIF | WDIE | WDE {
+            self.waiting_since = None;
+            return;
+        }
+        let since = *self.waiting_since.get_or_insert(self.cycle());
+        let timeout = (2048 << (control & 7)) * CYCLES_PER_MS / 128;
+        if self.cycle() + 10 * CYCLES_AT_ONCE >= since + timeout {
+            self.poke(WDTCSR, control & !WDIE);
+        }
+    }
+
+    /// What Optiboot 4.4 does between a reset and the program.
+    fn pass_optiboot(&mut self) {
+        if self.optiboot {
+            self.poke(MCUSR, 0);
+            // Its stack.
+            for address in RAM.end - 8..RAM.end {
+                self.poke(address, 0x0B);
+            }
+        }
+    }
+
+    /// Optiboot is in flash: the program never sees why it was reset.
+    pub fn pretend_optiboot(&mut self) {
+        self.optiboot = true;
+        self.pass_optiboot();
+    }
+
+    /// Clocks asleep since power-on.
+    pub fn asleep(&self) -> u64 {
+        self.asleep
+    }
+
+    /// Whether SLEEP does anything (SMCR.SE).
+    pub fn may_sleep(&self) -> bool {
+        self.peek(SMCR) & 1 != 0
     }
 
     /// Resets by the watchdog so far.
@@ -261,13 +323,13 @@ impl Nano {
     /// Pulls the reset line: the button, or a laptop that opens the port.
     pub fn reset(&mut self) {
         const EXTRF: u8 = 1 << 1;
-        const MCUSR: usize = 0x54;
         self.poke(MCUSR, self.peek(MCUSR) | EXTRF);
         let before = self.cycle();
         // Safety: the emulator is not running.
         unsafe { ffi::avr_reset(self.avr) };
         self.wires.before_reset.set(before);
         self.wires.to_receive.borrow_mut().clear();
+        self.pass_optiboot();
     }
 
     /// Puts bytes where the old bootloader starts, so that the program finds one.
@@ -384,7 +446,18 @@ impl Wires {
     }
 }
 
-unsafe extern "C" fn no_sleep(_: *mut ffi::avr_t, _: u64) {}
+/// The core sleeps for so many clocks, unless SMCR.SE is clear: then SLEEP does nothing.
+unsafe extern "C" fn on_sleep(avr: *mut ffi::avr_t, clocks: u64) {
+    unsafe {
+        if *(*avr).data.add(SMCR) & 1 != 0 {
+            ASLEEP.set(ASLEEP.get() + clocks + 1);
+        } else {
+            (*avr).state = ffi::cpu_Running as i32;
+            // simavr adds them afterwards.
+            (*avr).cycle = (*avr).cycle.wrapping_sub(clocks);
+        }
+    }
+}
 
 unsafe extern "C" fn on_heartbeat(_: *mut ffi::avr_t, _: u64, _: *mut c_void) -> u64 {
     0

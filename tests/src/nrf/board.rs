@@ -5,11 +5,14 @@
 
 use unicorn_engine::{Arch, ArmCpuModel, HookType, Mode, Prot, RegisterARM, Unicorn};
 
+use super::bmi270::Bmi270;
+use super::i2c::Sensor;
 use super::image::Image;
+use super::lsm6ds3::Lsm6ds3;
 use super::lsm9ds1::{Lsm9ds1, Motion};
 use super::memory::{FLASH_BYTES, RAM_BYTES, RAM_START};
 use super::nvic::FIRST_IRQ;
-use super::soc::{SLOTS_END, SLOTS_START, Soc};
+use super::soc::{SLOTS_END, SLOTS_START, Soc, Wiring};
 use super::softdevice::rules::FORWARD_CYCLES;
 use super::softdevice::{APPLICATION, Core, SoftDevice};
 use super::time::{HZ, us};
@@ -108,6 +111,15 @@ impl World {
     }
 }
 
+/// What the stock bootloader takes for a double press of reset: this word at this address.
+const DOUBLE_PRESS: (u32, u32) = (0x2000_7FFC, 0x0773_8135);
+/// RAM that the stock bootloader uses as its stack.
+const BOOTLOADER_STACK: std::ops::Range<u32> = 0x2000_6D48..0x2000_8D48;
+/// A reset by the pin, by the watchdog and by software, in RESETREAS.
+const PIN: u32 = 1;
+const WATCHDOG: u32 = 2;
+const SOFT: u32 = 4;
+
 /// How the image is started.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Boot {
@@ -117,16 +129,64 @@ pub enum Boot {
     SoftDevice,
 }
 
+/// Which board it is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// Nano 33 BLE Sense with an LSM9DS1.
+    Nano33,
+    /// Nano 33 BLE Sense Rev2 with a BMI270.
+    Nano33Rev2,
+    /// XIAO nRF52840 Sense with an LSM6DS3TR-C, S140 and a UF2 bootloader.
+    Xiao,
+}
+
+impl Kind {
+    fn sensor(self, motion: Box<dyn Motion>) -> Box<dyn Sensor> {
+        match self {
+            Self::Nano33 => Box::new(Lsm9ds1::new(motion)),
+            Self::Nano33Rev2 => Box::new(Bmi270::new(motion)),
+            Self::Xiao => Box::new(Lsm6ds3::new(motion)),
+        }
+    }
+
+    /// As in `../shared/reference/hardware.md` and, for the XIAO, Zephyr's board files.
+    fn wiring(self) -> Wiring {
+        match self {
+            Self::Nano33 | Self::Nano33Rev2 => Wiring {
+                power: (0, 22),
+                needs_high_drive: self == Self::Nano33Rev2,
+                pull_ups: Some((1, 0)),
+                sda: 14,
+                scl: 15,
+                uart_rx: (1, 10),
+                led: [24, 16, 6],
+            },
+            Self::Xiao => Wiring {
+                power: (1, 8),
+                needs_high_drive: true,
+                pull_ups: None,
+                sda: 7,
+                scl: 27,
+                uart_rx: (1, 12),
+                led: [26, 30, 6],
+            },
+        }
+    }
+}
+
 /// The emulated board.
 pub struct Board {
     uc: Unicorn<'static, World>,
     image: Image,
     boot: Boot,
+    kind: Kind,
+    slow_crystal: bool,
     asleep: bool,
     frames: Vec<bool>,
     /// Resets since power-up, with their reasons (RESETREAS).
     pub resets: Vec<u32>,
-    /// The stand-in bootloader was asked to stay.
+    /// The stand-in bootloader was asked to stay. It takes an upload until the board is reset; like the stock one it
+    /// never feeds a watchdog.
     pub in_bootloader: bool,
     slept: u64,
 }
@@ -144,12 +204,20 @@ fn decode(soc_flash: &[u8], address: u32, size: u32) -> u64 {
 }
 
 impl Board {
-    /// A board with the image in its flash, about to start.
+    /// A Nano 33 BLE Sense (Rev1) with the image in its flash, about to start.
     ///
     /// # Panics
     /// Where the emulator cannot be set up.
     pub fn new(image: Image, boot: Boot, motion: Box<dyn Motion>) -> Self {
-        let mut soc = Soc::new(Lsm9ds1::new(motion));
+        Self::of_kind(Kind::Nano33, image, boot, motion)
+    }
+
+    /// A board of this kind with the image in its flash, about to start.
+    ///
+    /// # Panics
+    /// As [`Self::new`].
+    pub fn of_kind(kind: Kind, image: Image, boot: Boot, motion: Box<dyn Motion>) -> Self {
+        let mut soc = Soc::new(kind.wiring(), kind.sensor(motion));
         for (address, bytes) in &image.pieces {
             soc.flash[*address as usize..][..bytes.len()].copy_from_slice(bytes);
         }
@@ -215,6 +283,8 @@ impl Board {
             uc,
             image,
             boot,
+            kind,
+            slow_crystal: false,
             asleep: false,
             frames: Vec::new(),
             resets: Vec::new(),
@@ -370,17 +440,36 @@ impl Board {
     /// What the bootloader or the MBR does before the image's first instruction.
     fn start(&mut self) {
         let table = self.image.vector_table;
-        let boot = self.boot;
+        let (boot, kind, slow_crystal) = (self.boot, self.kind, self.slow_crystal);
         let soc = self.soc();
-        if boot == Boot::StockBootloader && soc.power.read(0x51C) == 0xB0 {
+        if kind == Kind::Xiao && soc.power.read(0x51C) == 0x57 {
             soc.power.write(0x51C, 0, 0);
             self.in_bootloader = true;
             return;
         }
         if boot == Boot::StockBootloader {
-            // As the stock one: its own table stays, UARTE0 is on, RTC1's compare interrupt is enabled.
-            soc.write(0x4000_2500, 8, 4);
+            let stays = soc.power.read(0x51C) == 0xB0 || soc.ram.word(DOUBLE_PRESS.0) == DOUBLE_PRESS.1;
+            soc.power.write(0x51C, 0, 0);
+            soc.ram.put(BOOTLOADER_STACK.start, &vec![0xB0; BOOTLOADER_STACK.len()]);
+            if stays {
+                self.in_bootloader = true;
+                return;
+            }
+            // As the stock one leaves it: its own table stays, the converter and the cache are on.
+            soc.write(0x4000_0578, 1, 4);
+            soc.write(0x4001_E540, 1, 4);
+            // UARTE0 receives into one byte of its RAM, which is ours now.
+            for (offset, value) in
+                [(0x50C, 35), (0x514, 42), (0x524, 0x01D6_0000), (0x534, 0x2000_9BD4), (0x538, 1), (0x500, 8)]
+            {
+                soc.write(0x4000_2000 + offset, value, 4);
+            }
+            soc.write(0x4000_2000, 1, 4);
+            // RTC1's compare interrupt is enabled.
             soc.write(0x4001_1304, 1 << 16, 4);
+            if slow_crystal {
+                soc.write(0x4000_0304, 1 << 1, 4);
+            }
         }
         let (stack, entry) = (self.load(table), self.load(table + 4));
         for register in [RegisterARM::IPSR, RegisterARM::PRIMASK, RegisterARM::BASEPRI, RegisterARM::CONTROL]
@@ -582,7 +671,11 @@ impl Board {
     /// # Panics
     /// Where the core faults; the message names the place.
     pub fn run_until(&mut self, until: u64) {
-        while self.now() < until && !self.in_bootloader {
+        while self.now() < until {
+            if self.in_bootloader {
+                self.wait_in_bootloader(until);
+                continue;
+            }
             let soc = self.soc();
             if soc.nvmc.busy_until > soc.now {
                 // The core stands still while flash is written; interrupts wait.
@@ -595,11 +688,11 @@ impl Board {
             let soc = self.soc();
             let now = soc.now;
             if soc.watchdog.bites(now) {
-                self.reset(2);
+                self.reset(WATCHDOG);
                 continue;
             }
             if soc.nvic.reset_wanted {
-                self.reset(4);
+                self.reset(SOFT);
                 continue;
             }
             let (waiting, due) = (soc.nvic.any_ready(), soc.due);
@@ -625,6 +718,38 @@ impl Board {
             self.execute(until);
         }
         self.softdevice_woke();
+    }
+
+    /// Time goes by in the stand-in bootloader, until a watchdog that the image left running bites.
+    fn wait_in_bootloader(&mut self, until: u64) {
+        // The UF2 bootloader feeds one that runs.
+        let feeds = self.kind == Kind::Xiao;
+        let soc = self.soc();
+        let bite = soc.watchdog.due().filter(|&due| due <= until && !feeds);
+        soc.now = soc.now.max(bite.unwrap_or(until));
+        if bite.is_some() {
+            self.in_bootloader = false;
+            self.reset(WATCHDOG);
+        }
+    }
+
+    /// Somebody presses the reset button.
+    pub fn press_reset(&mut self) {
+        self.in_bootloader = false;
+        self.reset(PIN);
+    }
+
+    /// The slow crystal took longer to start than the stock bootloader waits: it leaves CLOCK's interrupt enabled.
+    pub fn leave_clock_interrupt(&mut self) {
+        self.slow_crystal = true;
+        self.start();
+    }
+
+    /// The program finds itself at the start of this function.
+    pub fn jump(&mut self, function: &str) {
+        let address = self.image.function(function);
+        self.set_reg(RegisterARM::PC, address | 1);
+        self.asleep = false;
     }
 
     fn execute(&mut self, until: u64) {

@@ -12,10 +12,12 @@ pub enum Variant {
     Bootloader,
     /// Behind S140 at 0x27000.
     Ble,
+    /// As `Ble`, for a XIAO nRF52840 Sense.
+    Xiao,
 }
 
-/// The image of a variant, built by `cargo xtask firmware nano33`. `BIMANUAL_NANO33_ELF` and `BIMANUAL_NANO33_BLE_ELF`
-/// name other ones, or these where they are built already, as `cargo xtask test` does.
+/// The image of a variant, built by `cargo xtask firmware nano33`. `BIMANUAL_NANO33_ELF`, `BIMANUAL_NANO33_BLE_ELF` and
+/// `BIMANUAL_XIAO_ELF` name other ones, or these where they are built already, as `cargo xtask test` does.
 ///
 /// # Panics
 /// Where it does not build; the reason is on the terminal.
@@ -25,18 +27,33 @@ pub fn image(variant: Variant) -> Image {
     let (cell, given) = match variant {
         Variant::Bootloader => (&BOOTLOADER, "BIMANUAL_NANO33_ELF"),
         Variant::Ble => (&BLE, "BIMANUAL_NANO33_BLE_ELF"),
+        Variant::Xiao => (&XIAO, "BIMANUAL_XIAO_ELF"),
     };
     let path = cell.get_or_init(|| std::env::var_os(given).map_or_else(|| build(variant), PathBuf::from));
     Image::load(path)
 }
 
+/// The XIAO's image as its bootloader takes it.
+///
+/// # Panics
+/// Where it is not there.
+pub fn uf2() -> Vec<u8> {
+    image(Variant::Xiao);
+    let elf = XIAO.get().expect("asked for above");
+    let file = elf.with_extension("uf2");
+    std::fs::read(&file).unwrap_or_else(|e| panic!("{}: {e}", file.display()))
+}
+
+static XIAO: OnceLock<PathBuf> = OnceLock::new();
+
 fn build(variant: Variant) -> PathBuf {
-    // Both variants leave their image at the same place first: one after the other.
+    // All variants leave their image at the same place first: one after the other.
     static ONE: Mutex<()> = Mutex::new(());
     let _one = ONE.lock();
     let name = match variant {
         Variant::Bootloader => "bootloader",
         Variant::Ble => "ble",
+        Variant::Xiao => "xiao",
     };
     crate::firmware::build(&["nano33", name], &format!("thumbv7em-none-eabihf/release/nano33-{name}"))
 }

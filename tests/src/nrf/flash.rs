@@ -9,6 +9,8 @@ pub const PAGE: usize = 4096;
 #[derive(Clone, Debug, Default)]
 pub struct Nvmc {
     config: u32,
+    /// ICACHECNF: the instruction cache is on.
+    pub cache: bool,
     /// The core stands still until this cycle.
     pub busy_until: u64,
     /// Pages erased since the start.
@@ -78,14 +80,17 @@ impl Nvmc {
         match offset {
             0x400 | 0x408 => 1,
             0x504 => self.config,
+            0x540 => u32::from(self.cache),
             _ => 0,
         }
     }
 
     /// Writes the configuration; erasing is the caller's, who has the memory.
     pub fn write(&mut self, offset: u32, value: u32) {
-        if offset == 0x504 {
-            self.config = value;
+        match offset {
+            0x504 => self.config = value,
+            0x540 => self.cache = value & 1 != 0,
+            _ => {}
         }
     }
 }

@@ -25,6 +25,16 @@ impl Port {
         }
     }
 
+    /// Whether the pin drives high with full strength ("high 0, high 1").
+    pub fn drives_strongly(&self, pin: u32) -> bool {
+        self.drives(pin) == Some(true) && (self.config[pin as usize] >> 8) & 7 == 3
+    }
+
+    /// Whether the pin has its pull-up resistor on.
+    pub fn pulls_up(&self, pin: u32) -> bool {
+        (self.config[pin as usize] >> 2) & 3 == 3
+    }
+
     fn level(&self) -> u32 {
         (0..32).fold(0, |levels, pin| {
             let high = self.drives(pin).unwrap_or(self.outside & (1 << pin) != 0);

@@ -1,6 +1,32 @@
 //! The sensor bus: who is on it, whether it has power and pull-ups, and a device that holds SDA low.
 
-use super::lsm9ds1::Lsm9ds1;
+use super::lsm9ds1::Motion;
+use super::time::ms;
+
+/// From power to the first answer: the turn-on time of ST's sensors of this kind.
+const BOOT: u64 = ms(35);
+
+/// A motion sensor at the bus, with a clock of its own.
+pub trait Sensor {
+    /// Whether it answers at this address.
+    fn has_address(&self, address: u8) -> bool;
+    /// A write transfer: the first byte selects the register.
+    fn write(&mut self, address: u8, bytes: &[u8], now: u64);
+    /// A read transfer from the selected register.
+    fn read(&mut self, address: u8, bytes: &mut [u8], now: u64);
+    /// Loses its settings, as in a power dip.
+    fn power_cycle(&mut self);
+    /// Another hand takes the sensor.
+    fn set_motion(&mut self, motion: Box<dyn Motion>);
+    /// True period over nominal period of the sensor's own clock.
+    fn set_clock_ratio(&mut self, ratio: f64);
+    /// The next write to this register does not arrive.
+    fn lose_write(&mut self, register: u8);
+    /// Sets taken since power-up.
+    fn sets(&self) -> u64;
+    /// Breaks in a way that it reports itself, where it can.
+    fn fail(&mut self) {}
+}
 
 /// How a transfer ends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -16,8 +42,8 @@ pub enum Reply {
 /// The bus with its devices.
 pub struct Bus {
     /// The sensor; other firmware-relevant devices are not on this board's bus.
-    pub sensor: Lsm9ds1,
-    /// P0.22 and P1.00 are high.
+    pub sensor: Box<dyn Sensor>,
+    /// The sensor and the pull-ups are supplied.
     pub powered: bool,
     /// The next transfers are not acknowledged.
     pub nacks: u32,
@@ -25,8 +51,11 @@ pub struct Bus {
     pub stuck_clocks: u32,
     /// The sensor is unplugged.
     pub unplugged: bool,
-    /// The sensors of a Rev2 board are there instead.
-    pub rev2: bool,
+    supplied: bool,
+    /// The controller uses the sensor's pins.
+    pub wired: bool,
+    /// The sensors answer from this cycle on.
+    awake_at: u64,
     /// Transfers so far.
     pub transfers: u64,
     scl_was_low: bool,
@@ -34,20 +63,35 @@ pub struct Bus {
 
 impl Bus {
     /// A bus with a sensor, without power.
-    pub fn new(sensor: Lsm9ds1) -> Self {
+    pub fn new(sensor: Box<dyn Sensor>) -> Self {
         Self {
             sensor,
             powered: false,
             nacks: 0,
             stuck_clocks: 0,
             unplugged: false,
-            rev2: false,
+            supplied: false,
+            wired: true,
+            awake_at: 0,
             transfers: 0,
             scl_was_low: false,
         }
     }
 
-    fn answers(&mut self, address: u8) -> Reply {
+    /// The sensor's supply and that of the pull-ups are on or off.
+    pub fn supply(&mut self, sensors: bool, pull_ups: bool, now: u64) {
+        if sensors && !self.supplied {
+            self.awake_at = now + BOOT;
+        }
+        // Without its supply the sensor forgets.
+        if !sensors && self.supplied {
+            self.sensor.power_cycle();
+        }
+        self.supplied = sensors;
+        self.powered = sensors && pull_ups;
+    }
+
+    fn answers(&mut self, address: u8, now: u64) -> Reply {
         self.transfers += 1;
         if self.stuck_clocks > 0 {
             return Reply::Stuck;
@@ -56,15 +100,18 @@ impl Bus {
             self.nacks -= 1;
             return Reply::AddressNack;
         }
-        let there =
-            if self.rev2 { address == 0x68 || address == 0x10 } else { Lsm9ds1::has_address(address) };
-        if self.powered && !self.unplugged && there { Reply::Ack } else { Reply::AddressNack }
+        let there = self.sensor.has_address(address);
+        if self.powered && self.wired && now >= self.awake_at && !self.unplugged && there {
+            Reply::Ack
+        } else {
+            Reply::AddressNack
+        }
     }
 
     /// The controller writes.
     pub fn write(&mut self, address: u8, bytes: &[u8], now: u64) -> Reply {
-        let reply = self.answers(address);
-        if reply == Reply::Ack && !self.rev2 {
+        let reply = self.answers(address, now);
+        if reply == Reply::Ack {
             self.sensor.write(address, bytes, now);
         }
         reply
@@ -72,13 +119,9 @@ impl Bus {
 
     /// The controller reads.
     pub fn read(&mut self, address: u8, bytes: &mut [u8], now: u64) -> Reply {
-        let reply = self.answers(address);
+        let reply = self.answers(address, now);
         if reply == Reply::Ack {
-            if self.rev2 {
-                bytes.fill(if address == 0x68 { 0x24 } else { 0x32 });
-            } else {
-                self.sensor.read(address, bytes, now);
-            }
+            self.sensor.read(address, bytes, now);
         }
         reply
     }

@@ -1,10 +1,11 @@
 //! LSM9DS1: two dies with registers, address increment, FIFO and clipping, moved by a [`Motion`].
 //!
-//! The sensor has its own clock ([`Lsm9ds1::clock_ratio`]): nothing here knows the board's crystal.
+//! The sensor has its own clock ([`Sensor::set_clock_ratio`]): nothing here knows the board's crystal.
 
 use std::collections::VecDeque;
 
-use super::time::HZ;
+use super::i2c::Sensor;
+use super::time::{HZ, ms};
 
 /// What the hand does: accX accY accZ in m/s², gyrX gyrY gyrZ in deg/s, magX magY magZ in µT.
 pub trait Motion {
@@ -41,6 +42,9 @@ impl Motion for Replay {
     }
 }
 
+/// The dies' addresses with SA0 and SA1 high.
+const ADDRESS_AG: u8 = 0x6B;
+const ADDRESS_MAG: u8 = 0x1E;
 const FIFO_SETS: usize = 32;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -52,8 +56,7 @@ enum Die {
 /// The sensor.
 pub struct Lsm9ds1 {
     motion: Box<dyn Motion>,
-    /// True period over nominal period of the sensor's own clock.
-    pub clock_ratio: f64,
+    clock_ratio: f64,
     ag: [u8; 128],
     mag: [u8; 128],
     selected: (Die, u8, bool),
@@ -64,7 +67,14 @@ pub struct Lsm9ds1 {
     next_mag: Option<f64>,
     sets: u64,
     latest: [i16; 6],
+    /// BOOT_STATUS stands, and written settings are lost, until this cycle.
+    boots_until: u64,
+    /// The next write to this register (bus address, register) is lost.
+    loses_write: Option<(u8, u8)>,
 }
+
+/// How long the accelerometer's die is busy after a software reset.
+const RESET_TIME: u64 = ms(10);
 
 impl Lsm9ds1 {
     /// A sensor as after power-up.
@@ -81,25 +91,11 @@ impl Lsm9ds1 {
             next_mag: None,
             sets: 0,
             latest: [0; 6],
+            boots_until: 0,
+            loses_write: None,
         };
         sensor.power_cycle();
         sensor
-    }
-
-    /// Another hand takes the sensor.
-    pub fn set_motion(&mut self, motion: Box<dyn Motion>) {
-        self.motion = motion;
-    }
-
-    /// Sets taken since power-up.
-    pub fn sets(&self) -> u64 {
-        self.sets
-    }
-
-    /// Loses its settings, as in a power dip.
-    pub fn power_cycle(&mut self) {
-        self.reset_ag();
-        self.reset_mag();
     }
 
     fn reset_ag(&mut self) {
@@ -117,11 +113,6 @@ impl Lsm9ds1 {
         self.mag[0x20] = 0x10;
         self.mag[0x22] = 0x03;
         self.next_mag = None;
-    }
-
-    /// The dies' addresses with SA0 and SA1 high.
-    pub fn has_address(address: u8) -> bool {
-        address == 0x6B || address == 0x1E
     }
 
     fn ag_period(&self) -> Option<f64> {
@@ -206,31 +197,15 @@ impl Lsm9ds1 {
         }
     }
 
-    /// A write transfer: the first byte selects the register.
-    pub fn write(&mut self, address: u8, bytes: &[u8], now: u64) {
-        self.advance(now);
-        let Some((&register, data)) = bytes.split_first() else { return };
-        let die = if address == 0x1E { Die::Mag } else { Die::AccelGyro };
-        self.selected = match die {
-            // The accelerometer's die counts up where IF_ADD_INC says so, the magnetometer's where bit 7 does.
-            Die::AccelGyro => (die, register & 0x7F, self.ag[0x22] & 0x04 != 0),
-            Die::Mag => (die, register & 0x7F, register & 0x80 != 0),
-        };
-        for &value in data {
-            let (die, register, increments) = self.selected;
-            self.write_register(die, register, value, now);
-            if increments {
-                self.selected.1 = (register + 1) & 0x7F;
-            }
-        }
-    }
-
     fn write_register(&mut self, die: Die, register: u8, value: u8, now: u64) {
         let seconds = now as f64 / HZ as f64;
         match (die, register) {
             // Read only.
             (_, 0x0F) | (Die::AccelGyro, 0x15..=0x1D | 0x26..=0x2D | 0x2F) | (Die::Mag, 0x27..=0x2D) => {}
-            (Die::AccelGyro, 0x22) if value & 1 != 0 => self.reset_ag(),
+            (Die::AccelGyro, 0x22) if value & 1 != 0 => {
+                self.reset_ag();
+                self.boots_until = now + RESET_TIME;
+            }
             (Die::Mag, 0x21) if value & 0x04 != 0 => self.reset_mag(),
             (Die::AccelGyro, register) => {
                 self.ag[usize::from(register)] = value;
@@ -248,27 +223,6 @@ impl Lsm9ds1 {
                 if register == 0x22 || register == 0x20 {
                     self.next_mag = self.mag_period().map(|p| seconds + p);
                 }
-            }
-        }
-    }
-
-    /// A read transfer from the selected register.
-    pub fn read(&mut self, address: u8, bytes: &mut [u8], now: u64) {
-        self.advance(now);
-        let die = if address == 0x1E { Die::Mag } else { Die::AccelGyro };
-        if self.selected.0 != die {
-            bytes.fill(0);
-            return;
-        }
-        for byte in bytes {
-            let (_, register, increments) = self.selected;
-            *byte = self.read_register(die, register);
-            if increments {
-                // A burst over the gyroscope's output goes on with the accelerometer's.
-                self.selected.1 = match (die, register) {
-                    (Die::AccelGyro, 0x1D) => 0x28,
-                    _ => (register + 1) & 0x7F,
-                };
             }
         }
     }
@@ -303,6 +257,77 @@ impl Lsm9ds1 {
             }
             _ => self.ag[usize::from(register)],
         }
+    }
+}
+
+impl Sensor for Lsm9ds1 {
+    fn has_address(&self, address: u8) -> bool {
+        address == ADDRESS_AG || address == ADDRESS_MAG
+    }
+
+    fn write(&mut self, address: u8, bytes: &[u8], now: u64) {
+        self.advance(now);
+        let Some((&register, data)) = bytes.split_first() else { return };
+        let die = if address == 0x1E { Die::Mag } else { Die::AccelGyro };
+        self.selected = match die {
+            // The accelerometer's die counts up where IF_ADD_INC says so, the magnetometer's where bit 7 does.
+            Die::AccelGyro => (die, register & 0x7F, self.ag[0x22] & 0x04 != 0),
+            Die::Mag => (die, register & 0x7F, register & 0x80 != 0),
+        };
+        for &value in data {
+            let (die, register, increments) = self.selected;
+            let lost = self.loses_write.take_if(|lost| *lost == (address, register)).is_some();
+            if !lost && (die == Die::Mag || now >= self.boots_until) {
+                self.write_register(die, register, value, now);
+            }
+            if increments {
+                self.selected.1 = (register + 1) & 0x7F;
+            }
+        }
+    }
+
+    fn read(&mut self, address: u8, bytes: &mut [u8], now: u64) {
+        self.advance(now);
+        let die = if address == 0x1E { Die::Mag } else { Die::AccelGyro };
+        if self.selected.0 != die {
+            bytes.fill(0);
+            return;
+        }
+        for byte in bytes {
+            let (_, register, increments) = self.selected;
+            *byte = self.read_register(die, register);
+            if (die, register) == (Die::AccelGyro, 0x17) && now < self.boots_until {
+                *byte |= 1 << 3;
+            }
+            if increments {
+                // A burst over the gyroscope's output goes on with the accelerometer's.
+                self.selected.1 = match (die, register) {
+                    (Die::AccelGyro, 0x1D) => 0x28,
+                    _ => (register + 1) & 0x7F,
+                };
+            }
+        }
+    }
+
+    fn power_cycle(&mut self) {
+        self.reset_ag();
+        self.reset_mag();
+    }
+
+    fn set_motion(&mut self, motion: Box<dyn Motion>) {
+        self.motion = motion;
+    }
+
+    fn set_clock_ratio(&mut self, ratio: f64) {
+        self.clock_ratio = ratio;
+    }
+
+    fn lose_write(&mut self, register: u8) {
+        self.loses_write = Some((ADDRESS_AG, register));
+    }
+
+    fn sets(&self) -> u64 {
+        self.sets
     }
 }
 
@@ -383,7 +408,7 @@ mod tests {
     #[test]
     fn the_sensors_own_clock_may_be_off() {
         let mut sensor = Lsm9ds1::new(Box::new(Still));
-        sensor.clock_ratio = 1.05;
+        sensor.set_clock_ratio(1.05);
         sensor.write(0x6B, &[0x10, 0x98], 0);
         let _: [u8; 1] = get(&mut sensor, 0x6B, 0x0F, ms(10_000));
         assert!((2266..=2267).contains(&sensor.sets()));

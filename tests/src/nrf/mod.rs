@@ -5,6 +5,7 @@
 //! `board::CYCLES_PER_TWO`), bus contention, analog behaviour of pins, the radio's waves.
 
 pub mod ble_host;
+pub mod bmi270;
 pub mod board;
 pub mod build;
 pub mod events;
@@ -12,6 +13,7 @@ pub mod flash;
 pub mod gpio;
 pub mod i2c;
 pub mod image;
+pub mod lsm6ds3;
 pub mod lsm9ds1;
 pub mod memory;
 pub mod nvic;

@@ -1,10 +1,10 @@
 //! A laptop at the emulated board's serial port or Bluetooth: requests in, messages out.
 
 use shared_proto::frame::{BOARD_FRAME_MAX, Decoder, encode_host, parse_board};
-use shared_proto::message::{Ack, BoardMessage, Fault, Hello, HostMessage, Status};
+use shared_proto::message::{About, Ack, BoardMessage, Fault, Hello, HostMessage, Status};
 
 use super::ble_host::BleHost;
-use super::board::{Board, Boot};
+use super::board::{Board, Boot, Kind};
 use super::build::{Variant, image};
 use super::lsm9ds1::Motion;
 
@@ -46,6 +46,8 @@ pub struct Heard {
     pub acks: Vec<Ack>,
     /// Raw samples: number of the first, and counts.
     pub raw: Vec<(u32, Vec<i16>)>,
+    /// What the board is made of, as it said last.
+    pub about: Option<About>,
     /// Pongs.
     pub pongs: usize,
 }
@@ -85,8 +87,36 @@ impl Session {
         Self::new(board, Some(host))
     }
 
+    /// A board of this kind with a laptop at its serial port: a Nano 33 behind the stock bootloader, a XIAO behind S140 with
+    /// the USB cable in.
+    pub fn of_kind(kind: Kind, motion: Box<dyn Motion>) -> Self {
+        if kind != Kind::Xiao {
+            let image = image(Variant::Bootloader);
+            return Self::new(Board::of_kind(kind, image, Boot::StockBootloader, motion), None);
+        }
+        let board = Board::of_kind(kind, image(Variant::Xiao), Boot::SoftDevice, motion);
+        let mut session = Self::new(board, None);
+        session.charge();
+        session
+    }
+
+    /// A XIAO with a laptop that connects over Bluetooth by itself.
+    pub fn xiao_ble(motion: Box<dyn Motion>) -> Self {
+        let mut board = Board::of_kind(Kind::Xiao, image(Variant::Xiao), Boot::SoftDevice, motion);
+        let mut host = BleHost::default();
+        host.connect(&mut board);
+        Self::new(board, Some(host))
+    }
+
     fn new(board: Board, ble: Option<BleHost>) -> Self {
         Self { board, heard: Heard::default(), decoder: Decoder::new(), ble, uart: Listener::default() }
+    }
+
+    /// The USB cable goes in, with a charger at its other end. Behind S140 the wire at D0 runs only then.
+    pub fn charge(&mut self) {
+        let soc = self.board.soc();
+        soc.power.set_vbus(true, soc.now);
+        soc.settle();
     }
 
     /// Runs and listens.
@@ -183,6 +213,7 @@ impl Heard {
                 let counts = raw.counts.chunks_exact(2).map(|c| i16::from_le_bytes([c[0], c[1]])).collect();
                 self.raw.push((raw.first_sample, counts));
             }
+            BoardMessage::About(about) => self.about = Some(about),
             BoardMessage::ModelInfo(_) | BoardMessage::Left(_) => {}
         }
     }

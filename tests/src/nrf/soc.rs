@@ -3,8 +3,7 @@
 use super::events::Events;
 use super::flash::Nvmc;
 use super::gpio::Port;
-use super::i2c::Bus;
-use super::lsm9ds1::Lsm9ds1;
+use super::i2c::{Bus, Sensor};
 use super::memory::{FLASH_BYTES, Ram};
 use super::nvic::Nvic;
 use super::ppi::Ppi;
@@ -33,6 +32,28 @@ pub const SLOTS_START: u32 = 0xD7000;
 /// Its end.
 pub const SLOTS_END: u32 = 0xE0000;
 
+/// A port (0 or 1) and a pin.
+type Pin = (usize, u32);
+
+/// What the board's pins are wired to.
+#[derive(Clone, Copy, Debug)]
+pub struct Wiring {
+    /// The sensor's supply.
+    pub power: Pin,
+    /// The sensor draws more than a pin of standard drive gives.
+    pub needs_high_drive: bool,
+    /// Supply of the bus' pull-ups, where it is not the sensor's.
+    pub pull_ups: Option<Pin>,
+    /// I2C, on port 0.
+    pub sda: u32,
+    /// I2C, on port 0.
+    pub scl: u32,
+    /// From the laptop.
+    pub uart_rx: Pin,
+    /// Red, green and blue, on port 0.
+    pub led: [u32; 3],
+}
+
 /// All of the chip but the core.
 pub struct Soc {
     /// Cycles since power-up.
@@ -49,7 +70,8 @@ pub struct Soc {
     pub power: ClockPower,
     /// D0 and D1.
     pub uart: Uarte,
-    twim: Twim,
+    /// The sensor bus' controller.
+    pub twim: Twim,
     gpiote: Events,
     timers: [Timer; 5],
     /// The time driver's counter.
@@ -68,6 +90,8 @@ pub struct Soc {
     pub ports: [Port; 2],
     /// The sensor bus.
     pub bus: Bus,
+    d1_is_open: bool,
+    wiring: Wiring,
     /// Registers that are only remembered, by address.
     others: std::collections::HashMap<u32, u32>,
     /// The earliest cycle at which a peripheral has something to do.
@@ -81,7 +105,7 @@ pub struct Soc {
 
 impl Soc {
     /// A chip after power-up.
-    pub fn new(sensor: Lsm9ds1) -> Self {
+    pub fn new(wiring: Wiring, sensor: Box<dyn Sensor>) -> Self {
         Self {
             now: 0,
             ram: Ram::default(),
@@ -102,6 +126,8 @@ impl Soc {
             softdevice: None,
             ports: Default::default(),
             bus: Bus::new(sensor),
+            d1_is_open: false,
+            wiring,
             others: Default::default(),
             due: u64::MAX,
             awake: 0,
@@ -110,8 +136,9 @@ impl Soc {
         }
     }
 
-    /// A reset that is not a power-up: memories, time and the world stay.
+    /// A reset that is not a power-up: memories, time and the world stay. `reason` is its bit in RESETREAS.
     pub fn reset(&mut self, reason: u32) {
+        const SOFT: u32 = 1 << 2;
         self.power.reset(reason);
         self.nvic = Nvic::default();
         let uart = std::mem::take(&mut self.uart);
@@ -121,7 +148,10 @@ impl Soc {
         self.timers = Default::default();
         self.rtc1 = Rtc::default();
         self.rng = Rng::new(self.now | 1);
-        self.watchdog = Watchdog::default();
+        // A soft reset does not stop a watchdog that runs.
+        if reason != SOFT {
+            self.watchdog = Watchdog::default();
+        }
         self.nvmc.reset();
         self.ppi = Ppi::default();
         self.usb.reset();
@@ -134,20 +164,25 @@ impl Soc {
         self.settle();
     }
 
+    /// Nothing is wired to D0 and D1.
+    pub fn unplug_uart(&mut self) {
+        self.d1_is_open = true;
+        self.wires();
+        self.settle();
+    }
+
     /// What pins mean for the world and the world for pins.
     fn wires(&mut self) {
-        let high = |port: &Port, pin| port.drives(pin) == Some(true);
-        let powered = high(&self.ports[0], 22) && high(&self.ports[1], 0);
-        // Without its supply the sensor forgets.
-        if !high(&self.ports[0], 22) && self.bus.powered {
-            self.bus.sensor.power_cycle();
-        }
-        self.bus.powered = powered;
+        let Wiring { power, needs_high_drive, pull_ups, sda, scl, uart_rx, .. } = self.wiring;
+        let high = |(port, pin): Pin| self.ports[port].drives(pin) == Some(true);
+        let supplied = high(power) && (!needs_high_drive || self.ports[power.0].drives_strongly(power.1));
+        self.bus.supply(supplied, pull_ups.map_or(supplied, high), self.now);
+        self.uart.set_floating(self.d1_is_open && !self.ports[uart_rx.0].pulls_up(uart_rx.1), self.now);
         if self.twim_is_off() {
-            self.bus.drive_scl(self.ports[0].drives(15) == Some(false));
+            self.bus.drive_scl(self.ports[0].drives(scl) == Some(false));
         }
-        let (sda, scl) = self.bus.levels();
-        self.ports[0].outside = u32::from(sda) << 14 | u32::from(scl) << 15;
+        let levels = self.bus.levels();
+        self.ports[0].outside = u32::from(levels.0) << sda | u32::from(levels.1) << scl;
     }
 
     fn twim_is_off(&self) -> bool {
@@ -263,7 +298,12 @@ impl Soc {
                 match page {
                     CLOCK_POWER => self.power.write(offset, value, now),
                     UARTE0 => self.uart.write(offset, value, now, &self.ram),
-                    TWIM0 => self.twim.write(offset, value, now),
+                    TWIM0 => {
+                        self.twim.write(offset, value, now);
+                        // On other pins nobody answers.
+                        self.bus.wired = (self.twim.read(0x508), self.twim.read(0x50C))
+                            == (self.wiring.scl, self.wiring.sda);
+                    }
                     GPIOTE => {
                         self.gpiote.write(offset, value);
                     }
@@ -384,6 +424,6 @@ impl Soc {
 
     /// Level of the red, green and blue LED: lit or not.
     pub fn led(&self) -> [bool; 3] {
-        [24, 16, 6].map(|pin| self.ports[0].drives(pin) == Some(false))
+        self.wiring.led.map(|pin| self.ports[0].drives(pin) == Some(false))
     }
 }

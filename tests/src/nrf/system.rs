@@ -23,8 +23,10 @@ pub struct ClockPower {
     lf_source: u32,
     /// RESETREAS.
     pub reset_reasons: u32,
-    /// GPREGRET and GPREGRET2, which survive a reset.
+    /// GPREGRET and GPREGRET2, which survive a soft reset only.
     pub retained: [u32; 2],
+    /// DCDCEN: the main regulator's converter is on.
+    pub converter: bool,
     vbus: bool,
     usb_ready: bool,
     other: u32,
@@ -67,9 +69,10 @@ impl ClockPower {
 
     /// After a reset, but not a power-up.
     pub fn reset(&mut self, reason: u32) {
+        const SOFT: u32 = 1 << 2;
         *self = Self {
             reset_reasons: self.reset_reasons | reason,
-            retained: self.retained,
+            retained: if reason == SOFT { self.retained } else { [0; 2] },
             vbus: self.vbus,
             usb_ready: self.usb_ready,
             usb_ready_due: self.usb_ready_due,
@@ -93,6 +96,7 @@ impl ClockPower {
             0x51C => self.retained[0],
             0x520 => self.retained[1],
             0x558 => self.other,
+            0x578 => u32::from(self.converter),
             _ => self.events.read(offset).unwrap_or(0),
         }
     }
@@ -110,6 +114,7 @@ impl ClockPower {
             0x51C => self.retained[0] = value & 0xFF,
             0x520 => self.retained[1] = value & 0xFF,
             0x558 => self.other = value,
+            0x578 => self.converter = value & 1 != 0,
             _ => {
                 self.events.write(offset, value);
             }
@@ -251,6 +256,9 @@ mod tests {
         power.write(0x51C, 0xB0, 0);
         power.reset(4);
         assert_eq!((power.read(0x51C), power.read(0x400)), (0xB0, 4));
+        // A watchdog's reset clears what a soft one keeps.
+        power.reset(2);
+        assert_eq!((power.read(0x51C), power.read(0x400)), (0, 6));
     }
 
     #[test]

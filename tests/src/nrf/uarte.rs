@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 
 use super::events::Events;
 use super::memory::Ram;
-use super::time::HZ;
+use super::time::{HZ, ms};
 
 const RXDRDY: u32 = 2;
 const ENDRX: u32 = 4;
@@ -40,6 +40,11 @@ pub struct Uarte {
     sent: Vec<(u64, u8)>,
     /// Bytes lost because nobody took them.
     pub overruns: u64,
+    /// Pins chosen while the port is on, which the chip forbids.
+    pub pins_while_on: u32,
+    /// Nothing drives or pulls the receiving pin: noise arrives.
+    floating: bool,
+    noise: u64,
 }
 
 impl Uarte {
@@ -49,6 +54,7 @@ impl Uarte {
         self.sent = before.sent;
         self.overruns = before.overruns;
         self.baud = before.baud;
+        (self.floating, self.noise) = (before.floating, before.noise);
     }
 
     fn byte_cycles(&self) -> u64 {
@@ -59,6 +65,28 @@ impl Uarte {
             _ => 9_600,
         };
         10 * HZ / baud
+    }
+
+    /// The receiver is on.
+    pub fn is_receiving(&self) -> bool {
+        self.enable == 8 && self.receiver_on
+    }
+
+    /// Nothing drives or pulls the receiving pin, or something does.
+    pub fn set_floating(&mut self, floating: bool, now: u64) {
+        if floating != self.floating {
+            self.floating = floating;
+            self.arriving.clear();
+            self.pick_up_noise(now);
+        }
+    }
+
+    fn pick_up_noise(&mut self, now: u64) {
+        if self.floating {
+            self.noise =
+                self.noise.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            self.arriving.push_back((now + ms(1), (self.noise >> 56) as u8));
+        }
     }
 
     /// The world sends bytes, one after the other from now on.
@@ -123,6 +151,7 @@ impl Uarte {
         {
             self.arriving.pop_front();
             self.take_byte(byte, ram);
+            self.pick_up_noise(at);
         }
         let byte_cycles = self.byte_cycles();
         if let Some((bytes, started, done)) = &mut self.sending {
@@ -184,6 +213,7 @@ impl Uarte {
             }
             0x480 => self.error &= !value,
             0x500 => self.enable = value & 0xF,
+            0x508..=0x514 if enabled => self.pins_while_on += 1,
             0x508..=0x514 => self.registers[(offset as usize - 0x508) / 4] = value,
             0x524 => self.baud = value,
             0x534..=0x53C => self.rx[(offset as usize - 0x534) / 4] = value,

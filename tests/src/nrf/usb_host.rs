@@ -7,10 +7,15 @@ use super::board::Board;
 use super::time::ms;
 use super::usbd::Reply;
 
+/// Vendor and product of a sketch on an Arduino Nano 33 BLE, and of a program on a XIAO nRF52840 Sense.
+const IDS: [&[u8]; 2] = [&[0x41, 0x23, 0x5A, 0x80], &[0x86, 0x28, 0x45, 0x80]];
+
 /// What the host asks through endpoint 0.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Request {
     DeviceDescriptor,
+    /// The string of this number.
+    Text(u8),
     SetAddress,
     /// The first 9 bytes of the configuration, which tell its length.
     ConfigurationHead,
@@ -26,6 +31,7 @@ impl Request {
     fn packets(self) -> ([u8; 8], Vec<u8>) {
         match self {
             Request::DeviceDescriptor => ([0x80, 6, 0, 1, 0, 0, 18, 0], vec![]),
+            Request::Text(number) => ([0x80, 6, number, 3, 9, 4, 255, 0], vec![]),
             Request::SetAddress => ([0x00, 5, 7, 0, 0, 0, 0, 0], vec![]),
             Request::ConfigurationHead => ([0x80, 6, 0, 2, 0, 0, 9, 0], vec![]),
             Request::Configuration(total) => ([0x80, 6, 0, 2, 0, 0, total, 0], vec![]),
@@ -48,6 +54,8 @@ pub struct UsbHost {
     begins: Option<u64>,
     to_ask: VecDeque<Request>,
     asked: Option<Request>,
+    /// The device's serial number, where it has one.
+    pub serial_number: Option<String>,
     /// Bulk endpoints of the serial port, in and out.
     bulk: Option<(usize, usize)>,
 }
@@ -128,7 +136,15 @@ impl UsbHost {
         match request {
             Request::DeviceDescriptor => {
                 assert_eq!(data.len(), 18);
-                assert_eq!(data[8..12], [0x41, 0x23, 0x5A, 0x80], "Arduino's ids");
+                assert!(IDS.contains(&&data[8..12]), "ids: {:x?}", &data[8..12]);
+                if data[16] != 0 {
+                    self.to_ask.push_front(Request::Text(data[16]));
+                }
+            }
+            Request::Text(_) => {
+                let units: Vec<u16> =
+                    data[2..].chunks_exact(2).map(|c| u16::from_le_bytes([c[0], c[1]])).collect();
+                self.serial_number = Some(String::from_utf16_lossy(&units));
             }
             Request::ConfigurationHead => self.to_ask.push_front(Request::Configuration(data[2])),
             Request::Configuration(total) => {

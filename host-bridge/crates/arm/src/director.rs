@@ -24,6 +24,9 @@ use crate::plan::guard::{Guard, Moving, TICK_MS};
 use crate::plan::{Placement, Planner};
 use crate::scene::Scene;
 
+/// How much of a long pause is looked at tick by tick, in ms.
+const CATCH_UP_MS: u64 = 10_000;
+
 /// A joint faster than this is not at rest: encoders are noisy.
 const REST_RAD_S: f64 = 0.02;
 /// With a scene the base does not drive on a pose older than this.
@@ -306,8 +309,11 @@ fn unwound(arm: &SerialArm, goal_rad: &Joints, here_rad: &Joints) -> Joints {
 impl<R: Robot> Door for Director<R> {
     fn step(&mut self, now_ms: u64) {
         // In a scene the guard looks again after each tick, however long this program was away.
-        let tick_ms = if self.planner.is_some() { TICK_MS } else { u64::MAX };
+        // After a pause in which every robot has come to rest by itself, the rest of it is one step.
+        let looks_until_ms = self.now_ms.saturating_add(CATCH_UP_MS);
         while self.now_ms < now_ms {
+            let looks = self.planner.is_some() && self.now_ms < looks_until_ms;
+            let tick_ms = if looks { TICK_MS } else { u64::MAX };
             self.guard();
             let due_ms = if self.guard_due_ms > self.now_ms { self.guard_due_ms } else { u64::MAX };
             self.now_ms = now_ms.min(self.now_ms.saturating_add(tick_ms)).min(due_ms);

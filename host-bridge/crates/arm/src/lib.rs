@@ -15,6 +15,8 @@ pub mod plan;
 pub mod scene;
 #[cfg(feature = "urdf")]
 pub mod urdf;
+#[cfg(feature = "urdf")]
+mod urdf_numbers;
 
 pub use director::Director;
 pub use motions::Motions;

@@ -37,6 +37,7 @@ pub enum UrdfError {
 pub fn parse(text: &str, missing: &Missing) -> Result<SerialArm, UrdfError> {
     let robot = urdf_rs::read_from_string(text)?;
     let kind = |text: String| UrdfError::Kind(text);
+    crate::urdf_numbers::check(&robot).map_err(kind)?;
     let tip = match &missing.tip {
         Some(tip) => tip.clone(),
         None => {

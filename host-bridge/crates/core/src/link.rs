@@ -306,7 +306,7 @@ impl HandLink {
             return None;
         }
         match message {
-            BoardMessage::Hello(_) | BoardMessage::RawImu(_) => None,
+            BoardMessage::Hello(_) | BoardMessage::RawImu(_) | BoardMessage::About(_) => None,
             BoardMessage::Left(state) => self.left(state, now_ms),
             BoardMessage::Right(state) => self.right(&state, now_ms),
             BoardMessage::ModelInfo(info) => self.model_info(&info),
@@ -468,7 +468,9 @@ pub fn printable(text: &str) -> String {
 fn hand_of(board: Board) -> Option<Hand> {
     match board {
         Board::LeftNano | Board::LeftReplay => Some(Hand::Left),
-        Board::RightNano33 | Board::RightNano33Rev2 | Board::RightReplay => Some(Hand::Right),
+        Board::RightNano33 | Board::RightNano33Rev2 | Board::RightXiao | Board::RightReplay => {
+            Some(Hand::Right)
+        }
         _ => None,
     }
 }

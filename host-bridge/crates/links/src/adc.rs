@@ -7,6 +7,8 @@
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
+use shared_dsp::left_faults::STUCK_MS;
+
 /// Names of the five lines, in the order of the columns.
 pub const LINE_NAMES: [&str; 5] = ["x", "y", "z", "index", "middle"];
 
@@ -213,6 +215,15 @@ impl AdcRecording {
             }
             resampled(&samples, usual, ten)
         };
+        let samples: Vec<(u64, [u16; 5])> = samples;
+        if let Some((from_ms, for_ms)) = standing_still(&samples) {
+            notes.push(format!(
+                "from {:.3} s on all five values stay the same for {:.1} s, which the board takes for a stuck converter and \
+                 halts: eight conversions added up, as it takes them, are never so still",
+                from_ms as f64 / 1000.0,
+                for_ms as f64 / 1000.0
+            ));
+        }
         Ok(Read { recording: AdcRecording { samples }, notes, start_ms: first_ms })
     }
 
@@ -224,6 +235,20 @@ impl AdcRecording {
         }
         text
     }
+}
+
+/// Where the same five values first stay as long as the board takes for a fault: from when, and for how long, in ms.
+fn standing_still(samples: &[(u64, [u16; 5])]) -> Option<(u64, u64)> {
+    let mut from = 0;
+    while from < samples.len() {
+        let same = samples[from..].iter().take_while(|(_, counts)| *counts == samples[from].1).count();
+        let long_ms = samples[from + same - 1].0 - samples[from].0;
+        if long_ms >= u64::from(STUCK_MS) {
+            return Some((samples[from].0, long_ms));
+        }
+        from += same;
+    }
+    None
 }
 
 fn not_a_count(value: &str, largest: u16) -> String {
@@ -381,6 +406,17 @@ mod tests {
         lines[150] = "1490,1500,500,600,690,700".to_owned();
         let error = parse(&(lines.join("\n") + "\n")).unwrap_err();
         assert!(error.contains("line 151, column 2 (x)") && error.contains("0 to 1023"), "{error}");
+    }
+
+    #[test]
+    fn a_hand_that_is_too_still_for_the_board_is_named() {
+        let read = |rows: usize| {
+            let text: String = (0..rows).map(|n| format!("{},512,500,614,704,700\n", n * 10)).collect();
+            AdcRecording::read_bytes(Path::new("left.csv"), (HEADER.to_owned() + &text).as_bytes()).unwrap()
+        };
+        assert!(read(100).notes.is_empty());
+        let notes = read(131).notes;
+        assert!(notes[0].starts_with("from 0.000 s on all five values stay the same for 1.3 s"), "{notes:?}");
     }
 
     #[test]

@@ -352,7 +352,7 @@ mod tests {
     }
 
     #[test]
-    fn an_arrow_commands_within_40_ms_and_for_as_long_as_it_counts() {
+    fn an_arrow_commands_within_100_ms_and_for_as_long_as_it_counts() {
         use Heading::{Backward, Forward, Left, Right};
         for heading in [Forward, Backward, Left, Right] {
             let mut hand = KeyLeft::new(KeyTimes::default());
@@ -362,7 +362,8 @@ mod tests {
             let after = run(&mut hand, 1500..3000, left);
             let commands: Vec<_> = after.iter().filter(|s| s.heading == heading).collect();
             let (first, last) = (commands[0].board_time_ms, commands[commands.len() - 1].board_time_ms);
-            assert!(first <= 1540, "{first}");
+            // A hand that swings is given time to say where to.
+            assert!(first <= 1600, "{first}");
             // 600 ms and the debouncing.
             assert!((2060..2140).contains(&last), "{last}");
             assert!(after.iter().all(|s| (s.index_bends, s.middle_bends, s.stop) == (0, 0, false)));

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use shared_proto::frame::{BOARD_FRAME_MAX, Decoder, HOST_FRAME_MAX, encode_host};
 use shared_proto::message::{
-    Ack, AckResult, Board, BoardMessage, Fault, HostMessage, LeftState, Pong, Status,
+    About, Ack, AckResult, Board, BoardMessage, Fault, HostMessage, LeftState, Pong, Status,
 };
 use shared_proto::version;
 
@@ -31,6 +31,8 @@ pub enum Said {
     Hello(Who),
     /// What its model needs and names.
     Model(ModelNeeds),
+    /// What a right hand's board is made of.
+    About(About),
     /// A left state.
     Left(LeftState),
     /// A right state: sequence number, board time, label of the last event, number of events.
@@ -84,8 +86,10 @@ pub struct ModelNeeds {
     pub model_id: u32,
     /// How features are made.
     pub recipe: u8,
-    /// Values per sample.
+    /// Values per sample that the model is made for.
     pub axes: u8,
+    /// Values per sample that the board has; as many as the model's where it does not say.
+    pub board_axes: u8,
     /// Samples per second.
     pub sample_hz: u16,
     /// Samples per window.
@@ -298,7 +302,7 @@ impl Talk {
         let mut asked_ms = self.now_ms();
         while self.now_ms() < until_ms {
             match self.next(50) {
-                Some((_, Said::Model(model))) => return Some(model),
+                Some((_, Said::Model(model))) => return Some(self.with_axes(model)),
                 _ if self.now_ms() - asked_ms > 700 => {
                     asked_ms = self.now_ms();
                     self.send(&HostMessage::HelloRequest);
@@ -307,6 +311,22 @@ impl Talk {
             }
         }
         None
+    }
+
+    /// Boards of protocol 1.1 say right after their model what they are made of.
+    fn with_axes(&mut self, mut model: ModelNeeds) -> ModelNeeds {
+        const AT_ONCE_MS: u64 = 100;
+        let until_ms = self.now_ms() + AT_ONCE_MS;
+        while self.now_ms() < until_ms {
+            if let Some((_, Said::About(about))) = self.next(20) {
+                // While no sensor is found there is nothing to go by.
+                if about.axes != 0 {
+                    model.board_axes = about.axes;
+                }
+                break;
+            }
+        }
+        model
     }
 
     /// Sends a request, again every second, until its last answer; a `Started` only prolongs the wait.
@@ -364,10 +384,12 @@ fn owned(message: &BoardMessage<'_>) -> Option<Said> {
             model_id: info.model_id,
             recipe: info.recipe,
             axes: info.axes,
+            board_axes: info.axes,
             sample_hz: info.sample_hz,
             window: info.window,
             labels: info.labels.split(',').map(printable).collect(),
         }),
+        BoardMessage::About(about) => Said::About(*about),
         BoardMessage::Left(state) => Said::Left(*state),
         BoardMessage::Right(state) => Said::Right {
             sequence: state.sequence,

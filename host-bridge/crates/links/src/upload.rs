@@ -52,10 +52,16 @@ pub struct Upload<'b> {
 /// Its labels may differ from those of the running model: they come with it.
 pub fn misfit(model: &Model<'_>, board: &ModelNeeds) -> Option<String> {
     let info = model.info();
+    if !info.recipe.runs_on(info.axes, usize::from(board.board_axes)) {
+        return Some(format!(
+            "the model is made for {} axes, the board has {}; train one for {1} axes (models train --axes {1}), or use a \
+             board that has them (firmware-nano33/README.md)",
+            info.axes, board.board_axes
+        ));
+    }
     let pairs = [
-        ("axes", info.axes as u32, u32::from(board.axes)),
-        ("samples per second", info.sample_hz.into(), board.sample_hz.into()),
-        ("samples per window", info.window.into(), board.window.into()),
+        ("samples per second", info.sample_hz, board.sample_hz),
+        ("samples per window", info.window, board.window),
     ];
     let (what, model_has, board_has) = pairs.into_iter().find(|(_, model, board)| model != board)?;
     Some(format!(
@@ -258,15 +264,19 @@ mod tests {
             model_id: 1,
             recipe: 0,
             axes: info.axes as u8,
+            board_axes: 9,
             sample_hz: info.sample_hz,
             window: info.window,
             labels: vec!["x".to_owned()],
         };
         assert_eq!(misfit(&model, &board), None);
-        board.axes = 6;
+        // It reads no magnetometer.
+        board.board_axes = 6;
+        assert_eq!(misfit(&model, &board), None);
+        board.board_axes = 3;
         let text = misfit(&model, &board).unwrap();
-        assert!(text.contains("9 axes") && text.contains("runs 6"), "{text}");
-        board.axes = 9;
+        assert!(text.contains("axes, the board has 3"), "{text}");
+        board.board_axes = 9;
         board.window = 100;
         assert!(misfit(&model, &board).unwrap().contains("samples per window"));
     }

@@ -128,6 +128,10 @@ impl Robot for Simulator {
                 self.base.drive(Twist::ZERO);
                 self.arm.halt(&self.arm_limits);
             }
+            if self.timed_out && self.at_rest() && self.arm.following.is_none() {
+                // Nothing moves before the next command: the rest of a long pause is one step.
+                self.now_ms += (now_ms - self.now_ms) / STEP_MS * STEP_MS;
+            }
             self.base.step(dt_s);
             self.arm.step(dt_s);
         }

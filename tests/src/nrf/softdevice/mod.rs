@@ -51,7 +51,7 @@ pub struct SoftDevice {
     application_ram: u32,
     ble: bool,
     config: Config,
-    soc_events: VecDeque<u32>,
+    soc_events: Vec<u32>,
     events: VecDeque<Vec<u8>>,
     usb: UsbEvents,
     flash: Option<FlashJob>,
@@ -286,7 +286,7 @@ impl SoftDevice {
     }
 
     fn raise_soc(&mut self, event: u32, nvic: &mut Nvic) {
-        self.soc_events.push_back(event);
+        self.soc_events.push(event);
         nvic.pend(rules::EVENT_IRQ);
     }
 

@@ -57,7 +57,9 @@ impl SoftDevice {
         let [a, b, c, _] = args;
         match number {
             call::EVT_GET => {
-                let event = self.soc_events.pop_front().ok_or(error::NOT_FOUND)?;
+                // Whatever came first, the lowest number is told first.
+                let event = self.soc_events.iter().copied().min().ok_or(error::NOT_FOUND)?;
+                self.soc_events.retain(|&other| other != event);
                 put(soc, a, &event.to_le_bytes())
             }
             call::RAND_VECTOR_GET => self.random(a, b as usize & 0xFF, soc),

@@ -92,12 +92,18 @@ impl Seen {
     }
 }
 
+/// Takes the lines of viewers off that have left, whether or not they ever wanted anything: only the list still
+/// knows of them.
+fn forget_gone(lines: &mut Vec<Line>) {
+    lines.retain(|line| Arc::strong_count(&line.seen) > 1);
+}
+
 impl Shared {
     /// Puts a viewer on the list; gives its end of the queue.
     fn join(&self, seen: &Arc<Seen>) -> Receiver<Arc<Entry>> {
         let (sender, queue) = sync_channel(QUEUE);
-        // A thread that panicked left at worst a line too many: it is taken off with the next message.
         let mut lines = self.lines.lock().unwrap_or_else(PoisonError::into_inner);
+        forget_gone(&mut lines);
         lines.push(Line { sender, seen: seen.clone() });
         queue
     }
@@ -109,6 +115,7 @@ pub struct Feed(Arc<Shared>);
 impl Outlet for Feed {
     fn put(&mut self, entry: Entry) {
         let mut lines = self.0.lines.lock().unwrap_or_else(PoisonError::into_inner);
+        forget_gone(&mut lines);
         if lines.iter().all(|line| !line.seen.wants(entry.topic)) {
             return;
         }

@@ -1,0 +1,56 @@
+//! What this board is made of, and how it started.
+
+use core::sync::atomic::{AtomicU8, Ordering};
+
+use nano33_sensor::found::Kind;
+use shared_proto::message::{About, Image, ResetCause, Sensor};
+
+/// Sensor, axes and reset cause: bytes of the wire, so that any task may read them.
+static SENSOR: AtomicU8 = AtomicU8::new(0);
+static AXES: AtomicU8 = AtomicU8::new(0);
+static RESET: AtomicU8 = AtomicU8::new(0);
+
+const IMAGE: Image = if cfg!(feature = "xiao") {
+    Image::Uf2
+} else if cfg!(feature = "ble") {
+    Image::S140
+} else {
+    Image::Bootloader
+};
+
+/// Keeps why the board started; `reasons` is RESETREAS at start.
+pub fn started(reasons: u32) {
+    const PIN: u32 = 1 << 0;
+    const WATCHDOG: u32 = 1 << 1;
+    const SOFT: u32 = 1 << 2;
+    let cause = match reasons {
+        0 => ResetCause::PowerUp,
+        r if r & WATCHDOG != 0 => ResetCause::Watchdog,
+        r if r & PIN != 0 => ResetCause::Pin,
+        r if r & SOFT != 0 => ResetCause::Software,
+        _ => ResetCause::Other,
+    };
+    RESET.store(cause.into(), Ordering::Relaxed);
+}
+
+/// A sensor with so many axes was found.
+pub fn found(kind: Kind, axes: usize) {
+    let sensor = match kind {
+        Kind::Lsm9ds1 => Sensor::Lsm9ds1,
+        Kind::Bmi270 => Sensor::Bmi270,
+        Kind::Lsm6ds3 => Sensor::Lsm6ds3,
+    };
+    SENSOR.store(sensor.into(), Ordering::Relaxed);
+    AXES.store(axes as u8, Ordering::Relaxed);
+}
+
+/// All that is known by now. The battery is not measured.
+pub fn now() -> About {
+    About {
+        sensor: SENSOR.load(Ordering::Relaxed).into(),
+        axes: AXES.load(Ordering::Relaxed),
+        image: IMAGE,
+        reset: RESET.load(Ordering::Relaxed).into(),
+        battery_mv: 0,
+    }
+}

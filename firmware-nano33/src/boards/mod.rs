@@ -1,0 +1,55 @@
+//! The boards that this firmware is built for, one file each: pins, sensors, names, memory (the `.x` files), and what their
+//! bootloader leaves behind and wants. Nothing else here knows which board it is.
+//!
+//! A file offers `SENSORS`, `START_MS`, `USB`, `kind` (its name on the wire), [`Parts`] from `parts`, `begin` (before
+//! anything else runs) and `enter_bootloader`.
+
+#[cfg(not(feature = "xiao"))]
+mod nano33;
+#[cfg(feature = "xiao")]
+mod xiao;
+
+#[cfg(not(feature = "xiao"))]
+pub use nano33::{SENSORS, START_MS, USB, begin, enter_bootloader, kind, parts};
+#[cfg(feature = "xiao")]
+pub use xiao::{SENSORS, START_MS, USB, begin, enter_bootloader, kind, parts};
+
+use embassy_nrf::Peri;
+use embassy_nrf::gpio::{AnyPin, Level, Output, OutputDrive};
+use embassy_nrf::peripherals::{USBD, WDT};
+
+use crate::bus::SensorBus;
+use crate::{uart, watch};
+
+/// How the board names itself at the USB cable.
+pub struct UsbNames {
+    /// Vendor and product, by which operating systems choose their drivers and rules.
+    pub ids: (u16, u16),
+    /// What people read.
+    pub product: &'static str,
+}
+
+/// The chip's peripherals in their roles.
+pub struct Parts {
+    /// The sensor and its bus.
+    pub bus: SensorBus,
+    /// The serial port.
+    pub uart: uart::Parts,
+    /// The light.
+    pub led: watch::Led,
+    /// The watchdog.
+    pub watchdog: Peri<'static, WDT>,
+    /// USB.
+    pub usbd: Peri<'static, USBD>,
+    /// The flash controller; S140's otherwise.
+    #[cfg(not(feature = "ble"))]
+    pub flash: Peri<'static, embassy_nrf::peripherals::NVMC>,
+    /// Random numbers; S140's otherwise.
+    #[cfg(not(feature = "ble"))]
+    pub random: Peri<'static, embassy_nrf::peripherals::RNG>,
+}
+
+/// A light that is off; low is on.
+fn off(pin: Peri<'static, AnyPin>) -> Output<'static> {
+    Output::new(pin, Level::High, OutputDrive::Standard)
+}

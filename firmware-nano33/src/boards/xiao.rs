@@ -1,0 +1,66 @@
+//! Seeed XIAO nRF52840 Sense (LSM6DS3TR-C), sold with S140 7.3.0 and a UF2 bootloader on it.
+//!
+//! Left alone: P0.13 (charging current), P0.14 (battery divider), P0.17 (charging), P0.25 (flash), P0.16, P1.00 and P1.10
+//! (microphone). **Nothing here has met a real board**; pins are Zephyr's and Seeed's.
+
+use embassy_nrf::Peripherals;
+use nano33_sensor::found::Kind;
+use shared_proto::message::{Board, Sensor};
+
+use super::{Parts, UsbNames, off};
+use crate::bus::{SensorBus, SensorPins};
+use crate::{uart, watch};
+
+/// Its sensor.
+pub const SENSORS: &[Kind] = &[Kind::Lsm6ds3];
+
+/// From power to a sensor that answers: 35 ms.
+pub const START_MS: u64 = 50;
+
+/// Seeed's ids for a program on this board.
+pub const USB: UsbNames = UsbNames { ids: (0x2886, 0x8045), product: "bimanual right hand (XIAO)" };
+
+/// Whatever its sensor.
+pub fn kind(_: Sensor) -> Board {
+    Board::RightXiao
+}
+
+/// Wires roles to pins.
+pub fn parts(p: Peripherals) -> Parts {
+    Parts {
+        bus: SensorBus::new(
+            p.TWISPI0,
+            SensorPins {
+                sda: p.P0_07.into(),
+                scl: p.P0_27.into(),
+                power: p.P1_08.into(),
+                // They hang on the sensor's supply.
+                pull_ups: None,
+            },
+        ),
+        uart: uart::Parts {
+            uarte: p.UARTE0,
+            timer: p.TIMER1,
+            ppi: (p.PPI_CH0, p.PPI_CH1, p.PPI_GROUP0),
+            rx: p.P1_12.into(),
+            tx: p.P1_11.into(),
+        },
+        led: watch::Led { red: off(p.P0_26.into()), green: off(p.P0_30.into()), blue: off(p.P0_06.into()) },
+        watchdog: p.WDT,
+        usbd: p.USBD,
+    }
+}
+
+/// The UF2 bootloader leaves nothing behind that disturbs.
+pub fn begin() {}
+
+/// Restarts into the UF2 bootloader, which shows itself as a drive and feeds a watchdog that runs.
+pub fn enter_bootloader() -> ! {
+    const UF2: u32 = 0x57;
+    // SAFETY: plain calls of the enabled SoftDevice, which owns the register.
+    unsafe {
+        nrf_softdevice::raw::sd_power_gpregret_clr(0, 0xFF);
+        nrf_softdevice::raw::sd_power_gpregret_set(0, UF2);
+    }
+    cortex_m::peripheral::SCB::sys_reset()
+}

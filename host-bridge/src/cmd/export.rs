@@ -1,0 +1,126 @@
+//! `host-bridge export`: sessions for those who train robots.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use anyhow::Result;
+
+/// Options.
+#[derive(clap::Args, Clone, Debug)]
+pub struct Args {
+    /// Sessions that `--record` has written, of one robot; their episodes are numbered through
+    #[arg(required = true, value_name = "SESSION.mcap")]
+    sessions: Vec<PathBuf>,
+    /// Write a LeRobotDataset v3 into this new folder (feature lerobot)
+    #[arg(long, value_name = "DIR", required_unless_present = "csv")]
+    lerobot: Option<PathBuf>,
+    /// Write a CSV file per episode into this new folder
+    #[arg(long, value_name = "DIR")]
+    csv: Option<PathBuf>,
+    /// Rows per second
+    #[arg(long, default_value_t = 50, value_parser = clap::value_parser!(u32).range(1..=200))]
+    fps: u32,
+    /// What an episode is: the whole session, or each motion of the arm that reached its pose
+    #[arg(long, value_enum, default_value = "session")]
+    episodes: Episodes,
+    /// An episode begins at this gesture, instead
+    #[arg(long, value_name = "LABEL", requires = "end", conflicts_with = "episodes")]
+    begin: Option<String>,
+    /// It ends at this gesture, and is good
+    #[arg(long, value_name = "LABEL", requires = "begin")]
+    end: Option<String>,
+    /// This gesture throws away what was begun and begins again
+    #[arg(long, value_name = "LABEL", requires = "begin")]
+    again: Option<String>,
+    /// What was to be done, in words [default: the motion, or the session's title]
+    #[arg(long, value_name = "TEXT")]
+    task: Option<String>,
+    /// What the robot is called
+    #[arg(long, value_name = "NAME", default_value = "bimanual")]
+    robot: String,
+}
+
+/// What an episode is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Episodes {
+    /// The whole session
+    Session,
+    /// Each motion of the arm
+    Motions,
+}
+
+/// Says that this program cannot.
+#[cfg(not(feature = "mcap"))]
+pub fn run(_args: &Args) -> Result<ExitCode> {
+    anyhow::bail!("this program was built without sessions on disk; build it with `--features lerobot`")
+}
+
+/// Exports; nothing is written unless every session can be read.
+#[cfg(feature = "mcap")]
+pub fn run(args: &Args) -> Result<ExitCode> {
+    use anyhow::{Context as _, ensure};
+    use host_bridge::export::{Columns, Cut, Streams, csv, episodes, frames};
+
+    #[cfg(not(feature = "lerobot"))]
+    ensure!(
+        args.lerobot.is_none(),
+        "--lerobot: this program was built without parquet; build it with `--features lerobot`"
+    );
+    let cut = match (&args.begin, &args.end, args.episodes) {
+        (Some(begin), Some(end), _) => {
+            Cut::Gestures { begin: begin.clone(), end: end.clone(), again: args.again.clone() }
+        }
+        (_, _, Episodes::Motions) => Cut::Motions,
+        _ => Cut::Whole,
+    };
+    let mut joints: Option<Vec<String>> = None;
+    let mut all = Vec::new();
+    for file in &args.sessions {
+        let about = || format!("{}", file.display());
+        if host_bridge::journal::index::complete(file).map_err(anyhow::Error::msg)? {
+            println!("{}: its recording was cut short; it has its index now", file.display());
+        }
+        let streams = Streams::read(&std::fs::read(file).with_context(about)?).with_context(about)?;
+        let first = joints.get_or_insert_with(|| streams.joint_names.clone());
+        ensure!(
+            *first == streams.joint_names,
+            "{}: its joints are {}, those of the first session {}; export sessions of one robot together",
+            file.display(),
+            streams.joint_names.join(", "),
+            first.join(", ")
+        );
+        let found = episodes::find(&streams, &cut, args.task.as_deref());
+        for (time_ms, why) in &found.left_out {
+            println!("{}: from {:.3} s: left out: {why}", file.display(), *time_ms as f64 / 1000.0);
+        }
+        for episode in &found.episodes {
+            match frames::rows(&streams, episode, args.fps) {
+                Ok(rows) => all.push(rows),
+                Err(why) => {
+                    let at_s = episode.start_ms as f64 / 1000.0;
+                    println!("{}: the episode from {at_s:.3} s is refused: {why}", file.display());
+                }
+            }
+        }
+    }
+    ensure!(!all.is_empty(), "there are no episodes; --episodes and --begin say what one is");
+    let columns = Columns::of(&joints.unwrap_or_default());
+    let frames: usize = all.iter().map(|rows| rows.state.len()).sum();
+    let line = format!(
+        "{} episodes, {frames} rows at {} a second, {} values of state, {} of action",
+        all.len(),
+        args.fps,
+        columns.state.len(),
+        columns.action.len()
+    );
+    if let Some(folder) = &args.csv {
+        csv::write(folder, &columns, &all, args.fps)?;
+        println!("{}: {line}", folder.display());
+    }
+    #[cfg(feature = "lerobot")]
+    if let Some(folder) = &args.lerobot {
+        host_bridge::export::lerobot::write(folder, &columns, &all, args.fps, &args.robot)?;
+        println!("{}: {line}", folder.display());
+    }
+    Ok(ExitCode::SUCCESS)
+}

@@ -1,0 +1,279 @@
+//! LSM6DS3TR-C: registers and FIFO of words; moved by a [`Motion`], whose axes are the chip's.
+//!
+//! By the data sheet (ST DocID030071) and AN5130.
+
+use std::collections::VecDeque;
+
+use super::i2c::Sensor;
+use super::lsm9ds1::Motion;
+use super::time::{HZ, us};
+
+const ADDRESS: u8 = 0x6A;
+/// Most words that the FIFO holds and its counter can say.
+const FIFO_WORDS: usize = 2047;
+const RESET: u64 = us(50);
+/// From the gyroscope's start to its first value.
+const GYRO_START_SECONDS: f64 = 0.035;
+
+/// The sensor.
+pub struct Lsm6ds3 {
+    motion: Box<dyn Motion>,
+    clock_ratio: f64,
+    registers: [u8; 128],
+    selected: u8,
+    busy_until: u64,
+    /// Words of whole sets: gyroscope, then accelerometer.
+    fifo: VecDeque<i16>,
+    overrun: bool,
+    next_set: Option<f64>,
+    gyro_since: f64,
+    sets: u64,
+    loses_write: Option<u8>,
+}
+
+impl Lsm6ds3 {
+    /// A sensor as after power-up.
+    pub fn new(motion: Box<dyn Motion>) -> Self {
+        let mut sensor = Self {
+            motion,
+            clock_ratio: 1.0,
+            registers: [0; 128],
+            selected: 0,
+            busy_until: 0,
+            fifo: VecDeque::new(),
+            overrun: false,
+            next_set: None,
+            gyro_since: 0.0,
+            sets: 0,
+            loses_write: None,
+        };
+        sensor.reset();
+        sensor
+    }
+
+    fn reset(&mut self) {
+        self.registers = [0; 128];
+        self.registers[0x0F] = 0x6A;
+        self.registers[0x12] = 0x04;
+        self.fifo.clear();
+        self.overrun = false;
+        self.next_set = None;
+    }
+
+    fn register(&self, register: u8) -> u8 {
+        self.registers[usize::from(register)]
+    }
+
+    /// Nothing where a sensor is off, or the two run at different rates.
+    fn period(&self) -> Option<f64> {
+        let hz = match (self.register(0x10) >> 4, self.register(0x11) >> 4) {
+            (4, 4) => 104.0,
+            (5, 5) => 208.0,
+            (6, 6) => 416.0,
+            _ => return None,
+        };
+        Some(self.clock_ratio / hz)
+    }
+
+    fn clip(value: f64) -> i16 {
+        value.round() as i16
+    }
+
+    fn set(&self, at: f64) -> [i16; 6] {
+        let v = self.motion.at(at);
+        // ±2, ±16, ±4, ±8 g; ±250, 500, 1000, 2000 deg/s, ±125 by a bit of its own.
+        let mg = [0.061, 0.488, 0.122, 0.244][usize::from(self.register(0x10) >> 2) & 3];
+        let mdps = if self.register(0x11) & 2 != 0 {
+            4.375
+        } else {
+            [8.75, 17.5, 35.0, 70.0][usize::from(self.register(0x11) >> 2) & 3]
+        };
+        let turned_on = at >= self.gyro_since + GYRO_START_SECONDS;
+        std::array::from_fn(|i| match i {
+            0..3 if turned_on => Self::clip(v[3 + i] / (mdps * 1e-3)),
+            0..3 => 0,
+            _ => Self::clip(v[i - 3] / (mg * 1e-3 * 9.80665)),
+        })
+    }
+
+    /// Takes all sets up to this time.
+    fn advance(&mut self, now: u64) {
+        let seconds = now as f64 / HZ as f64;
+        while let (Some(at), Some(period)) = (self.next_set, self.period()) {
+            if at > seconds {
+                break;
+            }
+            self.sets += 1;
+            let control = self.register(0x0A);
+            // Continuous mode, a rate of the FIFO, and both sensors in it without decimation.
+            if control & 7 == 6 && control >> 3 & 0xF != 0 && self.register(0x08) & 0x3F == 0x09 {
+                if self.fifo.len() + 6 > FIFO_WORDS {
+                    self.fifo.drain(..6);
+                    self.overrun = true;
+                }
+                let set = self.set(at);
+                self.fifo.extend(set);
+            }
+            self.next_set = Some(at + period);
+        }
+    }
+
+    fn write_register(&mut self, register: u8, value: u8, now: u64) {
+        match register {
+            0x0F | 0x1E | 0x20..=0x2D | 0x3A..=0x3F => {}
+            0x12 if value & 1 != 0 => {
+                self.reset();
+                self.busy_until = now + RESET;
+            }
+            _ => {
+                self.registers[usize::from(register)] = value;
+                let seconds = now as f64 / HZ as f64;
+                match register {
+                    0x10 | 0x11 => {
+                        self.next_set = self.period().map(|period| seconds + period);
+                        self.gyro_since = seconds;
+                    }
+                    0x0A if value & 7 == 0 => {
+                        self.fifo.clear();
+                        self.overrun = false;
+                    }
+                    _ => {}
+                }
+            }
+        }
+    }
+
+    fn read_register(&mut self, register: u8) -> u8 {
+        let words = self.fifo.len() as u16;
+        match register {
+            0x3A => words.to_le_bytes()[0],
+            0x3B => {
+                let empty = u8::from(words == 0) << 4;
+                words.to_le_bytes()[1] & 7 | empty | u8::from(self.overrun) << 6
+            }
+            // Which word of a set comes next.
+            0x3C => ((6 - words % 6) % 6) as u8,
+            0x3E => self.fifo.front().copied().unwrap_or(0).to_le_bytes()[0],
+            0x3F => self.fifo.pop_front().unwrap_or(0).to_le_bytes()[1],
+            _ => self.register(register),
+        }
+    }
+}
+
+impl Sensor for Lsm6ds3 {
+    fn has_address(&self, address: u8) -> bool {
+        address == ADDRESS
+    }
+
+    fn write(&mut self, _: u8, bytes: &[u8], now: u64) {
+        self.advance(now);
+        let Some((&register, data)) = bytes.split_first() else { return };
+        self.selected = register & 0x7F;
+        for &value in data {
+            let register = self.selected;
+            let lost = self.loses_write.take_if(|lost| *lost == register).is_some();
+            if !lost && now >= self.busy_until {
+                self.write_register(register, value, now);
+            }
+            if self.register(0x12) & 0x04 != 0 {
+                self.selected = (register + 1) & 0x7F;
+            }
+        }
+    }
+
+    fn read(&mut self, _: u8, bytes: &mut [u8], now: u64) {
+        self.advance(now);
+        for byte in bytes {
+            let register = self.selected;
+            *byte = self.read_register(register);
+            if self.register(0x12) & 0x04 != 0 {
+                // A burst stays at the FIFO's output.
+                self.selected = if register == 0x3F { 0x3E } else { (register + 1) & 0x7F };
+            }
+        }
+    }
+
+    fn power_cycle(&mut self) {
+        self.reset();
+    }
+
+    fn set_motion(&mut self, motion: Box<dyn Motion>) {
+        self.motion = motion;
+    }
+
+    fn set_clock_ratio(&mut self, ratio: f64) {
+        self.clock_ratio = ratio;
+    }
+
+    fn lose_write(&mut self, register: u8) {
+        self.loses_write = Some(register);
+    }
+
+    fn sets(&self) -> u64 {
+        self.sets
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::nrf::lsm9ds1::Still;
+    use crate::nrf::time::ms;
+
+    fn get<const N: usize>(sensor: &mut Lsm6ds3, register: u8, now: u64) -> [u8; N] {
+        sensor.write(ADDRESS, &[register], now);
+        let mut bytes = [0; N];
+        sensor.read(ADDRESS, &mut bytes, now);
+        bytes
+    }
+
+    fn running(motion: Box<dyn Motion>) -> Lsm6ds3 {
+        let mut sensor = Lsm6ds3::new(motion);
+        for (register, value) in [(0x12, 0x44), (0x08, 0x09), (0x0A, 0x2E), (0x10, 0x58), (0x11, 0x5C)] {
+            sensor.write(ADDRESS, &[register, value], 0);
+        }
+        sensor
+    }
+
+    struct Moved;
+    impl Motion for Moved {
+        fn at(&self, _: f64) -> [f64; 9] {
+            [1.0, 50.0, -9.80665, 100.0, 0.0, -2500.0, 0.0, 0.0, 0.0]
+        }
+    }
+
+    #[test]
+    fn identity_and_reset_values_are_the_data_sheets() {
+        let mut sensor = Lsm6ds3::new(Box::new(Still));
+        assert_eq!(get(&mut sensor, 0x0F, 0), [0x6A]);
+        assert_eq!(get(&mut sensor, 0x10, 0), [0, 0, 0x04]);
+    }
+
+    #[test]
+    fn the_fifo_gives_gyroscope_then_accelerometer_scaled_and_clipped() {
+        let mut sensor = running(Box::new(Moved));
+        // 20 sets in 100 ms at 208 Hz, six words each; in step, not empty.
+        assert_eq!(get(&mut sensor, 0x3A, ms(100)), [120, 0, 0, 0]);
+        let bytes: [u8; 240] = get(&mut sensor, 0x3E, ms(100));
+        let set = |n: usize| -> Vec<i16> {
+            bytes[12 * n..12 * n + 12].chunks(2).map(|c| i16::from_le_bytes([c[0], c[1]])).collect()
+        };
+        // The gyroscope turns on within 35 ms.
+        assert_eq!(set(0)[..3], [0; 3]);
+        assert_eq!(set(19), [1429, 0, i16::MIN, 836, i16::MAX, -8197]);
+        assert_eq!(get(&mut sensor, 0x3A, ms(100)), [0, 0x10, 0, 0]);
+    }
+
+    #[test]
+    fn the_fifo_says_how_far_it_is_in_a_set_and_that_some_are_lost() {
+        let mut sensor = running(Box::new(Still));
+        let _: [u8; 4] = get(&mut sensor, 0x3E, ms(10));
+        assert_eq!(get(&mut sensor, 0x3A, ms(10)), [10, 0, 2, 0]);
+        let mut sensor = running(Box::new(Still));
+        let [low, high, ..] = get::<4>(&mut sensor, 0x3A, ms(3000));
+        assert_eq!(u16::from_le_bytes([low, high & 7]) / 6, 341);
+        assert_eq!(high & 0x40, 0x40);
+        sensor.write(ADDRESS, &[0x0A, 0x00], ms(3000));
+        assert_eq!(get(&mut sensor, 0x3A, ms(3000)), [0, 0x10, 0, 0]);
+    }
+}
