@@ -3,7 +3,7 @@
 Shares nothing with the Rust side: what both understand, they understand by the standard.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from cyclonedds.idl import IdlStruct
 from cyclonedds.idl.types import array, float64, int8, int32, int64, sequence, uint8, uint16, uint32
@@ -18,27 +18,27 @@ class Time(IdlStruct, typename=_name("builtin_interfaces", "msg", "Time")):
     sec: int32 = 0
     nanosec: uint32 = 0
 
-    def seconds(self):
-        return self.sec + self.nanosec * 1e-9
-
-    @staticmethod
-    def of(seconds):
-        return Time(int(seconds), int((seconds - int(seconds)) * 1e9))
-
 
 @dataclass
 class Duration(IdlStruct, typename=_name("builtin_interfaces", "msg", "Duration")):
     sec: int32 = 0
     nanosec: uint32 = 0
 
-    def seconds(self):
-        return self.sec + self.nanosec * 1e-9
-
 
 @dataclass
 class Header(IdlStruct, typename=_name("std_msgs", "msg", "Header")):
     stamp: Time
     frame_id: str = ""
+
+
+@dataclass
+class Clock(IdlStruct, typename=_name("rosgraph_msgs", "msg", "Clock")):
+    clock: Time
+
+
+@dataclass
+class Bool(IdlStruct, typename=_name("std_msgs", "msg", "Bool")):
+    data: bool
 
 
 @dataclass
@@ -179,6 +179,24 @@ class JointComponentTolerance(IdlStruct, typename=_name("control_msgs", "msg", "
 
 
 @dataclass
+class JointTrajectoryControllerState(
+    IdlStruct, typename=_name("control_msgs", "msg", "JointTrajectoryControllerState")
+):
+    header: Header
+    joint_names: sequence[str]
+    reference: JointTrajectoryPoint
+    feedback: JointTrajectoryPoint
+    error: JointTrajectoryPoint
+    output: JointTrajectoryPoint
+    multi_dof_joint_names: sequence[str]
+    multi_dof_reference: MultiDOFJointTrajectoryPoint
+    multi_dof_feedback: MultiDOFJointTrajectoryPoint
+    multi_dof_error: MultiDOFJointTrajectoryPoint
+    multi_dof_output: MultiDOFJointTrajectoryPoint
+    speed_scaling_factor: float64
+
+
+@dataclass
 class KeyValue(IdlStruct, typename=_name("diagnostic_msgs", "msg", "KeyValue")):
     key: str
     value: str
@@ -199,7 +217,7 @@ class DiagnosticArray(IdlStruct, typename=_name("diagnostic_msgs", "msg", "Diagn
     status: sequence[DiagnosticStatus]
 
 
-# What follows is an action, as rmw_cyclonedds_cpp puts it on the wire: requests and replies begin with the
+# What follows are actions, as rmw_cyclonedds_cpp puts them on the wire: requests and replies begin with the
 # client's identity and a number, which a reply repeats.
 
 
@@ -207,35 +225,6 @@ class DiagnosticArray(IdlStruct, typename=_name("diagnostic_msgs", "msg", "Diagn
 class Request(IdlStruct, typename="bimanual.Request"):
     client: array[uint8, 8]
     number: int64
-
-
-@dataclass
-class FollowGoal(IdlStruct, typename=_name("control_msgs", "action", "FollowJointTrajectory_Goal")):
-    trajectory: JointTrajectory
-    multi_dof_trajectory: MultiDOFJointTrajectory
-    path_tolerance: sequence[JointTolerance]
-    component_path_tolerance: sequence[JointComponentTolerance]
-    goal_tolerance: sequence[JointTolerance]
-    component_goal_tolerance: sequence[JointComponentTolerance]
-    goal_time_tolerance: Duration
-
-
-@dataclass
-class SendGoalRequest(
-    IdlStruct, typename=_name("control_msgs", "action", "FollowJointTrajectory_SendGoal_Request")
-):
-    request: Request
-    goal_id: array[uint8, 16]
-    goal: FollowGoal
-
-
-@dataclass
-class SendGoalReply(
-    IdlStruct, typename=_name("control_msgs", "action", "FollowJointTrajectory_SendGoal_Response")
-):
-    request: Request
-    accepted: bool
-    stamp: Time
 
 
 @dataclass
@@ -257,27 +246,61 @@ class CancelReply(IdlStruct, typename=_name("action_msgs", "srv", "CancelGoal_Re
     goals_canceling: sequence[GoalInfo]
 
 
+class Action:
+    """The messages of an action of control_msgs."""
+
+    def __init__(self, kind, Goal, Result, Feedback):
+        name = lambda part: _name("control_msgs", "action", f"{kind}_{part}")
+
+        @dataclass
+        class SendGoalRequest(IdlStruct, typename=name("SendGoal_Request")):
+            request: Request
+            goal_id: array[uint8, 16]
+            goal: Goal
+
+        @dataclass
+        class SendGoalReply(IdlStruct, typename=name("SendGoal_Response")):
+            request: Request
+            accepted: bool
+            stamp: Time
+
+        @dataclass
+        class ResultRequest(IdlStruct, typename=name("GetResult_Request")):
+            request: Request
+            goal_id: array[uint8, 16]
+
+        @dataclass
+        class ResultReply(IdlStruct, typename=name("GetResult_Response")):
+            request: Request
+            status: int8
+            result: Result
+
+        @dataclass
+        class FeedbackMessage(IdlStruct, typename=name("FeedbackMessage")):
+            goal_id: array[uint8, 16]
+            feedback: Feedback
+
+        self.SendGoalRequest, self.SendGoalReply = SendGoalRequest, SendGoalReply
+        self.ResultRequest, self.ResultReply = ResultRequest, ResultReply
+        self.FeedbackMessage = FeedbackMessage
+        self.Result, self.Feedback = Result, Feedback
+
+
 @dataclass
-class ResultRequest(
-    IdlStruct, typename=_name("control_msgs", "action", "FollowJointTrajectory_GetResult_Request")
-):
-    request: Request
-    goal_id: array[uint8, 16]
+class FollowGoal(IdlStruct, typename=_name("control_msgs", "action", "FollowJointTrajectory_Goal")):
+    trajectory: JointTrajectory
+    multi_dof_trajectory: MultiDOFJointTrajectory
+    path_tolerance: sequence[JointTolerance]
+    component_path_tolerance: sequence[JointComponentTolerance]
+    goal_tolerance: sequence[JointTolerance]
+    component_goal_tolerance: sequence[JointComponentTolerance]
+    goal_time_tolerance: Duration
 
 
 @dataclass
 class FollowResult(IdlStruct, typename=_name("control_msgs", "action", "FollowJointTrajectory_Result")):
-    error_code: int32
-    error_string: str
-
-
-@dataclass
-class ResultReply(
-    IdlStruct, typename=_name("control_msgs", "action", "FollowJointTrajectory_GetResult_Response")
-):
-    request: Request
-    status: int8
-    result: FollowResult
+    error_code: int32 = 0
+    error_string: str = ""
 
 
 @dataclass
@@ -287,15 +310,62 @@ class FollowFeedback(IdlStruct, typename=_name("control_msgs", "action", "Follow
     desired: JointTrajectoryPoint
     actual: JointTrajectoryPoint
     error: JointTrajectoryPoint
-    multi_dof_joint_names: sequence[str]
-    multi_dof_desired: MultiDOFJointTrajectoryPoint
-    multi_dof_actual: MultiDOFJointTrajectoryPoint
-    multi_dof_error: MultiDOFJointTrajectoryPoint
+    multi_dof_joint_names: sequence[str] = field(default_factory=list)
+    multi_dof_desired: MultiDOFJointTrajectoryPoint = field(default_factory=lambda: _no_dof())
+    multi_dof_actual: MultiDOFJointTrajectoryPoint = field(default_factory=lambda: _no_dof())
+    multi_dof_error: MultiDOFJointTrajectoryPoint = field(default_factory=lambda: _no_dof())
+
+
+def _no_dof():
+    return MultiDOFJointTrajectoryPoint([], [], [], Duration())
 
 
 @dataclass
-class FeedbackMessage(
-    IdlStruct, typename=_name("control_msgs", "action", "FollowJointTrajectory_FeedbackMessage")
-):
-    goal_id: array[uint8, 16]
-    feedback: FollowFeedback
+class GripperCommand(IdlStruct, typename=_name("control_msgs", "msg", "GripperCommand")):
+    position: float64
+    max_effort: float64
+
+
+@dataclass
+class GripperCommandGoal(IdlStruct, typename=_name("control_msgs", "action", "GripperCommand_Goal")):
+    command: GripperCommand
+
+
+@dataclass
+class GripperCommandResult(IdlStruct, typename=_name("control_msgs", "action", "GripperCommand_Result")):
+    position: float64
+    effort: float64
+    stalled: bool
+    reached_goal: bool
+
+
+@dataclass
+class GripperCommandFeedback(IdlStruct, typename=_name("control_msgs", "action", "GripperCommand_Feedback")):
+    position: float64
+    effort: float64
+    stalled: bool
+    reached_goal: bool
+
+
+@dataclass
+class ParallelGoal(IdlStruct, typename=_name("control_msgs", "action", "ParallelGripperCommand_Goal")):
+    command: JointState
+
+
+@dataclass
+class ParallelResult(IdlStruct, typename=_name("control_msgs", "action", "ParallelGripperCommand_Result")):
+    state: JointState
+    stalled: bool
+    reached_goal: bool
+
+
+@dataclass
+class ParallelFeedback(IdlStruct, typename=_name("control_msgs", "action", "ParallelGripperCommand_Feedback")):
+    state: JointState
+
+
+ACTIONS = {
+    "FollowJointTrajectory": Action("FollowJointTrajectory", FollowGoal, FollowResult, FollowFeedback),
+    "GripperCommand": Action("GripperCommand", GripperCommandGoal, GripperCommandResult, GripperCommandFeedback),
+    "ParallelGripperCommand": Action("ParallelGripperCommand", ParallelGoal, ParallelResult, ParallelFeedback),
+}

@@ -3,6 +3,7 @@
 mod campaign;
 mod firmware_avr;
 mod firmware_nano33;
+mod jazzy;
 mod package;
 mod python;
 mod real_data;
@@ -30,6 +31,7 @@ usage: cargo xtask VERB
   firmware nano33 [ble|bootloader]
                                 the right hand's images: flash and RAM per part
   package                       an archive for Linux on x86-64 under target/package
+  ros2                          ROS 2 Jazzy's rclpy below target, for tests/ros2/rclpy_peer.py: prints its Python
   help                          this text
 ";
 
@@ -59,6 +61,12 @@ fn run(args: &[String]) -> Result<ExitCode> {
         }
         ["package"] => {
             package::run()?;
+            Ok(ExitCode::SUCCESS)
+        }
+        ["ros2"] => {
+            if let Some(python) = jazzy::environment()? {
+                println!("{}", python.display());
+            }
             Ok(ExitCode::SUCCESS)
         }
         [] | ["help" | "--help" | "-h"] => {

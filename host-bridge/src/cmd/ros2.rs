@@ -11,22 +11,27 @@ pub const FAREWELL_MS: u64 = 300;
 #[cfg(feature = "ros2")]
 mod on {
     use std::sync::{Arc, Mutex};
-    use std::time::{Duration, SystemTime};
+    use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
     use anyhow::{Result, bail};
     use host_bridge::base::BaseConfig;
     use host_bridge::observe::{Now, Observer, SessionEvent};
     use host_bridge::robot::JointLimits;
-    use host_bridge::ros2::advice::{Machine, look_at, nobody, topics};
+    use host_bridge::ros2::advice::{Heard, Machine, look_at, nobody, topics, tried, variables};
     use host_bridge::ros2::config::{Connection, RosEnvironment};
     use host_bridge::ros2::driver::RosDriver;
     use host_bridge::ros2::node::{RosNode, RosPublisher};
-    use host_bridge::ros2::{Counts, Ros2Config, RosRobot};
+    use host_bridge::ros2::{ArmInterface, Counts, Ros2Config, RosRobot};
     use host_bridge::topics::diagnostics::Diagnostics;
     use host_bridge::topics::message::Time;
 
     /// Others are looked for so long before the simulator's state is published.
     const SEARCH: Duration = Duration::from_millis(2500);
+
+    /// Seconds since 1970.
+    fn wall_s() -> f64 {
+        SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs_f64()
+    }
 
     fn connection(config: &Ros2Config) -> Result<Connection> {
         config.connection(&RosEnvironment::read()).map_err(anyhow::Error::msg)
@@ -53,7 +58,7 @@ mod on {
             publish_sim: bool,
         ) -> Result<Self> {
             let connection = connection(config)?;
-            let (node, publisher) = RosNode::open(config, &connection, publish_sim)?;
+            let (mut node, publisher) = RosNode::open(config, &connection, publish_sim)?;
             if publish_sim {
                 std::thread::sleep(SEARCH);
                 let rivals = node.rivals();
@@ -109,11 +114,29 @@ mod on {
         }
     }
 
-    /// Looks at the graph for a while; is all well?
+    /// Looks at the graph for a while, and tries; is all well?
     pub fn doctor(config: &Ros2Config, seconds: f64) -> Result<bool> {
-        let connection = connection(config)?;
-        let (node, publisher) = RosNode::open(config, &connection, false)?;
-        std::thread::sleep(Duration::from_secs_f64(seconds));
+        let environment = RosEnvironment::read();
+        let connection = match connection(config) {
+            Ok(connection) => connection,
+            Err(why) => {
+                println!("\nROS 2\n  → {why}");
+                return Ok(false);
+            }
+        };
+        // The controller can be asked by its action alone, whichever way the arm is moved.
+        let arm = match config.arm {
+            ArmInterface::None => ArmInterface::None,
+            _ => ArmInterface::Action,
+        };
+        let asking = Ros2Config { arm, ..config.clone() };
+        let (mut node, publisher) = RosNode::open(&asking, &connection, false)?;
+        let start = Instant::now();
+        let mut heard = Heard::default();
+        while start.elapsed().as_secs_f64() < seconds {
+            std::thread::sleep(Duration::from_millis(10));
+            heard = node.examine(wall_s(), start.elapsed().as_millis() as u64);
+        }
         let graph = node.graph();
         println!("\nROS 2: domain {} (from {})", connection.domain_id, connection.domain_from);
         let interfaces: Vec<String> = connection.interfaces.iter().map(ToString::to_string).collect();
@@ -121,14 +144,13 @@ mod on {
             "  interfaces: {}",
             if interfaces.is_empty() { "all".to_owned() } else { interfaces.join(", ") }
         );
-        println!(
-            "  goals as {} has them; {} other participant{}",
-            if connection.cyclone_services { "rmw_cyclonedds_cpp" } else { "rmw_fastrtps_cpp" },
-            graph.participants.len(),
-            if graph.participants.len() == 1 { "" } else { "s" }
-        );
+        for (id, other) in &graph.participants {
+            let name = other.name.as_deref().filter(|name| !name.is_empty());
+            let name = name.map(|name| format!(" \"{name}\"")).unwrap_or_default();
+            println!("  participant {id}: {}, protocol {}{name}", other.vendor, other.version);
+        }
         let mut advice = Vec::new();
-        for topic in topics(config) {
+        for topic in topics(config, &graph) {
             let found = look_at(&topic, &graph);
             for line in found.lines {
                 println!("  {line}");
@@ -143,6 +165,13 @@ mod on {
             let tcp = read("/proc/net/tcp") + &read("/proc/net/tcp6");
             advice.push("nobody else is in this domain".to_owned());
             advice.extend(nobody(&connection, &Machine::from_proc(&udp, &tcp)));
+            advice.extend(variables(&environment));
+        } else {
+            let found = tried(config, &graph, &heard, &environment);
+            for line in found.lines {
+                println!("  {line}");
+            }
+            advice.extend(found.advice);
         }
         for line in &advice {
             println!("  → {line}");

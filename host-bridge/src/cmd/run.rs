@@ -22,7 +22,7 @@ use host_bridge::robot::brake::longest_s;
 use host_bridge::robot::{Door, Robot};
 use host_bridge::robots::{Echoed, Stage};
 use host_bridge::ros2::stream::HORIZON_MS;
-use host_bridge::ros2::{ArmInterface, Counts};
+use host_bridge::ros2::{ArmInterface, Counts, Stamped};
 use host_bridge::safety::Hand;
 use host_bridge::source::Source;
 use host_bridge::view::{Scene, View};
@@ -132,7 +132,9 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     let mut config = read_config(args.config.as_deref())?;
     config.left_handed |= args.left_handed;
     config.arm.jerk_limited |= args.jerk_limited;
-    config.ros2.stamped &= !args.unstamped;
+    if args.unstamped {
+        config.ros2.stamped = Stamped::Fixed(false);
+    }
     if args.publish_sim {
         // The simulator's arm is the one that moves.
         config.ros2.arm = ArmInterface::None;
@@ -313,7 +315,6 @@ pub fn run(args: &Args) -> Result<ExitCode> {
 type AnyRobot = Box<dyn Robot + Send>;
 
 /// The robot that is there: one on a graph, or the simulator.
-#[expect(clippy::type_complexity, reason = "three things that belong to one choice")]
 fn robot(
     stage: &Stage,
     config: &Config,

@@ -12,8 +12,8 @@ use serde_json::Value;
 
 use crate::double::{BENT, Double, FORWARD, LEVEL};
 use crate::graph::{
-    DECISION_MS, SILENCE_MS, Site, Teller, armed, bridge, bridge_on_its_own, delay_ms, desk, domain,
-    gestures, is, is_full, middle_and_worst, number, peer, site, speed, started, wall_s,
+    DECISION_MS, Lateness, SILENCE_MS, Site, Teller, armed, bridge, delay_ms, domain, gestures, is, is_full,
+    is_rclpy, middle_and_worst, number, peer, site, speed, started, wall_s,
 };
 use crate::lateness::Lateness;
 
@@ -29,7 +29,8 @@ fn hands_drive_an_independent_robot_with_right_types_values_quality_and_in_time(
     let (left, right) = (Double::left(&desk), Double::right(&desk, 0.0));
     let mut robot = peer(&desk, &site.python, domain, &["--robot", "--action", "--pace", "8"]);
     robot.has("ready", |v| is(v, "ready"));
-    let mut bridge = bridge(&desk, domain, "", &["--left", &left.port(), "--right", &right.port()]);
+    let mut bridge =
+        bridge(&desk, domain, "arm = 'action'\n", &["--left", &left.port(), "--right", &right.port()]);
 
     // Types and quality of service, as the other side's middleware has them.
     for (topic, type_name) in [
@@ -148,11 +149,11 @@ fn hands_drive_an_independent_robot_with_right_types_values_quality_and_in_time(
     robot.order("quit");
     let (_, said, _) = robot.end();
     let last = said.last().unwrap();
-    assert_eq!(
-        (last["received"].as_u64(), &last["dropped"]),
-        (counts["twists"].as_u64(), &0.into()),
-        "{last}"
-    );
+    assert_eq!(last["dropped"], 0, "{last}");
+    let (received, sent) = (number(&last["received"]), number(&counts["twists"]));
+    // The controllers' own quality of service on Fast DDS keeps the newest message alone.
+    let least = if is_rclpy() { 0.5 * sent } else { sent };
+    assert!((least..=sent).contains(&received), "{received} of {sent}");
     assert!(!said.iter().any(|v| v["became"].as_str().is_some_and(|b| b.contains("older"))));
 }
 
@@ -196,8 +197,9 @@ fn the_simulators_state_is_published_only_where_no_robot_is() {
     bridge.has("the robot was seen", |v| {
         is(v, "robot") && v["text"].as_str().unwrap().contains("somebody else publishes /cell1/joint_states")
     });
-    viewer.listen(Duration::from_millis(300));
-    assert!(!viewer.listen(Duration::from_millis(500)).iter().any(|v| is(v, "odom")));
+    // A busy machine reads what was sent before somewhat later.
+    let is_quiet = |_| !viewer.listen(Duration::from_millis(500)).iter().any(|v| is(v, "odom"));
+    assert!((0..20).any(is_quiet));
 
     // And where one is already, the program does not start.
     let other = Double::left_named(&desk, "other");
@@ -226,8 +228,8 @@ fn on_the_topic_a_motion_is_a_trajectory_and_a_stop_is_one_that_brakes() {
         is(v, "motion-refused") && v["reason"].as_str().unwrap().contains("joint_state_broadcaster")
     });
     robot.order("joints on");
-    let trajectory = robot.wait("a trajectory", |v| is(v, "trajectory"));
-    assert!(trajectory["points"].as_array().unwrap().len() > 3);
+    let is_motion = |v: &Value| v["points"].as_array().is_some_and(|points| points.len() > 3);
+    robot.wait("a motion's trajectory", |v| is(v, "trajectory") && is_motion(v));
     desk.pass(Duration::from_millis(500));
     left.hold(BENT);
     let braking = robot.wait("a braking trajectory", |v| is(v, "trajectory"));
@@ -241,48 +243,211 @@ fn on_the_topic_a_motion_is_a_trajectory_and_a_stop_is_one_that_brakes() {
     assert!(!robot.seen.iter().any(|(_, v)| is(v, "goal")), "never both ways");
 }
 
+/// The base's speed as the robot's controller has it.
+fn base_speed(value: &Value) -> Option<f64> {
+    is(value, "base").then(|| number(&value["linear"]))
+}
+
 #[test]
-fn doctor_names_what_is_wrong() {
-    let Some(site) = site("doctor_names_what_is_wrong", false) else { return };
-    let desk = desk("ros2-4");
-    let domain = domain();
-    let mut robot = peer(&desk, &site.python, domain, &["--robot", "--action", "--unstamped"]);
-    robot.has("ready", |v| is(v, "ready"));
-    let doctor = |domain: u32, section: &str| {
-        let config = desk.path("doctor.toml");
+fn a_killed_bridge_is_a_base_at_rest_and_a_stopped_one_is_on_the_graph_again() {
+    let Some(site) = site("a_killed_bridge_is_a_base_at_rest_and_a_stopped_one_is_on_the_graph_again", true)
+    else {
+        return;
+    };
+    for clock in ["--odom", "--sim-time"] {
+        let desk = desk(&format!("ros2-killed{clock}"));
+        let domain = domain();
+        let left = Double::left(&desk);
+        let mut robot = peer(&desk, &site.python, domain, &["--robot", "--odom", clock]);
+        robot.has("ready", |v| is(v, "ready"));
+        // As it is by default, written down so that the test's own stamps are not taken.
+        // On its own clock: the system stops it.
+        let mut bridge = bridge_on_its_own(&desk, domain, "stamp = 'zero'\n", &["--left", &left.port()]);
+        bridge.has("the reader", |v| is(v, "robot") && v["text"].as_str().unwrap().contains("1 reader"));
+        bridge.has("armed", armed);
+        left.hold(FORWARD);
+        robot.wait("forward", |v| base_speed(v) == Some(0.5));
+
+        // Stopped and continued, as by a debugger, a frozen container or suspend.
+        bridge.signal("STOP");
+        robot.wait("it stops by itself", |v| is(v, "stopped"));
+        bridge.catch_up();
+        let (from, continued_s) = (bridge.seen.len(), wall_s());
+        bridge.signal("CONT");
+        let says = |words: &'static str| {
+            move |v: &Value| is(v, "robot") && v["text"].as_str().is_some_and(|text| text.contains(words))
+        };
+        let alarm = bridge.wait_from(from, "the alarm", says("ALARM"));
+        let place = bridge.wait_from(alarm, "the graph again", says("on the graph again"));
+        let (alarmed_s, again_s) = (bridge.seen[alarm].0, bridge.seen[place].0);
+        bridge.wait_from(place, "the reader", says("1 reader"));
+        println!(
+            "{clock}: stopped and continued; noticed after {:.0} ms, on the graph again after {:.0} ms",
+            (alarmed_s - continued_s) * 1000.0,
+            (again_s - continued_s) * 1000.0
+        );
+        assert!(again_s - continued_s < 5.0, "on any machine");
+        left.hold(LEVEL);
+        bridge.wait("armed again", armed);
+        desk.pass(Duration::from_millis(300));
+        left.hold(FORWARD);
+        robot.wait("forward again", |v| base_speed(v) == Some(0.5));
+
+        let (lateness, killed_s) = (Lateness::watch(), wall_s());
+        bridge.signal("KILL");
+        let stopped = robot.wait("it stops by itself", |v| is(v, "stopped"));
+        let took_ms = (number(&stopped["t"]) - killed_s) * 1000.0;
+        println!("{clock}: killed; speed 0 after {took_ms:.0} ms");
+        assert!(!lateness.was_quiet() || took_ms <= 600.0, "{took_ms} ms");
+    }
+}
+
+/// One set-up that is not as it should be, and what `doctor` has to say about it.
+struct Wrong {
+    what: &'static str,
+    /// The robots' options; nobody where there are none.
+    robots: &'static [&'static [&'static str]],
+    section: &'static str,
+    environment: Option<(&'static str, &'static str)>,
+    words: &'static [&'static str],
+}
+
+const ROBOT: &[&str] = &["--robot", "--action"];
+const fn wrong(
+    what: &'static str,
+    robots: &'static [&'static [&'static str]],
+    section: &'static str,
+    words: &'static [&'static str],
+) -> Wrong {
+    Wrong { what, robots, section, environment: None, words }
+}
+
+#[test]
+fn doctor_tries_and_names_what_is_wrong() {
+    let Some(site) = site("doctor_tries_and_names_what_is_wrong", false) else { return };
+    let (vendor, other_rmw) =
+        if is_rclpy() { ("Fast DDS", "rmw_cyclonedds_cpp") } else { ("Cyclone DDS", "rmw_fastrtps_cpp") };
+    let with = |what, variable, value, words| Wrong {
+        environment: Some((variable, value)),
+        ..wrong(what, &[ROBOT], "", words)
+    };
+    let setups = [
+        with("RMW", "RMW_IMPLEMENTATION", other_rmw, &["runs on", "set it as on the robot"]),
+        with("Zenoh", "RMW_IMPLEMENTATION", "rmw_zenoh_cpp", &["rmw_zenoh_cpp", "speaks DDS"]),
+        with("discovery off", "ROS_AUTOMATIC_DISCOVERY_RANGE", "OFF", &["=OFF"]),
+        with("static peers", "ROS_STATIC_PEERS", "10.0.0.7", &["ROS_STATIC_PEERS = 10.0.0.7 is not obeyed"]),
+        with("discovery server", "ROS_DISCOVERY_SERVER", "10.0.0.8:11811", &["ROS_DISCOVERY_SERVER"]),
+        wrong(
+            "type",
+            &[&["--robot", "--action", "--unstamped"]],
+            "stamped = true\n",
+            &["is geometry_msgs/msg/Twist, ours"],
+        ),
+        wrong("quality of service", &[&["--robot", "--action", "--demanding"]], "", &["transient local"]),
+        wrong("namespace", &[ROBOT], "namespace = '/cell2'\n", &["but on /cmd_vel", "namespace"]),
+        wrong("domain", &[], "", &["nobody else is in this domain"]),
+        wrong("clock ahead", &[&["--robot", "--action", "--clock-offset", "2"]], "", &["2.00 s ahead of"]),
+        wrong(
+            "clock behind",
+            &[&["--robot", "--action", "--clock-offset", "-2"]],
+            "",
+            &["s behind this machine"],
+        ),
+        wrong(
+            "late joint states",
+            &[&["--robot", "--action", "--states-late", "30"]],
+            "",
+            &["30.0", "behind"],
+        ),
+        wrong(
+            "simulated time",
+            &[&["--robot", "--action", "--sim-time"]],
+            "stamp = 'wall'\n",
+            &["simulated time", "never stops by itself"],
+        ),
+        wrong("two writers", &[ROBOT, &["--robot"]], "", &["2 publishers"]),
+        wrong("two servers", &[ROBOT, ROBOT], "", &["2 controllers of one name"]),
+        wrong(
+            "no server",
+            &[&["--robot"]],
+            "arm = 'action'\n",
+            &["is that node running, its controller active?"],
+        ),
+        wrong(
+            "a controller that rejects",
+            &[&["--robot", "--action", "--inactive"]],
+            "",
+            &["not active and rejects"],
+        ),
+    ];
+    let folder = tempfile::tempdir().unwrap();
+    let doctor = |domain: u32, section: &str, environment: Option<(&str, &str)>| {
+        let config = folder.path().join(format!("doctor-{domain}-{}.toml", section.len()));
         let text = format!("[ros2]\ndomain_id = {domain}\ninterfaces = ['127.0.0.1']\n{section}");
         std::fs::write(&config, text).unwrap();
-        let output = Command::new(env!("CARGO_BIN_EXE_host-bridge"))
-            .args(["doctor", "--ros2", "--seconds", "2", "--config"])
-            .arg(&config)
-            .env_remove("RMW_IMPLEMENTATION")
-            .output()
-            .unwrap();
+        let mut command = Command::new(env!("CARGO_BIN_EXE_host-bridge"));
+        command.args(["doctor", "--ros2", "--seconds", "4", "--config"]).arg(&config);
+        command.env_remove("RMW_IMPLEMENTATION").envs(environment);
+        let output = command.output().unwrap();
         let text = String::from_utf8_lossy(&output.stdout) + String::from_utf8_lossy(&output.stderr);
         (output.status.success(), text.into_owned())
     };
-    let (well, text) = doctor(domain, "stamped = false\n");
-    assert!(well && text.contains("all is well"), "{text}");
-    for word in [
-        "/cmd_vel [geometry_msgs/msg/Twist, reliable]: 1 reader matched",
-        "FollowJointTrajectory_SendGoal_Request, reliable]: 1 reader matched",
-        "/joint_states [sensor_msgs/msg/JointState, best effort]: 1 publisher matched",
-        "publisher: sensor_msgs/msg/JointState, reliable, volatile",
-        "127.0.0.1",
-    ] {
-        assert!(text.contains(word), "{word} in\n{text}");
+    // One that is right, as Jazzy and as Nav2's side want their speeds.
+    for unstamped in [false, true] {
+        let domain = domain();
+        let options: &[&str] = if unstamped { &["--robot", "--action", "--unstamped"] } else { ROBOT };
+        let desk = desk("ros2-doctor");
+        let mut robot = peer(&desk, &site.python, domain, options);
+        robot.has("ready", |v| is(v, "ready"));
+        let (well, text) = doctor(domain, "", None);
+        assert!(well && text.contains("all is well"), "{text}");
+        let kind = if unstamped { "Twist" } else { "TwistStamped" };
+        for word in [
+            &*format!("/cmd_vel [geometry_msgs/msg/{kind}, reliable]: 1 reader matched"),
+            "trajectory_msgs/msg/JointTrajectory, reliable]: 1 reader matched",
+            "/joint_states [sensor_msgs/msg/JointState, best effort]: 1 publisher matched",
+            &*format!("publisher: sensor_msgs/msg/JointState, reliable, volatile, {vendor}"),
+            &*format!("action server on {vendor}: answers"),
+            "ms from this machine's clock",
+            if is_rclpy() { "RIHS01_" } else { "no type hash" },
+            "127.0.0.1",
+        ] {
+            assert!(text.contains(word), "{word} in\n{text}");
+        }
     }
-    let (well, text) = doctor(domain, "");
-    assert!(!well && text.contains("--unstamped"), "{text}");
-    let (well, text) = doctor(domain, "stamped = false\nnamespace = '/cell2'\n");
-    assert!(!well && text.contains("but on /cmd_vel") && text.contains("namespace"), "{text}");
-    let (well, text) = doctor(domain + 100, "");
-    assert!(!well && text.contains(&format!("in domain {domain}, not {}", domain + 100)), "{text}");
+    // A few at a time: each is a program that listens for 4 s.
+    for some in setups.chunks(6) {
+        std::thread::scope(|scope| {
+            for setup in some {
+                scope.spawn(|| {
+                    let domain = domain();
+                    let desk = desk(&format!("ros2-doctor-{domain}"));
+                    let start = |options: &&[&str]| peer(&desk, &site.python, domain, options);
+                    let mut robots: Vec<Teller> = setup.robots.iter().map(start).collect();
+                    robots.iter_mut().for_each(|robot| drop(robot.has("ready", |v| is(v, "ready"))));
+                    let (well, text) = doctor(domain, setup.section, setup.environment);
+                    println!(
+                        "{}:{}",
+                        setup.what,
+                        text.lines().filter(|l| l.contains('→')).collect::<String>()
+                    );
+                    assert!(!well && !text.contains("all is well"), "{}: {text}", setup.what);
+                    for word in setup.words {
+                        assert!(text.contains(word), "{}: {word} in\n{text}", setup.what);
+                    }
+                });
+            }
+        });
+    }
 }
 
 // What follows needs a network of its own, and does not run without.
 
 fn own_site(test: &str, measures: bool) -> Option<Site> {
+    if is_rclpy() {
+        println!("SKIPPED: losses and a site's traffic are measured against Cyclone DDS");
+        return None;
+    }
     let site = site(test, measures)?;
     if !site.has_own_network {
         println!("SKIPPED: losses and a site's traffic are not for the machine's own loopback");

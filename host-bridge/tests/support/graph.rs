@@ -1,4 +1,4 @@
-//! The other side of the graph: `tests/ros2/peer.py` as a robot, the program beside it, and a network of their own.
+//! The other side of the graph: `tests/ros2/peer.py` (Cyclone DDS) or `rclpy_peer.py` (Fast DDS) as a robot, the program beside it, and a network of their own.
 //!
 //! DDS and the robot keep time by the wall clock, as do the delays that are measured here. Boards and program share one
 //! time, which goes no faster than that, and slower on a busy machine; so tests wait for what comes, and judge delays
@@ -179,7 +179,12 @@ impl Teller {
 
     /// Presses Ctrl-C.
     pub fn interrupt(&self) {
-        self.process.signal("-INT");
+        self.signal("INT");
+    }
+
+    /// Sends a signal of this name.
+    pub fn signal(&self, name: &str) {
+        self.process.signal(&format!("-{name}"));
     }
 
     /// Waits for the end; what it printed on standard error.
@@ -205,15 +210,27 @@ pub fn desk(name: &str) -> Desk {
     desk
 }
 
+/// The robot's program below `tests/ros2`.
+fn peer_script() -> String {
+    std::env::var("BIMANUAL_ROS2_PEER").unwrap_or_else(|_| "peer.py".to_owned())
+}
+
+/// Whether the robot is ROS 2's own client library on Fast DDS; else it is Cyclone DDS.
+pub fn is_rclpy() -> bool {
+    peer_script() == "rclpy_peer.py"
+}
+
 /// The robot, or whoever `options` make of it.
 pub fn peer(desk: &Desk, python: &str, domain: u32, options: &[&str]) -> Teller {
-    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/ros2/peer.py");
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/ros2").join(peer_script());
     let mut command = Command::new(python);
     command.arg(script).args(["--domain", &domain.to_string()]).args(options);
+    command.env_remove("RMW_IMPLEMENTATION");
     start("the robot", desk.time(), &mut command, Process::on_its_own)
 }
 
-/// The program under test with `section` in its configuration's `[ros2]`.
+/// The program under test with `section` in its configuration's `[ros2]`. Speeds are stamped, so that the test sees how
+/// old they are, unless the section says otherwise.
 pub fn bridge(desk: &Desk, domain: u32, section: &str, options: &[&str]) -> Teller {
     let mut command = bridge_command(desk, domain, section, options);
     start("the bridge", desk.time(), &mut command, |command| desk.time().spawn(command))
@@ -229,12 +246,16 @@ fn bridge_command(desk: &Desk, domain: u32, section: &str, options: &[&str]) -> 
     // Several stations may share a domain.
     let numbers = (0..).map(|number| desk.path(&format!("desk-{domain}-{number}.toml")));
     let config = numbers.into_iter().find(|config| !config.exists()).expect("a free name");
-    let text = format!(
-        "[ros2]\ndomain_id = {domain}\ninterfaces = ['127.0.0.1']\nmiddleware = 'cyclonedds'\n{section}"
-    );
+    let stamp = if section.contains("stamp = ") { "" } else { "stamp = 'wall'\n" };
+    let text = format!("[ros2]\ndomain_id = {domain}\ninterfaces = ['127.0.0.1']\n{stamp}{section}");
     std::fs::write(&config, text).unwrap();
     let mut command = Command::new(host_bridge());
     command.args(["run", "--ros2", "--json", "--config"]).arg(&config).args(options);
+    for variable in
+        ["ROS_DOMAIN_ID", "RMW_IMPLEMENTATION", "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY"]
+    {
+        command.env_remove(variable);
+    }
     command
 }
 

@@ -64,7 +64,7 @@ fn both_boards_reach_a_robot_on_the_graph_in_time_and_a_silent_one_stops_it() {
     let mut robot = peer(&desk, &site.python, domain, &["--robot", "--action", "--pace", PACE]);
     robot.has("ready", |v| is(v, "ready"));
     let ports = ["--left", &left.port(), "--right", &right.port()];
-    let mut bridge = bridge(&desk, domain, "", &ports);
+    let mut bridge = bridge(&desk, domain, "arm = 'action'\n", &ports);
     bridge.has("the robot's reader", |v| {
         is(v, "robot") && v["text"].as_str().is_some_and(|text| text.contains("1 reader on /cmd_vel"))
     });

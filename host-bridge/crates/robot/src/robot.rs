@@ -115,6 +115,11 @@ pub trait Robot {
         0
     }
 
+    /// Why nothing may be armed on this robot now; `None` = nothing stands against it.
+    fn refusal(&self) -> Option<String> {
+        None
+    }
+
     /// What a person should know, once each.
     fn take_notes(&mut self) -> Vec<String> {
         Vec::new()
@@ -166,6 +171,9 @@ impl<R: Robot + ?Sized> Robot for Box<R> {
     }
     fn timeouts(&self) -> u32 {
         (**self).timeouts()
+    }
+    fn refusal(&self) -> Option<String> {
+        (**self).refusal()
     }
     fn take_notes(&mut self) -> Vec<String> {
         (**self).take_notes()

@@ -1,8 +1,22 @@
 //! What `doctor --ros2` says about a graph: who listens, and why nobody does.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
-use super::config::{ArmInterface, Connection, Ros2Config};
+use super::clocks::Difference;
+use super::config::{ArmInterface, Connection, Ros2Config, RosEnvironment};
+use super::hashes;
+use super::vendor::Vendor;
+
+/// Somebody else on the graph.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Participant {
+    /// Whose middleware.
+    pub vendor: Vendor,
+    /// The protocol's version, such as `2.3`; empty where it is not known.
+    pub version: String,
+    /// What it calls itself.
+    pub name: Option<String>,
+}
 
 /// A reader or writer of somebody else.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -15,13 +29,19 @@ pub struct Endpoint {
     pub reliable: bool,
     /// Asks for (or offers) messages from before it came.
     pub transient_local: bool,
+    /// Whose middleware.
+    pub vendor: Vendor,
+    /// Which participant: the first 12 bytes of its GUID.
+    pub participant: String,
+    /// REP-2016's hash of its type, where it says one.
+    pub type_hash: Option<String>,
 }
 
 /// What was discovered.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Graph {
-    /// Others than us.
-    pub participants: BTreeSet<String>,
+    /// Others than us, by the first 12 bytes of their GUID.
+    pub participants: BTreeMap<String, Participant>,
     /// Their readers.
     pub readers: Vec<Endpoint>,
     /// Their writers.
@@ -123,14 +143,17 @@ pub fn ros_name(topic: &str) -> String {
     }
 }
 
-/// The topics of a configuration.
-pub fn topics(config: &Ros2Config) -> Vec<Topic> {
+/// The topics of a configuration; where it leaves the speed's type open, that is what its readers want.
+pub fn topics(config: &Ros2Config, graph: &Graph) -> Vec<Topic> {
     let plain = |key, name: &str, type_name: &str, written, reliable, needed| {
         let name = config.resolve(name);
         let topic = wire::topic(&name);
         Topic { name, topic, type_name: type_name.to_owned(), written, reliable, needed, key }
     };
-    let twist = if config.stamped { wire::TWIST_STAMPED } else { wire::TWIST };
+    let speed = wire::topic(&config.resolve(&config.cmd_vel));
+    let wants = |kind: &str| graph.readers.iter().any(|r| r.topic == speed && r.type_name == kind);
+    let stamped = config.stamped.fixed().unwrap_or_else(|| wants(wire::TWIST_STAMPED) || !wants(wire::TWIST));
+    let twist = if stamped { wire::TWIST_STAMPED } else { wire::TWIST };
     let controller = config.resolve(&config.arm_controller);
     let mut topics = vec![
         plain("cmd_vel", &config.cmd_vel, twist, true, config.reliable, true),
@@ -158,6 +181,16 @@ pub fn topics(config: &Ros2Config) -> Vec<Topic> {
 
 /// Why these two do not match; `None` = they do.
 fn mismatch(ours: &Topic, theirs: &Endpoint) -> Option<String> {
+    if ours.type_name == theirs.type_name
+        && let (Some(known), Some(hash)) = (hashes::of(&ros_type(&ours.type_name)), &theirs.type_hash)
+        && hash != known
+        && hash != "INVALID"
+    {
+        return Some(format!(
+            "has another {} than Jazzy's ({hash}): its packages are older or newer; what goes out may not be understood",
+            ros_type(&ours.type_name)
+        ));
+    }
     if ours.type_name != theirs.type_name {
         return Some(format!("is {}, ours {}", ros_type(&theirs.type_name), ros_type(&ours.type_name)));
     }
@@ -198,9 +231,12 @@ pub fn look_at(ours: &Topic, graph: &Graph) -> Finding {
         let durable = if other.transient_local { "transient local" } else { "volatile" };
         let (wire_type, reliable) = (ros_type(&other.type_name), kept(other.reliable));
         match mismatch(ours, other) {
-            None => lines.push(format!("  {role}: {wire_type}, {reliable}, {durable}")),
+            None => lines.push(format!("  {role}: {wire_type}, {reliable}, {durable}, {}", whose(other))),
             Some(why) => {
-                lines.push(format!("  {role} NOT matched: {wire_type}, {reliable}, {durable}"));
+                lines.push(format!(
+                    "  {role} NOT matched: {wire_type}, {reliable}, {durable}, {}",
+                    whose(other)
+                ));
                 advice.push(format!("{}: a {role} {why}{}", ours.name, remedy(ours, other)));
             }
         }
@@ -214,6 +250,21 @@ pub fn look_at(ours: &Topic, graph: &Graph) -> Finding {
                 if writers == 1 { "" } else { "s" }
             ));
         }
+    }
+    if matched > 1 && ours.key == "arm_controller" {
+        let servers: Vec<String> =
+            there.iter().map(|s| format!("{} ({})", s.vendor, s.participant)).collect();
+        advice.push(format!(
+            "{}: {matched} controllers of one name: {}; end all but one, no motion starts before",
+            ours.name,
+            servers.join(", ")
+        ));
+    }
+    if matched > 1 && ours.key == "joint_states" {
+        advice.push(format!(
+            "{}: {matched} publishers; whose angles are the arm's? Leave one (`ros2 topic info -v {}`)",
+            ours.name, ours.name
+        ));
     }
     if there.is_empty() && ours.needed && !graph.participants.is_empty() {
         let same_type = others.iter().filter(|other| other.type_name == ours.type_name);
@@ -244,10 +295,139 @@ pub fn look_at(ours: &Topic, graph: &Graph) -> Finding {
     Finding { lines, advice }
 }
 
+fn whose(end: &Endpoint) -> String {
+    match &end.type_hash {
+        // As long as it takes to tell two apart.
+        Some(hash) => format!("{}, {}", end.vendor, hash.get(..15).unwrap_or(hash)),
+        None => format!("{}, no type hash", end.vendor),
+    }
+}
+
+/// A harmless request and its answer.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Probe {
+    /// No server is known, or several are.
+    #[default]
+    NotSent,
+    /// Not answered yet.
+    Waiting,
+    /// Answered.
+    Answered,
+}
+
+/// What was heard and tried while the graph was looked at.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Heard {
+    /// Angles of the arm.
+    pub joint_states: u64,
+    /// What the arm's controller says about itself.
+    pub controller_states: u64,
+    /// A simulation's time.
+    pub clocks: u64,
+    /// The robot's clock against the one that it should agree with.
+    pub difference: Option<Difference>,
+    /// Why nothing would be armed.
+    pub refusal: Option<String>,
+    /// The arm's server was asked for the end of a goal that nobody has.
+    pub probe: Probe,
+}
+
+/// What came of trying.
+pub fn tried(config: &Ros2Config, graph: &Graph, heard: &Heard, environment: &RosEnvironment) -> Finding {
+    let (mut lines, mut advice) = (Vec::new(), Vec::new());
+    let states = config.resolve(&config.joint_states);
+    let controller = config.resolve(&config.arm_controller);
+    let has_arm = config.arm != ArmInterface::None;
+    let written = |name: &str| graph.writers.iter().any(|w| w.topic == wire::topic(name));
+    lines.push(match heard.difference {
+        None => "clocks: the robot stamps nothing that is read here: only zero stamps are sent".to_owned(),
+        Some(Difference { seconds, is_simulated }) => format!(
+            "clocks: the robot's stamps are {:+.0} ms from {}",
+            seconds * 1000.0,
+            if is_simulated { "/clock" } else { "this machine's clock" }
+        ),
+    });
+    advice.extend(heard.refusal.iter().cloned());
+    if heard.clocks > 0 || written("/clock") {
+        lines.push("simulated time: somebody publishes /clock; it is followed".to_owned());
+        if heard.refusal.is_none() && heard.difference.is_none() {
+            advice.push(
+                "somebody publishes /clock, but no stamp of the robot is read: do its nodes run with use_sim_time?"
+                    .to_owned(),
+            );
+        }
+        if config.stamp == super::Stamp::Wall {
+            advice.push(
+                "stamp = \"wall\" under simulated time: a base that is told so never stops by itself; set stamp = \
+                 \"zero\" or \"clock\" in [ros2]"
+                    .to_owned(),
+            );
+        }
+    }
+    if has_arm && written(&states) && heard.joint_states == 0 {
+        advice.push(format!(
+            "{states}: has a publisher, but no message came: is joint_state_broadcaster active?"
+        ));
+    }
+    let action = wire::send_goal(&controller);
+    if has_arm && let Some(server) = graph.readers.iter().find(|r| r.topic == action) {
+        match heard.probe {
+            Probe::Answered => lines.push(format!("action server on {}: answers", server.vendor)),
+            Probe::Waiting => advice.push(format!(
+                "{controller}: its action server (on {}) does not answer a harmless request: is that node alive, do \
+                 datagrams from it arrive here (firewall, another network)?",
+                server.vendor
+            )),
+            // Two of them, which is said already, or seen at the very end.
+            Probe::NotSent => {}
+        }
+        if let Some(rmw) = environment.rmw.as_deref()
+            && (rmw == "rmw_cyclonedds_cpp") != (server.vendor == Vendor::CYCLONE_DDS)
+        {
+            advice.push(format!(
+                "RMW_IMPLEMENTATION = {rmw} here, but the arm's action server runs on {}: this program asks it in its \
+                 own way, the ros2 tools of this machine will get no answer from it; set it as on the robot",
+                server.vendor
+            ));
+        }
+    }
+    let pieces = wire::topic(&format!("{controller}/joint_trajectory"));
+    let speaks = graph.readers.iter().any(|r| r.topic == action || r.topic == pieces);
+    if has_arm && speaks && heard.controller_states == 0 {
+        advice.push(format!(
+            "{controller}: says nothing on its controller_state: it is not active and rejects every motion; `ros2 \
+             control list_controllers`, then `ros2 control set_controller_state {} active`",
+            controller.rsplit('/').next().unwrap_or(&controller)
+        ));
+    }
+    advice.extend(variables(environment));
+    Finding { lines, advice }
+}
+
+/// Variables that other nodes obey and this one cannot.
+pub fn variables(environment: &RosEnvironment) -> Vec<String> {
+    let mut advice = Vec::new();
+    if let Some(peers) = &environment.static_peers {
+        advice.push(format!(
+            "ROS_STATIC_PEERS = {peers} is not obeyed: this program finds others by multicast and on this machine \
+             only; where multicast does not pass, see docs/sites.md"
+        ));
+    }
+    if let Some(server) = &environment.discovery_server {
+        advice.push(format!(
+            "ROS_DISCOVERY_SERVER = {server} is not obeyed: a robot that announces itself to a discovery server only \
+             is not seen; start it without, or see docs/sites.md"
+        ));
+    }
+    advice
+}
+
 fn remedy(ours: &Topic, other: &Endpoint) -> &'static str {
     match (ours.type_name.as_str(), other.type_name.as_str()) {
-        (wire::TWIST_STAMPED, wire::TWIST) => "; run with --unstamped, or set stamped = false in [ros2]",
-        (wire::TWIST, wire::TWIST_STAMPED) => "; run without --unstamped, or set stamped = true in [ros2]",
+        (wire::TWIST_STAMPED, wire::TWIST) => {
+            "; it hears nothing: set stamped = false in [ros2] for that one alone"
+        }
+        (wire::TWIST, wire::TWIST_STAMPED) => "; it hears nothing: leave stamped and --unstamped out",
         _ => "",
     }
 }
@@ -290,17 +470,27 @@ mod tests {
 
     fn reader(topic: &str, type_name: &str) -> Endpoint {
         let (topic, type_name) = (topic.to_owned(), type_name.to_owned());
-        Endpoint { topic, type_name, reliable: true, transient_local: false }
+        Endpoint {
+            topic,
+            type_name,
+            reliable: true,
+            transient_local: false,
+            vendor: Vendor::FAST_DDS,
+            participant: "robot".to_owned(),
+            type_hash: None,
+        }
     }
 
     fn graph(readers: Vec<Endpoint>) -> Graph {
-        Graph { participants: BTreeSet::from(["robot".to_owned()]), readers, writers: Vec::new() }
+        let participants = BTreeMap::from([("robot".to_owned(), Participant::default())]);
+        Graph { participants, readers, writers: Vec::new() }
     }
 
     fn cmd_vel(change: impl Fn(&mut Ros2Config), readers: Vec<Endpoint>) -> Finding {
         let mut config = Ros2Config::default();
         change(&mut config);
-        look_at(&topics(&config)[0], &graph(readers))
+        let graph = graph(readers);
+        look_at(&topics(&config, &graph)[0], &graph)
     }
 
     #[test]
@@ -316,10 +506,17 @@ mod tests {
     #[test]
     fn twist_against_twist_stamped_is_named_with_the_option_that_helps() {
         let found = cmd_vel(|_| {}, vec![reader("rt/cmd_vel", wire::TWIST)]);
-        assert!(found.lines[0].contains("0 readers"));
+        assert_eq!((found.lines[0].contains("Twist, reliable]: 1 reader"), found.advice.len()), (true, 0));
+        // Two kinds at once: one of them is left out, and named.
+        let both = vec![reader("rt/cmd_vel", wire::TWIST), reader("rt/cmd_vel", wire::TWIST_STAMPED)];
+        let found = cmd_vel(|_| {}, both);
+        assert!(found.lines[0].contains("TwistStamped, reliable]: 1 reader"), "{:?}", found.lines);
+        assert!(found.advice[0].contains("stamped = false"), "{:?}", found.advice);
+        let found = cmd_vel(
+            |c| c.stamped = super::super::Stamped::Fixed(false),
+            vec![reader("rt/cmd_vel", wire::TWIST_STAMPED)],
+        );
         assert!(found.advice[0].contains("--unstamped"), "{:?}", found.advice);
-        let found = cmd_vel(|c| c.stamped = false, vec![reader("rt/cmd_vel", wire::TWIST_STAMPED)]);
-        assert!(found.advice[0].contains("stamped = true"), "{:?}", found.advice);
     }
 
     #[test]
@@ -336,10 +533,9 @@ mod tests {
         let found = cmd_vel(|_| {}, vec![there]);
         assert!(found.advice[0].contains("/diff_drive_controller/cmd_vel"), "{:?}", found.advice);
         let goals = reader(&wire::send_goal("/gen3/joint_trajectory_controller"), wire::SEND_GOAL);
-        let found = look_at(
-            &topics(&Ros2Config { arm: ArmInterface::Action, ..Ros2Config::default() })[2],
-            &graph(vec![goals]),
-        );
+        let graph = graph(vec![goals]);
+        let config = Ros2Config { arm: ArmInterface::Action, ..Ros2Config::default() };
+        let found = look_at(&topics(&config, &graph)[2], &graph);
         assert!(found.advice[0].contains("on /gen3/joint_trajectory_controller:"), "{:?}", found.advice);
     }
 
@@ -347,7 +543,65 @@ mod tests {
     fn another_publisher_of_the_speed_is_a_case_for_twist_mux() {
         let mut graph = graph(vec![reader("rt/cmd_vel", wire::TWIST_STAMPED)]);
         graph.writers.push(reader("rt/cmd_vel", wire::TWIST_STAMPED));
-        assert!(look_at(&topics(&Ros2Config::default())[0], &graph).advice[0].contains("twist_mux"));
+        assert!(look_at(&topics(&Ros2Config::default(), &graph)[0], &graph).advice[0].contains("twist_mux"));
+    }
+
+    #[test]
+    fn a_type_of_one_name_and_another_hash_is_named() {
+        let with = |hash: &str| {
+            let hash = Some(hash.to_owned());
+            let end = Endpoint { type_hash: hash, ..reader("rt/cmd_vel", wire::TWIST_STAMPED) };
+            cmd_vel(|_| {}, vec![end]).advice
+        };
+        assert!(with("RIHS01_00")[0].contains("another geometry_msgs/msg/TwistStamped"));
+        assert_eq!(with(hashes::of("geometry_msgs/msg/TwistStamped").unwrap()), [""; 0]);
+        assert_eq!(with("INVALID"), [""; 0]);
+    }
+
+    #[test]
+    fn two_servers_and_two_writers_of_angles_are_named() {
+        let server = reader(&wire::send_goal("/joint_trajectory_controller"), wire::SEND_GOAL);
+        let mut graph = graph(vec![server.clone(), server]);
+        graph.writers = vec![reader("rt/joint_states", wire::JOINT_STATE); 2];
+        let config = Ros2Config { arm: ArmInterface::Action, ..Ros2Config::default() };
+        let topics = topics(&config, &graph);
+        assert!(look_at(&topics[2], &graph).advice[0].contains("2 controllers of one name"));
+        assert!(look_at(&topics[3], &graph).advice[0].contains("2 publishers"));
+    }
+
+    #[test]
+    fn what_was_tried_in_vain_is_named() {
+        let server = reader(&wire::send_goal("/joint_trajectory_controller"), wire::SEND_GOAL);
+        let mut graph = graph(vec![server]);
+        graph.writers.push(reader("rt/joint_states", wire::JOINT_STATE));
+        let well = Heard {
+            joint_states: 9,
+            controller_states: 9,
+            difference: Some(Difference { seconds: 0.001, is_simulated: false }),
+            probe: Probe::Answered,
+            ..Heard::default()
+        };
+        let config = Ros2Config::default();
+        let said = |heard: &Heard, environment: &RosEnvironment| {
+            tried(&config, &graph, heard, environment).advice.join("\n")
+        };
+        let plain = RosEnvironment::default();
+        assert_eq!(said(&well, &plain), "");
+        assert!(said(&Heard { probe: Probe::Waiting, ..well.clone() }, &plain).contains("does not answer"));
+        assert!(said(&Heard { controller_states: 0, ..well.clone() }, &plain).contains("not active"));
+        assert!(said(&Heard { joint_states: 0, ..well.clone() }, &plain).contains("no message came"));
+        let late = Heard { refusal: Some("30.00 s behind".to_owned()), ..well.clone() };
+        assert!(said(&late, &plain).contains("30.00 s behind"));
+        let environment = RosEnvironment {
+            rmw: Some("rmw_cyclonedds_cpp".to_owned()),
+            static_peers: Some("10.0.0.7".to_owned()),
+            discovery_server: Some("10.0.0.8:11811".to_owned()),
+            ..plain
+        };
+        let all = said(&well, &environment);
+        for word in ["RMW_IMPLEMENTATION = rmw_cyclonedds_cpp", "10.0.0.7", "10.0.0.8:11811"] {
+            assert!(all.contains(word), "{word} in {all}");
+        }
     }
 
     #[test]

@@ -4,6 +4,7 @@ use std::net::{IpAddr, Ipv4Addr};
 
 use serde::{Deserialize, Serialize};
 
+use super::clocks::Stamp;
 use host_robot::JOINTS;
 
 /// How arm motions are sent. One of them, never both.
@@ -22,17 +23,35 @@ pub enum ArmInterface {
     None,
 }
 
-/// What the robot's ROS runs on; action goals are wrapped differently.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+/// Whether speeds are stamped: `true`, `false` or `"auto"`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(untagged)]
+pub enum Stamped {
+    /// As said.
+    Fixed(bool),
+    /// As whoever listens wants them.
+    Open(Auto),
+}
+
+/// The word `auto`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Middleware {
-    /// What `RMW_IMPLEMENTATION` says; Cyclone DDS if it says nothing, as `ros2_kortex` recommends.
-    #[default]
-    Env,
-    /// `rmw_cyclonedds_cpp`.
-    Cyclonedds,
-    /// `rmw_fastrtps_cpp`, and others that follow DDS-RPC.
-    Fastrtps,
+pub enum Auto {
+    /// `auto`
+    Auto,
+}
+
+impl Stamped {
+    /// As whoever listens wants them.
+    pub const AUTO: Stamped = Stamped::Open(Auto::Auto);
+
+    /// What is said; `None` = whoever listens decides.
+    pub fn fixed(self) -> Option<bool> {
+        match self {
+            Stamped::Fixed(stamped) => Some(stamped),
+            Stamped::Open(Auto::Auto) => None,
+        }
+    }
 }
 
 /// See the module.
@@ -48,10 +67,11 @@ pub struct Ros2Config {
     /// Addresses of the network interfaces to use; empty = all. `ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST`
     /// and `ROS_LOCALHOST_ONLY=1` count as `["127.0.0.1"]` where nothing else is said.
     pub interfaces: Vec<IpAddr>,
-    /// What the robot's ROS runs on.
-    pub middleware: Middleware,
-    /// Speeds as `TwistStamped` (Jazzy's diff_drive_controller), or as `Twist`.
-    pub stamped: bool,
+    /// Speeds as `TwistStamped` (true, as Jazzy's diff_drive_controller wants them), as `Twist` (false), or `"auto"`: as
+    /// whoever listens wants them.
+    pub stamped: Stamped,
+    /// What stamps speeds get.
+    pub stamp: Stamp,
     /// Topic of the base's speed. Names without a leading slash are in the namespace.
     pub cmd_vel: String,
     /// Speeds per second while driving or stopping.
@@ -76,7 +96,7 @@ pub struct Ros2Config {
     pub joint_states_max_age_ms: u64,
     /// A goal without an answer for so long is given up and cancelled.
     pub answer_ms: u64,
-    /// Where the base's odometry is read (or, with `--publish-sim`, written).
+    /// The base's odometry, whose stamps are compared with this machine's clock. With `--publish-sim` the simulator's.
     pub odom: String,
     /// Transforms of the simulator, with `--publish-sim`.
     pub tf: String,
@@ -96,8 +116,8 @@ impl Default for Ros2Config {
             namespace: String::new(),
             domain_id: -1,
             interfaces: Vec::new(),
-            middleware: Middleware::Env,
-            stamped: true,
+            stamped: Stamped::AUTO,
+            stamp: Stamp::Zero,
             cmd_vel: text("cmd_vel"),
             rate_hz: 50,
             stop_ms: 1000,
@@ -130,6 +150,10 @@ pub struct RosEnvironment {
     pub discovery_range: Option<String>,
     /// `ROS_LOCALHOST_ONLY`.
     pub localhost_only: Option<String>,
+    /// `ROS_STATIC_PEERS`.
+    pub static_peers: Option<String>,
+    /// `ROS_DISCOVERY_SERVER`.
+    pub discovery_server: Option<String>,
 }
 
 impl RosEnvironment {
@@ -141,6 +165,8 @@ impl RosEnvironment {
             rmw: get("RMW_IMPLEMENTATION"),
             discovery_range: get("ROS_AUTOMATIC_DISCOVERY_RANGE"),
             localhost_only: get("ROS_LOCALHOST_ONLY"),
+            static_peers: get("ROS_STATIC_PEERS"),
+            discovery_server: get("ROS_DISCOVERY_SERVER"),
         }
     }
 }
@@ -154,8 +180,13 @@ pub struct Connection {
     pub domain_from: &'static str,
     /// Addresses of the interfaces; empty = all.
     pub interfaces: Vec<IpAddr>,
-    /// Goals are wrapped as `rmw_cyclonedds_cpp` does it; otherwise as DDS-RPC has it.
-    pub cyclone_services: bool,
+}
+
+impl Connection {
+    /// Nobody but this machine is to be reached.
+    pub fn is_loopback_only(&self) -> bool {
+        !self.interfaces.is_empty() && self.interfaces.iter().all(IpAddr::is_loopback)
+    }
 }
 
 /// The largest domain whose ports exist.
@@ -230,26 +261,36 @@ impl Ros2Config {
             },
             (_, None) => (0, "ROS's default"),
         };
-        let local = environment.discovery_range.as_deref() == Some("LOCALHOST")
-            || environment.localhost_only.as_deref() == Some("1");
+        let local = match environment.discovery_range.as_deref() {
+            Some("OFF") => {
+                return Err(
+                    "ROS_AUTOMATIC_DISCOVERY_RANGE=OFF: nodes find nobody, and neither may this one; \
+                            `unset ROS_AUTOMATIC_DISCOVERY_RANGE`, or LOCALHOST or SUBNET"
+                        .to_owned(),
+                );
+            }
+            Some("LOCALHOST") => true,
+            None | Some("SUBNET" | "SYSTEM_DEFAULT") => environment.localhost_only.as_deref() == Some("1"),
+            Some(other) => {
+                return Err(format!(
+                    "ROS_AUTOMATIC_DISCOVERY_RANGE = '{other}' is none of SUBNET, LOCALHOST, OFF and SYSTEM_DEFAULT"
+                ));
+            }
+        };
         let interfaces = if self.interfaces.is_empty() && local {
             vec![IpAddr::V4(Ipv4Addr::LOCALHOST)]
         } else {
             self.interfaces.clone()
         };
-        let cyclone_services = match (self.middleware, environment.rmw.as_deref()) {
-            (Middleware::Cyclonedds, _) | (Middleware::Env, None | Some("rmw_cyclonedds_cpp")) => true,
-            (Middleware::Env, Some(zenoh)) if zenoh.contains("zenoh") => {
-                return Err(format!(
-                    "RMW_IMPLEMENTATION = {zenoh}: the bridge speaks DDS. Run the robot with \
-                     rmw_cyclonedds_cpp or rmw_fastrtps_cpp, or start zenoh-bridge-ros2dds beside it"
-                ));
-            }
-            (Middleware::Fastrtps | Middleware::Env, _) => false,
-        };
+        if let Some(zenoh) = environment.rmw.as_deref().filter(|rmw| rmw.contains("zenoh")) {
+            return Err(format!(
+                "RMW_IMPLEMENTATION = {zenoh}: the bridge speaks DDS. Run the robot with rmw_cyclonedds_cpp or \
+                 rmw_fastrtps_cpp, or start zenoh-bridge-ros2dds beside it"
+            ));
+        }
         // `check` and the match above keep it within 0 to 232.
         let domain_id = u16::try_from(domain).unwrap_or(0);
-        Ok(Connection { domain_id, domain_from, interfaces, cyclone_services })
+        Ok(Connection { domain_id, domain_from, interfaces })
     }
 }
 
@@ -299,21 +340,20 @@ mod tests {
             domain_id: Some("42".to_owned()),
             rmw: Some("rmw_fastrtps_cpp".to_owned()),
             discovery_range: Some("LOCALHOST".to_owned()),
-            localhost_only: None,
+            ..RosEnvironment::default()
         };
         let mut config = Ros2Config::default();
         let default = config.connection(&RosEnvironment::default()).unwrap();
-        assert_eq!((default.domain_id, default.cyclone_services), (0, true));
+        assert_eq!(default.domain_id, 0);
         assert!(default.interfaces.is_empty());
         let from_environment = config.connection(&environment).unwrap();
         assert_eq!(from_environment.domain_id, 42);
-        assert!(!from_environment.cyclone_services);
+        assert!(from_environment.is_loopback_only());
         assert_eq!(from_environment.interfaces, [IpAddr::V4(Ipv4Addr::LOCALHOST)]);
         config.domain_id = 7;
-        config.middleware = Middleware::Cyclonedds;
         config.interfaces = vec!["10.0.0.2".parse().unwrap()];
         let own = config.connection(&environment).unwrap();
-        assert_eq!((own.domain_id, own.cyclone_services), (7, true));
+        assert_eq!((own.domain_id, own.is_loopback_only()), (7, false));
         assert_eq!(own.interfaces, config.interfaces);
     }
 
@@ -332,5 +372,10 @@ mod tests {
         assert!(with(None, Some("rmw_zenoh_cpp")).contains("zenoh-bridge-ros2dds"));
         assert!(with(Some("abc"), None).contains("0 to 232"));
         assert!(with(Some("233"), None).contains("0 to 232"));
+        for (range, says) in [("OFF", "nodes find nobody"), ("EVERYWHERE", "none of SUBNET")] {
+            let environment =
+                RosEnvironment { discovery_range: Some(range.to_owned()), ..RosEnvironment::default() };
+            assert!(config.connection(&environment).unwrap_err().contains(says));
+        }
     }
 }

@@ -1,12 +1,11 @@
 //! The robot on the graph as a [`Robot`]: what to send, and the node that sends it.
 
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::SystemTime;
+use std::time::{SystemTime, UNIX_EPOCH};
 
 use host_robot::{
     BaseConfig, BaseState, End, Following, JointLimits, Motion, Reading, Robot, Trajectory, Twist,
 };
-use host_topics::message::Time;
 
 use crate::node::RosNode;
 use crate::robot::{Counts, RosRobot};
@@ -15,14 +14,17 @@ use crate::robot::{Counts, RosRobot};
 pub struct RosDriver {
     node: RosNode,
     robot: RosRobot,
+    now_ms: u64,
     notes: Vec<String>,
+    /// Why nothing may be armed.
+    refusal: Option<String>,
     counts: Arc<Mutex<Counts>>,
 }
 
 impl RosDriver {
     /// Drives this robot through this node.
     pub fn new(node: RosNode, robot: RosRobot) -> Self {
-        RosDriver { node, robot, notes: Vec::new(), counts: Arc::default() }
+        RosDriver { node, robot, now_ms: 0, notes: Vec::new(), refusal: None, counts: Arc::default() }
     }
 
     /// What was sent and heard, for whoever wants to look later.
@@ -31,9 +33,16 @@ impl RosDriver {
     }
 }
 
+/// Seconds since 1970.
+fn wall_s() -> f64 {
+    SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs_f64()
+}
+
 impl Robot for RosDriver {
     fn step(&mut self, now_ms: u64) {
-        self.notes.extend(self.node.receive(&mut self.robot, now_ms));
+        self.now_ms = now_ms;
+        self.notes.extend(self.node.receive(&mut self.robot, wall_s(), now_ms));
+        self.refusal = self.node.refusal(now_ms);
         self.robot.step(now_ms);
     }
 
@@ -54,15 +63,22 @@ impl Robot for RosDriver {
     }
 
     fn drive(&mut self, twist: Twist) {
-        self.robot.drive(twist);
+        // Also said by `refusal`, for whoever arms.
+        self.robot.drive(if self.refusal.is_none() { twist } else { Twist::ZERO });
     }
 
     fn can_follow(&self) -> Result<(), String> {
-        self.robot.can_follow()
+        match &self.refusal {
+            Some(why) => Err(why.clone()),
+            None => self.robot.can_follow(),
+        }
     }
 
     fn follow(&mut self, trajectory: Arc<Trajectory>) -> Result<(), String> {
-        self.robot.follow(trajectory)
+        match &self.refusal {
+            Some(why) => Err(why.clone()),
+            None => self.robot.follow(trajectory),
+        }
     }
 
     fn following(&self) -> Following {
@@ -85,6 +101,10 @@ impl Robot for RosDriver {
         self.robot.reaction_ms()
     }
 
+    fn refusal(&self) -> Option<String> {
+        self.refusal.clone()
+    }
+
     fn take_notes(&mut self) -> Vec<String> {
         let mut notes = std::mem::take(&mut self.notes);
         notes.extend(self.robot.take_notes());
@@ -92,7 +112,7 @@ impl Robot for RosDriver {
     }
 
     fn send(&mut self) {
-        self.node.send(&mut self.robot, Time::at(SystemTime::now()));
+        self.node.send(&mut self.robot, wall_s(), self.now_ms);
         *self.counts.lock().unwrap_or_else(PoisonError::into_inner) = self.node.counts();
     }
 }

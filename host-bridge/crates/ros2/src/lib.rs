@@ -10,13 +10,25 @@
 
 pub mod advice;
 pub mod arm;
+pub mod clocks;
 pub mod config;
 #[cfg(feature = "ros2")]
+mod device;
+#[cfg(feature = "ros2")]
 pub mod driver;
+#[cfg(feature = "ros2")]
+mod follow;
+pub mod hashes;
+#[cfg(feature = "ros2")]
+pub mod joined;
 #[cfg(feature = "ros2")]
 pub mod node;
 pub mod robot;
 pub mod stream;
+pub mod vendor;
+#[cfg(feature = "ros2")]
+mod watch;
 
-pub use config::{ArmInterface, Middleware, Ros2Config};
+pub use clocks::Stamp;
+pub use config::{ArmInterface, Ros2Config, Stamped};
 pub use robot::{Counts, Output, RosRobot};

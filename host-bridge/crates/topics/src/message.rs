@@ -59,6 +59,13 @@ pub struct Header {
     pub frame_id: String,
 }
 
+/// `rosgraph_msgs/Clock`: a simulation's time.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Clock {
+    /// Now.
+    pub clock: Time,
+}
+
 /// `geometry_msgs/Vector3` and `Point`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Vector3 {
@@ -413,6 +420,20 @@ pub struct FollowFeedback {
     pub actual: JointTrajectoryPoint,
 }
 
+/// `control_msgs/JointTrajectoryControllerState`, as far as it is used: what follows differs between releases and is not
+/// read.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct ControllerState {
+    /// When.
+    pub header: Header,
+    /// Joints.
+    pub joint_names: Vec<String>,
+    /// Where the controller wants the arm to be now.
+    pub reference: JointTrajectoryPoint,
+    /// Where it is.
+    pub feedback: JointTrajectoryPoint,
+}
+
 /// `diagnostic_msgs/KeyValue`.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct KeyValue {
@@ -487,6 +508,8 @@ mod graph {
         ($($name:ty),*) => { $(impl Message for $name {})* };
     }
     messages!(
+        Clock,
+        ControllerState,
         Twist,
         TwistStamped,
         JointState,

@@ -1,0 +1,246 @@
+//! The robot's clock, from here: how far its stamps are from this machine's clock, and which stamps commands get.
+//!
+//! A stamp that arrives was set at most a moment before, so `stamp - now here` is the clocks' difference minus the time
+//! on the way; the largest of the last seconds is nearest to it. A robot that stamps its states late looks the same as
+//! one whose clock is behind, and is as unfit to be commanded by stamps.
+//!
+//! Where somebody publishes `/clock`, that is the graph's time (`use_sim_time`) and everything is compared with it.
+
+use std::collections::VecDeque;
+
+use serde::{Deserialize, Serialize};
+
+/// Beyond this difference nothing is armed, in seconds.
+pub const DIFFERENCE_MAX_S: f64 = 0.1;
+/// Stamps within so long are compared.
+const WINDOW_MS: u64 = 2000;
+/// The clock of a simulation that was silent for so long stands still, or is gone.
+const SIMULATED_SILENCE_MS: u64 = 1000;
+/// So many stamps before a difference is told.
+const STAMPS_MIN: usize = 3;
+/// More are not kept.
+const STAMPS_MAX: usize = 1024;
+
+/// What stamps the base's speeds get.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Stamp {
+    /// Zero: Jazzy's diff_drive_controller puts the time of arrival in its place, so that its own timeout holds
+    /// whatever the clocks say.
+    #[default]
+    Zero,
+    /// The graph's time: `/clock` where somebody publishes it, else this machine's clock plus the measured difference.
+    Clock,
+    /// This machine's clock, as it is.
+    Wall,
+}
+
+/// Where a stamp comes from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Source {
+    /// `/joint_states`.
+    JointStates,
+    /// The base's odometry.
+    Odometry,
+}
+
+/// The measured difference.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Difference {
+    /// The robot's clock minus the one it should agree with, in seconds. Negative: the robot's is behind.
+    pub seconds: f64,
+    /// The robot's time is a simulation's, from `/clock`.
+    pub is_simulated: bool,
+}
+
+/// See the module.
+#[derive(Clone, Debug, Default)]
+pub struct Clocks {
+    /// When it was heard, and its stamp minus the clock it should agree with, in seconds.
+    heard: [VecDeque<(u64, f64)>; 2],
+    /// When it was heard and what it said, in ms here and s there.
+    simulated: Option<(u64, f64)>,
+}
+
+impl Clocks {
+    /// A message of `/clock`.
+    pub fn hear_clock(&mut self, time_s: f64, now_ms: u64) {
+        if !time_s.is_finite() {
+            return;
+        }
+        if self.simulated.is_none() {
+            // What was compared with this machine's clock says nothing any more.
+            self.heard.iter_mut().for_each(VecDeque::clear);
+        }
+        self.simulated = Some((now_ms, time_s));
+    }
+
+    /// A stamp of the robot. Zero is no stamp.
+    pub fn hear(&mut self, source: Source, stamp_s: f64, wall_s: f64, now_ms: u64) {
+        if stamp_s == 0.0 || !stamp_s.is_finite() {
+            return;
+        }
+        let difference = stamp_s - self.reference_s(wall_s, now_ms);
+        let heard = &mut self.heard[source as usize];
+        if heard.len() == STAMPS_MAX {
+            heard.pop_front();
+        }
+        heard.push_back((now_ms, difference));
+    }
+
+    /// The graph's time where its clocks agree: `/clock`, else this machine's.
+    fn reference_s(&self, wall_s: f64, now_ms: u64) -> f64 {
+        match self.simulated {
+            Some((at_ms, time_s)) => {
+                time_s + now_ms.saturating_sub(at_ms).min(SIMULATED_SILENCE_MS) as f64 / 1000.0
+            }
+            None => wall_s,
+        }
+    }
+
+    /// The clocks' difference; `None` as long as too few stamps were heard lately. Of several sources the worst counts.
+    pub fn difference(&self, now_ms: u64) -> Option<Difference> {
+        let newest = |heard: &VecDeque<(u64, f64)>| {
+            let lately = heard.iter().filter(|(at_ms, _)| now_ms.saturating_sub(*at_ms) <= WINDOW_MS);
+            let (count, most) =
+                lately.fold((0, f64::NEG_INFINITY), |(n, most), (_, d)| (n + 1, most.max(*d)));
+            (count >= STAMPS_MIN).then_some(most)
+        };
+        let worst = self.heard.iter().filter_map(newest).max_by(|a, b| a.abs().total_cmp(&b.abs()))?;
+        Some(Difference { seconds: worst, is_simulated: self.simulated.is_some() })
+    }
+
+    /// Why nothing may be armed; `None` = the clocks agree, or the robot stamps nothing.
+    pub fn refusal(&self, now_ms: u64) -> Option<String> {
+        if let Some((at_ms, _)) = self.simulated
+            && now_ms.saturating_sub(at_ms) > SIMULATED_SILENCE_MS
+        {
+            return Some(
+                "the simulation's /clock stands still: start it, or end it and this program".to_owned(),
+            );
+        }
+        let difference = self.difference(now_ms)?;
+        (difference.seconds.abs() > DIFFERENCE_MAX_S).then(|| advice(difference))
+    }
+
+    /// The robot's time of what is decided now, in seconds; `None` where its clock is not known. What is to be
+    /// carried out by the robot's clock (an arm's trajectory) is stamped with this.
+    pub fn robot_s(&self, wall_s: f64, now_ms: u64) -> Option<f64> {
+        let difference = self.difference(now_ms);
+        match self.simulated {
+            Some(_) => Some(self.reference_s(wall_s, now_ms) + difference.map_or(0.0, |d| d.seconds)),
+            None => difference.map(|d| wall_s + d.seconds),
+        }
+    }
+
+    /// The stamp of a speed that was decided at `wall_s`, in seconds; zero means "on arrival".
+    pub fn stamp_s(&self, stamp: Stamp, wall_s: f64, now_ms: u64) -> f64 {
+        match stamp {
+            Stamp::Zero => 0.0,
+            Stamp::Wall => wall_s,
+            Stamp::Clock => self.robot_s(wall_s, now_ms).unwrap_or(0.0),
+        }
+    }
+}
+
+/// What a difference means and what helps.
+pub fn advice(Difference { seconds, is_simulated }: Difference) -> String {
+    let (apart, side) = (seconds.abs(), if seconds < 0.0 { "behind" } else { "ahead of" });
+    if is_simulated {
+        return format!(
+            "the robot's stamps are {apart:.2} s {side} /clock: its nodes need use_sim_time, or whoever publishes \
+             /clock should not"
+        );
+    }
+    // Nobody's clock of today says 2001.
+    if apart > 0.5e9 {
+        return "the robot's stamps are a simulation's, but nobody publishes /clock: start the simulator's clock \
+                bridge, or its nodes without use_sim_time"
+            .to_owned();
+    }
+    format!(
+        "the robot's stamps are {apart:.2} s {side} this machine's clock: set both by NTP or chrony (`chronyc tracking` \
+         on each); if they agree, the robot sends its states late"
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const WALL_S: f64 = 1_790_000_000.0;
+
+    /// Hears stamps for a second; `late_s` is the time on the way, which varies.
+    fn heard(offset_s: f64, late_s: f64) -> Clocks {
+        let mut clocks = Clocks::default();
+        for n in 0..100_u64 {
+            let now = WALL_S + n as f64 * 0.01;
+            let on_the_way = late_s * (1.0 + (n % 7) as f64);
+            clocks.hear(Source::JointStates, now + offset_s - on_the_way, now, n * 10);
+        }
+        clocks
+    }
+
+    #[test]
+    fn the_difference_is_what_the_fastest_messages_say() {
+        let clocks = heard(-2.0, 0.001);
+        let difference = clocks.difference(1000).unwrap();
+        assert!((difference.seconds + 2.001).abs() < 1e-6, "{difference:?}");
+        assert!(clocks.refusal(1000).unwrap().contains("2.00 s behind"));
+        // Too long ago.
+        assert_eq!(clocks.difference(4000), None);
+        assert_eq!(heard(0.05, 0.001).refusal(1000), None);
+        assert!(heard(10.0, 0.0).refusal(1000).unwrap().contains("10.00 s ahead of this machine"));
+    }
+
+    #[test]
+    fn zero_stamps_and_few_stamps_say_nothing() {
+        let mut clocks = Clocks::default();
+        for n in 0..100 {
+            clocks.hear(Source::Odometry, 0.0, WALL_S, n);
+        }
+        clocks.hear(Source::Odometry, f64::NAN, WALL_S, 100);
+        clocks.hear(Source::Odometry, 5.0, WALL_S, 100);
+        assert_eq!((clocks.difference(100), clocks.refusal(100)), (None, None));
+    }
+
+    #[test]
+    fn of_two_sources_the_worse_counts() {
+        let mut clocks = heard(0.0, 0.001);
+        for n in 0..10 {
+            clocks.hear(Source::Odometry, WALL_S + 0.9 - 30.0, WALL_S + 0.9, 900 + n);
+        }
+        assert!(clocks.refusal(1000).unwrap().contains("30.00 s behind"));
+    }
+
+    #[test]
+    fn simulated_time_is_followed_and_stamps_of_the_wall_are_then_refused() {
+        let mut clocks = heard(0.0, 0.001);
+        clocks.hear_clock(10.0, 1000);
+        assert_eq!(clocks.difference(1000), None, "compared with another clock");
+        for n in 0..10 {
+            clocks.hear_clock(10.0 + n as f64 * 0.01, 1000 + n * 10);
+            clocks.hear(Source::JointStates, 10.0 + n as f64 * 0.01, WALL_S, 1000 + n * 10);
+        }
+        assert_eq!(clocks.refusal(1090), None);
+        assert!((clocks.robot_s(WALL_S, 1190).unwrap() - 10.19).abs() < 1e-6);
+        assert_eq!(clocks.stamp_s(Stamp::Zero, WALL_S, 1190), 0.0);
+        assert!((clocks.stamp_s(Stamp::Clock, WALL_S, 1190) - 10.19).abs() < 1e-6);
+        assert_eq!(clocks.stamp_s(Stamp::Wall, WALL_S, 1190), WALL_S);
+        for n in 0..10 {
+            clocks.hear(Source::Odometry, WALL_S, WALL_S, 1100 + n);
+        }
+        assert!(clocks.refusal(1190).unwrap().contains("use_sim_time"));
+        assert!(clocks.refusal(3000).unwrap().contains("stands still"));
+    }
+
+    #[test]
+    fn stamps_of_a_simulation_without_its_clock_are_named() {
+        let mut clocks = Clocks::default();
+        for n in 0..10_u64 {
+            clocks.hear(Source::Odometry, 12.0, WALL_S, n);
+        }
+        assert!(clocks.refusal(10).unwrap().contains("nobody publishes /clock"));
+        assert!((clocks.robot_s(WALL_S + 5.0, 10).unwrap() - 17.0).abs() < 1e-6);
+    }
+}

@@ -1,0 +1,351 @@
+//! The node's entities on the graph: its participant, what it publishes and reads, and whom it sees.
+
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+use ros2_client::dds::rustdds::dds::statusevents::DomainParticipantStatusEvent;
+use ros2_client::dds::rustdds::{
+    DomainParticipant, DomainParticipantBuilder, GUID, RTPSEntity, StatusEvented as _, policy,
+};
+use ros2_client::qos::{Durability, History, WhenFull};
+use ros2_client::{
+    Context, Message, MessageTypeName, Name, Node, NodeName, NodeOptions, Publisher, QosProfile, Subscription,
+};
+use serde::Serialize;
+
+use super::advice::{Endpoint, Graph, Participant, wire};
+use super::config::{ArmInterface, Connection, Ros2Config};
+use super::follow::Follow;
+use super::vendor::Vendor;
+use super::watch::Watch;
+use host_topics::message as ros;
+
+/// Why there is no node.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("ROS 2: {0}")]
+pub struct NodeError(String);
+
+impl NodeError {
+    pub(super) fn of(what: &str, error: &dyn std::fmt::Debug) -> Self {
+        NodeError(format!("{what} failed: {error:?}"))
+    }
+}
+
+/// How the base's speed goes out.
+pub enum Speed {
+    /// `geometry_msgs/Twist`.
+    Plain(Publisher<ros::Twist>),
+    /// `geometry_msgs/TwistStamped`.
+    Stamped(Publisher<ros::TwistStamped>),
+}
+
+/// How the arm's motions go out.
+pub enum Arm {
+    /// Not at all.
+    None,
+    /// On the controller's topic.
+    Topic(Box<Publisher<ros::JointTrajectory>>),
+    /// As goals.
+    Action(Box<Follow>),
+}
+
+/// What is published beside the commands.
+pub struct Published {
+    /// What the hands do.
+    pub diagnostics: Publisher<ros::DiagnosticArray>,
+    /// The simulator's state, where that is wanted and nobody else publishes such.
+    pub sim: Option<SimTopics>,
+}
+
+/// The simulator's own topics.
+pub struct SimTopics {
+    /// Angles.
+    pub joint_states: Publisher<ros::JointState>,
+    /// Where the base is.
+    pub odom: Publisher<ros::Odometry>,
+    /// The same as a transform.
+    pub tf: Publisher<ros::TfMessage>,
+}
+
+/// See the module.
+pub struct Joined {
+    /// The base's speed.
+    pub speed: Speed,
+    /// The arm.
+    pub arm: Arm,
+    /// Angles that the robot reports.
+    pub joint_states: Option<Subscription<ros::JointState>>,
+    /// The base's odometry; its stamps say what the robot's clock says.
+    pub odom: Option<Subscription<ros::Odometry>>,
+    /// What the arm's controller wants and has; silent while it is not active.
+    pub controller_state: Option<Subscription<ros::ControllerState>>,
+    /// A simulation's time.
+    pub clock: Subscription<ros::Clock>,
+    participants: BTreeMap<String, Participant>,
+    speed_qos: QosProfile,
+    /// Its threads.
+    pub watch: Watch,
+    participant: DomainParticipant,
+    // Last: whatever is above belongs to it.
+    /// The node itself.
+    pub node: Node,
+}
+
+/// The participant of a connection.
+fn join(connection: &Connection) -> Result<Context, NodeError> {
+    let mut builder = DomainParticipantBuilder::new(connection.domain_id);
+    if !connection.interfaces.is_empty() {
+        builder = builder.with_only_networks(connection.interfaces.iter().copied());
+    }
+    #[cfg(target_os = "linux")]
+    let before = super::device::sockets();
+    let participant = builder.build().map_err(|error| {
+        NodeError(format!("domain {} cannot be joined: {error:?}; is a network up?", connection.domain_id))
+    })?;
+    #[cfg(target_os = "linux")]
+    if connection.is_loopback_only() {
+        super::device::tie_to_loopback(&before).map_err(|error| {
+            NodeError(format!("its sockets cannot be tied to loopback ({error}): needs Linux 5.7 or later"))
+        })?;
+    }
+    Context::from_domain_participant(participant).map_err(|error| NodeError::of("the context", &error))
+}
+
+fn reliable(config: &Ros2Config) -> QosProfile {
+    let depth = config.depth as usize;
+    QosProfile::publisher_default()
+        .history(History::KeepLast { depth })
+        .durability(Durability::Volatile)
+        .reliability_reliable(WhenFull::Fail)
+}
+
+/// Best effort listens to every writer.
+fn listening(depth: usize) -> QosProfile {
+    QosProfile::subscription_default().history(History::KeepLast { depth })
+}
+
+impl Joined {
+    /// Joins the graph; with `publish_sim` as one who publishes the simulator's state.
+    ///
+    /// # Errors
+    /// [`NodeError`]: the domain or a topic cannot be had.
+    pub fn open(
+        config: &Ros2Config,
+        connection: &Connection,
+        publish_sim: bool,
+    ) -> Result<(Self, Published), NodeError> {
+        let others = Watch::running();
+        let context = join(connection)?;
+        let namespace = if config.namespace.is_empty() { "/" } else { &config.namespace };
+        let name =
+            NodeName::new(namespace, &config.node).map_err(|e| NodeError::of("the node's name", &e))?;
+        let options = NodeOptions::new().enable_rosout(false).start_parameter_services(false);
+        let mut node = context.new_node(name, options).map_err(|e| NodeError::of("the node", &e))?;
+
+        let qos = reliable(config);
+        let lifespan = (config.lifespan_ms > 0).then(|| Duration::from_millis(config.lifespan_ms));
+        let mut speed_qos = qos.clone().lifespan(lifespan);
+        if !config.reliable {
+            speed_qos = speed_qos.reliability_best_effort();
+        }
+        let speed = speed(&mut node, config, config.stamped.fixed().unwrap_or(true), &speed_qos)?;
+        let diagnostics = config.resolve(&config.diagnostics);
+        let diagnostics = publisher(&mut node, &diagnostics, ("diagnostic_msgs", "DiagnosticArray"), &qos)?;
+        let controller = config.resolve(&config.arm_controller);
+        let controller_state = match config.arm {
+            ArmInterface::None => None,
+            _ => Some(subscription(
+                &mut node,
+                &format!("{controller}/controller_state"),
+                ("control_msgs", "JointTrajectoryControllerState"),
+                10,
+            )?),
+        };
+        let arm = match config.arm {
+            ArmInterface::None => Arm::None,
+            ArmInterface::Topic | ArmInterface::Stream => {
+                let name = format!("{controller}/joint_trajectory");
+                // A piece that waits is of no use once the next one is there.
+                let qos = qos.clone().history(History::KeepLast { depth: 1 });
+                Arm::Topic(Box::new(publisher(
+                    &mut node,
+                    &name,
+                    ("trajectory_msgs", "JointTrajectory"),
+                    &qos,
+                )?))
+            }
+            ArmInterface::Action => Arm::Action(Box::new(Follow::new(controller, qos.clone()))),
+        };
+        let (states, odom) = (config.resolve(&config.joint_states), config.resolve(&config.odom));
+        let clock = subscription(&mut node, "/clock", ("rosgraph_msgs", "Clock"), 1)?;
+        // What we publish ourselves is not read.
+        let (joint_states, odom_read, sim) = if publish_sim {
+            let sim = SimTopics {
+                joint_states: publisher(&mut node, &states, ("sensor_msgs", "JointState"), &qos)?,
+                odom: publisher(&mut node, &odom, ("nav_msgs", "Odometry"), &qos)?,
+                tf: publisher(&mut node, &config.resolve(&config.tf), ("tf2_msgs", "TFMessage"), &qos)?,
+            };
+            (None, None, Some(sim))
+        } else {
+            let states = match arm {
+                Arm::None => None,
+                _ => Some(subscription(&mut node, &states, ("sensor_msgs", "JointState"), 10)?),
+            };
+            (states, Some(subscription(&mut node, &odom, ("nav_msgs", "Odometry"), 10)?), None)
+        };
+        let joined = Joined {
+            speed,
+            arm,
+            joint_states,
+            odom: odom_read,
+            controller_state,
+            clock,
+            participants: BTreeMap::new(),
+            speed_qos,
+            watch: Watch::since(&others),
+            participant: context.domain_participant(),
+            node,
+        };
+        Ok((joined, Published { diagnostics, sim }))
+    }
+
+    /// Publishes speeds as the other type from now on.
+    ///
+    /// # Errors
+    /// [`NodeError`]: the topic cannot be had.
+    pub fn set_stamped(&mut self, config: &Ros2Config, stamped: bool) -> Result<(), NodeError> {
+        self.speed = speed(&mut self.node, config, stamped, &self.speed_qos)?;
+        Ok(())
+    }
+
+    /// Whether speeds are stamped.
+    pub fn is_stamped(&self) -> bool {
+        matches!(self.speed, Speed::Stamped(_))
+    }
+
+    /// Everybody else on the graph.
+    pub fn graph(&mut self) -> Graph {
+        let own = self.participant.guid().prefix;
+        let name = |guid: &GUID| {
+            let bytes = guid.to_bytes();
+            let text: String = bytes.iter().take(12).map(|byte| format!("{byte:02x}")).collect();
+            (text, Vendor::of_prefix(&bytes).unwrap_or(Vendor([0, 0])))
+        };
+        let listener = self.participant.status_listener();
+        while let Some(event) = listener.try_recv_status() {
+            if let DomainParticipantStatusEvent::ParticipantDiscovered { dpd } = event
+                && dpd.guid.prefix != own
+            {
+                let (id, vendor) = name(&dpd.guid);
+                let version = format!("{:?}", dpd.protocol_version);
+                self.participants.insert(id, Participant { vendor, version, name: dpd.entity_name });
+            }
+        }
+        let mut graph = Graph::default();
+        let reliable =
+            |qos: Option<policy::Reliability>| matches!(qos, Some(policy::Reliability::Reliable { .. }));
+        let durable =
+            |qos: Option<policy::Durability>| !matches!(qos, None | Some(policy::Durability::Volatile));
+        for reader in self.participant.discovered_readers() {
+            let guid = reader.reader_proxy.remote_reader_guid;
+            if guid.prefix == own {
+                continue;
+            }
+            let (participant, vendor) = name(&guid);
+            let data = reader.subscription_topic_data;
+            let qos = data.qos();
+            graph.readers.push(Endpoint {
+                topic: data.topic_name().clone(),
+                type_name: data.type_name().clone(),
+                reliable: reliable(qos.reliability()),
+                transient_local: durable(qos.durability()),
+                vendor,
+                participant,
+                type_hash: type_hash(&reader.user_data),
+            });
+        }
+        for writer in self.participant.discovered_writers() {
+            let guid = writer.writer_proxy.remote_writer_guid;
+            if guid.prefix == own {
+                continue;
+            }
+            let (participant, vendor) = name(&guid);
+            let data = writer.publication_topic_data;
+            let qos = data.qos();
+            graph.writers.push(Endpoint {
+                topic: data.topic_name().clone(),
+                type_name: data.type_name.clone(),
+                // Left out on the wire where it is a writer's default.
+                reliable: qos.reliability().is_none() || reliable(qos.reliability()),
+                transient_local: durable(qos.durability()),
+                vendor,
+                participant,
+                type_hash: type_hash(&writer.user_data),
+            });
+        }
+        // Of those that are gone no end points are left.
+        for end in graph.readers.iter().chain(&graph.writers) {
+            let known = self.participants.get(&end.participant).cloned();
+            let participant =
+                known.unwrap_or_else(|| Participant { vendor: end.vendor, ..Participant::default() });
+            graph.participants.insert(end.participant.clone(), participant);
+        }
+        graph
+    }
+}
+
+/// REP-2016's hash of a type, from what its end point says about itself.
+fn type_hash(user_data: &[u8]) -> Option<String> {
+    let text = String::from_utf8_lossy(user_data);
+    // The length of the data comes first, as bytes.
+    let (_, rest) = text.split_once("typehash=")?;
+    Some(rest.split(';').next().unwrap_or(rest).to_owned())
+}
+
+/// Topics of the simulator that somebody else publishes.
+pub fn rivals(config: &Ros2Config, graph: &Graph) -> Vec<String> {
+    let names = [&config.joint_states, &config.odom, &config.tf].map(|name| config.resolve(name));
+    let taken = |name: &String| graph.writers.iter().any(|writer| writer.topic == wire::topic(name));
+    names.into_iter().filter(taken).collect()
+}
+
+fn speed(node: &mut Node, config: &Ros2Config, stamped: bool, qos: &QosProfile) -> Result<Speed, NodeError> {
+    let name = config.resolve(&config.cmd_vel);
+    Ok(if stamped {
+        Speed::Stamped(publisher(node, &name, ("geometry_msgs", "TwistStamped"), qos)?)
+    } else {
+        Speed::Plain(publisher(node, &name, ("geometry_msgs", "Twist"), qos)?)
+    })
+}
+
+fn topic(
+    node: &mut Node,
+    name: &str,
+    (package, type_name): (&str, &str),
+    qos: &QosProfile,
+) -> Result<ros2_client::dds::rustdds::Topic, NodeError> {
+    let parsed = Name::parse(name).map_err(|error| NodeError::of(name, &error))?;
+    node.create_topic(&parsed, MessageTypeName::new(package, type_name), qos)
+        .map_err(|error| NodeError::of(name, &error))
+}
+
+fn publisher<M: Serialize>(
+    node: &mut Node,
+    name: &str,
+    type_name: (&str, &str),
+    qos: &QosProfile,
+) -> Result<Publisher<M>, NodeError> {
+    let topic = topic(node, name, type_name, qos)?;
+    node.create_publisher(&topic, Some(qos.clone())).map_err(|error| NodeError::of(name, &error))
+}
+
+fn subscription<M: Message + 'static>(
+    node: &mut Node,
+    name: &str,
+    type_name: (&str, &str),
+    depth: usize,
+) -> Result<Subscription<M>, NodeError> {
+    let qos = listening(depth);
+    let topic = topic(node, name, type_name, &qos)?;
+    node.create_subscription(&topic, Some(qos)).map_err(|error| NodeError::of(name, &error))
+}
