@@ -20,7 +20,7 @@ use host_core::engine::Engine;
 use host_core::observe::{SessionEvent, Snapshot};
 use host_core::safety::Hand;
 use host_core::source::HandKey;
-use host_links::links::{Clock, EventReceiver, Link, News};
+use host_links::links::{Clock, EventReceiver, Link, News, Waiter};
 use host_robot::Door;
 
 /// Bytes wake the loop at once; without any it turns this often.
@@ -121,6 +121,8 @@ pub struct Control<D: Door> {
     reports: Receiver<Report>,
     dropped: Arc<AtomicU64>,
     result: Arc<Mutex<Option<Engine<'static, D>>>>,
+    /// Where whoever takes the reports waits.
+    waiter: Waiter,
     thread: Option<JoinHandle<()>>,
 }
 
@@ -133,7 +135,9 @@ impl<D: Door + Send + 'static> Control<D> {
         let (orders, incoming) = sync_channel(REPORTS_MAX);
         let (outgoing, reports) = sync_channel(REPORTS_MAX);
         let (dropped, result) = (Arc::new(AtomicU64::new(0)), Arc::new(Mutex::new(None)));
+        let waiter = work.clock.waiter();
         let mut running = Running {
+            waiter: work.clock.waiter(),
             work: Some(work),
             flags: flags.clone(),
             orders: incoming,
@@ -144,7 +148,7 @@ impl<D: Door + Send + 'static> Control<D> {
             result: Arc::clone(&result),
         };
         let thread = std::thread::Builder::new().name("control".to_owned()).spawn(move || running.run())?;
-        Ok(Control { flags, orders, reports, dropped, result, thread: Some(thread) })
+        Ok(Control { flags, orders, reports, dropped, result, waiter, thread: Some(thread) })
     }
 
     /// Hands an order over; one that does not fit is dropped: it would be late.
@@ -157,7 +161,7 @@ impl<D: Door + Send + 'static> Control<D> {
     /// # Errors
     /// The thread is over.
     pub fn report(&self, patience: Duration) -> Result<Option<Report>, Over> {
-        match self.reports.recv_timeout(patience) {
+        match self.waiter.receive(&self.reports, patience) {
             Ok(report) => Ok(Some(report)),
             Err(RecvTimeoutError::Timeout) => Ok(None),
             Err(RecvTimeoutError::Disconnected) => Err(Over),
@@ -181,7 +185,7 @@ impl<D: Door> Control<D> {
         self.flags.quit();
         if let Some(thread) = self.thread.take() {
             // A panic was printed where it happened.
-            let _ = thread.join();
+            let _ = self.waiter.aside(|| thread.join());
         }
     }
 }
@@ -197,6 +201,7 @@ impl<D: Door> Drop for Control<D> {
 pub struct Over;
 
 struct Running<D: Door> {
+    waiter: Waiter,
     /// There until the thread ends.
     work: Option<Work<D>>,
     flags: Flags,
@@ -217,7 +222,7 @@ impl<D: Door> Running<D> {
             self.turn();
         }
         if let Some(mut work) = self.work.take() {
-            farewell(&mut work);
+            farewell(&mut work, &self.waiter);
             *self.result.lock().unwrap_or_else(PoisonError::into_inner) = Some(work.engine);
         }
         let _ = self.reports.try_send(std::mem::take(&mut self.waiting));
@@ -225,7 +230,7 @@ impl<D: Door> Running<D> {
 
     fn turn(&mut self) {
         let Some(work) = &mut self.work else { return };
-        match work.events.recv_timeout(TURN) {
+        match self.waiter.hear(&work.events, TURN) {
             Ok(event) => {
                 let began = Instant::now();
                 let mut next = Some(event);
@@ -250,7 +255,7 @@ impl<D: Door> Running<D> {
                 }
             }
             Err(RecvTimeoutError::Timeout) => {}
-            Err(RecvTimeoutError::Disconnected) => std::thread::sleep(TURN),
+            Err(RecvTimeoutError::Disconnected) => self.waiter.sleep(TURN),
         }
         let now_ms = work.clock.now_ms();
         if self.flags.stop.swap(false, Ordering::SeqCst) | (work.asks_for_stop)() {
@@ -298,7 +303,7 @@ impl<D: Door> Running<D> {
     }
 }
 
-fn farewell<D: Door>(work: &mut Work<D>) {
+fn farewell<D: Door>(work: &mut Work<D>, waiter: &Waiter) {
     work.engine.halt();
     let until_ms = work.clock.now_ms() + work.farewell_ms;
     while work.clock.now_ms() < until_ms {
@@ -306,7 +311,7 @@ fn farewell<D: Door>(work: &mut Work<D>) {
         let door = work.engine.door_mut();
         door.step(now_ms);
         door.send();
-        std::thread::sleep(Duration::from_millis(5));
+        waiter.sleep(Duration::from_millis(5));
     }
 }
 
@@ -314,7 +319,7 @@ impl<D: Door> Drop for Running<D> {
     /// By a panic: the robot is halted all the same.
     fn drop(&mut self) {
         if let Some(work) = &mut self.work {
-            farewell(work);
+            farewell(work, &self.waiter);
         }
     }
 }

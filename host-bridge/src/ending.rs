@@ -13,14 +13,15 @@
 use std::io;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use crossterm::terminal::disable_raw_mode;
+use host_links::links::{Clock as _, SystemClock};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGQUIT, SIGTERM};
 
 /// A program that was told to end and has not is ended after this long.
-const PATIENCE: Duration = Duration::from_millis(900);
+const PATIENCE_MS: u64 = 900;
 /// How often is looked.
 const LOOK: Duration = Duration::from_millis(10);
 
@@ -53,16 +54,18 @@ impl Ending {
         let panicked = Arc::new(Mutex::new(None));
         watch_panics(quit, &told, &panicked, screen);
         let quit = Arc::clone(quit);
+        let clock = SystemClock::start();
+        let waiter = clock.waiter();
         std::thread::Builder::new().name("ending".to_owned()).spawn(move || {
-            let mut since: Option<Instant> = None;
+            let mut since_ms = None;
             loop {
-                std::thread::sleep(LOOK);
+                waiter.sleep(LOOK);
                 if screen && terminal_is_gone() {
                     told.store(true, Ordering::SeqCst);
                     quit.store(true, Ordering::SeqCst);
                 }
-                if told.load(Ordering::SeqCst) && since.get_or_insert_with(Instant::now).elapsed() >= PATIENCE
-                {
+                let now_ms = clock.now_ms();
+                if told.load(Ordering::SeqCst) && now_ms - *since_ms.get_or_insert(now_ms) >= PATIENCE_MS {
                     if screen {
                         give_terminal_back();
                     }

@@ -25,7 +25,8 @@ use moving::{Robot, Virtual as _, live as live_engine};
 
 type Live = Engine<'static, Robot>;
 
-const PATIENCE: Duration = Duration::from_secs(20);
+/// By the wall clock; a hang must not stop the tests.
+const PATIENCE: Duration = Duration::from_secs(120);
 const ORIGIN: Origin = Origin { nanoseconds: 1_700_000_000_000_000_000 };
 
 fn any_port() -> FoxgloveOptions {

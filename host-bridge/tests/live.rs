@@ -1,16 +1,23 @@
-//! What runs at the pace of the wall clock: the program with boards behind pseudo-terminals.
-//! `cargo test -- --skip live::` leaves it out.
+//! The program with boards behind pseudo-terminals, in one time. `cargo test -- --skip live::` leaves it out.
 #![cfg(unix)]
 
+#[path = "support/desk/mod.rs"]
+#[allow(dead_code)] // each crate of tests uses its own part
+mod desk;
 #[path = "support/double.rs"]
 mod double;
 #[cfg(feature = "ros2")]
 #[path = "support/graph.rs"]
 mod graph;
+#[path = "support/lateness.rs"]
+mod lateness;
 #[path = "support/renamed.rs"]
 mod renamed;
 #[path = "support/talker.rs"]
 mod talker;
+
+#[cfg(feature = "ros2")]
+use desk::{port, program, time};
 
 mod live {
     mod desk;
@@ -19,12 +26,6 @@ mod live {
     mod stops;
 }
 
-#[cfg(feature = "ros2")]
-fn starting() -> std::sync::MutexGuard<'static, ()> {
-    double::STARTING.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
-}
-
-#[cfg(feature = "ros2")]
 fn host_bridge() -> &'static str {
     env!("CARGO_BIN_EXE_host-bridge")
 }

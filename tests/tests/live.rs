@@ -1,6 +1,5 @@
-//! What runs at the pace of the wall clock: the programs at a desk with emulated boards. One binary, so that
-//! `cargo xtask test` runs them side by side while nothing else has the processor's first attention;
-//! `cargo test -- --skip live::` leaves them out.
+//! The programs at a desk with emulated boards, one binary for `cargo xtask test` to run side by side.
+//! `cargo test -- --skip live::` leaves them out: each takes a minute.
 
 #[path = "../../host-bridge/tests/support/renamed.rs"]
 mod renamed;

@@ -21,8 +21,10 @@ use anyhow::Result;
 const HELP: &str = "\
 usage: cargo xtask VERB
 
-  test [--full] [--only WORD]   every test; --full runs the long versions (under 80 minutes),
-                                --only the steps whose name contains WORD, --list names them
+  test [--quick | --full] [--only WORD]
+                                every test, in under 30 minutes on 2 cores; --quick only format, clippy and unit
+                                tests of the laptop's side, for daily work (under 5 minutes); --full the long
+                                forms (under 90); --only the steps whose name contains WORD, --list names them
   campaign [--short]            what must hold when something else fails, in one table (under 80 minutes)
   firmware avr [--baud N] [--no-stack]
                                 the left hand's image: size, stack, how to flash it

@@ -33,11 +33,14 @@ pub struct Outcome {
     time: Duration,
     /// Why it failed.
     error: Option<String>,
-    /// Why it failed before, where it was tried again.
-    before: Option<String>,
 }
 
 impl Outcome {
+    /// The step's name.
+    pub fn name(&self) -> &'static str {
+        self.name
+    }
+
     /// Did the step fail?
     pub fn failed(&self) -> bool {
         self.error.is_some()
@@ -116,39 +119,24 @@ pub fn run_all(steps: &[Step]) -> Vec<Outcome> {
     steps.iter().map(run).collect()
 }
 
-/// Runs those of the steps that failed once more; the table says so.
-pub fn run_failed_again(steps: &[Step], outcomes: &mut [Outcome]) {
-    for (step, outcome) in steps.iter().zip(outcomes).filter(|(_, outcome)| outcome.failed()) {
-        let before = outcome.error.take();
-        *outcome = Outcome { before, ..run(step) };
-    }
-}
-
 fn run(step: &Step) -> Outcome {
     println!("\n=== {} ===", step.name);
     let start = Instant::now();
     let error = (step.check)().err().map(|e| format!("{e:#}"));
-    if error.is_some() {
-        println!("FAILED {}", step.name);
-    }
-    Outcome { name: step.name, time: start.elapsed(), error, before: None }
+    let time = start.elapsed();
+    let result = if error.is_some() { "FAILED" } else { "ok" };
+    println!("--- {result} after {:.1} s: {}", time.as_secs_f64(), step.name);
+    Outcome { name: step.name, time, error }
 }
 
 /// Prints the table, and below it why steps failed; whether all passed.
 pub fn report(outcomes: &[Outcome]) -> bool {
     println!("\n{:<48} {:>8}  result", "step", "seconds");
     for outcome in outcomes {
-        let result = match (&outcome.error, &outcome.before) {
-            (Some(_), _) => "FAILED",
-            (None, Some(_)) => "ok, tried again alone",
-            (None, None) => "ok",
-        };
+        let result = if outcome.failed() { "FAILED" } else { "ok" };
         println!("{:<48} {:>8.1}  {result}", outcome.name, outcome.time.as_secs_f64());
     }
     for outcome in outcomes {
-        if let Some(error) = &outcome.before {
-            println!("\nfailed at first: {}\n  {error}", outcome.name);
-        }
         if let Some(error) = &outcome.error {
             println!("\nFAILED {}\n  {error}", outcome.name);
         }
@@ -165,29 +153,19 @@ mod tests {
 
     use super::*;
 
-    /// A step that fails the first `times` times.
-    fn failing(name: &'static str, times: u32) -> Step {
-        let left = Rc::new(Cell::new(times));
-        Step::new(name, move || match left.get() {
-            0 => Ok(()),
-            n => {
-                left.set(n - 1);
-                bail!("late")
-            }
-        })
-    }
-
     #[test]
-    fn what_failed_is_tried_once_more_and_the_first_reason_is_kept() {
-        let steps = [failing("well", 0), failing("once", 1), failing("always", u32::MAX)];
-        let mut outcomes = run_all(&steps);
-        assert_eq!(outcomes.iter().map(Outcome::failed).collect::<Vec<_>>(), [false, true, true]);
-        run_failed_again(&steps, &mut outcomes);
-        assert_eq!(outcomes.iter().map(Outcome::failed).collect::<Vec<_>>(), [false, false, true]);
-        let before: Vec<_> = outcomes.iter().map(|o| o.before.as_deref()).collect();
-        assert_eq!(before, [None, Some("late"), Some("late")]);
+    fn a_step_that_fails_is_run_once_and_the_others_go_on() {
+        let runs = Rc::new(Cell::new(0));
+        let counted = Rc::clone(&runs);
+        let fails = Step::new("fails", move || {
+            counted.set(counted.get() + 1);
+            bail!("late")
+        });
+        let outcomes = run_all(&[fails, Step::new("well", || Ok(()))]);
+        assert_eq!(runs.get(), 1);
+        assert_eq!(outcomes.iter().map(Outcome::failed).collect::<Vec<_>>(), [true, false]);
         assert!(!report(&outcomes));
-        assert!(report(&outcomes[..2]));
+        assert!(report(&outcomes[1..]));
     }
 
     #[test]

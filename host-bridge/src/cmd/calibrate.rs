@@ -5,6 +5,7 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use anyhow::{Result, bail, ensure};
+use host_bridge::links::Waiter;
 use host_bridge::safety::Hand;
 use host_bridge::talk::{Said, Talk, TalkError};
 use shared_proto::message::{AckResult, Board, CalibrationStep, HostMessage, health};
@@ -55,7 +56,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     println!("{}, firmware {}: three steps of less than a second each", who.board, who.firmware);
     for (number, (step, pose)) in STEPS.iter().enumerate() {
         for attempt in 1.. {
-            announce(number + 1, pose, args.every)?;
+            announce(talk.waiter(), number + 1, pose, args.every)?;
             match talk.request(STEP_MS, |request| HostMessage::Calibrate { request, step: *step }) {
                 Ok(_) => break,
                 Err(TalkError::Refused { result: AckResult::Unsteady, advice, .. }) if attempt < ATTEMPTS => {
@@ -72,17 +73,17 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-fn announce(number: usize, pose: &str, every: Option<f64>) -> Result<()> {
+fn announce(waiter: &Waiter, number: usize, pose: &str, every: Option<f64>) -> Result<()> {
     match every {
         Some(seconds) => {
             println!("{number}. {pose}");
-            std::thread::sleep(Duration::from_secs_f64(seconds));
+            waiter.sleep(Duration::from_secs_f64(seconds));
         }
         None => {
             print!("{number}. {pose}, then press Enter ");
             std::io::stdout().flush()?;
             let mut line = String::new();
-            let count = std::io::stdin().lock().read_line(&mut line)?;
+            let count = waiter.aside(|| std::io::stdin().lock().read_line(&mut line))?;
             ensure!(count > 0, "nobody can press Enter here; use --every 3 for a step every 3 seconds");
         }
     }

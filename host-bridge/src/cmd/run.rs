@@ -196,6 +196,8 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         None
     };
     let clock: Arc<dyn Clock> = Arc::new(SystemClock::start());
+    // At work until the control thread is.
+    let starting = clock.waiter();
     let (sender, events) = queue();
     let open = |hand: Hand, port: &str| {
         (places[hand as usize] == Place::Board)
@@ -285,6 +287,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         farewell_ms: if counts.is_some() { FAREWELL_MS } else { 0 },
     };
     let control = Control::start(work, flags.clone())?;
+    drop(starting);
     let shown = screen.show(&control, &flags);
     let dropped = control.dropped();
     let engine = control.end();

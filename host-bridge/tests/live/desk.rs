@@ -2,95 +2,23 @@
 //! when a cable is pulled or a board restarts. The boards run the hands' own code (`support/double.rs`);
 //! the firmware images themselves are emulated in the `tests` crate.
 
-use std::io::{BufRead as _, BufReader};
 use std::path::Path;
-use std::process::{Child, Command, ExitStatus, Stdio};
-use std::sync::mpsc::{Receiver, channel};
-use std::time::{Duration, Instant};
+use std::process::ExitStatus;
+use std::time::Duration;
 
 use models::recording::Recording;
 
-use crate::double::{self, BENT, Double, FORWARD, LEVEL};
+use crate::desk::program::{Desk, Running};
+use crate::double::{BENT, Double, FORWARD, LEVEL};
+use crate::host_bridge;
 use crate::renamed::renamed_model;
 
-/// Nothing here takes nearly so long; a hang must not stop the tests.
-const PATIENCE: Duration = Duration::from_secs(40);
-
-/// The program under way, read line by line.
-struct Running {
-    child: Child,
-    lines: Receiver<String>,
-    seen: Vec<String>,
+fn start(desk: &Desk, args: &[&str]) -> Running {
+    desk.run(Path::new(host_bridge()), args)
 }
 
-fn start(args: &[&str]) -> Running {
-    let alone = double::STARTING.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
-    let mut child = Command::new(env!("CARGO_BIN_EXE_host-bridge"))
-        .args(args)
-        .stdin(Stdio::null())
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped())
-        .spawn()
-        .unwrap();
-    drop(alone);
-    let (sender, lines) = channel();
-    let (out, err) = (child.stdout.take().unwrap(), child.stderr.take().unwrap());
-    let also = sender.clone();
-    std::thread::spawn(move || {
-        BufReader::new(out).lines().map_while(Result::ok).for_each(|line| drop(sender.send(line)));
-    });
-    std::thread::spawn(move || {
-        BufReader::new(err).lines().map_while(Result::ok).for_each(|line| drop(also.send(line)));
-    });
-    Running { child, lines, seen: Vec::new() }
-}
-
-impl Running {
-    /// Waits for a line with all these words.
-    fn wait(&mut self, words: &[&str]) -> String {
-        let until = Instant::now() + PATIENCE;
-        loop {
-            match self.lines.recv_timeout(until.saturating_duration_since(Instant::now())) {
-                Ok(line) => {
-                    self.seen.push(line.clone());
-                    if words.iter().all(|word| line.contains(word)) {
-                        return line;
-                    }
-                }
-                Err(_) => {
-                    let _ = self.child.kill();
-                    panic!("no line with {words:?}; there were\n{}", self.seen.join("\n"));
-                }
-            }
-        }
-    }
-
-    fn interrupt(&self) {
-        Command::new("kill").args(["-INT", &self.child.id().to_string()]).status().unwrap();
-    }
-
-    /// Waits for the end; how it ended, and all it printed.
-    fn end(mut self) -> (ExitStatus, String) {
-        let until = Instant::now() + PATIENCE;
-        while let Ok(line) = self.lines.recv_timeout(until.saturating_duration_since(Instant::now())) {
-            self.seen.push(line);
-        }
-        if self.child.try_wait().unwrap().is_none() && Instant::now() >= until {
-            let _ = self.child.kill();
-            panic!("it does not end; it printed\n{}", self.seen.join("\n"));
-        }
-        (self.child.wait().unwrap(), self.seen.join("\n"))
-    }
-}
-
-impl Drop for Running {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-    }
-}
-
-fn run(args: &[&str]) -> (ExitStatus, String) {
-    start(args).end()
+fn run(desk: &Desk, args: &[&str]) -> (ExitStatus, String) {
+    start(desk, args).end()
 }
 
 fn files(folder: &Path) -> Vec<String> {
@@ -103,14 +31,14 @@ fn files(folder: &Path) -> Vec<String> {
 
 #[test]
 fn list_names_who_answers_and_gives_hints_where_nobody_does() {
-    let folder = tempfile::tempdir().unwrap();
-    let (left, right) = (Double::left(folder.path()), Double::right(folder.path(), 0.0));
-    let (status, text) = run(&["list", &left.port(), &right.port()]);
+    let desk = Desk::new("live-1");
+    let (left, right) = (Double::left(&desk), Double::right(&desk, 0.0));
+    let (status, text) = run(&desk, &["list", &left.port(), &right.port()]);
     assert!(status.success(), "{text}");
     for word in ["the left hand (Arduino Nano)", "the right hand (Nano 33 BLE Sense)", "model "] {
         assert!(text.contains(word), "{word} in\n{text}");
     }
-    let (status, text) = run(&["list", "/no/such/port"]);
+    let (status, text) = run(&desk, &["list", "/no/such/port"]);
     assert_eq!(status.code(), Some(1));
     for word in ["/no/such/port", "cable", "dialout", "driver", "keyboard"] {
         assert!(text.contains(word), "{word} in\n{text}");
@@ -119,13 +47,13 @@ fn list_names_who_answers_and_gives_hints_where_nobody_does() {
 
 #[test]
 fn a_pulled_cable_halts_the_robot_and_a_replugged_one_needs_neutral() {
-    let folder = tempfile::tempdir().unwrap();
-    let left = Double::left(folder.path());
-    let mut run = start(&["run", "--left", &left.port(), "--json", "--seconds", "60"]);
+    let desk = Desk::new("live-2");
+    let left = Double::left(&desk);
+    let mut run = start(&desk, &["run", "--left", &left.port(), "--json", "--seconds", "60"]);
     run.wait(&["\"state\"", "armed"]);
     left.hold(FORWARD);
     run.wait(&["\"heading\":\"forward\""]);
-    std::thread::sleep(Duration::from_millis(700));
+    desk.pass(Duration::from_millis(700));
     left.pull();
     run.wait(&["\"open\":false", "comes back by itself"]);
     run.wait(&["\"halt\"", "silence"]);
@@ -134,7 +62,7 @@ fn a_pulled_cable_halts_the_robot_and_a_replugged_one_needs_neutral() {
     left.plug();
     run.wait(&["\"open\":true"]);
     run.wait(&["hand-started"]);
-    std::thread::sleep(Duration::from_millis(1000));
+    desk.pass(Duration::from_millis(1000));
     let before = run.seen.len();
     left.hold(LEVEL);
     run.wait(&["\"state\"", "armed"]);
@@ -150,14 +78,14 @@ fn a_pulled_cable_halts_the_robot_and_a_replugged_one_needs_neutral() {
 
 #[test]
 fn both_hands_on_their_ports_move_base_and_arm() {
-    let folder = tempfile::tempdir().unwrap();
-    let (left, right) = (Double::left(folder.path()), Double::right(folder.path(), 0.0));
+    let desk = Desk::new("live-3");
+    let (left, right) = (Double::left(&desk), Double::right(&desk, 0.0));
     let mut run =
-        start(&["run", "--left", &left.port(), "--right", &right.port(), "--json", "--seconds", "25"]);
+        start(&desk, &["run", "--left", &left.port(), "--right", &right.port(), "--json", "--seconds", "25"]);
     run.wait(&["\"state\"", "armed"]);
     left.hold(FORWARD);
     run.wait(&["\"heading\":\"forward\""]);
-    std::thread::sleep(Duration::from_millis(500));
+    desk.pass(Duration::from_millis(500));
     left.hold(LEVEL);
     run.wait(&["\"gesture\"", "started"]);
     let (status, text) = run.end();
@@ -174,12 +102,12 @@ fn both_hands_on_their_ports_move_base_and_arm() {
 
 #[test]
 fn left_handed_exchanges_the_ports() {
-    let folder = tempfile::tempdir().unwrap();
-    let left = Double::left(folder.path());
-    let config = folder.path().join("desk.toml");
+    let desk = Desk::new("live-4");
+    let left = Double::left(&desk);
+    let config = desk.path("desk.toml");
     std::fs::write(&config, format!("left_handed = true\n[ports]\nright = '{}'\n", left.port())).unwrap();
     let config = config.display().to_string();
-    let mut run = start(&["run", "--config", &config, "--json", "--seconds", "30"]);
+    let mut run = start(&desk, &["run", "--config", &config, "--json", "--seconds", "30"]);
     run.wait(&["\"state\"", "armed"]);
     left.hold(FORWARD);
     run.wait(&["\"heading\":\"forward\""]);
@@ -187,13 +115,13 @@ fn left_handed_exchanges_the_ports() {
 
 #[test]
 fn calibrate_walks_through_three_poses_and_doctor_is_content_afterwards() {
-    let folder = tempfile::tempdir().unwrap();
-    let left = Double::left(folder.path());
-    let (status, text) = run(&["doctor", "--left", &left.port(), "--seconds", "2"]);
+    let desk = Desk::new("live-5");
+    let left = Double::left(&desk);
+    let (status, text) = run(&desk, &["doctor", "--left", &left.port(), "--seconds", "2"]);
     assert_eq!(status.code(), Some(1), "{text}");
     assert!(text.contains("host-bridge calibrate"), "{text}");
 
-    let mut calibrate = start(&["calibrate", "--port", &left.port(), "--every", "0.4"]);
+    let mut calibrate = start(&desk, &["calibrate", "--port", &left.port(), "--every", "0.4"]);
     calibrate.wait(&["1.", "level"]);
     calibrate.wait(&["3.", "bend both"]);
     left.hold(BENT);
@@ -202,7 +130,7 @@ fn calibrate_walks_through_three_poses_and_doctor_is_content_afterwards() {
     assert!(text.contains("pitch 0°, roll 0°") || text.contains("pitch -0°"), "{text}");
 
     left.hold(LEVEL);
-    let (status, text) = run(&["doctor", "--left", &left.port(), "--seconds", "3"]);
+    let (status, text) = run(&desk, &["doctor", "--left", &left.port(), "--seconds", "3"]);
     assert!(text.contains("all is well") && status.success(), "{text}");
     for word in ["protocol 1.0", "samples 100 Hz", "ppm", "ping and back", "0.00 % of the states lost"] {
         assert!(text.contains(word), "{word} in\n{text}");
@@ -211,27 +139,27 @@ fn calibrate_walks_through_three_poses_and_doctor_is_content_afterwards() {
 
 #[test]
 fn a_pose_that_cannot_be_right_is_refused_and_says_why() {
-    let folder = tempfile::tempdir().unwrap();
-    let left = Double::left(folder.path());
+    let desk = Desk::new("live-6");
+    let left = Double::left(&desk);
     // Straight fingers where bent ones are asked for.
-    let (status, text) = run(&["calibrate", "--port", &left.port(), "--every", "0"]);
+    let (status, text) = run(&desk, &["calibrate", "--port", &left.port(), "--every", "0"]);
     assert_eq!(status.code(), Some(1), "{text}");
     assert_eq!(text.matches("hold still and try again").count(), 3, "{text}");
-    let (status, text) = run(&["calibrate", "--port", &left.port()]);
+    let (status, text) = run(&desk, &["calibrate", "--port", &left.port()]);
     assert_eq!(status.code(), Some(1), "{text}");
     assert!(text.contains("--every"), "{text}");
 }
 
 #[test]
 fn record_writes_what_the_sensor_read_in_the_training_layout() {
-    let folder = tempfile::tempdir().unwrap();
-    let right = Double::right(folder.path(), 0.0);
-    let out = folder.path().join("recordings");
+    let desk = Desk::new("live-7");
+    let right = Double::right(&desk, 0.0);
+    let out = desk.path("recordings");
     let record = |more: &[&str]| {
         let (port, out) = (right.port(), out.display().to_string());
         let mut args = vec!["record", "--port", &port, "--person", "me", "--out", &out, "--countdown", "0"];
         args.extend(more);
-        run(&args)
+        run(&desk, &args)
     };
     for n in 1..=2 {
         let (status, text) = record(&["--label", "circle", "--seconds", "1.5"]);
@@ -264,9 +192,9 @@ fn record_writes_what_the_sensor_read_in_the_training_layout() {
 
 #[test]
 fn a_recording_that_breaks_off_leaves_nothing_behind() {
-    let folder = tempfile::tempdir().unwrap();
-    let right = Double::right(folder.path(), 0.0);
-    let out = folder.path().join("recordings");
+    let desk = Desk::new("live-8");
+    let right = Double::right(&desk, 0.0);
+    let out = desk.path("recordings");
     type Break = fn(&Double, &Running);
     let breaks: [(Break, i32, &str); 3] = [
         (|_, run| run.interrupt(), 130, "not saved"),
@@ -275,23 +203,26 @@ fn a_recording_that_breaks_off_leaves_nothing_behind() {
     ];
     for (how, code, word) in breaks {
         let (port, folder) = (right.port(), out.display().to_string());
-        let mut record = start(&[
-            "record",
-            "--port",
-            &port,
-            "--label",
-            "circle",
-            "--person",
-            "me",
-            "--seconds",
-            "30",
-            "--countdown",
-            "0",
-            "--out",
-            &folder,
-        ]);
+        let mut record = start(
+            &desk,
+            &[
+                "record",
+                "--port",
+                &port,
+                "--label",
+                "circle",
+                "--person",
+                "me",
+                "--seconds",
+                "30",
+                "--countdown",
+                "0",
+                "--out",
+                &folder,
+            ],
+        );
         record.wait(&["go: circle"]);
-        std::thread::sleep(Duration::from_millis(600));
+        desk.pass(Duration::from_millis(600));
         how(&right, &record);
         let (status, text) = record.end();
         assert_eq!(status.code(), Some(code), "{text}");
@@ -302,18 +233,18 @@ fn a_recording_that_breaks_off_leaves_nothing_behind() {
 
 #[test]
 fn a_model_sent_through_cuts_and_restarts_runs_after_the_next_start() {
-    let folder = tempfile::tempdir().unwrap();
-    let right = Double::right(folder.path(), 0.0);
-    let (file, id) = renamed_model(folder.path());
+    let desk = Desk::new("live-9");
+    let right = Double::right(&desk, 0.0);
+    let (file, id) = renamed_model(&desk.path(""));
     let file = file.display().to_string();
 
-    let mut send = start(&["send-model", &file, "--port", &right.port()]);
+    let mut send = start(&desk, &["send-model", &file, "--port", &right.port()]);
     send.wait(&["sending", &id]);
-    std::thread::sleep(Duration::from_millis(250));
+    desk.pass(Duration::from_millis(250));
     right.pull();
     send.wait(&["comes back by itself"]);
     right.plug_without_restart();
-    std::thread::sleep(Duration::from_millis(900));
+    desk.pass(Duration::from_millis(900));
     right.restart();
     send.wait(&["the board restarted"]);
     let (status, text) = send.end();
@@ -321,40 +252,40 @@ fn a_model_sent_through_cuts_and_restarts_runs_after_the_next_start() {
     assert!(text.contains(&format!("→ {id}")) && text.contains("next restart"), "{text}");
 
     // Not before a restart.
-    let (_, text) = run(&["doctor", "--right", &right.port(), "--seconds", "1"]);
+    let (_, text) = run(&desk, &["doctor", "--right", &right.port(), "--seconds", "1"]);
     assert!(!text.contains(&format!("model {id}")), "{text}");
     right.restart();
-    std::thread::sleep(Duration::from_millis(2500));
-    let (_, text) = run(&["doctor", "--right", &right.port(), "--seconds", "2"]);
+    desk.pass(Duration::from_millis(2500));
+    let (_, text) = run(&desk, &["doctor", "--right", &right.port(), "--seconds", "2"]);
     assert!(text.contains(&format!("model {id}")) && text.contains("wave"), "{text}");
     assert!(text.contains("no motion for wave"), "{text}");
-    let (status, text) = run(&["send-model", &file, "--port", &right.port()]);
+    let (status, text) = run(&desk, &["send-model", &file, "--port", &right.port()]);
     assert!(status.success() && text.contains("already"), "{text}");
 }
 
 #[test]
 fn the_wrong_hand_on_a_port_is_named() {
-    let folder = tempfile::tempdir().unwrap();
-    let (left, right) = (Double::left(folder.path()), Double::right(folder.path(), 0.0));
-    let (file, _) = renamed_model(folder.path());
+    let desk = Desk::new("live-10");
+    let (left, right) = (Double::left(&desk), Double::right(&desk, 0.0));
+    let (file, _) = renamed_model(&desk.path(""));
     let file = file.display().to_string();
     for args in [
         vec!["calibrate", "--port", &right.port(), "--every", "0"],
         vec!["record", "--port", &left.port(), "--label", "circle", "--person", "me"],
         vec!["send-model", &file, "--port", &left.port()],
     ] {
-        let (status, text) = run(&args);
+        let (status, text) = run(&desk, &args);
         assert_eq!(status.code(), Some(1), "{args:?}: {text}");
         assert!(text.contains("answers; only the"), "{args:?}: {text}");
     }
-    let mut run = start(&["run", "--left", &right.port(), "--headless", "--seconds", "20"]);
+    let mut run = start(&desk, &["run", "--left", &right.port(), "--headless", "--seconds", "20"]);
     run.wait(&["swap the ports"]);
 }
 
 #[test]
 fn bad_options_and_configurations_say_what_to_do() {
-    let folder = tempfile::tempdir().unwrap();
-    let file = folder.path().join("desk.toml");
+    let desk = Desk::new("live-11");
+    let file = desk.path("desk.toml");
     std::fs::write(&file, "[safety]\n\nstale = 100\n").unwrap();
     let file = file.display().to_string();
     for (args, words) in [
@@ -372,13 +303,13 @@ fn bad_options_and_configurations_say_what_to_do() {
         (vec!["send-model", "/no/such.tflite", "--port", "x"], vec!["/no/such.tflite"]),
         (vec!["calibrate", "--port", "/no/such/port", "--every", "0"], vec!["/no/such/port", "plug"]),
     ] {
-        let (status, text) = run(&args);
+        let (status, text) = run(&desk, &args);
         assert!(!status.success(), "{args:?}: {text}");
         for word in words {
             assert!(text.contains(word), "{args:?} must name {word}: {text}");
         }
     }
-    let (status, text) = run(&["run", "--left-handed", "--left", "/dev/ttyACM0", "--print-config"]);
+    let (status, text) = run(&desk, &["run", "--left-handed", "--left", "/dev/ttyACM0", "--print-config"]);
     assert!(status.success());
     assert!(text.contains("left_handed = true") && text.contains("left = \"/dev/ttyACM0\""), "{text}");
 }

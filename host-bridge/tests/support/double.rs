@@ -1,18 +1,11 @@
-//! Boards behind pseudo-terminals: they run the boards' own code on recordings, and can be unplugged and restarted at
-//! any moment.
+//! Boards on a desk: they run the boards' own code on recordings, and can be unplugged and restarted at any moment.
 
-use std::io::{Read as _, Write as _};
-use std::os::fd::{FromRawFd as _, IntoRawFd as _, OwnedFd};
-use std::path::{Path, PathBuf};
-use std::sync::mpsc::{Receiver, Sender, channel};
-use std::sync::{Arc, Mutex};
-use std::thread::JoinHandle;
-use std::time::{Duration, Instant};
+use std::collections::VecDeque;
+use std::path::Path;
 
 use host_bridge::hands::ModelFile;
 use host_bridge::hands::virtual_board::{PERIOD_MS, VirtualLeft, VirtualRight, onto};
 use models::recording::Recording;
-use serialport::{SerialPort as _, TTYPort};
 use shared_board::Identity;
 use shared_board::hand::CountHand;
 use shared_board::memory::{RamEeprom, RamFlash, at_once};
@@ -22,7 +15,10 @@ use shared_dsp::left::AdcCounts;
 use shared_dsp::mlp::Model;
 use shared_dsp::right::RightHand;
 use shared_proto::frame::{Decoder, HOST_FRAME_MAX};
-use shared_proto::message::{Board, HostMessage, Mode};
+use shared_proto::message::{Board as Kind, HostMessage, Mode};
+
+use crate::desk::program::Desk;
+use crate::desk::station::{Board, Station};
 
 /// A level left hand with straight fingers.
 pub const LEVEL: [u16; 5] = [512, 512, 614, 704, 704];
@@ -34,104 +30,69 @@ pub const BENT: [u16; 5] = [512, 512, 614, 536, 536];
 /// Scale of the LSM9DS1 as the right board uses it.
 const SCALE: [f32; 3] = [0.000_732 * 9.806_65, 0.07, 0.014];
 
-/// A program started while a pseudo-terminal is being made would inherit its board's end, and no cable
-/// would ever be pulled: whoever starts one takes this first.
-pub static STARTING: Mutex<()> = Mutex::new(());
-
-pub fn board_and_laptop() -> (TTYPort, TTYPort) {
-    let _alone = STARTING.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
-    let (board, laptop) = TTYPort::pair().expect("a pseudo-terminal");
-    // Safety: the port gives its descriptor away and is gone. The copy is not inherited by programs.
-    let board = unsafe { OwnedFd::from_raw_fd(board.into_raw_fd()) };
-    let copy = board.try_clone().expect("a descriptor");
-    (unsafe { TTYPort::from_raw_fd(copy.into_raw_fd()) }, laptop)
-}
-
-/// What a test does to a board.
-enum Order {
-    /// The cable is pulled; the board stays powered (or not: it does not matter to the laptop).
-    Pull,
-    /// And plugged in again, which restarts a board without a battery.
-    Plug {
-        restarts: bool,
-    },
-    /// Reset without losing the port.
-    Restart,
-    /// The left hand holds this now.
-    Hold([u16; 5]),
-    End,
-}
-
-/// A board on a port; its thread ends with it.
-pub struct Double {
-    orders: Sender<Order>,
-    mode: Arc<Mutex<Mode>>,
-    thread: Option<JoinHandle<()>>,
-    /// What to give to `--left` or `--right`: a link to the pseudo-terminal.
-    pub port: PathBuf,
-}
+/// A board on a port.
+pub struct Double(Station<Machine>);
 
 impl Double {
     /// A left hand at rest.
-    pub fn left(folder: &Path) -> Self {
-        let port = folder.join("left");
-        Self::start(port, || Box::new(Left::new()))
+    pub fn left(desk: &Desk) -> Self {
+        Self::left_named(desk, "left")
+    }
+
+    /// The same with a port of another name.
+    pub fn left_named(desk: &Desk, name: &str) -> Self {
+        Self::start(desk, name, Box::new(Left::new()))
     }
 
     /// A right hand that plays the demo's recording from `start_s` on, again and again.
-    pub fn right(folder: &Path, start_s: f64) -> Self {
-        let port = folder.join("right");
-        Self::start(port, move || Box::new(Right::new(start_s)))
+    pub fn right(desk: &Desk, start_s: f64) -> Self {
+        Self::right_named(desk, "right", start_s)
     }
 
-    fn start(port: PathBuf, make: impl FnOnce() -> Box<dyn Hand> + Send + 'static) -> Self {
-        let (orders, received) = channel();
-        let place = port.clone();
-        let (ready, is_ready) = channel();
-        let mode = Arc::new(Mutex::new(Mode::Classify));
-        let asked = Arc::clone(&mode);
-        let thread = std::thread::spawn(move || Machine::new(make(), place, &ready).run(&received, &asked));
-        is_ready.recv().expect("the board starts");
-        Double { orders, mode, thread: Some(thread), port }
+    /// The same with a port of another name.
+    pub fn right_named(desk: &Desk, name: &str, start_s: f64) -> Self {
+        Self::start(desk, name, Box::new(Right::new(start_s)))
     }
 
-    /// The last mode that it was asked for is not the one that records.
-    pub fn classifies(&self) -> bool {
-        *self.mode.lock().unwrap() == Mode::Classify
+    fn start(desk: &Desk, name: &str, hand: Box<dyn Hand>) -> Self {
+        Double(Station::start(desk.time(), &desk.path(name), Machine::new(hand)))
     }
 
+    /// What to give to `--left` or `--right`.
     pub fn port(&self) -> String {
-        self.port.display().to_string()
+        self.0.port()
     }
 
+    /// The cable is pulled.
     pub fn pull(&self) {
-        self.orders.send(Order::Pull).unwrap();
+        self.0.pull();
     }
 
+    /// And plugged in again, which restarts a board without a battery.
     pub fn plug(&self) {
-        self.orders.send(Order::Plug { restarts: true }).unwrap();
+        self.0.plug();
     }
 
     /// The cable was loose for a moment; the board has its own battery.
     pub fn plug_without_restart(&self) {
-        self.orders.send(Order::Plug { restarts: false }).unwrap();
+        self.0.with(|machine| machine.has_battery = true);
+        self.0.plug();
+        self.0.with(|machine| machine.has_battery = false);
     }
 
+    /// Reset without losing the port.
     pub fn restart(&self) {
-        self.orders.send(Order::Restart).unwrap();
+        self.0.restart();
     }
 
+    /// The last mode that it was asked for is not the one that records.
+    pub fn classifies(&self) -> bool {
+        self.0.with(|machine| machine.asked == Mode::Classify)
+    }
+
+    /// The left hand holds this now.
     pub fn hold(&self, counts: [u16; 5]) {
-        self.orders.send(Order::Hold(counts)).unwrap();
-    }
-}
-
-impl Drop for Double {
-    fn drop(&mut self) {
-        let _ = self.orders.send(Order::End);
-        if let Some(thread) = self.thread.take() {
-            let _ = thread.join();
-        }
+        self.0.with(|machine| machine.hand.hold(counts));
     }
 }
 
@@ -141,93 +102,103 @@ trait Hand {
     fn restart(&mut self, boot_id: u32);
     /// The sample of this time, every 10 ms.
     fn sample(&mut self, now_ms: u64, wire: &mut Vec<u8>);
-    /// Bytes from the laptop.
-    fn receive(&mut self, bytes: &[u8], now_ms: u64, wire: &mut Vec<u8>);
+    /// A byte from the laptop. For so many milliseconds the board is busy, and answers only then.
+    fn receive(&mut self, byte: u8, now_ms: u64, wire: &mut Vec<u8>) -> u64;
     fn hold(&mut self, _counts: [u16; 5]) {}
 }
 
 struct Machine {
     hand: Box<dyn Hand>,
-    place: PathBuf,
-    port: Option<TTYPort>,
+    decoder: Decoder<HOST_FRAME_MAX>,
+    asked: Mode,
     boot_id: u32,
-    started: Instant,
-    next_sample_ms: u64,
+    /// Since power-on, and when it started last.
+    now_ms: u64,
+    started_ms: u64,
+    has_battery: bool,
+    busy_until_ms: u64,
+    incoming: VecDeque<u8>,
+    /// Sent when it is no longer busy.
+    later: Vec<u8>,
+    wire: Vec<u8>,
 }
 
 impl Machine {
-    fn new(hand: Box<dyn Hand>, place: PathBuf, ready: &Sender<()>) -> Self {
-        let mut machine =
-            Machine { hand, place, port: None, boot_id: 100, started: Instant::now(), next_sample_ms: 0 };
-        machine.plug();
-        machine.restart();
-        ready.send(()).unwrap();
-        machine
+    fn new(hand: Box<dyn Hand>) -> Self {
+        Machine {
+            hand,
+            decoder: Decoder::new(),
+            asked: Mode::Classify,
+            boot_id: 100,
+            now_ms: 0,
+            started_ms: 0,
+            has_battery: false,
+            busy_until_ms: 0,
+            incoming: VecDeque::new(),
+            later: Vec::new(),
+            wire: Vec::new(),
+        }
     }
 
-    fn plug(&mut self) {
-        let (mut board, laptop) = board_and_laptop();
-        board.set_timeout(Duration::from_millis(1)).unwrap();
-        let _ = std::fs::remove_file(&self.place);
-        std::os::unix::fs::symlink(laptop.name().expect("a name"), &self.place).unwrap();
-        self.port = Some(board);
-    }
-
-    fn restart(&mut self) {
+    fn boot(&mut self) {
         self.boot_id += 1;
-        self.started = Instant::now();
-        self.next_sample_ms = 0;
+        self.started_ms = self.now_ms;
+        self.busy_until_ms = self.now_ms;
+        self.incoming.clear();
+        self.later.clear();
         self.hand.restart(self.boot_id);
     }
 
-    fn write(&mut self, bytes: &[u8]) {
-        if let Some(port) = &mut self.port {
-            // Nobody there, or nobody reads: dropped, as on a real line.
-            let _ = port.write(bytes);
+    fn listen(&mut self, time_ms: u64) {
+        while self.now_ms >= self.busy_until_ms {
+            self.wire.append(&mut self.later);
+            let Some(byte) = self.incoming.pop_front() else { break };
+            if let Some(HostMessage::SetMode { mode, .. }) = self.decoder.push_host(byte) {
+                self.asked = mode;
+            }
+            let busy_ms = self.hand.receive(byte, time_ms, &mut self.later);
+            self.busy_until_ms = self.now_ms + busy_ms;
+        }
+    }
+}
+
+impl Board for Machine {
+    fn now_ms(&self) -> u64 {
+        self.now_ms
+    }
+
+    fn run_until_ms(&mut self, until_ms: u64) {
+        while self.now_ms < until_ms {
+            let time_ms = self.now_ms - self.started_ms;
+            self.listen(time_ms);
+            if time_ms.is_multiple_of(PERIOD_MS) {
+                self.hand.sample(time_ms, &mut self.wire);
+            }
+            self.now_ms += 1;
         }
     }
 
-    fn run(mut self, orders: &Receiver<Order>, asked: &Mutex<Mode>) {
-        let mut decoder = Decoder::<HOST_FRAME_MAX>::new();
-        loop {
-            while let Ok(order) = orders.try_recv() {
-                match order {
-                    Order::Pull => {
-                        self.port = None;
-                        let _ = std::fs::remove_file(&self.place);
-                    }
-                    Order::Plug { restarts } => {
-                        self.plug();
-                        if restarts {
-                            self.restart();
-                        }
-                    }
-                    Order::Restart => self.restart(),
-                    Order::Hold(counts) => self.hand.hold(counts),
-                    Order::End => return,
-                }
-            }
-            let mut buffer = [0; 512];
-            let read = self.port.as_mut().map_or(0, |port| port.read(&mut buffer).unwrap_or(0));
-            if read == 0 {
-                std::thread::sleep(Duration::from_millis(1));
-            }
-            let mut wire = Vec::new();
-            let now_ms = self.started.elapsed().as_millis() as u64;
-            for &byte in &buffer[..read] {
-                if let Some(HostMessage::SetMode { mode, .. }) = decoder.push_host(byte) {
-                    *asked.lock().unwrap() = mode;
-                }
-            }
-            self.hand.receive(&buffer[..read], now_ms, &mut wire);
-            while self.next_sample_ms <= now_ms {
-                self.hand.sample(self.next_sample_ms, &mut wire);
-                self.next_sample_ms += PERIOD_MS;
-            }
-            if !wire.is_empty() {
-                self.write(&wire);
-            }
+    fn sent(&mut self) -> Vec<u8> {
+        std::mem::take(&mut self.wire)
+    }
+
+    fn receive(&mut self, bytes: &[u8]) {
+        self.incoming.extend(bytes);
+    }
+
+    fn opened(&mut self, _: bool) {}
+
+    fn pulled(&mut self) {}
+
+    fn plugged(&mut self) {
+        if !self.has_battery {
+            self.boot();
         }
+    }
+
+    fn restart(&mut self) -> bool {
+        self.boot();
+        false
     }
 }
 
@@ -243,7 +214,7 @@ impl Left {
     }
 
     fn start(boot_id: u32, memory: RamEeprom) -> VirtualLeft {
-        let identity = Identity { board: Board::LeftNano, firmware: "double", boot_id, sample_hz: 100 };
+        let identity = Identity { board: Kind::LeftNano, firmware: "double", boot_id, sample_hz: 100 };
         VirtualLeft::start(identity, memory)
     }
 }
@@ -261,8 +232,9 @@ impl Hand for Left {
         self.board.period(Some(counts), now_ms, wire);
     }
 
-    fn receive(&mut self, bytes: &[u8], now_ms: u64, wire: &mut Vec<u8>) {
-        self.board.receive(bytes, now_ms, wire);
+    fn receive(&mut self, byte: u8, now_ms: u64, wire: &mut Vec<u8>) -> u64 {
+        self.board.receive(&[byte], now_ms, wire);
+        0
     }
 
     fn hold(&mut self, counts: [u16; 5]) {
@@ -298,7 +270,7 @@ impl Right {
         };
         let model = Model::parse(blob.leak()).unwrap();
         let hand = RightHand::new(model, DecisionConfig::default()).expect("9 axes");
-        let identity = Identity { board: Board::RightNano33, firmware: "double", boot_id, sample_hz: 100 };
+        let identity = Identity { board: Kind::RightNano33, firmware: "double", boot_id, sample_hz: 100 };
         (VirtualRight::start(identity, CountHand::new(hand, SCALE)), store)
     }
 }
@@ -314,13 +286,13 @@ impl Hand for Right {
         self.board.sample(&counts, now_ms, wire);
     }
 
-    fn receive(&mut self, bytes: &[u8], now_ms: u64, wire: &mut Vec<u8>) {
-        let store = &mut self.store;
-        self.board.receive(bytes, now_ms, wire, |request, wire| {
+    fn receive(&mut self, byte: u8, now_ms: u64, wire: &mut Vec<u8>) -> u64 {
+        let (store, mut busy_ms) = (&mut self.store, 0);
+        self.board.receive(&[byte], now_ms, wire, |request, wire| {
             // Flash is slow, and a test needs time to pull the cable. Erasing four pages takes a third of a second.
-            let ms = if matches!(request, ModelRequest::Begin(_)) { 50 } else { 20 };
-            std::thread::sleep(Duration::from_millis(ms));
+            busy_ms += if matches!(request, ModelRequest::Begin(_)) { 50 } else { 20 };
             at_once(store.answer(request, async || (), &mut onto(wire)));
         });
+        busy_ms
     }
 }

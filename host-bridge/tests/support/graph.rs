@@ -1,20 +1,29 @@
 //! The other side of the graph: `tests/ros2/peer.py` (Cyclone DDS) or `rclpy_peer.py` (Fast DDS) as a robot, the program beside it, and a network of their own.
 //!
-//! Whoever includes this has `starting()`, held while a program is started, and `host_bridge()`, its path.
+//! DDS and the robot keep time by the wall clock, as do the delays that are measured here. Boards and program share one
+//! time, which goes no faster than that, and slower on a busy machine; so tests wait for what comes, and judge delays
+//! only where the machine was quiet.
+//!
+//! Whoever includes this has `host_bridge()`, the program's path, and the parts of `desk`.
 
 use std::io::{BufRead as _, BufReader, Write as _};
 use std::path::Path;
-use std::process::{Child, ChildStdin, Command, ExitStatus, Stdio};
-use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
-use std::sync::mpsc::{Receiver, channel};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::process::{ChildStdin, Command, ExitStatus, Stdio};
+use std::rc::Rc;
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::mpsc::{Receiver, TryRecvError, channel};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use serde_json::Value;
 
-use super::{host_bridge, starting};
+use super::host_bridge;
+use super::port::alone as starting;
+use super::program::Desk;
+use super::time::{Process, Time};
 
-const PATIENCE: Duration = Duration::from_secs(60);
+/// By the wall clock; a hang must not stop the tests.
+const PATIENCE: Duration = Duration::from_secs(240);
 
 /// Those that measure time are not disturbed by each other.
 static ALONE: Mutex<()> = Mutex::new(());
@@ -42,8 +51,9 @@ pub fn domain() -> u32 {
 /// A program that prints one JSON object per line.
 pub struct Teller {
     what: &'static str,
+    time: Time,
     /// The process.
-    pub child: Child,
+    pub process: Rc<Process>,
     orders: Option<ChildStdin>,
     lines: Receiver<(f64, Value)>,
     /// Every line with the time at which it was read.
@@ -51,18 +61,19 @@ pub struct Teller {
     errors: Receiver<String>,
 }
 
-/// Starts such a program; `what` names it where it fails.
-pub fn start(what: &'static str, command: &mut Command) -> Teller {
-    let alone = starting();
-    let mut child = command
-        .stdin(Stdio::piped())
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped())
-        .spawn()
-        .unwrap_or_else(|error| panic!("{what} does not start: {error}"));
-    drop(alone);
+/// Starts such a program in this way; `what` names it where it fails.
+fn start(
+    what: &'static str,
+    time: &Time,
+    command: &mut Command,
+    spawn: impl FnOnce(&mut Command) -> Rc<Process>,
+) -> Teller {
+    let process = spawn(command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped()));
+    let (orders, out, err) = {
+        let mut child = process.child();
+        (child.stdin.take(), child.stdout.take().unwrap(), child.stderr.take().unwrap())
+    };
     let (sender, lines) = channel();
-    let (out, err) = (child.stdout.take().unwrap(), child.stderr.take().unwrap());
     std::thread::spawn(move || {
         for line in BufReader::new(out).lines().map_while(Result::ok) {
             let value = serde_json::from_str(&line).unwrap_or(Value::String(line));
@@ -73,13 +84,13 @@ pub fn start(what: &'static str, command: &mut Command) -> Teller {
     std::thread::spawn(move || {
         BufReader::new(err).lines().map_while(Result::ok).for_each(|line| drop(sender.send(line)));
     });
-    Teller { what, orders: child.stdin.take(), child, lines, seen: Vec::new(), errors }
+    Teller { what, time: time.clone(), process, orders, lines, seen: Vec::new(), errors }
 }
 
 impl Teller {
     /// Ends the test with what was said last.
     pub fn fail(&mut self, why: &str) -> ! {
-        let _ = self.child.kill();
+        self.process.kill();
         let tail: Vec<String> = self.seen.iter().rev().take(40).rev().map(|(_, v)| v.to_string()).collect();
         let errors: Vec<String> = self.errors.try_iter().collect();
         panic!("{}: {why}; last lines:\n{}\n{}", self.what, tail.join("\n"), errors.join("\n"));
@@ -106,7 +117,19 @@ impl Teller {
                 }
                 place += 1;
             }
-            self.seen.push(self.lines.recv_timeout(until.saturating_duration_since(Instant::now())).ok()?);
+            let line = self.next(until)?;
+            self.seen.push(line);
+        }
+    }
+
+    /// The next line, while time goes on; none at the end of the patience or of the program.
+    fn next(&mut self, until: Instant) -> Option<(f64, Value)> {
+        loop {
+            match self.lines.try_recv() {
+                Ok(line) => return Some(line),
+                Err(TryRecvError::Empty) if Instant::now() < until => self.time.step(),
+                Err(_) => return None,
+            }
         }
     }
 
@@ -149,7 +172,7 @@ impl Teller {
     pub fn listen(&mut self, time: Duration) -> Vec<Value> {
         self.catch_up();
         let from = self.seen.len();
-        std::thread::sleep(time);
+        self.time.pass(time);
         self.catch_up();
         self.seen[from..].iter().map(|(_, value)| value.clone()).collect()
     }
@@ -161,30 +184,30 @@ impl Teller {
 
     /// Sends a signal of this name.
     pub fn signal(&self, name: &str) {
-        Command::new("kill").args([&format!("-{name}"), &self.child.id().to_string()]).status().unwrap();
+        self.process.signal(&format!("-{name}"));
     }
 
     /// Waits for the end; what it printed on standard error.
     pub fn end(mut self) -> (ExitStatus, Vec<Value>, String) {
         drop(self.orders.take());
         let until = Instant::now() + PATIENCE;
-        while let Ok(line) = self.lines.recv_timeout(until.saturating_duration_since(Instant::now())) {
+        while let Some(line) = self.next(until) {
             self.seen.push(line);
         }
-        if self.child.try_wait().unwrap().is_none() && Instant::now() >= until {
+        if Instant::now() >= until {
             self.fail("does not end");
         }
         let errors: Vec<String> = self.errors.iter().collect();
         let seen = std::mem::take(&mut self.seen);
-        (self.child.wait().unwrap(), seen.into_iter().map(|(_, value)| value).collect(), errors.join("\n"))
+        (self.process.wait(), seen.into_iter().map(|(_, value)| value).collect(), errors.join("\n"))
     }
 }
 
-impl Drop for Teller {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
+/// A desk whose time goes no faster than the wall clock.
+pub fn desk(name: &str) -> Desk {
+    let desk = Desk::new(name);
+    desk.time().keep_pace();
+    desk
 }
 
 /// The robot's program below `tests/ros2`.
@@ -198,20 +221,31 @@ pub fn is_rclpy() -> bool {
 }
 
 /// The robot, or whoever `options` make of it.
-pub fn peer(python: &str, domain: u32, options: &[&str]) -> Teller {
+pub fn peer(desk: &Desk, python: &str, domain: u32, options: &[&str]) -> Teller {
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/ros2").join(peer_script());
     let mut command = Command::new(python);
     command.arg(script).args(["--domain", &domain.to_string()]).args(options);
     command.env_remove("RMW_IMPLEMENTATION");
-    start("the robot", &mut command)
+    start("the robot", desk.time(), &mut command, Process::on_its_own)
 }
 
 /// The program under test with `section` in its configuration's `[ros2]`. Speeds are stamped, so that the test sees how
 /// old they are, unless the section says otherwise.
-pub fn bridge(folder: &Path, domain: u32, section: &str, options: &[&str]) -> Teller {
-    let config = folder.join(format!("desk-{domain}.toml"));
-    // Two stations may share a domain.
-    let config = if config.exists() { folder.join(format!("desk-{}.toml", section.len())) } else { config };
+pub fn bridge(desk: &Desk, domain: u32, section: &str, options: &[&str]) -> Teller {
+    let mut command = bridge_command(desk, domain, section, options);
+    start("the bridge", desk.time(), &mut command, |command| desk.time().spawn(command))
+}
+
+/// The same on the machine's own clock.
+pub fn bridge_on_its_own(desk: &Desk, domain: u32, section: &str, options: &[&str]) -> Teller {
+    let mut command = bridge_command(desk, domain, section, options);
+    start("the bridge", desk.time(), &mut command, Process::on_its_own)
+}
+
+fn bridge_command(desk: &Desk, domain: u32, section: &str, options: &[&str]) -> Command {
+    // Several stations may share a domain.
+    let numbers = (0..).map(|number| desk.path(&format!("desk-{domain}-{number}.toml")));
+    let config = numbers.into_iter().find(|config| !config.exists()).expect("a free name");
     let stamp = if section.contains("stamp = ") { "" } else { "stamp = 'wall'\n" };
     let text = format!("[ros2]\ndomain_id = {domain}\ninterfaces = ['127.0.0.1']\n{stamp}{section}");
     std::fs::write(&config, text).unwrap();
@@ -222,7 +256,7 @@ pub fn bridge(folder: &Path, domain: u32, section: &str, options: &[&str]) -> Te
     {
         command.env_remove(variable);
     }
-    start("the bridge", &mut command)
+    command
 }
 
 /// Whether a line tells of this.
@@ -266,42 +300,6 @@ pub fn gestures(message: &Value) -> u32 {
 pub fn middle_and_worst(mut delays_ms: Vec<f64>) -> (f64, f64) {
     delays_ms.sort_by(f64::total_cmp);
     (delays_ms[delays_ms.len() / 2], delays_ms[delays_ms.len() - 1])
-}
-
-/// How late this machine wakes a thread that slept: a busy one says nothing about the program's own delays.
-pub struct Lateness {
-    ended: Arc<AtomicBool>,
-    thread: std::thread::JoinHandle<Vec<f64>>,
-}
-
-impl Lateness {
-    /// Begins to look.
-    pub fn watch() -> Self {
-        let ended = Arc::new(AtomicBool::new(false));
-        let is_over = Arc::clone(&ended);
-        let thread = std::thread::spawn(move || {
-            let mut late_ms = Vec::new();
-            while !is_over.load(Ordering::Relaxed) {
-                let start = Instant::now();
-                std::thread::sleep(Duration::from_millis(5));
-                late_ms.push(start.elapsed().as_secs_f64() * 1000.0 - 5.0);
-            }
-            late_ms
-        });
-        Lateness { ended, thread }
-    }
-
-    /// Whether times measured meanwhile can be judged: nine sleeps of ten ended within 2 ms.
-    pub fn was_quiet(self) -> bool {
-        self.ended.store(true, Ordering::Relaxed);
-        let mut late_ms = self.thread.join().unwrap();
-        late_ms.sort_by(f64::total_cmp);
-        let mostly_ms = late_ms[late_ms.len() * 9 / 10];
-        if mostly_ms > 2.0 {
-            println!("NOT JUDGED: this machine is busy and wakes a thread {mostly_ms:.1} ms late");
-        }
-        mostly_ms <= 2.0
-    }
 }
 
 /// How long the robot may go on after a board fell silent.

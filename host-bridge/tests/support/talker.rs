@@ -1,5 +1,6 @@
 //! A left board that a test drives word by word: late, silent, flooding. Message by message it is a real one;
-//! what it says is the test's.
+//! what it says is the test's. It keeps time by the wall clock: what a program does that is stopped, flooded or without
+//! a reader is the system's affair, too.
 
 use std::collections::VecDeque;
 use std::io::{Read as _, Write as _};
@@ -15,7 +16,7 @@ use shared_proto::message::{
     PROTOCOL_MINOR, Pong,
 };
 
-use crate::double::board_and_laptop;
+use crate::desk::port::pair;
 
 const STATE_INTERVAL: Duration = Duration::from_millis(20);
 
@@ -55,7 +56,7 @@ fn lock<T>(what: &Mutex<T>) -> MutexGuard<'_, T> {
 
 impl Talker {
     pub fn start(folder: &Path) -> Self {
-        let (mut board, laptop) = board_and_laptop();
+        let (mut board, laptop) = pair();
         board.set_timeout(Duration::from_millis(1)).unwrap();
         let port = folder.join("talker");
         let _ = std::fs::remove_file(&port);

@@ -2,13 +2,12 @@
 //! whenever a program opens the port, and behind its bootloader.
 
 use std::cell::RefCell;
-use std::path::Path;
 use std::rc::Rc;
 use std::time::Duration;
 
 use fastrand::Rng;
 
-use super::program::Running;
+use super::program::{Desk, Running};
 use super::station::{Board, Station};
 use crate::avr::image;
 use crate::avr::nano::Nano;
@@ -38,21 +37,19 @@ impl LeftStation {
         for (step, depth) in [("1.", 0.0), ("2.", 0.0), ("3.", 1.0)] {
             calibrate.wait(&[step, "press Enter"]);
             self.with(move |board| board.bend(depth));
-            std::thread::sleep(Duration::from_millis(600));
+            self.time().pass(Duration::from_millis(600));
             calibrate.type_line("");
         }
     }
 }
 
 impl Left {
-    /// A board that was never calibrated, on a hand that is level and straight, with its port at `place`.
-    pub fn start(place: &Path) -> LeftStation {
-        let image = image::path();
-        Station::start(place, move || {
-            let (wearer, hand) = Wearer::new(Sensors::nominal(), (0.0, 0.0), None, Rng::with_seed(7));
-            let nano = Nano::new(&image, &BLANK, Box::new(wearer));
-            Self { nano, hand, bootloader_ms: 0, skipped_ms: 0, powered: false }
-        })
+    /// A board that was never calibrated, on a hand that is level and straight, with its port of this name on the desk.
+    pub fn start(desk: &Desk, name: &str) -> LeftStation {
+        let (wearer, hand) = Wearer::new(Sensors::nominal(), (0.0, 0.0), None, Rng::with_seed(7));
+        let nano = Nano::new(&image::path(), &BLANK, Box::new(wearer));
+        let board = Self { nano, hand, bootloader_ms: 0, skipped_ms: 0, powered: false };
+        Station::start(desk.time(), &desk.path(name), board)
     }
 
     /// Tips the hand forward by so many radians.

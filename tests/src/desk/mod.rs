@@ -1,24 +1,24 @@
-//! Emulated boards at the desk: their images run at the pace of the wall clock behind pseudo-terminals,
-//! so that the program meets them as a user's does, with cables that are pulled and boards that restart.
+//! Emulated boards at the desk: their images run behind pseudo-terminals, so that the program meets them as a user's
+//! does, with cables that are pulled and boards that restart. All of it is in one time, which the test holds.
 //!
-//! - [`station`] keeps one board's thread: its pace, its port, and what a test does to it;
 //! - [`left`] is the Nano behind its USB-serial chip, [`right`] the Nano 33 with USB of its own;
-//! - [`program`] runs what a user types and reads what comes out.
+//! - [`programs`] has the programs, built;
+//! - the desk itself is the one of host-bridge's own tests.
 
 #[path = "../../../host-bridge/tests/support/graph.rs"]
 pub mod graph;
+#[path = "../../../host-bridge/tests/support/lateness.rs"]
+pub mod lateness;
 #[cfg(feature = "avr")]
 pub mod left;
-pub mod port;
-pub mod program;
+pub mod programs;
 #[cfg(feature = "nrf")]
 pub mod right;
-pub mod station;
+#[path = "../../../host-bridge/tests/support/desk/mod.rs"]
+mod shared;
 
-fn starting() -> std::sync::MutexGuard<'static, ()> {
-    port::alone()
-}
+pub use shared::{port, program, station, time};
 
 fn host_bridge() -> std::path::PathBuf {
-    program::folder().join("host-bridge")
+    programs::folder().join("host-bridge")
 }

@@ -1,11 +1,11 @@
 //! The right hand at the desk: the Nano 33's image in unicorn, its USB cable, and a simulated wearer.
 
 use std::cell::RefCell;
-use std::path::Path;
 use std::rc::Rc;
 
 use models::synth::{IdleKind, Motion as Doing, Segment, Wearer, session};
 
+use super::program::Desk;
 use super::station::{Board, Station};
 use crate::nrf::board::{self, Boot};
 use crate::nrf::build::{Variant, image};
@@ -82,16 +82,13 @@ impl Right {
         assert!(ready, "no serial port: {:?}", self.usb);
     }
 
-    /// A board with the image behind the stock bootloader and no model but the one compiled in, on this
-    /// wearer's still hand, with its port at `place`.
-    pub fn start(place: &Path, wearer: Wearer) -> RightStation {
-        let image = image(Variant::Bootloader);
-        Station::start(place, move || {
-            let hand = Rc::new(RefCell::new(Hand::new(wearer)));
-            let motion = Box::new(Shared(Rc::clone(&hand)));
-            let board = board::Board::new(image, Boot::StockBootloader, motion);
-            Self { board, hand, usb: UsbHost::default() }
-        })
+    /// A board with the image behind the stock bootloader and no model but the one compiled in, on this wearer's still
+    /// hand, with its port of this name on the desk.
+    pub fn start(desk: &Desk, name: &str, wearer: Wearer) -> RightStation {
+        let hand = Rc::new(RefCell::new(Hand::new(wearer)));
+        let motion = Box::new(Shared(Rc::clone(&hand)));
+        let board = board::Board::new(image(Variant::Bootloader), Boot::StockBootloader, motion);
+        Station::start(desk.time(), &desk.path(name), Self { board, hand, usb: UsbHost::default() })
     }
 
     /// The wearer makes this movement from now on for so many seconds, then rests.

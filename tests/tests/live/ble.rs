@@ -1,6 +1,9 @@
 //! The right hand over Bluetooth: the program and btleplug are real, BlueZ is a double on a private bus, and the
 //! board behind it is the emulated Nano 33, whose frames a pseudo-terminal carries in the place of the air.
 //! There is no radio here.
+//!
+//! Bluetooth keeps time by the wall clock: BlueZ, D-Bus and btleplug know no other. Board and program share one time,
+//! which goes no faster than that, and slower on a busy machine; the tests wait for what comes, not for durations.
 #![cfg(all(feature = "ble", feature = "nrf", unix))]
 
 use std::process::{Command, ExitStatus};
@@ -8,30 +11,39 @@ use std::time::Duration;
 
 use models::synth::{Motion, Wearer};
 use tests::bluez::{Bluez, Bus};
-use tests::desk::program::{Desk, Running, folder, start};
+use tests::desk::program::{Desk, Running};
+use tests::desk::programs::folder;
 use tests::desk::right::{Right, RightStation};
 
-const TRIES: u32 = 6;
-const TRY: Duration = Duration::from_secs(12);
+/// Not every drawing is what the model takes it for.
+const DRAWINGS: u32 = 3;
+const SOON: Duration = Duration::from_secs(12);
 
-fn bridge(bus: &str, args: &[&str]) -> Running {
+/// A desk whose time goes no faster than the wall clock.
+fn desk(name: &str) -> Desk {
+    let desk = Desk::new(name);
+    desk.time().keep_pace();
+    desk
+}
+
+fn bridge(desk: &Desk, bus: &str, args: &[&str]) -> Running {
     println!("$ host-bridge {}", args.join(" "));
     let mut command = Command::new(folder().join("host-bridge"));
     command.args(args).env("DBUS_SYSTEM_BUS_ADDRESS", bus);
-    start(command)
+    desk.start(command)
 }
 
-fn run(bus: &Bus, args: &[&str]) -> (ExitStatus, String) {
-    bridge(&bus.address, args).end()
+fn run(desk: &Desk, bus: &Bus, args: &[&str]) -> (ExitStatus, String) {
+    bridge(desk, &bus.address, args).end()
 }
 
 fn draw(run: &mut Running, right: &RightStation) {
-    for _ in 0..TRIES {
+    for _ in 0..DRAWINGS {
         if !run.is_armed() {
             run.wait(&["\"event\":\"state\"", "armed"]);
         }
         right.with(|board| board.perform(Motion::Circle, 4.0));
-        if run.wait_for(TRY, &["\"gesture\"", "circle", "started"]).is_some() {
+        if run.wait_for(SOON, &["\"gesture\"", "circle", "started"]).is_some() {
             return;
         }
     }
@@ -40,17 +52,17 @@ fn draw(run: &mut Running, right: &RightStation) {
 
 #[test]
 fn a_board_is_found_by_its_service_answers_and_is_told_apart_from_a_bluetooth_that_is_off() {
-    let desk = Desk::new("ble-list");
+    let desk = desk("ble-list");
     let bus = Bus::start(&desk.path(""));
     // A system without the service.
-    let (status, text) = run(&bus, &["list"]);
+    let (status, text) = run(&desk, &bus, &["list"]);
     assert!(!status.success() && text.contains("sudo systemctl start bluetooth"), "{text}");
-    let (status, text) = bridge("unix:path=/no/such/bus", &["doctor", "--right", "ble"]).end();
+    let (status, text) = bridge(&desk, "unix:path=/no/such/bus", &["doctor", "--right", "ble"]).end();
     assert!(!status.success() && text.contains("Bluetooth"), "{text}");
 
-    let right = Right::start(&desk.path("air"), Wearer::demo(1));
+    let right = Right::start(&desk, "air", Wearer::demo(1));
     let bluez = Bluez::start(&bus, &desk.path("air"));
-    let (status, text) = run(&bus, &["list"]);
+    let (status, text) = run(&desk, &bus, &["list"]);
     assert!(status.success(), "{text}");
     for word in [
         "ble:bimanual-right",
@@ -60,19 +72,19 @@ fn a_board_is_found_by_its_service_answers_and_is_told_apart_from_a_bluetooth_th
     ] {
         assert!(text.contains(word), "{word} in\n{text}");
     }
-    let (_, text) = run(&bus, &["doctor", "--right", "ble:c0:ff:ee:00:00:33", "--seconds", "2"]);
+    let (_, text) = run(&desk, &bus, &["doctor", "--right", "ble:c0:ff:ee:00:00:33", "--seconds", "2"]);
     for word in ["idle, up-down", "ping and back", "ppm", " 0 damaged"] {
         assert!(text.contains(word), "{word} in\n{text}");
     }
 
     // Writes need a paired laptop.
     bluez.pair(false);
-    let (status, text) = run(&bus, &["doctor", "--right", "ble", "--seconds", "1"]);
+    let (status, text) = run(&desk, &bus, &["doctor", "--right", "ble", "--seconds", "1"]);
     assert!(!status.success() && text.contains("bluetoothctl pair C0:FF:EE:00:00:33"), "{text}");
     bluez.pair(true);
 
     bluez.power(false);
-    let (status, text) = run(&bus, &["list"]);
+    let (status, text) = run(&desk, &bus, &["list"]);
     assert!(
         !status.success() && text.contains("Bluetooth: Bluetooth is off") || text.contains("is off"),
         "{text}"
@@ -80,19 +92,19 @@ fn a_board_is_found_by_its_service_answers_and_is_told_apart_from_a_bluetooth_th
     assert!(text.contains("bluetoothctl power on"), "{text}");
     bluez.power(true);
     right.pull();
-    let (status, text) = run(&bus, &["list"]);
+    let (status, text) = run(&desk, &bus, &["list"]);
     assert!(!status.success() && text.contains("no right hand is in reach"), "{text}");
 }
 
 #[test]
 fn a_gesture_over_bluetooth_moves_the_arm_and_a_lost_link_halts_it_and_comes_back_by_itself() {
-    let desk = Desk::new("ble-run");
+    let desk = desk("ble-run");
     let bus = Bus::start(&desk.path(""));
-    let right = Right::start(&desk.path("air"), Wearer::demo(1));
+    let right = Right::start(&desk, "air", Wearer::demo(1));
     let bluez = Bluez::start(&bus, &desk.path("air"));
     bluez.power(false);
     let args = ["run", "--right", "ble:bimanual-right", "--json", "--seconds", "600"];
-    let mut run = bridge(&bus.address, &args);
+    let mut run = bridge(&desk, &bus.address, &args);
     run.wait(&["\"open\":false", "Bluetooth is off"]);
     bluez.power(true);
     run.wait(&["\"open\":true"]);

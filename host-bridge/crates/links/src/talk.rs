@@ -12,7 +12,7 @@ use shared_proto::version;
 
 use host_core::link::printable;
 
-use crate::links::{Clock, EventReceiver, Link, News, SerialSettings, SystemClock, is_ble, queue};
+use crate::links::{Clock, EventReceiver, Link, News, SerialSettings, SystemClock, Waiter, is_ble, queue};
 
 /// A request is sent again after this long without an answer.
 const REPEAT_MS: u64 = 1000;
@@ -189,6 +189,7 @@ pub struct Talk {
     link: Link,
     events: EventReceiver<()>,
     clock: Arc<dyn Clock>,
+    waiter: Waiter,
     decoder: Decoder<BOARD_FRAME_MAX>,
     said: std::collections::VecDeque<(u64, Said)>,
     text: TextHeard,
@@ -199,12 +200,14 @@ impl Talk {
     /// Opens a port; what comes of it is said.
     pub fn open(port: &str, settings: SerialSettings) -> Self {
         let clock: Arc<dyn Clock> = Arc::new(SystemClock::start());
+        let waiter = clock.waiter();
         let (sender, events) = queue();
         let link = Link::start((), port, settings, Arc::clone(&clock), sender);
         Talk {
             link,
             events,
             clock,
+            waiter,
             decoder: Decoder::new(),
             said: Default::default(),
             text: TextHeard::default(),
@@ -220,6 +223,11 @@ impl Talk {
     /// Time on the clock that marks what is said.
     pub fn now_ms(&self) -> u64 {
         self.clock.now_ms()
+    }
+
+    /// Where the thread that talks waits for anything else than what is said.
+    pub fn waiter(&self) -> &Waiter {
+        &self.waiter
     }
 
     /// Frames so far, and damaged ones.
@@ -259,7 +267,7 @@ impl Talk {
                 return None;
             }
             asked = true;
-            let event = self.events.recv_timeout(Duration::from_millis(left_ms)).ok()?;
+            let event = self.waiter.hear(&self.events, Duration::from_millis(left_ms)).ok()?;
             match event.news {
                 News::Opened => self.said.push_back((event.at_ms, Said::Opened)),
                 News::Closed(why) => self.said.push_back((event.at_ms, Said::Closed(why))),

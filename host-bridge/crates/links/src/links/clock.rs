@@ -1,32 +1,68 @@
-//! The laptop's time, as the stops need it: elapsed time, with the time that the machine slept.
+//! Time, and waiting for it.
+//!
+//! A thread that waits for time to pass does so through its [`Waiter`], and nowhere else. In the released program
+//! that is the machine's clock and nothing more. With the feature `test-clock` (tests only) a test may hold the time:
+//! it goes on when every waiter waits, so that board, wire and program keep one time, however busy the machine is.
+
+use std::sync::mpsc::{Receiver, RecvTimeoutError};
+use std::time::Duration;
 
 use rustix::time::{ClockId, clock_gettime};
 
+use super::{EventReceiver, LinkEvent};
+
+#[cfg(feature = "test-clock")]
+use std::sync::mpsc::TryRecvError;
+
+#[cfg(feature = "test-clock")]
+use super::test_clock::{Bell, Seat, TestClock};
+
 /// Milliseconds that never step back. Everything behind the links gets its time from here.
 pub trait Clock: Send + Sync {
-    /// Time since some fixed moment.
+    /// Milliseconds since some fixed moment.
     fn now_ms(&self) -> u64;
+
+    /// A thread's place in this time. It is made before the thread starts and dropped with it.
+    fn waiter(&self) -> Waiter;
 }
 
-/// The machine's time since it booted, from the moment this was made.
+/// The machine's time since it booted, from the moment at which this was made.
 ///
 /// `std::time::Instant` stands still on Linux while the machine is suspended: after an hour's sleep every
 /// hand would look as fresh as before it. This one goes on, so that a sleep is a silence like any other.
 #[derive(Clone, Copy, Debug)]
 pub struct SystemClock {
     start_ms: u64,
+    /// A test's clock in its place, and what that showed then.
+    #[cfg(feature = "test-clock")]
+    test: Option<(&'static TestClock, u64)>,
 }
 
 impl SystemClock {
     /// A clock that shows 0 now.
     pub fn start() -> Self {
-        SystemClock { start_ms: since_boot_ms() }
+        SystemClock {
+            start_ms: since_boot_ms(),
+            #[cfg(feature = "test-clock")]
+            test: TestClock::of_this_process().map(|clock| (clock, clock.now_ms())),
+        }
     }
 }
 
 impl Clock for SystemClock {
     fn now_ms(&self) -> u64 {
+        #[cfg(feature = "test-clock")]
+        if let Some((clock, start_ms)) = self.test {
+            return clock.now_ms() - start_ms;
+        }
         since_boot_ms().saturating_sub(self.start_ms)
+    }
+
+    fn waiter(&self) -> Waiter {
+        Waiter {
+            #[cfg(feature = "test-clock")]
+            seat: self.test.map(|(clock, _)| clock.seat()),
+        }
     }
 }
 
@@ -39,6 +75,111 @@ fn since_boot_ms() -> u64 {
     let time = clock_gettime(clock);
     // Neither is negative, nor does it reach the end of a u64.
     time.tv_sec as u64 * 1000 + time.tv_nsec as u64 / 1_000_000
+}
+
+/// Where one thread waits for time to pass. While it exists and does not wait, its thread is at work.
+#[derive(Debug)]
+pub struct Waiter {
+    #[cfg(feature = "test-clock")]
+    seat: Option<Seat>,
+}
+
+impl Waiter {
+    /// Waits so long, or until [`Waker::wake`].
+    pub fn sleep(&self, time: Duration) {
+        #[cfg(feature = "test-clock")]
+        if let Some(seat) = &self.seat {
+            return seat.sleep(time);
+        }
+        std::thread::sleep(time);
+    }
+
+    /// Waits so long at most for what comes through a channel.
+    ///
+    /// # Errors
+    /// As [`Receiver::recv_timeout`].
+    pub fn receive<T>(&self, channel: &Receiver<T>, patience: Duration) -> Result<T, RecvTimeoutError> {
+        #[cfg(feature = "test-clock")]
+        if let Some(seat) = &self.seat {
+            return seat.until(patience, || match channel.try_recv() {
+                Err(TryRecvError::Empty) => None,
+                Err(TryRecvError::Disconnected) => Some(Err(RecvTimeoutError::Disconnected)),
+                Ok(value) => Some(Ok(value)),
+            });
+        }
+        channel.recv_timeout(patience)
+    }
+
+    /// The same for what links have to say.
+    ///
+    /// # Errors
+    /// As [`EventReceiver::recv_timeout`].
+    pub fn hear<I>(
+        &self,
+        events: &EventReceiver<I>,
+        patience: Duration,
+    ) -> Result<LinkEvent<I>, RecvTimeoutError> {
+        #[cfg(feature = "test-clock")]
+        if let Some(seat) = &self.seat {
+            return seat.until(patience, || match events.recv_timeout(Duration::ZERO) {
+                Err(RecvTimeoutError::Timeout) => None,
+                done => Some(done),
+            });
+        }
+        events.recv_timeout(patience)
+    }
+
+    /// How long the operating system may keep this thread waiting for input; [`Waiter::pause`] follows where none came.
+    pub fn patience(&self, usual: Duration) -> Duration {
+        #[cfg(feature = "test-clock")]
+        if self.seat.is_some() {
+            return Duration::ZERO;
+        }
+        usual
+    }
+
+    /// The operating system was asked for input, and after [`Waiter::patience`] there was none.
+    pub fn pause(&self) {
+        #[cfg(feature = "test-clock")]
+        if let Some(seat) = &self.seat {
+            seat.sleep(Duration::from_millis(1));
+        }
+    }
+
+    /// Waits for something that is not time, such as a person: time goes on meanwhile.
+    pub fn aside<T>(&self, wait: impl FnOnce() -> T) -> T {
+        #[cfg(feature = "test-clock")]
+        if let Some(seat) = &self.seat {
+            return seat.aside(wait);
+        }
+        wait()
+    }
+
+    /// What ends this thread's waits from elsewhere.
+    pub fn waker(&self) -> Waker {
+        Waker {
+            #[cfg(feature = "test-clock")]
+            bell: self.seat.as_ref().map(Seat::bell),
+        }
+    }
+}
+
+/// Ends a thread's waits under a test's clock, so that it can be joined while time stands still. On the machine's
+/// clock waits are short, and this does nothing.
+#[derive(Clone, Debug)]
+pub struct Waker {
+    #[cfg(feature = "test-clock")]
+    bell: Option<Bell>,
+}
+
+impl Waker {
+    /// From now on the thread waits for nothing.
+    pub fn wake(&self) {
+        #[cfg(feature = "test-clock")]
+        if let Some(bell) = &self.bell {
+            bell.ring();
+        }
+    }
 }
 
 #[cfg(test)]

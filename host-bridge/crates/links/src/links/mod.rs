@@ -11,10 +11,12 @@ mod clock;
 mod ports;
 mod queue;
 mod serial;
+#[cfg(feature = "test-clock")]
+mod test_clock;
 
 #[cfg(feature = "ble")]
 pub use ble::{BleLink, ble_devices};
-pub use clock::{Clock, SystemClock};
+pub use clock::{Clock, SystemClock, Waiter, Waker};
 pub use ports::{PortAbout, hints, ports};
 pub use queue::{EventReceiver, EventSender, queue};
 pub use serial::{SerialLink, SerialSettings};

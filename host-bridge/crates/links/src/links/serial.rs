@@ -9,7 +9,7 @@ use std::time::Duration;
 use serialport::SerialPort;
 use shared_proto::frame::DELIMITER;
 
-use super::{Clock, EventSender, LinkEvent, News};
+use super::{Clock, EventSender, LinkEvent, News, Waiter, Waker};
 
 /// First pause before a port is opened again; doubled each time, up to [`LAST_PAUSE`].
 const FIRST_PAUSE: Duration = Duration::from_millis(100);
@@ -58,6 +58,7 @@ pub struct SerialLink {
     clock: Arc<dyn Clock>,
     line: Arc<Mutex<Line>>,
     ended: Arc<AtomicBool>,
+    waker: Waker,
     thread: Option<JoinHandle<()>>,
 }
 
@@ -72,8 +73,11 @@ impl SerialLink {
     ) -> Self {
         let line = Arc::new(Mutex::new(Line::default()));
         let ended = Arc::new(AtomicBool::new(false));
+        let waiter = clock.waiter();
+        let waker = waiter.waker();
         let reader = Reader {
             link,
+            waiter,
             port: port.to_owned(),
             settings,
             clock: Arc::clone(&clock),
@@ -82,7 +86,7 @@ impl SerialLink {
             events,
         };
         let thread = Some(std::thread::spawn(move || reader.run()));
-        SerialLink { port: port.to_owned(), settings, clock, line, ended, thread }
+        SerialLink { port: port.to_owned(), settings, clock, line, ended, waker, thread }
     }
 
     /// The port's name.
@@ -114,6 +118,7 @@ impl SerialLink {
 impl Drop for SerialLink {
     fn drop(&mut self) {
         self.ended.store(true, Ordering::Relaxed);
+        self.waker.wake();
         if let Some(thread) = self.thread.take() {
             let _ = thread.join();
         }
@@ -127,6 +132,7 @@ fn lock(line: &Mutex<Line>) -> MutexGuard<'_, Line> {
 
 struct Reader<I> {
     link: I,
+    waiter: Waiter,
     port: String,
     settings: SerialSettings,
     clock: Arc<dyn Clock>,
@@ -170,7 +176,7 @@ impl<I: Copy> Reader<I> {
         let step = Duration::from_millis(20);
         let mut left = pause;
         while !self.is_over() && !left.is_zero() {
-            std::thread::sleep(step.min(left));
+            self.waiter.sleep(step.min(left));
             left = left.saturating_sub(step);
         }
     }
@@ -182,8 +188,9 @@ impl<I: Copy> Reader<I> {
 
     fn open(&self) -> Result<Box<dyn SerialPort>, String> {
         let explain = |error: serialport::Error| explain(&self.port, &error);
+        let patience = self.waiter.patience(READ_PATIENCE);
         let port =
-            serialport::new(&self.port, self.settings.baud).timeout(READ_PATIENCE).open().map_err(explain)?;
+            serialport::new(&self.port, self.settings.baud).timeout(patience).open().map_err(explain)?;
         let mut writer = port.try_clone().map_err(explain)?;
         writer.set_timeout(WRITE_PATIENCE).map_err(explain)?;
         // What waited in the port's buffer is old.
@@ -209,7 +216,9 @@ impl<I: Copy> Reader<I> {
                     }
                     self.tell(News::Bytes(buffer[..count].to_vec()));
                 }
-                Err(error) if matches!(error.kind(), ErrorKind::TimedOut | ErrorKind::Interrupted) => {}
+                Err(error) if matches!(error.kind(), ErrorKind::TimedOut | ErrorKind::Interrupted) => {
+                    self.waiter.pause();
+                }
                 Err(_) => return (gone(&self.port), heard),
             }
         }

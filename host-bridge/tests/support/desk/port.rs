@@ -8,15 +8,25 @@ use std::time::Duration;
 
 use serialport::{SerialPort as _, TTYPort};
 
-/// How long reading waits for bytes, and writing for somebody who reads.
-const PATIENCE: Duration = Duration::from_millis(1);
-
 static STARTING: Mutex<()> = Mutex::new(());
 
 /// A program that is started while a pseudo-terminal is being made would inherit the board's end, and no
 /// cable would ever be pulled: whoever starts one holds this.
 pub fn alone() -> MutexGuard<'static, ()> {
     STARTING.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// A pseudo-terminal: the board's end, which no program inherits, and the laptop's.
+///
+/// # Panics
+/// Where the system has none left.
+pub fn pair() -> (TTYPort, TTYPort) {
+    let _alone = alone();
+    let (board, laptop) = TTYPort::pair().expect("a pseudo-terminal");
+    // Safety: the port gives its descriptor away and is gone. The copy is not inherited by programs.
+    let board = unsafe { OwnedFd::from_raw_fd(board.into_raw_fd()) };
+    let copy = board.try_clone().expect("a descriptor");
+    (unsafe { TTYPort::from_raw_fd(copy.into_raw_fd()) }, laptop)
 }
 
 /// The board's end of a cable.
@@ -41,14 +51,8 @@ impl Port {
     /// # Panics
     /// Where the system has no pseudo-terminal left.
     pub fn plug(&mut self) {
-        let _alone = alone();
-        let (board, laptop) = TTYPort::pair().expect("a pseudo-terminal");
-        // Safety: the port gives its descriptor away and is gone. The copy is not inherited by programs.
-        let board = unsafe { OwnedFd::from_raw_fd(board.into_raw_fd()) };
-        let copy = board.try_clone().expect("a descriptor");
-        drop(board);
-        let mut port = unsafe { TTYPort::from_raw_fd(copy.into_raw_fd()) };
-        port.set_timeout(PATIENCE).expect("a timeout");
+        let (mut port, laptop) = pair();
+        port.set_timeout(Duration::ZERO).expect("a timeout");
         // Renamed into its place, so that nobody ever finds half a link.
         let fresh = self.place.with_extension("new");
         let _ = std::fs::remove_file(&fresh);
@@ -74,16 +78,15 @@ impl Port {
         }
     }
 
-    /// What the laptop has sent, and whether it has the port open. Waits a millisecond at most.
+    /// What the laptop has sent, and whether it has the port open. Waits for nothing.
     pub fn read(&mut self, into: &mut Vec<u8>) -> bool {
         let Some(port) = &mut self.board else { return false };
         let mut buffer = [0; 1024];
-        match port.read(&mut buffer) {
-            Ok(count) => {
-                into.extend_from_slice(&buffer[..count]);
-                true
+        loop {
+            match port.read(&mut buffer) {
+                Ok(count) => into.extend_from_slice(&buffer[..count]),
+                Err(error) => return matches!(error.kind(), ErrorKind::TimedOut | ErrorKind::Interrupted),
             }
-            Err(error) => matches!(error.kind(), ErrorKind::TimedOut | ErrorKind::Interrupted),
         }
     }
 }

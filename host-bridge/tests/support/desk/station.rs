@@ -1,0 +1,176 @@
+//! One board on a desk: its port, its time, and what a test does to it.
+
+use std::cell::RefCell;
+use std::path::{Path, PathBuf};
+use std::rc::{Rc, Weak};
+use std::time::Duration;
+
+use super::port::Port;
+use super::time::{Time, Turn};
+
+/// A system needs a moment to see a device go and come.
+const GONE: Duration = Duration::from_millis(200);
+
+/// A board as its station handles it.
+pub trait Board {
+    /// Milliseconds since power-on, over resets.
+    fn now_ms(&self) -> u64;
+    /// Runs until this time. Starting up may have taken it further already.
+    fn run_until_ms(&mut self, ms: u64);
+    /// What it has sent since the last call.
+    fn sent(&mut self) -> Vec<u8>;
+    /// Bytes of the laptop.
+    fn receive(&mut self, bytes: &[u8]);
+    /// The laptop opened the port, or closed it.
+    fn opened(&mut self, open: bool);
+    /// The cable was pulled; the board may have no other supply.
+    fn pulled(&mut self);
+    /// The cable was plugged in: the board starts, and its port appears when this returns.
+    fn plugged(&mut self);
+    /// Somebody presses the reset button. True if the port goes and comes back with it (USB of its own).
+    fn restart(&mut self) -> bool;
+}
+
+type Moment<B> = Box<dyn FnMut(&mut B) -> bool>;
+
+/// A board with its port. Ends with it.
+pub struct Station<B> {
+    place: PathBuf,
+    time: Time,
+    desk: Rc<RefCell<Desk<B>>>,
+}
+
+impl<B: Board + 'static> Station<B> {
+    /// Powers a board; its port is at `place` from now on.
+    pub fn start(time: &Time, place: &Path, board: B) -> Self {
+        let mut desk = Desk {
+            board,
+            port: Port::new(place.to_path_buf()),
+            open: false,
+            pull_when: None,
+            pace: 1.0,
+            since_ms: time.now_ms(),
+            from_ms: 0,
+            now_ms: time.now_ms(),
+        };
+        desk.plug();
+        desk.from_ms = desk.board.now_ms();
+        let desk = Rc::new(RefCell::new(desk));
+        let turn: Weak<RefCell<Desk<B>>> = Rc::downgrade(&desk);
+        time.add(turn);
+        Self { place: place.to_path_buf(), time: time.clone(), desk }
+    }
+
+    /// What to give to `--left`, `--right` or `--port`.
+    pub fn port(&self) -> String {
+        self.place.display().to_string()
+    }
+
+    /// The time that it is in.
+    pub fn time(&self) -> &Time {
+        &self.time
+    }
+
+    /// Milliseconds that the board has run.
+    pub fn board_ms(&self) -> u64 {
+        self.desk.borrow().board.now_ms()
+    }
+
+    /// Does something to the board or its wearer.
+    pub fn with<T>(&self, deed: impl FnOnce(&mut B) -> T) -> T {
+        deed(&mut self.desk.borrow_mut().board)
+    }
+
+    /// Pulls the cable.
+    pub fn pull(&self) {
+        self.desk.borrow_mut().pull();
+    }
+
+    /// Pulls the cable at the moment at which this becomes true.
+    pub fn pull_when(&self, moment: impl FnMut(&mut B) -> bool + 'static) {
+        self.desk.borrow_mut().pull_when = Some(Box::new(moment));
+    }
+
+    /// Plugs it in again; the port is there when this returns.
+    pub fn plug(&self) {
+        self.desk.borrow_mut().plug();
+    }
+
+    /// Presses the reset button; the port is there (again) when this returns.
+    pub fn restart(&self) {
+        let goes = self.desk.borrow_mut().board.restart();
+        if goes {
+            self.pull();
+            self.time.pass(GONE);
+            self.plug();
+        }
+    }
+
+    /// From now on so many milliseconds of the board's pass in one of the others'; with 0 its program hangs.
+    pub fn pace(&self, factor: f64) {
+        let mut desk = self.desk.borrow_mut();
+        desk.from_ms = desk.wanted_ms();
+        desk.since_ms = desk.now_ms;
+        desk.pace = factor;
+    }
+}
+
+struct Desk<B> {
+    board: B,
+    port: Port,
+    open: bool,
+    pull_when: Option<Moment<B>>,
+    pace: f64,
+    now_ms: u64,
+    /// The board's time was to be `from_ms` at this moment.
+    since_ms: u64,
+    from_ms: u64,
+}
+
+impl<B: Board> Desk<B> {
+    fn wanted_ms(&self) -> u64 {
+        self.from_ms + ((self.now_ms - self.since_ms) as f64 * self.pace) as u64
+    }
+
+    fn plug(&mut self) {
+        if !self.port.is_plugged() {
+            self.board.plugged();
+            self.board.sent();
+            self.port.plug();
+        }
+    }
+
+    fn pull(&mut self) {
+        self.port.pull();
+        self.open = false;
+        self.board.pulled();
+    }
+}
+
+impl<B: Board> Turn for Desk<B> {
+    fn run(&mut self, now_ms: u64) {
+        self.now_ms = now_ms;
+        let wanted_ms = self.wanted_ms();
+        if self.board.now_ms() < wanted_ms {
+            self.board.run_until_ms(wanted_ms);
+        }
+        if self.pull_when.as_mut().is_some_and(|moment| moment(&mut self.board)) {
+            self.pull_when = None;
+            self.pull();
+        }
+    }
+
+    fn exchange(&mut self) {
+        let sent = self.board.sent();
+        self.port.write(&sent);
+        let mut bytes = Vec::new();
+        let open = self.port.read(&mut bytes);
+        if open != self.open {
+            self.open = open;
+            self.board.opened(open);
+        }
+        if !bytes.is_empty() {
+            self.board.receive(&bytes);
+        }
+    }
+}
