@@ -1,6 +1,6 @@
 //! What this board is made of, and how it started.
 
-use core::sync::atomic::{AtomicU8, Ordering};
+use core::sync::atomic::{AtomicU8, AtomicU16, Ordering};
 
 use nano33_sensor::found::Kind;
 use shared_proto::message::{About, Image, ResetCause, Sensor};
@@ -9,6 +9,8 @@ use shared_proto::message::{About, Image, ResetCause, Sensor};
 static SENSOR: AtomicU8 = AtomicU8::new(0);
 static AXES: AtomicU8 = AtomicU8::new(0);
 static RESET: AtomicU8 = AtomicU8::new(0);
+/// Millivolts; 0 = unknown.
+static BATTERY: AtomicU16 = AtomicU16::new(0);
 
 const IMAGE: Image = if cfg!(feature = "xiao") {
     Image::Uf2
@@ -44,13 +46,19 @@ pub fn found(kind: Kind, axes: usize) {
     AXES.store(axes as u8, Ordering::Relaxed);
 }
 
-/// All that is known by now. The battery is not measured.
+/// The battery was measured.
+#[cfg(feature = "xiao")]
+pub fn battery(millivolts: u16) {
+    BATTERY.store(millivolts, Ordering::Relaxed);
+}
+
+/// All that is known by now.
 pub fn now() -> About {
     About {
         sensor: SENSOR.load(Ordering::Relaxed).into(),
         axes: AXES.load(Ordering::Relaxed),
         image: IMAGE,
         reset: RESET.load(Ordering::Relaxed).into(),
-        battery_mv: 0,
+        battery_mv: BATTERY.load(Ordering::Relaxed),
     }
 }

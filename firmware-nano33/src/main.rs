@@ -6,6 +6,8 @@
 
 mod about;
 mod awake;
+#[cfg(feature = "xiao")]
+mod battery;
 #[cfg(feature = "ble")]
 mod ble;
 mod board;
@@ -71,6 +73,7 @@ fn main() -> ! {
         (interrupt::TWISPI0, Priority::P3),
         (interrupt::UARTE0, Priority::P3),
         (interrupt::USBD, Priority::P5),
+        (interrupt::SAADC, Priority::P7),
     ] {
         irq.set_priority(priority);
     }
@@ -83,6 +86,8 @@ fn main() -> ! {
         spawner.spawn(sample::run(bus).expect("spawned once"));
         spawner.spawn(classify::run().expect("spawned once"));
         spawner.spawn(uart::run(uart).expect("spawned once"));
+        #[cfg(feature = "xiao")]
+        spawner.spawn(battery::run(parts.battery).expect("spawned once"));
     };
     // SAFETY: taken once, here.
     let core = unsafe { cortex_m::Peripherals::steal() };

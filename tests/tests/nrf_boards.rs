@@ -1,11 +1,15 @@
 //! What differs from board to board: the sensor that is found, pins, the way into the bootloader, the file to flash.
 #![cfg(feature = "nrf")]
 
-use shared_proto::message::{FaultKind, HostMessage, Mode, health};
+use shared_dsp::mlp::Model;
+use shared_dsp::recipe::Recipe;
+use shared_proto::message::{AckResult, FaultKind, HostMessage, Image, Mode, ResetCause, Sensor, health};
 use tests::nrf::board::Kind;
 use tests::nrf::build::{Variant, image, uf2};
 use tests::nrf::lsm9ds1::Still;
 use tests::nrf::session::Session;
+use tests::nrf::soc::{SLOTS_END, SLOTS_START};
+use tests::nrf::transfer::{announce, begin, install, random_model};
 use tests::nrf::usb_host::UsbHost;
 
 /// A board of this kind that lies still and has filled its window.
@@ -30,6 +34,51 @@ fn one_g_and_six_axes_are_recorded_as_a_rev1_board_does() {
         println!("{kind:?}: {:?}", &counts[..9]);
         assert!((8190..8205).contains(&counts[2]), "{kind:?}: 1 g is 8197 counts, not {}", counts[2]);
         assert_eq!(counts[..2], [0, 0]);
+    }
+}
+
+#[test]
+fn a_board_says_what_it_is_made_of_and_why_it_started() {
+    for (kind, sensor, axes, image) in [
+        (Kind::Nano33, Sensor::Lsm9ds1, 9, Image::Bootloader),
+        (Kind::Nano33Rev2, Sensor::Bmi270, 6, Image::Bootloader),
+        (Kind::Xiao, Sensor::Lsm6ds3, 6, Image::Uf2),
+    ] {
+        let mut session = resting(kind);
+        session.board.press_reset();
+        session.run_ms(1000);
+        session.send(&HostMessage::HelloRequest);
+        session.run_ms(100);
+        let about = session.heard.about.expect("it says so after its hello");
+        assert_eq!((about.sensor, about.axes, about.image), (sensor, axes, image), "{kind:?}");
+        assert_eq!((about.reset, about.battery_mv), (ResetCause::Pin, 0), "{kind:?}");
+    }
+}
+
+/// The axes of a Rev2's magnetometer against the others are not known, and a XIAO has none.
+#[test]
+fn a_model_that_reads_a_magnetometer_is_refused_where_none_may_be_used_and_a_kept_one_names_nothing() {
+    let blob = random_model(Recipe::LogPower, &[20, 10, 5], 7);
+    let model = Model::parse(&blob).unwrap();
+    let mut rev1 = Session::uart(Box::new(Still));
+    rev1.run_ms(500);
+    install(&mut rev1, &blob);
+    let slots = SLOTS_START as usize..SLOTS_END as usize;
+    let kept = rev1.board.soc().flash[slots.clone()].to_vec();
+    for kind in OTHERS {
+        let mut session = resting(kind);
+        assert_eq!(announce(&mut session, begin(&blob, &model)), AckResult::ModelDoesNotFit, "{kind:?}");
+        assert_eq!(session.board.soc().nvmc.erased, 0);
+        // It came with the flash of another board.
+        session.board.soc().flash[slots.clone()].copy_from_slice(&kept);
+        session.board.press_reset();
+        session.heard.states.clear();
+        session.run_ms(4000);
+        let states = &session.heard.states;
+        let fault = session.heard.faults.iter().find(|f| f.kind == FaultKind::NoMagnetometer);
+        assert_eq!(fault.map(|f| f.detail), Some(6), "{kind:?}: {:?}", session.heard.faults);
+        assert!(states.len() > 20, "{kind:?}: the laptop hears of it as often as of gestures");
+        assert!(states.iter().skip(20).all(|s| s.health & health::MODEL != 0 && s.events == 0), "{kind:?}");
     }
 }
 
@@ -96,6 +145,22 @@ fn the_xiao_runs_over_bluetooth_and_a_touch_at_1200_baud_shows_its_drive() {
     assert!(session.board.in_bootloader);
     session.run_ms(30_000);
     assert!(session.board.in_bootloader, "its bootloader feeds the watchdog");
+}
+
+/// A divider of 1 MΩ and 510 kΩ, whose lower end must stay low or the pin gets the battery's voltage.
+#[test]
+fn the_xiao_measures_its_battery() {
+    for battery_mv in [3300.0, 4150.0] {
+        let mut session = Session::of_kind(Kind::Xiao, Box::new(Still));
+        session.board.soc().saadc.inputs_mv[7] = battery_mv * 510.0 / 1510.0;
+        session.run_ms(1500);
+        session.send(&HostMessage::HelloRequest);
+        session.run_ms(100);
+        assert_eq!(session.board.soc().ports[0].drives(14), Some(false));
+        let said = session.heard.about.expect("it says so after its hello").battery_mv;
+        println!("{battery_mv} mV: {said} mV");
+        assert!((f64::from(said) - battery_mv).abs() < 6.0, "{said} mV, not {battery_mv}");
+    }
 }
 
 /// Reads the file as a bootloader does: every block by itself, and what it puts into flash.

@@ -332,7 +332,8 @@ fn a_usb_cable_pulled_and_a_touch_at_1200_baud_stop_the_robot() {
     let right = steered.desk.right.as_mut().unwrap();
     let Wire::Usb(host) = &mut right.wire else { unreachable!() };
     host.touch();
-    steered.desk.run_until("the bootloader", 200, |d| d.right.as_ref().unwrap().board.in_bootloader);
+    // The watchdog does the reset, within its two seconds.
+    steered.desk.run_until("the bootloader", 2200, |d| d.right.as_ref().unwrap().board.in_bootloader);
     say("right board touched at 1200 baud", steered.halts(Which::Right));
 }
 

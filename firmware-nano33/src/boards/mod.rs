@@ -37,6 +37,9 @@ pub struct Parts {
     pub uart: uart::Parts,
     /// The light.
     pub led: watch::Led,
+    /// The battery's divider.
+    #[cfg(feature = "xiao")]
+    pub battery: crate::battery::Parts,
     /// The watchdog.
     pub watchdog: Peri<'static, WDT>,
     /// USB.

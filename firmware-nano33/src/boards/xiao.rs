@@ -1,9 +1,9 @@
 //! Seeed XIAO nRF52840 Sense (LSM6DS3TR-C), sold with S140 7.3.0 and a UF2 bootloader on it.
 //!
-//! Left alone: P0.13 (charging current), P0.14 (battery divider), P0.17 (charging), P0.25 (flash), P0.16, P1.00 and P1.10
+//! Left alone: P0.13 (charging current), P0.17 (charging), P0.25 (flash), P0.16, P1.00 and P1.10
 //! (microphone). **Nothing here has met a real board**; pins are Zephyr's and Seeed's.
 
-use embassy_nrf::Peripherals;
+use embassy_nrf::{Peripherals, saadc};
 use nano33_sensor::found::Kind;
 use shared_proto::message::{Board, Sensor};
 
@@ -46,6 +46,13 @@ pub fn parts(p: Peripherals) -> Parts {
             tx: p.P1_11.into(),
         },
         led: watch::Led { red: off(p.P0_26.into()), green: off(p.P0_30.into()), blue: off(p.P0_06.into()) },
+        battery: crate::battery::Parts {
+            converter: p.SAADC,
+            middle: saadc::Input::degrade_saadc(p.P0_31),
+            low: p.P0_14.into(),
+            // 1 MΩ above 510 kΩ.
+            kilohms: (1510, 510),
+        },
         watchdog: p.WDT,
         usbd: p.USBD,
     }

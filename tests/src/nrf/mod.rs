@@ -20,6 +20,7 @@ pub mod nvic;
 pub mod ppi;
 pub mod recordings;
 pub mod rtc;
+pub mod saadc;
 pub mod session;
 pub mod soc;
 pub mod softdevice;

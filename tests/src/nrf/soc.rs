@@ -8,6 +8,7 @@ use super::memory::{FLASH_BYTES, Ram};
 use super::nvic::Nvic;
 use super::ppi::Ppi;
 use super::rtc::Rtc;
+use super::saadc::Saadc;
 use super::softdevice::SoftDevice;
 use super::system::{ClockPower, Rng, Watchdog};
 use super::timer::Timer;
@@ -19,6 +20,7 @@ const CLOCK_POWER: usize = 0;
 const UARTE0: usize = 2;
 const TWIM0: usize = 3;
 const GPIOTE: usize = 6;
+const SAADC: usize = 7;
 const TIMER0: usize = 8;
 const RNG: usize = 13;
 const RTC1: usize = 17;
@@ -73,6 +75,8 @@ pub struct Soc {
     /// The sensor bus' controller.
     pub twim: Twim,
     gpiote: Events,
+    /// The analog converter.
+    pub saadc: Saadc,
     timers: [Timer; 5],
     /// The time driver's counter.
     pub rtc1: Rtc,
@@ -116,6 +120,7 @@ impl Soc {
             uart: Uarte::default(),
             twim: Twim::default(),
             gpiote: Events::default(),
+            saadc: Saadc::default(),
             timers: Default::default(),
             rtc1: Rtc::default(),
             rng: Rng::new(1),
@@ -145,6 +150,7 @@ impl Soc {
         self.uart.keep_line(uart);
         self.twim = Twim::default();
         self.gpiote = Events::default();
+        self.saadc.reset();
         self.timers = Default::default();
         self.rtc1 = Rtc::default();
         self.rng = Rng::new(self.now | 1);
@@ -207,6 +213,7 @@ impl Soc {
                     UARTE0 => self.uart.read(offset),
                     TWIM0 => self.twim.read(offset),
                     GPIOTE => self.gpiote.read(offset).unwrap_or(0),
+                    SAADC => self.saadc.read(offset),
                     RNG => self.rng.read(offset),
                     WDT => self.watchdog.read(offset),
                     RTC1 => self.rtc1.read(offset, self.now),
@@ -307,6 +314,7 @@ impl Soc {
                     GPIOTE => {
                         self.gpiote.write(offset, value);
                     }
+                    SAADC => self.saadc.write(offset, value, now),
                     RNG => self.rng.write(offset, value, now),
                     WDT => self.watchdog.write(offset, value, now),
                     RTC1 => self.rtc1.write(offset, value, now),
@@ -350,6 +358,7 @@ impl Soc {
         f(UARTE0 as u32, &mut self.uart.events);
         f(TWIM0 as u32, &mut self.twim.events);
         f(GPIOTE as u32, &mut self.gpiote);
+        f(SAADC as u32, &mut self.saadc.events);
         for (i, timer) in self.timers.iter_mut().enumerate() {
             f(if i < 3 { TIMER0 + i } else { i + 23 } as u32, &mut timer.events);
         }
@@ -391,6 +400,7 @@ impl Soc {
             self.power.due(),
             self.uart.due(),
             self.twim.due(),
+            self.saadc.due(),
             self.rtc1.due(),
             self.rng.due(),
             self.watchdog.due(),
@@ -410,6 +420,7 @@ impl Soc {
             self.power.advance(at);
             self.uart.advance(at, &mut self.ram);
             self.twim.advance(at, &mut self.ram, &mut self.bus);
+            self.saadc.advance(at, &mut self.ram);
             self.rtc1.advance(at);
             self.rng.advance(at);
             self.usb.advance(at, &mut self.ram);
