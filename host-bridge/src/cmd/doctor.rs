@@ -8,6 +8,7 @@ use host_bridge::doubt;
 use host_bridge::hands::ModelFile;
 use host_bridge::intent::MotionMap;
 use host_bridge::links::SerialSettings;
+use host_bridge::safety::Hand;
 use host_bridge::survey::Survey;
 use host_bridge::talk::{ModelNeeds, Said, Talk, Who};
 use shared_dsp::mlp::crc32;
@@ -23,7 +24,7 @@ const PING_MS: u64 = 200;
 /// Options.
 #[derive(clap::Args, Clone, Debug)]
 pub struct Args {
-    /// Port of the left hand's board (any board; it says which it is)
+    /// Port of the left hand's board
     #[arg(long, value_name = "PORT")]
     left: Option<String>,
     /// Port of the right hand's board
@@ -46,11 +47,13 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     let config = read_config(args.config.as_deref())?;
     let chosen = |asked: &Option<String>, known: &str| asked.clone().unwrap_or_else(|| known.to_owned());
     let ports = [chosen(&args.left, &config.ports.left), chosen(&args.right, &config.ports.right)];
-    let ports: Vec<_> = ports.into_iter().filter(|p| !p.is_empty() && p != "keyboard").collect();
+    let hands = if config.left_handed { [Hand::Right, Hand::Left] } else { [Hand::Left, Hand::Right] };
+    let ports: Vec<_> =
+        ports.into_iter().zip(hands).filter(|(port, _)| !port.is_empty() && port != "keyboard").collect();
     if ports.is_empty() && !args.ros2 {
         bail!("name a port with --left or --right; `host-bridge list` shows them");
     }
-    for port in &ports {
+    for (port, _) in &ports {
         check_name(port)?;
     }
     println!("host-bridge {}, protocol {PROTOCOL_MAJOR}.{PROTOCOL_MINOR}", env!("CARGO_PKG_VERSION"));
@@ -59,16 +62,16 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     }
     let settings = settings(&config);
     let reports: Vec<Report> = std::thread::scope(|scope| {
-        let examine = |port: &String| {
-            let port = port.clone();
-            scope.spawn(move || examine(&port, settings, args.seconds))
+        let examine = |(port, hand): &(String, Hand)| {
+            let (port, hand) = (port.clone(), *hand);
+            scope.spawn(move || examine(&port, hand, settings, args.seconds))
         };
         let threads: Vec<_> = ports.iter().map(examine).collect();
         let lost = || Report { lines: Vec::new(), advice: vec!["the examination broke off".to_owned()] };
         threads.into_iter().map(|thread| thread.join().unwrap_or_else(|_| lost())).collect()
     });
     let mut well = !args.ros2 || super::ros2::doctor(&config.ros2, args.seconds)?;
-    for (port, report) in ports.iter().zip(&reports) {
+    for ((port, _), report) in ports.iter().zip(&reports) {
         println!("\n{port}");
         for line in &report.lines {
             println!("  {line}");
@@ -103,14 +106,22 @@ struct Heard {
     restarts: u32,
 }
 
-fn examine(port: &str, settings: SerialSettings, seconds: f64) -> Report {
+fn examine(port: &str, hand: Hand, settings: SerialSettings, seconds: f64) -> Report {
     let mut talk = Talk::open(port, settings);
     let who = match talk.hello(HELLO_MS) {
         Ok(who) => who,
         Err(error) => return Report { lines: Vec::new(), advice: vec![error.to_string()] },
     };
     let heard = listen(&mut talk, who, (seconds * 1000.0) as u64);
-    Report { lines: lines(&heard), advice: advice(&heard) }
+    let mut advice = advice(&heard);
+    if is_left(heard.who.board) != (hand == Hand::Left) {
+        // In the words of `run`, which refuses such a board.
+        advice.insert(
+            0,
+            format!("{} answers where the {hand} hand is expected: swap the ports", heard.who.board),
+        );
+    }
+    Report { lines: lines(&heard), advice }
 }
 
 fn is_left(board: Board) -> bool {

@@ -132,7 +132,12 @@ fn calibrate_walks_through_three_poses_and_doctor_is_content_afterwards() {
     left.hold(LEVEL);
     let (status, text) = run(&desk, &["doctor", "--left", &left.port(), "--seconds", "3"]);
     assert!(text.contains("all is well") && status.success(), "{text}");
-    for word in ["protocol 1.0", "samples 100 Hz", "ppm", "ping and back", "0.00 % of the states lost"] {
+    let (status, wrong) = run(&["doctor", "--right", &left.port(), "--seconds", "1"]);
+    assert!(
+        !status.success() && wrong.contains("where the right hand is expected: swap the ports"),
+        "{wrong}"
+    );
+    for word in ["protocol 1.1", "samples 100 Hz", "ppm", "ping and back", "0.00 % of the states lost"] {
         assert!(text.contains(word), "{word} in\n{text}");
     }
 }

@@ -92,6 +92,10 @@ fn hands_drive_an_independent_robot_with_right_types_values_quality_and_in_time(
     // Decided together; either may be said first.
     let stamp_s = number(&told["stamp"]);
     let goal = robot.wait_from(0, "its goal", |v| is(v, "goal") && number(&v["t"]) >= stamp_s);
+    // Another gesture may have moved it before.
+    let rest = robot.seen[..goal].iter().rev().find(|(_, v)| is(v, "arm") && v["moves"] == false);
+    let start: Vec<f64> =
+        rest.map_or(HOME.to_vec(), |(_, v)| v["position"].as_array().unwrap().iter().map(number).collect());
     let goal = robot.seen[goal].1.clone();
     let delays = (delay_ms(&told), (number(&goal["t"]) - number(&told["stamp"])) * 1000.0);
     println!(
@@ -112,7 +116,7 @@ fn hands_drive_an_independent_robot_with_right_types_values_quality_and_in_time(
     let points = goal["points"].as_array().unwrap();
     let value = |point: &Value, of: usize, joint: usize| number(&point[of][joint]);
     assert!((0..7).all(|j| value(points.last().unwrap(), 2, j) == 0.0), "it ends at rest");
-    assert!((0..7).all(|j| (value(&points[0], 1, j) - HOME[j]).abs() < 0.05), "it starts where the arm is");
+    assert!((0..7).all(|j| (value(&points[0], 1, j) - start[j]).abs() < 0.05), "it starts where the arm is");
     let finished = robot.wait("the arm arrives", |v| is(v, "finished") && v["id"] == goal["id"]);
     assert_eq!(finished["status"], 4);
     bridge.has("arrival", |v| is(v, "motion-ended") && v["reached"] == true);
@@ -147,7 +151,10 @@ fn hands_drive_an_independent_robot_with_right_types_values_quality_and_in_time(
     let counts = &said.last().unwrap()["ros2"];
     assert!(number(&counts["joint_states"]) > 500.0 && counts["failed"] == 0, "{counts}");
     robot.order("quit");
-    let (_, said, _) = robot.end();
+    let (_, said, errors) = robot.end();
+    // Fast DDS tells of shared memory that killed programs left behind; that is not ours.
+    let complaints: Vec<&str> = errors.lines().filter(|line| !line.contains("_SHM")).collect();
+    assert_eq!(complaints, [""; 0], "the robot's side has nothing to complain of");
     let last = said.last().unwrap();
     assert_eq!(last["dropped"], 0, "{last}");
     let (received, sent) = (number(&last["received"]), number(&counts["twists"]));
