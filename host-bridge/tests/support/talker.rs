@@ -3,7 +3,9 @@
 //! a reader is the system's affair, too.
 
 use std::collections::VecDeque;
+use std::fs::File;
 use std::io::{Read as _, Write as _};
+use std::os::fd::{FromRawFd as _, IntoRawFd as _, OwnedFd};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
@@ -56,8 +58,11 @@ fn lock<T>(what: &Mutex<T>) -> MutexGuard<'_, T> {
 
 impl Talker {
     pub fn start(folder: &Path) -> Self {
-        let (mut board, laptop) = pair();
-        board.set_timeout(Duration::from_millis(1)).unwrap();
+        let (board, laptop) = pair();
+        // Safety: the port gives its descriptor away.
+        let board = File::from(unsafe { OwnedFd::from_raw_fd(board.into_raw_fd()) });
+        // A board never waits for whoever reads.
+        rustix::io::ioctl_fionbio(&board, true).unwrap();
         let port = folder.join("talker");
         let _ = std::fs::remove_file(&port);
         std::os::unix::fs::symlink(laptop.name().expect("a name"), &port).unwrap();
@@ -111,7 +116,7 @@ impl Drop for Talker {
 }
 
 struct Machine {
-    board: TTYPort,
+    board: File,
     /// Kept open, so that the board's end lives while nobody has the port.
     _laptop: TTYPort,
     wish: Arc<Mutex<Wish>>,
@@ -164,6 +169,9 @@ impl Machine {
                 return;
             }
             let read = self.board.read(&mut buffer).unwrap_or(0);
+            if read == 0 && wish.flood.is_none() {
+                std::thread::sleep(Duration::from_micros(500));
+            }
             let due = Instant::now() + wish.delay;
             for &byte in &buffer[..read] {
                 let answer = match decoder.push_host(byte) {
@@ -198,7 +206,9 @@ impl Machine {
                 };
                 let until = Instant::now() + Duration::from_millis(5);
                 while Instant::now() < until {
-                    let _ = self.board.write(&chunk);
+                    if self.board.write(&chunk).is_err() {
+                        std::thread::yield_now();
+                    }
                 }
             }
         }
