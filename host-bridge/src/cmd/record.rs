@@ -68,10 +68,11 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     for label in &labels {
         check_name("label", label)?;
     }
-    // Before anybody performs anything for it.
+    // Whether there is room is known before anybody performs anything for it.
     for label in &labels {
         let folder = args.out.join(label);
-        let trial = next_file(&folder, &args.person)?.with_extension("trial");
+        make_folder(&folder)?;
+        let trial = folder.join(format!("{}.trial", args.person));
         std::fs::write(&trial, []).and_then(|()| std::fs::remove_file(&trial)).with_context(|| {
             format!("{}: nothing can be written here; is there room, and may you?", folder.display())
         })?;
@@ -80,10 +81,6 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     // From here on an end from outside is a flag, so that the board can be brought back to classifying.
     let interrupted = Arc::new(AtomicBool::new(false));
     let _ending = Ending::watch(&interrupted, false).context("signals cannot be caught here")?;
-    // Whether there is room is known before the take, not after it.
-    for label in &labels {
-        make_folder(&args.out.join(label))?;
-    }
 
     let mut talk = Talk::open(&port, settings);
     let who = talk.hello(HELLO_MS)?;

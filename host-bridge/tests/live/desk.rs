@@ -132,7 +132,7 @@ fn calibrate_walks_through_three_poses_and_doctor_is_content_afterwards() {
     left.hold(LEVEL);
     let (status, text) = run(&desk, &["doctor", "--left", &left.port(), "--seconds", "3"]);
     assert!(text.contains("all is well") && status.success(), "{text}");
-    let (status, wrong) = run(&["doctor", "--right", &left.port(), "--seconds", "1"]);
+    let (status, wrong) = run(&desk, &["doctor", "--right", &left.port(), "--seconds", "1"]);
     assert!(
         !status.success() && wrong.contains("where the right hand is expected: swap the ports"),
         "{wrong}"
