@@ -91,7 +91,7 @@ fn clearances(planner: &Planner, file: &Path) -> Result<()> {
         });
         let flange_m = world.arm().flange_pose(&joints_rad).position_m;
         let distance_m = around.arm_clearance(&joints_rad).distance_m;
-        write(&mut out, joints_rad.into_iter().chain(flange_m).chain([distance_m]))?;
+        write(&mut out, joints_rad.into_iter().chain(flange_m.to_array()).chain([distance_m]))?;
     }
     Ok(out.flush()?)
 }

@@ -1,9 +1,9 @@
 //! The arm against the reference table, and the table of motions against the paper.
 
-use host_bridge::arm::gen3::{HOME, MAX_JERK_RAD_S3, joint_beyond_limit, paper_limits};
+use host_bridge::arm::gen3::{HOME, MAX_JERK_RAD_S3, paper_limits};
 use host_bridge::arm::model::SerialArm;
 use host_bridge::robot::Trajectory;
-use host_bridge::robot::{Door as _, JOINTS, Joints, Pose, Twist};
+use host_bridge::robot::{DQuat, DVec3, Door as _, JOINTS, Joints, Pose, Twist};
 
 #[path = "support/moving.rs"]
 mod moving;
@@ -22,10 +22,8 @@ fn random_top_poses() -> [Joints; 8] {
 }
 
 /// Angle between two orientations; stable near zero, where arc cosines are not.
-fn angle_rad(a: [f64; 4], b: [f64; 4]) -> f64 {
-    let chord =
-        |sign: f64| -> f64 { a.iter().zip(b).map(|(x, y)| (x - sign * y).powi(2)).sum::<f64>().sqrt() };
-    4.0 * (chord(1.0).min(chord(-1.0)) / 2.0).asin()
+fn angle_rad(a: DQuat, b: DQuat) -> f64 {
+    4.0 * ((a - b).length().min((a + b).length()) / 2.0).asin()
 }
 
 #[test]
@@ -36,9 +34,11 @@ fn forward_kinematics_equals_the_reference_on_all_rows() {
         let values: Vec<f64> = line.split(',').map(|v| v.parse().unwrap()).collect();
         let joints: Joints = values[..7].try_into().unwrap();
         let pose = flange_pose(&joints);
-        let off: f64 = pose.position_m.iter().zip(&values[7..10]).map(|(a, b)| (a - b).powi(2)).sum();
-        worst_m = worst_m.max(off.sqrt());
-        worst_rad = worst_rad.max(angle_rad(pose.quaternion_wxyz(), values[10..14].try_into().unwrap()));
+        worst_m = worst_m.max(pose.position_m.distance(DVec3::from_slice(&values[7..10])));
+        worst_rad = worst_rad.max(angle_rad(
+            pose.quaternion(),
+            DQuat::from_xyzw(values[11], values[12], values[13], values[10]),
+        ));
         rows += 1;
     }
     println!("{rows} rows: worst {worst_m:.1e} m, {worst_rad:.1e} rad");
@@ -80,10 +80,10 @@ fn poses_are_where_their_names_say_within_limits_and_above_the_table() {
     let at = |joints: &Joints| flange_pose(joints).position_m;
     let home = at(&HOME);
     let show = |name: &str, joints: &Joints| {
-        let ([x, y, z], tool) = (at(joints), flange_pose(joints).rotation);
+        let (DVec3 { x, y, z }, tool) = (at(joints), flange_pose(joints).rotation.z_axis);
         println!(
             "{name:<20} x {x:>6.3}  y {y:>6.3}  z {z:>6.3} m, tool points ({:.2}, {:.2}, {:.2})  {joints:.3?}",
-            tool[0][2], tool[1][2], tool[2][2]
+            tool.x, tool.y, tool.z
         );
     };
     show("ready", &pose("ready"));
@@ -91,7 +91,7 @@ fn poses_are_where_their_names_say_within_limits_and_above_the_table() {
         show(name, &pose(name));
     }
     // x forward, y left, z up.
-    let down = |joints: &Joints| flange_pose(joints).rotation[2][2] < -0.3;
+    let down = |joints: &Joints| flange_pose(joints).rotation.z_axis.z < -0.3;
     let pick = pose("pick-up");
     assert!(at(&pick)[2] < home[2] - 0.2 && at(&pick)[0] > 0.3 && at(&pick)[1].abs() < 0.05 && down(&pick));
     let place = pose("place");
@@ -107,7 +107,7 @@ fn poses_are_where_their_names_say_within_limits_and_above_the_table() {
     let named = MOTIONS[..5].iter().map(|name| pose(name));
     let all = named.chain(random_top_poses()).chain([pose("ready")]);
     for joints in all {
-        assert_eq!(joint_beyond_limit(&joints), None);
+        assert_eq!(SerialArm::gen3().check(&joints), Ok(()));
         let lowest = SerialArm::gen3()
             .link_poses(&joints)
             .iter()
@@ -128,7 +128,7 @@ fn every_pair_of_motions_keeps_joint_limits_all_the_way() {
                     robot.drive(Twist::ZERO);
                     robot.pass(5);
                     let state = robot.arm();
-                    assert_eq!(joint_beyond_limit(&state.joints_rad), None);
+                    assert_eq!(SerialArm::gen3().check(&state.joints_rad), Ok(()));
                     for i in 0..JOINTS {
                         let limit = paper_limits().velocity_rad_s[i];
                         assert!(state.velocity_rad_s[i].abs() <= limit * (1.0 + 1e-9));

@@ -123,10 +123,10 @@ fn a_bridge_fed_with_what_an_observer_saw_does_the_same() {
     let flange = link_poses_in_world(&now, &now.robot.picture().arm.joints_rad)[7].position_m;
     let odometry = now.robot.picture().odometry;
     let (s, c) = odometry.heading_rad.sin_cos();
-    let [x, y, z] = last.flange.position_m;
+    let [x, y, z] = last.flange.position_m.to_array();
     let (x, y) = (x + setting.robot.mount_m[0], y + setting.robot.mount_m[1]);
     let expected = [odometry.x_m + c * x - s * y, odometry.y_m + s * x + c * y, z + setting.robot.mount_m[2]];
-    for (got, expected) in flange.iter().zip(expected) {
+    for (got, expected) in flange.to_array().into_iter().zip(expected) {
         assert!((got - expected).abs() < 1e-12, "{flange:?} {expected:?}");
     }
 }

@@ -11,7 +11,7 @@ use host_bridge::arm::ik::{self, Budget, Solution, Unreachable};
 use host_bridge::arm::model::SerialArm;
 use host_bridge::plan::{Placement, World};
 use host_bridge::robot::Random;
-use host_bridge::robot::{Joints, Pose};
+use host_bridge::robot::{DVec3, Joints, Pose};
 use host_bridge::scene::Scene;
 
 /// The budget before there was one of 0.2 s.
@@ -51,10 +51,8 @@ fn places_within_reach_are_found_with_their_orientation_within_the_budget() {
         spent.push(steps);
         arm.check(&joints_rad).unwrap();
         let pose = arm.flange_pose(&joints_rad);
-        for k in 0..3 {
-            assert!((pose.position_m[k] - target.position_m[k]).abs() <= 1e-8);
-            assert!((0..3).all(|c| (pose.rotation[k][c] - target.rotation[k][c]).abs() <= 1e-8));
-        }
+        assert!(pose.position_m.abs_diff_eq(target.position_m, 1e-8));
+        assert!(pose.rotation.abs_diff_eq(target.rotation, 1e-8));
     }
     show("within reach", &spent, &times_ms);
     println!("{} of {count} solved", spent.len());
@@ -68,7 +66,7 @@ fn a_place_beyond_reach_is_refused_without_a_step_and_the_search_would_not_have_
     let (mut times_ms, mut before_ms, mut before_steps) = (Vec::new(), Vec::new(), Vec::new());
     for seed in 0..40 {
         let mut target = anywhere(&arm, &mut random);
-        target.position_m = target.position_m.map(|x| x * 1.6);
+        target.position_m *= 1.6;
         let (answer, took_ms) = timed(|| ik::solve(&arm, &target, &HOME, seed, |_| true));
         if let Err(Unreachable::Beyond { beyond_mm }) = answer {
             assert!(beyond_mm > 0.0);
@@ -87,7 +85,7 @@ fn a_place_beyond_reach_is_refused_without_a_step_and_the_search_would_not_have_
     show("beyond reach, refused at once", &vec![0; times_ms.len()], &times_ms);
     show("beyond reach, as before", &before_steps, &before_ms);
     let mut far = arm.flange_pose(&HOME);
-    far.position_m = [2.0, 0.0, 0.5];
+    far.position_m = DVec3::new(2.0, 0.0, 0.5);
     let told = ik::solve(&arm, &far, &HOME, 1, |_| true).unwrap_err().to_string();
     assert!(told.contains("beyond the arm's reach"), "{told}");
 }
@@ -96,14 +94,14 @@ fn a_place_beyond_reach_is_refused_without_a_step_and_the_search_would_not_have_
 fn a_place_that_no_angles_reach_or_that_is_blocked_ends_with_the_budget_and_always_alike() {
     let arm = SerialArm::gen3();
     // Within the arm's length, but with the tool turned so that the elbow would have to fold through itself.
-    let folded = Pose { position_m: [0.05, 0.0, 0.42], rotation: arm.flange_pose(&HOME).rotation };
+    let folded = Pose { position_m: DVec3::new(0.05, 0.0, 0.42), rotation: arm.flange_pose(&HOME).rotation };
     // A real place in a box: every solution touches it.
     let scene = "[[box]]\nname = \"crate\"\ncenter_m = [0.65, 0.0, 0.75]\nsize_m = [0.5, 0.5, 0.5]";
     let world = World::new(arm.clone(), Scene::parse(scene).unwrap());
     let around = world.around(Placement::default());
     let clear = |joints: &Joints| around.arm_clearance(joints).distance_m >= 0.02;
     let mut inside = arm.flange_pose(&HOME);
-    inside.position_m = [0.55, 0.0, 0.35];
+    inside.position_m = DVec3::new(0.55, 0.0, 0.35);
     let none: &dyn Fn(&Joints) -> bool = &|_| false;
     for (name, target, accept) in [
         ("within the length, but not reached", &folded, none),

@@ -130,7 +130,7 @@ fn goals_that_cannot_be_reached_safely_are_refused_with_the_reason() {
         let scene = planner.world().scene();
         let mut inside = 0;
         for shape in &scene.boxes {
-            let position_m = [0, 1, 2].map(|k| shape.center_m[k] - scene.base.mount_m[k]);
+            let position_m = shape.center_m - scene.base.mount_m;
             for (_, joints) in poses {
                 let rotation = planner.world().arm().flange_pose(joints).rotation;
                 let Ok(found) =

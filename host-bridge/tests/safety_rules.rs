@@ -784,7 +784,7 @@ impl Watch {
                 let change = (arm.velocity_rad_s[i] - self.joints[i]).abs();
                 prop_assert!(change <= limits.acceleration_rad_s2[i] * 0.001 + 1e-9, "joint {i}: {change}");
             }
-            prop_assert_eq!(host_bridge::arm::gen3::joint_beyond_limit(&arm.joints_rad), None);
+            prop_assert_eq!(host_bridge::arm::model::SerialArm::gen3().check(&arm.joints_rad), Ok(()));
             prop_assert!(place.x_m.is_finite() && place.y_m.is_finite() && place.heading_rad.is_finite());
             if rig.state() != State::Armed {
                 prop_assert_eq!(rig.bridge.twist(), host_bridge::base::Twist::ZERO);

@@ -101,7 +101,7 @@ impl Site {
 
 #[test]
 fn a_pose_inside_a_box_is_refused_to_the_operator_and_nothing_is_sent() {
-    let [x, y, z] = SerialArm::gen3().flange_pose(&pose("pick-up")).position_m;
+    let [x, y, z] = SerialArm::gen3().flange_pose(&pose("pick-up")).position_m.to_array();
     // The arm's foot stands 0.1 m ahead of the base's middle and 0.4 m above the floor.
     let (x, z) = (x + 0.1, z + 0.4);
     let mut site = Site::new(&format!(

@@ -121,6 +121,29 @@ fn a_killed_recording_gets_its_index_on_the_next_start_unless_it_still_goes_on()
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 2, "no temporary file stays");
 }
 
+#[test]
+fn a_damaged_step_does_not_run_for_ever() {
+    let mut file = demo().to_vec();
+    // The first time of a message of steps, which stands behind the kind of the first step, made enormous.
+    let turns =
+        mcap::read::ChunkFlattener::new(demo()).unwrap().filter_map(Result::ok).find_map(
+            |record| match record {
+                Record::Message { data, .. }
+                    if data.len() > 24 && data[4..8] == [2, 0, 0, 0] && data[8] < 2 =>
+                {
+                    Some(data.into_owned())
+                }
+                _ => None,
+            },
+        );
+    let turns = turns.unwrap();
+    let at = file.windows(turns.len()).position(|window| window == turns).unwrap();
+    file[at + 12..at + 20].copy_from_slice(&u64::MAX.to_le_bytes());
+    file[at + 20..at + 28].copy_from_slice(&u64::MAX.to_le_bytes());
+    let error = replay(&file).unwrap_err().to_string();
+    assert!(error.contains("/bridge/turns") && error.contains("damaged"), "{error}");
+}
+
 fn lines(file: PathBuf) -> Vec<String> {
     std::fs::read_to_string(file).unwrap().lines().map(str::to_owned).collect()
 }
@@ -152,18 +175,21 @@ fn a_session_becomes_rows_at_an_even_rate() {
 
 #[cfg(feature = "lerobot")]
 #[test]
-fn twenty_sessions_become_a_data_set_of_twenty_episodes() {
+fn sessions_become_a_data_set_of_their_motions() {
     use parquet::file::reader::{FileReader as _, SerializedFileReader};
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name).display().to_string();
     std::fs::write(path("demo.mcap"), demo()).unwrap();
     let session = path("demo.mcap");
     let mut args = vec!["export"];
-    args.extend([session.as_str(); 20]);
+    args.extend([session.as_str(); 4]);
     let (out, task) = (path("set"), "drive about and point");
-    args.extend(["--lerobot", &out, "--task", task, "--fps", "10"]);
+    args.extend(["--lerobot", &out, "--task", task, "--fps", "10", "--episodes", "motions"]);
     let (ok, text) = host_bridge(&args);
-    assert!(ok && text.contains("20 episodes"), "{text}");
+    let whole = replay(demo()).unwrap();
+    let reached = whole.events.iter().filter(|event| format!("{event:?}").contains("reached: true")).count();
+    let count = 4 * reached as i64;
+    assert!(ok && count > 19 && text.contains(&format!("{count} episodes")), "{text}");
     let json = |name: &str| -> serde_json::Value {
         serde_json::from_slice(&std::fs::read(folder.path().join("set/meta").join(name)).unwrap()).unwrap()
     };
@@ -174,10 +200,10 @@ fn twenty_sessions_become_a_data_set_of_twenty_episodes() {
     let info = json("info.json");
     assert_eq!(
         (info["total_episodes"].as_i64(), info["codebase_version"].as_str()),
-        (Some(20), Some("v3.0"))
+        (Some(count), Some("v3.0"))
     );
     assert_eq!(info["total_frames"].as_i64(), Some(rows("data/chunk-000/file-000.parquet")));
-    assert_eq!(rows("meta/episodes/chunk-000/file-000.parquet"), 20);
+    assert_eq!(rows("meta/episodes/chunk-000/file-000.parquet"), count);
     assert_eq!(rows("meta/tasks.parquet"), 1);
     let stats = json("stats.json");
     assert_eq!(stats["timestamp"]["min"][0].as_f64(), Some(0.0));

@@ -132,6 +132,17 @@ fn what_tensorflow_exports_besides_is_refused_by_name() {
 }
 
 #[test]
+fn a_reshape_whose_shape_is_computed_is_read() {
+    let Some(folder) = shared::shared("cases/tflite") else { return };
+    let (network, end) = read_to_end(&std::fs::read(folder.join("c10-reshape.tflite")).unwrap()).unwrap();
+    assert_eq!((network.inputs(), network.outputs(), end), (117, 7, End::Softmax));
+    for name in ["c01-default-int8", "c06-int8-float-io"] {
+        let network = read(&std::fs::read(folder.join(format!("{name}.tflite"))).unwrap()).unwrap();
+        assert!(matches!(network, Network::Int8(_)), "{name}");
+    }
+}
+
+#[test]
 fn networks_of_every_mode_survive_our_writing_and_reading() {
     for mode in ["int8", "per-tensor", "relu6", "no-bias"] {
         let network = read(&fixture(&format!("paper-{mode}.tflite"))).unwrap();

@@ -28,8 +28,11 @@
 //! Gravity is the mean acceleration of the window. Below 10⁻³ m/s² it has no direction: what remains is finite and the
 //! floors keep it small. A window in which nothing moves gives the same constants in any posture.
 
+mod tables;
+
 use crate::features::{HOP, HOPS, SAMPLE_LIMIT, square_root};
 use crate::recipe::ln;
+use tables::{COSINES, HANN};
 
 /// Movement below this counts as none: 0.1 g.
 pub const ACC_FLOOR: f32 = 0.1;
@@ -473,34 +476,6 @@ fn describe(triad: &Triad, frame: &[[f32; 3]; 3], unit: f32, floor: f32, out: &m
     }
     squares
 }
-
-/// Half of the Hann window of 25 points beside its centre: ½ + ½·cos(2πm/26), m = 1 to 12.
-const HANN: [f32; 12] = [
-    0.985_470_9,
-    0.942_728,
-    0.874_255_36,
-    0.784_032_4,
-    0.677_302_4,
-    0.560_268_34,
-    0.439_731_66,
-    0.322_697_55,
-    0.215_967_63,
-    0.125_744_63,
-    0.057_271_987,
-    0.014_529_091,
-];
-
-/// cos(2πm/32), m = 0 to 7.
-const COSINES: [f32; 8] = [
-    1.0,
-    0.980_785_25,
-    0.923_879_5,
-    0.831_469_6,
-    core::f32::consts::FRAC_1_SQRT_2,
-    0.555_570_24,
-    0.382_683_43,
-    0.195_090_32,
-];
 
 #[cfg(test)]
 mod tests {

@@ -279,11 +279,6 @@ impl MovementDecision {
         self.slow = Streak::default();
         self.run = self.run.map(|run| Run { hops: 0, moving: 0, ..run });
     }
-
-    /// Whether a movement is under way.
-    pub fn is_moving(&self) -> bool {
-        self.run.is_some()
-    }
 }
 
 #[cfg(test)]

@@ -110,7 +110,7 @@ mod tests {
     fn a_hole_of_more_than_a_tenth_of_a_second_refuses_the_episode() {
         let without = |from: u64, to: u64| (0..200).map(|n| n * 10).filter(move |t| !(from..to).contains(t));
         assert!(rows(&streams(without(150, 240)), &EPISODE, 50).is_ok());
-        let error = rows(&streams(without(150, 260)), &EPISODE, 50).unwrap_err();
+        let error = rows(&streams(without(150, 270)), &EPISODE, 50).unwrap_err();
         assert_eq!(error, "at 0.260 s the last message of /joint_states is 120 ms old; at most 100 are held");
     }
 }

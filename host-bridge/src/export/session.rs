@@ -3,7 +3,9 @@
 use std::collections::BTreeMap;
 
 use host_topics::Topic;
-use host_topics::cdr::Reader;
+use host_topics::bimanual::{Event, Operated};
+use host_topics::cdr::decode;
+use host_topics::message::{JointState, Odometry, Twist, TwistStamped};
 use mcap::McapError;
 use mcap::read::{ChunkFlattener, Options};
 use mcap::records::Record;
@@ -121,19 +123,15 @@ impl Streams {
 
     /// `None` where the message cannot be read.
     fn take(&mut self, topic: Topic, time_ms: u64, data: &[u8]) -> Option<Result<(), ExportError>> {
-        let mut reader = Reader::new(data)?;
         match topic {
             Topic::Joints => {
-                header(&mut reader)?;
-                let names = texts(&mut reader)?;
-                let positions = numbers(&mut reader)?;
-                if names.len() != positions.len() {
+                let JointState { name: names, position: positions, .. } = decode(data)?;
+                if names.len() != positions.len() || !positions.iter().all(|rad| rad.is_finite()) {
                     return None;
                 }
-                let kept = |name: &String| !name.ends_with("_wheel");
-                let pairs = names.iter().zip(&positions).filter(|(name, _)| kept(name));
+                let pairs = names.into_iter().zip(positions);
                 let (names, positions): (Vec<String>, Vec<f64>) =
-                    pairs.map(|(name, position)| (name.clone(), *position)).unzip();
+                    pairs.filter(|(name, _)| !name.ends_with("_wheel")).unzip();
                 if self.joints.is_empty() {
                     self.joint_names = names;
                 } else if names != self.joint_names {
@@ -142,34 +140,24 @@ impl Streams {
                 self.joints.push((time_ms, positions));
             }
             Topic::Odometry => {
-                header(&mut reader)?;
-                reader.blob()?;
-                let [x, y, _] = three(&mut reader)?;
-                let [_, _, z] = three(&mut reader)?;
-                let w = number(&mut reader)?;
-                for _ in 0..36 {
-                    number(&mut reader)?;
+                let Odometry { pose, twist, .. } = decode(data)?;
+                let (place, [linear, angular]) = (pose.pose, speeds(&twist.twist)?);
+                let turn_rad = 2.0 * place.orientation.z.atan2(place.orientation.w);
+                let base = [place.position.x, place.position.y, turn_rad, linear, angular];
+                if !base.iter().all(|number| number.is_finite()) {
+                    return None;
                 }
-                let ([linear, _, _], [_, _, angular]) = (three(&mut reader)?, three(&mut reader)?);
-                self.base.push((time_ms, [x, y, 2.0 * z.atan2(w), linear, angular]));
+                self.base.push((time_ms, base));
             }
-            Topic::Twist => {
-                header(&mut reader)?;
-                let ([linear, _, _], [_, _, angular]) = (three(&mut reader)?, three(&mut reader)?);
-                self.asked.push((time_ms, [linear, angular]));
-            }
+            Topic::Twist => self.asked.push((time_ms, speeds(&decode::<TwistStamped>(data)?.twist)?)),
             Topic::Events => {
-                header(&mut reader)?;
-                let time_ms = reader.u64()?;
-                text(&mut reader)?;
-                let json: serde_json::Value = serde_json::from_str(&text(&mut reader)?).ok()?;
+                let Event { time_ms, json, .. } = decode(data)?;
+                let json: serde_json::Value = serde_json::from_str(&json).ok()?;
                 self.events.extend(happened(&json).map(|happened| (time_ms, happened)));
             }
             Topic::Operated => {
-                reader.i32()?;
-                reader.u32()?;
-                let time_ms = reader.u64()?;
-                if reader.u8()? == 0 {
+                let Operated { time_ms, key, .. } = decode(data)?;
+                if key == 0 {
                     self.events.push((time_ms, Happened::StopKey));
                 }
             }
@@ -191,30 +179,79 @@ fn happened(json: &serde_json::Value) -> Option<Happened> {
     }
 }
 
-fn header(reader: &mut Reader<'_>) -> Option<()> {
-    reader.i32()?;
-    reader.u32()?;
-    reader.blob().map(drop)
+/// Forward and to the left; `None` for NaN and infinity.
+fn speeds(twist: &Twist) -> Option<[f64; 2]> {
+    let speeds = [twist.linear.x, twist.angular.z];
+    speeds.iter().all(|speed| speed.is_finite()).then_some(speeds)
 }
 
-fn number(reader: &mut Reader<'_>) -> Option<f64> {
-    reader.u64().map(f64::from_bits).filter(|number| number.is_finite())
-}
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use host_topics::cdr::encode;
+    use host_topics::message::Header;
 
-fn three(reader: &mut Reader<'_>) -> Option<[f64; 3]> {
-    Some([number(reader)?, number(reader)?, number(reader)?])
-}
+    /// A file of a few messages of each stream.
+    fn small() -> Vec<u8> {
+        let mut bytes = std::io::Cursor::new(Vec::new());
+        let mut writer = mcap::WriteOptions::new().compression(None).create(&mut bytes).unwrap();
+        let metadata =
+            BTreeMap::from([("title".to_owned(), "t".to_owned()), ("origin_ns".to_owned(), "5".to_owned())]);
+        writer.write_metadata(&mcap::records::Metadata { name: METADATA.to_owned(), metadata }).unwrap();
+        let joints = JointState {
+            header: Header::default(),
+            name: vec!["joint_1".to_owned(), "left_wheel".to_owned()],
+            position: vec![0.5, 7.0],
+            velocity: vec![0.0, 0.0],
+            effort: Vec::new(),
+        };
+        let messages = [
+            (Topic::Joints, encode(&joints)),
+            (Topic::Odometry, encode(&Odometry::default())),
+            (Topic::Twist, encode(&TwistStamped::default())),
+        ];
+        for (topic, data) in &messages {
+            let id = writer.add_channel(0, topic.name(), "cdr", &BTreeMap::new()).unwrap();
+            for n in 0..3 {
+                let log_time = 5 + n * 20_000_000;
+                let header = mcap::records::MessageHeader {
+                    channel_id: id,
+                    sequence: 0,
+                    log_time,
+                    publish_time: log_time,
+                };
+                writer.write_to_known_channel(&header, data).unwrap();
+            }
+        }
+        writer.finish().unwrap();
+        drop(writer);
+        bytes.into_inner()
+    }
 
-fn text(reader: &mut Reader<'_>) -> Option<String> {
-    let bytes = reader.blob()?;
-    String::from_utf8(bytes.strip_suffix(&[0]).unwrap_or(bytes).to_vec()).ok()
-}
+    #[test]
+    fn streams_are_read_without_the_wheels() {
+        let streams = Streams::read(&small()).unwrap();
+        assert_eq!(
+            (streams.title.as_str(), streams.joint_names.as_slice()),
+            ("t", &["joint_1".to_owned()][..])
+        );
+        assert_eq!(streams.joints[2], (40, vec![0.5]));
+        assert_eq!((streams.base.len(), streams.asked.len()), (3, 3));
+    }
 
-fn texts(reader: &mut Reader<'_>) -> Option<Vec<String>> {
-    // Not more than a message can hold, whatever it says.
-    (0..reader.u32()?.min(1 << 10)).map(|_| text(reader)).collect()
-}
-
-fn numbers(reader: &mut Reader<'_>) -> Option<Vec<f64>> {
-    (0..reader.u32()?.min(1 << 10)).map(|_| number(reader)).collect()
+    proptest::proptest! {
+        #[test]
+        fn damaged_files_never_panic(
+            changes in proptest::collection::vec((0usize..4000, 0u8..), 1..12),
+            cut in 0usize..4000,
+        ) {
+            let mut bytes = small();
+            for (at, value) in changes {
+                let at = at % bytes.len();
+                bytes[at] = value;
+            }
+            let _ = Streams::read(&bytes);
+            let _ = Streams::read(&bytes[..cut % bytes.len()]);
+        }
+    }
 }

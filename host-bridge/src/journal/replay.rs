@@ -18,8 +18,12 @@ use host_core::observe::SessionEvent;
 use host_core::safety::Hand;
 use host_robot::{Door as _, Odometry};
 use host_sim::Simulator;
-use host_topics::cdr::Reader;
+use host_topics::bimanual::{Bytes, Operated, Turns};
+use host_topics::cdr::decode;
 use host_topics::{Entry, Origin, Topic};
+
+/// No step of a session is longer, in ms: a laptop may have slept.
+const PAUSE_MS: u64 = 3_600_000;
 
 /// What a replay came to.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -253,35 +257,41 @@ impl Player {
 
     /// What came in, and steps. `None` where the message cannot be read.
     fn repeat(&mut self, entry: &Entry) -> Option<()> {
-        let mut reader = Reader::new(&entry.data)?;
-        if entry.topic == Topic::Turns {
-            for _ in 0..reader.u32()? {
-                match (reader.u8()?, reader.u64()?) {
-                    (0, time_ms) => self.decide(time_ms),
-                    (1, passed_ms) => {
-                        self.moved_ms = self.moved_ms.saturating_add(passed_ms);
-                        self.robot.step(self.moved_ms);
+        let hand = match entry.topic {
+            Topic::LeftReceived | Topic::LeftSent => Hand::Left,
+            _ => Hand::Right,
+        };
+        match entry.topic {
+            Topic::Turns => {
+                for turn in decode::<Turns>(&entry.data)?.turns {
+                    // Beyond that a number is damaged, and stepping there would take for ever.
+                    let latest_ms = self.now_ms.max(entry.time_ms).saturating_add(PAUSE_MS);
+                    match turn.kind {
+                        0 if turn.ms <= self.now_ms.saturating_add(PAUSE_MS) => self.decide(turn.ms),
+                        1 if turn.ms <= PAUSE_MS && self.moved_ms + turn.ms <= latest_ms => {
+                            self.moved_ms += turn.ms;
+                            self.robot.step(self.moved_ms);
+                        }
+                        _ => return None,
                     }
+                }
+            }
+            Topic::Operated => {
+                let Operated { time_ms, key, .. } = decode(&entry.data)?;
+                match key {
+                    0 => self.bridge.stop_key(time_ms, &mut self.robot),
+                    1 => self.bridge.release_key(time_ms, &mut self.robot),
                     _ => return None,
                 }
             }
-            return Some(());
-        }
-        reader.i32()?;
-        reader.u32()?;
-        let time_ms = reader.u64()?;
-        match entry.topic {
-            Topic::LeftReceived => self.bridge.receive(Hand::Left, reader.blob()?, time_ms, &mut self.robot),
-            Topic::RightReceived => {
-                self.bridge.receive(Hand::Right, reader.blob()?, time_ms, &mut self.robot);
+            topic => {
+                let Bytes { time_ms, data, .. } = decode(&entry.data)?;
+                if matches!(topic, Topic::LeftReceived | Topic::RightReceived) {
+                    self.bridge.receive(hand, &data, time_ms, &mut self.robot);
+                } else {
+                    self.send(hand, &data, time_ms);
+                }
             }
-            Topic::LeftSent => self.send(Hand::Left, reader.blob()?, time_ms),
-            Topic::RightSent => self.send(Hand::Right, reader.blob()?, time_ms),
-            _ => match reader.u8()? {
-                0 => self.bridge.stop_key(time_ms, &mut self.robot),
-                1 => self.bridge.release_key(time_ms, &mut self.robot),
-                _ => return None,
-            },
         }
         Some(())
     }

@@ -36,6 +36,9 @@ mod schema {
     pub const FULLY_CONNECTED: i32 = 9;
     pub const RESHAPE: i32 = 22;
     pub const SOFTMAX: i32 = 25;
+    pub const STRIDED_SLICE: i32 = 45;
+    pub const SHAPE: i32 = 77;
+    pub const PACK: i32 = 83;
     pub const QUANTIZE: i32 = 114;
     pub const FULLY_CONNECTED_OPTIONS: u8 = 8;
     pub const SOFTMAX_OPTIONS: u8 = 9;

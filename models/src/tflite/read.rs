@@ -5,8 +5,8 @@ use shared_dsp::mlp::DenseSpec;
 use super::flat::Table;
 use super::{FloatLayer, IDENTIFIER, MAX_BYTES, MAX_LAYERS, MAX_WIDTH, Network, TfliteError, names, schema};
 
-/// Operators around the layers: QUANTIZE, DEQUANTIZE, RESHAPE, SOFTMAX.
-const MAX_OTHERS: usize = MAX_LAYERS + 4;
+/// Operators around the layers: QUANTIZE, DEQUANTIZE, SOFTMAX, and RESHAPE with what computes its shape.
+const MAX_OTHERS: usize = 4 * MAX_LAYERS + 4;
 
 /// What a file's last operator gives. A softmax is computed here in either case.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -148,6 +148,11 @@ pub fn read_to_end(bytes: &[u8]) -> Result<(Network, End), TfliteError> {
         let &[next] = operator.i32s(2)?.as_slice() else {
             return Err(TfliteError::ForeignOperator { index, name: name()? });
         };
+        // Where the batch is left open, the shape of a RESHAPE is computed; it is checked there.
+        let of_shapes = [schema::SHAPE, schema::STRIDED_SLICE, schema::PACK];
+        if of_shapes.contains(&number) && tensor(next)?.kind == schema::INT32 {
+            continue;
+        }
         let known =
             [schema::FULLY_CONNECTED, schema::SOFTMAX, schema::QUANTIZE, schema::DEQUANTIZE, schema::RESHAPE];
         if !known.contains(&number) {

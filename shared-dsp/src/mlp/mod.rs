@@ -41,14 +41,17 @@
 
 #[cfg(feature = "build")]
 mod builder;
+mod error;
 mod kernel;
 
 #[cfg(feature = "build")]
 pub use builder::{BlobSpec, BuildError, DenseSpec, build_blob};
 
+pub use error::{ModelError, WrongLength};
+
 use crate::recipe::Recipe;
 use crate::softmax::softmax;
-use core::fmt;
+use crc::{CRC_32_ISO_HDLC, Crc};
 use kernel::{
     BIAS_BYTES, QUAD_WEIGHT_BYTES, Quad, ROW_SCALE_BYTES, Requantise, layer, layer_per_row, pack, unpack,
 };
@@ -75,77 +78,6 @@ const LAYER_HEADER_BYTES: usize = 12;
 /// Inputs and outputs of one layer take this many quads at most, so that a usual network needs little stack.
 const SMALL_SCRATCH_QUADS: usize = 35;
 const LARGE_SCRATCH_QUADS: usize = 2 * MAX_WIDTH / 4;
-
-/// Why a blob is refused.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[non_exhaustive]
-pub enum ModelError {
-    /// The blob ends before its contents do.
-    Truncated,
-    /// The blob does not start with `BMLP`: it is something else.
-    NotAModel,
-    /// The blob's format is of another version: make it anew with the `models` tool of this version.
-    Version(u8),
-    /// This image does not know the recipe.
-    Recipe(u8),
-    /// A number in the header is outside its range or contradicts another one.
-    Header,
-    /// A scaling factor is not finite.
-    Scaling {
-        /// Index of the feature.
-        feature: usize,
-    },
-    /// A layer's size, multiplier or shift is outside its range, or it does not fit the one before.
-    Layer {
-        /// Index of the layer.
-        layer: usize,
-    },
-    /// The table of exponentials does not start at 1 and fall.
-    ExponentialTable,
-    /// The labels are not as many as promised, empty, or not printable ASCII.
-    Labels,
-}
-
-impl fmt::Display for ModelError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Truncated => f.write_str("the model blob is cut short: copy it again"),
-            Self::NotAModel => f.write_str("this is no model blob (it does not start with BMLP)"),
-            Self::Version(version) => write!(
-                f,
-                "the model blob has format {version}, this program reads {BLOB_VERSION} and {BLOB_VERSION_PER_ROW}: make it anew \
-                 with `models`"
-            ),
-            Self::Recipe(recipe) => {
-                write!(
-                    f,
-                    "the model needs feature recipe {recipe}, which this program does not know: update it"
-                )
-            }
-            Self::Header => f.write_str("a size in the model blob's header is out of range"),
-            Self::Scaling { feature } => write!(f, "the scaling of feature {feature} is not a finite number"),
-            Self::Layer { layer } => {
-                write!(f, "layer {layer} of the model has a size, multiplier or shift out of range")
-            }
-            Self::ExponentialTable => f.write_str("the model blob's softmax table is damaged"),
-            Self::Labels => f.write_str("the model blob's labels are damaged"),
-        }
-    }
-}
-
-impl core::error::Error for ModelError {}
-
-/// A slice has another length than the model.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct WrongLength;
-
-impl fmt::Display for WrongLength {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("the number of inputs or scores is not the model's")
-    }
-}
-
-impl core::error::Error for WrongLength {}
 
 /// What a model expects and names.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -535,25 +467,7 @@ fn scale_of(pair: &[u8; 8]) -> (f32, f32) {
 }
 
 /// CRC-32 (ISO-HDLC, as in zip and PNG) of a blob: its model id.
-///
-/// Four bits at a time: 64 bytes of table, a third of the time of none.
 pub fn crc32(blob: &[u8]) -> u32 {
-    let step = |crc: u32| (crc >> 4) ^ CRC_NIBBLES[(crc & 15) as usize];
-    !blob.iter().fold(!0, |crc, &byte| step(step(crc ^ u32::from(byte))))
+    static ISO_HDLC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
+    ISO_HDLC.checksum(blob)
 }
-
-const CRC_NIBBLES: [u32; 16] = {
-    let mut table = [0; 16];
-    let mut nibble = 0;
-    while nibble < 16 {
-        let mut crc = nibble as u32;
-        let mut bit = 0;
-        while bit < 4 {
-            crc = if crc & 1 == 1 { (crc >> 1) ^ 0xEDB8_8320 } else { crc >> 1 };
-            bit += 1;
-        }
-        table[nibble] = crc;
-        nibble += 1;
-    }
-    table
-};

@@ -359,12 +359,6 @@ impl Nano {
         unsafe { *(*self.avr).data.add(address) = value }
     }
 
-    /// Where the program is: an address in flash.
-    pub fn program_counter(&self) -> u32 {
-        // Safety: the board is alive.
-        unsafe { (*self.avr).pc }
-    }
-
     /// Sends the program somewhere else.
     pub fn jump(&mut self, address: u32) {
         // Safety: the emulator is not running.

@@ -9,6 +9,7 @@ use host_bridge::robots::Stage;
 use host_bridge::safety::Hand;
 use host_bridge::sim::Simulator;
 use shared_proto::frame::{HOST_FRAME_MAX, encode_host};
+use shared_proto::message::HostMessage;
 
 use super::nano::{CYCLES_PER_MS, Nano};
 
@@ -49,11 +50,18 @@ impl Street {
         self.bridge.receive(Hand::Left, &bytes, self.now_ms, &mut self.robot);
         self.bridge.step(self.now_ms, &mut self.robot);
         while let Some(message) = self.bridge.poll(Hand::Left, self.now_ms) {
-            let mut buffer = [0; HOST_FRAME_MAX];
-            let frame = encode_host(&message, &mut buffer).expect("the bridge's messages fit");
-            self.nano.send(frame);
+            self.send(&message);
+        }
+        if let Some(ping) = self.bridge.ping(Hand::Left, self.now_ms) {
+            self.send(&ping);
         }
         self.robot.step(self.robot.now_ms() + 1);
+    }
+
+    fn send(&mut self, message: &HostMessage<'_>) {
+        let mut buffer = [0; HOST_FRAME_MAX];
+        let frame = encode_host(message, &mut buffer).expect("the bridge's messages fit");
+        self.nano.send(frame);
     }
 
     /// A while.

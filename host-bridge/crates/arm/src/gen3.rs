@@ -1,11 +1,10 @@
 //! Figures of the Kinova Gen3 (7 degrees of freedom).
 //!
 //! Frames: the base frame has x forward, y left, z up; the flange is kortex's `end_effector_link`.
-//! Source of all figures: kortex_description, `gen3/7dof/urdf/gen3_macro.xacro`
-//!. The result equals the reference table in
+//! Source of all figures: kortex_description, `gen3/7dof/urdf/gen3_macro.xacro`. The result equals the reference table in
 //! `tests/data/kinova_gen3_fk.csv` (see `tests/arm_kinematics.rs`).
 
-use host_robot::{JOINTS, JointLimits, Joints};
+use host_robot::{DMat3, DVec3, JOINTS, JointLimits, Joints};
 
 /// Fastest joint speeds of the URDF in rad/s (80°/s and 70°/s).
 pub const MAX_VELOCITY_RAD_S: Joints = [1.3963, 1.3963, 1.3963, 1.3963, 1.2218, 1.2218, 1.2218];
@@ -46,66 +45,22 @@ pub const JOINT_NAMES: [&str; JOINTS] =
 #[allow(clippy::approx_constant)] // 3.14 is what the file says
 pub const HOME: Joints = [0.0, 0.26, 3.14, -2.27, 0.0, 0.96, 1.57];
 
-/// Origin of each joint in its parent's frame: xyz in metres, then a rotation about x in quarter turns.
-const ORIGINS: [([f64; 3], Quarter); JOINTS + 1] = [
-    ([0.0, 0.0, 0.15643], Quarter::Two),
-    ([0.0, 0.005375, -0.12838], Quarter::One),
-    ([0.0, -0.21038, -0.006375], Quarter::Three),
-    ([0.0, 0.006375, -0.21038], Quarter::One),
-    ([0.0, -0.20843, -0.006375], Quarter::Three),
-    ([0.0, 0.00017505, -0.10593], Quarter::One),
-    ([0.0, -0.10593, -0.00017505], Quarter::Three),
-    ([0.0, 0.0, -0.061525], Quarter::Two),
+/// Origin of each joint (and, last, of the flange) in its parent's frame: metres, then quarter turns about x.
+const ORIGINS: [([f64; 3], u8); JOINTS + 1] = [
+    ([0.0, 0.0, 0.15643], 2),
+    ([0.0, 0.005375, -0.12838], 1),
+    ([0.0, -0.21038, -0.006375], 3),
+    ([0.0, 0.006375, -0.21038], 1),
+    ([0.0, -0.20843, -0.006375], 3),
+    ([0.0, 0.00017505, -0.10593], 1),
+    ([0.0, -0.10593, -0.00017505], 3),
+    ([0.0, 0.0, -0.061525], 2),
 ];
 
-/// Quarter turns about x; exact, where sin and cos of π would not be.
-#[derive(Clone, Copy)]
-enum Quarter {
-    One,
-    Two,
-    Three,
-}
-
-impl Quarter {
-    /// (cos, sin)
-    fn cos_sin(self) -> (f64, f64) {
-        match self {
-            Quarter::One => (0.0, 1.0),
-            Quarter::Two => (-1.0, 0.0),
-            Quarter::Three => (0.0, -1.0),
-        }
-    }
-}
-
-/// Origin of a joint (or, last, of the flange) in its parent's frame: metres, rotation matrix.
-pub(super) fn origin(joint: usize) -> ([f64; 3], [[f64; 3]; 3]) {
-    let (origin_m, roll) = ORIGINS[joint];
-    let (c, s) = roll.cos_sin();
-    (origin_m, [[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
-}
-
-/// The first joint beyond its limit (counted from 0), if any. Not-a-number is beyond every limit.
-pub fn joint_beyond_limit(joints_rad: &Joints) -> Option<usize> {
-    (0..JOINTS).find(|&i| {
-        let within = match POSITION_LIMIT_RAD[i] {
-            Some(limit) => joints_rad[i].abs() <= limit,
-            None => joints_rad[i].is_finite(),
-        };
-        !within
-    })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn limits_hold_for_home_and_catch_excess_and_nan() {
-        assert_eq!(joint_beyond_limit(&HOME), None);
-        let mut joints = HOME;
-        joints[3] = -2.6;
-        assert_eq!(joint_beyond_limit(&joints), Some(3));
-        joints[0] = f64::NAN;
-        assert_eq!(joint_beyond_limit(&joints), Some(0));
-    }
+/// Origin of a joint (or, last, of the flange) in its parent's frame: metres, rotation.
+pub(super) fn origin(joint: usize) -> (DVec3, DMat3) {
+    let (origin_m, quarters) = ORIGINS[joint];
+    // Exact, where sin and cos of pi would not be.
+    let turn = DMat3::from_cols(DVec3::X, DVec3::Z, DVec3::NEG_Y);
+    (origin_m.into(), (0..quarters).fold(DMat3::IDENTITY, |turned, _| turned * turn))
 }

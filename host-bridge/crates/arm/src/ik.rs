@@ -8,8 +8,7 @@
 
 use super::model::SerialArm;
 use host_robot::Random;
-use host_robot::shape::{dot, sub};
-use host_robot::{JOINTS, Joints, Pose};
+use host_robot::{DVec3, JOINTS, Joints, Pose};
 
 /// What one search may spend over all its restarts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -149,8 +148,8 @@ pub fn search(
     }
     let [x, y, z, u, v, w] = nearest.1;
     Err(Unreachable::NotFound {
-        position_mm: 1000.0 * dot([x, y, z], [x, y, z]).sqrt(),
-        angle_mrad: 1000.0 * dot([u, v, w], [u, v, w]).sqrt(),
+        position_mm: 1000.0 * DVec3::new(x, y, z).length(),
+        angle_mrad: 1000.0 * DVec3::new(u, v, w).length(),
         steps,
         looks,
     })
@@ -172,20 +171,15 @@ fn length(error: &Six) -> f64 {
 fn error_at(arm: &SerialArm, target: &Pose, joints_rad: &Joints) -> (Six, [Pose; JOINTS + 1]) {
     let poses = arm.link_poses(joints_rad);
     let here = poses[JOINTS];
-    let way = sub(target.position_m, here.position_m);
-    // The turn that is left, in the base frame: target · hereᵀ.
-    let mut rotation = [[0.0; 3]; 3];
-    for (row, out) in rotation.iter_mut().enumerate() {
-        for (col, value) in out.iter_mut().enumerate() {
-            *value = dot(target.rotation[row], here.rotation[col]);
-        }
-    }
-    let [mut w, x, y, z] = Pose { position_m: [0.0; 3], rotation }.quaternion_wxyz();
-    let half_sine = dot([x, y, z], [x, y, z]).sqrt();
-    w = w.min(1.0);
+    let way = target.position_m - here.position_m;
+    // The turn that is left, in the base frame.
+    let rotation = target.rotation * here.rotation.transpose();
+    let turn = Pose { rotation, ..Pose::IDENTITY }.quaternion();
+    let half_sine = turn.xyz().length();
     // Small turns: the angle is twice the vector part.
-    let scale = if half_sine < 1e-9 { 2.0 } else { 2.0 * half_sine.atan2(w) / half_sine };
-    ([way[0], way[1], way[2], scale * x, scale * y, scale * z], poses)
+    let scale = if half_sine < 1e-9 { 2.0 } else { 2.0 * half_sine.atan2(turn.w.min(1.0)) / half_sine };
+    let turn = scale * turn.xyz();
+    ([way.x, way.y, way.z, turn.x, turn.y, turn.z], poses)
 }
 
 /// Jᵀ (J Jᵀ + λ I)⁻¹ e
@@ -193,16 +187,9 @@ fn damped_step(arm: &SerialArm, poses: &[Pose; JOINTS + 1], error: &Six, damping
     let tip = poses[JOINTS].position_m;
     let mut columns = [[0.0; 6]; JOINTS];
     for (i, joint) in arm.joints.iter().enumerate() {
-        let axis = poses[i].rotation.map(|row| dot(row, joint.axis));
-        let r = sub(tip, poses[i].position_m);
-        columns[i] = [
-            axis[1] * r[2] - axis[2] * r[1],
-            axis[2] * r[0] - axis[0] * r[2],
-            axis[0] * r[1] - axis[1] * r[0],
-            axis[0],
-            axis[1],
-            axis[2],
-        ];
+        let axis = poses[i].rotation * joint.axis;
+        let lever = axis.cross(tip - poses[i].position_m);
+        columns[i] = [lever.x, lever.y, lever.z, axis.x, axis.y, axis.z];
     }
     let mut normal = [[0.0; 6]; 6];
     for (row, line) in normal.iter_mut().enumerate() {

@@ -4,17 +4,14 @@
 //! URDF file (feature `urdf`, see `arm/urdf.rs`). An arm with fewer joints leaves the last values of
 //! [`Joints`] at zero.
 
-use host_robot::{JOINTS, Joints, Pose};
+use host_robot::{DMat3, DVec3, JOINTS, Joints, Pose};
 
 use super::gen3::{HOME, JOINT_NAMES, MAX_ACCELERATION_RAD_S2, MAX_VELOCITY_RAD_S, POSITION_LIMIT_RAD};
 use host_robot::JointLimits;
-use host_robot::shape::{Capsule, Point, norm};
+use host_robot::shape::{Capsule, Point};
 
 /// Name of the built-in arm.
 const GEN3: &str = "Kinova Gen3 (7 joints)";
-
-/// Rotation matrix, row by row.
-pub type Rotation = [[f64; 3]; 3];
 
 /// One turning joint and the link that it turns.
 #[derive(Clone, Debug, PartialEq)]
@@ -24,7 +21,7 @@ pub struct ArmJoint {
     /// Where the joint sits in its parent's frame, in m.
     pub origin_m: Point,
     /// How its frame is turned against its parent's.
-    pub origin_rotation: Rotation,
+    pub origin_rotation: DMat3,
     /// Axis in its own frame, of length 1.
     pub axis: Point,
     /// Least and greatest angle; `None` = turns without end.
@@ -47,7 +44,7 @@ pub struct SerialArm {
     /// The flange in the last joint's frame.
     pub flange_m: Point,
     /// How the flange is turned against the last joint.
-    pub flange_rotation: Rotation,
+    pub flange_rotation: DMat3,
     /// Shapes of the foot, which does not move, in the arm's base frame.
     pub foot: Vec<Capsule>,
     /// The pose to go to first and to fall back to, in rad.
@@ -91,11 +88,11 @@ impl SerialArm {
                 name: JOINT_NAMES[i].to_owned(),
                 origin_m,
                 origin_rotation,
-                axis: [0.0, 0.0, 1.0],
+                axis: DVec3::Z,
                 limit_rad: POSITION_LIMIT_RAD[i].map(|limit| (-limit, limit)),
                 velocity_rad_s: MAX_VELOCITY_RAD_S[i],
                 acceleration_rad_s2: MAX_ACCELERATION_RAD_S2[i],
-                shapes: vec![Capsule { a_m: [0.0; 3], b_m: next_m, radius_m }],
+                shapes: vec![Capsule { a_m: DVec3::ZERO, b_m: next_m, radius_m }],
             }
         });
         let (flange_m, flange_rotation) = super::gen3::origin(JOINTS);
@@ -104,7 +101,7 @@ impl SerialArm {
             joints: joints.collect(),
             flange_m,
             flange_rotation,
-            foot: vec![Capsule { a_m: [0.0, 0.0, 0.05], b_m: [0.0, 0.0, 0.15643], radius_m: 0.050 }],
+            foot: vec![Capsule { a_m: 0.05 * DVec3::Z, b_m: 0.15643 * DVec3::Z, radius_m: 0.050 }],
             home_rad: HOME,
         }
     }
@@ -121,7 +118,7 @@ impl SerialArm {
         let mut pose = Pose::IDENTITY;
         for (i, joint) in self.joints.iter().enumerate() {
             pose = pose.then(joint.origin_m, joint.origin_rotation);
-            pose = pose.then([0.0; 3], turn_about(joint.axis, joints_rad[i]));
+            pose.rotation *= DMat3::from_axis_angle(joint.axis, joints_rad[i]);
             poses[i] = pose;
         }
         let flange = pose.then(self.flange_m, self.flange_rotation);
@@ -179,26 +176,20 @@ impl SerialArm {
             return 0.0;
         }
         // Turned back by the flange's own offset. That leaves the last joint's angle open, not its axis.
-        let turned =
-            |rotation: &Rotation, p: Point| rotation.map(|row| row[0] * p[0] + row[1] * p[1] + row[2] * p[2]);
-        let transposed = |r: &Rotation| [0, 1, 2].map(|row| [0, 1, 2].map(|col| r[col][row]));
-        let back = Pose::IDENTITY.then([0.0; 3], transposed(&self.flange_rotation));
-        let last_frame = flange.then([0.0; 3], back.rotation);
-        let offset_m = turned(&last_frame.rotation, self.flange_m);
-        let axis = turned(&last_frame.rotation, last.axis);
+        let last_turn = flange.rotation * self.flange_rotation.transpose();
+        let (offset_m, axis) = (last_turn * self.flange_m, last_turn * last.axis);
         // The last joint as seen from the one before it, in the last joint's own axes.
-        let link_m = turned(&transposed(&last.origin_rotation), last.origin_m);
+        let link_m = last.origin_rotation.transpose() * last.origin_m;
         let (along_m, around_m) = along_and_around(link_m, last.axis);
-        let hand_m: Point = [0, 1, 2].map(|k| flange.position_m[k] - offset_m[k] - axis[k] * along_m);
+        let hand_m = flange.position_m - offset_m - axis * along_m;
 
-        let second = &self.joints[1];
         let foot = Pose::IDENTITY.then(first.origin_m, first.origin_rotation);
-        let (rise_m, swing_m) = along_and_around(second.origin_m, first.axis);
-        let shoulder_m = foot.then(first.axis.map(|a| a * rise_m), Pose::IDENTITY.rotation).position_m;
+        let (rise_m, swing_m) = along_and_around(self.joints[1].origin_m, first.axis);
+        let shoulder_m = foot.at(first.axis * rise_m);
 
         let middle = &self.joints[2..self.joints.len() - 1];
-        let length_m = middle.iter().map(|joint| norm(joint.origin_m)).sum::<f64>() + swing_m + around_m;
-        norm([0, 1, 2].map(|k| hand_m[k] - shoulder_m[k])) - length_m
+        let length_m = middle.iter().map(|joint| joint.origin_m.length()).sum::<f64>() + swing_m + around_m;
+        hand_m.distance(shoulder_m) - length_m
     }
 
     /// For each joint, how far from its origin a point of the arm beyond it can be at most, in m: a turn by
@@ -207,31 +198,19 @@ impl SerialArm {
         let mut lever = [0.0; JOINTS];
         let mut beyond: f64 = 0.0;
         for (i, joint) in self.joints.iter().enumerate().rev() {
-            let shapes = joint.shapes.iter().map(|c| norm(c.a_m).max(norm(c.b_m)) + c.radius_m);
+            let shapes = joint.shapes.iter().map(|c| c.a_m.length().max(c.b_m.length()) + c.radius_m);
             beyond = shapes.fold(beyond, f64::max);
             lever[i] = beyond;
-            beyond += norm(joint.origin_m);
+            beyond += joint.origin_m.length();
         }
         lever
     }
 }
 
 /// A vector's part along a unit axis, and the length of what is left.
-fn along_and_around(vector: Point, axis: Point) -> (f64, f64) {
-    let along: f64 = (0..3).map(|k| vector[k] * axis[k]).sum();
-    (along, norm([0, 1, 2].map(|k| vector[k] - along * axis[k])))
-}
-
-/// A turn about a unit axis (Rodrigues).
-fn turn_about(axis: Point, angle_rad: f64) -> Rotation {
-    let (s, c) = angle_rad.sin_cos();
-    let [x, y, z] = axis;
-    let v = 1.0 - c;
-    [
-        [x * x * v + c, x * y * v - z * s, x * z * v + y * s],
-        [y * x * v + z * s, y * y * v + c, y * z * v - x * s],
-        [z * x * v - y * s, z * y * v + x * s, z * z * v + c],
-    ]
+fn along_and_around(vector: DVec3, axis: DVec3) -> (f64, f64) {
+    let along = vector.dot(axis);
+    (along, (vector - along * axis).length())
 }
 
 #[cfg(test)]
@@ -258,7 +237,7 @@ mod tests {
             let mut turned = joints;
             turned[i] += 0.01;
             let (one, two) = (arm.flange_pose(&joints), arm.flange_pose(&turned));
-            let moved = norm(host_robot::shape::sub(one.position_m, two.position_m));
+            let moved = one.position_m.distance(two.position_m);
             assert!(moved <= 0.01 * lever[i], "joint {i}: {moved}");
         }
     }
@@ -276,11 +255,11 @@ mod tests {
         // Straight up there is next to nothing left to stretch.
         let mut straight = arm.flange_pose(&[0.0; JOINTS]);
         assert!((-0.01..=1e-12).contains(&arm.beyond_reach_m(&straight)));
-        straight.position_m[2] += 0.01;
+        straight.position_m.z += 0.01;
         assert!(arm.beyond_reach_m(&straight) > 0.0);
         // The same place with the tool bent down would need a longer arm.
         let mut down = arm.flange_pose(&[0.0; JOINTS]);
-        down.rotation = [[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]];
+        down.rotation = DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));
         assert!(arm.beyond_reach_m(&down) > 0.3);
     }
 

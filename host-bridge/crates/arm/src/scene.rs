@@ -32,7 +32,7 @@ use std::path::PathBuf;
 
 use serde::Deserialize;
 
-use host_robot::Pose;
+use host_robot::{DMat3, DQuat, Pose};
 
 use crate::gen3::{ACCELERATION_SCALING, MAX_JERK_RAD_S3, VELOCITY_SCALING};
 use crate::motions::MotionTable;
@@ -99,8 +99,8 @@ impl Default for BaseTable {
             wheel_speed_max_rad_s: base.wheel_speed_max_rad_s,
             wheel_acceleration_max_rad_s2: base.wheel_acceleration_max_rad_s2,
             wheel_variance_m: base.wheel_variance_m,
-            size_m: [0.6, 0.5, 0.35],
-            mount_m: [0.1, 0.0, 0.4],
+            size_m: Point::new(0.6, 0.5, 0.35),
+            mount_m: Point::new(0.1, 0.0, 0.4),
         }
     }
 }
@@ -109,8 +109,8 @@ impl BaseTable {
     /// The body as seen from the point on the floor between the wheels.
     pub fn body(&self) -> UprightBox {
         UprightBox {
-            center_m: [0.0, 0.0, GROUND_CLEARANCE_M + 0.5 * self.size_m[2]],
-            half_m: self.size_m.map(|size| 0.5 * size),
+            center_m: Point::new(0.0, 0.0, GROUND_CLEARANCE_M + 0.5 * self.size_m.z),
+            half_m: 0.5 * self.size_m,
             yaw_rad: 0.0,
         }
     }
@@ -202,11 +202,7 @@ pub struct NamedBox {
 impl NamedBox {
     /// Its shape, as collision checks take it.
     pub fn shape(&self) -> UprightBox {
-        UprightBox {
-            center_m: self.center_m,
-            half_m: self.size_m.map(|size| 0.5 * size),
-            yaw_rad: self.yaw_rad,
-        }
+        UprightBox { center_m: self.center_m, half_m: 0.5 * self.size_m, yaw_rad: self.yaw_rad }
     }
 }
 
@@ -280,8 +276,8 @@ impl Scene {
         positive("base: wheel_speed_max_rad_s", base.wheel_speed_max_rad_s)?;
         positive("base: wheel_acceleration_max_rad_s2", base.wheel_acceleration_max_rad_s2)?;
         positive("base: wheel_variance_m", base.wheel_variance_m)?;
-        base.size_m.iter().try_for_each(|&size| positive("base: size_m", size))?;
-        if !base.mount_m.iter().all(|m| m.is_finite()) {
+        base.size_m.to_array().into_iter().try_for_each(|size| positive("base: size_m", size))?;
+        if !base.mount_m.is_finite() {
             return Err("base: mount_m must be three numbers".to_owned());
         }
         for (name, value) in [
@@ -304,8 +300,12 @@ impl Scene {
         positive("arm: acceleration_rad_s2", self.arm.acceleration_rad_s2)?;
         for (i, shape) in self.boxes.iter().enumerate() {
             let name = &shape.name;
-            shape.size_m.iter().try_for_each(|&size| positive(&format!("box '{name}': size_m"), size))?;
-            if !(shape.center_m.iter().all(|m| m.is_finite()) && shape.yaw_rad.is_finite()) {
+            shape
+                .size_m
+                .to_array()
+                .into_iter()
+                .try_for_each(|size| positive(&format!("box '{name}': size_m"), size))?;
+            if !(shape.center_m.is_finite() && shape.yaw_rad.is_finite()) {
                 return Err(format!("box '{name}': center_m and yaw_rad must be numbers"));
             }
             if self.boxes[..i].iter().any(|other| other.name == *name) {
@@ -343,15 +343,14 @@ impl Scene {
                 }
                 Ok(Goal::Joints(angles.clone()))
             }
-            (None, Some(position_m), Some(q)) => {
-                let length = q.iter().map(|c| c * c).sum::<f64>().sqrt();
-                if !(length.is_finite() && length > 0.5 && position_m.iter().all(|m| m.is_finite())) {
+            (None, Some(position_m), Some([w, x, y, z])) => {
+                let turn = DQuat::from_xyzw(x, y, z, w);
+                if !(turn.length().is_finite() && turn.length() > 0.5 && position_m.is_finite()) {
                     return Err(format!("pose '{name}': position_m or quaternion_wxyz is no place"));
                 }
-                let mount_m = self.base.mount_m;
                 Ok(Goal::Flange(Pose {
-                    position_m: [0, 1, 2].map(|k| position_m[k] - mount_m[k]),
-                    rotation: rotation(q.map(|c| c / length)),
+                    position_m: position_m - self.base.mount_m,
+                    rotation: DMat3::from_quat(turn.normalize()),
                 }))
             }
             _ => Err(format!(
@@ -359,15 +358,6 @@ impl Scene {
             )),
         }
     }
-}
-
-/// Rotation matrix of a unit quaternion.
-fn rotation([w, x, y, z]: [f64; 4]) -> [[f64; 3]; 3] {
-    [
-        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
-        [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
-        [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
-    ]
 }
 
 #[cfg(test)]

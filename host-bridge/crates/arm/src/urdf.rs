@@ -3,9 +3,9 @@
 //! Boxes, cylinders, capsules and spheres of `<collision>` become capsules that enclose them. Meshes are not
 //! read: a link that has nothing else gets a capsule of a given radius along the line to its next joint.
 
-use super::model::{ArmJoint, Rotation, SerialArm};
-use host_robot::shape::{Capsule, Point, norm};
-use host_robot::{JOINTS, Pose};
+use super::model::{ArmJoint, SerialArm};
+use host_robot::shape::{Capsule, Point};
+use host_robot::{DMat3, DVec3, JOINTS, Pose};
 use urdf_rs::{Collision, Geometry, JointType};
 
 /// What a URDF file does not say.
@@ -71,7 +71,7 @@ pub fn parse(text: &str, missing: &Missing) -> Result<SerialArm, UrdfError> {
     let mut arm = SerialArm {
         name: robot.name.clone(),
         joints: Vec::new(),
-        flange_m: [0.0; 3],
+        flange_m: DVec3::ZERO,
         flange_rotation: Pose::IDENTITY.rotation,
         foot: Vec::new(),
         home_rad: [0.0; JOINTS],
@@ -80,7 +80,7 @@ pub fn parse(text: &str, missing: &Missing) -> Result<SerialArm, UrdfError> {
     let mut here = Pose::IDENTITY;
     arm.foot.extend(shapes(collisions(link), &here));
     for joint in chain {
-        here = here.then(joint.origin.xyz.0, rotation(joint.origin.rpy.0));
+        here = here.then(DVec3::from(joint.origin.xyz.0), rotation(joint.origin.rpy.0));
         match joint.joint_type {
             JointType::Fixed => {}
             JointType::Revolute | JointType::Continuous => {
@@ -91,7 +91,8 @@ pub fn parse(text: &str, missing: &Missing) -> Result<SerialArm, UrdfError> {
                 if joint.mimic.is_some() {
                     return Err(kind(format!("'{name}' follows another joint; name a tip before it")));
                 }
-                let length = norm(joint.axis.xyz.0);
+                let axis = DVec3::from(joint.axis.xyz.0);
+                let length = axis.length();
                 if !(length.is_finite() && length > 0.0) {
                     return Err(kind(format!("'{name}' has no axis")));
                 }
@@ -114,7 +115,7 @@ pub fn parse(text: &str, missing: &Missing) -> Result<SerialArm, UrdfError> {
                     name,
                     origin_m: here.position_m,
                     origin_rotation: here.rotation,
-                    axis: joint.axis.xyz.0.map(|a| a / length),
+                    axis: axis / length,
                     limit_rad,
                     velocity_rad_s: limit.velocity,
                     acceleration_rad_s2: if acceleration.is_finite() && acceleration > 0.0 {
@@ -152,43 +153,34 @@ fn bone(arm: &mut SerialArm, next_m: Point, radius_m: f64) {
     if let Some(last) = arm.joints.last_mut()
         && last.shapes.is_empty()
     {
-        last.shapes.push(Capsule { a_m: [0.0; 3], b_m: next_m, radius_m });
+        last.shapes.push(Capsule { a_m: DVec3::ZERO, b_m: next_m, radius_m });
     }
 }
 
 fn shapes(collisions: &[Collision], here: &Pose) -> Vec<Capsule> {
     let enclosing = |collision: &Collision| {
-        let pose = here.then(collision.origin.xyz.0, rotation(collision.origin.rpy.0));
+        let pose = here.then(collision.origin.xyz.0.into(), rotation(collision.origin.rpy.0));
         let (half, radius_m) = match &collision.geometry {
-            Geometry::Sphere { radius } => ([0.0; 3], *radius),
+            Geometry::Sphere { radius } => (DVec3::ZERO, *radius),
             // A capsule as long as the cylinder, with round ends beyond it.
             Geometry::Cylinder { radius, length } | Geometry::Capsule { radius, length } => {
-                ([0.0, 0.0, 0.5 * length], *radius)
+                (0.5 * *length * DVec3::Z, *radius)
             }
             Geometry::Box { size } => {
-                let half = size.0.map(|s| 0.5 * s);
-                let longest = (0..3).fold(0, |best, k| if half[k] > half[best] { k } else { best });
-                let mut line = [0.0; 3];
-                line[longest] = half[longest];
-                let across: f64 = (0..3).filter(|k| *k != longest).map(|k| half[k] * half[k]).sum();
-                (line, across.sqrt())
+                let half = 0.5 * DVec3::from(size.0);
+                let line = DVec3::AXES[half.max_position()] * half.max_element();
+                (line, (half - line).length())
             }
             Geometry::Mesh { .. } => return None,
         };
-        let end = |sign: f64| pose.then(half.map(|h| sign * h), Pose::IDENTITY.rotation).position_m;
-        Some(Capsule { a_m: end(-1.0), b_m: end(1.0), radius_m })
+        Some(Capsule { a_m: pose.at(-half), b_m: pose.at(half), radius_m })
     };
     collisions.iter().filter_map(enclosing).collect()
 }
 
 /// Roll about x, then pitch about y, then yaw about z, all about the fixed axes.
-fn rotation([roll, pitch, yaw]: [f64; 3]) -> Rotation {
-    let ((sr, cr), (sp, cp), (sy, cy)) = (roll.sin_cos(), pitch.sin_cos(), yaw.sin_cos());
-    [
-        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-        [-sp, cp * sr, cp * cr],
-    ]
+fn rotation([roll, pitch, yaw]: [f64; 3]) -> DMat3 {
+    DMat3::from_rotation_z(yaw) * DMat3::from_rotation_y(pitch) * DMat3::from_rotation_x(roll)
 }
 
 #[cfg(test)]
@@ -206,8 +198,8 @@ mod tests {
         let arm = SerialArm::gen3();
         let mut text = String::from("<robot name=\"gen3\"><link name=\"base\"/>");
         for (i, joint) in arm.joints.iter().enumerate() {
-            let [x, y, z] = joint.origin_m;
-            let roll = joint.origin_rotation[2][1].atan2(joint.origin_rotation[2][2]);
+            let DVec3 { x, y, z } = joint.origin_m;
+            let roll = joint.origin_rotation.y_axis.z.atan2(joint.origin_rotation.z_axis.z);
             let parent = if i == 0 { "base".to_owned() } else { format!("link{i}") };
             let (kind, (low, high)) = match joint.limit_rad {
                 Some(limit) => ("revolute", limit),
@@ -241,10 +233,9 @@ mod tests {
         for _ in 0..100 {
             let joints = std::array::from_fn(|_| random.between(-2.0, 2.0));
             let (a, b) = (read.flange_pose(&joints), built_in.flange_pose(&joints));
-            for k in 0..3 {
-                assert!((a.position_m[k] - b.position_m[k]).abs() < 1e-12);
-                assert!((0..3).all(|c| (a.rotation[k][c] - b.rotation[k][c]).abs() < 1e-12));
-            }
+            assert!(
+                a.position_m.abs_diff_eq(b.position_m, 1e-12) && a.rotation.abs_diff_eq(b.rotation, 1e-12)
+            );
             assert_eq!(read.check(&joints).is_ok(), built_in.check(&joints).is_ok());
         }
         // Without shapes in the file, bones from joint to joint.
@@ -283,8 +274,8 @@ mod tests {
         );
         let arm = parse(&text, &missing()).unwrap();
         let [cylinder, bar] = arm.joints[0].shapes.as_slice() else { panic!("{:?}", arm.joints[0].shapes) };
-        assert!((cylinder.b_m[1] + 0.1).abs() < 1e-12 && (cylinder.b_m[2] - 0.1).abs() < 1e-12);
+        assert!((cylinder.b_m.y + 0.1).abs() < 1e-12 && (cylinder.b_m.z - 0.1).abs() < 1e-12);
         assert_eq!(cylinder.radius_m, 0.03);
-        assert_eq!((bar.b_m, bar.radius_m), ([0.0, 0.2, 0.0], 0.05));
+        assert_eq!((bar.b_m, bar.radius_m), (0.2 * DVec3::Y, 0.05));
     }
 }

@@ -18,7 +18,7 @@
 //!
 //! `tests/adding.rs` of host-bridge has an observer in eight lines.
 
-use host_robot::{ArmState, Door, JOINTS, Joints, Odometry, Pose, RobotSetting, Twist};
+use host_robot::{ArmState, DMat3, DVec3, Door, JOINTS, Joints, Odometry, Pose, RobotSetting, Twist};
 use serde::Serialize;
 
 use crate::bridge::{Bridge, BridgeEvent, Drops, HeadingName};
@@ -299,11 +299,10 @@ pub enum SessionEvent {
 /// Frames of the arm's joints and its flange (last) in the world, for those who draw it or log transforms.
 pub fn link_poses_in_world(now: &Now<'_>, joints_rad: &Joints) -> [Pose; JOINTS + 1] {
     let odometry = now.robot.picture().odometry;
-    let (s, c) = odometry.heading_rad.sin_cos();
     let base = Pose {
-        position_m: [odometry.x_m, odometry.y_m, 0.0],
-        rotation: [[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]],
+        position_m: DVec3::new(odometry.x_m, odometry.y_m, 0.0),
+        rotation: DMat3::from_rotation_z(odometry.heading_rad),
     };
-    let foot = base.then(now.robot.mount_m(), Pose::IDENTITY.rotation);
+    let foot = base.then(now.robot.mount_m(), DMat3::IDENTITY);
     now.robot.link_poses(joints_rad).map(|link| foot.then(link.position_m, link.rotation))
 }

@@ -458,4 +458,21 @@ mod tests {
         let missing = AdcRecording::read(Path::new("no/such.csv")).unwrap_err().to_string();
         assert!(missing.contains("no/such.csv"), "{missing}");
     }
+
+    proptest::proptest! {
+        #[test]
+        fn damaged_files_never_panic(
+            changes in proptest::collection::vec((0usize..9000, 0u8..), 1..20),
+            cut in 0usize..9000,
+            rate in 0usize..4,
+        ) {
+            let mut bytes = level([50.0, 100.0, 250.0, 500.0][rate], 10, 1.5).into_bytes();
+            for (at, value) in changes {
+                let at = at % bytes.len();
+                bytes[at] = value;
+            }
+            let _ = AdcRecording::read_bytes(Path::new("x"), &bytes);
+            let _ = AdcRecording::read_bytes(Path::new("x"), &bytes[..cut % bytes.len()]);
+        }
+    }
 }

@@ -4,7 +4,7 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use shared_proto::frame::{BOARD_FRAME_MAX, Decoder, HOST_FRAME_MAX, encode_host};
+use shared_proto::frame::{BOARD_FRAME_MAX, DELIMITER, Decoder, HOST_FRAME_MAX, encode_host};
 use shared_proto::message::{
     About, Ack, AckResult, Board, BoardMessage, Fault, HostMessage, LeftState, Pong, Status,
 };
@@ -126,6 +126,16 @@ pub enum TalkError {
         /// The port.
         port: String,
     },
+    /// Something else than this project's firmware is on the line.
+    #[error(
+        "{port}: a program answers with text ({text:?}), not with this project's frames; flash the board with our firmware"
+    )]
+    Text {
+        /// The port.
+        port: String,
+        /// The end of what it said.
+        text: String,
+    },
     /// There is a board, but not one that this program can use.
     #[error("{0}")]
     Unusable(String),
@@ -182,6 +192,7 @@ pub struct Talk {
     waiter: Waiter,
     decoder: Decoder<BOARD_FRAME_MAX>,
     said: std::collections::VecDeque<(u64, Said)>,
+    text: TextHeard,
     request: u16,
 }
 
@@ -192,7 +203,16 @@ impl Talk {
         let waiter = clock.waiter();
         let (sender, events) = queue();
         let link = Link::start((), port, settings, Arc::clone(&clock), sender);
-        Talk { link, events, clock, waiter, decoder: Decoder::new(), said: Default::default(), request: 0 }
+        Talk {
+            link,
+            events,
+            clock,
+            waiter,
+            decoder: Decoder::new(),
+            said: Default::default(),
+            text: TextHeard::default(),
+            request: 0,
+        }
     }
 
     /// The port's name.
@@ -252,6 +272,7 @@ impl Talk {
                 News::Opened => self.said.push_back((event.at_ms, Said::Opened)),
                 News::Closed(why) => self.said.push_back((event.at_ms, Said::Closed(why))),
                 News::Bytes(bytes) => {
+                    self.text.take(&bytes);
                     for byte in bytes {
                         if let Some(said) = self.decoder.push_board(byte).and_then(|m| owned(&m)) {
                             self.said.push_back((event.at_ms, said));
@@ -293,7 +314,11 @@ impl Talk {
                 _ => {}
             }
         }
-        Err(TalkError::Nobody { port: self.port().to_owned() })
+        let port = self.port().to_owned();
+        match self.text.line() {
+            Some(text) => Err(TalkError::Text { port, text }),
+            None => Err(TalkError::Nobody { port }),
+        }
     }
 
     /// What a right hand's model needs; `None` where the board does not say.
@@ -412,4 +437,47 @@ fn owned(message: &BoardMessage<'_>) -> Option<Said> {
         BoardMessage::Pong(pong) => Said::Pong(*pong),
         BoardMessage::Ack(ack) => Said::Ack(*ack),
     })
+}
+
+/// What looks like text on a line that should carry frames.
+#[derive(Clone, Debug, Default)]
+struct TextHeard {
+    last: Vec<u8>,
+    frames: bool,
+}
+
+impl TextHeard {
+    /// A line of so many characters, and none of the byte that ends every frame, is text.
+    const LEAST: usize = 8;
+
+    fn take(&mut self, bytes: &[u8]) {
+        self.frames |= bytes.contains(&DELIMITER);
+        let printable = |byte: &&u8| matches!(byte, b' '..=b'~');
+        self.last.extend(bytes.iter().filter(printable));
+        let beyond = self.last.len().saturating_sub(40);
+        self.last.drain(..beyond);
+    }
+
+    /// The end of it, if it is text.
+    fn line(&self) -> Option<String> {
+        (!self.frames && self.last.len() >= Self::LEAST)
+            .then(|| String::from_utf8_lossy(&self.last).into_owned())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn text_is_told_from_frames_and_silence() {
+        let heard = |parts: &[&[u8]]| {
+            let mut text = TextHeard::default();
+            parts.iter().for_each(|part| text.take(part));
+            text.line()
+        };
+        assert_eq!(heard(&[b"aX,aY,aZ\r\n", b"0.1,0.2,0.9\r\n"]).as_deref(), Some("aX,aY,aZ0.1,0.2,0.9"));
+        assert_eq!(heard(&[&[0, 5, 17], b"hello hello\n", &[0]]), None);
+        assert_eq!((heard(&[]), heard(&[&[0xff; 60]])), (None, None));
+    }
 }

@@ -4,6 +4,7 @@
 //! base stood at the start. Wheels never exceed their speed and acceleration; where a twist asks for
 //! more, both wheels are scaled alike, so that the base stays on its path and is only slower.
 
+use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 
 use crate::robot::{BaseState, Wheels};
@@ -167,24 +168,17 @@ impl Base {
         let arc_m = 0.5 * (left_m + right_m);
         let (s, c) = (self.odometry.heading_rad + 0.5 * (right_m - left_m) / track_m).sin_cos();
         // How the step's end changes with the place it starts from, and with each wheel's way.
-        let from_start = [[1.0, 0.0, -arc_m * s], [0.0, 1.0, arc_m * c], [0.0, 0.0, 1.0]];
+        let from_start = DMat3::from_cols(DVec3::X, DVec3::Y, DVec3::new(-arc_m * s, arc_m * c, 1.0));
         let sideways = 0.5 * arc_m / track_m;
-        let from_left = [0.5 * c + sideways * s, 0.5 * s - sideways * c, -1.0 / track_m];
-        let from_right = [0.5 * c - sideways * s, 0.5 * s + sideways * c, 1.0 / track_m];
+        let from_left = DVec3::new(0.5 * c + sideways * s, 0.5 * s - sideways * c, -1.0 / track_m);
+        let from_right = DVec3::new(0.5 * c - sideways * s, 0.5 * s + sideways * c, 1.0 / track_m);
         let [left, right] = [left_m, right_m].map(|way_m| self.config.wheel_variance_m * way_m.abs());
-        let before = self.covariance;
-        for row in 0..3 {
-            for col in 0..3 {
-                let mut sum =
-                    left * from_left[row] * from_left[col] + right * from_right[row] * from_right[col];
-                for i in 0..3 {
-                    for j in 0..3 {
-                        sum += from_start[row][i] * before[i][j] * from_start[col][j];
-                    }
-                }
-                self.covariance[row][col] = sum;
-            }
-        }
+        let squared = |v: DVec3| DMat3::from_cols(v * v.x, v * v.y, v * v.z);
+        let before = DMat3::from_cols_array_2d(&self.covariance);
+        let grown = from_start * before * from_start.transpose()
+            + squared(from_left) * left
+            + squared(from_right) * right;
+        self.covariance = grown.to_cols_array_2d();
     }
 
     fn twist_of(&self, wheels_rad_s: [f64; 2]) -> Twist {

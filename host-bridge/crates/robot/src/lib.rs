@@ -24,6 +24,7 @@ pub mod trajectory;
 
 pub use base::{Base, BaseConfig, Covariance, Odometry, Twist};
 pub use door::{ArmState, Busy, Door, Leg, MotionName, NotStarted, Picture, Report};
+pub use glam::{DMat3, DQuat, DVec3};
 pub use limits::{JointLimits, Motion};
 pub use pose::{JOINTS, Joints, Pose};
 pub use random::Random;

@@ -1,6 +1,7 @@
 //! Joint values and frames.
 
-use serde::Serialize;
+use glam::{DMat3, DQuat, DVec3};
+use serde::{Serialize, Serializer};
 
 /// Most joints that an arm may have. An arm with fewer leaves the last values at zero.
 pub const JOINTS: usize = 7;
@@ -12,46 +13,37 @@ pub type Joints = [f64; JOINTS];
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Pose {
     /// x forward, y left, z up, in metres.
-    pub position_m: [f64; 3],
-    /// Rotation matrix, row by row.
-    pub rotation: [[f64; 3]; 3],
+    pub position_m: DVec3,
+    /// Rotation matrix; serialised row by row.
+    #[serde(serialize_with = "rows")]
+    pub rotation: DMat3,
 }
 
 impl Pose {
     /// The frame itself.
-    pub const IDENTITY: Pose =
-        Pose { position_m: [0.0; 3], rotation: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]] };
+    pub const IDENTITY: Pose = Pose { position_m: DVec3::ZERO, rotation: DMat3::IDENTITY };
 
     /// Moves along, and turns about, the frame's own axes.
-    pub fn then(&self, step_m: [f64; 3], turn: [[f64; 3]; 3]) -> Pose {
-        let mut next = Pose { position_m: self.position_m, rotation: [[0.0; 3]; 3] };
-        for row in 0..3 {
-            for col in 0..3 {
-                next.position_m[row] += self.rotation[row][col] * step_m[col];
-                next.rotation[row][col] = (0..3).map(|k| self.rotation[row][k] * turn[k][col]).sum();
-            }
-        }
-        next
+    pub fn then(&self, step_m: DVec3, turn: DMat3) -> Pose {
+        Pose { position_m: self.at(step_m), rotation: self.rotation * turn }
     }
 
-    /// The orientation as a unit quaternion w, x, y, z with w ≥ 0.
-    pub fn quaternion_wxyz(&self) -> [f64; 4] {
-        let r = &self.rotation;
-        // Shepperd's method: start from the largest component, so that nothing divides by almost zero.
-        let trace = r[0][0] + r[1][1] + r[2][2];
-        let q = if trace > 0.0 {
-            let s = 2.0 * (1.0 + trace).sqrt();
-            [s / 4.0, (r[2][1] - r[1][2]) / s, (r[0][2] - r[2][0]) / s, (r[1][0] - r[0][1]) / s]
-        } else if r[0][0] >= r[1][1] && r[0][0] >= r[2][2] {
-            let s = 2.0 * (1.0 + r[0][0] - r[1][1] - r[2][2]).sqrt();
-            [(r[2][1] - r[1][2]) / s, s / 4.0, (r[0][1] + r[1][0]) / s, (r[0][2] + r[2][0]) / s]
-        } else if r[1][1] >= r[2][2] {
-            let s = 2.0 * (1.0 + r[1][1] - r[0][0] - r[2][2]).sqrt();
-            [(r[0][2] - r[2][0]) / s, (r[0][1] + r[1][0]) / s, s / 4.0, (r[1][2] + r[2][1]) / s]
-        } else {
-            let s = 2.0 * (1.0 + r[2][2] - r[0][0] - r[1][1]).sqrt();
-            [(r[1][0] - r[0][1]) / s, (r[0][2] + r[2][0]) / s, (r[1][2] + r[2][1]) / s, s / 4.0]
-        };
-        if q[0] < 0.0 { q.map(|c| -c) } else { q }
+    /// A point that is given in this frame, in m.
+    pub fn at(&self, point_m: DVec3) -> DVec3 {
+        self.position_m + self.rotation * point_m
     }
+
+    /// The orientation as a unit quaternion with w ≥ 0.
+    pub fn quaternion(&self) -> DQuat {
+        let quaternion = DQuat::from_mat3(&self.rotation);
+        if quaternion.w < 0.0 { -quaternion } else { quaternion }
+    }
+}
+
+/// A rotation matrix row by row, as pages and files have it.
+///
+/// # Errors
+/// Those of the serialiser.
+pub fn rows<S: Serializer>(rotation: &DMat3, serializer: S) -> Result<S::Ok, S::Error> {
+    rotation.transpose().to_cols_array_2d().serialize(serializer)
 }

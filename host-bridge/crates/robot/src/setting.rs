@@ -1,8 +1,10 @@
 //! What does not change in a session: the robot, its limits, its surroundings.
 
+use glam::DMat3;
 use serde::Serialize;
 
 use crate::base::BaseConfig;
+use crate::pose::rows;
 use crate::shape::{Capsule, Point, UprightBox};
 
 /// Frames: the world is where the base started, x forward, y left, z up from the floor.
@@ -25,7 +27,8 @@ pub struct RobotSetting {
     /// The flange in the last joint's frame.
     pub flange_m: Point,
     /// How the flange is turned against the last joint.
-    pub flange_rotation: [[f64; 3]; 3],
+    #[serde(serialize_with = "rows")]
+    pub flange_rotation: DMat3,
     /// Shapes of the arm's foot, in the arm's base frame.
     pub foot: Vec<Capsule>,
 }
@@ -48,7 +51,8 @@ pub struct JointSetting {
     /// Where the joint sits in its parent's frame.
     pub origin_m: Point,
     /// How its frame is turned against its parent's.
-    pub origin_rotation: [[f64; 3]; 3],
+    #[serde(serialize_with = "rows")]
+    pub origin_rotation: DMat3,
     /// Axis in its own frame.
     pub axis: Point,
     /// Minimum and maximum angle; `None` = turns without end.

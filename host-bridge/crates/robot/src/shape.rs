@@ -4,10 +4,11 @@
 //! nanoseconds and is the same on every machine. A general collision library (parry3d) would bring 30-odd
 //! crates for two functions; `tests/mujoco/check.py` compares these with an independent engine instead.
 
+use glam::DVec3;
 use serde::Serialize;
 
 /// A point or a direction in metres.
-pub type Point = [f64; 3];
+pub type Point = DVec3;
 
 /// All points nearer than `radius_m` to a straight line from `a_m` to `b_m`. A sphere has equal ends.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -31,25 +32,6 @@ pub struct UprightBox {
     pub yaw_rad: f64,
 }
 
-/// `a` − `b`.
-pub fn sub(a: Point, b: Point) -> Point {
-    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
-}
-
-/// Inner product.
-pub fn dot(a: Point, b: Point) -> f64 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-}
-
-/// Length.
-pub fn norm(a: Point) -> f64 {
-    dot(a, a).sqrt()
-}
-
-fn along(a: Point, direction: Point, share: f64) -> Point {
-    [a[0] + share * direction[0], a[1] + share * direction[1], a[2] + share * direction[2]]
-}
-
 impl Capsule {
     /// Distance of the surfaces in m; negative where they overlap (no further than to the centre lines).
     pub fn distance_m(&self, other: &Capsule) -> f64 {
@@ -63,22 +45,22 @@ impl Capsule {
 
     /// Height of the lowest point in m.
     pub fn lowest_m(&self) -> f64 {
-        self.a_m[2].min(self.b_m[2]) - self.radius_m
+        self.a_m.z.min(self.b_m.z) - self.radius_m
     }
 
     /// Middle of the centre line, and the radius of the sphere around it that holds the capsule, in m.
     pub fn bounds_m(&self) -> (Point, f64) {
-        let half = sub(self.b_m, self.a_m).map(|d| 0.5 * d);
-        (along(self.a_m, half, 1.0), norm(half) + self.radius_m)
+        let half = 0.5 * (self.b_m - self.a_m);
+        (self.a_m + half, half.length() + self.radius_m)
     }
 }
 
 impl UprightBox {
     /// A point as seen from the box: from its middle, along its sides.
     fn inside(&self, point: Point) -> Point {
-        let [x, y, z] = sub(point, self.center_m);
+        let DVec3 { x, y, z } = point - self.center_m;
         let (s, c) = self.yaw_rad.sin_cos();
-        [c * x + s * y, c * y - s * x, z]
+        DVec3::new(c * x + s * y, c * y - s * x, z)
     }
 
     /// Distance of a point from the box in m, 0 inside.
@@ -88,7 +70,7 @@ impl UprightBox {
 
     /// Distance of two upright boxes in m; 0 where they overlap.
     pub fn distance_m(&self, other: &UprightBox) -> f64 {
-        let gap = (self.center_m[2] - other.center_m[2]).abs() - self.half_m[2] - other.half_m[2];
+        let gap = (self.center_m.z - other.center_m.z).abs() - self.half_m.z - other.half_m.z;
         let flat = if self.overlaps_from_above(other) {
             0.0
         } else {
@@ -101,8 +83,7 @@ impl UprightBox {
     }
 
     fn flat_distance_m(&self, [x, y]: [f64; 2]) -> f64 {
-        let [x, y, _] = self.inside([x, y, self.center_m[2]]);
-        (x.abs() - self.half_m[0]).max(0.0).hypot((y.abs() - self.half_m[1]).max(0.0))
+        self.distance_to_point_m(DVec3::new(x, y, self.center_m.z))
     }
 
     fn corners(&self) -> [[f64; 2]; 4] {
@@ -116,7 +97,7 @@ impl UprightBox {
     /// Separating axes: two rectangles overlap unless a side of one has the other wholly beyond it.
     fn overlaps_from_above(&self, other: &UprightBox) -> bool {
         let separates = |one: &UprightBox, two: &UprightBox| {
-            let seen = two.corners().map(|[x, y]| one.inside([x, y, one.center_m[2]]));
+            let seen = two.corners().map(|[x, y]| one.inside(DVec3::new(x, y, one.center_m.z)));
             (0..2).any(|axis| {
                 seen.iter().all(|p| p[axis] > one.half_m[axis])
                     || seen.iter().all(|p| p[axis] < -one.half_m[axis])
@@ -128,9 +109,9 @@ impl UprightBox {
 
 /// Shortest distance of two line segments (Ericson, Real-Time Collision Detection, 5.1.9).
 fn segments_m(p1: Point, q1: Point, p2: Point, q2: Point) -> f64 {
-    let (d1, d2, r) = (sub(q1, p1), sub(q2, p2), sub(p1, p2));
-    let (a, e, f) = (dot(d1, d1), dot(d2, d2), dot(d2, r));
-    let c = dot(d1, r);
+    let (d1, d2, r) = (q1 - p1, q2 - p2, p1 - p2);
+    let (a, e, f) = (d1.length_squared(), d2.length_squared(), d2.dot(r));
+    let c = d1.dot(r);
     let (s, t) = if a <= 0.0 && e <= 0.0 {
         (0.0, 0.0)
     } else if a <= 0.0 {
@@ -138,7 +119,7 @@ fn segments_m(p1: Point, q1: Point, p2: Point, q2: Point) -> f64 {
     } else if e <= 0.0 {
         ((-c / a).clamp(0.0, 1.0), 0.0)
     } else {
-        let b = dot(d1, d2);
+        let b = d1.dot(d2);
         let crossed = a * e - b * b;
         // Parallel lines are equally near all along: any start will do.
         let s = if crossed > 1e-12 * a * e { ((b * f - c * e) / crossed).clamp(0.0, 1.0) } else { 0.0 };
@@ -151,25 +132,21 @@ fn segments_m(p1: Point, q1: Point, p2: Point, q2: Point) -> f64 {
             (s, t)
         }
     };
-    norm(sub(along(p1, d1, s), along(p2, d2, t)))
+    (p1 + d1 * s).distance(p2 + d2 * t)
 }
 
 fn outside_m(point: Point, half: Point) -> f64 {
-    norm([0, 1, 2].map(|k| (point[k].abs() - half[k]).max(0.0)))
+    (point.abs() - half).max(DVec3::ZERO).length()
 }
 
 /// Distance of a segment from a box around the origin. Along the segment the squared distance is convex
 /// and made of parabolas that meet where the segment crosses the planes of the box's sides: its slope is
 /// piecewise linear, and the zero of the slope is found exactly.
 fn segment_to_box_m(a: Point, b: Point, half: Point) -> f64 {
-    let d = sub(b, a);
-    let slope = |t: f64| -> f64 {
-        (0..3)
-            .map(|k| {
-                let x = a[k] + t * d[k];
-                (x - x.clamp(-half[k], half[k])) * d[k]
-            })
-            .sum()
+    let d = b - a;
+    let slope = |t: f64| {
+        let x = a + d * t;
+        (x - x.max(-half).min(half)).dot(d)
     };
     if slope(0.0) >= 0.0 {
         return outside_m(a, half);
@@ -189,7 +166,7 @@ fn segment_to_box_m(a: Point, b: Point, half: Point) -> f64 {
     }
     let (at_low, at_high) = (slope(low), slope(high));
     let t = if at_high > at_low { low - at_low * (high - low) / (at_high - at_low) } else { high };
-    outside_m(along(a, d, t), half)
+    outside_m(a + d * t, half)
 }
 
 #[cfg(test)]
@@ -198,7 +175,7 @@ mod tests {
     use proptest::prelude::*;
 
     fn point() -> impl Strategy<Value = Point> {
-        prop::array::uniform3(-1.0..1.0_f64)
+        prop::array::uniform3(-1.0..1.0_f64).prop_map(DVec3::from)
     }
 
     /// Distance by trying: a convex function, halved down to nothing.
@@ -217,8 +194,8 @@ mod tests {
             let one = Capsule { a_m: a, b_m: b, radius_m: 0.1 };
             let two = Capsule { a_m: c, b_m: d, radius_m: 0.2 };
             let searched = least(|s| {
-                let p = along(a, sub(b, a), s);
-                least(|t| norm(sub(p, along(c, sub(d, c), t))))
+                let p = a + (b - a) * s;
+                least(|t| p.distance(c + (d - c) * t))
             });
             prop_assert!((one.distance_m(&two) + 0.3 - searched).abs() < 1e-7);
             prop_assert!((one.distance_m(&two) - two.distance_m(&one)).abs() < 1e-12);
@@ -226,19 +203,19 @@ mod tests {
 
         #[test]
         fn a_capsule_is_as_far_from_a_box_as_a_search_finds(
-            a in point(), b in point(), center_m in point(), half_m in prop::array::uniform3(0.01..0.5_f64),
+            a in point(), b in point(), center_m in point(), half_m in prop::array::uniform3(0.01..0.5_f64).prop_map(DVec3::from),
             yaw_rad in -4.0..4.0_f64,
         ) {
             let shape = UprightBox { center_m, half_m, yaw_rad };
             let capsule = Capsule { a_m: a, b_m: b, radius_m: 0.1 };
-            let searched = least(|t| shape.distance_to_point_m(along(a, sub(b, a), t)));
+            let searched = least(|t| shape.distance_to_point_m(a + (b - a) * t));
             prop_assert!((capsule.distance_to_box_m(&shape) + 0.1 - searched).abs() < 1e-7);
         }
 
         #[test]
         fn boxes_are_as_far_apart_as_a_search_finds(
-            one in (point(), prop::array::uniform3(0.05..0.5_f64), -4.0..4.0_f64),
-            two in (point(), prop::array::uniform3(0.05..0.5_f64), -4.0..4.0_f64),
+            one in (point(), prop::array::uniform3(0.05..0.5_f64).prop_map(DVec3::from), -4.0..4.0_f64),
+            two in (point(), prop::array::uniform3(0.05..0.5_f64).prop_map(DVec3::from), -4.0..4.0_f64),
         ) {
             let [one, two] =
                 [one, two].map(|(center_m, half_m, yaw_rad)| UprightBox { center_m, half_m, yaw_rad });
@@ -247,7 +224,7 @@ mod tests {
             let corners = one.corners();
             let outline = (0..4).map(|i| {
                 let ([x, y], [u, v]) = (corners[i], corners[(i + 1) % 4]);
-                least(|t| two.distance_to_point_m([x + t * (u - x), y + t * (v - y), z]))
+                least(|t| two.distance_to_point_m(DVec3::new(x + t * (u - x), y + t * (v - y), z)))
             });
             let mut searched = outline.fold(f64::INFINITY, f64::min);
             if one.overlaps_from_above(&two) {
@@ -260,12 +237,15 @@ mod tests {
 
     #[test]
     fn shapes_that_overlap_have_no_distance_left() {
-        let shape = UprightBox { center_m: [0.0; 3], half_m: [0.5; 3], yaw_rad: 0.3 };
-        let through = Capsule { a_m: [-1.0, 0.0, 0.0], b_m: [1.0, 0.1, 0.0], radius_m: 0.1 };
+        let shape = UprightBox { center_m: DVec3::splat(0.0), half_m: DVec3::splat(0.5), yaw_rad: 0.3 };
+        let through =
+            Capsule { a_m: DVec3::new(-1.0, 0.0, 0.0), b_m: DVec3::new(1.0, 0.1, 0.0), radius_m: 0.1 };
         assert_eq!(through.distance_to_box_m(&shape), -0.1);
-        let cross = UprightBox { center_m: [0.0; 3], half_m: [2.0, 0.1, 0.1], yaw_rad: 1.0 };
+        let cross =
+            UprightBox { center_m: DVec3::splat(0.0), half_m: DVec3::new(2.0, 0.1, 0.1), yaw_rad: 1.0 };
         assert_eq!(shape.distance_m(&cross), 0.0);
-        let above = UprightBox { center_m: [0.0, 0.0, 2.0], half_m: [0.5; 3], yaw_rad: 0.0 };
+        let above =
+            UprightBox { center_m: DVec3::new(0.0, 0.0, 2.0), half_m: DVec3::splat(0.5), yaw_rad: 0.0 };
         assert_eq!(shape.distance_m(&above), 1.0);
     }
 }

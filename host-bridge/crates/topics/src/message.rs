@@ -5,17 +5,352 @@
 
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use serde::{Deserialize, Serialize};
+use crate::schema::messages;
+use host_robot::{DVec3, Picture, base};
 
-use host_robot::{Picture, base};
+messages! {
+    /// `builtin_interfaces/Time`, also used for `Duration`.
+    "builtin_interfaces/Time" Time: Copy, Eq {
+        /// Seconds.
+        sec: i32,
+        /// Nanoseconds on top.
+        nanosec: u32,
+    }
 
-/// `builtin_interfaces/Time`, also used for `Duration`.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Time {
-    /// Seconds.
-    pub sec: i32,
-    /// Nanoseconds on top.
-    pub nanosec: u32,
+    /// `std_msgs/Header`.
+    "std_msgs/Header" Header {
+        /// Wall clock.
+        stamp: Time,
+        /// Coordinate frame.
+        frame_id: String,
+    }
+
+    /// `geometry_msgs/Vector3`.
+    "geometry_msgs/Vector3" Vector3: Copy {
+        /// Forward.
+        x: f64,
+        /// Left.
+        y: f64,
+        /// Up.
+        z: f64,
+    }
+
+    /// `geometry_msgs/Point`.
+    "geometry_msgs/Point" Point: Copy {
+        /// Forward.
+        x: f64,
+        /// Left.
+        y: f64,
+        /// Up.
+        z: f64,
+    }
+
+    /// `geometry_msgs/Quaternion`.
+    "geometry_msgs/Quaternion" Quaternion: Copy {
+        /// Along x.
+        x: f64,
+        /// Along y.
+        y: f64,
+        /// Along z.
+        z: f64,
+        /// Real part.
+        w: f64,
+    }
+
+    /// `geometry_msgs/Twist`, m/s and rad/s.
+    "geometry_msgs/Twist" Twist: Copy {
+        /// m/s.
+        linear: Vector3,
+        /// rad/s.
+        angular: Vector3,
+    }
+
+    /// `geometry_msgs/TwistStamped`.
+    "geometry_msgs/TwistStamped" TwistStamped {
+        /// When it was decided, and in which frame.
+        header: Header,
+        /// Speed.
+        twist: Twist,
+    }
+
+    /// `geometry_msgs/Pose`.
+    "geometry_msgs/Pose" Pose: Copy {
+        /// m.
+        position: Point,
+        /// Unit quaternion.
+        orientation: Quaternion,
+    }
+
+    /// `geometry_msgs/PoseWithCovariance`.
+    "geometry_msgs/PoseWithCovariance" PoseWithCovariance {
+        /// Pose.
+        pose: Pose,
+        /// x, y, z, about x, about y, about z.
+        covariance: [[f64; 6]; 6],
+    }
+
+    /// `geometry_msgs/TwistWithCovariance`.
+    "geometry_msgs/TwistWithCovariance" TwistWithCovariance {
+        /// Speed.
+        twist: Twist,
+        /// As for the pose.
+        covariance: [[f64; 6]; 6],
+    }
+
+    /// `nav_msgs/Odometry`.
+    "nav_msgs/Odometry" Odometry {
+        /// Frame of the pose.
+        header: Header,
+        /// Frame of the speed.
+        child_frame_id: String,
+        /// Where the base is.
+        pose: PoseWithCovariance,
+        /// How it moves.
+        twist: TwistWithCovariance,
+    }
+
+    /// `geometry_msgs/Transform`.
+    "geometry_msgs/Transform" Transform: Copy {
+        /// m.
+        translation: Vector3,
+        /// Unit quaternion.
+        rotation: Quaternion,
+    }
+
+    /// `geometry_msgs/TransformStamped`.
+    "geometry_msgs/TransformStamped" TransformStamped {
+        /// Parent frame.
+        header: Header,
+        /// Child frame.
+        child_frame_id: String,
+        /// Child in parent.
+        transform: Transform,
+    }
+
+    /// `tf2_msgs/TFMessage`.
+    "tf2_msgs/TFMessage" TfMessage {
+        /// All of them.
+        transforms: Vec<TransformStamped>,
+    }
+
+    /// `sensor_msgs/JointState`.
+    "sensor_msgs/JointState" JointState {
+        /// When.
+        header: Header,
+        /// Joints in the order of the values.
+        name: Vec<String>,
+        /// rad.
+        position: Vec<f64>,
+        /// rad/s; may be empty.
+        velocity: Vec<f64>,
+        /// Nm; may be empty.
+        effort: Vec<f64>,
+    }
+
+    /// `sensor_msgs/Imu`. A covariance that begins with -1 says that there is no such reading.
+    "sensor_msgs/Imu" Imu {
+        /// When, and of which part.
+        header: Header,
+        /// Unit quaternion.
+        orientation: Quaternion,
+        /// Row by row.
+        orientation_covariance: [f64; 9],
+        /// rad/s.
+        angular_velocity: Vector3,
+        /// Row by row.
+        angular_velocity_covariance: [f64; 9],
+        /// m/s².
+        linear_acceleration: Vector3,
+        /// Row by row.
+        linear_acceleration_covariance: [f64; 9],
+    }
+
+    /// `sensor_msgs/MagneticField`.
+    "sensor_msgs/MagneticField" MagneticField {
+        /// When, and of which part.
+        header: Header,
+        /// Tesla.
+        magnetic_field: Vector3,
+        /// Row by row.
+        magnetic_field_covariance: [f64; 9],
+    }
+
+    /// `rcl_interfaces/Log`.
+    "rcl_interfaces/Log" Log {
+        /// When.
+        stamp: Time,
+        /// 20 = to know, 30 = a warning.
+        level: u8,
+        /// Who says it.
+        name: String,
+        /// What.
+        msg: String,
+        /// Source file; empty here.
+        file: String,
+        /// Function; empty here.
+        function: String,
+        /// Line; 0 here.
+        line: u32,
+    }
+
+    /// `trajectory_msgs/JointTrajectoryPoint`.
+    "trajectory_msgs/JointTrajectoryPoint" JointTrajectoryPoint {
+        /// rad.
+        positions: Vec<f64>,
+        /// rad/s.
+        velocities: Vec<f64>,
+        /// rad/s².
+        accelerations: Vec<f64>,
+        /// Nm.
+        effort: Vec<f64>,
+        /// When, from the start.
+        time_from_start: Time,
+    }
+
+    /// `trajectory_msgs/JointTrajectory`. A stamp of zero means that it starts on arrival.
+    "trajectory_msgs/JointTrajectory" JointTrajectory {
+        /// Start.
+        header: Header,
+        /// Joints in the order of the values.
+        joint_names: Vec<String>,
+        /// In order of time; the last one rests.
+        points: Vec<JointTrajectoryPoint>,
+    }
+
+    /// `trajectory_msgs/MultiDOFJointTrajectoryPoint`.
+    "trajectory_msgs/MultiDOFJointTrajectoryPoint" MultiDofPoint {
+        /// Poses.
+        transforms: Vec<Transform>,
+        /// Speeds.
+        velocities: Vec<Twist>,
+        /// Accelerations.
+        accelerations: Vec<Twist>,
+        /// When, from the start.
+        time_from_start: Time,
+    }
+
+    /// `trajectory_msgs/MultiDOFJointTrajectory`; empty here.
+    "trajectory_msgs/MultiDOFJointTrajectory" MultiDofTrajectory {
+        /// Start.
+        header: Header,
+        /// Joints.
+        joint_names: Vec<String>,
+        /// Points.
+        points: Vec<MultiDofPoint>,
+    }
+
+    /// `control_msgs/JointTolerance`.
+    "control_msgs/JointTolerance" JointTolerance {
+        /// Joint.
+        name: String,
+        /// rad.
+        position: f64,
+        /// rad/s.
+        velocity: f64,
+        /// rad/s².
+        acceleration: f64,
+    }
+
+    /// `control_msgs/JointComponentTolerance`.
+    "control_msgs/JointComponentTolerance" JointComponentTolerance {
+        /// Joint.
+        joint_name: String,
+        /// Which of its components.
+        component: u16,
+        /// m or rad.
+        position: f64,
+        /// Per second.
+        velocity: f64,
+        /// Per second squared.
+        acceleration: f64,
+    }
+
+    /// Goal of `control_msgs/action/FollowJointTrajectory`. Empty tolerances leave them to the controller.
+    "control_msgs/FollowJointTrajectory_Goal" FollowGoal {
+        /// The motion.
+        trajectory: JointTrajectory,
+        /// Unused.
+        multi_dof_trajectory: MultiDofTrajectory,
+        /// On the way.
+        path_tolerance: Vec<JointTolerance>,
+        /// Unused.
+        component_path_tolerance: Vec<JointComponentTolerance>,
+        /// At the end.
+        goal_tolerance: Vec<JointTolerance>,
+        /// Unused.
+        component_goal_tolerance: Vec<JointComponentTolerance>,
+        /// How late the end may be reached.
+        goal_time_tolerance: Time,
+    }
+
+    /// Its result.
+    "control_msgs/FollowJointTrajectory_Result" FollowResult {
+        /// 0 = successful.
+        error_code: i32,
+        /// What went wrong.
+        error_string: String,
+    }
+
+    /// Its feedback, as far as it is used: what follows differs between releases and is not read.
+    "control_msgs/FollowJointTrajectory_Feedback" FollowFeedback {
+        /// When.
+        header: Header,
+        /// Joints.
+        joint_names: Vec<String>,
+        /// Where the arm should be.
+        desired: JointTrajectoryPoint,
+        /// Where it is.
+        actual: JointTrajectoryPoint,
+    }
+
+    /// `diagnostic_msgs/KeyValue`.
+    "diagnostic_msgs/KeyValue" KeyValue: Eq {
+        /// Name.
+        key: String,
+        /// Text.
+        value: String,
+    }
+
+    /// `diagnostic_msgs/DiagnosticStatus`.
+    "diagnostic_msgs/DiagnosticStatus" DiagnosticStatus: Eq {
+        /// One of [`DiagnosticStatus::OK`] and so on.
+        level: u8,
+        /// `node: part`.
+        name: String,
+        /// In a few words.
+        message: String,
+        /// Which board.
+        hardware_id: String,
+        /// Details.
+        values: Vec<KeyValue>,
+    }
+
+    /// `diagnostic_msgs/DiagnosticArray`.
+    "diagnostic_msgs/DiagnosticArray" DiagnosticArray {
+        /// When.
+        header: Header,
+        /// One per part.
+        status: Vec<DiagnosticStatus>,
+    }
+
+    /// `rosgraph_msgs/Clock`: a simulation's time.
+    "rosgraph_msgs/Clock" Clock: Copy, Eq {
+        /// Now.
+        clock: Time,
+    }
+
+    /// `control_msgs/JointTrajectoryControllerState`, as far as it is used: what follows differs between releases and is not
+    /// read.
+    "control_msgs/JointTrajectoryControllerState" ControllerState {
+        /// When.
+        header: Header,
+        /// Joints.
+        joint_names: Vec<String>,
+        /// Where the controller wants the arm to be now.
+        reference: JointTrajectoryPoint,
+        /// Where it is.
+        feedback: JointTrajectoryPoint,
+    }
 }
 
 impl Time {
@@ -50,50 +385,10 @@ impl Time {
     }
 }
 
-/// `std_msgs/Header`.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Header {
-    /// Wall clock.
-    pub stamp: Time,
-    /// Coordinate frame.
-    pub frame_id: String,
-}
-
-/// `rosgraph_msgs/Clock`: a simulation's time.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Clock {
-    /// Now.
-    pub clock: Time,
-}
-
-/// `geometry_msgs/Vector3` and `Point`.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Vector3 {
-    /// Forward.
-    pub x: f64,
-    /// Left.
-    pub y: f64,
-    /// Up.
-    pub z: f64,
-}
-
-impl From<[f64; 3]> for Vector3 {
-    fn from([x, y, z]: [f64; 3]) -> Self {
+impl From<DVec3> for Vector3 {
+    fn from(DVec3 { x, y, z }: DVec3) -> Self {
         Vector3 { x, y, z }
     }
-}
-
-/// `geometry_msgs/Quaternion`.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Quaternion {
-    /// Along x.
-    pub x: f64,
-    /// Along y.
-    pub y: f64,
-    /// Along z.
-    pub z: f64,
-    /// Real part.
-    pub w: f64,
 }
 
 impl Quaternion {
@@ -108,15 +403,6 @@ impl Quaternion {
     }
 }
 
-/// `geometry_msgs/Twist`, m/s and rad/s.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Twist {
-    /// m/s.
-    pub linear: Vector3,
-    /// rad/s.
-    pub angular: Vector3,
-}
-
 impl From<base::Twist> for Twist {
     fn from(twist: base::Twist) -> Self {
         Twist {
@@ -124,55 +410,6 @@ impl From<base::Twist> for Twist {
             angular: Vector3 { z: twist.angular_rad_s, ..Vector3::default() },
         }
     }
-}
-
-/// `geometry_msgs/TwistStamped`.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct TwistStamped {
-    /// When it was decided, and in which frame.
-    pub header: Header,
-    /// Speed.
-    pub twist: Twist,
-}
-
-/// `geometry_msgs/Pose`.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Pose {
-    /// m.
-    pub position: Vector3,
-    /// Unit quaternion.
-    pub orientation: Quaternion,
-}
-
-/// `geometry_msgs/PoseWithCovariance`.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct PoseWithCovariance {
-    /// Pose.
-    pub pose: Pose,
-    /// x, y, z, about x, about y, about z.
-    pub covariance: [[f64; 6]; 6],
-}
-
-/// `geometry_msgs/TwistWithCovariance`.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct TwistWithCovariance {
-    /// Speed.
-    pub twist: Twist,
-    /// As for the pose.
-    pub covariance: [[f64; 6]; 6],
-}
-
-/// `nav_msgs/Odometry`.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Odometry {
-    /// Frame of the pose.
-    pub header: Header,
-    /// Frame of the speed.
-    pub child_frame_id: String,
-    /// Where the base is.
-    pub pose: PoseWithCovariance,
-    /// How it moves.
-    pub twist: TwistWithCovariance,
 }
 
 impl Odometry {
@@ -186,26 +423,17 @@ impl Odometry {
                 covariance[ours[row]][ours[column]] = *value;
             }
         }
-        let Transform { translation, rotation } = Transform::of_base(robot);
+        let Transform { translation: Vector3 { x, y, z }, rotation } = Transform::of_base(robot);
         Odometry {
             header,
             child_frame_id,
             pose: PoseWithCovariance {
-                pose: Pose { position: translation, orientation: rotation },
+                pose: Pose { position: Point { x, y, z }, orientation: rotation },
                 covariance,
             },
             twist: TwistWithCovariance { twist: odometry.twist.into(), covariance: [[0.0; 6]; 6] },
         }
     }
-}
-
-/// `geometry_msgs/Transform`.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Transform {
-    /// m.
-    pub translation: Vector3,
-    /// Unit quaternion.
-    pub rotation: Quaternion,
 }
 
 impl Transform {
@@ -219,245 +447,6 @@ impl Transform {
     }
 }
 
-/// `geometry_msgs/TransformStamped`.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct TransformStamped {
-    /// Parent frame.
-    pub header: Header,
-    /// Child frame.
-    pub child_frame_id: String,
-    /// Child in parent.
-    pub transform: Transform,
-}
-
-/// `tf2_msgs/TFMessage`.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct TfMessage {
-    /// All of them.
-    pub transforms: Vec<TransformStamped>,
-}
-
-/// `sensor_msgs/JointState`.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct JointState {
-    /// When.
-    pub header: Header,
-    /// Joints in the order of the values.
-    pub name: Vec<String>,
-    /// rad.
-    pub position: Vec<f64>,
-    /// rad/s; may be empty.
-    pub velocity: Vec<f64>,
-    /// Nm; may be empty.
-    pub effort: Vec<f64>,
-}
-
-/// `sensor_msgs/Imu`. A covariance that begins with -1 says that there is no such reading.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Imu {
-    /// When, and of which part.
-    pub header: Header,
-    /// Unit quaternion.
-    pub orientation: Quaternion,
-    /// Row by row.
-    pub orientation_covariance: [f64; 9],
-    /// rad/s.
-    pub angular_velocity: Vector3,
-    /// Row by row.
-    pub angular_velocity_covariance: [f64; 9],
-    /// m/s².
-    pub linear_acceleration: Vector3,
-    /// Row by row.
-    pub linear_acceleration_covariance: [f64; 9],
-}
-
-/// `sensor_msgs/MagneticField`.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct MagneticField {
-    /// When, and of which part.
-    pub header: Header,
-    /// Tesla.
-    pub magnetic_field: Vector3,
-    /// Row by row.
-    pub magnetic_field_covariance: [f64; 9],
-}
-
-/// `rcl_interfaces/Log`.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Log {
-    /// When.
-    pub stamp: Time,
-    /// 20 = to know, 30 = a warning.
-    pub level: u8,
-    /// Who says it.
-    pub name: String,
-    /// What.
-    pub msg: String,
-    /// Source file; empty here.
-    pub file: String,
-    /// Function; empty here.
-    pub function: String,
-    /// Line; 0 here.
-    pub line: u32,
-}
-
-/// `trajectory_msgs/JointTrajectoryPoint`.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct JointTrajectoryPoint {
-    /// rad.
-    pub positions: Vec<f64>,
-    /// rad/s.
-    pub velocities: Vec<f64>,
-    /// rad/s².
-    pub accelerations: Vec<f64>,
-    /// Nm.
-    pub effort: Vec<f64>,
-    /// When, from the start.
-    pub time_from_start: Time,
-}
-
-/// `trajectory_msgs/JointTrajectory`. A stamp of zero means that it starts on arrival.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct JointTrajectory {
-    /// Start.
-    pub header: Header,
-    /// Joints in the order of the values.
-    pub joint_names: Vec<String>,
-    /// In order of time; the last one rests.
-    pub points: Vec<JointTrajectoryPoint>,
-}
-
-/// `trajectory_msgs/MultiDOFJointTrajectoryPoint`.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct MultiDofPoint {
-    /// Poses.
-    pub transforms: Vec<Transform>,
-    /// Speeds.
-    pub velocities: Vec<Twist>,
-    /// Accelerations.
-    pub accelerations: Vec<Twist>,
-    /// When, from the start.
-    pub time_from_start: Time,
-}
-
-/// `trajectory_msgs/MultiDOFJointTrajectory`; empty here.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct MultiDofTrajectory {
-    /// Start.
-    pub header: Header,
-    /// Joints.
-    pub joint_names: Vec<String>,
-    /// Points.
-    pub points: Vec<MultiDofPoint>,
-}
-
-/// `control_msgs/JointTolerance`.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct JointTolerance {
-    /// Joint.
-    pub name: String,
-    /// rad.
-    pub position: f64,
-    /// rad/s.
-    pub velocity: f64,
-    /// rad/s².
-    pub acceleration: f64,
-}
-
-/// `control_msgs/JointComponentTolerance`.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct JointComponentTolerance {
-    /// Joint.
-    pub joint_name: String,
-    /// Which of its components.
-    pub component: u16,
-    /// m or rad.
-    pub position: f64,
-    /// Per second.
-    pub velocity: f64,
-    /// Per second squared.
-    pub acceleration: f64,
-}
-
-/// Goal of `control_msgs/action/FollowJointTrajectory`. Empty tolerances leave them to the controller.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct FollowGoal {
-    /// The motion.
-    pub trajectory: JointTrajectory,
-    /// Unused.
-    pub multi_dof_trajectory: MultiDofTrajectory,
-    /// On the way.
-    pub path_tolerance: Vec<JointTolerance>,
-    /// Unused.
-    pub component_path_tolerance: Vec<JointComponentTolerance>,
-    /// At the end.
-    pub goal_tolerance: Vec<JointTolerance>,
-    /// Unused.
-    pub component_goal_tolerance: Vec<JointComponentTolerance>,
-    /// How late the end may be reached.
-    pub goal_time_tolerance: Time,
-}
-
-/// Its result.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct FollowResult {
-    /// 0 = successful.
-    pub error_code: i32,
-    /// What went wrong.
-    pub error_string: String,
-}
-
-/// Its feedback, as far as it is used: what follows differs between releases and is not read.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct FollowFeedback {
-    /// When.
-    pub header: Header,
-    /// Joints.
-    pub joint_names: Vec<String>,
-    /// Where the arm should be.
-    pub desired: JointTrajectoryPoint,
-    /// Where it is.
-    pub actual: JointTrajectoryPoint,
-}
-
-/// `control_msgs/JointTrajectoryControllerState`, as far as it is used: what follows differs between releases and is not
-/// read.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct ControllerState {
-    /// When.
-    pub header: Header,
-    /// Joints.
-    pub joint_names: Vec<String>,
-    /// Where the controller wants the arm to be now.
-    pub reference: JointTrajectoryPoint,
-    /// Where it is.
-    pub feedback: JointTrajectoryPoint,
-}
-
-/// `diagnostic_msgs/KeyValue`.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct KeyValue {
-    /// Name.
-    pub key: String,
-    /// Text.
-    pub value: String,
-}
-
-/// `diagnostic_msgs/DiagnosticStatus`.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct DiagnosticStatus {
-    /// One of [`DiagnosticStatus::OK`] and so on.
-    pub level: u8,
-    /// `node: part`.
-    pub name: String,
-    /// In a few words.
-    pub message: String,
-    /// Which board.
-    pub hardware_id: String,
-    /// Details.
-    pub values: Vec<KeyValue>,
-}
-
 impl DiagnosticStatus {
     /// All is well.
     pub const OK: u8 = 0;
@@ -467,15 +456,6 @@ impl DiagnosticStatus {
     pub const ERROR: u8 = 2;
     /// Nothing is heard.
     pub const STALE: u8 = 3;
-}
-
-/// `diagnostic_msgs/DiagnosticArray`.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct DiagnosticArray {
-    /// When.
-    pub header: Header,
-    /// One per part.
-    pub status: Vec<DiagnosticStatus>,
 }
 
 #[cfg(test)]
@@ -496,29 +476,4 @@ mod tests {
         let q = Quaternion::yaw(std::f64::consts::FRAC_PI_2);
         assert!((q.z - 0.5_f64.sqrt()).abs() < 1e-12 && (q.w - 0.5_f64.sqrt()).abs() < 1e-12);
     }
-}
-
-/// What ros2-client wants of a type that it sends.
-#[cfg(feature = "ros2")]
-mod graph {
-    use super::*;
-    use ros2_client::Message;
-
-    macro_rules! messages {
-        ($($name:ty),*) => { $(impl Message for $name {})* };
-    }
-    messages!(
-        Clock,
-        ControllerState,
-        Twist,
-        TwistStamped,
-        JointState,
-        JointTrajectory,
-        Odometry,
-        TfMessage,
-        DiagnosticArray,
-        FollowGoal,
-        FollowResult,
-        FollowFeedback
-    );
 }

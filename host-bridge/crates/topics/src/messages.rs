@@ -4,13 +4,14 @@ use serde::Serialize;
 
 use super::Topic;
 use super::cdr::encode;
+use crate::bimanual::{self as own, Intent};
 use crate::message::{self as ros, Header, Time};
 use host_core::bridge::{BridgeEvent, EventKind};
 use host_core::describe;
 use host_core::observe::SessionEvent;
 use host_core::observe::{Now, OperatorKey, Sample, Turn};
 use host_core::safety::Hand;
-use host_robot::Pose;
+use host_robot::{DQuat, DVec3, Pose};
 
 /// Frame in which the base's way is told.
 pub const ODOM: &str = "odom";
@@ -39,8 +40,7 @@ pub struct Origin {
 
 impl Entry {
     fn new(topic: Topic, time_ms: u64, message: &impl Serialize) -> Self {
-        // No type of ours, or of those of ROS, has anything that CDR has not.
-        Entry { topic, time_ms, data: encode(message).unwrap_or_default() }
+        Entry { topic, time_ms, data: encode(message) }
     }
 }
 
@@ -66,22 +66,22 @@ impl Origin {
             (Hand::Right, true) => Topic::RightReceived,
             (Hand::Right, false) => Topic::RightSent,
         };
-        Entry::new(topic, time_ms, &Bytes { stamp: self.stamp(time_ms), time_ms, data })
+        Entry::new(topic, time_ms, &own::Bytes { stamp: self.stamp(time_ms), time_ms, data: data.to_vec() })
     }
 
     /// A key.
     pub fn operated(self, time_ms: u64, key: OperatorKey) -> Entry {
         let key = u8::from(key == OperatorKey::Release);
-        Entry::new(Topic::Operated, time_ms, &Operated { stamp: self.stamp(time_ms), time_ms, key })
+        Entry::new(Topic::Operated, time_ms, &own::Operated { stamp: self.stamp(time_ms), time_ms, key })
     }
 
     /// Steps, of which the last one ended at `time_ms`.
     pub fn turns(self, time_ms: u64, turns: &[Turn]) -> Entry {
         let turn = |turn: &Turn| match turn {
-            Turn::Decided(ms) => OneTurn { kind: 0, ms: *ms },
-            Turn::Moved(ms) => OneTurn { kind: 1, ms: *ms },
+            Turn::Decided(ms) => own::Turn { kind: 0, ms: *ms },
+            Turn::Moved(ms) => own::Turn { kind: 1, ms: *ms },
         };
-        Entry::new(Topic::Turns, time_ms, &Turns { turns: turns.iter().map(turn).collect() })
+        Entry::new(Topic::Turns, time_ms, &own::Turns { turns: turns.iter().map(turn).collect() })
     }
 
     /// A reading: as the recording has it, and as ROS wants it.
@@ -89,18 +89,22 @@ impl Origin {
         match *sample {
             Sample::Left { counts, bends_permille } => {
                 let header = self.header(time_ms, "left_hand");
-                vec![Entry::new(Topic::LeftSample, time_ms, &LeftSample { header, counts, bends_permille })]
+                vec![Entry::new(
+                    Topic::LeftSample,
+                    time_ms,
+                    &own::LeftSample { header, counts, bends_permille },
+                )]
             }
             Sample::Right { values } => {
                 let header = self.header(time_ms, "right_hand");
-                let three = |from: usize, factor: f64| -> Option<[f64; 3]> {
+                let three = |from: usize, factor: f64| -> Option<DVec3> {
                     let found = values.get(from..from + 3)?;
-                    Some([0, 1, 2].map(|i| f64::from(found[i]) * factor))
+                    Some(DVec3::from([0, 1, 2].map(|i| f64::from(found[i]))) * factor)
                 };
                 // A first element of -1 is ROS's way to say that there is no such reading.
                 let mut unknown = [0.0; 9];
                 unknown[0] = -1.0;
-                let raw = RightSample { header: header.clone(), values };
+                let raw = own::RightSample { header: header.clone(), values: values.to_vec() };
                 let mut entries = vec![Entry::new(Topic::RightSample, time_ms, &raw)];
                 if let Some(acceleration) = three(0, 1.0) {
                     let turning = three(3, std::f64::consts::PI / 180.0);
@@ -135,9 +139,9 @@ impl Origin {
             let BridgeEvent { kind, .. } = bridge_event;
             let (header, json) =
                 (self.header(time_ms, ""), serde_json::to_string(bridge_event).unwrap_or_default());
-            let event = Event { header: header.clone(), time_ms, text: &text, json: &json };
+            let event = own::Event { header: header.clone(), time_ms, text: text.clone(), json };
             entries.push(Entry::new(Topic::Events, time_ms, &event));
-            if let Some(intent) = Intent::of(kind, &header) {
+            if let Some(intent) = intent(kind, &header) {
                 entries.push(Entry::new(Topic::Intents, time_ms, &intent));
             }
             let stop = match kind {
@@ -146,7 +150,7 @@ impl Origin {
                 _ => None,
             };
             if let Some((halted, reason)) = stop {
-                entries.push(Entry::new(Topic::Stops, time_ms, &Stop { header, halted, reason }));
+                entries.push(Entry::new(Topic::Stops, time_ms, &own::Stop { header, halted, reason }));
             }
             warning = matches!(
                 kind,
@@ -171,15 +175,15 @@ impl Origin {
     pub fn hands(self, now: &Now<'_>) -> Entry {
         let bridge = now.bridge;
         let (left, caps) = (bridge.left_state(), bridge.caps());
-        let hands = Hands {
+        let hands = own::Hands {
             header: self.header(now.time_ms, ""),
             safety: plain(&bridge.safety().state()),
             pitch_rad: f64::from(left.pitch_mrad) / 1000.0,
             roll_rad: f64::from(left.roll_mrad) / 1000.0,
-            heading: describe::heading_name(left.heading.into()),
+            heading: describe::heading_name(left.heading.into()).to_owned(),
             both_fingers: left.stop,
-            labels: bridge.link(Hand::Right).model().map_or(&[][..], |model| &model.labels),
-            scores: bridge.scores(),
+            labels: bridge.link(Hand::Right).model().map_or(Vec::new(), |model| model.labels.clone()),
+            scores: bridge.scores().to_vec(),
             cap_m_s: caps.linear_m_s,
             cap_rad_s: caps.angular_rad_s,
         };
@@ -242,132 +246,26 @@ impl Origin {
 
     /// So many messages are missing.
     pub fn lost(self, time_ms: u64, messages: u64) -> Entry {
-        Entry::new(Topic::Lost, time_ms, &Lost { header: self.header(time_ms, ""), messages })
+        Entry::new(Topic::Lost, time_ms, &own::Lost { header: self.header(time_ms, ""), messages })
     }
-}
-
-// Our own types, field by field as `TYPES` (in the module above) describes them.
-
-#[derive(Serialize)]
-struct Bytes<'a> {
-    stamp: Time,
-    time_ms: u64,
-    data: &'a [u8],
-}
-
-#[derive(Serialize)]
-struct Operated {
-    stamp: Time,
-    time_ms: u64,
-    key: u8,
-}
-
-#[derive(Serialize)]
-struct Turns {
-    turns: Vec<OneTurn>,
-}
-
-#[derive(Serialize)]
-struct OneTurn {
-    kind: u8,
-    ms: u64,
-}
-
-#[derive(Serialize)]
-struct LeftSample {
-    header: Header,
-    counts: [u16; 5],
-    bends_permille: [i16; 2],
-}
-
-#[derive(Serialize)]
-struct RightSample<'a> {
-    header: Header,
-    values: &'a [f32],
-}
-
-#[derive(Serialize)]
-struct Hands<'a> {
-    header: Header,
-    safety: String,
-    pitch_rad: f64,
-    roll_rad: f64,
-    heading: &'a str,
-    both_fingers: bool,
-    labels: &'a [String],
-    scores: &'a [f32],
-    cap_m_s: f64,
-    cap_rad_s: f64,
-}
-
-#[derive(Serialize)]
-struct Event<'a> {
-    header: Header,
-    time_ms: u64,
-    text: &'a str,
-    json: &'a str,
-}
-
-#[derive(Serialize)]
-struct Stop {
-    header: Header,
-    halted: bool,
-    reason: String,
-}
-
-#[derive(Serialize)]
-struct Lost {
-    header: Header,
-    messages: u64,
 }
 
 /// An event that a hand asked for.
-#[derive(Serialize)]
-struct Intent {
-    header: Header,
-    hand: &'static str,
-    name: String,
-    outcome: String,
-    confidence: f32,
-    age_ms: u64,
-    /// Forward and turning, where it is about speed.
-    speed: [f64; 2],
-}
-
-impl Intent {
-    fn of(kind: &EventKind, header: &Header) -> Option<Self> {
-        let header = header.clone();
-        match kind {
-            EventKind::Heading { heading, twist, age_ms, .. } => Some(Intent {
-                header,
-                hand: "left",
-                name: describe::heading_name(*heading).to_owned(),
-                outcome: "drive".to_owned(),
-                confidence: 1.0,
-                age_ms: *age_ms,
-                speed: [twist.linear_m_s, twist.angular_rad_s],
-            }),
-            EventKind::Caps { cap, .. } => Some(Intent {
-                header,
-                hand: "left",
-                name: "cap".to_owned(),
-                outcome: "cap".to_owned(),
-                confidence: 1.0,
-                age_ms: 0,
-                speed: [*cap, *cap],
-            }),
-            EventKind::Gesture { label, confidence, age_ms, outcome, .. } => Some(Intent {
-                header,
-                hand: "right",
-                name: label.clone(),
-                outcome: plain(outcome),
-                confidence: *confidence,
-                age_ms: *age_ms,
-                speed: [0.0; 2],
-            }),
-            _ => None,
+fn intent(kind: &EventKind, header: &Header) -> Option<Intent> {
+    let header = header.clone();
+    let (hand, confidence, age_ms, [linear_m_s, angular_rad_s], name, outcome) = match kind {
+        EventKind::Heading { heading, twist, age_ms, .. } => {
+            let speed = [twist.linear_m_s, twist.angular_rad_s];
+            ("left", 1.0, *age_ms, speed, describe::heading_name(*heading), "drive".to_owned())
         }
-    }
+        EventKind::Caps { cap, .. } => ("left", 1.0, 0, [*cap, *cap], "cap", "cap".to_owned()),
+        EventKind::Gesture { label, confidence, age_ms, outcome, .. } => {
+            ("right", *confidence, *age_ms, [0.0; 2], label.as_str(), plain(outcome))
+        }
+        _ => return None,
+    };
+    let (hand, name) = (hand.to_owned(), name.to_owned());
+    Some(Intent { header, hand, name, outcome, confidence, age_ms, linear_m_s, angular_rad_s })
 }
 
 /// As in the JSON summary; texts without their quotes.
@@ -380,28 +278,8 @@ fn plain(value: &impl serde::Serialize) -> String {
 }
 
 fn quaternion(pose: &Pose) -> ros::Quaternion {
-    let [x, y, z, w] = quaternion_xyzw(pose);
+    let DQuat { x, y, z, w } = pose.quaternion();
     ros::Quaternion { x, y, z, w }
-}
-
-/// By the largest component, so that no division is by something small.
-fn quaternion_xyzw(pose: &Pose) -> [f64; 4] {
-    let r = &pose.rotation;
-    let trace = r[0][0] + r[1][1] + r[2][2];
-    // Four times the square of w, x, y, z.
-    let squares =
-        [1.0 + trace, 1.0 + 2.0 * r[0][0] - trace, 1.0 + 2.0 * r[1][1] - trace, 1.0 + 2.0 * r[2][2] - trace];
-    let largest = (1..4).fold(0, |best, k| if squares[k] > squares[best] { k } else { best });
-    let twice = squares[largest].max(0.0).sqrt();
-    let share = 0.5 / twice;
-    let (a, b, c) = (r[2][1] - r[1][2], r[0][2] - r[2][0], r[1][0] - r[0][1]);
-    let (d, e, f) = (r[0][1] + r[1][0], r[0][2] + r[2][0], r[1][2] + r[2][1]);
-    match largest {
-        0 => [a * share, b * share, c * share, 0.5 * twice],
-        1 => [0.5 * twice, d * share, e * share, a * share],
-        2 => [d * share, 0.5 * twice, f * share, b * share],
-        _ => [e * share, f * share, 0.5 * twice, c * share],
-    }
 }
 
 #[cfg(test)]
@@ -409,32 +287,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn quaternions_turn_as_their_matrices_do() {
-        let (s, c) = 0.7_f64.sin_cos();
-        let turned = |rotation| quaternion_xyzw(&Pose { position_m: [0.0; 3], rotation });
-        let half = 0.35_f64.sin_cos();
-        for (rotation, expected) in [
-            ([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], [0.0, 0.0, 0.0, 1.0]),
-            ([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]], [0.0, 0.0, half.0, half.1]),
-            ([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]], [half.0, 0.0, 0.0, half.1]),
-            ([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]], [0.0, half.0, 0.0, half.1]),
-            // Half a turn about each axis.
-            ([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]], [1.0, 0.0, 0.0, 0.0]),
-            ([[-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0]], [0.0, 1.0, 0.0, 0.0]),
-            ([[-1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0]], [0.0, 0.0, 1.0, 0.0]),
-        ] {
-            for (got, expected) in turned(rotation).iter().zip(expected) {
-                assert!((got - expected).abs() < 1e-12, "{rotation:?}");
-            }
-        }
-    }
-
-    #[test]
     fn stamps_are_the_time_of_day() {
         let origin = Origin { nanoseconds: 1_700_000_000_900_000_000 };
         let entry = origin.operated(250, OperatorKey::Release);
-        let mut reader = super::super::cdr::Reader::new(&entry.data).unwrap();
-        assert_eq!((reader.i32(), reader.u32()), (Some(1_700_000_001), Some(150_000_000)));
-        assert_eq!((reader.u64(), reader.u8()), (Some(250), Some(1)));
+        let stamp = Time { sec: 1_700_000_001, nanosec: 150_000_000 };
+        let expected = own::Operated { stamp, time_ms: 250, key: 1 };
+        assert_eq!(crate::cdr::decode(&entry.data), Some(expected));
     }
 }

@@ -171,7 +171,7 @@ impl View {
             Some((motion, Leg::Halting)) => format!("{motion}: halting"),
             None => "at rest".to_owned(),
         };
-        let [x, y, z] = snapshot.flange.position_m;
+        let [x, y, z] = snapshot.flange.position_m.to_array();
         lines.push((Color::White, format!("arm    {doing:<28} flange x {x:.2} y {y:.2} z {z:.2} m")));
         lines.push((
             Color::White,

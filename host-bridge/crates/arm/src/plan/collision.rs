@@ -9,8 +9,8 @@ use std::cell::Cell;
 use crate::model::SerialArm;
 use crate::scene::Scene;
 use host_robot::Odometry;
-use host_robot::shape::{Capsule, Point, UprightBox};
-use host_robot::{JOINTS, Joints};
+use host_robot::shape::{Capsule, UprightBox};
+use host_robot::{DMat3, DVec3, JOINTS, Joints};
 
 /// Where the base stands in the scene.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -136,24 +136,16 @@ impl World {
     /// What the arm has around it when the base stands there.
     pub fn around(&self, placement: Placement) -> Surroundings<'_> {
         let mount_m = self.scene.base.mount_m;
-        let (s, c) = placement.heading_rad.sin_cos();
-        let boxes = self.scene.boxes.iter().map(|b| {
-            let (x, y) = (b.center_m[0] - placement.x_m, b.center_m[1] - placement.y_m);
-            UprightBox {
-                center_m: [
-                    c * x + s * y - mount_m[0],
-                    c * y - s * x - mount_m[1],
-                    b.center_m[2] - mount_m[2],
-                ],
-                half_m: b.size_m.map(|size| 0.5 * size),
-                yaw_rad: b.yaw_rad - placement.heading_rad,
-            }
+        let from_world = DMat3::from_rotation_z(-placement.heading_rad);
+        let here = DVec3::new(placement.x_m, placement.y_m, 0.0);
+        let boxes = self.scene.boxes.iter().map(|b| UprightBox {
+            center_m: from_world * (b.center_m - here) - mount_m,
+            half_m: 0.5 * b.size_m,
+            yaw_rad: b.yaw_rad - placement.heading_rad,
         });
         let mut base = self.scene.base.body();
-        for (center, mount) in base.center_m.iter_mut().zip(mount_m) {
-            *center -= mount;
-        }
-        Surroundings { world: self, boxes: boxes.collect(), base, floor_m: -mount_m[2], checks: Cell::new(0) }
+        base.center_m -= mount_m;
+        Surroundings { world: self, boxes: boxes.collect(), base, floor_m: -mount_m.z, checks: Cell::new(0) }
     }
 
     /// Shapes of foot and links in the arm's frame, with the number of their link.
@@ -161,12 +153,11 @@ impl World {
         let poses = self.arm.link_poses(joints_rad);
         let mut shapes: Vec<(usize, Capsule)> = self.arm.foot.iter().map(|shape| (0, *shape)).collect();
         for (i, (joint, pose)) in self.arm.joints.iter().zip(&poses).enumerate() {
-            let place = |p: Point| -> Point {
-                let turned = pose.rotation.map(|row| row[0] * p[0] + row[1] * p[1] + row[2] * p[2]);
-                [0, 1, 2].map(|k| pose.position_m[k] + turned[k])
-            };
             shapes.extend(joint.shapes.iter().map(|shape| {
-                (i + 1, Capsule { a_m: place(shape.a_m), b_m: place(shape.b_m), radius_m: shape.radius_m })
+                (
+                    i + 1,
+                    Capsule { a_m: pose.at(shape.a_m), b_m: pose.at(shape.b_m), radius_m: shape.radius_m },
+                )
             }));
         }
         shapes

@@ -192,7 +192,7 @@ fn begin<S: Storage>(
     let qos = BTreeMap::from([("offered_qos_profiles".to_owned(), String::new())]);
     let mut channels = Vec::new();
     for topic in Topic::ALL {
-        let schema = writer.add_schema(topic.kind(), SCHEMA_ENCODING, topic.schema().as_bytes())?;
+        let schema = writer.add_schema(&topic.kind(), SCHEMA_ENCODING, topic.schema().as_bytes())?;
         channels.push(writer.add_channel(schema, topic.name(), ENCODING, &qos)?);
     }
     writer.flush()?;

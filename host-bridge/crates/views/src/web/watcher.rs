@@ -54,7 +54,8 @@ impl Watcher {
         let picture = now.robot.picture();
         let odometry = picture.odometry;
         let here = [odometry.x_m, odometry.y_m];
-        let flange = link_poses_in_world(now, &picture.arm.joints_rad)[host_robot::JOINTS].position_m;
+        let flange = link_poses_in_world(now, &picture.arm.joints_rad)[host_robot::JOINTS];
+        let flange = flange.position_m.to_array();
         let mut history = self.shared.history();
         if history.path.newest().is_none_or(|last| distance(last, &here) >= PATH_STEP_M) {
             history.path.push(here);

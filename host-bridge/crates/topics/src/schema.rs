@@ -1,0 +1,90 @@
+//! A message's Rust type is its only definition: ROS 2's description of it follows from the fields.
+
+/// What a field of a message can be.
+pub trait Field {
+    /// As ROS 2 names the type (of one element): `float64`, `std_msgs/Header`.
+    const TYPE: &'static str;
+
+    /// Behind the name: nothing, `[]` for a sequence, `[9]` for an array.
+    fn many() -> String {
+        String::new()
+    }
+
+    /// Adds the type, and every other that it is made of, each with its fields.
+    fn describe(_types: &mut Vec<(&'static str, String)>) {}
+}
+
+macro_rules! plain {
+    ($($rust:ty = $ros:literal,)*) => { $(impl Field for $rust { const TYPE: &'static str = $ros; })* };
+}
+
+plain! {
+    bool = "bool", u8 = "uint8", u16 = "uint16", u32 = "uint32", u64 = "uint64", i16 = "int16", i32 = "int32",
+    f32 = "float32", f64 = "float64", String = "string",
+}
+
+impl<T: Field> Field for Vec<T> {
+    const TYPE: &'static str = T::TYPE;
+
+    fn many() -> String {
+        "[]".to_owned()
+    }
+
+    fn describe(types: &mut Vec<(&'static str, String)>) {
+        T::describe(types);
+    }
+}
+
+impl<T: Field, const N: usize> Field for [T; N] {
+    const TYPE: &'static str = T::TYPE;
+
+    /// ROS 2 has no arrays of arrays; on the wire they are one long array.
+    fn many() -> String {
+        let inner = T::many().trim_matches(['[', ']']).parse().unwrap_or(1);
+        format!("[{}]", N * inner)
+    }
+}
+
+/// A message's type in full: its fields, then every other type that it is made of.
+pub fn schema<T: Field>() -> String {
+    let mut types = Vec::new();
+    T::describe(&mut types);
+    let rest = types.iter().skip(1);
+    let rest = rest.map(|(name, fields)| format!("{}\nMSG: {name}\n{fields}", "=".repeat(80)));
+    types.first().map(|(_, fields)| fields.clone()).into_iter().chain(rest).collect()
+}
+
+/// Defines messages: a structure with its name in ROS 2, and what else it is besides `Clone`, `Debug` and so on.
+macro_rules! messages {
+    ($(
+        $(#[doc = $about:literal])*
+        $ros:literal $name:ident $(: $($also:ident),+)? {
+            $($(#[doc = $said:literal])* $field:ident: $kind:ty,)*
+        }
+    )*) => { $(
+        $(#[doc = $about])*
+        #[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize $($(, $also)+)?)]
+        pub struct $name { $($(#[doc = $said])* pub $field: $kind,)* }
+
+        impl $crate::schema::Field for $name {
+            const TYPE: &'static str = $ros;
+
+            fn describe(types: &mut Vec<(&'static str, String)>) {
+                if types.iter().any(|(name, _)| *name == $ros) {
+                    return;
+                }
+                let mut fields = String::new();
+                $(
+                    $(fields += concat!("#", $said, "\n");)*
+                    fields += &format!("{}{} {}\n", <$kind>::TYPE, <$kind>::many(), stringify!($field));
+                )*
+                types.push(($ros, fields));
+                $(<$kind>::describe(types);)*
+            }
+        }
+
+        #[cfg(feature = "ros2")]
+        impl ros2_client::Message for $name {}
+    )* };
+}
+pub(crate) use messages;
