@@ -132,6 +132,8 @@ fn give_terminal_back() {
 
 #[cfg(test)]
 mod tests {
+    use std::time::Instant;
+
     use super::*;
     use std::process::Command;
 
