@@ -91,11 +91,12 @@ impl Site {
     }
 
     fn goals(&self) -> Vec<&ros::JointTrajectory> {
-        let goal = |output| match output {
-            &Output::Goal { ref trajectory, .. } => Some(trajectory),
-            _ => None,
-        };
-        self.sent.iter().filter_map(goal).collect()
+        self.sent
+            .iter()
+            .filter_map(
+                |output| if let Output::Goal { trajectory, .. } = output { Some(trajectory) } else { None },
+            )
+            .collect()
     }
 }
 

@@ -3,6 +3,8 @@
 //! Thirty minutes (in the short run three) of ten simulated wearers each, palm up, walking, shaken, and with pins that hum, in
 //! virtual time; and what that costs tilts that are meant.
 
+use std::f64::consts::TAU;
+
 use shared_dsp::left::{AdcCounts, LeftHand, LeftOutput, ONE_G, health};
 use shared_dsp::left_calibration::Calibration;
 use shared_dsp::tilt::{Heading, TiltThresholds};
@@ -65,7 +67,7 @@ impl Wearer {
     }
 
     fn shaken(&self, t: f64) -> f64 {
-        self.tremor.iter().map(|(hz, phase, size)| size * (6.2832 * hz * t + phase).sin()).sum()
+        self.tremor.iter().map(|(hz, phase, size)| size * (TAU * hz * t + phase).sin()).sum()
     }
 
     /// One sample with this acceleration in g.
@@ -120,7 +122,7 @@ fn a_palm_turned_up_neither_arms_nor_commands_nor_is_neutral() {
         let t = wearer.seconds(sample);
         // Now level, now tilted by up to 40°, a turn of the hand every 3 s.
         let tilt = 0.7 * (t / 3.0).sin().max(0.0) + wearer.shaken(t);
-        let [x, y, z] = if sample / 1000 % 2 == 0 { up(tilt, 0.0) } else { up(0.0, tilt) };
+        let [x, y, z] = if (sample / 1000).is_multiple_of(2) { up(tilt, 0.0) } else { up(0.0, tilt) };
         let out = wearer.feel([x, y, -z]);
         neutral += u32::from(out.heading == Heading::Neutral && sample > 2);
         out
@@ -135,9 +137,9 @@ fn walk(wearer: &mut Wearer, sample: u32, hz: f64, off: (f64, f64), towards: f64
     let t = wearer.seconds(sample);
     // Stands still for 5 s in every minute: each start has a first step.
     let walks = if t % 60.0 < 5.0 { 0.0 } else { 1.0 };
-    let step = 0.35 * walks * (6.2832 * hz * t).sin();
+    let step = 0.35 * walks * (TAU * hz * t).sin();
     // Heels strike twice a stride.
-    let heel = 0.2 * walks * (2.0 * 6.2832 * hz * t + 0.7).sin();
+    let heel = 0.2 * walks * (2.0 * TAU * hz * t + 0.7).sin();
     let [x, y, z] = up(off.0 + wearer.shaken(t), off.1);
     wearer.feel([x + step * towards.cos(), y + step * towards.sin(), z + heel])
 }
@@ -167,7 +169,7 @@ fn a_hand_shaken_four_times_a_second_commands_nothing() {
     let level = |wearer: &mut Wearer, sample: u32| {
         let t = wearer.seconds(sample);
         let size = 1.2 * (t / 30.0).sin().abs();
-        let push = size * (6.2832 * 4.0 * t).sin();
+        let push = size * (TAU * 4.0 * t).sin();
         let [x, y, z] = up(0.0, 0.0);
         wearer.feel([x + push, y, z])
     };
@@ -175,7 +177,7 @@ fn a_hand_shaken_four_times_a_second_commands_nothing() {
     // Along gravity, so hard that it turns over: a tilted hand seems to point the other way.
     let tilted = |wearer: &mut Wearer, sample: u32| {
         let t = wearer.seconds(sample);
-        let push = 1.0 + 2.2 * (6.2832 * 4.0 * t).sin();
+        let push = 1.0 + 2.2 * (TAU * 4.0 * t).sin();
         wearer.feel(up(25f64.to_radians(), 0.0).map(|a| a * push))
     };
     assert_eq!(commands("tilted, shaken along gravity", |_| {}, tilted), 0);
@@ -194,7 +196,7 @@ fn a_tilted_hand_that_is_then_shaken_never_points_the_other_way_and_halts_or_hol
             assert_eq!(heading, Heading::Forward);
             let (mut starts, mut last) = (0, heading);
             for sample in 0..6000 {
-                let push = size * (6.2832 * 4.0 * wearer.seconds(sample)).sin();
+                let push = size * (TAU * 4.0 * wearer.seconds(sample)).sin();
                 let [x, y, z] = up(25f64.to_radians(), 0.0);
                 let a = if along_gravity { [x, y, z].map(|a| a * (1.0 + push)) } else { [x + push, y, z] };
                 let now = wearer.feel(a).heading;
@@ -214,7 +216,7 @@ fn pins_that_hum_command_nothing_count_nothing_and_stay_in_doubt() {
     let mut act = |wearer: &mut Wearer, sample: u32| {
         let t = wearer.seconds(sample);
         // A floating pin: mains hum, sampled just off its period, with a slow drift.
-        let hum = 480.0 * (6.2832 * 50.07 * t).sin() + 20.0 * (t / 7.0).sin();
+        let hum = 480.0 * (TAU * 50.07 * t).sin() + 20.0 * (t / 7.0).sin();
         wearer.flex = [(512.0 + hum).clamp(0.0, 1023.0), 704.0];
         let tilt = if sample % 1000 < 500 { 0.0 } else { 0.45 };
         let out = wearer.feel(up(tilt, 0.0));
@@ -226,7 +228,7 @@ fn pins_that_hum_command_nothing_count_nothing_and_stay_in_doubt() {
     assert_eq!((counted, healthy_late), (0, 0));
     let accelerometer = |wearer: &mut Wearer, sample: u32| {
         let t = wearer.seconds(sample);
-        let hum = 2.5 * (6.2832 * 49.97 * t).sin();
+        let hum = 2.5 * (TAU * 49.97 * t).sin();
         let [_, y, z] = up(0.0, 0.0);
         wearer.feel([hum, y, z])
     };

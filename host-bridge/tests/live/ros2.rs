@@ -12,8 +12,8 @@ use serde_json::Value;
 
 use crate::double::{BENT, Double, FORWARD, LEVEL};
 use crate::graph::{
-    DECISION_MS, Lateness, SILENCE_MS, Site, Teller, armed, bridge, delay_ms, domain, gestures, is, is_full,
-    is_rclpy, middle_and_worst, number, peer, site, speed, started, wall_s,
+    DECISION_MS, SILENCE_MS, Site, Teller, armed, bridge, bridge_on_its_own, delay_ms, desk, domain,
+    gestures, is, is_full, is_rclpy, middle_and_worst, number, peer, site, speed, started, wall_s,
 };
 use crate::lateness::Lateness;
 

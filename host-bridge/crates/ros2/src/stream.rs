@@ -254,10 +254,7 @@ mod tests {
             let points = &message.points;
             assert!(points[0].time_from_start.seconds() <= time_s, "a point in the past");
             let k = points.partition_point(|point| point.time_from_start.seconds() <= time_s);
-            let (p, v) =
-                |point: &JointTrajectoryPoint| -> (f64, f64) { (point.positions[1], point.velocities[1]) }(
-                    &points[k - 1],
-                );
+            let (p, v) = (points[k - 1].positions[1], points[k - 1].velocities[1]);
             let Some(next) = points.get(k) else { return Some((p, 0.0)) };
             let (t0, t1) = (points[k - 1].time_from_start.seconds(), next.time_from_start.seconds());
             let (h, q, w) = (t1 - t0, next.positions[1], next.velocities[1]);

@@ -286,7 +286,7 @@ mod tests {
         let around = world.around(Placement::default());
         let motions = Motions::paper();
         for (name, joints) in motions.poses() {
-            let nearest = around.arm_clearance(&joints);
+            let nearest = around.arm_clearance(joints);
             println!("{:.3} m {:?}", nearest.distance_m, nearest.parts);
             assert!(nearest.distance_m > 0.02, "{name}: {nearest:?} {joints:?}");
         }

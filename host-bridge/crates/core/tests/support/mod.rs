@@ -28,7 +28,7 @@ impl Door for NoRobot {
     fn setting(&self) -> RobotSetting {
         unreachable!("the bridge decides without looking")
     }
-    fn mount_m(&self) -> [f64; 3] {
+    fn mount_m(&self) -> host_robot::DVec3 {
         unreachable!("the bridge decides without looking")
     }
     fn link_poses(&self, _joints_rad: &Joints) -> [Pose; JOINTS + 1] {
