@@ -104,7 +104,7 @@ fn bad_input_names_file_line_and_column_and_moves_nothing() {
         ),
         (
             ["--right", &file("names.csv", "timestamp_ms,a,b,c\n0,1,2,3\n")],
-            vec!["names.csv", "line 1", "column 2"],
+            vec!["names.csv", "line 1", "column 1", "accelerometer"],
         ),
         (
             ["--right", &file("back.csv", &format!("{nine}{}{}", row(10), row(0)))],
@@ -112,7 +112,7 @@ fn bad_input_names_file_line_and_column_and_moves_nothing() {
         ),
         (
             ["--right", &file("three.csv", "timestamp_ms,accX,accY,accZ\n0,0,0,9.8\n10,0,0,9.8\n")],
-            vec!["three.csv", "line 1", "column 5", "3 axes", "9 axes", "--model"],
+            vec!["three.csv", "line 1", "column 5", "3 axes", "6 axes", "--model"],
         ),
         (["--left", "/no/such.csv"], vec!["/no/such.csv"]),
         (["--left", &file("lempty.csv", "")], vec!["lempty.csv", "empty"]),

@@ -251,8 +251,8 @@ fn what_ended_the_last_run_follows_the_hello() {
 #[test]
 fn a_damaged_calibration_is_reported_and_defaults_are_used() {
     let mut memory = RamEeprom::with(&Calibration { rest: [5000, 5000], ..Calibration::DEFAULT });
-    // The first record goes to the first slot.
-    *memory.byte_mut(5) ^= 1;
+    // The first record goes to the first slot, which begins at 0x20: address 0 is where brown-outs write.
+    *memory.byte_mut(0x25) ^= 1;
     let mut rig = Rig::start(memory);
     rig.hold(LEVEL, 100);
     assert_eq!(rig.line.faults()[0].kind, FaultKind::CalibrationDamaged);

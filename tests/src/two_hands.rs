@@ -16,7 +16,7 @@ use host_bridge::robot::Door as _;
 use host_bridge::robots::Stage;
 use host_bridge::safety::{Hand, State};
 use host_bridge::sim::Simulator;
-use shared_proto::frame::{HOST_FRAME_MAX, encode_host};
+use shared_proto::frame::{DELIMITER, HOST_FRAME_MAX, encode_host};
 
 use crate::avr::image::path as left_image;
 use crate::avr::nano::{self, Nano, Voltages};
@@ -254,6 +254,8 @@ impl TwoHands {
             while let Some(message) = self.next_message(hand) {
                 let mut buffer = [0; HOST_FRAME_MAX];
                 let frame = encode_host(&message, &mut buffer).expect("the bridge's messages fit");
+                // What noise has left on the line ends here.
+                self.send(hand, &[DELIMITER]);
                 self.send(hand, frame);
             }
         }

@@ -30,7 +30,7 @@ fn stepping(at: Rc<RefCell<(u64, f64)>>) -> impl FnMut(u8, u64) -> Line {
 }
 
 #[test]
-fn a_voltage_step_turns_the_wheels_within_40_ms() {
+fn a_voltage_step_that_stays_turns_the_wheels_within_150_ms() {
     let phases = if is_full() { 50 } else { 10 };
     println!("from the voltage step to the first wheel speed, {phases} phases of the sample clock each");
     println!("{:>8}{:>12}{:>12}{:>10}", "tilt", "median ms", "worst ms", "limit");
@@ -46,19 +46,21 @@ fn a_voltage_step_turns_the_wheels_within_40_ms() {
             step.borrow_mut().0 = at;
             while !street.moves() {
                 street.step();
-                assert!(street.now_ms() < at / CYCLES_PER_MS + 100, "no motion after {degrees}°");
+                assert!(street.now_ms() < at / CYCLES_PER_MS + 400, "no motion after {degrees}°");
             }
             latencies.push(street.now_ms() as f64 - at as f64 / CYCLES_PER_MS as f64);
             step.borrow_mut().0 = u64::MAX;
-            street.run_ms(200);
+            // Long enough that the next step is no shaking.
+            street.run_ms(1500);
             while street.moves() {
                 street.step();
             }
         }
         latencies.sort_by(f64::total_cmp);
         let (median, worst) = (latencies[latencies.len() / 2], latencies[latencies.len() - 1]);
-        println!("{degrees:>7}°{median:>12.1}{worst:>12.1}{:>10}", 40);
-        assert!(worst <= 40.0, "{degrees}°: {worst:.1} ms");
+        println!("{degrees:>7}°{median:>12.1}{worst:>12.1}{:>10}", 150);
+        // A tilt is a command when it stays: what a walking or a shaken hand does is none.
+        assert!(worst <= 150.0, "{degrees}°: {worst:.1} ms");
     }
 }
 

@@ -251,12 +251,14 @@ pub(super) fn adapt(
     let mut new = Vec::new();
     for (window, label) in examples {
         let kind = Kind::of(&card.labels[*label]);
+        // As many as the recipe reads, which may be fewer than the model's board has.
+        let axes = window.len() / WINDOW;
         let mut add = |window: &[f32]| {
-            new.push((crate::score::standardise(card, &aligned_features(card.axes, window)), *label));
+            new.push((crate::score::standardise(card, &aligned_features(axes, window)), *label));
         };
         add(window);
         for _ in 0..COPIES_OF_NEW {
-            add(&vary(window, card.axes, kind, &mut rng));
+            add(&vary(window, axes, kind, &mut rng));
         }
     }
     let mut rows = memory.inputs(card.scaling.limit);

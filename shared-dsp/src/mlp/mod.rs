@@ -51,7 +51,7 @@ pub use error::{ModelError, WrongLength};
 
 use crate::recipe::Recipe;
 use crate::softmax::softmax;
-use crc::{CRC_32_ISO_HDLC, Crc};
+use crc::{CRC_32_ISO_HDLC, Crc, NoTable};
 use kernel::{
     BIAS_BYTES, QUAD_WEIGHT_BYTES, Quad, ROW_SCALE_BYTES, Requantise, layer, layer_per_row, pack, unpack,
 };
@@ -468,6 +468,7 @@ fn scale_of(pair: &[u8; 8]) -> (f32, f32) {
 
 /// CRC-32 (ISO-HDLC, as in zip and PNG) of a blob: its model id.
 pub fn crc32(blob: &[u8]) -> u32 {
-    static ISO_HDLC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
+    // Without a table: it is computed once at the start, and a table is a kilobyte of the board's flash.
+    const ISO_HDLC: Crc<u32, NoTable> = Crc::<u32, NoTable>::new(&CRC_32_ISO_HDLC);
     ISO_HDLC.checksum(blob)
 }

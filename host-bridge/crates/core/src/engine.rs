@@ -10,7 +10,7 @@
 //! ```
 
 use host_robot::{Door, MotionName};
-use shared_proto::frame::{HOST_FRAME_MAX, encode_host};
+use shared_proto::frame::{DELIMITER, HOST_FRAME_MAX, encode_host};
 use shared_proto::message::{HostMessage, Mode, TiltThresholds};
 
 use crate::bridge::{Bridge, BridgeEvent, EventKind};
@@ -227,7 +227,8 @@ impl<'b, D: Door> Engine<'b, D> {
         let mut wire = Vec::new();
         match &mut self.sources[hand as usize] {
             Source::Nobody => {}
-            Source::Link(frames) => frames.push(frame.to_vec()),
+            // The delimiter ends what noise has left on the line: without answers to pings nothing arms.
+            Source::Link(frames) => frames.push([&[DELIMITER], frame].concat()),
             Source::Here { hand, .. } => hand.receive(frame, now_ms, &mut wire),
         }
         if !wire.is_empty() {

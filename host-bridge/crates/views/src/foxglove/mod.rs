@@ -1,5 +1,5 @@
 //! A running session for Foxglove and other viewers that speak its WebSocket protocol: the topics and types of
-//! [`crate::Topic`], as they would be in a file.
+//! [`host_topics::Topic`], as they would be in a file.
 //!
 //! ```text
 //! session loop ─► Teller ─► Feed ══ a bounded queue per viewer ══► a thread per viewer ─► Foxglove
