@@ -232,8 +232,11 @@ impl OnTerminal {
         let mut sane = Command::new("stty");
         sane.args(["sane", "rows", "50", "cols", "160"]).stdin(terminal.try_clone().unwrap());
         assert!(sane.status().unwrap().success());
-        let (program, first): (&str, &[&str]) =
-            if hangups_ignored { ("nohup", &[PROGRAM]) } else { (PROGRAM, &[]) };
+        let (program, first): (&str, &[&str]) = if hangups_ignored {
+            ("sh", &["-c", "trap '' HUP; exec \"$0\" \"$@\"", PROGRAM])
+        } else {
+            (PROGRAM, &[])
+        };
         let child = Command::new(program)
             .args(first)
             .args(args)

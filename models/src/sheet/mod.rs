@@ -6,7 +6,7 @@
 //!
 //! Columns are found by their names in any order, whatever parts them and whether decimals have a point or a comma.
 //! What a name or [`Reading`] does not say is judged: the unit of times by the rate that it gives, the units of samples
-//! by gravity and by how hands turn ([`judge`]). A judgement is either printed (import, [`Reading::guess`]) or a
+//! by gravity and by how hands turn (`judge`). A judgement is either printed (import, [`Reading::guess`]) or a
 //! question in an error: nothing is taken for something else in silence.
 
 mod clock;
