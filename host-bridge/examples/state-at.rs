@@ -53,7 +53,7 @@ fn main() -> Result<()> {
     let model = ModelFile::bundled()?;
     let mut session = Demo::bundled().session(&model, MotionMap::default(), robot)?;
     session.tap_mut().add(Box::new(Printer(times)));
-    while session.now_ms() < last_ms && !session.finished() {
+    while session.now_ms() <= last_ms && !session.finished() {
         session.step();
     }
     Ok(())
