@@ -12,8 +12,8 @@
 //! | variance below [`VARIANCE_FLOOR`] | skewness 0, kurtosis 0 |
 //!
 //! Errors against float64 stay within 10⁻⁴ relative (10⁻⁴·max(|value|, 1) for skewness and kurtosis), for ever: sums
-//! of floats are never updated by subtraction ([`crate::sliding`]), moments are central ([`crate::moments`]). The mean is
-//! good to 10⁻⁹ of the unit, also beside a swing of hundreds.
+//! of floats are never updated by subtraction ([`crate::sliding`]), moments are central ([`crate::moments`]). A mean
+//! near 0, where 200 samples cancel, is good to 10⁻⁹ of the unit instead, also beside a swing of hundreds.
 
 use crate::fft::{HalfFrame, powers};
 use crate::moments::{Block, SlidingMoments, SlidingSum};

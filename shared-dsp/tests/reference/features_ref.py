@@ -22,6 +22,8 @@ WINDOW, HOP = 200, 8
 NAMES = ["mean", "rms", "variance", "skewness", "kurtosis"] + [f"P{k}" for k in range(8)]
 SHAPE = [3, 4]  # bounded relative to max(|reference|, 1)
 BOUND = 1e-4
+MEAN = 0
+MEAN_BOUND = 1e-9  # what shared_dsp::features promises of a mean near 0, where 200 samples cancel
 
 
 def reference(x):
@@ -72,7 +74,9 @@ def compare(name, stream, dump):
         scale[:, :, SHAPE] = np.maximum(scale[:, :, SHAPE], 1.0)
         error = np.abs(part - expected)
         ratio = np.where(error == 0, 0.0, error / np.where(scale == 0, np.finfo(float).tiny, scale))
-        beyond += int((ratio > BOUND).sum())
+        wrong = ratio > BOUND
+        wrong[:, :, MEAN] &= error[:, :, MEAN] > MEAN_BOUND
+        beyond += int(wrong.sum())
         worst = np.maximum(worst, ratio.max(axis=(0, 1)))
     print(f"{name}: {expected_count} windows of {axes} axes, {beyond} of {got.size} features beyond {BOUND:g}")
     print("   largest error: " + ", ".join(f"{n} {w:.1e}" for n, w in zip(NAMES, worst)))
