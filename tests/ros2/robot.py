@@ -66,6 +66,8 @@ def options(description):
     parser.add_argument("--pace", type=float, default=20.0, help="how much faster the arm is than it should be")
     parser.add_argument("--lag", type=float, default=0.0, help="the joints follow late, as a filter of so many s")
     parser.add_argument("--following-error", type=float, default=0.0, help="rad by which moving joints are short")
+    parser.add_argument("--start-offset", type=float, default=0.0, help="rad by which every joint starts off home")
+    parser.add_argument("--say-angles", action="store_true", help="a line per joint state that it sends")
     parser.add_argument("--noise", type=float, default=0.0, help="rad of noise on the reported angles (deviation)")
     parser.add_argument("--wrap", action="store_true", help="joints 1, 3, 5 and 7 are reported within one turn")
     parser.add_argument("--sim-time", action="store_true", help="its clock begins at 10 s and is published on /clock")
@@ -92,7 +94,8 @@ class Robot:
         self.random = random.Random(1)
         self.base = Base()
         self.base_said = self.base.speed
-        self.arm = Arm(JOINTS, HOME, opts.pace, opts.lag, opts.following_error, WITHOUT_END if opts.wrap else ())
+        start = [angle + opts.start_offset for angle in HOME]
+        self.arm = Arm(JOINTS, start, opts.pace, opts.lag, opts.following_error, WITHOUT_END if opts.wrap else ())
         self.arm_moved = False
         space = opts.namespace
         self.clock = net.writer("/clock", "Clock") if opts.sim_time else None
@@ -253,6 +256,8 @@ class Robot:
             angles = [p + self.random.gauss(0.0, self.opts.noise) for p in arm.reported()]
             self.states(ros.JointState(header=self.header(now - self.opts.states_late), name=JOINTS, position=angles,
                                        velocity=arm.velocity, effort=[]))
+            if self.opts.say_angles:
+                say(event="angles", t=wall, position=angles)
         if count % 2 == 0 and not self.opts.inactive:
             self.controller_state(self.state_message(now))
         if count % 10 == 0 and arm.goal is not None:

@@ -13,7 +13,7 @@ use serde_json::Value;
 use crate::double::{BENT, Double, FORWARD, LEVEL};
 use crate::graph::{
     DECISION_MS, SILENCE_MS, Site, Teller, armed, bridge, bridge_on_its_own, delay_ms, desk, domain,
-    gestures, is, is_full, is_rclpy, middle_and_worst, number, peer, site, speed, started, wall_s,
+    gestures, is, is_full, is_rclpy, middle_and_worst, number, peer, shown, site, speed, started, wall_s,
 };
 use crate::lateness::Lateness;
 
@@ -306,6 +306,71 @@ fn a_killed_bridge_is_a_base_at_rest_and_a_stopped_one_is_on_the_graph_again() {
         let took_ms = (number(&stopped["t"]) - killed_s) * 1000.0;
         println!("{clock}: killed; speed 0 after {took_ms:.0} ms");
         assert!(!lateness.was_quiet() || took_ms <= 600.0, "{took_ms} ms");
+    }
+}
+
+/// Angles of the arm with the time at which they were reported or shown, in order.
+fn angles(seen: &[(f64, Value)], event: &str) -> Vec<(f64, Vec<f64>)> {
+    let joints = |v: &Value| v["position"].as_array().unwrap().iter().map(number).collect();
+    seen.iter().filter(|(_, v)| is(v, event)).map(|(_, v)| (number(&v["t"]), joints(v))).collect()
+}
+
+#[test]
+fn what_people_see_are_a_slower_arms_own_angles_within_100_ms() {
+    if is_rclpy() {
+        println!("SKIPPED: the packages that read page, Foxglove and file are not beside rclpy");
+        return;
+    }
+    let Some(site) = site("what_people_see_are_a_slower_arms_own_angles_within_100_ms", true) else { return };
+    let desk = desk("ros2-shown");
+    let domain = domain();
+    let (left, right) = (Double::left(&desk), Double::right(&desk, 0.0));
+    // Half as fast as asked, and not where the simulator would start.
+    let slower = ["--robot", "--action", "--pace", "0.5", "--start-offset", "0.2", "--say-angles"];
+    let mut robot = peer(&desk, &site.python, domain, &slower);
+    robot.has("ready", |v| is(v, "ready"));
+    let file = desk.path("shown.mcap");
+    let file = file.to_str().unwrap();
+    let options =
+        ["--left", &left.port(), "--right", &right.port(), "--web=0", "--foxglove=0", "--record", file];
+    let mut bridge = bridge_on_its_own(&desk, domain, "arm = 'action'\n", &options);
+    let mut url = |event: &str| bridge.has(event, |v| is(v, event))["url"].as_str().unwrap().to_owned();
+    let (page, foxglove) = (url("page"), url("foxglove"));
+    let mut live = shown(&desk, &site.python, &[&page, &foxglove]);
+    live.has("the page", |v| is(v, "page"));
+    live.has("Foxglove", |v| is(v, "foxglove"));
+    let lateness = Lateness::watch();
+    robot.wait("the arm moves", |v| is(v, "arm") && v["moves"] == true);
+    desk.pass(Duration::from_secs(4));
+    bridge.interrupt();
+    bridge.end();
+    let was_quiet = lateness.was_quiet();
+    robot.catch_up();
+    live.catch_up();
+    let kept = shown(&desk, &site.python, &[file]).end().1;
+    let kept: Vec<(f64, Value)> = kept.into_iter().map(|v| (0.0, v)).collect();
+
+    let reported = angles(&robot.seen, "angles");
+    for (event, seen) in [("page", &live.seen), ("foxglove", &live.seen), ("file", &kept)] {
+        let seen = angles(seen, event);
+        let mut delays_ms = Vec::new();
+        for (at_s, joints) in &seen {
+            // Shown as it was reported, to the bit, so that nothing of the simulator's can be in it. The newest that
+            // had been reported by then counts; clocks read by two programs may differ by a moment.
+            let same = |(then_s, reported): &&(f64, Vec<f64>)| *then_s <= at_s + 0.005 && reported == joints;
+            let Some((then_s, _)) = reported.iter().rev().find(same) else {
+                panic!("{event} shows {joints:?} at {at_s}, which the arm never reported");
+            };
+            delays_ms.push((at_s - then_s) * 1000.0);
+        }
+        let moved = (0..7).map(|j| (seen[seen.len() - 1].1[j] - seen[0].1[j]).abs()).fold(0.0, f64::max);
+        let count = seen.len();
+        let (middle_ms, worst_ms) = middle_and_worst(delays_ms);
+        println!(
+            "{event}: {count} times, moved {moved:.2} rad, behind by {middle_ms:.1} ms, at worst {worst_ms:.1} ms"
+        );
+        assert!(count > 100 && moved > 0.1, "{event}: {count} times, {moved} rad");
+        assert!(!was_quiet || worst_ms <= 100.0, "{event} is {worst_ms} ms behind");
     }
 }
 

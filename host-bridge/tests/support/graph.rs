@@ -222,11 +222,21 @@ pub fn is_rclpy() -> bool {
 
 /// The robot, or whoever `options` make of it.
 pub fn peer(desk: &Desk, python: &str, domain: u32, options: &[&str]) -> Teller {
-    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/ros2").join(peer_script());
-    let mut command = Command::new(python);
-    command.arg(script).args(["--domain", &domain.to_string()]).args(options);
+    let mut command = script(python, &peer_script());
+    command.args(["--domain", &domain.to_string()]).args(options);
     command.env_remove("RMW_IMPLEMENTATION");
     start("the robot", desk.time(), &mut command, Process::on_its_own)
+}
+
+/// What a person gets to see of the arm's angles, by `tests/ros2/shown.py`.
+pub fn shown(desk: &Desk, python: &str, where_from: &[&str]) -> Teller {
+    start("what is shown", desk.time(), script(python, "shown.py").args(where_from), Process::on_its_own)
+}
+
+fn script(python: &str, name: &str) -> Command {
+    let mut command = Command::new(python);
+    command.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/ros2").join(name));
+    command
 }
 
 /// The program under test with `section` in its configuration's `[ros2]`. Speeds are stamped, so that the test sees how
