@@ -44,6 +44,10 @@ macro_rules! open_list {
     };
 }
 
+mod hello;
+
+pub use hello::{About, Board, Hello, Image, ResetCause, Sensor};
+
 /// Raised when a message is reshaped; both sides must have the same one.
 pub const PROTOCOL_MAJOR: u8 = 1;
 /// Raised when a message is added; the older side ignores what it does not know.
@@ -203,100 +207,6 @@ pub const LABELS_MAX: usize = 96;
 pub const SCORES_MAX: usize = 32;
 /// Longest [`Hello::firmware`], in bytes of UTF-8.
 pub const FIRMWARE_MAX: usize = 32;
-
-open_list! {
-    /// Which hand a board is on, and which board it is.
-    Board {
-        /// Arduino Nano (ATmega328P): tilt and bends.
-        LeftNano = 0,
-        /// Arduino Nano 33 BLE Sense Rev1 (LSM9DS1): gestures.
-        RightNano33 = 1,
-        /// Arduino Nano 33 BLE Sense Rev2 (BMI270 + BMM150): gestures.
-        RightNano33Rev2 = 2,
-        /// A recording played by the laptop as the left hand.
-        LeftReplay = 3,
-        /// A recording played by the laptop as the right hand.
-        RightReplay = 4,
-        /// Seeed XIAO nRF52840 Sense (LSM6DS3TR-C): gestures.
-        RightXiao = 5,
-    }
-}
-
-/// Who a board is. The layout of this message never changes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Hello<'a> {
-    /// [`PROTOCOL_MAJOR`] of the sender.
-    pub major: u8,
-    /// [`PROTOCOL_MINOR`] of the sender.
-    pub minor: u8,
-    /// The sender.
-    pub board: Board,
-    /// Version of the firmware, such as `0.1.0`.
-    pub firmware: &'a str,
-    /// Different after each start. A new one re-bases counters and clock and needs neutral again.
-    pub boot_id: u32,
-    /// CRC-32 of the running model's blob; 0 where there is none.
-    pub model_id: u32,
-    /// Samples per second.
-    pub sample_hz: u16,
-}
-
-open_list! {
-    /// Motion sensors of right hands.
-    Sensor {
-        /// None has been found yet.
-        None = 0,
-        /// Nano 33 BLE Sense: nine axes.
-        Lsm9ds1 = 1,
-        /// Nano 33 BLE Sense Rev2: six axes that may be used.
-        Bmi270 = 2,
-        /// XIAO nRF52840 Sense: six axes.
-        Lsm6ds3 = 3,
-    }
-}
-
-open_list! {
-    /// What a right hand's image runs behind.
-    Image {
-        /// The stock Arduino bootloader, without Bluetooth.
-        Bootloader = 0,
-        /// Nordic's S140, flashed with a probe.
-        S140 = 1,
-        /// S140 and a UF2 bootloader, as the XIAO is sold.
-        Uf2 = 2,
-    }
-}
-
-open_list! {
-    /// Why a board started.
-    ResetCause {
-        /// Power.
-        PowerUp = 0,
-        /// The reset button.
-        Pin = 1,
-        /// The watchdog.
-        Watchdog = 2,
-        /// The program itself, or a bootloader.
-        Software = 3,
-        /// Something else, such as a debugger.
-        Other = 4,
-    }
-}
-
-/// What a right hand's board is made of.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct About {
-    /// The sensor that was found.
-    pub sensor: Sensor,
-    /// Values per sample that mean something: 9, 6, or 0 while no sensor is found. A model that reads more cannot run.
-    pub axes: u8,
-    /// The variant of the firmware.
-    pub image: Image,
-    /// Why the board started.
-    pub reset: ResetCause,
-    /// Battery in millivolts; 0 = unknown.
-    pub battery_mv: u16,
-}
 
 /// Where the left hand points. At most one command at a time: the larger tilt wins.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
