@@ -3,7 +3,7 @@ everything that arrives and moves, one JSON object per line on standard output.
 
 `peer.py` puts it on Eclipse Cyclone DDS, `rclpy_peer.py` on ROS 2's own client library and Fast DDS. What it does with
 what it is told is in `controllers.py`. A line on standard input is an order: `joints on|off`,
-`arm accept|reject|silent|late`, `flag TOPIC on|off` (a latched std_msgs/Bool), `quit`.
+`arm accept|reject|silent|late`, `pace FACTOR`, `flag TOPIC on|off` (a latched std_msgs/Bool), `quit`.
 """
 
 import argparse
@@ -325,6 +325,8 @@ class Robot:
                     self.joints = word == "on"
                 case ["arm", mode]:
                     self.mode = mode
+                case ["pace", factor]:
+                    self.arm.pace = float(factor)
                 case ["flag", topic, word]:
                     if topic not in self.flags:
                         self.flags[topic] = self.net.writer(topic, "Bool", latched=True)

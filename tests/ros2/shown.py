@@ -37,17 +37,19 @@ async def page(url):
     place = url.split("://", 1)[1].split("/", 1)[0]
     async with websockets.asyncio.client.connect(f"ws://{place}/live", origin=f"http://{place}") as socket:
         async for frame in socket:
-            t, state = time.time(), json.loads(frame).get("state")
+            t, message = time.time(), json.loads(frame)
+            if "frame" not in message:
+                continue
+            angles = message["state"]["arm"]["joints_rad"]
             # NaN, which stands for unknown, becomes null in JSON.
-            if state and None not in state["arm"]["joints_rad"]:
-                say("page", t, state["arm"]["joints_rad"])
+            if None not in angles:
+                say("page", t, angles)
             # As the page says it once a frame is drawn; the next one waits for it.
             await socket.send("took")
 
 
 async def foxglove(url):
-    connect = websockets.asyncio.client.connect(url, subprotocols=["foxglove.sdk.v1"])
-    async with connect as socket:
+    async with websockets.asyncio.client.connect(url, subprotocols=["foxglove.sdk.v1"]) as socket:
         json.loads(await socket.recv())
         channels = json.loads(await socket.recv())["channels"]
         channel = next(channel for channel in channels if channel["topic"] == TOPIC)

@@ -135,7 +135,9 @@ fn hands_drive_an_independent_robot_with_right_types_values_quality_and_in_time(
     left.plug();
     bridge.wait("armed again", armed);
 
-    // A stop in the middle of a motion cancels it.
+    // A stop in the middle of a motion cancels it. The arm keeps time by the wall clock and the hand does not: on a busy
+    // machine only a motion that takes its time has a middle for both.
+    robot.order("pace 1");
     robot.wait("another goal", |v| is(v, "goal"));
     desk.pass(Duration::from_millis(200));
     left.hold(BENT);
@@ -340,8 +342,10 @@ fn what_people_see_are_a_slower_arms_own_angles_within_100_ms() {
     live.has("the page", |v| is(v, "page"));
     live.has("Foxglove", |v| is(v, "foxglove"));
     let lateness = Lateness::watch();
-    robot.wait("the arm moves", |v| is(v, "arm") && v["moves"] == true);
-    desk.pass(Duration::from_secs(4));
+    let moves = robot.wait("the arm moves", |v| is(v, "arm") && v["moves"] == true);
+    let (moves_s, from) = (number(&moves["t"]), moves["position"].clone());
+    let is_far = |v: &Value| (0..7).any(|j| (number(&v["position"][j]) - number(&from[j])).abs() > 0.3);
+    robot.wait("it is somewhere else", |v| is(v, "angles") && is_far(v));
     bridge.interrupt();
     bridge.end();
     let was_quiet = lateness.was_quiet();
@@ -352,7 +356,8 @@ fn what_people_see_are_a_slower_arms_own_angles_within_100_ms() {
 
     let reported = angles(&robot.seen, "angles");
     for (event, seen) in [("page", &live.seen), ("foxglove", &live.seen), ("file", &kept)] {
-        let seen = angles(seen, event);
+        let mut seen = angles(seen, event);
+        seen.retain(|(at_s, _)| *at_s > moves_s);
         let mut delays_ms = Vec::new();
         for (at_s, joints) in &seen {
             // Shown as it was reported, to the bit, so that nothing of the simulator's can be in it. The newest that
@@ -369,7 +374,7 @@ fn what_people_see_are_a_slower_arms_own_angles_within_100_ms() {
         println!(
             "{event}: {count} times, moved {moved:.2} rad, behind by {middle_ms:.1} ms, at worst {worst_ms:.1} ms"
         );
-        assert!(count > 100 && moved > 0.1, "{event}: {count} times, {moved} rad");
+        assert!(count > 20 && moved > 0.2, "{event}: {count} times, {moved} rad");
         assert!(!was_quiet || worst_ms <= 100.0, "{event} is {worst_ms} ms behind");
     }
 }
@@ -607,7 +612,9 @@ fn a_fifth_of_the_datagrams_lost_moves_the_robot_never_by_old_commands() {
         (number(&recovered["t"]) - end_s) * 1000.0
     );
     assert!(number(&recovered["t"]) - end_s <= 1.0);
-    assert!(after.len() > 75 && (!was_quiet || gap_ms < 250.0), "{} speeds, gap {gap_ms} ms", after.len());
+    let count = after.len();
+    assert!(count > if was_quiet { 75 } else { 10 }, "{count} speeds");
+    assert!(!was_quiet || gap_ms < 250.0, "gap {gap_ms} ms");
     let counts = &bridge_said.last().unwrap()["ros2"];
     println!("sent {}, received {}", counts["twists"], speeds.len());
 }

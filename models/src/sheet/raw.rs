@@ -1,9 +1,16 @@
 //! Rows in a file's own units, and how they become recordings.
 
+mod factor;
+mod table;
+
 use std::path::Path;
 
+pub use table::Table;
+
+use factor::{acceleration_factor, other_factor};
+
 use super::clock::{self, Stamp};
-use super::judge::{self, Verdict};
+use super::judge;
 use super::layout::{Layout, Problem, Source};
 use super::text::{self, Separator};
 use super::{Reading, SENSORS, Sensor, Sheet};
@@ -366,89 +373,6 @@ impl Take {
     }
 }
 
-/// Samples at an even rate under named columns, of a file that is no CSV.
-#[derive(Clone, Debug)]
-pub struct Table {
-    layout: Layout,
-    values: [Vec<[f64; 3]>; 3],
-}
-
-impl Table {
-    /// Finds the columns; `file` is for the errors.
-    ///
-    /// # Errors
-    /// [`RecordingError::Header`].
-    pub fn new(file: &Path, names: Vec<String>, reading: &Reading) -> Result<Self, RecordingError> {
-        let layout = match &reading.columns {
-            Some(columns) => Layout::given(columns, &names),
-            None => Layout::of(&names, file),
-        };
-        let layout = layout.map_err(|problem| header_error(file, 1, problem))?;
-        if layout.sensors[0].is_none() {
-            let text = format!("no columns of an accelerometer are named, there are {}", names.join(", "));
-            return Err(header_error(file, 1, (0, String::new(), text)));
-        }
-        Ok(Self { layout, values: Default::default() })
-    }
-
-    /// The columns that are used, and the sensor of each.
-    pub fn columns(&self) -> impl Iterator<Item = (usize, Sensor)> {
-        self.layout.sensors.iter().zip(SENSORS).flat_map(|(source, sensor)| {
-            let source = source.iter();
-            source.flat_map(move |source| {
-                source
-                    .columns
-                    .into_iter()
-                    .chain(source.plus.into_iter().flatten())
-                    .map(move |column| (column, sensor))
-            })
-        })
-    }
-
-    /// Of which sensors the samples are in our units, as the file says.
-    pub fn declare(&mut self, declared: [bool; 3]) {
-        for (source, declared) in self.layout.sensors.iter_mut().zip(declared) {
-            if let (Some(source), true) = (source, declared) {
-                source.factor = Some(1.0);
-            }
-        }
-    }
-
-    /// One sample of every column; a row that is too short is left out.
-    pub fn push(&mut self, row: &[f64]) {
-        for (source, values) in self.layout.sensors.iter().zip(&mut self.values) {
-            let Some(source) = source else { continue };
-            let value = |axis: usize| {
-                let plus = source.plus.and_then(|plus| row.get(plus[axis]));
-                Some(row.get(source.columns[axis])? + plus.unwrap_or(&0.0))
-            };
-            if let (Some(x), Some(y), Some(z)) = (value(0), value(1), value(2)) {
-                values.push([x, y, z]);
-            }
-        }
-    }
-
-    /// The recording and what is to be said of it.
-    ///
-    /// # Errors
-    /// [`RecordingError::Units`].
-    pub fn finish(
-        self,
-        file: &Path,
-        interval_ms: f64,
-        reading: &Reading,
-    ) -> Result<(Recording, Vec<String>), RecordingError> {
-        let times = (0..self.values[0].len()).map(|n| n as f64 * interval_ms).collect();
-        let take = Take { first_line: 1, times, values: self.values };
-        let sheet = RawSheet { sources: self.layout.sensors, takes: vec![take], notes: self.layout.notes };
-        let Sheet { mut takes, notes } = sheet.judged(file, reading)?;
-        match takes.pop() {
-            Some(recording) => Ok((recording, notes)),
-            None => Err(RecordingError::Empty { file: file.to_owned(), what: "there are no samples" }),
-        }
-    }
-}
-
 /// Several files of one recording, one sensor each: the samples of all at the times of the accelerometer's, between
 /// their neighbours. None where there is no accelerometer among them, or they do not overlap in time.
 ///
@@ -570,112 +494,5 @@ impl RawSheet {
             Recording::new(3 * nested, take.times, values)
         });
         Ok(Sheet { takes: takes.collect(), notes })
-    }
-}
-
-/// Factor of acceleration to m/s².
-fn acceleration_factor(
-    source: &Source,
-    reading: &Reading,
-    judge: &dyn Fn(f64) -> Verdict,
-    notes: &mut Vec<String>,
-) -> Result<f64, String> {
-    let told = reading.units.of(Sensor::Acceleration);
-    let declared = told.or(source.factor);
-    let expected = declared.or(source.usual).unwrap_or(1.0);
-    let verdict = judge(expected);
-    let whose = match (told, source.factor) {
-        (Some(_), _) => "as --units has it, ",
-        (None, Some(_)) => "in the unit that the file declares, ",
-        (None, None) => "",
-    };
-    match verdict {
-        Verdict::Unknown => return Ok(expected),
-        Verdict::MetresPerS2 => {
-            if source.linear {
-                notes.push("columns of linear acceleration have gravity in them, and are used".to_owned());
-            }
-            if declared.is_none() && source.usual.is_some() {
-                notes.push("the accelerometer is in g, by its columns' names and by gravity".to_owned());
-            }
-            return Ok(expected);
-        }
-        Verdict::NoGravity(typical) => {
-            return Err(format!(
-                "{whose}there is no gravity in the accelerometer's samples (typically {typical:.2}, in m/s² a hand has about \
-                 9.8): linear acceleration cannot be used; record the accelerometer itself"
-            ));
-        }
-        // A sensor that is not calibrated, where the user says what it is.
-        Verdict::Odd(_) if told.is_some() => return Ok(expected),
-        Verdict::Odd(gravity) => {
-            return Err(format!(
-                "{whose}gravity at rest is {gravity:.1}, which is neither g nor m/s²: are these raw counts? Say what they are \
-                 with --units, for example --units 16384/g"
-            ));
-        }
-        Verdict::G | Verdict::MilliG => {}
-    }
-    let name = if verdict == Verdict::G { "g" } else { "mg" };
-    let factor = verdict.factor().unwrap_or(1.0) * expected;
-    if declared.is_some() {
-        return Err(format!(
-            "{whose}gravity at rest is {} m/s², where 9.8 is right: is this in {name}? Say so with --units {name}",
-            if verdict == Verdict::G { "about 1" } else { "about 1000" }
-        ));
-    }
-    if !reading.guess {
-        return Err(format!(
-            "gravity at rest is {} m/s², where 9.8 is right: is this in {name}? Say so with --units {name}, in \
-             `models import` or where recordings are played",
-            if verdict == Verdict::G { "about 0.98" } else { "about 980" }
-        ));
-    }
-    notes.push(format!("the accelerometer is in {name}, by gravity"));
-    Ok(factor)
-}
-
-/// Factor of turn rates to deg/s, or of the field to µT; `judge` says whether samples times a factor are in the other
-/// unit, rad/s or gauss.
-fn other_factor(
-    sensor: Sensor,
-    source: &Source,
-    reading: &Reading,
-    judge: impl Fn(f64) -> Option<bool>,
-    notes: &mut Vec<String>,
-) -> Result<f64, String> {
-    let (ours, theirs) = if sensor == Sensor::TurnRate { ("deg/s", "rad/s") } else { ("uT", "gauss") };
-    if let Some(told) = reading.units.of(sensor) {
-        return Ok(told);
-    }
-    let is_other = judge(source.factor.unwrap_or(1.0));
-    let other = super::names::factor(sensor, theirs).unwrap_or(1.0);
-    match (source.factor, is_other) {
-        (Some(1.0), Some(true)) => Err(format!(
-            "the file says that {sensor} is in {ours}, but its samples look like {theirs}; say which with --units {theirs} or \
-             --units {ours}"
-        )),
-        (Some(factor), _) => Ok(factor),
-        (None, None) => {
-            if let Some(usual) = source.usual {
-                notes.push(format!("{sensor} is taken to be in {theirs}, by its columns' names"));
-                return Ok(usual);
-            }
-            Ok(1.0)
-        }
-        (None, Some(false)) => {
-            if source.usual.is_some() {
-                notes.push(format!("{sensor} is in {ours}, by how much it shows, although such columns usually are in {theirs}"));
-            }
-            Ok(1.0)
-        }
-        (None, Some(true)) if reading.guess || source.usual.is_some() => {
-            notes.push(format!("{sensor} is in {theirs}, by how much it shows"));
-            Ok(other)
-        }
-        (None, Some(true)) => Err(format!(
-            "{sensor} shows very little for so much movement: is it in {theirs}? Say so with --units {theirs}, or with --units \
-             {ours} if not, in `models import` or where recordings are played"
-        )),
     }
 }
