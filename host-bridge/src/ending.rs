@@ -17,8 +17,6 @@ use std::time::Duration;
 
 use crossterm::terminal::disable_raw_mode;
 use host_links::links::{Clock as _, SystemClock};
-use rustix::event::{PollFd, PollFlags, Timespec, poll};
-use signal_hook::consts::{SIGHUP, SIGINT, SIGQUIT, SIGTERM};
 
 /// A program that was told to end and has not is ended after this long.
 const PATIENCE_MS: u64 = 900;
@@ -44,10 +42,7 @@ impl Ending {
     pub fn watch(quit: &Arc<AtomicBool>, screen: bool) -> io::Result<Self> {
         // Set by an end from outside only: a session that the operator ends may take its time.
         let told = Arc::new(AtomicBool::new(false));
-        for signal in [SIGINT, SIGTERM, SIGQUIT, SIGHUP] {
-            if signal == SIGHUP && hangups_are_ignored() {
-                continue;
-            }
+        for signal in system::signals() {
             signal_hook::flag::register(signal, Arc::clone(quit))?;
             signal_hook::flag::register(signal, Arc::clone(&told))?;
         }
@@ -60,7 +55,7 @@ impl Ending {
             let mut since_ms = None;
             loop {
                 waiter.sleep(LOOK);
-                if screen && terminal_is_gone() {
+                if screen && system::terminal_is_gone() {
                     told.store(true, Ordering::SeqCst);
                     quit.store(true, Ordering::SeqCst);
                 }
@@ -103,30 +98,72 @@ fn watch_panics(
     }));
 }
 
-/// Was this program started with SIGHUP ignored? (`std` cannot say; Linux's /proc can.)
-fn hangups_are_ignored() -> bool {
-    let Ok(status) = std::fs::read_to_string("/proc/self/status") else { return false };
-    let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
-    mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).is_some_and(|mask| mask & 1 != 0)
-}
-
-/// Has the terminal behind the standard input hung up? Whoever read from it would read for ever.
-fn terminal_is_gone() -> bool {
-    let stdin = io::stdin();
-    let mut look = [PollFd::new(&stdin, PollFlags::empty())];
-    let at_once = Timespec { tv_sec: 0, tv_nsec: 0 };
-    let gone = PollFlags::HUP | PollFlags::ERR | PollFlags::NVAL;
-    poll(&mut look, Some(&at_once)).is_ok() && look[0].revents().intersects(gone)
-}
-
 /// Gives the terminal back as it was, as far as that can be done without waiting for it.
 fn give_terminal_back() {
     let _ = disable_raw_mode();
-    let stdout = io::stdout();
-    let mut look = [PollFd::new(&stdout, PollFlags::OUT)];
-    let at_once = Timespec { tv_sec: 0, tv_nsec: 0 };
-    if poll(&mut look, Some(&at_once)).is_ok() && look[0].revents().contains(PollFlags::OUT) {
-        let _ = rustix::io::write(&stdout, RESTORE);
+    system::write_at_once(RESTORE);
+}
+
+#[cfg(unix)]
+mod system {
+    use std::io;
+
+    use rustix::event::{PollFd, PollFlags, Timespec, poll};
+    use signal_hook::consts::{SIGHUP, SIGINT, SIGQUIT, SIGTERM};
+
+    const AT_ONCE: Timespec = Timespec { tv_sec: 0, tv_nsec: 0 };
+
+    /// What tells a program to end.
+    pub fn signals() -> impl Iterator<Item = i32> {
+        [SIGINT, SIGTERM, SIGQUIT, SIGHUP].into_iter().filter(|s| *s != SIGHUP || !hangups_are_ignored())
+    }
+
+    /// Was this program started with SIGHUP ignored? (`std` cannot say; Linux's /proc can.)
+    fn hangups_are_ignored() -> bool {
+        let Ok(status) = std::fs::read_to_string("/proc/self/status") else { return false };
+        let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+        mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).is_some_and(|mask| mask & 1 != 0)
+    }
+
+    /// Has the terminal behind the standard input hung up? Whoever read from it would read for ever.
+    pub fn terminal_is_gone() -> bool {
+        let stdin = io::stdin();
+        let mut look = [PollFd::new(&stdin, PollFlags::empty())];
+        let gone = PollFlags::HUP | PollFlags::ERR | PollFlags::NVAL;
+        poll(&mut look, Some(&AT_ONCE)).is_ok() && look[0].revents().intersects(gone)
+    }
+
+    /// Writes to the terminal if it takes that without waiting.
+    pub fn write_at_once(bytes: &[u8]) {
+        let stdout = io::stdout();
+        let mut look = [PollFd::new(&stdout, PollFlags::OUT)];
+        if poll(&mut look, Some(&AT_ONCE)).is_ok() && look[0].revents().contains(PollFlags::OUT) {
+            let _ = rustix::io::write(&stdout, bytes);
+        }
+    }
+}
+
+/// Compiled, and never run by us: no machine with Windows was at hand.
+#[cfg(not(unix))]
+mod system {
+    use std::io::{self, Write as _};
+
+    use signal_hook::consts::{SIGINT, SIGTERM};
+
+    /// What tells a program to end.
+    pub fn signals() -> impl Iterator<Item = i32> {
+        [SIGINT, SIGTERM].into_iter()
+    }
+
+    /// A console that is closed ends its programs itself.
+    pub fn terminal_is_gone() -> bool {
+        false
+    }
+
+    /// Writes to the console, which has no way to ask whether it would wait.
+    pub fn write_at_once(bytes: &[u8]) {
+        let mut stdout = io::stdout();
+        let _ = stdout.write_all(bytes).and_then(|()| stdout.flush());
     }
 }
 

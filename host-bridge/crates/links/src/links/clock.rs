@@ -7,8 +7,6 @@
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::Duration;
 
-use rustix::time::{ClockId, clock_gettime};
-
 use super::{EventReceiver, LinkEvent};
 
 #[cfg(feature = "test-clock")]
@@ -66,7 +64,10 @@ impl Clock for SystemClock {
     }
 }
 
+#[cfg(unix)]
 fn since_boot_ms() -> u64 {
+    use rustix::time::{ClockId, clock_gettime};
+
     // Elsewhere (macOS) the monotonic clock counts sleep itself.
     #[cfg(any(target_os = "linux", target_os = "android"))]
     let clock = ClockId::Boottime;
@@ -75,6 +76,13 @@ fn since_boot_ms() -> u64 {
     let time = clock_gettime(clock);
     // Neither is negative, nor does it reach the end of a u64.
     time.tv_sec as u64 * 1000 + time.tv_nsec as u64 / 1_000_000
+}
+
+/// From the first call on. Windows' performance counter, which `std` reads, counts sleep.
+#[cfg(not(unix))]
+fn since_boot_ms() -> u64 {
+    static START: std::sync::OnceLock<std::time::Instant> = std::sync::OnceLock::new();
+    u64::try_from(START.get_or_init(std::time::Instant::now).elapsed().as_millis()).unwrap_or(u64::MAX)
 }
 
 /// Where one thread waits for time to pass. While it exists and does not wait, its thread is at work.
