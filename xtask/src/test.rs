@@ -13,6 +13,7 @@ use std::time::Instant;
 use anyhow::{Context, Result, bail, ensure};
 
 use crate::steps::{Outcome, Step, output, report, run_all, sh};
+use crate::toolchain::Target;
 use crate::tools::{BROWSER, CROSS_LINK, CROSS_RUST, EMULATORS, NETWORK, QEMU};
 use crate::{
     firmware_avr, firmware_nano33, is_full, jazzy, package, python, real_data, root, target_dir, toolchain,
@@ -416,6 +417,15 @@ fn others() -> Vec<Step> {
         }),
     ];
     if is_full() {
+        steps.push(Step::new("Windows and macOS, compiled", || {
+            for target in [Target::Windows, Target::Mac] {
+                sh(toolchain::cargo(target, "check")?
+                    .current_dir(root())
+                    .args(["--locked", "--package", "host-bridge"])
+                    .env("CARGO_TARGET_DIR", target_dir().join("elsewhere")))?;
+            }
+            Ok(())
+        }));
         // Minutes of building with another choice of features.
         steps.push(Step::new("the archive, unpacked and run", package::run));
     }

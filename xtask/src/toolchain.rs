@@ -1,4 +1,4 @@
-//! Picks the compiler for the two boards: rustup's where it has the target, else Debian's packages.
+//! Picks the compiler for what is not this machine: rustup's where it has the target, else Debian's packages.
 //!
 //! Both boards build from the same sources with either. Debian's `rustc-web` brings the library
 //! source and no prebuilt core, so there `core` is built along (`-Zbuild-std`, which a stable
@@ -11,13 +11,17 @@ use anyhow::{Result, bail};
 
 use crate::tools;
 
-/// The two boards.
+/// The two boards, and other people's laptops.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Target {
     /// ATmega328P.
     Avr,
     /// nRF52840.
     Thumb,
+    /// A laptop with Windows.
+    Windows,
+    /// A laptop with macOS.
+    Mac,
 }
 
 impl Target {
@@ -26,6 +30,16 @@ impl Target {
         match self {
             Target::Avr => "avr-none",
             Target::Thumb => "thumbv7em-none-eabihf",
+            Target::Windows => "x86_64-pc-windows-msvc",
+            Target::Mac => "aarch64-apple-darwin",
+        }
+    }
+
+    /// What has to be built of the library where there is none for the target.
+    fn library(self) -> &'static str {
+        match self {
+            Target::Avr | Target::Thumb => "-Zbuild-std=core",
+            Target::Windows | Target::Mac => "-Zbuild-std=std,panic_unwind,proc_macro",
         }
     }
 }
@@ -38,7 +52,7 @@ pub fn cargo(target: Target, subcommand: &str) -> Result<Command> {
     let mut command = if has_rustup(target) {
         let mut command = Command::new("cargo");
         if target == Target::Avr {
-            command.args(["+nightly", subcommand, "-Zbuild-std=core"]);
+            command.args(["+nightly", subcommand, target.library()]);
         } else {
             command.arg(subcommand);
         }
@@ -52,7 +66,7 @@ pub fn cargo(target: Target, subcommand: &str) -> Result<Command> {
             // Debian's compiler has no linker of its own for this target.
             command.env("CARGO_TARGET_THUMBV7EM_NONE_EABIHF_LINKER", "ld.lld");
         }
-        command.args([subcommand, "-Zbuild-std=core"]);
+        command.args([subcommand, target.library()]);
         command
     } else {
         bail!(
@@ -60,8 +74,9 @@ pub fn cargo(target: Target, subcommand: &str) -> Result<Command> {
             target.triple(),
             match target {
                 Target::Avr =>
-                    "rustup toolchain install nightly --component rust-src (and avr-gcc from your packages)",
-                Target::Thumb => "rustup target add thumbv7em-none-eabihf",
+                    "rustup toolchain install nightly --component rust-src (and avr-gcc from your packages)"
+                        .into(),
+                other => format!("rustup target add {}", other.triple()),
             },
             tools::CROSS_RUST.install_line(),
         )
@@ -87,7 +102,9 @@ fn has_rustup(target: Target) -> bool {
             .is_ok_and(|o| o.status.success() && String::from_utf8_lossy(&o.stdout).contains(what))
     };
     match target {
-        Target::Thumb => lists(&["target", "list", "--installed"], target.triple()),
+        Target::Thumb | Target::Windows | Target::Mac => {
+            lists(&["target", "list", "--installed"], target.triple())
+        }
         Target::Avr => lists(&["component", "list", "--toolchain", "nightly", "--installed"], "rust-src"),
     }
 }
