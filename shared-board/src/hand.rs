@@ -1,5 +1,7 @@
 //! What names the gestures of a right board: the network behind an IMU, or anything else that gives the same output.
 
+use core::marker::PhantomData;
+
 use shared_dsp::mlp::{self, MAX_AXES};
 use shared_dsp::right::{RightHand, RightOutput};
 use shared_proto::message::ModelInfo;
@@ -40,25 +42,66 @@ pub fn model_info_on_the_wire<'a>(info: &mlp::ModelInfo<'a>) -> ModelInfo<'a> {
     }
 }
 
-/// A hand whose samples come as the sensor's counts.
-#[derive(Clone, Debug)]
-pub struct CountHand<'m, const A: usize> {
-    hand: RightHand<'m, A>,
-    scale: [f32; 3],
+/// How a hand's samples come.
+pub trait Reading: Copy {
+    /// In m/s², deg/s or µT, where a count is `scale` of them.
+    fn value(self, scale: f32) -> f32;
+
+    /// In counts of `scale`.
+    fn count(self, scale: f32) -> i16;
 }
 
-impl<'m, const A: usize> CountHand<'m, A> {
-    /// `scale` is the physical value of one count: m/s², deg/s, µT.
-    pub fn new(hand: RightHand<'m, A>, scale: [f32; 3]) -> Self {
-        Self { hand, scale }
+/// As the sensor's counts.
+impl Reading for i16 {
+    fn value(self, scale: f32) -> f32 {
+        f32::from(self) * scale
+    }
+
+    fn count(self, _: f32) -> i16 {
+        self
     }
 }
 
-impl<const A: usize> Hand for CountHand<'_, A> {
-    type Sample = [i16; A];
+/// In m/s², deg/s and µT, as recordings hold them.
+impl Reading for f32 {
+    fn value(self, _: f32) -> f32 {
+        self
+    }
 
-    fn push(&mut self, counts: &[i16; A], time_ms: u32) -> bool {
-        let values = core::array::from_fn(|axis| f32::from(counts[axis]) * self.scale[axis / 3]);
+    /// To the nearest count, within what 16 bits hold; NaN is 0.
+    fn count(self, scale: f32) -> i16 {
+        let exact = self / scale;
+        // The cast goes to the limits where the value lies outside, and cuts towards zero.
+        (exact + if exact < 0.0 { -0.5 } else { 0.5 }) as i16
+    }
+}
+
+/// A hand whose samples come as the sensor's counts.
+pub type CountHand<'m, const A: usize> = SampledHand<'m, i16, A>;
+
+/// A hand whose samples come in m/s², deg/s and µT.
+pub type ValueHand<'m, const A: usize> = SampledHand<'m, f32, A>;
+
+/// A hand that runs a model on samples of `A` readings.
+#[derive(Clone, Debug)]
+pub struct SampledHand<'m, R, const A: usize> {
+    hand: RightHand<'m, A>,
+    scale: [f32; 3],
+    readings: PhantomData<R>,
+}
+
+impl<'m, R: Reading, const A: usize> SampledHand<'m, R, A> {
+    /// `scale` is the physical value of one count, of the samples or in record mode: m/s², deg/s, µT.
+    pub fn new(hand: RightHand<'m, A>, scale: [f32; 3]) -> Self {
+        Self { hand, scale, readings: PhantomData }
+    }
+}
+
+impl<R: Reading, const A: usize> Hand for SampledHand<'_, R, A> {
+    type Sample = [R; A];
+
+    fn push(&mut self, sample: &[R; A], time_ms: u32) -> bool {
+        let values = core::array::from_fn(|axis| sample[axis].value(self.scale[axis / 3]));
         self.hand.push(&values, time_ms).is_some()
     }
 
@@ -78,58 +121,10 @@ impl<const A: usize> Hand for CountHand<'_, A> {
         Some(self.scale)
     }
 
-    fn counts(&self, sample: &[i16; A], counts: &mut [i16; MAX_AXES]) -> usize {
-        let len = A.min(MAX_AXES);
-        counts[..len].copy_from_slice(&sample[..len]);
-        len
-    }
-}
-
-/// A hand whose samples come in m/s², deg/s and µT, as recordings hold them.
-#[derive(Clone, Debug)]
-pub struct ValueHand<'m, const A: usize> {
-    hand: RightHand<'m, A>,
-    scale: [f32; 3],
-}
-
-impl<'m, const A: usize> ValueHand<'m, A> {
-    /// `scale` is the physical value of one count in record mode: m/s², deg/s, µT.
-    pub fn new(hand: RightHand<'m, A>, scale: [f32; 3]) -> Self {
-        Self { hand, scale }
-    }
-}
-
-impl<const A: usize> Hand for ValueHand<'_, A> {
-    type Sample = [f32; A];
-
-    fn push(&mut self, sample: &[f32; A], time_ms: u32) -> bool {
-        self.hand.push(sample, time_ms).is_some()
-    }
-
-    fn gap(&mut self) {
-        self.hand.gap();
-    }
-
-    fn output(&self) -> &RightOutput {
-        self.hand.output()
-    }
-
-    fn model(&self) -> ModelInfo<'_> {
-        model_info_on_the_wire(self.hand.model().info())
-    }
-
-    fn scale(&self) -> Option<[f32; 3]> {
-        Some(self.scale)
-    }
-
-    /// To the nearest count, within what 16 bits hold; NaN is 0.
-    fn counts(&self, sample: &[f32; A], counts: &mut [i16; MAX_AXES]) -> usize {
-        let len = A.min(MAX_AXES);
-        for (axis, (count, value)) in counts.iter_mut().zip(sample).enumerate() {
-            let exact = value / self.scale[axis / 3];
-            // The cast goes to the limits where the value lies outside, and cuts towards zero.
-            *count = (exact + if exact < 0.0 { -0.5 } else { 0.5 }) as i16;
+    fn counts(&self, sample: &[R; A], counts: &mut [i16; MAX_AXES]) -> usize {
+        for (axis, (count, reading)) in counts.iter_mut().zip(sample).enumerate() {
+            *count = reading.count(self.scale[axis / 3]);
         }
-        len
+        A.min(MAX_AXES)
     }
 }

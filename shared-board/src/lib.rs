@@ -11,6 +11,7 @@
 //!
 //! * [`left::LeftBoard`]: tilt and bends, calibration kept in EEPROM, thresholds.
 //! * [`right::RightBoard`]: gestures, record mode, what a model needs.
+//! * [`vibration::Vibration`]: what a motor at the right board says.
 //! * [`models::ModelStore`]: receives a model over the wire into one of two slots of NOR flash.
 //!
 //! The firmware of both boards, replayed recordings, keyboard hands and the doubles of the tests all run this
@@ -60,6 +61,7 @@ pub mod memory;
 pub mod models;
 pub mod right;
 pub mod slots;
+pub mod vibration;
 
 use shared_proto::frame::encode_body;
 use shared_proto::message::{Board, BoardBody, Hello, PROTOCOL_MAJOR, PROTOCOL_MINOR};

@@ -3,6 +3,7 @@
 use crate::faults::FaultLog;
 use crate::hand::Hand;
 use crate::models::ModelRequest;
+use crate::vibration::{Motor, Vibration};
 use crate::{FrameOut, Identity, send};
 use shared_dsp::features::HOP;
 use shared_dsp::mlp::MAX_AXES;
@@ -41,6 +42,9 @@ pub struct RightBoard<H> {
     board_time_ms: u32,
     sensor_ok: bool,
     about: Option<About>,
+    /// As all links were told it with a status.
+    told: Option<About>,
+    vibration: Vibration,
     /// It has said who it is since it started.
     greeted: bool,
     raw: RawBatch,
@@ -58,6 +62,8 @@ impl<H: Hand> RightBoard<H> {
             board_time_ms: 0,
             sensor_ok: false,
             about: None,
+            told: None,
+            vibration: Vibration::default(),
             greeted: false,
             raw: RawBatch::new(),
             faults: FaultLog::new(),
@@ -122,7 +128,8 @@ impl<H: Hand> RightBoard<H> {
         self.sensor_ok = ok;
     }
 
-    /// What the board is made of, as far as its driver knows by now; said after each hello.
+    /// What the board is made of, as far as its driver knows by now; said after each hello, and with the next status where it
+    /// has changed (its battery).
     pub fn set_about(&mut self, about: About) {
         self.about = Some(about);
     }
@@ -160,6 +167,9 @@ impl<H: Hand> RightBoard<H> {
         now_ms: u32,
         out: &mut impl FrameOut,
     ) -> Option<ModelRequest<'r>> {
+        if trusted {
+            self.vibration.heard(now_ms);
+        }
         let (request, result) = match *message {
             HostMessage::HelloRequest => {
                 self.hello(out);
@@ -167,6 +177,12 @@ impl<H: Hand> RightBoard<H> {
             }
             HostMessage::Ping { id } => {
                 send::<PONG_FRAME_MAX>(&Pong { id, board_time_ms: now_ms }, out);
+                return None;
+            }
+            HostMessage::Feel { signal } => {
+                if trusted {
+                    self.vibration.feel(signal, now_ms);
+                }
                 return None;
             }
             HostMessage::Calibrate { request, .. } | HostMessage::SetThresholds { request, .. } => {
@@ -191,10 +207,20 @@ impl<H: Hand> RightBoard<H> {
 
     /// Sends what the drivers have counted, with the board's own part: time and mode. Due every
     /// [`STATUS_INTERVAL_MS`](crate::STATUS_INTERVAL_MS).
-    pub fn status(&self, mut counted: Status, now_ms: u32, out: &mut impl FrameOut) {
+    pub fn status(&mut self, mut counted: Status, now_ms: u32, out: &mut impl FrameOut) {
         counted.uptime_ms = now_ms;
         counted.mode = self.mode;
         send::<STATUS_FRAME_MAX>(&counted, out);
+        if self.greeted && self.told != self.about {
+            self.told = self.about;
+            self.say_about(out);
+        }
+    }
+
+    /// What a vibration motor does now. Ask again when the returned time is over, and after each
+    /// [`HostMessage::Feel`].
+    pub fn motor(&mut self, now_ms: u32) -> Motor {
+        self.vibration.motor(now_ms)
     }
 
     /// What the light says now.
@@ -219,10 +245,14 @@ impl<H: Hand> RightBoard<H> {
         let model = self.hand.model();
         send::<HELLO_FRAME_MAX>(&self.identity.hello(model.model_id), out);
         send::<MODEL_INFO_FRAME_MAX>(&model, out);
+        self.say_about(out);
+        self.faults.repeat(out);
+    }
+
+    fn say_about(&self, out: &mut impl FrameOut) {
         if let Some(about) = &self.about {
             send::<ABOUT_FRAME_MAX>(about, out);
         }
-        self.faults.repeat(out);
     }
 
     fn set_mode(&mut self, mode: Mode, trusted: bool) -> AckResult {

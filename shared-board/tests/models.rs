@@ -8,8 +8,7 @@ use shared_board::hand::model_info_on_the_wire;
 use shared_board::memory::{RamFlash, at_once};
 use shared_board::models::{Found, MappedFlash, ModelRequest, ModelStore, Runs};
 use shared_board::slots::{BLOB_MAX, Slot};
-use shared_dsp::mlp::{BlobSpec, DenseSpec, Model, build_blob, crc32};
-use shared_dsp::recipe::Recipe;
+use shared_dsp::mlp::{Model, crc32};
 use shared_proto::message::{AckResult, MODEL_CHUNK_MAX, ModelBegin, ModelInfo};
 
 const RUNS: Runs = Runs { axes: 3, sample_hz: 100 };
@@ -20,28 +19,7 @@ fn blob(seed: i8) -> Vec<u8> {
 }
 
 fn spec(seed: i8, axes: usize, hop: u16) -> Vec<u8> {
-    let inputs = Recipe::Raw.feature_count(axes);
-    build_blob(&BlobSpec {
-        recipe: Recipe::Raw,
-        axes,
-        sample_hz: 100,
-        window: 200,
-        hop,
-        labels: ["idle", "one"].map(String::from).to_vec(),
-        scaling: vec![(1.0, 0.0); inputs],
-        layers: vec![DenseSpec {
-            weights: vec![vec![seed; inputs]; 2],
-            biases: vec![0; 2],
-            input_scale: 0.05,
-            input_zero_point: 0,
-            weight_scales: vec![0.01],
-            output_scale: 0.05,
-            output_zero_point: 0,
-            relu: false,
-            largest: 127,
-        }],
-    })
-    .expect("a valid model")
+    common::model(&["idle", "one"], axes, hop, |_| seed)
 }
 
 fn begin(blob: &[u8]) -> ModelBegin<'_> {

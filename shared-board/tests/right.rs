@@ -9,12 +9,12 @@ use shared_board::hand::{CountHand, Hand, ValueHand};
 use shared_board::models::ModelRequest;
 use shared_board::right::{Light, RightBoard};
 use shared_dsp::decision::DecisionConfig;
-use shared_dsp::mlp::{BlobSpec, DenseSpec, MAX_AXES, Model, build_blob};
-use shared_dsp::recipe::Recipe;
+use shared_dsp::mlp::{MAX_AXES, Model};
 use shared_dsp::right::RightHand;
 use shared_proto::frame::{HOST_FRAME_MAX, parse_host};
 use shared_proto::message::{
-    AckResult, Board, BoardMessage, FaultKind, HostMessage, Mode, ModelBegin, ModelInfo, Status, health,
+    About, AckResult, Board, BoardMessage, FaultKind, HostMessage, Image, Mode, ModelBegin, ModelInfo,
+    ResetCause, Sensor, Signal, Status, health,
 };
 
 const SCALE: [f32; 3] = [0.01, 0.07, 0.014];
@@ -22,31 +22,7 @@ const LABELS: [&str; 3] = ["idle", "a", "b"];
 
 /// A network of three axes with some weights.
 fn blob() -> Vec<u8> {
-    let inputs = Recipe::Raw.feature_count(3);
-    let weight = |i: usize| ((i * 37) % 255) as i8;
-    build_blob(&BlobSpec {
-        recipe: Recipe::Raw,
-        axes: 3,
-        sample_hz: 100,
-        window: 200,
-        hop: 8,
-        labels: LABELS.map(String::from).to_vec(),
-        scaling: vec![(1.0, 0.0); inputs],
-        layers: vec![DenseSpec {
-            weights: (0..3)
-                .map(|row| (0..inputs).map(|i| weight(row * inputs + i).max(-127)).collect())
-                .collect(),
-            biases: vec![0; 3],
-            input_scale: 0.05,
-            input_zero_point: 0,
-            weight_scales: vec![0.01],
-            output_scale: 0.05,
-            output_zero_point: 0,
-            relu: false,
-            largest: 127,
-        }],
-    })
-    .expect("a valid model")
+    common::model(&LABELS, 3, 8, |i| (((i * 37) % 255) as i8).max(-127))
 }
 
 fn hand(blob: &[u8]) -> CountHand<'_, 3> {
@@ -226,6 +202,54 @@ fn idle_is_silent_but_for_statuses() {
     let status = rig.line.statuses()[0];
     assert_eq!((status.uptime_ms, status.dropped_samples, status.bad_frames), (3000, 4, 2));
     assert_eq!(status.mode, Mode::Idle);
+}
+
+/// What the motor does `ms` after now.
+fn motor_after(rig: &mut Rig<'_>, ms: u32) -> u8 {
+    rig.board.motor(rig.number * 10 + ms).percent
+}
+
+#[test]
+fn a_trusted_laptop_is_felt_without_an_answer_and_when_it_falls_silent() {
+    let blob = blob();
+    let mut rig = Rig::new(&blob);
+    let stopped = HostMessage::Feel { signal: Signal::Stopped };
+    rig.board.receive(&stopped, false, 0, &mut rig.line);
+    assert_eq!(motor_after(&mut rig, 10), 0, "a stranger");
+    rig.send(&stopped);
+    assert_eq!([10, 599, 600].map(|ms| motor_after(&mut rig, ms)), [100, 100, 0]);
+    assert!(rig.line.all_acks().is_empty());
+    // Any message of its keeps the link alive.
+    rig.board.receive(&HostMessage::Ping { id: 1 }, true, 900, &mut rig.line);
+    assert_eq!([1899, 1900].map(|ms| motor_after(&mut rig, ms)), [0, 100]);
+}
+
+#[test]
+fn what_a_board_is_made_of_is_said_after_each_hello_and_again_when_its_battery_has_changed() {
+    let blob = blob();
+    let mut rig = Rig::new(&blob);
+    let about = |battery_mv| About {
+        sensor: Sensor::Lsm6ds3,
+        axes: 6,
+        image: Image::Uf2,
+        reset: ResetCause::Pin,
+        battery_mv,
+    };
+    let said = |rig: &Rig<'_>| {
+        rig.line.all(|m| if let BoardMessage::About(about) = m { Some(about.battery_mv) } else { None })
+    };
+    rig.board.set_about(about(0));
+    rig.board.status(Status::default(), 0, &mut rig.line);
+    assert!(said(&rig).is_empty(), "not before it has said who it is");
+    rig.samples(8);
+    rig.board.status(Status::default(), 1000, &mut rig.line);
+    rig.line.clear();
+    for (battery_mv, wanted) in [(0, &[][..]), (3700, &[3700]), (3700, &[]), (3690, &[3690])] {
+        rig.board.set_about(about(battery_mv));
+        rig.board.status(Status::default(), 2000, &mut rig.line);
+        assert_eq!(said(&rig), wanted, "{battery_mv}");
+        rig.line.clear();
+    }
 }
 
 #[test]

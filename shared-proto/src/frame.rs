@@ -246,7 +246,7 @@ impl core::error::Error for ParseError {}
 
 /// How many messages this version knows; their numbers on the wire are below.
 const BOARD_MESSAGES: u8 = 10;
-const HOST_MESSAGES: u8 = 8;
+const HOST_MESSAGES: u8 = 9;
 const LEFT_REQUESTS: u8 = 5;
 
 /// Reads a board's message from an intact frame's payload.

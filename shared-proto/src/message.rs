@@ -45,13 +45,15 @@ macro_rules! open_list {
 }
 
 mod hello;
+mod signal;
 
 pub use hello::{About, Board, Hello, Image, ResetCause, Sensor};
+pub use signal::Signal;
 
 /// Raised when a message is reshaped; both sides must have the same one.
 pub const PROTOCOL_MAJOR: u8 = 1;
 /// Raised when a message is added; the older side ignores what it does not know.
-pub const PROTOCOL_MINOR: u8 = 1;
+pub const PROTOCOL_MINOR: u8 = 2;
 
 /// What a board sends to the laptop.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -132,6 +134,12 @@ pub enum HostMessage<'a> {
         request: u16,
         /// CRC-32 of the whole blob, which is also the new model id.
         crc32: u32,
+    },
+    /// What the wearer of a right hand shall feel, where a motor is wired to its board (since 1.2). Not acknowledged: a
+    /// late one is worth nothing. Boards of earlier versions are not sent it.
+    Feel {
+        /// What.
+        signal: Signal,
     },
 }
 

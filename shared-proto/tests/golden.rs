@@ -100,6 +100,7 @@ fn host_messages() -> Vec<HostMessage<'static>> {
         }),
         HostMessage::ModelChunk { request: 12, offset: 128, data: &[0, 1, 2, 0, 255] },
         HostMessage::ModelCommit { request: 13, crc32: 0xCAFE_F00D },
+        HostMessage::Feel { signal: Signal::Stopped },
     ]
 }
 
@@ -123,6 +124,7 @@ fn lists() -> Vec<String> {
         list::<Sensor>("Sensor"),
         list::<Image>("Image"),
         list::<ResetCause>("ResetCause"),
+        list::<Signal>("Signal"),
         list::<Heading>("Heading"),
         list::<Mode>("Mode"),
         list::<CalibrationStep>("CalibrationStep"),
@@ -171,7 +173,7 @@ fn the_wire_has_not_changed_without_a_new_version() {
     }
 
     let kept = |line: &&str| {
-        let open = ["Board", "FaultKind", "AckResult", "Sensor", "Image", "ResetCause"]
+        let open = ["Board", "FaultKind", "AckResult", "Sensor", "Image", "ResetCause", "Signal"]
             .iter()
             .any(|list| line.starts_with(&format!("list {list}:")));
         now.iter().any(|new| new == line || open && new.starts_with(*line))
@@ -231,7 +233,7 @@ fn the_pinned_frames_are_read_as_the_pinned_messages() {
         assert_eq!(read, [name]);
         frames += 1;
     }
-    assert_eq!(frames, 18);
+    assert_eq!(frames, 19);
 }
 
 #[test]

@@ -2,6 +2,8 @@
 #![allow(dead_code)] // each test file uses its own part
 
 use shared_board::FrameOut;
+use shared_dsp::mlp::{BlobSpec, DenseSpec, build_blob};
+use shared_dsp::recipe::Recipe;
 use shared_proto::frame::{BOARD_FRAME_MAX, Decoder, HOST_FRAME_MAX, encode_host};
 use shared_proto::message::{Ack, AckResult, BoardMessage, Fault, HostMessage, LeftState, Pong, Status};
 
@@ -72,6 +74,33 @@ impl Line {
     pub fn hellos(&self) -> Vec<u32> {
         self.all(|m| if let BoardMessage::Hello(hello) = m { Some(hello.boot_id) } else { None })
     }
+}
+
+/// A network of one layer on raw samples; `weight` says the weight of each place.
+pub fn model(labels: &[&str], axes: usize, hop: u16, weight: impl Fn(usize) -> i8) -> Vec<u8> {
+    let inputs = Recipe::Raw.feature_count(axes);
+    let row = |row: usize| (0..inputs).map(|i| weight(row * inputs + i)).collect();
+    build_blob(&BlobSpec {
+        recipe: Recipe::Raw,
+        axes,
+        sample_hz: 100,
+        window: 200,
+        hop,
+        labels: labels.iter().map(|label| label.to_string()).collect(),
+        scaling: vec![(1.0, 0.0); inputs],
+        layers: vec![DenseSpec {
+            weights: (0..labels.len()).map(row).collect(),
+            biases: vec![0; labels.len()],
+            input_scale: 0.05,
+            input_zero_point: 0,
+            weight_scales: vec![0.01],
+            output_scale: 0.05,
+            output_zero_point: 0,
+            relu: false,
+            largest: 127,
+        }],
+    })
+    .expect("a valid model")
 }
 
 /// The laptop's message as a frame.

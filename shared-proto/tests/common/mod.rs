@@ -32,7 +32,7 @@ pub struct Material {
 
 /// Kinds of [`BoardMessage`] and [`HostMessage`].
 pub const BOARD_KINDS: usize = 10;
-pub const HOST_KINDS: usize = 8;
+pub const HOST_KINDS: usize = 9;
 
 impl Material {
     pub fn random(rng: &mut Rng) -> Self {
@@ -192,7 +192,8 @@ impl Material {
                 size: w[9],
             }),
             6 => HostMessage::ModelChunk { request, offset: w[0], data: self.bytes(MODEL_CHUNK_MAX) },
-            _ => HostMessage::ModelCommit { request, crc32: w[0] },
+            7 => HostMessage::ModelCommit { request, crc32: w[0] },
+            _ => HostMessage::Feel { signal: Signal::from(w[0] as u8) },
         }
     }
 }

@@ -1,0 +1,194 @@
+//! What a vibration motor at a right hand's board says: four patterns that a wrist tells apart.
+//!
+//! | | pulses |
+//! |---|---|
+//! | accepted | one, short and light |
+//! | refused | two, short and strong |
+//! | stopped | one, long |
+//! | link lost | three, of middle length |
+//!
+//! The laptop asks for the first three. The last one it asks for where the *other* hand is lost; where the laptop itself
+//! falls silent, the board says it.
+
+use shared_proto::message::Signal;
+
+/// A laptop that wants its signals felt and sends nothing for so long is lost. It pings ten times as often.
+pub const LAPTOP_LOST_MS: u32 = 1000;
+
+struct Pattern {
+    pulses: u32,
+    on_ms: u32,
+    off_ms: u32,
+    percent: u8,
+    /// One that matters less does not cut it short.
+    weight: u8,
+}
+
+impl Pattern {
+    const fn of(signal: Signal) -> Option<Self> {
+        Some(match signal {
+            Signal::Accepted => Self { pulses: 1, on_ms: 80, off_ms: 0, percent: 60, weight: 0 },
+            Signal::Refused => Self { pulses: 2, on_ms: 80, off_ms: 100, percent: 100, weight: 0 },
+            Signal::Stopped => Self { pulses: 1, on_ms: 600, off_ms: 0, percent: 100, weight: 1 },
+            Signal::LinkLost => Self { pulses: 3, on_ms: 250, off_ms: 150, percent: 100, weight: 1 },
+            Signal::Ready | Signal::Unknown(_) => return None,
+        })
+    }
+
+    const fn length_ms(&self) -> u32 {
+        self.pulses * (self.on_ms + self.off_ms) - self.off_ms
+    }
+
+    /// Strength so long after its start, and when that changes.
+    const fn at(&self, passed_ms: u32) -> (u8, u32) {
+        let in_pulse_ms = passed_ms % (self.on_ms + self.off_ms);
+        if in_pulse_ms < self.on_ms {
+            (self.percent, self.on_ms - in_pulse_ms)
+        } else {
+            (0, self.on_ms + self.off_ms - in_pulse_ms)
+        }
+    }
+}
+
+/// What the motor does now.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Motor {
+    /// 0 = still, 100 = as strong as it can.
+    pub percent: u8,
+    /// Ask again after so long; never, where nothing was ever asked for.
+    pub for_ms: Option<u32>,
+}
+
+/// Signals in, strength out.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Vibration {
+    /// What is played, and since when.
+    playing: Option<(Signal, u32)>,
+    /// When the laptop, once it has asked for signals, was last heard; `None` = it has not asked, or is lost.
+    heard_ms: Option<u32>,
+    /// It has asked for signals since the start.
+    wanted: bool,
+}
+
+impl Vibration {
+    /// The laptop has sent something.
+    pub fn heard(&mut self, now_ms: u32) {
+        if self.wanted {
+            self.heard_ms = Some(now_ms);
+        }
+    }
+
+    /// The laptop wants this felt.
+    pub fn feel(&mut self, signal: Signal, now_ms: u32) {
+        self.wanted = true;
+        self.heard(now_ms);
+        self.play(signal, now_ms);
+    }
+
+    /// What the motor does now.
+    pub fn motor(&mut self, now_ms: u32) -> Motor {
+        if self.heard_ms.is_some_and(|heard| now_ms.wrapping_sub(heard) >= LAPTOP_LOST_MS) {
+            self.heard_ms = None;
+            self.play(Signal::LinkLost, now_ms);
+        }
+        let lost_in_ms = self.heard_ms.map(|heard| LAPTOP_LOST_MS - now_ms.wrapping_sub(heard));
+        let Some((pattern, passed_ms)) = self.pattern(now_ms) else {
+            self.playing = None;
+            return Motor { percent: 0, for_ms: lost_in_ms };
+        };
+        let (percent, for_ms) = pattern.at(passed_ms);
+        Motor { percent, for_ms: Some(lost_in_ms.map_or(for_ms, |lost| lost.min(for_ms))) }
+    }
+
+    /// What is played, unless it is over.
+    fn pattern(&self, now_ms: u32) -> Option<(Pattern, u32)> {
+        let (signal, since_ms) = self.playing?;
+        let (pattern, passed_ms) = (Pattern::of(signal)?, now_ms.wrapping_sub(since_ms));
+        (passed_ms < pattern.length_ms()).then_some((pattern, passed_ms))
+    }
+
+    fn play(&mut self, signal: Signal, now_ms: u32) {
+        let Some(new) = Pattern::of(signal) else { return };
+        if self.pattern(now_ms).is_none_or(|(old, _)| new.weight >= old.weight) {
+            self.playing = Some((signal, now_ms));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::vec;
+    use std::vec::Vec;
+
+    /// Strengths from `from_ms` on with their lengths, as a driver sees them that keeps the board's times, until nothing
+    /// changes for a second or `until_ms`.
+    fn played(vibration: &mut Vibration, from_ms: u32, until_ms: u32) -> Vec<(u8, u32)> {
+        let mut seen: Vec<(u8, u32)> = Vec::new();
+        let mut now_ms = from_ms;
+        while now_ms.wrapping_sub(from_ms) < until_ms.wrapping_sub(from_ms) {
+            // The laptop pings.
+            vibration.heard(now_ms);
+            let motor = vibration.motor(now_ms);
+            let left_ms = until_ms.wrapping_sub(now_ms);
+            let for_ms = motor.for_ms.unwrap_or(u32::MAX).min(left_ms).min(50);
+            match seen.last_mut() {
+                Some((percent, length_ms)) if *percent == motor.percent => *length_ms += for_ms,
+                _ => seen.push((motor.percent, for_ms)),
+            }
+            now_ms = now_ms.wrapping_add(for_ms);
+        }
+        seen
+    }
+
+    #[test]
+    fn four_signals_have_four_patterns() {
+        for (signal, pulses) in [
+            (Signal::Ready, vec![(0, 2000)]),
+            (Signal::Accepted, vec![(60, 80), (0, 1920)]),
+            (Signal::Refused, vec![(100, 80), (0, 100), (100, 80), (0, 1740)]),
+            (Signal::Stopped, vec![(100, 600), (0, 1400)]),
+            (Signal::LinkLost, vec![(100, 250), (0, 150), (100, 250), (0, 150), (100, 250), (0, 950)]),
+            (Signal::Unknown(77), vec![(0, 2000)]),
+        ] {
+            // Also where the clock wraps.
+            for now_ms in [0, 12_345, u32::MAX - 90] {
+                let mut vibration = Vibration::default();
+                vibration.feel(signal, now_ms);
+                let seen = played(&mut vibration, now_ms, now_ms.wrapping_add(2000));
+                assert_eq!(seen, pulses, "{signal:?} at {now_ms}");
+            }
+        }
+    }
+
+    #[test]
+    fn what_matters_more_is_not_cut_short_and_cuts_what_matters_less() {
+        let mut vibration = Vibration::default();
+        vibration.feel(Signal::Stopped, 0);
+        vibration.feel(Signal::Refused, 100);
+        assert_eq!(vibration.motor(100), Motor { percent: 100, for_ms: Some(500) });
+        vibration.feel(Signal::LinkLost, 200);
+        assert_eq!(vibration.motor(200), Motor { percent: 100, for_ms: Some(250) });
+        vibration.feel(Signal::Accepted, 2000);
+        vibration.feel(Signal::Stopped, 2010);
+        assert_eq!(vibration.motor(2010), Motor { percent: 100, for_ms: Some(600) });
+    }
+
+    #[test]
+    fn a_laptop_that_falls_silent_is_felt_once_and_only_where_it_had_asked_for_signals() {
+        let mut vibration = Vibration::default();
+        vibration.heard(0);
+        assert_eq!(vibration.motor(5000), Motor { percent: 0, for_ms: None });
+        vibration.feel(Signal::Ready, 5000);
+        assert_eq!(vibration.motor(5000), Motor { percent: 0, for_ms: Some(1000) });
+        vibration.heard(5900);
+        assert_eq!(vibration.motor(6000), Motor { percent: 0, for_ms: Some(900) });
+        assert_eq!(vibration.motor(6900), Motor { percent: 100, for_ms: Some(250) });
+        assert_eq!(vibration.motor(8000), Motor { percent: 0, for_ms: None });
+        assert_eq!(vibration.motor(60_000), Motor { percent: 0, for_ms: None });
+        // It comes back and goes again.
+        vibration.heard(70_000);
+        assert_eq!(vibration.motor(70_999), Motor { percent: 0, for_ms: Some(1) });
+        assert_eq!(vibration.motor(71_000).percent, 100);
+    }
+}
