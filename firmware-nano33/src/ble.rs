@@ -10,6 +10,8 @@
 //! laptop; who may write is said in `bonds.rs`. These two files and `flash.rs` are the only ones that know
 //! nrf-softdevice.
 
+use core::sync::atomic::{AtomicU32, Ordering};
+
 use embassy_executor::Spawner;
 use embassy_futures::join::join3;
 use embassy_futures::select::select;
@@ -49,6 +51,10 @@ const LATENCY: u16 = 4;
 const SUPERVISION: u16 = 200;
 /// Advertising interval in 0.625 ms: 30 ms.
 const ADVERTISING: u32 = 48;
+/// A laptop that has written nothing for so long is asked for its interval again. S140 wants an authenticated packet each 480 s
+/// and, where a laptop cannot be asked by its radio (LE Ping), raises an event at which nrf-softdevice panics; the answer
+/// to a request is such a packet.
+const QUIET: Duration = Duration::from_secs(120);
 const NAME: &str = "bimanual-right";
 /// The service's UUID, little-endian as in an advertisement.
 const SERVICE_UUID: [u8; 16] = 0xb1a4_0001_6d61_4e75_a1b2_5c3d_9e7f_0a33_u128.to_le_bytes();
@@ -203,18 +209,34 @@ async fn run_radio(softdevice: &'static Softdevice, server: &'static Server, bon
 /// Writes on their way from S140's callback to the decoder. What does not fit is lost, and the laptop repeats it.
 static WRITES: Channel<CriticalSectionRawMutex, Payload, 4> = Channel::new();
 
-/// Asks the laptop for an interval until it grants one, or leaves it at what it wants.
+/// Writes so far.
+static WRITTEN: AtomicU32 = AtomicU32::new(0);
+
+fn ask_for(connection: &Connection, (min, max): (u16, u16)) {
+    let _ = connection.set_conn_params(raw::ble_gap_conn_params_t {
+        min_conn_interval: min,
+        max_conn_interval: max,
+        slave_latency: LATENCY,
+        conn_sup_timeout: SUPERVISION,
+    });
+}
+
+/// Asks the laptop for an interval until it grants one, or leaves it at what it wants; then whenever it is quiet.
 async fn negotiate(connection: &Connection) {
-    for (min, max) in INTERVALS {
-        let _ = connection.set_conn_params(raw::ble_gap_conn_params_t {
-            min_conn_interval: min,
-            max_conn_interval: max,
-            slave_latency: LATENCY,
-            conn_sup_timeout: SUPERVISION,
-        });
+    let mut asked = INTERVALS[0];
+    for interval in INTERVALS {
+        asked = interval;
+        ask_for(connection, asked);
         Timer::after(ANSWER).await;
-        if connection.conn_params().max_conn_interval <= max {
-            return;
+        if connection.conn_params().max_conn_interval <= asked.1 {
+            break;
+        }
+    }
+    loop {
+        let written = WRITTEN.load(Ordering::Relaxed);
+        Timer::after(QUIET).await;
+        if WRITTEN.load(Ordering::Relaxed) == written {
+            ask_for(connection, asked);
         }
     }
 }
@@ -242,6 +264,7 @@ async fn serve(connection: &Connection, server: &Server, bonder: &Bonder) {
             bonder.keep_subscription(connection);
         }
         HandServiceEvent::InputWrite(bytes) => {
+            WRITTEN.fetch_add(1, Ordering::Relaxed);
             let _ = WRITES.try_send(bytes);
         }
     });

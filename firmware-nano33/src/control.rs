@@ -3,9 +3,10 @@
 use embassy_time::{Duration, Timer};
 use shared_board::models::{MappedFlash, ModelStore};
 use shared_proto::frame::parse_host;
+use shared_proto::message::HostMessage;
 
 use crate::link::INBOX;
-use crate::{about, board, state};
+use crate::{about, board, state, vibrate};
 
 /// After a page was erased, which stops the processor for 85 ms; the sensor's FIFO holds 134 ms.
 const PAUSE: Duration = Duration::from_millis(40);
@@ -19,6 +20,9 @@ pub async fn run<F: MappedFlash>(mut store: ModelStore<F>) -> ! {
         let Ok(message) = parse_host(&received.payload) else { continue };
         let request =
             board::with(|board| board.receive(&message, received.trusted, state::now_ms(), &mut link));
+        if matches!(message, HostMessage::Feel { .. }) {
+            vibrate::FELT.signal(());
+        }
         if let Some(request) = request {
             if let axes @ 1.. = about::now().axes {
                 store.set_axes(axes);

@@ -25,6 +25,7 @@ mod state;
 mod storage;
 mod uart;
 mod usb;
+mod vibrate;
 mod watch;
 
 #[cfg(all(feature = "ble", feature = "bootloader"))]
@@ -86,6 +87,7 @@ fn main() -> ! {
         spawner.spawn(sample::run(bus).expect("spawned once"));
         spawner.spawn(classify::run().expect("spawned once"));
         spawner.spawn(uart::run(uart).expect("spawned once"));
+        spawner.spawn(vibrate::run(parts.vibration).expect("spawned once"));
         #[cfg(feature = "xiao")]
         spawner.spawn(battery::run(parts.battery).expect("spawned once"));
     };

@@ -200,3 +200,21 @@ fn a_model_sent_over_bluetooth_is_used_after_a_restart_though_flash_and_link_fai
     let worst = session.heard.statuses.iter().map(|s| s.dropped_samples).max();
     println!("dropped samples so far: {worst:?}");
 }
+
+/// S140 wants proof of the keys each 480 s; nrf-softdevice panics where a radio without LE Ping gives none.
+#[test]
+fn a_laptop_that_only_listens_and_whose_radio_knows_no_ping_does_not_restart_the_board() {
+    let mut session = ready();
+    session.board.softdevice().central.answers_radio_pings = false;
+    session.ask(3, &HostMessage::SetMode { request: 3, mode: Mode::Idle }).expect("an answer");
+    // Without its sensor the board sleeps most of the time.
+    session.board.soc().bus.unplugged = true;
+    session.run_ms(500_000);
+    assert_eq!(session.board.resets, [4], "no panic");
+    let log = log(&mut session);
+    assert!(!log.iter().any(|h| matches!(h, Happening::Disconnected(_))), "{log:?}");
+    // Asked after each two minutes of silence.
+    let asked = log.iter().filter(|h| matches!(h, Happening::AskedFor { .. })).count();
+    assert!((4..=6).contains(&asked), "{asked} times");
+    assert!(session.ask(4, &HostMessage::SetMode { request: 4, mode: Mode::Classify }).is_some());
+}

@@ -19,7 +19,7 @@ use embassy_nrf::gpio::{AnyPin, Level, Output, OutputDrive};
 use embassy_nrf::peripherals::{USBD, WDT};
 
 use crate::bus::SensorBus;
-use crate::{uart, watch};
+use crate::{uart, vibrate, watch};
 
 /// How the board names itself at the USB cable.
 pub struct UsbNames {
@@ -37,6 +37,8 @@ pub struct Parts {
     pub uart: uart::Parts,
     /// The light.
     pub led: watch::Led,
+    /// A vibration motor, where one is wired.
+    pub vibration: vibrate::Parts,
     /// The battery's divider.
     #[cfg(feature = "xiao")]
     pub battery: crate::battery::Parts,

@@ -6,7 +6,7 @@ use shared_proto::message::{Board, Sensor};
 
 use super::{Parts, UsbNames, off};
 use crate::bus::{SensorBus, SensorPins};
-use crate::{uart, watch};
+use crate::{uart, vibrate, watch};
 
 /// The sensors of Rev1 and Rev2.
 pub const SENSORS: &[Kind] = &[Kind::Lsm9ds1, Kind::Bmi270];
@@ -43,6 +43,8 @@ pub fn parts(p: Peripherals) -> Parts {
             tx: p.P1_03.into(),
         },
         led: watch::Led { red: off(p.P0_24.into()), green: off(p.P0_16.into()), blue: off(p.P0_06.into()) },
+        // D2.
+        vibration: vibrate::Parts { pwm: p.PWM1, pin: p.P1_11.into() },
         watchdog: p.WDT,
         usbd: p.USBD,
         #[cfg(not(feature = "ble"))]

@@ -9,7 +9,7 @@ use shared_proto::message::{Board, Sensor};
 
 use super::{Parts, UsbNames, off};
 use crate::bus::{SensorBus, SensorPins};
-use crate::{uart, watch};
+use crate::{uart, vibrate, watch};
 
 /// Its sensor.
 pub const SENSORS: &[Kind] = &[Kind::Lsm6ds3];
@@ -46,6 +46,8 @@ pub fn parts(p: Peripherals) -> Parts {
             tx: p.P1_11.into(),
         },
         led: watch::Led { red: off(p.P0_26.into()), green: off(p.P0_30.into()), blue: off(p.P0_06.into()) },
+        // D0.
+        vibration: vibrate::Parts { pwm: p.PWM1, pin: p.P0_02.into() },
         battery: crate::battery::Parts {
             converter: p.SAADC,
             middle: saadc::Input::degrade_saadc(p.P0_31),

@@ -7,6 +7,7 @@ use super::i2c::{Bus, Sensor};
 use super::memory::{FLASH_BYTES, Ram};
 use super::nvic::Nvic;
 use super::ppi::Ppi;
+use super::pwm::Pwm;
 use super::rtc::Rtc;
 use super::saadc::Saadc;
 use super::softdevice::SoftDevice;
@@ -27,6 +28,7 @@ const RTC1: usize = 17;
 const WDT: usize = 16;
 const NVMC: usize = 30;
 const PPI: usize = 31;
+const PWM1: usize = 33;
 const USBD: usize = 39;
 
 /// Start of the flash that the firmware writes itself: bond keys, then models.
@@ -77,6 +79,8 @@ pub struct Soc {
     gpiote: Events,
     /// The analog converter.
     pub saadc: Saadc,
+    /// The vibration motor's generator.
+    pub pwm1: Pwm,
     timers: [Timer; 5],
     /// The time driver's counter.
     pub rtc1: Rtc,
@@ -121,6 +125,7 @@ impl Soc {
             twim: Twim::default(),
             gpiote: Events::default(),
             saadc: Saadc::default(),
+            pwm1: Pwm::default(),
             timers: Default::default(),
             rtc1: Rtc::default(),
             rng: Rng::new(1),
@@ -151,6 +156,7 @@ impl Soc {
         self.twim = Twim::default();
         self.gpiote = Events::default();
         self.saadc.reset();
+        self.pwm1.reset();
         self.timers = Default::default();
         self.rtc1 = Rtc::default();
         self.rng = Rng::new(self.now | 1);
@@ -214,6 +220,7 @@ impl Soc {
                     TWIM0 => self.twim.read(offset),
                     GPIOTE => self.gpiote.read(offset).unwrap_or(0),
                     SAADC => self.saadc.read(offset),
+                    PWM1 => self.pwm1.read(offset),
                     RNG => self.rng.read(offset),
                     WDT => self.watchdog.read(offset),
                     RTC1 => self.rtc1.read(offset, self.now),
@@ -315,6 +322,7 @@ impl Soc {
                         self.gpiote.write(offset, value);
                     }
                     SAADC => self.saadc.write(offset, value, now),
+                    PWM1 => self.pwm1.write(offset, value, now, &self.ram),
                     RNG => self.rng.write(offset, value, now),
                     WDT => self.watchdog.write(offset, value, now),
                     RTC1 => self.rtc1.write(offset, value, now),
@@ -359,6 +367,7 @@ impl Soc {
         f(TWIM0 as u32, &mut self.twim.events);
         f(GPIOTE as u32, &mut self.gpiote);
         f(SAADC as u32, &mut self.saadc.events);
+        f(PWM1 as u32, &mut self.pwm1.events);
         for (i, timer) in self.timers.iter_mut().enumerate() {
             f(if i < 3 { TIMER0 + i } else { i + 23 } as u32, &mut timer.events);
         }
@@ -401,6 +410,7 @@ impl Soc {
             self.uart.due(),
             self.twim.due(),
             self.saadc.due(),
+            self.pwm1.due(),
             self.rtc1.due(),
             self.rng.due(),
             self.watchdog.due(),
@@ -421,6 +431,7 @@ impl Soc {
             self.uart.advance(at, &mut self.ram);
             self.twim.advance(at, &mut self.ram, &mut self.bus);
             self.saadc.advance(at, &mut self.ram);
+            self.pwm1.advance(at);
             self.rtc1.advance(at);
             self.rng.advance(at);
             self.usb.advance(at, &mut self.ram);

@@ -54,6 +54,7 @@ pub mod event {
     pub const SEC_INFO_REQUEST: u16 = 20;
     pub const AUTH_STATUS: u16 = 25;
     pub const CONN_SEC_UPDATE: u16 = 26;
+    pub const TIMEOUT: u16 = 27;
     pub const PHY_UPDATE_REQUEST: u16 = 33;
     pub const PHY_UPDATE: u16 = 34;
     pub const DATA_LENGTH_UPDATE: u16 = 36;

@@ -121,6 +121,8 @@ pub struct Central {
     pub shortest_interval: u16,
     /// It supports long radio packets.
     pub long_packets: bool,
+    /// Its radio answers LE Ping, as all but old ones do.
+    pub answers_radio_pings: bool,
     /// What it still has to do.
     pub commands: VecDeque<Command>,
     /// What happened, with the cycle.
@@ -147,6 +149,7 @@ impl Default for Central {
             first_interval: 24,
             shortest_interval: 6,
             long_packets: true,
+            answers_radio_pings: true,
             commands: VecDeque::new(),
             log: Vec::new(),
             notified: Vec::new(),

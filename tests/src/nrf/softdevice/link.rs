@@ -13,6 +13,10 @@ use super::{SoftDevice, rules};
 pub(super) const HANDLE: u16 = 0;
 /// A unit of the interval.
 const UNIT: u64 = us(1250);
+/// Without an authenticated packet for so long S140 raises a timeout. (Empty acknowledgements are none.)
+const PAYLOAD_TIMEOUT: u64 = ms(480_000);
+/// Its source.
+const AUTHENTICATED_PAYLOAD: u8 = 3;
 /// Write commands that the laptop puts into one connection event.
 const COMMANDS_PER_EVENT: usize = 4;
 
@@ -59,6 +63,8 @@ pub(super) struct Link {
     pub(super) parameters: Parameters,
     pub(super) next_event: u64,
     heard_at: u64,
+    /// When the laptop's last packet with content came.
+    content_at: u64,
     skipped: u16,
     pub(super) mtu: u16,
     pub(super) mtu_asked: Option<u16>,
@@ -89,6 +95,7 @@ impl Link {
             parameters,
             next_event: at + us(2500) + u64::from(interval) * UNIT,
             heard_at: at,
+            content_at: at,
             skipped: 0,
             mtu: 23,
             mtu_asked: None,
@@ -210,6 +217,7 @@ impl SoftDevice {
         if self.link.is_none() {
             return;
         }
+        self.payload_step(taken > 0, at, soc);
         let sent = self.send_step(at, soc);
         self.spend(rules::connection_event((taken + sent).max(1)), soc);
     }
@@ -219,6 +227,7 @@ impl SoftDevice {
         let link = self.link.as_mut().expect("a link");
         let mut told = None;
         if let Some(wanted) = count_down(&mut link.asked) {
+            link.content_at = at;
             let granted = wanted.max >= shortest;
             let [min, max, latency, supervision] = wanted.as_halves();
             self.central.tell(at, Happening::AskedFor { min, max, latency, supervision, granted });
@@ -238,6 +247,19 @@ impl SoftDevice {
         if let Some(parameters) = told {
             let update = Event::gap(event::CONN_PARAM_UPDATE, HANDLE).halves(&parameters.as_halves());
             self.raise(update.finish(), &mut soc.nvic);
+        }
+    }
+
+    /// Whether the laptop's packets prove that it is still the one with the keys.
+    fn payload_step(&mut self, came: bool, at: u64, soc: &mut Soc) {
+        let answers = self.central.answers_radio_pings;
+        let link = self.link.as_mut().expect("a link");
+        if came || answers || !link.encrypted {
+            link.content_at = at;
+        } else if at - link.content_at >= PAYLOAD_TIMEOUT {
+            link.content_at = at;
+            let timeout = Event::gap(event::TIMEOUT, HANDLE).with(&[AUTHENTICATED_PAYLOAD]).finish();
+            self.raise(timeout, &mut soc.nvic);
         }
     }
 

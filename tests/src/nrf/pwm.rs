@@ -1,0 +1,176 @@
+//! PWM: the first channel of a generator that loads its value once per start of a sequence, as embassy-nrf uses it.
+
+use super::events::Events;
+use super::memory::Ram;
+
+const SEQSTARTED: u32 = 2;
+const SEQEND: u32 = 4;
+/// Cycles of the core per cycle of the generator's clock of 16 MHz.
+const CLOCK: u64 = 4;
+
+/// What the pin does from a cycle on.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Drive {
+    /// From here on.
+    pub at: u64,
+    /// Port and pin.
+    pub pin: (u32, u32),
+    /// Share of the time that it is high.
+    pub high: f64,
+    /// High and low once per this.
+    pub period_hz: f64,
+}
+
+/// The generator.
+#[derive(Clone, Debug)]
+pub struct Pwm {
+    /// Events.
+    pub events: Events,
+    /// Each change of what the pin does. It is the port's where the generator is off, which is not in here.
+    pub drives: Vec<Drive>,
+    enabled: bool,
+    top: u32,
+    prescaler: u32,
+    pointer: u32,
+    count: u32,
+    pin: u32,
+    /// The end of the sequence.
+    due: Option<u64>,
+}
+
+impl Default for Pwm {
+    fn default() -> Self {
+        Self {
+            events: Events::default(),
+            drives: Vec::new(),
+            enabled: false,
+            top: 0,
+            prescaler: 0,
+            pointer: 0,
+            count: 0,
+            pin: u32::MAX,
+            due: None,
+        }
+    }
+}
+
+impl Pwm {
+    /// After a reset of the chip: what was seen stays.
+    pub fn reset(&mut self) {
+        *self = Self { drives: std::mem::take(&mut self.drives), ..Self::default() };
+    }
+
+    /// The generator is on, and its clock.
+    pub fn is_enabled(&self) -> bool {
+        self.enabled
+    }
+
+    fn period_cycles(&self) -> u64 {
+        (u64::from(self.top) << self.prescaler) * CLOCK
+    }
+
+    /// Loads the first value of the sequence.
+    fn start(&mut self, now: u64, ram: &Ram) {
+        // Not from flash, and nothing where the counter has no top.
+        let value = ram.get(self.pointer, 2).map(|bytes| u16::from_le_bytes([bytes[0], bytes[1]]));
+        let (Some(value), true) = (value.filter(|_| self.count > 0), self.top >= 3) else { return };
+        let (falls, below) = (value & 0x8000 != 0, f64::from(value & 0x7FFF) / f64::from(self.top));
+        let below = below.min(1.0);
+        let drive = Drive {
+            at: now,
+            pin: (self.pin >> 5 & 1, self.pin & 0x1F),
+            high: if falls { below } else { 1.0 - below },
+            period_hz: super::time::HZ as f64 / self.period_cycles() as f64,
+        };
+        if self.pin >> 31 == 0 {
+            self.drives.push(drive);
+        }
+        self.events.fire(SEQSTARTED);
+        self.due = Some(now + self.period_cycles());
+    }
+
+    /// Raises what is due by now.
+    pub fn advance(&mut self, now: u64) {
+        if self.due.is_some_and(|due| due <= now) {
+            self.due = None;
+            self.events.fire(SEQEND);
+        }
+    }
+
+    /// Cycle of the next event.
+    pub fn due(&self) -> Option<u64> {
+        self.due
+    }
+
+    /// Reads a register.
+    pub fn read(&self, offset: u32) -> u32 {
+        match offset {
+            0x500 => self.enabled.into(),
+            0x508 => self.top,
+            0x50C => self.prescaler,
+            0x520 => self.pointer,
+            0x524 => self.count,
+            0x560 => self.pin,
+            _ => self.events.read(offset).unwrap_or(0),
+        }
+    }
+
+    /// Writes a register.
+    pub fn write(&mut self, offset: u32, value: u32, now: u64, ram: &Ram) {
+        match offset {
+            0x004 if value & 1 != 0 => self.due = None,
+            0x008 if value & 1 != 0 && self.enabled => self.start(now, ram),
+            0x500 => self.enabled = value & 1 != 0,
+            0x508 => self.top = value & 0x7FFF,
+            0x50C => self.prescaler = value & 7,
+            0x520 => self.pointer = value,
+            0x524 => self.count = value & 0x7FFF,
+            0x560 => self.pin = value,
+            _ => {
+                self.events.write(offset, value);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::nrf::memory::RAM_START;
+    use crate::nrf::time::us;
+
+    fn generator(value: u16) -> (Pwm, Ram) {
+        let (mut pwm, mut ram) = (Pwm::default(), Ram::default());
+        ram.put(RAM_START, &value.to_le_bytes());
+        for (offset, value) in
+            [(0x560, 1 << 5 | 11), (0x500, 1), (0x508, 800), (0x50C, 0), (0x520, RAM_START), (0x524, 4)]
+        {
+            pwm.write(offset, value, 0, &ram);
+        }
+        (pwm, ram)
+    }
+
+    #[test]
+    fn the_value_says_how_long_the_pin_is_high_by_its_polarity_and_the_sequence_ends_with_the_period() {
+        for (value, high) in [(0x8000 | 200, 0.25), (200, 0.75), (0x8000, 0.0), (0x8000 | 900, 1.0)] {
+            let (mut pwm, ram) = generator(value);
+            pwm.write(0x008, 1, 7, &ram);
+            assert_eq!(pwm.drives, [Drive { at: 7, pin: (1, 11), high, period_hz: 20_000.0 }]);
+            pwm.advance(7 + us(50) - 1);
+            assert!(!pwm.events.stands(SEQEND));
+            pwm.advance(7 + us(50));
+            assert!(pwm.events.stands(SEQEND));
+        }
+    }
+
+    #[test]
+    fn nothing_starts_while_it_is_off_or_out_of_flash() {
+        let (mut pwm, ram) = generator(0x8000 | 200);
+        pwm.write(0x500, 0, 0, &ram);
+        pwm.write(0x008, 1, 0, &ram);
+        pwm.write(0x500, 1, 0, &ram);
+        pwm.write(0x520, 0x1_0000, 0, &ram);
+        pwm.write(0x008, 1, 0, &ram);
+        assert!(pwm.drives.is_empty() && pwm.due().is_none());
+    }
+}
