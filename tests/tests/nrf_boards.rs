@@ -3,12 +3,15 @@
 
 use shared_dsp::mlp::Model;
 use shared_dsp::recipe::Recipe;
-use shared_proto::message::{AckResult, FaultKind, HostMessage, Image, Mode, ResetCause, Sensor, health};
+use shared_proto::message::{
+    AckResult, FaultKind, HostMessage, Image, Mode, ResetCause, Sensor, Signal, health,
+};
 use tests::nrf::board::Kind;
 use tests::nrf::build::{Variant, image, uf2};
 use tests::nrf::lsm9ds1::Still;
 use tests::nrf::session::Session;
 use tests::nrf::soc::{SLOTS_END, SLOTS_START};
+use tests::nrf::time::ms;
 use tests::nrf::transfer::{announce, begin, install, random_model};
 use tests::nrf::usb_host::UsbHost;
 
@@ -121,7 +124,7 @@ fn sensor_faults_of_every_board_are_reported_and_mended_within_a_second() {
 
 #[test]
 fn the_xiao_runs_over_bluetooth_and_a_touch_at_1200_baud_shows_its_drive() {
-    let mut session = Session::xiao_ble(Box::new(Still));
+    let mut session = Session::ble_of_kind(Kind::Xiao, Box::new(Still));
     let mut host = UsbHost::default();
     host.plug_in(&mut session.board);
     for _ in 0..4000 {
@@ -150,16 +153,21 @@ fn the_xiao_runs_over_bluetooth_and_a_touch_at_1200_baud_shows_its_drive() {
 /// A divider of 1 MΩ and 510 kΩ, whose lower end must stay low or the pin gets the battery's voltage.
 #[test]
 fn the_xiao_measures_its_battery() {
-    for battery_mv in [3300.0, 4150.0] {
+    for (battery_mv, later_mv) in [(3300.0, None), (4150.0, Some(3950.0))] {
         let mut session = Session::of_kind(Kind::Xiao, Box::new(Still));
-        session.board.soc().saadc.inputs_mv[7] = battery_mv * 510.0 / 1510.0;
-        session.run_ms(1500);
-        session.send(&HostMessage::HelloRequest);
-        session.run_ms(100);
-        assert_eq!(session.board.soc().ports[0].drives(14), Some(false));
-        let said = session.heard.about.expect("it says so after its hello").battery_mv;
-        println!("{battery_mv} mV: {said} mV");
-        assert!((f64::from(said) - battery_mv).abs() < 6.0, "{said} mV, not {battery_mv}");
+        let mut measures = |battery_mv: f64, milliseconds| {
+            session.board.soc().saadc.inputs_mv[7] = battery_mv * 510.0 / 1510.0;
+            session.run_ms(milliseconds);
+            assert_eq!(session.board.soc().ports[0].drives(14), Some(false));
+            let said = session.heard.about.expect("it says so with a status").battery_mv;
+            println!("{battery_mv} mV: {said} mV");
+            assert!((f64::from(said) - battery_mv).abs() < 6.0, "{said} mV, not {battery_mv}");
+        };
+        // Nobody has asked.
+        measures(battery_mv, 1500);
+        if let Some(later_mv) = later_mv {
+            measures(later_mv, 61_000);
+        }
     }
 }
 
@@ -199,4 +207,63 @@ fn the_xiaos_file_puts_every_byte_of_the_image_into_its_place_and_none_elsewhere
     }
     println!("{blocks} blocks carry the {bytes} bytes of the image");
     assert!(blocks * 256 < bytes + 4096);
+}
+
+/// What the motor's pin does from now on: milliseconds, and share of the time that it is high.
+fn felt(session: &mut Session, signal: Signal, milliseconds: u64) -> Vec<(u64, f64)> {
+    session.board.soc().pwm1.drives.clear();
+    let start = session.board.now();
+    session.send(&HostMessage::Feel { signal });
+    // The laptop goes on pinging.
+    for id in 0..milliseconds / 100 {
+        session.run_ms(100);
+        session.send(&HostMessage::Ping { id: id as u32 });
+    }
+    drives(session, start)
+}
+
+fn drives(session: &mut Session, start: u64) -> Vec<(u64, f64)> {
+    let drives = session.board.soc().pwm1.drives.clone();
+    drives.iter().map(|drive| ((drive.at - start) / ms(1), drive.high)).collect()
+}
+
+/// Times of both within some milliseconds (a frame takes one on the wire).
+fn assert_felt(seen: &[(u64, f64)], wanted: &[(u64, f64)], what: &str) {
+    assert_eq!(seen.len(), wanted.len(), "{what}: {seen:?}");
+    for ((at_ms, high), (wanted_ms, wanted_high)) in seen.iter().zip(wanted) {
+        assert!(at_ms.abs_diff(*wanted_ms) <= 4 && high == wanted_high, "{what}: {seen:?}");
+    }
+}
+
+#[test]
+fn a_vibration_motor_has_a_pattern_for_each_signal_and_for_a_laptop_that_falls_silent() {
+    for (kind, pin) in [(Kind::Nano33, (1, 11)), (Kind::Xiao, (0, 2))] {
+        let mut session = resting(kind);
+        // Nobody has asked for anything: low, and without a clock.
+        session.run_ms(2000);
+        assert!(session.board.soc().pwm1.drives.is_empty() && !session.board.soc().pwm1.is_enabled());
+        assert_eq!(session.board.soc().ports[pin.0 as usize].drives(pin.1), Some(false));
+        for (signal, wanted) in [
+            (Signal::Ready, &[][..]),
+            (Signal::Accepted, &[(0, 0.6), (80, 0.0)]),
+            (Signal::Refused, &[(0, 1.0), (80, 0.0), (180, 1.0), (260, 0.0)]),
+            (Signal::Stopped, &[(0, 1.0), (600, 0.0)]),
+            (Signal::LinkLost, &[(0, 1.0), (250, 0.0), (400, 1.0), (650, 0.0), (800, 1.0), (1050, 0.0)]),
+        ] {
+            let seen = felt(&mut session, signal, 1500);
+            println!("{kind:?} {signal:?}: {seen:?}");
+            assert_felt(&seen, wanted, &format!("{kind:?} {signal:?}"));
+            let soc = session.board.soc();
+            assert!(soc.pwm1.drives.iter().all(|drive| drive.pin == pin && drive.period_hz == 20_000.0));
+            assert!(!soc.pwm1.is_enabled(), "{signal:?}: no clock behind it");
+        }
+        session.board.soc().pwm1.drives.clear();
+        let last_ping = session.board.now();
+        session.run_ms(4000);
+        let seen = drives(&mut session, last_ping);
+        let lost = [(1000, 1.0), (1250, 0.0), (1400, 1.0), (1650, 0.0), (1800, 1.0), (2050, 0.0)];
+        assert_felt(&seen, &lost, "a silent laptop");
+        let status = session.heard.statuses.last().expect("statuses");
+        assert_eq!((status.bad_frames, session.damaged()), (0, 0));
+    }
 }

@@ -4,8 +4,9 @@
 use shared_dsp::aligned::AlignedWindow;
 use shared_dsp::mlp::MAX_LABELS;
 use shared_dsp::recipe::Recipe;
+use tests::nrf::board::Kind;
 use tests::nrf::image::Image;
-use tests::nrf::lsm9ds1::Motion;
+use tests::nrf::lsm9ds1::{Motion, Still};
 use tests::nrf::session::Session;
 use tests::nrf::transfer::{install, random_model};
 
@@ -177,4 +178,68 @@ fn the_bundled_network_stays_within_the_papers_memory_and_40_000_instructions_pe
     assert!(cost.hop.1 <= 40_000, "features, network and decision: {} instructions", cost.hop.1);
     assert!(cost.stack <= 1700, "stack of the network: {} B", cost.stack);
     assert!(flash <= 17_900, "network and its weights: {flash} B");
+}
+
+/// Milliamperes of each sensor as the images run it, by its data sheet: the LSM9DS1's gyroscope 4.0, its accelerometer and
+/// magnetometer 0.6; the BMI270 for performance; the LSM6DS3TR-C in high performance.
+const SENSORS_MA: [(Kind, f64); 3] = [(Kind::Nano33, 4.6), (Kind::Nano33Rev2, 0.97), (Kind::Xiao, 0.9)];
+/// nRF52840: awake from flash at 3 V with the converter, 52 uA/MHz; asleep with RAM and clock.
+const AWAKE_MA: f64 = 0.052 * 64.0;
+const ASLEEP_MA: f64 = 0.003_16;
+
+/// Shares of the time: awake, of that naming gestures (window, features, network, decision), of that S140.
+struct Awake {
+    all: f64,
+    naming: f64,
+    s140: f64,
+}
+
+fn awake(kind: Kind, motion: Box<dyn Motion>) -> Awake {
+    let mut session = Session::ble_of_kind(kind, motion);
+    let sample = session.board.probe("bimanual_sample");
+    session.run_ms(6000);
+    let (now, awake, s140) =
+        (session.board.now(), session.board.awake(), session.board.softdevice().own_cycles);
+    let calls = session.board.calls(sample).len();
+    session.run_ms(8000);
+    assert_eq!(session.heard.states.last().expect("states").health, 0, "{kind:?}: its window is full");
+    let all_cycles = (session.board.now() - now) as f64;
+    let instructions: u64 = session.board.calls(sample)[calls..].iter().map(|c| c.instructions).sum();
+    Awake {
+        all: (session.board.awake() - awake) as f64 / all_cycles,
+        naming: 1.5 * instructions as f64 / all_cycles,
+        s140: (session.board.softdevice().own_cycles - s140) as f64 / all_cycles,
+    }
+}
+
+/// What a sleep at rest would bring: the classifier's share of the processor, beside a sensor that must run on, since the dead-man
+/// wants fresh samples and a gesture's window begins before it is known to be one.
+#[test]
+fn over_bluetooth_a_resting_hand_costs_as_much_as_a_moving_one_and_naming_gestures_is_the_least_of_it() {
+    println!(
+        "over Bluetooth, without the radio's current; charge per hour is the mean current in mA, as mAh"
+    );
+    println!(
+        "{:<12}{:<9}{:>8}{:>8}{:>7}{:>7}{:>8}{:>9}{:>10}{:>12}",
+        "", "", "awake %", "naming", "S140", "rest", "sensor", "cpu", "per hour", "saved at most"
+    );
+    for (kind, sensor_ma) in SENSORS_MA {
+        for (what, motion) in [("at rest", Box::new(Still) as Box<dyn Motion>), ("moving", Box::new(Wild))] {
+            let Awake { all, naming, s140 } = awake(kind, motion);
+            let cpu_ma = all * AWAKE_MA + ASLEEP_MA;
+            let (mah, saved) = (cpu_ma + sensor_ma, naming * AWAKE_MA);
+            println!(
+                "{:<12}{what:<9}{:>8.2}{:>8.2}{:>7.2}{:>7.2}{sensor_ma:>8.2}{cpu_ma:>9.3}{mah:>6.2} mAh{:>10.1} %",
+                format!("{kind:?}"),
+                100.0 * all,
+                100.0 * naming,
+                100.0 * s140,
+                100.0 * (all - naming - s140),
+                100.0 * saved / mah
+            );
+            assert!(all <= 0.05, "{kind:?} {what}: awake {all}");
+            // The whole of what a classifier that sleeps at rest could save, on the board with the thriftiest sensor.
+            assert!(saved / mah < 0.05, "{kind:?} {what}: now it is worth the trouble");
+        }
+    }
 }

@@ -9,11 +9,13 @@ use std::task::{Context, Poll, Waker};
 use embedded_hal_async::delay::DelayNs;
 use embedded_hal_async::i2c::{ErrorKind, ErrorType, I2c, NoAcknowledgeSource, Operation};
 use nano33_sensor::bmi270::Bmi270 as Bmi270Driver;
+use nano33_sensor::bmm150::{Bmm150 as Bmm150Driver, Trim};
 use nano33_sensor::found::{Found, Kind};
 use nano33_sensor::lsm6ds3::Lsm6ds3 as Lsm6ds3Driver;
 use nano33_sensor::lsm9ds1::{AccelRange, Config, Lsm9ds1 as Driver, Rate, Scale};
 use nano33_sensor::{Batch, Imu, ImuError, SCALE};
 use tests::nrf::bmi270::Bmi270;
+use tests::nrf::bmm150::Bmm150;
 use tests::nrf::i2c::{Bus, Reply, Sensor};
 use tests::nrf::lsm6ds3::Lsm6ds3;
 use tests::nrf::lsm9ds1::{Lsm9ds1, Motion, Still};
@@ -270,4 +272,72 @@ fn a_late_poll_says_that_sets_are_lost() {
     says_that_sets_are_lost(&mut Bmi270Driver::new(wire.clone()), &wire);
     let wire = Wire::new(Lsm6ds3::new(Box::new(Still)));
     says_that_sets_are_lost(&mut Lsm6ds3Driver::new(wire.clone()), &wire);
+}
+
+/// A magnetic field along the chip's axes.
+struct Field([f64; 3]);
+
+impl Motion for Field {
+    fn at(&self, _: f64) -> [f64; 9] {
+        let [x, y, z] = self.0;
+        [0.0, 0.0, 9.80665, 0.0, 0.0, 0.0, x, y, z]
+    }
+}
+
+/// A chip that is off in everything.
+const ODD: Trim = Trim {
+    x1: -5,
+    y1: 7,
+    x2: 30,
+    y2: -12,
+    z1: 23_100,
+    z2: 810,
+    z3: -340,
+    z4: 21,
+    xy1: 31,
+    xy2: -4,
+    xyz1: 6500,
+};
+
+#[test]
+fn a_rev2s_magnetometer_gives_the_field_whatever_its_trimming_and_its_temperature() {
+    for hall in [6100, 6500, 7100] {
+        for field in [[0.0; 3], [20.0, 0.0, -40.0], [-1234.5, 640.0, 2400.0], [1300.0, -1100.0, -2500.0]] {
+            let mut chip = Bmm150::new(Box::new(Field(field)), ODD);
+            chip.hall = hall;
+            let wire = Wire::new(chip);
+            let mut driver = Bmm150Driver::new(wire.clone());
+            wait(driver.start(&mut wire.delay())).unwrap();
+            assert_eq!(wait(driver.field_ut()).unwrap(), None, "nothing is new yet");
+            wire.pass(ms(34));
+            let seen = wait(driver.field_ut()).unwrap().expect("a field");
+            for (seen, field) in seen.into_iter().zip(field) {
+                // Half a count: 0.19 uT flat, 0.20 upright.
+                assert!((f64::from(seen) - field).abs() < 0.21, "hall {hall}: {seen:?} uT, not {field:?}");
+            }
+            assert_eq!(wait(driver.field_ut()).unwrap(), None, "read once");
+        }
+    }
+}
+
+#[test]
+fn a_rev2s_magnetometer_beside_a_magnet_gives_nothing_and_its_faults_are_named() {
+    let wire = Wire::new(Bmm150::new(Box::new(Field([20.0, 9000.0, 0.0])), ODD));
+    let mut driver = Bmm150Driver::new(wire.clone());
+    wait(driver.start(&mut wire.delay())).unwrap();
+    wire.pass(ms(40));
+    assert_eq!(wait(driver.field_ut()).unwrap(), None);
+    wire.with(|bus, _| bus.sensor.set_motion(Box::new(Field([20.0, 9.0, 0.0]))));
+    wire.pass(ms(40));
+    assert!(wait(driver.field_ut()).unwrap().is_some(), "the magnet is gone");
+    wire.with(|bus, _| bus.sensor.power_cycle());
+    assert_eq!(wait(driver.check()), Err(ImuError::Reset(0x10)));
+    for lost in [0x51, 0x52, 0x4C] {
+        wire.with(|bus, _| bus.sensor.lose_write(lost));
+        assert_eq!(wait(driver.start(&mut wire.delay())), Err(ImuError::Reset(0x10)), "{lost:#x}");
+        wait(driver.start(&mut wire.delay())).unwrap();
+    }
+    wire.with(|bus, _| bus.unplugged = true);
+    assert_eq!(wait(driver.start(&mut wire.delay())), Err(ImuError::Missing(0x10)));
+    assert_eq!(wait(driver.field_ut()), Err(ImuError::Bus(0x10)));
 }

@@ -11,6 +11,7 @@
 #![no_std]
 
 pub mod bmi270;
+pub mod bmm150;
 pub mod found;
 pub mod grid;
 mod i2c;

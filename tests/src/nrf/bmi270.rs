@@ -5,8 +5,8 @@
 
 use std::collections::VecDeque;
 
-use super::i2c::Sensor;
 use super::lsm9ds1::Motion;
+use super::registers::{Chip, Registers};
 use super::time::{HZ, ms, us};
 
 /// CRC-32 of Bosch's configuration file of 8192 bytes.
@@ -15,7 +15,6 @@ const CONFIGURATION_BYTES: usize = 8192;
 const SET_BYTES: usize = 12;
 /// The FIFO holds 2 KB.
 const FIFO_SETS: usize = 2048 / SET_BYTES;
-const ADDRESS: u8 = 0x68;
 
 /// Out of power-save mode after so long; a reset takes so long; the loaded program starts within so long.
 const WAKE: u64 = us(450);
@@ -34,77 +33,41 @@ const COMMAND: u8 = 0x7E;
 
 /// The sensor.
 pub struct Bmi270 {
-    motion: Box<dyn Motion>,
-    clock_ratio: f64,
-    registers: [u8; 128],
-    selected: u8,
+    registers: Registers,
     configuration: Vec<u8>,
     /// Where the next byte of the configuration goes.
     place: usize,
-    /// Nothing is taken before this cycle.
-    busy_until: u64,
     /// Power-save mode was left at this cycle.
     awake_since: u64,
     /// The loaded program has started by then, or has failed.
     starts: Option<u64>,
     fifo: VecDeque<[u8; SET_BYTES]>,
+    /// Bytes of it that the transfer under way has read.
+    from_fifo: usize,
     next_set: Option<f64>,
     gyro_since: Option<f64>,
-    sets: u64,
-    loses_write: Option<u8>,
 }
 
 impl Bmi270 {
     /// A sensor as after power-up.
     pub fn new(motion: Box<dyn Motion>) -> Self {
         let mut sensor = Self {
-            motion,
-            clock_ratio: 1.0,
-            registers: [0; 128],
-            selected: 0,
+            registers: Registers::new(motion),
             configuration: Vec::new(),
             place: 0,
-            busy_until: 0,
             awake_since: 0,
             starts: None,
             fifo: VecDeque::new(),
+            from_fifo: 0,
             next_set: None,
             gyro_since: None,
-            sets: 0,
-            loses_write: None,
         };
         sensor.reset();
         sensor
     }
 
-    fn reset(&mut self) {
-        self.registers = [0; 128];
-        for (register, value) in [
-            (0x00, 0x24),
-            (0x40, 0xA8),
-            (0x41, 0x02),
-            (0x42, 0xA9),
-            (0x48, 0x02),
-            (0x49, 0x10),
-            (0x59, 0x90),
-            (POWER_CONF, 0x03),
-        ] {
-            self.registers[usize::from(register)] = value;
-        }
-        self.configuration = vec![0; CONFIGURATION_BYTES];
-        self.starts = None;
-        self.fifo.clear();
-        self.next_set = None;
-        self.gyro_since = None;
-    }
-
-    /// The sensor's own processor fails for good.
-    pub fn break_down(&mut self) {
-        self.registers[0x02] |= 1;
-    }
-
     fn register(&self, register: u8) -> u8 {
-        self.registers[usize::from(register)]
+        self.registers.get(register)
     }
 
     fn is_initialised(&self) -> bool {
@@ -120,7 +83,7 @@ impl Bmi270 {
             _ => return None,
         };
         let on = self.register(POWER_CTRL) & 0x06 == 0x06 && self.is_initialised();
-        on.then_some(self.clock_ratio / hz)
+        on.then_some(self.registers.clock_ratio / hz)
     }
 
     fn clip(value: f64) -> i16 {
@@ -128,7 +91,7 @@ impl Bmi270 {
     }
 
     fn set(&self, at: f64) -> [u8; SET_BYTES] {
-        let v = self.motion.at(at);
+        let v = self.registers.motion.at(at);
         let turn = |v: &[f64]| [-v[1], -v[0], v[2]];
         let g = f64::from(2 << (self.register(0x41) & 3));
         let dps = 2000.0 / f64::from(1 << (self.register(0x43) & 7));
@@ -144,22 +107,51 @@ impl Bmi270 {
         }
         bytes
     }
+}
 
-    /// Does all that is due by now.
+impl Chip for Bmi270 {
+    const ADDRESS: u8 = 0x68;
+
+    fn registers(&self) -> &Registers {
+        &self.registers
+    }
+
+    fn registers_mut(&mut self) -> &mut Registers {
+        &mut self.registers
+    }
+
+    fn reset(&mut self) {
+        self.registers.reset(&[
+            (0x00, 0x24),
+            (0x40, 0xA8),
+            (0x41, 0x02),
+            (0x42, 0xA9),
+            (0x48, 0x02),
+            (0x49, 0x10),
+            (0x59, 0x90),
+            (POWER_CONF, 0x03),
+        ]);
+        self.configuration = vec![0; CONFIGURATION_BYTES];
+        self.starts = None;
+        self.fifo.clear();
+        self.next_set = None;
+        self.gyro_since = None;
+    }
+
     fn advance(&mut self, now: u64) {
         if self.starts.is_some_and(|at| at <= now) {
             self.starts = None;
             let good = shared_dsp::mlp::crc32(&self.configuration) == CONFIGURATION_CRC;
             // Initialised, or an error of initialisation and of the processor.
-            self.registers[0x21] = if good { 1 } else { 2 };
-            self.registers[0x02] |= if good { 0 } else { 1 << 1 };
+            self.registers.set(0x21, if good { 1 } else { 2 });
+            self.registers.set(0x02, self.register(0x02) | if good { 0 } else { 1 << 1 });
         }
         let seconds = now as f64 / HZ as f64;
         while let (Some(at), Some(period)) = (self.next_set, self.period()) {
             if at > seconds {
                 break;
             }
-            self.sets += 1;
+            self.registers.sets += 1;
             // Without headers, both sensors in it.
             if self.register(0x49) & 0xD0 == 0xC0 {
                 if self.fifo.len() == FIFO_SETS {
@@ -172,30 +164,30 @@ impl Bmi270 {
         }
     }
 
-    fn write_register(&mut self, register: u8, value: u8, now: u64) {
+    fn written(&mut self, register: u8, value: u8, now: u64) {
         let saves_power = self.register(POWER_CONF) & 1 != 0 || now < self.awake_since + WAKE;
         match register {
             // Read only.
             0x00..=0x3F => {}
             COMMAND if value == 0xB6 => {
                 self.reset();
-                self.busy_until = now + RESET;
+                self.registers.busy_until = now + RESET;
             }
             COMMAND if value == 0xB0 => self.fifo.clear(),
             POWER_CONF => {
-                self.registers[usize::from(register)] = value;
+                self.registers.set(register, value);
                 self.awake_since = now;
             }
             // Nothing else is taken in power-save mode.
             _ if saves_power => {}
             INIT_CTRL => {
-                self.registers[usize::from(register)] = value;
+                self.registers.set(register, value);
                 if value == 1 {
                     self.starts = Some(now + INITIALISE);
                 }
             }
             0x5B | 0x5C => {
-                self.registers[usize::from(register)] = value;
+                self.registers.set(register, value);
                 let words = usize::from(self.register(0x5B) & 0xF) + 16 * usize::from(self.register(0x5C));
                 self.place = 2 * words;
             }
@@ -206,7 +198,7 @@ impl Bmi270 {
                 self.place += 1;
             }
             _ => {
-                self.registers[usize::from(register)] = value;
+                self.registers.set(register, value);
                 if register == POWER_CTRL {
                     let seconds = now as f64 / HZ as f64;
                     self.next_set = self.period().map(|period| seconds + period);
@@ -215,121 +207,70 @@ impl Bmi270 {
             }
         }
     }
-}
 
-impl Sensor for Bmi270 {
-    fn has_address(&self, address: u8) -> bool {
-        address == ADDRESS
-    }
-
-    fn write(&mut self, _: u8, bytes: &[u8], now: u64) {
-        self.advance(now);
-        let Some((&register, data)) = bytes.split_first() else { return };
-        self.selected = register & 0x7F;
-        for &value in data {
-            let register = self.selected;
-            let lost = self.loses_write.take_if(|lost| *lost == register).is_some();
-            if !lost && now >= self.busy_until {
-                self.write_register(register, value, now);
+    fn read(&mut self, register: u8) -> u8 {
+        let waiting = (self.fifo.len() * SET_BYTES) as u16;
+        match register {
+            FIFO_LENGTH => waiting.to_le_bytes()[0],
+            0x25 => waiting.to_le_bytes()[1],
+            FIFO_DATA => {
+                let at = self.from_fifo;
+                self.from_fifo += 1;
+                // Behind the newest set stands 0x8000.
+                self.fifo.get(at / SET_BYTES).map_or([0x00, 0x80][at % 2], |set| set[at % SET_BYTES])
             }
-            if register != INIT_DATA {
-                self.selected = (register + 1) & 0x7F;
-            }
+            // Never what was written.
+            COMMAND => 0,
+            register => self.register(register),
         }
     }
 
-    fn read(&mut self, _: u8, bytes: &mut [u8], now: u64) {
-        self.advance(now);
-        let mut from_fifo = 0;
-        for byte in bytes {
-            let register = self.selected;
-            let waiting = (self.fifo.len() * SET_BYTES) as u16;
-            *byte = match register {
-                FIFO_LENGTH => waiting.to_le_bytes()[0],
-                0x25 => waiting.to_le_bytes()[1],
-                FIFO_DATA => {
-                    // Behind the newest set stands 0x8000.
-                    let set = self.fifo.get(from_fifo / SET_BYTES);
-                    let byte = set.map_or([0x00, 0x80][from_fifo % 2], |set| set[from_fifo % SET_BYTES]);
-                    from_fifo += 1;
-                    byte
-                }
-                // Never what was written.
-                COMMAND => 0,
-                register => self.register(register),
-            };
-            if register != FIFO_DATA {
-                self.selected = (register + 1) & 0x7F;
-            }
+    fn next(&self, register: u8) -> u8 {
+        match register {
+            FIFO_DATA | INIT_DATA => register,
+            register => (register + 1) & 0x7F,
         }
-        // A set that was read in part stays.
-        self.fifo.drain(..(from_fifo / SET_BYTES).min(self.fifo.len()));
     }
 
-    fn power_cycle(&mut self) {
-        self.reset();
+    /// A set that was read in part stays.
+    fn read_ended(&mut self) {
+        let whole = std::mem::take(&mut self.from_fifo) / SET_BYTES;
+        self.fifo.drain(..whole.min(self.fifo.len()));
     }
 
-    fn set_motion(&mut self, motion: Box<dyn Motion>) {
-        self.motion = motion;
-    }
-
-    fn set_clock_ratio(&mut self, ratio: f64) {
-        self.clock_ratio = ratio;
-    }
-
-    fn lose_write(&mut self, register: u8) {
-        self.loses_write = Some(register);
-    }
-
-    fn sets(&self) -> u64 {
-        self.sets
-    }
-
-    fn fail(&mut self) {
-        self.break_down();
+    /// The sensor's own processor fails for good.
+    fn break_down(&mut self) {
+        self.registers.set(0x02, self.register(0x02) | 1);
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::nrf::i2c::Sensor as _;
     use crate::nrf::lsm9ds1::Still;
-
-    fn get<const N: usize>(sensor: &mut Bmi270, register: u8, now: u64) -> [u8; N] {
-        sensor.write(ADDRESS, &[register], now);
-        let mut bytes = [0; N];
-        sensor.read(ADDRESS, &mut bytes, now);
-        bytes
-    }
-
-    fn set(sensor: &mut Bmi270, register: u8, value: u8, now: u64) {
-        sensor.write(ADDRESS, &[register, value], now);
-    }
+    use crate::nrf::registers::tests::{get, set};
 
     /// Uploads this file; the time when it is done.
     fn upload(sensor: &mut Bmi270, file: &[u8]) -> u64 {
-        set(sensor, POWER_CONF, 0, 0);
+        set(sensor, &[(POWER_CONF, 0)], 0);
         let now = us(450);
-        set(sensor, INIT_CTRL, 0, now);
+        set(sensor, &[(INIT_CTRL, 0)], now);
         for (i, piece) in file.chunks(32).enumerate() {
             let word = i * 16;
-            sensor.write(ADDRESS, &[0x5B, (word & 0xF) as u8, (word >> 4) as u8], now);
+            sensor.write(0, &[0x5B, (word & 0xF) as u8, (word >> 4) as u8], now);
             let bytes: Vec<u8> = std::iter::once(INIT_DATA).chain(piece.iter().copied()).collect();
-            sensor.write(ADDRESS, &bytes, now);
+            sensor.write(0, &bytes, now);
         }
-        set(sensor, INIT_CTRL, 1, now);
+        set(sensor, &[(INIT_CTRL, 1)], now);
         now
     }
 
     fn running(motion: Box<dyn Motion>) -> (Bmi270, u64) {
         let mut sensor = Bmi270::new(motion);
         let now = upload(&mut sensor, &nano33_sensor::bmi270::CONFIGURATION) + INITIALISE;
-        for (register, value) in
-            [(0x40, 0xA9), (0x41, 0x01), (0x42, 0xE9), (0x43, 0), (0x49, 0xC0), (0x7D, 0x0E)]
-        {
-            set(&mut sensor, register, value, now);
-        }
+        let settings = [(0x40, 0xA9), (0x41, 0x01), (0x42, 0xE9), (0x43, 0), (0x49, 0xC0), (0x7D, 0x0E)];
+        set(&mut sensor, &settings, now);
         (sensor, now)
     }
 
@@ -359,12 +300,12 @@ mod tests {
     #[test]
     fn in_power_save_mode_nothing_is_taken() {
         let mut sensor = Bmi270::new(Box::new(Still));
-        set(&mut sensor, 0x41, 0x01, 0);
+        set(&mut sensor, &[(0x41, 0x01)], 0);
         assert_eq!(get(&mut sensor, 0x41, 0), [0x02]);
-        set(&mut sensor, POWER_CONF, 0, 0);
-        set(&mut sensor, 0x41, 0x01, us(449));
+        set(&mut sensor, &[(POWER_CONF, 0)], 0);
+        set(&mut sensor, &[(0x41, 0x01)], us(449));
         assert_eq!(get(&mut sensor, 0x41, us(449)), [0x02]);
-        set(&mut sensor, 0x41, 0x01, us(450));
+        set(&mut sensor, &[(0x41, 0x01)], us(450));
         assert_eq!(get(&mut sensor, 0x41, us(450)), [0x01]);
     }
 
@@ -400,7 +341,7 @@ mod tests {
         let _: [u8; 18] = get(&mut sensor, FIFO_DATA, now);
         assert_eq!(get(&mut sensor, FIFO_LENGTH, now), (3 * 12u16).to_le_bytes());
         assert_eq!(get(&mut sensor, FIFO_LENGTH, now + ms(5000)), (170 * 12u16).to_le_bytes());
-        set(&mut sensor, COMMAND, 0xB0, now + ms(5000));
+        set(&mut sensor, &[(COMMAND, 0xB0)], now + ms(5000));
         assert_eq!(get(&mut sensor, FIFO_LENGTH, now + ms(5000)), [0, 0]);
     }
 }

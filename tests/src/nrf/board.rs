@@ -3,7 +3,14 @@
 //! Unicorn executes instructions; everything else is here. Time goes by instructions while the core is
 //! awake and jumps to the next due event while it sleeps.
 
+mod exceptions;
+mod hooks;
+mod measure;
+
 use unicorn_engine::{Arch, ArmCpuModel, HookType, Mode, Prot, RegisterARM, Unicorn};
+
+pub use measure::{Call, Tapped};
+use measure::{Open, PAINT, PAINTED};
 
 use super::bmi270::Bmi270;
 use super::i2c::Sensor;
@@ -36,42 +43,6 @@ enum Stop {
     Supervisor,
     /// What the core cannot go on from.
     Fault(u32),
-}
-
-/// One measured call of a function.
-#[derive(Clone, Copy, Debug)]
-pub struct Call {
-    /// Cycle at which it began.
-    pub at: u64,
-    /// Executed instructions, those of interrupts in between left out.
-    pub instructions: u64,
-    /// Bytes below the stack pointer of the call that were written to; 0 unless [asked for](Board::probe_stack).
-    pub stack_bytes: u32,
-}
-
-/// A measured call under way.
-#[derive(Clone, Copy, Debug)]
-struct Open {
-    back: u32,
-    probe: usize,
-    at: u64,
-    instructions_before: u64,
-    stack_pointer: u32,
-}
-
-/// Bytes below the stack pointer that are painted to see how deep a call goes.
-const PAINTED: usize = 2048;
-const PAINT: u8 = 0x6B;
-
-/// What a tap saw at one call.
-#[derive(Clone, Debug)]
-pub struct Tapped {
-    /// Cycle of the call.
-    pub at: u64,
-    /// Registers r0 to r3.
-    pub registers: [u32; 4],
-    /// Bytes behind r0.
-    pub bytes: Vec<u8>,
 }
 
 /// Everything that hooks reach.
@@ -191,18 +162,6 @@ pub struct Board {
     slept: u64,
 }
 
-fn decode(soc_flash: &[u8], address: u32, size: u32) -> u64 {
-    let mut count = 0;
-    let mut at = address as usize;
-    let end = at + size as usize;
-    while at < end {
-        let half = soc_flash.get(at..at + 2).map_or(0, |b| u16::from_le_bytes([b[0], b[1]]));
-        at += if half >> 11 >= 0b11101 { 4 } else { 2 };
-        count += 1;
-    }
-    count
-}
-
 impl Board {
     /// A Nano 33 BLE Sense (Rev1) with the image in its flash, about to start.
     ///
@@ -293,134 +252,6 @@ impl Board {
         };
         board.start();
         board
-    }
-
-    fn hook(uc: &mut Unicorn<'static, World>, flash: &[u8]) {
-        uc.add_block_hook(1, 0, |uc, address, size| {
-            let address = address as u32;
-            let world = uc.get_data_mut();
-            let soc = &mut world.soc;
-            let ready = soc.now >= soc.due || soc.nvic.reset_wanted || soc.nvmc.busy_until > soc.now;
-            if ready || soc.nvic.any_ready() {
-                let masked = !ready && {
-                    let masked = uc.reg_read(RegisterARM::PRIMASK).unwrap_or(0) & 1 != 0;
-                    let world = uc.get_data_mut();
-                    masked || world.soc.nvic.next(0).is_none()
-                };
-                if !masked {
-                    uc.get_data_mut().stop = Some(Stop::Attention { at: address });
-                    let _ = uc.emu_stop();
-                    return;
-                }
-            }
-            let world = uc.get_data_mut();
-            let soc = &mut world.soc;
-            let count = match world.blocks.get_mut(address as usize / 2) {
-                Some(&mut known @ 1..) => u64::from(known),
-                Some(unknown) => {
-                    let count = decode(&soc.flash, address, size);
-                    *unknown = count as u16;
-                    count
-                }
-                None => decode(&soc.flash, address, size),
-            };
-            if !world.open.is_empty() && soc.nvic.active().is_empty() {
-                while let Some(&open) = world.open.last() {
-                    if open.back != address {
-                        break;
-                    }
-                    world.open.pop();
-                    let instructions = world.thread_instructions - open.instructions_before;
-                    let stack_bytes = if world.painting.contains(&open.probe) {
-                        let below = world.soc.ram.get(open.stack_pointer - PAINTED as u32, PAINTED);
-                        let clean = below.map_or(0, |b| b.iter().take_while(|&&byte| byte == PAINT).count());
-                        (PAINTED - clean) as u32
-                    } else {
-                        0
-                    };
-                    world.calls[open.probe].push(Call { at: open.at, instructions, stack_bytes });
-                }
-            }
-            if let Some(&(_, probe)) = world.probes.iter().rev().find(|(at, _)| *at == address) {
-                let back = uc.reg_read(RegisterARM::LR).unwrap_or(0) as u32 & !1;
-                let stack_pointer = uc.reg_read(RegisterARM::SP).unwrap_or(0) as u32;
-                let world = uc.get_data_mut();
-                if world.painting.contains(&probe) {
-                    // What lies below the stack pointer is nobody's.
-                    world.soc.ram.put(stack_pointer - PAINTED as u32, &[PAINT; PAINTED]);
-                }
-                let (at, instructions_before) = (world.soc.now, world.thread_instructions);
-                world.open.push(Open { back, probe, at, instructions_before, stack_pointer });
-            }
-            let world = uc.get_data_mut();
-            if let Some(&(_, tap, len)) = world.taps.iter().rev().find(|(at, ..)| *at == address) {
-                let registers = [RegisterARM::R0, RegisterARM::R1, RegisterARM::R2, RegisterARM::R3]
-                    .map(|r| uc.reg_read(r).unwrap_or(0) as u32);
-                let bytes = uc.mem_read_as_vec(registers[0].into(), len).unwrap_or_default();
-                let world = uc.get_data_mut();
-                world.tapped[tap].push(Tapped { at: world.soc.now, registers, bytes });
-            }
-            let world = uc.get_data_mut();
-            world.instructions += count;
-            if world.soc.nvic.active().is_empty() {
-                world.thread_instructions += count;
-            }
-            world.half += count * CYCLES_PER_TWO;
-            let cycles = world.half / 2;
-            world.half %= 2;
-            world.executed += cycles;
-            world.soc.now += cycles;
-            world.soc.awake += cycles;
-        })
-        .expect("a hook");
-        uc.add_intr_hook(|uc, number| {
-            let pc = uc.reg_read(RegisterARM::PC).unwrap_or(0) as u32;
-            uc.get_data_mut().stop = Some(match number {
-                8 => Stop::ExceptionReturn,
-                2 => Stop::Supervisor,
-                _ => Stop::Fault(pc),
-            });
-            let _ = uc.emu_stop();
-        })
-        .expect("a hook");
-        uc.add_mem_hook(HookType::MEM_INVALID, 1, 0, |uc, kind, address, size, value| {
-            let world = uc.get_data_mut();
-            world.bad_access = Some(format!("{kind:?} at {address:#x}, {size} bytes, {value:#x}"));
-            false
-        })
-        .expect("a hook");
-        // WFE, WFI, SEV and what masks interrupts, wherever they may stand.
-        for (at, half) in flash.chunks_exact(2).enumerate() {
-            let next = flash.get(at * 2 + 2..at * 2 + 4).map_or(0, |b| u16::from_le_bytes([b[0], b[1]]));
-            let at = (at * 2) as u64;
-            match u16::from_le_bytes([half[0], half[1]]) {
-                0xBF20 | 0xBF30 => {
-                    let for_event = half[0] == 0x20;
-                    uc.add_code_hook(at, at, move |uc, address, _| {
-                        uc.get_data_mut().stop = Some(Stop::Wait { at: address as u32, for_event });
-                        let _ = uc.emu_stop();
-                    })
-                    .expect("a hook");
-                }
-                0xBF40 => {
-                    uc.add_code_hook(at, at, |uc, _, _| uc.get_data_mut().event = true).expect("a hook");
-                }
-                // CPSID and CPSIE; MSR PRIMASK from a register.
-                0xB672 | 0xB662 => {
-                    let masks = half[0] == 0x72;
-                    uc.add_code_hook(at, at, move |uc, _, _| uc.get_data_mut().mask(masks)).expect("a hook");
-                }
-                first @ 0xF380..=0xF38F if next == 0x8810 => {
-                    let register = RegisterARM::R0 as i32 + i32::from(first & 0xF);
-                    uc.add_code_hook(at, at, move |uc, _, _| {
-                        let masks = uc.reg_read(register).unwrap_or(0) & 1 != 0;
-                        uc.get_data_mut().mask(masks);
-                    })
-                    .expect("a hook");
-                }
-                _ => {}
-            }
-        }
     }
 
     fn reg(&self, register: RegisterARM) -> u32 {
@@ -531,141 +362,6 @@ impl Board {
         &self.image
     }
 
-    /// Measures every call of a function from now on.
-    pub fn probe(&mut self, function: &str) -> usize {
-        let address = self.image.function(function);
-        let world = self.uc.get_data_mut();
-        world.calls.push(Vec::new());
-        world.probes.push((address, world.calls.len() - 1));
-        world.calls.len() - 1
-    }
-
-    /// As [`Self::probe`], and measures how deep the stack gets. Where such functions call each other, what the outer one
-    /// did before the call is forgotten.
-    pub fn probe_stack(&mut self, function: &str) -> usize {
-        let probe = self.probe(function);
-        self.uc.get_data_mut().painting.push(probe);
-        probe
-    }
-
-    /// Calls measured so far.
-    pub fn calls(&self, probe: usize) -> &[Call] {
-        &self.uc.get_data().calls[probe]
-    }
-
-    /// Records arguments of a function at every call from now on, and `len` bytes behind the first one.
-    pub fn tap(&mut self, function: &str, len: usize) -> usize {
-        let address = self.image.function(function);
-        let world = self.uc.get_data_mut();
-        world.tapped.push(Vec::new());
-        world.taps.push((address, world.tapped.len() - 1, len));
-        world.tapped.len() - 1
-    }
-
-    /// What a tap has seen so far.
-    pub fn tapped(&self, tap: usize) -> &[Tapped] {
-        &self.uc.get_data().tapped[tap]
-    }
-
-    fn enter(&mut self, exception: usize) {
-        let with_fp = self.reg(RegisterARM::CONTROL) & 4 != 0;
-        let sp = self.reg(RegisterARM::SP);
-        let xpsr = self.reg(RegisterARM::XPSR);
-        let size = if with_fp { 0x68 } else { 0x20 };
-        let frame = (sp - size) & !7;
-        let aligned = u32::from(sp & 4 != 0);
-        let registers = [
-            RegisterARM::R0,
-            RegisterARM::R1,
-            RegisterARM::R2,
-            RegisterARM::R3,
-            RegisterARM::R12,
-            RegisterARM::LR,
-        ];
-        let mut words: Vec<u32> = registers.iter().map(|&r| self.reg(r)).collect();
-        words.push(self.reg(RegisterARM::PC) & !1);
-        words.push(xpsr & !(1 << 9) & !0x1FF | aligned << 9 | (xpsr & 0x1FF));
-        if with_fp {
-            for i in 0..16 {
-                words.push(self.uc.reg_read(RegisterARM::S0 as i32 + i).unwrap_or(0) as u32);
-            }
-            words.push(self.reg(RegisterARM::FPSCR));
-            words.push(0);
-        }
-        let bytes: Vec<u8> = words.iter().flat_map(|w| w.to_le_bytes()).collect();
-        self.uc.mem_write(frame.into(), &bytes).expect("the stack lies in RAM");
-        let nested = !self.soc().nvic.active().is_empty();
-        self.soc().nvic.enter(exception);
-        let lr = match (with_fp, nested) {
-            (false, false) => 0xFFFF_FFF9,
-            (false, true) => 0xFFFF_FFF1,
-            (true, false) => 0xFFFF_FFE9,
-            (true, true) => 0xFFFF_FFE1u32,
-        };
-        let mut table = self.soc().nvic.vector_table;
-        if self.boot == Boot::SoftDevice && table == 0 {
-            // The table at 0 is the MBR's, which forwards to S140, which forwards to the application.
-            table = APPLICATION;
-            self.spend(FORWARD_CYCLES);
-            let soc = self.soc();
-            if let Some(softdevice) = soc.softdevice.as_mut().filter(|s| s.is_enabled()) {
-                softdevice.rules.interrupt(exception - FIRST_IRQ, &soc.nvic);
-            }
-        }
-        let vector = self.load(table + 4 * exception as u32);
-        assert!(vector & 1 == 1, "exception {exception} has no handler in the table at {table:#x}");
-        self.set_reg(RegisterARM::CONTROL, 0);
-        self.set_reg(RegisterARM::SP, frame);
-        self.set_reg(RegisterARM::XPSR, 1 << 24 | exception as u32);
-        self.set_reg(RegisterARM::LR, lr);
-        self.set_reg(RegisterARM::PC, vector);
-        self.frames.push(with_fp);
-        self.spend(EXCEPTION_CYCLES);
-        self.uc.get_data_mut().event = true;
-    }
-
-    fn leave(&mut self) {
-        let with_fp = self.frames.pop().expect("a handler ran");
-        let frame = self.reg(RegisterARM::SP);
-        let word = |board: &Self, i: u32| board.load(frame + 4 * i);
-        let xpsr = word(self, 7);
-        let size = if with_fp { 0x68 } else { 0x20 };
-        let registers = [
-            RegisterARM::R0,
-            RegisterARM::R1,
-            RegisterARM::R2,
-            RegisterARM::R3,
-            RegisterARM::R12,
-            RegisterARM::LR,
-        ];
-        for (i, &register) in registers.iter().enumerate() {
-            let value = word(self, i as u32);
-            self.set_reg(register, value);
-        }
-        if with_fp {
-            for i in 0..16 {
-                let value = word(self, 8 + i);
-                let _ = self.uc.reg_write(RegisterARM::S0 as i32 + i as i32, value.into());
-            }
-            let fpscr = word(self, 24);
-            self.set_reg(RegisterARM::FPSCR, fpscr);
-        }
-        let pc = word(self, 6);
-        self.soc().nvic.leave();
-        self.set_reg(RegisterARM::XPSR, xpsr & !(1 << 9));
-        self.set_reg(RegisterARM::CONTROL, if with_fp { 4 } else { 0 });
-        self.set_reg(RegisterARM::SP, frame + size + (xpsr >> 9 & 1) * 4);
-        self.set_reg(RegisterARM::PC, pc | 1);
-        self.spend(EXCEPTION_CYCLES);
-        self.uc.get_data_mut().event = true;
-    }
-
-    fn spend(&mut self, cycles: u64) {
-        let soc = self.soc();
-        soc.now += cycles;
-        soc.awake += cycles;
-    }
-
     /// Runs until this cycle of virtual time.
     ///
     /// # Panics
@@ -750,75 +446,6 @@ impl Board {
         let address = self.image.function(function);
         self.set_reg(RegisterARM::PC, address | 1);
         self.asleep = false;
-    }
-
-    fn execute(&mut self, until: u64) {
-        self.uc.get_data_mut().stop = None;
-        // The end of the run is something due.
-        let soc = self.soc();
-        soc.due = soc.due.min(until);
-        let pc = self.reg(RegisterARM::PC) | 1;
-        let result = self.uc.emu_start(pc.into(), 0xFFFF_FFFF, 0, 0);
-        let stop = self.uc.get_data_mut().stop.take();
-        self.soc().settle();
-        match stop {
-            // The emulator's own program counter may lag behind between chained blocks.
-            Some(Stop::Attention { at }) => self.set_reg(RegisterARM::PC, at | 1),
-            Some(Stop::Wait { at, for_event }) => {
-                self.set_reg(RegisterARM::PC, (at + 2) | 1);
-                let event = std::mem::take(&mut self.uc.get_data_mut().event);
-                self.asleep = if for_event { !event } else { !self.soc().nvic.any_ready() };
-            }
-            Some(Stop::ExceptionReturn) => self.leave(),
-            Some(Stop::Supervisor) => self.supervisor_call(),
-            Some(Stop::Fault(at)) => {
-                panic!("the core faults at {at:#x}, lr {:#x}", self.reg(RegisterARM::LR))
-            }
-            None => {
-                let at = self.reg(RegisterARM::PC);
-                let access = self.uc.get_data().bad_access.clone();
-                panic!(
-                    "the core stops at {at:#x} (lr {:#x}): {result:?} {access:?}",
-                    self.reg(RegisterARM::LR)
-                )
-            }
-        }
-    }
-
-    /// S140's own interrupts end a sleep, and what breaks its rules ends the run.
-    ///
-    /// # Panics
-    /// Where a rule of S140 is broken.
-    fn softdevice_woke(&mut self) {
-        let world = self.uc.get_data_mut();
-        let Some(softdevice) = &mut world.soc.softdevice else { return };
-        world.event |= std::mem::take(&mut softdevice.woke);
-        if let Some(broken) = softdevice.rules.broken() {
-            let broken = broken.to_string();
-            panic!("a rule of S140 is broken near {:#x}: {broken}", self.reg(RegisterARM::PC));
-        }
-    }
-
-    fn supervisor_call(&mut self) {
-        let pc = self.reg(RegisterARM::PC) & !1;
-        let number = (self.load((pc - 2) & !3) >> (8 * ((pc - 2) & 3))) as u8;
-        let core = Core {
-            args: [RegisterARM::R0, RegisterARM::R1, RegisterARM::R2, RegisterARM::R3].map(|r| self.reg(r)),
-            sp: self.reg(RegisterARM::SP),
-            masked: self.reg(RegisterARM::PRIMASK) & 1 != 0,
-            statics_end: self.image.symbols.get("__sheap").copied().unwrap_or(RAM_START),
-        };
-        let soc = self.soc();
-        let Some(mut softdevice) = soc.softdevice.take() else {
-            panic!("SVC {number} at {pc:#x} without S140");
-        };
-        let answer = softdevice.call(number, core, soc);
-        soc.softdevice = Some(softdevice);
-        soc.settle();
-        self.set_reg(RegisterARM::R0, answer);
-        self.set_reg(RegisterARM::PC, pc | 1);
-        self.spend(super::softdevice::rules::CALL_CYCLES);
-        self.uc.get_data_mut().event = true;
     }
 
     /// S140 below the image.

@@ -4,64 +4,45 @@
 
 use std::collections::VecDeque;
 
-use super::i2c::Sensor;
 use super::lsm9ds1::Motion;
+use super::registers::{Chip, Registers};
 use super::time::{HZ, us};
 
-const ADDRESS: u8 = 0x6A;
 /// Most words that the FIFO holds and its counter can say.
 const FIFO_WORDS: usize = 2047;
 const RESET: u64 = us(50);
+const CTRL3_C: u8 = 0x12;
+/// A transfer goes on with the next register.
+const INCREMENTS: u8 = 0x04;
 /// From the gyroscope's start to its first value.
 const GYRO_START_SECONDS: f64 = 0.035;
 
 /// The sensor.
 pub struct Lsm6ds3 {
-    motion: Box<dyn Motion>,
-    clock_ratio: f64,
-    registers: [u8; 128],
-    selected: u8,
-    busy_until: u64,
+    registers: Registers,
     /// Words of whole sets: gyroscope, then accelerometer.
     fifo: VecDeque<i16>,
     overrun: bool,
     next_set: Option<f64>,
     gyro_since: f64,
-    sets: u64,
-    loses_write: Option<u8>,
 }
 
 impl Lsm6ds3 {
     /// A sensor as after power-up.
     pub fn new(motion: Box<dyn Motion>) -> Self {
         let mut sensor = Self {
-            motion,
-            clock_ratio: 1.0,
-            registers: [0; 128],
-            selected: 0,
-            busy_until: 0,
+            registers: Registers::new(motion),
             fifo: VecDeque::new(),
             overrun: false,
             next_set: None,
             gyro_since: 0.0,
-            sets: 0,
-            loses_write: None,
         };
         sensor.reset();
         sensor
     }
 
-    fn reset(&mut self) {
-        self.registers = [0; 128];
-        self.registers[0x0F] = 0x6A;
-        self.registers[0x12] = 0x04;
-        self.fifo.clear();
-        self.overrun = false;
-        self.next_set = None;
-    }
-
     fn register(&self, register: u8) -> u8 {
-        self.registers[usize::from(register)]
+        self.registers.get(register)
     }
 
     /// Nothing where a sensor is off, or the two run at different rates.
@@ -72,7 +53,7 @@ impl Lsm6ds3 {
             (6, 6) => 416.0,
             _ => return None,
         };
-        Some(self.clock_ratio / hz)
+        Some(self.registers.clock_ratio / hz)
     }
 
     fn clip(value: f64) -> i16 {
@@ -80,7 +61,7 @@ impl Lsm6ds3 {
     }
 
     fn set(&self, at: f64) -> [i16; 6] {
-        let v = self.motion.at(at);
+        let v = self.registers.motion.at(at);
         // ±2, ±16, ±4, ±8 g; ±250, 500, 1000, 2000 deg/s, ±125 by a bit of its own.
         let mg = [0.061, 0.488, 0.122, 0.244][usize::from(self.register(0x10) >> 2) & 3];
         let mdps = if self.register(0x11) & 2 != 0 {
@@ -95,15 +76,33 @@ impl Lsm6ds3 {
             _ => Self::clip(v[i - 3] / (mg * 1e-3 * 9.80665)),
         })
     }
+}
 
-    /// Takes all sets up to this time.
+impl Chip for Lsm6ds3 {
+    const ADDRESS: u8 = 0x6A;
+
+    fn registers(&self) -> &Registers {
+        &self.registers
+    }
+
+    fn registers_mut(&mut self) -> &mut Registers {
+        &mut self.registers
+    }
+
+    fn reset(&mut self) {
+        self.registers.reset(&[(0x0F, 0x6A), (CTRL3_C, INCREMENTS)]);
+        self.fifo.clear();
+        self.overrun = false;
+        self.next_set = None;
+    }
+
     fn advance(&mut self, now: u64) {
         let seconds = now as f64 / HZ as f64;
         while let (Some(at), Some(period)) = (self.next_set, self.period()) {
             if at > seconds {
                 break;
             }
-            self.sets += 1;
+            self.registers.sets += 1;
             let control = self.register(0x0A);
             // Continuous mode, a rate of the FIFO, and both sensors in it without decimation.
             if control & 7 == 6 && control >> 3 & 0xF != 0 && self.register(0x08) & 0x3F == 0x09 {
@@ -118,15 +117,15 @@ impl Lsm6ds3 {
         }
     }
 
-    fn write_register(&mut self, register: u8, value: u8, now: u64) {
+    fn written(&mut self, register: u8, value: u8, now: u64) {
         match register {
             0x0F | 0x1E | 0x20..=0x2D | 0x3A..=0x3F => {}
-            0x12 if value & 1 != 0 => {
+            CTRL3_C if value & 1 != 0 => {
                 self.reset();
-                self.busy_until = now + RESET;
+                self.registers.busy_until = now + RESET;
             }
             _ => {
-                self.registers[usize::from(register)] = value;
+                self.registers.set(register, value);
                 let seconds = now as f64 / HZ as f64;
                 match register {
                     0x10 | 0x11 => {
@@ -143,7 +142,7 @@ impl Lsm6ds3 {
         }
     }
 
-    fn read_register(&mut self, register: u8) -> u8 {
+    fn read(&mut self, register: u8) -> u8 {
         let words = self.fifo.len() as u16;
         match register {
             0x3A => words.to_le_bytes()[0],
@@ -158,59 +157,14 @@ impl Lsm6ds3 {
             _ => self.register(register),
         }
     }
-}
 
-impl Sensor for Lsm6ds3 {
-    fn has_address(&self, address: u8) -> bool {
-        address == ADDRESS
-    }
-
-    fn write(&mut self, _: u8, bytes: &[u8], now: u64) {
-        self.advance(now);
-        let Some((&register, data)) = bytes.split_first() else { return };
-        self.selected = register & 0x7F;
-        for &value in data {
-            let register = self.selected;
-            let lost = self.loses_write.take_if(|lost| *lost == register).is_some();
-            if !lost && now >= self.busy_until {
-                self.write_register(register, value, now);
-            }
-            if self.register(0x12) & 0x04 != 0 {
-                self.selected = (register + 1) & 0x7F;
-            }
+    fn next(&self, register: u8) -> u8 {
+        match register {
+            _ if self.register(CTRL3_C) & INCREMENTS == 0 => register,
+            // A burst stays at the FIFO's output.
+            0x3F => 0x3E,
+            register => (register + 1) & 0x7F,
         }
-    }
-
-    fn read(&mut self, _: u8, bytes: &mut [u8], now: u64) {
-        self.advance(now);
-        for byte in bytes {
-            let register = self.selected;
-            *byte = self.read_register(register);
-            if self.register(0x12) & 0x04 != 0 {
-                // A burst stays at the FIFO's output.
-                self.selected = if register == 0x3F { 0x3E } else { (register + 1) & 0x7F };
-            }
-        }
-    }
-
-    fn power_cycle(&mut self) {
-        self.reset();
-    }
-
-    fn set_motion(&mut self, motion: Box<dyn Motion>) {
-        self.motion = motion;
-    }
-
-    fn set_clock_ratio(&mut self, ratio: f64) {
-        self.clock_ratio = ratio;
-    }
-
-    fn lose_write(&mut self, register: u8) {
-        self.loses_write = Some(register);
-    }
-
-    fn sets(&self) -> u64 {
-        self.sets
     }
 }
 
@@ -218,20 +172,12 @@ impl Sensor for Lsm6ds3 {
 mod tests {
     use super::*;
     use crate::nrf::lsm9ds1::Still;
+    use crate::nrf::registers::tests::{get, set};
     use crate::nrf::time::ms;
-
-    fn get<const N: usize>(sensor: &mut Lsm6ds3, register: u8, now: u64) -> [u8; N] {
-        sensor.write(ADDRESS, &[register], now);
-        let mut bytes = [0; N];
-        sensor.read(ADDRESS, &mut bytes, now);
-        bytes
-    }
 
     fn running(motion: Box<dyn Motion>) -> Lsm6ds3 {
         let mut sensor = Lsm6ds3::new(motion);
-        for (register, value) in [(0x12, 0x44), (0x08, 0x09), (0x0A, 0x2E), (0x10, 0x58), (0x11, 0x5C)] {
-            sensor.write(ADDRESS, &[register, value], 0);
-        }
+        set(&mut sensor, &[(0x12, 0x44), (0x08, 0x09), (0x0A, 0x2E), (0x10, 0x58), (0x11, 0x5C)], 0);
         sensor
     }
 
@@ -273,7 +219,7 @@ mod tests {
         let [low, high, ..] = get::<4>(&mut sensor, 0x3A, ms(3000));
         assert_eq!(u16::from_le_bytes([low, high & 7]) / 6, 341);
         assert_eq!(high & 0x40, 0x40);
-        sensor.write(ADDRESS, &[0x0A, 0x00], ms(3000));
+        set(&mut sensor, &[(0x0A, 0x00)], ms(3000));
         assert_eq!(get(&mut sensor, 0x3A, ms(3000)), [0, 0x10, 0, 0]);
     }
 }

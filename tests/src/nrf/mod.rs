@@ -6,6 +6,7 @@
 
 pub mod ble_host;
 pub mod bmi270;
+pub mod bmm150;
 pub mod board;
 pub mod build;
 pub mod events;
@@ -18,7 +19,9 @@ pub mod lsm9ds1;
 pub mod memory;
 pub mod nvic;
 pub mod ppi;
+pub mod pwm;
 pub mod recordings;
+pub mod registers;
 pub mod rtc;
 pub mod saadc;
 pub mod session;

@@ -81,7 +81,13 @@ impl Session {
 
     /// Starts the image behind S140, with a laptop that connects over Bluetooth by itself.
     pub fn ble(motion: Box<dyn Motion>) -> Self {
-        let mut board = Board::new(image(Variant::Ble), Boot::SoftDevice, motion);
+        Self::ble_of_kind(Kind::Nano33, motion)
+    }
+
+    /// The same with a board of this kind.
+    pub fn ble_of_kind(kind: Kind, motion: Box<dyn Motion>) -> Self {
+        let variant = if kind == Kind::Xiao { Variant::Xiao } else { Variant::Ble };
+        let mut board = Board::of_kind(kind, image(variant), Boot::SoftDevice, motion);
         let mut host = BleHost::default();
         host.connect(&mut board);
         Self::new(board, Some(host))
@@ -98,14 +104,6 @@ impl Session {
         let mut session = Self::new(board, None);
         session.charge();
         session
-    }
-
-    /// A XIAO with a laptop that connects over Bluetooth by itself.
-    pub fn xiao_ble(motion: Box<dyn Motion>) -> Self {
-        let mut board = Board::of_kind(Kind::Xiao, image(Variant::Xiao), Boot::SoftDevice, motion);
-        let mut host = BleHost::default();
-        host.connect(&mut board);
-        Self::new(board, Some(host))
     }
 
     fn new(board: Board, ble: Option<BleHost>) -> Self {

@@ -77,6 +77,8 @@ fn list_and_doctor_name_both_hands_and_calibrate_is_kept_in_the_board() {
         "ping and back",
         "idle, up-down",
         "load",
+        "Rev1, sensor LSM9DS1, 9 axes; image behind the Arduino bootloader, without Bluetooth; started by",
+        "battery unknown",
     ] {
         assert!(text.contains(word), "{word} in\n{text}");
     }

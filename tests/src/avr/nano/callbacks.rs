@@ -1,0 +1,100 @@
+//! What simavr calls back for: the pins, the serial line, the converter and the EEPROM.
+
+use super::*;
+
+impl Wires {
+    pub(super) fn cycle(&self) -> u64 {
+        // Safety: the emulator outlives its callbacks.
+        self.before_reset.get() + unsafe { (*self.avr).cycle }
+    }
+}
+
+/// The core sleeps for so many clocks, unless SMCR.SE is clear: then SLEEP does nothing.
+pub(super) unsafe extern "C" fn on_sleep(avr: *mut ffi::avr_t, clocks: u64) {
+    unsafe {
+        if *(*avr).data.add(SMCR) & 1 != 0 {
+            ASLEEP.set(ASLEEP.get() + clocks + 1);
+        } else {
+            (*avr).state = ffi::cpu_Running as i32;
+            // simavr adds them afterwards.
+            (*avr).cycle = (*avr).cycle.wrapping_sub(clocks);
+        }
+    }
+}
+
+pub(super) unsafe extern "C" fn on_heartbeat(_: *mut ffi::avr_t, _: u64, _: *mut c_void) -> u64 {
+    0
+}
+
+/// Safety of all callbacks: `param` is the boxed [`Wires`] of the board that calls.
+unsafe fn wires<'a>(param: *mut c_void) -> &'a Wires {
+    unsafe { &*param.cast::<Wires>() }
+}
+
+pub(super) unsafe extern "C" fn on_sent(_: *mut ffi::avr_irq_t, value: u32, param: *mut c_void) {
+    let wires = unsafe { wires(param) };
+    // The callback comes when the byte is written; it leaves within one byte time (two, if the one
+    // before it is still under way: then that one's stamp pushes ours).
+    const CYCLES_ON_WIRE: u64 = 10 * 8 * 17;
+    let mut sent = wires.sent.borrow_mut();
+    let start = sent.back().map_or(0, |&(at, _)| at).max(wires.cycle());
+    sent.push_back((start + CYCLES_ON_WIRE, value as u8));
+}
+
+pub(super) unsafe extern "C" fn on_byte_due(avr: *mut ffi::avr_t, when: u64, param: *mut c_void) -> u64 {
+    let wires = unsafe { wires(param) };
+    let due = wires.to_receive.borrow_mut().pop_front();
+    if let Some((_, byte)) = due {
+        unsafe {
+            let uart = ffi::avr_io_getirq(avr, ioctl(b"uar0"), ffi::UART_IRQ_INPUT as i32);
+            ffi::avr_raise_irq(uart, u32::from(byte));
+        }
+    }
+    if wires.to_receive.borrow().is_empty() { 0 } else { when + CYCLES_PER_BYTE }
+}
+
+pub(super) unsafe extern "C" fn on_conversion(irq: *mut ffi::avr_irq_t, value: u32, param: *mut c_void) {
+    let wires = unsafe { wires(param) };
+    wires.conversions.set(wires.conversions.get() + 1);
+    // struct avr_adc_mux_t { unsigned long kind : 3, gain : 8, diff : 8, src : 13; }
+    let (kind, source) = (value & 7, value >> 19);
+    if kind == ffi::ADC_MUX_SINGLE {
+        let line = source as u8;
+        match wires.voltages.borrow_mut().at(line, wires.cycle()) {
+            Line::Millivolts(mv) => wires.held_mv.set(mv),
+            Line::Open => {}
+        }
+        let mv = wires.held_mv.get().clamp(0.0, 5000.0).round() as u32;
+        // Safety: the input pins precede this one in simavr's array.
+        unsafe {
+            ffi::avr_raise_irq(irq.sub(ffi::ADC_IRQ_OUT_TRIGGER as usize).add(line as usize), mv);
+        }
+    } else {
+        wires.held_mv.set(0.0); // ground
+    }
+}
+
+pub(super) unsafe extern "C" fn on_admux(_: *mut ffi::avr_irq_t, value: u32, param: *mut c_void) {
+    let wires = unsafe { wires(param) };
+    if value >> 6 & 3 != 0 {
+        wires.wrong_reference.set(Some(value as u8));
+    }
+}
+
+pub(super) unsafe extern "C" fn on_eecr(_: *mut ffi::avr_irq_t, value: u32, param: *mut c_void) {
+    const EEPE: u32 = 1 << 1;
+    const EEARL: usize = 0x41;
+    const EEDR: usize = 0x40;
+    let wires = unsafe { wires(param) };
+    if value & EEPE != 0 {
+        let data = |address: usize| unsafe { *(*wires.avr).data.add(address) };
+        let address = u16::from(data(EEARL)) | u16::from(data(EEARL + 1)) << 8;
+        let new = data(EEDR);
+        let place = address as usize % EEPROM_BYTES;
+        let old = std::mem::replace(&mut wires.eeprom.borrow_mut()[place], new);
+        // simavr raises this twice per write; the second time nothing changes.
+        if old != new {
+            wires.eeprom_writes.borrow_mut().push(EepromWrite { address, old, new });
+        }
+    }
+}

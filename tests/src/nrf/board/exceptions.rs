@@ -1,0 +1,173 @@
+//! What unicorn leaves out of the core: exceptions, sleep, supervisor calls.
+
+use super::*;
+
+impl Board {
+    pub(super) fn enter(&mut self, exception: usize) {
+        let with_fp = self.reg(RegisterARM::CONTROL) & 4 != 0;
+        let sp = self.reg(RegisterARM::SP);
+        let xpsr = self.reg(RegisterARM::XPSR);
+        let size = if with_fp { 0x68 } else { 0x20 };
+        let frame = (sp - size) & !7;
+        let aligned = u32::from(sp & 4 != 0);
+        let registers = [
+            RegisterARM::R0,
+            RegisterARM::R1,
+            RegisterARM::R2,
+            RegisterARM::R3,
+            RegisterARM::R12,
+            RegisterARM::LR,
+        ];
+        let mut words: Vec<u32> = registers.iter().map(|&r| self.reg(r)).collect();
+        words.push(self.reg(RegisterARM::PC) & !1);
+        words.push(xpsr & !(1 << 9) & !0x1FF | aligned << 9 | (xpsr & 0x1FF));
+        if with_fp {
+            for i in 0..16 {
+                words.push(self.uc.reg_read(RegisterARM::S0 as i32 + i).unwrap_or(0) as u32);
+            }
+            words.push(self.reg(RegisterARM::FPSCR));
+            words.push(0);
+        }
+        let bytes: Vec<u8> = words.iter().flat_map(|w| w.to_le_bytes()).collect();
+        self.uc.mem_write(frame.into(), &bytes).expect("the stack lies in RAM");
+        let nested = !self.soc().nvic.active().is_empty();
+        self.soc().nvic.enter(exception);
+        let lr = match (with_fp, nested) {
+            (false, false) => 0xFFFF_FFF9,
+            (false, true) => 0xFFFF_FFF1,
+            (true, false) => 0xFFFF_FFE9,
+            (true, true) => 0xFFFF_FFE1u32,
+        };
+        let mut table = self.soc().nvic.vector_table;
+        if self.boot == Boot::SoftDevice && table == 0 {
+            // The table at 0 is the MBR's, which forwards to S140, which forwards to the application.
+            table = APPLICATION;
+            self.spend(FORWARD_CYCLES);
+            let soc = self.soc();
+            if let Some(softdevice) = soc.softdevice.as_mut().filter(|s| s.is_enabled()) {
+                softdevice.rules.interrupt(exception - FIRST_IRQ, &soc.nvic);
+            }
+        }
+        let vector = self.load(table + 4 * exception as u32);
+        assert!(vector & 1 == 1, "exception {exception} has no handler in the table at {table:#x}");
+        self.set_reg(RegisterARM::CONTROL, 0);
+        self.set_reg(RegisterARM::SP, frame);
+        self.set_reg(RegisterARM::XPSR, 1 << 24 | exception as u32);
+        self.set_reg(RegisterARM::LR, lr);
+        self.set_reg(RegisterARM::PC, vector);
+        self.frames.push(with_fp);
+        self.spend(EXCEPTION_CYCLES);
+        self.uc.get_data_mut().event = true;
+    }
+
+    pub(super) fn leave(&mut self) {
+        let with_fp = self.frames.pop().expect("a handler ran");
+        let frame = self.reg(RegisterARM::SP);
+        let word = |board: &Self, i: u32| board.load(frame + 4 * i);
+        let xpsr = word(self, 7);
+        let size = if with_fp { 0x68 } else { 0x20 };
+        let registers = [
+            RegisterARM::R0,
+            RegisterARM::R1,
+            RegisterARM::R2,
+            RegisterARM::R3,
+            RegisterARM::R12,
+            RegisterARM::LR,
+        ];
+        for (i, &register) in registers.iter().enumerate() {
+            let value = word(self, i as u32);
+            self.set_reg(register, value);
+        }
+        if with_fp {
+            for i in 0..16 {
+                let value = word(self, 8 + i);
+                let _ = self.uc.reg_write(RegisterARM::S0 as i32 + i as i32, value.into());
+            }
+            let fpscr = word(self, 24);
+            self.set_reg(RegisterARM::FPSCR, fpscr);
+        }
+        let pc = word(self, 6);
+        self.soc().nvic.leave();
+        self.set_reg(RegisterARM::XPSR, xpsr & !(1 << 9));
+        self.set_reg(RegisterARM::CONTROL, if with_fp { 4 } else { 0 });
+        self.set_reg(RegisterARM::SP, frame + size + (xpsr >> 9 & 1) * 4);
+        self.set_reg(RegisterARM::PC, pc | 1);
+        self.spend(EXCEPTION_CYCLES);
+        self.uc.get_data_mut().event = true;
+    }
+
+    pub(super) fn spend(&mut self, cycles: u64) {
+        let soc = self.soc();
+        soc.now += cycles;
+        soc.awake += cycles;
+    }
+
+    pub(super) fn execute(&mut self, until: u64) {
+        self.uc.get_data_mut().stop = None;
+        // The end of the run is something due.
+        let soc = self.soc();
+        soc.due = soc.due.min(until);
+        let pc = self.reg(RegisterARM::PC) | 1;
+        let result = self.uc.emu_start(pc.into(), 0xFFFF_FFFF, 0, 0);
+        let stop = self.uc.get_data_mut().stop.take();
+        self.soc().settle();
+        match stop {
+            // The emulator's own program counter may lag behind between chained blocks.
+            Some(Stop::Attention { at }) => self.set_reg(RegisterARM::PC, at | 1),
+            Some(Stop::Wait { at, for_event }) => {
+                self.set_reg(RegisterARM::PC, (at + 2) | 1);
+                let event = std::mem::take(&mut self.uc.get_data_mut().event);
+                self.asleep = if for_event { !event } else { !self.soc().nvic.any_ready() };
+            }
+            Some(Stop::ExceptionReturn) => self.leave(),
+            Some(Stop::Supervisor) => self.supervisor_call(),
+            Some(Stop::Fault(at)) => {
+                panic!("the core faults at {at:#x}, lr {:#x}", self.reg(RegisterARM::LR))
+            }
+            None => {
+                let at = self.reg(RegisterARM::PC);
+                let access = self.uc.get_data().bad_access.clone();
+                panic!(
+                    "the core stops at {at:#x} (lr {:#x}): {result:?} {access:?}",
+                    self.reg(RegisterARM::LR)
+                )
+            }
+        }
+    }
+
+    /// S140's own interrupts end a sleep, and what breaks its rules ends the run.
+    ///
+    /// # Panics
+    /// Where a rule of S140 is broken.
+    pub(super) fn softdevice_woke(&mut self) {
+        let world = self.uc.get_data_mut();
+        let Some(softdevice) = &mut world.soc.softdevice else { return };
+        world.event |= std::mem::take(&mut softdevice.woke);
+        if let Some(broken) = softdevice.rules.broken() {
+            let broken = broken.to_string();
+            panic!("a rule of S140 is broken near {:#x}: {broken}", self.reg(RegisterARM::PC));
+        }
+    }
+
+    pub(super) fn supervisor_call(&mut self) {
+        let pc = self.reg(RegisterARM::PC) & !1;
+        let number = (self.load((pc - 2) & !3) >> (8 * ((pc - 2) & 3))) as u8;
+        let core = Core {
+            args: [RegisterARM::R0, RegisterARM::R1, RegisterARM::R2, RegisterARM::R3].map(|r| self.reg(r)),
+            sp: self.reg(RegisterARM::SP),
+            masked: self.reg(RegisterARM::PRIMASK) & 1 != 0,
+            statics_end: self.image.symbols.get("__sheap").copied().unwrap_or(RAM_START),
+        };
+        let soc = self.soc();
+        let Some(mut softdevice) = soc.softdevice.take() else {
+            panic!("SVC {number} at {pc:#x} without S140");
+        };
+        let answer = softdevice.call(number, core, soc);
+        soc.softdevice = Some(softdevice);
+        soc.settle();
+        self.set_reg(RegisterARM::R0, answer);
+        self.set_reg(RegisterARM::PC, pc | 1);
+        self.spend(super::super::softdevice::rules::CALL_CYCLES);
+        self.uc.get_data_mut().event = true;
+    }
+}
