@@ -45,6 +45,8 @@ pub struct Config {
     pub tilt: Tilt,
     /// Caps on the base's speed.
     pub speed: SpeedRules,
+    /// What the wearer of the right hand feels.
+    pub vibration: Vibration,
     /// The dead-man's times.
     pub safety: SafetyTimes,
     /// How long a key counts.
@@ -82,6 +84,14 @@ impl Default for Ports {
         let serial = crate::links::SerialSettings::default();
         Ports { left: String::new(), right: String::new(), baud: serial.baud, settle_ms: serial.settle_ms }
     }
+}
+
+/// What a motor at the right hand's board says.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Vibration {
+    /// One is wired: gestures that count or do not, stops and lost links are felt.
+    pub wired: bool,
 }
 
 /// Tilt thresholds in milliradians.

@@ -11,8 +11,8 @@ use host_bridge::observe::SessionEvent;
 use host_bridge::ros2::{Output, Ros2Config, RosRobot};
 use host_bridge::safety::{Hand, State};
 use host_bridge::source::HandSource as _;
-use shared_proto::frame::{HOST_FRAME_MAX, encode_host};
-use shared_proto::message::{Heading, HostMessage};
+use shared_proto::frame::{BOARD_FRAME_MAX, Decoder, HOST_FRAME_MAX, encode_board, encode_host};
+use shared_proto::message::{Board, BoardMessage, Heading, Hello, HostMessage, Signal};
 
 #[path = "support/moving.rs"]
 mod moving;
@@ -214,4 +214,42 @@ fn send_hello(wire: &mut Vec<u8>) {
     keys.receive(request, 0, wire);
     // What is owed goes out with the next period.
     keys.step(0, wire);
+}
+
+/// What a right board of this minor version is told to let its wearer feel, at its start and at a stop.
+fn felt(wired: bool, minor: u8, ready: bool) -> Vec<Signal> {
+    let mut config = Config::default();
+    config.vibration.wired = wired;
+    let mut live = moving::live(&config, Place::Nobody, Place::Board);
+    let hello = BoardMessage::Hello(Hello {
+        major: 1,
+        minor,
+        board: Board::RightXiao,
+        firmware: "test",
+        boot_id: 1,
+        model_id: 1,
+        sample_hz: 100,
+    });
+    let mut buffer = [0; BOARD_FRAME_MAX];
+    live.receive(Hand::Right, encode_board(&hello, &mut buffer).unwrap(), 1);
+    live.advance(2, [ready; 2]);
+    live.stop_key(3);
+    live.advance(4, [ready; 2]);
+    let mut decoder = Decoder::<HOST_FRAME_MAX>::new();
+    let mut felt = Vec::new();
+    for &byte in live.take_outgoing(Hand::Right).iter().flatten() {
+        if let Some(HostMessage::Feel { signal }) = decoder.push_host(byte) {
+            felt.push(signal);
+        }
+    }
+    felt
+}
+
+#[test]
+fn a_stop_is_felt_only_where_a_motor_is_wired_and_the_board_knows_how() {
+    assert_eq!(felt(true, 2, true), [Signal::Ready, Signal::Stopped]);
+    assert_eq!(felt(true, 3, true), [Signal::Ready, Signal::Stopped], "a later version");
+    assert!(felt(true, 1, true).is_empty(), "an older board is not sent what it does not know");
+    assert!(felt(false, 2, true).is_empty(), "not configured");
+    assert!(felt(true, 2, false).is_empty(), "late is dropped");
 }

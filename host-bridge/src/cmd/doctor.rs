@@ -206,7 +206,7 @@ fn lines(heard: &Heard) -> Vec<String> {
         who.board, who.firmware, who.version.0, who.version.1, who.boot_id
     )];
     if let Some(about) = &heard.about {
-        lines.push(made_of(about));
+        lines.push(made_of(who.board, about));
     }
     if who.model_id != 0 {
         let labels = heard.model.as_ref().map(|m| m.labels.join(", ")).unwrap_or_default();
@@ -248,12 +248,21 @@ const CRYSTAL_DRIFT_PPM: u32 = 500;
 /// The same for an Arduino Nano, whose 16 MHz come from a ceramic resonator (0.5 % and ageing).
 const RESONATOR_DRIFT_PPM: u32 = 10_000;
 
-/// Sensor, image, why it started, battery.
-fn made_of(about: &About) -> String {
+/// Revision, sensor, image, why it started, battery.
+fn made_of(board: Board, about: &About) -> String {
+    // One image serves both revisions of a Nano 33, which differ by their sensor.
+    let revision = match (board, about.sensor) {
+        (Board::RightNano33 | Board::RightNano33Rev2, Sensor::Lsm9ds1) => "Rev1, ",
+        (Board::RightNano33 | Board::RightNano33Rev2, Sensor::Bmi270) => "Rev2, ",
+        (Board::RightNano33 | Board::RightNano33Rev2, _) => "revision not known, ",
+        _ => "",
+    };
     let sensor = match about.sensor {
         Sensor::None => "no sensor found".to_owned(),
         Sensor::Unknown(number) => format!("a sensor that is not known here ({number}), {} axes", about.axes),
-        known => format!("sensor {}, {} axes", format!("{known:?}").to_uppercase(), about.axes),
+        Sensor::Lsm9ds1 => format!("sensor LSM9DS1, {} axes", about.axes),
+        Sensor::Bmi270 => format!("sensor BMI270, {} axes", about.axes),
+        Sensor::Lsm6ds3 => format!("sensor LSM6DS3TR-C, {} axes", about.axes),
     };
     let image = match about.image {
         Image::Bootloader => "behind the Arduino bootloader, without Bluetooth".to_owned(),
@@ -272,7 +281,7 @@ fn made_of(about: &About) -> String {
         0 => "unknown".to_owned(),
         mv => format!("{:.2} V", f64::from(mv) / 1000.0),
     };
-    format!("{sensor}; image {image}; started by {reset}; battery {battery}")
+    format!("{revision}{sensor}; image {image}; started by {reset}; battery {battery}")
 }
 
 fn advice(heard: &Heard) -> Vec<String> {
@@ -308,4 +317,47 @@ fn advice(heard: &Heard) -> Vec<String> {
         }
     }
     advice
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_board_is_named_by_revision_sensor_image_reset_cause_and_battery() {
+        let about = |sensor, axes, image, reset, battery_mv| About { sensor, axes, image, reset, battery_mv };
+        for (board, about, line) in [
+            (
+                Board::RightNano33,
+                about(Sensor::Lsm9ds1, 9, Image::Bootloader, ResetCause::PowerUp, 0),
+                "Rev1, sensor LSM9DS1, 9 axes; image behind the Arduino bootloader, without Bluetooth; started by \
+                 power-up; battery unknown",
+            ),
+            (
+                Board::RightNano33Rev2,
+                about(Sensor::Bmi270, 6, Image::S140, ResetCause::Watchdog, 0),
+                "Rev2, sensor BMI270, 6 axes; image behind S140; started by its watchdog; battery unknown",
+            ),
+            (
+                Board::RightXiao,
+                about(Sensor::Lsm6ds3, 6, Image::Uf2, ResetCause::Pin, 3712),
+                "sensor LSM6DS3TR-C, 6 axes; image behind S140 and the UF2 bootloader; started by the reset button; \
+                 battery 3.71 V",
+            ),
+            (
+                Board::RightNano33,
+                about(Sensor::None, 0, Image::S140, ResetCause::Software, 0),
+                "revision not known, no sensor found; image behind S140; started by itself or its bootloader; \
+                 battery unknown",
+            ),
+            (
+                Board::Unknown(77),
+                about(Sensor::Unknown(9), 6, Image::Unknown(8), ResetCause::Unknown(7), 4000),
+                "a sensor that is not known here (9), 6 axes; image of a kind that is not known here (8); started by \
+                 something else; battery 4.00 V",
+            ),
+        ] {
+            assert_eq!(made_of(board, &about), line);
+        }
+    }
 }

@@ -230,8 +230,9 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     let (counts, output, robot) = robot(&stage, &config, graph, args.publish_sim, clock.now_ms());
     let robot_elsewhere = counts.is_some() && !args.publish_sim;
     let bridge = Bridge::with(map, config.speed, config.safety);
-    let mut engine =
-        Engine::new(bridge, stage.before(robot), sources, clock.now_ms()).with_tilt(config.tilt.into());
+    let mut engine = Engine::new(bridge, stage.before(robot), sources, clock.now_ms())
+        .with_tilt(config.tilt.into())
+        .with_vibration(config.vibration.wired);
     let origin = origin(clock.now_ms());
     if let Some(output) = output {
         engine.tap_mut().add(Box::new(output));

@@ -87,5 +87,7 @@ pub fn live_before<D: Door>(
         source(right, Source::here(KeyRight::new())),
     ];
     let bridge = Bridge::with(config.motion_map(), config.speed, config.safety);
-    Engine::new(bridge, door, sources, now_ms).with_tilt(config.tilt.into())
+    Engine::new(bridge, door, sources, now_ms)
+        .with_tilt(config.tilt.into())
+        .with_vibration(config.vibration.wired)
 }

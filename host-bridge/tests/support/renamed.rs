@@ -7,7 +7,7 @@ use models::card::Card;
 
 /// The bundled model with one label renamed: another blob, another id. Its file, and the id.
 pub fn renamed_model(folder: &Path) -> (PathBuf, String) {
-    let bundled = Path::new(env!("CARGO_MANIFEST_DIR")).join("../models/bundled/right-9axis.tflite");
+    let bundled = Path::new(env!("CARGO_MANIFEST_DIR")).join("../models/bundled/right-aligned.tflite");
     let bytes = std::fs::read(&bundled).unwrap();
     let mut card = Card::read(&bundled).unwrap();
     let place = card.labels.iter().position(|label| label == "circle").unwrap();

@@ -14,6 +14,7 @@ use shared_proto::frame::{DELIMITER, HOST_FRAME_MAX, encode_host};
 use shared_proto::message::{HostMessage, Mode, TiltThresholds};
 
 use crate::bridge::{Bridge, BridgeEvent, EventKind};
+use crate::feel;
 use crate::observe::{Now, OperatorKey, SessionEvent, Tap, Turn};
 use crate::safety::Hand;
 use crate::source::{HandKey, Source};
@@ -29,6 +30,8 @@ pub struct Engine<'b, D> {
     moved_ms: u64,
     sources: [Source<'b>; 2],
     tilt: Option<TiltThresholds>,
+    /// The right hand's wearer feels what happens.
+    vibrates: bool,
     request: u16,
     /// Request number of the set-up that a hand's board has not acknowledged, and when it was sent.
     set_ups: [Option<(u16, Option<u64>)>; 2],
@@ -50,6 +53,7 @@ impl<'b, D: Door> Engine<'b, D> {
             moved_ms: now_ms,
             sources,
             tilt: None,
+            vibrates: false,
             request: 0,
             set_ups: [None; 2],
             tap: Tap::default(),
@@ -60,6 +64,12 @@ impl<'b, D: Door> Engine<'b, D> {
     #[must_use]
     pub fn with_tilt(self, tilt: TiltThresholds) -> Self {
         Engine { tilt: Some(tilt), ..self }
+    }
+
+    /// The right hand's board is told what its wearer shall feel, where it knows how.
+    #[must_use]
+    pub fn with_vibration(self, vibrates: bool) -> Self {
+        Engine { vibrates, ..self }
     }
 
     /// Where observers look on.
@@ -176,6 +186,7 @@ impl<'b, D: Door> Engine<'b, D> {
                 self.set_ups[hand as usize] = Some((self.request, None));
             }
         }
+        self.feel(&events, ready[Hand::Right as usize], now_ms);
         for hand in [Hand::Left, Hand::Right] {
             if ready[hand as usize] {
                 self.set_up(hand, now_ms);
@@ -218,6 +229,13 @@ impl<'b, D: Door> Engine<'b, D> {
             _ => HostMessage::SetMode { request, mode: Mode::Classify },
         };
         self.send(hand, &message, now_ms);
+    }
+
+    fn feel(&mut self, events: &[BridgeEvent], ready: bool, now_ms: u64) {
+        let knows_how = ready && self.bridge.link(Hand::Right).minor() >= feel::SINCE_MINOR;
+        if let Some(signal) = feel::signal(events).filter(|_| self.vibrates && knows_how) {
+            self.send(Hand::Right, &HostMessage::Feel { signal }, now_ms);
+        }
     }
 
     fn send(&mut self, hand: Hand, message: &HostMessage<'_>, now_ms: u64) {

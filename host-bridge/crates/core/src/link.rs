@@ -18,8 +18,8 @@ use shared_proto::clock::{BoardClock, DRIFT_PPM};
 use shared_proto::counter::{CounterTracker, Order, SequenceTracker};
 use shared_proto::frame::{BOARD_FRAME_MAX, Counters, Decoder};
 use shared_proto::message::{
-    Ack, Board, BoardMessage, Fault, Hello, HostMessage, LeftState, ModelInfo, Pong, RightState, Status,
-    health,
+    About, Ack, Board, BoardMessage, Fault, Hello, HostMessage, LeftState, ModelInfo, Pong, RightState,
+    Status, health,
 };
 use shared_proto::version;
 
@@ -166,6 +166,9 @@ pub struct HandLink {
     gestures: CounterTracker,
     identity: Option<Identity>,
     model: Option<ModelSummary>,
+    /// Minor version of the wire that the board speaks, and what it is made of.
+    minor: u8,
+    about: Option<About>,
     counters: LinkCounters,
     overtaken_in_a_row: u32,
     last_state_ms: Option<u64>,
@@ -193,6 +196,8 @@ impl HandLink {
             gestures: CounterTracker::new(),
             identity: None,
             model: None,
+            minor: 0,
+            about: None,
             counters: LinkCounters::default(),
             overtaken_in_a_row: 0,
             last_state_ms: None,
@@ -212,6 +217,16 @@ impl HandLink {
     /// The model of a right hand, once it has been named.
     pub fn model(&self) -> Option<&ModelSummary> {
         self.model.as_ref()
+    }
+
+    /// Minor version of the wire that the board speaks; 0 before a usable hello.
+    pub fn minor(&self) -> u8 {
+        self.minor
+    }
+
+    /// Battery of the board in millivolts, where it says so.
+    pub fn battery_mv(&self) -> Option<u16> {
+        self.about.map(|about| about.battery_mv).filter(|&mv| mv > 0)
     }
 
     /// What became of the frames so far.
@@ -306,7 +321,11 @@ impl HandLink {
             return None;
         }
         match message {
-            BoardMessage::Hello(_) | BoardMessage::RawImu(_) | BoardMessage::About(_) => None,
+            BoardMessage::Hello(_) | BoardMessage::RawImu(_) => None,
+            BoardMessage::About(about) => {
+                self.about = Some(about);
+                None
+            }
             BoardMessage::Left(state) => self.left(state, now_ms),
             BoardMessage::Right(state) => self.right(&state, now_ms),
             BoardMessage::ModelInfo(info) => self.model_info(&info),
@@ -331,8 +350,7 @@ impl HandLink {
             (Ok(_), Some(_)) => None,
         };
         if let Some(problem) = problem {
-            self.identity = None;
-            self.model = None;
+            (self.identity, self.model, self.minor) = (None, None, 0);
             return Some(Heard::Unusable(problem));
         }
         self.restarted = false;
@@ -359,7 +377,8 @@ impl HandLink {
         self.middle.rebase();
         self.gestures.rebase();
         self.overtaken_in_a_row = 0;
-        self.model = None;
+        (self.model, self.about) = (None, None);
+        self.minor = hello.minor;
         self.identity = Some(identity.clone());
         Some(Heard::Started(identity))
     }

@@ -183,6 +183,8 @@ pub struct LinkSnapshot {
     pub round_trip_ms: Option<u64>,
     /// What became of its frames.
     pub counters: LinkCounters,
+    /// Battery of its board in millivolts, where it is known.
+    pub battery_mv: Option<u16>,
     /// Bits of [`shared_proto::message::health`] in its newest state.
     pub health: u8,
 }
@@ -228,6 +230,7 @@ impl Snapshot {
             age_ms: bridge.safety().age_ms(hand, time_ms),
             round_trip_ms: bridge.link(hand).round_trip_ms(),
             counters: bridge.link(hand).counters(),
+            battery_mv: bridge.link(hand).battery_mv(),
             health,
         };
         Snapshot {

@@ -102,7 +102,10 @@ impl Diagnostics {
     fn right(&self, bridge: &Bridge) -> DiagnosticStatus {
         let (level, message) = health(bridge, Hand::Right);
         let scores = self.labels.iter().zip(bridge.scores());
-        let values = scores.map(|(label, score)| value(label, format!("{score:.3}"))).collect();
+        let mut values: Vec<_> = scores.map(|(label, score)| value(label, format!("{score:.3}"))).collect();
+        let battery_mv = bridge.link(Hand::Right).battery_mv();
+        let battery = battery_mv.map(|mv| format!("{:.2}", f64::from(mv) / 1000.0));
+        values.push(value("battery_v", battery.unwrap_or_else(|| "unknown".to_owned())));
         part("right hand", level, message, &self.hardware[1], values)
     }
 

@@ -158,7 +158,10 @@ impl View {
                 snapshot.caps.linear_m_s
             ),
         ));
-        lines.push((Color::White, format!("right  {}", live(&snapshot.right.link))));
+        let battery = snapshot.right.link.battery_mv;
+        let battery = battery.map(|mv| format!("battery {:.2} V", f64::from(mv) / 1000.0));
+        let right = format!("right  {:<13} {}", live(&snapshot.right.link), battery.unwrap_or_default());
+        lines.push((Color::White, right.trim_end().to_owned()));
         for (label, score) in snapshot.right.labels.iter().zip(&snapshot.right.scores) {
             let bar = "█".repeat((score * 30.0).round() as usize);
             lines.push((Color::Blue, format!("  {label:<15} {score:>4.2} {bar}")));

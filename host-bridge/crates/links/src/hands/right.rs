@@ -20,8 +20,8 @@ use host_core::observe::Sample;
 /// What one count stands for in record mode, in m/s², deg/s and µT: that of the right board's sensor.
 const COUNT: [f32; 3] = [0.000_732 * 9.806_65, 0.07, 0.014];
 
-const BUNDLED: &[u8] = include_bytes!("../../../../../models/bundled/right-9axis.tflite");
-const BUNDLED_CARD: &[u8] = include_bytes!("../../../../../models/bundled/right-9axis.card.json");
+const BUNDLED: &[u8] = include_bytes!("../../../../../models/bundled/right-aligned.tflite");
+const BUNDLED_CARD: &[u8] = include_bytes!("../../../../../models/bundled/right-aligned.card.json");
 
 /// A model with its card, ready to run.
 #[derive(Clone, Debug)]
@@ -97,8 +97,8 @@ impl ModelFile {
     /// # Errors
     /// [`ModelFileError`] if the files that were compiled in do not belong together.
     pub fn bundled() -> Result<Self, ModelFileError> {
-        let name = Path::new("right-9axis.tflite");
-        let card = Card::parse(Path::new("right-9axis.card.json"), BUNDLED_CARD)
+        let name = Path::new("right-aligned.tflite");
+        let card = Card::parse(Path::new("right-aligned.card.json"), BUNDLED_CARD)
             .map_err(models::blob::ModelError::from)?;
         let files = ModelFiles::new(name, BUNDLED, card)?;
         match files.blob() {

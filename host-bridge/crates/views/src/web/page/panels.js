@@ -219,6 +219,7 @@ export class Panels {
       ["frames", (link) => link.counters.frames],
       ["lost", (link) => link.counters.lost],
       ["damaged", (link) => link.counters.damaged + link.counters.unreadable],
+      ["battery", (link) => (!link.connected ? "–" : link.battery_mv === null ? "unknown" : `${(link.battery_mv / 1000).toFixed(2)} V`)],
       ["health", (link) => (link.health === 0 ? "good" : `flags ${link.health.toString(2)}`)],
     ];
     if (this.lines.length === 0) {

@@ -1,0 +1,88 @@
+//! What the wearer of the right hand feels of what happens, where a motor is wired to its board.
+
+use shared_proto::message::Signal;
+
+use crate::bridge::{BridgeEvent, EventKind, GestureOutcome};
+use crate::safety::HaltReason;
+
+/// Boards of this minor version and later know what a [`Signal`] is.
+pub const SINCE_MINOR: u8 = 2;
+
+/// The signal for what happened in a turn: of several the gravest, for a wrist feels one at a time.
+pub fn signal(events: &[BridgeEvent]) -> Option<Signal> {
+    let weight = |signal: &Signal| match signal {
+        Signal::LinkLost => 3,
+        Signal::Stopped => 2,
+        Signal::Refused => 1,
+        _ => 0,
+    };
+    events.iter().filter_map(of).max_by_key(weight)
+}
+
+fn of(event: &BridgeEvent) -> Option<Signal> {
+    Some(match &event.kind {
+        EventKind::Halt { reason: HaltReason::OperatorStop } => Signal::Stopped,
+        EventKind::Halt { reason: HaltReason::Silence(_) | HaltReason::Unanswered(_) } => Signal::LinkLost,
+        EventKind::Halt { reason: HaltReason::Unhealthy(_) | HaltReason::Restart(_) } => Signal::Stopped,
+        EventKind::Gesture { outcome: GestureOutcome::Started(_) | GestureOutcome::Released, .. } => {
+            Signal::Accepted
+        }
+        EventKind::Gesture { .. } => Signal::Refused,
+        EventKind::HandStarted { .. } => Signal::Ready,
+        _ => return None,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::safety::Hand;
+    use host_robot::MotionName;
+
+    fn gesture(outcome: GestureOutcome) -> EventKind {
+        EventKind::Gesture {
+            label: "circle".to_owned(),
+            confidence: 0.9,
+            window_end_board_ms: 0,
+            age_ms: 7,
+            outcome,
+        }
+    }
+
+    fn felt(kinds: Vec<EventKind>) -> Option<Signal> {
+        let events: Vec<_> = kinds.into_iter().map(|kind| BridgeEvent { time_ms: 1, kind }).collect();
+        signal(&events)
+    }
+
+    #[test]
+    fn a_gesture_is_felt_as_accepted_only_where_something_follows_from_it() {
+        let motion = || MotionName::from("home");
+        for (outcome, wanted) in [
+            (GestureOutcome::Started(motion()), Signal::Accepted),
+            (GestureOutcome::Released, Signal::Accepted),
+            (GestureOutcome::Busy(motion()), Signal::Refused),
+            (GestureOutcome::Refused(motion()), Signal::Refused),
+            (GestureOutcome::NoMotion, Signal::Refused),
+            (GestureOutcome::Late, Signal::Refused),
+            (GestureOutcome::NotArmed, Signal::Refused),
+        ] {
+            assert_eq!(felt(vec![gesture(outcome.clone())]), Some(wanted), "{outcome:?}");
+        }
+    }
+
+    #[test]
+    fn a_halt_says_whether_somebody_stopped_or_a_link_is_lost_and_outweighs_a_gesture() {
+        let halt = |reason| EventKind::Halt { reason };
+        for (reason, wanted) in [
+            (HaltReason::OperatorStop, Signal::Stopped),
+            (HaltReason::Silence(Hand::Left), Signal::LinkLost),
+            (HaltReason::Unanswered(Hand::Right), Signal::LinkLost),
+            (HaltReason::Unhealthy(Hand::Left), Signal::Stopped),
+            (HaltReason::Restart(Hand::Left), Signal::Stopped),
+        ] {
+            let events = vec![halt(reason), gesture(GestureOutcome::NotArmed)];
+            assert_eq!(felt(events), Some(wanted), "{reason:?}");
+        }
+        assert_eq!(felt(vec![EventKind::BaseFree]), None);
+    }
+}
