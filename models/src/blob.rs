@@ -105,7 +105,7 @@ impl ModelFiles {
 /// The blob for an int8 model on disk, with its card.
 ///
 /// ```no_run
-/// let (blob, card) = models::blob::read(std::path::Path::new("right-9axis.tflite"))?;
+/// let (blob, card) = models::blob::read(std::path::Path::new("right-aligned.tflite"))?;
 /// # Ok::<(), models::blob::ModelError>(())
 /// ```
 pub fn read(model: &Path) -> Result<(Vec<u8>, Card), ModelError> {

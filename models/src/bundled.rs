@@ -6,18 +6,18 @@ use std::path::Path;
 use crate::blob::{ModelError, ModelFiles};
 use crate::card::Card;
 
-/// `right-9axis.tflite`.
-pub const TFLITE: &[u8] = include_bytes!("../bundled/right-9axis.tflite");
-/// `right-9axis.card.json`.
-pub const CARD: &[u8] = include_bytes!("../bundled/right-9axis.card.json");
+/// `right-aligned.tflite`.
+pub const TFLITE: &[u8] = include_bytes!("../bundled/right-aligned.tflite");
+/// `right-aligned.card.json`.
+pub const CARD: &[u8] = include_bytes!("../bundled/right-aligned.card.json");
 
 /// The bundled model and its card.
 pub fn files() -> Result<ModelFiles, ModelError> {
-    let file = Path::new("right-9axis.tflite");
+    let file = Path::new("right-aligned.tflite");
     ModelFiles::new(file, TFLITE, Card::parse(&Card::path(file), CARD)?)
 }
 
 /// The blob of the bundled model, as boards and bridge run it.
 pub fn blob() -> Result<Vec<u8>, ModelError> {
-    files()?.blob().map_err(|what| ModelError::Mismatch { file: "right-9axis.tflite".into(), what })
+    files()?.blob().map_err(|what| ModelError::Mismatch { file: "right-aligned.tflite".into(), what })
 }

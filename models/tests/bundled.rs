@@ -19,7 +19,7 @@ mod tool;
 use shared::shared;
 use tool::good;
 
-const BUNDLED: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/bundled/right-9axis.tflite");
+const BUNDLED: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/bundled/right-aligned.tflite");
 
 #[test]
 fn the_blob_follows_from_file_and_card_and_its_id_is_the_cards() {
@@ -164,5 +164,5 @@ fn it_learns_one_more_person_and_forgets_nobody() {
         let [before, now] = figures[..] else { panic!("{line}") };
         assert!(now >= before - 1.0, "{line}");
     }
-    assert!(blob::read(&folder.path().join("mine/right-9axis-e0001.tflite")).is_ok());
+    assert!(blob::read(&folder.path().join("mine/right-aligned-e0001.tflite")).is_ok());
 }

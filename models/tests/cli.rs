@@ -126,7 +126,7 @@ fn a_model_of_other_axes_or_without_its_card_is_refused() {
     std::fs::create_dir_all(&label).unwrap();
     std::fs::write(label.join("p__1.csv"), "timestamp,accX,accY,accZ\n0,1,2,3\n10,1,2,3\n").unwrap();
     let data = folder.path().join("data").to_str().unwrap().to_owned();
-    let bundled = concat!(env!("CARGO_MANIFEST_DIR"), "/bundled/right-9axis.tflite");
+    let bundled = concat!(env!("CARGO_MANIFEST_DIR"), "/bundled/right-aligned.tflite");
     let text = bad(&["eval", bundled, &data]);
     assert!(text.contains("p__1.csv: 3 axes, but 6 are wanted"), "{text}");
 
@@ -175,7 +175,7 @@ fn six_axes_are_enough_for_a_model_that_reads_no_magnetometer() {
         std::fs::create_dir_all(file.parent().unwrap()).unwrap();
         std::fs::write(file, text.lines().map(row).collect::<String>()).unwrap();
     }
-    let bundled = concat!(env!("CARGO_MANIFEST_DIR"), "/bundled/right-9axis.tflite");
+    let bundled = concat!(env!("CARGO_MANIFEST_DIR"), "/bundled/right-aligned.tflite");
     let last = |folder: &str| good(&["eval", bundled, folder]).lines().last().unwrap().to_owned();
     assert_eq!(last(&nine), last(&six));
 }

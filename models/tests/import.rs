@@ -397,7 +397,7 @@ fn files_of_ten_programs_become_the_same_recording() {
 fn an_int8_network_of_dense_layers_gets_a_card_and_is_the_same_model() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name).display().to_string();
-    let bundled = Path::new(env!("CARGO_MANIFEST_DIR")).join("bundled/right-9axis.tflite");
+    let bundled = Path::new(env!("CARGO_MANIFEST_DIR")).join("bundled/right-aligned.tflite");
     let files = ModelFiles::read(&bundled).unwrap();
     let (bytes, labels) = (std::fs::read(&bundled).unwrap(), files.card.labels.join(","));
     let foreign = folder.path().join("foreign.tflite");
@@ -424,7 +424,7 @@ fn an_int8_network_of_dense_layers_gets_a_card_and_is_the_same_model() {
         let (ok, text) = import(&more);
         assert!(!ok && text.contains(word), "{word} in {text}");
     }
-    let float = Path::new(env!("CARGO_MANIFEST_DIR")).join("bundled/right-9axis.float.tflite");
+    let float = Path::new(env!("CARGO_MANIFEST_DIR")).join("bundled/right-aligned.float.tflite");
     let float = match std::fs::read(&float) {
         Ok(bytes) => bytes,
         Err(_) => {

@@ -64,7 +64,7 @@ fn play(model: Model<'_>, wearer: &Wearer, take: u64, tally: &mut Tally) {
 fn bundled() -> Vec<u8> {
     let file = std::env::var_os("BIMANUAL_MODEL")
         .map(PathBuf::from)
-        .unwrap_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("bundled/right-9axis.tflite"));
+        .unwrap_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("bundled/right-aligned.tflite"));
     models::blob::read(&file).expect("the bundled model").0
 }
 

@@ -57,7 +57,7 @@ def main() -> None:
                             "--recipe", recipe, "--axes", str(axes), "--steps", "100"],
                            check=True, stdout=subprocess.DEVNULL)
             models.append((Path(folder) / name, width))
-        models.append((HERE.parent / "bundled" / "right-9axis", 89))
+        models.append((HERE.parent / "bundled" / "right-aligned", 89))
         for model, width in models:
             uniform = rng.integers(-128, 128, (ROWS, width))
             natural = np.clip(np.rint(rng.normal(0, 25, (ROWS, width))), -128, 127)
