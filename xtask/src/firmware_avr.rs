@@ -73,6 +73,16 @@ pub fn run(args: &[&str]) -> Result<()> {
     Ok(())
 }
 
+/// Clippy of the image.
+///
+/// # Errors
+/// What is not as it should be.
+pub fn check() -> Result<()> {
+    let mut clippy = toolchain::cargo(Target::Avr, "clippy")?;
+    clippy.args(["--release", "--locked", "--", "-D", "warnings"]);
+    sh(clippy.current_dir(root().join("firmware-nano-avr")).env("CARGO_TARGET_DIR", target_dir()))
+}
+
 /// Where the image lies once it is built.
 pub fn image() -> PathBuf {
     target_dir().join("avr-none/release/firmware-nano-avr.elf")

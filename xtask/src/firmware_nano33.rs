@@ -83,6 +83,23 @@ fn build(name: &str, options: &[&str]) -> Result<PathBuf> {
     Ok(image)
 }
 
+/// Clippy of all variants, and the drivers' own tests, which run on a laptop.
+///
+/// # Errors
+/// What is not as it should be.
+pub fn check() -> Result<()> {
+    let folder = root().join("firmware-nano33");
+    for (_, options, _) in VARIANTS {
+        let mut clippy = cargo(Target::Thumb, "clippy")?;
+        clippy.args(["--release", "--locked", "--workspace"]).args(options).args(["--", "-D", "warnings"]);
+        sh(clippy.current_dir(&folder).env("CARGO_TARGET_DIR", target_dir()))?;
+    }
+    let host = output(Command::new("rustc").args(["--print", "host-tuple"]))?;
+    let mut tests = Command::new("cargo");
+    tests.args(["test", "--locked", "--target", host.trim()]).current_dir(folder.join("sensor"));
+    sh(tests.env("CARGO_TARGET_DIR", target_dir()))
+}
+
 /// Where the image of a variant lies once it is built.
 pub fn image(name: &str) -> PathBuf {
     target_dir().join(Target::Thumb.triple()).join("release").join(format!("nano33-{name}"))

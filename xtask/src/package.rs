@@ -38,10 +38,10 @@ const FILES: [&str; 28] = [
     "host-bridge/scenes/shelf.toml",
     "host-bridge/crates/arm/src/plan/README.md",
     "models/README.md",
-    "models/bundled/right-9axis.card.json",
-    "models/bundled/right-9axis.float.tflite",
-    "models/bundled/right-9axis.memory.bin",
-    "models/bundled/right-9axis.tflite",
+    "models/bundled/right-aligned.card.json",
+    "models/bundled/right-aligned.float.tflite",
+    "models/bundled/right-aligned.memory.bin",
+    "models/bundled/right-aligned.tflite",
     "shared-proto/WIRE.md",
 ];
 /// Files that lie elsewhere in the archive.

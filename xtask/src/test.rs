@@ -311,6 +311,10 @@ fn images() -> Vec<Step> {
         // The stack is measured, and held to its limit, by the tests.
         Step::new("left hand: image and size", || firmware_avr::run(&["--no-stack"])),
         Step::new("right hand: images and size", || firmware_nano33::run(&[])),
+        Step::new("clippy of the boards' images, tests of the drivers", || {
+            firmware_avr::check()?;
+            firmware_nano33::check()
+        }),
         Step::new("laptop and Cortex-M4F agree on all bits", || {
             sh(Command::new("sh").current_dir(root()).arg("shared-dsp/bench-m4f/run.sh"))
         }),

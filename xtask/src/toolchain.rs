@@ -66,6 +66,10 @@ pub fn cargo(target: Target, subcommand: &str) -> Result<Command> {
             // Debian's compiler has no linker of its own for this target.
             command.env("CARGO_TARGET_THUMBV7EM_NONE_EABIHF_LINKER", "ld.lld");
         }
+        // Its own clippy lies beside it.
+        let path = std::env::var_os("PATH").unwrap_or_default();
+        let folders = std::iter::once("/usr/bin".into()).chain(std::env::split_paths(&path));
+        command.env("PATH", std::env::join_paths(folders)?);
         command.args([subcommand, target.library()]);
         command
     } else {

@@ -12,8 +12,10 @@ pub struct Packages {
 }
 
 /// Compilers for the boards, where rustup has none.
-pub const CROSS_RUST: Packages =
-    Packages { purpose: "compilers for the boards", names: &["rustc-web", "cargo-web", "rust-web-src"] };
+pub const CROSS_RUST: Packages = Packages {
+    purpose: "compilers for the boards",
+    names: &["rustc-web", "cargo-web", "rust-web-src", "rust-web-clippy"],
+};
 
 /// Linkers for the boards.
 pub const CROSS_LINK: Packages = Packages {
