@@ -13,7 +13,7 @@
 use core::sync::atomic::{AtomicU32, Ordering};
 
 use embassy_executor::Spawner;
-use embassy_futures::join::join3;
+use embassy_futures::join::join4;
 use embassy_futures::select::select;
 use embassy_nrf::Peri;
 use embassy_nrf::peripherals::USBD;
@@ -55,6 +55,8 @@ const ADVERTISING: u32 = 48;
 /// and, where a laptop cannot be asked by its radio (LE Ping), raises an event at which nrf-softdevice panics; the answer
 /// to a request is such a packet.
 const QUIET: Duration = Duration::from_secs(120);
+/// A laptop that is not bonded by then is hung up on: it holds the board's only link.
+const STRANGER: Duration = Duration::from_secs(10);
 const NAME: &str = "bimanual-right";
 /// The service's UUID, little-endian as in an advertisement.
 const SERVICE_UUID: [u8; 16] = 0xb1a4_0001_6d61_4e75_a1b2_5c3d_9e7f_0a33_u128.to_le_bytes();
@@ -294,7 +296,15 @@ async fn serve(connection: &Connection, server: &Server, bonder: &Bonder) {
             }
         }
     };
-    select(events, join3(negotiate(connection), receive, send)).await;
+    let stranger = async {
+        loop {
+            Timer::after(STRANGER).await;
+            if !bonder.trusts() {
+                let _ = connection.disconnect();
+            }
+        }
+    };
+    select(events, join4(negotiate(connection), receive, send, stranger)).await;
     outbox.set_open(false);
 }
 

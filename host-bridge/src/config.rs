@@ -13,14 +13,18 @@ use crate::arm::model::SerialArm;
 use crate::arm::motions::{MotionTable, PoseTable};
 use crate::arm::scene::JERK_MIN_RAD_S3;
 use crate::base::BaseConfig;
+use crate::bridge::{Bridge, Restriction};
 use crate::intent::{MotionMap, SpeedRules};
 use crate::keyboard::KeyTimes;
-use crate::robot::JointLimits;
+use crate::robot::{JointLimits, MotionName};
 use crate::ros2::Ros2Config;
 use crate::safety::SafetyTimes;
 
 /// The port that is none: keys stand for the hand.
 pub const KEYBOARD: &str = "keyboard";
+
+/// Fastest speed of the base where boards need not be bonded, in m/s and rad/s.
+const UNBONDED_MOST: f64 = 0.2;
 
 /// What a hand is to be.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -77,12 +81,21 @@ pub struct Ports {
     pub baud: u32,
     /// Nothing is sent for so long after a port was opened, unless the board speaks first.
     pub settle_ms: u64,
+    /// Boards over Bluetooth that are not bonded may move the base, at most 0.2 m/s, and never the arm. For serial modules
+    /// that know no bonding: whoever is in reach can take their place.
+    pub allow_unbonded: bool,
 }
 
 impl Default for Ports {
     fn default() -> Self {
         let serial = crate::links::SerialSettings::default();
-        Ports { left: String::new(), right: String::new(), baud: serial.baud, settle_ms: serial.settle_ms }
+        Ports {
+            left: String::new(),
+            right: String::new(),
+            baud: serial.baud,
+            settle_ms: serial.settle_ms,
+            allow_unbonded: false,
+        }
     }
 }
 
@@ -231,6 +244,23 @@ impl Config {
         self.motions.iter().map(|(label, motion)| format!("{label}={motion}")).collect()
     }
 
+    /// What a session may not do where boards need not be bonded.
+    pub fn restriction(&self) -> Option<Restriction> {
+        let text = format!(
+            "unbonded boards are allowed: the base alone, at most {UNBONDED_MOST} m/s (allow_unbonded in [ports])"
+        );
+        self.ports.allow_unbonded.then_some(Restriction { most: UNBONDED_MOST, text })
+    }
+
+    /// A bridge as configured here.
+    pub fn bridge(&self, map: MotionMap) -> Bridge {
+        let bridge = Bridge::with(map, self.speed, self.safety);
+        match self.restriction() {
+            Some(restriction) => bridge.restricted(restriction),
+            None => bridge,
+        }
+    }
+
     /// Limits of the arm.
     pub fn arm_limits(&self) -> JointLimits {
         let Arm { velocity_scaling, acceleration_scaling, jerk_limited, jerk_rad_s3 } = self.arm;
@@ -278,6 +308,15 @@ impl Config {
             (50..=1000).contains(&self.keyboard.first_press_ms)
                 && (50..=1000).contains(&self.keyboard.repeat_ms),
             "keyboard: first_press_ms and repeat_ms lie between 50 and 1000",
+        )?;
+        let end_arm = self.keyboard.end_arm;
+        ensure(
+            end_arm.is_ascii_lowercase() && !"qrz".contains(end_arm),
+            "keyboard: end_arm is one small letter, other than q, r and z, which have a meaning",
+        )?;
+        ensure(
+            self.motion.iter().all(|motion| motion.name != MotionName::END_ARM),
+            "motion: the name end-arm is taken: as a label's motion it ends the one under way",
         )?;
         let base = self.base;
         ensure(
@@ -339,7 +378,6 @@ fn check_keys(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::robot::MotionName;
 
     #[test]
     fn what_is_printed_reads_back_as_the_same_and_names_every_key() {

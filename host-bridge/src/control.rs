@@ -43,6 +43,8 @@ pub enum Order {
     Up(HandKey),
     /// The release key, pressed and confirmed.
     Release,
+    /// The arm's motion ends, and that alone.
+    EndArm,
 }
 
 /// What happened to a link.
@@ -266,6 +268,7 @@ impl<D: Door> Running<D> {
                 Order::Press(key) => work.engine.press(key, now_ms),
                 Order::Up(key) => work.engine.release_hand_key(key),
                 Order::Release => work.engine.release_key(now_ms),
+                Order::EndArm => work.engine.end_arm_key(now_ms),
             }
         }
         let ready = [0, 1].map(|i: usize| work.links[i].as_ref().is_some_and(Link::is_ready));

@@ -15,7 +15,7 @@ use host_bridge::ending::Ending;
 use host_bridge::intent::MotionMap;
 use host_bridge::observe::{SessionEvent, Snapshot};
 use host_bridge::plan::Planner;
-use host_bridge::robot::Door;
+use host_bridge::robot::{Door, MotionName};
 use host_bridge::robots::Stage;
 use host_bridge::scene::Scene;
 use host_bridge::session::Session;
@@ -108,7 +108,7 @@ pub fn stage(config: &Config, scene: Option<&Path>) -> Result<Stage> {
 pub fn check_motions(map: &MotionMap, mappings: &[String], motions: &Motions) -> Result<()> {
     for label in mappings.iter().filter_map(|mapping| mapping.split_once('=')).map(|(label, _)| label.trim())
     {
-        if let Some(motion) = map.motion(label) {
+        if let Some(motion) = map.motion(label).filter(|motion| **motion != *MotionName::END_ARM) {
             motions.get(motion.as_str()).with_context(|| format!("in the mapping of '{label}'"))?;
         }
     }

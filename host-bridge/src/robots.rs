@@ -120,6 +120,9 @@ impl<R: Robot> Robot for Echoed<R> {
     fn timeouts(&self) -> u32 {
         self.simulator.timeouts()
     }
+    fn refusal(&self) -> Option<String> {
+        self.graph.refusal()
+    }
     fn take_notes(&mut self) -> Vec<String> {
         self.graph.take_notes()
     }

@@ -196,6 +196,7 @@ fn live_session(memory: &Memory, when_full: WhenFull, until_ms: u64) -> (Live, D
             1900 => live.press(HandKey::Gesture(5), now_ms),
             // Noise on a line, between two turns.
             2000 => live.receive(Hand::Left, &[7, 0, 255, 3], now_ms),
+            2100 => live.end_arm_key(now_ms),
             _ => {}
         }
         live.advance(now_ms, [true; 2]);

@@ -128,7 +128,8 @@ fn the_plan_that_is_sent_is_the_scenes_around_its_boxes_to_its_pose_at_its_speed
     let config = format!("{text}\n[[motion]]\nname = \"pick-up\"\nsteps = [{{ to = \"{to_name}\" }}]\n");
     let mut site = Site::new(&config);
     site.joints_rad = *from;
-    site.run(100);
+    // A jump that no arm makes is remembered for 2 s.
+    site.run(2500);
     site.live.press(HandKey::Gesture(2), site.now_ms);
     site.run(100);
     let goals = site.goals();

@@ -101,6 +101,8 @@ class Robot:
         self.clock = net.writer("/clock", "Clock") if opts.sim_time else None
         net.listen(f"{space}/cmd_vel", "Twist" if opts.unstamped else "TwistStamped", self.speed,
                    opts.demanding)
+        net.listen(f"{space}/bimanual/stopped", "Bool", self.stopped, True)
+        self.operator_stop = None
         self.states = self.follow = self.controller_state = self.gripper_action = self.odom = None
         if not opts.base_only:
             net.listen("/diagnostics", "DiagnosticArray", self.diagnostics)
@@ -131,6 +133,11 @@ class Robot:
         return time.time() + self.opts.clock_offset
 
     # What arrives.
+
+    def stopped(self, now, message):
+        if message.data != self.operator_stop:
+            self.operator_stop = message.data
+            say(event="operator stop", t=now, data=message.data)
 
     def speed(self, now, message):
         stamp, frame, twist = 0.0, "", message

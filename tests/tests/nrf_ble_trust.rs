@@ -65,6 +65,25 @@ fn without_keys_states_are_read_but_writes_are_refused() {
 }
 
 #[test]
+fn whoever_does_not_bond_within_ten_seconds_is_hung_up_on() {
+    for pairs in [false, true] {
+        let mut session = stranger(pairs);
+        let hung_up = |session: &mut Session| {
+            log(session).iter().any(|what| matches!(what, Happening::Disconnected(_)))
+        };
+        // Ready a second or so after the link stood.
+        session.run_ms(6000);
+        assert!(!hung_up(&mut session), "pairs: {pairs}");
+        session.run_ms(5000);
+        assert!(hung_up(&mut session), "pairs: {pairs}: {:?}", log(&mut session));
+    }
+    // The owner stays.
+    let mut session = ready();
+    session.run_ms(25_000);
+    assert!(!log(&mut session).iter().any(|what| matches!(what, Happening::Disconnected(_))));
+}
+
+#[test]
 fn a_laptop_that_pairs_without_keeping_keys_changes_nothing() {
     let mut session = stranger(true);
     assert!(log(&mut session).contains(&Happening::Paired { bonded: false }));

@@ -25,7 +25,9 @@ usage: cargo xtask VERB
                                 every test, in under 30 minutes on 2 cores; --quick only format, clippy and unit
                                 tests of the laptop's side, for daily work (under 5 minutes); --full the long
                                 forms (under 90); --only the steps whose name contains WORD, --list names them
-  campaign [--short]            what must hold when something else fails, in one table (under 80 minutes)
+  campaign [--short] [--only WORD]
+                                what must hold when something else fails, in one table (under 80 minutes); --only
+                                the faults whose name contains WORD
   firmware avr [--baud N] [--no-stack]
                                 the left hand's image: size, stack, how to flash it
   firmware nano33 [ble|bootloader]

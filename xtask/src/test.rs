@@ -181,7 +181,7 @@ fn cargo_for_laptop(subcommand: &str) -> Command {
 ///
 /// Always the same choice: cargo sets the features of shared dependencies by the packages that are built
 /// together, and would compile most of them again for any other choice.
-fn cargo_for_all(subcommand: &str) -> Command {
+pub fn cargo_for_all(subcommand: &str) -> Command {
     if !EMULATORS.is_complete() {
         return cargo_for_laptop(subcommand);
     }

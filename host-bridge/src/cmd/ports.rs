@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail};
-use host_bridge::config::Config;
+use host_bridge::config::{Config, Ports};
 use host_bridge::links::{SerialSettings, is_ble};
 use host_bridge::safety::Hand;
 
@@ -18,7 +18,8 @@ pub fn read_config(file: Option<&Path>) -> Result<Config> {
 
 /// How ports are to be used.
 pub fn settings(config: &Config) -> SerialSettings {
-    SerialSettings { baud: config.ports.baud, settle_ms: config.ports.settle_ms }
+    let Ports { baud, settle_ms, allow_unbonded, .. } = config.ports;
+    SerialSettings { baud, settle_ms, allow_unbonded }
 }
 
 /// The port of a hand: the one asked for, else the configuration's. With `left_handed` the hands have

@@ -22,6 +22,7 @@ mod on {
     use host_bridge::ros2::driver::RosDriver;
     use host_bridge::ros2::node::{RosNode, RosPublisher};
     use host_bridge::ros2::{ArmInterface, Counts, Ros2Config, RosRobot};
+    use host_bridge::safety::State;
     use host_bridge::topics::diagnostics::Diagnostics;
     use host_bridge::topics::message::Time;
 
@@ -108,6 +109,7 @@ mod on {
             if let Some(message) = self.diagnostics.take(&self.name, now.bridge, now.time_ms, stamp) {
                 self.publisher.diagnose(message);
             }
+            self.publisher.say_stopped(now.bridge.safety().state() == State::Stopped, now.time_ms);
             if self.publish_sim {
                 self.publisher.publish_sim(&now.robot.picture(), now.time_ms, stamp);
             }

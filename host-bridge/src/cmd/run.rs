@@ -8,7 +8,6 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result, bail, ensure};
 use crossterm::event::{KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
-use host_bridge::bridge::Bridge;
 use host_bridge::config::{Config, KEYBOARD, Place};
 use host_bridge::control::{Control, Flags, Order, Report, Work};
 use host_bridge::describe;
@@ -16,7 +15,7 @@ use host_bridge::ending::Ending;
 use host_bridge::engine::Engine;
 use host_bridge::foxglove::Foxglove;
 use host_bridge::keyboard::{HandKey, KeyLeft, KeyRight};
-use host_bridge::links::{Clock, Link as BoardLink, SystemClock, is_ble, queue};
+use host_bridge::links::{Clock, Link as BoardLink, SystemClock, is_ble, is_serial_over_air, queue};
 use host_bridge::observe::{Now, SessionEvent};
 use host_bridge::robot::brake::longest_s;
 use host_bridge::robot::{Door, Robot};
@@ -43,7 +42,7 @@ const BRAKING_MAX_S: f64 = 1.0;
 /// The release key must be pressed twice within this time.
 const CONFIRM: Duration = Duration::from_secs(2);
 
-const KEYS: &str = "space: stop   r r: release a stop (no right hand)   Esc: quit";
+const KEYS: &str = "space: stop   r r: release a stop (no right hand)   Esc: quit   end the arm's motion:";
 const HAND_KEYS: &str = "keyboard: arrows drive while held, q faster, z slower; 1-6 gestures";
 
 /// Options.
@@ -171,6 +170,13 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     for port in [&left, &right] {
         check_name(port)?;
     }
+    for port in [&left, &right] {
+        ensure!(
+            !is_serial_over_air(port) || config.ports.allow_unbonded,
+            "{port} is a serial port over Bluetooth, and whether its module is bonded cannot be told: use a cable, or set \
+             allow_unbonded = true under [ports] (the base alone, at most 0.2 m/s)"
+        );
+    }
     let is_terminal = std::io::stdout().is_terminal() && std::io::stdin().is_terminal();
     let wants_view = is_terminal && !args.headless && !args.json;
     let places = config.places();
@@ -218,6 +224,9 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     let about =
         graph.as_ref().map_or("simulated robot".to_owned(), |graph| graph.about.clone() + &third_stop);
     let mut title = format!("bimanual: left hand {}, right hand {}, {about}", name(&left), name(&right));
+    if let Some(restriction) = config.restriction() {
+        title += &format!("\n{}", restriction.text);
+    }
     let source = |place: Place, keys: &dyn Fn() -> Source<'static>| match place {
         Place::Nobody => Source::Nobody,
         Place::Board => Source::link(),
@@ -229,8 +238,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     ];
     let (counts, output, robot) = robot(&stage, &config, graph, args.publish_sim, clock.now_ms());
     let robot_elsewhere = counts.is_some() && !args.publish_sim;
-    let bridge = Bridge::with(map, config.speed, config.safety);
-    let mut engine = Engine::new(bridge, stage.before(robot), sources, clock.now_ms())
+    let mut engine = Engine::new(config.bridge(map), stage.before(robot), sources, clock.now_ms())
         .with_tilt(config.tilt.into())
         .with_vibration(config.vibration.wired);
     let origin = origin(clock.now_ms());
@@ -258,8 +266,10 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     let keeper = args.keep.start(engine.tap_mut(), &start)?;
     let flags = Flags::default();
     let ending = Ending::watch(&flags.quit_flag(), wants_view)?;
+    let with_hands = places.contains(&Place::Keyboard);
     let keys =
-        if places.contains(&Place::Keyboard) { format!("{KEYS}\n{HAND_KEYS}") } else { KEYS.to_owned() };
+        [Some(format!("{KEYS} {}", config.keyboard.end_arm)), with_hands.then(|| HAND_KEYS.to_owned())];
+    let keys = keys.into_iter().flatten().collect::<Vec<_>>().join("\n");
     let mut screen = Screen {
         view: if wants_view { Some(View::open(&title)?) } else { None },
         json: args.json,
@@ -267,6 +277,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         over_air,
         released: None,
         keys,
+        end_arm: config.keyboard.end_arm,
     };
     if screen.view.is_none() && !args.json {
         screen.line(&title);
@@ -346,6 +357,8 @@ struct Screen {
     /// When the release key was pressed once.
     released: Option<Instant>,
     keys: String,
+    /// The key that ends the arm's motion.
+    end_arm: char,
 }
 
 impl Screen {
@@ -440,6 +453,7 @@ impl Screen {
                 KeyCode::Esc => return true,
                 KeyCode::Char('c') if key.modifiers.contains(KeyModifiers::CONTROL) => return true,
                 KeyCode::Char(' ') => flags.stop(),
+                KeyCode::Char(key) if key == self.end_arm => control.order(Order::EndArm),
                 KeyCode::Char('r') if self.released.take().is_some_and(|at| at.elapsed() < CONFIRM) => {
                     control.order(Order::Release);
                 }

@@ -1,8 +1,12 @@
 //! Options of the page and of what Foxglove is shown, shared by the verbs that move a robot.
 
+use std::fs::File;
+use std::io::{BufRead, BufReader, Read as _, Write as _};
 use std::net::IpAddr;
+use std::path::PathBuf;
+use std::sync::OnceLock;
 
-use anyhow::Result;
+use anyhow::{Context as _, Result};
 use host_bridge::foxglove::{Foxglove, FoxgloveOptions};
 use host_bridge::topics::Origin;
 use host_bridge::web::{DEFAULT_PORT, Web, WebError, WebOptions};
@@ -23,37 +27,76 @@ pub struct WebArgs {
     /// address (0.0.0.0 = all); needs --web-token
     #[arg(long, value_name = "ADDR")]
     web_listen: Option<IpAddr>,
-    /// What a page must know: 16 or more letters and digits. It crosses the network as it is: for more
-    /// than your own network forward the port over ssh instead
-    #[arg(long, value_name = "TOKEN")]
+    /// What a page must know: 16 or more letters and digits. Everybody on this machine can read it in the list of
+    /// processes: better give it with --web-token-file, or in the variable BIMANUAL_WEB_TOKEN
+    #[arg(long, value_name = "TOKEN", conflicts_with = "web_token_file")]
     web_token: Option<String>,
+    /// A file with that token in its first line, - for standard input. It crosses the network as it is: for more
+    /// than your own network forward the port over ssh instead
+    #[arg(long, value_name = "FILE")]
+    web_token_file: Option<PathBuf>,
 }
+
+/// The token in the environment, which only its owner can read.
+const TOKEN_VARIABLE: &str = "BIMANUAL_WEB_TOKEN";
 
 impl WebArgs {
     /// Starts the server if it was asked for; `unasked` also without that, where a port is to be had.
     pub fn start(&self, unasked: bool) -> Result<Option<Web>> {
-        let rules = self.web_listen.is_some() || self.web_token.is_some();
+        let rules = self.web_listen.is_some() || self.web_token.is_some() || self.web_token_file.is_some();
+        if self.web_token.is_some() {
+            // Nobody may be reading.
+            let _ = writeln!(
+                std::io::stderr(),
+                "--web-token shows the token to everybody on this machine who lists its processes: give it with \
+                 --web-token-file FILE, or in {TOKEN_VARIABLE}"
+            );
+        }
         // Rules alone ask for the page, unless they are for Foxglove.
         if self.web.is_none() && (!rules || self.foxglove.is_some()) {
             let options = [WebOptions::default(), WebOptions { port: 0, ..WebOptions::default() }];
             return Ok(options.iter().filter(|_| unasked).find_map(|options| Web::start(options).ok()));
         }
-        let started: Result<Web, WebError> = Web::start(&self.options(self.web.unwrap_or(DEFAULT_PORT)));
+        let started: Result<Web, WebError> = Web::start(&self.options(self.web.unwrap_or(DEFAULT_PORT))?);
         Ok(Some(started?))
     }
 
     /// Starts serving Foxglove if it was asked for.
     pub fn start_foxglove(&self, origin: Origin) -> Result<Option<Foxglove>> {
         let Some(port) = self.foxglove else { return Ok(None) };
-        let options = FoxgloveOptions { server: self.options(port), origins: self.foxglove_origin.clone() };
+        let options = FoxgloveOptions { server: self.options(port)?, origins: self.foxglove_origin.clone() };
         Ok(Some(Foxglove::start(&options, origin)?))
     }
 
-    fn options(&self, port: u16) -> WebOptions {
+    fn options(&self, port: u16) -> Result<WebOptions> {
         let address = self.web_listen.unwrap_or(WebOptions::default().address);
-        WebOptions { address, port, token: self.web_token.clone() }
+        Ok(WebOptions { address, port, token: self.token()? })
+    }
+
+    /// From the command line, a file, or the environment, read once.
+    fn token(&self) -> Result<Option<String>> {
+        static READ: OnceLock<String> = OnceLock::new();
+        let Some(file) = &self.web_token_file else {
+            let set = || std::env::var(TOKEN_VARIABLE).ok().filter(|token| !token.is_empty());
+            return Ok(self.web_token.clone().or_else(set));
+        };
+        if let Some(token) = READ.get() {
+            return Ok(Some(token.clone()));
+        }
+        let about = || format!("--web-token-file {}: no token can be read", file.display());
+        let mut line = String::new();
+        let mut reader: Box<dyn BufRead> = if file.as_os_str() == "-" {
+            Box::new(std::io::stdin().lock())
+        } else {
+            Box::new(BufReader::new(File::open(file).with_context(about)?))
+        };
+        reader.by_ref().take(LINE_MAX).read_line(&mut line).with_context(about)?;
+        Ok(Some(READ.get_or_init(|| line.trim().to_owned()).clone()))
     }
 }
+
+/// No token is longer, with its line's end.
+const LINE_MAX: u64 = 200;
 
 /// Somebody sits before a screen that can show a browser.
 pub fn has_display() -> bool {

@@ -18,7 +18,7 @@ use host_core::observe::SessionEvent;
 use host_core::safety::Hand;
 use host_robot::{Door as _, Odometry};
 use host_sim::Simulator;
-use host_topics::bimanual::{Bytes, Operated, Turns};
+use host_topics::bimanual::{Bytes, Operated, Refused, Turns};
 use host_topics::cdr::decode;
 use host_topics::{Entry, Origin, Topic};
 
@@ -219,6 +219,7 @@ impl Player {
             | Topic::LeftSent
             | Topic::RightSent
             | Topic::Operated
+            | Topic::Refused
             | Topic::Turns => {
                 let unreadable =
                     ReplayError::Message { topic: topic.name(), seconds: time_ms as f64 / 1000.0 };
@@ -281,8 +282,14 @@ impl Player {
                 match key {
                     0 => self.bridge.stop_key(time_ms, &mut self.robot),
                     1 => self.bridge.release_key(time_ms, &mut self.robot),
+                    2 => self.bridge.end_arm_key(time_ms, &mut self.robot),
                     _ => return None,
                 }
+            }
+            Topic::Refused => {
+                let Refused { time_ms, reason, .. } = decode(&entry.data)?;
+                let refusal = (!reason.is_empty()).then_some(reason);
+                self.bridge.robot_refuses(refusal, time_ms, &mut self.robot);
             }
             topic => {
                 let Bytes { time_ms, data, .. } = decode(&entry.data)?;

@@ -134,7 +134,7 @@ impl Setup {
     /// # Errors
     /// As [`Setup::motion_map`].
     pub fn bridge(&self) -> Result<Bridge, SetupError> {
-        let bridge = Bridge::with(self.motion_map()?, self.config.speed, self.config.safety);
+        let bridge = self.config.bridge(self.motion_map()?);
         let hands = [Hand::Left, Hand::Right].into_iter().zip(self.config.places());
         Ok(hands
             .filter(|(_, place)| *place == Place::Board)

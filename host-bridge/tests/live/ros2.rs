@@ -4,11 +4,13 @@
 //!
 //! Each test makes a network of its own (a namespace) where it may, and so disturbs no other.
 
+use std::net::TcpStream;
 use std::process::Command;
 use std::time::{Duration, Instant};
 
 use host_bridge::arm::gen3::HOME;
 use serde_json::Value;
+use tungstenite::client::IntoClientRequest as _;
 
 use crate::double::{BENT, Double, FORWARD, LEVEL};
 use crate::graph::{
@@ -390,6 +392,223 @@ fn what_people_see_are_a_slower_arms_own_angles_within_100_ms() {
         assert!(count > 20 && moved > 0.2, "{event}: {count} times, {moved} rad");
         assert!(!was_quiet || worst_ms <= 100.0, "{event} is {worst_ms} ms behind");
     }
+}
+
+#[test]
+fn an_e_stop_a_fault_and_a_publisher_that_is_gone_stop_base_and_arm_and_are_named() {
+    let Some(site) =
+        site("an_e_stop_a_fault_and_a_publisher_that_is_gone_stop_base_and_arm_and_are_named", true)
+    else {
+        return;
+    };
+    let desk = desk("ros2-estop");
+    let domain = domain();
+    let (left, right) = (Double::left(&desk), Double::right(&desk, 0.0));
+    let mut robot = peer(&desk, &site.python, domain, &["--robot"]);
+    // Whoever has the e-stop, in a corner of its own.
+    let mut button = peer(&desk, &site.python, domain, &["--base-only", "--namespace", "/button"]);
+    robot.has("ready", |v| is(v, "ready"));
+    button.has("ready", |v| is(v, "ready"));
+    // Said before the bridge came: latched.
+    button.order("flag /e_stop off");
+    let section = "estop = '/e_stop'\nfault = '/fault_controller/internal_fault'\n";
+    let options = ["--left", &left.port(), "--right", &right.port()];
+    let mut bridge = bridge_on_its_own(&desk, domain, section, &options);
+    let refuses = |words: &'static str| {
+        move |v: &Value| is(v, "robot-refuses") && v["reason"].as_str().is_some_and(|why| why.contains(words))
+    };
+    bridge.has("the missing flag", refuses("nobody publishes the fault flag"));
+    bridge.catch_up();
+    assert!(!bridge.seen.iter().any(|(_, v)| armed(v)), "armed without the flag");
+    robot.order("flag /fault_controller/internal_fault off");
+    bridge.has("armed", armed);
+    robot.has("no stop of the operator's", |v| is(v, "operator stop") && v["data"] == false);
+
+    // The e-stop while driving.
+    left.hold(FORWARD);
+    robot.wait("forward", |v| base_speed(v) == Some(0.5));
+    let (lateness, pressed_s) = (Lateness::watch(), wall_s());
+    button.order("flag /e_stop on");
+    let zero = robot.wait("zero", |v| speed(v).is_some_and(|s| s.0 == 0.0));
+    let stop_ms = (number(&zero["t"]) - pressed_s) * 1000.0;
+    bridge.has("the e-stop", refuses("the e-stop is pressed"));
+    bridge.has("the halt", |v| is(v, "halt") && v["reason"] == "robot-refuses");
+    println!("row: e-stop pressed: zero at the robot | 1 | {stop_ms:.0} ms | 100 ms");
+    assert!(!lateness.was_quiet() || stop_ms <= 100.0, "{stop_ms} ms");
+    button.order("flag /e_stop off");
+    left.hold(LEVEL);
+    bridge.wait("armed again", armed);
+
+    // A fault while the arm moves.
+    robot.wait("the arm moves", |v| is(v, "arm") && v["moves"] == true);
+    robot.order("flag /fault_controller/internal_fault on");
+    robot.wait("the arm rests", |v| is(v, "arm") && v["moves"] == false);
+    bridge.has("the fault", refuses("reports a fault"));
+    robot.order("flag /fault_controller/internal_fault off");
+    bridge.wait("armed again", armed);
+
+    // The operator's stop goes out on a topic of its own.
+    left.hold(BENT);
+    robot.wait("the operator's stop", |v| is(v, "operator stop") && v["data"] == true);
+
+    // Whoever has the e-stop is gone.
+    button.order("quit");
+    bridge.wait("nobody has the e-stop", refuses("nobody publishes the e-stop"));
+}
+
+#[test]
+fn however_the_program_ends_base_and_arm_are_at_rest_soon() {
+    let Some(site) = site("however_the_program_ends_base_and_arm_are_at_rest_soon", true) else { return };
+    // At the paper's scaling; and a cycle of the controllers and of their observer.
+    let braking_ms = 330.0;
+    let ends: &[&str] =
+        if is_full() { &["KILL", "STOP", "TERM", "HUP", "INT", "QUIT"] } else { &["KILL", "TERM"] };
+    let moments = if is_full() { 10 } else { 1 };
+    for end in ends {
+        let hard = ["KILL", "STOP"].contains(end);
+        let (mut arm_worst_ms, mut base_worst_ms) = (0.0_f64, 0.0_f64);
+        for moment in 0..moments {
+            let desk = desk(&format!("ros2-ends-{end}-{moment}"));
+            let domain = domain();
+            let (left, right) = (Double::left(&desk), Double::right(&desk, 0.0));
+            let mut robot = peer(&desk, &site.python, domain, &["--robot", "--quiet", "--pace", "1"]);
+            robot.has("ready", |v| is(v, "ready"));
+            let options = ["--left", &left.port(), "--right", &right.port()];
+            let mut bridge = bridge_on_its_own(&desk, domain, "stamp = 'zero'\n", &options);
+            bridge.has("armed", armed);
+            left.hold(FORWARD);
+            robot.wait("forward", |v| base_speed(v) == Some(0.5));
+            // A busy machine may have halted it meanwhile: it drives when the arm moves, or this moment is another one.
+            robot.wait("the arm moves", |v| is(v, "arm") && v["moves"] == true);
+            desk.pass(Duration::from_millis(100 + 230 * moment));
+            robot.catch_up();
+            let moves = |of: &str, v: &Value| {
+                if of == "arm" { v["moves"] == true } else { base_speed(v) != Some(0.0) }
+            };
+            let last = |of: &str| robot.seen.iter().rev().find(|(_, v)| is(v, of)).map(|(_, v)| moves(of, v));
+            let (drove, moved) = (last("base") == Some(true), last("arm") == Some(true));
+            let (lateness, ended_s, from) = (Lateness::watch(), wall_s(), robot.seen.len());
+            bridge.signal(end);
+            let mut rests_ms = |what: &str, fits: &dyn Fn(&Value) -> bool| {
+                let at = robot.wait_from(from, what, fits);
+                (number(&robot.seen[at].1["t"]) - ended_s) * 1000.0
+            };
+            let base_ms = if drove {
+                rests_ms("the base rests", &|v| base_speed(v) == Some(0.0) || is(v, "stopped"))
+            } else {
+                0.0
+            };
+            let arm_ms =
+                if moved { rests_ms("the arm rests", &|v| is(v, "arm") && v["moves"] == false) } else { 0.0 };
+            if lateness.was_quiet() {
+                arm_worst_ms = arm_worst_ms.max(arm_ms);
+                base_worst_ms = base_worst_ms.max(base_ms);
+            }
+            bridge.signal("KILL");
+        }
+        let (arm_limit_ms, base_limit_ms) = if hard { (300.0, 530.0) } else { (60.0, 40.0) };
+        println!(
+            "row: {end}: arm at rest | {moments} | {arm_worst_ms:.0} ms | {arm_limit_ms:.0} ms + {braking_ms:.0} ms of braking"
+        );
+        println!("row: {end}: base at zero | {moments} | {base_worst_ms:.0} ms | {base_limit_ms:.0} ms");
+        assert!(arm_worst_ms <= arm_limit_ms + braking_ms, "{end}: {arm_worst_ms} ms");
+        assert!(base_worst_ms <= base_limit_ms, "{end}: {base_worst_ms} ms");
+    }
+}
+
+/// A participant's announcement, as RTPS 2.3 has it (8.5.3.2, 9.4.5, 9.6.2): whoever sends it is found on the graph.
+fn announcement(prefix: [u8; 12]) -> Vec<u8> {
+    let mut parameters = Vec::new();
+    let mut put = |id: u16, value: &[u8]| {
+        parameters.extend(id.to_le_bytes());
+        parameters.extend((value.len() as u16).to_le_bytes());
+        parameters.extend(value);
+    };
+    // UDPv4, a port that nobody has, 127.0.0.1.
+    let mut locator = vec![1, 0, 0, 0];
+    locator.extend(9_u32.to_le_bytes());
+    locator.extend([0; 12]);
+    locator.extend([127, 0, 0, 1]);
+    put(0x15, &[2, 3, 0, 0]);
+    put(0x16, &[1, 16, 0, 0]);
+    put(0x50, &[&prefix[..], &[0, 0, 1, 0xc1]].concat());
+    put(0x58, &0x3f_u32.to_le_bytes());
+    put(0x31, &locator);
+    put(0x32, &locator);
+    put(0x02, &[100, 0, 0, 0, 0, 0, 0, 0]);
+    put(0x01, &[]);
+    // To any reader, from the participants' writer, number 1, little-endian parameters.
+    let mut data = vec![0, 0, 16, 0, 0, 0, 0, 0, 0, 1, 0, 0xc2, 0, 0, 0, 0, 1, 0, 0, 0, 0, 3, 0, 0];
+    data.extend(parameters);
+    let mut datagram = [&b"RTPS"[..], &[2, 3, 1, 16], &prefix].concat();
+    datagram.extend([0x15, 0x05]);
+    datagram.extend((data.len() as u16).to_le_bytes());
+    datagram.extend(data);
+    datagram
+}
+
+#[test]
+fn forged_participants_and_damaged_datagrams_delay_no_stop_and_fill_no_memory() {
+    if is_rclpy() {
+        println!("SKIPPED: there is no other side");
+        return;
+    }
+    let (participants, datagrams) = if is_full() { (18_000_u32, 1_000_000_u32) } else { (2000, 20_000) };
+    let (mut stop_worst_ms, lateness) = (0.0_f64, Lateness::watch());
+    for (what, count) in [("forged participants", participants), ("damaged datagrams", datagrams)] {
+        let desk = desk(&format!("ros2-{}", what.replace(' ', "-")));
+        let domain = domain();
+        let left = Double::left(&desk);
+        let mut bridge = bridge_on_its_own(&desk, domain, "", &["--left", &left.port(), "--web=0"]);
+        bridge.has("armed", armed);
+        let url = bridge.has("the page", |v| is(v, "page"))["url"].as_str().unwrap().to_owned();
+        left.hold(FORWARD);
+        bridge.wait("forward", |v| is(v, "heading") && v["heading"] == "forward");
+        let socket = std::net::UdpSocket::bind("127.0.0.1:0").unwrap();
+        let port = u16::try_from(7410 + 250 * domain).unwrap();
+        let mut random = host_bridge::robot::Random::new(3);
+        for n in 0..count {
+            let mut prefix = [9; 12];
+            prefix[..4].copy_from_slice(&n.to_le_bytes());
+            let mut datagram = announcement(prefix);
+            for _ in 0..if what == "damaged datagrams" { 1 + random.below(4) } else { 0 } {
+                let at = random.below(datagram.len());
+                match random.below(3) {
+                    0 => datagram[at] ^= 1 << random.below(8),
+                    1 => datagram[at] = random.below(256) as u8,
+                    _ => datagram.truncate(at.max(20)),
+                }
+            }
+            // A full buffer drops it, as networks do.
+            let _ = socket.send_to(&datagram, ("127.0.0.1", port));
+            // About 15,000 a second; the board goes on meanwhile.
+            if n % 150 == 0 {
+                desk.pass(Duration::from_millis(10));
+            }
+        }
+        let memory_mb = used(bridge.process.id()).0;
+        // Where this machine was too slow for the board, the program has halted, and was right to.
+        bridge.catch_up();
+        if !bridge.seen.iter().rev().find(|(_, v)| is(v, "state")).is_some_and(|(_, v)| armed(v)) {
+            left.hold(LEVEL);
+            bridge.wait("armed", armed);
+        }
+        let address = url.trim_start_matches("http://").trim_end_matches('/');
+        let mut request = format!("ws://{address}/live").into_client_request().unwrap();
+        request.headers_mut().insert("Origin", format!("http://{address}").parse().unwrap());
+        let (mut page, _) = tungstenite::client(request, TcpStream::connect(address).unwrap()).unwrap();
+        let (from, pressed_s) = (bridge.seen.len(), wall_s());
+        page.send(tungstenite::Message::text("stop")).unwrap();
+        let at = bridge.wait_from(from, "the stop", |v| is(v, "halt") && v["reason"] == "operator-stop");
+        stop_worst_ms = stop_worst_ms.max((bridge.seen[at].0 - pressed_s) * 1000.0);
+        println!("row: {what}: memory | {count} | {memory_mb:.0} MB | 100 MB");
+        assert!(memory_mb < 100.0, "{what}: {memory_mb} MB");
+    }
+    println!(
+        "row: forged participants, damaged datagrams: the page's stop | 2 | {stop_worst_ms:.0} ms | 20 ms"
+    );
+    // Lines are taken in every few milliseconds.
+    assert!(!lateness.was_quiet() || stop_worst_ms <= 40.0, "{stop_worst_ms} ms");
 }
 
 /// One set-up that is not as it should be, and what `doctor` has to say about it.

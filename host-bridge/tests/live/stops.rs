@@ -359,6 +359,40 @@ fn floods_delay_no_stop_and_fill_no_memory() {
 }
 
 #[test]
+fn a_thousand_connections_keep_nobody_from_the_pages_stop() {
+    let lateness = Lateness::watch();
+    let folder = tempfile::tempdir().unwrap();
+    let (mut worst, mut memory_mb) = (0, 0);
+    // By a page that was there before, and by one that comes afterwards.
+    for comes_late in [false, true] {
+        let talker = Talker::start(folder.path());
+        let (bridge, from) = Bridge::driving(&talker, &["--web=0"]);
+        let mut page = bridge.page();
+        let address = page.get_ref().peer_addr().unwrap();
+        let mut held = Vec::new();
+        for n in 0..1000 {
+            held.push(TcpStream::connect(address).unwrap());
+            if n % 20 == 0 {
+                // It acknowledges what it is shown, as a browser does.
+                while !page.read().unwrap().to_text().unwrap().contains("safety") {}
+                page.send(Message::text("took")).unwrap();
+            }
+        }
+        memory_mb = memory_mb.max(bridge.memory_mb());
+        if comes_late {
+            page = bridge.page();
+        }
+        let pressed = Instant::now();
+        page.send(Message::text("stop")).unwrap();
+        let (_, stopped, _) = bridge.wait(from, |line| is_halt(line) && line["reason"] == "operator-stop");
+        worst = worst.max(ms(stopped - pressed));
+    }
+    row(lateness, "1,000 connections: the page's stop", 2, worst, 20);
+    println!("row: 1,000 connections: memory | 2 | {memory_mb} MB | 100 MB");
+    assert!(memory_mb < 100, "{memory_mb} MB");
+}
+
+#[test]
 fn a_hand_that_falls_silent_behind_a_flood_halts() {
     let lateness = Lateness::watch();
     let folder = tempfile::tempdir().unwrap();

@@ -118,11 +118,6 @@ impl<R: Robot> Director<R> {
         &self.motions
     }
 
-    /// Ends the arm's motion alone; the base goes on.
-    pub fn halt_arm(&mut self) {
-        self.robot.halt_arm();
-    }
-
     /// Limits that the arm's motions keep.
     pub fn joint_limits(&self) -> &JointLimits {
         self.planner.as_ref().map_or(self.robot.joint_limits(), |planner| planner.limits())
@@ -151,7 +146,7 @@ impl<R: Robot> Director<R> {
             return Err(format!("the arm moves already ({})", arm.joints[i].name));
         }
         let draw = self.draws.get(motion).copied().unwrap_or_default();
-        let mut from_rad = here.joints_rad;
+        let mut from_rad = self.robot.held_rad().unwrap_or(here.joints_rad);
         let mut planned: Option<(Trajectory, f64)> = None;
         for step in &steps {
             let goal_rad = match step {
@@ -357,6 +352,14 @@ impl<R: Robot> Door for Director<R> {
         (self.wanted, self.allowed) = (Twist::ZERO, Twist::ZERO);
         self.robot.halt();
         self.set_held(None);
+    }
+
+    fn halt_arm(&mut self) {
+        self.robot.halt_arm();
+    }
+
+    fn refusal(&self) -> Option<String> {
+        self.robot.refusal()
     }
 
     fn take_reports(&mut self) -> Vec<Report> {

@@ -34,6 +34,10 @@ pub fn text(event: &SessionEvent) -> String {
             State::Waiting => "waiting for neutral".to_owned(),
             State::Armed => "armed".to_owned(),
             State::Stale => "a hand is silent or in doubt: still until it is back and neutral".to_owned(),
+            State::Refused => {
+                "the robot refuses to move: still until it does not any more and the hands are neutral"
+                    .to_owned()
+            }
             State::Stopped => "stopped: hold neutral for 1 s, then up-down".to_owned(),
         },
         EventKind::Halt { reason } => match reason {
@@ -46,6 +50,7 @@ pub fn text(event: &SessionEvent) -> String {
             }
             HaltReason::Unhealthy(hand) => format!("HALT: the {hand} hand is in doubt"),
             HaltReason::Restart(hand) => format!("HALT: the {hand} hand has started anew"),
+            HaltReason::RobotRefuses => "HALT: the robot refuses to move".to_owned(),
         },
         EventKind::Released => "the stop is released".to_owned(),
         EventKind::Heading { heading, twist, .. } => match heading {
@@ -68,6 +73,7 @@ pub fn text(event: &SessionEvent) -> String {
                 GestureOutcome::Released => "releases the stop".to_owned(),
                 GestureOutcome::Busy(motion) => format!("dropped, the arm is busy with {motion}"),
                 GestureOutcome::Refused(motion) => format!("dropped, {motion} is not safe now"),
+                GestureOutcome::EndedArm => "ends the arm's motion".to_owned(),
                 GestureOutcome::NoMotion => "no motion (see --map)".to_owned(),
                 GestureOutcome::Late => "dropped, too old".to_owned(),
                 GestureOutcome::NotArmed => "dropped, not armed".to_owned(),
@@ -79,6 +85,10 @@ pub fn text(event: &SessionEvent) -> String {
         EventKind::MotionRefused { motion, reason } => format!("arm: {motion} refused: {reason}"),
         EventKind::BaseHeld { reason } => format!("the base is held back: {reason}"),
         EventKind::BaseFree => "the base is free again".to_owned(),
+        EventKind::RobotRefuses { reason } => format!("the robot refuses to move: {reason}"),
+        EventKind::RobotReady => "the robot does not refuse any more; neutral first".to_owned(),
+        EventKind::ArmEnded => "arm: its motion is ended by a key".to_owned(),
+        EventKind::Restricted { text } => format!("restricted: {text}"),
         EventKind::Robot { text } => format!("robot: {text}"),
         EventKind::Ignored { what } => match what {
             Ignored::LateState(hand) => format!("{hand} hand: a late state was dropped"),

@@ -125,6 +125,13 @@ impl<'b, D: Door> Engine<'b, D> {
         self.door.send();
     }
 
+    /// The key that ends the arm's motion alone.
+    pub fn end_arm_key(&mut self, now_ms: u64) {
+        self.tap.show(|observer| observer.operated(now_ms, OperatorKey::EndArm));
+        self.bridge.end_arm_key(now_ms, &mut self.door);
+        self.door.send();
+    }
+
     /// The release key, pressed and confirmed.
     pub fn release_key(&mut self, now_ms: u64) {
         self.tap.show(|observer| observer.operated(now_ms, OperatorKey::Release));
@@ -146,6 +153,11 @@ impl<'b, D: Door> Engine<'b, D> {
 
     /// Lets the bridge decide; the last part of a turn.
     pub fn decide(&mut self, now_ms: u64) -> Vec<BridgeEvent> {
+        let refusal = self.door.refusal();
+        if self.bridge.is_news_of_robot(refusal.as_deref()) {
+            self.tap.show(|observer| observer.refused(now_ms, refusal.as_deref()));
+            self.bridge.robot_refuses(refusal, now_ms, &mut self.door);
+        }
         self.tap.show(|observer| observer.turned(Turn::Decided(now_ms)));
         self.bridge.step(now_ms, &mut self.door);
         self.door.send();

@@ -139,7 +139,11 @@ impl MotionMap {
         if is_rest(label) {
             return Err(MapError::Rest(label.to_owned()));
         }
-        let motion = MotionName::from(motion.trim_matches('"'));
+        let motion = match motion.trim_matches('"') {
+            "end arm" => MotionName::END_ARM,
+            motion => motion,
+        };
+        let motion = MotionName::from(motion);
         self.entries.retain(|(known, _)| !same_label(known, label));
         self.entries.push((label.to_owned(), motion));
         Ok(())

@@ -41,6 +41,9 @@ pub trait Observer {
     /// The operator pressed a key (or a button) of the bridge, just before it acts.
     fn operated(&mut self, _time_ms: u64, _key: OperatorKey) {}
 
+    /// The robot itself refuses to move from now on (or `None`: does not any more), just before the bridge acts.
+    fn refused(&mut self, _time_ms: u64, _reason: Option<&str>) {}
+
     /// The session goes on, between what comes in: with this, the bytes and the keys, anybody can do all of it
     /// again, in the same order.
     fn turned(&mut self, _turn: Turn) {}
@@ -116,6 +119,8 @@ pub enum OperatorKey {
     Stop,
     /// Release the stop (pressed and confirmed).
     Release,
+    /// End the arm's motion alone.
+    EndArm,
 }
 
 /// The state of a session, borrowed.
@@ -162,6 +167,10 @@ pub struct Snapshot {
     pub flange: Pose,
     /// What holds the base back, if anything does.
     pub held: Option<String>,
+    /// Why the robot itself refuses to move, if it does: its e-stop, a fault, clocks apart.
+    pub refusal: Option<String>,
+    /// What this session may not do, and why.
+    pub restriction: Option<String>,
     /// Ticks in which something braked for what was in the way.
     pub guard_stops: u32,
     /// How often the robot had to stop by itself.
@@ -261,6 +270,8 @@ impl Snapshot {
             reference_rad: picture.reference_rad,
             flange: picture.flange,
             held: picture.held,
+            refusal: bridge.refusal().map(str::to_owned),
+            restriction: bridge.restriction().map(str::to_owned),
             guard_stops: picture.guard_stops,
             robot_timeouts: picture.timeouts,
             drops: bridge.drops(),

@@ -43,7 +43,7 @@ const STEPS_WAITING: usize = 2;
 /// A board that has not run for so long has slept: what it would have said is late, and is left out.
 const ASLEEP_MS: u64 = 100;
 
-/// How long a key counts.
+/// How long a key counts, and which one ends the arm's motion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct KeyTimes {
@@ -51,11 +51,13 @@ pub struct KeyTimes {
     pub first_press_ms: u64,
     /// After each repeat.
     pub repeat_ms: u64,
+    /// This key ends the arm's motion alone; the base goes on.
+    pub end_arm: char,
 }
 
 impl Default for KeyTimes {
     fn default() -> Self {
-        KeyTimes { first_press_ms: 600, repeat_ms: 200 }
+        KeyTimes { first_press_ms: 600, repeat_ms: 200, end_arm: 'x' }
     }
 }
 

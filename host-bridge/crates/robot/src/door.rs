@@ -17,6 +17,8 @@ pub struct MotionName(Arc<str>);
 impl MotionName {
     /// The motion that also releases the operator's stop.
     pub const HOME: &'static str = "home";
+    /// No motion: it ends the one under way, and that alone.
+    pub const END_ARM: &'static str = "end-arm";
 
     /// The name.
     pub fn as_str(&self) -> &str {
@@ -166,6 +168,14 @@ pub trait Door {
 
     /// Brings base and arm to rest within their limits; targets are forgotten.
     fn halt(&mut self);
+
+    /// Brings the arm to rest within its limits; the base goes on.
+    fn halt_arm(&mut self);
+
+    /// Why nothing may move on this robot now; `None` = nothing stands against it.
+    fn refusal(&self) -> Option<String> {
+        None
+    }
 
     /// What happened since the last call.
     fn take_reports(&mut self) -> Vec<Report>;

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use crate::base::{BaseConfig, Covariance, Odometry, Twist};
 use crate::limits::{JointLimits, Motion};
+use crate::pose::Joints;
 use crate::trajectory::Trajectory;
 
 /// Something that a robot reports of itself, and how old it is.
@@ -68,6 +69,12 @@ pub trait Robot {
 
     /// Joint angles, speeds and (where known) accelerations; `None` = unknown, or older than the robot accepts.
     fn arm(&self) -> Option<Reading<Motion>>;
+
+    /// Where the arm's controller holds it while it rests, within a few hundredths of where it is: a motion from there
+    /// begins without a jump. `None` = the robot does not tell.
+    fn held_rad(&self) -> Option<Joints> {
+        None
+    }
 
     /// Pose and speed of the base; `None` = unknown.
     fn base(&self) -> Option<Reading<BaseState>>;
@@ -135,6 +142,9 @@ impl<R: Robot + ?Sized> Robot for Box<R> {
     }
     fn arm(&self) -> Option<Reading<Motion>> {
         (**self).arm()
+    }
+    fn held_rad(&self) -> Option<Joints> {
+        (**self).held_rad()
     }
     fn base(&self) -> Option<Reading<BaseState>> {
         (**self).base()

@@ -115,6 +115,8 @@ pub mod wire {
     pub const JOINT_STATE: &str = "sensor_msgs::msg::dds_::JointState_";
     /// `trajectory_msgs::msg::dds_::JointTrajectory_`
     pub const TRAJECTORY: &str = "trajectory_msgs::msg::dds_::JointTrajectory_";
+    /// `std_msgs::msg::dds_::Bool_`
+    pub const BOOL: &str = "std_msgs::msg::dds_::Bool_";
     /// Requests of the action's goals.
     pub const SEND_GOAL: &str = "control_msgs::action::dds_::FollowJointTrajectory_SendGoal_Request_";
 
@@ -159,6 +161,9 @@ pub fn topics(config: &Ros2Config, graph: &Graph) -> Vec<Topic> {
         plain("cmd_vel", &config.cmd_vel, twist, true, config.reliable, true),
         plain("diagnostics", &config.diagnostics, wire::DIAGNOSTICS, true, true, false),
     ];
+    let flags =
+        [("estop", &config.estop), ("fault", &config.fault)].into_iter().filter(|(_, name)| !name.is_empty());
+    topics.extend(flags.map(|(key, name)| plain(key, name, wire::BOOL, false, false, true)));
     match config.arm {
         ArmInterface::None => return topics,
         ArmInterface::Topic | ArmInterface::Stream => {

@@ -9,15 +9,18 @@
 use std::sync::Arc;
 
 use super::config::{ArmInterface, Ros2Config};
+use super::doubts::{Doubts, in_order};
 use super::robot::Output;
 use super::stream::{Late, RobotClock, Stream, off_rad};
-use host_robot::{End, Following, JOINTS, JointLimits, Motion, Reading, Trajectory};
-use host_topics::message::{JointState, JointTrajectory, JointTrajectoryPoint, Time};
+use host_robot::{End, Following, JOINTS, JointLimits, Joints, Motion, Reading, Trajectory};
+use host_topics::message::{ControllerState, JointState, JointTrajectory, JointTrajectoryPoint, Time};
 
 /// Besides the instants at which the acceleration changes, one point per so long.
 const GRID_S: f64 = 0.25;
 /// Controllers want times that grow.
 const LEAST_STEP_S: f64 = 0.001;
+/// Joints in one message that are looked at.
+const NAMES_MAX: usize = 256;
 /// The goal is reached within this, where nobody else says so.
 const REACHED_RAD: f64 = 0.05;
 /// An arm that is further than this from where it should have been within the last [`FOLLOW_STEPS`] times 20 ms is
@@ -28,6 +31,10 @@ const FOLLOW_STEPS: u32 = 10;
 const CANCEL_INTERVAL_MS: u64 = 200;
 /// And given up after this long.
 const CANCEL_PATIENCE_MS: u64 = 5000;
+/// A goal that was said to be over too early is cancelled by a stop for so long beyond its planned end.
+const UNSURE_MS: u64 = 5000;
+/// Goals that were given up and not confirmed; more are not remembered.
+const STRAYS_MAX: usize = 64;
 /// A motion may take this much longer than planned.
 const OVERDUE_MS: u64 = 10_000;
 
@@ -116,6 +123,11 @@ pub struct ArmLink {
     listened_to: bool,
     run: Option<Run>,
     goals: u32,
+    /// Goals that were given up, yet may run: our number, and when their end was last asked for.
+    strays: Vec<(u32, u64)>,
+    /// Goals that were said to be over before they could be, and until when they might run all the same.
+    unsure: Vec<(u32, u64)>,
+    doubts: Doubts,
     end: Option<End>,
     notes: Vec<String>,
 }
@@ -134,6 +146,9 @@ impl ArmLink {
             listened_to: false,
             run: None,
             goals: 0,
+            strays: Vec::new(),
+            unsure: Vec::new(),
+            doubts: Doubts::default(),
             end: None,
             notes: Vec::new(),
         }
@@ -146,16 +161,54 @@ impl ArmLink {
 
     /// Takes angles; joints that are not the arm's and values that are no numbers are left out.
     pub fn see(&mut self, state: &JointState, now_ms: u64) {
+        self.see_from("", state, now_ms);
+    }
+
+    /// The same, from somebody with a name.
+    pub fn see_from(&mut self, teller: &str, state: &JointState, now_ms: u64) {
         self.clock.see(state.header.stamp, now_ms);
-        for (name, &position_rad) in state.name.iter().zip(&state.position) {
+        let mut about_arm = false;
+        // Nobody's arm has so many joints; whoever names more is not listened to any longer.
+        for (place, (name, &position_rad)) in
+            state.name.iter().zip(&state.position).enumerate().take(NAMES_MAX)
+        {
             let Some(joint) = self.names.iter().position(|own| own == name) else { continue };
-            let place = state.name.iter().position(|other| other == name);
-            let velocity = place.and_then(|place| state.velocity.get(place)).copied();
+            about_arm = true;
+            let velocity = state.velocity.get(place).copied();
             let velocity_rad_s = velocity.filter(|v| v.is_finite()).unwrap_or(0.0);
             if position_rad.is_finite() {
+                let before =
+                    self.seen[joint].map(|seen| (seen.position_rad, now_ms.saturating_sub(seen.at_ms)));
+                self.doubts.judge(name, position_rad, before, now_ms);
                 self.seen[joint] = Some(Seen { position_rad, velocity_rad_s, at_ms: now_ms });
             }
         }
+        if about_arm {
+            self.doubts.told_by(teller, now_ms);
+        }
+    }
+
+    /// What the controller says of itself, and the factor by which it scales speeds, where it tells.
+    pub fn see_controller(&mut self, state: &ControllerState, scaling: Option<f64>, now_ms: u64) {
+        let read = |values: &[f64]| in_order(&self.names, &state.joint_names, values);
+        let reference = read(&state.reference.positions).zip(read(&state.reference.velocities));
+        self.doubts.controller(reference, scaling, now_ms);
+    }
+
+    /// So many goals of others are active on the controller's action server.
+    pub fn set_foreign_goals(&mut self, goals: usize) {
+        self.doubts.set_foreign(goals);
+    }
+
+    /// Where the controller holds the arm, as long as it rests.
+    pub fn held_rad(&self, now_ms: u64) -> Option<Joints> {
+        let here = self.sample(now_ms)?;
+        self.doubts.held(&here.joints_rad, now_ms)
+    }
+
+    /// What speaks against moving the arm.
+    fn problem(&self, now_ms: u64) -> Option<String> {
+        self.doubts.problem(self.interface == ArmInterface::Stream, now_ms)
     }
 
     /// Whether somebody takes goals (or trajectories) at all.
@@ -190,6 +243,9 @@ impl ArmLink {
             return Err("this robot's arm is not driven (arm = \"none\" in [ros2])".to_owned());
         }
         self.sample(now_ms).ok_or_else(|| self.what_is_missing(now_ms))?;
+        if let Some(problem) = self.problem(now_ms) {
+            return Err(problem);
+        }
         if self.interface == ArmInterface::Stream && self.clock.at_ns(now_ms).is_none() {
             return Err(
                 "the robot's joint states carry no time stamps, so pieces of a motion cannot be timed; \
@@ -286,6 +342,12 @@ impl ArmLink {
 
     /// Gives the motion up, if there is one.
     pub fn halt(&mut self, now_ms: u64, outputs: &mut Vec<Output>) {
+        for (goal, until_ms) in std::mem::take(&mut self.unsure) {
+            if now_ms < until_ms {
+                outputs.push(Output::Cancel { goal });
+                self.stray(goal, now_ms);
+            }
+        }
         let fresh = self.sample(now_ms);
         let Some(run) = &mut self.run else { return };
         if run.stopping_since_ms.is_some() {
@@ -317,13 +379,29 @@ impl ArmLink {
     /// Takes what the action server says.
     pub fn answer(&mut self, goal: u32, answer: Answer, now_ms: u64, outputs: &mut Vec<Output>) {
         let Some(run) = self.run.as_mut().filter(|run| run.goal == goal) else {
-            if answer == Answer::Accepted {
-                // Given up long ago: nothing that is late may move.
-                outputs.push(Output::Cancel { goal });
-                self.notes.push("the arm's controller accepted a goal too late; it is cancelled".to_owned());
+            match answer {
+                Answer::Accepted => {
+                    // Given up long ago, or rejected by another: nothing that is late may move.
+                    self.stray(goal, now_ms);
+                    outputs.push(Output::Cancel { goal });
+                    self.notes
+                        .push("the arm's controller accepted a goal too late; it is cancelled".to_owned());
+                }
+                Answer::Succeeded | Answer::Ended(_) => self.strays.retain(|(stray, _)| *stray != goal),
+                Answer::Progress(_) | Answer::Rejected => {}
             }
             return;
         };
+        if matches!(answer, Answer::Succeeded | Answer::Rejected | Answer::Ended(_)) {
+            // Of two servers, or by a forged word, it may run on though it is said to be over.
+            let planned_ms = (run.trajectory.duration_s() * 1000.0) as u64;
+            if now_ms.saturating_sub(run.asked_ms) < planned_ms {
+                if self.unsure.len() == STRAYS_MAX {
+                    self.unsure.remove(0);
+                }
+                self.unsure.push((goal, run.asked_ms + planned_ms + UNSURE_MS));
+            }
+        }
         match answer {
             Answer::Accepted => {
                 run.moving_since_ms = Some(now_ms);
@@ -347,6 +425,15 @@ impl ArmLink {
         }
     }
 
+    /// A goal that may run though nobody wants it: its end is asked for until it is confirmed.
+    fn stray(&mut self, goal: u32, now_ms: u64) {
+        self.strays.retain(|(stray, _)| *stray != goal);
+        if self.strays.len() == STRAYS_MAX {
+            self.strays.remove(0);
+        }
+        self.strays.push((goal, now_ms));
+    }
+
     fn end(&mut self, reached: bool) {
         if self.run.take().is_some() {
             self.end = Some(if reached { End::Reached } else { End::Halted });
@@ -356,6 +443,19 @@ impl ArmLink {
     /// Lets the time become `now_ms`.
     pub fn step(&mut self, now_ms: u64, outputs: &mut Vec<Output>) {
         let sample = self.sample(now_ms);
+        for (goal, cancelled_ms) in &mut self.strays {
+            if now_ms.saturating_sub(*cancelled_ms) >= CANCEL_INTERVAL_MS {
+                *cancelled_ms = now_ms;
+                outputs.push(Output::Cancel { goal: *goal });
+            }
+        }
+        if self.run.as_ref().is_some_and(|run| run.stopping_since_ms.is_none())
+            && let Some(problem) = self.problem(now_ms)
+        {
+            self.notes.push(format!("{problem}; the arm was stopped"));
+            self.halt(now_ms, outputs);
+            return;
+        }
         if self.interface == ArmInterface::Stream {
             self.step_stream(sample, now_ms, outputs);
             return;
@@ -381,7 +481,12 @@ impl ArmLink {
         }
         if let Some(since_ms) = run.stopping_since_ms {
             if now_ms.saturating_sub(since_ms) > CANCEL_PATIENCE_MS {
-                self.notes.push("the arm's controller does not confirm the cancellation".to_owned());
+                self.notes.push(
+                    "ALARM: the arm's controller does not confirm the cancellation, which is asked for again and again: the                      arm may move; use its own e-stop"
+                        .to_owned(),
+                );
+                let goal = run.goal;
+                self.stray(goal, now_ms);
                 self.end(false);
             } else if now_ms.saturating_sub(run.cancelled_ms) >= CANCEL_INTERVAL_MS {
                 run.cancelled_ms = now_ms;

@@ -123,6 +123,17 @@ impl Clocks {
         (difference.seconds.abs() > DIFFERENCE_MAX_S).then(|| advice(difference))
     }
 
+    /// The same for speeds with such stamps.
+    pub fn refusal_of(&self, stamp: Stamp, now_ms: u64) -> Option<String> {
+        if self.simulated.is_some() && stamp == Stamp::Wall {
+            return Some(
+                "stamp = \"wall\" in [ros2], but time is simulated here: the base would never stop by itself; take \"zero\""
+                    .to_owned(),
+            );
+        }
+        self.refusal(now_ms)
+    }
+
     /// The robot's time of what is decided now, in seconds; `None` where its clock is not known. What is to be
     /// carried out by the robot's clock (an arm's trajectory) is stamped with this.
     pub fn robot_s(&self, wall_s: f64, now_ms: u64) -> Option<f64> {
@@ -232,6 +243,54 @@ mod tests {
         }
         assert!(clocks.refusal(1190).unwrap().contains("use_sim_time"));
         assert!(clocks.refusal(3000).unwrap().contains("stands still"));
+    }
+
+    /// A base behind diff_drive_controller: a stamp of zero becomes the time of arrival, and what is more than 0.5 s old
+    /// by the robot's own clock brakes.
+    #[test]
+    fn with_any_clocks_the_base_stops_soon_after_the_last_command_or_nothing_arms() {
+        let (mut worst_s, mut refused, mut count) = (0.0_f64, 0, 0);
+        for simulated in [false, true] {
+            for apart_s in [0.05, 0.09, 0.11, 0.5, 2.0, 10.0, 30.0_f64].iter().flat_map(|s| [*s, -*s]) {
+                for stamp in [Stamp::Zero, Stamp::Clock, Stamp::Wall] {
+                    let mut clocks = Clocks::default();
+                    // The graph's time is the wall's, or a simulation's; the robot's is apart from it.
+                    let graph_s = |wall_s: f64| if simulated { wall_s - WALL_S + 10.0 } else { wall_s };
+                    for n in 0..200_u64 {
+                        let now = WALL_S + n as f64 * 0.01;
+                        if simulated {
+                            clocks.hear_clock(graph_s(now), n * 10);
+                        }
+                        clocks.hear(Source::Odometry, graph_s(now) + apart_s, now, n * 10);
+                    }
+                    count += 1;
+                    if let Some(why) = clocks.refusal_of(stamp, 2000) {
+                        assert!(
+                            why.contains("the robot's stamps are") || why.contains("never stop"),
+                            "{why}"
+                        );
+                        refused += 1;
+                        continue;
+                    }
+                    let sent_s = WALL_S + 2.0;
+                    let robot_s = |wall_s: f64| graph_s(wall_s) + apart_s;
+                    let stamp_s = clocks.stamp_s(stamp, sent_s, 2000);
+                    let stored_s = if stamp_s == 0.0 { robot_s(sent_s) } else { stamp_s };
+                    // The robot brakes when its clock shows 0.5 s more than what is stored.
+                    let stops_s = stored_s + 0.5 - robot_s(sent_s);
+                    assert!(
+                        stops_s <= 0.6 + 1e-6,
+                        "{apart_s} s, {stamp:?}, simulated: {simulated}: {stops_s} s"
+                    );
+                    worst_s = worst_s.max(stops_s);
+                }
+            }
+        }
+        println!(
+            "row: v clocks apart: base at rest after the last command | {count}, {refused} refused | {:.0} ms | 600 ms",
+            worst_s * 1000.0
+        );
+        assert_eq!(refused, 2 * 10 * 3 + 4, "beyond 0.1 s, and stamps of the wall in simulated time");
     }
 
     #[test]

@@ -96,6 +96,17 @@ pub struct Ros2Config {
     pub joint_states_max_age_ms: u64,
     /// A goal without an answer for so long is given up and cancelled.
     pub answer_ms: u64,
+    /// A `std_msgs/Bool` of somebody else's, best latched: true = base and arm stop, as a lock of twist_mux. Also a
+    /// stop: nobody publishes it. Empty = there is none.
+    pub estop: String,
+    /// An e-stop that says nothing for so long is a stop; 0 = its last word holds.
+    pub estop_timeout_ms: u64,
+    /// A driver's fault flag, taken as an e-stop; for ros2_kortex `/fault_controller/internal_fault`.
+    pub fault: String,
+    /// As `estop_timeout_ms`.
+    pub fault_timeout_ms: u64,
+    /// Where this program says whether its operator's stop holds (true = stopped), ready for twist_mux's locks.
+    pub stopped: String,
     /// The base's odometry, whose stamps are compared with this machine's clock. With `--publish-sim` the simulator's.
     pub odom: String,
     /// Transforms of the simulator, with `--publish-sim`.
@@ -130,6 +141,11 @@ impl Default for Ros2Config {
             joint_states: text("joint_states"),
             joint_states_max_age_ms: 500,
             answer_ms: 1000,
+            estop: String::new(),
+            estop_timeout_ms: 0,
+            fault: String::new(),
+            fault_timeout_ms: 0,
+            stopped: text("bimanual/stopped"),
             odom: text("odom"),
             tf: text("/tf"),
             diagnostics: text("/diagnostics"),
@@ -212,13 +228,25 @@ impl Ros2Config {
             ("odom", &self.odom),
             ("tf", &self.tf),
             ("diagnostics", &self.diagnostics),
+            ("stopped", &self.stopped),
         ];
-        for (key, name) in topics {
+        let named = [("estop", &self.estop), ("fault", &self.fault)];
+        for (key, name) in topics.into_iter().chain(named.into_iter().filter(|(_, name)| !name.is_empty())) {
             ensure(
                 are_names(name.strip_prefix('/').unwrap_or(name)),
                 &format!("{key} = \"{name}\" is no name; names are like \"cmd_vel\" or \"/robot/cmd_vel\""),
             )?;
         }
+        ensure(
+            named.iter().all(|(_, name)| self.resolve(name) != self.resolve(&self.stopped)),
+            "estop and fault are what others say: this program's own stop goes out on stopped, and is not read",
+        )?;
+        ensure(
+            [self.estop_timeout_ms, self.fault_timeout_ms]
+                .iter()
+                .all(|ms| *ms == 0 || (50..=60_000).contains(ms)),
+            "estop_timeout_ms and fault_timeout_ms are 0, or lie between 50 and 60000",
+        )?;
         ensure((5..=50).contains(&self.rate_hz), "rate_hz lies between 5 and 50: robots stop after 0.5 s")?;
         ensure((100..=60_000).contains(&self.stop_ms), "stop_ms lies between 100 and 60000")?;
         ensure(
@@ -331,6 +359,9 @@ mod tests {
         assert!(bad(|c| c.rate_hz = 1).contains("0.5 s"));
         assert!(bad(|c| c.domain_id = 300).contains("domain_id"));
         assert!(bad(|c| c.joint_names[0] = "joint_2".to_owned()).contains("seven different"));
+        assert!(bad(|c| c.estop = "e stop".to_owned()).contains("estop"));
+        assert!(bad(|c| c.estop = "/bimanual/stopped".to_owned()).contains("own stop"));
+        assert!(bad(|c| c.fault_timeout_ms = 5).contains("fault_timeout_ms"));
         assert!(bad(|c| c.node = "7up".to_owned()).contains("node"));
     }
 

@@ -4,7 +4,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use host_robot::{
-    BaseConfig, BaseState, End, Following, JointLimits, Motion, Reading, Robot, Trajectory, Twist,
+    BaseConfig, BaseState, End, Following, JointLimits, Joints, Motion, Reading, Robot, Trajectory, Twist,
 };
 
 use crate::node::RosNode;
@@ -48,6 +48,10 @@ impl Robot for RosDriver {
 
     fn arm(&self) -> Option<Reading<Motion>> {
         self.robot.arm()
+    }
+
+    fn held_rad(&self) -> Option<Joints> {
+        self.robot.held_rad()
     }
 
     fn base(&self) -> Option<Reading<BaseState>> {

@@ -1,7 +1,7 @@
 //! The arm's action on the graph: asked as the vendor of its server has it, which is known once that server is seen.
 
 use ros2_client::action::{ActionClient, ActionClientQosPolicies, GoalId};
-use ros2_client::action_msgs::GoalStatusEnum;
+use ros2_client::action_msgs::{GoalStatus, GoalStatusArray, GoalStatusEnum};
 use ros2_client::qos::Durability;
 use ros2_client::unique_identifier_msgs::UUID;
 use ros2_client::{ActionTypeName, Name, Node, QosProfile, RmwRequestId, ServiceMapping};
@@ -14,7 +14,10 @@ use host_topics::message as ros;
 
 type Client = ActionClient<ros::FollowGoal, ros::FollowResult, ros::FollowFeedback>;
 
-/// A goal on its way; kept until its result is known.
+/// More goals are not remembered.
+const GOALS_MAX: usize = 64;
+
+/// A goal of ours, also one that is over.
 struct Goal {
     ours: u32,
     request: RmwRequestId,
@@ -30,13 +33,15 @@ pub struct Follow {
     goals: Vec<Goal>,
     probe: Option<RmwRequestId>,
     probed: Probe,
+    /// Active goals on the server that are not ours.
+    foreign: usize,
 }
 
 impl Follow {
     /// An action below the controller's name; nobody is asked yet.
     pub fn new(controller: String, qos: QosProfile) -> Self {
         let (client, goals) = (None, Vec::new());
-        Follow { controller, qos, client, goals, probe: None, probed: Probe::NotSent }
+        Follow { controller, qos, client, goals, probe: None, probed: Probe::NotSent, foreign: 0 }
     }
 
     /// The servers of this action: readers of its requests.
@@ -88,6 +93,9 @@ impl Follow {
         let message = ros::FollowGoal { trajectory, ..ros::FollowGoal::default() };
         let sent = client.send_goal(message);
         if let Ok((request, id)) = sent {
+            if self.goals.len() == GOALS_MAX {
+                self.goals.remove(0);
+            }
             self.goals.push(Goal { ours, request, id, result: None });
         }
         sent.is_ok()
@@ -117,6 +125,11 @@ impl Follow {
         self.probed
     }
 
+    /// How many goals run on the server that are not ours.
+    pub fn foreign(&self) -> usize {
+        if self.client.is_some() { self.foreign } else { 0 }
+    }
+
     /// What the server said: our number of the goal, and the answer.
     pub fn answers(&mut self) -> Vec<(u32, Answer)> {
         let mut said = Vec::new();
@@ -128,8 +141,8 @@ impl Follow {
                 goal.result = client.request_result(goal.id).ok();
                 said.push((goal.ours, Answer::Accepted));
             } else {
+                // Kept: of two servers, or after a forged word, another may accept it yet.
                 said.push((goal.ours, Answer::Rejected));
-                goals.retain(|goal| goal.request != request);
             }
         }
         while let Ok(Some((message, _))) = client.feedback_subscription().take() {
@@ -140,7 +153,9 @@ impl Follow {
         }
         while let Ok(Some((request, response))) = client.result_client().receive_response() {
             let Some(place) = goals.iter().position(|goal| goal.result == Some(request)) else { continue };
-            let goal = goals.swap_remove(place);
+            // Kept: a result that was forged must not keep a stop from cancelling.
+            let goal = &mut goals[place];
+            goal.result = None;
             let answer = match response.status {
                 GoalStatusEnum::Succeeded => Answer::Succeeded,
                 GoalStatusEnum::Canceled => Answer::Ended("cancelled".to_owned()),
@@ -157,9 +172,19 @@ impl Follow {
                 self.probed = Probe::Answered;
             }
         }
-        while let Ok(Some(_)) = client.receive_status() {}
+        while let Ok(Some(list)) = client.receive_status() {
+            let foreign = active(&list).filter(|id| !goals.iter().any(|goal| goal.id == *id));
+            self.foreign = foreign.count();
+        }
         said
     }
+}
+
+/// The goals in a server's list that are not over.
+pub fn active(list: &GoalStatusArray) -> impl Iterator<Item = GoalId> + '_ {
+    use GoalStatusEnum::{Accepted, Canceling, Executing};
+    let runs = |status: &&GoalStatus| matches!(status.status, Accepted | Executing | Canceling);
+    list.status_list.iter().filter(runs).map(|status| status.goal_info.goal_id)
 }
 
 /// A list of servers for people: `Fast DDS (010f...)`.

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
+use ros2_client::action_msgs::GoalStatusArray;
 use ros2_client::dds::rustdds::dds::statusevents::DomainParticipantStatusEvent;
 use ros2_client::dds::rustdds::{
     DomainParticipant, DomainParticipantBuilder, GUID, RTPSEntity, StatusEvented as _, policy,
@@ -11,10 +12,11 @@ use ros2_client::qos::{Durability, History, WhenFull};
 use ros2_client::{
     Context, Message, MessageTypeName, Name, Node, NodeName, NodeOptions, Publisher, QosProfile, Subscription,
 };
-use serde::Serialize;
+use serde::{Deserialize, Deserializer, Serialize};
 
 use super::advice::{Endpoint, Graph, Participant, wire};
 use super::config::{ArmInterface, Connection, Ros2Config};
+use super::estop::Inputs;
 use super::follow::Follow;
 use super::vendor::Vendor;
 use super::watch::Watch;
@@ -53,6 +55,8 @@ pub enum Arm {
 pub struct Published {
     /// What the hands do.
     pub diagnostics: Publisher<ros::DiagnosticArray>,
+    /// Whether this program's operator has stopped.
+    pub stopped: Publisher<ros::Bool>,
     /// The simulator's state, where that is wanted and nobody else publishes such.
     pub sim: Option<SimTopics>,
 }
@@ -78,7 +82,11 @@ pub struct Joined {
     /// The base's odometry; its stamps say what the robot's clock says.
     pub odom: Option<Subscription<ros::Odometry>>,
     /// What the arm's controller wants and has; silent while it is not active.
-    pub controller_state: Option<Subscription<ros::ControllerState>>,
+    pub controller_state: Option<Subscription<ToldState>>,
+    /// What the arm's action server says of its goals, where it is not ours to ask.
+    pub goals: Option<Subscription<GoalStatusArray>>,
+    /// E-stop and fault flag, each as one who comes late reads it and as one who hears what comes.
+    pub flags: Vec<[Subscription<ros::Bool>; 2]>,
     /// A simulation's time.
     pub clock: Subscription<ros::Clock>,
     participants: BTreeMap<String, Participant>,
@@ -116,6 +124,17 @@ fn reliable(config: &Ros2Config) -> QosProfile {
     QosProfile::publisher_default()
         .history(History::KeepLast { depth })
         .durability(Durability::Volatile)
+        .reliability_reliable(WhenFull::Fail)
+}
+
+/// What more participants say of themselves is not kept.
+const PARTICIPANTS_MAX: usize = 1024;
+
+/// The last word is kept for whoever comes late.
+fn latched() -> QosProfile {
+    QosProfile::publisher_default()
+        .history(History::KeepLast { depth: 1 })
+        .durability(Durability::TransientLocal)
         .reliability_reliable(WhenFull::Fail)
 }
 
@@ -161,6 +180,26 @@ impl Joined {
                 10,
             )?),
         };
+        let goals = match config.arm {
+            // An action's client hears of all goals by itself.
+            ArmInterface::None | ArmInterface::Action => None,
+            ArmInterface::Topic | ArmInterface::Stream => Some(subscription_with(
+                &mut node,
+                &format!("{controller}/follow_joint_trajectory/_action/status"),
+                ("action_msgs", "GoalStatusArray"),
+                &latched(),
+            )?),
+        };
+        let mut flags = Vec::new();
+        for topic in Inputs::new(config).topics() {
+            let kind = ("std_msgs", "Bool");
+            flags.push([
+                subscription_with(&mut node, topic, kind, &latched())?,
+                subscription(&mut node, topic, kind, 10)?,
+            ]);
+        }
+        let stopped =
+            publisher(&mut node, &config.resolve(&config.stopped), ("std_msgs", "Bool"), &latched())?;
         let arm = match config.arm {
             ArmInterface::None => Arm::None,
             ArmInterface::Topic | ArmInterface::Stream => {
@@ -199,6 +238,8 @@ impl Joined {
             joint_states,
             odom: odom_read,
             controller_state,
+            goals,
+            flags,
             clock,
             participants: BTreeMap::new(),
             speed_qos,
@@ -206,7 +247,7 @@ impl Joined {
             participant: context.domain_participant(),
             node,
         };
-        Ok((joined, Published { diagnostics, sim }))
+        Ok((joined, Published { diagnostics, stopped, sim }))
     }
 
     /// Publishes speeds as the other type from now on.
@@ -216,6 +257,11 @@ impl Joined {
     pub fn set_stamped(&mut self, config: &Ros2Config, stamped: bool) -> Result<(), NodeError> {
         self.speed = speed(&mut self.node, config, stamped, &self.speed_qos)?;
         Ok(())
+    }
+
+    /// The participant of ours, as [`Joined::graph`] names others.
+    pub fn own_name(&self) -> String {
+        name_of(&self.participant.guid().to_bytes())
     }
 
     /// Whether speeds are stamped.
@@ -228,8 +274,7 @@ impl Joined {
         let own = self.participant.guid().prefix;
         let name = |guid: &GUID| {
             let bytes = guid.to_bytes();
-            let text: String = bytes.iter().take(12).map(|byte| format!("{byte:02x}")).collect();
-            (text, Vendor::of_prefix(&bytes).unwrap_or(Vendor([0, 0])))
+            (name_of(&bytes), Vendor::of_prefix(&bytes).unwrap_or(Vendor([0, 0])))
         };
         let listener = self.participant.status_listener();
         while let Some(event) = listener.try_recv_status() {
@@ -238,6 +283,10 @@ impl Joined {
             {
                 let (id, vendor) = name(&dpd.guid);
                 let version = format!("{:?}", dpd.protocol_version);
+                if self.participants.len() >= PARTICIPANTS_MAX {
+                    // Only their words about themselves; who has an end point shows by that.
+                    self.participants.pop_first();
+                }
                 self.participants.insert(id, Participant { vendor, version, name: dpd.entity_name });
             }
         }
@@ -294,6 +343,48 @@ impl Joined {
     }
 }
 
+/// A participant's name on the graph: the first bytes of every end point of his.
+pub fn name_of(guid: &[u8]) -> String {
+    guid.iter().take(12).map(|byte| format!("{byte:02x}")).collect()
+}
+
+/// A controller's state with what follows in Jazzy; other releases end otherwise, and what cannot be read is left out.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct ToldState {
+    /// As far as all releases agree.
+    pub state: ros::ControllerState,
+    rest: Tail,
+}
+
+impl Message for ToldState {}
+
+impl ToldState {
+    /// The factor by which it scales speeds, where it tells.
+    pub fn scaling(&self) -> Option<f64> {
+        self.rest.0.as_ref().map(|rest| rest.speed_scaling_factor)
+    }
+}
+
+/// The end of a message, where it is as expected.
+#[derive(Clone, Debug, Serialize)]
+struct Tail(Option<Rest>);
+
+impl<'de> Deserialize<'de> for Tail {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        // Nothing follows that a wrong reading could spoil.
+        Ok(Tail(Rest::deserialize(deserializer).ok()))
+    }
+}
+
+#[derive(Clone, Debug, Serialize, Deserialize)]
+struct Rest {
+    error: ros::JointTrajectoryPoint,
+    output: ros::JointTrajectoryPoint,
+    multi_dof_joint_names: Vec<String>,
+    multi_dof: [ros::MultiDofPoint; 4],
+    speed_scaling_factor: f64,
+}
+
 /// REP-2016's hash of a type, from what its end point says about itself.
 fn type_hash(user_data: &[u8]) -> Option<String> {
     let text = String::from_utf8_lossy(user_data);
@@ -345,7 +436,15 @@ fn subscription<M: Message + 'static>(
     type_name: (&str, &str),
     depth: usize,
 ) -> Result<Subscription<M>, NodeError> {
-    let qos = listening(depth);
-    let topic = topic(node, name, type_name, &qos)?;
-    node.create_subscription(&topic, Some(qos)).map_err(|error| NodeError::of(name, &error))
+    subscription_with(node, name, type_name, &listening(depth))
+}
+
+fn subscription_with<M: Message + 'static>(
+    node: &mut Node,
+    name: &str,
+    type_name: (&str, &str),
+    qos: &QosProfile,
+) -> Result<Subscription<M>, NodeError> {
+    let topic = topic(node, name, type_name, qos)?;
+    node.create_subscription(&topic, Some(qos.clone())).map_err(|error| NodeError::of(name, &error))
 }

@@ -14,8 +14,10 @@ pub mod clocks;
 pub mod config;
 #[cfg(feature = "ros2")]
 mod device;
+pub mod doubts;
 #[cfg(feature = "ros2")]
 pub mod driver;
+pub mod estop;
 #[cfg(feature = "ros2")]
 mod follow;
 pub mod hashes;

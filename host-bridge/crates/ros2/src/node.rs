@@ -9,8 +9,9 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use super::advice::{Endpoint, Graph, Heard, topics, wire};
 use super::clocks::{Clocks, Difference, Source};
 use super::config::{Connection, Ros2Config};
-use super::follow::named;
-use super::joined::{Arm, Joined, NodeError, Published, Speed, rivals};
+use super::estop::Inputs;
+use super::follow::{active, named};
+use super::joined::{Arm, Joined, NodeError, Published, Speed, ToldState, name_of, rivals};
 use super::robot::{Counts, Output, RosRobot};
 use host_robot::{Picture, Robot as _};
 use host_topics::message as ros;
@@ -19,6 +20,8 @@ use host_topics::message as ros;
 const LOOK_INTERVAL_MS: u64 = 250;
 /// The node's threads are looked at this often.
 const WATCH_INTERVAL_MS: u64 = 100;
+/// The operator's stop is repeated this often.
+const STOPPED_INTERVAL_MS: u64 = 250;
 /// The simulator's state is published this often.
 const SIM_INTERVAL_MS: u64 = 20;
 
@@ -34,6 +37,8 @@ pub struct RosNode {
     clocks: Clocks,
     heard: Heard,
     controller_state: Option<(u64, ros::ControllerState)>,
+    /// E-stop and fault flag.
+    inputs: Inputs,
     looked_ms: Option<u64>,
     watched_ms: Option<u64>,
     readers: usize,
@@ -44,8 +49,10 @@ pub struct RosNode {
 
 /// What a robot says about itself.
 enum HeardOf<'a> {
-    Arm(&'a ros::JointState),
+    Arm(&'a ros::JointState, &'a str),
     Base(&'a ros::Odometry),
+    Controller(&'a ToldState),
+    ForeignGoals(usize),
 }
 
 /// Places in `said`.
@@ -66,8 +73,12 @@ impl RosNode {
     ) -> Result<(Self, RosPublisher), NodeError> {
         let (joined, published) = Joined::open(config, connection, publish_sim)?;
         let published = Arc::new(Mutex::new(Some(published)));
-        let publisher =
-            RosPublisher { config: config.clone(), published: Arc::clone(&published), sim_published_ms: 0 };
+        let publisher = RosPublisher {
+            config: config.clone(),
+            published: Arc::clone(&published),
+            sim_published_ms: 0,
+            said_stopped: None,
+        };
         let node = RosNode {
             joined: Some(joined),
             published,
@@ -78,6 +89,7 @@ impl RosNode {
             clocks: Clocks::default(),
             heard: Heard::default(),
             controller_state: None,
+            inputs: Inputs::new(config),
             looked_ms: None,
             watched_ms: None,
             readers: 0,
@@ -123,7 +135,7 @@ impl RosNode {
         if self.joined.is_none() {
             return Some("the node on the graph is being opened anew".to_owned());
         }
-        self.clocks.refusal(now_ms)
+        self.inputs.refusal(now_ms).or_else(|| self.clocks.refusal_of(self.config.stamp, now_ms))
     }
 
     /// Takes what came in at `wall_s` (seconds since 1970). Returns what a person should know.
@@ -132,13 +144,16 @@ impl RosNode {
         let mut notes = Vec::new();
         self.watch(robot, now_ms, &mut notes);
         self.hear(wall_s, now_ms, |heard| match heard {
-            HeardOf::Arm(state) => robot.see(state),
+            HeardOf::Arm(state, teller) => robot.see_from(teller, state),
             HeardOf::Base(odometry) => robot.see_base(odometry),
+            HeardOf::Controller(told) => robot.see_controller(&told.state, told.scaling()),
+            HeardOf::ForeignGoals(goals) => robot.set_foreign_goals(goals),
         });
         if let Some(Arm::Action(follow)) = self.joined.as_mut().map(|joined| &mut joined.arm) {
             for (goal, answer) in follow.answers() {
                 robot.answer(goal, answer);
             }
+            robot.set_foreign_goals(follow.foreign());
         }
         notes.extend(robot.take_notes());
         if self.looked_ms.is_none_or(|at| now_ms.saturating_sub(at) >= LOOK_INTERVAL_MS) {
@@ -156,10 +171,24 @@ impl RosNode {
             self.heard.clocks += 1;
             self.clocks.hear_clock(clock.clock.seconds(), now_ms);
         }
-        while let Some(Ok(Some((state, _)))) = joined.joint_states.as_ref().map(|states| states.take()) {
+        let own = joined.own_name();
+        for (n, readers) in joined.flags.iter().enumerate() {
+            for reader in readers {
+                while let Ok(Some((flag, info))) = reader.take() {
+                    let writer = name_of(info.publisher_gid().as_bytes());
+                    if writer != own {
+                        self.inputs.hear(n, &writer, flag.data, now_ms);
+                    }
+                }
+            }
+        }
+        while let Some(Ok(Some((list, _)))) = joined.goals.as_ref().map(|goals| goals.take()) {
+            see(HeardOf::ForeignGoals(active(&list).count()));
+        }
+        while let Some(Ok(Some((state, info)))) = joined.joint_states.as_ref().map(|states| states.take()) {
             self.counts.joint_states += 1;
             self.clocks.hear(Source::JointStates, state.header.stamp.seconds(), wall_s, now_ms);
-            see(HeardOf::Arm(&state));
+            see(HeardOf::Arm(&state, &name_of(info.publisher_gid().as_bytes())));
         }
         while let Some(Ok(Some((odom, _)))) = joined.odom.as_ref().map(|odom| odom.take()) {
             self.clocks.hear(Source::Odometry, odom.header.stamp.seconds(), wall_s, now_ms);
@@ -167,7 +196,8 @@ impl RosNode {
         }
         while let Some(Ok(Some((state, _)))) = joined.controller_state.as_ref().map(|states| states.take()) {
             self.heard.controller_states += 1;
-            self.controller_state = Some((now_ms, state));
+            see(HeardOf::Controller(&state));
+            self.controller_state = Some((now_ms, state.state));
         }
     }
 
@@ -236,6 +266,7 @@ impl RosNode {
             robot.set_arm_listened_to(false);
             self.readers = 0;
             self.clocks = Clocks::default();
+            self.inputs.forget();
             self.open_anew();
         }
     }
@@ -264,6 +295,11 @@ impl RosNode {
     fn look(&mut self, robot: &mut RosRobot, now_ms: u64, notes: &mut Vec<String>) {
         let Some(joined) = &mut self.joined else { return };
         let graph = joined.graph();
+        let flags: Vec<String> = self.inputs.topics().map(wire::topic).collect();
+        for (n, topic) in flags.iter().enumerate() {
+            let ours = |w: &&Endpoint| w.topic == *topic && w.type_name == wire::BOOL;
+            self.inputs.see_writers(n, graph.writers.iter().filter(ours).map(|w| w.participant.clone()));
+        }
         let cmd_vel = self.config.resolve(&self.config.cmd_vel);
         let topic = wire::topic(&cmd_vel);
         let kinds = [wire::TWIST_STAMPED, wire::TWIST]
@@ -295,6 +331,14 @@ impl RosNode {
                     ours.is_some_and(|ours| r.topic == ours.topic && r.type_name == ours.type_name)
                 };
                 let controllers: Vec<&Endpoint> = graph.readers.iter().filter(match_of).collect();
+                let status = wire::topic(&format!(
+                    "{}/follow_joint_trajectory/_action/status",
+                    self.config.resolve(&self.config.arm_controller)
+                ));
+                if !graph.writers.iter().any(|w| w.topic == status) {
+                    // With its server a goal is gone.
+                    robot.set_foreign_goals(0);
+                }
                 servers_note = (controllers.len() > 1).then(|| too_many(&controllers));
                 controllers.len() == 1
             }
@@ -335,7 +379,7 @@ impl RosNode {
         self.say(SPEED, speed_note, notes);
         self.say(SERVERS, servers_note, notes);
         // Without its figures, which change all the time.
-        let clocks = self.clocks.refusal(now_ms);
+        let clocks = self.clocks.refusal_of(self.config.stamp, now_ms);
         if clocks.is_some() != self.said[CLOCKS].is_some() {
             self.say(CLOCKS, clocks.map(|why| format!("the clocks do not agree: {why}")), notes);
         }
@@ -401,9 +445,23 @@ pub struct RosPublisher {
     config: Ros2Config,
     published: Arc<Mutex<Option<Published>>>,
     sim_published_ms: u64,
+    /// What was said last about the operator's stop, and when.
+    said_stopped: Option<(bool, u64)>,
 }
 
 impl RosPublisher {
+    /// Says whether this program's operator has stopped: at once when it changes, else four times a second.
+    pub fn say_stopped(&mut self, stopped: bool, now_ms: u64) {
+        let said = self.said_stopped.is_some_and(|(last, at_ms)| {
+            last == stopped && now_ms.saturating_sub(at_ms) < STOPPED_INTERVAL_MS
+        });
+        if !said && let Some(published) = &*lock(&self.published) {
+            self.said_stopped = Some((stopped, now_ms));
+            // What cannot be handed over is said again soon.
+            let _ = published.stopped.publish(ros::Bool { data: stopped });
+        }
+    }
+
     /// Publishes what the hands do.
     pub fn diagnose(&mut self, message: ros::DiagnosticArray) {
         if let Some(published) = &*lock(&self.published) {

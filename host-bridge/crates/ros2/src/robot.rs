@@ -11,7 +11,8 @@ use serde::Serialize;
 use super::arm::{Answer, ArmLink};
 use super::config::Ros2Config;
 use host_robot::{
-    BaseConfig, BaseState, End, Following, JointLimits, Motion, Odometry, Reading, Robot, Trajectory, Twist,
+    BaseConfig, BaseState, End, Following, JointLimits, Joints, Motion, Odometry, Reading, Robot, Trajectory,
+    Twist,
 };
 use host_topics::message::{self as ros, JointState, JointTrajectory};
 
@@ -117,6 +118,21 @@ impl RosRobot {
     /// Angles that the robot reports.
     pub fn see(&mut self, state: &JointState) {
         self.arm.see(state, self.now_ms);
+    }
+
+    /// The same, from somebody with a name.
+    pub fn see_from(&mut self, teller: &str, state: &JointState) {
+        self.arm.see_from(teller, state, self.now_ms);
+    }
+
+    /// What the arm's controller says of itself, and by how much it scales speeds, where it tells.
+    pub fn see_controller(&mut self, state: &ros::ControllerState, scaling: Option<f64>) {
+        self.arm.see_controller(state, scaling, self.now_ms);
+    }
+
+    /// So many goals of others are active on the arm's action server.
+    pub fn set_foreign_goals(&mut self, goals: usize) {
+        self.arm.set_foreign_goals(goals);
     }
 
     /// Odometry that the robot reports. The scene's origin is where the base was first seen.
@@ -256,6 +272,10 @@ impl Robot for RosRobot {
 
     fn follow(&mut self, trajectory: Arc<Trajectory>) -> Result<(), String> {
         self.arm.follow(trajectory, self.now_ms, &mut self.outputs)
+    }
+
+    fn held_rad(&self) -> Option<Joints> {
+        self.arm.held_rad(self.now_ms)
     }
 
     fn following(&self) -> Following {

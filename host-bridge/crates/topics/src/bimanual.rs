@@ -20,8 +20,18 @@ messages! {
         stamp: Time,
         /// When, on the bridge's clock.
         time_ms: u64,
-        /// 0 = stop, 1 = release.
+        /// 0 = stop, 1 = release, 2 = end the arm's motion.
         key: u8,
+    }
+
+    /// The robot itself refuses to move, or does not any more.
+    "bimanual_msgs/Refused" Refused {
+        /// Time of day.
+        stamp: Time,
+        /// When, on the bridge's clock.
+        time_ms: u64,
+        /// Why; empty = it does not refuse any more.
+        reason: String,
     }
 
     /// Steps since the message before this one.
@@ -60,7 +70,7 @@ messages! {
     "bimanual_msgs/Hands" Hands {
         /// Time of day.
         header: Header,
-        /// State of the dead-man.
+        /// State of the dead-man; where the robot refuses to move, or the session may do less, with the reason behind it.
         safety: String,
         /// Left hand.
         pitch_rad: f64,

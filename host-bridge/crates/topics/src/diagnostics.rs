@@ -74,6 +74,7 @@ impl Diagnostics {
             State::Armed => (DiagnosticStatus::OK, "armed"),
             State::Waiting => (DiagnosticStatus::WARN, "waiting for neutral hands"),
             State::Stopped => (DiagnosticStatus::WARN, "stopped by the operator"),
+            State::Refused => (DiagnosticStatus::ERROR, "the robot refuses to move"),
             State::Stale => (DiagnosticStatus::ERROR, "a hand is silent or not fit to act on"),
         };
         let twist = bridge.twist();
@@ -85,6 +86,8 @@ impl Diagnostics {
             value("late_states", bridge.drops().late_states),
             value("late_gestures", bridge.drops().late_gestures),
         ];
+        values.extend(bridge.refusal().map(|why| value("refusal", why)));
+        values.extend(bridge.restriction().map(|text| value("restriction", text)));
         values.extend(self.motion.as_ref().map(|motion| value("motion", motion)));
         part("bridge", level, message, "", values)
     }

@@ -99,6 +99,8 @@ topics! {
     Transforms: message::TfMessage = "/tf",
     /// What could not be kept, because the disk was too slow.
     Lost: bimanual::Lost = "/bridge/lost",
+    /// The robot itself refuses to move, or does not any more.
+    Refused: bimanual::Refused = "/bridge/refused",
 }
 
 impl Topic {

@@ -303,6 +303,12 @@ messages! {
         actual: JointTrajectoryPoint,
     }
 
+    /// `std_msgs/Bool`.
+    "std_msgs/Bool" Bool: Copy, Eq {
+        /// Yes or no.
+        data: bool,
+    }
+
     /// `diagnostic_msgs/KeyValue`.
     "diagnostic_msgs/KeyValue" KeyValue: Eq {
         /// Name.

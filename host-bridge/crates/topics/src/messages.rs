@@ -6,6 +6,7 @@ use super::Topic;
 use super::cdr::encode;
 use crate::bimanual::{self as own, Intent};
 use crate::message::{self as ros, Header, Time};
+use host_core::bridge::Bridge;
 use host_core::bridge::{BridgeEvent, EventKind};
 use host_core::describe;
 use host_core::observe::SessionEvent;
@@ -71,8 +72,18 @@ impl Origin {
 
     /// A key.
     pub fn operated(self, time_ms: u64, key: OperatorKey) -> Entry {
-        let key = u8::from(key == OperatorKey::Release);
+        let key = match key {
+            OperatorKey::Stop => 0,
+            OperatorKey::Release => 1,
+            OperatorKey::EndArm => 2,
+        };
         Entry::new(Topic::Operated, time_ms, &own::Operated { stamp: self.stamp(time_ms), time_ms, key })
+    }
+
+    /// The robot itself refuses to move, or (`None`) does not any more.
+    pub fn refused(self, time_ms: u64, reason: Option<&str>) -> Entry {
+        let reason = reason.unwrap_or_default().to_owned();
+        Entry::new(Topic::Refused, time_ms, &own::Refused { stamp: self.stamp(time_ms), time_ms, reason })
     }
 
     /// Steps, of which the last one ended at `time_ms`.
@@ -177,7 +188,7 @@ impl Origin {
         let (left, caps) = (bridge.left_state(), bridge.caps());
         let hands = own::Hands {
             header: self.header(now.time_ms, ""),
-            safety: plain(&bridge.safety().state()),
+            safety: safety(bridge),
             pitch_rad: f64::from(left.pitch_mrad) / 1000.0,
             roll_rad: f64::from(left.roll_mrad) / 1000.0,
             heading: describe::heading_name(left.heading.into()).to_owned(),
@@ -266,6 +277,15 @@ fn intent(kind: &EventKind, header: &Header) -> Option<Intent> {
     };
     let (hand, name) = (hand.to_owned(), name.to_owned());
     Some(Intent { header, hand, name, outcome, confidence, age_ms, linear_m_s, angular_rad_s })
+}
+
+/// The state of the dead-man, and what else keeps the robot from moving as usual.
+fn safety(bridge: &Bridge) -> String {
+    let mut text = plain(&bridge.safety().state());
+    for why in [bridge.refusal(), bridge.restriction()].into_iter().flatten() {
+        text += &format!("; {why}");
+    }
+    text
 }
 
 /// As in the JSON summary; texts without their quotes.

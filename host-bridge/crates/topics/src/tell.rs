@@ -80,6 +80,11 @@ impl<O: Outlet> Observer for Teller<O> {
         self.put(self.origin.operated(time_ms, key));
     }
 
+    fn refused(&mut self, time_ms: u64, reason: Option<&str>) {
+        self.put_turns();
+        self.put(self.origin.refused(time_ms, reason));
+    }
+
     fn turned(&mut self, turn: Turn) {
         if let Turn::Decided(time_ms) = turn {
             self.time_ms = self.time_ms.max(time_ms);

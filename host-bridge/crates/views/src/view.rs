@@ -140,6 +140,7 @@ impl View {
             State::Waiting => ("waiting for neutral", Color::Yellow),
             State::Armed => ("armed", Color::Green),
             State::Stale => ("a hand is silent", Color::Yellow),
+            State::Refused => ("the robot refuses to move", Color::Red),
             State::Stopped => ("STOPPED", Color::Red),
         };
         let mut lines: Vec<_> = self.title.iter().map(|line| (Color::Cyan, line.clone())).collect();
@@ -187,6 +188,12 @@ impl View {
                 base.twist.angular_rad_s.to_degrees()
             ),
         ));
+        if let Some(reason) = &snapshot.refusal {
+            lines.push((Color::Red, format!("robot  {reason}")));
+        }
+        if let Some(text) = &snapshot.restriction {
+            lines.push((Color::Yellow, format!("less   {text}")));
+        }
         if let Some(reason) = &snapshot.held {
             lines.push((Color::Yellow, format!("held   {reason}")));
         }

@@ -125,6 +125,20 @@ pub enum EventKind {
     },
     /// The base drives as asked again.
     BaseFree,
+    /// The robot itself refuses to move: its e-stop, a fault, clocks apart.
+    RobotRefuses {
+        /// Why, and what to do.
+        reason: String,
+    },
+    /// It does not any more; the hands must be neutral first.
+    RobotReady,
+    /// A key ended the arm's motion alone.
+    ArmEnded,
+    /// This session may do less than others.
+    Restricted {
+        /// What, and why.
+        text: String,
+    },
     /// The robot has something to say.
     Robot {
         /// What.
@@ -180,6 +194,8 @@ pub enum GestureOutcome {
     Busy(MotionName),
     /// Dropped: no safe way leads to this motion's pose.
     Refused(MotionName),
+    /// The arm's motion is ended, and that alone.
+    EndedArm,
     /// The label has no motion.
     NoMotion,
     /// Dropped: its window ended too long ago.

@@ -35,6 +35,19 @@ pub struct Bridge {
     last_acks: [Option<Ack>; 2],
     /// Flags that were told.
     told_health: [u8; 2],
+    /// Why the robot itself refuses to move.
+    refusal: Option<String>,
+    /// What this session may not do.
+    restriction: Option<Restriction>,
+}
+
+/// What a session may not do, and why.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Restriction {
+    /// Fastest speed of the base, in m/s and rad/s.
+    pub most: f64,
+    /// For people: what is less, and why. The arm does not move.
+    pub text: String,
 }
 
 impl Bridge {
@@ -61,7 +74,53 @@ impl Bridge {
             heard: Vec::new(),
             last_acks: [None; 2],
             told_health: [0; 2],
+            refusal: None,
+            restriction: None,
         }
+    }
+
+    /// The base drives no faster than that, and the arm does not move.
+    #[must_use]
+    pub fn restricted(mut self, restriction: Restriction) -> Self {
+        let Restriction { most, text } = &restriction;
+        let rules = self.caps.rules;
+        let within = |value: f64| value.min(*most);
+        self.caps = Caps::new(SpeedRules {
+            start: within(rules.start),
+            least: within(rules.least),
+            most: within(rules.most),
+            ..rules
+        });
+        self.note(0, EventKind::Restricted { text: text.clone() });
+        self.restriction = Some(restriction);
+        self
+    }
+
+    /// What this session may not do, for people.
+    pub fn restriction(&self) -> Option<&str> {
+        self.restriction.as_ref().map(|restriction| restriction.text.as_str())
+    }
+
+    /// The robot itself refuses to move from now on, or (`None`) does not any more.
+    pub fn robot_refuses(&mut self, refusal: Option<String>, now_ms: u64, robot: &mut dyn Door) {
+        let kind = match &refusal {
+            Some(reason) => EventKind::RobotRefuses { reason: reason.clone() },
+            None => EventKind::RobotReady,
+        };
+        self.note(now_ms, kind);
+        let refuses = refusal.is_some();
+        self.refusal = refusal;
+        self.apply(safety::Event::Robot { refuses }, now_ms, robot);
+    }
+
+    /// Whether that says something else than what is known; figures alone, which change all the time, do not.
+    pub fn is_news_of_robot(&self, refusal: Option<&str>) -> bool {
+        self.refusal().map(without_figures) != refusal.map(without_figures)
+    }
+
+    /// Why the robot itself refuses to move, if it does.
+    pub fn refusal(&self) -> Option<&str> {
+        self.refusal.as_deref()
     }
 
     /// Nothing moves before this hand has said hello.
@@ -74,7 +133,7 @@ impl Bridge {
     /// Lets go of motions that the robot does not have.
     #[must_use]
     pub fn known_to(mut self, knows: impl Fn(&MotionName) -> bool) -> Self {
-        self.map = self.map.known_to(knows);
+        self.map = self.map.known_to(|motion| *motion == *MotionName::END_ARM || knows(motion));
         self
     }
 
@@ -131,6 +190,12 @@ impl Bridge {
     /// The operator's stop: a key, a button.
     pub fn stop_key(&mut self, now_ms: u64, robot: &mut dyn Door) {
         self.apply(safety::Event::StopKey, now_ms, robot);
+    }
+
+    /// The key that ends the arm's motion alone; the base goes on.
+    pub fn end_arm_key(&mut self, now_ms: u64, robot: &mut dyn Door) {
+        robot.halt_arm();
+        self.note(now_ms, EventKind::ArmEnded);
     }
 
     /// The release key, pressed and confirmed; has an effect only where no right hand is connected.
@@ -298,7 +363,7 @@ impl Bridge {
         if let Some((new, label)) = named {
             let outcome = outcome.unwrap_or(GestureOutcome::Late);
             match &outcome {
-                GestureOutcome::Started(_) | GestureOutcome::Released => {}
+                GestureOutcome::Started(_) | GestureOutcome::Released | GestureOutcome::EndedArm => {}
                 GestureOutcome::Busy(_) => self.drops.gestures_while_busy += 1,
                 GestureOutcome::Refused(_) => self.drops.gestures_refused += 1,
                 GestureOutcome::NoMotion => self.drops.gestures_without_motion += 1,
@@ -365,6 +430,15 @@ impl Bridge {
         let Some(motion) = name.and_then(|name| self.map.motion(name)).cloned() else {
             return GestureOutcome::NoMotion;
         };
+        if motion == *MotionName::END_ARM {
+            robot.halt_arm();
+            return GestureOutcome::EndedArm;
+        }
+        if let Some(restriction) = &self.restriction {
+            let reason = restriction.text.clone();
+            self.note(now_ms, EventKind::MotionRefused { motion: motion.clone(), reason });
+            return GestureOutcome::Refused(motion);
+        }
         match robot.start_motion(&motion) {
             Ok(()) => GestureOutcome::Started(motion),
             Err(NotStarted::Busy(Busy(running))) => GestureOutcome::Busy(running),
@@ -374,6 +448,11 @@ impl Bridge {
             }
         }
     }
+}
+
+/// A text without its figures, which change all the time.
+fn without_figures(text: &str) -> String {
+    text.chars().filter(|c| !c.is_ascii_digit()).collect()
 }
 
 /// What a heading asks of the base: neutral and between are one to it.

@@ -76,6 +76,11 @@ pub enum Event {
         /// The last gesture, if it is new.
         gesture: Option<Gesture>,
     },
+    /// The robot itself refuses to move (its e-stop, a fault, clocks apart), or does not any more.
+    Robot {
+        /// It refuses.
+        refuses: bool,
+    },
     /// The operator's stop: a key, a button.
     StopKey,
     /// The operator's release key, pressed and confirmed. Only counts where no right hand is connected.
@@ -96,6 +101,8 @@ pub enum HaltReason {
     Unhealthy(Hand),
     /// The hand is new or has restarted.
     Restart(Hand),
+    /// The robot itself refuses to move.
+    RobotRefuses,
 }
 
 /// Why something that a hand did has no effect.

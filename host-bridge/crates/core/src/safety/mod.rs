@@ -85,7 +85,8 @@ impl Default for SafetyTimes {
 ///   Armed ◄── neutral for 1 s, then the release ── Stopped ◄──┴── (from every state)
 /// ```
 /// Only in `Armed` does anything move. Leaving it halts base and arm. `Stale` is reached by time alone.
-/// A stopped robot stays stopped whatever the links do.
+/// A stopped robot stays stopped whatever the links do. A robot that refuses by itself (`Refused`, from every state
+/// but `Stopped`) is `Waiting` again when it does not any more, and neutral is needed; no release goes past it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum State {
@@ -95,6 +96,8 @@ pub enum State {
     Armed,
     /// A connected hand is silent or not fit to act on.
     Stale,
+    /// The robot itself refuses to move; what it says names the reason.
+    Refused,
     /// The operator stopped the robot.
     Stopped,
 }
@@ -168,6 +171,8 @@ pub struct Safety {
     heading: Heading,
     /// The right hand has rested for long enough since the stop (where there is no left hand).
     right_rested: bool,
+    /// The robot itself refuses to move.
+    refused: bool,
 }
 
 impl Default for Safety {
@@ -192,6 +197,7 @@ impl Safety {
             right: Watch::default(),
             heading: Heading::Neutral,
             right_rested: false,
+            refused: false,
         }
     }
 
@@ -318,6 +324,17 @@ impl Safety {
                     self.gesture(gesture, &mut actions);
                 }
             }
+            Event::Robot { refuses } => {
+                self.refused = refuses;
+                if refuses {
+                    self.leave_armed(State::Refused, HaltReason::RobotRefuses, &mut actions);
+                } else if self.state == State::Refused {
+                    // Neutral must be held from now on, not from before.
+                    self.left.reset(self.now_ms);
+                    self.right.reset(self.now_ms);
+                    self.enter(State::Waiting, &mut actions);
+                }
+            }
             Event::StopKey => self.stop(&mut actions),
             Event::ReleaseKey => {
                 let allowed = self.state == State::Stopped
@@ -376,6 +393,7 @@ impl Safety {
     /// for a second already at `time_ms`. Without a left hand, the right one must have rested instead.
     fn neutral_long_enough_at(&self, time_ms: u64) -> bool {
         let all_live = (self.left.connected || self.right.connected)
+            && !self.refused
             && !self.awaits_a_hand()
             && self.connected_hands_live();
         let neutral = if self.left.connected {
@@ -439,6 +457,12 @@ impl Safety {
     }
 
     fn arm_if_all_neutral(&mut self, actions: &mut Vec<Action>) {
+        if self.refused {
+            if matches!(self.state, State::Waiting | State::Stale) && self.connected_hands_live() {
+                self.enter(State::Refused, actions);
+            }
+            return;
+        }
         if !matches!(self.state, State::Waiting | State::Stale)
             || self.awaits_a_hand()
             || !self.connected_hands_live()

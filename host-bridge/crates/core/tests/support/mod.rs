@@ -15,6 +15,7 @@ impl Door for NoRobot {
         Ok(())
     }
     fn halt(&mut self) {}
+    fn halt_arm(&mut self) {}
     fn take_reports(&mut self) -> Vec<Report> {
         Vec::new()
     }

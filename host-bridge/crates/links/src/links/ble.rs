@@ -2,7 +2,11 @@
 //!
 //! Everything about the system's Bluetooth is btleplug's (on Linux: BlueZ by way of D-Bus). Frames are a
 //! byte stream: notifications from the board, writes to it. Writes are confirmed ones: a board that wants a
-//! bonded link refuses the first, whereupon the system pairs, or says why not.
+//! bonded link refuses the first.
+//!
+//! Only a board that is bonded with this machine is connected: the system encrypts its link before a byte passes, so
+//! that nobody who merely advertises, however loud, stands for it. Without that (`allow_unbonded`) whoever is in reach
+//! can take a board's place; what such a session may not do is decided above (`Config::restriction`).
 
 use std::cell::Cell;
 use std::future::Future;
@@ -39,6 +43,8 @@ const CONNECT: Duration = Duration::from_secs(15);
 const FAREWELL: Duration = Duration::from_secs(1);
 /// What has been found is looked at this often, and whether the board is still there.
 const LOOK: Duration = Duration::from_millis(200);
+/// So many looks for a bonded board before one that is not is told of.
+const LOOKS_FOR_BONDED: u32 = 5;
 /// How often the thread looks whether it should end.
 const END: Duration = Duration::from_millis(50);
 /// Frames on their way out; a link that is slower than that loses them.
@@ -60,18 +66,26 @@ pub struct BleLink {
 
 impl BleLink {
     /// Starts the thread. Everything it has to say goes to `events`, marked with `link`. `port` is `ble` for the
-    /// nearest board, or `ble:` with a name or an address.
+    /// nearest board, or `ble:` with a name or an address; it must be bonded unless `allow_unbonded`.
     pub fn start<I: Copy + Send + 'static>(
         link: I,
         port: &str,
+        allow_unbonded: bool,
         clock: Arc<dyn Clock>,
         events: EventSender<I>,
     ) -> Self {
         let outgoing = Arc::new(Mutex::new(None));
         let ended = Arc::new(AtomicBool::new(false));
         let name = port.strip_prefix("ble:").filter(|name| !name.is_empty()).map(str::to_owned);
-        let radio =
-            Radio { link, name, clock, outgoing: Arc::clone(&outgoing), ended: Arc::clone(&ended), events };
+        let radio = Radio {
+            link,
+            name,
+            allow_unbonded,
+            clock,
+            outgoing: Arc::clone(&outgoing),
+            ended: Arc::clone(&ended),
+            events,
+        };
         let thread = Some(std::thread::spawn(move || radio.run()));
         BleLink { port: port.to_owned(), outgoing, ended, thread }
     }
@@ -139,6 +153,7 @@ fn runtime() -> Result<tokio::runtime::Runtime, String> {
 struct Radio<I> {
     link: I,
     name: Option<String>,
+    allow_unbonded: bool,
     clock: Arc<dyn Clock>,
     outgoing: Outgoing,
     ended: Arc<AtomicBool>,
@@ -242,12 +257,21 @@ impl<I: Copy> Radio<I> {
     /// The wanted board, once it is near.
     async fn find(&self, adapter: &Adapter) -> Result<Seen, String> {
         scan(adapter).await?;
+        let bonds = Bonds::open().await?;
+        let mut looks = 0;
         let found = within(SEARCH, async {
             loop {
                 let found = candidates(adapter).await?;
-                let best = found.into_iter().filter(|seen| seen.is(self.name.as_deref()));
-                if let Some(best) = best.max_by_key(|seen| seen.rssi_dbm) {
+                let wanted = found.into_iter().filter(|seen| seen.is(self.name.as_deref()));
+                let bonded = bonds.addresses().await?;
+                let (ours, strange): (Vec<Seen>, Vec<Seen>) =
+                    wanted.partition(|seen| self.allow_unbonded || bonded.contains(&seen.address));
+                if let Some(best) = ours.into_iter().max_by_key(|seen| seen.rssi_dbm) {
                     return Ok(best);
+                }
+                looks += 1;
+                if let Some(stranger) = strange.first().filter(|_| looks > LOOKS_FOR_BONDED) {
+                    return Err(unbonded(stranger));
                 }
                 if adapter.adapter_state().await.is_ok_and(|state| state == CentralState::PoweredOff) {
                     return Err(off());
@@ -325,6 +349,55 @@ async fn connect(board: &Peripheral, name: &str) -> Result<(Characteristic, Char
     match (find(FROM_BOARD), find(TO_BOARD)) {
         (Some(input), Some(output)) => Ok((input, output)),
         _ => Err(format!("{name} (Bluetooth) is no right hand of this version; flash firmware-nano33 again")),
+    }
+}
+
+/// What helps where a board is in reach, but not bonded.
+fn unbonded(Seen { name, address, .. }: &Seen) -> String {
+    format!(
+        "{name} (Bluetooth) is not paired with this machine, and anybody could advertise as it does: pair it once in the \
+         system's settings, or with `bluetoothctl pair {address}`"
+    )
+}
+
+/// The boards that this machine is bonded with, as the system knows.
+#[cfg(target_os = "linux")]
+struct Bonds(bluez_async::BluetoothSession);
+
+#[cfg(target_os = "linux")]
+impl Bonds {
+    async fn open() -> Result<Self, String> {
+        let (events, session) = bluez_async::BluetoothSession::new()
+            .await
+            .map_err(|error| trouble(&btleplug::Error::Other(Box::new(error))))?;
+        // It ends with this attempt's runtime.
+        tokio::spawn(events);
+        Ok(Bonds(session))
+    }
+
+    async fn addresses(&self) -> Result<Vec<String>, String> {
+        let known = self.0.get_devices().await;
+        let known = known.map_err(|error| trouble(&btleplug::Error::Other(Box::new(error))))?;
+        Ok(known
+            .into_iter()
+            .filter(|device| device.paired)
+            .map(|device| device.mac_address.to_string())
+            .collect())
+    }
+}
+
+/// Elsewhere the system does not tell: no board counts as bonded.
+#[cfg(not(target_os = "linux"))]
+struct Bonds;
+
+#[cfg(not(target_os = "linux"))]
+impl Bonds {
+    async fn open() -> Result<Self, String> {
+        Ok(Bonds)
+    }
+
+    async fn addresses(&self) -> Result<Vec<String>, String> {
+        Ok(Vec::new())
     }
 }
 

@@ -28,6 +28,12 @@ pub fn is_ble(port: &str) -> bool {
     port == "ble" || port.starts_with("ble:")
 }
 
+/// Is this a serial port over Bluetooth? Whether its module is bonded, and the link encrypted, nobody can tell.
+pub fn is_serial_over_air(port: &str) -> bool {
+    let name = port.rsplit('/').next().unwrap_or(port);
+    name.starts_with("rfcomm") || name.contains("HC-0") || name.to_lowercase().contains("bluetooth")
+}
+
 /// A link to a board, whatever lies between; dropping it closes it.
 pub enum Link {
     /// A serial port: a USB-serial chip, or USB of the board's own.
@@ -48,7 +54,7 @@ impl Link {
     ) -> Self {
         #[cfg(feature = "ble")]
         if is_ble(port) {
-            return Link::Ble(BleLink::start(link, port, clock, events));
+            return Link::Ble(BleLink::start(link, port, settings.allow_unbonded, clock, events));
         }
         Link::Serial(SerialLink::start(link, port, settings, clock, events))
     }

@@ -31,12 +31,14 @@ pub struct SerialSettings {
     pub baud: u32,
     /// Nothing is sent for this long after the port was opened, unless the board speaks first.
     pub settle_ms: u64,
+    /// Boards over Bluetooth need not be bonded.
+    pub allow_unbonded: bool,
 }
 
 impl Default for SerialSettings {
     /// The boards' 115200 baud, and the time that an old Nano bootloader may take.
     fn default() -> Self {
-        SerialSettings { baud: 115_200, settle_ms: 2500 }
+        SerialSettings { baud: 115_200, settle_ms: 2500, allow_unbonded: false }
     }
 }
 

@@ -26,7 +26,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use crate::web::gate::Gate;
-use crate::web::server::{Bound, Name, Server};
+use crate::web::server::{Bound, Name, Place, Server};
 use crate::web::{WebError, WebOptions, client, http};
 use host_topics::{Entry, Origin, Outlet, Teller, Topic};
 
@@ -160,7 +160,11 @@ impl Foxglove {
             viewers: AtomicUsize::new(0),
         });
         let serving = shared.clone();
-        Ok(Foxglove { shared, server: bound.serve(move |stream| serve(stream, &serving)), origin })
+        Ok(Foxglove {
+            shared,
+            server: bound.serve(move |stream, place| serve(stream, place, &serving)),
+            origin,
+        })
     }
 
     /// What to type into Foxglove's "Open connection".
@@ -199,7 +203,7 @@ impl Drop for Foxglove {
     }
 }
 
-fn serve(stream: TcpStream, shared: &Shared) {
+fn serve(stream: TcpStream, place: &Place, shared: &Shared) {
     http::with_request(stream, |mut stream, request, rest| {
         if let Err(refused) = shared.gate.look(&request.claims, &shared.origins) {
             return http::refuse(&mut stream, refused);
@@ -215,7 +219,8 @@ fn serve(stream: TcpStream, shared: &Shared) {
             Some(response) => {
                 use std::io::Write as _;
                 if stream.write_all(&response).is_ok() {
-                    viewer::run(stream, rest, shared);
+                    place.heard();
+                    viewer::run(stream, rest, place, shared);
                 }
             }
         }

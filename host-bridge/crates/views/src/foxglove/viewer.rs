@@ -12,7 +12,7 @@ use tungstenite::{Error, Message, WebSocket};
 
 use super::protocol::{Subscriptions, advertise, message_data, server_info, warning};
 use super::{QUEUE, Seen, Shared};
-use crate::web::server::Counted;
+use crate::web::server::{Counted, Place};
 use host_topics::{Entry, Origin};
 
 /// The thread looks for news this often; what the viewer says wakes it at once.
@@ -22,7 +22,7 @@ const TURN: Duration = Duration::from_millis(4);
 const MESSAGE_MAX: usize = 1 << 16;
 
 /// Serves a viewer until it goes or the session ends. `rest` came behind the request.
-pub fn run(stream: TcpStream, rest: Vec<u8>, shared: &Shared) {
+pub fn run(stream: TcpStream, rest: Vec<u8>, place: &Place, shared: &Shared) {
     let _counted = Counted::new(&shared.viewers);
     if stream.set_read_timeout(Some(TURN)).is_err() {
         return;
@@ -35,11 +35,12 @@ pub fn run(stream: TcpStream, rest: Vec<u8>, shared: &Shared) {
     let seen = Arc::new(Seen::default());
     let queue = shared.join(&seen);
     // Whatever ends the connection, the viewer shows that it is gone and tries again.
-    let _ = Viewer { socket, shared, queue, seen, wanted: Subscriptions::default() }.run();
+    let _ = Viewer { socket, place, shared, queue, seen, wanted: Subscriptions::default() }.run();
 }
 
 struct Viewer<'a> {
     socket: WebSocket<TcpStream>,
+    place: &'a Place,
     shared: &'a Shared,
     queue: Receiver<Arc<Entry>>,
     seen: Arc<Seen>,
@@ -59,6 +60,7 @@ impl Viewer<'_> {
             }
             match self.socket.read() {
                 Ok(Message::Text(text)) => {
+                    self.place.heard();
                     if let Err(problem) = self.wanted.hear(text.as_str()) {
                         self.socket.send(Message::text(warning(&problem)))?;
                     }

@@ -10,6 +10,7 @@ use tungstenite::protocol::{Role, WebSocketConfig};
 use tungstenite::{Error, Message, WebSocket};
 
 use super::history::Told;
+use super::server::Place;
 use super::{Counted, IN_FLIGHT_MAX, Shared};
 
 /// The thread looks for news this often; what the page sends wakes it at once.
@@ -51,7 +52,7 @@ pub fn accept_with(head: &httparse::Request<'_, '_>, more: &str) -> Option<Vec<u
 }
 
 /// Serves a page until it goes, the session ends, or the server closes. `rest` came behind the request.
-pub(super) fn run(stream: TcpStream, rest: Vec<u8>, shared: &Shared) {
+pub(super) fn run(stream: TcpStream, rest: Vec<u8>, place: &Place, shared: &Shared) {
     let _counted = Counted::new(&shared.pages);
     if stream.set_read_timeout(Some(TURN)).is_err() {
         return;
@@ -64,6 +65,7 @@ pub(super) fn run(stream: TcpStream, rest: Vec<u8>, shared: &Shared) {
     let socket = WebSocket::from_partially_read(stream, rest, Role::Server, Some(config));
     let mut page = Page {
         socket,
+        place,
         shared,
         told: Told::default(),
         greeted: false,
@@ -77,6 +79,7 @@ pub(super) fn run(stream: TcpStream, rest: Vec<u8>, shared: &Shared) {
 
 struct Page<'a> {
     socket: WebSocket<TcpStream>,
+    place: &'a Place,
     shared: &'a Shared,
     told: Told,
     greeted: bool,
@@ -148,6 +151,7 @@ impl Page<'_> {
             }
             _ => return false,
         }
+        self.place.heard();
         true
     }
 }

@@ -9,6 +9,8 @@ use std::net::{IpAddr, SocketAddr};
 
 /// Shortest token.
 pub const TOKEN_MIN: usize = 16;
+/// Different characters in a token, at least.
+const DIFFERENT_MIN: usize = 6;
 
 /// What a request says about itself. A header that is missing is `None`; one that is not text counts as empty.
 #[derive(Clone, Copy, Debug, Default)]
@@ -44,10 +46,13 @@ pub struct Gate {
     token: Option<String>,
 }
 
-/// Long enough, and nothing that an address would have to escape.
+/// Long enough, not all alike, and nothing that an address would have to escape.
 pub fn is_fit_as_token(token: &str) -> bool {
     let plain = |byte: u8| byte.is_ascii_alphanumeric() || byte == b'-' || byte == b'_';
-    (TOKEN_MIN..=128).contains(&token.len()) && token.bytes().all(plain)
+    let mut different: Vec<u8> = token.bytes().collect();
+    different.sort_unstable();
+    different.dedup();
+    (TOKEN_MIN..=128).contains(&token.len()) && token.bytes().all(plain) && different.len() >= DIFFERENT_MIN
 }
 
 impl Gate {
@@ -247,7 +252,14 @@ mod tests {
     #[test]
     fn tokens_are_long_and_plain() {
         assert!(is_fit_as_token(SECRET) && is_fit_as_token("abcd-efgh_ijkl-0123"));
-        for token in ["", "0123456789abcde", "0123456789abcde f", "0123456789abcde&", "0123456789abcdeé"] {
+        for token in [
+            "",
+            "0123456789abcde",
+            "0123456789abcde f",
+            "0123456789abcde&",
+            "0123456789abcdeé",
+            "aaaaaaaaaaaaaaaabcd",
+        ] {
             assert!(!is_fit_as_token(token), "{token}");
         }
         assert!(!is_fit_as_token(&"a".repeat(129)));

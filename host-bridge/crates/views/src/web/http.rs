@@ -5,6 +5,7 @@ use std::net::TcpStream;
 use std::time::{Duration, Instant};
 
 use super::gate::{Claims, Refused};
+use super::server::Place;
 use super::{Shared, client};
 
 /// Longest head of a request.
@@ -35,8 +36,11 @@ const FILES: [(&str, &str, &str); 9] = [
 ];
 
 /// Answers the one request of a connection.
-pub(super) fn serve(stream: TcpStream, shared: &Shared) {
-    with_request(stream, |stream, request, rest| page_or_file(stream, &request, rest, shared));
+pub(super) fn serve(stream: TcpStream, place: &Place, shared: &Shared) {
+    with_request(stream, |stream, request, rest| {
+        place.heard();
+        page_or_file(stream, &request, rest, (place, shared));
+    });
 }
 
 /// One request.
@@ -80,7 +84,12 @@ pub fn refuse(stream: &mut TcpStream, refused: Refused) {
     answer(stream, "403 Forbidden", "text/plain; charset=utf-8", &format!("{refused}\n"), true);
 }
 
-fn page_or_file(mut stream: TcpStream, request: &Request<'_, '_>, rest: Vec<u8>, shared: &Shared) {
+fn page_or_file(
+    mut stream: TcpStream,
+    request: &Request<'_, '_>,
+    rest: Vec<u8>,
+    (place, shared): (&Place, &Shared),
+) {
     let Request { head, path, claims } = request;
     if *path == "/live" {
         match (shared.gate.live(claims), client::accept(head)) {
@@ -90,7 +99,7 @@ fn page_or_file(mut stream: TcpStream, request: &Request<'_, '_>, rest: Vec<u8>,
             }
             (Ok(()), Some(response)) => {
                 if stream.write_all(&response).is_ok() {
-                    client::run(stream, rest, shared);
+                    client::run(stream, rest, place, shared);
                 }
             }
         }

@@ -95,7 +95,7 @@ impl Web {
             pages: AtomicUsize::new(0),
         });
         let serving = shared.clone();
-        Ok(Web { shared, server: bound.serve(move |stream| http::serve(stream, &serving)) })
+        Ok(Web { shared, server: bound.serve(move |stream, place| http::serve(stream, place, &serving)) })
     }
 
     /// What to type into a browser.

@@ -1,15 +1,20 @@
 //! A port, a thread for whoever comes, and the rules of who may listen where. For the page and for Foxglove.
+//!
+//! There is a place for whoever comes last: where all are taken, the connection that has said nothing for longest goes.
+//! So nobody who holds connections keeps others from the page's stop.
 
 use std::io;
-use std::net::{IpAddr, Ipv4Addr, SocketAddr, TcpListener, TcpStream};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::time::Duration;
+use std::net::{IpAddr, Ipv4Addr, Shutdown, SocketAddr, TcpListener, TcpStream};
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
 
 use super::gate::{self, Gate};
 
 /// Connections at a time: a browser opens up to six for the files, each page keeps one.
 pub const CONNECTIONS_MAX: usize = 24;
+/// Threads at a time: those whose connection had to go need a moment to end.
+const THREADS_MAX: usize = 4 * CONNECTIONS_MAX;
 
 /// Where to serve, and to whom.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -113,7 +118,7 @@ impl Bound {
     }
 
     /// Serves from a thread of its own, and a thread for each connection.
-    pub fn serve(self, serve: impl Fn(TcpStream) + Send + Sync + 'static) -> Server {
+    pub fn serve(self, serve: impl Fn(TcpStream, &Place) + Send + Sync + 'static) -> Server {
         let closing = Arc::new(AtomicBool::new(false));
         let (seen, listener) = (closing.clone(), self.listener);
         let serve = Arc::new(serve);
@@ -161,32 +166,92 @@ impl Drop for Server {
     }
 }
 
-fn accept<S: Fn(TcpStream) + Send + Sync + 'static>(
+/// One connection's place among the others.
+#[derive(Debug)]
+pub struct Place {
+    since: Instant,
+    heard_ms: AtomicU64,
+}
+
+impl Place {
+    fn new(since: Instant) -> Self {
+        let place = Place { since, heard_ms: AtomicU64::new(0) };
+        place.heard();
+        place
+    }
+
+    /// Whoever is at the other end has said something: he keeps his place.
+    pub fn heard(&self) {
+        let now_ms = u64::try_from(self.since.elapsed().as_millis()).unwrap_or(u64::MAX);
+        self.heard_ms.store(now_ms, Ordering::Relaxed);
+    }
+}
+
+/// Who is connected: a place, and a handle to hang up by.
+type Places = Mutex<Vec<(Arc<Place>, TcpStream)>>;
+
+fn accept<S: Fn(TcpStream, &Place) + Send + Sync + 'static>(
     listener: &TcpListener,
     closing: &AtomicBool,
     serve: &Arc<S>,
 ) {
-    let connections = Arc::new(AtomicUsize::new(0));
+    let since = Instant::now();
+    let threads = Arc::new(AtomicUsize::new(0));
+    let places: Arc<Places> = Arc::default();
     loop {
         let accepted = listener.accept();
         if closing.load(Ordering::SeqCst) {
             return;
         }
         match accepted {
-            // Closed without a word: whoever opens so many is no browser.
-            Ok(_) if connections.load(Ordering::SeqCst) >= CONNECTIONS_MAX => {}
+            // Closed without a word: those who had to go are still on their way out.
+            Ok(_) if threads.load(Ordering::SeqCst) >= THREADS_MAX => {}
             Ok((stream, _)) => {
-                let (serve, connections) = (serve.clone(), connections.clone());
+                let Ok(handle) = stream.try_clone() else { continue };
+                let place = Arc::new(Place::new(since));
+                take(&places, Arc::clone(&place), handle);
+                threads.fetch_add(1, Ordering::SeqCst);
+                let (serve, counted, left) = (serve.clone(), Leaving(threads.clone()), places.clone());
                 let work = move || {
-                    let _counted = Counted::new(&connections);
-                    serve(stream);
+                    let _counted = counted;
+                    serve(stream, &place);
+                    lock(&left).retain(|(other, _)| !Arc::ptr_eq(other, &place));
                 };
                 // Without a thread the connection is closed, and the browser asks again.
-                let _ = std::thread::Builder::new().name("page".to_owned()).spawn(work);
+                if std::thread::Builder::new().name("page".to_owned()).spawn(work).is_err() {
+                    lock(&places).pop();
+                }
             }
             // Out of file descriptors, for example: no reason to turn as fast as possible.
             Err(_) => std::thread::sleep(Duration::from_millis(50)),
         }
+    }
+}
+
+fn lock(places: &Places) -> MutexGuard<'_, Vec<(Arc<Place>, TcpStream)>> {
+    places.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Puts a connection on the list; where that is full, the one that has said nothing for longest is hung up on.
+fn take(places: &Places, place: Arc<Place>, handle: TcpStream) {
+    let mut places = lock(places);
+    if places.len() >= CONNECTIONS_MAX {
+        let quietest = (0..places.len()).min_by_key(|at| places[*at].0.heard_ms.load(Ordering::Relaxed));
+        if let Some(at) = quietest {
+            let (_, gone) = places.remove(at);
+            // Its thread reads the end, and leaves.
+            let _ = gone.shutdown(Shutdown::Both);
+        }
+    }
+    places.push((place, handle));
+}
+
+/// A thread that counts itself out, also where it never started or panicked.
+struct Leaving(Arc<AtomicUsize>);
+
+impl Drop for Leaving {
+    fn drop(&mut self) {
+        self.0.fetch_sub(1, Ordering::SeqCst);
     }
 }
 

@@ -150,6 +150,9 @@ function showContact() {
   let text = texts[contact];
   if (contact === "open" && state?.safety === "stopped") {
     text = "Stopped. To go on: hold both hands neutral for a second, then draw up-down.";
+    if (state.refusal) text += ` The robot itself refuses, too: ${state.refusal}`;
+  } else if (contact === "open" && state?.refusal) {
+    text = `The robot refuses to move: ${state.refusal}`;
   } else if (contact === "open" && stopAsked) {
     text = "Stop sent …";
   }

@@ -20,6 +20,7 @@ const SAFETY = {
   waiting: "waiting for neutral hands",
   armed: "armed",
   stale: "a hand is silent",
+  refused: "the robot refuses",
   stopped: "STOPPED",
 };
 
@@ -202,7 +203,7 @@ export class Panels {
     const late = state.arm_age_ms > 100 ? ` (${state.arm_age_ms} ms old)` : "";
     put($("doing"), "text", heard + late);
     const where = `x ${odometry.x_m.toFixed(2)} m, y ${odometry.y_m.toFixed(2)} m, ${degrees(odometry.heading_rad).toFixed(0)}°`;
-    const held = state.held ? `; held back: ${state.held}` : "";
+    const held = [state.held && `held back: ${state.held}`, state.restriction].filter(Boolean).map((text) => `; ${text}`).join("");
     const known = state.base_age_ms === null ? "reports nothing" : `${where}; ${odometry.path_m.toFixed(1)} m driven`;
     put($("base-text"), "text", `base: ${known}${held}`);
     put($("scene-text"), "text", `Base at ${where}. ${doing}. ${this.setting.boxes.length} boxes around.`);

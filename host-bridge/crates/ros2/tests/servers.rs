@@ -1,0 +1,216 @@
+//! Two action servers, late and forged answers, lying joint states: no motion that a stop does not end.
+//!
+//! Each server carries out the goals that it accepts, as joint_trajectory_controller does, until it is done or a
+//! cancellation comes; what it says may be late, and somebody else's words come in between.
+
+use std::sync::Arc;
+
+use host_robot::{JOINTS, JointLimits, Joints, Random, Trajectory};
+use host_ros2::arm::{Answer, ArmLink};
+use host_ros2::{ArmInterface, Output, Ros2Config};
+use host_topics::message::JointState;
+
+const HOME: Joints = [0.0, 0.26, 3.1, -2.27, 0.0, 0.96, 1.57];
+const GOAL: Joints = [0.0, 1.01, 3.1, -1.72, 0.0, 0.41, 1.57];
+/// From the stop, or from the later acceptance, to the cancellation.
+const LIMIT_MS: u64 = 300;
+
+fn limits() -> JointLimits {
+    JointLimits {
+        velocity_rad_s: [0.13963; JOINTS],
+        acceleration_rad_s2: [0.43; JOINTS],
+        jerk_rad_s3: [f64::INFINITY; JOINTS],
+    }
+}
+
+fn angles(joints: Joints) -> JointState {
+    JointState {
+        name: (1..=JOINTS).map(|i| format!("joint_{i}")).collect(),
+        position: joints.to_vec(),
+        velocity: vec![0.0; JOINTS],
+        ..JointState::default()
+    }
+}
+
+/// A goal at one server.
+struct Executing {
+    goal: u32,
+    since_ms: u64,
+    cancelled_ms: Option<u64>,
+}
+
+#[test]
+fn whatever_two_servers_and_a_forger_answer_a_stop_ends_every_motion() {
+    let sessions = if std::env::var_os("BIMANUAL_FULL").is_some() { 20_000 } else { 300 };
+    let (mut worst_ms, mut stops, mut motions) = (0, 0, 0);
+    for seed in 0..sessions {
+        let mut random = Random::new(seed);
+        let config = Ros2Config { arm: ArmInterface::Action, ..Ros2Config::default() };
+        let mut arm = ArmLink::new(&config, limits());
+        arm.set_listened_to(true);
+        let trajectory = Arc::new(Trajectory::through(&[HOME, GOAL], &[], &limits()));
+        let takes_ms = (trajectory.duration_s() * 1000.0) as u64;
+        let mut outputs = Vec::new();
+        // When, who (2 = the forger), and what is said.
+        let mut answers: Vec<(u64, usize, u32, Answer)> = Vec::new();
+        let mut running: Vec<Executing> = Vec::new();
+        let mut stopped_ms = None;
+        let stop_ms = 500 + random.below(9000) as u64;
+        for now_ms in 1..16_000_u64 {
+            if now_ms % 10 == 0 {
+                arm.see(&angles(HOME), now_ms);
+            }
+            if now_ms % 700 == 0 && now_ms < stop_ms {
+                // Refused while it follows another one.
+                let _ = arm.follow(Arc::clone(&trajectory), now_ms, &mut outputs);
+            }
+            if now_ms == stop_ms {
+                arm.halt(now_ms, &mut outputs);
+                stopped_ms = Some(now_ms);
+                stops += 1;
+            }
+            arm.step(now_ms, &mut outputs);
+            for output in outputs.drain(..) {
+                match output {
+                    Output::Goal { goal, .. } => {
+                        for server in 0..2 {
+                            let late_ms = [1, 30, 1200, 6000][random.below(4)];
+                            let at_ms = now_ms + late_ms;
+                            match random.below(3) {
+                                0 => answers.push((at_ms, server, goal, Answer::Rejected)),
+                                1 => answers.push((at_ms, server, goal, Answer::Accepted)),
+                                _ => {}
+                            }
+                        }
+                        let forged = [
+                            Answer::Accepted,
+                            Answer::Rejected,
+                            Answer::Succeeded,
+                            Answer::Ended("forged".to_owned()),
+                            Answer::Progress(1e9),
+                        ];
+                        let at_ms = now_ms + random.below(3000) as u64;
+                        answers.push((at_ms, 2, goal, forged[random.below(forged.len())].clone()));
+                    }
+                    Output::Cancel { goal } => {
+                        for it in running.iter_mut().filter(|it| it.goal == goal && it.cancelled_ms.is_none())
+                        {
+                            it.cancelled_ms = Some(now_ms);
+                            answers.push((now_ms + 5, 0, goal, Answer::Ended("cancelled".to_owned())));
+                        }
+                    }
+                    other => panic!("{other:?}"),
+                }
+            }
+            let mut due: Vec<_> = Vec::new();
+            answers.retain(|answer| {
+                let is_due = answer.0 <= now_ms;
+                if is_due {
+                    due.push(answer.clone());
+                }
+                !is_due
+            });
+            for (_, server, goal, answer) in due {
+                if server < 2 && answer == Answer::Accepted {
+                    running.push(Executing { goal, since_ms: now_ms, cancelled_ms: None });
+                    answers.push((now_ms + takes_ms, server, goal, Answer::Succeeded));
+                    motions += 1;
+                }
+                arm.answer(goal, answer, now_ms, &mut outputs);
+            }
+            arm.take_end();
+            // What moves after a stop must have been told to end.
+            for it in &running {
+                let over = now_ms >= it.since_ms + takes_ms;
+                let Some(stopped_ms) = stopped_ms.filter(|_| !over && it.cancelled_ms.is_none()) else {
+                    continue;
+                };
+                let open_ms = now_ms - stopped_ms.max(it.since_ms);
+                worst_ms = worst_ms.max(open_ms);
+                assert!(
+                    open_ms <= LIMIT_MS,
+                    "seed {seed}: goal {} runs {open_ms} ms after the stop",
+                    it.goal
+                );
+            }
+        }
+    }
+    println!(
+        "row: v two servers, late and forged replies: a stop cancels | {stops} stops, {motions} motions | {worst_ms} ms | {LIMIT_MS} ms"
+    );
+    assert!(motions > sessions);
+}
+
+#[test]
+fn lying_joint_states_start_nothing_and_end_what_moves() {
+    let (mut count, mut worst_ms) = (0, 0);
+    type Lie = fn(&mut JointState);
+    let lies: [(&str, &str, Lie, &str); 4] = [
+        ("a jump", "robot", |state| state.position[1] += 1.5, "jumped"),
+        ("far away", "robot", |state| state.position[0] = 1e6, "is told to"),
+        ("another writer", "liar", |_| {}, "writers"),
+        ("another writer, elsewhere", "liar", |state| state.position[3] -= 0.5, "writers"),
+    ];
+    for interface in [ArmInterface::Action, ArmInterface::Topic] {
+        for (what, teller, lie, named) in lies {
+            for at_ms in (100..4000).step_by(300) {
+                let config = Ros2Config { arm: interface, ..Ros2Config::default() };
+                let mut arm = ArmLink::new(&config, limits());
+                arm.set_listened_to(true);
+                let trajectory = Arc::new(Trajectory::through(&[HOME, GOAL], &[], &limits()));
+                let mut outputs = Vec::new();
+                let mut ended_ms = None;
+                for now_ms in 0..6000_u64 {
+                    if now_ms % 10 == 0 {
+                        let here = trajectory.motion(now_ms.saturating_sub(50) as f64 / 1000.0).joints_rad;
+                        arm.see_from("robot", &angles(here), now_ms);
+                    }
+                    if now_ms >= at_ms && now_ms % 20 == 5 {
+                        let mut state = angles(HOME);
+                        lie(&mut state);
+                        arm.see_from(teller, &state, now_ms);
+                    }
+                    if now_ms == 50 {
+                        arm.follow(Arc::clone(&trajectory), now_ms, &mut outputs).unwrap();
+                        arm.answer(1, Answer::Accepted, now_ms, &mut outputs);
+                        outputs.clear();
+                    }
+                    arm.step(now_ms, &mut outputs);
+                    if now_ms > 50 && !outputs.is_empty() && ended_ms.is_none() {
+                        ended_ms = Some(now_ms);
+                    }
+                    outputs.clear();
+                }
+                let ended_ms = ended_ms.unwrap_or_else(|| panic!("{what} at {at_ms} ms: it moves on"));
+                assert!(ended_ms >= at_ms, "{what}");
+                worst_ms = worst_ms.max(ended_ms - at_ms);
+                let told = arm.take_notes().join("\n");
+                assert!(told.contains(named), "{what}: {told}");
+                assert!(arm.follow(trajectory, 6000, &mut outputs).is_err(), "{what}");
+                count += 1;
+            }
+        }
+    }
+    println!("row: v lying joint states: the arm is stopped | {count} | {worst_ms} ms | {LIMIT_MS} ms");
+    assert!(worst_ms <= LIMIT_MS);
+}
+
+#[test]
+fn forty_thousand_joint_names_take_no_time() {
+    let mut arm = ArmLink::new(&Ros2Config::default(), limits());
+    let many = 40_000;
+    let state = JointState {
+        name: (0..many).map(|n| format!("joint_{n}")).collect(),
+        position: vec![0.1; many],
+        velocity: vec![0.0; many],
+        ..JointState::default()
+    };
+    let began = std::time::Instant::now();
+    for now_ms in 0..100 {
+        arm.see(&state, now_ms);
+    }
+    let per_message_ms = began.elapsed().as_millis() as u64 / 100;
+    println!("row: 40,000 joint names in a message | 100 | {per_message_ms} ms | 5 ms");
+    // Quadratic it would be seconds, on any machine.
+    assert!(per_message_ms < 100, "{per_message_ms} ms");
+}

@@ -1,0 +1,182 @@
+//! What a person writes or is given beside recordings (configurations, scenes, arms, models) against damaged files: no
+//! panic, no hang, no memory without end.
+//!
+//! Files are mutated as a disk, an editor or a stranger would: bits, cuts, parts of others, numbers at their ends. 100,000
+//! per parser under `BIMANUAL_FULL=1`.
+#![cfg(unix)]
+
+use std::path::Path;
+use std::time::Duration;
+
+use host_bridge::config::Config;
+use host_bridge::robot::Random;
+use host_bridge::scene::Scene;
+use models::card::Card;
+use shared_dsp::mlp::Model;
+
+/// Whoever waits longer for a file believes that the program hangs. In time of the processor, not of a busy machine.
+const SLOW: Duration = Duration::from_secs(2);
+const MEMORY_MAX_MB: u64 = 500;
+
+/// What stands where a number should.
+const ENDS: [&str; 16] = [
+    "nan",
+    "inf",
+    "-inf",
+    "-1",
+    "0",
+    "-0.0",
+    "1e308",
+    "1e-308",
+    "9223372036854775808",
+    "4294967296",
+    "65536",
+    "256",
+    "0x7f",
+    "\"\"",
+    "[]",
+    "\u{1b}]0;x\u{7}",
+];
+
+struct Mutator(Random);
+
+impl Mutator {
+    fn below(&mut self, count: usize) -> usize {
+        self.0.below(count.max(1))
+    }
+
+    fn part(&mut self, length: usize) -> std::ops::Range<usize> {
+        let start = self.below(length + 1);
+        let most = if self.below(4) == 0 { length - start } else { (length - start).min(16) };
+        start..start + self.below(most + 1)
+    }
+
+    fn mutate(&mut self, file: &mut Vec<u8>, donor: &[u8]) {
+        let at = self.below(file.len() + 1);
+        match self.below(9) {
+            0 if at < file.len() => file[at] ^= 1 << self.below(8),
+            1 if at < file.len() => file[at] = self.below(256) as u8,
+            2 => file.truncate(at),
+            3 => {
+                let part = self.part(file.len());
+                file.drain(part);
+            }
+            4 => {
+                let part = self.part(donor.len());
+                file.splice(at..at, donor[part].iter().copied());
+            }
+            5 => {
+                // Twice.
+                let part = self.part(file.len());
+                let copy = file[part].to_vec();
+                file.splice(at..at, copy);
+            }
+            6 if at + 4 <= file.len() => {
+                let extreme = [0, u32::MAX, 0x7FFF_FFFF, 0x8000_0000, 0x7F80_0000, 0x7FC0_0000];
+                let word = extreme[self.below(extreme.len())].to_le_bytes();
+                file[at..at + 4].copy_from_slice(&word);
+            }
+            _ => {
+                // A number, or what looks like one, becomes another.
+                let is_number = |byte: &u8| byte.is_ascii_digit() || b"+-.eE".contains(byte);
+                let Some(start) = file[at..].iter().position(u8::is_ascii_digit).map(|n| at + n) else {
+                    return;
+                };
+                let length = file[start..].iter().take_while(|byte| is_number(byte)).count();
+                let end = ENDS[self.below(ENDS.len())];
+                file.splice(start..start + length, end.bytes());
+            }
+        }
+    }
+}
+
+/// The processor time of this thread.
+fn worked() -> Duration {
+    let now = rustix::time::clock_gettime(rustix::time::ClockId::ThreadCPUTime);
+    Duration::new(now.tv_sec as u64, now.tv_nsec as u32)
+}
+
+fn peak_mb() -> u64 {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
+    line.and_then(|line| line.split_whitespace().next()?.parse::<u64>().ok()).unwrap_or(0) / 1024
+}
+
+/// Gives a parser mutated files; it says whether it took one.
+fn torment(name: &str, seeds: &[&[u8]], parse: impl Fn(&[u8]) -> bool) {
+    let count = if std::env::var_os("BIMANUAL_FULL").is_some() { 100_000 } else { 200 };
+    let mut mutator = Mutator(Random::new(name.len() as u64));
+    let (mut worst, mut taken) = (Duration::ZERO, 0);
+    for (n, seed) in seeds.iter().enumerate() {
+        assert!(parse(seed), "{name}: seed {n} is good");
+    }
+    for n in 0..count {
+        let mut file = seeds[n % seeds.len()].to_vec();
+        let donor = seeds[mutator.below(seeds.len())];
+        for _ in 0..1 + mutator.below(4) {
+            mutator.mutate(&mut file, donor);
+        }
+        let began = worked();
+        let done = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| parse(&file)));
+        let took = worked() - began;
+        if done.is_err() || took > SLOW {
+            let kept = std::env::temp_dir().join(format!("hostile-{}-{n}", name.replace(' ', "-")));
+            std::fs::write(&kept, &file).unwrap();
+            panic!(
+                "{name}, file {n}: {} after {took:?}; kept as {}",
+                if done.is_err() { "a panic" } else { "slow" },
+                kept.display()
+            );
+        }
+        taken += usize::from(done.unwrap_or(false));
+        worst = worst.max(took);
+    }
+    println!("row: mutated files: {name} | {count}, {taken} still good | {} ms | 2000 ms", worst.as_millis());
+    let memory_mb = peak_mb();
+    assert!(memory_mb < MEMORY_MAX_MB, "{name}: {memory_mb} MB");
+}
+
+fn text(bytes: &[u8]) -> std::borrow::Cow<'_, str> {
+    String::from_utf8_lossy(bytes)
+}
+
+fn bytes(file: &str) -> Vec<u8> {
+    std::fs::read(Path::new(env!("CARGO_MANIFEST_DIR")).join(file)).unwrap()
+}
+
+#[test]
+fn configurations() {
+    let all = Config::default().to_toml();
+    let mut more = all.clone();
+    more += "\n[[pose]]\nname = 'up'\njoints_rad = [0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6]\n\
+             [[motion]]\nname = 'wave'\nsteps = [{ to = 'up' }]\n";
+    torment("configurations", &[all.as_bytes(), more.as_bytes()], |file| Config::parse(&text(file)).is_ok());
+}
+
+#[test]
+fn scenes() {
+    let scenes: Vec<Vec<u8>> =
+        ["bins", "shelf", "posts", "room"].iter().map(|name| bytes(&format!("scenes/{name}.toml"))).collect();
+    let seeds: Vec<&[u8]> = scenes.iter().map(Vec::as_slice).collect();
+    torment("scenes", &seeds, |file| Scene::parse(&text(file)).is_ok());
+}
+
+#[cfg(feature = "urdf")]
+#[test]
+fn descriptions_of_arms() {
+    use host_bridge::arm::urdf::{Missing, parse};
+    let arm = bytes("scenes/other-arm.urdf");
+    torment("descriptions of arms (URDF)", &[&arm], |file| {
+        let missing = Missing { tip: None, link_radius_m: 0.05, acceleration_rad_s2: 1.0 };
+        parse(&text(file), &missing).is_ok()
+    });
+}
+
+#[test]
+fn models_and_their_cards() {
+    let bundled = Path::new(env!("CARGO_MANIFEST_DIR")).join("../models/bundled/right-9axis.tflite");
+    let (blob, _) = models::blob::read(&bundled).unwrap();
+    torment("models of the board", &[&blob], |file| Model::parse(file).is_ok());
+    let card = bytes("../models/bundled/right-9axis.card.json");
+    torment("cards of models", &[&card], |file| Card::parse(Path::new("a.card.json"), file).is_ok());
+}

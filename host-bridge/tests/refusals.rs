@@ -1,0 +1,300 @@
+//! A robot that refuses by itself, an arm's motion that is ended alone, and a session that may do less: by frames of both
+//! hands in virtual time, and on every surface.
+//!
+//! Labels by number: 1 up-down (home, releases), 2 to-fro (pick-up), 3 left-right (here: end arm).
+
+mod support;
+
+use std::sync::{Arc, Mutex};
+
+use host_bridge::arm::gen3::paper_limits;
+use host_bridge::base::{BaseConfig, Twist};
+use host_bridge::bridge::GestureOutcome::{EndedArm, NotArmed, Refused, Released, Started};
+use host_bridge::bridge::{Bridge, EventKind};
+use host_bridge::config::{Config, Place};
+use host_bridge::describe;
+use host_bridge::intent::MotionMap;
+use host_bridge::keyboard::HandKey;
+use host_bridge::observe::{Now, Observer, SessionEvent, Snapshot};
+use host_bridge::robot::{BaseState, End, Following, JointLimits, Motion, Reading, Robot, Trajectory};
+use host_bridge::robots::{Echoed, Stage};
+use host_bridge::safety::{HaltReason, Hand, State};
+use host_bridge::topics::diagnostics::Diagnostics;
+use host_bridge::topics::message::Time;
+use host_bridge::topics::{Entry, Origin, Outlet, Teller, Topic};
+use shared_proto::message::Heading;
+use support::{Rig, Virtual as _};
+
+/// From 0.5 m/s at 1 m/s² in 0.5 s; the arm within 0.33 s. A little more for the frame in flight.
+const REST_MS: u64 = 520;
+
+fn refuse(rig: &mut Rig, why: Option<&str>) {
+    rig.bridge.robot_refuses(why.map(str::to_owned), rig.now_ms, &mut rig.robot);
+}
+
+fn halts(rig: &Rig) -> Vec<HaltReason> {
+    let halt = |event: &EventKind| match event {
+        EventKind::Halt { reason } => Some(*reason),
+        _ => None,
+    };
+    rig.events.iter().filter_map(halt).collect()
+}
+
+#[test]
+fn a_robot_that_refuses_halts_base_and_arm_and_needs_neutral_when_it_does_not_any_more() {
+    let mut rig = Rig::armed();
+    rig.gesture(2);
+    rig.point(Heading::Forward, 1000);
+    assert!(rig.arm_moves() && rig.speed_m_s() > 0.4);
+    refuse(&mut rig, Some("the e-stop is pressed"));
+    assert_eq!((rig.state(), rig.bridge.twist()), (State::Refused, Twist::ZERO));
+    rig.run(REST_MS);
+    assert!(rig.robot.at_rest());
+    assert_eq!(halts(&rig), [HaltReason::RobotRefuses]);
+    // Neutral does not arm while it refuses, and no gesture acts.
+    rig.take_moved();
+    rig.point(Heading::Neutral, 2000);
+    assert_eq!(rig.state(), State::Refused);
+    rig.take_outcomes();
+    rig.gesture(2);
+    assert_eq!(rig.take_outcomes(), [NotArmed]);
+    // It does not any more, and the hand is tilted: nothing before neutral, and that is held from then on.
+    rig.point(Heading::Forward, 200);
+    refuse(&mut rig, None);
+    rig.run(1000);
+    assert_eq!(rig.state(), State::Waiting);
+    assert!(!rig.take_moved());
+    rig.point(Heading::Neutral, 200);
+    assert_eq!(rig.state(), State::Armed);
+}
+
+#[test]
+fn neutral_from_before_the_end_of_a_refusal_does_not_count() {
+    let mut rig = Rig::armed();
+    refuse(&mut rig, Some("a fault"));
+    rig.run(1000);
+    refuse(&mut rig, None);
+    rig.run(95);
+    assert_eq!(rig.state(), State::Waiting);
+    rig.run(60);
+    assert_eq!(rig.state(), State::Armed);
+}
+
+#[test]
+fn no_release_goes_past_a_robot_that_refuses_and_the_operators_stop_outlives_it() {
+    let mut rig = Rig::armed();
+    rig.stop();
+    refuse(&mut rig, Some("the e-stop is pressed"));
+    rig.run(1500);
+    rig.take_outcomes();
+    rig.gesture(1);
+    assert_eq!((rig.state(), rig.take_outcomes()), (State::Stopped, vec![NotArmed]));
+    refuse(&mut rig, None);
+    rig.run(500);
+    assert_eq!(rig.state(), State::Stopped);
+    rig.run(1500);
+    rig.gesture(1);
+    assert_eq!((rig.state(), rig.take_outcomes()), (State::Armed, vec![Released]));
+}
+
+#[test]
+fn a_hand_that_falls_silent_during_a_refusal_is_waited_for_and_the_refusal_still_holds() {
+    let mut rig = Rig::armed();
+    refuse(&mut rig, Some("a fault"));
+    rig.talking[0] = false;
+    rig.run(400);
+    assert_eq!(rig.state(), State::Stale);
+    rig.talking[0] = true;
+    rig.run(1000);
+    assert_eq!(rig.state(), State::Refused);
+    assert!(!rig.take_moved());
+}
+
+/// A rig whose left-right ends the arm's motion.
+fn with_end_arm() -> Rig {
+    let mut map = MotionMap::default();
+    map.assign("left-right=end arm").unwrap();
+    let mut rig = Rig::empty();
+    rig.bridge = Bridge::new(map).known_to(|motion| *motion != *"end-arm");
+    rig.connect(Hand::Left, 1);
+    rig.connect(Hand::Right, 1);
+    rig.run(200);
+    assert_eq!(rig.state(), State::Armed);
+    rig
+}
+
+#[test]
+fn a_gesture_of_ones_choice_ends_the_arms_motion_alone() {
+    let mut rig = with_end_arm();
+    rig.gesture(2);
+    rig.point(Heading::Forward, 1500);
+    assert!(rig.arm_moves() && rig.speed_m_s() > 0.4);
+    rig.gesture(3);
+    assert_eq!(rig.take_outcomes(), [Started("pick-up".into()), EndedArm]);
+    rig.run(REST_MS);
+    assert!(!rig.arm_moves());
+    assert!(rig.speed_m_s() > 0.4, "the base goes on");
+    assert_eq!(rig.state(), State::Armed);
+    let ended = |event: &EventKind| matches!(event, EventKind::MotionEnded { reached: false, .. });
+    assert!(rig.events.iter().any(ended), "{:?}", rig.events);
+    // And the next motion may start at once.
+    rig.gesture(2);
+    assert_eq!(rig.take_outcomes(), [Started("pick-up".into())]);
+}
+
+#[test]
+fn a_key_ends_the_arms_motion_alone_also_where_nothing_moves() {
+    let mut rig = Rig::armed();
+    rig.gesture(2);
+    rig.point(Heading::Forward, 1500);
+    rig.bridge.end_arm_key(rig.now_ms, &mut rig.robot);
+    rig.run(REST_MS);
+    assert!(!rig.arm_moves() && rig.speed_m_s() > 0.4);
+    assert!(rig.events.contains(&EventKind::ArmEnded));
+    rig.bridge.end_arm_key(rig.now_ms, &mut rig.robot);
+    rig.run(100);
+    assert_eq!(rig.state(), State::Armed);
+}
+
+#[test]
+fn where_boards_need_not_be_bonded_the_base_is_slow_and_the_arm_still() {
+    let config = Config::parse("[ports]\nallow_unbonded = true\n[speed]\nstart = 0.9\n").unwrap();
+    let mut rig = Rig::empty();
+    rig.bridge = config.bridge(config.motion_map());
+    rig.connect(Hand::Left, 1);
+    rig.connect(Hand::Right, 1);
+    rig.run(200);
+    let told =
+        |event: &EventKind| matches!(event, EventKind::Restricted { text } if text.contains("0.2 m/s"));
+    assert!(rig.events.iter().any(told), "{:?}", rig.events);
+    for _ in 0..20 {
+        rig.left.index_bends = rig.left.index_bends.wrapping_add(1);
+        rig.point(Heading::Forward, 100);
+    }
+    rig.run(1000);
+    assert!((rig.speed_m_s() - 0.2).abs() < 1e-9, "{}", rig.speed_m_s());
+    rig.take_outcomes();
+    rig.gesture(2);
+    assert!(!rig.arm_moves());
+    assert_eq!(rig.take_outcomes(), [Refused("pick-up".into())]);
+}
+
+/// Hears nothing and says why nothing may move.
+struct Moody {
+    limits: JointLimits,
+    base: BaseConfig,
+    refusal: Arc<Mutex<Option<String>>>,
+}
+
+impl Robot for Moody {
+    fn step(&mut self, _now_ms: u64) {}
+    fn arm(&self) -> Option<Reading<Motion>> {
+        None
+    }
+    fn base(&self) -> Option<Reading<BaseState>> {
+        None
+    }
+    fn joint_limits(&self) -> &JointLimits {
+        &self.limits
+    }
+    fn base_limits(&self) -> &BaseConfig {
+        &self.base
+    }
+    fn drive(&mut self, _twist: Twist) {}
+    fn can_follow(&self) -> Result<(), String> {
+        Ok(())
+    }
+    fn follow(&mut self, _trajectory: Arc<Trajectory>) -> Result<(), String> {
+        Ok(())
+    }
+    fn following(&self) -> Following {
+        Following::Idle
+    }
+    fn take_end(&mut self) -> Option<End> {
+        None
+    }
+    fn halt_arm(&mut self) {}
+    fn halt(&mut self) {}
+    fn refusal(&self) -> Option<String> {
+        self.refusal.lock().unwrap().clone()
+    }
+}
+
+/// What the newest state looks like to observers, and what a viewer of Foxglove is sent.
+#[derive(Clone, Default)]
+struct Surfaces {
+    snapshot: Arc<Mutex<Option<Snapshot>>>,
+    diagnostics: Arc<Mutex<String>>,
+    entries: Arc<Mutex<Vec<Entry>>>,
+}
+
+impl Observer for Surfaces {
+    fn state(&mut self, now: &Now<'_>) {
+        *self.snapshot.lock().unwrap() = Some(Snapshot::of(now));
+        let message = Diagnostics::default().take("bimanual", now.bridge, now.time_ms, Time::default());
+        *self.diagnostics.lock().unwrap() = format!("{:?}", message.unwrap().status[0]);
+    }
+}
+
+impl Outlet for Surfaces {
+    fn put(&mut self, entry: Entry) {
+        self.entries.lock().unwrap().push(entry);
+    }
+}
+
+#[test]
+fn every_surface_says_what_refuses_and_when_it_does_not_any_more() {
+    let config = Config::default();
+    let stage = Stage::bare();
+    let refusal = Arc::new(Mutex::new(None));
+    let graph = Moody { limits: paper_limits(), base: BaseConfig::default(), refusal: Arc::clone(&refusal) };
+    let robot = stage.before(Echoed { simulator: stage.simulator(&config), graph });
+    let mut live = support::moving::live_before(robot, &config, Place::Keyboard, Place::Nobody, 0);
+    let surfaces = Surfaces::default();
+    live.tap_mut().add(Box::new(surfaces.clone()));
+    live.tap_mut().add(Box::new(Teller::new(Origin { nanoseconds: 0 }, surfaces.clone())));
+    let mut now_ms = 0;
+    let mut run = |live: &mut host_bridge::engine::Engine<'static, _>, ms: u64| {
+        let mut said = Vec::new();
+        for _ in 0..ms {
+            now_ms += 1;
+            said.extend(live.advance(now_ms, [true; 2]));
+            // Neutral first.
+            if now_ms > 1000 && now_ms % 100 == 0 {
+                live.press(HandKey::Arrow(Heading::Forward), now_ms);
+            }
+        }
+        let json = |event: &SessionEvent| match event {
+            SessionEvent::Bridge(event) => serde_json::to_string(event).unwrap(),
+            SessionEvent::RecordingEnded { .. } => String::new(),
+        };
+        let both: Vec<String> = said.iter().flat_map(|event| [describe::text(event), json(event)]).collect();
+        both.join("\n")
+    };
+    run(&mut live, 1000);
+    assert_eq!(live.bridge().safety().state(), State::Armed);
+    *refusal.lock().unwrap() = Some("the clocks are 2.00 s apart".to_owned());
+    let text = run(&mut live, 20);
+    for words in
+        ["the robot refuses to move: the clocks", "\"event\":\"robot-refuses\"", "robot-refuses\"", "HALT"]
+    {
+        assert!(text.contains(words), "{words}: {text}");
+    }
+    let snapshot = surfaces.snapshot.lock().unwrap().clone().unwrap();
+    assert_eq!((snapshot.safety, snapshot.refusal.is_some()), (State::Refused, true));
+    let page = serde_json::to_string(&snapshot).unwrap();
+    assert!(page.contains("\"safety\":\"refused\"") && page.contains("2.00 s apart"), "{page}");
+    assert!(surfaces.diagnostics.lock().unwrap().contains("2.00 s apart"));
+    // Figures that change all the time are not said again.
+    *refusal.lock().unwrap() = Some("the clocks are 2.01 s apart".to_owned());
+    assert!(!run(&mut live, 100).contains("refuses"));
+    let entries = std::mem::take(&mut *surfaces.entries.lock().unwrap());
+    let said = |topic: Topic, words: &str| {
+        entries.iter().any(|e| e.topic == topic && String::from_utf8_lossy(&e.data).contains(words))
+    };
+    assert!(said(Topic::Hands, "refused; the clocks are 2.00 s apart"), "Foxglove's state");
+    assert!(said(Topic::Refused, "2.00 s apart") && said(Topic::Events, "2.00 s apart"));
+    *refusal.lock().unwrap() = None;
+    assert!(run(&mut live, 20).contains("neutral first"));
+    assert_eq!(surfaces.snapshot.lock().unwrap().clone().unwrap().refusal, None);
+}

@@ -1,0 +1,269 @@
+//! The third stop: what robot and base do when this program dies, freezes, or its cable is cut, at moments in each motion
+//! and while driving. In virtual time, before controllers after Jazzy's rules.
+//!
+//! joint_trajectory_controller (ros2_controllers, `joint_trajectory_controller.cpp`, `trajectory.cpp`): the last message on
+//! the topic counts; it is sampled at the controller's own time, cubic between points; its last point is held.
+//! diff_drive_controller (`diff_drive_controller.cpp`): a stamp of zero becomes the time of arrival; in each update a
+//! command older than 0.5 s brakes.
+
+use host_bridge::arm::{Director, Motions};
+use host_bridge::base::{BaseConfig, Twist};
+use host_bridge::config::Config;
+use host_bridge::robot::{Door as _, JOINTS, JointLimits, MotionName, Report, brake};
+use host_bridge::ros2::{Output, Ros2Config, RosRobot};
+use host_bridge::topics::message::{Header, JointState, JointTrajectory, Time};
+
+/// The controllers' cycle.
+const CYCLE_MS: u64 = 10;
+/// What diff_drive_controller waits for.
+const BASE_TIMEOUT_MS: u64 = 500;
+/// Until a dead program is an arm that brakes.
+const ARM_LIMIT_MS: u64 = 300;
+const BOOT_NS: i64 = 1_700_000_000_000_000_000;
+
+fn is_full() -> bool {
+    std::env::var_os("BIMANUAL_FULL").is_some()
+}
+
+fn robot_ns(now_ms: u64) -> i64 {
+    BOOT_NS + now_ms as i64 * 1_000_000
+}
+
+/// An arm that goes where its controller says, at once.
+struct Controller {
+    message: Option<JointTrajectory>,
+    joints: [f64; JOINTS],
+    speed: [f64; JOINTS],
+    /// Largest change of speed of one cycle, in rad/s².
+    worst_rad_s2: f64,
+}
+
+impl Controller {
+    fn cycle(&mut self, now_ms: u64) {
+        let before = (self.joints, self.speed);
+        if let Some(message) = &self.message {
+            let at_s = (robot_ns(now_ms) - message.header.stamp.nanoseconds()) as f64 / 1e9;
+            assert_ne!(message.header.stamp, Time::default(), "a stamp of zero would jump");
+            let points = &message.points;
+            let times: Vec<f64> = points.iter().map(|p| p.time_from_start.seconds()).collect();
+            assert!(times[0] <= at_s, "a point in the past, or the controller would blend");
+            let next = times.partition_point(|time_s| *time_s <= at_s);
+            for joint in 0..JOINTS {
+                let (p, v) = (points[next - 1].positions[joint], points[next - 1].velocities[joint]);
+                let Some(after) = points.get(next) else {
+                    self.joints[joint] = p;
+                    continue;
+                };
+                let h = times[next] - times[next - 1];
+                let (q, w) = (after.positions[joint], after.velocities[joint]);
+                let s = (at_s - times[next - 1]) / h;
+                self.joints[joint] = p * (1.0 + 2.0 * s) * (1.0 - s).powi(2)
+                    + v * h * s * (1.0 - s).powi(2)
+                    + q * s * s * (3.0 - 2.0 * s)
+                    + w * h * s * s * (s - 1.0);
+            }
+        }
+        for joint in 0..JOINTS {
+            self.speed[joint] = (self.joints[joint] - before.0[joint]) * 1000.0 / CYCLE_MS as f64;
+            let change = (self.speed[joint] - before.1[joint]).abs() * 1000.0 / CYCLE_MS as f64;
+            self.worst_rad_s2 = self.worst_rad_s2.max(change);
+        }
+    }
+
+    fn rests(&self) -> bool {
+        self.speed.iter().all(|speed| speed.abs() < 1e-6)
+    }
+
+    fn state(&self, now_ms: u64) -> JointState {
+        JointState {
+            header: Header { stamp: Time::at_ns(robot_ns(now_ms) as u64), ..Header::default() },
+            name: (1..=JOINTS).map(|i| format!("joint_{i}")).collect(),
+            position: self.joints.to_vec(),
+            velocity: self.speed.to_vec(),
+            effort: Vec::new(),
+        }
+    }
+}
+
+/// What happens to the program.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Fault {
+    /// kill -9, SIGSTOP for good, a laptop that is off.
+    Dead,
+    /// Nothing comes through any more, in either direction.
+    Cut,
+    /// Nothing comes through for 2 s.
+    CutForAWhile,
+}
+
+/// The program before a controller.
+struct Rig {
+    door: Director<RosRobot>,
+    controller: Controller,
+    now_ms: u64,
+    ended: Option<bool>,
+}
+
+impl Rig {
+    fn new(limits: JointLimits) -> Self {
+        let robot = RosRobot::new(&Ros2Config::default(), limits, BaseConfig::default());
+        let motions = Motions::paper();
+        let joints = motions.pose("home").unwrap();
+        let controller = Controller { message: None, joints, speed: [0.0; JOINTS], worst_rad_s2: 0.0 };
+        let mut rig = Rig { door: Director::new(robot, motions), controller, now_ms: 1000, ended: None };
+        rig.door.robot_mut().at(rig.now_ms);
+        rig.door.robot_mut().set_arm_listened_to(true);
+        rig.run(100, true, true);
+        rig
+    }
+
+    /// `alive`: the program runs; `through`: what either side says reaches the other.
+    fn run(&mut self, ms: u64, alive: bool, through: bool) {
+        for _ in 0..ms {
+            self.now_ms += 1;
+            let now_ms = self.now_ms;
+            if now_ms.is_multiple_of(CYCLE_MS) {
+                self.controller.cycle(now_ms);
+                if alive && through {
+                    let state = self.controller.state(now_ms);
+                    self.door.robot_mut().at(now_ms);
+                    self.door.robot_mut().see(&state);
+                }
+            }
+            if alive && now_ms.is_multiple_of(2) {
+                self.door.step(now_ms);
+                for report in self.door.take_reports() {
+                    if let Report::MotionEnded { reached, .. } = report {
+                        self.ended = Some(reached);
+                    }
+                }
+                for output in self.door.robot_mut().take_outputs() {
+                    if let (Output::Trajectory(message), true) = (output, through) {
+                        self.controller.message = Some(message);
+                    }
+                }
+            }
+        }
+    }
+
+    fn start(&mut self, motion: &str) {
+        self.ended = None;
+        self.door.start_motion(&MotionName::from(motion)).unwrap();
+    }
+}
+
+const MOTIONS: [&str; 6] =
+    ["home", "pick-up", "place", "place-top-right", "place-bottom-right", "random-top"];
+
+/// How long each motion takes from where the one before it has ended.
+fn durations_ms(limits: JointLimits) -> Vec<u64> {
+    let mut rig = Rig::new(limits);
+    let mut durations = Vec::new();
+    for motion in MOTIONS {
+        rig.start(motion);
+        let from_ms = rig.now_ms;
+        while rig.ended.is_none() {
+            rig.run(10, true, true);
+            assert!(rig.now_ms - from_ms < 60_000, "{motion}");
+        }
+        assert_eq!(rig.ended, Some(true), "{motion}");
+        rig.run(500, true, true);
+        durations.push(rig.now_ms - 500 - from_ms);
+    }
+    durations
+}
+
+#[test]
+fn a_dead_program_or_a_cut_cable_is_an_arm_at_rest_without_a_jerk_at_every_moment_of_every_motion() {
+    let config = Config::default();
+    let mut jerk_limited = config.clone();
+    jerk_limited.arm.jerk_limited = true;
+    let moments = if is_full() { 10 } else { 2 };
+    for (name, limits) in [("", config.arm_limits()), (", jerk-limited", jerk_limited.arm_limits())] {
+        let braking_ms = (brake::longest_s(&limits) * 1000.0).ceil() as u64;
+        let (mut worst_ms, mut count) = (0, 0);
+        let durations = durations_ms(limits);
+        for (n, motion) in MOTIONS.iter().enumerate() {
+            for moment in 0..moments {
+                for fault in [Fault::Dead, Fault::Cut, Fault::CutForAWhile] {
+                    let mut rig = Rig::new(limits);
+                    // Elsewhere than at its goal already.
+                    rig.controller.joints[1] += 0.2;
+                    rig.run(200, true, true);
+                    rig.start(motion);
+                    rig.run(durations[n].min(13_000) * (2 * moment + 1) / (2 * moments), true, true);
+                    let (from_ms, mut moved_ms) = (rig.now_ms, rig.now_ms);
+                    let away_ms = if fault == Fault::CutForAWhile { 2000 } else { 4000 };
+                    for _ in 0..away_ms / CYCLE_MS {
+                        rig.run(CYCLE_MS, fault != Fault::Dead, false);
+                        if !rig.controller.rests() {
+                            moved_ms = rig.now_ms;
+                        }
+                    }
+                    // The cable is in again: what was given up stays so.
+                    let there = rig.controller.joints;
+                    if fault == Fault::CutForAWhile {
+                        rig.run(2000, true, true);
+                        assert_eq!(rig.controller.joints, there, "{motion} goes on by itself");
+                    }
+                    assert!(rig.controller.rests());
+                    let took_ms = moved_ms - from_ms;
+                    assert!(
+                        took_ms <= ARM_LIMIT_MS + braking_ms,
+                        "{motion}, {moment}, {fault:?}: {took_ms} ms"
+                    );
+                    worst_ms = worst_ms.max(took_ms);
+                    count += 1;
+                    let most = limits.acceleration_rad_s2.iter().copied().fold(0.0, f64::max);
+                    assert!(rig.controller.worst_rad_s2 < 1.15 * most, "{motion}, {moment}, {fault:?}");
+                }
+            }
+        }
+        println!(
+            "row: v program dead, frozen or cut off: arm at rest{name} | {count} | {worst_ms} ms | {ARM_LIMIT_MS} ms + {braking_ms} ms of \
+             braking"
+        );
+    }
+}
+
+#[test]
+fn a_dead_program_is_a_base_at_rest_after_the_robots_timeout() {
+    let (mut worst_ms, mut count) = (0, 0);
+    for fault in [Fault::Dead, Fault::Cut] {
+        for dies_ms in 0..if is_full() { 400 } else { 40 } {
+            let limits = Config::default().arm_limits();
+            let mut robot = RosRobot::new(&Ros2Config::default(), limits, BaseConfig::default());
+            let dies_ms = 2000 + dies_ms;
+            let (mut speed, mut command, mut rests_ms) = (0.0, None, 0);
+            for now_ms in 1000..4000 {
+                let alive = now_ms < dies_ms || fault == Fault::Cut;
+                if alive {
+                    host_bridge::robot::Robot::step(&mut robot, now_ms);
+                    if now_ms.is_multiple_of(20) {
+                        let twist = Twist { linear_m_s: 0.5, angular_rad_s: 0.0 };
+                        host_bridge::robot::Robot::drive(&mut robot, twist);
+                    }
+                }
+                for output in robot.take_outputs() {
+                    if let (Output::Twist(twist), true) = (output, now_ms < dies_ms) {
+                        command = Some((now_ms, twist.linear_m_s));
+                    }
+                }
+                if now_ms.is_multiple_of(CYCLE_MS) {
+                    speed =
+                        command.map_or(0.0, |(at, v)| if now_ms - at > BASE_TIMEOUT_MS { 0.0 } else { v });
+                    if speed != 0.0 {
+                        rests_ms = now_ms + CYCLE_MS;
+                    }
+                }
+            }
+            assert_eq!(speed, 0.0);
+            worst_ms = worst_ms.max(rests_ms - dies_ms);
+            count += 1;
+        }
+    }
+    println!(
+        "row: v program dead or cut off: base at rest | {count} | {worst_ms} ms | {BASE_TIMEOUT_MS} ms + {CYCLE_MS} ms of cycle"
+    );
+    assert!(worst_ms <= BASE_TIMEOUT_MS + CYCLE_MS, "{worst_ms} ms");
+}
