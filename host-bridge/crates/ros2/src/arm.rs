@@ -31,6 +31,8 @@ const FOLLOW_STEPS: u32 = 10;
 const CANCEL_INTERVAL_MS: u64 = 200;
 /// And given up after this long.
 const CANCEL_PATIENCE_MS: u64 = 5000;
+/// No goal runs for longer than this.
+const STRAY_MS: u64 = 300_000;
 /// A goal that was said to be over too early is cancelled by a stop for so long beyond its planned end.
 const UNSURE_MS: u64 = 5000;
 /// Goals that were given up and not confirmed; more are not remembered.
@@ -109,6 +111,15 @@ impl Run {
     }
 }
 
+/// A goal that nobody wants, and that may run.
+#[derive(Clone, Copy, Debug)]
+struct Stray {
+    goal: u32,
+    cancelled_ms: u64,
+    /// It is over then, whatever anybody says.
+    until_ms: u64,
+}
+
 /// See the module.
 #[derive(Clone, Debug)]
 pub struct ArmLink {
@@ -123,8 +134,8 @@ pub struct ArmLink {
     listened_to: bool,
     run: Option<Run>,
     goals: u32,
-    /// Goals that were given up, yet may run: our number, and when their end was last asked for.
-    strays: Vec<(u32, u64)>,
+    /// Goals that were given up, yet may run: their end is asked for.
+    strays: Vec<Stray>,
     /// Goals that were said to be over before they could be, and until when they might run all the same.
     unsure: Vec<(u32, u64)>,
     doubts: Doubts,
@@ -345,7 +356,7 @@ impl ArmLink {
         for (goal, until_ms) in std::mem::take(&mut self.unsure) {
             if now_ms < until_ms {
                 outputs.push(Output::Cancel { goal });
-                self.stray(goal, now_ms);
+                self.stray(goal, now_ms, until_ms);
             }
         }
         let fresh = self.sample(now_ms);
@@ -382,12 +393,12 @@ impl ArmLink {
             match answer {
                 Answer::Accepted => {
                     // Given up long ago, or rejected by another: nothing that is late may move.
-                    self.stray(goal, now_ms);
+                    self.stray(goal, now_ms, now_ms + STRAY_MS);
                     outputs.push(Output::Cancel { goal });
                     self.notes
                         .push("the arm's controller accepted a goal too late; it is cancelled".to_owned());
                 }
-                Answer::Succeeded | Answer::Ended(_) => self.strays.retain(|(stray, _)| *stray != goal),
+                Answer::Succeeded | Answer::Ended(_) => self.strays.retain(|stray| stray.goal != goal),
                 Answer::Progress(_) | Answer::Rejected => {}
             }
             return;
@@ -426,12 +437,12 @@ impl ArmLink {
     }
 
     /// A goal that may run though nobody wants it: its end is asked for until it is confirmed.
-    fn stray(&mut self, goal: u32, now_ms: u64) {
-        self.strays.retain(|(stray, _)| *stray != goal);
+    fn stray(&mut self, goal: u32, now_ms: u64, until_ms: u64) {
+        self.strays.retain(|stray| stray.goal != goal);
         if self.strays.len() == STRAYS_MAX {
             self.strays.remove(0);
         }
-        self.strays.push((goal, now_ms));
+        self.strays.push(Stray { goal, cancelled_ms: now_ms, until_ms });
     }
 
     fn end(&mut self, reached: bool) {
@@ -443,7 +454,8 @@ impl ArmLink {
     /// Lets the time become `now_ms`.
     pub fn step(&mut self, now_ms: u64, outputs: &mut Vec<Output>) {
         let sample = self.sample(now_ms);
-        for (goal, cancelled_ms) in &mut self.strays {
+        self.strays.retain(|stray| now_ms < stray.until_ms);
+        for Stray { goal, cancelled_ms, .. } in &mut self.strays {
             if now_ms.saturating_sub(*cancelled_ms) >= CANCEL_INTERVAL_MS {
                 *cancelled_ms = now_ms;
                 outputs.push(Output::Cancel { goal: *goal });
@@ -486,7 +498,7 @@ impl ArmLink {
                         .to_owned(),
                 );
                 let goal = run.goal;
-                self.stray(goal, now_ms);
+                self.stray(goal, now_ms, now_ms + STRAY_MS);
                 self.end(false);
             } else if now_ms.saturating_sub(run.cancelled_ms) >= CANCEL_INTERVAL_MS {
                 run.cancelled_ms = now_ms;

@@ -219,7 +219,6 @@ fn serve(stream: TcpStream, place: &Place, shared: &Shared) {
             Some(response) => {
                 use std::io::Write as _;
                 if stream.write_all(&response).is_ok() {
-                    place.heard();
                     viewer::run(stream, rest, place, shared);
                 }
             }

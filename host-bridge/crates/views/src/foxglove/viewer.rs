@@ -24,6 +24,7 @@ const MESSAGE_MAX: usize = 1 << 16;
 /// Serves a viewer until it goes or the session ends. `rest` came behind the request.
 pub fn run(stream: TcpStream, rest: Vec<u8>, place: &Place, shared: &Shared) {
     let _counted = Counted::new(&shared.viewers);
+    place.looks_on();
     if stream.set_read_timeout(Some(TURN)).is_err() {
         return;
     }

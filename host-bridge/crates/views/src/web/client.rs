@@ -54,6 +54,7 @@ pub fn accept_with(head: &httparse::Request<'_, '_>, more: &str) -> Option<Vec<u
 /// Serves a page until it goes, the session ends, or the server closes. `rest` came behind the request.
 pub(super) fn run(stream: TcpStream, rest: Vec<u8>, place: &Place, shared: &Shared) {
     let _counted = Counted::new(&shared.pages);
+    place.looks_on();
     if stream.set_read_timeout(Some(TURN)).is_err() {
         return;
     }

@@ -1,7 +1,7 @@
 //! A port, a thread for whoever comes, and the rules of who may listen where. For the page and for Foxglove.
 //!
-//! There is a place for whoever comes last: where all are taken, the connection that has said nothing for longest goes.
-//! So nobody who holds connections keeps others from the page's stop.
+//! There is a place for whoever comes last: where all are taken, the connection that has said nothing for longest
+//! goes, pages last. So nobody who holds connections keeps others from the page's stop.
 
 use std::io;
 use std::net::{IpAddr, Ipv4Addr, Shutdown, SocketAddr, TcpListener, TcpStream};
@@ -13,6 +13,8 @@ use super::gate::{self, Gate};
 
 /// Connections at a time: a browser opens up to six for the files, each page keeps one.
 pub const CONNECTIONS_MAX: usize = 24;
+/// Where all places are taken, the next one waits for so long.
+const ROOM: Duration = Duration::from_millis(2);
 /// Threads at a time: those whose connection had to go need a moment to end.
 const THREADS_MAX: usize = 4 * CONNECTIONS_MAX;
 
@@ -171,13 +173,20 @@ impl Drop for Server {
 pub struct Place {
     since: Instant,
     heard_ms: AtomicU64,
+    looks_on: AtomicBool,
 }
 
 impl Place {
     fn new(since: Instant) -> Self {
-        let place = Place { since, heard_ms: AtomicU64::new(0) };
+        let place = Place { since, heard_ms: AtomicU64::new(0), looks_on: AtomicBool::new(false) };
         place.heard();
         place
+    }
+
+    /// It is a page (or a viewer) from now on, and goes after all those that are none.
+    pub fn looks_on(&self) {
+        self.looks_on.store(true, Ordering::Relaxed);
+        self.heard();
     }
 
     /// Whoever is at the other end has said something: he keeps his place.
@@ -209,7 +218,10 @@ fn accept<S: Fn(TcpStream, &Place) + Send + Sync + 'static>(
             Ok((stream, _)) => {
                 let Ok(handle) = stream.try_clone() else { continue };
                 let place = Arc::new(Place::new(since));
-                take(&places, Arc::clone(&place), handle);
+                if take(&places, Arc::clone(&place), handle) {
+                    // However many come: each has time to ask.
+                    std::thread::sleep(ROOM);
+                }
                 threads.fetch_add(1, Ordering::SeqCst);
                 let (serve, counted, left) = (serve.clone(), Leaving(threads.clone()), places.clone());
                 let work = move || {
@@ -232,11 +244,17 @@ fn lock(places: &Places) -> MutexGuard<'_, Vec<(Arc<Place>, TcpStream)>> {
     places.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Puts a connection on the list; where that is full, the one that has said nothing for longest is hung up on.
-fn take(places: &Places, place: Arc<Place>, handle: TcpStream) {
+/// Puts a connection on the list; where that is full, one is hung up on: of those that are no page, else of all, the one
+/// that has said nothing for longest. True if one had to go.
+fn take(places: &Places, place: Arc<Place>, handle: TcpStream) -> bool {
     let mut places = lock(places);
-    if places.len() >= CONNECTIONS_MAX {
-        let quietest = (0..places.len()).min_by_key(|at| places[*at].0.heard_ms.load(Ordering::Relaxed));
+    let is_full = places.len() >= CONNECTIONS_MAX;
+    if is_full {
+        let order = |at: &usize| {
+            let place = &places[*at].0;
+            (place.looks_on.load(Ordering::Relaxed), place.heard_ms.load(Ordering::Relaxed))
+        };
+        let quietest = (0..places.len()).min_by_key(order);
         if let Some(at) = quietest {
             let (_, gone) = places.remove(at);
             // Its thread reads the end, and leaves.
@@ -244,6 +262,7 @@ fn take(places: &Places, place: Arc<Place>, handle: TcpStream) {
         }
     }
     places.push((place, handle));
+    is_full
 }
 
 /// A thread that counts itself out, also where it never started or panicked.
