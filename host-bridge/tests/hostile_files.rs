@@ -9,6 +9,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use host_bridge::config::Config;
+use host_bridge::hands::ModelFile;
 use host_bridge::robot::Random;
 use host_bridge::scene::Scene;
 use models::card::Card;
@@ -147,9 +148,9 @@ fn bytes(file: &str) -> Vec<u8> {
 #[test]
 fn configurations() {
     let all = Config::default().to_toml();
-    let mut more = all.clone();
-    more += "\n[[pose]]\nname = 'up'\njoints_rad = [0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6]\n\
-             [[motion]]\nname = 'wave'\nsteps = [{ to = 'up' }]\n";
+    let more = "left_handed = true\n[ros2]\nestop = '/e_stop'\n\
+                [[pose]]\nname = 'up'\njoints_rad = [0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6]\n\
+                [[motion]]\nname = 'wave'\nsteps = [{ to = 'up' }]\n";
     torment("configurations", &[all.as_bytes(), more.as_bytes()], |file| Config::parse(&text(file)).is_ok());
 }
 
@@ -174,9 +175,8 @@ fn descriptions_of_arms() {
 
 #[test]
 fn models_and_their_cards() {
-    let bundled = Path::new(env!("CARGO_MANIFEST_DIR")).join("../models/bundled/right-9axis.tflite");
-    let (blob, _) = models::blob::read(&bundled).unwrap();
-    torment("models of the board", &[&blob], |file| Model::parse(file).is_ok());
-    let card = bytes("../models/bundled/right-9axis.card.json");
+    let model = ModelFile::bundled().unwrap();
+    torment("models of the board", &[model.blob()], |file| Model::parse(file).is_ok());
+    let card = bytes("../models/bundled/right-aligned.card.json");
     torment("cards of models", &[&card], |file| Card::parse(Path::new("a.card.json"), file).is_ok());
 }
