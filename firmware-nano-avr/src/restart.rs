@@ -155,7 +155,9 @@ fn WDT() {
     }
     leave(MARK_WATCHDOG);
     // The next time-out resets.
-    loop {}
+    loop {
+        core::hint::spin_loop();
+    }
 }
 
 #[panic_handler]

@@ -84,7 +84,7 @@ pub async fn run(mut bus: SensorBus) -> ! {
         let _ = SAMPLES.try_send(Taken::Gap);
         if bus.clear().await {
             state::report(FaultKind::BusStuck, attempt);
-        } else if attempt >= TOLD_FROM && (attempt - TOLD_FROM) % 4 == 0 {
+        } else if attempt >= TOLD_FROM && (attempt - TOLD_FROM).is_multiple_of(4) {
             say(why);
         }
         // At once after the first failure, so that a hiccup costs little.

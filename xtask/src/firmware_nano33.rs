@@ -83,7 +83,18 @@ fn build(name: &str, options: &[&str]) -> Result<PathBuf> {
     Ok(image)
 }
 
-/// Clippy of all variants, and the drivers' own tests, which run on a laptop.
+/// The drivers' own tests, which run on a laptop.
+///
+/// # Errors
+/// What is not as it should be.
+pub fn test_drivers() -> Result<()> {
+    let host = output(Command::new("rustc").args(["--print", "host-tuple"]))?;
+    let mut tests = Command::new("cargo");
+    tests.args(["test", "--locked", "--target", host.trim()]);
+    sh(tests.current_dir(root().join("firmware-nano33/sensor")).env("CARGO_TARGET_DIR", target_dir()))
+}
+
+/// Clippy of all variants.
 ///
 /// # Errors
 /// What is not as it should be.
@@ -94,10 +105,7 @@ pub fn check() -> Result<()> {
         clippy.args(["--release", "--locked", "--workspace"]).args(options).args(["--", "-D", "warnings"]);
         sh(clippy.current_dir(&folder).env("CARGO_TARGET_DIR", target_dir()))?;
     }
-    let host = output(Command::new("rustc").args(["--print", "host-tuple"]))?;
-    let mut tests = Command::new("cargo");
-    tests.args(["test", "--locked", "--target", host.trim()]).current_dir(folder.join("sensor"));
-    sh(tests.env("CARGO_TARGET_DIR", target_dir()))
+    Ok(())
 }
 
 /// Where the image of a variant lies once it is built.

@@ -38,7 +38,6 @@ impl Kind {
 
 /// The sensor that is there.
 #[derive(Debug)]
-#[expect(clippy::large_enum_variant, reason = "one per board, and no heap to put it on")]
 pub enum Found<I> {
     /// As its kind says.
     Lsm9ds1(Lsm9ds1<I>),
