@@ -1,5 +1,7 @@
 //! `host-bridge run`: the boards on their ports (or keys in their place) steer the simulated robot.
 
+mod lines;
+
 use std::io::{IsTerminal as _, Write as _};
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -26,8 +28,9 @@ use host_bridge::safety::Hand;
 use host_bridge::source::Source;
 use host_bridge::view::{Scene, View};
 use host_bridge::web::Web;
-use serde::Serialize;
 use shared_proto::message::Heading;
+
+use lines::{EndLine, LinkLine, PageLine};
 
 use super::keep::{KeepArgs, Keeper, Start, origin};
 use super::ports::{check_name, read_config, settings};
@@ -96,34 +99,6 @@ pub struct Args {
     web: WebArgs,
     #[command(flatten)]
     keep: KeepArgs,
-}
-
-#[derive(Serialize)]
-struct LinkLine<'a> {
-    time_ms: u64,
-    event: &'static str,
-    hand: Hand,
-    open: bool,
-    text: &'a str,
-}
-
-#[derive(Serialize)]
-struct PageLine<'a> {
-    time_ms: u64,
-    event: &'static str,
-    url: &'a str,
-}
-
-#[derive(Serialize)]
-struct EndLine {
-    time_ms: u64,
-    event: &'static str,
-    odometry: host_bridge::base::Odometry,
-    frames: [host_bridge::link::LinkCounters; 2],
-    round_trip_ms: [Option<u64>; 2],
-    events_not_printed: u64,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    ros2: Option<Counts>,
 }
 
 /// Runs until somebody quits or the time is over.

@@ -21,13 +21,23 @@ pub fn signal(events: &[BridgeEvent]) -> Option<Signal> {
 
 fn of(event: &BridgeEvent) -> Option<Signal> {
     Some(match &event.kind {
-        EventKind::Halt { reason: HaltReason::OperatorStop } => Signal::Stopped,
-        EventKind::Halt { reason: HaltReason::Silence(_) | HaltReason::Unanswered(_) } => Signal::LinkLost,
-        EventKind::Halt { reason: HaltReason::Unhealthy(_) | HaltReason::Restart(_) } => Signal::Stopped,
-        EventKind::Gesture { outcome: GestureOutcome::Started(_) | GestureOutcome::Released, .. } => {
-            Signal::Accepted
-        }
-        EventKind::Gesture { .. } => Signal::Refused,
+        EventKind::Halt { reason } => match reason {
+            HaltReason::Silence(_) | HaltReason::Unanswered(_) => Signal::LinkLost,
+            HaltReason::OperatorStop
+            | HaltReason::Unhealthy(_)
+            | HaltReason::Restart(_)
+            | HaltReason::RobotRefuses => Signal::Stopped,
+        },
+        EventKind::Gesture { outcome, .. } => match outcome {
+            GestureOutcome::Started(_) | GestureOutcome::EndedArm | GestureOutcome::Released => {
+                Signal::Accepted
+            }
+            GestureOutcome::Busy(_)
+            | GestureOutcome::Refused(_)
+            | GestureOutcome::NoMotion
+            | GestureOutcome::Late
+            | GestureOutcome::NotArmed => Signal::Refused,
+        },
         EventKind::HandStarted { .. } => Signal::Ready,
         _ => return None,
     })
@@ -60,6 +70,7 @@ mod tests {
         for (outcome, wanted) in [
             (GestureOutcome::Started(motion()), Signal::Accepted),
             (GestureOutcome::Released, Signal::Accepted),
+            (GestureOutcome::EndedArm, Signal::Accepted),
             (GestureOutcome::Busy(motion()), Signal::Refused),
             (GestureOutcome::Refused(motion()), Signal::Refused),
             (GestureOutcome::NoMotion, Signal::Refused),
@@ -79,6 +90,7 @@ mod tests {
             (HaltReason::Unanswered(Hand::Right), Signal::LinkLost),
             (HaltReason::Unhealthy(Hand::Left), Signal::Stopped),
             (HaltReason::Restart(Hand::Left), Signal::Stopped),
+            (HaltReason::RobotRefuses, Signal::Stopped),
         ] {
             let events = vec![halt(reason), gesture(GestureOutcome::NotArmed)];
             assert_eq!(felt(events), Some(wanted), "{reason:?}");
