@@ -247,11 +247,14 @@ impl World {
     }
 
     fn program(&mut self) {
-        let was_armed = self.bridge.safety().state() == State::Armed;
         while self.line.front().is_some_and(|it| it.due_ms <= self.now_ms) {
             let Some(OnItsWay { bytes, state, .. }) = self.line.pop_front() else { break };
+            let was_armed = self.is_armed();
+            let whole = self.bridge.link(Hand::Left).counters().frames;
             self.bridge.receive(Hand::Left, &bytes, self.now_ms, &mut self.wheels);
-            if let Some((sampled_ms, heading)) = state {
+            // Noise before it may have taken it away.
+            let came_through = self.bridge.link(Hand::Left).counters().frames > whole;
+            if let Some((sampled_ms, heading)) = state.filter(|_| came_through) {
                 // What was overtaken says nothing.
                 if sampled_ms >= self.newest_ms {
                     self.newest_ms = sampled_ms;
@@ -263,7 +266,10 @@ impl World {
                 }
                 self.seen_ms[place(heading)] = self.seen_ms[place(heading)].max(sampled_ms);
             }
+            // Each frame by itself: the next may take neutral back.
+            self.judge_arming(was_armed);
         }
+        let was_armed = self.is_armed();
         self.bridge.step(self.now_ms, &mut self.wheels);
         let hello = self.bridge.poll(Hand::Left, self.now_ms).is_some();
         if hello && !self.chance(5) {
@@ -275,19 +281,27 @@ impl World {
             self.pings.push_back((self.now_ms + back_ms, id));
         }
         self.bridge.take_events();
-        self.judge(was_armed);
+        self.judge_arming(was_armed);
+        self.judge_command();
     }
 
-    fn judge(&mut self, was_armed: bool) {
-        let is_armed = self.bridge.safety().state() == State::Armed;
+    fn is_armed(&self) -> bool {
+        self.bridge.safety().state() == State::Armed
+    }
+
+    /// At the end of each turn.
+    fn judge_command(&mut self) {
         if let Some(heading) = asked(self.wheels.twist) {
             self.commands += 1;
-            assert!(is_armed, "moves unarmed at {}", self.now_ms);
+            assert!(self.is_armed(), "moves unarmed at {}", self.now_ms);
             let age_ms = self.now_ms - self.seen_ms[heading];
             self.oldest_ms = self.oldest_ms.max(age_ms);
             assert!(age_ms <= STALE_MS + TURN_MS, "{age_ms} ms old, at {}", self.now_ms);
         }
-        if is_armed && !was_armed {
+    }
+
+    fn judge_arming(&mut self, was_armed: bool) {
+        if self.is_armed() && !was_armed {
             self.armed += 1;
             let span_ms =
                 self.neutral.last().zip(self.neutral.first()).map_or(0, |(last, first)| last - first);
