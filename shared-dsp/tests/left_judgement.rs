@@ -112,6 +112,7 @@ fn commands(
         }
     }
     println!("{what}: {WEARERS} wearers, {samples} samples, {commands} with a command");
+    println!("row: {what}: samples with a command | {WEARERS} wearers, {samples} samples | {commands} | 0");
     commands
 }
 

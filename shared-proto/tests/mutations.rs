@@ -190,6 +190,7 @@ fn damaged_streams_yield_exactly_the_frames_left_whole() {
     }
     let Tally { sent, whole, damaged } = tally;
     println!("{sent} frames drawn, {whole} left whole and all accepted, {damaged} damaged and all dropped");
+    println!("row: damaged frames taken | {streams} streams, {damaged} damaged frames | 0 | 0");
     // Otherwise the run would have tested little.
     assert!(whole > streams && damaged > streams / 2);
 }

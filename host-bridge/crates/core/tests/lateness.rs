@@ -220,6 +220,10 @@ fn no_command_older_than_250_ms_acts_on_links_that_step_and_drift() {
             street.drive(60);
             let oldest = street.oldest_ms;
             println!("{name}, {drift_ppm} ppm: driven {} ms, oldest {oldest} ms", street.driven_ms);
+            println!(
+                "row: age of what acts, {name}, {drift_ppm} ppm | {} ms driven | {oldest} ms | {STALE_MS} ms",
+                street.driven_ms
+            );
             assert!(oldest <= STALE_MS, "{name}, {drift_ppm} ppm: {oldest} ms");
             assert!(street.driven_ms > 0, "{name}: the good times are used");
         }
