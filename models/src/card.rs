@@ -92,7 +92,7 @@ pub struct Data {
     pub recordings: usize,
     /// Their total length.
     pub minutes: f64,
-    /// Recordings shorter than a window, which were padded (forward, then backward, and so on).
+    /// Recordings shorter than a window, which were padded, going on as they went a period before.
     pub padded: usize,
     /// Recordings that were resampled to `rate_hz`.
     pub resampled: usize,

@@ -10,6 +10,7 @@ use std::path::{Path, PathBuf};
 
 use crate::labels;
 use crate::recording::{Recording, RecordingError};
+use crate::sheet::Reading;
 
 /// One recording with what its path says.
 #[derive(Clone, Debug)]
@@ -112,6 +113,8 @@ impl Dataset {
     ) -> Result<Self, DatasetError> {
         let mut items = Vec::new();
         let mut ignored = Vec::new();
+        let mut doubts: Vec<(String, RecordingError)> = Vec::new();
+        let in_degrees = Reading { units: "deg/s".parse().unwrap_or_default(), ..Reading::default() };
         for entry in list(folder)? {
             if !entry.is_dir() {
                 ignored.push(entry);
@@ -132,7 +135,17 @@ impl Dataset {
                 if !wanted(&labels::canonical(&folder_name), person) {
                     continue;
                 }
-                let recording = Recording::read(&file)?;
+                // A hand may move without turning in one recording, hardly in all of somebody's: then the unit is another.
+                let recording = match Recording::read(&file) {
+                    Err(error) => match Recording::read_as(&file, &in_degrees) {
+                        Ok(recording) => {
+                            doubts.push((person.to_owned(), error));
+                            recording
+                        }
+                        Err(_) => return Err(error.into()),
+                    },
+                    Ok(recording) => recording,
+                };
                 if let Some(wanted) = axes
                     && recording.axes() < wanted
                 {
@@ -146,6 +159,11 @@ impl Dataset {
                     file,
                 });
             }
+        }
+        let of = |person: &str| items.iter().filter(|item| item.person == person).count();
+        let doubted = |person: &str| doubts.iter().filter(|(name, _)| name == person).count();
+        if let Some(place) = doubts.iter().position(|(person, _)| 2 * doubted(person) > of(person)) {
+            return Err(doubts.swap_remove(place).1.into());
         }
         let Some(common) = items.iter().map(|item| item.recording.axes()).min() else {
             return Err(DatasetError::Empty { folder: folder.to_owned() });
@@ -248,6 +266,24 @@ mod tests {
         let text = Dataset::read(data.path(), Some(6)).unwrap_err().to_string();
         assert!(text.contains("a/p__1.csv: 3 axes, but 6 are wanted"), "{text}");
         assert!(text.contains("models train --axes 3"), "{text}");
+    }
+
+    #[test]
+    fn a_hand_that_moves_without_turning_is_doubted_only_if_it_never_turns() {
+        let rows = |turn: f64| {
+            let row = |n: u32| {
+                let angle = f64::from(n) * 0.12;
+                format!("{},{:.3},0,9.8,{:.3},0,0\n", 10 * n, 5.0 * angle.sin(), turn * angle.cos())
+            };
+            format!("timestamp,accX,accY,accZ,gyrX,gyrY,gyrZ\n{}", (0..200).map(row).collect::<String>())
+        };
+        let (stiff, loose) = (rows(2.0), rows(80.0));
+        let data = folder(&[("a/p__1.csv", &stiff), ("a/p__2.csv", &loose)]);
+        let set = Dataset::read(data.path(), None).unwrap();
+        assert!((set.items[0].recording.samples().next().unwrap()[3] - 2.0).abs() < 1e-3, "deg/s");
+        let data = folder(&[("a/p__1.csv", &stiff), ("a/p__2.csv", &stiff), ("a/q__1.csv", &loose)]);
+        let text = Dataset::read(data.path(), None).unwrap_err().to_string();
+        assert!(text.contains("p__1.csv") && text.contains("rad/s"), "{text}");
     }
 
     #[test]

@@ -9,9 +9,13 @@
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
+use shared_dsp::aligned::{AlignedWindow, Movement};
 use shared_dsp::decision::{DecisionConfig, is_rest};
-use shared_dsp::mlp::Model;
+use shared_dsp::mlp::{MAX_LABELS, Model};
+use shared_dsp::movement::{MovementConfig, MovementDecision};
+use shared_dsp::recipe::Recipe;
 use shared_dsp::right::{ModelMismatch, RightHand};
+use shared_dsp::slow::SlowWindow;
 
 use crate::RATE_HZ;
 use crate::dataset::Item;
@@ -290,6 +294,66 @@ pub fn play(model: Model<'_>, stream: &Stream) -> Result<Vec<(usize, usize)>, Mo
         6 => run::<6>(model, &stream.values),
         _ => run::<9>(model, &stream.values),
     }
+}
+
+/// What a model of recipe `aligned` says of a hop, before anything is decided.
+#[derive(Clone, Debug)]
+pub struct Heard {
+    /// The hop's last sample.
+    at: usize,
+    scores: [i8; MAX_LABELS],
+    slow: Option<[i8; MAX_LABELS]>,
+    movement: Movement,
+}
+
+/// Everything that a model of recipe `aligned` says of a stream, so that several decisions can be tried on it.
+///
+/// # Errors
+/// If the model is for other samples.
+pub fn listen(model: Model<'_>, stream: &Stream) -> Result<Vec<Heard>, ModelMismatch> {
+    fn run<const A: usize>(model: Model<'_>, values: &[f32]) -> Result<Vec<Heard>, ModelMismatch> {
+        let info = model.info();
+        if info.recipe != Recipe::Aligned || !info.recipe.runs_on(info.axes, A) {
+            return Err(ModelMismatch::Axes { model: info.axes, hand: A });
+        }
+        let (mut window, mut slow) = (AlignedWindow::<A>::new(), SlowWindow::<A>::new());
+        let classify = |features: &[f32]| {
+            let mut scores = [i8::MIN; MAX_LABELS];
+            // The number of features is the model's.
+            let _ = model.classify_features(features, &mut scores[..info.label_count]);
+            scores
+        };
+        let mut all = Vec::new();
+        for (at, sample) in values.as_chunks::<A>().0.iter().enumerate() {
+            slow.push(sample);
+            if window.push(sample) {
+                let slow = slow.new_features().map(classify);
+                all.push(Heard {
+                    at,
+                    scores: classify(window.features()),
+                    slow,
+                    movement: window.movement(),
+                });
+            }
+        }
+        Ok(all)
+    }
+    match stream.axes {
+        3 => run::<3>(model, &stream.values),
+        6 => run::<6>(model, &stream.values),
+        _ => run::<9>(model, &stream.values),
+    }
+}
+
+/// Events, (sample, label), that a decision makes of what has been heard.
+pub fn decide(heard: &[Heard], labels: &[String], config: MovementConfig) -> Vec<(usize, usize)> {
+    let mut decision = MovementDecision::new(labels.iter().map(String::as_str), config);
+    let step = |hop: &Heard| {
+        let slow = hop.slow.as_ref().map(|scores| &scores[..labels.len()]);
+        let event = decision.step(&hop.scores[..labels.len()], slow, hop.movement)?;
+        Some((hop.at, usize::from(event.label)))
+    };
+    heard.iter().filter_map(step).collect()
 }
 
 #[cfg(test)]

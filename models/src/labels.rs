@@ -99,6 +99,41 @@ pub fn canonical(name: &str) -> String {
     }
 }
 
+/// Words that say which way, and their opposites. The longer one first where one holds the other.
+const OPPOSITES: [(&str, &str); 9] = [
+    ("counter-clockwise", "clockwise"),
+    ("counterclockwise", "clockwise"),
+    ("anti-clockwise", "clockwise"),
+    ("anticlockwise", "clockwise"),
+    ("ccw", "cw"),
+    ("left", "right"),
+    ("up", "down"),
+    ("forward", "backward"),
+    ("push", "pull"),
+];
+
+/// Pairs of labels that name a movement and the same one the other way, by their words: a recipe whose features are the same
+/// for a movement and its mirror image can tell them apart by habit only.
+///
+/// ```
+/// let labels = ["swipe-left", "swipe-right", "left-right", "circle"].map(String::from);
+/// assert_eq!(models::labels::mirrored(&labels), [("swipe-left", "swipe-right")]);
+/// ```
+pub fn mirrored(labels: &[String]) -> Vec<(&str, &str)> {
+    let mut pairs = Vec::new();
+    for (at, one) in labels.iter().enumerate() {
+        for other in &labels[at + 1..] {
+            let is_turned = |a: &str, b: &str| {
+                OPPOSITES.iter().any(|(first, second)| a.contains(first) && a.replace(first, second) == b)
+            };
+            if is_turned(one, other) || is_turned(other, one) {
+                pairs.push((one.as_str(), other.as_str()));
+            }
+        }
+    }
+    pairs
+}
+
 /// Sorts labels as a network's outputs: the paper's labels first in its order, then the rest by name.
 pub fn sort(labels: &mut [String]) {
     labels.sort_by_key(|label| {
@@ -143,6 +178,21 @@ mod tests {
         for (alias, label) in ALIASES {
             assert_eq!(squash(alias), alias);
             assert!(PAPER.contains(&label));
+        }
+    }
+
+    #[test]
+    fn labels_that_differ_by_the_way_alone_are_found() {
+        let names = |list: &str| list.split(',').map(canonical).collect::<Vec<_>>();
+        for (list, pairs) in [
+            ("circle-cw,circle-ccw,idle", vec![("circle-cw", "circle-ccw")]),
+            ("clockwise,Counter Clockwise", vec![("clockwise", "counter-clockwise")]),
+            ("swipe_up,swipe_down,swipe_left", vec![("swipe-up", "swipe-down")]),
+            ("push,pull,wave", vec![("push", "pull")]),
+            // The paper's: each goes both ways.
+            ("idle,up-down,to-fro,left-right,rectangle,rectangle-flat,circle,other", vec![]),
+        ] {
+            assert_eq!(mirrored(&names(list)), pairs, "{list}");
         }
     }
 

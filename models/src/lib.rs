@@ -11,6 +11,8 @@
 pub mod blob;
 pub mod bundled;
 pub mod card;
+#[cfg(feature = "train")]
+pub mod daily;
 pub mod dataset;
 #[cfg(feature = "train")]
 pub mod edge_impulse;
@@ -28,6 +30,8 @@ pub mod sheet;
 #[cfg(feature = "train")]
 pub mod study;
 pub mod synth;
+#[cfg(feature = "train")]
+pub mod tempo;
 pub mod tflite;
 #[cfg(feature = "train")]
 pub mod train;

@@ -11,11 +11,13 @@ use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use shared_dsp::decision::is_rest;
 use shared_dsp::mlp::Model;
+use shared_dsp::movement::MovementConfig;
 use shared_dsp::right::ModelMismatch;
 
 use crate::card::Scores;
+use crate::daily::Daily;
 use crate::dataset::{Dataset, DatasetError, Item};
-use crate::events::{Stream, Tally, play};
+use crate::events::{Stream, Tally, decide, listen, play};
 use crate::recording::Recording;
 use crate::score::{Classifier, Given, given, scored, summary};
 use crate::synth::{Take, Wearer, session, takes};
@@ -129,6 +131,11 @@ impl Trial<'_> {
         Job { name: "trial".to_owned(), about: String::new(), seed, excluded: Vec::new(), progress: false }
     }
 
+    /// Axes that are used.
+    pub fn axes(&self) -> Result<usize, TrialError> {
+        Ok(self.read_with_rest(self.axes, |_| true)?.axes)
+    }
+
     fn uses(&self, label: &str) -> bool {
         self.labels.is_empty() || self.labels.iter().any(|used| used == label)
     }
@@ -149,7 +156,7 @@ impl Trial<'_> {
     }
 
     /// What a model makes of recordings of the labels tried; it answers with one of these.
-    fn grade(&self, model: &Trained, recordings: &Dataset) -> Result<Graded, TrialError> {
+    pub fn grade(&self, model: &Trained, recordings: &Dataset) -> Result<Graded, TrialError> {
         let mut answers = model.card.answers();
         answers.iter_mut().zip(&model.card.labels).for_each(|(answer, label)| *answer &= self.uses(label));
         graded(model, recordings, &answers)
@@ -187,31 +194,43 @@ impl Trial<'_> {
 
     /// Events of a model that has never met `person`: of all their recordings, those of no gesture too whatever labels
     /// are tried, joined into a stream, and of simulated wearers of the `crowd` who make no gesture for `aimless_s`
-    /// seconds.
+    /// seconds; both for each [`MovementConfig::max_rest`].
     pub fn events(
         &self,
         person: &str,
         aimless_s: f64,
         seed: u64,
         crowd: u64,
-    ) -> Result<(Tally, Tally), TrialError> {
+        max_rest: &[u8],
+    ) -> Result<Vec<(Tally, Tally)>, TrialError> {
         let model = self.without(person, seed)?;
         let theirs = self.read_with_rest(Some(model.card.axes), |name| name == person)?;
         let blob = model.blob()?;
         let network = Model::parse(&blob)?;
         let (axes, labels) = (model.card.axes, &model.card.labels);
-        let mut real = Tally::default();
-        let stream = Stream::joined(&theirs.items.iter().collect::<Vec<_>>(), axes, seed);
-        real.count(&stream, &play(network, &stream)?, labels);
-        let mut simulated = Tally::default();
+        let count = |stream: &Stream, tallies: &mut [Tally]| -> Result<(), TrialError> {
+            if model.card.features != "aligned" {
+                let events = play(network, stream)?;
+                tallies.iter_mut().for_each(|tally| tally.count(stream, &events, labels));
+                return Ok(());
+            }
+            let heard = listen(network, stream)?;
+            for (tally, &max_rest) in tallies.iter_mut().zip(max_rest) {
+                let config = MovementConfig { max_rest, ..MovementConfig::for_axes(axes) };
+                tally.count(stream, &decide(&heard, labels, config), labels);
+            }
+            Ok(())
+        };
+        let mut real = vec![Tally::default(); max_rest.len()];
+        count(&Stream::joined(&theirs.items.iter().collect::<Vec<_>>(), axes, seed), &mut real)?;
+        let mut simulated = vec![Tally::default(); max_rest.len()];
         // Ten minutes of each wearer.
         const EACH_S: f64 = 600.0;
         for index in 0..(aimless_s / EACH_S).ceil() as u32 {
             let left_s = aimless_s - f64::from(index) * EACH_S;
-            let stream = Stream::aimless(crowd, index + 1, left_s.min(EACH_S)).with_axes(axes);
-            simulated.count(&stream, &play(network, &stream)?, labels);
+            count(&Stream::aimless(crowd, index + 1, left_s.min(EACH_S)).with_axes(axes), &mut simulated)?;
         }
-        Ok((real, simulated))
+        Ok(real.into_iter().zip(simulated).collect())
     }
 
     /// How a model does that knows four fifths of the others' recordings and is shown `counts` examples of 2 s per
@@ -247,7 +266,9 @@ impl Trial<'_> {
             let set: Vec<_> =
                 shown.iter().flat_map(|of_label| of_label.iter().take(examples).cloned()).collect();
             let adapted = match &model.memory {
-                Some(memory) if !set.is_empty() => Some(adapt(&model, memory, &set, person, seed)?),
+                Some(memory) if !set.is_empty() => {
+                    Some(adapt(&model, memory, &set, person, &self.recipe.daily, seed)?)
+                }
                 _ => None,
             };
             let model = adapted.as_ref().unwrap_or(&model);
@@ -268,7 +289,7 @@ pub fn from_simulated(
 ) -> Result<Graded, TrialError> {
     let simulated = simulated(wearers, labels, real.axes, seed);
     // What they do without a gesture is shown as `idle`.
-    let recipe = Recipe { bystanders: 0, performers: 0, ..recipe.clone() };
+    let recipe = Recipe { bystanders: 0, performers: 0, daily: Daily::None, ..recipe.clone() };
     let model = train(&simulated, &[], &recipe, &Trial::job(seed))?;
     grade(&model, real)
 }

@@ -4,6 +4,7 @@
 use std::collections::BTreeMap;
 
 use rayon::prelude::*;
+use shared_dsp::movement::MovementConfig;
 
 use crate::events::Tally;
 use crate::people::{Accuracy, Graded, Shown, Trial, TrialError};
@@ -163,6 +164,9 @@ pub struct Events {
     pub real: Vec<Tally>,
     /// Simulated wearers who make no gesture, for all models together.
     pub simulated: Tally,
+    /// What other thresholds would have made of everybody: how probable rest may be, in 256ths, all people and the
+    /// simulated wearers.
+    pub trade: Vec<(u8, Tally, Tally)>,
 }
 
 impl Events {
@@ -173,21 +177,33 @@ impl Events {
         people: &[String],
         seeds: u64,
         aimless_s: f64,
+        max_rest: &[u8],
         done: impl Fn(&str) + Sync,
     ) -> Result<Self, TrialError> {
-        let mut all = Self { people: people.to_vec(), real: Vec::new(), simulated: Tally::default() };
+        let trade = max_rest.iter().map(|&max_rest| (max_rest, Tally::default(), Tally::default())).collect();
+        let mut all = Self { people: people.to_vec(), real: Vec::new(), simulated: Tally::default(), trade };
+        let axes = trial.axes()?;
+        // First what a board decides by.
+        let tried: Vec<u8> = std::iter::once(MovementConfig::for_axes(axes).max_rest)
+            .chain(max_rest.iter().copied())
+            .collect();
         for (index, person) in people.iter().enumerate() {
             let each_s = |seed: u64| if seed == 1 { aimless_s / people.len() as f64 } else { 0.0 };
             // Other simulated wearers for every model.
             let crowd = 1000 * (1 + index as u64);
             let runs: Vec<_> = (1..=seeds)
                 .into_par_iter()
-                .map(|seed| trial.events(person, each_s(seed), seed, crowd + seed))
+                .map(|seed| trial.events(person, each_s(seed), seed, crowd + seed, &tried))
                 .collect::<Result<_, _>>()?;
             let mut real = Tally::default();
-            for (of_person, of_simulated) in &runs {
+            for run in &runs {
+                let Some(((of_person, of_simulated), others)) = run.split_first() else { continue };
                 real.add(of_person);
                 all.simulated.add(of_simulated);
+                for ((_, people, simulated), (of_person, of_simulated)) in all.trade.iter_mut().zip(others) {
+                    people.add(of_person);
+                    simulated.add(of_simulated);
+                }
             }
             all.real.push(real);
             done(&format!("{person}, never met"));

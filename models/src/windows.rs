@@ -18,26 +18,74 @@ pub struct Prepared {
 
 /// A recording at the models' rate and at least one window long.
 ///
-/// A shorter one is padded by playing it forward, then backward, then forward again, and so on,
-/// until the window is full: the motion goes on without a jump.
+/// A shorter one goes on as it went on a period before, until the window is full; the period is where its end resembles
+/// most what went before. (Played backward, a circle would turn the other way.)
 pub fn prepare(recording: &Recording) -> (Recording, Prepared) {
     let at_rate = recording.resampled();
     let resampled = at_rate.len() != recording.len() || !at_rate.samples().eq(recording.samples());
     let padded = at_rate.len() < WINDOW;
-    let ready = if padded { mirrored(&at_rate) } else { at_rate };
+    let ready = if padded { continued(&at_rate) } else { at_rate };
     (ready, Prepared { padded, resampled })
 }
 
-fn mirrored(recording: &Recording) -> Recording {
-    let rows: Vec<&[f32]> = recording.samples().collect();
-    // There and back without repeating either end.
-    let period = (2 * rows.len()).saturating_sub(2).max(1);
-    let values = (0..WINDOW).flat_map(|n| {
-        let at = n % period;
-        rows[if at < rows.len() { at } else { period - at }].iter().copied()
-    });
-    let time_ms = (0..WINDOW).map(|n| n as f64 * 1000.0 / crate::RATE_HZ).collect();
-    Recording::new(recording.axes(), time_ms, values.collect())
+/// Fewest samples after which a movement may repeat itself: 5 strokes per second.
+const LEAST_PERIOD: usize = 20;
+/// Fewest and most samples that are compared with those a period earlier.
+const COMPARED: (usize, usize) = (12, 50);
+/// Samples over which a jump at the seam fades.
+const SEAM: usize = 10;
+
+/// The recording until a window is full, going on as it went on a period before.
+fn continued(recording: &Recording) -> Recording {
+    let axes = recording.axes();
+    let mut rows: Vec<Vec<f32>> = recording.samples().map(<[f32]>::to_vec).collect();
+    let Some(last) = rows.last().cloned() else { return recording.clone() };
+    match period(&rows) {
+        Some(period) => {
+            let jump: Vec<f32> =
+                last.iter().zip(&rows[rows.len() - 1 - period]).map(|(a, b)| a - b).collect();
+            let length = rows.len();
+            while rows.len() < WINDOW {
+                let left = 1.0 - ((rows.len() - length) as f32 / SEAM as f32).min(1.0);
+                let before = &rows[rows.len() - period];
+                rows.push(before.iter().zip(&jump).map(|(value, jump)| value + left * jump).collect());
+            }
+        }
+        None => rows.resize(WINDOW, last),
+    }
+    let time_ms = (0..rows.len()).map(|n| n as f64 * 1000.0 / crate::RATE_HZ).collect();
+    Recording::new(axes, time_ms, rows.concat())
+}
+
+/// After how many samples the end of a short movement resembles what went before it most. None if it is too short to tell.
+pub(crate) fn period<R: AsRef<[f32]>>(rows: &[R]) -> Option<usize> {
+    let rows: Vec<&[f32]> = rows.iter().map(AsRef::as_ref).collect();
+    let axes = rows.first()?.len().min(6);
+    let count = rows.len() as f32;
+    let weights: Vec<f32> = (0..axes)
+        .map(|axis| {
+            let mean = rows.iter().map(|row| row[axis]).sum::<f32>() / count;
+            let variance = rows.iter().map(|row| (row[axis] - mean).powi(2)).sum::<f32>() / count;
+            // Acceleration and rotation count alike, each as a whole: small directions are mostly noise.
+            variance
+        })
+        .collect();
+    let (least, most) = COMPARED;
+    let difference = |lag: usize| -> f32 {
+        let compared = (rows.len() - lag).min(most);
+        let pairs = rows[rows.len() - compared..].iter().zip(&rows[rows.len() - compared - lag..]);
+        let squares = |axes: std::ops::Range<usize>| -> f32 {
+            let size: f32 = weights[axes.clone()].iter().sum::<f32>().max(1e-6);
+            let sum: f32 = pairs
+                .clone()
+                .map(|(a, b)| axes.clone().map(|axis| (a[axis] - b[axis]).powi(2)).sum::<f32>())
+                .sum();
+            sum / size / compared as f32
+        };
+        squares(0..3.min(axes)) + if axes > 3 { squares(3..axes) } else { 0.0 }
+    };
+    let lags = LEAST_PERIOD..(rows.len() + 1).saturating_sub(least);
+    lags.map(|lag| (lag, difference(lag))).min_by(|a, b| a.1.total_cmp(&b.1)).map(|(lag, _)| lag)
 }
 
 /// Features of every window of a prepared recording whose start is a multiple of `stride_hops`
@@ -64,6 +112,15 @@ pub fn aligned_features(axes: usize, window: &[f32]) -> Vec<f32> {
         6 => run::<6>(window),
         _ => run::<9>(window),
     }
+}
+
+/// A recording as the slow window ([`shared_dsp::slow`]) sees it: every two samples averaged.
+pub fn slowed(recording: &Recording) -> Recording {
+    let rows: Vec<&[f32]> = recording.samples().collect();
+    let halves = rows.as_chunks::<2>().0.iter();
+    let values = halves.flat_map(|[a, b]| a.iter().zip(*b).map(|(a, b)| 0.5 * a + 0.5 * b)).collect();
+    let time_ms = (0..rows.len() / 2).map(|n| n as f64 * 1000.0 / crate::RATE_HZ).collect();
+    Recording::new(recording.axes(), time_ms, values)
 }
 
 fn stream<const A: usize>(recording: &Recording, recipe: Recipe, stride_hops: usize) -> Vec<Vec<f32>> {
@@ -124,14 +181,27 @@ mod tests {
     }
 
     #[test]
-    fn a_short_recording_is_played_to_and_fro_until_the_window_is_full() {
-        let (ready, prepared) = prepare(&ramp(120));
+    fn a_short_recording_goes_on_as_it_did_until_the_window_is_full() {
+        // A circle of 1.6 Hz, of which 1.1 s are known.
+        let circle = |n: usize| {
+            let angle = std::f32::consts::TAU * 1.6 * n as f32 / 100.0;
+            [3.0 * angle.cos(), 3.0 * angle.sin(), 9.8]
+        };
+        let time_ms = (0..110).map(|n| f64::from(n) * 10.0).collect();
+        let short = Recording::new(3, time_ms, (0..110).flat_map(circle).collect());
+        let (ready, prepared) = prepare(&short);
         assert_eq!(prepared, Prepared { padded: true, resampled: false });
-        let x: Vec<f32> = ready.samples().map(|s| s[0]).collect();
-        assert_eq!(x.len(), WINDOW);
-        assert_eq!(x[118..123], [118.0, 119.0, 118.0, 117.0, 116.0]);
-        assert_eq!(prepare(&ramp(2)).0.samples().nth(3).unwrap()[0], 1.0);
+        assert_eq!(ready.len(), WINDOW);
+        for (n, sample) in ready.samples().enumerate() {
+            let expected = circle(n);
+            assert!(
+                (0..3).all(|axis| (sample[axis] - expected[axis]).abs() < 0.6),
+                "{n}: {sample:?} {expected:?}"
+            );
+        }
         assert!(!prepare(&ramp(200)).1.padded);
+        // Too short to repeat itself: it stays where it ended.
+        assert_eq!(prepare(&ramp(2)).0.samples().nth(199).unwrap()[0], 1.0);
     }
 
     #[test]

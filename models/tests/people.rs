@@ -7,6 +7,7 @@ mod common;
 use std::path::Path;
 
 use common::folder;
+use models::daily::Daily;
 use models::people::Trial;
 use models::train::{Recipe, Steps, adapt, examples_of};
 
@@ -105,7 +106,7 @@ fn a_model_learns_one_more_person_and_keeps_labels_and_scaling() {
     let widths: Vec<usize> = model.float.iter().map(|layer| layer.biases.len()).collect();
     assert_eq!(widths[..2], models::ALIGNED_HIDDEN, "the shape whose cost on the board is tested");
     let memory = model.memory.as_ref().unwrap();
-    let adapted = adapt(&model, memory, &examples, "b", 1).unwrap();
+    let adapted = adapt(&model, memory, &examples, "b", &Daily::All, 1).unwrap();
     assert_ne!(adapted.int8_tflite, model.int8_tflite);
     assert_ne!(adapted.card.model_id, model.card.model_id);
     assert_eq!((&adapted.card.labels, &adapted.card.scaling), (&model.card.labels, &model.card.scaling));

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use clap::Args;
 use models::blob::ModelFiles;
+use models::daily::Daily;
 use models::dataset::Dataset;
 use models::people::grade;
 use models::tflite::{self, Network};
@@ -54,7 +55,7 @@ impl Cmd {
         for label in card.labels.iter().filter(|label| !theirs.labels.contains(label)) {
             println!("no {label} of {}: there the model stays as it was", self.person);
         }
-        let mut adapted = adapt(&model, &memory, &examples, &self.person, self.seed)?;
+        let mut adapted = adapt(&model, &memory, &examples, &self.person, &Daily::All, self.seed)?;
         adapted.card.name = self.name.unwrap_or_else(|| format!("{}-{}", card.name, self.person));
         let limit = card.scaling.limit;
         println!("{} windows of {} recordings", examples.len(), theirs.items.len());

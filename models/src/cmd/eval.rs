@@ -51,7 +51,9 @@ impl Cmd {
         }
         let recordings = scored(&dataset, &card.labels, &card.features);
         let padded = recordings.iter().filter(|recording| recording.padded).count();
-        println!("{padded} recordings shorter than the window were padded (forward, then backward)");
+        println!(
+            "{padded} recordings shorter than the window were padded (going on as they went a period before)"
+        );
         let answers = card.answers();
         let result = match &files.network {
             Network::Float(layers) => score(&Classifier::Float { card, layers }, &recordings, &answers),

@@ -28,6 +28,9 @@ pub struct Cmd {
     /// Hours of simulated wearers who make no gesture, per folder
     #[arg(long, default_value_t = 1.0)]
     hours: f64,
+    /// Also say what other thresholds would make of it: how probable rest may be, in 256ths
+    #[arg(long, value_delimiter = ',', value_name = "N,N,...")]
+    max_rest: Vec<u8>,
     /// Name each recording that was not understood and what came instead
     #[arg(long)]
     errors: bool,
@@ -64,12 +67,23 @@ impl Cmd {
                 progress.set_message(what.to_owned());
                 progress.tick();
             };
-            let events = Events::run(&trial, &people, self.seeds, self.hours * 3600.0, done)?;
+            let events = Events::run(&trial, &people, self.seeds, self.hours * 3600.0, &self.max_rest, done)?;
             progress.finish_and_clear();
             for (person, tally) in events.people.iter().zip(&events.real) {
                 print(person, tally);
             }
             print("all", &events.together());
+            for (max_rest, real, simulated) in &events.trade {
+                println!(
+                    "rest below {max_rest:3}/256: {:.2} % right, {} wrong or several, {} and {} false ones in recordings of no \
+                     gesture and in rest, {} of simulated wearers",
+                    real.right_per_cent(),
+                    real.wrong + real.several,
+                    real.rest_events,
+                    real.stray_events,
+                    simulated.rest_events
+                );
+            }
             if self.hours > 0.0 {
                 let simulated = &events.simulated;
                 println!(

@@ -2,6 +2,7 @@
 
 pub mod adapt;
 pub mod card;
+pub mod daily;
 pub mod eval;
 pub mod events;
 pub mod import;
@@ -11,6 +12,7 @@ pub mod report;
 pub mod simulated;
 pub mod splits;
 pub mod synth;
+pub mod tempo;
 pub mod train;
 
 use std::path::{Path, PathBuf};

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 use indicatif::ProgressBar;
-use models::synth::{Group, Wearer, session, takes};
+use models::synth::{Group, Take, Wearer, session, takes};
 use rayon::prelude::*;
 
 /// Which wearers.
@@ -37,6 +37,10 @@ pub struct Cmd {
     /// The last so many of them were told by nobody how to move: slower and faster, circles in any plane
     #[arg(long, value_name = "N", default_value_t = 0)]
     untaught: u32,
+    /// Whole gestures only, without takes in which one has just begun or is nearly over: recipe aligned, whose decision
+    /// waits for the movement, learns from them to doubt
+    #[arg(long)]
+    whole: bool,
 }
 
 impl Cmd {
@@ -57,13 +61,14 @@ impl Cmd {
         // Made whole beside its place, then renamed: nobody ever finds half a data set.
         let name = self.out.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let part = self.out.with_file_name(format!("{name}.{}.part", std::process::id()));
-        let takes = takes(self.seconds);
+        let mut takes = takes(self.seconds);
+        takes.retain(|take| !self.whole || take.number < Take::FIRST_PART);
         for label in models::labels::PAPER {
             std::fs::create_dir_all(part.join(label))?;
         }
         let about = format!(
             "simulated wearers, not real people: models synth --group {} --seed {} --wearers {} \
-             --seconds {} --untaught {}\n",
+             --seconds {} --untaught {}{}\n",
             match self.group {
                 GroupName::Training => "training",
                 GroupName::Evaluation => "evaluation",
@@ -71,7 +76,8 @@ impl Cmd {
             self.seed,
             self.wearers,
             self.seconds,
-            self.untaught
+            self.untaught,
+            if self.whole { " --whole" } else { "" }
         );
         std::fs::write(part.join("ABOUT.txt"), about)?;
         let progress = ProgressBar::new(u64::from(self.wearers));

@@ -47,7 +47,7 @@ impl Cmd {
         let trained = train(&dataset, &test, &self.source.recipe(), &job)?;
         let card = &trained.card;
         println!(
-            "{} windows of {} recordings, {} padded (forward, then backward) and {} resampled; \
+            "{} windows of {} recordings, {} padded (going on as they went a period before) and {} resampled; \
              {} epochs, best {}",
             card.training.windows,
             card.data.recordings,
@@ -65,6 +65,15 @@ impl Cmd {
                 scores.int8.per_window
             );
         };
+        if card.features == "aligned" {
+            for (one, other) in models::labels::mirrored(&card.labels) {
+                println!(
+                    "{one} and {other} look the same to recipe aligned, whose features are those of the mirrored movement, \
+                     too: it tells them apart by habit only. --recipe log-power knows the board's directions, if the board \
+                     is worn as in the recordings; or give both one label"
+                );
+            }
+        }
         if let Some(scores) = &card.validation {
             show("validation (chose when to stop)", scores);
         }

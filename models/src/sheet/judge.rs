@@ -12,6 +12,8 @@ const ENOUGH: usize = 20;
 const REST: f32 = 0.03;
 /// Gravity at rest, in g: sensors are some per cent off.
 const ONE_G: std::ops::RangeInclusive<f32> = 0.85..=1.17;
+/// Share of the windows at rest below which they may be no rest, if what they show is no gravity.
+const FEW: f32 = 0.25;
 /// How far apart gravity may be from one rest to the next: real sensors have up to 0.07, and what is left of gravity
 /// where it was taken off changes with the hand's tilt.
 const APART: f32 = 0.2;
@@ -81,9 +83,9 @@ fn moments(vectors: &[[f32; 3]]) -> ([f32; 3], f32) {
     (mean.map(|m| m as f32), (squares / n).sqrt() as f32)
 }
 
-/// Median of the mean lengths of the windows at rest, if there are any, and how far they are apart, as part of it;
-/// `rate_hz` says how long a window is.
-fn at_rest(acceleration: &[[f32; 3]], rate_hz: f64) -> Option<(f32, f32)> {
+/// Median of the mean lengths of the windows at rest, if there are any, how far they are apart, as part of it, and which
+/// share of all windows they are; `rate_hz` says how long a window is.
+fn at_rest(acceleration: &[[f32; 3]], rate_hz: f64) -> Option<(f32, f32, f32)> {
     let window = ((rate_hz / 2.0) as usize).max(8);
     let mut resting: Vec<f32> = acceleration
         .windows(window)
@@ -94,10 +96,12 @@ fn at_rest(acceleration: &[[f32; 3]], rate_hz: f64) -> Option<(f32, f32)> {
             (deviation < REST * mean).then_some(mean)
         })
         .collect();
+    let all = acceleration.windows(window).step_by(window.div_ceil(2)).len();
     resting.sort_unstable_by(f32::total_cmp);
+    let share = resting.len() as f32 / all.max(1) as f32;
     let at = |part: usize| resting.get((resting.len().checked_sub(1)?) * part / 10).copied();
     let (low, middle, high) = (at(1)?, at(5)?, at(9)?);
-    Some((middle, (high - low) / middle))
+    Some((middle, (high - low) / middle, share))
 }
 
 /// Judges acceleration.
@@ -110,9 +114,13 @@ pub(crate) fn acceleration(samples: &[[f32; 3]], rate_hz: f64) -> Verdict {
     let scaled =
         |unit: f32, ranges: &std::ops::RangeInclusive<f32>, value: f32| ranges.contains(&(value / unit));
     let (mean, deviation) = moments(samples);
-    if let Some((gravity, apart)) = at_rest(samples, rate_hz) {
-        let known = [(g, Verdict::MetresPerS2), (1.0, Verdict::G), (1000.0, Verdict::MilliG)];
-        let found = known.into_iter().find(|(unit, _)| scaled(*unit, &ONE_G, gravity));
+    let rest = at_rest(samples, rate_hz);
+    let known = [(g, Verdict::MetresPerS2), (1.0, Verdict::G), (1000.0, Verdict::MilliG)];
+    let unit_of = |gravity: f32| known.into_iter().find(|(unit, _)| scaled(*unit, &ONE_G, gravity));
+    // A hand that strokes up and down is pushed evenly for a while at each turn: a window or two are no rest.
+    let rest = rest.filter(|(gravity, _, share)| unit_of(*gravity).is_some() || *share >= FEW);
+    if let Some((gravity, apart, _)) = rest {
+        let found = unit_of(gravity);
         return match found {
             // What rests at nothing much has no gravity.
             None if gravity < 0.3 => Verdict::NoGravity(typical),
@@ -187,6 +195,16 @@ mod tests {
         assert!(matches!(acceleration(&turned, 100.0), Verdict::NoGravity(_)));
         let moved = [vec![[0.9, 0.3, -0.1]; 100], waved(1.0, 0.0, 6.0)].concat();
         assert!(matches!(acceleration(&moved, 100.0), Verdict::NoGravity(_)));
+    }
+
+    #[test]
+    fn a_hand_that_is_pushed_evenly_for_a_moment_does_not_rest() {
+        let mut stroked = waved(1.0, 9.81, 6.0);
+        stroked[300..360].fill([0.0, 0.3, 12.4]);
+        assert_eq!(acceleration(&stroked, 100.0), Verdict::MetresPerS2);
+        // What rests for long at 12 has counts of its own.
+        stroked[200..400].fill([0.0, 0.3, 12.4]);
+        assert!(matches!(acceleration(&stroked, 100.0), Verdict::Odd(_)));
     }
 
     #[test]

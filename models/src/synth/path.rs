@@ -332,8 +332,8 @@ fn idle(rng: &mut ChaCha8Rng, kind: IdleKind, seconds: f64) -> Kind {
             wander: Smooth::new(rng, 0.1, 0.5, 0.3),
         },
         IdleKind::Shake => {
-            // As many between 2.5 and 3 Hz as between 5 and 6.
-            let hz = rng.random_range(2.5f64.ln()..6.0f64.ln()).exp();
+            // Gestures are made up to five times a second.
+            let hz = rng.random_range(5.5f64.ln()..9.0f64.ln()).exp();
             // Force and turning, not reach, are what a hand can do at any pace: 1 to 15 m/s², 0.3 to 5 rad/s.
             let reach_m = rng.random_range(0.0f64..2.7).exp() / (TAU * hz).powi(2);
             let turn_rad = rng.random_range(-1.2f64..1.6).exp() / (TAU * hz);

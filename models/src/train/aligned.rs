@@ -244,6 +244,7 @@ pub(super) fn adapt(
     layers: &[FloatLayer],
     memory: &Memory,
     examples: &[(Vec<f32>, usize)],
+    daily: &[Vec<f32>],
     seed: u64,
 ) -> candle_core::Result<Adapted> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
@@ -264,6 +265,9 @@ pub(super) fn adapt(
     let mut rows = memory.inputs(card.scaling.limit);
     let chosen = balanced(new.iter().map(|(_, label)| *label), card.labels.len(), rows.len(), &mut rng);
     rows.extend(chosen.into_iter().map(|index| new[index].clone()));
+    if let Some(other) = card.labels.iter().position(|label| label == super::OTHER) {
+        rows.extend(daily.iter().map(|row| (crate::score::standardise(card, row), other)));
+    }
     let start = steps::Start::Layers(layers);
     let plan = &steps::Steps::ADAPT;
     let layers = steps::fit(&rows, card.labels.len(), &start, plan, card.scaling.limit, seed)?;

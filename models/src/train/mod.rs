@@ -26,6 +26,7 @@ use sha2::{Digest, Sha256};
 use shared_dsp::mlp::{MAX_LABELS, Model};
 
 use crate::card::{self, Card, Data, Scaling, Scores, Training};
+use crate::daily::Daily;
 use crate::dataset::{Dataset, Item};
 use crate::recording::write_whole;
 use crate::score::{Classifier, score, scored, standardise};
@@ -41,6 +42,8 @@ pub use steps::Steps;
 
 /// What makes no gesture, yet is not at rest.
 const OTHER: &str = "other";
+/// How often each window of daily movement is learnt, beside ten copies of each window of a recording.
+const DAILY_WEIGHT: usize = 8;
 
 /// What else a training needs to know.
 #[derive(Clone, Debug)]
@@ -95,7 +98,8 @@ pub struct Trained {
 }
 
 /// Teaches a model one more person from a few windows of them, [`WINDOW`] samples one after the other, with their
-/// labels. Everything else stays: labels, scaling, and by rehearsal what it knows of the others.
+/// labels. Everything else stays: labels, scaling, and by rehearsal what it knows of the others; and what `daily` shows
+/// stays no gesture: without it, getting up from a chair becomes a circle once three circles have been shown.
 ///
 /// # Errors
 /// If the library that fits networks fails, or the result cannot be quantised.
@@ -104,9 +108,11 @@ pub fn adapt(
     memory: &Memory,
     examples: &[(Vec<f32>, usize)],
     person: &str,
+    daily: &Daily,
     seed: u64,
 ) -> Result<Trained, TrainError> {
-    let adapted = aligned::adapt(&model.card, &model.float, memory, examples, seed)?;
+    let daily = daily.rows(model.card.axes);
+    let adapted = aligned::adapt(&model.card, &model.float, memory, examples, &daily, seed)?;
     let mut card = Card {
         about: format!("{}; adapted to {person} with {} windows", model.card.about, examples.len()),
         test: None,
@@ -221,8 +227,16 @@ pub fn train(dataset: &Dataset, test: &[String], recipe: &Recipe, job: &Job) -> 
     if let Some((windows, label)) = &bystanders {
         learn.extend(windows.iter().map(|window| (window.as_slice(), *label)));
     }
+    let daily = match &bystanders {
+        Some((_, label)) => (recipe.daily.rows(used.axes), *label),
+        None => (Vec::new(), 0),
+    };
     // What a model remembers of people is what people did.
     let remembered = learn.len();
+    // Adapting has them from the crate, not from the model's memory.
+    for _ in 0..DAILY_WEIGHT {
+        learn.extend(daily.0.iter().map(|window| (window.as_slice(), daily.1)));
+    }
     let performed = aligned::performed(used.axes, recipe.performers, &labels);
     for (windows, label) in &performed {
         learn.extend(windows.iter().map(|window| (window.as_slice(), *label)));
@@ -263,8 +277,11 @@ pub fn train(dataset: &Dataset, test: &[String], recipe: &Recipe, job: &Job) -> 
                     let words = vary::WORDS;
                     format!(
                         "{copies} copies of each window: {words}; {aimless} windows of {} simulated wearers \
-                         who make no gesture and {shown} of {} who make those that the simulator knows",
-                        recipe.bystanders, recipe.performers
+                         who make no gesture and {shown} of {} who make those that the simulator knows; {} {}",
+                        recipe.bystanders,
+                        recipe.performers,
+                        daily.0.len(),
+                        crate::daily::SOURCE
                     )
                 }
                 None => recipe.augmentation.to_string(),

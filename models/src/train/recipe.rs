@@ -1,6 +1,7 @@
 //! How a network can be trained.
 
 use super::{Augmentation, Steps};
+use crate::daily::Daily;
 
 /// How to train: [`Recipe::aligned`], the default; [`Recipe::log_power`]; [`Recipe::paper`].
 #[derive(Clone, Debug, PartialEq)]
@@ -40,6 +41,8 @@ pub struct Recipe {
     /// Simulated wearers, [untaught](crate::synth::Wearer::untaught), who show those gestures that the simulator knows
     /// by name beside the people of the recordings, who are few. With fixed steps only.
     pub performers: u32,
+    /// Real people whose daily movement is shown as `other`, too. With fixed steps and `bystanders` only.
+    pub daily: Daily,
 }
 
 impl Recipe {
@@ -62,6 +65,7 @@ impl Recipe {
             steps: None,
             bystanders: 0,
             performers: 0,
+            daily: Daily::None,
         }
     }
 
@@ -82,6 +86,7 @@ impl Recipe {
             steps: Some(Steps::TRAIN),
             bystanders: 100,
             performers: 40,
+            daily: Daily::All,
             ..Self::paper()
         }
     }

@@ -1,7 +1,8 @@
 //! Varying single windows for the recipe `aligned`: what other hands would do, and sensors worn otherwise.
 //!
 //! In this order: tempo, phase and evenness; size (fast movements take more force); the sensor turned on the hand
-//! and the hand mirrored; tremor; an offset of the accelerometer. Idle windows are never made much larger, so that
+//! and the hand mirrored; tremor; an offset of the accelerometer; its range. A movement that is shown faster than it was goes on
+//! as it did a period before. Idle windows are never made much larger, so that
 //! slow and small gestures stay gestures. In half of the copies the movement begins or ends inside the window and the hand
 //! rests before or after, as it does on a board.
 
@@ -16,9 +17,9 @@ use crate::WINDOW;
 use crate::events::{POSTURE, posture};
 
 /// What the aligned recipe does, for the card.
-pub(super) const WORDS: &str = "tempo ×0.67 to 1.49 and uneven, shift ±0.2 s, or ±0.6 s with the \
+pub(super) const WORDS: &str = "tempo ×0.67 to 1.49 (gestures with a gyroscope 0.45 to 2.2) and uneven, shift ±0.2 s, or ±0.6 s with the \
      hand at rest before and after, size ×0.37 to 1.49 (other 0.5 to 2, idle 0.5 to 1.35), sensor turned at will about \
-     gravity and up to 25° about any axis, mirrored, tremor of 3 to 10 Hz, accelerometer offset 0.3 m/s²";
+     gravity and up to 25° about any axis, mirrored, tremor of 3 to 10 Hz, accelerometer offset 0.3 m/s², clipped at 2 or 4 g";
 
 /// What kind of movement a label stands for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -50,8 +51,13 @@ impl Kind {
 /// A varied copy of a window: [`WINDOW`] samples of 3, 6 or 9 axes, one after the other.
 pub(super) fn vary(window: &[f32], axes: usize, kind: Kind, rng: &mut ChaCha8Rng) -> Vec<f32> {
     let uniform = |rng: &mut ChaCha8Rng, low: f64, high: f64| rng.random_range(low..high);
-    let stretch = uniform(rng, -0.4, 0.4).exp();
+    // Gestures of any tempo between half a stroke and five per second. Without a gyroscope the half of that: slow ones are
+    // for the slow window.
+    let tempos = if kind == Kind::Gesture && axes >= 6 { 0.8 } else { 0.4 };
+    let stretch = uniform(rng, -tempos, tempos).exp();
     let rest = rng.random_bool(0.5).then(|| ends(window, axes));
+    let rows: Vec<&[f32]> = window.chunks_exact(axes).collect();
+    let period = if rest.is_some() { None } else { crate::windows::period(&rows) }.unwrap_or(WINDOW - 1);
     let most = if rest.is_some() { 60.0 } else { 20.0 };
     let shift = uniform(rng, -most, most);
     let (phase, bend) = (uniform(rng, 0.0, TAU), uniform(rng, 0.0, 0.1) * WINDOW as f64 / TAU);
@@ -64,7 +70,7 @@ pub(super) fn vary(window: &[f32], axes: usize, kind: Kind, rng: &mut ChaCha8Rng
         .map(|n| {
             let (n, half) = (n as f64, WINDOW as f64 / 2.0);
             let at = (n - half) * stretch + half + shift + bend * (TAU * n / WINDOW as f64 + phase).sin();
-            sample_at(window, axes, at, rest.as_ref())
+            sample_at(window, axes, at, rest.as_ref(), period)
         })
         .collect();
 
@@ -104,6 +110,10 @@ pub(super) fn vary(window: &[f32], axes: usize, kind: Kind, rng: &mut ChaCha8Rng
     let tremor: [(f64, f64); 6] =
         std::array::from_fn(|_| (strength * uniform(rng, 0.0, 1.0), uniform(rng, 0.0, TAU)));
     let offset = [0; 3].map(|_| 0.3 * <StandardNormal as Distribution<f64>>::sample(&StandardNormal, rng));
+    // Sensors end at 2 g or at 4 g; this one not before what it measured.
+    let range = if rng.random_bool(0.4) { 2.0 } else { 4.0 } * 9.806_65;
+    let accelerations = window.chunks_exact(axes).flat_map(|row| &row[..3]);
+    let range = accelerations.fold(range, |most: f64, value| most.max(f64::from(value.abs())));
     let mut values = Vec::with_capacity(WINDOW * axes);
     for (n, sample) in samples.iter().enumerate() {
         let envelope = (PI * ((n as f64 - start) / length).clamp(0.0, 1.0)).sin();
@@ -112,7 +122,8 @@ pub(super) fn vary(window: &[f32], axes: usize, kind: Kind, rng: &mut ChaCha8Rng
             let shake = tremor.get(axis).map_or(0.0, |(size, phase)| {
                 unit * size * envelope * (TAU * pace * n as f64 / crate::RATE_HZ + phase).sin()
             });
-            values.push((value + shake + offset.get(axis).unwrap_or(&0.0)) as f32);
+            let value = value + shake + offset.get(axis).unwrap_or(&0.0);
+            values.push(if axis < 3 { value.clamp(-range, range) } else { value } as f32);
         }
     }
     values
@@ -130,25 +141,35 @@ fn ends(window: &[f32], axes: usize) -> [[f64; 9]; 2] {
     })
 }
 
-/// Values between two samples; beyond the ends those of the rest there, or the window played backward.
-fn sample_at(window: &[f32], axes: usize, at: f64, rest: Option<&[[f64; 9]; 2]>) -> [f64; 9] {
+/// Samples over which a jump fades where a movement goes on as it did a period before.
+const SEAM: f64 = 10.0;
+
+/// Values between two samples; beyond the ends those of the rest there, or the movement as it was a period inside.
+fn sample_at(window: &[f32], axes: usize, at: f64, rest: Option<&[[f64; 9]; 2]>, period: usize) -> [f64; 9] {
     let last = (WINDOW - 1) as f64;
-    if let Some([before, after]) = rest
-        && !(0.0..=last).contains(&at)
-    {
+    let inside = |at: f64| -> [f64; 9] {
+        let left = (at.max(0.0) as usize).min(WINDOW - 2);
+        let part = (at - left as f64).clamp(0.0, 1.0);
+        std::array::from_fn(|axis| {
+            if axis >= axes {
+                return 0.0;
+            }
+            let (a, b) = (f64::from(window[left * axes + axis]), f64::from(window[(left + 1) * axes + axis]));
+            a + (b - a) * part
+        })
+    };
+    if (0.0..=last).contains(&at) {
+        return inside(at);
+    }
+    if let Some([before, after]) = rest {
         return if at < 0.0 { *before } else { *after };
     }
-    let at = at.rem_euclid(2.0 * last);
-    let at = if at > last { 2.0 * last - at } else { at };
-    let left = (at as usize).min(WINDOW - 2);
-    let part = at - left as f64;
-    std::array::from_fn(|axis| {
-        if axis >= axes {
-            return 0.0;
-        }
-        let (a, b) = (f64::from(window[left * axes + axis]), f64::from(window[(left + 1) * axes + axis]));
-        a + (b - a) * part
-    })
+    let period = period as f64;
+    let (beyond, end, back) = if at < 0.0 { (-at, 0.0, period) } else { (at - last, last, -period) };
+    let periods = (beyond / period).ceil();
+    let (here, seam) = (inside(at + periods * back), 1.0 - (beyond / SEAM).min(1.0));
+    let (edge, twin) = (inside(end), inside(end + back));
+    std::array::from_fn(|axis| here[axis] + seam * (edge[axis] - twin[axis]))
 }
 
 /// Root of the accelerometer's summed variances.
