@@ -232,7 +232,7 @@ fn left_recording(wearer: &mut LeftWearer, acts: &[Act]) -> AdcRecording {
                 }
             }
         }
-        samples.push((n * 10, wearer.sample(time_s, tilt, fingers)));
+        samples.push((n * 10, AdcCounts::from_ten_bit(wearer.sample(time_s, tilt, fingers))));
     }
     AdcRecording { samples }
 }

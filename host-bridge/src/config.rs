@@ -14,7 +14,8 @@ use crate::arm::motions::{MotionTable, PoseTable};
 use crate::arm::scene::JERK_MIN_RAD_S3;
 use crate::base::BaseConfig;
 use crate::bridge::{Bridge, Restriction};
-use crate::intent::{MotionMap, SpeedRules};
+use crate::episodes::Mark;
+use crate::intent::{MotionMap, SpeedRules, is_rest, same_label};
 use crate::keyboard::KeyTimes;
 use crate::robot::{JointLimits, MotionName};
 use crate::ros2::Ros2Config;
@@ -63,6 +64,9 @@ pub struct Config {
     pub ros2: Ros2Config,
     /// Label → motion or pose. Labels that are not named keep the paper's motion.
     pub motions: BTreeMap<String, String>,
+    /// Label → `begin`, `end`, `again`, `good` or `bad`: gestures that mark episodes of a recorded session, and move
+    /// nothing.
+    pub marks: BTreeMap<String, Mark>,
     /// Motions of one's own; they replace bundled ones of the same name.
     pub motion: Vec<MotionTable>,
     /// Poses of one's own, by joint angles.
@@ -236,6 +240,9 @@ impl Config {
             // `check` has seen that all can be assigned.
             let _ = map.assign(&format!("{label}={motion}"));
         }
+        for label in self.marks.keys() {
+            map.release(label);
+        }
         map
     }
 
@@ -311,8 +318,8 @@ impl Config {
         )?;
         let end_arm = self.keyboard.end_arm;
         ensure(
-            end_arm.is_ascii_lowercase() && !"qrz".contains(end_arm),
-            "keyboard: end_arm is one small letter, other than q, r and z, which have a meaning",
+            end_arm.is_ascii_lowercase() && !"qrzbeagn".contains(end_arm),
+            "keyboard: end_arm is one small letter, other than q, r, z and those that mark episodes (b, e, a, g, n)",
         )?;
         ensure(
             self.motion.iter().all(|motion| motion.name != MotionName::END_ARM),
@@ -344,11 +351,28 @@ impl Config {
             map.assign(&format!("{label}={motion}"))
                 .map_err(|error| ConfigError::Value(format!("motions: {error}")))?;
         }
+        ensure(self.marks.len() <= 200, "marks: at most 200 labels")?;
+        for label in self.marks.keys() {
+            ensure(
+                !is_rest(label),
+                &format!("marks: '{label}' is the class of a resting hand; mark with a gesture"),
+            )?;
+            ensure(
+                !self.motions.keys().any(|moving| same_label(moving, label)),
+                &format!("marks: '{label}' has a motion under motions; a gesture does one or the other"),
+            )?;
+            ensure(
+                !map.motion(label).is_some_and(|motion| *motion == *MotionName::HOME),
+                &format!(
+                    "marks: '{label}' releases a stop; mark with another gesture, or give home another one"
+                ),
+            )?;
+        }
         Ok(())
     }
 }
 
-/// Every key must be a known one; keys of `motions` are labels and free.
+/// Every key must be a known one; keys of `motions` and `marks` are labels and free.
 fn check_keys(
     table: &DeTable<'_>,
     known: &toml::Table,
@@ -366,7 +390,7 @@ fn check_keys(
                 nearest: nearest.filter(|candidate| near(candidate) > 0.4).map(|n| format!("{path}{n}")),
             });
         };
-        if name != "motions"
+        if !["motions", "marks"].contains(&name)
             && let (DeValue::Table(inner), toml::Value::Table(there)) = (value.get_ref(), there)
         {
             check_keys(inner, there, &format!("{path}{name}."), line)?;
@@ -428,6 +452,9 @@ mod tests {
             "[base]\ntrack_m = 0.0",
             "[ros2]\nrate_hz = 1",
             "[motions]\nidle = 'home'",
+            "[marks]\nup-down = 'begin'",
+            "[marks]\nother = 'begin'",
+            "[marks]\nwave = 'begin'\n[motions]\nWave = 'pick-up'",
         ] {
             let error = Config::parse(text).unwrap_err();
             assert!(matches!(error, ConfigError::Value(_)), "{text}: {error}");
@@ -439,5 +466,16 @@ mod tests {
         let map = Config::parse("[motions]\nwave = 'pick-up'\n").unwrap().motion_map();
         assert_eq!(map.motion("wave"), Some(&MotionName::from("pick-up")));
         assert_eq!(map.motion("circle"), Some(&MotionName::from("random-top")));
+    }
+
+    #[test]
+    fn a_label_that_marks_episodes_starts_no_motion() {
+        let config = Config::parse("[marks]\ncircle = 'begin'\nto-fro = 'again'\n").unwrap();
+        assert_eq!(config.marks["circle"], Mark::Begin);
+        assert_eq!(config.motion_map().motion("circle"), None);
+        assert_eq!(config.motion_map().motion("left-right"), Some(&MotionName::from("place")));
+        assert_eq!(Config::parse(&config.to_toml()).unwrap(), config);
+        let error = Config::parse("[marks]\ncircle = 'start'\n").unwrap_err().to_string();
+        assert!(error.contains("line 2") && error.contains("again"), "{error}");
     }
 }

@@ -17,6 +17,7 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use host_core::engine::Engine;
+use host_core::episodes::{Mark, MarkedBy};
 use host_core::observe::{SessionEvent, Snapshot};
 use host_core::safety::Hand;
 use host_core::source::HandKey;
@@ -45,6 +46,8 @@ pub enum Order {
     Release,
     /// The arm's motion ends, and that alone.
     EndArm,
+    /// An episode is marked.
+    Mark(Mark),
 }
 
 /// What happened to a link.
@@ -110,6 +113,8 @@ pub struct Work<D: Door> {
     pub events: EventReceiver<Hand>,
     /// Somebody else who may ask for a stop; asked at every turn, and must not wait.
     pub asks_for_stop: Box<dyn Fn() -> bool + Send>,
+    /// Somebody else who may mark episodes; asked at every turn, and must not wait.
+    pub marks: Box<dyn Fn() -> Option<Mark> + Send>,
     /// The session ends by itself then.
     pub until_ms: u64,
     /// After the last halt the robot is served for so long, so that it hears of it.
@@ -269,7 +274,11 @@ impl<D: Door> Running<D> {
                 Order::Up(key) => work.engine.release_hand_key(key),
                 Order::Release => work.engine.release_key(now_ms),
                 Order::EndArm => work.engine.end_arm_key(now_ms),
+                Order::Mark(mark) => work.engine.mark(mark, MarkedBy::Key, now_ms),
             }
+        }
+        if let Some(mark) = (work.marks)() {
+            work.engine.mark(mark, MarkedBy::Page, now_ms);
         }
         let ready = [0, 1].map(|i: usize| work.links[i].as_ref().is_some_and(Link::is_ready));
         self.waiting.events.extend(work.engine.advance(now_ms, ready));

@@ -21,7 +21,7 @@ pub mod script;
 
 pub use host_arm::{self as arm, plan, scene};
 pub use host_core::{
-    bridge, describe, doubt, engine, intent, latency, link, observe, safety, session, source,
+    bridge, describe, doubt, engine, episodes, intent, latency, link, observe, safety, session, source,
 };
 pub use host_links::{adc, capture, hands, keyboard, links, survey, talk, upload, wire};
 pub use host_robot as robot;

@@ -149,7 +149,7 @@ pub fn play<D: Door>(
     options.check()?;
     let a_terminal = std::io::stdout().is_terminal() && std::io::stdin().is_terminal();
     let wants_view = a_terminal && !options.headless && !options.json;
-    let web = options.web.start(page_unasked && wants_view)?;
+    let web = options.web.start(page_unasked && wants_view, false)?;
     let origin = origin(session.now_ms());
     let foxglove = options.web.start_foxglove(origin)?;
     let mut headline = title.to_owned();

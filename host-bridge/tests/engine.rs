@@ -12,7 +12,7 @@ use host_bridge::ros2::{Output, Ros2Config, RosRobot};
 use host_bridge::safety::{Hand, State};
 use host_bridge::source::HandSource as _;
 use shared_proto::frame::{BOARD_FRAME_MAX, Decoder, HOST_FRAME_MAX, encode_board, encode_host};
-use shared_proto::message::{Board, BoardMessage, Heading, Hello, HostMessage, Signal};
+use shared_proto::message::{Board, BoardMessage, Heading, Hello, HostMessage, Mode, Signal};
 
 #[path = "support/moving.rs"]
 mod moving;
@@ -43,7 +43,7 @@ impl Rig {
             let events = self.live.advance(self.now_ms, [true; 2]);
             self.events.extend(events.into_iter().filter_map(|event| match event {
                 SessionEvent::Bridge(event) => Some(event.kind),
-                SessionEvent::RecordingEnded { .. } => None,
+                _ => None,
             }));
         }
     }
@@ -205,6 +205,15 @@ fn a_new_board_is_told_its_thresholds_until_it_has_heard() {
     let frame = shared_proto::frame::encode_board(&message, &mut buffer).unwrap();
     live.receive(Hand::Left, frame, 1005);
     assert!(told(&mut live, 5000, true).is_empty());
+    // Nor is it left in record mode.
+    live.advance(7000, [true; 2]);
+    let mut decoder = shared_proto::frame::Decoder::<HOST_FRAME_MAX>::new();
+    let frames = live.take_outgoing(Hand::Left).concat();
+    let mut messages = frames.iter().filter_map(|&byte| {
+        let message = decoder.push_host(byte)?;
+        Some(matches!(message, HostMessage::SetMode { request: 2, mode: Mode::Classify }))
+    });
+    assert!(messages.any(|back| back), "called back, again");
 }
 
 fn send_hello(wire: &mut Vec<u8>) {

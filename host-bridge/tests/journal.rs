@@ -11,12 +11,16 @@ use std::time::{Duration, Instant};
 use host_bridge::bridge::EventKind;
 use host_bridge::config::{Config, Place};
 use host_bridge::demo::Demo;
+use host_bridge::describe;
 use host_bridge::engine::Engine;
+use host_bridge::episodes::{Mark, MarkedBy};
+use host_bridge::export::{Cut, Streams, episodes};
 use host_bridge::hands::ModelFile;
 use host_bridge::intent::MotionMap;
 use host_bridge::journal::sink::Storage;
 use host_bridge::journal::{Disk, Kept, Replay, SceneText, Setup, WhenFull, replay};
 use host_bridge::keyboard::HandKey;
+use host_bridge::observe::SessionEvent;
 use host_bridge::safety::Hand;
 use host_bridge::session::Session;
 use host_bridge::topics::Origin;
@@ -219,6 +223,70 @@ fn a_live_session_from_its_file_is_the_same_bit_for_bit() {
         assert!(text.contains(needed), "{needed}: {text}");
     }
     assert!(again.messages["/bridge/right/sent"] > 8, "hellos and a ping a second");
+}
+
+#[test]
+fn marks_by_gesture_key_and_page_are_in_the_file_and_make_its_episodes() {
+    let mut config = Config::default();
+    for (label, mark) in [("circle", Mark::Begin), ("left-right", Mark::End), ("to-fro", Mark::Again)] {
+        config.marks.insert(label.to_owned(), mark);
+    }
+    let setup = Setup { config: config.clone(), task: Some("stack two cups".to_owned()), ..setup() };
+    let memory = Memory::of_size(usize::MAX);
+    let start =
+        Disk::with_storage(memory.clone(), Path::new("a.mcap"), setup.to_metadata(), ORIGIN, WhenFull::Wait);
+    let (disk, recorder) = start.unwrap();
+    let live = moving::live_before(moving::bare(), &config, Place::Keyboard, Place::Keyboard, 80);
+    let mut live = live.with_marks(config.marks.clone());
+    live.tap_mut().add(Box::new(recorder));
+    let mut said = Vec::new();
+    for now_ms in (80..12_000).step_by(2) {
+        match now_ms {
+            2_000 => live.press(HandKey::Gesture(6), now_ms),
+            4_000 => live.press(HandKey::Gesture(3), now_ms),
+            5_000 => live.mark(Mark::Begin, MarkedBy::Key, now_ms),
+            // Again: by gesture, then on the page.
+            5_500 => live.press(HandKey::Gesture(2), now_ms),
+            6_500 => live.mark(Mark::Again, MarkedBy::Page, now_ms),
+            7_500 => live.mark(Mark::Good, MarkedBy::Key, now_ms),
+            8_000 => live.mark(Mark::Begin, MarkedBy::Key, now_ms),
+            9_000 => live.stop_key(now_ms),
+            _ => {}
+        }
+        let events = live.advance(now_ms, [true; 2]);
+        let of_episodes = |event: &&SessionEvent| !matches!(event, SessionEvent::Bridge(_));
+        said.extend(events.iter().filter(of_episodes).map(describe::text));
+    }
+    assert_eq!(
+        said,
+        [
+            "episode 1 begins (gesture)",
+            "episode 1 ends after 2.0 s (gesture)",
+            "episode 2 begins (key)",
+            "episode 2 is thrown away, episode 3 begins (gesture)",
+            "episode 3 is thrown away, episode 4 begins (page)",
+            "episode 4 is good (key)",
+            "episode 5 begins (key)",
+            "episode 5 is thrown away: somebody pressed stop",
+        ]
+    );
+    assert!(live.door().at_rest(), "a gesture that marks moves nothing");
+    live.tap_mut().clear();
+    assert_eq!(disk.close().problem, None);
+    let file = memory.file();
+    let again = replay(&file).unwrap();
+    assert_same(&again);
+    assert_eq!(again.messages["/episodes/marks"], 7);
+    let streams = Streams::read(&file).unwrap();
+    assert!(streams.is_marked());
+    let spans = |only_good| {
+        let found = episodes::find(&streams, &Cut::Marks { only_good }, None);
+        assert!(found.episodes.iter().all(|episode| episode.task == "stack two cups"));
+        let spans: Vec<_> = found.episodes.iter().map(|e| (e.start_ms / 100, e.end_ms / 100)).collect();
+        (spans, found.left_out.len())
+    };
+    assert_eq!(spans(false), (vec![(20, 40), (65, 75)], 3));
+    assert_eq!(spans(true), (vec![(65, 75)], 4));
 }
 
 #[test]

@@ -266,7 +266,7 @@ fn every_surface_says_what_refuses_and_when_it_does_not_any_more() {
         }
         let json = |event: &SessionEvent| match event {
             SessionEvent::Bridge(event) => serde_json::to_string(event).unwrap(),
-            SessionEvent::RecordingEnded { .. } => String::new(),
+            _ => String::new(),
         };
         let both: Vec<String> = said.iter().flat_map(|event| [describe::text(event), json(event)]).collect();
         both.join("\n")

@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 
 use host_bridge::config::{Config, Place};
 use host_bridge::engine::Engine;
+use host_bridge::episodes::Mark;
 use host_bridge::safety::State;
 use host_bridge::web::{CONNECTIONS_MAX, IN_FLIGHT_MAX, INTERVAL, Web, WebError, WebOptions};
 use serde_json::Value;
@@ -84,6 +85,25 @@ fn session() -> (Web, Live) {
 fn publish_step(live: &mut Live, now_ms: u64) {
     std::thread::sleep(INTERVAL);
     live.advance(now_ms, [true; 2]);
+}
+
+#[test]
+fn a_page_marks_episodes_where_the_session_takes_marks() {
+    for takes in [true, false] {
+        let web = Web::start_with(&any_port(), takes).unwrap();
+        let mut live = live_engine(&Config::default(), Place::Keyboard, Place::Keyboard);
+        live.tap_mut().add(Box::new(web.watcher("a test")));
+        publish_step(&mut live, 1);
+        let mut page = open(&web, Some(&own_origin(&web)), "").unwrap();
+        assert_eq!(message(&mut page)["marks"], takes);
+        page.send(Message::text("mark again")).unwrap();
+        let _ = page.send(Message::text("mark it"));
+        // What no page says ends the connection: by then all before it was heard.
+        while page.read().is_ok() {}
+        let marks = web.marks();
+        assert_eq!(marks(), takes.then_some(Mark::Again));
+        assert_eq!(marks(), None);
+    }
 }
 
 #[test]

@@ -4,11 +4,10 @@
     python models/tests/make_tflite_fixtures.py
 
 Run once; the files are kept. The networks have random weights: what is tested is arithmetic. Inputs follow from their
-number by the formula in `inputs`, which the test repeats, so only the outputs are kept.
+number by the formula in `inputs` (tflite_fixtures_check.py), which the test repeats, so only the outputs are kept.
 """
 
 import os
-from pathlib import Path
 
 os.environ["TF_CPP_MIN_LOG_LEVEL"] = "3"
 os.environ["TF_USE_LEGACY_KERAS"] = "0"
@@ -16,18 +15,7 @@ os.environ["TF_USE_LEGACY_KERAS"] = "0"
 import numpy as np
 import tensorflow as tf
 
-OUT = Path(__file__).resolve().parent / "tflite_fixtures"
-ROWS = 1000
-
-
-def inputs(count: int, width: int) -> np.ndarray:
-    """int8 values: a multiplicative hash of row and column, the first rows small, the last ones of full size."""
-    row, column = np.meshgrid(np.arange(count, dtype=np.uint64), np.arange(width, dtype=np.uint64), indexing="ij")
-    mixed = (row * np.uint64(1009) + column * np.uint64(9176) + np.uint64(12345)) * np.uint64(2654435761)
-    byte = (mixed >> np.uint64(13)) % np.uint64(256)
-    full = byte.astype(np.int64) - 128
-    small = full // 4
-    return np.where(row < count // 2, small, full).astype(np.int8)
+from tflite_fixtures_check import OUT, ROWS, answers, inputs
 
 
 def network(widths, *, bias=True, activation="relu", softmax=True, flatten=None, seed=7):
@@ -69,44 +57,9 @@ def convert(model, *, io="int8", per_channel=True, quantise=True, shape=None, dy
     return converter.convert()
 
 
-def answers(model: bytes, rows: np.ndarray) -> np.ndarray:
-    interpreter = tf.lite.Interpreter(
-        model_content=model, num_threads=1,
-        experimental_op_resolver_type=tf.lite.experimental.OpResolverType.BUILTIN_REF)
-    interpreter.allocate_tensors()
-    [given], [wanted] = interpreter.get_input_details(), interpreter.get_output_details()
-    results = []
-    for row in rows:
-        if given["dtype"] == np.uint8:
-            row = (row.astype(np.int16) + 128).astype(np.uint8)
-        elif given["dtype"] == np.float32:
-            # The value of each step exactly, so that quantising gives the step again. Scale and zero point stand
-            # with the tensor behind QUANTIZE.
-            scale, zero = quantised_input(interpreter)
-            row = ((row.astype(np.int16) - zero).astype(np.float32) * np.float32(scale)).astype(np.float32)
-        interpreter.set_tensor(given["index"], row.reshape(given["shape"]))
-        interpreter.invoke()
-        result = interpreter.get_tensor(wanted["index"]).reshape(-1)
-        if wanted["dtype"] == np.uint8:
-            result = (result.astype(np.int16) - 128).astype(np.int8)
-        elif wanted["dtype"] == np.float32:
-            scale, zero = quantised_output(interpreter)
-            result = (np.rint(result / np.float32(scale)) + zero).astype(np.int8)
-        results.append(result)
-    return np.array(results, dtype=np.int8)
-
-
-def quantised_input(interpreter):
-    """Scale and zero point of the int8 tensor that QUANTIZE makes."""
-    ops = interpreter._get_ops_details()
-    index = next(op["outputs"][0] for op in ops if op["op_name"] == "QUANTIZE")
-    return interpreter._get_tensor_details(index, 0)["quantization"]
-
-
-def quantised_output(interpreter):
-    ops = interpreter._get_ops_details()
-    index = next(op["inputs"][0] for op in ops if op["op_name"] == "DEQUANTIZE")
-    return interpreter._get_tensor_details(index, 0)["quantization"]
+def interpreter(model: bytes):
+    return tf.lite.Interpreter(model_content=model, num_threads=1,
+                               experimental_op_resolver_type=tf.lite.experimental.OpResolverType.BUILTIN_REF)
 
 
 def main() -> None:
@@ -127,7 +80,7 @@ def main() -> None:
         rows = inputs(ROWS, width)
         for mode, model in modes.items():
             (OUT / f"{name}-{mode}.tflite").write_bytes(model)
-            (OUT / f"{name}-{mode}.answers.bin").write_bytes(answers(model, rows).tobytes())
+            (OUT / f"{name}-{mode}.answers.bin").write_bytes(answers(interpreter(model), rows).tobytes())
             print(name, mode, len(model))
     # What is refused by name. The smaller network's weights are too few for TensorFlow to quantise them alone.
     plain, shape = network([117, 20, 10, 5, 7]), (117,)

@@ -9,7 +9,7 @@ use shared_dsp::tilt;
 use shared_proto::frame::{DELIMITER, Decoder, HOST_TO_LEFT_FRAME_MAX, LEFT_BOARD_FRAME_MAX};
 use shared_proto::message::{
     Ack, AckResult, BoardBody, CalibrationStep, Fault, FaultKind, Heading, LeftRequest, LeftState, Mode,
-    Pong, Status, TiltThresholds,
+    Pong, RawAdc, Status, TiltThresholds,
 };
 
 /// A state goes out with every second sample: 50 Hz.
@@ -96,6 +96,10 @@ impl<M: Eeprom> LeftBoard<M> {
     #[inline(never)]
     pub fn sample(&mut self, counts: AdcCounts, now_ms: u32, out: &mut impl FrameOut) {
         self.sampled_in_period = true;
+        if self.mode == Mode::Record {
+            // One that finds no room is missing: the laptop sees that by the times.
+            send(&RawAdc { board_time_ms: now_ms, counts: counts.as_array() }, out);
+        }
         let output = self.hand.step(counts, now_ms);
         self.on_output(output, now_ms, out);
     }
@@ -146,7 +150,6 @@ impl<M: Eeprom> LeftBoard<M> {
                 send(&Pong { id, board_time_ms: now_ms }, out);
                 return;
             }
-            LeftRequest::SetMode { request, mode: Mode::Record } => (request, AckResult::Unsupported),
             LeftRequest::SetMode { request, mode } => {
                 self.mode = mode;
                 (request, AckResult::Ok)

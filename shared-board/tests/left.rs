@@ -154,12 +154,11 @@ fn who_asks_is_answered_and_who_does_not_know_the_board_is_told() {
 }
 
 #[test]
-fn idle_silences_states_and_there_is_nothing_to_record() {
+fn idle_silences_states() {
     let mut rig = Rig::start(RamEeprom::blank());
     rig.hold(LEVEL, 100);
-    rig.send(&HostMessage::SetMode { request: 1, mode: Mode::Record });
     rig.send(&HostMessage::SetMode { request: 2, mode: Mode::Idle });
-    assert_eq!(rig.line.acks(), [(1, AckResult::Unsupported), (2, AckResult::Ok)]);
+    assert_eq!(rig.line.acks(), [(2, AckResult::Ok)]);
     rig.line.clear();
     rig.hold(LEVEL, 2000);
     assert!(rig.line.left().is_empty());
@@ -167,6 +166,32 @@ fn idle_silences_states_and_there_is_nothing_to_record() {
     rig.send(&HostMessage::SetMode { request: 3, mode: Mode::Classify });
     rig.hold(LEVEL, 40);
     assert!(!rig.line.left().is_empty());
+}
+
+#[test]
+fn record_mode_sends_each_sample_as_it_is_judged_and_no_state() {
+    let mut rig = Rig::start(RamEeprom::blank());
+    rig.hold(LEVEL, 100);
+    let before = rig.last().sequence;
+    rig.send(&HostMessage::SetMode { request: 1, mode: Mode::Record });
+    assert_eq!(rig.line.acks(), [(1, AckResult::Ok)]);
+    rig.line.clear();
+    rig.hold(LEVEL, 1500);
+    assert!(rig.line.left().is_empty(), "nothing to act on");
+    let raw = rig.line.all(|m| if let BoardMessage::RawAdc(raw) = m { Some(raw) } else { None });
+    assert_eq!(raw.len(), 150);
+    for (n, sample) in raw.iter().enumerate() {
+        let time_ms = 110 + 10 * n as u32;
+        let dither = u16::from((time_ms / 10).is_multiple_of(2));
+        assert_eq!((sample.board_time_ms, sample.counts), (time_ms, [4096, 4096, 4912 + dither, 5632, 5632]));
+    }
+    assert_eq!(rig.line.statuses().last().unwrap().mode, Mode::Record);
+    rig.send(&HostMessage::SetMode { request: 2, mode: Mode::Classify });
+    rig.hold(LEVEL, 40);
+    // The hand was followed all the time, and no state is missing between the two.
+    let first = rig.line.left()[0];
+    assert_eq!((first.sequence, first.health), (before + 1, health::DEFAULT_CALIBRATION));
+    assert_eq!(first.heading, Heading::Neutral);
 }
 
 #[test]

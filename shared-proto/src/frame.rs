@@ -72,6 +72,8 @@ const MODEL_INFO_MAX: usize = U32 + 2 * U8 + 2 * U16 + bytes(LABELS_MAX);
 pub const MODEL_INFO_FRAME_MAX: usize = frame_len(VARIANT + MODEL_INFO_MAX);
 /// Largest frame of an [`About`](BoardMessage::About), in bytes.
 pub const ABOUT_FRAME_MAX: usize = frame_len(VARIANT + 4 * U8 + U16);
+/// Largest frame of a [`RawAdc`](BoardMessage::RawAdc), in bytes.
+pub const RAW_ADC_FRAME_MAX: usize = frame_len(VARIANT + U32 + 5 * U16);
 
 /// Largest frame that any board sends, in bytes: the laptop's receive buffer.
 pub const BOARD_FRAME_MAX: usize = max(&[
@@ -85,6 +87,7 @@ pub const BOARD_FRAME_MAX: usize = max(&[
     ACK_FRAME_MAX,
     MODEL_INFO_FRAME_MAX,
     ABOUT_FRAME_MAX,
+    RAW_ADC_FRAME_MAX,
 ]);
 /// Largest frame that the left board sends, in bytes: its send buffer.
 pub const LEFT_BOARD_FRAME_MAX: usize = max(&[
@@ -94,6 +97,7 @@ pub const LEFT_BOARD_FRAME_MAX: usize = max(&[
     FAULT_FRAME_MAX,
     PONG_FRAME_MAX,
     ACK_FRAME_MAX,
+    RAW_ADC_FRAME_MAX,
 ]);
 
 const MODEL_BEGIN_FRAME_MAX: usize = frame_len(VARIANT + U16 + MODEL_INFO_MAX + 3 * F32 + U32);
@@ -245,7 +249,7 @@ impl core::fmt::Display for ParseError {
 impl core::error::Error for ParseError {}
 
 /// How many messages this version knows; their numbers on the wire are below.
-const BOARD_MESSAGES: u8 = 10;
+const BOARD_MESSAGES: u8 = 11;
 const HOST_MESSAGES: u8 = 9;
 const LEFT_REQUESTS: u8 = 5;
 

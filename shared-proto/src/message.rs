@@ -53,7 +53,7 @@ pub use signal::Signal;
 /// Raised when a message is reshaped; both sides must have the same one.
 pub const PROTOCOL_MAJOR: u8 = 1;
 /// Raised when a message is added; the older side ignores what it does not know.
-pub const PROTOCOL_MINOR: u8 = 2;
+pub const PROTOCOL_MINOR: u8 = 3;
 
 /// What a board sends to the laptop.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -82,6 +82,8 @@ pub enum BoardMessage<'a> {
     ModelInfo(ModelInfo<'a>),
     /// What a right hand's board is made of, sent after each hello (since 1.1).
     About(About),
+    /// One sample of a left hand's converter, in record mode only (since 1.3).
+    RawAdc(RawAdc),
 }
 
 /// What the laptop sends to a board.
@@ -203,6 +205,7 @@ board_bodies! {
     Ack = 7,
     ModelInfo<'_> = 8,
     About = 9,
+    RawAdc = 10,
 }
 
 /// Largest piece of a model in one frame, in bytes. All but the last have this size.
@@ -309,6 +312,15 @@ pub struct RawImu<'a> {
     pub scale: [f32; 3],
     /// Little-endian i16, sample after sample, axes in the order accelerometer, gyroscope, magnetometer.
     pub counts: &'a [u8],
+}
+
+/// One sample of a left hand's five lines, as its board judges it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct RawAdc {
+    /// Board clock at the sample, wrapping after 49 days: a jump tells of samples that are missing.
+    pub board_time_ms: u32,
+    /// x, y, z, index, middle: each the sum of eight conversions of 10 bits, 0 to 8184.
+    pub counts: [u16; 5],
 }
 
 /// Counters since start.

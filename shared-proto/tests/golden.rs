@@ -81,6 +81,7 @@ fn board_messages() -> Vec<BoardMessage<'static>> {
             reset: ResetCause::Watchdog,
             battery_mv: 3700,
         }),
+        BoardMessage::RawAdc(RawAdc { board_time_ms: 61_010, counts: [4096, 0, 4912, 5632, 8184] }),
     ]
 }
 
@@ -233,7 +234,7 @@ fn the_pinned_frames_are_read_as_the_pinned_messages() {
         assert_eq!(read, [name]);
         frames += 1;
     }
-    assert_eq!(frames, 19);
+    assert_eq!(frames, 20);
 }
 
 #[test]

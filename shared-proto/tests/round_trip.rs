@@ -74,6 +74,7 @@ proptest! {
             BoardMessage::Ack(body) => encode_body(&body, &mut again),
             BoardMessage::ModelInfo(body) => encode_body(&body, &mut again),
             BoardMessage::About(body) => encode_body(&body, &mut again),
+            BoardMessage::RawAdc(body) => encode_body(&body, &mut again),
         };
         prop_assert_eq!(frame, body);
 

@@ -207,7 +207,7 @@ fn requests_are_answered() {
     let thresholds = |start_mrad| TiltThresholds { neutral_mrad: 87, end_mrad: 209, start_mrad };
     let unsound = HostMessage::SetThresholds { request: 4, thresholds: thresholds(200) };
     for (request, message, result) in [
-        (2, HostMessage::SetMode { request: 2, mode: Mode::Record }, AckResult::Unsupported),
+        (2, HostMessage::SetMode { request: 2, mode: Mode::Record }, AckResult::Ok),
         (3, HostMessage::SetThresholds { request: 3, thresholds: thresholds(300) }, AckResult::Ok),
         (4, unsound, AckResult::OutOfRange),
         (5, HostMessage::SetMode { request: 5, mode: Mode::Idle }, AckResult::Ok),
@@ -218,7 +218,15 @@ fn requests_are_answered() {
         assert_eq!(answer.map(|a| (a.request, a.result)), Some((request, result)));
     }
     assert!(session.states(500.0).is_empty(), "idle: status only");
-    session.send(&HostMessage::SetMode { request: 6, mode: Mode::Classify });
+    session.send(&HostMessage::SetMode { request: 6, mode: Mode::Record });
+    let heard = session.run_ms(1000.0);
+    let times: Vec<u32> = heard
+        .iter()
+        .filter_map(|(_, s)| if let Seen::Raw(raw) = s { Some(raw.board_time_ms) } else { None })
+        .collect();
+    assert!((95..=100).contains(&times.len()), "each sample: {}", times.len());
+    assert!(times.windows(2).all(|pair| pair[1] - pair[0] == 10), "none missing: {times:?}");
+    session.send(&HostMessage::SetMode { request: 7, mode: Mode::Classify });
     session.send(&HostMessage::Ping { id: 77 });
     session.send(&HostMessage::HelloRequest);
     let heard = session.run_ms(1100.0);

@@ -38,7 +38,8 @@ fn play_demo(link: Link) {
     let seconds = if whole { left.samples.len() as u64 / 100 } else { 36 };
     let expect = &script.expect;
     let mut nano = calibrated(&script.calibration);
-    let samples: Vec<[u16; 5]> = left.samples.iter().map(|(_, counts)| *counts).collect();
+    let samples: Vec<[u16; 5]> =
+        left.samples.iter().map(|(_, counts)| counts.as_array().map(|sum| sum / 8)).collect();
     nano.set_voltages(Box::new(Recorded::new(samples, nano.cycle())));
     let motion = |start| Replay { rows: rows(&right), interval: 0.01, start };
     let mut desk = TwoHands::new(Some(Left::new(nano)), Some(Right::start(link, motion)));

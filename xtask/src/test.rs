@@ -419,6 +419,13 @@ fn others() -> Vec<Step> {
         }),
     ];
     if is_full() {
+        steps.push(Step::new("TensorFlow's exports in its own interpreter", || {
+            let python = python::environment()?;
+            sh(Command::new(python)
+                .current_dir(root())
+                .arg("models/tests/tflite_fixtures_check.py")
+                .arg(built("models")?.get_program()))
+        }));
         steps.push(Step::new("Windows and macOS, compiled", || {
             for target in [Target::Windows, Target::Mac] {
                 sh(toolchain::cargo(target, "check")?

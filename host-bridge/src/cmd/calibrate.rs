@@ -59,8 +59,13 @@ pub fn run(args: &Args) -> Result<ExitCode> {
             announce(talk.waiter(), number + 1, pose, args.every)?;
             match talk.request(STEP_MS, |request| HostMessage::Calibrate { request, step: *step }) {
                 Ok(_) => break,
-                Err(TalkError::Refused { result: AckResult::Unsteady, advice, .. }) if attempt < ATTEMPTS => {
-                    println!("   {advice}");
+                Err(TalkError::Refused { result: AckResult::Unsteady, .. }) => {
+                    println!("   refused: {}", why_refused(*step));
+                    ensure!(
+                        attempt < ATTEMPTS,
+                        "step {} was refused {ATTEMPTS} times; the steps before it are kept, run calibrate again",
+                        number + 1
+                    );
                 }
                 Err(error) => {
                     bail!("{error}; the steps that succeeded before are kept, run calibrate again");
@@ -71,6 +76,21 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     }
     report(&mut talk);
     Ok(ExitCode::SUCCESS)
+}
+
+/// What may be wrong with a pose: the board says only that it is.
+fn why_refused(step: CalibrationStep) -> &'static str {
+    match step {
+        CalibrationStep::Neutral => {
+            "the hand moved, or it is not level with the palm down; hold it so, and still, for a second"
+        }
+        CalibrationStep::Rest => "a finger moved; keep both straight and still for a second",
+        CalibrationStep::Bend => {
+            "a finger moved, or reads about the same as when it was straight; bend both further and hold still. If they are \
+             bent, a flex sensor slips, sits on another finger, or its divider has the wrong resistor"
+        }
+        CalibrationStep::Reset => "the board could not forget its calibration; restart it",
+    }
 }
 
 fn announce(waiter: &Waiter, number: usize, pose: &str, every: Option<f64>) -> Result<()> {

@@ -20,9 +20,13 @@ pub struct Args {
     /// Rows per second
     #[arg(long, default_value_t = 50, value_parser = clap::value_parser!(u32).range(1..=200))]
     fps: u32,
-    /// What an episode is: the whole session, or each motion of the arm that reached its pose
-    #[arg(long, value_enum, default_value = "session")]
-    episodes: Episodes,
+    /// What an episode is: the whole session, each motion of the arm that reached its pose, or what the operator marked
+    /// while the session ran [default: the marks, where there are any; else the whole session]
+    #[arg(long, value_enum)]
+    episodes: Option<Episodes>,
+    /// Of marked episodes, only those that were marked good
+    #[arg(long, conflicts_with = "begin")]
+    only_good: bool,
     /// An episode begins at this gesture, instead
     #[arg(long, value_name = "LABEL", requires = "end", conflicts_with = "episodes")]
     begin: Option<String>,
@@ -32,7 +36,7 @@ pub struct Args {
     /// This gesture throws away what was begun and begins again
     #[arg(long, value_name = "LABEL", requires = "begin")]
     again: Option<String>,
-    /// What was to be done, in words [default: the motion, or the session's title]
+    /// What was to be done, in words [default: what the recording's --task said; else the motion, or the session's title]
     #[arg(long, value_name = "TEXT")]
     task: Option<String>,
     /// What the robot is called
@@ -47,6 +51,8 @@ pub enum Episodes {
     Session,
     /// Each motion of the arm
     Motions,
+    /// What was marked
+    Marks,
 }
 
 /// Says that this program cannot.
@@ -66,15 +72,8 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         args.lerobot.is_none(),
         "--lerobot: this program was built without parquet; build it with `--features lerobot`"
     );
-    let cut = match (&args.begin, &args.end, args.episodes) {
-        (Some(begin), Some(end), _) => {
-            Cut::Gestures { begin: begin.clone(), end: end.clone(), again: args.again.clone() }
-        }
-        (_, _, Episodes::Motions) => Cut::Motions,
-        _ => Cut::Whole,
-    };
     let mut joints: Option<Vec<String>> = None;
-    let mut all = Vec::new();
+    let mut sessions = Vec::new();
     for file in &args.sessions {
         let about = || format!("{}", file.display());
         if host_bridge::journal::index::complete(file).map_err(anyhow::Error::msg)? {
@@ -89,12 +88,34 @@ pub fn run(args: &Args) -> Result<ExitCode> {
             streams.joint_names.join(", "),
             first.join(", ")
         );
-        let found = episodes::find(&streams, &cut, args.task.as_deref());
+        sessions.push((file, streams));
+    }
+    let marked = sessions.iter().any(|(_, streams)| streams.is_marked());
+    let cut = match (&args.begin, &args.end, args.episodes) {
+        (Some(begin), Some(end), _) => {
+            Cut::Gestures { begin: begin.clone(), end: end.clone(), again: args.again.clone() }
+        }
+        (_, _, Some(Episodes::Motions)) => Cut::Motions,
+        (_, _, Some(Episodes::Session)) => Cut::Whole,
+        (_, _, None) if !marked && !args.only_good => Cut::Whole,
+        _ => Cut::Marks { only_good: args.only_good },
+    };
+    if matches!(cut, Cut::Marks { .. }) {
+        ensure!(
+            marked,
+            "nobody marked an episode in these sessions (`host-bridge record --session` takes marks); \
+             --episodes session or motions says what else one is"
+        );
+        println!("the episodes are those that the operator marked");
+    }
+    let mut all = Vec::new();
+    for (file, streams) in &sessions {
+        let found = episodes::find(streams, &cut, args.task.as_deref());
         for (time_ms, why) in &found.left_out {
             println!("{}: from {:.3} s: left out: {why}", file.display(), *time_ms as f64 / 1000.0);
         }
         for episode in &found.episodes {
-            match frames::rows(&streams, episode, args.fps) {
+            match frames::rows(streams, episode, args.fps) {
                 Ok(rows) => all.push(rows),
                 Err(why) => {
                     let at_s = episode.start_ms as f64 / 1000.0;

@@ -16,6 +16,9 @@ pub struct KeepArgs {
     /// Write everything that happens to a new file, for `replay FILE.mcap`, Foxglove and ROS tools
     #[arg(long, value_name = "FILE.mcap")]
     pub record: Option<PathBuf>,
+    /// What is to be done in the session, in words, for `export`
+    #[arg(long, value_name = "TEXT", requires = "record")]
+    pub task: Option<String>,
 }
 
 /// What a session starts with.
@@ -71,6 +74,7 @@ impl KeepArgs {
             scene: start.scene.map(SceneText::read).transpose()?,
             origin_ns: start.origin.nanoseconds,
             robot_elsewhere: start.robot_elsewhere,
+            task: self.task.clone(),
         };
         let when_full = if start.live { WhenFull::Drop } else { WhenFull::Wait };
         let (disk, recorder) =

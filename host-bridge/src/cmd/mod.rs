@@ -11,5 +11,6 @@ pub mod record;
 pub mod replay;
 pub mod ros2;
 pub mod run;
+pub mod screen;
 pub mod send_model;
 pub mod web;

@@ -1,4 +1,5 @@
-//! `host-bridge record`: the right hand's raw samples into files that `models train` and Edge Impulse read.
+//! `host-bridge record`: a hand's raw samples into files (the right hand's for `models train` and Edge Impulse, the left
+//! hand's for `replay --left`), or a session of both hands with the robot.
 
 use std::io::{ErrorKind, IsTerminal as _, Write as _};
 use std::path::{Path, PathBuf};
@@ -7,15 +8,16 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Context as _, Result, bail, ensure};
-use host_bridge::capture::{Collector, sparkline};
+use host_bridge::capture::{CaptureProblem, Collector, LeftCollector, sparkline};
 use host_bridge::ending::Ending;
 use host_bridge::keyboard::LABELS;
 use host_bridge::safety::Hand;
-use host_bridge::talk::{Said, Talk};
+use host_bridge::talk::{Said, Talk, TalkError};
 use models::recording::write_whole;
-use shared_proto::message::{Board, HostMessage, Mode};
+use shared_proto::message::{AckResult, Board, HostMessage, Mode};
 
 use super::ports::PortOptions;
+use super::{keep, run as steering};
 use crate::play::Interrupted;
 
 const HELLO_MS: u64 = 6000;
@@ -27,69 +29,133 @@ const SILENCE_MS: u64 = 3000;
 /// In a guided session a spoilt take is taken again.
 const ATTEMPTS: u32 = 3;
 
+/// What a guided session of the left hand goes through.
+const LEFT_LABELS: &str = "level,forward,backward,left,right,index,middle,both-fingers";
+
 /// Options.
 #[derive(clap::Args, Clone, Debug)]
+#[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
 pub struct Args {
+    #[command(subcommand)]
+    whole: Option<Whole>,
+    /// Which hand: the right one's IMU for `models train`, or the left one's converter for `replay --left`
+    #[arg(long, value_enum, default_value = "right")]
+    hand: Which,
     #[command(flatten)]
     port: PortOptions,
-    /// Which gesture this is, for example circle
+    /// Which gesture or movement this is, for example circle
     #[arg(long, required_unless_present = "guided", conflicts_with = "guided")]
     label: Option<String>,
     /// Who performs it
-    #[arg(long)]
-    person: String,
+    #[arg(long, required = true)]
+    person: Option<String>,
     /// Length of a recording (the paper's: 150)
     #[arg(long, default_value_t = 20.0)]
     seconds: f64,
     /// Walk through all labels, one after the other
     #[arg(long)]
     guided: bool,
-    /// Labels of a guided session, separated by commas
-    #[arg(long, default_value = LABELS, requires = "guided")]
-    labels: String,
+    /// Labels of a guided session, separated by commas [default: the model's; of the left hand: level,forward,…]
+    #[arg(long, requires = "guided")]
+    labels: Option<String>,
     /// Seconds to get ready
     #[arg(long, default_value_t = 3)]
     countdown: u64,
-    /// Folder for FOLDER/<label>/<person>__<n>.csv
-    #[arg(long, value_name = "FOLDER", default_value = "recordings")]
-    out: PathBuf,
+    /// Folder for FOLDER/<label>/<person>__<n>.csv [default: recordings; of the left hand: recordings-left]
+    #[arg(long, value_name = "FOLDER")]
+    out: Option<PathBuf>,
+}
+
+/// More than one hand.
+#[derive(clap::Subcommand, Clone, Debug)]
+enum Whole {
+    /// Both hands at once with the robot, into FILE.mcap: what `run --record FILE.mcap` does, and marks of episodes
+    #[command(long_flag = "session")]
+    Session(Box<SessionArgs>),
+}
+
+/// Options of a whole session.
+#[derive(clap::Args, Clone, Debug)]
+struct SessionArgs {
+    /// The new file; `replay FILE.mcap` plays it, `export FILE.mcap` makes a data set of it
+    #[arg(value_name = "FILE.mcap")]
+    file: PathBuf,
+    /// What is to be done in it, in words, for `export`
+    #[arg(long, value_name = "TEXT")]
+    task: Option<String>,
+    #[command(flatten)]
+    hands: steering::HandArgs,
+}
+
+/// Whose samples.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Which {
+    /// The right one's IMU
+    Right,
+    /// The left one's converter: tilt and fingers
+    Left,
 }
 
 /// Records; every file is written whole or not at all.
 pub fn run(args: &Args) -> Result<ExitCode> {
+    if let Some(Whole::Session(session)) = &args.whole {
+        let keep = keep::KeepArgs { record: Some(session.file.clone()), task: session.task.clone() };
+        return steering::steer(&session.hands, &keep);
+    }
     ensure!((0.5..=3600.0).contains(&args.seconds), "--seconds takes 0.5 to 3600");
     ensure!(args.countdown <= 60, "--countdown takes up to 60 seconds");
-    check_name("--person", &args.person)?;
-    ensure!(!args.person.contains("__"), "--person: two underscores end the name in a file; use one");
+    let person = args.person.as_deref().unwrap_or_default();
+    check_name("--person", person)?;
+    ensure!(!person.contains("__"), "--person: two underscores end the name in a file; use one");
+    let (hand, known, folder) = match args.hand {
+        Which::Right => (Hand::Right, LABELS, "recordings"),
+        Which::Left => (Hand::Left, LEFT_LABELS, "recordings-left"),
+    };
+    let out = args.out.clone().unwrap_or_else(|| folder.into());
     let labels: Vec<String> = match &args.label {
         Some(label) => vec![label.clone()],
-        None => args.labels.split(',').map(|label| label.trim().to_owned()).collect(),
+        None => {
+            let labels = args.labels.as_deref().unwrap_or(known);
+            labels.split(',').map(|label| label.trim().to_owned()).collect()
+        }
     };
     for label in &labels {
         check_name("label", label)?;
     }
     // Whether there is room is known before anybody performs anything for it.
     for label in &labels {
-        let folder = args.out.join(label);
+        let folder = out.join(label);
         make_folder(&folder)?;
-        let trial = folder.join(format!("{}.trial", args.person));
+        let trial = folder.join(format!("{person}.trial"));
         std::fs::write(&trial, []).and_then(|()| std::fs::remove_file(&trial)).with_context(|| {
             format!("{}: nothing can be written here; is there room, and may you?", folder.display())
         })?;
     }
-    let (port, settings) = args.port.resolve(Hand::Right)?;
+    let (port, settings) = args.port.resolve(hand)?;
     // From here on an end from outside is a flag, so that the board can be brought back to classifying.
     let interrupted = Arc::new(AtomicBool::new(false));
     let _ending = Ending::watch(&interrupted, false).context("signals cannot be caught here")?;
 
     let mut talk = Talk::open(&port, settings);
     let who = talk.hello(HELLO_MS)?;
-    if matches!(who.board, Board::LeftNano | Board::LeftReplay) {
-        bail!("{port}: {} answers; only the right hand's samples are recorded", who.board);
+    let is_left = matches!(who.board, Board::LeftNano | Board::LeftReplay);
+    if is_left != (hand == Hand::Left) {
+        let (there, option) = if is_left { ("left", "--hand left") } else { ("right", "--hand right") };
+        bail!(
+            "{port}: {} answers, the {there} hand's board; `record {option}` records it, or give the {hand} hand's port",
+            who.board
+        );
     }
     let mode = |mode| move |request| HostMessage::SetMode { request, mode };
-    talk.request(REQUEST_MS, mode(Mode::Record))?;
-    let mut session = Session { talk, args, sample_hz: who.sample_hz, interrupted: &interrupted };
+    talk.request(REQUEST_MS, mode(Mode::Record)).map_err(|error| match error {
+        TalkError::Refused { port, result: AckResult::Unsupported, .. } => anyhow::anyhow!(
+            "{port}: this board's firmware ({}, protocol {}.{}) sends no samples; flash it with the one of this version",
+            who.firmware, who.version.0, who.version.1
+        ),
+        other => other.into(),
+    })?;
+    let mut session =
+        Session { talk, args, person, out: &out, sample_hz: who.sample_hz, interrupted: &interrupted };
     let mut done = Ok(());
     for (number, label) in labels.iter().enumerate() {
         if args.guided {
@@ -112,7 +178,12 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     if back.is_err() {
         println!("the board did not go back to classifying; restart it, or just start `host-bridge run`");
     }
-    println!("next: models train {} --out trained", args.out.display());
+    match args.hand {
+        Which::Right => println!("next: models train {} --out trained", out.display()),
+        Which::Left => {
+            println!("next: host-bridge replay --left FILE, with --calibration start where it begins level")
+        }
+    }
     Ok(ExitCode::SUCCESS)
 }
 
@@ -126,9 +197,63 @@ fn check_name(what: &str, name: &str) -> Result<()> {
     Ok(())
 }
 
+/// What was recorded so far.
+enum Taken {
+    Right(Collector),
+    Left(LeftCollector),
+}
+
+impl Taken {
+    /// Takes what is of this hand; `None` for all else. True when there is enough.
+    fn push(&mut self, said: &Said) -> Option<Result<bool, CaptureProblem>> {
+        match (self, said) {
+            (Taken::Right(collector), Said::Raw(batch)) => Some(collector.push(batch)),
+            (Taken::Left(collector), Said::RawLeft(raw)) => Some(collector.push(raw)),
+            _ => None,
+        }
+    }
+
+    fn len(&self) -> usize {
+        match self {
+            Taken::Right(collector) => collector.len(),
+            Taken::Left(collector) => collector.len(),
+        }
+    }
+
+    fn clipped(&self) -> usize {
+        match self {
+            Taken::Right(collector) => collector.clipped(),
+            Taken::Left(collector) => collector.clipped(),
+        }
+    }
+
+    /// How the hand moves: its acceleration, or its tilt forward and both fingers.
+    fn line(&self) -> String {
+        match self {
+            Taken::Right(collector) => sparkline(&collector.newest_acceleration(40), 4.0, 20.0),
+            Taken::Left(collector) => {
+                let line = |n, least, most| sparkline(&collector.newest(n, 12), least, most);
+                format!("x {} index {} middle {}", line(0, 0.4, 0.6), line(3, 0.4, 0.8), line(4, 0.4, 0.8))
+            }
+        }
+    }
+
+    fn csv(self) -> String {
+        match self {
+            // Edge Impulse's header; our own tools read both.
+            Taken::Right(collector) => {
+                collector.recording().to_csv().replacen("timestamp_ms", "timestamp", 1)
+            }
+            Taken::Left(collector) => collector.recording().to_csv(),
+        }
+    }
+}
+
 struct Session<'a> {
     talk: Talk,
     args: &'a Args,
+    person: &'a str,
+    out: &'a Path,
     sample_hz: u16,
     interrupted: &'a AtomicBool,
 }
@@ -139,7 +264,7 @@ impl Session<'_> {
         let attempts = if self.args.guided { ATTEMPTS } else { 1 };
         for attempt in 1.. {
             match self.take(label) {
-                Ok(collector) => return self.save(label, collector),
+                Ok(taken) => return self.save(label, taken),
                 Err(error) if attempt < attempts && !error.is::<Interrupted>() => {
                     println!("   {error:#}; once more");
                 }
@@ -150,7 +275,7 @@ impl Session<'_> {
         Ok(())
     }
 
-    fn take(&mut self, label: &str) -> Result<Collector> {
+    fn take(&mut self, label: &str) -> Result<Taken> {
         for left in (1..=self.args.countdown).rev() {
             println!("   {label} in {left} …");
             let until_ms = self.talk.now_ms() + 1000;
@@ -164,17 +289,24 @@ impl Session<'_> {
         println!("   go: {label}, {} s", self.args.seconds);
         let rate_hz = f64::from(self.sample_hz.max(1));
         let wanted = (self.args.seconds * rate_hz).round() as usize;
-        let mut collector = Collector::new(wanted, self.sample_hz);
+        let mut taken = match self.args.hand {
+            Which::Right => Taken::Right(Collector::new(wanted, self.sample_hz)),
+            Which::Left => Taken::Left(LeftCollector::new(wanted, self.sample_hz)),
+        };
         let mut heard_ms = self.talk.now_ms();
         let mut full = false;
         while !full {
             self.ensure_wanted()?;
-            match self.talk.next(100) {
-                Some((at_ms, Said::Raw(batch))) => {
-                    heard_ms = at_ms;
-                    full = collector.push(&batch)?;
-                    self.show(&collector, rate_hz);
-                }
+            let said = self.talk.next(100);
+            if let Some((at_ms, said)) = &said
+                && let Some(pushed) = taken.push(said)
+            {
+                heard_ms = *at_ms;
+                full = pushed?;
+                self.show(&taken, rate_hz);
+                continue;
+            }
+            match said {
                 Some((_, Said::Closed(why))) => bail!("{why}"),
                 Some((_, Said::Hello(_))) => {
                     bail!("the board restarted; check its power and cable, and record again");
@@ -189,7 +321,7 @@ impl Session<'_> {
         if std::io::stdout().is_terminal() {
             println!();
         }
-        Ok(collector)
+        Ok(taken)
     }
 
     fn is_interrupted(&self) -> bool {
@@ -212,23 +344,22 @@ impl Session<'_> {
     }
 
     /// A bar, the time, and how the hand moves.
-    fn show(&self, collector: &Collector, rate_hz: f64) {
+    fn show(&self, taken: &Taken, rate_hz: f64) {
         const BAR: usize = 20;
         if !std::io::stdout().is_terminal() {
             return;
         }
-        let seconds = collector.len() as f64 / rate_hz;
+        let seconds = taken.len() as f64 / rate_hz;
         let part = ((seconds / self.args.seconds * BAR as f64) as usize).min(BAR);
-        let line = sparkline(&collector.newest_acceleration(40), 4.0, 20.0);
+        let line = taken.line();
         print!("\r   [{}{}] {seconds:>5.1} s  {line} ", "#".repeat(part), ".".repeat(BAR - part));
         let _ = std::io::stdout().flush();
     }
 
-    fn save(&self, label: &str, collector: Collector) -> Result<()> {
-        let (samples, clipped) = (collector.len(), collector.clipped());
-        let file = next_file(&self.args.out.join(label), &self.args.person)?;
-        // Edge Impulse's header; our own tools read both.
-        let text = collector.recording().to_csv().replacen("timestamp_ms", "timestamp", 1);
+    fn save(&self, label: &str, taken: Taken) -> Result<()> {
+        let (samples, clipped) = (taken.len(), taken.clipped());
+        let file = next_file(&self.out.join(label), self.person)?;
+        let text = taken.csv();
         let about = || format!("{}: cannot be written; is there room, and may you?", file.display());
         if let Err(error) = write_whole(&file, text.as_bytes()) {
             // The empty file only kept the name.
@@ -236,7 +367,12 @@ impl Session<'_> {
             return Err(error).with_context(about);
         }
         println!("   saved {} ({samples} samples, no gaps)", file.display());
-        if clipped > 0 {
+        if clipped > 0 && self.args.hand == Which::Left {
+            println!(
+                "   {clipped} samples stand at an end of the converter: a line is open, shorted or out of its range; \
+                 check the wiring"
+            );
+        } else if clipped > 0 {
             println!(
                 "   {clipped} samples are clipped: the sensor's range was not enough. Move less fast{}",
                 if clipped * 100 > samples { " and record it again: more than 1 % is too much" } else { "" }

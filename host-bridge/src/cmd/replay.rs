@@ -7,7 +7,7 @@ use anyhow::{Context as _, Result, bail, ensure};
 use host_bridge::adc::AdcRecording;
 use host_bridge::bridge::{BridgeEvent, EventKind};
 use host_bridge::describe;
-use host_bridge::hands::{Delayed, LeftBoard, ModelFile, RightBoard, Wired, join};
+use host_bridge::hands::{Delayed, LeftBoard, ModelFile, RightBoard, Wired, join, refused_at_start};
 use host_bridge::safety::State;
 use host_bridge::script::CalibrationTable;
 use host_bridge::session::{Session, Summary};
@@ -110,7 +110,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         left.map_or(Source::Nobody, |left| Source::here(Wired::new(Delayed::new(left.board, left_ms))));
     let right = match (&model, right) {
         (Some(model), Some(right)) => {
-            let board = RightBoard::new(right.recording, model, 1)?;
+            let board = RightBoard::new(right.recording, model, 1)?.silent_in(right.silences);
             Source::here(Wired::new(Delayed::new(board, right_ms)))
         }
         _ => Source::Nobody,
@@ -228,7 +228,11 @@ fn read_left(file: &Path, calibration: Option<&Path>) -> Result<Left> {
     let read = AdcRecording::read(file)?;
     let length_ms = read.recording.samples.last().map_or(0, |(time_ms, _)| *time_ms);
     let span_ms = [read.start_ms, read.start_ms + length_ms as f64];
-    let notes = read.notes.iter().map(|note| format!("{}: {note}", file.display())).collect();
+    let mut notes = read.notes;
+    if calibration == Some(Path::new("start")) {
+        notes.extend(refused_at_start(&read.recording));
+    }
+    let notes = notes.iter().map(|note| format!("{}: {note}", file.display())).collect();
     let recording = read.recording;
     let board = match calibration {
         None => LeftBoard::new(recording, None, 1),

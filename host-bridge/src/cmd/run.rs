@@ -1,56 +1,51 @@
 //! `host-bridge run`: the boards on their ports (or keys in their place) steer the simulated robot.
 
-mod lines;
-
-use std::io::{IsTerminal as _, Write as _};
+use std::io::IsTerminal as _;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result, bail, ensure};
-use crossterm::event::{KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
 use host_bridge::config::{Config, KEYBOARD, Place};
-use host_bridge::control::{Control, Flags, Order, Report, Work};
-use host_bridge::describe;
+use host_bridge::control::{Control, Flags, Work};
 use host_bridge::ending::Ending;
 use host_bridge::engine::Engine;
 use host_bridge::foxglove::Foxglove;
-use host_bridge::keyboard::{HandKey, KeyLeft, KeyRight};
+use host_bridge::keyboard::{KeyLeft, KeyRight};
 use host_bridge::links::{Clock, Link as BoardLink, SystemClock, is_ble, is_serial_over_air, queue};
-use host_bridge::observe::{Now, SessionEvent};
+use host_bridge::robot::Robot;
 use host_bridge::robot::brake::longest_s;
-use host_bridge::robot::{Door, Robot};
 use host_bridge::robots::{Echoed, Stage};
 use host_bridge::ros2::stream::HORIZON_MS;
 use host_bridge::ros2::{ArmInterface, Counts, Stamped};
 use host_bridge::safety::Hand;
 use host_bridge::source::Source;
-use host_bridge::view::{Scene, View};
+use host_bridge::view::View;
 use host_bridge::web::Web;
-use shared_proto::message::Heading;
+use serde::Serialize;
 
-use lines::{EndLine, LinkLine, PageLine};
-
-use super::keep::{KeepArgs, Keeper, Start, origin};
+use super::keep::{KeepArgs, Start, origin};
 use super::ports::{check_name, read_config, settings};
 use super::ros2::{FAREWELL_MS, Graph, Output};
+use super::screen::{Screen, keys};
 use super::web::WebArgs;
 use crate::play::{check_motions, stage};
 
-/// Keys are looked for this often, also when nothing happens.
-const PATIENCE: Duration = Duration::from_millis(10);
 /// An arm on a graph that takes longer to brake is not driven.
 const BRAKING_MAX_S: f64 = 1.0;
-/// The release key must be pressed twice within this time.
-const CONFIRM: Duration = Duration::from_secs(2);
-
-const KEYS: &str = "space: stop   r r: release a stop (no right hand)   Esc: quit   end the arm's motion:";
-const HAND_KEYS: &str = "keyboard: arrows drive while held, q faster, z slower; 1-6 gestures";
 
 /// Options.
 #[derive(clap::Args, Clone, Debug)]
 pub struct Args {
+    #[command(flatten)]
+    pub hands: HandArgs,
+    #[command(flatten)]
+    pub keep: KeepArgs,
+}
+
+/// Which hands steer which robot; shared with `record --session`.
+#[derive(clap::Args, Clone, Debug)]
+pub struct HandArgs {
     /// Port of the left hand's board (tilt, bends: the base), or `keyboard`
     #[arg(long, value_name = "PORT|keyboard")]
     left: Option<String>,
@@ -66,6 +61,10 @@ pub struct Args {
     /// Gives a label of your own model a motion, such as wave=pick-up (repeatable)
     #[arg(long, value_name = "LABEL=MOTION")]
     map: Vec<String>,
+    /// This gesture marks episodes of a recorded session and moves nothing: LABEL=begin, end, again, good or bad
+    /// (repeatable)
+    #[arg(long, value_name = "LABEL=MARK")]
+    mark: Vec<String>,
     /// The hands change places: --left is the gesture board, --right the tilt board
     #[arg(long)]
     left_handed: bool,
@@ -97,12 +96,22 @@ pub struct Args {
     jerk_limited: bool,
     #[command(flatten)]
     web: WebArgs,
-    #[command(flatten)]
-    keep: KeepArgs,
+}
+
+#[derive(Serialize)]
+struct PageLine<'a> {
+    time_ms: u64,
+    event: &'static str,
+    url: &'a str,
 }
 
 /// Runs until somebody quits or the time is over.
 pub fn run(args: &Args) -> Result<ExitCode> {
+    steer(&args.hands, &args.keep)
+}
+
+/// The same with a file that another verb names.
+pub fn steer(args: &HandArgs, keep: &KeepArgs) -> Result<ExitCode> {
     let mut config = read_config(args.config.as_deref())?;
     config.left_handed |= args.left_handed;
     config.arm.jerk_limited |= args.jerk_limited;
@@ -122,6 +131,11 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         let (label, motion) =
             mapping.split_once('=').context("--map takes LABEL=MOTION, such as wave=pick-up")?;
         config.motions.insert(label.to_owned(), motion.to_owned());
+    }
+    for marking in &args.mark {
+        let (label, mark) = marking.split_once('=').context("--mark takes LABEL=MARK, such as wave=begin")?;
+        let mark = mark.parse().map_err(anyhow::Error::msg).context("--mark")?;
+        config.marks.insert(label.trim().to_owned(), mark);
     }
     config.check()?;
     if args.print_config {
@@ -163,7 +177,8 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     let stage = stage(&config, args.scene.as_deref())?;
     let map = config.motion_map();
     check_motions(&map, &config.mappings(), &stage.motions)?;
-    let web = args.web.start(false)?;
+    let records = keep.record.is_some();
+    let web = args.web.start(false, records)?;
     let braking_s = longest_s(&stage.limits);
     ensure!(
         !args.ros2 || config.ros2.arm != ArmInterface::Stream || braking_s <= BRAKING_MAX_S,
@@ -216,6 +231,9 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     let mut engine = Engine::new(config.bridge(map), stage.before(robot), sources, clock.now_ms())
         .with_tilt(config.tilt.into())
         .with_vibration(config.vibration.wired);
+    if records {
+        engine = engine.with_marks(config.marks.clone());
+    }
     let origin = origin(clock.now_ms());
     if let Some(output) = output {
         engine.tap_mut().add(Box::new(output));
@@ -238,19 +256,17 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         live: true,
         robot_elsewhere,
     };
-    let keeper = args.keep.start(engine.tap_mut(), &start)?;
+    let keeper = keep.start(engine.tap_mut(), &start)?;
     let flags = Flags::default();
     let ending = Ending::watch(&flags.quit_flag(), wants_view)?;
-    let with_hands = places.contains(&Place::Keyboard);
-    let keys =
-        [Some(format!("{KEYS} {}", config.keyboard.end_arm)), with_hands.then(|| HAND_KEYS.to_owned())];
-    let keys = keys.into_iter().flatten().collect::<Vec<_>>().join("\n");
+    let keys = keys(config.keyboard.end_arm, places.contains(&Place::Keyboard), records);
     let mut screen = Screen {
         view: if wants_view { Some(View::open(&title)?) } else { None },
         json: args.json,
         keeper,
         over_air,
         released: None,
+        records,
         keys,
         end_arm: config.keyboard.end_arm,
     };
@@ -270,6 +286,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         links,
         events,
         asks_for_stop: web.as_ref().map_or_else(|| Box::new(|| false) as _, |web| Box::new(web.stops()) as _),
+        marks: web.as_ref().map_or_else(|| Box::new(|| None) as _, |web| Box::new(web.marks()) as _),
         until_ms: args.seconds.map_or(u64::MAX, |seconds| (seconds * 1000.0) as u64),
         farewell_ms: if counts.is_some() { FAREWELL_MS } else { 0 },
     };
@@ -319,170 +336,6 @@ fn robot(
                 Box::new(driver)
             };
             (Some(counts), Some(output), robot)
-        }
-    }
-}
-
-/// The terminal: draws, prints and takes keys. Nothing here can delay the control thread.
-struct Screen {
-    view: Option<View>,
-    json: bool,
-    keeper: Keeper,
-    over_air: [bool; 2],
-    /// When the release key was pressed once.
-    released: Option<Instant>,
-    keys: String,
-    /// The key that ends the arm's motion.
-    end_arm: char,
-}
-
-impl Screen {
-    fn show<D: Door + Send + 'static>(&mut self, control: &Control<D>, flags: &Flags) -> Result<()> {
-        loop {
-            let Ok(report) = control.report(PATIENCE) else { return Ok(()) };
-            if let Some(problem) = self.keeper.take_problem() {
-                self.told(&problem);
-            }
-            let Report { events, links, snapshot } = report.unwrap_or_default();
-            for event in &events {
-                self.note(event)?;
-            }
-            for link in links {
-                let what = if self.over_air[link.hand as usize] {
-                    "connected over Bluetooth"
-                } else {
-                    "the port is open"
-                };
-                self.link_line(
-                    link.time_ms,
-                    link.hand,
-                    link.closed.is_none(),
-                    link.closed.as_deref().unwrap_or(what),
-                );
-            }
-            let Some(view) = &mut self.view else { continue };
-            if let Some(snapshot) = &snapshot {
-                view.draw(&Scene { snapshot, keys: &self.keys, pace: String::new() })?;
-            }
-            while let Some(key) = self.view.as_mut().and_then(|view| view.pressed().transpose()) {
-                if self.press(key?, control, flags) {
-                    return Ok(());
-                }
-            }
-        }
-    }
-
-    fn link_line(&mut self, time_ms: u64, hand: Hand, open: bool, text: &str) {
-        if self.json {
-            let line = LinkLine { time_ms, event: "link", hand, open, text };
-            self.line(&serde_json::to_string(&line).unwrap_or_default());
-        } else {
-            self.line(&format!("{:>8.3} s  {hand} hand: {text}", time_ms as f64 / 1000.0));
-        }
-    }
-
-    fn note(&mut self, event: &SessionEvent) -> Result<()> {
-        if let (true, SessionEvent::Bridge(event)) = (self.json, event) {
-            let line = serde_json::to_string(event)?;
-            self.line(&line);
-        } else if !self.json && !describe::is_echo(event) {
-            let time_s = describe::time_ms(event) as f64 / 1000.0;
-            self.line(&format!("{time_s:>8.3} s  {}", describe::text(event)));
-        }
-        Ok(())
-    }
-
-    fn line(&mut self, line: &str) {
-        match &mut self.view {
-            Some(view) => view.note(line.to_owned()),
-            // A closed pipe is no reason to stop the robot with a panic.
-            None => {
-                let mut out = std::io::stdout();
-                let _ = writeln!(out, "{line}").and_then(|()| out.flush());
-            }
-        }
-    }
-
-    /// Handles a key; true when it means to quit.
-    fn press<D: Door + Send + 'static>(
-        &mut self,
-        key: KeyEvent,
-        control: &Control<D>,
-        flags: &Flags,
-    ) -> bool {
-        let hand_key = match key.code {
-            KeyCode::Up => Some(HandKey::Arrow(Heading::Forward)),
-            KeyCode::Down => Some(HandKey::Arrow(Heading::Backward)),
-            KeyCode::Left => Some(HandKey::Arrow(Heading::Left)),
-            KeyCode::Right => Some(HandKey::Arrow(Heading::Right)),
-            KeyCode::Char('q') => Some(HandKey::Faster),
-            KeyCode::Char('z') => Some(HandKey::Slower),
-            KeyCode::Char(digit @ '1'..='6') => Some(HandKey::Gesture(digit as u8 - b'0')),
-            _ => None,
-        };
-        match (key.kind, hand_key) {
-            (KeyEventKind::Release, Some(key)) => control.order(Order::Up(key)),
-            (KeyEventKind::Release, None) => {}
-            (_, Some(key)) => control.order(Order::Press(key)),
-            (_, None) => match key.code {
-                KeyCode::Esc => return true,
-                KeyCode::Char('c') if key.modifiers.contains(KeyModifiers::CONTROL) => return true,
-                KeyCode::Char(' ') => flags.stop(),
-                KeyCode::Char(key) if key == self.end_arm => control.order(Order::EndArm),
-                KeyCode::Char('r') if self.released.take().is_some_and(|at| at.elapsed() < CONFIRM) => {
-                    control.order(Order::Release);
-                }
-                KeyCode::Char('r') => {
-                    self.released = Some(Instant::now());
-                    self.line("press r again to release the stop");
-                }
-                _ => {}
-            },
-        }
-        false
-    }
-
-    /// About the session's file.
-    fn told(&mut self, text: &str) {
-        if self.json {
-            let line = serde_json::json!({ "event": "file", "text": text });
-            self.line(&line.to_string());
-        } else {
-            self.line(text);
-        }
-    }
-
-    fn end(&mut self, now: &Now<'_>, ros2: Option<Counts>, dropped: u64) {
-        let odometry = now.robot.picture().odometry;
-        let links = [Hand::Left, Hand::Right].map(|hand| now.bridge.link(hand));
-        if self.json {
-            let end = EndLine {
-                time_ms: now.time_ms,
-                event: "end",
-                odometry,
-                frames: links.map(|link| link.counters()),
-                round_trip_ms: links.map(|link| link.round_trip_ms()),
-                events_not_printed: dropped,
-                ros2,
-            };
-            self.line(&serde_json::to_string(&end).unwrap_or_default());
-            return;
-        }
-        let text = format!(
-            "{:.1} s; base: {:.2} m driven; frames: left {} ({} lost), right {} ({} lost)",
-            now.time_ms as f64 / 1000.0,
-            odometry.path_m,
-            links[0].counters().frames,
-            links[0].counters().lost,
-            links[1].counters().frames,
-            links[1].counters().lost
-        );
-        self.line(&text);
-        if dropped > 0 {
-            self.line(&format!("{dropped} events were not printed: the terminal was too slow"));
-        }
-        if let Some(counts) = ros2 {
-            self.line(&format!("ROS 2: {} speeds and {} arm motions sent", counts.twists, counts.motions));
         }
     }
 }

@@ -41,8 +41,9 @@ pub struct WebArgs {
 const TOKEN_VARIABLE: &str = "BIMANUAL_WEB_TOKEN";
 
 impl WebArgs {
-    /// Starts the server if it was asked for; `unasked` also without that, where a port is to be had.
-    pub fn start(&self, unasked: bool) -> Result<Option<Web>> {
+    /// Starts the server if it was asked for; `unasked` also without that, where a port is to be had. With `marks` its
+    /// pages can mark episodes.
+    pub fn start(&self, unasked: bool, marks: bool) -> Result<Option<Web>> {
         let rules = self.web_listen.is_some() || self.web_token.is_some() || self.web_token_file.is_some();
         if self.web_token.is_some() {
             // Nobody may be reading.
@@ -57,7 +58,8 @@ impl WebArgs {
             let options = [WebOptions::default(), WebOptions { port: 0, ..WebOptions::default() }];
             return Ok(options.iter().filter(|_| unasked).find_map(|options| Web::start(options).ok()));
         }
-        let started: Result<Web, WebError> = Web::start(&self.options(self.web.unwrap_or(DEFAULT_PORT))?);
+        let options = self.options(self.web.unwrap_or(DEFAULT_PORT))?;
+        let started: Result<Web, WebError> = Web::start_with(&options, marks);
         Ok(Some(started?))
     }
 

@@ -1,5 +1,7 @@
 //! Where episodes begin and end.
 
+use host_core::episodes::{Take, Tally, Verdict};
+
 use super::session::{Happened, Streams};
 
 /// How a session is cut.
@@ -10,6 +12,11 @@ pub enum Cut {
     /// One for each motion of the arm, from the gesture that starts it to its end. A motion that did not reach its pose
     /// is one that is to be repeated: it is left out.
     Motions,
+    /// As the operator marked them while the session ran.
+    Marks {
+        /// Only those that were marked good, not all that ended.
+        only_good: bool,
+    },
     /// By gestures that are kept free for it.
     Gestures {
         /// Begins an episode.
@@ -56,13 +63,23 @@ pub fn find(streams: &Streams, cut: &Cut, task: Option<&str>) -> Found {
     ];
     let over = last.into_iter().flatten().min().unwrap_or_default();
     let mut cutter = Cutter { found: Found::default(), open: None, begun, over };
+    let task = task.or(streams.task.as_deref());
     let words = |said: &str| task.map_or_else(|| said.replace(['-', '_'], " "), str::to_owned);
+    let titled = || words(if streams.title.is_empty() { "a session of two hands" } else { &streams.title });
     if *cut == Cut::Whole {
-        cutter.begin(
-            begun,
-            words(if streams.title.is_empty() { "a session of two hands" } else { &streams.title }),
-        );
+        cutter.begin(begun, titled());
         cutter.end(over);
+        return cutter.found;
+    }
+    if let Cut::Marks { only_good } = *cut {
+        for take in takes(streams, over) {
+            cutter.begin(take.start_ms, titled());
+            match take.verdict {
+                Verdict::LeftOut(why) => cutter.give_up(why),
+                Verdict::Ended if only_good => cutter.give_up("it was not marked good"),
+                Verdict::Ended | Verdict::Good => cutter.end(take.end_ms),
+            }
+        }
         return cutter.found;
     }
     for (time, happened) in &streams.events {
@@ -80,10 +97,10 @@ pub fn find(streams: &Streams, cut: &Cut, task: Option<&str>) -> Found {
                     cutter.end(*time);
                 } else if Some(label) == again.as_ref() {
                     cutter.give_up(&format!("{label} asked for it again"));
-                    cutter.begin(*time, words(&streams.title));
+                    cutter.begin(*time, titled());
                 } else if label == begin {
                     cutter.give_up("another one began before it ended");
-                    cutter.begin(*time, words(&streams.title));
+                    cutter.begin(*time, titled());
                 }
             }
             (_, Happened::StopKey) => cutter.give_up("somebody pressed stop"),
@@ -92,6 +109,23 @@ pub fn find(streams: &Streams, cut: &Cut, task: Option<&str>) -> Found {
     }
     cutter.give_up("the session ended before it");
     cutter.found
+}
+
+/// What was begun, as the program told the operator at the time.
+fn takes(streams: &Streams, over_ms: u64) -> Vec<Take> {
+    let mut tally = Tally::default();
+    for (time_ms, happened) in &streams.events {
+        match happened {
+            Happened::Marked(mark) => {
+                tally.mark(*mark, *time_ms);
+            }
+            Happened::StopKey => {
+                tally.stop(*time_ms);
+            }
+            _ => {}
+        }
+    }
+    tally.finish(over_ms)
 }
 
 struct Cutter {
@@ -184,6 +218,25 @@ mod tests {
         assert_eq!(spans, [(1_000, 2_000), (5_000, 6_000)]);
         assert!(found.episodes.iter().all(|episode| episode.task == "stack two cups"));
         assert_eq!(found.left_out.len(), 1);
+    }
+
+    #[test]
+    fn marks_make_episodes_and_what_was_repeated_bad_or_stopped_is_left_out() {
+        use host_core::episodes::Mark::{Again, Bad, Begin, End, Good};
+        let marks = [(1_000, Begin), (2_000, End), (3_000, Begin), (3_500, Again), (4_000, Good)];
+        let more = [(5_000, Begin), (5_500, Bad), (6_000, Begin), (7_500, Begin), (8_000, End)];
+        let marked = |(time, mark)| (time, Happened::Marked(mark));
+        let mut events: Vec<_> = marks.into_iter().chain(more).map(marked).collect();
+        events.insert(8, (7_000, Happened::StopKey));
+        let session = Streams { task: Some("stack two cups".to_owned()), ..streams(events) };
+        let spans = |only_good| {
+            let found = find(&session, &Cut::Marks { only_good }, None);
+            assert!(found.episodes.iter().all(|episode| episode.task == "stack two cups"));
+            let spans: Vec<_> = found.episodes.iter().map(|e| (e.start_ms, e.end_ms)).collect();
+            (spans, found.left_out.len())
+        };
+        assert_eq!(spans(false), (vec![(1_000, 2_000), (3_500, 4_000), (7_500, 8_000)], 3));
+        assert_eq!(spans(true), (vec![(3_500, 4_000)], 5));
     }
 
     #[test]

@@ -2,21 +2,24 @@
 
 use std::collections::BTreeMap;
 
+use host_core::episodes::Mark;
 use host_topics::Topic;
-use host_topics::bimanual::{Event, Operated};
+use host_topics::bimanual::{Event, Mark as MarkMessage, Operated};
 use host_topics::cdr::decode;
 use host_topics::message::{JointState, Odometry, Twist, TwistStamped};
 use mcap::McapError;
-use mcap::read::{ChunkFlattener, Options};
 use mcap::records::Record;
 
 use crate::journal::METADATA;
+use crate::journal::records::records;
 
 /// What a file says, each stream in the order of its times (ms since the session began).
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Streams {
     /// What the session is called.
     pub title: String,
+    /// What was to be done, if `--task` said it.
+    pub task: Option<String>,
     /// Names of the joints, without the base's wheels.
     pub joint_names: Vec<String>,
     /// Where the joints are, in rad (or m).
@@ -38,6 +41,8 @@ pub enum Happened {
     MotionEnded(String, bool),
     /// Somebody pressed stop, on a keyboard or on the page.
     StopKey,
+    /// The operator marked an episode.
+    Marked(Mark),
 }
 
 /// Why a file cannot be exported; the text says what to do.
@@ -74,18 +79,16 @@ impl Streams {
     /// # Errors
     /// [`ExportError`].
     pub fn read(file: &[u8]) -> Result<Self, ExportError> {
-        if !file.starts_with(mcap::MAGIC) {
-            return Err(McapError::BadMagic.into());
-        }
         let mut streams = Streams::default();
         let mut topics = BTreeMap::new();
         let mut origin_ns = None;
-        for record in ChunkFlattener::new_with_options(file, Options::IgnoreEndMagic.into())? {
+        for record in records(file)? {
             let Ok(record) = record else { break };
             match record {
                 Record::Metadata(metadata) if metadata.name == METADATA => {
                     let text = |key: &str| metadata.metadata.get(key).cloned();
                     streams.title = text("title").unwrap_or_default();
+                    streams.task = text("task");
                     origin_ns = origin_ns.or(text("origin_ns").and_then(|text| text.parse().ok()));
                 }
                 Record::Channel(channel) => {
@@ -119,6 +122,11 @@ impl Streams {
         streams.asked.sort_by_key(|(time, _)| *time);
         streams.events.sort_by_key(|(time, _)| *time);
         Ok(streams)
+    }
+
+    /// Whether anybody marked an episode.
+    pub fn is_marked(&self) -> bool {
+        self.events.iter().any(|(_, happened)| matches!(happened, Happened::Marked(_)))
     }
 
     /// `None` where the message cannot be read.
@@ -160,6 +168,11 @@ impl Streams {
                 if key == 0 {
                     self.events.push((time_ms, Happened::StopKey));
                 }
+            }
+            Topic::Marks => {
+                let MarkMessage { time_ms, mark, .. } = decode(data)?;
+                // One that a later version knows is none to us.
+                self.events.extend(mark.parse().ok().map(|mark| (time_ms, Happened::Marked(mark))));
             }
             _ => {}
         }

@@ -7,6 +7,6 @@
 pub mod replay;
 pub mod setup;
 
-pub use host_views::journal::{Disk, Kept, METADATA, Recorder, WhenFull, disk, index, sink};
+pub use host_views::journal::{Disk, Kept, METADATA, Recorder, WhenFull, disk, index, records, sink};
 pub use replay::{Replay, ReplayError, replay};
 pub use setup::{SceneText, Setup, SetupError};

@@ -3,13 +3,13 @@
 use std::collections::{BTreeMap, VecDeque};
 
 use mcap::McapError;
-use mcap::read::{ChunkFlattener, Options};
 use mcap::records::Record;
 use serde::Serialize;
 use shared_proto::frame::{Decoder, HOST_FRAME_MAX, encode_host};
 use shared_proto::message::HostMessage;
 
 use super::METADATA;
+use super::records::records;
 use super::setup::{Setup, SetupError};
 use host_arm::Director;
 use host_core::bridge::{Bridge, BridgeEvent};
@@ -90,11 +90,7 @@ pub enum ReplayError {
 /// # Errors
 /// [`ReplayError`] where nothing can be replayed.
 pub fn replay(file: &[u8]) -> Result<Replay, ReplayError> {
-    // The lenient reader takes an empty file for one whose end is missing.
-    if !file.starts_with(mcap::MAGIC) {
-        return Err(mcap::McapError::BadMagic.into());
-    }
-    let records = ChunkFlattener::new_with_options(file, Options::IgnoreEndMagic.into())?;
+    let records = records(file)?;
     let mut topics = BTreeMap::new();
     let mut player: Option<Player> = None;
     let mut cut = None;
@@ -231,6 +227,7 @@ impl Player {
             | Topic::Imu
             | Topic::Magnetic
             | Topic::Log
+            | Topic::Marks
             | Topic::Lost => {
                 return Ok(Then::GoOn);
             }

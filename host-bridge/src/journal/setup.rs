@@ -32,6 +32,8 @@ pub struct Setup {
     pub origin_ns: u64,
     /// A robot elsewhere was driven: what it did cannot be computed again.
     pub robot_elsewhere: bool,
+    /// What was to be done, for those who train robots with it.
+    pub task: Option<String>,
 }
 
 /// A scene with all that it names.
@@ -173,6 +175,9 @@ impl Setup {
         if let Some(scene) = &self.scene {
             metadata.insert("scene".to_owned(), serde_json::to_string(scene).unwrap_or_default());
         }
+        if let Some(task) = &self.task {
+            metadata.insert("task".to_owned(), task.clone());
+        }
         metadata
     }
 
@@ -193,6 +198,7 @@ impl Setup {
             scene: scene.map_err(|error| bad(error.to_string()))?,
             origin_ns: text("origin_ns")?.parse().map_err(|_| bad("origin_ns is no number".to_owned()))?,
             robot_elsewhere: metadata.get("robot").is_some_and(|robot| robot == "elsewhere"),
+            task: metadata.get("task").cloned(),
         })
     }
 }

@@ -6,7 +6,9 @@ use std::path::Path;
 use std::process::ExitStatus;
 use std::time::Duration;
 
+use host_bridge::adc::AdcRecording;
 use models::recording::Recording;
+use shared_dsp::left::AdcCounts;
 
 use crate::desk::program::{Desk, Running};
 use crate::double::{BENT, Double, FORWARD, LEVEL};
@@ -137,7 +139,7 @@ fn calibrate_walks_through_three_poses_and_doctor_is_content_afterwards() {
         !status.success() && wrong.contains("where the right hand is expected: swap the ports"),
         "{wrong}"
     );
-    for word in ["protocol 1.1", "samples 100 Hz", "ppm", "ping and back", "0.00 % of the states lost"] {
+    for word in ["protocol 1.2", "samples 100 Hz", "ppm", "ping and back", "0.00 % of the states lost"] {
         assert!(text.contains(word), "{word} in\n{text}");
     }
 }
@@ -149,7 +151,12 @@ fn a_pose_that_cannot_be_right_is_refused_and_says_why() {
     // Straight fingers where bent ones are asked for.
     let (status, text) = run(&desk, &["calibrate", "--port", &left.port(), "--every", "0"]);
     assert_eq!(status.code(), Some(1), "{text}");
-    assert_eq!(text.matches("hold still and try again").count(), 3, "{text}");
+    assert_eq!(
+        text.matches("refused: a finger moved, or reads about the same as when it was straight").count(),
+        3,
+        "{text}"
+    );
+    assert!(text.contains("step 3 was refused 3 times"), "{text}");
     let (status, text) = run(&desk, &["calibrate", "--port", &left.port()]);
     assert_eq!(status.code(), Some(1), "{text}");
     assert!(text.contains("--every"), "{text}");
@@ -193,6 +200,39 @@ fn record_writes_what_the_sensor_read_in_the_training_layout() {
     // Names that would leave the folder are refused before the port is opened.
     let (status, text) = record(&["--label", "../x"]);
     assert!(status.code() == Some(1) && text.contains("letters"), "{text}");
+}
+
+#[test]
+fn record_writes_the_left_hands_readings_and_replay_plays_them() {
+    let desk = Desk::new("live-left");
+    let left = Double::left(&desk);
+    left.hold(FORWARD);
+    let out = desk.path("left").display().to_string();
+    let port = left.port();
+    let take = ["record", "--hand", "left", "--port", &port, "--label", "forward", "--person", "me"];
+    let (status, text) =
+        run(&desk, &[&take[..], &["--seconds", "1.5", "--countdown", "0", "--out", &out]].concat());
+    assert!(
+        status.success() && text.contains("150 samples, no gaps") && text.contains("replay --left"),
+        "{text}"
+    );
+    assert!(left.classifies());
+    let file = format!("{out}/forward/me__1.csv");
+    let read = AdcRecording::read(Path::new(&file)).unwrap();
+    assert!(read.notes.is_empty(), "{:?}", read.notes);
+    assert_eq!(read.recording.samples.len(), 150);
+    for (n, (time_ms, counts)) in read.recording.samples.iter().enumerate() {
+        assert_eq!(*time_ms, 10 * n as u64);
+        // All that the board has judged by, to the eighth of a conversion: its last bit is never still.
+        let level = AdcCounts::from_ten_bit(FORWARD);
+        assert!(*counts == level || *counts == AdcCounts { z: level.z + 1, ..level }, "{counts:?}");
+    }
+    let (status, text) = run(&desk, &["replay", "--left", &file, "--speed", "0", "--headless"]);
+    assert!(status.success() && text.contains("left 7"), "{text}");
+    // A guided session has movements of its own.
+    let (status, text) =
+        run(&desk, &["record", "--hand", "left", "--guided", "--person", "a__b", "--port", &port]);
+    assert!(!status.success() && text.contains("underscores"), "{text}");
 }
 
 #[test]
@@ -276,13 +316,20 @@ fn the_wrong_hand_on_a_port_is_named() {
     let file = file.display().to_string();
     for args in [
         vec!["calibrate", "--port", &right.port(), "--every", "0"],
-        vec!["record", "--port", &left.port(), "--label", "circle", "--person", "me"],
         vec!["send-model", &file, "--port", &left.port()],
     ] {
         let (status, text) = run(&desk, &args);
         assert_eq!(status.code(), Some(1), "{args:?}: {text}");
         assert!(text.contains("answers; only the"), "{args:?}: {text}");
     }
+    let record = |port: &str, hand: &str| {
+        let take = ["record", "--port", port, "--hand", hand, "--label", "circle", "--person", "me"];
+        let (status, text) = run(&desk, &take);
+        assert_eq!(status.code(), Some(1), "{text}");
+        text
+    };
+    assert!(record(&left.port(), "right").contains("`record --hand left` records it"));
+    assert!(record(&right.port(), "left").contains("`record --hand right` records it"));
     let mut run = start(&desk, &["run", "--left", &right.port(), "--headless", "--seconds", "20"]);
     run.wait(&["swap the ports"]);
 }

@@ -31,7 +31,7 @@ pub struct Material {
 }
 
 /// Kinds of [`BoardMessage`] and [`HostMessage`].
-pub const BOARD_KINDS: usize = 10;
+pub const BOARD_KINDS: usize = 11;
 pub const HOST_KINDS: usize = 9;
 
 impl Material {
@@ -151,12 +151,16 @@ impl Material {
                 next_offset: w[2],
             }),
             8 => BoardMessage::ModelInfo(self.model_info()),
-            _ => BoardMessage::About(About {
+            9 => BoardMessage::About(About {
                 sensor: Sensor::from(w[0] as u8),
                 axes: w[1] as u8,
                 image: Image::from(w[2] as u8),
                 reset: ResetCause::from(w[3] as u8),
                 battery_mv: w[4] as u16,
+            }),
+            _ => BoardMessage::RawAdc(RawAdc {
+                board_time_ms: w[0],
+                counts: [1, 2, 3, 4, 5].map(|i| w[i] as u16),
             }),
         }
     }

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use shared_proto::frame::{BOARD_FRAME_MAX, Decoder, encode_host};
 use shared_proto::message::{
-    Ack, AckResult, BoardMessage, CalibrationStep, Fault, Heading, HostMessage, LeftState, Status,
+    Ack, AckResult, BoardMessage, CalibrationStep, Fault, Heading, HostMessage, LeftState, RawAdc, Status,
 };
 
 use super::nano::{CYCLES_PER_MS, EEPROM_BYTES, Nano, Voltages};
@@ -19,6 +19,8 @@ pub enum Seen {
     Hello(u32, String),
     /// The hand.
     Left(LeftState),
+    /// A sample, in record mode.
+    Raw(RawAdc),
     /// Counters.
     Status(Status),
     /// Trouble.
@@ -68,6 +70,7 @@ impl Session {
             let message = match message {
                 BoardMessage::Hello(hello) => Seen::Hello(hello.boot_id, hello.firmware.to_owned()),
                 BoardMessage::Left(state) => Seen::Left(state),
+                BoardMessage::RawAdc(raw) => Seen::Raw(raw),
                 BoardMessage::Status(status) => Seen::Status(status),
                 BoardMessage::Fault(fault) => Seen::Fault(fault),
                 BoardMessage::Ack(ack) => Seen::Ack(ack),

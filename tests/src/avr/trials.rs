@@ -254,6 +254,7 @@ pub fn stack() -> (usize, usize) {
     session.send(&HostMessage::HelloRequest);
     session.send(&HostMessage::Ping { id: u32::MAX });
     session.send(&HostMessage::SetMode { request: 900, mode: Mode::Record });
+    session.run_ms(100.0);
     session.send(&HostMessage::SetMode { request: 901, mode: Mode::Classify });
     let thresholds = TiltThresholds { neutral_mrad: 87, end_mrad: 209, start_mrad: 262 };
     session.send(&HostMessage::SetThresholds { request: 902, thresholds });

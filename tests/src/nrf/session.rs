@@ -212,7 +212,7 @@ impl Heard {
                 self.raw.push((raw.first_sample, counts));
             }
             BoardMessage::About(about) => self.about = Some(about),
-            BoardMessage::ModelInfo(_) | BoardMessage::Left(_) => {}
+            BoardMessage::ModelInfo(_) | BoardMessage::Left(_) | BoardMessage::RawAdc(_) => {}
         }
     }
 }

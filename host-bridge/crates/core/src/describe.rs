@@ -11,6 +11,10 @@ pub fn text(event: &SessionEvent) -> String {
         SessionEvent::RecordingEnded { hand, .. } => {
             return format!("{hand} hand: the recording is over; silence will halt the robot");
         }
+        SessionEvent::Marked { told, by, .. } => return format!("{told} ({})", by.name()),
+        SessionEvent::EpisodeStopped { number, .. } => {
+            return format!("episode {number} is thrown away: somebody pressed stop");
+        }
         SessionEvent::Bridge(BridgeEvent { kind, .. }) => kind,
     };
     match kind {
@@ -114,7 +118,9 @@ pub fn is_echo(event: &SessionEvent) -> bool {
 pub fn time_ms(event: &SessionEvent) -> u64 {
     match event {
         SessionEvent::Bridge(event) => event.time_ms,
-        SessionEvent::RecordingEnded { time_ms, .. } => *time_ms,
+        SessionEvent::RecordingEnded { time_ms, .. }
+        | SessionEvent::Marked { time_ms, .. }
+        | SessionEvent::EpisodeStopped { time_ms, .. } => *time_ms,
     }
 }
 

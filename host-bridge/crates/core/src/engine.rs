@@ -13,8 +13,10 @@ use host_robot::{Door, MotionName};
 use shared_proto::frame::{DELIMITER, HOST_FRAME_MAX, encode_host};
 use shared_proto::message::{HostMessage, Mode, TiltThresholds};
 
-use crate::bridge::{Bridge, BridgeEvent, EventKind};
+use crate::bridge::{Bridge, BridgeEvent, EventKind, GestureOutcome};
+use crate::episodes::{Mark, MarkedBy, Tally};
 use crate::feel;
+use crate::intent::same_label;
 use crate::observe::{Now, OperatorKey, SessionEvent, Tap, Turn};
 use crate::safety::Hand;
 use crate::source::{HandKey, Source};
@@ -33,9 +35,29 @@ pub struct Engine<'b, D> {
     /// The right hand's wearer feels what happens.
     vibrates: bool,
     request: u16,
-    /// Request number of the set-up that a hand's board has not acknowledged, and when it was sent.
-    set_ups: [Option<(u16, Option<u64>)>; 2],
+    /// What a hand's board is still to be told after its start.
+    set_ups: [Option<SetUp>; 2],
+    /// Labels that mark episodes.
+    marks: Vec<(String, Mark)>,
+    episodes: Tally,
+    /// Marks, to be shown with the next turn.
+    marked: Vec<SessionEvent>,
     tap: Tap,
+}
+
+/// A message that a hand's board has not acknowledged.
+#[derive(Clone, Copy, Debug)]
+struct SetUp {
+    request: u16,
+    sent_ms: Option<u64>,
+    what: Wanted,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Wanted {
+    /// It may have been left in record mode.
+    Classify,
+    Thresholds,
 }
 
 impl<'b, D: Door> Engine<'b, D> {
@@ -56,6 +78,9 @@ impl<'b, D: Door> Engine<'b, D> {
             vibrates: false,
             request: 0,
             set_ups: [None; 2],
+            marks: Vec::new(),
+            episodes: Tally::default(),
+            marked: Vec::new(),
             tap: Tap::default(),
         }
     }
@@ -70,6 +95,12 @@ impl<'b, D: Door> Engine<'b, D> {
     #[must_use]
     pub fn with_vibration(self, vibrates: bool) -> Self {
         Engine { vibrates, ..self }
+    }
+
+    /// Gestures of these labels mark episodes.
+    #[must_use]
+    pub fn with_marks(self, marks: impl IntoIterator<Item = (String, Mark)>) -> Self {
+        Engine { marks: marks.into_iter().collect(), ..self }
     }
 
     /// Where observers look on.
@@ -123,6 +154,15 @@ impl<'b, D: Door> Engine<'b, D> {
         self.tap.show(|observer| observer.operated(now_ms, OperatorKey::Stop));
         self.bridge.stop_key(now_ms, &mut self.door);
         self.door.send();
+        if let Some(number) = self.episodes.stop(now_ms) {
+            self.marked.push(SessionEvent::EpisodeStopped { time_ms: now_ms, number });
+        }
+    }
+
+    /// The operator marks an episode. Nothing moves or stops by it.
+    pub fn mark(&mut self, mark: Mark, by: MarkedBy, now_ms: u64) {
+        let told = self.episodes.mark(mark, now_ms);
+        self.marked.push(SessionEvent::Marked { time_ms: now_ms, mark, by, told });
     }
 
     /// The key that ends the arm's motion alone.
@@ -194,8 +234,17 @@ impl<'b, D: Door> Engine<'b, D> {
         let events = self.decide(now_ms);
         for event in &events {
             if let EventKind::HandStarted { hand, .. } = event.kind {
-                self.request = self.request.wrapping_add(1);
-                self.set_ups[hand as usize] = Some((self.request, None));
+                let tilt = hand == Hand::Left && self.tilt.is_some();
+                self.want(hand, if tilt { Wanted::Thresholds } else { Wanted::Classify });
+            }
+            if let EventKind::Gesture {
+                label,
+                outcome: GestureOutcome::NoMotion | GestureOutcome::NotArmed,
+                ..
+            } = &event.kind
+                && let Some((_, mark)) = self.marks.iter().find(|(marking, _)| same_label(marking, label))
+            {
+                self.mark(*mark, MarkedBy::Gesture, now_ms);
             }
         }
         self.feel(&events, ready[Hand::Right as usize], now_ms);
@@ -204,8 +253,12 @@ impl<'b, D: Door> Engine<'b, D> {
                 self.set_up(hand, now_ms);
             }
         }
-        let events: Vec<SessionEvent> =
-            events.into_iter().map(SessionEvent::Bridge).chain(happened).collect();
+        let events: Vec<SessionEvent> = events
+            .into_iter()
+            .map(SessionEvent::Bridge)
+            .chain(happened)
+            .chain(self.marked.drain(..))
+            .collect();
         self.show(&events, now_ms);
         events
     }
@@ -223,21 +276,31 @@ impl<'b, D: Door> Engine<'b, D> {
         }
     }
 
-    /// A board that has just started gets the thresholds; one that was left in record mode is called back.
-    /// Asked until it answers.
+    fn want(&mut self, hand: Hand, what: Wanted) {
+        self.request = self.request.wrapping_add(1);
+        self.set_ups[hand as usize] = Some(SetUp { request: self.request, sent_ms: None, what });
+    }
+
+    /// A left board that has just started gets the thresholds, and any board is called back from record mode. Asked until
+    /// it answers.
     fn set_up(&mut self, hand: Hand, now_ms: u64) {
-        let Some((request, sent_ms)) = self.set_ups[hand as usize] else { return };
+        let Some(SetUp { request, what, .. }) = self.set_ups[hand as usize] else { return };
         let answered = self.bridge.last_ack(hand).is_some_and(|ack| ack.request == request);
         if answered || !self.sources[hand as usize].is_link() {
             self.set_ups[hand as usize] = None;
+            if !answered || what == Wanted::Classify {
+                return;
+            }
+            self.want(hand, Wanted::Classify);
+        }
+        let Some(set_up) = &mut self.set_ups[hand as usize] else { return };
+        if set_up.sent_ms.is_some_and(|sent| now_ms.saturating_sub(sent) < SET_UP_INTERVAL_MS) {
             return;
         }
-        if sent_ms.is_some_and(|sent| now_ms.saturating_sub(sent) < SET_UP_INTERVAL_MS) {
-            return;
-        }
-        self.set_ups[hand as usize] = Some((request, Some(now_ms)));
-        let message = match (hand, self.tilt) {
-            (Hand::Left, Some(thresholds)) => HostMessage::SetThresholds { request, thresholds },
+        set_up.sent_ms = Some(now_ms);
+        let request = set_up.request;
+        let message = match (set_up.what, self.tilt) {
+            (Wanted::Thresholds, Some(thresholds)) => HostMessage::SetThresholds { request, thresholds },
             _ => HostMessage::SetMode { request, mode: Mode::Classify },
         };
         self.send(hand, &message, now_ms);

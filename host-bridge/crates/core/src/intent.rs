@@ -149,6 +149,11 @@ impl MotionMap {
         Ok(())
     }
 
+    /// The label starts nothing.
+    pub fn release(&mut self, label: &str) {
+        self.entries.retain(|(known, _)| !same_label(known, label));
+    }
+
     /// The motion of a label, if it has one.
     pub fn motion(&self, label: &str) -> Option<&MotionName> {
         if is_rest(label) {
@@ -183,7 +188,7 @@ pub fn is_rest(label: &str) -> bool {
 }
 
 /// Labels are compared without case and punctuation: `leftright` = `left-right` = `Left_Right`.
-fn same_label(a: &str, b: &str) -> bool {
+pub fn same_label(a: &str, b: &str) -> bool {
     let letters = |s: &str| -> String {
         s.chars().filter(|c| c.is_alphanumeric()).flat_map(char::to_lowercase).collect()
     };

@@ -5,6 +5,7 @@ pub mod bridge;
 pub mod describe;
 pub mod doubt;
 pub mod engine;
+pub mod episodes;
 pub mod feel;
 pub mod intent;
 pub mod latency;

@@ -321,7 +321,7 @@ impl HandLink {
             return None;
         }
         match message {
-            BoardMessage::Hello(_) | BoardMessage::RawImu(_) => None,
+            BoardMessage::Hello(_) | BoardMessage::RawImu(_) | BoardMessage::RawAdc(_) => None,
             BoardMessage::About(about) => {
                 self.about = Some(about);
                 None

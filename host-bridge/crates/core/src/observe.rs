@@ -22,6 +22,7 @@ use host_robot::{ArmState, DMat3, DVec3, Door, JOINTS, Joints, Odometry, Pose, R
 use serde::Serialize;
 
 use crate::bridge::{Bridge, BridgeEvent, Drops, HeadingName};
+use crate::episodes::{Mark, MarkedBy, Told};
 use crate::intent::{Caps, SpeedRules};
 use crate::link::LinkCounters;
 use crate::safety::{Hand, State};
@@ -307,6 +308,24 @@ pub enum SessionEvent {
         time_ms: u64,
         /// Whose.
         hand: Hand,
+    },
+    /// The operator marked an episode.
+    Marked {
+        /// When.
+        time_ms: u64,
+        /// As what.
+        mark: Mark,
+        /// How.
+        by: MarkedBy,
+        /// What follows from it.
+        told: Told,
+    },
+    /// The operator's stop threw away the episode that was under way.
+    EpisodeStopped {
+        /// When.
+        time_ms: u64,
+        /// Which, from 1.
+        number: usize,
     },
 }
 

@@ -1,19 +1,21 @@
 //! Recordings of the left hand: raw converter counts, as the Nano reads them.
 //!
 //! CSV with the header `timestamp_ms,x,y,z,index,middle` (or `timestamp`): conversions of 8 to 12 bits at 50 to 500 Hz,
-//! which become what the board takes, 10 bits (0 to 1023) at 100 Hz; [`Read::notes`] say so. Nothing is repaired silently:
-//! what cannot be used is an error that names the file, the line and the column and says what to do.
+//! which become what the board takes, sums of eight conversions of 10 bits at 100 Hz; [`Read::notes`] say so. What
+//! `host-bridge record --hand left` writes has the eighths of a conversion, so that nothing is lost: 512.375. Nothing is
+//! repaired silently: what cannot be used is an error that names the file, the line and the column and says what to do.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
+use shared_dsp::left::{AdcCounts, OVERSAMPLING};
 use shared_dsp::left_faults::STUCK_MS;
 
 /// Names of the five lines, in the order of the columns.
 pub const LINE_NAMES: [&str; 5] = ["x", "y", "z", "index", "middle"];
 
-/// Largest conversion.
-pub const COUNT_MAX: u16 = 1023;
+/// Largest conversion of a converter of 12 bits.
+const COUNT_MAX: f64 = 4095.0;
 
 /// The board samples every 10 ms; a recording this near to that on average is taken as it is.
 const INTERVAL_MS: std::ops::RangeInclusive<f64> = 9.0..=11.0;
@@ -26,9 +28,12 @@ const ENOUGH: usize = 100;
 /// Samples of all five lines with their times.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct AdcRecording {
-    /// Time and conversions (x, y, z, index, middle) of each sample.
-    pub samples: Vec<(u64, [u16; 5])>,
+    /// Time and reading of each sample.
+    pub samples: Vec<(u64, AdcCounts)>,
 }
+
+/// A line of a file: its number, its time in ms from the first, and its five values.
+type Row = (u64, f64, [f64; 5]);
 
 /// Why a recording cannot be used; the text says what to do.
 #[derive(Debug, thiserror::Error)]
@@ -131,7 +136,7 @@ impl AdcRecording {
         }
         check_header(&row).map_err(|(column, name, problem)| bad(1, column, &name, problem))?;
 
-        let mut samples: Vec<(u64, f64, [u16; 5])> = Vec::new();
+        let mut samples: Vec<Row> = Vec::new();
         let mut first_ms = 0.0;
         let mut before_ms = f64::NEG_INFINITY;
         while reader.read_record(&mut row).map_err(text)? {
@@ -163,12 +168,11 @@ impl AdcRecording {
                 first_ms = time_ms;
             }
             before_ms = time_ms;
-            let mut counts = [0; 5];
+            let mut counts = [0.0; 5];
             for (i, count) in counts.iter_mut().enumerate() {
                 let value = &row[i + 1];
-                *count = value
-                    .parse()
-                    .map_err(|_| bad(line, i + 2, LINE_NAMES[i], not_a_count(value, COUNT_MAX)))?;
+                *count = conversion(value)
+                    .ok_or_else(|| bad(line, i + 2, LINE_NAMES[i], not_a_count(value, 1023.0)))?;
             }
             samples.push((line, time_ms - first_ms, counts));
         }
@@ -182,7 +186,7 @@ impl AdcRecording {
         }
         let mut notes = Vec::new();
         let bits = bits(&samples);
-        let largest = (1u16 << bits) - 1;
+        let largest = f64::from((1u16 << bits) - 1);
         for (line, _, counts) in &samples {
             if let Some(i) = counts.iter().position(|count| *count > largest) {
                 return Err(bad(*line, i + 2, LINE_NAMES[i], not_a_count(&counts[i].to_string(), largest)));
@@ -197,13 +201,14 @@ impl AdcRecording {
         }
         let span_ms = samples.last().map_or(0.0, |last| last.1);
         let interval_ms = span_ms / (samples.len() - 1) as f64;
-        let ten =
-            |count: f64| (count * f64::from(1u16 << 10) / f64::from(1u16 << bits)).round().min(1023.0) as u16;
+        let eighths = f64::from(OVERSAMPLING) * f64::from(1u16 << 10) / f64::from(1u16 << bits);
+        let reading = |counts: [f64; 5]| {
+            let [x, y, z, index, middle] =
+                counts.map(|count| (count * eighths).round().min(f64::from(AdcCounts::MAX)) as u16);
+            AdcCounts { x, y, z, index, middle }
+        };
         let samples = if INTERVAL_MS.contains(&interval_ms) {
-            let one = |(_, time, counts): &(u64, f64, [u16; 5])| {
-                (time.round() as u64, counts.map(|count| ten(f64::from(count))))
-            };
-            samples.iter().map(one).collect()
+            samples.iter().map(|(_, time, counts)| (time.round() as u64, reading(*counts))).collect()
         } else {
             // A pause in a recording at a rate that can be used is none of the rate.
             let usual = usual_interval(&samples);
@@ -213,9 +218,9 @@ impl AdcRecording {
             if !INTERVAL_MS.contains(&usual) {
                 notes.push(format!("{:.0} samples a second become 100", 1000.0 / usual));
             }
-            resampled(&samples, usual, ten)
+            resampled(&samples, usual, reading)
         };
-        let samples: Vec<(u64, [u16; 5])> = samples;
+        let samples: Vec<(u64, AdcCounts)> = samples;
         if let Some((from_ms, for_ms)) = standing_still(&samples) {
             notes.push(format!(
                 "from {:.3} s on all five values stay the same for {:.1} s, which the board takes for a stuck converter and \
@@ -227,10 +232,12 @@ impl AdcRecording {
         Ok(Read { recording: AdcRecording { samples }, notes, start_ms: first_ms })
     }
 
-    /// The CSV text.
+    /// The CSV text: conversions of 10 bits, with their eighths where there are any.
     pub fn to_csv(&self) -> String {
         let mut text = String::from("timestamp_ms,x,y,z,index,middle\n");
-        for (time_ms, [x, y, z, index, middle]) in &self.samples {
+        for (time_ms, counts) in &self.samples {
+            let [x, y, z, index, middle] =
+                counts.as_array().map(|sum| f64::from(sum) / f64::from(OVERSAMPLING));
             let _ = writeln!(text, "{time_ms},{x},{y},{z},{index},{middle}");
         }
         text
@@ -238,7 +245,7 @@ impl AdcRecording {
 }
 
 /// Where the same five values first stay as long as the board takes for a fault: from when, and for how long, in ms.
-fn standing_still(samples: &[(u64, [u16; 5])]) -> Option<(u64, u64)> {
+fn standing_still(samples: &[(u64, AdcCounts)]) -> Option<(u64, u64)> {
     let mut from = 0;
     while from < samples.len() {
         let same = samples[from..].iter().take_while(|(_, counts)| *counts == samples[from].1).count();
@@ -251,26 +258,34 @@ fn standing_still(samples: &[(u64, [u16; 5])]) -> Option<(u64, u64)> {
     None
 }
 
-fn not_a_count(value: &str, largest: u16) -> String {
+fn not_a_count(value: &str, largest: f64) -> String {
     format!(
-        "{value:?} is not a whole number from 0 to {largest}; raw conversions are needed: correct it or delete the line"
+        "{value:?} is not a whole number from 0 to {largest}, nor one with eighths; raw conversions are needed: \
+         correct it or delete the line"
     )
 }
 
+/// A conversion of any converter: a whole number, or one with eighths, as means of eight have them.
+fn conversion(text: &str) -> Option<f64> {
+    let plain = text.bytes().all(|byte| byte.is_ascii_digit() || byte == b'.');
+    let count: f64 = text.parse().ok().filter(|_| plain)?;
+    (count <= COUNT_MAX && (count * f64::from(OVERSAMPLING)).fract() == 0.0).then_some(count)
+}
+
 /// Bits of the converter: fingers at rest stand at two thirds of its range, so most of a recording's values lie below
-/// its end and not all below half of it. Few samples are taken as the board's.
-fn bits(samples: &[(u64, f64, [u16; 5])]) -> u32 {
-    if samples.len() < ENOUGH {
+/// its end and not all below half of it. Few samples are taken as the board's, and so are eighths.
+fn bits(samples: &[Row]) -> u32 {
+    let mut all: Vec<f64> = samples.iter().flat_map(|(_, _, counts)| *counts).collect();
+    if samples.len() < ENOUGH || all.iter().any(|count| count.fract() != 0.0) {
         return 10;
     }
-    let mut all: Vec<u16> = samples.iter().flat_map(|(_, _, counts)| *counts).collect();
-    all.sort_unstable();
+    all.sort_unstable_by(f64::total_cmp);
     let high = all[all.len() * 19 / 20];
-    BITS.into_iter().find(|bits| u32::from(high) < 1 << bits).unwrap_or(*BITS.end())
+    BITS.into_iter().find(|bits| high < f64::from(1u16 << bits)).unwrap_or(*BITS.end())
 }
 
 /// Median interval in ms.
-fn usual_interval(samples: &[(u64, f64, [u16; 5])]) -> f64 {
+fn usual_interval(samples: &[Row]) -> f64 {
     let mut steps: Vec<f64> = samples.windows(2).map(|pair| pair[1].1 - pair[0].1).collect();
     steps.sort_unstable_by(f64::total_cmp);
     steps[steps.len() / 2]
@@ -278,10 +293,10 @@ fn usual_interval(samples: &[(u64, f64, [u16; 5])]) -> f64 {
 
 /// Samples every 10 ms, between their neighbours, or the mean of those within 5 ms where they come faster; none in pauses.
 fn resampled(
-    samples: &[(u64, f64, [u16; 5])],
+    samples: &[Row],
     usual_ms: f64,
-    ten: impl Fn(f64) -> u16,
-) -> Vec<(u64, [u16; 5])> {
+    reading: impl Fn([f64; 5]) -> AdcCounts,
+) -> Vec<(u64, AdcCounts)> {
     const STEP_MS: u64 = 10;
     let pause_ms = (3.0 * usual_ms).max(50.0);
     let end_ms = samples.last().map_or(0.0, |last| last.1);
@@ -308,15 +323,14 @@ fn resampled(
         let near = &samples[from.min(to)..to];
         let counts = std::array::from_fn(|line| {
             if usual_ms < 7.0 && !near.is_empty() {
-                ten(near.iter().map(|(_, _, counts)| f64::from(counts[line])).sum::<f64>()
-                    / near.len() as f64)
+                near.iter().map(|(_, _, counts)| counts[line]).sum::<f64>() / near.len() as f64
             } else {
-                let (a, b) = (f64::from(before.2[line]), f64::from(after.2[line]));
+                let (a, b) = (before.2[line], after.2[line]);
                 let part = ((at - before.1) / (after.1 - before.1).max(1e-9)).clamp(0.0, 1.0);
-                ten(a + (b - a) * part)
+                a + (b - a) * part
             }
         });
-        taken.push((time_ms, counts));
+        taken.push((time_ms, reading(counts)));
         time_ms += STEP_MS;
     }
     taken
@@ -351,15 +365,18 @@ mod tests {
 
     #[test]
     fn what_is_written_reads_back() {
-        let samples = vec![(0, [512, 500, 614, 704, 700]), (10, [0, 1023, 1, 2, 3])];
-        let recording = AdcRecording { samples };
-        assert_eq!(parse(&recording.to_csv()), Ok(recording));
+        let whole = AdcCounts::from_ten_bit;
+        let eighths = AdcCounts { x: 4099, index: 5633, ..whole([0, 1023, 1, 2, 3]) };
+        let recording = AdcRecording { samples: vec![(0, whole([512, 500, 614, 704, 700])), (10, eighths)] };
+        let text = recording.to_csv();
+        assert!(text.ends_with("\n0,512,500,614,704,700\n10,512.375,1023,1,704.125,3\n"), "{text}");
+        assert_eq!(parse(&text), Ok(recording));
     }
 
     #[test]
     fn edge_impulse_time_and_windows_line_ends_are_taken() {
         let text = "timestamp,x,y,z,index,middle\r\n100,1,2,3,4,5\r\n110.0,1,2,3,4,5\r\n";
-        assert_eq!(parse(text).unwrap().samples[1], (10, [1, 2, 3, 4, 5]));
+        assert_eq!(parse(text).unwrap().samples[1], (10, AdcCounts::from_ten_bit([1, 2, 3, 4, 5])));
     }
 
     /// A level hand with straight fingers that tilts once, from a converter of so many bits.
@@ -391,9 +408,9 @@ mod tests {
                 read.recording.samples.iter().zip(&board.samples)
             {
                 assert_eq!(time, time_then);
-                let near = |(a, b): (&u16, &u16)| a.abs_diff(*b) <= if bits == 8 { 4 } else { 3 };
+                let near = |(a, b): (u16, u16)| a.abs_diff(b) <= 8 * if bits == 8 { 4 } else { 3 };
                 assert!(
-                    counts.iter().zip(counts_then).all(near),
+                    counts.as_array().into_iter().zip(counts_then.as_array()).all(near),
                     "{rate_hz}, {bits}: {counts:?} {counts_then:?}"
                 );
             }
@@ -447,6 +464,9 @@ mod tests {
             (row("10,1,2,3,4,5,6"), "line 3, column 7 (row)"),
             (row("10,1,2,x,4,5"), "line 3, column 4 (z)"),
             (row("10,1,2,1024,4,5"), "line 3, column 4 (z)"),
+            (row("10,1,2,1.65,4,5"), "line 3, column 4 (z): \"1.65\" is not a whole number from 0 to 1023"),
+            (row("10,1,2,5e2,4,5"), "line 3, column 4 (z)"),
+            (row("10,1,2,inf,4,5"), "line 3, column 4 (z)"),
             (row("10,1,2,-1,4,5"), "line 3, column 4 (z)"),
             (row("NaN,1,2,3,4,5"), "line 3, column 1 (timestamp_ms)"),
             (row("0,1,2,3,4,5"), "line 3, column 1 (timestamp_ms)"),

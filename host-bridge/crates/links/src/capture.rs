@@ -1,10 +1,13 @@
-//! Raw batches of a right hand, collected into one recording: gaps and clipping are seen, not repaired.
+//! Raw samples of a hand, collected into one recording: gaps and clipping are seen, not repaired.
 
 use models::recording::Recording;
+use shared_dsp::left::AdcCounts;
+use shared_proto::message::RawAdc;
 
+use crate::adc::AdcRecording;
 use crate::talk::RawBatch;
 
-/// Samples collected so far.
+/// Samples of a right hand, collected so far.
 #[derive(Clone, Debug)]
 pub struct Collector {
     wanted: usize,
@@ -116,6 +119,78 @@ impl Collector {
     }
 }
 
+/// Samples of a left hand, collected so far.
+#[derive(Clone, Debug)]
+pub struct LeftCollector {
+    wanted: usize,
+    period_ms: u32,
+    /// Board time of the first.
+    first_ms: u32,
+    samples: Vec<(u64, AdcCounts)>,
+}
+
+impl LeftCollector {
+    /// Collects `wanted` samples at this rate.
+    pub fn new(wanted: usize, sample_hz: u16) -> Self {
+        let period_ms = 1000 / u32::from(sample_hz.clamp(1, 1000));
+        LeftCollector { wanted, period_ms, first_ms: 0, samples: Vec::new() }
+    }
+
+    /// Takes a sample; true when there are enough.
+    ///
+    /// # Errors
+    /// [`CaptureProblem`] if it does not follow the last one.
+    pub fn push(&mut self, raw: &RawAdc) -> Result<bool, CaptureProblem> {
+        if self.samples.is_empty() {
+            self.first_ms = raw.board_time_ms;
+        }
+        let time_ms = raw.board_time_ms.wrapping_sub(self.first_ms) as i32;
+        if let Some(&(before_ms, _)) = self.samples.last() {
+            let step = i64::from(time_ms) - before_ms as i64;
+            if step <= 0 {
+                return Err(CaptureProblem::Restart { after_ms: before_ms });
+            }
+            let missing = (step as u32).saturating_sub(1) / self.period_ms;
+            if missing > 0 {
+                return Err(CaptureProblem::Gap { missing, after_ms: before_ms });
+            }
+        }
+        if self.samples.len() < self.wanted {
+            let [x, y, z, index, middle] = raw.counts;
+            self.samples.push((time_ms.max(0) as u64, AdcCounts { x, y, z, index, middle }));
+        }
+        Ok(self.samples.len() >= self.wanted)
+    }
+
+    /// Samples so far.
+    pub fn len(&self) -> usize {
+        self.samples.len()
+    }
+
+    /// Nothing yet.
+    pub fn is_empty(&self) -> bool {
+        self.samples.is_empty()
+    }
+
+    /// Samples in which a line stood at an end of the converter.
+    pub fn clipped(&self) -> usize {
+        let ends = |sum: u16| sum == 0 || sum >= AdcCounts::MAX;
+        self.samples.iter().filter(|(_, counts)| counts.as_array().into_iter().any(ends)).count()
+    }
+
+    /// One of the five lines of the newest `count` samples, oldest first, as parts of the converter's range.
+    pub fn newest(&self, line: usize, count: usize) -> Vec<f32> {
+        let from = self.samples.len().saturating_sub(count);
+        let part = |counts: &AdcCounts| f32::from(counts.as_array()[line]) / f32::from(AdcCounts::MAX);
+        self.samples[from..].iter().map(|(_, counts)| part(counts)).collect()
+    }
+
+    /// The recording, with times from 0.
+    pub fn recording(self) -> AdcRecording {
+        AdcRecording { samples: self.samples }
+    }
+}
+
 /// Values as a line of bars, from `least` to `most`.
 pub fn sparkline(values: &[f32], least: f32, most: f32) -> String {
     const BARS: [char; 8] = ['▁', '▂', '▃', '▄', '▅', '▆', '▇', '█'];
@@ -153,6 +228,36 @@ mod tests {
         let gap = collector.clone().push(&batch(60, vec![0; 24]));
         assert_eq!(gap, Err(CaptureProblem::Gap { missing: 2, after_ms: 80 }));
         assert_eq!(collector.push(&batch(0, vec![0; 24])), Err(CaptureProblem::Restart { after_ms: 80 }));
+    }
+
+    fn sample(board_time_ms: u32) -> RawAdc {
+        RawAdc { board_time_ms, counts: [4099, 0, 4912, 5632, 5632] }
+    }
+
+    #[test]
+    fn a_left_hands_samples_keep_their_eighths_and_their_times() {
+        let mut collector = LeftCollector::new(3, 100);
+        // The board's clock ends and begins anew after 49 days.
+        let start_ms = u32::MAX - 9;
+        assert_eq!(collector.push(&sample(start_ms)), Ok(false));
+        assert_eq!(collector.push(&sample(start_ms.wrapping_add(10))), Ok(false));
+        assert_eq!(collector.push(&sample(start_ms.wrapping_add(20))), Ok(true));
+        assert_eq!(collector.clipped(), 3, "y is shorted");
+        assert_eq!(collector.newest(3, 2), [5632.0 / 8184.0; 2]);
+        let text = collector.recording().to_csv();
+        assert_eq!(text.lines().nth(2), Some("10,512.375,0,614,704,704"));
+        assert_eq!(text.lines().count(), 4);
+    }
+
+    #[test]
+    fn a_left_hands_gap_and_restart_are_told_apart() {
+        let mut collector = LeftCollector::new(100, 100);
+        for n in 0..8 {
+            collector.push(&sample(5000 + 10 * n)).unwrap();
+        }
+        let gap = collector.clone().push(&sample(5000 + 100));
+        assert_eq!(gap, Err(CaptureProblem::Gap { missing: 2, after_ms: 70 }));
+        assert_eq!(collector.push(&sample(10)), Err(CaptureProblem::Restart { after_ms: 70 }));
     }
 
     #[test]

@@ -4,9 +4,10 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use shared_dsp::left::AdcCounts;
 use shared_proto::frame::{BOARD_FRAME_MAX, DELIMITER, Decoder, HOST_FRAME_MAX, encode_host};
 use shared_proto::message::{
-    About, Ack, AckResult, Board, BoardMessage, Fault, HostMessage, LeftState, Pong, Status,
+    About, Ack, AckResult, Board, BoardMessage, Fault, HostMessage, LeftState, Pong, RawAdc, Status,
 };
 use shared_proto::version;
 
@@ -48,8 +49,10 @@ pub enum Said {
         /// Health flags.
         health: u8,
     },
-    /// Raw samples.
+    /// Raw samples of a right hand.
     Raw(RawBatch),
+    /// A raw sample of a left hand.
+    RawLeft(RawAdc),
     /// Counters.
     Status(Status),
     /// Trouble.
@@ -431,6 +434,9 @@ fn owned(message: &BoardMessage<'_>) -> Option<Said> {
             }
             let counts = raw.counts.chunks_exact(2).map(|b| i16::from_le_bytes([b[0], b[1]])).collect();
             Said::Raw(RawBatch { first_sample: raw.first_sample, axes: raw.axes, scale: raw.scale, counts })
+        }
+        BoardMessage::RawAdc(raw) => {
+            return raw.counts.iter().all(|sum| *sum <= AdcCounts::MAX).then_some(Said::RawLeft(*raw));
         }
         BoardMessage::Status(status) => Said::Status(*status),
         BoardMessage::Fault(fault) => Said::Fault(*fault),

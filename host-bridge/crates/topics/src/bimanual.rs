@@ -132,6 +132,20 @@ messages! {
         reason: String,
     }
 
+    /// The operator marked an episode.
+    "bimanual_msgs/Mark" Mark {
+        /// Time of day.
+        header: Header,
+        /// When, on the bridge's clock.
+        time_ms: u64,
+        /// begin, end, again, good or bad.
+        mark: String,
+        /// gesture, key or page.
+        by: String,
+        /// What follows, as people read it.
+        text: String,
+    }
+
     /// Messages before this one are missing.
     "bimanual_msgs/Lost" Lost {
         /// Time of day.

@@ -101,6 +101,8 @@ topics! {
     Lost: bimanual::Lost = "/bridge/lost",
     /// The robot itself refuses to move, or does not any more.
     Refused: bimanual::Refused = "/bridge/refused",
+    /// Where episodes begin and end, as the operator marked them.
+    Marks: bimanual::Mark = "/episodes/marks",
 }
 
 impl Topic {

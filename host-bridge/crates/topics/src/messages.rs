@@ -171,6 +171,12 @@ impl Origin {
                     | EventKind::MotionRefused { .. }
             );
         }
+        if let SessionEvent::Marked { mark, by, .. } = event {
+            let (mark, by) = (mark.name().to_owned(), by.name().to_owned());
+            let marked =
+                own::Mark { header: self.header(time_ms, ""), time_ms, mark, by, text: text.clone() };
+            entries.push(Entry::new(Topic::Marks, time_ms, &marked));
+        }
         let log = ros::Log {
             stamp: self.stamp(time_ms),
             level: if warning { 30 } else { 20 },

@@ -1,6 +1,6 @@
 //! From a file's units to ours: what the user says, what the file declares, what the samples show.
 
-use crate::sheet::judge::Verdict;
+use crate::sheet::judge::{self, Verdict};
 use crate::sheet::layout::Source;
 use crate::sheet::{Reading, Sensor, names};
 
@@ -29,6 +29,14 @@ pub(super) fn acceleration_factor(
             if declared.is_none() && source.usual.is_some() {
                 notes.push("the accelerometer is in g, by its columns' names and by gravity".to_owned());
             }
+            return Ok(expected);
+        }
+        // Wild movement hides gravity; the user knows.
+        Verdict::NoGravity(typical)
+            if told.is_some()
+                && (judge::LIGHTEST..judge::HEAVIEST).contains(&(typical / names::G as f32)) =>
+        {
+            notes.push("gravity is hard to see in the accelerometer's samples".to_owned());
             return Ok(expected);
         }
         Verdict::NoGravity(typical) => {

@@ -4,8 +4,9 @@ use host_core::observe::Sample;
 use shared_board::Identity;
 use shared_board::memory::RamEeprom;
 use shared_dsp::flex::bend_permille;
-use shared_dsp::left::AdcCounts;
-use shared_dsp::left_calibration::Calibration;
+use shared_dsp::left::{LeftHand, OVERSAMPLING};
+use shared_dsp::left_calibration::{Calibration, CalibrationStep as CaptureStep, CaptureError};
+use shared_dsp::tilt::TiltThresholds;
 use shared_proto::frame::{HOST_TO_LEFT_FRAME_MAX, encode_host};
 use shared_proto::message::{Board as BoardKind, CalibrationStep, HostMessage};
 
@@ -72,6 +73,44 @@ impl LeftBoard {
     }
 }
 
+/// What [`LeftBoard::calibrated_at_start`] will not take from a recording, and why, in words.
+pub fn refused_at_start(recording: &AdcRecording) -> Vec<String> {
+    let mut hand = LeftHand::new(None, TiltThresholds::DEFAULT, 0);
+    let mut refused = Vec::new();
+    let mut samples = recording.samples.iter().peekable();
+    for (from_ms, step, what) in [(0, CaptureStep::Neutral, "neutral"), (STEP_MS, CaptureStep::Rest, "rest")]
+    {
+        while let Some((time_ms, counts)) = samples.next_if(|(time_ms, _)| *time_ms < from_ms) {
+            hand.step(*counts, *time_ms as u32);
+        }
+        hand.start_capture(step);
+        let mut outcome = None;
+        while let Some((time_ms, counts)) = samples.next_if(|_| outcome.is_none()) {
+            hand.step(*counts, *time_ms as u32);
+            outcome = hand.take_captured();
+        }
+        let why = match (outcome, step) {
+            (Some(Ok(new)), _) => {
+                hand.set_calibration(Some(new));
+                continue;
+            }
+            (None, _) => "the recording is too short",
+            (Some(Err(CaptureError::Moved)), CaptureStep::Neutral) => "the hand moved",
+            (Some(Err(CaptureError::Moved)), _) => "a finger moved",
+            (Some(Err(CaptureError::Impossible)), CaptureStep::Neutral) => {
+                "the hand is not level with the palm down"
+            }
+            (Some(Err(CaptureError::Impossible)), _) => "a line is open or shorted",
+        };
+        refused.push(format!(
+            "{what} is not taken from {:.1} s on: {why}; record 1.6 s of a still, level hand with straight fingers first, or \
+             give a calibration file",
+            from_ms as f64 / 1000.0
+        ));
+    }
+    refused
+}
+
 impl Board for LeftBoard {
     fn step(&mut self, now_ms: u64, wire: &mut Vec<u8>) {
         self.before = self.next;
@@ -81,7 +120,7 @@ impl Board for LeftBoard {
             if at_ms > now_ms {
                 break;
             }
-            let counts = is_on_time.then(|| AdcCounts::from_ten_bit(counts));
+            let counts = is_on_time.then_some(counts);
             self.next += usize::from(is_on_time);
             self.calibrate(at_ms, wire);
             self.board.period(counts, at_ms, wire);
@@ -96,8 +135,9 @@ impl Board for LeftBoard {
     }
 
     fn sample(&self) -> Option<Sample<'_>> {
-        let (_, counts) = *self.recording.samples.get(self.before..self.next)?.last()?;
-        let (reading, calibration) = (AdcCounts::from_ten_bit(counts), self.board.calibration());
+        let (_, reading) = *self.recording.samples.get(self.before..self.next)?.last()?;
+        let calibration = self.board.calibration();
+        let counts = reading.as_array().map(|sum| (sum + OVERSAMPLING / 2) / OVERSAMPLING);
         let bends_permille = [reading.index, reading.middle];
         let bends_permille =
             [0, 1].map(|i| bend_permille(bends_permille[i], calibration.rest[i], calibration.bend[i]));
@@ -112,12 +152,15 @@ impl Board for LeftBoard {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use shared_dsp::left::AdcCounts;
     use shared_proto::frame::{BOARD_FRAME_MAX, Decoder};
     use shared_proto::message::{BoardMessage, LeftState, health};
 
     /// A level hand with straight fingers, in the last bit of which nothing stands still.
     fn still(times_ms: impl Iterator<Item = u64>) -> AdcRecording {
-        let samples = times_ms.enumerate().map(|(i, t)| (t, [512, 512, 614 + (i % 2) as u16, 704, 704]));
+        let samples = times_ms
+            .enumerate()
+            .map(|(i, t)| (t, AdcCounts::from_ten_bit([512, 512, 614 + (i % 2) as u16, 704, 704])));
         AdcRecording { samples: samples.collect() }
     }
 
@@ -169,5 +212,32 @@ mod tests {
         assert_eq!(last.health, 0, "calibrated");
         let from = states.iter().find(|s| s.board_time_ms > 1600).unwrap();
         assert_eq!(from.health, 0);
+    }
+
+    #[test]
+    fn a_calibration_that_the_start_does_not_give_is_explained() {
+        assert!(refused_at_start(&still((0..200).map(|n| 10 * n))).is_empty());
+        let told = |change: fn(u64, &mut AdcCounts)| {
+            let mut recording = still((0..200).map(|n| 10 * n));
+            recording.samples.iter_mut().for_each(|(time_ms, counts)| change(*time_ms, counts));
+            refused_at_start(&recording)
+        };
+        let moved = told(|time_ms, counts| counts.x += if time_ms < 300 { 0 } else { 200 });
+        assert!(moved[0].starts_with("neutral is not taken from 0.0 s on: the hand moved;"), "{moved:?}");
+        assert_eq!(moved.len(), 1);
+        let turned = told(|_, counts| counts.z = 8 * 410);
+        assert!(turned[0].contains("not level with the palm down"), "{turned:?}");
+        let fidgeting = told(|time_ms, counts| counts.index -= if time_ms < 1200 { 0 } else { 800 });
+        assert!(
+            fidgeting[0].starts_with("rest is not taken from 0.9 s on: a finger moved;"),
+            "{fidgeting:?}"
+        );
+        let short = refused_at_start(&still((0..100).map(|n| 10 * n)));
+        assert!(short.len() == 1 && short[0].contains("the recording is too short"), "{short:?}");
+        // The board agrees: with its own calibration a state has no warning.
+        let flags = |recording: AdcRecording| {
+            play(LeftBoard::new(recording, None, 1).calibrated_at_start()).last().unwrap().health
+        };
+        assert_eq!(flags(still((0..200).map(|n| 10 * n))), 0);
     }
 }

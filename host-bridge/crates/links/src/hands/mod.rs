@@ -7,7 +7,7 @@ pub mod virtual_board;
 mod wired;
 
 pub use delayed::Delayed;
-pub use left::LeftBoard;
+pub use left::{LeftBoard, refused_at_start};
 pub use right::{Joined, ModelFile, ModelFileError, RightBoard, join};
 pub use wired::Wired;
 

@@ -1,5 +1,6 @@
 //! The right hand from recordings of its IMU.
 
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use models::blob::ModelFiles;
@@ -160,6 +161,7 @@ pub fn join(
 ) -> Result<Joined, ModelFileError> {
     let mut values = Vec::new();
     let mut notes = Vec::new();
+    let mut silences = Vec::new();
     let mut start_ms = None;
     for file in files {
         let recording = Recording::read_as(file, reading)?;
@@ -173,6 +175,18 @@ pub fn join(
         }
         notes.extend(recording.notes().iter().map(|note| format!("{}: {note}", file.display())));
         start_ms = start_ms.or(recording.time_ms().first().copied());
+        let found = silences_of(&recording, values.len() / axes);
+        if let Some(longest) = found.iter().max_by_key(|slots| slots.len()) {
+            let seconds = |samples: usize| samples as f64 * PERIOD_MS as f64 / 1000.0;
+            notes.push(format!(
+                "{}: {} without samples, the longest of {:.1} s from {:.1} s on: the hand is silent there",
+                file.display(),
+                if found.len() == 1 { "a time".to_owned() } else { format!("{} times", found.len()) },
+                seconds(longest.len()),
+                seconds(longest.start - values.len() / axes),
+            ));
+        }
+        silences.extend(found);
         let used = recording.axes().min(axes);
         for sample in recording.resampled().samples() {
             values.extend_from_slice(&sample[..used]);
@@ -183,9 +197,29 @@ pub fn join(
     let time_ms = (0..count).map(|n| (n * PERIOD_MS) as f64).collect();
     Ok(Joined {
         recording: Recording::new(axes, time_ms, values),
+        silences,
         notes,
         start_ms: start_ms.unwrap_or_default(),
     })
+}
+
+/// A pause of so many intervals, and of so long, is a sensor that delivers nothing. A few samples lost by a radio are
+/// bridged.
+const SILENT_INTERVALS: f64 = 3.0;
+const SILENT_MS: f64 = 50.0;
+
+/// Samples within pauses of a recording, once it is at 100 Hz and stands behind `before` others.
+fn silences_of(recording: &Recording, before: usize) -> Vec<Range<usize>> {
+    let times = recording.time_ms();
+    let mut steps: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    steps.sort_unstable_by(f64::total_cmp);
+    let usual_ms = steps.get(steps.len() / 2).copied().unwrap_or_default();
+    let slot = |ms: f64| (ms - times[0]) / PERIOD_MS as f64;
+    let pauses = recording.holes((SILENT_INTERVALS * usual_ms).max(SILENT_MS)).into_iter().map(|(at, _)| {
+        let from = slot(times[at]).floor() as usize + 1;
+        before + from..before + from.max(slot(times[at + 1]).ceil() as usize)
+    });
+    pauses.filter(|slots| !slots.is_empty()).collect()
 }
 
 /// Recordings, one behind the other.
@@ -193,6 +227,8 @@ pub fn join(
 pub struct Joined {
     /// At 100 Hz, from time 0.
     pub recording: Recording,
+    /// Samples that nobody took: the sensor delivered nothing there.
+    pub silences: Vec<Range<usize>>,
     /// What was judged, mended or left out in reading them.
     pub notes: Vec<String>,
     /// The first time in the first file, in ms.
@@ -203,6 +239,8 @@ pub struct Joined {
 trait AnyAxes: Send {
     /// The sample of `time_ms`; it has the axes of the model.
     fn sample(&mut self, values: &[f32], time_ms: u64, wire: &mut Vec<u8>);
+    /// There is no sample of this time.
+    fn nothing(&mut self);
     fn receive(&mut self, bytes: &[u8], now_ms: u64, wire: &mut Vec<u8>);
 }
 
@@ -213,6 +251,10 @@ impl<const A: usize> AnyAxes for VirtualRight<ValueHand<'_, A>> {
         }
     }
 
+    fn nothing(&mut self) {
+        VirtualRight::nothing(self);
+    }
+
     fn receive(&mut self, bytes: &[u8], now_ms: u64, wire: &mut Vec<u8>) {
         VirtualRight::receive(self, bytes, now_ms, wire, no_store);
     }
@@ -221,6 +263,8 @@ impl<const A: usize> AnyAxes for VirtualRight<ValueHand<'_, A>> {
 /// Plays a recording as the Nano 33 BLE Sense would.
 pub struct RightBoard<'m> {
     recording: Recording,
+    /// Samples that nobody took, in order.
+    silences: Vec<Range<usize>>,
     next: usize,
     board: Box<dyn AnyAxes + 'm>,
     /// Samples before this one were taken before the last step.
@@ -255,7 +299,20 @@ impl<'m> RightBoard<'m> {
             6 => any_axes::<6>(identity, parsed),
             _ => any_axes::<9>(identity, parsed),
         };
-        Ok(RightBoard { recording, next: 0, board: board.map_err(unfit)?, before: 0 })
+        Ok(RightBoard { recording, silences: Vec::new(), next: 0, board: board.map_err(unfit)?, before: 0 })
+    }
+}
+
+impl RightBoard<'_> {
+    /// The sensor delivers nothing in these samples: no state comes from them.
+    #[must_use]
+    pub fn silent_in(self, silences: Vec<Range<usize>>) -> Self {
+        RightBoard { silences, ..self }
+    }
+
+    fn is_silent(&self, sample: usize) -> bool {
+        let behind = self.silences.partition_point(|slots| slots.end <= sample);
+        self.silences.get(behind).is_some_and(|slots| slots.start <= sample)
     }
 }
 
@@ -273,7 +330,11 @@ impl Board for RightBoard<'_> {
         while self.next as u64 * PERIOD_MS <= now_ms
             && let Some(sample) = self.recording.samples().nth(self.next)
         {
-            self.board.sample(sample, self.next as u64 * PERIOD_MS, wire);
+            if self.is_silent(self.next) {
+                self.board.nothing();
+            } else {
+                self.board.sample(sample, self.next as u64 * PERIOD_MS, wire);
+            }
             self.next += 1;
         }
     }
@@ -285,7 +346,8 @@ impl Board for RightBoard<'_> {
     }
 
     fn sample(&self) -> Option<Sample<'_>> {
-        let newest = self.next.checked_sub(1).filter(|newest| *newest >= self.before)?;
+        let newest =
+            self.next.checked_sub(1).filter(|newest| *newest >= self.before && !self.is_silent(*newest))?;
         self.recording.samples().nth(newest).map(|values| Sample::Right { values })
     }
 
@@ -317,5 +379,53 @@ mod tests {
             joined.recording.samples().all(|sample| sample == [1.0, 2.0, 9.0, 4.0, 5.0, 6.0, 0.0, 0.0, 0.0])
         );
         assert!(join(&[six], (9, 9), &Reading::default()).is_err());
+    }
+
+    /// A still hand of nine axes at 100 Hz, at these times.
+    fn still(folder: &Path, times: impl Iterator<Item = u32>) -> PathBuf {
+        let file = folder.join("still.csv");
+        let rows = times.map(|t| format!("{t},0.01,0.02,9.8,0.1,0.2,0.3,20,1,40\n"));
+        let header = "timestamp,accX,accY,accZ,gyrX,gyrY,gyrZ,magX,magY,magZ\n".to_owned();
+        std::fs::write(&file, header + &rows.collect::<String>()).unwrap();
+        file
+    }
+
+    #[test]
+    fn a_hole_in_a_recording_is_a_hand_that_is_silent_and_starts_over() {
+        use shared_proto::frame::{BOARD_FRAME_MAX, Decoder};
+        use shared_proto::message::{BoardMessage, health};
+        let folder = tempfile::tempdir().unwrap();
+        // Three samples lost by a radio at 1 s, a hole of 60 s at 3 s.
+        let times =
+            (0..600).filter(|n| !(100..103).contains(n)).map(|n| n * 10 + if n < 300 { 0 } else { 60_000 });
+        let file = still(folder.path(), times);
+        let Joined { recording, silences, notes, .. } = join(&[file], (9, 9), &Reading::default()).unwrap();
+        assert_eq!(silences, vec![300..6300]);
+        assert!(
+            notes.iter().any(|note| note.contains("the longest of 60.0 s from 3.0 s on: the hand is silent")),
+            "{notes:?}"
+        );
+        let model = ModelFile::bundled().unwrap();
+        let mut board = RightBoard::new(recording, &model, 1).unwrap().silent_in(silences);
+        let mut decoder = Decoder::<BOARD_FRAME_MAX>::new();
+        let mut states = Vec::new();
+        for now_ms in 0..66_000 {
+            let mut wire = Vec::new();
+            board.step(now_ms, &mut wire);
+            if now_ms == 30_000 {
+                assert!(board.sample().is_none());
+            }
+            for byte in wire {
+                if let Some(BoardMessage::Right(state)) = decoder.push_board(byte) {
+                    states.push((now_ms, state.health & health::GAP != 0));
+                }
+            }
+        }
+        let within = |from: u64, to: u64| states.iter().filter(move |(at, _)| (from..to).contains(at));
+        assert_eq!(within(3_000, 63_000).count(), 0, "silence");
+        assert!(within(2_000, 3_000).all(|(_, gap)| !gap) && within(900, 1_500).count() > 5, "bridged");
+        // Two seconds of samples make a window, so long the hand is not acted on.
+        assert!(within(63_000, 64_900).all(|(_, gap)| *gap) && within(63_000, 64_900).count() > 20);
+        assert!(within(65_100, 66_000).all(|(_, gap)| !gap));
     }
 }

@@ -99,6 +99,12 @@ impl<H: Hand> VirtualRight<H> {
         }
     }
 
+    /// The sensor delivers nothing for this sample: the window starts over, and no state comes of it.
+    pub fn nothing(&mut self) {
+        self.board.gap();
+        self.number = self.number.wrapping_add(1);
+    }
+
     /// Takes bytes from the laptop; `store` answers what is about models.
     pub fn receive(
         &mut self,

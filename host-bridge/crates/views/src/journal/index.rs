@@ -9,9 +9,10 @@ use std::fs::File;
 use std::io::{BufWriter, Read as _, Seek as _, SeekFrom};
 use std::path::{Path, PathBuf};
 
-use mcap::read::{ChunkFlattener, Options};
 use mcap::records::Record;
 use mcap::{McapError, WriteOptions, Writer};
+
+use super::records::records;
 
 use super::sink::END;
 
@@ -78,7 +79,7 @@ fn copy(bytes: &[u8], to: &Path) -> Result<(), McapError> {
         let mut target = Some(&mut out);
         let mut schemas = HashMap::from([(0, 0)]);
         let mut channels = HashMap::new();
-        for record in ChunkFlattener::new_with_options(bytes, Options::IgnoreEndMagic.into())? {
+        for record in records(bytes)? {
             // What is damaged behind here was lost before.
             let Ok(record) = record else { break };
             if let Record::Header(header) = &record {

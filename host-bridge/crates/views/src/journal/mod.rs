@@ -6,7 +6,8 @@
 //!
 //! * [`disk`]: the writer, which never keeps a session waiting that moves a real robot,
 //! * [`sink`]: the file on the disk, which is whole after every write,
-//! * [`index`]: what a killed recording lacks, written on the next start.
+//! * [`index`]: what a killed recording lacks, written on the next start,
+//! * [`records`]: what a file holds, however damaged it is.
 //!
 //! What is written is what [`host_topics`] makes of a session. The file's profile is `ros2`, its messages are CDR. Times
 //! of day are the session's clock plus the time of day at its start; messages that a replay needs carry the session's own
@@ -14,6 +15,7 @@
 
 pub mod disk;
 pub mod index;
+pub mod records;
 pub mod sink;
 
 pub use disk::{Disk, Kept, Recorder, WhenFull};

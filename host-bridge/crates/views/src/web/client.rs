@@ -1,4 +1,4 @@
-//! One page's WebSocket: frames out as fast as the page takes them, `stop` and acknowledgements in.
+//! One page's WebSocket: frames out as fast as the page takes them, `stop`, marks and acknowledgements in.
 
 use std::io;
 use std::net::TcpStream;
@@ -150,7 +150,10 @@ impl Page<'_> {
                 self.taken += 1;
                 self.taken_at = Instant::now();
             }
-            _ => return false,
+            _ => {
+                let mark = text.strip_prefix("mark ").and_then(|mark| mark.parse().ok());
+                return mark.is_some_and(|mark| self.shared.mark(mark));
+            }
         }
         self.place.heard();
         true

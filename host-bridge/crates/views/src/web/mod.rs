@@ -26,6 +26,7 @@ pub(crate) mod http;
 pub mod server;
 mod watcher;
 
+use std::collections::VecDeque;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -33,6 +34,7 @@ use std::time::{Duration, Instant};
 
 use gate::Gate;
 use history::History;
+use host_core::episodes::Mark;
 use host_core::observe::Now;
 use server::{Bound, Counted, Name, Server};
 pub use server::{CONNECTIONS_MAX, WebError, WebOptions};
@@ -43,6 +45,9 @@ pub const DEFAULT_PORT: u16 = 8042;
 
 /// Frames that a page may have on their way without having acknowledged one.
 pub const IN_FLIGHT_MAX: u64 = 2;
+
+/// Marks that may wait for the session.
+const MARKS_MAX: usize = 16;
 
 /// Pages get this long to hear that the session is over.
 const FAREWELL: Duration = Duration::from_millis(300);
@@ -61,12 +66,25 @@ struct Shared {
     history: Mutex<History>,
     /// A page pressed stop. One flag, not a queue: to stop twice is to stop.
     stop: AtomicBool,
+    /// Marks of episodes that pages have made, where the session takes any.
+    marks: Option<Mutex<VecDeque<Mark>>>,
     over: AtomicBool,
     closing: AtomicBool,
     pages: AtomicUsize,
 }
 
 impl Shared {
+    /// A page marks an episode; false where the session takes no marks.
+    fn mark(&self, mark: Mark) -> bool {
+        let Some(marks) = &self.marks else { return false };
+        let mut marks = marks.lock().unwrap_or_else(PoisonError::into_inner);
+        // Nobody presses so many buttons between two turns of the session.
+        if marks.len() < MARKS_MAX {
+            marks.push_back(mark);
+        }
+        true
+    }
+
     /// A thread that panicked left at worst a half-written list of points: still a list.
     fn history(&self) -> MutexGuard<'_, History> {
         self.history.lock().unwrap_or_else(PoisonError::into_inner)
@@ -85,11 +103,20 @@ impl Web {
     /// # Errors
     /// [`WebError`] where the port cannot be had, or other machines would get in without a token.
     pub fn start(options: &WebOptions) -> Result<Self, WebError> {
+        Self::start_with(options, false)
+    }
+
+    /// The same; with `marks` its pages can mark episodes.
+    ///
+    /// # Errors
+    /// As [`Web::start`].
+    pub fn start_with(options: &WebOptions, marks: bool) -> Result<Self, WebError> {
         let bound = Bound::new(options, NAME)?;
         let shared = Arc::new(Shared {
             gate: bound.gate(),
             history: Mutex::default(),
             stop: AtomicBool::new(false),
+            marks: marks.then(Mutex::default),
             over: AtomicBool::new(false),
             closing: AtomicBool::new(false),
             pages: AtomicUsize::new(0),
@@ -123,6 +150,12 @@ impl Web {
     pub fn stops(&self) -> impl Fn() -> bool + Send + use<> {
         let shared = Arc::clone(&self.shared);
         move || shared.stop.swap(false, Ordering::SeqCst)
+    }
+
+    /// Takes the marks that pages have made, one a call, for another thread; never waits.
+    pub fn marks(&self) -> impl Fn() -> Option<Mark> + Send + use<> {
+        let shared = Arc::clone(&self.shared);
+        move || shared.marks.as_ref()?.try_lock().ok()?.pop_front()
     }
 
     /// How many pages look on.

@@ -27,6 +27,8 @@ struct Hello<'a> {
     hello: u32,
     version: &'a str,
     title: &'a str,
+    /// Episodes can be marked.
+    marks: bool,
     setting: &'a Setting,
 }
 
@@ -45,7 +47,13 @@ impl Watcher {
 
     fn greet(&self, now: &Now<'_>) {
         let (setting, version) = (Setting::of(now), env!("CARGO_PKG_VERSION"));
-        let hello = Hello { hello: 1, version, title: &self.title, setting: &setting };
+        let hello = Hello {
+            hello: 1,
+            version,
+            title: &self.title,
+            marks: self.shared.marks.is_some(),
+            setting: &setting,
+        };
         let hello = serde_json::to_string(&hello).unwrap_or_default();
         self.shared.history().hello = Some(hello.into());
     }
@@ -104,6 +112,7 @@ impl Observer for Watcher {
                 _ => "",
             },
             SessionEvent::RecordingEnded { .. } => "",
+            SessionEvent::Marked { .. } | SessionEvent::EpisodeStopped { .. } => "motion",
         };
         let line = EventLine { time_ms: describe::time_ms(event), class, text: describe::text(event) };
         self.shared.history().events.push(line);

@@ -7,7 +7,7 @@ const HIDDEN_MS = 500;
 
 /**
  * Calls `told` with each message and `changed` with "open", "lost" or "over".
- * Returns an object with `stop()`, which is false where nobody could be told, and `took()`, to be called when
+ * Returns an object with `stop()` and `mark()`, which are false where nobody could be told, and `took()`, to be called when
  * the newest frame has been drawn.
  */
 export function connect(told, changed) {
@@ -50,6 +50,12 @@ export function connect(told, changed) {
     stop() {
       if (socket?.readyState !== WebSocket.OPEN) return false;
       socket.send("stop");
+      return true;
+    },
+    /** Marks an episode: begin, end, again, good or bad. */
+    mark(name) {
+      if (socket?.readyState !== WebSocket.OPEN) return false;
+      socket.send(`mark ${name}`);
       return true;
     },
     /** What has come so far is on the screen. */

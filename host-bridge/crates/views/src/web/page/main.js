@@ -120,6 +120,14 @@ addEventListener("keyup", (event) => {
   if (isStopKey(event)) event.preventDefault();
 }, { capture: true });
 
+// ---- episodes
+
+for (const button of document.querySelectorAll("[data-mark]")) {
+  button.addEventListener("click", () => {
+    if (!link.mark(button.dataset.mark)) panels.say("Not connected: this page cannot mark episodes.");
+  });
+}
+
 // ---- the link
 
 function told(message) {
@@ -128,6 +136,7 @@ function told(message) {
     state = null;
     still = sceneParts(setting);
     link.begin();
+    $("episodes").hidden = !message.marks;
     panels.begin(message);
     renderer?.path.clear();
     renderer?.trace.clear();

@@ -1,0 +1,262 @@
+//! The terminal of a running session: the live view or lines, and what its keys mean.
+
+use std::io::Write as _;
+use std::time::{Duration, Instant};
+
+use anyhow::Result;
+use crossterm::event::{KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
+use host_bridge::control::{Control, Flags, Order, Report};
+use host_bridge::describe;
+use host_bridge::episodes::Mark;
+use host_bridge::keyboard::HandKey;
+use host_bridge::observe::{Now, SessionEvent};
+use host_bridge::robot::Door;
+use host_bridge::ros2::Counts;
+use host_bridge::safety::Hand;
+use host_bridge::view::{Scene, View};
+use serde::Serialize;
+use shared_proto::message::Heading;
+
+use super::keep::Keeper;
+
+/// Keys are looked for this often, also when nothing happens.
+const PATIENCE: Duration = Duration::from_millis(10);
+/// The release key must be pressed twice within this time.
+const CONFIRM: Duration = Duration::from_secs(2);
+
+const KEYS: &str = "space: stop   r r: release a stop (no right hand)   Esc: quit   end the arm's motion:";
+const MARK_KEYS: &str = "episode: b begins, e ends, a again, g good, n no good";
+const HAND_KEYS: &str = "keyboard: arrows drive while held, q faster, z slower; 1-6 gestures";
+
+/// What the keys mean: of a keyboard hand, and of a session that is recorded.
+pub fn keys(end_arm: char, has_hands: bool, records: bool) -> String {
+    let mut keys = format!("{KEYS} {end_arm}");
+    for (more, wanted) in [(HAND_KEYS, has_hands), (MARK_KEYS, records)] {
+        if wanted {
+            keys += &format!("\n{more}");
+        }
+    }
+    keys
+}
+
+#[derive(Serialize)]
+struct LinkLine<'a> {
+    time_ms: u64,
+    event: &'static str,
+    hand: Hand,
+    open: bool,
+    text: &'a str,
+}
+
+#[derive(Serialize)]
+struct EndLine {
+    time_ms: u64,
+    event: &'static str,
+    odometry: host_bridge::base::Odometry,
+    frames: [host_bridge::link::LinkCounters; 2],
+    round_trip_ms: [Option<u64>; 2],
+    events_not_printed: u64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    ros2: Option<Counts>,
+}
+
+/// Which key marks what.
+fn mark_of(letter: char) -> Option<Mark> {
+    Some(match letter {
+        'b' => Mark::Begin,
+        'e' => Mark::End,
+        'a' => Mark::Again,
+        'g' => Mark::Good,
+        'n' => Mark::Bad,
+        _ => return None,
+    })
+}
+
+/// The terminal: draws, prints and takes keys. Nothing here can delay the control thread.
+pub struct Screen {
+    /// The live view, if there is one.
+    pub view: Option<View>,
+    /// Lines are JSON.
+    pub json: bool,
+    /// The session's file.
+    pub keeper: Keeper,
+    /// Which hands come over Bluetooth.
+    pub over_air: [bool; 2],
+    /// When the release key was pressed once.
+    pub released: Option<Instant>,
+    /// There is a file for marks.
+    pub records: bool,
+    /// Which key does what.
+    pub keys: String,
+    /// The key that ends the arm's motion.
+    pub end_arm: char,
+}
+
+impl Screen {
+    /// Until somebody quits or the session is over.
+    pub fn show<D: Door + Send + 'static>(&mut self, control: &Control<D>, flags: &Flags) -> Result<()> {
+        loop {
+            let Ok(report) = control.report(PATIENCE) else { return Ok(()) };
+            if let Some(problem) = self.keeper.take_problem() {
+                self.told(&problem);
+            }
+            let Report { events, links, snapshot } = report.unwrap_or_default();
+            for event in &events {
+                self.note(event)?;
+            }
+            for link in links {
+                let what = if self.over_air[link.hand as usize] {
+                    "connected over Bluetooth"
+                } else {
+                    "the port is open"
+                };
+                self.link_line(
+                    link.time_ms,
+                    link.hand,
+                    link.closed.is_none(),
+                    link.closed.as_deref().unwrap_or(what),
+                );
+            }
+            let Some(view) = &mut self.view else { continue };
+            if let Some(snapshot) = &snapshot {
+                view.draw(&Scene { snapshot, keys: &self.keys, pace: String::new() })?;
+            }
+            while let Some(key) = self.view.as_mut().and_then(|view| view.pressed().transpose()) {
+                if self.press(key?, control, flags) {
+                    return Ok(());
+                }
+            }
+        }
+    }
+
+    fn link_line(&mut self, time_ms: u64, hand: Hand, open: bool, text: &str) {
+        if self.json {
+            let line = LinkLine { time_ms, event: "link", hand, open, text };
+            self.line(&serde_json::to_string(&line).unwrap_or_default());
+        } else {
+            self.line(&format!("{:>8.3} s  {hand} hand: {text}", time_ms as f64 / 1000.0));
+        }
+    }
+
+    fn note(&mut self, event: &SessionEvent) -> Result<()> {
+        if let (true, SessionEvent::Bridge(event)) = (self.json, event) {
+            let line = serde_json::to_string(event)?;
+            self.line(&line);
+        } else if let (true, SessionEvent::Marked { time_ms, mark, by, .. }) = (self.json, event) {
+            let text = describe::text(event);
+            let line = serde_json::json!({
+                "time_ms": time_ms, "event": "mark", "mark": mark, "by": by, "text": text
+            });
+            self.line(&line.to_string());
+        } else if !self.json && !describe::is_echo(event) {
+            let time_s = describe::time_ms(event) as f64 / 1000.0;
+            self.line(&format!("{time_s:>8.3} s  {}", describe::text(event)));
+        }
+        Ok(())
+    }
+
+    /// A line for people, or of JSON.
+    pub fn line(&mut self, line: &str) {
+        match &mut self.view {
+            Some(view) => view.note(line.to_owned()),
+            // A closed pipe is no reason to stop the robot with a panic.
+            None => {
+                let mut out = std::io::stdout();
+                let _ = writeln!(out, "{line}").and_then(|()| out.flush());
+            }
+        }
+    }
+
+    /// Handles a key; true when it means to quit.
+    fn press<D: Door + Send + 'static>(
+        &mut self,
+        key: KeyEvent,
+        control: &Control<D>,
+        flags: &Flags,
+    ) -> bool {
+        let hand_key = match key.code {
+            KeyCode::Up => Some(HandKey::Arrow(Heading::Forward)),
+            KeyCode::Down => Some(HandKey::Arrow(Heading::Backward)),
+            KeyCode::Left => Some(HandKey::Arrow(Heading::Left)),
+            KeyCode::Right => Some(HandKey::Arrow(Heading::Right)),
+            KeyCode::Char('q') => Some(HandKey::Faster),
+            KeyCode::Char('z') => Some(HandKey::Slower),
+            KeyCode::Char(digit @ '1'..='6') => Some(HandKey::Gesture(digit as u8 - b'0')),
+            _ => None,
+        };
+        match (key.kind, hand_key) {
+            (KeyEventKind::Release, Some(key)) => control.order(Order::Up(key)),
+            (KeyEventKind::Release, None) => {}
+            (_, Some(key)) => control.order(Order::Press(key)),
+            (_, None) => match key.code {
+                KeyCode::Esc => return true,
+                KeyCode::Char('c') if key.modifiers.contains(KeyModifiers::CONTROL) => return true,
+                KeyCode::Char(' ') => flags.stop(),
+                KeyCode::Char(key) if key == self.end_arm => control.order(Order::EndArm),
+                KeyCode::Char('r') => self.release(control),
+                KeyCode::Char(letter) if self.records && key.kind == KeyEventKind::Press => {
+                    if let Some(mark) = mark_of(letter) {
+                        control.order(Order::Mark(mark));
+                    }
+                }
+                _ => {}
+            },
+        }
+        false
+    }
+
+    /// The release key: the second time it counts.
+    fn release<D: Door + Send + 'static>(&mut self, control: &Control<D>) {
+        if self.released.take().is_some_and(|at| at.elapsed() < CONFIRM) {
+            control.order(Order::Release);
+        } else {
+            self.released = Some(Instant::now());
+            self.line("press r again to release the stop");
+        }
+    }
+
+    /// About the session's file.
+    pub fn told(&mut self, text: &str) {
+        if self.json {
+            let line = serde_json::json!({ "event": "file", "text": text });
+            self.line(&line.to_string());
+        } else {
+            self.line(text);
+        }
+    }
+
+    /// What the session came to.
+    pub fn end(&mut self, now: &Now<'_>, ros2: Option<Counts>, dropped: u64) {
+        let odometry = now.robot.picture().odometry;
+        let links = [Hand::Left, Hand::Right].map(|hand| now.bridge.link(hand));
+        if self.json {
+            let end = EndLine {
+                time_ms: now.time_ms,
+                event: "end",
+                odometry,
+                frames: links.map(|link| link.counters()),
+                round_trip_ms: links.map(|link| link.round_trip_ms()),
+                events_not_printed: dropped,
+                ros2,
+            };
+            self.line(&serde_json::to_string(&end).unwrap_or_default());
+            return;
+        }
+        let text = format!(
+            "{:.1} s; base: {:.2} m driven; frames: left {} ({} lost), right {} ({} lost)",
+            now.time_ms as f64 / 1000.0,
+            odometry.path_m,
+            links[0].counters().frames,
+            links[0].counters().lost,
+            links[1].counters().frames,
+            links[1].counters().lost
+        );
+        self.line(&text);
+        if dropped > 0 {
+            self.line(&format!("{dropped} events were not printed: the terminal was too slow"));
+        }
+        if let Some(counts) = ros2 {
+            self.line(&format!("ROS 2: {} speeds and {} arm motions sent", counts.twists, counts.motions));
+        }
+    }
+}
