@@ -5,6 +5,7 @@ pub mod demo;
 pub mod doctor;
 pub mod export;
 pub mod keep;
+mod lines;
 pub mod list;
 pub mod ports;
 pub mod record;

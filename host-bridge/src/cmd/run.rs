@@ -22,9 +22,9 @@ use host_bridge::safety::Hand;
 use host_bridge::source::Source;
 use host_bridge::view::View;
 use host_bridge::web::Web;
-use serde::Serialize;
 
 use super::keep::{KeepArgs, Start, origin};
+use super::lines::PageLine;
 use super::ports::{check_name, read_config, settings};
 use super::ros2::{FAREWELL_MS, Graph, Output};
 use super::screen::{Screen, keys};
@@ -96,13 +96,6 @@ pub struct HandArgs {
     jerk_limited: bool,
     #[command(flatten)]
     web: WebArgs,
-}
-
-#[derive(Serialize)]
-struct PageLine<'a> {
-    time_ms: u64,
-    event: &'static str,
-    url: &'a str,
 }
 
 /// Runs until somebody quits or the time is over.

@@ -14,10 +14,10 @@ use host_bridge::robot::Door;
 use host_bridge::ros2::Counts;
 use host_bridge::safety::Hand;
 use host_bridge::view::{Scene, View};
-use serde::Serialize;
 use shared_proto::message::Heading;
 
 use super::keep::Keeper;
+use super::lines::{EndLine, LinkLine};
 
 /// Keys are looked for this often, also when nothing happens.
 const PATIENCE: Duration = Duration::from_millis(10);
@@ -37,27 +37,6 @@ pub fn keys(end_arm: char, has_hands: bool, records: bool) -> String {
         }
     }
     keys
-}
-
-#[derive(Serialize)]
-struct LinkLine<'a> {
-    time_ms: u64,
-    event: &'static str,
-    hand: Hand,
-    open: bool,
-    text: &'a str,
-}
-
-#[derive(Serialize)]
-struct EndLine {
-    time_ms: u64,
-    event: &'static str,
-    odometry: host_bridge::base::Odometry,
-    frames: [host_bridge::link::LinkCounters; 2],
-    round_trip_ms: [Option<u64>; 2],
-    events_not_printed: u64,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    ros2: Option<Counts>,
 }
 
 /// Which key marks what.
