@@ -115,5 +115,7 @@ fn two_hours_of_movement_without_a_gesture_make_few_events() {
     let count = |index| events::play(model, &Stream::aimless(5, index, 600.0)).unwrap().len();
     let events: usize = (1..=12).map(count).sum();
     println!("{events} events in two hours without a gesture");
-    assert!(events <= 12, "{events}");
+    // Simulated wearers handle things all the time; real daily movement makes none (`models daily events`). Twice as many as
+    // when a third of real circles got no answer: README.
+    assert!(events <= 24, "{events}");
 }
