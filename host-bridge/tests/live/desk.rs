@@ -139,7 +139,7 @@ fn calibrate_walks_through_three_poses_and_doctor_is_content_afterwards() {
         !status.success() && wrong.contains("where the right hand is expected: swap the ports"),
         "{wrong}"
     );
-    for word in ["protocol 1.2", "samples 100 Hz", "ppm", "ping and back", "0.00 % of the states lost"] {
+    for word in ["protocol 1.3", "samples 100 Hz", "ppm", "ping and back", "0.00 % of the states lost"] {
         assert!(text.contains(word), "{word} in\n{text}");
     }
 }
@@ -207,7 +207,7 @@ fn record_writes_the_left_hands_readings_and_replay_plays_them() {
     let desk = Desk::new("live-left");
     let left = Double::left(&desk);
     left.hold(FORWARD);
-    let out = desk.path("left").display().to_string();
+    let out = desk.path("takes").display().to_string();
     let port = left.port();
     let take = ["record", "--hand", "left", "--port", &port, "--label", "forward", "--person", "me"];
     let (status, text) =
