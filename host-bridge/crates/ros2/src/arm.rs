@@ -414,6 +414,14 @@ impl ArmLink {
             }
         }
         match answer {
+            Answer::Accepted if run.moving_since_ms.is_some() && run.stopping_since_ms.is_none() => {
+                // Two servers, or a forged word: of two motions only one would be watched.
+                self.notes.push(
+                    "two controllers have accepted the goal: it is cancelled; end all but one of them"
+                        .to_owned(),
+                );
+                self.halt(now_ms, outputs);
+            }
             Answer::Accepted => {
                 run.moving_since_ms = Some(now_ms);
                 if run.stopping_since_ms.is_some() {
