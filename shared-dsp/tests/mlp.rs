@@ -130,11 +130,9 @@ fn naive(spec: &BlobSpec, input: &[i8]) -> Vec<i8> {
     let mut x: Vec<i8> = input.to_vec();
     for layer in &spec.layers {
         let scale_of = |row: usize| {
-            let product = match layer.weight_scales.as_slice() {
-                [one] => f64::from(layer.input_scale * one),
-                rows => f64::from(layer.input_scale) * f64::from(rows[row]),
-            };
-            let real = product / f64::from(layer.output_scale);
+            let scales = &layer.weight_scales;
+            let weight_scale = scales[row.min(scales.len() - 1)];
+            let real = f64::from(layer.input_scale) * f64::from(weight_scale) / f64::from(layer.output_scale);
             let exponent = real.log2().floor() as i32 + 1;
             ((real / 2f64.powi(exponent) * 2f64.powi(31)).round() as i64, exponent)
         };

@@ -228,7 +228,7 @@ fn record_writes_the_left_hands_readings_and_replay_plays_them() {
         assert!(*counts == level || *counts == AdcCounts { z: level.z + 1, ..level }, "{counts:?}");
     }
     let (status, text) = run(&desk, &["replay", "--left", &file, "--speed", "0", "--headless"]);
-    assert!(status.success() && text.contains("left 7"), "{text}");
+    assert!(status.success() && text.contains("(0 damaged, 0 lost)"), "{text}");
     // A guided session has movements of its own.
     let (status, text) =
         run(&desk, &["record", "--hand", "left", "--guided", "--person", "a__b", "--port", &port]);

@@ -487,10 +487,17 @@ fn however_the_program_ends_base_and_arm_are_at_rest_soon() {
             let options = ["--left", &left.port(), "--right", &right.port()];
             let mut bridge = bridge_on_its_own(&desk, domain, "stamp = 'zero'\n", &options);
             bridge.has("armed", armed);
-            left.hold(FORWARD);
-            robot.wait("forward", |v| base_speed(v) == Some(0.5));
-            // A busy machine may have halted it meanwhile: it drives when the arm moves, or this moment is another one.
-            robot.wait("the arm moves", |v| is(v, "arm") && v["moves"] == true);
+            let arm_moves = |v: &Value| is(v, "arm") && v["moves"] == true;
+            // A busy machine may halt it meanwhile; then both begin anew.
+            loop {
+                drive_forward(&desk, &left, &mut robot);
+                let next = robot.wait("the arm moves", |v| arm_moves(v) || base_speed(v) == Some(0.0));
+                if arm_moves(&next) {
+                    break;
+                }
+                left.hold(LEVEL);
+                desk.pass(Duration::from_secs(1));
+            }
             desk.pass(Duration::from_millis(100 + 230 * moment));
             robot.catch_up();
             let moves = |of: &str, v: &Value| {

@@ -261,13 +261,9 @@ fn push_layer(blob: &mut Vec<u8>, index: usize, layer: &DenseSpec, inputs: usize
 /// Multiplier and right shift of each scale of the weights.
 fn row_scales(index: usize, layer: &DenseSpec) -> Result<Vec<(i32, u8)>, BuildError> {
     let one = |&weight_scale: &f32| {
-        // TFLite multiplies the two scales of a whole tensor as floats, of a channel as doubles; it divides as doubles.
-        let product = if layer.weight_scales.len() == 1 {
-            f64::from(layer.input_scale * weight_scale)
-        } else {
-            f64::from(layer.input_scale) * f64::from(weight_scale)
-        };
-        let real = product / f64::from(layer.output_scale);
+        // TFLite multiplies and divides the scales as doubles. (Older releases multiplied those of a whole tensor as
+        // floats: one output in 400,000 differs.)
+        let real = f64::from(layer.input_scale) * f64::from(weight_scale) / f64::from(layer.output_scale);
         let scale = quantise_multiplier(real);
         // Of a row of zeros nothing is left; TFLite then multiplies by 0, which this does to every sum of 32 bits.
         if layer.weight_scales.len() > 1 && scale.is_some_and(|(_, exponent)| exponent < -31) {
