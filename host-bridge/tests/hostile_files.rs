@@ -1,8 +1,8 @@
 //! What a person writes or is given beside recordings (configurations, scenes, arms, models) against damaged files: no
 //! panic, no hang, no memory without end.
 //!
-//! Files are mutated as a disk, an editor or a stranger would: bits, cuts, parts of others, numbers at their ends. 100,000
-//! per parser under `BIMANUAL_FULL=1`.
+//! Files are damaged as recordings are in `fuzz.rs`; a hang is judged by the processor's time. 100,000 per parser under
+//! `BIMANUAL_FULL=1`.
 #![cfg(unix)]
 
 use std::path::Path;
@@ -10,86 +10,18 @@ use std::time::Duration;
 
 use host_bridge::config::Config;
 use host_bridge::hands::ModelFile;
-use host_bridge::robot::Random;
 use host_bridge::scene::Scene;
 use models::card::Card;
 use shared_dsp::mlp::Model;
 
+#[path = "../../models/tests/common/damage.rs"]
+mod damage;
+
+use damage::{Rng, damage};
+
 /// Whoever waits longer for a file believes that the program hangs. In time of the processor, not of a busy machine.
 const SLOW: Duration = Duration::from_secs(2);
 const MEMORY_MAX_MB: u64 = 500;
-
-/// What stands where a number should.
-const ENDS: [&str; 16] = [
-    "nan",
-    "inf",
-    "-inf",
-    "-1",
-    "0",
-    "-0.0",
-    "1e308",
-    "1e-308",
-    "9223372036854775808",
-    "4294967296",
-    "65536",
-    "256",
-    "0x7f",
-    "\"\"",
-    "[]",
-    "\u{1b}]0;x\u{7}",
-];
-
-struct Mutator(Random);
-
-impl Mutator {
-    fn below(&mut self, count: usize) -> usize {
-        self.0.below(count.max(1))
-    }
-
-    fn part(&mut self, length: usize) -> std::ops::Range<usize> {
-        let start = self.below(length + 1);
-        let most = if self.below(4) == 0 { length - start } else { (length - start).min(16) };
-        start..start + self.below(most + 1)
-    }
-
-    fn mutate(&mut self, file: &mut Vec<u8>, donor: &[u8]) {
-        let at = self.below(file.len() + 1);
-        match self.below(9) {
-            0 if at < file.len() => file[at] ^= 1 << self.below(8),
-            1 if at < file.len() => file[at] = self.below(256) as u8,
-            2 => file.truncate(at),
-            3 => {
-                let part = self.part(file.len());
-                file.drain(part);
-            }
-            4 => {
-                let part = self.part(donor.len());
-                file.splice(at..at, donor[part].iter().copied());
-            }
-            5 => {
-                // Twice.
-                let part = self.part(file.len());
-                let copy = file[part].to_vec();
-                file.splice(at..at, copy);
-            }
-            6 if at + 4 <= file.len() => {
-                let extreme = [0, u32::MAX, 0x7FFF_FFFF, 0x8000_0000, 0x7F80_0000, 0x7FC0_0000];
-                let word = extreme[self.below(extreme.len())].to_le_bytes();
-                file[at..at + 4].copy_from_slice(&word);
-            }
-            _ => {
-                // A number, or what looks like one, becomes another.
-                let is_number = |byte: &u8| byte.is_ascii_digit() || b"+-.eE".contains(byte);
-                let Some(start) = file[at..].iter().position(u8::is_ascii_digit).map(|n| at + n) else {
-                    return;
-                };
-                let length = file[start..].iter().take_while(|byte| is_number(byte)).count();
-                let end = ENDS[self.below(ENDS.len())];
-                file.splice(start..start + length, end.bytes());
-            }
-        }
-    }
-}
 
 /// The processor time of this thread.
 fn worked() -> Duration {
@@ -106,16 +38,16 @@ fn peak_mb() -> u64 {
 /// Gives a parser mutated files; it says whether it took one.
 fn torment(name: &str, seeds: &[&[u8]], parse: impl Fn(&[u8]) -> bool) {
     let count = if std::env::var_os("BIMANUAL_FULL").is_some() { 100_000 } else { 200 };
-    let mut mutator = Mutator(Random::new(name.len() as u64));
+    let mut rng = Rng(name.len() as u64);
     let (mut worst, mut taken) = (Duration::ZERO, 0);
     for (n, seed) in seeds.iter().enumerate() {
         assert!(parse(seed), "{name}: seed {n} is good");
     }
     for n in 0..count {
         let mut file = seeds[n % seeds.len()].to_vec();
-        let donor = seeds[mutator.below(seeds.len())];
-        for _ in 0..1 + mutator.below(4) {
-            mutator.mutate(&mut file, donor);
+        let donor = seeds[rng.below(seeds.len())];
+        for _ in 0..1 + rng.below(4) {
+            damage(&mut rng, &mut file, donor);
         }
         let began = worked();
         let done = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| parse(&file)));

@@ -6,7 +6,6 @@
 //! * what is commanded is the heading of a sample that is no older than 250 ms (and this turn of the loop),
 //! * it arms only on neutral samples without another between them, three at least, that span 100 ms.
 
-#[allow(dead_code)] // it brings a door of its own
 mod support;
 
 use std::collections::VecDeque;
@@ -14,56 +13,13 @@ use std::collections::VecDeque;
 use host_core::bridge::Bridge;
 use host_core::intent::MotionMap;
 use host_core::safety::{ARM_NEUTRAL_MS, Hand, NEUTRAL_SAMPLES, STALE_MS, State};
-use host_robot::{
-    Door, JOINTS, Joints, MotionName, NotStarted, Picture, Pose, Random, Report, RobotSetting, Twist,
-};
+use host_robot::{Random, Twist};
 use shared_proto::message::{BoardMessage, Heading, HostMessage, LeftState, Pong};
-use support::{encode, hello};
+use support::{NoRobot, encode, hello};
 
 /// A sample that has come through in this time or less of the loop may still act.
 const TURN_MS: u64 = 20;
 const SAMPLE_MS: u64 = 20;
-
-/// Keeps the last speed.
-#[derive(Default)]
-struct Wheels {
-    twist: Twist,
-    driven: u64,
-}
-
-impl Door for Wheels {
-    fn step(&mut self, _now_ms: u64) {}
-    fn drive(&mut self, twist: Twist) {
-        self.driven += 1;
-        self.twist = twist;
-    }
-    fn start_motion(&mut self, _motion: &MotionName) -> Result<(), NotStarted> {
-        Ok(())
-    }
-    fn halt(&mut self) {
-        self.twist = Twist::ZERO;
-    }
-    fn halt_arm(&mut self) {}
-    fn take_reports(&mut self) -> Vec<Report> {
-        Vec::new()
-    }
-    fn send(&mut self) {}
-    fn knows(&self, _motion: &MotionName) -> bool {
-        true
-    }
-    fn picture(&self) -> Picture {
-        unreachable!("the bridge decides without looking")
-    }
-    fn setting(&self) -> RobotSetting {
-        unreachable!("the bridge decides without looking")
-    }
-    fn mount_m(&self) -> host_robot::DVec3 {
-        unreachable!("the bridge decides without looking")
-    }
-    fn link_poses(&self, _joints_rad: &Joints) -> [Pose; JOINTS + 1] {
-        unreachable!("the bridge decides without looking")
-    }
-}
 
 /// What is on the line to the program.
 struct OnItsWay {
@@ -77,7 +33,7 @@ struct World {
     random: Random,
     now_ms: u64,
     bridge: Bridge,
-    wheels: Wheels,
+    robot: NoRobot,
     line: VecDeque<OnItsWay>,
     /// Pings on their way to the board.
     pings: VecDeque<(u64, u32)>,
@@ -128,7 +84,7 @@ impl World {
             random: Random::new(seed),
             now_ms: 10_000,
             bridge: Bridge::new(MotionMap::default()).awaiting(Hand::Left),
-            wheels: Wheels::default(),
+            robot: NoRobot::default(),
             line: VecDeque::new(),
             pings: VecDeque::new(),
             state: LeftState::default(),
@@ -251,7 +207,7 @@ impl World {
             let Some(OnItsWay { bytes, state, .. }) = self.line.pop_front() else { break };
             let was_armed = self.is_armed();
             let whole = self.bridge.link(Hand::Left).counters().frames;
-            self.bridge.receive(Hand::Left, &bytes, self.now_ms, &mut self.wheels);
+            self.bridge.receive(Hand::Left, &bytes, self.now_ms, &mut self.robot);
             // Noise before it may have taken it away.
             let came_through = self.bridge.link(Hand::Left).counters().frames > whole;
             if let Some((sampled_ms, heading)) = state.filter(|_| came_through) {
@@ -270,7 +226,7 @@ impl World {
             self.judge_arming(was_armed);
         }
         let was_armed = self.is_armed();
-        self.bridge.step(self.now_ms, &mut self.wheels);
+        self.bridge.step(self.now_ms, &mut self.robot);
         let hello = self.bridge.poll(Hand::Left, self.now_ms).is_some();
         if hello && !self.chance(5) {
             let id = self.boot_id;
@@ -291,7 +247,7 @@ impl World {
 
     /// At the end of each turn.
     fn judge_command(&mut self) {
-        if let Some(heading) = asked(self.wheels.twist) {
+        if let Some(heading) = asked(self.robot.twist) {
             self.commands += 1;
             assert!(self.is_armed(), "moves unarmed at {}", self.now_ms);
             let age_ms = self.now_ms - self.seen_ms[heading];

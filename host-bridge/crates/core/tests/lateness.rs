@@ -42,7 +42,7 @@ impl Street {
     fn new(up: Delay, down: Delay, drift_ppm: i64) -> Self {
         let mut street = Street {
             bridge: Bridge::new(MotionMap::default()),
-            robot: NoRobot,
+            robot: NoRobot::default(),
             now_ms: 0,
             drift_ppm,
             up,

@@ -115,7 +115,10 @@ impl Bridge {
 
     /// Whether that says something else than what is known; figures alone, which change all the time, do not.
     pub fn is_news_of_robot(&self, refusal: Option<&str>) -> bool {
-        self.refusal().map(without_figures) != refusal.map(without_figures)
+        match (self.refusal(), refusal) {
+            (Some(known), Some(said)) => !without_figures(known).eq(without_figures(said)),
+            (known, said) => known != said,
+        }
     }
 
     /// Why the robot itself refuses to move, if it does.
@@ -451,8 +454,8 @@ impl Bridge {
 }
 
 /// A text without its figures, which change all the time.
-fn without_figures(text: &str) -> String {
-    text.chars().filter(|c| !c.is_ascii_digit()).collect()
+fn without_figures(text: &str) -> impl Iterator<Item = char> {
+    text.chars().filter(|c| !c.is_ascii_digit())
 }
 
 /// What a heading asks of the base: neutral and between are one to it.

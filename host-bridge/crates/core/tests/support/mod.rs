@@ -4,17 +4,23 @@ use host_robot::{Door, JOINTS, Joints, MotionName, NotStarted, Picture, Pose, Re
 use shared_proto::frame::{BOARD_FRAME_MAX, encode_board};
 use shared_proto::message::{Board, BoardMessage, Hello, PROTOCOL_MAJOR, PROTOCOL_MINOR};
 
-/// Takes every command; the bridge asks it nothing else.
+/// Takes every command and keeps the last speed; the bridge asks it nothing else.
 #[derive(Default)]
-pub struct NoRobot;
+pub struct NoRobot {
+    pub twist: Twist,
+}
 
 impl Door for NoRobot {
     fn step(&mut self, _now_ms: u64) {}
-    fn drive(&mut self, _twist: Twist) {}
+    fn drive(&mut self, twist: Twist) {
+        self.twist = twist;
+    }
     fn start_motion(&mut self, _motion: &MotionName) -> Result<(), NotStarted> {
         Ok(())
     }
-    fn halt(&mut self) {}
+    fn halt(&mut self) {
+        self.twist = Twist::ZERO;
+    }
     fn halt_arm(&mut self) {}
     fn take_reports(&mut self) -> Vec<Report> {
         Vec::new()
