@@ -502,7 +502,8 @@ impl ArmLink {
         if let Some(since_ms) = run.stopping_since_ms {
             if now_ms.saturating_sub(since_ms) > CANCEL_PATIENCE_MS {
                 self.notes.push(
-                    "ALARM: the arm's controller does not confirm the cancellation, which is asked for again and again: the                      arm may move; use its own e-stop"
+                    "ALARM: the arm's controller does not confirm the cancellation, which is asked for again and again: the arm \
+                     may move; use its own e-stop"
                         .to_owned(),
                 );
                 let goal = run.goal;

@@ -2,23 +2,24 @@
 
 use super::*;
 
+/// What the processor lays on the stack first, in this order (ARMv7-M, B1.5.6).
+const STACKED: [RegisterARM; 6] =
+    [RegisterARM::R0, RegisterARM::R1, RegisterARM::R2, RegisterARM::R3, RegisterARM::R12, RegisterARM::LR];
+
+/// Bytes of a frame on the stack, with the registers of the floating point unit or without.
+fn frame_bytes(with_fp: bool) -> u32 {
+    if with_fp { 0x68 } else { 0x20 }
+}
+
 impl Board {
     pub(super) fn enter(&mut self, exception: usize) {
         let with_fp = self.reg(RegisterARM::CONTROL) & 4 != 0;
         let sp = self.reg(RegisterARM::SP);
         let xpsr = self.reg(RegisterARM::XPSR);
-        let size = if with_fp { 0x68 } else { 0x20 };
+        let size = frame_bytes(with_fp);
         let frame = (sp - size) & !7;
         let aligned = u32::from(sp & 4 != 0);
-        let registers = [
-            RegisterARM::R0,
-            RegisterARM::R1,
-            RegisterARM::R2,
-            RegisterARM::R3,
-            RegisterARM::R12,
-            RegisterARM::LR,
-        ];
-        let mut words: Vec<u32> = registers.iter().map(|&r| self.reg(r)).collect();
+        let mut words: Vec<u32> = STACKED.iter().map(|&r| self.reg(r)).collect();
         words.push(self.reg(RegisterARM::PC) & !1);
         words.push(xpsr & !(1 << 9) & !0x1FF | aligned << 9 | (xpsr & 0x1FF));
         if with_fp {
@@ -65,16 +66,8 @@ impl Board {
         let frame = self.reg(RegisterARM::SP);
         let word = |board: &Self, i: u32| board.load(frame + 4 * i);
         let xpsr = word(self, 7);
-        let size = if with_fp { 0x68 } else { 0x20 };
-        let registers = [
-            RegisterARM::R0,
-            RegisterARM::R1,
-            RegisterARM::R2,
-            RegisterARM::R3,
-            RegisterARM::R12,
-            RegisterARM::LR,
-        ];
-        for (i, &register) in registers.iter().enumerate() {
+        let size = frame_bytes(with_fp);
+        for (i, &register) in STACKED.iter().enumerate() {
             let value = word(self, i as u32);
             self.set_reg(register, value);
         }
