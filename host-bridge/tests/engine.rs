@@ -12,7 +12,7 @@ use host_bridge::ros2::{Output, Ros2Config, RosRobot};
 use host_bridge::safety::{Hand, State};
 use host_bridge::source::HandSource as _;
 use shared_proto::frame::{BOARD_FRAME_MAX, Decoder, HOST_FRAME_MAX, encode_board, encode_host};
-use shared_proto::message::{Board, BoardMessage, Heading, Hello, HostMessage, Mode, Signal};
+use shared_proto::message::{Board, BoardMessage, Heading, Hello, HostMessage, Mode, Signal, Text};
 
 #[path = "support/moving.rs"]
 mod moving;
@@ -234,7 +234,7 @@ fn felt(wired: bool, minor: u8, ready: bool) -> Vec<Signal> {
         major: 1,
         minor,
         board: Board::RightXiao,
-        firmware: "test",
+        firmware: Text("test"),
         boot_id: 1,
         model_id: 1,
         sample_hz: 100,

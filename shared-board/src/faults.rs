@@ -1,8 +1,7 @@
 //! Faults that a laptop which connects later should still hear of.
 
 use crate::FrameOut;
-use shared_proto::frame::FAULT_FRAME_MAX;
-use shared_proto::message::Fault;
+use shared_proto::message::{BoardBody, Fault};
 
 const KEPT: usize = 4;
 
@@ -23,13 +22,13 @@ impl FaultLog {
         let same = self.kept.iter().position(|f| f.is_some_and(|f| f.kind == fault.kind));
         let free = self.kept.iter().position(Option::is_none);
         self.kept[same.or(free).unwrap_or(KEPT - 1)] = Some(fault);
-        crate::send::<FAULT_FRAME_MAX>(&fault, out);
+        crate::send::<{ Fault::FRAME_MAX }>(&fault, out);
     }
 
     /// Sends all that is kept.
     pub fn repeat(&self, out: &mut impl FrameOut) {
         for fault in self.kept.iter().flatten() {
-            crate::send::<FAULT_FRAME_MAX>(fault, out);
+            crate::send::<{ Fault::FRAME_MAX }>(fault, out);
         }
     }
 }

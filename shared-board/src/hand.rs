@@ -4,7 +4,7 @@ use core::marker::PhantomData;
 
 use shared_dsp::mlp::{self, MAX_AXES};
 use shared_dsp::right::{RightHand, RightOutput};
-use shared_proto::message::ModelInfo;
+use shared_proto::message::{ModelInfo, Text};
 
 /// Samples in, gestures out.
 pub trait Hand {
@@ -38,7 +38,7 @@ pub fn model_info_on_the_wire<'a>(info: &mlp::ModelInfo<'a>) -> ModelInfo<'a> {
         axes: info.axes as u8,
         sample_hz: info.sample_hz,
         window: info.window,
-        labels: info.label_text,
+        labels: Text(info.label_text),
     }
 }
 

@@ -64,7 +64,7 @@ pub mod slots;
 pub mod vibration;
 
 use shared_proto::frame::encode_body;
-use shared_proto::message::{Board, BoardBody, Hello, PROTOCOL_MAJOR, PROTOCOL_MINOR};
+use shared_proto::message::{Board, BoardBody, Hello, PROTOCOL_MAJOR, PROTOCOL_MINOR, Text};
 
 /// Where frames go: a serial line, a radio, a vector of bytes.
 ///
@@ -100,7 +100,7 @@ impl Identity {
             major: PROTOCOL_MAJOR,
             minor: PROTOCOL_MINOR,
             board: self.board,
-            firmware: self.firmware,
+            firmware: Text(self.firmware),
             boot_id: self.boot_id,
             model_id,
             sample_hz: self.sample_hz,
@@ -111,7 +111,7 @@ impl Identity {
 /// Time between two statuses.
 pub const STATUS_INTERVAL_MS: u32 = 1000;
 
-/// Encodes a message into a buffer of `N` bytes, its `…_FRAME_MAX`, and hands it over.
+/// Encodes a message into a buffer of `N` bytes, its [`BoardBody::FRAME_MAX`] or more, and hands it over.
 fn send<const N: usize>(body: &impl BoardBody, out: &mut impl FrameOut) -> bool {
     let mut buffer = [0; N];
     match encode_body(body, &mut buffer) {

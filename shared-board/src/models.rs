@@ -14,8 +14,7 @@ use embedded_storage_async::nor_flash::NorFlash;
 use shared_dsp::features::{HOP, WINDOW};
 use shared_dsp::mlp::{Model, crc32};
 use shared_dsp::recipe::Recipe;
-use shared_proto::frame::ACK_FRAME_MAX;
-use shared_proto::message::{Ack, AckResult, MODEL_CHUNK_MAX, ModelBegin, ModelInfo};
+use shared_proto::message::{Ack, AckResult, BoardBody, MODEL_CHUNK_MAX, ModelBegin, ModelInfo};
 
 /// NOR flash that can also be read like memory, as that of a microcontroller.
 ///
@@ -187,7 +186,9 @@ impl<F: MappedFlash> ModelStore<F> {
         out: &mut impl FrameOut,
     ) -> AckResult {
         self.transfer = None;
-        let fits = self.runs.takes(&begin.info) && (1..=BLOB_MAX).contains(&(begin.size as usize));
+        let fits = self.runs.takes(&begin.info)
+            && begin.scaling == ModelBegin::DATA_SHEET_SCALING
+            && (1..=BLOB_MAX).contains(&(begin.size as usize));
         if !fits {
             return AckResult::ModelDoesNotFit;
         }
@@ -296,5 +297,5 @@ impl<F: MappedFlash> ModelStore<F> {
 struct Aligned<const N: usize>([u8; N]);
 
 fn acknowledge(request: u16, result: AckResult, next_offset: u32, out: &mut impl FrameOut) {
-    send::<ACK_FRAME_MAX>(&Ack { request, result, next_offset }, out);
+    send::<{ Ack::FRAME_MAX }>(&Ack { request, result, next_offset }, out);
 }

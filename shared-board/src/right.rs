@@ -6,15 +6,11 @@ use crate::models::ModelRequest;
 use crate::vibration::{Motor, Vibration};
 use crate::{FrameOut, Identity, send};
 use shared_dsp::features::HOP;
-use shared_dsp::mlp::MAX_AXES;
+use shared_dsp::mlp::{MAX_AXES, MAX_LABELS};
 use shared_dsp::recipe::Recipe;
-use shared_proto::frame::{
-    ABOUT_FRAME_MAX, ACK_FRAME_MAX, HELLO_FRAME_MAX, MODEL_INFO_FRAME_MAX, PONG_FRAME_MAX, RAW_IMU_FRAME_MAX,
-    RIGHT_STATE_FRAME_MAX, STATUS_FRAME_MAX,
-};
 use shared_proto::message::{
-    About, Ack, AckResult, Board, Fault, FaultKind, HostMessage, Mode, Pong, RAW_COUNTS_MAX, RawImu,
-    RightState, Status, health,
+    About, Ack, AckResult, Board, BoardBody, Bytes, Fault, FaultKind, Hello, HostMessage, Mode, ModelInfo,
+    Pong, RAW_COUNTS_MAX, RawImu, RightState, SCORES_MAX, Status, health,
 };
 
 /// Without a sample for this long [`RightBoard::silence`] is due, and again after each further period. Longer than
@@ -176,7 +172,7 @@ impl<H: Hand> RightBoard<H> {
                 return None;
             }
             HostMessage::Ping { id } => {
-                send::<PONG_FRAME_MAX>(&Pong { id, board_time_ms: now_ms }, out);
+                send::<{ Pong::FRAME_MAX }>(&Pong { id, board_time_ms: now_ms }, out);
                 return None;
             }
             HostMessage::Feel { signal } => {
@@ -191,7 +187,7 @@ impl<H: Hand> RightBoard<H> {
             HostMessage::SetMode { request, mode } => (request, self.set_mode(mode, trusted)),
             HostMessage::ModelBegin(begin) if trusted => return Some(ModelRequest::Begin(begin)),
             HostMessage::ModelChunk { request, offset, data } if trusted => {
-                return Some(ModelRequest::Chunk { request, offset, data });
+                return Some(ModelRequest::Chunk { request, offset, data: data.0 });
             }
             HostMessage::ModelCommit { request, crc32 } if trusted => {
                 return Some(ModelRequest::Commit { request, crc32 });
@@ -201,7 +197,7 @@ impl<H: Hand> RightBoard<H> {
                 (request, AckResult::NotBonded)
             }
         };
-        send::<ACK_FRAME_MAX>(&Ack { request, result, next_offset: 0 }, out);
+        send::<{ Ack::FRAME_MAX }>(&Ack { request, result, next_offset: 0 }, out);
         None
     }
 
@@ -210,7 +206,7 @@ impl<H: Hand> RightBoard<H> {
     pub fn status(&mut self, mut counted: Status, now_ms: u32, out: &mut impl FrameOut) {
         counted.uptime_ms = now_ms;
         counted.mode = self.mode;
-        send::<STATUS_FRAME_MAX>(&counted, out);
+        send::<{ Status::FRAME_MAX }>(&counted, out);
         if self.greeted && self.told != self.about {
             self.told = self.about;
             self.say_about(out);
@@ -243,15 +239,15 @@ impl<H: Hand> RightBoard<H> {
     /// Says who this board is and what its model names, and repeats its faults.
     fn hello(&self, out: &mut impl FrameOut) {
         let model = self.hand.model();
-        send::<HELLO_FRAME_MAX>(&self.identity.hello(model.model_id), out);
-        send::<MODEL_INFO_FRAME_MAX>(&model, out);
+        send::<{ Hello::FRAME_MAX }>(&self.identity.hello(model.model_id), out);
+        send::<{ ModelInfo::FRAME_MAX }>(&model, out);
         self.say_about(out);
         self.faults.repeat(out);
     }
 
     fn say_about(&self, out: &mut impl FrameOut) {
         if let Some(about) = &self.about {
-            send::<ABOUT_FRAME_MAX>(about, out);
+            send::<{ About::FRAME_MAX }>(about, out);
         }
     }
 
@@ -283,10 +279,10 @@ impl<H: Hand> RightBoard<H> {
             label: output.label,
             confidence: output.confidence,
             event_window_end_ms: output.event_window_end_ms,
-            scores: &scores[..output.scores().len()],
+            scores: Bytes(&scores[..output.scores().len()]),
             health: flags,
         };
-        send::<RIGHT_STATE_FRAME_MAX>(&state, out);
+        send::<{ RightState::FRAME_MAX }>(&state, out);
         self.sequence = self.sequence.wrapping_add(1);
     }
 }
@@ -334,12 +330,12 @@ impl RawBatch {
             first_sample: self.first,
             axes: self.axes as u8,
             scale,
-            counts: &self.bytes[..used],
+            counts: Bytes(&self.bytes[..used]),
         };
-        send::<RAW_IMU_FRAME_MAX>(&batch, out);
+        send::<{ RawImu::FRAME_MAX }>(&batch, out);
         self.sequence = self.sequence.wrapping_add(1);
         self.clear();
     }
 }
 
-const _: () = assert!(HOP * MAX_AXES * 2 <= RAW_COUNTS_MAX);
+const _: () = assert!(HOP * MAX_AXES * 2 <= RAW_COUNTS_MAX && MAX_LABELS <= SCORES_MAX);

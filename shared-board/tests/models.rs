@@ -27,7 +27,7 @@ fn begin(blob: &[u8]) -> ModelBegin<'_> {
     ModelBegin {
         request: 1,
         info: model_info_on_the_wire(model.info()),
-        scaling: [1.0; 3],
+        scaling: ModelBegin::DATA_SHEET_SCALING,
         size: blob.len() as u32,
     }
 }
@@ -144,6 +144,8 @@ fn what_cannot_run_is_refused_before_anything_is_erased() {
         ModelBegin { info: ModelInfo { recipe: 99, ..info }, ..good },
         ModelBegin { info: ModelInfo { sample_hz: 104, ..info }, ..good },
         ModelBegin { info: ModelInfo { window: 128, ..info }, ..good },
+        // In the scale of Arduino's library.
+        ModelBegin { scaling: [1.0, 1.1469, 1.1469], ..good },
         ModelBegin { size: 0, ..good },
         ModelBegin { size: BLOB_MAX as u32 + 1, ..good },
     ] {

@@ -13,8 +13,8 @@ use shared_dsp::mlp::{MAX_AXES, Model};
 use shared_dsp::right::RightHand;
 use shared_proto::frame::{HOST_FRAME_MAX, parse_host};
 use shared_proto::message::{
-    About, AckResult, Board, BoardMessage, FaultKind, HostMessage, Image, Mode, ModelBegin, ModelInfo,
-    ResetCause, Sensor, Signal, Status, health,
+    About, AckResult, Board, BoardMessage, Bytes, FaultKind, HostMessage, Image, Mode, ModelBegin, ModelInfo,
+    ResetCause, Sensor, Signal, Status, Text, health,
 };
 
 const SCALE: [f32; 3] = [0.01, 0.07, 0.014];
@@ -112,7 +112,7 @@ fn a_start_is_announced_once_and_who_asks_hears_of_the_model_and_the_faults() {
     rig.send(&HostMessage::HelloRequest);
     assert_eq!(rig.line.hellos(), [9]);
     let labels = rig.line.all(|m| match m {
-        BoardMessage::ModelInfo(info) => Some((info.axes, info.labels.to_owned())),
+        BoardMessage::ModelInfo(info) => Some((info.axes, info.labels.to_string())),
         _ => None,
     });
     assert_eq!(labels, [(3, "idle,a,b".to_owned())]);
@@ -130,13 +130,13 @@ fn the_left_hands_requests_are_refused_and_an_untrusted_link_changes_nothing() {
     rig.send(&HostMessage::Calibrate { request: 1, step });
     let begin = ModelBegin {
         request: 2,
-        info: ModelInfo { model_id: 1, recipe: 1, axes: 3, sample_hz: 100, window: 200, labels: "x" },
-        scaling: [1.0; 3],
+        info: ModelInfo { model_id: 1, recipe: 1, axes: 3, sample_hz: 100, window: 200, labels: Text("x") },
+        scaling: ModelBegin::DATA_SHEET_SCALING,
         size: 10,
     };
     let untrusted = [
         HostMessage::ModelBegin(begin),
-        HostMessage::ModelChunk { request: 3, offset: 0, data: &[1] },
+        HostMessage::ModelChunk { request: 3, offset: 0, data: Bytes(&[1]) },
         HostMessage::ModelCommit { request: 4, crc32: 1 },
         HostMessage::SetMode { request: 5, mode: Mode::Record },
     ];

@@ -9,10 +9,7 @@
 //! empty frames are skipped. What is damaged is counted and dropped; nothing is ever asked for again.
 
 use crate::crc::Crc32;
-use crate::message::{
-    BoardBody, BoardMessage, FIRMWARE_MAX, HostMessage, LABELS_MAX, LeftRequest, MODEL_CHUNK_MAX,
-    RAW_COUNTS_MAX, SCORES_MAX,
-};
+use crate::message::{BoardBody, BoardMessage, HostMessage, LeftRequest, Row, largest};
 use postcard::ser_flavors::Flavor;
 use serde::Serialize;
 
@@ -21,97 +18,25 @@ pub const DELIMITER: u8 = 0;
 
 const CRC_BYTES: usize = 4;
 
-// Largest postcard encodings of the fields.
-const VARIANT: usize = 1;
-const U8: usize = 1;
-const U16: usize = 3;
-const U32: usize = 5;
-const F32: usize = 4;
-/// A length and that many bytes; all our lengths are below 2^14.
-const fn bytes(max: usize) -> usize {
-    if max < 128 { 1 + max } else { 2 + max }
-}
-
 /// A frame around `message` bytes: checksum, one code byte per started 254 bytes, delimiter.
-const fn frame_len(message: usize) -> usize {
+pub(crate) const fn frame_len(message: usize) -> usize {
     let decoded = message + CRC_BYTES;
     decoded + decoded / 254 + 1 + 1
 }
 
-const fn max(values: &[usize]) -> usize {
-    let mut most = 0;
-    let mut i = 0;
-    while i < values.len() {
-        if values[i] > most {
-            most = values[i];
-        }
-        i += 1;
-    }
-    most
-}
-
-/// Largest frame of a [`Hello`](BoardMessage::Hello), in bytes.
-pub const HELLO_FRAME_MAX: usize = frame_len(VARIANT + 3 * U8 + bytes(FIRMWARE_MAX) + 2 * U32 + U16);
-/// Largest frame of a [`Left`](BoardMessage::Left) state, in bytes.
-pub const LEFT_STATE_FRAME_MAX: usize = frame_len(VARIANT + U16 + U32 + 2 * U16 + 5 * U8);
-/// Largest frame of a [`Right`](BoardMessage::Right) state, in bytes.
-pub const RIGHT_STATE_FRAME_MAX: usize =
-    frame_len(VARIANT + U16 + U32 + 3 * U8 + U32 + bytes(SCORES_MAX) + U8);
-/// Largest frame of a [`RawImu`](BoardMessage::RawImu) batch, in bytes.
-pub const RAW_IMU_FRAME_MAX: usize = frame_len(VARIANT + U16 + U32 + U8 + 3 * F32 + bytes(RAW_COUNTS_MAX));
-/// Largest frame of a [`Status`](BoardMessage::Status), in bytes.
-pub const STATUS_FRAME_MAX: usize = frame_len(VARIANT + 5 * U32 + U16 + U8);
-/// Largest frame of a [`Fault`](BoardMessage::Fault), in bytes.
-pub const FAULT_FRAME_MAX: usize = frame_len(VARIANT + U32 + U8 + U32);
-/// Largest frame of a [`Pong`](BoardMessage::Pong), in bytes.
-pub const PONG_FRAME_MAX: usize = frame_len(VARIANT + 2 * U32);
-/// Largest frame of an [`Ack`](BoardMessage::Ack), in bytes.
-pub const ACK_FRAME_MAX: usize = frame_len(VARIANT + U16 + U8 + U32);
-const MODEL_INFO_MAX: usize = U32 + 2 * U8 + 2 * U16 + bytes(LABELS_MAX);
-/// Largest frame of a [`ModelInfo`](BoardMessage::ModelInfo), in bytes.
-pub const MODEL_INFO_FRAME_MAX: usize = frame_len(VARIANT + MODEL_INFO_MAX);
-/// Largest frame of an [`About`](BoardMessage::About), in bytes.
-pub const ABOUT_FRAME_MAX: usize = frame_len(VARIANT + 4 * U8 + U16);
-/// Largest frame of a [`RawAdc`](BoardMessage::RawAdc), in bytes.
-pub const RAW_ADC_FRAME_MAX: usize = frame_len(VARIANT + U32 + 5 * U16);
-
 /// Largest frame that any board sends, in bytes: the laptop's receive buffer.
-pub const BOARD_FRAME_MAX: usize = max(&[
-    HELLO_FRAME_MAX,
-    LEFT_STATE_FRAME_MAX,
-    RIGHT_STATE_FRAME_MAX,
-    RAW_IMU_FRAME_MAX,
-    STATUS_FRAME_MAX,
-    FAULT_FRAME_MAX,
-    PONG_FRAME_MAX,
-    ACK_FRAME_MAX,
-    MODEL_INFO_FRAME_MAX,
-    ABOUT_FRAME_MAX,
-    RAW_ADC_FRAME_MAX,
-]);
+pub const BOARD_FRAME_MAX: usize = largest(BoardMessage::ROWS, false);
 /// Largest frame that the left board sends, in bytes: its send buffer.
-pub const LEFT_BOARD_FRAME_MAX: usize = max(&[
-    HELLO_FRAME_MAX,
-    LEFT_STATE_FRAME_MAX,
-    STATUS_FRAME_MAX,
-    FAULT_FRAME_MAX,
-    PONG_FRAME_MAX,
-    ACK_FRAME_MAX,
-    RAW_ADC_FRAME_MAX,
-]);
-
-const MODEL_BEGIN_FRAME_MAX: usize = frame_len(VARIANT + U16 + MODEL_INFO_MAX + 3 * F32 + U32);
-const MODEL_CHUNK_FRAME_MAX: usize = frame_len(VARIANT + U16 + U32 + bytes(MODEL_CHUNK_MAX));
+pub const LEFT_BOARD_FRAME_MAX: usize = largest(BoardMessage::ROWS, true);
 /// Largest frame that the laptop sends to a left board, in bytes: that board's receive buffer.
 /// (Longer ones, the model's, are not for it: they count as overflow there.)
-pub const HOST_TO_LEFT_FRAME_MAX: usize = frame_len(VARIANT + U16 + 3 * U16);
+pub const HOST_TO_LEFT_FRAME_MAX: usize = largest(HostMessage::ROWS, true);
 /// Largest frame that the laptop sends, in bytes: the right board's receive buffer.
-pub const HOST_FRAME_MAX: usize =
-    max(&[HOST_TO_LEFT_FRAME_MAX, MODEL_BEGIN_FRAME_MAX, MODEL_CHUNK_FRAME_MAX]);
+pub const HOST_FRAME_MAX: usize = largest(HostMessage::ROWS, false);
 
 /// The caller's buffer is too small for the frame.
 ///
-/// With a buffer of the message's `…_FRAME_MAX` it means that a text or list in the message is longer
+/// With a buffer of the message's [`BoardBody::FRAME_MAX`] it means that a text or list in the message is longer
 /// than its maximum in [`message`](crate::message).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct EncodeError;
@@ -248,11 +173,6 @@ impl core::fmt::Display for ParseError {
 
 impl core::error::Error for ParseError {}
 
-/// How many messages this version knows; their numbers on the wire are below.
-const BOARD_MESSAGES: u8 = 11;
-const HOST_MESSAGES: u8 = 9;
-const LEFT_REQUESTS: u8 = 5;
-
 /// Reads a board's message from an intact frame's payload.
 ///
 /// Bytes behind the message make it [`ParseError::Malformed`], except behind a
@@ -263,7 +183,7 @@ const LEFT_REQUESTS: u8 = 5;
 pub fn parse_board(payload: &[u8]) -> Result<BoardMessage<'_>, ParseError> {
     match postcard::take_from_bytes(payload) {
         Ok((message, rest)) if rest.is_empty() || matches!(message, BoardMessage::Hello(_)) => Ok(message),
-        _ => Err(why_not(payload, BOARD_MESSAGES)),
+        _ => Err(why_not(payload, BoardMessage::ROWS)),
     }
 }
 
@@ -277,7 +197,7 @@ pub fn parse_board(payload: &[u8]) -> Result<BoardMessage<'_>, ParseError> {
 pub fn parse_host(payload: &[u8]) -> Result<HostMessage<'_>, ParseError> {
     match postcard::take_from_bytes(payload) {
         Ok((message, rest)) if rest.is_empty() || message == HostMessage::HelloRequest => Ok(message),
-        _ => Err(why_not(payload, HOST_MESSAGES)),
+        _ => Err(why_not(payload, HostMessage::ROWS)),
     }
 }
 
@@ -287,15 +207,15 @@ pub fn parse_host(payload: &[u8]) -> Result<HostMessage<'_>, ParseError> {
 /// # Errors
 /// [`ParseError`] when this version does not have such a message for a left board.
 pub fn parse_left_request(payload: &[u8]) -> Result<LeftRequest, ParseError> {
-    match postcard::take_from_bytes(payload) {
-        Ok((message, rest)) if rest.is_empty() || message == LeftRequest::HelloRequest => Ok(message),
-        _ => Err(why_not(payload, LEFT_REQUESTS)),
+    match LeftRequest::take(payload)? {
+        (message, rest) if rest.is_empty() || message == LeftRequest::HelloRequest => Ok(message),
+        _ => Err(ParseError::Malformed),
     }
 }
 
-fn why_not(payload: &[u8], known: u8) -> ParseError {
+fn why_not(payload: &[u8], known: &[Row]) -> ParseError {
     match payload.first() {
-        Some(&variant) if variant >= known => ParseError::Unknown,
+        Some(&number) if usize::from(number) >= known.len() => ParseError::Unknown,
         _ => ParseError::Malformed,
     }
 }
@@ -472,10 +392,10 @@ mod tests {
 
     #[test]
     fn a_message_comes_back_from_its_frame() {
-        let mut buffer = [0; LEFT_STATE_FRAME_MAX];
+        let mut buffer = [0; LeftState::FRAME_MAX];
         let sent = BoardMessage::Left(LeftState { sequence: 7, pitch_mrad: -300, ..Default::default() });
         let frame = encode_board(&sent, &mut buffer).unwrap();
-        let mut decoder = Decoder::<LEFT_STATE_FRAME_MAX>::new();
+        let mut decoder = Decoder::<{ LeftState::FRAME_MAX }>::new();
         let (last, first) = frame.split_last().unwrap();
         for &byte in first {
             assert_eq!(decoder.push_board(byte), None);

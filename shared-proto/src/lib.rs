@@ -3,11 +3,11 @@
 //! # In this crate
 //!
 //! ```
-//! use shared_proto::frame::{BOARD_FRAME_MAX, Decoder, LEFT_STATE_FRAME_MAX, encode_board};
-//! use shared_proto::message::{BoardMessage, LeftState};
+//! use shared_proto::frame::{BOARD_FRAME_MAX, Decoder, encode_board};
+//! use shared_proto::message::{BoardBody, BoardMessage, LeftState};
 //!
 //! // On the board: one message, one buffer.
-//! let mut buffer = [0; LEFT_STATE_FRAME_MAX];
+//! let mut buffer = [0; LeftState::FRAME_MAX];
 //! let state = BoardMessage::Left(LeftState { sequence: 1, ..Default::default() });
 //! let bytes = encode_board(&state, &mut buffer)?;
 //!

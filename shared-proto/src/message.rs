@@ -1,211 +1,128 @@
-//! Every message that crosses the wire, in both directions.
+//! Every message that crosses the wire: a table for each direction.
+//!
+//! A row is `number Name fields => boards, minor version that added it`. All else about a message follows from its row:
+//! its place in the enum, the buffer sizes in [`frame`](crate::frame), what a left board takes ([`LeftRequest`]), and the rows
+//! of `WIRE.md` with the golden frames, which tests compare with [`BoardMessage::ROWS`] and [`HostMessage::ROWS`].
 //!
 //! A message is a [postcard](https://postcard.jamesmunns.com/wire-format) enum: one byte of variant
 //! number, then the fields in order. State travels whole and events travel as wrapping counters, so
 //! a lost frame loses nothing and a repeated one does nothing.
 //!
-//! **Adding** a message at the end of [`BoardMessage`] or [`HostMessage`], or a value to an open list
-//! ([`Board`], [`FaultKind`], [`AckResult`]: they have `Unknown`), is a minor change; anything else is a
-//! major one (see [`PROTOCOL_MAJOR`]). [`Hello`] and [`HostMessage::HelloRequest`] are frozen for ever,
-//! so that any two versions can tell each other that they differ.
+//! **Adding** a message at the end of a table, or a value to an open list ([`Board`], [`FaultKind`], [`AckResult`]: they have
+//! `Unknown`), is a minor change; anything else is a major one (see [`PROTOCOL_MAJOR`]). [`Hello`] and
+//! [`HostMessage::HelloRequest`] are frozen for ever, so that any two versions can tell each other that they differ.
 
+use crate::frame::{ParseError, frame_len};
+use postcard::experimental::max_size::MaxSize;
 use serde::{Deserialize, Serialize};
 
-/// A list that may grow in a minor version: one byte on the wire, and an older reader keeps a value
-/// it does not know as `Unknown` instead of losing the whole message.
-macro_rules! open_list {
-    ($(#[$doc:meta])* $name:ident { $($(#[$value_doc:meta])* $value:ident = $byte:literal,)* }) => {
-        $(#[$doc])*
-        #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-        #[serde(from = "u8", into = "u8")]
-        pub enum $name {
-            $($(#[$value_doc])* $value,)*
-            /// A value that a later minor version added.
-            Unknown(u8),
-        }
-
-        impl From<u8> for $name {
-            fn from(byte: u8) -> Self {
-                match byte {
-                    $($byte => Self::$value,)*
-                    other => Self::Unknown(other),
-                }
-            }
-        }
-
-        impl From<$name> for u8 {
-            fn from(value: $name) -> Self {
-                match value {
-                    $($name::$value => $byte,)*
-                    $name::Unknown(other) => other,
-                }
-            }
-        }
-    };
-}
-
+#[macro_use]
+mod table;
+mod bounded;
 mod hello;
 mod signal;
 
+pub use bounded::{Bytes, Text};
 pub use hello::{About, Board, Hello, Image, ResetCause, Sensor};
 pub use signal::Signal;
+pub(crate) use table::largest;
+pub use table::{BoardBody, Boards, Row};
 
 /// Raised when a message is reshaped; both sides must have the same one.
 pub const PROTOCOL_MAJOR: u8 = 1;
 /// Raised when a message is added; the older side ignores what it does not know.
 pub const PROTOCOL_MINOR: u8 = 3;
 
-/// What a board sends to the laptop.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub enum BoardMessage<'a> {
-    /// At start, and in answer to [`HostMessage::HelloRequest`].
-    #[serde(borrow)]
-    Hello(Hello<'a>),
-    /// The left hand's whole state, at 50 Hz and at once on a change.
-    Left(LeftState),
-    /// The right hand's whole state, once per hop (80 ms).
-    #[serde(borrow)]
-    Right(RightState<'a>),
-    /// Samples as the window saw them, in record mode only.
-    #[serde(borrow)]
-    RawImu(RawImu<'a>),
-    /// Counters, once per second.
-    Status(Status),
-    /// Something is wrong that a person should know.
-    Fault(Fault),
-    /// Answer to [`HostMessage::Ping`].
-    Pong(Pong),
-    /// Answer to every other request.
-    Ack(Ack),
-    /// What the running model expects and names, sent after each hello of a right hand.
-    #[serde(borrow)]
-    ModelInfo(ModelInfo<'a>),
-    /// What a right hand's board is made of, sent after each hello (since 1.1).
-    About(About),
-    /// One sample of a left hand's converter, in record mode only (since 1.3).
-    RawAdc(RawAdc),
-}
-
-/// What the laptop sends to a board.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub enum HostMessage<'a> {
-    /// Who are you?
-    HelloRequest,
-    /// Answered by [`Pong`] with the same id.
-    Ping {
-        /// Chosen by the laptop.
-        id: u32,
-    },
-    /// Change what the board does.
-    SetMode {
-        /// Echoed in the [`Ack`].
-        request: u16,
-        /// The new mode.
-        mode: Mode,
-    },
-    /// Start one step of the left hand's calibration.
-    Calibrate {
-        /// Echoed in the [`Ack`].
-        request: u16,
-        /// Which pose the hand holds now.
-        step: CalibrationStep,
-    },
-    /// Change the left hand's tilt thresholds until the next restart.
-    SetThresholds {
-        /// Echoed in the [`Ack`].
-        request: u16,
-        /// The new thresholds.
-        thresholds: TiltThresholds,
-    },
-    /// Announce a model blob; the board answers with the offset it wants next.
-    #[serde(borrow)]
-    ModelBegin(ModelBegin<'a>),
-    /// A piece of the blob. Pieces arrive in order; the [`Ack`] names the next offset.
-    ModelChunk {
-        /// Echoed in the [`Ack`].
-        request: u16,
-        /// Where in the blob the data belongs, in bytes.
-        offset: u32,
-        /// At most [`MODEL_CHUNK_MAX`] bytes.
+board_messages! {
+    /// What a board sends to the laptop.
+    BoardMessage<'a> {
+        /// At start, and in answer to [`HostMessage::HelloRequest`].
         #[serde(borrow)]
-        data: &'a [u8],
-    },
-    /// Verify and keep the blob; used after the next restart.
-    ModelCommit {
-        /// Echoed in the [`Ack`].
-        request: u16,
-        /// CRC-32 of the whole blob, which is also the new model id.
-        crc32: u32,
-    },
-    /// What the wearer of a right hand shall feel, where a motor is wired to its board (since 1.2). Not acknowledged: a
-    /// late one is worth nothing. Boards of earlier versions are not sent it.
-    Feel {
-        /// What.
-        signal: Signal,
-    },
+        0 Hello(Hello<'a>) => Both, 0;
+        /// The left hand's whole state, at 50 Hz and at once on a change.
+        1 Left(LeftState) => Left, 0;
+        /// The right hand's whole state, once per hop (80 ms).
+        #[serde(borrow)]
+        2 Right(RightState<'a>) => Right, 0;
+        /// Samples as the window saw them, in record mode only.
+        #[serde(borrow)]
+        3 RawImu(RawImu<'a>) => Right, 0;
+        /// Counters, once per second.
+        4 Status(Status) => Both, 0;
+        /// Something is wrong that a person should know.
+        5 Fault(Fault) => Both, 0;
+        /// Answer to [`HostMessage::Ping`].
+        6 Pong(Pong) => Both, 0;
+        /// Answer to every other request.
+        7 Ack(Ack) => Both, 0;
+        /// What the running model expects and names, sent after each hello of a right hand.
+        #[serde(borrow)]
+        8 ModelInfo(ModelInfo<'a>) => Right, 0;
+        /// What a right hand's board is made of, sent after each hello.
+        9 About(About) => Right, 1;
+        /// One sample of a left hand's converter, in record mode only.
+        10 RawAdc(RawAdc) => Left, 3;
+    }
 }
 
-/// The part of [`HostMessage`] that a left board takes: same numbers, same fields.
-///
-/// It has no room for the code that reads the other part.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub enum LeftRequest {
-    /// See [`HostMessage::HelloRequest`].
-    HelloRequest,
-    /// See [`HostMessage::Ping`].
-    Ping {
-        /// Chosen by the laptop.
-        id: u32,
-    },
-    /// See [`HostMessage::SetMode`].
-    SetMode {
-        /// Echoed in the [`Ack`].
-        request: u16,
-        /// The new mode.
-        mode: Mode,
-    },
-    /// See [`HostMessage::Calibrate`].
-    Calibrate {
-        /// Echoed in the [`Ack`].
-        request: u16,
-        /// Which pose the hand holds now.
-        step: CalibrationStep,
-    },
-    /// See [`HostMessage::SetThresholds`].
-    SetThresholds {
-        /// Echoed in the [`Ack`].
-        request: u16,
-        /// The new thresholds.
-        thresholds: TiltThresholds,
-    },
-}
-
-/// What a [`BoardMessage`] contains.
-pub trait BoardBody: Serialize {
-    /// The message's number on the wire.
-    const NUMBER: u8;
-}
-
-macro_rules! board_bodies {
-    ($($body:ty = $number:literal,)*) => {
-        $(impl BoardBody for $body {
-            const NUMBER: u8 = $number;
-        })*
-    };
-}
-
-board_bodies! {
-    Hello<'_> = 0,
-    LeftState = 1,
-    RightState<'_> = 2,
-    RawImu<'_> = 3,
-    Status = 4,
-    Fault = 5,
-    Pong = 6,
-    Ack = 7,
-    ModelInfo<'_> = 8,
-    About = 9,
-    RawAdc = 10,
+host_messages! {
+    /// What the laptop sends to a board.
+    HostMessage<'a> {
+        /// Who are you?
+        0 HelloRequest => Both, 0;
+        /// Answered by [`Pong`] with the same id.
+        1 Ping {
+            /// Chosen by the laptop.
+            id: u32,
+        } => Both, 0;
+        /// Change what the board does.
+        2 SetMode {
+            /// Echoed in the [`Ack`].
+            request: u16,
+            /// The new mode.
+            mode: Mode,
+        } => Both, 0;
+        /// Start one step of the left hand's calibration.
+        3 Calibrate {
+            /// Echoed in the [`Ack`].
+            request: u16,
+            /// Which pose the hand holds now.
+            step: CalibrationStep,
+        } => Both, 0;
+        /// Change the left hand's tilt thresholds until the next restart.
+        4 SetThresholds {
+            /// Echoed in the [`Ack`].
+            request: u16,
+            /// The new thresholds.
+            thresholds: TiltThresholds,
+        } => Both, 0;
+        /// Announce a model blob; the board answers with the offset it wants next.
+        #[serde(borrow)]
+        5 ModelBegin(ModelBegin<'a>) => Right, 0;
+        /// A piece of the blob. Pieces arrive in order; the [`Ack`] names the next offset.
+        6 ModelChunk {
+            /// Echoed in the [`Ack`].
+            request: u16,
+            /// Where in the blob the data belongs, in bytes.
+            offset: u32,
+            /// A piece of the blob.
+            #[serde(borrow)]
+            data: Bytes<'a, MODEL_CHUNK_MAX>,
+        } => Right, 0;
+        /// Verify and keep the blob; used after the next restart.
+        7 ModelCommit {
+            /// Echoed in the [`Ack`].
+            request: u16,
+            /// CRC-32 of the whole blob, which is also the new model id.
+            crc32: u32,
+        } => Right, 0;
+        /// What the wearer of a right hand shall feel, where a motor is wired to its board. Not acknowledged: a late one
+        /// is worth nothing. Boards of earlier versions are not sent it.
+        8 Feel {
+            /// What.
+            signal: Signal,
+        } => Right, 2;
+    }
 }
 
 /// Largest piece of a model in one frame, in bytes. All but the last have this size.
@@ -220,7 +137,7 @@ pub const SCORES_MAX: usize = 32;
 pub const FIRMWARE_MAX: usize = 32;
 
 /// Where the left hand points. At most one command at a time: the larger tilt wins.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, MaxSize)]
 pub enum Heading {
     /// Both tilts within the dead zone (5°). Needed to re-arm after a stop.
     Neutral,
@@ -238,7 +155,7 @@ pub enum Heading {
 }
 
 /// The left hand, whole.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, MaxSize)]
 pub struct LeftState {
     /// One more for each frame of this message, wrapping.
     pub sequence: u16,
@@ -261,7 +178,7 @@ pub struct LeftState {
 }
 
 /// The right hand, whole.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, MaxSize)]
 pub struct RightState<'a> {
     /// One more for each frame of this message, wrapping.
     pub sequence: u16,
@@ -276,7 +193,8 @@ pub struct RightState<'a> {
     /// Board clock at the end of the window that decided the last event.
     pub event_window_end_ms: u32,
     /// The network's int8 outputs as bytes, one per label: (score + 128) / 256 is the probability.
-    pub scores: &'a [u8],
+    #[serde(borrow)]
+    pub scores: Bytes<'a, SCORES_MAX>,
     /// Bits of [`health`]; 0 = all well.
     pub health: u8,
 }
@@ -300,7 +218,7 @@ pub mod health {
 }
 
 /// Samples exactly as the window saw them: i16 counts on the 100 Hz grid.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, MaxSize)]
 pub struct RawImu<'a> {
     /// One more for each frame of this message, wrapping.
     pub sequence: u16,
@@ -311,11 +229,12 @@ pub struct RawImu<'a> {
     /// Physical value of one count: m/s², deg/s, µT.
     pub scale: [f32; 3],
     /// Little-endian i16, sample after sample, axes in the order accelerometer, gyroscope, magnetometer.
-    pub counts: &'a [u8],
+    #[serde(borrow)]
+    pub counts: Bytes<'a, RAW_COUNTS_MAX>,
 }
 
 /// One sample of a left hand's five lines, as its board judges it.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, MaxSize)]
 pub struct RawAdc {
     /// Board clock at the sample, wrapping after 49 days: a jump tells of samples that are missing.
     pub board_time_ms: u32,
@@ -324,7 +243,7 @@ pub struct RawAdc {
 }
 
 /// Counters since start.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, MaxSize)]
 pub struct Status {
     /// Time since start.
     pub uptime_ms: u32,
@@ -343,7 +262,7 @@ pub struct Status {
 }
 
 /// What a board does.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, MaxSize)]
 pub enum Mode {
     /// Names gestures (right hand), or sends the hand's state (left hand).
     #[default]
@@ -355,7 +274,7 @@ pub enum Mode {
 }
 
 /// What went wrong on a board.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, MaxSize)]
 pub struct Fault {
     /// Time since start.
     pub uptime_ms: u32,
@@ -391,7 +310,7 @@ open_list! {
 }
 
 /// Answer to a ping.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, MaxSize)]
 pub struct Pong {
     /// The id of the ping.
     pub id: u32,
@@ -400,7 +319,7 @@ pub struct Pong {
 }
 
 /// Answer to a request.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, MaxSize)]
 pub struct Ack {
     /// The request's number.
     pub request: u16,
@@ -439,7 +358,7 @@ open_list! {
 }
 
 /// Steps of the left hand's calibration.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, MaxSize)]
 pub enum CalibrationStep {
     /// The hand is level and still.
     Neutral,
@@ -452,7 +371,7 @@ pub enum CalibrationStep {
 }
 
 /// Tilt thresholds in milliradians.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, MaxSize)]
 pub struct TiltThresholds {
     /// Neutral lies within this (5° = 87).
     pub neutral_mrad: u16,
@@ -463,7 +382,7 @@ pub struct TiltThresholds {
 }
 
 /// What a model needs and names.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, MaxSize)]
 pub struct ModelInfo<'a> {
     /// CRC-32 of the blob.
     pub model_id: u32,
@@ -476,19 +395,26 @@ pub struct ModelInfo<'a> {
     /// Samples per window.
     pub window: u16,
     /// Names of the outputs in order, separated by commas.
-    pub labels: &'a str,
+    #[serde(borrow)]
+    pub labels: Text<'a, LABELS_MAX>,
+}
+
+impl ModelBegin<'_> {
+    /// [`ModelBegin::scaling`] of a model that boards run.
+    pub const DATA_SHEET_SCALING: [f32; 3] = [1.0; 3];
 }
 
 /// Announces a model.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, MaxSize)]
 pub struct ModelBegin<'a> {
     /// Echoed in the [`Ack`].
     pub request: u16,
     /// What the model needs and names; `model_id` is the CRC-32 of the whole blob.
     #[serde(borrow)]
     pub info: ModelInfo<'a>,
-    /// Physical units the model was trained in, m/s², deg/s and µT per count of 1.0:
-    /// 1.0 for data-sheet scale; 1.1469 where gyroscope and magnetometer are in Arduino's scale.
+    /// In which scale of accelerometer, gyroscope and magnetometer the model was trained, as a factor on the data sheets'.
+    /// Arduino's library reads 1.1469 too much on two of them. Boards compute in data sheets' scale and refuse a model of
+    /// another one: its gestures would be recognised at another tempo.
     pub scaling: [f32; 3],
     /// Bytes of the whole blob.
     pub size: u32,

@@ -83,10 +83,11 @@ impl fmt::Display for Board {
 mod tests {
     extern crate std;
     use super::*;
+    use crate::message::Text;
     use std::string::ToString;
 
     fn hello(board: Board, major: u8, minor: u8) -> Hello<'static> {
-        Hello { major, minor, board, firmware: "0.1.0", boot_id: 1, model_id: 0, sample_hz: 100 }
+        Hello { major, minor, board, firmware: Text("0.1.0"), boot_id: 1, model_id: 0, sample_hz: 100 }
     }
 
     #[test]

@@ -28,7 +28,7 @@ fn model_info() -> ModelInfo<'static> {
         axes: 9,
         sample_hz: 100,
         window: 200,
-        labels: "idle,up-down,to-fro,left-right,rectangle,rectangle-flat,circle",
+        labels: Text("idle,up-down,to-fro,left-right,rectangle,rectangle-flat,circle"),
     }
 }
 
@@ -38,7 +38,7 @@ fn board_messages() -> Vec<BoardMessage<'static>> {
             major: 1,
             minor: 0,
             board: Board::LeftNano,
-            firmware: "0.1.0",
+            firmware: Text("0.1.0"),
             boot_id: 0x1234_5678,
             model_id: 0,
             sample_hz: 100,
@@ -51,7 +51,7 @@ fn board_messages() -> Vec<BoardMessage<'static>> {
             label: 6,
             confidence: 250,
             event_window_end_ms: 1920,
-            scores: &[0, 1, 0, 2, 0, 3, 250],
+            scores: Bytes(&[0, 1, 0, 2, 0, 3, 250]),
             health: health::GAP,
         }),
         BoardMessage::RawImu(RawImu {
@@ -59,7 +59,7 @@ fn board_messages() -> Vec<BoardMessage<'static>> {
             first_sample: 1600,
             axes: 3,
             scale: [0.001, 0.0, 0.0],
-            counts: &[1, 0, 255, 255, 0, 128],
+            counts: Bytes(&[1, 0, 255, 255, 0, 128]),
         }),
         BoardMessage::Status(Status {
             uptime_ms: 1000,
@@ -99,7 +99,7 @@ fn host_messages() -> Vec<HostMessage<'static>> {
             scaling: [1.0, 1.1469, 1.1469],
             size: 4096,
         }),
-        HostMessage::ModelChunk { request: 12, offset: 128, data: &[0, 1, 2, 0, 255] },
+        HostMessage::ModelChunk { request: 12, offset: 128, data: Bytes(&[0, 1, 2, 0, 255]) },
         HostMessage::ModelCommit { request: 13, crc32: 0xCAFE_F00D },
         HostMessage::Feel { signal: Signal::Stopped },
     ]
@@ -202,7 +202,15 @@ fn the_wire_has_not_changed_without_a_new_version() {
 /// A message that this file does not know would not be pinned.
 #[test]
 fn every_message_is_in_the_list() {
-    let (board, host) = (board_messages().len(), host_messages().len());
+    let rows = |rows: &[Row]| -> Vec<&str> { rows.iter().map(|row| row.name).collect() };
+    let names = |rows: Vec<&Row>| -> Vec<&str> { rows.iter().map(|row| row.name).collect() };
+    assert_eq!(
+        names(board_messages().iter().map(|message| message.row()).collect()),
+        rows(BoardMessage::ROWS)
+    );
+    assert_eq!(names(host_messages().iter().map(|message| message.row()).collect()), rows(HostMessage::ROWS));
+
+    let (board, host) = (BoardMessage::ROWS.len(), HostMessage::ROWS.len());
     let mut payload = [0; 64];
     for number in 0..128 {
         // Zeros are valid values of everything in a message.
@@ -234,7 +242,7 @@ fn the_pinned_frames_are_read_as_the_pinned_messages() {
         assert_eq!(read, [name]);
         frames += 1;
     }
-    assert_eq!(frames, 20);
+    assert_eq!(frames, BoardMessage::ROWS.len() + HostMessage::ROWS.len());
 }
 
 #[test]
@@ -272,28 +280,16 @@ fn wire_md_shows_the_true_bytes() {
         shows(&format!("| {kind} | {shown} | `{bytes}` |"));
     }
 
-    // Messages: number, name, largest frame.
-    let name = |text: String| text.split([' ', '(']).next().unwrap().to_owned();
-    let largest = [
-        HELLO_FRAME_MAX,
-        LEFT_STATE_FRAME_MAX,
-        RIGHT_STATE_FRAME_MAX,
-        RAW_IMU_FRAME_MAX,
-        STATUS_FRAME_MAX,
-        FAULT_FRAME_MAX,
-        PONG_FRAME_MAX,
-        ACK_FRAME_MAX,
-        MODEL_INFO_FRAME_MAX,
-    ];
-    for (number, (message, largest)) in board_messages().iter().zip(largest).enumerate() {
-        let name = name(format!("{message:?}"));
-        shows(&format!("| `{number:02x}` | `{name}` | {largest} |"));
+    for row in BoardMessage::ROWS.iter().chain(HostMessage::ROWS) {
+        let Row { number, name, boards, since, frame_max } = row;
+        let since = if *since == 0 { String::new() } else { format!(" (since {PROTOCOL_MAJOR}.{since})") };
+        shows(&format!("| `{number:02x}` | `{name}`{since} | {} | {frame_max} |", boards.name()));
     }
-    for (number, message) in host_messages().iter().enumerate() {
-        let name = name(format!("{message:?}"));
-        shows(&format!("| `{number:02x}` | `{name}` |"));
-        // A frame's second byte is the message's number, unless that is 0.
-        assert!(number == 0 || usize::from(host_frame(message)[1]) == number);
+    let rows = page.lines().filter(|line| line.starts_with("| `")).count();
+    assert_eq!(rows, BoardMessage::ROWS.len() + HostMessage::ROWS.len(), "WIRE.md has a row of no message");
+    // A frame's second byte is the message's number, unless that is 0.
+    for (number, message) in host_messages().iter().enumerate().skip(1) {
+        assert_eq!(usize::from(host_frame(message)[1]), number);
     }
     for frame in [board_frame(&board_messages()[6]), host_frame(&HostMessage::HelloRequest)] {
         shows(&format!("`{}`", hex(&frame)));

@@ -183,7 +183,7 @@ fn damaged_streams_yield_exactly_the_frames_left_whole() {
         }
         let name = || format!("seed {seed}, stream {k}");
         if rng.below(4) == 0 {
-            check::<LEFT_STATE_FRAME_MAX>(&stream, &sent, &mut tally, name);
+            check::<LEFT_BOARD_FRAME_MAX>(&stream, &sent, &mut tally, name);
         } else {
             check::<BOARD_FRAME_MAX>(&stream, &sent, &mut tally, name);
         }

@@ -2,10 +2,10 @@
 
 mod common;
 
-use common::{BOARD_KINDS, HOST_KINDS, Material};
+use common::{BOARD_KINDS, HOST_KINDS, Material, longest};
 use proptest::prelude::*;
 use shared_proto::frame::*;
-use shared_proto::message::{BoardMessage, FIRMWARE_MAX, HostMessage, LABELS_MAX, RAW_COUNTS_MAX};
+use shared_proto::message::{BoardMessage, Boards, Bytes, HostMessage, RAW_COUNTS_MAX, Row};
 
 fn word() -> impl Strategy<Value = u32> {
     prop_oneof![any::<u32>(), 0u32..300, Just(u32::MAX), Just(0x8000), Just(0x7FFF)]
@@ -23,12 +23,12 @@ prop_compose! {
 }
 
 /// The largest message of each kind.
-fn largest(kind: usize) -> Material {
+fn largest(kind: usize, row: &Row) -> Material {
     Material {
         kind,
         words: [0x8000_8000; 10], // the most bytes as u16, i16 and u32
         bytes: vec![0xA5; RAW_COUNTS_MAX],
-        text: "x".repeat(LABELS_MAX.max(FIRMWARE_MAX)),
+        text: "x".repeat(longest(row.name)),
     }
 }
 
@@ -80,7 +80,7 @@ proptest! {
 
         let (payloads, _) = payloads(encode_host(&material.host(), &mut buffer).unwrap());
         let request = parse_left_request(&payloads[0]);
-        if payloads[0][0] < 5 {
+        if material.host().row().boards == Boards::Both {
             prop_assert_eq!(format!("{:?}", request.unwrap()), format!("{:?}", material.host()));
         } else {
             prop_assert_eq!(request, Err(ParseError::Unknown));
@@ -138,7 +138,7 @@ fn blocks_without_a_zero_of_every_length_come_back() {
     for len in 1..1100 {
         let data = vec![7; len];
         let mut buffer = vec![0; len + 40];
-        let sent = HostMessage::ModelChunk { request: 0x101, offset: 0x0101_0101, data: &data };
+        let sent = HostMessage::ModelChunk { request: 0x101, offset: 0x0101_0101, data: Bytes(&data) };
         let frame = encode_host(&sent, &mut buffer).unwrap();
         let mut decoder = Decoder::<1200>::new();
         let (last, first) = frame.split_last().unwrap();
@@ -149,35 +149,24 @@ fn blocks_without_a_zero_of_every_length_come_back() {
 
 #[test]
 fn the_largest_message_of_each_kind_has_the_stated_size() {
-    let expected = [
-        HELLO_FRAME_MAX,
-        LEFT_STATE_FRAME_MAX,
-        RIGHT_STATE_FRAME_MAX,
-        RAW_IMU_FRAME_MAX,
-        STATUS_FRAME_MAX,
-        FAULT_FRAME_MAX,
-        PONG_FRAME_MAX,
-        ACK_FRAME_MAX,
-        MODEL_INFO_FRAME_MAX,
-    ];
-    for (kind, expected) in expected.into_iter().enumerate() {
-        let material = largest(kind);
-        let mut buffer = [0; 1000];
+    let mut buffer = [0; 1000];
+    for (kind, row) in BoardMessage::ROWS.iter().enumerate() {
+        let material = largest(kind, row);
         let len = encode_board(&material.board(), &mut buffer).unwrap().len();
-        assert_eq!(len, expected, "{:?}", material.board());
+        assert_eq!(len, row.frame_max, "{:?}", material.board());
     }
-    let mut most = 0;
-    for kind in 0..HOST_KINDS {
-        let material = largest(kind);
-        let mut buffer = [0; 1000];
+    for (kind, row) in HostMessage::ROWS.iter().enumerate() {
+        let material = largest(kind, row);
         let len = encode_host(&material.host(), &mut buffer).unwrap().len();
-        most = most.max(len);
-        if !matches!(material.host(), HostMessage::ModelBegin(_) | HostMessage::ModelChunk { .. }) {
-            assert!(len <= HOST_TO_LEFT_FRAME_MAX, "{:?}", material.host());
-        }
+        assert_eq!(len, row.frame_max, "{:?}", material.host());
     }
-    assert_eq!(most, HOST_FRAME_MAX);
-    assert_eq!(BOARD_FRAME_MAX, expected.into_iter().max().unwrap());
+}
+
+/// In protocol 1.3. Boards with little memory reserve them.
+#[test]
+fn buffers_are_as_large_as_the_largest_frame_that_they_may_hold() {
+    let sizes = [BOARD_FRAME_MAX, LEFT_BOARD_FRAME_MAX, HOST_FRAME_MAX, HOST_TO_LEFT_FRAME_MAX];
+    assert_eq!(sizes, [174, 56, 145, 19]);
 }
 
 /// A frame around any payload.
@@ -215,7 +204,7 @@ fn messages_of_later_versions_count_as_unknown_and_reshaped_ones_as_malformed() 
 fn a_hello_of_any_later_version_can_be_read() {
     let hello = [0, 9, 4, 77, 1, b'x', 5, 6, 7, 0xAA, 0xBB]; // a new board, and two fields more
     let Ok(BoardMessage::Hello(hello)) = parse_board(&hello) else { panic!("{:?}", parse_board(&hello)) };
-    assert_eq!((hello.major, hello.minor, hello.firmware), (9, 4, "x"));
+    assert_eq!((hello.major, hello.minor, hello.firmware.0), (9, 4, "x"));
     assert_eq!((u8::from(hello.board), hello.boot_id, hello.model_id, hello.sample_hz), (77, 5, 6, 7));
     assert_eq!(parse_host(&[0, 1, 2]), Ok(HostMessage::HelloRequest));
 }

@@ -3,7 +3,7 @@
 
 use shared_dsp::mlp::{Model, crc32};
 use shared_dsp::recipe::Recipe;
-use shared_proto::message::{AckResult, HostMessage, MODEL_CHUNK_MAX, Mode};
+use shared_proto::message::{AckResult, Bytes, HostMessage, MODEL_CHUNK_MAX, Mode};
 use tests::nrf::ble_host::BleHost;
 use tests::nrf::lsm9ds1::Still;
 use tests::nrf::session::Session;
@@ -199,7 +199,7 @@ fn a_model_sent_over_bluetooth_is_used_after_a_restart_though_flash_and_link_fai
             wait_until_ready(&mut session);
         }
         let request = 100 + i as u16;
-        let answer = || HostMessage::ModelChunk { request, offset, data };
+        let answer = || HostMessage::ModelChunk { request, offset, data: Bytes(data) };
         let mut ack = session.ask(request, &answer());
         if ack.is_none() {
             // The flash had to be asked twice; the answer comes late.

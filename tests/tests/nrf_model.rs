@@ -3,7 +3,9 @@
 
 use shared_dsp::mlp::{Model, crc32};
 use shared_dsp::recipe::Recipe;
-use shared_proto::message::{AckResult, FaultKind, HostMessage, MODEL_CHUNK_MAX, ModelBegin, ModelInfo};
+use shared_proto::message::{
+    AckResult, Bytes, FaultKind, HostMessage, MODEL_CHUNK_MAX, ModelBegin, ModelInfo,
+};
 use tests::nrf::lsm9ds1::Still;
 use tests::nrf::session::Session;
 use tests::nrf::transfer::{announce, begin, model_id, pieces, random_model, restart};
@@ -96,7 +98,7 @@ fn models_that_this_image_cannot_run_are_refused_before_anything_is_erased() {
     ] {
         assert_eq!(announce(&mut session, bad), AckResult::ModelDoesNotFit);
     }
-    let chunk = HostMessage::ModelChunk { request: 2, offset: 0, data: &blob[..16] };
+    let chunk = HostMessage::ModelChunk { request: 2, offset: 0, data: Bytes(&blob[..16]) };
     assert_eq!(session.ask(2, &chunk).unwrap().result, AckResult::WrongOffset);
     assert_eq!(session.board.soc().nvmc.erased, 0);
 }

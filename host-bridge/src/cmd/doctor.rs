@@ -7,6 +7,7 @@ use anyhow::{Result, bail, ensure};
 use host_bridge::doubt;
 use host_bridge::hands::ModelFile;
 use host_bridge::intent::MotionMap;
+use host_bridge::link::hand_of;
 use host_bridge::links::SerialSettings;
 use host_bridge::safety::Hand;
 use host_bridge::survey::Survey;
@@ -125,7 +126,7 @@ fn examine(port: &str, hand: Hand, settings: SerialSettings, seconds: f64) -> Re
 }
 
 fn is_left(board: Board) -> bool {
-    matches!(board, Board::LeftNano | Board::LeftReplay)
+    hand_of(board) == Some(Hand::Left)
 }
 
 fn listen(talk: &mut Talk, who: Who, listen_ms: u64) -> Heard {

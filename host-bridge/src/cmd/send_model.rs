@@ -7,11 +7,12 @@ use std::process::ExitCode;
 use anyhow::{Result, bail, ensure};
 use host_bridge::hands::ModelFile;
 use host_bridge::intent::MotionMap;
+use host_bridge::link::hand_of;
 use host_bridge::safety::Hand;
 use host_bridge::talk::{Said, Talk};
 use host_bridge::upload::{Stage, Upload, misfit};
 use shared_dsp::mlp::Model;
-use shared_proto::message::{Board, HostMessage, LABELS_MAX, SCORES_MAX};
+use shared_proto::message::{HostMessage, LABELS_MAX, SCORES_MAX};
 
 use super::ports::PortOptions;
 
@@ -46,7 +47,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     let (port, settings) = args.port.resolve(Hand::Right)?;
     let mut talk = Talk::open(&port, settings);
     let who = talk.hello(HELLO_MS)?;
-    if matches!(who.board, Board::LeftNano | Board::LeftReplay) {
+    if hand_of(who.board) == Some(Hand::Left) {
         bail!("{port}: {} answers; only the right hand's board runs a model", who.board);
     }
     let Some(board) = talk.model(4000) else {

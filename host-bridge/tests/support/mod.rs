@@ -6,8 +6,8 @@ use host_bridge::intent::MotionMap;
 use host_bridge::safety::{Hand, State};
 use shared_proto::frame::{BOARD_FRAME_MAX, encode_board};
 use shared_proto::message::{
-    Board, BoardMessage, Heading, Hello, HostMessage, LeftState, ModelInfo, PROTOCOL_MAJOR, PROTOCOL_MINOR,
-    Pong, RightState,
+    Board, BoardMessage, Bytes, Heading, Hello, HostMessage, LeftState, ModelInfo, PROTOCOL_MAJOR,
+    PROTOCOL_MINOR, Pong, RightState, Text,
 };
 
 #[path = "moving.rs"]
@@ -28,7 +28,7 @@ pub fn hello(hand: Hand, boot_id: u32) -> Vec<u8> {
 }
 
 pub fn hello_of(board: Board, boot_id: u32, major: u8) -> Vec<u8> {
-    let (minor, firmware) = (PROTOCOL_MINOR, "test");
+    let (minor, firmware) = (PROTOCOL_MINOR, Text("test"));
     encode(&BoardMessage::Hello(Hello {
         major,
         minor,
@@ -41,6 +41,7 @@ pub fn hello_of(board: Board, boot_id: u32, major: u8) -> Vec<u8> {
 }
 
 pub fn model(labels: &str) -> Vec<u8> {
+    let labels = Text(labels);
     let (model_id, recipe, axes, sample_hz, window) = (1, 0, 9, 100, 200);
     encode(&BoardMessage::ModelInfo(ModelInfo { model_id, recipe, axes, sample_hz, window, labels }))
 }
@@ -150,7 +151,7 @@ impl Rig {
             label: right.label,
             confidence: 250,
             event_window_end_ms: right.event_window_end_ms,
-            scores: &scores,
+            scores: Bytes(&scores),
             health: right.health,
         }))
     }

@@ -15,7 +15,7 @@ use serialport::{SerialPort as _, TTYPort};
 use shared_proto::frame::{BOARD_FRAME_MAX, DELIMITER, Decoder, HOST_FRAME_MAX, encode_board};
 use shared_proto::message::{
     Ack, AckResult, Board, BoardMessage, Heading, Hello, HostMessage, LeftState, PROTOCOL_MAJOR,
-    PROTOCOL_MINOR, Pong,
+    PROTOCOL_MINOR, Pong, Text,
 };
 
 use crate::desk::port::pair;
@@ -141,7 +141,7 @@ impl Machine {
             major: PROTOCOL_MAJOR,
             minor: PROTOCOL_MINOR,
             board: Board::LeftNano,
-            firmware: "0.1.0",
+            firmware: Text("0.1.0"),
             boot_id: 4711,
             model_id: 0,
             sample_hz: 100,

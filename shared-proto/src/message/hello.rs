@@ -1,5 +1,7 @@
 //! Who a board is, and what it is made of.
 
+use super::{FIRMWARE_MAX, Text};
+use postcard::experimental::max_size::MaxSize;
 use serde::{Deserialize, Serialize};
 
 open_list! {
@@ -21,7 +23,7 @@ open_list! {
 }
 
 /// Who a board is. The layout of this message never changes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, MaxSize)]
 pub struct Hello<'a> {
     /// [`PROTOCOL_MAJOR`](super::PROTOCOL_MAJOR) of the sender.
     pub major: u8,
@@ -30,7 +32,8 @@ pub struct Hello<'a> {
     /// The sender.
     pub board: Board,
     /// Version of the firmware, such as `0.1.0`.
-    pub firmware: &'a str,
+    #[serde(borrow)]
+    pub firmware: Text<'a, FIRMWARE_MAX>,
     /// Different after each start. A new one re-bases counters and clock and needs neutral again.
     pub boot_id: u32,
     /// CRC-32 of the running model's blob; 0 where there is none.
@@ -82,7 +85,7 @@ open_list! {
 }
 
 /// What a right hand's board is made of.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, MaxSize)]
 pub struct About {
     /// The sensor that was found.
     pub sensor: Sensor,

@@ -1,5 +1,6 @@
 //! What a vibration motor says.
 
+use postcard::experimental::max_size::MaxSize;
 use serde::{Deserialize, Serialize};
 
 open_list! {

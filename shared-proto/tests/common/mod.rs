@@ -1,6 +1,12 @@
 //! Arbitrary messages of every kind, made from plain random material.
 #![allow(dead_code)] // each test file uses its part
 
+use serde::Deserialize;
+use serde::de::value::{Error, U32Deserializer};
+use serde::de::{
+    DeserializeSeed, Deserializer, EnumAccess, IntoDeserializer, SeqAccess, VariantAccess, Visitor,
+};
+use serde::forward_to_deserialize_any;
 use shared_proto::message::*;
 
 mod rng;
@@ -16,8 +22,20 @@ pub struct Material {
 }
 
 /// Kinds of [`BoardMessage`] and [`HostMessage`].
-pub const BOARD_KINDS: usize = 11;
-pub const HOST_KINDS: usize = 9;
+pub const BOARD_KINDS: usize = BoardMessage::ROWS.len();
+pub const HOST_KINDS: usize = HostMessage::ROWS.len();
+
+/// Longest text or list of bytes of a message, which has one at the most.
+pub fn longest(message: &str) -> usize {
+    match message {
+        "Hello" => FIRMWARE_MAX,
+        "Right" => SCORES_MAX,
+        "RawImu" => RAW_COUNTS_MAX,
+        "ModelInfo" | "ModelBegin" => LABELS_MAX,
+        "ModelChunk" => MODEL_CHUNK_MAX,
+        _ => 0,
+    }
+}
 
 impl Material {
     pub fn random(rng: &mut Rng) -> Self {
@@ -40,149 +58,172 @@ impl Material {
         Self { kind, words, bytes, text }
     }
 
-    fn bytes(&self, max: usize) -> &[u8] {
-        &self.bytes[..self.bytes.len().min(max)]
-    }
-
-    fn text(&self, max: usize) -> &str {
-        &self.text[..self.text.floor_char_boundary(max)]
-    }
-
-    fn floats(&self) -> [f32; 3] {
-        [5, 6, 7].map(|k: usize| f32::from_bits(self.words[k]))
-    }
-
-    fn mode(&self) -> Mode {
-        [Mode::Classify, Mode::Record, Mode::Idle][self.words[6] as usize % 3]
-    }
-
-    fn model_info(&self) -> ModelInfo<'_> {
-        let w = &self.words;
-        ModelInfo {
-            model_id: w[0],
-            recipe: w[1] as u8,
-            axes: w[2] as u8,
-            sample_hz: w[3] as u16,
-            window: w[4] as u16,
-            labels: self.text(LABELS_MAX),
-        }
-    }
-
     pub fn board(&self) -> BoardMessage<'_> {
-        let w = &self.words;
-        match self.kind % BOARD_KINDS {
-            0 => BoardMessage::Hello(Hello {
-                major: w[0] as u8,
-                minor: w[1] as u8,
-                board: Board::from(w[2] as u8),
-                firmware: self.text(FIRMWARE_MAX),
-                boot_id: w[3],
-                model_id: w[4],
-                sample_hz: w[5] as u16,
-            }),
-            1 => BoardMessage::Left(LeftState {
-                sequence: w[0] as u16,
-                board_time_ms: w[1],
-                pitch_mrad: w[2] as i16,
-                roll_mrad: w[3] as i16,
-                heading: [
-                    Heading::Neutral,
-                    Heading::Between,
-                    Heading::Forward,
-                    Heading::Backward,
-                    Heading::Left,
-                    Heading::Right,
-                ][w[4] as usize % 6],
-                index_bends: w[5] as u8,
-                middle_bends: w[6] as u8,
-                stop: w[7] & 1 == 1,
-                health: w[8] as u8,
-            }),
-            2 => BoardMessage::Right(RightState {
-                sequence: w[0] as u16,
-                board_time_ms: w[1],
-                events: w[2] as u8,
-                label: w[3] as u8,
-                confidence: w[4] as u8,
-                event_window_end_ms: w[5],
-                scores: self.bytes(SCORES_MAX),
-                health: w[6] as u8,
-            }),
-            3 => BoardMessage::RawImu(RawImu {
-                sequence: w[0] as u16,
-                first_sample: w[1],
-                axes: w[2] as u8,
-                scale: self.floats(),
-                counts: self.bytes(RAW_COUNTS_MAX),
-            }),
-            4 => BoardMessage::Status(Status {
-                uptime_ms: w[0],
-                dropped_samples: w[1],
-                sensor_errors: w[2],
-                bad_frames: w[3],
-                free_stack_bytes: w[4],
-                load_permille: w[5] as u16,
-                mode: self.mode(),
-            }),
-            5 => BoardMessage::Fault(Fault {
-                uptime_ms: w[0],
-                kind: FaultKind::from(w[1] as u8),
-                detail: w[2],
-            }),
-            6 => BoardMessage::Pong(Pong { id: w[0], board_time_ms: w[1] }),
-            7 => BoardMessage::Ack(Ack {
-                request: w[0] as u16,
-                result: AckResult::from(w[1] as u8),
-                next_offset: w[2],
-            }),
-            8 => BoardMessage::ModelInfo(self.model_info()),
-            9 => BoardMessage::About(About {
-                sensor: Sensor::from(w[0] as u8),
-                axes: w[1] as u8,
-                image: Image::from(w[2] as u8),
-                reset: ResetCause::from(w[3] as u8),
-                battery_mv: w[4] as u16,
-            }),
-            _ => BoardMessage::RawAdc(RawAdc {
-                board_time_ms: w[0],
-                counts: [1, 2, 3, 4, 5].map(|i| w[i] as u16),
-            }),
-        }
+        self.message(self.kind % BOARD_KINDS)
     }
 
     pub fn host(&self) -> HostMessage<'_> {
-        let w = &self.words;
-        let request = w[8] as u16;
-        match self.kind % HOST_KINDS {
-            0 => HostMessage::HelloRequest,
-            1 => HostMessage::Ping { id: w[0] },
-            2 => HostMessage::SetMode { request, mode: self.mode() },
-            3 => HostMessage::Calibrate {
-                request,
-                step: [
-                    CalibrationStep::Neutral,
-                    CalibrationStep::Rest,
-                    CalibrationStep::Bend,
-                    CalibrationStep::Reset,
-                ][w[0] as usize % 4],
-            },
-            4 => HostMessage::SetThresholds {
-                request,
-                thresholds: TiltThresholds {
-                    neutral_mrad: w[0] as u16,
-                    end_mrad: w[1] as u16,
-                    start_mrad: w[2] as u16,
-                },
-            },
-            5 => HostMessage::ModelBegin(ModelBegin {
-                request,
-                info: self.model_info(),
-                scaling: self.floats(),
-                size: w[9],
-            }),
-            6 => HostMessage::ModelChunk { request, offset: w[0], data: self.bytes(MODEL_CHUNK_MAX) },
-            7 => HostMessage::ModelCommit { request, crc32: w[0] },
-            _ => HostMessage::Feel { signal: Signal::from(w[0] as u8) },
+        self.message(self.kind % HOST_KINDS)
+    }
+
+    /// Serde knows the fields of every message: no list of them here.
+    fn message<'a, M: Deserialize<'a>>(&'a self, kind: usize) -> M {
+        M::deserialize(&mut Fields { material: self, kind: Some(kind), used: 0, longest: 0 })
+            .expect("messages are of numbers, texts, bytes and lists")
+    }
+}
+
+/// Fills one field after the other.
+struct Fields<'a> {
+    material: &'a Material,
+    /// Of the message, before it is chosen.
+    kind: Option<usize>,
+    used: usize,
+    longest: usize,
+}
+
+impl Fields<'_> {
+    fn word(&mut self) -> u32 {
+        let word = self.material.words[self.used % self.material.words.len()];
+        self.used += 1;
+        word
+    }
+}
+
+macro_rules! numbers {
+    ($($method:ident => $visit:ident($number:ty),)*) => {
+        $(fn $method<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Error> {
+            visitor.$visit(self.word() as $number)
+        })*
+    };
+}
+
+impl<'de> Deserializer<'de> for &mut Fields<'de> {
+    type Error = Error;
+
+    numbers! {
+        deserialize_u8 => visit_u8(u8),
+        deserialize_u16 => visit_u16(u16),
+        deserialize_u32 => visit_u32(u32),
+        deserialize_i16 => visit_i16(i16),
+    }
+
+    fn deserialize_f32<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Error> {
+        visitor.visit_f32(f32::from_bits(self.word()))
+    }
+
+    fn deserialize_bool<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Error> {
+        visitor.visit_bool(self.word() & 1 == 1)
+    }
+
+    fn deserialize_str<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Error> {
+        let text = &self.material.text;
+        visitor.visit_borrowed_str(&text[..text.floor_char_boundary(self.longest)])
+    }
+
+    fn deserialize_bytes<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Error> {
+        let bytes = &self.material.bytes;
+        visitor.visit_borrowed_bytes(&bytes[..bytes.len().min(self.longest)])
+    }
+
+    fn deserialize_newtype_struct<V: Visitor<'de>>(
+        self,
+        _: &'static str,
+        visitor: V,
+    ) -> Result<V::Value, Error> {
+        visitor.visit_newtype_struct(self)
+    }
+
+    fn deserialize_tuple<V: Visitor<'de>>(self, len: usize, visitor: V) -> Result<V::Value, Error> {
+        visitor.visit_seq(Rest { fields: self, left: len })
+    }
+
+    fn deserialize_struct<V: Visitor<'de>>(
+        self,
+        _: &'static str,
+        fields: &'static [&'static str],
+        visitor: V,
+    ) -> Result<V::Value, Error> {
+        self.deserialize_tuple(fields.len(), visitor)
+    }
+
+    fn deserialize_enum<V: Visitor<'de>>(
+        self,
+        _: &'static str,
+        variants: &'static [&'static str],
+        visitor: V,
+    ) -> Result<V::Value, Error> {
+        let variant = match self.kind.take() {
+            Some(kind) => {
+                self.longest = longest(variants[kind]);
+                kind
+            }
+            None => self.word() as usize % variants.len(),
+        };
+        visitor.visit_enum(Variant { fields: self, variant: variant as u32 })
+    }
+
+    fn deserialize_any<V: Visitor<'de>>(self, _: V) -> Result<V::Value, Error> {
+        Err(serde::de::Error::custom("a kind of field that no message had so far: give it its values here"))
+    }
+
+    forward_to_deserialize_any! {
+        i8 i32 i64 u64 f64 char string byte_buf option unit unit_struct seq tuple_struct map identifier ignored_any
+    }
+}
+
+struct Rest<'f, 'a> {
+    fields: &'f mut Fields<'a>,
+    left: usize,
+}
+
+impl<'a> SeqAccess<'a> for Rest<'_, 'a> {
+    type Error = Error;
+
+    fn next_element_seed<T: DeserializeSeed<'a>>(&mut self, seed: T) -> Result<Option<T::Value>, Error> {
+        if self.left == 0 {
+            return Ok(None);
         }
+        self.left -= 1;
+        seed.deserialize(&mut *self.fields).map(Some)
+    }
+}
+
+struct Variant<'f, 'a> {
+    fields: &'f mut Fields<'a>,
+    variant: u32,
+}
+
+impl<'f, 'a> EnumAccess<'a> for Variant<'f, 'a> {
+    type Error = Error;
+    type Variant = &'f mut Fields<'a>;
+
+    fn variant_seed<T: DeserializeSeed<'a>>(self, seed: T) -> Result<(T::Value, Self::Variant), Error> {
+        let number: U32Deserializer<Error> = self.variant.into_deserializer();
+        Ok((seed.deserialize(number)?, self.fields))
+    }
+}
+
+impl<'a> VariantAccess<'a> for &mut Fields<'a> {
+    type Error = Error;
+
+    fn unit_variant(self) -> Result<(), Error> {
+        Ok(())
+    }
+
+    fn newtype_variant_seed<T: DeserializeSeed<'a>>(self, seed: T) -> Result<T::Value, Error> {
+        seed.deserialize(self)
+    }
+
+    fn tuple_variant<V: Visitor<'a>>(self, len: usize, visitor: V) -> Result<V::Value, Error> {
+        self.deserialize_tuple(len, visitor)
+    }
+
+    fn struct_variant<V: Visitor<'a>>(
+        self,
+        fields: &'static [&'static str],
+        visitor: V,
+    ) -> Result<V::Value, Error> {
+        self.deserialize_tuple(fields.len(), visitor)
     }
 }

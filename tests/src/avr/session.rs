@@ -68,7 +68,7 @@ impl Session {
             self.bytes += 1;
             let Some(message) = self.decoder.push_board(byte) else { continue };
             let message = match message {
-                BoardMessage::Hello(hello) => Seen::Hello(hello.boot_id, hello.firmware.to_owned()),
+                BoardMessage::Hello(hello) => Seen::Hello(hello.boot_id, hello.firmware.to_string()),
                 BoardMessage::Left(state) => Seen::Left(state),
                 BoardMessage::RawAdc(raw) => Seen::Raw(raw),
                 BoardMessage::Status(status) => Seen::Status(status),

@@ -3,7 +3,7 @@
 use shared_board::hand::model_info_on_the_wire;
 use shared_dsp::mlp::{BlobSpec, DenseSpec, Model, build_blob, crc32};
 use shared_dsp::recipe::Recipe;
-use shared_proto::message::{AckResult, HostMessage, MODEL_CHUNK_MAX, ModelBegin};
+use shared_proto::message::{AckResult, Bytes, HostMessage, MODEL_CHUNK_MAX, ModelBegin};
 
 use super::session::Session;
 
@@ -54,7 +54,7 @@ pub fn begin<'a>(blob: &'a [u8], model: &Model<'a>) -> ModelBegin<'a> {
     ModelBegin {
         request: 1,
         info: model_info_on_the_wire(model.info()),
-        scaling: [1.0; 3],
+        scaling: ModelBegin::DATA_SHEET_SCALING,
         size: blob.len() as u32,
     }
 }
@@ -77,8 +77,10 @@ pub fn announce(session: &mut Session, begin: ModelBegin<'_>) -> AckResult {
 pub fn pieces(session: &mut Session, blob: &[u8], most: usize) {
     for (i, data) in blob.chunks(MODEL_CHUNK_MAX).enumerate().take(most) {
         let offset = (i * MODEL_CHUNK_MAX) as u32;
-        let ack =
-            session.ask(100 + i as u16, &HostMessage::ModelChunk { request: 100 + i as u16, offset, data });
+        let ack = session.ask(
+            100 + i as u16,
+            &HostMessage::ModelChunk { request: 100 + i as u16, offset, data: Bytes(data) },
+        );
         assert_eq!(ack.map(|a| (a.result, a.next_offset)), Some((AckResult::Ok, offset + data.len() as u32)));
     }
 }

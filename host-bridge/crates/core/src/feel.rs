@@ -1,12 +1,12 @@
 //! What the wearer of the right hand feels of what happens, where a motor is wired to its board.
 
-use shared_proto::message::Signal;
+use shared_proto::message::{HostMessage, Signal};
 
 use crate::bridge::{BridgeEvent, EventKind, GestureOutcome};
 use crate::safety::HaltReason;
 
 /// Boards of this minor version and later know what a [`Signal`] is.
-pub const SINCE_MINOR: u8 = 2;
+pub const SINCE_MINOR: u8 = HostMessage::Feel { signal: Signal::Ready }.row().since;
 
 /// The signal for what happened in a turn: of several the gravest, for a wrist feels one at a time.
 pub fn signal(events: &[BridgeEvent]) -> Option<Signal> {

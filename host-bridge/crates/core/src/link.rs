@@ -19,7 +19,7 @@ use shared_proto::counter::{CounterTracker, Order, SequenceTracker};
 use shared_proto::frame::{BOARD_FRAME_MAX, Counters, Decoder};
 use shared_proto::message::{
     About, Ack, Board, BoardMessage, Fault, Hello, HostMessage, LeftState, ModelInfo, Pong, RightState,
-    Status, health,
+    health,
 };
 use shared_proto::version;
 
@@ -66,7 +66,7 @@ pub struct ModelSummary {
     pub labels: Vec<String>,
 }
 
-/// What a stretch of bytes had to say.
+/// What a stretch of bytes had to say, as far as a session acts on it.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Heard {
     /// A hello with a new boot id.
@@ -88,13 +88,9 @@ pub enum Heard {
     },
     /// A right state, newer than all before it.
     Right(RightReport),
-    /// Counters of the board.
-    Status(Status),
     /// Something is wrong that a person should know.
     Fault(Fault),
-    /// Answer to a ping.
-    Pong(Pong),
-    /// Answer to another request.
+    /// Answer to a request.
     Ack(Ack),
 }
 
@@ -321,7 +317,6 @@ impl HandLink {
             return None;
         }
         match message {
-            BoardMessage::Hello(_) | BoardMessage::RawImu(_) | BoardMessage::RawAdc(_) => None,
             BoardMessage::About(about) => {
                 self.about = Some(about);
                 None
@@ -329,13 +324,14 @@ impl HandLink {
             BoardMessage::Left(state) => self.left(state, now_ms),
             BoardMessage::Right(state) => self.right(&state, now_ms),
             BoardMessage::ModelInfo(info) => self.model_info(&info),
-            BoardMessage::Status(status) => Some(Heard::Status(status)),
             BoardMessage::Fault(fault) => Some(Heard::Fault(fault)),
             BoardMessage::Pong(pong) => {
                 self.pong(&pong, now_ms);
-                Some(Heard::Pong(pong))
+                None
             }
             BoardMessage::Ack(ack) => Some(Heard::Ack(ack)),
+            // Nothing that a session acts on.
+            _ => None,
         }
     }
 
@@ -359,7 +355,7 @@ impl HandLink {
         }
         let identity = Identity {
             board: hello.board.to_string(),
-            firmware: printable(hello.firmware),
+            firmware: printable(&hello.firmware),
             boot_id: hello.boot_id,
             model_id: hello.model_id,
             sample_hz: hello.sample_hz,
@@ -484,7 +480,7 @@ pub fn printable(text: &str) -> String {
 }
 
 /// Which hand a board is for, if it is known.
-fn hand_of(board: Board) -> Option<Hand> {
+pub fn hand_of(board: Board) -> Option<Hand> {
     match board {
         Board::LeftNano | Board::LeftReplay => Some(Hand::Left),
         Board::RightNano33 | Board::RightNano33Rev2 | Board::RightXiao | Board::RightReplay => {

@@ -23,7 +23,7 @@ use shared_dsp::left::{AdcCounts, ONE_G};
 use shared_dsp::left_calibration::Calibration;
 use shared_dsp::mlp::{MAX_AXES, MAX_LABELS};
 use shared_dsp::right::RightOutput;
-use shared_proto::message::{Board, Heading, ModelInfo};
+use shared_proto::message::{Board, Heading, ModelInfo, Text};
 
 use crate::hands::virtual_board::{PERIOD_MS, VirtualLeft, VirtualRight, no_store};
 
@@ -255,7 +255,7 @@ impl Hand for KeyHand {
     }
 
     fn model(&self) -> ModelInfo<'_> {
-        ModelInfo { model_id: 0, recipe: 0, axes: 0, sample_hz: 0, window: 0, labels: LABELS }
+        ModelInfo { model_id: 0, recipe: 0, axes: 0, sample_hz: 0, window: 0, labels: Text(LABELS) }
     }
 
     fn scale(&self) -> Option<[f32; 3]> {
@@ -428,7 +428,7 @@ mod tests {
         for hand in [&mut left as &mut dyn HandSource, &mut right] {
             let wire = ask(hand, HostMessage::HelloRequest);
             let names = read(&wire, |m| match m {
-                BoardMessage::Hello(hello) => Some(hello.firmware.to_owned()),
+                BoardMessage::Hello(hello) => Some(hello.firmware.to_string()),
                 _ => None,
             });
             assert_eq!(names, ["keyboard"]);

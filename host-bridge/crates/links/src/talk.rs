@@ -402,7 +402,7 @@ fn owned(message: &BoardMessage<'_>) -> Option<Said> {
         BoardMessage::Hello(hello) => Said::Hello(Who {
             version: (hello.major, hello.minor),
             board: hello.board,
-            firmware: printable(hello.firmware),
+            firmware: printable(&hello.firmware),
             boot_id: hello.boot_id,
             model_id: hello.model_id,
             sample_hz: hello.sample_hz,

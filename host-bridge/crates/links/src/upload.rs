@@ -8,7 +8,7 @@
 
 use shared_board::hand::model_info_on_the_wire;
 use shared_dsp::mlp::{Model, ModelError};
-use shared_proto::message::{Ack, AckResult, HostMessage, MODEL_CHUNK_MAX, ModelBegin};
+use shared_proto::message::{Ack, AckResult, Bytes, HostMessage, MODEL_CHUNK_MAX, ModelBegin};
 
 use crate::talk::{ModelNeeds, advice};
 
@@ -116,14 +116,14 @@ impl<'b> Upload<'b> {
                 HostMessage::ModelBegin(ModelBegin {
                     request,
                     info: model_info_on_the_wire(self.model.info()),
-                    scaling: [1.0; 3],
+                    scaling: ModelBegin::DATA_SHEET_SCALING,
                     size: self.blob.len() as u32,
                 })
             }
             Stage::Chunk(offset) => {
                 let start = (offset as usize).min(self.blob.len());
                 let end = (start + MODEL_CHUNK_MAX).min(self.blob.len());
-                HostMessage::ModelChunk { request, offset, data: &self.blob[start..end] }
+                HostMessage::ModelChunk { request, offset, data: Bytes(&self.blob[start..end]) }
             }
             Stage::Commit => HostMessage::ModelCommit { request, crc32: self.model.info().model_id },
             Stage::Done | Stage::Failed(_) => return None,
@@ -203,7 +203,7 @@ mod tests {
             let request = match *message {
                 HostMessage::ModelBegin(begin) => ModelRequest::Begin(begin),
                 HostMessage::ModelChunk { request, offset, data } => {
-                    ModelRequest::Chunk { request, offset, data }
+                    ModelRequest::Chunk { request, offset, data: data.0 }
                 }
                 HostMessage::ModelCommit { request, crc32 } => ModelRequest::Commit { request, crc32 },
                 _ => return Vec::new(),

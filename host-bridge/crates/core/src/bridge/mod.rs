@@ -327,7 +327,6 @@ impl Bridge {
                 self.note(now_ms, EventKind::BoardFault { hand, fault });
             }
             Heard::Ack(ack) => self.last_acks[hand as usize] = Some(ack),
-            Heard::Status(_) | Heard::Pong(_) => {}
         }
     }
 

@@ -2,7 +2,7 @@
 
 use host_robot::{Door, JOINTS, Joints, MotionName, NotStarted, Picture, Pose, Report, RobotSetting, Twist};
 use shared_proto::frame::{BOARD_FRAME_MAX, encode_board};
-use shared_proto::message::{Board, BoardMessage, Hello, PROTOCOL_MAJOR, PROTOCOL_MINOR};
+use shared_proto::message::{Board, BoardMessage, Hello, PROTOCOL_MAJOR, PROTOCOL_MINOR, Text};
 
 /// Takes every command and keeps the last speed; the bridge asks it nothing else.
 #[derive(Default)]
@@ -52,7 +52,7 @@ pub fn hello(boot_id: u32) -> Vec<u8> {
         major: PROTOCOL_MAJOR,
         minor: PROTOCOL_MINOR,
         board: Board::LeftNano,
-        firmware: "test",
+        firmware: Text("test"),
         boot_id,
         model_id: 0,
         sample_hz: 100,

@@ -1,0 +1,58 @@
+//! Texts and bytes whose largest length is part of their type, so that the largest message is known to the compiler.
+
+use core::fmt;
+use core::ops::Deref;
+use postcard::experimental::max_size::MaxSize;
+use serde::{Deserialize, Serialize};
+
+/// Bytes on the wire of a length and so many bytes behind it; all our lengths are below 2^14.
+const fn with_length(max: usize) -> usize {
+    assert!(max < 1 << 14);
+    if max < 128 { 1 + max } else { 2 + max }
+}
+
+/// A text of at most `MAX` bytes of UTF-8. A longer one may not fit its frame, which encoding reports.
+#[derive(Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct Text<'a, const MAX: usize>(pub &'a str);
+
+/// At most `MAX` bytes. More may not fit their frame, which encoding reports.
+#[derive(Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct Bytes<'a, const MAX: usize>(pub &'a [u8]);
+
+impl<const MAX: usize> MaxSize for Text<'_, MAX> {
+    const POSTCARD_MAX_SIZE: usize = with_length(MAX);
+}
+
+impl<const MAX: usize> MaxSize for Bytes<'_, MAX> {
+    const POSTCARD_MAX_SIZE: usize = with_length(MAX);
+}
+
+impl<const MAX: usize> Deref for Text<'_, MAX> {
+    type Target = str;
+
+    fn deref(&self) -> &str {
+        self.0
+    }
+}
+
+impl<const MAX: usize> Deref for Bytes<'_, MAX> {
+    type Target = [u8];
+
+    fn deref(&self) -> &[u8] {
+        self.0
+    }
+}
+
+impl<const MAX: usize> fmt::Debug for Text<'_, MAX> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.fmt(f)
+    }
+}
+
+impl<const MAX: usize> fmt::Debug for Bytes<'_, MAX> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.fmt(f)
+    }
+}
