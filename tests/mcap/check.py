@@ -121,7 +121,7 @@ def check_values(name, messages, summary):
     check(f"{name}: joints move as fast as they say", off < 1e-3, f"{off:.2e} rad")
 
     frames = [t.child_frame_id for t in messages["/tf"][0][1].transforms]
-    check(f"{name}: frames", frames[:2] == ["base_link", "arm_base"] and frames[-1] == "flange", frames)
+    check(f"{name}: frames", frames[:3] == ["base_link", "arm_base_link", "arm_shoulder_link"] and frames[-1] == "arm_end_effector_link", frames)
     q = [
         t.transform.rotation
         for _, m in messages["/tf"]

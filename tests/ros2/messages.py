@@ -42,6 +42,11 @@ class Bool(IdlStruct, typename=_name("std_msgs", "msg", "Bool")):
 
 
 @dataclass
+class String(IdlStruct, typename=_name("std_msgs", "msg", "String")):
+    data: str
+
+
+@dataclass
 class Vector3(IdlStruct, typename=_name("geometry_msgs", "msg", "Vector3")):
     x: float64 = 0.0
     y: float64 = 0.0

@@ -13,6 +13,7 @@ import random
 import sys
 import threading
 import time
+import xml.etree.ElementTree
 
 from controllers import Arm, Base, Gripper, Point, Trajectory
 
@@ -110,6 +111,7 @@ class Robot:
             net.listen(f"{space}/odom", "Odometry", self.odometry)
             net.listen("/tf", "TFMessage", self.transforms)
             net.listen(f"{space}/joint_states", "JointState", self.joint_states)
+            net.listen(f"{space}/robot_description", "String", self.description, True)
         if opts.odom:
             self.odom = net.writer(f"{space}/odom", "Odometry")
         if opts.robot:
@@ -164,6 +166,11 @@ class Robot:
             position=[p.x, p.y, p.z], orientation=[q.x, q.y, q.z, q.w], linear=v.linear.x, angular=v.angular.z,
             covariance=[m.pose.covariance[i] for i in (0, 7, 35)],
             speed_covariance=[m.twist.covariance[i] for i in (0, 35)])
+
+    def description(self, now, message):
+        robot = xml.etree.ElementTree.fromstring(message.data)
+        say(event="description", t=now, links=[link.get("name") for link in robot.iter("link")],
+            joints=[joint.get("name") for joint in robot.iter("joint")])
 
     def transforms(self, now, message):
         for m in message.transforms:

@@ -342,6 +342,7 @@ fn wall_clock() -> Vec<Step> {
                 .args(["--no-fail-fast", "--test", "live", "live::ros2::", "--", "--nocapture"])
                 .env("BIMANUAL_PROGRAMS", programs()?)
                 .env("BIMANUAL_ROS2_PYTHON", python)
+                .env("BIMANUAL_CYCLONE_PYTHON", python::environment()?)
                 .env("BIMANUAL_ROS2_PEER", "rclpy_peer.py"))
         }),
         Step::new("the page in headless Chromium", || {

@@ -28,6 +28,7 @@ pub(super) struct EndLine {
     pub(super) frames: [host_bridge::link::LinkCounters; 2],
     pub(super) round_trip_ms: [Option<u64>; 2],
     pub(super) events_not_printed: u64,
+    pub(super) accepted: host_bridge::bridge::Accepted,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) ros2: Option<Counts>,
 }

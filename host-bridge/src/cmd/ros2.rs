@@ -16,11 +16,11 @@ mod on {
     use anyhow::{Result, bail};
     use host_bridge::base::BaseConfig;
     use host_bridge::observe::{Now, Observer, SessionEvent};
-    use host_bridge::robot::JointLimits;
+    use host_bridge::robot::{JointLimits, RobotSetting};
     use host_bridge::ros2::advice::{Heard, Machine, look_at, nobody, topics, tried, variables};
     use host_bridge::ros2::config::{Connection, RosEnvironment};
     use host_bridge::ros2::driver::RosDriver;
-    use host_bridge::ros2::node::{RosNode, RosPublisher};
+    use host_bridge::ros2::node::{RosNode, RosPublisher, Simulator};
     use host_bridge::ros2::{ArmInterface, Counts, Ros2Config, RosRobot};
     use host_bridge::safety::State;
     use host_bridge::topics::diagnostics::Diagnostics;
@@ -56,10 +56,13 @@ mod on {
             config: &Ros2Config,
             limits: JointLimits,
             base: BaseConfig,
-            publish_sim: bool,
+            simulator: Option<&RobotSetting>,
         ) -> Result<Self> {
             let connection = connection(config)?;
-            let (mut node, publisher) = RosNode::open(config, &connection, publish_sim)?;
+            let publish_sim = simulator.is_some();
+            let simulator = simulator.map(|setting| Simulator::new(config, setting)).transpose();
+            let simulator = simulator.map_err(anyhow::Error::msg)?;
+            let (mut node, publisher) = RosNode::open(config, &connection, simulator)?;
             if publish_sim {
                 std::thread::sleep(SEARCH);
                 let rivals = node.rivals();
@@ -111,7 +114,7 @@ mod on {
             }
             self.publisher.say_stopped(now.bridge.safety().state() == State::Stopped, now.time_ms);
             if self.publish_sim {
-                self.publisher.publish_sim(&now.robot.picture(), now.time_ms, stamp);
+                self.publisher.publish_sim(now.robot, now.time_ms, stamp);
             }
         }
     }
@@ -132,7 +135,7 @@ mod on {
             _ => ArmInterface::Action,
         };
         let asking = Ros2Config { arm, ..config.clone() };
-        let (mut node, publisher) = RosNode::open(&asking, &connection, false)?;
+        let (mut node, publisher) = RosNode::open(&asking, &connection, None)?;
         let start = Instant::now();
         let mut heard = Heard::default();
         while start.elapsed().as_secs_f64() < seconds {
@@ -192,7 +195,7 @@ mod off {
     use anyhow::{Result, bail};
     use host_bridge::base::BaseConfig;
     use host_bridge::observe::Observer;
-    use host_bridge::robot::{JointLimits, Robot};
+    use host_bridge::robot::{JointLimits, Robot, RobotSetting};
     use host_bridge::ros2::{Counts, Ros2Config};
 
     const MISSING: &str = "this program was built without ROS 2: `cargo install --path host-bridge --features \
@@ -217,7 +220,7 @@ mod off {
 
     impl Graph {
         /// Says what is missing.
-        pub fn open(_: &Ros2Config, _: JointLimits, _: BaseConfig, _: bool) -> Result<Self> {
+        pub fn open(_: &Ros2Config, _: JointLimits, _: BaseConfig, _: Option<&RobotSetting>) -> Result<Self> {
             bail!(MISSING)
         }
     }

@@ -13,8 +13,8 @@ use host_bridge::engine::Engine;
 use host_bridge::foxglove::Foxglove;
 use host_bridge::keyboard::{KeyLeft, KeyRight};
 use host_bridge::links::{Clock, Link as BoardLink, SystemClock, is_ble, is_serial_over_air, queue};
-use host_bridge::robot::Robot;
 use host_bridge::robot::brake::longest_s;
+use host_bridge::robot::{Door as _, Robot};
 use host_bridge::robots::{Echoed, Stage};
 use host_bridge::ros2::stream::HORIZON_MS;
 use host_bridge::ros2::{ArmInterface, Counts, Stamped};
@@ -180,7 +180,8 @@ pub fn steer(args: &HandArgs, keep: &KeepArgs) -> Result<ExitCode> {
     );
     let graph = if args.ros2 {
         let base = stage.simulator(&config).base_limits().to_owned();
-        Some(Graph::open(&config.ros2, stage.limits, base, args.publish_sim)?)
+        let simulated = args.publish_sim.then(|| stage.simulated(&config).setting());
+        Some(Graph::open(&config.ros2, stage.limits, base, simulated.as_ref())?)
     } else {
         None
     };

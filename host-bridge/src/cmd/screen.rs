@@ -216,6 +216,7 @@ impl Screen {
                 frames: links.map(|link| link.counters()),
                 round_trip_ms: links.map(|link| link.round_trip_ms()),
                 events_not_printed: dropped,
+                accepted: now.bridge.accepted(),
                 ros2,
             };
             self.line(&serde_json::to_string(&end).unwrap_or_default());

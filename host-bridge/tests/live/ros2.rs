@@ -14,8 +14,9 @@ use tungstenite::client::IntoClientRequest as _;
 
 use crate::double::{BENT, Double, FORWARD, LEVEL};
 use crate::graph::{
-    DECISION_MS, SILENCE_MS, Site, Teller, armed, bridge, bridge_on_its_own, delay_ms, desk, domain,
-    gestures, is, is_full, is_rclpy, middle_and_worst, number, peer, shown, site, speed, started, wall_s,
+    DECISION_MS, SILENCE_MS, Site, Teller, armed, bridge, bridge_on_its_own, cyclone_peer, delay_ms, desk,
+    domain, gestures, is, is_full, is_rclpy, middle_and_worst, number, peer, shown, site, speed, started,
+    wall_s,
 };
 use crate::lateness::Lateness;
 use crate::program::Desk;
@@ -30,7 +31,7 @@ fn hands_drive_an_independent_robot_with_right_types_values_quality_and_in_time(
     let desk = desk("ros2-1");
     let domain = domain();
     let (left, right) = (Double::left(&desk), Double::right(&desk, 0.0));
-    let mut robot = peer(&desk, &site.python, domain, &["--robot", "--action", "--pace", "8"]);
+    let mut robot = peer(&desk, &site.python, domain, &["--robot", "--action", "--odom", "--pace", "8"]);
     robot.has("ready", |v| is(v, "ready"));
     let mut bridge =
         bridge(&desk, domain, "arm = 'action'\n", &["--left", &left.port(), "--right", &right.port()]);
@@ -120,6 +121,15 @@ fn hands_drive_an_independent_robot_with_right_types_values_quality_and_in_time(
     let value = |point: &Value, of: usize, joint: usize| number(&point[of][joint]);
     assert!((0..7).all(|j| value(points.last().unwrap(), 2, j) == 0.0), "it ends at rest");
     assert!((0..7).all(|j| (value(&points[0], 1, j) - start[j]).abs() < 0.05), "it starts where the arm is");
+    // How old a hand's sample was when the robot acted on it.
+    for part in ["base", "arm"] {
+        let taken = bridge.has("an acceptance", |v| is(v, "accepted") && v["part"] == part);
+        println!("sample to {part}: {} ms", taken["age_ms"]);
+        assert!(taken["age_ms"].as_u64().is_some_and(|age| age < 2000), "{taken}");
+        let key = format!("sample_to_{part}_worst_ms");
+        let is_told = |v: &Value| v["status"]["bimanual: bridge"][&key].is_string();
+        robot.has("its diagnostics", |v| is(v, "diagnostics") && is_told(v));
+    }
     let finished = robot.wait("the arm arrives", |v| is(v, "finished") && v["id"] == goal["id"]);
     assert_eq!(finished["status"], 4);
     bridge.has("arrival", |v| is(v, "motion-ended") && v["reached"] == true);
@@ -200,8 +210,18 @@ fn the_simulators_state_is_published_only_where_no_robot_is() {
     assert_eq!((&far["frame"], &far["child"]), (&"odom".into(), &"base_link".into()));
     assert_eq!(far["orientation"], serde_json::json!([0.0, 0.0, 0.0, 1.0]));
     assert!(number(&far["linear"]) > 0.3 && number(&far["covariance"][0]) > 0.0, "{far}");
-    let moved = viewer.wait("the transform", |v| is(v, "tf"));
-    assert!(number(&moved["position"][0]) >= 0.2 && moved["child"] == "base_link", "{moved}");
+    assert!((0..2).all(|i| number(&far["speed_covariance"][i]) > 0.0), "{far}");
+    let moved = viewer.wait("the transform", |v| is(v, "tf") && v["child"] == "base_link");
+    assert!(number(&moved["position"][0]) >= 0.2, "{moved}");
+    // The description came to whoever was there before it, and fits what is published beside it.
+    let described = viewer.has("the description", |v| is(v, "description"));
+    let links = described["links"].as_array().unwrap();
+    assert_eq!(links.len(), 10, "base, arm, seven links and the flange: {described}");
+    for link in links {
+        viewer.has("a link's frame", |v| is(v, "tf") && v["child"] == *link);
+    }
+    let named = |joint: &Value| described["joints"].as_array().unwrap().contains(joint);
+    assert!(joints["name"].as_array().unwrap().iter().all(named), "{described}");
 
     // A robot appears: the simulator's state is no longer published.
     let mut robot = peer(&desk, &site.python, domain, &["--robot", "--namespace", "/cell1", "--unstamped"]);
@@ -253,6 +273,65 @@ fn on_the_topic_a_motion_is_a_trajectory_and_a_stop_is_one_that_brakes() {
     );
     bridge.has("halted", |v| is(v, "motion-ended") && v["reached"] == false);
     assert!(!robot.seen.iter().any(|(_, v)| is(v, "goal")), "never both ways");
+}
+
+#[test]
+fn both_kinds_of_middleware_on_one_graph_are_each_asked_in_their_own_way() {
+    if !is_rclpy() {
+        println!("SKIPPED: runs with rclpy's step, which has both");
+        return;
+    }
+    let name = "both_kinds_of_middleware_on_one_graph_are_each_asked_in_their_own_way";
+    let Some(site) = site(name, false) else { return };
+    let desk = desk("ros2-both");
+    let domain = domain();
+    let of = |space: &'static str| ["--robot", "--action", "--pace", "8", "--namespace", space];
+    let mut fast = peer(&desk, &site.python, domain, &of("/fast"));
+    let Some(mut cyclone) = cyclone_peer(&desk, domain, &of("/cyclone")) else {
+        println!("SKIPPED: BIMANUAL_CYCLONE_PYTHON is not set; `cargo xtask test --only \"ROS 2\"` sets it");
+        return;
+    };
+    // A second base of the other kind on the first pair's topic: all of them move.
+    let mut second =
+        cyclone_peer(&desk, domain, &["--base-only", "--namespace", "/fast"]).expect("as before");
+    for robot in [&mut fast, &mut cyclone, &mut second] {
+        robot.has("ready", |v| is(v, "ready"));
+    }
+    for (space, robot, vendor) in
+        [("/fast", &mut fast, "Fast DDS"), ("/cyclone", &mut cyclone, "Cyclone DDS")]
+    {
+        let left = Double::left_named(&desk, &format!("left{}", &space[1..]));
+        let right = Double::right_named(&desk, &format!("right{}", &space[1..]), 0.0);
+        let section = format!("arm = 'action'\nnamespace = '{space}'\n");
+        let ports = ["--left", &left.port(), "--right", &right.port()];
+        let mut bridge = bridge(&desk, domain, &section, &ports);
+        bridge.has("its server", |v| {
+            is(v, "robot")
+                && v["text"].as_str().unwrap().contains(&format!("goals go to an action server on {vendor}"))
+        });
+        bridge.has("armed", armed);
+        let goal = robot.wait("a goal", |v| is(v, "goal"));
+        let finished = robot.wait("the arm arrives", |v| is(v, "finished") && v["id"] == goal["id"]);
+        assert_eq!(finished["status"], 4, "{finished}");
+        bridge.has("arrival", |v| is(v, "motion-ended") && v["reached"] == true);
+        // A stop in the middle cancels it.
+        robot.order("pace 1");
+        robot.wait("another goal", |v| is(v, "goal"));
+        desk.pass(Duration::from_millis(200));
+        left.hold(BENT);
+        robot.wait("the cancellation", |v| is(v, "cancel") && v["running"] == true);
+        left.hold(LEVEL);
+        if space == "/fast" {
+            bridge.has("both bases", |v| {
+                is(v, "robot") && v["text"].as_str().unwrap().contains("2 readers on /fast/cmd_vel")
+            });
+        }
+        bridge.interrupt();
+        let (status, _, errors) = bridge.end();
+        assert!(status.success(), "{errors}");
+    }
+    // The stop at the first pair reached both kinds.
+    second.has("zero", |v| speed(v).is_some_and(|s| s == (0.0, 0.0)));
 }
 
 /// The base's speed as the robot's controller has it.

@@ -228,6 +228,14 @@ pub fn peer(desk: &Desk, python: &str, domain: u32, options: &[&str]) -> Teller 
     start("the robot", desk.time(), &mut command, Process::on_its_own)
 }
 
+/// A robot on Cyclone DDS beside one on Fast DDS; none where its Python is not named.
+pub fn cyclone_peer(desk: &Desk, domain: u32, options: &[&str]) -> Option<Teller> {
+    let python = std::env::var("BIMANUAL_CYCLONE_PYTHON").ok()?;
+    let mut command = script(&python, "peer.py");
+    command.args(["--domain", &domain.to_string()]).args(options);
+    Some(start("the robot on Cyclone DDS", desk.time(), &mut command, Process::on_its_own))
+}
+
 /// What a person gets to see of the arm's angles, by `tests/ros2/shown.py`.
 pub fn shown(desk: &Desk, python: &str, where_from: &[&str]) -> Teller {
     start("what is shown", desk.time(), script(python, "shown.py").args(where_from), Process::on_its_own)

@@ -7,7 +7,6 @@
 //! planned around the scene's boxes, and the [guard](crate::plan::guard) vetoes what could not be stopped in time.
 
 use std::collections::HashMap;
-use std::f64::consts::TAU;
 use std::sync::Arc;
 
 use host_robot::{
@@ -153,14 +152,14 @@ impl<R: Robot> Director<R> {
                 Step::To(goal_rad) => *goal_rad,
                 Step::ToNextOf(goals_rad) => goals_rad[draw % goals_rad.len()],
             };
-            let goal_rad = unwound(arm, &goal_rad, &from_rad);
+            let goal_rad = arm.unwound(&goal_rad, &from_rad);
             let (leg, home_s) = match &self.planner {
                 None => {
                     arm.check(&from_rad).map_err(|error| {
                         format!("the arm cannot start: {error}; bring it back within its limits")
                     })?;
-                    let home_rad = unwound(arm, &arm.home_rad, &from_rad);
-                    let goal_rad = unwound(arm, &goal_rad, &home_rad);
+                    let home_rad = arm.unwound(&arm.home_rad, &from_rad);
+                    let goal_rad = arm.unwound(&goal_rad, &home_rad);
                     let limits = self.robot.joint_limits();
                     let home = Trajectory::through(&[from_rad, home_rad], &[], limits);
                     let onward = Trajectory::through(&[home_rad, goal_rad], &[], limits);
@@ -290,17 +289,6 @@ impl<R: Robot> Director<R> {
     }
 }
 
-/// The same pose with the joints that turn without end turned to where they are now.
-fn unwound(arm: &SerialArm, goal_rad: &Joints, here_rad: &Joints) -> Joints {
-    let mut unwound = *goal_rad;
-    for (i, joint) in arm.joints.iter().enumerate() {
-        if joint.limit_rad.is_none() {
-            unwound[i] += TAU * ((here_rad[i] - goal_rad[i]) / TAU).round();
-        }
-    }
-    unwound
-}
-
 impl<R: Robot> Door for Director<R> {
     fn step(&mut self, now_ms: u64) {
         // In a scene the guard looks again after each tick, however long this program was away.
@@ -319,6 +307,7 @@ impl<R: Robot> Door for Director<R> {
         {
             self.reports.push(Report::MotionEnded { motion: running.motion, reached: end == End::Reached });
         }
+        self.reports.extend(self.robot.take_accepted().into_iter().map(Report::Accepted));
         self.reports.extend(self.robot.take_notes().into_iter().map(Report::Note));
     }
 
@@ -414,6 +403,7 @@ impl<R: Robot> Door for Director<R> {
         let (arm, scene, limits) = (&self.bare.arm, self.scene(), self.joint_limits());
         let joints = arm.joints.iter().enumerate().map(|(i, joint)| JointSetting {
             name: joint.name.clone(),
+            link: joint.link.clone(),
             origin_m: joint.origin_m,
             origin_rotation: joint.origin_rotation,
             axis: joint.axis,
@@ -429,9 +419,11 @@ impl<R: Robot> Door for Director<R> {
             body: scene.base.body(),
             mount_m: scene.base.mount_m,
             arm_name: arm.name.clone(),
+            arm_root: arm.root_link.clone(),
             joints: joints.collect(),
             flange_m: arm.flange_m,
             flange_rotation: arm.flange_rotation,
+            flange_link: arm.flange_link.clone(),
             foot: arm.foot.clone(),
         }
     }

@@ -41,6 +41,21 @@ pub const POSITION_LIMIT_RAD: [Option<f64>; JOINTS] =
 pub const JOINT_NAMES: [&str; JOINTS] =
     ["joint_1", "joint_2", "joint_3", "joint_4", "joint_5", "joint_6", "joint_7"];
 
+/// The links that these joints turn, as ros2_kortex names them.
+pub const LINK_NAMES: [&str; JOINTS] = [
+    "shoulder_link",
+    "half_arm_1_link",
+    "half_arm_2_link",
+    "forearm_link",
+    "spherical_wrist_1_link",
+    "spherical_wrist_2_link",
+    "bracelet_link",
+];
+/// The link that stands on the base.
+pub const ROOT_LINK: &str = "base_link";
+/// The link at the flange.
+pub const FLANGE_LINK: &str = "end_effector_link";
+
 /// Kinova's own home pose (kortex SRDF, `Home`), in rad.
 #[allow(clippy::approx_constant)] // 3.14 is what the file says
 pub const HOME: Joints = [0.0, 0.26, 3.14, -2.27, 0.0, 0.96, 1.57];

@@ -4,9 +4,14 @@
 //! URDF file (feature `urdf`, see `arm/urdf.rs`). An arm with fewer joints leaves the last values of
 //! [`Joints`] at zero.
 
+use std::f64::consts::TAU;
+
 use host_robot::{DMat3, DVec3, JOINTS, Joints, Pose};
 
-use super::gen3::{HOME, JOINT_NAMES, MAX_ACCELERATION_RAD_S2, MAX_VELOCITY_RAD_S, POSITION_LIMIT_RAD};
+use super::gen3::{
+    FLANGE_LINK, HOME, JOINT_NAMES, LINK_NAMES, MAX_ACCELERATION_RAD_S2, MAX_VELOCITY_RAD_S,
+    POSITION_LIMIT_RAD, ROOT_LINK,
+};
 use host_robot::JointLimits;
 use host_robot::shape::{Capsule, Point};
 
@@ -18,6 +23,8 @@ const GEN3: &str = "Kinova Gen3 (7 joints)";
 pub struct ArmJoint {
     /// As in the robot's own description.
     pub name: String,
+    /// The link that it turns, as in the same.
+    pub link: String,
     /// Where the joint sits in its parent's frame, in m.
     pub origin_m: Point,
     /// How its frame is turned against its parent's.
@@ -39,12 +46,16 @@ pub struct ArmJoint {
 pub struct SerialArm {
     /// For people.
     pub name: String,
+    /// The link whose frame is the arm's base frame.
+    pub root_link: String,
     /// From the foot on; one to seven.
     pub joints: Vec<ArmJoint>,
     /// The flange in the last joint's frame.
     pub flange_m: Point,
     /// How the flange is turned against the last joint.
     pub flange_rotation: DMat3,
+    /// The flange's link.
+    pub flange_link: String,
     /// Shapes of the foot, which does not move, in the arm's base frame.
     pub foot: Vec<Capsule>,
     /// The pose to go to first and to fall back to, in rad.
@@ -86,6 +97,7 @@ impl SerialArm {
             let radius_m = [0.050, 0.050, 0.050, 0.045, 0.042, 0.042, 0.042][i];
             ArmJoint {
                 name: JOINT_NAMES[i].to_owned(),
+                link: LINK_NAMES[i].to_owned(),
                 origin_m,
                 origin_rotation,
                 axis: DVec3::Z,
@@ -98,9 +110,11 @@ impl SerialArm {
         let (flange_m, flange_rotation) = super::gen3::origin(JOINTS);
         SerialArm {
             name: GEN3.to_owned(),
+            root_link: ROOT_LINK.to_owned(),
             joints: joints.collect(),
             flange_m,
             flange_rotation,
+            flange_link: FLANGE_LINK.to_owned(),
             foot: vec![Capsule { a_m: 0.05 * DVec3::Z, b_m: 0.15643 * DVec3::Z, radius_m: 0.050 }],
             home_rad: HOME,
         }
@@ -124,6 +138,20 @@ impl SerialArm {
         let flange = pose.then(self.flange_m, self.flange_rotation);
         poses[self.joints.len()..].fill(flange);
         poses
+    }
+
+    /// The same pose with the joints that turn without end turned to where they are now, so that the way is short: but no
+    /// further than one turn either way, where descriptions of such arms end (ros2_kortex's does).
+    pub fn unwound(&self, goal_rad: &Joints, here_rad: &Joints) -> Joints {
+        let mut unwound = *goal_rad;
+        for (i, joint) in self.joints.iter().enumerate() {
+            if joint.limit_rad.is_none() {
+                let there = goal_rad[i] + TAU * ((here_rad[i] - goal_rad[i]) / TAU).round();
+                let is_beyond = there.abs() > TAU && here_rad[i].abs() <= TAU;
+                unwound[i] = if is_beyond { there - TAU * there.signum() } else { there };
+            }
+        }
+        unwound
     }
 
     /// Where the flange is.
@@ -261,6 +289,28 @@ mod tests {
         let mut down = arm.flange_pose(&[0.0; JOINTS]);
         down.rotation = DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));
         assert!(arm.beyond_reach_m(&down) > 0.3);
+    }
+
+    #[test]
+    fn joints_without_end_take_the_short_way_and_end_within_one_turn() {
+        use host_robot::Trajectory;
+        let arm = SerialArm::gen3();
+        // Joint 1 is told at 3.1 rad, the pose has it at -3.1: 0.083 rad apart, not 6.2 rad and 44.7 s.
+        let (mut here, mut goal) = (arm.home_rad, arm.home_rad);
+        (here[0], goal[0]) = (3.1, -3.1);
+        let there = arm.unwound(&goal, &here);
+        assert!((there[0] - (TAU - 3.1)).abs() < 1e-12, "{}", there[0]);
+        let way = Trajectory::through(&[here, there], &[], &arm.limits(0.1, 0.05));
+        assert!(way.duration_s() < 1.1, "{} s", way.duration_s());
+        // Joint 2 has ends, and is left alone.
+        (here[1], goal[1]) = (2.2, -2.2);
+        assert_eq!(arm.unwound(&goal, &here)[1], -2.2);
+        // From 6.0 rad on to 0.5 would be 6.78: beyond one turn, so it goes back instead.
+        (here[0], goal[0]) = (6.0, 0.5);
+        assert_eq!(arm.unwound(&goal, &here)[0], 0.5);
+        // An arm that has turned further already is not wound up by that.
+        here[0] = 7.0;
+        assert!((arm.unwound(&goal, &here)[0] - (TAU + 0.5)).abs() < 1e-12);
     }
 
     #[test]

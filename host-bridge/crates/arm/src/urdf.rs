@@ -70,9 +70,11 @@ pub fn parse(text: &str, missing: &Missing) -> Result<SerialArm, UrdfError> {
 
     let mut arm = SerialArm {
         name: robot.name.clone(),
+        root_link: link.to_owned(),
         joints: Vec::new(),
         flange_m: DVec3::ZERO,
         flange_rotation: Pose::IDENTITY.rotation,
+        flange_link: tip.clone(),
         foot: Vec::new(),
         home_rad: [0.0; JOINTS],
     };
@@ -113,6 +115,7 @@ pub fn parse(text: &str, missing: &Missing) -> Result<SerialArm, UrdfError> {
                 arm.home_rad[index] = limit_rad.map_or(0.0, |(low, high)| 0.0_f64.clamp(low, high));
                 arm.joints.push(ArmJoint {
                     name,
+                    link: joint.child.link.clone(),
                     origin_m: here.position_m,
                     origin_rotation: here.rotation,
                     axis: axis / length,

@@ -84,6 +84,9 @@ pub fn text(event: &SessionEvent) -> String {
             };
             format!("right hand: {label} ({confidence:.2}) → {then}")
         }
+        EventKind::Accepted { part, age_ms } => {
+            format!("{}: acts on the hand's sample, {age_ms} ms old now", part.name())
+        }
         EventKind::MotionEnded { motion, reached: true } => format!("arm: {motion} reached"),
         EventKind::MotionEnded { motion, reached: false } => format!("arm: {motion} given up on the way"),
         EventKind::MotionRefused { motion, reason } => format!("arm: {motion} refused: {reason}"),

@@ -21,7 +21,7 @@
 use host_robot::{ArmState, DMat3, DVec3, Door, JOINTS, Joints, Odometry, Pose, RobotSetting, Twist};
 use serde::Serialize;
 
-use crate::bridge::{Bridge, BridgeEvent, Drops, HeadingName};
+use crate::bridge::{Accepted, Bridge, BridgeEvent, Drops, HeadingName};
 use crate::episodes::{Mark, MarkedBy, Told};
 use crate::intent::{Caps, SpeedRules};
 use crate::link::LinkCounters;
@@ -178,6 +178,8 @@ pub struct Snapshot {
     pub robot_timeouts: u32,
     /// What was dropped so far.
     pub drops: Drops,
+    /// How old samples were once the robot acted on them.
+    pub accepted: Accepted,
 }
 
 /// One hand's link.
@@ -276,6 +278,7 @@ impl Snapshot {
             guard_stops: picture.guard_stops,
             robot_timeouts: picture.timeouts,
             drops: bridge.drops(),
+            accepted: bridge.accepted(),
         }
     }
 }

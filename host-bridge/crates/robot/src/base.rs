@@ -53,7 +53,21 @@ impl Default for BaseConfig {
     }
 }
 
+/// A wheel's speed is not known better than this, in m²/s²: whoever fuses odometry wants no zero.
+const SPEED_VARIANCE_MIN: f64 = 1e-6;
+
 impl BaseConfig {
+    /// How sure the speed is that wheels at these speeds (rad/s) make, as a mean over `interval_s`: covariance of linear
+    /// (m/s) and angular speed (rad/s), from the same errors of the wheels' ways that the pose's covariance comes from.
+    pub fn speed_covariance(&self, wheels_rad_s: [f64; 2], interval_s: f64) -> [[f64; 2]; 2] {
+        let [left, right] = wheels_rad_s.map(|wheel| {
+            let rim_m_s = (wheel * self.wheel_radius_m).abs();
+            self.wheel_variance_m * rim_m_s / interval_s + SPEED_VARIANCE_MIN
+        });
+        let both = 0.5 * (right - left) / self.track_m;
+        [[0.25 * (left + right), both], [both, (left + right) / (self.track_m * self.track_m)]]
+    }
+
     /// Speeds of the left and the right wheel in rad/s that make a twist, whatever their limits.
     pub fn wheels_rad_s(&self, twist: Twist) -> [f64; 2] {
         let turn_m_s = twist.angular_rad_s * self.track_m / 2.0;
@@ -287,6 +301,22 @@ mod tests {
         base.drive(Twist { linear_m_s: f64::NAN, angular_rad_s: 0.0 });
         base.step(1.0);
         assert_eq!(base.wheels_rad_s(), [0.0; 2]);
+    }
+
+    #[test]
+    fn a_speeds_covariance_is_that_of_wheels_whose_ways_err_as_the_poses_do() {
+        let config = BaseConfig::default();
+        // 0.3 and 0.5 m/s at the rim: over 20 ms the ways' variances are 6e-7 and 1e-6 m².
+        let got = config.speed_covariance([3.0, 5.0], 0.02);
+        let (left, right) = (6e-7 / 0.0004 + 1e-6, 1e-6 / 0.0004 + 1e-6);
+        let both = (right - left) / 0.8;
+        let expected = [[(left + right) / 4.0, both], [both, (left + right) / 0.16]];
+        for (got, expected) in got.as_flattened().iter().zip(expected.as_flattened()) {
+            assert!((got - expected).abs() < 1e-12, "{got} {expected}");
+        }
+        // Backward is as unsure as forward; at rest it is nearly certain, and never zero.
+        assert_eq!(config.speed_covariance([-3.0, -5.0], 0.02), config.speed_covariance([3.0, 5.0], 0.02));
+        assert!(config.speed_covariance([0.0; 2], 0.02)[1][1] > 0.0);
     }
 
     #[test]

@@ -7,6 +7,7 @@ use serde::{Serialize, Serializer};
 
 use crate::base::{Covariance, Odometry, Twist};
 use crate::pose::{JOINTS, Joints, Pose};
+use crate::robot::Part;
 use crate::setting::RobotSetting;
 use crate::shape::Point;
 
@@ -119,6 +120,8 @@ pub enum Report {
     },
     /// The base drives as asked again.
     BaseFree,
+    /// The robot shows that it acts on the newest command for this part.
+    Accepted(Part),
     /// The robot has something to say to a person.
     Note(String),
 }

@@ -24,11 +24,11 @@ pub mod trajectory;
 
 pub use base::{Base, BaseConfig, Covariance, Odometry, Twist};
 pub use door::{ArmState, Busy, Door, Leg, MotionName, NotStarted, Picture, Report};
-pub use glam::{DMat3, DQuat, DVec3};
+pub use glam::{DMat3, DQuat, DVec3, EulerRot};
 pub use limits::{JointLimits, Motion};
 pub use pose::{JOINTS, Joints, Pose};
 pub use random::Random;
-pub use robot::{BaseState, End, Following, Reading, Robot, Wheels};
+pub use robot::{BaseState, End, Following, Part, Reading, Robot, Wheels};
 pub use setting::{JointSetting, RobotSetting, SceneBox};
 pub use trajectory::Trajectory;
 

@@ -2,6 +2,8 @@
 
 use std::sync::Arc;
 
+use serde::Serialize;
+
 use crate::base::{BaseConfig, Covariance, Odometry, Twist};
 use crate::limits::{JointLimits, Motion};
 use crate::pose::Joints;
@@ -48,6 +50,26 @@ pub enum Following {
     },
     /// It has given the trajectory up and brakes.
     Halting,
+}
+
+/// What a command is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Part {
+    /// The wheels.
+    Base,
+    /// The arm.
+    Arm,
+}
+
+impl Part {
+    /// For people and files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Part::Base => "base",
+            Part::Arm => "arm",
+        }
+    }
 }
 
 /// How following a trajectory ended.
@@ -127,6 +149,12 @@ pub trait Robot {
         None
     }
 
+    /// Parts that have shown, since the last call, that they act on their newest command. A robot that does not tell says
+    /// nothing.
+    fn take_accepted(&mut self) -> Vec<Part> {
+        Vec::new()
+    }
+
     /// What a person should know, once each.
     fn take_notes(&mut self) -> Vec<String> {
         Vec::new()
@@ -184,6 +212,9 @@ impl<R: Robot + ?Sized> Robot for Box<R> {
     }
     fn refusal(&self) -> Option<String> {
         (**self).refusal()
+    }
+    fn take_accepted(&mut self) -> Vec<Part> {
+        (**self).take_accepted()
     }
     fn take_notes(&mut self) -> Vec<String> {
         (**self).take_notes()

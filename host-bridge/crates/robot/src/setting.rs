@@ -22,6 +22,8 @@ pub struct RobotSetting {
     pub mount_m: Point,
     /// Of the arm.
     pub arm_name: String,
+    /// The link that the arm's base frame belongs to, as in the arm's own description.
+    pub arm_root: String,
     /// From the foot on.
     pub joints: Vec<JointSetting>,
     /// The flange in the last joint's frame.
@@ -29,6 +31,8 @@ pub struct RobotSetting {
     /// How the flange is turned against the last joint.
     #[serde(serialize_with = "rows")]
     pub flange_rotation: DMat3,
+    /// The flange's link in the arm's own description.
+    pub flange_link: String,
     /// Shapes of the arm's foot, in the arm's base frame.
     pub foot: Vec<Capsule>,
 }
@@ -48,6 +52,8 @@ pub struct SceneBox {
 pub struct JointSetting {
     /// As in the robot's own description.
     pub name: String,
+    /// The link that it turns, as in the same.
+    pub link: String,
     /// Where the joint sits in its parent's frame.
     pub origin_m: Point,
     /// How its frame is turned against its parent's.

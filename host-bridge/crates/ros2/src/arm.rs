@@ -27,6 +27,8 @@ const REACHED_RAD: f64 = 0.05;
 /// stopped.
 const FOLLOW_RAD: f64 = 0.1;
 const FOLLOW_STEPS: u32 = 10;
+/// A controller that wants the arm further from where it wanted it before has begun to move it.
+const BEGUN_RAD: f64 = 1e-4;
 /// A cancellation is asked for again after this long.
 const CANCEL_INTERVAL_MS: u64 = 200;
 /// And given up after this long.
@@ -140,6 +142,12 @@ pub struct ArmLink {
     unsure: Vec<(u32, u64)>,
     doubts: Doubts,
     end: Option<End>,
+    /// The controller has taken the run.
+    is_accepted: bool,
+    /// Where the controller wanted the arm when a trajectory was sent, until it is seen to have begun.
+    wanted_then: Option<Joints>,
+    /// Where the controller wants the arm.
+    wanted: Option<Joints>,
     notes: Vec<String>,
 }
 
@@ -161,6 +169,9 @@ impl ArmLink {
             unsure: Vec::new(),
             doubts: Doubts::default(),
             end: None,
+            is_accepted: false,
+            wanted_then: None,
+            wanted: None,
             notes: Vec::new(),
         }
     }
@@ -202,7 +213,13 @@ impl ArmLink {
     /// What the controller says of itself, and the factor by which it scales speeds, where it tells.
     pub fn see_controller(&mut self, state: &ControllerState, scaling: Option<f64>, now_ms: u64) {
         let read = |values: &[f64]| in_order(&self.names, &state.joint_names, values);
-        let reference = read(&state.reference.positions).zip(read(&state.reference.velocities));
+        self.wanted = read(&state.reference.positions);
+        if let (Some(then), Some(wanted)) = (&self.wanted_then, &self.wanted)
+            && off_rad(then, wanted) > BEGUN_RAD
+        {
+            (self.wanted_then, self.is_accepted) = (None, true);
+        }
+        let reference = self.wanted.zip(read(&state.reference.velocities));
         self.doubts.controller(reference, scaling, now_ms);
     }
 
@@ -294,6 +311,9 @@ impl ArmLink {
         if stream.is_none() {
             outputs.push(self.output(self.goals, &trajectory));
         }
+        self.is_accepted = false;
+        // An action's server answers; from a topic only the controller's own state tells.
+        self.wanted_then = self.wanted.filter(|_| self.interface != ArmInterface::Action);
         self.run = Some(Run {
             goal: self.goals,
             trajectory,
@@ -424,6 +444,7 @@ impl ArmLink {
             }
             Answer::Accepted => {
                 run.moving_since_ms = Some(now_ms);
+                self.is_accepted = true;
                 if run.stopping_since_ms.is_some() {
                     run.cancelled_ms = now_ms;
                     outputs.push(Output::Cancel { goal });
@@ -453,7 +474,13 @@ impl ArmLink {
         self.strays.push(Stray { goal, cancelled_ms: now_ms, until_ms });
     }
 
+    /// Whether the controller has taken the motion since the last call.
+    pub fn take_accepted(&mut self) -> bool {
+        std::mem::take(&mut self.is_accepted)
+    }
+
     fn end(&mut self, reached: bool) {
+        self.wanted_then = None;
         if self.run.take().is_some() {
             self.end = Some(if reached { End::Reached } else { End::Halted });
         }
@@ -668,6 +695,34 @@ mod tests {
         let times: Vec<f64> = points.iter().map(|p| p.time_from_start.seconds()).collect();
         assert!(times.windows(2).all(|t| t[1] > t[0]) && times[0] > 0.0);
         assert_eq!(trajectory.header, host_topics::message::Header::default(), "starts on arrival");
+    }
+
+    #[test]
+    fn a_controller_has_taken_a_motion_when_its_server_says_so_or_when_it_wants_the_arm_elsewhere() {
+        let mut rig = Rig::new(ArmInterface::Action);
+        rig.start().unwrap();
+        assert!(!rig.arm.take_accepted());
+        rig.answer(1, Answer::Accepted);
+        assert!(rig.arm.take_accepted() && !rig.arm.take_accepted(), "once");
+
+        let mut rig = Rig::new(ArmInterface::Topic);
+        let tell = |rig: &mut Rig, joints: Joints| {
+            let reference = JointTrajectoryPoint { positions: joints.to_vec(), ..Default::default() };
+            let state = ControllerState { joint_names: names(), reference, ..Default::default() };
+            rig.arm.see_controller(&state, None, rig.now_ms);
+        };
+        // It holds the arm a little beside where that is told to be.
+        let mut held = HOME;
+        held[1] += 0.01;
+        tell(&mut rig, held);
+        rig.start().unwrap();
+        tell(&mut rig, held);
+        assert!(!rig.arm.take_accepted(), "it has not begun");
+        held[1] += 0.001;
+        tell(&mut rig, held);
+        assert!(rig.arm.take_accepted());
+        tell(&mut rig, GOAL);
+        assert!(!rig.arm.take_accepted(), "once");
     }
 
     #[test]

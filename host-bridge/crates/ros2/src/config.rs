@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::clocks::Stamp;
 use host_robot::JOINTS;
+use host_topics::messages::ARM_PREFIX;
 
 /// How arm motions are sent. One of them, never both.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -117,6 +118,12 @@ pub struct Ros2Config {
     pub odom_frame: String,
     /// Frame of the base, and of its speed.
     pub base_frame: String,
+    /// Frame of the arm's foot; empty = its link in the arm's own description, after `arm_prefix`.
+    pub arm_base_frame: String,
+    /// Before the names of the arm's links, as `prefix` of ros2_kortex's description.
+    pub arm_prefix: String,
+    /// The simulator's URDF, with `--publish-sim`; empty = it is not published.
+    pub robot_description: String,
 }
 
 impl Default for Ros2Config {
@@ -151,6 +158,9 @@ impl Default for Ros2Config {
             diagnostics: text("/diagnostics"),
             odom_frame: text("odom"),
             base_frame: text("base_link"),
+            arm_base_frame: String::new(),
+            arm_prefix: text(ARM_PREFIX),
+            robot_description: text("robot_description"),
         }
     }
 }
@@ -230,7 +240,8 @@ impl Ros2Config {
             ("diagnostics", &self.diagnostics),
             ("stopped", &self.stopped),
         ];
-        let named = [("estop", &self.estop), ("fault", &self.fault)];
+        let named =
+            [("estop", &self.estop), ("fault", &self.fault), ("robot_description", &self.robot_description)];
         for (key, name) in topics.into_iter().chain(named.into_iter().filter(|(_, name)| !name.is_empty())) {
             ensure(
                 are_names(name.strip_prefix('/').unwrap_or(name)),
@@ -238,7 +249,7 @@ impl Ros2Config {
             )?;
         }
         ensure(
-            named.iter().all(|(_, name)| self.resolve(name) != self.resolve(&self.stopped)),
+            [&self.estop, &self.fault].iter().all(|name| self.resolve(name) != self.resolve(&self.stopped)),
             "estop and fault are what others say: this program's own stop goes out on stopped, and is not read",
         )?;
         ensure(

@@ -4,7 +4,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use host_robot::{
-    BaseConfig, BaseState, End, Following, JointLimits, Joints, Motion, Reading, Robot, Trajectory, Twist,
+    BaseConfig, BaseState, End, Following, JointLimits, Joints, Motion, Part, Reading, Robot, Trajectory,
+    Twist,
 };
 
 use crate::node::RosNode;
@@ -107,6 +108,10 @@ impl Robot for RosDriver {
 
     fn refusal(&self) -> Option<String> {
         self.refusal.clone()
+    }
+
+    fn take_accepted(&mut self) -> Vec<Part> {
+        self.robot.take_accepted()
     }
 
     fn take_notes(&mut self) -> Vec<String> {

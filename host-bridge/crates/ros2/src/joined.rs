@@ -67,8 +67,12 @@ pub struct SimTopics {
     pub joint_states: Publisher<ros::JointState>,
     /// Where the base is.
     pub odom: Publisher<ros::Odometry>,
-    /// The same as a transform.
+    /// The same as a transform, and the arm's links.
     pub tf: Publisher<ros::TfMessage>,
+    /// Its description, for whoever comes late, too.
+    pub description: Option<Publisher<ros::Text>>,
+    /// That was published.
+    pub is_described: bool,
 }
 
 /// See the module.
@@ -219,7 +223,13 @@ impl Joined {
         let clock = subscription(&mut node, "/clock", ("rosgraph_msgs", "Clock"), 1)?;
         // What we publish ourselves is not read.
         let (joint_states, odom_read, sim) = if publish_sim {
+            let description = config.resolve(&config.robot_description);
+            let description = (!config.robot_description.is_empty())
+                .then(|| publisher(&mut node, &description, ("std_msgs", "String"), &latched()))
+                .transpose()?;
             let sim = SimTopics {
+                description,
+                is_described: false,
                 joint_states: publisher(&mut node, &states, ("sensor_msgs", "JointState"), &qos)?,
                 odom: publisher(&mut node, &odom, ("nav_msgs", "Odometry"), &qos)?,
                 tf: publisher(&mut node, &config.resolve(&config.tf), ("tf2_msgs", "TFMessage"), &qos)?,

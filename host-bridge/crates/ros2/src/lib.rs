@@ -12,6 +12,7 @@ pub mod advice;
 pub mod arm;
 pub mod clocks;
 pub mod config;
+pub mod description;
 #[cfg(feature = "ros2")]
 mod device;
 pub mod doubts;

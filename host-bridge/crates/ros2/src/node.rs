@@ -9,12 +9,14 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use super::advice::{Endpoint, Graph, Heard, topics, wire};
 use super::clocks::{Clocks, Difference, Source};
 use super::config::{Connection, Ros2Config};
+use super::description::urdf;
 use super::estop::Inputs;
 use super::follow::{active, named};
 use super::joined::{Arm, Joined, NodeError, Published, Speed, ToldState, name_of, rivals};
 use super::robot::{Counts, Output, RosRobot};
-use host_robot::{Picture, Robot as _};
+use host_robot::{Door, Robot as _, RobotSetting};
 use host_topics::message as ros;
+use host_topics::messages::{Frames, transforms};
 
 /// The graph is looked at this often: discovery takes far longer.
 const LOOK_INTERVAL_MS: u64 = 250;
@@ -61,7 +63,7 @@ const SERVERS: usize = 1;
 const CLOCKS: usize = 2;
 
 impl RosNode {
-    /// Joins the graph. With `publish_sim` the simulator's state is to be published; look at [`RosNode::rivals`]
+    /// Joins the graph. With a `simulator` its state is to be published; look at [`RosNode::rivals`]
     /// before the first [`RosPublisher::publish_sim`].
     ///
     /// # Errors
@@ -69,13 +71,15 @@ impl RosNode {
     pub fn open(
         config: &Ros2Config,
         connection: &Connection,
-        publish_sim: bool,
+        simulator: Option<Simulator>,
     ) -> Result<(Self, RosPublisher), NodeError> {
+        let publish_sim = simulator.is_some();
         let (joined, published) = Joined::open(config, connection, publish_sim)?;
         let published = Arc::new(Mutex::new(Some(published)));
         let publisher = RosPublisher {
             config: config.clone(),
             published: Arc::clone(&published),
+            simulator,
             sim_published_ms: 0,
             said_stopped: None,
         };
@@ -440,10 +444,32 @@ fn too_many(controllers: &[&Endpoint]) -> String {
     )
 }
 
+/// The simulator as it is published.
+#[derive(Clone, Debug)]
+pub struct Simulator {
+    /// Names of its frames.
+    pub frames: Frames,
+    /// Its description.
+    pub urdf: String,
+}
+
+impl Simulator {
+    /// As configured.
+    ///
+    /// # Errors
+    /// Two frames would have one name.
+    pub fn new(config: &Ros2Config, setting: &RobotSetting) -> Result<Self, String> {
+        let frames = config.frames(setting)?;
+        Ok(Simulator { urdf: urdf(setting, &frames, config), frames })
+    }
+}
+
 /// What the program publishes beside its commands: diagnostics, and the simulator where that is the robot.
 pub struct RosPublisher {
     config: Ros2Config,
     published: Arc<Mutex<Option<Published>>>,
+    /// Where the simulator's state is published.
+    simulator: Option<Simulator>,
     sim_published_ms: u64,
     /// What was said last about the operator's stop, and when.
     said_stopped: Option<(bool, u64)>,
@@ -471,15 +497,20 @@ impl RosPublisher {
     }
 
     /// Publishes the simulator's state, if that is wanted and due.
-    pub fn publish_sim(&mut self, simulator: &Picture, now_ms: u64, stamp: ros::Time) {
-        let published = lock(&self.published);
-        let Some(topics) = published.as_ref().and_then(|published| published.sim.as_ref()) else { return };
+    pub fn publish_sim(&mut self, robot: &dyn Door, now_ms: u64, stamp: ros::Time) {
+        let mut published = lock(&self.published);
+        let topics = published.as_mut().and_then(|published| published.sim.as_mut());
+        let (Some(topics), Some(described)) = (topics, &self.simulator) else { return };
+        if let (Some(publisher), false) = (&topics.description, topics.is_described) {
+            topics.is_described = publisher.publish(ros::Text { data: described.urdf.clone() }).is_ok();
+        }
         if now_ms.saturating_sub(self.sim_published_ms) < SIM_INTERVAL_MS {
             return;
         }
         self.sim_published_ms = now_ms;
+        let (picture, frames) = (robot.picture(), &described.frames);
         let header = |frame: &str| ros::Header { stamp, frame_id: frame.to_owned() };
-        let arm = &simulator.arm;
+        let arm = &picture.arm;
         let joint_state = ros::JointState {
             header: header(""),
             name: self.config.joint_names.to_vec(),
@@ -487,16 +518,11 @@ impl RosPublisher {
             velocity: arm.velocity_rad_s.to_vec(),
             effort: Vec::new(),
         };
-        let base_frame = || self.config.base_frame.clone();
-        let odom = ros::Odometry::of(simulator, header(&self.config.odom_frame), base_frame());
-        let transform = ros::TransformStamped {
-            header: header(&self.config.odom_frame),
-            child_frame_id: base_frame(),
-            transform: ros::Transform::of_base(simulator),
-        };
+        let odom =
+            ros::Odometry::of(&picture, &robot.setting().base, header(&frames.odom), frames.base.clone());
         let _ = topics.joint_states.publish(joint_state);
         let _ = topics.odom.publish(odom);
-        let _ = topics.tf.publish(ros::TfMessage { transforms: vec![transform] });
+        let _ = topics.tf.publish(transforms(robot, frames, stamp));
     }
 }
 

@@ -11,8 +11,8 @@ use serde::Serialize;
 use super::arm::{Answer, ArmLink};
 use super::config::Ros2Config;
 use host_robot::{
-    BaseConfig, BaseState, End, Following, JointLimits, Joints, Motion, Odometry, Reading, Robot, Trajectory,
-    Twist,
+    BaseConfig, BaseState, End, Following, JointLimits, Joints, Motion, Odometry, Part, Reading, Robot,
+    Trajectory, Twist,
 };
 use host_topics::message::{self as ros, JointState, JointTrajectory};
 
@@ -86,6 +86,10 @@ pub struct RosRobot {
     /// Its newest odometry, from where it was first seen, and when that came.
     seen: Option<(BaseState, u64)>,
     first: Option<Odometry>,
+    /// The speed that the base had when it was given another, until its odometry begins to follow.
+    speed_then: Option<Twist>,
+    /// It has.
+    base_follows: bool,
 }
 
 impl RosRobot {
@@ -107,6 +111,8 @@ impl RosRobot {
             base_limits,
             seen: None,
             first: None,
+            speed_then: None,
+            base_follows: false,
         }
     }
 
@@ -151,6 +157,11 @@ impl RosRobot {
         let values = [here.x_m, here.y_m, here.heading_rad, here.twist.linear_m_s, here.twist.angular_rad_s];
         if !values.iter().all(|value| value.is_finite()) {
             return;
+        }
+        if let Some(then) = self.speed_then
+            && begins(then, here.twist, self.wanted)
+        {
+            (self.speed_then, self.base_follows) = (None, true);
         }
         let first = *self.first.get_or_insert(here);
         let (s, c) = first.heading_rad.sin_cos();
@@ -215,6 +226,15 @@ impl RosRobot {
     }
 }
 
+/// Whether a base that had one speed is a tenth of the way to the wanted one; no odometry is so noisy.
+fn begins(then: Twist, now: Twist, wanted: Twist) -> bool {
+    const SHARE: f64 = 0.1;
+    let linear = (wanted.linear_m_s - then.linear_m_s, now.linear_m_s - then.linear_m_s);
+    let angular = (wanted.angular_rad_s - then.angular_rad_s, now.angular_rad_s - then.angular_rad_s);
+    let (asked, done) = if linear.0.abs() >= angular.0.abs() { linear } else { angular };
+    asked != 0.0 && done / asked >= SHARE
+}
+
 impl Robot for RosRobot {
     /// Repeats, waits and gives up as the module says.
     fn step(&mut self, now_ms: u64) {
@@ -250,6 +270,10 @@ impl Robot for RosRobot {
         let sound = twist.linear_m_s.is_finite() && twist.angular_rad_s.is_finite();
         let twist = if sound { twist } else { Twist::ZERO };
         self.wanted_ms = self.now_ms;
+        if twist != self.wanted {
+            self.base_follows = false;
+            self.speed_then = self.seen.map(|(base, _)| base.odometry.twist);
+        }
         if twist == Twist::ZERO {
             // At rest already: whoever else drives is not disturbed.
             if self.base == Base::Driving {
@@ -299,6 +323,12 @@ impl Robot for RosRobot {
 
     fn reaction_ms(&self) -> u64 {
         REACTION_MS
+    }
+
+    fn take_accepted(&mut self) -> Vec<Part> {
+        let base = std::mem::take(&mut self.base_follows).then_some(Part::Base);
+        let arm = self.arm.take_accepted().then_some(Part::Arm);
+        base.into_iter().chain(arm).collect()
     }
 
     fn take_notes(&mut self) -> Vec<String> {
@@ -423,6 +453,31 @@ mod tests {
         rig.bridge = None;
         rig.now_ms += 3000;
         assert_eq!(rig.run(1), [(rig.now_ms, 0.0)]);
+    }
+
+    fn odometry(linear_m_s: f64, angular_rad_s: f64) -> ros::Odometry {
+        let twist = ros::Twist::from(Twist { linear_m_s, angular_rad_s });
+        let twist = ros::TwistWithCovariance { twist, ..Default::default() };
+        ros::Odometry { twist, ..Default::default() }
+    }
+
+    #[test]
+    fn a_base_acts_on_a_speed_when_its_odometry_begins_to_follow_and_that_counts_once() {
+        let mut robot = RosRobot::new(&Ros2Config::default(), limits(), BaseConfig::default());
+        robot.drive(FORWARD);
+        assert_eq!(robot.take_accepted(), [], "a base without odometry never tells");
+        robot.see_base(&odometry(0.3, 0.0));
+        assert_eq!(robot.take_accepted(), [], "what it had before is not known");
+        robot.drive(Twist { linear_m_s: 0.0, angular_rad_s: 0.5 });
+        // Noise, then a twentieth of the way, then enough.
+        for (turn, expected) in [(-0.01, vec![]), (0.025, vec![]), (0.06, vec![Part::Base]), (0.3, vec![])] {
+            robot.see_base(&odometry(0.3, turn));
+            assert_eq!(robot.take_accepted(), expected, "{turn} rad/s");
+        }
+        // Also a stop, and a change of sign.
+        robot.drive(Twist::ZERO);
+        robot.see_base(&odometry(0.2, 0.2));
+        assert_eq!(robot.take_accepted(), [Part::Base]);
     }
 
     #[test]

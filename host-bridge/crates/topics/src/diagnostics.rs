@@ -86,6 +86,14 @@ impl Diagnostics {
             value("late_states", bridge.drops().late_states),
             value("late_gestures", bridge.drops().late_gestures),
         ];
+        let accepted = bridge.accepted();
+        for (part, seen) in [("base", accepted.base), ("arm", accepted.arm)] {
+            let ages = seen.map(|seen| [("age", seen.age_ms), ("worst", seen.worst_ms)]);
+            values.extend(ages.into_iter().flatten().map(|(what, ms)| {
+                let key = format!("sample_to_{part}_{what}_ms");
+                value(&key, ms)
+            }));
+        }
         values.extend(bridge.refusal().map(|why| value("refusal", why)));
         values.extend(bridge.restriction().map(|text| value("restriction", text)));
         values.extend(self.motion.as_ref().map(|motion| value("motion", motion)));

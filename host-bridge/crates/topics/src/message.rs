@@ -6,7 +6,10 @@
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use crate::schema::messages;
-use host_robot::{DVec3, Picture, base};
+use host_robot::{BaseConfig, DVec3, Picture, base};
+
+/// Odometry is told this often.
+pub const SPEED_INTERVAL_S: f64 = 0.02;
 
 messages! {
     /// `builtin_interfaces/Time`, also used for `Duration`.
@@ -303,6 +306,12 @@ messages! {
         actual: JointTrajectoryPoint,
     }
 
+    /// `std_msgs/String`.
+    "std_msgs/String" Text: Eq {
+        /// What.
+        data: String,
+    }
+
     /// `std_msgs/Bool`.
     "std_msgs/Bool" Bool: Copy, Eq {
         /// Yes or no.
@@ -419,14 +428,21 @@ impl From<base::Twist> for Twist {
 }
 
 impl Odometry {
-    /// Where the base is, how it moves, and how sure that is.
-    pub fn of(robot: &Picture, header: Header, child_frame_id: String) -> Self {
+    /// Where the base is, how it moves, and how sure that is; the speed's is that of [`SPEED_INTERVAL_S`].
+    pub fn of(robot: &Picture, wheels: &BaseConfig, header: Header, child_frame_id: String) -> Self {
         let odometry = robot.odometry;
         // x, y, z and the turns about them; of ours, 0, 1 and 5.
         let (mut covariance, ours) = ([[0.0; 6]; 6], [0, 1, 5]);
         for (row, values) in robot.covariance.iter().enumerate() {
             for (column, value) in values.iter().enumerate() {
                 covariance[ours[row]][ours[column]] = *value;
+            }
+        }
+        let (mut of_speed, ours) = ([[0.0; 6]; 6], [0, 5]);
+        let speed = wheels.speed_covariance(robot.wheels_rad_s, SPEED_INTERVAL_S);
+        for (row, values) in speed.iter().enumerate() {
+            for (column, value) in values.iter().enumerate() {
+                of_speed[ours[row]][ours[column]] = *value;
             }
         }
         let Transform { translation: Vector3 { x, y, z }, rotation } = Transform::of_base(robot);
@@ -437,7 +453,7 @@ impl Odometry {
                 pose: Pose { position: Point { x, y, z }, orientation: rotation },
                 covariance,
             },
-            twist: TwistWithCovariance { twist: odometry.twist.into(), covariance: [[0.0; 6]; 6] },
+            twist: TwistWithCovariance { twist: odometry.twist.into(), covariance: of_speed },
         }
     }
 }

@@ -12,14 +12,69 @@ use host_core::describe;
 use host_core::observe::SessionEvent;
 use host_core::observe::{Now, OperatorKey, Sample, Turn};
 use host_core::safety::Hand;
-use host_robot::{DQuat, DVec3, Pose};
+use host_robot::{DQuat, DVec3, Door, Pose, RobotSetting};
 
 /// Frame in which the base's way is told.
 pub const ODOM: &str = "odom";
 /// Frame of the base, on the floor between its wheels.
 pub const BASE: &str = "base_link";
-/// Frame of the arm's foot.
-pub const ARM: &str = "arm_base";
+/// Before the names of the arm's links: with it, `base_link` of the arm is not the base's.
+pub const ARM_PREFIX: &str = "arm_";
+
+/// Names of the frames, so that the robot's own description can be laid over them.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Frames {
+    /// In which the base's way is told.
+    pub odom: String,
+    /// Of the base, on the floor between its wheels.
+    pub base: String,
+    /// Of the arm's foot.
+    pub arm_root: String,
+    /// Before the names of the arm's links.
+    pub arm_prefix: String,
+}
+
+impl Frames {
+    /// As files and Foxglove have them.
+    pub fn plain(setting: &RobotSetting) -> Self {
+        Frames {
+            odom: ODOM.to_owned(),
+            base: BASE.to_owned(),
+            arm_root: format!("{ARM_PREFIX}{}", setting.arm_root),
+            arm_prefix: ARM_PREFIX.to_owned(),
+        }
+    }
+
+    /// A link of the arm.
+    pub fn link(&self, name: &str) -> String {
+        format!("{}{name}", self.arm_prefix)
+    }
+}
+
+/// Base in the world, foot on the base, links and flange on the foot.
+pub fn transforms(robot: &dyn Door, frames: &Frames, stamp: Time) -> ros::TfMessage {
+    let (picture, model) = (robot.picture(), robot.setting());
+    let links = robot.link_poses(&picture.arm.joints_rad);
+    let joints = model.joints.len().min(links.len() - 1);
+    let put = |parent: &str, child: String, transform| ros::TransformStamped {
+        header: Header { stamp, frame_id: parent.to_owned() },
+        child_frame_id: child,
+        transform,
+    };
+    let on_foot =
+        |pose: &Pose| ros::Transform { translation: pose.position_m.into(), rotation: quaternion(pose) };
+    let foot = ros::Transform { translation: model.mount_m.into(), rotation: ros::Quaternion::yaw(0.0) };
+    let mut transforms = vec![
+        put(&frames.odom, frames.base.clone(), ros::Transform::of_base(&picture)),
+        put(&frames.base, frames.arm_root.clone(), foot),
+    ];
+    for (joint, pose) in model.joints.iter().zip(&links[..joints]) {
+        transforms.push(put(&frames.arm_root, frames.link(&joint.link), on_foot(pose)));
+    }
+    let flange = on_foot(&links[links.len() - 1]);
+    transforms.push(put(&frames.arm_root, frames.link(&model.flange_link), flange));
+    ros::TfMessage { transforms }
+}
 
 /// A message, ready to be written or sent.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -232,33 +287,16 @@ impl Origin {
 
     /// Where the base is, and how sure that is.
     pub fn odometry(self, now: &Now<'_>) -> Entry {
-        let odometry =
-            ros::Odometry::of(&now.robot.picture(), self.header(now.time_ms, ODOM), BASE.to_owned());
+        let (header, base) = (self.header(now.time_ms, ODOM), now.robot.setting().base);
+        let odometry = ros::Odometry::of(&now.robot.picture(), &base, header, BASE.to_owned());
         Entry::new(Topic::Odometry, now.time_ms, &odometry)
     }
 
     /// Base in the world, foot on the base, links and flange on the foot.
     pub fn transforms(self, now: &Now<'_>) -> Entry {
-        let (picture, model) = (now.robot.picture(), now.robot.setting());
-        let links = now.robot.link_poses(&picture.arm.joints_rad);
-        let joints = model.joints.len().min(links.len() - 1);
-        let put = |parent: &str, child: String, transform| ros::TransformStamped {
-            header: self.header(now.time_ms, parent),
-            child_frame_id: child,
-            transform,
-        };
-        let on_foot =
-            |pose: &Pose| ros::Transform { translation: pose.position_m.into(), rotation: quaternion(pose) };
-        let foot = ros::Transform { translation: model.mount_m.into(), rotation: ros::Quaternion::yaw(0.0) };
-        let mut transforms = vec![
-            put(ODOM, BASE.to_owned(), ros::Transform::of_base(&picture)),
-            put(BASE, ARM.to_owned(), foot),
-        ];
-        for (joint, pose) in model.joints.iter().zip(&links[..joints]) {
-            transforms.push(put(ARM, format!("{}_link", joint.name), on_foot(pose)));
-        }
-        transforms.push(put(ARM, "flange".to_owned(), on_foot(&links[links.len() - 1])));
-        Entry::new(Topic::Transforms, now.time_ms, &ros::TfMessage { transforms })
+        let frames = Frames::plain(&now.robot.setting());
+        let message = transforms(now.robot, &frames, self.stamp(now.time_ms));
+        Entry::new(Topic::Transforms, now.time_ms, &message)
     }
 
     /// So many messages are missing.

@@ -169,6 +169,7 @@ impl Planner {
         turn: u64,
     ) -> Result<Plan, Refusal> {
         let arm = self.world.arm();
+        let to_rad = &arm.unwound(to_rad, from_rad);
         arm.check(to_rad).map_err(Refusal::GoalBeyondLimit)?;
         arm.check(from_rad).map_err(Refusal::StartBeyondLimit)?;
         let around = self.world.around(placement);
@@ -188,13 +189,13 @@ impl Planner {
         let seed = Random::new(self.world.scene().arm.seed ^ turn.wrapping_mul(0x9E37_79B9)).bits();
         let search = Search { margin_m, checks_max: CHECKS_MAX, seed };
 
-        let home_rad = arm.home_rad;
+        let home_rad = arm.unwound(&arm.home_rad, from_rad);
         let via_home = || -> Option<Plan> {
             if around.arm_clearance(&home_rad).distance_m < margin_m {
                 return None;
             }
             let (there, _) = self.leg(&around, from_rad, &home_rad, &search)?;
-            let (onward, _) = self.leg(&around, &home_rad, to_rad, &search)?;
+            let (onward, _) = self.leg(&around, &home_rad, &arm.unwound(to_rad, &home_rad), &search)?;
             let home_s = Some(there.trajectory.duration_s());
             let mut path_rad = there.path_rad;
             path_rad.extend(&onward.path_rad[1..]);

@@ -3,7 +3,7 @@
 use serde::Serialize;
 use shared_proto::message::Heading;
 
-use host_robot::{MotionName, Twist};
+use host_robot::{MotionName, Part, Twist};
 
 use crate::link::{Identity, ModelSummary};
 use crate::safety::{HaltReason, Hand, Ignored, State};
@@ -103,6 +103,13 @@ pub enum EventKind {
         age_ms: u64,
         /// What follows from it.
         outcome: GestureOutcome,
+    },
+    /// The robot shows that it acts on a command.
+    Accepted {
+        /// Which part of it.
+        part: Part,
+        /// Age of the sample that the command came from.
+        age_ms: u64,
     },
     /// An arm motion ended.
     MotionEnded {

@@ -1,12 +1,15 @@
 //! The bridge itself: links, safety and intents wired to a robot. Bytes and the time come in.
 
+mod accepted;
 mod events;
 
+pub use accepted::{Acceptance, Accepted};
 pub use events::{BridgeEvent, Drops, EventKind, GestureOutcome, HeadingName};
 
 use shared_proto::message::{Ack, Heading, HostMessage, LeftState};
 
-use host_robot::{Busy, Door, MotionName, NotStarted, Report, Twist};
+use accepted::Acceptances;
+use host_robot::{Busy, Door, MotionName, NotStarted, Part, Report, Twist};
 
 use crate::doubt;
 use crate::intent::{Caps, MotionMap, SpeedRules, is_rest};
@@ -35,6 +38,7 @@ pub struct Bridge {
     last_acks: [Option<Ack>; 2],
     /// Flags that were told.
     told_health: [u8; 2],
+    acceptances: Acceptances,
     /// Why the robot itself refuses to move.
     refusal: Option<String>,
     /// What this session may not do.
@@ -74,6 +78,7 @@ impl Bridge {
             heard: Vec::new(),
             last_acks: [None; 2],
             told_health: [0; 2],
+            acceptances: Acceptances::default(),
             refusal: None,
             restriction: None,
         }
@@ -161,6 +166,10 @@ impl Bridge {
         }
         for report in robot.take_reports() {
             let kind = match report {
+                Report::Accepted(part) => match self.acceptances.accept(part, now_ms) {
+                    Some(age_ms) => EventKind::Accepted { part, age_ms },
+                    None => continue,
+                },
                 Report::MotionEnded { motion, reached } => EventKind::MotionEnded { motion, reached },
                 Report::BaseHeld { reason } => EventKind::BaseHeld { reason },
                 Report::BaseFree => EventKind::BaseFree,
@@ -237,6 +246,11 @@ impl Bridge {
     /// What was dropped so far.
     pub fn drops(&self) -> Drops {
         self.drops
+    }
+
+    /// How old samples were once the robot acted on them.
+    pub fn accepted(&self) -> Accepted {
+        self.acceptances.seen
     }
 
     /// The right hand's newest scores, one per label of its model.
@@ -319,6 +333,7 @@ impl Bridge {
                         age_ms,
                     };
                     self.note(now_ms, event);
+                    self.acceptances.ask(Part::Base, age_ms, now_ms);
                 }
             }
             Heard::Right(report) => self.right(report, now_ms, robot),
@@ -365,7 +380,8 @@ impl Bridge {
         if let Some((new, label)) = named {
             let outcome = outcome.unwrap_or(GestureOutcome::Late);
             match &outcome {
-                GestureOutcome::Started(_) | GestureOutcome::Released | GestureOutcome::EndedArm => {}
+                GestureOutcome::Started(_) => self.acceptances.ask(Part::Arm, new.age_ms, now_ms),
+                GestureOutcome::Released | GestureOutcome::EndedArm => {}
                 GestureOutcome::Busy(_) => self.drops.gestures_while_busy += 1,
                 GestureOutcome::Refused(_) => self.drops.gestures_refused += 1,
                 GestureOutcome::NoMotion => self.drops.gestures_without_motion += 1,
@@ -390,6 +406,7 @@ impl Bridge {
             match action {
                 Action::Halt(reason) => {
                     robot.halt();
+                    self.acceptances.forget();
                     self.driven = (Twist::ZERO, now_ms);
                     self.note(now_ms, EventKind::Halt { reason });
                 }

@@ -207,16 +207,17 @@ export class Panels {
     const known = state.base_age_ms === null ? "reports nothing" : `${where}; ${odometry.path_m.toFixed(1)} m driven`;
     put($("base-text"), "text", `base: ${known}${held}`);
     put($("scene-text"), "text", `Base at ${where}. ${doing}. ${this.setting.boxes.length} boxes around.`);
-    this.showLinks(left.link, right.link);
+    this.showLinks(left.link, right.link, state.accepted);
   }
 
-  showLinks(left, right) {
+  showLinks(left, right, accepted) {
     const life = (link) => (!link.connected ? "none" : link.live ? "live" : "silent");
     const ms = (value) => (value === null ? "–" : `${value} ms`);
     const rows = [
       ["state", life],
       ["newest sample", (link) => (link.connected ? ms(link.age_ms) : "–")],
       ["round trip", (link) => ms(link.round_trip_ms)],
+      ["sample to robot", (_, taken) => (taken === null ? "–" : `${taken.age_ms} ms, worst ${taken.worst_ms}`)],
       ["frames", (link) => link.counters.frames],
       ["lost", (link) => link.counters.lost],
       ["damaged", (link) => link.counters.damaged + link.counters.unreadable],
