@@ -130,7 +130,7 @@ fn hands_drive_an_independent_robot_with_right_types_values_quality_and_in_time(
         let is_told = |v: &Value| v["status"]["bimanual: bridge"][&key].is_string();
         robot.has("its diagnostics", |v| is(v, "diagnostics") && is_told(v));
     }
-    let finished = robot.wait("the arm arrives", |v| is(v, "finished") && v["id"] == goal["id"]);
+    let finished = robot.has("the arm arrives", |v| is(v, "finished") && v["id"] == goal["id"]);
     assert_eq!(finished["status"], 4);
     bridge.has("arrival", |v| is(v, "motion-ended") && v["reached"] == true);
 
@@ -311,7 +311,7 @@ fn both_kinds_of_middleware_on_one_graph_are_each_asked_in_their_own_way() {
         });
         bridge.has("armed", armed);
         let goal = robot.wait("a goal", |v| is(v, "goal"));
-        let finished = robot.wait("the arm arrives", |v| is(v, "finished") && v["id"] == goal["id"]);
+        let finished = robot.has("the arm arrives", |v| is(v, "finished") && v["id"] == goal["id"]);
         assert_eq!(finished["status"], 4, "{finished}");
         bridge.has("arrival", |v| is(v, "motion-ended") && v["reached"] == true);
         // A stop in the middle cancels it.
