@@ -1,4 +1,5 @@
-//! The bundled session: recorded hands, and what they must come to, written down with them.
+//! The bundled sessions: recorded hands, and what they must come to, written down with them. A second session is made of
+//! stretches of the first.
 
 use std::path::Path;
 
@@ -14,6 +15,7 @@ use host_robot::Door;
 use crate::script::Script;
 
 const SCRIPT: &str = include_str!("../sessions/demo/session.toml");
+const PICK_AND_PLACE: &str = include_str!("../sessions/pick-and-place/session.toml");
 const LEFT: &[u8] = include_bytes!("../sessions/demo/left.csv");
 const RIGHT: &[u8] = include_bytes!("../sessions/demo/right.csv");
 
@@ -41,6 +43,34 @@ impl Demo {
         }
     }
 
+    /// The bundled session of that name; `None` = the paper's six motions.
+    ///
+    /// # Errors
+    /// There is none, and which there are.
+    ///
+    /// # Panics
+    /// Never: the files are compiled in, and the tests read them.
+    pub fn named(name: Option<&str>) -> Result<Self, String> {
+        let demo = Demo::bundled();
+        let script = match name {
+            None => return Ok(demo),
+            Some("pick-and-place") => Script::parse(PICK_AND_PLACE).expect("the bundled session is whole"),
+            Some(other) => {
+                return Err(format!("there is no bundled session '{other}'; there is: pick-and-place"));
+            }
+        };
+        let Some(cuts) = &script.cuts else { return Ok(Demo { script, ..demo }) };
+        let samples = demo.left.samples;
+        let left = cut(&cuts.left, samples.len(), |i| samples[i].0 as f64);
+        let left = left.into_iter().map(|(time_ms, i)| (time_ms as u64, samples[i].1)).collect();
+        let axes = demo.right.axes();
+        let values: Vec<&[f32]> = demo.right.samples().collect();
+        let right = cut(&cuts.right, values.len(), |i| demo.right.time_ms()[i]);
+        let (time_ms, places): (Vec<f64>, Vec<usize>) = right.into_iter().unzip();
+        let right = places.iter().flat_map(|&i| values[i]).copied().collect();
+        Ok(Demo { left: AdcRecording { samples: left }, right: Recording::new(axes, time_ms, right), script })
+    }
+
     /// Both hands before this robot, at their beginning.
     ///
     /// # Errors
@@ -55,4 +85,17 @@ impl Demo {
         let right = RightBoard::new(self.right.resampled(), model, 1)?;
         Ok(Session::new([Source::here(Wired::new(left)), Source::here(Wired::new(right))], map, door))
     }
+}
+
+/// Stretches of a recording, one after the other: the new time in ms of each sample, and which it is.
+fn cut(stretches: &[[f64; 2]], samples: usize, time_ms: impl Fn(usize) -> f64) -> Vec<(f64, usize)> {
+    let mut kept = Vec::new();
+    let mut at_ms = 0.0;
+    for &[from_s, to_s] in stretches {
+        let (from_ms, to_ms) = (1000.0 * from_s, 1000.0 * to_s);
+        let within = (0..samples).filter(|&i| (from_ms..to_ms).contains(&time_ms(i)));
+        kept.extend(within.map(|i| (at_ms + time_ms(i) - from_ms, i)));
+        at_ms += to_ms - from_ms;
+    }
+    kept
 }

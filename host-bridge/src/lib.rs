@@ -18,6 +18,7 @@ pub mod export;
 pub mod journal;
 pub mod robots;
 pub mod script;
+pub mod taught;
 
 pub use host_arm::{self as arm, plan, scene};
 pub use host_core::{

@@ -38,6 +38,8 @@ enum Verb {
     Record(cmd::record::Args),
     /// Makes data sets of recorded sessions, for those who train robots
     Export(cmd::export::Args),
+    /// Makes a pose of where the robot's arm is now, or goes to one
+    Teach(cmd::teach::Args),
     /// Sends a model of your own to the right hand's board
     SendModel(cmd::send_model::Args),
 }
@@ -54,6 +56,7 @@ fn main() -> ExitCode {
         Some(Verb::Calibrate(args)) => cmd::calibrate::run(&args),
         Some(Verb::Record(args)) => cmd::record::run(&args),
         Some(Verb::Export(args)) => cmd::export::run(&args),
+        Some(Verb::Teach(args)) => cmd::teach::run(&args),
         Some(Verb::SendModel(args)) => cmd::send_model::run(&args),
     };
     match done {

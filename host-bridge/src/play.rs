@@ -72,6 +72,11 @@ impl PlayOptions {
         stage(&self.config(), self.scene.as_deref())
     }
 
+    /// The bundled hands that the scene asks for.
+    pub fn demo_session(&self) -> Result<Option<String>> {
+        Ok(self.stage()?.planner.and_then(|planner| planner.world().scene().demo.clone()))
+    }
+
     /// The simulated robot behind its door, and the paper's map with the changes asked for.
     pub fn robot_and_map(&self) -> Result<(Director<Simulator>, MotionMap)> {
         let door = self.stage()?.simulated(&self.config());
@@ -123,12 +128,12 @@ fn arm(scene: &Scene, scene_file: &Path) -> Result<SerialArm> {
     {
         let about = || format!("{}", file.display());
         let text = std::fs::read_to_string(&file).with_context(about)?;
-        let missing = host_bridge::arm::urdf::Missing {
-            tip: scene.arm.tip.clone(),
-            link_radius_m: scene.arm.link_radius_m,
-            acceleration_rad_s2: scene.arm.acceleration_rad_s2,
-        };
-        host_bridge::arm::urdf::parse(&text, &missing).with_context(about)
+        let missing = host_bridge::arm::urdf::Missing::of(&scene.arm);
+        let arm = host_bridge::arm::urdf::parse(&text, &missing).with_context(about)?;
+        for note in &arm.notes {
+            eprintln!("{}: {note}", file.display());
+        }
+        Ok(arm)
     }
     #[cfg(not(feature = "urdf"))]
     anyhow::bail!("{}: this program reads no URDF; build it with `--features urdf`", file.display())

@@ -5,7 +5,8 @@ use std::sync::Arc;
 use host_arm::plan::Planner;
 use host_arm::{Director, Motions};
 use host_robot::{
-    BaseConfig, BaseState, End, Following, JointLimits, Motion, Reading, Robot, Trajectory, Twist,
+    BaseConfig, BaseState, End, Following, Grip, GripEnd, JointLimits, Motion, Reading, Robot, Trajectory,
+    Twist,
 };
 use host_sim::{SimConfig, Simulator};
 
@@ -52,7 +53,12 @@ impl Stage {
         let base = self.planner.as_ref().map_or(config.base, |planner| planner.world().scene().base.config());
         let home = || self.motions.pose("home").unwrap_or_default();
         let arm_start_rad = self.motions.pose("ready").unwrap_or_else(home);
-        Simulator::new(SimConfig { base, arm_start_rad, arm_limits: self.limits })
+        let simulator = Simulator::new(SimConfig { base, arm_start_rad, arm_limits: self.limits });
+        let hand = self.planner.as_ref().and_then(|planner| planner.world().tool().hand());
+        match hand {
+            Some(hand) => simulator.with_gripper(hand.widest_m),
+            None => simulator,
+        }
     }
 
     /// The arm director before a robot.
@@ -116,6 +122,21 @@ impl<R: Robot> Robot for Echoed<R> {
     fn halt(&mut self) {
         self.simulator.halt();
         self.graph.halt();
+    }
+    fn opening_m(&self) -> Option<Reading<f64>> {
+        self.simulator.opening_m()
+    }
+    fn can_grip(&self) -> Result<(), String> {
+        self.simulator.can_grip()
+    }
+    fn grip(&mut self, grip: Grip) -> Result<(), String> {
+        self.simulator.grip(grip)
+    }
+    fn take_grip_end(&mut self) -> Option<GripEnd> {
+        self.simulator.take_grip_end()
+    }
+    fn halt_gripper(&mut self) {
+        self.simulator.halt_gripper();
     }
     fn timeouts(&self) -> u32 {
         self.simulator.timeouts()

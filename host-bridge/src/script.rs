@@ -13,8 +13,21 @@ pub struct Script {
     pub title: String,
     /// What the left hand's EEPROM holds.
     pub calibration: CalibrationTable,
+    /// Which stretches of the bundled hands it is made of; none = all of them as they are.
+    #[serde(default)]
+    pub cuts: Option<Cuts>,
     /// What must come out.
     pub expect: Expect,
+}
+
+/// Stretches of the bundled recordings, from when to when in s, one after the other.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Cuts {
+    /// Of the left hand.
+    pub left: Vec<[f64; 2]>,
+    /// Of the right hand.
+    pub right: Vec<[f64; 2]>,
 }
 
 /// The left hand's calibration; each value is the sum of eight 10-bit conversions.
@@ -49,6 +62,21 @@ pub struct Expect {
     pub cap: f64,
     /// Where the base ends.
     pub base: Place,
+    /// Where objects of the scene end.
+    #[serde(default, rename = "object")]
+    pub objects: Vec<ObjectPlace>,
+}
+
+/// A place of an object with its tolerance.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ObjectPlace {
+    /// As in the scene.
+    pub name: String,
+    /// The middle of its underside.
+    pub at_m: [f64; 3],
+    /// Tolerance.
+    pub within_m: f64,
 }
 
 /// A place with its tolerance.
@@ -121,7 +149,18 @@ impl Expect {
         let place = |x_m: f64, y_m: f64, heading_rad: f64| {
             format!("x {x_m:.3} m, y {y_m:.3} m, {:.1}°", heading_rad.to_degrees())
         };
-        vec![
+        let objects = self.objects.iter().map(|object| {
+            let here = summary.objects.iter().find(|other| other.name == object.name);
+            let at = |[x, y, z]: [f64; 3]| format!("{} at x {x:.2} m, y {y:.2} m, z {z:.2} m", object.name);
+            let off_m = here.map(|here| here.pose.position_m.distance(object.at_m.into()));
+            Check {
+                what: "object",
+                expected: format!("{} (within {} m)", at(object.at_m), object.within_m),
+                got: here.map_or("is not there".to_owned(), |here| at(here.pose.position_m.to_array())),
+                ok: off_m.is_some_and(|off_m| off_m <= object.within_m),
+            }
+        });
+        let mut checks = vec![
             check("gestures", list(&self.gestures), list(&labels)),
             check("poses reached", list(&self.poses), list(&poses)),
             check("stops", self.stops.to_string(), summary.stops.to_string()),
@@ -144,6 +183,8 @@ impl Expect {
                 ok: off_m <= self.base.within_m && off_rad <= self.base.within_rad,
             },
             check("at rest at the end", true.to_string(), summary.at_rest.to_string()),
-        ]
+        ];
+        checks.extend(objects);
+        checks
     }
 }

@@ -21,16 +21,17 @@ import ruckig
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 SCENES = ["posts", "shelf", "bins"]
 
-# Joint: origin in m, roll in quarter turns, limit in rad, speed in rad/s; link: end of its capsule, radius.
+# Joint: origin in m, roll in quarter turns, limit in rad, speed in rad/s; link: ends of its capsule, radius.
 JOINTS = [
-    ((0, 0, 0.15643), 2, None, 1.3963, 0.050),
-    ((0, 0.005375, -0.12838), 1, 2.24, 1.3963, 0.050),
-    ((0, -0.21038, -0.006375), 3, None, 1.3963, 0.050),
-    ((0, 0.006375, -0.21038), 1, 2.57, 1.3963, 0.045),
-    ((0, -0.20843, -0.006375), 3, None, 1.2218, 0.042),
-    ((0, 0.00017505, -0.10593), 1, 2.09, 1.2218, 0.042),
-    ((0, -0.10593, -0.00017505), 3, None, 1.2218, 0.042),
+    ((0, 0, 0.15643), 2, None, 1.3963, ((0, -0.0078, -0.1284), (0, 0, -0.0325), 0.0538)),
+    ((0, 0.005375, -0.12838), 1, 2.24, 1.3963, ((0, -0.2131, -0.0063), (0, 0.0038, -0.0192), 0.0479)),
+    ((0, -0.21038, -0.006375), 3, None, 1.3963, ((0, -0.0043, -0.2155), (0, 0, -0.0298), 0.0523)),
+    ((0, 0.006375, -0.21038), 1, 2.57, 1.3963, ((0, -0.1885, -0.0064), (0, 0.0033, -0.0202), 0.0478)),
+    ((0, -0.20843, -0.006375), 3, None, 1.2218, ((0, -0.0129, -0.1059), (0, 0, -0.0298), 0.0435)),
+    ((0, 0.00017505, -0.10593), 1, 2.09, 1.2218, ((0, -0.1006, -0.0002), (0, -0.001, -0.0197), 0.0395)),
+    ((0, -0.10593, -0.00017505), 3, None, 1.2218, ((0, 0, -0.0536), (0, 0, -0.023), 0.0395)),
 ]
+FOOT = ((-0.0046, 0, 0.0149), (0.0001, 0, 0.1446), 0.0532)
 FLANGE = ((0, 0, -0.061525), 2)
 ACCELERATION = 8.6
 SCALING = (0.1, 0.05)
@@ -54,16 +55,20 @@ def roll(quarters):
     return numbers((math.cos(quarters * math.pi / 4), math.sin(quarters * math.pi / 4), 0, 0))
 
 
+def capsule(ends_and_radius):
+    one, other, radius = ends_and_radius
+    return f'fromto="{numbers(one + other)}" size="{radius}"'
+
+
 def arm_model(boxes):
     """The arm on its base, among the scene's boxes. Links are bodies link1 … link7."""
     inner = f'<site name="flange" pos="{numbers(FLANGE[0])}" quat="{roll(FLANGE[1])}"/>'
     for i in reversed(range(7)):
-        origin, quarters, limit, _, radius = JOINTS[i]
-        end = JOINTS[i + 1][0] if i < 6 else FLANGE[0]
+        origin, quarters, limit, _, link = JOINTS[i]
         limited = f'limited="true" range="{-limit} {limit}"' if limit else 'limited="false"'
         inner = f"""<body name="link{i + 1}" pos="{numbers(origin)}" quat="{roll(quarters)}">
             <joint name="joint_{i + 1}" axis="0 0 1" {limited}/>
-            <geom name="link{i + 1}" type="capsule" fromto="0 0 0 {numbers(end)}" size="{radius}" mass="1"/>
+            <geom name="link{i + 1}" type="capsule" {capsule(link)} mass="1"/>
             {inner}</body>"""
     obstacles = "".join(
         f"""<geom name="{b["name"]}" type="box" pos="{numbers(b["center_m"])}"
@@ -79,7 +84,7 @@ def arm_model(boxes):
           <body name="chassis"><geom name="chassis" type="box"
              pos="0 0 {BODY_ABOVE_FLOOR + half[2]}" size="{numbers(half)}"/></body>
           <body name="foot" pos="{numbers(MOUNT)}">
-            <geom name="foot" type="capsule" fromto="0 0 0.05 0 0 0.15643" size="0.05"/>{inner}</body>
+            <geom name="foot" type="capsule" {capsule(FOOT)}/>{inner}</body>
         </worldbody>
         <contact>{excludes}</contact></mujoco>"""
 

@@ -33,7 +33,7 @@ struct Report<'a> {
 /// Plays it; the exit code says whether everything came out as scripted.
 pub fn run(args: &Args) -> Result<ExitCode> {
     let (robot, map) = args.play.robot_and_map()?;
-    let demo = Demo::bundled();
+    let demo = Demo::named(args.play.demo_session()?.as_deref()).map_err(anyhow::Error::msg)?;
     let script = demo.script.clone();
     let model = ModelFile::bundled()?;
     let about = format!("{} ({})", model.name(), model.about());

@@ -14,4 +14,5 @@ pub mod ros2;
 pub mod run;
 pub mod screen;
 pub mod send_model;
+pub mod teach;
 pub mod web;

@@ -172,12 +172,7 @@ pub fn steer(args: &HandArgs, keep: &KeepArgs) -> Result<ExitCode> {
     check_motions(&map, &config.mappings(), &stage.motions)?;
     let records = keep.record.is_some();
     let web = args.web.start(false, records)?;
-    let braking_s = longest_s(&stage.limits);
-    ensure!(
-        !args.ros2 || config.ros2.arm != ArmInterface::Stream || braking_s <= BRAKING_MAX_S,
-        "the arm would take {braking_s:.1} s to brake: lower velocity_scaling or raise acceleration_scaling under \
-         [arm] until it is {BRAKING_MAX_S} s or less"
-    );
+    let braking_s = if args.ros2 { check_braking(&config, &stage)? } else { 0.0 };
     let graph = if args.ros2 {
         let base = stage.simulator(&config).base_limits().to_owned();
         let simulated = args.publish_sim.then(|| stage.simulated(&config).setting());
@@ -308,6 +303,17 @@ pub fn steer(args: &HandArgs, keep: &KeepArgs) -> Result<ExitCode> {
         bail!("a thread failed, and the robot was halted; please report this: {text}");
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// How long the arm takes to brake at most, where that is short enough to be streamed.
+pub fn check_braking(config: &Config, stage: &Stage) -> Result<f64> {
+    let braking_s = longest_s(&stage.limits);
+    ensure!(
+        config.ros2.arm != ArmInterface::Stream || braking_s <= BRAKING_MAX_S,
+        "the arm would take {braking_s:.1} s to brake: lower velocity_scaling or raise acceleration_scaling under \
+         [arm] until it is {BRAKING_MAX_S} s or less"
+    );
+    Ok(braking_s)
 }
 
 type AnyRobot = Box<dyn Robot + Send>;

@@ -105,11 +105,7 @@ impl SceneText {
 
 #[cfg(feature = "urdf")]
 fn arm(urdf: &str, scene: &Scene) -> Result<SerialArm, String> {
-    let missing = host_arm::urdf::Missing {
-        tip: scene.arm.tip.clone(),
-        link_radius_m: scene.arm.link_radius_m,
-        acceleration_rad_s2: scene.arm.acceleration_rad_s2,
-    };
+    let missing = host_arm::urdf::Missing::of(&scene.arm);
     host_arm::urdf::parse(urdf, &missing).map_err(|error| error.to_string())
 }
 

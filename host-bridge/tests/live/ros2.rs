@@ -1044,3 +1044,58 @@ fn traffic() -> (f64, f64) {
     let fields: Vec<f64> = line.split_whitespace().filter_map(|word| word.parse().ok()).collect();
     (fields.first().copied().unwrap_or(0.0), fields.get(1).copied().unwrap_or(0.0))
 }
+
+#[test]
+fn a_gesture_closes_and_opens_a_gripper_of_either_kind_and_a_stop_halts_it_and_never_opens_it() {
+    let Some(site) = site(
+        "a_gesture_closes_and_opens_a_gripper_of_either_kind_and_a_stop_halts_it_and_never_opens_it",
+        false,
+    ) else {
+        return;
+    };
+    // One kind before each of the two middlewares; both under --full.
+    let kinds = ["command", "parallel"];
+    let kinds = if is_full() { &kinds[..] } else { &kinds[usize::from(is_rclpy())..][..1] };
+    for kind in kinds {
+        let desk = desk(&format!("ros2-gripper-{kind}"));
+        let domain = domain();
+        let (left, right) = (Double::left(&desk), Double::right(&desk, 0.0));
+        // Its joint goes from 0, open, to 0.08, shut; a thing stops it at 0.03.
+        let options = ["--robot", "--gripper", kind, "--blocked", "0.03"];
+        let mut robot = peer(&desk, &site.python, domain, &options);
+        robot.has("ready", |v| is(v, "ready"));
+        let section = "gripper_closed = 0.08\n";
+        let maps = ["--map", "up-down=close-gripper", "--map", "to-fro=open-gripper", "--map", "circle=home"];
+        let ports = ["--left", &left.port(), "--right", &right.port()];
+        let mut bridge = bridge(&desk, domain, section, &[&ports[..], &maps].concat());
+        let asks = |wanted: f64| move |v: &Value| is(v, "grip") && number(&v["position"]) == wanted;
+        let says = |words: &'static str| {
+            move |v: &Value| is(v, "robot") && v["text"].as_str().is_some_and(|text| text.contains(words))
+        };
+        let ends = |v: &Value| is(v, "motion-ended") && v["motion"] == "close-gripper";
+
+        // A stall on the thing is success, and how far the fingers are apart is told: 5/8 of 85 mm.
+        robot.has("it is asked to close", asks(0.08));
+        let gripped = robot.has("it stalls", |v| is(v, "gripped"));
+        assert_eq!((&gripped["stalled"], &gripped["reached"]), (&Value::Bool(true), &Value::Bool(false)));
+        bridge.has("what it has", says("has something (53 mm)"));
+        assert_eq!(bridge.has("its end", ends)["reached"], true);
+        robot.has("it is asked to open", asks(0.0));
+        robot.wait("it is open", |v| is(v, "gripped") && v["reached"] == true);
+
+        // A stop while it closes: cancelled, and nothing else is asked for.
+        robot.wait("it closes again", asks(0.08));
+        let bent_s = wall_s();
+        left.hold(BENT);
+        let cancelled = robot.wait("it is cancelled", |v| is(v, "grip cancel"));
+        println!(
+            "{kind}: both fingers bent to cancelled {:.0} ms",
+            (number(&cancelled["t"]) - bent_s) * 1000.0
+        );
+        bridge.wait("its end", |v| ends(v) && v["reached"] == false);
+        let after = robot.listen(Duration::from_secs(3));
+        assert!(!after.iter().any(|v| is(v, "grip")), "{after:?}");
+        let here = after.iter().filter(|v| is(v, "gripped")).map(|v| number(&v["position"]));
+        assert!(here.into_iter().all(|position| position > 0.0), "it did not open: {after:?}");
+    }
+}

@@ -4,6 +4,7 @@
 //! Source of all figures: kortex_description, `gen3/7dof/urdf/gen3_macro.xacro`. The result equals the reference table in
 //! `tests/data/kinova_gen3_fk.csv` (see `tests/arm_kinematics.rs`).
 
+use host_robot::shape::Capsule;
 use host_robot::{DMat3, DVec3, JOINTS, JointLimits, Joints};
 
 /// Fastest joint speeds of the URDF in rad/s (80°/s and 70°/s).
@@ -78,4 +79,28 @@ pub(super) fn origin(joint: usize) -> (DVec3, DMat3) {
     // Exact, where sin and cos of pi would not be.
     let turn = DMat3::from_cols(DVec3::X, DVec3::Z, DVec3::NEG_Y);
     (origin_m.into(), (0..quarters).fold(DMat3::IDENTITY, |turned, _| turned * turn))
+}
+
+/// Two ends and a radius.
+type Ends = ([f64; 3], [f64; 3], f64);
+
+/// Capsules that enclose the foot (first) and the link of each joint, in its own frame, in m.
+///
+/// Each is the smallest that holds every vertex of the link's mesh in kortex_description (bracelet without vision module),
+/// and 0.4 mm more. A capsule is convex, so it holds the mesh, too. `tests/arm_hulls.rs` has vertices to hold against it.
+const CAPSULES: [Ends; JOINTS + 1] = [
+    ([-0.0046, 0.0, 0.0149], [0.0001, 0.0, 0.1446], 0.0532),
+    ([0.0, -0.0078, -0.1284], [0.0, 0.0, -0.0325], 0.0538),
+    ([0.0, -0.2131, -0.0063], [0.0, 0.0038, -0.0192], 0.0479),
+    ([0.0, -0.0043, -0.2155], [0.0, 0.0, -0.0298], 0.0523),
+    ([0.0, -0.1885, -0.0064], [0.0, 0.0033, -0.0202], 0.0478),
+    ([0.0, -0.0129, -0.1059], [0.0, 0.0, -0.0298], 0.0435),
+    ([0.0, -0.1006, -0.0002], [0.0, -0.001, -0.0197], 0.0395),
+    ([0.0, 0.0, -0.0536], [0.0, 0.0, -0.023], 0.0395),
+];
+
+/// The capsule around the foot (0) or the link of a joint, counted from 1.
+pub(super) fn capsule(link: usize) -> Capsule {
+    let (a_m, b_m, radius_m) = CAPSULES[link];
+    Capsule { a_m: a_m.into(), b_m: b_m.into(), radius_m }
 }

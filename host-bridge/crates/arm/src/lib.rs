@@ -3,6 +3,7 @@
 //! * [`model`], [`gen3`], `urdf`: joints, limits, shapes and forward kinematics,
 //! * [`ik`]: from a place of the flange to joint angles,
 //! * [`scene`], [`plan`]: what stands around, and motions that touch nothing,
+//! * [`tool`], [`things`]: what is on the flange, and what it can grip,
 //! * [`motions`]: named motions and poses, as data,
 //! * [`director`]: all of it between the bridge and any robot.
 
@@ -13,6 +14,8 @@ pub mod model;
 pub mod motions;
 pub mod plan;
 pub mod scene;
+pub mod things;
+pub mod tool;
 #[cfg(feature = "urdf")]
 pub mod urdf;
 #[cfg(feature = "urdf")]

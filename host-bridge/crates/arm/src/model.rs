@@ -60,6 +60,8 @@ pub struct SerialArm {
     pub foot: Vec<Capsule>,
     /// The pose to go to first and to fall back to, in rad.
     pub home_rad: Joints,
+    /// What its file says and was not understood, for people.
+    pub notes: Vec<String>,
 }
 
 /// Why joint values cannot be used.
@@ -86,15 +88,11 @@ pub enum JointError {
 }
 
 impl SerialArm {
-    /// The Kinova Gen3 with seven joints, figures as in [`super::gen3`], links as capsules.
-    ///
-    /// The capsules are ours, around the lines between the joints' origins: 50 mm for the three large links,
-    /// 45 mm for the forearm, 42 mm for the wrist.
+    /// The Kinova Gen3 with seven joints, figures as in [`super::gen3`], links as capsules that enclose Kinova's meshes. What
+    /// is on its flange comes as a [tool](crate::tool); its vision module is one.
     pub fn gen3() -> Self {
         let joints = (0..JOINTS).map(|i| {
             let (origin_m, origin_rotation) = super::gen3::origin(i);
-            let (next_m, _) = super::gen3::origin(i + 1);
-            let radius_m = [0.050, 0.050, 0.050, 0.045, 0.042, 0.042, 0.042][i];
             ArmJoint {
                 name: JOINT_NAMES[i].to_owned(),
                 link: LINK_NAMES[i].to_owned(),
@@ -104,7 +102,7 @@ impl SerialArm {
                 limit_rad: POSITION_LIMIT_RAD[i].map(|limit| (-limit, limit)),
                 velocity_rad_s: MAX_VELOCITY_RAD_S[i],
                 acceleration_rad_s2: MAX_ACCELERATION_RAD_S2[i],
-                shapes: vec![Capsule { a_m: DVec3::ZERO, b_m: next_m, radius_m }],
+                shapes: vec![super::gen3::capsule(i + 1)],
             }
         });
         let (flange_m, flange_rotation) = super::gen3::origin(JOINTS);
@@ -115,8 +113,9 @@ impl SerialArm {
             flange_m,
             flange_rotation,
             flange_link: FLANGE_LINK.to_owned(),
-            foot: vec![Capsule { a_m: 0.05 * DVec3::Z, b_m: 0.15643 * DVec3::Z, radius_m: 0.050 }],
+            foot: vec![super::gen3::capsule(0)],
             home_rad: HOME,
+            notes: Vec::new(),
         }
     }
 
@@ -223,8 +222,13 @@ impl SerialArm {
     /// For each joint, how far from its origin a point of the arm beyond it can be at most, in m: a turn by
     /// an angle moves no point of the arm further than the angle times this.
     pub fn lever_m(&self) -> Joints {
+        self.lever_with_m(0.0)
+    }
+
+    /// The same with something on the flange, of which no part is further from it than `tool_m`.
+    pub fn lever_with_m(&self, tool_m: f64) -> Joints {
         let mut lever = [0.0; JOINTS];
-        let mut beyond: f64 = 0.0;
+        let mut beyond: f64 = if tool_m > 0.0 { self.flange_m.length() + tool_m } else { 0.0 };
         for (i, joint) in self.joints.iter().enumerate().rev() {
             let shapes = joint.shapes.iter().map(|c| c.a_m.length().max(c.b_m.length()) + c.radius_m);
             beyond = shapes.fold(beyond, f64::max);

@@ -3,17 +3,30 @@
 //! ```toml
 //! [[motion]]
 //! name = "fetch"
-//! steps = [{ to = "above the cup" }, { to_next_of = ["left shelf", "right shelf"] }]
+//! steps = [
+//!     { to = "above the cup" },                  # or to_next_of = ["left shelf", "right shelf"]
+//!     { joints_rad = [0.0, 0.9, 3.14, -1.7, 0.0, 0.4, 1.57] },
+//!     { position_m = [0.6, 0.1, 0.7], quaternion_wxyz = [0, 1, 0, 0], straight = true },
+//!     { gripper = "close", effort_n = 40 },      # or "open", "toggle", or a width in m
+//!     { wait_s = 0.5 },
+//!     { move_m = [0, 0, 0.1] },                  # along the robot's axes; move_tool_m along the tool's own
+//!     { turn_rad = [0, 0, 1.57] },               # about the tool's own axes, also together with a move
+//! ]
 //!
 //! [[pose]]
 //! name = "above the cup"
 //! joints_rad = [0.0, 0.9, 3.14, -1.7, 0.0, 0.4, 1.57]
 //! ```
 //!
+//! Places are those of the tool's point, from the point on the floor between the robot's wheels: x forward, y left, z up.
+//! Moves and turns are straight lines unless `straight = false`; a place is reached freely unless `straight = true`.
+//! The straight step before the gripper moves, and the one after, may touch the object and what it stands on.
+//!
 //! A pose is also a motion of its own: `--map wave="above the cup"`. A later pose replaces an earlier one of the same
 //! name; one named like a motion replaces that motion's steps.
 
-use host_robot::{Joints, MotionName};
+use host_robot::shape::Point;
+use host_robot::{DMat3, DQuat, Joints, MotionName, Pose};
 use serde::{Deserialize, Serialize};
 
 use crate::model::SerialArm;
@@ -22,7 +35,7 @@ use crate::model::SerialArm;
 const PAPER: &str = include_str!("../motions/paper.toml");
 
 /// A motion as written in a file.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MotionTable {
     /// For `--map` and for people.
@@ -31,8 +44,8 @@ pub struct MotionTable {
     pub steps: Vec<StepTable>,
 }
 
-/// One step of a motion: exactly one of its fields.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+/// One step of a motion: one thing that it does.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct StepTable {
     /// Moves to this pose.
@@ -41,7 +54,68 @@ pub struct StepTable {
     /// Moves to the next of these poses each time the motion runs.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub to_next_of: Option<Vec<String>>,
+    /// Moves to these angles.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub joints_rad: Option<Vec<f64>>,
+    /// Moves the tool's point there.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub position_m: Option<Point>,
+    /// With this orientation, z out of the arm.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub quaternion_wxyz: Option<[f64; 4]>,
+    /// Moves the tool so far along the robot's axes.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub move_m: Option<Point>,
+    /// Moves the tool so far along its own axes.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub move_tool_m: Option<Point>,
+    /// Turns the tool about its own axes: the axis, as long as the angle.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub turn_rad: Option<Point>,
+    /// In a straight line of the tool, or freely.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub straight: Option<bool>,
+    /// Opens or closes the gripper.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub gripper: Option<GripTable>,
+    /// With this force at most.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub effort_n: Option<f64>,
+    /// Rests for so long.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub wait_s: Option<f64>,
 }
+
+/// What a gripper is to do.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(untagged)]
+pub enum GripTable {
+    /// `"open"`, `"close"`, `"toggle"`.
+    Word(Grasp),
+    /// To this width in m.
+    Width(f64),
+}
+
+/// What a gripper does without a figure.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Grasp {
+    /// As wide as it goes.
+    Open,
+    /// Until it has something, or is shut.
+    Close,
+    /// Whichever of them it is not.
+    Toggle,
+}
+
+/// Motions that every robot with a gripper has.
+const GRASPS: [(&str, Grasp); 3] =
+    [("open-gripper", Grasp::Open), ("close-gripper", Grasp::Close), ("toggle-gripper", Grasp::Toggle)];
+
+/// No step waits longer.
+const WAIT_MAX_S: f64 = 60.0;
+/// No relative move is longer.
+const MOVE_MAX_M: f64 = 2.0;
 
 /// A pose given by its joint angles.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -85,14 +159,30 @@ pub enum MotionError {
         /// The arm's name.
         arm: String,
     },
-    /// A step asks for nothing, or for two things at once.
-    #[error(
-        "motion '{0}': each step is one of {{ to = \"pose\" }} and {{ to_next_of = [\"pose\", …] }}, and there is at least one"
-    )]
-    Step(String),
+    /// A step asks for nothing, for two things at once, or for what makes no sense.
+    #[error("motion '{motion}', step {step}: {reason}")]
+    Step {
+        /// Which motion.
+        motion: String,
+        /// Which step, from 1.
+        step: usize,
+        /// Why, and what is right.
+        reason: String,
+    },
+    /// A motion without a step.
+    #[error("motion '{0}' has no step; give it one, such as {{ to = \"home\" }}")]
+    Empty(String),
     /// The name is taken.
     #[error("motion '{0}' is there twice; give each its own name")]
     Twice(String),
+    /// The name is nearly a bundled one, and would replace nothing.
+    #[error("pose '{name}' replaces nothing; '{meant}' would: name it so, or quite otherwise")]
+    Slip {
+        /// As given.
+        name: String,
+        /// What there is.
+        meant: String,
+    },
     /// A pose does not fit the arm.
     #[error("pose '{name}': {reason}")]
     Pose {
@@ -110,6 +200,43 @@ pub enum Step {
     To(Joints),
     /// To the next of these each time, in rad; never empty.
     ToNextOf(Vec<Joints>),
+    /// The tool's point there, from the point on the floor between the wheels.
+    Tool {
+        /// Place and orientation.
+        pose: Pose,
+        /// In a straight line.
+        straight: bool,
+    },
+    /// The tool from where it is.
+    Move {
+        /// So far,
+        way_m: Point,
+        /// along its own axes, not the robot's,
+        own: bool,
+        /// turned by that about its own axes,
+        turn: DMat3,
+        /// in a straight line.
+        straight: bool,
+    },
+    /// The gripper opens or closes.
+    Grip {
+        /// How.
+        to: GripTable,
+        /// The largest force.
+        effort_n: Option<f64>,
+    },
+    /// Nothing moves for so long.
+    Wait {
+        /// Time.
+        ms: u64,
+    },
+}
+
+impl Step {
+    /// A straight line of the tool.
+    pub fn is_straight(&self) -> bool {
+        matches!(self, Step::Tool { straight: true, .. } | Step::Move { straight: true, .. })
+    }
 }
 
 /// A motion, ready to run.
@@ -145,6 +272,11 @@ pub fn joints_of(arm: &SerialArm, name: &str, angles: &[f64]) -> Result<Joints, 
     Ok(joints_rad)
 }
 
+/// A name without what slips of the pen change.
+fn plain(name: &str) -> String {
+    name.chars().filter(char::is_ascii_alphanumeric).map(|c| c.to_ascii_lowercase()).collect()
+}
+
 impl Motions {
     /// The paper's motions on the Gen3.
     pub fn paper() -> Self {
@@ -173,6 +305,14 @@ impl Motions {
         for (name, joints_rad) in solved {
             all.set_pose(name, *joints_rad);
         }
+        for name in solved.iter().map(|(name, _)| name).chain(poses.iter().map(|pose| &pose.name)) {
+            let paper =
+                || paper.motion.iter().map(|motion| &motion.name).chain(paper.pose.iter().map(|p| &p.name));
+            let slip = paper().find(|known| **known != *name && plain(known) == plain(name));
+            if let Some(meant) = slip.filter(|_| !motions.iter().any(|own| own.name == *name)) {
+                return Err(MotionError::Slip { name: name.clone(), meant: meant.clone() });
+            }
+        }
         let given = |name: &str| {
             solved.iter().any(|(known, _)| known == name) || poses.iter().any(|pose| pose.name == name)
         };
@@ -180,7 +320,7 @@ impl Motions {
             let replaced = motions.iter().any(|own| own.name == table.name) || given(&table.name);
             let fits = table.steps.iter().flat_map(StepTable::poses).all(|pose| all.pose(pose).is_some());
             if !replaced && fits {
-                let motion = all.read(table)?;
+                let motion = all.read(arm, table)?;
                 all.motions.push(motion);
             }
         }
@@ -188,7 +328,7 @@ impl Motions {
             if motions[..i].iter().any(|other| other.name == table.name) {
                 return Err(MotionError::Twice(table.name.clone()));
             }
-            let motion = all.read(table)?;
+            let motion = all.read(arm, table)?;
             all.motions.push(motion);
         }
         Ok(all)
@@ -199,26 +339,103 @@ impl Motions {
         self.poses.push((name.to_owned(), joints_rad));
     }
 
-    fn read(&self, table: &MotionTable) -> Result<Motion, MotionError> {
-        let pose = |name: &String| {
-            self.pose(name).ok_or_else(|| MotionError::NoPose {
-                motion: table.name.clone(),
-                pose: name.clone(),
-                arm: self.arm.clone(),
-            })
-        };
-        let step = |step: &StepTable| match (&step.to, &step.to_next_of) {
-            (Some(name), None) => Ok(Step::To(pose(name)?)),
-            (None, Some(names)) if !names.is_empty() => {
-                Ok(Step::ToNextOf(names.iter().map(pose).collect::<Result<_, _>>()?))
-            }
-            _ => Err(MotionError::Step(table.name.clone())),
-        };
-        let steps: Vec<Step> = table.steps.iter().map(step).collect::<Result<_, _>>()?;
-        if steps.is_empty() {
-            return Err(MotionError::Step(table.name.clone()));
+    fn read(&self, arm: &SerialArm, table: &MotionTable) -> Result<Motion, MotionError> {
+        if table.steps.is_empty() {
+            return Err(MotionError::Empty(table.name.clone()));
         }
+        let read = |(i, step): (usize, &StepTable)| {
+            let bad = |reason: String| MotionError::Step { motion: table.name.clone(), step: i + 1, reason };
+            if let Some(pose) = step.poses().find(|pose| self.pose(pose).is_none()) {
+                let (motion, pose, arm) = (table.name.clone(), pose.clone(), self.arm.clone());
+                return Err(MotionError::NoPose { motion, pose, arm });
+            }
+            self.step(arm, step).map_err(bad)
+        };
+        let steps = table.steps.iter().enumerate().map(read).collect::<Result<_, _>>()?;
         Ok(Motion { name: table.name.as_str().into(), steps })
+    }
+
+    /// What a step does; the poses that it names exist.
+    fn step(&self, arm: &SerialArm, table: &StepTable) -> Result<Step, String> {
+        const KINDS: &str = "each step is one of to, to_next_of, joints_rad, position_m with quaternion_wxyz, \
+                             move_m or move_tool_m (with or without turn_rad), turn_rad, gripper, wait_s";
+        let moves = table.move_m.is_some() || table.move_tool_m.is_some() || table.turn_rad.is_some();
+        let place = table.position_m.is_some() || table.quaternion_wxyz.is_some();
+        let kinds = [
+            table.to.is_some(),
+            table.to_next_of.is_some(),
+            table.joints_rad.is_some(),
+            place,
+            moves,
+            table.gripper.is_some(),
+            table.wait_s.is_some(),
+        ];
+        if kinds.iter().filter(|kind| **kind).count() != 1 {
+            return Err(KINDS.to_owned());
+        }
+        if table.straight.is_some() && !(place || moves) {
+            return Err("straight belongs to position_m, move_m, move_tool_m or turn_rad".to_owned());
+        }
+        if table.effort_n.is_some() && table.gripper.is_none() {
+            return Err("effort_n belongs to gripper".to_owned());
+        }
+        let pose = |name: &String| self.pose(name).ok_or_else(|| format!("there is no pose '{name}'"));
+        if let Some(name) = &table.to {
+            return Ok(Step::To(pose(name)?));
+        }
+        if let Some(names) = &table.to_next_of {
+            if names.is_empty() {
+                return Err("to_next_of names no pose".to_owned());
+            }
+            return Ok(Step::ToNextOf(names.iter().map(pose).collect::<Result<_, _>>()?));
+        }
+        if let Some(angles) = &table.joints_rad {
+            return Ok(Step::To(joints_of(arm, "of the step", angles).map_err(|error| error.to_string())?));
+        }
+        if let Some(to) = table.gripper {
+            if matches!(to, GripTable::Width(m) if !(0.0..=1.0).contains(&m)) {
+                return Err(
+                    "gripper is \"open\", \"close\", \"toggle\", or a width in m from 0 to 1".to_owned()
+                );
+            }
+            if table.effort_n.is_some_and(|n| !(n.is_finite() && n > 0.0)) {
+                return Err("effort_n is a force in N, above 0".to_owned());
+            }
+            return Ok(Step::Grip { to, effort_n: table.effort_n });
+        }
+        if let Some(wait_s) = table.wait_s {
+            if !(0.0..=WAIT_MAX_S).contains(&wait_s) {
+                return Err(format!("wait_s = {wait_s}: lies between 0 and {WAIT_MAX_S} s"));
+            }
+            return Ok(Step::Wait { ms: (wait_s * 1000.0) as u64 });
+        }
+        if place {
+            let (Some(position_m), Some([w, x, y, z])) = (table.position_m, table.quaternion_wxyz) else {
+                return Err("a place of the tool needs position_m together with quaternion_wxyz".to_owned());
+            };
+            let turn = DQuat::from_xyzw(x, y, z, w);
+            if !(turn.length().is_finite() && turn.length() > 0.5 && position_m.is_finite()) {
+                return Err("position_m or quaternion_wxyz is no place".to_owned());
+            }
+            let pose = Pose { position_m, rotation: DMat3::from_quat(turn.normalize()) };
+            return Ok(Step::Tool { pose, straight: table.straight.unwrap_or(false) });
+        }
+        let (own, way_m) = match (table.move_m, table.move_tool_m) {
+            (Some(_), Some(_)) => return Err(KINDS.to_owned()),
+            (Some(way_m), None) => (false, way_m),
+            (None, Some(way_m)) => (true, way_m),
+            (None, None) => (true, Point::ZERO),
+        };
+        let turn = table.turn_rad.unwrap_or(Point::ZERO);
+        let still = way_m == Point::ZERO && turn == Point::ZERO;
+        let short = |vector: Point, most: f64| vector.is_finite() && vector.length() <= most;
+        if !short(way_m, MOVE_MAX_M) || !short(turn, std::f64::consts::PI) || still {
+            return Err(format!(
+                "a move is at most {MOVE_MAX_M} m long, a turn at most 3.14 rad, and one of them is not zero"
+            ));
+        }
+        let turn = DMat3::from_quat(DQuat::from_scaled_axis(turn));
+        Ok(Step::Move { way_m, own, turn, straight: table.straight.unwrap_or(true) })
     }
 
     /// Every pose, in rad.
@@ -238,6 +455,12 @@ impl Motions {
     pub fn get(&self, name: &str) -> Result<Motion, MotionError> {
         if let Some(motion) = self.motions.iter().find(|motion| motion.name == *name) {
             return Ok(motion.clone());
+        }
+        if let Some((_, grasp)) = GRASPS.iter().find(|(known, _)| *known == name)
+            && self.pose(name).is_none()
+        {
+            let steps = vec![Step::Grip { to: GripTable::Word(*grasp), effort_n: None }];
+            return Ok(Motion { name: name.into(), steps });
         }
         let pose =
             self.pose(name).map(|joints_rad| Motion { name: name.into(), steps: vec![Step::To(joints_rad)] });
@@ -270,7 +493,7 @@ mod tests {
     fn motion(name: &str, to: &str) -> MotionTable {
         MotionTable {
             name: name.to_owned(),
-            steps: vec![StepTable { to: Some(to.to_owned()), to_next_of: None }],
+            steps: vec![StepTable { to: Some(to.to_owned()), ..StepTable::default() }],
         }
     }
 
@@ -326,8 +549,56 @@ mod tests {
         let few = PoseTable { name: "few".to_owned(), joints_rad: vec![0.0; 6] };
         let text = new(&[few], &[]).to_string();
         assert!(text.contains("6 angles") && text.contains("7 joints"), "{text}");
+        let slip = PoseTable { name: "Pickup".to_owned(), joints_rad: crate::gen3::HOME.to_vec() };
+        assert!(new(&[slip], &[]).to_string().contains("'pick-up' would"));
         let far = PoseTable { name: "far".to_owned(), joints_rad: vec![3.0; 7] };
         assert!(new(&[far], &[]).to_string().contains("joint_2"));
+    }
+
+    fn read(steps: &str) -> Result<Vec<Step>, MotionError> {
+        let table: MotionTable = toml::from_str(&format!("name = \"own\"\nsteps = [{steps}]")).unwrap();
+        Ok(Motions::new(&SerialArm::gen3(), &[], &[], &[table])?.get("own").unwrap().steps)
+    }
+
+    #[test]
+    fn steps_of_every_kind_are_read() {
+        let steps = read(
+            r#"{ to = "home" }, { joints_rad = [0, 1, 3, -1, 0, 0, 1] }, { gripper = "close", effort_n = 40 },
+               { position_m = [0.6, 0, 0.7], quaternion_wxyz = [0, 1, 0, 0], straight = true }, { wait_s = 0.25 },
+               { move_m = [0, 0, 0.1] }, { move_tool_m = [0, 0, -0.1], straight = false }, { gripper = 0.04 },
+               { turn_rad = [0, 0, 1.5] }"#,
+        )
+        .unwrap();
+        assert_eq!(steps.len(), 9);
+        assert_eq!(steps.iter().filter(|step| step.is_straight()).count(), 3);
+        assert_eq!(steps[2], Step::Grip { to: GripTable::Word(Grasp::Close), effort_n: Some(40.0) });
+        assert_eq!(steps[4], Step::Wait { ms: 250 });
+        assert_eq!(steps[7], Step::Grip { to: GripTable::Width(0.04), effort_n: None });
+    }
+
+    #[test]
+    fn steps_that_make_no_sense_are_refused_with_their_number() {
+        for (steps, told) in [
+            ("{ }", "step 1: each step is one of"),
+            ("{ to = \"home\" }, { to = \"home\", wait_s = 1 }", "step 2: each step is one of"),
+            ("{ position_m = [1, 0, 0] }", "together with quaternion_wxyz"),
+            ("{ wait_s = 1e9 }", "wait_s = 1000000000"),
+            ("{ move_m = [0, 0, 9] }", "at most 2 m"),
+            ("{ move_m = [0, 0, 0] }", "not zero"),
+            ("{ gripper = 7 }", "a width in m"),
+            ("{ gripper = \"open\", effort_n = -1 }", "effort_n"),
+            ("{ to = \"home\", straight = true }", "straight belongs to"),
+            ("{ joints_rad = [1, 2] }", "2 angles"),
+        ] {
+            let error = read(steps).unwrap_err().to_string();
+            assert!(error.contains(told) && error.contains("'own'"), "{error}");
+        }
+    }
+
+    #[test]
+    fn a_gripper_opens_and_closes_by_name_without_a_table() {
+        let steps = Motions::paper().get("toggle-gripper").unwrap().steps;
+        assert_eq!(steps, [Step::Grip { to: GripTable::Word(Grasp::Toggle), effort_n: None }]);
     }
 
     #[test]

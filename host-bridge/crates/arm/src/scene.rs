@@ -21,7 +21,16 @@
 //! size_m = [0.6, 1.2, 0.7]
 //! yaw_rad = 0.0
 //!
-//! [[pose]]                    # joint angles, or where the flange shall be; a motion's name (home, pick-up,
+//! [[object]]                  # what can be gripped, see `things.rs`
+//! name = "cup"
+//! at_m = [0.7, 0.0, 0.7]
+//! height_m = 0.1
+//! radius_m = 0.03
+//!
+//! [[tool]]                    # what is on the flange, see `tool.rs`
+//! name = "2f-85"
+//!
+//! [[pose]]                    # joint angles, or where the tool's point shall be; a motion's name (home, pick-up,
 //! name = "pick-up"            # place, …) replaces that motion; "ready" is where the simulated arm starts.
 //!                             # Any pose is also a motion: --map wave="bin 1"
 //! position_m = [0.6, 0.1, 0.9]
@@ -36,6 +45,8 @@ use host_robot::{DMat3, DQuat, Pose};
 
 use crate::gen3::{ACCELERATION_SCALING, MAX_JERK_RAD_S3, VELOCITY_SCALING};
 use crate::motions::MotionTable;
+use crate::things::ObjectTable;
+use crate::tool::{Tool, ToolTable};
 use host_robot::BaseConfig;
 use host_robot::JointLimits;
 use host_robot::shape::{Point, UprightBox};
@@ -62,6 +73,15 @@ pub struct Scene {
     /// Motions of its own.
     #[serde(default, rename = "motion")]
     pub motions: Vec<MotionTable>,
+    /// What can be gripped.
+    #[serde(default, rename = "object")]
+    pub objects: Vec<ObjectTable>,
+    /// What is on the flange.
+    #[serde(default, rename = "tool")]
+    pub tools: Vec<ToolTable>,
+    /// The bundled hands that `demo` plays in this scene; none = those of the paper's six motions.
+    #[serde(default)]
+    pub demo: Option<String>,
 }
 
 /// The mobile base.
@@ -158,12 +178,16 @@ pub struct ArmTable {
     pub seed: u64,
     /// Another arm than the Gen3: its file, seen from the scene file (feature `urdf`).
     pub urdf: Option<PathBuf>,
+    /// The first link of that arm, whose frame is the arm's; none = the robot's first.
+    pub root: Option<String>,
     /// The last link of that arm, where the file has several ends.
     pub tip: Option<String>,
     /// Around the bones of its links that have no simple shapes in the file.
     pub link_radius_m: f64,
     /// For its joints that have none in the file, before scaling.
     pub acceleration_rad_s2: f64,
+    /// For its joints that turn without end and have no limits in the file, before scaling.
+    pub velocity_rad_s: f64,
 }
 
 impl Default for ArmTable {
@@ -177,9 +201,11 @@ impl Default for ArmTable {
             margin_m: 0.01,
             seed: 1,
             urdf: None,
+            root: None,
             tip: None,
             link_radius_m: 0.06,
             acceleration_rad_s2: 1.0,
+            velocity_rad_s: 0.5,
         }
     }
 }
@@ -214,7 +240,7 @@ pub struct NamedPose {
     pub name: String,
     /// One angle per joint.
     pub joints_rad: Option<Vec<f64>>,
-    /// Place of the flange, from the robot's start on the floor.
+    /// Place of the tool's point (without a tool: of the flange), from the robot's start on the floor.
     pub position_m: Option<Point>,
     /// Orientation of the flange, whose z axis points out of the arm.
     pub quaternion_wxyz: Option<[f64; 4]>,
@@ -250,6 +276,9 @@ impl Default for Scene {
             boxes: Vec::new(),
             poses: Vec::new(),
             motions: Vec::new(),
+            objects: Vec::new(),
+            tools: Vec::new(),
+            demo: None,
         }
     }
 }
@@ -265,7 +294,14 @@ impl Scene {
         Ok(scene)
     }
 
+    /// What is on the flange.
+    pub fn tool(&self) -> Tool {
+        // `check` has seen that it can be put together.
+        Tool::new(&self.tools).unwrap_or_default()
+    }
+
     fn check(&self) -> Result<(), String> {
+        Tool::new(&self.tools)?;
         let positive = |name: &str, value: f64| {
             let fine = value.is_finite() && value > 0.0;
             if fine { Ok(()) } else { Err(format!("{name} = {value}: must be a number above 0")) }
@@ -298,6 +334,7 @@ impl Scene {
         positive("arm: margin_m", self.arm.margin_m)?;
         positive("arm: link_radius_m", self.arm.link_radius_m)?;
         positive("arm: acceleration_rad_s2", self.arm.acceleration_rad_s2)?;
+        positive("arm: velocity_rad_s", self.arm.velocity_rad_s)?;
         for (i, shape) in self.boxes.iter().enumerate() {
             let name = &shape.name;
             shape
@@ -310,6 +347,14 @@ impl Scene {
             }
             if self.boxes[..i].iter().any(|other| other.name == *name) {
                 return Err(format!("box '{name}' is there twice; give each its own name"));
+            }
+        }
+        for (i, object) in self.objects.iter().enumerate() {
+            object.check()?;
+            let name = &object.name;
+            let others = self.objects[..i].iter().map(|o| &o.name).chain(self.boxes.iter().map(|b| &b.name));
+            if others.into_iter().any(|other| other == name) {
+                return Err(format!("object '{name}' is there twice, or is a box; give each its own name"));
             }
         }
         for (i, pose) in self.poses.iter().enumerate() {
@@ -348,10 +393,9 @@ impl Scene {
                 if !(turn.length().is_finite() && turn.length() > 0.5 && position_m.is_finite()) {
                     return Err(format!("pose '{name}': position_m or quaternion_wxyz is no place"));
                 }
-                Ok(Goal::Flange(Pose {
-                    position_m: position_m - self.base.mount_m,
-                    rotation: DMat3::from_quat(turn.normalize()),
-                }))
+                let rotation = DMat3::from_quat(turn.normalize());
+                let point_m = rotation * self.tool().point_m();
+                Ok(Goal::Flange(Pose { position_m: position_m - self.base.mount_m - point_m, rotation }))
             }
             _ => Err(format!(
                 "pose '{name}' needs either joints_rad, or position_m together with quaternion_wxyz"

@@ -1,22 +1,41 @@
 //! A serial arm from a URDF file (feature `urdf`, by the crate `urdf-rs`).
 //!
 //! Boxes, cylinders, capsules and spheres of `<collision>` become capsules that enclose them. Meshes are not
-//! read: a link that has nothing else gets a capsule of a given radius along the line to its next joint.
+//! read, which the arm says of itself ([`SerialArm::notes`]): a link that has one, or that has no shape of its own, gets a
+//! capsule of a given radius along the line to its next joint. What is fixed to a link takes nothing away from it.
 
 use super::model::{ArmJoint, SerialArm};
+use crate::scene::ArmTable;
 use host_robot::shape::{Capsule, Point};
 use host_robot::{DMat3, DVec3, JOINTS, Pose};
-use urdf_rs::{Collision, Geometry, JointType};
+use urdf_rs::{Collision, Geometry, Joint, JointType};
 
 /// What a URDF file does not say.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Missing {
+    /// First link of the arm, whose frame is its base frame; `None` = the robot's own first link.
+    pub root: Option<String>,
     /// Last link of the arm; `None` = the only end there is.
     pub tip: Option<String>,
     /// Around the bones of links without simple shapes.
     pub link_radius_m: f64,
     /// For joints without one (URDF 1.2 has it).
     pub acceleration_rad_s2: f64,
+    /// For joints that turn without end and have no limits at all.
+    pub velocity_rad_s: f64,
+}
+
+impl Missing {
+    /// As a scene says.
+    pub fn of(table: &ArmTable) -> Self {
+        Missing {
+            root: table.root.clone(),
+            tip: table.tip.clone(),
+            link_radius_m: table.link_radius_m,
+            acceleration_rad_s2: table.acceleration_rad_s2,
+            velocity_rad_s: table.velocity_rad_s,
+        }
+    }
 }
 
 /// The file describes no arm that can be used.
@@ -35,8 +54,13 @@ pub enum UrdfError {
 /// # Errors
 /// Says what is wrong and what to change.
 pub fn parse(text: &str, missing: &Missing) -> Result<SerialArm, UrdfError> {
-    let robot = urdf_rs::read_from_string(text)?;
     let kind = |text: String| UrdfError::Kind(text);
+    if is_xacro(text) {
+        return Err(kind(
+            "this is a xacro file that was not expanded; `xacro FILE > arm.urdf` writes the URDF".to_owned(),
+        ));
+    }
+    let robot = urdf_rs::read_from_string(text)?;
     crate::urdf_numbers::check(&robot).map_err(kind)?;
     let tip = match &missing.tip {
         Some(tip) => tip.clone(),
@@ -53,12 +77,18 @@ pub fn parse(text: &str, missing: &Missing) -> Result<SerialArm, UrdfError> {
     // From the tip back to the root.
     let mut chain = Vec::new();
     let mut link = tip.as_str();
-    while let Some(joint) = robot.joints.iter().find(|joint| joint.child.link == link) {
+    let begins = |link: &str| missing.root.as_deref() == Some(link);
+    while let Some(joint) = robot.joints.iter().find(|joint| joint.child.link == link && !begins(link)) {
         chain.push(joint);
         link = &joint.parent.link;
         if chain.len() > robot.joints.len() {
             return Err(kind("the joints form a circle".to_owned()));
         }
+    }
+    if let Some(root) = missing.root.as_deref().filter(|root| *root != link) {
+        return Err(kind(format!(
+            "'{root}' does not lead to the tip '{tip}'; name a link before it as root"
+        )));
     }
     if chain.is_empty() {
         return Err(kind(format!("no joint leads to the tip '{tip}'; name another link")));
@@ -77,10 +107,15 @@ pub fn parse(text: &str, missing: &Missing) -> Result<SerialArm, UrdfError> {
         flange_link: tip.clone(),
         foot: Vec::new(),
         home_rad: [0.0; JOINTS],
+        notes: Vec::new(),
     };
+    let mut unread: Vec<&str> = Vec::new();
+    // The link that the last joint turns has a shape of its own, all of which was read.
+    let mut has_shape = true;
     // The frame that has been reached, as seen from the last joint that turns.
     let mut here = Pose::IDENTITY;
     arm.foot.extend(shapes(collisions(link), &here));
+    unread.extend(meshes(collisions(link)).then_some(link));
     for joint in chain {
         here = here.then(DVec3::from(joint.origin.xyz.0), rotation(joint.origin.rpy.0));
         match joint.joint_type {
@@ -99,18 +134,24 @@ pub fn parse(text: &str, missing: &Missing) -> Result<SerialArm, UrdfError> {
                     return Err(kind(format!("'{name}' has no axis")));
                 }
                 let limit = &joint.limit;
-                if !(limit.velocity.is_finite() && limit.velocity > 0.0) {
+                let turns_on = joint.joint_type == JointType::Continuous;
+                // A continuous joint needs no limits; one that is given must make sense.
+                let unlimited = turns_on && limit.velocity == 0.0 && limit.effort == 0.0;
+                let velocity_rad_s = if unlimited { missing.velocity_rad_s } else { limit.velocity };
+                if !(velocity_rad_s.is_finite() && velocity_rad_s > 0.0) {
                     return Err(kind(format!("'{name}' has no velocity limit; give it one above 0")));
                 }
-                let turns_on = joint.joint_type == JointType::Continuous;
-                if !turns_on && limit.lower >= limit.upper {
+                let (low, high) = within_soft(joint);
+                if !turns_on && low >= high {
                     return Err(kind(format!(
                         "'{name}' has no range: its lower limit is not below its upper"
                     )));
                 }
-                bone(&mut arm, here.position_m, missing.link_radius_m);
+                if !has_shape {
+                    bone(&mut arm, here.position_m, missing.link_radius_m);
+                }
                 let acceleration = limit.acceleration;
-                let limit_rad = (!turns_on).then_some((limit.lower, limit.upper));
+                let limit_rad = (!turns_on).then_some((low, high));
                 let index = arm.joints.len();
                 arm.home_rad[index] = limit_rad.map_or(0.0, |(low, high)| 0.0_f64.clamp(low, high));
                 arm.joints.push(ArmJoint {
@@ -120,7 +161,7 @@ pub fn parse(text: &str, missing: &Missing) -> Result<SerialArm, UrdfError> {
                     origin_rotation: here.rotation,
                     axis: axis / length,
                     limit_rad,
-                    velocity_rad_s: limit.velocity,
+                    velocity_rad_s,
                     acceleration_rad_s2: if acceleration.is_finite() && acceleration > 0.0 {
                         acceleration
                     } else {
@@ -129,6 +170,8 @@ pub fn parse(text: &str, missing: &Missing) -> Result<SerialArm, UrdfError> {
                     shapes: Vec::new(),
                 });
                 here = Pose::IDENTITY;
+                let own = collisions(&joint.child.link);
+                has_shape = own.iter().any(|c| !matches!(c.geometry, Geometry::Mesh { .. })) && !meshes(own);
             }
             _ => {
                 let name = &joint.name;
@@ -137,6 +180,7 @@ pub fn parse(text: &str, missing: &Missing) -> Result<SerialArm, UrdfError> {
                 )));
             }
         }
+        unread.extend(meshes(collisions(&joint.child.link)).then_some(joint.child.link.as_str()));
         let found = shapes(collisions(&joint.child.link), &here);
         match arm.joints.last_mut() {
             Some(last) => last.shapes.extend(found),
@@ -146,18 +190,54 @@ pub fn parse(text: &str, missing: &Missing) -> Result<SerialArm, UrdfError> {
     if arm.joints.is_empty() {
         return Err(kind(format!("no joint turns on the way to '{tip}'; name another tip")));
     }
-    bone(&mut arm, here.position_m, missing.link_radius_m);
+    if !has_shape {
+        bone(&mut arm, here.position_m, missing.link_radius_m);
+    }
+    if !unread.is_empty() {
+        arm.notes.push(format!(
+            "the meshes of {} are not read: the links are taken as lines from joint to joint, {:.0} mm thick all around \
+             (link_radius_m)",
+            unread.join(", "),
+            1000.0 * missing.link_radius_m
+        ));
+    }
     (arm.flange_m, arm.flange_rotation) = (here.position_m, here.rotation);
     Ok(arm)
 }
 
-/// A capsule to the next joint, for a link that has no simple shape of its own.
+/// A capsule to the next joint, beside what was read.
 fn bone(arm: &mut SerialArm, next_m: Point, radius_m: f64) {
-    if let Some(last) = arm.joints.last_mut()
-        && last.shapes.is_empty()
-    {
-        last.shapes.push(Capsule { a_m: DVec3::ZERO, b_m: next_m, radius_m });
+    if let Some(last) = arm.joints.last_mut() {
+        last.shapes.insert(0, Capsule { a_m: DVec3::ZERO, b_m: next_m, radius_m });
     }
+}
+
+/// Some of it is a mesh.
+fn meshes(collisions: &[Collision]) -> bool {
+    collisions.iter().any(|collision| matches!(collision.geometry, Geometry::Mesh { .. }))
+}
+
+/// A joint's limits, and within its soft limits where it has such.
+fn within_soft(joint: &Joint) -> (f64, f64) {
+    let (low, high) = (joint.limit.lower, joint.limit.upper);
+    match &joint.safety_controller {
+        Some(soft) if soft.soft_lower_limit < soft.soft_upper_limit => {
+            (low.max(soft.soft_lower_limit), high.min(soft.soft_upper_limit))
+        }
+        _ => (low, high),
+    }
+}
+
+/// Whether there are macros of xacro in it, outside its comments.
+fn is_xacro(text: &str) -> bool {
+    let mut rest = text;
+    let mut live = String::new();
+    while let Some((before, comment)) = rest.split_once("<!--") {
+        live += before;
+        rest = comment.split_once("-->").map_or("", |(_, after)| after);
+    }
+    live += rest;
+    live.contains("<xacro:") || live.contains("=\"${") || live.contains("=\"$(")
 }
 
 fn shapes(collisions: &[Collision], here: &Pose) -> Vec<Capsule> {
@@ -193,7 +273,7 @@ mod tests {
     use std::fmt::Write as _;
 
     fn missing() -> Missing {
-        Missing { tip: None, link_radius_m: 0.05, acceleration_rad_s2: 8.6 }
+        Missing { root: None, tip: None, link_radius_m: 0.05, acceleration_rad_s2: 8.6, velocity_rad_s: 0.5 }
     }
 
     /// The Gen3 written as URDF, from the built-in description.
@@ -242,8 +322,9 @@ mod tests {
             assert_eq!(read.check(&joints).is_ok(), built_in.check(&joints).is_ok());
         }
         // Without shapes in the file, bones from joint to joint.
-        for (one, two) in read.joints.iter().zip(&built_in.joints) {
-            assert_eq!((one.shapes[0].b_m, one.shapes[0].radius_m), (two.shapes[0].b_m, 0.05));
+        for (i, joint) in read.joints.iter().enumerate() {
+            let next_m = read.joints.get(i + 1).map_or(read.flange_m, |next| next.origin_m);
+            assert_eq!(joint.shapes, [Capsule { a_m: DVec3::ZERO, b_m: next_m, radius_m: 0.05 }]);
         }
     }
 
@@ -276,9 +357,65 @@ mod tests {
              <collision><geometry><box size=\"0.06 0.4 0.08\"/></geometry></collision></link>",
         );
         let arm = parse(&text, &missing()).unwrap();
+        assert!(arm.notes.is_empty(), "{:?}", arm.notes);
         let [cylinder, bar] = arm.joints[0].shapes.as_slice() else { panic!("{:?}", arm.joints[0].shapes) };
         assert!((cylinder.b_m.y + 0.1).abs() < 1e-12 && (cylinder.b_m.z - 0.1).abs() < 1e-12);
         assert_eq!(cylinder.radius_m, 0.03);
         assert_eq!((bar.b_m, bar.radius_m), (0.2 * DVec3::Y, 0.05));
+    }
+
+    #[test]
+    fn what_is_fixed_to_a_link_takes_nothing_away_and_a_mesh_is_told() {
+        let mesh = "<collision><geometry><mesh filename=\"package://a/b.stl\"/></geometry></collision>";
+        let camera = "<collision><geometry><box size=\"0.02 0.02 0.02\"/></geometry></collision>";
+        let text = gen3_urdf()
+            .replace("<link name=\"link4\"/>", &format!("<link name=\"link4\">{mesh}{camera}</link>"))
+            .replace("<link name=\"flange\"/>", &format!("<link name=\"flange\">{camera}</link>"));
+        let arm = parse(&text, &missing()).unwrap();
+        // Beside its small box link 4 keeps the bone that stands for its mesh, and link 7 its own.
+        assert_eq!(arm.joints[3].shapes.len(), 2);
+        assert!((arm.joints[3].shapes[0].b_m.length() - 0.2085).abs() < 1e-3);
+        assert_eq!(arm.joints[6].shapes.len(), 2);
+        assert!(arm.notes[0].contains("link4") && arm.notes[0].contains("50 mm"), "{:?}", arm.notes);
+    }
+
+    #[test]
+    fn a_file_with_macros_is_refused_and_one_with_macros_in_comments_is_not() {
+        let text = gen3_urdf();
+        let told = |text: &str| parse(text, &missing()).map(|_| ()).unwrap_err().to_string();
+        assert!(
+            told(&text.replace("</robot>", "<xacro:gripper parent=\"flange\"/></robot>"))
+                .contains("xacro FILE")
+        );
+        assert!(told(&text.replace("velocity=\"1.3963\"", "velocity=\"${fast}\"")).contains("xacro FILE"));
+        let commented = text.replace("</robot>", "<!-- <xacro:gripper/> x=\"${y}\" --></robot>");
+        assert!(parse(&commented, &missing()).is_ok());
+    }
+
+    #[test]
+    fn soft_limits_hold_and_a_joint_without_end_needs_no_limit() {
+        let text = gen3_urdf().replacen("velocity=\"1.3963\"/>", "/>", 1);
+        let without = text.replacen("<limit lower=\"0\" upper=\"0\" effort=\"9\" />", "", 1);
+        let soft =
+            "<safety_controller soft_lower_limit=\"-1.5\" soft_upper_limit=\"9\" k_velocity=\"1\"/></joint>";
+        // Joint 2 is the first that is revolute.
+        let (before, after) = without.split_once("name=\"joint_2\"").unwrap();
+        let text = format!("{before}name=\"joint_2\"{}", after.replacen("</joint>", soft, 1));
+        let arm = parse(&text, &missing()).unwrap();
+        assert_eq!((arm.joints[0].limit_rad, arm.joints[0].velocity_rad_s), (None, 0.5));
+        assert_eq!(arm.joints[1].limit_rad, Some((-1.5, 2.24)));
+    }
+
+    #[test]
+    fn an_arm_may_begin_at_a_link_of_ones_choice() {
+        let from = |root: &str| Missing { root: Some(root.to_owned()), ..missing() };
+        let arm = parse(&gen3_urdf(), &from("link2")).unwrap();
+        assert_eq!((arm.joints.len(), arm.joints[0].name.as_str()), (5, "joint_3"));
+        assert!(
+            parse(&gen3_urdf(), &from("nowhere"))
+                .unwrap_err()
+                .to_string()
+                .contains("'nowhere' does not lead")
+        );
     }
 }

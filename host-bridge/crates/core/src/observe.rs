@@ -18,7 +18,10 @@
 //!
 //! `tests/adding.rs` of host-bridge has an observer in eight lines.
 
-use host_robot::{ArmState, DMat3, DVec3, Door, JOINTS, Joints, Odometry, Pose, RobotSetting, Twist};
+use host_robot::shape::Capsule;
+use host_robot::{
+    ArmState, DMat3, DVec3, Door, JOINTS, Joints, Odometry, Pose, RobotSetting, SceneObject, Twist,
+};
 use serde::Serialize;
 
 use crate::bridge::{Accepted, Bridge, BridgeEvent, Drops, HeadingName};
@@ -166,6 +169,12 @@ pub struct Snapshot {
     pub reference_rad: Option<Joints>,
     /// The flange in the arm's base frame.
     pub flange: Pose,
+    /// How far the gripper's fingers are apart; `None` = there is none, or it does not say.
+    pub opening_m: Option<f64>,
+    /// Shapes of what is on the flange, in its frame.
+    pub tool: Vec<Capsule>,
+    /// Objects of the scene, where they are now.
+    pub objects: Vec<SceneObject>,
     /// What holds the base back, if anything does.
     pub held: Option<String>,
     /// Why the robot itself refuses to move, if it does: its e-stop, a fault, clocks apart.
@@ -272,6 +281,9 @@ impl Snapshot {
             arm_age_ms: picture.arm_age_ms,
             reference_rad: picture.reference_rad,
             flange: picture.flange,
+            opening_m: picture.opening_m,
+            tool: picture.tool,
+            objects: picture.objects,
             held: picture.held,
             refusal: bridge.refusal().map(str::to_owned),
             restriction: bridge.restriction().map(str::to_owned),

@@ -2,7 +2,7 @@
 //!
 //! Nothing here looks at a clock, so a session gives the same result at any speed.
 
-use host_robot::{Door, MotionName, Odometry, Twist};
+use host_robot::{Door, MotionName, Odometry, SceneObject, Twist};
 use serde::Serialize;
 
 use crate::bridge::{Bridge, BridgeEvent, Drops, EventKind, GestureOutcome};
@@ -173,6 +173,7 @@ impl<'b, D: Door> Session<'b, D> {
             halts,
             caps: bridge.caps(),
             odometry: picture.odometry,
+            objects: picture.objects,
             at_rest: self.at_rest(),
             frames: Frames { left: counters(Hand::Left), right: counters(Hand::Right) },
             drops: bridge.drops(),
@@ -205,6 +206,9 @@ pub struct Summary {
     pub caps: Caps,
     /// The base at the end.
     pub odometry: Odometry,
+    /// Objects of the scene, where they are at the end.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub objects: Vec<SceneObject>,
     /// The robot rests at the end.
     pub at_rest: bool,
     /// What came over the links.

@@ -8,8 +8,8 @@ use serde::{Serialize, Serializer};
 use crate::base::{Covariance, Odometry, Twist};
 use crate::pose::{JOINTS, Joints, Pose};
 use crate::robot::Part;
-use crate::setting::RobotSetting;
-use crate::shape::Point;
+use crate::setting::{RobotSetting, SceneObject};
+use crate::shape::{Capsule, Point};
 
 /// Name of an arm motion or pose, such as `pick-up`. Cheap to copy about.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
@@ -145,6 +145,12 @@ pub struct Picture {
     pub wheels_rad: [f64; 2],
     /// The flange in the arm's base frame; NaN where the angles are unknown.
     pub flange: Pose,
+    /// How far the gripper's fingers are apart; `None` = there is none, or it does not say.
+    pub opening_m: Option<f64>,
+    /// Shapes of what is on the flange, in its frame.
+    pub tool: Vec<Capsule>,
+    /// Objects of the scene, where they are now.
+    pub objects: Vec<SceneObject>,
     /// Where the arm should be by now, in rad, while it follows a trajectory.
     pub reference_rad: Option<Joints>,
     /// What holds the base back, if anything does.

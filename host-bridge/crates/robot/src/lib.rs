@@ -14,6 +14,7 @@
 pub mod base;
 pub mod brake;
 pub mod door;
+pub mod gripper;
 pub mod limits;
 pub mod pose;
 pub mod random;
@@ -25,11 +26,12 @@ pub mod trajectory;
 pub use base::{Base, BaseConfig, Covariance, Odometry, Twist};
 pub use door::{ArmState, Busy, Door, Leg, MotionName, NotStarted, Picture, Report};
 pub use glam::{DMat3, DQuat, DVec3, EulerRot};
+pub use gripper::{Grip, GripEnd};
 pub use limits::{JointLimits, Motion};
 pub use pose::{JOINTS, Joints, Pose};
 pub use random::Random;
 pub use robot::{BaseState, End, Following, Part, Reading, Robot, Wheels};
-pub use setting::{JointSetting, RobotSetting, SceneBox};
+pub use setting::{JointSetting, RobotSetting, SceneBox, SceneObject};
 pub use trajectory::Trajectory;
 
 /// The Gen3's figures, for tests of what does not know any arm.

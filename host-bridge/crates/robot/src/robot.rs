@@ -5,6 +5,7 @@ use std::sync::Arc;
 use serde::Serialize;
 
 use crate::base::{BaseConfig, Covariance, Odometry, Twist};
+use crate::gripper::{Grip, GripEnd};
 use crate::limits::{JointLimits, Motion};
 use crate::pose::Joints;
 use crate::trajectory::Trajectory;
@@ -131,8 +132,37 @@ pub trait Robot {
     /// Brings the arm to rest within its limits; its trajectory is given up.
     fn halt_arm(&mut self);
 
-    /// Brings base and arm to rest within their limits.
+    /// Brings base, arm and gripper to rest within their limits.
     fn halt(&mut self);
+
+    /// How far the fingers are apart, in m; `None` = there is no gripper, or it does not say.
+    fn opening_m(&self) -> Option<Reading<f64>> {
+        None
+    }
+
+    /// Whether the gripper could open or close now.
+    ///
+    /// # Errors
+    /// Why not, and what to do.
+    fn can_grip(&self) -> Result<(), String> {
+        Err("this robot has no gripper".to_owned())
+    }
+
+    /// Lets the gripper go to a width.
+    ///
+    /// # Errors
+    /// Why it does not; nothing moves then.
+    fn grip(&mut self, _grip: Grip) -> Result<(), String> {
+        self.can_grip()
+    }
+
+    /// How the last grip ended; once per grip.
+    fn take_grip_end(&mut self) -> Option<GripEnd> {
+        None
+    }
+
+    /// Lets the fingers rest where they are. It never opens them.
+    fn halt_gripper(&mut self) {}
 
     /// The longest time between a command and its effect.
     fn reaction_ms(&self) -> u64 {
@@ -203,6 +233,21 @@ impl<R: Robot + ?Sized> Robot for Box<R> {
     }
     fn halt(&mut self) {
         (**self).halt();
+    }
+    fn opening_m(&self) -> Option<Reading<f64>> {
+        (**self).opening_m()
+    }
+    fn can_grip(&self) -> Result<(), String> {
+        (**self).can_grip()
+    }
+    fn grip(&mut self, grip: Grip) -> Result<(), String> {
+        (**self).grip(grip)
+    }
+    fn take_grip_end(&mut self) -> Option<GripEnd> {
+        (**self).take_grip_end()
+    }
+    fn halt_gripper(&mut self) {
+        (**self).halt_gripper();
     }
     fn reaction_ms(&self) -> u64 {
         (**self).reaction_ms()

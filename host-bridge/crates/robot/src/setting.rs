@@ -4,7 +4,7 @@ use glam::DMat3;
 use serde::Serialize;
 
 use crate::base::BaseConfig;
-use crate::pose::rows;
+use crate::pose::{Pose, rows};
 use crate::shape::{Capsule, Point, UprightBox};
 
 /// Frames: the world is where the base started, x forward, y left, z up from the floor.
@@ -45,6 +45,22 @@ pub struct SceneBox {
     /// Where.
     #[serde(flatten)]
     pub shape: UprightBox,
+}
+
+/// An object of the scene, where it is now.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct SceneObject {
+    /// From the scene file.
+    pub name: String,
+    /// Upwards from its underside.
+    pub height_m: f64,
+    /// Of a round one.
+    pub radius_m: Option<f64>,
+    /// Half its length and width.
+    pub half_m: [f64; 2],
+    /// The middle of its underside, in the world.
+    #[serde(flatten)]
+    pub pose: Pose,
 }
 
 /// One joint and the link that it turns.

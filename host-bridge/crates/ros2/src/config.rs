@@ -97,6 +97,19 @@ pub struct Ros2Config {
     pub joint_states_max_age_ms: u64,
     /// A goal without an answer for so long is given up and cancelled.
     pub answer_ms: u64,
+    /// The gripper's action, as `gripper_controller/gripper_cmd`: GripperCommand or ParallelGripperCommand, whichever is
+    /// there; `"auto"` = the only one there is whose name ends in `gripper_cmd`; empty = none.
+    pub gripper: String,
+    /// The gripper's joint in the joint states, where it is told; empty = it is not looked for.
+    pub gripper_joint: String,
+    /// The joint's position while the gripper is open,
+    pub gripper_open: f64,
+    /// and while it is shut.
+    pub gripper_closed: f64,
+    /// How far the fingers are apart while it is open, in m.
+    pub gripper_width_m: f64,
+    /// A gripper that tells nothing for so long has failed.
+    pub gripper_timeout_ms: u64,
     /// A `std_msgs/Bool` of somebody else's, best latched: true = base and arm stop, as a lock of twist_mux. Also a
     /// stop: nobody publishes it. Empty = there is none.
     pub estop: String,
@@ -148,6 +161,12 @@ impl Default for Ros2Config {
             joint_states: text("joint_states"),
             joint_states_max_age_ms: 500,
             answer_ms: 1000,
+            gripper: text("auto"),
+            gripper_joint: String::new(),
+            gripper_open: 0.0,
+            gripper_closed: 0.8,
+            gripper_width_m: 0.085,
+            gripper_timeout_ms: 5000,
             estop: String::new(),
             estop_timeout_ms: 0,
             fault: String::new(),
@@ -240,8 +259,12 @@ impl Ros2Config {
             ("diagnostics", &self.diagnostics),
             ("stopped", &self.stopped),
         ];
-        let named =
-            [("estop", &self.estop), ("fault", &self.fault), ("robot_description", &self.robot_description)];
+        let named = [
+            ("estop", &self.estop),
+            ("fault", &self.fault),
+            ("robot_description", &self.robot_description),
+            ("gripper", &self.gripper),
+        ];
         for (key, name) in topics.into_iter().chain(named.into_iter().filter(|(_, name)| !name.is_empty())) {
             ensure(
                 are_names(name.strip_prefix('/').unwrap_or(name)),
@@ -268,6 +291,15 @@ impl Ros2Config {
         ensure(
             (50..=5000).contains(&self.joint_states_max_age_ms) && (100..=10_000).contains(&self.answer_ms),
             "joint_states_max_age_ms lies between 50 and 5000, answer_ms between 100 and 10000",
+        )?;
+        ensure(
+            self.gripper_open.is_finite()
+                && self.gripper_closed.is_finite()
+                && self.gripper_open != self.gripper_closed
+                && (0.001..=1.0).contains(&self.gripper_width_m)
+                && (500..=60_000).contains(&self.gripper_timeout_ms),
+            "gripper_open and gripper_closed are two positions, gripper_width_m lies between 0.001 and 1, \
+             gripper_timeout_ms between 500 and 60000",
         )?;
         let mut names = self.joint_names.to_vec();
         names.sort();

@@ -4,8 +4,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use host_robot::{
-    BaseConfig, BaseState, End, Following, JointLimits, Joints, Motion, Part, Reading, Robot, Trajectory,
-    Twist,
+    BaseConfig, BaseState, End, Following, Grip, GripEnd, JointLimits, Joints, Motion, Part, Reading, Robot,
+    Trajectory, Twist,
 };
 
 use crate::node::RosNode;
@@ -100,6 +100,32 @@ impl Robot for RosDriver {
 
     fn halt(&mut self) {
         self.robot.halt();
+    }
+
+    fn opening_m(&self) -> Option<Reading<f64>> {
+        self.robot.opening_m()
+    }
+
+    fn can_grip(&self) -> Result<(), String> {
+        match &self.refusal {
+            Some(why) => Err(why.clone()),
+            None => self.robot.can_grip(),
+        }
+    }
+
+    fn grip(&mut self, grip: Grip) -> Result<(), String> {
+        match &self.refusal {
+            Some(why) => Err(why.clone()),
+            None => self.robot.grip(grip),
+        }
+    }
+
+    fn take_grip_end(&mut self) -> Option<GripEnd> {
+        self.robot.take_grip_end()
+    }
+
+    fn halt_gripper(&mut self) {
+        self.robot.halt_gripper();
     }
 
     fn reaction_ms(&self) -> u64 {

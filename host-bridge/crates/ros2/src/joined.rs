@@ -18,6 +18,7 @@ use super::advice::{Endpoint, Graph, Participant, wire};
 use super::config::{ArmInterface, Connection, Ros2Config};
 use super::estop::Inputs;
 use super::follow::Follow;
+use super::grip::Gripper;
 use super::vendor::Vendor;
 use super::watch::Watch;
 use host_topics::message as ros;
@@ -81,6 +82,8 @@ pub struct Joined {
     pub speed: Speed,
     /// The arm.
     pub arm: Arm,
+    /// The gripper, where there may be one.
+    pub gripper: Option<Gripper>,
     /// Angles that the robot reports.
     pub joint_states: Option<Subscription<ros::JointState>>,
     /// The base's odometry; its stamps say what the robot's clock says.
@@ -245,6 +248,7 @@ impl Joined {
         let joined = Joined {
             speed,
             arm,
+            gripper: Gripper::new(config, qos.clone()),
             joint_states,
             odom: odom_read,
             controller_state,

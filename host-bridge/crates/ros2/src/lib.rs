@@ -21,6 +21,9 @@ pub mod driver;
 pub mod estop;
 #[cfg(feature = "ros2")]
 mod follow;
+#[cfg(feature = "ros2")]
+mod grip;
+pub mod gripper;
 pub mod hashes;
 #[cfg(feature = "ros2")]
 pub mod joined;

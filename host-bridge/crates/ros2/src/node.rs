@@ -159,6 +159,11 @@ impl RosNode {
             }
             robot.set_foreign_goals(follow.foreign());
         }
+        if let Some(gripper) = self.joined.as_mut().and_then(|joined| joined.gripper.as_mut()) {
+            for (goal, answer) in gripper.answers() {
+                robot.grip_answer(goal, answer);
+            }
+        }
         notes.extend(robot.take_notes());
         if self.looked_ms.is_none_or(|at| now_ms.saturating_sub(at) >= LOOK_INTERVAL_MS) {
             self.looked_ms = Some(now_ms);
@@ -268,6 +273,7 @@ impl RosNode {
             );
             robot.halt();
             robot.set_arm_listened_to(false);
+            robot.set_gripper_missing(Some("the node is being opened anew".to_owned()));
             self.readers = 0;
             self.clocks = Clocks::default();
             self.inputs.forget();
@@ -359,6 +365,13 @@ impl RosNode {
                 })
             }
         };
+        let missing = match &mut joined.gripper {
+            None => Some("this robot's gripper is not driven".to_owned()),
+            Some(gripper) => {
+                gripper.look(&mut joined.node, &graph).unwrap_or_else(|error| Some(error.to_string()))
+            }
+        };
+        robot.set_gripper_missing(missing);
         let rivals = if self.publish_sim { rivals(&self.config, &graph) } else { Vec::new() };
         if !rivals.is_empty() {
             // Nor after the node was opened anew.
@@ -430,6 +443,12 @@ impl RosNode {
                     Arm::Action(follow) => follow.cancel(goal),
                     _ => false,
                 },
+                Output::Grip { goal, position, effort } => {
+                    joined.gripper.as_mut().is_some_and(|gripper| gripper.send(goal, position, effort))
+                }
+                Output::CancelGrip { goal } => {
+                    joined.gripper.as_ref().is_some_and(|gripper| gripper.cancel(goal))
+                }
             };
             self.counts.failed += u64::from(!sent);
         }

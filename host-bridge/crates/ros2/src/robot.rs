@@ -10,9 +10,10 @@ use serde::Serialize;
 
 use super::arm::{Answer, ArmLink};
 use super::config::Ros2Config;
+use super::gripper::{GripAnswer, GripperLink};
 use host_robot::{
-    BaseConfig, BaseState, End, Following, JointLimits, Joints, Motion, Odometry, Part, Reading, Robot,
-    Trajectory, Twist,
+    BaseConfig, BaseState, End, Following, Grip, GripEnd, JointLimits, Joints, Motion, Odometry, Part,
+    Reading, Robot, Trajectory, Twist,
 };
 use host_topics::message::{self as ros, JointState, JointTrajectory};
 
@@ -41,6 +42,20 @@ pub enum Output {
     },
     /// An arm motion, or a piece of one, for the controller's topic.
     Trajectory(JointTrajectory),
+    /// A goal for the gripper.
+    Grip {
+        /// Our number for it.
+        goal: u32,
+        /// In the joint's own units.
+        position: f64,
+        /// The largest force; `None` = the controller's own.
+        effort: Option<f64>,
+    },
+    /// This goal of the gripper must end.
+    CancelGrip {
+        /// Our number for it.
+        goal: u32,
+    },
 }
 
 /// What was sent and heard.
@@ -80,6 +95,7 @@ pub struct RosRobot {
     wanted_ms: u64,
     sent_ms: Option<u64>,
     arm: ArmLink,
+    gripper: GripperLink,
     outputs: Vec<Output>,
     limits: JointLimits,
     base_limits: BaseConfig,
@@ -106,6 +122,7 @@ impl RosRobot {
             wanted_ms: 0,
             sent_ms: None,
             arm: ArmLink::new(config, limits),
+            gripper: GripperLink::new(config),
             outputs: Vec::new(),
             limits,
             base_limits,
@@ -123,12 +140,13 @@ impl RosRobot {
 
     /// Angles that the robot reports.
     pub fn see(&mut self, state: &JointState) {
-        self.arm.see(state, self.now_ms);
+        self.see_from("", state);
     }
 
     /// The same, from somebody with a name.
     pub fn see_from(&mut self, teller: &str, state: &JointState) {
         self.arm.see_from(teller, state, self.now_ms);
+        self.gripper.see(state, self.now_ms);
     }
 
     /// What the arm's controller says of itself, and by how much it scales speeds, where it tells.
@@ -195,6 +213,16 @@ impl RosRobot {
         self.arm.answer(goal, answer, self.now_ms, &mut self.outputs);
     }
 
+    /// Why nobody serves the gripper's action; `None` = somebody does.
+    pub fn set_gripper_missing(&mut self, missing: Option<String>) {
+        self.gripper.set_missing(missing);
+    }
+
+    /// An answer of the gripper's action server.
+    pub fn grip_answer(&mut self, goal: u32, answer: GripAnswer) {
+        self.gripper.answer(goal, answer, self.now_ms, &mut self.outputs);
+    }
+
     /// What is to be sent, in order.
     pub fn take_outputs(&mut self) -> Vec<Output> {
         std::mem::take(&mut self.outputs)
@@ -246,6 +274,7 @@ impl Robot for RosRobot {
         }
         self.repeat();
         self.arm.step(self.now_ms, &mut self.outputs);
+        self.gripper.step(self.now_ms, &mut self.outputs);
     }
 
     fn arm(&self) -> Option<Reading<Motion>> {
@@ -319,6 +348,27 @@ impl Robot for RosRobot {
             self.stop_base();
         }
         self.halt_arm();
+        self.halt_gripper();
+    }
+
+    fn opening_m(&self) -> Option<Reading<f64>> {
+        self.gripper.opening_m(self.now_ms)
+    }
+
+    fn can_grip(&self) -> Result<(), String> {
+        self.gripper.can_grip()
+    }
+
+    fn grip(&mut self, grip: Grip) -> Result<(), String> {
+        self.gripper.grip(grip, self.now_ms, &mut self.outputs)
+    }
+
+    fn take_grip_end(&mut self) -> Option<GripEnd> {
+        self.gripper.take_end()
+    }
+
+    fn halt_gripper(&mut self) {
+        self.gripper.halt(self.now_ms, &mut self.outputs);
     }
 
     fn reaction_ms(&self) -> u64 {
@@ -332,7 +382,9 @@ impl Robot for RosRobot {
     }
 
     fn take_notes(&mut self) -> Vec<String> {
-        self.arm.take_notes()
+        let mut notes = self.arm.take_notes();
+        notes.extend(self.gripper.take_notes());
+        notes
     }
 }
 

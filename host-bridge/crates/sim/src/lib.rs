@@ -1,10 +1,11 @@
-//! The simulated robot: a differential-drive base with an arm, in steps of a millisecond.
+//! The simulated robot: a differential-drive base with an arm, in steps of a millisecond; with a gripper where it is
+//! given one.
 
 use std::sync::Arc;
 
 use host_robot::{
-    Base, BaseConfig, BaseState, End, Following, JointLimits, Joints, Motion, Odometry, Reading, Robot,
-    Trajectory, Twist,
+    Base, BaseConfig, BaseState, End, Following, Grip, GripEnd, JointLimits, Joints, Motion, Odometry,
+    Reading, Robot, Trajectory, Twist,
 };
 
 /// Length of one step.
@@ -33,11 +34,24 @@ struct Arm {
     end: Option<End>,
 }
 
+/// How fast simulated fingers open and close, in m/s.
+const GRIP_SPEED_M_S: f64 = 0.06;
+
+/// Two fingers.
+#[derive(Clone, Debug)]
+struct Gripper {
+    opening_m: f64,
+    widest_m: f64,
+    asked: Option<Grip>,
+    end: Option<GripEnd>,
+}
+
 /// A robot in virtual time.
 #[derive(Clone, Debug)]
 pub struct Simulator {
     base: Base,
     arm: Arm,
+    gripper: Option<Gripper>,
     arm_limits: JointLimits,
     now_ms: u64,
     last_command_ms: u64,
@@ -56,6 +70,7 @@ impl Simulator {
                 halting: false,
                 end: None,
             },
+            gripper: None,
             arm_limits: config.arm_limits,
             now_ms: 0,
             last_command_ms: 0,
@@ -68,6 +83,13 @@ impl Simulator {
     #[must_use]
     pub fn starting_at(self, now_ms: u64) -> Self {
         Simulator { now_ms, last_command_ms: now_ms, ..self }
+    }
+
+    /// The same robot with a gripper, which is open.
+    #[must_use]
+    pub fn with_gripper(self, widest_m: f64) -> Self {
+        let gripper = Gripper { opening_m: widest_m, widest_m, asked: None, end: None };
+        Simulator { gripper: Some(gripper), ..self }
     }
 
     /// Neither a wheel nor a joint moves.
@@ -117,6 +139,33 @@ impl Arm {
     }
 }
 
+impl Gripper {
+    fn step(&mut self, dt_s: f64) {
+        let Some(asked) = self.asked else { return };
+        let wanted_m = asked.opening_m.clamp(0.0, self.widest_m);
+        let way_m = wanted_m - self.opening_m;
+        let mut next_m = self.opening_m + way_m.clamp(-GRIP_SPEED_M_S * dt_s, GRIP_SPEED_M_S * dt_s);
+        let mut end = (next_m == wanted_m).then_some(GripEnd::Reached);
+        // Only from outside can fingers close on a thing.
+        if let Some(between_m) =
+            asked.between_m.filter(|m| (next_m..=self.opening_m).contains(m) && way_m < 0.0)
+        {
+            next_m = between_m;
+            end = Some(GripEnd::Stalled);
+        }
+        self.opening_m = next_m;
+        if end.is_some() {
+            self.finish(end);
+        }
+    }
+
+    fn finish(&mut self, end: Option<GripEnd>) {
+        if self.asked.take().is_some() {
+            self.end = end;
+        }
+    }
+}
+
 impl Robot for Simulator {
     fn step(&mut self, now_ms: u64) {
         let dt_s = STEP_MS as f64 / 1000.0;
@@ -127,6 +176,7 @@ impl Robot for Simulator {
                 self.timeouts += u32::from(!self.at_rest());
                 self.base.drive(Twist::ZERO);
                 self.arm.halt(&self.arm_limits);
+                self.halt_gripper();
             }
             if self.timed_out && self.at_rest() && self.arm.following.is_none() {
                 // Nothing moves before the next command: the rest of a long pause is one step.
@@ -134,6 +184,9 @@ impl Robot for Simulator {
             }
             self.base.step(dt_s);
             self.arm.step(dt_s);
+            if let Some(gripper) = &mut self.gripper {
+                gripper.step(dt_s);
+            }
         }
     }
 
@@ -189,6 +242,41 @@ impl Robot for Simulator {
         self.heard();
         self.base.drive(Twist::ZERO);
         self.arm.halt(&self.arm_limits);
+        self.halt_gripper();
+    }
+
+    fn opening_m(&self) -> Option<Reading<f64>> {
+        Some(Reading { value: self.gripper.as_ref()?.opening_m, age_ms: 0 })
+    }
+
+    fn can_grip(&self) -> Result<(), String> {
+        match &self.gripper {
+            Some(_) => Ok(()),
+            None => {
+                Err("the simulated arm has no gripper; give its scene one: [[tool]] with name = \"2f-85\""
+                    .to_owned())
+            }
+        }
+    }
+
+    fn grip(&mut self, grip: Grip) -> Result<(), String> {
+        self.can_grip()?;
+        self.heard();
+        if let Some(gripper) = &mut self.gripper {
+            gripper.end = None;
+            gripper.asked = Some(grip);
+        }
+        Ok(())
+    }
+
+    fn take_grip_end(&mut self) -> Option<GripEnd> {
+        self.gripper.as_mut()?.end.take()
+    }
+
+    fn halt_gripper(&mut self) {
+        if let Some(gripper) = &mut self.gripper {
+            gripper.finish(Some(GripEnd::Halted));
+        }
     }
 
     fn timeouts(&self) -> u32 {
@@ -259,6 +347,51 @@ mod tests {
         let rested = robot.motion();
         run(&mut robot, 3000, Some(Twist::ZERO));
         assert_eq!(robot.motion(), rested);
+    }
+
+    fn grip(opening_m: f64, between_m: Option<f64>) -> Grip {
+        Grip { opening_m, effort_n: None, between_m }
+    }
+
+    fn opening_m(robot: &Simulator) -> f64 {
+        robot.opening_m().unwrap().value
+    }
+
+    #[test]
+    fn fingers_close_on_what_is_between_them_and_a_stop_leaves_them_where_they_are() {
+        let mut robot = robot().with_gripper(0.085);
+        robot.grip(grip(0.0, Some(0.06))).unwrap();
+        // 25 mm at 60 mm/s.
+        run(&mut robot, 400, Some(Twist::ZERO));
+        assert_eq!(robot.take_grip_end(), None);
+        run(&mut robot, 30, Some(Twist::ZERO));
+        assert_eq!((robot.take_grip_end(), opening_m(&robot)), (Some(GripEnd::Stalled), 0.06));
+        robot.grip(grip(0.085, None)).unwrap();
+        run(&mut robot, 100, Some(Twist::ZERO));
+        robot.halt();
+        let halted_m = opening_m(&robot);
+        assert!((halted_m - 0.066).abs() < 1e-9, "{halted_m}");
+        assert_eq!(robot.take_grip_end(), Some(GripEnd::Halted));
+        run(&mut robot, 1000, Some(Twist::ZERO));
+        assert_eq!(opening_m(&robot), halted_m);
+    }
+
+    #[test]
+    fn fingers_with_nothing_between_them_close_and_silence_halts_them() {
+        let mut robot = robot().with_gripper(0.085);
+        robot.grip(grip(0.0, None)).unwrap();
+        run(&mut robot, 1500, Some(Twist::ZERO));
+        assert_eq!((robot.take_grip_end(), opening_m(&robot)), (Some(GripEnd::Reached), 0.0));
+        robot.grip(grip(0.085, None)).unwrap();
+        run(&mut robot, 1000, None);
+        assert_eq!(robot.take_grip_end(), Some(GripEnd::Halted));
+        assert!(opening_m(&robot) < 0.04);
+    }
+
+    #[test]
+    fn without_a_gripper_a_grip_is_refused_with_what_to_do() {
+        let mut robot = robot();
+        assert!(robot.grip(grip(0.0, None)).unwrap_err().contains("[[tool]]"));
     }
 
     #[test]

@@ -312,6 +312,54 @@ messages! {
         data: String,
     }
 
+    /// `control_msgs/GripperCommand`: a position as the gripper's own joint has it.
+    "control_msgs/GripperCommand" GripperCommand: Copy {
+        /// In the joint's own units.
+        position: f64,
+        /// The largest force; 0 = the controller's own.
+        max_effort: f64,
+    }
+
+    /// Goal of `control_msgs/action/GripperCommand`.
+    "control_msgs/GripperCommand_Goal" GripGoal: Copy {
+        /// Where to.
+        command: GripperCommand,
+    }
+
+    /// Its result, and its feedback.
+    "control_msgs/GripperCommand_Result" GripResult: Copy {
+        /// In the joint's own units.
+        position: f64,
+        /// The force.
+        effort: f64,
+        /// It stands still under its force.
+        stalled: bool,
+        /// It is where it should be.
+        reached_goal: bool,
+    }
+
+    /// Goal of `control_msgs/action/ParallelGripperCommand`.
+    "control_msgs/ParallelGripperCommand_Goal" ParallelGoal {
+        /// One joint.
+        command: JointState,
+    }
+
+    /// Its result.
+    "control_msgs/ParallelGripperCommand_Result" ParallelResult {
+        /// One joint.
+        state: JointState,
+        /// It stands still under its force.
+        stalled: bool,
+        /// It is where it should be.
+        reached_goal: bool,
+    }
+
+    /// Its feedback.
+    "control_msgs/ParallelGripperCommand_Feedback" ParallelFeedback {
+        /// One joint.
+        state: JointState,
+    }
+
     /// `std_msgs/Bool`.
     "std_msgs/Bool" Bool: Copy, Eq {
         /// Yes or no.

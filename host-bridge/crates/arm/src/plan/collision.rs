@@ -7,10 +7,12 @@
 use std::cell::Cell;
 
 use crate::model::SerialArm;
-use crate::scene::Scene;
-use host_robot::Odometry;
+use crate::scene::{NamedBox, Scene};
+use crate::things::{Shop, Things};
+use crate::tool::Tool;
 use host_robot::shape::{Capsule, UprightBox};
 use host_robot::{DMat3, DVec3, JOINTS, Joints};
+use host_robot::{Odometry, Random};
 
 /// Where the base stands in the scene.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -36,8 +38,14 @@ pub enum Part {
     Link(usize),
     /// The body of the base.
     Base,
+    /// What is on the flange.
+    Tool,
+    /// What the gripper has.
+    Held,
     /// A box of the scene.
     Box(usize),
+    /// An object of the scene that stands.
+    Object(usize),
     /// The ground under the robot.
     Floor,
 }
@@ -67,25 +75,82 @@ pub struct World {
     arm: SerialArm,
     scene: Scene,
     lever_m: Joints,
-    /// Pairs of links that can touch.
+    tool: Tool,
+    /// Pairs of links that can touch. The tool's number follows the last link's; what is held has the next.
     pairs: Vec<(usize, usize)>,
+    start: Things,
 }
 
 impl World {
     /// Puts an arm into a scene.
     pub fn new(arm: SerialArm, scene: Scene) -> Self {
         let links = arm.joints.len() + 1;
-        let mut world = World { lever_m: arm.lever_m(), arm, scene, pairs: Vec::new() };
+        let tool = scene.tool();
+        // Of whatever could be held, so that no bound must change while something is.
+        let held_m = if tool.hand().is_none() {
+            0.0
+        } else {
+            scene.objects.iter().map(|o| o.reach_m()).fold(0.0, f64::max)
+        };
+        let held_m = if held_m > 0.0 { held_m + tool.reach_m() } else { 0.0 };
+        let lever_m = arm.lever_with_m(tool.reach_m().max(held_m));
+        let mut world = World { lever_m, tool, arm, scene, pairs: Vec::new(), start: Things::default() };
+        world.start = world.shop().at_start();
         // Neighbours share a joint and always touch; its limit keeps them apart.
         let pairs = (0..links).flat_map(|one| (one + 2..links).map(move |two| (one, two)));
-        world.pairs = pairs.filter(|&(one, two)| two > one + 2 || world.can_touch(one)).collect();
+        world.pairs = pairs.filter(|&(one, two)| two > one + 2 || world.can_touch(one, two)).collect();
+        if !world.tool.is_none() {
+            // It sits on the last link, and is as far from the others as that; what it holds is a part of it.
+            let last = links - 1;
+            let near = |one: usize| one + 2 < last || (one + 2 == last && world.can_touch(one, links));
+            let pairs: Vec<_> = (0..last).filter(|&one| near(one)).collect();
+            world.pairs.extend(pairs.iter().flat_map(|&one| [(one, links), (one, links + 1)]));
+        }
+        world.drop_pairs_that_always_touch();
         world
     }
 
-    /// Whether a link and the next but one can touch within the limits of the two joints between them. As in
-    /// MoveIt's set-up, pairs that never touch are not looked at: their constant nearness would hide
-    /// everything else.
-    fn can_touch(&self, link: usize) -> bool {
+    /// Links touch however the arm is bent where its axes meet in a wrist. Such pairs say nothing, and would refuse every
+    /// motion; as in MoveIt's set-up they are not looked at.
+    fn drop_pairs_that_always_touch(&mut self) {
+        const BENT: usize = 200;
+        const NEARLY_ALWAYS: usize = 190;
+        let mut random = Random::new(25);
+        let mut touching = vec![0; self.pairs.len()];
+        for _ in 0..BENT {
+            let mut joints_rad = [0.0; JOINTS];
+            for (angle, joint) in joints_rad.iter_mut().zip(&self.arm.joints) {
+                let pi = std::f64::consts::PI;
+                let (low, high) = joint.limit_rad.unwrap_or((-pi, pi));
+                *angle = random.between(low, high);
+            }
+            let shapes = self.shapes(&joints_rad, &self.start);
+            for (count, &(one, two)) in touching.iter_mut().zip(&self.pairs) {
+                *count += usize::from(self.pair_distance_m(&shapes, one, two) <= 0.0);
+            }
+        }
+        let mut counts = touching.into_iter();
+        self.pairs.retain(|_| counts.next().is_none_or(|count| count < NEARLY_ALWAYS));
+    }
+
+    /// Objects, boxes and tool, for those who grip.
+    pub fn shop(&self) -> Shop<'_> {
+        Shop { objects: &self.scene.objects, boxes: &self.scene.boxes, tool: &self.tool }
+    }
+
+    /// What is on the flange.
+    pub fn tool(&self) -> &Tool {
+        &self.tool
+    }
+
+    /// Tool and objects as the scene says.
+    pub fn start(&self) -> &Things {
+        &self.start
+    }
+
+    /// Whether a link and another two joints on can touch within the limits of those joints. As in MoveIt's set-up,
+    /// pairs that never touch are not looked at: their constant nearness would hide everything else.
+    fn can_touch(&self, link: usize, other: usize) -> bool {
         const STEPS: usize = 48;
         let range = |joint: usize| {
             let pi = std::f64::consts::PI;
@@ -96,7 +161,7 @@ impl World {
             range(link + 1).any(|second| {
                 let mut joints_rad = [0.0; JOINTS];
                 (joints_rad[link], joints_rad[link + 1]) = (first, second);
-                self.pair_distance_m(&self.shapes(&joints_rad), link, link + 2) <= 0.0
+                self.pair_distance_m(&self.shapes(&joints_rad, &self.start), link, other) <= 0.0
             })
         })
     }
@@ -126,30 +191,54 @@ impl World {
     pub fn name(&self, part: Part) -> &str {
         match part {
             Part::Link(0) => "the arm's foot",
-            Part::Link(link) => &self.arm.joints[link - 1].name,
+            Part::Link(link) => self.arm.joints.get(link - 1).map_or("the arm", |joint| &joint.name),
             Part::Base => "the base",
+            Part::Tool => self.tool.name(),
+            Part::Held => "what it holds",
             Part::Box(i) => &self.scene.boxes[i].name,
+            Part::Object(i) => &self.scene.objects[i].name,
             Part::Floor => "the floor",
         }
     }
 
-    /// What the arm has around it when the base stands there.
+    /// What the arm has around it when the base stands there, with tool and objects as the scene says.
     pub fn around(&self, placement: Placement) -> Surroundings<'_> {
+        self.around_with(placement, &self.start)
+    }
+
+    /// The same with tool and objects as they are now.
+    pub fn around_with<'w>(&'w self, placement: Placement, things: &'w Things) -> Surroundings<'w> {
         let mount_m = self.scene.base.mount_m;
         let from_world = DMat3::from_rotation_z(-placement.heading_rad);
         let here = DVec3::new(placement.x_m, placement.y_m, 0.0);
-        let boxes = self.scene.boxes.iter().map(|b| UprightBox {
-            center_m: from_world * (b.center_m - here) - mount_m,
-            half_m: 0.5 * b.size_m,
-            yaw_rad: b.yaw_rad - placement.heading_rad,
+        let fixed = self.scene.boxes.iter().map(NamedBox::shape).enumerate();
+        let fixed = fixed.map(|(i, shape)| (Part::Box(i), shape));
+        let standing = self.shop().standing(things).into_iter().map(|(i, shape)| (Part::Object(i), shape));
+        let boxes = fixed.chain(standing).map(|(part, b)| {
+            let center_m = from_world * (b.center_m - here) - mount_m;
+            (part, UprightBox { center_m, half_m: b.half_m, yaw_rad: b.yaw_rad - placement.heading_rad })
         });
         let mut base = self.scene.base.body();
         base.center_m -= mount_m;
-        Surroundings { world: self, boxes: boxes.collect(), base, floor_m: -mount_m.z, checks: Cell::new(0) }
+        let floor_m = -mount_m.z;
+        Surroundings { world: self, things, boxes: boxes.collect(), base, floor_m, checks: Cell::new(0) }
     }
 
-    /// Shapes of foot and links in the arm's frame, with the number of their link.
-    fn shapes(&self, joints_rad: &Joints) -> Vec<(usize, Capsule)> {
+    /// The number of the tool among the links; what is held has the next.
+    fn tool_link(&self) -> usize {
+        self.arm.joints.len() + 1
+    }
+
+    fn part(&self, link: usize) -> Part {
+        match link.checked_sub(self.tool_link()) {
+            None => Part::Link(link),
+            Some(0) => Part::Tool,
+            Some(_) => Part::Held,
+        }
+    }
+
+    /// Shapes of foot, links, tool and what is held in the arm's frame, with their numbers.
+    fn shapes(&self, joints_rad: &Joints, things: &Things) -> Vec<(usize, Capsule)> {
         let poses = self.arm.link_poses(joints_rad);
         let mut shapes: Vec<(usize, Capsule)> = self.arm.foot.iter().map(|shape| (0, *shape)).collect();
         for (i, (joint, pose)) in self.arm.joints.iter().zip(&poses).enumerate() {
@@ -160,6 +249,13 @@ impl World {
                 )
             }));
         }
+        if !self.tool.is_none() {
+            let flange = &poses[JOINTS];
+            let put = |c: Capsule| Capsule { a_m: flange.at(c.a_m), b_m: flange.at(c.b_m), ..c };
+            let (tool, link) = (self.tool.shapes(things.opening_m), self.tool_link());
+            shapes.extend(tool.into_iter().map(|c| (link, put(c))));
+            shapes.extend(self.shop().held_shapes(things).into_iter().map(|c| (link + 1, put(c))));
+        }
         shapes
     }
 }
@@ -168,7 +264,8 @@ impl World {
 #[derive(Clone, Debug)]
 pub struct Surroundings<'w> {
     world: &'w World,
-    boxes: Vec<UprightBox>,
+    things: &'w Things,
+    boxes: Vec<(Part, UprightBox)>,
     base: UprightBox,
     floor_m: f64,
     checks: Cell<u64>,
@@ -195,33 +292,50 @@ impl Surroundings<'_> {
     /// to the boxes.
     pub fn arm_clearances(&self, joints_rad: &Joints) -> (Clearance, Clearance) {
         self.checks.set(self.checks.get() + 1);
-        let shapes = self.world.shapes(joints_rad);
+        let world = self.world;
+        let shapes = world.shapes(joints_rad, self.things);
         let (mut own, mut boxes) = (Clearance::NOTHING, Clearance::NOTHING);
         for &(link, shape) in &shapes {
+            let part = world.part(link);
             // Foot and first link stand on the base and never come nearer to it, or to the floor.
             if link >= 2 {
-                own.tighten(shape.distance_to_box_m(&self.base), Part::Link(link), Part::Base);
-                own.tighten(shape.lowest_m() - self.floor_m, Part::Link(link), Part::Floor);
+                own.tighten(shape.distance_to_box_m(&self.base), part, Part::Base);
+                if !self.may_touch(part, Part::Floor) {
+                    own.tighten(shape.lowest_m() - self.floor_m, part, Part::Floor);
+                }
             }
             let (middle_m, reach_m) = shape.bounds_m();
-            for (i, obstacle) in self.boxes.iter().enumerate() {
-                if obstacle.distance_to_point_m(middle_m) - reach_m < boxes.distance_m {
-                    boxes.tighten(shape.distance_to_box_m(obstacle), Part::Link(link), Part::Box(i));
+            for (other, obstacle) in &self.boxes {
+                if obstacle.distance_to_point_m(middle_m) - reach_m < boxes.distance_m
+                    && !self.may_touch(part, *other)
+                {
+                    boxes.tighten(shape.distance_to_box_m(obstacle), part, *other);
                 }
             }
         }
-        for &(one, two) in &self.world.pairs {
-            let distance_m = self.world.pair_distance_m(&shapes, one, two);
-            own.tighten(distance_m, Part::Link(one), Part::Link(two));
+        for &(one, two) in &world.pairs {
+            let distance_m = world.pair_distance_m(&shapes, one, two);
+            own.tighten(distance_m, world.part(one), world.part(two));
         }
         (own, boxes)
+    }
+
+    /// On the straight way to or from a thing: the tool that thing, what is held what it stands on.
+    fn may_touch(&self, part: Part, other: Part) -> bool {
+        let touch = &self.things.touch;
+        match (part, other) {
+            (Part::Tool, Part::Object(i)) => touch.object == Some(i),
+            (Part::Held, Part::Box(i)) => touch.boxes.contains(&i),
+            (Part::Held, Part::Floor) => touch.floor,
+            _ => false,
+        }
     }
 
     /// The base's nearest approach to the boxes.
     pub fn base_clearance(&self) -> Clearance {
         let mut nearest = Clearance::NOTHING;
-        for (i, obstacle) in self.boxes.iter().enumerate() {
-            nearest.tighten(self.base.distance_m(obstacle), Part::Base, Part::Box(i));
+        for (part, obstacle) in &self.boxes {
+            nearest.tighten(self.base.distance_m(obstacle), Part::Base, *part);
         }
         nearest
     }
@@ -274,7 +388,6 @@ mod tests {
     use super::*;
     use crate::gen3::HOME;
     use crate::motions::Motions;
-    use host_robot::Random;
 
     fn world(scene: &str) -> World {
         World::new(SerialArm::gen3(), Scene::parse(scene).unwrap())

@@ -5,6 +5,7 @@
 //! every tick, braking is always safe, and is what happens where a tick is not allowed.
 
 use crate::plan::collision::{Placement, World};
+use crate::things::Things;
 use host_robot::Trajectory;
 use host_robot::{Base, Odometry, Twist};
 use host_robot::{JOINTS, Joints};
@@ -41,6 +42,8 @@ pub struct Guard<'w> {
     pub world: &'w World,
     /// The arm's limits.
     pub limits: &'w JointLimits,
+    /// Tool and objects.
+    pub things: &'w Things,
 }
 
 /// A stretch of braking: when, and what moves in it.
@@ -74,7 +77,7 @@ impl Guard<'_> {
 
     /// The two parts that are nearest to each other now, for people.
     pub fn nearest(&self, odometry: &Odometry, arm: &Motion) -> String {
-        let around = self.world.around(Placement::from(*odometry));
+        let around = self.world.around_with(Placement::from(*odometry), self.things);
         let (own, boxes) = around.arm_clearances(&arm.joints_rad);
         // The robot's own parts are always near each other; they count only where they hold it.
         let own = Some(own).filter(|own| own.distance_m < 2.0 * MARGIN_M);
@@ -115,7 +118,7 @@ impl Guard<'_> {
     /// Shortest distance; less what each can move, where that is given for base and arm.
     fn nearest_m(&self, odometry: &Odometry, arm: &Motion, moves_m: Option<(f64, f64)>) -> f64 {
         let (base_m, arm_m) = moves_m.unwrap_or((0.0, 0.0));
-        let around = self.world.around(Placement::from(*odometry));
+        let around = self.world.around_with(Placement::from(*odometry), self.things);
         let (own, boxes) = around.arm_clearances(&arm.joints_rad);
         let body = around.base_clearance();
         (own.distance_m - arm_m).min(boxes.distance_m - arm_m - base_m).min(body.distance_m - base_m)

@@ -8,12 +8,13 @@
 //! ```
 //!
 //! * [`collision`]: robot and scene, and how near they are,
-//! * [`rrt`]: the search for a way,
+//! * [`rrt`]: the search for a way; [`line`]: straight lines of the flange,
 //! * [`planner`]: all of it in turn,
 //! * [`guard`]: allows only motion from which one can still stop.
 
 pub mod collision;
 pub mod guard;
+pub mod line;
 pub mod planner;
 pub mod rrt;
 

@@ -5,12 +5,11 @@ use crate::ik;
 use crate::model::{JointError, SerialArm};
 use crate::motions::{MotionError, joints_of};
 use crate::plan::collision::{Clearance, Placement, Surroundings, World};
+use crate::plan::line;
 use crate::plan::rrt::{Search, connect, shorten};
 use crate::scene::{Goal, Route, Scene};
-use host_robot::JointLimits;
-use host_robot::Joints;
-use host_robot::Random;
-use host_robot::Trajectory;
+use crate::things::Things;
+use host_robot::{JointLimits, Joints, Pose, Random, Trajectory};
 
 /// Checks that one search may use before it gives up.
 const CHECKS_MAX: u64 = 30_000;
@@ -76,6 +75,22 @@ pub enum Refusal {
     /// The arm's own angles make no sense.
     #[error("the arm cannot start: {0}; bring it back within its limits")]
     StartBeyondLimit(JointError),
+    /// No angles put the flange there.
+    #[error("{0}")]
+    Unreachable(#[from] ik::Unreachable),
+    /// The straight line cannot be followed to its end.
+    #[error("{0}")]
+    Line(#[from] line::Ends),
+    /// Something is in the straight line's way.
+    #[error("the straight line is not clear: {one} would come within {distance_mm:.0} mm of {two}")]
+    LineBlocked {
+        /// One part.
+        one: String,
+        /// The other.
+        two: String,
+        /// Their distance; negative where they overlap.
+        distance_mm: f64,
+    },
     /// Nothing was found.
     #[error("no safe way was found in {checks} checks, via home neither; go home first or clear the way")]
     NoWay {
@@ -156,8 +171,8 @@ impl Planner {
         &self.limits
     }
 
-    /// Plans from rest to rest with the base standing at `placement`. `turn` sets apart plans that are
-    /// otherwise alike: equal turns give equal plans.
+    /// Plans from rest to rest with the base standing at `placement`, and everything where the scene says. `turn` sets
+    /// apart plans that are otherwise alike: equal turns give equal plans.
     ///
     /// # Errors
     /// [`Refusal`], with which nothing moves.
@@ -168,11 +183,89 @@ impl Planner {
         placement: Placement,
         turn: u64,
     ) -> Result<Plan, Refusal> {
+        self.around_things(from_rad, to_rad, &self.world.around(placement), turn)
+    }
+
+    /// The same with tool and objects as they are.
+    ///
+    /// # Errors
+    /// [`Refusal`], with which nothing moves.
+    pub fn plan_among(
+        &self,
+        from_rad: &Joints,
+        to_rad: &Joints,
+        (placement, things): (Placement, &Things),
+        turn: u64,
+    ) -> Result<Plan, Refusal> {
+        self.around_things(from_rad, to_rad, &self.world.around_with(placement, things), turn)
+    }
+
+    /// Angles within the limits that put the flange there and touch nothing, as near as can be to where the arm is.
+    ///
+    /// # Errors
+    /// [`Refusal::Unreachable`].
+    pub fn place(
+        &self,
+        from_rad: &Joints,
+        target: &Pose,
+        (placement, things): (Placement, &Things),
+    ) -> Result<Joints, Refusal> {
+        let (arm, scene) = (self.world.arm(), self.world.scene());
+        let around = self.world.around_with(placement, things);
+        let safe = |joints: &Joints| around.arm_clearance(joints).distance_m >= scene.arm.margin_m;
+        Ok(ik::solve(arm, target, from_rad, scene.arm.seed, safe)?.joints_rad)
+    }
+
+    /// Plans a straight line of the flange; there is no way around.
+    ///
+    /// # Errors
+    /// [`Refusal`], with which nothing moves.
+    pub fn straight(
+        &self,
+        from_rad: &Joints,
+        target: &Pose,
+        (placement, things): (Placement, &Things),
+    ) -> Result<Trajectory, Refusal> {
+        let path_rad = line::along(self.world.arm(), from_rad, target)?;
+        let around = self.world.around_with(placement, things);
+        let margin_m = self.start_margin_m(&around, from_rad)?;
+        for two in path_rad.windows(2) {
+            if !around.way_is_clear(&two[0], &two[1], margin_m) {
+                let Clearance { distance_m, parts: (one, two) } = around.arm_clearance(&two[1]);
+                let [one, two] = [one, two].map(|part| self.world.name(part).to_owned());
+                return Err(Refusal::LineBlocked { one, two, distance_mm: distance_m * 1000.0 });
+            }
+        }
+        let corners = path_rad.len().saturating_sub(2);
+        let motion = Trajectory::through(&path_rad, &vec![false; corners], &self.limits);
+        if self.corners_are_clear(&around, &motion, margin_m) {
+            return Ok(motion);
+        }
+        Ok(Trajectory::through(&path_rad, &vec![true; corners], &self.limits))
+    }
+
+    /// The distance to keep from there on. An arm that was stopped near something may leave, but come no nearer.
+    fn start_margin_m(&self, around: &Surroundings<'_>, from_rad: &Joints) -> Result<f64, Refusal> {
+        self.world.arm().check(from_rad).map_err(Refusal::StartBeyondLimit)?;
+        let Clearance { distance_m, parts: (one, two) } = around.arm_clearance(from_rad);
+        if distance_m <= 0.0 {
+            let [one, two] = [one, two].map(|part| self.world.name(part).to_owned());
+            return Err(Refusal::StartBlocked { one, two });
+        }
+        Ok(self.world.scene().arm.margin_m.min(0.8 * distance_m))
+    }
+
+    fn around_things(
+        &self,
+        from_rad: &Joints,
+        to_rad: &Joints,
+        around: &Surroundings<'_>,
+        turn: u64,
+    ) -> Result<Plan, Refusal> {
         let arm = self.world.arm();
         let to_rad = &arm.unwound(to_rad, from_rad);
         arm.check(to_rad).map_err(Refusal::GoalBeyondLimit)?;
         arm.check(from_rad).map_err(Refusal::StartBeyondLimit)?;
-        let around = self.world.around(placement);
         let name = |part| self.world.name(part).to_owned();
 
         let Clearance { distance_m, parts: (one, two) } = around.arm_clearance(to_rad);
@@ -180,12 +273,7 @@ impl Planner {
             let (one, two, distance_mm) = (name(one), name(two), distance_m * 1000.0);
             return Err(Refusal::GoalBlocked { one, two, distance_mm });
         }
-        let Clearance { distance_m, parts: (one, two) } = around.arm_clearance(from_rad);
-        if distance_m <= 0.0 {
-            return Err(Refusal::StartBlocked { one: name(one), two: name(two) });
-        }
-        // An arm that was stopped near something may leave, but come no nearer.
-        let margin_m = self.world.scene().arm.margin_m.min(0.8 * distance_m);
+        let margin_m = self.start_margin_m(around, from_rad)?;
         let seed = Random::new(self.world.scene().arm.seed ^ turn.wrapping_mul(0x9E37_79B9)).bits();
         let search = Search { margin_m, checks_max: CHECKS_MAX, seed };
 
@@ -194,15 +282,15 @@ impl Planner {
             if around.arm_clearance(&home_rad).distance_m < margin_m {
                 return None;
             }
-            let (there, _) = self.leg(&around, from_rad, &home_rad, &search)?;
-            let (onward, _) = self.leg(&around, &home_rad, &arm.unwound(to_rad, &home_rad), &search)?;
+            let (there, _) = self.leg(around, from_rad, &home_rad, &search)?;
+            let (onward, _) = self.leg(around, &home_rad, &arm.unwound(to_rad, &home_rad), &search)?;
             let home_s = Some(there.trajectory.duration_s());
             let mut path_rad = there.path_rad;
             path_rad.extend(&onward.path_rad[1..]);
             let trajectory = there.trajectory.then(&onward.trajectory);
             Some(Plan { trajectory, path_rad, kind: Kind::ViaHome, home_s, checks: 0 })
         };
-        let direct = || -> Option<Plan> { Some(self.leg(&around, from_rad, to_rad, &search)?.0) };
+        let direct = || -> Option<Plan> { Some(self.leg(around, from_rad, to_rad, &search)?.0) };
         let found = match self.world.scene().arm.route {
             Route::ViaHome => via_home(),
             Route::Direct => direct().or_else(via_home),

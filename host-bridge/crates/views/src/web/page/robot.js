@@ -69,9 +69,21 @@ function ghost(parts, setting, state) {
   }
 }
 
-/** Everything that moves: the base, its wheels, the arm. */
+/** What can be gripped, where it is now. */
+function objectParts(parts, state) {
+  for (const object of state.objects ?? []) {
+    const half = object.height_m / 2;
+    const middle = multiply(pose(object.position_m, object.rotation), translation([0, 0, half]));
+    const [length, width] = object.half_m;
+    const mesh = object.radius_m === null ? "box" : "tube";
+    parts.push({ mesh, matrix: multiply(middle, scaling([length, width, half])), colour: "lamp", name: object.name });
+  }
+}
+
+/** Everything that moves: the base, its wheels, the arm, what it carries. */
 export function robotParts(setting, state) {
   const parts = [];
+  objectParts(parts, state);
   const base = baseFrame(state);
   const { center_m, half_m } = setting.body;
   const [length, width] = half_m;
@@ -125,5 +137,6 @@ export function robotParts(setting, state) {
   });
   const flange = frames[frames.length - 1];
   disc(parts, flange, 0.034, 0.012, "band");
+  for (const shape of state.tool ?? []) capsule(parts, flange, shape, LINK_SHARE, "trim");
   return parts;
 }

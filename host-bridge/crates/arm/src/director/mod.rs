@@ -1,0 +1,294 @@
+//! The arm director: the one place between the bridge and any robot.
+//!
+//! It turns names into goals, plans from where the robot says that it is, watches base and arm while they move, and says
+//! how motions ended. A motion of several steps is planned as a whole, and ends as a whole where one of them does not
+//! work. The simulator and a robot on ROS 2 get the same plans, the same guard and the same refusals.
+//!
+//! Without a scene the arm moves through home, straight in joint space, as in the paper. With one, its motions are
+//! planned around the scene's boxes, and the [guard](crate::plan::guard) vetoes what could not be stopped in time.
+
+mod carry;
+mod guarding;
+mod sequence;
+
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use host_robot::shape::Point;
+use host_robot::{
+    ArmState, Busy, Door, Following, JOINTS, JointLimits, JointSetting, Joints, Leg, MotionName, NotStarted,
+    Picture, Pose, Report, Robot, RobotSetting, SceneBox, Twist, Wheels,
+};
+
+use crate::model::SerialArm;
+use crate::motions::Motions;
+use crate::plan::guard::TICK_MS;
+use crate::plan::{Placement, Planner};
+use crate::scene::Scene;
+use crate::things::Things;
+use crate::tool::Tool;
+
+use carry::Running;
+use sequence::pose_of;
+
+/// How much of a long pause is looked at tick by tick, in ms.
+const CATCH_UP_MS: u64 = 10_000;
+
+/// A joint faster than this is not at rest: encoders are noisy.
+const REST_RAD_S: f64 = 0.02;
+
+/// The arm and what stands around it, when nothing is planned for.
+#[derive(Debug)]
+struct Bare {
+    arm: SerialArm,
+    scene: Scene,
+    tool: Tool,
+}
+
+/// See the module.
+#[derive(Clone, Debug)]
+pub struct Director<R> {
+    robot: R,
+    motions: Motions,
+    bare: Arc<Bare>,
+    planner: Option<Arc<Planner>>,
+    now_ms: u64,
+    running: Option<Running>,
+    /// Tool and objects, as far as known.
+    things: Things,
+    /// How far the fingers were apart when the gripper was last asked.
+    grip_before_m: f64,
+    /// How often each motion that draws has run.
+    draws: HashMap<MotionName, usize>,
+    plans: u64,
+    wanted: Twist,
+    allowed: Twist,
+    guard_due_ms: u64,
+    held: Option<String>,
+    guard_stops: u32,
+    reports: Vec<Report>,
+}
+
+impl<R: Robot> Director<R> {
+    /// A robot with nothing around it: its arm moves through home.
+    pub fn new(robot: R, motions: Motions) -> Self {
+        Director::with(robot, motions, SerialArm::gen3(), None)
+    }
+
+    /// A robot in a scene: neither base nor arm touches anything.
+    pub fn in_scene(robot: R, motions: Motions, planner: Arc<Planner>) -> Self {
+        let arm = planner.world().arm().clone();
+        Director::with(robot, motions, arm, Some(planner))
+    }
+
+    fn with(robot: R, motions: Motions, arm: SerialArm, planner: Option<Arc<Planner>>) -> Self {
+        let things = planner.as_ref().map_or(Things::default(), |planner| planner.world().start().clone());
+        Director {
+            robot,
+            motions,
+            things,
+            grip_before_m: 0.0,
+            bare: Arc::new(Bare { arm, scene: Scene::default(), tool: Tool::default() }),
+            planner,
+            now_ms: 0,
+            running: None,
+            draws: HashMap::new(),
+            plans: 0,
+            wanted: Twist::ZERO,
+            allowed: Twist::ZERO,
+            guard_due_ms: 0,
+            held: None,
+            guard_stops: 0,
+            reports: Vec::new(),
+        }
+    }
+
+    /// The robot.
+    pub fn robot(&self) -> &R {
+        &self.robot
+    }
+
+    /// The robot, to hand it what came from elsewhere.
+    pub fn robot_mut(&mut self) -> &mut R {
+        &mut self.robot
+    }
+
+    /// The time that it was last stepped to.
+    pub fn now_ms(&self) -> u64 {
+        self.now_ms
+    }
+
+    /// What the arm can be asked to do.
+    pub fn motions(&self) -> &Motions {
+        &self.motions
+    }
+
+    /// Limits that the arm's motions keep.
+    pub fn joint_limits(&self) -> &JointLimits {
+        self.planner.as_ref().map_or(self.robot.joint_limits(), |planner| planner.limits())
+    }
+
+    fn scene(&self) -> &Scene {
+        self.planner.as_ref().map_or(&self.bare.scene, |planner| planner.world().scene())
+    }
+
+    fn running_state(&self) -> Option<(MotionName, Leg)> {
+        let running = self.running.as_ref()?;
+        let leg = match self.robot.following() {
+            Following::Halting => Leg::Halting,
+            Following::Moving { elapsed_s } if elapsed_s < running.home_s() => Leg::ToHome,
+            Following::Moving { .. } | Following::Idle => Leg::ToGoal,
+        };
+        Some((running.motion.clone(), leg))
+    }
+}
+
+impl<R: Robot> Door for Director<R> {
+    fn step(&mut self, now_ms: u64) {
+        // In a scene the guard looks again after each tick, however long this program was away.
+        // After a pause in which every robot has come to rest by itself, the rest of it is one step.
+        let looks_until_ms = self.now_ms.saturating_add(CATCH_UP_MS);
+        while self.now_ms < now_ms {
+            let looks = self.planner.is_some() && self.now_ms < looks_until_ms;
+            let tick_ms = if looks { TICK_MS } else { u64::MAX };
+            self.guard();
+            let due_ms = if self.guard_due_ms > self.now_ms { self.guard_due_ms } else { u64::MAX };
+            self.now_ms = now_ms.min(self.now_ms.saturating_add(tick_ms)).min(due_ms);
+            self.robot.step(self.now_ms);
+            self.carry_on();
+        }
+        self.reports.extend(self.robot.take_accepted().into_iter().map(Report::Accepted));
+        self.reports.extend(self.robot.take_notes().into_iter().map(Report::Note));
+    }
+
+    fn drive(&mut self, twist: Twist) {
+        if self.planner.is_none() {
+            self.allowed = twist;
+        } else if twist != self.wanted {
+            self.guard_due_ms = 0;
+        }
+        self.wanted = twist;
+        // Also where nothing changed: it says that the bridge is alive.
+        if self.guard_due_ms == 0 {
+            self.guard();
+        }
+        self.robot.drive(self.allowed);
+    }
+
+    fn start_motion(&mut self, motion: &MotionName) -> Result<(), NotStarted> {
+        if let Some(running) = &self.running {
+            return Err(Busy(running.motion.clone()).into());
+        }
+        let acts = self.plan(motion).map_err(NotStarted::Refused)?;
+        self.begin(motion, acts).map_err(NotStarted::Refused)?;
+        *self.draws.entry(motion.clone()).or_default() += 1;
+        self.guard_due_ms = 0;
+        Ok(())
+    }
+
+    fn halt(&mut self) {
+        (self.wanted, self.allowed) = (Twist::ZERO, Twist::ZERO);
+        self.halt_motion();
+        self.robot.halt();
+        self.set_held(None);
+    }
+
+    fn halt_arm(&mut self) {
+        self.halt_motion();
+        self.robot.halt_arm();
+        self.robot.halt_gripper();
+    }
+
+    fn refusal(&self) -> Option<String> {
+        self.robot.refusal()
+    }
+
+    fn take_reports(&mut self) -> Vec<Report> {
+        std::mem::take(&mut self.reports)
+    }
+
+    fn send(&mut self) {
+        self.robot.send();
+    }
+
+    fn knows(&self, motion: &MotionName) -> bool {
+        self.motions.get(motion.as_str()).is_ok()
+    }
+
+    fn picture(&self) -> Picture {
+        let unknown = [f64::NAN; JOINTS];
+        let (arm, base) = (self.robot.arm(), self.robot.base());
+        let motion = arm.map(|reading| reading.value);
+        let joints_rad = motion.map_or(unknown, |motion| motion.joints_rad);
+        let state = base.map(|reading| reading.value).unwrap_or_default();
+        let wheels = state.wheels.unwrap_or_else(|| Wheels {
+            speed_rad_s: self.robot.base_limits().wheels_rad_s(state.odometry.twist),
+            ..Wheels::default()
+        });
+        let reference_rad =
+            self.along().map(|(trajectory, elapsed_s)| trajectory.motion(elapsed_s).joints_rad);
+        let shop = self.shop();
+        let flange = self.bare.arm.flange_pose(&joints_rad);
+        let in_scene = self.flange_in_scene(Placement::from(state.odometry), &joints_rad);
+        let objects = shop.objects.iter().zip(&self.things.places);
+        let objects = objects.map(|(object, place)| object.picture(pose_of(place, &in_scene)));
+        Picture {
+            arm: ArmState {
+                joints_rad,
+                velocity_rad_s: motion.map_or(unknown, |motion| motion.velocity_rad_s),
+                running: self.running_state(),
+            },
+            arm_age_ms: arm.map(|reading| reading.age_ms),
+            odometry: state.odometry,
+            base_age_ms: base.map(|reading| reading.age_ms),
+            covariance: state.covariance,
+            wheels_rad_s: wheels.speed_rad_s,
+            wheels_rad: wheels.angle_rad,
+            flange,
+            opening_m: self.robot.opening_m().map(|reading| reading.value),
+            tool: shop.tool.shapes(self.things.opening_m),
+            objects: objects.collect(),
+            reference_rad,
+            held: self.held.clone(),
+            guard_stops: self.guard_stops,
+            timeouts: self.robot.timeouts(),
+        }
+    }
+
+    fn setting(&self) -> RobotSetting {
+        let (arm, scene, limits) = (&self.bare.arm, self.scene(), self.joint_limits());
+        let joints = arm.joints.iter().enumerate().map(|(i, joint)| JointSetting {
+            name: joint.name.clone(),
+            link: joint.link.clone(),
+            origin_m: joint.origin_m,
+            origin_rotation: joint.origin_rotation,
+            axis: joint.axis,
+            limit_rad: joint.limit_rad,
+            velocity_max_rad_s: limits.velocity_rad_s[i],
+            acceleration_max_rad_s2: limits.acceleration_rad_s2[i],
+            shapes: joint.shapes.clone(),
+        });
+        RobotSetting {
+            scene: scene.title.clone(),
+            boxes: scene.boxes.iter().map(|b| SceneBox { name: b.name.clone(), shape: b.shape() }).collect(),
+            base: *self.robot.base_limits(),
+            body: scene.base.body(),
+            mount_m: scene.base.mount_m,
+            arm_name: arm.name.clone(),
+            arm_root: arm.root_link.clone(),
+            joints: joints.collect(),
+            flange_m: arm.flange_m,
+            flange_rotation: arm.flange_rotation,
+            flange_link: arm.flange_link.clone(),
+            foot: arm.foot.clone(),
+        }
+    }
+
+    fn mount_m(&self) -> Point {
+        self.scene().base.mount_m
+    }
+
+    fn link_poses(&self, joints_rad: &Joints) -> [Pose; JOINTS + 1] {
+        self.bare.arm.link_poses(joints_rad)
+    }
+}

@@ -1,0 +1,330 @@
+//! From a motion's steps to what is done one after the other: all of it is planned, or refused, before anything moves.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+use host_robot::shape::Point;
+use host_robot::{DVec3, Joints, MotionName, Pose, Robot, Trajectory};
+
+use crate::motions::{Grasp, GripTable, Step};
+use crate::plan::collision::Part;
+use crate::plan::{Placement, line};
+use crate::things::{Place, Shop, Things, Touch, in_scene};
+
+use super::{Director, REST_RAD_S};
+
+/// So far a hand that is at something backs off before it goes on freely.
+const BACK_OFF_M: f64 = 0.1;
+/// And so far what stands on something is lifted.
+const LIFT_M: f64 = 0.05;
+/// Fingers wider apart than this share of their way are open.
+const OPEN_SHARE: f64 = 0.5;
+
+/// One thing after the other.
+#[derive(Clone, Debug)]
+pub(super) enum Act {
+    /// The arm follows this.
+    Follow {
+        trajectory: Arc<Trajectory>,
+        /// When it rests at home before it moves on; 0 = it does not.
+        home_s: f64,
+        touch: Touch,
+    },
+    /// The gripper moves.
+    Grip { opening_m: f64, effort_n: Option<f64>, closes_on: bool },
+    /// Nothing moves.
+    Wait { ms: u64 },
+}
+
+impl Act {
+    /// The hand is at a thing: the base must not move.
+    pub(super) fn is_at_work(&self) -> bool {
+        match self {
+            Act::Follow { touch, .. } => *touch != Touch::default(),
+            Act::Grip { .. } => true,
+            Act::Wait { .. } => false,
+        }
+    }
+}
+
+/// Where a plan has got to.
+struct Draft {
+    acts: VecDeque<Act>,
+    from_rad: Joints,
+    things: Things,
+    placement: Placement,
+}
+
+impl Draft {
+    fn follow(&mut self, leg: Trajectory, home_s: f64, touch: Touch) {
+        self.from_rad = leg.goal_rad();
+        // Legs without anything in between are one trajectory: the arm rests there, and nobody is asked again.
+        if let Some(Act::Follow { trajectory, touch: same, .. }) = self.acts.back_mut()
+            && *same == touch
+        {
+            *trajectory = Arc::new((**trajectory).clone().then(&leg));
+            return;
+        }
+        self.acts.push_back(Act::Follow { trajectory: Arc::new(leg), home_s, touch });
+    }
+}
+
+impl<R: Robot> Director<R> {
+    pub(super) fn plan(&mut self, motion: &MotionName) -> Result<VecDeque<Act>, String> {
+        let steps = self.motions.get(motion.as_str()).map_err(|error| error.to_string())?.steps;
+        let grips = steps.iter().any(|step| matches!(step, Step::Grip { .. }));
+        let moves = steps.iter().any(|step| !matches!(step, Step::Grip { .. } | Step::Wait { .. }));
+        if grips {
+            self.robot.can_grip()?;
+        }
+        let mut draft = self.draft(moves, grips)?;
+        for (i, step) in steps.iter().enumerate() {
+            let beside = |other: Option<&Step>| matches!(other, Some(Step::Grip { .. }));
+            let is_rest = |step: &&Step| matches!(step, Step::Wait { .. });
+            let before = beside(steps[..i].iter().rev().find(|step| !is_rest(step)));
+            let after = beside(steps[i + 1..].iter().find(|step| !is_rest(step)));
+            let done = self.take_step(motion, step, &mut draft, (before, after));
+            done.map_err(|why| if steps.len() == 1 { why } else { format!("step {}: {why}", i + 1) })?;
+        }
+        Ok(draft.acts)
+    }
+
+    /// Where everything is now.
+    fn draft(&self, moves: bool, grips: bool) -> Result<Draft, String> {
+        if moves {
+            self.robot.can_follow()?;
+        }
+        let here = self.robot.arm().map(|reading| reading.value);
+        let arm = &self.bare.arm;
+        let from_rad = match here {
+            Some(here) => {
+                if let Some(i) = here.velocity_rad_s.iter().position(|v| v.abs() > REST_RAD_S) {
+                    return Err(format!("the arm moves already ({})", arm.joints[i].name));
+                }
+                self.robot.held_rad().unwrap_or(here.joints_rad)
+            }
+            // A gripper works without; what it grips is then not known.
+            None if !moves => [0.0; host_robot::JOINTS],
+            None => return Err("the arm's angles are not known".to_owned()),
+        };
+        let mut placement = Placement::default();
+        if self.planner.is_some() {
+            let base = self.known_base().map_err(|why| format!("the arm cannot be planned for: {why}"))?;
+            placement = Placement::from(base.odometry);
+            let twist = base.odometry.twist;
+            if grips && (twist.linear_m_s.abs() > 0.01 || twist.angular_rad_s.abs() > 0.01) {
+                return Err("the base still moves; the hand works where it stands".to_owned());
+            }
+        }
+        let mut things = self.things.clone();
+        if let Some(opening) = self.robot.opening_m() {
+            things.opening_m = opening.value;
+        }
+        Ok(Draft { acts: VecDeque::new(), from_rad, things, placement })
+    }
+
+    /// Plans one step; `beside` says whether the gripper moves before it and after it.
+    fn take_step(
+        &mut self,
+        motion: &MotionName,
+        step: &Step,
+        draft: &mut Draft,
+        beside: (bool, bool),
+    ) -> Result<(), String> {
+        let goal_rad = match step {
+            Step::Wait { ms } => {
+                draft.acts.push_back(Act::Wait { ms: *ms });
+                return Ok(());
+            }
+            Step::Grip { to, effort_n } => return self.take_grip(*to, *effort_n, draft),
+            Step::To(goal_rad) => *goal_rad,
+            Step::ToNextOf(goals_rad) => {
+                let draw = self.draws.get(motion).copied().unwrap_or_default();
+                goals_rad[draw % goals_rad.len()]
+            }
+            Step::Tool { .. } | Step::Move { .. } => {
+                let target = self.target(step, &draft.from_rad);
+                if step.is_straight() {
+                    return self.go_straight(&target, draft, beside);
+                }
+                self.back_off(draft)?;
+                self.angles_for(&target, draft)?
+            }
+        };
+        self.back_off(draft)?;
+        self.go_freely(&goal_rad, draft)
+    }
+
+    /// Where the flange shall be, in the arm's base frame.
+    fn target(&self, step: &Step, from_rad: &Joints) -> Pose {
+        let point_m = self.shop().tool.point_m();
+        let here = self.bare.arm.flange_pose(from_rad);
+        match step {
+            Step::Tool { pose, .. } => {
+                let mount_m = self.scene().base.mount_m;
+                Pose { position_m: pose.position_m - mount_m - pose.rotation * point_m, ..*pose }
+            }
+            Step::Move { way_m, own, turn, .. } => {
+                let way_m = if *own { here.rotation * *way_m } else { *way_m };
+                let rotation = here.rotation * *turn;
+                // Turned about the tool's point.
+                Pose { position_m: here.at(point_m) + way_m - rotation * point_m, rotation }
+            }
+            _ => here,
+        }
+    }
+
+    fn angles_for(&self, target: &Pose, draft: &Draft) -> Result<Joints, String> {
+        if let Some(planner) = &self.planner {
+            let around = (draft.placement, &draft.things);
+            return planner.place(&draft.from_rad, target, around).map_err(|refusal| refusal.to_string());
+        }
+        let arm = &self.bare.arm;
+        let found = crate::ik::solve(arm, target, &draft.from_rad, 1, |_| true);
+        Ok(found.map_err(|error| error.to_string())?.joints_rad)
+    }
+
+    /// To these angles: through home, or the planned way.
+    fn go_freely(&mut self, goal_rad: &Joints, draft: &mut Draft) -> Result<(), String> {
+        let arm = &self.bare.arm;
+        let from_rad = draft.from_rad;
+        let goal_rad = unwound(arm, goal_rad, &from_rad);
+        let (leg, home_s) = match &self.planner {
+            None => {
+                arm.check(&from_rad).map_err(|error| {
+                    format!("the arm cannot start: {error}; bring it back within its limits")
+                })?;
+                let home_rad = arm.unwound(&arm.home_rad, &from_rad);
+                let goal_rad = arm.unwound(&goal_rad, &home_rad);
+                let limits = self.robot.joint_limits();
+                let home = Trajectory::through(&[from_rad, home_rad], &[], limits);
+                let onward = Trajectory::through(&[home_rad, goal_rad], &[], limits);
+                let home_s = home.duration_s();
+                (home.then(&onward), home_s)
+            }
+            Some(planner) => {
+                self.plans += 1;
+                let around = (draft.placement, &draft.things);
+                let plan = planner
+                    .plan_among(&from_rad, &goal_rad, around, self.plans)
+                    .map_err(|refusal| refusal.to_string())?;
+                (plan.trajectory, plan.home_s.unwrap_or(0.0))
+            }
+        };
+        draft.follow(leg, home_s, Touch::default());
+        Ok(())
+    }
+
+    /// Straight to a place of the flange. Beside a grip it may touch the thing and what it stands on.
+    fn go_straight(
+        &self,
+        target: &Pose,
+        draft: &mut Draft,
+        (before, after): (bool, bool),
+    ) -> Result<(), String> {
+        let Some(planner) = &self.planner else {
+            let arm = &self.bare.arm;
+            let path_rad = line::along(arm, &draft.from_rad, target).map_err(|error| error.to_string())?;
+            let corners = path_rad.len().saturating_sub(2);
+            let leg = Trajectory::through(&path_rad, &vec![false; corners], self.robot.joint_limits());
+            draft.follow(leg, 0.0, Touch::default());
+            return Ok(());
+        };
+        let shop = self.shop();
+        let here = self.flange_in_scene(draft.placement, &draft.from_rad);
+        let mut touch = Touch::default();
+        if before || self.is_at_something(draft).is_some() {
+            touch = shop.touching(&draft.things, &here);
+        }
+        if after {
+            let there = in_scene(draft.placement, self.scene().base.mount_m, target);
+            touch = both(touch, shop.touching(&draft.things, &there));
+        }
+        let things = Things { touch: touch.clone(), ..draft.things.clone() };
+        let leg = planner
+            .straight(&draft.from_rad, target, (draft.placement, &things))
+            .map_err(|refusal| refusal.to_string())?;
+        draft.follow(leg, 0.0, touch);
+        Ok(())
+    }
+
+    /// A hand that is at something goes back from it, or lifts what it has, before it goes on freely.
+    fn back_off(&self, draft: &mut Draft) -> Result<(), String> {
+        let Some(part) = self.is_at_something(draft) else { return Ok(()) };
+        let here = self.bare.arm.flange_pose(&draft.from_rad);
+        let way_m: Point = match part {
+            Part::Held => LIFT_M * DVec3::Z,
+            _ => -BACK_OFF_M * here.rotation.z_axis,
+        };
+        let target = Pose { position_m: here.position_m + way_m, ..here };
+        self.go_straight(&target, draft, (true, false))
+            .map_err(|why| format!("the hand cannot get away from what it is at: {why}"))
+    }
+
+    /// What of the hand is nearer to a thing, or to what that stands on, than motions may start.
+    fn is_at_something(&self, draft: &Draft) -> Option<Part> {
+        let planner = self.planner.as_ref()?;
+        let world = planner.world();
+        let near_m = |things: &Things| {
+            let around = world.around_with(draft.placement, things);
+            let nearest = around.arm_clearance(&draft.from_rad);
+            (nearest.distance_m < world.scene().arm.margin_m).then_some(nearest.parts.0)
+        };
+        let part = near_m(&draft.things)?;
+        let here = self.flange_in_scene(draft.placement, &draft.from_rad);
+        let touch = self.shop().touching(&draft.things, &here);
+        // Only where it is the hand's own thing that is near.
+        let without = near_m(&Things { touch, ..draft.things.clone() });
+        without.is_none().then_some(part)
+    }
+
+    fn take_grip(&self, to: GripTable, effort_n: Option<f64>, draft: &mut Draft) -> Result<(), String> {
+        let shop = self.shop();
+        let widest_m = shop.tool.hand().map_or(1.0, |hand| hand.widest_m);
+        let is_open = shop.held(&draft.things).is_none() && draft.things.opening_m >= OPEN_SHARE * widest_m;
+        let opening_m = match to {
+            GripTable::Width(width_m) if width_m > widest_m => {
+                return Err(format!("the gripper opens {widest_m} m at most, not {width_m}"));
+            }
+            GripTable::Width(width_m) => width_m,
+            GripTable::Word(Grasp::Open) => widest_m,
+            GripTable::Word(Grasp::Close) => 0.0,
+            GripTable::Word(Grasp::Toggle) => {
+                if is_open {
+                    0.0
+                } else {
+                    widest_m
+                }
+            }
+        };
+        let closes_on = opening_m == 0.0;
+        let flange = self.flange_in_scene(draft.placement, &draft.from_rad);
+        let _ = shop.gripped(&mut draft.things, &flange, opening_m);
+        draft.acts.push_back(Act::Grip { opening_m, effort_n, closes_on });
+        Ok(())
+    }
+
+    pub(super) fn shop(&self) -> Shop<'_> {
+        match &self.planner {
+            Some(planner) => planner.world().shop(),
+            None => Shop { objects: &[], boxes: &[], tool: &self.bare.tool },
+        }
+    }
+
+    pub(super) fn flange_in_scene(&self, placement: Placement, joints_rad: &Joints) -> Pose {
+        in_scene(placement, self.scene().base.mount_m, &self.bare.arm.flange_pose(joints_rad))
+    }
+}
+
+fn both(one: Touch, two: Touch) -> Touch {
+    let boxes = one.boxes.into_iter().chain(two.boxes).collect();
+    Touch { object: two.object.or(one.object), boxes, floor: one.floor || two.floor }
+}
+
+/// An object that stands, for pictures.
+pub(super) fn pose_of(place: &Place, flange: &Pose) -> Pose {
+    match place {
+        Place::Stands(at) => *at,
+        Place::Held(on_flange) => flange.then(on_flange.position_m, on_flange.rotation),
+    }
+}

@@ -1,0 +1,389 @@
+//! Objects of a scene that can be gripped: where they are, what is between the fingers, what is held.
+//!
+//! ```toml
+//! [[object]]
+//! name = "cup"
+//! at_m = [0.7, 0.0, 0.55]     # the middle of its underside, from the robot's start on the floor
+//! height_m = 0.1
+//! radius_m = 0.03             # round; or size_m = [0.05, 0.04] for a box, with yaw_rad
+//! ```
+
+use host_robot::shape::{Capsule, Point, UprightBox};
+use host_robot::{DMat3, DVec3, Pose, SceneObject};
+use serde::Deserialize;
+
+use crate::plan::Placement;
+use crate::scene::NamedBox;
+use crate::tool::Tool;
+
+/// Thickness of the rods that enclose a held thing's edges.
+const ROD_M: f64 = 0.006;
+/// How far a thing's middle may be from the tool's point along the fingers.
+const PAD_M: f64 = 0.02;
+/// Boxes whose top is so near to a thing's underside carry it.
+const CARRIES_M: f64 = 0.02;
+
+/// An object as written in a file.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ObjectTable {
+    /// Unlike those of the other objects and boxes.
+    pub name: String,
+    /// The middle of its underside.
+    pub at_m: Point,
+    /// Upwards.
+    pub height_m: f64,
+    /// Of a round one.
+    pub radius_m: Option<f64>,
+    /// Length and width of a box.
+    pub size_m: Option<[f64; 2]>,
+    /// Turned to the left.
+    #[serde(default)]
+    pub yaw_rad: f64,
+}
+
+impl ObjectTable {
+    /// Are all values sound?
+    ///
+    /// # Errors
+    /// What is wrong, by name.
+    pub fn check(&self) -> Result<(), String> {
+        let is_length = |m: f64| m.is_finite() && m > 0.0 && m <= 2.0;
+        let sound = match (self.radius_m, self.size_m) {
+            (Some(radius_m), None) => is_length(radius_m),
+            (None, Some(size_m)) => size_m.into_iter().all(is_length),
+            _ => false,
+        };
+        if sound && is_length(self.height_m) && self.at_m.is_finite() && self.yaw_rad.is_finite() {
+            return Ok(());
+        }
+        Err(format!(
+            "object '{}' needs at_m, height_m, and either radius_m or size_m = [length, width], each between 0 and 2 m",
+            self.name
+        ))
+    }
+
+    /// Half its length and width.
+    fn half_m(&self) -> [f64; 2] {
+        self.size_m.map_or([self.radius_m.unwrap_or_default(); 2], |size| size.map(|m| 0.5 * m))
+    }
+
+    /// Where it stands at first.
+    fn start(&self) -> Pose {
+        Pose { position_m: self.at_m, rotation: DMat3::from_rotation_z(self.yaw_rad) }
+    }
+
+    /// Its width along a direction in its own frame.
+    fn width_m(&self, along: DVec3) -> f64 {
+        let upward = self.height_m * along.z.abs();
+        match self.size_m {
+            Some([length, width]) => length * along.x.abs() + width * along.y.abs() + upward,
+            None => 2.0 * self.half_m()[0] * along.x.hypot(along.y) + upward,
+        }
+    }
+
+    /// No point of it is further from the middle of its underside.
+    pub fn reach_m(&self) -> f64 {
+        let [length, width] = self.half_m();
+        DVec3::new(length, width, self.height_m).length() + ROD_M
+    }
+
+    /// Capsules that enclose it, in its own frame: rods along its edges, and what is within.
+    fn shapes(&self) -> Vec<Capsule> {
+        let [length, width] = self.half_m();
+        let rods = |x: f64, y: f64| Capsule {
+            a_m: DVec3::new(x, y, 0.0),
+            b_m: DVec3::new(x, y, self.height_m),
+            radius_m: ROD_M,
+        };
+        let mut shapes: Vec<Capsule> = match self.radius_m {
+            Some(radius_m) => (0..8)
+                .map(|k| {
+                    let (y, x) = (f64::from(k) * std::f64::consts::FRAC_PI_4).sin_cos();
+                    rods(radius_m * x, radius_m * y)
+                })
+                .collect(),
+            None => [(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)]
+                .map(|(x, y)| rods(x * length, y * width))
+                .to_vec(),
+        };
+        let within = length.min(width).min(0.5 * self.height_m);
+        let (a, b) = (DVec3::Z * within, DVec3::Z * (self.height_m - within));
+        shapes.push(Capsule { a_m: a, b_m: b, radius_m: length.min(width) });
+        shapes
+    }
+
+    /// As pictures show it.
+    pub fn picture(&self, at: Pose) -> SceneObject {
+        SceneObject {
+            name: self.name.clone(),
+            height_m: self.height_m,
+            radius_m: self.radius_m,
+            half_m: self.half_m(),
+            pose: at,
+        }
+    }
+
+    /// The upright box around it where it stands.
+    fn standing(&self, at: &Pose) -> UprightBox {
+        let [length, width] = self.half_m();
+        let ahead = at.rotation.x_axis;
+        UprightBox {
+            center_m: at.position_m + 0.5 * self.height_m * DVec3::Z,
+            half_m: DVec3::new(length, width, 0.5 * self.height_m),
+            yaw_rad: ahead.y.atan2(ahead.x),
+        }
+    }
+}
+
+/// Where an object is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Place {
+    /// It stands there, seen from the scene's origin.
+    Stands(Pose),
+    /// The gripper has it; seen from the flange.
+    Held(Pose),
+}
+
+/// What the hand may touch while it goes straight to a thing or away from it.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Touch {
+    /// The tool may touch this object.
+    pub object: Option<usize>,
+    /// What is held may touch these boxes, on which it stands,
+    pub boxes: Vec<usize>,
+    /// and the floor.
+    pub floor: bool,
+}
+
+/// The tool and the scene's objects, as they are now.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Things {
+    /// How far the fingers are apart.
+    pub opening_m: f64,
+    /// One per object of the scene.
+    pub places: Vec<Place>,
+    /// What may be touched now.
+    pub touch: Touch,
+}
+
+/// What a scene knows about its things.
+#[derive(Clone, Copy, Debug)]
+pub struct Shop<'a> {
+    /// The objects.
+    pub objects: &'a [ObjectTable],
+    /// What they may stand on.
+    pub boxes: &'a [NamedBox],
+    /// Who grips.
+    pub tool: &'a Tool,
+}
+
+impl Shop<'_> {
+    /// Everything where the scene says, the gripper open.
+    pub fn at_start(&self) -> Things {
+        Things {
+            opening_m: self.tool.hand().map_or(0.0, |hand| hand.widest_m),
+            places: self.objects.iter().map(|object| Place::Stands(object.start())).collect(),
+            touch: Touch::default(),
+        }
+    }
+
+    /// The object between the fingers and its width there, with the flange at that place in the scene.
+    pub fn between(&self, things: &Things, flange: &Pose) -> Option<(usize, f64)> {
+        self.tool.hand()?;
+        let point_m = flange.at(self.tool.point_m());
+        let (across, along) = (flange.rotation.x_axis, flange.rotation.y_axis);
+        let fits = |(i, place): (usize, &Place)| {
+            let Place::Stands(at) = place else { return None };
+            let object = &self.objects[i];
+            let own = at.rotation.transpose();
+            let width_m = object.width_m(own * across);
+            // The part of it that is nearest to the point between the fingertips.
+            let height_m = (point_m - at.position_m).z.clamp(0.0, object.height_m);
+            let off = point_m - (at.position_m + height_m * DVec3::Z);
+            let inside = off.dot(across).abs() + 0.5 * width_m <= 0.5 * things.opening_m + 1e-3
+                && off.dot(along).abs() <= 0.5 * object.width_m(own * along)
+                && off.dot(flange.rotation.z_axis).abs() <= PAD_M;
+            inside.then_some((i, width_m))
+        };
+        things.places.iter().enumerate().find_map(fits)
+    }
+
+    /// What carries a thing there: boxes, or (`None`) the floor. Empty = nothing.
+    fn carriers(&self, at: &Pose) -> Vec<Option<usize>> {
+        let under = |i: usize| {
+            let shape = self.boxes[i].shape();
+            let top_m = shape.center_m.z + shape.half_m.z;
+            (at.position_m.z - top_m).abs() <= CARRIES_M && is_above(&shape, at.position_m)
+        };
+        let mut carriers: Vec<Option<usize>> =
+            (0..self.boxes.len()).filter(|&i| under(i)).map(Some).collect();
+        if at.position_m.z.abs() <= CARRIES_M {
+            carriers.push(None);
+        }
+        carriers
+    }
+
+    /// What may be touched on the straight way to or from the flange's place there.
+    pub fn touching(&self, things: &Things, flange: &Pose) -> Touch {
+        let object = match self.held(things) {
+            Some((i, _)) => Some(i),
+            None => self.between(things, flange).map(|(i, _)| i),
+        };
+        let at =
+            self.held(things).map(|(_, on_flange)| flange.then(on_flange.position_m, on_flange.rotation));
+        let carriers = at.map(|at| self.carriers(&at)).unwrap_or_default();
+        Touch { object, boxes: carriers.iter().flatten().copied().collect(), floor: carriers.contains(&None) }
+    }
+
+    /// What the gripper has, and where, from the flange.
+    pub fn held(&self, things: &Things) -> Option<(usize, Pose)> {
+        things.places.iter().enumerate().find_map(|(i, place)| match place {
+            Place::Held(at) => Some((i, *at)),
+            Place::Stands(_) => None,
+        })
+    }
+
+    /// Things after the fingers have gone to a width; and what became of it, for people.
+    pub fn gripped(&self, things: &mut Things, flange: &Pose, opening_m: f64) -> Option<String> {
+        let closing = opening_m < things.opening_m;
+        if closing && self.held(things).is_none() {
+            let found = self.between(things, flange).filter(|(_, width_m)| *width_m >= opening_m - 1e-4);
+            let Some((i, width_m)) = found else {
+                things.opening_m = opening_m;
+                return None;
+            };
+            let Place::Stands(at) = things.places[i] else { return None };
+            // Closing fingers push it to their middle.
+            let across = flange.rotation.x_axis;
+            let off = (flange.at(self.tool.point_m()) - at.position_m).dot(across);
+            let inverse = flange.rotation.transpose();
+            let on_flange = Pose {
+                position_m: inverse * (at.position_m + off * across - flange.position_m),
+                rotation: inverse * at.rotation,
+            };
+            things.places[i] = Place::Held(on_flange);
+            things.opening_m = width_m;
+            return Some(format!("has {} ({:.0} mm)", self.objects[i].name, 1000.0 * width_m));
+        }
+        let mut said = None;
+        if !closing && let Some((i, on_flange)) = self.held(things) {
+            let at = flange.then(on_flange.position_m, on_flange.rotation);
+            said = Some(self.let_go(things, i, &at));
+        }
+        things.opening_m = opening_m;
+        said
+    }
+
+    /// A thing falls upright onto what is below it.
+    fn let_go(&self, things: &mut Things, i: usize, at: &Pose) -> String {
+        let below = |shape: &UprightBox| {
+            let top_m = shape.center_m.z + shape.half_m.z;
+            (is_above(shape, at.position_m) && top_m <= at.position_m.z + CARRIES_M).then_some(top_m)
+        };
+        let tops = self.boxes.iter().filter_map(|b| Some((below(&b.shape())?, b.name.as_str())));
+        let (top_m, on) = tops.fold((0.0, "the floor"), |best, top| if top.0 > best.0 { top } else { best });
+        let ahead = at.rotation.x_axis;
+        let standing = Pose {
+            position_m: DVec3::new(at.position_m.x, at.position_m.y, top_m),
+            rotation: DMat3::from_rotation_z(ahead.y.atan2(ahead.x)),
+        };
+        things.places[i] = Place::Stands(standing);
+        let name = &self.objects[i].name;
+        let fall_m = at.position_m.z - top_m;
+        if fall_m > CARRIES_M {
+            format!("let {name} fall {fall_m:.2} m onto {on}")
+        } else {
+            format!("put {name} down on {on}")
+        }
+    }
+
+    /// Shapes of what is held, in the flange's frame.
+    pub fn held_shapes(&self, things: &Things) -> Vec<Capsule> {
+        let Some((i, at)) = self.held(things) else { return Vec::new() };
+        let put = |c: Capsule| Capsule { a_m: at.at(c.a_m), b_m: at.at(c.b_m), ..c };
+        self.objects[i].shapes().into_iter().map(put).collect()
+    }
+
+    /// Boxes around the objects that stand, with their numbers.
+    pub fn standing(&self, things: &Things) -> Vec<(usize, UprightBox)> {
+        let place = |(i, place): (usize, &Place)| match place {
+            Place::Stands(at) => Some((i, self.objects[i].standing(at))),
+            Place::Held(_) => None,
+        };
+        things.places.iter().enumerate().filter_map(place).collect()
+    }
+}
+
+/// A pose in the arm's base frame as seen from the scene's origin.
+pub fn in_scene(placement: Placement, mount_m: Point, on_arm: &Pose) -> Pose {
+    let base = Pose {
+        position_m: DVec3::new(placement.x_m, placement.y_m, 0.0),
+        rotation: DMat3::from_rotation_z(placement.heading_rad),
+    };
+    base.then(mount_m, DMat3::IDENTITY).then(on_arm.position_m, on_arm.rotation)
+}
+
+fn is_above(shape: &UprightBox, point_m: Point) -> bool {
+    let (s, c) = shape.yaw_rad.sin_cos();
+    let off = point_m - shape.center_m;
+    (c * off.x + s * off.y).abs() <= shape.half_m.x && (c * off.y - s * off.x).abs() <= shape.half_m.y
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::Scene;
+    use crate::tool::ToolTable;
+
+    const SCENE: &str = r#"
+        [[box]]
+        name = "table"
+        center_m = [1.0, 0.0, 0.25]
+        size_m = [0.6, 0.6, 0.5]
+        [[object]]
+        name = "cup"
+        at_m = [1.0, 0.0, 0.5]
+        height_m = 0.1
+        radius_m = 0.03
+    "#;
+
+    /// The tool looks down on that point, its fingers along x.
+    fn above(point_m: DVec3, tool: &Tool) -> Pose {
+        let rotation = DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));
+        Pose { position_m: point_m - rotation * tool.point_m(), rotation }
+    }
+
+    #[test]
+    fn a_cup_is_gripped_carried_and_put_down_on_what_is_below() {
+        let scene = Scene::parse(SCENE).unwrap();
+        let tool = Tool::new(&[ToolTable { name: "2f-85".to_owned(), ..ToolTable::default() }]).unwrap();
+        let shop = Shop { objects: &scene.objects, boxes: &scene.boxes, tool: &tool };
+        let mut things = shop.at_start();
+        let off_middle = above(DVec3::new(1.005, 0.0, 0.56), &tool);
+        assert_eq!(shop.between(&things, &off_middle).map(|(i, _)| i), Some(0));
+        assert_eq!(shop.touching(&things, &off_middle).object, Some(0));
+        assert_eq!(shop.gripped(&mut things, &off_middle, 0.0).unwrap(), "has cup (60 mm)");
+        assert!((things.opening_m - 0.06).abs() < 1e-12);
+        let touch = shop.touching(&things, &off_middle);
+        assert_eq!((touch.boxes, touch.floor), (vec![0], false));
+        // Closed further: it has it already.
+        assert_eq!(shop.gripped(&mut things, &off_middle, 0.0), None);
+        let beside = above(DVec3::new(0.2, 0.1, 0.36), &tool);
+        assert_eq!(shop.gripped(&mut things, &beside, 0.085).unwrap(), "let cup fall 0.30 m onto the floor");
+        let Place::Stands(at) = things.places[0] else { panic!("{things:?}") };
+        assert!(at.position_m.abs_diff_eq(DVec3::new(0.2, 0.1, 0.0), 1e-9), "pushed to the middle: {at:?}");
+    }
+
+    #[test]
+    fn nothing_is_gripped_where_nothing_is_or_what_is_too_wide() {
+        let scene = Scene::parse(&SCENE.replace("radius_m = 0.03", "radius_m = 0.045")).unwrap();
+        let tool = Tool::new(&[ToolTable { name: "2f-85".to_owned(), ..ToolTable::default() }]).unwrap();
+        let shop = Shop { objects: &scene.objects, boxes: &scene.boxes, tool: &tool };
+        let mut things = shop.at_start();
+        assert_eq!(shop.between(&things, &above(DVec3::new(1.0, 0.0, 0.55), &tool)), None);
+        let high = above(DVec3::new(1.0, 0.0, 0.7), &tool);
+        assert_eq!(shop.gripped(&mut things, &high, 0.0), None);
+        assert_eq!(things.opening_m, 0.0);
+    }
+}

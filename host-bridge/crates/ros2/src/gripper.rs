@@ -1,0 +1,401 @@
+//! A gripper behind `GripperCommand` or `ParallelGripperCommand`: what is asked of it, and what became of that.
+//!
+//! Sans-IO. A stall while closing is a thing between the fingers, and success; who tells nothing for too long has failed. A
+//! stop cancels the goal, again and again until its end is known, and never sends another.
+
+use host_robot::{Grip, GripEnd, Reading};
+use host_topics::message::JointState;
+
+use super::config::Ros2Config;
+use super::robot::Output;
+
+/// A cancellation is asked for again after this long.
+const CANCEL_INTERVAL_MS: u64 = 200;
+/// And its confirmation no longer waited for after this long; it is asked for on.
+const CANCEL_PATIENCE_MS: u64 = 2000;
+/// No goal of a gripper runs for longer.
+const STRAY_MS: u64 = 60_000;
+/// What joint states said longer ago is not known.
+const TOLD_MS: u64 = 1000;
+
+/// What the gripper's server says about a goal.
+#[derive(Clone, Debug, PartialEq)]
+pub enum GripAnswer {
+    /// It will be carried out.
+    Accepted,
+    /// It will not.
+    Rejected,
+    /// Where it is, in the joint's own units.
+    At(f64),
+    /// It is over.
+    Done {
+        /// Where it is, in the joint's own units.
+        position: f64,
+        /// It stands still under its force.
+        stalled: bool,
+        /// It is where it should be.
+        reached: bool,
+        /// As the server has it.
+        status: String,
+    },
+}
+
+#[derive(Clone, Debug)]
+struct Run {
+    goal: u32,
+    closing: bool,
+    accepted: bool,
+    /// When something was heard of it.
+    heard_ms: u64,
+    stopping_since_ms: Option<u64>,
+}
+
+/// See the module.
+#[derive(Clone, Debug)]
+pub struct GripperLink {
+    joint: String,
+    open: f64,
+    closed: f64,
+    width_m: f64,
+    answer_ms: u64,
+    timeout_ms: u64,
+    /// Why there is nobody to ask; `None` = there is.
+    missing: Option<String>,
+    goals: u32,
+    run: Option<Run>,
+    /// A goal that nobody wants, until when it may run, and when its end was last asked for.
+    stray: Option<(u32, u64, u64)>,
+    /// How far the fingers are apart, and when that was told.
+    seen: Option<(f64, u64)>,
+    end: Option<GripEnd>,
+    notes: Vec<String>,
+}
+
+impl GripperLink {
+    /// A gripper of which nothing is known yet.
+    pub fn new(config: &Ros2Config) -> Self {
+        GripperLink {
+            joint: config.gripper_joint.clone(),
+            open: config.gripper_open,
+            closed: config.gripper_closed,
+            width_m: config.gripper_width_m,
+            answer_ms: config.answer_ms,
+            timeout_ms: config.gripper_timeout_ms,
+            missing: Some("nobody was looked for yet".to_owned()),
+            goals: 0,
+            run: None,
+            stray: None,
+            seen: None,
+            end: None,
+            notes: Vec::new(),
+        }
+    }
+
+    /// Why there is no server to ask; `None` = there is one.
+    pub fn set_missing(&mut self, missing: Option<String>) {
+        self.missing = missing;
+    }
+
+    fn opening_of(&self, position: f64) -> f64 {
+        let share = (position - self.closed) / (self.open - self.closed);
+        (share * self.width_m).clamp(0.0, self.width_m)
+    }
+
+    fn position_of(&self, opening_m: f64) -> f64 {
+        let share = (opening_m / self.width_m).clamp(0.0, 1.0);
+        self.closed + share * (self.open - self.closed)
+    }
+
+    /// Takes its joint's position, where it is among these.
+    pub fn see(&mut self, state: &JointState, now_ms: u64) {
+        let mut told = state.name.iter().zip(&state.position);
+        let Some((_, &position)) = told.find(|(name, _)| **name == self.joint) else { return };
+        if position.is_finite() {
+            self.seen = Some((self.opening_of(position), now_ms));
+        }
+    }
+
+    /// How far the fingers are apart.
+    pub fn opening_m(&self, now_ms: u64) -> Option<Reading<f64>> {
+        let (value, at_ms) = self.seen?;
+        let age_ms = now_ms.saturating_sub(at_ms);
+        // Without a joint that is told again and again, a result's word holds.
+        (self.joint.is_empty() || age_ms <= TOLD_MS).then_some(Reading { value, age_ms })
+    }
+
+    /// Whether it could be asked now.
+    ///
+    /// # Errors
+    /// Why not.
+    pub fn can_grip(&self) -> Result<(), String> {
+        match &self.missing {
+            None if self.run.is_some() => Err("the gripper is still at another goal".to_owned()),
+            None => Ok(()),
+            Some(why) => Err(format!("the gripper cannot be asked: {why} (gripper in [ros2])")),
+        }
+    }
+
+    /// Sends a goal.
+    ///
+    /// # Errors
+    /// As [`GripperLink::can_grip`].
+    pub fn grip(&mut self, grip: Grip, now_ms: u64, outputs: &mut Vec<Output>) -> Result<(), String> {
+        self.can_grip()?;
+        self.goals += 1;
+        let from_m = self.opening_m(now_ms).map_or(self.width_m, |reading| reading.value);
+        self.end = None;
+        self.run = Some(Run {
+            goal: self.goals,
+            // Where it is not known, only opening wide is no closing.
+            closing: grip.opening_m < from_m,
+            accepted: false,
+            heard_ms: now_ms,
+            stopping_since_ms: None,
+        });
+        outputs.push(Output::Grip {
+            goal: self.goals,
+            position: self.position_of(grip.opening_m),
+            effort: grip.effort_n,
+        });
+        Ok(())
+    }
+
+    /// Gives the goal up, if there is one. The fingers stay where they are.
+    pub fn halt(&mut self, now_ms: u64, outputs: &mut Vec<Output>) {
+        let Some(run) = self.run.as_mut().filter(|run| run.stopping_since_ms.is_none()) else { return };
+        run.stopping_since_ms = Some(now_ms);
+        run.heard_ms = now_ms;
+        outputs.push(Output::CancelGrip { goal: run.goal });
+    }
+
+    /// Takes what the server says.
+    pub fn answer(&mut self, goal: u32, answer: GripAnswer, now_ms: u64, outputs: &mut Vec<Output>) {
+        if self.stray.is_some_and(|(stray, ..)| stray == goal) {
+            match answer {
+                GripAnswer::Accepted => outputs.push(Output::CancelGrip { goal }),
+                GripAnswer::Rejected | GripAnswer::Done { .. } => self.stray = None,
+                GripAnswer::At(_) => {}
+            }
+            return;
+        }
+        let Some(run) = self.run.as_mut().filter(|run| run.goal == goal) else { return };
+        let (closing, stopping) = (run.closing, run.stopping_since_ms.is_some());
+        if !stopping {
+            run.heard_ms = now_ms;
+        }
+        match answer {
+            GripAnswer::Accepted => {
+                run.accepted = true;
+                if stopping {
+                    // It was asked to end before it had begun.
+                    outputs.push(Output::CancelGrip { goal });
+                }
+            }
+            GripAnswer::Rejected => {
+                self.finish(if stopping {
+                    GripEnd::Halted
+                } else {
+                    GripEnd::Failed("its controller refused the goal".to_owned())
+                });
+            }
+            GripAnswer::At(position) if position.is_finite() => {
+                self.seen = Some((self.opening_of(position), now_ms));
+            }
+            GripAnswer::At(_) => {}
+            GripAnswer::Done { position, stalled, reached, status } => {
+                if position.is_finite() {
+                    self.seen = Some((self.opening_of(position), now_ms));
+                }
+                self.finish(if stopping {
+                    GripEnd::Halted
+                } else if stalled && closing {
+                    GripEnd::Stalled
+                } else if reached {
+                    GripEnd::Reached
+                } else if stalled {
+                    GripEnd::Failed("something keeps it from opening".to_owned())
+                } else {
+                    GripEnd::Failed(format!("its controller gave up ({status})"))
+                });
+            }
+        }
+    }
+
+    fn finish(&mut self, end: GripEnd) {
+        if self.run.take().is_some() {
+            self.end = Some(end);
+        }
+    }
+
+    /// Lets the time become `now_ms`.
+    pub fn step(&mut self, now_ms: u64, outputs: &mut Vec<Output>) {
+        if let Some((goal, until_ms, asked_ms)) = self.stray {
+            if now_ms >= until_ms {
+                self.stray = None;
+            } else if now_ms.saturating_sub(asked_ms) >= CANCEL_INTERVAL_MS {
+                self.stray = Some((goal, until_ms, now_ms));
+                outputs.push(Output::CancelGrip { goal });
+            }
+        }
+        let Some(run) = &mut self.run else { return };
+        let (goal, silent_ms) = (run.goal, now_ms.saturating_sub(run.heard_ms));
+        if let Some(since_ms) = run.stopping_since_ms {
+            if now_ms.saturating_sub(since_ms) > CANCEL_PATIENCE_MS {
+                self.notes.push(
+                    "ALARM: the gripper's controller does not confirm that it has stopped; it is asked again and again"
+                        .to_owned(),
+                );
+                self.stray = Some((goal, now_ms + STRAY_MS, now_ms));
+                self.finish(GripEnd::Halted);
+            } else if silent_ms >= CANCEL_INTERVAL_MS {
+                run.heard_ms = now_ms;
+                outputs.push(Output::CancelGrip { goal });
+            }
+            return;
+        }
+        let (patience_ms, what) = if run.accepted {
+            (self.timeout_ms, "told nothing of the goal")
+        } else {
+            (self.answer_ms, "did not answer")
+        };
+        if silent_ms > patience_ms {
+            outputs.push(Output::CancelGrip { goal });
+            self.stray = Some((goal, now_ms + STRAY_MS, now_ms));
+            self.finish(GripEnd::Failed(format!("its controller {what} within {patience_ms} ms")));
+        }
+    }
+
+    /// How the last goal ended; once.
+    pub fn take_end(&mut self) -> Option<GripEnd> {
+        self.end.take()
+    }
+
+    /// What a person should know, once.
+    pub fn take_notes(&mut self) -> Vec<String> {
+        std::mem::take(&mut self.notes)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    struct Rig {
+        gripper: GripperLink,
+        outputs: Vec<Output>,
+        now_ms: u64,
+    }
+
+    impl Rig {
+        fn new() -> Self {
+            let config = Ros2Config { gripper_joint: "knuckle".to_owned(), ..Ros2Config::default() };
+            let mut gripper = GripperLink::new(&config);
+            gripper.set_missing(None);
+            Rig { gripper, outputs: Vec::new(), now_ms: 0 }
+        }
+
+        fn grip(&mut self, opening_m: f64) -> Result<(), String> {
+            let grip = Grip { opening_m, effort_n: None, between_m: None };
+            self.gripper.grip(grip, self.now_ms, &mut self.outputs)
+        }
+
+        fn answer(&mut self, goal: u32, answer: GripAnswer) {
+            self.gripper.answer(goal, answer, self.now_ms, &mut self.outputs);
+        }
+
+        fn done(&mut self, goal: u32, position: f64, stalled: bool) -> Option<GripEnd> {
+            let status = "Aborted".to_owned();
+            self.answer(goal, GripAnswer::Done { position, stalled, reached: !stalled, status });
+            self.gripper.take_end()
+        }
+
+        fn run(&mut self, ms: u64) -> Vec<Output> {
+            for _ in 0..ms / 10 {
+                self.now_ms += 10;
+                self.gripper.step(self.now_ms, &mut self.outputs);
+            }
+            std::mem::take(&mut self.outputs)
+        }
+    }
+
+    #[test]
+    fn widths_are_the_joints_positions() {
+        let mut rig = Rig::new();
+        rig.grip(0.0).unwrap();
+        assert!(matches!(rig.outputs[..], [Output::Grip { goal: 1, position: 0.8, effort: None }]));
+        assert_eq!(rig.done(1, 0.2, true), Some(GripEnd::Stalled));
+        let opening_m = rig.gripper.opening_m(0).unwrap().value;
+        assert!((opening_m - 0.75 * 0.085).abs() < 1e-12, "{opening_m}");
+        let state =
+            JointState { name: vec!["knuckle".to_owned()], position: vec![0.0], ..JointState::default() };
+        rig.gripper.see(&state, 0);
+        assert!((rig.gripper.opening_m(0).unwrap().value - 0.085).abs() < 1e-12);
+        assert_eq!(rig.gripper.opening_m(5000), None, "what was told long ago is not known");
+    }
+
+    #[test]
+    fn a_stall_while_closing_is_success_and_while_opening_a_failure() {
+        let mut rig = Rig::new();
+        rig.grip(0.0).unwrap();
+        rig.answer(1, GripAnswer::Accepted);
+        assert!(rig.grip(0.0).unwrap_err().contains("another goal"));
+        assert_eq!(rig.done(1, 0.3, true), Some(GripEnd::Stalled));
+        rig.grip(0.085).unwrap();
+        assert!(matches!(rig.done(2, 0.25, true), Some(GripEnd::Failed(_))));
+        rig.grip(0.0).unwrap();
+        assert_eq!(rig.done(3, 0.8, false), Some(GripEnd::Reached));
+    }
+
+    #[test]
+    fn who_tells_nothing_has_failed_and_its_goal_is_cancelled_until_it_ends() {
+        let mut rig = Rig::new();
+        rig.grip(0.0).unwrap();
+        rig.outputs.clear();
+        assert!(rig.run(1000).is_empty());
+        assert_eq!(rig.run(10), [Output::CancelGrip { goal: 1 }]);
+        assert!(
+            matches!(rig.gripper.take_end(), Some(GripEnd::Failed(why)) if why.contains("did not answer"))
+        );
+        assert_eq!(rig.run(400).len(), 2, "asked again");
+        rig.answer(1, GripAnswer::Rejected);
+        assert!(rig.run(1000).is_empty());
+
+        rig.grip(0.0).unwrap();
+        rig.answer(2, GripAnswer::Accepted);
+        rig.outputs.clear();
+        rig.run(4000);
+        rig.answer(2, GripAnswer::At(0.1));
+        assert!(rig.run(4900).is_empty(), "feedback counts");
+        assert_eq!(rig.run(200).first(), Some(&Output::CancelGrip { goal: 2 }));
+        assert!(matches!(rig.gripper.take_end(), Some(GripEnd::Failed(why)) if why.contains("told nothing")));
+    }
+
+    #[test]
+    fn a_stop_cancels_until_it_is_confirmed_and_sends_nothing_else() {
+        let mut rig = Rig::new();
+        rig.grip(0.0).unwrap();
+        rig.outputs.clear();
+        rig.gripper.halt(rig.now_ms, &mut rig.outputs);
+        // Accepted only now: cancelled again.
+        rig.answer(1, GripAnswer::Accepted);
+        let sent = rig.run(500);
+        assert!(sent.len() >= 3 && sent.iter().all(|o| *o == Output::CancelGrip { goal: 1 }), "{sent:?}");
+        assert_eq!(rig.done(1, 0.4, false), Some(GripEnd::Halted));
+        assert!(rig.run(1000).is_empty());
+
+        rig.grip(0.085).unwrap();
+        rig.gripper.halt(rig.now_ms, &mut rig.outputs);
+        rig.run(2100);
+        assert_eq!(rig.gripper.take_end(), Some(GripEnd::Halted));
+        assert!(rig.gripper.take_notes()[0].contains("ALARM"));
+        assert_eq!(rig.run(200), [Output::CancelGrip { goal: 2 }], "asked on");
+    }
+
+    #[test]
+    fn without_a_server_it_is_refused_with_the_reason() {
+        let mut rig = Rig::new();
+        rig.gripper.set_missing(Some("no server of a name that ends in gripper_cmd".to_owned()));
+        assert!(rig.grip(0.0).unwrap_err().contains("gripper_cmd"));
+        assert!(rig.outputs.is_empty());
+    }
+}

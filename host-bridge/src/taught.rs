@@ -1,0 +1,102 @@
+//! A pose written into somebody's own TOML file, of which everything else stays as it is.
+
+use std::fmt::Write as _;
+use std::ops::Range;
+
+use toml::de::{DeTable, DeValue};
+
+/// Digits behind the point: a micrometre at the end of an arm.
+const DIGITS: usize = 6;
+
+/// The pose cannot be written.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum TaughtError {
+    /// The text is no TOML.
+    #[error("line {line}: {what}")]
+    Text {
+        /// Line, from 1.
+        line: usize,
+        /// What the parser says.
+        what: String,
+    },
+    /// The pose is there, and not by its angles.
+    #[error("pose '{0}' is there already, given by its place; take it out, or choose another name")]
+    ByPlace(String),
+}
+
+/// The text with this pose in it: a known one gets new angles, a new one comes last.
+///
+/// # Errors
+/// [`TaughtError`]; nothing is lost then.
+pub fn with_pose(text: &str, name: &str, joints_rad: &[f64]) -> Result<String, TaughtError> {
+    let mut angles = String::from("[");
+    for (i, angle) in joints_rad.iter().enumerate() {
+        let _ = write!(angles, "{}{angle:.DIGITS$}", if i == 0 { "" } else { ", " });
+    }
+    angles.push(']');
+    let mut new = text.to_owned();
+    match place(text, name)? {
+        Some(span) => new.replace_range(span, &angles),
+        None => {
+            if !new.is_empty() && !new.ends_with('\n') {
+                new.push('\n');
+            }
+            let gap = if new.is_empty() { "" } else { "\n" };
+            let _ = write!(new, "{gap}[[pose]]\nname = {}\njoints_rad = {angles}\n", quoted(name));
+        }
+    }
+    Ok(new)
+}
+
+/// As a TOML string.
+fn quoted(name: &str) -> String {
+    toml::Value::String(name.to_owned()).to_string()
+}
+
+/// Where the angles of the pose of that name stand.
+fn place(text: &str, name: &str) -> Result<Option<Range<usize>>, TaughtError> {
+    let table = DeTable::parse(text).map_err(|error| {
+        let at = error.span().map_or(0, |span| span.start);
+        let line = text.get(..at).map_or(1, |before| before.matches('\n').count() + 1);
+        TaughtError::Text { line, what: error.message().trim().replace('\n', "; ") }
+    })?;
+    let Some(DeValue::Array(poses)) = table.get_ref().get("pose").map(|value| value.get_ref()) else {
+        return Ok(None);
+    };
+    for pose in poses.iter() {
+        let DeValue::Table(pose) = pose.get_ref() else { continue };
+        let is_it =
+            matches!(pose.get("name").map(|n| n.get_ref()), Some(DeValue::String(known)) if known == name);
+        if is_it {
+            let angles = pose.get("joints_rad").ok_or_else(|| TaughtError::ByPlace(name.to_owned()))?;
+            return Ok(Some(angles.span()));
+        }
+    }
+    Ok(None)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_new_pose_comes_last_and_a_known_one_gets_new_angles_and_nothing_else_changes() {
+        let text = "title = \"mine\" # a comment\n\n[[pose]]\nname = \"a \\\"b\\\"\"\njoints_rad = [ 1.0,\n  2.0 ] # old\n";
+        let new = with_pose(text, "shelf", &[0.5, -1.25]).unwrap();
+        assert_eq!(new, format!("{text}\n[[pose]]\nname = \"shelf\"\njoints_rad = [0.500000, -1.250000]\n"));
+        let again = with_pose(&new, "a \"b\"", &[3.0]).unwrap();
+        assert_eq!(again, new.replace("[ 1.0,\n  2.0 ]", "[3.000000]"));
+        let first = with_pose("", "she said \"here\"", &[0.0]).unwrap();
+        assert!(place(&first, "she said \"here\"").unwrap().is_some(), "{first}");
+    }
+
+    #[test]
+    fn what_cannot_be_changed_is_said() {
+        let text = "[[pose]]\nname = \"bin\"\nposition_m = [1, 0, 0]\nquaternion_wxyz = [1, 0, 0, 0]\n";
+        assert_eq!(with_pose(text, "bin", &[0.0]), Err(TaughtError::ByPlace("bin".to_owned())));
+        let TaughtError::Text { line, .. } = with_pose("a = 1\nb = ", "x", &[0.0]).unwrap_err() else {
+            panic!()
+        };
+        assert_eq!(line, 2);
+    }
+}
