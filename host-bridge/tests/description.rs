@@ -26,7 +26,8 @@ fn between<'a>(text: &'a str, before: &str, after: &str) -> Vec<&'a str> {
 fn the_description_read_back_is_the_arm_on_its_base_and_moves_as_it_does() {
     let (setting, config) = (setting(), Ros2Config::default());
     let text = urdf(&setting, &config.frames(&setting).unwrap(), &config);
-    let missing = Missing { tip: None, link_radius_m: 0.05, acceleration_rad_s2: 8.6 };
+    let missing =
+        Missing { acceleration_rad_s2: 8.6, ..Missing::of(&host_bridge::scene::ArmTable::default()) };
     let (read, arm) = (parse(&text, &missing).unwrap(), SerialArm::gen3());
     assert_eq!(read.root_link, "base_link");
     assert_eq!(read.flange_link, "arm_end_effector_link");

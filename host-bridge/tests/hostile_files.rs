@@ -100,7 +100,7 @@ fn descriptions_of_arms() {
     use host_bridge::arm::urdf::{Missing, parse};
     let arm = bytes("scenes/other-arm.urdf");
     torment("descriptions of arms (URDF)", &[&arm], |file| {
-        let missing = Missing { tip: None, link_radius_m: 0.05, acceleration_rad_s2: 1.0 };
+        let missing = Missing::of(&host_bridge::scene::ArmTable::default());
         parse(&text(file), &missing).is_ok()
     });
 }

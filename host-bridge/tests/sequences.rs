@@ -33,11 +33,13 @@ fn finish(robot: &mut Robot) -> Vec<Report> {
 }
 
 fn notes(reports: &[Report]) -> Vec<&str> {
-    let note = |report| match report {
-        &Report::Note(ref text) => Some(text.as_str()),
-        _ => None,
-    };
-    reports.iter().filter_map(note).collect()
+    let mut notes = Vec::new();
+    for report in reports {
+        if let Report::Note(text) = report {
+            notes.push(text.as_str());
+        }
+    }
+    notes
 }
 
 fn ended(reports: &[Report]) -> Option<bool> {

@@ -110,7 +110,7 @@ type Remote = Director<Box<dyn Robot + Send>>;
 
 fn open(config: &Config, stage: &Stage) -> Result<Remote> {
     let base = stage.simulator(config).base_limits().to_owned();
-    let graph = Graph::open(&config.ros2, stage.limits, base, false)?;
+    let graph = Graph::open(&config.ros2, stage.limits, base, None)?;
     eprintln!("{}", graph.about);
     let robot: Box<dyn Robot + Send> = Box::new(graph.driver);
     Ok(stage.before(robot))

@@ -188,7 +188,7 @@ impl<R: Robot> Director<R> {
     fn go_freely(&mut self, goal_rad: &Joints, draft: &mut Draft) -> Result<(), String> {
         let arm = &self.bare.arm;
         let from_rad = draft.from_rad;
-        let goal_rad = unwound(arm, goal_rad, &from_rad);
+        let goal_rad = arm.unwound(goal_rad, &from_rad);
         let (leg, home_s) = match &self.planner {
             None => {
                 arm.check(&from_rad).map_err(|error| {
