@@ -4,8 +4,8 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use models::dataset::{Dataset, Item};
-use models::events::{Stream, Tally, play};
-use models::score::{Classifier, score, scored};
+use models::evaluate::events::{Stream, Tally, play};
+use models::evaluate::score::{Classifier, score, scored};
 use models::synth::{Group, Take, Wearer, session, takes};
 use models::{blob, bundled, labels};
 use shared_dsp::decision::is_rest;

@@ -8,16 +8,16 @@ use std::path::Path;
 
 use common::folder;
 use models::daily::Daily;
-use models::people::Trial;
-use models::train::{Recipe, Steps, adapt, examples_of};
+use models::evaluate::people::Trial;
+use models::train::{ALIGNED, Aligned, Epochs, LOG_POWER, PAPER, PerAxis, Recipe, Steps, adapt, examples_of};
 
 /// The aligned recipe, shorter: what is tested does not depend on how long it trains.
-fn recipe() -> Recipe {
-    let steps = Some(Steps { count: 150, rounded: 60, ..Steps::TRAIN });
-    Recipe { steps, bystanders: 5, performers: 5, ..Recipe::aligned() }
+fn recipe() -> Aligned {
+    let steps = Steps { count: 150, rounded: 60, ..Steps::TRAIN };
+    Aligned { steps, bystanders: 5, performers: 5, ..ALIGNED }
 }
 
-fn trial<'a>(folder: &'a Path, recipe: &'a Recipe) -> Trial<'a> {
+fn trial<'a>(folder: &'a Path, recipe: &'a dyn Recipe) -> Trial<'a> {
     Trial { folder, axes: None, labels: &[], recipe }
 }
 
@@ -37,21 +37,22 @@ fn spoil(folder: &Path, person: &str) {
 fn no_file_of_a_person_held_out_touches_the_model_whatever_the_recipe() {
     // Recipes are constants that no data chooses; what they do with data is all in the model: inputs' scaling, when to
     // stop, weights, their quantisation and what is kept for adapting.
-    let recipes =
-        [recipe(), Recipe { epochs: 6, ..Recipe::log_power() }, Recipe { epochs: 6, ..Recipe::paper() }];
+    let short = |recipe: PerAxis| PerAxis { epochs: Epochs { most: 6, ..recipe.epochs }, ..recipe };
+    let recipes: [Box<dyn Recipe>; 3] =
+        [Box::new(recipe()), Box::new(short(LOG_POWER)), Box::new(short(PAPER))];
     let data = folder();
-    let train = |recipe: &Recipe| trial(data.path(), recipe).without("b", 1).unwrap();
+    let train = |recipe: &Box<dyn Recipe>| trial(data.path(), &**recipe).without("b", 1).unwrap();
     let clean: Vec<_> = recipes.iter().map(train).collect();
     spoil(data.path(), "b");
     for (recipe, clean) in recipes.iter().zip(clean) {
         let same = train(recipe);
-        assert_eq!(same.int8_tflite, clean.int8_tflite, "{}: weights and their quantisation", recipe.name);
-        assert_eq!(same.float_tflite, clean.float_tflite, "{}: weights", recipe.name);
-        assert_eq!(same.card, clean.card, "{}: scaling, stopping, data and all else", recipe.name);
-        assert_eq!(same.memory, clean.memory, "{}: what it remembers", recipe.name);
+        assert_eq!(same.int8_tflite, clean.int8_tflite, "{}: weights and their quantisation", recipe.name());
+        assert_eq!(same.float_tflite, clean.float_tflite, "{}: weights", recipe.name());
+        assert_eq!(same.card, clean.card, "{}: scaling, stopping, data and all else", recipe.name());
+        assert_eq!(same.memory, clean.memory, "{}: what it remembers", recipe.name());
         assert!(!same.card.data.people.contains_key("b"));
         assert!(
-            trial(data.path(), recipe).without("a", 1).is_err(),
+            trial(data.path(), &**recipe).without("a", 1).is_err(),
             "the spoiled files do stop a model that needs them"
         );
     }
@@ -111,7 +112,7 @@ fn a_model_learns_one_more_person_and_keeps_labels_and_scaling() {
     assert_ne!(adapted.card.model_id, model.card.model_id);
     assert_eq!((&adapted.card.labels, &adapted.card.scaling), (&model.card.labels, &model.card.scaling));
     assert_eq!(adapted.card.data.people["b"], 12);
-    assert!(models::people::grade(&adapted, &theirs).unwrap().accuracy().int8 >= 90.0);
+    assert!(models::evaluate::people::grade(&adapted, &theirs).unwrap().accuracy().int8 >= 90.0);
     let limit = model.card.scaling.limit;
     let (before, now) = (memory.accuracy(&model.float, limit), memory.accuracy(&adapted.float, limit));
     assert!(now >= before - 1.0, "the others: {before} % before, {now} % now");

@@ -3,7 +3,7 @@
 
 use std::path::PathBuf;
 
-use models::events::{self, Stream};
+use models::evaluate::events::{self, Stream};
 use models::synth::{IdleKind, Motion, Segment, Wearer, session};
 use shared_dsp::mlp::Model;
 

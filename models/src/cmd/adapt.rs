@@ -7,7 +7,7 @@ use clap::Args;
 use models::blob::ModelFiles;
 use models::daily::Daily;
 use models::dataset::Dataset;
-use models::people::grade;
+use models::evaluate::people::grade;
 use models::tflite::{self, Network};
 use models::train::{Memory, Trained, adapt, examples_of};
 

@@ -6,8 +6,8 @@ use std::time::Instant;
 use clap::{Args, Subcommand};
 use models::daily::{Daily, vectors};
 use models::dataset::{Dataset, Item};
-use models::events::{Heard, Stream, Tally, decide, listen};
-use models::train::{Job, Recipe, Trained, adapt, examples_of, train};
+use models::evaluate::events::{Heard, Stream, Tally, decide, listen};
+use models::train::{Aligned, Job, Trained, adapt, examples_of, train};
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
@@ -103,7 +103,7 @@ impl Events {
         let daily = Dataset::read(&self.daily, None)?;
         let people = daily.people();
         anyhow::ensure!(people.len() >= 2, "{}: only {} person(s)", self.daily.display(), people.len());
-        let recipe = self.short.shorten(vec![Recipe::aligned()]).remove(0);
+        let recipe = self.short.aligned();
         for set in &self.folders {
             let learned = Dataset::read_where(&set.folder, None, |label, _| {
                 set.labels.is_empty()
@@ -201,7 +201,7 @@ impl Events {
     fn one(
         &self,
         learned: &Dataset,
-        recipe: &Recipe,
+        recipe: &Aligned,
         daily: &Dataset,
         people: &[String],
         half: usize,
@@ -209,7 +209,7 @@ impl Events {
     ) -> anyhow::Result<(Outcome, Outcome)> {
         let judges: Vec<String> = people.iter().skip(half).step_by(2).cloned().collect();
         let taught = if self.untaught { Daily::None } else { Daily::Without(judges.clone()) };
-        let recipe = Recipe { daily: taught.clone(), ..recipe.clone() };
+        let recipe = Aligned { daily: taught.clone(), ..recipe.clone() };
         let job = Job {
             name: "trial".to_owned(),
             about: String::new(),

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use models::blob::ModelFiles;
-use models::score::{Classifier, score, scored};
+use models::evaluate::score::{Classifier, score, scored};
 use models::tflite::Network;
 use shared_dsp::mlp::Model;
 

@@ -4,9 +4,9 @@ use std::time::Instant;
 
 use clap::Args;
 use indicatif::ProgressBar;
-use models::events::Tally;
-use models::people::Trial;
-use models::study::Events;
+use models::evaluate::events::Tally;
+use models::evaluate::people::Trial;
+use models::evaluate::study::Events;
 
 use super::RecipeName;
 use super::people::Set;
@@ -44,10 +44,10 @@ impl Cmd {
         anyhow::ensure!((0.0..=1000.0).contains(&self.hours), "--hours takes 0 to 1000");
         let start = Instant::now();
         let axes = self.axes.count();
-        let recipe = self.short.shorten(vec![self.recipe.recipe()]).remove(0);
+        let recipe = self.short.shorten(self.recipe.0);
         for set in &self.folders {
             let (people, what) = set.people(axes)?;
-            println!("{what}, recipe {}, {} seeds", recipe.name, self.seeds);
+            println!("{what}, recipe {}, {} seeds", recipe.name(), self.seeds);
             println!(
                 "{:<8} {:>9} {:>8} {:>7} {:>6} {:>8} {:>8} {:>9} {:>7} {:>7}",
                 "person",
@@ -61,7 +61,7 @@ impl Cmd {
                 "false",
                 "stray"
             );
-            let trial = Trial { folder: &set.folder, axes, labels: &set.labels, recipe: &recipe };
+            let trial = Trial { folder: &set.folder, axes, labels: &set.labels, recipe: &*recipe };
             let progress = ProgressBar::new_spinner();
             let done = |what: &str| {
                 progress.set_message(what.to_owned());

@@ -16,31 +16,27 @@ pub mod tempo;
 pub mod train;
 
 use std::path::{Path, PathBuf};
+use std::sync::LazyLock;
 
+use clap::builder::PossibleValue;
 use clap::{Args, ValueEnum};
 use models::card::Score;
 use models::dataset::Dataset;
-use models::train::Recipe;
+use models::train::{ALIGNED, Aligned, Recipe, recipes};
 
-/// How to train.
-#[derive(Clone, Copy, Debug, ValueEnum)]
-pub enum RecipeName {
-    /// Features in the hand's own frame, for people it has never met
-    Aligned,
-    /// Features per axis with log powers, until it converges; it knows directions in the room, and wants the board
-    /// worn as it was in the recordings
-    LogPower,
-    /// The paper's: 30 epochs, batch 32, learning rate 5e-4, 20 % validation
-    Paper,
-}
+/// How to train: one of [`recipes::ALL`].
+#[derive(Clone, Copy, Debug)]
+pub struct RecipeName(pub &'static dyn Recipe);
 
-impl RecipeName {
-    pub fn recipe(self) -> Recipe {
-        match self {
-            Self::Aligned => Recipe::aligned(),
-            Self::LogPower => Recipe::log_power(),
-            Self::Paper => Recipe::paper(),
-        }
+impl ValueEnum for RecipeName {
+    fn value_variants<'a>() -> &'a [Self] {
+        static ALL: LazyLock<Vec<RecipeName>> =
+            LazyLock::new(|| recipes::ALL.iter().map(|recipe| RecipeName(*recipe)).collect());
+        &ALL
+    }
+
+    fn to_possible_value(&self) -> Option<PossibleValue> {
+        Some(PossibleValue::new(self.0.name()).help(self.0.about()))
     }
 }
 
@@ -53,18 +49,14 @@ pub struct Short {
 }
 
 impl Short {
-    /// The recipes with as many steps as asked for.
-    pub fn shorten(&self, mut recipes: Vec<Recipe>) -> Vec<Recipe> {
-        for recipe in &mut recipes {
-            let (Some(plan), Some(count)) = (&mut recipe.steps, self.steps) else { continue };
-            // Fewer steps see fewer simulated wearers.
-            let fewer = |wearers: u32| wearers.min((wearers as usize * count).div_ceil(plan.count) as u32);
-            recipe.bystanders = fewer(recipe.bystanders);
-            recipe.performers = fewer(recipe.performers);
-            plan.count = count;
-            plan.rounded = plan.rounded.min(count);
-        }
-        recipes
+    /// The recipe with as many steps as asked for.
+    pub fn shorten(&self, recipe: &dyn Recipe) -> Box<dyn Recipe> {
+        recipe.shortened(self.steps)
+    }
+
+    /// The same of recipe aligned, whose settings may change.
+    pub fn aligned(&self) -> Aligned {
+        self.steps.map_or(ALIGNED, |count| ALIGNED.with_steps(count))
     }
 }
 
@@ -104,8 +96,8 @@ pub struct Source {
 }
 
 impl Source {
-    pub fn recipe(&self) -> Recipe {
-        self.short.shorten(vec![self.recipe.recipe()]).remove(0)
+    pub fn recipe(&self) -> Box<dyn Recipe> {
+        self.short.shorten(self.recipe.0)
     }
 
     /// The recordings. Those of people who are left out are not even opened.

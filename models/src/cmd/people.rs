@@ -7,9 +7,9 @@ use std::time::Instant;
 use clap::Args;
 use indicatif::ProgressBar;
 use models::dataset::Dataset;
-use models::people::Trial;
-use models::study::{Study, widest_gap};
-use models::train::Recipe;
+use models::evaluate::people::Trial;
+use models::evaluate::study::{Study, widest_gap};
+use models::train::{ALIGNED, PAPER, Recipe};
 
 use super::RecipeName;
 
@@ -86,11 +86,10 @@ impl Set {
 }
 
 /// The recipes that are compared: those named, or the paper's and the best.
-pub fn recipes(names: &[RecipeName]) -> Vec<Recipe> {
-    match names {
-        [] => vec![Recipe::paper(), Recipe::aligned()],
-        names => names.iter().map(|name| name.recipe()).collect(),
-    }
+pub fn recipes(names: &[RecipeName], short: &super::Short) -> Vec<Box<dyn Recipe>> {
+    let usual = [RecipeName(&PAPER), RecipeName(&ALIGNED)];
+    let names = if names.is_empty() { &usual } else { names };
+    names.iter().map(|name| short.shorten(name.0)).collect()
 }
 
 impl Cmd {
@@ -104,8 +103,8 @@ impl Cmd {
             println!("{what}");
             println!("right recordings in per cent, mean of {} seeds", self.seeds);
             println!("{:<9} {:<28} {:>8} {:>8}", "recipe", "tested on", "float", "int8");
-            for recipe in self.short.shorten(recipes(&self.recipe)) {
-                let trial = Trial { folder: &set.folder, axes, labels: &set.labels, recipe: &recipe };
+            for recipe in recipes(&self.recipe, &self.short) {
+                let trial = Trial { folder: &set.folder, axes, labels: &set.labels, recipe: &*recipe };
                 let progress = ProgressBar::new_spinner();
                 let done = |what: &str| {
                     progress.set_message(what.to_owned());
@@ -116,9 +115,9 @@ impl Cmd {
                 let rows = study.rows();
                 for row in &rows {
                     let a = row.accuracy;
-                    println!("{:<9} {:<28} {:>8.2} {:>8.2}", recipe.name, row.what, a.float, a.int8);
+                    println!("{:<9} {:<28} {:>8.2} {:>8.2}", recipe.name(), row.what, a.float, a.int8);
                 }
-                if recipe.steps.is_some() {
+                if recipe.adapts() {
                     all.extend(rows);
                 }
             }

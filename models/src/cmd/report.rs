@@ -4,10 +4,10 @@ use std::path::PathBuf;
 
 use clap::Args;
 use indicatif::ProgressBar;
-use models::people::{Trial, TrialError};
+use models::evaluate::people::{Trial, TrialError};
+use models::evaluate::study::{Events, Study};
 use models::recording::write_whole;
 use models::report::{Facts, NetworkSize, Report, html};
-use models::study::{Events, Study};
 use rayon::prelude::*;
 use shared_dsp::mlp::Model;
 
@@ -61,8 +61,8 @@ impl Cmd {
         };
         let (mut studies, mut networks, mut learning, mut events) =
             (Vec::new(), Vec::new(), Vec::new(), None);
-        for recipe in self.short.shorten(recipes(&self.recipe)) {
-            let trial = Trial { folder: &self.set.folder, axes, labels: &self.set.labels, recipe: &recipe };
+        for recipe in recipes(&self.recipe, &self.short) {
+            let trial = Trial { folder: &self.set.folder, axes, labels: &self.set.labels, recipe: &*recipe };
             studies.push(Study::run(&trial, &people, self.seeds, &self.examples, done)?);
             let model = trial.without(&people[0], 1)?;
             let mut widths = vec![model.card.scaling.mean.len()];
@@ -75,7 +75,7 @@ impl Cmd {
                     Ok((*share, trial.stranger_after(person, *share, 1)?.accuracy().int8))
                 };
                 let points = SHARES.par_iter().map(point).collect::<Result<Vec<_>, _>>()?;
-                learning.push((format!("{}: {person}", recipe.name), points));
+                learning.push((format!("{}: {person}", recipe.name()), points));
             }
             events = Some(Events::run(&trial, &people, self.seeds, self.hours * 3600.0, &TRIED, done)?);
         }

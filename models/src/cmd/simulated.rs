@@ -3,7 +3,7 @@
 use std::time::Instant;
 
 use clap::Args;
-use models::people::{Accuracy, Graded, from_simulated};
+use models::evaluate::people::{Accuracy, Graded, from_simulated};
 use rayon::prelude::*;
 
 use super::RecipeName;
@@ -39,9 +39,6 @@ impl Cmd {
         anyhow::ensure!(self.seeds > 0 && self.wearers > 0, "--seeds and --wearers take a number above 0");
         let start = Instant::now();
         let axes = self.axes.count();
-        let mut recipe = self.recipe.recipe();
-        // Simulated wearers differ more than copies of one would.
-        recipe.augmentation.copies = recipe.augmentation.copies.min(3);
         let known: Vec<Vec<String>> = match self.labels.as_slice() {
             [] => [REAL.as_slice(), &models::labels::PAPER]
                 .map(|labels| labels.iter().map(|label| (*label).to_owned()).collect())
@@ -60,7 +57,7 @@ impl Cmd {
                 }
                 let runs: Vec<Graded> = (1..=self.seeds)
                     .into_par_iter()
-                    .map(|seed| from_simulated(&recipe, self.wearers, labels, &real, seed))
+                    .map(|seed| from_simulated(self.recipe.0, self.wearers, labels, &real, seed))
                     .collect::<Result<_, _>>()?;
                 let accuracy: Accuracy = Graded::mean(&runs);
                 println!(

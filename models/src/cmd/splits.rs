@@ -33,7 +33,7 @@ impl Cmd {
                 excluded: self.source.exclude_person.clone(),
                 progress: self.splits == 1,
             };
-            let card = train(&dataset, &test, &recipe, &job)?.card;
+            let card = train(&dataset, &test, &*recipe, &job)?.card;
             let scores =
                 card.test.ok_or_else(|| anyhow::anyhow!("no recordings to test on; raise --test"))?;
             eprintln!("seed {seed}: {} epochs", card.training.epochs);
@@ -41,7 +41,7 @@ impl Cmd {
         };
         let seeds: Vec<u64> = (0..self.splits).map(|k| self.source.seed + k).collect();
         let results: Vec<_> = seeds.par_iter().map(|&seed| one(seed)).collect::<anyhow::Result<_>>()?;
-        println!("accuracy per recording in per cent, {} recipe", recipe.name);
+        println!("accuracy per recording in per cent, {} recipe", recipe.name());
         println!("{:>6} {:>8} {:>8} {:>14}", "seed", "float", "int8", "int8 windows");
         for (seed, (float, int8, windows)) in seeds.iter().zip(&results) {
             println!("{seed:>6} {float:>8.2} {int8:>8.2} {windows:>14.2}");

@@ -4,8 +4,8 @@ use std::time::Instant;
 
 use clap::Args;
 use models::dataset::{Dataset, Item};
-use models::people::{Accuracy, Trial};
-use models::tempo::{at_tempo, range_of, strokes_per_second};
+use models::evaluate::people::{Accuracy, Trial};
+use models::evaluate::tempo::{at_tempo, range_of, strokes_per_second};
 use rayon::prelude::*;
 use shared_dsp::decision::is_rest;
 
@@ -41,7 +41,7 @@ impl Cmd {
         );
         let start = Instant::now();
         let axes = self.axes.count();
-        let recipe = self.short.shorten(vec![super::RecipeName::Aligned.recipe()]).remove(0);
+        let recipe = self.short.aligned();
         for set in &self.folders {
             let (people, what) = set.people(axes)?;
             println!("{what}");

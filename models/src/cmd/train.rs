@@ -44,7 +44,7 @@ impl Cmd {
             excluded: self.source.exclude_person.clone(),
             progress: true,
         };
-        let trained = train(&dataset, &test, &self.source.recipe(), &job)?;
+        let trained = train(&dataset, &test, &*self.source.recipe(), &job)?;
         let card = &trained.card;
         println!(
             "{} windows of {} recordings, {} padded (going on as they went a period before) and {} resampled; \

@@ -7,7 +7,7 @@ pub mod svg;
 pub use facts::{Facts, PersonFacts, feature_names};
 pub use page::html;
 
-use crate::study::{Events, Study};
+use crate::evaluate::study::{Events, Study};
 
 /// Size of a network as a board holds it.
 #[derive(Clone, Debug, PartialEq, Eq)]

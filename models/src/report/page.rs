@@ -4,8 +4,8 @@ use std::fmt::Write as _;
 
 use super::svg::{Line, colour, escape, heat, lines};
 use super::{Facts, Report};
-use crate::people::Graded;
-use crate::study::{Events, Study};
+use crate::evaluate::people::Graded;
+use crate::evaluate::study::{Events, Study};
 
 const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;max-width:62rem;margin:2rem auto;padding:0 1rem;color:#222}\
 h1,h2,h3{line-height:1.2}h2{margin-top:2.5rem;border-bottom:1px solid #ccc}\

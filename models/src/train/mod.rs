@@ -4,47 +4,45 @@
 //! which threads finish: the same seed gives the same files on one machine with any number of
 //! threads.
 
-mod aligned;
+mod adapt;
 mod augment;
-mod fit;
+mod epochs;
+mod memory;
 mod net;
 mod quantise;
 mod recipe;
+pub mod recipes;
+mod simulated;
 mod split;
 mod steps;
 mod vary;
 
 use std::collections::BTreeMap;
-use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
 use indicatif::{ProgressBar, ProgressStyle};
-use rand::SeedableRng;
-use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use sha2::{Digest, Sha256};
 use shared_dsp::mlp::{MAX_LABELS, Model};
 
-use crate::card::{self, Card, Data, Scaling, Scores, Training};
-use crate::daily::Daily;
+use crate::card::{self, Card, Data, Scores, Training};
 use crate::dataset::{Dataset, Item};
+use crate::evaluate::score::{Classifier, score, scored, standardise};
 use crate::recording::write_whole;
-use crate::score::{Classifier, score, scored, standardise};
 use crate::tflite::{self, FloatLayer, Network};
-use crate::windows::{features, prepare};
 use crate::{HOP, RATE_HZ, WINDOW, blob};
 
-pub use aligned::{Memory, MemoryError};
+pub use adapt::{adapt, examples_of};
 pub use augment::Augmentation;
-pub use recipe::Recipe;
+pub use epochs::Epochs;
+pub use memory::{Memory, MemoryError};
+pub use recipe::{Beside, Calibration, Fitted, Learnt, Plan, Recipe, Row, Shared, Windows, scaling};
+pub use recipes::{ALIGNED, Aligned, LOG_POWER, PAPER, PerAxis};
 pub use split::held_out;
 pub use steps::Steps;
 
 /// What makes no gesture, yet is not at rest.
 const OTHER: &str = "other";
-/// How often each window of daily movement is learnt, beside ten copies of each window of a recording.
-const DAILY_WEIGHT: usize = 8;
-
 /// What else a training needs to know.
 #[derive(Clone, Debug)]
 pub struct Job {
@@ -97,44 +95,6 @@ pub struct Trained {
     pub memory: Option<Memory>,
 }
 
-/// Teaches a model one more person from a few windows of them, [`WINDOW`] samples one after the other, with their
-/// labels. Everything else stays: labels, scaling, and by rehearsal what it knows of the others; and what `daily` shows
-/// stays no gesture: without it, getting up from a chair becomes a circle once three circles have been shown.
-///
-/// # Errors
-/// If the library that fits networks fails, or the result cannot be quantised.
-pub fn adapt(
-    model: &Trained,
-    memory: &Memory,
-    examples: &[(Vec<f32>, usize)],
-    person: &str,
-    daily: &Daily,
-    seed: u64,
-) -> Result<Trained, TrainError> {
-    // Beside 4,096 rows of what the model remembers, a quarter is enough; all of it makes the model doubt what is shown.
-    let daily: Vec<Vec<f32>> = daily.rows(model.card.axes).into_iter().step_by(4).collect();
-    let adapted = aligned::adapt(&model.card, &model.float, memory, examples, &daily, seed)?;
-    let mut card = Card {
-        about: format!("{}; adapted to {person} with {} windows", model.card.about, examples.len()),
-        test: None,
-        validation: None,
-        ..model.card.clone()
-    };
-    *card.data.people.entry(person.to_owned()).or_default() += examples.len();
-    let int8 = aligned::int8(&adapted.layers, &adapted.rows, card.scaling.limit);
-    let blob = blob::build(&card, &int8).map_err(TrainError::Quantise)?;
-    card.model_id = blob::model_id(&blob);
-    let int8_tflite = tflite::write(&Network::Int8(int8));
-    card.tflite_sha256 = sha256(&int8_tflite);
-    let float_tflite = tflite::write(&Network::Float(adapted.layers.clone()));
-    Ok(Trained { card, float: adapted.layers, float_tflite, int8_tflite, memory: Some(memory.clone()) })
-}
-
-/// The windows of a recording that [`adapt`] learns from: one each second.
-pub fn examples_of(recording: &crate::recording::Recording) -> Vec<Vec<f32>> {
-    aligned::cut(&prepare(recording).0)
-}
-
 impl Trained {
     /// The blob that boards and bridge run.
     ///
@@ -166,17 +126,6 @@ impl Trained {
     }
 }
 
-/// The windows of one recording, ready to learn from.
-struct Windows {
-    label: usize,
-    /// Features of the recording as it is.
-    own: Vec<Vec<f32>>,
-    /// Features of its varied copies.
-    varied: Vec<Vec<f32>>,
-    padded: bool,
-    resampled: bool,
-}
-
 /// A progress bar, or nothing where it is not wanted.
 fn bar(job: &Job, length: usize, what: &'static str) -> ProgressBar {
     if !job.progress {
@@ -191,62 +140,44 @@ fn bar(job: &Job, length: usize, what: &'static str) -> ProgressBar {
 }
 
 /// Trains on `dataset` without the recordings named in `test`, and scores on those.
-pub fn train(dataset: &Dataset, test: &[String], recipe: &Recipe, job: &Job) -> Result<Trained, TrainError> {
+pub fn train(
+    dataset: &Dataset,
+    test: &[String],
+    recipe: &dyn Recipe,
+    job: &Job,
+) -> Result<Trained, TrainError> {
     let test_set = dataset.filtered(|item| test.contains(&item.name));
     let used = dataset.filtered(|item| !test.contains(&item.name));
     check_labels(&used)?;
-    let mut labels = used.labels.clone();
-    if recipe.bystanders > 0 && labels.len() < MAX_LABELS && !labels.iter().any(|label| label == OTHER) {
-        labels.push(OTHER.to_owned());
-        crate::labels::sort(&mut labels);
-    }
-    let validation = held_out(&used, recipe.validation_fraction, job.seed);
+    let labels = recipe.labels(used.labels.clone());
+    let plan = recipe.plan();
+    let validation = held_out(&used, plan.validation_fraction, job.seed);
 
     let windows = all_windows(&used, &labels, recipe, job);
+    let beside = recipe.beside(used.axes, &labels);
     let is_validation: Vec<bool> = used.items.iter().map(|i| validation.contains(&i.name)).collect();
-    let mut learn: Vec<(&[f32], usize)> = Vec::new();
-    let mut check: Vec<(&[f32], usize)> = Vec::new();
+    let (mut learn, mut check): (Vec<Row<'_>>, Vec<Row<'_>>) = (Vec::new(), Vec::new());
     for (part, held) in windows.iter().zip(&is_validation) {
-        let own = part.own.iter().map(|w| (w.as_slice(), part.label));
+        let rows =
+            |windows: &'_ [Vec<f32>]| windows.iter().map(|w| (w.as_slice(), part.label)).collect::<Vec<_>>();
         if *held {
-            check.extend(own);
+            check.extend(rows(&part.own));
         } else {
-            learn.extend(own);
-            learn.extend(part.varied.iter().map(|w| (w.as_slice(), part.label)));
+            learn.extend(rows(&part.own));
+            learn.extend(rows(&part.varied));
         }
     }
-    if check.is_empty() && recipe.steps.is_none() {
-        // Too few recordings to spare any: the training windows themselves decide when to stop.
-        check.clone_from(&learn);
-    }
-    // As `idle` they would teach that whoever moves slowly rests.
-    let no_gesture = labels.iter().position(|label| label == OTHER);
-    let bystanders = match (recipe.bystanders, no_gesture) {
-        (1.., Some(label)) => Some((aligned::aimless(used.axes, recipe.bystanders), label)),
-        _ => None,
-    };
-    if let Some((windows, label)) = &bystanders {
-        learn.extend(windows.iter().map(|window| (window.as_slice(), *label)));
-    }
-    let daily = match &bystanders {
-        Some((_, label)) => (recipe.daily.rows(used.axes), *label),
-        None => (Vec::new(), 0),
-    };
-    // What a model remembers of people is what people did.
-    let remembered = learn.len();
-    // Adapting has them from the crate, not from the model's memory.
-    for _ in 0..DAILY_WEIGHT {
-        learn.extend(daily.0.iter().map(|window| (window.as_slice(), daily.1)));
-    }
-    let performed = aligned::performed(used.axes, recipe.performers, &labels);
-    for (windows, label) in &performed {
-        learn.extend(windows.iter().map(|window| (window.as_slice(), *label)));
+    let mut remembered = learn.len();
+    for (set, keeps) in [(&beside.of_people, true), (&beside.of_nobody, false)] {
+        for (windows, label) in set {
+            learn.extend(windows.iter().map(|window| (window.as_slice(), *label)));
+        }
+        if keeps {
+            remembered = learn.len();
+        }
     }
     let real = || windows.iter().flat_map(|part| part.own.iter().map(Vec::as_slice));
-    let scaling = match recipe.steps {
-        Some(_) => scaling(&learn, aligned::divisor, real(), 1.0..=20.0),
-        None => scaling(&learn, divisor, learn.iter().map(|(window, _)| *window), 3.0..=10.0),
-    };
+    let scaling = recipe.scaling(&learn, &mut real());
 
     let mut card = Card {
         format: card::FORMAT,
@@ -259,42 +190,26 @@ pub fn train(dataset: &Dataset, test: &[String], recipe: &Recipe, job: &Job) -> 
         rate_hz: RATE_HZ as u16,
         window: WINDOW as u16,
         hop: HOP as u16,
-        features: blob::recipe_name(recipe.features).to_owned(),
+        features: blob::recipe_name(recipe.features()).to_owned(),
         scaling,
         training: Training {
-            recipe: recipe.name.to_owned(),
+            recipe: recipe.name().to_owned(),
             seed: job.seed,
             tool: format!("models {}", env!("CARGO_PKG_VERSION")),
             epochs: 0,
             best_epoch: 0,
-            batch: recipe.batch,
-            learning_rate: recipe.learning_rate,
-            validation_fraction: recipe.validation_fraction,
-            augmentation: match recipe.steps {
-                Some(_) => {
-                    let copies = recipe.augmentation.copies;
-                    let aimless = bystanders.as_ref().map_or(0, |(windows, _)| windows.len());
-                    let shown: usize = performed.iter().map(|(windows, _)| windows.len()).sum();
-                    let words = vary::WORDS;
-                    format!(
-                        "{copies} copies of each window: {words}; {aimless} windows of {} simulated wearers \
-                         who make no gesture and {shown} of {} who make those that the simulator knows; {} {}",
-                        recipe.bystanders,
-                        recipe.performers,
-                        daily.0.len(),
-                        crate::daily::SOURCE
-                    )
-                }
-                None => recipe.augmentation.to_string(),
-            },
+            batch: plan.batch,
+            learning_rate: plan.learning_rate,
+            validation_fraction: plan.validation_fraction,
+            augmentation: beside.words.clone(),
             windows: learn.len(),
         },
         data: Data {
             sha256: data_hash(&used)?,
             recordings: used.items.len(),
             minutes: used.items.iter().map(|i| i.recording.seconds()).sum::<f64>() / 60.0,
-            padded: windows.iter().filter(|w| w.padded).count(),
-            resampled: windows.iter().filter(|w| w.resampled).count(),
+            padded: windows.iter().filter(|w| w.prepared.padded).count(),
+            resampled: windows.iter().filter(|w| w.prepared.resampled).count(),
             labels: count(&used, |item| &item.label),
             people: count(&used, |item| &item.person),
             excluded: job.excluded.clone(),
@@ -304,35 +219,30 @@ pub fn train(dataset: &Dataset, test: &[String], recipe: &Recipe, job: &Job) -> 
         validation: None,
     };
 
-    let inputs = |set: &[(&[f32], usize)]| -> Vec<(Vec<f32>, usize)> {
+    let inputs = |set: &[Row<'_>]| -> Vec<(Vec<f32>, usize)> {
         set.iter().map(|(window, label)| (standardise(&card, window), *label)).collect()
     };
     let (learn, check) = (inputs(&learn), inputs(&check));
-    let progress = bar(job, recipe.epochs, "training");
-    let fitted = match &recipe.steps {
-        Some(plan) => {
-            let start = steps::Start::Widths(recipe.hidden);
-            let layers = steps::fit(&learn, labels.len(), &start, plan, card.scaling.limit, job.seed)?;
-            let epochs = (plan.count * plan.batch).div_ceil(learn.len().max(1));
-            fit::Fitted { layers, epochs, best_epoch: epochs }
-        }
-        None => fit::fit(&learn, &check, labels.len(), recipe, job.seed, &progress)?,
-    };
+    let progress = bar(job, plan.epochs, "training");
+    let limit = card.scaling.limit;
+    let fitted = recipe.fit(
+        &Learnt { rows: &learn, check: &check, labels: labels.len(), limit },
+        job.seed,
+        &progress,
+    )?;
     progress.finish_and_clear();
     card.training.epochs = fitted.epochs;
     card.training.best_epoch = fitted.best_epoch;
 
-    let real_inputs: Vec<Vec<f32>>;
-    let calibration: Vec<&[f32]> = match recipe.steps {
-        // Varied windows go further than real ones do: their rare extremes would cost every value a part of its
-        // int8 range.
-        Some(_) => {
-            real_inputs = real().map(|window| standardise(&card, window)).collect();
-            real_inputs.iter().map(Vec::as_slice).collect()
-        }
-        None => learn.iter().map(|(input, _)| input.as_slice()).collect(),
+    let real_inputs: Vec<Vec<f32>> = match recipe.calibration() {
+        Calibration::Real => real().map(|window| standardise(&card, window)).collect(),
+        Calibration::Learnt => Vec::new(),
     };
-    let int8 = quantise::quantise(&fitted.layers, &calibration, card.scaling.limit);
+    let calibration: Vec<&[f32]> = match recipe.calibration() {
+        Calibration::Real => real_inputs.iter().map(Vec::as_slice).collect(),
+        Calibration::Learnt => learn.iter().map(|(input, _)| input.as_slice()).collect(),
+    };
+    let int8 = quantise::quantise(&fitted.layers, &calibration, limit);
     let blob = blob::build(&card, &int8).map_err(TrainError::Quantise)?;
     card.model_id = blob::model_id(&blob);
     let model = Model::parse(&blob).map_err(|error| TrainError::Quantise(error.to_string()))?;
@@ -355,8 +265,7 @@ pub fn train(dataset: &Dataset, test: &[String], recipe: &Recipe, job: &Job) -> 
     let validation_scores = both(&used.filtered(|item| validation.contains(&item.name)));
     card.test = test_scores;
     card.validation = validation_scores;
-    let memory =
-        recipe.steps.map(|_| Memory::new(&learn[..remembered], labels.len(), card.scaling.limit, job.seed));
+    let memory = recipe.memory(&learn[..remembered], labels.len(), limit, job.seed);
     Ok(Trained { card, float: fitted.layers, float_tflite, int8_tflite, memory })
 }
 
@@ -381,71 +290,17 @@ fn check_labels(used: &Dataset) -> Result<(), TrainError> {
     Err(TrainError::Labels(problem))
 }
 
-fn all_windows(used: &Dataset, labels: &[String], recipe: &Recipe, job: &Job) -> Vec<Windows> {
+fn all_windows(used: &Dataset, labels: &[String], recipe: &dyn Recipe, job: &Job) -> Vec<Windows> {
     let progress = bar(job, used.items.len(), "features");
-    let one = |(index, item): (usize, &Item)| {
+    let one = |(place, item): (usize, &Item)| {
         let label = labels.iter().position(|label| *label == item.label).unwrap_or_default();
-        if recipe.steps.is_some() {
-            let mut rng = ChaCha8Rng::seed_from_u64(job.seed);
-            rng.set_stream(1 + index as u64);
-            progress.inc(1);
-            return aligned::windows(item, label, recipe.augmentation.copies, &rng);
-        }
-        let (ready, prepared) = prepare(&item.recording);
-        let own = features(&ready, recipe.features, recipe.stride_hops);
-        let varied = (0..recipe.augmentation.copies)
-            .flat_map(|copy| {
-                // A number of its own for every copy of every recording.
-                let mut rng = ChaCha8Rng::seed_from_u64(job.seed);
-                rng.set_stream(1 + (index * 1000 + copy) as u64);
-                let (varied, _) = prepare(&recipe.augmentation.vary(&ready, &mut rng));
-                features(&varied, recipe.features, recipe.stride_hops)
-            })
-            .collect();
+        let windows = recipe.windows(item, label, place, job.seed);
         progress.inc(1);
-        Windows { label, own, varied, padded: prepared.padded, resampled: prepared.resampled }
+        windows
     };
     let windows = used.items.par_iter().enumerate().map(one).collect();
     progress.finish_and_clear();
     windows
-}
-
-/// Mean and divisor per feature over the training windows, and a limit, within `limits`, that 999 of 1000 inputs of
-/// the windows `real` keep.
-fn scaling<'a>(
-    learn: &[(&[f32], usize)],
-    divisor: impl Fn(f64, f64) -> f64,
-    real: impl Iterator<Item = &'a [f32]>,
-    limits: RangeInclusive<f32>,
-) -> Scaling {
-    let inputs = learn.first().map_or(0, |(window, _)| window.len());
-    let count = learn.len().max(1) as f64;
-    let (mut mean, mut deviation) = (Vec::new(), Vec::new());
-    for feature in 0..inputs {
-        let values = || learn.iter().map(|(window, _)| f64::from(window[feature]));
-        let centre = values().sum::<f64>() / count;
-        let variance = values().map(|v| (v - centre).powi(2)).sum::<f64>() / count;
-        mean.push(centre as f32);
-        deviation.push(divisor(centre, variance.sqrt()) as f32);
-    }
-    let mut sizes = Vec::new();
-    for window in real {
-        sizes.extend(window.iter().enumerate().map(|(n, v)| ((v - mean[n]) / deviation[n]).abs()));
-    }
-    let at = (sizes.len() as f64 * 0.999) as usize;
-    let limit = match sizes.len() {
-        0 => 4.0,
-        count => {
-            let at = at.min(count - 1);
-            sizes.select_nth_unstable_by(at, f32::total_cmp).1.clamp(*limits.start(), *limits.end())
-        }
-    };
-    Scaling { mean, deviation, limit }
-}
-
-/// What a feature is divided by. One that hardly varies must not become an amplifier of noise.
-fn divisor(mean: f64, deviation: f64) -> f64 {
-    deviation.max(1e-3 * mean.abs()).max(1e-6)
 }
 
 fn count<'a>(set: &'a Dataset, key: impl Fn(&'a Item) -> &'a String) -> BTreeMap<String, usize> {

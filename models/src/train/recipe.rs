@@ -1,117 +1,192 @@
-//! How a network can be trained.
+//! What a recipe is: one way to make a model of recordings.
 
-use super::{Augmentation, Steps};
+use std::fmt;
+use std::ops::RangeInclusive;
+use std::sync::Arc;
+
+use indicatif::ProgressBar;
+use shared_dsp::recipe::Recipe as Features;
+
+use super::TrainError;
+use super::memory::Memory;
+use crate::card::Scaling;
 use crate::daily::Daily;
+use crate::dataset::Item;
+use crate::tflite::FloatLayer;
+use crate::windows::Prepared;
 
-/// How to train: [`Recipe::aligned`], the default; [`Recipe::log_power`]; [`Recipe::paper`].
-#[derive(Clone, Debug, PartialEq)]
-pub struct Recipe {
-    /// Name in the card.
-    pub name: &'static str,
-    /// How features become inputs.
-    pub features: shared_dsp::recipe::Recipe,
-    /// Widths of the hidden layers.
-    pub hidden: &'static [usize],
-    /// Most epochs.
-    pub epochs: usize,
-    /// Epochs without a better validation loss before the learning rate is halved; after
-    /// `halvings` of those training ends. None: every epoch at the same rate.
-    pub patience: Option<usize>,
-    /// Halvings of the learning rate.
-    pub halvings: usize,
+/// A window's features or inputs, and its label.
+pub type Row<'a> = (&'a [f32], usize);
+
+/// Features of windows that several trainings use.
+pub type Shared = Arc<Vec<Vec<f32>>>;
+
+/// One way to make a model: which windows are learnt and how they are varied, how a network is fitted to them, and what its
+/// int8 is made by. [`train`](super::train) calls these in their order.
+pub trait Recipe: fmt::Debug + Send + Sync {
+    /// On the command line and in cards.
+    fn name(&self) -> &'static str;
+
+    /// In one sentence, for those who choose.
+    fn about(&self) -> &'static str;
+
+    /// Which features models of it read.
+    fn features(&self) -> Features;
+
+    /// What the card says of the training.
+    fn plan(&self) -> Plan;
+
+    /// Labels of the model, in order, where the recordings have these.
+    fn labels(&self, of_recordings: Vec<String>) -> Vec<String> {
+        of_recordings
+    }
+
+    /// The windows of a recording and of its varied copies. `place` is that of the recording in its data set: what is random
+    /// follows from it and the seed.
+    fn windows(&self, item: &Item, label: usize, place: usize, seed: u64) -> Windows;
+
+    /// What is learnt beside the recordings, for samples of so many axes and a model of these labels.
+    fn beside(&self, axes: usize, labels: &[String]) -> Beside;
+
+    /// How features become inputs of the network. `real` are the windows of the recordings as they are.
+    fn scaling(&self, learnt: &[Row<'_>], real: &mut dyn Iterator<Item = &[f32]>) -> Scaling;
+
+    /// Fits a network.
+    ///
+    /// # Errors
+    /// Where the library that does it fails.
+    fn fit(&self, learnt: &Learnt<'_>, seed: u64, progress: &ProgressBar) -> Result<Fitted, TrainError>;
+
+    /// Which inputs decide the scales of int8.
+    fn calibration(&self) -> Calibration;
+
+    /// What the model remembers of people, if another one can be taught to it.
+    fn memory(
+        &self,
+        _of_people: &[(Vec<f32>, usize)],
+        _labels: usize,
+        _limit: f32,
+        _seed: u64,
+    ) -> Option<Memory> {
+        None
+    }
+
+    /// Whether models of it can learn another person: their [`Recipe::memory`] is kept.
+    fn adapts(&self) -> bool {
+        false
+    }
+
+    /// Whose daily movement it learns.
+    fn daily(&self) -> &Daily {
+        &Daily::None
+    }
+
+    /// The same in as many steps, where it has steps: to try things out.
+    fn shortened(&self, steps: Option<usize>) -> Box<dyn Recipe>;
+
+    /// The same for recordings of simulated wearers alone, who show what is no gesture themselves, as `idle`.
+    fn for_simulated(&self) -> Box<dyn Recipe>;
+}
+
+/// What a card says of a training.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Plan {
     /// Windows per step.
     pub batch: usize,
-    /// Learning rate at the start.
+    /// Learning rate at the start, or the largest.
     pub learning_rate: f64,
-    /// Decay of weights (AdamW).
-    pub weight_decay: f64,
-    /// Share of the probability that is spread over all labels.
-    pub label_smoothing: f32,
     /// Share of the recordings that decide when to stop.
     pub validation_fraction: f64,
-    /// Hops between training windows of one recording.
-    pub stride_hops: usize,
-    /// How recordings are varied.
-    pub augmentation: Augmentation,
-    /// Fixed steps instead of epochs; then nothing decides when to stop, and windows are varied one by one.
-    pub steps: Option<Steps>,
-    /// Simulated wearers whose movements are shown as `other`, a label that is added where the recordings have none:
-    /// what is no gesture must have a place to go. With fixed steps only.
-    pub bystanders: u32,
-    /// Simulated wearers, [untaught](crate::synth::Wearer::untaught), who show those gestures that the simulator knows
-    /// by name beside the people of the recordings, who are few. With fixed steps only.
-    pub performers: u32,
-    /// Real people whose daily movement is shown as `other`, too. With fixed steps and `bystanders` only.
-    pub daily: Daily,
+    /// Most epochs, for the progress bar; 0 where there are none.
+    pub epochs: usize,
 }
 
-impl Recipe {
-    /// The paper's: 30 epochs, batch 32, learning rate 5e-4, 20 % validation, features as they are.
-    pub fn paper() -> Self {
-        Self {
-            name: "paper",
-            features: shared_dsp::recipe::Recipe::Raw,
-            hidden: &[20, 10, 5],
-            epochs: 30,
-            patience: None,
-            halvings: 0,
-            batch: 32,
-            learning_rate: 5e-4,
-            weight_decay: 0.0,
-            label_smoothing: 0.0,
-            validation_fraction: 0.2,
-            stride_hops: 5,
-            augmentation: Augmentation::NONE,
-            steps: None,
-            bystanders: 0,
-            performers: 0,
-            daily: Daily::None,
-        }
-    }
-
-    /// For people that the model has never met: features in the hand's own frame ([`shared_dsp::aligned`]), windows
-    /// varied as other hands would, and a number of steps that nobody's recordings decide.
-    pub fn aligned() -> Self {
-        Self {
-            name: "aligned",
-            features: shared_dsp::recipe::Recipe::Aligned,
-            hidden: &crate::ALIGNED_MEMBER_HIDDEN,
-            epochs: 0,
-            batch: Steps::TRAIN.batch,
-            learning_rate: Steps::TRAIN.learning_rate,
-            label_smoothing: Steps::TRAIN.label_smoothing,
-            validation_fraction: 0.0,
-            stride_hops: 1,
-            augmentation: Augmentation { copies: 10, ..Augmentation::NONE },
-            steps: Some(Steps::TRAIN),
-            bystanders: 100,
-            performers: 40,
-            daily: Daily::All,
-            ..Self::paper()
-        }
-    }
-
-    /// Features per axis, trained until it converges. It knows directions against the board, as the paper's does.
-    pub fn log_power() -> Self {
-        Self {
-            name: "log-power",
-            features: shared_dsp::recipe::Recipe::LogPower,
-            epochs: 150,
-            patience: Some(4),
-            halvings: 4,
-            batch: 64,
-            learning_rate: 3e-3,
-            weight_decay: 1e-3,
-            label_smoothing: 0.05,
-            validation_fraction: 0.15,
-            augmentation: Augmentation::DEFAULT,
-            ..Self::paper()
-        }
-    }
+/// The windows of one recording, ready to learn from.
+#[derive(Clone, Debug)]
+pub struct Windows {
+    /// Place of its label.
+    pub label: usize,
+    /// Features of the recording as it is.
+    pub own: Vec<Vec<f32>>,
+    /// Features of its varied copies.
+    pub varied: Vec<Vec<f32>>,
+    /// What was done to it before.
+    pub prepared: Prepared,
 }
 
-impl Default for Recipe {
-    fn default() -> Self {
-        Self::aligned()
+/// What is learnt beside the recordings: windows with the place of their label.
+#[derive(Clone, Debug, Default)]
+pub struct Beside {
+    /// A model that can be adapted remembers these, as it does the recordings.
+    pub of_people: Vec<(Shared, usize)>,
+    /// It does not remember these.
+    pub of_nobody: Vec<(Shared, usize)>,
+    /// All of it and the variation of the recordings, for the card.
+    pub words: String,
+}
+
+/// What a network is fitted to.
+#[derive(Clone, Copy, Debug)]
+pub struct Learnt<'a> {
+    /// Inputs with the place of their label.
+    pub rows: &'a [(Vec<f32>, usize)],
+    /// Those of recordings that decide when to stop; may be empty.
+    pub check: &'a [(Vec<f32>, usize)],
+    /// Number of labels.
+    pub labels: usize,
+    /// The largest input.
+    pub limit: f32,
+}
+
+/// A fitted network.
+#[derive(Clone, Debug)]
+pub struct Fitted {
+    /// Its layers.
+    pub layers: Vec<FloatLayer>,
+    /// Epochs run.
+    pub epochs: usize,
+    /// The one whose weights were kept.
+    pub best_epoch: usize,
+}
+
+/// Inputs that decide the scales of int8.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Calibration {
+    /// All that were learnt.
+    Learnt,
+    /// Those of the recordings as they are.
+    Real,
+}
+
+/// Mean and divisor per feature over the training windows, and a limit, within `limits`, that 999 of 1000 inputs of
+/// the windows `real` keep.
+pub fn scaling(
+    learn: &[Row<'_>],
+    divisor: impl Fn(f64, f64) -> f64,
+    real: &mut dyn Iterator<Item = &[f32]>,
+    limits: RangeInclusive<f32>,
+) -> Scaling {
+    let inputs = learn.first().map_or(0, |(window, _)| window.len());
+    let count = learn.len().max(1) as f64;
+    let (mut mean, mut deviation) = (Vec::new(), Vec::new());
+    for feature in 0..inputs {
+        let values = || learn.iter().map(|(window, _)| f64::from(window[feature]));
+        let centre = values().sum::<f64>() / count;
+        let variance = values().map(|v| (v - centre).powi(2)).sum::<f64>() / count;
+        mean.push(centre as f32);
+        deviation.push(divisor(centre, variance.sqrt()) as f32);
     }
+    let mut sizes = Vec::new();
+    for window in real {
+        sizes.extend(window.iter().enumerate().map(|(n, v)| ((v - mean[n]) / deviation[n]).abs()));
+    }
+    let at = (sizes.len() as f64 * 0.999) as usize;
+    let limit = match sizes.len() {
+        0 => 4.0,
+        count => {
+            let at = at.min(count - 1);
+            sizes.select_nth_unstable_by(at, f32::total_cmp).1.clamp(*limits.start(), *limits.end())
+        }
+    };
+    Scaling { mean, deviation, limit }
 }

@@ -7,12 +7,13 @@
 
 use candle_core::{D, Device, Result, Tensor, Var};
 use candle_nn::{AdamW, Optimizer, ParamsAdamW};
-use rand::{Rng, SeedableRng};
+use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
 
 use super::net::{Layers, Rounding, export, forward, on_one_thread, vars};
+use crate::streams::Stream;
 use crate::tflite::FloatLayer;
 
 /// How to fit in steps.
@@ -32,8 +33,8 @@ pub struct Steps {
     pub decay: f64,
     /// Share that the average of the weights keeps per step, in the long run.
     pub keep: f64,
-    /// Networks that are fitted from different starts and merged into one; those of [`crate::train::Recipe::hidden`]
-    /// are the widths of each.
+    /// Networks that are fitted from different starts and merged into one; [`Aligned`](super::Aligned) says how wide
+    /// each is.
     pub members: usize,
     /// Steps after that in which weights and activations are rounded as int8 rounds them.
     pub rounded: usize,
@@ -79,14 +80,16 @@ pub(super) fn fit(
     limit: f32,
     seed: u64,
 ) -> Result<Vec<FloatLayer>> {
-    let member = |index: usize| on_one_thread(|| one(rows, labels, start, plan, None, (seed, index as u64)));
+    let member =
+        |index: usize| on_one_thread(|| one(rows, labels, start, plan, None, Stream::Member(index).of(seed)));
     let members: Vec<_> = (0..plan.members.max(1)).into_par_iter().map(member).collect::<Result<_>>()?;
     let mut layers = merged(&members);
     equalise(&mut layers);
     if plan.rounded > 0 {
         let rounding = Rounding::new(&layers, rows, limit);
         let (start, plan) = (Start::Layers(&layers), plan.last());
-        layers = on_one_thread(|| one(rows, labels, &start, &plan, Some(&rounding), (seed, 1 << 16)))?;
+        layers =
+            on_one_thread(|| one(rows, labels, &start, &plan, Some(&rounding), Stream::Rounding.of(seed)))?;
     }
     Ok(layers)
 }
@@ -133,17 +136,15 @@ fn merged(members: &[Vec<FloatLayer>]) -> Vec<FloatLayer> {
     (0..=last).map(layer).collect()
 }
 
-/// One network by one plan; `rounding` makes it see int8. The second number is a stream of its own.
+/// One network by one plan; `rounding` makes it see int8.
 fn one(
     rows: &[(Vec<f32>, usize)],
     labels: usize,
     start: &Start<'_>,
     plan: &Steps,
     rounding: Option<&Rounding>,
-    (seed, stream): (u64, u64),
+    mut rng: ChaCha8Rng,
 ) -> Result<Vec<FloatLayer>> {
-    let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    rng.set_stream((1 << 41) + stream);
     let width = rows.first().map_or(0, |(input, _)| input.len());
     let layers = first_layers(start, width, labels, &mut rng)?;
     let vars = vars(&layers);

@@ -147,7 +147,7 @@ macro_rules! messages {
             }
         }
 
-        const _: () = assert!(table::is_sound($message::ROWS, PROTOCOL_MINOR), "numbers or versions are out of order");
+        const _: () = assert!($crate::message::table::is_sound($message::ROWS, PROTOCOL_MINOR), "numbers or versions are out of order");
     };
 }
 
@@ -207,7 +207,7 @@ macro_rules! left_requests {
                 let (number, rest) = payload.split_first().ok_or(ParseError::Malformed)?;
                 match *number {
                     $($number => {
-                        $($(let ($field, rest) = table::take::<$type>(rest)?;)*)?
+                        $($(let ($field, rest) = $crate::message::table::take::<$type>(rest)?;)*)?
                         Ok((Self::$name $({ $($field),* })?, rest))
                     })*
                     _ => Err(ParseError::Unknown),
@@ -222,4 +222,81 @@ pub(crate) fn take<T: serde::de::DeserializeOwned>(
     bytes: &[u8],
 ) -> Result<(T, &[u8]), crate::frame::ParseError> {
     postcard::take_from_bytes(bytes).map_err(|_| crate::frame::ParseError::Malformed)
+}
+
+/// What docs/ADDING.md says: a message is a row, and all else follows.
+#[cfg(test)]
+mod tests {
+    use super::{BoardBody, Boards, Row};
+    use crate::frame::{ParseError, frame_len};
+    use crate::message::{Bytes, PROTOCOL_MINOR, Signal};
+    use postcard::experimental::max_size::MaxSize;
+    use serde::{Deserialize, Serialize};
+
+    #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, MaxSize)]
+    pub struct Warmth {
+        celsius: i16,
+    }
+
+    board_messages! {
+        /// What boards say here.
+        Said<'a> {
+            /// How warm it is.
+            0 Warmth(Warmth) => Both, 0;
+            /// A noise.
+            #[serde(borrow)]
+            1 Noise(Bytes<'a, 4>) => Right, 1;
+        }
+    }
+
+    host_messages! {
+        /// What they are told.
+        Told<'a> {
+            /// Both take it.
+            0 Hush => Both, 0;
+            /// Only the right one takes it.
+            #[serde(borrow)]
+            1 Sing(Bytes<'a, 200>) => Right, 0;
+            /// And one after it that both take.
+            2 Feel {
+                /// What.
+                signal: Signal,
+                /// How long.
+                time_ms: u32,
+            } => Both, 3;
+        }
+    }
+
+    #[test]
+    fn a_row_gives_number_size_and_place_in_the_enum() {
+        assert_eq!((Warmth::NUMBER, <Bytes<'_, 4> as BoardBody>::NUMBER), (0, 1));
+        assert_eq!(Warmth::FRAME_MAX, Said::ROWS[0].frame_max);
+        let hush = Row { number: 0, name: "Hush", boards: Boards::Both, since: 0, frame_max: 7 };
+        assert_eq!(Told::ROWS[0], hush);
+        // Number, checksum, code byte and delimiter around 2 and 200 bytes; number and field around 1 and 5.
+        assert_eq!([Told::ROWS[1].frame_max, Told::ROWS[2].frame_max], [209, 13]);
+        let feel = Told::Feel { signal: Signal::Stopped, time_ms: 300 };
+        assert_eq!((feel.row().name, feel.row().since), ("Feel", 3));
+        assert_eq!(postcard::to_slice(&feel, &mut [0; 8]).unwrap(), [2, 3, 0xAC, 2]);
+    }
+
+    #[test]
+    fn a_left_board_takes_what_is_for_both_under_the_same_number_and_knows_nothing_else() {
+        let feel = LeftRequest::Feel { signal: Signal::Stopped, time_ms: 300 };
+        assert_eq!(LeftRequest::take(&[2, 3, 0xAC, 2, 9]), Ok((feel, &[9][..])));
+        assert_eq!(LeftRequest::take(&[0]), Ok((LeftRequest::Hush, &[][..])));
+        assert_eq!(LeftRequest::take(&[1, 0]), Err(ParseError::Unknown));
+        assert_eq!(LeftRequest::take(&[3]), Err(ParseError::Unknown));
+        assert_eq!(LeftRequest::take(&[2, 3]), Err(ParseError::Malformed));
+        assert_eq!(LeftRequest::take(&[]), Err(ParseError::Malformed));
+    }
+
+    #[test]
+    fn rows_out_of_order_or_newer_than_the_wire_are_refused() {
+        let row = |number, since| Row { number, since, ..Told::ROWS[0] };
+        assert!(super::is_sound(&[row(0, 0), row(1, 3)], 3));
+        for rows in [[row(0, 0), row(2, 0)], [row(1, 0), row(0, 0)], [row(0, 0), row(1, 4)]] {
+            assert!(!super::is_sound(&rows, 3), "{rows:?}");
+        }
+    }
 }

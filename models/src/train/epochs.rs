@@ -1,21 +1,37 @@
-//! Fitting the weights with candle.
+//! Fitting in epochs, each window once in each, for recipes whose held-out recordings decide when to stop.
 
 use candle_core::{D, DType, Device, Result, Tensor, Var};
 use candle_nn::{AdamW, Optimizer, ParamsAdamW};
 use indicatif::ProgressBar;
+use rand::Rng;
 use rand::seq::SliceRandom;
-use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::Recipe;
 use super::net::{Layers, export, forward, on_one_thread, vars};
+use super::recipe::Fitted;
+use crate::streams::Stream;
 use crate::tflite::FloatLayer;
 
-/// A fitted network.
-pub(super) struct Fitted {
-    pub layers: Vec<FloatLayer>,
-    pub epochs: usize,
-    pub best_epoch: usize,
+/// How to fit in epochs.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Epochs {
+    /// Widths of the hidden layers.
+    pub hidden: &'static [usize],
+    /// Most epochs.
+    pub most: usize,
+    /// Epochs without a better validation loss before the learning rate is halved; after
+    /// `halvings` of those training ends. None: every epoch at the same rate.
+    pub patience: Option<usize>,
+    /// Halvings of the learning rate.
+    pub halvings: usize,
+    /// Windows per step.
+    pub batch: usize,
+    /// Learning rate at the start.
+    pub learning_rate: f64,
+    /// Decay of weights (AdamW).
+    pub weight_decay: f64,
+    /// Share of the probability that is spread over all labels.
+    pub label_smoothing: f32,
 }
 
 /// He initialisation from our own random numbers: candle's are not seeded on the CPU.
@@ -91,45 +107,47 @@ impl Rows {
     }
 }
 
-/// Fits a network to `learn`; `check` decides when to stop and which weights to keep.
+/// Fits a network to `learn`; `check` decides when to stop and which weights to keep. Where there is none, as too few
+/// recordings could be spared, the windows that are learnt decide themselves.
 pub(super) fn fit(
     learn: &[(Vec<f32>, usize)],
     check: &[(Vec<f32>, usize)],
     labels: usize,
-    recipe: &Recipe,
+    plan: &Epochs,
     seed: u64,
     progress: &ProgressBar,
 ) -> Result<Fitted> {
-    on_one_thread(|| fit_here(learn, check, labels, recipe, seed, progress))
+    let check = if check.is_empty() { learn } else { check };
+    on_one_thread(|| fit_here(learn, check, labels, plan, seed, progress))
 }
 
 fn fit_here(
     learn: &[(Vec<f32>, usize)],
     check: &[(Vec<f32>, usize)],
     labels: usize,
-    recipe: &Recipe,
+    plan: &Epochs,
     seed: u64,
     progress: &ProgressBar,
 ) -> Result<Fitted> {
-    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut rng = Stream::Epochs.of(seed);
     let inputs = learn.first().map_or(0, |(input, _)| input.len());
-    let widths: Vec<usize> = [&[inputs], recipe.hidden, &[labels]].concat();
+    let widths: Vec<usize> = [&[inputs], plan.hidden, &[labels]].concat();
     let net = random_layers(&widths, &mut rng)?;
-    let learn = Rows::new(learn, labels, recipe.label_smoothing)?;
-    let check = Rows::new(check, labels, recipe.label_smoothing)?;
-    let mut rate = recipe.learning_rate;
-    let params = ParamsAdamW { lr: rate, weight_decay: recipe.weight_decay, ..Default::default() };
+    let learn = Rows::new(learn, labels, plan.label_smoothing)?;
+    let check = Rows::new(check, labels, plan.label_smoothing)?;
+    let mut rate = plan.learning_rate;
+    let params = ParamsAdamW { lr: rate, weight_decay: plan.weight_decay, ..Default::default() };
     let mut optimizer = AdamW::new(vars(&net), params)?;
 
     let count = learn.len()?;
     let mut order: Vec<u32> = (0..count as u32).collect();
     let mut best = (f32::INFINITY, 0, exported(&net)?);
     let (mut stale, mut halvings, mut epochs) = (0, 0, 0);
-    for epoch in 1..=recipe.epochs {
+    for epoch in 1..=plan.most {
         order.shuffle(&mut rng);
         let rows = learn.shuffled(&Tensor::from_slice(&order, count, &Device::Cpu)?)?;
-        for from in (0..count).step_by(recipe.batch) {
-            let loss = rows.loss(&net, from, recipe.batch.min(count - from))?;
+        for from in (0..count).step_by(plan.batch) {
+            let loss = rows.loss(&net, from, plan.batch.min(count - from))?;
             optimizer.backward_step(&loss)?;
         }
         epochs = epoch;
@@ -141,9 +159,9 @@ fn fit_here(
             stale += 1;
         }
         progress.set_position(epoch as u64);
-        let Some(patience) = recipe.patience else { continue };
+        let Some(patience) = plan.patience else { continue };
         if stale >= patience {
-            if halvings == recipe.halvings {
+            if halvings == plan.halvings {
                 break;
             }
             halvings += 1;

@@ -6,8 +6,8 @@ use std::collections::BTreeMap;
 use rayon::prelude::*;
 use shared_dsp::movement::MovementConfig;
 
-use crate::events::Tally;
-use crate::people::{Accuracy, Graded, Shown, Trial, TrialError};
+use crate::evaluate::events::Tally;
+use crate::evaluate::people::{Accuracy, Graded, Shown, Trial, TrialError};
 
 /// Everything that was tried with one recipe.
 #[derive(Clone, Debug, PartialEq)]
@@ -48,12 +48,12 @@ impl Study {
         for person in people {
             let one = |seed| trial.stranger(person, seed);
             strangers.push(seeds().map(one).collect::<Result<Vec<_>, _>>()?);
-            done(&format!("{}: {person}, never met", trial.recipe.name));
+            done(&format!("{}: {person}, never met", trial.recipe.name()));
         }
         let random = seeds().map(|seed| trial.random_split(seed)).collect::<Result<Vec<_>, _>>()?;
-        done(&format!("{}: random fifth", trial.recipe.name));
+        done(&format!("{}: random fifth", trial.recipe.name()));
         let mut shown = Vec::new();
-        if trial.recipe.steps.is_some() && !counts.is_empty() {
+        if trial.recipe.adapts() && !counts.is_empty() {
             let mut counts = counts.to_vec();
             counts.push(0);
             counts.sort_unstable();
@@ -61,10 +61,10 @@ impl Study {
             for person in people {
                 let one = |seed| trial.shown(person, &counts, seed);
                 shown.push(seeds().map(one).collect::<Result<Vec<_>, _>>()?);
-                done(&format!("{}: {person}, examples shown", trial.recipe.name));
+                done(&format!("{}: {person}, examples shown", trial.recipe.name()));
             }
         }
-        Ok(Self { recipe: trial.recipe.name, people: people.to_vec(), strangers, random, shown })
+        Ok(Self { recipe: trial.recipe.name(), people: people.to_vec(), strangers, random, shown })
     }
 
     /// Numbers of examples that were shown, 0 first.
@@ -223,7 +223,7 @@ impl Events {
 mod tests {
     use super::*;
     use crate::card::Scores;
-    use crate::people::Answer;
+    use crate::evaluate::people::Answer;
 
     /// A run in which recordings (name, label given, probability, right) were answered.
     fn run(answers: &[(&str, usize, f32, bool)]) -> Graded {

@@ -5,9 +5,7 @@
 
 use std::path::{Path, PathBuf};
 
-use rand::SeedableRng;
 use rand::seq::SliceRandom;
-use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use shared_dsp::decision::is_rest;
 use shared_dsp::mlp::Model;
@@ -15,11 +13,11 @@ use shared_dsp::movement::MovementConfig;
 use shared_dsp::right::ModelMismatch;
 
 use crate::card::Scores;
-use crate::daily::Daily;
 use crate::dataset::{Dataset, DatasetError, Item};
-use crate::events::{Stream, Tally, decide, listen, play};
+use crate::evaluate::events::{Stream, Tally, decide, listen, play};
+use crate::evaluate::score::{Classifier, Given, given, scored, summary};
 use crate::recording::Recording;
-use crate::score::{Classifier, Given, given, scored, summary};
+use crate::streams;
 use crate::synth::{Take, Wearer, session, takes};
 use crate::train::{Job, Recipe, TrainError, Trained, adapt, examples_of, held_out, train};
 
@@ -33,7 +31,7 @@ pub struct Trial<'a> {
     /// Labels tried; empty: all. Models also learn from the others' recordings of no gesture (`idle`, `other`).
     pub labels: &'a [String],
     /// How models are trained.
-    pub recipe: &'a Recipe,
+    pub recipe: &'a dyn Recipe,
 }
 
 /// Why a trial cannot be run; the text says what to do.
@@ -243,8 +241,7 @@ impl Trial<'_> {
         let theirs = self.read(model.card.axes, |name| name == person)?;
         let most = counts.iter().copied().max().unwrap_or(0);
         // Per class, in an order by the seed: first what may be shown (at most half), then what is tested.
-        let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        rng.set_stream(1 << 44);
+        let mut rng = streams::Stream::Shown.of(seed);
         let mut shown: Vec<Vec<(Vec<f32>, usize)>> = Vec::new();
         let mut tested = Vec::new();
         for label in &theirs.labels {
@@ -267,7 +264,7 @@ impl Trial<'_> {
                 shown.iter().flat_map(|of_label| of_label.iter().take(examples).cloned()).collect();
             let adapted = match &model.memory {
                 Some(memory) if !set.is_empty() => {
-                    Some(adapt(&model, memory, &set, person, &self.recipe.daily, seed)?)
+                    Some(adapt(&model, memory, &set, person, self.recipe.daily(), seed)?)
                 }
                 _ => None,
             };
@@ -281,16 +278,15 @@ impl Trial<'_> {
 /// What a model makes of real recordings that was trained on simulated wearers only, `wearers` of them, with these
 /// labels and the axes of the recordings.
 pub fn from_simulated(
-    recipe: &Recipe,
+    recipe: &dyn Recipe,
     wearers: u32,
     labels: &[String],
     real: &Dataset,
     seed: u64,
 ) -> Result<Graded, TrialError> {
     let simulated = simulated(wearers, labels, real.axes, seed);
-    // What they do without a gesture is shown as `idle`.
-    let recipe = Recipe { bystanders: 0, performers: 0, daily: Daily::None, ..recipe.clone() };
-    let model = train(&simulated, &[], &recipe, &Trial::job(seed))?;
+    // They differ more than copies of one would.
+    let model = train(&simulated, &[], &*recipe.for_simulated(), &Trial::job(seed))?;
     grade(&model, real)
 }
 

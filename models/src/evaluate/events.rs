@@ -6,7 +6,7 @@
 //! performed gesture, however often it repeats its shape, and its first sample as the onset, though people begin a
 //! little later: delays are overestimated.
 
-use rand::{Rng, SeedableRng};
+use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use shared_dsp::aligned::{AlignedWindow, Movement};
@@ -19,6 +19,7 @@ use shared_dsp::slow::SlowWindow;
 
 use crate::RATE_HZ;
 use crate::dataset::Item;
+use crate::streams::Stream as Streams;
 use crate::synth::{IdleKind, Motion, Segment, Wearer, session};
 
 /// Rest between two recordings in s: turning into the next posture, then still.
@@ -56,8 +57,7 @@ impl Stream {
     /// Joins recordings, in an order that follows from the seed.
     pub fn joined(items: &[&Item], axes: usize, seed: u64) -> Self {
         use rand::seq::SliceRandom;
-        let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        rng.set_stream(1 << 45);
+        let mut rng = Streams::Order.of(seed);
         let mut order: Vec<&Item> = items.to_vec();
         order.shuffle(&mut rng);
         let mut stream = Self { axes, ..Self::default() };
@@ -78,8 +78,7 @@ impl Stream {
     /// A simulated wearer, never one of those that models learn from, who does many things but no gesture.
     pub fn aimless(seed: u64, index: u32, seconds: f64) -> Self {
         let wearer = Wearer::evaluation(seed, index);
-        let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        rng.set_stream((1 << 46) + u64::from(index));
+        let mut rng = Streams::Aimless(index).of(seed);
         let mut script = Vec::new();
         let mut left_s = seconds;
         while left_s > 0.0 {

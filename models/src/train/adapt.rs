@@ -1,0 +1,102 @@
+//! Teaching a model of recipe `aligned` one more person.
+
+use super::memory::{Memory, balanced};
+use super::recipes::aligned::cut;
+use super::steps::{self, Start, Steps};
+use super::vary::{Kind, vary};
+use super::{OTHER, TrainError, Trained, quantise, sha256};
+use crate::card::Card;
+use crate::daily::Daily;
+use crate::streams::Stream;
+use crate::tflite::{self, FloatLayer, Network};
+use crate::windows::{aligned_features, prepare};
+use crate::{WINDOW, blob};
+
+/// Varied copies of each window of a new person.
+const COPIES_OF_NEW: usize = 60;
+
+/// Teaches a model one more person from a few windows of them, [`WINDOW`] samples one after the other, with their
+/// labels. Everything else stays: labels, scaling, and by rehearsal what it knows of the others; and what `daily` shows
+/// stays no gesture: without it, getting up from a chair becomes a circle once three circles have been shown.
+///
+/// # Errors
+/// If the library that fits networks fails, or the result cannot be quantised.
+pub fn adapt(
+    model: &Trained,
+    memory: &Memory,
+    examples: &[(Vec<f32>, usize)],
+    person: &str,
+    daily: &Daily,
+    seed: u64,
+) -> Result<Trained, TrainError> {
+    // Beside 4,096 rows of what the model remembers, a quarter is enough; all of it makes the model doubt what is shown.
+    let daily: Vec<Vec<f32>> = daily.rows(model.card.axes).into_iter().step_by(4).collect();
+    let adapted = fitted(&model.card, &model.float, memory, examples, &daily, seed)?;
+    let mut card = Card {
+        about: format!("{}; adapted to {person} with {} windows", model.card.about, examples.len()),
+        test: None,
+        validation: None,
+        ..model.card.clone()
+    };
+    *card.data.people.entry(person.to_owned()).or_default() += examples.len();
+    let int8 = int8(&adapted.layers, &adapted.rows, card.scaling.limit);
+    let blob = blob::build(&card, &int8).map_err(TrainError::Quantise)?;
+    card.model_id = blob::model_id(&blob);
+    let int8_tflite = tflite::write(&Network::Int8(int8));
+    card.tflite_sha256 = sha256(&int8_tflite);
+    let float_tflite = tflite::write(&Network::Float(adapted.layers.clone()));
+    Ok(Trained { card, float: adapted.layers, float_tflite, int8_tflite, memory: Some(memory.clone()) })
+}
+
+/// The windows of a recording that [`adapt`] learns from: one each second.
+pub fn examples_of(recording: &crate::recording::Recording) -> Vec<Vec<f32>> {
+    cut(&prepare(recording).0)
+}
+
+/// An adapted network.
+struct Adapted {
+    layers: Vec<FloatLayer>,
+    /// The inputs it was fitted to.
+    rows: Vec<(Vec<f32>, usize)>,
+}
+
+/// Fits a network to one more person: half of what it sees is new, half is what it remembers.
+fn fitted(
+    card: &Card,
+    layers: &[FloatLayer],
+    memory: &Memory,
+    examples: &[(Vec<f32>, usize)],
+    daily: &[Vec<f32>],
+    seed: u64,
+) -> candle_core::Result<Adapted> {
+    let mut rng = Stream::Adapting.of(seed);
+    let mut new = Vec::new();
+    for (window, label) in examples {
+        let kind = Kind::of(&card.labels[*label]);
+        // As many as the recipe reads, which may be fewer than the model's board has.
+        let axes = window.len() / WINDOW;
+        let mut add = |window: &[f32]| {
+            new.push((crate::evaluate::score::standardise(card, &aligned_features(axes, window)), *label));
+        };
+        add(window);
+        for _ in 0..COPIES_OF_NEW {
+            add(&vary(window, axes, kind, &mut rng));
+        }
+    }
+    let mut rows = memory.inputs(card.scaling.limit);
+    let chosen = balanced(new.iter().map(|(_, label)| *label), card.labels.len(), rows.len(), &mut rng);
+    rows.extend(chosen.into_iter().map(|index| new[index].clone()));
+    if let Some(other) = card.labels.iter().position(|label| label == OTHER) {
+        rows.extend(daily.iter().map(|row| (crate::evaluate::score::standardise(card, row), other)));
+    }
+    let start = Start::Layers(layers);
+    let plan = &Steps::ADAPT;
+    let layers = steps::fit(&rows, card.labels.len(), &start, plan, card.scaling.limit, seed)?;
+    Ok(Adapted { layers, rows })
+}
+
+/// Int8 layers of a fitted network.
+fn int8(layers: &[FloatLayer], rows: &[(Vec<f32>, usize)], limit: f32) -> Vec<shared_dsp::mlp::DenseSpec> {
+    let calibration: Vec<&[f32]> = rows.iter().map(|(input, _)| input.as_slice()).collect();
+    quantise::quantise(layers, &calibration, limit)
+}

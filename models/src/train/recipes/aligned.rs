@@ -1,0 +1,184 @@
+//! Recipe `aligned`: for people that the model has never met.
+//!
+//! Features in the hand's own frame ([`shared_dsp::aligned`]), windows varied as other hands would, simulated wearers and
+//! real daily movement beside the recordings, and a number of steps that nobody's recordings decide.
+
+use std::sync::Arc;
+
+use indicatif::ProgressBar;
+use shared_dsp::mlp::MAX_LABELS;
+use shared_dsp::recipe::Recipe as Features;
+
+use crate::card::Scaling;
+use crate::daily::{self, Daily};
+use crate::dataset::Item;
+use crate::recording::Recording;
+use crate::streams::Stream;
+use crate::train::memory::Memory;
+use crate::train::recipe::{Beside, Calibration, Fitted, Learnt, Plan, Recipe, Row, Windows, scaling};
+use crate::train::simulated::{aimless, performed};
+use crate::train::steps::{self, Start, Steps};
+use crate::train::vary::{self, Kind, vary};
+use crate::train::{OTHER, TrainError};
+use crate::windows::{aligned_features, prepare};
+use crate::{RATE_HZ, WINDOW};
+
+/// Samples from one training window to the next: 1 s.
+const STRIDE: usize = RATE_HZ as usize;
+/// How often each window of daily movement is learnt, beside ten copies of each window of a recording.
+const DAILY_WEIGHT: usize = 8;
+
+/// The recipe's settings.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Aligned {
+    /// How the networks are fitted.
+    pub steps: Steps,
+    /// Varied copies of each window of a recording.
+    pub copies: usize,
+    /// Simulated wearers whose movements are shown as `other`, a label that is added where the recordings have none:
+    /// what is no gesture must have a place to go.
+    pub bystanders: u32,
+    /// Simulated wearers, [untaught](crate::synth::Wearer::untaught), who show those gestures that the simulator knows
+    /// by name beside the people of the recordings, who are few.
+    pub performers: u32,
+    /// Real people whose daily movement is shown as `other`, too; with `bystanders` only.
+    pub daily: Daily,
+}
+
+/// As models are trained.
+pub const ALIGNED: Aligned =
+    Aligned { steps: Steps::TRAIN, copies: 10, bystanders: 100, performers: 40, daily: Daily::All };
+
+impl Aligned {
+    /// With as many steps, which see fewer simulated wearers.
+    pub fn with_steps(&self, count: usize) -> Self {
+        let Self { mut steps, copies, bystanders, performers, .. } = *self;
+        let fewer = |wearers: u32| wearers.min((wearers as usize * count).div_ceil(steps.count) as u32);
+        let (bystanders, performers) = (fewer(bystanders), fewer(performers));
+        steps.count = count;
+        steps.rounded = steps.rounded.min(count);
+        Self { steps, copies, bystanders, performers, daily: self.daily.clone() }
+    }
+}
+
+impl Recipe for Aligned {
+    fn name(&self) -> &'static str {
+        "aligned"
+    }
+
+    fn about(&self) -> &'static str {
+        "Features in the hand's own frame, for people it has never met"
+    }
+
+    fn features(&self) -> Features {
+        Features::Aligned
+    }
+
+    fn plan(&self) -> Plan {
+        let Steps { batch, learning_rate, .. } = self.steps;
+        Plan { batch, learning_rate, validation_fraction: 0.0, epochs: 0 }
+    }
+
+    fn labels(&self, mut of_recordings: Vec<String>) -> Vec<String> {
+        let has_place = of_recordings.iter().any(|label| label == OTHER);
+        if self.bystanders > 0 && of_recordings.len() < MAX_LABELS && !has_place {
+            of_recordings.push(OTHER.to_owned());
+            crate::labels::sort(&mut of_recordings);
+        }
+        of_recordings
+    }
+
+    fn windows(&self, item: &Item, label: usize, place: usize, seed: u64) -> Windows {
+        let (ready, prepared) = prepare(&item.recording);
+        let (axes, kind) = (ready.axes(), Kind::of(&item.label));
+        let mut rng = Stream::Recording(place).of(seed);
+        let (mut own, mut varied) = (Vec::new(), Vec::new());
+        for window in cut(&ready) {
+            own.push(aligned_features(axes, &window));
+            for _ in 0..self.copies {
+                varied.push(aligned_features(axes, &vary(&window, axes, kind, &mut rng)));
+            }
+        }
+        Windows { label, own, varied, prepared }
+    }
+
+    fn beside(&self, axes: usize, labels: &[String]) -> Beside {
+        let mut beside = Beside::default();
+        // As `idle` they would teach that whoever moves slowly rests.
+        let no_gesture = labels.iter().position(|label| label == OTHER).filter(|_| self.bystanders > 0);
+        let (mut bystanders, mut everyday) = (0, 0);
+        if let Some(label) = no_gesture {
+            let windows = aimless(axes, self.bystanders);
+            bystanders = windows.len();
+            beside.of_people.push((windows, label));
+            // Adapting has them from the crate, not from the model's memory.
+            let daily = Arc::new(self.daily.rows(axes));
+            everyday = daily.len();
+            beside.of_nobody.extend((0..DAILY_WEIGHT).map(|_| (Arc::clone(&daily), label)));
+        }
+        let performed = performed(axes, self.performers, labels);
+        let shown: usize = performed.iter().map(|(windows, _)| windows.len()).sum();
+        beside.of_nobody.extend(performed);
+        beside.words = format!(
+            "{} copies of each window: {}; {bystanders} windows of {} simulated wearers \
+             who make no gesture and {shown} of {} who make those that the simulator knows; {everyday} {}",
+            self.copies,
+            vary::WORDS,
+            self.bystanders,
+            self.performers,
+            daily::SOURCE
+        );
+        beside
+    }
+
+    fn scaling(&self, learnt: &[Row<'_>], real: &mut dyn Iterator<Item = &[f32]>) -> Scaling {
+        // The addition keeps a feature that hardly varies from becoming an amplifier of noise.
+        scaling(learnt, |_, deviation| deviation + 0.1, real, 1.0..=20.0)
+    }
+
+    fn fit(&self, learnt: &Learnt<'_>, seed: u64, _: &ProgressBar) -> Result<Fitted, TrainError> {
+        let Learnt { rows, labels, limit, .. } = *learnt;
+        let start = Start::Widths(&crate::ALIGNED_MEMBER_HIDDEN);
+        let layers = steps::fit(rows, labels, &start, &self.steps, limit, seed)?;
+        let epochs = (self.steps.count * self.steps.batch).div_ceil(rows.len().max(1));
+        Ok(Fitted { layers, epochs, best_epoch: epochs })
+    }
+
+    /// Varied windows go further than real ones do: their rare extremes would cost every value a part of its int8 range.
+    fn calibration(&self) -> Calibration {
+        Calibration::Real
+    }
+
+    fn memory(
+        &self,
+        of_people: &[(Vec<f32>, usize)],
+        labels: usize,
+        limit: f32,
+        seed: u64,
+    ) -> Option<Memory> {
+        Some(Memory::new(of_people, labels, limit, seed))
+    }
+
+    fn adapts(&self) -> bool {
+        true
+    }
+
+    fn daily(&self) -> &Daily {
+        &self.daily
+    }
+
+    fn shortened(&self, steps: Option<usize>) -> Box<dyn Recipe> {
+        Box::new(steps.map_or_else(|| self.clone(), |count| self.with_steps(count)))
+    }
+
+    fn for_simulated(&self) -> Box<dyn Recipe> {
+        let copies = self.copies.min(3);
+        Box::new(Self { copies, bystanders: 0, performers: 0, daily: Daily::None, ..self.clone() })
+    }
+}
+
+/// The windows of a recording at the models' rate, one after the other in each: sample after sample.
+pub(in crate::train) fn cut(ready: &Recording) -> Vec<Vec<f32>> {
+    let starts = (0..=ready.len().saturating_sub(WINDOW)).step_by(STRIDE);
+    starts.map(|start| ready.slice(start, WINDOW).samples().flatten().copied().collect()).collect()
+}

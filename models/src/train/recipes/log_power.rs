@@ -1,0 +1,29 @@
+//! Recipe `log-power`: features per axis with log powers, trained until it converges. It knows directions against the
+//! board, as the paper's does, and so tells gestures apart that mirror each other.
+
+use shared_dsp::recipe::Recipe as Features;
+
+use super::{PAPER, PerAxis};
+use crate::train::augment::Augmentation;
+use crate::train::epochs::Epochs;
+
+/// Until four halvings of the learning rate bring nothing more.
+pub const LOG_POWER: PerAxis = PerAxis {
+    name: "log-power",
+    about: "Features per axis with log powers, until it converges; it knows directions in the room, and wants the board \
+            worn as it was in the recordings",
+    features: Features::LogPower,
+    validation_fraction: 0.15,
+    augmentation: Augmentation::DEFAULT,
+    epochs: Epochs {
+        most: 150,
+        patience: Some(4),
+        halvings: 4,
+        batch: 64,
+        learning_rate: 3e-3,
+        weight_decay: 1e-3,
+        label_smoothing: 0.05,
+        ..PAPER.epochs
+    },
+    ..PAPER
+};

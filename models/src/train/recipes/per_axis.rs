@@ -1,0 +1,93 @@
+//! Recipes whose features stand axis by axis and whose networks are fitted in epochs: `paper` and `log-power` are two
+//! settings of it.
+
+use indicatif::ProgressBar;
+use shared_dsp::recipe::Recipe as Features;
+
+use crate::card::Scaling;
+use crate::dataset::Item;
+use crate::streams::Stream;
+use crate::train::TrainError;
+use crate::train::augment::Augmentation;
+use crate::train::epochs::{self, Epochs};
+use crate::train::recipe::{Beside, Calibration, Fitted, Learnt, Plan, Recipe, Row, Windows, scaling};
+use crate::windows::{features, prepare};
+
+/// Settings of such a recipe.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PerAxis {
+    /// On the command line and in cards.
+    pub name: &'static str,
+    /// In one sentence.
+    pub about: &'static str,
+    /// How features become inputs.
+    pub features: Features,
+    /// Share of the recordings that decide when to stop.
+    pub validation_fraction: f64,
+    /// Hops between training windows of one recording.
+    pub stride_hops: usize,
+    /// How recordings are varied.
+    pub augmentation: Augmentation,
+    /// How the network is fitted.
+    pub epochs: Epochs,
+}
+
+impl Recipe for PerAxis {
+    fn name(&self) -> &'static str {
+        self.name
+    }
+
+    fn about(&self) -> &'static str {
+        self.about
+    }
+
+    fn features(&self) -> Features {
+        self.features
+    }
+
+    fn plan(&self) -> Plan {
+        let Epochs { batch, learning_rate, most, .. } = self.epochs;
+        Plan { batch, learning_rate, validation_fraction: self.validation_fraction, epochs: most }
+    }
+
+    fn windows(&self, item: &Item, label: usize, place: usize, seed: u64) -> Windows {
+        let (ready, prepared) = prepare(&item.recording);
+        let own = features(&ready, self.features, self.stride_hops);
+        let varied = (0..self.augmentation.copies)
+            .flat_map(|copy| {
+                let mut rng = Stream::Copy { recording: place, copy }.of(seed);
+                let (varied, _) = prepare(&self.augmentation.vary(&ready, &mut rng));
+                features(&varied, self.features, self.stride_hops)
+            })
+            .collect();
+        Windows { label, own, varied, prepared }
+    }
+
+    fn beside(&self, _: usize, _: &[String]) -> Beside {
+        Beside { words: self.augmentation.to_string(), ..Beside::default() }
+    }
+
+    fn scaling(&self, learnt: &[Row<'_>], _: &mut dyn Iterator<Item = &[f32]>) -> Scaling {
+        // One that hardly varies must not become an amplifier of noise.
+        let divisor = |mean: f64, deviation: f64| deviation.max(1e-3 * mean.abs()).max(1e-6);
+        scaling(learnt, divisor, &mut learnt.iter().map(|(window, _)| *window), 3.0..=10.0)
+    }
+
+    fn fit(&self, learnt: &Learnt<'_>, seed: u64, progress: &ProgressBar) -> Result<Fitted, TrainError> {
+        Ok(epochs::fit(learnt.rows, learnt.check, learnt.labels, &self.epochs, seed, progress)?)
+    }
+
+    fn calibration(&self) -> Calibration {
+        Calibration::Learnt
+    }
+
+    fn shortened(&self, _: Option<usize>) -> Box<dyn Recipe> {
+        Box::new(self.clone())
+    }
+
+    fn for_simulated(&self) -> Box<dyn Recipe> {
+        let copies = self.augmentation.copies.min(3);
+        let augmentation = Augmentation { copies, ..self.augmentation.clone() };
+        Box::new(Self { augmentation, ..self.clone() })
+    }
+}
