@@ -3,7 +3,7 @@
 use avr_device::atmega328p::Peripherals;
 use avr_device::interrupt::{self, Mutex};
 use core::cell::Cell;
-use shared_dsp::flex::permille;
+use shared_dsp::left::flex::permille;
 
 /// Samples per second.
 pub const SAMPLE_HZ: u16 = 100;

@@ -5,9 +5,9 @@ use core::sync::atomic::Ordering;
 use shared_board::Identity;
 use shared_board::hand::CountHand;
 use shared_board::models::ModelStore;
-use shared_dsp::decision::DecisionConfig;
-use shared_dsp::mlp::Model;
 use shared_dsp::right::RightHand;
+use shared_dsp::right::decision::DecisionConfig;
+use shared_dsp::right::network::Model;
 use shared_proto::message::{FaultKind, Sensor};
 
 use crate::board::{self, Board, RUNS};

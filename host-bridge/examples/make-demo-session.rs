@@ -17,9 +17,9 @@ use std::path::Path;
 use host_bridge::adc::AdcRecording;
 use host_bridge::base::{Odometry, Twist};
 use models::synth::{Motion, Segment, Wearer, session};
+use shared_dsp::left::calibration::{CAPTURE_SAMPLES, Calibration, CalibrationStep};
+use shared_dsp::left::tilt::TiltThresholds;
 use shared_dsp::left::{AdcCounts, LeftHand};
-use shared_dsp::left_calibration::{CAPTURE_SAMPLES, Calibration, CalibrationStep};
-use shared_dsp::tilt::TiltThresholds;
 
 /// Which demo wearer plays the right hand, and which take.
 const WEARER: u32 = 1;

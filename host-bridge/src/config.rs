@@ -125,8 +125,8 @@ pub struct Tilt {
 
 impl Default for Tilt {
     fn default() -> Self {
-        let shared_dsp::tilt::TiltThresholds { neutral_mrad, end_mrad, start_mrad } =
-            shared_dsp::tilt::TiltThresholds::DEFAULT;
+        let shared_dsp::left::tilt::TiltThresholds { neutral_mrad, end_mrad, start_mrad } =
+            shared_dsp::left::tilt::TiltThresholds::DEFAULT;
         Tilt { neutral_mrad, end_mrad, start_mrad }
     }
 }
@@ -287,7 +287,7 @@ impl Config {
         ensure(self.motions.len() <= 200, "motions: at most 200 labels; a model names no more than 16")?;
         let Tilt { neutral_mrad, end_mrad, start_mrad } = self.tilt;
         ensure(
-            shared_dsp::tilt::TiltThresholds { neutral_mrad, end_mrad, start_mrad }.are_sound(),
+            shared_dsp::left::tilt::TiltThresholds { neutral_mrad, end_mrad, start_mrad }.are_sound(),
             "tilt: 17 <= neutral_mrad < end_mrad < start_mrad <= 1047 (60°) must hold",
         )?;
         let speed = self.speed;

@@ -1,7 +1,7 @@
 //! `session.toml`: what a recorded session is, and what it must come to.
 
 use serde::{Deserialize, Serialize};
-use shared_dsp::left_calibration::Calibration;
+use shared_dsp::left::calibration::Calibration;
 
 use host_core::session::Summary;
 

@@ -12,7 +12,7 @@ use host_bridge::config::Config;
 use host_bridge::hands::ModelFile;
 use host_bridge::scene::Scene;
 use models::card::Card;
-use shared_dsp::mlp::Model;
+use shared_dsp::right::network::Model;
 
 #[path = "../../models/tests/common/damage.rs"]
 mod damage;

@@ -4,9 +4,9 @@
 
 use std::path::{Path, PathBuf};
 
-use shared_dsp::mlp::crc32;
-use shared_dsp::mlp::{BlobSpec, DenseSpec, build_blob};
-use shared_dsp::recipe::Recipe;
+use shared_dsp::right::kind::FeatureKind;
+use shared_dsp::right::network::crc32;
+use shared_dsp::right::network::{BlobSpec, DenseSpec, build_blob};
 
 use crate::card::{Card, CardError};
 use crate::tflite::{self, Network, TfliteError};
@@ -122,21 +122,21 @@ pub fn model_id(blob: &[u8]) -> String {
 }
 
 /// The feature recipe that a card names.
-pub fn recipe(name: &str) -> Option<Recipe> {
+pub fn recipe(name: &str) -> Option<FeatureKind> {
     match name {
-        "raw" => Some(Recipe::Raw),
-        "log-power" => Some(Recipe::LogPower),
-        "aligned" => Some(Recipe::Aligned),
+        "raw" => Some(FeatureKind::Raw),
+        "log-power" => Some(FeatureKind::LogPower),
+        "aligned" => Some(FeatureKind::Aligned),
         _ => None,
     }
 }
 
 /// The name of a feature recipe in cards.
-pub fn recipe_name(recipe: Recipe) -> &'static str {
+pub fn recipe_name(recipe: FeatureKind) -> &'static str {
     match recipe {
-        Recipe::Raw => "raw",
-        Recipe::LogPower => "log-power",
-        Recipe::Aligned => "aligned",
+        FeatureKind::Raw => "raw",
+        FeatureKind::LogPower => "log-power",
+        FeatureKind::Aligned => "aligned",
     }
 }
 

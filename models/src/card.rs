@@ -33,7 +33,7 @@ pub struct Card {
     pub window: u16,
     /// Samples per hop.
     pub hop: u16,
-    /// How features become numbers to scale: `raw`, `log-power` or `aligned` (`shared_dsp::recipe`).
+    /// How features become numbers to scale: `raw`, `log-power` or `aligned` (`shared_dsp::right::kind`).
     pub features: String,
     /// How those become inputs of the network.
     pub scaling: Scaling,

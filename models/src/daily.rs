@@ -5,7 +5,7 @@
 //! the source and its licence). Getting up from a chair looks much like a circle to a model that never saw it.
 //!
 //! The file: `BIMANDAY`; the number of people as u8; their names, each with its length as u8 before it; then three tables:
-//! features without a gyroscope, those of the slow window behind them ([`shared_dsp::slow`]), features with a gyroscope. A
+//! features without a gyroscope, those of the slow window behind them ([`shared_dsp::right::slow`]), features with a gyroscope. A
 //! table: rows and columns as u32 little-endian; per column the middle and the unit as f32 little-endian; per row its
 //! person as u8 and a signed byte per column, which times the unit, plus the middle, is the feature.
 
@@ -214,7 +214,7 @@ mod tests {
         for axes in [3, 6, 9] {
             let rows = Daily::All.rows(axes);
             assert!(rows.len() >= 1000, "{} rows for {axes} axes", rows.len());
-            assert!(rows.iter().all(|row| row.len() == shared_dsp::aligned::feature_count(axes)));
+            assert!(rows.iter().all(|row| row.len() == shared_dsp::right::aligned::feature_count(axes)));
             assert!(rows.iter().flatten().all(|value| value.is_finite()));
         }
     }

@@ -1,8 +1,8 @@
 //! From a recording to the features of its windows, computed by the code that boards run.
 
-use shared_dsp::aligned::AlignedWindow;
-use shared_dsp::features::FeatureWindow;
-use shared_dsp::recipe::Recipe;
+use shared_dsp::right::aligned::AlignedWindow;
+use shared_dsp::right::features::FeatureWindow;
+use shared_dsp::right::kind::FeatureKind;
 
 use crate::recording::Recording;
 use crate::{HOP, WINDOW};
@@ -90,7 +90,7 @@ pub(crate) fn period<R: AsRef<[f32]>>(rows: &[R]) -> Option<usize> {
 
 /// Features of every window of a prepared recording whose start is a multiple of `stride_hops`
 /// hops, after `recipe`: 13 per axis, axis after axis, or those of recipe 3.
-pub fn features(recording: &Recording, recipe: Recipe, stride_hops: usize) -> Vec<Vec<f32>> {
+pub fn features(recording: &Recording, recipe: FeatureKind, stride_hops: usize) -> Vec<Vec<f32>> {
     match recording.axes() {
         3 => stream::<3>(recording, recipe, stride_hops),
         6 => stream::<6>(recording, recipe, stride_hops),
@@ -114,7 +114,7 @@ pub fn aligned_features(axes: usize, window: &[f32]) -> Vec<f32> {
     }
 }
 
-/// A recording as the slow window ([`shared_dsp::slow`]) sees it: every two samples averaged.
+/// A recording as the slow window ([`shared_dsp::right::slow`]) sees it: every two samples averaged.
 pub fn slowed(recording: &Recording) -> Recording {
     let rows: Vec<&[f32]> = recording.samples().collect();
     let halves = rows.as_chunks::<2>().0.iter();
@@ -123,13 +123,13 @@ pub fn slowed(recording: &Recording) -> Recording {
     Recording::new(recording.axes(), time_ms, values)
 }
 
-fn stream<const A: usize>(recording: &Recording, recipe: Recipe, stride_hops: usize) -> Vec<Vec<f32>> {
+fn stream<const A: usize>(recording: &Recording, recipe: FeatureKind, stride_hops: usize) -> Vec<Vec<f32>> {
     match recipe {
-        Recipe::Aligned => {
+        FeatureKind::Aligned => {
             let features = |window: &AlignedWindow<A>| window.features().to_vec();
             every(recording, stride_hops, AlignedWindow::new(), AlignedWindow::push, features)
         }
-        Recipe::Raw | Recipe::LogPower => {
+        FeatureKind::Raw | FeatureKind::LogPower => {
             let features = |window: &FeatureWindow<A>| {
                 let transform = |(index, value): (usize, &f32)| recipe.transform(index, *value);
                 window.features().iter().flat_map(|axis| axis.iter().enumerate().map(transform)).collect()
@@ -163,7 +163,7 @@ fn every<W, const A: usize>(
 /// Features of windows that start every `stride` samples, whatever the hop.
 ///
 /// Each window is fed anew, as its start is not one of the board's hops in general.
-pub fn features_every(recording: &Recording, recipe: Recipe, stride: usize) -> Vec<Vec<f32>> {
+pub fn features_every(recording: &Recording, recipe: FeatureKind, stride: usize) -> Vec<Vec<f32>> {
     if stride.is_multiple_of(HOP) {
         return features(recording, recipe, stride / HOP);
     }
@@ -208,7 +208,7 @@ mod tests {
     fn windows_start_where_the_stride_says() {
         let recording = ramp(500);
         let means = |windows: Vec<Vec<f32>>| windows.iter().map(|w| w[0]).collect::<Vec<_>>();
-        assert_eq!(means(features_every(&recording, Recipe::Raw, 100)), [99.5, 199.5, 299.5, 399.5]);
-        assert_eq!(means(features(&recording, Recipe::Raw, 25)), [99.5, 299.5]);
+        assert_eq!(means(features_every(&recording, FeatureKind::Raw, 100)), [99.5, 199.5, 299.5, 399.5]);
+        assert_eq!(means(features(&recording, FeatureKind::Raw, 25)), [99.5, 299.5]);
     }
 }

@@ -1,4 +1,4 @@
-//! What docs/ADDING.md says of recipes: one type that implements `Recipe` trains as the others do.
+//! What docs/ADDING.md says of recipes: one type that implements `FeatureKind` trains as the others do.
 
 mod common;
 
@@ -7,16 +7,17 @@ use indicatif::ProgressBar;
 use models::card::Scaling;
 use models::dataset::{Dataset, Item};
 use models::train::{
-    Beside, Calibration, Fitted, Job, Learnt, PAPER, Plan, Recipe, Row, TrainError, Windows, scaling, train,
+    Beside, Calibration, FeatureKind, Fitted, Job, Learnt, PAPER, Plan, Row, TrainError, Windows, scaling,
+    train,
 };
-use shared_dsp::mlp::Model;
-use shared_dsp::recipe::Recipe as FeatureKind;
+use shared_dsp::right::kind::FeatureKind;
+use shared_dsp::right::network::Model;
 
 /// The paper's windows, all scaled alike: a recipe of one's own in forty lines.
 #[derive(Debug)]
 struct Plain;
 
-impl Recipe for Plain {
+impl FeatureKind for Plain {
     fn name(&self) -> &'static str {
         "plain"
     }
@@ -53,11 +54,11 @@ impl Recipe for Plain {
         Calibration::Real
     }
 
-    fn shortened(&self, _: Option<usize>) -> Box<dyn Recipe> {
+    fn shortened(&self, _: Option<usize>) -> Box<dyn FeatureKind> {
         Box::new(Self)
     }
 
-    fn for_simulated(&self) -> Box<dyn Recipe> {
+    fn for_simulated(&self) -> Box<dyn FeatureKind> {
         Box::new(Self)
     }
 }

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use models::evaluate::events::{self, Stream};
 use models::synth::{IdleKind, Motion, Segment, Wearer, session};
-use shared_dsp::mlp::Model;
+use shared_dsp::right::network::Model;
 
 #[derive(Debug, Default)]
 struct Tally {

@@ -4,8 +4,8 @@ use std::path::PathBuf;
 
 use models::tflite::{End, FloatLayer, Network, TfliteError, infer_float, read, read_to_end, write};
 use proptest::prelude::*;
-use shared_dsp::mlp::{BlobSpec, DenseSpec, Model, build_blob};
-use shared_dsp::recipe::Recipe;
+use shared_dsp::right::kind::FeatureKind;
+use shared_dsp::right::network::{BlobSpec, DenseSpec, Model, build_blob};
 
 #[path = "common/shared.rs"]
 mod shared;
@@ -24,7 +24,7 @@ fn blob(layers: Vec<DenseSpec>) -> Vec<u8> {
     let inputs = layers[0].weights[0].len();
     let labels = layers[layers.len() - 1].weights.len();
     build_blob(&BlobSpec {
-        recipe: Recipe::Raw,
+        recipe: FeatureKind::Raw,
         axes: inputs / 13,
         sample_hz: 100,
         window: 200,
@@ -104,7 +104,8 @@ fn tensorflows_exports_in_eight_modes_give_the_answers_of_its_interpreter() {
             for (row, wanted) in wanted.chunks(outputs as usize).enumerate() {
                 let wanted: Vec<i8> = wanted.iter().map(|&byte| byte as i8).collect();
                 let input = fixture_input(row as u64, ROWS, width);
-                let (mut logits, mut scores) = ([0; shared_dsp::mlp::MAX_LABELS], vec![0; outputs as usize]);
+                let (mut logits, mut scores) =
+                    ([0; shared_dsp::right::network::MAX_LABELS], vec![0; outputs as usize]);
                 model.infer_with_logits(&input, &mut logits, &mut scores).unwrap();
                 let got = if end == End::Logits { &logits[..outputs as usize] } else { &scores[..] };
                 assert_eq!(got, wanted, "{name}, input {row}");
@@ -246,7 +247,7 @@ proptest! {
             // Whatever is accepted can be used.
             if let Network::Int8(layers) = network {
                 let _ = build_blob(&BlobSpec {
-                    recipe: Recipe::Raw,
+                    recipe: FeatureKind::Raw,
                     axes: 3,
                     sample_hz: 100,
                     window: 200,

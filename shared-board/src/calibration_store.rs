@@ -8,9 +8,9 @@
 //! reset.
 //!
 //! A new record goes to the slot that is not in use, so a power cut at any moment leaves the last good
-//! one. What a record looks like, and which slot counts, is `shared_dsp::left_calibration`'s.
+//! one. What a record looks like, and which slot counts, is `shared_dsp::left::calibration`'s.
 
-use shared_dsp::left_calibration::{Calibration, RECORD_BYTES, Record, Stored};
+use shared_dsp::left::calibration::{Calibration, RECORD_BYTES, Record, Stored};
 
 const SLOTS: [u16; 2] = [0x020, 0x040];
 const POWER_UPS: u16 = 0x060;

@@ -2,7 +2,7 @@
 
 use core::marker::PhantomData;
 
-use shared_dsp::mlp::{self, MAX_AXES};
+use shared_dsp::right::network::{self, MAX_AXES};
 use shared_dsp::right::{RightHand, RightOutput};
 use shared_proto::message::{ModelInfo, Text};
 
@@ -31,7 +31,7 @@ pub trait Hand {
 }
 
 /// What the wire says of a model.
-pub fn model_info_on_the_wire<'a>(info: &mlp::ModelInfo<'a>) -> ModelInfo<'a> {
+pub fn model_info_on_the_wire<'a>(info: &network::ModelHeader<'a>) -> ModelInfo<'a> {
     ModelInfo {
         model_id: info.model_id,
         recipe: info.recipe.id(),

@@ -2,10 +2,10 @@
 
 use crate::calibration_store::{CalibrationStore, Eeprom, Progress};
 use crate::{FrameOut, Identity, STATUS_INTERVAL_MS};
+use shared_dsp::left::calibration::{self as calibration, Calibration, CaptureError, Stored};
+use shared_dsp::left::guided::{Guided, GuidedAction};
+use shared_dsp::left::tilt;
 use shared_dsp::left::{AdcCounts, LeftHand, LeftOutput};
-use shared_dsp::left_calibration::{self as calibration, Calibration, CaptureError, Stored};
-use shared_dsp::left_guided::{Guided, GuidedAction};
-use shared_dsp::tilt;
 use shared_proto::frame::{DELIMITER, Decoder, HOST_TO_LEFT_FRAME_MAX, LEFT_BOARD_FRAME_MAX};
 use shared_proto::message::{
     Ack, AckResult, BoardBody, CalibrationStep, Fault, FaultKind, Heading, LeftRequest, LeftState, Mode,

@@ -7,7 +7,7 @@ use core::cell::Cell;
 use core::pin::pin;
 use core::task::{Context, Poll, Waker};
 use embedded_storage_async::nor_flash::{ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash};
-use shared_dsp::left_calibration::Calibration;
+use shared_dsp::left::calibration::Calibration;
 use std::vec;
 use std::vec::Vec;
 

@@ -11,9 +11,9 @@
 use crate::slots::{BLOB_MAX, Content, HEADER_BYTES, MAGIC, SLOT_BYTES, Slot, is_newer, look};
 use crate::{FrameOut, send};
 use embedded_storage_async::nor_flash::NorFlash;
-use shared_dsp::features::{HOP, WINDOW};
-use shared_dsp::mlp::{Model, crc32};
-use shared_dsp::recipe::Recipe;
+use shared_dsp::right::features::{HOP, WINDOW};
+use shared_dsp::right::kind::FeatureKind;
+use shared_dsp::right::network::{Model, crc32};
 use shared_proto::message::{Ack, AckResult, BoardBody, MODEL_CHUNK_MAX, ModelBegin, ModelInfo};
 
 /// NOR flash that can also be read like memory, as that of a microcontroller.
@@ -70,7 +70,7 @@ pub struct Runs {
 impl Runs {
     /// Whether a model that needs this can run.
     pub fn takes(self, needs: &ModelInfo<'_>) -> bool {
-        Recipe::from_id(needs.recipe)
+        FeatureKind::from_id(needs.recipe)
             .is_some_and(|recipe| recipe.runs_on(usize::from(needs.axes), usize::from(self.axes)))
             && needs.sample_hz == self.sample_hz
             && usize::from(needs.window) == WINDOW

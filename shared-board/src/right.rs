@@ -5,9 +5,9 @@ use crate::hand::Hand;
 use crate::models::ModelRequest;
 use crate::vibration::{Motor, Vibration};
 use crate::{FrameOut, Identity, send};
-use shared_dsp::features::HOP;
-use shared_dsp::mlp::{MAX_AXES, MAX_LABELS};
-use shared_dsp::recipe::Recipe;
+use shared_dsp::right::features::HOP;
+use shared_dsp::right::kind::FeatureKind;
+use shared_dsp::right::network::{MAX_AXES, MAX_LABELS};
 use shared_proto::message::{
     About, Ack, AckResult, Board, BoardBody, Bytes, Fault, FaultKind, Hello, HostMessage, Mode, ModelInfo,
     Pong, RAW_COUNTS_MAX, RawImu, RightState, SCORES_MAX, Status, health,
@@ -138,8 +138,9 @@ impl<H: Hand> RightBoard<H> {
     /// Whether the sensor has all that the model reads.
     pub fn model_can_run(&self) -> bool {
         let model = self.hand.model();
-        let runs_on =
-            |axes| Recipe::from_id(model.recipe).is_none_or(|r| r.runs_on(usize::from(model.axes), axes));
+        let runs_on = |axes| {
+            FeatureKind::from_id(model.recipe).is_none_or(|r| r.runs_on(usize::from(model.axes), axes))
+        };
         self.axes().is_none_or(runs_on)
     }
 

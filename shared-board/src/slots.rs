@@ -8,7 +8,7 @@
 //! The words are written last, after the blob has been read back and its CRC has been checked, and the magic
 //! number after the other three. So a transfer that breaks anywhere leaves a slot that counts as empty.
 
-use shared_dsp::mlp::crc32;
+use shared_dsp::right::network::crc32;
 
 /// Bytes per slot.
 pub const SLOT_BYTES: usize = 0x4000;

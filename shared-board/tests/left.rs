@@ -8,8 +8,8 @@ use shared_board::Identity;
 use shared_board::calibration_store::next_boot_id;
 use shared_board::left::{LeftBoard, Start};
 use shared_board::memory::RamEeprom;
+use shared_dsp::left::calibration::{CAPTURE_SAMPLES, Calibration};
 use shared_dsp::left::{AdcCounts, LeftHand};
-use shared_dsp::left_calibration::{CAPTURE_SAMPLES, Calibration};
 use shared_proto::message::{
     AckResult, Board, BoardMessage, CalibrationStep, FaultKind, Heading, HostMessage, LeftState, Mode,
     Status, TiltThresholds, health,
@@ -106,7 +106,7 @@ fn a_change_is_sent_at_once() {
     rig.hold(FORWARD, 500);
     rig.hold(LEVEL, 500);
     // The hand alone says when its heading changes.
-    let mut hand = LeftHand::new(None, shared_dsp::tilt::TiltThresholds::DEFAULT, 0);
+    let mut hand = LeftHand::new(None, shared_dsp::left::tilt::TiltThresholds::DEFAULT, 0);
     let mut changes = Vec::new();
     for now_ms in (10..=1100).step_by(10) {
         let pose = if (110..=600).contains(&now_ms) { FORWARD } else { LEVEL };

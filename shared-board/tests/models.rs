@@ -8,7 +8,7 @@ use shared_board::hand::model_info_on_the_wire;
 use shared_board::memory::{RamFlash, at_once};
 use shared_board::models::{Found, MappedFlash, ModelRequest, ModelStore, Runs};
 use shared_board::slots::{BLOB_MAX, Slot};
-use shared_dsp::mlp::{Model, crc32};
+use shared_dsp::right::network::{Model, crc32};
 use shared_proto::message::{AckResult, MODEL_CHUNK_MAX, ModelBegin, ModelInfo};
 
 const RUNS: Runs = Runs { axes: 3, sample_hz: 100 };

@@ -8,9 +8,9 @@ use shared_board::Identity;
 use shared_board::hand::{CountHand, Hand, ValueHand};
 use shared_board::models::ModelRequest;
 use shared_board::right::{Light, RightBoard};
-use shared_dsp::decision::DecisionConfig;
-use shared_dsp::mlp::{MAX_AXES, Model};
 use shared_dsp::right::RightHand;
+use shared_dsp::right::decision::DecisionConfig;
+use shared_dsp::right::network::{MAX_AXES, Model};
 use shared_proto::frame::{HOST_FRAME_MAX, parse_host};
 use shared_proto::message::{
     About, AckResult, Board, BoardMessage, Bytes, FaultKind, HostMessage, Image, Mode, ModelBegin, ModelInfo,

@@ -9,10 +9,10 @@ fn main() {
     let out = PathBuf::from(std::env::var("OUT_DIR").unwrap());
     let write = |name: &str, bytes: Vec<u8>| std::fs::write(out.join(name), bytes).unwrap();
     let mut spec = common::reference_spec();
-    write("raw.blob", shared_dsp::mlp::build_blob(&spec).unwrap());
-    write("rows.blob", shared_dsp::mlp::build_blob(&common::per_row_spec()).unwrap());
-    spec.recipe = shared_dsp::recipe::Recipe::LogPower;
-    write("log.blob", shared_dsp::mlp::build_blob(&spec).unwrap());
+    write("raw.blob", shared_dsp::right::network::build_blob(&spec).unwrap());
+    write("rows.blob", shared_dsp::right::network::build_blob(&common::per_row_spec()).unwrap());
+    spec.recipe = shared_dsp::right::kind::FeatureKind::LogPower;
+    write("log.blob", shared_dsp::right::network::build_blob(&spec).unwrap());
     let inputs = common::rows::<i8>("inputs_int8.csv").concat();
     write("inputs.bin", inputs.iter().map(|&x| x as u8).collect());
     let windows = common::rows::<f32>("windows.csv").concat();

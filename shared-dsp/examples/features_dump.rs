@@ -2,7 +2,7 @@
 //!
 //! `features_dump AXES < samples > features`, all little-endian f32: `AXES` values per sample in, 13 · `AXES` values per hop out.
 
-use shared_dsp::features::FeatureWindow;
+use shared_dsp::right::features::FeatureWindow;
 use std::io::{self, BufReader, BufWriter, Read, Write};
 
 fn main() -> io::Result<()> {

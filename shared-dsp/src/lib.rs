@@ -6,23 +6,5 @@
 #[cfg(any(test, feature = "build"))]
 extern crate std;
 
-pub mod aligned;
-pub mod decision;
-pub mod features;
-pub mod fft;
-pub mod flex;
 pub mod left;
-pub mod left_calibration;
-pub mod left_faults;
-pub mod left_guided;
-pub mod mlp;
-pub mod moments;
-pub mod movement;
-pub mod powers;
-pub mod recipe;
 pub mod right;
-pub mod sliding;
-pub mod slow;
-pub mod softmax;
-pub mod tilt;
-pub mod tilt_start;

@@ -2,8 +2,8 @@
 
 use proptest::prelude::*;
 use serde_json::Value;
-use shared_dsp::aligned::{AlignedWindow, MAX_FEATURES, feature_count};
-use shared_dsp::features::{HOP, WINDOW};
+use shared_dsp::right::aligned::{AlignedWindow, MAX_FEATURES, feature_count};
+use shared_dsp::right::features::{HOP, WINDOW};
 
 /// Features of the last window of `samples`.
 fn features<const A: usize>(samples: &[Vec<f32>]) -> Vec<f32> {

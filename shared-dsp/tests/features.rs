@@ -4,7 +4,7 @@ mod common;
 
 use common::rows;
 use proptest::prelude::*;
-use shared_dsp::features::{FEATURES_PER_AXIS, FeatureWindow, HOP, WINDOW};
+use shared_dsp::right::features::{FEATURES_PER_AXIS, FeatureWindow, HOP, WINDOW};
 
 const NAMES: [&str; FEATURES_PER_AXIS] =
     ["mean", "rms", "variance", "skewness", "kurtosis", "P0", "P1", "P2", "P3", "P4", "P5", "P6", "P7"];

@@ -1,13 +1,13 @@
 //! The right hand, from samples to events.
 
-use shared_dsp::decision::DecisionConfig;
-use shared_dsp::mlp::{BlobSpec, DenseSpec, Model, build_blob};
-use shared_dsp::recipe::Recipe;
+use shared_dsp::right::decision::DecisionConfig;
+use shared_dsp::right::kind::FeatureKind;
+use shared_dsp::right::network::{BlobSpec, DenseSpec, Model, build_blob};
 use shared_dsp::right::{ModelMismatch, RightHand};
 
 /// One layer that says `label` where its weighted inputs are above 0, else `idle`; these inputs have a weight, 1 or -1.
 fn blob_of(
-    recipe: Recipe,
+    recipe: FeatureKind,
     axes: usize,
     hop: u16,
     label: &str,
@@ -38,7 +38,7 @@ fn blob_of(
 fn blob(axes: usize, hop: u16) -> Vec<u8> {
     let mut scaling = vec![(0.0, 0.0); 13 * axes];
     scaling[2] = (8.0, -32.0);
-    blob_of(Recipe::Raw, axes, hop, "shake", scaling, &[(2, 1)])
+    blob_of(FeatureKind::Raw, axes, hop, "shake", scaling, &[(2, 1)])
 }
 
 /// Shakes where `shaking` says so; sample number in, axes out.
@@ -125,8 +125,8 @@ fn replaced_values_are_reported_while_they_are_in_the_window() {
 fn sway_blob(axes: usize) -> Vec<u8> {
     // Line after line of three directions each, behind four other features; the second direction is the swaying one.
     let (low, high) = (4 + 1, 4 + 3 * 2 + 1);
-    let scaling = vec![(60.0, 0.0); Recipe::Aligned.feature_count(axes)];
-    blob_of(Recipe::Aligned, axes, 8, "sway", scaling, &[(high, 1), (low, -1)])
+    let scaling = vec![(60.0, 0.0); FeatureKind::Aligned.feature_count(axes)];
+    blob_of(FeatureKind::Aligned, axes, 8, "sway", scaling, &[(high, 1), (low, -1)])
 }
 
 /// Samples at which a hand that sways at so many Hz has its events.

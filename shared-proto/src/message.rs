@@ -386,7 +386,7 @@ pub struct TiltThresholds {
 pub struct ModelInfo<'a> {
     /// CRC-32 of the blob.
     pub model_id: u32,
-    /// How features are made (see `shared_dsp::mlp::recipe`).
+    /// How features are made (see `shared_dsp::right::network::recipe`).
     pub recipe: u8,
     /// Values per sample.
     pub axes: u8,

@@ -3,9 +3,9 @@
 
 use models::synth::{self, Motion, Segment};
 use nano33_sensor::lsm9ds1::Config;
-use shared_dsp::decision::DecisionConfig;
-use shared_dsp::mlp::Model;
 use shared_dsp::right::RightHand;
+use shared_dsp::right::decision::DecisionConfig;
+use shared_dsp::right::network::Model;
 use shared_proto::frame::{BOARD_FRAME_MAX, Decoder, HOST_FRAME_MAX, encode_host};
 use shared_proto::message::{BoardMessage, HostMessage, Mode};
 use tests::nrf::lsm9ds1::{Replay, Still};

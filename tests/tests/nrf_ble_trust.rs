@@ -1,8 +1,8 @@
 //! Who may change the board over Bluetooth: only a laptop with kept keys; models and bonds outlive a restart.
 #![cfg(feature = "nrf")]
 
-use shared_dsp::mlp::{Model, crc32};
-use shared_dsp::recipe::Recipe;
+use shared_dsp::right::kind::FeatureKind;
+use shared_dsp::right::network::{Model, crc32};
 use shared_proto::message::{AckResult, Bytes, HostMessage, MODEL_CHUNK_MAX, Mode};
 use tests::nrf::ble_host::BleHost;
 use tests::nrf::lsm9ds1::Still;
@@ -89,7 +89,7 @@ fn a_laptop_that_pairs_without_keeping_keys_changes_nothing() {
     assert!(log(&mut session).contains(&Happening::Paired { bonded: false }));
     let answer = session.ask(3, &HostMessage::SetMode { request: 3, mode: Mode::Idle }).unwrap();
     assert_eq!(answer.result, AckResult::NotBonded);
-    let blob = random_model(Recipe::Raw, &[20, 10, 5], 3);
+    let blob = random_model(FeatureKind::Raw, &[20, 10, 5], 3);
     let model = Model::parse(&blob).unwrap();
     assert_eq!(announce(&mut session, begin(&blob, &model)), AckResult::NotBonded);
     assert_eq!(session.board.soc().nvmc.erased, 0);
@@ -182,7 +182,7 @@ fn a_model_sent_over_bluetooth_is_used_after_a_restart_though_flash_and_link_fai
     let mut session = ready();
     session.run_ms(1000);
     let bundled = model_id(&mut session);
-    let blob = random_model(Recipe::Raw, &[20, 10, 5], 1);
+    let blob = random_model(FeatureKind::Raw, &[20, 10, 5], 1);
     let model = Model::parse(&blob).unwrap();
     session.board.softdevice().flash_refusals = 2;
     let from = session.board.now();

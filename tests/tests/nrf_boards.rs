@@ -1,8 +1,8 @@
 //! What differs from board to board: the sensor that is found, pins, the way into the bootloader, the file to flash.
 #![cfg(feature = "nrf")]
 
-use shared_dsp::mlp::Model;
-use shared_dsp::recipe::Recipe;
+use shared_dsp::right::kind::FeatureKind;
+use shared_dsp::right::network::Model;
 use shared_proto::message::{
     AckResult, FaultKind, HostMessage, Image, Mode, ResetCause, Sensor, Signal, health,
 };
@@ -61,7 +61,7 @@ fn a_board_says_what_it_is_made_of_and_why_it_started() {
 /// The axes of a Rev2's magnetometer against the others are not known, and a XIAO has none.
 #[test]
 fn a_model_that_reads_a_magnetometer_is_refused_where_none_may_be_used_and_a_kept_one_names_nothing() {
-    let blob = random_model(Recipe::LogPower, &[20, 10, 5], 7);
+    let blob = random_model(FeatureKind::LogPower, &[20, 10, 5], 7);
     let model = Model::parse(&blob).unwrap();
     let mut rev1 = Session::uart(Box::new(Still));
     rev1.run_ms(500);

@@ -1,9 +1,9 @@
 //! What a gesture costs on the board: instructions, time awake and memory, beside the paper and its peers.
 #![cfg(feature = "nrf")]
 
-use shared_dsp::aligned::AlignedWindow;
-use shared_dsp::mlp::MAX_LABELS;
-use shared_dsp::recipe::Recipe;
+use shared_dsp::right::aligned::AlignedWindow;
+use shared_dsp::right::kind::FeatureKind;
+use shared_dsp::right::network::MAX_LABELS;
 use tests::nrf::board::Kind;
 use tests::nrf::image::Image;
 use tests::nrf::lsm9ds1::{Motion, Still};
@@ -45,8 +45,8 @@ fn median_and_worst(mut values: Vec<u64>) -> (u64, u64) {
 fn measure(session: &mut Session, window: &str) -> Cost {
     let sample = session.board.probe("bimanual_sample");
     let names = |words: &[&str]| session.board.image().functions_with(words);
-    let forward = names(&["shared_dsp", "mlp", "Model", "7forward"]);
-    let inputs_and_forward = names(&["shared_dsp", "mlp", "Model", "with_scratch"]);
+    let forward = names(&["shared_dsp", "network", "Model", "7forward"]);
+    let inputs_and_forward = names(&["shared_dsp", "network", "Model", "with_scratch"]);
     let softmax = names(&["shared_dsp", "softmax", "7softmax"]);
     let features = names(&["shared_dsp", window, "finish_hop"]);
     let mut probe = |names: &[String], stack: bool| -> Vec<usize> {
@@ -96,7 +96,7 @@ fn say(cost: &Cost) {
 }
 
 /// Words in the names of the network's code.
-const NETWORK: [&str; 3] = ["10shared_dsp3mlp", "10shared_dsp7softmax", "bimanual_layer"];
+const NETWORK: [&str; 3] = ["10shared_dsp5right7network", "10shared_dsp5right7softmax", "bimanual_layer"];
 
 /// Bytes of flash of the symbols whose names hold one of these words.
 fn flash_of(image: &Image, words: &[&str]) -> u32 {
@@ -129,7 +129,7 @@ fn a_network_of_the_papers_shape_is_within_the_aims_of_its_peers() {
     let mut session = Session::uart(Box::new(Wild));
     session.run_ms(500);
     // Any weights: what counts is the shape.
-    let blob = random_model(Recipe::LogPower, &[20, 10, 5], 7);
+    let blob = random_model(FeatureKind::LogPower, &[20, 10, 5], 7);
     install(&mut session, &blob);
     let cost = measure(&mut session, "features");
     println!("received model: recipe log-power, 117 features of nine axes, 117-20-10-5-7");
@@ -169,7 +169,7 @@ fn the_bundled_network_stays_within_the_papers_memory_and_40_000_instructions_pe
     let image = session.board.image();
     let code = flash_of(image, &NETWORK);
     let (flash, window) = (code + flash_of(image, &["5model7BUNDLED"]), size_of::<AlignedWindow<9>>());
-    let features = flash_of(image, &["10shared_dsp7aligned"]);
+    let features = flash_of(image, &["10shared_dsp5right7aligned"]);
     println!("{:<40}{:>14}{:>10}{:>8}", "inference", "instructions", "flash B", "RAM B");
     println!("{:<40}{:>14}{:>10}{:>8}", "network with softmax", cost.network, flash, cost.stack);
     println!("{:<40}{:>14}{:>10}{:>8}", "features, and their window", cost.features.1, features, window);

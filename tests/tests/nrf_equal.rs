@@ -3,12 +3,12 @@
 
 use models::synth::{self, Segment};
 use nano33_sensor::SCALE;
-use shared_dsp::aligned::AlignedWindow;
-use shared_dsp::decision::DecisionConfig;
-use shared_dsp::features::FeatureWindow;
-use shared_dsp::mlp::Model;
-use shared_dsp::recipe::Recipe;
 use shared_dsp::right::RightHand;
+use shared_dsp::right::aligned::AlignedWindow;
+use shared_dsp::right::decision::DecisionConfig;
+use shared_dsp::right::features::FeatureWindow;
+use shared_dsp::right::kind::FeatureKind;
+use shared_dsp::right::network::Model;
 use tests::is_full;
 use tests::nrf::board::{Kind, Tapped};
 use tests::nrf::lsm9ds1::{Motion, Replay, Still};
@@ -77,16 +77,16 @@ fn watch(session: &mut Session, tap: usize, seconds: u64) -> Vec<(usize, Vec<u8>
 type Features = Box<dyn FnMut(&[f32; 9]) -> Option<Vec<f32>>>;
 
 /// The laptop's features of a recipe.
-fn features(recipe: Recipe) -> Features {
+fn features(recipe: FeatureKind) -> Features {
     match recipe {
-        Recipe::Raw | Recipe::LogPower => {
+        FeatureKind::Raw | FeatureKind::LogPower => {
             let mut window = FeatureWindow::<9>::new();
             Box::new(move |sample| {
                 window.push(sample);
                 window.is_full().then(|| window.features().as_flattened().to_vec())
             })
         }
-        Recipe::Aligned => {
+        FeatureKind::Aligned => {
             let mut window = AlignedWindow::<9>::new();
             Box::new(move |sample| {
                 window.push(sample);
@@ -137,7 +137,7 @@ fn compare(blob: &[u8], session: &Session, window: &Window) -> usize {
 }
 
 /// The laptop's features must stand in the board's memory, all bits equal.
-fn compare_features(recipe: Recipe, window: &Window) {
+fn compare_features(recipe: FeatureKind, window: &Window) {
     let scale = SCALE;
     let mut features = features(recipe);
     let mut memory = window.memory.iter();
@@ -411,9 +411,11 @@ fn received_models_of_every_recipe_compute_what_the_laptop_computes() {
         hand.output().events >= 3
     };
     let paper: &[usize] = &[20, 10, 5];
-    for (recipe, hidden) in
-        [(Recipe::Aligned, &models::ALIGNED_HIDDEN[..]), (Recipe::LogPower, paper), (Recipe::Raw, paper)]
-    {
+    for (recipe, hidden) in [
+        (FeatureKind::Aligned, &models::ALIGNED_HIDDEN[..]),
+        (FeatureKind::LogPower, paper),
+        (FeatureKind::Raw, paper),
+    ] {
         let blob = (1..)
             .map(|seed| random_model(recipe, hidden, seed))
             .find(names_something)

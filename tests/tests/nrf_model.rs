@@ -1,8 +1,8 @@
 //! A model sent over the wire: kept, used after the restart, and never at the cost of the old one.
 #![cfg(feature = "nrf")]
 
-use shared_dsp::mlp::{Model, crc32};
-use shared_dsp::recipe::Recipe;
+use shared_dsp::right::kind::FeatureKind;
+use shared_dsp::right::network::{Model, crc32};
 use shared_proto::message::{
     AckResult, Bytes, FaultKind, HostMessage, MODEL_CHUNK_MAX, ModelBegin, ModelInfo,
 };
@@ -12,7 +12,7 @@ use tests::nrf::transfer::{announce, begin, model_id, pieces, random_model, rest
 
 /// A model of the paper's shape.
 fn other_model(seed: u32) -> Vec<u8> {
-    random_model(Recipe::Raw, &[20, 10, 5], seed)
+    random_model(FeatureKind::Raw, &[20, 10, 5], seed)
 }
 
 #[test]

@@ -30,7 +30,15 @@ const XIAO_ORIGIN: u32 = 0x27000;
 
 /// Parts of the image and the words in the names of their symbols, first match wins.
 const PARTS: [(&str, &[&str]); 6] = [
-    ("network", &["10shared_dsp3mlp", "10shared_dsp7softmax", "10shared_dsp6recipe", "5model7BUNDLED"]),
+    (
+        "network",
+        &[
+            "10shared_dsp5right7network",
+            "10shared_dsp5right7softmax",
+            "10shared_dsp5right4kind",
+            "5model7BUNDLED",
+        ],
+    ),
     ("features", &["10shared_dsp"]),
     ("driver", &["nano33_sensor", "4twim", "6sample", "3bus"]),
     ("bluetooth", &["14nrf_softdevice", "nrf_softdevice", "6nano333ble", "3ble"]),

@@ -12,7 +12,7 @@ use host_bridge::links::SerialSettings;
 use host_bridge::safety::Hand;
 use host_bridge::survey::Survey;
 use host_bridge::talk::{ModelNeeds, Said, Talk, Who};
-use shared_dsp::mlp::crc32;
+use shared_dsp::right::network::crc32;
 use shared_proto::message::{
     About, Board, Fault, HostMessage, Image, Mode, PROTOCOL_MAJOR, PROTOCOL_MINOR, ResetCause, Sensor, Status,
 };

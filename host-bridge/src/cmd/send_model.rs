@@ -11,7 +11,7 @@ use host_bridge::link::hand_of;
 use host_bridge::safety::Hand;
 use host_bridge::talk::{Said, Talk};
 use host_bridge::upload::{Stage, Upload, misfit};
-use shared_dsp::mlp::Model;
+use shared_dsp::right::network::Model;
 use shared_proto::message::{HostMessage, LABELS_MAX, SCORES_MAX};
 
 use super::ports::PortOptions;

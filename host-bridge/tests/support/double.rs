@@ -10,10 +10,10 @@ use shared_board::Identity;
 use shared_board::hand::CountHand;
 use shared_board::memory::{RamEeprom, RamFlash, at_once};
 use shared_board::models::{MappedFlash as _, ModelRequest, ModelStore, Runs};
-use shared_dsp::decision::DecisionConfig;
 use shared_dsp::left::AdcCounts;
-use shared_dsp::mlp::Model;
 use shared_dsp::right::RightHand;
+use shared_dsp::right::decision::DecisionConfig;
+use shared_dsp::right::network::Model;
 use shared_proto::frame::{Decoder, HOST_FRAME_MAX};
 use shared_proto::message::{Board as Kind, HostMessage, Mode};
 

@@ -6,7 +6,7 @@ use clap::Args;
 use models::blob::ModelFiles;
 use models::evaluate::score::{Classifier, score, scored};
 use models::tflite::Network;
-use shared_dsp::mlp::Model;
+use shared_dsp::right::network::Model;
 
 /// Score a model on a folder of recordings
 #[derive(Args)]

@@ -7,7 +7,7 @@ use anyhow::Context;
 use clap::Args;
 use models::blob::ModelFiles;
 use models::tflite::{Network, infer_float};
-use shared_dsp::mlp::Model;
+use shared_dsp::right::network::Model;
 
 /// Run a network on rows of its inputs (after scaling) and print its scores
 #[derive(Args)]

@@ -9,7 +9,7 @@ use models::evaluate::study::{Events, Study};
 use models::recording::write_whole;
 use models::report::{Facts, NetworkSize, Report, html};
 use rayon::prelude::*;
-use shared_dsp::mlp::Model;
+use shared_dsp::right::network::Model;
 
 use super::RecipeName;
 use super::people::{Set, recipes};

@@ -9,13 +9,13 @@
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
-use shared_dsp::aligned::{AlignedWindow, Movement};
-use shared_dsp::decision::{DecisionConfig, is_rest};
-use shared_dsp::mlp::{MAX_LABELS, Model};
-use shared_dsp::movement::{MovementConfig, MovementDecision};
-use shared_dsp::recipe::Recipe;
+use shared_dsp::right::aligned::{AlignedWindow, Movement};
+use shared_dsp::right::decision::{DecisionConfig, is_rest};
+use shared_dsp::right::kind::FeatureKind;
+use shared_dsp::right::movement::{MovementConfig, MovementDecision};
+use shared_dsp::right::network::{MAX_LABELS, Model};
+use shared_dsp::right::slow::SlowWindow;
 use shared_dsp::right::{ModelMismatch, RightHand};
-use shared_dsp::slow::SlowWindow;
 
 use crate::RATE_HZ;
 use crate::dataset::Item;
@@ -312,7 +312,7 @@ pub struct Heard {
 pub fn listen(model: Model<'_>, stream: &Stream) -> Result<Vec<Heard>, ModelMismatch> {
     fn run<const A: usize>(model: Model<'_>, values: &[f32]) -> Result<Vec<Heard>, ModelMismatch> {
         let info = model.info();
-        if info.recipe != Recipe::Aligned || !info.recipe.runs_on(info.axes, A) {
+        if info.recipe != FeatureKind::Aligned || !info.recipe.runs_on(info.axes, A) {
             return Err(ModelMismatch::Axes { model: info.axes, hand: A });
         }
         let (mut window, mut slow) = (AlignedWindow::<A>::new(), SlowWindow::<A>::new());

@@ -7,10 +7,10 @@ use std::path::{Path, PathBuf};
 
 use rand::seq::SliceRandom;
 use rayon::prelude::*;
-use shared_dsp::decision::is_rest;
-use shared_dsp::mlp::Model;
-use shared_dsp::movement::MovementConfig;
 use shared_dsp::right::ModelMismatch;
+use shared_dsp::right::decision::is_rest;
+use shared_dsp::right::movement::MovementConfig;
+use shared_dsp::right::network::Model;
 
 use crate::card::Scores;
 use crate::dataset::{Dataset, DatasetError, Item};
@@ -45,7 +45,7 @@ pub enum TrialError {
     Train(#[from] TrainError),
     /// A trained model does not parse: a mistake of ours.
     #[error("the trained model is damaged: {0}")]
-    Model(#[from] shared_dsp::mlp::ModelError),
+    Model(#[from] shared_dsp::right::network::ModelError),
     /// A trained model does not run on its own recordings: a mistake of ours.
     #[error("the trained model does not run: {0}")]
     Mismatch(#[from] ModelMismatch),

@@ -3,8 +3,8 @@
 
 use std::collections::BTreeMap;
 
-use shared_dsp::mlp::Model;
-use shared_dsp::recipe::Recipe;
+use shared_dsp::right::kind::FeatureKind;
+use shared_dsp::right::network::Model;
 
 use crate::card::{Card, Score};
 use crate::dataset::Dataset;
@@ -89,10 +89,10 @@ pub struct Scored {
 
 /// Computes what is needed to score a data set with models of these labels and this recipe.
 pub fn scored(dataset: &Dataset, labels: &[String], features: &str) -> Vec<Scored> {
-    let recipe = blob::recipe(features).unwrap_or(Recipe::Raw);
+    let recipe = blob::recipe(features).unwrap_or(FeatureKind::Raw);
     let one = |item: &crate::dataset::Item| {
         let (ready, prepared) = prepare(&item.recording);
-        let measured = if recipe == Recipe::Aligned { Recipe::Aligned } else { Recipe::Raw };
+        let measured = if recipe == FeatureKind::Aligned { FeatureKind::Aligned } else { FeatureKind::Raw };
         let raw = features_every(&ready, measured, STRIDE);
         let transformed = raw
             .iter()

@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 
 use rayon::prelude::*;
-use shared_dsp::movement::MovementConfig;
+use shared_dsp::right::movement::MovementConfig;
 
 use crate::evaluate::events::Tally;
 use crate::evaluate::people::{Accuracy, Graded, Shown, Trial, TrialError};

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use rayon::prelude::*;
-use shared_dsp::aligned::feature_count;
+use shared_dsp::right::aligned::feature_count;
 
 use crate::RATE_HZ;
 use crate::dataset::Dataset;
@@ -112,7 +112,7 @@ fn features(dataset: &Dataset) -> Vec<(String, Vec<f64>)> {
     dataset.labels.iter().map(row).collect()
 }
 
-/// Names of the features of recipe `aligned`, in order ([`shared_dsp::aligned`]).
+/// Names of the features of recipe `aligned`, in order ([`shared_dsp::right::aligned`]).
 pub fn feature_names(axes: usize) -> Vec<String> {
     let triads: &[&str] = if axes >= 6 { &["acceleration", "rotation"] } else { &["acceleration"] };
     let directions = ["up", "along", "across"];

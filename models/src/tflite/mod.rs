@@ -12,7 +12,7 @@ mod names;
 mod read;
 mod write;
 
-use shared_dsp::mlp::DenseSpec;
+use shared_dsp::right::network::DenseSpec;
 
 pub use read::{End, read, read_to_end};
 pub use write::write;

@@ -1,6 +1,6 @@
 //! From a file's bytes to a network.
 
-use shared_dsp::mlp::DenseSpec;
+use shared_dsp::right::network::DenseSpec;
 
 use super::flat::Table;
 use super::{FloatLayer, IDENTIFIER, MAX_BYTES, MAX_LAYERS, MAX_WIDTH, Network, TfliteError, names, schema};

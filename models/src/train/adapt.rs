@@ -96,7 +96,11 @@ fn fitted(
 }
 
 /// Int8 layers of a fitted network.
-fn int8(layers: &[FloatLayer], rows: &[(Vec<f32>, usize)], limit: f32) -> Vec<shared_dsp::mlp::DenseSpec> {
+fn int8(
+    layers: &[FloatLayer],
+    rows: &[(Vec<f32>, usize)],
+    limit: f32,
+) -> Vec<shared_dsp::right::network::DenseSpec> {
     let calibration: Vec<&[f32]> = rows.iter().map(|(input, _)| input.as_slice()).collect();
     quantise::quantise(layers, &calibration, limit)
 }

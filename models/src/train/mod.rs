@@ -23,7 +23,7 @@ use std::path::{Path, PathBuf};
 use indicatif::{ProgressBar, ProgressStyle};
 use rayon::prelude::*;
 use sha2::{Digest, Sha256};
-use shared_dsp::mlp::{MAX_LABELS, Model};
+use shared_dsp::right::network::{MAX_LABELS, Model};
 
 use crate::card::{self, Card, Data, Scores, Training};
 use crate::dataset::{Dataset, Item};

@@ -2,7 +2,7 @@
 //! symmetric weights in −127..=127, biases in int32 at scale input × weight, activations in
 //! −128..=127 over the range that the calibration inputs reach, 0 always exact.
 
-use shared_dsp::mlp::DenseSpec;
+use shared_dsp::right::network::DenseSpec;
 
 use crate::tflite::FloatLayer;
 

@@ -5,7 +5,7 @@ use std::ops::RangeInclusive;
 use std::sync::Arc;
 
 use indicatif::ProgressBar;
-use shared_dsp::recipe::Recipe as Features;
+use shared_dsp::right::kind::FeatureKind;
 
 use super::TrainError;
 use super::memory::Memory;
@@ -18,7 +18,7 @@ use crate::windows::Prepared;
 /// A window's features or inputs, and its label.
 pub type Row<'a> = (&'a [f32], usize);
 
-/// Features of windows that several trainings use.
+/// FeatureKind of windows that several trainings use.
 pub type Shared = Arc<Vec<Vec<f32>>>;
 
 /// One way to make a model: which windows are learnt and how they are varied, how a network is fitted to them, and what its
@@ -31,7 +31,7 @@ pub trait Recipe: fmt::Debug + Send + Sync {
     fn about(&self) -> &'static str;
 
     /// Which features models of it read.
-    fn features(&self) -> Features;
+    fn features(&self) -> FeatureKind;
 
     /// What the card says of the training.
     fn plan(&self) -> Plan;
@@ -106,9 +106,9 @@ pub struct Plan {
 pub struct Windows {
     /// Place of its label.
     pub label: usize,
-    /// Features of the recording as it is.
+    /// FeatureKind of the recording as it is.
     pub own: Vec<Vec<f32>>,
-    /// Features of its varied copies.
+    /// FeatureKind of its varied copies.
     pub varied: Vec<Vec<f32>>,
     /// What was done to it before.
     pub prepared: Prepared,

@@ -94,7 +94,7 @@ mod tests {
         let of: Vec<(usize, usize)> = shown.iter().map(|(windows, label)| (windows.len(), *label)).collect();
         // Seven windows in 8 s, and two copies of each, from each of three people.
         assert_eq!(of, [(63, 2), (63, 0)]);
-        let count = shared_dsp::aligned::feature_count(6);
+        let count = shared_dsp::right::aligned::feature_count(6);
         assert!(shown.iter().all(|(windows, _)| windows.iter().all(|window| window.len() == count)));
         assert_eq!(shown, performed(6, 3, &labels), "every training sees the same");
     }

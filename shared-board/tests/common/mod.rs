@@ -2,8 +2,8 @@
 #![allow(dead_code)] // each test file uses its own part
 
 use shared_board::FrameOut;
-use shared_dsp::mlp::{BlobSpec, DenseSpec, build_blob};
-use shared_dsp::recipe::Recipe;
+use shared_dsp::right::kind::FeatureKind;
+use shared_dsp::right::network::{BlobSpec, DenseSpec, build_blob};
 use shared_proto::frame::{BOARD_FRAME_MAX, Decoder, HOST_FRAME_MAX, encode_host};
 use shared_proto::message::{Ack, AckResult, BoardMessage, Fault, HostMessage, LeftState, Pong, Status};
 
@@ -78,10 +78,10 @@ impl Line {
 
 /// A network of one layer on raw samples; `weight` says the weight of each place.
 pub fn model(labels: &[&str], axes: usize, hop: u16, weight: impl Fn(usize) -> i8) -> Vec<u8> {
-    let inputs = Recipe::Raw.feature_count(axes);
+    let inputs = FeatureKind::Raw.feature_count(axes);
     let row = |row: usize| (0..inputs).map(|i| weight(row * inputs + i)).collect();
     build_blob(&BlobSpec {
-        recipe: Recipe::Raw,
+        recipe: FeatureKind::Raw,
         axes,
         sample_hz: 100,
         window: 200,

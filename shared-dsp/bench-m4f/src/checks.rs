@@ -1,7 +1,7 @@
 //! Checksums of results on fixed inputs; the laptop computes the same with the same file.
 
-use shared_dsp::features::FeatureWindow;
-use shared_dsp::mlp::{Model, crc32};
+use shared_dsp::right::features::FeatureWindow;
+use shared_dsp::right::network::{Model, crc32};
 
 fn mix(sum: u32, bytes: &[u8]) -> u32 {
     sum.rotate_left(5) ^ crc32(bytes)

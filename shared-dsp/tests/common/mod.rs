@@ -2,8 +2,8 @@
 #![allow(dead_code)]
 
 use serde_json::Value;
-use shared_dsp::mlp::{BlobSpec, DenseSpec};
-use shared_dsp::recipe::Recipe;
+use shared_dsp::right::kind::FeatureKind;
+use shared_dsp::right::network::{BlobSpec, DenseSpec};
 use std::path::PathBuf;
 
 /// A file of `tests/data`, also for the crates in `bench-m4f`.
@@ -43,7 +43,7 @@ pub fn reference_spec() -> BlobSpec {
         largest: i8::MAX,
     };
     BlobSpec {
-        recipe: Recipe::Raw,
+        recipe: FeatureKind::Raw,
         axes: 9,
         sample_hz: 100,
         window: 200,

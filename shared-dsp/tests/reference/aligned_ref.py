@@ -1,4 +1,4 @@
-"""Recipe 3 in numpy (float64), as shared_dsp::aligned describes it. Prints tests/data/aligned.json:
+"""Recipe 3 in numpy (float64), as shared_dsp::right::aligned describes it. Prints tests/data/aligned.json:
 python3 tests/reference/aligned_ref.py > tests/data/aligned.json"""
 import json
 import numpy as np

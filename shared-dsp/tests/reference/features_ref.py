@@ -23,7 +23,7 @@ NAMES = ["mean", "rms", "variance", "skewness", "kurtosis"] + [f"P{k}" for k in 
 SHAPE = [3, 4]  # bounded relative to max(|reference|, 1)
 BOUND = 1e-4
 MEAN = 0
-MEAN_BOUND = 1e-9  # what shared_dsp::features promises of a mean near 0, where 200 samples cancel
+MEAN_BOUND = 1e-9  # what shared_dsp::right::features promises of a mean near 0, where 200 samples cancel
 
 
 def reference(x):

@@ -1,8 +1,8 @@
 //! A laptop that sends a model to the emulated board, piece by piece.
 
 use shared_board::hand::model_info_on_the_wire;
-use shared_dsp::mlp::{BlobSpec, DenseSpec, Model, build_blob, crc32};
-use shared_dsp::recipe::Recipe;
+use shared_dsp::right::kind::FeatureKind;
+use shared_dsp::right::network::{BlobSpec, DenseSpec, Model, build_blob, crc32};
 use shared_proto::message::{AckResult, Bytes, HostMessage, MODEL_CHUNK_MAX, ModelBegin};
 
 use super::session::Session;
@@ -11,7 +11,7 @@ use super::session::Session;
 ///
 /// # Panics
 /// Where the widths are too large for a blob.
-pub fn random_model(recipe: Recipe, hidden: &[usize], seed: u32) -> Vec<u8> {
+pub fn random_model(recipe: FeatureKind, hidden: &[usize], seed: u32) -> Vec<u8> {
     const AXES: usize = 9;
     let inputs = recipe.feature_count(AXES);
     let sizes: Vec<usize> = [inputs].iter().chain(hidden).chain(&[7]).copied().collect();
@@ -35,7 +35,7 @@ pub fn random_model(recipe: Recipe, hidden: &[usize], seed: u32) -> Vec<u8> {
         })
         .collect();
     // The features of recipe 3 lie about 0, as wide as 1.
-    let scale = if recipe == Recipe::Aligned { 60.0 } else { 1.0 };
+    let scale = if recipe == FeatureKind::Aligned { 60.0 } else { 1.0 };
     build_blob(&BlobSpec {
         recipe,
         axes: AXES,

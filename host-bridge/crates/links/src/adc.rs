@@ -8,8 +8,8 @@
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
+use shared_dsp::left::faults::STUCK_MS;
 use shared_dsp::left::{AdcCounts, OVERSAMPLING};
-use shared_dsp::left_faults::STUCK_MS;
 
 /// Names of the five lines, in the order of the columns.
 pub const LINE_NAMES: [&str; 5] = ["x", "y", "z", "index", "middle"];

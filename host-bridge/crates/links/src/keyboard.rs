@@ -18,11 +18,11 @@ use serde::{Deserialize, Serialize};
 use shared_board::Identity;
 use shared_board::hand::Hand;
 use shared_board::memory::RamEeprom;
-use shared_dsp::flex::Finger;
+use shared_dsp::left::calibration::Calibration;
+use shared_dsp::left::flex::Finger;
 use shared_dsp::left::{AdcCounts, ONE_G};
-use shared_dsp::left_calibration::Calibration;
-use shared_dsp::mlp::{MAX_AXES, MAX_LABELS};
 use shared_dsp::right::RightOutput;
+use shared_dsp::right::network::{MAX_AXES, MAX_LABELS};
 use shared_proto::message::{Board, Heading, ModelInfo, Text};
 
 use crate::hands::virtual_board::{PERIOD_MS, VirtualLeft, VirtualRight, no_store};

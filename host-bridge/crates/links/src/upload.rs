@@ -7,7 +7,7 @@
 //! ```
 
 use shared_board::hand::model_info_on_the_wire;
-use shared_dsp::mlp::{Model, ModelError};
+use shared_dsp::right::network::{Model, ModelError};
 use shared_proto::message::{Ack, AckResult, Bytes, HostMessage, MODEL_CHUNK_MAX, ModelBegin};
 
 use crate::talk::{ModelNeeds, advice};
@@ -183,7 +183,7 @@ mod tests {
     use proptest::prelude::*;
     use shared_board::memory::{RamFlash, at_once};
     use shared_board::models::{MappedFlash as _, ModelRequest, ModelStore, Runs};
-    use shared_dsp::mlp::crc32;
+    use shared_dsp::right::network::crc32;
     use shared_proto::frame::{BOARD_FRAME_MAX, Decoder};
     use shared_proto::message::BoardMessage;
 

@@ -1,13 +1,13 @@
 //! Recipe `aligned`: for people that the model has never met.
 //!
-//! Features in the hand's own frame ([`shared_dsp::aligned`]), windows varied as other hands would, simulated wearers and
+//! FeatureKind in the hand's own frame ([`shared_dsp::right::aligned`]), windows varied as other hands would, simulated wearers and
 //! real daily movement beside the recordings, and a number of steps that nobody's recordings decide.
 
 use std::sync::Arc;
 
 use indicatif::ProgressBar;
-use shared_dsp::mlp::MAX_LABELS;
-use shared_dsp::recipe::Recipe as Features;
+use shared_dsp::right::kind::FeatureKind;
+use shared_dsp::right::network::MAX_LABELS;
 
 use crate::card::Scaling;
 use crate::daily::{self, Daily};
@@ -67,11 +67,11 @@ impl Recipe for Aligned {
     }
 
     fn about(&self) -> &'static str {
-        "Features in the hand's own frame, for people it has never met"
+        "FeatureKind in the hand's own frame, for people it has never met"
     }
 
-    fn features(&self) -> Features {
-        Features::Aligned
+    fn features(&self) -> FeatureKind {
+        FeatureKind::Aligned
     }
 
     fn plan(&self) -> Plan {

@@ -1,7 +1,7 @@
 //! Recipe `log-power`: features per axis with log powers, trained until it converges. It knows directions against the
 //! board, as the paper's does, and so tells gestures apart that mirror each other.
 
-use shared_dsp::recipe::Recipe as Features;
+use shared_dsp::right::kind::FeatureKind;
 
 use super::{PAPER, PerAxis};
 use crate::train::augment::Augmentation;
@@ -10,9 +10,9 @@ use crate::train::epochs::Epochs;
 /// Until four halvings of the learning rate bring nothing more.
 pub const LOG_POWER: PerAxis = PerAxis {
     name: "log-power",
-    about: "Features per axis with log powers, until it converges; it knows directions in the room, and wants the board \
+    about: "FeatureKind per axis with log powers, until it converges; it knows directions in the room, and wants the board \
             worn as it was in the recordings",
-    features: Features::LogPower,
+    features: FeatureKind::LogPower,
     validation_fraction: 0.15,
     augmentation: Augmentation::DEFAULT,
     epochs: Epochs {

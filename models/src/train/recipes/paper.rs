@@ -1,6 +1,6 @@
 //! Recipe `paper`: the paper's, with features as they are.
 
-use shared_dsp::recipe::Recipe as Features;
+use shared_dsp::right::kind::FeatureKind;
 
 use super::PerAxis;
 use crate::train::augment::Augmentation;
@@ -10,7 +10,7 @@ use crate::train::epochs::Epochs;
 pub const PAPER: PerAxis = PerAxis {
     name: "paper",
     about: "The paper's: 30 epochs, batch 32, learning rate 5e-4, 20 % validation",
-    features: Features::Raw,
+    features: FeatureKind::Raw,
     validation_fraction: 0.2,
     stride_hops: 5,
     augmentation: Augmentation::NONE,

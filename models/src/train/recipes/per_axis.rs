@@ -2,7 +2,7 @@
 //! settings of it.
 
 use indicatif::ProgressBar;
-use shared_dsp::recipe::Recipe as Features;
+use shared_dsp::right::kind::FeatureKind;
 
 use crate::card::Scaling;
 use crate::dataset::Item;
@@ -21,7 +21,7 @@ pub struct PerAxis {
     /// In one sentence.
     pub about: &'static str,
     /// How features become inputs.
-    pub features: Features,
+    pub features: FeatureKind,
     /// Share of the recordings that decide when to stop.
     pub validation_fraction: f64,
     /// Hops between training windows of one recording.
@@ -41,7 +41,7 @@ impl Recipe for PerAxis {
         self.about
     }
 
-    fn features(&self) -> Features {
+    fn features(&self) -> FeatureKind {
         self.features
     }
 

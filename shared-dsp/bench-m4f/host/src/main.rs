@@ -5,8 +5,8 @@ mod checks;
 #[path = "../../../tests/common/mod.rs"]
 mod common;
 
-use shared_dsp::mlp::build_blob;
-use shared_dsp::recipe::Recipe;
+use shared_dsp::right::network::build_blob;
+use shared_dsp::right::kind::FeatureKind;
 
 fn main() {
     let windows: Vec<u8> =
@@ -14,7 +14,7 @@ fn main() {
     let inputs: Vec<u8> = common::rows::<i8>("inputs_int8.csv").concat().iter().map(|&x| x as u8).collect();
     let mut spec = common::reference_spec();
     let raw = build_blob(&spec).expect("the reference network fits");
-    spec.recipe = Recipe::LogPower;
+    spec.recipe = FeatureKind::LogPower;
     let log = build_blob(&spec).expect("the reference network fits");
     for (name, blob) in [("raw", &raw), ("log", &log)] {
         let (features, scores) = checks::of_features(blob, &windows);

@@ -8,8 +8,8 @@ mod checks;
 use bench_m4f::{Host, bytes, calibration, count, exit, stack_of, start_timer};
 use core::fmt::Write;
 use core::hint::black_box;
-use shared_dsp::features::FeatureWindow;
-use shared_dsp::mlp::Model;
+use shared_dsp::right::features::FeatureWindow;
+use shared_dsp::right::network::Model;
 
 static mut WINDOW: FeatureWindow<9> = FeatureWindow::new();
 

@@ -3,7 +3,7 @@
 #![no_main]
 
 use core::hint::black_box;
-use shared_dsp::mlp::Model;
+use shared_dsp::right::network::Model;
 
 /// Entry.
 #[unsafe(no_mangle)]

@@ -3,7 +3,7 @@
 #![no_main]
 
 use core::hint::black_box;
-use shared_dsp::features::FeatureWindow;
+use shared_dsp::right::features::FeatureWindow;
 
 static mut WINDOW: FeatureWindow<9> = FeatureWindow::new();
 

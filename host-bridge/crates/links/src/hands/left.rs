@@ -3,10 +3,10 @@
 use host_core::observe::Sample;
 use shared_board::Identity;
 use shared_board::memory::RamEeprom;
-use shared_dsp::flex::bend_permille;
+use shared_dsp::left::calibration::{Calibration, CalibrationStep as CaptureStep, CaptureError};
+use shared_dsp::left::flex::bend_permille;
+use shared_dsp::left::tilt::TiltThresholds;
 use shared_dsp::left::{LeftHand, OVERSAMPLING};
-use shared_dsp::left_calibration::{Calibration, CalibrationStep as CaptureStep, CaptureError};
-use shared_dsp::tilt::TiltThresholds;
 use shared_proto::frame::{HOST_TO_LEFT_FRAME_MAX, encode_host};
 use shared_proto::message::{Board as BoardKind, CalibrationStep, HostMessage};
 

@@ -9,8 +9,8 @@ use models::recording::{Recording, RecordingError};
 use models::sheet::Reading;
 use shared_board::Identity;
 use shared_board::hand::ValueHand;
-use shared_dsp::decision::DecisionConfig;
-use shared_dsp::mlp::Model;
+use shared_dsp::right::decision::DecisionConfig;
+use shared_dsp::right::network::Model;
 use shared_dsp::right::{ModelMismatch, RightHand};
 use shared_proto::message::{Board as BoardKind, LABELS_MAX};
 

@@ -7,7 +7,7 @@ use shared_board::models::ModelRequest;
 use shared_board::right::RightBoard;
 use shared_board::{Identity, STATUS_INTERVAL_MS};
 use shared_dsp::left::AdcCounts;
-use shared_dsp::left_calibration::Calibration;
+use shared_dsp::left::calibration::Calibration;
 use shared_proto::frame::{Decoder, HOST_FRAME_MAX};
 use shared_proto::message::Status;
 

@@ -4,8 +4,8 @@ use super::kernel::{ROW_SCALE_BYTES, encode, surplus};
 use super::{
     BLOB_VERSION, BLOB_VERSION_PER_ROW, MAGIC, MAX_AXES, MAX_LABELS, MAX_LAYERS, MAX_WIDTH, Model, ModelError,
 };
-use crate::recipe::Recipe;
-use crate::softmax::table::exponentials;
+use crate::right::kind::FeatureKind;
+use crate::right::softmax::table::exponentials;
 use core::fmt;
 use std::string::String;
 use std::vec::Vec;
@@ -44,7 +44,7 @@ impl DenseSpec {
 #[derive(Clone, Debug, PartialEq)]
 pub struct BlobSpec {
     /// How features become inputs.
-    pub recipe: Recipe,
+    pub recipe: FeatureKind,
     /// Values per sample.
     pub axes: usize,
     /// Samples per second.

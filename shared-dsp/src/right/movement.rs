@@ -11,14 +11,14 @@
 //! becomes, surely and for two seconds, a gesture; so does one that goes on after its event, if it becomes a *different*
 //! gesture. The same gesture again needs rest in between. The labels `idle` and `other` never make an event.
 //!
-//! Where there are scores of a slow window too ([`crate::slow`]), a long movement that they take for a gesture, for as long as
+//! Where there are scores of a slow window too ([`crate::right::slow`]), a long movement that they take for a gesture, for as long as
 //! it takes to be sure, makes its event as well: somebody's left-right may take longer than the usual window holds. Who
 //! moves so slowly also pauses for longer: then it takes twice the rest to begin anew. Whether it has become a different
 //! gesture is for the usual window to say.
 
-use crate::aligned::Movement;
-use crate::decision::{Event, is_rest};
-use crate::mlp::MAX_LABELS;
+use crate::right::aligned::Movement;
+use crate::right::decision::{GestureEvent, is_rest};
+use crate::right::network::MAX_LABELS;
 
 /// Most hops that scores are averaged over.
 pub const MAX_AVERAGE_HOPS: usize = 8;
@@ -103,12 +103,12 @@ struct Streak {
 
 impl Streak {
     /// Takes what is seen now; tells for how many hops in a row.
-    fn see(&mut self, seen: Option<Event>) -> u8 {
+    fn see(&mut self, seen: Option<GestureEvent>) -> u8 {
         *self = match seen {
-            Some(Event { label, .. }) if label == self.label => {
+            Some(GestureEvent { label, .. }) if label == self.label => {
                 Self { label, hops: self.hops.saturating_add(1) }
             }
-            Some(Event { label, .. }) => Self { label, hops: 1 },
+            Some(GestureEvent { label, .. }) => Self { label, hops: 1 },
             None => Self::default(),
         };
         self.hops
@@ -146,14 +146,14 @@ impl Average {
     }
 
     /// The label with the largest mean, and the mean; none without scores.
-    fn best(&self, labels: usize) -> Option<Event> {
+    fn best(&self, labels: usize) -> Option<GestureEvent> {
         if self.known == 0 {
             return None;
         }
         // Of equal ones the last is taken, hence backwards.
         let sums = (0..labels).rev().map(|label| (label as u8, self.sum(label)));
         let (label, sum) = sums.max_by_key(|(_, sum)| *sum)?;
-        Some(Event { label, confidence: self.mean(sum) })
+        Some(GestureEvent { label, confidence: self.mean(sum) })
     }
 
     /// Mean probability of some labels, bit i standing for label i, all together.
@@ -207,7 +207,7 @@ impl MovementDecision {
 
     /// Takes the int8 scores of a hop, one per label: (score + 128) / 256 is the probability; and those of the slow
     /// window where it has new ones. Of equal means the first label wins; no scores say nothing.
-    pub fn step(&mut self, scores: &[i8], slow: Option<&[i8]>, movement: Movement) -> Option<Event> {
+    pub fn step(&mut self, scores: &[i8], slow: Option<&[i8]>, movement: Movement) -> Option<GestureEvent> {
         let config = self.config;
         self.scores.push(scores);
         if let Some(slow) = slow {

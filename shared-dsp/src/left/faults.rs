@@ -5,8 +5,8 @@
 //! been gone for [`CLEAR_MS`]; but a line whose fault comes back within [`RETURN_MS`] is loose or hums, and
 //! its fault stays until somebody calibrates or restarts the board.
 
+use crate::left::tilt::Acceleration;
 use crate::left::{AdcCounts, ONE_G, OVERSAMPLING, health};
-use crate::tilt::Acceleration;
 
 /// Impossible gravity for this long is a fault; shorter is a jolt.
 pub const GRAVITY_MS: u32 = 200;

@@ -15,9 +15,9 @@
 //!     └── start, fault, capture, palm up    └──── below 12°, twice ───┘
 //! ```
 //!
-//! When a tilt is meant, [`crate::tilt_start`] says.
+//! When a tilt is meant, [`crate::left::start`] says.
 
-use crate::tilt_start::{Start, Swing};
+use crate::left::start::{Start, Swing};
 
 /// Where the hand points. At most one command at a time: the larger tilt wins.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -42,7 +42,7 @@ impl DecisionConfig {
 
 /// A gesture has been performed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Event {
+pub struct GestureEvent {
     /// Index in the model's labels.
     pub label: u8,
     /// Mean probability of the agreeing hops, 0 to 255.
@@ -89,7 +89,7 @@ impl GestureDecision {
 
     /// Takes the int8 scores of a hop, one per label: (score + 128) / 256 is the probability. Of equal scores the first
     /// label wins; no scores say nothing.
-    pub fn step(&mut self, scores: &[i8]) -> Option<Event> {
+    pub fn step(&mut self, scores: &[i8]) -> Option<GestureEvent> {
         let (label, &best) = scores.iter().enumerate().rev().max_by_key(|(_, score)| **score)?;
         let newest = Hop { label: label as u8, probability: (i16::from(best) + 128) as u8 };
         self.hops.copy_within(0..MAX_HOPS - 1, 1);
@@ -118,7 +118,7 @@ impl GestureDecision {
         }
         self.armed = false;
         self.known = 0;
-        Some(Event { label: newest.label, confidence })
+        Some(GestureEvent { label: newest.label, confidence })
     }
 
     /// Forgets the last hops, after a gap. A gesture that had its event before the gap gets no second one: rest is still

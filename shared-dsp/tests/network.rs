@@ -4,8 +4,10 @@ mod common;
 
 use common::{reference_spec, rows};
 use proptest::prelude::*;
-use shared_dsp::mlp::{BlobSpec, DenseSpec, MAX_LABELS, Model, ModelError, WrongLength, build_blob};
-use shared_dsp::recipe::Recipe;
+use shared_dsp::right::kind::FeatureKind;
+use shared_dsp::right::network::{
+    BlobSpec, DenseSpec, MAX_LABELS, Model, ModelError, WrongLength, build_blob,
+};
 
 #[test]
 fn logits_and_scores_equal_tflites_reference_kernels_on_all_vectors() {
@@ -44,12 +46,12 @@ fn info_tells_what_went_in() {
     let info = model.info();
     assert_eq!((info.axes, info.inputs, info.label_count), (9, 117, 7));
     assert_eq!((info.sample_hz, info.window, info.hop), (100, 200, 8));
-    assert_eq!(info.recipe, Recipe::Raw);
+    assert_eq!(info.recipe, FeatureKind::Raw);
     assert!(info.labels().eq(spec.labels.iter().map(String::as_str)));
     assert_eq!(info.label(6), Some("circle"));
     assert_eq!(info.label(7), None);
-    assert_eq!(info.model_id, shared_dsp::mlp::crc32(&blob));
-    assert_eq!(shared_dsp::mlp::crc32(b"123456789"), 0xCBF4_3926);
+    assert_eq!(info.model_id, shared_dsp::right::network::crc32(&blob));
+    assert_eq!(shared_dsp::right::network::crc32(b"123456789"), 0xCBF4_3926);
 }
 
 #[test]
@@ -82,7 +84,7 @@ fn quantising_rounds_scales_and_limits() {
 
 #[test]
 fn classify_equals_quantise_and_infer() {
-    for recipe in [Recipe::Raw, Recipe::LogPower] {
+    for recipe in [FeatureKind::Raw, FeatureKind::LogPower] {
         let blob = build_blob(&BlobSpec { recipe, ..reference_spec() }).unwrap();
         let model = Model::parse(&blob).unwrap();
         let features: [[f32; 13]; 9] =

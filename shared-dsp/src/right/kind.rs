@@ -1,25 +1,25 @@
 //! How the features of a window become inputs of a network.
 //!
 //! A blob names its recipe by number, so a board can refuse one that it does not know. To add a recipe: give
-//! it the next number here, say what it does in [`Recipe::transform`], and leave the others alone.
+//! it the next number here, say what it does in [`FeatureKind::transform`], and leave the others alone.
 
-use crate::mlp::FEATURES_PER_AXIS;
+use crate::right::network::FEATURES_PER_AXIS;
 
 /// Smallest value that recipe 2 tells from zero, in the square of the axis' unit.
 pub const LOG_FLOOR: f32 = 1e-6;
 
 /// What happens to a feature before its affine scaling to int8.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Recipe {
+pub enum FeatureKind {
     /// 1: the paper's: features as they are.
     Raw,
     /// 2: RMS, variance and the eight powers as log10(value + [`LOG_FLOOR`]); the others as they are.
     LogPower,
-    /// 3: the features of [`crate::aligned`] as they are.
+    /// 3: the features of [`crate::right::aligned`] as they are.
     Aligned,
 }
 
-impl Recipe {
+impl FeatureKind {
     /// The recipe with this number in a blob.
     pub const fn from_id(id: u8) -> Option<Self> {
         match id {
@@ -43,7 +43,7 @@ impl Recipe {
     pub const fn feature_count(self, axes: usize) -> usize {
         match self {
             Self::Raw | Self::LogPower => FEATURES_PER_AXIS * axes,
-            Self::Aligned => crate::aligned::feature_count(axes),
+            Self::Aligned => crate::right::aligned::feature_count(axes),
         }
     }
 
@@ -60,7 +60,9 @@ impl Recipe {
     pub const fn runs_on(self, model: usize, sample: usize) -> bool {
         match self {
             Self::Raw | Self::LogPower => model <= sample,
-            Self::Aligned => crate::aligned::feature_count(model) == crate::aligned::feature_count(sample),
+            Self::Aligned => {
+                crate::right::aligned::feature_count(model) == crate::right::aligned::feature_count(sample)
+            }
         }
     }
 
@@ -114,21 +116,25 @@ mod tests {
 
     #[test]
     fn a_model_runs_where_all_that_it_reads_is_there() {
-        let runs =
-            |recipe: Recipe| [3, 6, 9].map(|model| [3, 6, 9].map(|sample| recipe.runs_on(model, sample)));
-        assert_eq!(runs(Recipe::Raw), [[true; 3], [false, true, true], [false, false, true]]);
-        assert_eq!(runs(Recipe::Aligned), [[true, false, false], [false, true, true], [false, true, true]]);
-        assert_eq!([Recipe::Aligned, Recipe::LogPower].map(|recipe| recipe.reads(9)), [6, 9]);
+        let runs = |recipe: FeatureKind| {
+            [3, 6, 9].map(|model| [3, 6, 9].map(|sample| recipe.runs_on(model, sample)))
+        };
+        assert_eq!(runs(FeatureKind::Raw), [[true; 3], [false, true, true], [false, false, true]]);
+        assert_eq!(
+            runs(FeatureKind::Aligned),
+            [[true, false, false], [false, true, true], [false, true, true]]
+        );
+        assert_eq!([FeatureKind::Aligned, FeatureKind::LogPower].map(|recipe| recipe.reads(9)), [6, 9]);
     }
 
     #[test]
     fn recipe_numbers_lead_there_and_back() {
         for id in 0..=255 {
-            if let Some(recipe) = Recipe::from_id(id) {
+            if let Some(recipe) = FeatureKind::from_id(id) {
                 assert_eq!(recipe.id(), id);
             }
         }
-        assert_eq!(Recipe::from_id(0), None);
-        assert_eq!(Recipe::from_id(4), None);
+        assert_eq!(FeatureKind::from_id(0), None);
+        assert_eq!(FeatureKind::from_id(4), None);
     }
 }

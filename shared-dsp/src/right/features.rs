@@ -12,16 +12,16 @@
 //! | variance below [`VARIANCE_FLOOR`] | skewness 0, kurtosis 0 |
 //!
 //! Errors against float64 stay within 10⁻⁴ relative (10⁻⁴·max(|value|, 1) for skewness and kurtosis), for ever: sums
-//! of floats are never updated by subtraction ([`crate::sliding`]), moments are central ([`crate::moments`]). A mean
+//! of floats are never updated by subtraction ([`crate::right::sliding`]), moments are central ([`crate::right::moments`]). A mean
 //! near 0, where 200 samples cancel, is good to 10⁻⁹ of the unit instead, also beside a swing of hundreds.
 
-use crate::fft::{HalfFrame, powers};
-use crate::moments::{Block, SlidingMoments, SlidingSum};
-use crate::powers::SlidingPowers;
-use crate::sliding::Place;
+use crate::right::fft::{HalfFrame, powers};
+use crate::right::moments::{Block, SlidingMoments, SlidingSum};
+use crate::right::powers::SlidingPowers;
+use crate::right::sliding::Place;
 
-pub use crate::mlp::FEATURES_PER_AXIS;
-pub use crate::moments::SAMPLE_LIMIT;
+pub use crate::right::moments::SAMPLE_LIMIT;
+pub use crate::right::network::FEATURES_PER_AXIS;
 
 /// Samples per window.
 pub const WINDOW: usize = 200;

@@ -3,12 +3,12 @@
 //! Eight sums at a time fill half of the Cortex-M4F's floating-point registers, and moving them as blocks takes a third of
 //! the instructions that a compiler needs. So the two loops have an assembly twin, which adds in the same order.
 
-use crate::sliding::Place;
+use crate::right::sliding::Place;
 
 /// Powers of bins 0 to 7, or a sum of such.
 pub type Bins = [f32; 8];
 
-/// The last `N` frames, as [`crate::sliding`] explains.
+/// The last `N` frames, as [`crate::right::sliding`] explains.
 #[derive(Clone, Copy, Debug)]
 pub struct SlidingPowers<const N: usize> {
     slots: [Bins; N],

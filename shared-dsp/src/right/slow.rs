@@ -9,7 +9,7 @@
 //! Only for models without a gyroscope, whose features cost half: on the recordings of real people, those with a
 //! gyroscope gain nothing by it. With 6 or 9 axes nothing is computed.
 
-use crate::aligned::AlignedWindow;
+use crate::right::aligned::AlignedWindow;
 
 /// A window of 4 s over samples of `A` axes, with a hop of 16 samples.
 #[derive(Clone, Debug)]

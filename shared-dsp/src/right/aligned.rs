@@ -30,8 +30,8 @@
 
 mod tables;
 
-use crate::features::{HOP, HOPS, SAMPLE_LIMIT, square_root};
-use crate::recipe::ln;
+use crate::right::features::{HOP, HOPS, SAMPLE_LIMIT, square_root};
+use crate::right::kind::ln;
 use tables::{COSINES, HANN};
 
 /// Movement below this counts as none: 0.1 g.
@@ -119,7 +119,7 @@ fn repair(samples: &mut [f32; HOP], mut held: f32) -> u32 {
     replaced
 }
 
-/// How much the hand moves now, for [`crate::movement`].
+/// How much the hand moves now, for [`crate::right::movement`].
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Movement {
     /// Root of the summed variances of the acceleration over the last four hops, in m/s².

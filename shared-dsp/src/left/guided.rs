@@ -6,7 +6,7 @@
 //!  a refused step goes back to its Ready; after five refusals ─▶ GiveUp (light off, old values stay)
 //! ```
 
-use crate::left_calibration::CalibrationStep;
+use crate::left::calibration::CalibrationStep;
 
 /// Time to take up a pose.
 pub const READY_MS: u32 = 3000;

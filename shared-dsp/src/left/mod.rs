@@ -3,10 +3,17 @@
 //! [`LeftHand`] is what the Nano runs, and what the laptop runs when it replays a recording of one:
 //! the same bits from the same readings.
 
-use crate::flex::{FlexDetector, bend_permille};
-use crate::left_calibration::{Calibration, CalibrationStep, Capture, CaptureError};
-use crate::left_faults::FaultWatch;
-use crate::tilt::{Acceleration, Heading, Tilt, TiltDetector, TiltThresholds};
+pub mod calibration;
+pub mod faults;
+pub mod flex;
+pub mod guided;
+pub mod start;
+pub mod tilt;
+
+use crate::left::calibration::{Calibration, CalibrationStep, Capture, CaptureError};
+use crate::left::faults::FaultWatch;
+use crate::left::flex::{FlexDetector, bend_permille};
+use crate::left::tilt::{Acceleration, Heading, Tilt, TiltDetector, TiltThresholds};
 
 /// Conversions of 10 bits that one reading sums up.
 pub const OVERSAMPLING: u16 = 8;

@@ -1,12 +1,25 @@
 //! The right hand: samples in, a result per hop out. The board and the laptop run this very code.
 
-use crate::aligned::AlignedWindow;
-use crate::decision::{DecisionConfig, Event, GestureDecision};
-use crate::features::{FeatureWindow, HOP, WINDOW};
-use crate::mlp::{MAX_LABELS, Model};
-use crate::movement::{MovementConfig, MovementDecision};
-use crate::recipe::Recipe;
-use crate::slow::SlowWindow;
+pub mod aligned;
+pub mod decision;
+pub mod features;
+pub mod fft;
+pub mod kind;
+pub mod moments;
+pub mod movement;
+pub mod network;
+pub mod powers;
+pub mod sliding;
+pub mod slow;
+pub mod softmax;
+
+use crate::right::aligned::AlignedWindow;
+use crate::right::decision::{DecisionConfig, GestureDecision, GestureEvent};
+use crate::right::features::{FeatureWindow, HOP, WINDOW};
+use crate::right::kind::FeatureKind;
+use crate::right::movement::{MovementConfig, MovementDecision};
+use crate::right::network::{MAX_LABELS, Model};
+use crate::right::slow::SlowWindow;
 use core::fmt;
 
 /// Why a model cannot run on a hand.
@@ -82,7 +95,7 @@ impl RightOutput {
 }
 
 /// Everything that the right hand computes, for samples of `A` axes. The model may read fewer of them
-/// ([`Recipe::runs_on`]).
+/// ([`FeatureKind::runs_on`]).
 #[derive(Clone, Debug)]
 pub struct RightHand<'m, const A: usize> {
     model: Model<'m>,
@@ -97,7 +110,7 @@ pub struct RightHand<'m, const A: usize> {
 enum Pipeline<const A: usize> {
     /// Recipes 1 and 2.
     PerAxis { window: FeatureWindow<A>, decision: GestureDecision },
-    /// Recipe 3.
+    /// FeatureKind 3.
     Aligned { window: AlignedWindow<A>, slow: SlowWindow<A>, decision: MovementDecision },
 }
 
@@ -114,7 +127,7 @@ impl<const A: usize> Pipeline<A> {
     }
 
     /// Runs the network and the decision on the newest features.
-    fn decide(&mut self, model: &Model<'_>, scores: &mut [i8]) -> Option<Event> {
+    fn decide(&mut self, model: &Model<'_>, scores: &mut [i8]) -> Option<GestureEvent> {
         // Lengths have been compared in `RightHand::new`, so this does not fail; if it did, scores would stay.
         match self {
             Self::PerAxis { window, decision } => {
@@ -168,7 +181,7 @@ impl<'m, const A: usize> RightHand<'m, A> {
     /// A hand that runs this model.
     ///
     /// `config` is for models of recipes 1 and 2. One of recipe 3 comes with a decision of its own
-    /// ([`crate::movement`]), with its usual values.
+    /// ([`crate::right::movement`]), with its usual values.
     ///
     /// # Errors
     /// If the model is for other samples or windows.
@@ -194,11 +207,11 @@ impl<'m, const A: usize> RightHand<'m, A> {
         };
         Ok(Self {
             pipeline: match info.recipe {
-                Recipe::Raw | Recipe::LogPower => Pipeline::PerAxis {
+                FeatureKind::Raw | FeatureKind::LogPower => Pipeline::PerAxis {
                     window: FeatureWindow::new(),
                     decision: GestureDecision::new(info.labels(), config),
                 },
-                Recipe::Aligned => Pipeline::Aligned {
+                FeatureKind::Aligned => Pipeline::Aligned {
                     window: AlignedWindow::new(),
                     slow: SlowWindow::new(),
                     decision: MovementDecision::new(info.labels(), MovementConfig::for_axes(A)),

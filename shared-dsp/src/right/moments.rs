@@ -6,8 +6,8 @@
 //! binomial formula. The reference belongs to the piece, so it lies few deviations from its mean, and what cancels in
 //! the end is bounded, whatever the signal did before.
 
-use crate::fft::HalfFrame;
-use crate::sliding::Place;
+use crate::right::fft::HalfFrame;
+use crate::right::sliding::Place;
 
 /// Samples per block.
 const BLOCK: f32 = 8.0;
@@ -121,7 +121,7 @@ impl Sums {
     }
 }
 
-/// The last `N` blocks, as [`crate::sliding`] explains.
+/// The last `N` blocks, as [`crate::right::sliding`] explains.
 #[derive(Clone, Copy, Debug)]
 pub struct SlidingMoments<const N: usize> {
     blocks: [Block; N],

@@ -11,7 +11,7 @@
 //! |---|---|---|
 //! | 0 | 4 | `BMLP` |
 //! | 4 | 1 | format version, 1; 2 where a layer's rows have scales of their own |
-//! | 5 | 1 | recipe ([`crate::recipe`]) |
+//! | 5 | 1 | recipe ([`crate::right::kind`]) |
 //! | 6 | 1 | axes, 1 to 9 |
 //! | 7 | 1 | layers, 1 to 8 |
 //! | 8 | 2 | samples per second |
@@ -49,8 +49,8 @@ pub use builder::{BlobSpec, BuildError, DenseSpec, build_blob};
 
 pub use error::{ModelError, WrongLength};
 
-use crate::recipe::Recipe;
-use crate::softmax::softmax;
+use crate::right::kind::FeatureKind;
+use crate::right::softmax::softmax;
 use crc::{CRC_32_ISO_HDLC, Crc, NoTable};
 use kernel::{
     BIAS_BYTES, QUAD_WEIGHT_BYTES, Quad, ROW_SCALE_BYTES, Requantise, layer, layer_per_row, pack, unpack,
@@ -81,11 +81,11 @@ const LARGE_SCRATCH_QUADS: usize = 2 * MAX_WIDTH / 4;
 
 /// What a model expects and names.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct ModelInfo<'a> {
+pub struct ModelHeader<'a> {
     /// CRC-32 of the blob.
     pub model_id: u32,
     /// How features become inputs.
-    pub recipe: Recipe,
+    pub recipe: FeatureKind,
     /// Values per sample, 1 to [`MAX_AXES`].
     pub axes: usize,
     /// Samples per second.
@@ -94,7 +94,7 @@ pub struct ModelInfo<'a> {
     pub window: u16,
     /// Samples per hop.
     pub hop: u16,
-    /// Inputs of the network: [`Recipe::feature_count`] of the axes.
+    /// Inputs of the network: [`FeatureKind::feature_count`] of the axes.
     pub inputs: usize,
     /// Number of labels, 2 to [`MAX_LABELS`].
     pub label_count: usize,
@@ -102,7 +102,7 @@ pub struct ModelInfo<'a> {
     pub label_text: &'a str,
 }
 
-impl<'a> ModelInfo<'a> {
+impl<'a> ModelHeader<'a> {
     /// Names of the outputs in order.
     pub fn labels(&self) -> core::str::Split<'a, char> {
         self.label_text.split(',')
@@ -117,7 +117,7 @@ impl<'a> ModelInfo<'a> {
 /// A network with its labels and scaling, borrowed from a blob.
 #[derive(Clone, Copy, Debug)]
 pub struct Model<'a> {
-    info: ModelInfo<'a>,
+    info: ModelHeader<'a>,
     scaling: &'a [[u8; 8]],
     layers: &'a [u8],
     exponentials: &'a [[u8; 4]],
@@ -197,7 +197,7 @@ impl<'a> Model<'a> {
         if !matches!(header[4], BLOB_VERSION | BLOB_VERSION_PER_ROW) {
             return Err(ModelError::Version(header[4]));
         }
-        let recipe = Recipe::from_id(header[5]).ok_or(ModelError::Recipe(header[5]))?;
+        let recipe = FeatureKind::from_id(header[5]).ok_or(ModelError::Recipe(header[5]))?;
         let (axes, layer_count) = (usize::from(header[6]), usize::from(header[7]));
         let (inputs, label_count) = (usize::from(short(14)), usize::from(header[16]));
         let (text_bytes, entries) = (usize::from(short(18)), usize::from(short(20)));
@@ -273,7 +273,7 @@ impl<'a> Model<'a> {
         let label_text = unsafe { core::str::from_utf8_unchecked(text) };
 
         Ok(Self {
-            info: ModelInfo {
+            info: ModelHeader {
                 model_id: crc32(blob),
                 recipe,
                 axes,
@@ -292,11 +292,11 @@ impl<'a> Model<'a> {
     }
 
     /// What the model expects and names.
-    pub fn info(&self) -> &ModelInfo<'a> {
+    pub fn info(&self) -> &ModelHeader<'a> {
         &self.info
     }
 
-    /// Features (13 per axis, axis after axis, order of [`crate::features`]) to the network's int8 inputs.
+    /// Features (13 per axis, axis after axis, order of [`crate::right::features`]) to the network's int8 inputs.
     ///
     /// An input is floor(a · f + b + ½), computed in `f32` in this order, where f is the feature after the
     /// recipe, limited to −128..=127. A feature that is no number becomes −128.

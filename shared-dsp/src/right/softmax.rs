@@ -4,7 +4,7 @@
 //! are only 256 possible differences, so the blob carries their exponentials and the board looks them up.
 //! What remains is one reciprocal (three Newton steps) and one product per label.
 
-use crate::mlp::MAX_LABELS;
+use crate::right::network::MAX_LABELS;
 
 /// Output scale is 1/256 and output zero point −128, as TFLite fixes them for int8.
 const ACCUMULATOR_INTEGER_BITS: u32 = 12;
