@@ -3,7 +3,7 @@
 use core::sync::atomic::{AtomicU8, AtomicU16, Ordering};
 
 use nano33_sensor::found::Kind;
-use shared_proto::message::{About, Image, ResetCause, Sensor};
+use shared_proto::message::{About, Image, ResetCause};
 
 /// Sensor, axes and reset cause: bytes of the wire, so that any task may read them.
 static SENSOR: AtomicU8 = AtomicU8::new(0);
@@ -35,14 +35,9 @@ pub fn started(reasons: u32) {
     RESET.store(cause.into(), Ordering::Relaxed);
 }
 
-/// A sensor with so many axes was found.
+/// A sensor with so many axes was found. What it is called, the laptop knows.
 pub fn found(kind: Kind, axes: usize) {
-    let sensor = match kind {
-        Kind::Lsm9ds1 => Sensor::Lsm9ds1,
-        Kind::Bmi270 => Sensor::Bmi270,
-        Kind::Lsm6ds3 => Sensor::Lsm6ds3,
-    };
-    SENSOR.store(sensor.into(), Ordering::Relaxed);
+    SENSOR.store(kind as u8, Ordering::Relaxed);
     AXES.store(axes as u8, Ordering::Relaxed);
 }
 

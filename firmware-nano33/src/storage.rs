@@ -3,7 +3,7 @@
 use embedded_storage_async::nor_flash::{
     ErrorType, NorFlash, NorFlashError, NorFlashErrorKind, ReadNorFlash,
 };
-use shared_board::models::{MappedFlash, Place};
+use shared_board::models::{MappedFlash, StoredModel};
 use shared_board::slots::STORE_BYTES;
 
 /// Start of the slots; the layouts in `src/boards` end the image's flash here.
@@ -90,7 +90,7 @@ impl<F: Flash> MappedFlash for Slots<F> {
 }
 
 /// The blob of a stored model.
-pub fn blob(place: Place) -> &'static [u8] {
+pub fn blob(place: StoredModel) -> &'static [u8] {
     stored(place.offset(), place.len)
 }
 

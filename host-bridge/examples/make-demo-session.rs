@@ -17,9 +17,9 @@ use std::path::Path;
 use host_bridge::adc::AdcRecording;
 use host_bridge::base::{Odometry, Twist};
 use models::synth::{Motion, Segment, Wearer, session};
-use shared_dsp::left::calibration::{CAPTURE_SAMPLES, Calibration, CalibrationStep};
-use shared_dsp::left::tilt::TiltThresholds;
+use shared_dsp::left::calibration::{CAPTURE_SAMPLES, Calibration, CaptureStep};
 use shared_dsp::left::{AdcCounts, LeftHand};
+use shared_words::TiltThresholds;
 
 /// Which demo wearer plays the right hand, and which take.
 const WEARER: u32 = 1;
@@ -195,9 +195,7 @@ impl LeftWearer {
 fn calibrate(wearer: &mut LeftWearer) -> Calibration {
     let mut hand = LeftHand::new(None, TiltThresholds::DEFAULT, 0);
     let mut time_ms = 0;
-    for (step, finger) in
-        [(CalibrationStep::Neutral, 0.0), (CalibrationStep::Rest, 0.0), (CalibrationStep::Bend, 1.0)]
-    {
+    for (step, finger) in [(CaptureStep::Neutral, 0.0), (CaptureStep::Rest, 0.0), (CaptureStep::Bend, 1.0)] {
         assert!(hand.start_capture(step));
         for _ in 0..CAPTURE_SAMPLES {
             time_ms += 10;

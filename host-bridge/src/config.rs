@@ -19,6 +19,7 @@ use crate::intent::{MotionMap, SpeedRules, is_rest, same_label};
 use crate::keyboard::KeyTimes;
 use crate::robot::{JointLimits, MotionName};
 use crate::ros2::Ros2Config;
+use crate::safety::PerHand;
 use crate::safety::SafetyTimes;
 
 /// The port that is none: keys stand for the hand.
@@ -46,8 +47,8 @@ pub struct Config {
     pub left_handed: bool,
     /// Where the boards are.
     pub ports: Ports,
-    /// Tilt thresholds, sent to the left hand's board when it starts.
-    pub tilt: Tilt,
+    /// TiltThresholds thresholds, sent to the left hand's board when it starts.
+    pub tilt: TiltThresholds,
     /// Caps on the base's speed.
     pub speed: SpeedRules,
     /// What the wearer of the right hand feels.
@@ -109,33 +110,6 @@ impl Default for Ports {
 pub struct Vibration {
     /// One is wired: gestures that count or do not, stops and lost links are felt.
     pub wired: bool,
-}
-
-/// Tilt thresholds in milliradians.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct Tilt {
-    /// Neutral lies within this.
-    pub neutral_mrad: u16,
-    /// A command ends below this.
-    pub end_mrad: u16,
-    /// A command starts beyond this.
-    pub start_mrad: u16,
-}
-
-impl Default for Tilt {
-    fn default() -> Self {
-        let shared_dsp::left::tilt::TiltThresholds { neutral_mrad, end_mrad, start_mrad } =
-            shared_dsp::left::tilt::TiltThresholds::DEFAULT;
-        Tilt { neutral_mrad, end_mrad, start_mrad }
-    }
-}
-
-impl From<Tilt> for TiltThresholds {
-    fn from(tilt: Tilt) -> Self {
-        let Tilt { neutral_mrad, end_mrad, start_mrad } = tilt;
-        TiltThresholds { neutral_mrad, end_mrad, start_mrad }
-    }
 }
 
 /// How much of the arm's own limits may be used, 0 to 1; and whether its accelerations may jump.
@@ -225,8 +199,8 @@ impl Config {
     }
 
     /// What each hand is to be.
-    pub fn places(&self) -> [Place; 2] {
-        self.hand_ports().map(|port| match port {
+    pub fn places(&self) -> PerHand<Place> {
+        PerHand::from(self.hand_ports()).map(|port| match port {
             "" => Place::Nobody,
             KEYBOARD => Place::Keyboard,
             _ => Place::Board,
@@ -285,9 +259,8 @@ impl Config {
         };
         // First, for what follows asks each of them about all others.
         ensure(self.motions.len() <= 200, "motions: at most 200 labels; a model names no more than 16")?;
-        let Tilt { neutral_mrad, end_mrad, start_mrad } = self.tilt;
         ensure(
-            shared_dsp::left::tilt::TiltThresholds { neutral_mrad, end_mrad, start_mrad }.are_sound(),
+            self.tilt.are_sound(),
             "tilt: 17 <= neutral_mrad < end_mrad < start_mrad <= 1047 (60°) must hold",
         )?;
         let speed = self.speed;

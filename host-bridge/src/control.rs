@@ -19,7 +19,7 @@ use std::time::{Duration, Instant};
 use host_core::engine::Engine;
 use host_core::episodes::{Mark, MarkedBy};
 use host_core::observe::{SessionEvent, Snapshot};
-use host_core::safety::Hand;
+use host_core::safety::{Hand, PerHand};
 use host_core::source::HandKey;
 use host_links::links::{Clock, EventReceiver, Link, News, Waiter};
 use host_robot::Door;
@@ -108,7 +108,7 @@ pub struct Work<D: Door> {
     /// The time.
     pub clock: Arc<dyn Clock>,
     /// The boards' links.
-    pub links: [Option<Link>; 2],
+    pub links: PerHand<Option<Link>>,
     /// Where they report.
     pub events: EventReceiver<Hand>,
     /// Somebody else who may ask for a stop; asked at every turn, and must not wait.
@@ -280,11 +280,11 @@ impl<D: Door> Running<D> {
         if let Some(mark) = (work.marks)() {
             work.engine.mark(mark, MarkedBy::Page, now_ms);
         }
-        let ready = [0, 1].map(|i: usize| work.links[i].as_ref().is_some_and(Link::is_ready));
+        let ready = PerHand::of(|hand| work.links[hand].as_ref().is_some_and(Link::is_ready));
         self.waiting.events.extend(work.engine.advance(now_ms, ready));
-        for hand in [Hand::Left, Hand::Right] {
+        for hand in Hand::BOTH {
             for frame in work.engine.take_outgoing(hand) {
-                if let Some(link) = &work.links[hand as usize] {
+                if let Some(link) = &work.links[hand] {
                     link.send(&frame);
                 }
             }

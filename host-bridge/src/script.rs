@@ -61,7 +61,7 @@ pub struct Expect {
     /// Both caps at the end, in m/s and rad/s, within 0.001.
     pub cap: f64,
     /// Where the base ends.
-    pub base: Place,
+    pub base: BaseGoal,
     /// Where objects of the scene end.
     #[serde(default, rename = "object")]
     pub objects: Vec<ObjectPlace>,
@@ -79,10 +79,10 @@ pub struct ObjectPlace {
     pub within_m: f64,
 }
 
-/// A place with its tolerance.
+/// Where the base shall be, with a tolerance.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Place {
+pub struct BaseGoal {
     /// Forward of the start.
     pub x_m: f64,
     /// Left of the start.

@@ -134,3 +134,22 @@ fn a_motion_and_a_pose_in_the_configuration_are_carried_out_without_a_change_of_
     assert!(passed_cup);
     assert_eq!(robot.arm().joints_rad, Motions::paper().pose("pick-up").unwrap());
 }
+
+/// What a diff leaves or takes away must be there: else it shows sources of another time.
+#[test]
+fn the_diffs_of_the_document_fit_the_sources() {
+    let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
+    let page = std::fs::read_to_string(root.join("docs/ADDING.md")).unwrap();
+    let mut diffs = 0;
+    for diff in page.split("```diff\n+++ ").skip(1) {
+        let (file, rest) = diff.split_once('\n').unwrap();
+        let lines = rest.lines().take_while(|line| *line != "```");
+        let standing: Vec<&str> = lines.filter_map(|line| line.strip_prefix([' ', '-'])).collect();
+        let source =
+            std::fs::read_to_string(root.join(file)).unwrap_or_else(|error| panic!("{file}: {error}"));
+        assert!(!standing.is_empty(), "{file}: nothing to compare");
+        assert!(source.contains(&standing.join("\n")), "{file} has no longer:\n{}", standing.join("\n"));
+        diffs += 1;
+    }
+    assert_eq!(diffs, 5);
+}

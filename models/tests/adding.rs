@@ -1,4 +1,4 @@
-//! What docs/ADDING.md says of recipes: one type that implements `FeatureKind` trains as the others do.
+//! What docs/ADDING.md says of recipes: one type that implements `Recipe` trains as the others do.
 
 mod common;
 
@@ -7,8 +7,7 @@ use indicatif::ProgressBar;
 use models::card::Scaling;
 use models::dataset::{Dataset, Item};
 use models::train::{
-    Beside, Calibration, FeatureKind, Fitted, Job, Learnt, PAPER, Plan, Row, TrainError, Windows, scaling,
-    train,
+    Beside, Calibration, Fitted, Job, Learnt, PAPER, Plan, Recipe, Row, TrainError, Windows, scaling, train,
 };
 use shared_dsp::right::kind::FeatureKind;
 use shared_dsp::right::network::Model;
@@ -17,7 +16,7 @@ use shared_dsp::right::network::Model;
 #[derive(Debug)]
 struct Plain;
 
-impl FeatureKind for Plain {
+impl Recipe for Plain {
     fn name(&self) -> &'static str {
         "plain"
     }
@@ -54,11 +53,11 @@ impl FeatureKind for Plain {
         Calibration::Real
     }
 
-    fn shortened(&self, _: Option<usize>) -> Box<dyn FeatureKind> {
+    fn shortened(&self, _: Option<usize>) -> Box<dyn Recipe> {
         Box::new(Self)
     }
 
-    fn for_simulated(&self) -> Box<dyn FeatureKind> {
+    fn for_simulated(&self) -> Box<dyn Recipe> {
         Box::new(Self)
     }
 }

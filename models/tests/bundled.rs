@@ -8,8 +8,8 @@ use models::evaluate::events::{Stream, Tally, play};
 use models::evaluate::score::{Classifier, score, scored};
 use models::synth::{Group, Take, Wearer, session, takes};
 use models::{blob, bundled, labels};
-use shared_dsp::right::decision::is_rest;
 use shared_dsp::right::network::{Model, crc32};
+use shared_words::is_rest;
 
 #[path = "common/shared.rs"]
 mod shared;

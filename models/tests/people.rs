@@ -38,13 +38,13 @@ fn no_file_of_a_person_held_out_touches_the_model_whatever_the_recipe() {
     // Recipes are constants that no data chooses; what they do with data is all in the model: inputs' scaling, when to
     // stop, weights, their quantisation and what is kept for adapting.
     let short = |recipe: PerAxis| PerAxis { epochs: Epochs { most: 6, ..recipe.epochs }, ..recipe };
-    let recipes: [Box<dyn Recipe>; 3] =
-        [Box::new(recipe()), Box::new(short(LOG_POWER)), Box::new(short(PAPER))];
+    let (aligned, log_power, paper) = (recipe(), short(LOG_POWER), short(PAPER));
+    let recipes: [&dyn Recipe; 3] = [&aligned, &log_power, &paper];
     let data = folder();
-    let train = |recipe: &Box<dyn Recipe>| trial(data.path(), &**recipe).without("b", 1).unwrap();
-    let clean: Vec<_> = recipes.iter().map(train).collect();
+    let train = |recipe: &dyn Recipe| trial(data.path(), recipe).without("b", 1).unwrap();
+    let clean: Vec<_> = recipes.into_iter().map(train).collect();
     spoil(data.path(), "b");
-    for (recipe, clean) in recipes.iter().zip(clean) {
+    for (recipe, clean) in recipes.into_iter().zip(clean) {
         let same = train(recipe);
         assert_eq!(same.int8_tflite, clean.int8_tflite, "{}: weights and their quantisation", recipe.name());
         assert_eq!(same.float_tflite, clean.float_tflite, "{}: weights", recipe.name());
@@ -52,7 +52,7 @@ fn no_file_of_a_person_held_out_touches_the_model_whatever_the_recipe() {
         assert_eq!(same.memory, clean.memory, "{}: what it remembers", recipe.name());
         assert!(!same.card.data.people.contains_key("b"));
         assert!(
-            trial(data.path(), &**recipe).without("a", 1).is_err(),
+            trial(data.path(), recipe).without("a", 1).is_err(),
             "the spoiled files do stop a model that needs them"
         );
     }

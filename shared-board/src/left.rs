@@ -2,14 +2,13 @@
 
 use crate::calibration_store::{CalibrationStore, Eeprom, Progress};
 use crate::{FrameOut, Identity, STATUS_INTERVAL_MS};
-use shared_dsp::left::calibration::{self as calibration, Calibration, CaptureError, Stored};
+use shared_dsp::left::calibration::{Calibration, CaptureError, CaptureStep, Stored};
 use shared_dsp::left::guided::{Guided, GuidedAction};
-use shared_dsp::left::tilt;
 use shared_dsp::left::{AdcCounts, LeftHand, LeftOutput};
 use shared_proto::frame::{DELIMITER, Decoder, HOST_TO_LEFT_FRAME_MAX, LEFT_BOARD_FRAME_MAX};
 use shared_proto::message::{
-    Ack, AckResult, BoardBody, CalibrationStep, Fault, FaultKind, Heading, LeftRequest, LeftState, Mode,
-    Pong, RawAdc, Status, TiltThresholds,
+    Ack, AckResult, BoardBody, CalibrationStep, Fault, FaultKind, LeftRequest, LeftState, Mode, Pong, RawAdc,
+    Status, TiltThresholds,
 };
 
 /// A state goes out with every second sample: 50 Hz.
@@ -72,7 +71,7 @@ impl<M: Eeprom> LeftBoard<M> {
         out.send(&[DELIMITER]);
         Self {
             identity,
-            hand: LeftHand::new(calibration, tilt::TiltThresholds::DEFAULT, 0),
+            hand: LeftHand::new(calibration, TiltThresholds::DEFAULT, 0),
             store,
             decoder: Decoder::new(),
             asker: if start.guided {
@@ -156,9 +155,7 @@ impl<M: Eeprom> LeftBoard<M> {
             }
             LeftRequest::Calibrate { request, step } => (request, self.start_calibration(request, step)),
             LeftRequest::SetThresholds { request, thresholds } => {
-                let TiltThresholds { neutral_mrad, end_mrad, start_mrad } = thresholds;
-                let taken =
-                    self.hand.set_thresholds(tilt::TiltThresholds { neutral_mrad, end_mrad, start_mrad });
+                let taken = self.hand.set_thresholds(thresholds);
                 (request, if taken { AckResult::Ok } else { AckResult::OutOfRange })
             }
         };
@@ -194,7 +191,7 @@ impl<M: Eeprom> LeftBoard<M> {
                 board_time_ms: now_ms,
                 pitch_mrad: output.pitch_mrad,
                 roll_mrad: output.roll_mrad,
-                heading: heading_on_the_wire(output.heading),
+                heading: output.heading,
                 index_bends: output.index_bends,
                 middle_bends: output.middle_bends,
                 stop: output.stop,
@@ -262,9 +259,9 @@ impl<M: Eeprom> LeftBoard<M> {
             return AckResult::Busy;
         }
         let step = match step {
-            CalibrationStep::Neutral => calibration::CalibrationStep::Neutral,
-            CalibrationStep::Rest => calibration::CalibrationStep::Rest,
-            CalibrationStep::Bend => calibration::CalibrationStep::Bend,
+            CalibrationStep::Neutral => CaptureStep::Neutral,
+            CalibrationStep::Rest => CaptureStep::Rest,
+            CalibrationStep::Bend => CaptureStep::Bend,
             CalibrationStep::Reset => {
                 self.hand.set_calibration(None);
                 self.store.forget();
@@ -286,16 +283,4 @@ fn acknowledge(request: u16, result: AckResult, out: &mut impl FrameOut) {
 /// One buffer size for all messages: the left board has no room for the code of several.
 fn send(body: &impl BoardBody, out: &mut impl FrameOut) -> bool {
     crate::send::<LEFT_BOARD_FRAME_MAX>(body, out)
-}
-
-/// The hand's heading as the wire names it.
-pub fn heading_on_the_wire(heading: tilt::Heading) -> Heading {
-    match heading {
-        tilt::Heading::Neutral => Heading::Neutral,
-        tilt::Heading::Between => Heading::Between,
-        tilt::Heading::Forward => Heading::Forward,
-        tilt::Heading::Backward => Heading::Backward,
-        tilt::Heading::Left => Heading::Left,
-        tilt::Heading::Right => Heading::Right,
-    }
 }

@@ -87,14 +87,14 @@ impl Runs {
 
 /// A stored model that can run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Place {
+pub struct StoredModel {
     /// Where it is.
     pub slot: Slot,
     /// Bytes of its blob.
     pub len: usize,
 }
 
-impl Place {
+impl StoredModel {
     /// Where the blob begins, in bytes from the beginning of the store.
     pub const fn offset(self) -> usize {
         self.slot.offset() + HEADER_BYTES
@@ -105,7 +105,7 @@ impl Place {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Found {
     /// The newest intact model that this image can run.
-    pub model: Option<Place>,
+    pub model: Option<StoredModel>,
     /// A slot holds something damaged, or a model that this image cannot run.
     pub damaged: bool,
 }
@@ -138,7 +138,7 @@ impl<F: MappedFlash> ModelStore<F> {
                 Content::Blob { blob, sequence } if runs.takes_blob(blob) => {
                     if found.model.is_none() || is_newer(sequence, newest) {
                         newest = sequence;
-                        found.model = Some(Place { slot, len: blob.len() });
+                        found.model = Some(StoredModel { slot, len: blob.len() });
                     }
                 }
                 Content::Blob { .. } | Content::Damaged => found.damaged = true,

@@ -106,7 +106,7 @@ fn a_change_is_sent_at_once() {
     rig.hold(FORWARD, 500);
     rig.hold(LEVEL, 500);
     // The hand alone says when its heading changes.
-    let mut hand = LeftHand::new(None, shared_dsp::left::tilt::TiltThresholds::DEFAULT, 0);
+    let mut hand = LeftHand::new(None, shared_words::TiltThresholds::DEFAULT, 0);
     let mut changes = Vec::new();
     for now_ms in (10..=1100).step_by(10) {
         let pose = if (110..=600).contains(&now_ms) { FORWARD } else { LEVEL };

@@ -6,8 +6,9 @@
 use std::f64::consts::TAU;
 
 use shared_dsp::left::calibration::Calibration;
-use shared_dsp::left::tilt::{Heading, TiltThresholds};
-use shared_dsp::left::{AdcCounts, LeftHand, LeftOutput, ONE_G, health};
+use shared_dsp::left::{AdcCounts, LeftHand, LeftOutput, ONE_G};
+use shared_words::health;
+use shared_words::{Heading, TiltThresholds};
 
 const WEARERS: u64 = 10;
 /// Half an hour of each wearer in the long run (the campaign), three minutes in the short one.
@@ -253,7 +254,7 @@ fn a_line_whose_fault_comes_back_within_10_s_stays_in_doubt_until_somebody_calib
     assert_eq!(run(&mut wearer, 704.0, 9000), 0);
     assert_eq!(run(&mut wearer, 0.0, 50), health::FLEX);
     assert_eq!(run(&mut wearer, 704.0, 3_600_000), health::FLEX, "twice within 10 s is a loose line");
-    assert!(wearer.hand.start_capture(shared_dsp::left::calibration::CalibrationStep::Rest));
+    assert!(wearer.hand.start_capture(shared_dsp::left::calibration::CaptureStep::Rest));
     run(&mut wearer, 704.0, 1000);
     assert_eq!(run(&mut wearer, 704.0, 100), 0);
 }

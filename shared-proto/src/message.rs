@@ -24,6 +24,7 @@ mod signal;
 
 pub use bounded::{Bytes, Text};
 pub use hello::{About, Board, Hello, Image, ResetCause, Sensor};
+pub use shared_words::{Heading, TiltThresholds, health};
 pub use signal::Signal;
 pub(crate) use table::largest;
 pub use table::{BoardBody, Boards, Row};
@@ -136,24 +137,6 @@ pub const SCORES_MAX: usize = 32;
 /// Longest [`Hello::firmware`], in bytes of UTF-8.
 pub const FIRMWARE_MAX: usize = 32;
 
-/// Where the left hand points. At most one command at a time: the larger tilt wins.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, MaxSize)]
-pub enum Heading {
-    /// Both tilts within the dead zone (5°). Needed to re-arm after a stop.
-    Neutral,
-    /// Neither neutral nor a command.
-    #[default]
-    Between,
-    /// Base forward.
-    Forward,
-    /// Base backward.
-    Backward,
-    /// Base turns left (counter-clockwise seen from above).
-    Left,
-    /// Base turns right.
-    Right,
-}
-
 /// The left hand, whole.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, MaxSize)]
 pub struct LeftState {
@@ -197,24 +180,6 @@ pub struct RightState<'a> {
     pub scores: Bytes<'a, SCORES_MAX>,
     /// Bits of [`health`]; 0 = all well.
     pub health: u8,
-}
-
-/// Bits of a state's health flags. Any bit set means: do not act on this hand.
-pub mod health {
-    /// The accelerometer (or the IMU) does not answer, is open or shorted.
-    pub const SENSOR: u8 = 1 << 0;
-    /// A flex line is open or shorted.
-    pub const FLEX: u8 = 1 << 1;
-    /// Gravity has an impossible magnitude.
-    pub const GRAVITY: u8 = 1 << 2;
-    /// The converter repeats itself.
-    pub const STUCK: u8 = 1 << 3;
-    /// Calibration was damaged, and defaults are in use. (A warning: the only bit one may act on.)
-    pub const DEFAULT_CALIBRATION: u8 = 1 << 4;
-    /// The window has a gap.
-    pub const GAP: u8 = 1 << 5;
-    /// The model cannot run on this board.
-    pub const MODEL: u8 = 1 << 6;
 }
 
 /// Samples exactly as the window saw them: i16 counts on the 100 Hz grid.
@@ -368,17 +333,6 @@ pub enum CalibrationStep {
     Bend,
     /// Forget it all and use defaults.
     Reset,
-}
-
-/// Tilt thresholds in milliradians.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, MaxSize)]
-pub struct TiltThresholds {
-    /// Neutral lies within this (5° = 87).
-    pub neutral_mrad: u16,
-    /// A command ends below this (12° = 209).
-    pub end_mrad: u16,
-    /// A command starts beyond this (15° = 262).
-    pub start_mrad: u16,
 }
 
 /// What a model needs and names.

@@ -55,29 +55,12 @@ impl fmt::Display for Mismatch {
             return f.write_str("update host-bridge (fetch the newest source, then `cargo build --release`)");
         }
         f.write_str("update the board (plug it in, then `cargo run --release` in ")?;
-        f.write_str(match board {
-            Board::LeftNano => "firmware-nano-avr/)",
-            Board::RightNano33 | Board::RightNano33Rev2 | Board::RightXiao => "firmware-nano33/)",
-            _ => "the folder of its firmware)",
-        })
+        f.write_str(board.folder().unwrap_or("the folder of its firmware"))?;
+        f.write_str(")")
     }
 }
 
 impl core::error::Error for Mismatch {}
-
-impl fmt::Display for Board {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::LeftNano => "the left hand (Arduino Nano)",
-            Self::RightNano33 => "the right hand (Nano 33 BLE Sense)",
-            Self::RightNano33Rev2 => "the right hand (Nano 33 BLE Sense Rev2)",
-            Self::RightXiao => "the right hand (XIAO nRF52840 Sense)",
-            Self::LeftReplay => "the recorded left hand",
-            Self::RightReplay => "the recorded right hand",
-            Self::Unknown(number) => return write!(f, "a board of unknown kind {number}"),
-        })
-    }
-}
 
 #[cfg(test)]
 mod tests {

@@ -574,14 +574,3 @@ fn the_image_fits() {
     assert!(ram + stack as u64 <= 1536);
     assert!(unused > 0 && image::static_end() == 0x100 + ram as usize);
 }
-
-/// The numbers of the board's health bits and of the wire's are the same.
-#[test]
-fn health_bits_mean_the_same_on_board_and_wire() {
-    use shared_dsp::left::health as board;
-    assert_eq!(board::SENSOR, health::SENSOR);
-    assert_eq!(board::FLEX, health::FLEX);
-    assert_eq!(board::GRAVITY, health::GRAVITY);
-    assert_eq!(board::STUCK, health::STUCK);
-    assert_eq!(board::DEFAULT_CALIBRATION, health::DEFAULT_CALIBRATION);
-}

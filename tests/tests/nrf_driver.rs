@@ -11,9 +11,11 @@ use embedded_hal_async::i2c::{ErrorKind, ErrorType, I2c, NoAcknowledgeSource, Op
 use nano33_sensor::bmi270::Bmi270 as Bmi270Driver;
 use nano33_sensor::bmm150::{Bmm150 as Bmm150Driver, Trim};
 use nano33_sensor::found::{Found, Kind};
+use nano33_sensor::grid::Grid;
 use nano33_sensor::lsm6ds3::Lsm6ds3 as Lsm6ds3Driver;
 use nano33_sensor::lsm9ds1::{AccelRange, Config, Lsm9ds1 as Driver, Rate, Scale};
 use nano33_sensor::{Batch, Imu, ImuError, SCALE};
+use shared_proto::message::Sensor as WireSensor;
 use tests::nrf::bmi270::Bmi270;
 use tests::nrf::bmm150::Bmm150;
 use tests::nrf::i2c::{Bus, Reply, Sensor};
@@ -340,4 +342,61 @@ fn a_rev2s_magnetometer_beside_a_magnet_gives_nothing_and_its_faults_are_named()
     wire.with(|bus, _| bus.unplugged = true);
     assert_eq!(wait(driver.start(&mut wire.delay())), Err(ImuError::Missing(0x10)));
     assert_eq!(wait(driver.field_ut()), Err(ImuError::Bus(0x10)));
+}
+
+/// What docs/ADDING.md says of another IMU: a driver that implements `Imu` is all that sampling knows of it.
+struct OwnImu {
+    now_us: u64,
+    taken: u64,
+}
+
+/// Its own clock is 3 % fast.
+const OWN_US: u64 = 1_000_000 / 107;
+
+impl Imu for OwnImu {
+    fn nominal_hz(&self) -> f32 {
+        104.0
+    }
+
+    fn axes(&self) -> usize {
+        6
+    }
+
+    async fn start(&mut self, _: &mut impl DelayNs) -> Result<(), ImuError> {
+        Ok(())
+    }
+
+    async fn poll(&mut self, batch: &mut Batch) -> Result<(), ImuError> {
+        batch.clear();
+        while (self.taken + 1) * OWN_US <= self.now_us {
+            self.taken += 1;
+            batch.push([(self.taken * OWN_US / 100) as i16, 0, 8192, 0, 0, 0]);
+        }
+        Ok(())
+    }
+
+    async fn check(&mut self) -> Result<(), ImuError> {
+        Ok(())
+    }
+}
+
+#[test]
+fn an_imu_of_ones_own_comes_out_at_100_hz() {
+    let mut imu = OwnImu { now_us: 0, taken: 0 };
+    let (mut batch, mut grid) = (Batch::default(), Grid::new(imu.nominal_hz()));
+    let mut values = Vec::new();
+    for number in 1..=300u64 {
+        imu.now_us = number * 10_000;
+        wait(imu.poll(&mut batch)).unwrap();
+        grid.push(batch.sets());
+        grid.synchronise(imu.now_us);
+        values.extend(grid.sample(imu.now_us));
+    }
+    assert!(values.len() > 290, "{} of 300", values.len());
+    // It counts tenths of a millisecond: 100 from one sample to the next, once its clock is known.
+    for pair in values[100..].windows(2) {
+        assert!((98..=102).contains(&(pair[1][0] - pair[0][0])), "{pair:?}");
+    }
+    let names = [Kind::Lsm9ds1, Kind::Bmi270, Kind::Lsm6ds3].map(|kind| WireSensor::from(kind as u8));
+    assert_eq!(names, [WireSensor::Lsm9ds1, WireSensor::Bmi270, WireSensor::Lsm6ds3]);
 }

@@ -9,15 +9,17 @@ use crate::lsm6ds3::{self, Lsm6ds3};
 use crate::lsm9ds1::{self, Lsm9ds1};
 use crate::{Batch, Imu, ImuError};
 
-/// The sensors that there are drivers for.
+/// The sensors that there are drivers for, with their numbers in the wire's list `Sensor`. A sensor that the list does not
+/// name yet works all the same: the laptop calls it by its number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
 pub enum Kind {
     /// Nano 33 BLE Sense.
-    Lsm9ds1,
+    Lsm9ds1 = 1,
     /// Nano 33 BLE Sense Rev2.
-    Bmi270,
+    Bmi270 = 2,
     /// XIAO nRF52840 Sense.
-    Lsm6ds3,
+    Lsm6ds3 = 3,
 }
 
 impl Kind {

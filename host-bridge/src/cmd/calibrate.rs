@@ -5,7 +5,6 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use anyhow::{Result, bail, ensure};
-use host_bridge::link::hand_of;
 use host_bridge::links::Waiter;
 use host_bridge::safety::Hand;
 use host_bridge::talk::{Said, Talk, TalkError};
@@ -45,7 +44,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     let (port, settings) = args.port.resolve(Hand::Left)?;
     let mut talk = Talk::open(&port, settings);
     let who = talk.hello(HELLO_MS)?;
-    if hand_of(who.board) != Some(Hand::Left) {
+    if who.board.hand() != Some(Hand::Left) {
         bail!("{port}: {} answers; only the left hand's board is calibrated", who.board);
     }
     if args.reset {

@@ -7,7 +7,6 @@ use anyhow::{Result, bail, ensure};
 use host_bridge::doubt;
 use host_bridge::hands::ModelFile;
 use host_bridge::intent::MotionMap;
-use host_bridge::link::hand_of;
 use host_bridge::links::SerialSettings;
 use host_bridge::safety::Hand;
 use host_bridge::survey::Survey;
@@ -126,7 +125,7 @@ fn examine(port: &str, hand: Hand, settings: SerialSettings, seconds: f64) -> Re
 }
 
 fn is_left(board: Board) -> bool {
-    hand_of(board) == Some(Hand::Left)
+    board.hand() == Some(Hand::Left)
 }
 
 fn listen(talk: &mut Talk, who: Who, listen_ms: u64) -> Heard {

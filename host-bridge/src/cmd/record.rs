@@ -11,7 +11,6 @@ use anyhow::{Context as _, Result, bail, ensure};
 use host_bridge::capture::{CaptureProblem, Collector, LeftCollector, sparkline};
 use host_bridge::ending::Ending;
 use host_bridge::keyboard::LABELS;
-use host_bridge::link::hand_of;
 use host_bridge::safety::Hand;
 use host_bridge::talk::{Said, Talk, TalkError};
 use models::recording::write_whole;
@@ -139,7 +138,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
 
     let mut talk = Talk::open(&port, settings);
     let who = talk.hello(HELLO_MS)?;
-    let is_left = hand_of(who.board) == Some(Hand::Left);
+    let is_left = who.board.hand() == Some(Hand::Left);
     if is_left != (hand == Hand::Left) {
         let (there, option) = if is_left { ("left", "--hand left") } else { ("right", "--hand right") };
         bail!(

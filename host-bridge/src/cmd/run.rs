@@ -18,7 +18,7 @@ use host_bridge::robot::{Door as _, Robot};
 use host_bridge::robots::{Echoed, Stage};
 use host_bridge::ros2::stream::HORIZON_MS;
 use host_bridge::ros2::{ArmInterface, Counts, Stamped};
-use host_bridge::safety::Hand;
+use host_bridge::safety::{Hand, PerHand};
 use host_bridge::source::Source;
 use host_bridge::view::View;
 use host_bridge::web::Web;
@@ -162,8 +162,9 @@ pub fn steer(args: &HandArgs, keep: &KeepArgs) -> Result<ExitCode> {
     let is_terminal = std::io::stdout().is_terminal() && std::io::stdin().is_terminal();
     let wants_view = is_terminal && !args.headless && !args.json;
     let places = config.places();
+    let by_keyboard = places.iter().any(|(_, place)| *place == Place::Keyboard);
     ensure!(
-        wants_view || !places.contains(&Place::Keyboard),
+        wants_view || !by_keyboard,
         "a keyboard hand needs the live view: start it in a terminal, without --headless and --json"
     );
 
@@ -185,11 +186,11 @@ pub fn steer(args: &HandArgs, keep: &KeepArgs) -> Result<ExitCode> {
     let starting = clock.waiter();
     let (sender, events) = queue();
     let open = |hand: Hand, port: &str| {
-        (places[hand as usize] == Place::Board)
+        (places[hand] == Place::Board)
             .then(|| BoardLink::start(hand, port, settings(&config), Arc::clone(&clock), sender.clone()))
     };
-    let links = [open(Hand::Left, &left), open(Hand::Right, &right)];
-    let over_air = [0, 1].map(|i: usize| links[i].as_ref().is_some_and(|link| is_ble(link.port())));
+    let links = PerHand { left: open(Hand::Left, &left), right: open(Hand::Right, &right) };
+    let over_air = PerHand::of(|hand| links[hand].as_ref().is_some_and(|link| is_ble(link.port())));
     let name = |port: &str| if port.is_empty() { "none".to_owned() } else { port.to_owned() };
     let third_stop = match config.ros2.arm {
         ArmInterface::None => String::new(),
@@ -212,13 +213,13 @@ pub fn steer(args: &HandArgs, keep: &KeepArgs) -> Result<ExitCode> {
         Place::Keyboard => keys(),
     };
     let sources = [
-        source(places[0], &|| Source::here(KeyLeft::new(config.keyboard))),
-        source(places[1], &|| Source::here(KeyRight::new())),
+        source(places.left, &|| Source::here(KeyLeft::new(config.keyboard))),
+        source(places.right, &|| Source::here(KeyRight::new())),
     ];
     let (counts, output, robot) = robot(&stage, &config, graph, args.publish_sim, clock.now_ms());
     let robot_elsewhere = counts.is_some() && !args.publish_sim;
     let mut engine = Engine::new(config.bridge(map), stage.before(robot), sources, clock.now_ms())
-        .with_tilt(config.tilt.into())
+        .with_tilt(config.tilt)
         .with_vibration(config.vibration.wired);
     if records {
         engine = engine.with_marks(config.marks.clone());
@@ -248,7 +249,7 @@ pub fn steer(args: &HandArgs, keep: &KeepArgs) -> Result<ExitCode> {
     let keeper = keep.start(engine.tap_mut(), &start)?;
     let flags = Flags::default();
     let ending = Ending::watch(&flags.quit_flag(), wants_view)?;
-    let keys = keys(config.keyboard.end_arm, places.contains(&Place::Keyboard), records);
+    let keys = keys(config.keyboard.end_arm, by_keyboard, records);
     let mut screen = Screen {
         view: if wants_view { Some(View::open(&title)?) } else { None },
         json: args.json,

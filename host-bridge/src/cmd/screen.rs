@@ -12,7 +12,7 @@ use host_bridge::keyboard::HandKey;
 use host_bridge::observe::{Now, SessionEvent};
 use host_bridge::robot::Door;
 use host_bridge::ros2::Counts;
-use host_bridge::safety::Hand;
+use host_bridge::safety::{Hand, PerHand};
 use host_bridge::view::{Scene, View};
 use shared_proto::message::Heading;
 
@@ -60,7 +60,7 @@ pub struct Screen {
     /// The session's file.
     pub keeper: Keeper,
     /// Which hands come over Bluetooth.
-    pub over_air: [bool; 2],
+    pub over_air: PerHand<bool>,
     /// When the release key was pressed once.
     pub released: Option<Instant>,
     /// There is a file for marks.
@@ -84,11 +84,8 @@ impl Screen {
                 self.note(event)?;
             }
             for link in links {
-                let what = if self.over_air[link.hand as usize] {
-                    "connected over Bluetooth"
-                } else {
-                    "the port is open"
-                };
+                let what =
+                    if self.over_air[link.hand] { "connected over Bluetooth" } else { "the port is open" };
                 self.link_line(
                     link.time_ms,
                     link.hand,

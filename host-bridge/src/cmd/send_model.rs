@@ -7,7 +7,6 @@ use std::process::ExitCode;
 use anyhow::{Result, bail, ensure};
 use host_bridge::hands::ModelFile;
 use host_bridge::intent::MotionMap;
-use host_bridge::link::hand_of;
 use host_bridge::safety::Hand;
 use host_bridge::talk::{Said, Talk};
 use host_bridge::upload::{Stage, Upload, misfit};
@@ -47,7 +46,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     let (port, settings) = args.port.resolve(Hand::Right)?;
     let mut talk = Talk::open(&port, settings);
     let who = talk.hello(HELLO_MS)?;
-    if hand_of(who.board) == Some(Hand::Left) {
+    if who.board.hand() == Some(Hand::Left) {
         bail!("{port}: {} answers; only the right hand's board runs a model", who.board);
     }
     let Some(board) = talk.model(4000) else {

@@ -11,7 +11,6 @@ use host_arm::plan::Planner;
 use host_arm::scene::Scene;
 use host_core::bridge::Bridge;
 use host_core::intent::MotionMap;
-use host_core::safety::Hand;
 use host_sim::Simulator;
 
 use crate::config::{Config, Place};
@@ -133,10 +132,9 @@ impl Setup {
     /// As [`Setup::motion_map`].
     pub fn bridge(&self) -> Result<Bridge, SetupError> {
         let bridge = self.config.bridge(self.motion_map()?);
-        let hands = [Hand::Left, Hand::Right].into_iter().zip(self.config.places());
-        Ok(hands
-            .filter(|(_, place)| *place == Place::Board)
-            .fold(bridge, |bridge, (hand, _)| bridge.awaiting(hand)))
+        let places = self.config.places();
+        let boards = places.iter().filter(|(_, place)| **place == Place::Board);
+        Ok(boards.fold(bridge, |bridge, (hand, _)| bridge.awaiting(hand)))
     }
 
     /// What stood around, and what the arm could be asked to do.

@@ -87,7 +87,5 @@ pub fn live_before<D: Door>(
         source(right, Source::here(KeyRight::new())),
     ];
     let bridge = Bridge::with(config.motion_map(), config.speed, config.safety);
-    Engine::new(bridge, door, sources, now_ms)
-        .with_tilt(config.tilt.into())
-        .with_vibration(config.vibration.wired)
+    Engine::new(bridge, door, sources, now_ms).with_tilt(config.tilt).with_vibration(config.vibration.wired)
 }

@@ -107,7 +107,7 @@ impl Events {
         for set in &self.folders {
             let learned = Dataset::read_where(&set.folder, None, |label, _| {
                 set.labels.is_empty()
-                    || shared_dsp::right::decision::is_rest(label)
+                    || shared_words::is_rest(label)
                     || set.labels.iter().any(|wanted| wanted == label)
             })?;
             println!("{}: {} axes, labels {}", set.folder.display(), learned.axes, learned.labels.join(" "));
@@ -275,7 +275,7 @@ fn three_of_each<'a>(
     for label in &theirs.labels {
         let mut items: Vec<&Item> = theirs.items.iter().filter(|item| item.label == *label).collect();
         let known = model.card.labels.iter().position(|known| known == label);
-        if let Some(known) = known.filter(|_| !shared_dsp::right::decision::is_rest(label)) {
+        if let Some(known) = known.filter(|_| !shared_words::is_rest(label)) {
             items.shuffle(&mut rng);
             for item in items.drain(..items.len().min(3)) {
                 examples.extend(examples_of(&item.recording).into_iter().map(|window| (window, known)));

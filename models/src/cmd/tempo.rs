@@ -7,7 +7,7 @@ use models::dataset::{Dataset, Item};
 use models::evaluate::people::{Accuracy, Trial};
 use models::evaluate::tempo::{at_tempo, range_of, strokes_per_second};
 use rayon::prelude::*;
-use shared_dsp::right::decision::is_rest;
+use shared_words::is_rest;
 
 use super::people::Set;
 

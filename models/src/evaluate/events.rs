@@ -10,12 +10,13 @@ use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use shared_dsp::right::aligned::{AlignedWindow, Movement};
-use shared_dsp::right::decision::{DecisionConfig, is_rest};
+use shared_dsp::right::decision::DecisionConfig;
 use shared_dsp::right::kind::FeatureKind;
 use shared_dsp::right::movement::{MovementConfig, MovementDecision};
 use shared_dsp::right::network::{MAX_LABELS, Model};
 use shared_dsp::right::slow::SlowWindow;
 use shared_dsp::right::{ModelMismatch, RightHand};
+use shared_words::is_rest;
 
 use crate::RATE_HZ;
 use crate::dataset::Item;

@@ -8,9 +8,9 @@ use std::path::{Path, PathBuf};
 use rand::seq::SliceRandom;
 use rayon::prelude::*;
 use shared_dsp::right::ModelMismatch;
-use shared_dsp::right::decision::is_rest;
 use shared_dsp::right::movement::MovementConfig;
 use shared_dsp::right::network::Model;
+use shared_words::is_rest;
 
 use crate::card::Scores;
 use crate::dataset::{Dataset, DatasetError, Item};

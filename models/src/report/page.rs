@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use super::svg::{Line, colour, escape, heat, lines};
+use super::svg::{Curve, colour, escape, heat, lines};
 use super::{Facts, Report};
 use crate::evaluate::people::Graded;
 use crate::evaluate::study::{Events, Study};
@@ -286,8 +286,8 @@ fn calibration(page: &mut String, study: &Study) {
         &ticks,
         true,
         &[
-            Line { name: "people never met", points: curve(never) },
-            Line { name: "random fifth, same people", points: curve(study.random.iter().collect()) },
+            Curve { name: "people never met", points: curve(never) },
+            Curve { name: "random fifth, same people", points: curve(study.random.iter().collect()) },
         ],
     ));
     page.push_str("</div>");
@@ -305,10 +305,10 @@ fn learning(page: &mut String, report: &Report) {
         .fold(100.0, f64::min);
     let floor = (low / 10.0).floor() * 10.0;
     let part = |value: f64| (value - floor) / (100.0 - floor).max(1e-9);
-    let drawn: Vec<Line<'_>> = report
+    let drawn: Vec<Curve<'_>> = report
         .learning
         .iter()
-        .map(|(name, points)| Line { name, points: points.iter().map(|(x, y)| (*x, part(*y))).collect() })
+        .map(|(name, points)| Curve { name, points: points.iter().map(|(x, y)| (*x, part(*y))).collect() })
         .collect();
     let y_ticks: Vec<(f64, String)> = (0..=4)
         .map(|n| floor + (100.0 - floor) * f64::from(n) / 4.0)

@@ -8,7 +8,7 @@ pub fn escape(text: &str) -> String {
 }
 
 /// A named line through points (x, y) in 0..=1 each.
-pub struct Line<'a> {
+pub struct Curve<'a> {
     /// What it is.
     pub name: &'a str,
     /// Its points.
@@ -28,7 +28,7 @@ pub fn lines(
     x_ticks: &[(f64, String)],
     y_ticks: &[(f64, String)],
     diagonal: bool,
-    lines: &[Line<'_>],
+    lines: &[Curve<'_>],
 ) -> String {
     let x = |part: f64| LEFT + part.clamp(0.0, 1.0) * PLOT.0;
     let y = |part: f64| TOP + (1.0 - part.clamp(0.0, 1.0)) * PLOT.1;

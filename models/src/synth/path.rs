@@ -111,13 +111,13 @@ impl Segment {
 
 /// Position (m) and posture (roll, pitch, yaw in rad) at one time.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) struct Pose {
+pub(super) struct BodyPose {
     pub position_m: [f64; 3],
     pub posture_rad: [f64; 3],
 }
 
 /// The whole path in steps of [`STEP_S`], with one point more at each end for the derivatives.
-pub(super) fn track(wearer: &Wearer, rng: &mut ChaCha8Rng, script: &[Segment]) -> Vec<Pose> {
+pub(super) fn track(wearer: &Wearer, rng: &mut ChaCha8Rng, script: &[Segment]) -> Vec<BodyPose> {
     let mut parts = Vec::with_capacity(script.len());
     let mut end_s = 0.0;
     for segment in script {
@@ -141,7 +141,7 @@ pub(super) fn track(wearer: &Wearer, rng: &mut ChaCha8Rng, script: &[Segment]) -
     (0..count)
         .map(|n| {
             let t = (n as f64 - 1.0) * STEP_S;
-            let mut pose = Pose::default();
+            let mut pose = BodyPose::default();
             for (start_s, shown_s, player) in &parts {
                 // A cut motion shows nothing before its cut; a whole one is at rest there anyway.
                 if t >= *shown_s - 2.0 * STEP_S {
@@ -200,7 +200,7 @@ enum Kind {
         posture: [Smooth; 3],
     },
     /// Single moves: time, duration and what they add.
-    Moves(Vec<(f64, f64, Pose)>),
+    Moves(Vec<(f64, f64, BodyPose)>),
     Walk {
         step_hz: f64,
         phase: f64,
@@ -258,7 +258,7 @@ impl Player {
     }
 
     /// Adds the motion at `t` seconds from its start.
-    fn add(&self, t: f64, pose: &mut Pose) {
+    fn add(&self, t: f64, pose: &mut BodyPose) {
         let size = self.envelope(t);
         match &self.kind {
             Kind::Rest => {}
@@ -365,21 +365,21 @@ fn moves(
 ) -> Kind {
     const PAUSE_S: f64 = 0.5;
     let mut list = Vec::new();
-    let mut now = Pose::default();
+    let mut now = BodyPose::default();
     let mut t = rng.random_range(0.0..1.5);
     loop {
         let length_s = rng.random_range(lengths_s.clone());
-        let mut place = Pose {
+        let mut place = BodyPose {
             position_m: [0; 3].map(|_| normal(rng, reach_m * 0.6, reach_m)),
             posture_rad: [0; 3].map(|_| normal(rng, turn_rad * 0.6, turn_rad)),
         };
         // The last move brings the hand back in time for what follows, with a moment's pause.
         let last = t + length_s > seconds - 1.2 - PAUSE_S;
         if last {
-            place = Pose::default();
+            place = BodyPose::default();
             t = t.min(seconds - PAUSE_S - length_s).max(0.0);
         }
-        let by = Pose {
+        let by = BodyPose {
             position_m: std::array::from_fn(|a| place.position_m[a] - now.position_m[a]),
             posture_rad: std::array::from_fn(|a| place.posture_rad[a] - now.posture_rad[a]),
         };

@@ -4,7 +4,7 @@
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 
-use super::path::{OVERSAMPLING, Pose, STEP_S, rotation};
+use super::path::{BodyPose, OVERSAMPLING, STEP_S, rotation};
 use super::wearer::{Wearer, normal};
 use crate::RATE_HZ;
 use crate::recording::Recording;
@@ -33,7 +33,7 @@ const SENSORS: [Sensor; 3] = [
 ];
 
 /// Records a path of `OVERSAMPLING` points per sample (and one more at each end) at 100 Hz.
-pub(super) fn record(wearer: &Wearer, rng: &mut ChaCha8Rng, track: &[Pose]) -> Recording {
+pub(super) fn record(wearer: &Wearer, rng: &mut ChaCha8Rng, track: &[BodyPose]) -> Recording {
     let count = (track.len() - 2) / OVERSAMPLING;
     let heading_rad = rng.random_range(0.0..std::f64::consts::TAU);
     let level = wearer.inclination_rad.cos();

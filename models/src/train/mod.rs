@@ -158,13 +158,11 @@ pub fn train(
     let is_validation: Vec<bool> = used.items.iter().map(|i| validation.contains(&i.name)).collect();
     let (mut learn, mut check): (Vec<Row<'_>>, Vec<Row<'_>>) = (Vec::new(), Vec::new());
     for (part, held) in windows.iter().zip(&is_validation) {
-        let rows =
-            |windows: &'_ [Vec<f32>]| windows.iter().map(|w| (w.as_slice(), part.label)).collect::<Vec<_>>();
         if *held {
-            check.extend(rows(&part.own));
+            check.extend(part.rows(&part.own));
         } else {
-            learn.extend(rows(&part.own));
-            learn.extend(rows(&part.varied));
+            learn.extend(part.rows(&part.own));
+            learn.extend(part.rows(&part.varied));
         }
     }
     let mut remembered = learn.len();

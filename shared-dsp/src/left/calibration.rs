@@ -37,7 +37,7 @@ impl Default for Calibration {
 
 /// Steps of a calibration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum CalibrationStep {
+pub enum CaptureStep {
     /// The hand is level and still.
     Neutral,
     /// Both fingers are straight.
@@ -72,7 +72,7 @@ const UPRIGHT: core::ops::RangeInclusive<i16> =
 /// One step under way.
 #[derive(Clone, Copy, Debug)]
 pub struct Capture {
-    step: CalibrationStep,
+    step: CaptureStep,
     taken: u16,
     sums: [u32; 5],
     least: [u16; 5],
@@ -81,7 +81,7 @@ pub struct Capture {
 
 impl Capture {
     /// Begins a step.
-    pub fn new(step: CalibrationStep) -> Self {
+    pub fn new(step: CaptureStep) -> Self {
         Self { step, taken: 0, sums: [0; 5], least: [u16::MAX; 5], most: [0; 5] }
     }
 
@@ -104,8 +104,8 @@ impl Capture {
     #[inline(never)]
     fn finish(&self, old: &Calibration) -> Result<Calibration, CaptureError> {
         let (looked_at, allowed) = match self.step {
-            CalibrationStep::Neutral => (0..3, STEADY_ACCELERATION),
-            CalibrationStep::Rest | CalibrationStep::Bend => (3..5, STEADY_FLEX),
+            CaptureStep::Neutral => (0..3, STEADY_ACCELERATION),
+            CaptureStep::Rest | CaptureStep::Bend => (3..5, STEADY_FLEX),
         };
         for i in looked_at {
             if self.most[i] - self.least[i] > allowed {
@@ -119,7 +119,7 @@ impl Capture {
         let [x, y, z, index, middle] = mean;
         let mut new = *old;
         match self.step {
-            CalibrationStep::Neutral => {
+            CaptureStep::Neutral => {
                 let from_middle = |v: u16| v as i16 - Calibration::DEFAULT.zero[0];
                 if from_middle(x).abs() > MOST_SIDEWAYS
                     || from_middle(y).abs() > MOST_SIDEWAYS
@@ -129,7 +129,7 @@ impl Capture {
                 }
                 new.zero = [x as i16, y as i16, z as i16 - ONE_G];
             }
-            CalibrationStep::Rest => {
+            CaptureStep::Rest => {
                 // The old way from rest to bend stays until the next step measures it.
                 for (i, rest) in [index, middle].into_iter().enumerate() {
                     let way = old.bend[i] as i16 - old.rest[i] as i16;
@@ -137,7 +137,7 @@ impl Capture {
                     new.bend[i] = (rest as i16 + way).clamp(0, AdcCounts::MAX as i16) as u16;
                 }
             }
-            CalibrationStep::Bend => {
+            CaptureStep::Bend => {
                 for (i, bend) in [index, middle].into_iter().enumerate() {
                     if bend.abs_diff(old.rest[i]) < LEAST_WAY {
                         return Err(CaptureError::Impossible);
@@ -252,7 +252,7 @@ mod tests {
     }
 
     fn capture(
-        step: CalibrationStep,
+        step: CaptureStep,
         old: &Calibration,
         samples: impl Fn(u16) -> AdcCounts,
     ) -> Result<Calibration, CaptureError> {
@@ -266,33 +266,32 @@ mod tests {
     #[test]
     fn three_steps_make_a_calibration() {
         let mut c = Calibration::DEFAULT;
-        c = capture(CalibrationStep::Neutral, &c, |i| counts(540 + i % 3, 470, 630, 650, 760)).unwrap();
+        c = capture(CaptureStep::Neutral, &c, |i| counts(540 + i % 3, 470, 630, 650, 760)).unwrap();
         // 540, 541, 542, 540 … has a mean of 540.98; z at neutral is 1 g above zero.
         assert_eq!(c.zero, [4328, 3760, 5040 - 819]);
-        c = capture(CalibrationStep::Rest, &c, |_| counts(540, 470, 630, 650, 760)).unwrap();
+        c = capture(CaptureStep::Rest, &c, |_| counts(540, 470, 630, 650, 760)).unwrap();
         assert_eq!(c.rest, [5200, 6080]);
-        c = capture(CalibrationStep::Bend, &c, |_| counts(540, 470, 630, 480, 560)).unwrap();
+        c = capture(CaptureStep::Bend, &c, |_| counts(540, 470, 630, 480, 560)).unwrap();
         assert_eq!(c.bend, [3840, 4480]);
     }
 
     #[test]
     fn a_moving_hand_and_impossible_poses_are_refused() {
         let old = Calibration::DEFAULT;
-        let neutral = |f: &dyn Fn(u16) -> AdcCounts| capture(CalibrationStep::Neutral, &old, f);
+        let neutral = |f: &dyn Fn(u16) -> AdcCounts| capture(CaptureStep::Neutral, &old, f);
         assert_eq!(neutral(&|i| counts(512 + i / 3, 512, 614, 700, 700)), Err(CaptureError::Moved));
         assert_eq!(neutral(&|_| counts(600, 512, 614, 700, 700)), Err(CaptureError::Impossible));
         // Upside down.
         assert_eq!(neutral(&|_| counts(512, 512, 410, 700, 700)), Err(CaptureError::Impossible));
-        let bend = |f: &dyn Fn(u16) -> AdcCounts| capture(CalibrationStep::Bend, &old, f);
+        let bend = |f: &dyn Fn(u16) -> AdcCounts| capture(CaptureStep::Bend, &old, f);
         assert_eq!(bend(&|_| counts(512, 512, 614, 540, 690)), Err(CaptureError::Impossible));
         assert_eq!(bend(&|i| counts(512, 512, 614, 540, 500 + i)), Err(CaptureError::Moved));
     }
 
     #[test]
     fn fingers_may_move_while_neutral_is_taken() {
-        let c = capture(CalibrationStep::Neutral, &Calibration::DEFAULT, |i| {
-            counts(512, 512, 614, 500 + 3 * i, 700)
-        });
+        let c =
+            capture(CaptureStep::Neutral, &Calibration::DEFAULT, |i| counts(512, 512, 614, 500 + 3 * i, 700));
         assert!(c.is_ok());
     }
 

@@ -76,7 +76,7 @@ pub fn bend_permille(reading: u16, rest: u16, bend: u16) -> i16 {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Pose {
+enum FingerPose {
     Unknown,
     Straight,
     Bent,
@@ -85,20 +85,20 @@ enum Pose {
 /// One finger's hysteresis and debounce.
 #[derive(Clone, Copy, Debug)]
 struct Hysteresis {
-    pose: Pose,
+    pose: FingerPose,
     against: u8,
     permille: i16,
 }
 
 impl Hysteresis {
-    const UNKNOWN: Self = Self { pose: Pose::Unknown, against: 0, permille: 0 };
+    const UNKNOWN: Self = Self { pose: FingerPose::Unknown, against: 0, permille: 0 };
 
     fn step(&mut self, permille: i16) {
         self.permille = permille;
         let wanted = if permille > BENT_PERMILLE {
-            Pose::Bent
+            FingerPose::Bent
         } else if permille < STRAIGHT_PERMILLE {
-            Pose::Straight
+            FingerPose::Straight
         } else {
             self.pose
         };
@@ -114,12 +114,12 @@ impl Hysteresis {
     }
 
     fn is_bent(&self) -> bool {
-        self.pose == Pose::Bent
+        self.pose == FingerPose::Bent
     }
 
     /// Not bent, and not on the way there either.
     fn is_at_rest(&self) -> bool {
-        self.pose == Pose::Straight && self.permille < STRAIGHT_PERMILLE
+        self.pose == FingerPose::Straight && self.permille < STRAIGHT_PERMILLE
     }
 }
 
@@ -208,7 +208,7 @@ impl FlexDetector {
             _ if index && middle => Phase::Both { since_ms: now_ms },
             Phase::Both { .. } => Phase::Closing,
             Phase::Closing => {
-                if self.index.pose == Pose::Straight && self.middle.pose == Pose::Straight {
+                if self.index.pose == FingerPose::Straight && self.middle.pose == FingerPose::Straight {
                     Phase::Open
                 } else {
                     Phase::Closing

@@ -6,7 +6,7 @@
 //!  a refused step goes back to its Ready; after five refusals ─▶ GiveUp (light off, old values stay)
 //! ```
 
-use crate::left::calibration::CalibrationStep;
+use crate::left::calibration::CaptureStep;
 
 /// Time to take up a pose.
 pub const READY_MS: u32 = 3000;
@@ -19,7 +19,7 @@ pub enum GuidedAction {
     /// Nothing.
     Wait,
     /// Begin this step, and report its end to [`Guided::step`].
-    Start(CalibrationStep),
+    Start(CaptureStep),
     /// All three steps are done: keep their outcome.
     Keep,
     /// Go back to the calibration from before.
@@ -28,8 +28,8 @@ pub enum GuidedAction {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Phase {
-    Ready { next: CalibrationStep, since_ms: u32 },
-    Capturing(CalibrationStep),
+    Ready { next: CaptureStep, since_ms: u32 },
+    Capturing(CaptureStep),
     Done,
 }
 
@@ -43,14 +43,14 @@ pub struct Guided {
 impl Guided {
     /// Begins at `now_ms`, a wrapping clock.
     pub fn new(now_ms: u32) -> Self {
-        let phase = Phase::Ready { next: CalibrationStep::Neutral, since_ms: now_ms };
+        let phase = Phase::Ready { next: CaptureStep::Neutral, since_ms: now_ms };
         Self { phase, refusals: 0 }
     }
 
     /// Goes on; `ended` is how the step under way ended (true = taken), if it did.
     #[inline(never)]
     pub fn step(&mut self, ended: Option<bool>, now_ms: u32) -> GuidedAction {
-        use CalibrationStep::{Bend, Neutral, Rest};
+        use CaptureStep::{Bend, Neutral, Rest};
         let start = |step| (Phase::Capturing(step), GuidedAction::Start(step));
         let ready = |next| (Phase::Ready { next, since_ms: now_ms }, GuidedAction::Wait);
         let (phase, action) = match (self.phase, ended) {
@@ -75,7 +75,7 @@ impl Guided {
     /// Is the light on? Slow blink: level and straight; fast blink: bend; steady: hold still.
     pub fn light(&self, now_ms: u32) -> bool {
         match self.phase {
-            Phase::Ready { next: CalibrationStep::Bend, .. } => now_ms & 128 != 0,
+            Phase::Ready { next: CaptureStep::Bend, .. } => now_ms & 128 != 0,
             Phase::Ready { .. } => now_ms & 512 != 0,
             Phase::Capturing(_) => true,
             Phase::Done => false,
@@ -86,7 +86,7 @@ impl Guided {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use CalibrationStep::{Bend, Neutral, Rest};
+    use CaptureStep::{Bend, Neutral, Rest};
     use GuidedAction::{GiveUp, Keep, Start, Wait};
 
     #[test]

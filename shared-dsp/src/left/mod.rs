@@ -10,10 +10,11 @@ pub mod guided;
 pub mod start;
 pub mod tilt;
 
-use crate::left::calibration::{Calibration, CalibrationStep, Capture, CaptureError};
+use crate::left::calibration::{Calibration, Capture, CaptureError, CaptureStep};
 use crate::left::faults::FaultWatch;
 use crate::left::flex::{FlexDetector, bend_permille};
-use crate::left::tilt::{Acceleration, Heading, Tilt, TiltDetector, TiltThresholds};
+use crate::left::tilt::{Acceleration, Tilt, TiltDetector};
+use shared_words::{Heading, TiltThresholds, health};
 
 /// Conversions of 10 bits that one reading sums up.
 pub const OVERSAMPLING: u16 = 8;
@@ -49,21 +50,6 @@ impl AdcCounts {
     pub fn as_array(&self) -> [u16; 5] {
         [self.x, self.y, self.z, self.index, self.middle]
     }
-}
-
-/// Bits of [`LeftOutput::health`]. Any but [`DEFAULT_CALIBRATION`](health::DEFAULT_CALIBRATION) means: do not
-/// act. The numbers are those of `shared_proto::message::health`; a test in `tests/` holds them together.
-pub mod health {
-    /// A line of the accelerometer is open or shorted.
-    pub const SENSOR: u8 = 1 << 0;
-    /// A flex line is open, shorted or hums.
-    pub const FLEX: u8 = 1 << 1;
-    /// Gravity has had an impossible magnitude for 200 ms.
-    pub const GRAVITY: u8 = 1 << 2;
-    /// The converter repeats itself or delivers nothing.
-    pub const STUCK: u8 = 1 << 3;
-    /// No good calibration was found; defaults are in use. A warning only.
-    pub const DEFAULT_CALIBRATION: u8 = 1 << 4;
 }
 
 /// The left hand after one sample.
@@ -182,7 +168,7 @@ impl LeftHand {
     /// Begins a calibration step: no motion, no bends until it ends, and neutral is needed afterwards.
     ///
     /// Returns false, and changes nothing, while another step is under way.
-    pub fn start_capture(&mut self, step: CalibrationStep) -> bool {
+    pub fn start_capture(&mut self, step: CaptureStep) -> bool {
         if self.is_capturing() {
             return false;
         }
@@ -427,8 +413,8 @@ mod tests {
         rig.run(FORWARD, 100);
         // 8° forward and 20 counts of offset: the wearer's neutral.
         let pose = [546, 495, 613, 704, 704];
-        assert!(rig.hand.start_capture(CalibrationStep::Neutral));
-        assert!(!rig.hand.start_capture(CalibrationStep::Rest));
+        assert!(rig.hand.start_capture(CaptureStep::Neutral));
+        assert!(!rig.hand.start_capture(CaptureStep::Rest));
         assert_eq!(rig.run(pose, 630).heading, Heading::Between);
         assert_eq!(rig.hand.take_captured(), None);
         rig.run(pose, 10);
@@ -443,7 +429,7 @@ mod tests {
     fn bending_both_fingers_for_calibration_is_neither_stop_nor_count() {
         let mut rig = Rig::neutral();
         let bent = [512, 512, 614, 500, 520];
-        rig.hand.start_capture(CalibrationStep::Bend);
+        rig.hand.start_capture(CaptureStep::Bend);
         let out = rig.run(bent, 640);
         assert_eq!((out.index_bends, out.middle_bends, out.stop), (0, 0, false));
         let calibration = rig.hand.take_captured().unwrap().unwrap();
@@ -453,7 +439,7 @@ mod tests {
     #[test]
     fn a_broken_line_ends_a_calibration_step() {
         let mut rig = Rig::neutral();
-        rig.hand.start_capture(CalibrationStep::Neutral);
+        rig.hand.start_capture(CaptureStep::Neutral);
         rig.run(LEVEL, 100);
         rig.run([0, 512, 614, 704, 704], 10);
         assert_eq!(rig.hand.take_captured(), Some(Err(CaptureError::Impossible)));

@@ -18,31 +18,7 @@
 //! When a tilt is meant, [`crate::left::start`] says.
 
 use crate::left::start::{Start, Swing};
-
-/// Where the hand points. At most one command at a time: the larger tilt wins.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Heading {
-    /// Both tilts lie within the dead zone.
-    Neutral,
-    /// Neither neutral nor a command.
-    #[default]
-    Between,
-    /// Pitch beyond the start threshold.
-    Forward,
-    /// Pitch beyond the negative start threshold.
-    Backward,
-    /// Roll beyond the start threshold.
-    Left,
-    /// Roll beyond the negative start threshold.
-    Right,
-}
-
-impl Heading {
-    /// Does this heading move the base?
-    pub fn is_command(self) -> bool {
-        !matches!(self, Heading::Neutral | Heading::Between)
-    }
-}
+use shared_words::{Heading, TiltThresholds};
 
 /// Acceleration along the sensor's axes in any one unit: only ratios matter here.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -85,37 +61,6 @@ impl Tilt {
             Heading::Right => -self.roll_mrad,
             Heading::Neutral | Heading::Between => 0,
         }
-    }
-}
-
-/// When a command starts and ends, in milliradians.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct TiltThresholds {
-    /// Neutral lies within this.
-    pub neutral_mrad: u16,
-    /// A command ends below this.
-    pub end_mrad: u16,
-    /// A command starts beyond this.
-    pub start_mrad: u16,
-}
-
-impl TiltThresholds {
-    /// 5°, 12° and 15°, as issue and wire have them.
-    pub const DEFAULT: Self = Self { neutral_mrad: 87, end_mrad: 209, start_mrad: 262 };
-
-    /// Ordered, with room for hysteresis, and neutral wide enough to be reached: else a hand could
-    /// be commanded for ever, or never be re-armed.
-    pub fn are_sound(self) -> bool {
-        self.neutral_mrad >= 17
-            && self.neutral_mrad < self.end_mrad
-            && self.end_mrad < self.start_mrad
-            && self.start_mrad <= 1047
-    }
-}
-
-impl Default for TiltThresholds {
-    fn default() -> Self {
-        Self::DEFAULT
     }
 }
 

@@ -77,13 +77,13 @@ impl Triad {
 }
 
 /// Eight samples of a channel.
-struct Hop {
+struct HopTerms {
     mean: f32,
     /// Mean square about the mean.
     variance: f32,
 }
 
-impl Hop {
+impl HopTerms {
     #[inline(always)]
     fn new(samples: &[f32; HOP]) -> Self {
         // About the first sample: the mean of a resting hand is exact, its variance 0.
@@ -190,10 +190,10 @@ impl<const A: usize> AlignedWindow<A> {
         for (index, tremor) in self.tremor.iter_mut().enumerate().take(Self::TRIADS) {
             tremor[slot] = 0.0;
             for channel in 3 * index..3 * index + 3 {
-                let mut hop = Hop::new(&self.stage[channel]);
+                let mut hop = HopTerms::new(&self.stage[channel]);
                 if !hop.is_tame() {
                     replaced += repair(&mut self.stage[channel], self.held[channel]);
-                    hop = Hop::new(&self.stage[channel]);
+                    hop = HopTerms::new(&self.stage[channel]);
                 }
                 self.held[channel] = self.stage[channel][HOP - 1];
                 self.bins[channel][slot] = hop.mean;

@@ -9,6 +9,8 @@
 //! The labels `idle` and `other` are rest: they never make an event. A model without them rests while its best score
 //! is below the confidence asked for.
 
+use shared_words::is_rest;
+
 /// Most hops that a decision looks at.
 pub const MAX_HOPS: usize = 16;
 
@@ -51,7 +53,7 @@ pub struct GestureEvent {
 
 /// What one hop says.
 #[derive(Clone, Copy, Debug)]
-struct Hop {
+struct Vote {
     label: u8,
     probability: u8,
 }
@@ -63,7 +65,7 @@ pub struct GestureDecision {
     /// Bit i: label i is rest.
     rest_labels: u16,
     /// The last hops, newest first; `known` of them.
-    hops: [Hop; MAX_HOPS],
+    hops: [Vote; MAX_HOPS],
     known: u8,
     armed: bool,
     resting: u8,
@@ -80,7 +82,7 @@ impl GestureDecision {
         Self {
             config: config.sound(),
             rest_labels,
-            hops: [Hop { label: 0, probability: 0 }; MAX_HOPS],
+            hops: [Vote { label: 0, probability: 0 }; MAX_HOPS],
             known: 0,
             armed: true,
             resting: 0,
@@ -91,7 +93,7 @@ impl GestureDecision {
     /// label wins; no scores say nothing.
     pub fn step(&mut self, scores: &[i8]) -> Option<GestureEvent> {
         let (label, &best) = scores.iter().enumerate().rev().max_by_key(|(_, score)| **score)?;
-        let newest = Hop { label: label as u8, probability: (i16::from(best) + 128) as u8 };
+        let newest = Vote { label: label as u8, probability: (i16::from(best) + 128) as u8 };
         self.hops.copy_within(0..MAX_HOPS - 1, 1);
         self.hops[0] = newest;
         self.known = (self.known + 1).min(self.config.of);
@@ -137,11 +139,6 @@ impl GestureDecision {
     pub fn is_armed(&self) -> bool {
         self.armed
     }
-}
-
-/// Whether a label means that no gesture is performed.
-pub fn is_rest(label: &str) -> bool {
-    matches!(label, "idle" | "other")
 }
 
 #[cfg(test)]

@@ -18,7 +18,7 @@
 use crate::right::fft::{HalfFrame, powers};
 use crate::right::moments::{Block, SlidingMoments, SlidingSum};
 use crate::right::powers::SlidingPowers;
-use crate::right::sliding::Place;
+use crate::right::sliding::RingPlace;
 
 pub use crate::right::moments::SAMPLE_LIMIT;
 pub use crate::right::network::FEATURES_PER_AXIS;
@@ -65,10 +65,10 @@ struct Axis {
 }
 
 /// Where the samples of a hop belong.
-struct Hop {
+struct HopBlocks {
     axis: usize,
-    block: Place<HOPS>,
-    frame: Place<FRAMES>,
+    block: RingPlace<HOPS>,
+    frame: RingPlace<FRAMES>,
     /// Whether its samples are known to be numbers within the limit.
     repaired: bool,
 }
@@ -109,8 +109,8 @@ impl<const A: usize> FeatureWindow<A> {
         // The moments of axis i turn at hop −i, its powers half a round later: one turn per hop up to 12 axes.
         // The moments of axis i turn at hop −i, its powers half a round later: one turn per hop up to 12 axes.
         let mut round = self.frame;
-        let (block, frame) = (Place::new(self.block, 0), Place::new(self.frame, 0));
-        let mut hop = Hop { axis: 0, block, frame, repaired: false };
+        let (block, frame) = (RingPlace::new(self.block, 0), RingPlace::new(self.frame, 0));
+        let mut hop = HopBlocks { axis: 0, block, frame, repaired: false };
         for (axis, features) in self.axes.iter_mut().zip(&mut self.features) {
             let opposite = if round < FRAMES / 2 { round + FRAMES / 2 } else { round - FRAMES / 2 };
             (hop.block, hop.frame) = (block.with_in_back(round), frame.with_in_back(opposite));
@@ -170,7 +170,7 @@ impl Axis {
     #[inline(never)]
     fn advance<const A: usize>(
         &mut self,
-        hop: &Hop,
+        hop: &HopBlocks,
         stage: &mut [[f32; A]; HOP],
         features: &mut [f32; FEATURES_PER_AXIS],
     ) -> u32 {
@@ -212,12 +212,12 @@ impl Axis {
     #[inline(never)]
     fn repair_and_advance<const A: usize>(
         &mut self,
-        hop: &Hop,
+        hop: &HopBlocks,
         stage: &mut [[f32; A]; HOP],
         features: &mut [f32; FEATURES_PER_AXIS],
     ) -> u32 {
         let replaced = repair(stage, hop.axis, self.held);
-        self.advance(&Hop { repaired: true, ..*hop }, stage, features);
+        self.advance(&HopBlocks { repaired: true, ..*hop }, stage, features);
         replaced
     }
 }

@@ -1,6 +1,6 @@
-//! How the features of a window become inputs of a network.
+//! Which features a model reads, and how they become inputs of its network.
 //!
-//! A blob names its recipe by number, so a board can refuse one that it does not know. To add a recipe: give
+//! A blob names them by number (`recipe` in blob and wire), so a board can refuse one that it does not know. To add one: give
 //! it the next number here, say what it does in [`FeatureKind::transform`], and leave the others alone.
 
 use crate::right::network::FEATURES_PER_AXIS;
@@ -8,7 +8,7 @@ use crate::right::network::FEATURES_PER_AXIS;
 /// Smallest value that recipe 2 tells from zero, in the square of the axis' unit.
 pub const LOG_FLOOR: f32 = 1e-6;
 
-/// What happens to a feature before its affine scaling to int8.
+/// What a model reads, and what happens to a feature before its affine scaling to int8.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FeatureKind {
     /// 1: the paper's: features as they are.
@@ -20,7 +20,7 @@ pub enum FeatureKind {
 }
 
 impl FeatureKind {
-    /// The recipe with this number in a blob.
+    /// The kind with this number in a blob.
     pub const fn from_id(id: u8) -> Option<Self> {
         match id {
             1 => Some(Self::Raw),
@@ -30,7 +30,7 @@ impl FeatureKind {
         }
     }
 
-    /// The number of this recipe in a blob.
+    /// The number of this kind in a blob.
     pub const fn id(self) -> u8 {
         match self {
             Self::Raw => 1,
@@ -39,7 +39,7 @@ impl FeatureKind {
         }
     }
 
-    /// Features of a window of samples with so many axes; 0 if the recipe cannot use such samples.
+    /// Features of a window of samples with so many axes; 0 if it cannot use such samples.
     pub const fn feature_count(self, axes: usize) -> usize {
         match self {
             Self::Raw | Self::LogPower => FEATURES_PER_AXIS * axes,

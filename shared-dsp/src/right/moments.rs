@@ -7,7 +7,7 @@
 //! the end is bounded, whatever the signal did before.
 
 use crate::right::fft::HalfFrame;
-use crate::right::sliding::Place;
+use crate::right::sliding::RingPlace;
 
 /// Samples per block.
 const BLOCK: f32 = 8.0;
@@ -136,7 +136,7 @@ impl<const N: usize> SlidingMoments<N> {
 
     /// Takes a block; gives Σ(x − mean)², ³ and ⁴ over all samples of the last `N`.
     #[inline(always)]
-    pub fn push(&mut self, place: Place<N>, block: Block) -> (f32, f32, f32) {
+    pub fn push(&mut self, place: RingPlace<N>, block: Block) -> (f32, f32, f32) {
         if place.in_back() == 0 {
             self.turn(place.slot());
             self.back = Sums::about(block.first + block.offset);
@@ -292,7 +292,7 @@ impl<const BLOCKS: usize> SlidingSum<BLOCKS> {
 
     /// Replaces the oldest block by eight samples, each at most [`SAMPLE_LIMIT`] in magnitude.
     #[inline(always)]
-    pub fn push(&mut self, place: Place<BLOCKS>, samples: &[f32; 8]) {
+    pub fn push(&mut self, place: RingPlace<BLOCKS>, samples: &[f32; 8]) {
         // Between 2¹⁸ and 2¹⁹ floats are multiples of 1/32.
         const SPLITTER: f32 = 393_216.0;
         let split = |sample: f32| {

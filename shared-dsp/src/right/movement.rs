@@ -17,8 +17,9 @@
 //! gesture is for the usual window to say.
 
 use crate::right::aligned::Movement;
-use crate::right::decision::{GestureEvent, is_rest};
+use crate::right::decision::GestureEvent;
 use crate::right::network::MAX_LABELS;
+use shared_words::is_rest;
 
 /// Most hops that scores are averaged over.
 pub const MAX_AVERAGE_HOPS: usize = 8;

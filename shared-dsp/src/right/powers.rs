@@ -3,7 +3,7 @@
 //! Eight sums at a time fill half of the Cortex-M4F's floating-point registers, and moving them as blocks takes a third of
 //! the instructions that a compiler needs. So the two loops have an assembly twin, which adds in the same order.
 
-use crate::right::sliding::Place;
+use crate::right::sliding::RingPlace;
 
 /// Powers of bins 0 to 7, or a sum of such.
 pub type Bins = [f32; 8];
@@ -21,7 +21,7 @@ impl<const N: usize> SlidingPowers<N> {
 
     /// Takes a frame and writes the sums over the last `N`.
     #[inline(always)]
-    pub fn push(&mut self, place: Place<N>, frame: Bins, sums: &mut Bins) {
+    pub fn push(&mut self, place: RingPlace<N>, frame: Bins, sums: &mut Bins) {
         if place.in_back() == 0 {
             let (newer, older) = self.slots.split_at_mut(place.slot());
             let mut sum = [0.0; 8];
@@ -162,7 +162,7 @@ mod tests {
                 let value = (1u32 << step) as f32;
                 all.push(value);
                 let mut sums = [0.0; 8];
-                window.push(Place::new(step % 5, (step + turn) % 5), [value; 8], &mut sums);
+                window.push(RingPlace::new(step % 5, (step + turn) % 5), [value; 8], &mut sums);
                 if step >= 4 {
                     let expected: f32 = all[all.len() - 5..].iter().sum();
                     assert_eq!(sums, [expected; 8], "turn {turn}, step {step}");

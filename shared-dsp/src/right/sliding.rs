@@ -8,15 +8,15 @@
 
 /// What happens to a window of `N` pieces in one step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Place<const N: usize> {
+pub struct RingPlace<const N: usize> {
     // All below N: the compiler relies on it.
     slot: usize,
     oldest: usize,
     in_back: usize,
 }
 
-impl<const N: usize> Place<N> {
-    /// Place of a step that fills `slot`, which counts up modulo `N`.
+impl<const N: usize> RingPlace<N> {
+    /// RingPlace of a step that fills `slot`, which counts up modulo `N`.
     ///
     /// Before the step `in_back` pieces are in the back. At 0 the window turns: all pieces but the oldest are the
     /// front now. It counts up modulo `N` or `N` − 1; windows that are fed together should differ in it, so that their

@@ -1,8 +1,10 @@
 //! Who a board is, and what it is made of.
 
 use super::{FIRMWARE_MAX, Text};
+use core::fmt;
 use postcard::experimental::max_size::MaxSize;
 use serde::{Deserialize, Serialize};
+use shared_words::Hand;
 
 open_list! {
     /// Which hand a board is on, and which board it is.
@@ -19,6 +21,42 @@ open_list! {
         RightReplay = 4,
         /// Seeed XIAO nRF52840 Sense (LSM6DS3TR-C): gestures.
         RightXiao = 5,
+    }
+}
+
+impl Board {
+    /// Which hand it is for, if it is known.
+    pub const fn hand(self) -> Option<Hand> {
+        match self {
+            Self::LeftNano | Self::LeftReplay => Some(Hand::Left),
+            Self::RightNano33 | Self::RightNano33Rev2 | Self::RightXiao | Self::RightReplay => {
+                Some(Hand::Right)
+            }
+            Self::Unknown(_) => None,
+        }
+    }
+
+    /// Where its firmware is, below this project's root.
+    pub const fn folder(self) -> Option<&'static str> {
+        match self {
+            Self::LeftNano => Some("firmware-nano-avr/"),
+            Self::RightNano33 | Self::RightNano33Rev2 | Self::RightXiao => Some("firmware-nano33/"),
+            Self::LeftReplay | Self::RightReplay | Self::Unknown(_) => None,
+        }
+    }
+}
+
+impl fmt::Display for Board {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::LeftNano => "the left hand (Arduino Nano)",
+            Self::RightNano33 => "the right hand (Nano 33 BLE Sense)",
+            Self::RightNano33Rev2 => "the right hand (Nano 33 BLE Sense Rev2)",
+            Self::RightXiao => "the right hand (XIAO nRF52840 Sense)",
+            Self::LeftReplay => "the recorded left hand",
+            Self::RightReplay => "the recorded right hand",
+            Self::Unknown(number) => return write!(f, "a board of unknown kind {number}"),
+        })
     }
 }
 

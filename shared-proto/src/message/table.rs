@@ -271,6 +271,8 @@ mod tests {
     fn a_row_gives_number_size_and_place_in_the_enum() {
         assert_eq!((Warmth::NUMBER, <Bytes<'_, 4> as BoardBody>::NUMBER), (0, 1));
         assert_eq!(Warmth::FRAME_MAX, Said::ROWS[0].frame_max);
+        assert_eq!(Said::Warmth(Warmth { celsius: -3 }).row(), &Said::ROWS[0]);
+        assert_eq!(Said::Noise(Bytes(&[7])).row().boards, Boards::Right);
         let hush = Row { number: 0, name: "Hush", boards: Boards::Both, since: 0, frame_max: 7 };
         assert_eq!(Told::ROWS[0], hush);
         // Number, checksum, code byte and delimiter around 2 and 200 bytes; number and field around 1 and 5.

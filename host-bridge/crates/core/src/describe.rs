@@ -1,9 +1,10 @@
 //! Events as lines for people. Degrees appear here and nowhere deeper.
 
-use crate::bridge::{BridgeEvent, EventKind, GestureOutcome, HeadingName};
+use crate::bridge::{BridgeEvent, EventKind, GestureOutcome};
 use crate::observe::SessionEvent;
 use crate::safety::{HaltReason, Hand, Ignored, State};
 use crate::session::Summary;
+use shared_words::Heading;
 
 /// One line, without its time.
 pub fn text(event: &SessionEvent) -> String {
@@ -58,13 +59,13 @@ pub fn text(event: &SessionEvent) -> String {
         },
         EventKind::Released => "the stop is released".to_owned(),
         EventKind::Heading { heading, twist, .. } => match heading {
-            HeadingName::Neutral | HeadingName::Between => "left hand: base halts".to_owned(),
-            HeadingName::Forward | HeadingName::Backward => {
-                format!("left hand: {} at {:.2} m/s", heading_name(*heading), twist.linear_m_s.abs())
+            Heading::Neutral | Heading::Between => "left hand: base halts".to_owned(),
+            Heading::Forward | Heading::Backward => {
+                format!("left hand: {} at {:.2} m/s", heading.name(), twist.linear_m_s.abs())
             }
-            HeadingName::Left | HeadingName::Right => {
+            Heading::Left | Heading::Right => {
                 let speed_deg_s = twist.angular_rad_s.abs().to_degrees();
-                format!("left hand: turn {} at {speed_deg_s:.0}°/s", heading_name(*heading))
+                format!("left hand: turn {} at {speed_deg_s:.0}°/s", heading.name())
             }
         },
         EventKind::Caps { index, middle, cap } => {
@@ -124,18 +125,6 @@ pub fn time_ms(event: &SessionEvent) -> u64 {
         SessionEvent::RecordingEnded { time_ms, .. }
         | SessionEvent::Marked { time_ms, .. }
         | SessionEvent::EpisodeStopped { time_ms, .. } => *time_ms,
-    }
-}
-
-/// Name of a heading.
-pub fn heading_name(heading: HeadingName) -> &'static str {
-    match heading {
-        HeadingName::Neutral => "neutral",
-        HeadingName::Between => "between",
-        HeadingName::Forward => "forward",
-        HeadingName::Backward => "backward",
-        HeadingName::Left => "left",
-        HeadingName::Right => "right",
     }
 }
 

@@ -18,7 +18,7 @@ use crate::episodes::{Mark, MarkedBy, Tally};
 use crate::feel;
 use crate::intent::same_label;
 use crate::observe::{Now, OperatorKey, SessionEvent, Tap, Turn};
-use crate::safety::Hand;
+use crate::safety::{Hand, PerHand};
 use crate::source::{HandKey, Source};
 
 /// A set-up without an answer is sent again after this long.
@@ -30,13 +30,13 @@ pub struct Engine<'b, D> {
     door: D,
     /// The robot has moved up to here.
     moved_ms: u64,
-    sources: [Source<'b>; 2],
+    sources: PerHand<Source<'b>>,
     tilt: Option<TiltThresholds>,
     /// The right hand's wearer feels what happens.
     vibrates: bool,
     request: u16,
     /// What a hand's board is still to be told after its start.
-    set_ups: [Option<SetUp>; 2],
+    set_ups: PerHand<Option<SetUp>>,
     /// Labels that mark episodes.
     marks: Vec<(String, Mark)>,
     episodes: Tally,
@@ -62,9 +62,10 @@ enum Wanted {
 
 impl<'b, D: Door> Engine<'b, D> {
     /// An engine that starts at `now_ms`.
-    pub fn new(bridge: Bridge, door: D, sources: [Source<'b>; 2], now_ms: u64) -> Self {
-        let boards = [Hand::Left, Hand::Right].into_iter().zip(&sources);
-        let boards: Vec<Hand> = boards.filter(|(_, source)| source.is_link()).map(|(hand, _)| hand).collect();
+    pub fn new(bridge: Bridge, door: D, sources: impl Into<PerHand<Source<'b>>>, now_ms: u64) -> Self {
+        let sources = sources.into();
+        let boards = sources.iter().filter(|(_, source)| source.is_link());
+        let boards: Vec<Hand> = boards.map(|(hand, _)| hand).collect();
         let bridge = boards
             .into_iter()
             .fold(bridge, Bridge::awaiting)
@@ -77,7 +78,7 @@ impl<'b, D: Door> Engine<'b, D> {
             tilt: None,
             vibrates: false,
             request: 0,
-            set_ups: [None; 2],
+            set_ups: PerHand::default(),
             marks: Vec::new(),
             episodes: Tally::default(),
             marked: Vec::new(),
@@ -137,14 +138,14 @@ impl<'b, D: Door> Engine<'b, D> {
 
     /// A key of those that stand for a hand.
     pub fn press(&mut self, key: HandKey, now_ms: u64) {
-        for source in &mut self.sources {
+        for source in self.sources.values_mut() {
             source.press(key, now_ms);
         }
     }
 
     /// Such a key is up.
     pub fn release_hand_key(&mut self, key: HandKey) {
-        for source in &mut self.sources {
+        for source in self.sources.values_mut() {
             source.release(key);
         }
     }
@@ -218,13 +219,14 @@ impl<'b, D: Door> Engine<'b, D> {
 
     /// Lets the time become `now_ms`; call it every few milliseconds. `ready` says which hands' links
     /// take bytes now. What happened comes back; what is to be sent waits in [`Engine::take_outgoing`].
-    pub fn advance(&mut self, now_ms: u64, ready: [bool; 2]) -> Vec<SessionEvent> {
+    pub fn advance(&mut self, now_ms: u64, ready: impl Into<PerHand<bool>>) -> Vec<SessionEvent> {
+        let ready = ready.into();
         // First what has passed: after a pause of this program the robot has stopped by itself.
         self.move_on(now_ms.saturating_sub(self.moved_ms));
         let mut happened = Vec::new();
-        for hand in [Hand::Left, Hand::Right] {
+        for hand in Hand::BOTH {
             self.play(hand, now_ms, &mut happened);
-            if ready[hand as usize] || !self.sources[hand as usize].is_link() {
+            if ready[hand] || !self.sources[hand].is_link() {
                 let wanted = [self.bridge.poll(hand, now_ms), self.bridge.ping(hand, now_ms)];
                 for message in wanted.into_iter().flatten() {
                     self.send(hand, &message, now_ms);
@@ -247,9 +249,9 @@ impl<'b, D: Door> Engine<'b, D> {
                 self.mark(*mark, MarkedBy::Gesture, now_ms);
             }
         }
-        self.feel(&events, ready[Hand::Right as usize], now_ms);
-        for hand in [Hand::Left, Hand::Right] {
-            if ready[hand as usize] {
+        self.feel(&events, ready.right, now_ms);
+        for hand in Hand::BOTH {
+            if ready[hand] {
                 self.set_up(hand, now_ms);
             }
         }
@@ -265,12 +267,12 @@ impl<'b, D: Door> Engine<'b, D> {
 
     /// Every hand that is played has come to its end.
     pub fn ended(&self) -> bool {
-        self.sources.iter().all(Source::ended)
+        self.sources.iter().all(|(_, source)| source.ended())
     }
 
     /// The frames that wait for a hand's board.
     pub fn take_outgoing(&mut self, hand: Hand) -> Vec<Vec<u8>> {
-        match &mut self.sources[hand as usize] {
+        match &mut self.sources[hand] {
             Source::Link(frames) => std::mem::take(frames),
             _ => Vec::new(),
         }
@@ -278,22 +280,22 @@ impl<'b, D: Door> Engine<'b, D> {
 
     fn want(&mut self, hand: Hand, what: Wanted) {
         self.request = self.request.wrapping_add(1);
-        self.set_ups[hand as usize] = Some(SetUp { request: self.request, sent_ms: None, what });
+        self.set_ups[hand] = Some(SetUp { request: self.request, sent_ms: None, what });
     }
 
     /// A left board that has just started gets the thresholds, and any board is called back from record mode. Asked until
     /// it answers.
     fn set_up(&mut self, hand: Hand, now_ms: u64) {
-        let Some(SetUp { request, what, .. }) = self.set_ups[hand as usize] else { return };
+        let Some(SetUp { request, what, .. }) = self.set_ups[hand] else { return };
         let answered = self.bridge.last_ack(hand).is_some_and(|ack| ack.request == request);
-        if answered || !self.sources[hand as usize].is_link() {
-            self.set_ups[hand as usize] = None;
+        if answered || !self.sources[hand].is_link() {
+            self.set_ups[hand] = None;
             if !answered || what == Wanted::Classify {
                 return;
             }
             self.want(hand, Wanted::Classify);
         }
-        let Some(set_up) = &mut self.set_ups[hand as usize] else { return };
+        let Some(set_up) = &mut self.set_ups[hand] else { return };
         if set_up.sent_ms.is_some_and(|sent| now_ms.saturating_sub(sent) < SET_UP_INTERVAL_MS) {
             return;
         }
@@ -318,7 +320,7 @@ impl<'b, D: Door> Engine<'b, D> {
         let Ok(frame) = encode_host(message, &mut buffer) else { return };
         self.tap.show(|observer| observer.sent(now_ms, hand, frame));
         let mut wire = Vec::new();
-        match &mut self.sources[hand as usize] {
+        match &mut self.sources[hand] {
             Source::Nobody => {}
             // The delimiter ends what noise has left on the line: without answers to pings nothing arms.
             Source::Link(frames) => frames.push([&[DELIMITER], frame].concat()),
@@ -331,7 +333,7 @@ impl<'b, D: Door> Engine<'b, D> {
 
     fn play(&mut self, hand: Hand, now_ms: u64, happened: &mut Vec<SessionEvent>) {
         let mut wire = Vec::new();
-        if let Source::Here { hand: played, end_noted } = &mut self.sources[hand as usize] {
+        if let Source::Here { hand: played, end_noted } = &mut self.sources[hand] {
             played.step(now_ms, &mut wire);
             if let Some(sample) = played.sample().filter(|_| !self.tap.is_idle()) {
                 self.tap.show(|observer| observer.sampled(now_ms, &sample));

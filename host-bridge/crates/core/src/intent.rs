@@ -1,5 +1,7 @@
 //! From what the hands say to what the robot should do. Pure: no time, no links.
 
+pub use shared_words::is_rest;
+
 use serde::{Deserialize, Serialize};
 use shared_proto::message::Heading;
 
@@ -180,11 +182,6 @@ impl MotionMap {
         let wanted = mappings.iter().filter_map(|m| m.split_once('=')).map(|(label, _)| label.trim());
         wanted.filter(|w| !labels.iter().any(|l| same_label(l, w))).map(str::to_owned).collect()
     }
-}
-
-/// `idle` and `other`: the hand rests, or does what is no gesture.
-pub fn is_rest(label: &str) -> bool {
-    same_label(label, "idle") || same_label(label, "other")
 }
 
 /// Labels are compared without case and punctuation: `leftright` = `left-right` = `Left_Right`.

@@ -18,8 +18,7 @@ use shared_proto::clock::{BoardClock, DRIFT_PPM};
 use shared_proto::counter::{CounterTracker, Order, SequenceTracker};
 use shared_proto::frame::{BOARD_FRAME_MAX, Counters, Decoder};
 use shared_proto::message::{
-    About, Ack, Board, BoardMessage, Fault, Hello, HostMessage, LeftState, ModelInfo, Pong, RightState,
-    health,
+    About, Ack, BoardMessage, Fault, Hello, HostMessage, LeftState, ModelInfo, Pong, RightState,
 };
 use shared_proto::version;
 
@@ -101,7 +100,7 @@ pub struct RightReport {
     pub age_ms: u64,
     /// Board clock at the newest sample.
     pub board_time_ms: u32,
-    /// Bits of [`health`].
+    /// Bits of [`shared_words::health`].
     pub health: u8,
     /// Probability of each label, 0 to 1; empty until the first window is full.
     pub scores: Vec<f32>,
@@ -122,11 +121,6 @@ pub struct NewGesture {
     pub age_ms: u64,
     /// Gestures before it whose label nobody will know: their frames were lost.
     pub unnamed: u8,
-}
-
-/// May one act on a state with these health flags?
-pub fn is_healthy(flags: u8) -> bool {
-    flags & !health::DEFAULT_CALIBRATION == 0
 }
 
 /// Frames that came and what became of them.
@@ -336,7 +330,7 @@ impl HandLink {
     }
 
     fn hello(&mut self, hello: &Hello<'_>) -> Option<Heard> {
-        let problem = match (version::check(hello), hand_of(hello.board)) {
+        let problem = match (version::check(hello), hello.board.hand()) {
             (Err(mismatch), _) => Some(mismatch.to_string()),
             (Ok(_), Some(hand)) if hand != self.hand => Some(format!(
                 "{} answers where the {} hand is expected: swap the ports",
@@ -477,15 +471,4 @@ pub fn printable(text: &str) -> String {
             || matches!(c, '\u{200e}'..='\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
     };
     text.chars().map(|c| if obeyed(c) { char::REPLACEMENT_CHARACTER } else { c }).collect()
-}
-
-/// Which hand a board is for, if it is known.
-pub fn hand_of(board: Board) -> Option<Hand> {
-    match board {
-        Board::LeftNano | Board::LeftReplay => Some(Hand::Left),
-        Board::RightNano33 | Board::RightNano33Rev2 | Board::RightXiao | Board::RightReplay => {
-            Some(Hand::Right)
-        }
-        _ => None,
-    }
 }

@@ -24,11 +24,12 @@ use host_robot::{
 };
 use serde::Serialize;
 
-use crate::bridge::{Accepted, Bridge, BridgeEvent, Drops, HeadingName};
+use crate::bridge::{Accepted, Bridge, BridgeEvent, Drops};
 use crate::episodes::{Mark, MarkedBy, Told};
 use crate::intent::{Caps, SpeedRules};
 use crate::link::LinkCounters;
 use crate::safety::{Hand, State};
+use shared_words::Heading;
 
 /// Looks on. See the module for what an observer may do.
 pub trait Observer {
@@ -220,7 +221,7 @@ pub struct LeftSnapshot {
     /// Tilt about the forward axis, positive = left.
     pub roll_rad: f64,
     /// What the tilt means, whether or not it acts.
-    pub heading: HeadingName,
+    pub heading: Heading,
     /// Bends of the index finger since the board's start, wrapping.
     pub index_bends: u8,
     /// Bends of the middle finger since the board's start, wrapping.
@@ -261,7 +262,7 @@ impl Snapshot {
                 link: link(Hand::Left, left.health),
                 pitch_rad: f64::from(left.pitch_mrad) / 1000.0,
                 roll_rad: f64::from(left.roll_mrad) / 1000.0,
-                heading: left.heading.into(),
+                heading: left.heading,
                 index_bends: left.index_bends,
                 middle_bends: left.middle_bends,
                 stop: left.stop,

@@ -11,7 +11,7 @@ use crate::intent::{Caps, MotionMap};
 use crate::latency::{DelaySummary, Delays};
 use crate::link::LinkCounters;
 use crate::observe::{Now, SessionEvent, Tap};
-use crate::safety::{HaltReason, Hand};
+use crate::safety::{HaltReason, Hand, PerHand};
 use crate::source::Source;
 
 /// After the last recording has ended, the robot has this long to come to rest.
@@ -21,7 +21,7 @@ const TAIL_MS: u64 = 3000;
 pub struct Session<'b, D> {
     engine: Engine<'b, D>,
     now_ms: u64,
-    takes_part: [bool; 2],
+    takes_part: PerHand<bool>,
     gesture_to_arm: Delays,
     tilt_to_wheels: Delays,
     ended_ms: Option<u64>,
@@ -30,8 +30,9 @@ pub struct Session<'b, D> {
 
 impl<'b, D: Door> Session<'b, D> {
     /// Hands, of which either may be missing, a bridge with this map, and a robot behind its door.
-    pub fn new(sources: [Source<'b>; 2], map: MotionMap, door: D) -> Self {
-        let takes_part = [sources[0].is_there(), sources[1].is_there()];
+    pub fn new(sources: impl Into<PerHand<Source<'b>>>, map: MotionMap, door: D) -> Self {
+        let sources = sources.into();
+        let takes_part = PerHand::of(|hand| sources[hand].is_there());
         Session {
             engine: Engine::new(Bridge::new(map), door, sources, 0),
             now_ms: 0,
@@ -94,7 +95,7 @@ impl<'b, D: Door> Session<'b, D> {
 
     /// Lets one millisecond pass, the first one at 0; what happened in it.
     pub fn step(&mut self) -> Vec<SessionEvent> {
-        let events = self.engine.advance(self.now_ms, [false; 2]);
+        let events = self.engine.advance(self.now_ms, PerHand::default());
         let picture = self.door().picture();
         if !picture.arm.at_rest() {
             self.gesture_to_arm.moved(self.now_ms);
@@ -162,7 +163,7 @@ impl<'b, D: Door> Session<'b, D> {
             }
         }
         let bridge = self.bridge();
-        let counters = |hand: Hand| self.takes_part[hand as usize].then(|| bridge.link(hand).counters());
+        let counters = |hand: Hand| self.takes_part[hand].then(|| bridge.link(hand).counters());
         let picture = self.door().picture();
         Summary {
             seconds: self.now_ms as f64 / 1000.0,

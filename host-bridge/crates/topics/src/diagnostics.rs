@@ -2,7 +2,7 @@
 
 use crate::message::{DiagnosticArray, DiagnosticStatus, Header, KeyValue, Time};
 use host_core::bridge::{Bridge, BridgeEvent, EventKind};
-use host_core::safety::{Hand, State};
+use host_core::safety::{Hand, PerHand, State};
 
 /// Repeated this often where nothing happens.
 pub const INTERVAL_MS: u64 = 1000;
@@ -15,7 +15,7 @@ pub struct Diagnostics {
     gesture: Option<(String, f32, u64, String)>,
     motion: Option<String>,
     labels: Vec<String>,
-    hardware: [String; 2],
+    hardware: PerHand<String>,
     due: bool,
     published_ms: Option<u64>,
 }
@@ -25,7 +25,7 @@ impl Diagnostics {
     pub fn note(&mut self, event: &BridgeEvent) {
         match &event.kind {
             EventKind::HandStarted { hand, identity } => {
-                self.hardware[*hand as usize] = format!("{} {:08x}", identity.board, identity.boot_id);
+                self.hardware[*hand] = format!("{} {:08x}", identity.board, identity.boot_id);
             }
             EventKind::Model { model, .. } => self.labels.clone_from(&model.labels),
             EventKind::Gesture { label, confidence, age_ms, outcome, .. } => {
@@ -107,7 +107,7 @@ impl Diagnostics {
         let heading = heading.and_then(|h| h.as_str().map(str::to_owned)).unwrap_or_default();
         let values =
             vec![value("heading", heading), value("pitch_mrad", pitch_mrad), value("roll_mrad", roll_mrad)];
-        part("left hand", level, message, &self.hardware[0], values)
+        part("left hand", level, message, &self.hardware.left, values)
     }
 
     fn right(&self, bridge: &Bridge) -> DiagnosticStatus {
@@ -117,7 +117,7 @@ impl Diagnostics {
         let battery_mv = bridge.link(Hand::Right).battery_mv();
         let battery = battery_mv.map(|mv| format!("{:.2}", f64::from(mv) / 1000.0));
         values.push(value("battery_v", battery.unwrap_or_else(|| "unknown".to_owned())));
-        part("right hand", level, message, &self.hardware[1], values)
+        part("right hand", level, message, &self.hardware.right, values)
     }
 
     fn gesture(&self) -> Option<DiagnosticStatus> {

@@ -252,7 +252,7 @@ impl Origin {
             safety: safety(bridge),
             pitch_rad: f64::from(left.pitch_mrad) / 1000.0,
             roll_rad: f64::from(left.roll_mrad) / 1000.0,
-            heading: describe::heading_name(left.heading.into()).to_owned(),
+            heading: left.heading.name().to_owned(),
             both_fingers: left.stop,
             labels: bridge.link(Hand::Right).model().map_or(Vec::new(), |model| model.labels.clone()),
             scores: bridge.scores().to_vec(),
@@ -311,7 +311,7 @@ fn intent(kind: &EventKind, header: &Header) -> Option<Intent> {
     let (hand, confidence, age_ms, [linear_m_s, angular_rad_s], name, outcome) = match kind {
         EventKind::Heading { heading, twist, age_ms, .. } => {
             let speed = [twist.linear_m_s, twist.angular_rad_s];
-            ("left", 1.0, *age_ms, speed, describe::heading_name(*heading), "drive".to_owned())
+            ("left", 1.0, *age_ms, speed, heading.name(), "drive".to_owned())
         }
         EventKind::Caps { cap, .. } => ("left", 1.0, 0, [*cap, *cap], "cap", "cap".to_owned()),
         EventKind::Gesture { label, confidence, age_ms, outcome, .. } => {

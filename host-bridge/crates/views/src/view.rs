@@ -10,7 +10,6 @@ use crossterm::terminal::{
     Clear, ClearType, EnterAlternateScreen, LeaveAlternateScreen, disable_raw_mode, enable_raw_mode, size,
 };
 use crossterm::{cursor, execute, queue};
-use host_core::describe;
 use host_core::observe::{LinkSnapshot, Snapshot};
 use host_core::safety::State;
 use host_robot::Leg;
@@ -155,7 +154,7 @@ impl View {
                 live(&left.link),
                 left.pitch_rad.to_degrees(),
                 left.roll_rad.to_degrees(),
-                describe::heading_name(left.heading),
+                left.heading.name(),
                 snapshot.caps.linear_m_s
             ),
         ));

@@ -74,7 +74,7 @@ pub enum EventKind {
     /// The left hand points elsewhere.
     Heading {
         /// Where.
-        heading: HeadingName,
+        heading: Heading,
         /// Speed that follows.
         twist: Twist,
         /// Board clock at the sample.
@@ -156,37 +156,6 @@ pub enum EventKind {
         /// What and why.
         what: Ignored,
     },
-}
-
-/// [`Heading`] as text.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum HeadingName {
-    /// Halt.
-    Neutral,
-    /// Halt.
-    Between,
-    /// Forward.
-    Forward,
-    /// Backward.
-    Backward,
-    /// Turn left.
-    Left,
-    /// Turn right.
-    Right,
-}
-
-impl From<Heading> for HeadingName {
-    fn from(heading: Heading) -> Self {
-        match heading {
-            Heading::Neutral => HeadingName::Neutral,
-            Heading::Between => HeadingName::Between,
-            Heading::Forward => HeadingName::Forward,
-            Heading::Backward => HeadingName::Backward,
-            Heading::Left => HeadingName::Left,
-            Heading::Right => HeadingName::Right,
-        }
-    }
 }
 
 /// What follows from a gesture.

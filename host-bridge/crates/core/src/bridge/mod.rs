@@ -4,17 +4,17 @@ mod accepted;
 mod events;
 
 pub use accepted::{Acceptance, Accepted};
-pub use events::{BridgeEvent, Drops, EventKind, GestureOutcome, HeadingName};
+pub use events::{BridgeEvent, Drops, EventKind, GestureOutcome};
 
-use shared_proto::message::{Ack, Heading, HostMessage, LeftState};
+use shared_proto::message::{Ack, Heading, HostMessage, LeftState, health};
 
 use accepted::Acceptances;
 use host_robot::{Busy, Door, MotionName, NotStarted, Part, Report, Twist};
 
 use crate::doubt;
 use crate::intent::{Caps, MotionMap, SpeedRules, is_rest};
-use crate::link::{HandLink, Heard, NewGesture, RightReport, is_healthy};
-use crate::safety::{self, Action, Hand, Ignored, Safety, SafetyTimes, State};
+use crate::link::{HandLink, Heard, NewGesture, RightReport};
+use crate::safety::{self, Action, Hand, Ignored, PerHand, Safety, SafetyTimes, State};
 
 /// The base's speed is repeated this often, so that the robot knows that the bridge lives.
 pub const DRIVE_INTERVAL_MS: u64 = 20;
@@ -22,8 +22,7 @@ pub const DRIVE_INTERVAL_MS: u64 = 20;
 /// The bridge.
 #[derive(Clone, Debug)]
 pub struct Bridge {
-    left: HandLink,
-    right: HandLink,
+    links: PerHand<HandLink>,
     safety: Safety,
     caps: Caps,
     map: MotionMap,
@@ -35,9 +34,9 @@ pub struct Bridge {
     driven: (Twist, u64),
     events: Vec<BridgeEvent>,
     heard: Vec<Heard>,
-    last_acks: [Option<Ack>; 2],
+    last_acks: PerHand<Option<Ack>>,
     /// Flags that were told.
-    told_health: [u8; 2],
+    told_health: PerHand<u8>,
     acceptances: Acceptances,
     /// Why the robot itself refuses to move.
     refusal: Option<String>,
@@ -63,8 +62,7 @@ impl Bridge {
     /// The same with other limits.
     pub fn with(map: MotionMap, speed: SpeedRules, times: SafetyTimes) -> Self {
         Bridge {
-            left: HandLink::new(Hand::Left),
-            right: HandLink::new(Hand::Right),
+            links: PerHand::of(HandLink::new),
             safety: Safety::with(times),
             caps: Caps::new(speed),
             map,
@@ -76,8 +74,8 @@ impl Bridge {
             driven: (Twist::ZERO, 0),
             events: Vec::new(),
             heard: Vec::new(),
-            last_acks: [None; 2],
-            told_health: [0; 2],
+            last_acks: PerHand::default(),
+            told_health: PerHand::default(),
             acceptances: Acceptances::default(),
             refusal: None,
             restriction: None,
@@ -158,7 +156,7 @@ impl Bridge {
     /// Lets time pass; must be called every few milliseconds, whether or not bytes came.
     pub fn step(&mut self, now_ms: u64, robot: &mut dyn Door) {
         self.apply(safety::Event::Tick, now_ms, robot);
-        for hand in [Hand::Left, Hand::Right] {
+        for hand in Hand::BOTH {
             // Before the first state there is the 250 ms of the dead-man for the first answer.
             if self.safety.live(hand) && self.link(hand).stopped_answering(now_ms) {
                 self.apply(safety::Event::Unanswered(hand), now_ms, robot);
@@ -196,7 +194,7 @@ impl Bridge {
 
     /// A hand's newest answer to a request (hellos and pongs are none).
     pub fn last_ack(&self, hand: Hand) -> Option<Ack> {
-        self.last_acks[hand as usize]
+        self.last_acks[hand]
     }
 
     /// The operator's stop: a key, a button.
@@ -227,10 +225,7 @@ impl Bridge {
 
     /// The link of one hand.
     pub fn link(&self, hand: Hand) -> &HandLink {
-        match hand {
-            Hand::Left => &self.left,
-            Hand::Right => &self.right,
-        }
+        &self.links[hand]
     }
 
     /// The caps now.
@@ -259,9 +254,9 @@ impl Bridge {
     }
 
     /// The left hand's newest pitch and roll in milliradians, and its heading (whether or not it acts).
-    pub fn left_hand(&self) -> (i16, i16, HeadingName) {
+    pub fn left_hand(&self) -> (i16, i16, Heading) {
         let LeftState { pitch_mrad, roll_mrad, heading, .. } = self.left_state;
-        (pitch_mrad, roll_mrad, heading.into())
+        (pitch_mrad, roll_mrad, heading)
     }
 
     /// The left hand's newest state as received, late or not.
@@ -275,10 +270,7 @@ impl Bridge {
     }
 
     fn link_mut(&mut self, hand: Hand) -> &mut HandLink {
-        match hand {
-            Hand::Left => &mut self.left,
-            Hand::Right => &mut self.right,
-        }
+        &mut self.links[hand]
     }
 
     fn note(&mut self, time_ms: u64, kind: EventKind) {
@@ -314,8 +306,8 @@ impl Bridge {
                 let before = command(self.safety.heading());
                 let event = safety::Event::Left {
                     age_ms,
-                    prompt: self.left.is_prompt(self.safety.times().prompt_ms(), now_ms),
-                    healthy: is_healthy(state.health),
+                    prompt: self.links.left.is_prompt(self.safety.times().prompt_ms(), now_ms),
+                    healthy: health::is_fit(state.health),
                     heading: state.heading,
                     index_bends,
                     middle_bends,
@@ -327,7 +319,7 @@ impl Bridge {
                 // A halt has its own event.
                 if self.safety.state() == State::Armed && command(heading) != before {
                     let event = EventKind::Heading {
-                        heading: heading.into(),
+                        heading,
                         twist: self.twist(),
                         sample_board_ms: state.board_time_ms,
                         age_ms,
@@ -341,20 +333,20 @@ impl Bridge {
                 let fault = format!("{:?} (detail {:#x})", fault.kind, fault.detail);
                 self.note(now_ms, EventKind::BoardFault { hand, fault });
             }
-            Heard::Ack(ack) => self.last_acks[hand as usize] = Some(ack),
+            Heard::Ack(ack) => self.last_acks[hand] = Some(ack),
         }
     }
 
     /// A hand in doubt says why, before it halts anything.
     fn tell_health(&mut self, hand: Hand, flags: u8, now_ms: u64) {
-        if std::mem::replace(&mut self.told_health[hand as usize], flags) != flags {
+        if std::mem::replace(&mut self.told_health[hand], flags) != flags {
             self.note(now_ms, EventKind::HandHealth { hand, flags, reasons: doubt::reasons(flags) });
         }
     }
 
     fn right(&mut self, report: RightReport, now_ms: u64, robot: &mut dyn Door) {
         self.tell_health(Hand::Right, report.health, now_ms);
-        let labels = self.right.model().map_or(&[][..], |model| &model.labels);
+        let labels = self.links.right.model().map_or(&[][..], |model| &model.labels);
         let resting = rests(labels, &report.scores);
         let label = |new: NewGesture| labels.get(usize::from(new.label)).cloned();
         let named = report.gesture.and_then(|new| label(new).map(|label| (new, label)));
@@ -371,8 +363,8 @@ impl Bridge {
         self.right_health = report.health;
         let event = safety::Event::Right {
             age_ms: report.age_ms,
-            prompt: self.right.is_prompt(self.safety.times().prompt_ms(), now_ms),
-            healthy: is_healthy(report.health),
+            prompt: self.links.right.is_prompt(self.safety.times().prompt_ms(), now_ms),
+            healthy: health::is_fit(report.health),
             resting,
             gesture,
         };
@@ -445,7 +437,7 @@ impl Bridge {
     }
 
     fn start(&mut self, label: u8, now_ms: u64, robot: &mut dyn Door) -> GestureOutcome {
-        let name = self.right.model().and_then(|model| model.labels.get(usize::from(label)));
+        let name = self.links.right.model().and_then(|model| model.labels.get(usize::from(label)));
         let Some(motion) = name.and_then(|name| self.map.motion(name)).cloned() else {
             return GestureOutcome::NoMotion;
         };

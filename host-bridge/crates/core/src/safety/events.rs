@@ -3,26 +3,7 @@
 use serde::Serialize;
 use shared_proto::message::Heading;
 
-use super::State;
-
-/// Which hand.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Hand {
-    /// Tilt and bends: the base.
-    Left,
-    /// Gestures: the arm.
-    Right,
-}
-
-impl std::fmt::Display for Hand {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(match self {
-            Hand::Left => "left",
-            Hand::Right => "right",
-        })
-    }
-}
+use super::{Hand, State};
 
 /// A gesture that a state reported for the first time.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -18,7 +18,8 @@
 
 mod events;
 
-pub use events::{Action, Event, Gesture, HaltReason, Hand, Ignored};
+pub use events::{Action, Event, Gesture, HaltReason, Ignored};
+pub use shared_words::{Hand, PerHand};
 
 use serde::{Deserialize, Serialize};
 use shared_proto::message::Heading;
@@ -367,7 +368,7 @@ impl Safety {
 
     fn watch_the_clock(&mut self, actions: &mut Vec<Action>) {
         let (now_ms, stale_ms) = (self.now_ms, self.times.stale_ms);
-        for hand in [Hand::Left, Hand::Right] {
+        for hand in Hand::BOTH {
             let watch = self.watch_mut(hand);
             if watch.connected && watch.live && now_ms.saturating_sub(watch.sample_ms) >= stale_ms {
                 watch.lose(now_ms);

@@ -3,12 +3,12 @@
 use host_core::observe::Sample;
 use shared_board::Identity;
 use shared_board::memory::RamEeprom;
-use shared_dsp::left::calibration::{Calibration, CalibrationStep as CaptureStep, CaptureError};
+use shared_dsp::left::calibration::{Calibration, CaptureError, CaptureStep};
 use shared_dsp::left::flex::bend_permille;
-use shared_dsp::left::tilt::TiltThresholds;
 use shared_dsp::left::{LeftHand, OVERSAMPLING};
 use shared_proto::frame::{HOST_TO_LEFT_FRAME_MAX, encode_host};
 use shared_proto::message::{Board as BoardKind, CalibrationStep, HostMessage};
+use shared_words::TiltThresholds;
 
 use super::Board;
 use super::virtual_board::{PERIOD_MS, VirtualLeft};

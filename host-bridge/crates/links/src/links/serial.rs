@@ -44,7 +44,7 @@ impl Default for SerialSettings {
 
 /// The sending end, and what is known of the other side.
 #[derive(Default)]
-struct Line {
+struct Sending {
     port: Option<Box<dyn SerialPort>>,
     opened_ms: u64,
     /// Somebody has spoken who is no bootloader.
@@ -58,7 +58,7 @@ pub struct SerialLink {
     port: String,
     settings: SerialSettings,
     clock: Arc<dyn Clock>,
-    line: Arc<Mutex<Line>>,
+    line: Arc<Mutex<Sending>>,
     ended: Arc<AtomicBool>,
     waker: Waker,
     thread: Option<JoinHandle<()>>,
@@ -73,7 +73,7 @@ impl SerialLink {
         clock: Arc<dyn Clock>,
         events: EventSender<I>,
     ) -> Self {
-        let line = Arc::new(Mutex::new(Line::default()));
+        let line = Arc::new(Mutex::new(Sending::default()));
         let ended = Arc::new(AtomicBool::new(false));
         let waiter = clock.waiter();
         let waker = waiter.waker();
@@ -128,7 +128,7 @@ impl Drop for SerialLink {
 }
 
 /// A panic elsewhere does not make a port unusable.
-fn lock(line: &Mutex<Line>) -> MutexGuard<'_, Line> {
+fn lock(line: &Mutex<Sending>) -> MutexGuard<'_, Sending> {
     line.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
 }
 
@@ -138,7 +138,7 @@ struct Reader<I> {
     port: String,
     settings: SerialSettings,
     clock: Arc<dyn Clock>,
-    line: Arc<Mutex<Line>>,
+    line: Arc<Mutex<Sending>>,
     ended: Arc<AtomicBool>,
     events: EventSender<I>,
 }
@@ -198,7 +198,7 @@ impl<I: Copy> Reader<I> {
         // What waited in the port's buffer is old.
         port.clear(serialport::ClearBuffer::Input).map_err(explain)?;
         *lock(&self.line) =
-            Line { port: Some(writer), opened_ms: self.clock.now_ms(), awake: false, cut: false };
+            Sending { port: Some(writer), opened_ms: self.clock.now_ms(), awake: false, cut: false };
         Ok(port)
     }
 

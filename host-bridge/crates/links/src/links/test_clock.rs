@@ -25,12 +25,12 @@ pub struct TestClock {
 struct State {
     now_ms: u64,
     /// Who takes part.
-    seats: Vec<Place>,
+    seats: Vec<Sitter>,
     next: u64,
 }
 
 #[derive(Debug)]
-struct Place {
+struct Sitter {
     number: u64,
     /// Waits for this time; a time that has come means that the thread is at work.
     until_ms: u64,
@@ -39,7 +39,7 @@ struct Place {
 }
 
 impl State {
-    fn place(&mut self, number: u64) -> &mut Place {
+    fn place(&mut self, number: u64) -> &mut Sitter {
         self.seats
             .iter_mut()
             .find(|place| place.number == number)
@@ -77,7 +77,7 @@ impl TestClock {
         let mut state = self.lock();
         let number = state.next;
         state.next += 1;
-        state.seats.push(Place { number, until_ms: 0, rung: false });
+        state.seats.push(Sitter { number, until_ms: 0, rung: false });
         Seat { clock: self, number }
     }
 

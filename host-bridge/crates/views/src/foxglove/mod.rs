@@ -26,7 +26,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use crate::web::gate::Gate;
-use crate::web::server::{Bound, Name, Place, Server};
+use crate::web::server::{Bound, Name, Seat, Server};
 use crate::web::{WebError, WebOptions, client, http};
 use host_topics::{Entry, Origin, Outlet, Teller, Topic};
 
@@ -66,13 +66,13 @@ struct Shared {
     origins: Vec<String>,
     /// Tells one session from another after a reconnect.
     session: u64,
-    lines: Mutex<Vec<Line>>,
+    lines: Mutex<Vec<QueueEnd>>,
     over: AtomicBool,
     viewers: AtomicUsize,
 }
 
 /// The session's end of a viewer's queue.
-struct Line {
+struct QueueEnd {
     sender: SyncSender<Arc<Entry>>,
     seen: Arc<Seen>,
 }
@@ -94,7 +94,7 @@ impl Seen {
 
 /// Takes the lines of viewers off that have left, whether or not they ever wanted anything: only the list still
 /// knows of them.
-fn forget_gone(lines: &mut Vec<Line>) {
+fn forget_gone(lines: &mut Vec<QueueEnd>) {
     lines.retain(|line| Arc::strong_count(&line.seen) > 1);
 }
 
@@ -104,7 +104,7 @@ impl Shared {
         let (sender, queue) = sync_channel(QUEUE);
         let mut lines = self.lines.lock().unwrap_or_else(PoisonError::into_inner);
         forget_gone(&mut lines);
-        lines.push(Line { sender, seen: seen.clone() });
+        lines.push(QueueEnd { sender, seen: seen.clone() });
         queue
     }
 }
@@ -203,7 +203,7 @@ impl Drop for Foxglove {
     }
 }
 
-fn serve(stream: TcpStream, place: &Place, shared: &Shared) {
+fn serve(stream: TcpStream, place: &Seat, shared: &Shared) {
     http::with_request(stream, |mut stream, request, rest| {
         if let Err(refused) = shared.gate.look(&request.claims, &shared.origins) {
             return http::refuse(&mut stream, refused);

@@ -12,7 +12,7 @@ use tungstenite::{Error, Message, WebSocket};
 
 use super::protocol::{Subscriptions, advertise, message_data, server_info, warning};
 use super::{QUEUE, Seen, Shared};
-use crate::web::server::{Counted, Place};
+use crate::web::server::{Counted, Seat};
 use host_topics::{Entry, Origin};
 
 /// The thread looks for news this often; what the viewer says wakes it at once.
@@ -22,7 +22,7 @@ const TURN: Duration = Duration::from_millis(4);
 const MESSAGE_MAX: usize = 1 << 16;
 
 /// Serves a viewer until it goes or the session ends. `rest` came behind the request.
-pub fn run(stream: TcpStream, rest: Vec<u8>, place: &Place, shared: &Shared) {
+pub fn run(stream: TcpStream, rest: Vec<u8>, place: &Seat, shared: &Shared) {
     let _counted = Counted::new(&shared.viewers);
     place.looks_on();
     if stream.set_read_timeout(Some(TURN)).is_err() {
@@ -41,7 +41,7 @@ pub fn run(stream: TcpStream, rest: Vec<u8>, place: &Place, shared: &Shared) {
 
 struct Viewer<'a> {
     socket: WebSocket<TcpStream>,
-    place: &'a Place,
+    place: &'a Seat,
     shared: &'a Shared,
     queue: Receiver<Arc<Entry>>,
     seen: Arc<Seen>,

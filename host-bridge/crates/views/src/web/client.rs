@@ -10,7 +10,7 @@ use tungstenite::protocol::{Role, WebSocketConfig};
 use tungstenite::{Error, Message, WebSocket};
 
 use super::history::Told;
-use super::server::Place;
+use super::server::Seat;
 use super::{Counted, IN_FLIGHT_MAX, Shared};
 
 /// The thread looks for news this often; what the page sends wakes it at once.
@@ -52,7 +52,7 @@ pub fn accept_with(head: &httparse::Request<'_, '_>, more: &str) -> Option<Vec<u
 }
 
 /// Serves a page until it goes, the session ends, or the server closes. `rest` came behind the request.
-pub(super) fn run(stream: TcpStream, rest: Vec<u8>, place: &Place, shared: &Shared) {
+pub(super) fn run(stream: TcpStream, rest: Vec<u8>, place: &Seat, shared: &Shared) {
     let _counted = Counted::new(&shared.pages);
     place.looks_on();
     if stream.set_read_timeout(Some(TURN)).is_err() {
@@ -80,7 +80,7 @@ pub(super) fn run(stream: TcpStream, rest: Vec<u8>, place: &Place, shared: &Shar
 
 struct Page<'a> {
     socket: WebSocket<TcpStream>,
-    place: &'a Place,
+    place: &'a Seat,
     shared: &'a Shared,
     told: Told,
     greeted: bool,

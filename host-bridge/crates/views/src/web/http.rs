@@ -5,7 +5,7 @@ use std::net::TcpStream;
 use std::time::{Duration, Instant};
 
 use super::gate::{Claims, Refused};
-use super::server::Place;
+use super::server::Seat;
 use super::{Shared, client};
 
 /// Longest head of a request.
@@ -36,7 +36,7 @@ const FILES: [(&str, &str, &str); 9] = [
 ];
 
 /// Answers the one request of a connection.
-pub(super) fn serve(stream: TcpStream, place: &Place, shared: &Shared) {
+pub(super) fn serve(stream: TcpStream, place: &Seat, shared: &Shared) {
     with_request(stream, |stream, request, rest| {
         place.heard();
         page_or_file(stream, &request, rest, (place, shared));
@@ -88,7 +88,7 @@ fn page_or_file(
     mut stream: TcpStream,
     request: &Request<'_, '_>,
     rest: Vec<u8>,
-    (place, shared): (&Place, &Shared),
+    (place, shared): (&Seat, &Shared),
 ) {
     let Request { head, path, claims } = request;
     if *path == "/live" {

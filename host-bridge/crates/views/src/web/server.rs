@@ -120,7 +120,7 @@ impl Bound {
     }
 
     /// Serves from a thread of its own, and a thread for each connection.
-    pub fn serve(self, serve: impl Fn(TcpStream, &Place) + Send + Sync + 'static) -> Server {
+    pub fn serve(self, serve: impl Fn(TcpStream, &Seat) + Send + Sync + 'static) -> Server {
         let closing = Arc::new(AtomicBool::new(false));
         let (seen, listener) = (closing.clone(), self.listener);
         let serve = Arc::new(serve);
@@ -170,15 +170,15 @@ impl Drop for Server {
 
 /// One connection's place among the others.
 #[derive(Debug)]
-pub struct Place {
+pub struct Seat {
     since: Instant,
     heard_ms: AtomicU64,
     looks_on: AtomicBool,
 }
 
-impl Place {
+impl Seat {
     fn new(since: Instant) -> Self {
-        let place = Place { since, heard_ms: AtomicU64::new(0), looks_on: AtomicBool::new(false) };
+        let place = Seat { since, heard_ms: AtomicU64::new(0), looks_on: AtomicBool::new(false) };
         place.heard();
         place
     }
@@ -197,9 +197,9 @@ impl Place {
 }
 
 /// Who is connected: a place, and a handle to hang up by.
-type Places = Mutex<Vec<(Arc<Place>, TcpStream)>>;
+type Places = Mutex<Vec<(Arc<Seat>, TcpStream)>>;
 
-fn accept<S: Fn(TcpStream, &Place) + Send + Sync + 'static>(
+fn accept<S: Fn(TcpStream, &Seat) + Send + Sync + 'static>(
     listener: &TcpListener,
     closing: &AtomicBool,
     serve: &Arc<S>,
@@ -217,7 +217,7 @@ fn accept<S: Fn(TcpStream, &Place) + Send + Sync + 'static>(
             Ok(_) if threads.load(Ordering::SeqCst) >= THREADS_MAX => {}
             Ok((stream, _)) => {
                 let Ok(handle) = stream.try_clone() else { continue };
-                let place = Arc::new(Place::new(since));
+                let place = Arc::new(Seat::new(since));
                 if take(&places, Arc::clone(&place), handle) {
                     // However many come: each has time to ask.
                     std::thread::sleep(ROOM);
@@ -240,13 +240,13 @@ fn accept<S: Fn(TcpStream, &Place) + Send + Sync + 'static>(
     }
 }
 
-fn lock(places: &Places) -> MutexGuard<'_, Vec<(Arc<Place>, TcpStream)>> {
+fn lock(places: &Places) -> MutexGuard<'_, Vec<(Arc<Seat>, TcpStream)>> {
     places.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Puts a connection on the list; where that is full, one is hung up on: of those that are no page, else of all, the one
 /// that has said nothing for longest. True if one had to go.
-fn take(places: &Places, place: Arc<Place>, handle: TcpStream) -> bool {
+fn take(places: &Places, place: Arc<Seat>, handle: TcpStream) -> bool {
     let mut places = lock(places);
     let is_full = places.len() >= CONNECTIONS_MAX;
     if is_full {

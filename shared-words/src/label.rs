@@ -1,0 +1,28 @@
+//! Which labels are no gesture.
+
+/// `idle` and `other`: the hand rests, or does what is no gesture. Case and punctuation do not matter: `Idle` is `idle`.
+pub fn is_rest(label: &str) -> bool {
+    ["idle", "other"].into_iter().any(|rest| is_same(label, rest))
+}
+
+/// Letters and digits of `label`, without case, are those of `word`, which is in lower case.
+fn is_same(label: &str, word: &str) -> bool {
+    // Nothing beyond ASCII is compared: boards have no room for the tables of all letters.
+    let letters = label.chars().filter(|c| !c.is_ascii() || c.is_ascii_alphanumeric());
+    letters.map(|c| c.to_ascii_lowercase()).eq(word.chars())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rest_is_told_whatever_its_case_and_punctuation() {
+        for label in ["idle", "Idle", "IDLE", " idle", "other", "O-ther"] {
+            assert!(is_rest(label), "{label}");
+        }
+        for label in ["", "idler", "circle", "another", "ïdle", "idle2"] {
+            assert!(!is_rest(label), "{label}");
+        }
+    }
+}
