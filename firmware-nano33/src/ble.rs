@@ -33,7 +33,7 @@ use static_cell::StaticCell;
 use crate::bonds::{Bonder, save_bonds};
 use crate::control;
 use crate::flash::SoftDeviceFlash;
-use crate::link::{Inlet, Link};
+use crate::link::{Inlet, WayOut};
 use crate::storage::Slots;
 
 /// Bytes of one notification or write: the largest MTU less three of header.
@@ -258,7 +258,7 @@ async fn queue(connection: &Connection, server: &Server, piece: &[u8]) -> bool {
 }
 
 async fn serve(connection: &Connection, server: &Server, bonder: &Bonder) {
-    let outbox = Link::Ble.outbox();
+    let outbox = WayOut::Ble.outbox();
     WRITES.clear();
     let events = gatt_server::run(connection, server, |ServerEvent::Hand(event)| match event {
         HandServiceEvent::OutCccdWrite { notifications } => {
@@ -271,7 +271,7 @@ async fn serve(connection: &Connection, server: &Server, bonder: &Bonder) {
         }
     });
     let receive = async {
-        let mut inlet = Inlet::new(Link::Ble);
+        let mut inlet = Inlet::new(WayOut::Ble);
         loop {
             let bytes = WRITES.receive().await;
             // S140 has checked that the link is encrypted (`security` above), not that the keys are kept.

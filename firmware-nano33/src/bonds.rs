@@ -14,7 +14,7 @@ use nrf_softdevice::ble::security::SecurityHandler;
 use nrf_softdevice::ble::{Connection, EncryptionInfo, IdentityKey, MasterId, SecurityMode};
 
 use crate::flash::SoftDeviceFlash;
-use crate::link::Link;
+use crate::link::WayOut;
 use crate::storage::{BOND_PAGE, Flash, PAGE_BYTES};
 
 /// After a start another laptop may take the bonded one's place for so long.
@@ -85,7 +85,7 @@ impl Bonder {
     pub fn keep_subscription(&self, connection: &Connection) {
         let Some(mut bond) = self.bond.get().filter(|_| self.trusts()) else { return };
         let mut now = NO_SUBSCRIPTION;
-        now.on = Link::Ble.outbox().is_open().into();
+        now.on = WayOut::Ble.outbox().is_open().into();
         match get_sys_attrs(connection, &mut now.attributes) {
             Ok(len) => now.len = len as u8,
             Err(_) => return,
@@ -106,7 +106,7 @@ impl Bonder {
         if let Some(attributes @ [_, ..]) = subscription.attributes.get(..len)
             && set_sys_attrs(connection, Some(attributes)).is_ok()
         {
-            Link::Ble.outbox().set_open(subscription.on != 0);
+            WayOut::Ble.outbox().set_open(subscription.on != 0);
         }
     }
 }

@@ -16,7 +16,7 @@ pub type Frame = heapless::Vec<u8, BOARD_FRAME_MAX>;
 /// The ways out of the board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, defmt::Format)]
 #[repr(u8)]
-pub enum Link {
+pub enum WayOut {
     /// D0/D1.
     Uart,
     /// The USB cable.
@@ -83,19 +83,19 @@ pub static LATE_FRAMES: AtomicU32 = AtomicU32::new(0);
 /// Damaged frames from the laptop, on all transports.
 pub static BAD_FRAMES: AtomicU32 = AtomicU32::new(0);
 
-impl Link {
+impl WayOut {
     /// The link's outbox.
     pub fn outbox(self) -> &'static Outbox {
         match self {
-            Link::Uart => &UART,
-            Link::Usb => &USB,
+            WayOut::Uart => &UART,
+            WayOut::Usb => &USB,
             #[cfg(feature = "ble")]
-            Link::Ble => &BLE,
+            WayOut::Ble => &BLE,
         }
     }
 }
 
-impl FrameOut for Link {
+impl FrameOut for WayOut {
     fn send(&mut self, frame: &[u8]) -> bool {
         self.outbox().put(frame);
         true
@@ -118,7 +118,7 @@ impl FrameOut for Everywhere {
 /// A decoded frame from the laptop, still in postcard, with the link it came from.
 pub struct Received {
     /// Where the answer goes.
-    pub link: Link,
+    pub link: WayOut,
     /// Whether the link may change what the board keeps (Bluetooth: bonded).
     pub trusted: bool,
     /// The message.
@@ -130,14 +130,14 @@ pub static INBOX: Channel<CriticalSectionRawMutex, Received, 3> = Channel::new()
 
 /// Bytes of one transport to messages in the [`INBOX`].
 pub struct Inlet {
-    link: Link,
+    link: WayOut,
     decoder: Decoder<HOST_FRAME_MAX>,
     damaged: u32,
 }
 
 impl Inlet {
     /// An inlet that waits for the start of a frame.
-    pub const fn new(link: Link) -> Self {
+    pub const fn new(link: WayOut) -> Self {
         Self { link, decoder: Decoder::new(), damaged: 0 }
     }
 

@@ -10,7 +10,7 @@ use embassy_nrf::peripherals::{PPI_CH0, PPI_CH1, PPI_GROUP0, TIMER1, UARTE0};
 use embassy_nrf::{Peri, bind_interrupts, pac, uarte};
 use static_cell::ConstStaticCell;
 
-use crate::link::{Inlet, Link};
+use crate::link::{Inlet, WayOut};
 
 bind_interrupts!(struct Irqs {
     UARTE0 => buffered_uarte::InterruptHandler<UARTE0>;
@@ -48,7 +48,7 @@ pub async fn run(mut parts: Parts) -> ! {
     loop {
         crate::ble::cable(true).await;
         embassy_futures::select::select(serve(&mut parts, rx, tx), crate::ble::cable(false)).await;
-        Link::Uart.outbox().set_open(false);
+        WayOut::Uart.outbox().set_open(false);
     }
 }
 
@@ -77,7 +77,7 @@ async fn serve(parts: &mut Parts, rx: &mut [u8], tx: &mut [u8]) -> ! {
     };
     pins.pin_cnf(pin.into()).modify(|w| w.set_pull(pac::gpio::vals::Pull::Pullup));
     let (mut rx, mut tx) = uart.split();
-    let outbox = Link::Uart.outbox();
+    let outbox = WayOut::Uart.outbox();
     // A wire does not say whether somebody listens.
     outbox.set_open(true);
     let send = async {
@@ -93,7 +93,7 @@ async fn serve(parts: &mut Parts, rx: &mut [u8], tx: &mut [u8]) -> ! {
         }
     };
     let receive = async {
-        let mut inlet = Inlet::new(Link::Uart);
+        let mut inlet = Inlet::new(WayOut::Uart);
         loop {
             let Ok(bytes) = rx.fill_buf().await else { continue };
             let len = bytes.len();

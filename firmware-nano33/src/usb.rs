@@ -11,7 +11,7 @@ use embassy_usb::{Builder, Config, UsbVersion};
 use static_cell::{ConstStaticCell, StaticCell};
 
 use crate::boards;
-use crate::link::{Inlet, Link};
+use crate::link::{Inlet, WayOut};
 
 bind_interrupts!(struct Irqs {
     USBD => usb::InterruptHandler<USBD>;
@@ -41,7 +41,7 @@ pub async fn run<V: VbusDetect + 'static>(usbd: Peri<'static, USBD>, vbus: V) ->
     let class = CdcAcmClass::new(&mut builder, STATE.init(State::new()), PACKET as u16);
     let mut device = builder.build();
     let (mut sender, mut receiver, control) = class.split_with_control();
-    let outbox = Link::Usb.outbox();
+    let outbox = WayOut::Usb.outbox();
 
     let send = async {
         loop {
@@ -84,7 +84,7 @@ pub async fn run<V: VbusDetect + 'static>(usbd: Peri<'static, USBD>, vbus: V) ->
         let mut packet = [0; PACKET];
         loop {
             receiver.wait_connection().await;
-            let mut inlet = Inlet::new(Link::Usb);
+            let mut inlet = Inlet::new(WayOut::Usb);
             while let Ok(len) = receiver.read_packet(&mut packet).await {
                 inlet.take(&packet[..len], true).await;
             }

@@ -134,17 +134,17 @@ fn session(seed: u64, seen: &mut Seen) {
             }
             8 => {
                 // A hand falls silent, or comes back; or bytes are garbled.
-                let hand = random.below(2);
+                let hand = Hand::BOTH[random.below(2)];
                 rig.talking[hand] = !rig.talking[hand];
                 let noise: Vec<u8> = (0..random.below(40)).map(|_| random.bits() as u8).collect();
-                rig.send(if hand == 0 { Hand::Left } else { Hand::Right }, &noise);
+                rig.send(hand, &noise);
             }
             _ => {
                 if random.below(3) == 0 {
                     let (bridge, robot, now_ms) = (&mut rig.bridge, &mut rig.robot, rig.now_ms);
                     bridge.stop_key(now_ms, robot);
                 } else {
-                    rig.talking = [true; 2];
+                    rig.talking = [true; 2].into();
                     rig.left.heading = Heading::Neutral;
                     rig.right.top = 0;
                 }

@@ -101,10 +101,10 @@ fn no_release_goes_past_a_robot_that_refuses_and_the_operators_stop_outlives_it(
 fn a_hand_that_falls_silent_during_a_refusal_is_waited_for_and_the_refusal_still_holds() {
     let mut rig = Rig::armed();
     refuse(&mut rig, Some("a fault"));
-    rig.talking[0] = false;
+    rig.talking.left = false;
     rig.run(400);
     assert_eq!(rig.state(), State::Stale);
-    rig.talking[0] = true;
+    rig.talking.left = true;
     rig.run(1000);
     assert_eq!(rig.state(), State::Refused);
     assert!(!rig.take_moved());

@@ -7,7 +7,7 @@ mod support;
 use host_bridge::bridge::Bridge;
 use host_bridge::bridge::GestureOutcome::{Busy, Late, NotArmed, Released, Started};
 use host_bridge::intent::MotionMap;
-use host_bridge::safety::{Hand, State};
+use host_bridge::safety::{Hand, PerHand, State};
 use proptest::prelude::*;
 use shared_proto::message::{Board, Heading, PROTOCOL_MAJOR, health};
 use support::{LABELS, Rig, Virtual as _, hello, hello_of, model, pose};
@@ -80,7 +80,7 @@ fn silence_of_either_hand_halts_base_and_arm_within_250_ms_and_for_good() {
         rig.gesture(2);
         rig.point(Heading::Forward, 1500);
         assert!(rig.speed_m_s() > 0.4 && rig.arm_moves());
-        rig.talking[silent as usize] = false;
+        rig.talking[silent] = false;
         rig.run(225);
         assert_eq!(rig.bridge.twist().linear_m_s, 0.5, "not before 250 ms");
         rig.run(30);
@@ -89,7 +89,7 @@ fn silence_of_either_hand_halts_base_and_arm_within_250_ms_and_for_good() {
         rig.run(REST_MS);
         assert!(rig.robot.at_rest());
         // The hand is back, and still tilted: nothing moves, and the arm's motion is given up.
-        rig.talking[silent as usize] = true;
+        rig.talking[silent] = true;
         rig.take_moved();
         rig.run(3000);
         assert!(!rig.take_moved());
@@ -151,7 +151,7 @@ fn a_right_hand_in_doubt_starts_no_motion() {
 #[test]
 fn states_older_than_250_ms_are_dropped_but_can_stop() {
     let mut rig = Rig::armed();
-    rig.talking = [false, true];
+    rig.talking = [false, true].into();
     // Taken now, tilted; delivered 251 ms later, when the hand counts as silent.
     rig.left.heading = Heading::Forward;
     let late = rig.left_frame();
@@ -161,13 +161,13 @@ fn states_older_than_250_ms_are_dropped_but_can_stop() {
     assert!(!rig.take_moved());
     assert_eq!(rig.bridge.drops().late_states, 1);
 
-    rig.talking = [true, true];
+    rig.talking = [true, true].into();
     rig.point(Heading::Neutral, 200);
     assert_eq!(rig.state(), State::Armed);
     rig.left.stop = true;
     let late_stop = rig.left_frame();
     rig.left.stop = false;
-    rig.talking[0] = false;
+    rig.talking.left = false;
     rig.run(300);
     rig.send(Hand::Left, &late_stop);
     assert_eq!(rig.state(), State::Stopped);
@@ -176,7 +176,7 @@ fn states_older_than_250_ms_are_dropped_but_can_stop() {
 #[test]
 fn a_burst_after_a_stall_is_not_replayed() {
     let mut rig = Rig::armed();
-    rig.talking = [false, true];
+    rig.talking = [false, true].into();
     let mut stalled = Vec::new();
     for heading in [Heading::Forward, Heading::Backward, Heading::Forward, Heading::Forward] {
         rig.left.heading = heading;
@@ -185,7 +185,7 @@ fn a_burst_after_a_stall_is_not_replayed() {
         rig.run(500);
     }
     rig.send(Hand::Left, &stalled);
-    rig.talking[0] = true;
+    rig.talking.left = true;
     rig.run(1000);
     assert!(!rig.take_moved());
     rig.point(Heading::Neutral, 200);
@@ -203,7 +203,7 @@ fn tilted_backward() -> Rig {
 #[test]
 fn one_neutral_frame_in_a_burst_does_not_arm() {
     let mut rig = tilted_backward();
-    rig.talking[0] = false;
+    rig.talking.left = false;
     let mut burst = Vec::new();
     for k in 0..10 {
         rig.left.heading = if k == 0 { Heading::Neutral } else { Heading::Forward };
@@ -211,7 +211,7 @@ fn one_neutral_frame_in_a_burst_does_not_arm() {
         rig.run(20);
     }
     rig.send(Hand::Left, &burst);
-    rig.talking[0] = true;
+    rig.talking.left = true;
     rig.run(1000);
     assert!(!rig.take_moved());
     assert_eq!(rig.state(), State::Waiting);
@@ -221,11 +221,11 @@ fn one_neutral_frame_in_a_burst_does_not_arm() {
 fn one_neutral_frame_and_then_a_gap_does_not_arm() {
     for gap_ms in [100, 140, 200, 240] {
         let mut rig = tilted_backward();
-        rig.talking[0] = false;
+        rig.talking.left = false;
         rig.left.heading = Heading::Neutral;
         rig.send_left();
         rig.run(gap_ms);
-        rig.talking[0] = true;
+        rig.talking.left = true;
         rig.point(Heading::Forward, 1000);
         assert!(!rig.take_moved(), "{gap_ms} ms");
         assert_eq!(rig.state(), State::Waiting);
@@ -235,7 +235,7 @@ fn one_neutral_frame_and_then_a_gap_does_not_arm() {
 #[test]
 fn two_neutral_frames_do_not_arm_however_far_apart_and_three_do() {
     let mut rig = tilted_backward();
-    rig.talking[0] = false;
+    rig.talking.left = false;
     rig.left.heading = Heading::Neutral;
     rig.send_left();
     rig.run(120);
@@ -249,7 +249,7 @@ fn two_neutral_frames_do_not_arm_however_far_apart_and_three_do() {
 #[test]
 fn a_stall_that_ends_in_neutral_frames_arms_only_after_100_ms_more() {
     let mut rig = tilted_backward();
-    rig.talking[0] = false;
+    rig.talking.left = false;
     rig.left.heading = Heading::Neutral;
     let mut burst = Vec::new();
     for _ in 0..10 {
@@ -258,7 +258,7 @@ fn a_stall_that_ends_in_neutral_frames_arms_only_after_100_ms_more() {
     }
     // 200 ms of neutral, all of it known only now.
     rig.send(Hand::Left, &burst);
-    rig.talking[0] = true;
+    rig.talking.left = true;
     rig.run(90);
     assert_eq!(rig.state(), State::Waiting);
     rig.run(60);
@@ -268,7 +268,7 @@ fn a_stall_that_ends_in_neutral_frames_arms_only_after_100_ms_more() {
 #[test]
 fn neutral_samples_from_before_a_stop_do_not_count_towards_its_release() {
     let mut rig = Rig::armed();
-    rig.talking[0] = false;
+    rig.talking.left = false;
     let mut before = Vec::new();
     for _ in 0..6 {
         before.extend(rig.left_frame());
@@ -277,7 +277,7 @@ fn neutral_samples_from_before_a_stop_do_not_count_towards_its_release() {
     let (now_ms, robot) = (rig.now_ms, &mut rig.robot);
     rig.bridge.stop_key(now_ms, robot);
     rig.send(Hand::Left, &before);
-    rig.talking[0] = true;
+    rig.talking.left = true;
     rig.run(990);
     rig.gesture(1);
     assert_eq!(rig.state(), State::Stopped, "0.99 s of neutral at the gesture's end");
@@ -304,12 +304,12 @@ fn any_pause_of_the_process_needs_neutral_afterwards() {
 #[test]
 fn neutral_counts_on_a_prompt_link_only() {
     let mut rig = tilted_backward();
-    rig.answering[0] = false;
+    rig.answering.left = false;
     // The last answer is 100 ms old at most: a ping that waits for 125 ms is not prompt any more.
     rig.point(Heading::Backward, 240);
     rig.point(Heading::Neutral, 2000);
     assert_ne!(rig.state(), State::Armed);
-    rig.answering[0] = true;
+    rig.answering.left = true;
     rig.run(300);
     assert_eq!(rig.state(), State::Armed);
 }
@@ -332,7 +332,7 @@ fn a_burst_from_before_the_link_was_opened_starts_nothing() {
 #[test]
 fn lost_repeated_and_overtaken_frames_change_nothing() {
     let mut rig = Rig::armed();
-    rig.talking = [false, true];
+    rig.talking = [false, true].into();
     rig.left.index_bends += 1;
     let lost = rig.left_frame();
     drop(lost);
@@ -361,7 +361,7 @@ fn lost_repeated_and_overtaken_frames_change_nothing() {
 #[test]
 fn damaged_bytes_are_counted_and_move_nothing() {
     let mut rig = Rig::armed();
-    rig.talking = [false, true];
+    rig.talking = [false, true].into();
     rig.left.heading = Heading::Forward;
     let frame = rig.left_frame();
     for i in 0..frame.len() - 1 {
@@ -373,7 +373,7 @@ fn damaged_bytes_are_counted_and_move_nothing() {
     assert!(!rig.take_moved());
     assert!(rig.bridge.link(Hand::Left).counters().damaged > 10);
     rig.left.heading = Heading::Neutral;
-    rig.talking = [true, true];
+    rig.talking = [true, true].into();
     rig.run(200);
     assert_eq!(rig.state(), State::Armed);
 }
@@ -391,7 +391,7 @@ fn a_restarted_board_needs_neutral_again_and_its_counters_start_anew() {
     rig.left.sequence = 0;
     rig.left.index_bends = 5;
     rig.left.middle_bends = 7;
-    rig.talking[1] = false;
+    rig.talking.right = false;
     rig.send(Hand::Left, &hello(Hand::Left, 2));
     rig.run(100);
     assert_eq!(rig.bridge.twist().linear_m_s, 0.0);
@@ -432,7 +432,7 @@ fn boards_of_another_version_or_the_other_hand_are_refused_with_advice() {
     ] {
         let mut rig = Rig::empty();
         rig.send(Hand::Left, &bytes);
-        rig.talking[0] = true;
+        rig.talking.left = true;
         rig.run(100);
         rig.point(Heading::Forward, 100);
         assert!(!rig.take_moved());
@@ -444,7 +444,7 @@ fn boards_of_another_version_or_the_other_hand_are_refused_with_advice() {
 #[test]
 fn states_before_a_hello_move_nothing() {
     let mut rig = Rig::empty();
-    rig.talking = [true, true];
+    rig.talking = [true, true].into();
     rig.run(500);
     rig.point(Heading::Forward, 500);
     rig.gesture(2);
@@ -550,7 +550,7 @@ fn the_release_key_counts_only_without_a_right_hand() {
     rig.bridge.release_key(rig.now_ms, &mut rig.robot);
     assert_eq!(rig.state(), State::Stopped);
     // Not even when the right hand has gone silent.
-    rig.talking[1] = false;
+    rig.talking.right = false;
     rig.run(2000);
     rig.bridge.release_key(rig.now_ms, &mut rig.robot);
     assert_eq!(rig.state(), State::Stopped);
@@ -560,9 +560,9 @@ fn the_release_key_counts_only_without_a_right_hand() {
 fn a_stop_outlives_silence_restarts_and_reconnects() {
     let mut rig = Rig::armed();
     rig.stop();
-    rig.talking = [false, false];
+    rig.talking = [false, false].into();
     rig.run(1000);
-    rig.talking = [true, true];
+    rig.talking = [true, true].into();
     rig.connect(Hand::Left, 2);
     rig.connect(Hand::Right, 2);
     rig.run(3000);
@@ -579,7 +579,7 @@ fn a_stop_is_not_released_while_a_hand_is_silent() {
     let mut rig = Rig::armed();
     rig.stop();
     rig.run(2000);
-    rig.talking[0] = false;
+    rig.talking.left = false;
     rig.run(300);
     rig.gesture(1);
     assert_eq!(rig.take_outcomes(), [NotArmed]);
@@ -648,7 +648,7 @@ fn gestures_whose_frames_were_lost_are_acted_on_once_and_only_the_last() {
 fn a_gesture_before_the_model_is_known_or_outside_its_labels_does_nothing() {
     let mut rig = Rig::empty();
     rig.send(Hand::Right, &hello(Hand::Right, 1));
-    rig.talking[1] = true;
+    rig.talking.right = true;
     rig.run(200);
     rig.gesture(2);
     assert!(rig.take_outcomes().is_empty());
@@ -726,7 +726,7 @@ proptest! {
                     rig.right.label = label;
                     rig.right.event_window_end_ms = rig.board_time_ms();
                 }
-                Step::Silence(left, right) => rig.talking = [left, right],
+                Step::Silence(left, right) => rig.talking = PerHand { left, right },
                 Step::Health(left, right) => {
                     // Mostly well.
                     rig.left.health = if left < 96 { 0 } else { left };
@@ -745,7 +745,7 @@ proptest! {
             }
         }
         // Both hands fall silent: at rest within 250 ms plus what the limits need from full speed.
-        rig.talking = [false, false];
+        rig.talking = [false, false].into();
         check.run(&mut rig, 250 + 1010)?;
         prop_assert!(rig.robot.at_rest());
         rig.take_moved();

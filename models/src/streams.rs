@@ -6,7 +6,7 @@ use rand_chacha::ChaCha8Rng;
 /// What random numbers are for. The numbers behind the names are part of what makes a training repeatable: a new use gets a
 /// new one, and none is ever changed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Stream {
+pub enum RandomStream {
     /// First weights and the order of windows, in recipes that train in epochs.
     Epochs,
     /// Varied windows of the recording at this place of a data set.
@@ -36,7 +36,7 @@ pub enum Stream {
     Aimless(u32),
 }
 
-impl Stream {
+impl RandomStream {
     const fn number(self) -> u64 {
         match self {
             Self::Epochs => 0,

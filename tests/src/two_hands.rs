@@ -71,7 +71,7 @@ impl Left {
 
 /// What connects the right board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Link {
+pub enum Cable {
     /// D0 and D1.
     Uart,
     /// The USB cable.
@@ -106,24 +106,24 @@ impl Right {
     ///
     /// # Panics
     /// Where it is not connected by then.
-    pub fn start<M: Motion + 'static>(link: Link, wear: impl FnOnce(f64) -> M) -> Self {
+    pub fn start<M: Motion + 'static>(link: Cable, wear: impl FnOnce(f64) -> M) -> Self {
         // A laptop pairs before it subscribes.
-        let start_ms = if link == Link::Ble { 4000 } else { 1000 };
+        let start_ms = if link == Cable::Ble { 4000 } else { 1000 };
         let motion = Box::new(wear(start_ms as f64 / 1000.0));
         let (variant, boot) = match link {
-            Link::Uart | Link::Usb => (Variant::Bootloader, Boot::StockBootloader),
-            Link::Ble => (Variant::Ble, Boot::SoftDevice),
+            Cable::Uart | Cable::Usb => (Variant::Bootloader, Boot::StockBootloader),
+            Cable::Ble => (Variant::Ble, Boot::SoftDevice),
         };
         let mut board = Board::new(image(variant), boot, motion);
         let mut wire = match link {
-            Link::Uart => Wire::Uart(true),
-            Link::Usb => {
+            Cable::Uart => Wire::Uart(true),
+            Cable::Usb => {
                 board.run_ms(50);
                 let mut host = UsbHost::default();
                 host.plug_in(&mut board);
                 Wire::Usb(host)
             }
-            Link::Ble => {
+            Cable::Ble => {
                 let mut host = BleHost::default();
                 host.connect(&mut board);
                 Wire::Ble(host)

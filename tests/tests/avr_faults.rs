@@ -10,19 +10,19 @@ use shared_proto::message::{
 };
 use tests::avr::image;
 use tests::avr::nano::EEPROM_BYTES;
-use tests::avr::session::{BLANK, Seen, Session, is_command};
+use tests::avr::session::{BLANK, LeftRig, Seen, is_command};
 use tests::avr::street::Street;
 use tests::avr::wearer::{Fault, Hand, Sensors, Wearer};
 use tests::is_full;
 
 const FORWARD_RAD: f64 = 0.52;
 
-fn powered(eeprom: &[u8; EEPROM_BYTES], seed: u64) -> (Session, Rc<RefCell<Hand>>) {
+fn powered(eeprom: &[u8; EEPROM_BYTES], seed: u64) -> (LeftRig, Rc<RefCell<Hand>>) {
     let (wearer, hand) = Wearer::new(Sensors::nominal(), (0.0, 0.0), None, Rng::with_seed(seed));
-    (Session::new(&image::path(), eeprom, Box::new(wearer)), hand)
+    (LeftRig::new(&image::path(), eeprom, Box::new(wearer)), hand)
 }
 
-fn now_s(session: &Session) -> f64 {
+fn now_s(session: &LeftRig) -> f64 {
     session.now_ms() / 1000.0
 }
 
@@ -412,7 +412,7 @@ const OLD_POSE: f64 = 0.0;
 const NEW_POSE: f64 = 0.12;
 
 /// Calibrates neutral at `pose` (radians forward).
-fn calibrate_at(session: &mut Session, hand: &Rc<RefCell<Hand>>, pose: f64) -> AckResult {
+fn calibrate_at(session: &mut LeftRig, hand: &Rc<RefCell<Hand>>, pose: f64) -> AckResult {
     hand.borrow_mut().tilt(pose, 0.0, now_s(session), 0.0);
     session.run_ms(100.0);
     session.calibrate(CalibrationStep::Neutral)

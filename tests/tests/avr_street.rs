@@ -8,7 +8,7 @@ use fastrand::Rng;
 use shared_proto::message::CalibrationStep;
 use tests::avr::image;
 use tests::avr::nano::{CYCLES_PER_MS, Line, Nano};
-use tests::avr::session::{BLANK, Session};
+use tests::avr::session::{BLANK, LeftRig};
 use tests::avr::street::Street;
 use tests::avr::wearer::{Sensors, Wearer, normal};
 use tests::is_full;
@@ -68,7 +68,7 @@ fn a_voltage_step_that_stays_turns_the_wheels_within_150_ms() {
 #[test]
 fn the_papers_speed_modulation_comes_out_of_the_emulated_board() {
     let (wearer, hand) = Wearer::new(Sensors::nominal(), (0.0, 0.0), None, Rng::with_seed(6));
-    let mut session = Session::new(&image::path(), &BLANK, Box::new(wearer));
+    let mut session = LeftRig::new(&image::path(), &BLANK, Box::new(wearer));
     session.run_ms(300.0);
     for (step, depth) in
         [(CalibrationStep::Neutral, 0.0), (CalibrationStep::Rest, 0.0), (CalibrationStep::Bend, 1.0)]

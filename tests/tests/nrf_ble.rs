@@ -9,7 +9,7 @@ use shared_dsp::right::network::Model;
 use shared_proto::frame::{BOARD_FRAME_MAX, Decoder, HOST_FRAME_MAX, encode_host};
 use shared_proto::message::{BoardMessage, HostMessage, Mode};
 use tests::nrf::lsm9ds1::{Replay, Still};
-use tests::nrf::session::Session;
+use tests::nrf::session::RightRig;
 use tests::nrf::softdevice::abi::reason;
 use tests::nrf::softdevice::central::{Command, Happening};
 use tests::nrf::time::{HZ, ms};
@@ -20,24 +20,24 @@ const ADVERTISED_NAME: u8 = 9;
 const ADVERTISED_SERVICES: u8 = 7;
 
 /// Connected, bonded and subscribed.
-fn ready() -> Session {
-    let mut session = Session::ble(Box::new(Still));
+fn ready() -> RightRig {
+    let mut session = RightRig::ble(Box::new(Still));
     wait_until_ready(&mut session);
     session
 }
 
-fn wait_until_ready(session: &mut Session) {
+fn wait_until_ready(session: &mut RightRig) {
     let is_ready = session.run_until_that(5000, |s| s.ble.as_ref().is_some_and(|b| b.is_ready()));
     assert!(is_ready, "{:?}", session.board.softdevice().central.log);
 }
 
-fn log(session: &mut Session) -> Vec<Happening> {
+fn log(session: &mut RightRig) -> Vec<Happening> {
     session.board.softdevice().central.log.iter().map(|(_, what)| what.clone()).collect()
 }
 
 #[test]
 fn it_boots_within_s140s_rules_and_advertises_its_name_and_service() {
-    let mut session = Session::ble(Box::new(Still));
+    let mut session = RightRig::ble(Box::new(Still));
     session.board.softdevice().central.connects = false;
     session.run_ms(1000);
     let softdevice = session.board.softdevice();
@@ -75,7 +75,7 @@ fn it_asks_for_7_5_to_15_ms_and_for_15_ms_where_that_is_refused() {
     assert!(linux.contains(&Happening::Mtu(247)) && linux.contains(&Happening::DataLength(251)));
 
     for (picky, expected) in [(13, vec![(6, 12, false), (12, 12, false)]), (12, vec![(6, 12, true)])] {
-        let mut session = Session::ble(Box::new(Still));
+        let mut session = RightRig::ble(Box::new(Still));
         session.board.softdevice().central.shortest_interval = picky;
         session.run_ms(12_000);
         let log = log(&mut session);
@@ -101,7 +101,7 @@ fn wearer() -> (Replay, u64) {
 #[test]
 fn notifications_carry_the_frames_of_the_uart_and_the_laptops_own_labels() {
     let (replay, seconds) = wearer();
-    let mut session = Session::ble(Box::new(replay));
+    let mut session = RightRig::ble(Box::new(replay));
     session.charge();
     let tap = session.board.tap("bimanual_sample", 18);
     wait_until_ready(&mut session);
@@ -240,7 +240,7 @@ fn usb_and_uart_go_on_while_s140_owns_clock_and_power() {
     let mut usb = UsbHost::default();
     usb.plug_in(&mut session.board);
     let mut bytes = Vec::new();
-    let mut step = |session: &mut Session, usb: &mut UsbHost| {
+    let mut step = |session: &mut RightRig, usb: &mut UsbHost| {
         session.run_ms(1);
         usb.step(&mut session.board);
         bytes.extend(usb.read(&mut session.board));
@@ -304,7 +304,7 @@ fn frames(notified: &[(u64, Vec<u8>)]) -> (u32, u32) {
 
 #[test]
 fn with_the_smallest_mtu_frames_come_in_pieces_and_whole_and_a_stall_tears_one_at_most() {
-    let mut session = Session::ble(Box::new(Still));
+    let mut session = RightRig::ble(Box::new(Still));
     session.ble = None;
     session.board.softdevice().central.long_packets = false;
     session.board.softdevice().central.order([Command::Subscribe(true)]);

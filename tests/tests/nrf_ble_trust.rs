@@ -6,7 +6,7 @@ use shared_dsp::right::network::{Model, crc32};
 use shared_proto::message::{AckResult, Bytes, HostMessage, MODEL_CHUNK_MAX, Mode};
 use tests::nrf::ble_host::BleHost;
 use tests::nrf::lsm9ds1::Still;
-use tests::nrf::session::Session;
+use tests::nrf::session::RightRig;
 use tests::nrf::softdevice::central::{Command, Happening};
 use tests::nrf::transfer::{announce, begin, model_id, random_model};
 
@@ -14,20 +14,20 @@ const BOND_PAGE: usize = 0xD7000;
 /// ATT error "insufficient authentication".
 const REFUSED: u8 = 5;
 
-fn wait_until_ready(session: &mut Session) {
+fn wait_until_ready(session: &mut RightRig) {
     let is_ready = session.run_until_that(6000, |s| s.ble.as_ref().is_some_and(|b| b.is_ready()));
     assert!(is_ready, "{:?}", session.board.softdevice().central.log);
 }
 
-fn ready() -> Session {
-    let mut session = Session::ble(Box::new(Still));
+fn ready() -> RightRig {
+    let mut session = RightRig::ble(Box::new(Still));
     wait_until_ready(&mut session);
     session
 }
 
 /// A laptop that pairs without keeping keys, or not at all.
-fn stranger(pairs: bool) -> Session {
-    let mut session = Session::ble(Box::new(Still));
+fn stranger(pairs: bool) -> RightRig {
+    let mut session = RightRig::ble(Box::new(Still));
     let mut host = BleHost::default();
     (host.pairs, host.bonds) = (pairs, false);
     session.ble = Some(host);
@@ -35,11 +35,11 @@ fn stranger(pairs: bool) -> Session {
     session
 }
 
-fn log(session: &mut Session) -> Vec<Happening> {
+fn log(session: &mut RightRig) -> Vec<Happening> {
     session.board.softdevice().central.log.iter().map(|(_, what)| what.clone()).collect()
 }
 
-fn restart(session: &mut Session) {
+fn restart(session: &mut RightRig) {
     session.run_ms(500);
     session.board.soc().nvic.reset_wanted = true;
     // The laptop notices that the board is gone, then finds it again.
@@ -68,7 +68,7 @@ fn without_keys_states_are_read_but_writes_are_refused() {
 fn whoever_does_not_bond_within_ten_seconds_is_hung_up_on() {
     for pairs in [false, true] {
         let mut session = stranger(pairs);
-        let hung_up = |session: &mut Session| {
+        let hung_up = |session: &mut RightRig| {
             log(session).iter().any(|what| matches!(what, Happening::Disconnected(_)))
         };
         // Ready a second or so after the link stood.

@@ -9,15 +9,15 @@ use shared_proto::message::{
 use tests::nrf::board::Kind;
 use tests::nrf::build::{Variant, image, uf2};
 use tests::nrf::lsm9ds1::Still;
-use tests::nrf::session::Session;
+use tests::nrf::session::RightRig;
 use tests::nrf::soc::{SLOTS_END, SLOTS_START};
 use tests::nrf::time::ms;
 use tests::nrf::transfer::{announce, begin, install, random_model};
 use tests::nrf::usb_host::UsbHost;
 
 /// A board of this kind that lies still and has filled its window.
-fn resting(kind: Kind) -> Session {
-    let mut session = Session::of_kind(kind, Box::new(Still));
+fn resting(kind: Kind) -> RightRig {
+    let mut session = RightRig::of_kind(kind, Box::new(Still));
     session.run_ms(3500);
     let last = session.heard.states.last().expect("states");
     assert_eq!((last.health, last.events), (0, 0), "{kind:?}: {:?}", session.heard.faults);
@@ -63,7 +63,7 @@ fn a_board_says_what_it_is_made_of_and_why_it_started() {
 fn a_model_that_reads_a_magnetometer_is_refused_where_none_may_be_used_and_a_kept_one_names_nothing() {
     let blob = random_model(FeatureKind::LogPower, &[20, 10, 5], 7);
     let model = Model::parse(&blob).unwrap();
-    let mut rev1 = Session::uart(Box::new(Still));
+    let mut rev1 = RightRig::uart(Box::new(Still));
     rev1.run_ms(500);
     install(&mut rev1, &blob);
     let slots = SLOTS_START as usize..SLOTS_END as usize;
@@ -124,7 +124,7 @@ fn sensor_faults_of_every_board_are_reported_and_mended_within_a_second() {
 
 #[test]
 fn the_xiao_runs_over_bluetooth_and_a_touch_at_1200_baud_shows_its_drive() {
-    let mut session = Session::ble_of_kind(Kind::Xiao, Box::new(Still));
+    let mut session = RightRig::ble_of_kind(Kind::Xiao, Box::new(Still));
     let mut host = UsbHost::default();
     host.plug_in(&mut session.board);
     for _ in 0..4000 {
@@ -154,7 +154,7 @@ fn the_xiao_runs_over_bluetooth_and_a_touch_at_1200_baud_shows_its_drive() {
 #[test]
 fn the_xiao_measures_its_battery() {
     for (battery_mv, later_mv) in [(3300.0, None), (4150.0, Some(3950.0))] {
-        let mut session = Session::of_kind(Kind::Xiao, Box::new(Still));
+        let mut session = RightRig::of_kind(Kind::Xiao, Box::new(Still));
         let mut measures = |battery_mv: f64, milliseconds| {
             session.board.soc().saadc.inputs_mv[7] = battery_mv * 510.0 / 1510.0;
             session.run_ms(milliseconds);
@@ -210,7 +210,7 @@ fn the_xiaos_file_puts_every_byte_of_the_image_into_its_place_and_none_elsewhere
 }
 
 /// What the motor's pin does from now on: milliseconds, and share of the time that it is high.
-fn felt(session: &mut Session, signal: Signal, milliseconds: u64) -> Vec<(u64, f64)> {
+fn felt(session: &mut RightRig, signal: Signal, milliseconds: u64) -> Vec<(u64, f64)> {
     session.board.soc().pwm1.drives.clear();
     let start = session.board.now();
     session.send(&HostMessage::Feel { signal });
@@ -222,7 +222,7 @@ fn felt(session: &mut Session, signal: Signal, milliseconds: u64) -> Vec<(u64, f
     drives(session, start)
 }
 
-fn drives(session: &mut Session, start: u64) -> Vec<(u64, f64)> {
+fn drives(session: &mut RightRig, start: u64) -> Vec<(u64, f64)> {
     let drives = session.board.soc().pwm1.drives.clone();
     drives.iter().map(|drive| ((drive.at - start) / ms(1), drive.high)).collect()
 }

@@ -7,7 +7,7 @@ use shared_dsp::right::network::MAX_LABELS;
 use tests::nrf::board::Kind;
 use tests::nrf::image::Image;
 use tests::nrf::lsm9ds1::{Motion, Still};
-use tests::nrf::session::Session;
+use tests::nrf::session::RightRig;
 use tests::nrf::transfer::{install, random_model};
 
 /// A hand that never rests.
@@ -42,7 +42,7 @@ fn median_and_worst(mut values: Vec<u64>) -> (u64, u64) {
 }
 
 /// Twenty seconds of a board that runs already.
-fn measure(session: &mut Session, window: &str) -> Cost {
+fn measure(session: &mut RightRig, window: &str) -> Cost {
     let sample = session.board.probe("bimanual_sample");
     let names = |words: &[&str]| session.board.image().functions_with(words);
     let forward = names(&["shared_dsp", "network", "Model", "7forward"]);
@@ -126,7 +126,7 @@ fn check_time_awake(cost: &Cost, load_permille: u16) {
 
 #[test]
 fn a_network_of_the_papers_shape_is_within_the_aims_of_its_peers() {
-    let mut session = Session::uart(Box::new(Wild));
+    let mut session = RightRig::uart(Box::new(Wild));
     session.run_ms(500);
     // Any weights: what counts is the shape.
     let blob = random_model(FeatureKind::LogPower, &[20, 10, 5], 7);
@@ -160,7 +160,7 @@ fn a_network_of_the_papers_shape_is_within_the_aims_of_its_peers() {
 
 #[test]
 fn the_bundled_network_stays_within_the_papers_memory_and_40_000_instructions_per_inference() {
-    let mut session = Session::uart(Box::new(Wild));
+    let mut session = RightRig::uart(Box::new(Wild));
     let cost = measure(&mut session, "aligned");
     let [first, second] = models::ALIGNED_HIDDEN;
     println!("bundled model: recipe aligned, 89 features of nine axes, 89-{first}-{second}-8");
@@ -195,7 +195,7 @@ struct Awake {
 }
 
 fn awake(kind: Kind, motion: Box<dyn Motion>) -> Awake {
-    let mut session = Session::ble_of_kind(kind, motion);
+    let mut session = RightRig::ble_of_kind(kind, motion);
     let sample = session.board.probe("bimanual_sample");
     session.run_ms(6000);
     let (now, awake, s140) =

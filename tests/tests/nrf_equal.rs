@@ -13,7 +13,7 @@ use tests::is_full;
 use tests::nrf::board::{Kind, Tapped};
 use tests::nrf::lsm9ds1::{Motion, Replay, Still};
 use tests::nrf::recordings;
-use tests::nrf::session::{Right, Session};
+use tests::nrf::session::{Right, RightRig};
 use tests::nrf::time::HZ;
 use tests::nrf::transfer::{install, random_model};
 
@@ -45,8 +45,8 @@ fn axes(kind: Kind) -> usize {
 }
 
 /// Runs for some seconds; what the board put into its window, and the session.
-fn run(kind: Kind, motion: Box<dyn Motion>, clock_ratio: f64, seconds: u64) -> (Session, Window) {
-    let mut session = Session::of_kind(kind, motion);
+fn run(kind: Kind, motion: Box<dyn Motion>, clock_ratio: f64, seconds: u64) -> (RightRig, Window) {
+    let mut session = RightRig::of_kind(kind, motion);
     session.board.soc().bus.sensor.set_clock_ratio(clock_ratio);
     let tap = session.board.tap("bimanual_sample", 18);
     let memory = watch(&mut session, tap, seconds);
@@ -55,7 +55,7 @@ fn run(kind: Kind, motion: Box<dyn Motion>, clock_ratio: f64, seconds: u64) -> (
 }
 
 /// Runs for some seconds; from the fourth on, how many samples were tapped and the board's memory of the hand.
-fn watch(session: &mut Session, tap: usize, seconds: u64) -> Vec<(usize, Vec<u8>)> {
+fn watch(session: &mut RightRig, tap: usize, seconds: u64) -> Vec<(usize, Vec<u8>)> {
     let mut memory = Vec::new();
     for second in 1..=seconds {
         session.run_ms(1000 - session.board.now() / tests::nrf::time::ms(1) % 1000);
@@ -111,7 +111,7 @@ fn window_of(calls: &[Tapped]) -> Window {
 
 /// Compares every state that the board sent with this model, and its features once a second, with the laptop's on the
 /// board's own samples; hops compared.
-fn compare(blob: &[u8], session: &Session, window: &Window) -> usize {
+fn compare(blob: &[u8], session: &RightRig, window: &Window) -> usize {
     let model = Model::parse(blob).unwrap();
     compare_features(model.info().recipe, window);
     let mut hand = RightHand::<9>::new(model, DecisionConfig::default()).unwrap();
@@ -168,7 +168,7 @@ const CLOCK_RATIO: f64 = 1.013;
 
 /// What a recording became on its way into the board's window.
 struct Resampled {
-    session: Session,
+    session: RightRig,
     window: Window,
     /// Distances between sample and row in counts, with the distance allowed; the first six axes.
     errors: Vec<(f64, f64)>,
@@ -184,7 +184,7 @@ struct Resampled {
 /// newest value was taken between the rows before and after.
 fn resample(kind: Kind, rows: Vec<[f64; 9]>) -> Resampled {
     let clock_start_s = {
-        let mut session = Session::of_kind(kind, Box::new(Still));
+        let mut session = RightRig::of_kind(kind, Box::new(Still));
         session.run_ms(50);
         offset(&session)
     };
@@ -388,7 +388,7 @@ fn a_minute(kind: Kind, ratio: f64) {
 }
 
 /// Seconds from power-up to the start of the board's clock.
-fn offset(session: &Session) -> f64 {
+fn offset(session: &RightRig) -> f64 {
     session.board.clock_start() as f64 / HZ as f64
 }
 
@@ -420,7 +420,7 @@ fn received_models_of_every_recipe_compute_what_the_laptop_computes() {
             .map(|seed| random_model(recipe, hidden, seed))
             .find(names_something)
             .expect("such weights are not rare");
-        let mut session = Session::uart(Box::new(Still));
+        let mut session = RightRig::uart(Box::new(Still));
         session.run_ms(500);
         session.board.soc().bus.sensor.set_clock_ratio(CLOCK_RATIO);
         let tap = session.board.tap("bimanual_sample", 18);

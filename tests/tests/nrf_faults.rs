@@ -3,19 +3,19 @@
 
 use shared_proto::message::{FaultKind, HostMessage, Mode, health};
 use tests::nrf::lsm9ds1::Still;
-use tests::nrf::session::Session;
+use tests::nrf::session::RightRig;
 
 /// A board that lies still and has filled its window.
-fn resting() -> Session {
-    let mut session = Session::uart(Box::new(Still));
+fn resting() -> RightRig {
+    let mut session = RightRig::uart(Box::new(Still));
     session.run_ms(3000);
     assert_eq!(session.heard.states.last().unwrap().health, 0);
     session
 }
 
 /// Samples flow again within a second, the window fills, and nothing was named.
-fn recovers(session: &mut Session, what: &str) {
-    let dropped = |s: &Session| s.heard.statuses.last().unwrap().dropped_samples;
+fn recovers(session: &mut RightRig, what: &str) {
+    let dropped = |s: &RightRig| s.heard.statuses.last().unwrap().dropped_samples;
     session.run_ms(1000);
     let sensor_ok = session.heard.states.last().unwrap().health & health::SENSOR == 0;
     assert!(sensor_ok, "{what}: the sensor is still away after a second");
@@ -88,7 +88,7 @@ fn a_sensor_that_takes_35_ms_to_start_is_no_fault() {
 
 #[test]
 fn a_lost_setting_of_the_scale_is_noticed_and_set_again() {
-    let mut session = Session::uart(Box::new(Still));
+    let mut session = RightRig::uart(Box::new(Still));
     // CTRL_REG6_XL: the accelerometer would stay at ±2 g, and a resting hand would weigh double.
     session.board.soc().bus.sensor.lose_write(0x20);
     session.run_ms(1000);
@@ -100,7 +100,7 @@ fn a_lost_setting_of_the_scale_is_noticed_and_set_again() {
 
 #[test]
 fn an_open_serial_line_brings_no_noise() {
-    let mut session = Session::uart(Box::new(Still));
+    let mut session = RightRig::uart(Box::new(Still));
     session.board.soc().unplug_uart();
     session.run_ms(4000);
     assert_eq!(session.heard.statuses.last().unwrap().bad_frames, 0);
@@ -108,7 +108,7 @@ fn an_open_serial_line_brings_no_noise() {
 
 #[test]
 fn what_the_bootloader_leaves_running_writes_to_no_memory_of_ours() {
-    let mut session = Session::uart(Box::new(Still));
+    let mut session = RightRig::uart(Box::new(Still));
     // A byte arrives while the image starts: the bootloader's receiver would put it where our statics are.
     session.board.uart_in(b"x");
     session.run_ms(1);
@@ -119,7 +119,7 @@ fn what_the_bootloader_leaves_running_writes_to_no_memory_of_ours() {
 
 #[test]
 fn a_clock_interrupt_that_the_bootloader_leaves_enabled_is_no_storm() {
-    let mut session = Session::uart(Box::new(Still));
+    let mut session = RightRig::uart(Box::new(Still));
     session.board.leave_clock_interrupt();
     session.run_ms(1500);
     assert!(session.heard.states.len() > 10, "{:?}", session.board.resets);
@@ -127,7 +127,7 @@ fn a_clock_interrupt_that_the_bootloader_leaves_enabled_is_no_storm() {
 
 #[test]
 fn the_bus_keeps_to_the_time_that_i2c_wants() {
-    let mut session = Session::uart(Box::new(Still));
+    let mut session = RightRig::uart(Box::new(Still));
     session.run_ms(1000);
     assert_eq!(session.board.soc().twim.too_fast, 0, "erratum 219: 400 kHz has too short a low period");
 }

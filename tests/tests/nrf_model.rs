@@ -7,7 +7,7 @@ use shared_proto::message::{
     AckResult, Bytes, FaultKind, HostMessage, MODEL_CHUNK_MAX, ModelBegin, ModelInfo,
 };
 use tests::nrf::lsm9ds1::Still;
-use tests::nrf::session::Session;
+use tests::nrf::session::RightRig;
 use tests::nrf::transfer::{announce, begin, model_id, pieces, random_model, restart};
 
 /// A model of the paper's shape.
@@ -17,7 +17,7 @@ fn other_model(seed: u32) -> Vec<u8> {
 
 #[test]
 fn a_model_is_kept_after_its_check_and_used_after_the_restart() {
-    let mut session = Session::uart(Box::new(Still));
+    let mut session = RightRig::uart(Box::new(Still));
     session.run_ms(2500);
     let old = model_id(&mut session);
     for seed in 1..4 {
@@ -46,7 +46,7 @@ fn a_model_is_kept_after_its_check_and_used_after_the_restart() {
 
 #[test]
 fn a_transfer_that_breaks_at_any_piece_leaves_the_old_model() {
-    let mut session = Session::uart(Box::new(Still));
+    let mut session = RightRig::uart(Box::new(Still));
     session.run_ms(500);
     // A received model runs, so that both slots are at stake.
     let kept = other_model(1);
@@ -83,7 +83,7 @@ fn a_transfer_that_breaks_at_any_piece_leaves_the_old_model() {
 
 #[test]
 fn models_that_this_image_cannot_run_are_refused_before_anything_is_erased() {
-    let mut session = Session::uart(Box::new(Still));
+    let mut session = RightRig::uart(Box::new(Still));
     session.run_ms(500);
     let blob = other_model(1);
     let model = Model::parse(&blob).unwrap();

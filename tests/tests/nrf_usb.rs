@@ -4,11 +4,11 @@
 use shared_proto::frame::{BOARD_FRAME_MAX, Decoder, encode_host};
 use shared_proto::message::{BoardMessage, HostMessage};
 use tests::nrf::lsm9ds1::Still;
-use tests::nrf::session::Session;
+use tests::nrf::session::RightRig;
 use tests::nrf::usb_host::UsbHost;
 
 /// Steps of a millisecond until the host has nothing left to ask.
-fn settle(session: &mut Session, host: &mut UsbHost) {
+fn settle(session: &mut RightRig, host: &mut UsbHost) {
     for _ in 0..500 {
         session.run_ms(1);
         host.step(&mut session.board);
@@ -19,14 +19,14 @@ fn settle(session: &mut Session, host: &mut UsbHost) {
     panic!("no serial port after half a second: {host:?}");
 }
 
-fn plug_in(session: &mut Session) -> UsbHost {
+fn plug_in(session: &mut RightRig) -> UsbHost {
     let mut host = UsbHost::default();
     host.plug_in(&mut session.board);
     settle(session, &mut host);
     host
 }
 
-fn messages(session: &mut Session, host: &mut UsbHost) -> (usize, usize) {
+fn messages(session: &mut RightRig, host: &mut UsbHost) -> (usize, usize) {
     let bytes = host.read(&mut session.board);
     let mut decoder = Decoder::<BOARD_FRAME_MAX>::new();
     let (mut states, mut hellos) = (0, 0);
@@ -43,7 +43,7 @@ fn messages(session: &mut Session, host: &mut UsbHost) -> (usize, usize) {
 
 #[test]
 fn the_serial_port_enumerates_answers_and_survives_a_pulled_cable() {
-    let mut session = Session::uart(Box::new(Still));
+    let mut session = RightRig::uart(Box::new(Still));
     session.run_ms(500);
     let mut host = plug_in(&mut session);
     for round in 0..2 {
@@ -65,7 +65,7 @@ fn the_serial_port_enumerates_answers_and_survives_a_pulled_cable() {
 
 #[test]
 fn a_laptop_that_stops_reading_gets_fresh_states_when_it_reads_again() {
-    let mut session = Session::uart(Box::new(Still));
+    let mut session = RightRig::uart(Box::new(Still));
     session.run_ms(500);
     let mut host = plug_in(&mut session);
     session.run_ms(500);
@@ -91,7 +91,7 @@ fn a_laptop_that_stops_reading_gets_fresh_states_when_it_reads_again() {
 
 #[test]
 fn a_touch_at_1200_baud_returns_to_the_bootloader_which_has_all_the_time_it_needs() {
-    let mut session = Session::uart(Box::new(Still));
+    let mut session = RightRig::uart(Box::new(Still));
     session.run_ms(500);
     let mut host = plug_in(&mut session);
     assert!(!session.board.in_bootloader);
@@ -115,7 +115,7 @@ fn a_touch_at_1200_baud_returns_to_the_bootloader_which_has_all_the_time_it_need
 
 #[test]
 fn two_boards_at_one_laptop_differ_by_the_chips_own_number() {
-    let mut session = Session::uart(Box::new(Still));
+    let mut session = RightRig::uart(Box::new(Still));
     session.run_ms(500);
     let host = plug_in(&mut session);
     assert_eq!(host.serial_number.as_deref(), Some("9ABCDEF012345678"));
@@ -123,7 +123,7 @@ fn two_boards_at_one_laptop_differ_by_the_chips_own_number() {
 
 #[test]
 fn behind_s140_a_cable_attaches_though_ready_is_told_before_detected() {
-    let mut session = Session::ble(Box::new(Still));
+    let mut session = RightRig::ble(Box::new(Still));
     session.run_ms(1000);
     // The processor stands still while the cable goes in: both events wait afterwards.
     let soc = session.board.soc();
@@ -137,7 +137,7 @@ fn behind_s140_a_cable_attaches_though_ready_is_told_before_detected() {
 
 #[test]
 fn the_converter_and_the_cache_are_on_in_both_images() {
-    for mut session in [Session::uart(Box::new(Still)), Session::ble(Box::new(Still))] {
+    for mut session in [RightRig::uart(Box::new(Still)), RightRig::ble(Box::new(Still))] {
         session.run_ms(500);
         let soc = session.board.soc();
         assert!(soc.power.converter && soc.nvmc.cache);
@@ -146,7 +146,7 @@ fn the_converter_and_the_cache_are_on_in_both_images() {
 
 #[test]
 fn behind_s140_the_serial_line_runs_only_while_the_cable_is_in() {
-    let mut session = Session::ble(Box::new(Still));
+    let mut session = RightRig::ble(Box::new(Still));
     session.run_ms(3000);
     assert!(!session.board.soc().uart.is_receiving(), "a receiver keeps the fast clock on");
     assert_eq!(session.uart.heard.states.len(), 0);

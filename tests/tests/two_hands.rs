@@ -20,7 +20,7 @@ use tests::avr::wearer::{Hand, Sensors, Wearer};
 use tests::is_full;
 use tests::nrf::lsm9ds1::{Replay, Still};
 use tests::nrf::recordings::rows;
-use tests::two_hands::{Disturbance, Left, Link, Right, TwoHands, Wire};
+use tests::two_hands::{Cable, Disturbance, Left, Right, TwoHands, Wire};
 
 /// A nominal left hand on a board that has never been calibrated, and the hand to steer.
 fn left_hand(seed: u64) -> (Nano, Rc<RefCell<Hand>>) {
@@ -32,8 +32,8 @@ const FORWARD_RAD: f64 = 0.5;
 
 /// Plays the bundled session on both boards, and compares with what it says must come out. The short run plays all of
 /// it over one link, and its first gestures over the others.
-fn play_demo(link: Link) {
-    let whole = is_full() || link == Link::Uart;
+fn play_demo(link: Cable) {
+    let whole = is_full() || link == Cable::Uart;
     let Demo { left, right, script } = Demo::bundled();
     let seconds = if whole { left.samples.len() as u64 / 100 } else { 36 };
     let expect = &script.expect;
@@ -85,7 +85,7 @@ fn play_demo(link: Link) {
     assert_eq!(desk.robot.picture().timeouts, 0);
     let (left, right) = (desk.left.as_ref().unwrap(), desk.right.as_mut().unwrap());
     assert_eq!(left.nano.resets(), 0);
-    if link != Link::Ble {
+    if link != Cable::Ble {
         assert_eq!(right.board.soc().nvic.vector_table, 0x10000, "the image has moved the table to its own");
     }
     for hand in [Which::Left, Which::Right] {
@@ -97,17 +97,17 @@ fn play_demo(link: Link) {
 
 #[test]
 fn the_bundled_session_on_both_emulated_boards_over_uart_comes_to_what_its_script_says() {
-    play_demo(Link::Uart);
+    play_demo(Cable::Uart);
 }
 
 #[test]
 fn the_bundled_session_on_both_emulated_boards_over_usb_comes_to_what_its_script_says() {
-    play_demo(Link::Usb);
+    play_demo(Cable::Usb);
 }
 
 #[test]
 fn the_bundled_session_on_both_emulated_boards_over_bluetooth_comes_to_what_its_script_says() {
-    play_demo(Link::Ble);
+    play_demo(Cable::Ble);
 }
 
 fn median(sorted: &[f64]) -> f64 {
@@ -131,7 +131,7 @@ fn the_arm_moves_within_50_ms_of_the_sample_that_decides() {
         let recording = session(&wearer, 0, &script);
         let mut start_s = 0.0;
         // Another phase of hop and millisecond for each wearer, and another sensor clock.
-        let mut right = Right::start(Link::Uart, |zero_s| {
+        let mut right = Right::start(Cable::Uart, |zero_s| {
             start_s = zero_s + 0.080 * f64::from(index) / f64::from(wearers) + 0.0003;
             Replay { rows: rows(&recording), interval: 0.01, start: start_s }
         });
@@ -223,7 +223,7 @@ struct Steered {
 }
 
 impl Steered {
-    fn new(link: Link, count: usize) -> Self {
+    fn new(link: Cable, count: usize) -> Self {
         let (mut nano, hand) = left_hand(31);
         nano.run_ms(600.0);
         let right = Right::start(link, strokes(count));
@@ -282,7 +282,7 @@ fn say(what: &str, (halted_ms, rested_ms): (u64, u64)) {
 
 #[test]
 fn a_cable_pulled_in_mid_drive_stops_base_and_arm_and_put_back_it_needs_neutral() {
-    let mut steered = Steered::new(Link::Uart, 6);
+    let mut steered = Steered::new(Cable::Uart, 6);
 
     steered.both_move();
     steered.desk.left.as_mut().unwrap().cable = false;
@@ -314,7 +314,7 @@ fn a_cable_pulled_in_mid_drive_stops_base_and_arm_and_put_back_it_needs_neutral(
 
 #[test]
 fn a_usb_cable_pulled_and_a_touch_at_1200_baud_stop_the_robot() {
-    let mut steered = Steered::new(Link::Usb, 4);
+    let mut steered = Steered::new(Cable::Usb, 4);
 
     steered.both_move();
     let pull = |right: &mut Right| {
@@ -361,7 +361,7 @@ fn random_bytes_on_both_links_move_nothing_that_the_hands_do_not() {
     let seconds = if is_full() { 60 } else { 8 };
     let (mut nano, hand) = left_hand(33);
     nano.run_ms(600.0);
-    let right = Right::start(Link::Uart, |_| Still);
+    let right = Right::start(Cable::Uart, |_| Still);
     let mut desk = TwoHands::new(Some(Left::new(nano)), Some(right));
     desk.run_until("armed", 5000, TwoHands::is_armed);
     let tilt = |desk: &TwoHands, pitch_rad| {

@@ -71,7 +71,7 @@ pub struct Args {
 enum Whole {
     /// Both hands at once with the robot, into FILE.mcap: what `run --record FILE.mcap` does, and marks of episodes
     #[command(long_flag = "session")]
-    Session(Box<SessionArgs>),
+    Recorder(Box<SessionArgs>),
 }
 
 /// Options of a whole session.
@@ -98,7 +98,7 @@ enum Which {
 
 /// Records; every file is written whole or not at all.
 pub fn run(args: &Args) -> Result<ExitCode> {
-    if let Some(Whole::Session(session)) = &args.whole {
+    if let Some(Whole::Recorder(session)) = &args.whole {
         let keep = keep::KeepArgs { record: Some(session.file.clone()), task: session.task.clone() };
         return steering::steer(&session.hands, &keep);
     }
@@ -155,7 +155,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         other => other.into(),
     })?;
     let mut session =
-        Session { talk, args, person, out: &out, sample_hz: who.sample_hz, interrupted: &interrupted };
+        Recorder { talk, args, person, out: &out, sample_hz: who.sample_hz, interrupted: &interrupted };
     let mut done = Ok(());
     for (number, label) in labels.iter().enumerate() {
         if args.guided {
@@ -249,7 +249,7 @@ impl Taken {
     }
 }
 
-struct Session<'a> {
+struct Recorder<'a> {
     talk: Talk,
     args: &'a Args,
     person: &'a str,
@@ -258,7 +258,7 @@ struct Session<'a> {
     interrupted: &'a AtomicBool,
 }
 
-impl Session<'_> {
+impl Recorder<'_> {
     /// One label: one good take.
     fn record(&mut self, label: &str) -> Result<()> {
         let attempts = if self.args.guided { ATTEMPTS } else { 1 };

@@ -3,7 +3,7 @@
 
 use host_bridge::bridge::{Bridge, EventKind, GestureOutcome};
 use host_bridge::intent::MotionMap;
-use host_bridge::safety::{Hand, State};
+use host_bridge::safety::{Hand, PerHand, State};
 use shared_proto::frame::{BOARD_FRAME_MAX, encode_board};
 use shared_proto::message::{
     Board, BoardMessage, Bytes, Heading, Hello, HostMessage, LeftState, ModelInfo, PROTOCOL_MAJOR,
@@ -66,9 +66,9 @@ pub struct Rig {
     pub left: LeftState,
     pub right: RightHand,
     /// Hands that send their state by themselves.
-    pub talking: [bool; 2],
+    pub talking: PerHand<bool>,
     /// Hands that answer pings, at once.
-    pub answering: [bool; 2],
+    pub answering: PerHand<bool>,
     /// How far the boards' clocks are from the laptop's.
     pub board_ahead_ms: u32,
     pub events: Vec<EventKind>,
@@ -93,8 +93,8 @@ impl Rig {
                 top: 0,
                 health: 0,
             },
-            talking: [false; 2],
-            answering: [true; 2],
+            talking: PerHand::default(),
+            answering: [true; 2].into(),
             board_ahead_ms: 0x8000_0000,
             events: Vec::new(),
             moved: false,
@@ -122,7 +122,7 @@ impl Rig {
         if hand == Hand::Right {
             self.send(hand, &model(LABELS));
         }
-        self.talking[hand as usize] = true;
+        self.talking[hand] = true;
     }
 
     pub fn send(&mut self, hand: Hand, bytes: &[u8]) {
@@ -168,7 +168,7 @@ impl Rig {
 
     fn answer_ping(&mut self, hand: Hand) {
         if let Some(HostMessage::Ping { id }) = self.bridge.ping(hand, self.now_ms)
-            && self.answering[hand as usize]
+            && self.answering[hand]
         {
             let board_time_ms = self.board_time_ms();
             self.send(hand, &encode(&BoardMessage::Pong(Pong { id, board_time_ms })));
@@ -181,10 +181,10 @@ impl Rig {
             self.answer_ping(Hand::Left);
             self.answer_ping(Hand::Right);
             if self.now_ms.is_multiple_of(20) {
-                if self.talking[0] {
+                if self.talking.left {
                     self.send_left();
                 }
-                if self.talking[1] {
+                if self.talking.right {
                     self.send_right();
                 }
             }

@@ -20,7 +20,7 @@ use shared_words::is_rest;
 
 use crate::RATE_HZ;
 use crate::dataset::Item;
-use crate::streams::Stream as Streams;
+use crate::streams::RandomStream;
 use crate::synth::{IdleKind, Motion, Segment, Wearer, session};
 
 /// Rest between two recordings in s: turning into the next posture, then still.
@@ -58,7 +58,7 @@ impl Stream {
     /// Joins recordings, in an order that follows from the seed.
     pub fn joined(items: &[&Item], axes: usize, seed: u64) -> Self {
         use rand::seq::SliceRandom;
-        let mut rng = Streams::Order.of(seed);
+        let mut rng = RandomStream::Order.of(seed);
         let mut order: Vec<&Item> = items.to_vec();
         order.shuffle(&mut rng);
         let mut stream = Self { axes, ..Self::default() };
@@ -79,7 +79,7 @@ impl Stream {
     /// A simulated wearer, never one of those that models learn from, who does many things but no gesture.
     pub fn aimless(seed: u64, index: u32, seconds: f64) -> Self {
         let wearer = Wearer::evaluation(seed, index);
-        let mut rng = Streams::Aimless(index).of(seed);
+        let mut rng = RandomStream::Aimless(index).of(seed);
         let mut script = Vec::new();
         let mut left_s = seconds;
         while left_s > 0.0 {

@@ -241,7 +241,7 @@ impl Trial<'_> {
         let theirs = self.read(model.card.axes, |name| name == person)?;
         let most = counts.iter().copied().max().unwrap_or(0);
         // Per class, in an order by the seed: first what may be shown (at most half), then what is tested.
-        let mut rng = streams::Stream::Shown.of(seed);
+        let mut rng = streams::RandomStream::Shown.of(seed);
         let mut shown: Vec<Vec<(Vec<f32>, usize)>> = Vec::new();
         let mut tested = Vec::new();
         for label in &theirs.labels {

@@ -7,7 +7,7 @@ use super::vary::{Kind, vary};
 use super::{OTHER, TrainError, Trained, quantise, sha256};
 use crate::card::Card;
 use crate::daily::Daily;
-use crate::streams::Stream;
+use crate::streams::RandomStream;
 use crate::tflite::{self, FloatLayer, Network};
 use crate::windows::{aligned_features, prepare};
 use crate::{WINDOW, blob};
@@ -69,7 +69,7 @@ fn fitted(
     daily: &[Vec<f32>],
     seed: u64,
 ) -> candle_core::Result<Adapted> {
-    let mut rng = Stream::Adapting.of(seed);
+    let mut rng = RandomStream::Adapting.of(seed);
     let mut new = Vec::new();
     for (window, label) in examples {
         let kind = Kind::of(&card.labels[*label]);

@@ -9,7 +9,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::net::{Layers, export, forward, on_one_thread, vars};
 use super::recipe::Fitted;
-use crate::streams::Stream;
+use crate::streams::RandomStream;
 use crate::tflite::FloatLayer;
 
 /// How to fit in epochs.
@@ -129,7 +129,7 @@ fn fit_here(
     seed: u64,
     progress: &ProgressBar,
 ) -> Result<Fitted> {
-    let mut rng = Stream::Epochs.of(seed);
+    let mut rng = RandomStream::Epochs.of(seed);
     let inputs = learn.first().map_or(0, |(input, _)| input.len());
     let widths: Vec<usize> = [&[inputs], plan.hidden, &[labels]].concat();
     let net = random_layers(&widths, &mut rng)?;

@@ -13,7 +13,7 @@ use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
 
 use super::net::{Layers, Rounding, export, forward, on_one_thread, vars};
-use crate::streams::Stream;
+use crate::streams::RandomStream;
 use crate::tflite::FloatLayer;
 
 /// How to fit in steps.
@@ -80,16 +80,18 @@ pub(super) fn fit(
     limit: f32,
     seed: u64,
 ) -> Result<Vec<FloatLayer>> {
-    let member =
-        |index: usize| on_one_thread(|| one(rows, labels, start, plan, None, Stream::Member(index).of(seed)));
+    let member = |index: usize| {
+        on_one_thread(|| one(rows, labels, start, plan, None, RandomStream::Member(index).of(seed)))
+    };
     let members: Vec<_> = (0..plan.members.max(1)).into_par_iter().map(member).collect::<Result<_>>()?;
     let mut layers = merged(&members);
     equalise(&mut layers);
     if plan.rounded > 0 {
         let rounding = Rounding::new(&layers, rows, limit);
         let (start, plan) = (Start::Layers(&layers), plan.last());
-        layers =
-            on_one_thread(|| one(rows, labels, &start, &plan, Some(&rounding), Stream::Rounding.of(seed)))?;
+        layers = on_one_thread(|| {
+            one(rows, labels, &start, &plan, Some(&rounding), RandomStream::Rounding.of(seed))
+        })?;
     }
     Ok(layers)
 }

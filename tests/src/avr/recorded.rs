@@ -10,7 +10,7 @@ use shared_proto::message::{AckResult, CalibrationStep};
 
 use super::image;
 use super::nano::{CYCLES_PER_MS, Line, Nano, Voltages};
-use super::session::{BLANK, Session};
+use super::session::{BLANK, LeftRig};
 use super::wearer::{SUPPLY_MV, normal};
 
 /// Conversions that the board adds up per sample.
@@ -64,7 +64,7 @@ pub fn calibrated(table: &CalibrationTable) -> Nano {
             Line::Millivolts(millivolts(held.get()[usize::from(line)]) + 1.6 * normal(&mut rng))
         }
     };
-    let mut session = Session::new(&image::path(), &BLANK, Box::new(pins));
+    let mut session = LeftRig::new(&image::path(), &BLANK, Box::new(pins));
     session.run_ms(300.0);
     assert_eq!(session.calibrate(CalibrationStep::Neutral), AckResult::Ok, "neutral");
     assert_eq!(session.calibrate(CalibrationStep::Rest), AckResult::Ok, "rest");

@@ -32,7 +32,7 @@ pub enum Seen {
 }
 
 /// A board and the laptop's ear.
-pub struct Session {
+pub struct LeftRig {
     /// The board.
     pub nano: Nano,
     decoder: Decoder<BOARD_FRAME_MAX>,
@@ -41,7 +41,7 @@ pub struct Session {
     request: u16,
 }
 
-impl Session {
+impl LeftRig {
     /// Powers a board.
     pub fn new(image: &Path, eeprom: &[u8; EEPROM_BYTES], voltages: Box<dyn Voltages>) -> Self {
         Self { nano: Nano::new(image, eeprom, voltages), decoder: Decoder::new(), bytes: 0, request: 0 }

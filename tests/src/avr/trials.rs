@@ -10,7 +10,7 @@ use shared_proto::message::{
 };
 
 use super::image;
-use super::session::{BLANK, Seen, Session, is_command};
+use super::session::{BLANK, LeftRig, Seen, is_command};
 use super::wearer::{Fault, Hand, Sensors, Tremor, Wearer, uniform};
 
 /// How a wearer's sensors and neutral pose are chosen.
@@ -77,7 +77,7 @@ pub struct Quiet {
 }
 
 /// A calibrated wearer at neutral.
-fn wear(job: Job, tremor_deg: f64, hz: std::ops::Range<f64>) -> (Session, Rc<RefCell<Hand>>, Rng) {
+fn wear(job: Job, tremor_deg: f64, hz: std::ops::Range<f64>) -> (LeftRig, Rc<RefCell<Hand>>, Rng) {
     let mut rng = Rng::with_seed(job.seed);
     let (sensors, off_level) = match job.parts {
         Parts::Drawn => {
@@ -93,7 +93,7 @@ fn wear(job: Job, tremor_deg: f64, hz: std::ops::Range<f64>) -> (Session, Rc<Ref
     };
     let calm = Tremor::drawn(&mut rng, 1f64.to_radians(), 4.0..12.0);
     let (wearer, hand) = Wearer::new(sensors.clone(), off_level, Some(calm), rng.fork());
-    let mut session = Session::new(&image::path(), &BLANK, Box::new(wearer));
+    let mut session = LeftRig::new(&image::path(), &BLANK, Box::new(wearer));
     session.run_ms(300.0);
     assert_eq!(session.calibrate(CalibrationStep::Neutral), AckResult::Ok, "neutral, seed {}", job.seed);
     assert_eq!(session.calibrate(CalibrationStep::Rest), AckResult::Ok, "rest, seed {}", job.seed);

@@ -61,7 +61,7 @@ pub struct Listener {
 }
 
 /// A board and who listens to it.
-pub struct Session {
+pub struct RightRig {
     /// The board.
     pub board: Board,
     /// What it said to this laptop.
@@ -73,7 +73,7 @@ pub struct Session {
     pub uart: Listener,
 }
 
-impl Session {
+impl RightRig {
     /// Starts the image behind the stock bootloader, with a laptop at D0 and D1.
     pub fn uart(motion: Box<dyn Motion>) -> Self {
         Self::new(Board::new(image(Variant::Bootloader), Boot::StockBootloader, motion), None)

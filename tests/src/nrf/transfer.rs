@@ -5,7 +5,7 @@ use shared_dsp::right::kind::FeatureKind;
 use shared_dsp::right::network::{BlobSpec, DenseSpec, Model, build_blob, crc32};
 use shared_proto::message::{AckResult, Bytes, HostMessage, MODEL_CHUNK_MAX, ModelBegin};
 
-use super::session::Session;
+use super::session::RightRig;
 
 /// A model of nine axes and seven labels with weights from a seed.
 ///
@@ -63,7 +63,7 @@ pub fn begin<'a>(blob: &'a [u8], model: &Model<'a>) -> ModelBegin<'a> {
 ///
 /// # Panics
 /// Without an answer.
-pub fn announce(session: &mut Session, begin: ModelBegin<'_>) -> AckResult {
+pub fn announce(session: &mut RightRig, begin: ModelBegin<'_>) -> AckResult {
     let before = session.heard.acks.len();
     session.send(&HostMessage::ModelBegin(begin));
     session.run_until_that(2000, |s| s.heard.acks[before..].iter().any(|a| a.result != AckResult::Started));
@@ -74,7 +74,7 @@ pub fn announce(session: &mut Session, begin: ModelBegin<'_>) -> AckResult {
 ///
 /// # Panics
 /// Where one is refused.
-pub fn pieces(session: &mut Session, blob: &[u8], most: usize) {
+pub fn pieces(session: &mut RightRig, blob: &[u8], most: usize) {
     for (i, data) in blob.chunks(MODEL_CHUNK_MAX).enumerate().take(most) {
         let offset = (i * MODEL_CHUNK_MAX) as u32;
         let ack = session.ask(
@@ -86,7 +86,7 @@ pub fn pieces(session: &mut Session, blob: &[u8], most: usize) {
 }
 
 /// Restarts the board.
-pub fn restart(session: &mut Session) {
+pub fn restart(session: &mut RightRig) {
     session.board.soc().nvic.reset_wanted = true;
     session.run_ms(300);
 }
@@ -95,7 +95,7 @@ pub fn restart(session: &mut Session) {
 ///
 /// # Panics
 /// Without a hello.
-pub fn model_id(session: &mut Session) -> u32 {
+pub fn model_id(session: &mut RightRig) -> u32 {
     session.send(&HostMessage::HelloRequest);
     let before = session.heard.hellos.len();
     assert!(session.run_until_that(500, |s| s.heard.hellos.len() > before), "no hello");
@@ -106,7 +106,7 @@ pub fn model_id(session: &mut Session) -> u32 {
 ///
 /// # Panics
 /// Where the board does not take it.
-pub fn install(session: &mut Session, blob: &[u8]) {
+pub fn install(session: &mut RightRig, blob: &[u8]) {
     let model = Model::parse(blob).expect("a model");
     assert_eq!(announce(session, begin(blob, &model)), AckResult::Ok);
     pieces(session, blob, usize::MAX);

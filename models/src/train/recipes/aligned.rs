@@ -13,7 +13,7 @@ use crate::card::Scaling;
 use crate::daily::{self, Daily};
 use crate::dataset::Item;
 use crate::recording::Recording;
-use crate::streams::Stream;
+use crate::streams::RandomStream;
 use crate::train::memory::Memory;
 use crate::train::recipe::{Beside, Calibration, Fitted, Learnt, Plan, Recipe, Row, Windows, scaling};
 use crate::train::simulated::{aimless, performed};
@@ -91,7 +91,7 @@ impl Recipe for Aligned {
     fn windows(&self, item: &Item, label: usize, place: usize, seed: u64) -> Windows {
         let (ready, prepared) = prepare(&item.recording);
         let (axes, kind) = (ready.axes(), Kind::of(&item.label));
-        let mut rng = Stream::Recording(place).of(seed);
+        let mut rng = RandomStream::Recording(place).of(seed);
         let (mut own, mut varied) = (Vec::new(), Vec::new());
         for window in cut(&ready) {
             own.push(aligned_features(axes, &window));

@@ -6,7 +6,7 @@ use shared_dsp::right::kind::FeatureKind;
 
 use crate::card::Scaling;
 use crate::dataset::Item;
-use crate::streams::Stream;
+use crate::streams::RandomStream;
 use crate::train::TrainError;
 use crate::train::augment::Augmentation;
 use crate::train::epochs::{self, Epochs};
@@ -55,7 +55,7 @@ impl Recipe for PerAxis {
         let own = features(&ready, self.features, self.stride_hops);
         let varied = (0..self.augmentation.copies)
             .flat_map(|copy| {
-                let mut rng = Stream::Copy { recording: place, copy }.of(seed);
+                let mut rng = RandomStream::Copy { recording: place, copy }.of(seed);
                 let (varied, _) = prepare(&self.augmentation.vary(&ready, &mut rng));
                 features(&varied, self.features, self.stride_hops)
             })

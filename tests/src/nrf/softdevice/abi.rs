@@ -144,9 +144,9 @@ pub fn put(soc: &mut Soc, address: u32, data: &[u8]) -> Answer {
 
 /// An event (`ble_evt_t`) as bytes.
 #[derive(Clone, Debug)]
-pub struct Event(Vec<u8>);
+pub struct SocEvent(Vec<u8>);
 
-impl Event {
+impl SocEvent {
     /// An event of GAP for a connection: its parameters begin at a multiple of 4.
     pub fn gap(number: u16, connection: u16) -> Self {
         let mut event = Self::gatts(number, connection);
@@ -190,10 +190,13 @@ mod tests {
     #[test]
     fn events_have_the_offsets_of_the_headers() {
         // ble_evt_t.evt 4, ble_gap_evt_t.params 4, ble_gatts_evt_t.params 2, ble_gatts_evt_write_t.data 12.
-        let gap = Event::gap(event::DISCONNECTED, 0).with(&[0x13]).finish();
+        let gap = SocEvent::gap(event::DISCONNECTED, 0).with(&[0x13]).finish();
         assert_eq!(gap, [17, 0, 9, 0, 0, 0, 0, 0, 0x13]);
-        let write =
-            Event::gatts(event::WRITE, 0).halves(&[19, 3]).with(&[2, 0, 1, 0]).halves(&[0, 2]).with(&[7, 8]);
+        let write = SocEvent::gatts(event::WRITE, 0)
+            .halves(&[19, 3])
+            .with(&[2, 0, 1, 0])
+            .halves(&[0, 2])
+            .with(&[7, 8]);
         let write = write.finish();
         assert_eq!((write[6], write[18], write[19], write.len()), (19, 7, 8, 20));
     }

@@ -2,9 +2,9 @@
 
 use super::super::soc::Soc;
 use super::super::time::us;
-use super::abi::{Answer, Event, bytes, call, error, event, put, reason, u8_at, u16_at, u32_at};
+use super::abi::{Answer, SocEvent, bytes, call, error, event, put, reason, u8_at, u16_at, u32_at};
 use super::central::{Bond, Happening, Heard};
-use super::link::{HANDLE, Link, Parameters};
+use super::link::{Connection, HANDLE, Parameters};
 use super::{SoftDevice, rules};
 
 const NO_SET: u8 = 0xFF;
@@ -39,7 +39,7 @@ pub(super) struct Keyset {
 pub(super) struct Pairing {
     keyset: Keyset,
     bond: bool,
-    /// Link events until its next step.
+    /// Connection events until its next step.
     wait: u8,
     encrypted: bool,
 }
@@ -100,7 +100,7 @@ impl SoftDevice {
     }
 
     /// The link, where it stands and is not about to end.
-    pub(super) fn open_link(&mut self, handle: u32) -> Result<&mut Link, u32> {
+    pub(super) fn open_link(&mut self, handle: u32) -> Result<&mut Connection, u32> {
         let link =
             self.link.as_mut().filter(|_| handle as u16 == HANDLE).ok_or(error::INVALID_CONN_HANDLE)?;
         if link.closing.is_some() { Err(error::INVALID_STATE) } else { Ok(link) }
@@ -184,10 +184,10 @@ impl SoftDevice {
 
     fn connect(&mut self, at: u64, soc: &mut Soc) {
         let interval = self.central.first_interval;
-        let link = Link::new(at, interval);
+        let link = Connection::new(at, interval);
         let [min, max, latency, supervision] = link.parameters.as_halves();
         // A random static address.
-        let connected = Event::gap(event::CONNECTED, HANDLE)
+        let connected = SocEvent::gap(event::CONNECTED, HANDLE)
             .with(&[1 << 1])
             .with(&self.central.address)
             .with(&[1])
@@ -255,7 +255,7 @@ impl SoftDevice {
         let link = self.link.as_mut().expect("a link");
         link.encrypted = true;
         // Security mode 1, level 2; a key of 16 bytes.
-        let update = Event::gap(event::CONN_SEC_UPDATE, HANDLE).with(&[2 << 4 | 1, 16]);
+        let update = SocEvent::gap(event::CONN_SEC_UPDATE, HANDLE).with(&[2 << 4 | 1, 16]);
         self.raise(update.finish(), &mut soc.nvic);
     }
 
@@ -298,7 +298,7 @@ impl SoftDevice {
         let bonded = u8::from(pairing.bond);
         // Success; levels 1 and 2 of mode 1; own key and peer identity were distributed.
         let status =
-            Event::gap(event::AUTH_STATUS, HANDLE).with(&[0, bonded << 2, 3, 0, bonded, bonded << 1]);
+            SocEvent::gap(event::AUTH_STATUS, HANDLE).with(&[0, bonded << 2, 3, 0, bonded, bonded << 1]);
         self.raise(status.finish(), &mut soc.nvic);
         self.central.tell(at, Happening::Paired { bonded: pairing.bond });
     }

@@ -1,7 +1,7 @@
 //! GATT server calls: the attribute table, notifications, and what the laptop writes.
 
 use super::super::soc::Soc;
-use super::abi::{Answer, Event, bytes, call, error, event, put, u8_at, u16_at, u32_at};
+use super::abi::{Answer, SocEvent, bytes, call, error, event, put, u8_at, u16_at, u32_at};
 use super::link::HANDLE;
 use super::{SoftDevice, central::Happening};
 
@@ -262,7 +262,7 @@ impl SoftDevice {
         let link = self.link.as_mut().expect("a link");
         if !link.system_attributes {
             if !std::mem::replace(&mut link.attributes_asked, true) {
-                let missing = Event::gatts(event::SYS_ATTR_MISSING, HANDLE).with(&[0, 0]).finish();
+                let missing = SocEvent::gatts(event::SYS_ATTR_MISSING, HANDLE).with(&[0, 0]).finish();
                 self.raise(missing, &mut soc.nvic);
             }
             return None;
@@ -301,7 +301,7 @@ impl SoftDevice {
 }
 
 fn write_event(handle: u16, (uuid, kind): (u16, u8), operation: u8, data: &[u8]) -> Vec<u8> {
-    Event::gatts(event::WRITE, HANDLE)
+    SocEvent::gatts(event::WRITE, HANDLE)
         .halves(&[handle, uuid])
         .with(&[kind, 0, operation, 0])
         .halves(&[0, data.len() as u16])

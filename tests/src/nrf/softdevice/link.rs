@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 
 use super::super::soc::Soc;
 use super::super::time::{ms, us};
-use super::abi::{self, Event, event, reason, u16_at};
+use super::abi::{self, SocEvent, event, reason, u16_at};
 use super::central::{Command, Happening};
 use super::gap::Pairing;
 use super::{SoftDevice, rules};
@@ -59,7 +59,7 @@ impl Parameters {
 
 /// The connection.
 #[derive(Clone, Debug)]
-pub(super) struct Link {
+pub(super) struct Connection {
     pub(super) parameters: Parameters,
     pub(super) next_event: u64,
     heard_at: u64,
@@ -88,7 +88,7 @@ pub(super) struct Link {
     pub(super) closing: Option<u8>,
 }
 
-impl Link {
+impl Connection {
     pub(super) fn new(at: u64, interval: u16) -> Self {
         let parameters = Parameters { min: interval, max: interval, latency: 0, supervision: 42 };
         Self {
@@ -245,7 +245,7 @@ impl SoftDevice {
             told = Some(new);
         }
         if let Some(parameters) = told {
-            let update = Event::gap(event::CONN_PARAM_UPDATE, HANDLE).halves(&parameters.as_halves());
+            let update = SocEvent::gap(event::CONN_PARAM_UPDATE, HANDLE).halves(&parameters.as_halves());
             self.raise(update.finish(), &mut soc.nvic);
         }
     }
@@ -258,7 +258,7 @@ impl SoftDevice {
             link.content_at = at;
         } else if at - link.content_at >= PAYLOAD_TIMEOUT {
             link.content_at = at;
-            let timeout = Event::gap(event::TIMEOUT, HANDLE).with(&[AUTHENTICATED_PAYLOAD]).finish();
+            let timeout = SocEvent::gap(event::TIMEOUT, HANDLE).with(&[AUTHENTICATED_PAYLOAD]).finish();
             self.raise(timeout, &mut soc.nvic);
         }
     }
@@ -270,13 +270,14 @@ impl SoftDevice {
         link.fast |= fast;
         if let Some(octets) = octets {
             link.data_length = octets;
-            let update =
-                Event::gap(event::DATA_LENGTH_UPDATE, HANDLE).halves(&[octets, octets, 2120, 2120]).finish();
+            let update = SocEvent::gap(event::DATA_LENGTH_UPDATE, HANDLE)
+                .halves(&[octets, octets, 2120, 2120])
+                .finish();
             self.raise(update, &mut soc.nvic);
             self.central.tell(at, Happening::DataLength(octets));
         }
         if fast {
-            let update = Event::gap(event::PHY_UPDATE, HANDLE).with(&[0, 2, 2]).finish();
+            let update = SocEvent::gap(event::PHY_UPDATE, HANDLE).with(&[0, 2, 2]).finish();
             self.raise(update, &mut soc.nvic);
         }
     }
@@ -327,18 +328,20 @@ impl SoftDevice {
                 }
                 Command::ExchangeMtu(mtu) => {
                     self.link.as_mut().expect("a link").mtu_asked = Some(mtu);
-                    let request = Event::gatts(event::EXCHANGE_MTU_REQUEST, HANDLE).halves(&[mtu]).finish();
+                    let request =
+                        SocEvent::gatts(event::EXCHANGE_MTU_REQUEST, HANDLE).halves(&[mtu]).finish();
                     self.raise(request, &mut soc.nvic);
                 }
                 Command::FastRadio => {
-                    let request = Event::gap(event::PHY_UPDATE_REQUEST, HANDLE).with(&[2, 2]).finish();
+                    let request = SocEvent::gap(event::PHY_UPDATE_REQUEST, HANDLE).with(&[2, 2]).finish();
                     self.raise(request, &mut soc.nvic);
                 }
                 Command::Pair { bond } => {
                     self.link.as_mut().expect("a link").pairing_asked = Some(bond);
                     // No input, no output; keys of 7 to 16 bytes; encryption and identity keys both ways.
                     let flags = u8::from(bond) | 3 << 4;
-                    let request = Event::gap(event::SEC_PARAMS_REQUEST, HANDLE).with(&[flags, 7, 16, 3, 3]);
+                    let request =
+                        SocEvent::gap(event::SEC_PARAMS_REQUEST, HANDLE).with(&[flags, 7, 16, 3, 3]);
                     self.raise(request.finish(), &mut soc.nvic);
                 }
                 Command::Encrypt => self.ask_for_key(at, soc),
@@ -358,7 +361,7 @@ impl SoftDevice {
             return self.central.tell(at, Happening::KeyMissing);
         };
         self.link.as_mut().expect("a link").key_asked = true;
-        let request = Event::gap(event::SEC_INFO_REQUEST, HANDLE)
+        let request = SocEvent::gap(event::SEC_INFO_REQUEST, HANDLE)
             .with(&[1 << 1])
             .with(&self.central.address)
             .with(&[0])
@@ -385,7 +388,7 @@ impl SoftDevice {
             sent += 1;
         }
         if sent > 0 {
-            let complete = Event::gatts(event::HVN_TX_COMPLETE, HANDLE).with(&[sent as u8, 0]).finish();
+            let complete = SocEvent::gatts(event::HVN_TX_COMPLETE, HANDLE).with(&[sent as u8, 0]).finish();
             self.raise(complete, &mut soc.nvic);
         }
         sent
@@ -407,7 +410,7 @@ mod tests {
 
     #[test]
     fn long_packets_and_the_fast_radio_save_air_time() {
-        let mut link = Link::new(0, 24);
+        let mut link = Connection::new(0, 24);
         let slow = link.air_time(244);
         link.data_length = 251;
         let long = link.air_time(244);

@@ -24,7 +24,7 @@ use abi::{Answer, call, error, put, u8_at, u16_at, u32_at};
 use central::{Central, Happening};
 use gap::{AdvertisingSet, Beacon};
 use gatts::Table;
-use link::Link;
+use link::Connection;
 use rules::{Config, Rules};
 use soc_calls::{FlashJob, UsbEvents};
 
@@ -61,7 +61,7 @@ pub struct SoftDevice {
     table: Table,
     set: Option<AdvertisingSet>,
     beacon: Option<Beacon>,
-    link: Option<Link>,
+    link: Option<Connection>,
     /// The laptop.
     pub central: Central,
     /// What the image broke.
@@ -322,7 +322,7 @@ impl SoftDevice {
     /// The link is gone for both sides.
     fn end_link(&mut self, reason: u8, told: Happening, soc: &mut Soc) {
         self.link = None;
-        let event = abi::Event::gap(abi::event::DISCONNECTED, link::HANDLE).with(&[reason]).finish();
+        let event = abi::SocEvent::gap(abi::event::DISCONNECTED, link::HANDLE).with(&[reason]).finish();
         self.raise(event, &mut soc.nvic);
         self.central.tell(soc.now, told);
         self.central.left();
