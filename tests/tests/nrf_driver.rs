@@ -286,26 +286,11 @@ impl Motion for Field {
     }
 }
 
-/// A chip that is off in everything.
-const ODD: Trim = Trim {
-    x1: -5,
-    y1: 7,
-    x2: 30,
-    y2: -12,
-    z1: 23_100,
-    z2: 810,
-    z3: -340,
-    z4: 21,
-    xy1: 31,
-    xy2: -4,
-    xyz1: 6500,
-};
-
 #[test]
 fn a_rev2s_magnetometer_gives_the_field_whatever_its_trimming_and_its_temperature() {
     for hall in [6100, 6500, 7100] {
         for field in [[0.0; 3], [20.0, 0.0, -40.0], [-1234.5, 640.0, 2400.0], [1300.0, -1100.0, -2500.0]] {
-            let mut chip = Bmm150::new(Box::new(Field(field)), ODD);
+            let mut chip = Bmm150::new(Box::new(Field(field)), Trim::ODD);
             chip.hall = hall;
             let wire = Wire::new(chip);
             let mut driver = Bmm150Driver::new(wire.clone());
@@ -324,7 +309,7 @@ fn a_rev2s_magnetometer_gives_the_field_whatever_its_trimming_and_its_temperatur
 
 #[test]
 fn a_rev2s_magnetometer_beside_a_magnet_gives_nothing_and_its_faults_are_named() {
-    let wire = Wire::new(Bmm150::new(Box::new(Field([20.0, 9000.0, 0.0])), ODD));
+    let wire = Wire::new(Bmm150::new(Box::new(Field([20.0, 9000.0, 0.0])), Trim::ODD));
     let mut driver = Bmm150Driver::new(wire.clone());
     wait(driver.start(&mut wire.delay())).unwrap();
     wire.pass(ms(40));

@@ -82,6 +82,36 @@ pub struct Trim {
 }
 
 impl Trim {
+    /// What chips of this kind have.
+    pub const TYPICAL: Self = Self {
+        x1: 0,
+        y1: 0,
+        x2: 26,
+        y2: 26,
+        z1: 24_747,
+        z2: 763,
+        z3: 0,
+        z4: 0,
+        xy1: 29,
+        xy2: -3,
+        xyz1: 6753,
+    };
+
+    /// A chip that is off in everything, to test with.
+    pub const ODD: Self = Self {
+        x1: -5,
+        y1: 7,
+        x2: 30,
+        y2: -12,
+        z1: 23_100,
+        z2: 810,
+        z3: -340,
+        z4: 21,
+        xy1: 31,
+        xy2: -4,
+        xyz1: 6500,
+    };
+
     /// From the registers 0x5D, 0x62 and 0x68 on.
     fn from_bytes(one: [u8; 2], two: [u8; 4], three: [u8; 10]) -> Self {
         let word = |i: usize| u16::from_le_bytes([three[i], three[i + 1]]);
@@ -186,46 +216,18 @@ impl<I: I2c> Bmm150<I> {
 mod tests {
     use super::*;
 
-    /// What chips of this kind have, and one that is off in everything.
-    const TYPICAL: Trim = Trim {
-        x1: 0,
-        y1: 0,
-        x2: 26,
-        y2: 26,
-        z1: 24_747,
-        z2: 763,
-        z3: 0,
-        z4: 0,
-        xy1: 29,
-        xy2: -3,
-        xyz1: 6753,
-    };
-    const ODD: Trim = Trim {
-        x1: -5,
-        y1: 7,
-        x2: 30,
-        y2: -12,
-        z1: 23_100,
-        z2: 810,
-        z3: -340,
-        z4: 21,
-        xy1: 31,
-        xy2: -4,
-        xyz1: 6500,
-    };
-
     /// Bosch's own program (BMM150_SensorAPI, in floating point) gave these.
     #[test]
     fn trimming_gives_the_field_that_the_makers_own_program_gives() {
         for (trim, field, hall, wanted) in [
-            (TYPICAL, [0, 0, 0], 6753, [0.0, 0.0, 0.0]),
-            (TYPICAL, [100, -200, 300], 6753, [36.3281, -72.6562, 104.7929]),
-            (TYPICAL, [100, -200, 300], 7100, [36.1260, -72.2520, 100.3094]),
-            (TYPICAL, [-1234, 2345, -3456], 6100, [-453.6651, 862.1107, -1318.0835]),
-            (ODD, [0, 0, 0], 6753, [-2.5, 3.5, -7.4793]),
-            (ODD, [100, -200, 300], 6753, [34.4402, -54.0490, 102.8147]),
-            (ODD, [-1234, 2345, -3456], 6100, [-464.0352, 686.6886, -1393.8743]),
-            (ODD, [4095, -4095, 16383], 6500, [1517.1289, -1180.2109, 6214.3999]),
+            (Trim::TYPICAL, [0, 0, 0], 6753, [0.0, 0.0, 0.0]),
+            (Trim::TYPICAL, [100, -200, 300], 6753, [36.3281, -72.6562, 104.7929]),
+            (Trim::TYPICAL, [100, -200, 300], 7100, [36.1260, -72.2520, 100.3094]),
+            (Trim::TYPICAL, [-1234, 2345, -3456], 6100, [-453.6651, 862.1107, -1318.0835]),
+            (Trim::ODD, [0, 0, 0], 6753, [-2.5, 3.5, -7.4793]),
+            (Trim::ODD, [100, -200, 300], 6753, [34.4402, -54.0490, 102.8147]),
+            (Trim::ODD, [-1234, 2345, -3456], 6100, [-464.0352, 686.6886, -1393.8743]),
+            (Trim::ODD, [4095, -4095, 16383], 6500, [1517.1289, -1180.2109, 6214.3999]),
         ] {
             let seen = trim.field_ut(Raw { field, hall }).expect("within the range");
             for (seen, wanted) in seen.into_iter().zip(wanted) {
@@ -246,10 +248,10 @@ mod tests {
             raw([10, 20, -16384], 6500),
             raw([10, 20, 30], 0),
         ] {
-            assert_eq!(TYPICAL.field_ut(bad), None, "{bad:?}");
+            assert_eq!(Trim::TYPICAL.field_ut(bad), None, "{bad:?}");
         }
         assert_eq!(Trim::default().field_ut(raw([10, 20, 30], 6500)), None, "a chip that was not read");
-        assert!(TYPICAL.field_ut(raw([-4095, 4095, -16383], 6500)).is_some());
+        assert!(Trim::TYPICAL.field_ut(raw([-4095, 4095, -16383], 6500)).is_some());
     }
 
     #[test]

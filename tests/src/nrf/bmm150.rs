@@ -155,20 +155,6 @@ mod tests {
     use super::*;
     use crate::nrf::registers::tests::{get, set};
 
-    const TRIM: Trim = Trim {
-        x1: 0,
-        y1: 0,
-        x2: 26,
-        y2: 26,
-        z1: 24_747,
-        z2: 763,
-        z3: 0,
-        z4: 0,
-        xy1: 29,
-        xy2: -3,
-        xyz1: 6753,
-    };
-
     struct Field([f64; 3]);
     impl Motion for Field {
         fn at(&self, _: f64) -> [f64; 9] {
@@ -178,7 +164,7 @@ mod tests {
     }
 
     fn running(field: [f64; 3]) -> (Bmm150, u64) {
-        let mut chip = Bmm150::new(Box::new(Field(field)), TRIM);
+        let mut chip = Bmm150::new(Box::new(Field(field)), Trim::TYPICAL);
         set(&mut chip, &[(POWER, 1)], 0);
         set(&mut chip, &[(0x51, 4), (0x52, 7), (MODE, 0x38)], START);
         (chip, START)
@@ -186,7 +172,7 @@ mod tests {
 
     #[test]
     fn without_its_power_bit_nothing_is_there_and_it_takes_3_ms() {
-        let mut chip = Bmm150::new(Box::new(Field([0.0; 3])), TRIM);
+        let mut chip = Bmm150::new(Box::new(Field([0.0; 3])), Trim::TYPICAL);
         assert_eq!(get(&mut chip, 0x40, 0), [0]);
         set(&mut chip, &[(MODE, 0x38), (POWER, 1)], 0);
         set(&mut chip, &[(0x51, 4)], START - 1);
