@@ -106,6 +106,9 @@ pub fn stage(config: &Config, scene: Option<&Path>) -> Result<Stage> {
     let scene = Scene::parse(&text).with_context(about)?;
     let arm = arm(&scene, file)?;
     let planner = Planner::new(arm, scene).with_context(about)?;
+    for note in planner.world().notes() {
+        eprintln!("{}: {note}", file.display());
+    }
     Stage::new(config, Some(planner)).with_context(about)
 }
 

@@ -69,6 +69,29 @@ fn every_gesture_of_the_demo_is_executed_in_order_and_the_base_ends_where_the_sc
 }
 
 #[test]
+fn by_gestures_a_cup_is_picked_up_carried_while_the_base_drives_and_put_down_on_another_table() {
+    let text = include_str!("../scenes/pick-and-place.toml");
+    let scene = host_bridge::scene::Scene::parse(text).unwrap();
+    let demo = Demo::named(scene.demo.as_deref()).unwrap();
+    let expect = demo.script.expect.clone();
+    let planner = host_bridge::plan::Planner::new(host_bridge::arm::model::SerialArm::gen3(), scene).unwrap();
+    let model = ModelFile::bundled().unwrap();
+    let mut session = demo.session(&model, MotionMap::default(), moving::in_scene(planner)).unwrap();
+    while !session.finished() {
+        session.step();
+    }
+    let summary = session.summary();
+    let checks = expect.check(&summary);
+    assert!(checks.iter().any(|check| check.what == "object"));
+    assert!(checks.iter().all(|check| check.ok), "{checks:?}");
+    let told: Vec<String> = summary.events.iter().map(|event| format!("{:?}", event.kind)).collect();
+    let place = |words: &str| told.iter().position(|text| text.contains(words)).unwrap();
+    assert!(place("has cup (60 mm)") < place("put cup down on other table"), "{told:#?}");
+    assert_eq!(summary.robot_timeouts, 0);
+    assert!(Demo::named(Some("nothing")).is_err());
+}
+
+#[test]
 fn the_same_session_gives_the_same_summary() {
     let once = || run(Some(left()), Some(right()), MotionMap::default());
     assert_eq!(once(), once());

@@ -63,8 +63,8 @@ fn a_cup_is_picked_up_carried_while_the_base_drives_and_put_down() {
     assert_eq!(notes(&reports), ["the gripper has cup (60 mm)"]);
     assert_eq!(ended(&reports), Some(true));
     assert!((robot.picture().opening_m.unwrap() - 0.06).abs() < 1e-9);
-    // Its underside was 60 mm below the point between the fingertips, and is so still.
-    assert_eq!(cup_mm(&robot), [450.0, 0.0, 690.0]);
+    // Its underside was 70 mm below the point between the fingertips, and is so still.
+    assert_eq!(cup_mm(&robot), [450.0, 0.0, 680.0]);
     assert_eq!(robot.picture().held, None);
     for _ in 0..100 {
         robot.drive(Twist { linear_m_s: -0.5, angular_rad_s: 0.0 });
@@ -76,7 +76,7 @@ fn a_cup_is_picked_up_carried_while_the_base_drives_and_put_down() {
     }
     let back_mm = -1000.0 * robot.odometry().x_m;
     assert!((900.0..1100.0).contains(&back_mm), "{back_mm}");
-    assert_eq!(cup_mm(&robot), [(450.0 - back_mm).round(), 0.0, 690.0]);
+    assert_eq!(cup_mm(&robot), [(450.0 - back_mm).round(), 0.0, 680.0]);
     robot.start("place").unwrap();
     let reports = finish(&mut robot);
     println!("{reports:?} at {} ms", robot.now_ms());
@@ -94,8 +94,8 @@ fn what_cannot_be_done_is_refused_with_its_step_before_anything_moves() {
         ),
         // Not beside a grip: nothing may be touched.
         (
-            "{ position_m = [0.7, 0.0, 0.66], quaternion_wxyz = [0, 1, 0, 0] }, { move_m = [0, 0, -0.15] }",
-            "step 2: the straight line is not clear: 2f-85 would come within",
+            "{ position_m = [0.7, 0.0, 0.66], quaternion_wxyz = [0, 1, 0, 0] }, { move_m = [0, 0, -0.14] }",
+            "step 2: the straight line is not clear: the gripper's fingers would come within",
         ),
     ] {
         let mut robot = robot(&format!("{SCENE}\n[[motion]]\nname = \"own\"\nsteps = [{steps}]\n"));
@@ -113,6 +113,33 @@ fn without_a_gripper_a_motion_that_needs_one_is_refused() {
     let refused = robot.start("pick-up").unwrap_err().to_string();
     assert!(refused.contains("no gripper") && refused.contains("[[tool]]"), "{refused}");
     assert!(robot.at_rest());
+}
+
+#[test]
+fn a_stop_while_it_puts_down_leaves_the_cup_in_the_hand_or_where_it_was_put() {
+    // Put back where it was taken from.
+    for stop_ms in (500..14_000).step_by(700) {
+        let mut robot = robot(SCENE);
+        robot.start("pick-up").unwrap();
+        finish(&mut robot);
+        robot.start("place").unwrap();
+        for _ in 0..stop_ms / 20 {
+            robot.drive(Twist::ZERO);
+            robot.pass(20);
+        }
+        robot.halt();
+        let reports = finish(&mut robot);
+        let opening_m = robot.picture().opening_m.unwrap();
+        for _ in 0..100 {
+            robot.drive(Twist::ZERO);
+            robot.pass(20);
+        }
+        assert_eq!(robot.picture().opening_m, Some(opening_m), "at {stop_ms} ms: {reports:?}");
+        robot.start("home").unwrap_or_else(|why| panic!("after a stop at {stop_ms} ms: {why}"));
+        assert_eq!(ended(&finish(&mut robot)), Some(true));
+        let in_hand = opening_m < 0.0621;
+        assert_eq!(cup_mm(&robot)[2] != 450.0, in_hand, "at {stop_ms} ms: {:?}", cup_mm(&robot));
+    }
 }
 
 #[test]
@@ -217,4 +244,26 @@ fn without_a_scene_lines_are_straight_and_the_papers_motions_are_one_trajectory_
     println!("the tool leaves the line by {off_mm:.3} mm at most");
     assert!(off_mm < 0.5);
     assert!(robot.start("close-gripper").unwrap_err().to_string().contains("no gripper"));
+}
+
+#[test]
+fn a_motion_that_is_late_for_its_next_part_or_loses_who_commands_does_not_go_on() {
+    let own = "{ to = \"carry\" }, { wait_s = 2 }, { move_m = [0, 0, 0.05] }";
+    let mut robot = robot(&format!("{SCENE}\n[[motion]]\nname = \"own\"\nsteps = [{own}]\n"));
+    robot.start("own").unwrap();
+    for _ in 0..2000 {
+        robot.drive(Twist::ZERO);
+        robot.pass(20);
+        if robot.arm().at_rest() && robot.now_ms() > 500 {
+            break;
+        }
+    }
+    let rested = robot.arm().joints_rad;
+    assert!(robot.arm().running.is_some(), "it waits");
+    // Nobody commands any longer; the simulated robot stops by itself after 0.5 s, and is not revived.
+    robot.pass(5000);
+    let reports = robot.take_reports();
+    assert_eq!(ended(&reports), Some(false), "{reports:?}");
+    assert!(notes(&reports).iter().any(|note| note.starts_with("nobody has commanded for")), "{reports:?}");
+    assert_eq!(robot.arm().joints_rad, rested);
 }

@@ -1,7 +1,7 @@
 //! `host-bridge teach NAME`: where the robot's arm is now becomes a pose; `--play` goes there.
 
 use std::io::{IsTerminal as _, Write as _};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -9,12 +9,12 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result, bail, ensure};
 use host_bridge::arm::Director;
+use host_bridge::base::Twist;
 use host_bridge::config::Config;
 use host_bridge::ending::Ending;
 use host_bridge::robot::{Door as _, Joints, MotionName, Report, Robot};
 use host_bridge::robots::Stage;
 use host_bridge::ros2::ArmInterface;
-use host_bridge::scene::Scene;
 use host_bridge::taught::with_pose;
 
 use super::ports::read_config;
@@ -25,8 +25,11 @@ use crate::play::{Interrupted, stage};
 /// The robot is waited for so long.
 const SEARCH: Duration = Duration::from_secs(8);
 const TURN: Duration = Duration::from_millis(5);
-/// Nothing that is taught moves faster.
+/// Nothing that is taught moves faster,
 const REST_RAD_S: f64 = 0.02;
+/// nor further in this time.
+const RESTED: Duration = Duration::from_millis(500);
+const NOISE_RAD: f64 = 0.002;
 
 /// Options.
 #[derive(clap::Args, Clone, Debug)]
@@ -61,8 +64,9 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         ensure!(args.play, "name the file that the pose is written into: --scene FILE or --config FILE");
         return play(args, &config);
     };
+    let taken = [MotionName::END_ARM, "ready", "open-gripper", "close-gripper", "toggle-gripper"];
     ensure!(
-        !args.name.trim().is_empty() && args.name != MotionName::END_ARM && args.name != "ready",
+        !args.name.trim().is_empty() && !taken.contains(&args.name.as_str()),
         "'{}' is no name for a pose of yours",
         args.name
     );
@@ -79,7 +83,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     };
     let about = || into.display().to_string();
     let new = with_pose(&text, &args.name, &joints_rad[..count]).with_context(about)?;
-    check(args, &new).with_context(about)?;
+    check(args, &config, &new).with_context(about)?;
     models::recording::write_whole(into, new.as_bytes()).with_context(about)?;
     let angles: Vec<String> = joints_rad[..count].iter().map(|angle| format!("{angle:.3}")).collect();
     println!("{}: pose '{}' is [{}] rad", into.display(), args.name, angles.join(", "));
@@ -92,16 +96,17 @@ fn quoted(name: &str) -> String {
 }
 
 /// The file as it will be can be used.
-fn check(args: &Args, new: &str) -> Result<()> {
+fn check(args: &Args, config: &Config, new: &str) -> Result<()> {
     let Some(file) = &args.scene else {
         Stage::new(&Config::parse(new)?, None)?;
         return Ok(());
     };
-    Scene::parse(new)?;
-    // With all that it names, which stands beside it.
-    let beside = file.with_extension("teach-check.toml");
+    // Beside the scene, for the sake of the files that it names.
+    let name =
+        format!(".teach-{}-{}.toml", std::process::id(), file.file_stem().unwrap_or_default().display());
+    let beside = file.with_file_name(name);
     std::fs::write(&beside, new)?;
-    let checked = stage(&Config::default(), Some(Path::new(&beside)));
+    let checked = stage(config, Some(&beside));
     let _ = std::fs::remove_file(&beside);
     checked.map(|_| ())
 }
@@ -116,28 +121,38 @@ fn open(config: &Config, stage: &Stage) -> Result<Remote> {
     Ok(stage.before(robot))
 }
 
-/// The arm's angles, at rest.
+/// The arm's angles, once they have been the same for a while: not every driver tells speeds.
 fn here(door: &mut Remote) -> Result<Joints> {
     let start = Instant::now();
-    let mut moving = None;
+    let mut rested: Option<(Joints, Instant)> = None;
     while start.elapsed() < SEARCH {
         door.step(start.elapsed().as_millis() as u64);
         if let Some(arm) = door.robot().arm() {
-            moving = arm.value.velocity_rad_s.iter().position(|v| v.abs() > REST_RAD_S);
-            if moving.is_none() {
-                return Ok(arm.value.joints_rad);
+            let here = arm.value.joints_rad;
+            let moves = arm.value.velocity_rad_s.iter().any(|v| v.abs() > REST_RAD_S);
+            match rested {
+                Some((there, since)) if !moves && is_near(&here, &there) => {
+                    if since.elapsed() >= RESTED {
+                        return Ok(here);
+                    }
+                }
+                _ => rested = Some((here, Instant::now())),
             }
         }
         std::thread::sleep(TURN);
     }
-    match moving {
-        Some(joint) => bail!("joint {} still moves; let the arm rest, then teach", joint + 1),
+    match rested {
+        Some(_) => bail!("the arm still moves; let it rest, then teach"),
         None => bail!(
             "no angles of all joints within {} s: are joint_states and joint_names under [ros2] the robot's? \
              `host-bridge doctor --ros2` tells",
             SEARCH.as_secs()
         ),
     }
+}
+
+fn is_near(one: &Joints, two: &Joints) -> bool {
+    one.iter().zip(two).all(|(a, b)| (a - b).abs() <= NOISE_RAD)
 }
 
 /// Goes there as a gesture would.
@@ -162,6 +177,8 @@ fn play(args: &Args, config: &Config) -> Result<ExitCode> {
     let name = MotionName::from(args.name.as_str());
     let turn = |door: &mut Remote| -> Option<bool> {
         door.step(now_ms());
+        // It says that somebody commands; the base stays where it is.
+        door.drive(Twist::ZERO);
         let mut reached = None;
         for report in door.take_reports() {
             match report {
@@ -174,15 +191,22 @@ fn play(args: &Args, config: &Config) -> Result<ExitCode> {
         std::thread::sleep(TURN);
         reached
     };
-    let mut started = door.start_motion(&name);
-    while started.is_err() && start.elapsed() < SEARCH && !ended.load(Ordering::SeqCst) {
+    // The robot is waited for; the motion is asked for once.
+    let mut ready = false;
+    while !ready && start.elapsed() < SEARCH && !ended.load(Ordering::SeqCst) {
         turn(&mut door);
-        started = door.start_motion(&name);
+        ready = door.refusal().is_none() && door.robot().can_follow().is_ok();
     }
-    let mut reached = None;
-    if started.is_ok() {
-        while reached.is_none() && !ended.load(Ordering::SeqCst) {
+    if let Some(refusal) = door.refusal() {
+        bail!("the robot refuses to move: {refusal}");
+    }
+    let mut started = Ok(());
+    let (mut reached, mut refused) = (None, None);
+    if !ended.load(Ordering::SeqCst) {
+        started = door.start_motion(&name);
+        while started.is_ok() && reached.is_none() && refused.is_none() && !ended.load(Ordering::SeqCst) {
             reached = turn(&mut door);
+            refused = door.refusal();
         }
     }
     if reached != Some(true) {
@@ -191,6 +215,9 @@ fn play(args: &Args, config: &Config) -> Result<ExitCode> {
         while (start.elapsed().as_millis() as u64) < until_ms {
             turn(&mut door);
         }
+    }
+    if let Some(refusal) = refused {
+        bail!("the robot refuses to move on: {refusal}");
     }
     if ended.load(Ordering::SeqCst) {
         return Err(Interrupted.into());

@@ -112,6 +112,8 @@ pub enum Grasp {
 const GRASPS: [(&str, Grasp); 3] =
     [("open-gripper", Grasp::Open), ("close-gripper", Grasp::Close), ("toggle-gripper", Grasp::Toggle)];
 
+/// All of a motion is planned before it starts, so it must end somewhere.
+const STEPS_MAX: usize = 32;
 /// No step waits longer.
 const WAIT_MAX_S: f64 = 60.0;
 /// No relative move is longer.
@@ -342,6 +344,10 @@ impl Motions {
     fn read(&self, arm: &SerialArm, table: &MotionTable) -> Result<Motion, MotionError> {
         if table.steps.is_empty() {
             return Err(MotionError::Empty(table.name.clone()));
+        }
+        if table.steps.len() > STEPS_MAX {
+            let reason = format!("a motion has at most {STEPS_MAX} steps");
+            return Err(MotionError::Step { motion: table.name.clone(), step: STEPS_MAX + 1, reason });
         }
         let read = |(i, step): (usize, &StepTable)| {
             let bad = |reason: String| MotionError::Step { motion: table.name.clone(), step: i + 1, reason };

@@ -275,6 +275,12 @@ impl Shop<'_> {
         said
     }
 
+    /// What was held is held no longer, wherever the fingers are; what became of it, for people.
+    pub fn let_go_of(&self, things: &mut Things, flange: &Pose) -> Option<String> {
+        let (i, on_flange) = self.held(things)?;
+        Some(self.let_go(things, i, &flange.then(on_flange.position_m, on_flange.rotation)))
+    }
+
     /// A thing falls upright onto what is below it.
     fn let_go(&self, things: &mut Things, i: usize, at: &Pose) -> String {
         let below = |shape: &UprightBox| {

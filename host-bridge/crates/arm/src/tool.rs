@@ -174,7 +174,17 @@ impl Tool {
 
     /// Its shapes in the flange's frame, with the fingers so far apart.
     pub fn shapes(&self, opening_m: f64) -> Vec<Capsule> {
-        let mut shapes = self.shapes.clone();
+        [self.fixed(), &self.fingers(opening_m)].concat()
+    }
+
+    /// Those that do not move.
+    pub fn fixed(&self) -> &[Capsule] {
+        &self.shapes
+    }
+
+    /// Those of the fingers.
+    pub fn fingers(&self, opening_m: f64) -> Vec<Capsule> {
+        let mut shapes = Vec::new();
         let Some(hand) = &self.hand else { return shapes };
         let shut = (1.0 - opening_m / hand.widest_m).clamp(0.0, 1.0);
         for finger in &hand.fingers {

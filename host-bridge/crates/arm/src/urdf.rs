@@ -109,13 +109,13 @@ pub fn parse(text: &str, missing: &Missing) -> Result<SerialArm, UrdfError> {
         home_rad: [0.0; JOINTS],
         notes: Vec::new(),
     };
-    let mut unread: Vec<&str> = Vec::new();
+    let (mut unread, mut absent): (Vec<&str>, Vec<&str>) = (Vec::new(), Vec::new());
     // The link that the last joint turns has a shape of its own, all of which was read.
     let mut has_shape = true;
     // The frame that has been reached, as seen from the last joint that turns.
     let mut here = Pose::IDENTITY;
     arm.foot.extend(shapes(collisions(link), &here));
-    unread.extend(meshes(collisions(link)).then_some(link));
+    absent.extend(meshes(collisions(link)).then_some(link));
     for joint in chain {
         here = here.then(DVec3::from(joint.origin.xyz.0), rotation(joint.origin.rpy.0));
         match joint.joint_type {
@@ -180,7 +180,13 @@ pub fn parse(text: &str, missing: &Missing) -> Result<SerialArm, UrdfError> {
                 )));
             }
         }
-        unread.extend(meshes(collisions(&joint.child.link)).then_some(joint.child.link.as_str()));
+        let mesh = meshes(collisions(&joint.child.link)).then_some(joint.child.link.as_str());
+        // What turns with its joint has a line instead.
+        if joint.joint_type == JointType::Fixed {
+            absent.extend(mesh)
+        } else {
+            unread.extend(mesh)
+        }
         let found = shapes(collisions(&joint.child.link), &here);
         match arm.joints.last_mut() {
             Some(last) => last.shapes.extend(found),
@@ -199,6 +205,12 @@ pub fn parse(text: &str, missing: &Missing) -> Result<SerialArm, UrdfError> {
              (link_radius_m)",
             unread.join(", "),
             1000.0 * missing.link_radius_m
+        ));
+    }
+    if !absent.is_empty() {
+        arm.notes.push(format!(
+            "the meshes of {} are not read, and nothing stands for them: describe them by boxes, cylinders or spheres",
+            absent.join(", ")
         ));
     }
     (arm.flange_m, arm.flange_rotation) = (here.position_m, here.rotation);

@@ -1,12 +1,13 @@
 //! The gripper's action on the graph, of whichever kind its server is.
 
 use ros2_client::action::{ActionClient, ActionClientQosPolicies, GoalId};
+use ros2_client::action_msgs::GoalStatusArray;
 use ros2_client::qos::Durability;
 use ros2_client::{ActionTypeName, Message, Name, Node, QosProfile, RmwRequestId, ServiceMapping};
 
 use super::advice::{Endpoint, Graph};
 use super::config::Ros2Config;
-use super::follow::named;
+use super::follow::{active, named};
 use super::gripper::GripAnswer;
 use super::joined::NodeError;
 use super::vendor::Wrapping;
@@ -40,8 +41,11 @@ struct Goal {
 
 /// See the module.
 pub struct Gripper {
-    /// The action's name; empty = whichever there is.
+    /// The action's name; empty = whichever there is below the namespace.
     name: String,
+    namespace: String,
+    /// Active goals on the server that are not ours.
+    foreign: usize,
     joint: String,
     qos: QosProfile,
     /// Name, kind and vendor's way of the server that it is for.
@@ -57,7 +61,29 @@ impl Gripper {
             "auto" => String::new(),
             name => config.resolve(name),
         };
-        Some(Gripper { name, joint: config.gripper_joint.clone(), qos, client: None, goals: Vec::new() })
+        let namespace = config.namespace.clone();
+        Some(Gripper {
+            name,
+            namespace,
+            foreign: 0,
+            joint: config.gripper_joint.clone(),
+            qos,
+            client: None,
+            goals: Vec::new(),
+        })
+    }
+
+    /// `/NAMESPACE/CONTROLLER/gripper_cmd`, and no other robot's.
+    fn may_be_ours(&self, name: &str) -> bool {
+        let below = name.strip_prefix(&self.namespace).and_then(|rest| rest.strip_prefix('/'));
+        let controller = below.and_then(|rest| rest.strip_suffix("/gripper_cmd"));
+        controller.is_some_and(|controller| !controller.is_empty() && !controller.contains('/'))
+    }
+
+    /// Which server is asked, for people.
+    pub fn about(&self) -> Option<String> {
+        let ((name, kind, _), _) = self.client.as_ref()?;
+        Some(format!("the gripper is {name} ({})", KINDS[*kind].0))
     }
 
     /// The servers that could be meant, with their names and kinds.
@@ -65,7 +91,7 @@ impl Gripper {
         let server = |reader: &'a Endpoint| {
             let kind = KINDS.iter().position(|(_, request)| reader.type_name == *request)?;
             let name = reader.topic.strip_prefix("rq")?.strip_suffix(REQUEST)?;
-            let meant = if self.name.is_empty() { name.ends_with("/gripper_cmd") } else { name == self.name };
+            let meant = if self.name.is_empty() { self.may_be_ours(name) } else { name == self.name };
             meant.then(|| (name.to_owned(), kind, reader))
         };
         graph.readers.iter().filter_map(server).collect()
@@ -79,7 +105,9 @@ impl Gripper {
         let servers = self.servers(graph);
         let [(name, kind, server)] = servers.as_slice() else {
             return Ok(Some(match servers.len() {
-                0 if self.name.is_empty() => "no action server's name ends in gripper_cmd".to_owned(),
+                0 if self.name.is_empty() => {
+                    format!("there is no action server {}/CONTROLLER/gripper_cmd", self.namespace)
+                }
                 0 => format!("no server of {}", self.name),
                 _ => {
                     let ends: Vec<&Endpoint> = servers.iter().map(|(_, _, end)| *end).collect();
@@ -93,6 +121,9 @@ impl Gripper {
             self.client = Some((key, client));
             self.goals.clear();
             return Ok(Some("its server has just been found".to_owned()));
+        }
+        if self.foreign > 0 {
+            return Ok(Some(format!("{name} is at a goal of another program")));
         }
         Ok(None)
     }
@@ -166,6 +197,15 @@ impl Gripper {
 
     /// What the server said: our number of the goal, and the answer.
     pub fn answers(&mut self) -> Vec<(u32, GripAnswer)> {
+        let lists = match &self.client {
+            None => Vec::new(),
+            Some((_, Client::Command(client))) => lists(client),
+            Some((_, Client::Parallel(client))) => lists(client),
+        };
+        for list in lists {
+            let foreign = active(&list).filter(|id| !self.goals.iter().any(|goal| goal.id == *id));
+            self.foreign = foreign.count();
+        }
         let goals = &mut self.goals;
         let first = |state: &ros::JointState| state.position.first().copied().unwrap_or(f64::NAN);
         match &self.client {
@@ -222,4 +262,14 @@ where
     }
     while let Ok(Some(_)) = client.cancel_client().receive_response() {}
     said
+}
+
+/// What the server tells of all goals.
+fn lists<G, R, F>(client: &ActionClient<G, R, F>) -> Vec<GoalStatusArray>
+where
+    G: Message + Clone + 'static,
+    R: Message + Clone + 'static,
+    F: Message + 'static,
+{
+    std::iter::from_fn(|| client.receive_status().ok().flatten()).collect()
 }

@@ -15,6 +15,10 @@ const CANCEL_INTERVAL_MS: u64 = 200;
 const CANCEL_PATIENCE_MS: u64 = 2000;
 /// No goal of a gripper runs for longer.
 const STRAY_MS: u64 = 60_000;
+/// However much it tells, a goal is over after this long.
+const OVERALL_MS: u64 = 30_000;
+/// Goals that nobody wants; more are not remembered.
+const STRAYS_MAX: usize = 64;
 /// What joint states said longer ago is not known.
 const TOLD_MS: u64 = 1000;
 
@@ -44,7 +48,7 @@ pub enum GripAnswer {
 struct Run {
     goal: u32,
     closing: bool,
-    accepted: bool,
+    accepted_ms: Option<u64>,
     /// When something was heard of it.
     heard_ms: u64,
     stopping_since_ms: Option<u64>,
@@ -63,8 +67,8 @@ pub struct GripperLink {
     missing: Option<String>,
     goals: u32,
     run: Option<Run>,
-    /// A goal that nobody wants, until when it may run, and when its end was last asked for.
-    stray: Option<(u32, u64, u64)>,
+    /// Goals that nobody wants, until when each may run, and when its end was last asked for.
+    strays: Vec<(u32, u64, u64)>,
     /// How far the fingers are apart, and when that was told.
     seen: Option<(f64, u64)>,
     end: Option<GripEnd>,
@@ -84,7 +88,7 @@ impl GripperLink {
             missing: Some("nobody was looked for yet".to_owned()),
             goals: 0,
             run: None,
-            stray: None,
+            strays: Vec::new(),
             seen: None,
             end: None,
             notes: Vec::new(),
@@ -130,6 +134,10 @@ impl GripperLink {
     pub fn can_grip(&self) -> Result<(), String> {
         match &self.missing {
             None if self.run.is_some() => Err("the gripper is still at another goal".to_owned()),
+            None if !self.strays.is_empty() => {
+                Err("whether the gripper's last goal has ended is not known yet; its end is asked for"
+                    .to_owned())
+            }
             None => Ok(()),
             Some(why) => Err(format!("the gripper cannot be asked: {why} (gripper in [ros2])")),
         }
@@ -148,7 +156,7 @@ impl GripperLink {
             goal: self.goals,
             // Where it is not known, only opening wide is no closing.
             closing: grip.opening_m < from_m,
-            accepted: false,
+            accepted_ms: None,
             heard_ms: now_ms,
             stopping_since_ms: None,
         });
@@ -170,22 +178,29 @@ impl GripperLink {
 
     /// Takes what the server says.
     pub fn answer(&mut self, goal: u32, answer: GripAnswer, now_ms: u64, outputs: &mut Vec<Output>) {
-        if self.stray.is_some_and(|(stray, ..)| stray == goal) {
+        let Some(run) = self.run.as_mut().filter(|run| run.goal == goal) else {
             match answer {
-                GripAnswer::Accepted => outputs.push(Output::CancelGrip { goal }),
-                GripAnswer::Rejected | GripAnswer::Done { .. } => self.stray = None,
-                GripAnswer::At(_) => {}
+                // Also one that was rejected or over before: nobody wants it now.
+                GripAnswer::Accepted => {
+                    outputs.push(Output::CancelGrip { goal });
+                    self.stray(goal, now_ms);
+                }
+                GripAnswer::Rejected => self.strays.retain(|(stray, ..)| *stray != goal),
+                GripAnswer::At(position) => self.told(position, now_ms),
+                GripAnswer::Done { position, .. } => {
+                    self.told(position, now_ms);
+                    self.strays.retain(|(stray, ..)| *stray != goal);
+                }
             }
             return;
-        }
-        let Some(run) = self.run.as_mut().filter(|run| run.goal == goal) else { return };
+        };
         let (closing, stopping) = (run.closing, run.stopping_since_ms.is_some());
         if !stopping {
             run.heard_ms = now_ms;
         }
         match answer {
             GripAnswer::Accepted => {
-                run.accepted = true;
+                run.accepted_ms = run.accepted_ms.or(Some(now_ms));
                 if stopping {
                     // It was asked to end before it had begun.
                     outputs.push(Output::CancelGrip { goal });
@@ -198,14 +213,9 @@ impl GripperLink {
                     GripEnd::Failed("its controller refused the goal".to_owned())
                 });
             }
-            GripAnswer::At(position) if position.is_finite() => {
-                self.seen = Some((self.opening_of(position), now_ms));
-            }
-            GripAnswer::At(_) => {}
+            GripAnswer::At(position) => self.told(position, now_ms),
             GripAnswer::Done { position, stalled, reached, status } => {
-                if position.is_finite() {
-                    self.seen = Some((self.opening_of(position), now_ms));
-                }
+                self.told(position, now_ms);
                 self.finish(if stopping {
                     GripEnd::Halted
                 } else if stalled && closing {
@@ -221,6 +231,21 @@ impl GripperLink {
         }
     }
 
+    fn told(&mut self, position: f64, now_ms: u64) {
+        if position.is_finite() {
+            self.seen = Some((self.opening_of(position), now_ms));
+        }
+    }
+
+    /// A goal that may run though nobody wants it: its end is asked for until it is known.
+    fn stray(&mut self, goal: u32, now_ms: u64) {
+        self.strays.retain(|(stray, ..)| *stray != goal);
+        if self.strays.len() == STRAYS_MAX {
+            self.strays.remove(0);
+        }
+        self.strays.push((goal, now_ms + STRAY_MS, now_ms));
+    }
+
     fn finish(&mut self, end: GripEnd) {
         if self.run.take().is_some() {
             self.end = Some(end);
@@ -229,12 +254,11 @@ impl GripperLink {
 
     /// Lets the time become `now_ms`.
     pub fn step(&mut self, now_ms: u64, outputs: &mut Vec<Output>) {
-        if let Some((goal, until_ms, asked_ms)) = self.stray {
-            if now_ms >= until_ms {
-                self.stray = None;
-            } else if now_ms.saturating_sub(asked_ms) >= CANCEL_INTERVAL_MS {
-                self.stray = Some((goal, until_ms, now_ms));
-                outputs.push(Output::CancelGrip { goal });
+        self.strays.retain(|(_, until_ms, _)| now_ms < *until_ms);
+        for (goal, _, asked_ms) in &mut self.strays {
+            if now_ms.saturating_sub(*asked_ms) >= CANCEL_INTERVAL_MS {
+                *asked_ms = now_ms;
+                outputs.push(Output::CancelGrip { goal: *goal });
             }
         }
         let Some(run) = &mut self.run else { return };
@@ -245,7 +269,7 @@ impl GripperLink {
                     "ALARM: the gripper's controller does not confirm that it has stopped; it is asked again and again"
                         .to_owned(),
                 );
-                self.stray = Some((goal, now_ms + STRAY_MS, now_ms));
+                self.stray(goal, now_ms);
                 self.finish(GripEnd::Halted);
             } else if silent_ms >= CANCEL_INTERVAL_MS {
                 run.heard_ms = now_ms;
@@ -253,15 +277,20 @@ impl GripperLink {
             }
             return;
         }
-        let (patience_ms, what) = if run.accepted {
+        let (patience_ms, what) = if run.accepted_ms.is_some() {
             (self.timeout_ms, "told nothing of the goal")
         } else {
             (self.answer_ms, "did not answer")
         };
-        if silent_ms > patience_ms {
+        let overdue = run.accepted_ms.is_some_and(|at_ms| now_ms.saturating_sub(at_ms) > OVERALL_MS);
+        if overdue || silent_ms > patience_ms {
             outputs.push(Output::CancelGrip { goal });
-            self.stray = Some((goal, now_ms + STRAY_MS, now_ms));
-            self.finish(GripEnd::Failed(format!("its controller {what} within {patience_ms} ms")));
+            self.stray(goal, now_ms);
+            self.finish(GripEnd::Failed(if overdue {
+                format!("its controller does not finish within {} s", OVERALL_MS / 1000)
+            } else {
+                format!("its controller {what} within {patience_ms} ms")
+            }));
         }
     }
 
@@ -359,6 +388,13 @@ mod tests {
         assert_eq!(rig.run(400).len(), 2, "asked again");
         rig.answer(1, GripAnswer::Rejected);
         assert!(rig.run(1000).is_empty());
+
+        // Accepted after all: cancelled, and no other goal is sent before its end is known.
+        rig.answer(1, GripAnswer::Accepted);
+        assert_eq!(rig.outputs, [Output::CancelGrip { goal: 1 }]);
+        assert!(rig.grip(0.0).unwrap_err().contains("not known yet"));
+        assert_eq!(rig.done(1, 0.2, false), None);
+        rig.outputs.clear();
 
         rig.grip(0.0).unwrap();
         rig.answer(2, GripAnswer::Accepted);

@@ -12,6 +12,7 @@ use super::config::{Connection, Ros2Config};
 use super::description::urdf;
 use super::estop::Inputs;
 use super::follow::{active, named};
+use super::grip::Gripper;
 use super::joined::{Arm, Joined, NodeError, Published, Speed, ToldState, name_of, rivals};
 use super::robot::{Counts, Output, RosRobot};
 use host_robot::{Door, Robot as _, RobotSetting};
@@ -45,7 +46,7 @@ pub struct RosNode {
     watched_ms: Option<u64>,
     readers: usize,
     /// What was said last about each of these, so that it is said once.
-    said: [Option<String>; 3],
+    said: [Option<String>; 4],
     counts: Counts,
 }
 
@@ -61,6 +62,7 @@ enum HeardOf<'a> {
 const SPEED: usize = 0;
 const SERVERS: usize = 1;
 const CLOCKS: usize = 2;
+const GRIPPER: usize = 3;
 
 impl RosNode {
     /// Joins the graph. With a `simulator` its state is to be published; look at [`RosNode::rivals`]
@@ -97,7 +99,7 @@ impl RosNode {
             looked_ms: None,
             watched_ms: None,
             readers: 0,
-            said: [None, None, None],
+            said: [None, None, None, None],
             counts: Counts::default(),
         };
         Ok((node, publisher))
@@ -372,6 +374,7 @@ impl RosNode {
             }
         };
         robot.set_gripper_missing(missing);
+        let gripper_note = joined.gripper.as_ref().and_then(Gripper::about);
         let rivals = if self.publish_sim { rivals(&self.config, &graph) } else { Vec::new() };
         if !rivals.is_empty() {
             // Nor after the node was opened anew.
@@ -395,6 +398,7 @@ impl RosNode {
         }
         self.say(SPEED, speed_note, notes);
         self.say(SERVERS, servers_note, notes);
+        self.say(GRIPPER, gripper_note, notes);
         // Without its figures, which change all the time.
         let clocks = self.clocks.refusal_of(self.config.stamp, now_ms);
         if clocks.is_some() != self.said[CLOCKS].is_some() {

@@ -8,12 +8,16 @@ use host_robot::{End, Following, Grip, GripEnd, MotionName, Report, Robot, Traje
 use crate::plan::Placement;
 use crate::things::Touch;
 
-use super::Director;
 use super::sequence::Act;
+use super::{Director, REST_RAD_S};
 
 /// An arm further than this from where its motion goes on is not moved.
-const OFF_MAX_RAD: f64 = 0.1;
-/// A halted gripper that has opened further than this has let go.
+const OFF_MAX_RAD: f64 = 0.03;
+/// A base further than this from where the motion was planned ends it: in m, and in rad.
+const SHIFTED_MAX: f64 = 0.01;
+/// Whoever commands says so several times in this time. After a silence nothing goes on by itself.
+const SILENCE_MS: u64 = 250;
+/// Fingers that are wider apart than that beyond what they had have let go of it; and so much narrower, they have lost it.
 const LET_GO_M: f64 = 0.002;
 
 /// A motion under way.
@@ -27,6 +31,8 @@ pub(super) struct Running {
     left: VecDeque<Act>,
     /// How many there were.
     acts: usize,
+    /// Where the base stood when it was planned.
+    placement: Option<Placement>,
     pub(super) halted: bool,
 }
 
@@ -57,13 +63,16 @@ impl<R: Robot> Director<R> {
     pub(super) fn begin(&mut self, motion: &MotionName, mut acts: VecDeque<Act>) -> Result<(), String> {
         let count = acts.len();
         let first = acts.pop_front().ok_or("the motion has no step")?;
+        let placement = self.planner.as_ref().and_then(|_| self.known_base().ok());
         self.start_act(&first)?;
+        self.commanded_ms = self.now_ms;
         self.running = Some(Running {
             motion: motion.clone(),
             now: first,
             since_ms: self.now_ms,
             left: acts,
             acts: count,
+            placement: placement.map(|base| base.odometry.into()),
             halted: false,
         });
         Ok(())
@@ -76,7 +85,7 @@ impl<R: Robot> Director<R> {
                 self.things.touch = touch.clone();
             }
             Act::Grip { opening_m, effort_n, .. } => {
-                let flange = self.flange_now();
+                let flange = self.flange_for_grip()?;
                 self.grip_before_m = self.things.opening_m;
                 let between = self.shop().between(&self.things, &flange);
                 let held = self.shop().held(&self.things);
@@ -136,59 +145,73 @@ impl<R: Robot> Director<R> {
         }
     }
 
-    /// The arm rests where the next act begins.
+    /// Nothing has changed since the motion was planned: who commands, the base, the arm.
     fn can_go_on(&self, next: &Act) -> Result<(), String> {
-        let Act::Follow { trajectory, .. } = next else { return Ok(()) };
-        let here = self.robot.arm().ok_or("the arm's angles are not known")?.value.joints_rad;
-        let start = trajectory.motion(0.0).joints_rad;
-        let off = here.iter().zip(start).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
-        if off <= OFF_MAX_RAD {
-            return Ok(());
+        if let Some(refusal) = self.robot.refusal() {
+            return Err(refusal);
         }
-        Err(format!("the arm is {off:.2} rad off where the motion goes on"))
+        let silent_ms = self.now_ms.saturating_sub(self.commanded_ms);
+        if silent_ms > SILENCE_MS {
+            return Err(format!("nobody has commanded for {silent_ms} ms"));
+        }
+        if let Some(planned) = self.running.as_ref().and_then(|running| running.placement) {
+            let here = Placement::from(self.known_base()?.odometry);
+            let off_m = (here.x_m - planned.x_m).hypot(here.y_m - planned.y_m);
+            if self.is_at_work()
+                && (off_m > SHIFTED_MAX || (here.heading_rad - planned.heading_rad).abs() > SHIFTED_MAX)
+            {
+                return Err(format!("the base is {off_m:.2} m from where the motion was planned"));
+            }
+        }
+        let Act::Follow { trajectory, .. } = next else { return Ok(()) };
+        let here = self.robot.arm().ok_or("the arm's angles are not known")?.value;
+        let arm = &self.bare.arm;
+        let start = arm.unwound(&trajectory.motion(0.0).joints_rad, &here.joints_rad);
+        for (i, joint) in arm.joints.iter().enumerate() {
+            let off = (here.joints_rad[i] - start[i]).abs();
+            if off > OFF_MAX_RAD || here.velocity_rad_s[i].abs() > REST_RAD_S {
+                return Err(format!("{} is {off:.2} rad off where the motion goes on, or moves", joint.name));
+            }
+        }
+        Ok(())
     }
 
-    /// What the gripper came to.
-    fn gripped(&mut self, end: GripEnd, opening_m: f64, closes_on: bool) -> Result<(), Option<String>> {
-        let flange = self.flange_now();
-        let mut things = self.things.clone();
-        let before = self.grip_before_m;
-        things.opening_m = before;
-        let told = match end {
-            GripEnd::Failed(why) => return Err(Some(format!("the gripper: {why}"))),
-            GripEnd::Halted => {
-                let opened_m = self.things.opening_m;
-                if self.shop().held(&things).is_some() && opened_m > before + LET_GO_M {
-                    let told = self.shop().gripped(&mut things, &flange, opened_m);
-                    self.reports.extend(told.map(|told| Report::Note(format!("the gripper {told}"))));
-                }
-                things.opening_m = opened_m;
-                self.things = things;
-                return Err(None);
+    fn is_at_work(&self) -> bool {
+        self.running.as_ref().is_some_and(Running::is_at_work)
+    }
+
+    /// What the gripper came to. Only a stall while closing is a thing between the fingers.
+    fn gripped(&mut self, end: GripEnd, asked_m: f64, closes_on: bool) -> Result<(), Option<String>> {
+        let before_m = self.grip_before_m;
+        let felt_m = self.robot.opening_m().map(|reading| reading.value);
+        let had = self.shop().held(&self.things);
+        let mut told = None;
+        if let Ok(flange) = self.flange_for_grip() {
+            let mut things = self.things.clone();
+            things.opening_m = before_m;
+            // As far as they have gone; a gripper that does not say so is where it was asked to be, or has moved nowhere.
+            let reached_m = if end == GripEnd::Reached { asked_m } else { before_m };
+            let now_m = felt_m.unwrap_or(reached_m);
+            if had.is_some() && (now_m - before_m).abs() > LET_GO_M {
+                told = self.shop().let_go_of(&mut things, &flange);
+            } else if end == GripEnd::Stalled && had.is_none() && asked_m < before_m {
+                told = self.shop().gripped(&mut things, &flange, asked_m).or_else(|| Some(stalled(felt_m)));
             }
-            GripEnd::Reached if closes_on => {
-                things.opening_m = opening_m;
-                let held = self.shop().held(&things);
-                match held {
-                    Some(_) => None,
-                    None => Some("has nothing between its fingers".to_owned()),
-                }
-            }
-            GripEnd::Reached => self.shop().gripped(&mut things, &flange, opening_m),
-            GripEnd::Stalled => {
-                let had = self.shop().held(&things).is_some();
-                let told = self.shop().gripped(&mut things, &flange, opening_m);
-                let felt_m = self.robot.opening_m().map(|reading| reading.value);
-                if had { None } else { told.or_else(|| Some(stalled(felt_m))) }
-            }
-        };
-        if let Some(opening) = self.robot.opening_m() {
-            things.opening_m = opening.value;
+            let attached = had.is_none() && self.shop().held(&things).is_some();
+            let believed_m = if attached { things.opening_m } else { now_m };
+            things.opening_m = felt_m.unwrap_or(believed_m);
+            things.touch = self.shop().touching(&things, &flange);
+            self.things = things;
         }
-        things.touch = Touch::default();
-        self.things = things;
+        if end == GripEnd::Reached && closes_on && told.is_none() {
+            told = Some("has nothing between its fingers".to_owned());
+        }
         self.reports.extend(told.map(|told| Report::Note(format!("the gripper {told}"))));
-        Ok(())
+        match end {
+            GripEnd::Failed(why) => Err(Some(format!("the gripper: {why}"))),
+            GripEnd::Halted => Err(None),
+            GripEnd::Reached | GripEnd::Stalled => Ok(()),
+        }
     }
 
     /// Ends the motion where it is; `why` where the robot did not work.
@@ -213,17 +236,21 @@ impl<R: Robot> Director<R> {
         }
     }
 
-    /// Nothing of the motion goes on.
+    /// Nothing of the motion goes on, whichever part of it is under way.
     pub(super) fn halt_motion(&mut self) {
         if let Some(running) = &mut self.running {
             running.halted = true;
         }
     }
 
-    fn flange_now(&self) -> host_robot::Pose {
-        let placement = self.robot.base().map_or(Placement::default(), |base| base.value.odometry.into());
-        let joints_rad = self.robot.arm().map(|arm| arm.value.joints_rad).unwrap_or_default();
-        self.flange_in_scene(placement, &joints_rad)
+    /// Where the flange is; without things to grip nobody needs to know.
+    fn flange_for_grip(&self) -> Result<host_robot::Pose, String> {
+        if self.shop().objects.is_empty() {
+            return Ok(host_robot::Pose::IDENTITY);
+        }
+        let placement = Placement::from(self.known_base()?.odometry);
+        let arm = self.robot.arm().ok_or("the arm's angles are not known, and so neither what is gripped")?;
+        Ok(self.flange_in_scene(placement, &arm.value.joints_rad))
     }
 
     /// Where the arm is on its trajectory, in s.

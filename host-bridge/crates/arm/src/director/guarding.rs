@@ -102,7 +102,10 @@ impl<R: Robot> Director<R> {
         self.allowed = twist;
         self.robot.drive(twist);
         if halt_arm {
+            // Whichever part of a motion is under way, the rest of it does not follow.
+            self.halt_motion();
             self.robot.halt_arm();
+            self.robot.halt_gripper();
         }
         self.set_held((twist != self.wanted).then_some(reason));
     }

@@ -58,6 +58,8 @@ pub struct Director<R> {
     things: Things,
     /// How far the fingers were apart when the gripper was last asked.
     grip_before_m: f64,
+    /// When somebody last commanded.
+    commanded_ms: u64,
     /// How often each motion that draws has run.
     draws: HashMap<MotionName, usize>,
     plans: u64,
@@ -88,6 +90,7 @@ impl<R: Robot> Director<R> {
             motions,
             things,
             grip_before_m: 0.0,
+            commanded_ms: 0,
             bare: Arc::new(Bare { arm, scene: Scene::default(), tool: Tool::default() }),
             planner,
             now_ms: 0,
@@ -162,6 +165,7 @@ impl<R: Robot> Door for Director<R> {
     }
 
     fn drive(&mut self, twist: Twist) {
+        self.commanded_ms = self.now_ms;
         if self.planner.is_none() {
             self.allowed = twist;
         } else if twist != self.wanted {

@@ -77,7 +77,7 @@ impl<R: Robot> Director<R> {
         if grips {
             self.robot.can_grip()?;
         }
-        let mut draft = self.draft(moves, grips)?;
+        let mut draft = self.draft(moves, grips || steps.len() > 1)?;
         for (i, step) in steps.iter().enumerate() {
             let beside = |other: Option<&Step>| matches!(other, Some(Step::Grip { .. }));
             let is_rest = |step: &&Step| matches!(step, Step::Wait { .. });
@@ -90,7 +90,7 @@ impl<R: Robot> Director<R> {
     }
 
     /// Where everything is now.
-    fn draft(&self, moves: bool, grips: bool) -> Result<Draft, String> {
+    fn draft(&self, moves: bool, needs_rest: bool) -> Result<Draft, String> {
         if moves {
             self.robot.can_follow()?;
         }
@@ -112,8 +112,8 @@ impl<R: Robot> Director<R> {
             let base = self.known_base().map_err(|why| format!("the arm cannot be planned for: {why}"))?;
             placement = Placement::from(base.odometry);
             let twist = base.odometry.twist;
-            if grips && (twist.linear_m_s.abs() > 0.01 || twist.angular_rad_s.abs() > 0.01) {
-                return Err("the base still moves; the hand works where it stands".to_owned());
+            if needs_rest && (twist.linear_m_s.abs() > 0.01 || twist.angular_rad_s.abs() > 0.01) {
+                return Err("the base still moves; let it rest first".to_owned());
             }
         }
         let mut things = self.things.clone();
@@ -299,6 +299,20 @@ impl<R: Robot> Director<R> {
         };
         let closes_on = opening_m == 0.0;
         let flange = self.flange_in_scene(draft.placement, &draft.from_rad);
+        if let Some(planner) = &self.planner {
+            // The fingers need room at both ends of their way.
+            for width_m in [draft.things.opening_m, opening_m] {
+                let touch = shop.touching(&draft.things, &flange);
+                let things = Things { opening_m: width_m, touch, ..draft.things.clone() };
+                let nearest =
+                    planner.world().around_with(draft.placement, &things).arm_clearance(&draft.from_rad);
+                if nearest.distance_m <= 0.0 {
+                    let [one, two] =
+                        [nearest.parts.0, nearest.parts.1].map(|part| planner.world().name(part));
+                    return Err(format!("the gripper has no room to move: {one} would touch {two}"));
+                }
+            }
+        }
         let _ = shop.gripped(&mut draft.things, &flange, opening_m);
         draft.acts.push_back(Act::Grip { opening_m, effort_n, closes_on });
         Ok(())

@@ -14,6 +14,9 @@ use host_robot::shape::{Capsule, UprightBox};
 use host_robot::{DMat3, DVec3, JOINTS, Joints};
 use host_robot::{Odometry, Random};
 
+/// The shapes around a held thing stand out of it by 6 mm; by more than this it would be pressed into what it stands on.
+const SINKS_M: f64 = 0.010;
+
 /// Where the base stands in the scene.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Placement {
@@ -38,8 +41,10 @@ pub enum Part {
     Link(usize),
     /// The body of the base.
     Base,
-    /// What is on the flange.
+    /// What is on the flange, but for fingers.
     Tool,
+    /// The fingers of a gripper.
+    Fingers,
     /// What the gripper has.
     Held,
     /// A box of the scene.
@@ -76,9 +81,10 @@ pub struct World {
     scene: Scene,
     lever_m: Joints,
     tool: Tool,
-    /// Pairs of links that can touch. The tool's number follows the last link's; what is held has the next.
+    /// Pairs of links that can touch. The tool's number follows the last link's; its fingers and what is held follow that.
     pairs: Vec<(usize, usize)>,
     start: Things,
+    notes: Vec<String>,
 }
 
 impl World {
@@ -94,7 +100,15 @@ impl World {
         };
         let held_m = if held_m > 0.0 { held_m + tool.reach_m() } else { 0.0 };
         let lever_m = arm.lever_with_m(tool.reach_m().max(held_m));
-        let mut world = World { lever_m, tool, arm, scene, pairs: Vec::new(), start: Things::default() };
+        let mut world = World {
+            lever_m,
+            tool,
+            arm,
+            scene,
+            pairs: Vec::new(),
+            start: Things::default(),
+            notes: Vec::new(),
+        };
         world.start = world.shop().at_start();
         // Neighbours share a joint and always touch; its limit keeps them apart.
         let pairs = (0..links).flat_map(|one| (one + 2..links).map(move |two| (one, two)));
@@ -102,9 +116,11 @@ impl World {
         if !world.tool.is_none() {
             // It sits on the last link, and is as far from the others as that; what it holds is a part of it.
             let last = links - 1;
-            let near = |one: usize| one + 2 < last || (one + 2 == last && world.can_touch(one, links));
+            let near = |one: usize| {
+                one + 2 < last || (one + 2 == last && [0, 1].iter().any(|k| world.can_touch(one, links + k)))
+            };
             let pairs: Vec<_> = (0..last).filter(|&one| near(one)).collect();
-            world.pairs.extend(pairs.iter().flat_map(|&one| [(one, links), (one, links + 1)]));
+            world.pairs.extend(pairs.iter().flat_map(|&one| [0, 1, 2].map(|k| (one, links + k))));
         }
         world.drop_pairs_that_always_touch();
         world
@@ -113,8 +129,7 @@ impl World {
     /// Links touch however the arm is bent where its axes meet in a wrist. Such pairs say nothing, and would refuse every
     /// motion; as in MoveIt's set-up they are not looked at.
     fn drop_pairs_that_always_touch(&mut self) {
-        const BENT: usize = 200;
-        const NEARLY_ALWAYS: usize = 190;
+        const BENT: usize = 400;
         let mut random = Random::new(25);
         let mut touching = vec![0; self.pairs.len()];
         for _ in 0..BENT {
@@ -129,8 +144,21 @@ impl World {
                 *count += usize::from(self.pair_distance_m(&shapes, one, two) <= 0.0);
             }
         }
-        let mut counts = touching.into_iter();
-        self.pairs.retain(|_| counts.next().is_none_or(|count| count < NEARLY_ALWAYS));
+        let always: Vec<bool> = touching.into_iter().map(|count| count == BENT).collect();
+        let dropped = self.pairs.iter().zip(&always).filter(|(_, always)| **always);
+        let names: Vec<String> = dropped
+            .map(|((one, two), _)| {
+                format!("{} and {}", self.name(self.part(*one)), self.name(self.part(*two)))
+            })
+            .collect();
+        if !names.is_empty() {
+            self.notes.push(format!(
+                "not held apart, for they touch however the arm is bent: {}",
+                names.join(", ")
+            ));
+        }
+        let mut always = always.into_iter();
+        self.pairs.retain(|_| !always.next().unwrap_or(false));
     }
 
     /// Objects, boxes and tool, for those who grip.
@@ -141,6 +169,11 @@ impl World {
     /// What is on the flange.
     pub fn tool(&self) -> &Tool {
         &self.tool
+    }
+
+    /// What is not looked at, for people.
+    pub fn notes(&self) -> &[String] {
+        &self.notes
     }
 
     /// Tool and objects as the scene says.
@@ -194,6 +227,7 @@ impl World {
             Part::Link(link) => self.arm.joints.get(link - 1).map_or("the arm", |joint| &joint.name),
             Part::Base => "the base",
             Part::Tool => self.tool.name(),
+            Part::Fingers => "the gripper's fingers",
             Part::Held => "what it holds",
             Part::Box(i) => &self.scene.boxes[i].name,
             Part::Object(i) => &self.scene.objects[i].name,
@@ -224,7 +258,7 @@ impl World {
         Surroundings { world: self, things, boxes: boxes.collect(), base, floor_m, checks: Cell::new(0) }
     }
 
-    /// The number of the tool among the links; what is held has the next.
+    /// The number of the tool among the links; fingers and what is held follow.
     fn tool_link(&self) -> usize {
         self.arm.joints.len() + 1
     }
@@ -233,6 +267,7 @@ impl World {
         match link.checked_sub(self.tool_link()) {
             None => Part::Link(link),
             Some(0) => Part::Tool,
+            Some(1) => Part::Fingers,
             Some(_) => Part::Held,
         }
     }
@@ -252,9 +287,10 @@ impl World {
         if !self.tool.is_none() {
             let flange = &poses[JOINTS];
             let put = |c: Capsule| Capsule { a_m: flange.at(c.a_m), b_m: flange.at(c.b_m), ..c };
-            let (tool, link) = (self.tool.shapes(things.opening_m), self.tool_link());
-            shapes.extend(tool.into_iter().map(|c| (link, put(c))));
-            shapes.extend(self.shop().held_shapes(things).into_iter().map(|c| (link + 1, put(c))));
+            let link = self.tool_link();
+            shapes.extend(self.tool.fixed().iter().map(|c| (link, put(*c))));
+            shapes.extend(self.tool.fingers(things.opening_m).into_iter().map(|c| (link + 1, put(c))));
+            shapes.extend(self.shop().held_shapes(things).into_iter().map(|c| (link + 2, put(c))));
         }
         shapes
     }
@@ -300,16 +336,17 @@ impl Surroundings<'_> {
             // Foot and first link stand on the base and never come nearer to it, or to the floor.
             if link >= 2 {
                 own.tighten(shape.distance_to_box_m(&self.base), part, Part::Base);
-                if !self.may_touch(part, Part::Floor) {
-                    own.tighten(shape.lowest_m() - self.floor_m, part, Part::Floor);
-                }
+                own.tighten(
+                    self.allowed_m(shape.lowest_m() - self.floor_m, part, Part::Floor),
+                    part,
+                    Part::Floor,
+                );
             }
             let (middle_m, reach_m) = shape.bounds_m();
             for (other, obstacle) in &self.boxes {
-                if obstacle.distance_to_point_m(middle_m) - reach_m < boxes.distance_m
-                    && !self.may_touch(part, *other)
-                {
-                    boxes.tighten(shape.distance_to_box_m(obstacle), part, *other);
+                if obstacle.distance_to_point_m(middle_m) - reach_m < boxes.distance_m {
+                    let distance_m = self.allowed_m(shape.distance_to_box_m(obstacle), part, *other);
+                    boxes.tighten(distance_m, part, *other);
                 }
             }
         }
@@ -320,15 +357,17 @@ impl Surroundings<'_> {
         (own, boxes)
     }
 
-    /// On the straight way to or from a thing: the tool that thing, what is held what it stands on.
-    fn may_touch(&self, part: Part, other: Part) -> bool {
+    /// A distance, or none where the two may touch: on the straight way to or from a thing the fingers that thing, and
+    /// what is held what it stands on, which it does not sink into.
+    fn allowed_m(&self, distance_m: f64, part: Part, other: Part) -> f64 {
         let touch = &self.things.touch;
-        match (part, other) {
-            (Part::Tool, Part::Object(i)) => touch.object == Some(i),
-            (Part::Held, Part::Box(i)) => touch.boxes.contains(&i),
-            (Part::Held, Part::Floor) => touch.floor,
+        let allowed = match (part, other) {
+            (Part::Fingers, Part::Object(i)) => touch.object == Some(i),
+            (Part::Held, Part::Box(i)) => touch.boxes.contains(&i) && distance_m >= -SINKS_M,
+            (Part::Held, Part::Floor) => touch.floor && distance_m >= -SINKS_M,
             _ => false,
-        }
+        };
+        if allowed { f64::INFINITY } else { distance_m }
     }
 
     /// The base's nearest approach to the boxes.
