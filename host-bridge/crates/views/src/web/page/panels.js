@@ -239,7 +239,7 @@ export class Panels {
     rows.forEach(([name, value], i) => {
       [left, right].forEach((link, hand) => {
         const cell = this.lines[i][hand];
-        const shown = value(link);
+        const shown = value(link, hand === 0 ? accepted.base : accepted.arm);
         put(cell, "text", String(shown));
         if (name === "state") put(cell, "class", link.live ? "ok" : link.connected ? "doubt" : "");
         if (name === "lost" || name === "damaged") put(cell, "class", shown > 0 ? "doubt" : "");
