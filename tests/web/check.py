@@ -313,6 +313,9 @@ async def stops_stop(page, folder):
             await running.says("HALT: stop by the operator")
             await page.until("bimanual.drawn().state.safety === 'stopped'", "the stop on the page")
             assert await page.run("document.getElementById('safety-text').textContent") == "STOPPED"
+            # The simulator tells nothing of commands that it has taken.
+            rows = await page.run("[...document.querySelectorAll('#links tr')].map((row) => row.textContent)")
+            assert "sample to robot––" in rows, rows
             alert = await page.run("document.querySelector('[role=alert]').textContent")
             assert "hold both hands neutral" in alert, alert
             pressed = await page.run("document.querySelector('[data-camera=side]').ariaPressed")
