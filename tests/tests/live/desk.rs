@@ -152,6 +152,29 @@ fn both_hands_move_base_and_arm_through_pulled_cables_and_restarts() {
 }
 
 #[test]
+fn a_laptop_that_slept_moves_nothing_before_neutral_though_its_boards_went_on() {
+    let desk = Desk::new("desk-sleep");
+    let left = Left::start(&desk, "nano");
+    let right = Right::start(&desk, "nano33", Wearer::demo(1));
+    let (port, other) = (left.port(), right.port());
+    let mut run = bridge(&desk, &["run", "--left", &port, "--right", &other, "--json", "--seconds", "600"]);
+    let slept_s: &[f32] = if is_full() { &[0.3, 1.0, 5.0, 20.0, 60.0] } else { &[0.3, 5.0] };
+    for &slept_s in slept_s {
+        drive_forward(&mut run, &left);
+        run.catch_up();
+        let asleep = run.seen.len();
+        // The hand stays tilted, and what its board says of it meanwhile waits in the port.
+        desk.time().suspend(Duration::from_secs_f32(slept_s));
+        run.wait(&["\"halt\""]);
+        desk.pass(Duration::from_millis(1500));
+        run.catch_up();
+        let moved = run.seen[asleep..].iter().any(|line| line.contains("\"heading\":\"forward\""));
+        assert!(!moved, "after {slept_s} s asleep a tilt moves the robot:\n{}", run.seen.join("\n"));
+    }
+    println!("row: the laptop asleep: nothing before neutral | {} | 0 moves | 0 moves", slept_s.len());
+}
+
+#[test]
 fn the_run_ends_with_its_figures_and_loses_next_to_nothing() {
     let desk = Desk::new("desk-figures");
     let left = Left::start(&desk, "nano");

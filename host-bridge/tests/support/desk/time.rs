@@ -70,6 +70,19 @@ impl Time {
         (0..time.as_millis()).for_each(|_| self.step());
     }
 
+    /// So long the laptop sleeps and its boards do not: programs get no time meanwhile, and all of it at once with the
+    /// next step, as the machine's own clock gives it to them when it wakes.
+    pub fn suspend(&self, time: Duration) {
+        let turns: Vec<_> = self.0.turns.borrow().iter().filter_map(Weak::upgrade).collect();
+        for _ in 0..time.as_millis() {
+            let now_ms = self.now_ms() + 1;
+            turns.iter().for_each(|turn| turn.borrow_mut().run(now_ms));
+            turns.iter().for_each(|turn| turn.borrow_mut().exchange());
+            self.0.now_ms.set(now_ms);
+        }
+        self.step();
+    }
+
     /// Lets a millisecond pass.
     ///
     /// # Panics
