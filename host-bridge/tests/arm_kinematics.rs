@@ -70,6 +70,7 @@ fn single_moves_take_the_papers_times_within_5_per_cent() {
     for (name, [here_s, smooth_s], paper_s) in rows {
         let off = (here_s / paper_s - 1.0) * 100.0;
         println!("{name:<45}{paper_s:>8.1}{here_s:>8.2}{off:>8.1}{smooth_s:>15.2}");
+        println!("paper: {name} | {paper_s:.1} s | {here_s:.2} s");
         assert!(off.abs() <= 5.0, "{name}");
     }
     println!("random-top poses one by one, s: {circles:.2?}");

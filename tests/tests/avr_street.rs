@@ -59,6 +59,9 @@ fn a_voltage_step_that_stays_turns_the_wheels_within_150_ms() {
         latencies.sort_by(f64::total_cmp);
         let (median, worst) = (latencies[latencies.len() / 2], latencies[latencies.len() - 1]);
         println!("{degrees:>7}°{median:>12.1}{worst:>12.1}{:>10}", 150);
+        println!(
+            "paper: a tilt to {degrees:.0}° to the wheels, median and worst | not stated | {median:.0} and {worst:.0} ms"
+        );
         // A tilt is a command when it stays: what a walking or a shaken hand does is none.
         assert!(worst <= 150.0, "{degrees}°: {worst:.1} ms");
     }
@@ -117,6 +120,7 @@ fn the_papers_speed_modulation_comes_out_of_the_emulated_board() {
         let base = host_bridge::robot::Door::picture(&street.robot).odometry.twist.linear_m_s;
         let span = format!("{:.1}–{:.1}", from as f64 / 1000.0, to as f64 / 1000.0);
         println!("{span:>10}  {what:<20}{paper:>8.2}{cap:>8.3}{commanded:>10.3}{base:>8.3}");
+        println!("paper: speed profile, {span} s, {what} | {paper:.2} m/s | {commanded:.3} m/s");
         assert!((commanded - expected).abs() <= 0.01, "{what}: commanded {commanded:.3}, not {expected:.3}");
     }
 }

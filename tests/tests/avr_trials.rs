@@ -28,6 +28,16 @@ fn the_papers_400_tilts_are_right_and_none_is_reversed() {
     if let (Some(worst), Some(median)) = (latencies.last(), latencies.get(latencies.len() / 2)) {
         println!("from the start of a movement of 100 to 220 ms: median {median:.0} ms, worst {worst:.0} ms");
     }
+    println!(
+        "paper: tilts, of {trials}: right | 93.5 % of 400 | {:.2} %",
+        100.0 * f64::from(right) / f64::from(trials)
+    );
+    println!("paper: tilts: taken for the opposite | not stated | {reversed}");
+    if let (Some(worst), Some(median)) = (latencies.last(), latencies.get(latencies.len() / 2)) {
+        println!(
+            "paper: start of a tilt to its command, median and worst | not stated | {median:.0} and {worst:.0} ms"
+        );
+    }
     results.iter().flat_map(|t| &t.notes).for_each(|note| println!("  wrong: {note}"));
     assert_eq!(u64::from(trials), 20 * wearers);
     assert!(f64::from(right) >= 0.995 * f64::from(trials), "{right} of {trials}");
@@ -61,12 +71,17 @@ fn bends_count_once_whatever_their_depth_and_speed() {
         let bends: u32 = results.iter().map(|r| r.bends[finger]).sum();
         let once: u32 = results.iter().map(|r| r.once[finger]).sum();
         println!("{name:<8}{bends:>8}{:>13.2}%{paper:>14}", 100.0 * f64::from(once) / f64::from(bends));
+        println!(
+            "paper: bends of the {name} finger, of {bends}: counted once | {paper} | {:.2} %",
+            100.0 * f64::from(once) / f64::from(bends)
+        );
         total += bends;
         assert!(f64::from(once) >= 0.995 * f64::from(bends), "{name}: {once} of {bends}");
     }
     let excess: u32 = results.iter().map(|r| r.excess).sum();
     let stops: u32 = results.iter().map(|r| r.stops).sum();
     println!("false counts {excess} (paper: under 2 %), stop flags {stops}");
+    println!("paper: bends: false counts | under 2 % | {excess} of {total}");
     assert!(f64::from(excess) <= 0.001 * f64::from(total), "{excess} of {total}");
     assert_eq!(stops, 0);
 }

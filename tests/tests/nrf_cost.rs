@@ -149,6 +149,16 @@ fn a_network_of_the_papers_shape_is_within_the_aims_of_its_peers() {
     println!("{:<40}{:>14}{:>10}{:>8}", "Edge Impulse EON, network alone", 15_666, 18_864, 2369);
     println!("{:<40}{:>14}{:>10}{:>8}", "microflow (Rust)", 70_491, 5900, 692);
     println!("{:<40}{:>14}{:>10}{:>8}", "the paper (1 ms, 17.9 KB, 1.7 KB)", "64000 cycles", 17_900, 1700);
+    println!(
+        "paper: its network on the chip: inference | 1 ms (64,000 cycles) | {} instructions",
+        cost.network
+    );
+    println!("paper: its network on the chip: flash | 17.9 KB | {:.1} KB", f64::from(flash) / 1000.0);
+    println!("paper: its network on the chip: RAM | 1.7 KB | {:.2} KB", cost.stack as f64 / 1000.0);
+    println!(
+        "paper: its features and network: share of time awake | not stated | {:.2} %",
+        100.0 * cost.awake_share
+    );
     println!("flash: without {scaling} of feature scaling, which peers do not have; with it {flash}");
     println!("{:<40}{:>14}", "features of a hop, worst", cost.features.1);
     println!("{:<40}{:>14}  (best peer: 66643 for a window)", "aim", 6000);

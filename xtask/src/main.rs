@@ -5,6 +5,8 @@ mod firmware_avr;
 mod firmware_nano33;
 mod jazzy;
 mod package;
+mod paper;
+mod prose;
 mod python;
 mod real_data;
 mod steps;
@@ -32,6 +34,7 @@ usage: cargo xtask VERB
                                 the left hand's image: size, stack, how to flash it
   firmware nano33 [ble|bootloader]
                                 the right hand's images: flash and RAM per part
+  paper [--quick] [--out FILE]  the paper's tables beside what is measured here, in under 30 minutes
   package                       an archive for Linux on x86-64 under target/package
   ros2                          ROS 2 Jazzy's rclpy below target, for tests/ros2/rclpy_peer.py: prints its Python
   help                          this text
@@ -61,6 +64,7 @@ fn run(args: &[String]) -> Result<ExitCode> {
             firmware_nano33::run(rest)?;
             Ok(ExitCode::SUCCESS)
         }
+        ["paper", rest @ ..] => paper::run(rest),
         ["package"] => {
             package::run()?;
             Ok(ExitCode::SUCCESS)

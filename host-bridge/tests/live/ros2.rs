@@ -498,7 +498,7 @@ fn an_e_stop_a_fault_and_a_publisher_that_is_gone_stop_base_and_arm_and_are_name
     button.order("flag /e_stop off");
     let section = "estop = '/e_stop'\nfault = '/fault_controller/internal_fault'\n";
     let options = ["--left", &left.port(), "--right", &right.port()];
-    let mut bridge = bridge_on_its_own(&desk, domain, section, &options);
+    let mut bridge = bridge(&desk, domain, section, &options);
     let refuses = |words: &'static str| {
         move |v: &Value| is(v, "robot-refuses") && v["reason"].as_str().is_some_and(|why| why.contains(words))
     };

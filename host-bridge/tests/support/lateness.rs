@@ -17,6 +17,8 @@ struct Seen {
     late_ms: Vec<f64>,
     /// The share of all processors that work of ordinary priority took, in each tenth of a second.
     taken: Vec<f64>,
+    /// That without this test's own programs.
+    others: Vec<f64>,
 }
 
 impl Lateness {
@@ -26,7 +28,7 @@ impl Lateness {
         // Ends when nobody asks any more.
         let looks = Arc::downgrade(&seen);
         std::thread::spawn(move || {
-            let mut before = ordinary_and_all();
+            let mut before = Ticks::now();
             for sleeps in 1_u32.. {
                 let start = Instant::now();
                 std::thread::sleep(SLEEP);
@@ -35,9 +37,12 @@ impl Lateness {
                 let mut seen = seen.lock().unwrap_or_else(PoisonError::into_inner);
                 seen.late_ms.push(late);
                 if sleeps.is_multiple_of(SLEEPS_PER_LOOK) {
-                    let now = ordinary_and_all();
+                    let now = Ticks::now();
                     if let (Some(before), Some(now)) = (before, now) {
-                        seen.taken.push((now.0 - before.0) / (now.1 - before.1).max(1.0));
+                        let all = (now.all - before.all).max(1.0);
+                        let (taken, ours) = (now.ordinary - before.ordinary, now.ours - before.ours);
+                        seen.taken.push(taken / all);
+                        seen.others.push((taken - ours) / all);
                     }
                     before = now;
                 }
@@ -47,8 +52,17 @@ impl Lateness {
     }
 
     /// Whether times measured meanwhile can be judged, of what takes the processors itself: nine sleeps of ten ended
-    /// within 2 ms.
-    pub fn woke_in_time(&self) -> bool {
+    /// within 2 ms, and others left it half of the processors nine times of ten.
+    pub fn had_room(&self) -> bool {
+        let others = mostly(self.seen().others);
+        let had_half = others <= 0.5;
+        if !had_half {
+            println!("NOT JUDGED: others take {:.0} % of this machine's processors", others * 100.0);
+        }
+        self.woke_in_time() && had_half
+    }
+
+    fn woke_in_time(&self) -> bool {
         let late_ms = mostly(self.seen().late_ms);
         let in_time = late_ms <= 2.0;
         if !in_time {
@@ -57,9 +71,9 @@ impl Lateness {
         in_time
     }
 
-    /// Whether times measured meanwhile can be judged: as [`Self::woke_in_time`], and in nine tenths of a second of ten
-    /// work of ordinary priority left something of the processors. (A thread that hardly works is woken in time on a
-    /// full machine, too.)
+    /// Whether times measured meanwhile can be judged: nine sleeps of ten ended within 2 ms, and in nine tenths of a
+    /// second of ten work of ordinary priority left something of the processors. (A thread that hardly works is woken
+    /// in time on a full machine, too.)
     pub fn was_quiet(&self) -> bool {
         let taken = mostly(self.seen().taken);
         let leaves = taken <= 0.9;
@@ -80,13 +94,42 @@ fn mostly(mut values: Vec<f64>) -> f64 {
     values.get(values.len() * 9 / 10).copied().unwrap_or(0.0)
 }
 
-/// Ticks that the processors spent on work of ordinary priority, and all ticks, since the machine started; `None`
-/// where the system does not say.
-fn ordinary_and_all() -> Option<(f64, f64)> {
-    let text = std::fs::read_to_string("/proc/stat").ok()?;
-    let ticks: Vec<f64> = text.lines().next()?.split_whitespace().skip(1).flat_map(str::parse).collect();
-    // user, nice, system, idle, iowait, irq, softirq, steal: what is nice, idle or waits would have given way. Steal
-    // is another machine's work, and does not give way.
-    let [user, _nice, system, _idle, _iowait, irq, softirq, steal] = *ticks.first_chunk()?;
-    Some((user + system + irq + softirq + steal, ticks[..8].iter().sum()))
+/// What the processors did since the machine started, in ticks.
+#[derive(Clone, Copy)]
+struct Ticks {
+    /// Work of ordinary priority.
+    ordinary: f64,
+    /// Of it, this test's and its programs'.
+    ours: f64,
+    all: f64,
+}
+
+impl Ticks {
+    /// `None` where the system does not say.
+    fn now() -> Option<Self> {
+        let text = std::fs::read_to_string("/proc/stat").ok()?;
+        let ticks: Vec<f64> = text.lines().next()?.split_whitespace().skip(1).flat_map(str::parse).collect();
+        // user, nice, system, idle, iowait, irq, softirq, steal: what is nice, idle or waits would have given way.
+        // Steal is another machine's work, and does not give way.
+        let [user, _nice, system, _idle, _iowait, irq, softirq, steal] = *ticks.first_chunk()?;
+        let ordinary = user + system + irq + softirq + steal;
+        Some(Self { ordinary, ours: of_our_group(), all: ticks[..8].iter().sum() })
+    }
+}
+
+/// Ticks of this process and of all that it started, whether or not they have ended: of its process group.
+fn of_our_group() -> f64 {
+    // After the name, which may hold anything: state, parent, group, ..., utime (12th), stime, and both of children
+    // that have ended.
+    let fields = |process: &str| -> Vec<f64> {
+        let stat = std::fs::read_to_string(format!("/proc/{process}/stat")).unwrap_or_default();
+        let numbers = stat.rsplit(')').next().unwrap_or_default().split_whitespace().skip(1);
+        numbers.flat_map(str::parse).collect()
+    };
+    let ours = fields("self").get(1).copied();
+    let all = std::fs::read_dir("/proc").into_iter().flatten().flatten();
+    let names = all.filter_map(|entry| entry.file_name().into_string().ok());
+    let numbers = names.filter(|name| name.starts_with(|c: char| c.is_ascii_digit()));
+    let group = numbers.map(|name| fields(&name)).filter(|fields| fields.get(1).copied() == ours);
+    group.filter_map(|fields| Some(fields.get(10..14)?.iter().sum::<f64>())).sum()
 }

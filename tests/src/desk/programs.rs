@@ -22,8 +22,8 @@ pub fn folder() -> &'static Path {
         let debug = exe.ancestors().nth(2).expect("target/debug/deps/test");
         let mut build = Command::new("cargo");
         build.current_dir(env!("CARGO_MANIFEST_DIR")).args(["build", "-q", "--locked"]);
-        build.args(["-p", "host-bridge", "-p", "models", "--bins"]);
-        build.args(["--features", "host-bridge/test-clock"]);
+        build.args(["-p", "host-bridge", "-p", "models", "-p", "host-links", "--bins"]);
+        build.args(["--features", "host-links/test-clock"]);
         if cfg!(feature = "ble") {
             build.args(["--features", "host-bridge/ble"]);
         }

@@ -88,6 +88,7 @@ pub fn text(event: &SessionEvent) -> String {
         EventKind::Accepted { part, age_ms } => {
             format!("{}: acts on the hand's sample, {age_ms} ms old now", part.name())
         }
+        EventKind::Almost { label, confidence } => format!("right hand: almost {label} ({confidence:.2})"),
         EventKind::MotionEnded { motion, reached: true } => format!("arm: {motion} reached"),
         EventKind::MotionEnded { motion, reached: false } => format!("arm: {motion} given up on the way"),
         EventKind::MotionRefused { motion, reason } => format!("arm: {motion} refused: {reason}"),

@@ -111,6 +111,13 @@ pub enum EventKind {
         /// Age of the sample that the command came from.
         age_ms: u64,
     },
+    /// The right hand's scores rose to a gesture, but not high or long enough for the board.
+    Almost {
+        /// The nearest gesture.
+        label: String,
+        /// Its best mean probability, 0 to 1.
+        confidence: f32,
+    },
     /// An arm motion ended.
     MotionEnded {
         /// Which.

@@ -11,6 +11,7 @@ use shared_proto::message::{Ack, Heading, HostMessage, LeftState, health};
 use accepted::Acceptances;
 use host_robot::{Busy, Door, MotionName, NotStarted, Part, Report, Twist};
 
+use crate::almost::Almost;
 use crate::doubt;
 use crate::intent::{Caps, MotionMap, SpeedRules, is_rest};
 use crate::link::{HandLink, Heard, NewGesture, RightReport};
@@ -28,6 +29,7 @@ pub struct Bridge {
     map: MotionMap,
     drops: Drops,
     scores: Vec<f32>,
+    almost: Almost,
     left_state: LeftState,
     right_health: u8,
     was_armed: bool,
@@ -68,6 +70,7 @@ impl Bridge {
             map,
             drops: Drops::default(),
             scores: Vec::new(),
+            almost: Almost::default(),
             left_state: LeftState { heading: Heading::Neutral, ..LeftState::default() },
             right_health: 0,
             was_armed: false,
@@ -289,6 +292,7 @@ impl Bridge {
                 self.note(now_ms, EventKind::HandStarted { hand, identity });
                 if hand == Hand::Right {
                     self.scores.clear();
+                    self.almost = Almost::default();
                 }
                 self.apply(safety::Event::Started(hand), now_ms, robot);
             }
@@ -359,6 +363,11 @@ impl Bridge {
             age_ms: new.age_ms,
             releases: self.map.motion(label).is_some_and(|motion| *motion == *MotionName::HOME),
         });
+        let almost = self.almost.see(labels, &report.scores, report.gesture.is_some());
+        if let Some((label, confidence)) = almost {
+            let label = labels[label].clone();
+            self.note(now_ms, EventKind::Almost { label, confidence });
+        }
         self.scores = report.scores;
         self.right_health = report.health;
         let event = safety::Event::Right {
