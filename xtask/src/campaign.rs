@@ -174,6 +174,7 @@ fn measure(fault: &Fault, short: bool) -> Result<(Vec<Vec<String>>, bool)> {
     cargo.args(fault.test).arg("--").args(fault.only);
     // One after the other: what runs beside would be measured, too.
     cargo.args(["--nocapture", "--test-threads", "1"]).stdin(Stdio::null());
+    cargo.env("BIMANUAL_PROGRAMS", crate::test::programs()?);
     if !short {
         cargo.env("BIMANUAL_FULL", "1");
     }

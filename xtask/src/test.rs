@@ -193,7 +193,7 @@ pub fn cargo_for_all(subcommand: &str) -> Command {
 ///
 /// # Errors
 /// Where the workspace does not build.
-fn programs() -> Result<PathBuf> {
+pub fn programs() -> Result<PathBuf> {
     if let Some(folder) = std::env::var_os("BIMANUAL_PROGRAMS") {
         return Ok(folder.into());
     }
