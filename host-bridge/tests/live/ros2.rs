@@ -1081,14 +1081,18 @@ fn a_gesture_closes_and_opens_a_gripper_of_either_kind_and_a_stop_halts_it_and_n
         let ends = |v: &Value| is(v, "motion-ended") && v["motion"] == "close-gripper";
 
         // A stall on the thing is success, and how far the fingers are apart is told: 5/8 of 85 mm.
-        robot.has("it is asked to close", asks(0.08));
+        let asked = robot.has("it is asked to close", asks(0.08));
+        println!("{kind}: asked to close at {:.1} s", number(&asked["t"]));
         let gripped = robot.has("it stalls", |v| is(v, "gripped"));
+        println!("{kind}: stalled {:.2} s later", number(&gripped["t"]) - number(&asked["t"]));
         assert_eq!((&gripped["stalled"], &gripped["reached"]), (&Value::Bool(true), &Value::Bool(false)));
         bridge.has("what it has", says("has something (53 mm)"));
         assert_eq!(bridge.has("its end", ends)["reached"], true);
+        println!("{kind}: the program knows what it has");
         robot.has("it is asked to open", asks(0.0));
         robot.wait("it is open", |v| is(v, "gripped") && v["reached"] == true);
 
+        println!("{kind}: open");
         // A stop while it closes: cancelled, and nothing else is asked for.
         robot.wait("it closes again", asks(0.08));
         let bent_s = wall_s();

@@ -194,7 +194,7 @@ impl<R: Robot> Director<R> {
             let now_m = felt_m.unwrap_or(reached_m);
             if had.is_some() && (now_m - before_m).abs() > LET_GO_M {
                 told = self.shop().let_go_of(&mut things, &flange);
-            } else if end == GripEnd::Stalled && had.is_none() && asked_m < before_m {
+            } else if end == GripEnd::Stalled && had.is_none() {
                 told = self.shop().gripped(&mut things, &flange, asked_m).or_else(|| Some(stalled(felt_m)));
             }
             let attached = had.is_none() && self.shop().held(&things).is_some();
