@@ -245,7 +245,7 @@ class Arm:
 class Gripper:
     """A gripper behind one of the two gripper controllers: one position in m, moved at a fixed speed.
 
-    `blocked_m` is where an object between the fingers stops them.
+    `blocked_m` is where an object between the fingers stops them; they close towards larger positions.
     """
 
     def __init__(self, position_m=0.0, speed_m_s=0.1, blocked_m=None, tolerance_m=0.01, stall_s=1.0):
@@ -273,7 +273,8 @@ class Gripper:
         """Moves for one period."""
         step = min(max(self.wanted - self.position, -self.speed * period), self.speed * period)
         after = self.position + step
-        if self.blocked is not None and (self.position - self.blocked) * (after - self.blocked) <= 0.0 and step:
+        # The object is in the way of closing fingers, not of those that open.
+        if self.blocked is not None and self.position <= self.blocked < after:
             after = self.blocked
         if abs(after - self.position) > 1e-9:
             self.moved_at = now
