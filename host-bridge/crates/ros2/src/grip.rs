@@ -1,13 +1,12 @@
 //! The gripper's action on the graph, of whichever kind its server is.
 
-use ros2_client::action::{ActionClient, ActionClientQosPolicies, GoalId};
-use ros2_client::action_msgs::GoalStatusArray;
-use ros2_client::qos::Durability;
-use ros2_client::{ActionTypeName, Message, Name, Node, QosProfile, RmwRequestId, ServiceMapping};
+use ros2_client::action::ActionClient;
+use ros2_client::{Node, QosProfile};
 
+use super::action::{self, Goals, Said};
 use super::advice::{Endpoint, Graph};
 use super::config::Ros2Config;
-use super::follow::{active, named};
+use super::follow::named;
 use super::gripper::GripAnswer;
 use super::joined::NodeError;
 use super::vendor::Wrapping;
@@ -32,25 +31,16 @@ enum Client {
     Parallel(Box<Parallel>),
 }
 
-struct Goal {
-    ours: u32,
-    request: RmwRequestId,
-    id: GoalId,
-    result: Option<RmwRequestId>,
-}
-
 /// See the module.
 pub struct Gripper {
     /// The action's name; empty = whichever there is below the namespace.
     name: String,
     namespace: String,
-    /// Active goals on the server that are not ours.
-    foreign: usize,
     joint: String,
     qos: QosProfile,
     /// Name, kind and vendor's way of the server that it is for.
     client: Option<((String, usize, Wrapping), Client)>,
-    goals: Vec<Goal>,
+    goals: Goals,
 }
 
 impl Gripper {
@@ -65,11 +55,10 @@ impl Gripper {
         Some(Gripper {
             name,
             namespace,
-            foreign: 0,
             joint: config.gripper_joint.clone(),
             qos,
             client: None,
-            goals: Vec::new(),
+            goals: Goals::new(GOALS_MAX),
         })
     }
 
@@ -122,7 +111,7 @@ impl Gripper {
             self.goals.clear();
             return Ok(Some("its server has just been found".to_owned()));
         }
-        if self.foreign > 0 {
+        if self.goals.foreign() > 0 {
             return Ok(Some(format!("{name} is at a goal of another program")));
         }
         Ok(None)
@@ -133,38 +122,21 @@ impl Gripper {
         node: &mut Node,
         (name, kind, wrapping): &(String, usize, Wrapping),
     ) -> Result<Client, NodeError> {
-        let mapping = match wrapping {
-            Wrapping::Cyclone => ServiceMapping::Cyclone,
-            Wrapping::Rpc => ServiceMapping::Enhanced,
-        };
-        let parsed = Name::parse(name).map_err(|error| NodeError::of(name, &error))?;
-        let qos = ActionClientQosPolicies {
-            goal_service: self.qos.clone(),
-            result_service: self.qos.clone(),
-            cancel_service: self.qos.clone(),
-            feedback_subscription: self.qos.clone(),
-            status_subscription: self.qos.clone().durability(Durability::TransientLocal),
-        };
-        let type_name = ActionTypeName::new("control_msgs", KINDS[*kind].0);
-        let failed = |error: ros2_client::ros2::CreateError| NodeError::of(name, &error);
+        let action = KINDS[*kind].0;
         Ok(if *kind == 0 {
-            Client::Command(Box::new(
-                node.create_action_client(mapping, &parsed, &type_name, qos).map_err(failed)?,
-            ))
+            Client::Command(Box::new(action::connect(node, name, action, *wrapping, &self.qos)?))
         } else {
-            Client::Parallel(Box::new(
-                node.create_action_client(mapping, &parsed, &type_name, qos).map_err(failed)?,
-            ))
+            Client::Parallel(Box::new(action::connect(node, name, action, *wrapping, &self.qos)?))
         })
     }
 
     /// Sends a goal; whether it could be handed over.
     pub fn send(&mut self, ours: u32, position: f64, effort: Option<f64>) -> bool {
-        let sent = match &self.client {
-            None => return false,
+        match &self.client {
+            None => false,
             Some((_, Client::Command(client))) => {
                 let command = ros::GripperCommand { position, max_effort: effort.unwrap_or(0.0) };
-                client.send_goal(ros::GripGoal { command }).ok()
+                self.goals.send(client, ours, ros::GripGoal { command })
             }
             Some((_, Client::Parallel(client))) => {
                 let named = Some(self.joint.clone()).filter(|joint| !joint.is_empty());
@@ -174,51 +146,32 @@ impl Gripper {
                     effort: effort.into_iter().collect(),
                     ..ros::JointState::default()
                 };
-                client.send_goal(ros::ParallelGoal { command }).ok()
+                self.goals.send(client, ours, ros::ParallelGoal { command })
             }
-        };
-        let Some((request, id)) = sent else { return false };
-        if self.goals.len() == GOALS_MAX {
-            self.goals.remove(0);
         }
-        self.goals.push(Goal { ours, request, id, result: None });
-        true
     }
 
     /// Asks for a goal's end; whether that could be handed over.
     pub fn cancel(&self, ours: u32) -> bool {
-        let Some(goal) = self.goals.iter().find(|goal| goal.ours == ours) else { return false };
         match &self.client {
             None => false,
-            Some((_, Client::Command(client))) => client.cancel_goal(goal.id).is_ok(),
-            Some((_, Client::Parallel(client))) => client.cancel_goal(goal.id).is_ok(),
+            Some((_, Client::Command(client))) => self.goals.cancel(client, ours),
+            Some((_, Client::Parallel(client))) => self.goals.cancel(client, ours),
         }
     }
 
     /// What the server said: our number of the goal, and the answer.
     pub fn answers(&mut self) -> Vec<(u32, GripAnswer)> {
-        let lists = match &self.client {
-            None => Vec::new(),
-            Some((_, Client::Command(client))) => lists(client),
-            Some((_, Client::Parallel(client))) => lists(client),
-        };
-        for list in lists {
-            let foreign = active(&list).filter(|id| !self.goals.iter().any(|goal| goal.id == *id));
-            self.foreign = foreign.count();
-        }
-        let goals = &mut self.goals;
         let first = |state: &ros::JointState| state.position.first().copied().unwrap_or(f64::NAN);
         match &self.client {
             None => Vec::new(),
             Some((_, Client::Command(client))) => answers(
-                client,
-                goals,
+                self.goals.said(client, |_| ()),
                 |result| (result.position, result.stalled, result.reached_goal),
                 |feedback| feedback.position,
             ),
             Some((_, Client::Parallel(client))) => answers(
-                client,
-                goals,
+                self.goals.said(client, |_| ()),
                 |result| (first(&result.state), result.stalled, result.reached_goal),
                 |feedback| first(&feedback.state),
             ),
@@ -226,50 +179,20 @@ impl Gripper {
     }
 }
 
-/// Everything that has come in.
-fn answers<G, R, F>(
-    client: &ActionClient<G, R, F>,
-    goals: &mut [Goal],
+/// What was said by a server of either kind.
+fn answers<R, F>(
+    said: Vec<(u32, Said<R, F>)>,
     result_of: impl Fn(&R) -> (f64, bool, bool),
     place_of: impl Fn(&F) -> f64,
-) -> Vec<(u32, GripAnswer)>
-where
-    G: Message + Clone + 'static,
-    R: Message + Clone + 'static,
-    F: Message + 'static,
-{
-    let mut said = Vec::new();
-    while let Ok(Some((request, response))) = client.goal_client().receive_response() {
-        let Some(goal) = goals.iter_mut().find(|goal| goal.request == request) else { continue };
-        if response.accepted {
-            goal.result = client.request_result(goal.id).ok();
-            said.push((goal.ours, GripAnswer::Accepted));
-        } else {
-            said.push((goal.ours, GripAnswer::Rejected));
+) -> Vec<(u32, GripAnswer)> {
+    let answer = |said| match said {
+        Said::Accepted => GripAnswer::Accepted,
+        Said::Rejected => GripAnswer::Rejected,
+        Said::Feedback(feedback) => GripAnswer::At(place_of(&feedback)),
+        Said::Result(status, result) => {
+            let (position, stalled, reached) = result_of(&result);
+            GripAnswer::Done { position, stalled, reached, status: format!("{status:?}") }
         }
-    }
-    while let Ok(Some((message, _))) = client.feedback_subscription().take() {
-        if let Some(goal) = goals.iter().find(|goal| goal.id == message.goal_id) {
-            said.push((goal.ours, GripAnswer::At(place_of(&message.feedback))));
-        }
-    }
-    while let Ok(Some((request, response))) = client.result_client().receive_response() {
-        let Some(goal) = goals.iter_mut().find(|goal| goal.result == Some(request)) else { continue };
-        goal.result = None;
-        let (position, stalled, reached) = result_of(&response.result);
-        let status = format!("{:?}", response.status);
-        said.push((goal.ours, GripAnswer::Done { position, stalled, reached, status }));
-    }
-    while let Ok(Some(_)) = client.cancel_client().receive_response() {}
-    said
-}
-
-/// What the server tells of all goals.
-fn lists<G, R, F>(client: &ActionClient<G, R, F>) -> Vec<GoalStatusArray>
-where
-    G: Message + Clone + 'static,
-    R: Message + Clone + 'static,
-    F: Message + 'static,
-{
-    std::iter::from_fn(|| client.receive_status().ok().flatten()).collect()
+    };
+    said.into_iter().map(|(ours, said)| (ours, answer(said))).collect()
 }

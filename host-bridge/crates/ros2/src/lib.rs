@@ -8,6 +8,8 @@
 //! Everything but `node` is sans-IO and always built, so that its rules are tested and a configuration
 //! file reads the same everywhere. `node` and `driver` need the feature `ros2`. How to use it: `docs/ros2.md`.
 
+#[cfg(feature = "ros2")]
+mod action;
 pub mod advice;
 pub mod arm;
 pub mod clocks;

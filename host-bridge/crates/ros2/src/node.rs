@@ -6,12 +6,13 @@
 use std::sync::mpsc::{Receiver, TryRecvError, channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+use super::action::active;
 use super::advice::{Endpoint, Graph, Heard, topics, wire};
 use super::clocks::{Clocks, Difference, Source};
 use super::config::{Connection, Ros2Config};
 use super::description::urdf;
 use super::estop::Inputs;
-use super::follow::{active, named};
+use super::follow::named;
 use super::grip::Gripper;
 use super::joined::{Arm, Joined, NodeError, Published, Speed, ToldState, name_of, rivals};
 use super::robot::{Counts, Output, RosRobot};

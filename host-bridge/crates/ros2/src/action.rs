@@ -1,0 +1,166 @@
+//! What every action's client does: it is made as the vendor of its server has it, remembers the goals that it sent, and
+//! hears what the server says of them.
+
+use ros2_client::action::{ActionClient, ActionClientQosPolicies, GoalId};
+use ros2_client::action_msgs::{GoalStatus, GoalStatusArray, GoalStatusEnum};
+use ros2_client::qos::Durability;
+use ros2_client::{ActionTypeName, Message, Name, Node, QosProfile, RmwRequestId, ServiceMapping};
+
+use super::joined::NodeError;
+use super::vendor::Wrapping;
+
+/// A client of this action, a type of `control_msgs`.
+///
+/// # Errors
+/// Where its name is none, or the client cannot be made.
+pub fn connect<G, R, F>(
+    node: &mut Node,
+    name: &str,
+    kind: &str,
+    wrapping: Wrapping,
+    qos: &QosProfile,
+) -> Result<ActionClient<G, R, F>, NodeError>
+where
+    G: Message + Clone + 'static,
+    R: Message + Clone + 'static,
+    F: Message + 'static,
+{
+    let mapping = match wrapping {
+        Wrapping::Cyclone => ServiceMapping::Cyclone,
+        Wrapping::Rpc => ServiceMapping::Enhanced,
+    };
+    let parsed = Name::parse(name).map_err(|error| NodeError::of(name, &error))?;
+    let policies = ActionClientQosPolicies {
+        goal_service: qos.clone(),
+        result_service: qos.clone(),
+        cancel_service: qos.clone(),
+        feedback_subscription: qos.clone(),
+        status_subscription: qos.clone().durability(Durability::TransientLocal),
+    };
+    let type_name = ActionTypeName::new("control_msgs", kind);
+    node.create_action_client(mapping, &parsed, &type_name, policies)
+        .map_err(|error| NodeError::of(name, &error))
+}
+
+/// What a server says of a goal.
+pub enum Said<R, F> {
+    /// It runs.
+    Accepted,
+    /// It does not.
+    Rejected,
+    /// How far it is.
+    Feedback(F),
+    /// How it ended.
+    Result(GoalStatusEnum, R),
+}
+
+/// A goal of ours, also one that is over.
+struct Goal {
+    ours: u32,
+    request: RmwRequestId,
+    id: GoalId,
+    result: Option<RmwRequestId>,
+}
+
+/// The goals that were sent to an action's server.
+pub struct Goals {
+    known: Vec<Goal>,
+    /// More are not remembered.
+    most: usize,
+    /// Active goals on the server that are not ours.
+    foreign: usize,
+}
+
+impl Goals {
+    /// None yet; so many are remembered.
+    pub fn new(most: usize) -> Self {
+        Goals { known: Vec::new(), most, foreign: 0 }
+    }
+
+    /// Forgets them: their answers would come to a client that is gone.
+    pub fn clear(&mut self) {
+        self.known.clear();
+    }
+
+    /// How many goals run on the server that are not ours.
+    pub fn foreign(&self) -> usize {
+        self.foreign
+    }
+
+    /// Sends a goal; whether it could be handed over.
+    pub fn send<G, R, F>(&mut self, client: &ActionClient<G, R, F>, ours: u32, goal: G) -> bool
+    where
+        G: Message + Clone + 'static,
+        R: Message + Clone + 'static,
+        F: Message + 'static,
+    {
+        let Ok((request, id)) = client.send_goal(goal) else { return false };
+        if self.known.len() == self.most {
+            self.known.remove(0);
+        }
+        self.known.push(Goal { ours, request, id, result: None });
+        true
+    }
+
+    /// Asks for a goal's end; whether that could be handed over.
+    pub fn cancel<G, R, F>(&self, client: &ActionClient<G, R, F>, ours: u32) -> bool
+    where
+        G: Message + Clone + 'static,
+        R: Message + Clone + 'static,
+        F: Message + 'static,
+    {
+        let known = self.known.iter().find(|goal| goal.ours == ours);
+        known.is_some_and(|goal| client.cancel_goal(goal.id).is_ok())
+    }
+
+    /// Everything that has come in: our number of the goal, and what was said of it. Answers to cancellations are handed
+    /// to `cancelled`.
+    pub fn said<G, R, F>(
+        &mut self,
+        client: &ActionClient<G, R, F>,
+        mut cancelled: impl FnMut(RmwRequestId),
+    ) -> Vec<(u32, Said<R, F>)>
+    where
+        G: Message + Clone + 'static,
+        R: Message + Clone + 'static,
+        F: Message + 'static,
+    {
+        let mut said = Vec::new();
+        let goals = &mut self.known;
+        while let Ok(Some((request, response))) = client.goal_client().receive_response() {
+            let Some(goal) = goals.iter_mut().find(|goal| goal.request == request) else { continue };
+            if response.accepted {
+                goal.result = client.request_result(goal.id).ok();
+                said.push((goal.ours, Said::Accepted));
+            } else {
+                // Kept: of two servers, or after a forged word, another may accept it yet.
+                said.push((goal.ours, Said::Rejected));
+            }
+        }
+        while let Ok(Some((message, _))) = client.feedback_subscription().take() {
+            if let Some(goal) = goals.iter().find(|goal| goal.id == message.goal_id) {
+                said.push((goal.ours, Said::Feedback(message.feedback)));
+            }
+        }
+        while let Ok(Some((request, response))) = client.result_client().receive_response() {
+            // Kept: a result that was forged must not keep a stop from cancelling.
+            let Some(goal) = goals.iter_mut().find(|goal| goal.result == Some(request)) else { continue };
+            goal.result = None;
+            said.push((goal.ours, Said::Result(response.status, response.result)));
+        }
+        while let Ok(Some((request, _))) = client.cancel_client().receive_response() {
+            cancelled(request);
+        }
+        while let Ok(Some(list)) = client.receive_status() {
+            self.foreign = active(&list).filter(|id| !goals.iter().any(|goal| goal.id == *id)).count();
+        }
+        said
+    }
+}
+
+/// The goals in a server's list that are not over.
+pub fn active(list: &GoalStatusArray) -> impl Iterator<Item = GoalId> + '_ {
+    use GoalStatusEnum::{Accepted, Canceling, Executing};
+    let runs = |status: &&GoalStatus| matches!(status.status, Accepted | Executing | Canceling);
+    list.status_list.iter().filter(runs).map(|status| status.goal_info.goal_id)
+}
