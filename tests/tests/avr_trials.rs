@@ -21,13 +21,6 @@ fn the_papers_400_tilts_are_right_and_none_is_reversed() {
     let mut latencies: Vec<f64> = results.iter().flat_map(|t| t.latencies_ms.clone()).collect();
     latencies.sort_by(f64::total_cmp);
     println!("{wearers} wearers, parts from the whole data-sheet tolerance, neutral within 10° of level");
-    println!("{:<28}{:>8}{:>8}", "", "paper", "here");
-    println!("{:<28}{:>8}{:>8}", "trials", 400, trials);
-    println!("{:<28}{:>7}%{:>7.2}%", "right", 93.5, 100.0 * f64::from(right) / f64::from(trials));
-    println!("{:<28}{:>8}{:>8}", "reversed", "", reversed);
-    if let (Some(worst), Some(median)) = (latencies.last(), latencies.get(latencies.len() / 2)) {
-        println!("from the start of a movement of 100 to 220 ms: median {median:.0} ms, worst {worst:.0} ms");
-    }
     println!(
         "paper: tilts, of {trials}: right | 93.5 % of 400 | {:.2} %",
         100.0 * f64::from(right) / f64::from(trials)

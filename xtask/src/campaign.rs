@@ -8,6 +8,8 @@ use std::time::Instant;
 
 use anyhow::{Context as _, Result, bail, ensure};
 
+use crate::steps::rows;
+use crate::test::{announce, cargo, cargo_for_all, programs};
 use crate::{jazzy, python};
 
 /// One fault of the campaign, and the tests that hold for it.
@@ -138,6 +140,7 @@ pub fn run(args: &[&str]) -> Result<ExitCode> {
     }
     let faults = FAULTS.iter().filter(|fault| only.is_none_or(|word| fault.name.contains(word)));
     ensure!(faults.clone().count() > 0, "no fault is named like that");
+    announce("PROGRAMS", &programs()?);
     let began = Instant::now();
     let mut table = Vec::new();
     let mut held = true;
@@ -167,14 +170,13 @@ pub fn run(args: &[&str]) -> Result<ExitCode> {
 fn measure(fault: &Fault, short: bool) -> Result<(Vec<Vec<String>>, bool)> {
     let mut cargo = match fault.needs {
         // One crate alone: nothing else is built for speed.
-        Needs::Speed => crate::test::cargo(&["test", "--locked", "--release"]),
+        Needs::Speed => cargo(&["test", "--locked", "--release"]),
         // The workspace as its tests have built it: no other choice of features, nothing compiled again.
-        _ => crate::test::cargo_for_all("test"),
+        _ => cargo_for_all("test"),
     };
     cargo.args(fault.test).arg("--").args(fault.only);
     // One after the other: what runs beside would be measured, too.
     cargo.args(["--nocapture", "--test-threads", "1"]).stdin(Stdio::null());
-    cargo.env("BIMANUAL_PROGRAMS", crate::test::programs()?);
     if !short {
         cargo.env("BIMANUAL_FULL", "1");
     }
@@ -192,9 +194,7 @@ fn measure(fault: &Fault, short: bool) -> Result<(Vec<Vec<String>>, bool)> {
     let done = cargo.output()?;
     let said = String::from_utf8_lossy(&done.stdout);
     let tests = said.lines().filter_map(passed).sum::<usize>();
-    let rows = said.lines().filter_map(|line| Some(line.split_once("row: ")?.1));
-    let mut rows: Vec<Vec<String>> =
-        rows.map(|row| row.split('|').map(|cell| cell.trim().to_owned()).collect()).collect();
+    let mut rows = rows(&said, "row: ");
     if rows.is_empty() {
         rows.push(vec!["tests".into(), tests.to_string(), "0 failed".into(), "0 failed".into()]);
     }

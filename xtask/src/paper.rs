@@ -10,7 +10,9 @@ use std::time::Instant;
 use anyhow::{Context as _, Result, bail, ensure};
 use serde_json::Value;
 
+use crate::steps::rows;
 use crate::target_dir;
+use crate::test::{cargo, cargo_for_all};
 
 /// A table or figure of the paper, and the tests that measure the same here.
 struct Part {
@@ -123,7 +125,7 @@ pub fn run(args: &[&str]) -> Result<ExitCode> {
 
 /// A part's heading, table, note and command.
 fn measured(part: &Part, quick: bool) -> Result<String> {
-    let mut cargo = crate::test::cargo_for_all("test");
+    let mut cargo = cargo_for_all("test");
     cargo.args(part.test).args(["--", part.only, "--nocapture"]).stdin(Stdio::null());
     if !quick {
         cargo.env("BIMANUAL_FULL", "1");
@@ -136,7 +138,7 @@ fn measured(part: &Part, quick: bool) -> Result<String> {
         part.title,
         String::from_utf8_lossy(&done.stderr)
     );
-    let rows = rows(&said);
+    let rows = triples(&said);
     for wanted in part.rows {
         ensure!(
             rows.iter().any(|row| row[0].starts_with(wanted)),
@@ -153,14 +155,9 @@ fn measured(part: &Part, quick: bool) -> Result<String> {
     Ok(table(part.title, &rows, part.note, &command))
 }
 
-/// The rows that a test has printed.
-fn rows(said: &str) -> Vec<[String; 3]> {
-    let cells = said.lines().filter_map(|line| {
-        let cells: Vec<String> =
-            line.split_once("paper: ")?.1.split('|').map(|cell| cell.trim().to_owned()).collect();
-        <[String; 3]>::try_from(cells).ok()
-    });
-    cells.collect()
+/// The rows that a test has printed: what, in the paper, here.
+fn triples(said: &str) -> Vec<[String; 3]> {
+    rows(said, "paper: ").into_iter().filter_map(|cells| cells.try_into().ok()).collect()
 }
 
 fn table(title: &str, rows: &[[String; 3]], note: &str, command: &str) -> String {
@@ -183,7 +180,7 @@ fn recognition(quick: bool) -> Result<String> {
     let path = |name: &str| folder.join(name).display().to_string();
     let (wearers, strangers) = if quick { ("6", "3") } else { ("30", "10") };
     let models = |args: &[&str]| -> Result<String> {
-        let mut cargo = crate::test::cargo(&["run", "--quiet", "--release", "-p", "models", "--"]);
+        let mut cargo = cargo(&["run", "--quiet", "--release", "-p", "models", "--"]);
         let done = cargo.args(args).stdin(Stdio::null()).output()?;
         ensure!(
             done.status.success(),
@@ -275,7 +272,7 @@ mod tests {
     #[test]
     fn rows_are_read_from_what_tests_print_and_nothing_else_is() {
         let said = "running 1 test\npaper: tilts, of 40: right | 93.5 % of 400 | 100.00 %\n paper: broken | row\nok\n";
-        assert_eq!(rows(said), [["tilts, of 40: right", "93.5 % of 400", "100.00 %"].map(str::to_owned)]);
+        assert_eq!(triples(said), [["tilts, of 40: right", "93.5 % of 400", "100.00 %"].map(str::to_owned)]);
     }
 
     /// The page in the tree has every row that the command prints.

@@ -47,6 +47,12 @@ impl Outcome {
     }
 }
 
+/// The rows that tests have printed for a table: the cells behind this mark, between bars.
+pub fn rows(said: &str, mark: &str) -> Vec<Vec<String>> {
+    let rows = said.lines().filter_map(|line| Some(line.split_once(mark)?.1));
+    rows.map(|row| row.split('|').map(|cell| cell.trim().to_owned()).collect()).collect()
+}
+
 /// Runs a command to its end with its output shown.
 ///
 /// # Errors

@@ -119,7 +119,7 @@ fn run_groups() -> Result<ExitCode> {
 }
 
 /// Says in the environment of all that follows where something lies, so that nothing builds it again.
-fn announce(what: &str, path: &Path) {
+pub fn announce(what: &str, path: &Path) {
     // SAFETY: this program has one thread.
     unsafe { std::env::set_var(format!("BIMANUAL_{what}"), path) };
 }

@@ -54,12 +54,7 @@ impl Lateness {
     /// Whether times measured meanwhile can be judged, of what takes the processors itself: nine sleeps of ten ended
     /// within 2 ms, and others left it half of the processors nine times of ten.
     pub fn had_room(&self) -> bool {
-        let others = mostly(self.seen().others);
-        let had_half = others <= 0.5;
-        if !had_half {
-            println!("NOT JUDGED: others take {:.0} % of this machine's processors", others * 100.0);
-        }
-        self.woke_in_time() && had_half
+        at_most(0.5, self.seen().others, "others take") && self.woke_in_time()
     }
 
     fn woke_in_time(&self) -> bool {
@@ -75,17 +70,21 @@ impl Lateness {
     /// second of ten work of ordinary priority left something of the processors. (A thread that hardly works is woken
     /// in time on a full machine, too.)
     pub fn was_quiet(&self) -> bool {
-        let taken = mostly(self.seen().taken);
-        let leaves = taken <= 0.9;
-        if !leaves {
-            println!("NOT JUDGED: {:.0} % of this machine's processors are taken", taken * 100.0);
-        }
-        self.woke_in_time() && leaves
+        at_most(0.9, self.seen().taken, "work of ordinary priority takes") && self.woke_in_time()
     }
 
     fn seen(&self) -> Seen {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
+}
+
+/// Whether nine of ten shares of the processors are no larger.
+fn at_most(limit: f64, shares: Vec<f64>, who: &str) -> bool {
+    let share = mostly(shares);
+    if share > limit {
+        println!("NOT JUDGED: {who} {:.0} % of this machine's processors", share * 100.0);
+    }
+    share <= limit
 }
 
 /// What nine of ten do not exceed; 0 of none.
