@@ -11,6 +11,7 @@ use std::sync::Arc;
 use super::config::{ArmInterface, Ros2Config};
 use super::doubts::{Doubts, in_order};
 use super::robot::Output;
+use super::strays::{CANCEL_INTERVAL_MS, STRAYS_MAX, Strays};
 use super::stream::{Late, RobotClock, Stream, off_rad};
 use host_robot::{End, Following, JOINTS, JointLimits, Joints, Motion, Reading, Trajectory};
 use host_topics::message::{ControllerState, JointState, JointTrajectory, JointTrajectoryPoint, Time};
@@ -29,16 +30,12 @@ const FOLLOW_RAD: f64 = 0.1;
 const FOLLOW_STEPS: u32 = 10;
 /// A controller that wants the arm further from where it wanted it before has begun to move it.
 const BEGUN_RAD: f64 = 1e-4;
-/// A cancellation is asked for again after this long.
-const CANCEL_INTERVAL_MS: u64 = 200;
-/// And given up after this long.
+/// A cancellation is given up after this long.
 const CANCEL_PATIENCE_MS: u64 = 5000;
 /// No goal runs for longer than this.
 const STRAY_MS: u64 = 300_000;
 /// A goal that was said to be over too early is cancelled by a stop for so long beyond its planned end.
 const UNSURE_MS: u64 = 5000;
-/// Goals that were given up and not confirmed; more are not remembered.
-const STRAYS_MAX: usize = 64;
 /// A motion may take this much longer than planned.
 const OVERDUE_MS: u64 = 10_000;
 
@@ -113,15 +110,6 @@ impl Run {
     }
 }
 
-/// A goal that nobody wants, and that may run.
-#[derive(Clone, Copy, Debug)]
-struct Stray {
-    goal: u32,
-    cancelled_ms: u64,
-    /// It is over then, whatever anybody says.
-    until_ms: u64,
-}
-
 /// See the module.
 #[derive(Clone, Debug)]
 pub struct ArmLink {
@@ -137,7 +125,7 @@ pub struct ArmLink {
     run: Option<Run>,
     goals: u32,
     /// Goals that were given up, yet may run: their end is asked for.
-    strays: Vec<Stray>,
+    strays: Strays,
     /// Goals that were said to be over before they could be, and until when they might run all the same.
     unsure: Vec<(u32, u64)>,
     doubts: Doubts,
@@ -165,7 +153,7 @@ impl ArmLink {
             listened_to: false,
             run: None,
             goals: 0,
-            strays: Vec::new(),
+            strays: Strays::default(),
             unsure: Vec::new(),
             doubts: Doubts::default(),
             end: None,
@@ -376,7 +364,7 @@ impl ArmLink {
         for (goal, until_ms) in std::mem::take(&mut self.unsure) {
             if now_ms < until_ms {
                 outputs.push(Output::Cancel { goal });
-                self.stray(goal, now_ms, until_ms);
+                self.strays.add(goal, now_ms, until_ms);
             }
         }
         let fresh = self.sample(now_ms);
@@ -413,12 +401,12 @@ impl ArmLink {
             match answer {
                 Answer::Accepted => {
                     // Given up long ago, or rejected by another: nothing that is late may move.
-                    self.stray(goal, now_ms, now_ms + STRAY_MS);
+                    self.strays.add(goal, now_ms, now_ms + STRAY_MS);
                     outputs.push(Output::Cancel { goal });
                     self.notes
                         .push("the arm's controller accepted a goal too late; it is cancelled".to_owned());
                 }
-                Answer::Succeeded | Answer::Ended(_) => self.strays.retain(|stray| stray.goal != goal),
+                Answer::Succeeded | Answer::Ended(_) => self.strays.over(goal),
                 Answer::Progress(_) | Answer::Rejected => {}
             }
             return;
@@ -465,15 +453,6 @@ impl ArmLink {
         }
     }
 
-    /// A goal that may run though nobody wants it: its end is asked for until it is confirmed.
-    fn stray(&mut self, goal: u32, now_ms: u64, until_ms: u64) {
-        self.strays.retain(|stray| stray.goal != goal);
-        if self.strays.len() == STRAYS_MAX {
-            self.strays.remove(0);
-        }
-        self.strays.push(Stray { goal, cancelled_ms: now_ms, until_ms });
-    }
-
     /// Whether the controller has taken the motion since the last call.
     pub fn take_accepted(&mut self) -> bool {
         std::mem::take(&mut self.is_accepted)
@@ -489,13 +468,7 @@ impl ArmLink {
     /// Lets the time become `now_ms`.
     pub fn step(&mut self, now_ms: u64, outputs: &mut Vec<Output>) {
         let sample = self.sample(now_ms);
-        self.strays.retain(|stray| now_ms < stray.until_ms);
-        for Stray { goal, cancelled_ms, .. } in &mut self.strays {
-            if now_ms.saturating_sub(*cancelled_ms) >= CANCEL_INTERVAL_MS {
-                *cancelled_ms = now_ms;
-                outputs.push(Output::Cancel { goal: *goal });
-            }
-        }
+        self.strays.step(now_ms, |goal| outputs.push(Output::Cancel { goal }));
         if self.run.as_ref().is_some_and(|run| run.stopping_since_ms.is_none())
             && let Some(problem) = self.problem(now_ms)
         {
@@ -534,7 +507,7 @@ impl ArmLink {
                         .to_owned(),
                 );
                 let goal = run.goal;
-                self.stray(goal, now_ms, now_ms + STRAY_MS);
+                self.strays.add(goal, now_ms, now_ms + STRAY_MS);
                 self.end(false);
             } else if now_ms.saturating_sub(run.cancelled_ms) >= CANCEL_INTERVAL_MS {
                 run.cancelled_ms = now_ms;

@@ -32,6 +32,11 @@ impl RosDriver {
     pub fn counts(&self) -> Arc<Mutex<Counts>> {
         Arc::clone(&self.counts)
     }
+
+    /// What refuses the robot as a whole refuses each of its parts.
+    fn may_move(&self) -> Result<(), String> {
+        self.refusal.clone().map_or(Ok(()), Err)
+    }
 }
 
 /// Seconds since 1970.
@@ -73,17 +78,13 @@ impl Robot for RosDriver {
     }
 
     fn can_follow(&self) -> Result<(), String> {
-        match &self.refusal {
-            Some(why) => Err(why.clone()),
-            None => self.robot.can_follow(),
-        }
+        self.may_move()?;
+        self.robot.can_follow()
     }
 
     fn follow(&mut self, trajectory: Arc<Trajectory>) -> Result<(), String> {
-        match &self.refusal {
-            Some(why) => Err(why.clone()),
-            None => self.robot.follow(trajectory),
-        }
+        self.may_move()?;
+        self.robot.follow(trajectory)
     }
 
     fn following(&self) -> Following {
@@ -107,17 +108,13 @@ impl Robot for RosDriver {
     }
 
     fn can_grip(&self) -> Result<(), String> {
-        match &self.refusal {
-            Some(why) => Err(why.clone()),
-            None => self.robot.can_grip(),
-        }
+        self.may_move()?;
+        self.robot.can_grip()
     }
 
     fn grip(&mut self, grip: Grip) -> Result<(), String> {
-        match &self.refusal {
-            Some(why) => Err(why.clone()),
-            None => self.robot.grip(grip),
-        }
+        self.may_move()?;
+        self.robot.grip(grip)
     }
 
     fn take_grip_end(&mut self) -> Option<GripEnd> {

@@ -8,17 +8,14 @@ use host_topics::message::JointState;
 
 use super::config::Ros2Config;
 use super::robot::Output;
+use super::strays::{CANCEL_INTERVAL_MS, Strays};
 
-/// A cancellation is asked for again after this long.
-const CANCEL_INTERVAL_MS: u64 = 200;
-/// And its confirmation no longer waited for after this long; it is asked for on.
+/// A cancellation's confirmation is no longer waited for after this long; it is asked for on.
 const CANCEL_PATIENCE_MS: u64 = 2000;
 /// No goal of a gripper runs for longer.
 const STRAY_MS: u64 = 60_000;
 /// However much it tells, a goal is over after this long.
 const OVERALL_MS: u64 = 30_000;
-/// Goals that nobody wants; more are not remembered.
-const STRAYS_MAX: usize = 64;
 /// What joint states said longer ago is not known.
 const TOLD_MS: u64 = 1000;
 
@@ -67,8 +64,7 @@ pub struct GripperLink {
     missing: Option<String>,
     goals: u32,
     run: Option<Run>,
-    /// Goals that nobody wants, until when each may run, and when its end was last asked for.
-    strays: Vec<(u32, u64, u64)>,
+    strays: Strays,
     /// How far the fingers are apart, and when that was told.
     seen: Option<(f64, u64)>,
     end: Option<GripEnd>,
@@ -88,7 +84,7 @@ impl GripperLink {
             missing: Some("nobody was looked for yet".to_owned()),
             goals: 0,
             run: None,
-            strays: Vec::new(),
+            strays: Strays::default(),
             seen: None,
             end: None,
             notes: Vec::new(),
@@ -112,10 +108,9 @@ impl GripperLink {
 
     /// Takes its joint's position, where it is among these.
     pub fn see(&mut self, state: &JointState, now_ms: u64) {
-        let mut told = state.name.iter().zip(&state.position);
-        let Some((_, &position)) = told.find(|(name, _)| **name == self.joint) else { return };
-        if position.is_finite() {
-            self.seen = Some((self.opening_of(position), now_ms));
+        let mut joints = state.name.iter().zip(&state.position);
+        if let Some((_, &position)) = joints.find(|(name, _)| **name == self.joint) {
+            self.told(position, now_ms);
         }
     }
 
@@ -185,11 +180,11 @@ impl GripperLink {
                     outputs.push(Output::CancelGrip { goal });
                     self.stray(goal, now_ms);
                 }
-                GripAnswer::Rejected => self.strays.retain(|(stray, ..)| *stray != goal),
+                GripAnswer::Rejected => self.strays.over(goal),
                 GripAnswer::At(position) => self.told(position, now_ms),
                 GripAnswer::Done { position, .. } => {
                     self.told(position, now_ms);
-                    self.strays.retain(|(stray, ..)| *stray != goal);
+                    self.strays.over(goal);
                 }
             }
             return;
@@ -239,11 +234,7 @@ impl GripperLink {
 
     /// A goal that may run though nobody wants it: its end is asked for until it is known.
     fn stray(&mut self, goal: u32, now_ms: u64) {
-        self.strays.retain(|(stray, ..)| *stray != goal);
-        if self.strays.len() == STRAYS_MAX {
-            self.strays.remove(0);
-        }
-        self.strays.push((goal, now_ms + STRAY_MS, now_ms));
+        self.strays.add(goal, now_ms, now_ms + STRAY_MS);
     }
 
     fn finish(&mut self, end: GripEnd) {
@@ -254,13 +245,7 @@ impl GripperLink {
 
     /// Lets the time become `now_ms`.
     pub fn step(&mut self, now_ms: u64, outputs: &mut Vec<Output>) {
-        self.strays.retain(|(_, until_ms, _)| now_ms < *until_ms);
-        for (goal, _, asked_ms) in &mut self.strays {
-            if now_ms.saturating_sub(*asked_ms) >= CANCEL_INTERVAL_MS {
-                *asked_ms = now_ms;
-                outputs.push(Output::CancelGrip { goal: *goal });
-            }
-        }
+        self.strays.step(now_ms, |goal| outputs.push(Output::CancelGrip { goal }));
         let Some(run) = &mut self.run else { return };
         let (goal, silent_ms) = (run.goal, now_ms.saturating_sub(run.heard_ms));
         if let Some(since_ms) = run.stopping_since_ms {

@@ -32,6 +32,7 @@ pub mod joined;
 #[cfg(feature = "ros2")]
 pub mod node;
 pub mod robot;
+mod strays;
 pub mod stream;
 pub mod vendor;
 #[cfg(feature = "ros2")]
