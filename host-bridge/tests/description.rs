@@ -58,7 +58,8 @@ fn every_frame_that_is_published_is_a_link_of_the_description_and_every_joint_ha
     let frames = config.frames(&simulator.setting()).unwrap();
     let text = urdf(&simulator.setting(), &frames, &config);
     let links: BTreeSet<&str> = between(&text, "<link name=\"", "\"").into_iter().collect();
-    let told = transforms(&simulator, &frames, Time::default()).transforms;
+    let told = transforms(&simulator, &simulator.picture(), &simulator.setting(), &frames, Time::default())
+        .transforms;
     let children: BTreeSet<&str> = told.iter().map(|t| t.child_frame_id.as_str()).collect();
     assert_eq!(links, children);
     // As ros2_kortex names them, with its prefix.

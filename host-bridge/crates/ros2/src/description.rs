@@ -14,14 +14,18 @@ impl Ros2Config {
     /// # Errors
     /// Two frames would have one name.
     pub fn frames(&self, setting: &RobotSetting) -> Result<Frames, String> {
-        let link = |name: &str| format!("{}{name}", self.arm_prefix);
-        let arm_root = match self.arm_base_frame.as_str() {
-            "" => link(&setting.arm_root),
-            named => named.to_owned(),
+        let mut frames = Frames {
+            odom: self.odom_frame.clone(),
+            base: self.base_frame.clone(),
+            arm_root: self.arm_base_frame.clone(),
+            arm_prefix: self.arm_prefix.clone(),
         };
-        let mut names = vec![self.odom_frame.clone(), self.base_frame.clone(), arm_root.clone()];
-        names.extend(setting.joints.iter().map(|joint| link(&joint.link)));
-        names.push(link(&setting.flange_link));
+        if frames.arm_root.is_empty() {
+            frames.arm_root = frames.link(&setting.arm_root);
+        }
+        let mut names = vec![frames.odom.clone(), frames.base.clone(), frames.arm_root.clone()];
+        names.extend(setting.joints.iter().map(|joint| frames.link(&joint.link)));
+        names.push(frames.link(&setting.flange_link));
         names.sort();
         if let Some(two) = names.windows(2).find(|two| two[0] == two[1]) {
             return Err(format!(
@@ -29,12 +33,7 @@ impl Ros2Config {
                 two[0]
             ));
         }
-        Ok(Frames {
-            odom: self.odom_frame.clone(),
-            base: self.base_frame.clone(),
-            arm_root,
-            arm_prefix: self.arm_prefix.clone(),
-        })
+        Ok(frames)
     }
 }
 
@@ -62,7 +61,7 @@ pub fn urdf(setting: &RobotSetting, frames: &Frames, config: &Ros2Config) -> Str
             "<axis xyz=\"{}\"/><limit effort=\"100\" velocity=\"{}\"{}/>",
             numbers(joint.axis),
             joint.velocity_max_rad_s,
-            bounds.clone().unwrap_or_default()
+            bounds.as_deref().unwrap_or_default()
         );
         let turns = Joint {
             name,

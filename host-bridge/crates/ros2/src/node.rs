@@ -471,6 +471,8 @@ fn too_many(controllers: &[&Endpoint]) -> String {
 /// The simulator as it is published.
 #[derive(Clone, Debug)]
 pub struct Simulator {
+    /// What does not change of it.
+    pub setting: RobotSetting,
     /// Names of its frames.
     pub frames: Frames,
     /// Its description.
@@ -484,7 +486,7 @@ impl Simulator {
     /// Two frames would have one name.
     pub fn new(config: &Ros2Config, setting: &RobotSetting) -> Result<Self, String> {
         let frames = config.frames(setting)?;
-        Ok(Simulator { urdf: urdf(setting, &frames, config), frames })
+        Ok(Simulator { setting: setting.clone(), urdf: urdf(setting, &frames, config), frames })
     }
 }
 
@@ -532,7 +534,7 @@ impl RosPublisher {
             return;
         }
         self.sim_published_ms = now_ms;
-        let (picture, frames) = (robot.picture(), &described.frames);
+        let (picture, Simulator { setting, frames, .. }) = (robot.picture(), described);
         let header = |frame: &str| ros::Header { stamp, frame_id: frame.to_owned() };
         let arm = &picture.arm;
         let joint_state = ros::JointState {
@@ -542,11 +544,10 @@ impl RosPublisher {
             velocity: arm.velocity_rad_s.to_vec(),
             effort: Vec::new(),
         };
-        let odom =
-            ros::Odometry::of(&picture, &robot.setting().base, header(&frames.odom), frames.base.clone());
+        let odom = ros::Odometry::of(&picture, &setting.base, header(&frames.odom), frames.base.clone());
         let _ = topics.joint_states.publish(joint_state);
         let _ = topics.odom.publish(odom);
-        let _ = topics.tf.publish(transforms(robot, frames, stamp));
+        let _ = topics.tf.publish(transforms(robot, &picture, setting, frames, stamp));
     }
 }
 

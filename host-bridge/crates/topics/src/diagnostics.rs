@@ -103,10 +103,11 @@ impl Diagnostics {
     fn left(&self, bridge: &Bridge) -> DiagnosticStatus {
         let (level, message) = health(bridge, Hand::Left);
         let (pitch_mrad, roll_mrad, heading) = bridge.left_hand();
-        let heading = serde_json::to_value(heading).ok();
-        let heading = heading.and_then(|h| h.as_str().map(str::to_owned)).unwrap_or_default();
-        let values =
-            vec![value("heading", heading), value("pitch_mrad", pitch_mrad), value("roll_mrad", roll_mrad)];
+        let values = vec![
+            value("heading", heading.name()),
+            value("pitch_mrad", pitch_mrad),
+            value("roll_mrad", roll_mrad),
+        ];
         part("left hand", level, message, &self.hardware.left, values)
     }
 

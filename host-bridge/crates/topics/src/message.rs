@@ -475,33 +475,34 @@ impl From<base::Twist> for Twist {
     }
 }
 
+/// A covariance of x, y, z and the turns about them, of which ours has those at `places`.
+fn spread<const N: usize>(ours: &[[f64; N]; N], places: [usize; N]) -> [[f64; 6]; 6] {
+    let mut all = [[0.0; 6]; 6];
+    for (row, values) in ours.iter().enumerate() {
+        for (column, value) in values.iter().enumerate() {
+            all[places[row]][places[column]] = *value;
+        }
+    }
+    all
+}
+
 impl Odometry {
     /// Where the base is, how it moves, and how sure that is; the speed's is that of [`SPEED_INTERVAL_S`].
     pub fn of(robot: &Picture, wheels: &BaseConfig, header: Header, child_frame_id: String) -> Self {
         let odometry = robot.odometry;
-        // x, y, z and the turns about them; of ours, 0, 1 and 5.
-        let (mut covariance, ours) = ([[0.0; 6]; 6], [0, 1, 5]);
-        for (row, values) in robot.covariance.iter().enumerate() {
-            for (column, value) in values.iter().enumerate() {
-                covariance[ours[row]][ours[column]] = *value;
-            }
-        }
-        let (mut of_speed, ours) = ([[0.0; 6]; 6], [0, 5]);
-        let speed = wheels.speed_covariance(robot.wheels_rad_s, SPEED_INTERVAL_S);
-        for (row, values) in speed.iter().enumerate() {
-            for (column, value) in values.iter().enumerate() {
-                of_speed[ours[row]][ours[column]] = *value;
-            }
-        }
+        let of_speed = wheels.speed_covariance(robot.wheels_rad_s, SPEED_INTERVAL_S);
         let Transform { translation: Vector3 { x, y, z }, rotation } = Transform::of_base(robot);
         Odometry {
             header,
             child_frame_id,
             pose: PoseWithCovariance {
                 pose: Pose { position: Point { x, y, z }, orientation: rotation },
-                covariance,
+                covariance: spread(&robot.covariance, [0, 1, 5]),
             },
-            twist: TwistWithCovariance { twist: odometry.twist.into(), covariance: of_speed },
+            twist: TwistWithCovariance {
+                twist: odometry.twist.into(),
+                covariance: spread(&of_speed, [0, 5]),
+            },
         }
     }
 }

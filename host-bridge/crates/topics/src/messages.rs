@@ -12,7 +12,7 @@ use host_core::describe;
 use host_core::observe::SessionEvent;
 use host_core::observe::{Now, OperatorKey, Sample, Turn};
 use host_core::safety::Hand;
-use host_robot::{DQuat, DVec3, Door, Pose, RobotSetting};
+use host_robot::{DQuat, DVec3, Door, Picture, Pose, RobotSetting};
 
 /// Frame in which the base's way is told.
 pub const ODOM: &str = "odom";
@@ -52,8 +52,13 @@ impl Frames {
 }
 
 /// Base in the world, foot on the base, links and flange on the foot.
-pub fn transforms(robot: &dyn Door, frames: &Frames, stamp: Time) -> ros::TfMessage {
-    let (picture, model) = (robot.picture(), robot.setting());
+pub fn transforms(
+    robot: &dyn Door,
+    picture: &Picture,
+    model: &RobotSetting,
+    frames: &Frames,
+    stamp: Time,
+) -> ros::TfMessage {
     let links = robot.link_poses(&picture.arm.joints_rad);
     let joints = model.joints.len().min(links.len() - 1);
     let put = |parent: &str, child: String, transform| ros::TransformStamped {
@@ -65,7 +70,7 @@ pub fn transforms(robot: &dyn Door, frames: &Frames, stamp: Time) -> ros::TfMess
         |pose: &Pose| ros::Transform { translation: pose.position_m.into(), rotation: quaternion(pose) };
     let foot = ros::Transform { translation: model.mount_m.into(), rotation: ros::Quaternion::yaw(0.0) };
     let mut transforms = vec![
-        put(&frames.odom, frames.base.clone(), ros::Transform::of_base(&picture)),
+        put(&frames.odom, frames.base.clone(), ros::Transform::of_base(picture)),
         put(&frames.base, frames.arm_root.clone(), foot),
     ];
     for (joint, pose) in model.joints.iter().zip(&links[..joints]) {
@@ -294,8 +299,9 @@ impl Origin {
 
     /// Base in the world, foot on the base, links and flange on the foot.
     pub fn transforms(self, now: &Now<'_>) -> Entry {
-        let frames = Frames::plain(&now.robot.setting());
-        let message = transforms(now.robot, &frames, self.stamp(now.time_ms));
+        let (picture, model) = (now.robot.picture(), now.robot.setting());
+        let message =
+            transforms(now.robot, &picture, &model, &Frames::plain(&model), self.stamp(now.time_ms));
         Entry::new(Topic::Transforms, now.time_ms, &message)
     }
 
