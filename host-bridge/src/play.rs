@@ -72,14 +72,9 @@ impl PlayOptions {
         stage(&self.config(), self.scene.as_deref())
     }
 
-    /// The bundled hands that the scene asks for.
-    pub fn demo_session(&self) -> Result<Option<String>> {
-        Ok(self.stage()?.planner.and_then(|planner| planner.world().scene().demo.clone()))
-    }
-
     /// The simulated robot behind its door, and the paper's map with the changes asked for.
-    pub fn robot_and_map(&self) -> Result<(Director<Simulator>, MotionMap)> {
-        let door = self.stage()?.simulated(&self.config());
+    pub fn robot_and_map(&self, stage: &Stage) -> Result<(Director<Simulator>, MotionMap)> {
+        let door = stage.simulated(&self.config());
         let mut map = MotionMap::default();
         for mapping in &self.map {
             map.assign(mapping)?;
@@ -101,9 +96,14 @@ impl PlayOptions {
 /// A stage as configured, in the scene of a file.
 pub fn stage(config: &Config, scene: Option<&Path>) -> Result<Stage> {
     let Some(file) = scene else { return Ok(Stage::new(config, None)?) };
+    let text = std::fs::read_to_string(file).with_context(|| file.display().to_string())?;
+    stage_of(config, &text, file)
+}
+
+/// The same, of this text instead of the file's own.
+pub fn stage_of(config: &Config, text: &str, file: &Path) -> Result<Stage> {
     let about = || format!("{}", file.display());
-    let text = std::fs::read_to_string(file).with_context(about)?;
-    let scene = Scene::parse(&text).with_context(about)?;
+    let scene = Scene::parse(text).with_context(about)?;
     let arm = arm(&scene, file)?;
     let planner = Planner::new(arm, scene).with_context(about)?;
     for note in planner.world().notes() {

@@ -32,8 +32,10 @@ struct Report<'a> {
 
 /// Plays it; the exit code says whether everything came out as scripted.
 pub fn run(args: &Args) -> Result<ExitCode> {
-    let (robot, map) = args.play.robot_and_map()?;
-    let demo = Demo::named(args.play.demo_session()?.as_deref()).map_err(anyhow::Error::msg)?;
+    let stage = args.play.stage()?;
+    let (robot, map) = args.play.robot_and_map(&stage)?;
+    let named = stage.planner.as_ref().and_then(|planner| planner.world().scene().demo.as_deref());
+    let demo = Demo::named(named).map_err(anyhow::Error::msg)?;
     let script = demo.script.clone();
     let model = ModelFile::bundled()?;
     let about = format!("{} ({})", model.name(), model.about());

@@ -83,7 +83,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     if let Some(file) = &args.session {
         return again(file, args);
     }
-    let (robot, map) = args.play.robot_and_map()?;
+    let (robot, map) = args.play.robot_and_map(&args.play.stage()?)?;
     let left = args.left.as_deref().map(|file| read_left(file, args.calibration.as_deref())).transpose()?;
     if let (Some(model), true) = (&args.model, args.right.is_empty()) {
         bail!("--model {} is for a right hand; give its recording with --right", model.display());

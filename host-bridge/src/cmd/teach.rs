@@ -9,6 +9,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result, bail, ensure};
 use host_bridge::arm::Director;
+use host_bridge::arm::motions::is_grasp;
 use host_bridge::base::Twist;
 use host_bridge::config::Config;
 use host_bridge::ending::Ending;
@@ -20,7 +21,7 @@ use host_bridge::taught::with_pose;
 use super::ports::read_config;
 use super::ros2::{FAREWELL_MS, Graph};
 use super::run::check_braking;
-use crate::play::{Interrupted, stage};
+use crate::play::{Interrupted, stage, stage_of};
 
 /// The robot is waited for so long.
 const SEARCH: Duration = Duration::from_secs(8);
@@ -64,12 +65,8 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         ensure!(args.play, "name the file that the pose is written into: --scene FILE or --config FILE");
         return play(args, &config);
     };
-    let taken = [MotionName::END_ARM, "ready", "open-gripper", "close-gripper", "toggle-gripper"];
-    ensure!(
-        !args.name.trim().is_empty() && !taken.contains(&args.name.as_str()),
-        "'{}' is no name for a pose of yours",
-        args.name
-    );
+    let is_taken = is_grasp(&args.name) || [MotionName::END_ARM, "ready"].contains(&args.name.as_str());
+    ensure!(!args.name.trim().is_empty() && !is_taken, "'{}' is no name for a pose of yours", args.name);
     // The arm may have any place now; its speed limits are not asked for.
     let stage = stage(&config, args.scene.as_deref())?;
     let count = stage.planner.as_ref().map_or(host_bridge::robot::JOINTS, |p| p.world().arm().joints.len());
@@ -83,7 +80,11 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     };
     let about = || into.display().to_string();
     let new = with_pose(&text, &args.name, &joints_rad[..count]).with_context(about)?;
-    check(args, &config, &new).with_context(about)?;
+    // As it will be, it can be used.
+    match &args.scene {
+        Some(scene) => drop(stage_of(&config, &new, scene)?),
+        None => check(&new).with_context(about)?,
+    }
     models::recording::write_whole(into, new.as_bytes()).with_context(about)?;
     let angles: Vec<String> = joints_rad[..count].iter().map(|angle| format!("{angle:.3}")).collect();
     println!("{}: pose '{}' is [{}] rad", into.display(), args.name, angles.join(", "));
@@ -95,20 +96,10 @@ fn quoted(name: &str) -> String {
     if name.contains(' ') { format!("\"{name}\"") } else { name.to_owned() }
 }
 
-/// The file as it will be can be used.
-fn check(args: &Args, config: &Config, new: &str) -> Result<()> {
-    let Some(file) = &args.scene else {
-        Stage::new(&Config::parse(new)?, None)?;
-        return Ok(());
-    };
-    // Beside the scene, for the sake of the files that it names.
-    let name =
-        format!(".teach-{}-{}.toml", std::process::id(), file.file_stem().unwrap_or_default().display());
-    let beside = file.with_file_name(name);
-    std::fs::write(&beside, new)?;
-    let checked = stage(config, Some(&beside));
-    let _ = std::fs::remove_file(&beside);
-    checked.map(|_| ())
+/// A configuration as it will be can be used.
+fn check(text: &str) -> Result<()> {
+    Stage::new(&Config::parse(text)?, None)?;
+    Ok(())
 }
 
 type Remote = Director<Box<dyn Robot + Send>>;
@@ -211,8 +202,8 @@ fn play(args: &Args, config: &Config) -> Result<ExitCode> {
     }
     if reached != Some(true) {
         door.halt();
-        let until_ms = start.elapsed().as_millis() as u64 + FAREWELL_MS;
-        while (start.elapsed().as_millis() as u64) < until_ms {
+        let until_ms = now_ms() + FAREWELL_MS;
+        while now_ms() < until_ms {
             turn(&mut door);
         }
     }

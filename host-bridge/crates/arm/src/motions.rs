@@ -112,6 +112,11 @@ pub enum Grasp {
 const GRASPS: [(&str, Grasp); 3] =
     [("open-gripper", Grasp::Open), ("close-gripper", Grasp::Close), ("toggle-gripper", Grasp::Toggle)];
 
+/// Whether every robot with a gripper has a motion of that name.
+pub fn is_grasp(name: &str) -> bool {
+    GRASPS.iter().any(|(known, _)| *known == name)
+}
+
 /// All of a motion is planned before it starts, so it must end somewhere.
 const STEPS_MAX: usize = 32;
 /// No step waits longer.
