@@ -14,13 +14,20 @@ use crate::tools::{self, BLUETOOTH};
 use crate::{firmware_avr, firmware_nano33, root, target_dir};
 
 /// Files of the repository that keep their places, so that the documents' links hold.
-const FILES: [&str; 28] = [
+const FILES: [&str; 36] = [
     "CHANGELOG.md",
     "LICENSE-APACHE",
     "LICENSE-MIT",
     "README.md",
+    "docs/FILES.md",
+    "docs/GLOSSARY.md",
+    "docs/PAPER.md",
+    "docs/SAFETY.md",
+    "docs/SOURCES.md",
+    "docs/START.md",
     "docs/page-dark.png",
     "docs/page-light.png",
+    "docs/page.gif",
     "docs/ros2.md",
     "docs/sites.md",
     "docs/wiring.svg",
@@ -33,6 +40,7 @@ const FILES: [&str; 28] = [
     "host-bridge/scenes/bins.toml",
     "host-bridge/scenes/other-arm.toml",
     "host-bridge/scenes/other-arm.urdf",
+    "host-bridge/scenes/pick-and-place.toml",
     "host-bridge/scenes/posts.toml",
     "host-bridge/scenes/room.toml",
     "host-bridge/scenes/shelf.toml",
