@@ -73,13 +73,7 @@ impl Time {
     /// So long the laptop sleeps and its boards do not: programs get no time meanwhile, and all of it at once with the
     /// next step, as the machine's own clock gives it to them when it wakes.
     pub fn suspend(&self, time: Duration) {
-        let turns: Vec<_> = self.0.turns.borrow().iter().filter_map(Weak::upgrade).collect();
-        for _ in 0..time.as_millis() {
-            let now_ms = self.now_ms() + 1;
-            turns.iter().for_each(|turn| turn.borrow_mut().run(now_ms));
-            turns.iter().for_each(|turn| turn.borrow_mut().exchange());
-            self.0.now_ms.set(now_ms);
-        }
+        (0..time.as_millis()).for_each(|_| self.turn(&[]));
         self.step();
     }
 
@@ -88,8 +82,18 @@ impl Time {
     /// # Panics
     /// Where a program hangs.
     pub fn step(&self) {
-        let now_ms = self.now_ms() + 1;
         let programs: Vec<_> = self.0.programs.borrow().iter().filter_map(Weak::upgrade).collect();
+        self.turn(&programs);
+        if let Some(due) = self.0.due.get() {
+            let (due, now) = (due + Duration::from_millis(1), Instant::now());
+            std::thread::sleep(due.saturating_duration_since(now));
+            self.0.due.set(Some(due.max(now - MADE_UP)));
+        }
+    }
+
+    /// A millisecond of the boards, the wires and these programs.
+    fn turn(&self, programs: &[Rc<Process>]) {
+        let now_ms = self.now_ms() + 1;
         programs.iter().for_each(|program| program.join(self.now_ms()));
         programs.iter().for_each(|program| program.tell(now_ms));
         let turns: Vec<_> = self.0.turns.borrow().iter().filter_map(Weak::upgrade).collect();
@@ -97,11 +101,6 @@ impl Time {
         programs.iter().for_each(|program| program.await_done());
         turns.iter().for_each(|turn| turn.borrow_mut().exchange());
         self.0.now_ms.set(now_ms);
-        if let Some(due) = self.0.due.get() {
-            let (due, now) = (due + Duration::from_millis(1), Instant::now());
-            std::thread::sleep(due.saturating_duration_since(now));
-            self.0.due.set(Some(due.max(now - MADE_UP)));
-        }
     }
 
     /// From now on this runs in steps, as long as it exists.
