@@ -131,8 +131,12 @@ impl World {
     fn drop_pairs_that_always_touch(&mut self) {
         const BENT: usize = 400;
         let mut random = Random::new(25);
-        let mut touching = vec![0; self.pairs.len()];
+        let mut always = self.pairs.clone();
         for _ in 0..BENT {
+            // What was clear once is so; mostly nothing is left after a few.
+            if always.is_empty() {
+                return;
+            }
             let mut joints_rad = [0.0; JOINTS];
             for (angle, joint) in joints_rad.iter_mut().zip(&self.arm.joints) {
                 let pi = std::f64::consts::PI;
@@ -140,25 +144,18 @@ impl World {
                 *angle = random.between(low, high);
             }
             let shapes = self.shapes(&joints_rad, &self.start);
-            for (count, &(one, two)) in touching.iter_mut().zip(&self.pairs) {
-                *count += usize::from(self.pair_distance_m(&shapes, one, two) <= 0.0);
-            }
+            always.retain(|&(one, two)| self.pair_distance_m(&shapes, one, two) <= 0.0);
         }
-        let always: Vec<bool> = touching.into_iter().map(|count| count == BENT).collect();
-        let dropped = self.pairs.iter().zip(&always).filter(|(_, always)| **always);
-        let names: Vec<String> = dropped
-            .map(|((one, two), _)| {
-                format!("{} and {}", self.name(self.part(*one)), self.name(self.part(*two)))
-            })
+        if always.is_empty() {
+            return;
+        }
+        let names: Vec<String> = always
+            .iter()
+            .map(|&(one, two)| format!("{} and {}", self.name(self.part(one)), self.name(self.part(two))))
             .collect();
-        if !names.is_empty() {
-            self.notes.push(format!(
-                "not held apart, for they touch however the arm is bent: {}",
-                names.join(", ")
-            ));
-        }
-        let mut always = always.into_iter();
-        self.pairs.retain(|_| !always.next().unwrap_or(false));
+        self.notes
+            .push(format!("not held apart, for they touch however the arm is bent: {}", names.join(", ")));
+        self.pairs.retain(|pair| !always.contains(pair));
     }
 
     /// Objects, boxes and tool, for those who grip.
