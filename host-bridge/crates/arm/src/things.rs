@@ -307,8 +307,7 @@ impl Shop<'_> {
     /// Shapes of what is held, in the flange's frame.
     pub fn held_shapes(&self, things: &Things) -> Vec<Capsule> {
         let Some((i, at)) = self.held(things) else { return Vec::new() };
-        let put = |c: Capsule| Capsule { a_m: at.at(c.a_m), b_m: at.at(c.b_m), ..c };
-        self.objects[i].shapes().into_iter().map(put).collect()
+        self.objects[i].shapes().iter().map(|shape| shape.seen_from(&at)).collect()
     }
 
     /// Boxes around the objects that stand, with their numbers.

@@ -8,7 +8,7 @@ use std::cell::Cell;
 
 use crate::model::SerialArm;
 use crate::scene::{NamedBox, Scene};
-use crate::things::{Shop, Things};
+use crate::things::{Shop, Things, Touch};
 use crate::tool::Tool;
 use host_robot::shape::{Capsule, UprightBox};
 use host_robot::{DMat3, DVec3, JOINTS, Joints};
@@ -131,6 +131,7 @@ impl World {
     fn drop_pairs_that_always_touch(&mut self) {
         const BENT: usize = 400;
         let mut random = Random::new(25);
+        let on_flange = self.on_flange(&self.start);
         let mut always = self.pairs.clone();
         for _ in 0..BENT {
             // What was clear once is so; mostly nothing is left after a few.
@@ -143,7 +144,7 @@ impl World {
                 let (low, high) = joint.limit_rad.unwrap_or((-pi, pi));
                 *angle = random.between(low, high);
             }
-            let shapes = self.shapes(&joints_rad, &self.start);
+            let shapes = self.shapes(&joints_rad, &on_flange);
             always.retain(|&(one, two)| self.pair_distance_m(&shapes, one, two) <= 0.0);
         }
         if always.is_empty() {
@@ -187,11 +188,12 @@ impl World {
             let (low, high) = self.arm.joints[joint].limit_rad.unwrap_or((-pi, pi));
             (0..=STEPS).map(move |k| low + (high - low) * k as f64 / STEPS as f64)
         };
+        let on_flange = self.on_flange(&self.start);
         range(link).any(|first| {
             range(link + 1).any(|second| {
                 let mut joints_rad = [0.0; JOINTS];
                 (joints_rad[link], joints_rad[link + 1]) = (first, second);
-                self.pair_distance_m(&self.shapes(&joints_rad, &self.start), link, other) <= 0.0
+                self.pair_distance_m(&self.shapes(&joints_rad, &on_flange), link, other) <= 0.0
             })
         })
     }
@@ -252,7 +254,15 @@ impl World {
         let mut base = self.scene.base.body();
         base.center_m -= mount_m;
         let floor_m = -mount_m.z;
-        Surroundings { world: self, things, boxes: boxes.collect(), base, floor_m, checks: Cell::new(0) }
+        Surroundings {
+            world: self,
+            touch: &things.touch,
+            on_flange: self.on_flange(things),
+            boxes: boxes.collect(),
+            base,
+            floor_m,
+            checks: Cell::new(0),
+        }
     }
 
     /// The number of the tool among the links; fingers and what is held follow.
@@ -269,26 +279,26 @@ impl World {
         }
     }
 
-    /// Shapes of foot, links, tool and what is held in the arm's frame, with their numbers.
-    fn shapes(&self, joints_rad: &Joints, things: &Things) -> Vec<(usize, Capsule)> {
+    /// Shapes of tool, fingers and what is held in the flange's frame, with their numbers.
+    fn on_flange(&self, things: &Things) -> Vec<(usize, Capsule)> {
+        if self.tool.is_none() {
+            return Vec::new();
+        }
+        let link = self.tool_link();
+        let fixed = self.tool.fixed().iter().map(|c| (link, *c));
+        let fingers = self.tool.fingers(things.opening_m).into_iter().map(|c| (link + 1, c));
+        let held = self.shop().held_shapes(things).into_iter().map(|c| (link + 2, c));
+        fixed.chain(fingers).chain(held).collect()
+    }
+
+    /// Shapes of foot, links and what is on the flange in the arm's frame, with their numbers.
+    fn shapes(&self, joints_rad: &Joints, on_flange: &[(usize, Capsule)]) -> Vec<(usize, Capsule)> {
         let poses = self.arm.link_poses(joints_rad);
         let mut shapes: Vec<(usize, Capsule)> = self.arm.foot.iter().map(|shape| (0, *shape)).collect();
         for (i, (joint, pose)) in self.arm.joints.iter().zip(&poses).enumerate() {
-            shapes.extend(joint.shapes.iter().map(|shape| {
-                (
-                    i + 1,
-                    Capsule { a_m: pose.at(shape.a_m), b_m: pose.at(shape.b_m), radius_m: shape.radius_m },
-                )
-            }));
+            shapes.extend(joint.shapes.iter().map(|shape| (i + 1, shape.seen_from(pose))));
         }
-        if !self.tool.is_none() {
-            let flange = &poses[JOINTS];
-            let put = |c: Capsule| Capsule { a_m: flange.at(c.a_m), b_m: flange.at(c.b_m), ..c };
-            let link = self.tool_link();
-            shapes.extend(self.tool.fixed().iter().map(|c| (link, put(*c))));
-            shapes.extend(self.tool.fingers(things.opening_m).into_iter().map(|c| (link + 1, put(c))));
-            shapes.extend(self.shop().held_shapes(things).into_iter().map(|c| (link + 2, put(c))));
-        }
+        shapes.extend(on_flange.iter().map(|(link, shape)| (*link, shape.seen_from(&poses[JOINTS]))));
         shapes
     }
 }
@@ -297,7 +307,8 @@ impl World {
 #[derive(Clone, Debug)]
 pub struct Surroundings<'w> {
     world: &'w World,
-    things: &'w Things,
+    touch: &'w Touch,
+    on_flange: Vec<(usize, Capsule)>,
     boxes: Vec<(Part, UprightBox)>,
     base: UprightBox,
     floor_m: f64,
@@ -326,7 +337,7 @@ impl Surroundings<'_> {
     pub fn arm_clearances(&self, joints_rad: &Joints) -> (Clearance, Clearance) {
         self.checks.set(self.checks.get() + 1);
         let world = self.world;
-        let shapes = world.shapes(joints_rad, self.things);
+        let shapes = world.shapes(joints_rad, &self.on_flange);
         let (mut own, mut boxes) = (Clearance::NOTHING, Clearance::NOTHING);
         for &(link, shape) in &shapes {
             let part = world.part(link);
@@ -357,7 +368,7 @@ impl Surroundings<'_> {
     /// A distance, or none where the two may touch: on the straight way to or from a thing the fingers that thing, and
     /// what is held what it stands on, which it does not sink into.
     fn allowed_m(&self, distance_m: f64, part: Part, other: Part) -> f64 {
-        let touch = &self.things.touch;
+        let touch = self.touch;
         let allowed = match (part, other) {
             (Part::Fingers, Part::Object(i)) => touch.object == Some(i),
             (Part::Held, Part::Box(i)) => touch.boxes.contains(&i) && distance_m >= -SINKS_M,
