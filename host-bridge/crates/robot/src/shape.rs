@@ -65,7 +65,7 @@ impl Capsule {
 
 impl UprightBox {
     /// A point as seen from the box: from its middle, along its sides.
-    fn inside(&self, point: Point) -> Point {
+    pub fn inside(&self, point: Point) -> Point {
         let DVec3 { x, y, z } = point - self.center_m;
         let (s, c) = self.yaw_rad.sin_cos();
         DVec3::new(c * x + s * y, c * y - s * x, z)
