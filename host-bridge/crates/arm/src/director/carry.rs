@@ -53,7 +53,7 @@ impl Running {
     }
 
     /// The hand is at a thing, or will be.
-    pub(super) fn is_at_work(&self) -> bool {
+    fn is_at_work(&self) -> bool {
         self.now.is_at_work() || self.left.iter().any(Act::is_at_work)
     }
 }
@@ -176,7 +176,8 @@ impl<R: Robot> Director<R> {
         Ok(())
     }
 
-    fn is_at_work(&self) -> bool {
+    /// The hand is at a thing, or will be before the motion ends.
+    pub(super) fn is_at_work(&self) -> bool {
         self.running.as_ref().is_some_and(Running::is_at_work)
     }
 
