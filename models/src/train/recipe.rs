@@ -18,7 +18,7 @@ use crate::windows::Prepared;
 /// A window's features or inputs, and its label.
 pub type Row<'a> = (&'a [f32], usize);
 
-/// FeatureKind of windows that several trainings use.
+/// Features of windows that several trainings use.
 pub type Shared = Arc<Vec<Vec<f32>>>;
 
 /// One way to make a model: which windows are learnt and how they are varied, how a network is fitted to them, and what its
@@ -106,9 +106,9 @@ pub struct Plan {
 pub struct Windows {
     /// Place of its label.
     pub label: usize,
-    /// FeatureKind of the recording as it is.
+    /// Features of the recording as it is.
     pub own: Vec<Vec<f32>>,
-    /// FeatureKind of its varied copies.
+    /// Features of its varied copies.
     pub varied: Vec<Vec<f32>>,
     /// What was done to it before.
     pub prepared: Prepared,

@@ -1,6 +1,6 @@
 //! Recipe `aligned`: for people that the model has never met.
 //!
-//! FeatureKind in the hand's own frame ([`shared_dsp::right::aligned`]), windows varied as other hands would, simulated wearers and
+//! Features in the hand's own frame ([`shared_dsp::right::aligned`]), windows varied as other hands would, simulated wearers and
 //! real daily movement beside the recordings, and a number of steps that nobody's recordings decide.
 
 use std::sync::Arc;
@@ -67,7 +67,7 @@ impl Recipe for Aligned {
     }
 
     fn about(&self) -> &'static str {
-        "FeatureKind in the hand's own frame, for people it has never met"
+        "Features in the hand's own frame, for people it has never met"
     }
 
     fn features(&self) -> FeatureKind {
