@@ -159,21 +159,15 @@ pub fn train(
     let (mut learn, mut check): (Vec<Row<'_>>, Vec<Row<'_>>) = (Vec::new(), Vec::new());
     for (part, held) in windows.iter().zip(&is_validation) {
         if *held {
-            check.extend(part.rows(&part.own));
+            check.extend(labelled(&part.own, part.label));
         } else {
-            learn.extend(part.rows(&part.own));
-            learn.extend(part.rows(&part.varied));
+            learn.extend(labelled(&part.own, part.label));
+            learn.extend(labelled(&part.varied, part.label));
         }
     }
-    let mut remembered = learn.len();
-    for (set, keeps) in [(&beside.of_people, true), (&beside.of_nobody, false)] {
-        for (windows, label) in set {
-            learn.extend(windows.iter().map(|window| (window.as_slice(), *label)));
-        }
-        if keeps {
-            remembered = learn.len();
-        }
-    }
+    learn.extend(rows(&beside.of_people));
+    let remembered = learn.len();
+    learn.extend(rows(&beside.of_nobody));
     let real = || windows.iter().flat_map(|part| part.own.iter().map(Vec::as_slice));
     let scaling = recipe.scaling(&learn, &mut real());
 
@@ -232,12 +226,12 @@ pub fn train(
     card.training.epochs = fitted.epochs;
     card.training.best_epoch = fitted.best_epoch;
 
-    let real_inputs: Vec<Vec<f32>> = match recipe.calibration() {
-        Calibration::Real => real().map(|window| standardise(&card, window)).collect(),
-        Calibration::Learnt => Vec::new(),
-    };
+    let real_inputs: Vec<Vec<f32>>;
     let calibration: Vec<&[f32]> = match recipe.calibration() {
-        Calibration::Real => real_inputs.iter().map(Vec::as_slice).collect(),
+        Calibration::Real => {
+            real_inputs = real().map(|window| standardise(&card, window)).collect();
+            real_inputs.iter().map(Vec::as_slice).collect()
+        }
         Calibration::Learnt => learn.iter().map(|(input, _)| input.as_slice()).collect(),
     };
     let int8 = quantise::quantise(&fitted.layers, &calibration, limit);
@@ -265,6 +259,16 @@ pub fn train(
     card.validation = validation_scores;
     let memory = recipe.memory(&learn[..remembered], labels.len(), limit, job.seed);
     Ok(Trained { card, float: fitted.layers, float_tflite, int8_tflite, memory })
+}
+
+/// Windows with their label.
+fn labelled(windows: &[Vec<f32>], label: usize) -> impl Iterator<Item = Row<'_>> {
+    windows.iter().map(move |window| (window.as_slice(), label))
+}
+
+/// The same of several sets.
+fn rows(sets: &[(Shared, usize)]) -> impl Iterator<Item = Row<'_>> {
+    sets.iter().flat_map(|(windows, label)| labelled(windows, *label))
 }
 
 fn check_labels(used: &Dataset) -> Result<(), TrainError> {

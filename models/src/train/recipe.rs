@@ -114,14 +114,6 @@ pub struct Windows {
     pub prepared: Prepared,
 }
 
-impl Windows {
-    /// Some of its windows with their label.
-    pub(super) fn rows<'a>(&self, windows: &'a [Vec<f32>]) -> impl Iterator<Item = Row<'a>> + use<'a> {
-        let label = self.label;
-        windows.iter().map(move |window| (window.as_slice(), label))
-    }
-}
-
 /// What is learnt beside the recordings: windows with the place of their label.
 #[derive(Clone, Debug, Default)]
 pub struct Beside {
