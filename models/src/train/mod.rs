@@ -96,6 +96,23 @@ pub struct Trained {
 }
 
 impl Trained {
+    /// A fitted network with its files and its card's sums of them; `calibration` are the inputs that decide the scales of
+    /// int8.
+    fn of(
+        mut card: Card,
+        float: Vec<FloatLayer>,
+        calibration: &[&[f32]],
+        memory: Option<Memory>,
+    ) -> Result<Self, TrainError> {
+        let int8 = quantise::quantise(&float, calibration, card.scaling.limit);
+        let blob = blob::build(&card, &int8).map_err(TrainError::Quantise)?;
+        card.model_id = blob::model_id(&blob);
+        let int8_tflite = tflite::write(&Network::Int8(int8));
+        card.tflite_sha256 = sha256(&int8_tflite);
+        let float_tflite = tflite::write(&Network::Float(float.clone()));
+        Ok(Self { card, float, float_tflite, int8_tflite, memory })
+    }
+
     /// The blob that boards and bridge run.
     ///
     /// # Errors
@@ -234,20 +251,18 @@ pub fn train(
         }
         Calibration::Learnt => learn.iter().map(|(input, _)| input.as_slice()).collect(),
     };
-    let int8 = quantise::quantise(&fitted.layers, &calibration, limit);
-    let blob = blob::build(&card, &int8).map_err(TrainError::Quantise)?;
-    card.model_id = blob::model_id(&blob);
-    let model = Model::parse(&blob).map_err(|error| TrainError::Quantise(error.to_string()))?;
-    let int8_tflite = tflite::write(&Network::Int8(int8));
-    let float_tflite = tflite::write(&Network::Float(fitted.layers.clone()));
-    card.tflite_sha256 = sha256(&int8_tflite);
+    let memory = recipe.memory(&learn[..remembered], labels.len(), limit, job.seed);
+    let mut trained = Trained::of(card, fitted.layers, &calibration, memory)?;
 
+    let blob = trained.blob()?;
+    let model = Model::parse(&blob).map_err(|error| TrainError::Quantise(error.to_string()))?;
+    let card = &trained.card;
     let both = |set: &Dataset| -> Option<Scores> {
         if set.items.is_empty() {
             return None;
         }
         let recordings = scored(set, &labels, &card.features);
-        let float = Classifier::Float { card: &card, layers: &fitted.layers };
+        let float = Classifier::Float { card, layers: &trained.float };
         Some(Scores {
             float: score(&float, &recordings, &card.answers()),
             int8: score(&Classifier::Int8(model), &recordings, &card.answers()),
@@ -255,10 +270,9 @@ pub fn train(
     };
     let test_scores = both(&test_set);
     let validation_scores = both(&used.filtered(|item| validation.contains(&item.name)));
-    card.test = test_scores;
-    card.validation = validation_scores;
-    let memory = recipe.memory(&learn[..remembered], labels.len(), limit, job.seed);
-    Ok(Trained { card, float: fitted.layers, float_tflite, int8_tflite, memory })
+    trained.card.test = test_scores;
+    trained.card.validation = validation_scores;
+    Ok(trained)
 }
 
 /// Windows with their label.
