@@ -251,7 +251,8 @@ pub fn train(
         }
         Calibration::Learnt => learn.iter().map(|(input, _)| input.as_slice()).collect(),
     };
-    let memory = recipe.memory(&learn[..remembered], labels.len(), limit, job.seed);
+    let people = &learn[..remembered];
+    let memory = recipe.adapts().map(|_| Memory::new(people, labels.len(), limit, job.seed));
     let mut trained = Trained::of(card, fitted.layers, &calibration, memory)?;
 
     let blob = trained.blob()?;

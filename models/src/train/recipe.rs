@@ -8,7 +8,6 @@ use indicatif::ProgressBar;
 use shared_dsp::right::kind::FeatureKind;
 
 use super::TrainError;
-use super::memory::Memory;
 use crate::card::Scaling;
 use crate::daily::Daily;
 use crate::dataset::Item;
@@ -60,25 +59,10 @@ pub trait Recipe: fmt::Debug + Send + Sync {
     /// Which inputs decide the scales of int8.
     fn calibration(&self) -> Calibration;
 
-    /// What the model remembers of people, if another one can be taught to it.
-    fn memory(
-        &self,
-        _of_people: &[(Vec<f32>, usize)],
-        _labels: usize,
-        _limit: f32,
-        _seed: u64,
-    ) -> Option<Memory> {
+    /// If models of it can learn another person, whose daily movement stays no gesture then: a
+    /// [`Memory`](super::Memory) of its people is kept.
+    fn adapts(&self) -> Option<&Daily> {
         None
-    }
-
-    /// Whether models of it can learn another person: their [`Recipe::memory`] is kept.
-    fn adapts(&self) -> bool {
-        false
-    }
-
-    /// Whose daily movement it learns.
-    fn daily(&self) -> &Daily {
-        &Daily::None
     }
 
     /// The same in as many steps, where it has steps: to try things out.

@@ -14,7 +14,6 @@ use crate::daily::{self, Daily};
 use crate::dataset::Item;
 use crate::recording::Recording;
 use crate::streams::RandomStream;
-use crate::train::memory::Memory;
 use crate::train::recipe::{Beside, Calibration, Fitted, Learnt, Plan, Recipe, Row, Windows, scaling};
 use crate::train::simulated::{aimless, performed};
 use crate::train::steps::{self, Start, Steps};
@@ -149,22 +148,8 @@ impl Recipe for Aligned {
         Calibration::Real
     }
 
-    fn memory(
-        &self,
-        of_people: &[(Vec<f32>, usize)],
-        labels: usize,
-        limit: f32,
-        seed: u64,
-    ) -> Option<Memory> {
-        Some(Memory::new(of_people, labels, limit, seed))
-    }
-
-    fn adapts(&self) -> bool {
-        true
-    }
-
-    fn daily(&self) -> &Daily {
-        &self.daily
+    fn adapts(&self) -> Option<&Daily> {
+        Some(&self.daily)
     }
 
     fn shortened(&self, steps: Option<usize>) -> Box<dyn Recipe> {
