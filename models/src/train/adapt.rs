@@ -4,10 +4,11 @@ use super::memory::{Memory, balanced};
 use super::recipes::aligned::cut;
 use super::steps::{self, Start, Steps};
 use super::vary::{Kind, vary};
-use super::{OTHER, TrainError, Trained};
+use super::{TrainError, Trained};
 use crate::WINDOW;
 use crate::card::Card;
 use crate::daily::Daily;
+use crate::labels::OTHER;
 use crate::streams::RandomStream;
 use crate::windows::{aligned_features, prepare};
 

@@ -41,8 +41,6 @@ pub use recipes::{ALIGNED, Aligned, LOG_POWER, PAPER, PerAxis};
 pub use split::held_out;
 pub use steps::Steps;
 
-/// What makes no gesture, yet is not at rest.
-const OTHER: &str = "other";
 /// What else a training needs to know.
 #[derive(Clone, Debug)]
 pub struct Job {

@@ -12,13 +12,14 @@ use shared_dsp::right::network::MAX_LABELS;
 use crate::card::Scaling;
 use crate::daily::{self, Daily};
 use crate::dataset::Item;
+use crate::labels::OTHER;
 use crate::recording::Recording;
 use crate::streams::RandomStream;
+use crate::train::TrainError;
 use crate::train::recipe::{Beside, Calibration, Fitted, Learnt, Plan, Recipe, Row, Windows, scaling};
 use crate::train::simulated::{aimless, performed};
 use crate::train::steps::{self, Start, Steps};
 use crate::train::vary::{self, Kind, vary};
-use crate::train::{OTHER, TrainError};
 use crate::windows::{aligned_features, prepare};
 use crate::{RATE_HZ, WINDOW};
 
