@@ -50,8 +50,9 @@ pub const ALIGNED: Aligned =
     Aligned { steps: Steps::TRAIN, copies: 10, bystanders: 100, performers: 40, daily: Daily::All };
 
 impl Aligned {
-    /// With as many steps, which see fewer simulated wearers.
-    pub fn with_steps(&self, count: usize) -> Self {
+    /// With as many steps, which see fewer simulated wearers; none: as it is.
+    pub fn with_steps(&self, count: Option<usize>) -> Self {
+        let Some(count) = count else { return self.clone() };
         let Self { mut steps, copies, bystanders, performers, .. } = *self;
         let fewer = |wearers: u32| wearers.min((wearers as usize * count).div_ceil(steps.count) as u32);
         let (bystanders, performers) = (fewer(bystanders), fewer(performers));
@@ -154,7 +155,7 @@ impl Recipe for Aligned {
     }
 
     fn shortened(&self, steps: Option<usize>) -> Box<dyn Recipe> {
-        Box::new(steps.map_or_else(|| self.clone(), |count| self.with_steps(count)))
+        Box::new(self.with_steps(steps))
     }
 
     fn for_simulated(&self) -> Box<dyn Recipe> {
