@@ -16,6 +16,7 @@ use std::path::Path;
 
 use host_bridge::adc::AdcRecording;
 use host_bridge::base::{Odometry, Twist};
+use host_bridge::robot::Random;
 use models::synth::{Motion, Segment, Wearer, session};
 use shared_dsp::left::calibration::{CAPTURE_SAMPLES, Calibration, CaptureStep};
 use shared_dsp::left::{AdcCounts, LeftHand};
@@ -115,23 +116,6 @@ const TILT_S: f64 = 0.35;
 const FINGER_S: f64 = 0.12;
 const HELD_S: f64 = 0.2;
 
-/// SplitMix64 (Steele, Lea, Flood 2014) and what is drawn from it.
-struct Random(u64);
-
-impl Random {
-    fn uniform(&mut self) -> f64 {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
-    }
-
-    fn normal(&mut self) -> f64 {
-        (-2.0 * (1.0 - self.uniform()).ln()).sqrt() * (TAU * self.uniform()).cos()
-    }
-}
-
 /// From 0 to 1 without a jerk at either end.
 fn smooth(share: f64) -> f64 {
     let t = share.clamp(0.0, 1.0);
@@ -164,7 +148,7 @@ impl LeftWearer {
     fn sample(&mut self, time_s: f64, tilt: [f64; 2], fingers: [f64; 2]) -> [u16; 5] {
         let mut angle = [0.0; 2];
         for axis in 0..2 {
-            self.wander[axis] += -0.01 * self.wander[axis] + 0.07 * self.random.normal();
+            self.wander[axis] += -0.01 * self.wander[axis] + 0.07 * self.normal();
             let tremor =
                 0.5 * (TAU * [8.7, 9.6][axis] * time_s).sin() * (0.7 + 0.3 * (TAU * 0.31 * time_s).sin());
             let degrees = Self::POSE[axis] + tilt[axis] + self.wander[axis] + tremor;
@@ -186,8 +170,14 @@ impl LeftWearer {
         counts
     }
 
+    /// Of the normal distribution, mean 0 and deviation 1.
+    fn normal(&mut self) -> f64 {
+        let mut uniform = || self.random.between(0.0, 1.0);
+        (-2.0 * (1.0 - uniform()).ln()).sqrt() * (TAU * uniform()).cos()
+    }
+
     fn convert(&mut self, value: f64, noise: f64) -> u16 {
-        (value + noise * self.random.normal()).round().clamp(0.0, 1023.0) as u16
+        (value + noise * self.normal()).round().clamp(0.0, 1023.0) as u16
     }
 }
 
@@ -274,7 +264,7 @@ fn session_toml(calibration: Calibration, acts: &[Act]) -> String {
 /// Names and contents of the three files.
 pub fn files() -> [(&'static str, String); 3] {
     let acts = left_script();
-    let mut wearer = LeftWearer { random: Random(SEED), wander: [0.0; 2] };
+    let mut wearer = LeftWearer { random: Random::new(SEED), wander: [0.0; 2] };
     let calibration = calibrate(&mut wearer);
     let left = left_recording(&mut wearer, &acts);
     let right = session(&Wearer::demo(WEARER), TAKE, &right_script());

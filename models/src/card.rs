@@ -7,6 +7,8 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
+use crate::labels::OTHER;
+
 /// Version of the card's format.
 pub const FORMAT: u32 = 1;
 
@@ -162,7 +164,7 @@ impl Card {
     /// learn from: the model knows it from simulated wearers, so that boards can tell that something is no gesture.
     pub fn answers(&self) -> Vec<bool> {
         let known = &self.data.labels;
-        let one = |label: &String| known.is_empty() || label != "other" || known.contains_key(label);
+        let one = |label: &String| known.is_empty() || label != OTHER || known.contains_key(label);
         self.labels.iter().map(one).collect()
     }
 

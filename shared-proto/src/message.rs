@@ -340,7 +340,7 @@ pub enum CalibrationStep {
 pub struct ModelInfo<'a> {
     /// CRC-32 of the blob.
     pub model_id: u32,
-    /// How features are made (see `shared_dsp::right::network::recipe`).
+    /// How features are made (see `shared_dsp::right::kind`).
     pub recipe: u8,
     /// Values per sample.
     pub axes: u8,

@@ -202,13 +202,10 @@ fn the_wire_has_not_changed_without_a_new_version() {
 /// A message that this file does not know would not be pinned.
 #[test]
 fn every_message_is_in_the_list() {
-    let rows = |rows: &[Row]| -> Vec<&str> { rows.iter().map(|row| row.name).collect() };
-    let names = |rows: Vec<&Row>| -> Vec<&str> { rows.iter().map(|row| row.name).collect() };
-    assert_eq!(
-        names(board_messages().iter().map(|message| message.row()).collect()),
-        rows(BoardMessage::ROWS)
-    );
-    assert_eq!(names(host_messages().iter().map(|message| message.row()).collect()), rows(HostMessage::ROWS));
+    let board: Vec<Row> = board_messages().iter().map(|message| *message.row()).collect();
+    let host: Vec<Row> = host_messages().iter().map(|message| *message.row()).collect();
+    assert_eq!(board, BoardMessage::ROWS);
+    assert_eq!(host, HostMessage::ROWS);
 
     let (board, host) = (BoardMessage::ROWS.len(), HostMessage::ROWS.len());
     let mut payload = [0; 64];

@@ -10,7 +10,7 @@ use shared_proto::message::{
 };
 use tests::avr::image;
 use tests::avr::nano::EEPROM_BYTES;
-use tests::avr::session::{BLANK, LeftRig, Seen, is_command};
+use tests::avr::session::{BLANK, LeftRig, Seen};
 use tests::avr::street::Street;
 use tests::avr::wearer::{Fault, Hand, Sensors, Wearer};
 use tests::is_full;
@@ -79,11 +79,11 @@ fn each_sensor_fault_halts_the_hand_until_neutral() {
                 _ => 50.0,
             };
             assert!(after_ms <= limit_ms, "{name}: noticed after {after_ms:.0} ms");
-            let commands = states[flagged..].iter().filter(|(_, s)| is_command(s.heading)).count();
+            let commands = states[flagged..].iter().filter(|(_, s)| s.heading.is_command()).count();
             assert_eq!(commands, 0, "{name}");
             // Before the flag the old heading may stand, but no other command may come up.
             let strange =
-                states[..flagged].iter().find(|(_, s)| is_command(s.heading) && s.heading != before.heading);
+                states[..flagged].iter().find(|(_, s)| s.heading.is_command() && s.heading != before.heading);
             assert_eq!(strange, None, "{name}");
             if tilted {
                 println!("{name:<18}{after_ms:>14.0}{commands:>12}");
@@ -98,7 +98,7 @@ fn each_sensor_fault_halts_the_hand_until_neutral() {
             hand.borrow_mut().fault = None;
             hand.borrow_mut().tilt(FORWARD_RAD, 0.0, now_s(&session), 0.01);
             let states = session.states(1500.0);
-            assert!(states.iter().all(|(_, s)| !is_command(s.heading)), "{name}: moves without neutral");
+            assert!(states.iter().all(|(_, s)| !s.heading.is_command()), "{name}: moves without neutral");
             assert_eq!(last(&states).health & !health::DEFAULT_CALIBRATION, 0, "{name} goes away");
             assert_eq!(session.nano.resets(), 0);
         }
@@ -179,7 +179,7 @@ fn random_bytes_on_the_line_disturb_nothing() {
                 match seen {
                     Seen::Left(state) => {
                         states += 1;
-                        assert_eq!(is_command(state.heading), tilted, "second {second}");
+                        assert_eq!(state.heading.is_command(), tilted, "second {second}");
                     }
                     Seen::Status(status) => last_status = Some(status),
                     Seen::Ack(ack) => panic!("noise was taken for a request: {ack:?}"),
@@ -259,7 +259,7 @@ fn under_an_old_bootloader_a_hanging_program_starts_again_without_a_reset_and_sa
     assert!(boot(&heard).is_some());
     assert_eq!(session.nano.resets(), 0, "no reset: an old bootloader is never entered");
     let restarted = heard.iter().position(|(_, s)| matches!(s, Seen::Hello(..))).unwrap();
-    let moved = heard[restarted..].iter().any(|(_, s)| matches!(s, Seen::Left(l) if is_command(l.heading)));
+    let moved = heard[restarted..].iter().any(|(_, s)| matches!(s, Seen::Left(l) if l.heading.is_command()));
     assert!(!moved, "the hand is still tilted: neutral comes first");
 }
 
@@ -540,7 +540,7 @@ fn the_pin_at_power_on_calibrates_by_the_light() {
         hand.borrow_mut().bend(finger, 1.0, now_s(&session), 0.2);
     }
     let heard = session.states(4500.0);
-    assert!(heard.iter().all(|(_, s)| !is_command(s.heading) && s.index_bends == 0 && s.middle_bends == 0));
+    assert!(heard.iter().all(|(_, s)| !s.heading.is_command() && s.index_bends == 0 && s.middle_bends == 0));
     assert!(!session.nano.light(), "done");
     let (pitch, health, _) = pitch_after_power_on(&session.nano.eeprom(), NEW_POSE);
     assert!(pitch.abs() < 0.02 && health == 0, "{pitch} {health}");

@@ -19,22 +19,6 @@ const SERVICE: u128 = 0xb1a4_0001_6d61_4e75_a1b2_5c3d_9e7f_0a33;
 const ADVERTISED_NAME: u8 = 9;
 const ADVERTISED_SERVICES: u8 = 7;
 
-/// Connected, bonded and subscribed.
-fn ready() -> RightRig {
-    let mut session = RightRig::ble(Box::new(Still));
-    wait_until_ready(&mut session);
-    session
-}
-
-fn wait_until_ready(session: &mut RightRig) {
-    let is_ready = session.run_until_that(5000, |s| s.ble.as_ref().is_some_and(|b| b.is_ready()));
-    assert!(is_ready, "{:?}", session.board.softdevice().central.log);
-}
-
-fn log(session: &mut RightRig) -> Vec<Happening> {
-    session.board.softdevice().central.log.iter().map(|(_, what)| what.clone()).collect()
-}
-
 #[test]
 fn it_boots_within_s140s_rules_and_advertises_its_name_and_service() {
     let mut session = RightRig::ble(Box::new(Still));
@@ -59,7 +43,7 @@ fn it_boots_within_s140s_rules_and_advertises_its_name_and_service() {
 
 #[test]
 fn it_asks_for_7_5_to_15_ms_and_for_15_ms_where_that_is_refused() {
-    let mut session = ready();
+    let mut session = RightRig::ble_ready();
     session.run_ms(500);
     let asked = |log: &[Happening]| -> Vec<(u16, u16, bool)> {
         log.iter()
@@ -69,7 +53,7 @@ fn it_asks_for_7_5_to_15_ms_and_for_15_ms_where_that_is_refused() {
             })
             .collect()
     };
-    let linux = log(&mut session);
+    let linux = session.log();
     assert_eq!(asked(&linux), [(6, 12, true)]);
     assert!(linux.contains(&Happening::Interval(6)), "7.5 ms");
     assert!(linux.contains(&Happening::Mtu(247)) && linux.contains(&Happening::DataLength(251)));
@@ -78,7 +62,7 @@ fn it_asks_for_7_5_to_15_ms_and_for_15_ms_where_that_is_refused() {
         let mut session = RightRig::ble(Box::new(Still));
         session.board.softdevice().central.shortest_interval = picky;
         session.run_ms(12_000);
-        let log = log(&mut session);
+        let log = session.log();
         assert_eq!(asked(&log), expected);
         assert!(session.heard.states.len() > 100, "states flow at any interval: {log:?}");
     }
@@ -104,7 +88,7 @@ fn notifications_carry_the_frames_of_the_uart_and_the_laptops_own_labels() {
     let mut session = RightRig::ble(Box::new(replay));
     session.charge();
     let tap = session.board.tap("bimanual_sample", 18);
-    wait_until_ready(&mut session);
+    session.wait_until_ready();
     session.send(&HostMessage::HelloRequest);
     let (mut awake, mut from) = (0, 0);
     for second in 0..seconds {
@@ -180,7 +164,7 @@ fn notifications_carry_the_frames_of_the_uart_and_the_laptops_own_labels() {
 
 #[test]
 fn a_link_that_stalls_costs_old_states_not_new_ones_and_nothing_else_waits() {
-    let mut session = ready();
+    let mut session = RightRig::ble_ready();
     session.charge();
     session.run_ms(3000);
     let dropped = session.heard.statuses.last().unwrap().dropped_samples;
@@ -206,18 +190,18 @@ fn a_link_that_stalls_costs_old_states_not_new_ones_and_nothing_else_waits() {
     assert_eq!(session.heard.statuses.last().unwrap().dropped_samples, dropped);
     let sequences: Vec<u16> = session.heard.states.iter().map(|s| s.sequence).collect();
     assert!(sequences.is_sorted(), "in order");
-    assert!(log(&mut session).iter().all(|h| !matches!(h, Happening::Disconnected(_))));
+    assert!(session.log().iter().all(|h| !matches!(h, Happening::Disconnected(_))));
     assert!(old <= 15 && waited <= 100);
 }
 
 #[test]
 fn it_advertises_again_after_every_kind_of_disconnect_and_the_laptop_is_back_by_itself() {
-    let mut session = ready();
+    let mut session = RightRig::ble_ready();
     // The keys are written to flash in the meantime, which holds the radio.
     session.run_ms(500);
     session.board.softdevice().central.order([Command::Disconnect]);
     session.run_ms(100);
-    wait_until_ready(&mut session);
+    session.wait_until_ready();
     // Out of range for longer than the supervision timeout.
     session.board.softdevice().central.in_range = false;
     session.run_ms(3000);
@@ -225,8 +209,8 @@ fn it_advertises_again_after_every_kind_of_disconnect_and_the_laptop_is_back_by_
     let states = session.heard.states.len();
     session.board.softdevice().central.in_range = true;
     session.run_ms(2000);
-    assert!(session.heard.states.len() > states + 15, "{:?}", log(&mut session));
-    let log = log(&mut session);
+    assert!(session.heard.states.len() > states + 15, "{:?}", session.log());
+    let log = session.log();
     let lost = log.iter().filter_map(|h| if let Happening::Disconnected(r) = h { Some(*r) } else { None });
     assert_eq!(lost.collect::<Vec<_>>(), [reason::LOCAL_HOST, reason::TIMEOUT]);
     assert_eq!(log.iter().filter(|h| matches!(h, Happening::Paired { .. })).count(), 1, "paired once");
@@ -236,7 +220,7 @@ fn it_advertises_again_after_every_kind_of_disconnect_and_the_laptop_is_back_by_
 
 #[test]
 fn usb_and_uart_go_on_while_s140_owns_clock_and_power() {
-    let mut session = ready();
+    let mut session = RightRig::ble_ready();
     let mut usb = UsbHost::default();
     usb.plug_in(&mut session.board);
     let mut bytes = Vec::new();
@@ -282,7 +266,7 @@ fn usb_and_uart_go_on_while_s140_owns_clock_and_power() {
 
 #[test]
 fn raw_samples_arrive_without_a_gap() {
-    let mut session = ready();
+    let mut session = RightRig::ble_ready();
     assert!(session.ask(5, &HostMessage::SetMode { request: 5, mode: Mode::Record }).is_some());
     session.run_ms(10_000);
     let raw = &session.heard.raw;

@@ -14,29 +14,14 @@ const BOND_PAGE: usize = 0xD7000;
 /// ATT error "insufficient authentication".
 const REFUSED: u8 = 5;
 
-fn wait_until_ready(session: &mut RightRig) {
-    let is_ready = session.run_until_that(6000, |s| s.ble.as_ref().is_some_and(|b| b.is_ready()));
-    assert!(is_ready, "{:?}", session.board.softdevice().central.log);
-}
-
-fn ready() -> RightRig {
-    let mut session = RightRig::ble(Box::new(Still));
-    wait_until_ready(&mut session);
-    session
-}
-
 /// A laptop that pairs without keeping keys, or not at all.
 fn stranger(pairs: bool) -> RightRig {
     let mut session = RightRig::ble(Box::new(Still));
     let mut host = BleHost::default();
     (host.pairs, host.bonds) = (pairs, false);
     session.ble = Some(host);
-    wait_until_ready(&mut session);
+    session.wait_until_ready();
     session
-}
-
-fn log(session: &mut RightRig) -> Vec<Happening> {
-    session.board.softdevice().central.log.iter().map(|(_, what)| what.clone()).collect()
 }
 
 fn restart(session: &mut RightRig) {
@@ -44,7 +29,7 @@ fn restart(session: &mut RightRig) {
     session.board.soc().nvic.reset_wanted = true;
     // The laptop notices that the board is gone, then finds it again.
     session.run_ms(2500);
-    wait_until_ready(session);
+    session.wait_until_ready();
 }
 
 #[test]
@@ -53,13 +38,13 @@ fn without_keys_states_are_read_but_writes_are_refused() {
     session.board.softdevice().central.order([Command::Write(vec![0, 1, 2]), Command::WriteCommand(vec![0])]);
     session.run_ms(2000);
     assert!(session.heard.states.len() > 20);
-    let log = log(&mut session);
+    let log = session.log();
     assert!(log.contains(&Happening::Written(Err(REFUSED))), "{log:?}");
     assert_eq!(session.heard.statuses.last().unwrap().bad_frames, 0, "nothing came through");
     // It pairs and keeps the keys: now it may.
     session.board.softdevice().central.order([Command::Pair { bond: true }, Command::Write(vec![0])]);
     session.run_ms(1000);
-    assert_eq!(self::log(&mut session).last(), Some(&Happening::Written(Ok(()))));
+    assert_eq!(session.log().last(), Some(&Happening::Written(Ok(()))));
     let answer = session.ask(3, &HostMessage::SetMode { request: 3, mode: Mode::Idle }).unwrap();
     assert_eq!(answer.result, AckResult::Ok);
 }
@@ -69,24 +54,24 @@ fn whoever_does_not_bond_within_ten_seconds_is_hung_up_on() {
     for pairs in [false, true] {
         let mut session = stranger(pairs);
         let hung_up = |session: &mut RightRig| {
-            log(session).iter().any(|what| matches!(what, Happening::Disconnected(_)))
+            session.log().iter().any(|what| matches!(what, Happening::Disconnected(_)))
         };
         // Ready a second or so after the link stood.
         session.run_ms(6000);
         assert!(!hung_up(&mut session), "pairs: {pairs}");
         session.run_ms(5000);
-        assert!(hung_up(&mut session), "pairs: {pairs}: {:?}", log(&mut session));
+        assert!(hung_up(&mut session), "pairs: {pairs}: {:?}", session.log());
     }
     // The owner stays.
-    let mut session = ready();
+    let mut session = RightRig::ble_ready();
     session.run_ms(25_000);
-    assert!(!log(&mut session).iter().any(|what| matches!(what, Happening::Disconnected(_))));
+    assert!(!session.log().iter().any(|what| matches!(what, Happening::Disconnected(_))));
 }
 
 #[test]
 fn a_laptop_that_pairs_without_keeping_keys_changes_nothing() {
     let mut session = stranger(true);
-    assert!(log(&mut session).contains(&Happening::Paired { bonded: false }));
+    assert!(session.log().contains(&Happening::Paired { bonded: false }));
     let answer = session.ask(3, &HostMessage::SetMode { request: 3, mode: Mode::Idle }).unwrap();
     assert_eq!(answer.result, AckResult::NotBonded);
     let blob = random_model(FeatureKind::Raw, &[20, 10, 5], 3);
@@ -99,11 +84,11 @@ fn a_laptop_that_pairs_without_keeping_keys_changes_nothing() {
 
 #[test]
 fn a_bond_outlives_a_restart_and_later_nobody_else_takes_its_place() {
-    let mut session = ready();
+    let mut session = RightRig::ble_ready();
     session.run_ms(1000);
     assert_eq!(session.board.soc().flash[BOND_PAGE..BOND_PAGE + 4], *b"BMB2", "in flash");
     restart(&mut session);
-    let after = log(&mut session);
+    let after = session.log();
     assert_eq!(after.iter().filter(|h| matches!(h, Happening::Paired { .. })).count(), 1, "{after:?}");
     assert!(after.contains(&Happening::Encrypted) && !after.contains(&Happening::KeyMissing));
     let answer = session.ask(3, &HostMessage::SetMode { request: 3, mode: Mode::Classify }).unwrap();
@@ -127,24 +112,24 @@ fn a_bond_outlives_a_restart_and_later_nobody_else_takes_its_place() {
     let kept = session.board.softdevice().central.bond.take();
     session.board.softdevice().central.order([Command::Pair { bond: true }]);
     session.run_ms(1000);
-    assert_eq!(log(&mut session).last(), Some(&Happening::Paired { bonded: false }));
+    assert_eq!(session.log().last(), Some(&Happening::Paired { bonded: false }));
     session.board.softdevice().central.order([Command::Disconnect]);
     session.run_ms(200);
     session.board.softdevice().central.bond = kept;
     session.board.softdevice().central.order([Command::Encrypt]);
     session.run_ms(1000);
-    let last = log(&mut session).pop();
+    let last = session.log().pop();
     assert_eq!(last, Some(Happening::Encrypted), "the owner's keys still work");
 }
 
 #[test]
 fn a_board_that_has_lost_its_keys_says_so_and_pairs_anew() {
-    let mut session = ready();
+    let mut session = RightRig::ble_ready();
     session.run_ms(500);
     session.board.soc().flash[BOND_PAGE..BOND_PAGE + 4096].fill(0xFF);
     restart(&mut session);
     session.run_ms(500);
-    let log = log(&mut session);
+    let log = session.log();
     let missing = log.iter().position(|h| *h == Happening::KeyMissing).expect("no key");
     assert!(log[missing..].contains(&Happening::Paired { bonded: true }), "{log:?}");
     let answer = session.ask(3, &HostMessage::SetMode { request: 3, mode: Mode::Classify }).unwrap();
@@ -153,7 +138,7 @@ fn a_board_that_has_lost_its_keys_says_so_and_pairs_anew() {
 
 #[test]
 fn random_bytes_are_counted_and_change_nothing() {
-    let mut session = ready();
+    let mut session = RightRig::ble_ready();
     let before = model_id(&mut session);
     session.run_ms(1000);
     let erased = session.board.soc().nvmc.erased;
@@ -179,7 +164,7 @@ fn random_bytes_are_counted_and_change_nothing() {
 
 #[test]
 fn a_model_sent_over_bluetooth_is_used_after_a_restart_though_flash_and_link_fail_on_the_way() {
-    let mut session = ready();
+    let mut session = RightRig::ble_ready();
     session.run_ms(1000);
     let bundled = model_id(&mut session);
     let blob = random_model(FeatureKind::Raw, &[20, 10, 5], 1);
@@ -196,7 +181,7 @@ fn a_model_sent_over_bluetooth_is_used_after_a_restart_though_flash_and_link_fai
             // The link breaks, and the transfer goes on over the next one.
             session.board.softdevice().central.order([Command::Disconnect]);
             session.run_ms(300);
-            wait_until_ready(&mut session);
+            session.wait_until_ready();
         }
         let request = 100 + i as u16;
         let answer = || HostMessage::ModelChunk { request, offset, data: Bytes(data) };
@@ -223,14 +208,14 @@ fn a_model_sent_over_bluetooth_is_used_after_a_restart_though_flash_and_link_fai
 /// S140 wants proof of the keys each 480 s; nrf-softdevice panics where a radio without LE Ping gives none.
 #[test]
 fn a_laptop_that_only_listens_and_whose_radio_knows_no_ping_does_not_restart_the_board() {
-    let mut session = ready();
+    let mut session = RightRig::ble_ready();
     session.board.softdevice().central.answers_radio_pings = false;
     session.ask(3, &HostMessage::SetMode { request: 3, mode: Mode::Idle }).expect("an answer");
     // Without its sensor the board sleeps most of the time.
     session.board.soc().bus.unplugged = true;
     session.run_ms(500_000);
     assert_eq!(session.board.resets, [4], "no panic");
-    let log = log(&mut session);
+    let log = session.log();
     assert!(!log.iter().any(|h| matches!(h, Happening::Disconnected(_))), "{log:?}");
     // Asked after each two minutes of silence.
     let asked = log.iter().filter(|h| matches!(h, Happening::AskedFor { .. })).count();

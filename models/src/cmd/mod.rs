@@ -56,7 +56,7 @@ impl Short {
 
     /// The same of recipe aligned, whose settings may change.
     pub fn aligned(&self) -> Aligned {
-        self.steps.map_or(ALIGNED, |count| ALIGNED.with_steps(count))
+        ALIGNED.with_steps(self.steps)
     }
 }
 

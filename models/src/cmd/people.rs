@@ -117,7 +117,7 @@ impl Cmd {
                     let a = row.accuracy;
                     println!("{:<9} {:<28} {:>8.2} {:>8.2}", recipe.name(), row.what, a.float, a.int8);
                 }
-                if recipe.adapts() {
+                if recipe.adapts().is_some() {
                     all.extend(rows);
                 }
             }

@@ -262,9 +262,9 @@ impl Trial<'_> {
         for &examples in counts {
             let set: Vec<_> =
                 shown.iter().flat_map(|of_label| of_label.iter().take(examples).cloned()).collect();
-            let adapted = match &model.memory {
-                Some(memory) if !set.is_empty() => {
-                    Some(adapt(&model, memory, &set, person, self.recipe.daily(), seed)?)
+            let adapted = match (&model.memory, self.recipe.adapts()) {
+                (Some(memory), Some(daily)) if !set.is_empty() => {
+                    Some(adapt(&model, memory, &set, person, daily, seed)?)
                 }
                 _ => None,
             };

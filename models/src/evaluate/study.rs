@@ -53,7 +53,7 @@ impl Study {
         let random = seeds().map(|seed| trial.random_split(seed)).collect::<Result<Vec<_>, _>>()?;
         done(&format!("{}: random fifth", trial.recipe.name()));
         let mut shown = Vec::new();
-        if trial.recipe.adapts() && !counts.is_empty() {
+        if trial.recipe.adapts().is_some() && !counts.is_empty() {
             let mut counts = counts.to_vec();
             counts.push(0);
             counts.sort_unstable();

@@ -4,13 +4,13 @@ use super::memory::{Memory, balanced};
 use super::recipes::aligned::cut;
 use super::steps::{self, Start, Steps};
 use super::vary::{Kind, vary};
-use super::{OTHER, TrainError, Trained, quantise, sha256};
+use super::{TrainError, Trained};
+use crate::WINDOW;
 use crate::card::Card;
 use crate::daily::Daily;
+use crate::labels::OTHER;
 use crate::streams::RandomStream;
-use crate::tflite::{self, FloatLayer, Network};
 use crate::windows::{aligned_features, prepare};
-use crate::{WINDOW, blob};
 
 /// Varied copies of each window of a new person.
 const COPIES_OF_NEW: usize = 60;
@@ -31,7 +31,9 @@ pub fn adapt(
 ) -> Result<Trained, TrainError> {
     // Beside 4,096 rows of what the model remembers, a quarter is enough; all of it makes the model doubt what is shown.
     let daily: Vec<Vec<f32>> = daily.rows(model.card.axes).into_iter().step_by(4).collect();
-    let adapted = fitted(&model.card, &model.float, memory, examples, &daily, seed)?;
+    let rows = rows(&model.card, memory, examples, &daily, seed);
+    let (start, limit) = (Start::Layers(&model.float), model.card.scaling.limit);
+    let layers = steps::fit(&rows, model.card.labels.len(), &start, &Steps::ADAPT, limit, seed)?;
     let mut card = Card {
         about: format!("{}; adapted to {person} with {} windows", model.card.about, examples.len()),
         test: None,
@@ -39,13 +41,8 @@ pub fn adapt(
         ..model.card.clone()
     };
     *card.data.people.entry(person.to_owned()).or_default() += examples.len();
-    let int8 = int8(&adapted.layers, &adapted.rows, card.scaling.limit);
-    let blob = blob::build(&card, &int8).map_err(TrainError::Quantise)?;
-    card.model_id = blob::model_id(&blob);
-    let int8_tflite = tflite::write(&Network::Int8(int8));
-    card.tflite_sha256 = sha256(&int8_tflite);
-    let float_tflite = tflite::write(&Network::Float(adapted.layers.clone()));
-    Ok(Trained { card, float: adapted.layers, float_tflite, int8_tflite, memory: Some(memory.clone()) })
+    let calibration: Vec<&[f32]> = rows.iter().map(|(input, _)| input.as_slice()).collect();
+    Trained::of(card, layers, &calibration, Some(memory.clone()))
 }
 
 /// The windows of a recording that [`adapt`] learns from: one each second.
@@ -53,22 +50,15 @@ pub fn examples_of(recording: &crate::recording::Recording) -> Vec<Vec<f32>> {
     cut(&prepare(recording).0)
 }
 
-/// An adapted network.
-struct Adapted {
-    layers: Vec<FloatLayer>,
-    /// The inputs it was fitted to.
-    rows: Vec<(Vec<f32>, usize)>,
-}
-
-/// Fits a network to one more person: half of what it sees is new, half is what it remembers.
-fn fitted(
+/// The inputs that a network is fitted to for one more person, with their labels: half of what it sees is new, half is what
+/// it remembers.
+fn rows(
     card: &Card,
-    layers: &[FloatLayer],
     memory: &Memory,
     examples: &[(Vec<f32>, usize)],
     daily: &[Vec<f32>],
     seed: u64,
-) -> candle_core::Result<Adapted> {
+) -> Vec<(Vec<f32>, usize)> {
     let mut rng = RandomStream::Adapting.of(seed);
     let mut new = Vec::new();
     for (window, label) in examples {
@@ -89,18 +79,5 @@ fn fitted(
     if let Some(other) = card.labels.iter().position(|label| label == OTHER) {
         rows.extend(daily.iter().map(|row| (crate::evaluate::score::standardise(card, row), other)));
     }
-    let start = Start::Layers(layers);
-    let plan = &Steps::ADAPT;
-    let layers = steps::fit(&rows, card.labels.len(), &start, plan, card.scaling.limit, seed)?;
-    Ok(Adapted { layers, rows })
-}
-
-/// Int8 layers of a fitted network.
-fn int8(
-    layers: &[FloatLayer],
-    rows: &[(Vec<f32>, usize)],
-    limit: f32,
-) -> Vec<shared_dsp::right::network::DenseSpec> {
-    let calibration: Vec<&[f32]> = rows.iter().map(|(input, _)| input.as_slice()).collect();
-    quantise::quantise(layers, &calibration, limit)
+    rows
 }

@@ -8,7 +8,7 @@ use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 
 use super::net::{Layers, export, forward, on_one_thread, vars};
-use super::recipe::Fitted;
+use super::recipe::{Fitted, Learnt};
 use crate::streams::RandomStream;
 use crate::tflite::FloatLayer;
 
@@ -107,33 +107,20 @@ impl Rows {
     }
 }
 
-/// Fits a network to `learn`; `check` decides when to stop and which weights to keep. Where there is none, as too few
-/// recordings could be spared, the windows that are learnt decide themselves.
-pub(super) fn fit(
-    learn: &[(Vec<f32>, usize)],
-    check: &[(Vec<f32>, usize)],
-    labels: usize,
-    plan: &Epochs,
-    seed: u64,
-    progress: &ProgressBar,
-) -> Result<Fitted> {
-    let check = if check.is_empty() { learn } else { check };
-    on_one_thread(|| fit_here(learn, check, labels, plan, seed, progress))
+/// Fits a network to what is learnt; its `check` decides when to stop and which weights to keep. Where there is none, as
+/// too few recordings could be spared, the windows that are learnt decide themselves.
+pub(super) fn fit(learnt: &Learnt<'_>, plan: &Epochs, seed: u64, progress: &ProgressBar) -> Result<Fitted> {
+    on_one_thread(|| fit_here(learnt, plan, seed, progress))
 }
 
-fn fit_here(
-    learn: &[(Vec<f32>, usize)],
-    check: &[(Vec<f32>, usize)],
-    labels: usize,
-    plan: &Epochs,
-    seed: u64,
-    progress: &ProgressBar,
-) -> Result<Fitted> {
+fn fit_here(learnt: &Learnt<'_>, plan: &Epochs, seed: u64, progress: &ProgressBar) -> Result<Fitted> {
+    let Learnt { rows, check, labels, .. } = *learnt;
+    let check = if check.is_empty() { rows } else { check };
     let mut rng = RandomStream::Epochs.of(seed);
-    let inputs = learn.first().map_or(0, |(input, _)| input.len());
+    let inputs = rows.first().map_or(0, |(input, _)| input.len());
     let widths: Vec<usize> = [&[inputs], plan.hidden, &[labels]].concat();
     let net = random_layers(&widths, &mut rng)?;
-    let learn = Rows::new(learn, labels, plan.label_smoothing)?;
+    let learn = Rows::new(rows, labels, plan.label_smoothing)?;
     let check = Rows::new(check, labels, plan.label_smoothing)?;
     let mut rate = plan.learning_rate;
     let params = ParamsAdamW { lr: rate, weight_decay: plan.weight_decay, ..Default::default() };

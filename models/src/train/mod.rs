@@ -41,8 +41,6 @@ pub use recipes::{ALIGNED, Aligned, LOG_POWER, PAPER, PerAxis};
 pub use split::held_out;
 pub use steps::Steps;
 
-/// What makes no gesture, yet is not at rest.
-const OTHER: &str = "other";
 /// What else a training needs to know.
 #[derive(Clone, Debug)]
 pub struct Job {
@@ -96,6 +94,23 @@ pub struct Trained {
 }
 
 impl Trained {
+    /// A fitted network with its files and its card's sums of them; `calibration` are the inputs that decide the scales of
+    /// int8.
+    fn of(
+        mut card: Card,
+        float: Vec<FloatLayer>,
+        calibration: &[&[f32]],
+        memory: Option<Memory>,
+    ) -> Result<Self, TrainError> {
+        let int8 = quantise::quantise(&float, calibration, card.scaling.limit);
+        let blob = blob::build(&card, &int8).map_err(TrainError::Quantise)?;
+        card.model_id = blob::model_id(&blob);
+        let int8_tflite = tflite::write(&Network::Int8(int8));
+        card.tflite_sha256 = sha256(&int8_tflite);
+        let float_tflite = tflite::write(&Network::Float(float.clone()));
+        Ok(Self { card, float, float_tflite, int8_tflite, memory })
+    }
+
     /// The blob that boards and bridge run.
     ///
     /// # Errors
@@ -159,21 +174,15 @@ pub fn train(
     let (mut learn, mut check): (Vec<Row<'_>>, Vec<Row<'_>>) = (Vec::new(), Vec::new());
     for (part, held) in windows.iter().zip(&is_validation) {
         if *held {
-            check.extend(part.rows(&part.own));
+            check.extend(labelled(&part.own, part.label));
         } else {
-            learn.extend(part.rows(&part.own));
-            learn.extend(part.rows(&part.varied));
+            learn.extend(labelled(&part.own, part.label));
+            learn.extend(labelled(&part.varied, part.label));
         }
     }
-    let mut remembered = learn.len();
-    for (set, keeps) in [(&beside.of_people, true), (&beside.of_nobody, false)] {
-        for (windows, label) in set {
-            learn.extend(windows.iter().map(|window| (window.as_slice(), *label)));
-        }
-        if keeps {
-            remembered = learn.len();
-        }
-    }
+    learn.extend(rows(&beside.of_people));
+    let remembered = learn.len();
+    learn.extend(rows(&beside.of_nobody));
     let real = || windows.iter().flat_map(|part| part.own.iter().map(Vec::as_slice));
     let scaling = recipe.scaling(&learn, &mut real());
 
@@ -232,28 +241,27 @@ pub fn train(
     card.training.epochs = fitted.epochs;
     card.training.best_epoch = fitted.best_epoch;
 
-    let real_inputs: Vec<Vec<f32>> = match recipe.calibration() {
-        Calibration::Real => real().map(|window| standardise(&card, window)).collect(),
-        Calibration::Learnt => Vec::new(),
-    };
+    let real_inputs: Vec<Vec<f32>>;
     let calibration: Vec<&[f32]> = match recipe.calibration() {
-        Calibration::Real => real_inputs.iter().map(Vec::as_slice).collect(),
+        Calibration::Real => {
+            real_inputs = real().map(|window| standardise(&card, window)).collect();
+            real_inputs.iter().map(Vec::as_slice).collect()
+        }
         Calibration::Learnt => learn.iter().map(|(input, _)| input.as_slice()).collect(),
     };
-    let int8 = quantise::quantise(&fitted.layers, &calibration, limit);
-    let blob = blob::build(&card, &int8).map_err(TrainError::Quantise)?;
-    card.model_id = blob::model_id(&blob);
-    let model = Model::parse(&blob).map_err(|error| TrainError::Quantise(error.to_string()))?;
-    let int8_tflite = tflite::write(&Network::Int8(int8));
-    let float_tflite = tflite::write(&Network::Float(fitted.layers.clone()));
-    card.tflite_sha256 = sha256(&int8_tflite);
+    let people = &learn[..remembered];
+    let memory = recipe.adapts().map(|_| Memory::new(people, labels.len(), limit, job.seed));
+    let mut trained = Trained::of(card, fitted.layers, &calibration, memory)?;
 
+    let blob = trained.blob()?;
+    let model = Model::parse(&blob).map_err(|error| TrainError::Quantise(error.to_string()))?;
+    let card = &trained.card;
     let both = |set: &Dataset| -> Option<Scores> {
         if set.items.is_empty() {
             return None;
         }
         let recordings = scored(set, &labels, &card.features);
-        let float = Classifier::Float { card: &card, layers: &fitted.layers };
+        let float = Classifier::Float { card, layers: &trained.float };
         Some(Scores {
             float: score(&float, &recordings, &card.answers()),
             int8: score(&Classifier::Int8(model), &recordings, &card.answers()),
@@ -261,10 +269,19 @@ pub fn train(
     };
     let test_scores = both(&test_set);
     let validation_scores = both(&used.filtered(|item| validation.contains(&item.name)));
-    card.test = test_scores;
-    card.validation = validation_scores;
-    let memory = recipe.memory(&learn[..remembered], labels.len(), limit, job.seed);
-    Ok(Trained { card, float: fitted.layers, float_tflite, int8_tflite, memory })
+    trained.card.test = test_scores;
+    trained.card.validation = validation_scores;
+    Ok(trained)
+}
+
+/// Windows with their label.
+fn labelled(windows: &[Vec<f32>], label: usize) -> impl Iterator<Item = Row<'_>> {
+    windows.iter().map(move |window| (window.as_slice(), label))
+}
+
+/// The same of several sets.
+fn rows(sets: &[(Shared, usize)]) -> impl Iterator<Item = Row<'_>> {
+    sets.iter().flat_map(|(windows, label)| labelled(windows, *label))
 }
 
 fn check_labels(used: &Dataset) -> Result<(), TrainError> {

@@ -8,7 +8,6 @@ use indicatif::ProgressBar;
 use shared_dsp::right::kind::FeatureKind;
 
 use super::TrainError;
-use super::memory::Memory;
 use crate::card::Scaling;
 use crate::daily::Daily;
 use crate::dataset::Item;
@@ -18,7 +17,7 @@ use crate::windows::Prepared;
 /// A window's features or inputs, and its label.
 pub type Row<'a> = (&'a [f32], usize);
 
-/// FeatureKind of windows that several trainings use.
+/// Features of windows that several trainings use.
 pub type Shared = Arc<Vec<Vec<f32>>>;
 
 /// One way to make a model: which windows are learnt and how they are varied, how a network is fitted to them, and what its
@@ -60,25 +59,10 @@ pub trait Recipe: fmt::Debug + Send + Sync {
     /// Which inputs decide the scales of int8.
     fn calibration(&self) -> Calibration;
 
-    /// What the model remembers of people, if another one can be taught to it.
-    fn memory(
-        &self,
-        _of_people: &[(Vec<f32>, usize)],
-        _labels: usize,
-        _limit: f32,
-        _seed: u64,
-    ) -> Option<Memory> {
+    /// If models of it can learn another person, whose daily movement stays no gesture then: a
+    /// [`Memory`](super::Memory) of its people is kept.
+    fn adapts(&self) -> Option<&Daily> {
         None
-    }
-
-    /// Whether models of it can learn another person: their [`Recipe::memory`] is kept.
-    fn adapts(&self) -> bool {
-        false
-    }
-
-    /// Whose daily movement it learns.
-    fn daily(&self) -> &Daily {
-        &Daily::None
     }
 
     /// The same in as many steps, where it has steps: to try things out.
@@ -106,20 +90,12 @@ pub struct Plan {
 pub struct Windows {
     /// Place of its label.
     pub label: usize,
-    /// FeatureKind of the recording as it is.
+    /// Features of the recording as it is.
     pub own: Vec<Vec<f32>>,
-    /// FeatureKind of its varied copies.
+    /// Features of its varied copies.
     pub varied: Vec<Vec<f32>>,
     /// What was done to it before.
     pub prepared: Prepared,
-}
-
-impl Windows {
-    /// Some of its windows with their label.
-    pub(super) fn rows<'a>(&self, windows: &'a [Vec<f32>]) -> impl Iterator<Item = Row<'a>> + use<'a> {
-        let label = self.label;
-        windows.iter().map(move |window| (window.as_slice(), label))
-    }
 }
 
 /// What is learnt beside the recordings: windows with the place of their label.

@@ -15,6 +15,7 @@ use rand_distr::{Distribution, Exp1, StandardNormal};
 use super::augment::{apply, rotation};
 use crate::WINDOW;
 use crate::evaluate::events::{POSTURE, posture};
+use crate::labels::OTHER;
 
 /// What the aligned recipe does, for the card.
 pub(super) const WORDS: &str = "tempo ×0.67 to 1.49 (gestures with a gyroscope 0.45 to 2.2) and uneven, shift ±0.2 s, or ±0.6 s with the \
@@ -33,7 +34,7 @@ impl Kind {
     pub fn of(label: &str) -> Self {
         match label {
             "idle" => Self::Idle,
-            "other" => Self::Other,
+            OTHER => Self::Other,
             _ => Self::Gesture,
         }
     }

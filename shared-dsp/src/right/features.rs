@@ -107,7 +107,6 @@ impl<const A: usize> FeatureWindow<A> {
         self.staged = 0;
         let mut replaced = 0;
         // The moments of axis i turn at hop −i, its powers half a round later: one turn per hop up to 12 axes.
-        // The moments of axis i turn at hop −i, its powers half a round later: one turn per hop up to 12 axes.
         let mut round = self.frame;
         let (block, frame) = (RingPlace::new(self.block, 0), RingPlace::new(self.frame, 0));
         let mut hop = HopBlocks { axis: 0, block, frame, repaired: false };

@@ -110,7 +110,7 @@ pub struct RightHand<'m, const A: usize> {
 enum Pipeline<const A: usize> {
     /// Recipes 1 and 2.
     PerAxis { window: FeatureWindow<A>, decision: GestureDecision },
-    /// FeatureKind 3.
+    /// Recipe 3.
     Aligned { window: AlignedWindow<A>, slow: SlowWindow<A>, decision: MovementDecision },
 }
 

@@ -16,7 +16,7 @@ pub struct RingPlace<const N: usize> {
 }
 
 impl<const N: usize> RingPlace<N> {
-    /// RingPlace of a step that fills `slot`, which counts up modulo `N`.
+    /// Place of a step that fills `slot`, which counts up modulo `N`.
     ///
     /// Before the step `in_back` pieces are in the back. At 0 the window turns: all pieces but the oldest are the
     /// front now. It counts up modulo `N` or `N` − 1; windows that are fed together should differ in it, so that their

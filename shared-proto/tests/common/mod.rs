@@ -126,14 +126,6 @@ impl<'de> Deserializer<'de> for &mut Fields<'de> {
         visitor.visit_borrowed_bytes(&bytes[..bytes.len().min(self.longest)])
     }
 
-    fn deserialize_newtype_struct<V: Visitor<'de>>(
-        self,
-        _: &'static str,
-        visitor: V,
-    ) -> Result<V::Value, Error> {
-        visitor.visit_newtype_struct(self)
-    }
-
     fn deserialize_tuple<V: Visitor<'de>>(self, len: usize, visitor: V) -> Result<V::Value, Error> {
         visitor.visit_seq(Rest { fields: self, left: len })
     }
@@ -168,7 +160,8 @@ impl<'de> Deserializer<'de> for &mut Fields<'de> {
     }
 
     forward_to_deserialize_any! {
-        i8 i32 i64 u64 f64 char string byte_buf option unit unit_struct seq tuple_struct map identifier ignored_any
+        i8 i32 i64 u64 f64 char string byte_buf option unit unit_struct newtype_struct seq tuple_struct map identifier
+        ignored_any
     }
 }
 

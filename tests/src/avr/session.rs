@@ -4,7 +4,7 @@ use std::path::Path;
 
 use shared_proto::frame::{BOARD_FRAME_MAX, Decoder, encode_host};
 use shared_proto::message::{
-    Ack, AckResult, BoardMessage, CalibrationStep, Fault, Heading, HostMessage, LeftState, RawAdc, Status,
+    Ack, AckResult, BoardMessage, CalibrationStep, Fault, HostMessage, LeftState, RawAdc, Status,
 };
 
 use super::nano::{CYCLES_PER_MS, EEPROM_BYTES, Nano, Voltages};
@@ -122,9 +122,4 @@ impl LeftRig {
         }
         panic!("no acknowledgement of {step:?} within 4 s");
     }
-}
-
-/// Is this a command to move?
-pub fn is_command(heading: Heading) -> bool {
-    !matches!(heading, Heading::Neutral | Heading::Between)
 }

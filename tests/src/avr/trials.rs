@@ -10,7 +10,7 @@ use shared_proto::message::{
 };
 
 use super::image;
-use super::session::{BLANK, LeftRig, Seen, is_command};
+use super::session::{BLANK, LeftRig, Seen};
 use super::wearer::{Fault, Hand, Sensors, Tremor, Wearer, uniform};
 
 /// How a wearer's sensors and neutral pose are chosen.
@@ -150,7 +150,7 @@ pub fn tilts(job: Job) -> Tilts {
         let states = session.states(2000.0);
         let first = states.iter().find(|(_, s)| s.heading == wanted).map(|(t, _)| t - start_ms);
         let others: Vec<Heading> =
-            states.iter().map(|(_, s)| s.heading).filter(|&h| is_command(h) && h != wanted).collect();
+            states.iter().map(|(_, s)| s.heading).filter(|&h| h.is_command() && h != wanted).collect();
         result.trials += 1;
         result.reversed += u32::from(others.contains(&opposite(wanted)));
         match first {
@@ -200,7 +200,7 @@ fn quiet(states: Vec<(f64, LeftState)>) -> Quiet {
     let bends = |s: &LeftState| u32::from(s.index_bends) + u32::from(s.middle_bends);
     let first = states.first().map_or(0, |(_, s)| bends(s));
     Quiet {
-        commands: states.iter().filter(|(_, s)| is_command(s.heading)).count() as u32,
+        commands: states.iter().filter(|(_, s)| s.heading.is_command()).count() as u32,
         bends: states.last().map_or(0, |(_, s)| bends(s)) - first,
         states: states.iter().filter(|(_, s)| s.health == 0).count() as u32,
     }

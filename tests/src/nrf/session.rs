@@ -6,7 +6,8 @@ use shared_proto::message::{About, Ack, BoardMessage, Fault, Hello, HostMessage,
 use super::ble_host::BleHost;
 use super::board::{Board, Boot, Kind};
 use super::build::{Variant, image};
-use super::lsm9ds1::Motion;
+use super::lsm9ds1::{Motion, Still};
+use super::softdevice::central::Happening;
 
 /// A state of the right hand, owned.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -93,6 +94,13 @@ impl RightRig {
         Self::new(board, Some(host))
     }
 
+    /// The same with a board that moves nowhere: connected, bonded and subscribed.
+    pub fn ble_ready() -> Self {
+        let mut session = Self::ble(Box::new(Still));
+        session.wait_until_ready();
+        session
+    }
+
     /// A board of this kind with a laptop at its serial port: a Nano 33 behind the stock bootloader, a XIAO behind S140 with
     /// the USB cable in.
     pub fn of_kind(kind: Kind, motion: Box<dyn Motion>) -> Self {
@@ -138,6 +146,20 @@ impl RightRig {
             self.run_ms(1);
         }
         holds(self)
+    }
+
+    /// Runs until the laptop is connected over Bluetooth and subscribed.
+    ///
+    /// # Panics
+    /// Where it is not within five seconds.
+    pub fn wait_until_ready(&mut self) {
+        let is_ready = self.run_until_that(5000, |s| s.ble.as_ref().is_some_and(|b| b.is_ready()));
+        assert!(is_ready, "{:?}", self.board.softdevice().central.log);
+    }
+
+    /// What happened at the laptop's end of Bluetooth.
+    pub fn log(&mut self) -> Vec<Happening> {
+        self.board.softdevice().central.log.iter().map(|(_, what)| what.clone()).collect()
     }
 
     /// Sends a message on the wire.

@@ -145,6 +145,16 @@ pub enum Place {
     Held(Pose),
 }
 
+impl Place {
+    /// Seen from the scene's origin, with the flange there.
+    pub fn pose(&self, flange: &Pose) -> Pose {
+        match self {
+            Place::Stands(at) => *at,
+            Place::Held(on_flange) => flange.then(on_flange.position_m, on_flange.rotation),
+        }
+    }
+}
+
 /// What the hand may touch while it goes straight to a thing or away from it.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Touch {
@@ -165,6 +175,16 @@ pub struct Things {
     pub places: Vec<Place>,
     /// What may be touched now.
     pub touch: Touch,
+}
+
+impl Things {
+    /// What the gripper has, and where, from the flange.
+    pub fn held(&self) -> Option<(usize, Pose)> {
+        self.places.iter().enumerate().find_map(|(i, place)| match place {
+            Place::Held(at) => Some((i, *at)),
+            Place::Stands(_) => None,
+        })
+    }
 }
 
 /// What a scene knows about its things.
@@ -209,45 +229,30 @@ impl Shop<'_> {
         things.places.iter().enumerate().find_map(fits)
     }
 
-    /// What carries a thing there: boxes, or (`None`) the floor. Empty = nothing.
-    fn carriers(&self, at: &Pose) -> Vec<Option<usize>> {
-        let under = |i: usize| {
-            let shape = self.boxes[i].shape();
-            let top_m = shape.center_m.z + shape.half_m.z;
-            (at.position_m.z - top_m).abs() <= CARRIES_M && is_above(&shape, at.position_m)
-        };
-        let mut carriers: Vec<Option<usize>> =
-            (0..self.boxes.len()).filter(|&i| under(i)).map(Some).collect();
-        if at.position_m.z.abs() <= CARRIES_M {
-            carriers.push(None);
-        }
-        carriers
-    }
-
-    /// What may be touched on the straight way to or from the flange's place there.
+    /// What may be touched on the straight way to or from the flange's place there: the thing, and of what is held also
+    /// what carries it.
     pub fn touching(&self, things: &Things, flange: &Pose) -> Touch {
-        let object = match self.held(things) {
-            Some((i, _)) => Some(i),
-            None => self.between(things, flange).map(|(i, _)| i),
+        let Some((object, on_flange)) = things.held() else {
+            let object = self.between(things, flange).map(|(i, _)| i);
+            return Touch { object, ..Touch::default() };
         };
-        let at =
-            self.held(things).map(|(_, on_flange)| flange.then(on_flange.position_m, on_flange.rotation));
-        let carriers = at.map(|at| self.carriers(&at)).unwrap_or_default();
-        Touch { object, boxes: carriers.iter().flatten().copied().collect(), floor: carriers.contains(&None) }
-    }
-
-    /// What the gripper has, and where, from the flange.
-    pub fn held(&self, things: &Things) -> Option<(usize, Pose)> {
-        things.places.iter().enumerate().find_map(|(i, place)| match place {
-            Place::Held(at) => Some((i, *at)),
-            Place::Stands(_) => None,
-        })
+        let at_m = Place::Held(on_flange).pose(flange).position_m;
+        let carries = |i: &usize| {
+            let shape = self.boxes[*i].shape();
+            let top_m = shape.center_m.z + shape.half_m.z;
+            (at_m.z - top_m).abs() <= CARRIES_M && is_above(&shape, at_m)
+        };
+        Touch {
+            object: Some(object),
+            boxes: (0..self.boxes.len()).filter(carries).collect(),
+            floor: at_m.z.abs() <= CARRIES_M,
+        }
     }
 
     /// Things after the fingers have gone to a width; and what became of it, for people.
     pub fn gripped(&self, things: &mut Things, flange: &Pose, opening_m: f64) -> Option<String> {
         let closing = opening_m < things.opening_m;
-        if closing && self.held(things).is_none() {
+        if closing && things.held().is_none() {
             let found = self.between(things, flange).filter(|(_, width_m)| *width_m >= opening_m - 1e-4);
             let Some((i, width_m)) = found else {
                 things.opening_m = opening_m;
@@ -266,23 +271,16 @@ impl Shop<'_> {
             things.opening_m = width_m;
             return Some(format!("has {} ({:.0} mm)", self.objects[i].name, 1000.0 * width_m));
         }
-        let mut said = None;
-        if !closing && let Some((i, on_flange)) = self.held(things) {
-            let at = flange.then(on_flange.position_m, on_flange.rotation);
-            said = Some(self.let_go(things, i, &at));
-        }
+        let said = if closing { None } else { self.let_go_of(things, flange) };
         things.opening_m = opening_m;
         said
     }
 
-    /// What was held is held no longer, wherever the fingers are; what became of it, for people.
+    /// What was held is held no longer, wherever the fingers are: it falls upright onto what is below it. What became of
+    /// it, for people.
     pub fn let_go_of(&self, things: &mut Things, flange: &Pose) -> Option<String> {
-        let (i, on_flange) = self.held(things)?;
-        Some(self.let_go(things, i, &flange.then(on_flange.position_m, on_flange.rotation)))
-    }
-
-    /// A thing falls upright onto what is below it.
-    fn let_go(&self, things: &mut Things, i: usize, at: &Pose) -> String {
+        let (i, on_flange) = things.held()?;
+        let at = Place::Held(on_flange).pose(flange);
         let below = |shape: &UprightBox| {
             let top_m = shape.center_m.z + shape.half_m.z;
             (is_above(shape, at.position_m) && top_m <= at.position_m.z + CARRIES_M).then_some(top_m)
@@ -297,18 +295,17 @@ impl Shop<'_> {
         things.places[i] = Place::Stands(standing);
         let name = &self.objects[i].name;
         let fall_m = at.position_m.z - top_m;
-        if fall_m > CARRIES_M {
+        Some(if fall_m > CARRIES_M {
             format!("let {name} fall {fall_m:.2} m onto {on}")
         } else {
             format!("put {name} down on {on}")
-        }
+        })
     }
 
     /// Shapes of what is held, in the flange's frame.
     pub fn held_shapes(&self, things: &Things) -> Vec<Capsule> {
-        let Some((i, at)) = self.held(things) else { return Vec::new() };
-        let put = |c: Capsule| Capsule { a_m: at.at(c.a_m), b_m: at.at(c.b_m), ..c };
-        self.objects[i].shapes().into_iter().map(put).collect()
+        let Some((i, at)) = things.held() else { return Vec::new() };
+        self.objects[i].shapes().iter().map(|shape| shape.seen_from(&at)).collect()
     }
 
     /// Boxes around the objects that stand, with their numbers.
@@ -331,9 +328,8 @@ pub fn in_scene(placement: Placement, mount_m: Point, on_arm: &Pose) -> Pose {
 }
 
 fn is_above(shape: &UprightBox, point_m: Point) -> bool {
-    let (s, c) = shape.yaw_rad.sin_cos();
-    let off = point_m - shape.center_m;
-    (c * off.x + s * off.y).abs() <= shape.half_m.x && (c * off.y - s * off.x).abs() <= shape.half_m.y
+    let off = shape.inside(point_m);
+    off.x.abs() <= shape.half_m.x && off.y.abs() <= shape.half_m.y
 }
 
 #[cfg(test)]

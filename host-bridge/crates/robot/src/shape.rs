@@ -7,6 +7,8 @@
 use glam::DVec3;
 use serde::Serialize;
 
+use crate::pose::Pose;
+
 /// A point or a direction in metres.
 pub type Point = DVec3;
 
@@ -33,6 +35,12 @@ pub struct UprightBox {
 }
 
 impl Capsule {
+    /// One that is given in this frame, as seen from outside.
+    #[must_use]
+    pub fn seen_from(&self, frame: &Pose) -> Capsule {
+        Capsule { a_m: frame.at(self.a_m), b_m: frame.at(self.b_m), ..*self }
+    }
+
     /// Distance of the surfaces in m; negative where they overlap (no further than to the centre lines).
     pub fn distance_m(&self, other: &Capsule) -> f64 {
         segments_m(self.a_m, self.b_m, other.a_m, other.b_m) - self.radius_m - other.radius_m
@@ -57,7 +65,7 @@ impl Capsule {
 
 impl UprightBox {
     /// A point as seen from the box: from its middle, along its sides.
-    fn inside(&self, point: Point) -> Point {
+    pub fn inside(&self, point: Point) -> Point {
         let DVec3 { x, y, z } = point - self.center_m;
         let (s, c) = self.yaw_rad.sin_cos();
         DVec3::new(c * x + s * y, c * y - s * x, z)

@@ -1,6 +1,6 @@
 //! Recipe `aligned`: for people that the model has never met.
 //!
-//! FeatureKind in the hand's own frame ([`shared_dsp::right::aligned`]), windows varied as other hands would, simulated wearers and
+//! Features in the hand's own frame ([`shared_dsp::right::aligned`]), windows varied as other hands would, simulated wearers and
 //! real daily movement beside the recordings, and a number of steps that nobody's recordings decide.
 
 use std::sync::Arc;
@@ -12,14 +12,14 @@ use shared_dsp::right::network::MAX_LABELS;
 use crate::card::Scaling;
 use crate::daily::{self, Daily};
 use crate::dataset::Item;
+use crate::labels::OTHER;
 use crate::recording::Recording;
 use crate::streams::RandomStream;
-use crate::train::memory::Memory;
+use crate::train::TrainError;
 use crate::train::recipe::{Beside, Calibration, Fitted, Learnt, Plan, Recipe, Row, Windows, scaling};
 use crate::train::simulated::{aimless, performed};
 use crate::train::steps::{self, Start, Steps};
 use crate::train::vary::{self, Kind, vary};
-use crate::train::{OTHER, TrainError};
 use crate::windows::{aligned_features, prepare};
 use crate::{RATE_HZ, WINDOW};
 
@@ -50,8 +50,9 @@ pub const ALIGNED: Aligned =
     Aligned { steps: Steps::TRAIN, copies: 10, bystanders: 100, performers: 40, daily: Daily::All };
 
 impl Aligned {
-    /// With as many steps, which see fewer simulated wearers.
-    pub fn with_steps(&self, count: usize) -> Self {
+    /// With as many steps, which see fewer simulated wearers; none: as it is.
+    pub fn with_steps(&self, count: Option<usize>) -> Self {
+        let Some(count) = count else { return self.clone() };
         let Self { mut steps, copies, bystanders, performers, .. } = *self;
         let fewer = |wearers: u32| wearers.min((wearers as usize * count).div_ceil(steps.count) as u32);
         let (bystanders, performers) = (fewer(bystanders), fewer(performers));
@@ -67,7 +68,7 @@ impl Recipe for Aligned {
     }
 
     fn about(&self) -> &'static str {
-        "FeatureKind in the hand's own frame, for people it has never met"
+        "Features in the hand's own frame, for people it has never met"
     }
 
     fn features(&self) -> FeatureKind {
@@ -149,26 +150,12 @@ impl Recipe for Aligned {
         Calibration::Real
     }
 
-    fn memory(
-        &self,
-        of_people: &[(Vec<f32>, usize)],
-        labels: usize,
-        limit: f32,
-        seed: u64,
-    ) -> Option<Memory> {
-        Some(Memory::new(of_people, labels, limit, seed))
-    }
-
-    fn adapts(&self) -> bool {
-        true
-    }
-
-    fn daily(&self) -> &Daily {
-        &self.daily
+    fn adapts(&self) -> Option<&Daily> {
+        Some(&self.daily)
     }
 
     fn shortened(&self, steps: Option<usize>) -> Box<dyn Recipe> {
-        Box::new(steps.map_or_else(|| self.clone(), |count| self.with_steps(count)))
+        Box::new(self.with_steps(steps))
     }
 
     fn for_simulated(&self) -> Box<dyn Recipe> {

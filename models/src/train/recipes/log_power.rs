@@ -10,7 +10,7 @@ use crate::train::epochs::Epochs;
 /// Until four halvings of the learning rate bring nothing more.
 pub const LOG_POWER: PerAxis = PerAxis {
     name: "log-power",
-    about: "FeatureKind per axis with log powers, until it converges; it knows directions in the room, and wants the board \
+    about: "Features per axis with log powers, until it converges; it knows directions in the room, and wants the board \
             worn as it was in the recordings",
     features: FeatureKind::LogPower,
     validation_fraction: 0.15,

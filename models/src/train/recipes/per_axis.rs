@@ -74,7 +74,7 @@ impl Recipe for PerAxis {
     }
 
     fn fit(&self, learnt: &Learnt<'_>, seed: u64, progress: &ProgressBar) -> Result<Fitted, TrainError> {
-        Ok(epochs::fit(learnt.rows, learnt.check, learnt.labels, &self.epochs, seed, progress)?)
+        Ok(epochs::fit(learnt, &self.epochs, seed, progress)?)
     }
 
     fn calibration(&self) -> Calibration {

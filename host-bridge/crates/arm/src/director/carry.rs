@@ -53,7 +53,7 @@ impl Running {
     }
 
     /// The hand is at a thing, or will be.
-    pub(super) fn is_at_work(&self) -> bool {
+    fn is_at_work(&self) -> bool {
         self.now.is_at_work() || self.left.iter().any(Act::is_at_work)
     }
 }
@@ -88,7 +88,7 @@ impl<R: Robot> Director<R> {
                 let flange = self.flange_for_grip()?;
                 self.grip_before_m = self.things.opening_m;
                 let between = self.shop().between(&self.things, &flange);
-                let held = self.shop().held(&self.things);
+                let held = self.things.held();
                 // What it has already is between its fingers.
                 let between_m = between.map(|(_, width_m)| width_m).or(held.map(|_| self.things.opening_m));
                 self.robot.grip(Grip { opening_m: *opening_m, effort_n: *effort_n, between_m })?;
@@ -176,7 +176,8 @@ impl<R: Robot> Director<R> {
         Ok(())
     }
 
-    fn is_at_work(&self) -> bool {
+    /// The hand is at a thing, or will be before the motion ends.
+    pub(super) fn is_at_work(&self) -> bool {
         self.running.as_ref().is_some_and(Running::is_at_work)
     }
 
@@ -184,7 +185,7 @@ impl<R: Robot> Director<R> {
     fn gripped(&mut self, end: GripEnd, asked_m: f64, closes_on: bool) -> Result<(), Option<String>> {
         let before_m = self.grip_before_m;
         let felt_m = self.robot.opening_m().map(|reading| reading.value);
-        let had = self.shop().held(&self.things);
+        let had = self.things.held();
         let mut told = None;
         if let Ok(flange) = self.flange_for_grip() {
             let mut things = self.things.clone();
@@ -197,7 +198,7 @@ impl<R: Robot> Director<R> {
             } else if end == GripEnd::Stalled && had.is_none() {
                 told = self.shop().gripped(&mut things, &flange, asked_m).or_else(|| Some(stalled(felt_m)));
             }
-            let attached = had.is_none() && self.shop().held(&things).is_some();
+            let attached = had.is_none() && things.held().is_some();
             let believed_m = if attached { things.opening_m } else { now_m };
             things.opening_m = felt_m.unwrap_or(believed_m);
             things.touch = self.shop().touching(&things, &flange);

@@ -61,12 +61,10 @@ impl<R: Robot> Director<R> {
         self.guard_due_ms = self.now_ms + TICK_MS;
         let steps =
             TICK_MS + self.robot.reaction_ms() + self.robot.base().map_or(0, |reading| reading.age_ms);
-        let things = self.things.clone();
-        let guard = Guard { world: planner.world(), limits: planner.limits(), things: &things };
-        let at_work = self.running.as_ref().filter(|running| running.is_at_work());
-        let work = at_work.map(|running| format!("the hand is at work ({})", running.motion));
+        let guard = Guard { world: planner.world(), limits: planner.limits(), things: &self.things };
         // While the hand is at a thing, the base stands still.
-        let wanted = if work.is_some() { Twist::ZERO } else { self.wanted };
+        let at_work = self.is_at_work();
+        let wanted = if at_work { Twist::ZERO } else { self.wanted };
         let try_tick = |twist: Twist, halt_arm: bool| {
             let Some((arm_now, arm_ahead)) = self.arm_ahead(steps, halt_arm) else { return false };
             let mut model = Base::at(*self.robot.base_limits(), &base);
@@ -86,7 +84,8 @@ impl<R: Robot> Director<R> {
         if chosen == Some(choices[0]) {
             self.allowed = wanted;
             self.robot.drive(wanted);
-            self.set_held(work.filter(|_| wanted != self.wanted));
+            let waits = self.running.as_ref().filter(|_| at_work && wanted != self.wanted);
+            self.set_held(waits.map(|running| format!("the hand is at work ({})", running.motion)));
             return;
         }
         let (twist, halt_arm) = chosen.unwrap_or((Twist::ZERO, true));

@@ -25,11 +25,10 @@ use crate::motions::Motions;
 use crate::plan::guard::TICK_MS;
 use crate::plan::{Placement, Planner};
 use crate::scene::Scene;
-use crate::things::Things;
+use crate::things::{Things, in_scene};
 use crate::tool::Tool;
 
 use carry::Running;
-use sequence::pose_of;
 
 /// How much of a long pause is looked at tick by tick, in ms.
 const CATCH_UP_MS: u64 = 10_000;
@@ -233,9 +232,9 @@ impl<R: Robot> Door for Director<R> {
             self.along().map(|(trajectory, elapsed_s)| trajectory.motion(elapsed_s).joints_rad);
         let shop = self.shop();
         let flange = self.bare.arm.flange_pose(&joints_rad);
-        let in_scene = self.flange_in_scene(Placement::from(state.odometry), &joints_rad);
+        let in_scene = in_scene(Placement::from(state.odometry), self.scene().base.mount_m, &flange);
         let objects = shop.objects.iter().zip(&self.things.places);
-        let objects = objects.map(|(object, place)| object.picture(pose_of(place, &in_scene)));
+        let objects = objects.map(|(object, place)| object.picture(place.pose(&in_scene)));
         Picture {
             arm: ArmState {
                 joints_rad,

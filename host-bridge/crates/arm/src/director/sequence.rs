@@ -9,7 +9,7 @@ use host_robot::{DVec3, Joints, MotionName, Pose, Robot, Trajectory};
 use crate::motions::{Grasp, GripTable, Step};
 use crate::plan::collision::Part;
 use crate::plan::{Placement, line};
-use crate::things::{Place, Shop, Things, Touch, in_scene};
+use crate::things::{Shop, Things, Touch, in_scene};
 
 use super::{Director, REST_RAD_S};
 
@@ -281,7 +281,7 @@ impl<R: Robot> Director<R> {
     fn take_grip(&self, to: GripTable, effort_n: Option<f64>, draft: &mut Draft) -> Result<(), String> {
         let shop = self.shop();
         let widest_m = shop.tool.hand().map_or(1.0, |hand| hand.widest_m);
-        let is_open = shop.held(&draft.things).is_none() && draft.things.opening_m >= OPEN_SHARE * widest_m;
+        let is_open = draft.things.held().is_none() && draft.things.opening_m >= OPEN_SHARE * widest_m;
         let opening_m = match to {
             GripTable::Width(width_m) if width_m > widest_m => {
                 return Err(format!("the gripper opens {widest_m} m at most, not {width_m}"));
@@ -333,12 +333,4 @@ impl<R: Robot> Director<R> {
 fn both(one: Touch, two: Touch) -> Touch {
     let boxes = one.boxes.into_iter().chain(two.boxes).collect();
     Touch { object: two.object.or(one.object), boxes, floor: one.floor || two.floor }
-}
-
-/// An object that stands, for pictures.
-pub(super) fn pose_of(place: &Place, flange: &Pose) -> Pose {
-    match place {
-        Place::Stands(at) => *at,
-        Place::Held(on_flange) => flange.then(on_flange.position_m, on_flange.rotation),
-    }
 }

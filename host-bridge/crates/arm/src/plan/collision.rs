@@ -8,7 +8,7 @@ use std::cell::Cell;
 
 use crate::model::SerialArm;
 use crate::scene::{NamedBox, Scene};
-use crate::things::{Shop, Things};
+use crate::things::{Shop, Things, Touch};
 use crate::tool::Tool;
 use host_robot::shape::{Capsule, UprightBox};
 use host_robot::{DMat3, DVec3, JOINTS, Joints};
@@ -131,34 +131,32 @@ impl World {
     fn drop_pairs_that_always_touch(&mut self) {
         const BENT: usize = 400;
         let mut random = Random::new(25);
-        let mut touching = vec![0; self.pairs.len()];
+        let on_flange = self.on_flange(&self.start);
+        let mut always = self.pairs.clone();
         for _ in 0..BENT {
+            // What was clear once is so; mostly nothing is left after a few.
+            if always.is_empty() {
+                return;
+            }
             let mut joints_rad = [0.0; JOINTS];
             for (angle, joint) in joints_rad.iter_mut().zip(&self.arm.joints) {
                 let pi = std::f64::consts::PI;
                 let (low, high) = joint.limit_rad.unwrap_or((-pi, pi));
                 *angle = random.between(low, high);
             }
-            let shapes = self.shapes(&joints_rad, &self.start);
-            for (count, &(one, two)) in touching.iter_mut().zip(&self.pairs) {
-                *count += usize::from(self.pair_distance_m(&shapes, one, two) <= 0.0);
-            }
+            let shapes = self.shapes(&joints_rad, &on_flange);
+            always.retain(|&(one, two)| self.pair_distance_m(&shapes, one, two) <= 0.0);
         }
-        let always: Vec<bool> = touching.into_iter().map(|count| count == BENT).collect();
-        let dropped = self.pairs.iter().zip(&always).filter(|(_, always)| **always);
-        let names: Vec<String> = dropped
-            .map(|((one, two), _)| {
-                format!("{} and {}", self.name(self.part(*one)), self.name(self.part(*two)))
-            })
+        if always.is_empty() {
+            return;
+        }
+        let names: Vec<String> = always
+            .iter()
+            .map(|&(one, two)| format!("{} and {}", self.name(self.part(one)), self.name(self.part(two))))
             .collect();
-        if !names.is_empty() {
-            self.notes.push(format!(
-                "not held apart, for they touch however the arm is bent: {}",
-                names.join(", ")
-            ));
-        }
-        let mut always = always.into_iter();
-        self.pairs.retain(|_| !always.next().unwrap_or(false));
+        self.notes
+            .push(format!("not held apart, for they touch however the arm is bent: {}", names.join(", ")));
+        self.pairs.retain(|pair| !always.contains(pair));
     }
 
     /// Objects, boxes and tool, for those who grip.
@@ -190,11 +188,12 @@ impl World {
             let (low, high) = self.arm.joints[joint].limit_rad.unwrap_or((-pi, pi));
             (0..=STEPS).map(move |k| low + (high - low) * k as f64 / STEPS as f64)
         };
+        let on_flange = self.on_flange(&self.start);
         range(link).any(|first| {
             range(link + 1).any(|second| {
                 let mut joints_rad = [0.0; JOINTS];
                 (joints_rad[link], joints_rad[link + 1]) = (first, second);
-                self.pair_distance_m(&self.shapes(&joints_rad, &self.start), link, other) <= 0.0
+                self.pair_distance_m(&self.shapes(&joints_rad, &on_flange), link, other) <= 0.0
             })
         })
     }
@@ -255,7 +254,15 @@ impl World {
         let mut base = self.scene.base.body();
         base.center_m -= mount_m;
         let floor_m = -mount_m.z;
-        Surroundings { world: self, things, boxes: boxes.collect(), base, floor_m, checks: Cell::new(0) }
+        Surroundings {
+            world: self,
+            touch: &things.touch,
+            on_flange: self.on_flange(things),
+            boxes: boxes.collect(),
+            base,
+            floor_m,
+            checks: Cell::new(0),
+        }
     }
 
     /// The number of the tool among the links; fingers and what is held follow.
@@ -272,26 +279,26 @@ impl World {
         }
     }
 
-    /// Shapes of foot, links, tool and what is held in the arm's frame, with their numbers.
-    fn shapes(&self, joints_rad: &Joints, things: &Things) -> Vec<(usize, Capsule)> {
+    /// Shapes of tool, fingers and what is held in the flange's frame, with their numbers.
+    fn on_flange(&self, things: &Things) -> Vec<(usize, Capsule)> {
+        if self.tool.is_none() {
+            return Vec::new();
+        }
+        let link = self.tool_link();
+        let fixed = self.tool.fixed().iter().map(|c| (link, *c));
+        let fingers = self.tool.fingers(things.opening_m).into_iter().map(|c| (link + 1, c));
+        let held = self.shop().held_shapes(things).into_iter().map(|c| (link + 2, c));
+        fixed.chain(fingers).chain(held).collect()
+    }
+
+    /// Shapes of foot, links and what is on the flange in the arm's frame, with their numbers.
+    fn shapes(&self, joints_rad: &Joints, on_flange: &[(usize, Capsule)]) -> Vec<(usize, Capsule)> {
         let poses = self.arm.link_poses(joints_rad);
         let mut shapes: Vec<(usize, Capsule)> = self.arm.foot.iter().map(|shape| (0, *shape)).collect();
         for (i, (joint, pose)) in self.arm.joints.iter().zip(&poses).enumerate() {
-            shapes.extend(joint.shapes.iter().map(|shape| {
-                (
-                    i + 1,
-                    Capsule { a_m: pose.at(shape.a_m), b_m: pose.at(shape.b_m), radius_m: shape.radius_m },
-                )
-            }));
+            shapes.extend(joint.shapes.iter().map(|shape| (i + 1, shape.seen_from(pose))));
         }
-        if !self.tool.is_none() {
-            let flange = &poses[JOINTS];
-            let put = |c: Capsule| Capsule { a_m: flange.at(c.a_m), b_m: flange.at(c.b_m), ..c };
-            let link = self.tool_link();
-            shapes.extend(self.tool.fixed().iter().map(|c| (link, put(*c))));
-            shapes.extend(self.tool.fingers(things.opening_m).into_iter().map(|c| (link + 1, put(c))));
-            shapes.extend(self.shop().held_shapes(things).into_iter().map(|c| (link + 2, put(c))));
-        }
+        shapes.extend(on_flange.iter().map(|(link, shape)| (*link, shape.seen_from(&poses[JOINTS]))));
         shapes
     }
 }
@@ -300,7 +307,8 @@ impl World {
 #[derive(Clone, Debug)]
 pub struct Surroundings<'w> {
     world: &'w World,
-    things: &'w Things,
+    touch: &'w Touch,
+    on_flange: Vec<(usize, Capsule)>,
     boxes: Vec<(Part, UprightBox)>,
     base: UprightBox,
     floor_m: f64,
@@ -329,7 +337,7 @@ impl Surroundings<'_> {
     pub fn arm_clearances(&self, joints_rad: &Joints) -> (Clearance, Clearance) {
         self.checks.set(self.checks.get() + 1);
         let world = self.world;
-        let shapes = world.shapes(joints_rad, self.things);
+        let shapes = world.shapes(joints_rad, &self.on_flange);
         let (mut own, mut boxes) = (Clearance::NOTHING, Clearance::NOTHING);
         for &(link, shape) in &shapes {
             let part = world.part(link);
@@ -360,7 +368,7 @@ impl Surroundings<'_> {
     /// A distance, or none where the two may touch: on the straight way to or from a thing the fingers that thing, and
     /// what is held what it stands on, which it does not sink into.
     fn allowed_m(&self, distance_m: f64, part: Part, other: Part) -> f64 {
-        let touch = &self.things.touch;
+        let touch = self.touch;
         let allowed = match (part, other) {
             (Part::Fingers, Part::Object(i)) => touch.object == Some(i),
             (Part::Held, Part::Box(i)) => touch.boxes.contains(&i) && distance_m >= -SINKS_M,
