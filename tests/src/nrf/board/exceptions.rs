@@ -6,6 +6,10 @@ use super::*;
 const STACKED: [RegisterARM; 6] =
     [RegisterARM::R0, RegisterARM::R1, RegisterARM::R2, RegisterARM::R3, RegisterARM::R12, RegisterARM::LR];
 
+/// CONTROL with the floating point unit in use: FPCA, and SFPA, without which unicorn, to which all code is secure, takes
+/// the next instruction of that unit for a new context and clears its flags.
+const FP_IN_USE: u32 = 1 << 2 | 1 << 3;
+
 /// Bytes of a frame on the stack, with the registers of the floating point unit or without.
 fn frame_bytes(with_fp: bool) -> u32 {
     if with_fp { 0x68 } else { 0x20 }
@@ -82,7 +86,7 @@ impl Board {
         let pc = word(self, 6);
         self.soc().nvic.leave();
         self.set_reg(RegisterARM::XPSR, xpsr & !(1 << 9));
-        self.set_reg(RegisterARM::CONTROL, if with_fp { 4 } else { 0 });
+        self.set_reg(RegisterARM::CONTROL, if with_fp { FP_IN_USE } else { 0 });
         self.set_reg(RegisterARM::SP, frame + size + (xpsr >> 9 & 1) * 4);
         self.set_reg(RegisterARM::PC, pc | 1);
         self.spend(EXCEPTION_CYCLES);
@@ -162,5 +166,45 @@ impl Board {
         self.set_reg(RegisterARM::PC, pc | 1);
         self.spend(super::super::softdevice::rules::CALL_CYCLES);
         self.uc.get_data_mut().event = true;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::nrf::lsm9ds1::Still;
+    use crate::nrf::memory::RAM_START;
+
+    /// 1.0 is compared with 2.0, SWI0's interrupt comes, and only then is read what the comparison found.
+    const COMPARE_AND_BE_INTERRUPTED: [u16; 32] = [
+        0x22E0, 0x0612, // r2 = 0xE0000000
+        0xF64E, 0x5388, 0x240F, 0x0524, 0x50D4, // CPACR, at 0xED88 from there: the unit may be used
+        0x23E1, 0x021B, 0x2401, 0x0524, 0x50D4, // interrupt 20 is enabled
+        0x23E2, 0x021B, // where one is asked for
+        0xEEB7, 0x0A00, 0xEEF0, 0x0A00, 0xEEB4, 0x0A60, // s0 = 1, s1 = 2, vcmp s0, s1
+        0x50D4, 0xE7FF, // asked for; the next block begins
+        0xEEF1, 0xFA10, // vmrs APSR_nzcv, fpscr
+        0xD401, 0x2002, 0xE000, 0x2001, // r0 = 1 where less, else 2
+        0x2320, 0x061B, 0x6018, 0xE7FE, // r0 goes to the start of RAM; stay
+    ];
+
+    /// The interrupt compares, too: vcmp s1, s1. Then it leaves r4 behind that answer.
+    const COMPARE_ALSO: [u16; 6] = [0xEEF4, 0x0A60, 0x2120, 0x0609, 0x604C, 0x4770];
+
+    #[test]
+    fn what_a_comparison_found_outlives_an_interrupt() {
+        let mut bytes = vec![0; 0x100];
+        bytes[..4].copy_from_slice(&0x2004_0000u32.to_le_bytes());
+        bytes[4..8].copy_from_slice(&(APPLICATION + 0x101).to_le_bytes());
+        let handler = APPLICATION + 0x101 + 2 * COMPARE_AND_BE_INTERRUPTED.len() as u32;
+        bytes[4 * 36..4 * 37].copy_from_slice(&handler.to_le_bytes());
+        let code = COMPARE_AND_BE_INTERRUPTED.iter().chain(&COMPARE_ALSO);
+        bytes.extend(code.flat_map(|half| half.to_le_bytes()));
+        let image =
+            Image { pieces: vec![(APPLICATION, bytes)], vector_table: APPLICATION, ..Image::default() };
+        let mut board = Board::new(image, Boot::SoftDevice, Box::new(Still));
+        board.run_ms(2);
+        assert_eq!(board.soc().ram.word(RAM_START + 4), 1 << 20, "the interrupt came");
+        assert_eq!(board.soc().ram.word(RAM_START), 1, "1.0 is less than 2.0");
     }
 }
