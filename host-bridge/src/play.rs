@@ -169,6 +169,9 @@ pub fn play<D: Door>(
         session.tap_mut().add(Box::new(web.watcher(title)));
         headline += &format!("\npage: {}", web.url());
     }
+    let ended = Arc::new(AtomicBool::new(false));
+    // Before the view has the terminal: an end in between would leave that raw.
+    let _ending = Ending::watch(&ended, wants_view)?;
     let mut view = if wants_view { Some(View::open(&headline)?) } else { None };
     if view.is_none() {
         say(options, &headline);
@@ -186,8 +189,6 @@ pub fn play<D: Door>(
             robot_elsewhere: false,
         },
     )?;
-    let ended = Arc::new(AtomicBool::new(false));
-    let _ending = Ending::watch(&ended, view.is_some())?;
     let started = Instant::now();
     while !session.finished() {
         if ended.load(Ordering::SeqCst) {
