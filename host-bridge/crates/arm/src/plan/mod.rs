@@ -8,7 +8,7 @@
 //! ```
 //!
 //! * [`collision`]: robot and scene, and how near they are,
-//! * [`rrt`]: the search for a way; [`line`]: straight lines of the flange,
+//! * [`rrt`]: the search for a way; [`mod@line`]: straight lines of the flange,
 //! * [`planner`]: all of it in turn,
 //! * [`guard`]: allows only motion from which one can still stop.
 
