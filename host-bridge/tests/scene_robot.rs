@@ -208,7 +208,7 @@ fn what_is_shown_is_what_the_robot_reports_and_where_it_should_be_stands_beside_
     site.live.press(HandKey::Gesture(2), site.now_ms);
     site.run(20);
     let robot = site.live.door_mut().robot_mut();
-    robot.answer(1, host_bridge::ros2::arm::Answer::Accepted);
+    robot.answer(1, host_bridge::ros2::answer::Answer::Accepted);
     site.run(3000);
     // The robot has not moved at all.
     let snapshot = Snapshot::of(&site.live.now(site.now_ms));

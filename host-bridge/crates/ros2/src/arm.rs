@@ -8,20 +8,17 @@
 
 use std::sync::Arc;
 
+use super::angles::Angles;
+use super::answer::Answer;
 use super::config::{ArmInterface, Ros2Config};
 use super::doubts::{Doubts, in_order};
+use super::points::points;
 use super::robot::Output;
 use super::strays::{CANCEL_INTERVAL_MS, STRAYS_MAX, Strays};
 use super::stream::{Late, RobotClock, Stream, off_rad};
-use host_robot::{End, Following, JOINTS, JointLimits, Joints, Motion, Reading, Trajectory};
-use host_topics::message::{ControllerState, JointState, JointTrajectory, JointTrajectoryPoint, Time};
+use host_robot::{End, Following, JointLimits, Joints, Motion, Reading, Trajectory};
+use host_topics::message::{ControllerState, JointState, JointTrajectory};
 
-/// Besides the instants at which the acceleration changes, one point per so long.
-const GRID_S: f64 = 0.25;
-/// Controllers want times that grow.
-const LEAST_STEP_S: f64 = 0.001;
-/// Joints in one message that are looked at.
-const NAMES_MAX: usize = 256;
 /// The goal is reached within this, where nobody else says so.
 const REACHED_RAD: f64 = 0.05;
 /// An arm that is further than this from where it should have been within the last [`FOLLOW_STEPS`] times 20 ms is
@@ -38,54 +35,6 @@ const STRAY_MS: u64 = 300_000;
 const UNSURE_MS: u64 = 5000;
 /// A motion may take this much longer than planned.
 const OVERDUE_MS: u64 = 10_000;
-
-/// What an action server says about a goal.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Answer {
-    /// It will be carried out.
-    Accepted,
-    /// It will not.
-    Rejected,
-    /// So far, in seconds of the trajectory.
-    Progress(f64),
-    /// The pose was reached.
-    Succeeded,
-    /// It was cancelled or aborted; the text says why.
-    Ended(String),
-}
-
-/// A trajectory as points in time: between them cubics through positions and speeds give the same motion.
-pub fn points(trajectory: &Trajectory) -> Vec<JointTrajectoryPoint> {
-    let end_s = trajectory.duration_s();
-    let mut times_s = trajectory.knots_s();
-    times_s.extend((1..).map(|k| f64::from(k) * GRID_S).take_while(|t| *t < end_s));
-    times_s.sort_by(f64::total_cmp);
-    let mut kept: Vec<f64> = Vec::new();
-    for time_s in times_s {
-        let last_s = kept.last().copied().unwrap_or(0.0);
-        if time_s - last_s >= LEAST_STEP_S && end_s - time_s >= LEAST_STEP_S {
-            kept.push(time_s);
-        }
-    }
-    kept.push(end_s.max(LEAST_STEP_S));
-    let point = |time_s: f64| {
-        let motion = trajectory.motion(time_s);
-        JointTrajectoryPoint {
-            positions: motion.joints_rad.to_vec(),
-            velocities: motion.velocity_rad_s.to_vec(),
-            time_from_start: Time::after_s(time_s),
-            ..JointTrajectoryPoint::default()
-        }
-    };
-    kept.into_iter().map(point).collect()
-}
-
-#[derive(Clone, Copy, Debug)]
-struct Seen {
-    position_rad: f64,
-    velocity_rad_s: f64,
-    at_ms: u64,
-}
 
 #[derive(Clone, Debug)]
 struct Run {
@@ -114,11 +63,9 @@ impl Run {
 #[derive(Clone, Debug)]
 pub struct ArmLink {
     interface: ArmInterface,
-    names: [String; JOINTS],
     limits: JointLimits,
-    max_age_ms: u64,
     answer_ms: u64,
-    seen: [Option<Seen>; JOINTS],
+    angles: Angles,
     clock: RobotClock,
     /// Somebody takes goals (or trajectories).
     listened_to: bool,
@@ -144,11 +91,9 @@ impl ArmLink {
     pub fn new(config: &Ros2Config, limits: JointLimits) -> Self {
         ArmLink {
             interface: config.arm,
-            names: config.joint_names.clone(),
             limits,
-            max_age_ms: config.joint_states_max_age_ms,
             answer_ms: config.answer_ms,
-            seen: [None; JOINTS],
+            angles: Angles::new(config),
             clock: RobotClock::default(),
             listened_to: false,
             run: None,
@@ -177,30 +122,14 @@ impl ArmLink {
     /// The same, from somebody with a name.
     pub fn see_from(&mut self, teller: &str, state: &JointState, now_ms: u64) {
         self.clock.see(state.header.stamp, now_ms);
-        let mut about_arm = false;
-        // Nobody's arm has so many joints; whoever names more is not listened to any longer.
-        for (place, (name, &position_rad)) in
-            state.name.iter().zip(&state.position).enumerate().take(NAMES_MAX)
-        {
-            let Some(joint) = self.names.iter().position(|own| own == name) else { continue };
-            about_arm = true;
-            let velocity = state.velocity.get(place).copied();
-            let velocity_rad_s = velocity.filter(|v| v.is_finite()).unwrap_or(0.0);
-            if position_rad.is_finite() {
-                let before =
-                    self.seen[joint].map(|seen| (seen.position_rad, now_ms.saturating_sub(seen.at_ms)));
-                self.doubts.judge(name, position_rad, before, now_ms);
-                self.seen[joint] = Some(Seen { position_rad, velocity_rad_s, at_ms: now_ms });
-            }
-        }
-        if about_arm {
+        if self.angles.see(state, now_ms, &mut self.doubts) {
             self.doubts.told_by(teller, now_ms);
         }
     }
 
     /// What the controller says of itself, and the factor by which it scales speeds, where it tells.
     pub fn see_controller(&mut self, state: &ControllerState, scaling: Option<f64>, now_ms: u64) {
-        let read = |values: &[f64]| in_order(&self.names, &state.joint_names, values);
+        let read = |values: &[f64]| in_order(self.angles.names(), &state.joint_names, values);
         self.wanted = read(&state.reference.positions);
         if let (Some(then), Some(wanted)) = (&self.wanted_then, &self.wanted)
             && off_rad(then, wanted) > BEGUN_RAD
@@ -234,20 +163,12 @@ impl ArmLink {
 
     /// All joints, if all were heard of lately; accelerations are not told.
     pub fn sample(&self, now_ms: u64) -> Option<Motion> {
-        let mut sample = Motion::at_rest([0.0; JOINTS]);
-        for (joint, seen) in self.seen.iter().enumerate() {
-            let seen = seen.filter(|seen| now_ms.saturating_sub(seen.at_ms) <= self.max_age_ms)?;
-            sample.joints_rad[joint] = seen.position_rad;
-            sample.velocity_rad_s[joint] = seen.velocity_rad_s;
-        }
-        Some(sample)
+        self.reading(now_ms).map(|reading| reading.value)
     }
 
     /// The same, and how old the oldest of it is.
     pub fn reading(&self, now_ms: u64) -> Option<Reading<Motion>> {
-        let value = self.sample(now_ms)?;
-        let ages_ms = self.seen.iter().flatten().map(|seen| now_ms.saturating_sub(seen.at_ms));
-        Some(Reading { value, age_ms: ages_ms.max().unwrap_or_default() })
+        self.angles.reading(now_ms)
     }
 
     /// Whether a trajectory could be sent now.
@@ -258,7 +179,7 @@ impl ArmLink {
         if self.interface == ArmInterface::None {
             return Err("this robot's arm is not driven (arm = \"none\" in [ros2])".to_owned());
         }
-        self.sample(now_ms).ok_or_else(|| self.what_is_missing(now_ms))?;
+        self.sample(now_ms).ok_or_else(|| self.angles.what_is_missing(now_ms))?;
         if let Some(problem) = self.problem(now_ms) {
             return Err(problem);
         }
@@ -331,7 +252,7 @@ impl ArmLink {
 
     fn output(&self, goal: u32, trajectory: &Trajectory) -> Output {
         let trajectory = JointTrajectory {
-            joint_names: self.names.to_vec(),
+            joint_names: self.angles.names().to_vec(),
             points: points(trajectory),
             ..JointTrajectory::default()
         };
@@ -339,24 +260,6 @@ impl ArmLink {
             ArmInterface::Action => Output::Goal { goal, trajectory },
             _ => Output::Trajectory(trajectory),
         }
-    }
-
-    fn what_is_missing(&self, now_ms: u64) -> String {
-        let old =
-            |seen: &Option<Seen>| seen.is_none_or(|seen| now_ms.saturating_sub(seen.at_ms) > self.max_age_ms);
-        let missing: Vec<&str> = self
-            .seen
-            .iter()
-            .zip(&self.names)
-            .filter(|(seen, _)| old(seen))
-            .map(|(_, n)| n.as_str())
-            .collect();
-        format!(
-            "no angles of {} within {} ms: is the joint_state_broadcaster active, and are joint_names and \
-             joint_states in [ros2] the robot's?",
-            missing.join(", "),
-            self.max_age_ms
-        )
     }
 
     /// Gives the motion up, if there is one.
@@ -377,7 +280,7 @@ impl ArmLink {
         if let Some(stream) = &mut run.stream {
             let robot_ns = self.clock.at_ns(now_ms).unwrap_or_default();
             let points = stream.halt(&run.trajectory, &self.limits, robot_ns);
-            outputs.push(Output::Trajectory(stream.message(&self.names, points)));
+            outputs.push(Output::Trajectory(stream.message(self.angles.names(), points)));
             return;
         }
         if self.interface == ArmInterface::Action {
@@ -561,7 +464,7 @@ impl ArmLink {
             return;
         }
         match stream.renew(trajectory, &self.limits, now_ms, robot_ns) {
-            Ok(Some(points)) => outputs.push(Output::Trajectory(stream.message(&self.names, points))),
+            Ok(Some(points)) => outputs.push(Output::Trajectory(stream.message(self.angles.names(), points))),
             Ok(None) => {}
             Err(Late) => {
                 *stopping_since_ms = Some(now_ms);
@@ -594,7 +497,8 @@ impl ArmLink {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use host_robot::Joints;
+    use host_robot::{JOINTS, Joints};
+    use host_topics::message::JointTrajectoryPoint;
 
     const HOME: Joints = [0.0, 0.26, 3.1, -2.27, 0.0, 0.96, 1.57];
     const GOAL: Joints = [0.0, 1.01, 3.1, -1.72, 0.0, 0.41, 1.57];
@@ -744,7 +648,7 @@ mod tests {
         let mut broken = angles(HOME);
         broken.position[0] = f64::NAN;
         let mut fresh = Rig::new(ArmInterface::Action);
-        fresh.arm.seen = [None; JOINTS];
+        fresh.arm.angles = Angles::new(&Ros2Config::default());
         fresh.arm.see(&broken, 0);
         assert!(fresh.start().unwrap_err().contains("joint_1"));
         assert!(rig.outputs.is_empty() && fresh.outputs.is_empty());

@@ -7,7 +7,7 @@ use ros2_client::{Node, QosProfile, RmwRequestId};
 
 use super::action::{self, Goals, Said};
 use super::advice::{Endpoint, Graph, Probe, wire};
-use super::arm::Answer;
+use super::answer::Answer;
 use super::joined::NodeError;
 use super::vendor::Wrapping;
 use host_topics::message as ros;

@@ -11,6 +11,8 @@
 #[cfg(feature = "ros2")]
 mod action;
 pub mod advice;
+pub mod angles;
+pub mod answer;
 pub mod arm;
 pub mod clocks;
 pub mod config;
@@ -31,6 +33,7 @@ pub mod hashes;
 pub mod joined;
 #[cfg(feature = "ros2")]
 pub mod node;
+mod points;
 pub mod robot;
 mod strays;
 pub mod stream;

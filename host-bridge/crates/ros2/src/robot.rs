@@ -8,7 +8,8 @@ use std::sync::Arc;
 
 use serde::Serialize;
 
-use super::arm::{Answer, ArmLink};
+use super::answer::Answer;
+use super::arm::ArmLink;
 use super::config::Ros2Config;
 use super::gripper::{GripAnswer, GripperLink};
 use host_robot::{

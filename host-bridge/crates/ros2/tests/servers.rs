@@ -6,7 +6,8 @@
 use std::sync::Arc;
 
 use host_robot::{JOINTS, JointLimits, Joints, Random, Trajectory};
-use host_ros2::arm::{Answer, ArmLink};
+use host_ros2::answer::Answer;
+use host_ros2::arm::ArmLink;
 use host_ros2::{ArmInterface, Output, Ros2Config};
 use host_topics::message::JointState;
 

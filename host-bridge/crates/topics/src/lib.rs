@@ -6,6 +6,7 @@
 //!
 //! * this file: the streams,
 //! * [`message`], [`bimanual`]: their types, ROS 2's and our own,
+//! * [`values`]: times, rotations and odometry as ROS 2 has them,
 //! * [`messages`]: each message made from what observers are shown,
 //! * [`tell`]: which message is due when,
 //! * [`schema`], [`cdr`]: how ROS 2 describes a type, and how it lays out a message.
@@ -17,6 +18,7 @@ pub mod message;
 pub mod messages;
 pub mod schema;
 pub mod tell;
+pub mod values;
 
 pub use messages::{Entry, Origin};
 pub use tell::{Outlet, Teller};

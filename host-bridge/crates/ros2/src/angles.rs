@@ -1,0 +1,93 @@
+//! The arm's angles, as its joint states tell them.
+
+use super::config::Ros2Config;
+use super::doubts::Doubts;
+use host_robot::{JOINTS, Motion, Reading};
+use host_topics::message::JointState;
+
+/// Joints in one message that are looked at.
+const NAMES_MAX: usize = 256;
+
+/// See the module.
+#[derive(Clone, Debug)]
+pub struct Angles {
+    names: [String; JOINTS],
+    max_age_ms: u64,
+    seen: [Option<Seen>; JOINTS],
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Seen {
+    position_rad: f64,
+    velocity_rad_s: f64,
+    at_ms: u64,
+}
+
+impl Angles {
+    /// None was heard of yet.
+    pub fn new(config: &Ros2Config) -> Self {
+        Angles {
+            names: config.joint_names.clone(),
+            max_age_ms: config.joint_states_max_age_ms,
+            seen: [None; JOINTS],
+        }
+    }
+
+    /// The arm's joints, as the robot names them.
+    pub fn names(&self) -> &[String; JOINTS] {
+        &self.names
+    }
+
+    /// Takes angles; joints that are not the arm's and values that are no numbers are left out. Whether it was about the
+    /// arm at all.
+    pub fn see(&mut self, state: &JointState, now_ms: u64, doubts: &mut Doubts) -> bool {
+        let mut about_arm = false;
+        // Nobody's arm has so many joints; whoever names more is not listened to any longer.
+        for (place, (name, &position_rad)) in
+            state.name.iter().zip(&state.position).enumerate().take(NAMES_MAX)
+        {
+            let Some(joint) = self.names.iter().position(|own| own == name) else { continue };
+            about_arm = true;
+            let velocity = state.velocity.get(place).copied();
+            let velocity_rad_s = velocity.filter(|v| v.is_finite()).unwrap_or(0.0);
+            if position_rad.is_finite() {
+                let before =
+                    self.seen[joint].map(|seen| (seen.position_rad, now_ms.saturating_sub(seen.at_ms)));
+                doubts.judge(name, position_rad, before, now_ms);
+                self.seen[joint] = Some(Seen { position_rad, velocity_rad_s, at_ms: now_ms });
+            }
+        }
+        about_arm
+    }
+
+    /// All joints, if all were heard of lately, and how old the oldest of it is; accelerations are not told.
+    pub fn reading(&self, now_ms: u64) -> Option<Reading<Motion>> {
+        let mut value = Motion::at_rest([0.0; JOINTS]);
+        let mut age_ms = 0;
+        for (joint, seen) in self.seen.iter().enumerate() {
+            let seen = seen.filter(|seen| self.is_fresh(seen, now_ms))?;
+            value.joints_rad[joint] = seen.position_rad;
+            value.velocity_rad_s[joint] = seen.velocity_rad_s;
+            age_ms = age_ms.max(now_ms.saturating_sub(seen.at_ms));
+        }
+        Some(Reading { value, age_ms })
+    }
+
+    /// Which joints were not heard of lately, and what a person can do.
+    pub fn what_is_missing(&self, now_ms: u64) -> String {
+        let fresh = |seen: &Option<Seen>| seen.is_some_and(|seen| self.is_fresh(&seen, now_ms));
+        let joints = self.seen.iter().zip(&self.names);
+        let missing: Vec<&str> =
+            joints.filter(|(seen, _)| !fresh(seen)).map(|(_, name)| name.as_str()).collect();
+        format!(
+            "no angles of {} within {} ms: is the joint_state_broadcaster active, and are joint_names and \
+             joint_states in [ros2] the robot's?",
+            missing.join(", "),
+            self.max_age_ms
+        )
+    }
+
+    fn is_fresh(&self, seen: &Seen, now_ms: u64) -> bool {
+        now_ms.saturating_sub(seen.at_ms) <= self.max_age_ms
+    }
+}
