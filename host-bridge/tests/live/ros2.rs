@@ -1083,13 +1083,16 @@ fn a_gesture_closes_and_opens_a_gripper_of_either_kind_and_a_stop_halts_it_and_n
         // A stall on the thing is success, and how far the fingers are apart is told: 5/8 of 85 mm.
         let asked = robot.has("it is asked to close", asks(0.08));
         println!("{kind}: asked to close at {:.1} s", number(&asked["t"]));
-        let gripped = robot.has("it stalls", |v| is(v, "gripped"));
+        // Whatever the wearer's earlier gestures did: those of a program that was slow to start are not all seen.
+        let then_s = number(&asked["t"]);
+        let gripped = robot.has("it stalls", move |v| is(v, "gripped") && number(&v["t"]) >= then_s);
         println!("{kind}: stalled {:.2} s later", number(&gripped["t"]) - number(&asked["t"]));
         assert_eq!((&gripped["stalled"], &gripped["reached"]), (&Value::Bool(true), &Value::Bool(false)));
         bridge.has("what it has", says("has something (53 mm)"));
         assert_eq!(bridge.has("its end", ends)["reached"], true);
         println!("{kind}: the program knows what it has");
-        robot.has("it is asked to open", asks(0.0));
+        let then_s = number(&gripped["t"]);
+        robot.has("it is asked to open", move |v| asks(0.0)(v) && number(&v["t"]) >= then_s);
         robot.wait("it is open", |v| is(v, "gripped") && v["reached"] == true);
 
         println!("{kind}: open");
