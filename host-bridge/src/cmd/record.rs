@@ -126,7 +126,8 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     for label in &labels {
         let folder = out.join(label);
         make_folder(&folder)?;
-        let trial = folder.join(format!("{person}.trial"));
+        // Of this process alone: another recording of the same label may try at the same time.
+        let trial = folder.join(format!("{person}.{}.trial", std::process::id()));
         std::fs::write(&trial, []).and_then(|()| std::fs::remove_file(&trial)).with_context(|| {
             format!("{}: nothing can be written here; is there room, and may you?", folder.display())
         })?;
