@@ -1,7 +1,7 @@
-//! Five lines, eight conversions each, read by interrupt after each tick of the clock.
+//! Five channels, eight conversions each, read by interrupt after each tick of the clock.
 //!
-//! Each line is preceded by one conversion of ground, which empties the converter's capacitor: an open
-//! line then reads near 0 instead of repeating its neighbour, and counts as a fault.
+//! Each channel is preceded by one conversion of ground, which empties the converter's capacitor: an open
+//! channel then reads near 0 instead of repeating its neighbour, and counts as a fault.
 //!
 //! The reference is always AREF, which is wired to 3.3 V. **Any other choice connects an internal
 //! source to that pin and shorts the board's 3.3 V**, so the multiplexer is written in one place only.
@@ -12,7 +12,7 @@ use core::cell::{Cell, RefCell};
 use shared_dsp::left::{AdcCounts, OVERSAMPLING};
 
 /// A3 index, A4 middle, A0 x, A1 y, A2 z: the accelerometer last, for the least delay.
-const LINES: [u8; 5] = [3, 4, 0, 1, 2];
+const CHANNELS: [u8; 5] = [3, 4, 0, 1, 2];
 /// The multiplexer's ground.
 const GROUND: u8 = 0b1111;
 /// Clock / 128 = 125 kHz: full resolution needs 50 to 200 kHz. 13 clocks per conversion, 104 µs.
@@ -21,7 +21,7 @@ const PRESCALER: u8 = 0b111;
 const PATIENCE: u8 = 3;
 
 struct Burst {
-    line: usize,
+    channel: usize,
     grounding: bool,
     taken: u16,
     sums: [u16; 5],
@@ -31,7 +31,7 @@ struct Burst {
 }
 
 static BURST: Mutex<RefCell<Burst>> = Mutex::new(RefCell::new(Burst {
-    line: 0,
+    channel: 0,
     grounding: true,
     taken: 0,
     sums: [0; 5],
@@ -47,9 +47,9 @@ fn converter() -> ADC {
     unsafe { Peripherals::steal() }.ADC
 }
 
-/// Chooses a line against AREF: REFS1 and REFS0 stay 0, results stand at the right (ADLAR 0).
-fn select(adc: &ADC, line: u8) {
-    adc.admux.write(|w| unsafe { w.bits(line & 0x0F) });
+/// Chooses a channel against AREF: REFS1 and REFS0 stay 0, results stand at the right (ADLAR 0).
+fn select(adc: &ADC, channel: u8) {
+    adc.admux.write(|w| unsafe { w.bits(channel & 0x0F) });
 }
 
 fn convert(adc: &ADC) {
@@ -89,7 +89,7 @@ pub fn begin_sample(cs: CriticalSection<'_>) {
         start();
     }
     burst.late = 0;
-    burst.line = 0;
+    burst.channel = 0;
     burst.taken = 0;
     burst.sums = [0; 5];
     burst.grounding = true;
@@ -108,19 +108,19 @@ fn ADC() {
         if !burst.running {
             return;
         }
-        let line = burst.line;
+        let channel = burst.channel;
         if burst.grounding {
             burst.grounding = false;
-            select(&adc, LINES[line]);
+            select(&adc, CHANNELS[channel]);
         } else {
-            burst.sums[line] += value;
+            burst.sums[channel] += value;
             burst.taken += 1;
             if burst.taken == OVERSAMPLING {
                 burst.taken = 0;
                 burst.grounding = true;
-                burst.line += 1;
+                burst.channel += 1;
                 select(&adc, GROUND);
-                if burst.line == LINES.len() {
+                if burst.channel == CHANNELS.len() {
                     let [index, middle, x, y, z] = burst.sums;
                     burst.running = false;
                     burst.finished = Some(AdcCounts { x, y, z, index, middle });

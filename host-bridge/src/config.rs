@@ -28,9 +28,9 @@ pub const KEYBOARD: &str = "keyboard";
 /// Fastest speed of the base where boards need not be bonded, in m/s and rad/s.
 const UNBONDED_MOST: f64 = 0.2;
 
-/// What a hand is to be.
+/// What stands for a hand.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Place {
+pub enum HandInput {
     /// Left out.
     Nobody,
     /// A board on a link.
@@ -47,7 +47,7 @@ pub struct Config {
     pub left_handed: bool,
     /// Where the boards are.
     pub ports: Ports,
-    /// TiltThresholds thresholds, sent to the left hand's board when it starts.
+    /// Thresholds of tilts, sent to the left hand's board when it starts.
     pub tilt: TiltThresholds,
     /// Caps on the base's speed.
     pub speed: SpeedRules,
@@ -198,12 +198,12 @@ impl Config {
         if self.left_handed { [right, left] } else { [left, right] }
     }
 
-    /// What each hand is to be.
-    pub fn places(&self) -> PerHand<Place> {
+    /// What stands for each hand.
+    pub fn inputs(&self) -> PerHand<HandInput> {
         PerHand::from(self.hand_ports()).map(|port| match port {
-            "" => Place::Nobody,
-            KEYBOARD => Place::Keyboard,
-            _ => Place::Board,
+            "" => HandInput::Nobody,
+            KEYBOARD => HandInput::Keyboard,
+            _ => HandInput::Board,
         })
     }
 

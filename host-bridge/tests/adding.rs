@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex};
 use host_bridge::arm::Motions;
 use host_bridge::arm::gen3::paper_limits;
 use host_bridge::base::{BaseConfig, Twist};
-use host_bridge::config::{Config, Place};
+use host_bridge::config::{Config, HandInput};
 use host_bridge::keyboard::HandKey;
 use host_bridge::observe::{Now, Observer};
 use host_bridge::robot::{
@@ -88,7 +88,7 @@ fn a_robot_of_ones_own_is_driven_moved_and_shown_and_an_output_sees_it() {
     };
     let config = Config::default();
     let door = Stage::bare().before(puppet);
-    let mut live = live_before(door, &config, Place::Keyboard, Place::Keyboard, 0);
+    let mut live = live_before(door, &config, HandInput::Keyboard, HandInput::Keyboard, 0);
     let fastest = Arc::new(Mutex::new(0.0));
     live.tap_mut().add(Box::new(Fastest(Arc::clone(&fastest))));
     for now_ms in 1..=2000 {

@@ -4,7 +4,7 @@ use host_bridge::arm::Motions;
 use host_bridge::arm::gen3::paper_limits;
 use host_bridge::base::BaseConfig;
 use host_bridge::bridge::{EventKind, GestureOutcome};
-use host_bridge::config::{Config, Place};
+use host_bridge::config::{Config, HandInput};
 use host_bridge::engine::Engine;
 use host_bridge::keyboard::{HandKey, KeyLeft, KeyTimes};
 use host_bridge::observe::SessionEvent;
@@ -30,7 +30,7 @@ struct Rig {
 }
 
 impl Rig {
-    fn new(left: Place, right: Place) -> Self {
+    fn new(left: HandInput, right: HandInput) -> Self {
         let live = moving::live(&Config::default(), left, right);
         let mut rig = Rig { live, now_ms: 0, events: Vec::new() };
         rig.run(1000);
@@ -59,7 +59,7 @@ impl Rig {
 
 #[test]
 fn keys_arm_by_themselves_and_an_arrow_drives_for_600_ms_at_most() {
-    let mut rig = Rig::new(Place::Keyboard, Place::Keyboard);
+    let mut rig = Rig::new(HandInput::Keyboard, HandInput::Keyboard);
     assert_eq!(rig.live.bridge().safety().state(), State::Armed);
     rig.press(FORWARD);
     rig.run(590);
@@ -71,7 +71,7 @@ fn keys_arm_by_themselves_and_an_arrow_drives_for_600_ms_at_most() {
 
 #[test]
 fn a_held_arrow_drives_until_200_ms_after_its_last_repeat() {
-    let mut rig = Rig::new(Place::Keyboard, Place::Nobody);
+    let mut rig = Rig::new(HandInput::Keyboard, HandInput::Nobody);
     rig.press(FORWARD);
     rig.run(500);
     for _ in 0..60 {
@@ -87,7 +87,7 @@ fn a_held_arrow_drives_until_200_ms_after_its_last_repeat() {
 
 #[test]
 fn a_bridge_that_stands_still_stops_a_held_arrow_like_any_silent_hand() {
-    let mut rig = Rig::new(Place::Keyboard, Place::Keyboard);
+    let mut rig = Rig::new(HandInput::Keyboard, HandInput::Keyboard);
     rig.press(FORWARD);
     rig.run(400);
     // The laptop was suspended: the robot's own timeout acts before the next step.
@@ -99,7 +99,7 @@ fn a_bridge_that_stands_still_stops_a_held_arrow_like_any_silent_hand() {
 
 #[test]
 fn q_and_z_change_the_cap_and_numbers_start_motions() {
-    let mut rig = Rig::new(Place::Keyboard, Place::Keyboard);
+    let mut rig = Rig::new(HandInput::Keyboard, HandInput::Keyboard);
     rig.press(HandKey::Faster);
     rig.press(HandKey::Faster); // the same press, repeated by the terminal
     rig.run(300);
@@ -129,7 +129,7 @@ fn q_and_z_change_the_cap_and_numbers_start_motions() {
 
 #[test]
 fn a_stop_is_released_by_a_second_of_neutral_and_key_1() {
-    let mut rig = Rig::new(Place::Keyboard, Place::Keyboard);
+    let mut rig = Rig::new(HandInput::Keyboard, HandInput::Keyboard);
     rig.live.stop_key(rig.now_ms);
     rig.run(500);
     rig.press(HandKey::Gesture(1));
@@ -144,7 +144,7 @@ fn a_stop_is_released_by_a_second_of_neutral_and_key_1() {
 fn a_robot_on_a_graph_is_driven_by_the_same_engine_and_without_angles_nothing_starts() {
     let ros = RosRobot::new(&Ros2Config::default(), paper_limits(), BaseConfig::default());
     let door = host_bridge::arm::Director::new(ros, Motions::paper());
-    let mut live = moving::live_before(door, &Config::default(), Place::Keyboard, Place::Keyboard, 0);
+    let mut live = moving::live_before(door, &Config::default(), HandInput::Keyboard, HandInput::Keyboard, 0);
     let mut events = Vec::new();
     let mut now_ms = 0;
     let mut run = |live: &mut Engine<'static, _>, ms: u64| {
@@ -171,7 +171,7 @@ fn a_robot_on_a_graph_is_driven_by_the_same_engine_and_without_angles_nothing_st
 
 #[test]
 fn a_new_board_is_told_its_thresholds_until_it_has_heard() {
-    let mut live = moving::live(&Config::default(), Place::Board, Place::Nobody);
+    let mut live = moving::live(&Config::default(), HandInput::Board, HandInput::Nobody);
     live.advance(1, [false; 2]);
     assert!(live.take_outgoing(Hand::Left).is_empty(), "nothing is sent into a bootloader");
     live.advance(2, [true; 2]);
@@ -229,7 +229,7 @@ fn send_hello(wire: &mut Vec<u8>) {
 fn felt(wired: bool, minor: u8, ready: bool) -> Vec<Signal> {
     let mut config = Config::default();
     config.vibration.wired = wired;
-    let mut live = moving::live(&config, Place::Nobody, Place::Board);
+    let mut live = moving::live(&config, HandInput::Nobody, HandInput::Board);
     let hello = BoardMessage::Hello(Hello {
         major: 1,
         minor,

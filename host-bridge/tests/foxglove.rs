@@ -6,7 +6,7 @@ use std::io::{ErrorKind, Read as _, Write as _};
 use std::net::TcpStream;
 use std::time::{Duration, Instant};
 
-use host_bridge::config::{Config, Place};
+use host_bridge::config::{Config, HandInput};
 use host_bridge::engine::Engine;
 use host_bridge::foxglove::{Foxglove, FoxgloveOptions};
 use host_bridge::keyboard::HandKey;
@@ -98,7 +98,7 @@ fn arrived(socket: &mut WebSocket<TcpStream>) -> Vec<Data> {
 }
 
 fn session(foxglove: &Foxglove) -> Live {
-    let mut live = live_engine(&Config::default(), Place::Keyboard, Place::Keyboard);
+    let mut live = live_engine(&Config::default(), HandInput::Keyboard, HandInput::Keyboard);
     live.tap_mut().add(Box::new(foxglove.teller()));
     for now_ms in 1..500 {
         live.advance(now_ms, [true; 2]);

@@ -51,7 +51,7 @@ mod session {
     use std::io::Cursor;
     use std::sync::{Arc, Mutex};
 
-    use host_bridge::config::{Config, Place};
+    use host_bridge::config::{Config, HandInput};
     use host_bridge::export::{Cut, Streams, episodes, frames};
     use host_bridge::journal::sink::Storage;
     use host_bridge::journal::{Disk, Setup, WhenFull, replay};
@@ -95,7 +95,8 @@ mod session {
             WhenFull::Wait,
         )
         .unwrap();
-        let mut live = moving::live_before(moving::bare(), &config, Place::Keyboard, Place::Keyboard, 0);
+        let mut live =
+            moving::live_before(moving::bare(), &config, HandInput::Keyboard, HandInput::Keyboard, 0);
         for now_ms in (2..600).step_by(2) {
             live.advance(now_ms, [true; 2]);
         }

@@ -9,7 +9,7 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use host_bridge::bridge::EventKind;
-use host_bridge::config::{Config, Place};
+use host_bridge::config::{Config, HandInput};
 use host_bridge::demo::Demo;
 use host_bridge::describe;
 use host_bridge::engine::Engine;
@@ -182,7 +182,8 @@ fn live_session(memory: &Memory, when_full: WhenFull, until_ms: u64) -> (Live, D
         Disk::with_storage(memory.clone(), Path::new("a.mcap"), setup.to_metadata(), ORIGIN, when_full)
             .unwrap();
     let mut now_ms = 77;
-    let mut live = moving::live_before(moving::bare(), &config, Place::Keyboard, Place::Keyboard, now_ms);
+    let mut live =
+        moving::live_before(moving::bare(), &config, HandInput::Keyboard, HandInput::Keyboard, now_ms);
     live.tap_mut().add(Box::new(recorder));
     let mut turn = 0_u64;
     while now_ms < until_ms {
@@ -236,7 +237,7 @@ fn marks_by_gesture_key_and_page_are_in_the_file_and_make_its_episodes() {
     let start =
         Disk::with_storage(memory.clone(), Path::new("a.mcap"), setup.to_metadata(), ORIGIN, WhenFull::Wait);
     let (disk, recorder) = start.unwrap();
-    let live = moving::live_before(moving::bare(), &config, Place::Keyboard, Place::Keyboard, 80);
+    let live = moving::live_before(moving::bare(), &config, HandInput::Keyboard, HandInput::Keyboard, 80);
     let mut live = live.with_marks(config.marks.clone());
     live.tap_mut().add(Box::new(recorder));
     let mut said = Vec::new();
@@ -367,7 +368,7 @@ fn a_disk_that_stands_still_never_delays_a_live_session_and_the_gap_is_known() {
     );
     let (disk, recorder) = start.unwrap();
     *memory.gate.lock().unwrap() = Some(gate);
-    let mut live = live_engine(&Config::default(), Place::Keyboard, Place::Nobody);
+    let mut live = live_engine(&Config::default(), HandInput::Keyboard, HandInput::Nobody);
     live.tap_mut().add(Box::new(recorder));
     // Were a single write waited for, this would never end.
     let started = Instant::now();

@@ -11,7 +11,7 @@ use host_bridge::arm::gen3::paper_limits;
 use host_bridge::base::{BaseConfig, Twist};
 use host_bridge::bridge::GestureOutcome::{EndedArm, NotArmed, Refused, Released, Started};
 use host_bridge::bridge::{Bridge, EventKind};
-use host_bridge::config::{Config, Place};
+use host_bridge::config::{Config, HandInput};
 use host_bridge::describe;
 use host_bridge::intent::MotionMap;
 use host_bridge::keyboard::HandKey;
@@ -249,7 +249,7 @@ fn every_surface_says_what_refuses_and_when_it_does_not_any_more() {
     let refusal = Arc::new(Mutex::new(None));
     let graph = Moody { limits: paper_limits(), base: BaseConfig::default(), refusal: Arc::clone(&refusal) };
     let robot = stage.before(Echoed { simulator: stage.simulator(&config), graph });
-    let mut live = support::moving::live_before(robot, &config, Place::Keyboard, Place::Nobody, 0);
+    let mut live = support::moving::live_before(robot, &config, HandInput::Keyboard, HandInput::Nobody, 0);
     let surfaces = Surfaces::default();
     live.tap_mut().add(Box::new(surfaces.clone()));
     live.tap_mut().add(Box::new(Teller::new(Origin { nanoseconds: 0 }, surfaces.clone())));

@@ -6,7 +6,7 @@ use host_bridge::arm::gen3::{HOME, JOINT_NAMES};
 use host_bridge::arm::model::SerialArm;
 use host_bridge::base::{Odometry, Twist};
 use host_bridge::bridge::EventKind;
-use host_bridge::config::{Config, Place};
+use host_bridge::config::{Config, HandInput};
 use host_bridge::engine::Engine;
 use host_bridge::keyboard::HandKey;
 use host_bridge::observe::{SessionEvent, Snapshot};
@@ -41,7 +41,7 @@ impl Site {
         // Whole goals, so that the test sees whole plans.
         let whole = Ros2Config { arm: ArmInterface::Action, ..Ros2Config::default() };
         let robot = RosRobot::new(&whole, stage.limits, config.base);
-        let live = live_before(stage.before(robot), &config, Place::Keyboard, Place::Keyboard, 0);
+        let live = live_before(stage.before(robot), &config, HandInput::Keyboard, HandInput::Keyboard, 0);
         let mut site = Site {
             live,
             now_ms: 0,
@@ -179,7 +179,7 @@ fn without_odometry_a_scene_holds_the_base_and_says_so() {
     let planner = Planner::new(SerialArm::gen3(), Scene::parse("").unwrap()).unwrap();
     let stage = Stage::new(&config, Some(planner)).unwrap();
     let robot = RosRobot::new(&Ros2Config::default(), stage.limits, config.base);
-    let mut live = live_before(stage.before(robot), &config, Place::Keyboard, Place::Keyboard, 0);
+    let mut live = live_before(stage.before(robot), &config, HandInput::Keyboard, HandInput::Keyboard, 0);
     let mut held = Vec::new();
     for now_ms in 1..2000 {
         if now_ms > 1000 {

@@ -4,7 +4,7 @@ use std::io::{Read as _, Write as _};
 use std::net::{SocketAddr, TcpStream};
 use std::time::{Duration, Instant};
 
-use host_bridge::config::{Config, Place};
+use host_bridge::config::{Config, HandInput};
 use host_bridge::engine::Engine;
 use host_bridge::episodes::Mark;
 use host_bridge::safety::State;
@@ -71,7 +71,7 @@ fn message(socket: &mut WebSocket<TcpStream>) -> Value {
 /// A session with keys for both hands, and its page.
 fn session() -> (Web, Live) {
     let web = Web::start(&any_port()).unwrap();
-    let mut live = live_engine(&Config::default(), Place::Keyboard, Place::Keyboard);
+    let mut live = live_engine(&Config::default(), HandInput::Keyboard, HandInput::Keyboard);
     live.tap_mut().add(Box::new(web.watcher("a test\nsecond line")));
     for now_ms in 1..499 {
         live.advance(now_ms, [true; 2]);
@@ -91,7 +91,7 @@ fn publish_step(live: &mut Live, now_ms: u64) {
 fn a_page_marks_episodes_where_the_session_takes_marks() {
     for takes in [true, false] {
         let web = Web::start_with(&any_port(), takes).unwrap();
-        let mut live = live_engine(&Config::default(), Place::Keyboard, Place::Keyboard);
+        let mut live = live_engine(&Config::default(), HandInput::Keyboard, HandInput::Keyboard);
         live.tap_mut().add(Box::new(web.watcher("a test")));
         publish_step(&mut live, 1);
         let mut page = open(&web, Some(&own_origin(&web)), "").unwrap();

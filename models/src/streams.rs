@@ -30,9 +30,9 @@ pub enum RandomStream {
     Adapting,
     /// Which recordings of a person held out are shown.
     Shown,
-    /// The order of recordings in a stream, and the rest between them.
+    /// The order in which recordings are joined, and the rest between them.
     Order,
-    /// What the simulated wearer of this number does in a stream without a gesture.
+    /// What the simulated wearer of this number does where no gesture is made.
     Aimless(u32),
 }
 

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use models::dataset::{Dataset, Item};
-use models::evaluate::events::{Stream, Tally, play};
+use models::evaluate::events::{AnnotatedRecording, Tally, play};
 use models::evaluate::score::{Classifier, score, scored};
 use models::synth::{Group, Take, Wearer, session, takes};
 use models::{blob, bundled, labels};
@@ -133,8 +133,9 @@ fn real_circles_are_circles_and_three_that_are_shown_make_it_sure() {
                     && ["circle", "other"].contains(&&*item.label)
                     && shown.iter().all(|shown| shown.name != item.name)
             };
-            let stream = Stream::joined(&real.items.iter().filter(is_theirs).collect::<Vec<_>>(), 9, 1);
-            tally.count(&stream, &play(model, &stream).unwrap(), &card.labels);
+            let joined =
+                AnnotatedRecording::joined(&real.items.iter().filter(is_theirs).collect::<Vec<_>>(), 9, 1);
+            tally.count(&joined, &play(model, &joined).unwrap(), &card.labels);
         }
         println!(
             "{what}: {} of {} circles make one right event, {:.1} %; {} events in {} recordings of other movement",

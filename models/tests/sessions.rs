@@ -3,7 +3,7 @@
 
 use std::path::PathBuf;
 
-use models::evaluate::events::{self, Stream};
+use models::evaluate::events::{self, AnnotatedRecording};
 use models::synth::{IdleKind, Motion, Segment, Wearer, session};
 use shared_dsp::right::network::Model;
 
@@ -31,8 +31,8 @@ fn play(model: Model<'_>, wearer: &Wearer, take: u64, tally: &mut Tally) {
     }
     let recording = session(wearer, take, &script);
     let values = recording.samples().flatten().copied().collect();
-    let stream = Stream { axes: recording.axes(), values, parts: Vec::new() };
-    let events = events::play(model, &stream).expect("9 axes");
+    let joined = AnnotatedRecording { axes: recording.axes(), values, annotations: Vec::new() };
+    let events = events::play(model, &joined).expect("9 axes");
     let events: Vec<_> = events.into_iter().map(|(n, label)| (n as f64 / 100.0, label)).collect();
     let labels: Vec<&str> = model.info().labels().collect();
     let mut during = 0;
@@ -112,7 +112,7 @@ fn wearers_whom_nobody_told_how_to_move_get_one_for_most() {
 fn two_hours_of_movement_without_a_gesture_make_few_events() {
     let blob = bundled();
     let model = Model::parse(&blob).unwrap();
-    let count = |index| events::play(model, &Stream::aimless(5, index, 600.0)).unwrap().len();
+    let count = |index| events::play(model, &AnnotatedRecording::aimless(5, index, 600.0)).unwrap().len();
     let events: usize = (1..=12).map(count).sum();
     println!("{events} events in two hours without a gesture");
     // Simulated wearers handle things all the time; real daily movement makes none (`models daily events`). Twice as many as

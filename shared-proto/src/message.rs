@@ -198,7 +198,7 @@ pub struct RawImu<'a> {
     pub counts: Bytes<'a, RAW_COUNTS_MAX>,
 }
 
-/// One sample of a left hand's five lines, as its board judges it.
+/// One sample of a left hand's five channels, as its board judges it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, MaxSize)]
 pub struct RawAdc {
     /// Board clock at the sample, wrapping after 49 days: a jump tells of samples that are missing.
@@ -245,7 +245,7 @@ pub struct Fault {
     pub uptime_ms: u32,
     /// What.
     pub kind: FaultKind,
-    /// Depends on the kind: a register value, an address, a line.
+    /// Depends on the kind: a register value, an address, a channel.
     pub detail: u32,
 }
 

@@ -1,8 +1,8 @@
 //! Bits of a hand's health flags. Any bit set means: do not act on this hand.
 
-/// The accelerometer (or the IMU) does not answer, or a line of it is open or shorted.
+/// The accelerometer (or the IMU) does not answer, or a channel of it is open or shorted.
 pub const SENSOR: u8 = 1 << 0;
-/// A flex line is open, shorted or hums.
+/// A flex channel is open, shorted or hums.
 pub const FLEX: u8 = 1 << 1;
 /// Gravity has had an impossible magnitude for 200 ms.
 pub const GRAVITY: u8 = 1 << 2;

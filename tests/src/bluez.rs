@@ -52,7 +52,7 @@ enum Value {
     Flag(bool),
     Small(i16),
     Size(u16),
-    Place(&'static str),
+    ObjectPath(&'static str),
     Bytes(Vec<u8>),
 }
 
@@ -64,7 +64,7 @@ impl Value {
             Value::Flag(flag) => Box::new(flag),
             Value::Small(number) => Box::new(number),
             Value::Size(number) => Box::new(number),
-            Value::Place(path) => Box::new(dbus::Path::from(path)),
+            Value::ObjectPath(path) => Box::new(dbus::Path::from(path)),
             Value::Bytes(bytes) => Box::new(bytes),
         };
         Variant(value)
@@ -286,7 +286,7 @@ impl Service {
                 ("AddressType", Value::Text("random")),
                 ("Name", Value::Text("bimanual-right")),
                 ("Alias", Value::Text("bimanual-right")),
-                ("Adapter", Value::Place(HCI)),
+                ("Adapter", Value::ObjectPath(HCI)),
                 ("UUIDs", Value::Texts(vec![UUID])),
                 ("Paired", Value::Flag(self.paired)),
                 ("Trusted", Value::Flag(false)),
@@ -311,7 +311,7 @@ impl Service {
         let service = Properties::from([
             ("UUID", Value::Text(UUID)),
             ("Primary", Value::Flag(true)),
-            ("Device", Value::Place(BOARD)),
+            ("Device", Value::ObjectPath(BOARD)),
         ]);
         self.add(HAND, SERVICE, service);
         for (place, uuid, flags) in
@@ -319,7 +319,7 @@ impl Service {
         {
             let characteristic = Properties::from([
                 ("UUID", Value::Text(uuid)),
-                ("Service", Value::Place(HAND)),
+                ("Service", Value::ObjectPath(HAND)),
                 ("Flags", Value::Texts(flags)),
                 ("Notifying", Value::Flag(false)),
                 ("MTU", Value::Size(MTU)),

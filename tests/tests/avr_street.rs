@@ -7,25 +7,25 @@ use std::rc::Rc;
 use fastrand::Rng;
 use shared_proto::message::CalibrationStep;
 use tests::avr::image;
-use tests::avr::nano::{CYCLES_PER_MS, Line, Nano};
+use tests::avr::nano::{CYCLES_PER_MS, Nano, PinInput};
 use tests::avr::session::{BLANK, LeftRig};
 use tests::avr::street::Street;
 use tests::avr::wearer::{Sensors, Wearer, normal};
 use tests::is_full;
 
 /// Pins of a nominal hand that tips forward in one step at a given clock.
-fn stepping(at: Rc<RefCell<(u64, f64)>>) -> impl FnMut(u8, u64) -> Line {
+fn stepping(at: Rc<RefCell<(u64, f64)>>) -> impl FnMut(u8, u64) -> PinInput {
     let mut rng = Rng::with_seed(5);
-    move |line, cycle| {
+    move |pin, cycle| {
         let (step, angle) = *at.borrow();
         let angle = if cycle >= step { angle } else { 0.0 };
-        let g = match line {
+        let g = match pin {
             0 => angle.sin(),
             1 => 0.0,
             2 => angle.cos(),
-            _ => return Line::Millivolts(3300.0 * 22.0 / 32.0 + 1.6 * normal(&mut rng)),
+            _ => return PinInput::Millivolts(3300.0 * 22.0 / 32.0 + 1.6 * normal(&mut rng)),
         };
-        Line::Millivolts(1650.0 + 330.0 * g + 1.8 * normal(&mut rng))
+        PinInput::Millivolts(1650.0 + 330.0 * g + 1.8 * normal(&mut rng))
     }
 }
 

@@ -23,7 +23,7 @@ pub struct Args {
     /// A session that `--record` has written: the same again, compared with what is in the file
     #[arg(value_name = "FILE.mcap", conflicts_with_all = ["right", "left", "record", "scene", "map", "jerk_limited"])]
     session: Option<PathBuf>,
-    /// Recordings of the right hand (timestamp_ms,accX,…); several are joined into one stream
+    /// Recordings of the right hand (timestamp_ms,accX,…); several are joined into one
     #[arg(long, value_name = "IMU.csv", num_args = 1.., required_unless_present_any = ["left", "session"])]
     right: Vec<PathBuf>,
     /// Recording of the left hand (timestamp_ms,x,y,z,index,middle: counts of 8 to 12 bits at 50 to 500 Hz)

@@ -6,7 +6,7 @@ use std::process::ExitCode;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use anyhow::{Context as _, Result, bail, ensure};
-use host_bridge::config::{Config, KEYBOARD, Place};
+use host_bridge::config::{Config, HandInput, KEYBOARD};
 use host_bridge::control::{Control, Flags, Work};
 use host_bridge::ending::Ending;
 use host_bridge::engine::Engine;
@@ -161,8 +161,8 @@ pub fn steer(args: &HandArgs, keep: &KeepArgs) -> Result<ExitCode> {
     }
     let is_terminal = std::io::stdout().is_terminal() && std::io::stdin().is_terminal();
     let wants_view = is_terminal && !args.headless && !args.json;
-    let places = config.places();
-    let by_keyboard = places.iter().any(|(_, place)| *place == Place::Keyboard);
+    let inputs = config.inputs();
+    let by_keyboard = inputs.iter().any(|(_, input)| *input == HandInput::Keyboard);
     ensure!(
         wants_view || !by_keyboard,
         "a keyboard hand needs the live view: start it in a terminal, without --headless and --json"
@@ -186,7 +186,7 @@ pub fn steer(args: &HandArgs, keep: &KeepArgs) -> Result<ExitCode> {
     let starting = clock.waiter();
     let (sender, events) = queue();
     let open = |hand: Hand, port: &str| {
-        (places[hand] == Place::Board)
+        (inputs[hand] == HandInput::Board)
             .then(|| BoardLink::start(hand, port, settings(&config), Arc::clone(&clock), sender.clone()))
     };
     let links = PerHand { left: open(Hand::Left, &left), right: open(Hand::Right, &right) };
@@ -207,14 +207,14 @@ pub fn steer(args: &HandArgs, keep: &KeepArgs) -> Result<ExitCode> {
     if let Some(restriction) = config.restriction() {
         title += &format!("\n{}", restriction.text);
     }
-    let source = |place: Place, keys: &dyn Fn() -> Source<'static>| match place {
-        Place::Nobody => Source::Nobody,
-        Place::Board => Source::link(),
-        Place::Keyboard => keys(),
+    let source = |input: HandInput, keys: &dyn Fn() -> Source<'static>| match input {
+        HandInput::Nobody => Source::Nobody,
+        HandInput::Board => Source::link(),
+        HandInput::Keyboard => keys(),
     };
     let sources = [
-        source(places.left, &|| Source::here(KeyLeft::new(config.keyboard))),
-        source(places.right, &|| Source::here(KeyRight::new())),
+        source(inputs.left, &|| Source::here(KeyLeft::new(config.keyboard))),
+        source(inputs.right, &|| Source::here(KeyRight::new())),
     ];
     let (counts, output, robot) = robot(&stage, &config, graph, args.publish_sim, clock.now_ms());
     let robot_elsewhere = counts.is_some() && !args.publish_sim;

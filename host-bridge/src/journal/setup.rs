@@ -13,7 +13,7 @@ use host_core::bridge::Bridge;
 use host_core::intent::MotionMap;
 use host_sim::Simulator;
 
-use crate::config::{Config, Place};
+use crate::config::{Config, HandInput};
 use crate::robots::Stage;
 
 /// See the module.
@@ -132,8 +132,8 @@ impl Setup {
     /// As [`Setup::motion_map`].
     pub fn bridge(&self) -> Result<Bridge, SetupError> {
         let bridge = self.config.bridge(self.motion_map()?);
-        let places = self.config.places();
-        let boards = places.iter().filter(|(_, place)| **place == Place::Board);
+        let inputs = self.config.inputs();
+        let boards = inputs.iter().filter(|(_, input)| **input == HandInput::Board);
         Ok(boards.fold(bridge, |bridge, (hand, _)| bridge.awaiting(hand)))
     }
 

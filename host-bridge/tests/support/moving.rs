@@ -4,7 +4,7 @@
 use host_bridge::arm::{Director, Motions};
 use host_bridge::base::Odometry;
 use host_bridge::bridge::Bridge;
-use host_bridge::config::{Config, Place};
+use host_bridge::config::{Config, HandInput};
 use host_bridge::engine::Engine;
 use host_bridge::keyboard::{KeyLeft, KeyRight};
 use host_bridge::plan::Planner;
@@ -65,7 +65,7 @@ impl Virtual for Robot {
 }
 
 /// An engine as `run` makes it, with the simulator and these hands.
-pub fn live(config: &Config, left: Place, right: Place) -> Engine<'static, Robot> {
+pub fn live(config: &Config, left: HandInput, right: HandInput) -> Engine<'static, Robot> {
     live_before(bare(), config, left, right, 0)
 }
 
@@ -73,14 +73,14 @@ pub fn live(config: &Config, left: Place, right: Place) -> Engine<'static, Robot
 pub fn live_before<D: Door>(
     door: D,
     config: &Config,
-    left: Place,
-    right: Place,
+    left: HandInput,
+    right: HandInput,
     now_ms: u64,
 ) -> Engine<'static, D> {
-    let source = |place, keys: Source<'static>| match place {
-        Place::Nobody => Source::Nobody,
-        Place::Board => Source::link(),
-        Place::Keyboard => keys,
+    let source = |input, keys: Source<'static>| match input {
+        HandInput::Nobody => Source::Nobody,
+        HandInput::Board => Source::link(),
+        HandInput::Keyboard => keys,
     };
     let sources = [
         source(left, Source::here(KeyLeft::new(config.keyboard))),

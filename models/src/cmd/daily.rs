@@ -6,7 +6,7 @@ use std::time::Instant;
 use clap::{Args, Subcommand};
 use models::daily::{Daily, vectors};
 use models::dataset::{Dataset, Item};
-use models::evaluate::events::{Heard, Stream, Tally, decide, listen};
+use models::evaluate::events::{AnnotatedRecording, Heard, Tally, decide, listen};
 use models::train::{Aligned, Job, Trained, adapt, examples_of, train};
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
@@ -224,7 +224,7 @@ impl Events {
             let mut tallies = vec![Tally::default(); settings.len()];
             for person in &judges {
                 let items: Vec<&Item> = daily.items.iter().filter(|item| item.person == *person).collect();
-                tally(model, &Stream::joined(&items, axes, seed), &settings, &mut tallies)?;
+                tally(model, &AnnotatedRecording::joined(&items, axes, seed), &settings, &mut tallies)?;
             }
             Ok(tallies)
         };
@@ -237,10 +237,15 @@ impl Events {
             for person in gestures.people() {
                 let theirs = gestures.filtered(|item| item.person == person);
                 let (examples, rest) = three_of_each(&theirs, &model, seed);
-                tally(&model, &Stream::joined(&rest, axes, seed), &settings, &mut before.gestures)?;
+                tally(
+                    &model,
+                    &AnnotatedRecording::joined(&rest, axes, seed),
+                    &settings,
+                    &mut before.gestures,
+                )?;
                 if let Some(memory) = model.memory.as_ref().filter(|_| !examples.is_empty()) {
                     let adapted = adapt(&model, memory, &examples, &person, &taught, seed)?;
-                    tally(&adapted, &Stream::joined(&rest, axes, seed), &settings, &mut shown)?;
+                    tally(&adapted, &AnnotatedRecording::joined(&rest, axes, seed), &settings, &mut shown)?;
                     after.add(&Outcome { daily: judge(&adapted)?, gestures: Vec::new() });
                 }
             }
@@ -252,14 +257,14 @@ impl Events {
 
 fn tally(
     model: &Trained,
-    stream: &Stream,
+    recording: &AnnotatedRecording,
     settings: &[MovementConfig],
     tallies: &mut [Tally],
 ) -> anyhow::Result<()> {
     let blob = model.blob()?;
-    let heard: Vec<Heard> = listen(Model::parse(&blob)?, stream)?;
+    let heard: Vec<Heard> = listen(Model::parse(&blob)?, recording)?;
     for (config, tally) in settings.iter().zip(tallies) {
-        tally.count(stream, &decide(&heard, &model.card.labels, *config), &model.card.labels);
+        tally.count(recording, &decide(&heard, &model.card.labels, *config), &model.card.labels);
     }
     Ok(())
 }

@@ -1,4 +1,4 @@
-//! `models events`: streams of people held out through the right hand as a board runs it.
+//! `models events`: the recordings of people held out, joined into one each, through the right hand as a board runs it.
 
 use std::time::Instant;
 
@@ -11,7 +11,7 @@ use models::evaluate::study::Events;
 use super::RecipeName;
 use super::people::Set;
 
-/// Hold out each person in turn, play their recordings as a stream and count the gesture events
+/// Hold out each person in turn, play their recordings one after the other and count the gesture events
 #[derive(Args)]
 pub struct Cmd {
     /// Folders with <label>/<person>__<n>.csv; FOLDER:LABEL,LABEL,... tries only these labels

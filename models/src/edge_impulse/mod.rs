@@ -49,7 +49,7 @@ pub enum ImportError {
     Recording(#[from] RecordingError),
     /// A part is missing, or is not what it should be.
     #[error("{file}, {place}: {what}")]
-    Place {
+    Content {
         /// The file.
         file: PathBuf,
         /// The place in the object, such as `payload.values[3][0]`.
@@ -65,7 +65,7 @@ struct Reader<'a> {
 
 impl Reader<'_> {
     fn wrong<T>(&self, place: &str, what: impl Into<String>) -> Result<T, ImportError> {
-        Err(ImportError::Place { file: self.file.to_owned(), place: place.to_owned(), what: what.into() })
+        Err(ImportError::Content { file: self.file.to_owned(), place: place.to_owned(), what: what.into() })
     }
 
     /// The member of an object; `path` names the object.

@@ -1,4 +1,4 @@
-//! From recordings to events: recordings of one person joined into a stream, played through the right hand as a board
+//! From recordings to events: recordings of one person joined into one, played through the right hand as a board
 //! runs it, and what came of each performed gesture.
 //!
 //! Between two recordings the hand rests: it holds the posture in which the last one ended, turns smoothly into the one
@@ -30,9 +30,9 @@ const AFTER_S: std::ops::Range<f64> = 0.7..1.3;
 /// Until then after its end an event still belongs to a recording: a decision may wait for the hand to rest.
 const TAIL_S: f64 = 0.9;
 
-/// A recording in a stream: samples from `start` to before `end`.
+/// A recording among those that were joined: samples from `start` to before `end`.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Part {
+pub struct Annotation {
     /// First sample.
     pub start: usize,
     /// Behind the last sample.
@@ -45,35 +45,35 @@ pub struct Part {
 
 /// Recordings of one person, one after the other.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Stream {
+pub struct AnnotatedRecording {
     /// Values per sample: 3, 6 or 9.
     pub axes: usize,
     /// Samples at the models' rate, one after the other.
     pub values: Vec<f32>,
     /// Where the recordings stand, in order.
-    pub parts: Vec<Part>,
+    pub annotations: Vec<Annotation>,
 }
 
-impl Stream {
+impl AnnotatedRecording {
     /// Joins recordings, in an order that follows from the seed.
     pub fn joined(items: &[&Item], axes: usize, seed: u64) -> Self {
         use rand::seq::SliceRandom;
         let mut rng = RandomStream::Order.of(seed);
         let mut order: Vec<&Item> = items.to_vec();
         order.shuffle(&mut rng);
-        let mut stream = Self { axes, ..Self::default() };
+        let mut joined = Self { axes, ..Self::default() };
         for item in order {
             let recording = item.recording.with_axes(axes).resampled();
             let rows: Vec<&[f32]> = recording.samples().collect();
-            stream.rest_until(&posture(&rows[..rows.len().min(POSTURE)]), &mut rng);
-            let start = stream.len();
-            stream.values.extend(rows.iter().copied().flatten());
-            let (end, label) = (stream.len(), item.label.clone());
-            stream.parts.push(Part { start, end, label, name: item.name.clone() });
+            joined.rest_until(&posture(&rows[..rows.len().min(POSTURE)]), &mut rng);
+            let start = joined.len();
+            joined.values.extend(rows.iter().copied().flatten());
+            let (end, label) = (joined.len(), item.label.clone());
+            joined.annotations.push(Annotation { start, end, label, name: item.name.clone() });
         }
-        let last = stream.end_posture();
-        stream.rest_until(&last, &mut rng);
-        stream
+        let last = joined.end_posture();
+        joined.rest_until(&last, &mut rng);
+        joined
     }
 
     /// A simulated wearer, never one of those that models learn from, who does many things but no gesture.
@@ -92,8 +92,8 @@ impl Stream {
         let recording = session(&wearer, 1, &script);
         let values: Vec<f32> = recording.samples().flatten().copied().collect();
         let end = recording.len();
-        let part = Part { start: 0, end, label: "idle".to_owned(), name: wearer.name };
-        Self { axes: recording.axes(), values, parts: vec![part] }
+        let annotation = Annotation { start: 0, end, label: "idle".to_owned(), name: wearer.name };
+        Self { axes: recording.axes(), values, annotations: vec![annotation] }
     }
 
     /// The same with the first axes only.
@@ -169,7 +169,7 @@ fn turn_rate_deg(from: &[f64], to: &[f64]) -> [f64; 3] {
     axis.map(|x| if sine > 1e-9 { x / sine * angle } else { 0.0 })
 }
 
-/// What came of streams.
+/// What came of annotated recordings.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Tally {
     /// Gestures performed.
@@ -234,49 +234,54 @@ impl Tally {
         3600.0 * self.rest_events as f64 / self.rest_s.max(1e-9)
     }
 
-    /// Counts what events (sample, label) came in a stream. A gesture that the model does not know is left out.
-    pub fn count(&mut self, stream: &Stream, events: &[(usize, usize)], labels: &[String]) {
+    /// Counts what events (sample, label) came in a recording. A gesture that the model does not know is left out.
+    pub fn count(&mut self, recording: &AnnotatedRecording, events: &[(usize, usize)], labels: &[String]) {
         let tail = (TAIL_S * RATE_HZ) as usize;
         let mut counted = 0;
-        for (index, part) in stream.parts.iter().enumerate() {
+        for (index, annotation) in recording.annotations.iter().enumerate() {
             // At most until the next recording begins.
-            let next = stream.parts.get(index + 1).map_or(usize::MAX, |next| next.start);
-            let until = (part.end + tail).min(next);
-            let mine: Vec<_> = events.iter().filter(|(at, _)| (part.start..until).contains(at)).collect();
+            let next = recording.annotations.get(index + 1).map_or(usize::MAX, |next| next.start);
+            let until = (annotation.end + tail).min(next);
+            let mine: Vec<_> =
+                events.iter().filter(|(at, _)| (annotation.start..until).contains(at)).collect();
             counted += mine.len();
             let got = || mine.iter().map(|(_, label)| labels[*label].as_str()).collect::<Vec<_>>().join(", ");
-            if is_rest(&part.label) {
+            if is_rest(&annotation.label) {
                 self.rests += 1;
                 self.rest_events += mine.len();
-                self.rest_s += (part.end - part.start) as f64 / RATE_HZ;
+                self.rest_s += (annotation.end - annotation.start) as f64 / RATE_HZ;
                 if !mine.is_empty() {
-                    self.errors.push(format!("{}: {}", part.name, got()));
+                    self.errors.push(format!("{}: {}", annotation.name, got()));
                 }
                 continue;
             }
-            let Some(truth) = labels.iter().position(|label| *label == part.label) else { continue };
+            let Some(truth) = labels.iter().position(|label| *label == annotation.label) else { continue };
             self.performed += 1;
             match mine.as_slice() {
                 [(at, label)] if *label == truth => {
                     self.right += 1;
-                    self.delays_s.push((at - part.start) as f64 / RATE_HZ);
+                    self.delays_s.push((at - annotation.start) as f64 / RATE_HZ);
                     continue;
                 }
                 [] => self.missed += 1,
                 [_] => self.wrong += 1,
                 _ => self.several += 1,
             }
-            self.errors.push(format!("{}: {}", part.name, if mine.is_empty() { "-".into() } else { got() }));
+            self.errors.push(format!(
+                "{}: {}",
+                annotation.name,
+                if mine.is_empty() { "-".into() } else { got() }
+            ));
         }
         self.stray_events += events.len() - counted;
     }
 }
 
-/// Events of a stream, (sample, label), as a board makes them.
+/// Events of a recording, (sample, label), as a board makes them.
 ///
 /// # Errors
 /// If the model is for other samples.
-pub fn play(model: Model<'_>, stream: &Stream) -> Result<Vec<(usize, usize)>, ModelMismatch> {
+pub fn play(model: Model<'_>, recording: &AnnotatedRecording) -> Result<Vec<(usize, usize)>, ModelMismatch> {
     fn run<const A: usize>(model: Model<'_>, values: &[f32]) -> Result<Vec<(usize, usize)>, ModelMismatch> {
         let mut hand = RightHand::<A>::new(model, DecisionConfig::default())?;
         let mut events = Vec::new();
@@ -289,10 +294,10 @@ pub fn play(model: Model<'_>, stream: &Stream) -> Result<Vec<(usize, usize)>, Mo
         }
         Ok(events)
     }
-    match stream.axes {
-        3 => run::<3>(model, &stream.values),
-        6 => run::<6>(model, &stream.values),
-        _ => run::<9>(model, &stream.values),
+    match recording.axes {
+        3 => run::<3>(model, &recording.values),
+        6 => run::<6>(model, &recording.values),
+        _ => run::<9>(model, &recording.values),
     }
 }
 
@@ -306,11 +311,11 @@ pub struct Heard {
     movement: Movement,
 }
 
-/// Everything that a model of recipe `aligned` says of a stream, so that several decisions can be tried on it.
+/// Everything that a model of recipe `aligned` says of a recording, so that several decisions can be tried on it.
 ///
 /// # Errors
 /// If the model is for other samples.
-pub fn listen(model: Model<'_>, stream: &Stream) -> Result<Vec<Heard>, ModelMismatch> {
+pub fn listen(model: Model<'_>, recording: &AnnotatedRecording) -> Result<Vec<Heard>, ModelMismatch> {
     fn run<const A: usize>(model: Model<'_>, values: &[f32]) -> Result<Vec<Heard>, ModelMismatch> {
         let info = model.info();
         if info.recipe != FeatureKind::Aligned || !info.recipe.runs_on(info.axes, A) {
@@ -338,10 +343,10 @@ pub fn listen(model: Model<'_>, stream: &Stream) -> Result<Vec<Heard>, ModelMism
         }
         Ok(all)
     }
-    match stream.axes {
-        3 => run::<3>(model, &stream.values),
-        6 => run::<6>(model, &stream.values),
-        _ => run::<9>(model, &stream.values),
+    match recording.axes {
+        3 => run::<3>(model, &recording.values),
+        6 => run::<6>(model, &recording.values),
+        _ => run::<9>(model, &recording.values),
     }
 }
 
@@ -376,16 +381,16 @@ mod tests {
     #[test]
     fn recordings_are_joined_by_rest_without_jumps() {
         let items = [item("circle", 1, [0.0, 0.0, 9.8]), item("wave", 1, [9.8, 0.0, 0.0])];
-        let stream = Stream::joined(&items.iter().collect::<Vec<_>>(), 3, 1);
-        assert_eq!(stream.parts.len(), 2);
-        let [first, second] = [&stream.parts[0], &stream.parts[1]];
+        let recording = AnnotatedRecording::joined(&items.iter().collect::<Vec<_>>(), 3, 1);
+        assert_eq!(recording.annotations.len(), 2);
+        let [first, second] = [&recording.annotations[0], &recording.annotations[1]];
         let rest_s = (second.start - first.end) as f64 / RATE_HZ;
         assert!((1.4..2.5).contains(&rest_s), "{rest_s} s");
-        let rows: Vec<&[f32]> = stream.values.chunks(3).collect();
+        let rows: Vec<&[f32]> = recording.values.chunks(3).collect();
         for pair in rows.windows(2) {
             assert!((0..3).all(|a| (pair[0][a] - pair[1][a]).abs() < 2.5), "{pair:?}");
         }
-        assert_eq!(stream, Stream::joined(&items.iter().collect::<Vec<_>>(), 3, 1));
+        assert_eq!(recording, AnnotatedRecording::joined(&items.iter().collect::<Vec<_>>(), 3, 1));
     }
 
     #[test]
@@ -397,25 +402,25 @@ mod tests {
 
     #[test]
     fn events_are_counted_for_the_recording_that_they_come_in() {
-        let part = |start: usize, end: usize, label: &str| Part {
+        let of = |start: usize, end: usize, label: &str| Annotation {
             start,
             end,
             label: label.to_owned(),
             name: label.to_owned(),
         };
-        let parts = vec![
-            part(100, 300, "circle"),
-            part(500, 700, "wave"),
-            part(900, 1100, "circle"),
-            part(1300, 1500, "wave"),
-            part(1700, 1900, "other"),
-            part(2100, 2300, "unknown"),
+        let annotations = vec![
+            of(100, 300, "circle"),
+            of(500, 700, "wave"),
+            of(900, 1100, "circle"),
+            of(1300, 1500, "wave"),
+            of(1700, 1900, "other"),
+            of(2100, 2300, "unknown"),
         ];
-        let stream = Stream { axes: 3, values: vec![0.0; 3 * 2600], parts };
+        let recording = AnnotatedRecording { axes: 3, values: vec![0.0; 3 * 2600], annotations };
         let labels = ["circle", "other", "wave"].map(String::from);
         let events = [(280, 0), (450, 2), (600, 0), (1000, 0), (1050, 2), (1990, 0), (1980, 0)];
         let mut tally = Tally::default();
-        tally.count(&stream, &events, &labels);
+        tally.count(&recording, &events, &labels);
         assert_eq!((tally.performed, tally.right), (4, 1));
         assert_eq!((tally.missed, tally.wrong, tally.several), (1, 1, 1));
         assert_eq!((tally.rests, tally.rest_events, tally.stray_events), (1, 1, 2));

@@ -1,5 +1,5 @@
-//! How well a model does: recordings it has never seen, people it has never met, streams played through the right hand,
-//! other tempos.
+//! How well a model does: recordings it has never seen, people it has never met, one recording after the other played
+//! through the right hand, other tempos.
 
 pub mod events;
 #[cfg(feature = "train")]

@@ -14,7 +14,7 @@ use shared_words::is_rest;
 
 use crate::card::Scores;
 use crate::dataset::{Dataset, DatasetError, Item};
-use crate::evaluate::events::{Stream, Tally, decide, listen, play};
+use crate::evaluate::events::{AnnotatedRecording, Tally, decide, listen, play};
 use crate::evaluate::score::{Classifier, Given, given, scored, summary};
 use crate::recording::Recording;
 use crate::streams;
@@ -143,7 +143,7 @@ impl Trial<'_> {
         Dataset::read_where(self.folder, Some(axes), |label, name| self.uses(label) && person(name))
     }
 
-    /// Recordings to learn from, and to make a stream of: those of no gesture too, whatever labels are tried.
+    /// Recordings to learn from, and to join into one: those of no gesture too, whatever labels are tried.
     fn read_with_rest(
         &self,
         axes: Option<usize>,
@@ -191,7 +191,7 @@ impl Trial<'_> {
     }
 
     /// Events of a model that has never met `person`: of all their recordings, those of no gesture too whatever labels
-    /// are tried, joined into a stream, and of simulated wearers of the `crowd` who make no gesture for `aimless_s`
+    /// are tried, joined into one, and of simulated wearers of the `crowd` who make no gesture for `aimless_s`
     /// seconds; both for each [`MovementConfig::max_rest`].
     pub fn events(
         &self,
@@ -206,27 +206,30 @@ impl Trial<'_> {
         let blob = model.blob()?;
         let network = Model::parse(&blob)?;
         let (axes, labels) = (model.card.axes, &model.card.labels);
-        let count = |stream: &Stream, tallies: &mut [Tally]| -> Result<(), TrialError> {
+        let count = |recording: &AnnotatedRecording, tallies: &mut [Tally]| -> Result<(), TrialError> {
             if model.card.features != "aligned" {
-                let events = play(network, stream)?;
-                tallies.iter_mut().for_each(|tally| tally.count(stream, &events, labels));
+                let events = play(network, recording)?;
+                tallies.iter_mut().for_each(|tally| tally.count(recording, &events, labels));
                 return Ok(());
             }
-            let heard = listen(network, stream)?;
+            let heard = listen(network, recording)?;
             for (tally, &max_rest) in tallies.iter_mut().zip(max_rest) {
                 let config = MovementConfig { max_rest, ..MovementConfig::for_axes(axes) };
-                tally.count(stream, &decide(&heard, labels, config), labels);
+                tally.count(recording, &decide(&heard, labels, config), labels);
             }
             Ok(())
         };
         let mut real = vec![Tally::default(); max_rest.len()];
-        count(&Stream::joined(&theirs.items.iter().collect::<Vec<_>>(), axes, seed), &mut real)?;
+        count(&AnnotatedRecording::joined(&theirs.items.iter().collect::<Vec<_>>(), axes, seed), &mut real)?;
         let mut simulated = vec![Tally::default(); max_rest.len()];
         // Ten minutes of each wearer.
         const EACH_S: f64 = 600.0;
         for index in 0..(aimless_s / EACH_S).ceil() as u32 {
             let left_s = aimless_s - f64::from(index) * EACH_S;
-            count(&Stream::aimless(crowd, index + 1, left_s.min(EACH_S)).with_axes(axes), &mut simulated)?;
+            count(
+                &AnnotatedRecording::aimless(crowd, index + 1, left_s.min(EACH_S)).with_axes(axes),
+                &mut simulated,
+            )?;
         }
         Ok(real.into_iter().zip(simulated).collect())
     }

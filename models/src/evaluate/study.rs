@@ -155,7 +155,7 @@ pub fn widest_gap(rows: &[Row]) -> f64 {
     rows.iter().map(|row| (row.accuracy.float - row.accuracy.int8).abs()).fold(0.0, f64::max)
 }
 
-/// What came of streams of people held out.
+/// What came of the recordings of people held out, joined into one each.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Events {
     /// The people, sorted.

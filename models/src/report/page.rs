@@ -219,7 +219,7 @@ fn doubts(page: &mut String, study: &Study) {
 }
 
 fn event_table(page: &mut String, events: &Events) {
-    page.push_str("<h2>Events</h2>\n<p>Recordings of people never met, joined into streams and played through the right hand as a board runs it.</p>\n<table>");
+    page.push_str("<h2>Events</h2>\n<p>Recordings of people never met, joined into one each and played through the right hand as a board runs it.</p>\n<table>");
     let head = [
         "person",
         "gestures",

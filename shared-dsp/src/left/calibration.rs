@@ -51,7 +51,7 @@ pub enum CaptureStep {
 pub enum CaptureError {
     /// The hand or the fingers moved.
     Moved,
-    /// The readings cannot come from that pose, or a line is open or shorted.
+    /// The readings cannot come from that pose, or a channel is open or shorted.
     Impossible,
 }
 

@@ -1,8 +1,8 @@
-//! Readings that no working left hand can give: open or shorted lines, impossible gravity, a stuck converter.
+//! Readings that no working left hand can give: open or shorted channels, impossible gravity, a stuck converter.
 //!
-//! A line at a rail is a fault at once; impossible gravity after [`GRAVITY_MS`]; a converter that repeats
+//! A channel at a rail is a fault at once; impossible gravity after [`GRAVITY_MS`]; a converter that repeats
 //! itself, or delivers nothing, after [`STUCK_MS`] and [`SILENT_MS`]. A fault ends when its cause has
-//! been gone for [`CLEAR_MS`]; but a line whose fault comes back within [`RETURN_MS`] is loose or hums, and
+//! been gone for [`CLEAR_MS`]; but a channel whose fault comes back within [`RETURN_MS`] is loose or hums, and
 //! its fault stays until somebody calibrates or restarts the board.
 
 use crate::left::tilt::Acceleration;
@@ -16,7 +16,7 @@ pub const STUCK_MS: u32 = 1000;
 pub const SILENT_MS: u32 = 100;
 /// Time without its cause after which a fault ends.
 pub const CLEAR_MS: u32 = 200;
-/// A line's fault that comes back within this time after it ended stays.
+/// A channel's fault that comes back within this time after it ended stays.
 pub const RETURN_MS: u32 = 10_000;
 /// No finger moves its reading by more than this from one sample to the next and as much back in the one
 /// after: 32 of 1024. A pin that hangs in the air hums with the mains, twice as fast as it is sampled.
@@ -41,7 +41,7 @@ pub struct FaultWatch {
     /// When the cause of each fault was last seen, for the bits in `health`.
     seen_ms: [u32; 4],
     health: u8,
-    /// When the faults of the lines ended last, where that is less than [`RETURN_MS`] ago.
+    /// When the faults of the channels ended last, where that is less than [`RETURN_MS`] ago.
     ended_ms: [Option<u32>; 2],
     /// Bits of faults that stay.
     staying: u8,
@@ -110,7 +110,7 @@ impl FaultWatch {
         self.health
     }
 
-    /// Makes a line's fault stay that was over, and has come back soon.
+    /// Makes a channel's fault stay that was over, and has come back soon.
     fn keep_what_returns(&mut self, before: u8, now_ms: u32) {
         for (bit, ended_ms) in [health::SENSOR, health::FLEX].into_iter().zip(&mut self.ended_ms) {
             let (was, is) = (before & bit != 0, self.health & bit != 0);

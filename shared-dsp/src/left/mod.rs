@@ -21,7 +21,7 @@ pub const OVERSAMPLING: u16 = 8;
 /// 1 g in units of [`AdcCounts`]: the ADXL335 gives a tenth of its supply per g, 102.4 of 1024.
 pub const ONE_G: i16 = 819;
 
-/// One sample of all five lines: each the sum of [`OVERSAMPLING`] conversions, 0 to [`AdcCounts::MAX`].
+/// One sample of all five channels: each the sum of [`OVERSAMPLING`] conversions, 0 to [`AdcCounts::MAX`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct AdcCounts {
     /// Accelerometer x, towards the wrist (A0).
@@ -173,7 +173,7 @@ impl LeftHand {
             return false;
         }
         self.capture = Some(Capture::new(step));
-        // Somebody looks after this hand: a line that came and went gets another chance.
+        // Somebody looks after this hand: a channel that came and went gets another chance.
         self.faults.forgive();
         true
     }
@@ -316,15 +316,15 @@ mod tests {
 
     #[test]
     fn a_line_at_a_rail_is_a_fault_at_once_and_needs_neutral_afterwards() {
-        for line in 0..5 {
+        for channel in 0..5 {
             for value in [0, 39, 984, 1023] {
                 let mut rig = Rig::neutral();
                 rig.run(FORWARD, 100);
                 let mut broken = FORWARD;
-                broken[line] = value;
+                broken[channel] = value;
                 let out = rig.run(broken, 10);
-                let bit = if line < 3 { health::SENSOR } else { health::FLEX };
-                assert_eq!(out.health, bit, "line {line} at {value}");
+                let bit = if channel < 3 { health::SENSOR } else { health::FLEX };
+                assert_eq!(out.health, bit, "channel {channel} at {value}");
                 assert_eq!(out.heading, Heading::Neutral);
                 assert!(out.changed);
                 assert!(!rig.run(broken, 10_000).heading.is_command());

@@ -36,7 +36,7 @@ const RAM: std::ops::Range<usize> = 0x100..0x900;
 
 /// What is wired to an analog pin at a moment.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Line {
+pub enum PinInput {
     /// A source, in millivolts.
     Millivolts(f64),
     /// Nothing: the converter keeps what it saw last.
@@ -45,13 +45,13 @@ pub enum Line {
 
 /// What the analog pins carry.
 pub trait Voltages {
-    /// The line at pin A`line` (0..=4), at `cycle` clocks since power-on.
-    fn at(&mut self, line: u8, cycle: u64) -> Line;
+    /// What is at pin A`pin` (0..=4), at `cycle` clocks since power-on.
+    fn at(&mut self, pin: u8, cycle: u64) -> PinInput;
 }
 
-impl<F: FnMut(u8, u64) -> Line> Voltages for F {
-    fn at(&mut self, line: u8, cycle: u64) -> Line {
-        self(line, cycle)
+impl<F: FnMut(u8, u64) -> PinInput> Voltages for F {
+    fn at(&mut self, pin: u8, cycle: u64) -> PinInput {
+        self(pin, cycle)
     }
 }
 

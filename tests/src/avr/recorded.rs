@@ -9,7 +9,7 @@ use shared_dsp::left::ONE_G;
 use shared_proto::message::{AckResult, CalibrationStep};
 
 use super::image;
-use super::nano::{CYCLES_PER_MS, Line, Nano, Voltages};
+use super::nano::{CYCLES_PER_MS, Nano, PinInput, Voltages};
 use super::session::{BLANK, LeftRig};
 use super::wearer::{SUPPLY_MV, normal};
 
@@ -21,7 +21,7 @@ fn millivolts(counts: f64) -> f64 {
     (counts + 0.5) / 1024.0 * SUPPLY_MV
 }
 
-/// Samples of all five lines at 100 Hz, straight lines between them; the first and the last one stay.
+/// Samples of all five channels at 100 Hz, straight lines between them; the first and the last one stay.
 pub struct Recorded {
     samples: Vec<[u16; 5]>,
     start_cycle: u64,
@@ -35,12 +35,12 @@ impl Recorded {
 }
 
 impl Voltages for Recorded {
-    fn at(&mut self, line: u8, cycle: u64) -> Line {
+    fn at(&mut self, pin: u8, cycle: u64) -> PinInput {
         let place = cycle.saturating_sub(self.start_cycle) as f64 / (10 * CYCLES_PER_MS) as f64;
         let sample =
-            |index: usize| f64::from(self.samples[index.min(self.samples.len() - 1)][usize::from(line)]);
+            |index: usize| f64::from(self.samples[index.min(self.samples.len() - 1)][usize::from(pin)]);
         let (before, after) = (sample(place as usize), sample(place as usize + 1));
-        Line::Millivolts(millivolts(before + (after - before) * place.fract()))
+        PinInput::Millivolts(millivolts(before + (after - before) * place.fract()))
     }
 }
 
@@ -60,8 +60,8 @@ pub fn calibrated(table: &CalibrationTable) -> Nano {
     let mut rng = Rng::with_seed(3);
     let pins = {
         let held = Rc::clone(&held);
-        move |line: u8, _| {
-            Line::Millivolts(millivolts(held.get()[usize::from(line)]) + 1.6 * normal(&mut rng))
+        move |pin: u8, _| {
+            PinInput::Millivolts(millivolts(held.get()[usize::from(pin)]) + 1.6 * normal(&mut rng))
         }
     };
     let mut session = LeftRig::new(&image::path(), &BLANK, Box::new(pins));

@@ -10,7 +10,7 @@ use std::rc::Rc;
 
 use fastrand::Rng;
 
-use super::nano::{CYCLES_PER_MS, Line, Voltages};
+use super::nano::{CYCLES_PER_MS, PinInput, Voltages};
 
 /// Supply of the sensors and reference of the converter.
 pub const SUPPLY_MV: f64 = 3300.0;
@@ -151,9 +151,9 @@ impl Tremor {
 /// Faults that can be built in.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Fault {
-    /// This line (0..=4 = x, y, z, index, middle) is broken off.
+    /// This channel (0..=4 = x, y, z, index, middle) is broken off.
     Open(u8),
-    /// This line touches a rail, in mV.
+    /// This channel touches a rail, in mV.
     Shorted(u8, f64),
     /// All accelerations are this many times as large.
     Gravity(f64),
@@ -247,21 +247,21 @@ impl Wearer {
 }
 
 impl Voltages for Wearer {
-    fn at(&mut self, line: u8, cycle: u64) -> Line {
+    fn at(&mut self, pin: u8, cycle: u64) -> PinInput {
         let t = cycle as f64 / CYCLES_PER_MS as f64 / 1000.0;
-        let index = line as usize;
+        let index = pin as usize;
         let fault = self.hand.borrow().fault;
         match fault {
-            Some(Fault::Open(open)) if open == line => return Line::Open,
-            Some(Fault::Shorted(shorted, mv)) if shorted == line => return Line::Millivolts(mv),
+            Some(Fault::Open(open)) if open == pin => return PinInput::Open,
+            Some(Fault::Shorted(shorted, mv)) if shorted == pin => return PinInput::Millivolts(mv),
             Some(Fault::Stuck) => {
                 if let Some(mv) = self.frozen[index] {
-                    return Line::Millivolts(mv);
+                    return PinInput::Millivolts(mv);
                 }
             }
             _ => self.frozen = [None; 5],
         }
-        let mv = if line < 3 {
+        let mv = if pin < 3 {
             self.update_filter(t, fault);
             self.filtered_mv[index] + self.sensors.noise_mv * normal(&mut self.rng)
         } else {
@@ -273,6 +273,6 @@ impl Voltages for Wearer {
         if fault == Some(Fault::Stuck) {
             self.frozen[index] = Some(mv);
         }
-        Line::Millivolts(mv)
+        PinInput::Millivolts(mv)
     }
 }

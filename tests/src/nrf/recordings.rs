@@ -1,4 +1,4 @@
-//! Recordings of `../shared/data`, joined into streams for the emulated sensor.
+//! Recordings of `../shared/data`, joined into one for the emulated sensor.
 
 use std::path::PathBuf;
 

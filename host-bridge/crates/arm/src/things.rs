@@ -138,19 +138,19 @@ impl ObjectTable {
 
 /// Where an object is.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Place {
+pub enum ObjectPose {
     /// It stands there, seen from the scene's origin.
     Stands(Pose),
     /// The gripper has it; seen from the flange.
     Held(Pose),
 }
 
-impl Place {
+impl ObjectPose {
     /// Seen from the scene's origin, with the flange there.
     pub fn pose(&self, flange: &Pose) -> Pose {
         match self {
-            Place::Stands(at) => *at,
-            Place::Held(on_flange) => flange.then(on_flange.position_m, on_flange.rotation),
+            ObjectPose::Stands(at) => *at,
+            ObjectPose::Held(on_flange) => flange.then(on_flange.position_m, on_flange.rotation),
         }
     }
 }
@@ -172,7 +172,7 @@ pub struct Things {
     /// How far the fingers are apart.
     pub opening_m: f64,
     /// One per object of the scene.
-    pub places: Vec<Place>,
+    pub poses: Vec<ObjectPose>,
     /// What may be touched now.
     pub touch: Touch,
 }
@@ -180,9 +180,9 @@ pub struct Things {
 impl Things {
     /// What the gripper has, and where, from the flange.
     pub fn held(&self) -> Option<(usize, Pose)> {
-        self.places.iter().enumerate().find_map(|(i, place)| match place {
-            Place::Held(at) => Some((i, *at)),
-            Place::Stands(_) => None,
+        self.poses.iter().enumerate().find_map(|(i, pose)| match pose {
+            ObjectPose::Held(at) => Some((i, *at)),
+            ObjectPose::Stands(_) => None,
         })
     }
 }
@@ -203,7 +203,7 @@ impl Shop<'_> {
     pub fn at_start(&self) -> Things {
         Things {
             opening_m: self.tool.hand().map_or(0.0, |hand| hand.widest_m),
-            places: self.objects.iter().map(|object| Place::Stands(object.start())).collect(),
+            poses: self.objects.iter().map(|object| ObjectPose::Stands(object.start())).collect(),
             touch: Touch::default(),
         }
     }
@@ -213,8 +213,8 @@ impl Shop<'_> {
         self.tool.hand()?;
         let point_m = flange.at(self.tool.point_m());
         let (across, along) = (flange.rotation.x_axis, flange.rotation.y_axis);
-        let fits = |(i, place): (usize, &Place)| {
-            let Place::Stands(at) = place else { return None };
+        let fits = |(i, pose): (usize, &ObjectPose)| {
+            let ObjectPose::Stands(at) = pose else { return None };
             let object = &self.objects[i];
             let own = at.rotation.transpose();
             let width_m = object.width_m(own * across);
@@ -226,7 +226,7 @@ impl Shop<'_> {
                 && off.dot(flange.rotation.z_axis).abs() <= PAD_M;
             inside.then_some((i, width_m))
         };
-        things.places.iter().enumerate().find_map(fits)
+        things.poses.iter().enumerate().find_map(fits)
     }
 
     /// What may be touched on the straight way to or from the flange's place there: the thing, and of what is held also
@@ -236,7 +236,7 @@ impl Shop<'_> {
             let object = self.between(things, flange).map(|(i, _)| i);
             return Touch { object, ..Touch::default() };
         };
-        let at_m = Place::Held(on_flange).pose(flange).position_m;
+        let at_m = ObjectPose::Held(on_flange).pose(flange).position_m;
         let carries = |i: &usize| {
             let shape = self.boxes[*i].shape();
             let top_m = shape.center_m.z + shape.half_m.z;
@@ -258,7 +258,7 @@ impl Shop<'_> {
                 things.opening_m = opening_m;
                 return None;
             };
-            let Place::Stands(at) = things.places[i] else { return None };
+            let ObjectPose::Stands(at) = things.poses[i] else { return None };
             // Closing fingers push it to their middle.
             let across = flange.rotation.x_axis;
             let off = (flange.at(self.tool.point_m()) - at.position_m).dot(across);
@@ -267,7 +267,7 @@ impl Shop<'_> {
                 position_m: inverse * (at.position_m + off * across - flange.position_m),
                 rotation: inverse * at.rotation,
             };
-            things.places[i] = Place::Held(on_flange);
+            things.poses[i] = ObjectPose::Held(on_flange);
             things.opening_m = width_m;
             return Some(format!("has {} ({:.0} mm)", self.objects[i].name, 1000.0 * width_m));
         }
@@ -280,7 +280,7 @@ impl Shop<'_> {
     /// it, for people.
     pub fn let_go_of(&self, things: &mut Things, flange: &Pose) -> Option<String> {
         let (i, on_flange) = things.held()?;
-        let at = Place::Held(on_flange).pose(flange);
+        let at = ObjectPose::Held(on_flange).pose(flange);
         let below = |shape: &UprightBox| {
             let top_m = shape.center_m.z + shape.half_m.z;
             (is_above(shape, at.position_m) && top_m <= at.position_m.z + CARRIES_M).then_some(top_m)
@@ -292,7 +292,7 @@ impl Shop<'_> {
             position_m: DVec3::new(at.position_m.x, at.position_m.y, top_m),
             rotation: DMat3::from_rotation_z(ahead.y.atan2(ahead.x)),
         };
-        things.places[i] = Place::Stands(standing);
+        things.poses[i] = ObjectPose::Stands(standing);
         let name = &self.objects[i].name;
         let fall_m = at.position_m.z - top_m;
         Some(if fall_m > CARRIES_M {
@@ -310,11 +310,11 @@ impl Shop<'_> {
 
     /// Boxes around the objects that stand, with their numbers.
     pub fn standing(&self, things: &Things) -> Vec<(usize, UprightBox)> {
-        let place = |(i, place): (usize, &Place)| match place {
-            Place::Stands(at) => Some((i, self.objects[i].standing(at))),
-            Place::Held(_) => None,
+        let standing = |(i, pose): (usize, &ObjectPose)| match pose {
+            ObjectPose::Stands(at) => Some((i, self.objects[i].standing(at))),
+            ObjectPose::Held(_) => None,
         };
-        things.places.iter().enumerate().filter_map(place).collect()
+        things.poses.iter().enumerate().filter_map(standing).collect()
     }
 }
 
@@ -373,7 +373,7 @@ mod tests {
         assert_eq!(shop.gripped(&mut things, &off_middle, 0.0), None);
         let beside = above(DVec3::new(0.2, 0.1, 0.36), &tool);
         assert_eq!(shop.gripped(&mut things, &beside, 0.085).unwrap(), "let cup fall 0.30 m onto the floor");
-        let Place::Stands(at) = things.places[0] else { panic!("{things:?}") };
+        let ObjectPose::Stands(at) = things.poses[0] else { panic!("{things:?}") };
         assert!(at.position_m.abs_diff_eq(DVec3::new(0.2, 0.1, 0.0), 1e-9), "pushed to the middle: {at:?}");
     }
 

@@ -73,7 +73,7 @@ pub struct Counts {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Base {
+enum BaseCommand {
     /// Nothing is sent.
     Silent,
     /// The speed is repeated.
@@ -90,7 +90,7 @@ pub struct RosRobot {
     now_ms: u64,
     /// The bridge has been armed once.
     allowed: bool,
-    base: Base,
+    base: BaseCommand,
     wanted: Twist,
     /// When the bridge last said so.
     wanted_ms: u64,
@@ -118,7 +118,7 @@ impl RosRobot {
             stop_ms: config.stop_ms,
             now_ms: 0,
             allowed: false,
-            base: Base::Silent,
+            base: BaseCommand::Silent,
             wanted: Twist::ZERO,
             wanted_ms: 0,
             sent_ms: None,
@@ -231,7 +231,7 @@ impl RosRobot {
 
     fn stop_base(&mut self) {
         self.wanted = Twist::ZERO;
-        self.base = Base::Stopping { since_ms: self.now_ms };
+        self.base = BaseCommand::Stopping { since_ms: self.now_ms };
         self.send_speed();
     }
 
@@ -243,13 +243,13 @@ impl RosRobot {
     }
 
     fn repeat(&mut self) {
-        if let Base::Stopping { since_ms } = self.base
+        if let BaseCommand::Stopping { since_ms } = self.base
             && self.now_ms.saturating_sub(since_ms) > self.stop_ms
         {
-            self.base = Base::Silent;
+            self.base = BaseCommand::Silent;
         }
         let due = self.sent_ms.is_none_or(|sent| self.now_ms.saturating_sub(sent) >= self.interval_ms);
-        if self.base != Base::Silent && due {
+        if self.base != BaseCommand::Silent && due {
             self.send_speed();
         }
     }
@@ -269,7 +269,7 @@ impl Robot for RosRobot {
     fn step(&mut self, now_ms: u64) {
         self.at(now_ms);
         let quiet_ms = self.now_ms.saturating_sub(self.wanted_ms);
-        if self.base == Base::Driving && quiet_ms >= QUIET_MS {
+        if self.base == BaseCommand::Driving && quiet_ms >= QUIET_MS {
             // This program stood still. What it wanted then is old.
             self.stop_base();
         }
@@ -306,13 +306,13 @@ impl Robot for RosRobot {
         }
         if twist == Twist::ZERO {
             // At rest already: whoever else drives is not disturbed.
-            if self.base == Base::Driving {
+            if self.base == BaseCommand::Driving {
                 self.stop_base();
             }
             return;
         }
-        let changed = self.base != Base::Driving || twist != self.wanted;
-        self.base = Base::Driving;
+        let changed = self.base != BaseCommand::Driving || twist != self.wanted;
+        self.base = BaseCommand::Driving;
         self.wanted = twist;
         if changed {
             self.send_speed();

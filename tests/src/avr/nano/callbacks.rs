@@ -59,15 +59,15 @@ pub(super) unsafe extern "C" fn on_conversion(irq: *mut ffi::avr_irq_t, value: u
     // struct avr_adc_mux_t { unsigned long kind : 3, gain : 8, diff : 8, src : 13; }
     let (kind, source) = (value & 7, value >> 19);
     if kind == ffi::ADC_MUX_SINGLE {
-        let line = source as u8;
-        match wires.voltages.borrow_mut().at(line, wires.cycle()) {
-            Line::Millivolts(mv) => wires.held_mv.set(mv),
-            Line::Open => {}
+        let pin = source as u8;
+        match wires.voltages.borrow_mut().at(pin, wires.cycle()) {
+            PinInput::Millivolts(mv) => wires.held_mv.set(mv),
+            PinInput::Open => {}
         }
         let mv = wires.held_mv.get().clamp(0.0, 5000.0).round() as u32;
         // Safety: the input pins precede this one in simavr's array.
         unsafe {
-            ffi::avr_raise_irq(irq.sub(ffi::ADC_IRQ_OUT_TRIGGER as usize).add(line as usize), mv);
+            ffi::avr_raise_irq(irq.sub(ffi::ADC_IRQ_OUT_TRIGGER as usize).add(pin as usize), mv);
         }
     } else {
         wires.held_mv.set(0.0); // ground

@@ -233,8 +233,8 @@ impl<R: Robot> Door for Director<R> {
         let shop = self.shop();
         let flange = self.bare.arm.flange_pose(&joints_rad);
         let in_scene = in_scene(Placement::from(state.odometry), self.scene().base.mount_m, &flange);
-        let objects = shop.objects.iter().zip(&self.things.places);
-        let objects = objects.map(|(object, place)| object.picture(place.pose(&in_scene)));
+        let objects = shop.objects.iter().zip(&self.things.poses);
+        let objects = objects.map(|(object, at)| object.picture(at.pose(&in_scene)));
         Picture {
             arm: ArmState {
                 joints_rad,

@@ -146,7 +146,7 @@ impl ModelFile {
     }
 }
 
-/// Reads recordings, brings each to 100 Hz, and joins them into one stream of `axes` axes without a pause; its notes are
+/// Reads recordings, brings each to 100 Hz, and joins them into one of `axes` axes without a pause; its notes are
 /// those of the recordings, its first time is the first one's.
 ///
 /// Of recordings with more axes than `axes`, the first ones are used, as in `models eval`; `needed` of them must be
