@@ -151,5 +151,5 @@ fn the_diffs_of_the_document_fit_the_sources() {
         assert!(source.contains(&standing.join("\n")), "{file} has no longer:\n{}", standing.join("\n"));
         diffs += 1;
     }
-    assert_eq!(diffs, 5);
+    assert_eq!(diffs, 6);
 }

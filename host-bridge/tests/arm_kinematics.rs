@@ -2,8 +2,10 @@
 
 use host_bridge::arm::gen3::{HOME, MAX_JERK_RAD_S3, paper_limits};
 use host_bridge::arm::model::SerialArm;
+use host_bridge::intent::{Caps, MotionMap};
 use host_bridge::robot::Trajectory;
 use host_bridge::robot::{DQuat, DVec3, Door as _, JOINTS, Joints, Pose, Twist};
+use shared_proto::message::Heading;
 
 #[path = "support/moving.rs"]
 mod moving;
@@ -74,6 +76,55 @@ fn single_moves_take_the_papers_times_within_5_per_cent() {
         assert!(off.abs() <= 5.0, "{name}");
     }
     println!("random-top poses one by one, s: {circles:.2?}");
+    for name in ["ready", "pick-up", "place", "place-top-right", "place-bottom-right", "top-1"] {
+        let path = Trajectory::through(&[HOME, pose(name)], &[], &paper_limits());
+        for step in 0..=20 {
+            let joints_rad = path.motion(path.duration_s() * f64::from(step) / 20.0).joints_rad;
+            let DVec3 { x, y, z } = flange_pose(&joints_rad).position_m;
+            println!("figure: path | {name} | {x:.4} | {y:.4} | {z:.4}");
+        }
+    }
+}
+
+/// The paper's table II, and what each of its gestures starts.
+#[test]
+fn tilts_bends_and_gestures_mean_what_the_paper_says() {
+    let caps = Caps::default();
+    let tilts = [
+        ("forward", Heading::Forward, (0.5, 0.0)),
+        ("backward", Heading::Backward, (-0.5, 0.0)),
+        ("left", Heading::Left, (0.0, 0.5)),
+        ("right", Heading::Right, (0.0, -0.5)),
+        ("neutral", Heading::Neutral, (0.0, 0.0)),
+    ];
+    for (name, heading, (linear, angular)) in tilts {
+        let Twist { linear_m_s, angular_rad_s } = caps.twist(heading);
+        println!(
+            "paper: mapping: tilt {name} | {linear:.1} m/s, {angular:.1} rad/s | {linear_m_s:.1} m/s, {angular_rad_s:.1} rad/s"
+        );
+        assert_eq!((linear_m_s, angular_rad_s), (linear, angular), "{name}");
+    }
+    for (name, bends, factor) in [("index", (1, 0), 1.1), ("middle", (0, 1), 0.9)] {
+        let mut bent = caps;
+        bent.bend(bends.0, bends.1);
+        let here = bent.linear_m_s / caps.linear_m_s;
+        println!("paper: mapping: a bend of the {name} finger | speed × {factor} | speed × {here:.1}");
+        assert!((here - factor).abs() < 1e-9, "{name}: {here}");
+    }
+    let gestures = [
+        ("up-down", "home"),
+        ("to-fro", "pick-up"),
+        ("left-right", "place"),
+        ("rectangle", "place-top-right"),
+        ("rectangle-flat", "place-bottom-right"),
+        ("circle", "random-top"),
+    ];
+    let map = MotionMap::default();
+    for (label, motion) in gestures {
+        let here = map.motion(label).expect("the paper's gestures are mapped");
+        println!("paper: mapping: gesture {label} | {motion} | {here}");
+        assert_eq!(*here, motion);
+    }
 }
 
 #[test]

@@ -106,15 +106,27 @@ fn the_papers_speed_modulation_comes_out_of_the_emulated_board() {
             hand.borrow_mut().tilt(0.0, 0.0, at(from), 0.15);
         }
         let step_ms = (to - from) / (bends + 1).max(1);
+        let run_to = |street: &mut Street, ms: u64| {
+            while street.now_ms() < ms {
+                street.step();
+                if (street.now_ms() - start_ms).is_multiple_of(50) {
+                    let second = (street.now_ms() - start_ms) as f64 / 1000.0;
+                    let cap = street.bridge.caps().linear_m_s;
+                    let commanded = street.bridge.twist().linear_m_s;
+                    println!("figure: speed | {second:.2} | {cap:.3} | {commanded:.3}");
+                }
+            }
+        };
         for bend in 0..bends {
-            street.run_ms(start_ms + from + step_ms * (bend + 1) - street.now_ms() - 100);
+            run_to(&mut street, start_ms + from + step_ms * (bend + 1) - 100);
             let now_s = street.now_ms() as f64 / 1000.0;
             hand.borrow_mut().bend(finger.expect("a finger bends"), 0.9, now_s, 0.08);
-            street.run_ms(150);
+            let unbent = street.now_ms() + 150;
+            run_to(&mut street, unbent);
             let now_s = street.now_ms() as f64 / 1000.0;
             hand.borrow_mut().bend(finger.expect("a finger bends"), 0.0, now_s, 0.08);
         }
-        street.run_ms(start_ms + to - street.now_ms());
+        run_to(&mut street, start_ms + to);
         let cap = street.bridge.caps().linear_m_s;
         let commanded = street.bridge.twist().linear_m_s;
         let base = host_bridge::robot::Door::picture(&street.robot).odometry.twist.linear_m_s;

@@ -1,7 +1,7 @@
 //! The left hand's trials on the emulated Nano: the paper's 400 tilts, tremor, 2,000 bends.
 #![cfg(feature = "avr")]
 
-use tests::avr::trials::{BendCounts, Job, Parts, Quiet, Tilts};
+use tests::avr::trials::{BendCounts, DIRECTIONS, Job, Parts, Quiet, Tilts};
 use tests::avr::workers::run;
 use tests::is_full;
 
@@ -18,7 +18,8 @@ fn the_papers_400_tilts_are_right_and_none_is_reversed() {
     let results: Vec<Tilts> = run(WORKER, "tilts", &jobs(Parts::Drawn, 1000..1000 + wearers, 5));
     let sum = |of: fn(&Tilts) -> u32| results.iter().map(of).sum::<u32>();
     let (trials, right, reversed) = (sum(|t| t.trials), sum(|t| t.right), sum(|t| t.reversed));
-    let mut latencies: Vec<f64> = results.iter().flat_map(|t| t.latencies_ms.clone()).collect();
+    let mut latencies: Vec<f64> =
+        results.iter().flat_map(|t| &t.by_direction).flat_map(|d| d.latencies_ms.clone()).collect();
     latencies.sort_by(f64::total_cmp);
     println!("{wearers} wearers, parts from the whole data-sheet tolerance, neutral within 10° of level");
     println!(
@@ -30,6 +31,17 @@ fn the_papers_400_tilts_are_right_and_none_is_reversed() {
         println!(
             "paper: start of a tilt to its command, median and worst | not stated | {median:.0} and {worst:.0} ms"
         );
+    }
+    for (place, direction) in DIRECTIONS.into_iter().enumerate() {
+        let of_it = || results.iter().map(|t| &t.by_direction[place]);
+        let first: [u32; 5] = std::array::from_fn(|seen| of_it().map(|d| d.first[seen]).sum());
+        let mut latencies: Vec<f64> = of_it().flat_map(|d| d.latencies_ms.clone()).collect();
+        latencies.sort_by(f64::total_cmp);
+        let name = format!("{direction:?}").to_lowercase();
+        let right = format!("{} of {}", latencies.len(), first.iter().sum::<u32>());
+        let median = latencies.get(latencies.len() / 2).copied().unwrap_or(f64::NAN);
+        println!("paper: tilts {name}: right, median response | not compared | {right}, {median:.0} ms");
+        println!("figure: tilts | {name} | {}", first.map(|count| count.to_string()).join(" | "));
     }
     results.iter().flat_map(|t| &t.notes).for_each(|note| println!("  wrong: {note}"));
     assert_eq!(u64::from(trials), 20 * wearers);

@@ -1,6 +1,7 @@
 //! The chores. `cargo xtask test` is what a user and CI run.
 
 mod campaign;
+mod crates;
 mod firmware_avr;
 mod firmware_nano33;
 mod jazzy;
@@ -34,7 +35,9 @@ usage: cargo xtask VERB
                                 the left hand's image: size, stack, how to flash it
   firmware nano33 [ble|bootloader]
                                 the right hand's images: flash and RAM per part
-  paper [--quick] [--out FILE]  the paper's tables beside what is measured here, in under 30 minutes
+  paper [--quick] [--out FILE] [--html FILE]
+                                the paper's tables beside what is measured here, in under 30 minutes; --html one page
+                                with plots
   package                       an archive for Linux on x86-64 under target/package
   ros2                          ROS 2 Jazzy's rclpy below target, for tests/ros2/rclpy_peer.py: prints its Python
   help                          this text

@@ -10,9 +10,10 @@ use crate::steps::sh;
 use crate::{root, target_dir};
 
 /// What the checks want, each beside its check.
-const REQUIREMENTS: [&str; 9] = [
+const REQUIREMENTS: [&str; 10] = [
     "models/tests/requirements.txt",
     "shared-dsp/tests/reference/requirements.txt",
+    "tests/crates/requirements.txt",
     "tests/foxglove/requirements.txt",
     "tests/lerobot/requirements.txt",
     "tests/mcap/requirements.txt",
@@ -22,7 +23,7 @@ const REQUIREMENTS: [&str; 9] = [
     "tests/web/requirements.txt",
 ];
 
-/// The interpreter of an environment that holds exactly what the checks want, made on first use.
+/// The interpreter of an environment that holds what the checks want, made on first use.
 ///
 /// # Errors
 /// Where there is no Python 3 with `venv`, or a package does not install: says what to install.
@@ -37,8 +38,11 @@ pub fn environment() -> Result<PathBuf> {
     if fs::read_to_string(&stamp).is_ok_and(|installed| installed == wanted) && works(&python) {
         return Ok(python);
     }
-    sh(Command::new("python3").args(["-m", "venv", "--clear"]).arg(&place))
-        .context("needs Python 3.11 or later with venv (Debian: apt-get install python3 python3-venv)")?;
+    // One that works is kept: what it has already is not installed again.
+    if !works(&python) {
+        sh(Command::new("python3").args(["-m", "venv", "--clear"]).arg(&place))
+            .context("needs Python 3.11 or later with venv (Debian: apt-get install python3 python3-venv)")?;
+    }
     let mut pip = Command::new(&python);
     // Compiled when used, not all of it at once.
     pip.current_dir(root()).args([

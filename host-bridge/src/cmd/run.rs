@@ -281,7 +281,7 @@ pub fn steer(args: &HandArgs, keep: &KeepArgs) -> Result<ExitCode> {
         farewell_ms: if counts.is_some() { FAREWELL_MS } else { 0 },
     };
     let control = Control::start(work, flags.clone())?;
-    drop(starting);
+    starting.leave();
     let shown = screen.show(&control, &flags);
     let dropped = control.dropped();
     let engine = control.end();

@@ -144,9 +144,11 @@ impl Nano {
         }
     }
 
-    /// Safety: `avr` is initialised; the wires are boxed and outlive it.
+    /// # Safety
+    /// `avr` is initialised; the wires are boxed and outlive it.
     unsafe fn connect(&self) {
         let param = std::ptr::from_ref::<Wires>(&self.wires).cast_mut().cast::<c_void>();
+        // SAFETY: as the caller promises.
         unsafe {
             let mut flags: u32 = 0; // neither echo to the terminal nor naps while polled
             ffi::avr_ioctl(self.avr, ioctl(b"uas0"), (&raw mut flags).cast());
@@ -197,6 +199,7 @@ impl Nano {
             );
             self.asleep += ASLEEP.replace(0);
             self.watchdog_interrupt_must_not_wait();
+            // SAFETY: the board is alive.
             let now = unsafe { (*self.avr).cycle };
             if now + self.wires.before_reset.get() < last {
                 self.wires.before_reset.set(last);

@@ -46,10 +46,19 @@ pub struct Tilts {
     pub right: u32,
     /// The opposite command at any time.
     pub reversed: u32,
-    /// From the start of the movement to the command's frame, in ms, of the right ones.
-    pub latencies_ms: Vec<f64>,
+    /// By the direction that was meant, in the order of [`DIRECTIONS`].
+    pub by_direction: [Direction; 4],
     /// What went wrong, for the reader.
     pub notes: Vec<String>,
+}
+
+/// How the tilts in one direction went.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub struct Direction {
+    /// Which command came first, in the order of [`DIRECTIONS`]; the last is none.
+    pub first: [u32; 5],
+    /// From the start of the movement to the command's frame, in ms, of the right ones.
+    pub latencies_ms: Vec<f64>,
 }
 
 /// How the bends of one wearer went.
@@ -116,7 +125,8 @@ fn wear(job: Job, tremor_deg: f64, hz: std::ops::Range<f64>) -> (LeftRig, Rc<Ref
     (session, hand, rng)
 }
 
-const DIRECTIONS: [Heading; 4] = [Heading::Forward, Heading::Backward, Heading::Left, Heading::Right];
+/// The commands of a tilt.
+pub const DIRECTIONS: [Heading; 4] = [Heading::Forward, Heading::Backward, Heading::Left, Heading::Right];
 
 fn opposite(heading: Heading) -> Heading {
     match heading {
@@ -151,12 +161,16 @@ pub fn tilts(job: Job) -> Tilts {
         let first = states.iter().find(|(_, s)| s.heading == wanted).map(|(t, _)| t - start_ms);
         let others: Vec<Heading> =
             states.iter().map(|(_, s)| s.heading).filter(|&h| h.is_command() && h != wanted).collect();
+        let place = |heading| DIRECTIONS.iter().position(|&direction| direction == heading);
+        let command = states.iter().map(|(_, s)| s.heading).find(|heading| heading.is_command());
+        let direction = &mut result.by_direction[place(wanted).expect("one of the four was meant")];
+        direction.first[command.and_then(place).unwrap_or(DIRECTIONS.len())] += 1;
         result.trials += 1;
         result.reversed += u32::from(others.contains(&opposite(wanted)));
         match first {
             Some(latency_ms) if latency_ms <= IN_TIME_MS && others.is_empty() => {
                 result.right += 1;
-                result.latencies_ms.push(latency_ms);
+                direction.latencies_ms.push(latency_ms);
             }
             _ => result.notes.push(format!(
                 "seed {}: {wanted:?} by {angle_deg:.1}°, off axis {:.1}°: first after {first:?} ms, others {others:?}",

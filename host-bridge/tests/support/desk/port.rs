@@ -26,6 +26,7 @@ pub fn pair() -> (TTYPort, TTYPort) {
     // Safety: the port gives its descriptor away and is gone. The copy is not inherited by programs.
     let board = unsafe { OwnedFd::from_raw_fd(board.into_raw_fd()) };
     let copy = board.try_clone().expect("a descriptor");
+    // SAFETY: as above.
     (unsafe { TTYPort::from_raw_fd(copy.into_raw_fd()) }, laptop)
 }
 

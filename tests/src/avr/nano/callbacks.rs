@@ -11,6 +11,7 @@ impl Wires {
 
 /// The core sleeps for so many clocks, unless SMCR.SE is clear: then SLEEP does nothing.
 pub(super) unsafe extern "C" fn on_sleep(avr: *mut ffi::avr_t, clocks: u64) {
+    // SAFETY: simavr calls back with the core that runs.
     unsafe {
         if *(*avr).data.add(SMCR) & 1 != 0 {
             ASLEEP.set(ASLEEP.get() + clocks + 1);
@@ -26,12 +27,15 @@ pub(super) unsafe extern "C" fn on_heartbeat(_: *mut ffi::avr_t, _: u64, _: *mut
     0
 }
 
-/// Safety of all callbacks: `param` is the boxed [`Wires`] of the board that calls.
+/// # Safety
+/// `param` is the boxed [`Wires`] of the board that calls, as it is of all callbacks here.
 unsafe fn wires<'a>(param: *mut c_void) -> &'a Wires {
+    // SAFETY: as the caller promises; the board outlives its callbacks.
     unsafe { &*param.cast::<Wires>() }
 }
 
 pub(super) unsafe extern "C" fn on_sent(_: *mut ffi::avr_irq_t, value: u32, param: *mut c_void) {
+    // SAFETY: registered with the board's wires.
     let wires = unsafe { wires(param) };
     // The callback comes when the byte is written; it leaves within one byte time (two, if the one
     // before it is still under way: then that one's stamp pushes ours).
@@ -42,9 +46,11 @@ pub(super) unsafe extern "C" fn on_sent(_: *mut ffi::avr_irq_t, value: u32, para
 }
 
 pub(super) unsafe extern "C" fn on_byte_due(avr: *mut ffi::avr_t, when: u64, param: *mut c_void) -> u64 {
+    // SAFETY: registered with the board's wires.
     let wires = unsafe { wires(param) };
     let due = wires.to_receive.borrow_mut().pop_front();
     if let Some((_, byte)) = due {
+        // SAFETY: simavr calls back with the core that runs, and its UART has this line.
         unsafe {
             let uart = ffi::avr_io_getirq(avr, ioctl(b"uar0"), ffi::UART_IRQ_INPUT as i32);
             ffi::avr_raise_irq(uart, u32::from(byte));
@@ -54,6 +60,7 @@ pub(super) unsafe extern "C" fn on_byte_due(avr: *mut ffi::avr_t, when: u64, par
 }
 
 pub(super) unsafe extern "C" fn on_conversion(irq: *mut ffi::avr_irq_t, value: u32, param: *mut c_void) {
+    // SAFETY: registered with the board's wires.
     let wires = unsafe { wires(param) };
     wires.conversions.set(wires.conversions.get() + 1);
     // struct avr_adc_mux_t { unsigned long kind : 3, gain : 8, diff : 8, src : 13; }
@@ -75,6 +82,7 @@ pub(super) unsafe extern "C" fn on_conversion(irq: *mut ffi::avr_irq_t, value: u
 }
 
 pub(super) unsafe extern "C" fn on_admux(_: *mut ffi::avr_irq_t, value: u32, param: *mut c_void) {
+    // SAFETY: registered with the board's wires.
     let wires = unsafe { wires(param) };
     if value >> 6 & 3 != 0 {
         wires.wrong_reference.set(Some(value as u8));
@@ -85,8 +93,10 @@ pub(super) unsafe extern "C" fn on_eecr(_: *mut ffi::avr_irq_t, value: u32, para
     const EEPE: u32 = 1 << 1;
     const EEARL: usize = 0x41;
     const EEDR: usize = 0x40;
+    // SAFETY: registered with the board's wires.
     let wires = unsafe { wires(param) };
     if value & EEPE != 0 {
+        // SAFETY: both registers lie in data space.
         let data = |address: usize| unsafe { *(*wires.avr).data.add(address) };
         let address = u16::from(data(EEARL)) | u16::from(data(EEARL + 1)) << 8;
         let new = data(EEDR);

@@ -93,7 +93,10 @@ pub struct Waiter {
 }
 
 impl Waiter {
-    /// Waits so long, or until [`Waker::wake`].
+    /// The thread's work is done: it no longer holds back the time.
+    pub fn leave(self) {}
+
+    /// Waits this long, or until [`Waker::wake`].
     pub fn sleep(&self, time: Duration) {
         #[cfg(feature = "test-clock")]
         if let Some(seat) = &self.seat {

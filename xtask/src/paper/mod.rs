@@ -1,0 +1,335 @@
+//! `cargo xtask paper`: what the paper prints, beside what is measured here, row by row with the command of each.
+//!
+//! The rows are printed by tests, as `paper: WHAT | PAPER | HERE`, but those of recognition, which come from models that
+//! are trained here. What is drawn comes as `figure: WHICH | …`. A row that does not come is a failure. The paper:
+//! docs/SOURCES.md.
+
+mod page;
+mod plots;
+mod recognition;
+
+use std::fs;
+use std::process::{ExitCode, Stdio};
+use std::time::Instant;
+
+use anyhow::{Context as _, Result, bail, ensure};
+
+use crate::steps;
+use crate::test::cargo_for_all;
+use crate::{is_full, root};
+
+/// A table or figure of the paper, and the tests that measure the same here.
+struct Part {
+    title: &'static str,
+    /// As `cargo test` is told.
+    test: &'static [&'static str],
+    only: &'static str,
+    /// What the rows' names begin with; each must come.
+    rows: &'static [&'static str],
+    /// What a reader must know.
+    note: &'static str,
+    /// Whether the rows are the same with and without `--quick`.
+    at_any_length: bool,
+}
+
+const PARTS: &[Part] = &[
+    Part {
+        title: "Left hand: 400 tilts",
+        test: &["--test", "avr_trials"],
+        only: "the_papers_400_tilts",
+        rows: &[
+            "tilts, of",
+            "tilts: taken for the opposite",
+            "start of a tilt",
+            "tilts forward",
+            "tilts backward",
+            "tilts left",
+            "tilts right",
+        ],
+        note: "Simulated hands before the emulated board and its very image; the paper's were people. A command waits \
+               until a tilt stays (docs/SAFETY.md), which costs some 100 ms. By direction nothing is \
+               compared: of the paper this project holds the total.",
+        at_any_length: false,
+    },
+    Part {
+        title: "Left hand: bends",
+        test: &["--test", "avr_trials"],
+        only: "bends_count_once",
+        rows: &["bends of the index", "bends of the middle", "bends: false counts"],
+        note: "",
+        at_any_length: false,
+    },
+    Part {
+        title: "From a tilt to the wheels",
+        test: &["--test", "avr_street"],
+        only: "a_voltage_step",
+        rows: &["a tilt to 20°", "a tilt to 30°", "a tilt to 45°"],
+        note: "From the voltage at the board's pin to the first speed of the simulated base.",
+        at_any_length: false,
+    },
+    Part {
+        title: "Speed by bends, 10 s",
+        test: &["--test", "avr_street"],
+        only: "the_papers_speed_modulation",
+        rows: &[
+            "speed profile, 0.0",
+            "speed profile, 1.0",
+            "speed profile, 5.2",
+            "speed profile, 6.2",
+            "speed profile, 9.0",
+        ],
+        note: "0.478 = 0.9⁷; the paper rounds it to 0.50.",
+        at_any_length: true,
+    },
+    Part {
+        title: "Arm: time of each motion from home",
+        test: &["--test", "arm_kinematics"],
+        only: "single_moves",
+        rows: &[
+            "ready →",
+            "home → pick-up",
+            "home → place (",
+            "home → place-top",
+            "home → place-bottom",
+            "home → random",
+        ],
+        note: "By construction: the paper prints no poses, and ours were chosen so that these times come out at its scaling.",
+        at_any_length: true,
+    },
+    Part {
+        title: "Right hand: the paper's network on the chip",
+        test: &["--test", "nrf_cost"],
+        only: "a_network_of_the_papers_shape",
+        rows: &[
+            "its network on the chip: inference",
+            "its network on the chip: flash",
+            "its network on the chip: RAM",
+            "its features and network",
+        ],
+        note: "Executed instructions of the emulated nRF52840; the paper gives time.",
+        at_any_length: false,
+    },
+    Part {
+        title: "Mappings",
+        test: &["--test", "arm_kinematics"],
+        only: "tilts_bends_and_gestures",
+        rows: &[
+            "mapping: tilt",
+            "mapping: a bend of the index",
+            "mapping: a bend of the middle",
+            "mapping: gesture",
+        ],
+        note: "The paper's table II, and what its six gestures start.",
+        at_any_length: true,
+    },
+    Part {
+        title: "Both hands at once, as the demo plays them",
+        test: &["--test", "demo_session"],
+        only: "every_gesture_of_the_demo",
+        rows: &[
+            "demo: up-down to home",
+            "demo: to-fro to pick-up",
+            "demo: left-right to place",
+            "demo: rectangle to place-top-right",
+            "demo: rectangle-flat to place-bottom-right",
+            "demo: circle to random-top",
+            "demo: end of a gesture's last window",
+            "demo: left hand's sample",
+        ],
+        note: "In the demo each motion begins where the one before it ended and passes through home, so most take two of \
+               the times from home, while the base drives. A gesture's window is 2 s long; it is looked at every 80 ms.",
+        at_any_length: true,
+    },
+];
+
+/// One table with what belongs to it.
+struct Section {
+    title: &'static str,
+    /// What, in the paper, here.
+    rows: Vec<[String; 3]>,
+    note: String,
+    command: String,
+    /// What was meant, and what it was taken for.
+    matrices: Vec<Matrix>,
+    /// The cells of `figure:` lines, the name first.
+    figures: Vec<Vec<String>>,
+}
+
+/// How often what was made was taken for what.
+struct Matrix {
+    name: String,
+    made: Vec<String>,
+    named: Vec<String>,
+    counts: Vec<Vec<u64>>,
+}
+
+/// What was asked for.
+#[derive(Default)]
+struct Asked<'a> {
+    quick: bool,
+    out: Option<&'a str>,
+    html: Option<&'a str>,
+}
+
+impl<'a> Asked<'a> {
+    fn read(args: &[&'a str]) -> Result<Self> {
+        let mut asked = Self::default();
+        let mut words = args.iter();
+        while let Some(&arg) = words.next() {
+            match arg {
+                "--quick" => asked.quick = true,
+                "--out" => asked.out = Some(words.next().context("--out takes a file")?),
+                "--html" => asked.html = Some(words.next().context("--html takes a file")?),
+                _ => bail!("`cargo xtask paper` takes --quick, --out FILE and --html FILE, not `{arg}`"),
+            }
+        }
+        Ok(asked)
+    }
+}
+
+/// Measures every row, prints the tables, and writes them as Markdown and as a page with plots where that is asked for.
+///
+/// # Errors
+/// An option that is not known, a row that does not come, a command that fails.
+pub fn run(args: &[&str]) -> Result<ExitCode> {
+    let asked = Asked::read(args)?;
+    let began = Instant::now();
+    let mut sections = Vec::new();
+    for part in PARTS {
+        sections.push(measured(part, asked.quick)?);
+        eprintln!("{:>6} s  {}", began.elapsed().as_secs(), part.title);
+    }
+    sections.push(recognition::section(asked.quick)?);
+    let text = page::markdown(&sections, asked.quick);
+    println!("{text}");
+    println!("{} s", began.elapsed().as_secs());
+    let write =
+        |file: &str, text: &str| fs::write(file, text).with_context(|| format!("{file} cannot be written"));
+    if let Some(file) = asked.out {
+        write(file, &text)?;
+    }
+    if let Some(file) = asked.html {
+        write(file, &page::html(&sections, asked.quick)?)?;
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// That docs/PAPER.md says what is measured now: what is the same at any length, and in the long run all that is measured
+/// in emulated boards, too.
+///
+/// # Errors
+/// Names each row that is measured otherwise.
+pub fn check() -> Result<()> {
+    let page = fs::read_to_string(root().join("docs/PAPER.md"))?;
+    // A page that the short run wrote has the short run's counts.
+    let full = is_full() && !page.contains("paper --quick");
+    for part in PARTS.iter().filter(|part| part.at_any_length || full) {
+        for row in measured(part, !full)?.rows {
+            let line = page::row(&row);
+            ensure!(
+                page.lines().any(|known| known == line),
+                "{}: measured now is\n  {line}\n  docs/PAPER.md has another: `cargo xtask paper --out docs/PAPER.md`",
+                part.title
+            );
+        }
+    }
+    Ok(())
+}
+
+/// A part as it is measured now.
+fn measured(part: &Part, quick: bool) -> Result<Section> {
+    let mut cargo = cargo_for_all("test");
+    cargo.args(part.test).args(["--", part.only, "--nocapture"]).stdin(Stdio::null());
+    if !quick {
+        cargo.env("BIMANUAL_FULL", "1");
+    }
+    let done = cargo.output()?;
+    let said = String::from_utf8_lossy(&done.stdout);
+    ensure!(
+        done.status.success(),
+        "{}: the test fails\n{said}{}",
+        part.title,
+        String::from_utf8_lossy(&done.stderr)
+    );
+    let rows = triples(&said);
+    for wanted in part.rows {
+        ensure!(
+            rows.iter().any(|row| row[0].starts_with(wanted)),
+            "{}: no row `{wanted}`; it needs the emulators (see `cargo xtask test`)",
+            part.title
+        );
+    }
+    let full = if quick { "" } else { "BIMANUAL_FULL=1 " };
+    let command = format!(
+        "{full}cargo test {} {} (with the features of `cargo xtask test`)",
+        part.test.join(" "),
+        part.only
+    );
+    let figures = steps::rows(&said, "figure: ");
+    let matrices = directions(&figures).into_iter().collect();
+    Ok(Section { title: part.title, rows, note: part.note.to_owned(), command, matrices, figures })
+}
+
+/// The rows that a test has printed: what, in the paper, here.
+fn triples(said: &str) -> Vec<[String; 3]> {
+    steps::rows(said, "paper: ").into_iter().filter_map(|cells| cells.try_into().ok()).collect()
+}
+
+/// Which command a tilt gave, if there are such figures.
+fn directions(figures: &[Vec<String>]) -> Option<Matrix> {
+    let rows: Vec<&[String]> =
+        figures.iter().filter_map(|f| f.strip_prefix(&["tilts".to_owned()][..])).collect();
+    let made: Vec<String> = rows.iter().filter_map(|row| row.first().cloned()).collect();
+    let named = made.iter().cloned().chain(["none".to_owned()]).collect();
+    let counts =
+        rows.iter().map(|row| row.iter().skip(1).filter_map(|cell| cell.parse().ok()).collect()).collect();
+    (!made.is_empty()).then_some(Matrix { name: "tilts".to_owned(), made, named, counts })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rows_are_read_from_what_tests_print_and_nothing_else_is() {
+        let said = "running 1 test\npaper: tilts, of 40: right | 93.5 % of 400 | 100.00 %\n paper: broken | row\nok\n";
+        assert_eq!(triples(said), [["tilts, of 40: right", "93.5 % of 400", "100.00 %"].map(str::to_owned)]);
+    }
+
+    /// The page in the tree has every row that the command prints.
+    #[test]
+    fn the_page_has_every_row() {
+        let page = fs::read_to_string(root().join("docs/PAPER.md")).unwrap();
+        for part in PARTS {
+            assert!(page.contains(part.title), "{}", part.title);
+            for row in part.rows {
+                assert!(
+                    page.contains(&format!("\n| {row}")),
+                    "no row `{row}`: `cargo xtask paper --out docs/PAPER.md`"
+                );
+            }
+        }
+        for row in [
+            "recipe `paper`, a random fifth",
+            "recipe `paper`, wearers never met",
+            "recipe `aligned`, wearers never met",
+        ] {
+            assert!(page.contains(row), "{row}");
+        }
+    }
+
+    /// The first screen of the README promises nothing that the page does not say.
+    #[test]
+    fn the_readmes_rows_are_the_pages() {
+        let page = fs::read_to_string(root().join("docs/PAPER.md")).unwrap();
+        let readme = fs::read_to_string(root().join("README.md")).unwrap();
+        let first_screen: Vec<&str> = readme.lines().take(40).collect();
+        let heading = first_screen.iter().position(|line| line.starts_with("| | paper | here |"));
+        let rows = first_screen.iter().skip(heading.expect("a table beside the paper") + 2);
+        let rows: Vec<&str> = rows.copied().take_while(|line| line.starts_with('|')).collect();
+        assert_eq!(rows.len(), 5);
+        for row in rows {
+            assert!(page.lines().any(|line| line == row), "docs/PAPER.md has no row {row}");
+        }
+    }
+}
