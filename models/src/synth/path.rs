@@ -10,7 +10,7 @@ use std::ops::Range;
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 
-use super::wearer::{Wearer, normal};
+use super::wearer::{Draws, Wearer, normal};
 use crate::RATE_HZ;
 
 /// Path points per recorded sample, for clean derivatives.
@@ -504,7 +504,7 @@ mod tests {
             Segment::new(Motion::LeftRight, 3.0),
             Segment::new(Motion::IDLE, 1.0),
         ];
-        let track = track(&wearer, &mut wearer.rng(0), &script);
+        let track = track(&wearer, &mut wearer.rng(Draws::Take(0)), &script);
         let speed = |n: usize| (track[n + 1].position_m[1] - track[n].position_m[1]).abs() / STEP_S;
         let per_s = RATE_HZ as usize * OVERSAMPLING;
         for n in [per_s / 2, per_s, 4 * per_s, 4 * per_s + per_s / 2] {
@@ -519,7 +519,7 @@ mod tests {
         for motion in Motion::GESTURES {
             let wearer = Wearer::training(2, 9);
             let script = [Segment::new(Motion::IDLE, 1.0), Segment::new(motion, 4.0)];
-            let track = track(&wearer, &mut wearer.rng(0), &script);
+            let track = track(&wearer, &mut wearer.rng(Draws::Take(0)), &script);
             let z = |n: usize| track[n].position_m;
             let acceleration =
                 |n: usize, a: usize| (z(n + 1)[a] - 2.0 * z(n)[a] + z(n - 1)[a]) / (STEP_S * STEP_S);
