@@ -99,7 +99,7 @@ impl LeftSheet {
             let (line, time) = (row.line, row.time.unwrap_or_default());
             let to_ms = if row.is_of_day { 1000.0 } else { 1.0 };
             let Ok(&conversions) = <&[f64; 5]>::try_from(row.values) else { continue };
-            // Of the third sample on, a clock of milliseconds may give two one time.
+            // From the third sample on, a clock of milliseconds may give two one time.
             if time == before && rows.len() < 2 {
                 return Err(reader.time_error(line, time, before));
             }

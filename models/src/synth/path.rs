@@ -10,7 +10,7 @@ use std::ops::Range;
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 
-use super::wearer::{Draws, Wearer, normal};
+use super::wearer::{Wearer, normal};
 use crate::RATE_HZ;
 
 /// Path points per recorded sample, for clean derivatives.
@@ -483,6 +483,7 @@ pub(super) fn rotation([roll, pitch, yaw]: [f64; 3]) -> [[f64; 3]; 3] {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::synth::wearer::Draws;
 
     #[test]
     fn a_rectangle_goes_once_around_through_its_four_corners() {
