@@ -19,6 +19,7 @@ pub mod journal;
 pub mod robots;
 pub mod script;
 pub mod taught;
+pub mod teach;
 
 pub use host_arm::{self as arm, plan, scene};
 pub use host_core::{
