@@ -9,6 +9,7 @@ use host_bridge::config::Config;
 use host_bridge::plan::Planner;
 use host_bridge::robot::{Door as _, Joints, MotionName, NotStarted, Report};
 use host_bridge::robots::Stage;
+use host_bridge::ros2::answer::Answer;
 use host_bridge::ros2::gripper::GripAnswer;
 use host_bridge::ros2::{ArmInterface, Output, Ros2Config, RosRobot};
 use host_bridge::scene::Scene;
@@ -110,7 +111,7 @@ impl Site {
     /// The arm is where its newest goal leads, and its controller says so.
     fn arrive(&mut self) {
         let (goal, there) = self.goal().unwrap();
-        self.answer_arm(goal, host_bridge::ros2::arm::Answer::Accepted);
+        self.answer_arm(goal, Answer::Accepted);
         // As slowly as an arm goes, or it would be a jump that no arm makes.
         let from = self.joints_rad;
         for k in 1..=100 {
@@ -118,11 +119,11 @@ impl Site {
             self.joints_rad = std::array::from_fn(|i| from[i] + share * (there[i] - from[i]));
             self.run(30);
         }
-        self.answer_arm(goal, host_bridge::ros2::arm::Answer::Succeeded);
+        self.answer_arm(goal, Answer::Succeeded);
         self.run(20);
     }
 
-    fn answer_arm(&mut self, goal: u32, answer: host_bridge::ros2::arm::Answer) {
+    fn answer_arm(&mut self, goal: u32, answer: Answer) {
         self.door.robot_mut().answer(goal, answer);
     }
 
@@ -274,8 +275,8 @@ fn whatever_holds_the_hand_back_within_a_sequence_ends_all_of_it_and_nothing_goe
                 _ => {}
             }
             // Both are confirmed; the hand is free again.
-            site.answer_arm(1, host_bridge::ros2::arm::Answer::Ended("cancelled".to_owned()));
-            site.answer_arm(2, host_bridge::ros2::arm::Answer::Ended("cancelled".to_owned()));
+            site.answer_arm(1, Answer::Ended("cancelled".to_owned()));
+            site.answer_arm(2, Answer::Ended("cancelled".to_owned()));
             site.door.robot_mut().grip_answer(1, done(0.4, false, false));
             site.tells_base = true;
             site.sent.clear();

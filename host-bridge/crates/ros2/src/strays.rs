@@ -3,7 +3,7 @@
 /// A cancellation is asked for again after this long.
 pub const CANCEL_INTERVAL_MS: u64 = 200;
 /// More are not remembered.
-pub const STRAYS_MAX: usize = 64;
+const STRAYS_MAX: usize = 64;
 
 #[derive(Clone, Copy, Debug)]
 struct Stray {
