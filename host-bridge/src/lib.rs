@@ -19,10 +19,11 @@ pub mod journal;
 pub mod robots;
 pub mod script;
 pub mod taught;
+pub mod teach;
 
 pub use host_arm::{self as arm, plan, scene};
 pub use host_core::{
-    bridge, describe, doubt, engine, episodes, intent, latency, link, observe, safety, session, source,
+    bridge, describe, doubt, engine, episodes, intent, latency, link, observe, safety, session, source, tilt,
 };
 pub use host_links::{capture, hands, keyboard, links, survey, talk, upload, wire};
 pub use host_robot as robot;
