@@ -110,7 +110,7 @@ impl AdcRecording {
         Ok(Read { recording: AdcRecording { samples }, notes, start_ms: sheet.start_ms })
     }
 
-    /// The CSV text: conversions of 10 bits, with their eighths where there are any.
+    /// The CSV text: conversions of 10 bits, with their eighths if there are any.
     pub fn to_csv(&self) -> String {
         let mut text = format!("timestamp_ms,{}\n", CHANNEL_NAMES.join(","));
         for (time_ms, counts) in &self.samples {
@@ -227,7 +227,7 @@ mod tests {
         assert_eq!(parse(text).unwrap().samples[1], (10, AdcCounts::from_ten_bit([1, 2, 3, 4, 5])));
     }
 
-    /// A level hand with straight fingers that tilts once, from a converter of so many bits.
+    /// A level hand with straight fingers that tilts once, from a converter of this many bits.
     fn level(rate_hz: f64, bits: u32, seconds: f64) -> String {
         let full = f64::from(1u32 << bits);
         let row = |n: usize| {
