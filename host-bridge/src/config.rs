@@ -21,6 +21,7 @@ use crate::robot::{JointLimits, MotionName};
 use crate::ros2::Ros2Config;
 use crate::safety::PerHand;
 use crate::safety::SafetyTimes;
+use crate::tilt::TiltDrive;
 
 /// The port that is none: keys stand for the hand.
 pub const KEYBOARD: &str = "keyboard";
@@ -51,6 +52,8 @@ pub struct Config {
     pub tilt: TiltThresholds,
     /// Caps on the base's speed.
     pub speed: SpeedRules,
+    /// How the tilt becomes a speed within them: the paper's four headings, or in proportion.
+    pub drive: TiltDrive,
     /// What the wearer of the right hand feels.
     pub vibration: Vibration,
     /// The dead-man's times.
@@ -235,7 +238,7 @@ impl Config {
 
     /// A bridge as configured here.
     pub fn bridge(&self, map: MotionMap) -> Bridge {
-        let bridge = Bridge::with(map, self.speed, self.safety);
+        let bridge = Bridge::with(map, self.speed, self.safety).driving(self.drive);
         match self.restriction() {
             Some(restriction) => bridge.restricted(restriction),
             None => bridge,
@@ -274,6 +277,11 @@ impl Config {
         ensure(
             within(speed.faster, 1.0, 2.0) && within(speed.slower, 0.1, 1.0),
             "speed: faster lies between 1 and 2, slower between 0.1 and 1",
+        )?;
+        ensure(
+            self.drive.is_sound(),
+            "drive: dead_mrad lies between 35 (2°) and 349 (20°), full_mrad 87 or more beyond it and at most 1309 (75°), gain \
+             between 0.1 and 5, linear_most and angular_most between 0.05 and 1",
         )?;
         ensure(
             (20..=250).contains(&self.safety.stale_ms),
@@ -419,6 +427,9 @@ mod tests {
             "[speed]\nstart = nan",
             "[speed]\nleast = 0.9\nmost = 0.5",
             "[tilt]\nneutral_mrad = 300",
+            "[drive]\nproportional = true\ngain = 100.0",
+            "[drive]\ndead_mrad = 0",
+            "[drive]\nlinear_most = nan",
             "[keyboard]\nfirst_press_ms = 10000",
             "[arm]\nvelocity_scaling = 3.0",
             "[arm]\njerk_limited = true\njerk_rad_s3 = 0.0",

@@ -8,9 +8,9 @@ use models::recording::Recording;
 use host_core::intent::MotionMap;
 use host_core::session::Session;
 use host_core::source::Source;
-use host_links::adc::AdcRecording;
 use host_links::hands::{LeftBoard, ModelFile, ModelFileError, RightBoard, Wired};
 use host_robot::Door;
+use models::adc::AdcRecording;
 
 use crate::script::Script;
 

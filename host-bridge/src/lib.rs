@@ -19,15 +19,17 @@ pub mod journal;
 pub mod robots;
 pub mod script;
 pub mod taught;
+pub mod teach;
 
 pub use host_arm::{self as arm, plan, scene};
 pub use host_core::{
-    bridge, describe, doubt, engine, episodes, intent, latency, link, observe, safety, session, source,
+    bridge, describe, doubt, engine, episodes, intent, latency, link, observe, safety, session, source, tilt,
 };
-pub use host_links::{adc, capture, hands, keyboard, links, survey, talk, upload, wire};
+pub use host_links::{capture, hands, keyboard, links, survey, talk, upload, wire};
 pub use host_robot as robot;
 pub use host_robot::base;
 pub use host_ros2 as ros2;
 pub use host_sim as sim;
 pub use host_topics as topics;
 pub use host_views::{foxglove, view, web};
+pub use models::adc;

@@ -10,7 +10,9 @@ mod cpu;
 use cpu::timed;
 use host_bridge::arm::ik;
 use host_bridge::arm::model::SerialArm;
-use host_bridge::plan::{Kind, Placement, Plan, Planner, Refusal};
+use host_bridge::arm::things::Things;
+use host_bridge::plan::purse::MOTION_CHECKS_MAX;
+use host_bridge::plan::{Case, Kind, Placement, Plan, Planner, Purse, Refusal};
 use host_bridge::robot::Motion;
 use host_bridge::robot::{JOINTS, Joints, Pose};
 use host_bridge::scene::Scene;
@@ -150,27 +152,34 @@ fn goals_that_cannot_be_reached_safely_are_refused_with_the_reason() {
     }
 }
 
-#[test]
-fn a_goal_behind_closed_walls_is_refused_after_a_bounded_search() {
-    // A wall through the arm's foot: open only around the shoulder, and closed above it.
-    let text = r#"
-        [[box]]
-        name = "right wall"
-        center_m = [0.1, -0.77, 0.95]
-        size_m = [0.02, 1.3, 1.9]
-        [[box]]
-        name = "left wall"
-        center_m = [0.1, 0.77, 0.95]
-        size_m = [0.02, 1.3, 1.9]
-        [[box]]
-        name = "lintel"
-        center_m = [0.1, 0.0, 1.375]
-        size_m = [0.02, 0.24, 1.05]
-    "#;
-    let planner = planner(text);
+/// A wall through the arm's foot: open only around the shoulder, and closed above it.
+const WALLS: &str = r#"
+[[box]]
+name = "right wall"
+center_m = [0.1, -0.77, 0.95]
+size_m = [0.02, 1.3, 1.9]
+[[box]]
+name = "left wall"
+center_m = [0.1, 0.77, 0.95]
+size_m = [0.02, 1.3, 1.9]
+[[box]]
+name = "lintel"
+center_m = [0.1, 0.0, 1.375]
+size_m = [0.02, 0.24, 1.05]
+"#;
+
+/// Before the wall, and behind it.
+fn before_and_behind() -> (Joints, Joints) {
     let front = [0.0, 1.2, std::f64::consts::PI, -1.5, 0.0, 0.5, 1.57];
     let mut back = front;
     back[0] = std::f64::consts::PI;
+    (front, back)
+}
+
+#[test]
+fn a_goal_behind_closed_walls_is_refused_after_a_bounded_search() {
+    let planner = planner(WALLS);
+    let (front, back) = before_and_behind();
     let around = planner.world().around(Placement::default());
     assert!(around.arm_clearance(&front).distance_m > 0.01);
     assert!(around.arm_clearance(&back).distance_m > 0.01);
@@ -178,4 +187,52 @@ fn a_goal_behind_closed_walls_is_refused_after_a_bounded_search() {
     println!("{refusal}");
     let Refusal::NoWay { checks } = refusal else { panic!("{refusal}") };
     assert!(checks < 31_000, "{checks}");
+}
+
+#[test]
+fn a_motion_is_planned_or_refused_within_its_checks_and_what_is_planned_with_few_touches_nothing() {
+    let few = [0, 1, 2, 5, 20, 100, 300, 1000, 3000, 10_000];
+    let planner = planner(SCENES[0].1);
+    let (mut planned, mut refused, mut over) = (0, 0, 0);
+    for checks in few {
+        for (i, (_, from)) in planner.goals().iter().enumerate() {
+            for (_, to) in planner.goals().iter().skip(i + 1) {
+                let purse = Purse::of(checks);
+                let (placement, things) = (Placement::default(), planner.world().start());
+                let case = Case { placement, things, purse: &purse };
+                match planner.plan_among(from, to, case, 1) {
+                    Ok(plan) => {
+                        planned += 1;
+                        assert!(execute(&planner, &plan, from, to) >= 0.005);
+                    }
+                    Err(_) => refused += 1,
+                }
+                over = over.max(purse.spent().saturating_sub(checks));
+                assert_eq!(purse.refusal().is_some(), purse.spent() >= checks);
+            }
+        }
+    }
+    println!("{planned} planned, {refused} refused, at most {over} checks more than there were");
+    assert!(planned > 20 && refused > 20 && over <= 8);
+
+    // The longest that a stop can be kept waiting for: a motion that uses everything up.
+    let gripper = format!("{WALLS}\n[[tool]]\nname = \"2f-85\"\n[[tool]]\nname = \"gen3-vision\"\n");
+    for (name, scene) in [("bare", WALLS), ("with gripper and vision module", &gripper)] {
+        let planner = self::planner(scene);
+        let (front, back) = before_and_behind();
+        for opening_m in [Some(0.085), None] {
+            let purse = Purse::default();
+            let things = Things { opening_m, ..planner.world().start().clone() };
+            let case = Case { placement: Placement::default(), things: &things, purse: &purse };
+            let mut searches = 0;
+            let ((), took_ms) = timed(|| {
+                while !purse.is_empty() {
+                    planner.plan_among(&front, &back, case, searches).unwrap_err();
+                    searches += 1;
+                }
+            });
+            println!("{name}, fingers {opening_m:?}: {} checks in {took_ms:.0} ms", purse.spent());
+            assert!(purse.spent() <= MOTION_CHECKS_MAX + 8 && searches >= 1);
+        }
+    }
 }

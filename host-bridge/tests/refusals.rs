@@ -7,7 +7,8 @@ mod support;
 
 use std::sync::{Arc, Mutex};
 
-use host_bridge::arm::gen3::paper_limits;
+use host_bridge::arm::Director;
+use host_bridge::arm::gen3::{HOME, paper_limits};
 use host_bridge::base::{BaseConfig, Twist};
 use host_bridge::bridge::GestureOutcome::{EndedArm, NotArmed, Refused, Released, Started};
 use host_bridge::bridge::{Bridge, EventKind};
@@ -16,9 +17,13 @@ use host_bridge::describe;
 use host_bridge::intent::MotionMap;
 use host_bridge::keyboard::HandKey;
 use host_bridge::observe::{Now, Observer, SessionEvent, Snapshot};
-use host_bridge::robot::{BaseState, End, Following, JointLimits, Motion, Reading, Robot, Trajectory};
+use host_bridge::robot::{
+    BaseState, Door as _, End, Following, JointLimits, Joints, Motion, Reading, Robot, Trajectory,
+};
 use host_bridge::robots::{Echoed, Stage};
 use host_bridge::safety::{HaltReason, Hand, State};
+use host_bridge::taught::with_pose;
+use host_bridge::teach::{Play, Played, SEARCH_MS};
 use host_bridge::topics::diagnostics::Diagnostics;
 use host_bridge::topics::message::Time;
 use host_bridge::topics::{Entry, Origin, Outlet, Teller, Topic};
@@ -179,11 +184,14 @@ fn where_boards_need_not_be_bonded_the_base_is_slow_and_the_arm_still() {
     assert_eq!(rig.take_outcomes(), [Refused("pick-up".into())]);
 }
 
+/// Why a robot refuses, as the test has it.
+type Mood = Arc<Mutex<Option<String>>>;
+
 /// Hears nothing and says why nothing may move.
 struct Moody {
     limits: JointLimits,
     base: BaseConfig,
-    refusal: Arc<Mutex<Option<String>>>,
+    refusal: Mood,
 }
 
 impl Robot for Moody {
@@ -297,4 +305,140 @@ fn every_surface_says_what_refuses_and_when_it_does_not_any_more() {
     *refusal.lock().unwrap() = None;
     assert!(run(&mut live, 20).contains("neutral first"));
     assert_eq!(surfaces.snapshot.lock().unwrap().clone().unwrap().refusal, None);
+}
+
+/// A stage with a pose of its own, and its robot: the simulator, whose refusals the test gives.
+fn taught() -> (Director<Echoed<Moody>>, Mood, Joints) {
+    let mut there = HOME;
+    there[1] += 0.6;
+    let config = with_pose("", "shelf", &there).unwrap();
+    let config = Config::parse(&config).unwrap();
+    let stage = Stage::new(&config, None).unwrap();
+    let refusal = Arc::new(Mutex::new(None));
+    let graph = Moody { limits: paper_limits(), base: BaseConfig::default(), refusal: Arc::clone(&refusal) };
+    (stage.before(Echoed { simulator: stage.simulator(&config), graph }), refusal, there)
+}
+
+/// Plays the pose until its end; `each` may do what it likes, by the time in ms.
+fn play(door: &mut Director<Echoed<Moody>>, mut each: impl FnMut(u64) -> bool) -> (Played, u64, Vec<String>) {
+    let (mut play, mut notes) = (Play::new("shelf".into(), 300), Vec::new());
+    for now_ms in (0..60_000).step_by(5) {
+        let interrupted = each(now_ms);
+        if let Some(outcome) = play.turn(door, now_ms, interrupted, |text| notes.push(text.to_owned())) {
+            return (outcome, now_ms, notes);
+        }
+    }
+    panic!("it does not end: {notes:?}");
+}
+
+#[test]
+fn a_taught_pose_is_written_read_and_played_to_where_it_was() {
+    let (mut door, _, there) = taught();
+    let (outcome, took_ms, notes) = play(&mut door, |_| false);
+    assert_eq!((outcome, notes), (Played::Reached, Vec::new()));
+    let here = door.robot().simulator.motion();
+    println!("there after {took_ms} ms");
+    assert!(here.joints_rad.iter().zip(there).all(|(a, b)| (a - b).abs() < 1e-6), "{here:?}");
+    assert!(door.robot().simulator.at_rest());
+}
+
+#[test]
+fn a_taught_pose_is_played_neither_against_a_robot_that_refuses_nor_on_when_it_begins_to() {
+    // From the start, and all the time that a robot is waited for.
+    let (mut door, refusal, _) = taught();
+    *refusal.lock().unwrap() = Some("the e-stop is pressed".to_owned());
+    let before = door.robot().simulator.motion();
+    let (outcome, took_ms, _) = play(&mut door, |_| false);
+    assert_eq!(outcome, Played::Not("the robot refuses to move: the e-stop is pressed".to_owned()));
+    assert!(took_ms >= SEARCH_MS);
+    assert_eq!(door.robot().simulator.motion(), before, "nothing has moved");
+    // On the way: it rests within what the limits allow, and no part of the motion comes after.
+    let (mut door, refusal, there) = taught();
+    let (outcome, ended_ms, _) = play(&mut door, |now_ms| {
+        if now_ms == 2000 {
+            *refusal.lock().unwrap() = Some("the e-stop is pressed".to_owned());
+        }
+        false
+    });
+    assert_eq!(outcome, Played::Not("the robot refuses to move on: the e-stop is pressed".to_owned()));
+    assert!((2300..2320).contains(&ended_ms), "{ended_ms}");
+    door.step(2000 + REST_MS);
+    let rested = door.robot().simulator.motion();
+    assert!(door.robot().simulator.at_rest());
+    assert!(rested.joints_rad.iter().zip(there).any(|(a, b)| (a - b).abs() > 0.05));
+    door.step(20_000);
+    assert_eq!(door.robot().simulator.motion(), rested);
+    // And so it is with Ctrl-C.
+    let (mut door, _, _) = taught();
+    let (outcome, ended_ms, _) = play(&mut door, |now_ms| now_ms >= 2000);
+    assert_eq!((outcome, ended_ms), (Played::Interrupted, 2300));
+    door.step(2000 + REST_MS);
+    assert!(door.robot().simulator.at_rest());
+}
+
+/// A motion of three parts: there, a rest, and on.
+const OF_THREE: &str = "[[motion]]\nname = \"own\"\nsteps = [{ to = \"pick-up\" }, { wait_s = 4 }, { to = \"place\" }]\n\
+                        [motions]\nto-fro = \"own\"\n";
+
+fn with_steps() -> Rig {
+    let config = Config::parse(OF_THREE).unwrap();
+    let mut rig = Rig::empty();
+    rig.bridge = Bridge::new(config.motion_map());
+    rig.robot = Stage::new(&config, None).unwrap().simulated(&config);
+    rig.connect(Hand::Left, 1);
+    rig.connect(Hand::Right, 1);
+    rig.run(200);
+    assert_eq!(rig.state(), State::Armed);
+    rig
+}
+
+#[test]
+fn a_hand_or_robot_that_holds_it_back_within_a_sequence_ends_all_of_it_and_neutral_revives_none() {
+    // Where the arm moves, and where it waits, as the whole of it shows.
+    let mut rig = with_steps();
+    rig.gesture(2);
+    let from_ms = rig.now_ms;
+    let mut rests = Vec::new();
+    while rig.robot.arm().running.is_some() {
+        rig.run(100);
+        rests.push(!rig.arm_moves());
+        assert!(rests.len() < 1200);
+    }
+    let takes_ms = rig.now_ms - from_ms;
+    let first_rest = rests.iter().skip(20).position(|rest| *rest).unwrap() as u64 + 20;
+    println!("the whole takes {takes_ms} ms, it waits from {} ms on", 100 * first_rest);
+    // In the first way, in the wait, in the last way.
+    let moments_ms = [2000, 100 * first_rest + 1500, takes_ms - 3000];
+    type Holds = fn(&mut Rig);
+    let holds: [(&str, Holds, Holds); 5] = [
+        ("the left hand is silent", |rig| rig.talking.left = false, |rig| rig.talking.left = true),
+        ("the right hand is silent", |rig| rig.talking.right = false, |rig| rig.talking.right = true),
+        ("the left hand is in doubt", |rig| rig.left.health = 1, |rig| rig.left.health = 0),
+        ("e-stop", |rig| refuse(rig, Some("the e-stop is pressed")), |rig| refuse(rig, None)),
+        ("the arm's end", |rig| rig.bridge.end_arm_key(rig.now_ms, &mut rig.robot), |_| {}),
+    ];
+    for (what, hold, is_over) in holds {
+        for moment_ms in moments_ms {
+            let mut rig = with_steps();
+            rig.gesture(2);
+            rig.run(moment_ms);
+            assert!(rig.robot.arm().running.is_some(), "{what} at {moment_ms} ms");
+            rig.events.clear();
+            hold(&mut rig);
+            // A hand counts as silent after 250 ms.
+            rig.run(300 + REST_MS);
+            assert!(!rig.arm_moves() && rig.robot.arm().running.is_none(), "{what} at {moment_ms} ms");
+            let of = |wanted: fn(&EventKind) -> bool| rig.events.iter().filter(|event| wanted(event)).count();
+            assert_eq!(of(|e| matches!(e, EventKind::MotionEnded { reached: false, .. })), 1, "{what}");
+            assert_eq!(
+                of(|e| matches!(e, EventKind::Robot { text } if text.contains("the rest is not done"))),
+                1
+            );
+            is_over(&mut rig);
+            rig.take_moved();
+            rig.run(6000);
+            assert_eq!(rig.state(), State::Armed, "{what}");
+            assert!(!rig.take_moved(), "{what} at {moment_ms} ms: it goes on");
+        }
+    }
 }

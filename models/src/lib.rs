@@ -8,6 +8,7 @@
 //! [`WINDOW`] samples at [`RATE_HZ`]; a *label* is a gesture's canonical name; a *card* is the JSON
 //! beside a model that says where it comes from.
 
+pub mod adc;
 pub mod blob;
 pub mod bundled;
 pub mod card;

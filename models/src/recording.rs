@@ -7,9 +7,10 @@
 
 use std::fmt::Write as _;
 use std::io::Write as _;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use crate::RATE_HZ;
+pub use crate::sheet::RecordingError;
 use crate::sheet::{self, Reading, Sheet};
 
 /// Column names in the order of a sample's axes.
@@ -19,6 +20,9 @@ pub const AXIS_NAMES: [&str; 9] = ["accX", "accY", "accZ", "gyrX", "gyrY", "gyrZ
 pub const MIN_RATE_HZ: f64 = 25.0;
 /// Fastest sampling rate that is accepted, in Hz.
 pub const MAX_RATE_HZ: f64 = 500.0;
+
+/// Longer than this no recording is: what is read is brought to the models' rate, pauses and all.
+const LONGEST_H: f64 = 24.0;
 
 /// A rate this near to the wanted one is the wanted one: samples are used as they are.
 pub(crate) const SAME_RATE: f64 = 0.01;
@@ -30,147 +34,6 @@ pub struct Recording {
     time_ms: Vec<f64>,
     values: Vec<f32>,
     notes: Vec<String>,
-}
-
-/// Why a recording cannot be used; the text says what to do.
-#[derive(Debug, thiserror::Error)]
-pub enum RecordingError {
-    /// The file cannot be opened or read.
-    #[error("{file}: {source}; check the path and that the file may be read")]
-    Io {
-        /// The file.
-        file: PathBuf,
-        /// What the system said.
-        source: std::io::Error,
-    },
-    /// Nothing in the file, or a header without samples.
-    #[error("{file}: {what}; record it again or delete the file")]
-    Empty {
-        /// The file.
-        file: PathBuf,
-        /// What is missing.
-        what: &'static str,
-    },
-    /// The columns of a recording are not found.
-    #[error(
-        "{file}, line {line}{}: {problem}; a recording has the columns timestamp (or timestamp_ms),accX,accY,accZ\
-         [,gyrX,gyrY,gyrZ[,magX,magY,magZ]] or others that `models import --columns` names",
-        column_name(*.column, .name)
-    )]
-    Header {
-        /// The file.
-        file: PathBuf,
-        /// Line, from 1.
-        line: u64,
-        /// Column, from 1; 0: none in particular.
-        column: usize,
-        /// Its name.
-        name: String,
-        /// What is wrong with it.
-        problem: String,
-    },
-    /// No column holds times.
-    #[error(
-        "{file}: there is no column of times; if the rate is known, say it with --rate, for example `models import --rate 119`"
-    )]
-    NoTimes {
-        /// The file.
-        file: PathBuf,
-    },
-    /// Samples are not in the units that are wanted or declared.
-    #[error("{file}: {problem}")]
-    Units {
-        /// The file.
-        file: PathBuf,
-        /// What they look like, and what to do.
-        problem: String,
-    },
-    /// Several recordings in one file.
-    #[error(
-        "{file}: the file holds {takes} recordings, one after the other; `models import` makes a file of each"
-    )]
-    Takes {
-        /// The file.
-        file: PathBuf,
-        /// How many.
-        takes: usize,
-    },
-    /// A row has too few or too many values.
-    #[error(
-        "{file}, line {line}, column {column}: the row has {found} values, the header {expected}; \
-         the file may be cut off or damaged here: delete the line or record it again"
-    )]
-    Row {
-        /// The file.
-        file: PathBuf,
-        /// Line, from 1.
-        line: u64,
-        /// First column that is missing or too much, from 1.
-        column: usize,
-        /// Values in the row.
-        found: usize,
-        /// Values in the header.
-        expected: usize,
-    },
-    /// A value is not a finite number.
-    #[error(
-        "{file}, line {line}, column {column} ({name}): {value:?} is not a {wanted}; \
-         correct the value or delete the line"
-    )]
-    Value {
-        /// The file.
-        file: PathBuf,
-        /// Line, from 1.
-        line: u64,
-        /// Column, from 1.
-        column: usize,
-        /// The column's name.
-        name: String,
-        /// What stands there.
-        value: String,
-        /// What should stand there.
-        wanted: &'static str,
-    },
-    /// Time stands still or goes back.
-    #[error(
-        "{file}, line {line}, column {column} ({name}): time {time_ms} ms follows {before_ms} ms; \
-         times must rise: sort the rows, or split the file where a second recording starts"
-    )]
-    Time {
-        /// The file.
-        file: PathBuf,
-        /// Line, from 1.
-        line: u64,
-        /// Column, from 1.
-        column: usize,
-        /// The column's name.
-        name: String,
-        /// The time found, in ms.
-        time_ms: f64,
-        /// The time before it, in ms.
-        before_ms: f64,
-    },
-    /// The sampling rate is outside [`MIN_RATE_HZ`]..=[`MAX_RATE_HZ`], or cannot be told.
-    #[error(
-        "{file}, column 1: the sampling rate is {rate_hz:.1} Hz, but 25 to 500 Hz are needed; \
-         times must be in milliseconds"
-    )]
-    Rate {
-        /// The file.
-        file: PathBuf,
-        /// The measured rate, in Hz.
-        rate_hz: f64,
-    },
-    /// The file cannot be parsed as CSV text at all.
-    #[error("{file}, line {line}: {what}; save it as plain CSV text in UTF-8")]
-    Text {
-        /// The file.
-        file: PathBuf,
-        /// Line, from 1.
-        line: u64,
-        /// What the parser said.
-        what: String,
-    },
 }
 
 impl Recording {
@@ -212,7 +75,13 @@ impl Recording {
     pub fn parse_as(file: &Path, bytes: &[u8], reading: &Reading) -> Result<Self, RecordingError> {
         let Sheet { mut takes, notes } = sheet::parse(file, bytes, reading)?;
         match takes.pop() {
-            Some(recording) if takes.is_empty() => Ok(Self { notes, ..recording }),
+            Some(recording) if takes.is_empty() => {
+                let hours = recording.seconds() / 3600.0;
+                if hours > LONGEST_H {
+                    return Err(RecordingError::Long { file: file.to_owned(), hours });
+                }
+                Ok(Self { notes, ..recording })
+            }
             _ => Err(RecordingError::Takes { file: file.to_owned(), takes: takes.len() + 1 }),
         }
     }
@@ -388,13 +257,4 @@ pub fn write_whole(file: &Path, bytes: &[u8]) -> std::io::Result<()> {
         let _ = std::fs::remove_file(&part);
     }
     renamed
-}
-
-/// `, column 3 ("accZ")`, as far as it is known.
-fn column_name(column: usize, name: &str) -> String {
-    match (column, name) {
-        (0, "") => String::new(),
-        (0, name) => format!(" ({name:?})"),
-        (column, name) => format!(", column {column} ({name:?})"),
-    }
 }

@@ -34,6 +34,10 @@ pub enum RandomStream {
     Order,
     /// What the simulated wearer of this number does where no gesture is made.
     Aimless(u32),
+    /// Which three recordings of each gesture a person shows (`models daily`).
+    ShownDaily,
+    /// Varied windows of a simulated wearer, whose number is the seed.
+    OfWearer,
 }
 
 impl RandomStream {
@@ -50,6 +54,8 @@ impl RandomStream {
             Self::Shown => 1 << 44,
             Self::Order => 1 << 45,
             Self::Aimless(index) => (1 << 46) + index as u64,
+            // As `Epochs`, which draws in other commands, or of other seeds.
+            Self::ShownDaily | Self::OfWearer => 0,
         }
     }
 

@@ -125,6 +125,19 @@ fn rates_outside_25_to_500_hz_are_refused_and_inside_accepted() {
 }
 
 #[test]
+fn a_clock_that_jumps_by_days_is_named_and_an_hours_pause_is_not() {
+    let until = |last: &str| {
+        let rows: String = (0..50).map(|n| format!("{},1,2,9.5\n", 10 * n)).collect();
+        parse(&format!("timestamp,accX,accY,accZ\n{rows}{last},1,2,9.5\n"))
+    };
+    assert_eq!(until("3600000").unwrap().len(), 51);
+    for (last, told) in [("1e9", "is 278 h long"), ("1e300", "its clock has jumped")] {
+        let text = until(last).unwrap_err().to_string();
+        assert!(text.contains(told) && text.contains("models import"), "{text}");
+    }
+}
+
+#[test]
 fn bytes_that_are_not_text_are_an_error() {
     let bytes = b"timestamp,accX,accY,accZ\n0,1,\xff\xfe,3\n";
     let text = Recording::parse(Path::new("x.csv"), bytes).unwrap_err().to_string();

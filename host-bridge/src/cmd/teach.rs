@@ -10,27 +10,21 @@ use std::time::{Duration, Instant};
 use anyhow::{Context as _, Result, bail, ensure};
 use host_bridge::arm::Director;
 use host_bridge::arm::motions::is_grasp;
-use host_bridge::base::Twist;
 use host_bridge::config::Config;
 use host_bridge::ending::Ending;
-use host_bridge::robot::{Door as _, Joints, MotionName, Report, Robot};
+use host_bridge::robot::{Door as _, Joints, MotionName, Robot};
 use host_bridge::robots::Stage;
 use host_bridge::ros2::ArmInterface;
 use host_bridge::taught::with_pose;
+use host_bridge::teach::{Play, Played, Rest, SEARCH_MS};
 
 use super::ports::read_config;
 use super::ros2::{FAREWELL_MS, Graph};
 use super::run::check_braking;
 use crate::play::{Interrupted, stage, stage_of};
 
-/// The robot is waited for so long.
-const SEARCH: Duration = Duration::from_secs(8);
+/// How often the robot is looked at.
 const TURN: Duration = Duration::from_millis(5);
-/// Nothing that is taught moves faster,
-const REST_RAD_S: f64 = 0.02;
-/// nor further in this time.
-const RESTED: Duration = Duration::from_millis(500);
-const NOISE_RAD: f64 = 0.002;
 
 /// Options.
 #[derive(clap::Args, Clone, Debug)]
@@ -112,38 +106,27 @@ fn open(config: &Config, stage: &Stage) -> Result<Remote> {
     Ok(stage.before(robot))
 }
 
-/// The arm's angles, once they have been the same for a while: not every driver tells speeds.
+/// The arm's angles, once it rests.
 fn here(door: &mut Remote) -> Result<Joints> {
     let start = Instant::now();
-    let mut rested: Option<(Joints, Instant)> = None;
-    while start.elapsed() < SEARCH {
-        door.step(start.elapsed().as_millis() as u64);
-        if let Some(arm) = door.robot().arm() {
-            let here = arm.value.joints_rad;
-            let moves = arm.value.velocity_rad_s.iter().any(|v| v.abs() > REST_RAD_S);
-            match rested {
-                Some((there, since)) if !moves && is_near(&here, &there) => {
-                    if since.elapsed() >= RESTED {
-                        return Ok(here);
-                    }
-                }
-                _ => rested = Some((here, Instant::now())),
-            }
+    let mut rest = Rest::default();
+    loop {
+        let now_ms = start.elapsed().as_millis() as u64;
+        if now_ms >= SEARCH_MS {
+            break;
+        }
+        door.step(now_ms);
+        if let Some(joints_rad) = door.robot().arm().and_then(|arm| rest.see(&arm.value, now_ms)) {
+            return Ok(joints_rad);
         }
         std::thread::sleep(TURN);
     }
-    match rested {
-        Some(_) => bail!("the arm still moves; let it rest, then teach"),
-        None => bail!(
-            "no angles of all joints within {} s: are joint_states and joint_names under [ros2] the robot's? \
-             `host-bridge doctor --ros2` tells",
-            SEARCH.as_secs()
-        ),
-    }
-}
-
-fn is_near(one: &Joints, two: &Joints) -> bool {
-    one.iter().zip(two).all(|(a, b)| (a - b).abs() <= NOISE_RAD)
+    ensure!(!rest.was_told(), "the arm still moves; let it rest, then teach");
+    bail!(
+        "no angles of all joints within {} s: are joint_states and joint_names under [ros2] the robot's? \
+         `host-bridge doctor --ros2` tells",
+        SEARCH_MS / 1000
+    )
 }
 
 /// Goes there as a gesture would.
@@ -164,57 +147,17 @@ fn play(args: &Args, config: &Config) -> Result<ExitCode> {
     let ended = Arc::new(AtomicBool::new(false));
     let _ending = Ending::watch(&ended, false)?;
     let start = Instant::now();
-    let now_ms = || start.elapsed().as_millis() as u64;
-    let name = MotionName::from(args.name.as_str());
-    let turn = |door: &mut Remote| -> Option<bool> {
-        door.step(now_ms());
-        // It says that somebody commands; the base stays where it is.
-        door.drive(Twist::ZERO);
-        let mut reached = None;
-        for report in door.take_reports() {
-            match report {
-                Report::MotionEnded { reached: there, .. } => reached = Some(there),
-                Report::Note(text) => eprintln!("{text}"),
-                _ => {}
-            }
-        }
-        door.send();
-        std::thread::sleep(TURN);
-        reached
-    };
-    // The robot is waited for; the motion is asked for once.
-    let mut ready = false;
-    while !ready && start.elapsed() < SEARCH && !ended.load(Ordering::SeqCst) {
-        turn(&mut door);
-        ready = door.refusal().is_none() && door.robot().can_follow().is_ok();
-    }
-    if let Some(refusal) = door.refusal() {
-        bail!("the robot refuses to move: {refusal}");
-    }
-    let mut started = Ok(());
-    let (mut reached, mut refused) = (None, None);
-    if !ended.load(Ordering::SeqCst) {
-        started = door.start_motion(&name);
-        while started.is_ok() && reached.is_none() && refused.is_none() && !ended.load(Ordering::SeqCst) {
-            reached = turn(&mut door);
-            refused = door.refusal();
+    let mut play = Play::new(args.name.as_str().into(), FAREWELL_MS);
+    loop {
+        let now_ms = start.elapsed().as_millis() as u64;
+        let interrupted = ended.load(Ordering::SeqCst);
+        match play.turn(&mut door, now_ms, interrupted, |text| eprintln!("{text}")) {
+            None => std::thread::sleep(TURN),
+            Some(Played::Reached) => break,
+            Some(Played::Interrupted) => return Err(Interrupted.into()),
+            Some(Played::Not(why)) => bail!("{why}"),
         }
     }
-    if reached != Some(true) {
-        door.halt();
-        let until_ms = now_ms() + FAREWELL_MS;
-        while now_ms() < until_ms {
-            turn(&mut door);
-        }
-    }
-    if let Some(refusal) = refused {
-        bail!("the robot refuses to move on: {refusal}");
-    }
-    if ended.load(Ordering::SeqCst) {
-        return Err(Interrupted.into());
-    }
-    started.map_err(|why| anyhow::anyhow!("'{}' does not start: {why}", args.name))?;
-    ensure!(reached == Some(true), "'{}' was given up on the way", args.name);
     println!("'{}' reached", args.name);
     Ok(ExitCode::SUCCESS)
 }

@@ -1112,3 +1112,46 @@ fn a_gesture_closes_and_opens_a_gripper_of_either_kind_and_a_stop_halts_it_and_n
         assert!(here.into_iter().all(|position| position > 0.0), "it did not open: {after:?}");
     }
 }
+
+#[test]
+fn a_pose_is_played_to_and_where_the_robots_arm_then_is_can_be_taught() {
+    let Some(site) = site("a_pose_is_played_to_and_where_the_robots_arm_then_is_can_be_taught", false) else {
+        return;
+    };
+    let desk = desk("ros2-teach");
+    let domain = domain();
+    let mut robot = peer(&desk, &site.python, domain, &["--robot"]);
+    robot.has("ready", |v| is(v, "ready"));
+    let mut raised = HOME;
+    raised[1] += 0.2;
+    raised[3] -= 0.1;
+    let file = desk.path("taught.toml");
+    let text = format!(
+        "[ros2]\ndomain_id = {domain}\ninterfaces = ['127.0.0.1']\n\n[[pose]]\nname = \"raised\"\njoints_rad = {raised:?}\n"
+    );
+    std::fs::write(&file, &text).unwrap();
+    let teach = |arguments: &[&str]| {
+        let mut command = Command::new(crate::host_bridge());
+        command.arg("teach").args(arguments).arg("--config").arg(&file).env_remove("ROS_DOMAIN_ID");
+        let output = command.output().unwrap();
+        let both = [output.stdout, output.stderr].map(|text| String::from_utf8_lossy(&text).into_owned());
+        println!("teach {arguments:?}: {}", both.join(""));
+        (output.status.success(), both.join(""))
+    };
+    let (done, said) = teach(&["raised", "--play", "--yes"]);
+    assert!(done && said.contains("'raised' reached"), "{said}");
+    let (done, said) = teach(&["there"]);
+    assert!(done && said.contains("--map LABEL=there"), "{said}");
+    let written = std::fs::read_to_string(&file).unwrap();
+    assert!(written.starts_with(&text), "what stood there stands: {written}");
+    let config = host_bridge::config::Config::parse(&written).unwrap();
+    let there = &config.pose.iter().find(|pose| pose.name == "there").unwrap().joints_rad;
+    let off = there.iter().zip(raised).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+    println!("taught {off:.4} rad from where it was sent");
+    assert!(off < 0.01, "{there:?}");
+    // Nobody is asked where nobody can answer, and a pose that is not there is named.
+    let (done, said) = teach(&["raised", "--play"]);
+    assert!(!done && said.contains("--yes"), "{said}");
+    let (done, said) = teach(&["nowhere", "--play", "--yes"]);
+    assert!(!done && said.contains("'nowhere'"), "{said}");
+}

@@ -3,7 +3,6 @@
 
 use host_bridge::arm::{Director, Motions};
 use host_bridge::base::Odometry;
-use host_bridge::bridge::Bridge;
 use host_bridge::config::{Config, HandInput};
 use host_bridge::engine::Engine;
 use host_bridge::keyboard::{KeyLeft, KeyRight};
@@ -86,6 +85,7 @@ pub fn live_before<D: Door>(
         source(left, Source::here(KeyLeft::new(config.keyboard))),
         source(right, Source::here(KeyRight::new())),
     ];
-    let bridge = Bridge::with(config.motion_map(), config.speed, config.safety);
-    Engine::new(bridge, door, sources, now_ms).with_tilt(config.tilt).with_vibration(config.vibration.wired)
+    Engine::new(config.bridge(config.motion_map()), door, sources, now_ms)
+        .with_tilt(config.tilt)
+        .with_vibration(config.vibration.wired)
 }

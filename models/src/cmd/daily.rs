@@ -7,10 +7,9 @@ use clap::{Args, Subcommand};
 use models::daily::{Daily, vectors};
 use models::dataset::{Dataset, Item};
 use models::evaluate::events::{AnnotatedRecording, Heard, Tally, decide, listen};
+use models::streams::RandomStream;
 use models::train::{Aligned, Job, Trained, adapt, examples_of, train};
-use rand::SeedableRng;
 use rand::seq::SliceRandom;
-use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use shared_dsp::right::movement::MovementConfig;
 use shared_dsp::right::network::Model;
@@ -275,7 +274,7 @@ fn three_of_each<'a>(
     model: &Trained,
     seed: u64,
 ) -> (Vec<(Vec<f32>, usize)>, Vec<&'a Item>) {
-    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut rng = RandomStream::ShownDaily.of(seed);
     let (mut examples, mut rest) = (Vec::new(), Vec::new());
     for label in &theirs.labels {
         let mut items: Vec<&Item> = theirs.items.iter().filter(|item| item.label == *label).collect();

@@ -1,29 +1,31 @@
-//! CSV files as people have them: from a file's bytes to recordings in our units.
+//! CSV files as people have them: from a file's bytes to recordings in our units, of either hand.
 //!
 //! ```text
-//! bytes ─ text ─► lines of cells ─ layout ─► columns ─ clock ─► times in ms ─ judge ─► m/s², deg/s, µT
+//! bytes ─ text ─► lines of cells ─ reader ─► rows of numbers ┬ right ─► clock ─► judge ─► m/s², deg/s, µT
+//!                         column table of each hand ──┘      └ left ─► conversions of five channels
 //! ```
 //!
 //! Columns are found by their names in any order, whatever parts them and whether decimals have a point or a comma.
 //! What a name or [`Reading`] does not say is judged: the unit of times by the rate that it gives, the units of samples
-//! by gravity and by how hands turn (`judge`). A judgement is either printed (import, [`Reading::guess`]) or a
+//! by gravity and by how hands turn (`right/judge.rs`). A judgement is either printed (import, [`Reading::guess`]) or a
 //! question in an error: nothing is taken for something else in silence.
 
 mod clock;
-pub(crate) mod judge;
-mod layout;
-pub(crate) mod names;
-mod raw;
+mod error;
+pub(crate) mod left;
+mod reader;
+mod right;
 mod text;
 
 use std::fmt;
 use std::path::Path;
 use std::str::FromStr;
 
-pub use layout::Columns;
-pub use raw::{Table, merge};
+pub use error::RecordingError;
+pub use right::{Columns, Table, merge};
 
-use crate::recording::{Recording, RecordingError};
+use crate::recording::Recording;
+use right::names;
 
 /// The sensors of a recording, in the order of its axes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -121,12 +123,12 @@ pub struct Sheet {
     pub notes: Vec<String>,
 }
 
-/// Reads all recordings in the bytes of a file; `file` is for the errors, and says which sensor columns x, y, z are of.
+/// Reads all recordings of the right hand in the bytes of a file; `file` is for the errors, and says which sensor columns x, y, z are of.
 ///
 /// # Errors
 /// [`RecordingError`], with the place and what to do.
 pub fn parse(file: &Path, bytes: &[u8], reading: &Reading) -> Result<Sheet, RecordingError> {
-    raw::parse(file, bytes, reading)?.judged(file, reading)
+    right::parse(file, bytes, reading)?.judged(file, reading)
 }
 
 #[cfg(test)]

@@ -60,22 +60,31 @@ fn unquoted(cell: &str) -> &str {
     inner.unwrap_or(cell).trim()
 }
 
-/// The text of a file, and the first line that is not UTF-8, from 1: its bytes became the characters of Latin-1, which
-/// only a header may have.
-pub(super) fn decode(bytes: &[u8]) -> (Cow<'_, str>, Option<u64>) {
+/// The text of a file.
+#[derive(Debug, PartialEq, Eq)]
+pub(super) struct Text<'b> {
+    pub content: Cow<'b, str>,
+    /// The first line that is not UTF-8, from 1: its bytes became the characters of Latin-1, which only a header may have.
+    pub foreign_line: Option<u64>,
+}
+
+/// A file's bytes as text.
+pub(super) fn decode(bytes: &[u8]) -> Text<'_> {
+    let whole = |content: Cow<'static, str>| Text { content, foreign_line: None };
     if let Some(rest) = bytes.strip_prefix(b"\xff\xfe") {
-        return (utf16(rest, u16::from_le_bytes).into(), None);
+        return whole(utf16(rest, u16::from_le_bytes).into());
     }
     if let Some(rest) = bytes.strip_prefix(b"\xfe\xff") {
-        return (utf16(rest, u16::from_be_bytes).into(), None);
+        return whole(utf16(rest, u16::from_be_bytes).into());
     }
     let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
     match std::str::from_utf8(bytes) {
-        Ok(text) => (text.into(), None),
+        Ok(text) => Text { content: text.into(), foreign_line: None },
         Err(error) => {
             let before = &bytes[..error.valid_up_to()];
             let line = before.iter().filter(|&&byte| byte == b'\n').count() as u64 + 1;
-            (bytes.iter().map(|&byte| char::from(byte)).collect::<String>().into(), Some(line))
+            let content = bytes.iter().map(|&byte| char::from(byte)).collect::<String>();
+            Text { content: content.into(), foreign_line: Some(line) }
         }
     }
 }
@@ -133,9 +142,10 @@ mod tests {
     #[test]
     fn every_way_to_write_text_is_read() {
         let utf16: Vec<u8> = "a;µ\n".encode_utf16().flat_map(u16::to_le_bytes).collect();
-        assert_eq!(decode(&[&b"\xff\xfe"[..], &utf16].concat()), ("a;µ\n".into(), None));
-        assert_eq!(decode(b"\xef\xbb\xbfx"), ("x".into(), None));
-        assert_eq!(decode(b"x\nm/s\xb2"), ("x\nm/s²".into(), Some(2)));
+        let text = |content: &'static str, foreign_line| Text { content: content.into(), foreign_line };
+        assert_eq!(decode(&[&b"\xff\xfe"[..], &utf16].concat()), text("a;µ\n", None));
+        assert_eq!(decode(b"\xef\xbb\xbfx"), text("x", None));
+        assert_eq!(decode(b"x\nm/s\xb2"), text("x\nm/s²", Some(2)));
         assert_eq!(lines("a\r\nb\n").collect::<Vec<_>>(), [(1, "a"), (2, "b"), (3, "")]);
         assert_eq!(lines("a\rb").collect::<Vec<_>>(), [(1, "a"), (2, "b")]);
     }

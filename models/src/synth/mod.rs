@@ -14,6 +14,7 @@ mod sensor;
 mod wearer;
 
 pub use path::{IdleKind, Motion, Segment};
+use wearer::Draws;
 pub use wearer::{Group, Wearer};
 
 use crate::recording::Recording;
@@ -30,7 +31,7 @@ use crate::recording::Recording;
 /// assert_eq!((recording.axes(), recording.len()), (9, 800));
 /// ```
 pub fn session(wearer: &Wearer, take: u64, script: &[Segment]) -> Recording {
-    let mut rng = wearer.rng(take);
+    let mut rng = wearer.rng(Draws::Take(take));
     let track = path::track(wearer, &mut rng, script);
     sensor::record(wearer, &mut rng, &track)
 }

@@ -483,6 +483,7 @@ pub(super) fn rotation([roll, pitch, yaw]: [f64; 3]) -> [[f64; 3]; 3] {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::synth::wearer::Draws;
 
     #[test]
     fn a_rectangle_goes_once_around_through_its_four_corners() {
@@ -504,7 +505,7 @@ mod tests {
             Segment::new(Motion::LeftRight, 3.0),
             Segment::new(Motion::IDLE, 1.0),
         ];
-        let track = track(&wearer, &mut wearer.rng(0), &script);
+        let track = track(&wearer, &mut wearer.rng(Draws::Take(0)), &script);
         let speed = |n: usize| (track[n + 1].position_m[1] - track[n].position_m[1]).abs() / STEP_S;
         let per_s = RATE_HZ as usize * OVERSAMPLING;
         for n in [per_s / 2, per_s, 4 * per_s, 4 * per_s + per_s / 2] {
@@ -519,7 +520,7 @@ mod tests {
         for motion in Motion::GESTURES {
             let wearer = Wearer::training(2, 9);
             let script = [Segment::new(Motion::IDLE, 1.0), Segment::new(motion, 4.0)];
-            let track = track(&wearer, &mut wearer.rng(0), &script);
+            let track = track(&wearer, &mut wearer.rng(Draws::Take(0)), &script);
             let z = |n: usize| track[n].position_m;
             let acceleration =
                 |n: usize, a: usize| (z(n + 1)[a] - 2.0 * z(n)[a] + z(n - 1)[a]) / (STEP_S * STEP_S);

@@ -137,7 +137,7 @@ impl Wearer {
     /// twice as fast, circles in any plane, the hand turning with the arm as if it hung on the elbow.
     #[must_use]
     pub fn untaught(mut self) -> Self {
-        let r = &mut self.rng(u64::MAX - 1);
+        let r = &mut self.rng(Draws::Habits);
         for hz in [&mut self.stroke_hz, &mut self.circle_hz, &mut self.rectangle_hz] {
             *hz *= normal(r, 0.35, 0.8).exp();
         }
@@ -147,13 +147,26 @@ impl Wearer {
         self
     }
 
-    /// The random numbers of one take.
-    pub(super) fn rng(&self, take: u64) -> ChaCha8Rng {
+    /// The random numbers of one use.
+    pub(super) fn rng(&self, of: Draws) -> ChaCha8Rng {
         let mut rng = ChaCha8Rng::from_seed(self.key);
-        // Stream 0 made the wearer.
-        rng.set_stream(take + 1);
+        rng.set_stream(match of {
+            // 0 made the wearer.
+            Draws::Take(take) => take + 1,
+            Draws::Habits => u64::MAX,
+        });
         rng
     }
+}
+
+/// What a wearer's random numbers are for: each has its own stream, as [`RandomStream`](crate::streams::RandomStream) has
+/// them of a seed.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Draws {
+    /// The take of this number.
+    Take(u64),
+    /// Habits of somebody who was not told how to move.
+    Habits,
 }
 
 /// Group, seed and index side by side: two groups can never share a key.
@@ -197,7 +210,7 @@ mod tests {
     #[test]
     fn a_take_has_random_numbers_of_its_own() {
         let wearer = Wearer::demo(3);
-        let first = |take| wearer.rng(take).random::<u64>();
+        let first = |take| wearer.rng(Draws::Take(take)).random::<u64>();
         assert_eq!(first(4), first(4));
         assert_ne!(first(4), first(5));
     }

@@ -86,6 +86,26 @@ impl Tensor<'_> {
     }
 }
 
+/// The tensors of the graph, and where their data stands.
+struct Tensors<'b> {
+    tables: Vec<Table<'b>>,
+    buffers: Vec<Table<'b>>,
+}
+
+impl<'b> Tensors<'b> {
+    fn at(&self, index: i32) -> Result<Tensor<'b>, TfliteError> {
+        let table = usize::try_from(index).ok().and_then(|n| self.tables.get(n));
+        let table = table.ok_or(TfliteError::Damaged)?;
+        let buffer = usize::try_from(table.i32(2, 0)?).ok().and_then(|n| self.buffers.get(n));
+        let (scales, zero_points, dimension) = match table.table(4)? {
+            Some(q) => (q.f32s(2)?, q.i64s(3)?, q.i32(6, 0)?),
+            None => (Vec::new(), Vec::new(), 0),
+        };
+        let data = buffer.ok_or(TfliteError::Damaged)?.bytes(0)?;
+        Ok(Tensor { shape: table.i32s(0)?, kind: table.i8(1, 0)?, data, scales, zero_points, dimension })
+    }
+}
+
 /// Reads a network from the bytes of a file. Never panics.
 ///
 /// # Errors
@@ -107,12 +127,11 @@ pub fn read_to_end(bytes: &[u8]) -> Result<(Network, End), TfliteError> {
     }
     let model = Table::root(bytes)?;
     let codes = model.tables(1)?;
-    let buffers = model.tables(4)?;
     let graphs = model.tables(2)?;
     let [graph] = graphs.as_slice() else {
         return unsupported(format!("{} graphs; one is expected", graphs.len()));
     };
-    let tensors = graph.tables(0)?;
+    let tensors = Tensors { tables: graph.tables(0)?, buffers: model.tables(4)? };
     let operators = graph.tables(3)?;
     if operators.len() > MAX_LAYERS + MAX_OTHERS {
         return unsupported(format!(
@@ -121,22 +140,10 @@ pub fn read_to_end(bytes: &[u8]) -> Result<(Network, End), TfliteError> {
             MAX_LAYERS + MAX_OTHERS
         ));
     }
-    let tensor = |index: i32| -> Result<Tensor<'_>, TfliteError> {
-        let table = usize::try_from(index).ok().and_then(|n| tensors.get(n));
-        let table = table.ok_or(TfliteError::Damaged)?;
-        let buffer = usize::try_from(table.i32(2, 0)?).ok().and_then(|n| buffers.get(n));
-        let (scales, zero_points, dimension) = match table.table(4)? {
-            Some(q) => (q.f32s(2)?, q.i64s(3)?, q.i32(6, 0)?),
-            None => (Vec::new(), Vec::new(), 0),
-        };
-        let data = buffer.ok_or(TfliteError::Damaged)?.bytes(0)?;
-        Ok(Tensor { shape: table.i32s(0)?, kind: table.i8(1, 0)?, data, scales, zero_points, dimension })
-    };
-
     let (&[input], &[output]) = (graph.i32s(1)?.as_slice(), graph.i32s(2)?.as_slice()) else {
         return unsupported("one input and one output are expected");
     };
-    let mut chain = Chain::new(&tensor(input)?)?;
+    let mut chain = Chain::new(&tensors.at(input)?)?;
     let mut at = input;
     for (index, operator) in operators.iter().enumerate() {
         let code_index = usize::try_from(operator.i32(0, 0)?).map_err(|_| TfliteError::Damaged)?;
@@ -150,7 +157,7 @@ pub fn read_to_end(bytes: &[u8]) -> Result<(Network, End), TfliteError> {
         };
         // Where the batch is left open, the shape of a RESHAPE is computed; it is checked there.
         let of_shapes = [schema::SHAPE, schema::STRIDED_SLICE, schema::PACK];
-        if of_shapes.contains(&number) && tensor(next)?.kind == schema::INT32 {
+        if of_shapes.contains(&number) && tensors.at(next)?.kind == schema::INT32 {
             continue;
         }
         let known =
@@ -160,7 +167,7 @@ pub fn read_to_end(bytes: &[u8]) -> Result<(Network, End), TfliteError> {
         }
         if inputs.first() != Some(&at) {
             if let Some(constant) =
-                inputs.first().and_then(|n| tensor(*n).ok()).filter(|t| !t.data.is_empty())
+                inputs.first().and_then(|n| tensors.at(*n).ok()).filter(|t| !t.data.is_empty())
             {
                 return unsupported(format!(
                     "{} on weights of type {}; export the full-integer (int8) network",
@@ -173,51 +180,9 @@ pub fn read_to_end(bytes: &[u8]) -> Result<(Network, End), TfliteError> {
                 name()?
             ));
         }
-        let (before, after) = (tensor(at)?, tensor(next)?);
+        let (before, after) = (tensors.at(at)?, tensors.at(next)?);
         chain.goes_on(index, &name()?, number)?;
-        match number {
-            schema::FULLY_CONNECTED => {
-                let (weights, biases) = match inputs.as_slice() {
-                    &[_, weights] | &[_, weights, -1] => (tensor(weights)?, None),
-                    &[_, weights, biases] => (tensor(weights)?, Some(tensor(biases)?)),
-                    _ => return Err(TfliteError::Damaged),
-                };
-                let options = operator.table(4)?;
-                let activation = options.map_or(Ok(0), |options| options.i8(0, 0))?;
-                if options.map_or(Ok(0), |options| options.i8(1, 0))? != 0 {
-                    return unsupported(format!("layer {index} has shuffled weights"));
-                }
-                chain.layer(index, &before, &weights, biases.as_ref(), &after, activation)?;
-            }
-            schema::SOFTMAX => {
-                let beta = operator.table(4)?.map_or(Ok(0.0), |options| options.f32(0, 0.0))?;
-                if beta != 1.0 {
-                    return unsupported(format!("softmax with beta {beta}; 1 is expected"));
-                }
-                if after.kind != schema::FLOAT32 && after.int8("the softmax's output")? != (1.0 / 256.0, -128)
-                {
-                    return unsupported("softmax output must have scale 1/256 and zero point -128");
-                }
-                chain.end = Some(End::Softmax);
-            }
-            schema::QUANTIZE => chain.quantize(&before, &after)?,
-            schema::DEQUANTIZE => {
-                before.int8("what DEQUANTIZE takes")?;
-                after.expect(schema::FLOAT32, "what DEQUANTIZE gives")?;
-                chain.over = true;
-            }
-            _ => {
-                let same = before.kind == after.kind
-                    && before.elements() == after.elements()
-                    && before.scales == after.scales
-                    && before.zero_points == after.zero_points;
-                if !same {
-                    return unsupported(format!(
-                        "operator {index} (RESHAPE) does more than change the shape"
-                    ));
-                }
-            }
-        }
+        chain.operator(index, number, operator, &tensors, (&before, &after))?;
         at = next;
     }
     if at != output {
@@ -251,6 +216,61 @@ impl Chain {
         let ends = matches!(number, schema::QUANTIZE | schema::DEQUANTIZE | schema::RESHAPE);
         if self.over || (self.end.is_some() && !ends) {
             return unsupported(format!("operator {index} ({name}) stands behind the network's end"));
+        }
+        Ok(())
+    }
+
+    /// Takes the next operator of those that are read, between two tensors.
+    fn operator(
+        &mut self,
+        index: usize,
+        number: i32,
+        operator: &Table<'_>,
+        tensors: &Tensors<'_>,
+        (before, after): (&Tensor<'_>, &Tensor<'_>),
+    ) -> Result<(), TfliteError> {
+        match number {
+            schema::FULLY_CONNECTED => {
+                let (weights, biases) = match operator.i32s(1)?.as_slice() {
+                    &[_, weights] | &[_, weights, -1] => (tensors.at(weights)?, None),
+                    &[_, weights, biases] => (tensors.at(weights)?, Some(tensors.at(biases)?)),
+                    _ => return Err(TfliteError::Damaged),
+                };
+                let options = operator.table(4)?;
+                let activation = options.map_or(Ok(0), |options| options.i8(0, 0))?;
+                if options.map_or(Ok(0), |options| options.i8(1, 0))? != 0 {
+                    return unsupported(format!("layer {index} has shuffled weights"));
+                }
+                self.layer(index, before, &weights, biases.as_ref(), after, activation)?;
+            }
+            schema::SOFTMAX => {
+                let beta = operator.table(4)?.map_or(Ok(0.0), |options| options.f32(0, 0.0))?;
+                if beta != 1.0 {
+                    return unsupported(format!("softmax with beta {beta}; 1 is expected"));
+                }
+                if after.kind != schema::FLOAT32 && after.int8("the softmax's output")? != (1.0 / 256.0, -128)
+                {
+                    return unsupported("softmax output must have scale 1/256 and zero point -128");
+                }
+                self.end = Some(End::Softmax);
+            }
+            schema::QUANTIZE => self.quantize(before, after)?,
+            schema::DEQUANTIZE => {
+                before.int8("what DEQUANTIZE takes")?;
+                after.expect(schema::FLOAT32, "what DEQUANTIZE gives")?;
+                self.over = true;
+            }
+            _ => {
+                let same = before.kind == after.kind
+                    && before.elements() == after.elements()
+                    && before.scales == after.scales
+                    && before.zero_points == after.zero_points;
+                if !same {
+                    return unsupported(format!(
+                        "operator {index} (RESHAPE) does more than change the shape"
+                    ));
+                }
+            }
         }
         Ok(())
     }

@@ -25,7 +25,7 @@ use rayon::prelude::*;
 use sha2::{Digest, Sha256};
 use shared_dsp::right::network::{MAX_LABELS, Model};
 
-use crate::card::{self, Card, Data, Scores, Training};
+use crate::card::{self, Card, Data, Scaling, Scores, Training};
 use crate::dataset::{Dataset, Item};
 use crate::evaluate::score::{Classifier, score, scored, standardise};
 use crate::recording::write_whole;
@@ -186,45 +186,12 @@ pub fn train(
     let real = || windows.iter().flat_map(|part| part.own.iter().map(Vec::as_slice));
     let scaling = recipe.scaling(&learn, &mut real());
 
-    let mut card = Card {
-        format: card::FORMAT,
-        name: job.name.clone(),
-        about: job.about.clone(),
-        model_id: String::new(),
-        tflite_sha256: String::new(),
-        labels: labels.clone(),
-        axes: used.axes,
-        rate_hz: RATE_HZ as u16,
-        window: WINDOW as u16,
-        hop: HOP as u16,
-        features: blob::recipe_name(recipe.features()).to_owned(),
-        scaling,
-        training: Training {
-            recipe: recipe.name().to_owned(),
-            seed: job.seed,
-            tool: format!("models {}", env!("CARGO_PKG_VERSION")),
-            epochs: 0,
-            best_epoch: 0,
-            batch: plan.batch,
-            learning_rate: plan.learning_rate,
-            validation_fraction: plan.validation_fraction,
-            augmentation: beside.words.clone(),
-            windows: learn.len(),
-        },
-        data: Data {
-            sha256: data_hash(&used)?,
-            recordings: used.items.len(),
-            minutes: used.items.iter().map(|i| i.recording.seconds()).sum::<f64>() / 60.0,
-            padded: windows.iter().filter(|w| w.prepared.padded).count(),
-            resampled: windows.iter().filter(|w| w.prepared.resampled).count(),
-            labels: count(&used, |item| &item.label),
-            people: count(&used, |item| &item.person),
-            excluded: job.excluded.clone(),
-            test: test.to_vec(),
-        },
-        test: None,
-        validation: None,
-    };
+    let mut card = blank_card(&used, &labels, recipe, job, scaling)?;
+    card.training.augmentation = beside.words.clone();
+    card.training.windows = learn.len();
+    card.data.padded = windows.iter().filter(|w| w.prepared.padded).count();
+    card.data.resampled = windows.iter().filter(|w| w.prepared.resampled).count();
+    card.data.test = test.to_vec();
 
     let inputs = |set: &[Row<'_>]| -> Vec<(Vec<f32>, usize)> {
         set.iter().map(|(window, label)| (standardise(&card, window), *label)).collect()
@@ -272,6 +239,56 @@ pub fn train(
     trained.card.test = test_scores;
     trained.card.validation = validation_scores;
     Ok(trained)
+}
+
+/// The card of a model before anything is learnt.
+fn blank_card(
+    used: &Dataset,
+    labels: &[String],
+    recipe: &dyn Recipe,
+    job: &Job,
+    scaling: Scaling,
+) -> Result<Card, TrainError> {
+    let plan = recipe.plan();
+    Ok(Card {
+        format: card::FORMAT,
+        name: job.name.clone(),
+        about: job.about.clone(),
+        model_id: String::new(),
+        tflite_sha256: String::new(),
+        labels: labels.to_vec(),
+        axes: used.axes,
+        rate_hz: RATE_HZ as u16,
+        window: WINDOW as u16,
+        hop: HOP as u16,
+        features: blob::recipe_name(recipe.features()).to_owned(),
+        scaling,
+        training: Training {
+            recipe: recipe.name().to_owned(),
+            seed: job.seed,
+            tool: format!("models {}", env!("CARGO_PKG_VERSION")),
+            epochs: 0,
+            best_epoch: 0,
+            batch: plan.batch,
+            learning_rate: plan.learning_rate,
+            validation_fraction: plan.validation_fraction,
+            augmentation: String::new(),
+            windows: 0,
+        },
+        data: Data {
+            sha256: data_hash(used)?,
+            recordings: used.items.len(),
+            minutes: used.items.iter().map(|i| i.recording.seconds()).sum::<f64>() / 60.0,
+            padded: 0,
+            resampled: 0,
+            labels: count(used, |item| &item.label),
+            people: count(used, |item| &item.person),
+            excluded: job.excluded.clone(),
+            test: Vec::new(),
+        },
+        test: None,
+        validation: None,
+    })
 }
 
 /// Windows with their label.

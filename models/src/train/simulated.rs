@@ -3,12 +3,10 @@
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use rand::SeedableRng;
-use rand_chacha::ChaCha8Rng;
-
 use super::recipe::Shared;
 use super::recipes::aligned::cut;
 use super::vary::{Kind, vary};
+use crate::streams::RandomStream;
 use crate::synth::{IdleKind, Motion, Segment, Wearer, session};
 use crate::windows::aligned_features;
 
@@ -61,7 +59,7 @@ pub(super) fn performed(axes: usize, wearers: u32, labels: &[String]) -> Vec<(Sh
                 let wearer = Wearer::training(1, index).untaught();
                 let script = [Segment::new(motion, SIMULATED_S)];
                 let recording = session(&wearer, 0, &script).with_axes(axes);
-                let mut rng = ChaCha8Rng::seed_from_u64(u64::from(index));
+                let mut rng = RandomStream::OfWearer.of(u64::from(index));
                 cut(&recording).into_iter().flat_map(move |window| {
                     let varied =
                         [0; COPIES_OF_SIMULATED].map(|_| vary(&window, axes, Kind::Gesture, &mut rng));

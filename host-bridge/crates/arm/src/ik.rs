@@ -7,6 +7,7 @@
 //! take.
 
 use super::model::SerialArm;
+use super::plan::Purse;
 use host_robot::Random;
 use host_robot::{DVec3, JOINTS, Joints, Pose};
 
@@ -22,6 +23,12 @@ pub struct Budget {
 impl Budget {
     /// Far within 0.2 s of one core.
     pub const DEFAULT: Budget = Budget { steps: 3000, looks: 200 };
+
+    /// No more steps than are left in the purse.
+    #[must_use]
+    pub fn within(self, purse: &Purse) -> Self {
+        Budget { steps: self.steps.min(usize::try_from(purse.left()).unwrap_or(usize::MAX)), ..self }
+    }
 }
 
 /// Steps before a start is given up.
@@ -81,11 +88,36 @@ pub fn solve(
     seed: u64,
     accept: impl FnMut(&Joints) -> bool,
 ) -> Result<Solution, Unreachable> {
+    solve_from(&Purse::of(Budget::DEFAULT.steps as u64), arm, target, start_rad, seed, accept)
+}
+
+/// The same; its steps are taken out of the purse, and it gives up when that is empty.
+///
+/// # Errors
+/// As [`solve`].
+pub fn solve_from(
+    purse: &Purse,
+    arm: &SerialArm,
+    target: &Pose,
+    start_rad: &Joints,
+    seed: u64,
+    accept: impl FnMut(&Joints) -> bool,
+) -> Result<Solution, Unreachable> {
     let beyond_m = arm.beyond_reach_m(target);
     if beyond_m > 0.0 {
         return Err(Unreachable::Beyond { beyond_mm: 1000.0 * beyond_m });
     }
-    search(arm, target, start_rad, seed, Budget::DEFAULT, accept)
+    let found = search(arm, target, start_rad, seed, Budget::DEFAULT.within(purse), accept);
+    purse.spend(steps(&found));
+    found
+}
+
+/// What a search took.
+pub fn steps(found: &Result<Solution, Unreachable>) -> u64 {
+    match found {
+        Ok(Solution { steps, .. }) | Err(Unreachable::NotFound { steps, .. }) => *steps as u64,
+        Err(Unreachable::Beyond { .. }) => 0,
+    }
 }
 
 /// The search alone, with a budget of your own.

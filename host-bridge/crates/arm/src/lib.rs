@@ -20,6 +20,8 @@ pub mod tool;
 pub mod urdf;
 #[cfg(feature = "urdf")]
 mod urdf_numbers;
+#[cfg(feature = "urdf")]
+mod urdf_shapes;
 
 pub use director::Director;
 pub use motions::Motions;

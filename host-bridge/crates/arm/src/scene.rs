@@ -107,6 +107,9 @@ pub struct BaseTable {
 /// Minimum jerk limit: from full speed at the paper's scaling a stop then takes about a second.
 pub const JERK_MIN_RAD_S3: f64 = 0.5;
 
+/// Half of how thick the links of arms are.
+const LINK_RADIUS_M: std::ops::RangeInclusive<f64> = 0.005..=0.3;
+
 /// The lowest part of the base's body is this far above the floor.
 const GROUND_CLEARANCE_M: f64 = 0.05;
 
@@ -332,7 +335,14 @@ impl Scene {
             ));
         }
         positive("arm: margin_m", self.arm.margin_m)?;
-        positive("arm: link_radius_m", self.arm.link_radius_m)?;
+        let radius_m = self.arm.link_radius_m;
+        if !LINK_RADIUS_M.contains(&radius_m) {
+            return Err(format!(
+                "arm: link_radius_m = {radius_m}: lies between {} and {} m; no arm's links are thinner or thicker",
+                LINK_RADIUS_M.start(),
+                LINK_RADIUS_M.end()
+            ));
+        }
         positive("arm: acceleration_rad_s2", self.arm.acceleration_rad_s2)?;
         positive("arm: velocity_rad_s", self.arm.velocity_rad_s)?;
         for (i, shape) in self.boxes.iter().enumerate() {
@@ -429,6 +439,8 @@ mod tests {
             ("[base]\ntrack_m = -1.0", "base: track_m = -1"),
             ("[arm]\nvelocity_scaling = 2.0", "must be at most 1"),
             ("[arm]\njerk_rad_s3 = 0.1", "arm: jerk_rad_s3 = 0.1"),
+            ("[arm]\nlink_radius_m = 60", "arm: link_radius_m = 60: lies between 0.005 and 0.3 m"),
+            ("[arm]\nlink_radius_m = nan", "arm: link_radius_m = NaN: lies between"),
             ("[[pose]]\nname = \"p\"\nposition_m = [0, 0, 0]", "pose 'p' needs either"),
             ("[[pose]]\nname = \"p\"\njoints_rad = [nan]", "pose 'p': joints_rad"),
             ("[base]\nwheels = 3", "line 2"),

@@ -169,8 +169,8 @@ pub struct Touch {
 /// The tool and the scene's objects, as they are now.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Things {
-    /// How far the fingers are apart.
-    pub opening_m: f64,
+    /// How far the fingers are apart. `None` = nobody knows: they count wherever they could be.
+    pub opening_m: Option<f64>,
     /// One per object of the scene.
     pub poses: Vec<ObjectPose>,
     /// What may be touched now.
@@ -202,7 +202,7 @@ impl Shop<'_> {
     /// Everything where the scene says, the gripper open.
     pub fn at_start(&self) -> Things {
         Things {
-            opening_m: self.tool.hand().map_or(0.0, |hand| hand.widest_m),
+            opening_m: self.tool.hand().map(|hand| hand.widest_m),
             poses: self.objects.iter().map(|object| ObjectPose::Stands(object.start())).collect(),
             touch: Touch::default(),
         }
@@ -210,7 +210,7 @@ impl Shop<'_> {
 
     /// The object between the fingers and its width there, with the flange at that place in the scene.
     pub fn between(&self, things: &Things, flange: &Pose) -> Option<(usize, f64)> {
-        self.tool.hand()?;
+        let apart_m = things.opening_m.unwrap_or(self.tool.hand()?.widest_m);
         let point_m = flange.at(self.tool.point_m());
         let (across, along) = (flange.rotation.x_axis, flange.rotation.y_axis);
         let fits = |(i, pose): (usize, &ObjectPose)| {
@@ -221,7 +221,7 @@ impl Shop<'_> {
             // The part of it that is nearest to the point between the fingertips.
             let height_m = (point_m - at.position_m).z.clamp(0.0, object.height_m);
             let off = point_m - (at.position_m + height_m * DVec3::Z);
-            let inside = off.dot(across).abs() + 0.5 * width_m <= 0.5 * things.opening_m + 1e-3
+            let inside = off.dot(across).abs() + 0.5 * width_m <= 0.5 * apart_m + 1e-3
                 && off.dot(along).abs() <= 0.5 * object.width_m(own * along)
                 && off.dot(flange.rotation.z_axis).abs() <= PAD_M;
             inside.then_some((i, width_m))
@@ -251,11 +251,15 @@ impl Shop<'_> {
 
     /// Things after the fingers have gone to a width; and what became of it, for people.
     pub fn gripped(&self, things: &mut Things, flange: &Pose, opening_m: f64) -> Option<String> {
-        let closing = opening_m < things.opening_m;
+        // Fingers of which nobody knows are as far apart as what they have is wide.
+        let held_m = things
+            .held()
+            .map(|(i, on_flange)| self.objects[i].width_m(on_flange.rotation.transpose() * DVec3::X));
+        let closing = opening_m < things.opening_m.or(held_m).unwrap_or(f64::INFINITY);
         if closing && things.held().is_none() {
             let found = self.between(things, flange).filter(|(_, width_m)| *width_m >= opening_m - 1e-4);
             let Some((i, width_m)) = found else {
-                things.opening_m = opening_m;
+                things.opening_m = Some(opening_m);
                 return None;
             };
             let ObjectPose::Stands(at) = things.poses[i] else { return None };
@@ -268,11 +272,11 @@ impl Shop<'_> {
                 rotation: inverse * at.rotation,
             };
             things.poses[i] = ObjectPose::Held(on_flange);
-            things.opening_m = width_m;
+            things.opening_m = Some(width_m);
             return Some(format!("has {} ({:.0} mm)", self.objects[i].name, 1000.0 * width_m));
         }
         let said = if closing { None } else { self.let_go_of(things, flange) };
-        things.opening_m = opening_m;
+        things.opening_m = Some(opening_m);
         said
     }
 
@@ -366,7 +370,7 @@ mod tests {
         assert_eq!(shop.between(&things, &off_middle).map(|(i, _)| i), Some(0));
         assert_eq!(shop.touching(&things, &off_middle).object, Some(0));
         assert_eq!(shop.gripped(&mut things, &off_middle, 0.0).unwrap(), "has cup (60 mm)");
-        assert!((things.opening_m - 0.06).abs() < 1e-12);
+        assert!((things.opening_m.unwrap() - 0.06).abs() < 1e-12);
         let touch = shop.touching(&things, &off_middle);
         assert_eq!((touch.boxes, touch.floor), (vec![0], false));
         // Closed further: it has it already.
@@ -386,6 +390,6 @@ mod tests {
         assert_eq!(shop.between(&things, &above(DVec3::new(1.0, 0.0, 0.55), &tool)), None);
         let high = above(DVec3::new(1.0, 0.0, 0.7), &tool);
         assert_eq!(shop.gripped(&mut things, &high, 0.0), None);
-        assert_eq!(things.opening_m, 0.0);
+        assert_eq!(things.opening_m, Some(0.0));
     }
 }

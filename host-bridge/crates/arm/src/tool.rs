@@ -46,6 +46,28 @@ pub struct FingerShape {
     pub radius_m: f64,
 }
 
+/// Of a finger that may be anywhere on its way, one capsule per so much of that way.
+const WAY_M: f64 = 0.015;
+
+impl FingerShape {
+    /// With the gripper shut by that share.
+    fn at(&self, shut: f64) -> Capsule {
+        Capsule {
+            a_m: self.a_m.lerp(self.closed_a_m, shut),
+            b_m: self.b_m.lerp(self.closed_b_m, shut),
+            radius_m: self.radius_m,
+        }
+    }
+
+    /// Capsules that enclose it wherever it is: no point of it is further than half a step from where it is in one of them.
+    fn wherever(&self) -> impl Iterator<Item = Capsule> {
+        let way_m = self.a_m.distance(self.closed_a_m).max(self.b_m.distance(self.closed_b_m));
+        let steps = (way_m / WAY_M).ceil().max(1.0);
+        let radius_m = self.radius_m + 0.5 * way_m / steps;
+        (0..=steps as u32).map(move |k| Capsule { radius_m, ..self.at(f64::from(k) / steps) })
+    }
+}
+
 /// A tool as written in a file.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -172,8 +194,8 @@ impl Tool {
         self.point_m
     }
 
-    /// Its shapes in the flange's frame, with the fingers so far apart.
-    pub fn shapes(&self, opening_m: f64) -> Vec<Capsule> {
+    /// Its shapes in the flange's frame, with the fingers so far apart; `None` = wherever they could be.
+    pub fn shapes(&self, opening_m: Option<f64>) -> Vec<Capsule> {
         [self.fixed(), &self.fingers(opening_m)].concat()
     }
 
@@ -182,20 +204,20 @@ impl Tool {
         &self.shapes
     }
 
-    /// Those of the fingers.
-    pub fn fingers(&self, opening_m: f64) -> Vec<Capsule> {
+    /// Those of the fingers; `None` = all that they fill on their way from open to shut.
+    pub fn fingers(&self, opening_m: Option<f64>) -> Vec<Capsule> {
         let mut shapes = Vec::new();
         let Some(hand) = &self.hand else { return shapes };
-        let shut = (1.0 - opening_m / hand.widest_m).clamp(0.0, 1.0);
-        for finger in &hand.fingers {
-            let capsule = Capsule {
-                a_m: finger.a_m.lerp(finger.closed_a_m, shut),
-                b_m: finger.b_m.lerp(finger.closed_b_m, shut),
-                radius_m: finger.radius_m,
-            };
-            let mirror = DVec3::new(-1.0, 1.0, 1.0);
+        let mirror = DVec3::new(-1.0, 1.0, 1.0);
+        let mut both = |capsule: Capsule| {
             shapes.push(capsule);
             shapes.push(Capsule { a_m: capsule.a_m * mirror, b_m: capsule.b_m * mirror, ..capsule });
+        };
+        for finger in &hand.fingers {
+            match opening_m {
+                Some(opening_m) => both(finger.at((1.0 - opening_m / hand.widest_m).clamp(0.0, 1.0))),
+                None => finger.wherever().for_each(&mut both),
+            }
         }
         shapes
     }
@@ -203,8 +225,7 @@ impl Tool {
     /// No part of it is further from the flange.
     pub fn reach_m(&self) -> f64 {
         let reach = |c: &Capsule| c.a_m.length().max(c.b_m.length()) + c.radius_m;
-        let openings = [0.0, self.hand.as_ref().map_or(0.0, |hand| hand.widest_m)];
-        openings.iter().flat_map(|&m| self.shapes(m)).map(|c| reach(&c)).fold(0.0, f64::max)
+        self.shapes(None).iter().map(reach).fold(0.0, f64::max)
     }
 }
 
@@ -220,10 +241,30 @@ mod tests {
     fn the_bundled_gripper_opens_85_mm_and_its_fingers_part_and_meet() {
         let tool = Tool::new(&[named("2f-85")]).unwrap();
         assert_eq!(tool.hand().unwrap().widest_m, 0.085);
-        let widest = |opening_m| tool.shapes(opening_m).iter().map(|c| c.a_m.x).fold(0.0, f64::max);
+        let widest = |opening_m| tool.shapes(Some(opening_m)).iter().map(|c| c.a_m.x).fold(0.0, f64::max);
         assert!(widest(0.085) > 0.06 && widest(0.0) < 0.056);
-        assert_eq!(tool.shapes(0.05).len(), 10);
-        assert!((0.16..0.18).contains(&tool.reach_m()), "{}", tool.reach_m());
+        assert_eq!(tool.shapes(Some(0.05)).len(), 10);
+        assert!((0.16..0.19).contains(&tool.reach_m()), "{}", tool.reach_m());
+    }
+
+    #[test]
+    fn fingers_of_which_nobody_knows_are_enclosed_wherever_they_are() {
+        let tool = Tool::new(&[named("2f-85")]).unwrap();
+        let wherever = tool.fingers(None);
+        let inside = |point_m: Point, radius_m: f64| {
+            let ball = Capsule { a_m: point_m, b_m: point_m, radius_m: 0.0 };
+            // Distances are negative within.
+            wherever.iter().any(|shape| ball.distance_m(shape) <= -radius_m + 1e-12)
+        };
+        for k in 0..=200 {
+            for finger in tool.fingers(Some(0.085 * f64::from(k) / 200.0)) {
+                for along in 0..=10 {
+                    let point_m = finger.a_m.lerp(finger.b_m, f64::from(along) / 10.0);
+                    assert!(inside(point_m, finger.radius_m), "{k}: {finger:?}");
+                }
+            }
+        }
+        assert!(!inside(DVec3::new(0.0, 0.05, 0.12), 0.0), "not everything is");
     }
 
     #[test]

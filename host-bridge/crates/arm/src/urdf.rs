@@ -1,14 +1,17 @@
 //! A serial arm from a URDF file (feature `urdf`, by the crate `urdf-rs`).
 //!
-//! Boxes, cylinders, capsules and spheres of `<collision>` become capsules that enclose them. Meshes are not
-//! read, which the arm says of itself ([`SerialArm::notes`]): a link that has one, or that has no shape of its own, gets a
-//! capsule of a given radius along the line to its next joint. What is fixed to a link takes nothing away from it.
+//! Boxes, cylinders, capsules and spheres of `<collision>` become capsules that enclose them, also those of links that are
+//! fixed to the arm beside its chain. Meshes are not read, which the arm says of itself ([`SerialArm::notes`]): lines of a
+//! given radius stand for them, from a link's frame to the joints that begin there, or balls where none does; so they do for
+//! a moving link without any shape. What is fixed to a link takes nothing away from it. What moves beside the chain is not
+//! counted, and that is said.
 
 use super::model::{ArmJoint, SerialArm};
 use crate::scene::ArmTable;
+use crate::urdf_shapes::{Shapes, at};
 use host_robot::shape::{Capsule, Point};
-use host_robot::{DMat3, DVec3, JOINTS, Pose};
-use urdf_rs::{Collision, Geometry, Joint, JointType};
+use host_robot::{DVec3, JOINTS, Pose};
+use urdf_rs::{Joint, JointType};
 
 /// What a URDF file does not say.
 #[derive(Clone, Debug, PartialEq)]
@@ -94,10 +97,6 @@ pub fn parse(text: &str, missing: &Missing) -> Result<SerialArm, UrdfError> {
         return Err(kind(format!("no joint leads to the tip '{tip}'; name another link")));
     }
     chain.reverse();
-    let collisions = |name: &str| -> &[Collision] {
-        robot.links.iter().find(|link| link.name == name).map_or(&[], |link| &link.collision)
-    };
-
     let mut arm = SerialArm {
         name: robot.name.clone(),
         root_link: link.to_owned(),
@@ -109,15 +108,14 @@ pub fn parse(text: &str, missing: &Missing) -> Result<SerialArm, UrdfError> {
         home_rad: [0.0; JOINTS],
         notes: Vec::new(),
     };
-    let (mut unread, mut absent): (Vec<&str>, Vec<&str>) = (Vec::new(), Vec::new());
+    let mut shapes = Shapes::new(&robot, &chain, missing.link_radius_m);
     // The link that the last joint turns has a shape of its own, all of which was read.
     let mut has_shape = true;
     // The frame that has been reached, as seen from the last joint that turns.
     let mut here = Pose::IDENTITY;
-    arm.foot.extend(shapes(collisions(link), &here));
-    absent.extend(meshes(collisions(link)).then_some(link));
-    for joint in chain {
-        here = here.then(DVec3::from(joint.origin.xyz.0), rotation(joint.origin.rpy.0));
+    arm.foot.extend(shapes.of(link, &here, false));
+    for joint in &chain {
+        here = at(&here, joint);
         match joint.joint_type {
             JointType::Fixed => {}
             JointType::Revolute | JointType::Continuous => {
@@ -170,8 +168,7 @@ pub fn parse(text: &str, missing: &Missing) -> Result<SerialArm, UrdfError> {
                     shapes: Vec::new(),
                 });
                 here = Pose::IDENTITY;
-                let own = collisions(&joint.child.link);
-                has_shape = own.iter().any(|c| !matches!(c.geometry, Geometry::Mesh { .. })) && !meshes(own);
+                has_shape = shapes.are_whole(&joint.child.link);
             }
             _ => {
                 let name = &joint.name;
@@ -180,14 +177,7 @@ pub fn parse(text: &str, missing: &Missing) -> Result<SerialArm, UrdfError> {
                 )));
             }
         }
-        let mesh = meshes(collisions(&joint.child.link)).then_some(joint.child.link.as_str());
-        // What turns with its joint has a line instead.
-        if joint.joint_type == JointType::Fixed {
-            absent.extend(mesh)
-        } else {
-            unread.extend(mesh)
-        }
-        let found = shapes(collisions(&joint.child.link), &here);
+        let found = shapes.of(&joint.child.link, &here, joint.joint_type != JointType::Fixed);
         match arm.joints.last_mut() {
             Some(last) => last.shapes.extend(found),
             None => arm.foot.extend(found),
@@ -199,20 +189,7 @@ pub fn parse(text: &str, missing: &Missing) -> Result<SerialArm, UrdfError> {
     if !has_shape {
         bone(&mut arm, here.position_m, missing.link_radius_m);
     }
-    if !unread.is_empty() {
-        arm.notes.push(format!(
-            "the meshes of {} are not read: the links are taken as lines from joint to joint, {:.0} mm thick all around \
-             (link_radius_m)",
-            unread.join(", "),
-            1000.0 * missing.link_radius_m
-        ));
-    }
-    if !absent.is_empty() {
-        arm.notes.push(format!(
-            "the meshes of {} are not read, and nothing stands for them: describe them by boxes, cylinders or spheres",
-            absent.join(", ")
-        ));
-    }
+    arm.notes.extend(shapes.notes());
     (arm.flange_m, arm.flange_rotation) = (here.position_m, here.rotation);
     Ok(arm)
 }
@@ -222,11 +199,6 @@ fn bone(arm: &mut SerialArm, next_m: Point, radius_m: f64) {
     if let Some(last) = arm.joints.last_mut() {
         last.shapes.insert(0, Capsule { a_m: DVec3::ZERO, b_m: next_m, radius_m });
     }
-}
-
-/// Some of it is a mesh.
-fn meshes(collisions: &[Collision]) -> bool {
-    collisions.iter().any(|collision| matches!(collision.geometry, Geometry::Mesh { .. }))
 }
 
 /// A joint's limits, and within its soft limits where it has such.
@@ -250,32 +222,6 @@ fn is_xacro(text: &str) -> bool {
     }
     live += rest;
     live.contains("<xacro:") || live.contains("=\"${") || live.contains("=\"$(")
-}
-
-fn shapes(collisions: &[Collision], here: &Pose) -> Vec<Capsule> {
-    let enclosing = |collision: &Collision| {
-        let pose = here.then(collision.origin.xyz.0.into(), rotation(collision.origin.rpy.0));
-        let (half, radius_m) = match &collision.geometry {
-            Geometry::Sphere { radius } => (DVec3::ZERO, *radius),
-            // A capsule as long as the cylinder, with round ends beyond it.
-            Geometry::Cylinder { radius, length } | Geometry::Capsule { radius, length } => {
-                (0.5 * *length * DVec3::Z, *radius)
-            }
-            Geometry::Box { size } => {
-                let half = 0.5 * DVec3::from(size.0);
-                let line = DVec3::AXES[half.max_position()] * half.max_element();
-                (line, (half - line).length())
-            }
-            Geometry::Mesh { .. } => return None,
-        };
-        Some(Capsule { a_m: pose.at(-half), b_m: pose.at(half), radius_m })
-    };
-    collisions.iter().filter_map(enclosing).collect()
-}
-
-/// Roll about x, then pitch about y, then yaw about z, all about the fixed axes.
-fn rotation([roll, pitch, yaw]: [f64; 3]) -> DMat3 {
-    DMat3::from_rotation_z(yaw) * DMat3::from_rotation_y(pitch) * DMat3::from_rotation_x(roll)
 }
 
 #[cfg(test)]
@@ -389,6 +335,60 @@ mod tests {
         assert!((arm.joints[3].shapes[0].b_m.length() - 0.2085).abs() < 1e-3);
         assert_eq!(arm.joints[6].shapes.len(), 2);
         assert!(arm.notes[0].contains("link4") && arm.notes[0].contains("50 mm"), "{:?}", arm.notes);
+    }
+
+    #[test]
+    fn a_root_and_what_is_fixed_beside_the_chain_are_counted_and_what_moves_there_is_said() {
+        let mesh = "<collision><geometry><mesh filename=\"package://a/b.stl\"/></geometry></collision>";
+        let bar = "<collision><geometry><box size=\"0.02 0.02 0.3\"/></geometry></collision>";
+        let beside = |name: &str, kind: &str, parent: &str, shape: &str| {
+            format!(
+                "<link name=\"{name}\">{shape}</link><joint name=\"to-{name}\" type=\"{kind}\"><origin xyz=\"0 0.1 0\"/>\
+                 <parent link=\"{parent}\"/><child link=\"{name}\"/><limit lower=\"0\" upper=\"1\" effort=\"1\" velocity=\"1\"/></joint>"
+            )
+        };
+        let more = [
+            beside("mast", "fixed", "link2", bar),
+            beside("lamp", "fixed", "mast", mesh),
+            beside("bumper", "fixed", "base", mesh),
+            beside("finger", "prismatic", "flange", bar),
+        ];
+        let text = gen3_urdf()
+            .replace("<link name=\"base\"/>", &format!("<link name=\"base\">{mesh}</link>"))
+            .replace("<link name=\"flange\"/>", &format!("<link name=\"flange\">{mesh}</link>"))
+            .replace("</robot>", &format!("{}</robot>", more.concat()));
+        let arm = parse(&text, &Missing { tip: Some("flange".to_owned()), ..missing() }).unwrap();
+        let line = |b_m: [f64; 3]| Capsule { a_m: DVec3::ZERO, b_m: b_m.into(), radius_m: 0.05 };
+        let ball = |at: [f64; 3]| Capsule { a_m: at.into(), ..line(at) };
+        // The root's mesh: lines to the first joint and to what is fixed to it, whose own mesh is a ball.
+        assert_eq!(arm.foot, [line([0.0, 0.0, 0.15643]), line([0.0, 0.1, 0.0]), ball([0.0, 0.1, 0.0])]);
+        // Link 2 has no shape of its own, and so its line; then the mast, and the lamp on it.
+        let [own, mast, lamp] = arm.joints[1].shapes.as_slice() else { panic!("{:?}", arm.joints[1].shapes) };
+        assert!((own.b_m.length() - 0.2105).abs() < 1e-3);
+        let half_m = mast.a_m.distance(mast.b_m) / 2.0;
+        assert!(
+            (half_m - 0.15).abs() < 1e-12 && mast.a_m.lerp(mast.b_m, 0.5).abs_diff_eq(0.1 * DVec3::Y, 1e-12)
+        );
+        assert_eq!(*lamp, ball([0.0, 0.2, 0.0]));
+        // The flange's mesh: a line to where the finger begins, which moves by itself.
+        assert_eq!(arm.joints[6].shapes.len(), 2, "{:?}", arm.joints[6].shapes);
+        let [meshes, moving] = arm.notes.as_slice() else { panic!("{:?}", arm.notes) };
+        assert!(meshes.contains("base, bumper, lamp, flange") && meshes.contains("50 mm"), "{meshes}");
+        assert!(moving.contains("to-finger"), "{moving}");
+    }
+
+    #[test]
+    fn links_joined_in_a_circle_beside_the_chain_are_read_once() {
+        let joint = |name: &str, parent: &str, child: &str| {
+            format!(
+                "<joint name=\"{name}\" type=\"fixed\"><parent link=\"{parent}\"/><child link=\"{child}\"/></joint>"
+            )
+        };
+        let circle = [joint("p", "link2", "x"), joint("q", "x", "y"), joint("r", "y", "x")].concat();
+        let text =
+            gen3_urdf().replace("</robot>", &format!("<link name=\"x\"/><link name=\"y\"/>{circle}</robot>"));
+        let arm = parse(&text, &Missing { tip: Some("flange".to_owned()), ..missing() }).unwrap();
+        assert_eq!(arm.joints[1].shapes.len(), 1);
     }
 
     #[test]

@@ -152,7 +152,7 @@ fn the_gen3s_links_are_within_their_capsules() {
 
 #[test]
 fn the_vision_module_is_within_its_tool() {
-    let shapes = tool("gen3-vision").shapes(0.0);
+    let shapes = tool("gen3-vision").shapes(None);
     // The flange looks down the bracelet's z axis.
     let arm = SerialArm::gen3();
     let on_flange = |p: DVec3| arm.flange_rotation.transpose() * (p - arm.flange_m);
@@ -185,7 +185,7 @@ fn the_grippers_parts_are_within_its_shapes_however_far_it_is_open() {
     if let Some(points) = hull("2f85_robotiq_base") {
         // Its fingers hide part of its base.
         let points: Vec<DVec3> = points.into_iter().filter(|p| p.z < 0.05).collect();
-        let out_mm = 1000.0 * furthest_out_m(&tool.shapes(0.085), &points);
+        let out_mm = 1000.0 * furthest_out_m(&tool.shapes(Some(0.085)), &points);
         assert!(out_mm < 0.0, "base: {out_mm} mm");
     }
     // The pad's inner side, from the fingertip's frame: it meets the other one where the gripper is shut.
@@ -197,7 +197,7 @@ fn the_grippers_parts_are_within_its_shapes_however_far_it_is_open() {
         if step == 0 {
             assert!((opening_m - 0.085).abs() < 0.0002, "{opening_m}");
         }
-        let shapes = tool.shapes(opening_m);
+        let shapes = tool.shapes(Some(opening_m));
         for (part, turn, origin) in parts {
             let Some(points) = hull(&format!("2f85_left_{part}")) else { return };
             let points: Vec<DVec3> = points.into_iter().map(|p| origin + turn * p).collect();

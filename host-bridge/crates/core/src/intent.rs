@@ -5,6 +5,7 @@ pub use shared_words::is_rest;
 use serde::{Deserialize, Serialize};
 use shared_proto::message::Heading;
 
+use crate::tilt::{Pointing, TiltDrive};
 use host_robot::{MotionName, Twist};
 
 /// The caps on forward and turning speed, and how bends change them.
@@ -85,6 +86,15 @@ impl Caps {
             Heading::Left => (0.0, 1.0),
             Heading::Right => (0.0, -1.0),
         };
+        Twist { linear_m_s: linear * self.linear_m_s, angular_rad_s: angular * self.angular_rad_s }
+    }
+
+    /// The twist of a hand: of its heading, or in proportion to its tilt.
+    pub fn twist_of(&self, pointing: Pointing, drive: &TiltDrive) -> Twist {
+        if !drive.proportional {
+            return self.twist(pointing.heading);
+        }
+        let (linear, angular) = drive.shares(pointing);
         Twist { linear_m_s: linear * self.linear_m_s, angular_rad_s: angular * self.angular_rad_s }
     }
 }

@@ -15,3 +15,4 @@ pub mod observe;
 pub mod safety;
 pub mod session;
 pub mod source;
+pub mod tilt;

@@ -4,8 +4,8 @@ use models::recording::Recording;
 use shared_dsp::left::AdcCounts;
 use shared_proto::message::RawAdc;
 
-use crate::adc::AdcRecording;
 use crate::talk::RawBatch;
+use models::adc::AdcRecording;
 
 /// Samples of a right hand, collected so far.
 #[derive(Clone, Debug)]

@@ -5,7 +5,6 @@
 //! * [`talk`], [`upload`], [`capture`], [`survey`]: one board asked for something, as `doctor`, `record` and
 //!   `send-model` do.
 
-pub mod adc;
 pub mod capture;
 pub mod hands;
 pub mod keyboard;

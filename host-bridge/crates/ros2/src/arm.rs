@@ -14,7 +14,7 @@ use super::config::{ArmInterface, Ros2Config};
 use super::doubts::{Doubts, in_order};
 use super::points::points;
 use super::robot::Output;
-use super::strays::{CANCEL_INTERVAL_MS, STRAYS_MAX, Strays};
+use super::strays::{CANCEL_INTERVAL_MS, Strays, Unsure};
 use super::stream::{Late, RobotClock, Stream, off_rad};
 use host_robot::{End, Following, JointLimits, Joints, Motion, Reading, Trajectory};
 use host_topics::message::{ControllerState, JointState, JointTrajectory};
@@ -74,7 +74,7 @@ pub struct ArmLink {
     /// Goals that were given up, yet may run: their end is asked for.
     strays: Strays,
     /// Goals that were said to be over before they could be, and until when they might run all the same.
-    unsure: Vec<(u32, u64)>,
+    unsure: Unsure,
     doubts: Doubts,
     end: Option<End>,
     /// The controller has taken the run.
@@ -99,7 +99,7 @@ impl ArmLink {
             run: None,
             goals: 0,
             strays: Strays::default(),
-            unsure: Vec::new(),
+            unsure: Unsure::default(),
             doubts: Doubts::default(),
             end: None,
             is_accepted: false,
@@ -264,12 +264,7 @@ impl ArmLink {
 
     /// Gives the motion up, if there is one.
     pub fn halt(&mut self, now_ms: u64, outputs: &mut Vec<Output>) {
-        for (goal, until_ms) in std::mem::take(&mut self.unsure) {
-            if now_ms < until_ms {
-                outputs.push(Output::Cancel { goal });
-                self.strays.add(goal, now_ms, until_ms);
-            }
-        }
+        self.unsure.halt(now_ms, &mut self.strays, |goal| outputs.push(Output::Cancel { goal }));
         let fresh = self.sample(now_ms);
         let Some(run) = &mut self.run else { return };
         if run.stopping_since_ms.is_some() {
@@ -318,10 +313,7 @@ impl ArmLink {
             // Of two servers, or by a forged word, it may run on though it is said to be over.
             let planned_ms = (run.trajectory.duration_s() * 1000.0) as u64;
             if now_ms.saturating_sub(run.asked_ms) < planned_ms {
-                if self.unsure.len() == STRAYS_MAX {
-                    self.unsure.remove(0);
-                }
-                self.unsure.push((goal, run.asked_ms + planned_ms + UNSURE_MS));
+                self.unsure.add(goal, run.asked_ms + planned_ms + UNSURE_MS);
             }
         }
         match answer {

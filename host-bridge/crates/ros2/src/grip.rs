@@ -13,7 +13,7 @@ use super::vendor::Wrapping;
 use host_topics::message as ros;
 
 /// More goals are not remembered.
-const GOALS_MAX: usize = 16;
+const GOALS_MAX: usize = 64;
 /// What its server's requests end in.
 const REQUEST: &str = "/_action/send_goalRequest";
 

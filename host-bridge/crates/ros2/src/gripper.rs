@@ -1,14 +1,15 @@
 //! A gripper behind `GripperCommand` or `ParallelGripperCommand`: what is asked of it, and what became of that.
 //!
 //! Sans-IO. A stall while closing is a thing between the fingers, and success; who tells nothing for too long has failed. A
-//! stop cancels the goal, again and again until its end is known, and never sends another.
+//! stop cancels the goal, again and again until its end is known, and never sends another. Goals that were rejected, or
+//! said to be over by whomever, are cancelled again by each stop, as the arm's are.
 
 use host_robot::{Grip, GripEnd, Reading};
 use host_topics::message::JointState;
 
 use super::config::Ros2Config;
 use super::robot::Output;
-use super::strays::{CANCEL_INTERVAL_MS, Strays};
+use super::strays::{CANCEL_INTERVAL_MS, Strays, Unsure};
 
 /// A cancellation's confirmation is no longer waited for after this long; it is asked for on.
 const CANCEL_PATIENCE_MS: u64 = 2000;
@@ -45,6 +46,7 @@ pub enum GripAnswer {
 struct Run {
     goal: u32,
     closing: bool,
+    asked_ms: u64,
     accepted_ms: Option<u64>,
     /// When something was heard of it.
     heard_ms: u64,
@@ -65,6 +67,7 @@ pub struct GripperLink {
     goals: u32,
     run: Option<Run>,
     strays: Strays,
+    unsure: Unsure,
     /// How far the fingers are apart, and when that was told.
     seen: Option<(f64, u64)>,
     end: Option<GripEnd>,
@@ -85,6 +88,7 @@ impl GripperLink {
             goals: 0,
             run: None,
             strays: Strays::default(),
+            unsure: Unsure::default(),
             seen: None,
             end: None,
             notes: Vec::new(),
@@ -129,7 +133,7 @@ impl GripperLink {
     pub fn can_grip(&self) -> Result<(), String> {
         match &self.missing {
             None if self.run.is_some() => Err("the gripper is still at another goal".to_owned()),
-            None if !self.strays.is_empty() => {
+            None if !self.strays.are_said_over() => {
                 Err("whether the gripper's last goal has ended is not known yet; its end is asked for"
                     .to_owned())
             }
@@ -151,6 +155,7 @@ impl GripperLink {
             goal: self.goals,
             // Where it is not known, only opening wide is no closing.
             closing: grip.opening_m < from_m,
+            asked_ms: now_ms,
             accepted_ms: None,
             heard_ms: now_ms,
             stopping_since_ms: None,
@@ -165,6 +170,7 @@ impl GripperLink {
 
     /// Gives the goal up, if there is one. The fingers stay where they are.
     pub fn halt(&mut self, now_ms: u64, outputs: &mut Vec<Output>) {
+        self.unsure.halt(now_ms, &mut self.strays, |goal| outputs.push(Output::CancelGrip { goal }));
         let Some(run) = self.run.as_mut().filter(|run| run.stopping_since_ms.is_none()) else { return };
         run.stopping_since_ms = Some(now_ms);
         run.heard_ms = now_ms;
@@ -180,7 +186,8 @@ impl GripperLink {
                     outputs.push(Output::CancelGrip { goal });
                     self.stray(goal, now_ms);
                 }
-                GripAnswer::Rejected => self.strays.over(goal),
+                // Of two servers another may carry it out.
+                GripAnswer::Rejected => self.strays.said_over(goal),
                 GripAnswer::At(position) => self.told(position, now_ms),
                 GripAnswer::Done { position, .. } => {
                     self.told(position, now_ms);
@@ -193,7 +200,18 @@ impl GripperLink {
         if !stopping {
             run.heard_ms = now_ms;
         }
+        if matches!(answer, GripAnswer::Rejected | GripAnswer::Done { .. }) {
+            // How long fingers take nobody says: whoever answers, a stop asks for the end once more.
+            self.unsure.add(goal, run.asked_ms + OVERALL_MS);
+        }
         match answer {
+            GripAnswer::Accepted if run.accepted_ms.is_some() && !stopping => {
+                // Of two motions only one would be watched.
+                self.notes.push(
+                    "two controllers have accepted the gripper's goal: it is cancelled; end all but one of them".to_owned(),
+                );
+                self.halt(now_ms, outputs);
+            }
             GripAnswer::Accepted => {
                 run.accepted_ms = run.accepted_ms.or(Some(now_ms));
                 if stopping {
@@ -371,8 +389,11 @@ mod tests {
             matches!(rig.gripper.take_end(), Some(GripEnd::Failed(why)) if why.contains("did not answer"))
         );
         assert_eq!(rig.run(400).len(), 2, "asked again");
+        assert!(rig.grip(0.0).unwrap_err().contains("not known yet"));
         rig.answer(1, GripAnswer::Rejected);
-        assert!(rig.run(1000).is_empty());
+        // Perhaps by another: asked on, but nobody waits.
+        assert_eq!(rig.run(400).len(), 2);
+        assert_eq!(rig.gripper.can_grip(), Ok(()));
 
         // Accepted after all: cancelled, and no other goal is sent before its end is known.
         rig.answer(1, GripAnswer::Accepted);
@@ -409,7 +430,52 @@ mod tests {
         rig.run(2100);
         assert_eq!(rig.gripper.take_end(), Some(GripEnd::Halted));
         assert!(rig.gripper.take_notes()[0].contains("ALARM"));
-        assert_eq!(rig.run(200), [Output::CancelGrip { goal: 2 }], "asked on");
+        assert!(rig.run(200).contains(&Output::CancelGrip { goal: 2 }), "asked on");
+    }
+
+    #[test]
+    fn a_goal_that_was_rejected_or_said_to_be_over_is_cancelled_by_a_stop_and_no_grip_waits_for_it() {
+        for said in [
+            GripAnswer::Rejected,
+            GripAnswer::Done { position: 0.8, stalled: false, reached: true, status: "Succeeded".to_owned() },
+        ] {
+            let mut rig = Rig::new();
+            rig.grip(0.0).unwrap();
+            rig.answer(1, said.clone());
+            assert!(rig.gripper.take_end().is_some());
+            rig.outputs.clear();
+            assert!(rig.run(2000).is_empty(), "nobody has stopped");
+            rig.gripper.halt(rig.now_ms, &mut rig.outputs);
+            assert_eq!(rig.outputs, [Output::CancelGrip { goal: 1 }], "{said:?}");
+            rig.outputs.clear();
+            assert_eq!(rig.run(600), vec![Output::CancelGrip { goal: 1 }; 3], "{said:?}: asked again");
+            rig.grip(0.085).unwrap();
+        }
+        // When no goal could run any longer, nothing is asked.
+        let mut rig = Rig::new();
+        rig.grip(0.0).unwrap();
+        rig.answer(1, GripAnswer::Rejected);
+        rig.outputs.clear();
+        rig.run(OVERALL_MS);
+        rig.gripper.halt(rig.now_ms, &mut rig.outputs);
+        assert!(rig.outputs.is_empty(), "{:?}", rig.outputs);
+    }
+
+    #[test]
+    fn a_goal_that_two_accept_is_cancelled_and_said() {
+        let mut rig = Rig::new();
+        rig.grip(0.0).unwrap();
+        rig.answer(1, GripAnswer::Accepted);
+        rig.outputs.clear();
+        rig.answer(1, GripAnswer::Accepted);
+        assert_eq!(rig.outputs, [Output::CancelGrip { goal: 1 }]);
+        assert!(rig.gripper.take_notes()[0].contains("two controllers"));
+        rig.outputs.clear();
+        assert_eq!(rig.run(400), vec![Output::CancelGrip { goal: 1 }; 2]);
+        // The first of them says that it has stopped: the other's goal is asked for by the next stop.
+        assert_eq!(rig.done(1, 0.3, false), Some(GripEnd::Halted));
+        rig.gripper.halt(rig.now_ms, &mut rig.outputs);
+        assert_eq!(rig.outputs, [Output::CancelGrip { goal: 1 }]);
     }
 
     #[test]

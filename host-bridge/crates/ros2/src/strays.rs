@@ -3,7 +3,7 @@
 /// A cancellation is asked for again after this long.
 pub const CANCEL_INTERVAL_MS: u64 = 200;
 /// More are not remembered.
-pub const STRAYS_MAX: usize = 64;
+const STRAYS_MAX: usize = 64;
 
 #[derive(Clone, Copy, Debug)]
 struct Stray {
@@ -11,6 +11,8 @@ struct Stray {
     cancelled_ms: u64,
     /// It is over then, whatever anybody says.
     until_ms: u64,
+    /// Somebody has said that it does not run; that may be forged, or another server's word.
+    is_said_over: bool,
 }
 
 /// The end of each is asked for until it is known, or until no goal runs for so long.
@@ -24,7 +26,14 @@ impl Strays {
         if self.0.len() == STRAYS_MAX {
             self.0.remove(0);
         }
-        self.0.push(Stray { goal, cancelled_ms: now_ms, until_ms });
+        self.0.push(Stray { goal, cancelled_ms: now_ms, until_ms, is_said_over: false });
+    }
+
+    /// Somebody says that this one does not run. Its end is asked for on, and nobody waits for it any more.
+    pub fn said_over(&mut self, goal: u32) {
+        for stray in self.0.iter_mut().filter(|stray| stray.goal == goal) {
+            stray.is_said_over = true;
+        }
     }
 
     /// Its end is known.
@@ -32,9 +41,9 @@ impl Strays {
         self.0.retain(|stray| stray.goal != goal);
     }
 
-    /// Whether there are none.
-    pub fn is_empty(&self) -> bool {
-        self.0.is_empty()
+    /// Whether of each of them somebody has said that it does not run.
+    pub fn are_said_over(&self) -> bool {
+        self.0.iter().all(|stray| stray.is_said_over)
     }
 
     /// Lets the time become `now_ms`; `cancel` asks for an end again.
@@ -45,6 +54,31 @@ impl Strays {
                 *cancelled_ms = now_ms;
                 cancel(*goal);
             }
+        }
+    }
+}
+
+/// Goals that were said to be over before they could be: of two servers, or by a forged word, one may run on. A stop asks
+/// for their ends.
+#[derive(Clone, Debug, Default)]
+pub struct Unsure(Vec<(u32, u64)>);
+
+impl Unsure {
+    /// This one may run until then.
+    pub fn add(&mut self, goal: u32, until_ms: u64) {
+        self.0.retain(|(known, _)| *known != goal);
+        if self.0.len() == STRAYS_MAX {
+            self.0.remove(0);
+        }
+        self.0.push((goal, until_ms));
+    }
+
+    /// A stop: `cancel` asks for the end of each, which is a stray from now on.
+    pub fn halt(&mut self, now_ms: u64, strays: &mut Strays, mut cancel: impl FnMut(u32)) {
+        for (goal, until_ms) in self.0.drain(..).filter(|(_, until_ms)| now_ms < *until_ms) {
+            cancel(goal);
+            strays.add(goal, now_ms, until_ms);
+            strays.said_over(goal);
         }
     }
 }

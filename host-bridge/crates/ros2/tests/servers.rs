@@ -5,9 +5,10 @@
 
 use std::sync::Arc;
 
-use host_robot::{JOINTS, JointLimits, Joints, Random, Trajectory};
+use host_robot::{Grip, JOINTS, JointLimits, Joints, Random, Trajectory};
 use host_ros2::answer::Answer;
 use host_ros2::arm::ArmLink;
+use host_ros2::gripper::{GripAnswer, GripperLink};
 use host_ros2::{ArmInterface, Output, Ros2Config};
 use host_topics::message::JointState;
 
@@ -140,6 +141,103 @@ fn whatever_two_servers_and_a_forger_answer_a_stop_ends_every_motion() {
         "row: v two servers, late and forged replies: a stop cancels | {stops} stops, {motions} motions | {worst_ms} ms | {LIMIT_MS} ms"
     );
     assert!(motions > sessions);
+}
+
+/// How long fingers take here.
+const GRIP_TAKES_MS: u64 = 3000;
+
+fn done(reached: bool) -> GripAnswer {
+    GripAnswer::Done { position: 0.3, stalled: !reached, reached, status: "forged, perhaps".to_owned() }
+}
+
+#[test]
+fn whatever_two_servers_and_a_forger_answer_a_stop_ends_every_motion_of_the_gripper() {
+    let sessions = if std::env::var_os("BIMANUAL_FULL").is_some() { 20_000 } else { 300 };
+    let (mut worst_ms, mut stops, mut motions, mut doubted) = (0, 0, 0, 0);
+    for seed in 0..sessions {
+        let mut random = Random::new(seed);
+        let mut gripper = GripperLink::new(&Ros2Config::default());
+        gripper.set_missing(None);
+        let mut outputs = Vec::new();
+        let mut answers: Vec<(u64, usize, u32, GripAnswer)> = Vec::new();
+        let mut running: Vec<Executing> = Vec::new();
+        let mut stopped_ms = None;
+        let stop_ms = 500 + random.below(9000) as u64;
+        for now_ms in 1..16_000_u64 {
+            if now_ms % 700 == 0 && now_ms < stop_ms {
+                let opening_m = [0.0, 0.085][random.below(2)];
+                // Refused while another goal may run.
+                let _ =
+                    gripper.grip(Grip { opening_m, effort_n: None, between_m: None }, now_ms, &mut outputs);
+            }
+            if now_ms == stop_ms {
+                gripper.halt(now_ms, &mut outputs);
+                stopped_ms = Some(now_ms);
+                stops += 1;
+            }
+            gripper.step(now_ms, &mut outputs);
+            for output in outputs.drain(..) {
+                match output {
+                    Output::Grip { goal, .. } => {
+                        assert!(stopped_ms.is_none(), "seed {seed}: a stop sends no goal");
+                        for server in 0..2 {
+                            let at_ms = now_ms + [1, 30, 1200, 6000][random.below(4)];
+                            match random.below(3) {
+                                0 => answers.push((at_ms, server, goal, GripAnswer::Rejected)),
+                                1 => answers.push((at_ms, server, goal, GripAnswer::Accepted)),
+                                _ => {}
+                            }
+                        }
+                        let forged = [
+                            GripAnswer::Accepted,
+                            GripAnswer::Rejected,
+                            done(true),
+                            done(false),
+                            GripAnswer::At(f64::NAN),
+                        ];
+                        let at_ms = now_ms + random.below(3000) as u64;
+                        answers.push((at_ms, 2, goal, forged[random.below(forged.len())].clone()));
+                    }
+                    Output::CancelGrip { goal } => {
+                        for it in running.iter_mut().filter(|it| it.goal == goal && it.cancelled_ms.is_none())
+                        {
+                            it.cancelled_ms = Some(now_ms);
+                            answers.push((now_ms + 5, 0, goal, done(false)));
+                        }
+                    }
+                    other => panic!("{other:?}"),
+                }
+            }
+            let (due, later): (Vec<_>, Vec<_>) = answers.drain(..).partition(|answer| answer.0 <= now_ms);
+            answers = later;
+            for (_, server, goal, answer) in due {
+                if server < 2 && answer == GripAnswer::Accepted {
+                    running.push(Executing { goal, since_ms: now_ms, cancelled_ms: None });
+                    answers.push((now_ms + GRIP_TAKES_MS, server, goal, done(true)));
+                    motions += 1;
+                }
+                gripper.answer(goal, answer, now_ms, &mut outputs);
+            }
+            doubted += usize::from(gripper.take_end().is_some() && !running.is_empty());
+            for it in &running {
+                let over = now_ms >= it.since_ms + GRIP_TAKES_MS;
+                let Some(stopped_ms) = stopped_ms.filter(|_| !over && it.cancelled_ms.is_none()) else {
+                    continue;
+                };
+                let open_ms = now_ms - stopped_ms.max(it.since_ms);
+                worst_ms = worst_ms.max(open_ms);
+                assert!(
+                    open_ms <= LIMIT_MS,
+                    "seed {seed}: goal {} of the gripper runs {open_ms} ms after the stop",
+                    it.goal
+                );
+            }
+        }
+    }
+    println!(
+        "row: v two servers, late and forged replies: a stop cancels the gripper | {stops} stops, {motions} motions | {worst_ms} ms | {LIMIT_MS} ms"
+    );
+    assert!(motions > sessions && doubted > 0, "{motions} motions, {doubted}");
 }
 
 #[test]

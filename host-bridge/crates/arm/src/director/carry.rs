@@ -90,7 +90,7 @@ impl<R: Robot> Director<R> {
                 let between = self.shop().between(&self.things, &flange);
                 let held = self.things.held();
                 // What it has already is between its fingers.
-                let between_m = between.map(|(_, width_m)| width_m).or(held.map(|_| self.things.opening_m));
+                let between_m = between.map(|(_, width_m)| width_m).or(held.and(self.things.opening_m));
                 self.robot.grip(Grip { opening_m: *opening_m, effort_n: *effort_n, between_m })?;
                 self.things.touch = self.shop().touching(&self.things, &flange);
             }
@@ -102,9 +102,7 @@ impl<R: Robot> Director<R> {
     /// Looks what has become of the act under way, and goes on.
     pub(super) fn carry_on(&mut self) {
         let (end, grip_end) = (self.robot.take_end(), self.robot.take_grip_end());
-        if let Some(opening) = self.robot.opening_m() {
-            self.things.opening_m = opening.value;
-        }
+        self.things.opening_m = self.robot.opening_m().map(|opening| opening.value);
         let Some(running) = &self.running else { return };
         let halted = running.halted;
         let done = match (&running.now, end, grip_end) {
@@ -191,16 +189,21 @@ impl<R: Robot> Director<R> {
             let mut things = self.things.clone();
             things.opening_m = before_m;
             // As far as they have gone; a gripper that does not say so is where it was asked to be, or has moved nowhere.
-            let reached_m = if end == GripEnd::Reached { asked_m } else { before_m };
-            let now_m = felt_m.unwrap_or(reached_m);
-            if had.is_some() && (now_m - before_m).abs() > LET_GO_M {
+            let reached_m = if end == GripEnd::Reached { Some(asked_m) } else { before_m };
+            let now_m = felt_m.or(reached_m);
+            let has_moved = match (now_m, before_m) {
+                (Some(now_m), Some(before_m)) => (now_m - before_m).abs() > LET_GO_M,
+                // Fingers that stall or are halted nobody knows where keep what they have.
+                _ => end == GripEnd::Reached,
+            };
+            if had.is_some() && has_moved {
                 told = self.shop().let_go_of(&mut things, &flange);
             } else if end == GripEnd::Stalled && had.is_none() {
                 told = self.shop().gripped(&mut things, &flange, asked_m).or_else(|| Some(stalled(felt_m)));
             }
             let attached = had.is_none() && things.held().is_some();
             let believed_m = if attached { things.opening_m } else { now_m };
-            things.opening_m = felt_m.unwrap_or(believed_m);
+            things.opening_m = felt_m.or(believed_m);
             things.touch = self.shop().touching(&things, &flange);
             self.things = things;
         }

@@ -55,8 +55,8 @@ pub struct Director<R> {
     running: Option<Running>,
     /// Tool and objects, as far as known.
     things: Things,
-    /// How far the fingers were apart when the gripper was last asked.
-    grip_before_m: f64,
+    /// How far the fingers were apart when the gripper was last asked, where that was known.
+    grip_before_m: Option<f64>,
     /// When somebody last commanded.
     commanded_ms: u64,
     /// How often each motion that draws has run.
@@ -83,12 +83,15 @@ impl<R: Robot> Director<R> {
     }
 
     fn with(robot: R, motions: Motions, arm: SerialArm, planner: Option<Arc<Planner>>) -> Self {
-        let things = planner.as_ref().map_or(Things::default(), |planner| planner.world().start().clone());
+        let mut things =
+            planner.as_ref().map_or(Things::default(), |planner| planner.world().start().clone());
+        // The robot has not said it yet.
+        things.opening_m = None;
         Director {
             robot,
             motions,
             things,
-            grip_before_m: 0.0,
+            grip_before_m: None,
             commanded_ms: 0,
             bare: Arc::new(Bare { arm, scene: Scene::default(), tool: Tool::default() }),
             planner,
@@ -249,7 +252,10 @@ impl<R: Robot> Door for Director<R> {
             wheels_rad: wheels.angle_rad,
             flange,
             opening_m: self.robot.opening_m().map(|reading| reading.value),
-            tool: shop.tool.shapes(self.things.opening_m),
+            // A picture has the fingers somewhere.
+            tool: shop
+                .tool
+                .shapes(self.things.opening_m.or_else(|| shop.tool.hand().map(|hand| hand.widest_m))),
             objects: objects.collect(),
             reference_rad,
             held: self.held.clone(),

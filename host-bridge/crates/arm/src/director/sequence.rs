@@ -8,7 +8,7 @@ use host_robot::{DVec3, Joints, MotionName, Pose, Robot, Trajectory};
 
 use crate::motions::{Grasp, GripTable, Step};
 use crate::plan::collision::Part;
-use crate::plan::{Placement, line};
+use crate::plan::{Case, Placement, Purse, line};
 use crate::things::{Shop, Things, Touch, in_scene};
 
 use super::{Director, REST_RAD_S};
@@ -53,9 +53,15 @@ struct Draft {
     from_rad: Joints,
     things: Things,
     placement: Placement,
+    /// What all its steps together may cost.
+    purse: Purse,
 }
 
 impl Draft {
+    fn case(&self) -> Case<'_> {
+        Case { placement: self.placement, things: &self.things, purse: &self.purse }
+    }
+
     fn follow(&mut self, leg: Trajectory, home_s: f64, touch: Touch) {
         self.from_rad = leg.goal_rad();
         // Legs without anything in between are one trajectory: the arm rests there, and nobody is asked again.
@@ -84,7 +90,10 @@ impl<R: Robot> Director<R> {
             let before = beside(steps[..i].iter().rev().find(|step| !is_rest(step)));
             let after = beside(steps[i + 1..].iter().find(|step| !is_rest(step)));
             let done = self.take_step(motion, step, &mut draft, (before, after));
-            done.map_err(|why| if steps.len() == 1 { why } else { format!("step {}: {why}", i + 1) })?;
+            done.map_err(|why| {
+                let why = draft.purse.refusal().unwrap_or(why);
+                if steps.len() == 1 { why } else { format!("step {}: {why}", i + 1) }
+            })?;
         }
         Ok(draft.acts)
     }
@@ -117,10 +126,8 @@ impl<R: Robot> Director<R> {
             }
         }
         let mut things = self.things.clone();
-        if let Some(opening) = self.robot.opening_m() {
-            things.opening_m = opening.value;
-        }
-        Ok(Draft { acts: VecDeque::new(), from_rad, things, placement })
+        things.opening_m = self.robot.opening_m().map(|opening| opening.value);
+        Ok(Draft { acts: VecDeque::new(), from_rad, things, placement, purse: Purse::default() })
     }
 
     /// Plans one step; `beside` says whether the gripper moves before it and after it.
@@ -176,11 +183,12 @@ impl<R: Robot> Director<R> {
 
     fn angles_for(&self, target: &Pose, draft: &Draft) -> Result<Joints, String> {
         if let Some(planner) = &self.planner {
-            let around = (draft.placement, &draft.things);
-            return planner.place(&draft.from_rad, target, around).map_err(|refusal| refusal.to_string());
+            return planner
+                .place(&draft.from_rad, target, draft.case())
+                .map_err(|refusal| refusal.to_string());
         }
         let arm = &self.bare.arm;
-        let found = crate::ik::solve(arm, target, &draft.from_rad, 1, |_| true);
+        let found = crate::ik::solve_from(&draft.purse, arm, target, &draft.from_rad, 1, |_| true);
         Ok(found.map_err(|error| error.to_string())?.joints_rad)
     }
 
@@ -204,9 +212,8 @@ impl<R: Robot> Director<R> {
             }
             Some(planner) => {
                 self.plans += 1;
-                let around = (draft.placement, &draft.things);
                 let plan = planner
-                    .plan_among(&from_rad, &goal_rad, around, self.plans)
+                    .plan_among(&from_rad, &goal_rad, draft.case(), self.plans)
                     .map_err(|refusal| refusal.to_string())?;
                 (plan.trajectory, plan.home_s.unwrap_or(0.0))
             }
@@ -224,7 +231,8 @@ impl<R: Robot> Director<R> {
     ) -> Result<(), String> {
         let Some(planner) = &self.planner else {
             let arm = &self.bare.arm;
-            let path_rad = line::along(arm, &draft.from_rad, target).map_err(|error| error.to_string())?;
+            let path_rad =
+                line::along(arm, &draft.from_rad, target, &draft.purse).map_err(|error| error.to_string())?;
             let corners = path_rad.len().saturating_sub(2);
             let leg = Trajectory::through(&path_rad, &vec![false; corners], self.robot.joint_limits());
             draft.follow(leg, 0.0, Touch::default());
@@ -242,7 +250,7 @@ impl<R: Robot> Director<R> {
         }
         let things = Things { touch: touch.clone(), ..draft.things.clone() };
         let leg = planner
-            .straight(&draft.from_rad, target, (draft.placement, &things))
+            .straight(&draft.from_rad, target, Case { things: &things, ..draft.case() })
             .map_err(|refusal| refusal.to_string())?;
         draft.follow(leg, 0.0, touch);
         Ok(())
@@ -266,7 +274,7 @@ impl<R: Robot> Director<R> {
         let planner = self.planner.as_ref()?;
         let world = planner.world();
         let near_m = |things: &Things| {
-            let around = world.around_with(draft.placement, things);
+            let around = world.around_with(draft.placement, things).paid_from(&draft.purse);
             let nearest = around.arm_clearance(&draft.from_rad);
             (nearest.distance_m < world.scene().arm.margin_m).then_some(nearest.parts.0)
         };
@@ -281,7 +289,9 @@ impl<R: Robot> Director<R> {
     fn take_grip(&self, to: GripTable, effort_n: Option<f64>, draft: &mut Draft) -> Result<(), String> {
         let shop = self.shop();
         let widest_m = shop.tool.hand().map_or(1.0, |hand| hand.widest_m);
-        let is_open = draft.things.held().is_none() && draft.things.opening_m >= OPEN_SHARE * widest_m;
+        // Fingers of which nobody knows close: that lets nothing fall.
+        let is_open = draft.things.held().is_none()
+            && draft.things.opening_m.is_none_or(|apart_m| apart_m >= OPEN_SHARE * widest_m);
         let opening_m = match to {
             GripTable::Width(width_m) if width_m > widest_m => {
                 return Err(format!("the gripper opens {widest_m} m at most, not {width_m}"));
@@ -301,11 +311,11 @@ impl<R: Robot> Director<R> {
         let flange = self.flange_in_scene(draft.placement, &draft.from_rad);
         if let Some(planner) = &self.planner {
             // The fingers need room at both ends of their way.
-            for width_m in [draft.things.opening_m, opening_m] {
+            for width_m in [draft.things.opening_m, Some(opening_m)] {
                 let touch = shop.touching(&draft.things, &flange);
                 let things = Things { opening_m: width_m, touch, ..draft.things.clone() };
-                let nearest =
-                    planner.world().around_with(draft.placement, &things).arm_clearance(&draft.from_rad);
+                let around = planner.world().around_with(draft.placement, &things).paid_from(&draft.purse);
+                let nearest = around.arm_clearance(&draft.from_rad);
                 if nearest.distance_m <= 0.0 {
                     let [one, two] =
                         [nearest.parts.0, nearest.parts.1].map(|part| planner.world().name(part));
@@ -313,7 +323,10 @@ impl<R: Robot> Director<R> {
                 }
             }
         }
+        let before_m = draft.things.opening_m;
         let _ = shop.gripped(&mut draft.things, &flange, opening_m);
+        // A robot that does not say where its fingers are may not say so afterwards either.
+        draft.things.opening_m = draft.things.opening_m.filter(|_| before_m.is_some());
         draft.acts.push_back(Act::Grip { opening_m, effort_n, closes_on });
         Ok(())
     }

@@ -7,6 +7,7 @@
 use std::cell::Cell;
 
 use crate::model::SerialArm;
+use crate::plan::purse::Purse;
 use crate::scene::{NamedBox, Scene};
 use crate::things::{Shop, Things, Touch};
 use crate::tool::Tool;
@@ -188,7 +189,8 @@ impl World {
             let (low, high) = self.arm.joints[joint].limit_rad.unwrap_or((-pi, pi));
             (0..=STEPS).map(move |k| low + (high - low) * k as f64 / STEPS as f64)
         };
-        let on_flange = self.on_flange(&self.start);
+        // Fingers wherever they could be.
+        let on_flange = self.on_flange(&Things { opening_m: None, ..self.start.clone() });
         range(link).any(|first| {
             range(link + 1).any(|second| {
                 let mut joints_rad = [0.0; JOINTS];
@@ -262,6 +264,7 @@ impl World {
             base,
             floor_m,
             checks: Cell::new(0),
+            purse: None,
         }
     }
 
@@ -313,9 +316,21 @@ pub struct Surroundings<'w> {
     base: UprightBox,
     floor_m: f64,
     checks: Cell<u64>,
+    purse: Option<&'w Purse>,
 }
 
-impl Surroundings<'_> {
+impl<'w> Surroundings<'w> {
+    /// The same; each check is taken out of this purse, and no way is clear when that is empty.
+    #[must_use]
+    pub fn paid_from(self, purse: &'w Purse) -> Self {
+        Surroundings { purse: Some(purse), ..self }
+    }
+
+    /// Nothing is left to look with.
+    pub fn is_spent(&self) -> bool {
+        self.purse.is_some_and(Purse::is_empty)
+    }
+
     /// The world that this is a view of.
     pub fn world(&self) -> &World {
         self.world
@@ -336,6 +351,9 @@ impl Surroundings<'_> {
     /// to the boxes.
     pub fn arm_clearances(&self, joints_rad: &Joints) -> (Clearance, Clearance) {
         self.checks.set(self.checks.get() + 1);
+        if let Some(purse) = self.purse {
+            purse.spend(1);
+        }
         let world = self.world;
         let shapes = world.shapes(joints_rad, &self.on_flange);
         let (mut own, mut boxes) = (Clearance::NOTHING, Clearance::NOTHING);
@@ -388,10 +406,11 @@ impl Surroundings<'_> {
     }
 
     /// Nothing comes nearer than half the margin anywhere on the straight way in joint space, and nothing
-    /// nearer than the margin where it was looked at.
+    /// nearer than the margin where it was looked at. What there is no check left for is not clear.
     pub fn way_is_clear(&self, from_rad: &Joints, to_rad: &Joints, margin_m: f64) -> bool {
         let sweep_m = self.sweep_m(from_rad, to_rad);
-        self.arm_clearance(to_rad).distance_m >= margin_m
+        !self.is_spent()
+            && self.arm_clearance(to_rad).distance_m >= margin_m
             && self.stretch_is_clear(from_rad, to_rad, (0.0, 1.0), sweep_m, margin_m)
     }
 
@@ -404,6 +423,9 @@ impl Surroundings<'_> {
         sweep_m: f64,
         margin_m: f64,
     ) -> bool {
+        if self.is_spent() {
+            return false;
+        }
         let middle = 0.5 * (start + end);
         let reach_m = 0.5 * (end - start) * sweep_m;
         let joints_rad = between(from_rad, to_rad, middle);

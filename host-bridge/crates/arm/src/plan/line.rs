@@ -4,13 +4,14 @@ use host_robot::{DMat3, DQuat, Joints, Pose};
 
 use crate::ik::{self, Budget};
 use crate::model::SerialArm;
+use crate::plan::purse::Purse;
 
 /// One point of the line per so much of its way; in between the joints go straight, a fraction of a millimetre off it.
 const STEP_M: f64 = 0.02;
 const STEP_RAD: f64 = 0.08;
 /// A joint that turns further from one point to the next has flipped over.
 const JUMP_RAD: f64 = 0.35;
-const BUDGET: Budget = Budget { steps: 80, looks: 1 };
+const STEPS: usize = 80;
 
 /// The line ends before its end.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
@@ -23,11 +24,12 @@ pub struct Ends {
     of_mm: f64,
 }
 
-/// Angles along the straight line from where the arm is to a place of its flange, both ends included.
+/// Angles along the straight line from where the arm is to a place of its flange, both ends included. Its steps are taken
+/// out of the purse.
 ///
 /// # Errors
-/// How far it goes.
-pub fn along(arm: &SerialArm, from_rad: &Joints, target: &Pose) -> Result<Vec<Joints>, Ends> {
+/// How far it goes, or is looked at.
+pub fn along(arm: &SerialArm, from_rad: &Joints, target: &Pose, purse: &Purse) -> Result<Vec<Joints>, Ends> {
     let start = arm.flange_pose(from_rad);
     let way_m = start.position_m.distance(target.position_m);
     let (from, to) = (DQuat::from_mat3(&start.rotation), DQuat::from_mat3(&target.rotation));
@@ -41,7 +43,9 @@ pub fn along(arm: &SerialArm, from_rad: &Joints, target: &Pose) -> Result<Vec<Jo
         };
         let last = path_rad[path_rad.len() - 1];
         let near = |joints: &Joints| joints.iter().zip(&last).all(|(a, b)| (a - b).abs() <= JUMP_RAD);
-        let found = ik::search(arm, &pose, &last, u64::from(k), BUDGET, near);
+        let budget = Budget { steps: STEPS, looks: 1 }.within(purse);
+        let found = ik::search(arm, &pose, &last, u64::from(k), budget, near);
+        purse.spend(ik::steps(&found));
         let after_mm = 1000.0 * way_m * f64::from(k - 1) / f64::from(steps);
         path_rad.push(found.map_err(|_| Ends { after_mm, of_mm: 1000.0 * way_m })?.joints_rad);
     }
@@ -59,7 +63,7 @@ mod tests {
         let arm = SerialArm::gen3();
         let start = arm.flange_pose(&HOME);
         let target = Pose { position_m: start.position_m + DVec3::new(0.05, 0.1, -0.15), ..start };
-        let path = along(&arm, &HOME, &target).unwrap();
+        let path = along(&arm, &HOME, &target, &Purse::default()).unwrap();
         let line = (target.position_m - start.position_m).normalize();
         for two in path.windows(2) {
             for k in 0..=10 {
@@ -79,7 +83,7 @@ mod tests {
         let arm = SerialArm::gen3();
         let start = arm.flange_pose(&HOME);
         let target = Pose { position_m: start.position_m + DVec3::new(1.0, 0.0, 0.0), ..start };
-        let error = along(&arm, &HOME, &target).unwrap_err();
+        let error = along(&arm, &HOME, &target, &Purse::default()).unwrap_err();
         assert!((200.0..700.0).contains(&error.after_mm), "{error}");
         assert!(error.to_string().contains("of 1000 mm"), "{error}");
     }

@@ -9,14 +9,16 @@
 //!
 //! * [`collision`]: robot and scene, and how near they are,
 //! * [`rrt`]: the search for a way; [`mod@line`]: straight lines of the flange,
-//! * [`planner`]: all of it in turn,
+//! * [`planner`]: all of it in turn, and [`purse`]: how much one motion may cost,
 //! * [`guard`]: allows only motion from which one can still stop.
 
 pub mod collision;
 pub mod guard;
 pub mod line;
 pub mod planner;
+pub mod purse;
 pub mod rrt;
 
 pub use collision::{Placement, World};
-pub use planner::{Kind, Plan, Planner, Refusal};
+pub use planner::{Case, Kind, Plan, Planner, Refusal};
+pub use purse::Purse;

@@ -6,6 +6,7 @@ use crate::model::{JointError, SerialArm};
 use crate::motions::{MotionError, joints_of};
 use crate::plan::collision::{Clearance, Placement, Surroundings, World};
 use crate::plan::line;
+use crate::plan::purse::Purse;
 use crate::plan::rrt::{Search, connect, shorten};
 use crate::scene::{Goal, Route, Scene};
 use crate::things::Things;
@@ -99,6 +100,17 @@ pub enum Refusal {
     },
 }
 
+/// What a motion is planned among, and what that may cost.
+#[derive(Clone, Copy, Debug)]
+pub struct Case<'a> {
+    /// Where the base stands.
+    pub placement: Placement,
+    /// Tool and objects.
+    pub things: &'a Things,
+    /// Checks that are left.
+    pub purse: &'a Purse,
+}
+
 /// A pose of the scene file cannot be used.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(transparent)]
@@ -183,51 +195,32 @@ impl Planner {
         placement: Placement,
         turn: u64,
     ) -> Result<Plan, Refusal> {
-        self.around_things(from_rad, to_rad, &self.world.around(placement), turn)
+        let case = Case { placement, things: self.world.start(), purse: &Purse::default() };
+        self.plan_among(from_rad, to_rad, case, turn)
     }
 
-    /// The same with tool and objects as they are.
-    ///
-    /// # Errors
-    /// [`Refusal`], with which nothing moves.
-    pub fn plan_among(
-        &self,
-        from_rad: &Joints,
-        to_rad: &Joints,
-        (placement, things): (Placement, &Things),
-        turn: u64,
-    ) -> Result<Plan, Refusal> {
-        self.around_things(from_rad, to_rad, &self.world.around_with(placement, things), turn)
+    fn around<'a>(&'a self, case: Case<'a>) -> Surroundings<'a> {
+        self.world.around_with(case.placement, case.things).paid_from(case.purse)
     }
 
     /// Angles within the limits that put the flange there and touch nothing, as near as can be to where the arm is.
     ///
     /// # Errors
     /// [`Refusal::Unreachable`].
-    pub fn place(
-        &self,
-        from_rad: &Joints,
-        target: &Pose,
-        (placement, things): (Placement, &Things),
-    ) -> Result<Joints, Refusal> {
+    pub fn place(&self, from_rad: &Joints, target: &Pose, case: Case<'_>) -> Result<Joints, Refusal> {
         let (arm, scene) = (self.world.arm(), self.world.scene());
-        let around = self.world.around_with(placement, things);
+        let around = self.around(case);
         let safe = |joints: &Joints| around.arm_clearance(joints).distance_m >= scene.arm.margin_m;
-        Ok(ik::solve(arm, target, from_rad, scene.arm.seed, safe)?.joints_rad)
+        Ok(ik::solve_from(case.purse, arm, target, from_rad, scene.arm.seed, safe)?.joints_rad)
     }
 
     /// Plans a straight line of the flange; there is no way around.
     ///
     /// # Errors
     /// [`Refusal`], with which nothing moves.
-    pub fn straight(
-        &self,
-        from_rad: &Joints,
-        target: &Pose,
-        (placement, things): (Placement, &Things),
-    ) -> Result<Trajectory, Refusal> {
-        let path_rad = line::along(self.world.arm(), from_rad, target)?;
-        let around = self.world.around_with(placement, things);
+    pub fn straight(&self, from_rad: &Joints, target: &Pose, case: Case<'_>) -> Result<Trajectory, Refusal> {
+        let path_rad = line::along(self.world.arm(), from_rad, target, case.purse)?;
+        let around = self.around(case);
         let margin_m = self.start_margin_m(&around, from_rad)?;
         for two in path_rad.windows(2) {
             if !around.way_is_clear(&two[0], &two[1], margin_m) {
@@ -255,13 +248,18 @@ impl Planner {
         Ok(self.world.scene().arm.margin_m.min(0.8 * distance_m))
     }
 
-    fn around_things(
+    /// The same as [`Planner::plan`] with tool and objects as they are.
+    ///
+    /// # Errors
+    /// [`Refusal`], with which nothing moves.
+    pub fn plan_among(
         &self,
         from_rad: &Joints,
         to_rad: &Joints,
-        around: &Surroundings<'_>,
+        case: Case<'_>,
         turn: u64,
     ) -> Result<Plan, Refusal> {
+        let around = &self.around(case);
         let arm = self.world.arm();
         let to_rad = &arm.unwound(to_rad, from_rad);
         arm.check(to_rad).map_err(Refusal::GoalBeyondLimit)?;

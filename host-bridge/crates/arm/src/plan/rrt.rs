@@ -45,7 +45,7 @@ pub fn connect(
     let mut random = Random::new(search.seed);
     let mut trees = [Tree(vec![(*from_rad, 0)]), Tree(vec![(*to_rad, 0)])];
     let mut growing = 0;
-    while around.checks() < stop_at {
+    while around.checks() < stop_at && !around.is_spent() {
         let aim = sample(around, from_rad, to_rad, &mut random);
         if let Grown::Advanced(new) | Grown::Reached(new) = trees[growing].grow(&aim, around, search) {
             let meet = trees[growing].0[new].0;

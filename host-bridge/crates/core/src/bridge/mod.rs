@@ -2,6 +2,7 @@
 
 mod accepted;
 mod events;
+mod judged;
 
 pub use accepted::{Acceptance, Accepted};
 pub use events::{BridgeEvent, Drops, EventKind, GestureOutcome};
@@ -10,12 +11,14 @@ use shared_proto::message::{Ack, Heading, HostMessage, LeftState, health};
 
 use accepted::Acceptances;
 use host_robot::{Busy, Door, MotionName, NotStarted, Part, Report, Twist};
+use judged::{command, rests, without_figures};
 
 use crate::almost::Almost;
 use crate::doubt;
-use crate::intent::{Caps, MotionMap, SpeedRules, is_rest};
+use crate::intent::{Caps, MotionMap, SpeedRules};
 use crate::link::{HandLink, Heard, NewGesture, RightReport};
 use crate::safety::{self, Action, Hand, Ignored, PerHand, Safety, SafetyTimes, State};
+use crate::tilt::{Tilt, TiltDrive};
 
 /// The base's speed is repeated this often, so that the robot knows that the bridge lives.
 pub const DRIVE_INTERVAL_MS: u64 = 20;
@@ -26,6 +29,7 @@ pub struct Bridge {
     links: PerHand<HandLink>,
     safety: Safety,
     caps: Caps,
+    drive: TiltDrive,
     map: MotionMap,
     drops: Drops,
     scores: Vec<f32>,
@@ -67,6 +71,7 @@ impl Bridge {
             links: PerHand::of(HandLink::new),
             safety: Safety::with(times),
             caps: Caps::new(speed),
+            drive: TiltDrive::DEFAULT,
             map,
             drops: Drops::default(),
             scores: Vec::new(),
@@ -83,6 +88,12 @@ impl Bridge {
             refusal: None,
             restriction: None,
         }
+    }
+
+    /// The base follows the left hand's tilt by these rules.
+    #[must_use]
+    pub fn driving(self, drive: TiltDrive) -> Self {
+        Bridge { drive, ..self }
     }
 
     /// The base drives no faster than that, and the arm does not move.
@@ -238,7 +249,7 @@ impl Bridge {
 
     /// The speed that the base is asked for now: zero unless armed.
     pub fn twist(&self) -> Twist {
-        self.caps.twist(self.safety.heading())
+        self.caps.twist_of(self.safety.pointing(), &self.drive)
     }
 
     /// What was dropped so far.
@@ -313,6 +324,7 @@ impl Bridge {
                     prompt: self.links.left.is_prompt(self.safety.times().prompt_ms(), now_ms),
                     healthy: health::is_fit(state.health),
                     heading: state.heading,
+                    tilt: Tilt { pitch_mrad: state.pitch_mrad, roll_mrad: state.roll_mrad },
                     index_bends,
                     middle_bends,
                     stop: state.stop,
@@ -468,28 +480,4 @@ impl Bridge {
             }
         }
     }
-}
-
-/// A text without its figures, which change all the time.
-fn without_figures(text: &str) -> impl Iterator<Item = char> {
-    text.chars().filter(|c| !c.is_ascii_digit())
-}
-
-/// What a heading asks of the base: neutral and between are one to it.
-fn command(heading: Heading) -> Heading {
-    if heading == Heading::Between { Heading::Neutral } else { heading }
-}
-
-/// Does the right hand rest? Without scores nobody knows; a model without a resting class cannot tell,
-/// and is then not waited for.
-fn rests(labels: &[String], scores: &[f32]) -> bool {
-    if scores.is_empty() || scores.len() != labels.len() {
-        return false;
-    }
-    if !labels.iter().any(|label| is_rest(label)) {
-        return true;
-    }
-    // Of equal scores the first label wins, as on the board. All zero means that nothing was computed.
-    let top = (0..scores.len()).rev().max_by(|&a, &b| scores[a].total_cmp(&scores[b]));
-    top.is_some_and(|top| scores[top] > 0.0 && is_rest(&labels[top]))
 }

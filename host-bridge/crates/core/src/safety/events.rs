@@ -4,6 +4,7 @@ use serde::Serialize;
 use shared_proto::message::Heading;
 
 use super::{Hand, State};
+use crate::tilt::Tilt;
 
 /// A gesture that a state reported for the first time.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -37,6 +38,8 @@ pub enum Event {
         healthy: bool,
         /// Where the hand points.
         heading: Heading,
+        /// How far it is tilted.
+        tilt: Tilt,
         /// Bends of the index finger since the last state.
         index_bends: u8,
         /// Bends of the middle finger since the last state.

@@ -17,12 +17,16 @@
 //! is gone for good.
 
 mod events;
+mod watch;
 
 pub use events::{Action, Event, Gesture, HaltReason, Ignored};
 pub use shared_words::{Hand, PerHand};
 
 use serde::{Deserialize, Serialize};
 use shared_proto::message::Heading;
+
+use crate::tilt::{Pointing, Tilts};
+use watch::{Neutral, Watch};
 
 /// A state older than this is dropped; a hand silent for this long halts the robot.
 pub const STALE_MS: u64 = 250;
@@ -103,64 +107,6 @@ pub enum State {
     Stopped,
 }
 
-#[derive(Clone, Copy, Debug, Default)]
-struct Watch {
-    awaited: bool,
-    connected: bool,
-    live: bool,
-    /// Host time of the newest valid sample, at the earliest.
-    sample_ms: u64,
-    /// Samples taken before this time are no neutral ones: something happened then that takes it back.
-    reset_ms: u64,
-    neutral: Option<Neutral>,
-}
-
-/// Neutral samples without another between them.
-#[derive(Clone, Copy, Debug)]
-struct Neutral {
-    /// Host time of the first one, at the latest.
-    first_ms: u64,
-    /// Host time of the newest one, at the earliest.
-    newest_ms: u64,
-    samples: u32,
-}
-
-impl Neutral {
-    /// Has neutral been held for `long_ms` at `time_ms`, as far as samples show?
-    fn held(&self, long_ms: u64, time_ms: u64) -> bool {
-        self.samples >= NEUTRAL_SAMPLES
-            && self.newest_ms.min(time_ms).saturating_sub(self.first_ms) >= long_ms
-    }
-}
-
-impl Watch {
-    fn lose(&mut self, now_ms: u64) {
-        self.live = false;
-        self.reset(now_ms);
-    }
-
-    /// Whatever was neutral before now must be so again.
-    fn reset(&mut self, now_ms: u64) {
-        self.reset_ms = now_ms;
-        self.neutral = None;
-    }
-
-    fn refresh(&mut self, age_ms: u64, neutral: bool, now_ms: u64) {
-        let sample_ms = now_ms.saturating_sub(age_ms);
-        self.live = true;
-        // Ages jitter: time on a hand never runs back.
-        self.sample_ms = self.sample_ms.max(sample_ms);
-        if !neutral {
-            self.neutral = None;
-        } else if let Some(neutral) = &mut self.neutral {
-            neutral.newest_ms = neutral.newest_ms.max(sample_ms);
-            neutral.samples = neutral.samples.saturating_add(1);
-        } else if sample_ms >= self.reset_ms {
-            self.neutral = Some(Neutral { first_ms: now_ms, newest_ms: sample_ms, samples: 1 });
-        }
-    }
-}
-
 /// See the module.
 #[derive(Clone, Debug)]
 pub struct Safety {
@@ -170,6 +116,8 @@ pub struct Safety {
     left: Watch,
     right: Watch,
     heading: Heading,
+    /// Tilts of the newest states that count.
+    tilts: Tilts,
     /// The right hand has rested for long enough since the stop (where there is no left hand).
     right_rested: bool,
     /// The robot itself refuses to move.
@@ -197,6 +145,7 @@ impl Safety {
             left: Watch::default(),
             right: Watch::default(),
             heading: Heading::Neutral,
+            tilts: Tilts::default(),
             right_rested: false,
             refused: false,
         }
@@ -221,6 +170,11 @@ impl Safety {
     /// The heading that may drive the base: neutral unless armed.
     pub fn heading(&self) -> Heading {
         if self.state == State::Armed && self.left.connected { self.heading } else { Heading::Neutral }
+    }
+
+    /// The same with how far it is tilted.
+    pub fn pointing(&self) -> Pointing {
+        Pointing { heading: self.heading(), tilt: self.tilts.meant() }
     }
 
     /// The hand has said hello.
@@ -276,7 +230,7 @@ impl Safety {
                     self.leave_armed(State::Stale, HaltReason::Unanswered(hand), &mut actions);
                 }
             }
-            Event::Left { age_ms, prompt, healthy, heading, index_bends, middle_bends, stop } => {
+            Event::Left { age_ms, prompt, healthy, heading, tilt, index_bends, middle_bends, stop } => {
                 if !self.left.connected {
                     return actions;
                 }
@@ -302,6 +256,7 @@ impl Safety {
                 }
                 if healthy {
                     self.heading = heading;
+                    self.tilts.see(heading, tilt);
                     let neutral = heading == Heading::Neutral && !stop && prompt;
                     self.left.refresh(age_ms, neutral, self.now_ms);
                 }

@@ -12,7 +12,7 @@ use shared_words::TiltThresholds;
 
 use super::Board;
 use super::virtual_board::{PERIOD_MS, VirtualLeft};
-use crate::adc::AdcRecording;
+use models::adc::AdcRecording;
 
 /// A sample this late still belongs to its period; later, it has none.
 const JITTER_MS: u64 = PERIOD_MS / 2;

@@ -2,9 +2,10 @@
 
 use std::path::Path;
 
-use super::{RawSheet, Take, header_error};
+use super::layout::Layout;
+use super::{RawSheet, Right, Take};
 use crate::recording::{Recording, RecordingError};
-use crate::sheet::layout::Layout;
+use crate::sheet::reader::Format;
 use crate::sheet::{Reading, SENSORS, Sensor, Sheet};
 
 /// Samples at an even rate under named columns, of a file that is no CSV.
@@ -24,10 +25,10 @@ impl Table {
             Some(columns) => Layout::given(columns, &names),
             None => Layout::of(&names, file),
         };
-        let layout = layout.map_err(|problem| header_error(file, 1, problem))?;
+        let layout = layout.map_err(|problem| Right::header_error(file, 1, problem))?;
         if layout.sensors[0].is_none() {
             let text = format!("no columns of an accelerometer are named, there are {}", names.join(", "));
-            return Err(header_error(file, 1, (0, String::new(), text)));
+            return Err(Right::header_error(file, 1, (0, String::new(), text)));
         }
         Ok(Self { layout, values: Default::default() })
     }
@@ -85,7 +86,7 @@ impl Table {
         let Sheet { mut takes, notes } = sheet.judged(file, reading)?;
         match takes.pop() {
             Some(recording) => Ok((recording, notes)),
-            None => Err(RecordingError::Empty { file: file.to_owned(), what: "there are no samples" }),
+            None => Err(Right::empty(file, "there are no samples")),
         }
     }
 }

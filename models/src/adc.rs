@@ -6,79 +6,28 @@
 //! repaired silently: what cannot be used is an error that names the file, the line and the column and says what to do.
 
 use std::fmt::Write as _;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use shared_dsp::left::faults::STUCK_MS;
 use shared_dsp::left::{AdcCounts, OVERSAMPLING};
 
-/// Names of the five lines, in the order of the columns.
-pub const LINE_NAMES: [&str; 5] = ["x", "y", "z", "index", "middle"];
-
-/// Largest conversion of a converter of 12 bits.
-const COUNT_MAX: f64 = 4095.0;
+use crate::sheet::RecordingError;
+use crate::sheet::left::{CHANNEL_NAMES, LeftRow, LeftSheet};
 
 /// The board samples every 10 ms; a recording this near to that on average is taken as it is.
 const INTERVAL_MS: std::ops::RangeInclusive<f64> = 9.0..=11.0;
-/// Mean intervals that can be brought to that: 50 to 500 Hz.
+/// Usual intervals that can be brought to that, and the rates that they stand for.
 const USABLE_MS: std::ops::RangeInclusive<f64> = 1.98..=20.2;
+const USABLE_HZ: (f64, f64) = (50.0, 500.0);
 /// Bits of converters that are told by their values, from so many samples on.
 const BITS: std::ops::RangeInclusive<u32> = 8..=12;
 const ENOUGH: usize = 100;
 
-/// Samples of all five lines with their times.
+/// Samples of all five channels with their times.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct AdcRecording {
     /// Time and reading of each sample.
     pub samples: Vec<(u64, AdcCounts)>,
-}
-
-/// A line of a file: its number, its time in ms from the first, and its five values.
-type Row = (u64, f64, [f64; 5]);
-
-/// Why a recording cannot be used; the text says what to do.
-#[derive(Debug, thiserror::Error)]
-pub enum AdcError {
-    /// The file cannot be opened or read.
-    #[error("{file}: {source}; check the path and that the file may be read")]
-    Io {
-        /// The file.
-        file: PathBuf,
-        /// What the system said.
-        source: std::io::Error,
-    },
-    /// Nothing in the file, or a header without samples.
-    #[error("{file}: {what}; record it again or leave --left out")]
-    Empty {
-        /// The file.
-        file: PathBuf,
-        /// What is missing.
-        what: &'static str,
-    },
-    /// One line or value is wrong.
-    #[error("{file}, line {line}, column {column} ({name}): {problem}")]
-    Bad {
-        /// The file.
-        file: PathBuf,
-        /// Line, from 1.
-        line: u64,
-        /// Column, from 1.
-        column: usize,
-        /// The column's name.
-        name: String,
-        /// What is wrong and what to do.
-        problem: String,
-    },
-    /// The sampling rate cannot become the board's.
-    #[error(
-        "{file}, column 1: one sample every {interval_ms:.2} ms, but 2 to 20 ms (50 to 500 Hz) are needed; \
-         times must be in milliseconds"
-    )]
-    Rate {
-        /// The file.
-        file: PathBuf,
-        /// Mean interval.
-        interval_ms: f64,
-    },
 }
 
 /// A recording from a file, with what was done to it.
@@ -96,9 +45,10 @@ impl AdcRecording {
     /// Reads a CSV file.
     ///
     /// # Errors
-    /// [`AdcError`] for anything but a whole recording.
-    pub fn read(file: &Path) -> Result<Read, AdcError> {
-        let bytes = std::fs::read(file).map_err(|source| AdcError::Io { file: file.to_owned(), source })?;
+    /// [`RecordingError`] for anything but a whole recording.
+    pub fn read(file: &Path) -> Result<Read, RecordingError> {
+        let bytes =
+            std::fs::read(file).map_err(|source| RecordingError::Io { file: file.to_owned(), source })?;
         Self::read_bytes(file, &bytes)
     }
 
@@ -106,100 +56,29 @@ impl AdcRecording {
     ///
     /// # Errors
     /// As [`Self::read`].
-    pub fn parse(file: &Path, bytes: &[u8]) -> Result<Self, AdcError> {
+    pub fn parse(file: &Path, bytes: &[u8]) -> Result<Self, RecordingError> {
         Ok(Self::read_bytes(file, bytes)?.recording)
     }
 
-    fn read_bytes(file: &Path, bytes: &[u8]) -> Result<Read, AdcError> {
-        let bad = |line: u64, column: usize, name: &str, problem: String| AdcError::Bad {
-            file: file.to_owned(),
-            line,
-            column,
-            name: name.to_owned(),
-            problem,
-        };
-        let empty = |what| AdcError::Empty { file: file.to_owned(), what };
-        let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
-        let mut reader = csv::ReaderBuilder::new()
-            .has_headers(false)
-            .flexible(true)
-            .trim(csv::Trim::All)
-            .from_reader(bytes);
-        let text = |error: csv::Error| {
-            let line = error.position().map_or(1, csv::Position::line);
-            bad(line, 1, "text", format!("{error}; save it as plain CSV text in UTF-8"))
-        };
-
-        let mut row = csv::StringRecord::new();
-        if !reader.read_record(&mut row).map_err(text)? {
-            return Err(empty("the file is empty"));
-        }
-        check_header(&row).map_err(|(column, name, problem)| bad(1, column, &name, problem))?;
-
-        let mut samples: Vec<Row> = Vec::new();
-        let mut first_ms = 0.0;
-        let mut before_ms = f64::NEG_INFINITY;
-        while reader.read_record(&mut row).map_err(text)? {
-            let line = row.position().map_or(0, csv::Position::line);
-            if row.len() != 6 {
-                let problem = format!(
-                    "the row has {} values, the header 6; the file may be cut off or damaged here: \
-                     delete the line or record it again",
-                    row.len()
-                );
-                return Err(bad(line, row.len().min(6) + 1, "row", problem));
-            }
-            let time_ms: f64 = row[0].parse().ok().filter(|t: &f64| t.is_finite()).ok_or_else(|| {
-                bad(
-                    line,
-                    1,
-                    "timestamp_ms",
-                    format!("{:?} is not a number; correct it or delete the line", &row[0]),
-                )
-            })?;
-            if time_ms < before_ms || (time_ms == before_ms && samples.len() < 2) {
-                let problem = format!(
-                    "time {time_ms} ms follows {before_ms} ms; times must rise: sort the rows, or split \
-                     the file where a second recording starts"
-                );
-                return Err(bad(line, 1, "timestamp_ms", problem));
-            }
-            if samples.is_empty() {
-                first_ms = time_ms;
-            }
-            before_ms = time_ms;
-            let mut counts = [0.0; 5];
-            for (i, count) in counts.iter_mut().enumerate() {
-                let value = &row[i + 1];
-                *count = conversion(value)
-                    .ok_or_else(|| bad(line, i + 2, LINE_NAMES[i], not_a_count(value, 1023.0)))?;
-            }
-            samples.push((line, time_ms - first_ms, counts));
-        }
-        if samples.len() < 2 {
-            let what = if samples.is_empty() {
-                "there are no samples below the header"
-            } else {
-                "one sample is not enough to tell the sampling rate"
-            };
-            return Err(empty(what));
-        }
+    fn read_bytes(file: &Path, bytes: &[u8]) -> Result<Read, RecordingError> {
+        let sheet = LeftSheet::parse(file, bytes)?;
+        let samples = &sheet.rows;
         let mut notes = Vec::new();
-        let bits = bits(&samples);
+        let bits = bits(samples);
         let largest = f64::from((1u16 << bits) - 1);
-        for (line, _, counts) in &samples {
-            if let Some(i) = counts.iter().position(|count| *count > largest) {
-                return Err(bad(*line, i + 2, LINE_NAMES[i], not_a_count(&counts[i].to_string(), largest)));
+        for row in samples {
+            if let Some(channel) = row.conversions.iter().position(|count| *count > largest) {
+                return Err(sheet.too_large(row, channel, largest));
             }
         }
         if bits != 10 {
             notes.push(format!("the conversions have {bits} bits, by their values; the board's have 10"));
         }
-        let equal = samples.windows(2).filter(|pair| pair[0].1 == pair[1].1).count();
+        let equal = samples.windows(2).filter(|pair| pair[0].time_ms == pair[1].time_ms).count();
         if equal > 0 {
             notes.push(format!("{equal} samples have the time of the one before"));
         }
-        let span_ms = samples.last().map_or(0.0, |last| last.1);
+        let span_ms = samples.last().map_or(0.0, |last| last.time_ms);
         let interval_ms = span_ms / (samples.len() - 1) as f64;
         let eighths = f64::from(OVERSAMPLING) * f64::from(1u16 << 10) / f64::from(1u16 << bits);
         let reading = |counts: [f64; 5]| {
@@ -207,20 +86,19 @@ impl AdcRecording {
                 counts.map(|count| (count * eighths).round().min(f64::from(AdcCounts::MAX)) as u16);
             AdcCounts { x, y, z, index, middle }
         };
-        let samples = if INTERVAL_MS.contains(&interval_ms) {
-            samples.iter().map(|(_, time, counts)| (time.round() as u64, reading(*counts))).collect()
+        let samples: Vec<(u64, AdcCounts)> = if INTERVAL_MS.contains(&interval_ms) {
+            samples.iter().map(|row| (row.time_ms.round() as u64, reading(row.conversions))).collect()
         } else {
             // A pause in a recording at a rate that can be used is none of the rate.
-            let usual = usual_interval(&samples);
+            let usual = usual_interval(samples);
             if !USABLE_MS.contains(&usual) {
-                return Err(AdcError::Rate { file: file.to_owned(), interval_ms });
+                return Err(sheet.wrong_rate(interval_ms, USABLE_HZ));
             }
             if !INTERVAL_MS.contains(&usual) {
                 notes.push(format!("{:.0} samples a second become 100", 1000.0 / usual));
             }
-            resampled(&samples, usual, reading)
+            resampled(samples, usual, reading)
         };
-        let samples: Vec<(u64, AdcCounts)> = samples;
         if let Some((from_ms, for_ms)) = standing_still(&samples) {
             notes.push(format!(
                 "from {:.3} s on all five values stay the same for {:.1} s, which the board takes for a stuck converter and \
@@ -229,12 +107,12 @@ impl AdcRecording {
                 for_ms as f64 / 1000.0
             ));
         }
-        Ok(Read { recording: AdcRecording { samples }, notes, start_ms: first_ms })
+        Ok(Read { recording: AdcRecording { samples }, notes, start_ms: sheet.start_ms })
     }
 
-    /// The CSV text: conversions of 10 bits, with their eighths where there are any.
+    /// The CSV text: conversions of 10 bits, with their eighths if there are any.
     pub fn to_csv(&self) -> String {
-        let mut text = String::from("timestamp_ms,x,y,z,index,middle\n");
+        let mut text = format!("timestamp_ms,{}\n", CHANNEL_NAMES.join(","));
         for (time_ms, counts) in &self.samples {
             let [x, y, z, index, middle] =
                 counts.as_array().map(|sum| f64::from(sum) / f64::from(OVERSAMPLING));
@@ -258,24 +136,10 @@ fn standing_still(samples: &[(u64, AdcCounts)]) -> Option<(u64, u64)> {
     None
 }
 
-fn not_a_count(value: &str, largest: f64) -> String {
-    format!(
-        "{value:?} is not a whole number from 0 to {largest}, nor one with eighths; raw conversions are needed: \
-         correct it or delete the line"
-    )
-}
-
-/// A conversion of any converter: a whole number, or one with eighths, as means of eight have them.
-fn conversion(text: &str) -> Option<f64> {
-    let plain = text.bytes().all(|byte| byte.is_ascii_digit() || byte == b'.');
-    let count: f64 = text.parse().ok().filter(|_| plain)?;
-    (count <= COUNT_MAX && (count * f64::from(OVERSAMPLING)).fract() == 0.0).then_some(count)
-}
-
 /// Bits of the converter: fingers at rest stand at two thirds of its range, so most of a recording's values lie below
 /// its end and not all below half of it. Few samples are taken as the board's, and so are eighths.
-fn bits(samples: &[Row]) -> u32 {
-    let mut all: Vec<f64> = samples.iter().flat_map(|(_, _, counts)| *counts).collect();
+fn bits(samples: &[LeftRow]) -> u32 {
+    let mut all: Vec<f64> = samples.iter().flat_map(|row| row.conversions).collect();
     if samples.len() < ENOUGH || all.iter().any(|count| count.fract() != 0.0) {
         return 10;
     }
@@ -285,48 +149,49 @@ fn bits(samples: &[Row]) -> u32 {
 }
 
 /// Median interval in ms.
-fn usual_interval(samples: &[Row]) -> f64 {
-    let mut steps: Vec<f64> = samples.windows(2).map(|pair| pair[1].1 - pair[0].1).collect();
+fn usual_interval(samples: &[LeftRow]) -> f64 {
+    let mut steps: Vec<f64> = samples.windows(2).map(|pair| pair[1].time_ms - pair[0].time_ms).collect();
     steps.sort_unstable_by(f64::total_cmp);
     steps[steps.len() / 2]
 }
 
 /// Samples every 10 ms, between their neighbours, or the mean of those within 5 ms where they come faster; none in pauses.
 fn resampled(
-    samples: &[Row],
+    samples: &[LeftRow],
     usual_ms: f64,
     reading: impl Fn([f64; 5]) -> AdcCounts,
 ) -> Vec<(u64, AdcCounts)> {
     const STEP_MS: u64 = 10;
     let pause_ms = (3.0 * usual_ms).max(50.0);
-    let end_ms = samples.last().map_or(0.0, |last| last.1);
+    let end_ms = samples.last().map_or(0.0, |last| last.time_ms);
     let mut taken = Vec::new();
     let (mut left, mut from, mut to) = (0, 0, 0);
     // Not slot by slot through a pause that a wrong clock made endless.
     let mut time_ms = 0;
     while time_ms as f64 <= end_ms {
         let at = time_ms as f64;
-        while left + 2 < samples.len() && samples[left + 1].1 <= at {
+        while left + 2 < samples.len() && samples[left + 1].time_ms <= at {
             left += 1;
         }
         let (before, after) = (&samples[left], &samples[left + 1]);
-        if after.1 - before.1 > pause_ms && at > before.1 {
-            time_ms = ((after.1 / STEP_MS as f64).ceil() as u64 * STEP_MS).max(time_ms + STEP_MS);
+        if after.time_ms - before.time_ms > pause_ms && at > before.time_ms {
+            time_ms = ((after.time_ms / STEP_MS as f64).ceil() as u64 * STEP_MS).max(time_ms + STEP_MS);
             continue;
         }
-        while samples[from].1 < at - 5.0 {
+        while samples[from].time_ms < at - 5.0 {
             from += 1;
         }
-        while to < samples.len() && samples[to].1 < at + 5.0 {
+        while to < samples.len() && samples[to].time_ms < at + 5.0 {
             to += 1;
         }
         let near = &samples[from.min(to)..to];
-        let counts = std::array::from_fn(|line| {
+        let counts = std::array::from_fn(|channel| {
             if usual_ms < 7.0 && !near.is_empty() {
-                near.iter().map(|(_, _, counts)| counts[line]).sum::<f64>() / near.len() as f64
+                near.iter().map(|row| row.conversions[channel]).sum::<f64>() / near.len() as f64
             } else {
-                let (a, b) = (before.2[line], after.2[line]);
-                let part = ((at - before.1) / (after.1 - before.1).max(1e-9)).clamp(0.0, 1.0);
+                let (a, b) = (before.conversions[channel], after.conversions[channel]);
+                let part =
+                    ((at - before.time_ms) / (after.time_ms - before.time_ms).max(1e-9)).clamp(0.0, 1.0);
                 a + (b - a) * part
             }
         });
@@ -334,23 +199,6 @@ fn resampled(
         time_ms += STEP_MS;
     }
     taken
-}
-
-/// Column, its name and what is wrong with it.
-fn check_header(row: &csv::StringRecord) -> Result<(), (usize, String, String)> {
-    const WANTED: &str = "the header must be timestamp_ms,x,y,z,index,middle";
-    let names = ["timestamp_ms"].into_iter().chain(LINE_NAMES);
-    for (i, wanted) in names.enumerate() {
-        match row.get(i) {
-            Some(name) if name == wanted || (i == 0 && name == "timestamp") => {}
-            Some(name) => return Err((i + 1, name.to_owned(), format!("expected {wanted}; {WANTED}"))),
-            None => return Err((i + 1, wanted.to_owned(), format!("the column is missing; {WANTED}"))),
-        }
-    }
-    match row.get(6) {
-        Some(name) => Err((7, name.to_owned(), format!("one column too many; {WANTED}"))),
-        None => Ok(()),
-    }
 }
 
 #[cfg(test)]
@@ -379,7 +227,7 @@ mod tests {
         assert_eq!(parse(text).unwrap().samples[1], (10, AdcCounts::from_ten_bit([1, 2, 3, 4, 5])));
     }
 
-    /// A level hand with straight fingers that tilts once, from a converter of so many bits.
+    /// A level hand with straight fingers that tilts once, from a converter of this many bits.
     fn level(rate_hz: f64, bits: u32, seconds: f64) -> String {
         let full = f64::from(1u32 << bits);
         let row = |n: usize| {
@@ -452,16 +300,42 @@ mod tests {
     }
 
     #[test]
+    fn separators_decimal_commas_and_the_order_of_columns_do_not_matter() {
+        let ours = parse("timestamp_ms,x,y,z,index,middle\n0,1.5,2,3,4,5\n10,1,2,3,4,5\n").unwrap();
+        for theirs in [
+            "timestamp_ms;x;y;z;index;middle\r\n0;1,5;2;3;4;5\r\n10;1;2;3;4;5\r\n",
+            "# a left hand\nindex\tmiddle\tz\ty\tx\ttimestamp\n4\t5\t3\t2\t1,5\t0\n4\t5\t3\t2\t1\t10\n",
+        ] {
+            assert_eq!(parse(theirs).as_ref(), Ok(&ours));
+        }
+    }
+
+    #[test]
+    fn a_clock_that_jumps_by_decades_is_named() {
+        for last in ["1e13", "1e300"] {
+            let text = level(50.0, 10, 2.0) + &format!("{last},532,497,625,689,716\n");
+            let error = parse(&text).unwrap_err();
+            assert!(error.contains("line 102, column 1 (timestamp_ms)"), "{error}");
+        }
+    }
+
+    #[test]
     fn each_fault_names_file_line_and_column() {
         let row = |text: &str| parse(&format!("{HEADER}0,1,2,3,4,5\n{text}")).unwrap_err();
         for (error, place) in [
             (parse("").unwrap_err(), "left.csv: the file is empty"),
             (parse(HEADER).unwrap_err(), "left.csv: there are no samples"),
-            (parse("time,x,y,z,index,middle\n").unwrap_err(), "line 1, column 1 (time)"),
-            (parse("timestamp_ms,x,y,z,index\n").unwrap_err(), "line 1, column 6 (middle)"),
-            (parse("timestamp_ms,x,y,z,index,middle,a\n").unwrap_err(), "line 1, column 7 (a)"),
-            (row("10,1,2,3"), "line 3, column 5 (row)"),
-            (row("10,1,2,3,4,5,6"), "line 3, column 7 (row)"),
+            (parse("time,x,y,z,index,middle\n").unwrap_err(), "line 1, column 1 (\"time\")"),
+            (
+                parse("timestamp_ms,x,y,z,index\n").unwrap_err(),
+                "line 1, column 6 (\"middle\"): the column is missing",
+            ),
+            (
+                parse("timestamp_ms,x,y,z,index,middle,a\n").unwrap_err(),
+                "line 1, column 7 (\"a\"): a left hand has no such column",
+            ),
+            (row("10,1,2,3"), "line 3, column 5: the row has 4 values, the header 6"),
+            (row("10,1,2,3,4,5,6"), "line 3, column 7: the row has 7"),
             (row("10,1,2,x,4,5"), "line 3, column 4 (z)"),
             (row("10,1,2,1024,4,5"), "line 3, column 4 (z)"),
             (row("10,1,2,1.65,4,5"), "line 3, column 4 (z): \"1.65\" is not a whole number from 0 to 1023"),
@@ -470,7 +344,7 @@ mod tests {
             (row("10,1,2,-1,4,5"), "line 3, column 4 (z)"),
             (row("NaN,1,2,3,4,5"), "line 3, column 1 (timestamp_ms)"),
             (row("0,1,2,3,4,5"), "line 3, column 1 (timestamp_ms)"),
-            (row("30,1,2,3,4,5"), "every 30.00 ms"),
+            (row("30,1,2,3,4,5"), "column 1: the sampling rate is 33.3 Hz, but 50 to 500 Hz are needed"),
         ] {
             assert!(error.contains(place), "{error}");
             assert!(error.contains("left.csv"), "{error}");

@@ -1,8 +1,9 @@
 //! From a file's units to ours: what the user says, what the file declares, what the samples show.
 
-use crate::sheet::judge::{self, Verdict};
-use crate::sheet::layout::Source;
-use crate::sheet::{Reading, Sensor, names};
+use super::judge::{self, Verdict};
+use super::layout::Source;
+use super::names;
+use crate::sheet::{Reading, Sensor};
 
 /// Factor of acceleration to m/s².
 pub(super) fn acceleration_factor(

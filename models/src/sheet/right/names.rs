@@ -1,6 +1,6 @@
 //! What columns are, from their names: the axes of three sensors, time, and the units that names declare.
 
-use super::Sensor;
+use crate::sheet::Sensor;
 
 /// Gravity in m/s², by definition.
 pub(crate) const G: f64 = 9.806_65;

@@ -5,8 +5,9 @@ use std::path::Path;
 use std::str::FromStr;
 
 use super::names::{self, Kind, Named};
-use super::{SENSORS, Sensor};
 use crate::recording::AXIS_NAMES;
+use crate::sheet::reader::Problem;
+use crate::sheet::{SENSORS, Sensor};
 
 /// Columns of one sensor.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -91,9 +92,6 @@ impl FromStr for Columns {
         Ok(columns)
     }
 }
-
-/// What is wrong with the columns: the column from 1, or 0 for all of them, its name, and the problem.
-pub(super) type Problem = (usize, String, String);
 
 impl Layout {
     /// By names that the user gives.

@@ -1,0 +1,133 @@
+//! Shapes of a URDF's links: those of the arm's chain, and of whatever is fixed to it beside the chain.
+
+use host_robot::shape::Capsule;
+use host_robot::{DMat3, DVec3, Pose};
+use urdf_rs::{Collision, Geometry, Joint, JointType, Robot};
+
+/// Reads shapes of links, and remembers what was not read.
+pub struct Shapes<'r> {
+    robot: &'r Robot,
+    chain: &'r [&'r Joint],
+    /// Of the lines and balls that stand for meshes.
+    radius_m: f64,
+    seen: Vec<&'r str>,
+    /// Links whose meshes were not read.
+    meshes: Vec<&'r str>,
+    /// Joints beside the chain that move by themselves.
+    moving: Vec<&'r str>,
+}
+
+impl<'r> Shapes<'r> {
+    /// Of this robot, whose arm is this chain.
+    pub fn new(robot: &'r Robot, chain: &'r [&'r Joint], radius_m: f64) -> Self {
+        Shapes { robot, chain, radius_m, seen: Vec::new(), meshes: Vec::new(), moving: Vec::new() }
+    }
+
+    fn collisions(&self, link: &str) -> &'r [Collision] {
+        self.robot.links.iter().find(|known| known.name == link).map_or(&[], |known| &known.collision)
+    }
+
+    /// The link has a shape of its own, all of which is read.
+    pub fn are_whole(&self, link: &str) -> bool {
+        let own = self.collisions(link);
+        !own.is_empty() && !own.iter().any(is_mesh)
+    }
+
+    /// Shapes of a link of the chain whose frame is there, and of what is fixed to it beside the chain. A line along the chain
+    /// stands for meshes of a link that `moves` anyway.
+    pub fn of(&mut self, link: &'r str, here: &Pose, moves: bool) -> Vec<Capsule> {
+        let mut found = Vec::new();
+        self.collect(link, here, moves, &mut found);
+        found
+    }
+
+    fn collect(&mut self, link: &'r str, here: &Pose, has_line: bool, found: &mut Vec<Capsule>) {
+        // A file may join links in a circle.
+        if self.seen.contains(&link) {
+            return;
+        }
+        self.seen.push(link);
+        let own = self.collisions(link);
+        found.extend(own.iter().filter_map(|collision| enclosing(collision, here)));
+        let unread = own.iter().any(is_mesh);
+        if unread {
+            self.meshes.push(link);
+        }
+        let robot = self.robot;
+        let mut lines = 0;
+        for joint in robot.joints.iter().filter(|joint| joint.parent.link == link) {
+            let next = at(here, joint);
+            if unread && !has_line {
+                lines += 1;
+                found.push(Capsule { a_m: here.position_m, b_m: next.position_m, radius_m: self.radius_m });
+            }
+            if self.chain.iter().any(|known| known.name == joint.name) {
+                continue;
+            }
+            if joint.joint_type == JointType::Fixed {
+                self.collect(&joint.child.link, &next, false, found);
+            } else {
+                self.moving.push(&joint.name);
+            }
+        }
+        if unread && !has_line && lines == 0 {
+            let ball = |mesh: &Collision| {
+                let at_m = here.at(DVec3::from(mesh.origin.xyz.0));
+                Capsule { a_m: at_m, b_m: at_m, radius_m: self.radius_m }
+            };
+            found.extend(own.iter().filter(|collision| is_mesh(collision)).map(ball));
+        }
+    }
+
+    /// What was not read, for people.
+    pub fn notes(&self) -> Vec<String> {
+        let mut notes = Vec::new();
+        if !self.meshes.is_empty() {
+            notes.push(format!(
+                "the meshes of {} are not read: lines from joint to joint stand for them, and balls at ends, {:.0} mm thick all \
+                 around (link_radius_m)",
+                self.meshes.join(", "),
+                1000.0 * self.radius_m
+            ));
+        }
+        if !self.moving.is_empty() {
+            notes.push(format!(
+                "what {} moves beside the arm is not counted; describe what is on the flange as [[tool]]",
+                self.moving.join(", ")
+            ));
+        }
+        notes
+    }
+}
+
+/// Where a joint puts its child's frame, before it turns.
+pub fn at(parent: &Pose, joint: &Joint) -> Pose {
+    parent.then(DVec3::from(joint.origin.xyz.0), rotation(joint.origin.rpy.0))
+}
+
+fn is_mesh(collision: &Collision) -> bool {
+    matches!(collision.geometry, Geometry::Mesh { .. })
+}
+
+fn enclosing(collision: &Collision, here: &Pose) -> Option<Capsule> {
+    let pose = here.then(collision.origin.xyz.0.into(), rotation(collision.origin.rpy.0));
+    let (half, radius_m) = match &collision.geometry {
+        Geometry::Sphere { radius } => (DVec3::ZERO, *radius),
+        // A capsule as long as the cylinder, with round ends beyond it.
+        Geometry::Cylinder { radius, length } | Geometry::Capsule { radius, length } => {
+            (0.5 * *length * DVec3::Z, *radius)
+        }
+        Geometry::Box { size } => {
+            let half = 0.5 * DVec3::from(size.0);
+            let line = DVec3::AXES[half.max_position()] * half.max_element();
+            (line, (half - line).length())
+        }
+        Geometry::Mesh { .. } => return None,
+    };
+    Some(Capsule { a_m: pose.at(-half), b_m: pose.at(half), radius_m })
+}
+
+/// Roll about x, then pitch about y, then yaw about z, all about the fixed axes.
+fn rotation([roll, pitch, yaw]: [f64; 3]) -> DMat3 {
+    DMat3::from_rotation_z(yaw) * DMat3::from_rotation_y(pitch) * DMat3::from_rotation_x(roll)
+}

@@ -1,0 +1,170 @@
+//! Teaching, sans-IO: when an arm's angles can be taken for a pose, and one motion played on its own.
+
+use host_arm::Director;
+use host_robot::{Door as _, Joints, Motion, MotionName, Report, Robot, Twist};
+
+/// A robot is waited for so long.
+pub const SEARCH_MS: u64 = 8000;
+/// Nothing that is taught moves faster,
+const REST_RAD_S: f64 = 0.02;
+/// nor further in this time.
+const RESTED_MS: u64 = 500;
+const NOISE_RAD: f64 = 0.002;
+
+/// Waits for an arm that rests: not every driver reports speeds, so its angles must be the same for a while.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Rest {
+    since: Option<(Joints, u64)>,
+}
+
+impl Rest {
+    /// How the arm moves now; its angles, once it has rested.
+    pub fn see(&mut self, arm: &Motion, now_ms: u64) -> Option<Joints> {
+        let here = arm.joints_rad;
+        let moves = arm.velocity_rad_s.iter().any(|v| v.abs() > REST_RAD_S);
+        match self.since {
+            Some((there, since_ms)) if !moves && is_near(&here, &there) => {
+                (now_ms.saturating_sub(since_ms) >= RESTED_MS).then_some(here)
+            }
+            _ => {
+                self.since = Some((here, now_ms));
+                None
+            }
+        }
+    }
+
+    /// Whether angles came at all.
+    pub fn was_told(&self) -> bool {
+        self.since.is_some()
+    }
+}
+
+fn is_near(one: &Joints, two: &Joints) -> bool {
+    one.iter().zip(two).all(|(a, b)| (a - b).abs() <= NOISE_RAD)
+}
+
+/// How it went.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Played {
+    /// The arm is there.
+    Reached,
+    /// It is not; the text says why.
+    Not(String),
+    /// It was asked to end.
+    Interrupted,
+}
+
+/// One motion: the robot is waited for, the motion asked for once, and whatever speaks against it halts the robot.
+#[derive(Clone, Debug)]
+pub struct Play {
+    motion: MotionName,
+    farewell_ms: u64,
+    began_ms: Option<u64>,
+    started: bool,
+    /// Halted since then, with this outcome.
+    halted: Option<(u64, Played)>,
+}
+
+impl Play {
+    /// The motion, not begun; after a halt the robot is served for `farewell_ms`.
+    pub fn new(motion: MotionName, farewell_ms: u64) -> Self {
+        Play { motion, farewell_ms, began_ms: None, started: false, halted: None }
+    }
+
+    /// One turn; `interrupted` halts the robot. What it says goes to `note`. The outcome, at the end.
+    pub fn turn<R: Robot>(
+        &mut self,
+        door: &mut Director<R>,
+        now_ms: u64,
+        interrupted: bool,
+        mut note: impl FnMut(&str),
+    ) -> Option<Played> {
+        door.step(now_ms);
+        // It says that somebody commands; the base stays where it is.
+        door.drive(Twist::ZERO);
+        let mut reached = None;
+        for report in door.take_reports() {
+            match report {
+                Report::MotionEnded { reached: there, .. } => reached = Some(there),
+                Report::Note(text) => note(&text),
+                _ => {}
+            }
+        }
+        let outcome = match &self.halted {
+            Some((since_ms, outcome)) => {
+                (now_ms.saturating_sub(*since_ms) >= self.farewell_ms).then(|| outcome.clone())
+            }
+            None => match self.judge(door, now_ms, interrupted, reached) {
+                Some(Played::Reached) => Some(Played::Reached),
+                Some(outcome) => {
+                    door.halt();
+                    self.halted = Some((now_ms, outcome));
+                    None
+                }
+                None => None,
+            },
+        };
+        door.send();
+        outcome
+    }
+
+    fn judge<R: Robot>(
+        &mut self,
+        door: &mut Director<R>,
+        now_ms: u64,
+        interrupted: bool,
+        reached: Option<bool>,
+    ) -> Option<Played> {
+        let began_ms = *self.began_ms.get_or_insert(now_ms);
+        if interrupted {
+            return Some(Played::Interrupted);
+        }
+        let refusal = door.refusal();
+        if self.started {
+            return match (reached, refusal) {
+                (_, Some(refusal)) => Some(Played::Not(format!("the robot refuses to move on: {refusal}"))),
+                (Some(true), None) => Some(Played::Reached),
+                (Some(false), None) => {
+                    Some(Played::Not(format!("'{}' was given up on the way", self.motion)))
+                }
+                (None, None) => None,
+            };
+        }
+        let waited = now_ms.saturating_sub(began_ms) >= SEARCH_MS;
+        let is_ready = refusal.is_none() && door.robot().can_follow().is_ok();
+        if !is_ready && !waited {
+            return None;
+        }
+        if let Some(refusal) = refusal {
+            return Some(Played::Not(format!("the robot refuses to move: {refusal}")));
+        }
+        self.started = true;
+        match door.start_motion(&self.motion) {
+            Ok(()) => None,
+            Err(why) => Some(Played::Not(format!("'{}' does not start: {why}", self.motion))),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use host_robot::JOINTS;
+
+    #[test]
+    fn angles_are_taken_from_an_arm_that_rests_for_half_a_second_whether_or_not_it_reports_speeds() {
+        let mut rest = Rest::default();
+        assert!(!rest.was_told());
+        // It moves at 0.1 rad/s for a second, and reports no speed.
+        let at = |ms: u64| Motion::at_rest([0.1 * ms.min(1000) as f64 / 1000.0; JOINTS]);
+        let taken = (0..3000).step_by(10).find_map(|ms| Some((ms, rest.see(&at(ms), ms)?)));
+        let (taken_ms, joints_rad) = taken.unwrap();
+        assert!((1480..=1500).contains(&taken_ms), "{taken_ms}");
+        assert!((joints_rad[0] - 0.1).abs() < NOISE_RAD && rest.was_told());
+        // One that reports a speed is not taken, whatever its angles are.
+        let mut rest = Rest::default();
+        let mut drifting = Motion::at_rest([0.0; JOINTS]);
+        drifting.velocity_rad_s[3] = -0.03;
+        assert!((0..3000).step_by(10).all(|ms| rest.see(&drifting, ms).is_none()));
+    }
+}

@@ -1,0 +1,171 @@
+//! Why a recording cannot be used.
+
+use std::borrow::Cow;
+use std::path::PathBuf;
+
+/// Why a recording of either hand cannot be used; the text says what to do.
+#[derive(Debug, thiserror::Error)]
+pub enum RecordingError {
+    /// The file cannot be opened or read.
+    #[error("{file}: {source}; check the path and that the file may be read")]
+    Io {
+        /// The file.
+        file: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// Nothing in the file, or a header without samples.
+    #[error("{file}: {what}; record it again or {instead}")]
+    Empty {
+        /// The file.
+        file: PathBuf,
+        /// What is missing.
+        what: &'static str,
+        /// What else can be done.
+        instead: &'static str,
+    },
+    /// The columns of a recording are not found.
+    #[error("{file}, line {line}{}: {problem}; {wanted}", column_name(*.column, .name))]
+    Header {
+        /// The file.
+        file: PathBuf,
+        /// Line, from 1.
+        line: u64,
+        /// Column, from 1; 0: none in particular.
+        column: usize,
+        /// Its name.
+        name: String,
+        /// What is wrong with it.
+        problem: String,
+        /// Which columns such a file has.
+        wanted: &'static str,
+    },
+    /// No column holds times.
+    #[error(
+        "{file}: there is no column of times; if the rate is known, say it with --rate, for example `models import --rate 119`"
+    )]
+    NoTimes {
+        /// The file.
+        file: PathBuf,
+    },
+    /// Samples are not in the units that are wanted or declared.
+    #[error("{file}: {problem}")]
+    Units {
+        /// The file.
+        file: PathBuf,
+        /// What they look like, and what to do.
+        problem: String,
+    },
+    /// Several recordings in one file.
+    #[error(
+        "{file}: the file holds {takes} recordings, one after the other; `models import` makes a file of each"
+    )]
+    Takes {
+        /// The file.
+        file: PathBuf,
+        /// How many.
+        takes: usize,
+    },
+    /// Times that are days apart.
+    #[error(
+        "{file}: the recording is {hours:.0} h long, so its clock has jumped; correct the times, or let `models import` \
+         part it at its pauses"
+    )]
+    Long {
+        /// The file.
+        file: PathBuf,
+        /// From its first to its last sample.
+        hours: f64,
+    },
+    /// A row has too few or too many values.
+    #[error(
+        "{file}, line {line}, column {column}: the row has {found} values, the header {expected}; \
+         the file may be cut off or damaged here: delete the line or record it again"
+    )]
+    Row {
+        /// The file.
+        file: PathBuf,
+        /// Line, from 1.
+        line: u64,
+        /// First column that is missing or too much, from 1.
+        column: usize,
+        /// Values in the row.
+        found: usize,
+        /// Values in the header.
+        expected: usize,
+    },
+    /// A value is not what its column holds.
+    #[error(
+        "{file}, line {line}, column {column} ({name}): {value:?} is not a {wanted}; \
+         correct the value or delete the line"
+    )]
+    Value {
+        /// The file.
+        file: PathBuf,
+        /// Line, from 1.
+        line: u64,
+        /// Column, from 1.
+        column: usize,
+        /// The column's name.
+        name: String,
+        /// What stands there.
+        value: String,
+        /// What should stand there.
+        wanted: Cow<'static, str>,
+    },
+    /// Time stands still or goes back.
+    #[error(
+        "{file}, line {line}, column {column} ({name}): time {time_ms} ms follows {before_ms} ms; \
+         times must rise: sort the rows, or split the file where a second recording starts"
+    )]
+    Time {
+        /// The file.
+        file: PathBuf,
+        /// Line, from 1.
+        line: u64,
+        /// Column, from 1.
+        column: usize,
+        /// The column's name.
+        name: String,
+        /// The time found, in ms.
+        time_ms: f64,
+        /// The time before it, in ms.
+        before_ms: f64,
+    },
+    /// The sampling rate is outside of what can be used, or cannot be told.
+    #[error(
+        "{file}, column {column}: the sampling rate is {rate_hz:.1} Hz, but {slowest_hz} to {fastest_hz} Hz are needed; \
+         times must be in milliseconds"
+    )]
+    Rate {
+        /// The file.
+        file: PathBuf,
+        /// The column of the times, from 1.
+        column: usize,
+        /// The measured rate, in Hz.
+        rate_hz: f64,
+        /// The slowest rate that can be used, in Hz.
+        slowest_hz: f64,
+        /// The fastest.
+        fastest_hz: f64,
+    },
+    /// The file cannot be parsed as CSV text at all.
+    #[error("{file}, line {line}: {what}; save it as plain CSV text in UTF-8")]
+    Text {
+        /// The file.
+        file: PathBuf,
+        /// Line, from 1.
+        line: u64,
+        /// What is wrong.
+        what: String,
+    },
+}
+
+/// `, column 3 ("accZ")`, as far as it is known.
+fn column_name(column: usize, name: &str) -> String {
+    match (column, name) {
+        (0, "") => String::new(),
+        (0, name) => format!(" ({name:?})"),
+        (column, name) => format!(", column {column} ({name:?})"),
+    }
+}
