@@ -16,7 +16,7 @@ use core::arch::asm;
 use core::mem::MaybeUninit;
 use core::ptr::{addr_of, addr_of_mut};
 
-/// What led to this start.
+/// Why the board started.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Cause {
     /// Power, the reset button, or the serial port being opened.
@@ -33,7 +33,7 @@ pub enum Cause {
 #[derive(Clone, Copy)]
 struct Kept {
     magic: [u8; 2],
-    /// A mark below; 0 for a start that nobody announced.
+    /// One of the marks below; 0 for a start that was not announced.
     cause: u8,
     /// Starts since the last power-up, wrapping.
     starts: u8,
@@ -51,7 +51,7 @@ impl Kept {
         Self { magic: MAGIC, cause, starts, check: !(cause ^ starts) }
     }
 
-    /// Nothing after a power-up, when RAM holds anything.
+    /// `None` after a power-up, when RAM has arbitrary content.
     fn load() -> Option<Self> {
         // Safety: bytes, of which any value is one, and nobody else touches them.
         let kept = unsafe { addr_of!(KEPT).cast::<Self>().read_volatile() };
@@ -68,12 +68,12 @@ impl Kept {
 #[unsafe(link_section = ".noinit")]
 static mut KEPT: MaybeUninit<Kept> = MaybeUninit::uninit();
 
-/// Leaves word for the next start.
+/// Leaves a mark for the next start.
 fn leave(cause: u8) {
     Kept::new(cause, starts()).store();
 }
 
-/// Stops the watchdog, before anything else, and tells why the board started.
+/// Stops the watchdog, before anything else, and returns why the board started.
 pub fn begin() -> Cause {
     avr_device::interrupt::disable();
     // Safety: nothing else runs yet.
@@ -134,7 +134,7 @@ fn set_watchdog(value: u8) {
     }
 }
 
-/// Starts the program anew without a reset. Every module's `start` sets its registers whole, so what
+/// Restarts the program without a reset. Every module's `start` sets its registers whole, so what
 /// the old run left in them does not matter.
 fn restart(mark: u8) -> ! {
     avr_device::interrupt::disable();

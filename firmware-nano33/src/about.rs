@@ -35,7 +35,7 @@ pub fn started(reasons: u32) {
     RESET.store(cause.into(), Ordering::Relaxed);
 }
 
-/// A sensor with so many axes was found. What it is called, the laptop knows.
+/// A sensor with this many axes was found. The laptop knows its name.
 pub fn found(kind: Kind, axes: usize) {
     SENSOR.store(kind as u8, Ordering::Relaxed);
     AXES.store(axes as u8, Ordering::Relaxed);

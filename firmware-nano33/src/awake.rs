@@ -72,7 +72,7 @@ impl Load {
 }
 
 const PAINT: u32 = 0x57AC_57AC;
-/// Unpainted words may hide between painted ones; so many in a row are taken as never used.
+/// Words that happen to look painted may lie in used stack; this many in a row count as never used.
 const RUN: usize = 64;
 static LEAST_FREE: AtomicU32 = AtomicU32::new(u32::MAX);
 
@@ -93,7 +93,7 @@ pub fn paint_stack() {
     }
 }
 
-/// Least free stack seen since start, in bytes.
+/// Minimum free stack seen since start, in bytes.
 pub fn free_stack_bytes() -> u32 {
     let bottom = (&raw const __sheap) as usize;
     let top = match LEAST_FREE.load(Ordering::Relaxed) {

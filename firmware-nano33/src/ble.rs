@@ -42,20 +42,20 @@ const PAYLOAD: usize = 244;
 const QUEUE: u8 = 8;
 /// Connection intervals in 1.25 ms that are asked for in turn: 7.5 to 15 ms, and 15 ms for systems that refuse less.
 const INTERVALS: [(u16, u16); 2] = [(6, 12), (12, 12)];
-/// A laptop answers a request for an interval within so long.
+/// A laptop answers a request for an interval within this long.
 const ANSWER: Duration = Duration::from_secs(5);
 /// Connection events that the board may sleep through while it has nothing to say: what it has to say leaves
 /// within one interval all the same, a laptop's frame arrives within five, and the radio is off in between.
 const LATENCY: u16 = 4;
-/// A link that is silent for so long (10 ms) is gone.
+/// A link that is silent for this long (10 ms) is gone.
 const SUPERVISION: u16 = 200;
 /// Advertising interval in 0.625 ms: 30 ms.
 const ADVERTISING: u32 = 48;
-/// A laptop that has written nothing for so long is asked for its interval again. S140 wants an authenticated packet each 480 s
+/// A laptop that has written nothing for this long is asked for its interval again. S140 wants an authenticated packet each 480 s
 /// and, where a laptop cannot be asked by its radio (LE Ping), raises an event at which nrf-softdevice panics; the answer
 /// to a request is such a packet.
 const QUIET: Duration = Duration::from_secs(120);
-/// A laptop that is not bonded by then is hung up on: it holds the board's only link.
+/// A laptop that is not bonded by then is disconnected, since it holds the board's only link.
 const STRANGER: Duration = Duration::from_secs(10);
 const NAME: &str = "bimanual-right";
 /// The service's UUID, little-endian as in an advertisement.
@@ -113,7 +113,7 @@ pub fn enable() -> &'static mut Softdevice {
     Softdevice::enable(&config)
 }
 
-/// A random number from S140's pool, 0 where it is still empty.
+/// A random number from S140's pool, 0 if it is still empty.
 pub fn random(softdevice: &Softdevice) -> u32 {
     let mut bytes = [0; 4];
     for _ in 0..100_000 {
@@ -243,7 +243,7 @@ async fn negotiate(connection: &Connection) {
     }
 }
 
-/// Queues a piece of a frame; false where the queue stays full for longer than a hop, since the frame is late then.
+/// Queues a piece of a frame; false if the queue stays full for longer than a hop, since the frame is late then.
 async fn queue(connection: &Connection, server: &Server, piece: &[u8]) -> bool {
     let Ok(piece) = Payload::from_slice(piece) else { return false };
     // The queue empties once per connection interval.

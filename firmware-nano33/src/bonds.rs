@@ -17,10 +17,10 @@ use crate::flash::SoftDeviceFlash;
 use crate::link::WayOut;
 use crate::storage::{BOND_PAGE, Flash, PAGE_BYTES};
 
-/// After a start another laptop may take the bonded one's place for so long.
+/// After a start another laptop may take the bonded one's place for this long.
 const PAIRING: Duration = Duration::from_secs(120);
 
-/// Whether the laptop listens, and S140's own form of that. A bonded laptop may rely on it after it has been away.
+/// Whether the laptop listens, and the same in S140's own form. A bonded laptop may rely on it after an absence.
 #[derive(Clone, Copy, PartialEq, Eq)]
 #[repr(C)]
 struct Subscription {
@@ -81,7 +81,7 @@ impl Bonder {
         self.trusts.get()
     }
 
-    /// Keeps whether a bonded laptop listens; in flash only where it does, to spare the flash.
+    /// Keeps whether a bonded laptop listens; in flash only if it does, to spare the flash.
     pub fn keep_subscription(&self, connection: &Connection) {
         let Some(mut bond) = self.bond.get().filter(|_| self.trusts()) else { return };
         let mut now = NO_SUBSCRIPTION;

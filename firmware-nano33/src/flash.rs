@@ -33,7 +33,7 @@ impl Flash for Controller {
     }
 }
 
-/// The SoftDevice's flash calls, which fit between radio events. One user at a time. Where the radio leaves no room
+/// The SoftDevice's flash calls, which fit between radio events. One user at a time. If the radio leaves no room
 /// (while a link begins, changes or ends) the SoftDevice gives up after a while, and is asked again.
 #[cfg(feature = "ble")]
 #[derive(Clone, Copy)]
@@ -92,7 +92,7 @@ impl Flash for SoftDeviceFlash {
         let mut calls = CALLS.lock().await;
         let calls = calls.as_mut().ok_or(FlashFailed)?;
         for _ in 0..TRIES {
-            // The same words once more change nothing.
+            // Writing the same words once more changes nothing.
             if calls.0.write(address, bytes).await.is_ok() {
                 return Ok(());
             }

@@ -13,7 +13,7 @@ use shared_proto::frame::{BOARD_FRAME_MAX, Decoder, HOST_FRAME_MAX};
 /// A frame ready for the wire.
 pub type Frame = heapless::Vec<u8, BOARD_FRAME_MAX>;
 
-/// The ways out of the board.
+/// The outputs of the board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, defmt::Format)]
 #[repr(u8)]
 pub enum WayOut {

@@ -25,7 +25,7 @@ pub const SAMPLE_HZ: u64 = 100;
 pub const AXES: usize = 9;
 
 /// One sample on the grid, in counts of [`nano33_sensor::SCALE`]: accX accY accZ gyrX gyrY gyrZ magX magY magZ. The last three
-/// are 0 where the board has no magnetometer.
+/// are 0 if the board has no magnetometer.
 #[derive(Clone, Copy, Debug)]
 pub struct Sample {
     /// Its number since start.
@@ -51,11 +51,11 @@ pub static SAMPLES: Channel<CriticalSectionRawMutex, Taken, 16> = Channel::new()
 /// Transfers of one poll take about 1 ms, 15 with a full FIFO, and erasing a page of flash stops the processor for
 /// 85 ms in between; after this the bus is taken to be stuck.
 const POLL_TIMEOUT: Duration = Duration::from_millis(150);
-/// Without new sets for so long the sensor is asked whether it still has its settings.
+/// Without new sets for this long the sensor is asked whether it still has its settings.
 const SILENCE: Duration = Duration::from_millis(50);
-/// A failing sensor is started anew after so long; its FIFO holds 134 ms.
+/// A failing sensor is started anew after this long; its FIFO holds 134 ms.
 const PATIENCE: Duration = Duration::from_millis(60);
-/// A sensor is set up within so long; the BMI270's own program takes half of it.
+/// A sensor is set up within this long; the BMI270's own program takes half of it.
 const START_TIMEOUT: Duration = Duration::from_millis(800);
 /// Between attempts to start the sensor.
 const RETRY: Duration = Duration::from_millis(250);

@@ -1,4 +1,4 @@
-//! What the image's flash is divided into, and the part in which received models live: `shared_board`'s two slots.
+//! How the image's flash is divided, and the part in which received models are kept: `shared_board`'s two slots.
 
 use embedded_storage_async::nor_flash::{
     ErrorType, NorFlash, NorFlashError, NorFlashErrorKind, ReadNorFlash,

@@ -78,7 +78,7 @@ async fn serve(parts: &mut Parts, rx: &mut [u8], tx: &mut [u8]) -> ! {
     pins.pin_cnf(pin.into()).modify(|w| w.set_pull(pac::gpio::vals::Pull::Pullup));
     let (mut rx, mut tx) = uart.split();
     let outbox = WayOut::Uart.outbox();
-    // A wire does not say whether somebody listens.
+    // A wire does not show whether somebody listens.
     outbox.set_open(true);
     let send = async {
         loop {

@@ -11,13 +11,13 @@ use embassy_time::{Duration, Timer};
 
 use crate::{board, state};
 
-/// The laptop wants something felt.
+/// The laptop asks for a signal.
 pub static FELT: Signal<CriticalSectionRawMutex, ()> = Signal::new();
 
 /// Of the 16 MHz clock: a period of 20 kHz, which nobody hears, has a hundred.
 const PERCENT: u16 = 8;
 
-/// Where a motor's transistor may be wired.
+/// The pin to which a motor's transistor may be wired.
 pub struct Parts {
     /// The generator. Not the first one, which the stock bootloader leaves running.
     pub pwm: Peri<'static, PWM1>,

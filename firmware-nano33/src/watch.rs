@@ -102,7 +102,7 @@ pub fn report_last_run(reasons: u32) {
         (&raw mut PANICKED).write_volatile(0);
         mark == MARK
     };
-    // The mark in RAM is chance after a power-up (no reason bit set).
+    // After a power-up (no reason bit set) the mark in RAM is random.
     if panicked && reasons != 0 {
         state::report(FaultKind::Panic, 0);
     }

@@ -44,11 +44,11 @@ const RIGHT: [(f64, f64, Motion); 7] = [
 /// What the left hand does, and when (in s).
 #[derive(Clone, Copy)]
 enum Act {
-    /// Tilted so far (pitch, roll in degrees) from here to there.
+    /// Tilted by this much (pitch, roll in degrees) from one time to another.
     Tilt(f64, f64, [f64; 2]),
     /// One bend of a finger (0 index, 1 middle).
     Bend(f64, usize),
-    /// Both fingers bent from here to there: stop.
+    /// Both fingers bent from one time to another: stop.
     Fist(f64, f64),
 }
 
@@ -162,7 +162,7 @@ impl LeftWearer {
             counts[axis] = self.convert(value, 0.6);
         }
         for finger in 0..2 {
-            // The neighbour moves along a little.
+            // The neighbouring finger moves along a little.
             let bent = fingers[finger].max(0.08 * fingers[1 - finger]);
             let value = Self::REST[finger] + bent * (Self::BEND[finger] - Self::REST[finger]);
             counts[3 + finger] = self.convert(value, 0.8);

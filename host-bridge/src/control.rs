@@ -26,7 +26,7 @@ use host_robot::Door;
 
 /// Bytes wake the loop at once; without any it turns this often.
 const TURN: Duration = Duration::from_millis(2);
-/// Bytes are taken for so long at most before the engine gets its turn.
+/// Bytes are taken for at most this long before the engine gets its turn.
 const RECEIVE_MAX: Duration = Duration::from_millis(5);
 /// A state is reported this often.
 const STATE_INTERVAL_MS: u64 = 33;
@@ -40,7 +40,7 @@ const BACKLOG_MAX: usize = 1000;
 pub enum Order {
     /// A key that stands for a hand is pressed or repeated.
     Press(HandKey),
-    /// Such a key is up.
+    /// Such a key was released.
     Up(HandKey),
     /// The release key, pressed and confirmed.
     Release,
@@ -68,7 +68,7 @@ pub struct Report {
     pub events: Vec<SessionEvent>,
     /// In order.
     pub links: Vec<LinkReport>,
-    /// How things stand, every 33 ms.
+    /// The session's state, every 33 ms.
     pub snapshot: Option<Snapshot>,
 }
 
@@ -90,7 +90,7 @@ impl Flags {
         self.quit.store(true, Ordering::SeqCst);
     }
 
-    /// It was asked to end.
+    /// Whether it was asked to end.
     pub fn is_quitting(&self) -> bool {
         self.quit.load(Ordering::SeqCst)
     }
@@ -117,7 +117,7 @@ pub struct Work<D: Door> {
     pub marks: Box<dyn Fn() -> Option<Mark> + Send>,
     /// The session ends by itself then.
     pub until_ms: u64,
-    /// After the last halt the robot is served for so long, so that it hears of it.
+    /// After the last halt the robot is served for this long, so that the halt reaches it.
     pub farewell_ms: u64,
 }
 
@@ -128,7 +128,7 @@ pub struct Control<D: Door> {
     reports: Receiver<Report>,
     dropped: Arc<AtomicU64>,
     result: Arc<Mutex<Option<Engine<'static, D>>>>,
-    /// Where whoever takes the reports waits.
+    /// The waiter of whoever takes the reports.
     waiter: Waiter,
     thread: Option<JoinHandle<()>>,
 }
@@ -137,7 +137,7 @@ impl<D: Door + Send + 'static> Control<D> {
     /// Starts the thread.
     ///
     /// # Errors
-    /// The system gives no thread.
+    /// The system starts no thread.
     pub fn start(work: Work<D>, flags: Flags) -> std::io::Result<Self> {
         let (orders, incoming) = sync_channel(REPORTS_MAX);
         let (outgoing, reports) = sync_channel(REPORTS_MAX);
@@ -244,7 +244,7 @@ impl<D: Door> Running<D> {
                 while let Some(event) = next {
                     let now_ms = work.clock.now_ms();
                     match event.news {
-                        // By the time of handling: what waited is as old as it is.
+                        // By the time of handling, so that bytes that waited are as old as they are.
                         News::Bytes(bytes) => work.engine.receive(event.link, &bytes, now_ms),
                         News::Opened => {
                             self.waiting.links.push(LinkReport {

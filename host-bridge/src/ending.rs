@@ -20,7 +20,7 @@ use host_links::links::{Clock as _, SystemClock};
 
 /// A program that was told to end and has not is ended after this long.
 const PATIENCE_MS: u64 = 900;
-/// How often is looked.
+/// How often that is checked.
 const LOOK: Duration = Duration::from_millis(10);
 
 /// Leaves the alternate screen and shows the cursor: what the live view changed.
@@ -71,7 +71,7 @@ impl Ending {
         Ok(Ending { panicked })
     }
 
-    /// What a thread that panicked had to say, if one did.
+    /// The message of a thread that panicked, if one did.
     pub fn panicked(&self) -> Option<String> {
         self.panicked.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
@@ -86,7 +86,7 @@ fn watch_panics(
     let (quit, told, panicked) = (Arc::clone(quit), Arc::clone(told), Arc::clone(panicked));
     let before = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |info| {
-        // The halt first; words later.
+        // The halt comes first, the message later.
         quit.store(true, Ordering::SeqCst);
         told.store(true, Ordering::SeqCst);
         let thread = std::thread::current().name().unwrap_or("a thread").to_owned();
@@ -125,7 +125,7 @@ mod system {
         mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).is_some_and(|mask| mask & 1 != 0)
     }
 
-    /// Has the terminal behind the standard input hung up? Whoever read from it would read for ever.
+    /// Has the terminal behind the standard input hung up? Reading from it would never end.
     pub fn terminal_is_gone() -> bool {
         let stdin = io::stdin();
         let mut look = [PollFd::new(&stdin, PollFlags::empty())];
@@ -133,7 +133,7 @@ mod system {
         poll(&mut look, Some(&AT_ONCE)).is_ok() && look[0].revents().intersects(gone)
     }
 
-    /// Writes to the terminal if it takes that without waiting.
+    /// Writes to the terminal if that is possible without waiting.
     pub fn write_at_once(bytes: &[u8]) {
         let stdout = io::stdout();
         let mut look = [PollFd::new(&stdout, PollFlags::OUT)];
@@ -160,7 +160,7 @@ mod system {
         false
     }
 
-    /// Writes to the console, which has no way to ask whether it would wait.
+    /// Writes to the console, which cannot be asked whether it would wait.
     pub fn write_at_once(bytes: &[u8]) {
         let mut stdout = io::stdout();
         let _ = stdout.write_all(bytes).and_then(|()| stdout.flush());
@@ -176,7 +176,7 @@ mod tests {
 
     const CHILD: &str = "BIMANUAL_TEST_ENDING";
 
-    /// Run by the test below in a process of its own: what is watched there is the whole process.
+    /// Run by the test below in a process of its own, since the whole process is watched.
     #[test]
     fn child() {
         let Ok(how) = std::env::var(CHILD) else { return };

@@ -67,7 +67,7 @@ impl PlayOptions {
         config
     }
 
-    /// What stands around, and what the arm can be asked to do.
+    /// The surroundings, and what the arm can be asked to do.
     pub fn stage(&self) -> Result<Stage> {
         stage(&self.config(), self.scene.as_deref())
     }
@@ -100,7 +100,7 @@ pub fn stage(config: &Config, scene: Option<&Path>) -> Result<Stage> {
     stage_of(config, &text, file)
 }
 
-/// The same, of this text instead of the file's own.
+/// The same, from this text instead of the file's own.
 pub fn stage_of(config: &Config, text: &str, file: &Path) -> Result<Stage> {
     let about = || format!("{}", file.display());
     let scene = Scene::parse(text).with_context(about)?;
@@ -147,7 +147,7 @@ fn arm(scene: &Scene, scene_file: &Path) -> Result<SerialArm> {
 #[error("interrupted")]
 pub struct Interrupted;
 
-/// Plays to the end. `page_unasked`: beside the live view there is a page, too, where one can be had.
+/// Plays to the end. `page_unasked`: beside the live view there is a page, too, if a port is free.
 pub fn play<D: Door>(
     session: &mut Session<'_, D>,
     options: &PlayOptions,

@@ -1,4 +1,4 @@
-//! The robots that the bridge can stand before, behind the one door.
+//! The robots that the bridge can command, behind the one door.
 
 use std::sync::Arc;
 
@@ -12,12 +12,12 @@ use host_sim::{SimConfig, Simulator};
 
 use crate::config::Config;
 
-/// What stands around the robot, and what its arm can be asked to do.
+/// The robot's surroundings, and what its arm can be asked to do.
 #[derive(Clone, Debug)]
 pub struct Stage {
     /// What the arm can be asked to do.
     pub motions: Motions,
-    /// In a scene: who plans in it.
+    /// The planner, if there is a scene.
     pub planner: Option<Arc<Planner>>,
     /// Limits that the arm's motions keep.
     pub limits: JointLimits,
@@ -43,7 +43,7 @@ impl Stage {
     /// The Gen3 with nothing around, as configured by default.
     ///
     /// # Panics
-    /// Never: the bundled motions fit the bundled arm, and tests read them.
+    /// It never does: the bundled motions fit the bundled arm, and tests read them.
     pub fn bare() -> Self {
         Stage::new(&Config::default(), None).expect("the bundled motions fit the bundled arm")
     }
@@ -61,7 +61,7 @@ impl Stage {
         }
     }
 
-    /// The arm director before a robot.
+    /// A robot with the arm director that commands it.
     pub fn before<R: Robot>(&self, robot: R) -> Director<R> {
         match &self.planner {
             None => Director::new(robot, self.motions.clone()),
@@ -75,11 +75,11 @@ impl Stage {
     }
 }
 
-/// The simulator is the robot, and a graph hears the speeds that it is given.
+/// The simulator is the robot, and the speeds that it is given are published on a graph.
 pub struct Echoed<R> {
     /// The robot.
     pub simulator: Simulator,
-    /// Who hears of it.
+    /// The publisher.
     pub graph: R,
 }
 

@@ -1,4 +1,4 @@
-//! `session.toml`: what a recorded session is, and what it must come to.
+//! `session.toml`: what a recorded session is, and which result it must have.
 
 use serde::{Deserialize, Serialize};
 use shared_dsp::left::calibration::Calibration;
@@ -13,14 +13,14 @@ pub struct Script {
     pub title: String,
     /// What the left hand's EEPROM holds.
     pub calibration: CalibrationTable,
-    /// Which stretches of the bundled hands it is made of; none = all of them as they are.
+    /// Which parts of the bundled recordings it is made of; none = all of them as they are.
     #[serde(default)]
     pub cuts: Option<Cuts>,
-    /// What must come out.
+    /// The expected result.
     pub expect: Expect,
 }
 
-/// Stretches of the bundled recordings, from when to when in s, one after the other.
+/// Parts of the bundled recordings, from when to when in s, one after the other.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Cuts {
@@ -48,7 +48,7 @@ impl From<CalibrationTable> for Calibration {
     }
 }
 
-/// What a session must come to.
+/// The result that a session must have.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Expect {
@@ -79,7 +79,7 @@ pub struct ObjectPlace {
     pub within_m: f64,
 }
 
-/// Where the base shall be, with a tolerance.
+/// Where the base has to be, with a tolerance.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BaseGoal {
@@ -104,11 +104,11 @@ pub struct Check {
     pub expected: String,
     /// What happened.
     pub got: String,
-    /// It is as it should be.
+    /// Whether it is as expected.
     pub ok: bool,
 }
 
-/// The text is no session; the message says where and why.
+/// The text is not a session; the message says where and why.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
 pub struct ScriptError(#[from] toml::de::Error);

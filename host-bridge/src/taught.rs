@@ -19,7 +19,7 @@ pub enum TaughtError {
         /// What the parser says.
         what: String,
     },
-    /// The pose is there, and not by its angles.
+    /// The pose exists, but is not given by its angles.
     #[error("pose '{0}' is there already, given by its place; take it out, or choose another name")]
     ByPlace(String),
 }

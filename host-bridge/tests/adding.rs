@@ -135,7 +135,7 @@ fn a_motion_and_a_pose_in_the_configuration_are_carried_out_without_a_change_of_
     assert_eq!(robot.arm().joints_rad, Motions::paper().pose("pick-up").unwrap());
 }
 
-/// What a diff leaves or takes away must be there: else it shows sources of another time.
+/// The lines that a diff keeps or removes must exist: otherwise it shows old sources.
 #[test]
 fn the_diffs_of_the_document_fit_the_sources() {
     let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();

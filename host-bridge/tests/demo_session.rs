@@ -162,12 +162,12 @@ fn a_recording_that_ends_leaves_the_robot_at_rest() {
 fn one_hand_alone_does_its_part() {
     let summary = run(None, Some(right()), MotionMap::default());
     assert_eq!(summary.odometry.path_m, 0.0);
-    // Without a left hand nobody stops: the second up-down brings the arm home, on which left-right comes too early.
+    // Without a left hand nobody stops: the second up-down brings the arm home, and left-right comes while it still moves.
     assert_eq!(summary.poses_reached.len(), 6);
     assert_eq!(summary.drops.gestures_while_busy, 1);
     assert!(summary.frames.left.is_none());
     let summary = run(Some(left()), None, MotionMap::default());
-    // No right hand releases the stop: what follows it is dropped.
+    // Without a right hand nothing releases the stop: what follows it is dropped.
     assert_eq!((summary.stops, summary.releases), (1, 0));
     assert!(summary.odometry.path_m < 4.0);
     assert!(summary.gestures.is_empty());

@@ -17,7 +17,7 @@ fn setting() -> RobotSetting {
     Stage::bare().simulated(&Config::default()).setting()
 }
 
-/// What stands between these words, each time.
+/// The text between these words, at each place.
 fn between<'a>(text: &'a str, before: &str, after: &str) -> Vec<&'a str> {
     text.split(before).skip(1).filter_map(|rest| rest.split(after).next()).collect()
 }

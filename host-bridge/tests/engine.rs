@@ -101,7 +101,7 @@ fn a_bridge_that_stands_still_stops_a_held_arrow_like_any_silent_hand() {
 fn q_and_z_change_the_cap_and_numbers_start_motions() {
     let mut rig = Rig::new(HandInput::Keyboard, HandInput::Keyboard);
     rig.press(HandKey::Faster);
-    rig.press(HandKey::Faster); // the same press, repeated by the terminal
+    rig.press(HandKey::Faster); // the same key press, repeated by the terminal
     rig.run(300);
     assert!((rig.live.bridge().caps().linear_m_s - 0.55).abs() < 1e-9);
     rig.press(HandKey::Slower);
@@ -221,11 +221,11 @@ fn send_hello(wire: &mut Vec<u8>) {
     let mut buffer = [0; HOST_FRAME_MAX];
     let request = encode_host(&HostMessage::HelloRequest, &mut buffer).unwrap();
     keys.receive(request, 0, wire);
-    // What is owed goes out with the next period.
+    // What is still due is sent with the next period.
     keys.step(0, wire);
 }
 
-/// What a right board of this minor version is told to let its wearer feel, at its start and at a stop.
+/// The signals that a right board of this minor version gets for its wearer, at its start and at a stop.
 fn felt(wired: bool, minor: u8, ready: bool) -> Vec<Signal> {
     let mut config = Config::default();
     config.vibration.wired = wired;

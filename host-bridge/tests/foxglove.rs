@@ -75,7 +75,7 @@ fn words(socket: &mut WebSocket<TcpStream>) -> Value {
 /// Subscription, time in ms of the session, payload behind the four bytes that say how it is laid out.
 type Data = (u32, u64, Vec<u8>);
 
-/// What has arrived, or arrives within a moment.
+/// The message that has arrived, or arrives within a moment.
 fn arrived(socket: &mut WebSocket<TcpStream>) -> Vec<Data> {
     socket.get_ref().set_read_timeout(Some(Duration::from_millis(5))).unwrap();
     let arrived = std::iter::from_fn(|| match socket.read() {
@@ -122,7 +122,7 @@ fn a_viewer_is_told_every_topic_and_gets_what_it_subscribes_to_as_the_simulator_
         { "id": 41, "channelId": named("/odom") }, { "id": 42, "channelId": named("/joint_states") } ] });
     socket.send(Message::text(wish.to_string())).unwrap();
 
-    // Nothing says when the subscription takes effect: until enough has come, time passes.
+    // Nothing shows when the subscription takes effect, so time passes until enough has come.
     let mut now_ms = 500;
     live.press(HandKey::Arrow(Heading::Forward), now_ms);
     live.press(HandKey::Gesture(2), now_ms);
@@ -212,7 +212,7 @@ fn a_viewer_that_takes_nothing_loses_messages_and_delays_nobody() {
     let mut socket = open(&foxglove, None, "foxglove.sdk.v1", "").unwrap();
     let all: Vec<Value> = (0..Topic::ALL.len()).map(|k| json!({ "id": k, "channelId": k })).collect();
     socket.send(Message::text(json!({ "op": "subscribe", "subscriptions": all }).to_string())).unwrap();
-    // What it is, and its topics.
+    // What kind of server it is, and its topics.
     words(&mut socket);
     words(&mut socket);
     let (mut now_ms, began) = (500, Instant::now());
@@ -226,7 +226,7 @@ fn a_viewer_that_takes_nothing_loses_messages_and_delays_nobody() {
         assert!(began.elapsed() < PATIENCE, "the subscription takes effect");
         pass(100);
     }
-    // Were a single message waited for, this would never end: it is far more than sockets and queue hold.
+    // If the session waited for a single message, this would never end: it is far more than sockets and queue hold.
     pass(100_000);
     let lost = (0..1_000_000).find_map(|_| match socket.read().unwrap() {
         Message::Text(text) if text.as_str().contains("too slow for") => Some(text.to_string()),

@@ -17,7 +17,7 @@ mod moving;
 
 use mutate::{count, fuzz};
 
-/// A hand that tilts and bends, of so many bits and samples a second.
+/// A hand that tilts and bends, of this many bits and samples a second.
 fn adc(rate_hz: f64, bits: u32, decimals: usize) -> Vec<u8> {
     let mut text = "timestamp_ms,x,y,z,index,middle\n".to_owned();
     for n in 0..120 {
@@ -38,7 +38,7 @@ fn damaged_recordings_of_the_left_hand_are_read_or_refused() {
     let seeds = [adc(100.0, 10, 0), adc(100.0, 10, 3), adc(50.0, 12, 0), adc(500.0, 8, 0), adc(104.0, 11, 0)];
     fuzz("ADC", &seeds, count(2000), |bytes| {
         let Ok(recording) = AdcRecording::parse(Path::new("a.csv"), bytes) else { return false };
-        // Whatever is accepted is in the board's order and range.
+        // Whatever is accepted has the board's order and range.
         assert!(recording.samples.windows(2).all(|pair| pair[0].0 <= pair[1].0));
         let in_range = |counts: AdcCounts| counts.as_array().iter().all(|sum| *sum <= AdcCounts::MAX);
         assert!(recording.samples.iter().all(|(_, counts)| in_range(*counts)));

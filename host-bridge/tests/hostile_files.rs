@@ -19,7 +19,7 @@ mod damage;
 
 use damage::{Rng, damage};
 
-/// Whoever waits longer for a file believes that the program hangs. In time of the processor, not of a busy machine.
+/// Whoever waits longer for a file believes that the program hangs. In processor time, which a busy machine does not change.
 const SLOW: Duration = Duration::from_secs(2);
 const MEMORY_MAX_MB: u64 = 500;
 
@@ -35,7 +35,7 @@ fn peak_mb() -> u64 {
     line.and_then(|line| line.split_whitespace().next()?.parse::<u64>().ok()).unwrap_or(0) / 1024
 }
 
-/// Gives a parser mutated files; it says whether it took one.
+/// Gives a parser mutated files; it returns whether it accepted one.
 fn torment(name: &str, seeds: &[&[u8]], parse: impl Fn(&[u8]) -> bool) {
     let count = if std::env::var_os("BIMANUAL_FULL").is_some() { 100_000 } else { 200 };
     let mut rng = Rng(name.len() as u64);

@@ -33,7 +33,7 @@ use moving::{Robot, Virtual as _, live as live_engine};
 
 type Live = Engine<'static, Robot>;
 
-/// A disk in memory, of so many bytes; a writer waits while the other end of `gate` holds it.
+/// A disk in memory, of this many bytes; a writer waits while the other end of `gate` holds it.
 #[derive(Clone)]
 struct Memory {
     bytes: Arc<Mutex<Vec<u8>>>,
@@ -54,7 +54,7 @@ impl Memory {
 impl Storage for Memory {
     fn write_at(&mut self, at: u64, bytes: &[u8]) -> io::Result<()> {
         if let Some(gate) = self.gate.lock().unwrap().as_ref() {
-            // Until the other end is gone.
+            // Blocks until the other end is gone.
             while gate.recv().is_ok() {}
         }
         let mut disk = self.bytes.lock().unwrap();
@@ -93,7 +93,7 @@ fn play(session: &mut Session<'_, Robot>, until_ms: u64, stop_ms: Option<u64>) {
     }
 }
 
-/// The demo on a disk; what became of the file.
+/// Records the demo on a disk; returns how the file ended.
 fn recorded_demo(setup: &Setup, until_ms: u64, stop_ms: Option<u64>, memory: &Memory) -> Kept {
     with_demo(setup, |session| {
         let start = Disk::with_storage(
@@ -156,7 +156,7 @@ fn motions_with_limited_jerk_are_the_same_too_and_take_longer() {
         reached.expect("the arm was home by then").time_ms
     };
     let (even_ms, smooth_ms) = (first_pose_ms(&setup()), first_pose_ms(&smooth));
-    // 0.43 rad/s² are built up, and taken back, at 4.3 rad/s³.
+    // An acceleration of 0.43 rad/s² is built up, and reduced, at 4.3 rad/s³.
     assert_eq!(smooth_ms - even_ms, 100);
 }
 
@@ -295,7 +295,7 @@ fn a_file_in_which_one_bit_of_a_command_differs_is_found_out() {
     let memory = Memory::of_size(usize::MAX);
     recorded_demo(&setup(), 10_000, None, &memory);
     let file = memory.file();
-    // Checksums of chunks are not looked at by this reader: what follows must tell.
+    // This reader does not check the checksums of chunks, so what follows must show the damage.
     let name = b"left_wheel\0";
     let joints: Vec<usize> =
         (0..file.len() - name.len()).filter(|&at| &file[at..at + name.len()] == name).collect();
@@ -343,7 +343,7 @@ fn a_full_disk_is_told_once_and_leaves_a_whole_file_while_the_session_goes_on() 
     assert_same_until(&again, &plain.events);
     // Chunks of 1 MiB: at least one is there.
     assert!(again.seconds > 3.0, "{}", again.seconds);
-    // What is said to be in it is in it.
+    // What is reported as being in it is in it.
     assert_eq!(kept.messages, again.messages.values().sum::<u64>());
     assert_eq!(kept.bytes, file.len() as u64);
 }
@@ -370,7 +370,7 @@ fn a_disk_that_stands_still_never_delays_a_live_session_and_the_gap_is_known() {
     *memory.gate.lock().unwrap() = Some(gate);
     let mut live = live_engine(&Config::default(), HandInput::Keyboard, HandInput::Nobody);
     live.tap_mut().add(Box::new(recorder));
-    // Were a single write waited for, this would never end.
+    // If the session waited for a single write, this would never end.
     let started = Instant::now();
     let mut now_ms = 0;
     // Long enough for the writer to get to its first write.
@@ -411,7 +411,7 @@ fn a_killed_program_leaves_a_file_up_to_its_last_second() {
     program.args(["demo", "--headless", "--speed", "1", "--record"]).arg(&file);
     let mut child = program.stdout(Stdio::piped()).spawn().unwrap();
     let lines = BufReader::new(child.stdout.take().unwrap()).lines();
-    // Events are told as they happen: the first one after 3 s is the moment of the kill.
+    // Events are printed as they happen: the first one after 3 s is the moment of the kill.
     let mut seen_s = 0.0;
     for line in lines {
         let line = line.unwrap();
@@ -439,10 +439,10 @@ fn a_killed_program_leaves_a_file_up_to_its_last_second() {
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let json: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!(json["different"], 0);
-    // It gave the file the index that a killed program does not write, and nothing else.
+    // The reader gave the file the index that a killed program does not write, and changed nothing else.
     let bytes = std::fs::read(&file).unwrap();
     assert_eq!(replay(&bytes).unwrap(), again);
-    // A file that is there is not written over.
+    // An existing file is not overwritten.
     let mut program = Command::new(env!("CARGO_BIN_EXE_host-bridge"));
     let output =
         program.args(["demo", "--headless", "--speed", "0", "--record"]).arg(&file).output().unwrap();

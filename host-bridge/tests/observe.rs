@@ -92,7 +92,7 @@ fn a_bridge_fed_with_what_an_observer_saw_does_the_same() {
     for seen in &record.seen {
         match seen {
             Seen::Bytes(time_ms, hand, bytes) => bridge.receive(*hand, bytes, *time_ms, &mut robot),
-            // Either was due then, and the bridge knows which.
+            // Either of two messages was due then, and the bridge knows which.
             Seen::Sent(time_ms, hand) => {
                 let _ = bridge.poll(*hand, *time_ms).or_else(|| bridge.ping(*hand, *time_ms));
             }
@@ -118,7 +118,7 @@ fn a_bridge_fed_with_what_an_observer_saw_does_the_same() {
     assert!(last.left.link.connected && last.right.link.live);
     let setting = Setting::of(&session.now());
     assert_eq!(setting.robot.joints.len(), 7);
-    // The flange as transforms name it is the flange as the arm names it, on top of the base.
+    // The flange's pose from the transforms equals the flange's pose from the arm, put on the base.
     let now = session.now();
     let flange = link_poses_in_world(&now, &now.robot.picture().arm.joints_rad)[7].position_m;
     let odometry = now.robot.picture().odometry;

@@ -1,4 +1,4 @@
-//! Inverse kinematics: what it finds, what it refuses, and what both take, counted in the solver's steps.
+//! Inverse kinematics: what it finds, what it refuses, and the cost of both, counted in the solver's steps.
 //! Times are printed, as the processor's time of this thread, and asserted nowhere:
 //! `cargo test --release -p host-bridge --test plan_ik -- --nocapture`.
 

@@ -1,5 +1,5 @@
 //! The table of motions: for all ordered pairs of the named poses, via home as in the paper beside the
-//! planned way, with the shortest clearance and the end-point error.
+//! planned path, with the shortest clearance and the end-point error.
 
 use host_bridge::arm::gen3::MAX_JERK_RAD_S3;
 use host_bridge::arm::model::SerialArm;
@@ -64,7 +64,7 @@ fn all_pairs_of_motions_via_home_and_direct() {
             assert_eq!((there.kind, plan.kind), (Kind::ViaHome, Kind::Straight));
             assert_eq!(smoothly.path_rad, plan.path_rad);
 
-            // All followed, as the simulator does.
+            // Every trajectory is followed, as by the simulator.
             let mut ends = Vec::new();
             let mut clearances_m = Vec::new();
             for (plan, limits) in
@@ -124,7 +124,7 @@ fn without_a_scene_the_arm_goes_home_first_and_with_one_it_need_not() {
     println!("place → place-top-right: via home {papers_s:.2} s, direct {direct_s:.2} s");
     assert_eq!(robot.arm().joints_rad, pose("place-top-right"));
     assert_eq!(papers.arm().joints_rad, robot.arm().joints_rad);
-    // 6.1 s to home and 6.4 s on; straight, joint 1 turns by 1.654 rad.
+    // 6.1 s to home and 6.4 s from there; on the straight path joint 1 turns by 1.654 rad.
     assert!((12.3..12.7).contains(&papers_s) && (12.0..12.3).contains(&direct_s));
     assert_eq!(robot.picture().guard_stops, 0);
 }

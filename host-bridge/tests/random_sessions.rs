@@ -19,7 +19,7 @@ use support::{Rig, Virtual as _};
 const HEADINGS: [Heading; 6] =
     [Heading::Neutral, Heading::Between, Heading::Forward, Heading::Backward, Heading::Left, Heading::Right];
 
-/// What the whole run saw.
+/// What was seen in the whole run.
 #[derive(Default, Debug)]
 struct Seen {
     stops: u32,
@@ -33,7 +33,7 @@ struct Watch {
     joints_rad: [f64; JOINTS],
     velocity_rad_s: [f64; JOINTS],
     wheels_rad_s: [f64; 2],
-    /// Since when nothing may move any more, and how long braking may take from there.
+    /// The time from which nothing may move any more, and how long braking may take from then on.
     halted: Option<(u64, f64)>,
 }
 
@@ -78,7 +78,7 @@ impl Watch {
             });
             let since_ms = rig.now_ms - since_ms;
             if rig.robot.at_rest() {
-                // At rest for good: nothing starts while not armed.
+                // It stays at rest: nothing starts while not armed.
                 self.halted = Some((rig.now_ms - since_ms, 0.0));
             } else {
                 assert!(since_ms as f64 <= allowed_s * 1000.0 + 2.0, "{since_ms} ms, {allowed_s} s allowed");

@@ -256,7 +256,7 @@ fn a_stall_that_ends_in_neutral_frames_arms_only_after_100_ms_more() {
         burst.extend(rig.left_frame());
         rig.run(20);
     }
-    // 200 ms of neutral, all of it known only now.
+    // 200 ms of neutral, all of which arrives only now.
     rig.send(Hand::Left, &burst);
     rig.talking.left = true;
     rig.run(90);
@@ -625,7 +625,7 @@ fn a_gesture_whose_window_ended_too_long_ago_is_dropped() {
     rig.right.event_window_end_ms = rig.board_time_ms().wrapping_sub(300);
     rig.run(100);
     assert_eq!(rig.take_outcomes(), [Late]);
-    // And one from the future, which only nonsense can be.
+    // And one from the future, which can only be nonsense.
     rig.right.events += 1;
     rig.right.event_window_end_ms = rig.board_time_ms().wrapping_add(1000);
     rig.run(100);
@@ -672,7 +672,7 @@ fn a_new_hand_halts_the_one_that_drives_until_both_are_neutral() {
     assert!(rig.take_moved());
 }
 
-/// One thing that may happen in a random session.
+/// An event that may happen in a random session.
 #[derive(Clone, Debug)]
 enum Step {
     Point(Heading),

@@ -1,4 +1,4 @@
-//! A scene holds for the robot that is there: the one on the ROS 2 graph is planned for, refused and guarded as the
+//! A scene holds for whichever robot is there: planning, refusals and the guard work for one on the ROS 2 graph as for the
 //! simulator is.
 
 use host_bridge::arm::Director;

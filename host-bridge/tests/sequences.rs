@@ -92,7 +92,7 @@ fn what_cannot_be_done_is_refused_with_its_step_before_anything_moves() {
             "{ to = \"carry\" }, { position_m = [0.8, 0, 0.3], quaternion_wxyz = [0, 1, 0, 0] }",
             "step 2: no joint angles were found",
         ),
-        // Not beside a grip: nothing may be touched.
+        // Not next to a gripper step, so nothing may be touched.
         (
             "{ position_m = [0.7, 0.0, 0.66], quaternion_wxyz = [0, 1, 0, 0] }, { move_m = [0, 0, -0.14] }",
             "step 2: the straight line is not clear: the gripper's fingers would come within",
@@ -162,7 +162,7 @@ fn a_stop_anywhere_ends_the_rest_says_so_and_never_opens_the_gripper() {
         parts.push(said.to_owned());
         let opening_m = robot.picture().opening_m.unwrap();
         assert!(opening_m <= 0.085);
-        // Nothing is done any more, and what it has it keeps.
+        // Nothing more is done, and the gripper keeps what it holds.
         let rested = robot.arm();
         for _ in 0..100 {
             robot.drive(Twist::ZERO);
@@ -174,7 +174,7 @@ fn a_stop_anywhere_ends_the_rest_says_so_and_never_opens_the_gripper() {
         } else {
             assert_eq!(cup_mm(&robot), cup_before);
         }
-        // From wherever it was stopped there is a way on: home, off the cup or with it.
+        // From wherever it was stopped there is a path to home, with or without the cup.
         robot.start("home").unwrap_or_else(|why| panic!("after a stop at {stop_ms} ms: {why}"));
         assert_eq!(ended(&finish(&mut robot)), Some(true), "home after a stop at {stop_ms} ms");
         let lifted = cup_mm(&robot)[2] > 451.0;

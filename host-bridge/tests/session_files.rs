@@ -1,4 +1,4 @@
-//! Sessions' files as other programs and accidents leave them, and what others make of them.
+//! Sessions' files after other programs or accidents have changed them, and as other programs read them.
 #![cfg(feature = "mcap")]
 
 use std::collections::HashMap;
@@ -101,7 +101,7 @@ fn a_killed_recording_gets_its_index_on_the_next_start_unless_it_still_goes_on()
     let mut writer = options.create(NoSeek::new(Sink::new(storage))).unwrap();
     copy(&mut writer, "");
     writer.flush().unwrap();
-    // Nothing that a closing writer would do happens.
+    // The writer is never closed.
     std::mem::forget(writer);
     let indexed = |file: &Path| {
         let bytes = std::fs::read(file).unwrap();
@@ -165,7 +165,7 @@ fn a_session_becomes_rows_at_an_even_rate() {
     assert!(rows[1].starts_with("0,0,") && rows[2].starts_with("0.02,1,"), "{:?}", &rows[..3]);
     let columns = rows[0].split(',').count();
     assert!(rows.iter().all(|row| row.split(',').count() == columns));
-    // An arm that moves is seen in its columns; the base's wheels are none of them.
+    // An arm that moves is seen in its columns; the base's wheels have no columns.
     assert!(!rows[0].contains("wheel"));
     let last = |row: &str| row.split(',').map(str::to_owned).collect::<Vec<_>>();
     assert_ne!(last(&rows[1])[7..14], last(&rows[rows.len() - 1])[7..14]);

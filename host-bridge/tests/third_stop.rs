@@ -17,7 +17,7 @@ use host_bridge::topics::message::{Header, JointState, JointTrajectory, Time};
 const CYCLE_MS: u64 = 10;
 /// What diff_drive_controller waits for.
 const BASE_TIMEOUT_MS: u64 = 500;
-/// Until a dead program is an arm that brakes.
+/// The time from a dead program to an arm that brakes.
 const ARM_LIMIT_MS: u64 = 300;
 const BOOT_NS: i64 = 1_700_000_000_000_000_000;
 
@@ -34,7 +34,7 @@ struct Controller {
     message: Option<JointTrajectory>,
     joints: [f64; JOINTS],
     speed: [f64; JOINTS],
-    /// Largest change of speed of one cycle, in rad/s².
+    /// Largest change of speed in one cycle, in rad/s².
     worst_rad_s2: f64,
 }
 
@@ -90,9 +90,9 @@ impl Controller {
 enum Fault {
     /// kill -9, SIGSTOP for good, a laptop that is off.
     Dead,
-    /// Nothing comes through any more, in either direction.
+    /// Nothing passes any more, in either direction.
     Cut,
-    /// Nothing comes through for 2 s.
+    /// Nothing passes for 2 s.
     CutForAWhile,
 }
 
@@ -187,7 +187,7 @@ fn a_dead_program_or_a_cut_cable_is_an_arm_at_rest_without_a_jerk_at_every_momen
             for moment in 0..moments {
                 for fault in [Fault::Dead, Fault::Cut, Fault::CutForAWhile] {
                     let mut rig = Rig::new(limits);
-                    // Elsewhere than at its goal already.
+                    // Not yet at its goal.
                     rig.controller.joints[1] += 0.2;
                     rig.run(200, true, true);
                     rig.start(motion);
@@ -200,7 +200,7 @@ fn a_dead_program_or_a_cut_cable_is_an_arm_at_rest_without_a_jerk_at_every_momen
                             moved_ms = rig.now_ms;
                         }
                     }
-                    // The cable is in again: what was given up stays so.
+                    // The cable is in again: an abandoned motion stays abandoned.
                     let there = rig.controller.joints;
                     if fault == Fault::CutForAWhile {
                         rig.run(2000, true, true);

@@ -1,4 +1,4 @@
-//! The page's server as a browser, a stranger and a rude client meet it. Sockets on the loopback only.
+//! The page's server, as a browser, a stranger and a rude client use it. Sockets on the loopback only.
 
 use std::io::{Read as _, Write as _};
 use std::net::{SocketAddr, TcpStream};
@@ -81,7 +81,7 @@ fn session() -> (Web, Live) {
     (web, live)
 }
 
-/// A step whose state pages are told. How many of the steps before were told is the machine's affair.
+/// A step whose state is sent to pages. How many of the steps before were sent depends on the machine.
 fn publish_step(live: &mut Live, now_ms: u64) {
     std::thread::sleep(INTERVAL);
     live.advance(now_ms, [true; 2]);
@@ -98,7 +98,7 @@ fn a_page_marks_episodes_where_the_session_takes_marks() {
         assert_eq!(message(&mut page)["marks"], takes);
         page.send(Message::text("mark again")).unwrap();
         let _ = page.send(Message::text("mark it"));
-        // What no page says ends the connection: by then all before it was heard.
+        // A message that no page sends ends the connection: by then all messages before it were read.
         while page.read().is_ok() {}
         let marks = web.marks();
         assert_eq!(marks(), takes.then_some(Mark::Again));
@@ -247,7 +247,7 @@ fn rude_clients_are_let_go_and_others_are_still_served() {
     let origin = own_origin(&web);
     for rude in [Message::text("drive"), Message::text("took"), Message::binary(vec![0; 64])] {
         let mut socket = open(&web, Some(&origin), "").unwrap();
-        // The first frame is not taken: "took" is then once right, and wrong the second time.
+        // The first frame is not acknowledged: its acknowledgement is right once, and wrong the second time.
         for _ in 0..8 {
             let _ = socket.send(rude.clone());
         }

@@ -11,7 +11,7 @@ use shared_dsp::right::network::{BlobSpec, DenseSpec, build_blob};
 use crate::card::{Card, CardError};
 use crate::tflite::{self, Network, TfliteError};
 
-/// Why a model's files give no blob; the text says what to do.
+/// Why no blob can be made from a model's files; the text says what to do.
 #[derive(Debug, thiserror::Error)]
 pub enum ModelError {
     /// The file cannot be read.
@@ -33,7 +33,7 @@ pub enum ModelError {
         /// What is wrong with it.
         source: TfliteError,
     },
-    /// Model and card are both sound, but not of each other, or not what is needed.
+    /// Model and card are both sound, but do not belong together, or are not what is needed.
     #[error("{file}: {what}")]
     Mismatch {
         /// The model's file.
@@ -60,7 +60,7 @@ impl ModelFiles {
         Self::new(model, &bytes, Card::read(model)?)
     }
 
-    /// The same from memory; `model` is only for the errors.
+    /// The same, from memory; `model` is only for the errors.
     pub fn new(model: &Path, bytes: &[u8], card: Card) -> Result<Self, ModelError> {
         let file = || model.to_owned();
         let network = tflite::read(bytes).map_err(|source| ModelError::Tflite { file: file(), source })?;
@@ -93,7 +93,7 @@ impl ModelFiles {
         Ok(files)
     }
 
-    /// The blob of an int8 model; a float one has none.
+    /// The blob of an int8 model; a float model has none.
     pub fn blob(&self) -> Result<Vec<u8>, String> {
         match &self.network {
             Network::Int8(layers) => build(&self.card, layers),

@@ -35,9 +35,9 @@ pub struct Card {
     pub window: u16,
     /// Samples per hop.
     pub hop: u16,
-    /// How features become numbers to scale: `raw`, `log-power` or `aligned` (`shared_dsp::right::kind`).
+    /// The kind of features: `raw`, `log-power` or `aligned` (`shared_dsp::right::kind`).
     pub features: String,
-    /// How those become inputs of the network.
+    /// How features become inputs of the network.
     pub scaling: Scaling,
     /// How it was trained.
     pub training: Training,
@@ -100,11 +100,11 @@ pub struct Data {
     pub resampled: usize,
     /// Recordings per label.
     pub labels: BTreeMap<String, usize>,
-    /// Recordings per person; only the number of people where there are many.
+    /// Recordings per person; if there are many people, only their number.
     pub people: BTreeMap<String, usize>,
     /// People left out with --exclude-person.
     pub excluded: Vec<String>,
-    /// Recordings held out for the test, by name.
+    /// Names of the recordings held out for the test.
     pub test: Vec<String>,
 }
 
@@ -117,7 +117,7 @@ pub struct Scores {
     pub int8: Score,
 }
 
-/// How a network did.
+/// The scores of a network.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Score {
     /// Right windows in per cent (stride 1 s).

@@ -16,7 +16,7 @@ use crate::recording::Recording;
 use crate::windows::{aligned_features, prepare, slowed};
 use crate::{HOP, WINDOW};
 
-/// Where the vectors come from, for a model's card: their licence asks for it.
+/// The source of the vectors, for a model's card: their licence asks for it.
 pub const SOURCE: &str = "features of daily movement without a gesture, as other, from: Dataset of inertial measurements of \
      smartphones and smartwatches for human activity recognition, M. Matey-Sanz, S. Casteleyn, C. Granell, Data in Brief \
      2023, 109809, doi 10.5281/zenodo.8398688, CC BY 4.0 (changed: smartwatches of 12 people, features only)";
@@ -36,12 +36,12 @@ pub enum Daily {
     /// Everybody's.
     #[default]
     All,
-    /// That of all but these people, on whom the model is to be judged.
+    /// That of all people but these, on whom the model is to be judged.
     Without(Vec<String>),
 }
 
 impl Daily {
-    /// Their feature vectors, for samples of so many axes: of each window, and without a gyroscope of each slow one.
+    /// Their feature vectors, for samples of this many axes: of each window, and without a gyroscope of each slow one.
     pub fn rows(&self, axes: usize) -> Vec<Vec<f32>> {
         let knows = |name: &String| match self {
             Self::None => false,
@@ -63,7 +63,7 @@ pub fn people() -> &'static [String] {
 
 fn bundled() -> &'static Vectors {
     static VECTORS: OnceLock<Vectors> = OnceLock::new();
-    // That the file is whole is tested below.
+    // A test below shows that the file is whole.
     VECTORS.get_or_init(|| Vectors::parse(BYTES).unwrap_or_default())
 }
 

@@ -21,7 +21,7 @@ pub struct Item {
     pub name: String,
     /// Canonical label, from the folder.
     pub label: String,
-    /// The person, the part of the file name before `__`.
+    /// The person: the part of the file name before `__`.
     pub person: String,
     /// The recording as in the file, with the data set's axes.
     pub recording: Recording,
@@ -38,7 +38,7 @@ pub struct Dataset {
     pub labels: Vec<String>,
     /// Axes of every recording: 3, 6 or 9.
     pub axes: usize,
-    /// Files that are no recordings and were left out.
+    /// Files that are not recordings and were left out.
     pub ignored: Vec<PathBuf>,
     /// Recordings that had more axes than the data set keeps.
     pub narrowed: usize,

@@ -34,7 +34,7 @@ const ALIASES: [(&str, &str); 26] = [
     ("round", "circle"),
 ];
 
-/// What movement is called that is no gesture: a model learns it as [`OTHER`], which never does anything.
+/// Names of movement that is no gesture: a model learns it as [`OTHER`], which never does anything.
 const NO_GESTURE: [&str; 6] = ["noise", "unknown", "background", "none", "negative", "other"];
 
 /// The label of all movement that is no gesture.
@@ -99,7 +99,7 @@ pub fn canonical(name: &str) -> String {
     }
 }
 
-/// Words that say which way, and their opposites. The longer one first where one holds the other.
+/// Words for a direction, and their opposites. If one contains the other, the longer one comes first.
 const OPPOSITES: [(&str, &str); 9] = [
     ("counter-clockwise", "clockwise"),
     ("counterclockwise", "clockwise"),
@@ -189,7 +189,7 @@ mod tests {
             ("clockwise,Counter Clockwise", vec![("clockwise", "counter-clockwise")]),
             ("swipe_up,swipe_down,swipe_left", vec![("swipe-up", "swipe-down")]),
             ("push,pull,wave", vec![("push", "pull")]),
-            // The paper's: each goes both ways.
+            // The paper's labels: each goes both ways.
             ("idle,up-down,to-fro,left-right,rectangle,rectangle-flat,circle,other", vec![]),
         ] {
             assert_eq!(mirrored(&names(list)), pairs, "{list}");

@@ -49,7 +49,7 @@ fn main() -> ExitCode {
 
 fn run() -> anyhow::Result<()> {
     let cli = Cli::parse();
-    // None: as many as rayon finds right.
+    // None = as many as rayon chooses.
     rayon::ThreadPoolBuilder::new().num_threads(cli.threads.unwrap_or(0)).build_global()?;
     // Unless this is set, candle counts the processors anew for every product of matrices, which takes a fifth of the
     // time of a training; and products here are too small to be shared out.

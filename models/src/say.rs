@@ -1,4 +1,4 @@
-//! What the programs print: like `std`'s macros, but a reader that goes away is no panic.
+//! What the programs print: like `std`'s macros, but a reader that goes away causes no panic.
 //!
 //! `… | head`, a closed terminal or a full disk end a command with what it has done, not in the middle of it.
 //! Both programs say `#[macro_use] extern crate models;` and write `println!` as everybody does.
@@ -13,7 +13,7 @@ static LOST: AtomicBool = AtomicBool::new(false);
 pub fn out(text: Arguments<'_>) {
     let mut out = std::io::stdout().lock();
     if let Err(error) = out.write_fmt(text).and_then(|()| out.flush())
-        // Whoever closed the pipe has read enough.
+        // The reader that closed the pipe has read enough.
         && error.kind() != ErrorKind::BrokenPipe
         && !LOST.swap(true, Ordering::SeqCst)
     {
@@ -23,7 +23,7 @@ pub fn out(text: Arguments<'_>) {
 
 /// Prints to the standard error; for the macros.
 pub fn err(text: Arguments<'_>) {
-    // There is nobody left to tell.
+    // Nobody is left to be told.
     let _ = std::io::stderr().lock().write_fmt(text);
 }
 
@@ -45,7 +45,7 @@ macro_rules! println {
     ($($part:tt)*) => { $crate::say::out(::core::format_args!("{}\n", ::core::format_args!($($part)*))) };
 }
 
-/// Like `std::eprintln`; a failure is nobody's.
+/// Like `std::eprintln`; a failure is ignored.
 #[macro_export]
 macro_rules! eprintln {
     () => { $crate::say::err(::core::format_args!("\n")) };

@@ -28,14 +28,14 @@ pub fn prepare(recording: &Recording) -> (Recording, Prepared) {
     (ready, Prepared { padded, resampled })
 }
 
-/// Fewest samples after which a movement may repeat itself: 5 strokes per second.
+/// Minimum number of samples after which a movement may repeat itself: 5 strokes per second.
 const LEAST_PERIOD: usize = 20;
-/// Fewest and most samples that are compared with those a period earlier.
+/// Minimum and maximum number of samples that are compared with those a period earlier.
 const COMPARED: (usize, usize) = (12, 50);
 /// Samples over which a jump at the seam fades.
 const SEAM: usize = 10;
 
-/// The recording until a window is full, going on as it went on a period before.
+/// The recording, continued as it went a period before, until a window is full.
 fn continued(recording: &Recording) -> Recording {
     let axes = recording.axes();
     let mut rows: Vec<Vec<f32>> = recording.samples().map(<[f32]>::to_vec).collect();
@@ -200,7 +200,7 @@ mod tests {
             );
         }
         assert!(!prepare(&ramp(200)).1.padded);
-        // Too short to repeat itself: it stays where it ended.
+        // The recording is too short to repeat itself: its last value is held.
         assert_eq!(prepare(&ramp(2)).0.samples().nth(199).unwrap()[0], 1.0);
     }
 

@@ -1,4 +1,4 @@
-//! What docs/ADDING.md says of recipes: one type that implements `Recipe` trains as the others do.
+//! What docs/ADDING.md says about recipes: a type that implements `Recipe` trains as the others do.
 
 mod common;
 

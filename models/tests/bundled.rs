@@ -76,7 +76,7 @@ fn wearers_that_it_never_met_are_understood() {
     let made = files.blob().unwrap();
     let network = Classifier::Int8(Model::parse(&made).unwrap());
     let is_rest: Vec<bool> = card.labels.iter().map(|label| is_rest(label)).collect();
-    // The floors are decided here; the measured figures stand in the README.
+    // The lower limits are set here; the measured figures are in the README.
     for (untaught, floor) in [(false, 97.0), (true, 94.0)] {
         let recordings = scored(&recordings(untaught), &card.labels, &card.features);
         // As on a board, where all labels compete and whatever is no gesture is rest.

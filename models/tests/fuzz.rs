@@ -14,7 +14,7 @@ mod mutate;
 
 use mutate::{count, fuzz};
 
-/// A hand of gravity that swings: `row` writes a sample (time in s, acceleration in m/s², turn rate in deg/s).
+/// A swinging hand under gravity: `row` writes a sample (time in s, acceleration in m/s², turn rate in deg/s).
 fn swing(rows: usize, row: impl Fn(usize, f64, [f64; 3], [f64; 3]) -> String) -> String {
     let one = |n: usize| {
         let t = n as f64 / 100.0;
@@ -89,7 +89,7 @@ fn csv() -> Vec<Vec<u8>> {
             }),
     ];
     let mut files: Vec<Vec<u8>> = files.into_iter().map(String::into_bytes).collect();
-    // As other systems write text.
+    // Text as other systems write it.
     files.push(String::from_utf8_lossy(&files[0]).encode_utf16().flat_map(u16::to_le_bytes).collect());
     files.last_mut().expect("just pushed").splice(0..0, [0xff, 0xfe]);
     files
@@ -140,7 +140,7 @@ fn damaged_folders_of_one_file_per_sensor_are_read_or_refused() {
     });
 }
 
-/// The data acquisition format, of so many samples.
+/// The data acquisition format, of this many samples.
 fn acquired(rows: usize, units: &str) -> serde_json::Value {
     let values: Vec<[f64; 6]> = (0..rows)
         .map(|n| {

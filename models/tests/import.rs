@@ -70,11 +70,11 @@ fn an_unpacked_export_of_json_and_cbor_becomes_recordings_that_train_and_score()
     );
     let first = Recording::read(&folder.path().join("recordings/training/wave/me__1.csv")).unwrap();
     assert_eq!((first.axes(), first.len()), (6, 200));
-    // A second import writes nothing twice, whoever is said to have made it.
+    // A second import writes nothing twice, whoever is named as its maker.
     let (ok, text) = models(&["import", &path("export/testing"), "--out", &path("recordings")]);
     assert!(ok && text.contains("2 recordings are there already"), "{text}");
     assert!(!folder.path().join("recordings/wave").exists());
-    // Another part goes on counting.
+    // Another part continues the numbers.
     let (ok, text) = models(&["import", &path("export/testing"), "--out", &path("others")]);
     assert!(ok && text.contains("wave: 1 recordings of d0-bf-9c"), "{text}");
     let (ok, text) = models(&[

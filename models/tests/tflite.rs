@@ -181,7 +181,7 @@ fn int8_network() -> Network {
         relu,
         largest: i8::MAX,
     };
-    // What one layer gives out, the next takes in.
+    // The outputs of one layer are the inputs of the next.
     Network::Int8(vec![layer(5, 39, (0.03, -1), true), layer(3, 5, (0.05, -128), false)])
 }
 

@@ -4,7 +4,7 @@
 //! 0x020 slot 0 (20 bytes)   0x040 slot 1 (20 bytes)   0x060 count of power-ups (4 bytes)
 //! ```
 //!
-//! Address 0 stays empty: it is what a supply that fails during a write hits, since the address register holds 0 after a
+//! Address 0 stays empty: a supply that fails during a write damages it, since the address register holds 0 after a
 //! reset.
 //!
 //! A new record goes to the slot that is not in use, so a power cut at any moment leaves the last good
@@ -34,7 +34,7 @@ pub fn next_boot_id(memory: &mut impl Eeprom, starts: u8) -> u32 {
         *byte = memory.read(POWER_UPS + i as u16);
     }
     let mut power_ups = u32::from_le_bytes(bytes);
-    // Also each time that RAM's count has run over.
+    // Also each time that the count in RAM has wrapped.
     if starts == 0 {
         power_ups = power_ups.wrapping_add(1);
         for (i, (new, old)) in power_ups.to_le_bytes().into_iter().zip(bytes).enumerate() {
@@ -58,7 +58,7 @@ fn read_slot(memory: &impl Eeprom, slot: usize) -> [u8; RECORD_BYTES] {
 /// How a write of the store goes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Progress {
-    /// No write, or not done yet.
+    /// No write, or one that is not done yet.
     None,
     /// Written and read back.
     Done,

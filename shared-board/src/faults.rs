@@ -17,7 +17,7 @@ impl FaultLog {
         Self { kept: [None; KEPT] }
     }
 
-    /// Keeps a fault and sends it. Where there is no room, the newest gives way.
+    /// Keeps a fault and sends it. If there is no room, the newest is replaced.
     pub fn report(&mut self, fault: Fault, out: &mut impl FrameOut) {
         let same = self.kept.iter().position(|f| f.is_some_and(|f| f.kind == fault.kind));
         let free = self.kept.iter().position(Option::is_none);

@@ -42,7 +42,7 @@ pub fn model_info_on_the_wire<'a>(info: &network::ModelHeader<'a>) -> ModelInfo<
     }
 }
 
-/// How a hand's samples come.
+/// The units in which a hand's samples come.
 pub trait Reading: Copy {
     /// In m/s², deg/s or µT, where a count is `scale` of them.
     fn value(self, scale: f32) -> f32;
@@ -68,10 +68,10 @@ impl Reading for f32 {
         self
     }
 
-    /// To the nearest count, within what 16 bits hold; NaN is 0.
+    /// Rounds to the nearest count, within 16 bits; NaN becomes 0.
     fn count(self, scale: f32) -> i16 {
         let exact = self / scale;
-        // The cast goes to the limits where the value lies outside, and cuts towards zero.
+        // The cast saturates at the limits, and truncates towards zero.
         (exact + if exact < 0.0 { -0.5 } else { 0.5 }) as i16
     }
 }

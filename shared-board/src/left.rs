@@ -23,7 +23,7 @@ enum Asker {
     /// The pin at power-on.
     Pin {
         guided: Guided,
-        /// What to go back to.
+        /// The calibration to go back to.
         before: Option<Calibration>,
     },
 }
@@ -31,7 +31,7 @@ enum Asker {
 /// How a board starts.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Start {
-    /// What ended the run before: a watchdog, a panic.
+    /// What ended the previous run: a watchdog, a panic.
     pub fault: Option<FaultKind>,
     /// Calibrate now, guided by the light, without a laptop.
     pub guided: bool,
@@ -52,7 +52,7 @@ pub struct LeftBoard<M> {
     last_status_ms: u32,
     samples_until_state: u8,
     sampled_in_period: bool,
-    /// A change that found no room on the way out.
+    /// A change that found no room on the line.
     owed: bool,
     hello_owed: bool,
     fault_owed: Option<FaultKind>,
@@ -96,7 +96,7 @@ impl<M: Eeprom> LeftBoard<M> {
     pub fn sample(&mut self, counts: AdcCounts, now_ms: u32, out: &mut impl FrameOut) {
         self.sampled_in_period = true;
         if self.mode == Mode::Record {
-            // One that finds no room is missing: the laptop sees that by the times.
+            // A sample that finds no room is missing: the laptop sees that by the times.
             send(&RawAdc { board_time_ms: now_ms, counts: counts.as_array() }, out);
         }
         let output = self.hand.step(counts, now_ms);

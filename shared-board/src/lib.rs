@@ -31,7 +31,7 @@
 //! let mut line = Vec::new();
 //! let mut out = |frame: &[u8]| {
 //!     line.extend_from_slice(frame);
-//!     true // false where the line has no room
+//!     true // false if the line has no room
 //! };
 //! let who = Identity { board: Board::LeftNano, firmware: "0.1.0", boot_id: 1, sample_hz: 100 };
 //! let mut board = LeftBoard::start(who, eeprom, Start::default(), &mut out);
@@ -70,7 +70,7 @@ use shared_proto::message::{Board, BoardBody, Hello, PROTOCOL_MAJOR, PROTOCOL_MI
 ///
 /// Every `FnMut(&[u8]) -> bool` is one.
 pub trait FrameOut {
-    /// Takes a frame whole or not at all; false where there is no room for it now.
+    /// Takes a frame whole or not at all; false if there is no room for it now.
     fn send(&mut self, frame: &[u8]) -> bool;
 }
 
@@ -80,10 +80,10 @@ impl<F: FnMut(&[u8]) -> bool> FrameOut for F {
     }
 }
 
-/// Who a board says it is.
+/// How a board introduces itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Identity {
-    /// Which hand, and which board.
+    /// Which board it is, and so for which hand.
     pub board: Board,
     /// Version of the program that runs the board's code, such as `0.1.0`.
     pub firmware: &'static str,
@@ -94,7 +94,7 @@ pub struct Identity {
 }
 
 impl Identity {
-    /// The hello of this board; `model_id` is 0 where no model runs.
+    /// The hello of this board; `model_id` is 0 if no model runs.
     fn hello(&self, model_id: u32) -> Hello<'static> {
         Hello {
             major: PROTOCOL_MAJOR,

@@ -31,7 +31,7 @@ pub struct RamEeprom {
     pub writes: u32,
     /// Bytes that it still keeps; what is written later is lost, as after a power cut.
     pub writes_left: u32,
-    /// How many questions after a write it is busy for.
+    /// For how many questions after a write it answers that it is busy.
     pub busy_for: u32,
     busy: Cell<u32>,
 }
@@ -173,7 +173,7 @@ impl NorFlash for RamFlash {
             return Err(NorFlashErrorKind::NotAligned);
         }
         let old = self.bytes.get(start..start + bytes.len()).ok_or(NorFlashErrorKind::OutOfBounds)?;
-        // Only an erased page takes any bytes; a real one would keep both, and nobody would notice.
+        // Only an erased page accepts any bytes; a real memory would mix old and new ones, and nobody would notice.
         assert!(old.iter().zip(bytes).all(|(old, new)| old & new == *new), "written without being erased");
         bytes.chunks(4).enumerate().try_for_each(|(i, word)| self.operate(start + 4 * i, word))
     }

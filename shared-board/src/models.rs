@@ -147,7 +147,7 @@ impl<F: MappedFlash> ModelStore<F> {
         (Self { flash, runs, running: found.model.map(|place| place.slot), transfer: None }, found)
     }
 
-    /// The driver has found out how many axes the sensor has: what comes from now on must run on it.
+    /// The driver has found out how many axes the sensor has: models that come from now on must run on it.
     pub fn set_axes(&mut self, axes: u8) {
         self.runs.axes = axes;
     }

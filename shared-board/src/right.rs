@@ -77,12 +77,12 @@ impl<H: Hand> RightBoard<H> {
                 if self.model_can_run() {
                     return self.hand.push(sample, time_ms);
                 }
-                // The laptop hears why nothing is named, as often as it would hear what is.
+                // The laptop is told why no gesture is named, as often as it would be told a gesture.
                 self.hand.gap();
                 number.is_multiple_of(HOP as u32)
             }
             mode => {
-                // Samples that the window did not see are a gap in it.
+                // Samples that the window did not see count as a gap.
                 self.hand.gap();
                 let mut counts = [0; MAX_AXES];
                 mode == Mode::Record && {
@@ -229,7 +229,7 @@ impl<H: Hand> RightBoard<H> {
         }
     }
 
-    /// A laptop that listens already hears of the start.
+    /// A laptop that already listens learns of the start.
     fn greet(&mut self, out: &mut impl FrameOut) {
         if !self.greeted {
             self.greeted = true;

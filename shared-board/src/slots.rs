@@ -62,7 +62,7 @@ pub(crate) enum Content<'f> {
     Blob {
         /// Its bytes.
         blob: &'f [u8],
-        /// One more, wrapping, than that of the blob before it.
+        /// One more than that of the blob before it, wrapping.
         sequence: u32,
     },
 }
@@ -83,7 +83,7 @@ pub(crate) fn look(store: &[u8], slot: Slot) -> Content<'_> {
 
 /// Whether sequence number `a` was given after `b`; both wrap.
 pub(crate) fn is_newer(a: u32, b: u32) -> bool {
-    // Less than half a turn ahead.
+    // Less than half the range ahead.
     (1..1 << 31).contains(&a.wrapping_sub(b))
 }
 

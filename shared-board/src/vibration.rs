@@ -7,12 +7,12 @@
 //! | stopped | one, long |
 //! | link lost | three, of middle length |
 //!
-//! The laptop asks for the first three. The last one it asks for where the *other* hand is lost; where the laptop itself
+//! The laptop asks for the first three. It asks for the last one if the *other* hand is lost; if the laptop itself
 //! falls silent, the board says it.
 
 use shared_proto::message::Signal;
 
-/// A laptop that wants its signals felt and sends nothing for so long is lost. It pings ten times as often.
+/// A laptop that has asked for signals and sends nothing for this long counts as lost. It pings ten times as often.
 pub const LAPTOP_LOST_MS: u32 = 1000;
 
 struct Pattern {
@@ -20,7 +20,7 @@ struct Pattern {
     on_ms: u32,
     off_ms: u32,
     percent: u8,
-    /// One that matters less does not cut it short.
+    /// A signal that matters less does not cut it short.
     weight: u8,
 }
 
@@ -39,7 +39,7 @@ impl Pattern {
         self.pulses * (self.on_ms + self.off_ms) - self.off_ms
     }
 
-    /// Strength so long after its start, and when that changes.
+    /// Strength at a time after its start, and when that changes.
     const fn at(&self, passed_ms: u32) -> (u8, u32) {
         let in_pulse_ms = passed_ms % (self.on_ms + self.off_ms);
         if in_pulse_ms < self.on_ms {
@@ -55,7 +55,7 @@ impl Pattern {
 pub struct Motor {
     /// 0 = still, 100 = as strong as it can.
     pub percent: u8,
-    /// Ask again after so long; never, where nothing was ever asked for.
+    /// Ask again after this long; never, if nothing was ever asked for.
     pub for_ms: Option<u32>,
 }
 
@@ -78,7 +78,7 @@ impl Vibration {
         }
     }
 
-    /// The laptop wants this felt.
+    /// The laptop asks for this signal.
     pub fn feel(&mut self, signal: Signal, now_ms: u32) {
         self.wanted = true;
         self.heard(now_ms);
@@ -121,7 +121,7 @@ mod tests {
     use std::vec;
     use std::vec::Vec;
 
-    /// Strengths from `from_ms` on with their lengths, as a driver sees them that keeps the board's times, until nothing
+    /// Strengths from `from_ms` on with their lengths, as a driver sees them that asks at the board's times, until nothing
     /// changes for a second or `until_ms`.
     fn played(vibration: &mut Vibration, from_ms: u32, until_ms: u32) -> Vec<(u8, u32)> {
         let mut seen: Vec<(u8, u32)> = Vec::new();
@@ -151,7 +151,7 @@ mod tests {
             (Signal::LinkLost, vec![(100, 250), (0, 150), (100, 250), (0, 150), (100, 250), (0, 950)]),
             (Signal::Unknown(77), vec![(0, 2000)]),
         ] {
-            // Also where the clock wraps.
+            // Also when the clock wraps.
             for now_ms in [0, 12_345, u32::MAX - 90] {
                 let mut vibration = Vibration::default();
                 vibration.feel(signal, now_ms);

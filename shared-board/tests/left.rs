@@ -334,7 +334,7 @@ fn the_light_guides_a_wearer_without_a_laptop() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
-    /// Whatever comes in, whole frames with sequence numbers without a hole go out.
+    /// Whatever comes in, what goes out is whole frames with sequence numbers without a gap.
     #[test]
     fn noise_from_the_laptop_and_from_the_hand_leaves_the_board_working(
         noise in prop::collection::vec((any::<[u16; 5]>(), prop::collection::vec(any::<u8>(), 0..20)), 1..200),

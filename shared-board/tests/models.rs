@@ -13,7 +13,7 @@ use shared_proto::message::{AckResult, MODEL_CHUNK_MAX, ModelBegin, ModelInfo};
 
 const RUNS: Runs = Runs { axes: 3, sample_hz: 100 };
 
-/// A small model; each `seed` gives another one. Its text makes its length no multiple of a piece.
+/// A small model; each `seed` gives another one. Because of its text its length is not a multiple of a piece.
 fn blob(seed: i8) -> Vec<u8> {
     spec(seed, 3, 8)
 }
@@ -54,7 +54,7 @@ fn pieces(store: &mut ModelStore<RamFlash>, blob: &[u8], mut offset: usize) -> O
     None
 }
 
-/// Sends a whole model; how it ended.
+/// Sends a whole model; returns how it ended.
 fn send(store: &mut ModelStore<RamFlash>, blob: &[u8]) -> AckResult {
     match ask(store, &ModelRequest::Begin(begin(blob))) {
         (AckResult::Ok, 0) => {}
@@ -108,7 +108,7 @@ fn every_answer_names_the_offset_that_is_wanted_next() {
         |offset: u32| ModelRequest::Chunk { request: 2, offset, data: &blob[offset as usize..][..64] };
     assert_eq!(ask(&mut store, &chunk(64)), (AckResult::WrongOffset, 0));
     assert_eq!(ask(&mut store, &chunk(0)), (AckResult::Ok, 64));
-    // Its answer was lost, and it comes once more.
+    // Its answer was lost, so it is sent once more.
     assert_eq!(ask(&mut store, &chunk(0)), (AckResult::WrongOffset, 64));
     // Too early, too long, too short, and not of whole words.
     let commit = ModelRequest::Commit { request: 3, crc32: crc32(&blob) };
@@ -119,7 +119,7 @@ fn every_answer_names_the_offset_that_is_wanted_next() {
     }
     assert_eq!(pieces(&mut store, &blob, 64), None);
     assert_eq!(ask(&mut store, &commit), (AckResult::Ok, 0));
-    // Over: nothing is announced any more.
+    // The transfer is over: nothing is announced any more.
     assert_eq!(ask(&mut store, &commit), (AckResult::WrongOffset, 0));
 }
 
@@ -254,7 +254,7 @@ fn power_that_goes_at_any_word_leaves_the_old_model_or_the_new_one_and_the_next_
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
-    /// Cuts after cuts, at any word and any bits of it: a board that ever had a model always has one.
+    /// Power cut after power cut, at any word and any of its bits: a board that ever had a model always has one.
     #[test]
     fn a_board_that_had_a_model_has_one_after_any_number_of_power_cuts(
         cuts in prop::collection::vec((1u32..80, any::<u32>()), 1..12),

@@ -171,7 +171,7 @@ fn record_mode_sends_each_sample_once_in_whole_hops() {
     assert_eq!(raw[0].1[..6], [5, 15, -5, 6, 18, -6]);
     assert!(raw.iter().all(|r| r.1.len() == 24));
     assert!(rig.states().is_empty());
-    // A gap: what was begun is not sent, and the next batch has no hole.
+    // A gap: the batch that was begun is not sent, and the next one has no gap.
     rig.line.clear();
     rig.number += 3;
     rig.samples(16);
@@ -180,7 +180,7 @@ fn record_mode_sends_each_sample_once_in_whole_hops() {
     rig.line.clear();
     rig.samples(8);
     assert_eq!(rig.raw()[0].0, 44);
-    // What the window did not see is a gap in it.
+    // Samples that the window did not see count as a gap.
     rig.send(&HostMessage::SetMode { request: 2, mode: Mode::Classify });
     rig.line.clear();
     rig.samples(240);
@@ -219,7 +219,7 @@ fn a_trusted_laptop_is_felt_without_an_answer_and_when_it_falls_silent() {
     rig.send(&stopped);
     assert_eq!([10, 599, 600].map(|ms| motor_after(&mut rig, ms)), [100, 100, 0]);
     assert!(rig.line.all_acks().is_empty());
-    // Any message of its keeps the link alive.
+    // Any message from the laptop keeps the link alive.
     rig.board.receive(&HostMessage::Ping { id: 1 }, true, 900, &mut rig.line);
     assert_eq!([1899, 1900].map(|ms| motor_after(&mut rig, ms)), [0, 100]);
 }

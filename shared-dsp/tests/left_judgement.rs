@@ -1,4 +1,4 @@
-//! The left hand's judgement: what a wearer does without meaning anything by it commands nothing.
+//! The left hand's judgement: movements that are not meant as commands command nothing.
 //!
 //! Thirty minutes (in the short run three) of ten simulated wearers each, palm up, walking, shaken, and with pins that hum, in
 //! virtual time; and what that costs tilts that are meant.
@@ -290,7 +290,7 @@ fn a_tilt_that_is_meant_is_told_within_130_ms_of_its_first_sample_beyond_15_degr
                     told = told.or(Some(sample));
                 }
             }
-            // A gain of 0.9 leaves the smallest ones at the threshold: those may stay untold.
+            // A gain of 0.9 leaves the smallest ones at the threshold: those may give no command.
             if let (Some(crossed), Some(told)) = (crossed, told) {
                 delays_ms.push((told - crossed) * SAMPLE_MS);
             } else {

@@ -171,7 +171,7 @@ fn dense(rng: &mut impl FnMut() -> u64, inputs: usize, outputs: usize, relu: boo
         biases: (0..outputs).map(|_| (rng() % 20001) as i32 - 10000).collect(),
         input_scale: 0.02,
         input_zero_point: (rng() % 256) as i8,
-        // As TFLite has it by default, each row has a scale of its own.
+        // As in TFLite by default, each row has a scale of its own.
         weight_scales: match rng() % 2 {
             0 => vec![0.01],
             _ => (0..outputs).map(|_| 0.001 + (rng() % 1000) as f32 * 2e-5).collect(),

@@ -5,7 +5,7 @@ use shared_dsp::right::kind::FeatureKind;
 use shared_dsp::right::network::{BlobSpec, DenseSpec, Model, build_blob};
 use shared_dsp::right::{ModelMismatch, RightHand};
 
-/// One layer that says `label` where its weighted inputs are above 0, else `idle`; these inputs have a weight, 1 or -1.
+/// One layer that names `label` if the sum of its weighted inputs is above 0, else `idle`; `inputs` have a weight of 1 or -1.
 fn blob_of(
     recipe: FeatureKind,
     axes: usize,
@@ -41,7 +41,7 @@ fn blob(axes: usize, hop: u16) -> Vec<u8> {
     blob_of(FeatureKind::Raw, axes, hop, "shake", scaling, &[(2, 1)])
 }
 
-/// Shakes where `shaking` says so; sample number in, axes out.
+/// Shakes if `shaking` is true for the sample; sample number in, axes out.
 fn sample(index: u32, shaking: bool) -> [f32; 3] {
     [if shaking { 5.0 * (index as f32 * 0.9).sin() } else { 0.0 }, 0.0, 9.81]
 }
@@ -121,7 +121,7 @@ fn replaced_values_are_reported_while_they_are_in_the_window() {
     assert_eq!(hand.replaced(), 1);
 }
 
-/// Says `sway` where the window shows more of 1.17 Hz than of 0.39 Hz across gravity.
+/// Names `sway` if the window shows more power at 1.17 Hz than at 0.39 Hz across gravity.
 fn sway_blob(axes: usize) -> Vec<u8> {
     // Line after line of three directions each, behind four other features; the second direction is the swaying one.
     let (low, high) = (4 + 1, 4 + 3 * 2 + 1);
@@ -129,7 +129,7 @@ fn sway_blob(axes: usize) -> Vec<u8> {
     blob_of(FeatureKind::Aligned, axes, 8, "sway", scaling, &[(high, 1), (low, -1)])
 }
 
-/// Samples at which a hand that sways at so many Hz has its events.
+/// Samples at which a hand that sways at this many Hz has its events.
 fn sway<const A: usize>(hand: &mut RightHand<'_, A>, hz: f32, samples: usize) -> Vec<usize> {
     let mut events = Vec::new();
     for n in 0..samples {

@@ -37,7 +37,7 @@ impl Anchor {
     /// such time to the anchor, up to 24 days either way across the wrap.
     fn earliest_us(&self, board_ms: u32) -> i64 {
         let step_ms = i64::from(board_ms.wrapping_sub(self.board_ms) as i32);
-        // Both stamps are whole milliseconds rounded down: the way between may be one shorter.
+        // Both stamps are whole milliseconds rounded down, so the time between may be one shorter.
         self.host_us + (step_ms - 1) * 1000 - step_ms.abs() * i64::from(DRIFT_PPM) / 1000
     }
 }
@@ -49,7 +49,7 @@ fn micros(ms: u64) -> i64 {
 }
 
 impl BoardClock {
-    /// A clock that knows of no round trip: everything is as old as can be.
+    /// A clock that knows of no round trip: everything counts as infinitely old.
     pub const fn new() -> Self {
         Self { anchor: None }
     }
@@ -72,14 +72,14 @@ impl BoardClock {
             self.anchor = None;
             return false;
         }
-        // The one that proves more; unless it is disproved, by a clock that runs faster than allowed.
+        // The round trip that proves more, unless a clock that runs faster than allowed disproves it.
         let known_us = old.earliest_us(board_time_ms).min(micros(now_ms));
         self.anchor = Some(Anchor { host_us: fresh.host_us.max(known_us), ..fresh });
         true
     }
 
     /// The most that the age of anything stamped with board time can be, in milliseconds: a frame's
-    /// newest sample, the end of a window. Without a round trip as old as can be: `u64::MAX`.
+    /// newest sample, the end of a window. Without a round trip the bound is `u64::MAX`.
     pub fn age_ms(&self, board_time_ms: u32, now_ms: u64) -> u64 {
         let Some(anchor) = &self.anchor else { return u64::MAX };
         // The laptop's clock is rounded down, too.
@@ -209,7 +209,7 @@ mod tests {
             }
         }
 
-        /// Where the board's clock stood at its start makes no difference, wrap or not.
+        /// The board's clock may start at any value, near its wrap or not.
         #[test]
         fn ages_do_not_depend_on_where_the_board_clock_stands(
             start_ms: u32,

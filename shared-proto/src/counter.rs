@@ -23,7 +23,7 @@ pub struct CounterTracker {
 }
 
 impl CounterTracker {
-    /// Most events that can be told from a step backwards. A hand needs minutes for so many.
+    /// The largest step that counts as events rather than as a step backwards. A hand needs minutes for so many events.
     pub const MOST: u8 = 127;
 
     /// A tracker without a base.
@@ -53,7 +53,7 @@ pub enum Order {
         /// Frames missing between the last one and this.
         lost: u16,
     },
-    /// The last one again. Leave it out.
+    /// The same number as the last one. Leave it out.
     Duplicate,
     /// Older than the last one. Leave it out. Several in a row mean that the board has restarted and
     /// its hello was lost: send a [`HelloRequest`](crate::message::HostMessage::HelloRequest).

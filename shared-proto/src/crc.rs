@@ -1,7 +1,7 @@
 //! CRC-32 of zip and Ethernet, bit by bit: a table would cost the left board half its RAM, and the crate `crc`, fed byte by
 //! byte as frames are, 1.4 KB of its flash.
 
-/// A running checksum. Also a model's id, and the seal on what boards store.
+/// A running checksum. It is also a model's id, and protects what boards store.
 ///
 /// ```
 /// # use shared_proto::crc::Crc32;

@@ -80,7 +80,7 @@ fn encode<'b>(message: &impl Serialize, out: &'b mut [u8]) -> Result<&'b [u8], E
     postcard::serialize_with_flavor(message, FrameWriter::new(out)).map_err(|_| EncodeError)
 }
 
-/// Stuffs and sums while postcard writes, so that a frame needs one buffer and one pass.
+/// Encodes COBS and computes the checksum while postcard writes, so that a frame needs one buffer and one pass.
 struct FrameWriter<'b> {
     out: &'b mut [u8],
     /// Bytes written, the open code byte included.
@@ -88,7 +88,7 @@ struct FrameWriter<'b> {
     /// Where the open block's code byte will stand.
     code_at: usize,
     crc: Crc32,
-    /// Something did not fit. Told at the end: a check after each byte would cost the left board 1 KB.
+    /// Something did not fit. Reported at the end: a check after each byte would cost the left board 1 KB.
     full: bool,
 }
 
@@ -153,7 +153,7 @@ impl<'b> Flavor for FrameWriter<'b> {
     }
 }
 
-/// Why an intact frame's payload is no message of this version.
+/// Why an intact frame's payload is not a message of this version.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ParseError {
     /// A message that a later minor version added. Ignore it.

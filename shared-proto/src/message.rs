@@ -50,7 +50,7 @@ board_messages! {
         3 RawImu(RawImu<'a>) => Right, 0;
         /// Counters, once per second.
         4 Status(Status) => Both, 0;
-        /// Something is wrong that a person should know.
+        /// Something is wrong that a person should know about.
         5 Fault(Fault) => Both, 0;
         /// Answer to [`HostMessage::Ping`].
         6 Pong(Pong) => Both, 0;
@@ -117,7 +117,7 @@ host_messages! {
             /// CRC-32 of the whole blob, which is also the new model id.
             crc32: u32,
         } => Right, 0;
-        /// What the wearer of a right hand shall feel, where a motor is wired to its board. Not acknowledged: a late one
+        /// What the wearer of a right hand shall feel, if a motor is wired to its board. Not acknowledged: a late one
         /// is worth nothing. Boards of earlier versions are not sent it.
         8 Feel {
             /// What.
@@ -218,7 +218,7 @@ pub struct Status {
     pub sensor_errors: u32,
     /// Damaged frames received from the laptop.
     pub bad_frames: u32,
-    /// Least free stack seen since start, in bytes.
+    /// Minimum free stack seen since start, in bytes.
     pub free_stack_bytes: u32,
     /// Share of time awake since the last status, in parts per thousand.
     pub load_permille: u16,

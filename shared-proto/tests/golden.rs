@@ -219,7 +219,7 @@ fn every_message_is_in_the_list() {
     }
 }
 
-/// Not by way of today's encoder: the bytes as pinned, through the decoder.
+/// Not with today's encoder: the pinned bytes go through the decoder.
 #[test]
 fn the_pinned_frames_are_read_as_the_pinned_messages() {
     let text = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden_wire.txt"));

@@ -26,7 +26,7 @@ prop_compose! {
 fn largest(kind: usize, row: &Row) -> Material {
     Material {
         kind,
-        words: [0x8000_8000; 10], // the most bytes as u16, i16 and u32
+        words: [0x8000_8000; 10], // values that take the most bytes as u16, i16 and u32
         bytes: vec![0xA5; RAW_COUNTS_MAX],
         text: "x".repeat(longest(row.name)),
     }
@@ -51,14 +51,14 @@ proptest! {
         for frame in [board, host] {
             prop_assert_eq!(frame.iter().position(|&byte| byte == DELIMITER), Some(frame.len() - 1));
         }
-        // As text, since NaN differs from itself.
+        // Compared as text, since NaN differs from itself.
         let (from_board, _) = payloads(board);
         prop_assert_eq!(format!("{:?}", parse_board(&from_board[0])), format!("Ok({to_host:?})"));
         let (from_host, _) = payloads(host);
         prop_assert_eq!(format!("{:?}", parse_host(&from_host[0])), format!("Ok({to_board:?})"));
     }
 
-    /// The small ways of a left board.
+    /// The small encoder and decoder of a left board.
     #[test]
     fn a_body_alone_gives_the_same_frame_and_a_left_board_reads_the_same_requests(material in material()) {
         let (mut buffer, mut again) = ([0; BOARD_FRAME_MAX], [0; BOARD_FRAME_MAX]);

@@ -1,7 +1,7 @@
 //! A double of BlueZ, the system's Bluetooth service, on a private D-Bus: the part of its interface that a
 //! program uses that finds, connects and talks to one board. There is no radio here.
 //!
-//! The board at the other end of the air is whatever answers on a serial port (an emulated board's
+//! The board at the other end of the radio link is whatever answers on a serial port (an emulated board's
 //! pseudo-terminal): its bytes become notifications, writes become its input. While the port is not there
 //! the board is out of reach.
 //!
@@ -94,7 +94,7 @@ impl Bus {
     /// Starts a `dbus-daemon` with a configuration of its own in this folder.
     ///
     /// # Panics
-    /// Where there is none (Debian: package dbus-daemon).
+    /// If there is none (Debian: package dbus-daemon).
     pub fn start(folder: &Path) -> Self {
         let config = folder.join("bus.conf");
         let socket = folder.join("bus");
@@ -137,7 +137,7 @@ impl Bluez {
     /// from the serial port at `air`.
     ///
     /// # Panics
-    /// Where the bus does not take it.
+    /// If the bus does not take it.
     pub fn start(bus: &Bus, air: &Path) -> Self {
         let (orders, received) = channel();
         let (ready, is_ready) = channel();
@@ -230,7 +230,7 @@ impl Service {
         matches!(value, Some(Value::Flag(true)))
     }
 
-    /// Changes a property and tells everybody; none takes it away.
+    /// Changes a property and notifies everybody; `None` removes it.
     fn set(
         &mut self,
         object: &'static str,
@@ -276,7 +276,7 @@ impl Service {
         self.set(HCI, ADAPTER, "Powered", Some(Value::Flag(on)));
     }
 
-    /// A board in reach is heard while somebody listens.
+    /// A board in reach is found while somebody scans.
     fn advertise(&mut self) {
         let heard = self.flag(HCI, ADAPTER, "Discovering") && self.air.exists();
         let known = self.objects.contains_key(BOARD);
@@ -340,7 +340,7 @@ impl Service {
         }
     }
 
-    /// What the board says, as notifications.
+    /// The board's bytes, as notifications.
     fn notify(&mut self) {
         let Some(port) = &mut self.board else { return };
         let mut buffer = [0; NOTIFICATION];

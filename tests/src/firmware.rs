@@ -3,10 +3,10 @@
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-/// Has `cargo xtask firmware` build what `words` say; where the image lies then, from its place below the target folder.
+/// Lets `cargo xtask firmware` build what `words` say; returns the image's path, from its place below the target folder.
 ///
 /// # Panics
-/// Where it does not build; the reason is on the terminal.
+/// If it does not build; the reason is on the terminal.
 pub(crate) fn build(words: &[&str], image: &str) -> PathBuf {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("tests lies in the root");
     let status = Command::new("cargo")

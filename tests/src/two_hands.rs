@@ -31,7 +31,7 @@ use crate::nrf::usb_host::UsbHost;
 pub struct Left {
     /// The board.
     pub nano: Nano,
-    /// The cable's data lines hold.
+    /// Whether the cable's data lines are connected.
     pub cable: bool,
     /// The board's clock when the desk's was 0; negative for a board that got power later.
     zero_cycle: i64,
@@ -83,7 +83,7 @@ pub enum Cable {
 /// The right board's connection as it stands.
 #[derive(Debug)]
 pub enum Wire {
-    /// D0 and D1; whether the cable holds.
+    /// D0 and D1; whether the cable is connected.
     Uart(bool),
     /// The USB cable.
     Usb(UsbHost),
@@ -105,7 +105,7 @@ impl Right {
     /// given the board's clock in seconds at the desk's time 0, some seconds from power-up.
     ///
     /// # Panics
-    /// Where it is not connected by then.
+    /// If it is not connected by then.
     pub fn start<M: Motion + 'static>(link: Cable, wear: impl FnOnce(f64) -> M) -> Self {
         // A laptop pairs before it subscribes.
         let start_ms = if link == Cable::Ble { 4000 } else { 1000 };
@@ -254,7 +254,7 @@ impl TwoHands {
             while let Some(message) = self.next_message(hand) {
                 let mut buffer = [0; HOST_FRAME_MAX];
                 let frame = encode_host(&message, &mut buffer).expect("the bridge's messages fit");
-                // What noise has left on the line ends here.
+                // This ends what noise has left on the line.
                 self.send(hand, &[DELIMITER]);
                 self.send(hand, frame);
             }
@@ -290,10 +290,10 @@ impl TwoHands {
         }
     }
 
-    /// Runs until something holds; how long it took.
+    /// Runs until something holds; returns how long it took.
     ///
     /// # Panics
-    /// Where it does not hold in time.
+    /// If it does not hold in time.
     pub fn run_until(&mut self, what: &str, most_ms: u64, mut holds: impl FnMut(&Self) -> bool) -> u64 {
         let start_ms = self.now_ms;
         while !holds(self) {
@@ -318,7 +318,7 @@ impl TwoHands {
         !self.robot.picture().arm.at_rest()
     }
 
-    /// The hands drive the robot.
+    /// Whether the hands drive the robot.
     pub fn is_armed(&self) -> bool {
         self.bridge.safety().state() == State::Armed
     }

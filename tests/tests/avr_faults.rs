@@ -159,7 +159,7 @@ fn random_bytes_on_the_line_disturb_nothing() {
     for second in 0..seconds {
         // As many bytes as the emulated line carries; zeros are delimiters, so there are many short frames.
         let mut noise: Vec<u8> = (0..10_650).map(|_| if rng.u8(..) < 20 { 0 } else { rng.u8(..) }).collect();
-        // Some are meant well but damaged.
+        // Some are real frames, but damaged.
         let mut frame = [0; 64];
         let request = HostMessage::Calibrate { request: 1, step: CalibrationStep::Reset };
         let frame = shared_proto::frame::encode_host(&request, &mut frame).unwrap();
@@ -356,7 +356,7 @@ fn nothing_is_kept_at_address_0_of_the_eeprom() {
 fn a_program_that_hangs_with_interrupts_off_is_reset_and_says_so() {
     let (mut session, _hand) = powered(&BLANK, 14);
     session.run_ms(1000.0);
-    // Into an endless loop with interrupts off: the end of the program, as the C runtime has it.
+    // Into an endless loop with interrupts off: the end of the program in the C runtime.
     session.nano.jump(image::stop_program());
     let heard = session.run_ms(2000.0);
     // The interrupt waits for ever, so the second time-out resets.
@@ -365,7 +365,7 @@ fn a_program_that_hangs_with_interrupts_off_is_reset_and_says_so() {
     assert!(heard.iter().any(|(_, s)| matches!(s, Seen::Left(_))), "and the board lives again");
 }
 
-/// What remains of the old bootloader's trap: silence, a robot at rest, and the reset line helps.
+/// What remains of the old bootloader's trap: the board is silent, the robot at rest, and the reset line helps.
 #[test]
 fn under_an_old_bootloader_a_program_that_hangs_with_interrupts_off_is_silent_until_the_port_is_opened() {
     let (mut session, hand) = powered(&BLANK, 26);
@@ -393,7 +393,7 @@ fn under_an_old_bootloader_a_program_that_hangs_with_interrupts_off_is_silent_un
 fn no_reference_but_aref_is_ever_selected() {
     let (mut session, _hand) = powered(&BLANK, 15);
     session.run_ms(2000.0);
-    // `run_ms` panics at any other setting; this is what it looks at.
+    // `run_ms` panics at any other setting; this is what it checks.
     assert_eq!(session.nano.peek(0x7C) >> 6, 0);
     assert!(session.nano.conversions() > 8000, "45 conversions per sample, 100 samples per second");
 }
@@ -456,7 +456,7 @@ fn a_power_cut_at_any_byte_keeps_a_good_calibration() {
         for (i, write) in writes.iter().enumerate() {
             let place = write.address as usize;
             assert_eq!(eeprom[place], write.old);
-            // Before this byte, and during it: what the cell holds then is anything.
+            // Before this byte, and while it is written: the cell may then hold anything.
             for in_flight in [write.old, 0xFF, rng.u8(..)] {
                 eeprom[place] = in_flight;
                 let (pitch, health, _) = pitch_after_power_on(&eeprom, 0.0);
@@ -469,7 +469,7 @@ fn a_power_cut_at_any_byte_keeps_a_good_calibration() {
             }
             eeprom[place] = write.new;
         }
-        // After the last byte: the new one.
+        // After the last byte: the new calibration.
         let (pitch, health, _) = pitch_after_power_on(&eeprom, 0.0);
         assert_eq!(health & health::DEFAULT_CALIBRATION, 0);
         assert!((pitch + NEW_POSE).abs() < 0.02, "{pitch}");

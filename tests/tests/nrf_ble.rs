@@ -1,4 +1,4 @@
-//! The image behind S140: boots by its rules, advertises, and says over Bluetooth what it says over a wire.
+//! The image behind S140: boots by its rules, advertises, and sends over Bluetooth what it sends over a wire.
 #![cfg(feature = "nrf")]
 
 use models::synth::{self, Motion, Segment};
@@ -102,7 +102,7 @@ fn notifications_carry_the_frames_of_the_uart_and_the_laptops_own_labels() {
     assert_eq!(session.heard.hellos.len(), 1);
     assert_eq!(session.damaged(), 0);
 
-    // Over the wire and over the air: the same states, word by word.
+    // Over the wire and over the radio: the same states, word by word.
     let (wire, air) = (&session.uart.heard.states, &session.heard.states);
     let mut delays = Vec::new();
     let mut wire_after = wire.iter().skip_while(|w| w.sequence != air[0].sequence);
@@ -241,7 +241,7 @@ fn usb_and_uart_go_on_while_s140_owns_clock_and_power() {
         step(&mut session, &mut usb);
     }
     let (air, wire) = (session.heard.states.len() - air, session.uart.heard.states.len() - wire);
-    // Pulled and put back.
+    // The cable is pulled and put back.
     usb.unplug(&mut session.board);
     for _ in 0..300 {
         step(&mut session, &mut usb);

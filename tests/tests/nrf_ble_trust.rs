@@ -41,7 +41,7 @@ fn without_keys_states_are_read_but_writes_are_refused() {
     let log = session.log();
     assert!(log.contains(&Happening::Written(Err(REFUSED))), "{log:?}");
     assert_eq!(session.heard.statuses.last().unwrap().bad_frames, 0, "nothing came through");
-    // It pairs and keeps the keys: now it may.
+    // It pairs and keeps the keys: now it may change things.
     session.board.softdevice().central.order([Command::Pair { bond: true }, Command::Write(vec![0])]);
     session.run_ms(1000);
     assert_eq!(session.log().last(), Some(&Happening::Written(Ok(()))));
@@ -56,7 +56,7 @@ fn whoever_does_not_bond_within_ten_seconds_is_hung_up_on() {
         let hung_up = |session: &mut RightRig| {
             session.log().iter().any(|what| matches!(what, Happening::Disconnected(_)))
         };
-        // Ready a second or so after the link stood.
+        // Ready about a second after the link was up.
         session.run_ms(6000);
         assert!(!hung_up(&mut session), "pairs: {pairs}");
         session.run_ms(5000);
@@ -78,7 +78,7 @@ fn a_laptop_that_pairs_without_keeping_keys_changes_nothing() {
     let model = Model::parse(&blob).unwrap();
     assert_eq!(announce(&mut session, begin(&blob, &model)), AckResult::NotBonded);
     assert_eq!(session.board.soc().nvmc.erased, 0);
-    // What changes nothing is answered.
+    // Requests that change nothing are answered.
     model_id(&mut session);
 }
 
@@ -187,7 +187,7 @@ fn a_model_sent_over_bluetooth_is_used_after_a_restart_though_flash_and_link_fai
         let answer = || HostMessage::ModelChunk { request, offset, data: Bytes(data) };
         let mut ack = session.ask(request, &answer());
         if ack.is_none() {
-            // The flash had to be asked twice; the answer comes late.
+            // The flash operation had to be repeated; the answer comes late.
             session.run_ms(300);
             ack = session.heard.acks.iter().rev().find(|a| a.request == request).copied();
         }
@@ -205,7 +205,7 @@ fn a_model_sent_over_bluetooth_is_used_after_a_restart_though_flash_and_link_fai
     println!("dropped samples so far: {worst:?}");
 }
 
-/// S140 wants proof of the keys each 480 s; nrf-softdevice panics where a radio without LE Ping gives none.
+/// S140 wants proof of the keys every 480 s; nrf-softdevice panics if a radio without LE Ping gives none.
 #[test]
 fn a_laptop_that_only_listens_and_whose_radio_knows_no_ping_does_not_restart_the_board() {
     let mut session = RightRig::ble_ready();

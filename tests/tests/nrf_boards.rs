@@ -72,7 +72,7 @@ fn a_model_that_reads_a_magnetometer_is_refused_where_none_may_be_used_and_a_kep
         let mut session = resting(kind);
         assert_eq!(announce(&mut session, begin(&blob, &model)), AckResult::ModelDoesNotFit, "{kind:?}");
         assert_eq!(session.board.soc().nvmc.erased, 0);
-        // It came with the flash of another board.
+        // The model was already in the flash, from another board.
         session.board.soc().flash[slots.clone()].copy_from_slice(&kept);
         session.board.press_reset();
         session.heard.states.clear();

@@ -53,7 +53,7 @@ fn measure(session: &mut RightRig, window: &str) -> Cost {
         let board = &mut session.board;
         names.iter().map(|name| if stack { board.probe_stack(name) } else { board.probe(name) }).collect()
     };
-    // Painted anew where the layers begin: what makes the inputs before does not count as network, as with its peers.
+    // Painted again where the layers begin: as with its peers, computing the inputs does not count as part of the network.
     let forward = probe(&forward, true);
     let inputs_and_forward = probe(&inputs_and_forward, true);
     let softmax = probe(&softmax, true);
@@ -105,7 +105,7 @@ fn flash_of(image: &Image, words: &[&str]) -> u32 {
     image.sizes.iter().filter(|(name, _)| is_ours(name) && in_flash(name)).map(|(_, size)| size).sum()
 }
 
-/// That the time awake is within its aim, and what the board itself says of it.
+/// Checks that the time awake is within its aim, and agrees with what the board reports.
 fn check_time_awake(cost: &Cost, load_permille: u16) {
     println!(
         "awake                     {:>6.2} % (aim 5 %; 1.5 cycles per instruction); the board says {load_permille} per mille",
@@ -128,7 +128,7 @@ fn check_time_awake(cost: &Cost, load_permille: u16) {
 fn a_network_of_the_papers_shape_is_within_the_aims_of_its_peers() {
     let mut session = RightRig::uart(Box::new(Wild));
     session.run_ms(500);
-    // Any weights: what counts is the shape.
+    // Arbitrary weights: only the shape matters.
     let blob = random_model(FeatureKind::LogPower, &[20, 10, 5], 7);
     install(&mut session, &blob);
     let cost = measure(&mut session, "features");
@@ -222,7 +222,7 @@ fn awake(kind: Kind, motion: Box<dyn Motion>) -> Awake {
     }
 }
 
-/// What a sleep at rest would bring: the classifier's share of the processor, beside a sensor that must run on, since the dead-man
+/// What sleeping at rest would save: the classifier's share of the processor, beside a sensor that must keep running, since the dead-man
 /// wants fresh samples and a gesture's window begins before it is known to be one.
 #[test]
 fn over_bluetooth_a_resting_hand_costs_as_much_as_a_moving_one_and_naming_gestures_is_the_least_of_it() {

@@ -103,7 +103,7 @@ fn start<I: Imu>(driver: &mut I, wire: &Wire) -> Result<(), ImuError> {
     wait(driver.start(&mut wire.delay()))
 }
 
-/// Sets of the next so many milliseconds, fetched every 10 ms.
+/// The sets of samples of this many milliseconds, fetched every 10 ms.
 fn sets<I: Imu>(driver: &mut I, wire: &Wire, milliseconds: u64) -> Vec<[i16; 6]> {
     let mut all = Vec::new();
     let mut batch = Batch::default();
@@ -167,7 +167,7 @@ impl Motion for Swing {
     }
 }
 
-/// What stands in a motion at a time when the sensor is asked late: the same in every frame of counts.
+/// The motion's values at a time at which the sensor is asked late: the same in every frame of counts.
 fn sees_the_swing<I: Imu>(driver: &mut I, wire: &Wire) {
     start(driver, wire).unwrap();
     let sets = sets(driver, wire, 1000);
@@ -215,7 +215,7 @@ fn the_sensor_that_is_there_is_found_and_what_is_not_is_named() {
     assert_eq!(find(&xiao, &[Kind::Bmi270]), Err(ImuError::Missing(0x68)));
 }
 
-/// Starts, then loses a setting on the way or afterwards; `register` is one whose loss changes the scale.
+/// Starts, then loses a setting during or after the start; losing `register` changes the scale.
 fn notices<I: Imu>(driver: &mut I, wire: &Wire, address: u8, register: u8) {
     wire.with(|bus, _| bus.sensor.lose_write(register));
     assert_eq!(start(driver, wire), Err(ImuError::Reset(address)), "{register:#x} did not arrive");
@@ -249,7 +249,7 @@ fn a_broken_bmi270_and_one_with_half_a_configuration_are_not_started() {
     start(&mut driver, &wire).unwrap();
     wire.with(|bus, _| bus.sensor.fail());
     assert_eq!(wait(driver.check()), Err(ImuError::Reset(0x68)));
-    // A byte of the upload is lost, and all behind it lie wrong.
+    // A byte of the upload is lost, and all later bytes are in the wrong place.
     wire.with(|bus, _| bus.sensor.lose_write(0x5E));
     assert_eq!(start(&mut driver, &wire), Err(ImuError::Reset(0x68)));
     assert_eq!(start(&mut driver, &wire), Ok(()));
@@ -329,7 +329,7 @@ fn a_rev2s_magnetometer_beside_a_magnet_gives_nothing_and_its_faults_are_named()
     assert_eq!(wait(driver.field_ut()), Err(ImuError::Bus(0x10)));
 }
 
-/// What docs/ADDING.md says of another IMU: a driver that implements `Imu` is all that sampling knows of it.
+/// What docs/ADDING.md says about another IMU: sampling needs nothing but a driver that implements `Imu`.
 struct OwnImu {
     now_us: u64,
     taken: u64,

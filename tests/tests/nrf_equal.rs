@@ -156,17 +156,17 @@ fn compare_features(recipe: FeatureKind, window: &Window) {
     assert!(compared + 1 >= window.memory.len(), "{compared} of {} compared", window.memory.len());
 }
 
-/// Seconds that the first row stands before the recording begins, so that the sensor's clock is known by then.
+/// Seconds for which the first row is held before the recording begins, so that the sensor's clock is known by then.
 const LEAD_S: u64 = 3;
 /// How far a grid sample lies behind its grid time, in periods of the sensor (`sensor/src/grid.rs`).
 const DELAY_PERIODS: f64 = 1.1;
-/// How wrong the grid may be about when a set was taken, in ms: the stated error of the resampling in time.
+/// The largest error of a set's time on the grid, in ms: the stated error in time of the resampling.
 const TIMING_MS: f64 = 0.5;
 
 /// The sensor's clock against the board's in the comparisons below.
 const CLOCK_RATIO: f64 = 1.013;
 
-/// What a recording became on its way into the board's window.
+/// How a recording arrived in the board's window.
 struct Resampled {
     session: RightRig,
     window: Window,
@@ -377,7 +377,7 @@ fn a_minute(kind: Kind, ratio: f64) {
     );
     assert!((5999..=6001).contains(&minute));
     assert!(window.times_ms.windows(2).all(|w| (9..=11).contains(&(w[1] - w[0]))));
-    // How wrong the grid may be about when a set was taken. 200 and 208 Hz at these ratios are 25/12, 13/6 and even 2 times
+    // The largest error of a set's time on the grid. 200 and 208 Hz at these ratios are 25/12, 13/6 and even 2 times
     // 100 Hz: then polls meet few phases of the sensor's period, or one, and its age stays unknown within it, the
     // same for all samples, until the clocks drift.
     let period_ms = if kind == Kind::Nano33 { 0.0 } else { ratio * 1000.0 / sensor_hz(kind) };
@@ -401,7 +401,7 @@ fn received_models_of_every_recipe_compute_what_the_laptop_computes() {
         script.push(Segment::new(synth::Motion::IDLE, 1.0));
     }
     let rows = recordings::rows(&synth::session(&synth::Wearer::evaluation(22, 1), 0, &script));
-    // Weights that, as they happen to be, name something.
+    // Weights with which the model happens to name something.
     let names_something = |blob: &Vec<u8>| {
         let model = Model::parse(blob).unwrap();
         let mut hand = RightHand::<9>::new(model, DecisionConfig::default()).unwrap();
@@ -429,7 +429,7 @@ fn received_models_of_every_recipe_compute_what_the_laptop_computes() {
         let seconds = rows.len() as u64 / 100;
         let replay = Replay { rows: rows.clone(), interval: 0.01, start };
         session.board.soc().bus.sensor.set_motion(Box::new(replay));
-        // The first of them began before the replay did.
+        // The first of them began before the replay.
         let memory = watch(&mut session, tap, seconds + 1);
 
         let mut window = window_of(session.board.tapped(tap));

@@ -1,4 +1,4 @@
-//! What goes wrong on a hand: no panic, no false gesture, recovery within a second, and a word about it.
+//! What goes wrong on a hand: no panic, no false gesture, recovery within a second, and a report of it.
 #![cfg(feature = "nrf")]
 
 use shared_proto::message::{FaultKind, HostMessage, Mode, health};
@@ -164,7 +164,7 @@ fn random_bytes_from_the_laptop_are_counted_and_change_nothing() {
     }
     let pongs = session.heard.pongs;
     session.run_ms(100);
-    // A delimiter ends whatever the noise began.
+    // A delimiter ends the frame that the noise began.
     session.board.uart_in(&[0]);
     session.send(&HostMessage::Ping { id: 7 });
     session.run_ms(50);
@@ -187,7 +187,7 @@ fn a_board_whose_tasks_stand_still_is_restarted_by_its_watchdog_and_says_so() {
     assert!(session.board.resets.contains(&2), "{:?}", session.board.resets);
     session.send(&HostMessage::HelloRequest);
     session.run_ms(100);
-    // One at the start, one in answer.
+    // One hello at the start, one in answer.
     assert_eq!(session.heard.hellos.len(), hello + 2);
     assert!(session.heard.faults.iter().any(|f| f.kind == FaultKind::Watchdog));
 }

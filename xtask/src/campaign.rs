@@ -12,13 +12,13 @@ use crate::steps::rows;
 use crate::test::{announce, cargo, cargo_for_all, programs};
 use crate::{jazzy, python};
 
-/// One fault of the campaign, and the tests that hold for it.
+/// One fault of the campaign, and its tests.
 struct Fault {
     /// As in docs/SAFETY.md.
     name: &'static str,
-    /// Which of the tests, as `cargo test` is told.
+    /// Which of the tests, as arguments of `cargo test`.
     test: &'static [&'static str],
-    /// What the tests are told.
+    /// The tests' environment.
     only: &'static [&'static str],
     needs: Needs,
 }
@@ -27,7 +27,7 @@ struct Fault {
 #[derive(Clone, Copy, PartialEq)]
 enum Needs {
     Nothing,
-    /// Millions of turns: built for speed.
+    /// These tests take millions of turns, so they are built for speed.
     Speed,
     /// An independent robot on Cyclone DDS.
     Cyclone,
@@ -169,13 +169,13 @@ pub fn run(args: &[&str]) -> Result<ExitCode> {
 /// The rows of one fault, and whether all its tests passed.
 fn measure(fault: &Fault, short: bool) -> Result<(Vec<Vec<String>>, bool)> {
     let mut cargo = match fault.needs {
-        // One crate alone: nothing else is built for speed.
+        // One crate alone, so that nothing else is built for speed.
         Needs::Speed => cargo(&["test", "--locked", "--release"]),
-        // The workspace as its tests have built it: no other choice of features, nothing compiled again.
+        // The workspace as its tests have built it: with the same features, so that nothing is compiled again.
         _ => cargo_for_all("test"),
     };
     cargo.args(fault.test).arg("--").args(fault.only);
-    // One after the other: what runs beside would be measured, too.
+    // One after the other: a test that runs beside another would be measured, too.
     cargo.args(["--nocapture", "--test-threads", "1"]).stdin(Stdio::null());
     if !short {
         cargo.env("BIMANUAL_FULL", "1");

@@ -9,7 +9,7 @@ use crate::steps::{output, sh};
 use crate::toolchain::{self, Target};
 use crate::{root, target_dir};
 
-/// What an ATmega328P with a 2 KB bootloader has, and what the issue allows, in bytes.
+/// The limits in bytes: what an ATmega328P with a 2 KB bootloader has, and what this project allows.
 const FLASH_LIMIT: u64 = 24 * 1024;
 const RAM_LIMIT: u64 = 1536;
 const RAM: u64 = 2048;
@@ -20,7 +20,7 @@ const RAM: u64 = 2048;
 /// emulator.
 ///
 /// # Errors
-/// Where it does not build, or is larger than allowed.
+/// If it does not build, or is larger than allowed.
 pub fn run(args: &[&str]) -> Result<()> {
     let mut baud = "115200";
     let mut measure = true;
@@ -76,7 +76,7 @@ pub fn run(args: &[&str]) -> Result<()> {
 /// Clippy of the image.
 ///
 /// # Errors
-/// What is not as it should be.
+/// Names what is not as it should be.
 pub fn check() -> Result<()> {
     let mut clippy = toolchain::cargo(Target::Avr, "clippy")?;
     clippy.args(["--release", "--locked", "--", "-D", "warnings"]);

@@ -28,7 +28,7 @@ const VARIANTS: [(&str, &[&str], &str); 3] = [
 /// Where the XIAO's image starts, behind S140.
 const XIAO_ORIGIN: u32 = 0x27000;
 
-/// Parts of the image and the words in the names of their symbols, first match wins.
+/// Parts of the image and the words in the names of their symbols; the first match wins.
 const PARTS: [(&str, &[&str]); 6] = [
     (
         "network",
@@ -49,7 +49,7 @@ const PARTS: [(&str, &[&str]); 6] = [
 /// Builds and prints; the name of a variant chooses that one.
 ///
 /// # Errors
-/// Where a variant does not build, or there is none of that name.
+/// If a variant does not build, or there is none of that name.
 pub fn run(args: &[&str]) -> Result<()> {
     let chosen = |name: &str| match args {
         [] => true,
@@ -94,7 +94,7 @@ fn build(name: &str, options: &[&str]) -> Result<PathBuf> {
 /// The drivers' own tests, which run on a laptop.
 ///
 /// # Errors
-/// What is not as it should be.
+/// Names what is not as it should be.
 pub fn test_drivers() -> Result<()> {
     let host = output(Command::new("rustc").args(["--print", "host-tuple"]))?;
     let mut tests = Command::new("cargo");
@@ -105,7 +105,7 @@ pub fn test_drivers() -> Result<()> {
 /// Clippy of all variants.
 ///
 /// # Errors
-/// What is not as it should be.
+/// Names what is not as it should be.
 pub fn check() -> Result<()> {
     let folder = root().join("firmware-nano33");
     for (_, options, _) in VARIANTS {

@@ -14,7 +14,7 @@ use crate::{root, target_dir};
 /// The version of Python for which there are wheels.
 const PYTHON: &str = "3.12";
 const REQUIREMENTS: &str = "tests/ros2/jazzy-requirements.txt";
-/// Interfaces without a wheel: package, and what it is made of.
+/// Interfaces without a wheel: each package, and the packages that it needs.
 const INTERFACES: [(&str, &[&str]); 2] = [
     (
         "control_msgs",
@@ -25,10 +25,10 @@ const INTERFACES: [(&str, &[&str]); 2] = [
 /// Where the wheels were built, as their files for CMake have it.
 const BUILT_FOR: &str = "/opt/python/cp312-cp312";
 
-/// A program that runs Python with ROS 2 in it, made on first use; `None` where this machine has no Python 3.12.
+/// A program that runs Python with ROS 2 in it, made on first use; `None` if this machine has no Python 3.12.
 ///
 /// # Errors
-/// Where a package does not install or an interface does not build.
+/// If a package does not install or an interface does not build.
 pub fn environment() -> Result<Option<PathBuf>> {
     let place = target_dir().join("ros2-jazzy");
     let launcher = place.join("python");
@@ -137,7 +137,7 @@ fn build(place: &Path, package: &str, parts: &[&str]) -> Result<()> {
     let (source, build, venv) =
         (place.join("src").join(package), place.join("build").join(package), place.join("venv"));
     for folder in [&source, &build] {
-        // What another version left behind.
+        // Removes what another version left behind.
         let _ = fs::remove_dir_all(folder);
     }
     let files = interface_files(package)?;

@@ -26,7 +26,7 @@ const REQUIREMENTS: [&str; 10] = [
 /// The interpreter of an environment that holds what the checks want, made on first use.
 ///
 /// # Errors
-/// Where there is no Python 3 with `venv`, or a package does not install: says what to install.
+/// If there is no Python 3 with `venv`, or a package does not install: says what to install.
 pub fn environment() -> Result<PathBuf> {
     let place = target_dir().join("venv");
     let python = place.join("bin/python");
@@ -44,7 +44,7 @@ pub fn environment() -> Result<PathBuf> {
             .context("needs Python 3.11 or later with venv (Debian: apt-get install python3 python3-venv)")?;
     }
     let mut pip = Command::new(&python);
-    // Compiled when used, not all of it at once.
+    // Modules are compiled when used, not all at once.
     pip.current_dir(root()).args([
         "-m",
         "pip",

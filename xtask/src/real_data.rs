@@ -9,13 +9,13 @@ use crate::steps::{output, sh};
 use crate::test::built;
 use crate::{is_full, root, target_dir};
 
-/// Least mean accuracy per recording over random splits of the LSM9DS1 set, in per cent: two splits, and twenty.
+/// Minimum mean accuracy per recording over random splits of the LSM9DS1 set, in per cent: two splits, and twenty.
 const SPLITS_MIN: [f64; 2] = [97.0, 99.0];
-/// Least share of performed gestures of people never met with exactly one right event, in per cent.
+/// Minimum share of performed gestures of people never met with exactly one right event, in per cent.
 const EVENTS_MIN: f64 = 95.0;
-/// Most recordings of no gesture in a hundred that may make an event (the aim is 0).
+/// Maximum number of recordings without a gesture, in a hundred, that may make an event (the aim is 0).
 const FALSE_MAX: f64 = 1.5;
-/// Most that the int8 mean may differ from the float mean, in points.
+/// Maximum difference of the int8 mean from the float mean, in points.
 const INT8_GAP_MAX: f64 = 0.5;
 
 /// The folder of one set, if this machine has it.
@@ -46,7 +46,7 @@ pub fn splits() -> Result<()> {
     Ok(())
 }
 
-/// People that a model has never met: accuracy, three examples shown, and events. One seed on the nine-axis set, with
+/// People that a model has never met: accuracy, accuracy after three examples, and events. One seed on the nine-axis set, with
 /// floors two points lower; under `--full` both sets with five seeds, and ten hours of simulated wearers without a gesture.
 pub fn strangers() -> Result<()> {
     let (Some(nine), Some(acc)) = (set("nano33-lsm9ds1-9axis"), set("nano33rev2-acc-people")) else {

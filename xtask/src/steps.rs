@@ -9,7 +9,7 @@ use anyhow::{Context, Result, bail};
 
 use crate::target_dir;
 
-/// How many of a failed command's last lines stand under the table, where whoever reads a long log looks first.
+/// How many of a failed command's last lines are printed under the table, where a reader of a long log looks first.
 const LAST_LINES: usize = 50;
 
 /// One thing to check.
@@ -56,10 +56,10 @@ pub fn rows(said: &str, mark: &str) -> Vec<Vec<String>> {
 /// Runs a command to its end with its output shown.
 ///
 /// # Errors
-/// Where it does not start or does not exit with 0: with its last lines.
+/// If it does not start or does not exit with 0: with its last lines.
 pub fn sh(command: &mut Command) -> Result<()> {
     eprintln!("$ {}", shown(command));
-    // By way of a file, not of a pipe: what a command leaves running in the background would keep a pipe open.
+    // Through a file, not a pipe: what a command leaves running in the background would keep a pipe open.
     std::fs::create_dir_all(target_dir())?;
     let path = target_dir().join(format!("xtask-{}.log", std::process::id()));
     let log = File::create(&path).with_context(|| path.display().to_string())?;

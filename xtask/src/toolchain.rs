@@ -35,7 +35,7 @@ impl Target {
         }
     }
 
-    /// What has to be built of the library where there is none for the target.
+    /// What has to be built of the library if there is none for the target.
     fn library(self) -> &'static str {
         match self {
             Target::Avr | Target::Thumb => "-Zbuild-std=core",
@@ -47,7 +47,7 @@ impl Target {
 /// A `cargo` for the target, ready for a subcommand such as `build --release`.
 ///
 /// # Errors
-/// Names what to install where neither rustup nor Debian's compiler can build for the target.
+/// Names what to install if neither rustup nor Debian's compiler can build for the target.
 pub fn cargo(target: Target, subcommand: &str) -> Result<Command> {
     let mut command = if has_rustup(target) {
         let mut command = Command::new("cargo");

@@ -66,7 +66,7 @@ const SET_BYTES: usize = 12;
 const PIECE: usize = 128;
 /// The gyroscope takes 45 ms to start.
 const SETTLING_SETS: u8 = 10;
-/// What stands in the FIFO in the place of a sensor that had no value.
+/// What the FIFO has in the place of a sensor's missing value.
 const NO_VALUE: i16 = i16::MIN;
 
 /// ±4 g over 2^15 counts to 0.122 mg, and ±2000 deg/s over 2^15 counts to 70 mdps, in 1/65536.
@@ -157,7 +157,7 @@ impl<I: I2c> Imu for Bmi270<I> {
         batch.clear();
         let [low, high] = read::<2, _>(&mut self.i2c, ADDRESS, FIFO_LENGTH).await?;
         let waiting = usize::from(u16::from_le_bytes([low, high & 0x3F]));
-        // Long before the sensor itself loses any.
+        // Long before the sensor itself loses a set.
         if waiting / SET_BYTES > FIFO_SETS {
             batch.overrun = true;
             return set(&mut self.i2c, ADDRESS, &[(COMMAND, FIFO_FLUSH)]).await;

@@ -17,7 +17,7 @@ use crate::i2c::{Setting, read, set, verify};
 /// Bus address on this board.
 pub const ADDRESS: u8 = 0x10;
 const CHIP_ID: u8 = 0x40;
-/// What CHIP_ID reads once the chip has power.
+/// The value of CHIP_ID once the chip has power.
 const ID: u8 = 0x32;
 const DATA: u8 = 0x42;
 const POWER: u8 = 0x4B;
@@ -41,9 +41,9 @@ const SETTINGS: [Setting; 3] = [
     (MODE, 7 << 3),
 ];
 
-/// In the last word of the data: it is new.
+/// In the last word of the data: the bit for new data.
 const READY: u8 = 1;
-/// What stands in the place of a value beyond the converter's range.
+/// What is read instead of a value beyond the converter's range.
 const OVERFLOW_XY: i16 = -4096;
 const OVERFLOW_Z: i16 = -16384;
 
@@ -97,7 +97,7 @@ impl Trim {
         xyz1: 6753,
     };
 
-    /// A chip that is off in everything, to test with.
+    /// A chip whose trimming values are all unusual, to test with.
     pub const ODD: Self = Self {
         x1: -5,
         y1: 7,
@@ -130,7 +130,7 @@ impl Trim {
         }
     }
 
-    /// The field in µT along the chip's axes; `None` where an axis is beyond its range, or what it takes is missing.
+    /// The field in µT along the chip's axes; `None` if an axis is beyond its range, or what it takes is missing.
     pub fn field_ut(&self, raw: Raw) -> Option<[f32; 3]> {
         let [x, y, z] = raw.field;
         if x == OVERFLOW_XY || y == OVERFLOW_XY || z == OVERFLOW_Z {
@@ -192,7 +192,7 @@ impl<I: I2c> Bmm150<I> {
         self.check().await
     }
 
-    /// The newest field in µT along the chip's axes; `None` while there is none, or where it is beyond the chip's range (a
+    /// The newest field in µT along the chip's axes; `None` while there is none, or if it is beyond the chip's range (a
     /// magnet).
     ///
     /// # Errors
@@ -206,7 +206,7 @@ impl<I: I2c> Bmm150<I> {
     /// Whether the chip still has its settings.
     ///
     /// # Errors
-    /// [`ImuError::Reset`] where it has lost them, or a failed transfer.
+    /// [`ImuError::Reset`] if it has lost them, or a failed transfer.
     pub async fn check(&mut self) -> Result<(), ImuError> {
         verify(&mut self.i2c, ADDRESS, &SETTINGS).await
     }
@@ -256,7 +256,7 @@ mod tests {
 
     #[test]
     fn values_of_13_13_15_and_14_bits_are_cut_from_the_registers_with_their_signs() {
-        // The lowest bits of each are others' business.
+        // The lowest bits of each register belong to other things.
         let bytes = [0x07 | 0x08, 0xFF, 0xF8 | 0x05, 0x7F, 0x01, 0x80, 0x03, 0xFF];
         let raw = Raw::from_bytes(bytes);
         assert_eq!(raw, Raw { field: [-31, 4095, -16384], hall: 0x3FC0 });

@@ -53,7 +53,7 @@ impl<I: I2c> Found<I> {
     /// Asks for one kind after the other.
     ///
     /// # Errors
-    /// [`ImuError::Unknown`] where something else answers at the address of one of them; where nothing answers,
+    /// [`ImuError::Unknown`] if something else answers at the address of one of them; where nothing answers,
     /// [`ImuError::Missing`] with the address of the first.
     pub async fn find(mut i2c: I, kinds: &[Kind]) -> Result<Self, ImuError> {
         let mut why = ImuError::Missing(kinds.first().map_or(0, |kind| kind.address()));

@@ -92,19 +92,19 @@ impl Grid {
         }
         let age_us = self.age_us + elapsed_us - sets * self.period_us;
         self.age_us = age_us.clamp(0.0, self.period_us);
-        // An age below its bound means that sets come faster than thought.
+        // An age below its bound means that sets come faster than estimated.
         let error_us = age_us - self.age_us;
         let gain = if self.polls < 200 { 1.0 / 32.0 } else { 1.0 / 256.0 };
         self.period_us =
             (self.period_us + error_us * gain).clamp(self.nominal_us * 0.9, self.nominal_us * 1.1);
     }
 
-    /// The sample for this grid time, or nothing where the sets around it are not known.
+    /// The sample for this grid time, or nothing if the sets around it are not known.
     pub fn sample(&self, grid_us: u64) -> Option<Set> {
         // Wanted time before the newest set, in sets.
         let before_poll_us = self.last_poll_us as i64 - grid_us as i64;
         let behind = (before_poll_us as f32 + self.delay_us() - self.age_us) / self.period_us;
-        // Jitter of the first polls may ask for a little more than there is.
+        // With jitter in the first polls, the time may lie a little beyond the sets.
         let behind = behind.max(0.0);
         if behind > OLDEST || behind + 2.0 > self.count as f32 {
             return None;

@@ -29,7 +29,7 @@ pub const SCALE: [f32; 3] = [0.122e-3 * 9.80665, 0.07, 0.014];
 /// Most sets that one poll fetches; more waiting sets count as an overrun.
 pub const FIFO_SETS: usize = 32;
 
-/// What waited in the sensor since the last poll.
+/// The sets that waited in the sensor since the last poll.
 #[derive(Clone, Copy, Debug)]
 pub struct Batch {
     sets: [Set; FIFO_SETS],
@@ -108,6 +108,6 @@ pub trait Imu {
     /// Whether the sensor still has its settings; asked when sets stop coming.
     ///
     /// # Errors
-    /// [`ImuError::Reset`] where it has lost them, or a failed transfer.
+    /// [`ImuError::Reset`] if it has lost them, or a failed transfer.
     async fn check(&mut self) -> Result<(), ImuError>;
 }

@@ -100,7 +100,7 @@ impl<I: I2c> Imu for Lsm6ds3<I> {
         batch.clear();
         let [low, high, pattern, _] = read::<4, _>(&mut self.i2c, ADDRESS, FIFO_STATUS1).await?;
         let waiting = usize::from(u16::from_le_bytes([low, high & FIFO_COUNT_HIGH]));
-        // In step, the first word of a set comes next.
+        // In step: the first word of a set comes next.
         if high & FIFO_OVERRUN != 0 || waiting / WORDS > FIFO_SETS || usize::from(pattern) % WORDS != 0 {
             batch.overrun = true;
             return self.empty_fifo().await;

@@ -37,7 +37,7 @@ pub struct Parts {
     pub uart: uart::Parts,
     /// The light.
     pub led: watch::Led,
-    /// A vibration motor, where one is wired.
+    /// A vibration motor, if one is wired.
     pub vibration: vibrate::Parts,
     /// The battery's divider.
     #[cfg(feature = "xiao")]

@@ -57,7 +57,7 @@ pub fn parts(p: Peripherals) -> Parts {
 /// Clears away what the stock bootloader leaves behind. It also leaves the MPU, RTC1's compare interrupt and PWM0 on
 /// P0.13 on, which disturb nobody.
 pub fn begin() {
-    // A late start of the slow crystal would find its interrupt enabled, and nobody to clear it.
+    // If the slow crystal started late, its interrupt would be enabled with nobody to clear it.
     const CLOCK_INTENCLR: *mut u32 = 0x4000_0308 as _;
     // UARTE0 receives into a byte of RAM that is ours, and pins may be chosen only while it is off.
     const UARTE0_STOPRX: *mut u32 = 0x4000_2004 as _;
@@ -92,7 +92,7 @@ pub fn enter_bootloader() -> ! {
     cortex_m::interrupt::disable();
     // The laptop sees the port go at once.
     embassy_nrf::pac::USBD.usbpullup().write(|w| w.set_connect(false));
-    // What a bootloader of Arduino's looks for after a soft reset.
+    // What Arduino's bootloaders look for after a soft reset.
     embassy_nrf::pac::POWER.gpregret().write(|w| w.set_gpregret(STAY));
     // SAFETY: whatever stood there is nobody's any more: nothing of this run goes on.
     unsafe { DOUBLE_PRESS.write_volatile(DOUBLE_PRESSED) };

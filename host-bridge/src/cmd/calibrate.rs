@@ -13,7 +13,7 @@ use shared_proto::message::{AckResult, CalibrationStep, HostMessage, health};
 use super::ports::PortOptions;
 
 const HELLO_MS: u64 = 6000;
-/// A step takes 0.64 s and the write to EEPROM a little.
+/// A step takes 0.64 s, and the write to EEPROM a little more.
 const STEP_MS: u64 = 8000;
 const ATTEMPTS: u32 = 3;
 
@@ -78,7 +78,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// What may be wrong with a pose: the board says only that it is.
+/// What may be wrong with a pose: the board reports only that something is.
 fn why_refused(step: CalibrationStep) -> &'static str {
     match step {
         CalibrationStep::Neutral => {

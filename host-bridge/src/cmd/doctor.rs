@@ -115,7 +115,7 @@ fn examine(port: &str, hand: Hand, settings: SerialSettings, seconds: f64) -> Re
     let heard = listen(&mut talk, who, (seconds * 1000.0) as u64);
     let mut advice = advice(&heard);
     if is_left(heard.who.board) != (hand == Hand::Left) {
-        // In the words of `run`, which refuses such a board.
+        // In the same words as `run`, which refuses such a board.
         advice.insert(
             0,
             format!("{} answers where the {hand} hand is expected: swap the ports", heard.who.board),
@@ -187,7 +187,7 @@ fn listen(talk: &mut Talk, who: Who, listen_ms: u64) -> Heard {
                 heard.survey.restarted();
             }
             Some((_, Said::Closed(why))) => heard.closed = Some(why),
-            // Perhaps a board that started anew, with another clock: its hello says so.
+            // Perhaps the board restarted, with another clock: its hello says so.
             Some((_, Said::Opened)) => {
                 heard.survey.restarted();
                 meet = true;
@@ -243,7 +243,7 @@ fn lines(heard: &Heard) -> Vec<String> {
     lines
 }
 
-/// More drift than this of a board with a crystal, in parts per million, is worth a word.
+/// More drift than this of a board with a crystal, in parts per million, is reported.
 const CRYSTAL_DRIFT_PPM: u32 = 500;
 /// The same for an Arduino Nano, whose 16 MHz come from a ceramic resonator (0.5 % and ageing).
 const RESONATOR_DRIFT_PPM: u32 = 10_000;

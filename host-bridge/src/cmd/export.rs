@@ -21,7 +21,7 @@ pub struct Args {
     #[arg(long, default_value_t = 50, value_parser = clap::value_parser!(u32).range(1..=200))]
     fps: u32,
     /// What an episode is: the whole session, each motion of the arm that reached its pose, or what the operator marked
-    /// while the session ran [default: the marks, where there are any; else the whole session]
+    /// while the session ran [default: the marks, if there are any; else the whole session]
     #[arg(long, value_enum)]
     episodes: Option<Episodes>,
     /// Of marked episodes, only those that were marked good

@@ -34,7 +34,7 @@ pub struct Start<'a> {
     pub scene: Option<&'a std::path::Path>,
     /// When the session's clock was zero.
     pub origin: Origin,
-    /// Something real moves: nothing may delay the session.
+    /// Something real moves, so nothing may delay the session.
     pub live: bool,
     /// The robot is not the simulator.
     pub robot_elsewhere: bool,
@@ -54,7 +54,7 @@ pub struct Keeper {
 }
 
 impl KeepArgs {
-    /// Creates the file and hangs its observer on the session.
+    /// Creates the file and attaches its observer to the session.
     #[cfg(feature = "mcap")]
     pub fn start(&self, tap: &mut Tap, start: &Start<'_>) -> Result<Keeper> {
         let Some(file) = &self.record else { return Ok(Keeper::default()) };
@@ -96,7 +96,7 @@ impl KeepArgs {
 
 #[cfg(feature = "mcap")]
 impl Keeper {
-    /// Why nothing more is written, said once.
+    /// Why nothing more is written, reported once.
     pub fn take_problem(&mut self) -> Option<String> {
         self.disk.as_mut()?.take_problem()
     }

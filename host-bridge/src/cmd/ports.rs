@@ -37,7 +37,7 @@ pub fn port_of(hand: Hand, asked: Option<&str>, config: &Config) -> Result<Strin
     Ok(port.to_owned())
 }
 
-/// Refuses Bluetooth where this build has none.
+/// Refuses Bluetooth if this build has none.
 pub fn check_name(port: &str) -> Result<()> {
     if cfg!(not(feature = "ble")) && is_ble(port) {
         bail!("'{port}': {NO_BLUETOOTH}; or connect the board with its USB cable");
@@ -45,7 +45,7 @@ pub fn check_name(port: &str) -> Result<()> {
     Ok(())
 }
 
-/// What to do for Bluetooth where this build has none.
+/// What to do for Bluetooth if this build has none.
 pub const NO_BLUETOOTH: &str = "this build has no Bluetooth link: `cargo install --path host-bridge --features ble` makes \
                                 one (Debian: it needs the packages libdbus-1-dev and pkg-config), and the packaged \
                                 archive has it";

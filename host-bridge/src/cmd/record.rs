@@ -22,9 +22,9 @@ use crate::play::Interrupted;
 
 const HELLO_MS: u64 = 6000;
 const REQUEST_MS: u64 = 4000;
-/// A program that was told to end has less time to bring the board back.
+/// The time to bring the board back is shorter in a program that was told to end.
 const BACK_MS: u64 = 700;
-/// Without samples for so long the board is not recording.
+/// If no samples come for this long, the board is not recording.
 const SILENCE_MS: u64 = 3000;
 /// In a guided session a spoilt take is taken again.
 const ATTEMPTS: u32 = 3;
@@ -122,7 +122,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     for label in &labels {
         check_name("label", label)?;
     }
-    // Whether there is room is known before anybody performs anything for it.
+    // Whether there is room on the disk is checked before anybody performs anything.
     for label in &labels {
         let folder = out.join(label);
         make_folder(&folder)?;
@@ -133,7 +133,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         })?;
     }
     let (port, settings) = args.port.resolve(hand)?;
-    // From here on an end from outside is a flag, so that the board can be brought back to classifying.
+    // From here on a signal only sets a flag, so that the board can be brought back to classifying.
     let interrupted = Arc::new(AtomicBool::new(false));
     let _ending = Ending::watch(&interrupted, false).context("signals cannot be caught here")?;
 
@@ -172,7 +172,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
             break;
         }
     }
-    // However it ended. If the board does not answer, `run` will call it back.
+    // This is done however it ended. If the board does not answer, `run` will bring it back.
     let patience_ms = if session.is_interrupted() { BACK_MS } else { REQUEST_MS };
     let back = session.talk.request(patience_ms, mode(Mode::Classify));
     done?;
@@ -388,7 +388,7 @@ fn make_folder(folder: &Path) -> Result<()> {
         .with_context(|| format!("{}: the folder cannot be made", folder.display()))
 }
 
-/// The first number that is free, taken: the file is there from now on, empty, so that nobody else takes it.
+/// Takes the first free number: the file exists from now on, empty, so that nobody else takes the number.
 fn next_file(folder: &Path, person: &str) -> Result<PathBuf> {
     make_folder(folder)?;
     for n in 1..u32::MAX {

@@ -158,7 +158,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// A session of a file once more.
+/// Plays a session from a file once more.
 #[cfg(feature = "mcap")]
 fn again(file: &Path, args: &Args) -> Result<ExitCode> {
     use host_bridge::observe::SessionEvent;

@@ -83,7 +83,7 @@ pub struct HandArgs {
     /// Print events as JSON, one object per line, and no live view
     #[arg(long)]
     json: bool,
-    /// End after so many seconds
+    /// End after this many seconds
     #[arg(long, value_name = "SECONDS")]
     seconds: Option<f64>,
     /// Scene (TOML: boxes, poses, base, arm): the arm plans its ways, and nothing is touched. Its base and
@@ -182,7 +182,7 @@ pub fn steer(args: &HandArgs, keep: &KeepArgs) -> Result<ExitCode> {
         None
     };
     let clock: Arc<dyn Clock> = Arc::new(SystemClock::start());
-    // At work until the control thread is.
+    // At work as long as the control thread is.
     let starting = clock.waiter();
     let (sender, events) = queue();
     let open = |hand: Hand, port: &str| {
@@ -306,7 +306,7 @@ pub fn steer(args: &HandArgs, keep: &KeepArgs) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// How long the arm takes to brake at most, where that is short enough to be streamed.
+/// Longest time that the arm takes to brake, if it is short enough for streaming.
 pub fn check_braking(config: &Config, stage: &Stage) -> Result<f64> {
     let braking_s = longest_s(&stage.limits);
     ensure!(

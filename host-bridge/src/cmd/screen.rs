@@ -39,7 +39,7 @@ pub fn keys(end_arm: char, has_hands: bool, records: bool) -> String {
     keys
 }
 
-/// Which key marks what.
+/// Which key makes which mark.
 fn mark_of(letter: char) -> Option<Mark> {
     Some(match letter {
         'b' => Mark::Begin,
@@ -63,7 +63,7 @@ pub struct Screen {
     pub over_air: PerHand<bool>,
     /// When the release key was pressed once.
     pub released: Option<Instant>,
-    /// There is a file for marks.
+    /// Whether there is a file for marks.
     pub records: bool,
     /// Which key does what.
     pub keys: String,
@@ -143,7 +143,7 @@ impl Screen {
         }
     }
 
-    /// Handles a key; true when it means to quit.
+    /// Handles a key; true if it means to quit.
     fn press<D: Door + Send + 'static>(
         &mut self,
         key: KeyEvent,
@@ -201,7 +201,7 @@ impl Screen {
         }
     }
 
-    /// What the session came to.
+    /// The session's result.
     pub fn end(&mut self, now: &Now<'_>, ros2: Option<Counts>, dropped: u64) {
         let odometry = now.robot.picture().odometry;
         let links = [Hand::Left, Hand::Right].map(|hand| now.bridge.link(hand));

@@ -16,7 +16,7 @@ use shared_proto::message::{HostMessage, LABELS_MAX, SCORES_MAX};
 use super::ports::PortOptions;
 
 const HELLO_MS: u64 = 6000;
-/// Without progress for so long, give up. Time enough to plug a cable in again.
+/// Without progress for this long, give up. Time enough to plug a cable in again.
 const PATIENCE_MS: u64 = 60_000;
 
 /// Options.
@@ -109,7 +109,7 @@ fn transfer(talk: &mut Talk, upload: &mut Upload<'_>, mut boot_id: u32) -> Resul
             }
             Some((_, Said::Opened)) => {
                 open = true;
-                // Its answer says whether it restarted meanwhile.
+                // The board's answer shows whether it restarted meanwhile.
                 talk.send(&HostMessage::HelloRequest);
             }
             _ => {}

@@ -41,19 +41,19 @@ pub struct WebArgs {
 const TOKEN_VARIABLE: &str = "BIMANUAL_WEB_TOKEN";
 
 impl WebArgs {
-    /// Starts the server if it was asked for; `unasked` also without that, where a port is to be had. With `marks` its
+    /// Starts the server if it was asked for; `unasked`: also without that, if a port is free. With `marks` its
     /// pages can mark episodes.
     pub fn start(&self, unasked: bool, marks: bool) -> Result<Option<Web>> {
         let rules = self.web_listen.is_some() || self.web_token.is_some() || self.web_token_file.is_some();
         if self.web_token.is_some() {
-            // Nobody may be reading.
+            // Nobody may be reading the output.
             let _ = writeln!(
                 std::io::stderr(),
                 "--web-token shows the token to everybody on this machine who lists its processes: give it with \
                  --web-token-file FILE, or in {TOKEN_VARIABLE}"
             );
         }
-        // Rules alone ask for the page, unless they are for Foxglove.
+        // Options for access also ask for the page, unless they are for Foxglove.
         if self.web.is_none() && (!rules || self.foxglove.is_some()) {
             let options = [WebOptions::default(), WebOptions { port: 0, ..WebOptions::default() }];
             return Ok(options.iter().filter(|_| unasked).find_map(|options| Web::start(options).ok()));
@@ -97,10 +97,10 @@ impl WebArgs {
     }
 }
 
-/// No token is longer, with its line's end.
+/// No token is longer, its line end included.
 const LINE_MAX: u64 = 200;
 
-/// Somebody sits before a screen that can show a browser.
+/// Whether somebody sits at a screen that can show a browser.
 pub fn has_display() -> bool {
     let set = |name: &str| std::env::var_os(name).is_some_and(|value| !value.is_empty());
     cfg!(any(windows, target_os = "macos")) || set("DISPLAY") || set("WAYLAND_DISPLAY")

@@ -17,7 +17,7 @@ pub enum Cut {
         /// Only those that were marked good, not all that ended.
         only_good: bool,
     },
-    /// By gestures that are kept free for it.
+    /// By gestures that are reserved for this.
     Gestures {
         /// Begins an episode.
         begin: String,
@@ -39,7 +39,7 @@ pub struct Episode {
     pub task: String,
 }
 
-/// Episodes, and why others are none.
+/// Episodes, and why other parts are not.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Found {
     /// In order of time.

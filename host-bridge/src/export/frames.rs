@@ -3,7 +3,7 @@
 use super::episodes::Episode;
 use super::session::Streams;
 
-/// A value is held so long at most, in ms: beyond it nothing is known.
+/// A value is held for at most this long, in ms: after that it counts as unknown.
 pub const HELD_MS: u64 = 100;
 
 /// What the columns of a row are called: positions `.pos` in m and rad, speeds `.vel` in m/s and rad/s.
@@ -60,7 +60,7 @@ fn newest<'s, T>(stream: &'s [(u64, T)], time_ms: f64, name: &str) -> Result<&'s
 /// The rows of an episode, or why it has none.
 ///
 /// # Errors
-/// A stream has a hole, with its name and time.
+/// A stream has a gap; the error has its name and time.
 pub fn rows(streams: &Streams, episode: &Episode, fps: u32) -> Result<Rows, String> {
     let step_ms = 1000.0 / f64::from(fps.max(1));
     let count = ((episode.end_ms - episode.start_ms) as f64 / step_ms + 1e-9).floor() as usize + 1;

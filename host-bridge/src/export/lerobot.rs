@@ -91,7 +91,7 @@ fn pretty(value: &Value) -> String {
     serde_json::to_string_pretty(value).unwrap_or_default() + "\n"
 }
 
-/// Everything that stands in the data's rows.
+/// All values of the data's rows.
 #[derive(Clone, Debug, Default)]
 struct Features {
     state: Vec<Vec<f32>>,
@@ -149,7 +149,7 @@ impl Features {
     }
 }
 
-/// Of each value of a feature.
+/// The statistics of each value of a feature.
 #[derive(Clone, Debug, Default)]
 struct Stats {
     min: Vec<f64>,

@@ -13,7 +13,7 @@ use mcap::records::Record;
 use crate::journal::METADATA;
 use crate::journal::records::records;
 
-/// What a file says, each stream in the order of its times (ms since the session began).
+/// The content of a file, each stream in the order of its times (ms since the session began).
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Streams {
     /// What the session is called.
@@ -62,7 +62,7 @@ pub enum ExportError {
     /// A stream is not there.
     #[error("the file has no messages of {0}, which an episode needs; record the session whole")]
     Missing(&'static str),
-    /// The joints change on the way.
+    /// The joints change within the session.
     #[error("the joints change within the file, from {0} to {1}; export sessions of one robot")]
     Joints(String, String),
     /// Files do not go together.
@@ -129,7 +129,7 @@ impl Streams {
         self.events.iter().any(|(_, happened)| matches!(happened, Happened::Marked(_)))
     }
 
-    /// `None` where the message cannot be read.
+    /// `None` if the message cannot be read.
     fn take(&mut self, topic: Topic, time_ms: u64, data: &[u8]) -> Option<Result<(), ExportError>> {
         match topic {
             Topic::Joints => {
@@ -171,7 +171,7 @@ impl Streams {
             }
             Topic::Marks => {
                 let MarkMessage { time_ms, mark, .. } = decode(data)?;
-                // One that a later version knows is none to us.
+                // A kind that only a later version knows is left out.
                 self.events.extend(mark.parse().ok().map(|mark| (time_ms, Happened::Marked(mark))));
             }
             _ => {}

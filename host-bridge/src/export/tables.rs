@@ -26,7 +26,7 @@ pub(super) enum Column {
     TextLists(Vec<Vec<String>>),
 }
 
-/// What pandas wants to know of a table whose index is the column `__index_level_0__` of texts.
+/// What pandas needs to know of a table whose index is the text column `__index_level_0__`.
 pub(super) fn pandas_index(column: &str) -> String {
     let index = "__index_level_0__";
     json!({
@@ -132,7 +132,7 @@ fn lists<T: DataType>(
     rows: &[Vec<T::T>],
 ) -> Result<(), ParquetError> {
     let values: Vec<T::T> = rows.iter().flatten().cloned().collect();
-    // 0 begins a list, 1 goes on with it; none is empty or missing.
+    // 0 begins a list, 1 continues it; no list is empty or missing.
     let repeats: Vec<i16> = rows.iter().flat_map(|row| (0..row.len()).map(|n| i16::from(n > 0))).collect();
     batch::<T>(group, &values, Some(&repeats))
 }

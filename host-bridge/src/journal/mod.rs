@@ -1,4 +1,4 @@
-//! Sessions from disk (feature `mcap`): what one started with, and the same again, compared.
+//! Sessions from disk (feature `mcap`): how one started, and a replay that is compared with it.
 //!
 //! * [`setup`]: what a session started with, as the file's metadata,
 //! * [`mod@replay`]: bytes and keys of a file through the engine again; every message that follows from them must be the

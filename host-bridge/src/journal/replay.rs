@@ -25,7 +25,7 @@ use host_topics::{Entry, Origin, Topic};
 /// No step of a session is longer, in ms: a laptop may have slept.
 const PAUSE_MS: u64 = 3_600_000;
 
-/// What a replay came to.
+/// The result of a replay.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Replay {
     /// Of the session.
@@ -38,7 +38,7 @@ pub struct Replay {
     pub messages: BTreeMap<&'static str, u64>,
     /// Messages that were made again and compared.
     pub compared: u64,
-    /// Those of them that came out otherwise.
+    /// How many of them came out differently.
     pub different: u64,
     /// The first of these.
     pub first_difference: Option<String>,
@@ -57,7 +57,7 @@ pub struct Replay {
 }
 
 impl Replay {
-    /// All that followed was the same.
+    /// Whether everything that followed was the same.
     pub fn is_same(&self) -> bool {
         self.different == 0 && self.compared > 0
     }
@@ -88,7 +88,7 @@ pub enum ReplayError {
 /// Replays a file's bytes, to its end or to where it is damaged.
 ///
 /// # Errors
-/// [`ReplayError`] where nothing can be replayed.
+/// [`ReplayError`] if nothing can be replayed.
 pub fn replay(file: &[u8]) -> Result<Replay, ReplayError> {
     let records = records(file)?;
     let mut topics = BTreeMap::new();
@@ -134,7 +134,7 @@ pub fn replay(file: &[u8]) -> Result<Replay, ReplayError> {
     Ok(result)
 }
 
-/// The numbers that the recording program gave its messages, through all topics from 0 on.
+/// The numbers that the recording program gave its messages, counted through all topics from 0 on.
 #[derive(Default)]
 struct Numbers {
     count: u64,
@@ -147,7 +147,7 @@ impl Numbers {
         self.largest = self.largest.max(number);
     }
 
-    /// How many are not there. A program that gives its own numbers, or none, gives away nothing.
+    /// How many are missing. If a program gives its own numbers, or none, this shows nothing.
     fn missing(&self) -> u64 {
         (u64::from(self.largest) + 1).saturating_sub(self.count)
     }
@@ -166,7 +166,7 @@ struct Player {
     moved_ms: u64,
     /// A robot elsewhere was driven: only what the hands said is compared.
     elsewhere: bool,
-    /// What follows from the last steps, and must be in the file next.
+    /// Messages that follow from the last steps, and must come next in the file.
     due: VecDeque<Entry>,
     now_ms: u64,
     result: Replay,
@@ -253,7 +253,7 @@ impl Player {
         self.result.first_difference.get_or_insert(what);
     }
 
-    /// What came in, and steps. `None` where the message cannot be read.
+    /// What came in, and steps. `None` if the message cannot be read.
     fn repeat(&mut self, entry: &Entry) -> Option<()> {
         let hand = match entry.topic {
             Topic::LeftReceived | Topic::LeftSent => Hand::Left,
@@ -262,7 +262,7 @@ impl Player {
         match entry.topic {
             Topic::Turns => {
                 for turn in decode::<Turns>(&entry.data)?.turns {
-                    // Beyond that a number is damaged, and stepping there would take for ever.
+                    // A larger number is damaged, and stepping that far would take for ever.
                     let latest_ms = self.now_ms.max(entry.time_ms).saturating_add(PAUSE_MS);
                     match turn.kind {
                         0 if turn.ms <= self.now_ms.saturating_add(PAUSE_MS) => self.decide(turn.ms),
@@ -310,7 +310,7 @@ impl Player {
         }
     }
 
-    /// A link remembers when it asked and when it pinged: that decides how old states are.
+    /// A link remembers when it asked and when it pinged, on which the ages of states depend.
     fn send(&mut self, hand: Hand, frame: &[u8], time_ms: u64) {
         let mut decoder = Decoder::<HOST_FRAME_MAX>::new();
         let mut sent = None;

@@ -46,7 +46,7 @@ pub struct SceneText {
     pub urdf: Option<String>,
 }
 
-/// A session cannot be started like that.
+/// Why a session cannot be started from a file.
 #[derive(Debug, thiserror::Error)]
 pub enum SetupError {
     /// A file cannot be read.
@@ -74,7 +74,7 @@ impl SceneText {
     /// Reads a scene file and the arm beside it.
     ///
     /// # Errors
-    /// [`SetupError`] if one is missing or the scene is none.
+    /// [`SetupError`] if one is missing or the scene is invalid.
     pub fn read(file: &Path) -> Result<Self, SetupError> {
         let text = |file: &Path| {
             std::fs::read_to_string(file).map_err(|source| SetupError::Read { file: file.to_owned(), source })
@@ -87,7 +87,7 @@ impl SceneText {
         Ok(SceneText { file: file.to_owned(), toml, urdf })
     }
 
-    /// Plans in it.
+    /// A planner for the scene.
     ///
     /// # Errors
     /// [`SetupError::Scene`].
@@ -117,7 +117,7 @@ impl Setup {
     /// The motions of all labels.
     ///
     /// # Errors
-    /// [`SetupError::Metadata`] for a mapping that is none.
+    /// [`SetupError::Metadata`] for a mapping that is invalid.
     pub fn motion_map(&self) -> Result<MotionMap, SetupError> {
         let mut map = self.config.motion_map();
         for mapping in &self.maps {
@@ -137,7 +137,7 @@ impl Setup {
         Ok(boards.fold(bridge, |bridge, (hand, _)| bridge.awaiting(hand)))
     }
 
-    /// What stood around, and what the arm could be asked to do.
+    /// The surroundings, and what the arm could be asked to do.
     ///
     /// # Errors
     /// [`SetupError::Scene`].
@@ -156,7 +156,7 @@ impl Setup {
         Ok(self.stage()?.simulated(&self.config))
     }
 
-    /// As the file keeps it.
+    /// The setup as metadata of the file.
     pub fn to_metadata(&self) -> BTreeMap<String, String> {
         let mut metadata = BTreeMap::from([
             ("version".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),

@@ -97,7 +97,7 @@ fn both_hands_on_their_ports_move_base_and_arm() {
     assert!(last["odometry"]["path_m"].as_f64().unwrap() > 0.1, "{last}");
     for hand in [0, 1] {
         assert!(last["round_trip_ms"][hand].as_u64().is_some(), "both boards answer pings: {last}");
-        // On a machine that is short of time some may go; the boards drop what nobody reads.
+        // On a busy machine some may be lost; the boards drop what nobody reads.
         assert!(last["frames"][hand]["lost"].as_u64().unwrap() < 50, "{last}");
     }
 }
@@ -181,7 +181,7 @@ fn record_writes_what_the_sensor_read_in_the_training_layout() {
         assert!(header.starts_with("timestamp,accX,accY,accZ,gyrX,gyrY,gyrZ,magX,magY,magZ\n"));
         let recording = Recording::read(&file).unwrap();
         assert_eq!((recording.axes(), recording.len()), (9, 150));
-        // A stretch of the recording that the board plays, to half a count of its scale.
+        // A part of the recording that the board plays, to half a count of its scale.
         let played = Path::new(env!("CARGO_MANIFEST_DIR")).join("sessions/demo/right.csv");
         let played = Recording::read(&played).unwrap().resampled();
         let near = |a: &[f32], b: &[f32]| (0..9).all(|i| (a[i] - b[i]).abs() <= [0.004, 0.041, 0.013][i / 3]);
@@ -223,7 +223,7 @@ fn record_writes_the_left_hands_readings_and_replay_plays_them() {
     assert_eq!(read.recording.samples.len(), 150);
     for (n, (time_ms, counts)) in read.recording.samples.iter().enumerate() {
         assert_eq!(*time_ms, 10 * n as u64);
-        // All that the board has judged by, to the eighth of a conversion: its last bit is never still.
+        // All that the board has based its decisions on, to the eighth of a conversion: its last bit is never still.
         let level = AdcCounts::from_ten_bit(FORWARD);
         assert!(*counts == level || *counts == AdcCounts { z: level.z + 1, ..level }, "{counts:?}");
     }
@@ -346,7 +346,7 @@ fn bad_options_and_configurations_say_what_to_do() {
         (vec!["run", "--config", "/no/such.toml"], vec!["/no/such.toml"]),
         (vec!["run", "--left", "keyboard", "--headless"], vec!["terminal"]),
         (vec!["run", "--left", "/dev/x", "--right", "/dev/x"], vec!["same port"]),
-        // Looking for Bluetooth where there is none, or in a build without it.
+        // Looking for Bluetooth if there is none, or in a build without it.
         (vec!["doctor", "--right", "ble:Hand"], vec!["Bluetooth"]),
         (vec!["calibrate"], vec!["--port", "list"]),
         (vec!["doctor"], vec!["--left", "list"]),

@@ -29,7 +29,7 @@ use crate::talker::{Flood, Talker};
 const PATIENCE: Duration = Duration::from_secs(240);
 const PROGRAM: &str = env!("CARGO_BIN_EXE_host-bridge");
 
-/// What a machine with two processors and other tests on them may add to a limit.
+/// What a machine with two processors that run other tests may add to a limit.
 const GRACE_MS: u64 = 500;
 
 fn is_full() -> bool {
@@ -65,7 +65,7 @@ impl Bridge {
             .unwrap();
         drop(alone);
         let out = child.stdout.take().unwrap();
-        // Small, so that a reader who stops is felt soon.
+        // Small, so that a reader who stops has an effect soon.
         let _ = rustix::pipe::fcntl_setpipe_size(out.as_fd(), 4096);
         let (lines, reads) = (Arc::new(Mutex::new(Vec::new())), Arc::new(AtomicBool::new(true)));
         let (to, may) = (Arc::clone(&lines), Arc::clone(&reads));
@@ -82,14 +82,14 @@ impl Bridge {
         Bridge { child, lines, reads }
     }
 
-    /// Driving forward, and where to look for what follows.
+    /// The program drives forward; and the place from which to look for what follows.
     fn driving(talker: &Talker, more: &[&str]) -> (Self, usize) {
         let bridge = Bridge::start(talker, more);
         let from = bridge.drive(talker, 0);
         (bridge, from)
     }
 
-    /// Drives forward from neutral; where to look for what follows. A busy machine makes the board late, and the bridge
+    /// Drives forward from neutral; returns the place from which to look for what follows. A busy machine makes the board late, and the bridge
     /// is right to halt then: it goes on from neutral.
     fn drive(&self, talker: &Talker, mut from: usize) -> usize {
         let until = Instant::now() + PATIENCE;
@@ -112,7 +112,7 @@ impl Bridge {
         }
     }
 
-    /// As the last state says.
+    /// What the last state says.
     fn is_armed(&self) -> bool {
         let lines = self.lines.lock().unwrap();
         let last = lines.iter().rev().find(|(_, line)| line["event"] == "state");
@@ -198,7 +198,7 @@ fn each_signal_ends_a_driving_session_with_a_halt_within_a_second() {
             bridge.signal(name);
             let (took, code) = end_of(&mut bridge.child);
             assert_eq!(code, Some(0), "{name}");
-            // Its last line says how things stood: with everything written, not cut off.
+            // Its last line is the state at the end: everything is written, nothing is cut off.
             bridge.wait(from, |line| line["event"] == "end");
             worst = worst.max(ms(took));
             count += 1;
@@ -210,7 +210,7 @@ fn each_signal_ends_a_driving_session_with_a_halt_within_a_second() {
 /// The program on a terminal of its own, with a live view.
 struct OnTerminal {
     child: Child,
-    /// The far end, where a person would look.
+    /// The far end, which a person would see.
     screen: File,
     /// Kept to ask for the terminal's settings.
     terminal: File,
@@ -228,7 +228,7 @@ impl OnTerminal {
         let alone = alone();
         let (screen, terminal) = TTYPort::pair().unwrap();
         let (screen, terminal) = (file(screen), file(terminal));
-        // As a shell leaves it, not as a serial port is.
+        // Set as a shell leaves a terminal, not as a serial port.
         let mut sane = Command::new("stty");
         sane.args(["sane", "rows", "50", "cols", "160"]).stdin(terminal.try_clone().unwrap());
         assert!(sane.status().unwrap().success());
@@ -363,7 +363,7 @@ fn a_thousand_connections_keep_nobody_from_the_pages_stop() {
     let lateness = Lateness::watch();
     let folder = tempfile::tempdir().unwrap();
     let (mut worst, mut memory_mb) = (0, 0);
-    // By a page that was there before, and by one that comes afterwards.
+    // By a page that was there before, and by one that connects afterwards.
     for comes_late in [false, true] {
         let talker = Talker::start(folder.path());
         let (bridge, from) = Bridge::driving(&talker, &["--web=0"]);

@@ -58,7 +58,7 @@ impl Double {
         Double(Station::start(desk.time(), &desk.path(name), Machine::new(hand)))
     }
 
-    /// What to give to `--left` or `--right`.
+    /// The argument for `--left` or `--right`.
     pub fn port(&self) -> String {
         self.0.port()
     }
@@ -85,24 +85,24 @@ impl Double {
         self.0.restart();
     }
 
-    /// The last mode that it was asked for is not the one that records.
+    /// Whether the last mode that it was asked for is not record mode.
     pub fn classifies(&self) -> bool {
         self.0.with(|machine| machine.asked == Mode::Classify)
     }
 
-    /// The left hand holds this now.
+    /// Sets the pose that the left hand holds.
     pub fn hold(&self, counts: [u16; 5]) {
         self.0.with(|machine| machine.hand.hold(counts));
     }
 }
 
-/// What differs between the hands.
+/// What differs between the two kinds of hands.
 trait Hand {
     /// The board starts; its clock is at 0.
     fn restart(&mut self, boot_id: u32);
     /// The sample of this time, every 10 ms.
     fn sample(&mut self, now_ms: u64, wire: &mut Vec<u8>);
-    /// A byte from the laptop. For so many milliseconds the board is busy, and answers only then.
+    /// A byte from the laptop. For this many milliseconds the board is busy, and answers only then.
     fn receive(&mut self, byte: u8, now_ms: u64, wire: &mut Vec<u8>) -> u64;
     fn hold(&mut self, _counts: [u16; 5]) {}
 }
@@ -112,7 +112,7 @@ struct Machine {
     decoder: Decoder<HOST_FRAME_MAX>,
     asked: Mode,
     boot_id: u32,
-    /// Since power-on, and when it started last.
+    /// Time since power-on, and when it last started.
     now_ms: u64,
     started_ms: u64,
     has_battery: bool,

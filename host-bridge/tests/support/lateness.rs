@@ -4,10 +4,10 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 const SLEEP: Duration = Duration::from_millis(5);
-/// Sleeps between two looks at what the processors did.
+/// Sleeps between two looks at the processors' load.
 const SLEEPS_PER_LOOK: u32 = 20;
 
-/// What a busy machine does to everybody's time says nothing about the program's own delays.
+/// The delays that a busy machine causes everywhere say nothing about the program's own.
 #[derive(Clone)]
 pub struct Lateness(Arc<Mutex<Seen>>);
 
@@ -17,7 +17,7 @@ struct Seen {
     late_ms: Vec<f64>,
     /// The share of all processors that work of ordinary priority took, in each tenth of a second.
     taken: Vec<f64>,
-    /// That without this test's own programs.
+    /// The same without this test's own programs.
     others: Vec<f64>,
 }
 
@@ -25,7 +25,7 @@ impl Lateness {
     /// Begins to look.
     pub fn watch() -> Self {
         let seen = Arc::new(Mutex::new(Seen::default()));
-        // Ends when nobody asks any more.
+        // Ends when nobody needs it any more.
         let looks = Arc::downgrade(&seen);
         std::thread::spawn(move || {
             let mut before = Ticks::now();
@@ -87,7 +87,7 @@ fn at_most(limit: f64, shares: Vec<f64>, who: &str) -> bool {
     share <= limit
 }
 
-/// What nine of ten do not exceed; 0 of none.
+/// The value that nine of ten do not exceed; 0 if there are none.
 fn mostly(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     values.get(values.len() * 9 / 10).copied().unwrap_or(0.0)
@@ -98,13 +98,13 @@ fn mostly(mut values: Vec<f64>) -> f64 {
 struct Ticks {
     /// Work of ordinary priority.
     ordinary: f64,
-    /// Of it, this test's and its programs'.
+    /// The part of it that is this test's and its programs'.
     ours: f64,
     all: f64,
 }
 
 impl Ticks {
-    /// `None` where the system does not say.
+    /// `None` if the system does not say.
     fn now() -> Option<Self> {
         let text = std::fs::read_to_string("/proc/stat").ok()?;
         let ticks: Vec<f64> = text.lines().next()?.split_whitespace().skip(1).flat_map(str::parse).collect();

@@ -46,7 +46,7 @@ pub fn model(labels: &str) -> Vec<u8> {
     encode(&BoardMessage::ModelInfo(ModelInfo { model_id, recipe, axes, sample_hz, window, labels }))
 }
 
-/// The right hand's state as the test wants it.
+/// The right hand's state, set by the test.
 #[derive(Clone, Copy)]
 pub struct RightHand {
     pub sequence: u16,
@@ -200,7 +200,7 @@ impl Rig {
         self.bridge.safety().state()
     }
 
-    /// The left hand points there, and time passes.
+    /// The left hand points in this direction, and time passes.
     pub fn point(&mut self, heading: Heading, ms: u64) {
         self.left.heading = heading;
         self.run(ms);

@@ -22,7 +22,7 @@ use crate::desk::port::pair;
 
 const STATE_INTERVAL: Duration = Duration::from_millis(20);
 
-/// What it says besides its states.
+/// What it sends besides its states.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Flood {
     /// As fast as the line takes them.
@@ -33,12 +33,12 @@ pub enum Flood {
     Hellos,
 }
 
-/// What the test wants of it now.
+/// What the test asks of it now.
 #[derive(Clone, Copy, Debug)]
 pub struct Wish {
     pub heading: Heading,
     pub silent: bool,
-    /// Everything that it says takes so long.
+    /// Everything that it says takes this long.
     pub delay: Duration,
     pub flood: Option<Flood>,
     over: bool,
@@ -117,13 +117,13 @@ impl Drop for Talker {
 
 struct Machine {
     board: File,
-    /// Kept open, so that the board's end lives while nobody has the port.
+    /// Kept open, so that the board's end stays valid while nobody has the port open.
     _laptop: TTYPort,
     wish: Arc<Mutex<Wish>>,
     said: Arc<Mutex<Instant>>,
     began: Instant,
     sequence: u16,
-    /// On the way to the laptop.
+    /// Bytes on the way to the laptop.
     waiting: VecDeque<(Instant, Vec<u8>)>,
 }
 

@@ -77,7 +77,7 @@ impl Cmd {
     }
 }
 
-/// A model with everything that adapting needs.
+/// A model with everything that is needed to adapt it.
 fn read(model: &Path) -> anyhow::Result<(Trained, Memory)> {
     let files = ModelFiles::read(model)?;
     anyhow::ensure!(

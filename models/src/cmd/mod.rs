@@ -40,7 +40,7 @@ impl ValueEnum for RecipeName {
     }
 }
 
-/// Training in less time than a good model needs.
+/// Options for training in less time than a good model needs.
 #[derive(Args)]
 pub struct Short {
     /// Training steps of recipe aligned, to try things out [default: what the recipe needs]
@@ -54,13 +54,13 @@ impl Short {
         recipe.shortened(self.steps)
     }
 
-    /// The same of recipe aligned, whose settings may change.
+    /// The same for recipe aligned, whose settings may change.
     pub fn aligned(&self) -> Aligned {
         ALIGNED.with_steps(self.steps)
     }
 }
 
-/// How much of each sample is used.
+/// How many axes of each sample are used.
 #[derive(Args)]
 pub struct Axes {
     /// Use only the first 3, 6 or 9 axes [default: all that every recording has]
@@ -69,7 +69,7 @@ pub struct Axes {
 }
 
 impl Axes {
-    /// The number asked for; none: all that every recording has.
+    /// The number that was asked for; none = all that every recording has.
     pub fn count(&self) -> Option<usize> {
         self.axes.as_deref().and_then(|text| text.parse().ok())
     }
@@ -123,7 +123,7 @@ pub fn read(folder: &Path, axes: Option<usize>) -> anyhow::Result<Dataset> {
     read_where(folder, axes, |_| true)
 }
 
-/// The same of some people alone.
+/// The same for some people alone.
 fn read_where(folder: &Path, axes: Option<usize>, person: impl Fn(&str) -> bool) -> anyhow::Result<Dataset> {
     let dataset = Dataset::read_where(folder, axes, |_, name| person(name))?;
     println!(

@@ -27,14 +27,14 @@ pub struct Cmd {
     recipe: Vec<RecipeName>,
     #[command(flatten)]
     axes: super::Axes,
-    /// Also adapt to each person with so many examples of 2 s per class (recipe aligned)
+    /// Also adapt to each person with this many examples of 2 s per class (recipe aligned)
     #[arg(long, value_delimiter = ',', value_name = "N,N,...", default_value = "1,3,10")]
     examples: Vec<usize>,
     #[command(flatten)]
     short: super::Short,
 }
 
-/// A folder and which of its labels are used; none: all.
+/// A folder, and which of its labels are used; none = all.
 #[derive(Clone, Debug)]
 pub struct Set {
     pub folder: PathBuf,

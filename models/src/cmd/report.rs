@@ -31,7 +31,7 @@ pub struct Cmd {
     recipe: Vec<RecipeName>,
     #[command(flatten)]
     axes: super::Axes,
-    /// Adapt to each person with so many examples of 2 s per class (recipe aligned)
+    /// Adapt to each person with this many examples of 2 s per class (recipe aligned)
     #[arg(long, value_delimiter = ',', value_name = "N,N,...", default_value = "1,3,10")]
     examples: Vec<usize>,
     /// Hours of simulated wearers who make no gesture

@@ -31,7 +31,7 @@ pub struct Cmd {
     wearers: u32,
 }
 
-/// Labels of the simulator that real recordings have.
+/// Labels of the simulator that real recordings also have.
 const REAL: [&str; 4] = ["idle", "up-down", "left-right", "circle"];
 
 impl Cmd {

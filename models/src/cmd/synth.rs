@@ -34,7 +34,7 @@ pub struct Cmd {
     /// Which wearers
     #[arg(long, value_enum, default_value = "training")]
     group: GroupName,
-    /// The last so many of them were told by nobody how to move: slower and faster, circles in any plane
+    /// This many of them, the last ones, were told by nobody how to move: slower and faster, circles in any plane
     #[arg(long, value_name = "N", default_value_t = 0)]
     untaught: u32,
     /// Whole gestures only, without takes in which one has just begun or is nearly over: recipe aligned, whose decision
@@ -58,7 +58,7 @@ impl Cmd {
             GroupName::Training => Group::Training,
             GroupName::Evaluation => Group::Evaluation,
         };
-        // Made whole beside its place, then renamed: nobody ever finds half a data set.
+        // Made whole beside its final place, then renamed: nobody ever finds half a data set.
         let name = self.out.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let part = self.out.with_file_name(format!("{name}.{}.part", std::process::id()));
         let mut takes = takes(self.seconds);

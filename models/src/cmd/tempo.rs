@@ -97,10 +97,10 @@ impl Cmd {
     }
 }
 
-/// The gestures of a data set at another tempo, those that land where hands gesticulate.
+/// The gestures of a data set at another tempo, as far as that is a tempo of gesticulating hands.
 fn at(all: &Dataset, factor: f64, range: f64) -> Dataset {
     let gestures = all.filtered(|item| !is_rest(&item.label));
-    // `other` is wild: where it ends, the sensor ends.
+    // `other` is wild: its largest values are the sensor's limits.
     let items = gestures.items.par_iter().filter_map(|item| {
         let hz = strokes_per_second(&item.recording)?;
         STROKES_HZ.contains(&(hz * factor)).then(|| {

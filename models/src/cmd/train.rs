@@ -85,7 +85,7 @@ impl Cmd {
         }
         let list = self.out.join(format!("{}.test.txt", self.name));
         if test.is_empty() {
-            // That of an earlier model of this name would have this one scored on what it has learned.
+            // With the list of an earlier model of this name, this one would be scored on what it has learned.
             match std::fs::remove_file(&list) {
                 Ok(()) => println!("removed {}: it was of the model that was here before", list.display()),
                 Err(error) if error.kind() == std::io::ErrorKind::NotFound => {}

@@ -26,7 +26,7 @@ impl Part {
     }
 }
 
-/// Samples of one label within a file.
+/// The samples of one label within a file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Cut {
     /// Canonical.
@@ -44,7 +44,7 @@ pub enum Labelled {
     As(String),
     /// Several, one after the other.
     Cuts(Vec<Cut>),
-    /// Nobody has said yet what it is.
+    /// Nobody has labelled it yet.
     Not,
 }
 
@@ -99,7 +99,7 @@ fn entry(value: &Value) -> Option<(String, Entry)> {
 }
 
 impl Labels {
-    /// What the export around a file says of it, and which part the file is of; none where there is no export, or it
+    /// What the export around a file says of it, and which part the file is of; none if there is no export, or it
     /// does not name the file.
     pub fn of(&mut self, file: &Path) -> (Option<Labelled>, Option<Part>) {
         let name = file.file_name().unwrap_or_default().to_string_lossy().into_owned();

@@ -226,7 +226,7 @@ fn factors(
                 Some(1.0)
             }
             Some(factor) => Some(factor),
-            // As the data forwarder writes them where nobody said.
+            // Names as the data forwarder writes them if nobody chose any.
             None if matches!(spelled.as_str(), "" | "n/a" | "na" | "none" | "-") => {
                 declared[sensor as usize] = false;
                 Some(1.0)
@@ -370,7 +370,7 @@ mod tests {
             assert!(close(&judged.recording, &right.recording));
             assert_eq!(judged.notes, ["the accelerometer is in g, by gravity"]);
         }
-        // What the user says goes before what the file says.
+        // What the user says has priority over what the file says.
         let told = Reading { units: "g".parse().unwrap(), ..GUESS };
         let root = file(acc_in("m/s2"), waved(g)).to_string();
         let told = parse(Path::new("x.json"), root.as_bytes(), &told).unwrap();

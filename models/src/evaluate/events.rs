@@ -27,7 +27,7 @@ use crate::synth::{IdleKind, Motion, Segment, Wearer, session};
 const TURN_S: f64 = 0.4;
 const BEFORE_S: std::ops::Range<f64> = 0.3..0.8;
 const AFTER_S: std::ops::Range<f64> = 0.7..1.3;
-/// Until then after its end an event still belongs to a recording: a decision may wait for the hand to rest.
+/// For this long after its end an event still belongs to a recording: a decision may wait for the hand to rest.
 const TAIL_S: f64 = 0.9;
 
 /// A recording among those that were joined: samples from `start` to before `end`.
@@ -35,7 +35,7 @@ const TAIL_S: f64 = 0.9;
 pub struct Annotation {
     /// First sample.
     pub start: usize,
-    /// Behind the last sample.
+    /// The place after the last sample.
     pub end: usize,
     /// Its label.
     pub label: String,
@@ -96,7 +96,7 @@ impl AnnotatedRecording {
         Self { axes: recording.axes(), values, annotations: vec![annotation] }
     }
 
-    /// The same with the first axes only.
+    /// The same, with the first axes only.
     pub fn with_axes(mut self, axes: usize) -> Self {
         if axes < self.axes {
             let rows = self.values.chunks_exact(self.axes);
@@ -111,7 +111,7 @@ impl AnnotatedRecording {
         self.values.len() / self.axes.max(1)
     }
 
-    /// Whether there is nothing in it.
+    /// Whether it is empty.
     pub fn is_empty(&self) -> bool {
         self.values.is_empty()
     }
@@ -121,7 +121,7 @@ impl AnnotatedRecording {
         posture(&rows[rows.len().saturating_sub(POSTURE)..])
     }
 
-    /// Rests from the posture at the end into the one given.
+    /// Rests, and turns from the posture at the end into the given one.
     fn rest_until(&mut self, next: &[f64], rng: &mut ChaCha8Rng) {
         let last = if self.is_empty() { next.to_vec() } else { self.end_posture() };
         let before = rng.random_range(BEFORE_S);
@@ -217,7 +217,7 @@ impl Tally {
         100.0 * self.right as f64 / self.performed.max(1) as f64
     }
 
-    /// Half of the right events came faster; in s. None without any.
+    /// Median delay of the right events in s; none if there are none.
     pub fn median_delay_s(&self) -> Option<f64> {
         let mut delays = self.delays_s.clone();
         delays.sort_by(f64::total_cmp);
@@ -301,7 +301,7 @@ pub fn play(model: Model<'_>, recording: &AnnotatedRecording) -> Result<Vec<(usi
     }
 }
 
-/// What a model of recipe `aligned` says of a hop, before anything is decided.
+/// The output of a model of recipe `aligned` for a hop, before any decision.
 #[derive(Clone, Debug)]
 pub struct Heard {
     /// The hop's last sample.
@@ -350,7 +350,7 @@ pub fn listen(model: Model<'_>, recording: &AnnotatedRecording) -> Result<Vec<He
     }
 }
 
-/// Events, (sample, label), that a decision makes of what has been heard.
+/// The events (sample, label) that a decision makes from these outputs.
 pub fn decide(heard: &[Heard], labels: &[String], config: MovementConfig) -> Vec<(usize, usize)> {
     let mut decision = MovementDecision::new(labels.iter().map(String::as_str), config);
     let step = |hop: &Heard| {
@@ -396,7 +396,7 @@ mod tests {
     #[test]
     fn a_quarter_turn_is_ninety_degrees_about_the_axis_across() {
         let turn = turn_rate_deg(&[0.0, 0.0, 9.8], &[9.8, 0.0, 0.0]);
-        // Gravity seen from a board turns against the board: nose up is a turn about -y.
+        // Seen from a board, gravity turns the other way: nose up is a turn about -y.
         assert!((turn[1] + 90.0).abs() < 1e-6 && turn[0].abs() < 1e-6 && turn[2].abs() < 1e-6, "{turn:?}");
     }
 

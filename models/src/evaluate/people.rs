@@ -26,7 +26,7 @@ use crate::train::{Job, Recipe, TrainError, Trained, adapt, examples_of, held_ou
 pub struct Trial<'a> {
     /// Folder with `<label>/<person>__<n>.csv`.
     pub folder: &'a Path,
-    /// Axes used; none: as many as all recordings have.
+    /// Axes used; none = as many as all recordings have.
     pub axes: Option<usize>,
     /// Labels tried; empty: all. Models also learn from the others' recordings of no gesture (`idle`, `other`).
     pub labels: &'a [String],
@@ -43,10 +43,10 @@ pub enum TrialError {
     /// A model cannot be trained.
     #[error(transparent)]
     Train(#[from] TrainError),
-    /// A trained model does not parse: a mistake of ours.
+    /// A trained model does not parse: a fault of this program.
     #[error("the trained model is damaged: {0}")]
     Model(#[from] shared_dsp::right::network::ModelError),
-    /// A trained model does not run on its own recordings: a mistake of ours.
+    /// A trained model does not run on its own recordings: a fault of this program.
     #[error("the trained model does not run: {0}")]
     Mismatch(#[from] ModelMismatch),
 }
@@ -54,9 +54,9 @@ pub enum TrialError {
 /// Right recordings in per cent, float and int8.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Accuracy {
-    /// Of the float network.
+    /// Score of the float network.
     pub float: f64,
-    /// Of the int8 network, as boards run it.
+    /// Score of the int8 network, as boards run it.
     pub int8: f64,
 }
 
@@ -70,32 +70,32 @@ impl Accuracy {
         }
     }
 
-    /// The least of several, float and int8 each on its own.
+    /// The minimum of several, for float and int8 separately.
     pub fn worst(all: &[Self]) -> Self {
         let least = |pick: fn(&Self) -> f64| all.iter().map(pick).fold(f64::INFINITY, f64::min);
         Self { float: least(|a| a.float), int8: least(|a| a.int8) }
     }
 }
 
-/// What a model made of recordings.
+/// A model's results on recordings.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Graded {
     /// Labels of rows and columns of the confusion matrices.
     pub labels: Vec<String>,
-    /// Of the float and of the int8 network.
+    /// Confusion of the float and of the int8 network.
     pub scores: Scores,
-    /// What the int8 network answered to each recording.
+    /// The int8 network's answer to each recording.
     pub answers: Vec<Answer>,
 }
 
-/// What the int8 network answered to a recording.
+/// The int8 network's answer to a recording.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Answer {
     /// Name of the recording in its data set.
     pub recording: String,
     /// Index in [`Graded::labels`].
     pub label: usize,
-    /// How probable the network found that, 0 to 1.
+    /// The probability that the network gave it, 0 to 1.
     pub probability: f32,
     /// Whether it was right.
     pub right: bool,
@@ -107,7 +107,7 @@ impl Graded {
         Accuracy { float: self.scores.float.per_recording, int8: self.scores.int8.per_recording }
     }
 
-    /// Mean accuracy of several.
+    /// The mean accuracy of several results.
     pub fn mean<'a>(all: impl IntoIterator<Item = &'a Self>) -> Accuracy {
         Accuracy::mean(&all.into_iter().map(Self::accuracy).collect::<Vec<_>>())
     }
@@ -166,14 +166,14 @@ impl Trial<'_> {
         Ok(train(&others, &[], self.recipe, &Self::job(seed))?)
     }
 
-    /// What a model that has never met `person` makes of all their recordings.
+    /// The results of a model that has never met `person`, on all their recordings.
     pub fn stranger(&self, person: &str, seed: u64) -> Result<Graded, TrialError> {
         let model = self.without(person, seed)?;
         let theirs = self.read(model.card.axes, |name| name == person)?;
         self.grade(&model, &theirs)
     }
 
-    /// What a model makes of a fifth of the recordings, chosen by the seed and kept out of training.
+    /// A model's results on a fifth of the recordings, chosen by the seed and kept out of training.
     pub fn random_split(&self, seed: u64) -> Result<Graded, TrialError> {
         let all = self.read_with_rest(self.axes, |_| true)?;
         let test = held_out(&all, 0.2, seed);
@@ -288,7 +288,7 @@ pub fn from_simulated(
     seed: u64,
 ) -> Result<Graded, TrialError> {
     let simulated = simulated(wearers, labels, real.axes, seed);
-    // They differ more than copies of one would.
+    // They differ more than copies of one recording would.
     let model = train(&simulated, &[], &*recipe.for_simulated(), &Trial::job(seed))?;
     grade(&model, real)
 }
@@ -313,7 +313,7 @@ fn simulated(wearers: u32, wanted: &[String], axes: usize, seed: u64) -> Dataset
             let whole = session(&wearer, number as u64, &take.script).with_axes(axes);
             let mut items = Vec::new();
             if take.label != "idle" {
-                // What others recorded is often shorter than a window; then it is padded, which changes what is felt.
+                // Recordings of others are often shorter than a window; then they are padded, which changes the features.
                 for ((from, len), number) in SHORT.into_iter().zip(500..) {
                     items.push(item(number, &take, whole.slice(from, len)));
                 }
@@ -330,7 +330,7 @@ fn simulated(wearers: u32, wanted: &[String], axes: usize, seed: u64) -> Dataset
     Dataset { folder: PathBuf::new(), items, labels, axes, ignored: Vec::new(), narrowed: 0 }
 }
 
-/// What a model makes of recordings.
+/// A model's results on recordings.
 pub fn grade(model: &Trained, recordings: &Dataset) -> Result<Graded, TrialError> {
     graded(model, recordings, &model.card.answers())
 }

@@ -37,14 +37,14 @@ pub fn standardise(card: &Card, features: &[f32]) -> Vec<f32> {
         .zip(pairs)
         .map(|(value, (mean, deviation))| {
             let input = (value - mean) / deviation;
-            // NaN goes where the int8 network has it: to the lower limit.
+            // NaN becomes the lower limit, as in the int8 network.
             if input.is_nan() { -scaling.limit } else { input.clamp(-scaling.limit, scaling.limit) }
         })
         .collect()
 }
 
 impl Classifier<'_> {
-    /// Probability of each label; none where the number of features is not the model's.
+    /// Probability of each label; none if the number of features is not the model's.
     ///
     /// The int8 network gets raw features and applies its recipe itself.
     pub fn probabilities(&self, raw: &[f32], transformed: &[f32]) -> Vec<f32> {
@@ -61,7 +61,7 @@ impl Classifier<'_> {
     }
 }
 
-/// Index of the largest value that is an answer; of equals the first.
+/// Index of the largest value that is an answer; of equal ones, the first.
 fn best(values: &[f32], answers: &[bool]) -> usize {
     let mut best = None;
     for (index, value) in values.iter().enumerate().filter(|(index, _)| answers[*index]) {
@@ -83,7 +83,7 @@ pub struct Scored {
     pub raw: Vec<Vec<f32>>,
     /// The same after the card's recipe.
     pub transformed: Vec<Vec<f32>>,
-    /// It was shorter than a window.
+    /// Whether it was shorter than a window.
     pub padded: bool,
 }
 
@@ -112,7 +112,7 @@ pub fn scored(dataset: &Dataset, labels: &[String], features: &str) -> Vec<Score
     dataset.items.iter().map(one).collect()
 }
 
-/// What a classifier makes of one recording.
+/// A classifier's result on one recording.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Given {
     /// Index of the label with the largest mean probability.
@@ -149,7 +149,7 @@ pub fn score(classifier: &Classifier<'_>, recordings: &[Scored], answers: &[bool
     summary(recordings, &given, answers.len())
 }
 
-/// The figures of what a classifier gave each recording.
+/// The scores from a classifier's results on each recording.
 pub fn summary(recordings: &[Scored], given: &[Given], labels: usize) -> Score {
     let mut confusion = vec![vec![0; labels]; labels];
     let mut people: BTreeMap<String, (usize, usize)> = BTreeMap::new();

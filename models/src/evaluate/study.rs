@@ -27,7 +27,7 @@ pub struct Study {
 /// A row of the table.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Row {
-    /// What was tested on.
+    /// What was tested.
     pub what: String,
     /// Right recordings in per cent, mean over the seeds.
     pub accuracy: Accuracy,
@@ -127,14 +127,14 @@ impl Study {
     }
 }
 
-/// A recording that models take for something else: perhaps its label is wrong.
+/// A recording that models take for something else; perhaps its label is wrong.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Doubt {
     /// Its name in its data set.
     pub recording: String,
     /// Models that have judged it.
     pub models: usize,
-    /// Labels given that were not its own, with the probability of each answer.
+    /// The wrong labels that were given, with the probability of each answer.
     pub given: BTreeMap<String, Vec<f32>>,
 }
 
@@ -183,13 +183,13 @@ impl Events {
         let trade = max_rest.iter().map(|&max_rest| (max_rest, Tally::default(), Tally::default())).collect();
         let mut all = Self { people: people.to_vec(), real: Vec::new(), simulated: Tally::default(), trade };
         let axes = trial.axes()?;
-        // First what a board decides by.
+        // The board's own threshold comes first.
         let tried: Vec<u8> = std::iter::once(MovementConfig::for_axes(axes).max_rest)
             .chain(max_rest.iter().copied())
             .collect();
         for (index, person) in people.iter().enumerate() {
             let each_s = |seed: u64| if seed == 1 { aimless_s / people.len() as f64 } else { 0.0 };
-            // Other simulated wearers for every model.
+            // Different simulated wearers for every model.
             let crowd = 1000 * (1 + index as u64);
             let runs: Vec<_> = (1..=seeds)
                 .into_par_iter()

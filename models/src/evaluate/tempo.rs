@@ -1,4 +1,4 @@
-//! What a hand would measure that made the same movement faster or slower: to judge models, never to train them.
+//! The readings of a hand that makes the same movement faster or slower: to judge models, never to train them.
 //!
 //! Gravity, which is what is left of the accelerometer below 0.3 Hz, stays; what is left above grows with the square of
 //! the tempo, rotation with the tempo, and time shrinks. Then the sensor clips at its `range`. The
@@ -7,7 +7,7 @@
 use crate::RATE_HZ;
 use crate::recording::Recording;
 
-/// Where gravity ends and movement begins.
+/// The frequency below which is gravity, and above which is movement.
 const GRAVITY_HZ: f64 = 0.3;
 /// Movement is searched for its period between these, in Hz.
 const SEARCH_HZ: std::ops::Range<f64> = 0.2..8.0;
@@ -76,7 +76,7 @@ fn low_pass(values: &[f64]) -> Vec<f64> {
     back
 }
 
-/// Strokes per second: the frequency at which the acceleration, gravity removed, has most power. None where nothing moves.
+/// Strokes per second: the frequency at which the acceleration, gravity removed, has most power. None if nothing moves.
 pub fn strokes_per_second(recording: &Recording) -> Option<f64> {
     let ready = recording.resampled();
     let rows: Vec<&[f32]> = ready.samples().collect();
@@ -86,7 +86,7 @@ pub fn strokes_per_second(recording: &Recording) -> Option<f64> {
             let values: Vec<f64> = rows.iter().map(|row| f64::from(row[axis])).collect();
             let gravity = low_pass(&values);
             let count = values.len() as f64;
-            // Under a Hann window.
+            // With a Hann window.
             let weighted = values.iter().zip(gravity).enumerate().map(|(n, (value, gravity))| {
                 (value - gravity) * (std::f64::consts::PI * (n as f64 + 0.5) / count).sin().powi(2)
             });
@@ -117,7 +117,7 @@ pub fn strokes_per_second(recording: &Recording) -> Option<f64> {
 mod tests {
     use super::*;
 
-    /// Sways of so many Hz and m/s² along x under gravity along z, and turns about z.
+    /// Sways of this many Hz and m/s² along x under gravity along z, and turns about z.
     fn sway(hz: f64, size: f64) -> Recording {
         let angle = |n: usize| std::f64::consts::TAU * hz * n as f64 / RATE_HZ;
         let row =
@@ -126,7 +126,7 @@ mod tests {
     }
 
     fn most(recording: &Recording, axis: usize) -> f32 {
-        // Away from the ends, where a filter knows little.
+        // Away from the ends, where a filter has little to go on.
         let rows: Vec<f32> = recording.samples().map(|row| row[axis].abs()).collect();
         rows[rows.len() / 4..3 * rows.len() / 4].iter().fold(0.0, |most, value| most.max(*value))
     }

@@ -33,7 +33,7 @@ pub struct PersonFacts {
     pub rates_hz: Option<(f64, f64)>,
     /// Largest acceleration along an axis in m/s².
     pub largest: f64,
-    /// Share of the accelerometer's values within 0.1 % of that: far above 0 where the sensor clips.
+    /// Share of the accelerometer's values within 0.1 % of that: far above 0 if the sensor clips.
     pub at_largest: f64,
 }
 

@@ -1,4 +1,4 @@
-//! One page that tells what a data set holds and how models do on it.
+//! One page that shows what a data set holds and how models do on it.
 
 mod facts;
 mod page;
@@ -33,7 +33,7 @@ impl NetworkSize {
 /// Everything on the page.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Report {
-    /// What it is about.
+    /// Its title.
     pub title: String,
     /// Seeds per figure.
     pub seeds: u64,

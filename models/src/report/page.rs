@@ -262,7 +262,7 @@ fn event_table(page: &mut String, events: &Events) {
     );
 }
 
-/// Share that is right, by what the network believed.
+/// Share of right answers, by the probability that the network gave.
 fn calibration(page: &mut String, study: &Study) {
     let curve = |graded: Vec<&Graded>| -> Vec<(f64, f64)> {
         const BINS: usize = 10;

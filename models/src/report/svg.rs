@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-/// Text that stands in HTML as it is.
+/// Text with HTML's special characters escaped.
 pub fn escape(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }

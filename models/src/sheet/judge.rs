@@ -1,6 +1,6 @@
 //! Which units samples are in, judged by what every hand on Earth feels.
 //!
-//! At rest an accelerometer shows gravity: 9.8 in m/s², 1 in g, thousands in counts, nothing where a phone has taken
+//! At rest an accelerometer shows gravity: 9.8 in m/s², 1 in g, thousands in counts, nothing if a phone has taken
 //! gravity off. A hand that moves turns, too: in 1,100 recordings of five boards, a gyroscope's deviation in deg/s is 6
 //! to 90 times the accelerometer's in m/s², so in rad/s it is 0.1 to 1.6 times that.
 
@@ -54,7 +54,7 @@ pub(crate) enum Verdict {
 }
 
 impl Verdict {
-    /// How many m/s² the unit is, where it is known.
+    /// How many m/s² the unit is, if it is known.
     pub(crate) fn factor(self) -> Option<f64> {
         match self {
             Verdict::MetresPerS2 => Some(1.0),
@@ -208,7 +208,7 @@ mod tests {
         assert!(matches!(acceleration(&turned, 100.0), Verdict::NoGravity(_)));
         let moved = [vec![[0.9, 0.3, -0.1]; 100], waved(1.0, 0.0, 6.0)].concat();
         assert!(matches!(acceleration(&moved, 100.0), Verdict::NoGravity(_)));
-        // A hand that trembles, tilted by so much, with pushes of some m/s² now and then: it never rests.
+        // A hand that trembles, tilted by this much, with pushes of some m/s² now and then: it never rests.
         let pushed = |n: usize| if n % 100 < 12 { 6.0 * (n as f32 * 0.8).sin() } else { 0.0 };
         let tremble = |n: usize| 0.06 * (n as f32 * 1.9).sin();
         let residue: Vec<_> =

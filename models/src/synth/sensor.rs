@@ -63,7 +63,7 @@ pub(super) fn record(wearer: &Wearer, rng: &mut ChaCha8Rng, track: &[BodyPose]) 
         let share = 1.0 / OVERSAMPLING as f64;
         values.extend(read(wearer, rng, 0, force.map(|v| v * share)));
         values.extend(read(wearer, rng, 1, rate.map(|v| v * share)));
-        // The magnetometer is slower: its last value is read again and again.
+        // The magnetometer is slower, so its last value is read several times.
         if n == 0 || n % wearer.mag_every == mag_phase {
             let turn = rotation(track[1 + n * OVERSAMPLING].posture_rad);
             held = read(wearer, rng, 2, into_board(&turn, field));

@@ -50,7 +50,7 @@ impl<'a> Table<'a> {
         Ok(Self { bytes, at, vtable, vtable_len })
     }
 
-    /// Where a field stands, if present.
+    /// The place of a field, if it is present.
     fn field(&self, id: usize) -> Result<Option<usize>, TfliteError> {
         let slot = 4 + 2 * id;
         if slot + 2 > self.vtable_len {

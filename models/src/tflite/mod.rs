@@ -66,7 +66,7 @@ pub enum Network {
     Int8(Vec<DenseSpec>),
 }
 
-/// Why a file is no network that can be used.
+/// Why a file is not a network that can be used.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum TfliteError {
     /// The file does not begin like a TFLite file.

@@ -29,7 +29,7 @@ pub fn adapt(
     daily: &Daily,
     seed: u64,
 ) -> Result<Trained, TrainError> {
-    // Beside 4,096 rows of what the model remembers, a quarter is enough; all of it makes the model doubt what is shown.
+    // Next to 4,096 rows of what the model remembers, a quarter is enough; with all of it the model doubts the new examples.
     let daily: Vec<Vec<f32>> = daily.rows(model.card.axes).into_iter().step_by(4).collect();
     let rows = rows(&model.card, memory, examples, &daily, seed);
     let (start, limit) = (Start::Layers(&model.float), model.card.scaling.limit);
@@ -63,7 +63,7 @@ fn rows(
     let mut new = Vec::new();
     for (window, label) in examples {
         let kind = Kind::of(&card.labels[*label]);
-        // As many as the recipe reads, which may be fewer than the model's board has.
+        // As many axes as the recipe reads, which may be fewer than the model's board has.
         let axes = window.len() / WINDOW;
         let mut add = |window: &[f32]| {
             new.push((crate::evaluate::score::standardise(card, &aligned_features(axes, window)), *label));

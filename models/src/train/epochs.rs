@@ -17,7 +17,7 @@ use crate::tflite::FloatLayer;
 pub struct Epochs {
     /// Widths of the hidden layers.
     pub hidden: &'static [usize],
-    /// Most epochs.
+    /// Maximum number of epochs.
     pub most: usize,
     /// Epochs without a better validation loss before the learning rate is halved; after
     /// `halvings` of those training ends. None: every epoch at the same rate.
@@ -68,7 +68,7 @@ impl Rows {
             counts[*label] += 1;
         }
         let present = counts.iter().filter(|count| **count > 0).count().max(1);
-        // Rare labels count more, but by the square root only: they are also noisier.
+        // Rare labels weigh more, but by the square root only, since they are also noisier.
         let weight =
             |label: usize| (set.len() as f32 / (present as f32 * counts[label].max(1) as f32)).sqrt();
         let width = set.first().map_or(0, |(input, _)| input.len());

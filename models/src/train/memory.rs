@@ -56,7 +56,7 @@ impl Memory {
     /// Reads the bytes of a memory that belongs to a model with this card.
     ///
     /// # Errors
-    /// If they are something else, damaged, or of another model.
+    /// If they are something else, are damaged, or belong to another model.
     pub fn parse(bytes: &[u8], card: &Card) -> Result<Self, MemoryError> {
         let error =
             |what: &str| MemoryError(format!("{what}; copy the .memory.bin again or train the model again"));

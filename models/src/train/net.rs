@@ -1,4 +1,4 @@
-//! A network of dense layers while it is being fitted, whatever the way of fitting.
+//! A network of dense layers while it is being fitted, by any method.
 
 use candle_core::{Result, Tensor, Var};
 
@@ -35,7 +35,7 @@ pub(super) struct Rounding {
 }
 
 impl Rounding {
-    /// With the ranges that `rows` reach.
+    /// With the ranges of the outputs for `rows`.
     pub fn new(layers: &[FloatLayer], rows: &[(Vec<f32>, usize)], limit: f32) -> Self {
         let inputs: Vec<&[f32]> = rows.iter().map(|(input, _)| input.as_slice()).collect();
         let ranges = quantise::ranges(layers, &inputs);
@@ -59,7 +59,7 @@ impl Rounding {
     }
 }
 
-/// Rounded to whole steps; the gradient is that of what was given.
+/// Rounded to whole steps; the gradient is that of the unrounded values.
 fn steps(x: &Tensor, step: f64) -> Result<Tensor> {
     let rounded = x.detach().affine(1.0 / step, 0.0)?.round()?.affine(step, 0.0)?;
     x + (rounded - x.detach())?

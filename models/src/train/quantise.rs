@@ -6,7 +6,7 @@ use shared_dsp::right::network::DenseSpec;
 
 use crate::tflite::FloatLayer;
 
-/// Most inputs that are run to find the ranges of activations.
+/// Maximum number of inputs that are run to find the ranges of activations.
 const CALIBRATION: usize = 4000;
 
 /// Quantises a network whose inputs are limited to ±`limit`.

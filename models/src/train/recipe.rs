@@ -1,4 +1,4 @@
-//! What a recipe is: one way to make a model of recordings.
+//! What a recipe is: one method of making a model from recordings.
 
 use std::fmt;
 use std::ops::RangeInclusive;
@@ -26,13 +26,13 @@ pub trait Recipe: fmt::Debug + Send + Sync {
     /// On the command line and in cards.
     fn name(&self) -> &'static str;
 
-    /// In one sentence, for those who choose.
+    /// A description in one sentence, for those who choose.
     fn about(&self) -> &'static str;
 
     /// Which features models of it read.
     fn features(&self) -> FeatureKind;
 
-    /// What the card says of the training.
+    /// The card's description of the training.
     fn plan(&self) -> Plan;
 
     /// Labels of the model, in order, where the recordings have these.
@@ -44,7 +44,7 @@ pub trait Recipe: fmt::Debug + Send + Sync {
     /// follows from it and the seed.
     fn windows(&self, item: &Item, label: usize, place: usize, seed: u64) -> Windows;
 
-    /// What is learnt beside the recordings, for samples of so many axes and a model of these labels.
+    /// What is learnt besides the recordings, for samples of this many axes and a model of these labels.
     fn beside(&self, axes: usize, labels: &[String]) -> Beside;
 
     /// How features become inputs of the network. `real` are the windows of the recordings as they are.
@@ -53,7 +53,7 @@ pub trait Recipe: fmt::Debug + Send + Sync {
     /// Fits a network.
     ///
     /// # Errors
-    /// Where the library that does it fails.
+    /// If the library that does it fails.
     fn fit(&self, learnt: &Learnt<'_>, seed: u64, progress: &ProgressBar) -> Result<Fitted, TrainError>;
 
     /// Which inputs decide the scales of int8.
@@ -65,14 +65,14 @@ pub trait Recipe: fmt::Debug + Send + Sync {
         None
     }
 
-    /// The same in as many steps, where it has steps: to try things out.
+    /// The same in this many steps, if it has steps: to try things out.
     fn shortened(&self, steps: Option<usize>) -> Box<dyn Recipe>;
 
-    /// The same for recordings of simulated wearers alone, who show what is no gesture themselves, as `idle`.
+    /// The same for recordings of simulated wearers alone, which contain movement without a gesture themselves, as `idle`.
     fn for_simulated(&self) -> Box<dyn Recipe>;
 }
 
-/// What a card says of a training.
+/// A card's description of a training.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Plan {
     /// Windows per step.
@@ -81,7 +81,7 @@ pub struct Plan {
     pub learning_rate: f64,
     /// Share of the recordings that decide when to stop.
     pub validation_fraction: f64,
-    /// Most epochs, for the progress bar; 0 where there are none.
+    /// Maximum number of epochs, for the progress bar; 0 if there are none.
     pub epochs: usize,
 }
 
@@ -94,7 +94,7 @@ pub struct Windows {
     pub own: Vec<Vec<f32>>,
     /// Features of its varied copies.
     pub varied: Vec<Vec<f32>>,
-    /// What was done to it before.
+    /// How it was prepared.
     pub prepared: Prepared,
 }
 
@@ -103,18 +103,18 @@ pub struct Windows {
 pub struct Beside {
     /// A model that can be adapted remembers these, as it does the recordings.
     pub of_people: Vec<(Shared, usize)>,
-    /// It does not remember these.
+    /// Windows that it does not remember.
     pub of_nobody: Vec<(Shared, usize)>,
-    /// All of it and the variation of the recordings, for the card.
+    /// A description of all this and of the recordings' variation, for the card.
     pub words: String,
 }
 
-/// What a network is fitted to.
+/// The windows that a network is fitted to.
 #[derive(Clone, Copy, Debug)]
 pub struct Learnt<'a> {
     /// Inputs with the place of their label.
     pub rows: &'a [(Vec<f32>, usize)],
-    /// Those of recordings that decide when to stop; may be empty.
+    /// Inputs of recordings that decide when to stop; may be empty.
     pub check: &'a [(Vec<f32>, usize)],
     /// Number of labels.
     pub labels: usize,
@@ -136,9 +136,9 @@ pub struct Fitted {
 /// Inputs that decide the scales of int8.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Calibration {
-    /// All that were learnt.
+    /// All inputs that were learnt.
     Learnt,
-    /// Those of the recordings as they are.
+    /// Inputs of the recordings as they are.
     Real,
 }
 

@@ -13,7 +13,7 @@ pub fn held_out(dataset: &Dataset, fraction: f64, seed: u64) -> Vec<String> {
         let of_label = dataset.items.iter().filter(|item| item.label == *label);
         let mut names: Vec<&String> = of_label.map(|item| &item.name).collect();
         names.shuffle(&mut RandomStream::HeldOut(place).of(seed));
-        // At least one must stay to learn from.
+        // At least one must remain to learn from.
         let count = ((names.len() as f64 * fraction).round() as usize).min(names.len().saturating_sub(1));
         chosen.extend(names.into_iter().take(count).cloned());
     }

@@ -56,13 +56,13 @@ impl Steps {
     /// For a network that only has to learn one more person.
     pub const ADAPT: Self = Self { count: 800, learning_rate: 2e-3, keep: 0.98, members: 1, ..Self::TRAIN };
 
-    /// The steps at the end that see what int8 rounds.
+    /// The steps at the end that take int8's rounding into account.
     fn last(self) -> Self {
         Self { count: self.rounded, learning_rate: 5e-4, warm_up: 20, keep: 0.98, ..self }
     }
 }
 
-/// What a network starts from.
+/// The start of a network.
 pub(super) enum Start<'a> {
     /// Random weights for these hidden widths.
     Widths(&'a [usize]),
@@ -107,7 +107,7 @@ fn merged(members: &[Vec<FloatLayer>]) -> Vec<FloatLayer> {
         let parts: Vec<&FloatLayer> = members.iter().map(|layers| &layers[index]).collect();
         let relu = parts[0].relu;
         if index == last {
-            // Side by side: the mean of what each says.
+            // Side by side: the mean of what each network says.
             let share = 1.0 / count as f32;
             let row = |output: usize| {
                 parts.iter().flat_map(|part| part.weights[output].iter().map(|w| w * share)).collect()
@@ -123,7 +123,7 @@ fn merged(members: &[Vec<FloatLayer>]) -> Vec<FloatLayer> {
         let mut weights = Vec::new();
         for (place, part) in parts.iter().enumerate() {
             for row in &part.weights {
-                // The first layer's inputs are everybody's; behind it each member sees its own alone.
+                // The first layer's inputs are shared by all members; after it each member sees only its own values.
                 weights.push(if index == 0 {
                     row.clone()
                 } else {
@@ -138,7 +138,7 @@ fn merged(members: &[Vec<FloatLayer>]) -> Vec<FloatLayer> {
     (0..=last).map(layer).collect()
 }
 
-/// One network by one plan; `rounding` makes it see int8.
+/// Fits one network by one plan; `rounding` makes it take int8 into account.
 fn one(
     rows: &[(Vec<f32>, usize)],
     labels: usize,

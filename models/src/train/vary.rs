@@ -64,7 +64,7 @@ pub(super) fn vary(window: &[f32], axes: usize, kind: Kind, rng: &mut ChaCha8Rng
     let (phase, bend) = (uniform(rng, 0.0, TAU), uniform(rng, 0.0, 0.1) * WINDOW as f64 / TAU);
     let (low, high) = kind.sizes();
     let size = uniform(rng, low, high).exp();
-    // Idle has no tempo that its force could follow.
+    // Idle movement has no tempo that its force could follow.
     let tempo = if kind == Kind::Idle { 1.0 } else { stretch };
 
     let mut samples: Vec<[f64; 9]> = (0..WINDOW)
@@ -111,7 +111,7 @@ pub(super) fn vary(window: &[f32], axes: usize, kind: Kind, rng: &mut ChaCha8Rng
     let tremor: [(f64, f64); 6] =
         std::array::from_fn(|_| (strength * uniform(rng, 0.0, 1.0), uniform(rng, 0.0, TAU)));
     let offset = [0; 3].map(|_| 0.3 * <StandardNormal as Distribution<f64>>::sample(&StandardNormal, rng));
-    // Sensors end at 2 g or at 4 g; this one not before what it measured.
+    // Sensors end at 2 g or at 4 g; this one no lower than what it measured.
     let range = if rng.random_bool(0.4) { 2.0 } else { 4.0 } * 9.806_65;
     let accelerations = window.chunks_exact(axes).flat_map(|row| &row[..3]);
     let range = accelerations.fold(range, |most: f64, value| most.max(f64::from(value.abs())));
@@ -206,7 +206,7 @@ mod tests {
 
     #[test]
     fn a_movement_begins_or_ends_inside_some_copies_and_the_hand_rests_there_as_it_was_held() {
-        // It moves all the time, but for the first and the last moment: then it feels other things.
+        // It moves all the time, except for the first and the last moment, in which other features appear.
         let window: Vec<f32> = (0..WINDOW)
             .flat_map(|n| match n {
                 0..15 => [6.0, 0.0, 8.0f32],
@@ -223,7 +223,7 @@ mod tests {
             };
             resting += usize::from(is_still(&rows[..30]) || is_still(&rows[WINDOW - 30..]));
         }
-        // Half of the copies rest; in some of those the rest is shorter than 0.3 s, or tremor reaches it.
+        // Half of the copies contain rest; in some of those the rest is shorter than 0.3 s, or there is tremor in it.
         assert!((30..100).contains(&resting), "{resting} of 200");
     }
 

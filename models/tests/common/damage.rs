@@ -5,7 +5,7 @@ mod rng;
 
 pub use rng::Rng;
 
-/// Numbers and words at which readers have been seen to stumble.
+/// Numbers and words that readers have been seen to fail on.
 const TOKENS: [&str; 30] = [
     "",
     "0",
@@ -45,7 +45,7 @@ fn part(rng: &mut Rng, len: usize) -> std::ops::Range<usize> {
     start..start + rng.below(most + 1)
 }
 
-/// A number or a word of a text, as it stands somewhere.
+/// The place of a number or a word in a text.
 fn token(rng: &mut Rng, bytes: &[u8]) -> std::ops::Range<usize> {
     let is_part = |byte: u8| byte.is_ascii_alphanumeric() || matches!(byte, b'.' | b'-' | b'+');
     let at = rng.below(bytes.len() + 1);

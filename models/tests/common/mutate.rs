@@ -10,7 +10,7 @@ use damage::{Rng, damage};
 /// Longest time for one input where times are looked at (`BIMANUAL_FULL=1`), in time of a processor: a busy machine
 /// makes no reader slow.
 const LONGEST: Duration = Duration::from_secs(2);
-/// Most memory of the whole program, in KiB.
+/// Maximum memory of the whole program, in KiB.
 const MEMORY_KIB: u64 = 500 * 1024;
 
 /// How many inputs a reader is given: few on every run, a million with `BIMANUAL_FULL=1`.
@@ -22,7 +22,7 @@ fn is_full() -> bool {
     std::env::var_os("BIMANUAL_FULL").is_some()
 }
 
-/// Gives `read` as many damaged files. It says whether it took the input, and panics where it should not.
+/// Gives `read` this number of damaged files. It returns whether it accepted the input, and panics if something is wrong.
 pub fn fuzz(name: &str, seeds: &[Vec<u8>], inputs: u64, read: impl Fn(&[u8]) -> bool + Sync) {
     for seed in seeds {
         assert!(read(seed), "{name}: what is whole is read");
@@ -66,14 +66,14 @@ pub fn fuzz(name: &str, seeds: &[Vec<u8>], inputs: u64, read: impl Fn(&[u8]) -> 
         longest_us.into_inner() as f64 / 1000.0,
         memory_kib().unwrap_or_default() / 1024
     );
-    // Otherwise the readers' depths were never reached.
+    // Otherwise the deeper parts of the readers were never reached.
     assert!(taken > inputs / 1000, "{name}: {taken} of {inputs} are read");
     if let Some(kib) = memory_kib() {
         assert!(kib < MEMORY_KIB, "{name}: {kib} KiB");
     }
 }
 
-/// For how long this thread has had a processor; where the system does not tell, how long this has run.
+/// Processor time of this thread; if the system does not report it, the time since the start.
 fn work_done() -> Duration {
     static START: std::sync::LazyLock<Instant> = std::sync::LazyLock::new(Instant::now);
     let told = std::fs::read_to_string("/proc/thread-self/schedstat").ok();
@@ -81,14 +81,14 @@ fn work_done() -> Duration {
     ns.map_or_else(|| START.elapsed(), Duration::from_nanos)
 }
 
-/// The most memory that this program has had, where the system tells.
+/// The most memory that this program has had, if the system reports it.
 fn memory_kib() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find(|line| line.starts_with("VmHWM:"))?;
     line.split_whitespace().nth(1)?.parse().ok()
 }
 
-/// Writes an input down for whoever looks into it; where.
+/// Writes an input to a file for whoever looks into it; returns where.
 fn keep(name: &str, number: u64, bytes: &[u8]) -> String {
     let name: String = name.chars().map(|c| if c.is_alphanumeric() { c } else { '-' }).collect();
     let file = std::env::temp_dir().join(format!("bimanual-fuzz-{name}-{number}"));

@@ -1,4 +1,4 @@
-//! What lies in the folder `shared` beside the repository; `BIMANUAL_SHARED` may name another.
+//! The contents of the folder `shared` beside the repository; `BIMANUAL_SHARED` may name another folder.
 
 use std::path::PathBuf;
 

@@ -7,7 +7,7 @@ pub fn models(args: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_models")).args(args).output().expect("the tool starts")
 }
 
-/// What it prints where it must succeed.
+/// What it prints; it must succeed.
 pub fn good(args: &[&str]) -> String {
     let output = models(args);
     let errors = String::from_utf8_lossy(&output.stderr);

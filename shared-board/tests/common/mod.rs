@@ -30,7 +30,7 @@ impl Line {
         self.bytes.clear();
     }
 
-    /// What came, as far as `pick` wants it. It stays, so that a test may ask for something else, too.
+    /// Returns the messages that `pick` selects. They are kept, so that a test may ask for others, too.
     pub fn all<T>(&self, pick: impl Fn(BoardMessage<'_>) -> Option<T>) -> Vec<T> {
         let mut decoder = Decoder::<BOARD_FRAME_MAX>::new();
         let mut picked = Vec::new();

@@ -61,7 +61,7 @@ pub const CAPTURE_SAMPLES: u16 = 64;
 const STEADY_ACCELERATION: u16 = (ONE_G * 15 / 100) as u16;
 /// Largest peak-to-peak change of a flex reading: 25 of 1024.
 const STEADY_FLEX: u16 = 25 * OVERSAMPLING;
-/// Least way between rest and bend: 40 of 1024, eighty times the converter's noise.
+/// Minimum distance between rest and bend: 40 of 1024, eighty times the converter's noise.
 const LEAST_WAY: u16 = 40 * OVERSAMPLING;
 /// The data sheet's ±0.5 g of x and y offset, and sin 15° of a pose that is not quite level.
 const MOST_SIDEWAYS: i16 = (ONE_G as i32 * 76 / 100) as i16;
@@ -130,7 +130,7 @@ impl Capture {
                 new.zero = [x as i16, y as i16, z as i16 - ONE_G];
             }
             CaptureStep::Rest => {
-                // The old way from rest to bend stays until the next step measures it.
+                // The old distance from rest to bend stays until the next step measures it.
                 for (i, rest) in [index, middle].into_iter().enumerate() {
                     let way = old.bend[i] as i16 - old.rest[i] as i16;
                     new.rest[i] = rest;
@@ -231,7 +231,7 @@ impl Stored {
     pub fn choose(slots: [&[u8; RECORD_BYTES]; 2]) -> Self {
         let blank = |slot: &[u8; RECORD_BYTES]| slot.iter().all(|&byte| byte == 0xFF);
         match slots.map(Record::from_bytes) {
-            // The newer one is less than half a turn of the wrapping counter ahead.
+            // The newer one is less than half the range of the wrapping counter ahead.
             [Some(a), Some(b)] if b.generation.wrapping_sub(a.generation) < 128 => {
                 Stored::Good { record: b, slot: 1 }
             }

@@ -26,7 +26,7 @@ const MOST_RETURN: u16 = 32 * OVERSAMPLING;
 const RAIL: u16 = 40 * OVERSAMPLING;
 /// A hand at rest feels 1 g; 10 % of sensitivity and a neutral pose 10° off level leave 0.7 to 1.3.
 const LEAST_GRAVITY: u32 = (ONE_G as u32) / 2;
-/// See [`LEAST_GRAVITY`]; a hand at work may feel more, but not for 200 ms.
+/// See [`LEAST_GRAVITY`]; a moving hand may feel more, but not for 200 ms.
 const MOST_GRAVITY: u32 = (ONE_G as u32) * 16 / 10;
 
 /// Watches the readings of one hand.

@@ -15,9 +15,9 @@
 //!                          Both ──▶ Stopped after 300 ms ──▶ Closing ──▶ Open (when both straight)
 //! ```
 
-/// A finger bends here, in thousandths of the calibrated way.
+/// A finger counts as bent from here, in thousandths of the calibrated range.
 pub const BENT_PERMILLE: i16 = 450;
-/// A finger is straight again here.
+/// A finger counts as straight again from here.
 pub const STRAIGHT_PERMILLE: i16 = 250;
 /// How long the other finger must stay straight before a held bend counts.
 pub const CONFIRM_MS: u32 = 100;
@@ -117,7 +117,7 @@ impl Hysteresis {
         self.pose == FingerPose::Bent
     }
 
-    /// Not bent, and not on the way there either.
+    /// Neither bent nor about to bend.
     fn is_at_rest(&self) -> bool {
         self.pose == FingerPose::Straight && self.permille < STRAIGHT_PERMILLE
     }
@@ -133,7 +133,7 @@ enum Phase {
     Closing,
 }
 
-/// What the fingers have done so far.
+/// The bends of both fingers so far.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Bends {
     /// Bends of the index finger since start, wrapping.
@@ -359,7 +359,7 @@ mod tests {
         hand.hold(900, 0, 80);
         hand.hold(900, 900, 200);
         assert_eq!(hand.hold(0, 0, 100), (0, 0, false));
-        // Slower still, but the second finger was on its way when the first one was down.
+        // Slower still, but the second finger was moving when the first one was down.
         hand.hold(900, 0, 60);
         hand.hold(900, 350, 300);
         hand.hold(900, 900, 200);

@@ -152,7 +152,7 @@ impl LeftHand {
         })
     }
 
-    /// Says that the sample of `now_ms` did not come; after 100 ms of that the converter counts as stuck.
+    /// Reports that the sample of `now_ms` is missing; after 100 ms without samples the converter counts as stuck.
     #[inline(never)]
     pub fn no_sample(&mut self, now_ms: u32) -> LeftOutput {
         let fault = self.faults.no_sample(now_ms);
@@ -221,13 +221,13 @@ impl LeftHand {
         if self.is_calibrated { 0 } else { health::DEFAULT_CALIBRATION }
     }
 
-    /// No motion, no bends, no stop; counters stand.
+    /// No motion, no bends, no stop; the counters keep their values.
     #[inline(never)]
     fn paused(&mut self, fault: u8) -> LeftOutput {
         self.disarm();
         let bends = self.flex.bends();
         self.publish(LeftOutput {
-            // Only an output with a fault may say neutral without being so: nobody may act on it.
+            // Only an output with a fault may say neutral when the hand is not: nobody may act on it.
             heading: if fault != 0 { Heading::Neutral } else { Heading::Between },
             index_bends: bends.index,
             middle_bends: bends.middle,

@@ -1,4 +1,4 @@
-//! When a tilt is meant: a hand that is walked with or shaken tilts, too, and means nothing by it.
+//! When a tilt is meant: the hand of a person who walks, or who shakes it, tilts, too, without meaning a command.
 //!
 //! An accelerometer cannot tell a tilt from a push, and 15° are a push of 0.27 g. What tells them apart is
 //! that a tilt stays. So a command starts once the hand has come to rest beyond the threshold, or has been
@@ -10,24 +10,24 @@
 
 /// A hand is at rest while its tilt stays within a band of this width, in milliradians: 2°.
 pub const STEADY_MRAD: u16 = 35;
-/// A tilt at rest for so many samples starts a command: 90 ms at 100 Hz.
+/// A tilt at rest for this many samples starts a command: 90 ms at 100 Hz.
 pub const STEADY_SAMPLES: u8 = 10;
 /// A tilt this far beyond the start threshold is clear, in milliradians: 10°.
 pub const CLEAR_MRAD: u16 = 175;
-/// A clear tilt for so many samples starts a command, at rest or not: 90 ms.
+/// A clear tilt for this many samples starts a command, at rest or not: 90 ms.
 pub const CLEAR_SAMPLES: u8 = 10;
-/// A tilt held for so many samples starts a command unless it is on its way back: 130 ms.
+/// A tilt held for this many samples starts a command unless it is on its way back: 130 ms.
 pub const HELD_SAMPLES: u8 = 14;
 /// A tilt that goes back by more than this has turned, in milliradians: 6°.
 pub const TURN_MRAD: u16 = 105;
 /// Turns no further apart than this belong to one swing: 320 ms, half a period of 1.6 Hz.
 pub const SWING_SAMPLES: u8 = 32;
-/// So many swings, one after the other, are an oscillation.
+/// This many swings, one after the other, are an oscillation.
 pub const SWINGS: u8 = 2;
 /// An oscillation is over when so many samples have passed since its last turn: 500 ms.
 pub const CALM_SAMPLES: u8 = 50;
 
-/// One tilt beyond its threshold that is no command yet.
+/// One tilt beyond its threshold that is not a command yet.
 #[derive(Clone, Copy, Debug)]
 pub struct Start {
     peak_mrad: i16,

@@ -137,7 +137,7 @@ impl TiltDetector {
         self.turned_over = 0;
         let swings = [self.swings[0].step(tilt.pitch_mrad), self.swings[1].step(tilt.roll_mrad)];
         let wanted = self.wanted(tilt);
-        // A command that has not started is nothing yet.
+        // A command that has not started does not count yet.
         let settled = if wanted.is_command() && wanted != self.heading { Heading::Between } else { wanted };
         if settled == self.heading {
             self.agreed = 0;
@@ -211,7 +211,7 @@ impl TiltDetector {
 fn root_of_squares(a: i16, b: i16) -> u16 {
     let square = |v: i16| u32::from(v.unsigned_abs()) * u32::from(v.unsigned_abs());
     let mut rest = square(a) + square(b);
-    // Digit by digit: no division, which the 8-bit board has not got.
+    // Digit by digit, without a division, which the 8-bit board does not have.
     let mut root: u32 = 0;
     let mut bit: u32 = 1 << 30;
     while bit != 0 {
@@ -294,7 +294,7 @@ mod tests {
                     let pitch = x.atan2((y * y + z * z).sqrt()) * 1000.0;
                     let roll = y.atan2((x * x + z * z).sqrt()) * 1000.0;
                     worst = worst.max((pitch - f64::from(got.pitch_mrad)).abs());
-                    // Where little of the vector is left, one unit of the rounded-down root is
+                    // If little of the vector is left, one unit of the rounded-down root is
                     // more than a milliradian of roll; pitch has the same near 90 degrees.
                     if (x * x + z * z).sqrt() > 400.0 || y == 0.0 {
                         worst = worst.max((roll - f64::from(got.roll_mrad)).abs());

@@ -96,14 +96,14 @@ impl HopTerms {
         Self { mean: first + offset, variance: squares * (1.0 / HOP as f32) }
     }
 
-    /// Whether all samples are numbers within the limit for sure: x² ≤ 2·(mean² + Σ(x − mean)²) for each.
+    /// Whether it is certain that all samples are numbers within the limit: x² ≤ 2·(mean² + Σ(x − mean)²) for each.
     #[inline(always)]
     fn is_tame(&self) -> bool {
         self.mean * self.mean + HOP as f32 * self.variance <= SAMPLE_LIMIT * SAMPLE_LIMIT / 2.0
     }
 }
 
-/// Limits magnitudes and lets values that are no numbers repeat the one before; tells how many these were.
+/// Limits magnitudes and lets values that are NaN repeat the one before; returns how many these were.
 #[cold]
 #[inline(never)]
 fn repair(samples: &mut [f32; HOP], mut held: f32) -> u32 {
@@ -170,7 +170,7 @@ impl<const A: usize> AlignedWindow<A> {
     }
 
     /// Takes a sample (m/s², deg/s); true when a hop is complete and the window is full: then [`Self::features`] are
-    /// new. Values that are no numbers repeat the last good one; magnitudes are limited to [`SAMPLE_LIMIT`].
+    /// new. Values that are NaN repeat the last good one; magnitudes are limited to [`SAMPLE_LIMIT`].
     #[inline]
     pub fn push(&mut self, sample: &[f32; A]) -> bool {
         for (channel, value) in self.stage.iter_mut().zip(&sample[..A.min(Self::USED)]) {
@@ -220,12 +220,12 @@ impl<const A: usize> AlignedWindow<A> {
         self.hops == HOPS
     }
 
-    /// Values that were no numbers, up to the last complete hop since the last reset.
+    /// Values that were NaN, up to the last complete hop since the last reset.
     pub fn replaced(&self) -> u32 {
         self.replaced
     }
 
-    /// Whether the window holds values that were no numbers and have been replaced.
+    /// Whether the window holds values that were NaN and have been replaced.
     pub fn is_tainted(&self) -> bool {
         self.tainted > 0
     }
@@ -263,7 +263,7 @@ impl<const A: usize> AlignedWindow<A> {
         let mut lines = [[(0.0, 0.0); LINES]; 3];
         for (index, series) in centred.iter_mut().enumerate() {
             let (new, old) = self.bins[first + index].split_at(self.oldest.min(HOPS - 1));
-            // About the oldest hop, so that a constant leaves nothing behind.
+            // Relative to the oldest hop, so that a constant leaves nothing behind.
             let start = old[0];
             let mut sum = 0.0;
             for (place, value) in series.iter_mut().zip(old.iter().chain(new)) {
@@ -336,7 +336,7 @@ impl<const A: usize> AlignedWindow<A> {
         let x = series[MIDDLE];
         let (c1, r, c3) = (COSINES[2], COSINES[4], COSINES[6]);
 
-        // Even lines; hops 13 to 15 from the middle are none.
+        // Even lines; there are no hops 13 to 15 from the middle.
         let (e4, e5, e6, e7) = (s[4] + s[12], s[5] + s[11], s[6] + s[10], s[7] + s[9]);
         let (p1, p2, p3) = (s[1] - e7, s[2] - e6, s[3] - e5);
         let (q1, q2, q3) = (s[1] + e7, s[2] + e6, s[3] + e5);
@@ -408,7 +408,7 @@ fn frame(up: [f32; 3]) -> [[f32; 3]; 3] {
     let across = if up[0].abs() > 0.9 { up[1] } else { up[0] };
     let start = if up[0].abs() > 0.9 { [0.0, 1.0, 0.0] } else { [1.0, 0.0, 0.0] };
     let e: [f32; 3] = core::array::from_fn(|i| start[i] - up[i] * across);
-    // At least 0.19: `start` is far from `up`, and a short `up` takes little away.
+    // The rest is at least 0.19 long: `start` is far from `up`, and a short `up` subtracts little.
     let length = square_root(dot(e, e));
     let e = e.map(|value| value / length);
     let f = [up[1] * e[2] - up[2] * e[1], up[2] * e[0] - up[0] * e[2], up[0] * e[1] - up[1] * e[0]];
@@ -437,7 +437,7 @@ fn principal(triad: &Triad, mean: [f32; 3], across: [f32; 3], along: [f32; 3]) -
 #[inline(always)]
 fn describe(triad: &Triad, frame: &[[f32; 3]; 3], unit: f32, floor: f32, out: &mut Writer<'_>) -> [f32; 3] {
     let frame = frame.map(|direction| direction.map(|value| value * unit));
-    // Rounding may leave a little less than nothing.
+    // Rounding may leave slightly less than zero.
     let squares = frame.map(|direction| dot(direction, triad.times(direction)).max(0.0));
     let energy = squares[0] + squares[1] + squares[2];
     let root = square_root(energy);

@@ -11,7 +11,7 @@
 
 use shared_words::is_rest;
 
-/// Most hops that a decision looks at.
+/// Maximum number of hops that a decision looks at.
 pub const MAX_HOPS: usize = 16;
 
 /// When a gesture counts as performed. A probability p is given as 256·p.
@@ -21,7 +21,7 @@ pub struct DecisionConfig {
     pub agree: u8,
     /// How many hops are looked at, at most [`MAX_HOPS`].
     pub of: u8,
-    /// Least mean probability of the agreeing hops.
+    /// Minimum mean probability of the agreeing hops.
     pub min_confidence: u8,
     /// After an event, so many hops in a row must be at rest before the next one.
     pub rest_hops: u8,
@@ -51,7 +51,7 @@ pub struct GestureEvent {
     pub confidence: u8,
 }
 
-/// What one hop says.
+/// The label and the score of one hop.
 #[derive(Clone, Copy, Debug)]
 struct Vote {
     label: u8,

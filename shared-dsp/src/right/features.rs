@@ -6,7 +6,7 @@
 //!
 //! | | definition |
 //! |---|---|
-//! | samples that are no numbers | the axis holds its last good value (0 before the first); counted |
+//! | samples that are NaN | the axis holds its last good value (0 before the first); counted |
 //! | magnitudes above [`SAMPLE_LIMIT`] | limited to it |
 //! | constant signal | variance 0, skewness 0, kurtosis 0, powers 0 except P\[0\] |
 //! | variance below [`VARIANCE_FLOOR`] | skewness 0, kurtosis 0 |
@@ -93,7 +93,7 @@ impl<const A: usize> FeatureWindow<A> {
     #[inline]
     pub fn push(&mut self, sample: &[f32; A]) -> bool {
         if let Some(place) = self.stage.get_mut(self.staged) {
-            // By element: a copy of the whole becomes a call.
+            // Element by element: a copy of the whole would become a call.
             for (place, value) in place.iter_mut().zip(*sample) {
                 *place = value;
             }
@@ -134,12 +134,12 @@ impl<const A: usize> FeatureWindow<A> {
         self.hops == HOPS
     }
 
-    /// Values that were no numbers, up to the last complete hop since the last reset.
+    /// Values that were NaN, up to the last complete hop since the last reset.
     pub fn replaced(&self) -> u32 {
         self.replaced
     }
 
-    /// Whether the window holds values that were no numbers and have been replaced.
+    /// Whether the window holds values that were NaN and have been replaced.
     pub fn is_tainted(&self) -> bool {
         self.tainted > 0
     }
@@ -165,7 +165,7 @@ impl Axis {
         powers: SlidingPowers::ZERO,
     };
 
-    /// Takes a hop's samples, writes the features, and tells how many samples had to be replaced.
+    /// Takes a hop's samples, writes the features, and returns how many samples had to be replaced.
     #[inline(never)]
     fn advance<const A: usize>(
         &mut self,
@@ -184,7 +184,7 @@ impl Axis {
         let half = HalfFrame::new(&samples);
         let block = Block::new(&half);
         let block_mean = block.first + block.offset;
-        // x² ≤ 2·(mean² + Σ(x − mean)²) for each x. False also where anything is no number.
+        // x² ≤ 2·(mean² + Σ(x − mean)²) for each x. False also if anything is NaN.
         let tame = block.m2 + block_mean * block_mean <= SAMPLE_LIMIT * SAMPLE_LIMIT / 2.0;
         if !tame && !hop.repaired {
             return self.repair_and_advance(hop, stage, features);
@@ -227,7 +227,7 @@ fn column<const A: usize>(stage: &[[f32; A]; HOP], axis: usize) -> [f32; HOP] {
     stage.each_ref().map(|sample| sample[axis])
 }
 
-/// Limits magnitudes and lets values that are no numbers repeat the one before; tells how many these were.
+/// Limits magnitudes and lets values that are NaN repeat the one before; returns how many these were.
 #[cold]
 #[inline(never)]
 fn repair<const A: usize>(stage: &mut [[f32; A]; HOP], axis: usize, mut held: f32) -> u32 {

@@ -39,7 +39,7 @@ impl FeatureKind {
         }
     }
 
-    /// Features of a window of samples with so many axes; 0 if it cannot use such samples.
+    /// Features of a window of samples with this many axes; 0 if it cannot use such samples.
     pub const fn feature_count(self, axes: usize) -> usize {
         match self {
             Self::Raw | Self::LogPower => FEATURES_PER_AXIS * axes,
@@ -47,7 +47,7 @@ impl FeatureKind {
         }
     }
 
-    /// Values of a sample, from the first on, that a model for so many axes reads: recipe 3 reads no magnetometer.
+    /// Values of a sample, from the first on, that a model for this many axes reads: recipe 3 reads no magnetometer.
     pub const fn reads(self, axes: usize) -> usize {
         match self {
             Self::Aligned if axes > 6 => 6,

@@ -62,9 +62,9 @@ impl core::error::Error for ModelMismatch {}
 pub struct RightOutput {
     /// Time of the newest sample of the window, as given to [`RightHand::push`].
     pub window_end_ms: u32,
-    /// Whether the window is full. Where it is not (at start, after a gap), scores are those before the gap.
+    /// Whether the window is full. If it is not (at start, after a gap), scores are those before the gap.
     pub full: bool,
-    /// Whether the window, or the slow one behind it, holds values that were no numbers and were replaced.
+    /// Whether the window, or the slow one behind it, holds values that were NaN and were replaced.
     pub replaced: bool,
     /// Gestures performed since start, wrapping.
     pub events: u8,
@@ -104,7 +104,7 @@ pub struct RightHand<'m, const A: usize> {
     in_hop: usize,
 }
 
-/// What stands before and behind the network, by the model's recipe.
+/// What comes before and after the network, by the model's recipe.
 #[derive(Clone, Debug)]
 #[expect(clippy::large_enum_variant, reason = "one per board, and no heap to put it on")]
 enum Pipeline<const A: usize> {
@@ -131,7 +131,7 @@ impl<const A: usize> Pipeline<A> {
         // Lengths have been compared in `RightHand::new`, so this does not fail; if it did, scores would stay.
         match self {
             Self::PerAxis { window, decision } => {
-                // Of more axes than the model has, the first ones.
+                // If there are more axes than the model has, the first ones are used.
                 let axes = model.info().axes.min(A);
                 let _ = model.classify(&window.features()[..axes], scores);
                 decision.step(scores)
@@ -268,7 +268,7 @@ impl<'m, const A: usize> RightHand<'m, A> {
         &self.model
     }
 
-    /// Values that were no numbers, since start or the last gap.
+    /// Values that were NaN, since start or the last gap.
     pub fn replaced(&self) -> u32 {
         self.pipeline.replaced()
     }

@@ -76,7 +76,7 @@ impl Sums {
         Self { reference, s1: 0.0, s2: 0.0, s3: 0.0, s4: 0.0 }
     }
 
-    /// With one more block.
+    /// The piece with one more block.
     #[inline(always)]
     fn with(&self, block: &Block) -> Self {
         let t = (block.first - self.reference) + block.offset;
@@ -169,12 +169,12 @@ impl<const N: usize> SlidingMoments<N> {
         )
     }
 
-    /// Makes the blocks of the back the front. `slot` holds the oldest, which is about to go.
+    /// Turns the blocks of the back into the front. `slot` holds the oldest, which is about to be dropped.
     #[inline(never)]
     fn turn(&mut self, slot: usize) {
         let newest = slot.checked_sub(1).unwrap_or(N - 1);
         let Some(newest) = self.blocks.get(newest) else { return };
-        // The newest is in the front to the end.
+        // The newest stays in the front to the end.
         let mut sums = Sums::about(newest.first + newest.offset);
         let mut to_centre = CENTRED;
         for (start, mut end) in [(0, slot), (slot + 1, N)] {

@@ -11,7 +11,7 @@
 //! becomes, surely and for two seconds, a gesture; so does one that goes on after its event, if it becomes a *different*
 //! gesture. The same gesture again needs rest in between. The labels `idle` and `other` never make an event.
 //!
-//! Where there are scores of a slow window too ([`crate::right::slow`]), a long movement that they take for a gesture, for as long as
+//! If there are scores of a slow window too ([`crate::right::slow`]), a long movement that they take for a gesture, for as long as
 //! it takes to be sure, makes its event as well: somebody's left-right may take longer than the usual window holds. Who
 //! moves so slowly also pauses for longer: then it takes twice the rest to begin anew. Whether it has become a different
 //! gesture is for the usual window to say.
@@ -21,7 +21,7 @@ use crate::right::decision::GestureEvent;
 use crate::right::network::MAX_LABELS;
 use shared_words::is_rest;
 
-/// Most hops that scores are averaged over.
+/// Maximum number of hops that scores are averaged over.
 pub const MAX_AVERAGE_HOPS: usize = 8;
 
 /// When a movement counts as a gesture. A probability p is given as 256·p.
@@ -31,36 +31,36 @@ pub struct MovementConfig {
     pub acceleration: f32,
     /// … or [`Movement::rotation`] above this, in deg/s.
     pub rotation: f32,
-    /// A movement ends after so many hops in a row without movement.
+    /// A movement ends after this many hops in a row without movement.
     pub rest_hops: u8,
-    /// Least hops from the start of a movement to its event.
+    /// Minimum hops from the start of a movement to its event.
     pub min_hops: u8,
-    /// Least hops in which the hand did move.
+    /// Minimum hops in which the hand did move.
     pub min_moving: u8,
-    /// From so many hops on the event does not wait for the movement's end.
+    /// From this many hops on the event does not wait for the movement's end.
     pub decide_hops: u8,
     /// Hops whose scores are averaged, 1 to [`MAX_AVERAGE_HOPS`].
     pub average_hops: u8,
-    /// Least mean probability.
+    /// Minimum mean probability.
     pub min_confidence: u8,
-    /// Most mean probability of all rest labels together: which gesture it is may be open longer than that it is one.
+    /// Maximum mean probability of all rest labels together: that it is a gesture is known earlier than which one.
     pub max_rest: u8,
-    /// A movement without an event after so many hops is a long one.
+    /// A movement without an event after this many hops is a long one.
     pub late_hops: u8,
-    /// In a long movement, and after an event, a (different) gesture must be seen for so many hops in a row …
+    /// In a long movement, and after an event, a (different) gesture must be seen for this many hops in a row …
     pub change_hops: u8,
     /// … each with this mean probability.
     pub change_confidence: u8,
-    /// A movement without an event after so many hops may be a slow gesture, if the slow window shows one …
+    /// A movement without an event after this many hops may be a slow gesture, if the slow window shows one …
     pub slow_after_hops: u8,
-    /// … for so many hops in a row, usual ones …
+    /// … for this many hops in a row, usual ones …
     pub slow_hops: u8,
     /// … each with this mean probability over the last [`MAX_AVERAGE_HOPS`] hops of the slow window.
     pub slow_confidence: u8,
 }
 
 impl MovementConfig {
-    /// The usual values for samples of so many axes: without a gyroscope movement is harder to tell from tremor.
+    /// The usual values for samples of this many axes: without a gyroscope movement is harder to tell from tremor.
     pub const fn for_axes(axes: usize) -> Self {
         let has_gyro = axes >= 6;
         Self {
@@ -71,7 +71,7 @@ impl MovementConfig {
             min_moving: if has_gyro { 8 } else { 22 },
             decide_hops: 22,
             average_hops: if has_gyro { 4 } else { 8 },
-            // What these cost in false events stands in the README of `models`; `models events --max-rest` says it anew.
+            // What these cost in false events is in the README of `models`; `models events --max-rest` measures it again.
             min_confidence: 128,
             max_rest: if has_gyro { 64 } else { 26 },
             late_hops: if has_gyro { 30 } else { 60 },
@@ -103,7 +103,7 @@ struct Streak {
 }
 
 impl Streak {
-    /// Takes what is seen now; tells for how many hops in a row.
+    /// Takes what is seen now; returns for how many hops in a row.
     fn see(&mut self, seen: Option<GestureEvent>) -> u8 {
         *self = match seen {
             Some(GestureEvent { label, .. }) if label == self.label => {
@@ -416,7 +416,7 @@ mod tests {
         assert_eq!(run_slow(&mut decision(), &[(300, 150, MOVING)]), [(89, 1)], "50 hops and 40");
         assert_eq!(run_slow(&mut decision(), &[(300, 149, MOVING)]), []);
         assert_eq!(run_slow(&mut decision(), &[(86, 250, MOVING), (300, 250, STILL)]), []);
-        // In the mean of eight a single doubt is none, and a long one is.
+        // In a mean over eight hops a single doubt does not count, and a long one does.
         let doubt = |hops| [(80, 250, MOVING), (hops, 0, MOVING), (40, 250, MOVING)];
         assert_eq!(run_slow(&mut decision(), &doubt(2)), [(89, 1)]);
         assert_eq!(run_slow(&mut decision(), &doubt(12)), []);
@@ -436,7 +436,7 @@ mod tests {
         let pause = |hops| (hops, 250, STILL);
         assert_eq!(run_slow(&mut decision(), &[gesture, pause(5), gesture]), [(89, 1)]);
         assert_eq!(run_slow(&mut decision(), &[gesture, pause(6), gesture]), [(89, 1), (195, 1)]);
-        // Also when the event comes with the movement's end.
+        // Also if the event comes with the movement's end.
         let gesture = (87, 250, MOVING);
         assert_eq!(run_slow(&mut decision(), &[gesture, pause(5), (100, 250, MOVING)]), [(89, 1)]);
     }

@@ -158,7 +158,7 @@ mod tests {
             let mut window = SlidingPowers::<5>::ZERO;
             let mut all: Vec<f32> = Vec::new();
             for step in 0..24 {
-                // Each frame is a bit of its own, so a sum tells what is in it.
+                // Each frame is a bit of its own, so a sum shows which frames are in it.
                 let value = (1u32 << step) as f32;
                 all.push(value);
                 let mut sums = [0.0; 8];

@@ -1,4 +1,4 @@
-//! Where things stand in a sliding window over pieces that can be united but not subtracted.
+//! The places in a sliding window over pieces that can be joined but not subtracted.
 //!
 //! Subtracting what leaves a window from a running sum leaves rounding errors behind, for ever. Instead the
 //! window is held in two parts. The *back* is the sum of what arrived since the last turn. The *front* holds, for each

@@ -21,7 +21,7 @@ pub struct SlowWindow<const A: usize> {
 }
 
 impl<const A: usize> SlowWindow<A> {
-    /// Whether samples of so many axes have no gyroscope.
+    /// Whether samples of this many axes have no gyroscope.
     const RUNS: bool = A < 6;
 
     /// An empty window.
@@ -29,7 +29,7 @@ impl<const A: usize> SlowWindow<A> {
         Self { window: AlignedWindow::new(), first: None, is_new: false }
     }
 
-    /// Takes a sample. A value that is no number makes no number of its pair, which then repeats the last good one.
+    /// Takes a sample. A value that is NaN makes NaN of its pair, which then repeats the last good one.
     #[inline]
     pub fn push(&mut self, sample: &[f32; A]) {
         if !Self::RUNS {
@@ -40,16 +40,16 @@ impl<const A: usize> SlowWindow<A> {
             self.is_new = false;
             return;
         };
-        // Halved first: the sum of two large values may be no number.
+        // Halved first: the sum of two large values may be infinite.
         self.is_new = self.window.push(&core::array::from_fn(|axis| 0.5 * first[axis] + 0.5 * sample[axis]));
     }
 
-    /// The features, where the last sample completed a hop and the window is full.
+    /// The features, if the last sample completed a hop and the window is full.
     pub fn new_features(&self) -> Option<&[f32]> {
         (Self::RUNS && self.is_new).then(|| self.window.features())
     }
 
-    /// Whether the window holds values that were no numbers and have been replaced.
+    /// Whether the window holds values that were NaN and have been replaced.
     pub fn is_tainted(&self) -> bool {
         self.window.is_tainted()
     }
@@ -71,7 +71,7 @@ mod tests {
     use super::*;
     use std::vec::Vec;
 
-    /// A sway of so many Hz, on a board that lies flat.
+    /// A sway of this many Hz, on a board that lies flat.
     fn sway(hz: f32, samples: usize) -> Vec<[f32; 3]> {
         let angle = |n: usize| core::f32::consts::TAU * hz * n as f32 / 100.0;
         (0..samples).map(|n| [3.0 * angle(n).sin(), angle(2 * n).cos(), 9.8]).collect()

@@ -118,7 +118,7 @@ pub(crate) mod table {
             .map(|difference| {
                 exp_on_negative_values(multiply_q31((-difference << left_shift) as i32, multiplier))
             })
-            // Below this it adds nothing to the sum and rounds to nothing in the output.
+            // Below this it adds nothing to the sum and rounds to zero in the output.
             .take_while(|&value| value >= 1 << 11)
             .collect()
     }

@@ -19,7 +19,7 @@ pub fn rows<T: std::str::FromStr>(name: &str) -> Vec<Vec<T>> {
     text.lines().map(|line| line.split(',').map(cell).collect()).collect()
 }
 
-/// The network of `mlp_int8_params.json`, with scalings that mean nothing.
+/// The network of `mlp_int8_params.json`, with arbitrary scalings.
 pub fn reference_spec() -> BlobSpec {
     let text = std::fs::read_to_string(data("mlp_int8_params.json")).unwrap();
     let json: Value = serde_json::from_str(&text).unwrap();

@@ -5,7 +5,7 @@ use core::ops::Deref;
 use postcard::experimental::max_size::MaxSize;
 use serde::{Deserialize, Serialize};
 
-/// Bytes on the wire of a length and so many bytes behind it; all our lengths are below 2^14.
+/// Bytes on the wire of a length and this many bytes after it; all our lengths are below 2^14.
 const fn with_length(max: usize) -> usize {
     assert!(max < 1 << 14);
     if max < 128 { 1 + max } else { 2 + max }

@@ -36,7 +36,7 @@ impl Board {
         }
     }
 
-    /// Where its firmware is, below this project's root.
+    /// The folder of its firmware, below this project's root.
     pub const fn folder(self) -> Option<&'static str> {
         match self {
             Self::LeftNano => Some("firmware-nano-avr/"),
@@ -74,7 +74,7 @@ pub struct Hello<'a> {
     pub firmware: Text<'a, FIRMWARE_MAX>,
     /// Different after each start. A new one re-bases counters and clock and needs neutral again.
     pub boot_id: u32,
-    /// CRC-32 of the running model's blob; 0 where there is none.
+    /// CRC-32 of the running model's blob; 0 if there is none.
     pub model_id: u32,
     /// Samples per second.
     pub sample_hz: u16,

@@ -1,4 +1,4 @@
-//! What a vibration motor says.
+//! The signals of a vibration motor.
 
 use postcard::experimental::max_size::MaxSize;
 use serde::{Deserialize, Serialize};
@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 open_list! {
     /// What the wearer of a right hand shall feel.
     Signal {
-        /// Nothing yet; from now on the board itself says [`Signal::LinkLost`] where the laptop falls silent.
+        /// Nothing yet; from now on the board itself signals [`Signal::LinkLost`] if the laptop falls silent.
         Ready = 0,
         /// A gesture counts.
         Accepted = 1,

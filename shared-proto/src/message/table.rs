@@ -1,4 +1,4 @@
-//! What turns a table of messages into enums, numbers and sizes.
+//! Macros that turn a table of messages into enums, numbers and sizes.
 
 use crate::frame::frame_len;
 use postcard::experimental::max_size::MaxSize;
@@ -26,7 +26,7 @@ impl Boards {
     }
 }
 
-/// What a table says of a message.
+/// The row of a message in its table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Row {
     /// Its number on the wire.
@@ -139,7 +139,7 @@ macro_rules! messages {
                 ),
             },)*];
 
-            /// What the table says of this message.
+            /// The row of this message.
             pub const fn row(&self) -> &'static Row {
                 match self {
                     $(Self::$name { .. } => &Self::ROWS[$number],)*

@@ -76,7 +76,7 @@ impl Material {
 /// Fills one field after the other.
 struct Fields<'a> {
     material: &'a Material,
-    /// Of the message, before it is chosen.
+    /// The message's name, before it is chosen.
     kind: Option<usize>,
     used: usize,
     longest: usize,

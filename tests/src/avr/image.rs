@@ -8,7 +8,7 @@ use object::{Object, ObjectSection, ObjectSymbol};
 /// The image, built if need be. `BIMANUAL_AVR_ELF` names another one.
 ///
 /// # Panics
-/// Where it cannot be built; the reason is on the terminal.
+/// If it cannot be built; the reason is on the terminal.
 pub fn path() -> PathBuf {
     static PATH: OnceLock<PathBuf> = OnceLock::new();
     PATH.get_or_init(|| {
@@ -23,7 +23,7 @@ pub fn path() -> PathBuf {
 /// The address behind the image's static memory, where the stack may grow down to (`__heap_start`).
 ///
 /// # Panics
-/// Where the image cannot be read.
+/// If the image cannot be read.
 pub fn static_end() -> usize {
     let bytes = std::fs::read(path()).expect("the image is there");
     let file = object::File::parse(&*bytes).expect("the image is an ELF file");

@@ -21,7 +21,7 @@ use simavr_ffi as ffi;
 pub const CYCLES_PER_MS: u64 = 16_000;
 /// Time of one byte at 115200 baud (136 clocks per bit), of the 11 bits that simavr's receiver takes.
 const CYCLES_PER_BYTE: u64 = 11 * 8 * 17;
-/// Clocks that the emulator runs before it looks up again; about as many are missing from the count after a reset.
+/// Clocks that the emulator runs before it checks for events; about as many are missing from the count after a reset.
 const CYCLES_AT_ONCE: u64 = 160;
 /// Bytes of EEPROM.
 pub const EEPROM_BYTES: usize = 1024;
@@ -78,7 +78,7 @@ struct Wires {
     wrong_reference: Cell<Option<u8>>,
     eeprom: RefCell<Vec<u8>>,
     eeprom_writes: RefCell<Vec<EepromWrite>>,
-    /// Clocks before the last reset.
+    /// Clocks counted before the last reset.
     before_reset: Cell<u64>,
     conversions: Cell<u64>,
 }
@@ -95,7 +95,7 @@ pub struct Nano {
     resets: u32,
     asleep: u64,
     optiboot: bool,
-    /// Since when the watchdog's interrupt waits.
+    /// The time since which the watchdog's interrupt has been waiting.
     waiting_since: Option<u64>,
 }
 
@@ -121,7 +121,7 @@ impl Nano {
             firmware.aref = 3300;
             ffi::avr_load_firmware(avr, &mut firmware);
             (*avr).sleep = Some(on_sleep);
-            // RAM wakes up with anything in it.
+            // After power-on RAM holds arbitrary values.
             for address in RAM {
                 *(*avr).data.add(address) = (address as u8).wrapping_mul(37) ^ 0x5A;
             }
@@ -177,7 +177,7 @@ impl Nano {
     /// Runs until `cycle` clocks since power-on.
     ///
     /// # Panics
-    /// Where the program crashes, stops for ever, or selects a wrong reference for the converter.
+    /// If the program crashes, stops for ever, or selects a wrong reference for the converter.
     pub fn run_until(&mut self, cycle: u64) {
         let mut last = self.cycle();
         let mut has_heartbeat = false;
@@ -207,7 +207,7 @@ impl Nano {
                 has_heartbeat = false;
                 self.waiting_since = None;
                 self.pass_optiboot();
-                // Its timers are gone: what was under way to the board is lost.
+                // Its timers are gone, so bytes on the way to the board are lost.
                 self.wires.to_receive.borrow_mut().clear();
             }
             last = self.cycle();
@@ -222,7 +222,7 @@ impl Nano {
         self.run_until(self.cycle() + (ms * CYCLES_PER_MS as f64) as u64);
     }
 
-    /// Where the watchdog's interrupt is not taken until its next time-out, that one resets (data sheet, "Interrupt and
+    /// If the watchdog's interrupt is not taken before its next time-out, that one resets (data sheet, "Interrupt and
     /// System Reset Mode").
     fn watchdog_interrupt_must_not_wait(&mut self) {
         const WDIF: u8 = 1 << 7;
@@ -365,7 +365,7 @@ impl Nano {
         unsafe { *(*self.avr).data.add(address) = value }
     }
 
-    /// Sends the program somewhere else.
+    /// Makes the program jump to an address.
     pub fn jump(&mut self, address: u32) {
         // Safety: the emulator is not running.
         unsafe {

@@ -47,7 +47,7 @@ impl Voltages for Recorded {
 /// A running board that was calibrated over the wire, in a hand whose sensors read as in this table.
 ///
 /// # Panics
-/// Where the board refuses a step.
+/// If the board refuses a step.
 pub fn calibrated(table: &CalibrationTable) -> Nano {
     let [x, y, z] = table.zero;
     let level = [x, y, z + ONE_G].map(f64::from);

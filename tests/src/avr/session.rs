@@ -31,7 +31,7 @@ pub enum Seen {
     Pong(u32),
 }
 
-/// A board and the laptop's ear.
+/// A board, and what the laptop receives from it.
 pub struct LeftRig {
     /// The board.
     pub nano: Nano,
@@ -58,10 +58,10 @@ impl LeftRig {
         self.heard()
     }
 
-    /// Everything that arrived since the last question.
+    /// Everything that arrived since the last call.
     ///
     /// # Panics
-    /// Where the board sends anything that is not an intact frame: the line loses nothing here.
+    /// If the board sends anything that is not an intact frame: the line loses nothing here.
     pub fn heard(&mut self) -> Vec<(f64, Seen)> {
         let mut seen = Vec::new();
         while let Some((cycle, byte)) = self.nano.sent() {

@@ -16,7 +16,7 @@ use super::wearer::{Fault, Hand, Sensors, Tremor, Wearer, uniform};
 /// How a wearer's sensors and neutral pose are chosen.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Parts {
-    /// Evenly from the whole of the tolerances, neutral within 10° of level.
+    /// Uniformly from the whole range of the tolerances, neutral within 10° of level.
     Drawn,
     /// The corner that makes every tilt look largest: sensitivity + 10 %, neutral 10° off level.
     Loudest,
@@ -25,9 +25,9 @@ pub enum Parts {
 /// One wearer's trials.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub struct Job {
-    /// Of everything that is drawn.
+    /// Seed of everything that is drawn.
     pub seed: u64,
-    /// Where the parts come from.
+    /// How the parts are chosen.
     pub parts: Parts,
     /// How many trials (tilts per direction, or bends per finger), or how many seconds of tremor.
     pub count: u32,
@@ -42,9 +42,9 @@ pub const IN_TIME_MS: f64 = 430.0;
 pub struct Tilts {
     /// Trials.
     pub trials: u32,
-    /// That command within [`IN_TIME_MS`] and no other within 2 s.
+    /// Tilts that gave that command within [`IN_TIME_MS`] and no other within 2 s.
     pub right: u32,
-    /// The opposite command at any time.
+    /// Tilts that gave the opposite command at any time.
     pub reversed: u32,
     /// By the direction that was meant, in the order of [`DIRECTIONS`].
     pub by_direction: [Direction; 4],

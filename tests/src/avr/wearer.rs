@@ -60,7 +60,7 @@ impl Sensors {
         }
     }
 
-    /// Parts drawn evenly from the whole of the data sheets' tolerances.
+    /// Parts drawn uniformly from the whole range of the data sheets' tolerances.
     pub fn drawn(rng: &mut Rng) -> Self {
         // 0.15 V and 0.3 V at 3.0 V grow with the supply; 300 µg/√Hz · √(50 Hz · π/2) · 330 mV/g.
         let scale = 1.1;
@@ -78,7 +78,7 @@ impl Sensors {
     }
 }
 
-/// A smooth way from one value to another.
+/// A smooth change from one value to another.
 #[derive(Clone, Copy, Debug, Default)]
 struct Way {
     from: f64,

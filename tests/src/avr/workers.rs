@@ -9,7 +9,7 @@ use serde::de::DeserializeOwned;
 /// each printed on standard output as JSON, in the order of the jobs.
 ///
 /// # Panics
-/// Where a worker fails: its standard error is on the terminal.
+/// If a worker fails: its standard error is on the terminal.
 pub fn run<J: Serialize, R: DeserializeOwned>(program: &str, verb: &str, jobs: &[J]) -> Vec<R> {
     let at_once = std::thread::available_parallelism().map_or(2, usize::from);
     let mut results = Vec::new();

@@ -14,14 +14,14 @@ use crate::avr::nano::Nano;
 use crate::avr::session::BLANK;
 use crate::avr::wearer::{Hand, Sensors, Wearer};
 
-/// The bootloader listens for so long after a reset, and says nothing.
+/// The bootloader listens for this long after a reset, and says nothing.
 const BOOTLOADER_MS: u64 = 700;
 
 /// The board on its wearer.
 pub struct Left {
     nano: Nano,
     hand: Rc<RefCell<Hand>>,
-    /// Left of the bootloader's time.
+    /// The rest of the bootloader's time.
     bootloader_ms: u64,
     /// Time that bootloaders have taken, which the emulated program never saw.
     skipped_ms: u64,
@@ -52,12 +52,12 @@ impl Left {
         Station::start(desk.time(), &desk.path(name), board)
     }
 
-    /// Tips the hand forward by so many radians.
+    /// Tips the hand forward by this many radians.
     pub fn tilt(&mut self, forward_rad: f64) {
         self.lean(forward_rad, 0.0);
     }
 
-    /// Tips the hand forward and to the left by so many radians.
+    /// Tips the hand forward and to the left by this many radians.
     pub fn lean(&mut self, forward_rad: f64, left_rad: f64) {
         let now_s = self.nano.now_ms() / 1000.0;
         self.hand.borrow_mut().tilt(forward_rad, left_rad, now_s, 0.15);

@@ -11,7 +11,7 @@ use super::program::{Desk, Running};
 /// already, as `cargo xtask test` has built them.
 ///
 /// # Panics
-/// Where they do not build; the reason is on the terminal.
+/// If they do not build; the reason is on the terminal.
 pub fn folder() -> &'static Path {
     static FOLDER: OnceLock<PathBuf> = OnceLock::new();
     FOLDER.get_or_init(|| {

@@ -42,7 +42,7 @@ impl Hand {
         if place >= 0.0 && place + 1.0 < self.rows.len() as f64 {
             return between(&self.rows, place);
         }
-        // To the end and back again, without a jump.
+        // Plays to the end and back again, without a jump.
         let turn = (self.idle.len() - 2) as f64;
         let place = (seconds * ROWS_PER_S).rem_euclid(2.0 * turn);
         between(&self.idle, if place < turn { place } else { 2.0 * turn - place })
@@ -91,12 +91,12 @@ impl Right {
         Station::start(desk.time(), &desk.path(name), Self { board, hand, usb: UsbHost::default() })
     }
 
-    /// The wearer makes this movement from now on for so many seconds, then rests.
+    /// The wearer makes this movement from now on for this many seconds, then rests.
     pub fn perform(&mut self, motion: Doing, seconds: f64) {
         self.play(&[Segment::new(motion, seconds)]);
     }
 
-    /// The wearer does what hands do between gestures, for so many seconds.
+    /// The wearer does what hands do between gestures, for this many seconds.
     pub fn be_idle(&mut self, seconds: f64) {
         let kinds = IdleKind::ALL;
         let part = seconds / kinds.len() as f64;
@@ -148,7 +148,7 @@ impl Board for Right {
     }
 
     fn plugged(&mut self) {
-        // The cable was its supply.
+        // The cable was its power supply.
         self.board.soc().nvic.reset_wanted = true;
         self.board.run_ms(50);
         self.usb.plug_in(&mut self.board);

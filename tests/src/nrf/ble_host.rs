@@ -12,7 +12,7 @@ const SMALLEST_WRITE: usize = 20;
 /// The laptop's side of a Bluetooth link. The frames' bytes are those of a UART, cut as the MTU says.
 #[derive(Clone, Debug)]
 pub struct BleHost {
-    /// Whether it pairs where it has no keys.
+    /// Whether it pairs if it has no keys.
     pub pairs: bool,
     /// Whether it keeps the keys of a pairing.
     pub bonds: bool,
@@ -49,7 +49,7 @@ impl BleHost {
                     }
                     central.order([Command::Subscribe(true)]);
                 }
-                // The board has forgotten us: pair anew.
+                // The board has forgotten us: pair again.
                 Happening::KeyMissing if self.pairs => {
                     central.commands.push_front(Command::Pair { bond: self.bonds });
                 }

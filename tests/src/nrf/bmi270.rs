@@ -16,7 +16,7 @@ const SET_BYTES: usize = 12;
 /// The FIFO holds 2 KB.
 const FIFO_SETS: usize = 2048 / SET_BYTES;
 
-/// Out of power-save mode after so long; a reset takes so long; the loaded program starts within so long.
+/// Out of power-save mode after this long; a reset takes this long; the loaded program starts within this long.
 const WAKE: u64 = us(450);
 const RESET: u64 = ms(2);
 const INITIALISE: u64 = ms(20);
@@ -74,7 +74,7 @@ impl Bmi270 {
         self.register(0x21) & 0xF == 1 && self.register(0x02) & 1 == 0
     }
 
-    /// Nothing where a sensor is off, or the two run at different rates.
+    /// Nothing if a sensor is off, or the two run at different rates.
     fn period(&self) -> Option<f64> {
         let hz = match (self.register(0x40) & 0xF, self.register(0x42) & 0xF) {
             (8, 8) => 100.0,
@@ -178,7 +178,7 @@ impl Chip for Bmi270 {
                 self.registers.set(register, value);
                 self.awake_since = now;
             }
-            // Nothing else is taken in power-save mode.
+            // Nothing else is accepted in power-save mode.
             _ if saves_power => {}
             INIT_CTRL => {
                 self.registers.set(register, value);
@@ -216,10 +216,10 @@ impl Chip for Bmi270 {
             FIFO_DATA => {
                 let at = self.from_fifo;
                 self.from_fifo += 1;
-                // Behind the newest set stands 0x8000.
+                // After the newest set the FIFO has 0x8000.
                 self.fifo.get(at / SET_BYTES).map_or([0x00, 0x80][at % 2], |set| set[at % SET_BYTES])
             }
-            // Never what was written.
+            // It never reads as what was written.
             COMMAND => 0,
             register => self.register(register),
         }
@@ -251,7 +251,7 @@ mod tests {
     use crate::nrf::lsm9ds1::Still;
     use crate::nrf::registers::tests::{get, set};
 
-    /// Uploads this file; the time when it is done.
+    /// Uploads this file; returns the time when it is done.
     fn upload(sensor: &mut Bmi270, file: &[u8]) -> u64 {
         set(sensor, &[(POWER_CONF, 0)], 0);
         let now = us(450);

@@ -33,7 +33,7 @@ const EXCEPTION_CYCLES: u64 = 12;
 /// Why the core stopped executing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Stop {
-    /// Something is due or an interrupt is ready, before the block at this address.
+    /// Something is due, or an interrupt is ready, before the block at this address.
     Attention { at: u32 },
     /// WFE or WFI was reached, at this address.
     Wait { at: u32, for_event: bool },
@@ -41,11 +41,11 @@ enum Stop {
     ExceptionReturn,
     /// SVC; the program counter is behind it.
     Supervisor,
-    /// What the core cannot go on from.
+    /// A fault from which the core cannot continue.
     Fault(u32),
 }
 
-/// Everything that hooks reach.
+/// Everything that hooks can reach.
 struct World {
     soc: Soc,
     stop: Option<Stop>,
@@ -56,7 +56,7 @@ struct World {
     /// Cycles of executed instructions, and how many they were when interrupts were masked.
     executed: u64,
     masked_since: Option<u64>,
-    /// Instructions of the block that starts at each half-word of flash; 0 where none was executed yet.
+    /// Instructions of the block that starts at each half-word of flash; 0 if none was executed yet.
     blocks: Vec<u16>,
     /// Addresses and numbers; few, and looked through at every block.
     probes: Vec<(u32, usize)>,
@@ -70,7 +70,7 @@ struct World {
 }
 
 impl World {
-    /// PRIMASK changes; S140 does not like it long.
+    /// PRIMASK changes; S140 allows it for a short time only.
     fn mask(&mut self, masks: bool) {
         if masks {
             self.masked_since.get_or_insert(self.executed);
@@ -166,7 +166,7 @@ impl Board {
     /// A Nano 33 BLE Sense (Rev1) with the image in its flash, about to start.
     ///
     /// # Panics
-    /// Where the emulator cannot be set up.
+    /// If the emulator cannot be set up.
     pub fn new(image: Image, boot: Boot, motion: Box<dyn Motion>) -> Self {
         Self::of_kind(Kind::Nano33, image, boot, motion)
     }
@@ -365,7 +365,7 @@ impl Board {
     /// Runs until this cycle of virtual time.
     ///
     /// # Panics
-    /// Where the core faults; the message names the place.
+    /// If the core faults; the message names the place.
     pub fn run_until(&mut self, until: u64) {
         while self.now() < until {
             if self.in_bootloader {
@@ -441,7 +441,7 @@ impl Board {
         self.start();
     }
 
-    /// The program finds itself at the start of this function.
+    /// Continues the program at the start of this function.
     pub fn jump(&mut self, function: &str) {
         let address = self.image.function(function);
         self.set_reg(RegisterARM::PC, address | 1);
@@ -451,12 +451,12 @@ impl Board {
     /// S140 below the image.
     ///
     /// # Panics
-    /// Where the image does not run behind S140.
+    /// If the image does not run behind S140.
     pub fn softdevice(&mut self) -> &mut SoftDevice {
         self.soc().softdevice.as_mut().expect("the image runs behind S140")
     }
 
-    /// Runs for so many milliseconds of virtual time.
+    /// Runs for this many milliseconds of virtual time.
     pub fn run_ms(&mut self, milliseconds: u64) {
         let until = self.now() + us(milliseconds * 1000);
         self.run_until(until);

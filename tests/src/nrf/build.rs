@@ -20,7 +20,7 @@ pub enum Variant {
 /// `BIMANUAL_XIAO_ELF` name other ones, or these where they are built already, as `cargo xtask test` does.
 ///
 /// # Panics
-/// Where it does not build; the reason is on the terminal.
+/// If it does not build; the reason is on the terminal.
 pub fn image(variant: Variant) -> Image {
     static BOOTLOADER: OnceLock<PathBuf> = OnceLock::new();
     static BLE: OnceLock<PathBuf> = OnceLock::new();
@@ -36,7 +36,7 @@ pub fn image(variant: Variant) -> Image {
 /// The XIAO's image as its bootloader takes it.
 ///
 /// # Panics
-/// Where it is not there.
+/// If it is not there.
 pub fn uf2() -> Vec<u8> {
     image(Variant::Xiao);
     let elf = XIAO.get().expect("asked for above");

@@ -19,7 +19,7 @@ impl Events {
         self.fired.push(event);
     }
 
-    /// Whether the event stands.
+    /// Whether the event is set.
     pub fn stands(&self, event: u32) -> bool {
         self.happened & (1 << event) != 0
     }
@@ -44,7 +44,7 @@ impl Events {
         std::mem::take(&mut self.fired)
     }
 
-    /// A register of this block, where the offset is one.
+    /// A register of this block, if there is one at the offset.
     pub fn read(&self, offset: u32) -> Option<u32> {
         Some(match offset {
             0x100..=0x1FC => u32::from(self.stands((offset - 0x100) / 4)),
@@ -54,7 +54,7 @@ impl Events {
         })
     }
 
-    /// Writes a register of this block; false where the offset is none.
+    /// Writes a register of this block; false if the offset is none.
     pub fn write(&mut self, offset: u32, value: u32) -> bool {
         match offset {
             0x100..=0x1FC => {

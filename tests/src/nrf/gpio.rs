@@ -6,12 +6,12 @@ pub struct Port {
     out: u32,
     dir: u32,
     config: [u32; 32],
-    /// Levels that the world around drives, where the pin is not an output.
+    /// Levels that are driven from outside, if the pin is not an output.
     pub outside: u32,
 }
 
 impl Port {
-    /// The level that the pin drives, where it drives one. Open drain ("standard 0, disconnect 1") drives only low.
+    /// The level that the pin drives, if it drives one. Open drain ("standard 0, disconnect 1") drives only low.
     pub fn drives(&self, pin: u32) -> Option<bool> {
         if self.dir & (1 << pin) == 0 {
             return None;

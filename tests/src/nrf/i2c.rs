@@ -16,7 +16,7 @@ pub trait Sensor {
     fn read(&mut self, address: u8, bytes: &mut [u8], now: u64);
     /// Loses its settings, as in a power dip.
     fn power_cycle(&mut self);
-    /// Another hand takes the sensor.
+    /// The sensor is given to another hand.
     fn set_motion(&mut self, motion: Box<dyn Motion>);
     /// True period over nominal period of the sensor's own clock.
     fn set_clock_ratio(&mut self, ratio: f64);
@@ -24,7 +24,7 @@ pub trait Sensor {
     fn lose_write(&mut self, register: u8);
     /// Sets taken since power-up.
     fn sets(&self) -> u64;
-    /// Breaks in a way that it reports itself, where it can.
+    /// Breaks in a way that the sensor itself reports, if it can.
     fn fail(&mut self) {}
 }
 
@@ -35,7 +35,7 @@ pub enum Reply {
     Ack,
     /// Nobody answers at the address.
     AddressNack,
-    /// The line does not move: the transfer never ends.
+    /// The line is stuck: the transfer never ends.
     Stuck,
 }
 
@@ -47,7 +47,7 @@ pub struct Bus {
     pub powered: bool,
     /// The next transfers are not acknowledged.
     pub nacks: u32,
-    /// A device holds SDA low until it has seen so many clocks.
+    /// A device holds SDA low until it has seen this many clocks.
     pub stuck_clocks: u32,
     /// The sensor is unplugged.
     pub unplugged: bool,

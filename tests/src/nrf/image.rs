@@ -27,7 +27,7 @@ impl Image {
     /// Reads an ELF file.
     ///
     /// # Panics
-    /// Where it is no image for this chip: it comes from our own linker.
+    /// If it is no image for this chip: it comes from our own linker.
     pub fn load(path: &Path) -> Self {
         let data = std::fs::read(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
         let file: ElfFile32<'_> = ElfFile32::parse(&*data).expect("an ELF file");
@@ -66,7 +66,7 @@ impl Image {
     /// Address of a function without the Thumb bit.
     ///
     /// # Panics
-    /// Where the image has no such function.
+    /// If the image has no such function.
     pub fn function(&self, name: &str) -> u32 {
         self.symbols.get(name).unwrap_or_else(|| panic!("the image has no `{name}`")) & !1
     }

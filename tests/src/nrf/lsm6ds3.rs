@@ -8,7 +8,7 @@ use super::lsm9ds1::Motion;
 use super::registers::{Chip, Registers};
 use super::time::{HZ, us};
 
-/// Most words that the FIFO holds and its counter can say.
+/// Maximum number of words that the FIFO holds and its counter can say.
 const FIFO_WORDS: usize = 2047;
 const RESET: u64 = us(50);
 const CTRL3_C: u8 = 0x12;
@@ -45,7 +45,7 @@ impl Lsm6ds3 {
         self.registers.get(register)
     }
 
-    /// Nothing where a sensor is off, or the two run at different rates.
+    /// Nothing if a sensor is off, or the two run at different rates.
     fn period(&self) -> Option<f64> {
         let hz = match (self.register(0x10) >> 4, self.register(0x11) >> 4) {
             (4, 4) => 104.0,

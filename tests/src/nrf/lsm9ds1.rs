@@ -300,7 +300,7 @@ impl Sensor for Lsm9ds1 {
                 *byte |= 1 << 3;
             }
             if increments {
-                // A burst over the gyroscope's output goes on with the accelerometer's.
+                // A burst past the gyroscope's output registers continues with the accelerometer's.
                 self.selected.1 = match (die, register) {
                     (Die::AccelGyro, 0x1D) => 0x28,
                     _ => (register + 1) & 0x7F,

@@ -28,7 +28,7 @@ impl Ram {
         unsafe { std::slice::from_raw_parts(self.0.as_ptr().cast(), RAM_BYTES) }
     }
 
-    /// What EasyDMA reads, or nothing where a part is not RAM (EasyDMA cannot read flash).
+    /// What EasyDMA reads, or nothing if a part is not RAM (EasyDMA cannot read flash).
     pub fn get(&self, address: u32, len: usize) -> Option<&[u8]> {
         let start = address.checked_sub(RAM_START)? as usize;
         self.bytes().get(start..start.checked_add(len)?)
@@ -39,7 +39,7 @@ impl Ram {
         self.get(address, 4).map_or(0, |b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]))
     }
 
-    /// Where EasyDMA writes; false where a part is not RAM.
+    /// Where EasyDMA writes; false if a part is not RAM.
     pub fn put(&mut self, address: u32, data: &[u8]) -> bool {
         let Some(start) = address.checked_sub(RAM_START) else { return false };
         let start = start as usize;

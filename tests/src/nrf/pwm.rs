@@ -26,7 +26,7 @@ pub struct Drive {
 pub struct Pwm {
     /// Events.
     pub events: Events,
-    /// Each change of what the pin does. It is the port's where the generator is off, which is not in here.
+    /// Each change of what the pin does. While the generator is off the pin is the port's, which is not recorded here.
     pub drives: Vec<Drive>,
     enabled: bool,
     top: u32,
@@ -71,7 +71,7 @@ impl Pwm {
 
     /// Loads the first value of the sequence.
     fn start(&mut self, now: u64, ram: &Ram) {
-        // Not from flash, and nothing where the counter has no top.
+        // Not from flash, and nothing if the counter has no top.
         let value = ram.get(self.pointer, 2).map(|bytes| u16::from_le_bytes([bytes[0], bytes[1]]));
         let (Some(value), true) = (value.filter(|_| self.count > 0), self.top >= 3) else { return };
         let (falls, below) = (value & 0x8000 != 0, f64::from(value & 0x7FFF) / f64::from(self.top));

@@ -13,10 +13,10 @@ pub fn data() -> PathBuf {
         .join("data")
 }
 
-/// The first recordings of a class, joined; nothing where the folder is absent.
+/// The first recordings of a class, joined; nothing if the folder is absent.
 ///
 /// # Panics
-/// Where a file is not what its README says.
+/// If a file is not what its README says.
 pub fn joined(set: &str, class: &str, most: usize) -> Option<(Replay, usize)> {
     let mut files: Vec<_> =
         std::fs::read_dir(data().join(set).join(class)).ok()?.flatten().map(|f| f.path()).collect();

@@ -41,7 +41,7 @@ impl Registers {
         }
     }
 
-    /// What stands in a register.
+    /// The value of a register.
     pub fn get(&self, register: u8) -> u8 {
         self.bytes[usize::from(register & 0x7F)]
     }
@@ -52,7 +52,7 @@ impl Registers {
     }
 }
 
-/// What makes a chip of them.
+/// What turns the registers into a chip.
 pub trait Chip {
     /// Its bus address.
     const ADDRESS: u8;
@@ -71,13 +71,13 @@ pub trait Chip {
     fn read(&mut self, register: u8) -> u8 {
         self.registers().get(register)
     }
-    /// The register behind this one in a transfer.
+    /// The register that follows this one in a transfer.
     fn next(&self, register: u8) -> u8 {
         (register + 1) & 0x7F
     }
     /// A transfer from it is over.
     fn read_ended(&mut self) {}
-    /// Breaks in a way that it reports itself, where it can.
+    /// Breaks in a way that the sensor itself reports, if it can.
     fn break_down(&mut self) {}
 }
 

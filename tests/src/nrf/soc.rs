@@ -46,7 +46,7 @@ pub struct Wiring {
     pub power: Pin,
     /// The sensor draws more than a pin of standard drive gives.
     pub needs_high_drive: bool,
-    /// Supply of the bus' pull-ups, where it is not the sensor's.
+    /// Supply of the bus' pull-ups, if it is not the sensor's.
     pub pull_ups: Option<Pin>,
     /// I2C, on port 0.
     pub sda: u32,
@@ -64,7 +64,7 @@ pub struct Soc {
     pub now: u64,
     /// RAM.
     pub ram: Ram,
-    /// Flash as the world sees it (the core's copy of the code is set up once).
+    /// Flash as the peripherals see it (the core's copy of the code is set up once).
     pub flash: Vec<u8>,
     /// UICR, one page.
     pub uicr: Vec<u8>,
@@ -92,7 +92,7 @@ pub struct Soc {
     ppi: Ppi,
     /// USB device.
     pub usb: Usbd,
-    /// S140, where the image runs behind it.
+    /// S140, if the image runs behind it.
     pub softdevice: Option<Box<SoftDevice>>,
     /// Pins.
     pub ports: [Port; 2],
@@ -146,7 +146,7 @@ impl Soc {
         }
     }
 
-    /// A reset that is not a power-up: memories, time and the world stay. `reason` is its bit in RESETREAS.
+    /// A reset that is not a power-up: memories, time and surroundings stay. `reason` is its bit in RESETREAS.
     pub fn reset(&mut self, reason: u32) {
         const SOFT: u32 = 1 << 2;
         self.power.reset(reason);
@@ -286,7 +286,7 @@ impl Soc {
         }
     }
 
-    /// What S140 has to say to an access of the core.
+    /// S140's verdict on an access of the core.
     fn check(&mut self, address: u32, write: Option<u32>) {
         if let Some(softdevice) = &mut self.softdevice
             && softdevice.is_enabled()

@@ -10,7 +10,7 @@ use super::session::RightRig;
 /// A model of nine axes and seven labels with weights from a seed.
 ///
 /// # Panics
-/// Where the widths are too large for a blob.
+/// If the widths are too large for a blob.
 pub fn random_model(recipe: FeatureKind, hidden: &[usize], seed: u32) -> Vec<u8> {
     const AXES: usize = 9;
     let inputs = recipe.feature_count(AXES);
@@ -70,10 +70,10 @@ pub fn announce(session: &mut RightRig, begin: ModelBegin<'_>) -> AckResult {
     session.heard.acks.last().expect("an answer").result
 }
 
-/// Sends pieces until `most` have been taken.
+/// Sends pieces until `most` have been accepted.
 ///
 /// # Panics
-/// Where one is refused.
+/// If one is refused.
 pub fn pieces(session: &mut RightRig, blob: &[u8], most: usize) {
     for (i, data) in blob.chunks(MODEL_CHUNK_MAX).enumerate().take(most) {
         let offset = (i * MODEL_CHUNK_MAX) as u32;
@@ -105,7 +105,7 @@ pub fn model_id(session: &mut RightRig) -> u32 {
 /// Sends a whole model, which runs after a restart.
 ///
 /// # Panics
-/// Where the board does not take it.
+/// If the board does not take it.
 pub fn install(session: &mut RightRig, blob: &[u8]) {
     let model = Model::parse(blob).expect("a model");
     assert_eq!(announce(session, begin(blob, &model)), AckResult::Ok);

@@ -54,7 +54,7 @@ pub struct UsbHost {
     begins: Option<u64>,
     to_ask: VecDeque<Request>,
     asked: Option<Request>,
-    /// The device's serial number, where it has one.
+    /// The device's serial number, if it has one.
     pub serial_number: Option<String>,
     /// Bulk endpoints of the serial port, in and out.
     bulk: Option<(usize, usize)>,
@@ -104,10 +104,10 @@ impl UsbHost {
         self.bulk.is_some() && self.to_ask.is_empty() && self.asked.is_none()
     }
 
-    /// Goes on with what is to be asked.
+    /// Continues with the next request.
     ///
     /// # Panics
-    /// Where the device answers otherwise than a serial port of Arduino's ids does.
+    /// If the device answers otherwise than a serial port of Arduino's ids does.
     pub fn step(&mut self, board: &mut Board) {
         if !self.plugged || board.in_bootloader {
             return;
@@ -160,7 +160,7 @@ impl UsbHost {
         self.bulk.map_or_else(Vec::new, |(input, _)| std::mem::take(&mut board.soc().usb.received[input]))
     }
 
-    /// Sends bytes to the board; into the void where the port is not ready.
+    /// Sends bytes to the board; they are lost if the port is not ready.
     pub fn write(&mut self, board: &mut Board, bytes: &[u8]) {
         if let Some((_, output)) = self.bulk {
             let soc = board.soc();

@@ -15,7 +15,7 @@ use tests::desk::program::{Desk, Running};
 use tests::desk::programs::folder;
 use tests::desk::right::{Right, RightStation};
 
-/// Not every drawing is what the model takes it for.
+/// The model does not recognise every drawing.
 const DRAWINGS: u32 = 3;
 const SOON: Duration = Duration::from_secs(12);
 

@@ -19,7 +19,7 @@ use crate::renamed::renamed_model;
 
 /// How soon the base drives, or the end of a gesture is known.
 const SOON: Duration = Duration::from_secs(12);
-/// Not every drawing is what the model takes it for.
+/// The model does not recognise every drawing.
 const DRAWINGS: u32 = 3;
 
 fn armed(run: &mut Running) {
@@ -50,7 +50,7 @@ fn draw(run: &mut Running, right: &RightStation, motion: Motion, label: &str) {
     panic!("{label} starts nothing; there were\n{}", run.seen.join("\n"));
 }
 
-/// What `run --json` printed as its last line.
+/// The last line that `run --json` printed.
 fn summary(text: &str) -> serde_json::Value {
     serde_json::from_str(text.lines().last().unwrap_or_default()).expect("the last line is an object")
 }
@@ -94,7 +94,7 @@ fn list_and_doctor_name_both_hands_and_calibrate_is_kept_in_the_board() {
     let (_, text) = run(&desk, &["doctor", "--left", &left.port(), "--seconds", "1"]);
     assert!(text.contains("the left hand") && !text.contains("not calibrated"), "{text}");
 
-    // Where the wrong board answers, nothing is done, and the text says which one it is.
+    // If the wrong board answers, nothing is done, and the text says which one it is.
     let (status, text) = run(&desk, &["calibrate", "--port", &right.port()]);
     assert!(!status.success() && text.contains("answers; only the left"), "{text}");
 }
@@ -239,8 +239,8 @@ fn recordings_hold_what_the_sensor_felt_and_a_spoilt_take_leaves_nothing() {
     }
 }
 
-/// Runs a verb and pulls the cable (or presses reset) after so long, whatever it is doing then. It must end by itself,
-/// without a panic, and say what to do where it was kept from its work.
+/// Runs a verb and pulls the cable (or presses reset) after this long, whatever it is doing then. It must end by itself,
+/// without a panic, and say what to do if it was interrupted.
 fn disturbed<B: Board + 'static>(
     desk: &Desk,
     board: &Station<B>,
@@ -284,7 +284,7 @@ fn a_cable_pulled_or_a_reset_at_any_moment_ends_every_verb_with_advice() {
         disturbed(&desk, &right, &record, moment(&mut rng), Station::pull);
         assert!(!desk.path("recordings/circle/me__1.csv").exists(), "a spoilt take is saved");
     }
-    // Neither board is the worse for it.
+    // Neither board has been harmed.
     left.plug();
     right.plug();
     let (status, text) = run(&desk, &["list", &port, &other]);

@@ -18,7 +18,7 @@ use tests::desk::lateness::Lateness;
 use tests::desk::left::{Left, LeftStation};
 use tests::desk::right::Right;
 
-/// Not every drawing is what the model takes it for.
+/// The model does not recognise every drawing.
 const DRAWINGS: u32 = 4;
 /// By the wall clock; a gesture takes 4 s of the boards'.
 const SOON: Duration = Duration::from_secs(60);

@@ -15,7 +15,7 @@ use tests::desk::program::{Desk, Running};
 use tests::desk::programs::folder;
 use tests::desk::right::Right;
 
-/// What the walk-through may take: the board's time and the training.
+/// The longest that the walk-through may take: the board's time and the training.
 const LIMIT_S: f64 = 600.0;
 const SOON: Duration = Duration::from_secs(15);
 
@@ -48,7 +48,7 @@ impl Shell {
         if line.starts_with("host-bridge") {
             self.desk.start(command)
         } else {
-            // It knows no boards.
+            // That program knows no boards.
             self.desk.start_on_its_own(command)
         }
     }
@@ -63,7 +63,7 @@ fn the_lines_of_the_readme_lead_from_list_to_a_gesture_of_ones_own_in_ten_minute
     }
     let desk = Desk::new("walk-through");
     let left = Left::start(&desk, "usb0");
-    // A wearer whom no model has met.
+    // A wearer that no model has met.
     let right = Right::start(&desk, "acm0", Wearer::evaluation(77, 1));
     let shell = Shell { ports: [left.port(), right.port()], desk };
     let (begun, board_began_ms) = (Instant::now(), right.board_ms());

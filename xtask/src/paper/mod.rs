@@ -21,10 +21,10 @@ use crate::{is_full, root};
 /// A table or figure of the paper, and the tests that measure the same here.
 struct Part {
     title: &'static str,
-    /// As `cargo test` is told.
+    /// As arguments of `cargo test`.
     test: &'static [&'static str],
     only: &'static str,
-    /// What the rows' names begin with; each must come.
+    /// Beginnings of the rows' names; each row must come.
     rows: &'static [&'static str],
     /// What a reader must know.
     note: &'static str,

@@ -70,7 +70,7 @@ pub fn heat(matrix: &Matrix) -> Result<String> {
     })
 }
 
-/// Cap and commanded speed over time; nothing where there are no figures. Each row: second, cap and speed in m/s.
+/// Cap and commanded speed over time; nothing if there are no figures. Each row: second, cap and speed in m/s.
 pub fn speed(rows: &[(String, Vec<f64>)]) -> Result<String> {
     if rows.is_empty() {
         return Ok(String::new());
@@ -82,7 +82,7 @@ pub fn speed(rows: &[(String, Vec<f64>)]) -> Result<String> {
     chart("Speed by bends", ("s", "m/s"), &lines)
 }
 
-/// The flange's paths from the side (x, z) and from above (x, y); nothing where there are no figures. Each row: a motion's
+/// The flange's paths from the side (x, z) and from above (x, y); nothing if there are no figures. Each row: a motion's
 /// name, x, y and z in m.
 pub fn paths(rows: &[(String, Vec<f64>)]) -> Result<String> {
     if rows.is_empty() {

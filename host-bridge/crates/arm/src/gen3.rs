@@ -19,7 +19,7 @@ pub const VELOCITY_SCALING: f64 = 0.1;
 /// Share of [`MAX_ACCELERATION_RAD_S2`] that motions use, as in the paper.
 pub const ACCELERATION_SCALING: f64 = 0.05;
 
-/// Jerk limit of all joints in rad/s³, where jerk is limited: not scaled.
+/// Jerk limit of all joints in rad/s³, if jerk is limited: not scaled.
 ///
 /// Our choice: the paper's acceleration of 0.43 rad/s² is built up in 0.1 s. We know of none by Kinova; MoveIt's
 /// smoothing takes 100 rad/s³ or more where a robot names none, which would be there in 4 ms.
@@ -76,7 +76,7 @@ const ORIGINS: [([f64; 3], u8); JOINTS + 1] = [
 /// Origin of a joint (or, last, of the flange) in its parent's frame: metres, rotation.
 pub(super) fn origin(joint: usize) -> (DVec3, DMat3) {
     let (origin_m, quarters) = ORIGINS[joint];
-    // Exact, where sin and cos of pi would not be.
+    // Exact, unlike sin and cos of pi.
     let turn = DMat3::from_cols(DVec3::X, DVec3::Z, DVec3::NEG_Y);
     (origin_m.into(), (0..quarters).fold(DMat3::IDENTITY, |turned, _| turned * turn))
 }

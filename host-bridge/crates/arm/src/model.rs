@@ -31,7 +31,7 @@ pub struct ArmJoint {
     pub origin_rotation: DMat3,
     /// Axis in its own frame, of length 1.
     pub axis: Point,
-    /// Least and greatest angle; `None` = turns without end.
+    /// Minimum and maximum angle; `None` = turns without end.
     pub limit_rad: Option<(f64, f64)>,
     /// Fastest turn.
     pub velocity_rad_s: f64,
@@ -60,7 +60,7 @@ pub struct SerialArm {
     pub foot: Vec<Capsule>,
     /// The pose to go to first and to fall back to, in rad.
     pub home_rad: Joints,
-    /// What its file says and was not understood, for people.
+    /// What its file contains and was not understood, for people.
     pub notes: Vec<String>,
 }
 
@@ -119,7 +119,7 @@ impl SerialArm {
         }
     }
 
-    /// It is the built-in arm, for which poses are bundled.
+    /// Whether it is the built-in arm, for which poses are bundled.
     pub fn is_gen3(&self) -> bool {
         self.name == GEN3
     }
@@ -139,7 +139,7 @@ impl SerialArm {
         poses
     }
 
-    /// The same pose with the joints that turn without end turned to where they are now, so that the way is short: but no
+    /// The same pose with the joints that turn without end turned to where they are now, so that the path is short: but no
     /// further than one turn either way, where descriptions of such arms end (ros2_kortex's does).
     pub fn unwound(&self, goal_rad: &Joints, here_rad: &Joints) -> Joints {
         let mut unwound = *goal_rad;
@@ -284,7 +284,7 @@ mod tests {
             nearest_m = nearest_m.max(arm.beyond_reach_m(&arm.flange_pose(&joints)));
         }
         assert!(nearest_m <= 1e-12, "{nearest_m}");
-        // Straight up there is next to nothing left to stretch.
+        // Pointing straight up, the arm has almost nothing left to stretch.
         let mut straight = arm.flange_pose(&[0.0; JOINTS]);
         assert!((-0.01..=1e-12).contains(&arm.beyond_reach_m(&straight)));
         straight.position_m.z += 0.01;
@@ -299,7 +299,7 @@ mod tests {
     fn joints_without_end_take_the_short_way_and_end_within_one_turn() {
         use host_robot::Trajectory;
         let arm = SerialArm::gen3();
-        // Joint 1 is told at 3.1 rad, the pose has it at -3.1: 0.083 rad apart, not 6.2 rad and 44.7 s.
+        // Joint 1 is reported at 3.1 rad, and is -3.1 in the pose: 0.083 rad apart, not 6.2 rad and 44.7 s.
         let (mut here, mut goal) = (arm.home_rad, arm.home_rad);
         (here[0], goal[0]) = (3.1, -3.1);
         let there = arm.unwound(&goal, &here);

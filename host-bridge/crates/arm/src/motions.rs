@@ -63,10 +63,10 @@ pub struct StepTable {
     /// With this orientation, z out of the arm.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub quaternion_wxyz: Option<[f64; 4]>,
-    /// Moves the tool so far along the robot's axes.
+    /// Moves the tool by this much along the robot's axes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub move_m: Option<Point>,
-    /// Moves the tool so far along its own axes.
+    /// Moves the tool by this much along its own axes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub move_tool_m: Option<Point>,
     /// Turns the tool about its own axes: the axis, as long as the angle.
@@ -81,7 +81,7 @@ pub struct StepTable {
     /// With this force at most.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub effort_n: Option<f64>,
-    /// Rests for so long.
+    /// Rests for this long.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub wait_s: Option<f64>,
 }
@@ -102,9 +102,9 @@ pub enum GripTable {
 pub enum Grasp {
     /// As wide as it goes.
     Open,
-    /// Until it has something, or is shut.
+    /// Until it holds something, or is shut.
     Close,
-    /// Whichever of them it is not.
+    /// Open if it is shut, shut if it is open.
     Toggle,
 }
 
@@ -117,7 +117,7 @@ pub fn is_grasp(name: &str) -> bool {
     GRASPS.iter().any(|(known, _)| *known == name)
 }
 
-/// All of a motion is planned before it starts, so it must end somewhere.
+/// Maximum number of steps: all of a motion is planned before it starts.
 const STEPS_MAX: usize = 32;
 /// No step waits longer.
 const WAIT_MAX_S: f64 = 60.0;
@@ -232,7 +232,7 @@ pub enum Step {
         /// The largest force.
         effort_n: Option<f64>,
     },
-    /// Nothing moves for so long.
+    /// Nothing moves for this long.
     Wait {
         /// Time.
         ms: u64,
@@ -279,7 +279,7 @@ pub fn joints_of(arm: &SerialArm, name: &str, angles: &[f64]) -> Result<Joints, 
     Ok(joints_rad)
 }
 
-/// A name without what slips of the pen change.
+/// A name without what typing errors change.
 fn plain(name: &str) -> String {
     name.chars().filter(char::is_ascii_alphanumeric).map(|c| c.to_ascii_lowercase()).collect()
 }

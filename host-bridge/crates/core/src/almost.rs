@@ -1,6 +1,6 @@
 //! A gesture that was nearly one: what a wearer must see to learn how the model wants it drawn.
 //!
-//! The board decides and sends its scores with every hop. Where they rose to a gesture and fell again without an
+//! The board decides and sends its scores with every hop. If they rose to a gesture and fell again without an
 //! event, this says which gesture and how near it came. Nothing follows from it.
 
 use std::collections::VecDeque;
@@ -9,7 +9,7 @@ use crate::intent::is_rest;
 
 /// Scores are averaged over so many hops, as the board averages them (six axes and more).
 const AVERAGE_HOPS: usize = 4;
-/// Least mean probability worth a word; the board wants half.
+/// Smallest mean probability that is reported; the board itself wants one half.
 const NEARLY: f32 = 0.4;
 /// A rise is over when no gesture is above this, and the next one may begin.
 const OVER: f32 = 0.25;
@@ -28,7 +28,7 @@ enum Rise {
     None,
     /// The nearest so far: label and mean probability.
     Nearest(usize, f32),
-    /// The board or this has spoken of it.
+    /// It has been reported, by the board or from here.
     Told,
 }
 
@@ -60,7 +60,7 @@ impl Almost {
                 Rise::None | Rise::Told => Rise::None,
             },
             Rise::Nearest(_, best) if mean > best => Rise::Nearest(label, mean),
-            // Falling: the movement is over, and the board would have spoken by now.
+            // The scores fall: the movement is over, and the board would have reported it by now.
             Rise::Nearest(label, best) if mean < best / 2.0 => {
                 self.rise = Rise::Told;
                 return Some((label, best));
@@ -88,7 +88,7 @@ mod tests {
         ["idle", "circle", "wave", "other"].map(str::to_owned).to_vec()
     }
 
-    /// What is told while `circle` has these probabilities, hop after hop, and the board fires in one of them.
+    /// What is reported while `circle` has these probabilities, hop after hop, and the board finds a gesture in one of them.
     fn told(circle: &[f32], fires: Option<usize>) -> Vec<(usize, f32)> {
         let mut almost = Almost::default();
         let hops = circle.iter().enumerate();

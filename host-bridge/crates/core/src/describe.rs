@@ -129,7 +129,7 @@ pub fn time_ms(event: &SessionEvent) -> u64 {
     }
 }
 
-/// What a session came to, in a few lines.
+/// The result of a session, in a few lines.
 pub fn summary(summary: &Summary) -> String {
     let here = summary.odometry;
     let delay = |d: crate::latency::DelaySummary| match (d.median_ms, d.worst_ms) {

@@ -21,21 +21,21 @@ use crate::observe::{Now, OperatorKey, SessionEvent, Tap, Turn};
 use crate::safety::{Hand, PerHand};
 use crate::source::{HandKey, Source};
 
-/// A set-up without an answer is sent again after this long.
+/// Settings that the board has not acknowledged are sent again after this long.
 const SET_UP_INTERVAL_MS: u64 = 1000;
 
-/// See the module. `'b` is what its hands borrow.
+/// See the module. `'b` is the lifetime of what its hands borrow.
 pub struct Engine<'b, D> {
     bridge: Bridge,
     door: D,
-    /// The robot has moved up to here.
+    /// The robot has moved up to this time.
     moved_ms: u64,
     sources: PerHand<Source<'b>>,
     tilt: Option<TiltThresholds>,
     /// The right hand's wearer feels what happens.
     vibrates: bool,
     request: u16,
-    /// What a hand's board is still to be told after its start.
+    /// What still has to be sent to a hand's board after its start.
     set_ups: PerHand<Option<SetUp>>,
     /// Labels that mark episodes.
     marks: Vec<(String, Mark)>,
@@ -92,7 +92,7 @@ impl<'b, D: Door> Engine<'b, D> {
         Engine { tilt: Some(tilt), ..self }
     }
 
-    /// The right hand's board is told what its wearer shall feel, where it knows how.
+    /// The right hand's board is told what its wearer shall feel, if the board supports that.
     #[must_use]
     pub fn with_vibration(self, vibrates: bool) -> Self {
         Engine { vibrates, ..self }
@@ -124,7 +124,7 @@ impl<'b, D: Door> Engine<'b, D> {
         &self.door
     }
 
-    /// The door, to hand the robot what came from elsewhere.
+    /// The door, for handing the robot what came from elsewhere.
     pub fn door_mut(&mut self) -> &mut D {
         &mut self.door
     }
@@ -136,14 +136,14 @@ impl<'b, D: Door> Engine<'b, D> {
         self.bridge.receive(hand, bytes, now_ms, &mut self.door);
     }
 
-    /// A key of those that stand for a hand.
+    /// A key of the keyboard that plays a hand.
     pub fn press(&mut self, key: HandKey, now_ms: u64) {
         for source in self.sources.values_mut() {
             source.press(key, now_ms);
         }
     }
 
-    /// Such a key is up.
+    /// Such a key was released.
     pub fn release_hand_key(&mut self, key: HandKey) {
         for source in self.sources.values_mut() {
             source.release(key);
@@ -160,7 +160,7 @@ impl<'b, D: Door> Engine<'b, D> {
         }
     }
 
-    /// The operator marks an episode. Nothing moves or stops by it.
+    /// The operator marks an episode. That neither moves nor stops anything.
     pub fn mark(&mut self, mark: Mark, by: MarkedBy, now_ms: u64) {
         let told = self.episodes.mark(mark, now_ms);
         self.marked.push(SessionEvent::Marked { time_ms: now_ms, mark, by, told });
@@ -221,7 +221,7 @@ impl<'b, D: Door> Engine<'b, D> {
     /// take bytes now. What happened comes back; what is to be sent waits in [`Engine::take_outgoing`].
     pub fn advance(&mut self, now_ms: u64, ready: impl Into<PerHand<bool>>) -> Vec<SessionEvent> {
         let ready = ready.into();
-        // First what has passed: after a pause of this program the robot has stopped by itself.
+        // First the robot's past: after a pause of this program it has stopped by itself.
         self.move_on(now_ms.saturating_sub(self.moved_ms));
         let mut happened = Vec::new();
         for hand in Hand::BOTH {
@@ -265,7 +265,7 @@ impl<'b, D: Door> Engine<'b, D> {
         events
     }
 
-    /// Every hand that is played has come to its end.
+    /// Every recording that is played has ended.
     pub fn ended(&self) -> bool {
         self.sources.iter().all(|(_, source)| source.ended())
     }

@@ -9,13 +9,13 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-/// What an operator says of an episode.
+/// How an operator marks an episode.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Mark {
     /// One begins.
     Begin,
-    /// It ends, and counts.
+    /// It ends and is kept.
     End,
     /// It failed: what was begun, or else the last one, is thrown away, and another begins.
     Again,
@@ -94,11 +94,11 @@ pub struct Take {
 /// What became of a take.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
-    /// It ended, and nobody said more.
+    /// It ended, and nobody has judged it.
     Ended,
     /// It was marked good.
     Good,
-    /// It is no episode; why.
+    /// It is not an episode, for this reason.
     LeftOut(&'static str),
 }
 
@@ -115,7 +115,7 @@ pub enum Told {
     Good(usize),
     /// This one is left out.
     Bad(usize),
-    /// There is none to mark.
+    /// There is no episode to mark.
     Nothing(Mark),
 }
 

@@ -1,4 +1,4 @@
-//! What the wearer of the right hand feels of what happens, where a motor is wired to its board.
+//! What the wearer of the right hand feels of what happens, if a motor is wired to its board.
 
 use shared_proto::message::{HostMessage, Signal};
 
@@ -8,7 +8,7 @@ use crate::safety::HaltReason;
 /// Boards of this minor version and later know what a [`Signal`] is.
 pub const SINCE_MINOR: u8 = HostMessage::Feel { signal: Signal::Ready }.row().since;
 
-/// The signal for what happened in a turn: of several the gravest, for a wrist feels one at a time.
+/// The signal for what happened in a turn. If several things happened it is the gravest, since a wrist feels one at a time.
 pub fn signal(events: &[BridgeEvent]) -> Option<Signal> {
     let weight = |signal: &Signal| match signal {
         Signal::LinkLost => 3,

@@ -14,7 +14,7 @@ pub struct Delays {
 pub struct DelaySummary {
     /// How many.
     pub count: usize,
-    /// The middle one (the upper of two).
+    /// The median (the upper of the two middle ones).
     pub median_ms: Option<u64>,
     /// The longest.
     pub worst_ms: Option<u64>,
@@ -26,7 +26,7 @@ impl Delays {
         self.waiting_since_ms = Some(at_ms);
     }
 
-    /// No motion will answer.
+    /// No motion will follow.
     pub fn cancel(&mut self) {
         self.waiting_since_ms = None;
     }

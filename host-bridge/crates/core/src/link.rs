@@ -30,10 +30,10 @@ pub const HELLO_INTERVAL_MS: u64 = 500;
 /// A known board is pinged this often: ages rest on the answers.
 pub const PING_INTERVAL_MS: u64 = 100;
 
-/// A board that has answered no ping for this long is as good as silent, whatever it sends.
+/// A board that has answered no ping for this long counts as silent, whatever it sends.
 pub const ANSWER_PATIENCE_MS: u64 = 500;
 
-/// So many pings may be on their way at once; an answer after more than 6 s is none.
+/// At most this many pings are on their way at once; an answer after more than 6 s does not count.
 const PINGS_IN_FLIGHT: usize = 64;
 
 /// This many overtaken states in a row mean that the board restarted and its hello was lost.
@@ -65,7 +65,7 @@ pub struct ModelSummary {
     pub labels: Vec<String>,
 }
 
-/// What a stretch of bytes had to say, as far as a session acts on it.
+/// What some bytes said, as far as a session acts on it.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Heard {
     /// A hello with a new boot id.
@@ -76,7 +76,7 @@ pub enum Heard {
     Model(ModelSummary),
     /// A left state, newer than all before it.
     Left {
-        /// The most that the age of the sample can be.
+        /// Upper bound of the sample's age.
         age_ms: u64,
         /// As received.
         state: LeftState,
@@ -87,7 +87,7 @@ pub enum Heard {
     },
     /// A right state, newer than all before it.
     Right(RightReport),
-    /// Something is wrong that a person should know.
+    /// Something is wrong that a person should know about.
     Fault(Fault),
     /// Answer to a request.
     Ack(Ack),
@@ -96,7 +96,7 @@ pub enum Heard {
 /// A right state without its borrowed scores.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RightReport {
-    /// The most that the age of the newest sample can be.
+    /// Upper bound of the newest sample's age.
     pub age_ms: u64,
     /// Board clock at the newest sample.
     pub board_time_ms: u32,
@@ -117,13 +117,13 @@ pub struct NewGesture {
     pub confidence: f32,
     /// Board clock at the end of the deciding window.
     pub window_end_ms: u32,
-    /// The most that the age of that window's end can be.
+    /// Upper bound of the age of that window's end.
     pub age_ms: u64,
     /// Gestures before it whose label nobody will know: their frames were lost.
     pub unnamed: u8,
 }
 
-/// Frames that came and what became of them.
+/// Frames that came, and how each was used.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct LinkCounters {
     /// Intact frames.
@@ -214,12 +214,12 @@ impl HandLink {
         self.minor
     }
 
-    /// Battery of the board in millivolts, where it says so.
+    /// Battery of the board in millivolts, if it says so.
     pub fn battery_mv(&self) -> Option<u16> {
         self.about.map(|about| about.battery_mv).filter(|&mv| mv > 0)
     }
 
-    /// What became of the frames so far.
+    /// How the frames so far were used.
     pub fn counters(&self) -> LinkCounters {
         let Counters { frames, unknown, malformed, .. } = self.decoder.counters();
         LinkCounters {
@@ -291,7 +291,7 @@ impl HandLink {
     }
 
     fn pong(&mut self, pong: &Pong, now_ms: u64) {
-        // An answer that another has overtaken says less than that one did; one to no ping says nothing.
+        // An answer that a later one has overtaken adds nothing; nor does one that no ping asked for.
         let Some(at) = self.pings.iter().position(|&(id, _)| id == pong.id) else { return };
         let Some((_, sent_ms)) = self.pings.drain(..=at).next_back() else { return };
         if self.clock.pong(pong.board_time_ms, sent_ms, now_ms) {
@@ -355,7 +355,7 @@ impl HandLink {
             sample_hz: hello.sample_hz,
         };
         self.clock.rebase();
-        // Answers of the board's life before are about another clock.
+        // Answers from before the board's restart are about another clock.
         self.pings.clear();
         self.round_trip = None;
         if let Some((_, sent_ms)) = &mut self.pinged {
@@ -458,7 +458,7 @@ impl HandLink {
     }
 }
 
-/// The most that a time on a board's clock can be on the laptop's.
+/// The latest time on the laptop's clock that a time on a board's clock can be.
 fn with_drift(board_ms: u64) -> u64 {
     board_ms + board_ms * u64::from(DRIFT_PPM) / 1_000_000
 }

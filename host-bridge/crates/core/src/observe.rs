@@ -1,4 +1,4 @@
-//! Where a running session shows itself: one tap that any number of observers hang on.
+//! How a running session is watched: one tap, to which any number of observers are attached.
 //!
 //! ```text
 //!             received, sent, sampled, operated, turned, happened, state
@@ -9,7 +9,7 @@
 //! **To observe**, implement [`Observer`] (every method has an empty default) and hand it over before the
 //! first step: `session.tap_mut().add(…)` or `live.tap_mut().add(…)`. What never changes (joints, links,
 //! boxes, limits) is in [`Setting::of`]; what does is borrowed in [`Now`], and [`Snapshot::of`] makes an owned
-//! copy of it that serialises. Whatever an observer finds out it puts where its owner can see it: a channel, a
+//! copy of it that serialises. An observer puts what it finds where its owner can see it: a channel, a
 //! shared cell.
 //!
 //! Observers run inside the session's own loop, and nothing waits for anybody: an observer must not block.
@@ -31,7 +31,7 @@ use crate::link::LinkCounters;
 use crate::safety::{Hand, State};
 use shared_words::Heading;
 
-/// Looks on. See the module for what an observer may do.
+/// Watches a session. See the module for what an observer may do.
 pub trait Observer {
     /// Bytes of a hand's board, just before the bridge handles them, sliced as they came.
     fn received(&mut self, _time_ms: u64, _hand: Hand, _bytes: &[u8]) {}
@@ -67,12 +67,12 @@ pub struct Tap {
 }
 
 impl Tap {
-    /// One more observer, shown everything from now on.
+    /// Adds an observer, which is shown everything from now on.
     pub fn add(&mut self, observer: Box<dyn Observer + Send>) {
         self.observers.push(observer);
     }
 
-    /// Lets all observers go; those that hand things over do so now at the latest.
+    /// Drops all observers; those that hand things over do so now at the latest.
     pub fn clear(&mut self) {
         self.observers.clear();
     }
@@ -82,7 +82,7 @@ impl Tap {
         self.observers.is_empty()
     }
 
-    /// Shows something to all.
+    /// Shows something to all observers.
     pub(crate) fn show(&mut self, show: impl Fn(&mut dyn Observer)) {
         for observer in &mut self.observers {
             show(observer.as_mut());
@@ -95,7 +95,7 @@ impl Tap {
 pub enum Turn {
     /// The bridge is about to let this time come ([`Bridge::step`]), in ms.
     Decided(u64),
-    /// The robot is about to move on by so much ([`Door::step`]), in ms.
+    /// The robot is about to move on by this much ([`Door::step`]), in ms.
     Moved(u64),
 }
 
@@ -152,7 +152,7 @@ pub struct Snapshot {
     pub right: RightSnapshot,
     /// Caps on the base's speed.
     pub caps: Caps,
-    /// What the base is asked for now; zero unless armed.
+    /// The speed that the base is asked for now; zero unless armed.
     pub twist_asked: Twist,
     /// Where the base is, from its wheels, and how fast.
     pub odometry: Odometry,
@@ -182,7 +182,7 @@ pub struct Snapshot {
     pub refusal: Option<String>,
     /// What this session may not do, and why.
     pub restriction: Option<String>,
-    /// Ticks in which something braked for what was in the way.
+    /// Ticks in which the guard braked for an obstacle.
     pub guard_stops: u32,
     /// How often the robot had to stop by itself.
     pub robot_timeouts: u32,
@@ -203,9 +203,9 @@ pub struct LinkSnapshot {
     pub age_ms: Option<u64>,
     /// How long the newest answered ping took, there and back.
     pub round_trip_ms: Option<u64>,
-    /// What became of its frames.
+    /// How its frames were used.
     pub counters: LinkCounters,
-    /// Battery of its board in millivolts, where it is known.
+    /// Battery of its board in millivolts, if it is known.
     pub battery_mv: Option<u16>,
     /// Bits of [`shared_proto::message::health`] in its newest state.
     pub health: u8,

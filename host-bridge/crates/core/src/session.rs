@@ -136,7 +136,7 @@ impl<'b, D: Door> Session<'b, D> {
         }
     }
 
-    /// What the session came to.
+    /// The session's result.
     pub fn summary(&self) -> Summary {
         let mut gestures = Vec::new();
         let mut poses_reached = Vec::new();
@@ -188,7 +188,7 @@ impl<'b, D: Door> Session<'b, D> {
     }
 }
 
-/// What a session came to; one JSON object.
+/// The result of a session, as one JSON object.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Summary {
     /// Virtual time passed.

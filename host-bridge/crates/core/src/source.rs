@@ -22,7 +22,7 @@ pub trait HandSource: Send {
     /// Lets the time become `now_ms`; what the hand sent meanwhile is appended to `wire`.
     fn step(&mut self, now_ms: u64, wire: &mut Vec<u8>);
 
-    /// Takes bytes from the bridge; answers are appended to `wire`, now or in a later step.
+    /// Takes bytes from the bridge. Answers are appended to `wire`, now or in a later step.
     fn receive(&mut self, bytes: &[u8], now_ms: u64, wire: &mut Vec<u8>);
 
     /// A key was pressed or repeated.
@@ -36,23 +36,23 @@ pub trait HandSource: Send {
         None
     }
 
-    /// It plays something that is over: silent from now on.
+    /// The recording that it plays is over; it is silent from now on.
     fn ended(&self) -> bool {
         false
     }
 }
 
-/// What stands for a hand.
+/// What plays a hand.
 pub enum Source<'b> {
     /// Nothing: the hand takes no part.
     Nobody,
-    /// A link elsewhere; what waits to be sent, newest last.
+    /// A link outside; what waits to be sent, newest last.
     Link(Vec<Vec<u8>>),
     /// Something here.
     Here {
         /// It.
         hand: Box<dyn HandSource + 'b>,
-        /// Its end was reported.
+        /// Its end has been reported.
         end_noted: bool,
     },
 }

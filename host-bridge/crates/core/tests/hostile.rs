@@ -4,7 +4,7 @@
 //! The judge knows when each sample was really taken, and asks after every step:
 //! * nothing is commanded unless the bridge is armed,
 //! * what is commanded is the heading of a sample that is no older than 250 ms (and this turn of the loop),
-//! * it arms only on neutral samples without another between them, three at least, that span 100 ms.
+//! * it arms only on at least three neutral samples in a row that span 100 ms.
 
 mod support;
 
@@ -17,15 +17,15 @@ use host_robot::{Random, Twist};
 use shared_proto::message::{BoardMessage, Heading, HostMessage, LeftState, Pong};
 use support::{NoRobot, encode, hello};
 
-/// A sample that has come through in this time or less of the loop may still act.
+/// A sample may still act in the turn of the loop in which it becomes too old.
 const TURN_MS: u64 = 20;
 const SAMPLE_MS: u64 = 20;
 
-/// What is on the line to the program.
+/// What is on its way to the program.
 struct OnItsWay {
     due_ms: u64,
     bytes: Vec<u8>,
-    /// When it was sampled and what it says, where it is a whole state.
+    /// When it was sampled and what it says, if it is a whole state.
     state: Option<(u64, Heading)>,
 }
 
@@ -43,11 +43,11 @@ struct World {
     board_ahead_ms: u32,
     sampled_ms: u64,
     heading: Heading,
-    /// How long the line holds things up now.
+    /// The line's delay now.
     delay_ms: u64,
     /// The newest sample of each heading that has come through.
     seen_ms: [u64; 6],
-    /// Samples that came through since the last that was not neutral, oldest first; and the newest of them all.
+    /// Samples that arrived since the last one that was not neutral, oldest first; and the newest of all.
     neutral: Vec<u64>,
     newest_ms: u64,
     armed: u64,
@@ -66,7 +66,7 @@ fn place(heading: Heading) -> usize {
     }
 }
 
-/// Where a speed comes from.
+/// Which sample a speed comes from.
 fn asked(twist: Twist) -> Option<usize> {
     let Twist { linear_m_s, angular_rad_s } = twist;
     match (linear_m_s.partial_cmp(&0.0)?, angular_rad_s.partial_cmp(&0.0)?) {
@@ -111,7 +111,7 @@ impl World {
     }
 
     fn put(&mut self, bytes: Vec<u8>, state: Option<(u64, Heading)>) {
-        // A line delays as it likes; what is behind stays behind.
+        // A line delays as it likes, but keeps the order.
         let behind_ms = self.line.back().map_or(0, |last| last.due_ms);
         let due_ms = (self.now_ms + self.delay_ms + self.upto(4)).max(behind_ms);
         self.line.push_back(OnItsWay { due_ms, bytes, state });
@@ -168,13 +168,13 @@ impl World {
         }
     }
 
-    /// The line changes its mind.
+    /// The line changes its behaviour.
     fn line_changes(&mut self) {
         match self.upto(400) {
             0 => self.delay_ms = self.upto(30),
             1 => self.delay_ms = 60 + self.upto(120),
             2 => self.delay_ms = self.upto(3000),
-            // All that waits comes at once.
+            // Everything that waits arrives at once.
             3 => self.line.iter_mut().for_each(|it| it.due_ms = 0),
             // Two states change places.
             4 if self.line.len() > 1 && self.line.range(..2).all(|it| it.state.is_some()) => {
@@ -208,10 +208,10 @@ impl World {
             let was_armed = self.is_armed();
             let whole = self.bridge.link(Hand::Left).counters().frames;
             self.bridge.receive(Hand::Left, &bytes, self.now_ms, &mut self.robot);
-            // Noise before it may have taken it away.
+            // Noise before it may have destroyed it.
             let came_through = self.bridge.link(Hand::Left).counters().frames > whole;
             if let Some((sampled_ms, heading)) = state.filter(|_| came_through) {
-                // What was overtaken says nothing.
+                // A state that was overtaken says nothing.
                 if sampled_ms >= self.newest_ms {
                     self.newest_ms = sampled_ms;
                     if heading != Heading::Neutral {
@@ -222,7 +222,7 @@ impl World {
                 }
                 self.seen_ms[place(heading)] = self.seen_ms[place(heading)].max(sampled_ms);
             }
-            // Each frame by itself: the next may take neutral back.
+            // Each frame by itself: the next one may end neutral.
             self.judge_arming(was_armed);
         }
         let was_armed = self.is_armed();
@@ -274,7 +274,7 @@ impl World {
 #[test]
 fn millions_of_steps_of_a_hostile_link_move_nothing_unarmed_late_or_without_neutral() {
     let steps: u64 = if std::env::var_os("BIMANUAL_FULL").is_some() { 10_000_000 } else { 100_000 };
-    // Some start anew now and then, so that no seed's fate decides.
+    // Some restart now and then, so that no single seed decides.
     let (mut armed, mut commands, mut oldest_ms, mut done) = (0, 0, 0, 0);
     for seed in 0.. {
         let mut world = World::new(seed);
@@ -296,6 +296,6 @@ fn millions_of_steps_of_a_hostile_link_move_nothing_unarmed_late_or_without_neut
     println!(
         "row: hostile link: age of what acts | {commands} commands, {armed} times armed | {oldest_ms} ms | 250 ms and a turn of {TURN_MS}"
     );
-    // It did move, or nothing was shown.
+    // It did move; otherwise the test would show nothing.
     assert!(armed > steps / 2000 && commands > steps / 20, "{armed} {commands}");
 }

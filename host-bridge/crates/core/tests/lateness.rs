@@ -30,11 +30,11 @@ struct Street {
     down_queue: VecDeque<(u64, u32)>,
     answers: bool,
     sequence: u16,
-    /// What the hand did in truth, one entry a millisecond.
+    /// What the hand really did, one entry a millisecond.
     truth: Vec<Heading>,
     armed_ms: u64,
     driven_ms: u64,
-    /// Age in truth of the oldest command that drove the base.
+    /// Real age of the oldest command that drove the base.
     oldest_ms: u64,
 }
 
@@ -71,7 +71,7 @@ impl Street {
         self.up_queue.push_back((due, bytes));
     }
 
-    /// The hand holds this heading for so long.
+    /// The hand holds this heading for this long.
     fn hold(&mut self, heading: Heading, ms: u64) {
         for _ in 0..ms {
             self.step(heading);
@@ -187,7 +187,7 @@ fn pings_that_go_unanswered_for_500_ms_halt_a_hand_that_goes_on_talking() {
 
 #[test]
 fn a_link_that_becomes_slow_stops_within_its_limit_and_stays_stopped() {
-    // Five minutes at 1.5 s: an allowance for drift that is taken off the age had eaten it after 129 s.
+    // Five minutes at 1.5 s: with an allowance for drift that is subtracted from the age, the age was zero after 129 s.
     let up: Delay = |now| if now < 5000 { 5 } else { 1500 };
     for drift_ppm in [-50_000, 0, 50_000] {
         let mut street = Street::new(up, none, drift_ppm);
@@ -234,7 +234,7 @@ fn a_board_that_restarts_unseen_is_asked_who_it_is_before_anything_counts() {
     let mut street = Street::new(|_| 5, |_| 5, 0);
     street.hold(Heading::Neutral, 1000);
     street.hold(Heading::Forward, 500);
-    // Its clock begins anew; its hello got lost, and nobody answers the next one either.
+    // Its clock restarts, its hello is lost, and the next one is not answered either.
     street.drift_ppm = -900_000;
     street.hold(Heading::Neutral, 2000);
     street.hold(Heading::Forward, 2000);

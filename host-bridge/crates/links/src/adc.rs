@@ -21,7 +21,7 @@ const COUNT_MAX: f64 = 4095.0;
 const INTERVAL_MS: std::ops::RangeInclusive<f64> = 9.0..=11.0;
 /// Mean intervals that can be brought to that: 50 to 500 Hz.
 const USABLE_MS: std::ops::RangeInclusive<f64> = 1.98..=20.2;
-/// Bits of converters that are told by their values, from so many samples on.
+/// Bits of converters that are told by their values, from this many samples on.
 const BITS: std::ops::RangeInclusive<u32> = 8..=12;
 const ENOUGH: usize = 100;
 
@@ -232,7 +232,7 @@ impl AdcRecording {
         Ok(Read { recording: AdcRecording { samples }, notes, start_ms: first_ms })
     }
 
-    /// The CSV text: conversions of 10 bits, with their eighths where there are any.
+    /// The CSV text: conversions of 10 bits, with their eighths if there are any.
     pub fn to_csv(&self) -> String {
         let mut text = String::from("timestamp_ms,x,y,z,index,middle\n");
         for (time_ms, counts) in &self.samples {
@@ -379,7 +379,7 @@ mod tests {
         assert_eq!(parse(text).unwrap().samples[1], (10, AdcCounts::from_ten_bit([1, 2, 3, 4, 5])));
     }
 
-    /// A level hand with straight fingers that tilts once, from a converter of so many bits.
+    /// A level hand with straight fingers that tilts once, from a converter of this many bits.
     fn level(rate_hz: f64, bits: u32, seconds: f64) -> String {
         let full = f64::from(1u32 << bits);
         let row = |n: usize| {

@@ -34,20 +34,20 @@ pub const LABELS: &str = "idle,up-down,to-fro,left-right,rectangle,rectangle-fla
 const LABEL_COUNT: u8 = 7;
 const HOP_SAMPLES: u32 = 8;
 
-/// A key held down repeats; nobody wants thirty steps a second.
+/// A key that is held down repeats, and nobody wants thirty steps a second.
 const STEP_INTERVAL_MS: u64 = 200;
 /// A bend counts once it has been held for 120 ms, and the next one once the finger has been straight again.
 const BENT_MS: u64 = 140;
-/// Steps that wait for the one under way.
+/// Steps that wait until the present one is over.
 const STEPS_WAITING: usize = 2;
-/// A board that has not run for so long has slept: what it would have said is late, and is left out.
+/// A board that has not run for this long was asleep: what it would have sent is late, and is left out.
 const ASLEEP_MS: u64 = 100;
 
 /// How long a key counts, and which one ends the arm's motion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct KeyTimes {
-    /// After the first press. A little more than terminals wait before they repeat.
+    /// After the first press: a little longer than terminals wait before they repeat.
     pub first_press_ms: u64,
     /// After each repeat.
     pub repeat_ms: u64,
@@ -72,7 +72,7 @@ struct Periods {
 }
 
 impl Periods {
-    /// When the next period began, if it has.
+    /// When the next period began, if it has begun.
     fn next(&mut self, now_ms: u64) -> Option<u64> {
         let due_ms = self.next_ms.filter(|due_ms| now_ms < due_ms + ASLEEP_MS).unwrap_or(now_ms);
         if due_ms > now_ms {
@@ -92,7 +92,7 @@ pub struct KeyLeft {
     /// The arrow that counts, and until when.
     held: Option<(Heading, u64)>,
     last_step_ms: Option<u64>,
-    /// Fingers to bend, each with the time at which it begins to; the present one first.
+    /// Fingers to bend, each with the time at which its bend begins; the present one first.
     steps: VecDeque<(Finger, u64)>,
     dither: u16,
 }
@@ -111,7 +111,7 @@ impl KeyLeft {
         }
     }
 
-    /// What the converter of a hand would read that does what the keys say.
+    /// What the converter would read on a hand that does what the keys say.
     fn counts(&mut self, now_ms: u64) -> AdcCounts {
         self.held = self.held.filter(|&(_, until)| now_ms < until);
         while self.steps.front().is_some_and(|(_, from)| now_ms >= from + STEP_INTERVAL_MS) {
@@ -124,7 +124,7 @@ impl KeyLeft {
         };
         let Calibration { zero, rest, bend } = Calibration::DEFAULT;
         let reading = |finger, i: usize| if bent(finger) { bend[i] } else { rest[i] };
-        // 72 degrees: more than any threshold may be.
+        // 72 degrees: above the largest threshold that is allowed.
         let (tilted, upright) = (ONE_G / 100 * 95, ONE_G / 100 * 31);
         let [x, y, z] = match self.held.map(|(heading, _)| heading) {
             Some(Heading::Forward) => [tilted, 0, upright],
@@ -160,7 +160,7 @@ impl HandSource for KeyLeft {
                 let repeated = self.held.is_some_and(|(h, until)| h == heading && now_ms < until);
                 let first_ms = self.times.first_press_ms;
                 self.held = Some(match self.held {
-                    // A repeat never shortens the time that the first press still has.
+                    // A repeat never shortens the time that remains from the first press.
                     Some((_, until)) if repeated => (heading, until.max(now_ms + self.times.repeat_ms)),
                     _ => (heading, now_ms + first_ms),
                 });
@@ -196,7 +196,7 @@ impl HandSource for KeyLeft {
     }
 }
 
-/// What a key is to the right hand: a gesture that is over as soon as it is pressed.
+/// What a key means to the right hand: a gesture that is over as soon as the key is pressed.
 #[derive(Clone, Debug)]
 struct KeyHand {
     output: RightOutput,
@@ -221,7 +221,7 @@ impl KeyHand {
     }
 }
 
-/// Certain of one label.
+/// Scores that are certain of one label.
 fn scores(top: u8) -> [i8; MAX_LABELS] {
     std::array::from_fn(|i| if i == usize::from(top) { i8::MAX } else { i8::MIN })
 }
@@ -364,7 +364,7 @@ mod tests {
             let after = run(&mut hand, 1500..3000, left);
             let commands: Vec<_> = after.iter().filter(|s| s.heading == heading).collect();
             let (first, last) = (commands[0].board_time_ms, commands[commands.len() - 1].board_time_ms);
-            // A hand that swings is given time to say where to.
+            // A hand that swings is given time until its direction is clear.
             assert!(first <= 1600, "{first}");
             // 600 ms and the debouncing.
             assert!((2060..2140).contains(&last), "{last}");
@@ -439,7 +439,7 @@ mod tests {
             let acks = read(&wire, |m| if let BoardMessage::Ack(ack) = m { Some(ack.result) } else { None });
             recorded.extend(acks);
         }
-        // Keys name gestures without samples; a left hand is always made of them.
+        // Keys of the right hand name gestures without samples; a left hand always needs samples.
         assert_eq!(recorded, [AckResult::Ok, AckResult::Unsupported]);
     }
 

@@ -136,7 +136,7 @@ mod tests {
                 survey.state(n as u16, 77 + (f64::from(n) * 20.1) as u32, at_ms);
             }
         }
-        // The last one of all is lost too, but nothing after it tells.
+        // The very last one is lost too, but no later one shows it.
         assert!((survey.loss() - 49.0 / 499.0).abs() < 1e-9, "{}", survey.loss());
         assert!((survey.rate_hz().unwrap() - 45.0).abs() < 0.5);
         let (drift, error) = survey.drift_ppm().unwrap();

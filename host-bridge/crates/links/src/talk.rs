@@ -26,7 +26,7 @@ const BLE_MEET_MS: u64 = 30_000;
 pub enum Said {
     /// The port is open.
     Opened,
-    /// It is not, or no longer; why and what to do.
+    /// The port is not open, or no longer; why and what to do.
     Closed(String),
     /// Who is there.
     Hello(Who),
@@ -38,7 +38,7 @@ pub enum Said {
     Left(LeftState),
     /// A right state: sequence number, board time, label of the last event, number of events.
     Right {
-        /// One more for each.
+        /// Counts up with each state.
         sequence: u16,
         /// Board clock at the newest sample.
         board_time_ms: u32,
@@ -200,7 +200,7 @@ pub struct Talk {
 }
 
 impl Talk {
-    /// Opens a port; what comes of it is said.
+    /// Opens a port; the result comes as an event.
     pub fn open(port: &str, settings: SerialSettings) -> Self {
         let clock: Arc<dyn Clock> = Arc::new(SystemClock::start());
         let waiter = clock.waiter();
@@ -223,12 +223,12 @@ impl Talk {
         self.link.port()
     }
 
-    /// Time on the clock that marks what is said.
+    /// The time on the clock of the events.
     pub fn now_ms(&self) -> u64 {
         self.clock.now_ms()
     }
 
-    /// Where the thread that talks waits for anything else than what is said.
+    /// The waiter of the thread that talks, for all waits but those for events.
     pub fn waiter(&self) -> &Waiter {
         &self.waiter
     }
@@ -239,7 +239,7 @@ impl Talk {
         (counters.frames, counters.damaged())
     }
 
-    /// May bytes be sent now? Not early after the port was opened.
+    /// May bytes be sent now? Not soon after the port was opened.
     pub fn is_ready(&self) -> bool {
         self.link.is_ready()
     }
@@ -256,7 +256,7 @@ impl Talk {
         self.request
     }
 
-    /// The next thing said, with its time of arrival; waits so long at most.
+    /// The next event, with its time of arrival; waits at most this long.
     pub fn next(&mut self, patience_ms: u64) -> Option<(u64, Said)> {
         let until_ms = self.now_ms() + patience_ms;
         let mut asked = false;
@@ -265,7 +265,7 @@ impl Talk {
                 return Some(said);
             }
             let left_ms = until_ms.saturating_sub(self.now_ms());
-            // A board that floods says nothing either.
+            // A board that floods counts as one that says nothing.
             if left_ms == 0 && asked {
                 return None;
             }
@@ -298,7 +298,7 @@ impl Talk {
         }
     }
 
-    /// The same, also for a board that cannot be used.
+    /// As `who`, but also for a board that cannot be used.
     ///
     /// # Errors
     /// [`TalkError`] if the port does not open or nobody answers in time.
@@ -324,7 +324,7 @@ impl Talk {
         }
     }
 
-    /// What a right hand's model needs; `None` where the board does not say.
+    /// What a right hand's model needs; `None` if the board does not say.
     pub fn model(&mut self, patience_ms: u64) -> Option<ModelNeeds> {
         let until_ms = self.now_ms() + patience_ms;
         let mut asked_ms = self.now_ms();
@@ -347,7 +347,7 @@ impl Talk {
         let until_ms = self.now_ms() + AT_ONCE_MS;
         while self.now_ms() < until_ms {
             if let Some((_, Said::About(about))) = self.next(20) {
-                // While no sensor is found there is nothing to go by.
+                // While no sensor is found there is nothing to go on.
                 if about.axes != 0 {
                     model.board_axes = about.axes;
                 }
@@ -357,7 +357,7 @@ impl Talk {
         model
     }
 
-    /// Sends a request, again every second, until its last answer; a `Started` only prolongs the wait.
+    /// Sends a request every second until its final answer; a `Started` only prolongs the wait.
     ///
     /// # Errors
     /// [`TalkError`] if the link breaks, no answer comes in time, or the board refuses.
@@ -396,7 +396,7 @@ impl Talk {
     }
 }
 
-/// A message without its borrowed parts; `None` where its content contradicts itself.
+/// A message without its borrowed parts; `None` if its content contradicts itself.
 fn owned(message: &BoardMessage<'_>) -> Option<Said> {
     Some(match message {
         BoardMessage::Hello(hello) => Said::Hello(Who {
@@ -445,7 +445,7 @@ fn owned(message: &BoardMessage<'_>) -> Option<Said> {
     })
 }
 
-/// What looks like text on a line that should carry frames.
+/// Text on a line that should carry frames.
 #[derive(Clone, Debug, Default)]
 struct TextHeard {
     last: Vec<u8>,
@@ -453,7 +453,7 @@ struct TextHeard {
 }
 
 impl TextHeard {
-    /// A line of so many characters, and none of the byte that ends every frame, is text.
+    /// A line of this many characters, without the byte that ends every frame, is text.
     const LEAST: usize = 8;
 
     fn take(&mut self, bytes: &[u8]) {

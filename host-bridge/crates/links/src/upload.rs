@@ -12,25 +12,25 @@ use shared_proto::message::{Ack, AckResult, Bytes, HostMessage, MODEL_CHUNK_MAX,
 
 use crate::talk::{ModelNeeds, advice};
 
-/// Without an answer for so long, ask again.
+/// If no answer comes within this time, ask again.
 const REPEAT_MS: u64 = 1000;
-/// Making room takes longer: four pages of flash.
+/// Erasing takes longer: four pages of flash.
 const REPEAT_BEGIN_MS: u64 = 3000;
 /// How often a transfer may start over.
 const MOST_BEGINS: u32 = 20;
 
-/// Where a transfer stands.
+/// The state of a transfer.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Stage {
     /// To be announced.
     Begin,
     /// The board wants the piece at this offset.
     Chunk(u32),
-    /// All there: to be verified and kept.
+    /// All pieces are there: to be verified and kept.
     Commit,
-    /// Kept; used after the next restart.
+    /// The model is kept; it is used after the next restart.
     Done,
-    /// Given up; why and what to do.
+    /// Abandoned; why and what to do.
     Failed(String),
 }
 
@@ -42,7 +42,7 @@ pub struct Upload<'b> {
     stage: Stage,
     request: u16,
     asked_ms: Option<u64>,
-    /// The board has said that it is at it.
+    /// The board has said that it is working on it.
     started: bool,
     begins: u32,
 }
@@ -80,12 +80,12 @@ impl<'b> Upload<'b> {
         Ok(Upload { blob, model, stage: Stage::Begin, request, asked_ms: None, started: false, begins: 0 })
     }
 
-    /// Where it stands.
+    /// The transfer's state.
     pub fn stage(&self) -> &Stage {
         &self.stage
     }
 
-    /// Bytes that the board is known to have, and all.
+    /// How many bytes the board is known to have, and how many there are.
     pub fn progress(&self) -> (usize, usize) {
         let done = match self.stage {
             Stage::Chunk(offset) => offset as usize,
@@ -96,7 +96,7 @@ impl<'b> Upload<'b> {
     }
 
     /// The message to send now, if any: once, and again when no answer came. Call [`Upload::unsent`]
-    /// where the link did not take it.
+    /// if the link did not take it.
     pub fn poll(&mut self, now_ms: u64) -> Option<HostMessage<'b>> {
         let patience_ms =
             if self.stage == Stage::Begin || self.started { REPEAT_BEGIN_MS } else { REPEAT_MS };
@@ -163,7 +163,7 @@ impl<'b> Upload<'b> {
             AckResult::WrongOffset if ack.next_offset == 0 => self.go(Stage::Begin),
             AckResult::WrongOffset => self.go(wanted(ack.next_offset)),
             AckResult::BadChecksum | AckResult::StorageFailed => self.go(Stage::Begin),
-            // Asked again after the usual pause.
+            // It is sent again after the usual pause.
             AckResult::Busy => {}
             result => self.go(Stage::Failed(advice(result).to_owned())),
         }

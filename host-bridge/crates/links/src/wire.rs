@@ -29,7 +29,7 @@ impl Pipe {
         self.credit += self.bytes_per_ms;
         let count = (self.credit as usize).min(self.queue.len());
         out.extend(self.queue.drain(..count));
-        // An idle line saves nothing up, but for the fraction of a byte.
+        // An idle line saves up no more than a fraction of a byte.
         self.credit = (self.credit - count as f64).min(1.0);
     }
 }

@@ -1,7 +1,7 @@
 //! The base: two driven wheels, integrated along exact arcs.
 //!
 //! Frames: x forward, y left, angles counter-clockwise seen from above; the odometry frame is where the
-//! base stood at the start. Wheels never exceed their speed and acceleration; where a twist asks for
+//! base stood at the start. Wheels never exceed their speed and acceleration; if a twist asks for
 //! more, both wheels are scaled alike, so that the base stays on its path and is only slower.
 
 use glam::{DMat3, DVec3};
@@ -35,13 +35,13 @@ pub struct BaseConfig {
     pub wheel_speed_max_rad_s: f64,
     /// Largest change of wheel speed per second.
     pub wheel_acceleration_max_rad_s2: f64,
-    /// Variance that each metre of a wheel's way adds to that way, in m²/m: slip, and a worn radius.
+    /// Variance that each metre that a wheel rolls adds to its distance, in m²/m: slip, and a worn radius.
     pub wheel_variance_m: f64,
 }
 
 impl Default for BaseConfig {
     /// 10 cm wheels, 40 cm apart, 1.2 m/s and 1.0 m/s² at the rim: room for the largest cap (1.0 m/s).
-    /// Their way is known to 1 cm (one standard deviation) after a metre.
+    /// Their distance is known to 1 cm (one standard deviation) after a metre.
     fn default() -> Self {
         BaseConfig {
             wheel_radius_m: 0.1,
@@ -53,12 +53,12 @@ impl Default for BaseConfig {
     }
 }
 
-/// A wheel's speed is not known better than this, in m²/s²: whoever fuses odometry wants no zero.
+/// Minimum variance of a wheel's speed, in m²/s²: whoever fuses odometry wants no zero.
 const SPEED_VARIANCE_MIN: f64 = 1e-6;
 
 impl BaseConfig {
     /// How sure the speed is that wheels at these speeds (rad/s) make, as a mean over `interval_s`: covariance of linear
-    /// (m/s) and angular speed (rad/s), from the same errors of the wheels' ways that the pose's covariance comes from.
+    /// (m/s) and angular speed (rad/s), from the same errors of the wheels' distances as the pose's covariance.
     pub fn speed_covariance(&self, wheels_rad_s: [f64; 2], interval_s: f64) -> [[f64; 2]; 2] {
         let [left, right] = wheels_rad_s.map(|wheel| {
             let rim_m_s = (wheel * self.wheel_radius_m).abs();
@@ -161,7 +161,7 @@ impl Base {
         if largest <= allowed {
             self.wheels_rad_s = self.target_rad_s;
         } else {
-            // Both wheels arrive together: a halting base keeps to its arc.
+            // Both wheels reach their speeds together: a halting base stays on its arc.
             for (wheel, change) in self.wheels_rad_s.iter_mut().zip(change) {
                 *wheel += change * allowed / largest;
             }
@@ -176,12 +176,12 @@ impl Base {
         self.odometry.twist = self.twist_of(self.wheels_rad_s);
     }
 
-    /// First-order propagation of the wheels' errors through one small step of the way.
+    /// First-order propagation of the wheels' errors through one small step of the path.
     fn grow_covariance(&mut self, [left_m, right_m]: [f64; 2]) {
         let track_m = self.config.track_m;
         let arc_m = 0.5 * (left_m + right_m);
         let (s, c) = (self.odometry.heading_rad + 0.5 * (right_m - left_m) / track_m).sin_cos();
-        // How the step's end changes with the place it starts from, and with each wheel's way.
+        // How the step's end changes with its start, and with each wheel's distance.
         let from_start = DMat3::from_cols(DVec3::X, DVec3::Y, DVec3::new(-arc_m * s, arc_m * c, 1.0));
         let sideways = 0.5 * arc_m / track_m;
         let from_left = DVec3::new(0.5 * c + sideways * s, 0.5 * s - sideways * c, -1.0 / track_m);
@@ -306,7 +306,7 @@ mod tests {
     #[test]
     fn a_speeds_covariance_is_that_of_wheels_whose_ways_err_as_the_poses_do() {
         let config = BaseConfig::default();
-        // 0.3 and 0.5 m/s at the rim: over 20 ms the ways' variances are 6e-7 and 1e-6 m².
+        // 0.3 and 0.5 m/s at the rim: over 20 ms the distances' variances are 6e-7 and 1e-6 m².
         let got = config.speed_covariance([3.0, 5.0], 0.02);
         let (left, right) = (6e-7 / 0.0004 + 1e-6, 1e-6 / 0.0004 + 1e-6);
         let both = (right - left) / 0.8;
@@ -335,7 +335,7 @@ mod tests {
             }
         }
         let mut random = crate::Random::new(8);
-        // A sum of twelve even numbers is near enough to normal, with variance 1.
+        // A sum of twelve uniform numbers is near enough to normal, with variance 1.
         let mut normal = || (0..12).map(|_| random.between(-0.5, 0.5)).sum::<f64>();
         let runs = 4000;
         let (end, mut seen) = (base.odometry(), [[0.0; 3]; 3]);

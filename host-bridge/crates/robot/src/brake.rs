@@ -1,8 +1,8 @@
 //! Braking along a trajectory's own path.
 //!
 //! A trajectory q(σ) is planned with σ̇ = 1. To brake on its path, σ̇ falls to zero: q̇ = q′σ̇ and q̈ = q″σ̇² − q′β with
-//! β = −σ̈ ≥ 0. At each instant β is the largest value that keeps every joint's acceleration within its limit; where jerk is
-//! limited, β rises and falls no faster than the limit allows. On a straight way at full speed that is v/a seconds, or
+//! β = −σ̈ ≥ 0. At each instant β is the largest value that keeps every joint's acceleration within its limit; if jerk is
+//! limited, β rises and falls no faster than the limit allows. On a straight segment at full speed that is v/a seconds, or
 //! v/a + a/j with a jerk limit.
 
 use crate::{JOINTS, JointLimits, Motion, Trajectory};
@@ -11,7 +11,7 @@ use crate::{JOINTS, JointLimits, Motion, Trajectory};
 const STEP_S: f64 = 0.001;
 /// Slower than this share of the planned speed is rest.
 const REST: f64 = 1e-6;
-/// Longer than any braking that is accepted.
+/// Longer than any braking that can occur.
 const BRAKING_MAX_S: f64 = 10.0;
 
 /// The motion at one instant of braking.
@@ -40,7 +40,7 @@ pub fn along(trajectory: &Trajectory, from_s: f64, limits: &JointLimits) -> Vec<
         let (allowed, ramp) = allowed(&planned, rate, limits);
         brake = match ramp {
             None => allowed,
-            // Let go in time to come to rest without a jump.
+            // Reduced in time to come to rest without a jump.
             Some(ramp) if rate <= 0.5 * brake * brake / ramp => (brake - ramp * STEP_S).max(ramp * STEP_S),
             Some(ramp) => (brake + ramp * STEP_S).min(allowed),
         };
@@ -67,7 +67,7 @@ fn allowed(planned: &Motion, rate: f64, limits: &JointLimits) -> (f64, Option<f6
         if speed.abs() < 1e-9 {
             continue;
         }
-        // What the path's own bend takes of the limit, in the direction of braking.
+        // The part of the limit that the path's curvature uses, in the direction of braking.
         let bend = planned.acceleration_rad_s2[i] * rate * rate * speed.signum();
         brake = brake.min((limits.acceleration_rad_s2[i] + bend).max(0.0) / speed.abs());
         ramp = ramp.min(limits.jerk_rad_s3[i] / speed.abs());
@@ -77,7 +77,7 @@ fn allowed(planned: &Motion, rate: f64, limits: &JointLimits) -> (f64, Option<f6
     (brake, ramp.is_finite().then_some(ramp))
 }
 
-/// Longest time that braking takes at full speed on a straight way, in s.
+/// Longest time that braking takes at full speed on a straight segment, in s.
 pub fn longest_s(limits: &JointLimits) -> f64 {
     let of = |i: usize| {
         let (v, a, j) = (limits.velocity_rad_s[i], limits.acceleration_rad_s2[i], limits.jerk_rad_s3[i]);

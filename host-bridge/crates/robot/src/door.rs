@@ -18,7 +18,7 @@ pub struct MotionName(Arc<str>);
 impl MotionName {
     /// The motion that also releases the operator's stop.
     pub const HOME: &'static str = "home";
-    /// No motion: it ends the one under way, and that alone.
+    /// Not a motion: it only ends the motion under way.
     pub const END_ARM: &'static str = "end-arm";
 
     /// The name.
@@ -65,16 +65,16 @@ pub enum Leg {
     ToHome,
     /// Moving to the motion's own pose.
     ToGoal,
-    /// Braking; the motion is given up.
+    /// Braking, since the motion was abandoned.
     Halting,
 }
 
 /// The arm as it is now.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ArmState {
-    /// In rad; NaN where unknown.
+    /// In rad; NaN if unknown.
     pub joints_rad: Joints,
-    /// In rad/s; NaN where unknown.
+    /// In rad/s; NaN if unknown.
     pub velocity_rad_s: Joints,
     /// What runs, and how far it is; `None` = nothing.
     pub running: Option<(MotionName, Leg)>,
@@ -103,7 +103,7 @@ pub enum NotStarted {
     Refused(String),
 }
 
-/// What the bridge should note.
+/// What the bridge should know.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Report {
     /// An arm motion ended.
@@ -129,11 +129,11 @@ pub enum Report {
 /// Everything about the robot that changes, as the robot itself reports it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Picture {
-    /// The arm; NaN where its angles are unknown.
+    /// The arm; NaN if its angles are unknown.
     pub arm: ArmState,
     /// Age of its angles; `None` = unknown.
     pub arm_age_ms: Option<u64>,
-    /// The base; the origin where it is unknown.
+    /// The base; the origin if it is unknown.
     pub odometry: Odometry,
     /// Age of that; `None` = unknown.
     pub base_age_ms: Option<u64>,
@@ -143,7 +143,7 @@ pub struct Picture {
     pub wheels_rad_s: [f64; 2],
     /// How far each has turned since the start, in rad.
     pub wheels_rad: [f64; 2],
-    /// The flange in the arm's base frame; NaN where the angles are unknown.
+    /// The flange in the arm's base frame; NaN if the angles are unknown.
     pub flange: Pose,
     /// How far the gripper's fingers are apart; `None` = there is none, or it does not say.
     pub opening_m: Option<f64>,
@@ -155,7 +155,7 @@ pub struct Picture {
     pub reference_rad: Option<Joints>,
     /// What holds the base back, if anything does.
     pub held: Option<String>,
-    /// Ticks in which something braked for what was in the way.
+    /// Ticks in which the guard braked for an obstacle.
     pub guard_stops: u32,
     /// How often the robot had to stop by itself.
     pub timeouts: u32,
@@ -172,7 +172,7 @@ pub trait Door {
     /// Starts an arm motion.
     ///
     /// # Errors
-    /// [`NotStarted`] while another one runs, or where it would not be safe. Nothing moves then.
+    /// [`NotStarted`] while another one runs, or if it would not be safe. Nothing moves then.
     fn start_motion(&mut self, motion: &MotionName) -> Result<(), NotStarted>;
 
     /// Brings base and arm to rest within their limits; targets are forgotten.
@@ -181,7 +181,7 @@ pub trait Door {
     /// Brings the arm to rest within its limits; the base goes on.
     fn halt_arm(&mut self);
 
-    /// Why nothing may move on this robot now; `None` = nothing stands against it.
+    /// Why nothing may move on this robot now; `None` = it may.
     fn refusal(&self) -> Option<String> {
         None
     }

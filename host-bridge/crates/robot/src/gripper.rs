@@ -7,7 +7,7 @@ pub struct Grip {
     pub opening_m: f64,
     /// The largest force in N; `None` = the gripper's own.
     pub effort_n: Option<f64>,
-    /// Width of what the scene has between the fingers, as far as known. For robots that cannot feel: a simulated gripper
+    /// Width of the scene's object between the fingers, if known. For robots that cannot feel: a simulated gripper
     /// stalls on it.
     pub between_m: Option<f64>,
 }
@@ -17,9 +17,9 @@ pub struct Grip {
 pub enum GripEnd {
     /// The fingers are as far apart as asked.
     Reached,
-    /// They stand still before that, on something.
+    /// They were stopped before that by something between them.
     Stalled,
-    /// It was given up for a stop.
+    /// It was abandoned for a stop.
     Halted,
     /// It did not work; the text says why.
     Failed(String),

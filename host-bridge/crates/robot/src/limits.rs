@@ -15,7 +15,7 @@ pub struct JointLimits {
 }
 
 impl JointLimits {
-    /// The same with a limit of the jerk of all joints.
+    /// The same limits, with a limit on the jerk of all joints.
     #[must_use]
     pub fn with_jerk(self, jerk_rad_s3: f64) -> Self {
         JointLimits { jerk_rad_s3: [jerk_rad_s3; JOINTS], ..self }

@@ -3,7 +3,7 @@
 use glam::{DMat3, DQuat, DVec3};
 use serde::{Serialize, Serializer};
 
-/// Most joints that an arm may have. An arm with fewer leaves the last values at zero.
+/// Maximum number of joints that an arm may have. An arm with fewer leaves the last values at zero.
 pub const JOINTS: usize = 7;
 
 /// One value per joint, from the foot on: rad, rad/s, rad/s² or rad/s³ as the name says.
@@ -43,7 +43,7 @@ impl Pose {
 /// A rotation matrix row by row, as pages and files have it.
 ///
 /// # Errors
-/// Those of the serialiser.
+/// As the serialiser writes them.
 pub fn rows<S: Serializer>(rotation: &DMat3, serializer: S) -> Result<S::Ok, S::Error> {
     rotation.transpose().to_cols_array_2d().serialize(serializer)
 }

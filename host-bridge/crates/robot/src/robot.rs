@@ -15,7 +15,7 @@ use crate::trajectory::Trajectory;
 pub struct Reading<T> {
     /// What it reports.
     pub value: T,
-    /// Time since it was measured, or since it arrived where the robot does not say.
+    /// Time since it was measured, or, if the robot does not say, since it arrived.
     pub age_ms: u64,
 }
 
@@ -26,7 +26,7 @@ pub struct BaseState {
     pub odometry: Odometry,
     /// How sure that is.
     pub covariance: Covariance,
-    /// Its wheels, where it reports them.
+    /// Its wheels, if it reports them.
     pub wheels: Option<Wheels>,
 }
 
@@ -44,12 +44,12 @@ pub struct Wheels {
 pub enum Following {
     /// It has none.
     Idle,
-    /// It is so far along it.
+    /// It follows the trajectory, and is this far along.
     Moving {
         /// Time since the trajectory's start, in s.
         elapsed_s: f64,
     },
-    /// It has given the trajectory up and brakes.
+    /// It has abandoned the trajectory and brakes.
     Halting,
 }
 
@@ -90,7 +90,7 @@ pub trait Robot {
     /// Lets the time become `now_ms`.
     fn step(&mut self, now_ms: u64);
 
-    /// Joint angles, speeds and (where known) accelerations; `None` = unknown, or older than the robot accepts.
+    /// Joint angles, speeds and (if known) accelerations; `None` = unknown, or older than the robot accepts.
     fn arm(&self) -> Option<Reading<Motion>>;
 
     /// Where the arm's controller holds it while it rests, within a few hundredths of where it is: a motion from there
@@ -120,7 +120,7 @@ pub trait Robot {
     /// Lets the arm follow a trajectory that starts where it is. One that is already followed is replaced.
     ///
     /// # Errors
-    /// Why it does not; nothing moves then.
+    /// Why it does not follow or grip; nothing moves then.
     fn follow(&mut self, trajectory: Arc<Trajectory>) -> Result<(), String>;
 
     /// What the arm does with its trajectory.
@@ -129,7 +129,7 @@ pub trait Robot {
     /// How the last trajectory ended; once per trajectory.
     fn take_end(&mut self) -> Option<End>;
 
-    /// Brings the arm to rest within its limits; its trajectory is given up.
+    /// Brings the arm to rest within its limits; its trajectory is abandoned.
     fn halt_arm(&mut self);
 
     /// Brings base, arm and gripper to rest within their limits.
@@ -151,7 +151,7 @@ pub trait Robot {
     /// Lets the gripper go to a width.
     ///
     /// # Errors
-    /// Why it does not; nothing moves then.
+    /// Why it does not follow or grip; nothing moves then.
     fn grip(&mut self, _grip: Grip) -> Result<(), String> {
         self.can_grip()
     }
@@ -174,7 +174,7 @@ pub trait Robot {
         0
     }
 
-    /// Why nothing may be armed on this robot now; `None` = nothing stands against it.
+    /// Why nothing may be armed on this robot now; `None` = it may.
     fn refusal(&self) -> Option<String> {
         None
     }
@@ -185,7 +185,7 @@ pub trait Robot {
         Vec::new()
     }
 
-    /// What a person should know, once each.
+    /// Messages for a person, each returned once.
     fn take_notes(&mut self) -> Vec<String> {
         Vec::new()
     }

@@ -52,9 +52,9 @@ pub struct SceneBox {
 pub struct SceneObject {
     /// From the scene file.
     pub name: String,
-    /// Upwards from its underside.
+    /// Height, from its underside up.
     pub height_m: f64,
-    /// Of a round one.
+    /// Radius, if it is round.
     pub radius_m: Option<f64>,
     /// Half its length and width.
     pub half_m: [f64; 2],

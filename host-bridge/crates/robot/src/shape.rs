@@ -35,18 +35,18 @@ pub struct UprightBox {
 }
 
 impl Capsule {
-    /// One that is given in this frame, as seen from outside.
+    /// A pose that is given in this frame, as seen from outside.
     #[must_use]
     pub fn seen_from(&self, frame: &Pose) -> Capsule {
         Capsule { a_m: frame.at(self.a_m), b_m: frame.at(self.b_m), ..*self }
     }
 
-    /// Distance of the surfaces in m; negative where they overlap (no further than to the centre lines).
+    /// Distance of the surfaces in m; negative if they overlap (no further than to the centre lines).
     pub fn distance_m(&self, other: &Capsule) -> f64 {
         segments_m(self.a_m, self.b_m, other.a_m, other.b_m) - self.radius_m - other.radius_m
     }
 
-    /// Distance to a box in m; negative where they overlap (at most by the radius).
+    /// Distance to a box in m; negative if they overlap (at most by the radius).
     pub fn distance_to_box_m(&self, other: &UprightBox) -> f64 {
         segment_to_box_m(other.inside(self.a_m), other.inside(self.b_m), other.half_m) - self.radius_m
     }
@@ -76,7 +76,7 @@ impl UprightBox {
         outside_m(self.inside(point), self.half_m)
     }
 
-    /// Distance of two upright boxes in m; 0 where they overlap.
+    /// Distance of two upright boxes in m; 0 if they overlap.
     pub fn distance_m(&self, other: &UprightBox) -> f64 {
         let gap = (self.center_m.z - other.center_m.z).abs() - self.half_m.z - other.half_m.z;
         let flat = if self.overlaps_from_above(other) {
@@ -129,7 +129,7 @@ fn segments_m(p1: Point, q1: Point, p2: Point, q2: Point) -> f64 {
     } else {
         let b = d1.dot(d2);
         let crossed = a * e - b * b;
-        // Parallel lines are equally near all along: any start will do.
+        // Parallel lines are equally near everywhere: any start will do.
         let s = if crossed > 1e-12 * a * e { ((b * f - c * e) / crossed).clamp(0.0, 1.0) } else { 0.0 };
         let t = (b * s + f) / e;
         if t < 0.0 {
@@ -186,7 +186,7 @@ mod tests {
         prop::array::uniform3(-1.0..1.0_f64).prop_map(DVec3::from)
     }
 
-    /// Distance by trying: a convex function, halved down to nothing.
+    /// Distance by search: a convex function, whose interval is halved until nothing is left of it.
     fn least(f: impl Fn(f64) -> f64) -> f64 {
         let (mut low, mut high) = (0.0_f64, 1.0_f64);
         for _ in 0..100 {

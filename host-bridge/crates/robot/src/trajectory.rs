@@ -1,16 +1,16 @@
-//! Motion along a path of several straight ways in joint space, at constant accelerations or at constant
+//! Motion along a path of several straight segments in joint space, at constant accelerations or at constant
 //! jerks.
 //!
-//! Between two corners the speed is constant; around a corner it changes from one way's to the next's (a
+//! Between two corners the speed is constant; around a corner it changes from one segment's to the next's (a
 //! parabolic blend, Kunz and Stilman 2011), so the arm need not stop there. Speeds within a blend lie between
-//! those of the ways, and the blend lasts as long as the slowest joint needs: position, speed and acceleration
-//! keep their limits exactly, at every instant and not only at samples. On one way alone the joint with the
+//! those of the segments, and the blend lasts as long as the slowest joint needs: position, speed and acceleration
+//! keep their limits exactly, at every instant and not only at samples. On a single segment the joint with the
 //! least speed in hand sets the pace: v = min(vᵢ/|Δqᵢ|), a = min(aᵢ/|Δqᵢ|), and the duration is 1/v + v/a, or
 //! 2/√a where v² > a, as MoveIt's time-optimal profile has it.
 //!
-//! Where jerk is limited, each change of speed is a ramp whose acceleration rises, stays and falls, the same
-//! shape for all joints. It covers as much way as the even change of the same length, so that blends stay
-//! centred on their corners and everything above holds. On one way this is the seven-segment S-curve, which
+//! If jerk is limited, each change of speed is a ramp whose acceleration rises, stays and falls, the same
+//! shape for all joints. It covers as much distance as the even change of the same duration, so that blends stay
+//! centred on their corners and everything above holds. On one segment this is the S-curve of seven phases, which
 //! is the quickest there is (Biagiotti and Melchiorri 2008, section 3.4).
 
 use crate::{JOINTS, JointLimits, Joints, Motion};
@@ -123,7 +123,7 @@ impl Trajectory {
 
     /// Brakes from motion as fast as the limits allow, all joints together, straight on.
     ///
-    /// Where jerk is limited, an acceleration that is there now must be let go first. On a straight way that
+    /// If jerk is limited, an acceleration that is there now must be reduced first. On a straight segment that
     /// happens as quickly as can be; within a blend, where speed and acceleration point to different sides,
     /// the acceleration goes to zero for all joints alike before braking begins.
     pub fn braking(from: Motion, limits: &JointLimits) -> Self {
@@ -142,7 +142,7 @@ impl Trajectory {
         trajectory
     }
 
-    /// Brakes in the least time where the acceleration points along the motion, or against it. False where
+    /// Brakes in the least time if the acceleration points along the motion, or against it. False if
     /// that is not so; then nothing has changed.
     fn brake_on_the_line(&mut self, from: Motion, limits: &JointLimits) -> bool {
         let (speed, acceleration) = (&from.velocity_rad_s, &from.acceleration_rad_s2);
@@ -155,10 +155,10 @@ impl Trajectory {
         }
         let most_gain = 1.0 / most(speed, &limits.acceleration_rad_s2);
         let jerk = 1.0 / most(speed, &limits.jerk_rad_s3);
-        // So much speed is lost (or won) while the acceleration goes to zero.
+        // This much speed is lost (or won) while the acceleration goes to zero.
         let released = 0.5 * gain * gain / jerk;
         if gain < 0.0 && released > 1.0 - 1e-9 {
-            // The last moments of a ramp to rest. Should more be lost than there is, the line turns back.
+            // The end of a ramp to rest. If more is lost than there is, the line turns back.
             if released < 1.0 + 1e-6 {
                 let duration_s = -2.0 / gain;
                 self.to_rad = self.push(from, scaled(acceleration, -1.0 / duration_s), duration_s).joints_rad;
@@ -195,7 +195,7 @@ impl Trajectory {
             let blend_s = blends[k].duration_s;
             if blend_s > 0.0 {
                 // A blend is centred on its corner; at either end, where one speed is zero, the other
-                // way's half of it is where the arm rests, and it takes that long more.
+                // segment's half of it is where the arm rests, and it takes that much longer.
                 let start_s = self.duration_s;
                 self.push_change(plus(point, before, -0.5 * blend_s), before, after, blends[k]);
                 if k > 0 && k < ways.len() {
@@ -228,7 +228,7 @@ impl Trajectory {
         }
     }
 
-    /// One more piece; how things stand at its end.
+    /// Adds a piece; returns the state at its end.
     fn push(&mut self, from: Motion, jerk_rad_s3: Joints, duration_s: f64) -> Motion {
         if duration_s <= 0.0 {
             return from;
@@ -287,7 +287,7 @@ impl Trajectory {
         starts.chain([self.duration_s]).collect()
     }
 
-    /// Start and end of the stretches in which the arm leaves the path's straight ways.
+    /// Start and end of the stretches in which the arm leaves the path's straight segments.
     pub fn corners_s(&self) -> Vec<(f64, f64)> {
         self.corners_s.clone()
     }
@@ -303,7 +303,7 @@ fn blends(velocities: &[Joints], limits: &JointLimits) -> Vec<Ramp> {
         .collect()
 }
 
-/// Speeds in ways per second, as fast as the limits of the joints and of the blends allow.
+/// Speeds in segments per second, as fast as the limits of the joints and of the blends allow.
 fn fastest_speeds(ways: &[Joints], limits: &JointLimits) -> Vec<f64> {
     let top: Vec<f64> = ways.iter().map(|way| 1.0 / most(way, &limits.velocity_rad_s)).collect();
     // Blends must not reach into each other.
@@ -319,8 +319,8 @@ fn fastest_speeds(ways: &[Joints], limits: &JointLimits) -> Vec<f64> {
         return top;
     }
     if let [way] = ways {
-        // A single way too short for full speed: one ramp up and one down, nothing in between. A hair below,
-        // lest the rounded ramps be longer than the way.
+        // A single segment too short for full speed: one ramp up and one down, nothing in between. A hair below,
+        // lest the rounded ramps be longer than the segment.
         return vec![top_of_two_ramps(way, limits) * (1.0 - 1e-12)];
     }
     // All slowed alike until they fit (a slower motion always does), then each as fast as the others let it.
@@ -341,7 +341,7 @@ fn fastest_speeds(ways: &[Joints], limits: &JointLimits) -> Vec<f64> {
     speeds
 }
 
-/// The speed, in ways per second, at which a ramp up and a ramp down together are the whole way: the ramp's
+/// The speed, in segments per second, at which a ramp up and a ramp down together are the whole segment: the ramp's
 /// time equals the reciprocal of the speed.
 fn top_of_two_ramps(way: &Joints, limits: &JointLimits) -> f64 {
     let acceleration = most(way, &limits.acceleration_rad_s2);
@@ -400,7 +400,7 @@ mod tests {
         assert_eq!((braked.duration_s(), braked.goal_rad()), (0.0, HOME));
     }
 
-    /// All joints are equally far on their ways at any time, and never turn back by more than `slack` of it.
+    /// All joints are equally far along the path at any time, and never turn back by more than `slack` of it.
     fn keeps_to_the_line(
         motion: &Trajectory,
         duration_s: f64,
@@ -453,7 +453,7 @@ mod tests {
             };
             let (v, a, j) =
                 (least(&limits.velocity_rad_s), least(&limits.acceleration_rad_s2), least(&limits.jerk_rad_s3));
-            // Biagiotti and Melchiorri 2008, 3.4: from rest to rest, for a way of 1.
+            // Biagiotti and Melchiorri 2008, 3.4: from rest to rest, over a distance of 1.
             let ramp_s = if v * j < a * a { 2.0 * (v / j).sqrt() } else { a / j + v / a };
             let expected_s = if 1.0 / v >= ramp_s {
                 1.0 / v + ramp_s

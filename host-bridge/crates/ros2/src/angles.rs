@@ -38,11 +38,11 @@ impl Angles {
         &self.names
     }
 
-    /// Takes angles; joints that are not the arm's and values that are no numbers are left out. Whether it was about the
+    /// Takes angles; joints that are not the arm's, and NaN, are left out. Whether it was about the
     /// arm at all.
     pub fn see(&mut self, state: &JointState, now_ms: u64, doubts: &mut Doubts) -> bool {
         let mut about_arm = false;
-        // Nobody's arm has so many joints; whoever names more is not listened to any longer.
+        // No arm has this many joints; the rest of a message that names more is ignored.
         for (place, (name, &position_rad)) in
             state.name.iter().zip(&state.position).enumerate().take(NAMES_MAX)
         {

@@ -7,7 +7,7 @@ pub enum Answer {
     Accepted,
     /// It will not.
     Rejected,
-    /// So far, in seconds of the trajectory.
+    /// How far it is, in seconds of the trajectory.
     Progress(f64),
     /// The pose was reached.
     Succeeded,

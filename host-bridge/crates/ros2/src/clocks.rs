@@ -4,7 +4,7 @@
 //! on the way; the largest of the last seconds is nearest to it. A robot that stamps its states late looks the same as
 //! one whose clock is behind, and is as unfit to be commanded by stamps.
 //!
-//! Where somebody publishes `/clock`, that is the graph's time (`use_sim_time`) and everything is compared with it.
+//! If somebody publishes `/clock`, that is the graph's time (`use_sim_time`) and everything is compared with it.
 
 use std::collections::VecDeque;
 
@@ -12,11 +12,11 @@ use serde::{Deserialize, Serialize};
 
 /// Beyond this difference nothing is armed, in seconds.
 pub const DIFFERENCE_MAX_S: f64 = 0.1;
-/// Stamps within so long are compared.
+/// Stamps within this time are compared.
 const WINDOW_MS: u64 = 2000;
-/// The clock of a simulation that was silent for so long stands still, or is gone.
+/// The clock of a simulation that was silent for this long has stopped, or is gone.
 const SIMULATED_SILENCE_MS: u64 = 1000;
-/// So many stamps before a difference is told.
+/// A difference is reported after this many stamps.
 const STAMPS_MIN: usize = 3;
 /// More are not kept.
 const STAMPS_MAX: usize = 1024;
@@ -69,7 +69,7 @@ impl Clocks {
             return;
         }
         if self.simulated.is_none() {
-            // What was compared with this machine's clock says nothing any more.
+            // Earlier comparisons with this machine's clock no longer count.
             self.heard.iter_mut().for_each(VecDeque::clear);
         }
         self.simulated = Some((now_ms, time_s));
@@ -88,7 +88,7 @@ impl Clocks {
         heard.push_back((now_ms, difference));
     }
 
-    /// The graph's time where its clocks agree: `/clock`, else this machine's.
+    /// The graph's time, if its clocks agree: `/clock`, else this machine's.
     fn reference_s(&self, wall_s: f64, now_ms: u64) -> f64 {
         match self.simulated {
             Some((at_ms, time_s)) => {
@@ -98,7 +98,7 @@ impl Clocks {
         }
     }
 
-    /// The clocks' difference; `None` as long as too few stamps were heard lately. Of several sources the worst counts.
+    /// The clocks' difference; `None` as long as too few stamps were heard lately. If there are several sources, the worst counts.
     pub fn difference(&self, now_ms: u64) -> Option<Difference> {
         let newest = |heard: &VecDeque<(u64, f64)>| {
             let lately = heard.iter().filter(|(at_ms, _)| now_ms.saturating_sub(*at_ms) <= WINDOW_MS);
@@ -134,7 +134,7 @@ impl Clocks {
         self.refusal(now_ms)
     }
 
-    /// The robot's time of what is decided now, in seconds; `None` where its clock is not known. What is to be
+    /// The robot's time of what is decided now, in seconds; `None` if its clock is not known. What is to be
     /// carried out by the robot's clock (an arm's trajectory) is stamped with this.
     pub fn robot_s(&self, wall_s: f64, now_ms: u64) -> Option<f64> {
         let difference = self.difference(now_ms);
@@ -163,7 +163,7 @@ pub fn advice(Difference { seconds, is_simulated }: Difference) -> String {
              /clock should not"
         );
     }
-    // Nobody's clock of today says 2001.
+    // No clock of today says 2001.
     if apart > 0.5e9 {
         return "the robot's stamps are a simulation's, but nobody publishes /clock: start the simulator's clock \
                 bridge, or its nodes without use_sim_time"
@@ -181,7 +181,7 @@ mod tests {
 
     const WALL_S: f64 = 1_790_000_000.0;
 
-    /// Hears stamps for a second; `late_s` is the time on the way, which varies.
+    /// Receives stamps for a second; `late_s` is the time on the way, which varies.
     fn heard(offset_s: f64, late_s: f64) -> Clocks {
         let mut clocks = Clocks::default();
         for n in 0..100_u64 {
@@ -254,7 +254,7 @@ mod tests {
             for apart_s in [0.05, 0.09, 0.11, 0.5, 2.0, 10.0, 30.0_f64].iter().flat_map(|s| [*s, -*s]) {
                 for stamp in [Stamp::Zero, Stamp::Clock, Stamp::Wall] {
                     let mut clocks = Clocks::default();
-                    // The graph's time is the wall's, or a simulation's; the robot's is apart from it.
+                    // The graph's time is wall-clock time or a simulation's; the robot's differs from it.
                     let graph_s = |wall_s: f64| if simulated { wall_s - WALL_S + 10.0 } else { wall_s };
                     for n in 0..200_u64 {
                         let now = WALL_S + n as f64 * 0.01;

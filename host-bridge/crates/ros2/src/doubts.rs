@@ -1,4 +1,4 @@
-//! What speaks against moving the arm: two who tell its angles, angles that no arm can have, somebody else's goal, a
+//! Reasons against moving the arm: two writers of its angles, angles that no arm can have, somebody else's goal, a
 //! speed that is scaled. Sans-IO; each is named, and nothing starts (and what moves is stopped) while it holds.
 
 use std::collections::BTreeMap;
@@ -7,21 +7,21 @@ use std::f64::consts::TAU;
 use super::stream::off_rad;
 use host_robot::{JOINTS, Joints};
 
-/// Whoever told angles of the arm within so long counts.
+/// Writers of the arm's angles within this time count.
 const TELLERS_MS: u64 = 1000;
-/// More are not told apart.
+/// More are not distinguished.
 const TELLERS_MAX: usize = 8;
-/// What could not be is remembered for so long.
+/// Impossible angles are remembered for this long.
 const MEMORY_MS: u64 = 2000;
 /// No joint turns faster than that, in rad/s: twice what the fastest of such arms do.
 const FASTEST_RAD_S: f64 = 4.0 * std::f64::consts::PI;
 /// Noise, rounding, and messages that arrive together.
 const SLACK_RAD: f64 = 0.2;
-/// No driver counts more turns than so many.
+/// No driver counts more turns than this.
 const TURNS_MAX: f64 = 16.0;
-/// A controller's state that is older says nothing of now.
+/// A controller's state that is older does not count.
 const STATE_MS: u64 = 500;
-/// A controller that holds the arm further from where it is than this is not continued from.
+/// A motion does not begin at the controller's set point if that is further than this from the arm.
 const HELD_MAX_RAD: f64 = 0.05;
 /// A speed scaling is 1 within this.
 const SCALING_OFF: f64 = 1e-3;
@@ -30,19 +30,19 @@ const SCALING_OFF: f64 = 1e-3;
 #[derive(Clone, Debug, Default)]
 pub struct Doubts {
     tellers: BTreeMap<String, u64>,
-    /// What could not be, and when.
+    /// The impossible angle, and when it came.
     impossible: Option<(String, u64)>,
     /// Goals on the controller's action server that are not ours.
     foreign: usize,
-    /// Told to be other than 1, and when.
+    /// The scaling that was reported, if it is not 1, and when.
     scaling: Option<(f64, u64)>,
-    /// One that is not zero was told: zero is no default then.
+    /// A scaling other than zero was reported, so zero is not just a default.
     is_scaled: bool,
     held: Option<(Joints, u64)>,
 }
 
 impl Doubts {
-    /// Somebody has told angles of the arm.
+    /// Whether somebody has reported angles of the arm.
     pub fn told_by(&mut self, teller: &str, now_ms: u64) {
         self.tellers.retain(|_, at_ms| now_ms.saturating_sub(*at_ms) <= TELLERS_MS);
         if self.tellers.len() < TELLERS_MAX || self.tellers.contains_key(teller) {
@@ -50,7 +50,7 @@ impl Doubts {
         }
     }
 
-    /// Can a joint be there, that was elsewhere `passed_ms` ago? What cannot be is remembered.
+    /// Can a joint be here that was elsewhere `passed_ms` ago? If not, that is remembered.
     pub fn judge(&mut self, name: &str, rad: f64, before: Option<(f64, u64)>, now_ms: u64) {
         let what = if rad.abs() > TURNS_MAX * TAU {
             format!("{name} is told to be at {rad:.0} rad: no joint turns that often")
@@ -65,7 +65,7 @@ impl Doubts {
         self.impossible = Some((what, now_ms));
     }
 
-    /// So many goals of others are active on the controller's action server.
+    /// How many goals of others are active on the controller's action server.
     pub fn set_foreign(&mut self, goals: usize) {
         self.foreign = goals;
     }
@@ -74,7 +74,7 @@ impl Doubts {
     pub fn controller(&mut self, reference: Option<(Joints, Joints)>, scaling: Option<f64>, now_ms: u64) {
         if let Some(scaling) = scaling {
             self.is_scaled |= scaling != 0.0;
-            // Also where it is no number.
+            // Also where it is NaN.
             let is_one = (scaling - 1.0).abs() <= SCALING_OFF;
             let off = self.is_scaled && !is_one;
             self.scaling = off.then_some((scaling, now_ms));
@@ -87,11 +87,11 @@ impl Doubts {
     pub fn held(&self, here: &Joints, now_ms: u64) -> Option<Joints> {
         let (held, at_ms) = self.held?;
         let near = off_rad(&held, here) <= HELD_MAX_RAD && now_ms.saturating_sub(at_ms) <= STATE_MS;
-        // In the turn in which the joint is reported.
+        // In the turn of the loop in which the joint is reported.
         near.then(|| std::array::from_fn(|i| here[i] + turned(held[i] - here[i])))
     }
 
-    /// What speaks against moving the arm in pieces (or at all).
+    /// Reasons against moving the arm in pieces (or at all).
     pub fn problem(&self, in_pieces: bool, now_ms: u64) -> Option<String> {
         let lately = |at_ms: u64, long_ms: u64| now_ms.saturating_sub(at_ms) <= long_ms;
         let tellers: Vec<&str> = self
@@ -135,7 +135,7 @@ fn shortest(rad: f64) -> f64 {
     turned(rad).abs()
 }
 
-/// Joints by name as the arm has them; `None` where one is missing or no number.
+/// Joints by name as the arm has them; `None` if one is missing or NaN.
 pub fn in_order(names: &[String; JOINTS], told: &[String], values: &[f64]) -> Option<Joints> {
     let mut joints = [0.0; JOINTS];
     for (joint, name) in joints.iter_mut().zip(names) {
@@ -181,7 +181,7 @@ mod tests {
     #[test]
     fn a_foreign_goal_and_a_scaled_speed_are_named() {
         let mut doubts = Doubts::default();
-        // Releases that do not tell it leave zero.
+        // Releases that do not report it leave zero.
         doubts.controller(None, Some(0.0), 0);
         doubts.controller(None, Some(1.0), 10);
         assert_eq!(doubts.problem(true, 10), None);

@@ -28,12 +28,12 @@ impl RosDriver {
         RosDriver { node, robot, now_ms: 0, notes: Vec::new(), refusal: None, counts: Arc::default() }
     }
 
-    /// What was sent and heard, for whoever wants to look later.
+    /// Counters of what was sent and received, for a later look.
     pub fn counts(&self) -> Arc<Mutex<Counts>> {
         Arc::clone(&self.counts)
     }
 
-    /// What refuses the robot as a whole refuses each of its parts.
+    /// A refusal of the whole robot is one of each of its parts.
     fn may_move(&self) -> Result<(), String> {
         self.refusal.clone().map_or(Ok(()), Err)
     }
@@ -73,7 +73,7 @@ impl Robot for RosDriver {
     }
 
     fn drive(&mut self, twist: Twist) {
-        // Also said by `refusal`, for whoever arms.
+        // `refusal` reports this, too, for whoever arms.
         self.robot.drive(if self.refusal.is_none() { twist } else { Twist::ZERO });
     }
 

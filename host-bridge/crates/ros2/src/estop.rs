@@ -11,7 +11,7 @@ use super::config::Ros2Config;
 /// More publishers of one flag than this are not told apart.
 const WRITERS_MAX: usize = 64;
 
-/// What one publisher said last.
+/// The last message of one publisher.
 #[derive(Clone, Copy, Debug)]
 struct Word {
     stop: bool,
@@ -39,7 +39,7 @@ pub struct Inputs {
 }
 
 impl Inputs {
-    /// Those that are configured; nobody has said anything.
+    /// The configured flags; nothing has been received yet.
     pub fn new(config: &Ros2Config) -> Self {
         let input = |what, key, name: &String, timeout_ms| {
             (!name.is_empty()).then(|| Input {
@@ -65,7 +65,7 @@ impl Inputs {
     pub fn hear(&mut self, n: usize, writer: &str, stop: bool, now_ms: u64) {
         let Some(input) = self.inputs.get_mut(n) else { return };
         if !stop {
-            // Whoever is gone cannot take his word back: the next one who is there does it for him.
+            // A publisher that is gone cannot revoke its message: the next one that is there does.
             let Input { writers, said, .. } = input;
             said.retain(|known, _| writers.contains(known));
         }
@@ -81,7 +81,7 @@ impl Inputs {
         }
     }
 
-    /// The graph is looked at anew from here on: nobody is known, nothing was said.
+    /// Begins again: no publisher is known, and nothing has been received.
     pub fn forget(&mut self) {
         for input in &mut self.inputs {
             input.writers.clear();
@@ -89,7 +89,7 @@ impl Inputs {
         }
     }
 
-    /// Why nothing may move; `None` = no flag stands against it.
+    /// Why nothing may move; `None` = no flag forbids it.
     pub fn refusal(&self, now_ms: u64) -> Option<String> {
         self.inputs.iter().find_map(|input| input.refusal(now_ms))
     }
@@ -177,7 +177,7 @@ mod tests {
         inputs.hear(0, "c", true, 100);
         assert!(inputs.refusal(100).unwrap().contains("e-stop is pressed"));
         inputs.hear(0, "a", false, 200);
-        // "c" is not on the graph: his word is taken back by the next who is there.
+        // "c" is not on the graph: the next publisher that is there revokes its message.
         assert_eq!(inputs.refusal(200), None);
         inputs.hear(0, "b", true, 300);
         inputs.hear(0, "a", false, 310);

@@ -3,9 +3,9 @@
 use host_robot::Trajectory;
 use host_topics::message::{JointTrajectoryPoint, Time};
 
-/// Besides the instants at which the acceleration changes, one point per so long.
+/// Longest time between two points, besides the instants at which the acceleration changes.
 const GRID_S: f64 = 0.25;
-/// Controllers want times that grow.
+/// Controllers want increasing times.
 const LEAST_STEP_S: f64 = 0.001;
 
 /// A trajectory as points in time: between them cubics through positions and speeds give the same motion.

@@ -18,10 +18,10 @@ use host_robot::{
 };
 use host_topics::message::{self as ros, JointState, JointTrajectory};
 
-/// A bridge that says nothing for so long stands still.
+/// A bridge that says nothing for this long counts as stopped.
 const QUIET_MS: u64 = 250;
 
-/// The longest time between a command and its effect: the network, the controller's cycle, and what it takes to hear of it.
+/// The longest time between a command and its reported effect: the network, the controller's cycle, and the way back.
 const REACTION_MS: u64 = 60;
 
 /// What goes out.
@@ -59,7 +59,7 @@ pub enum Output {
     },
 }
 
-/// What was sent and heard.
+/// Counters of what was sent and received.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Counts {
     /// Speeds.
@@ -92,7 +92,7 @@ pub struct RosRobot {
     allowed: bool,
     base: BaseCommand,
     wanted: Twist,
-    /// When the bridge last said so.
+    /// When the bridge last commanded.
     wanted_ms: u64,
     sent_ms: Option<u64>,
     arm: ArmLink,
@@ -103,14 +103,14 @@ pub struct RosRobot {
     /// Its newest odometry, from where it was first seen, and when that came.
     seen: Option<(BaseState, u64)>,
     first: Option<Odometry>,
-    /// The speed that the base had when it was given another, until its odometry begins to follow.
+    /// The base's speed when it was last given another one, until its odometry begins to follow.
     speed_then: Option<Twist>,
     /// It has.
     base_follows: bool,
 }
 
 impl RosRobot {
-    /// A robot that nothing was said to yet.
+    /// A robot that has not been commanded yet.
     pub fn new(config: &Ros2Config, limits: JointLimits, base_limits: BaseConfig) -> Self {
         RosRobot {
             // The bridge repeats itself every 20 ms, a turn of its loop later at most.
@@ -155,7 +155,7 @@ impl RosRobot {
         self.arm.see_controller(state, scaling, self.now_ms);
     }
 
-    /// So many goals of others are active on the arm's action server.
+    /// How many goals of others are active on the arm's action server.
     pub fn set_foreign_goals(&mut self, goals: usize) {
         self.arm.set_foreign_goals(goals);
     }
@@ -237,7 +237,7 @@ impl RosRobot {
 
     fn send_speed(&mut self) {
         self.sent_ms = Some(self.now_ms);
-        // Of what was decided in one turn of the loop only the last counts: no two with one stamp.
+        // Only the last decision of a turn of the loop counts, so that no two have one stamp.
         self.outputs.retain(|output| !matches!(output, Output::Twist(_)));
         self.outputs.push(Output::Twist(self.wanted));
     }
@@ -270,7 +270,7 @@ impl Robot for RosRobot {
         self.at(now_ms);
         let quiet_ms = self.now_ms.saturating_sub(self.wanted_ms);
         if self.base == BaseCommand::Driving && quiet_ms >= QUIET_MS {
-            // This program stood still. What it wanted then is old.
+            // This program stood still. Its last command is old.
             self.stop_base();
         }
         self.repeat();
@@ -305,7 +305,7 @@ impl Robot for RosRobot {
             self.speed_then = self.seen.map(|(base, _)| base.odometry.twist);
         }
         if twist == Twist::ZERO {
-            // At rest already: whoever else drives is not disturbed.
+            // At rest already, so that another source of speeds is not disturbed.
             if self.base == BaseCommand::Driving {
                 self.stop_base();
             }

@@ -18,22 +18,22 @@ use std::collections::VecDeque;
 use host_robot::{JointLimits, Joints, Motion, Trajectory, brake};
 use host_topics::message::{Header, JointTrajectory, JointTrajectoryPoint, Time};
 
-/// So much of the plan is in each piece, from now on.
+/// How much of the plan is in each piece, from now on.
 pub const HORIZON_MS: u64 = 250;
 /// A piece is sent this often.
 pub const RENEW_MS: u64 = 100;
-/// Each piece begins so long ago.
+/// Each piece begins this long before now.
 const PAST_S: f64 = 0.02;
-/// The first piece begins to move so long after it was sent, and its timeline so long before that.
+/// The first piece begins to move this long after it was sent, and its timeline begins as long before that.
 const LEAD_S: f64 = 0.05;
 const HOLD_S: f64 = 0.5;
-/// A stop takes effect so long after it was sent.
+/// A stop takes effect this long after it was sent.
 const STOP_LEAD_S: f64 = 0.01;
-/// Points of a piece are so far apart at most.
+/// Longest time between two points of a piece.
 const GRID_S: f64 = 0.05;
 /// Points of braking.
 const BRAKE_GRID_S: f64 = 0.02;
-/// Controllers want times that grow.
+/// Controllers want increasing times.
 const STEP_MIN_S: f64 = 0.001;
 
 /// The robot's clock, from the stamps of what it reports: never ahead of the robot's own.
@@ -44,7 +44,7 @@ pub struct RobotClock {
 }
 
 impl RobotClock {
-    /// Messages of so long decide: the one with the shortest way says most.
+    /// The messages of this time decide: the one with the shortest delay is the most accurate.
     const WINDOW_MS: u64 = 2000;
 
     /// A message with this stamp has arrived; a zero stamp says nothing.
@@ -67,14 +67,14 @@ impl RobotClock {
     }
 }
 
-/// One trajectory on its way.
+/// A trajectory that is being sent.
 #[derive(Clone, Debug)]
 pub struct Stream {
     /// Robot time at the trajectory's start.
     start_ns: i64,
-    /// The last piece: when it was sent, and from where on it brakes.
+    /// The last piece: when it was sent, and from which time on it brakes.
     sent: Option<(u64, f64)>,
-    /// It is given up: from there on it brakes, until then.
+    /// It is abandoned: from when on it brakes, and until when.
     braking: Option<(f64, f64)>,
 }
 
@@ -103,7 +103,7 @@ impl Stream {
         }
     }
 
-    /// It has been given up, and the arm rests by now.
+    /// It has been abandoned, and the arm rests by now.
     pub fn has_braked(&self, robot_ns: i64) -> bool {
         self.braking.is_some_and(|(_, until_s)| self.elapsed_s(robot_ns) > until_s)
     }

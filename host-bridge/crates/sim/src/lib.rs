@@ -1,4 +1,4 @@
-//! The simulated robot: a differential-drive base with an arm, in steps of a millisecond; with a gripper where it is
+//! The simulated robot: a differential-drive base with an arm, in steps of a millisecond; with a gripper if it is
 //! given one.
 
 use std::sync::Arc;
@@ -130,7 +130,7 @@ impl Arm {
         }
     }
 
-    /// Gives the trajectory up and brakes as fast as the limits allow, straight on.
+    /// Abandons the trajectory and brakes as fast as the limits allow, straight on.
     fn halt(&mut self, limits: &JointLimits) {
         if self.following.is_some() && !self.halting {
             self.following = Some((Arc::new(Trajectory::braking(self.here, limits)), 0.0));
@@ -146,7 +146,7 @@ impl Gripper {
         let way_m = wanted_m - self.opening_m;
         let mut next_m = self.opening_m + way_m.clamp(-GRIP_SPEED_M_S * dt_s, GRIP_SPEED_M_S * dt_s);
         let mut end = (next_m == wanted_m).then_some(GripEnd::Reached);
-        // Only from outside can fingers close on a thing.
+        // Fingers can close on an object only from outside.
         if let Some(between_m) =
             asked.between_m.filter(|m| (next_m..=self.opening_m).contains(m) && way_m < 0.0)
         {
@@ -179,7 +179,7 @@ impl Robot for Simulator {
                 self.halt_gripper();
             }
             if self.timed_out && self.at_rest() && self.arm.following.is_none() {
-                // Nothing moves before the next command: the rest of a long pause is one step.
+                // Nothing moves before the next command, so the rest of a long pause is one step.
                 self.now_ms += (now_ms - self.now_ms) / STEP_MS * STEP_MS;
             }
             self.base.step(dt_s);
@@ -305,7 +305,7 @@ mod tests {
         Arc::new(Trajectory::through(&[START_RAD, GOAL_RAD], &[], robot.joint_limits()))
     }
 
-    /// Lets time pass; every 20 ms the bridge says the same.
+    /// Lets time pass; every 20 ms the bridge repeats its command.
     fn run(robot: &mut Simulator, ms: u64, twist: Option<Twist>) {
         for _ in 0..ms {
             if let Some(twist) = twist.filter(|_| robot.now_ms.is_multiple_of(20)) {

@@ -62,7 +62,7 @@ messages! {
     "bimanual_msgs/RightSample" RightSample {
         /// Time of day.
         header: Header,
-        /// Accelerometer (m/s2), gyroscope (deg/s), magnetometer (uT), as far as there.
+        /// Accelerometer (m/s2), gyroscope (deg/s), magnetometer (uT), as far as the sensor has them.
         values: Vec<f32>,
     }
 
@@ -70,7 +70,7 @@ messages! {
     "bimanual_msgs/Hands" Hands {
         /// Time of day.
         header: Header,
-        /// State of the dead-man; where the robot refuses to move, or the session may do less, with the reason behind it.
+        /// State of the dead-man; if the robot refuses to move, or the session is restricted, the reason follows.
         safety: String,
         /// Left hand.
         pitch_rad: f64,
@@ -114,7 +114,7 @@ messages! {
         outcome: String,
         /// 0 to 1.
         confidence: f32,
-        /// How old it was.
+        /// How old the sample was.
         age_ms: u64,
         /// Forward, if it is about speed.
         linear_m_s: f64,

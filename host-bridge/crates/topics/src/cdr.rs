@@ -12,7 +12,7 @@ const HEADER: [u8; 4] = [0, 1, 0, 0];
 /// can express.
 pub fn encode(message: &impl Serialize) -> Vec<u8> {
     let mut bytes = HEADER.to_vec();
-    // A Vec takes everything, and padding counts from behind the header.
+    // Writing to a `Vec` cannot fail, and padding counts from behind the header.
     let _ = cdr_encoding::to_writer::<_, LittleEndian, _>(&mut bytes, message);
     bytes
 }
@@ -50,7 +50,7 @@ mod tests {
         let mut other = message.clone();
         other[1] = 0;
         assert_eq!(read(&other), None);
-        // A sequence that claims to be longer than any memory is read no further than the message goes.
+        // A sequence that claims to be longer than any memory is read to the end of the message at most.
         assert_eq!(decode::<Vec<u64>>(&[0, 1, 0, 0, 255, 255, 255, 255]), None);
     }
 }

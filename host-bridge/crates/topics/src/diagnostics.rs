@@ -4,7 +4,7 @@ use crate::message::{DiagnosticArray, DiagnosticStatus, Header, KeyValue, Time};
 use host_core::bridge::{Bridge, BridgeEvent, EventKind};
 use host_core::safety::{Hand, PerHand, State};
 
-/// Repeated this often where nothing happens.
+/// Repeated this often while nothing happens.
 pub const INTERVAL_MS: u64 = 1000;
 
 /// Collects what happened, and says when it is to be published.

@@ -1,4 +1,4 @@
-//! What a session says, for files and for live viewers: topics, and their types as ROS 2 describes them.
+//! A session as messages, for files and for live viewers: topics, and their types as ROS 2 describes them.
 //!
 //! ```text
 //! Tap ──► Teller (an Observer) ──► Outlet: a file (`journal`), or Foxglove over the network (`foxglove`)
@@ -77,17 +77,17 @@ topics! {
     LeftSample: bimanual::LeftSample = "/hands/left/sample",
     /// Readings of the right hand's IMU in the units of recordings.
     RightSample: bimanual::RightSample = "/hands/right/sample",
-    /// The same as ROS has it: rad/s, m/s².
+    /// The same in ROS's units: rad/s, m/s².
     Imu: message::Imu = "/hands/right/imu",
-    /// The same as ROS has it: tesla.
+    /// The same in ROS's unit: tesla.
     Magnetic: message::MagneticField = "/hands/right/mag",
     /// What the hands say.
     Hands: bimanual::Hands = "/hands/state",
     /// All events.
     Events: bimanual::Event = "/events",
-    /// Of these, what the hands ask for.
+    /// The commands of the hands alone.
     Intents: bimanual::Intent = "/intents",
-    /// Of these, halts and releases.
+    /// Halts and releases alone.
     Stops: bimanual::Stop = "/stops",
     /// All events as lines of a log.
     Log: message::Log = "/rosout",
@@ -99,7 +99,7 @@ topics! {
     Odometry: message::Odometry = "/odom",
     /// Frames of base and arm.
     Transforms: message::TfMessage = "/tf",
-    /// What could not be kept, because the disk was too slow.
+    /// Messages that could not be kept, because the disk was too slow.
     Lost: bimanual::Lost = "/bridge/lost",
     /// The robot itself refuses to move, or does not any more.
     Refused: bimanual::Refused = "/bridge/refused",

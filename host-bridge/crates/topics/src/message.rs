@@ -263,7 +263,7 @@ messages! {
         acceleration: f64,
     }
 
-    /// Goal of `control_msgs/action/FollowJointTrajectory`. Empty tolerances leave them to the controller.
+    /// Goal of `control_msgs/action/FollowJointTrajectory`. Empty tolerances mean those of the controller.
     "control_msgs/FollowJointTrajectory_Goal" FollowGoal {
         /// The motion.
         trajectory: JointTrajectory,
@@ -277,7 +277,7 @@ messages! {
         goal_tolerance: Vec<JointTolerance>,
         /// Unused.
         component_goal_tolerance: Vec<JointComponentTolerance>,
-        /// How late the end may be reached.
+        /// How late the end may be.
         goal_time_tolerance: Time,
     }
 
@@ -327,7 +327,7 @@ messages! {
         position: f64,
         /// The force.
         effort: f64,
-        /// It stands still under its force.
+        /// It is stopped by something, and pushes.
         stalled: bool,
         /// It is where it should be.
         reached_goal: bool,
@@ -343,7 +343,7 @@ messages! {
     "control_msgs/ParallelGripperCommand_Result" ParallelResult {
         /// One joint.
         state: JointState,
-        /// It stands still under its force.
+        /// It is stopped by something, and pushes.
         stalled: bool,
         /// It is where it should be.
         reached_goal: bool,

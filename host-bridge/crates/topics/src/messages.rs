@@ -14,7 +14,7 @@ use host_core::observe::{Now, OperatorKey, Sample, Turn};
 use host_core::safety::Hand;
 use host_robot::{DQuat, DVec3, Door, Picture, Pose, RobotSetting};
 
-/// Frame in which the base's way is told.
+/// Frame of the base's odometry.
 pub const ODOM: &str = "odom";
 /// Frame of the base, on the floor between its wheels.
 pub const BASE: &str = "base_link";
@@ -24,7 +24,7 @@ pub const ARM_PREFIX: &str = "arm_";
 /// Names of the frames, so that the robot's own description can be laid over them.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Frames {
-    /// In which the base's way is told.
+    /// Frame of the base's odometry.
     pub odom: String,
     /// Of the base, on the floor between its wheels.
     pub base: String,
@@ -155,7 +155,7 @@ impl Origin {
         Entry::new(Topic::Turns, time_ms, &own::Turns { turns: turns.iter().map(turn).collect() })
     }
 
-    /// A reading: as the recording has it, and as ROS wants it.
+    /// A reading, in the recording's units and in ROS's.
     pub fn sample(self, time_ms: u64, sample: &Sample<'_>) -> Vec<Entry> {
         match *sample {
             Sample::Left { counts, bends_permille } => {
@@ -172,7 +172,7 @@ impl Origin {
                     let found = values.get(from..from + 3)?;
                     Some(DVec3::from([0, 1, 2].map(|i| f64::from(found[i]))) * factor)
                 };
-                // A first element of -1 is ROS's way to say that there is no such reading.
+                // In ROS a first element of -1 means that there is no such reading.
                 let mut unknown = [0.0; 9];
                 unknown[0] = -1.0;
                 let raw = own::RightSample { header: header.clone(), values: values.to_vec() };
@@ -305,7 +305,7 @@ impl Origin {
         Entry::new(Topic::Transforms, now.time_ms, &message)
     }
 
-    /// So many messages are missing.
+    /// This many messages are missing.
     pub fn lost(self, time_ms: u64, messages: u64) -> Entry {
         Entry::new(Topic::Lost, time_ms, &own::Lost { header: self.header(time_ms, ""), messages })
     }

@@ -2,10 +2,10 @@
 
 /// What a field of a message can be.
 pub trait Field {
-    /// As ROS 2 names the type (of one element): `float64`, `std_msgs/Header`.
+    /// ROS 2's name of the type (of one element): `float64`, `std_msgs/Header`.
     const TYPE: &'static str;
 
-    /// Behind the name: nothing, `[]` for a sequence, `[9]` for an array.
+    /// What follows the name: nothing, `[]` for a sequence, `[9]` for an array.
     fn many() -> String {
         String::new()
     }

@@ -1,11 +1,11 @@
-//! Which message is due when: from the tap to an outlet.
+//! Which message is due when: from the tap to an output.
 
 use super::messages::{Entry, Origin};
 use host_core::observe::SessionEvent;
 use host_core::observe::{Now, Observer, OperatorKey, Sample, Turn};
 use host_core::safety::Hand;
 
-/// More steps than this are not held back for one message.
+/// At most this many steps are joined in one message.
 const TURNS_MAX: usize = 1000;
 
 const JOINTS_INTERVAL_MS: u64 = 10;
@@ -31,7 +31,7 @@ pub struct Teller<O: Outlet> {
 }
 
 impl<O: Outlet> Teller<O> {
-    /// Hangs an outlet on a session whose clock was zero at `origin`.
+    /// Attaches an output to a session whose clock was zero at `origin`.
     pub fn new(origin: Origin, outlet: O) -> Self {
         Teller { origin, outlet, turns: Vec::new(), time_ms: 0, due_ms: [0; 3] }
     }
@@ -40,7 +40,7 @@ impl<O: Outlet> Teller<O> {
         self.outlet.put(entry);
     }
 
-    /// The steps so far, before anything whose place among them counts.
+    /// Writes the steps so far, before anything whose place among them matters.
     fn put_turns(&mut self) {
         if !self.turns.is_empty() {
             let entry = self.origin.turns(self.time_ms, &self.turns);

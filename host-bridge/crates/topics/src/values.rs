@@ -8,7 +8,7 @@ use crate::message::{
 };
 use host_robot::{BaseConfig, DVec3, Picture, base};
 
-/// Odometry is told this often.
+/// Odometry is published this often.
 pub const SPEED_INTERVAL_S: f64 = 0.02;
 
 impl Time {
@@ -18,13 +18,13 @@ impl Time {
         Time { sec: i32::try_from(since.as_secs()).unwrap_or(i32::MAX), nanosec: since.subsec_nanos() }
     }
 
-    /// A duration of so many seconds; negative ones become zero.
+    /// A duration of this many seconds; negative ones become zero.
     pub fn after_s(seconds: f64) -> Self {
         let nanoseconds = (seconds.max(0.0) * 1e9).round() as u64;
         Time::at_ns(nanoseconds)
     }
 
-    /// So many nanoseconds since 1970.
+    /// This many nanoseconds since 1970.
     pub fn at_ns(nanoseconds: u64) -> Self {
         Time {
             sec: i32::try_from(nanoseconds / 1_000_000_000).unwrap_or(i32::MAX),
@@ -70,7 +70,7 @@ impl From<base::Twist> for Twist {
     }
 }
 
-/// A covariance of x, y, z and the turns about them, of which ours has those at `places`.
+/// A covariance of x, y, z and the rotations about them; ours has the entries at `places`.
 fn spread<const N: usize>(ours: &[[f64; N]; N], places: [usize; N]) -> [[f64; 6]; 6] {
     let mut all = [[0.0; 6]; 6];
     for (row, values) in ours.iter().enumerate() {

@@ -1,4 +1,4 @@
-//! Who looks on: the page, the terminal, Foxglove and session files. Each is an output on the engine's one tap.
+//! The observers: the page, the terminal, Foxglove and session files. Each is an output on the engine's one tap.
 
 pub mod foxglove;
 #[cfg(feature = "mcap")]

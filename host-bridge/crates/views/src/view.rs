@@ -37,7 +37,7 @@ pub struct Scene<'a> {
     pub snapshot: &'a Snapshot,
     /// Which key does what, in one or more lines.
     pub keys: &'a str,
-    /// How fast time passes, where that is not as usual.
+    /// How fast time passes, if not at the usual pace.
     pub pace: String,
 }
 
@@ -224,7 +224,7 @@ impl View {
 
 impl Drop for View {
     fn drop(&mut self) {
-        // Nothing better can be done with an error on the way out.
+        // Nothing better can be done with an error while the program ends.
         let _ = execute!(self.out, LeaveAlternateScreen, cursor::Show);
         let _ = disable_raw_mode();
     }

@@ -19,7 +19,7 @@ pub fn alone() -> MutexGuard<'static, ()> {
 /// A pseudo-terminal: the board's end, which no program inherits, and the laptop's.
 ///
 /// # Panics
-/// Where the system has none left.
+/// If the system has none left.
 pub fn pair() -> (TTYPort, TTYPort) {
     let _alone = alone();
     let (board, laptop) = TTYPort::pair().expect("a pseudo-terminal");
@@ -50,7 +50,7 @@ impl Port {
     /// Plugs the cable in: the path appears.
     ///
     /// # Panics
-    /// Where the system has no pseudo-terminal left.
+    /// If the system has no pseudo-terminal left.
     pub fn plug(&mut self) {
         let (mut port, laptop) = pair();
         port.set_timeout(Duration::ZERO).expect("a timeout");
@@ -68,7 +68,7 @@ impl Port {
         self.board = None;
     }
 
-    /// Sends to the laptop what it takes; the rest is lost, as on a real line.
+    /// Sends to the laptop what the port accepts; the rest is lost, as on a real line.
     pub fn write(&mut self, mut bytes: &[u8]) {
         let Some(port) = &mut self.board else { return };
         while !bytes.is_empty() {

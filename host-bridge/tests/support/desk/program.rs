@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 
 use super::time::{Process, Time};
 
-/// Of the test's time where the program takes part in it, else by the wall clock; a hang must not stop the tests.
+/// In the test's time if the program takes part in it, else by the wall clock; a hang must not stop the tests.
 pub const PATIENCE: Duration = Duration::from_secs(240);
 
 /// A folder for one test, gone with it, and the test's time.
@@ -25,7 +25,7 @@ impl Desk {
     /// A new and empty one.
     ///
     /// # Panics
-    /// Where it cannot be made.
+    /// If it cannot be made.
     pub fn new(name: &str) -> Self {
         let path = std::env::temp_dir().join(format!("bimanual-{name}-{}", std::process::id()));
         let _ = std::fs::remove_dir_all(&path);
@@ -34,12 +34,12 @@ impl Desk {
         Self { path, time }
     }
 
-    /// The time of all that is on it.
+    /// The time of everything on it.
     pub fn time(&self) -> &Time {
         &self.time
     }
 
-    /// Lets so much time pass.
+    /// Lets this much time pass.
     pub fn pass(&self, time: Duration) {
         self.time.pass(time);
     }
@@ -57,7 +57,7 @@ impl Desk {
     /// Starts a program that takes its time from here; its output is printed as it comes.
     ///
     /// # Panics
-    /// Where it does not start.
+    /// If it does not start.
     pub fn start(&self, mut command: Command) -> Running {
         let outputs = outputs(&mut command);
         Running::new(&self.time, self.time.spawn(&mut command), outputs)
@@ -66,7 +66,7 @@ impl Desk {
     /// Starts a program that keeps time by the wall clock; the desk's time stands still while a test waits for it.
     ///
     /// # Panics
-    /// Where it does not start.
+    /// If it does not start.
     pub fn start_on_its_own(&self, mut command: Command) -> Running {
         let outputs = outputs(&mut command);
         Running::new(&self.time, Process::on_its_own(&mut command), outputs)
@@ -167,7 +167,7 @@ impl Running {
         Some(line)
     }
 
-    /// Waits for the next line; none where it has ended, or at the end of the patience.
+    /// Waits for the next line; none if it has ended, or at the end of the patience.
     fn await_next(&mut self, until: &Until) -> Option<String> {
         loop {
             if let Some(line) = self.next() {
@@ -194,7 +194,7 @@ impl Running {
     /// Waits for a line with all these words.
     ///
     /// # Panics
-    /// Where none comes in [`PATIENCE`].
+    /// If none comes in [`PATIENCE`].
     pub fn wait(&mut self, words: &[&str]) -> String {
         match self.wait_for(PATIENCE, words) {
             Some(line) => line,
@@ -205,7 +205,7 @@ impl Running {
         }
     }
 
-    /// The same for so long; none if none came.
+    /// The same for this long; none if none came.
     pub fn wait_for(&mut self, patience: Duration, words: &[&str]) -> Option<String> {
         let until = self.until(patience);
         loop {
@@ -221,7 +221,7 @@ impl Running {
         while self.next().is_some() {}
     }
 
-    /// The last state that `run --json` told.
+    /// The last state that `run --json` printed.
     pub fn is_armed(&mut self) -> bool {
         self.catch_up();
         self.seen
@@ -248,10 +248,10 @@ impl Running {
         self.process.signal(name);
     }
 
-    /// Waits for the end; how it ended, and all it printed.
+    /// Waits for the end; returns how it ended, and all that it printed.
     ///
     /// # Panics
-    /// Where it does not end.
+    /// If it does not end.
     pub fn end(mut self) -> (ExitStatus, String) {
         *self.stdin.borrow_mut() = None;
         let until = self.until(PATIENCE);

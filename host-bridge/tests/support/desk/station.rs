@@ -11,9 +11,9 @@ use super::time::{Time, Turn};
 /// A system needs a moment to see a device go and come.
 const GONE: Duration = Duration::from_millis(200);
 
-/// A board as its station handles it.
+/// What a station needs of a board.
 pub trait Board {
-    /// Milliseconds since power-on, over resets.
+    /// Milliseconds since power-on, across resets.
     fn now_ms(&self) -> u64;
     /// Runs until this time. Starting up may have taken it further already.
     fn run_until_ms(&mut self, ms: u64);
@@ -33,7 +33,7 @@ pub trait Board {
 
 type Moment<B> = Box<dyn FnMut(&mut B) -> bool>;
 
-/// A board with its port. Ends with it.
+/// A board with its port; the board stops when this is dropped.
 pub struct Station<B> {
     place: PathBuf,
     time: Time,
@@ -106,7 +106,7 @@ impl<B: Board + 'static> Station<B> {
         }
     }
 
-    /// From now on so many milliseconds of the board's pass in one of the others'; with 0 its program hangs.
+    /// From now on this many milliseconds of the board's pass in one of the others'; with 0 its program hangs.
     pub fn pace(&self, factor: f64) {
         let mut desk = self.desk.borrow_mut();
         desk.from_ms = desk.wanted_ms();
@@ -122,7 +122,7 @@ struct Desk<B> {
     pull_when: Option<Moment<B>>,
     pace: f64,
     now_ms: u64,
-    /// The board's time was to be `from_ms` at this moment.
+    /// The board's time that corresponds to this moment, from `from_ms` on.
     since_ms: u64,
     from_ms: u64,
 }

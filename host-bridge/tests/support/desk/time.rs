@@ -17,14 +17,14 @@ use super::port::alone;
 /// By the wall clock, for one step or one start of a program. Nothing takes nearly so long even on a busy machine; a
 /// hang must not stop the tests.
 const PATIENCE: Duration = Duration::from_secs(240);
-/// A [`Time::keep_pace`] that was kept waiting makes up for so much and forgets the rest.
+/// A [`Time::keep_pace`] that was kept waiting makes up for this much and forgets the rest.
 const MADE_UP: Duration = Duration::from_millis(20);
 
-/// What runs in steps.
+/// Something that runs in steps.
 pub trait Turn {
     /// Runs until this time.
     fn run(&mut self, now_ms: u64);
-    /// Sends and receives what the step has brought.
+    /// Sends and receives the bytes of the step.
     fn exchange(&mut self);
 }
 
@@ -55,7 +55,7 @@ impl Time {
         }))
     }
 
-    /// From now on no faster than the wall clock, for what takes part by that one only. Slower on a busy machine.
+    /// From now on no faster than the wall clock, for programs that keep time by that clock only. Slower on a busy machine.
     pub fn keep_pace(&self) {
         self.0.due.set(Some(Instant::now()));
     }
@@ -65,12 +65,12 @@ impl Time {
         self.0.now_ms.get()
     }
 
-    /// Lets so much time pass.
+    /// Lets this much time pass.
     pub fn pass(&self, time: Duration) {
         (0..time.as_millis()).for_each(|_| self.step());
     }
 
-    /// So long the laptop sleeps and its boards do not: programs get no time meanwhile, and all of it at once with the
+    /// The laptop sleeps for this long and its boards do not: programs get no time meanwhile, and all of it at once with the
     /// next step, as the machine's own clock gives it to them when it wakes.
     pub fn suspend(&self, time: Duration) {
         (0..time.as_millis()).for_each(|_| self.turn(&[]));
@@ -80,7 +80,7 @@ impl Time {
     /// Lets a millisecond pass.
     ///
     /// # Panics
-    /// Where a program hangs.
+    /// If a program hangs.
     pub fn step(&self) {
         let programs: Vec<_> = self.0.programs.borrow().iter().filter_map(Weak::upgrade).collect();
         self.turn(&programs);
@@ -111,7 +111,7 @@ impl Time {
     /// Starts a program that takes its time from here. Time stands still until it has begun to.
     ///
     /// # Panics
-    /// Where it does not start.
+    /// If it does not start.
     pub fn spawn(&self, command: &mut Command) -> Rc<Process> {
         let number = self.0.started.get();
         self.0.started.set(number + 1);
@@ -135,7 +135,7 @@ enum Follows {
     Nothing,
 }
 
-/// A program under way. Ends with this.
+/// A running program, which is ended when this is dropped.
 pub struct Process {
     child: RefCell<Child>,
     follows: RefCell<Follows>,
@@ -145,7 +145,7 @@ impl Process {
     /// Starts a program that keeps time by the wall clock.
     ///
     /// # Panics
-    /// Where it does not start.
+    /// If it does not start.
     pub fn on_its_own(command: &mut Command) -> Rc<Self> {
         Rc::new(Self::spawn(command, Follows::Nothing))
     }
@@ -158,12 +158,12 @@ impl Process {
         Self { child: RefCell::new(child), follows: RefCell::new(follows) }
     }
 
-    /// What it was started as, for pipes and the like.
+    /// The process, for its pipes and the like.
     pub fn child(&self) -> std::cell::RefMut<'_, Child> {
         self.child.borrow_mut()
     }
 
-    /// Its number in the system.
+    /// Its process id.
     pub fn id(&self) -> u32 {
         self.child.borrow().id()
     }

@@ -1,4 +1,4 @@
-//! `models import`: recordings of other programs and foreign networks into our layout.
+//! `models import`: recordings and networks of other programs into our layout.
 
 mod network;
 mod recordings;
@@ -77,19 +77,19 @@ impl Cmd {
         }
     }
 
-    /// What is not said is judged, and said.
+    /// What the file does not say is judged, and reported.
     fn reading(&self) -> Reading {
         let units = self.units.unwrap_or_default();
         Reading { units, rate_hz: self.rate, columns: self.columns.clone(), guess: true }
     }
 }
 
-/// Can be a part of a path.
+/// Whether it can be a part of a path.
 fn is_plain(name: &str) -> bool {
     !name.is_empty() && name.chars().all(|c| c.is_alphanumeric() || c == '-' || c == '_')
 }
 
-/// A device's name as a person's in a file name.
+/// A device's name, as the name of a person in a file name.
 fn plain(name: &str) -> String {
     let name: String = name.chars().map(|c| if c.is_alphanumeric() { c } else { '-' }).collect();
     let name = name.trim_matches('-');

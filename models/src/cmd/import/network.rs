@@ -1,4 +1,4 @@
-//! A foreign network of dense layers into a model with a card.
+//! Turns another program's network of dense layers into a model with a card.
 
 use std::collections::BTreeMap;
 use std::path::Path;

@@ -1,4 +1,4 @@
-//! Data files into `OUT/<label>/<person>__<n>.csv`.
+//! Turns data files into `OUT/<label>/<person>__<n>.csv`.
 
 use std::collections::{BTreeMap, HashSet};
 use std::path::{Path, PathBuf};
@@ -17,12 +17,12 @@ use rayon::prelude::*;
 use super::report::Report;
 use super::{Cmd, is_plain, plain};
 
-/// A pause longer than this parts recordings, in ms: what came in it is not known.
+/// A pause longer than this, in ms, separates recordings: what happened in it is not known.
 const HOLE_MS: f64 = 1000.0;
-/// What is shorter than this is left out, in seconds: no gesture is.
+/// What is shorter than this, in seconds, is left out: no gesture is that short.
 const SHORTEST_S: f64 = 0.3;
 
-/// What becomes recordings together.
+/// Files that are read together.
 struct Source {
     /// One file, or one per sensor.
     files: Vec<PathBuf>,
@@ -33,7 +33,7 @@ struct Source {
 }
 
 impl Source {
-    /// What stands for it in lines for people.
+    /// Its name in lines for people.
     fn name(&self) -> String {
         match self.files.as_slice() {
             [file] => file.display().to_string(),
@@ -44,7 +44,7 @@ impl Source {
     }
 }
 
-/// One recording on its way.
+/// One recording that is being imported.
 struct Item {
     label: String,
     person: String,
@@ -52,7 +52,7 @@ struct Item {
     recording: Recording,
 }
 
-/// What a source came to.
+/// The result of a source.
 #[derive(Default)]
 struct Read {
     items: Vec<Item>,
@@ -89,7 +89,7 @@ impl Cmd {
         for source in &skipped {
             println!("{}: nobody has labelled it: left out (--label says what it is)", source.name());
         }
-        // All are read before one is written: an error leaves nothing behind.
+        // All are read before the first is written: an error leaves nothing behind.
         let read: Vec<anyhow::Result<Read>> = found.par_iter().map(|source| self.read(source)).collect();
         let bad = read.iter().filter(|read| read.is_err()).count();
         let mut report = Report::default();
@@ -214,7 +214,7 @@ impl Cmd {
         Ok(read)
     }
 
-    /// The label of a source, and whether only a file's name says so.
+    /// The label of a source, and whether it comes from a file's name only.
     fn label_of(&self, source: &Source) -> (Option<String>, bool) {
         if let Some(label) = &self.label {
             return (Some(canonical(label)), false);
@@ -225,7 +225,7 @@ impl Cmd {
             None => {}
         }
         let file = &source.files[0];
-        // A folder of one recording is a file here.
+        // A folder that holds one recording counts as a file.
         let (parent, name) = match source.files.len() {
             1 => (file.parent(), file.file_name()),
             _ => (file.parent().and_then(Path::parent), file.parent().and_then(Path::file_name)),
@@ -242,12 +242,12 @@ impl Cmd {
         }
         let name = name.unwrap_or_default().to_string_lossy().into_owned();
         let stem = name.split('.').next().unwrap_or_default();
-        // Numbers, dates and times behind a name count recordings.
+        // Numbers, dates and times after a name only number the recordings.
         let stem = stem.trim_end_matches(|c: char| c.is_ascii_digit() || matches!(c, '-' | '_' | ' '));
         ((!stem.is_empty()).then(|| canonical(stem)), true)
     }
 
-    /// Writes what is not there yet.
+    /// Writes the recordings that are not there yet.
     fn write(&self, items: Vec<Item>, mut report: Report) -> anyhow::Result<()> {
         let parts: HashSet<Option<Part>> = items.iter().map(|item| item.part).collect();
         let apart = parts.contains(&Some(Part::Training)) && parts.contains(&Some(Part::Testing));
@@ -286,7 +286,7 @@ impl Cmd {
                 .with_context(|| format!("{}: the folder cannot be made", folder.display()))?;
         }
         writes.par_iter().try_for_each(|(file, text)| {
-            // Whole or not at all, but without waiting for the disk 10,000 times.
+            // Writes each file whole or not at all, but without waiting for the disk 10,000 times.
             let part = file.with_extension("csv.part");
             std::fs::write(&part, text)
                 .and_then(|()| std::fs::rename(&part, file))
@@ -322,7 +322,7 @@ fn parted(recording: &Recording, short: &mut usize) -> Vec<Recording> {
     parts
 }
 
-/// Who recorded it, where the file is named as ours are.
+/// Who recorded it, if the file is named as ours are.
 fn person_of(file: &Path) -> Option<String> {
     let name = file.file_name()?.to_string_lossy().into_owned();
     let (person, number) = name.strip_suffix(".csv")?.split_once("__")?;
@@ -371,7 +371,7 @@ fn collect(source: &Path, below: &Path, found: &mut Vec<Source>) -> anyhow::Resu
     Ok(())
 }
 
-/// The files to put together, where programs on phones wrote a file per sensor into a folder.
+/// The files to join, if a program on a phone wrote a file per sensor into a folder.
 fn one_per_sensor(entries: &[PathBuf]) -> Option<Vec<PathBuf>> {
     let find = |names: &[&str]| {
         let is = |file: &&PathBuf| {
@@ -385,7 +385,7 @@ fn one_per_sensor(entries: &[PathBuf]) -> Option<Vec<PathBuf>> {
     let alone = find(&["accelerometer", "acceleration"]);
     let gyroscope = find(&["gyroscope"]);
     let magnetometer = find(&["magnetometer"]);
-    // Sensor Logger takes gravity off in Accelerometer.csv.
+    // Sensor Logger subtracts gravity in Accelerometer.csv.
     let gravity = find(&["gravity"]).filter(|_| total.is_none());
     let others = [gravity, gyroscope, magnetometer];
     if total.is_none() && others.iter().all(Option::is_none) {

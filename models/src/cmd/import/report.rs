@@ -1,4 +1,4 @@
-//! What an import came to.
+//! The result of an import.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -13,7 +13,7 @@ const RANGES: [f32; 4] = [2.0, 4.0, 8.0, 16.0];
 /// Collects it.
 #[derive(Default)]
 pub(super) struct Report {
-    /// What was judged or mended, without its numbers; the first such note, and the sources of which that is true.
+    /// What was judged or repaired, without its numbers; the first such note, and its sources.
     notes: BTreeMap<String, (String, Vec<String>)>,
     labels: BTreeMap<(Option<Part>, String), Label>,
 }
@@ -38,7 +38,7 @@ impl Report {
         }
     }
 
-    /// Each note once, with the sources that it is of.
+    /// Each note once, with its sources.
     pub fn print_notes(&self) {
         for (note, sources) in self.notes.values() {
             match sources.as_slice() {
@@ -92,7 +92,7 @@ fn typical_length(recording: &Recording) -> f32 {
     lengths[lengths.len() / 2]
 }
 
-/// Samples with an axis of the accelerometer at the end of a sensor's range, where three or more are.
+/// Samples with an axis of the accelerometer at the end of a sensor's range, if there are three or more.
 fn clipped(recording: &Recording) -> usize {
     let largest = |sample: &[f32]| sample[..3].iter().fold(0.0f32, |largest, x| largest.max(x.abs()));
     let limit = recording.samples().map(largest).fold(0.0, f32::max);

@@ -45,12 +45,12 @@ pub struct Aligned {
     pub daily: Daily,
 }
 
-/// As models are trained.
+/// The recipe as models are trained with it.
 pub const ALIGNED: Aligned =
     Aligned { steps: Steps::TRAIN, copies: 10, bystanders: 100, performers: 40, daily: Daily::All };
 
 impl Aligned {
-    /// With as many steps, which see fewer simulated wearers; none: as it is.
+    /// With this many steps, which see fewer simulated wearers; none = unchanged.
     pub fn with_steps(&self, count: Option<usize>) -> Self {
         let Some(count) = count else { return self.clone() };
         let Self { mut steps, copies, bystanders, performers, .. } = *self;
@@ -105,14 +105,14 @@ impl Recipe for Aligned {
 
     fn beside(&self, axes: usize, labels: &[String]) -> Beside {
         let mut beside = Beside::default();
-        // As `idle` they would teach that whoever moves slowly rests.
+        // As `idle` they would teach the model that slow movement is rest.
         let no_gesture = labels.iter().position(|label| label == OTHER).filter(|_| self.bystanders > 0);
         let (mut bystanders, mut everyday) = (0, 0);
         if let Some(label) = no_gesture {
             let windows = aimless(axes, self.bystanders);
             bystanders = windows.len();
             beside.of_people.push((windows, label));
-            // Adapting has them from the crate, not from the model's memory.
+            // For adapting they come from the crate, not from the model's memory.
             let daily = Arc::new(self.daily.rows(axes));
             everyday = daily.len();
             beside.of_nobody.extend((0..DAILY_WEIGHT).map(|_| (Arc::clone(&daily), label)));
@@ -133,7 +133,7 @@ impl Recipe for Aligned {
     }
 
     fn scaling(&self, learnt: &[Row<'_>], real: &mut dyn Iterator<Item = &[f32]>) -> Scaling {
-        // The addition keeps a feature that hardly varies from becoming an amplifier of noise.
+        // The addition keeps a feature that hardly varies from amplifying noise.
         scaling(learnt, |_, deviation| deviation + 0.1, real, 1.0..=20.0)
     }
 
@@ -145,7 +145,7 @@ impl Recipe for Aligned {
         Ok(Fitted { layers, epochs, best_epoch: epochs })
     }
 
-    /// Varied windows go further than real ones do: their rare extremes would cost every value a part of its int8 range.
+    /// Varied windows are more extreme than real ones: their rare extremes would cost every value a part of its int8 range.
     fn calibration(&self) -> Calibration {
         Calibration::Real
     }

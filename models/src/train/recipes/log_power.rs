@@ -7,7 +7,7 @@ use super::{PAPER, PerAxis};
 use crate::train::augment::Augmentation;
 use crate::train::epochs::Epochs;
 
-/// Until four halvings of the learning rate bring nothing more.
+/// Until four halvings of the learning rate bring no improvement.
 pub const LOG_POWER: PerAxis = PerAxis {
     name: "log-power",
     about: "Features per axis with log powers, until it converges; it knows directions in the room, and wants the board \

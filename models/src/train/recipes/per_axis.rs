@@ -68,7 +68,7 @@ impl Recipe for PerAxis {
     }
 
     fn scaling(&self, learnt: &[Row<'_>], _: &mut dyn Iterator<Item = &[f32]>) -> Scaling {
-        // One that hardly varies must not become an amplifier of noise.
+        // A feature that hardly varies must not amplify noise.
         let divisor = |mean: f64, deviation: f64| deviation.max(1e-3 * mean.abs()).max(1e-6);
         scaling(learnt, divisor, &mut learnt.iter().map(|(window, _)| *window), 3.0..=10.0)
     }

@@ -60,7 +60,7 @@ pub extern "C" fn main() {
     let _ = writeln!(Host, "features_hop_worst_instructions={worst}");
     let _ = writeln!(Host, "features_hop_best_instructions={best}");
     let _ = writeln!(Host, "features_hop_mean_instructions={}", total / hops);
-    // All values of a hop are no numbers: the slow path on all axes, in a hop that also turns.
+    // All values of a hop are NaN: the slow path on all axes, in a hop that also turns.
     let samples = [[f32::NAN; 9]; 8];
     let mut worst = 0;
     for _ in 0..25 {

@@ -1,4 +1,4 @@
-//! What an image takes that computes nothing.
+//! An image that computes nothing, to compare sizes with.
 #![no_std]
 #![no_main]
 

@@ -19,13 +19,13 @@ pub struct DenseSpec {
     pub biases: Vec<i32>,
     /// Real value of one step of the inputs.
     pub input_scale: f32,
-    /// Input that stands for 0.
+    /// The input value that stands for 0.
     pub input_zero_point: i8,
     /// Real value of one step of the weights: one for all, or one per output (TFLite's quantisation per channel).
     pub weight_scales: Vec<f32>,
     /// Real value of one step of the outputs.
     pub output_scale: f32,
-    /// Output that stands for 0.
+    /// The output value that stands for 0.
     pub output_zero_point: i8,
     /// Whether a ReLU is fused into the layer.
     pub relu: bool,
@@ -34,7 +34,7 @@ pub struct DenseSpec {
 }
 
 impl DenseSpec {
-    /// Its rows are not scaled and limited alike, as version 1 of the blob has it.
+    /// Whether its rows are not all scaled and limited alike, as version 1 of the blob requires.
     fn is_per_row(&self) -> bool {
         self.weight_scales.len() != 1 || self.largest != i8::MAX
     }
@@ -66,7 +66,7 @@ pub struct BlobSpec {
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum BuildError {
-    /// Sizes contradict each other or a maximum: the text says which.
+    /// Sizes contradict each other or exceed a maximum: the text says which.
     Shape(String),
     /// A number cannot be represented: the text says which.
     Value(String),
@@ -140,7 +140,7 @@ pub fn build_blob(spec: &BlobSpec) -> Result<Vec<u8>, BuildError> {
 
     let mut blob = Vec::new();
     blob.extend(MAGIC);
-    // What version 1 can say stays in version 1: older images read it, and a model's id does not change.
+    // What version 1 can express is written as version 1: older images read it, and a model's id does not change.
     let per_row = spec.layers.iter().any(DenseSpec::is_per_row);
     let version = if per_row { BLOB_VERSION_PER_ROW } else { BLOB_VERSION };
     blob.extend([version, spec.recipe.id(), spec.axes as u8, spec.layers.len() as u8]);
@@ -265,7 +265,7 @@ fn row_scales(index: usize, layer: &DenseSpec) -> Result<Vec<(i32, u8)>, BuildEr
         // floats: one output in 400,000 differs.)
         let real = f64::from(layer.input_scale) * f64::from(weight_scale) / f64::from(layer.output_scale);
         let scale = quantise_multiplier(real);
-        // Of a row of zeros nothing is left; TFLite then multiplies by 0, which this does to every sum of 32 bits.
+        // A row of zeros has no scale; TFLite then multiplies by 0, which is the result here for every sum of 32 bits.
         if layer.weight_scales.len() > 1 && scale.is_some_and(|(_, exponent)| exponent < -31) {
             return Ok((1 << 30, 62));
         }

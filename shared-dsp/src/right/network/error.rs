@@ -12,7 +12,7 @@ pub enum ModelError {
     Truncated,
     /// The blob does not start with `BMLP`: it is something else.
     NotAModel,
-    /// The blob's format is of another version: make it anew with the `models` tool of this version.
+    /// The blob's format is of another version: make it again with the `models` tool of this version.
     Version(u8),
     /// This image does not know the recipe.
     Recipe(u8),
@@ -28,7 +28,7 @@ pub enum ModelError {
         /// Index of the layer.
         layer: usize,
     },
-    /// The table of exponentials does not start at 1 and fall.
+    /// The table of exponentials does not start at 1 and then fall.
     ExponentialTable,
     /// The labels are not as many as promised, empty, or not printable ASCII.
     Labels,
@@ -63,7 +63,7 @@ impl fmt::Display for ModelError {
 
 impl core::error::Error for ModelError {}
 
-/// A slice has another length than the model.
+/// A slice's length differs from the model's.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct WrongLength;
 

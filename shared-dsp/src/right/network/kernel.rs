@@ -46,7 +46,7 @@ pub(crate) fn encode([a, b, c, d]: [i8; 4]) -> [u8; 4] {
     [a, b, c, d]
 }
 
-/// What the kernel's sum has above Σ w·x, for a row of weights.
+/// By how much the kernel's sum exceeds Σ w·x, for a row of weights.
 #[cfg(feature = "build")]
 pub(crate) fn surplus(row: &[i8]) -> i64 {
     let sum = |parity: usize| row.iter().skip(parity).step_by(2).map(|&w| i64::from(w)).sum::<i64>();
@@ -62,7 +62,7 @@ pub(crate) struct Requantise {
     pub multiplier: i32,
     /// The product is divided by two to this power, 1 to 62.
     pub shift: u32,
-    /// Output that stands for 0.
+    /// The output value that stands for 0.
     pub zero_point: i32,
     /// Smallest output, −128 or above.
     pub smallest: i32,
@@ -80,7 +80,7 @@ impl Requantise {
 
 /// Computes a layer, four outputs at a time. `blocks` holds for each four outputs the four biases and then
 /// [`QUAD_WEIGHT_BYTES`] for each quad of inputs: rows 0 to 3 of the first four columns, then of the next four, and
-/// so on. Where there are more outputs than blocks, or the other way round, the rest is left alone.
+/// so on. If there are more outputs than blocks, or the other way round, the rest is left alone.
 ///
 /// Works at any alignment; on a Cortex-M4F a multiple of 4 bytes is several times as fast.
 pub(crate) fn layer(blocks: &[u8], inputs: &[Quad], outputs: &mut [Quad], requantise: &Requantise) {
@@ -143,7 +143,7 @@ fn row_sum(words: &[[u8; 4]], row: usize, inputs: &[Quad]) -> i32 {
     (sum >> 8).wrapping_add(i32::from_le_bytes(*bias))
 }
 
-/// Says in plain arithmetic what the assembly below does.
+/// What the assembly below computes, in plain arithmetic.
 #[cfg_attr(cortex_m4f, cold, inline(never))]
 fn portable(blocks: &[u8], inputs: &[Quad], outputs: &mut [Quad], requantise: &Requantise) {
     let block_bytes = BIAS_BYTES + inputs.len() * QUAD_WEIGHT_BYTES;
@@ -157,7 +157,7 @@ fn portable(blocks: &[u8], inputs: &[Quad], outputs: &mut [Quad], requantise: &R
     }
 }
 
-/// `sum` and what four weights and inputs add to it.
+/// `sum` plus the products of four weights and inputs.
 #[cfg_attr(cortex_m4f, inline(never))]
 fn one_quad(sum: i32, weights: [u8; 4], x: Quad) -> i32 {
     let half = |word: u32, shift: u32| i32::from((word >> shift) as i16);
@@ -330,7 +330,7 @@ mod cortex_m4f {
         fn bimanual_sums(arguments: *const SumArguments, block: *const u8);
     }
 
-    /// False, with nothing done, where the assembly does not apply.
+    /// False, with nothing done, if the assembly does not apply.
     #[inline(always)]
     pub(super) fn sums(block: &[u8], inputs: &[Quad], sums: &mut [i32; 4]) -> bool {
         let block_bytes = BIAS_BYTES + inputs.len() * QUAD_WEIGHT_BYTES;
@@ -344,7 +344,7 @@ mod cortex_m4f {
         fits
     }
 
-    /// False, with nothing done, where the assembly does not apply.
+    /// False, with nothing done, if the assembly does not apply.
     #[inline(always)]
     pub(super) fn layer(
         blocks: &[u8],
@@ -366,7 +366,7 @@ mod cortex_m4f {
                 block_bytes,
                 outputs: range.start,
                 multiplier: requantise.multiplier,
-                // It does not reach the low word: a high product is enough.
+                // The shift does not reach the low word, so the high half of the product is enough.
                 rounding: 1 << ((requantise.shift - 33) & 31),
                 shift: (requantise.shift - 32) & 31,
                 zero_point: requantise.zero_point,

@@ -10,7 +10,7 @@
 //! | offset | bytes | what |
 //! |---|---|---|
 //! | 0 | 4 | `BMLP` |
-//! | 4 | 1 | format version, 1; 2 where a layer's rows have scales of their own |
+//! | 4 | 1 | format version, 1; 2 if a layer's rows have scales of their own |
 //! | 5 | 1 | recipe ([`crate::right::kind`]) |
 //! | 6 | 1 | axes, 1 to 9 |
 //! | 7 | 1 | layers, 1 to 8 |
@@ -56,9 +56,9 @@ use kernel::{
     BIAS_BYTES, QUAD_WEIGHT_BYTES, Quad, ROW_SCALE_BYTES, Requantise, layer, layer_per_row, pack, unpack,
 };
 
-/// Most layers in a blob.
+/// Maximum number of layers in a blob.
 pub const MAX_LAYERS: usize = 8;
-/// Most inputs or outputs of a layer.
+/// Maximum number of inputs or outputs of a layer.
 pub const MAX_WIDTH: usize = 256;
 /// Most labels.
 pub const MAX_LABELS: usize = 16;
@@ -130,9 +130,9 @@ struct Dense<'a> {
     outputs: usize,
     requantise: Requantise,
     blocks: &'a [u8],
-    /// Scales of the rows, where each has its own; else none.
+    /// Scales of the rows, if each has its own; else empty.
     row_scales: &'a [u8],
-    /// 1 where each row has its own scale, 0 where all have one.
+    /// 1 if each row has its own scale, 0 if all share one.
     per_row: u8,
 }
 
@@ -257,7 +257,7 @@ impl<'a> Model<'a> {
         if rest.len() != text_bytes.next_multiple_of(4) {
             return Err(ModelError::Header);
         }
-        // One look at each byte: printable, no label empty, as many as promised.
+        // One pass over the bytes: all printable, no label empty, as many labels as promised.
         let (mut commas, mut last) = (0, b',');
         for &byte in text {
             if !(b' '..=b'~').contains(&byte) || (byte == b',' && last == b',') {
@@ -299,7 +299,7 @@ impl<'a> Model<'a> {
     /// Features (13 per axis, axis after axis, order of [`crate::right::features`]) to the network's int8 inputs.
     ///
     /// An input is floor(a · f + b + ½), computed in `f32` in this order, where f is the feature after the
-    /// recipe, limited to −128..=127. A feature that is no number becomes −128.
+    /// recipe, limited to −128..=127. A feature that is NaN becomes −128.
     ///
     /// # Errors
     /// If there are not as many features or inputs as the model has.
@@ -317,7 +317,7 @@ impl<'a> Model<'a> {
         Ok(())
     }
 
-    /// One input in int8 range; 0 beyond the last one. A call: inlined it would stand there four times.
+    /// One input in int8 range; 0 beyond the last one. A call: inlined, the code would be there four times.
     #[inline(never)]
     fn quantise_one(&self, features: &[f32], index: usize) -> i32 {
         let (Some(&feature), Some(pair)) = (features.get(index), self.scaling.get(index)) else {
@@ -337,7 +337,7 @@ impl<'a> Model<'a> {
         self.infer_with_logits(inputs, &mut [0; MAX_LABELS], scores)
     }
 
-    /// As [`Model::infer`], and also gives the inputs of the softmax: the first `label_count`, then anything.
+    /// As [`Model::infer`], and also returns the inputs of the softmax: the first `label_count`; the rest is undefined.
     ///
     /// # Errors
     /// If there are not as many inputs or scores as the model has.
@@ -419,7 +419,7 @@ impl<'a> Model<'a> {
     fn forward(&self, scratch: &mut [Quad], logits: &mut [i8; MAX_LABELS]) {
         let mut layers = self.layers;
         let mut at_start = true;
-        // By reference: a copy of the layer's numbers would stand on the stack.
+        // By reference: a copy of the layer's numbers would take stack.
         while let Some(dense) = &Dense::take(&mut layers) {
             let (ins, outs) = (dense.inputs.div_ceil(4), dense.outputs.div_ceil(4));
             let middle = if at_start { ins } else { scratch.len().saturating_sub(ins) };
@@ -434,7 +434,7 @@ impl<'a> Model<'a> {
             if dense.per_row == 0 {
                 layer(dense.blocks, input, &mut output[..outs], &dense.requantise);
             } else {
-                // Where the others have a shift stands the largest output.
+                // The largest output stands where the others have a shift.
                 let largest = dense.requantise.shift as u8 as i8;
                 let output = &mut output[..outs];
                 layer_per_row(dense.blocks, dense.row_scales, input, output, &dense.requantise, largest);

@@ -9,7 +9,7 @@ impl Wires {
     }
 }
 
-/// The core sleeps for so many clocks, unless SMCR.SE is clear: then SLEEP does nothing.
+/// The core sleeps for this many clocks, unless SMCR.SE is clear: then SLEEP does nothing.
 pub(super) unsafe extern "C" fn on_sleep(avr: *mut ffi::avr_t, clocks: u64) {
     // SAFETY: simavr calls back with the core that runs.
     unsafe {

@@ -2,7 +2,7 @@
 
 use super::*;
 
-/// What the processor lays on the stack first, in this order (ARMv7-M, B1.5.6).
+/// The registers that the processor pushes first, in this order (ARMv7-M, B1.5.6).
 const STACKED: [RegisterARM; 6] =
     [RegisterARM::R0, RegisterARM::R1, RegisterARM::R2, RegisterARM::R3, RegisterARM::R12, RegisterARM::LR];
 
@@ -101,7 +101,7 @@ impl Board {
 
     pub(super) fn execute(&mut self, until: u64) {
         self.uc.get_data_mut().stop = None;
-        // The end of the run is something due.
+        // The end of the run counts as something that is due.
         let soc = self.soc();
         soc.due = soc.due.min(until);
         let pc = self.reg(RegisterARM::PC) | 1;
@@ -135,7 +135,7 @@ impl Board {
     /// S140's own interrupts end a sleep, and what breaks its rules ends the run.
     ///
     /// # Panics
-    /// Where a rule of S140 is broken.
+    /// If a rule of S140 is broken.
     pub(super) fn softdevice_woke(&mut self) {
         let world = self.uc.get_data_mut();
         let Some(softdevice) = &mut world.soc.softdevice else { return };

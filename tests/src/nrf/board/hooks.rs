@@ -66,7 +66,7 @@ impl Board {
                 let stack_pointer = uc.reg_read(RegisterARM::SP).unwrap_or(0) as u32;
                 let world = uc.get_data_mut();
                 if world.painting.contains(&probe) {
-                    // What lies below the stack pointer is nobody's.
+                    // The memory below the stack pointer belongs to nobody.
                     world.soc.ram.put(stack_pointer - PAINTED as u32, &[PAINT; PAINTED]);
                 }
                 let (at, instructions_before) = (world.soc.now, world.thread_instructions);

@@ -48,7 +48,7 @@ impl Board {
         world.calls.len() - 1
     }
 
-    /// As [`Self::probe`], and measures how deep the stack gets. Where such functions call each other, what the outer one
+    /// As [`Self::probe`], and measures how deep the stack gets. If such functions call each other, what the outer one
     /// did before the call is forgotten.
     pub fn probe_stack(&mut self, function: &str) -> usize {
         let probe = self.probe(function);

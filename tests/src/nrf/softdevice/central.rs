@@ -76,7 +76,7 @@ pub struct Bond {
     pub key: [u8; 16],
     /// Its number.
     pub diversifier: u16,
-    /// And the rest of its number.
+    /// And its random number.
     pub random: [u8; 8],
 }
 
@@ -111,7 +111,7 @@ impl Heard {
 pub struct Central {
     /// Its address.
     pub address: [u8; 6],
-    /// It hears and is heard.
+    /// Whether its radio is in reach.
     pub in_range: bool,
     /// It connects as soon as it hears the board.
     pub connects: bool,
@@ -187,7 +187,7 @@ impl Central {
         self.log.push((at, what));
     }
 
-    /// What was left to do belongs to the link that is gone.
+    /// The remaining commands belonged to the link that is gone.
     pub(super) fn left(&mut self) {
         self.commands.clear();
     }

@@ -99,7 +99,7 @@ impl SoftDevice {
         }
     }
 
-    /// The link, where it stands and is not about to end.
+    /// The link, if it is up and not about to end.
     pub(super) fn open_link(&mut self, handle: u32) -> Result<&mut Connection, u32> {
         let link =
             self.link.as_mut().filter(|_| handle as u16 == HANDLE).ok_or(error::INVALID_CONN_HANDLE)?;

@@ -257,7 +257,7 @@ impl SoftDevice {
         Ok(())
     }
 
-    /// The laptop turns notifications on or off; nothing where the application must restore its attributes first.
+    /// The laptop turns notifications on or off; nothing if the application must restore its attributes first.
     pub(super) fn subscribe(&mut self, on: bool, soc: &mut Soc) -> Option<bool> {
         let link = self.link.as_mut().expect("a link");
         if !link.system_attributes {

@@ -13,7 +13,7 @@ use super::{SoftDevice, rules};
 pub(super) const HANDLE: u16 = 0;
 /// A unit of the interval.
 const UNIT: u64 = us(1250);
-/// Without an authenticated packet for so long S140 raises a timeout. (Empty acknowledgements are none.)
+/// Without an authenticated packet for this long S140 raises a timeout. (Empty acknowledgements are none.)
 const PAYLOAD_TIMEOUT: u64 = ms(480_000);
 /// Its source.
 const AUTHENTICATED_PAYLOAD: u8 = 3;
@@ -196,7 +196,7 @@ impl SoftDevice {
             if at - link.heard_at > link.supervision_cycles() {
                 self.end_link(reason::TIMEOUT, Happening::Disconnected(reason::TIMEOUT), soc);
             } else if !held {
-                // It listened for nothing.
+                // It listened in vain.
                 self.spend(rules::connection_event(0), soc);
             }
             return;

@@ -55,7 +55,7 @@ pub struct SoftDevice {
     events: VecDeque<Vec<u8>>,
     usb: UsbEvents,
     flash: Option<FlashJob>,
-    /// The next so many flash operations fail as they may do while the radio is busy.
+    /// This many flash operations fail from now on, as they may while the radio is busy.
     pub flash_refusals: u32,
     uuids: Vec<[u8; 16]>,
     table: Table,
@@ -64,7 +64,7 @@ pub struct SoftDevice {
     link: Option<Connection>,
     /// The laptop.
     pub central: Central,
-    /// What the image broke.
+    /// The rules that the image broke.
     pub rules: Rules,
     /// Calls so far, by number.
     pub calls: BTreeMap<u8, u64>,

@@ -38,7 +38,7 @@ const PAGE_NAMES: [&str; 13] = [
 /// Longest time that PRIMASK may hold S140's interrupts back. Nordic names no figure; a radio packet's turn-around
 /// is 150 us, of which S140 needs most.
 pub const LONGEST_PRIMASK: u64 = us(10);
-/// Most that S140 uses of the application's stack, by its specification.
+/// The most of the application's stack that S140 uses, by its specification.
 pub const STACK_BYTES: u32 = 0x700;
 /// Cycles of one call, S140's own handler and its checks.
 pub const CALL_CYCLES: u64 = us(5);
@@ -181,7 +181,7 @@ impl Rules {
         }
     }
 
-    /// Interrupts have been masked for so many cycles.
+    /// Interrupts have been masked for this many cycles.
     pub fn masked(&mut self, cycles: u64) {
         if cycles > LONGEST_PRIMASK {
             self.broke(format!("PRIMASK held all interrupts for {} us", cycles / us(1)));

@@ -57,7 +57,7 @@ impl SoftDevice {
         let [a, b, c, _] = args;
         match number {
             call::EVT_GET => {
-                // Whatever came first, the lowest number is told first.
+                // Whatever came first, the lowest number is reported first.
                 let event = self.soc_events.iter().copied().min().ok_or(error::NOT_FOUND)?;
                 self.soc_events.retain(|&other| other != event);
                 put(soc, a, &event.to_le_bytes())

@@ -1,4 +1,4 @@
-//! Lets base and arm go only where both can still stop: the director's part of [`crate::plan::guard`].
+//! Lets base and arm move only while both can still stop: the director's part of [`crate::plan::guard`].
 
 use host_robot::{Base, BaseState, Motion, Reading, Report, Robot, Trajectory, Twist};
 
@@ -62,7 +62,7 @@ impl<R: Robot> Director<R> {
         let steps =
             TICK_MS + self.robot.reaction_ms() + self.robot.base().map_or(0, |reading| reading.age_ms);
         let guard = Guard { world: planner.world(), limits: planner.limits(), things: &self.things };
-        // While the hand is at a thing, the base stands still.
+        // While the hand is at an object, the base stands still.
         let at_work = self.is_at_work();
         let wanted = if at_work { Twist::ZERO } else { self.wanted };
         let try_tick = |twist: Twist, halt_arm: bool| {
@@ -101,7 +101,7 @@ impl<R: Robot> Director<R> {
         self.allowed = twist;
         self.robot.drive(twist);
         if halt_arm {
-            // Whichever part of a motion is under way, the rest of it does not follow.
+            // Whichever part of a motion is running, the rest of it does not follow.
             self.halt_motion();
             self.robot.halt_arm();
             self.robot.halt_gripper();

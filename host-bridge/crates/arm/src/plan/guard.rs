@@ -1,8 +1,8 @@
-//! Keeps base and arm where both can still stop before they touch anything.
+//! Keeps base and arm in states from which both can still stop before they touch anything.
 //!
 //! Plans hold for a base that stands still. When it moves, or is driven at a wall, this decides: a tick of
 //! motion is allowed only if, after it, both can brake to rest with nothing touched. Since that is so after
-//! every tick, braking is always safe, and is what happens where a tick is not allowed.
+//! every tick, braking is always safe, and is what happens if a tick is not allowed.
 
 use crate::plan::collision::{Placement, World};
 use crate::things::Things;
@@ -29,7 +29,7 @@ pub struct Moving {
 }
 
 impl Moving {
-    /// Both as they are now.
+    /// Base and arm as they are now.
     pub fn now(base: &Base, arm: Motion) -> Self {
         Moving { odometry: base.odometry(), base_braking_s: base.braking_s(), arm }
     }
@@ -46,7 +46,7 @@ pub struct Guard<'w> {
     pub things: &'w Things,
 }
 
-/// A stretch of braking: when, and what moves in it.
+/// A part of the braking: when, and what moves in it.
 struct Braking<'a> {
     from: &'a Moving,
     arm: Trajectory,
@@ -79,7 +79,7 @@ impl Guard<'_> {
     pub fn nearest(&self, odometry: &Odometry, arm: &Motion) -> String {
         let around = self.world.around_with(Placement::from(*odometry), self.things);
         let (own, boxes) = around.arm_clearances(&arm.joints_rad);
-        // The robot's own parts are always near each other; they count only where they hold it.
+        // The robot's own parts are always near each other; they count only if they hold it.
         let own = Some(own).filter(|own| own.distance_m < 2.0 * MARGIN_M);
         let all = [boxes, around.base_clearance()].into_iter().chain(own);
         let nearest = all.min_by(|a, b| a.distance_m.total_cmp(&b.distance_m));
@@ -151,7 +151,7 @@ impl Guard<'_> {
 }
 
 impl Braking<'_> {
-    /// Base and arm, so long after they began to brake.
+    /// Base and arm, this long after they began to brake.
     fn at(&self, time_s: f64) -> (Odometry, Motion) {
         let mut odometry = self.from.odometry;
         let braking_s = self.from.base_braking_s;

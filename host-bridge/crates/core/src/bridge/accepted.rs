@@ -3,7 +3,7 @@
 use host_robot::Part;
 use serde::Serialize;
 
-/// From a hand's sample to the robot's own word that it acts on it.
+/// From a hand's sample to the robot's own report that it acts on it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct Acceptance {
     /// The newest.
@@ -32,17 +32,17 @@ pub(super) struct Acceptances {
 }
 
 impl Acceptances {
-    /// A command follows from a sample of this age.
+    /// A command was made from a sample of this age.
     pub(super) fn ask(&mut self, part: Part, age_ms: u64, now_ms: u64) {
         self.asked_ms[part as usize] = Some(now_ms.saturating_sub(age_ms));
     }
 
-    /// Nothing is waited for any more.
+    /// No command is pending any more.
     pub(super) fn forget(&mut self) {
         self.asked_ms = [None; 2];
     }
 
-    /// The robot shows that it acts on it; the sample's age now, if one was waited for.
+    /// The robot shows that it acts on the command. Returns the sample's age now, if a command was pending.
     pub(super) fn accept(&mut self, part: Part, now_ms: u64) -> Option<u64> {
         let age_ms = now_ms.saturating_sub(self.asked_ms[part as usize].take()?);
         let seen = match part {

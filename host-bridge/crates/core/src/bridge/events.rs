@@ -47,7 +47,7 @@ pub enum EventKind {
     BoardFault {
         /// Which hand.
         hand: Hand,
-        /// What, as the board names it.
+        /// What is wrong, as the board names it.
         fault: String,
     },
     /// The flags of a hand's health changed.
@@ -144,7 +144,7 @@ pub enum EventKind {
         /// Why, and what to do.
         reason: String,
     },
-    /// It does not any more; the hands must be neutral first.
+    /// It no longer refuses; the hands must be neutral first.
     RobotReady,
     /// A key ended the arm's motion alone.
     ArmEnded,
@@ -171,7 +171,7 @@ pub enum EventKind {
 pub enum GestureOutcome {
     /// This motion starts.
     Started(MotionName),
-    /// The stop is released; nothing moves by it.
+    /// The stop is released. That alone moves nothing.
     Released,
     /// Dropped: this motion still runs.
     Busy(MotionName),

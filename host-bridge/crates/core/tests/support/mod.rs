@@ -4,7 +4,7 @@ use host_robot::{Door, JOINTS, Joints, MotionName, NotStarted, Picture, Pose, Re
 use shared_proto::frame::{BOARD_FRAME_MAX, encode_board};
 use shared_proto::message::{Board, BoardMessage, Hello, PROTOCOL_MAJOR, PROTOCOL_MINOR, Text};
 
-/// Takes every command and keeps the last speed; the bridge asks it nothing else.
+/// Takes every command and keeps the last speed; the bridge asks for nothing else.
 #[derive(Default)]
 pub struct NoRobot {
     pub twist: Twist,

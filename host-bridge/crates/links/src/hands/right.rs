@@ -34,7 +34,7 @@ pub struct ModelFile {
 /// Why a model or the recordings for it cannot be used; the text says what to do.
 #[derive(Debug, thiserror::Error)]
 pub enum ModelFileError {
-    /// Model or card cannot be read, or do not belong together.
+    /// Model or card cannot be read, or they do not belong together.
     #[error(transparent)]
     Model(#[from] models::blob::ModelError),
     /// This program cannot run the model.
@@ -53,7 +53,7 @@ pub enum ModelFileError {
         /// Why.
         problem: String,
     },
-    /// The labels do not fit the frame that names them.
+    /// The labels do not fit into the frame that carries them.
     #[error(
         "{name}: its labels are {length} bytes long with their commas, the wire takes {LABELS_MAX}; shorten them"
     )]
@@ -87,7 +87,7 @@ impl ModelFile {
     /// Reads an int8 `.tflite` and the card beside it.
     ///
     /// # Errors
-    /// [`ModelFileError`] if they are missing, damaged, or not of each other.
+    /// [`ModelFileError`] if they are missing or damaged, or do not belong together.
     pub fn read(file: &Path) -> Result<Self, ModelFileError> {
         let (blob, card) = models::blob::read(file)?;
         Ok(ModelFile { blob, card })
@@ -203,12 +203,12 @@ pub fn join(
     })
 }
 
-/// A pause of so many intervals, and of so long, is a sensor that delivers nothing. A few samples lost by a radio are
+/// A pause of this many intervals, and of this length, is a sensor that delivers nothing. A few samples lost by a radio are
 /// bridged.
 const SILENT_INTERVALS: f64 = 3.0;
 const SILENT_MS: f64 = 50.0;
 
-/// Samples within pauses of a recording, once it is at 100 Hz and stands behind `before` others.
+/// The samples that lie in pauses of a recording, counted at 100 Hz and behind `before` others.
 fn silences_of(recording: &Recording, before: usize) -> Vec<Range<usize>> {
     let times = recording.time_ms();
     let mut steps: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
@@ -222,14 +222,14 @@ fn silences_of(recording: &Recording, before: usize) -> Vec<Range<usize>> {
     pauses.filter(|slots| !slots.is_empty()).collect()
 }
 
-/// Recordings, one behind the other.
+/// Recordings, one after the other.
 #[derive(Clone, Debug)]
 pub struct Joined {
     /// At 100 Hz, from time 0.
     pub recording: Recording,
-    /// Samples that nobody took: the sensor delivered nothing there.
+    /// Samples that do not exist: the sensor delivered nothing there.
     pub silences: Vec<Range<usize>>,
-    /// What was judged, mended or left out in reading them.
+    /// What was guessed, repaired or left out while they were read.
     pub notes: Vec<String>,
     /// The first time in the first file, in ms.
     pub start_ms: f64,
@@ -263,7 +263,7 @@ impl<const A: usize> AnyAxes for VirtualRight<ValueHand<'_, A>> {
 /// Plays a recording as the Nano 33 BLE Sense would.
 pub struct RightBoard<'m> {
     recording: Recording,
-    /// Samples that nobody took, in order.
+    /// Samples that do not exist, in order.
     silences: Vec<Range<usize>>,
     next: usize,
     board: Box<dyn AnyAxes + 'm>,
@@ -370,7 +370,7 @@ mod tests {
         assert_eq!(joined.axes(), 3);
         assert!(joined.samples().all(|sample| sample == [1.0, 2.0, 3.0]));
         assert_eq!(joined.len(), 4);
-        // A model that reads no magnetometer takes what has none.
+        // A model that reads no magnetometer takes recordings that have none.
         let six = folder.path().join("six.csv");
         std::fs::write(&six, "time,ax,ay,az,gx,gy,gz\n5000,1,2,9,4,5,6\n5010,1,2,9,4,5,6\n").unwrap();
         let joined = join(std::slice::from_ref(&six), (9, 6), &Reading::default()).unwrap();
@@ -424,7 +424,7 @@ mod tests {
         let within = |from: u64, to: u64| states.iter().filter(move |(at, _)| (from..to).contains(at));
         assert_eq!(within(3_000, 63_000).count(), 0, "silence");
         assert!(within(2_000, 3_000).all(|(_, gap)| !gap) && within(900, 1_500).count() > 5, "bridged");
-        // Two seconds of samples make a window, so long the hand is not acted on.
+        // Two seconds of samples make a window; until then nothing acts on the hand.
         assert!(within(63_000, 64_900).all(|(_, gap)| *gap) && within(63_000, 64_900).count() > 20);
         assert!(within(65_100, 66_000).all(|(_, gap)| !gap));
     }

@@ -14,7 +14,7 @@ use shared_proto::message::Status;
 /// Time between two samples of either board.
 pub const PERIOD_MS: u64 = 10;
 
-/// A board's way out: frames are appended to a wire that always has room.
+/// A board's outgoing line: frames are appended to a wire that always has room.
 pub fn onto(wire: &mut Vec<u8>) -> impl FnMut(&[u8]) -> bool {
     |frame| {
         wire.extend_from_slice(frame);
@@ -99,7 +99,7 @@ impl<H: Hand> VirtualRight<H> {
         }
     }
 
-    /// The sensor delivers nothing for this sample: the window starts over, and no state comes of it.
+    /// The sensor delivers nothing for this sample: the window starts over, and no state is sent.
     pub fn nothing(&mut self) {
         self.board.gap();
         self.number = self.number.wrapping_add(1);

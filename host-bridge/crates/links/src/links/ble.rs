@@ -43,13 +43,13 @@ const CONNECT: Duration = Duration::from_secs(15);
 const FAREWELL: Duration = Duration::from_secs(1);
 /// What has been found is looked at this often, and whether the board is still there.
 const LOOK: Duration = Duration::from_millis(200);
-/// So many looks for a bonded board before one that is not is told of.
+/// This many searches for a bonded board come before one that is not bonded is reported.
 const LOOKS_FOR_BONDED: u32 = 5;
 /// How often the thread looks whether it should end.
 const END: Duration = Duration::from_millis(50);
-/// Frames on their way out; a link that is slower than that loses them.
+/// Frames that may wait to be sent; a slower link loses some.
 const QUEUE: usize = 8;
-/// Header bytes of a write, and the least that every link carries.
+/// Header bytes of a write, and the minimum that every link carries.
 const HEADER: u16 = 3;
 const LEAST_PAYLOAD: u16 = 20;
 
@@ -65,7 +65,7 @@ pub struct BleLink {
 }
 
 impl BleLink {
-    /// Starts the thread. Everything it has to say goes to `events`, marked with `link`. `port` is `ble` for the
+    /// Starts the thread. Everything that it reports goes to `events`, marked with `link`. `port` is `ble` for the
     /// nearest board, or `ble:` with a name or an address; it must be bonded unless `allow_unbonded`.
     pub fn start<I: Copy + Send + 'static>(
         link: I,
@@ -120,7 +120,7 @@ fn lock<T>(what: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
     what.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Boards that advertise now, as `ble:NAME`; looks for so long.
+/// Boards that advertise now, as `ble:NAME`; the search takes this long.
 ///
 /// # Errors
 /// Why there is no Bluetooth here, and what to do.
@@ -144,7 +144,7 @@ pub fn ble_devices(patience: Duration) -> Result<Vec<PortAbout>, String> {
     })
 }
 
-/// A new one for each attempt: its end also ends what the session with the system has left running.
+/// A new runtime for each attempt: its end also ends what the session with the system has left running.
 fn runtime() -> Result<tokio::runtime::Runtime, String> {
     let built = tokio::runtime::Builder::new_current_thread().enable_all().build();
     built.map_err(|error| format!("Bluetooth: {error}; try again"))
@@ -202,16 +202,16 @@ impl<I: Copy> Radio<I> {
     }
 
     fn tell(&self, news: News) {
-        // Where nobody listens any more, the program is about to end.
+        // If nobody listens any more, the program is about to end.
         self.events.send(LinkEvent { link: self.link, at_ms: self.clock.now_ms(), news });
     }
 
-    /// One connection from search to end; why it ended.
+    /// One connection from search to end; returns why it ended.
     async fn attempt(&self, was_open: &Cell<bool>) -> String {
         let over = async {
             let why = self.over().await;
             if was_open.get() {
-                // A connection says goodbye first; it has seen the end, too.
+                // A connection that ends disconnects first; it has seen the end, too.
                 tokio::time::sleep(FAREWELL * 2).await;
             }
             why
@@ -303,7 +303,7 @@ async fn within<T>(patience: Duration, what: impl Future<Output = T>) -> Option<
     tokio::time::timeout(patience, what).await.ok()
 }
 
-/// Writes what is to be sent; why it cannot go on, if the link itself still stands.
+/// Writes what is to be sent; returns why it cannot go on, if the link itself is still up.
 async fn write(
     board: &Peripheral,
     to: &Characteristic,
@@ -352,7 +352,7 @@ async fn connect(board: &Peripheral, name: &str) -> Result<(Characteristic, Char
     }
 }
 
-/// What helps where a board is in reach, but not bonded.
+/// What helps if a board is in reach, but not bonded.
 fn unbonded(Seen { name, address, .. }: &Seen) -> String {
     format!(
         "{name} (Bluetooth) is not paired with this machine, and anybody could advertise as it does: pair it once in the \
@@ -370,7 +370,7 @@ impl Bonds {
         let (events, session) = bluez_async::BluetoothSession::new()
             .await
             .map_err(|error| trouble(&btleplug::Error::Other(Box::new(error))))?;
-        // It ends with this attempt's runtime.
+        // It ends when this attempt's runtime does.
         tokio::spawn(events);
         Ok(Bonds(session))
     }
@@ -386,7 +386,7 @@ impl Bonds {
     }
 }
 
-/// Elsewhere the system does not tell: no board counts as bonded.
+/// Other systems do not report it: no board counts as bonded.
 #[cfg(not(target_os = "linux"))]
 struct Bonds;
 
@@ -419,11 +419,11 @@ async fn scan(adapter: &Adapter) -> Result<(), String> {
     adapter.start_scan(ScanFilter { services: vec![SERVICE] }).await.map_err(|error| trouble(&error))
 }
 
-/// Boards with our service that are really there: the system also remembers others.
+/// Boards with our service that are present: the system also remembers absent ones.
 async fn candidates(adapter: &Adapter) -> Result<Vec<Seen>, String> {
     let mut found = Vec::new();
     for peripheral in adapter.peripherals().await.map_err(|error| trouble(&error))? {
-        // One that vanishes while it is looked at was not meant.
+        // A board that vanishes while it is looked at is left out.
         let Ok(Some(about)) = peripheral.properties().await else { continue };
         let near = about.rssi.is_some() || peripheral.is_connected().await.unwrap_or(false);
         if near && about.services.contains(&SERVICE) {

@@ -1,6 +1,6 @@
 //! Time, and waiting for it.
 //!
-//! A thread that waits for time to pass does so through its [`Waiter`], and nowhere else. In the released program
+//! A thread waits for time to pass through its [`Waiter`] alone. In the released program
 //! that is the machine's clock and nothing more. With the feature `test-clock` (tests only) a test may hold the time:
 //! it goes on when every waiter waits, so that board, wire and program keep one time, however busy the machine is.
 
@@ -20,7 +20,7 @@ pub trait Clock: Send + Sync {
     /// Milliseconds since some fixed moment.
     fn now_ms(&self) -> u64;
 
-    /// A thread's place in this time. It is made before the thread starts and dropped with it.
+    /// A thread's place on this clock. It is made before the thread starts and dropped with it.
     fn waiter(&self) -> Waiter;
 }
 
@@ -31,7 +31,7 @@ pub trait Clock: Send + Sync {
 #[derive(Clone, Copy, Debug)]
 pub struct SystemClock {
     start_ms: u64,
-    /// A test's clock in its place, and what that showed then.
+    /// The test's clock that is used instead, and what it showed at that moment.
     #[cfg(feature = "test-clock")]
     test: Option<(&'static TestClock, u64)>,
 }
@@ -85,7 +85,7 @@ fn since_boot_ms() -> u64 {
     u64::try_from(START.get_or_init(std::time::Instant::now).elapsed().as_millis()).unwrap_or(u64::MAX)
 }
 
-/// Where one thread waits for time to pass. While it exists and does not wait, its thread is at work.
+/// The place at which one thread waits for time to pass. While it exists and does not wait, its thread is at work.
 #[derive(Debug)]
 pub struct Waiter {
     #[cfg(feature = "test-clock")]
@@ -105,7 +105,7 @@ impl Waiter {
         std::thread::sleep(time);
     }
 
-    /// Waits so long at most for what comes through a channel.
+    /// Waits at most this long for what comes through a channel.
     ///
     /// # Errors
     /// As [`Receiver::recv_timeout`].
@@ -121,7 +121,7 @@ impl Waiter {
         channel.recv_timeout(patience)
     }
 
-    /// The same for what links have to say.
+    /// The same for what links report.
     ///
     /// # Errors
     /// As [`EventReceiver::recv_timeout`].
@@ -140,7 +140,7 @@ impl Waiter {
         events.recv_timeout(patience)
     }
 
-    /// How long the operating system may keep this thread waiting for input; [`Waiter::pause`] follows where none came.
+    /// How long the operating system may keep this thread waiting for input; [`Waiter::pause`] follows if none came.
     pub fn patience(&self, usual: Duration) -> Duration {
         #[cfg(feature = "test-clock")]
         if self.seat.is_some() {
@@ -166,7 +166,7 @@ impl Waiter {
         wait()
     }
 
-    /// What ends this thread's waits from elsewhere.
+    /// Returns what ends this thread's waits from elsewhere.
     pub fn waker(&self) -> Waker {
         Waker {
             #[cfg(feature = "test-clock")]
@@ -184,7 +184,7 @@ pub struct Waker {
 }
 
 impl Waker {
-    /// From now on the thread waits for nothing.
+    /// From now on the thread no longer waits.
     pub fn wake(&self) {
         #[cfg(feature = "test-clock")]
         if let Some(bell) = &self.bell {

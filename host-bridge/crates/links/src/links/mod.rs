@@ -28,7 +28,7 @@ pub fn is_ble(port: &str) -> bool {
     port == "ble" || port.starts_with("ble:")
 }
 
-/// Is this a serial port over Bluetooth? Whether its module is bonded, and the link encrypted, nobody can tell.
+/// Is this a serial port over Bluetooth? Nothing shows whether its module is bonded and the link encrypted.
 pub fn is_serial_over_air(port: &str) -> bool {
     let name = port.rsplit('/').next().unwrap_or(port);
     name.starts_with("rfcomm") || name.contains("HC-0") || name.to_lowercase().contains("bluetooth")
@@ -44,7 +44,7 @@ pub enum Link {
 }
 
 impl Link {
-    /// Starts the link's thread. Everything it has to say goes to `events`, marked with `link`.
+    /// Starts the link's thread. Everything that it reports goes to `events`, marked with `link`.
     pub fn start<I: Copy + Send + 'static>(
         link: I,
         port: &str,
@@ -87,12 +87,12 @@ impl Link {
     }
 }
 
-/// What a link has to say.
+/// What a link reports.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LinkEvent<I> {
     /// Which link.
     pub link: I,
-    /// When, on the link's clock.
+    /// The time, on the link's clock.
     pub at_ms: u64,
     /// What.
     pub news: News,
@@ -101,11 +101,11 @@ pub struct LinkEvent<I> {
 /// What can happen to a link.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum News {
-    /// The port is open; a Nano behind it starts anew.
+    /// The port is open; a Nano behind it restarts.
     Opened,
     /// Bytes, as they came.
     Bytes(Vec<u8>),
-    /// The port cannot be opened or has failed. The text says why and what to do. Said once per reason;
+    /// The port cannot be opened or has failed. The text says why and what to do. Reported once per reason;
     /// the link goes on trying.
     Closed(String),
 }

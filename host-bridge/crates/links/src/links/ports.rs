@@ -5,11 +5,11 @@ use serialport::SerialPortType;
 /// A port and what its USB numbers say about it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PortAbout {
-    /// What to give to `--left` or `--right`.
+    /// The argument for `--left` or `--right`.
     pub name: String,
     /// What is probably behind it.
     pub about: String,
-    /// Worth asking who is there.
+    /// Whether it is worth asking who is there.
     pub is_usb: bool,
 }
 
@@ -24,7 +24,7 @@ pub fn ports() -> Vec<PortAbout> {
                 SerialPortType::BluetoothPort => ("Bluetooth serial port".to_owned(), false),
                 SerialPortType::PciPort => ("built-in serial port".to_owned(), false),
                 SerialPortType::Unknown => {
-                    // Without udev a USB port may not tell; its name does.
+                    // Without udev a USB port may not say what it is; its name does.
                     let usb = port.port_name.contains("ttyUSB") || port.port_name.contains("ttyACM");
                     ((if usb { "USB serial port" } else { "serial port" }).to_owned(), usb)
                 }

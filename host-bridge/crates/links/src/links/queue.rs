@@ -1,7 +1,7 @@
-//! What links have to say, on its way to whoever decides: bounded, and the newest wins.
+//! What links report, on its way to whoever decides: bounded, and the newest wins.
 //!
 //! A board that floods must not fill the memory, nor make the bridge work through old bytes before it sees new
-//! ones. So the queue holds so many bytes at most, and gives up the oldest: states are whole, and a lost one
+//! ones. So the queue holds this many bytes at most, and gives up the oldest: states are whole, and a lost one
 //! costs nothing but its age. That a port was opened or closed is never given up.
 
 use std::collections::VecDeque;
@@ -54,7 +54,7 @@ fn size<I>(event: &LinkEvent<I>) -> usize {
 pub struct EventSender<I>(Arc<Shared<I>>);
 
 impl<I> EventSender<I> {
-    /// Hands an event over. Never waits: where the queue is full, the oldest bytes go.
+    /// Hands an event over. Never waits: if the queue is full, the oldest bytes are dropped.
     pub fn send(&self, event: LinkEvent<I>) {
         let mut waiting = lock(&self.0.waiting);
         waiting.bytes += size(&event);
@@ -84,7 +84,7 @@ impl<I> Drop for EventSender<I> {
     }
 }
 
-/// The end of whoever decides.
+/// The receiving end, of whoever decides.
 pub struct EventReceiver<I>(Arc<Shared<I>>);
 
 impl<I> EventReceiver<I> {

@@ -47,9 +47,9 @@ impl Default for SerialSettings {
 struct Sending {
     port: Option<Box<dyn SerialPort>>,
     opened_ms: u64,
-    /// Somebody has spoken who is no bootloader.
+    /// Something that is not a bootloader has sent bytes.
     awake: bool,
-    /// The last write broke off: the next one must first end that frame.
+    /// The last write was cut short: the next one must first end that frame.
     cut: bool,
 }
 
@@ -65,7 +65,7 @@ pub struct SerialLink {
 }
 
 impl SerialLink {
-    /// Starts the thread. Everything it has to say goes to `events`, marked with `link`.
+    /// Starts the thread. Everything that it reports goes to `events`, marked with `link`.
     pub fn start<I: Copy + Send + 'static>(
         link: I,
         port: &str,
@@ -96,7 +96,7 @@ impl SerialLink {
         &self.port
     }
 
-    /// May bytes be sent now? Not while the port is closed, nor early after a reset.
+    /// May bytes be sent now? Not while the port is closed, nor soon after a reset.
     pub fn is_ready(&self) -> bool {
         let line = lock(&self.line);
         let waited_ms = self.clock.now_ms().saturating_sub(line.opened_ms);
@@ -184,7 +184,7 @@ impl<I: Copy> Reader<I> {
     }
 
     fn tell(&self, news: News) {
-        // Where nobody listens any more, the program is about to end.
+        // If nobody listens any more, the program is about to end.
         self.events.send(LinkEvent { link: self.link, at_ms: self.clock.now_ms(), news });
     }
 
@@ -202,7 +202,7 @@ impl<I: Copy> Reader<I> {
         Ok(port)
     }
 
-    /// Reads until the port fails; why, and whether anything came.
+    /// Reads until the port fails; returns why, and whether anything came.
     fn read(&self, mut port: Box<dyn SerialPort>) -> (String, bool) {
         let opened_ms = self.clock.now_ms();
         let mut buffer = [0; 1024];
@@ -263,7 +263,7 @@ mod tests {
         let News::Closed(text) = event.news else { panic!("{event:?}") };
         assert!(text.contains("/no/such/port") && text.contains("host-bridge list"), "{text}");
         assert!(!link.is_ready() && !link.send(&[1, 2, 0]));
-        // It tries again after 100 and 200 ms, and says nothing new.
+        // It tries again after 100 and 200 ms, and reports nothing new.
         assert!(events.recv_timeout(Duration::from_millis(400)).is_err());
     }
 

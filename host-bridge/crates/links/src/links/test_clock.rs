@@ -17,7 +17,7 @@ pub struct TestClock {
     state: Mutex<State>,
     /// The time has changed, or a bell was rung.
     ticked: Condvar,
-    /// One more waits, or has gone.
+    /// One more thread waits, or one has gone.
     settled: Condvar,
 }
 
@@ -32,9 +32,9 @@ struct State {
 #[derive(Debug)]
 struct Sitter {
     number: u64,
-    /// Waits for this time; a time that has come means that the thread is at work.
+    /// The thread waits for this time; if that time has come, the thread is at work.
     until_ms: u64,
-    /// Waits for nothing any more.
+    /// The thread no longer waits.
     rung: bool,
 }
 
@@ -46,14 +46,14 @@ impl State {
             .expect("a seat has a place as long as it exists")
     }
 
-    /// Before anybody takes part the program is starting, and at work.
+    /// Before any thread takes part the program is starting, and counts as at work.
     fn all_wait(&self) -> bool {
         self.next > 0 && self.seats.iter().all(|place| place.until_ms > self.now_ms && !place.rung)
     }
 }
 
 impl TestClock {
-    /// The clock that a test holds for this process, if one does.
+    /// The clock that a test holds for this process, if a test does.
     pub fn of_this_process() -> Option<&'static Self> {
         static CLOCK: OnceLock<Option<&'static TestClock>> = OnceLock::new();
         *CLOCK.get_or_init(|| {
@@ -102,7 +102,7 @@ impl TestClock {
     }
 }
 
-/// The time as the test says it; without a test this process has no time left.
+/// The time that the test has set; once the test is gone, this process has no time left.
 fn read(socket: &mut UnixStream) -> u64 {
     let mut bytes = [0; 8];
     if socket.read_exact(&mut bytes).is_err() {
@@ -123,13 +123,13 @@ pub struct Seat {
 }
 
 impl Seat {
-    /// Until so much time has passed, but a millisecond at least.
+    /// Waits until this much time has passed, but at least a millisecond.
     pub fn sleep(&self, time: Duration) {
         let until_ms = self.clock.now_ms() + (time.as_millis() as u64).max(1);
         self.wait(until_ms);
     }
 
-    /// Looks at every millisecond whether there is something, for so long.
+    /// Looks every millisecond whether there is something, for at most this long.
     pub fn until<T>(
         &self,
         patience: Duration,

@@ -30,7 +30,7 @@ use crate::web::server::{Bound, Name, Seat, Server};
 use crate::web::{WebError, WebOptions, client, http};
 use host_topics::{Entry, Origin, Outlet, Teller, Topic};
 
-/// Where Foxglove looks unless told otherwise.
+/// The address that Foxglove tries unless told otherwise.
 pub const DEFAULT_PORT: u16 = 8765;
 
 /// Foxglove in a browser, and its desktop application (whose pages are files).
@@ -44,7 +44,7 @@ const FAREWELL: Duration = Duration::from_millis(500);
 
 const NAME: Name = Name { what: "the session for Foxglove", option: "--foxglove" };
 
-/// Where to serve, and to whom.
+/// The address to serve at, and who may connect.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FoxgloveOptions {
     /// Address, port and token, as for the page.
@@ -71,13 +71,13 @@ struct Shared {
     viewers: AtomicUsize,
 }
 
-/// The session's end of a viewer's queue.
+/// The end of a viewer's queue that the session holds.
 struct QueueEnd {
     sender: SyncSender<Arc<Entry>>,
     seen: Arc<Seen>,
 }
 
-/// What both ends of a queue look at.
+/// What both ends of a queue share.
 #[derive(Default)]
 struct Seen {
     /// One bit for each topic that the viewer wants.
@@ -99,7 +99,7 @@ fn forget_gone(lines: &mut Vec<QueueEnd>) {
 }
 
 impl Shared {
-    /// Puts a viewer on the list; gives its end of the queue.
+    /// Puts a viewer on the list; returns its end of the queue.
     fn join(&self, seen: &Arc<Seen>) -> Receiver<Arc<Entry>> {
         let (sender, queue) = sync_channel(QUEUE);
         let mut lines = self.lines.lock().unwrap_or_else(PoisonError::into_inner);
@@ -109,7 +109,7 @@ impl Shared {
     }
 }
 
-/// The outlet of a session towards all viewers.
+/// A session's output to all viewers.
 pub struct Feed(Arc<Shared>);
 
 impl Outlet for Feed {
@@ -147,7 +147,7 @@ impl Foxglove {
     /// Takes the port and serves from a thread of its own. The session's clock is zero at `origin`.
     ///
     /// # Errors
-    /// [`WebError`] where the port cannot be had, or other machines would get in without a token.
+    /// [`WebError`] if the port cannot be had, or other machines would get in without a token.
     pub fn start(options: &FoxgloveOptions, origin: Origin) -> Result<Self, WebError> {
         let bound = Bound::new(&options.server, NAME)?;
         let origins = ORIGINS.iter().map(ToString::to_string).chain(options.origins.iter().cloned());
@@ -177,7 +177,7 @@ impl Foxglove {
         self.server.address()
     }
 
-    /// What to hang on the session's tap.
+    /// The observer to attach to the session's tap.
     pub fn teller(&self) -> Teller<Feed> {
         Teller::new(self.origin, Feed(self.shared.clone()))
     }
@@ -187,7 +187,7 @@ impl Foxglove {
         self.shared.viewers.load(Ordering::SeqCst)
     }
 
-    /// Sends the viewers what still waits, and hangs up.
+    /// Sends the viewers what still waits, and disconnects.
     pub fn end(self) {
         self.shared.over.store(true, Ordering::SeqCst);
         let until = Instant::now() + FAREWELL;

@@ -1,4 +1,4 @@
-//! What is said to a viewer, and what of its words counts (Foxglove's WebSocket protocol, version 1).
+//! What is sent to a viewer, and which of its messages count (Foxglove's WebSocket protocol, version 1).
 
 use serde::Deserialize;
 use serde_json::json;
@@ -11,7 +11,7 @@ pub const SUBPROTOCOLS: [&str; 2] = ["foxglove.sdk.v1", "foxglove.websocket.v1"]
 /// Marks a message's data.
 const MESSAGE_DATA: u8 = 1;
 
-/// The one of those offered (a header's list) that is spoken here.
+/// The one protocol of those offered (a header's list) that is spoken here.
 pub fn subprotocol(offered: &str) -> Option<&'static str> {
     SUBPROTOCOLS.into_iter().find(|known| offered.split(',').any(|name| name.trim() == *known))
 }

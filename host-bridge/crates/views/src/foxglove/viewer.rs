@@ -53,7 +53,7 @@ impl Viewer<'_> {
         self.socket.send(Message::text(server_info(self.shared.session)))?;
         self.socket.send(Message::text(advertise()))?;
         loop {
-            // Asked before the last look at the queue, so that the end finds nothing untold.
+            // Asked before the last look at the queue, so that nothing is left unsent at the end.
             let over = self.shared.over.load(Ordering::SeqCst);
             self.tell()?;
             if over {
@@ -87,7 +87,7 @@ impl Viewer<'_> {
             self.socket.write(Message::text(warning(&told)))?;
         }
         let origin = Origin { nanoseconds: self.shared.session };
-        // No more than what waits now: the viewer must be heard in between.
+        // No more than what waits now: the viewer's messages must be read in between.
         for entry in self.queue.try_iter().take(QUEUE) {
             // What was unsubscribed while it waited is not sent.
             if let Some(id) = self.wanted.to(entry.topic) {

@@ -24,7 +24,7 @@ const QUEUE: usize = 8192;
 const FLUSH_INTERVAL: Duration = Duration::from_millis(500);
 /// Or when it is as large as this.
 const CHUNK_BYTES: u64 = 1 << 20;
-/// The file's end is waited for so long.
+/// How long to wait for the file's end.
 const POLL: Duration = Duration::from_millis(50);
 
 /// What happens while the disk is slower than the session.
@@ -36,7 +36,7 @@ pub enum WhenFull {
     Drop,
 }
 
-/// What became of a file.
+/// How a file ended.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Kept {
     /// Messages that are in it, on the disk.
@@ -88,12 +88,12 @@ impl Disk {
             ErrorKind::AlreadyExists => about(&"there is a file of this name; choose another"),
             _ => about(&error),
         })?;
-        // Whoever finds the file without its end knows by this that somebody writes it. Not every disk can.
+        // The lock shows whoever finds the file without its end that it is being written. Not every disk can do this.
         let _ = storage.try_lock();
         Disk::with_storage(storage, file, metadata, origin, when_full).map_err(|error| about(&error))
     }
 
-    /// The same with a storage of your own.
+    /// As `create`, with a storage of your own.
     ///
     /// # Errors
     /// It cannot be written.
@@ -120,7 +120,7 @@ impl Disk {
         Ok((Disk { file: file.to_owned(), thread, shared, told: false }, recorder))
     }
 
-    /// Why no more is written, if so: told once, and what is written so far stays.
+    /// Why no more is written, if that is so. Reported once; what is written so far stays.
     pub fn take_problem(&mut self) -> Option<String> {
         if self.told {
             return None;
@@ -166,7 +166,7 @@ impl Drop for Disk {
     }
 }
 
-/// What went wrong, in the disk's own words where it was the disk.
+/// What went wrong; in the disk's own words if the disk failed.
 fn reason(error: &McapError) -> String {
     match error {
         McapError::Io(error) => error.to_string(),
@@ -207,15 +207,15 @@ struct Work<S: Storage> {
     messages: u64,
     /// Of these, on the disk.
     kept: u64,
-    /// Bytes that are not on the disk yet, about.
+    /// Roughly how many bytes are not on the disk yet.
     waiting: u64,
 }
 
 impl<S: Storage> Work<S> {
-    /// Until nobody fills the queue any more, or the disk fails. Messages written, length of the file.
+    /// Writes until nobody fills the queue any more, or the disk fails. Messages written, length of the file.
     fn run(mut self, queue: &Receiver<Entry>) -> (u64, u64) {
         let written = self.write_all(queue).and_then(|()| self.writer.finish().map(drop));
-        // Also after a failure: then it finds that the file has its end already.
+        // Also after a failure: the file then has its end already.
         let sink = self.writer.into_inner().into_inner();
         let good = sink.length();
         let closed = sink.finish();
@@ -304,7 +304,7 @@ impl Outlet for Queue {
             }
             return;
         }
-        // First the word that some are missing, in their place.
+        // First the note that some are missing, where they would have been.
         if self.missing > 0 && self.try_send(self.origin.lost(entry.time_ms, self.missing)) {
             self.missing = 0;
         }
@@ -318,7 +318,7 @@ impl Outlet for Queue {
 impl Drop for Queue {
     fn drop(&mut self) {
         if self.missing > 0 {
-            // The last word, if there is room for it.
+            // The last message, if there is room for it.
             self.try_send(self.origin.lost(self.time_ms, self.missing));
         }
     }

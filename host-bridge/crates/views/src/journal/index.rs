@@ -45,7 +45,7 @@ pub fn complete(file: &Path) -> Result<bool, String> {
     Ok(true)
 }
 
-/// The same for every file beside `file`; those that got an index, and what went wrong.
+/// The same for every file beside `file`; returns those that got an index, and what went wrong.
 pub fn complete_beside(file: &Path) -> Vec<Result<PathBuf, String>> {
     let folder = match file.parent() {
         Some(folder) if folder != Path::new("") => folder,
@@ -80,7 +80,7 @@ fn copy(bytes: &[u8], to: &Path) -> Result<(), McapError> {
         let mut schemas = HashMap::from([(0, 0)]);
         let mut channels = HashMap::new();
         for record in records(bytes)? {
-            // What is damaged behind here was lost before.
+            // What is damaged behind this place was lost before.
             let Ok(record) = record else { break };
             if let Record::Header(header) = &record {
                 (library, profile) = (header.library.clone(), header.profile.clone());

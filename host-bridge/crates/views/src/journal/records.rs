@@ -13,7 +13,7 @@ const RECORD_MAX: usize = 16 << 20;
 pub struct Records<'a> {
     bytes: &'a [u8],
     reader: LinearReader,
-    /// Behind an error nothing is known.
+    /// Nothing is known of what follows an error.
     over: bool,
 }
 

@@ -24,7 +24,7 @@ pub(super) const END: [u8; 50] = {
     end
 };
 
-/// What a file must be able to do; tests have one that fails.
+/// What a file must be able to do; the tests have one that fails.
 pub trait Storage {
     /// Writes all bytes at this place.
     ///
@@ -80,7 +80,7 @@ impl<S: Storage> Sink<S> {
         if let Err(error) = self.storage.write_at(self.good, &self.waiting) {
             self.failed = true;
             self.waiting.clear();
-            // Where the old end stood there is room for it again.
+            // The new end has room in the place of the old one.
             if self.good > 0 {
                 self.storage.cut(self.good + END.len() as u64)?;
                 self.storage.write_at(self.good, &END)?;
@@ -126,7 +126,7 @@ mod tests {
     use std::cell::RefCell;
     use std::rc::Rc;
 
-    /// A disk of so many bytes.
+    /// A disk of this many bytes.
     struct Small(Rc<RefCell<Vec<u8>>>, usize);
 
     impl Storage for Small {

@@ -16,7 +16,7 @@ use super::{Counted, IN_FLIGHT_MAX, Shared};
 /// The thread looks for news this often; what the page sends wakes it at once.
 const TURN: Duration = Duration::from_millis(4);
 
-/// A page that has taken nothing for so long is let go; it connects again by itself.
+/// A page that has taken nothing for this long is disconnected; it connects again by itself.
 const TAKES_NOTHING: Duration = Duration::from_secs(30);
 
 /// Longest message of a page: it has little to say.
@@ -27,7 +27,7 @@ pub fn accept(head: &httparse::Request<'_, '_>) -> Option<Vec<u8>> {
     accept_with(head, "")
 }
 
-/// The same with more header lines, each ended.
+/// The same with more header lines, each with its line end.
 pub fn accept_with(head: &httparse::Request<'_, '_>, more: &str) -> Option<Vec<u8>> {
     let has = |name: &str, word: &str| {
         let mut found = head.headers.iter().filter(|h| h.name.eq_ignore_ascii_case(name));
@@ -93,7 +93,7 @@ struct Page<'a> {
 impl Page<'_> {
     fn run(&mut self) -> Result<(), Error> {
         loop {
-            // Asked before the last look at the history, so that the end finds nothing untold.
+            // Asked before the last look at the history, so that nothing is left unsent at the end.
             let over = self.shared.over.load(Ordering::SeqCst);
             if over || self.sent - self.taken < IN_FLIGHT_MAX {
                 self.tell()?;
@@ -142,7 +142,7 @@ impl Page<'_> {
         Ok(())
     }
 
-    /// False for what no page of ours says.
+    /// False for messages that no page of ours sends.
     fn hear(&mut self, text: &str) -> bool {
         match text {
             "stop" => self.shared.stop.store(true, Ordering::SeqCst),

@@ -2,7 +2,7 @@
 //!
 //! Two things could reach a server on 127.0.0.1 besides its owner: another site's page, whose WebSocket is not
 //! bound to its own origin, and a name that somebody else's DNS points at 127.0.0.1 (DNS rebinding). So the
-//! name that was asked for must be an address or `localhost`, and the page that asks must be ours (or, where it
+//! name that was asked for must be an address or `localhost`, and the page that asks must be ours (or, if it
 //! may only look on, one that was named).
 
 use std::net::{IpAddr, SocketAddr};
@@ -15,7 +15,7 @@ const DIFFERENT_MIN: usize = 6;
 /// What a request says about itself. A header that is missing is `None`; one that is not text counts as empty.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Claims<'a> {
-    /// `Host`, where there is exactly one.
+    /// `Host`, if there is exactly one.
     pub host: Option<&'a str>,
     /// `Origin`.
     pub origin: Option<&'a str>,
@@ -126,7 +126,7 @@ impl Gate {
     fn check_token(&self, claims: &Claims<'_>) -> Result<(), Refused> {
         let Some(token) = &self.token else { return Ok(()) };
         let given = claims.token.unwrap_or_default();
-        // Looks at every byte whatever the others are, so that the time taken tells nothing.
+        // Looks at every byte whatever the others are, so that the time taken reveals nothing.
         let differing = token.bytes().zip(given.bytes()).fold(0, |sum, (a, b)| sum | (a ^ b));
         if given.len() == token.len() && differing == 0 { Ok(()) } else { Err(Refused::Token) }
     }

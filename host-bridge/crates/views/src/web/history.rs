@@ -11,7 +11,7 @@ const EVENTS_MAX: usize = 200;
 const PATH_MAX: usize = 3000;
 const TRACE_MAX: usize = 1500;
 
-/// The last so many of a sequence, each with its number since the start.
+/// The last items of a sequence, each with its number since the start.
 #[derive(Clone, Debug)]
 pub struct Last<T> {
     items: VecDeque<T>,
@@ -25,7 +25,7 @@ impl<T: Clone> Last<T> {
         Last { items: VecDeque::new(), room, next: 0 }
     }
 
-    /// One more; the oldest makes room.
+    /// Adds an item; the oldest makes room.
     pub fn push(&mut self, item: T) {
         if self.items.len() == self.room {
             self.items.pop_front();
@@ -67,7 +67,7 @@ pub struct History {
     pub state: Arc<str>,
     /// Counts states; 0 = none yet.
     pub version: u64,
-    /// How far the fingers are bent, where that is known.
+    /// How far the fingers are bent, if that is known.
     pub bends_permille: Option<[i16; 2]>,
     /// Time in ms, then the values of one IMU sample.
     pub imu: Last<Vec<f32>>,
@@ -113,7 +113,7 @@ struct News<'a> {
     trace: &'a [[f64; 3]],
 }
 
-/// What is copied out under the lock, to be made text outside of it.
+/// What is copied under the lock, to be made into text outside of it.
 pub struct Frame {
     version: u64,
     state: Arc<str>,

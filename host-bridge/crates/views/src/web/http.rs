@@ -12,7 +12,7 @@ use super::{Shared, client};
 const HEAD_MAX: usize = 8192;
 const HEADERS_MAX: usize = 64;
 
-/// Whoever has not asked by then is let go.
+/// Whoever has not sent a request by then is disconnected.
 const PATIENCE: Duration = Duration::from_secs(5);
 
 /// Nothing from elsewhere, nothing inline, in nobody's frame.
@@ -162,6 +162,6 @@ pub fn answer(stream: &mut TcpStream, status: &str, kind: &str, content: &str, w
         content.len()
     );
     let body = if with_body { content.as_bytes() } else { &[] };
-    // Whoever hangs up on an answer does not need it.
+    // Whoever hangs up during an answer does not need it.
     let _ = stream.write_all(head.as_bytes()).and_then(|()| stream.write_all(body));
 }

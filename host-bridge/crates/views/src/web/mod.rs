@@ -40,7 +40,7 @@ use server::{Bound, Counted, Name, Server};
 pub use server::{CONNECTIONS_MAX, WebError, WebOptions};
 pub use watcher::{INTERVAL, Watcher};
 
-/// Where the page is, unless asked for elsewhere.
+/// The page's address, unless another is asked for.
 pub const DEFAULT_PORT: u16 = 8042;
 
 /// Frames that a page may have on their way without having acknowledged one.
@@ -66,7 +66,7 @@ struct Shared {
     history: Mutex<History>,
     /// A page pressed stop. One flag, not a queue: to stop twice is to stop.
     stop: AtomicBool,
-    /// Marks of episodes that pages have made, where the session takes any.
+    /// Marks of episodes that pages have made, if the session takes any.
     marks: Option<Mutex<VecDeque<Mark>>>,
     over: AtomicBool,
     closing: AtomicBool,
@@ -74,7 +74,7 @@ struct Shared {
 }
 
 impl Shared {
-    /// A page marks an episode; false where the session takes no marks.
+    /// A page marks an episode; false if the session takes no marks.
     fn mark(&self, mark: Mark) -> bool {
         let Some(marks) = &self.marks else { return false };
         let mut marks = marks.lock().unwrap_or_else(PoisonError::into_inner);
@@ -85,7 +85,7 @@ impl Shared {
         true
     }
 
-    /// A thread that panicked left at worst a half-written list of points: still a list.
+    /// At worst a thread that panicked left a half-written list of points, which is still a list.
     fn history(&self) -> MutexGuard<'_, History> {
         self.history.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -101,7 +101,7 @@ impl Web {
     /// Takes the port and serves from a thread of its own.
     ///
     /// # Errors
-    /// [`WebError`] where the port cannot be had, or other machines would get in without a token.
+    /// [`WebError`] if the port cannot be had, or other machines would get in without a token.
     pub fn start(options: &WebOptions) -> Result<Self, WebError> {
         Self::start_with(options, false)
     }
@@ -135,7 +135,7 @@ impl Web {
         self.server.address()
     }
 
-    /// What to hang on the session's tap. `title` is the page's headline.
+    /// The observer to attach to the session's tap. `title` is the page's headline.
     pub fn watcher(&self, title: &str) -> Watcher {
         Watcher::new(self.shared.clone(), title)
     }

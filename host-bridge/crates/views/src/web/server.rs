@@ -1,6 +1,6 @@
 //! A port, a thread for whoever comes, and the rules of who may listen where. For the page and for Foxglove.
 //!
-//! There is a place for whoever comes last: where all are taken, the connection that has said nothing for longest
+//! There is always a place for a newcomer: if all are taken, the connection that has said nothing for longest
 //! goes, pages last. So nobody who holds connections keeps others from the page's stop.
 
 use std::io;
@@ -13,19 +13,19 @@ use super::gate::{self, Gate};
 
 /// Connections at a time: a browser opens up to six for the files, each page keeps one.
 pub const CONNECTIONS_MAX: usize = 24;
-/// Where all places are taken, the next one waits for so long.
+/// If all places are taken, the next connection waits this long.
 const ROOM: Duration = Duration::from_millis(2);
 /// Threads at a time: those whose connection had to go need a moment to end.
 const THREADS_MAX: usize = 4 * CONNECTIONS_MAX;
 
-/// Where to serve, and to whom.
+/// The address to serve at, and who may connect.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct WebOptions {
-    /// Address to listen on. Other machines reach it only where it is not a loopback address.
+    /// Address to listen on. Other machines reach it only if it is not a loopback address.
     pub address: IpAddr,
     /// Port; 0 = any free one.
     pub port: u16,
-    /// What a page must know. Needed where other machines can reach the address.
+    /// What a page must know. Needed if other machines can reach the address.
     pub token: Option<String>,
 }
 
@@ -77,7 +77,7 @@ fn other_port(address: &SocketAddr) -> u16 {
     address.port().checked_add(1).unwrap_or(super::DEFAULT_PORT)
 }
 
-/// What is served, for the words of errors.
+/// What is served, for the texts of errors.
 #[derive(Clone, Copy, Debug)]
 pub struct Name {
     /// As in "the page cannot be served".
@@ -97,7 +97,7 @@ impl Bound {
     /// Takes the port.
     ///
     /// # Errors
-    /// [`WebError`] where the port cannot be had, or other machines would get in without a token.
+    /// [`WebError`] if the port cannot be had, or other machines would get in without a token.
     pub fn new(options: &WebOptions, Name { what, option }: Name) -> Result<Self, WebError> {
         match &options.token {
             Some(token) if !gate::is_fit_as_token(token) => return Err(WebError::BadToken),
@@ -183,13 +183,13 @@ impl Seat {
         place
     }
 
-    /// It is a page (or a viewer) from now on, and goes after all those that are none.
+    /// It is a page (or a viewer) from now on, and is disconnected only after all those that are not.
     pub fn looks_on(&self) {
         self.looks_on.store(true, Ordering::Relaxed);
         self.heard();
     }
 
-    /// Whoever is at the other end has said something: he keeps his place.
+    /// The other end has said something, so it keeps its place.
     pub fn heard(&self) {
         let now_ms = u64::try_from(self.since.elapsed().as_millis()).unwrap_or(u64::MAX);
         self.heard_ms.store(now_ms, Ordering::Relaxed);
@@ -213,13 +213,13 @@ fn accept<S: Fn(TcpStream, &Seat) + Send + Sync + 'static>(
             return;
         }
         match accepted {
-            // Closed without a word: those who had to go are still on their way out.
+            // Closed without a word: the connections that had to go have not ended yet.
             Ok(_) if threads.load(Ordering::SeqCst) >= THREADS_MAX => {}
             Ok((stream, _)) => {
                 let Ok(handle) = stream.try_clone() else { continue };
                 let place = Arc::new(Seat::new(since));
                 if take(&places, Arc::clone(&place), handle) {
-                    // However many come: each has time to ask.
+                    // However many connections come, each has time to ask.
                     std::thread::sleep(ROOM);
                 }
                 threads.fetch_add(1, Ordering::SeqCst);
@@ -244,7 +244,7 @@ fn lock(places: &Places) -> MutexGuard<'_, Vec<(Arc<Seat>, TcpStream)>> {
     places.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Puts a connection on the list; where that is full, one is hung up on: of those that are no page, else of all, the one
+/// Puts a connection on the list; if it is full, one is disconnected: of those that are not pages, else of all, the one
 /// that has said nothing for longest. True if one had to go.
 fn take(places: &Places, place: Arc<Seat>, handle: TcpStream) -> bool {
     let mut places = lock(places);
@@ -265,7 +265,7 @@ fn take(places: &Places, place: Arc<Seat>, handle: TcpStream) -> bool {
     is_full
 }
 
-/// A thread that counts itself out, also where it never started or panicked.
+/// Subtracts a thread from the count, even if it never started or panicked.
 struct Leaving(Arc<AtomicUsize>);
 
 impl Drop for Leaving {
@@ -274,7 +274,7 @@ impl Drop for Leaving {
     }
 }
 
-/// Counts itself out when dropped.
+/// Subtracts itself from the count when dropped.
 pub struct Counted<'a>(&'a AtomicUsize);
 
 impl<'a> Counted<'a> {

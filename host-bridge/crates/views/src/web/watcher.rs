@@ -18,7 +18,7 @@ pub const INTERVAL: Duration = Duration::from_millis(15);
 
 /// Path and trace are looked at this often (in the session's time) …
 const TRAIL_INTERVAL_MS: u64 = 40;
-/// … and get a point after each so many metres.
+/// … and get a point after this many metres.
 const PATH_STEP_M: f64 = 0.02;
 const TRACE_STEP_M: f64 = 0.01;
 
