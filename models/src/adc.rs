@@ -19,7 +19,7 @@ const INTERVAL_MS: std::ops::RangeInclusive<f64> = 9.0..=11.0;
 /// Usual intervals that can be brought to that, and the rates that they stand for.
 const USABLE_MS: std::ops::RangeInclusive<f64> = 1.98..=20.2;
 const USABLE_HZ: (f64, f64) = (50.0, 500.0);
-/// Bits of converters that are told by their values, from so many samples on.
+/// Bits of converters that are told by their values, from this many samples on.
 const BITS: std::ops::RangeInclusive<u32> = 8..=12;
 const ENOUGH: usize = 100;
 
