@@ -23,13 +23,13 @@ use crate::safety::PerHand;
 use crate::safety::SafetyTimes;
 use crate::tilt::TiltDrive;
 
-/// The port that is none: keys stand for the hand.
+/// Instead of a port: keys play the hand.
 pub const KEYBOARD: &str = "keyboard";
 
-/// Fastest speed of the base where boards need not be bonded, in m/s and rad/s.
+/// Fastest speed of the base if boards need not be bonded, in m/s and rad/s.
 const UNBONDED_MOST: f64 = 0.2;
 
-/// What stands for a hand.
+/// What plays a hand.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum HandInput {
     /// Left out.
@@ -40,7 +40,7 @@ pub enum HandInput {
     Keyboard,
 }
 
-/// All settings. The default is what the paper says, or the safest.
+/// All settings. The default is the paper's value, or the safest.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Config {
@@ -87,7 +87,7 @@ pub struct Ports {
     pub right: String,
     /// Speed of the lines, in baud.
     pub baud: u32,
-    /// Nothing is sent for so long after a port was opened, unless the board speaks first.
+    /// Nothing is sent for this long after a port was opened, unless the board speaks first.
     pub settle_ms: u64,
     /// Boards over Bluetooth that are not bonded may move the base, at most 0.2 m/s, and never the arm. For serial modules
     /// that know no bonding: whoever is in reach can take their place.
@@ -107,11 +107,11 @@ impl Default for Ports {
     }
 }
 
-/// What a motor at the right hand's board says.
+/// What a motor at the right hand's board signals.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Vibration {
-    /// One is wired: gestures that count or do not, stops and lost links are felt.
+    /// Whether one is wired: gestures that count or do not, stops and lost links are felt.
     pub wired: bool,
 }
 
@@ -125,7 +125,7 @@ pub struct Arm {
     pub acceleration_scaling: f64,
     /// Accelerations rise and fall no faster than `jerk_rad_s3`, also while stopping.
     pub jerk_limited: bool,
-    /// Of all joints; not scaled.
+    /// The limit for all joints; it is not scaled.
     pub jerk_rad_s3: f64,
 }
 
@@ -172,7 +172,7 @@ impl Config {
     /// Reads a file's text.
     ///
     /// # Errors
-    /// [`ConfigError`], with the line where there is one.
+    /// [`ConfigError`], with the line if there is one.
     pub fn parse(text: &str) -> Result<Self, ConfigError> {
         let line = |at: usize| text.get(..at).map_or(1, |before| before.matches('\n').count() + 1);
         let refused = |error: toml::de::Error| ConfigError::Text {
@@ -195,7 +195,7 @@ impl Config {
         toml::to_string(self).unwrap_or_default()
     }
 
-    /// The ports of the left and of the right hand, exchanged for left-handed people; empty where there is none.
+    /// The ports of the left and of the right hand, exchanged for left-handed people; empty if there is none.
     pub fn hand_ports(&self) -> [&str; 2] {
         let Ports { left, right, .. } = &self.ports;
         if self.left_handed { [right, left] } else { [left, right] }
@@ -228,7 +228,7 @@ impl Config {
         self.motions.iter().map(|(label, motion)| format!("{label}={motion}")).collect()
     }
 
-    /// What a session may not do where boards need not be bonded.
+    /// What a session is not allowed to do if boards need not be bonded.
     pub fn restriction(&self) -> Option<Restriction> {
         let text = format!(
             "unbonded boards are allowed: the base alone, at most {UNBONDED_MOST} m/s (allow_unbonded in [ports])"

@@ -1,4 +1,4 @@
-//! The bundled sessions: recorded hands, and what they must come to, written down with them. A second session is made of
+//! The bundled sessions: recorded hands, and the result that they must have, written down with them. A second session is made of
 //! stretches of the first.
 
 use std::path::Path;
@@ -25,15 +25,15 @@ pub struct Demo {
     pub left: AdcRecording,
     /// The right hand's sensor.
     pub right: Recording,
-    /// Calibration of the left hand, and what must come out.
+    /// Calibration of the left hand, and the expected result.
     pub script: Script,
 }
 
 impl Demo {
-    /// The one inside this program.
+    /// The script inside this program.
     ///
     /// # Panics
-    /// Never: the files are compiled in, and the tests read them.
+    /// It never does: the files are compiled in, and the tests read them.
     pub fn bundled() -> Self {
         let read = "the bundled session is whole";
         Demo {
@@ -49,7 +49,7 @@ impl Demo {
     /// There is none, and which there are.
     ///
     /// # Panics
-    /// Never: the files are compiled in, and the tests read them.
+    /// It never does: the files are compiled in, and the tests read them.
     pub fn named(name: Option<&str>) -> Result<Self, String> {
         let demo = Demo::bundled();
         let script = match name {
@@ -87,7 +87,7 @@ impl Demo {
     }
 }
 
-/// Stretches of a recording, one after the other: the new time in ms of each sample, and which it is.
+/// Parts of a recording, one after the other: the new time in ms of each sample, and the sample's number.
 fn cut(stretches: &[[f64; 2]], samples: usize, time_ms: impl Fn(usize) -> f64) -> Vec<(f64, usize)> {
     let mut kept = Vec::new();
     let mut at_ms = 0.0;

@@ -3,7 +3,7 @@
 use host_arm::Director;
 use host_robot::{Door as _, Joints, Motion, MotionName, Report, Robot, Twist};
 
-/// A robot is waited for so long.
+/// A robot is waited for this long.
 pub const SEARCH_MS: u64 = 8000;
 /// Nothing that is taught moves faster,
 const REST_RAD_S: f64 = 0.02;
@@ -50,7 +50,7 @@ pub enum Played {
     Reached,
     /// It is not; the text says why.
     Not(String),
-    /// It was asked to end.
+    /// Whether it was asked to end.
     Interrupted,
 }
 
@@ -80,7 +80,7 @@ impl Play {
         mut note: impl FnMut(&str),
     ) -> Option<Played> {
         door.step(now_ms);
-        // It says that somebody commands; the base stays where it is.
+        // This shows that somebody is in command; the base stays where it is.
         door.drive(Twist::ZERO);
         let mut reached = None;
         for report in door.take_reports() {

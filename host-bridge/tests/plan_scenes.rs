@@ -1,4 +1,4 @@
-//! Planning where the straight way is blocked: three scenes, six poses each, all ordered pairs, many seeds.
+//! Planning where the straight path is blocked: three scenes, six poses each, all ordered pairs, many seeds.
 //! What is planned is executed by the arm in virtual time and looked at every 10 ms.
 //!
 //! `BIMANUAL_FULL=1` runs 34 seeds per pair. Times are the processor's, printed and asserted nowhere.
@@ -131,7 +131,7 @@ fn goals_that_cannot_be_reached_safely_are_refused_with_the_reason() {
         beyond[3] = f64::NAN;
         assert!(matches!(refused(&beyond), Refusal::GoalBeyondLimit(_)));
 
-        // The flange in the middle of each box that the arm can get to at all.
+        // The flange in the middle of each box that the arm can reach at all.
         let scene = planner.world().scene();
         let mut inside = 0;
         for shape in &scene.boxes {

@@ -39,7 +39,7 @@ impl Wearer {
         wearer
     }
 
-    /// Tilted so far, in milliradians, for so long.
+    /// Tilted so far, in milliradians, for this long.
     fn hold(&mut self, pitch_mrad: i16, roll_mrad: i16, ms: u64) {
         for _ in 0..ms / 10 {
             let heading = self.detector.step(Tilt { pitch_mrad, roll_mrad });

@@ -63,7 +63,7 @@ fn a_robot_that_refuses_halts_base_and_arm_and_needs_neutral_when_it_does_not_an
     rig.take_outcomes();
     rig.gesture(2);
     assert_eq!(rig.take_outcomes(), [NotArmed]);
-    // It does not any more, and the hand is tilted: nothing before neutral, and that is held from then on.
+    // It no longer refuses, and the hand is tilted: nothing moves before neutral has been held from then on.
     rig.point(Heading::Forward, 200);
     refuse(&mut rig, None);
     rig.run(1000);
@@ -187,7 +187,7 @@ fn where_boards_need_not_be_bonded_the_base_is_slow_and_the_arm_still() {
 /// Why a robot refuses, as the test has it.
 type Mood = Arc<Mutex<Option<String>>>;
 
-/// Hears nothing and says why nothing may move.
+/// A robot that takes no commands and says why nothing may move.
 struct Moody {
     limits: JointLimits,
     base: BaseConfig,
@@ -228,7 +228,7 @@ impl Robot for Moody {
     }
 }
 
-/// What the newest state looks like to observers, and what a viewer of Foxglove is sent.
+/// The newest state as observers see it, and as a viewer of Foxglove gets it.
 #[derive(Clone, Default)]
 struct Surfaces {
     snapshot: Arc<Mutex<Option<Snapshot>>>,
@@ -293,7 +293,7 @@ fn every_surface_says_what_refuses_and_when_it_does_not_any_more() {
     let page = serde_json::to_string(&snapshot).unwrap();
     assert!(page.contains("\"safety\":\"refused\"") && page.contains("2.00 s apart"), "{page}");
     assert!(surfaces.diagnostics.lock().unwrap().contains("2.00 s apart"));
-    // Figures that change all the time are not said again.
+    // Figures that change all the time are not reported again.
     *refusal.lock().unwrap() = Some("the clocks are 2.01 s apart".to_owned());
     assert!(!run(&mut live, 100).contains("refuses"));
     let entries = std::mem::take(&mut *surfaces.entries.lock().unwrap());

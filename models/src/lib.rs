@@ -39,10 +39,10 @@ pub const WINDOW: usize = 200;
 /// Samples from one window to the next on the board (80 ms).
 pub const HOP: usize = 8;
 
-/// Networks that the recipe `aligned` fits from different starts and merges into one.
+/// How many networks the recipe `aligned` fits from different starts and merges into one.
 pub const ALIGNED_MEMBERS: usize = 4;
 /// Widths of the hidden layers of each of them.
 pub const ALIGNED_MEMBER_HIDDEN: [usize; 2] = [20, 10];
-/// Widths of the hidden layers of what they are merged into, which boards run: what it costs there is tested.
+/// Widths of the hidden layers of the merged network, which boards run; a test measures its cost there.
 pub const ALIGNED_HIDDEN: [usize; 2] =
     [ALIGNED_MEMBERS * ALIGNED_MEMBER_HIDDEN[0], ALIGNED_MEMBERS * ALIGNED_MEMBER_HIDDEN[1]];

@@ -24,7 +24,7 @@ pub const MAX_RATE_HZ: f64 = 500.0;
 /// Longer than this no recording is: what is read is brought to the models' rate, pauses and all.
 const LONGEST_H: f64 = 24.0;
 
-/// A rate this near to the wanted one is the wanted one: samples are used as they are.
+/// A rate this near to the wanted one counts as the wanted one: samples are used as they are.
 pub(crate) const SAME_RATE: f64 = 0.01;
 
 /// Samples of 3, 6 or 9 axes with their times.
@@ -86,7 +86,7 @@ impl Recording {
         }
     }
 
-    /// What was judged, mended or left out when it was read, in words.
+    /// What was judged, repaired or left out when it was read, in words.
     pub fn notes(&self) -> &[String] {
         &self.notes
     }
@@ -176,7 +176,7 @@ impl Recording {
         let source = if smooth { self.averaged_over(interval_ms) } else { self.values.clone() };
         let start_ms = self.time_ms[0];
         let last_ms = self.time_ms[self.len() - 1];
-        // The small allowance keeps a last sample that rounding would put just out of reach.
+        // The small allowance keeps a last sample that rounding would put just past the end.
         let count = ((last_ms - start_ms) / interval_ms + 1e-6).floor() as usize + 1;
         let mut values = Vec::with_capacity(count * self.axes);
         let mut left = 0;

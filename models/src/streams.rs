@@ -3,7 +3,7 @@
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
-/// What random numbers are for. The numbers behind the names are part of what makes a training repeatable: a new use gets a
+/// The uses of random numbers. The numbers behind the names are part of what makes a training repeatable: a new use gets a
 /// new one, and none is ever changed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RandomStream {
@@ -22,7 +22,7 @@ pub enum RandomStream {
     HeldOut(usize),
     /// One of the networks that are fitted in steps and merged.
     Member(usize),
-    /// The steps after that, which see what int8 rounds.
+    /// The steps after that, which take int8's rounding into account.
     Rounding,
     /// What a model remembers of the people it was trained on.
     Memory,

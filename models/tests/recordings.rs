@@ -118,7 +118,7 @@ fn rates_outside_25_to_500_hz_are_refused_and_inside_accepted() {
     for interval in [2.0, 8.403, 10.0, 40.0] {
         assert!(at(interval).is_ok(), "{interval}");
     }
-    // In seconds, which are told by their rate and said.
+    // In seconds, which the rate shows and a note reports.
     let seconds = at(0.01).unwrap();
     assert!((seconds.rate_hz() - 100.0).abs() < 1e-6);
     assert_eq!(seconds.notes(), ["times (timestamp) are in s, by the rate"]);

@@ -74,17 +74,17 @@ const PARTS: [(&[&str], &str); 4] = [
     // Both images with Bluetooth.
     (&["--manifest-path", "firmware-nano33/Cargo.toml", "--features", "xiao"], "thumbv7em-none-eabihf"),
 ];
-/// Crates whose licence is a file of their own: read, and fit for an archive that carries the file. Nordic's five clauses let
+/// Crates whose licence is a file of their own. We have read them: an archive that carries the file may contain the crate. Nordic's five clauses let
 /// its interface of the S140 be passed on in images for Nordic's chips.
 const LICENCE_FILES: [(&str, &str); 1] = [("nrf-softdevice-s140", "Nordic's five clauses")];
-/// What a part holds that its own crate does not say.
+/// What a part contains that its own crate does not declare.
 const MORE_NOTICES: [&str; 1] = ["firmware-nano33/sensor/NOTICE-Bosch.txt"];
 const PROGRAMS: [&str; 2] = ["host-bridge", "models"];
 
 /// Builds the archive under `target/package`, unpacks it once and runs what is in it.
 ///
 /// # Errors
-/// Where something does not build, a file is missing, or the unpacked programs do not run.
+/// If something does not build, a file is missing, or the unpacked programs do not run.
 pub fn run() -> Result<()> {
     ensure!(
         cfg!(all(target_os = "linux", target_arch = "x86_64")),
@@ -107,7 +107,7 @@ pub fn run() -> Result<()> {
     for program in PROGRAMS {
         let to = folder.join("bin").join(program);
         copy(&target_dir().join("release").join(program), &to)?;
-        // Line tables are for developers; where binutils is missing they stay.
+        // Line tables are for developers; if binutils is missing they stay.
         let _ = Command::new("strip").arg(&to).status();
     }
     let mut trees = String::new();
@@ -159,7 +159,7 @@ fn parts(tree: &str) -> Result<Vec<Part<'_>>> {
         let name = part.split(' ').next().unwrap_or("");
         let by_file = LICENCE_FILES.iter().find(|(of, _)| *of == name && licence.trim().is_empty());
         let licence = by_file.map_or(licence, |(_, licence)| licence);
-        // Of several licences one is enough; after a slash stands one, too.
+        // One of several licences is enough; a slash separates them, too.
         let free = licence
             .split(" OR ")
             .flat_map(|l| l.split('/'))
@@ -234,7 +234,7 @@ fn try_out(archive: &Path, name: &str, into: &Path) -> Result<()> {
     output(
         program("host-bridge").args(["demo", "--headless", "--speed", "0", "--json", "--scene"]).arg(urdf),
     )?;
-    // Whatever answers here, and whoever is on the graph: they look, and say what they see.
+    // Whatever answers here, and whoever is on the graph, these commands only look and report.
     for (words, said) in [
         (&["list"][..], "Bluetooth"),
         (&["doctor", "--right", "ble"], "Bluetooth"),

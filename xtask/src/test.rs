@@ -199,7 +199,7 @@ pub fn cargo_for_all(subcommand: &str) -> Command {
 /// The folder of the workspace's programs and examples as the tests built them.
 ///
 /// # Errors
-/// Where the workspace does not build.
+/// If the workspace does not build.
 pub fn programs() -> Result<PathBuf> {
     if let Some(folder) = std::env::var_os("BIMANUAL_PROGRAMS") {
         return Ok(folder.into());
@@ -211,7 +211,7 @@ pub fn programs() -> Result<PathBuf> {
 /// A program or example of the workspace; `name` is its path below the folder of programs.
 ///
 /// # Errors
-/// Where the workspace does not build.
+/// If the workspace does not build.
 pub fn built(name: &str) -> Result<Command> {
     let mut command = Command::new(programs()?.join(name));
     command.current_dir(root());

@@ -1,11 +1,11 @@
-//! The ROS 2 side of `run` and `doctor`. Without the feature `ros2` only the word that it is missing.
+//! The ROS 2 side of `run` and `doctor`. Without the feature `ros2` only the message that it is missing.
 
 #[cfg(not(feature = "ros2"))]
 pub use off::{Graph, Output, doctor};
 #[cfg(feature = "ros2")]
 pub use on::{Graph, Output, doctor};
 
-/// After a halt the graph is served for so long, so that zero and cancellations arrive.
+/// After a halt the graph is served for this long, so that zero and cancellations arrive.
 pub const FAREWELL_MS: u64 = 300;
 
 #[cfg(feature = "ros2")]
@@ -26,7 +26,7 @@ mod on {
     use host_bridge::topics::diagnostics::Diagnostics;
     use host_bridge::topics::message::Time;
 
-    /// Others are looked for so long before the simulator's state is published.
+    /// The search for other publishers lasts this long before the simulator's state is published.
     const SEARCH: Duration = Duration::from_millis(2500);
 
     /// Seconds since 1970.
@@ -38,7 +38,7 @@ mod on {
         config.connection(&RosEnvironment::read()).map_err(anyhow::Error::msg)
     }
 
-    /// The program on the graph: a robot, and what is published beside.
+    /// The program on the graph: a robot, and what else is published.
     pub struct Graph {
         /// The robot that is driven.
         pub driver: RosDriver,
@@ -46,7 +46,7 @@ mod on {
         pub output: Output,
         /// For the title.
         pub about: String,
-        /// What was sent and heard.
+        /// Counters of what was sent and received.
         pub counts: Arc<Mutex<Counts>>,
     }
 
@@ -92,7 +92,7 @@ mod on {
         }
     }
 
-    /// Diagnostics, and the simulator where that is the robot.
+    /// Diagnostics, and the simulator's state if that is the robot.
     pub struct Output {
         publisher: RosPublisher,
         diagnostics: Diagnostics,
@@ -119,7 +119,7 @@ mod on {
         }
     }
 
-    /// Looks at the graph for a while, and tries; is all well?
+    /// Looks at the graph for a while, and tries things out; returns whether all is well.
     pub fn doctor(config: &Ros2Config, seconds: f64) -> Result<bool> {
         let environment = RosEnvironment::read();
         let connection = match connection(config) {
@@ -163,7 +163,7 @@ mod on {
             advice.extend(found.advice);
         }
         if graph.participants.is_empty() {
-            // What our own sockets say would mislead: they go first.
+            // Our own sockets would mislead, so they are closed first.
             drop((node, publisher));
             let read = |file| std::fs::read_to_string(file).unwrap_or_default();
             let udp = read("/proc/net/udp") + &read("/proc/net/udp6");
@@ -201,7 +201,7 @@ mod off {
     const MISSING: &str = "this program was built without ROS 2: `cargo install --path host-bridge --features \
                            ros2`, or `cargo run --release --features ros2 -- …`";
 
-    /// No graph: there never is one of these.
+    /// Without a graph there is never a value of this type.
     pub struct Graph {
         /// The robot that is driven.
         pub driver: Box<dyn Robot + Send>,
@@ -209,7 +209,7 @@ mod off {
         pub output: Output,
         /// For the title.
         pub about: String,
-        /// What was sent and heard.
+        /// Counters of what was sent and received.
         pub counts: Arc<Mutex<Counts>>,
     }
 

@@ -61,7 +61,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     };
     let is_taken = is_grasp(&args.name) || [MotionName::END_ARM, "ready"].contains(&args.name.as_str());
     ensure!(!args.name.trim().is_empty() && !is_taken, "'{}' is no name for a pose of yours", args.name);
-    // The arm may have any place now; its speed limits are not asked for.
+    // The arm may be anywhere now; its speed limits are not needed.
     let stage = stage(&config, args.scene.as_deref())?;
     let count = stage.planner.as_ref().map_or(host_bridge::robot::JOINTS, |p| p.world().arm().joints.len());
     config.ros2.arm = ArmInterface::Topic;
@@ -74,7 +74,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     };
     let about = || into.display().to_string();
     let new = with_pose(&text, &args.name, &joints_rad[..count]).with_context(about)?;
-    // As it will be, it can be used.
+    // The file as it will be can be used.
     match &args.scene {
         Some(scene) => drop(stage_of(&config, &new, scene)?),
         None => check(&new).with_context(about)?,

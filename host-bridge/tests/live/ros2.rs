@@ -36,7 +36,7 @@ fn hands_drive_an_independent_robot_with_right_types_values_quality_and_in_time(
     let mut bridge =
         bridge(&desk, domain, "arm = 'action'\n", &["--left", &left.port(), "--right", &right.port()]);
 
-    // Types and quality of service, as the other side's middleware has them.
+    // Types and quality of service, as the other side's middleware reports them.
     for (topic, type_name) in [
         ("rt/cmd_vel", "geometry_msgs::msg::dds_::TwistStamped_"),
         ("rt/diagnostics", "diagnostic_msgs::msg::dds_::DiagnosticArray_"),
@@ -95,7 +95,7 @@ fn hands_drive_an_independent_robot_with_right_types_values_quality_and_in_time(
     robot.catch_up();
     let before = robot.seen.iter().map(|(_, v)| gestures(v)).max().unwrap_or(0);
     let told = robot.wait("a new gesture", |v| started(v).is_some() && gestures(v) > before);
-    // Decided together; either may be said first.
+    // Both are decided together; either may be published first.
     let stamp_s = number(&told["stamp"]);
     let goal = robot.wait_from(0, "its goal", |v| is(v, "goal") && number(&v["t"]) >= stamp_s);
     // Another gesture may have moved it before.
@@ -156,12 +156,12 @@ fn hands_drive_an_independent_robot_with_right_types_values_quality_and_in_time(
     robot.wait("another goal", |v| is(v, "goal"));
     desk.pass(Duration::from_millis(200));
     left.hold(BENT);
-    // Those that this fast arm has reached early are cancelled, too: they might run on.
+    // Goals that this fast arm has reached early are cancelled, too: they might continue.
     robot.wait("the cancellation", |v| is(v, "cancel") && v["running"] == true);
     robot.has("cancelled", |v| is(v, "finished") && v["status"] == 5);
     bridge.has("halted", |v| is(v, "motion-ended") && v["reached"] == false);
 
-    // Whoever ends the program gets zero first.
+    // A robot gets zero before the program ends.
     bridge.interrupt();
     let (status, said, errors) = bridge.end();
     assert!(status.success(), "{errors}");
@@ -169,7 +169,7 @@ fn hands_drive_an_independent_robot_with_right_types_values_quality_and_in_time(
     assert!(number(&counts["joint_states"]) > 500.0 && counts["failed"] == 0, "{counts}");
     robot.order("quit");
     let (_, said, errors) = robot.end();
-    // Fast DDS tells of shared memory that killed programs left behind; that is not ours.
+    // Fast DDS reports shared memory that killed programs left behind; that is not ours.
     let complaints: Vec<&str> = errors.lines().filter(|line| !line.contains("_SHM")).collect();
     assert_eq!(complaints, [""; 0], "the robot's side has nothing to complain of");
     let last = said.last().unwrap();
@@ -215,7 +215,7 @@ fn the_simulators_state_is_published_only_where_no_robot_is() {
     assert!((0..2).all(|i| number(&far["speed_covariance"][i]) > 0.0), "{far}");
     let moved = viewer.wait("the transform", |v| is(v, "tf") && v["child"] == "base_link");
     assert!(number(&moved["position"][0]) >= 0.2, "{moved}");
-    // The description came to whoever was there before it, and fits what is published beside it.
+    // The description reached subscribers that were there before it, and fits what else is published.
     let described = viewer.has("the description", |v| is(v, "description"));
     let links = described["links"].as_array().unwrap();
     assert_eq!(links.len(), 10, "base, arm, seven links and the flange: {described}");
@@ -235,7 +235,7 @@ fn the_simulators_state_is_published_only_where_no_robot_is() {
     let is_quiet = |_| !viewer.listen(Duration::from_millis(500)).iter().any(|v| is(v, "odom"));
     assert!((0..20).any(is_quiet));
 
-    // And where one is already, the program does not start.
+    // And if there is one already, the program does not start.
     let other = Double::left_named(&desk, "other");
     let refused =
         self::bridge(&desk, domain, "namespace = '/cell1'\n", &["--left", &other.port(), "--publish-sim"]);
@@ -256,7 +256,7 @@ fn on_the_topic_a_motion_is_a_trajectory_and_a_stop_is_one_that_brakes() {
     robot.has("ready", |v| is(v, "ready"));
     let options = ["--left", &left.port(), "--right", &right.port()];
     let mut bridge = bridge(&desk, domain, "arm = 'topic'\n", &options);
-    // Without angles nothing is planned, and the reason is told.
+    // Without angles nothing is planned, and the reason is reported.
     robot.order("joints off");
     bridge.has("a refusal", |v| {
         is(v, "motion-refused") && v["reason"].as_str().unwrap().contains("joint_state_broadcaster")
@@ -423,7 +423,7 @@ fn what_people_see_are_a_slower_arms_own_angles_within_100_ms() {
     let desk = desk("ros2-shown");
     let domain = domain();
     let (left, right) = (Double::left(&desk), Double::right(&desk, 0.0));
-    // Half as fast as asked, and not where the simulator would start.
+    // Half as fast as asked for, and not at the simulator's start.
     let slower = ["--robot", "--action", "--pace", "0.5", "--start-offset", "0.2", "--say-angles"];
     let mut robot = peer(&desk, &site.python, domain, &slower);
     robot.has("ready", |v| is(v, "ready"));
@@ -490,11 +490,11 @@ fn an_e_stop_a_fault_and_a_publisher_that_is_gone_stop_base_and_arm_and_are_name
     let domain = domain();
     let (left, right) = (Double::left(&desk), Double::right(&desk, 0.0));
     let mut robot = peer(&desk, &site.python, domain, &["--robot"]);
-    // Whoever has the e-stop, in a corner of its own.
+    // The publisher of the e-stop, in a process of its own.
     let mut button = peer(&desk, &site.python, domain, &["--base-only", "--namespace", "/button"]);
     robot.has("ready", |v| is(v, "ready"));
     button.has("ready", |v| is(v, "ready"));
-    // Said before the bridge came: latched.
+    // Published before the bridge came: latched.
     button.order("flag /e_stop off");
     let section = "estop = '/e_stop'\nfault = '/fault_controller/internal_fault'\n";
     let options = ["--left", &left.port(), "--right", &right.port()];
@@ -536,7 +536,7 @@ fn an_e_stop_a_fault_and_a_publisher_that_is_gone_stop_base_and_arm_and_are_name
     left.hold(BENT);
     robot.wait("the operator's stop", |v| is(v, "operator stop") && v["data"] == true);
 
-    // Whoever has the e-stop is gone.
+    // The publisher of the e-stop is gone.
     button.order("quit");
     bridge.wait("nobody has the e-stop", refuses("nobody publishes the e-stop"));
 }
@@ -569,7 +569,7 @@ fn however_the_program_ends_base_and_arm_are_at_rest_soon() {
             let mut bridge = bridge_on_its_own(&desk, domain, "stamp = 'zero'\n", &options);
             bridge.has("armed", armed);
             let arm_moves = |v: &Value| is(v, "arm") && v["moves"] == true;
-            // A busy machine may halt it meanwhile; then both begin anew.
+            // A busy machine may halt it meanwhile; then both start again.
             loop {
                 drive_forward(&desk, &left, &mut robot);
                 let next = robot.wait("the arm moves", |v| arm_moves(v) || base_speed(v) == Some(0.0));
@@ -615,7 +615,7 @@ fn however_the_program_ends_base_and_arm_are_at_rest_soon() {
     }
 }
 
-/// A participant's announcement, as RTPS 2.3 has it (8.5.3.2, 9.4.5, 9.6.2): whoever sends it is found on the graph.
+/// A participant's announcement, as RTPS 2.3 has it (8.5.3.2, 9.4.5, 9.6.2): its sender is found on the graph.
 fn announcement(prefix: [u8; 12]) -> Vec<u8> {
     let mut parameters = Vec::new();
     let mut put = |id: u16, value: &[u8]| {
@@ -654,7 +654,7 @@ fn forged_participants_and_damaged_datagrams_delay_no_stop_and_fill_no_memory() 
     }
     let (participants, datagrams) = if is_full() { (18_000_u32, 1_000_000_u32) } else { (2000, 20_000) };
     let (mut stop_worst_ms, lateness) = (0.0_f64, Lateness::watch());
-    // The graph's library keeps some 650 bytes of each participant: damage makes new ones of a hundred, too.
+    // The graph's library keeps some 650 bytes of each participant, and damage turns a hundred of them into new ones, too.
     for (what, count, of, limit_mb) in [
         ("forged participants", participants, participants, 100.0),
         ("damaged datagrams", datagrams, 100, 500.0),
@@ -690,7 +690,7 @@ fn forged_participants_and_damaged_datagrams_delay_no_stop_and_fill_no_memory() 
             }
         }
         let memory_mb = used(bridge.process.id()).0;
-        // Where this machine was too slow for the board, the program has halted, and was right to.
+        // If this machine was too slow for the board, the program has halted, and was right to.
         bridge.catch_up();
         if !bridge.seen.iter().rev().find(|(_, v)| is(v, "state")).is_some_and(|(_, v)| armed(v)) {
             left.hold(LEVEL);
@@ -710,14 +710,14 @@ fn forged_participants_and_damaged_datagrams_delay_no_stop_and_fill_no_memory() 
     println!(
         "row: forged participants, damaged datagrams: the page's stop | 2 | {stop_worst_ms:.0} ms | 20 ms"
     );
-    // Lines are taken in every few milliseconds.
+    // Lines are read every few milliseconds.
     assert!(!lateness.had_room() || stop_worst_ms <= 40.0, "{stop_worst_ms} ms");
 }
 
-/// One set-up that is not as it should be, and what `doctor` has to say about it.
+/// One set-up that is not as it should be, and what `doctor` reports about it.
 struct Wrong {
     what: &'static str,
-    /// The robots' options; nobody where there are none.
+    /// The robots' options; nobody if there are none.
     robots: &'static [&'static [&'static str]],
     section: &'static str,
     environment: Option<(&'static str, &'static str)>,
@@ -804,7 +804,7 @@ fn doctor_tries_and_names_what_is_wrong() {
         let text = String::from_utf8_lossy(&output.stdout) + String::from_utf8_lossy(&output.stderr);
         (output.status.success(), text.into_owned())
     };
-    // One that is right, as Jazzy and as Nav2's side want their speeds.
+    // A correct set-up, for speeds as Jazzy's controller and as Nav2 use them.
     for unstamped in [false, true] {
         let domain = domain();
         let options: &[&str] = if unstamped { &["--robot", "--action", "--unstamped"] } else { ROBOT };
@@ -853,7 +853,7 @@ fn doctor_tries_and_names_what_is_wrong() {
     }
 }
 
-// What follows needs a network of its own, and does not run without.
+// What follows needs a network of its own, and does not run without one.
 
 fn own_site(test: &str, measures: bool) -> Option<Site> {
     if is_rclpy() {
@@ -898,7 +898,7 @@ fn a_fifth_of_the_datagrams_lost_moves_the_robot_never_by_old_commands() {
     let iptables = |verb: &str| net(&[&["iptables", verb][..], &rule[..], &["-j", "DROP"][..]].concat());
     iptables("-A");
     let (start, start_s) = (Instant::now(), wall_s());
-    // Forward and level in turn, so that an old command would be a wrong one.
+    // Forward and level alternate, so that an old command would be a wrong one.
     let mut forward = true;
     while start.elapsed().as_secs_f64() < lossy_s {
         desk.pass(Duration::from_millis(700));
@@ -937,7 +937,7 @@ fn a_fifth_of_the_datagrams_lost_moves_the_robot_never_by_old_commands() {
         assert!(v["became"] == "dropped" || age_ms(v) <= 500.0, "{v}");
         assert!(v["became"] == "acted" || v["became"] == "dropped", "{v}");
     }
-    // A second after the end of the losses nothing is missing any more.
+    // A second after the end of the losses everything arrives again.
     let after: Vec<f64> =
         speeds.iter().map(|v| number(&v["t"])).filter(|t| (end_s + 1.0..end_s + 4.0).contains(t)).collect();
     let gap_ms = after.windows(2).map(|t| (t[1] - t[0]) * 1000.0).fold(0.0, f64::max);
@@ -971,7 +971,7 @@ fn twenty_bridges_and_twenty_robots_share_this_machine() {
         let mut robot = peer(&desk, &site.python, 1, &options);
         robot.has("ready", |v| is(v, "ready"));
         let section = format!("namespace = '{space}'\n");
-        // What it takes of the processor is measured: no test holds its time.
+        // Its processor time is measured, so no test controls its clock.
         let bridge = bridge_on_its_own(&desk, 1, &section, &["--left", &left.port()]);
         all.push((left, bridge, robot));
     }
@@ -1003,7 +1003,7 @@ fn twenty_bridges_and_twenty_robots_share_this_machine() {
         bridge.interrupt();
         let (_, said, errors) = bridge.end();
         let twists = said.last().unwrap()["ros2"]["twists"].as_u64().unwrap_or_else(|| panic!("{errors}"));
-        // What was sent last may still be repaired.
+        // The last messages may still be sent again.
         robot.listen(Duration::from_millis(100));
         robot.order("quit");
         let (_, said, _) = robot.end();
@@ -1059,14 +1059,14 @@ fn a_gesture_closes_and_opens_a_gripper_of_either_kind_and_a_stop_halts_it_and_n
     ) else {
         return;
     };
-    // One kind before each of the two middlewares; both under --full.
+    // One kind for each of the two middlewares; both under --full.
     let kinds = ["command", "parallel"];
     let kinds = if is_full() { &kinds[..] } else { &kinds[usize::from(is_rclpy())..][..1] };
     for kind in kinds {
         let desk = desk(&format!("ros2-gripper-{kind}"));
         let domain = domain();
         let (left, right) = (Double::left(&desk), Double::right(&desk, 0.0));
-        // Its joint goes from 0, open, to 0.08, shut; a thing stops it at 0.03.
+        // Its joint goes from 0, open, to 0.08, shut; an object stops it at 0.03.
         let options = ["--robot", "--gripper", kind, "--blocked", "0.03"];
         let mut robot = peer(&desk, &site.python, domain, &options);
         robot.has("ready", |v| is(v, "ready"));
@@ -1080,7 +1080,7 @@ fn a_gesture_closes_and_opens_a_gripper_of_either_kind_and_a_stop_halts_it_and_n
         };
         let ends = |v: &Value| is(v, "motion-ended") && v["motion"] == "close-gripper";
 
-        // A stall on the thing is success, and how far the fingers are apart is told: 5/8 of 85 mm.
+        // A stall on the object is success, and the distance of the fingers is reported: 5/8 of 85 mm.
         let asked = robot.has("it is asked to close", asks(0.08));
         println!("{kind}: asked to close at {:.1} s", number(&asked["t"]));
         // Whatever the wearer's earlier gestures did: those of a program that was slow to start are not all seen.

@@ -88,7 +88,7 @@ fn start(
 }
 
 impl Teller {
-    /// Ends the test with what was said last.
+    /// Ends the test with the last lines of output.
     pub fn fail(&mut self, why: &str) -> ! {
         self.process.kill();
         let tail: Vec<String> = self.seen.iter().rev().take(40).rev().map(|(_, v)| v.to_string()).collect();
@@ -96,12 +96,12 @@ impl Teller {
         panic!("{}: {why}; last lines:\n{}\n{}", self.what, tail.join("\n"), errors.join("\n"));
     }
 
-    /// Takes in what was said, without waiting.
+    /// Reads what was printed, without waiting.
     pub fn catch_up(&mut self) {
         self.seen.extend(self.lines.try_iter());
     }
 
-    /// Waits so long for a line from the `from`th on; its place.
+    /// Waits this long for a line from the `from`th on; returns its place.
     pub fn find(
         &mut self,
         from: usize,
@@ -133,7 +133,7 @@ impl Teller {
         }
     }
 
-    /// The same, and fails where none comes.
+    /// The same, and fails if none comes.
     pub fn wait_from(&mut self, from: usize, what: &str, fits: impl FnMut(&Value) -> bool) -> usize {
         match self.find(from, PATIENCE, fits) {
             Some(place) => place,
@@ -141,14 +141,14 @@ impl Teller {
         }
     }
 
-    /// Waits so long for a line that was not there before now.
+    /// Waits this long for a new line.
     pub fn wait_for(&mut self, patience: Duration, fits: impl FnMut(&Value) -> bool) -> Option<Value> {
         self.catch_up();
         let place = self.find(self.seen.len(), patience, fits)?;
         Some(self.seen[place].1.clone())
     }
 
-    /// Waits for a line that was not there before now.
+    /// Waits for a new line.
     pub fn wait(&mut self, what: &str, fits: impl FnMut(&Value) -> bool) -> Value {
         match self.wait_for(PATIENCE, fits) {
             Some(value) => value,
@@ -168,7 +168,7 @@ impl Teller {
         writeln!(orders, "{order}").unwrap();
     }
 
-    /// Everything it says from now on for so long.
+    /// Everything it says from now on for this long.
     pub fn listen(&mut self, time: Duration) -> Vec<Value> {
         self.catch_up();
         let from = self.seen.len();
@@ -220,7 +220,7 @@ pub fn is_rclpy() -> bool {
     peer_script() == "rclpy_peer.py"
 }
 
-/// The robot, or whoever `options` make of it.
+/// The robot, or what `options` turn it into.
 pub fn peer(desk: &Desk, python: &str, domain: u32, options: &[&str]) -> Teller {
     let mut command = script(python, &peer_script());
     command.args(["--domain", &domain.to_string()]).args(options);
@@ -228,7 +228,7 @@ pub fn peer(desk: &Desk, python: &str, domain: u32, options: &[&str]) -> Teller 
     start("the robot", desk.time(), &mut command, Process::on_its_own)
 }
 
-/// A robot on Cyclone DDS beside one on Fast DDS; none where its Python is not named.
+/// A robot on Cyclone DDS beside one on Fast DDS; none if its Python is not named.
 pub fn cyclone_peer(desk: &Desk, domain: u32, options: &[&str]) -> Option<Teller> {
     let python = std::env::var("BIMANUAL_CYCLONE_PYTHON").ok()?;
     let mut command = script(&python, "peer.py");
@@ -236,7 +236,7 @@ pub fn cyclone_peer(desk: &Desk, domain: u32, options: &[&str]) -> Option<Teller
     Some(start("the robot on Cyclone DDS", desk.time(), &mut command, Process::on_its_own))
 }
 
-/// What a person gets to see of the arm's angles, by `tests/ros2/shown.py`.
+/// The arm's angles as a person is shown them, by `tests/ros2/shown.py`.
 pub fn shown(desk: &Desk, python: &str, where_from: &[&str]) -> Teller {
     start("what is shown", desk.time(), script(python, "shown.py").args(where_from), Process::on_its_own)
 }
@@ -277,7 +277,7 @@ fn bridge_command(desk: &Desk, domain: u32, section: &str, options: &[&str]) -> 
     command
 }
 
-/// Whether a line tells of this.
+/// Whether a line reports this.
 pub fn is(value: &Value, event: &str) -> bool {
     value["event"] == event
 }
@@ -314,7 +314,7 @@ pub fn gestures(message: &Value) -> u32 {
     message["status"]["bimanual: gesture"]["count"].as_str().and_then(|count| count.parse().ok()).unwrap_or(0)
 }
 
-/// Delays in ms: the middle one and the longest.
+/// Delays in ms: the median and the longest.
 pub fn middle_and_worst(mut delays_ms: Vec<f64>) -> (f64, f64) {
     delays_ms.sort_by(f64::total_cmp);
     (delays_ms[delays_ms.len() / 2], delays_ms[delays_ms.len() - 1])
@@ -322,21 +322,21 @@ pub fn middle_and_worst(mut delays_ms: Vec<f64>) -> (f64, f64) {
 
 /// How long the robot may go on after a board fell silent.
 pub const SILENCE_MS: f64 = 350.0;
-/// From the bridge's decision to the robot, the middle one.
+/// From the bridge's decision to the robot, the median.
 pub const DECISION_MS: f64 = 10.0;
 
-/// What a test on the graph stands on.
+/// What a test on the graph needs.
 pub struct Site {
     /// The interpreter that has the robot's packages.
     pub python: String,
     /// A network that only this test has, in which datagrams can be dropped. Else it is the machine's loopback.
     pub has_own_network: bool,
-    /// Others wait as long as this test runs.
+    /// A lock that others wait for while this test runs.
     _alone: Option<MutexGuard<'static, ()>>,
 }
 
 /// A place for the test of this name (in a module `live::ros2`), which starts itself again in a new network namespace
-/// where it may; `None` where it has run and passed there, or cannot run at all. Those that measure times do so one
+/// where it may; `None` if it has run and passed there, or cannot run at all. Those that measure times do so one
 /// after the other, as do all on loopback.
 pub fn site(test: &str, measures: bool) -> Option<Site> {
     const INSIDE: &str = "BIMANUAL_OWN_NETWORK";

@@ -27,12 +27,12 @@ pub fn in_scene(planner: Planner) -> Robot {
     Stage::new(&config, Some(planner)).unwrap().simulated(&config)
 }
 
-/// The paper's pose of that name.
+/// The paper's pose of this name.
 pub fn pose(name: &str) -> Joints {
     Motions::paper().pose(name).unwrap()
 }
 
-/// What tests ask of it.
+/// What tests ask of a robot.
 pub trait Virtual {
     fn pass(&mut self, ms: u64);
     fn start(&mut self, motion: &str) -> Result<(), NotStarted>;

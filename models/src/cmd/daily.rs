@@ -77,12 +77,12 @@ impl Cmd {
     }
 }
 
-/// What one model made of everything, per setting of the decision.
+/// The results of one model on everything, per setting of the decision.
 #[derive(Clone, Default)]
 struct Outcome {
     /// Of daily movement.
     daily: Vec<Tally>,
-    /// Of the gestures to show.
+    /// The folder of the gestures to show.
     gestures: Vec<Tally>,
 }
 
@@ -196,7 +196,7 @@ impl Events {
         }
     }
 
-    /// A model that half of the people taught, judged by the other half; as it is, and after three shown.
+    /// A model that was taught by half of the people and is judged on the other half: as it is, and after three examples.
     fn one(
         &self,
         learned: &Dataset,

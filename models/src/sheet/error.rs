@@ -87,7 +87,7 @@ pub enum RecordingError {
         file: PathBuf,
         /// Line, from 1.
         line: u64,
-        /// First column that is missing or too much, from 1.
+        /// First column that is missing or superfluous, from 1.
         column: usize,
         /// Values in the row.
         found: usize,
@@ -113,7 +113,7 @@ pub enum RecordingError {
         /// What should stand there.
         wanted: Cow<'static, str>,
     },
-    /// Time stands still or goes back.
+    /// Time does not advance, or goes back.
     #[error(
         "{file}, line {line}, column {column} ({name}): time {time_ms} ms follows {before_ms} ms; \
          times must rise: sort the rows, or split the file where a second recording starts"

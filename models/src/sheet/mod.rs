@@ -119,7 +119,7 @@ pub struct Reading {
 pub struct Sheet {
     /// One for each time that recording began.
     pub takes: Vec<Recording>,
-    /// What was judged, mended or left out, in words.
+    /// What was judged, repaired or left out, in words.
     pub notes: Vec<String>,
 }
 

@@ -10,7 +10,7 @@ use super::clock::{self, Stamp};
 use super::error::RecordingError;
 use super::text::{self, Separator, Text};
 
-/// A header is looked for in so many lines: programs write about themselves first.
+/// A header is looked for in this many lines: programs write about themselves first.
 const HEADER_WITHIN: usize = 100;
 
 /// What is wrong with the columns: the column from 1, or 0 for all of them, its name, and the problem.
@@ -38,10 +38,10 @@ pub(super) trait Format {
     /// Whether a blank line or another header may begin another recording, whose times begin anew.
     const TAKES: bool;
 
-    /// The columns under these names; none where this is no header of such a file.
+    /// The columns under these names; none if this is no header of such a file.
     ///
     /// # Errors
-    /// Where it is one, but cannot be used.
+    /// If it is one, but cannot be used.
     fn columns(&self, names: &[String]) -> Result<Option<(ColumnTable, Self::Layout)>, Problem>;
 
     /// What is missing in a file without a header of this format; `numbers`: it begins with numbers.

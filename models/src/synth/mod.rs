@@ -184,7 +184,7 @@ mod tests {
             }
             count
         };
-        // Forward, to the left, up: across which of them the circle lies.
+        // The axis (forward, left or up) that is perpendicular to the circle.
         assert!(quietest(false)[0] >= 50, "{:?}", quietest(false));
         assert!(quietest(true).iter().all(|&count| count >= 8), "{:?}", quietest(true));
     }

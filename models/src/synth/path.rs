@@ -37,7 +37,7 @@ pub enum Motion {
     Circle,
 }
 
-/// What a hand does that makes no gesture; all of it is labelled `idle`.
+/// Movements without a gesture; all of them are labelled `idle`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum IdleKind {
     /// Held still, as far as a hand can be.
@@ -57,9 +57,9 @@ pub enum IdleKind {
 }
 
 impl IdleKind {
-    /// What a wearer between gestures does.
+    /// The movements of a wearer between gestures.
     pub const ALL: [Self; 5] = [Self::Still, Self::Fidget, Self::Reach, Self::Walk, Self::Turn];
-    /// Every kind, what a wearer without a gesture in mind does.
+    /// Every kind: the movements of a wearer without a gesture in mind.
     pub const EVERY: [Self; 7] =
         [Self::Still, Self::Fidget, Self::Reach, Self::Walk, Self::Turn, Self::Scatter, Self::Shake];
 }
@@ -90,7 +90,7 @@ impl Motion {
 pub struct Segment {
     /// What is done.
     pub motion: Motion,
-    /// How long it shows, in s.
+    /// How much of it is seen, in s.
     pub seconds: f64,
     /// Length of the whole motion and where in it the segment starts, in s.
     whole_s: f64,
@@ -143,7 +143,7 @@ pub(super) fn track(wearer: &Wearer, rng: &mut ChaCha8Rng, script: &[Segment]) -
             let t = (n as f64 - 1.0) * STEP_S;
             let mut pose = BodyPose::default();
             for (start_s, shown_s, player) in &parts {
-                // A cut motion shows nothing before its cut; a whole one is at rest there anyway.
+                // A cut motion does not show what is before its cut; a whole one is at rest there anyway.
                 if t >= *shown_s - 2.0 * STEP_S {
                     player.add(t - start_s, &mut pose);
                 }
@@ -212,7 +212,7 @@ enum Kind {
     Shake {
         hz: f64,
         hurry: Smooth,
-        /// It shakes while this is above 0.
+        /// The hand shakes while this is above 0.
         bursts: Smooth,
         /// Size and phase per direction.
         position: [(f64, f64); 3],
@@ -337,7 +337,7 @@ fn idle(rng: &mut ChaCha8Rng, kind: IdleKind, seconds: f64) -> Kind {
             // Force and turning, not reach, are what a hand can do at any pace: 1 to 15 m/s², 0.3 to 5 rad/s.
             let reach_m = rng.random_range(0.0f64..2.7).exp() / (TAU * hz).powi(2);
             let turn_rad = rng.random_range(-1.2f64..1.6).exp() / (TAU * hz);
-            // Nearly along one line, as a hinge moves.
+            // Nearly along one line, as on a hinge.
             let mut along = |size: f64| {
                 let phase = rng.random_range(0.0..TAU);
                 [0; 3].map(|_| (normal(rng, 0.6 * size, size), phase + normal(rng, 0.3, 0.9)))

@@ -6,7 +6,7 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-/// What a simulated wearer is for. Each group has keys of its own, so that nobody is in two.
+/// The purpose of a simulated wearer. Each group has keys of its own, so that no wearer is in two groups.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Group {
     /// Models learn from these.

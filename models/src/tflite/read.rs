@@ -8,7 +8,7 @@ use super::{FloatLayer, IDENTIFIER, MAX_BYTES, MAX_LAYERS, MAX_WIDTH, Network, T
 /// Operators around the layers: QUANTIZE, DEQUANTIZE, SOFTMAX, and RESHAPE with what computes its shape.
 const MAX_OTHERS: usize = 4 * MAX_LAYERS + 4;
 
-/// What a file's last operator gives. A softmax is computed here in either case.
+/// What a file's last operator returns. A softmax is computed here in either case.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum End {
     /// Probabilities.
@@ -80,7 +80,7 @@ impl Tensor<'_> {
         }
     }
 
-    /// Values of one example: the shape without dimensions that are open.
+    /// Values of one example: the product of the shape's dimensions, open ones left out.
     fn elements(&self) -> u64 {
         self.shape.iter().map(|&n| u64::try_from(n).unwrap_or(1).max(1)).fold(1, u64::saturating_mul)
     }
@@ -155,7 +155,7 @@ pub fn read_to_end(bytes: &[u8]) -> Result<(Network, End), TfliteError> {
         let &[next] = operator.i32s(2)?.as_slice() else {
             return Err(TfliteError::ForeignOperator { index, name: name()? });
         };
-        // Where the batch is left open, the shape of a RESHAPE is computed; it is checked there.
+        // If the batch size is left open, the shape of a RESHAPE is computed; it is checked there.
         let of_shapes = [schema::SHAPE, schema::STRIDED_SLICE, schema::PACK];
         if of_shapes.contains(&number) && tensors.at(next)?.kind == schema::INT32 {
             continue;
@@ -196,7 +196,7 @@ struct Chain {
     floats: Vec<FloatLayer>,
     ints: Vec<DenseSpec>,
     end: Option<End>,
-    /// Behind the last layer, values have left int8: nothing can follow.
+    /// After the last layer, values are no longer int8: nothing can follow.
     over: bool,
     widths: Vec<(usize, usize)>,
 }

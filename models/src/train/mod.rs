@@ -41,7 +41,7 @@ pub use recipes::{ALIGNED, Aligned, LOG_POWER, PAPER, PerAxis};
 pub use split::held_out;
 pub use steps::Steps;
 
-/// What else a training needs to know.
+/// Further settings of a training.
 #[derive(Clone, Debug)]
 pub struct Job {
     /// Name of the model.
@@ -141,7 +141,7 @@ impl Trained {
     }
 }
 
-/// A progress bar, or nothing where it is not wanted.
+/// A progress bar, or nothing if it is not wanted.
 fn bar(job: &Job, length: usize, what: &'static str) -> ProgressBar {
     if !job.progress {
         return ProgressBar::hidden();
@@ -296,7 +296,7 @@ fn labelled(windows: &[Vec<f32>], label: usize) -> impl Iterator<Item = Row<'_>>
     windows.iter().map(move |window| (window.as_slice(), label))
 }
 
-/// The same of several sets.
+/// The same, from several sets.
 fn rows(sets: &[(Shared, usize)]) -> impl Iterator<Item = Row<'_>> {
     sets.iter().flat_map(|(windows, label)| labelled(windows, *label))
 }
@@ -343,7 +343,7 @@ fn count<'a>(set: &'a Dataset, key: impl Fn(&'a Item) -> &'a String) -> BTreeMap
     counts
 }
 
-/// SHA-256 over the names and contents of the recordings, in order; of one without a file, what its file would hold.
+/// SHA-256 over the names and contents of the recordings, in order; for one without a file, of what its file would hold.
 pub fn data_hash(set: &Dataset) -> Result<String, TrainError> {
     let mut hash = Sha256::new();
     for item in &set.items {

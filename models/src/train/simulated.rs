@@ -15,7 +15,7 @@ const SIMULATED_S: f64 = 8.0;
 /// Varied copies of each window of a simulated person's gesture.
 const COPIES_OF_SIMULATED: usize = 2;
 
-/// What simulated wearers do that is no gesture, one thing after the other.
+/// Movements of simulated wearers without a gesture, one after the other.
 const AIMLESS: [IdleKind; 10] = [
     IdleKind::Still,
     IdleKind::Fidget,
@@ -74,7 +74,7 @@ pub(super) fn performed(axes: usize, wearers: u32, labels: &[String]) -> Vec<(Sh
     Motion::GESTURES.into_iter().filter_map(of_gesture).collect()
 }
 
-/// What is the same for every training is made once.
+/// Windows that are the same for every training are made once.
 fn once(axes: usize, wearers: u32, label: &'static str, make: impl FnOnce() -> Vec<Vec<f32>>) -> Shared {
     static MADE: Mutex<BTreeMap<(usize, u32, &str), Shared>> = Mutex::new(BTreeMap::new());
     let mut made = MADE.lock().unwrap_or_else(PoisonError::into_inner);

@@ -11,7 +11,7 @@ use super::plan::Purse;
 use host_robot::Random;
 use host_robot::{DVec3, JOINTS, Joints, Pose};
 
-/// What one search may spend over all its restarts.
+/// The budget of one search, over all its restarts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Budget {
     /// Steps of the solver.
@@ -31,7 +31,7 @@ impl Budget {
     }
 }
 
-/// Steps before a start is given up.
+/// Steps before a start is abandoned.
 const STEPS_PER_START: usize = 100;
 
 /// Solutions are at least this near, in m and in rad.
@@ -54,7 +54,7 @@ pub enum Unreachable {
         "the flange cannot get there: the place is {beyond_mm:.0} mm beyond the arm's reach; choose a nearer one"
     )]
     Beyond {
-        /// By so much at least.
+        /// By at least this much.
         beyond_mm: f64,
     },
     /// The search ended without an answer.
@@ -63,11 +63,11 @@ pub enum Unreachable {
          off, {looks} solutions touch something); it may be out of reach, or blocked: choose another place"
     )]
     NotFound {
-        /// Distance of the nearest try.
+        /// Distance of the best try from the goal.
         position_mm: f64,
         /// Its wrong turn.
         angle_mrad: f64,
-        /// What was spent: steps,
+        /// What was used: steps,
         steps: usize,
         /// and solutions that were not accepted.
         looks: usize,
@@ -199,7 +199,7 @@ fn length(error: &Six) -> f64 {
     error.iter().map(|e| e * e).sum::<f64>().sqrt()
 }
 
-/// What is missing: the way in m, then the turn as axis times angle in rad; and the frames.
+/// What is missing: the distance in m, then the rotation as axis times angle in rad; and the frames.
 fn error_at(arm: &SerialArm, target: &Pose, joints_rad: &Joints) -> (Six, [Pose; JOINTS + 1]) {
     let poses = arm.link_poses(joints_rad);
     let here = poses[JOINTS];

@@ -1,4 +1,4 @@
-//! The arm: what it is, where it can go, and who sends it there.
+//! The arm: what it is, if it can go, and who sends it there.
 //!
 //! * [`model`], [`gen3`], `urdf`: joints, limits, shapes and forward kinematics,
 //! * [`ik`]: from a place of the flange to joint angles,

@@ -30,7 +30,7 @@
 //! [[tool]]                    # what is on the flange, see `tool.rs`
 //! name = "2f-85"
 //!
-//! [[pose]]                    # joint angles, or where the tool's point shall be; a motion's name (home, pick-up,
+//! [[pose]]                    # joint angles, or if the tool's point shall be; a motion's name (home, pick-up,
 //! name = "pick-up"            # place, …) replaces that motion; "ready" is where the simulated arm starts.
 //!                             # Any pose is also a motion: --map wave="bin 1"
 //! position_m = [0.6, 0.1, 0.9]
@@ -96,7 +96,7 @@ pub struct BaseTable {
     pub wheel_speed_max_rad_s: f64,
     /// Largest change of wheel speed per second.
     pub wheel_acceleration_max_rad_s2: f64,
-    /// Variance that each metre of a wheel's way adds to that way, in m²/m.
+    /// Variance that each metre that a wheel rolls adds to its distance, in m²/m.
     pub wheel_variance_m: f64,
     /// Length, width and height of the body, which reaches down to 0.05 m above the floor.
     pub size_m: Point,
@@ -150,13 +150,13 @@ impl BaseTable {
     }
 }
 
-/// Which way the arm takes to a pose.
+/// Which path the arm takes to a pose.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Route {
     /// Home first, as in the paper.
     ViaHome,
-    /// The planned way; via home only where none is found.
+    /// The planned path; via home only if none is found.
     #[default]
     Direct,
 }
@@ -173,9 +173,9 @@ pub struct ArmTable {
     pub acceleration_scaling: f64,
     /// Accelerations rise and fall no faster than `jerk_rad_s3`, also while stopping.
     pub jerk_limited: bool,
-    /// Of all joints; not scaled.
+    /// The limit for all joints; it is not scaled.
     pub jerk_rad_s3: f64,
-    /// Plans keep this far from everything at least, and half of it where nobody looked.
+    /// Plans keep at least this distance from everything, and half of it between the checked configurations.
     pub margin_m: f64,
     /// Equal seeds give equal plans.
     pub seed: u64,
@@ -183,13 +183,13 @@ pub struct ArmTable {
     pub urdf: Option<PathBuf>,
     /// The first link of that arm, whose frame is the arm's; none = the robot's first.
     pub root: Option<String>,
-    /// The last link of that arm, where the file has several ends.
+    /// The last link of that arm, if the file has several ends.
     pub tip: Option<String>,
-    /// Around the bones of its links that have no simple shapes in the file.
+    /// Radius around the bones of its links that have no simple shapes in the file.
     pub link_radius_m: f64,
-    /// For its joints that have none in the file, before scaling.
+    /// Acceleration of joints that have none in the file, before scaling.
     pub acceleration_rad_s2: f64,
-    /// For its joints that turn without end and have no limits in the file, before scaling.
+    /// Speed of joints that turn without end and have no limits in the file, before scaling.
     pub velocity_rad_s: f64,
 }
 
@@ -217,7 +217,7 @@ impl Default for ArmTable {
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct NamedBox {
-    /// Unlike the other boxes'.
+    /// Its name, different from the other boxes'.
     pub name: String,
     /// Its middle.
     pub center_m: Point,
@@ -239,7 +239,7 @@ impl NamedBox {
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct NamedPose {
-    /// Unlike the other poses'.
+    /// Its name, different from the other poses'.
     pub name: String,
     /// One angle per joint.
     pub joints_rad: Option<Vec<f64>>,

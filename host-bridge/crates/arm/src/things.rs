@@ -16,24 +16,24 @@ use crate::plan::Placement;
 use crate::scene::NamedBox;
 use crate::tool::Tool;
 
-/// Thickness of the rods that enclose a held thing's edges.
+/// Thickness of the rods that enclose a held object's edges.
 const ROD_M: f64 = 0.006;
-/// How far a thing's middle may be from the tool's point along the fingers.
+/// How far an object's middle may be from the tool's point along the fingers.
 const PAD_M: f64 = 0.02;
-/// Boxes whose top is so near to a thing's underside carry it.
+/// Boxes whose top is this near to an object's underside carry it.
 const CARRIES_M: f64 = 0.02;
 
 /// An object as written in a file.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ObjectTable {
-    /// Unlike those of the other objects and boxes.
+    /// Its name, different from those of the other objects and boxes.
     pub name: String,
     /// The middle of its underside.
     pub at_m: Point,
     /// Upwards.
     pub height_m: f64,
-    /// Of a round one.
+    /// Radius, if it is round.
     pub radius_m: Option<f64>,
     /// Length and width of a box.
     pub size_m: Option<[f64; 2]>,
@@ -124,7 +124,7 @@ impl ObjectTable {
         }
     }
 
-    /// The upright box around it where it stands.
+    /// The upright box around it, at its present place.
     fn standing(&self, at: &Pose) -> UprightBox {
         let [length, width] = self.half_m();
         let ahead = at.rotation.x_axis;
@@ -139,9 +139,9 @@ impl ObjectTable {
 /// Where an object is.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum ObjectPose {
-    /// It stands there, seen from the scene's origin.
+    /// It stands at this pose, seen from the scene's origin.
     Stands(Pose),
-    /// The gripper has it; seen from the flange.
+    /// The gripper holds it, at this pose seen from the flange.
     Held(Pose),
 }
 
@@ -155,7 +155,7 @@ impl ObjectPose {
     }
 }
 
-/// What the hand may touch while it goes straight to a thing or away from it.
+/// What the hand may touch while it moves straight to an object or away from it.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Touch {
     /// The tool may touch this object.
@@ -178,7 +178,7 @@ pub struct Things {
 }
 
 impl Things {
-    /// What the gripper has, and where, from the flange.
+    /// What the gripper holds, and its pose, seen from the flange.
     pub fn held(&self) -> Option<(usize, Pose)> {
         self.poses.iter().enumerate().find_map(|(i, pose)| match pose {
             ObjectPose::Held(at) => Some((i, *at)),
@@ -187,7 +187,7 @@ impl Things {
     }
 }
 
-/// What a scene knows about its things.
+/// What a scene knows about its objects.
 #[derive(Clone, Copy, Debug)]
 pub struct Shop<'a> {
     /// The objects.
@@ -229,7 +229,7 @@ impl Shop<'_> {
         things.poses.iter().enumerate().find_map(fits)
     }
 
-    /// What may be touched on the straight way to or from the flange's place there: the thing, and of what is held also
+    /// What may be touched on the straight line to or from the flange's place there: the object, and for what is held also
     /// what carries it.
     pub fn touching(&self, things: &Things, flange: &Pose) -> Touch {
         let Some((object, on_flange)) = things.held() else {
@@ -249,7 +249,7 @@ impl Shop<'_> {
         }
     }
 
-    /// Things after the fingers have gone to a width; and what became of it, for people.
+    /// The objects after the fingers have gone to a width; and what happened, for people.
     pub fn gripped(&self, things: &mut Things, flange: &Pose, opening_m: f64) -> Option<String> {
         // Fingers of which nobody knows are as far apart as what they have is wide.
         let held_m = things
@@ -354,7 +354,7 @@ mod tests {
         radius_m = 0.03
     "#;
 
-    /// The tool looks down on that point, its fingers along x.
+    /// The tool points down at this place, its fingers along x.
     fn above(point_m: DVec3, tool: &Tool) -> Pose {
         let rotation = DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));
         Pose { position_m: point_m - rotation * tool.point_m(), rotation }
@@ -373,7 +373,7 @@ mod tests {
         assert!((things.opening_m.unwrap() - 0.06).abs() < 1e-12);
         let touch = shop.touching(&things, &off_middle);
         assert_eq!((touch.boxes, touch.floor), (vec![0], false));
-        // Closed further: it has it already.
+        // Closed further: it already holds it.
         assert_eq!(shop.gripped(&mut things, &off_middle, 0.0), None);
         let beside = above(DVec3::new(0.2, 0.1, 0.36), &tool);
         assert_eq!(shop.gripped(&mut things, &beside, 0.085).unwrap(), "let cup fall 0.30 m onto the floor");

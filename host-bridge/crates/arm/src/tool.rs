@@ -1,4 +1,4 @@
-//! What is bolted to the flange: a gripper, a camera, a payload. Data, as poses are.
+//! What is bolted to the flange: a gripper, a camera, a payload. It is data, as poses are.
 //!
 //! ```toml
 //! [[tool]]                    # several are one tool together
@@ -46,7 +46,7 @@ pub struct FingerShape {
     pub radius_m: f64,
 }
 
-/// Of a finger that may be anywhere on its way, one capsule per so much of that way.
+/// Of a finger that may be anywhere on its way, one capsule per this much of that way.
 const WAY_M: f64 = 0.015;
 
 impl FingerShape {
@@ -72,7 +72,7 @@ impl FingerShape {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ToolTable {
-    /// A bundled one, or one's own.
+    /// A bundled tool's name, or one of your own.
     pub name: String,
     /// What does not move.
     #[serde(default)]
@@ -80,7 +80,7 @@ pub struct ToolTable {
     /// What opens and shuts.
     #[serde(default)]
     pub fingers: Vec<FingerShape>,
-    /// What poses of the tool speak of: between the fingertips.
+    /// The point that poses of the tool refer to: between the fingertips.
     pub point_m: Option<Point>,
     /// Widest opening of a gripper.
     pub opening_m: Option<f64>,
@@ -141,7 +141,7 @@ impl Tool {
         let ends = table.shapes.iter().flat_map(|s| [s.a_m, s.b_m]);
         let finger_ends = table.fingers.iter().flat_map(|f| [f.a_m, f.b_m, f.closed_a_m, f.closed_b_m]);
         let radii = table.shapes.iter().map(|s| s.radius_m).chain(table.fingers.iter().map(|f| f.radius_m));
-        // Nobody's tool is longer; further away a slip of the pen is more likely.
+        // No tool is longer; a typing error is more likely.
         let within = |point: Point| point.is_finite() && point.length() <= 2.0;
         if !ends.chain(finger_ends).chain(table.point_m).all(within) || !radii.clone().all(is_length) {
             return Err(format!(
@@ -189,7 +189,7 @@ impl Tool {
         self.hand.as_ref()
     }
 
-    /// What poses of the tool speak of, from the flange.
+    /// The point that poses of the tool refer to, seen from the flange.
     pub fn point_m(&self) -> Point {
         self.point_m
     }

@@ -13,18 +13,18 @@ use host_robot::shape::{Capsule, Point};
 use host_robot::{DVec3, JOINTS, Pose};
 use urdf_rs::{Joint, JointType};
 
-/// What a URDF file does not say.
+/// Settings that a URDF file does not contain.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Missing {
     /// First link of the arm, whose frame is its base frame; `None` = the robot's own first link.
     pub root: Option<String>,
     /// Last link of the arm; `None` = the only end there is.
     pub tip: Option<String>,
-    /// Around the bones of links without simple shapes.
+    /// Radius around the bones of links without simple shapes.
     pub link_radius_m: f64,
-    /// For joints without one (URDF 1.2 has it).
+    /// Acceleration of joints without one (URDF 1.2 has it).
     pub acceleration_rad_s2: f64,
-    /// For joints that turn without end and have no limits at all.
+    /// Speed of joints that turn without end and have no limits at all.
     pub velocity_rad_s: f64,
 }
 
@@ -41,7 +41,7 @@ impl Missing {
     }
 }
 
-/// The file describes no arm that can be used.
+/// Why the file describes no arm that can be used.
 #[derive(Debug, thiserror::Error)]
 pub enum UrdfError {
     /// It is no URDF.
@@ -52,7 +52,7 @@ pub enum UrdfError {
     Kind(String),
 }
 
-/// Reads an arm. Its home pose is all zeros, or the nearest to that within the limits.
+/// Reads an arm. Its home pose is all zeros, or the nearest values within the limits.
 ///
 /// # Errors
 /// Says what is wrong and what to change.
@@ -194,14 +194,14 @@ pub fn parse(text: &str, missing: &Missing) -> Result<SerialArm, UrdfError> {
     Ok(arm)
 }
 
-/// A capsule to the next joint, beside what was read.
+/// A capsule to the next joint, in addition to what was read.
 fn bone(arm: &mut SerialArm, next_m: Point, radius_m: f64) {
     if let Some(last) = arm.joints.last_mut() {
         last.shapes.insert(0, Capsule { a_m: DVec3::ZERO, b_m: next_m, radius_m });
     }
 }
 
-/// A joint's limits, and within its soft limits where it has such.
+/// A joint's limits, within its soft limits if it has some.
 fn within_soft(joint: &Joint) -> (f64, f64) {
     let (low, high) = (joint.limit.lower, joint.limit.upper);
     match &joint.safety_controller {

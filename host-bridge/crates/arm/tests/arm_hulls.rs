@@ -94,7 +94,7 @@ const GEN3: [(&str, [[f64; 3]; 5]); 8] = [
     ),
 ];
 
-/// Of the bracelet with the vision module.
+/// Vertices of the bracelet with the vision module.
 const VISION: [[f64; 3]; 3] =
     [[0.0451, -0.0654, -0.0621], [-0.0287, 0.0241, -0.0644], [-0.02, 0.0265, -0.0025]];
 
@@ -108,7 +108,7 @@ fn furthest_out_m(capsules: &[Capsule], points: &[DVec3]) -> f64 {
     points.iter().map(out).fold(f64::NEG_INFINITY, f64::max)
 }
 
-/// The vertices of a hull, where it is at hand.
+/// The vertices of a hull, if it is at hand.
 fn hull(name: &str) -> Option<Vec<DVec3>> {
     let file = Path::new(env!("CARGO_MANIFEST_DIR"))
         .join("../../../../shared/data/arm-hulls")

@@ -53,17 +53,17 @@ impl Caps {
     pub const LEAST: f64 = 0.05;
     /// Never faster.
     pub const MOST: f64 = 1.0;
-    /// Per bend of the index finger.
+    /// Factor for a bend of the index finger.
     pub const FASTER: f64 = 1.10;
-    /// Per bend of the middle finger.
+    /// Factor for a bend of the middle finger.
     pub const SLOWER: f64 = 0.90;
 
-    /// Caps at their start.
+    /// The caps at the start.
     pub fn new(rules: SpeedRules) -> Self {
         Caps { linear_m_s: rules.start, angular_rad_s: rules.start, rules }
     }
 
-    /// Applies bends. Where one state reports bends of both fingers, their order is unknown; those of
+    /// Applies bends. If one state reports bends of both fingers, their order is unknown; those of
     /// the middle finger come last, so that clipping errs on the slow side.
     pub fn bend(&mut self, index: u8, middle: u8) {
         let SpeedRules { least, most, faster, slower, .. } = self.rules;
@@ -71,7 +71,7 @@ impl Caps {
             std::iter::repeat_n(faster, index.into()).chain(std::iter::repeat_n(slower, middle.into()));
         for factor in steps {
             for cap in [&mut self.linear_m_s, &mut self.angular_rad_s] {
-                // Not `clamp`, which panics where the limits are crossed.
+                // Not `clamp`, which panics if the minimum is above the maximum.
                 *cap = (*cap * factor).min(most).max(least);
             }
         }
@@ -132,7 +132,7 @@ pub enum MapError {
     /// There is no `=`, or no label before it.
     #[error("'{0}' is no mapping; write LABEL=MOTION, for example wave=pick-up")]
     NoPair(String),
-    /// A resting class cannot start anything.
+    /// A class for rest cannot start a motion.
     #[error("'{0}' is the class of a resting hand and cannot start a motion; map another label")]
     Rest(String),
 }
@@ -141,7 +141,7 @@ impl MotionMap {
     /// Adds or replaces one entry, written `LABEL=MOTION`.
     ///
     /// # Errors
-    /// [`MapError`] if the text is no such pair, or maps a resting class.
+    /// [`MapError`] if the text is not such a pair, or maps a class for rest.
     pub fn assign(&mut self, mapping: &str) -> Result<(), MapError> {
         let (label, motion) = mapping
             .split_once('=')
@@ -161,7 +161,7 @@ impl MotionMap {
         Ok(())
     }
 
-    /// The label starts nothing.
+    /// The label starts no motion any more.
     pub fn release(&mut self, label: &str) {
         self.entries.retain(|(known, _)| !same_label(known, label));
     }
@@ -174,20 +174,20 @@ impl MotionMap {
         self.entries.iter().find(|(known, _)| same_label(known, label)).map(|(_, motion)| motion)
     }
 
-    /// Lets go of entries whose motion this robot does not have: of the paper's six, another arm may have fewer.
+    /// Drops entries whose motion this robot does not have: another arm may have fewer than the paper's six.
     #[must_use]
     pub fn known_to(mut self, knows: impl Fn(&MotionName) -> bool) -> Self {
         self.entries.retain(|(_, motion)| knows(motion));
         self
     }
 
-    /// Of these labels, the ones that do nothing; resting classes are meant to, and left out.
+    /// Those of the labels that start nothing. Classes for rest are left out: they are meant to start nothing.
     pub fn without_motion<'a>(&self, labels: &'a [String]) -> Vec<&'a str> {
         let idle = |label: &&str| !is_rest(label) && self.motion(label).is_none();
         labels.iter().map(String::as_str).filter(idle).collect()
     }
 
-    /// Entries whose label none of these labels is: typing errors, mostly.
+    /// Entries whose label is not among these: mostly typing errors.
     pub fn unknown_labels(&self, labels: &[String], mappings: &[String]) -> Vec<String> {
         let wanted = mappings.iter().filter_map(|m| m.split_once('=')).map(|(label, _)| label.trim());
         wanted.filter(|w| !labels.iter().any(|l| same_label(l, w))).map(str::to_owned).collect()

@@ -39,7 +39,7 @@ impl Tilts {
         self.0[STATES - 1] = if heading.is_command() { tilt } else { Tilt::default() };
     }
 
-    /// Per axis the smallest of them; none where they point to both sides. A hand that goes back slows the base at once.
+    /// Per axis the smallest of them; none if they point to both sides. A hand that goes back slows the base at once.
     pub fn meant(&self) -> Tilt {
         let least = |of: fn(&Tilt) -> i16| {
             let [first, rest @ ..] = self.0.each_ref().map(of);

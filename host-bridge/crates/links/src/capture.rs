@@ -21,7 +21,7 @@ pub struct Collector {
 /// Why a recording cannot go on; the text says what to do.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CaptureProblem {
-    /// Samples are missing: what comes later does not belong to what came before.
+    /// Samples are missing: what comes after the gap does not continue what came before it.
     #[error("{missing} samples are missing after {after_ms} ms; check the cable and record again")]
     Gap {
         /// How many.
@@ -35,7 +35,7 @@ pub enum CaptureProblem {
         /// When, from the start.
         after_ms: u64,
     },
-    /// The board changed its number of axes on the way.
+    /// The board changed its number of axes during the recording.
     #[error("the board changed from {from} to {to} axes; restart it and record again")]
     Axes {
         /// Before.
@@ -237,7 +237,7 @@ mod tests {
     #[test]
     fn a_left_hands_samples_keep_their_eighths_and_their_times() {
         let mut collector = LeftCollector::new(3, 100);
-        // The board's clock ends and begins anew after 49 days.
+        // The board's clock wraps after 49 days.
         let start_ms = u32::MAX - 9;
         assert_eq!(collector.push(&sample(start_ms)), Ok(false));
         assert_eq!(collector.push(&sample(start_ms.wrapping_add(10))), Ok(false));

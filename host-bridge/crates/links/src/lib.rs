@@ -1,4 +1,4 @@
-//! Where hands come from: serial ports, Bluetooth, recordings, keys; and the client that talks to one board.
+//! The sources of hands: serial ports, Bluetooth, recordings, keys; and the client that talks to one board.
 //!
 //! * [`links`]: ports, and the clock that they share,
 //! * [`hands`], [`keyboard`]: what behaves like a board inside this program, with [`wire`] between,

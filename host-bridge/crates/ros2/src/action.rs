@@ -12,7 +12,7 @@ use super::vendor::Wrapping;
 /// A client of this action, a type of `control_msgs`.
 ///
 /// # Errors
-/// Where its name is none, or the client cannot be made.
+/// If its name is none, or the client cannot be made.
 pub fn connect<G, R, F>(
     node: &mut Node,
     name: &str,
@@ -42,7 +42,7 @@ where
         .map_err(|error| NodeError::of(name, &error))
 }
 
-/// What a server says of a goal.
+/// What a server reports about a goal.
 pub enum Said<R, F> {
     /// It runs.
     Accepted,
@@ -54,7 +54,7 @@ pub enum Said<R, F> {
     Result(GoalStatusEnum, R),
 }
 
-/// A goal of ours, also one that is over.
+/// A goal of ours, including one that is over.
 struct Goal {
     ours: u32,
     request: RmwRequestId,
@@ -72,7 +72,7 @@ pub struct Goals {
 }
 
 impl Goals {
-    /// None yet; so many are remembered.
+    /// No goals yet; this many are remembered.
     pub fn new(most: usize) -> Self {
         Goals { known: Vec::new(), most, foreign: 0 }
     }
@@ -87,7 +87,7 @@ impl Goals {
         self.foreign
     }
 
-    /// Sends a goal; whether it could be handed over.
+    /// Sends a goal; returns whether it could be handed over.
     pub fn send<G, R, F>(&mut self, client: &ActionClient<G, R, F>, ours: u32, goal: G) -> bool
     where
         G: Message + Clone + 'static,
@@ -102,7 +102,7 @@ impl Goals {
         true
     }
 
-    /// Asks for a goal's end; whether that could be handed over.
+    /// Asks for a goal's end; returns whether that could be handed over.
     pub fn cancel<G, R, F>(&self, client: &ActionClient<G, R, F>, ours: u32) -> bool
     where
         G: Message + Clone + 'static,
@@ -113,7 +113,7 @@ impl Goals {
         known.is_some_and(|goal| client.cancel_goal(goal.id).is_ok())
     }
 
-    /// Everything that has come in: our number of the goal, and what was said of it. Answers to cancellations are handed
+    /// Everything that has come in: our number of the goal, and what was reported about it. Answers to cancellations are handed
     /// to `cancelled`.
     pub fn said<G, R, F>(
         &mut self,
@@ -133,7 +133,7 @@ impl Goals {
                 goal.result = client.request_result(goal.id).ok();
                 said.push((goal.ours, Said::Accepted));
             } else {
-                // Kept: of two servers, or after a forged word, another may accept it yet.
+                // Kept: if there are two servers, or an answer was forged, another server may still accept it.
                 said.push((goal.ours, Said::Rejected));
             }
         }

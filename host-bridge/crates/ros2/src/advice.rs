@@ -12,9 +12,9 @@ use super::vendor::Vendor;
 pub struct Participant {
     /// Whose middleware.
     pub vendor: Vendor,
-    /// The protocol's version, such as `2.3`; empty where it is not known.
+    /// The protocol's version, such as `2.3`; empty if it is not known.
     pub version: String,
-    /// What it calls itself.
+    /// The name that it gives itself.
     pub name: Option<String>,
 }
 
@@ -33,7 +33,7 @@ pub struct Endpoint {
     pub vendor: Vendor,
     /// Which participant: the first 12 bytes of its GUID.
     pub participant: String,
-    /// REP-2016's hash of its type, where it says one.
+    /// REP-2016's hash of its type, if it announces one.
     pub type_hash: Option<String>,
 }
 
@@ -48,7 +48,7 @@ pub struct Graph {
     pub writers: Vec<Endpoint>,
 }
 
-/// What this machine's sockets tell.
+/// What this machine's sockets show.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Machine {
     /// Domains in which somebody on this machine listens.
@@ -77,7 +77,7 @@ impl Machine {
             (within >= 10 && within.is_multiple_of(2)).then_some(offset / 250)
         };
         let udp = ports(udp, false);
-        // Both ports must be there: single ones belong to somebody else.
+        // Both ports must be there: a single one belongs to something else.
         let pairs = udp.iter().filter(|&&port| port < u16::MAX && udp.contains(&(port + 1)));
         let domains = pairs.filter_map(|&port| domain(port)).collect();
         Machine { domains, zenoh: ports(tcp, true).contains(&7447) }
@@ -97,7 +97,7 @@ pub struct Topic {
     pub written: bool,
     /// Our offer or request.
     pub reliable: bool,
-    /// Nothing works without somebody at the other end.
+    /// Whether nothing works without somebody at the other end.
     pub needed: bool,
     /// The key in `[ros2]`.
     pub key: &'static str,
@@ -145,7 +145,7 @@ pub fn ros_name(topic: &str) -> String {
     }
 }
 
-/// The topics of a configuration; where it leaves the speed's type open, that is what its readers want.
+/// The topics of a configuration; if it leaves the speed's type open, the type is what the readers want.
 pub fn topics(config: &Ros2Config, graph: &Graph) -> Vec<Topic> {
     let plain = |key, name: &str, type_name: &str, written, reliable, needed| {
         let name = config.resolve(name);
@@ -337,7 +337,7 @@ pub struct Heard {
     pub probe: Probe,
 }
 
-/// What came of trying.
+/// The result of the tries.
 pub fn tried(config: &Ros2Config, graph: &Graph, heard: &Heard, environment: &RosEnvironment) -> Finding {
     let (mut lines, mut advice) = (Vec::new(), Vec::new());
     let states = config.resolve(&config.joint_states);
@@ -383,7 +383,7 @@ pub fn tried(config: &Ros2Config, graph: &Graph, heard: &Heard, environment: &Ro
                  datagrams from it arrive here (firewall, another network)?",
                 server.vendor
             )),
-            // Two of them, which is said already, or seen at the very end.
+            // Two of them, which is reported elsewhere, or seen at the very end.
             Probe::NotSent => {}
         }
         if let Some(rmw) = environment.rmw.as_deref()
@@ -437,7 +437,7 @@ fn remedy(ours: &Topic, other: &Endpoint) -> &'static str {
     }
 }
 
-/// What to do where nobody is seen at all.
+/// What to do if nobody is seen at all.
 pub fn nobody(connection: &Connection, machine: &Machine) -> Vec<String> {
     let mut advice = Vec::new();
     let others: Vec<String> =

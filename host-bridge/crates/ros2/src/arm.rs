@@ -1,6 +1,6 @@
-//! An arm behind a `joint_trajectory_controller`: what is asked of it, and what became of that.
+//! An arm behind a `joint_trajectory_controller`: what is asked of it, and what it did.
 //!
-//! Three ways: a stream of short pieces ([`crate::stream`]), one goal of an action, one message. Only the first is an arm that
+//! There are three methods: a stream of short pieces ([`crate::stream`]), one goal of an action, one message. Only the first is an arm that
 //! stops when this program dies.
 //!
 //! Sans-IO. A trajectory starts at the angles that the robot itself reports, is sent as a whole, and is under way until the controller (action) or the angles and the time (topic) say that it is over. A
@@ -19,19 +19,19 @@ use super::stream::{Late, RobotClock, Stream, off_rad};
 use host_robot::{End, Following, JointLimits, Joints, Motion, Reading, Trajectory};
 use host_topics::message::{ControllerState, JointState, JointTrajectory};
 
-/// The goal is reached within this, where nobody else says so.
+/// The goal counts as reached within this distance, if nobody reports its end.
 const REACHED_RAD: f64 = 0.05;
 /// An arm that is further than this from where it should have been within the last [`FOLLOW_STEPS`] times 20 ms is
 /// stopped.
 const FOLLOW_RAD: f64 = 0.1;
 const FOLLOW_STEPS: u32 = 10;
-/// A controller that wants the arm further from where it wanted it before has begun to move it.
+/// If the controller's set point is further than this from where it was, the arm has begun to move.
 const BEGUN_RAD: f64 = 1e-4;
-/// A cancellation is given up after this long.
+/// A cancellation is abandoned after this long.
 const CANCEL_PATIENCE_MS: u64 = 5000;
 /// No goal runs for longer than this.
 const STRAY_MS: u64 = 300_000;
-/// A goal that was said to be over too early is cancelled by a stop for so long beyond its planned end.
+/// A goal that was reported over too early is still cancelled by a stop for this long beyond its planned end.
 const UNSURE_MS: u64 = 5000;
 /// A motion may take this much longer than planned.
 const OVERDUE_MS: u64 = 10_000;
@@ -43,11 +43,11 @@ struct Run {
     asked_ms: u64,
     /// When it began to move; `None` = no answer yet.
     moving_since_ms: Option<u64>,
-    /// As the controller says.
+    /// As the controller reports it.
     elapsed_s: Option<f64>,
     /// Sent in pieces.
     stream: Option<Stream>,
-    /// It is given up since then.
+    /// The time since which it has been abandoned.
     stopping_since_ms: Option<u64>,
     cancelled_ms: u64,
 }
@@ -67,21 +67,21 @@ pub struct ArmLink {
     answer_ms: u64,
     angles: Angles,
     clock: RobotClock,
-    /// Somebody takes goals (or trajectories).
+    /// Whether somebody takes goals (or trajectories).
     listened_to: bool,
     run: Option<Run>,
     goals: u32,
-    /// Goals that were given up, yet may run: their end is asked for.
+    /// Goals that were abandoned but may still run: their end is asked for.
     strays: Strays,
-    /// Goals that were said to be over before they could be, and until when they might run all the same.
+    /// Goals that were reported over before they could be, and the time until which they may still run.
     unsure: Unsure,
     doubts: Doubts,
     end: Option<End>,
-    /// The controller has taken the run.
+    /// Whether the controller has begun the trajectory.
     is_accepted: bool,
-    /// Where the controller wanted the arm when a trajectory was sent, until it is seen to have begun.
+    /// The controller's set point when a trajectory was sent, until the trajectory is seen to have begun.
     wanted_then: Option<Joints>,
-    /// Where the controller wants the arm.
+    /// The controller's set point.
     wanted: Option<Joints>,
     notes: Vec<String>,
 }
@@ -114,7 +114,7 @@ impl ArmLink {
         self.interface
     }
 
-    /// Takes angles; joints that are not the arm's and values that are no numbers are left out.
+    /// Takes angles; joints that are not the arm's, and NaN, are left out.
     pub fn see(&mut self, state: &JointState, now_ms: u64) {
         self.see_from("", state, now_ms);
     }
@@ -127,7 +127,7 @@ impl ArmLink {
         }
     }
 
-    /// What the controller says of itself, and the factor by which it scales speeds, where it tells.
+    /// What the controller reports about itself, and the factor by which it scales speeds, if it reports it.
     pub fn see_controller(&mut self, state: &ControllerState, scaling: Option<f64>, now_ms: u64) {
         let read = |values: &[f64]| in_order(self.angles.names(), &state.joint_names, values);
         self.wanted = read(&state.reference.positions);
@@ -140,7 +140,7 @@ impl ArmLink {
         self.doubts.controller(reference, scaling, now_ms);
     }
 
-    /// So many goals of others are active on the controller's action server.
+    /// How many goals of others are active on the controller's action server.
     pub fn set_foreign_goals(&mut self, goals: usize) {
         self.doubts.set_foreign(goals);
     }
@@ -151,7 +151,7 @@ impl ArmLink {
         self.doubts.held(&here.joints_rad, now_ms)
     }
 
-    /// What speaks against moving the arm.
+    /// Reasons against moving the arm.
     fn problem(&self, now_ms: u64) -> Option<String> {
         self.doubts.problem(self.interface == ArmInterface::Stream, now_ms)
     }
@@ -161,12 +161,12 @@ impl ArmLink {
         self.listened_to = listened_to;
     }
 
-    /// All joints, if all were heard of lately; accelerations are not told.
+    /// All joints, if all were reported lately; accelerations are not reported.
     pub fn sample(&self, now_ms: u64) -> Option<Motion> {
         self.reading(now_ms).map(|reading| reading.value)
     }
 
-    /// The same, and how old the oldest of it is.
+    /// The same, with the age of the oldest value.
     pub fn reading(&self, now_ms: u64) -> Option<Reading<Motion>> {
         self.angles.reading(now_ms)
     }
@@ -221,7 +221,7 @@ impl ArmLink {
             outputs.push(self.output(self.goals, &trajectory));
         }
         self.is_accepted = false;
-        // An action's server answers; from a topic only the controller's own state tells.
+        // An action's server answers; with a topic only the controller's own state shows the progress.
         self.wanted_then = self.wanted.filter(|_| self.interface != ArmInterface::Action);
         self.run = Some(Run {
             goal: self.goals,
@@ -237,7 +237,7 @@ impl ArmLink {
         Ok(())
     }
 
-    /// What became of it so far.
+    /// Its progress so far.
     pub fn following(&self, now_ms: u64) -> Following {
         match &self.run {
             None => Following::Idle,
@@ -262,7 +262,7 @@ impl ArmLink {
         }
     }
 
-    /// Gives the motion up, if there is one.
+    /// Abandons the motion, if there is one.
     pub fn halt(&mut self, now_ms: u64, outputs: &mut Vec<Output>) {
         self.unsure.halt(now_ms, &mut self.strays, |goal| outputs.push(Output::Cancel { goal }));
         let fresh = self.sample(now_ms);
@@ -293,12 +293,12 @@ impl ArmLink {
         outputs.push(output);
     }
 
-    /// Takes what the action server says.
+    /// Takes an answer of the action server.
     pub fn answer(&mut self, goal: u32, answer: Answer, now_ms: u64, outputs: &mut Vec<Output>) {
         let Some(run) = self.run.as_mut().filter(|run| run.goal == goal) else {
             match answer {
                 Answer::Accepted => {
-                    // Given up long ago, or rejected by another: nothing that is late may move.
+                    // Abandoned long ago, or rejected by another server: nothing that is late may move.
                     self.strays.add(goal, now_ms, now_ms + STRAY_MS);
                     outputs.push(Output::Cancel { goal });
                     self.notes
@@ -310,7 +310,7 @@ impl ArmLink {
             return;
         };
         if matches!(answer, Answer::Succeeded | Answer::Rejected | Answer::Ended(_)) {
-            // Of two servers, or by a forged word, it may run on though it is said to be over.
+            // If there are two servers, or an answer was forged, it may still run though it is reported over.
             let planned_ms = (run.trajectory.duration_s() * 1000.0) as u64;
             if now_ms.saturating_sub(run.asked_ms) < planned_ms {
                 self.unsure.add(goal, run.asked_ms + planned_ms + UNSURE_MS);
@@ -318,7 +318,7 @@ impl ArmLink {
         }
         match answer {
             Answer::Accepted if run.moving_since_ms.is_some() && run.stopping_since_ms.is_none() => {
-                // Two servers, or a forged word: of two motions only one would be watched.
+                // Two servers, or a forged answer: of two motions only one would be watched.
                 self.notes.push(
                     "two controllers have accepted the goal: it is cancelled; end all but one of them"
                         .to_owned(),
@@ -437,7 +437,7 @@ impl ArmLink {
         let problem = match sample {
             None => Some("the arm's angles are no longer heard of".to_owned()),
             Some(sample) => {
-                // Where it should have been at some time of late.
+                // Where it should have been at some recent time.
                 let ago = |k: u32| trajectory.motion((elapsed_s - f64::from(k) * 0.02).max(0.0)).joints_rad;
                 let off = (0..=FOLLOW_STEPS)
                     .map(|k| off_rad(&sample.joints_rad, &ago(k)))
@@ -480,7 +480,7 @@ impl ArmLink {
         self.end.take()
     }
 
-    /// What a person should know, once.
+    /// What a person should know; each message once.
     pub fn take_notes(&mut self) -> Vec<String> {
         std::mem::take(&mut self.notes)
     }
@@ -580,7 +580,7 @@ mod tests {
             let state = ControllerState { joint_names: names(), reference, ..Default::default() };
             rig.arm.see_controller(&state, None, rig.now_ms);
         };
-        // It holds the arm a little beside where that is told to be.
+        // It holds the arm at a small distance from the reported angles.
         let mut held = HOME;
         held[1] += 0.01;
         tell(&mut rig, held);

@@ -30,7 +30,7 @@ pub enum ArmInterface {
 pub enum Stamped {
     /// As said.
     Fixed(bool),
-    /// As whoever listens wants them.
+    /// As the reader wants them.
     Open(Auto),
 }
 
@@ -43,10 +43,10 @@ pub enum Auto {
 }
 
 impl Stamped {
-    /// As whoever listens wants them.
+    /// As the reader wants them.
     pub const AUTO: Stamped = Stamped::Open(Auto::Auto);
 
-    /// What is said; `None` = whoever listens decides.
+    /// The setting; `None` = the reader decides.
     pub fn fixed(self) -> Option<bool> {
         match self {
             Stamped::Fixed(stamped) => Some(stamped),
@@ -77,7 +77,7 @@ pub struct Ros2Config {
     pub cmd_vel: String,
     /// Speeds per second while driving or stopping.
     pub rate_hz: u32,
-    /// After a stop zero is repeated for so long; then silence.
+    /// After a stop zero is repeated for this long; then there is silence.
     pub stop_ms: u64,
     /// Speeds older than this are dropped on the way by middleware that can (Fast DDS); 0 = never.
     pub lifespan_ms: u64,
@@ -95,12 +95,12 @@ pub struct Ros2Config {
     pub joint_states: String,
     /// Angles older than this are not planned from.
     pub joint_states_max_age_ms: u64,
-    /// A goal without an answer for so long is given up and cancelled.
+    /// A goal without an answer for this long is abandoned and cancelled.
     pub answer_ms: u64,
     /// The gripper's action, as `gripper_controller/gripper_cmd`: GripperCommand or ParallelGripperCommand, whichever is
     /// there; `"auto"` = the only one there is whose name ends in `gripper_cmd`; empty = none.
     pub gripper: String,
-    /// The gripper's joint in the joint states, where it is told; empty = it is not looked for.
+    /// The gripper's joint in the joint states, if it is reported there; empty = it is not looked for.
     pub gripper_joint: String,
     /// The joint's position while the gripper is open,
     pub gripper_open: f64,
@@ -108,12 +108,12 @@ pub struct Ros2Config {
     pub gripper_closed: f64,
     /// How far the fingers are apart while it is open, in m.
     pub gripper_width_m: f64,
-    /// A gripper that tells nothing for so long has failed.
+    /// A gripper that reports nothing for this long has failed.
     pub gripper_timeout_ms: u64,
     /// A `std_msgs/Bool` of somebody else's, best latched: true = base and arm stop, as a lock of twist_mux. Also a
     /// stop: nobody publishes it. Empty = there is none.
     pub estop: String,
-    /// An e-stop that says nothing for so long is a stop; 0 = its last word holds.
+    /// An e-stop that is silent for this long counts as a stop; 0 = its last message holds.
     pub estop_timeout_ms: u64,
     /// A driver's fault flag, taken as an e-stop; for ros2_kortex `/fault_controller/internal_fault`.
     pub fault: String,
@@ -184,7 +184,7 @@ impl Default for Ros2Config {
     }
 }
 
-/// What the environment says; looked up by whoever starts the program.
+/// The environment's settings, looked up when the program starts.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct RosEnvironment {
     /// `ROS_DOMAIN_ID`.
@@ -228,7 +228,7 @@ pub struct Connection {
 }
 
 impl Connection {
-    /// Nobody but this machine is to be reached.
+    /// Whether only this machine is to be reached.
     pub fn is_loopback_only(&self) -> bool {
         !self.interfaces.is_empty() && self.interfaces.iter().all(IpAddr::is_loopback)
     }

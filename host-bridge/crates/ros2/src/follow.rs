@@ -28,7 +28,7 @@ pub struct Follow {
 }
 
 impl Follow {
-    /// An action below the controller's name; nobody is asked yet.
+    /// An action below the controller's name; no server is known yet.
     pub fn new(controller: String, qos: QosProfile) -> Self {
         let (client, goals) = (None, Goals::new(GOALS_MAX));
         Follow { controller, qos, client, goals, probe: None, probed: Probe::NotSent }
@@ -40,10 +40,10 @@ impl Follow {
         graph.readers.iter().filter(|r| r.topic == topic && r.type_name == wire::SEND_GOAL).collect()
     }
 
-    /// Looks who serves the action. Returns whether goals may be sent, and what a person should know.
+    /// Looks for the action's server. Returns whether goals may be sent, and what a person should know.
     ///
     /// # Errors
-    /// Where the client cannot be made.
+    /// If the client cannot be made.
     pub fn look(&mut self, node: &mut Node, graph: &Graph) -> Result<bool, NodeError> {
         let servers = self.servers(graph);
         let Some(first) = servers.first() else { return Ok(false) };
@@ -59,13 +59,13 @@ impl Follow {
         Ok(servers.len() == 1)
     }
 
-    /// Sends a goal; whether it could be handed over.
+    /// Sends a goal; returns whether it could be handed over.
     pub fn send(&mut self, ours: u32, trajectory: ros::JointTrajectory) -> bool {
         let Some((_, client)) = &self.client else { return false };
         self.goals.send(client, ours, ros::FollowGoal { trajectory, ..ros::FollowGoal::default() })
     }
 
-    /// Asks for a goal's end; whether that could be handed over.
+    /// Asks for a goal's end; returns whether that could be handed over.
     pub fn cancel(&self, ours: u32) -> bool {
         self.client.as_ref().is_some_and(|(_, client)| self.goals.cancel(client, ours))
     }
@@ -82,7 +82,7 @@ impl Follow {
         }
     }
 
-    /// What came of [`Follow::ask`] so far.
+    /// The result of [`Follow::ask`] so far.
     pub fn probe(&self) -> Probe {
         self.probed
     }
@@ -92,11 +92,11 @@ impl Follow {
         if self.client.is_some() { self.goals.foreign() } else { 0 }
     }
 
-    /// What the server said: our number of the goal, and the answer.
+    /// The server's answers, each with our number of the goal.
     pub fn answers(&mut self) -> Vec<(u32, Answer)> {
         let Some((_, client)) = &self.client else { return Vec::new() };
         let (probe, probed) = (self.probe, &mut self.probed);
-        // The result says what became of a cancellation; its own answers are only looked for after a probe.
+        // The result shows how a cancellation ended; answers to cancellations are only read after a probe.
         let said = self.goals.said(client, |request| {
             if probe == Some(request) {
                 *probed = Probe::Answered;

@@ -14,7 +14,7 @@ use host_topics::message as ros;
 
 /// More goals are not remembered.
 const GOALS_MAX: usize = 64;
-/// What its server's requests end in.
+/// The end of its server's topic for requests.
 const REQUEST: &str = "/_action/send_goalRequest";
 
 /// The kinds of action, and the type of their requests.
@@ -38,13 +38,13 @@ pub struct Gripper {
     namespace: String,
     joint: String,
     qos: QosProfile,
-    /// Name, kind and vendor's way of the server that it is for.
+    /// Name, kind and vendor of the server that it is for.
     client: Option<((String, usize, Wrapping), Client)>,
     goals: Goals,
 }
 
 impl Gripper {
-    /// The gripper of a configuration, if it has one; nobody is asked yet.
+    /// The gripper of a configuration, if it has one; no server is known yet.
     pub fn new(config: &Ros2Config, qos: QosProfile) -> Option<Self> {
         let name = match config.gripper.as_str() {
             "" => return None,
@@ -86,10 +86,10 @@ impl Gripper {
         graph.readers.iter().filter_map(server).collect()
     }
 
-    /// Looks who serves the action. Why nobody can be asked; `None` = somebody can.
+    /// Looks for the action's server. Returns why none can be used; `None` = one can.
     ///
     /// # Errors
-    /// Where the client cannot be made.
+    /// If the client cannot be made.
     pub fn look(&mut self, node: &mut Node, graph: &Graph) -> Result<Option<String>, NodeError> {
         let servers = self.servers(graph);
         let [(name, kind, server)] = servers.as_slice() else {
@@ -130,7 +130,7 @@ impl Gripper {
         })
     }
 
-    /// Sends a goal; whether it could be handed over.
+    /// Sends a goal; returns whether it could be handed over.
     pub fn send(&mut self, ours: u32, position: f64, effort: Option<f64>) -> bool {
         match &self.client {
             None => false,
@@ -151,7 +151,7 @@ impl Gripper {
         }
     }
 
-    /// Asks for a goal's end; whether that could be handed over.
+    /// Asks for a goal's end; returns whether that could be handed over.
     pub fn cancel(&self, ours: u32) -> bool {
         match &self.client {
             None => false,
@@ -160,7 +160,7 @@ impl Gripper {
         }
     }
 
-    /// What the server said: our number of the goal, and the answer.
+    /// The server's answers, each with our number of the goal.
     pub fn answers(&mut self) -> Vec<(u32, GripAnswer)> {
         let first = |state: &ros::JointState| state.position.first().copied().unwrap_or(f64::NAN);
         match &self.client {

@@ -11,16 +11,16 @@ use super::config::Ros2Config;
 use super::robot::Output;
 use super::strays::{CANCEL_INTERVAL_MS, Strays, Unsure};
 
-/// A cancellation's confirmation is no longer waited for after this long; it is asked for on.
+/// Nothing waits longer than this for a cancellation's confirmation; the requests for it go on.
 const CANCEL_PATIENCE_MS: u64 = 2000;
 /// No goal of a gripper runs for longer.
 const STRAY_MS: u64 = 60_000;
-/// However much it tells, a goal is over after this long.
+/// Whatever is reported, a goal is over after this long.
 const OVERALL_MS: u64 = 30_000;
-/// What joint states said longer ago is not known.
+/// Joint states older than this do not count.
 const TOLD_MS: u64 = 1000;
 
-/// What the gripper's server says about a goal.
+/// What the gripper's server reports about a goal.
 #[derive(Clone, Debug, PartialEq)]
 pub enum GripAnswer {
     /// It will be carried out.
@@ -33,11 +33,11 @@ pub enum GripAnswer {
     Done {
         /// Where it is, in the joint's own units.
         position: f64,
-        /// It stands still under its force.
+        /// It is stopped by something, and pushes.
         stalled: bool,
         /// It is where it should be.
         reached: bool,
-        /// As the server has it.
+        /// As the server gives it.
         status: String,
     },
 }
@@ -48,7 +48,7 @@ struct Run {
     closing: bool,
     asked_ms: u64,
     accepted_ms: Option<u64>,
-    /// When something was heard of it.
+    /// When something was last heard of it.
     heard_ms: u64,
     stopping_since_ms: Option<u64>,
 }
@@ -62,13 +62,13 @@ pub struct GripperLink {
     width_m: f64,
     answer_ms: u64,
     timeout_ms: u64,
-    /// Why there is nobody to ask; `None` = there is.
+    /// Why there is no server; `None` = there is one.
     missing: Option<String>,
     goals: u32,
     run: Option<Run>,
     strays: Strays,
     unsure: Unsure,
-    /// How far the fingers are apart, and when that was told.
+    /// How far the fingers are apart, and when that was reported.
     seen: Option<(f64, u64)>,
     end: Option<GripEnd>,
     notes: Vec<String>,
@@ -110,7 +110,7 @@ impl GripperLink {
         self.closed + share * (self.open - self.closed)
     }
 
-    /// Takes its joint's position, where it is among these.
+    /// Takes its joint's position, if it is among these.
     pub fn see(&mut self, state: &JointState, now_ms: u64) {
         let mut joints = state.name.iter().zip(&state.position);
         if let Some((_, &position)) = joints.find(|(name, _)| **name == self.joint) {
@@ -122,7 +122,7 @@ impl GripperLink {
     pub fn opening_m(&self, now_ms: u64) -> Option<Reading<f64>> {
         let (value, at_ms) = self.seen?;
         let age_ms = now_ms.saturating_sub(at_ms);
-        // Without a joint that is told again and again, a result's word holds.
+        // If its joint is not reported regularly, the last result holds.
         (self.joint.is_empty() || age_ms <= TOLD_MS).then_some(Reading { value, age_ms })
     }
 
@@ -153,7 +153,7 @@ impl GripperLink {
         self.end = None;
         self.run = Some(Run {
             goal: self.goals,
-            // Where it is not known, only opening wide is no closing.
+            // If the width is not known, only opening wide does not count as closing.
             closing: grip.opening_m < from_m,
             asked_ms: now_ms,
             accepted_ms: None,
@@ -168,7 +168,7 @@ impl GripperLink {
         Ok(())
     }
 
-    /// Gives the goal up, if there is one. The fingers stay where they are.
+    /// Abandons the goal, if there is one. The fingers stay where they are.
     pub fn halt(&mut self, now_ms: u64, outputs: &mut Vec<Output>) {
         self.unsure.halt(now_ms, &mut self.strays, |goal| outputs.push(Output::CancelGrip { goal }));
         let Some(run) = self.run.as_mut().filter(|run| run.stopping_since_ms.is_none()) else { return };
@@ -177,11 +177,11 @@ impl GripperLink {
         outputs.push(Output::CancelGrip { goal: run.goal });
     }
 
-    /// Takes what the server says.
+    /// Takes an answer of the server.
     pub fn answer(&mut self, goal: u32, answer: GripAnswer, now_ms: u64, outputs: &mut Vec<Output>) {
         let Some(run) = self.run.as_mut().filter(|run| run.goal == goal) else {
             match answer {
-                // Also one that was rejected or over before: nobody wants it now.
+                // Including one that was rejected or over before: nobody wants it now.
                 GripAnswer::Accepted => {
                     outputs.push(Output::CancelGrip { goal });
                     self.stray(goal, now_ms);
@@ -250,7 +250,7 @@ impl GripperLink {
         }
     }
 
-    /// A goal that may run though nobody wants it: its end is asked for until it is known.
+    /// A goal that may run though nobody wants it: its end is requested until it is known.
     fn stray(&mut self, goal: u32, now_ms: u64) {
         self.strays.add(goal, now_ms, now_ms + STRAY_MS);
     }
@@ -302,7 +302,7 @@ impl GripperLink {
         self.end.take()
     }
 
-    /// What a person should know, once.
+    /// What a person should know; each message once.
     pub fn take_notes(&mut self) -> Vec<String> {
         std::mem::take(&mut self.notes)
     }

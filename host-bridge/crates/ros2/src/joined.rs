@@ -34,7 +34,7 @@ impl NodeError {
     }
 }
 
-/// How the base's speed goes out.
+/// How the base's speed is published.
 pub enum Speed {
     /// `geometry_msgs/Twist`.
     Plain(Publisher<ros::Twist>),
@@ -42,7 +42,7 @@ pub enum Speed {
     Stamped(Publisher<ros::TwistStamped>),
 }
 
-/// How the arm's motions go out.
+/// How the arm's motions are sent.
 pub enum Arm {
     /// Not at all.
     None,
@@ -54,11 +54,11 @@ pub enum Arm {
 
 /// What is published beside the commands.
 pub struct Published {
-    /// What the hands do.
+    /// Diagnostics of the hands.
     pub diagnostics: Publisher<ros::DiagnosticArray>,
     /// Whether this program's operator has stopped.
     pub stopped: Publisher<ros::Bool>,
-    /// The simulator's state, where that is wanted and nobody else publishes such.
+    /// The simulator's state, if that is wanted and nobody else publishes it.
     pub sim: Option<SimTopics>,
 }
 
@@ -70,7 +70,7 @@ pub struct SimTopics {
     pub odom: Publisher<ros::Odometry>,
     /// The same as a transform, and the arm's links.
     pub tf: Publisher<ros::TfMessage>,
-    /// Its description, for whoever comes late, too.
+    /// Its description, also for late subscribers.
     pub description: Option<Publisher<ros::Text>>,
     /// That was published.
     pub is_described: bool,
@@ -82,15 +82,15 @@ pub struct Joined {
     pub speed: Speed,
     /// The arm.
     pub arm: Arm,
-    /// The gripper, where there may be one.
+    /// The gripper, if there may be one.
     pub gripper: Option<Gripper>,
     /// Angles that the robot reports.
     pub joint_states: Option<Subscription<ros::JointState>>,
     /// The base's odometry; its stamps say what the robot's clock says.
     pub odom: Option<Subscription<ros::Odometry>>,
-    /// What the arm's controller wants and has; silent while it is not active.
+    /// The arm controller's set point and state; silent while it is not active.
     pub controller_state: Option<Subscription<ToldState>>,
-    /// What the arm's action server says of its goals, where it is not ours to ask.
+    /// The status of the goals on the arm's action server, if we have no client of it.
     pub goals: Option<Subscription<GoalStatusArray>>,
     /// E-stop and fault flag, each as one who comes late reads it and as one who hears what comes.
     pub flags: Vec<[Subscription<ros::Bool>; 2]>,
@@ -134,10 +134,10 @@ fn reliable(config: &Ros2Config) -> QosProfile {
         .reliability_reliable(WhenFull::Fail)
 }
 
-/// What more participants say of themselves is not kept.
+/// Announcements of more participants are not kept.
 const PARTICIPANTS_MAX: usize = 1024;
 
-/// The last word is kept for whoever comes late.
+/// The last message is kept for late subscribers.
 fn latched() -> QosProfile {
     QosProfile::publisher_default()
         .history(History::KeepLast { depth: 1 })
@@ -211,7 +211,7 @@ impl Joined {
             ArmInterface::None => Arm::None,
             ArmInterface::Topic | ArmInterface::Stream => {
                 let name = format!("{controller}/joint_trajectory");
-                // A piece that waits is of no use once the next one is there.
+                // A waiting piece is useless once the next one is there.
                 let qos = qos.clone().history(History::KeepLast { depth: 1 });
                 Arm::Topic(Box::new(publisher(
                     &mut node,
@@ -273,7 +273,7 @@ impl Joined {
         Ok(())
     }
 
-    /// The participant of ours, as [`Joined::graph`] names others.
+    /// Our own participant, named as [`Joined::graph`] names others.
     pub fn own_name(&self) -> String {
         name_of(&self.participant.guid().to_bytes())
     }
@@ -338,7 +338,7 @@ impl Joined {
             graph.writers.push(Endpoint {
                 topic: data.topic_name().clone(),
                 type_name: data.type_name.clone(),
-                // Left out on the wire where it is a writer's default.
+                // Left out on the wire if it is a writer's default.
                 reliable: qos.reliability().is_none() || reliable(qos.reliability()),
                 transient_local: durable(qos.durability()),
                 vendor,
@@ -346,7 +346,7 @@ impl Joined {
                 type_hash: type_hash(&writer.user_data),
             });
         }
-        // Of those that are gone no end points are left.
+        // Participants that are gone have no end points left.
         for end in graph.readers.iter().chain(&graph.writers) {
             let known = self.participants.get(&end.participant).cloned();
             let participant =
@@ -357,15 +357,15 @@ impl Joined {
     }
 }
 
-/// A participant's name on the graph: the first bytes of every end point of his.
+/// A participant's name on the graph: the first bytes of each of its end points.
 pub fn name_of(guid: &[u8]) -> String {
     guid.iter().take(12).map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// A controller's state with what follows in Jazzy; other releases end otherwise, and what cannot be read is left out.
+/// A controller's state with the fields that follow in Jazzy. Other releases end otherwise; what cannot be read is left out.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct ToldState {
-    /// As far as all releases agree.
+    /// The part that all releases share.
     pub state: ros::ControllerState,
     rest: Tail,
 }
@@ -373,19 +373,19 @@ pub struct ToldState {
 impl Message for ToldState {}
 
 impl ToldState {
-    /// The factor by which it scales speeds, where it tells.
+    /// The factor by which it scales speeds, if it reports it.
     pub fn scaling(&self) -> Option<f64> {
         self.rest.0.as_ref().map(|rest| rest.speed_scaling_factor)
     }
 }
 
-/// The end of a message, where it is as expected.
+/// The end of a message, if it is as expected.
 #[derive(Clone, Debug, Serialize)]
 struct Tail(Option<Rest>);
 
 impl<'de> Deserialize<'de> for Tail {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        // Nothing follows that a wrong reading could spoil.
+        // Nothing follows that a wrong reading could damage.
         Ok(Tail(Rest::deserialize(deserializer).ok()))
     }
 }

@@ -9,13 +9,13 @@ const STRAYS_MAX: usize = 64;
 struct Stray {
     goal: u32,
     cancelled_ms: u64,
-    /// It is over then, whatever anybody says.
+    /// It is over then, whatever is reported.
     until_ms: u64,
     /// Somebody has said that it does not run; that may be forged, or another server's word.
     is_said_over: bool,
 }
 
-/// The end of each is asked for until it is known, or until no goal runs for so long.
+/// The end of each is requested until it is known, or until longer than any goal runs.
 #[derive(Clone, Debug, Default)]
 pub struct Strays(Vec<Stray>);
 

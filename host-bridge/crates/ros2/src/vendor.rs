@@ -1,4 +1,4 @@
-//! Whose DDS a participant is, and how its services want their requests.
+//! Whose DDS a participant runs, and how its services want their requests.
 //!
 //! RTPS (version 2.2 and later, 8.2.4.3 and 9.3.1.5) puts the vendor's id in the first two bytes of every
 //! participant's GUID prefix; it is the same as in its announcements.

@@ -121,7 +121,7 @@ fn whatever_two_servers_and_a_forger_answer_a_stop_ends_every_motion() {
                 arm.answer(goal, answer, now_ms, &mut outputs);
             }
             arm.take_end();
-            // What moves after a stop must have been told to end.
+            // Whatever moves after a stop must have been cancelled.
             for it in &running {
                 let over = now_ms >= it.since_ms + takes_ms;
                 let Some(stopped_ms) = stopped_ms.filter(|_| !over && it.cancelled_ms.is_none()) else {
@@ -312,6 +312,6 @@ fn forty_thousand_joint_names_take_no_time() {
     }
     let per_message_ms = began.elapsed().as_millis() as u64 / 100;
     println!("row: 40,000 joint names in a message | 100 | {per_message_ms} ms | 5 ms");
-    // Quadratic it would be seconds, on any machine.
+    // If it were quadratic it would take seconds, on any machine.
     assert!(per_message_ms < 100, "{per_message_ms} ms");
 }

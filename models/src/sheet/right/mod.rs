@@ -223,7 +223,7 @@ impl Take {
 }
 
 /// Several files of one recording, one sensor each: the samples of all at the times of the accelerometer's, between
-/// their neighbours. None where there is no accelerometer among them, or they do not overlap in time.
+/// their neighbours. None if there is no accelerometer among them, or they do not overlap in time.
 ///
 /// # Errors
 /// As [`super::parse`].
@@ -270,7 +270,7 @@ pub fn merge(files: &[(&Path, Vec<u8>)], reading: &Reading) -> Result<Option<She
 }
 
 impl Take {
-    /// A sensor's samples at these times; none where its times do not cover them but for a fifth of a second.
+    /// A sensor's samples at these times; none if its times do not cover them but for a fifth of a second.
     fn at(&self, kind: usize, times: &[f64]) -> Option<Vec<[f64; 3]>> {
         const SLACK_MS: f64 = 200.0;
         let values = &self.values[kind];

@@ -11,13 +11,13 @@ use crate::things::Touch;
 use super::sequence::Act;
 use super::{Director, REST_RAD_S};
 
-/// An arm further than this from where its motion goes on is not moved.
+/// An arm that is further than this from the start of its next trajectory is not moved.
 const OFF_MAX_RAD: f64 = 0.03;
 /// A base further than this from where the motion was planned ends it: in m, and in rad.
 const SHIFTED_MAX: f64 = 0.01;
-/// Whoever commands says so several times in this time. After a silence nothing goes on by itself.
+/// A commander repeats itself several times within this time. After a silence nothing continues by itself.
 const SILENCE_MS: u64 = 250;
-/// Fingers that are wider apart than that beyond what they had have let go of it; and so much narrower, they have lost it.
+/// Fingers that are further apart than before by more than this have released the object; if they are closer by this much, they have lost it.
 const LET_GO_M: f64 = 0.002;
 
 /// A motion under way.
@@ -52,7 +52,7 @@ impl Running {
         }
     }
 
-    /// The hand is at a thing, or will be.
+    /// Whether the hand is at an object, or will be.
     fn is_at_work(&self) -> bool {
         self.now.is_at_work() || self.left.iter().any(Act::is_at_work)
     }
@@ -89,7 +89,7 @@ impl<R: Robot> Director<R> {
                 self.grip_before_m = self.things.opening_m;
                 let between = self.shop().between(&self.things, &flange);
                 let held = self.things.held();
-                // What it has already is between its fingers.
+                // What it already holds is between its fingers.
                 let between_m = between.map(|(_, width_m)| width_m).or(held.and(self.things.opening_m));
                 self.robot.grip(Grip { opening_m: *opening_m, effort_n: *effort_n, between_m })?;
                 self.things.touch = self.shop().touching(&self.things, &flange);
@@ -99,7 +99,7 @@ impl<R: Robot> Director<R> {
         Ok(())
     }
 
-    /// Looks what has become of the act under way, and goes on.
+    /// Looks at how the present act went, and continues.
     pub(super) fn carry_on(&mut self) {
         let (end, grip_end) = (self.robot.take_end(), self.robot.take_grip_end());
         self.things.opening_m = self.robot.opening_m().map(|opening| opening.value);
@@ -174,12 +174,12 @@ impl<R: Robot> Director<R> {
         Ok(())
     }
 
-    /// The hand is at a thing, or will be before the motion ends.
+    /// Whether the hand is at an object, or will be before the motion ends.
     pub(super) fn is_at_work(&self) -> bool {
         self.running.as_ref().is_some_and(Running::is_at_work)
     }
 
-    /// What the gripper came to. Only a stall while closing is a thing between the fingers.
+    /// How the grip ended. Only a stall while closing means an object between the fingers.
     fn gripped(&mut self, end: GripEnd, asked_m: f64, closes_on: bool) -> Result<(), Option<String>> {
         let before_m = self.grip_before_m;
         let felt_m = self.robot.opening_m().map(|reading| reading.value);
@@ -188,7 +188,7 @@ impl<R: Robot> Director<R> {
         if let Ok(flange) = self.flange_for_grip() {
             let mut things = self.things.clone();
             things.opening_m = before_m;
-            // As far as they have gone; a gripper that does not say so is where it was asked to be, or has moved nowhere.
+            // As far as the fingers have moved. A gripper that does not report it is where it was asked to be, or has not moved.
             let reached_m = if end == GripEnd::Reached { Some(asked_m) } else { before_m };
             let now_m = felt_m.or(reached_m);
             let has_moved = match (now_m, before_m) {
@@ -218,7 +218,7 @@ impl<R: Robot> Director<R> {
         }
     }
 
-    /// Ends the motion where it is; `why` where the robot did not work.
+    /// Ends the motion where it is; `why` if the robot failed.
     fn give_up(&mut self, why: Option<String>) {
         let Some(running) = &self.running else { return };
         let step = running.acts - running.left.len();
@@ -240,14 +240,14 @@ impl<R: Robot> Director<R> {
         }
     }
 
-    /// Nothing of the motion goes on, whichever part of it is under way.
+    /// Ends the whole motion, whichever part of it is running.
     pub(super) fn halt_motion(&mut self) {
         if let Some(running) = &mut self.running {
             running.halted = true;
         }
     }
 
-    /// Where the flange is; without things to grip nobody needs to know.
+    /// Where the flange is; not needed if there is nothing to grip.
     fn flange_for_grip(&self) -> Result<host_robot::Pose, String> {
         if self.shop().objects.is_empty() {
             return Ok(host_robot::Pose::IDENTITY);

@@ -36,7 +36,7 @@ const CATCH_UP_MS: u64 = 10_000;
 /// A joint faster than this is not at rest: encoders are noisy.
 const REST_RAD_S: f64 = 0.02;
 
-/// The arm and what stands around it, when nothing is planned for.
+/// The arm and its surroundings, if nothing is planned.
 #[derive(Debug)]
 struct Bare {
     arm: SerialArm,
@@ -71,7 +71,7 @@ pub struct Director<R> {
 }
 
 impl<R: Robot> Director<R> {
-    /// A robot with nothing around it: its arm moves through home.
+    /// A robot without a scene: its arm moves through home.
     pub fn new(robot: R, motions: Motions) -> Self {
         Director::with(robot, motions, SerialArm::gen3(), None)
     }
@@ -113,7 +113,7 @@ impl<R: Robot> Director<R> {
         &self.robot
     }
 
-    /// The robot, to hand it what came from elsewhere.
+    /// The robot, for handing it what came from elsewhere.
     pub fn robot_mut(&mut self) -> &mut R {
         &mut self.robot
     }
@@ -174,7 +174,7 @@ impl<R: Robot> Door for Director<R> {
             self.guard_due_ms = 0;
         }
         self.wanted = twist;
-        // Also where nothing changed: it says that the bridge is alive.
+        // Also if nothing changed: it shows that the bridge is alive.
         if self.guard_due_ms == 0 {
             self.guard();
         }

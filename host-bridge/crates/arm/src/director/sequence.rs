@@ -13,14 +13,14 @@ use crate::things::{Shop, Things, Touch, in_scene};
 
 use super::{Director, REST_RAD_S};
 
-/// So far a hand that is at something backs off before it goes on freely.
+/// How far a hand that is at an object backs off before it moves freely.
 const BACK_OFF_M: f64 = 0.1;
-/// And so far what stands on something is lifted.
+/// And how far an object that stands on something is lifted.
 const LIFT_M: f64 = 0.05;
-/// Fingers wider apart than this share of their way are open.
+/// Fingers that are further apart than this share of their range are open.
 const OPEN_SHARE: f64 = 0.5;
 
-/// One thing after the other.
+/// The acts, one after the other.
 #[derive(Clone, Debug)]
 pub(super) enum Act {
     /// The arm follows this.
@@ -47,7 +47,7 @@ impl Act {
     }
 }
 
-/// Where a plan has got to.
+/// The state of a plan so far.
 struct Draft {
     acts: VecDeque<Act>,
     from_rad: Joints,
@@ -64,7 +64,7 @@ impl Draft {
 
     fn follow(&mut self, leg: Trajectory, home_s: f64, touch: Touch) {
         self.from_rad = leg.goal_rad();
-        // Legs without anything in between are one trajectory: the arm rests there, and nobody is asked again.
+        // Legs with nothing in between form one trajectory: the arm rests between them, and nothing is checked again.
         if let Some(Act::Follow { trajectory, touch: same, .. }) = self.acts.back_mut()
             && *same == touch
         {
@@ -112,7 +112,7 @@ impl<R: Robot> Director<R> {
                 }
                 self.robot.held_rad().unwrap_or(here.joints_rad)
             }
-            // A gripper works without; what it grips is then not known.
+            // A gripper works without a pose; then it is not known what it grips.
             None if !moves => [0.0; host_robot::JOINTS],
             None => return Err("the arm's angles are not known".to_owned()),
         };
@@ -162,7 +162,7 @@ impl<R: Robot> Director<R> {
         self.go_freely(&goal_rad, draft)
     }
 
-    /// Where the flange shall be, in the arm's base frame.
+    /// The flange's goal, in the arm's base frame.
     fn target(&self, step: &Step, from_rad: &Joints) -> Pose {
         let point_m = self.shop().tool.point_m();
         let here = self.bare.arm.flange_pose(from_rad);
@@ -192,7 +192,7 @@ impl<R: Robot> Director<R> {
         Ok(found.map_err(|error| error.to_string())?.joints_rad)
     }
 
-    /// To these angles: through home, or the planned way.
+    /// To these angles: through home, or along the planned path.
     fn go_freely(&mut self, goal_rad: &Joints, draft: &mut Draft) -> Result<(), String> {
         let arm = &self.bare.arm;
         let from_rad = draft.from_rad;
@@ -222,7 +222,7 @@ impl<R: Robot> Director<R> {
         Ok(())
     }
 
-    /// Straight to a place of the flange. Beside a grip it may touch the thing and what it stands on.
+    /// Straight to a place of the flange. Next to a gripper step it may touch the object and what that stands on.
     fn go_straight(
         &self,
         target: &Pose,
@@ -256,7 +256,7 @@ impl<R: Robot> Director<R> {
         Ok(())
     }
 
-    /// A hand that is at something goes back from it, or lifts what it has, before it goes on freely.
+    /// A hand that is at an object backs off from it, or lifts what it holds, before it moves freely.
     fn back_off(&self, draft: &mut Draft) -> Result<(), String> {
         let Some(part) = self.is_at_something(draft) else { return Ok(()) };
         let here = self.bare.arm.flange_pose(&draft.from_rad);
@@ -269,7 +269,7 @@ impl<R: Robot> Director<R> {
             .map_err(|why| format!("the hand cannot get away from what it is at: {why}"))
     }
 
-    /// What of the hand is nearer to a thing, or to what that stands on, than motions may start.
+    /// The part of the hand that is nearer to an object, or to what that stands on, than motions may start.
     fn is_at_something(&self, draft: &Draft) -> Option<Part> {
         let planner = self.planner.as_ref()?;
         let world = planner.world();
@@ -281,7 +281,7 @@ impl<R: Robot> Director<R> {
         let part = near_m(&draft.things)?;
         let here = self.flange_in_scene(draft.placement, &draft.from_rad);
         let touch = self.shop().touching(&draft.things, &here);
-        // Only where it is the hand's own thing that is near.
+        // Only if the near object is the hand's own.
         let without = near_m(&Things { touch, ..draft.things.clone() });
         without.is_none().then_some(part)
     }
@@ -310,7 +310,7 @@ impl<R: Robot> Director<R> {
         let closes_on = opening_m == 0.0;
         let flange = self.flange_in_scene(draft.placement, &draft.from_rad);
         if let Some(planner) = &self.planner {
-            // The fingers need room at both ends of their way.
+            // The fingers need room at both ends of their range.
             for width_m in [draft.things.opening_m, Some(opening_m)] {
                 let touch = shop.touching(&draft.things, &flange);
                 let things = Things { opening_m: width_m, touch, ..draft.things.clone() };

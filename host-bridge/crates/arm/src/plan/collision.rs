@@ -1,7 +1,7 @@
-//! How near the robot is to itself and to its surroundings.
+//! How near the robot's parts are to each other and to the surroundings.
 //!
 //! Checks between two configurations are exact, not sampled: a turn moves no point of the arm further than
-//! the angle times the joint's lever, so one distance clears a whole stretch of the way
+//! the angle times the joint's lever, so one distance clears a whole part of the path
 //! ([`Surroundings::way_is_clear`]).
 
 use std::cell::Cell;
@@ -46,7 +46,7 @@ pub enum Part {
     Tool,
     /// The fingers of a gripper.
     Fingers,
-    /// What the gripper has.
+    /// What the gripper holds.
     Held,
     /// A box of the scene.
     Box(usize),
@@ -59,7 +59,7 @@ pub enum Part {
 /// The two parts that are nearest to each other.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Clearance {
-    /// Distance in m; negative where they overlap.
+    /// Distance in m; negative if they overlap.
     pub distance_m: f64,
     /// Which.
     pub parts: (Part, Part),
@@ -93,7 +93,7 @@ impl World {
     pub fn new(arm: SerialArm, scene: Scene) -> Self {
         let links = arm.joints.len() + 1;
         let tool = scene.tool();
-        // Of whatever could be held, so that no bound must change while something is.
+        // Of anything that could be held, so that no bound changes while something is held.
         let held_m = if tool.hand().is_none() {
             0.0
         } else {
@@ -135,7 +135,7 @@ impl World {
         let on_flange = self.on_flange(&self.start);
         let mut always = self.pairs.clone();
         for _ in 0..BENT {
-            // What was clear once is so; mostly nothing is left after a few.
+            // A pair that was clear once stays so; mostly none is left after a few looks.
             if always.is_empty() {
                 return;
             }
@@ -160,7 +160,7 @@ impl World {
         self.pairs.retain(|pair| !always.contains(pair));
     }
 
-    /// Objects, boxes and tool, for those who grip.
+    /// Objects, boxes and tool, for gripping.
     pub fn shop(&self) -> Shop<'_> {
         Shop { objects: &self.scene.objects, boxes: &self.scene.boxes, tool: &self.tool }
     }
@@ -236,7 +236,7 @@ impl World {
         }
     }
 
-    /// What the arm has around it when the base stands there, with tool and objects as the scene says.
+    /// The arm's surroundings when the base stands there, with tool and objects as in the scene.
     pub fn around(&self, placement: Placement) -> Surroundings<'_> {
         self.around_with(placement, &self.start)
     }
@@ -347,7 +347,7 @@ impl<'w> Surroundings<'w> {
         if own.distance_m < boxes.distance_m { own } else { boxes }
     }
 
-    /// The same apart: to the robot itself and the floor, which is the same wherever the base stands; and
+    /// The same, separately: to the robot itself and the floor, which is the same wherever the base stands; and
     /// to the boxes.
     pub fn arm_clearances(&self, joints_rad: &Joints) -> (Clearance, Clearance) {
         self.checks.set(self.checks.get() + 1);
@@ -383,7 +383,7 @@ impl<'w> Surroundings<'w> {
         (own, boxes)
     }
 
-    /// A distance, or none where the two may touch: on the straight way to or from a thing the fingers that thing, and
+    /// A distance, or none if the two may touch: on the straight way to or from a thing the fingers that thing, and
     /// what is held what it stands on, which it does not sink into.
     fn allowed_m(&self, distance_m: f64, part: Part, other: Part) -> f64 {
         let touch = self.touch;
@@ -405,7 +405,7 @@ impl<'w> Surroundings<'w> {
         nearest
     }
 
-    /// Nothing comes nearer than half the margin anywhere on the straight way in joint space, and nothing
+    /// Nothing comes nearer than half the margin anywhere on the straight line in joint space, and nothing
     /// nearer than the margin where it was looked at. What there is no check left for is not clear.
     pub fn way_is_clear(&self, from_rad: &Joints, to_rad: &Joints, margin_m: f64) -> bool {
         let sweep_m = self.sweep_m(from_rad, to_rad);
@@ -414,7 +414,7 @@ impl<'w> Surroundings<'w> {
             && self.stretch_is_clear(from_rad, to_rad, (0.0, 1.0), sweep_m, margin_m)
     }
 
-    /// Between two shares of the way, of which the whole sweeps `sweep_m`.
+    /// Between two shares of a path that as a whole sweeps `sweep_m`.
     fn stretch_is_clear(
         &self,
         from_rad: &Joints,
@@ -441,13 +441,13 @@ impl<'w> Surroundings<'w> {
             && self.stretch_is_clear(from_rad, to_rad, (middle, end), sweep_m, margin_m)
     }
 
-    /// No point of the arm moves further than this on the way between two configurations.
+    /// No point of the arm moves further than this between two configurations.
     pub fn sweep_m(&self, from_rad: &Joints, to_rad: &Joints) -> f64 {
         (0..JOINTS).map(|i| (to_rad[i] - from_rad[i]).abs() * self.world.lever_m[i]).sum()
     }
 }
 
-/// A point on the straight way between two configurations.
+/// A point on the straight line between two configurations.
 pub fn between(from_rad: &Joints, to_rad: &Joints, share: f64) -> Joints {
     std::array::from_fn(|i| from_rad[i] + share * (to_rad[i] - from_rad[i]))
 }

@@ -6,14 +6,14 @@ use crate::ik::{self, Budget};
 use crate::model::SerialArm;
 use crate::plan::purse::Purse;
 
-/// One point of the line per so much of its way; in between the joints go straight, a fraction of a millimetre off it.
+/// Distance of two points of the line; between them the joints go straight, a fraction of a millimetre off the line.
 const STEP_M: f64 = 0.02;
 const STEP_RAD: f64 = 0.08;
 /// A joint that turns further from one point to the next has flipped over.
 const JUMP_RAD: f64 = 0.35;
 const STEPS: usize = 80;
 
-/// The line ends before its end.
+/// The line cannot be followed to its end.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[error(
     "the straight line ends after {after_mm:.0} of {of_mm:.0} mm: the arm is at a limit or stretched out there; start \

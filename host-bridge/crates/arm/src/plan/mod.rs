@@ -1,4 +1,4 @@
-//! Motion planning for the arm: what is in the way, a way around it, and how fast to take it.
+//! Motion planning for the arm: what is in the way, a path around it, and how fast to follow it.
 //!
 //! ```text
 //! pose ─► planner ─► straight? ─► rrt + shortcuts ─► via home ─► refusal

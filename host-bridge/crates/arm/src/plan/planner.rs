@@ -21,7 +21,7 @@ const BRAKING_INTERVAL_S: f64 = 0.05;
 /// A path with more corners than this stops at all of them or at none.
 const CHOICE_CORNERS_MAX: usize = 4;
 
-/// How a way was found.
+/// How a path was found.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
     /// All joints straight to the goal.
@@ -62,7 +62,7 @@ pub enum Refusal {
         one: String,
         /// The other.
         two: String,
-        /// Their distance at the goal; negative where they overlap.
+        /// Their distance at the goal; negative if they overlap.
         distance_mm: f64,
     },
     /// The arm touches something now, or is beyond a limit.
@@ -89,7 +89,7 @@ pub enum Refusal {
         one: String,
         /// The other.
         two: String,
-        /// Their distance; negative where they overlap.
+        /// Their distance; negative if they overlap.
         distance_mm: f64,
     },
     /// Nothing was found.
@@ -146,7 +146,7 @@ impl Planner {
     fn solve_goals(&self) -> Result<Vec<(String, Joints)>, BadPose> {
         let (arm, scene) = (self.world.arm(), self.world.scene());
         let around = self.world.around(Placement::default());
-        // Twice the margin, so that there is a way in.
+        // Twice the margin, so that there is a path in.
         let safe = |joints: &Joints| around.arm_clearance(joints).distance_m >= 2.0 * scene.arm.margin_m;
         let solve = |(name, goal): (&str, Goal)| {
             let bad = |reason: String| BadPose(MotionError::Pose { name: name.to_owned(), reason });
@@ -203,7 +203,7 @@ impl Planner {
         self.world.around_with(case.placement, case.things).paid_from(case.purse)
     }
 
-    /// Angles within the limits that put the flange there and touch nothing, as near as can be to where the arm is.
+    /// Angles within the limits that put the flange there and touch nothing, as near as possible to the arm's present angles.
     ///
     /// # Errors
     /// [`Refusal::Unreachable`].
@@ -214,7 +214,7 @@ impl Planner {
         Ok(ik::solve_from(case.purse, arm, target, from_rad, scene.arm.seed, safe)?.joints_rad)
     }
 
-    /// Plans a straight line of the flange; there is no way around.
+    /// Plans a straight line of the flange, without a detour.
     ///
     /// # Errors
     /// [`Refusal`], with which nothing moves.
@@ -300,7 +300,7 @@ impl Planner {
         }
     }
 
-    /// One way from rest to rest: straight, or around.
+    /// A path from rest to rest: straight, or around.
     fn leg(
         &self,
         around: &Surroundings<'_>,

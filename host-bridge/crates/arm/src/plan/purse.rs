@@ -21,12 +21,12 @@ impl Default for Purse {
 }
 
 impl Purse {
-    /// So many checks.
+    /// This many checks.
     pub fn of(checks: u64) -> Self {
         Purse { full: checks, spent: Cell::new(0) }
     }
 
-    /// So many were made.
+    /// This many were made.
     pub fn spend(&self, checks: u64) {
         self.spent.set(self.spent.get() + checks);
     }

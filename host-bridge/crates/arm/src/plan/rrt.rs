@@ -8,18 +8,18 @@ use host_robot::{JOINTS, Joints};
 /// A tree grows by steps that sweep at most this far.
 const STEP_M: f64 = 0.35;
 
-/// So often shortcuts between two random places of the path are tried.
+/// How often shortcuts between two random places of the path are tried.
 const SHORTCUT_TRIES: usize = 40;
 
 /// Joints without an end are searched this far beyond both ends of the path.
 const BEYOND_RAD: f64 = 2.0;
 
-/// How the search may go about.
+/// Settings of the search.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Search {
     /// Distance to keep.
     pub margin_m: f64,
-    /// It gives up after so many checks.
+    /// It gives up after this many checks.
     pub checks_max: u64,
     /// Equal seeds give equal paths.
     pub seed: u64,
@@ -34,7 +34,7 @@ enum Grown {
     Reached(usize),
 }
 
-/// A path between two clear configurations, both included; `None` where none was found in time.
+/// A path between two clear configurations, both included; `None` if none was found in time.
 pub fn connect(
     around: &Surroundings<'_>,
     from_rad: &Joints,
@@ -124,7 +124,7 @@ pub fn shorten(around: &Surroundings<'_>, mut path: Vec<Joints>, search: &Search
         if path.len() < 3 {
             break;
         }
-        // Two places on different ways of the path.
+        // Two places on different segments of the path.
         let one = random.below(path.len() - 1);
         let two = random.below(path.len() - 1);
         let (first, last) = (one.min(two), one.max(two));
@@ -139,7 +139,7 @@ pub fn shorten(around: &Surroundings<'_>, mut path: Vec<Joints>, search: &Search
     path
 }
 
-/// Leaves out each corner that the way around does not need.
+/// Leaves out each corner that the detour does not need.
 fn drop_corners(around: &Surroundings<'_>, path: &mut Vec<Joints>, search: &Search) {
     let mut start = 0;
     while start + 2 < path.len() {

@@ -9,7 +9,7 @@ pub(super) fn without_figures(text: &str) -> impl Iterator<Item = char> {
     text.chars().filter(|c| !c.is_ascii_digit())
 }
 
-/// What a heading asks of the base: neutral and between are one to it.
+/// What a heading asks of the base; neutral and between ask the same.
 pub(super) fn command(heading: Heading) -> Heading {
     if heading == Heading::Between { Heading::Neutral } else { heading }
 }

@@ -41,16 +41,16 @@ pub struct Bridge {
     events: Vec<BridgeEvent>,
     heard: Vec<Heard>,
     last_acks: PerHand<Option<Ack>>,
-    /// Flags that were told.
+    /// Flags that were reported.
     told_health: PerHand<u8>,
     acceptances: Acceptances,
     /// Why the robot itself refuses to move.
     refusal: Option<String>,
-    /// What this session may not do.
+    /// What this session is not allowed to do.
     restriction: Option<Restriction>,
 }
 
-/// What a session may not do, and why.
+/// What a session is not allowed to do, and why.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Restriction {
     /// Fastest speed of the base, in m/s and rad/s.
@@ -65,7 +65,7 @@ impl Bridge {
         Bridge::with(map, SpeedRules::default(), SafetyTimes::default())
     }
 
-    /// The same with other limits.
+    /// As `new`, with other limits.
     pub fn with(map: MotionMap, speed: SpeedRules, times: SafetyTimes) -> Self {
         Bridge {
             links: PerHand::of(HandLink::new),
@@ -130,7 +130,7 @@ impl Bridge {
         self.apply(safety::Event::Robot { refuses }, now_ms, robot);
     }
 
-    /// Whether that says something else than what is known; figures alone, which change all the time, do not.
+    /// Whether this text differs from the last one in more than its figures, which change all the time.
     pub fn is_news_of_robot(&self, refusal: Option<&str>) -> bool {
         match (self.refusal(), refusal) {
             (Some(known), Some(said)) => !without_figures(known).eq(without_figures(said)),
@@ -150,7 +150,7 @@ impl Bridge {
         self
     }
 
-    /// Lets go of motions that the robot does not have.
+    /// Drops motions that the robot does not have.
     #[must_use]
     pub fn known_to(mut self, knows: impl Fn(&MotionName) -> bool) -> Self {
         self.map = self.map.known_to(|motion| *motion == *MotionName::END_ARM || knows(motion));
@@ -222,7 +222,7 @@ impl Bridge {
         self.note(now_ms, EventKind::ArmEnded);
     }
 
-    /// The release key, pressed and confirmed; has an effect only where no right hand is connected.
+    /// The release key, pressed and confirmed; has an effect only if no right hand is connected.
     pub fn release_key(&mut self, now_ms: u64, robot: &mut dyn Door) {
         self.apply(safety::Event::ReleaseKey, now_ms, robot);
     }
@@ -332,7 +332,7 @@ impl Bridge {
                 self.left_state = state;
                 self.apply(event, now_ms, robot);
                 let heading = self.safety.heading();
-                // A halt has its own event.
+                // A halt is an event of its own.
                 if self.safety.state() == State::Armed && command(heading) != before {
                     let event = EventKind::Heading {
                         heading,

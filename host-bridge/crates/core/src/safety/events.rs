@@ -24,17 +24,17 @@ pub enum Event {
     Tick,
     /// A hand started: a hello with a boot id that is new on this link.
     Started(Hand),
-    /// A hand is there but must not be acted on (the versions differ): as if it were silent.
+    /// A hand is there but must not be acted on, since the versions differ. It counts as silent.
     Unusable(Hand),
-    /// The hand answers no pings, so that nobody knows how old its states are: as if it were silent.
+    /// The hand answers no pings, so nobody knows how old its states are. It counts as silent.
     Unanswered(Hand),
     /// The left hand's state, newer than all before it.
     Left {
-        /// The most that the age of the sample can be.
+        /// Upper bound of the sample's age.
         age_ms: u64,
         /// The link's last round trip is fresh and short: neutral counts.
         prompt: bool,
-        /// No health flag that forbids to act.
+        /// Whether no health flag forbids acting on it.
         healthy: bool,
         /// Where the hand points.
         heading: Heading,
@@ -49,11 +49,11 @@ pub enum Event {
     },
     /// The right hand's state, newer than all before it.
     Right {
-        /// The most that the age of the newest sample can be.
+        /// Upper bound of the newest sample's age.
         age_ms: u64,
         /// The link's last round trip is fresh and short: rest counts.
         prompt: bool,
-        /// No health flag that forbids to act.
+        /// Whether no health flag forbids acting on it.
         healthy: bool,
         /// A resting class has the highest score.
         resting: bool,
@@ -67,7 +67,7 @@ pub enum Event {
     },
     /// The operator's stop: a key, a button.
     StopKey,
-    /// The operator's release key, pressed and confirmed. Only counts where no right hand is connected.
+    /// The operator's release key, pressed and confirmed. Only counts if no right hand is connected.
     ReleaseKey,
 }
 
@@ -89,7 +89,7 @@ pub enum HaltReason {
     RobotRefuses,
 }
 
-/// Why something that a hand did has no effect.
+/// Why something that a hand did had no effect.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Ignored {
@@ -99,7 +99,7 @@ pub enum Ignored {
     LateGesture,
     /// A gesture while not armed.
     GestureWhileNotArmed,
-    /// More bends in one state than fingers can make meanwhile.
+    /// More bends in one state than fingers can make in that time.
     ImpossibleBends,
     /// Bends while not armed.
     BendsWhileNotArmed,
@@ -116,7 +116,7 @@ pub enum Action {
     ResetCaps,
     /// The state changed.
     Entered(State),
-    /// The stop is over. Nothing moves by that.
+    /// The stop is over. That alone moves nothing.
     Released,
     /// These bends count.
     Bends {

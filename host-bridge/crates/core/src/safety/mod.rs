@@ -40,7 +40,7 @@ pub const ARM_NEUTRAL_MS: u64 = 100;
 /// most [`STALE_MS`], and a finger bends and straightens five times a second at most.
 pub const BENDS_MAX: u8 = 3;
 
-/// Neutral rests on so many samples.
+/// Neutral needs at least this many samples.
 pub const NEUTRAL_SAMPLES: u32 = 3;
 
 /// A hand whose pings go unanswered for this long is not acted on.
@@ -49,7 +49,7 @@ pub use crate::link::ANSWER_PATIENCE_MS;
 /// The hands must be neutral for this long before a stop can be released.
 pub const RELEASE_NEUTRAL_MS: u64 = 1000;
 
-/// The three times above, where somebody wants to be stricter than the defaults.
+/// The three times above, for somebody who wants stricter ones than the defaults.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SafetyTimes {
@@ -97,7 +97,7 @@ impl Default for SafetyTimes {
 pub enum State {
     /// Nothing moves until every awaited hand is there and every connected one was seen neutral.
     Waiting,
-    /// The hands drive the robot.
+    /// Whether the hands drive the robot.
     Armed,
     /// A connected hand is silent or not fit to act on.
     Stale,
@@ -136,7 +136,7 @@ impl Safety {
         Safety::with(SafetyTimes::default())
     }
 
-    /// The same with other times.
+    /// As `new`, with other times.
     pub fn with(times: SafetyTimes) -> Self {
         Safety {
             times,
@@ -345,7 +345,7 @@ impl Safety {
         }
     }
 
-    /// Everybody connected is live, and the left hand (where there is one) has been neutral up to now,
+    /// Everybody connected is live, and the left hand (if there is one) has been neutral up to now,
     /// for a second already at `time_ms`. Without a left hand, the right one must have rested instead.
     fn neutral_long_enough_at(&self, time_ms: u64) -> bool {
         let all_live = (self.left.connected || self.right.connected)
@@ -430,7 +430,7 @@ impl Safety {
         if connected().next().is_none() {
             return;
         }
-        // Together: what counts is the time for which all of them were.
+        // Together: what counts is the time during which all of them were neutral.
         let all: Option<Vec<Neutral>> = connected().map(|watch| watch.neutral).collect();
         let together = all.and_then(|all| {
             all.into_iter().reduce(|a, b| Neutral {

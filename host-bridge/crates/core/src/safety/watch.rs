@@ -9,12 +9,12 @@ pub(super) struct Watch {
     pub(super) live: bool,
     /// Host time of the newest valid sample, at the earliest.
     pub(super) sample_ms: u64,
-    /// Samples taken before this time are no neutral ones: something happened then that takes it back.
+    /// Samples taken before this time do not count as neutral: something happened then that resets it.
     pub(super) reset_ms: u64,
     pub(super) neutral: Option<Neutral>,
 }
 
-/// Neutral samples without another between them.
+/// Neutral samples in a row.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Neutral {
     /// Host time of the first one, at the latest.
@@ -38,7 +38,7 @@ impl Watch {
         self.reset(now_ms);
     }
 
-    /// Whatever was neutral before now must be so again.
+    /// What was neutral before now must be neutral again.
     pub(super) fn reset(&mut self, now_ms: u64) {
         self.reset_ms = now_ms;
         self.neutral = None;
@@ -47,7 +47,7 @@ impl Watch {
     pub(super) fn refresh(&mut self, age_ms: u64, neutral: bool, now_ms: u64) {
         let sample_ms = now_ms.saturating_sub(age_ms);
         self.live = true;
-        // Ages jitter: time on a hand never runs back.
+        // Ages jitter, but the time of a hand's samples never runs back.
         self.sample_ms = self.sample_ms.max(sample_ms);
         if !neutral {
             self.neutral = None;

@@ -14,7 +14,7 @@ use super::Board;
 use super::virtual_board::{PERIOD_MS, VirtualLeft};
 use models::adc::AdcRecording;
 
-/// A sample this late still belongs to its period; later, it has none.
+/// A sample up to this late still belongs to its period; a later one belongs to none.
 const JITTER_MS: u64 = PERIOD_MS / 2;
 /// From the start of one calibration step to the next: 64 samples, and an EEPROM's time to keep them.
 const STEP_MS: u64 = 900;
@@ -54,14 +54,14 @@ impl LeftBoard {
     }
 
     /// Takes neutral and rest from the first 1.6 s, as if the wearer had asked for it: the hand level and
-    /// still, the fingers straight. Where it is not, the calibration stays what it was.
+    /// still, the fingers straight. If it is not, the calibration stays what it was.
     #[must_use]
     pub fn calibrated_at_start(mut self) -> Self {
         self.steps = vec![(STEP_MS, CalibrationStep::Rest), (0, CalibrationStep::Neutral)];
         self
     }
 
-    /// Asks the board for what is due, in its own words.
+    /// Sends the board the request that is due, as a frame.
     fn calibrate(&mut self, now_ms: u64, wire: &mut Vec<u8>) {
         while let Some((_, step)) = self.steps.pop_if(|(at_ms, _)| *at_ms <= now_ms) {
             let message = HostMessage::Calibrate { request: self.steps.len() as u16, step };
@@ -73,7 +73,7 @@ impl LeftBoard {
     }
 }
 
-/// What [`LeftBoard::calibrated_at_start`] will not take from a recording, and why, in words.
+/// What [`LeftBoard::calibrated_at_start`] does not accept in a recording, and why, in words.
 pub fn refused_at_start(recording: &AdcRecording) -> Vec<String> {
     let mut hand = LeftHand::new(None, TiltThresholds::DEFAULT, 0);
     let mut refused = Vec::new();
@@ -156,7 +156,7 @@ mod tests {
     use shared_proto::frame::{BOARD_FRAME_MAX, Decoder};
     use shared_proto::message::{BoardMessage, LeftState, health};
 
-    /// A level hand with straight fingers, in the last bit of which nothing stands still.
+    /// A level hand with straight fingers, whose readings always change in the last bit.
     fn still(times_ms: impl Iterator<Item = u64>) -> AdcRecording {
         let samples = times_ms
             .enumerate()
@@ -234,7 +234,7 @@ mod tests {
         );
         let short = refused_at_start(&still((0..100).map(|n| 10 * n)));
         assert!(short.len() == 1 && short[0].contains("the recording is too short"), "{short:?}");
-        // The board agrees: with its own calibration a state has no warning.
+        // The board agrees: with a calibration of its own its states carry no warning.
         let flags = |recording: AdcRecording| {
             play(LeftBoard::new(recording, None, 1).calibrated_at_start()).last().unwrap().health
         };
