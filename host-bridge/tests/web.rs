@@ -247,7 +247,7 @@ fn rude_clients_are_let_go_and_others_are_still_served() {
     let origin = own_origin(&web);
     for rude in [Message::text("drive"), Message::text("took"), Message::binary(vec![0; 64])] {
         let mut socket = open(&web, Some(&origin), "").unwrap();
-        // The first frame is not acknowledged: its acknowledgement is right once, and wrong the second time.
+        // The first frame is not acknowledged at first: one acknowledgement of it is accepted, a second one is an error.
         for _ in 0..8 {
             let _ = socket.send(rude.clone());
         }

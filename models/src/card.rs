@@ -122,7 +122,7 @@ pub struct Scores {
 pub struct Score {
     /// Right windows in per cent (stride 1 s).
     pub per_window: f64,
-    /// Right recordings in per cent (largest mean probability of their windows).
+    /// Recordings recognised correctly, in per cent (largest mean probability of their windows).
     pub per_recording: f64,
     /// Recordings: `confusion[true label][given label]`.
     pub confusion: Vec<Vec<usize>>,

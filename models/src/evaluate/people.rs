@@ -51,7 +51,7 @@ pub enum TrialError {
     Mismatch(#[from] ModelMismatch),
 }
 
-/// Right recordings in per cent, float and int8.
+/// Recordings recognised correctly, in per cent, float and int8.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Accuracy {
     /// Score of the float network.

@@ -29,7 +29,7 @@ pub struct Study {
 pub struct Row {
     /// What was tested.
     pub what: String,
-    /// Right recordings in per cent, mean over the seeds.
+    /// Recordings recognised correctly, in per cent, mean over the seeds.
     pub accuracy: Accuracy,
 }
 
