@@ -76,7 +76,8 @@ impl Recording {
         let Sheet { mut takes, notes } = sheet::parse(file, bytes, reading)?;
         match takes.pop() {
             Some(recording) if takes.is_empty() => {
-                let hours = recording.seconds() / 3600.0;
+                let times = recording.time_ms();
+                let hours = times.last().zip(times.first()).map_or(0.0, |(last, first)| last - first) / 3.6e6;
                 if hours > LONGEST_H {
                     return Err(RecordingError::Long { file: file.to_owned(), hours });
                 }
