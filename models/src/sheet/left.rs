@@ -27,14 +27,16 @@ impl Format for Left {
 
     fn columns(&self, names: &[String]) -> Result<Option<(ColumnTable, [usize; 5])>, Problem> {
         let channel = |name: &String| CHANNEL_NAMES.iter().position(|known| known == name);
-        if names.iter().filter_map(channel).count() < 2 {
+        let is_time = |name: &String| matches!(name.as_str(), "timestamp_ms" | "timestamp");
+        // A row with a column of times is a header, whatever else it names: a right hand's, for example.
+        if names.iter().filter_map(channel).count() < 2 && !names.iter().any(is_time) {
             return Ok(None);
         }
         let (mut time, mut channels) = (None, [None; 5]);
         for (at, name) in names.iter().enumerate() {
             let known = match channel(name) {
                 Some(channel) => &mut channels[channel],
-                None if matches!(name.as_str(), "timestamp_ms" | "timestamp") => &mut time,
+                None if is_time(name) => &mut time,
                 None => return Err((at + 1, name.clone(), "a left hand has no such column".to_owned())),
             };
             if known.replace(at).is_some() {
