@@ -28,7 +28,7 @@ use crate::cmd::web::WebArgs;
 
 /// The terminal is drawn this often.
 const DRAW_INTERVAL: Duration = Duration::from_millis(33);
-/// The session is moved on this often.
+/// The session is advanced at this interval.
 const TURN: Duration = Duration::from_millis(4);
 
 /// Options of everything that plays a session.

@@ -66,7 +66,7 @@ pub struct Play {
 }
 
 impl Play {
-    /// The motion, not begun; after a halt the robot is served for `farewell_ms`.
+    /// The motion, not yet begun; after a halt the robot is listened to for `farewell_ms` more.
     pub fn new(motion: MotionName, farewell_ms: u64) -> Self {
         Play { motion, farewell_ms, began_ms: None, started: false, halted: None }
     }

@@ -53,7 +53,7 @@ impl Pattern {
 /// What the motor does now.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Motor {
-    /// 0 = still, 100 = as strong as it can.
+    /// 0 = off, 100 = as strong as possible.
     pub percent: u8,
     /// Ask again after this long; never, if nothing was ever asked for.
     pub for_ms: Option<u32>,

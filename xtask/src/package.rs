@@ -256,7 +256,7 @@ fn try_out(archive: &Path, name: &str, into: &Path) -> Result<()> {
 mod tests {
     use super::{MOVED, parts};
 
-    /// systemd gives the port to who sits there in 73-seat-late.rules, by a tag that must be set before.
+    /// In 73-seat-late.rules systemd gives the port to the user at the seat, by a tag that an earlier rule must set.
     #[test]
     fn the_udev_rule_is_read_in_time_and_knows_every_board() {
         let (from, to) = MOVED.into_iter().find(|(from, _)| from.ends_with(".rules")).unwrap();

@@ -212,7 +212,7 @@ struct OnTerminal {
     child: Child,
     /// The far end, which a person would see.
     screen: File,
-    /// Kept to ask for the terminal's settings.
+    /// Kept open so that the terminal's settings can be queried.
     terminal: File,
 }
 

@@ -51,8 +51,8 @@ impl Lateness {
         Lateness(seen)
     }
 
-    /// Whether times measured meanwhile can be judged, of what takes the processors itself: nine sleeps of ten ended
-    /// within 2 ms, and others left it half of the processors nine times of ten.
+    /// Whether times measured meanwhile can be judged in a test that loads the processors itself: nine of ten sleeps
+    /// ended within 2 ms, and nine times of ten others left it half of the processors.
     pub fn had_room(&self) -> bool {
         at_most(0.5, self.seen().others, "others take") && self.woke_in_time()
     }

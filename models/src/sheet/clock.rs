@@ -84,7 +84,7 @@ pub(super) fn typical_interval(times: &[f64]) -> Option<f64> {
     (mean.is_finite() && mean > 0.0).then_some(mean)
 }
 
-/// Spreads samples of one stamp evenly up to the next stamp; how many were moved. Times must not fall.
+/// Spreads samples of one stamp evenly up to the next stamp; returns how many were moved. Times must not decrease.
 ///
 /// A clock of milliseconds gives two samples one stamp now and then, a radio hands over several at once.
 pub(super) fn spread(times: &mut [f64]) -> usize {

@@ -94,7 +94,7 @@ impl RightRig {
         Self::new(board, Some(host))
     }
 
-    /// The same with a board that moves nowhere: connected, bonded and subscribed.
+    /// The same with a board that lies still: connected, bonded and subscribed.
     pub fn ble_ready() -> Self {
         let mut session = Self::ble(Box::new(Still));
         session.wait_until_ready();

@@ -279,7 +279,7 @@ impl HandLink {
         self.round_trip.is_some_and(|(_, at_ms)| now_ms.saturating_sub(at_ms) < ANSWER_PATIENCE_MS)
     }
 
-    /// The board has answered pings, and for [`ANSWER_PATIENCE_MS`] no more.
+    /// The board used to answer pings, but has not for [`ANSWER_PATIENCE_MS`].
     pub fn stopped_answering(&self, now_ms: u64) -> bool {
         self.round_trip.is_some() && !self.answers(now_ms)
     }

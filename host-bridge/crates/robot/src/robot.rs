@@ -102,7 +102,7 @@ pub trait Robot {
     /// Pose and speed of the base; `None` = unknown.
     fn base(&self) -> Option<Reading<BaseState>>;
 
-    /// Speed, acceleration and jerk that the arm's motions keep.
+    /// Limits of speed, acceleration and jerk for the arm's motions.
     fn joint_limits(&self) -> &JointLimits;
 
     /// Size and limits of the base.

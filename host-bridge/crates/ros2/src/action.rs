@@ -102,7 +102,7 @@ impl Goals {
         true
     }
 
-    /// Asks for a goal's end; returns whether that could be handed over.
+    /// Asks for a goal to be ended; returns whether the request could be handed over.
     pub fn cancel<G, R, F>(&self, client: &ActionClient<G, R, F>, ours: u32) -> bool
     where
         G: Message + Clone + 'static,

@@ -106,7 +106,7 @@ pub struct Ros2Config {
     pub gripper_open: f64,
     /// and while it is shut.
     pub gripper_closed: f64,
-    /// How far the fingers are apart while it is open, in m.
+    /// How far apart the fingers are when it is open, in m.
     pub gripper_width_m: f64,
     /// A gripper that reports nothing for this long has failed.
     pub gripper_timeout_ms: u64,

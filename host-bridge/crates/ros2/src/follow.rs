@@ -65,7 +65,7 @@ impl Follow {
         self.goals.send(client, ours, ros::FollowGoal { trajectory, ..ros::FollowGoal::default() })
     }
 
-    /// Asks for a goal's end; returns whether that could be handed over.
+    /// Asks for a goal to be ended; returns whether the request could be handed over.
     pub fn cancel(&self, ours: u32) -> bool {
         self.client.as_ref().is_some_and(|(_, client)| self.goals.cancel(client, ours))
     }

@@ -151,7 +151,7 @@ impl Gripper {
         }
     }
 
-    /// Asks for a goal's end; returns whether that could be handed over.
+    /// Asks for a goal to be ended; returns whether the request could be handed over.
     pub fn cancel(&self, ours: u32) -> bool {
         match &self.client {
             None => false,

@@ -100,7 +100,7 @@ pub struct RosRobot {
     outputs: Vec<Output>,
     limits: JointLimits,
     base_limits: BaseConfig,
-    /// Its newest odometry, from where it was first seen, and when that came.
+    /// Its newest odometry, relative to where it was first seen, and when it arrived.
     seen: Option<(BaseState, u64)>,
     first: Option<Odometry>,
     /// The base's speed when it was last given another one, until its odometry begins to follow.

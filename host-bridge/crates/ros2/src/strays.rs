@@ -46,7 +46,7 @@ impl Strays {
         self.0.iter().all(|stray| stray.is_said_over)
     }
 
-    /// Lets the time become `now_ms`; `cancel` asks for an end again.
+    /// Advances the time to `now_ms`; `cancel` asks again for a goal to be ended.
     pub fn step(&mut self, now_ms: u64, mut cancel: impl FnMut(u32)) {
         self.0.retain(|stray| now_ms < stray.until_ms);
         for Stray { goal, cancelled_ms, .. } in &mut self.0 {

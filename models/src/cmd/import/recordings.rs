@@ -33,7 +33,7 @@ struct Source {
 }
 
 impl Source {
-    /// Its name in lines for people.
+    /// Its name in what people read.
     fn name(&self) -> String {
         match self.files.as_slice() {
             [file] => file.display().to_string(),

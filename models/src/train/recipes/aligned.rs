@@ -50,7 +50,7 @@ pub const ALIGNED: Aligned =
     Aligned { steps: Steps::TRAIN, copies: 10, bystanders: 100, performers: 40, daily: Daily::All };
 
 impl Aligned {
-    /// With this many steps, which see fewer simulated wearers; none = unchanged.
+    /// Trains for this many steps, and with fewer simulated wearers; without a number, as before.
     pub fn with_steps(&self, count: Option<usize>) -> Self {
         let Some(count) = count else { return self.clone() };
         let Self { mut steps, copies, bystanders, performers, .. } = *self;

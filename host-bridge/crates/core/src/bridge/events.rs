@@ -111,7 +111,7 @@ pub enum EventKind {
         /// Age of the sample that the command came from.
         age_ms: u64,
     },
-    /// The right hand's scores rose to a gesture, but not high or long enough for the board.
+    /// The right hand's score for a gesture rose, but not high or long enough for the board.
     Almost {
         /// The nearest gesture.
         label: String,

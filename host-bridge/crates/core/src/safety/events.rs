@@ -11,7 +11,7 @@ use crate::tilt::Tilt;
 pub struct Gesture {
     /// Index in the model's labels.
     pub label: u8,
-    /// Age of the window's end now.
+    /// How old the end of the window is now.
     pub age_ms: u64,
     /// This gesture ends a stop.
     pub releases: bool,

@@ -32,7 +32,7 @@ struct Hello<'a> {
     setting: &'a Setting,
 }
 
-/// Hangs on a session's tap, and never waits for a page.
+/// Attached to a session's tap; never waits for a page.
 pub struct Watcher {
     shared: Arc<Shared>,
     title: String,
