@@ -20,7 +20,8 @@ mod on {
     use host_bridge::ros2::advice::{Heard, Machine, look_at, nobody, topics, tried, variables};
     use host_bridge::ros2::config::{Connection, RosEnvironment};
     use host_bridge::ros2::driver::RosDriver;
-    use host_bridge::ros2::node::{RosNode, RosPublisher, Simulator};
+    use host_bridge::ros2::node::RosNode;
+    use host_bridge::ros2::publisher::{RosPublisher, Simulator};
     use host_bridge::ros2::{ArmInterface, Counts, Ros2Config, RosRobot};
     use host_bridge::safety::State;
     use host_bridge::topics::diagnostics::Diagnostics;

@@ -34,6 +34,8 @@ pub mod joined;
 #[cfg(feature = "ros2")]
 pub mod node;
 mod points;
+#[cfg(feature = "ros2")]
+pub mod publisher;
 pub mod robot;
 mod strays;
 pub mod stream;

@@ -1,0 +1,119 @@
+//! What the program publishes beside its commands: whether its operator has stopped, diagnostics, and the simulator where
+//! that is the robot. Needs the feature `ros2`.
+
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use super::config::Ros2Config;
+use super::description::urdf;
+use super::joined::Published;
+use host_robot::{Door, RobotSetting};
+use host_topics::message as ros;
+use host_topics::messages::{Frames, transforms};
+
+/// The operator's stop is repeated this often.
+const STOPPED_INTERVAL_MS: u64 = 250;
+/// The simulator's state is published this often.
+const SIM_INTERVAL_MS: u64 = 20;
+
+/// The simulator as it is published.
+#[derive(Clone, Debug)]
+pub struct Simulator {
+    /// What does not change of it.
+    pub setting: RobotSetting,
+    /// Names of its frames.
+    pub frames: Frames,
+    /// Its description.
+    pub urdf: String,
+}
+
+impl Simulator {
+    /// As configured.
+    ///
+    /// # Errors
+    /// Two frames would have one name.
+    pub fn new(config: &Ros2Config, setting: &RobotSetting) -> Result<Self, String> {
+        let frames = config.frames(setting)?;
+        Ok(Simulator { setting: setting.clone(), urdf: urdf(setting, &frames, config), frames })
+    }
+}
+
+/// What the program publishes beside its commands: diagnostics, and the simulator where that is the robot.
+pub struct RosPublisher {
+    config: Ros2Config,
+    published: Arc<Mutex<Option<Published>>>,
+    /// Where the simulator's state is published.
+    simulator: Option<Simulator>,
+    sim_published_ms: u64,
+    /// What was said last about the operator's stop, and when.
+    said_stopped: Option<(bool, u64)>,
+}
+
+impl RosPublisher {
+    /// For this node; nothing was said yet.
+    pub(super) fn new(
+        config: &Ros2Config,
+        published: &Arc<Mutex<Option<Published>>>,
+        simulator: Option<Simulator>,
+    ) -> Self {
+        RosPublisher {
+            config: config.clone(),
+            published: Arc::clone(published),
+            simulator,
+            sim_published_ms: 0,
+            said_stopped: None,
+        }
+    }
+
+    /// Says whether this program's operator has stopped: at once when it changes, else four times a second.
+    pub fn say_stopped(&mut self, stopped: bool, now_ms: u64) {
+        let said = self.said_stopped.is_some_and(|(last, at_ms)| {
+            last == stopped && now_ms.saturating_sub(at_ms) < STOPPED_INTERVAL_MS
+        });
+        if !said && let Some(published) = &*lock(&self.published) {
+            self.said_stopped = Some((stopped, now_ms));
+            // What cannot be handed over is said again soon.
+            let _ = published.stopped.publish(ros::Bool { data: stopped });
+        }
+    }
+
+    /// Publishes what the hands do.
+    pub fn diagnose(&mut self, message: ros::DiagnosticArray) {
+        if let Some(published) = &*lock(&self.published) {
+            // A message that cannot be handed over is late by the next one.
+            let _ = published.diagnostics.publish(message);
+        }
+    }
+
+    /// Publishes the simulator's state, if that is wanted and due.
+    pub fn publish_sim(&mut self, robot: &dyn Door, now_ms: u64, stamp: ros::Time) {
+        let mut published = lock(&self.published);
+        let topics = published.as_mut().and_then(|published| published.sim.as_mut());
+        let (Some(topics), Some(described)) = (topics, &self.simulator) else { return };
+        if let (Some(publisher), false) = (&topics.description, topics.is_described) {
+            topics.is_described = publisher.publish(ros::Text { data: described.urdf.clone() }).is_ok();
+        }
+        if now_ms.saturating_sub(self.sim_published_ms) < SIM_INTERVAL_MS {
+            return;
+        }
+        self.sim_published_ms = now_ms;
+        let (picture, Simulator { setting, frames, .. }) = (robot.picture(), described);
+        let header = |frame: &str| ros::Header { stamp, frame_id: frame.to_owned() };
+        let arm = &picture.arm;
+        let joint_state = ros::JointState {
+            header: header(""),
+            name: self.config.joint_names.to_vec(),
+            position: arm.joints_rad.to_vec(),
+            velocity: arm.velocity_rad_s.to_vec(),
+            effort: Vec::new(),
+        };
+        let odom = ros::Odometry::of(&picture, &setting.base, header(&frames.odom), frames.base.clone());
+        let _ = topics.joint_states.publish(joint_state);
+        let _ = topics.odom.publish(odom);
+        let _ = topics.tf.publish(transforms(robot, &picture, setting, frames, stamp));
+    }
+}
+
+/// A publisher that panicked leaves what it had whole.
+pub(super) fn lock(published: &Mutex<Option<Published>>) -> MutexGuard<'_, Option<Published>> {
+    published.lock().unwrap_or_else(PoisonError::into_inner)
+}
