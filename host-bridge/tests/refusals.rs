@@ -121,6 +121,11 @@ fn with_end_arm() -> Rig {
     map.assign("left-right=end arm").unwrap();
     let mut rig = Rig::empty();
     rig.bridge = Bridge::new(map).known_to(|motion| *motion != *"end-arm");
+    armed(rig)
+}
+
+/// The rig with both hands there, and armed.
+fn armed(mut rig: Rig) -> Rig {
     rig.connect(Hand::Left, 1);
     rig.connect(Hand::Right, 1);
     rig.run(200);
@@ -385,11 +390,7 @@ fn with_steps() -> Rig {
     let mut rig = Rig::empty();
     rig.bridge = Bridge::new(config.motion_map());
     rig.robot = Stage::new(&config, None).unwrap().simulated(&config);
-    rig.connect(Hand::Left, 1);
-    rig.connect(Hand::Right, 1);
-    rig.run(200);
-    assert_eq!(rig.state(), State::Armed);
-    rig
+    armed(rig)
 }
 
 #[test]

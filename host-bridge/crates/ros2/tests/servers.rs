@@ -41,21 +41,102 @@ struct Executing {
     cancelled_ms: Option<u64>,
 }
 
+/// What servers of one kind of action say, and what a forger may.
+struct Words<A> {
+    accepted: A,
+    rejected: A,
+    done: A,
+    cancelled: A,
+    forged: [A; 5],
+}
+
+/// Two servers that carry out what they accept, and a forger.
+struct Servers<A> {
+    words: Words<A>,
+    takes_ms: u64,
+    /// When, who (2 = the forger), about which goal, and what is said.
+    answers: Vec<(u64, usize, u32, A)>,
+    running: Vec<Executing>,
+}
+
+impl<A: Clone + PartialEq> Servers<A> {
+    fn new(words: Words<A>, takes_ms: u64) -> Self {
+        Servers { words, takes_ms, answers: Vec::new(), running: Vec::new() }
+    }
+
+    /// Each server accepts the goal, rejects it or says nothing, late or not; the forger says anything.
+    fn ask(&mut self, goal: u32, now_ms: u64, random: &mut Random) {
+        for server in 0..2 {
+            let at_ms = now_ms + [1, 30, 1200, 6000][random.below(4)];
+            match random.below(3) {
+                0 => self.answers.push((at_ms, server, goal, self.words.rejected.clone())),
+                1 => self.answers.push((at_ms, server, goal, self.words.accepted.clone())),
+                _ => {}
+            }
+        }
+        let at_ms = now_ms + random.below(3000) as u64;
+        let forged = self.words.forged[random.below(self.words.forged.len())].clone();
+        self.answers.push((at_ms, 2, goal, forged));
+    }
+
+    fn cancel(&mut self, goal: u32, now_ms: u64) {
+        for it in self.running.iter_mut().filter(|it| it.goal == goal && it.cancelled_ms.is_none()) {
+            it.cancelled_ms = Some(now_ms);
+            self.answers.push((now_ms + 5, 0, goal, self.words.cancelled.clone()));
+        }
+    }
+
+    /// What is said now, about which goals.
+    fn take_due(&mut self, now_ms: u64) -> Vec<(u32, A)> {
+        let (due, later): (Vec<_>, Vec<_>) = self.answers.drain(..).partition(|answer| answer.0 <= now_ms);
+        self.answers = later;
+        for (_, server, goal, answer) in &due {
+            if *server < 2 && *answer == self.words.accepted {
+                self.running.push(Executing { goal: *goal, since_ms: now_ms, cancelled_ms: None });
+                self.answers.push((now_ms + self.takes_ms, *server, *goal, self.words.done.clone()));
+            }
+        }
+        due.into_iter().map(|(_, _, goal, answer)| (goal, answer)).collect()
+    }
+
+    /// For how long, since the stop, a goal has run that nobody has cancelled.
+    fn open_ms(&self, stopped_ms: Option<u64>, now_ms: u64) -> u64 {
+        let Some(stopped_ms) = stopped_ms else { return 0 };
+        let runs = self.running.iter().filter(|it| now_ms < it.since_ms + self.takes_ms);
+        let open = runs.filter(|it| it.cancelled_ms.is_none());
+        open.map(|it| now_ms - stopped_ms.max(it.since_ms)).max().unwrap_or(0)
+    }
+}
+
+/// Random sessions of 16 s.
+fn sessions() -> u64 {
+    if std::env::var_os("BIMANUAL_FULL").is_some() { 20_000 } else { 300 }
+}
+
 #[test]
 fn whatever_two_servers_and_a_forger_answer_a_stop_ends_every_motion() {
-    let sessions = if std::env::var_os("BIMANUAL_FULL").is_some() { 20_000 } else { 300 };
     let (mut worst_ms, mut stops, mut motions) = (0, 0, 0);
-    for seed in 0..sessions {
+    for seed in 0..sessions() {
         let mut random = Random::new(seed);
         let config = Ros2Config { arm: ArmInterface::Action, ..Ros2Config::default() };
         let mut arm = ArmLink::new(&config, limits());
         arm.set_listened_to(true);
         let trajectory = Arc::new(Trajectory::through(&[HOME, GOAL], &[], &limits()));
-        let takes_ms = (trajectory.duration_s() * 1000.0) as u64;
+        let words = Words {
+            accepted: Answer::Accepted,
+            rejected: Answer::Rejected,
+            done: Answer::Succeeded,
+            cancelled: Answer::Ended("cancelled".to_owned()),
+            forged: [
+                Answer::Accepted,
+                Answer::Rejected,
+                Answer::Succeeded,
+                Answer::Ended("forged".to_owned()),
+                Answer::Progress(1e9),
+            ],
+        };
+        let mut servers = Servers::new(words, (trajectory.duration_s() * 1000.0) as u64);
         let mut outputs = Vec::new();
-        // When, who (2 = the forger), and what is said.
-        let mut answers: Vec<(u64, usize, u32, Answer)> = Vec::new();
-        let mut running: Vec<Executing> = Vec::new();
         let mut stopped_ms = None;
         let stop_ms = 500 + random.below(9000) as u64;
         for now_ms in 1..16_000_u64 {
@@ -74,73 +155,26 @@ fn whatever_two_servers_and_a_forger_answer_a_stop_ends_every_motion() {
             arm.step(now_ms, &mut outputs);
             for output in outputs.drain(..) {
                 match output {
-                    Output::Goal { goal, .. } => {
-                        for server in 0..2 {
-                            let late_ms = [1, 30, 1200, 6000][random.below(4)];
-                            let at_ms = now_ms + late_ms;
-                            match random.below(3) {
-                                0 => answers.push((at_ms, server, goal, Answer::Rejected)),
-                                1 => answers.push((at_ms, server, goal, Answer::Accepted)),
-                                _ => {}
-                            }
-                        }
-                        let forged = [
-                            Answer::Accepted,
-                            Answer::Rejected,
-                            Answer::Succeeded,
-                            Answer::Ended("forged".to_owned()),
-                            Answer::Progress(1e9),
-                        ];
-                        let at_ms = now_ms + random.below(3000) as u64;
-                        answers.push((at_ms, 2, goal, forged[random.below(forged.len())].clone()));
-                    }
-                    Output::Cancel { goal } => {
-                        for it in running.iter_mut().filter(|it| it.goal == goal && it.cancelled_ms.is_none())
-                        {
-                            it.cancelled_ms = Some(now_ms);
-                            answers.push((now_ms + 5, 0, goal, Answer::Ended("cancelled".to_owned())));
-                        }
-                    }
+                    Output::Goal { goal, .. } => servers.ask(goal, now_ms, &mut random),
+                    Output::Cancel { goal } => servers.cancel(goal, now_ms),
                     other => panic!("{other:?}"),
                 }
             }
-            let mut due: Vec<_> = Vec::new();
-            answers.retain(|answer| {
-                let is_due = answer.0 <= now_ms;
-                if is_due {
-                    due.push(answer.clone());
-                }
-                !is_due
-            });
-            for (_, server, goal, answer) in due {
-                if server < 2 && answer == Answer::Accepted {
-                    running.push(Executing { goal, since_ms: now_ms, cancelled_ms: None });
-                    answers.push((now_ms + takes_ms, server, goal, Answer::Succeeded));
-                    motions += 1;
-                }
+            for (goal, answer) in servers.take_due(now_ms) {
                 arm.answer(goal, answer, now_ms, &mut outputs);
             }
             arm.take_end();
             // Whatever moves after a stop must have been cancelled.
-            for it in &running {
-                let over = now_ms >= it.since_ms + takes_ms;
-                let Some(stopped_ms) = stopped_ms.filter(|_| !over && it.cancelled_ms.is_none()) else {
-                    continue;
-                };
-                let open_ms = now_ms - stopped_ms.max(it.since_ms);
-                worst_ms = worst_ms.max(open_ms);
-                assert!(
-                    open_ms <= LIMIT_MS,
-                    "seed {seed}: goal {} runs {open_ms} ms after the stop",
-                    it.goal
-                );
-            }
+            let open_ms = servers.open_ms(stopped_ms, now_ms);
+            assert!(open_ms <= LIMIT_MS, "seed {seed}: a goal runs {open_ms} ms after the stop");
+            worst_ms = worst_ms.max(open_ms);
         }
+        motions += servers.running.len() as u64;
     }
     println!(
         "row: v two servers, late and forged replies: a stop cancels | {stops} stops, {motions} motions | {worst_ms} ms | {LIMIT_MS} ms"
     );
-    assert!(motions > sessions);
+    assert!(motions > sessions());
 }
 
 /// How long fingers take here.
@@ -152,15 +186,26 @@ fn done(reached: bool) -> GripAnswer {
 
 #[test]
 fn whatever_two_servers_and_a_forger_answer_a_stop_ends_every_motion_of_the_gripper() {
-    let sessions = if std::env::var_os("BIMANUAL_FULL").is_some() { 20_000 } else { 300 };
     let (mut worst_ms, mut stops, mut motions, mut doubted) = (0, 0, 0, 0);
-    for seed in 0..sessions {
+    for seed in 0..sessions() {
         let mut random = Random::new(seed);
         let mut gripper = GripperLink::new(&Ros2Config::default());
         gripper.set_missing(None);
+        let words = Words {
+            accepted: GripAnswer::Accepted,
+            rejected: GripAnswer::Rejected,
+            done: done(true),
+            cancelled: done(false),
+            forged: [
+                GripAnswer::Accepted,
+                GripAnswer::Rejected,
+                done(true),
+                done(false),
+                GripAnswer::At(f64::NAN),
+            ],
+        };
+        let mut servers = Servers::new(words, GRIP_TAKES_MS);
         let mut outputs = Vec::new();
-        let mut answers: Vec<(u64, usize, u32, GripAnswer)> = Vec::new();
-        let mut running: Vec<Executing> = Vec::new();
         let mut stopped_ms = None;
         let stop_ms = 500 + random.below(9000) as u64;
         for now_ms in 1..16_000_u64 {
@@ -180,64 +225,29 @@ fn whatever_two_servers_and_a_forger_answer_a_stop_ends_every_motion_of_the_grip
                 match output {
                     Output::Grip { goal, .. } => {
                         assert!(stopped_ms.is_none(), "seed {seed}: a stop sends no goal");
-                        for server in 0..2 {
-                            let at_ms = now_ms + [1, 30, 1200, 6000][random.below(4)];
-                            match random.below(3) {
-                                0 => answers.push((at_ms, server, goal, GripAnswer::Rejected)),
-                                1 => answers.push((at_ms, server, goal, GripAnswer::Accepted)),
-                                _ => {}
-                            }
-                        }
-                        let forged = [
-                            GripAnswer::Accepted,
-                            GripAnswer::Rejected,
-                            done(true),
-                            done(false),
-                            GripAnswer::At(f64::NAN),
-                        ];
-                        let at_ms = now_ms + random.below(3000) as u64;
-                        answers.push((at_ms, 2, goal, forged[random.below(forged.len())].clone()));
+                        servers.ask(goal, now_ms, &mut random);
                     }
-                    Output::CancelGrip { goal } => {
-                        for it in running.iter_mut().filter(|it| it.goal == goal && it.cancelled_ms.is_none())
-                        {
-                            it.cancelled_ms = Some(now_ms);
-                            answers.push((now_ms + 5, 0, goal, done(false)));
-                        }
-                    }
+                    Output::CancelGrip { goal } => servers.cancel(goal, now_ms),
                     other => panic!("{other:?}"),
                 }
             }
-            let (due, later): (Vec<_>, Vec<_>) = answers.drain(..).partition(|answer| answer.0 <= now_ms);
-            answers = later;
-            for (_, server, goal, answer) in due {
-                if server < 2 && answer == GripAnswer::Accepted {
-                    running.push(Executing { goal, since_ms: now_ms, cancelled_ms: None });
-                    answers.push((now_ms + GRIP_TAKES_MS, server, goal, done(true)));
-                    motions += 1;
-                }
+            for (goal, answer) in servers.take_due(now_ms) {
                 gripper.answer(goal, answer, now_ms, &mut outputs);
             }
-            doubted += usize::from(gripper.take_end().is_some() && !running.is_empty());
-            for it in &running {
-                let over = now_ms >= it.since_ms + GRIP_TAKES_MS;
-                let Some(stopped_ms) = stopped_ms.filter(|_| !over && it.cancelled_ms.is_none()) else {
-                    continue;
-                };
-                let open_ms = now_ms - stopped_ms.max(it.since_ms);
-                worst_ms = worst_ms.max(open_ms);
-                assert!(
-                    open_ms <= LIMIT_MS,
-                    "seed {seed}: goal {} of the gripper runs {open_ms} ms after the stop",
-                    it.goal
-                );
-            }
+            doubted += usize::from(gripper.take_end().is_some() && !servers.running.is_empty());
+            let open_ms = servers.open_ms(stopped_ms, now_ms);
+            assert!(
+                open_ms <= LIMIT_MS,
+                "seed {seed}: a goal of the gripper runs {open_ms} ms after the stop"
+            );
+            worst_ms = worst_ms.max(open_ms);
         }
+        motions += servers.running.len() as u64;
     }
     println!(
         "row: v two servers, late and forged replies: a stop cancels the gripper | {stops} stops, {motions} motions | {worst_ms} ms | {LIMIT_MS} ms"
     );
-    assert!(motions > sessions && doubted > 0, "{motions} motions, {doubted}");
+    assert!(motions > sessions() && doubted > 0, "{motions} motions, {doubted}");
 }
 
 #[test]
