@@ -50,7 +50,7 @@ pub enum Played {
     Reached,
     /// It is not; the text says why.
     Not(String),
-    /// Whether it was asked to end.
+    /// It was asked to end.
     Interrupted,
 }
 

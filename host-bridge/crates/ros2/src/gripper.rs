@@ -1,8 +1,8 @@
 //! A gripper behind `GripperCommand` or `ParallelGripperCommand`: what is asked of it, and what became of that.
 //!
 //! Sans-IO. A stall while closing means an object between the fingers, which is success; a server that reports nothing
-//! for too long has failed. A stop cancels the goal, again and again until its end is known, and never sends another. Goals that were rejected, or
-//! said to be over by whomever, are cancelled again by each stop, as the arm's are.
+//! for too long has failed. A stop cancels the goal, again and again until its end is known, and never sends another.
+//! Goals that were rejected, or reported to be over by anybody, are cancelled again by each stop, as the arm's are.
 
 use host_robot::{Grip, GripEnd, Reading};
 use host_topics::message::JointState;

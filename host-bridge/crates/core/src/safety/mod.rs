@@ -97,7 +97,7 @@ impl Default for SafetyTimes {
 pub enum State {
     /// Nothing moves until every awaited hand is there and every connected one was seen neutral.
     Waiting,
-    /// Whether the hands drive the robot.
+    /// The hands drive the robot.
     Armed,
     /// A connected hand is silent or not fit to act on.
     Stale,
