@@ -24,6 +24,8 @@ mod live {
     #[cfg(feature = "ros2")]
     mod ros2;
     mod stops;
+    #[cfg(feature = "zenoh")]
+    mod zenoh;
 }
 
 fn host_bridge() -> &'static str {

@@ -239,6 +239,17 @@ class GoalInfo(IdlStruct, typename=_name("action_msgs", "msg", "GoalInfo")):
 
 
 @dataclass
+class GoalStatus(IdlStruct, typename=_name("action_msgs", "msg", "GoalStatus")):
+    goal_info: GoalInfo
+    status: int8
+
+
+@dataclass
+class GoalStatusArray(IdlStruct, typename=_name("action_msgs", "msg", "GoalStatusArray")):
+    status_list: sequence[GoalStatus]
+
+
+@dataclass
 class CancelRequest(IdlStruct, typename=_name("action_msgs", "srv", "CancelGoal_Request")):
     request: Request
     goal_info: GoalInfo

@@ -76,6 +76,8 @@ def options(description):
     parser.add_argument("--states-late", type=float, default=0.0, help="joint states are stamped so many s late")
     parser.add_argument("--multicast", action="store_true", help="finds others by multicast on loopback")
     parser.add_argument("--quiet", action="store_true", help="no line per speed")
+    parser.add_argument("--zenoh", metavar="FILE", help="zenoh_peer.py: Zenoh's configuration")
+    parser.add_argument("--labelled", action="store_true", help="zenoh_peer.py: names what it attaches, as Jazzy does")
     parser.add_argument("--seconds", type=float, default=600.0)
     return parser.parse_args()
 

@@ -14,7 +14,7 @@ use crate::tools::{self, BLUETOOTH};
 use crate::{firmware_avr, firmware_nano33, root, target_dir};
 
 /// Files of the repository that keep their places, so that the documents' links hold.
-const FILES: [&str; 36] = [
+const FILES: [&str; 39] = [
     "CHANGELOG.md",
     "LICENSE-APACHE",
     "LICENSE-MIT",
@@ -31,6 +31,9 @@ const FILES: [&str; 36] = [
     "docs/ros2.md",
     "docs/sites.md",
     "docs/wiring.svg",
+    "docs/zenoh/certificates.sh",
+    "docs/zenoh/router.json5",
+    "docs/zenoh/session.json5",
     "firmware-nano-avr/README.md",
     "firmware-nano-avr/wiring.svg",
     "firmware-nano33/README.md",

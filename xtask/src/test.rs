@@ -339,7 +339,7 @@ const WALL_CLOCK: [&str; 3] = ["live::ros2::", "live::ble::", "live::stops::"];
 
 /// What keeps time by the wall clock, one after the other.
 fn wall_clock() -> Vec<Step> {
-    vec![
+    let mut steps = vec![
         Step::new("ROS 2 against Cyclone DDS, Bluetooth, stops", || {
             let python = python::environment()?;
             sh(cargo_for_all("test")
@@ -367,7 +367,30 @@ fn wall_clock() -> Vec<Step> {
             let python = python::environment()?;
             sh(Command::new(python).current_dir(root()).arg("tests/foxglove/check.py").arg(programs()?))
         }),
-    ]
+    ];
+    if is_full() {
+        // Minutes of building: no other step has Zenoh in it, and what it shares with others it wants with other features.
+        steps.push(Step::new("ROS 2 over Zenoh", || {
+            let python = python::environment()?;
+            let lints = ["clippy", "--locked", "-p", "host-ros2", "--features", "zenoh", "--all-targets"];
+            sh(cargo(&lints).args(["--", "-D", "warnings"]))?;
+            sh(&mut cargo(&[
+                "test",
+                "--locked",
+                "-p",
+                "host-ros2",
+                "--features",
+                "zenoh",
+                "--lib",
+                "zenoh",
+            ]))?;
+            let live = ["test", "--locked", "-p", "host-bridge", "--features", "zenoh", "--no-fail-fast"];
+            sh(cargo(&live)
+                .args(["--test", "live", "live::zenoh::", "--", "--nocapture"])
+                .env("BIMANUAL_ROS2_PYTHON", python))
+        }));
+    }
+    steps
 }
 
 fn tests() -> Vec<Step> {

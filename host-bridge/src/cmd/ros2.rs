@@ -17,8 +17,10 @@ mod on {
     use host_bridge::base::BaseConfig;
     use host_bridge::observe::{Now, Observer, SessionEvent};
     use host_bridge::robot::{JointLimits, RobotSetting};
-    use host_bridge::ros2::advice::{Heard, Machine, look_at, nobody, topics, tried, variables};
-    use host_bridge::ros2::config::{Connection, RosEnvironment};
+    use host_bridge::ros2::advice::{
+        Heard, Machine, look_at, nobody, nobody_on_zenoh, topics, tried, variables,
+    };
+    use host_bridge::ros2::config::{Carrier, Connection, RosEnvironment};
     use host_bridge::ros2::driver::RosDriver;
     use host_bridge::ros2::node::RosNode;
     use host_bridge::ros2::publisher::{RosPublisher, Simulator};
@@ -76,7 +78,8 @@ mod on {
                 }
             }
             let about = format!(
-                "ROS 2 domain {} ({}), {}",
+                "ROS 2{} domain {} ({}), {}",
+                if config.transport == Carrier::Zenoh { " over Zenoh," } else { "" },
                 connection.domain_id,
                 connection.domain_from,
                 config.resolve(&config.cmd_vel)
@@ -146,14 +149,18 @@ mod on {
         let graph = node.graph();
         println!("\nROS 2: domain {} (from {})", connection.domain_id, connection.domain_from);
         let interfaces: Vec<String> = connection.interfaces.iter().map(ToString::to_string).collect();
-        println!(
-            "  interfaces: {}",
-            if interfaces.is_empty() { "all".to_owned() } else { interfaces.join(", ") }
-        );
+        match (config.transport, &connection.zenoh_config) {
+            (Carrier::Zenoh, Some(file)) => println!("  over Zenoh, as {file} has it"),
+            (Carrier::Zenoh, None) => println!("  over Zenoh, by {}", config.zenoh_connect.join(", ")),
+            (Carrier::Dds, _) if interfaces.is_empty() => println!("  interfaces: all"),
+            (Carrier::Dds, _) => println!("  interfaces: {}", interfaces.join(", ")),
+        }
         for (id, other) in &graph.participants {
             let name = other.name.as_deref().filter(|name| !name.is_empty());
             let name = name.map(|name| format!(" \"{name}\"")).unwrap_or_default();
-            println!("  participant {id}: {}, protocol {}{name}", other.vendor, other.version);
+            let version = Some(&other.version).filter(|version| !version.is_empty());
+            let version = version.map(|version| format!(", protocol {version}")).unwrap_or_default();
+            println!("  participant {id}: {}{version}{name}", other.vendor);
         }
         let mut advice = Vec::new();
         for topic in topics(config, &graph) {
@@ -163,7 +170,10 @@ mod on {
             }
             advice.extend(found.advice);
         }
-        if graph.participants.is_empty() {
+        if graph.participants.is_empty() && config.transport == Carrier::Zenoh {
+            advice.push("nobody else is in this domain".to_owned());
+            advice.extend(nobody_on_zenoh(&connection));
+        } else if graph.participants.is_empty() {
             // Our own sockets would mislead, so they are closed first.
             drop((node, publisher));
             let read = |file| std::fs::read_to_string(file).unwrap_or_default();

@@ -873,7 +873,7 @@ fn net(words: &[&str]) {
 }
 
 /// A number from the environment, or the usual one.
-fn number_of(name: &str, usual: u64) -> u64 {
+pub(super) fn number_of(name: &str, usual: u64) -> u64 {
     std::env::var(name).ok().map_or(usual, |text| text.parse().expect("a number"))
 }
 
@@ -1032,7 +1032,7 @@ fn twenty_bridges_and_twenty_robots_share_this_machine() {
 }
 
 /// Resident memory in MB and processor seconds so far.
-fn used(pid: u32) -> (f64, f64) {
+pub(super) fn used(pid: u32) -> (f64, f64) {
     let status = std::fs::read_to_string(format!("/proc/{pid}/status")).unwrap_or_default();
     let kb = status.lines().find_map(|line| line.strip_prefix("VmRSS:"));
     let kb: f64 = kb.and_then(|text| text.split_whitespace().next()?.parse().ok()).unwrap_or(0.0);
@@ -1066,51 +1066,61 @@ fn a_gesture_closes_and_opens_a_gripper_of_either_kind_and_a_stop_halts_it_and_n
         let desk = desk(&format!("ros2-gripper-{kind}"));
         let domain = domain();
         let (left, right) = (Double::left(&desk), Double::right(&desk, 0.0));
-        // Its joint goes from 0, open, to 0.08, shut; an object stops it at 0.03.
-        let options = ["--robot", "--gripper", kind, "--blocked", "0.03"];
-        let mut robot = peer(&desk, &site.python, domain, &options);
+        let mut robot = peer(&desk, &site.python, domain, &[&["--robot"], &grips_with(kind)[..]].concat());
         robot.has("ready", |v| is(v, "ready"));
-        let section = "gripper_closed = 0.08\n";
-        let maps = ["--map", "up-down=close-gripper", "--map", "to-fro=open-gripper", "--map", "circle=home"];
         let ports = ["--left", &left.port(), "--right", &right.port()];
-        let mut bridge = bridge(&desk, domain, section, &[&ports[..], &maps].concat());
-        let asks = |wanted: f64| move |v: &Value| is(v, "grip") && number(&v["position"]) == wanted;
-        let says = |words: &'static str| {
-            move |v: &Value| is(v, "robot") && v["text"].as_str().is_some_and(|text| text.contains(words))
-        };
-        let ends = |v: &Value| is(v, "motion-ended") && v["motion"] == "close-gripper";
-
-        // A stall on the object is success, and the distance of the fingers is reported: 5/8 of 85 mm.
-        let asked = robot.has("it is asked to close", asks(0.08));
-        println!("{kind}: asked to close at {:.1} s", number(&asked["t"]));
-        // Whatever the wearer's earlier gestures did: those of a program that was slow to start are not all seen.
-        let then_s = number(&asked["t"]);
-        let gripped = robot.has("it stalls", move |v| is(v, "gripped") && number(&v["t"]) >= then_s);
-        println!("{kind}: stalled {:.2} s later", number(&gripped["t"]) - number(&asked["t"]));
-        assert_eq!((&gripped["stalled"], &gripped["reached"]), (&Value::Bool(true), &Value::Bool(false)));
-        bridge.has("what it has", says("has something (53 mm)"));
-        assert_eq!(bridge.has("its end", ends)["reached"], true);
-        println!("{kind}: the program knows what it has");
-        let then_s = number(&gripped["t"]);
-        robot.has("it is asked to open", move |v| asks(0.0)(v) && number(&v["t"]) >= then_s);
-        robot.wait("it is open", |v| is(v, "gripped") && v["reached"] == true);
-
-        println!("{kind}: open");
-        // A stop while it closes: cancelled, and nothing else is asked for.
-        robot.wait("it closes again", asks(0.08));
-        let bent_s = wall_s();
-        left.hold(BENT);
-        let cancelled = robot.wait("it is cancelled", |v| is(v, "grip cancel"));
-        println!(
-            "{kind}: both fingers bent to cancelled {:.0} ms",
-            (number(&cancelled["t"]) - bent_s) * 1000.0
-        );
-        bridge.wait("its end", |v| ends(v) && v["reached"] == false);
-        let after = robot.listen(Duration::from_secs(3));
-        assert!(!after.iter().any(|v| is(v, "grip")), "{after:?}");
-        let here = after.iter().filter(|v| is(v, "gripped")).map(|v| number(&v["position"]));
-        assert!(here.into_iter().all(|position| position > 0.0), "it did not open: {after:?}");
+        let mut bridge = bridge(&desk, domain, GRIPS_CLOSED, &[&ports[..], &GRIP_MAPS].concat());
+        closes_opens_and_halts(kind, &left, &mut robot, &mut bridge);
     }
+}
+
+/// A robot's gripper behind this kind of action: its joint goes from 0, open, to 0.08, shut; an object stops it at 0.03.
+pub(super) fn grips_with(kind: &str) -> [&str; 4] {
+    ["--gripper", kind, "--blocked", "0.03"]
+}
+
+/// That gripper in `[ros2]`.
+pub(super) const GRIPS_CLOSED: &str = "gripper_closed = 0.08\n";
+
+/// Its gestures.
+pub(super) const GRIP_MAPS: [&str; 6] =
+    ["--map", "up-down=close-gripper", "--map", "to-fro=open-gripper", "--map", "circle=home"];
+
+/// It closes on the object, opens, and is halted while it closes again.
+pub(super) fn closes_opens_and_halts(kind: &str, left: &Double, robot: &mut Teller, bridge: &mut Teller) {
+    let asks = |wanted: f64| move |v: &Value| is(v, "grip") && number(&v["position"]) == wanted;
+    let says = |words: &'static str| {
+        move |v: &Value| is(v, "robot") && v["text"].as_str().is_some_and(|text| text.contains(words))
+    };
+    let ends = |v: &Value| is(v, "motion-ended") && v["motion"] == "close-gripper";
+
+    // A stall on the object is success, and the distance of the fingers is reported: 5/8 of 85 mm.
+    let asked = robot.has("it is asked to close", asks(0.08));
+    println!("{kind}: asked to close at {:.1} s", number(&asked["t"]));
+    // Whatever the wearer's earlier gestures did: those of a program that was slow to start are not all seen.
+    let then_s = number(&asked["t"]);
+    let gripped = robot.has("it stalls", move |v| is(v, "gripped") && number(&v["t"]) >= then_s);
+    println!("{kind}: stalled {:.2} s later", number(&gripped["t"]) - number(&asked["t"]));
+    assert_eq!((&gripped["stalled"], &gripped["reached"]), (&Value::Bool(true), &Value::Bool(false)));
+    bridge.has("what it has", says("has something (53 mm)"));
+    assert_eq!(bridge.has("its end", ends)["reached"], true);
+    println!("{kind}: the program knows what it has");
+    let then_s = number(&gripped["t"]);
+    robot.has("it is asked to open", move |v| asks(0.0)(v) && number(&v["t"]) >= then_s);
+    robot.wait("it is open", |v| is(v, "gripped") && v["reached"] == true);
+
+    println!("{kind}: open");
+    // A stop while it closes: cancelled, and nothing else is asked for.
+    robot.wait("it closes again", asks(0.08));
+    let bent_s = wall_s();
+    left.hold(BENT);
+    let cancelled = robot.wait("it is cancelled", |v| is(v, "grip cancel"));
+    println!("{kind}: both fingers bent to cancelled {:.0} ms", (number(&cancelled["t"]) - bent_s) * 1000.0);
+    bridge.wait("its end", |v| ends(v) && v["reached"] == false);
+    let after = robot.listen(Duration::from_secs(3));
+    assert!(!after.iter().any(|v| is(v, "grip")), "{after:?}");
+    let here = after.iter().filter(|v| is(v, "gripped")).map(|v| number(&v["position"]));
+    assert!(here.into_iter().all(|position| position > 0.0), "it did not open: {after:?}");
 }
 
 #[test]

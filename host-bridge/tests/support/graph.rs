@@ -228,6 +228,11 @@ pub fn peer(desk: &Desk, python: &str, domain: u32, options: &[&str]) -> Teller 
     start("the robot", desk.time(), &mut command, Process::on_its_own)
 }
 
+/// Another program of `tests/ros2`.
+pub fn teller(desk: &Desk, what: &'static str, python: &str, name: &str, options: &[&str]) -> Teller {
+    start(what, desk.time(), script(python, name).args(options), Process::on_its_own)
+}
+
 /// A robot on Cyclone DDS beside one on Fast DDS; none if its Python is not named.
 pub fn cyclone_peer(desk: &Desk, domain: u32, options: &[&str]) -> Option<Teller> {
     let python = std::env::var("BIMANUAL_CYCLONE_PYTHON").ok()?;
@@ -238,7 +243,7 @@ pub fn cyclone_peer(desk: &Desk, domain: u32, options: &[&str]) -> Option<Teller
 
 /// The arm's angles as a person is shown them, by `tests/ros2/shown.py`.
 pub fn shown(desk: &Desk, python: &str, where_from: &[&str]) -> Teller {
-    start("what is shown", desk.time(), script(python, "shown.py").args(where_from), Process::on_its_own)
+    teller(desk, "what is shown", python, "shown.py", where_from)
 }
 
 fn script(python: &str, name: &str) -> Command {
@@ -339,6 +344,11 @@ pub struct Site {
 /// where it may; `None` if it has run and passed there, or cannot run at all. Those that measure times do so one
 /// after the other, as do all on loopback.
 pub fn site(test: &str, measures: bool) -> Option<Site> {
+    site_in("ros2", test, measures)
+}
+
+/// The same in another module of `live`.
+pub fn site_in(module: &str, test: &str, measures: bool) -> Option<Site> {
     const INSIDE: &str = "BIMANUAL_OWN_NETWORK";
     let Ok(python) = std::env::var("BIMANUAL_ROS2_PYTHON") else {
         println!("SKIPPED: BIMANUAL_ROS2_PYTHON is not set; `cargo xtask test --only \"ROS 2\"` sets it");
@@ -368,7 +378,7 @@ pub fn site(test: &str, measures: bool) -> Option<Site> {
         let _starting = starting();
         again
             .arg(std::env::current_exe().unwrap())
-            .arg(format!("live::ros2::{test}"))
+            .arg(format!("live::{module}::{test}"))
             .env(INSIDE, "1")
             .spawn()
     };

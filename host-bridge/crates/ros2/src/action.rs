@@ -6,7 +6,7 @@ use ros2_client::action_msgs::{GoalStatus, GoalStatusArray, GoalStatusEnum};
 use ros2_client::qos::Durability;
 use ros2_client::{ActionTypeName, Message, Name, Node, QosProfile, RmwRequestId, ServiceMapping};
 
-use super::joined::NodeError;
+use super::transport::NodeError;
 use super::vendor::Wrapping;
 
 /// A client of this action, a type of `control_msgs`.

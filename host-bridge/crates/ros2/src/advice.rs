@@ -451,8 +451,8 @@ pub fn nobody(connection: &Connection, machine: &Machine) -> Vec<String> {
     }
     if machine.zenoh {
         advice.push(
-            "a Zenoh router listens on this machine: a robot on rmw_zenoh_cpp is not seen over DDS; run it with \
-             RMW_IMPLEMENTATION=rmw_cyclonedds_cpp, or zenoh-bridge-ros2dds beside it"
+            "a Zenoh router listens on this machine: a robot on rmw_zenoh_cpp is not seen over DDS; set transport = \
+             \"zenoh\" in [ros2], or run the robot with RMW_IMPLEMENTATION=rmw_cyclonedds_cpp"
                 .to_owned(),
         );
     }
@@ -467,6 +467,20 @@ pub fn nobody(connection: &Connection, machine: &Machine) -> Vec<String> {
     }
     advice.push("`echo $ROS_DOMAIN_ID $RMW_IMPLEMENTATION` on the robot shows what it uses".to_owned());
     advice
+}
+
+/// The same where a Zenoh router was reached.
+pub fn nobody_on_zenoh(connection: &Connection) -> Vec<String> {
+    vec![
+        format!(
+            "the Zenoh router answers, but tells of nobody: run the robot with RMW_IMPLEMENTATION=rmw_zenoh_cpp and \
+             ROS_DOMAIN_ID={} on the same router",
+            connection.domain_id
+        ),
+        "with access control each side needs a certificate of this pair and the namespace that goes with it \
+         (docs/sites.md)"
+            .to_owned(),
+    ]
 }
 
 #[cfg(test)]

@@ -24,6 +24,17 @@ pub enum ArmInterface {
     None,
 }
 
+/// What carries the node.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Carrier {
+    /// DDS, as rmw_fastrtps and rmw_cyclonedds.
+    #[default]
+    Dds,
+    /// Zenoh, as rmw_zenoh (feature `zenoh`).
+    Zenoh,
+}
+
 /// Whether speeds are stamped: `true`, `false` or `"auto"`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(untagged)]
@@ -65,6 +76,12 @@ pub struct Ros2Config {
     pub namespace: String,
     /// DDS domain, 0 to 232; -1 = `ROS_DOMAIN_ID`, or 0.
     pub domain_id: i32,
+    /// What carries it.
+    pub transport: Carrier,
+    /// Zenoh's routers, such as `tcp/localhost:7447`.
+    pub zenoh_connect: Vec<String>,
+    /// Zenoh's own configuration file, which goes before `zenoh_connect`; empty = `ZENOH_SESSION_CONFIG_URI`, or none.
+    pub zenoh_config: String,
     /// Addresses of the network interfaces to use; empty = all. `ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST`
     /// and `ROS_LOCALHOST_ONLY=1` count as `["127.0.0.1"]` where nothing else is said.
     pub interfaces: Vec<IpAddr>,
@@ -146,6 +163,9 @@ impl Default for Ros2Config {
             node: text("bimanual"),
             namespace: String::new(),
             domain_id: -1,
+            transport: Carrier::Dds,
+            zenoh_connect: vec![text("tcp/localhost:7447")],
+            zenoh_config: String::new(),
             interfaces: Vec::new(),
             stamped: Stamped::AUTO,
             stamp: Stamp::Zero,
@@ -199,6 +219,8 @@ pub struct RosEnvironment {
     pub static_peers: Option<String>,
     /// `ROS_DISCOVERY_SERVER`.
     pub discovery_server: Option<String>,
+    /// `ZENOH_SESSION_CONFIG_URI`.
+    pub zenoh_config: Option<String>,
 }
 
 impl RosEnvironment {
@@ -212,6 +234,7 @@ impl RosEnvironment {
             localhost_only: get("ROS_LOCALHOST_ONLY"),
             static_peers: get("ROS_STATIC_PEERS"),
             discovery_server: get("ROS_DISCOVERY_SERVER"),
+            zenoh_config: get("ZENOH_SESSION_CONFIG_URI"),
         }
     }
 }
@@ -225,6 +248,8 @@ pub struct Connection {
     pub domain_from: &'static str,
     /// Addresses of the interfaces; empty = all.
     pub interfaces: Vec<IpAddr>,
+    /// Zenoh's own configuration file.
+    pub zenoh_config: Option<String>,
 }
 
 impl Connection {
@@ -301,6 +326,10 @@ impl Ros2Config {
             "gripper_open and gripper_closed are two positions, gripper_width_m lies between 0.001 and 1, \
              gripper_timeout_ms between 500 and 60000",
         )?;
+        ensure(
+            !self.zenoh_connect.is_empty() && self.zenoh_connect.iter().all(|at| at.contains('/')),
+            "zenoh_connect has routers such as \"tcp/localhost:7447\"",
+        )?;
         let mut names = self.joint_names.to_vec();
         names.sort();
         names.dedup();
@@ -353,15 +382,19 @@ impl Ros2Config {
         } else {
             self.interfaces.clone()
         };
-        if let Some(zenoh) = environment.rmw.as_deref().filter(|rmw| rmw.contains("zenoh")) {
+        if self.transport == Carrier::Dds
+            && let Some(zenoh) = environment.rmw.as_deref().filter(|rmw| rmw.contains("zenoh"))
+        {
             return Err(format!(
-                "RMW_IMPLEMENTATION = {zenoh}: the bridge speaks DDS. Run the robot with rmw_cyclonedds_cpp or \
-                 rmw_fastrtps_cpp, or start zenoh-bridge-ros2dds beside it"
+                "RMW_IMPLEMENTATION = {zenoh}, but the bridge speaks DDS as configured: set transport = \"zenoh\" in [ros2], or run \
+                 the robot with rmw_cyclonedds_cpp or rmw_fastrtps_cpp"
             ));
         }
+        let file = Some(&self.zenoh_config).filter(|file| !file.is_empty());
+        let zenoh_config = file.or(environment.zenoh_config.as_ref()).cloned();
         // `check` and the match above keep it within 0 to 232.
         let domain_id = u16::try_from(domain).unwrap_or(0);
-        Ok(Connection { domain_id, domain_from, interfaces })
+        Ok(Connection { domain_id, domain_from, interfaces, zenoh_config })
     }
 }
 
@@ -389,6 +422,23 @@ mod tests {
     }
 
     #[test]
+    fn zenohs_own_file_is_the_configured_one_or_the_environments_and_dds_refuses_a_zenoh_robot() {
+        let environment = RosEnvironment {
+            rmw: Some("rmw_zenoh_cpp".to_owned()),
+            zenoh_config: Some("theirs.json5".to_owned()),
+            ..RosEnvironment::default()
+        };
+        let mut config = Ros2Config { transport: Carrier::Zenoh, ..Ros2Config::default() };
+        let file = |config: &Ros2Config| config.connection(&environment).unwrap().zenoh_config;
+        assert_eq!(file(&config).as_deref(), Some("theirs.json5"));
+        config.zenoh_config = "ours.json5".to_owned();
+        assert_eq!(file(&config).as_deref(), Some("ours.json5"));
+        config.transport = Carrier::Dds;
+        let error = config.connection(&environment).unwrap_err();
+        assert!(error.contains("transport = \"zenoh\""), "{error}");
+    }
+
+    #[test]
     fn bad_values_are_named() {
         let bad = |change: fn(&mut Ros2Config)| {
             let mut config = Ros2Config::default();
@@ -405,6 +455,7 @@ mod tests {
         assert!(bad(|c| c.estop = "e stop".to_owned()).contains("estop"));
         assert!(bad(|c| c.estop = "/bimanual/stopped".to_owned()).contains("own stop"));
         assert!(bad(|c| c.fault_timeout_ms = 5).contains("fault_timeout_ms"));
+        assert!(bad(|c| c.zenoh_connect = vec!["localhost".to_owned()]).contains("zenoh_connect"));
         assert!(bad(|c| c.node = "7up".to_owned()).contains("node"));
     }
 

@@ -8,7 +8,7 @@ use ros2_client::{Node, QosProfile, RmwRequestId};
 use super::action::{self, Goals, Said};
 use super::advice::{Endpoint, Graph, Probe, wire};
 use super::answer::Answer;
-use super::joined::NodeError;
+use super::transport::NodeError;
 use super::vendor::Wrapping;
 use host_topics::message as ros;
 
@@ -34,18 +34,12 @@ impl Follow {
         Follow { controller, qos, client, goals, probe: None, probed: Probe::NotSent }
     }
 
-    /// The servers of this action: readers of its requests.
-    pub fn servers<'a>(&self, graph: &'a Graph) -> Vec<&'a Endpoint> {
-        let topic = wire::send_goal(&self.controller);
-        graph.readers.iter().filter(|r| r.topic == topic && r.type_name == wire::SEND_GOAL).collect()
-    }
-
     /// Looks for the action's server. Returns whether goals may be sent, and what a person should know.
     ///
     /// # Errors
     /// If the client cannot be made.
     pub fn look(&mut self, node: &mut Node, graph: &Graph) -> Result<bool, NodeError> {
-        let servers = self.servers(graph);
+        let servers = servers(graph, &self.controller);
         let Some(first) = servers.first() else { return Ok(false) };
         let wrapping = first.vendor.wrapping();
         if self.client.as_ref().is_none_or(|(known, _)| *known != wrapping) {
@@ -102,8 +96,13 @@ impl Follow {
                 *probed = Probe::Answered;
             }
         });
-        said.into_iter().map(|(ours, said)| (ours, answer(said))).collect()
+        answers(said)
     }
+}
+
+/// What the arm's server said.
+pub fn answers(said: Vec<(u32, Said<ros::FollowResult, ros::FollowFeedback>)>) -> Vec<(u32, Answer)> {
+    said.into_iter().map(|(ours, said)| (ours, answer(said))).collect()
 }
 
 fn answer(said: Said<ros::FollowResult, ros::FollowFeedback>) -> Answer {
@@ -117,6 +116,12 @@ fn answer(said: Said<ros::FollowResult, ros::FollowFeedback>) -> Answer {
             Answer::Ended(format!("{other:?}, error {error_code} {error_string}"))
         }
     }
+}
+
+/// The servers of the arm's action below this controller: readers of its requests.
+pub fn servers<'a>(graph: &'a Graph, controller: &str) -> Vec<&'a Endpoint> {
+    let topic = wire::send_goal(controller);
+    graph.readers.iter().filter(|r| r.topic == topic && r.type_name == wire::SEND_GOAL).collect()
 }
 
 /// A list of servers for people: `Fast DDS (010f...)`.

@@ -8,17 +8,19 @@ use super::advice::{Endpoint, Graph};
 use super::config::Ros2Config;
 use super::follow::named;
 use super::gripper::GripAnswer;
-use super::joined::NodeError;
-use super::vendor::Wrapping;
+use super::transport::NodeError;
+use super::vendor::{Vendor, Wrapping};
 use host_topics::message as ros;
 
 /// More goals are not remembered.
 const GOALS_MAX: usize = 64;
+/// The reason of a robot whose gripper is not driven.
+pub const NO_GRIPPER: &str = "this robot's gripper is not driven";
 /// The end of its server's topic for requests.
 const REQUEST: &str = "/_action/send_goalRequest";
 
 /// The kinds of action, and the type of their requests.
-const KINDS: [(&str, &str); 2] = [
+pub const KINDS: [(&str, &str); 2] = [
     ("GripperCommand", "control_msgs::action::dds_::GripperCommand_SendGoal_Request_"),
     ("ParallelGripperCommand", "control_msgs::action::dds_::ParallelGripperCommand_SendGoal_Request_"),
 ];
@@ -31,35 +33,32 @@ enum Client {
     Parallel(Box<Parallel>),
 }
 
-/// See the module.
-pub struct Gripper {
+/// Which server is meant.
+pub struct Meant {
     /// The action's name; empty = whichever there is below the namespace.
     name: String,
     namespace: String,
-    joint: String,
-    qos: QosProfile,
-    /// Name, kind and vendor of the server that it is for.
-    client: Option<((String, usize, Wrapping), Client)>,
-    goals: Goals,
 }
 
-impl Gripper {
-    /// The gripper of a configuration, if it has one; no server is known yet.
-    pub fn new(config: &Ros2Config, qos: QosProfile) -> Option<Self> {
+/// The server that is meant.
+pub struct Found {
+    /// The action's name.
+    pub name: String,
+    /// Its place in [`KINDS`].
+    pub kind: usize,
+    /// Whose middleware it runs on.
+    pub vendor: Vendor,
+}
+
+impl Meant {
+    /// As configured; `None` = no gripper is driven.
+    pub fn new(config: &Ros2Config) -> Option<Self> {
         let name = match config.gripper.as_str() {
             "" => return None,
             "auto" => String::new(),
             name => config.resolve(name),
         };
-        let namespace = config.namespace.clone();
-        Some(Gripper {
-            name,
-            namespace,
-            joint: config.gripper_joint.clone(),
-            qos,
-            client: None,
-            goals: Goals::new(GOALS_MAX),
-        })
+        Some(Meant { name, namespace: config.namespace.clone() })
     }
 
     /// `/NAMESPACE/CONTROLLER/gripper_cmd`, and no other robot's.
@@ -67,12 +66,6 @@ impl Gripper {
         let below = name.strip_prefix(&self.namespace).and_then(|rest| rest.strip_prefix('/'));
         let controller = below.and_then(|rest| rest.strip_suffix("/gripper_cmd"));
         controller.is_some_and(|controller| !controller.is_empty() && !controller.contains('/'))
-    }
-
-    /// Which server is asked, for people.
-    pub fn about(&self) -> Option<String> {
-        let ((name, kind, _), _) = self.client.as_ref()?;
-        Some(format!("the gripper is {name} ({})", KINDS[*kind].0))
     }
 
     /// The servers that could be meant, with their names and kinds.
@@ -86,35 +79,102 @@ impl Gripper {
         graph.readers.iter().filter_map(server).collect()
     }
 
+    /// The only one.
+    ///
+    /// # Errors
+    /// There is none, or more than one.
+    pub fn only(&self, graph: &Graph) -> Result<Found, String> {
+        let servers = self.servers(graph);
+        match servers.as_slice() {
+            [(name, kind, server)] => Ok(Found { name: name.clone(), kind: *kind, vendor: server.vendor }),
+            [] if self.name.is_empty() => {
+                Err(format!("there is no action server {}/CONTROLLER/gripper_cmd", self.namespace))
+            }
+            [] => Err(format!("no server of {}", self.name)),
+            _ => {
+                let ends: Vec<&Endpoint> = servers.iter().map(|(_, _, end)| *end).collect();
+                Err(format!("there are {} servers: {}; name one", servers.len(), named(&ends)))
+            }
+        }
+    }
+}
+
+/// Which gripper is asked, for people.
+pub fn about(name: &str, kind: usize) -> String {
+    format!("the gripper is {name} ({})", KINDS[kind].0)
+}
+
+/// Why a server that does something else is not asked.
+pub fn at_work(name: &str) -> String {
+    format!("{name} is at a goal of another program")
+}
+
+/// Why a server that was not there before is not asked at once.
+pub const JUST_FOUND: &str = "its server has just been found";
+
+/// A goal of `GripperCommand`.
+pub fn command(position: f64, effort: Option<f64>) -> ros::GripGoal {
+    ros::GripGoal { command: ros::GripperCommand { position, max_effort: effort.unwrap_or(0.0) } }
+}
+
+/// A goal of `ParallelGripperCommand`; a joint without a name is the gripper's only one.
+pub fn parallel(joint: &str, position: f64, effort: Option<f64>) -> ros::ParallelGoal {
+    let named = Some(joint.to_owned()).filter(|joint| !joint.is_empty());
+    ros::ParallelGoal {
+        command: ros::JointState {
+            name: named.into_iter().collect(),
+            position: vec![position],
+            effort: effort.into_iter().collect(),
+            ..ros::JointState::default()
+        },
+    }
+}
+
+/// See the module.
+pub struct Gripper {
+    meant: Meant,
+    joint: String,
+    qos: QosProfile,
+    /// Name, kind and vendor of the server that it is for.
+    client: Option<((String, usize, Wrapping), Client)>,
+    goals: Goals,
+}
+
+impl Gripper {
+    /// The gripper of a configuration, if it has one; no server is known yet.
+    pub fn new(config: &Ros2Config, qos: QosProfile) -> Option<Self> {
+        Some(Gripper {
+            meant: Meant::new(config)?,
+            joint: config.gripper_joint.clone(),
+            qos,
+            client: None,
+            goals: Goals::new(GOALS_MAX),
+        })
+    }
+
+    /// Which server is asked, for people.
+    pub fn about(&self) -> Option<String> {
+        let ((name, kind, _), _) = self.client.as_ref()?;
+        Some(about(name, *kind))
+    }
+
     /// Looks for the action's server. Returns why none can be used; `None` = one can.
     ///
     /// # Errors
     /// If the client cannot be made.
     pub fn look(&mut self, node: &mut Node, graph: &Graph) -> Result<Option<String>, NodeError> {
-        let servers = self.servers(graph);
-        let [(name, kind, server)] = servers.as_slice() else {
-            return Ok(Some(match servers.len() {
-                0 if self.name.is_empty() => {
-                    format!("there is no action server {}/CONTROLLER/gripper_cmd", self.namespace)
-                }
-                0 => format!("no server of {}", self.name),
-                _ => {
-                    let ends: Vec<&Endpoint> = servers.iter().map(|(_, _, end)| *end).collect();
-                    format!("there are {} servers: {}; name one", servers.len(), named(&ends))
-                }
-            }));
+        let Found { name, kind, vendor } = match self.meant.only(graph) {
+            Ok(found) => found,
+            Err(why) => return Ok(Some(why)),
         };
-        let key = (name.clone(), *kind, server.vendor.wrapping());
+        let key = (name, kind, vendor.wrapping());
         if self.client.as_ref().is_none_or(|(known, _)| *known != key) {
             let client = self.connect(node, &key)?;
             self.client = Some((key, client));
             self.goals.clear();
-            return Ok(Some("its server has just been found".to_owned()));
+            return Ok(Some(JUST_FOUND.to_owned()));
         }
-        if self.goals.foreign() > 0 {
-            return Ok(Some(format!("{name} is at a goal of another program")));
-        }
-        Ok(None)
+        Ok((self.goals.foreign() > 0).then(|| at_work(&key.0)))
     }
 
     fn connect(
@@ -134,19 +194,9 @@ impl Gripper {
     pub fn send(&mut self, ours: u32, position: f64, effort: Option<f64>) -> bool {
         match &self.client {
             None => false,
-            Some((_, Client::Command(client))) => {
-                let command = ros::GripperCommand { position, max_effort: effort.unwrap_or(0.0) };
-                self.goals.send(client, ours, ros::GripGoal { command })
-            }
+            Some((_, Client::Command(client))) => self.goals.send(client, ours, command(position, effort)),
             Some((_, Client::Parallel(client))) => {
-                let named = Some(self.joint.clone()).filter(|joint| !joint.is_empty());
-                let command = ros::JointState {
-                    name: named.into_iter().collect(),
-                    position: vec![position],
-                    effort: effort.into_iter().collect(),
-                    ..ros::JointState::default()
-                };
-                self.goals.send(client, ours, ros::ParallelGoal { command })
+                self.goals.send(client, ours, parallel(&self.joint, position, effort))
             }
         }
     }
@@ -162,21 +212,33 @@ impl Gripper {
 
     /// The server's answers, each with our number of the goal.
     pub fn answers(&mut self) -> Vec<(u32, GripAnswer)> {
-        let first = |state: &ros::JointState| state.position.first().copied().unwrap_or(f64::NAN);
         match &self.client {
             None => Vec::new(),
-            Some((_, Client::Command(client))) => answers(
-                self.goals.said(client, |_| ()),
-                |result| (result.position, result.stalled, result.reached_goal),
-                |feedback| feedback.position,
-            ),
-            Some((_, Client::Parallel(client))) => answers(
-                self.goals.said(client, |_| ()),
-                |result| (first(&result.state), result.stalled, result.reached_goal),
-                |feedback| first(&feedback.state),
-            ),
+            Some((_, Client::Command(client))) => command_answers(self.goals.said(client, |_| ())),
+            Some((_, Client::Parallel(client))) => parallel_answers(self.goals.said(client, |_| ())),
         }
     }
+}
+
+/// What a server of `GripperCommand` said.
+pub fn command_answers(said: Vec<(u32, Said<ros::GripResult, ros::GripResult>)>) -> Vec<(u32, GripAnswer)> {
+    answers(
+        said,
+        |result| (result.position, result.stalled, result.reached_goal),
+        |feedback| feedback.position,
+    )
+}
+
+/// What a server of `ParallelGripperCommand` said.
+pub fn parallel_answers(
+    said: Vec<(u32, Said<ros::ParallelResult, ros::ParallelFeedback>)>,
+) -> Vec<(u32, GripAnswer)> {
+    let first = |state: &ros::JointState| state.position.first().copied().unwrap_or(f64::NAN);
+    answers(
+        said,
+        |result| (first(&result.state), result.stalled, result.reached_goal),
+        |feedback| first(&feedback.state),
+    )
 }
 
 /// What was said by a server of either kind.

@@ -2,7 +2,7 @@
 //! hashes do not mean the same. `tests/ros2/hashes.py` holds the table against Jazzy's own packages.
 
 /// ROS type, and its hash. Of an action the parts that have topics of their own.
-const HASHES: [(&str, &str); 35] = [
+const HASHES: [(&str, &str); 36] = [
     (
         "action_msgs/msg/GoalStatusArray",
         "RIHS01_6c1684b00f177d37438febe6e709fc4e2b0d4248dca4854946f9ed8b30cda83e",
@@ -118,6 +118,7 @@ const HASHES: [(&str, &str); 35] = [
     ("sensor_msgs/msg/JointState", "RIHS01_a13ee3a330e346c9d87b5aa18d24e11690752bd33a0350f11c5882bc9179260e"),
     ("std_msgs/msg/Bool", "RIHS01_feb91e995ff9ebd09c0cb3d2aed18b11077585839fb5db80193b62d74528f6c9"),
     ("std_msgs/msg/String", "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"),
+    ("tf2_msgs/msg/TFMessage", "RIHS01_e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087"),
     (
         "trajectory_msgs/msg/JointTrajectory",
         "RIHS01_179b33eba59d676f6d967ac71fe35e7ca2f64b2f3928f4a018cec115e213796e",

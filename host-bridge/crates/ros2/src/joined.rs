@@ -1,4 +1,4 @@
-//! The node's entities on the graph: its participant, what it publishes and reads, and whom it sees.
+//! The node on DDS: its participant, what it publishes and reads, and whom it sees.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -12,27 +12,17 @@ use ros2_client::qos::{Durability, History, WhenFull};
 use ros2_client::{
     Context, Message, MessageTypeName, Name, Node, NodeName, NodeOptions, Publisher, QosProfile, Subscription,
 };
-use serde::{Deserialize, Deserializer, Serialize};
+use serde::Serialize;
 
-use super::advice::{Endpoint, Graph, Participant, wire};
+use super::advice::{Endpoint, Graph, Participant};
 use super::config::{ArmInterface, Connection, Ros2Config};
 use super::estop::Inputs;
 use super::follow::Follow;
 use super::grip::Gripper;
+use super::transport::{NodeError, ToldState};
 use super::vendor::Vendor;
 use super::watch::Watch;
 use host_topics::message as ros;
-
-/// Why there is no node.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("ROS 2: {0}")]
-pub struct NodeError(String);
-
-impl NodeError {
-    pub(super) fn of(what: &str, error: &dyn std::fmt::Debug) -> Self {
-        NodeError(format!("{what} failed: {error:?}"))
-    }
-}
 
 /// How the base's speed is published.
 pub enum Speed {
@@ -264,27 +254,22 @@ impl Joined {
         Ok((joined, Published { diagnostics, stopped, sim }))
     }
 
-    /// Publishes speeds as the other type from now on.
-    ///
-    /// # Errors
-    /// [`NodeError`]: the topic cannot be had.
-    pub fn set_stamped(&mut self, config: &Ros2Config, stamped: bool) -> Result<(), NodeError> {
-        self.speed = speed(&mut self.node, config, stamped, &self.speed_qos)?;
-        Ok(())
-    }
-
-    /// Our own participant, named as [`Joined::graph`] names others.
+    /// Our own participant, named as [`Joined::look_around`] names others.
     pub fn own_name(&self) -> String {
         name_of(&self.participant.guid().to_bytes())
     }
 
-    /// Whether speeds are stamped.
-    pub fn is_stamped(&self) -> bool {
-        matches!(self.speed, Speed::Stamped(_))
+    /// Publishes speeds as the other type from now on.
+    ///
+    /// # Errors
+    /// [`NodeError`]: the topic cannot be had.
+    pub fn restamp(&mut self, config: &Ros2Config, stamped: bool) -> Result<(), NodeError> {
+        self.speed = speed(&mut self.node, config, stamped, &self.speed_qos)?;
+        Ok(())
     }
 
     /// Everybody else on the graph.
-    pub fn graph(&mut self) -> Graph {
+    pub fn look_around(&mut self) -> Graph {
         let own = self.participant.guid().prefix;
         let name = |guid: &GUID| {
             let bytes = guid.to_bytes();
@@ -362,56 +347,12 @@ pub fn name_of(guid: &[u8]) -> String {
     guid.iter().take(12).map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// A controller's state with the fields that follow in Jazzy. Other releases end otherwise; what cannot be read is left out.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct ToldState {
-    /// The part that all releases share.
-    pub state: ros::ControllerState,
-    rest: Tail,
-}
-
-impl Message for ToldState {}
-
-impl ToldState {
-    /// The factor by which it scales speeds, if it reports it.
-    pub fn scaling(&self) -> Option<f64> {
-        self.rest.0.as_ref().map(|rest| rest.speed_scaling_factor)
-    }
-}
-
-/// The end of a message, if it is as expected.
-#[derive(Clone, Debug, Serialize)]
-struct Tail(Option<Rest>);
-
-impl<'de> Deserialize<'de> for Tail {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        // Nothing follows that a wrong reading could damage.
-        Ok(Tail(Rest::deserialize(deserializer).ok()))
-    }
-}
-
-#[derive(Clone, Debug, Serialize, Deserialize)]
-struct Rest {
-    error: ros::JointTrajectoryPoint,
-    output: ros::JointTrajectoryPoint,
-    multi_dof_joint_names: Vec<String>,
-    multi_dof: [ros::MultiDofPoint; 4],
-    speed_scaling_factor: f64,
-}
-
 /// REP-2016's hash of a type, from what its end point says about itself.
 fn type_hash(user_data: &[u8]) -> Option<String> {
     let text = String::from_utf8_lossy(user_data);
     // The length of the data comes first, as bytes.
     let (_, rest) = text.split_once("typehash=")?;
     Some(rest.split(';').next().unwrap_or(rest).to_owned())
-}
-
-/// Topics of the simulator that somebody else publishes.
-pub fn rivals(config: &Ros2Config, graph: &Graph) -> Vec<String> {
-    let names = [&config.joint_states, &config.odom, &config.tf].map(|name| config.resolve(name));
-    let taken = |name: &String| graph.writers.iter().any(|writer| writer.topic == wire::topic(name));
-    names.into_iter().filter(taken).collect()
 }
 
 fn speed(node: &mut Node, config: &Ros2Config, stamped: bool, qos: &QosProfile) -> Result<Speed, NodeError> {

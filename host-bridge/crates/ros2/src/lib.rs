@@ -1,7 +1,7 @@
 //! ROS 2: the bridge as one more node on the graph, with nothing to install or source.
 //!
 //! ```text
-//! director ─► RosRobot (what to send when) ─► node (DDS) ─► /cmd_vel, arm controller
+//! director ─► RosRobot (what to send when) ─► node (DDS or Zenoh) ─► /cmd_vel, arm controller
 //!                 ▲                             │
 //!                 └── joint states, odometry, answers
 //! ```
@@ -16,6 +16,8 @@ pub mod answer;
 pub mod arm;
 pub mod clocks;
 pub mod config;
+#[cfg(feature = "ros2")]
+mod dds;
 pub mod description;
 #[cfg(feature = "ros2")]
 mod device;
@@ -39,9 +41,14 @@ pub mod publisher;
 pub mod robot;
 mod strays;
 pub mod stream;
+#[cfg(feature = "ros2")]
+pub mod transport;
 pub mod vendor;
 #[cfg(feature = "ros2")]
 mod watch;
+#[cfg(feature = "zenoh")]
+mod zenoh;
+pub mod zenoh_keys;
 
 pub use clocks::Stamp;
 pub use config::{ArmInterface, Ros2Config, Stamped};

@@ -1,21 +1,19 @@
-//! The node on the graph: DDS in, DDS out. Nothing is decided here.
+//! The node on the graph: messages in, messages out. Nothing is decided here.
 //!
-//! RustDDS runs its own threads; everything here returns at once. A node whose threads have ended is opened anew, on
-//! a thread of its own. Needs the feature `ros2`.
+//! What carries it ([`Transport`]) has threads of its own; everything here returns at once. A node whose threads have
+//! ended is opened anew, on a thread of its own. Needs the feature `ros2`.
 
 use std::sync::mpsc::{Receiver, TryRecvError, channel};
 use std::sync::{Arc, Mutex};
 
-use super::action::active;
 use super::advice::{Endpoint, Graph, Heard, topics, wire};
 use super::clocks::{Clocks, Difference, Source};
 use super::config::{Connection, Ros2Config};
 use super::estop::Inputs;
-use super::follow::named;
-use super::grip::Gripper;
-use super::joined::{Arm, Joined, NodeError, Published, Speed, ToldState, name_of, rivals};
+use super::follow::{named, servers};
 use super::publisher::{RosPublisher, Simulator, lock};
 use super::robot::{Counts, Output, RosRobot};
+use super::transport::{self, ArmWay, Came, NodeError, Opened, Sent, Transport, Voice};
 use host_robot::Robot as _;
 use host_topics::message as ros;
 
@@ -24,15 +22,18 @@ const LOOK_INTERVAL_MS: u64 = 250;
 /// The node's threads are looked at this often.
 const WATCH_INTERVAL_MS: u64 = 100;
 
+/// What is published beside the commands: `None` while the node is opened anew.
+pub(super) type Shared = Arc<Mutex<Option<Box<dyn Voice>>>>;
+
 /// See the module.
 pub struct RosNode {
     config: Ros2Config,
     connection: Connection,
     publish_sim: bool,
     /// `None` while it is opened anew.
-    joined: Option<Joined>,
-    published: Arc<Mutex<Option<Published>>>,
-    opening: Option<Receiver<Result<(Joined, Published), NodeError>>>,
+    joined: Option<Box<dyn Transport>>,
+    published: Shared,
+    opening: Option<Receiver<Result<Opened, NodeError>>>,
     clocks: Clocks,
     heard: Heard,
     controller_state: Option<(u64, ros::ControllerState)>,
@@ -44,14 +45,6 @@ pub struct RosNode {
     /// What was said last about each of these, so that it is said once.
     said: [Option<String>; 4],
     counts: Counts,
-}
-
-/// What a robot says about itself.
-enum HeardOf<'a> {
-    Arm(&'a ros::JointState, &'a str),
-    Base(&'a ros::Odometry),
-    Controller(&'a ToldState),
-    ForeignGoals(usize),
 }
 
 /// Places in `said`.
@@ -72,9 +65,9 @@ impl RosNode {
         simulator: Option<Simulator>,
     ) -> Result<(Self, RosPublisher), NodeError> {
         let publish_sim = simulator.is_some();
-        let (joined, published) = Joined::open(config, connection, publish_sim)?;
+        let (joined, published) = transport::open(config, connection, publish_sim)?;
         let published = Arc::new(Mutex::new(Some(published)));
-        let publisher = RosPublisher::new(config, &published, simulator);
+        let publisher = RosPublisher::new(config, Arc::clone(&published), simulator);
         let node = RosNode {
             joined: Some(joined),
             published,
@@ -102,7 +95,7 @@ impl RosNode {
 
     /// Everybody else on the graph.
     pub fn graph(&mut self) -> Graph {
-        self.joined.as_mut().map(Joined::graph).unwrap_or_default()
+        self.joined.as_mut().map(|joined| joined.graph()).unwrap_or_default()
     }
 
     /// Topics of the simulator that somebody else publishes.
@@ -113,7 +106,7 @@ impl RosNode {
 
     /// The node is on the graph and its threads are alive.
     pub fn is_alive(&self) -> bool {
-        self.joined.as_ref().is_some_and(|joined| joined.watch.is_alive())
+        self.joined.as_ref().is_some_and(|joined| joined.is_alive())
     }
 
     /// The robot's clock against the one that it should agree with; `None` where the robot stamps nothing.
@@ -139,22 +132,21 @@ impl RosNode {
         robot.at(now_ms);
         let mut notes = Vec::new();
         self.watch(robot, now_ms, &mut notes);
-        self.hear(wall_s, now_ms, |heard| match heard {
-            HeardOf::Arm(state, teller) => robot.see_from(teller, state),
-            HeardOf::Base(odometry) => robot.see_base(odometry),
-            HeardOf::Controller(told) => robot.see_controller(&told.state, told.scaling()),
-            HeardOf::ForeignGoals(goals) => robot.set_foreign_goals(goals),
+        self.hear(wall_s, now_ms, |came| match came {
+            Came::Arm(state, teller) => robot.see_from(teller, state),
+            Came::Base(odometry) => robot.see_base(odometry),
+            Came::Controller(told) => robot.see_controller(&told.state, told.scaling()),
+            Came::ForeignGoals(goals) => robot.set_foreign_goals(*goals),
+            Came::Clock(_) | Came::Flag { .. } => {}
         });
-        if let Some(Arm::Action(follow)) = self.joined.as_mut().map(|joined| &mut joined.arm) {
-            for (goal, answer) in follow.answers() {
+        if let Some(joined) = self.joined.as_mut().filter(|joined| joined.arm_way() == ArmWay::Action) {
+            for (goal, answer) in joined.answers() {
                 robot.answer(goal, answer);
             }
-            robot.set_foreign_goals(follow.foreign());
+            robot.set_foreign_goals(joined.foreign());
         }
-        if let Some(gripper) = self.joined.as_mut().and_then(|joined| joined.gripper.as_mut()) {
-            for (goal, answer) in gripper.answers() {
-                robot.grip_answer(goal, answer);
-            }
+        for (goal, answer) in self.joined.as_mut().map(|joined| joined.grip_answers()).unwrap_or_default() {
+            robot.grip_answer(goal, answer);
         }
         notes.extend(robot.take_notes());
         if self.looked_ms.is_none_or(|at| now_ms.saturating_sub(at) >= LOOK_INTERVAL_MS) {
@@ -165,41 +157,32 @@ impl RosNode {
     }
 
     /// Takes what the robot says about itself.
-    fn hear(&mut self, wall_s: f64, now_ms: u64, mut see: impl FnMut(HeardOf<'_>)) {
+    fn hear(&mut self, wall_s: f64, now_ms: u64, mut see: impl FnMut(&Came)) {
         let Some(joined) = &mut self.joined else { return };
-        // What cannot be read is dropped.
-        while let Ok(Some((clock, _))) = joined.clock.take() {
-            self.heard.clocks += 1;
-            self.clocks.hear_clock(clock.clock.seconds(), now_ms);
-        }
-        let own = joined.own_name();
-        for (n, readers) in joined.flags.iter().enumerate() {
-            for reader in readers {
-                while let Ok(Some((flag, info))) = reader.take() {
-                    let writer = name_of(info.publisher_gid().as_bytes());
-                    if writer != own {
-                        self.inputs.hear(n, &writer, flag.data, now_ms);
-                    }
+        let (heard, clocks, inputs) = (&mut self.heard, &mut self.clocks, &mut self.inputs);
+        let (counts, controller_state) = (&mut self.counts, &mut self.controller_state);
+        joined.take(&mut |came| {
+            match &came {
+                Came::Clock(clock) => {
+                    heard.clocks += 1;
+                    clocks.hear_clock(clock.clock.seconds(), now_ms);
                 }
+                Came::Flag { input, writer, stop } => inputs.hear(*input, writer, *stop, now_ms),
+                Came::Arm(state, _) => {
+                    counts.joint_states += 1;
+                    clocks.hear(Source::JointStates, state.header.stamp.seconds(), wall_s, now_ms);
+                }
+                Came::Base(odom) => {
+                    clocks.hear(Source::Odometry, odom.header.stamp.seconds(), wall_s, now_ms);
+                }
+                Came::Controller(told) => {
+                    heard.controller_states += 1;
+                    *controller_state = Some((now_ms, told.state.clone()));
+                }
+                Came::ForeignGoals(_) => {}
             }
-        }
-        while let Some(Ok(Some((list, _)))) = joined.goals.as_ref().map(|goals| goals.take()) {
-            see(HeardOf::ForeignGoals(active(&list).count()));
-        }
-        while let Some(Ok(Some((state, info)))) = joined.joint_states.as_ref().map(|states| states.take()) {
-            self.counts.joint_states += 1;
-            self.clocks.hear(Source::JointStates, state.header.stamp.seconds(), wall_s, now_ms);
-            see(HeardOf::Arm(&state, &name_of(info.publisher_gid().as_bytes())));
-        }
-        while let Some(Ok(Some((odom, _)))) = joined.odom.as_ref().map(|odom| odom.take()) {
-            self.clocks.hear(Source::Odometry, odom.header.stamp.seconds(), wall_s, now_ms);
-            see(HeardOf::Base(&odom));
-        }
-        while let Some(Ok(Some((state, _)))) = joined.controller_state.as_ref().map(|states| states.take()) {
-            self.heard.controller_states += 1;
-            see(HeardOf::Controller(&state));
-            self.controller_state = Some((now_ms, state.state));
-        }
+            see(&came);
+        });
     }
 
     /// Examines the graph without a robot to move: hears, and asks the arm's server something harmless. Call it
@@ -210,17 +193,15 @@ impl RosNode {
             self.looked_ms = Some(now_ms);
             if let Some(joined) = &mut self.joined {
                 let graph = joined.graph();
-                if let Arm::Action(follow) = &mut joined.arm {
-                    // Why it cannot be asked shows in what is not answered.
-                    if follow.look(&mut joined.node, &graph) == Ok(true) {
-                        follow.ask();
-                    }
+                // Why it cannot be asked shows in what is not answered.
+                if joined.arm_way() == ArmWay::Action && joined.look_for_server(&graph) == Ok(true) {
+                    joined.ask();
                 }
             }
         }
-        if let Some(Arm::Action(follow)) = self.joined.as_mut().map(|joined| &mut joined.arm) {
-            let _ = follow.answers();
-            self.heard.probe = follow.probe();
+        if let Some(joined) = self.joined.as_mut().filter(|joined| joined.arm_way() == ArmWay::Action) {
+            let _ = joined.answers();
+            self.heard.probe = joined.probe();
         }
         Heard {
             joint_states: self.counts.joint_states,
@@ -257,7 +238,7 @@ impl RosNode {
             }
             return;
         }
-        if self.joined.as_ref().is_some_and(|joined| !joined.watch.is_alive()) {
+        if self.joined.as_ref().is_some_and(|joined| !joined.is_alive()) {
             notes.push(
                 "ALARM: the node's threads have ended (this process was stopped or suspended): no stop reaches the \
                  robot until it is open again; the robot's own timeouts act"
@@ -280,7 +261,7 @@ impl RosNode {
             (self.config.clone(), self.connection.clone(), self.publish_sim);
         // Nothing waits for it: a dead node's end may take its time.
         std::thread::spawn(move || {
-            drop(sender.send(Joined::open(&config, &connection, publish_sim)));
+            drop(sender.send(transport::open(&config, &connection, publish_sim)));
             drop(dead);
         });
         self.opening = Some(receiver);
@@ -324,9 +305,9 @@ impl RosNode {
         }
         let readers = kinds[usize::from(!joined.is_stamped())];
         let mut servers_note = None;
-        let listened_to = match &mut joined.arm {
-            Arm::None => false,
-            Arm::Topic(_) => {
+        let listened_to = match joined.arm_way() {
+            ArmWay::None => false,
+            ArmWay::Topic => {
                 let topics = topics(&self.config, &graph);
                 let ours = topics.iter().find(|topic| topic.key == "arm_controller");
                 let match_of = |r: &&Endpoint| {
@@ -344,33 +325,27 @@ impl RosNode {
                 servers_note = (controllers.len() > 1).then(|| too_many(&controllers));
                 controllers.len() == 1
             }
-            Arm::Action(follow) => {
-                let servers = follow.servers(&graph);
+            ArmWay::Action => {
+                let servers = servers(&graph, &self.config.resolve(&self.config.arm_controller));
                 servers_note = match servers.as_slice() {
                     [] => None,
                     [one] => Some(format!("goals go to an action server on {}", one.vendor)),
                     several => Some(too_many(several)),
                 };
-                follow.look(&mut joined.node, &graph).unwrap_or_else(|error| {
+                joined.look_for_server(&graph).unwrap_or_else(|error| {
                     notes.push(error.to_string());
                     false
                 })
             }
         };
-        let missing = match &mut joined.gripper {
-            None => Some("this robot's gripper is not driven".to_owned()),
-            Some(gripper) => {
-                gripper.look(&mut joined.node, &graph).unwrap_or_else(|error| Some(error.to_string()))
-            }
-        };
-        robot.set_gripper_missing(missing);
-        let gripper_note = joined.gripper.as_ref().and_then(Gripper::about);
+        robot.set_gripper_missing(joined.look_for_gripper(&graph));
+        let gripper_note = joined.about_gripper();
         let rivals = if self.publish_sim { rivals(&self.config, &graph) } else { Vec::new() };
         if !rivals.is_empty() {
             // Nor after the node was opened anew.
             self.publish_sim = false;
             if let Some(published) = &mut *lock(&self.published) {
-                published.sim = None;
+                published.end_simulator();
             }
             notes.push(format!(
                 "somebody else publishes {}: the simulator's state is no longer published",
@@ -403,50 +378,49 @@ impl RosNode {
                 self.counts.failed += 1;
                 continue;
             };
+            let is_cancel = matches!(output, Output::Cancel { .. } | Output::CancelGrip { .. });
             let sent = match output {
                 Output::Twist(twist) => {
                     self.counts.twists += 1;
-                    let twist = ros::Twist::from(twist);
-                    match &joined.speed {
-                        Speed::Plain(publisher) => publisher.publish(twist).is_ok(),
-                        Speed::Stamped(publisher) => {
-                            let stamp = self.clocks.stamp_s(self.config.stamp, wall_s, now_ms);
-                            let header = ros::Header {
-                                stamp: ros::Time::after_s(stamp),
-                                frame_id: self.config.base_frame.clone(),
-                            };
-                            publisher.publish(ros::TwistStamped { header, twist }).is_ok()
-                        }
-                    }
+                    let stamp = self.clocks.stamp_s(self.config.stamp, wall_s, now_ms);
+                    let header = ros::Header {
+                        stamp: ros::Time::after_s(stamp),
+                        frame_id: self.config.base_frame.clone(),
+                    };
+                    joined.send_speed(ros::TwistStamped { header, twist: ros::Twist::from(twist) })
                 }
-                Output::Trajectory(trajectory) => match &joined.arm {
-                    Arm::Topic(publisher) => {
-                        self.counts.motions += 1;
-                        publisher.publish(trajectory).is_ok()
-                    }
-                    _ => false,
-                },
-                Output::Goal { goal, trajectory } => match &mut joined.arm {
-                    Arm::Action(follow) => {
-                        self.counts.motions += 1;
-                        follow.send(goal, trajectory)
-                    }
-                    _ => false,
-                },
-                Output::Cancel { goal } => match &joined.arm {
-                    Arm::Action(follow) => follow.cancel(goal),
-                    _ => false,
-                },
+                Output::Trajectory(trajectory) => {
+                    self.counts.motions += 1;
+                    joined.send_trajectory(trajectory)
+                }
+                Output::Goal { goal, trajectory } => {
+                    self.counts.motions += 1;
+                    Sent::at_once(joined.send_goal(goal, trajectory))
+                }
+                Output::Cancel { goal } => joined.cancel(goal),
                 Output::Grip { goal, position, effort } => {
-                    joined.gripper.as_mut().is_some_and(|gripper| gripper.send(goal, position, effort))
+                    Sent::at_once(joined.send_grip(goal, position, effort))
                 }
-                Output::CancelGrip { goal } => {
-                    joined.gripper.as_ref().is_some_and(|gripper| gripper.cancel(goal))
-                }
+                Output::CancelGrip { goal } => joined.cancel_grip(goal),
             };
-            self.counts.failed += u64::from(!sent);
+            self.counts.failed += u64::from(sent == Sent::No);
+            if is_cancel {
+                self.counts.cancels += u64::from(sent == Sent::Yes);
+            } else {
+                self.counts.replaced += u64::from(sent == Sent::Instead);
+            }
         }
+        let unsent = self.joined.as_mut().map(|joined| joined.take_unsent()).unwrap_or_default();
+        self.counts.withdrawn += unsent.withdrawn;
+        self.counts.failed += unsent.failed;
     }
+}
+
+/// Topics of the simulator that somebody else publishes.
+fn rivals(config: &Ros2Config, graph: &Graph) -> Vec<String> {
+    let names = [&config.joint_states, &config.odom, &config.tf].map(|name| config.resolve(name));
+    let taken = |name: &String| graph.writers.iter().any(|writer| writer.topic == wire::topic(name));
+    names.into_iter().filter(taken).collect()
 }
 
 fn too_many(controllers: &[&Endpoint]) -> String {

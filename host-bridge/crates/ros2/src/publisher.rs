@@ -1,11 +1,12 @@
 //! What the program publishes beside its commands: whether its operator has stopped, diagnostics, and the simulator where
 //! that is the robot. Needs the feature `ros2`.
 
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{MutexGuard, PoisonError};
 
 use super::config::Ros2Config;
 use super::description::urdf;
-use super::joined::Published;
+use super::node::Shared;
+use super::transport::Voice;
 use host_robot::{Door, RobotSetting};
 use host_topics::message as ros;
 use host_topics::messages::{Frames, transforms};
@@ -40,7 +41,7 @@ impl Simulator {
 /// What the program publishes beside its commands: diagnostics, and the simulator where that is the robot.
 pub struct RosPublisher {
     config: Ros2Config,
-    published: Arc<Mutex<Option<Published>>>,
+    published: Shared,
     /// Where the simulator's state is published.
     simulator: Option<Simulator>,
     sim_published_ms: u64,
@@ -50,18 +51,9 @@ pub struct RosPublisher {
 
 impl RosPublisher {
     /// For this node; nothing was said yet.
-    pub(super) fn new(
-        config: &Ros2Config,
-        published: &Arc<Mutex<Option<Published>>>,
-        simulator: Option<Simulator>,
-    ) -> Self {
-        RosPublisher {
-            config: config.clone(),
-            published: Arc::clone(published),
-            simulator,
-            sim_published_ms: 0,
-            said_stopped: None,
-        }
+    pub(super) fn new(config: &Ros2Config, published: Shared, simulator: Option<Simulator>) -> Self {
+        let config = config.clone();
+        RosPublisher { config, published, simulator, sim_published_ms: 0, said_stopped: None }
     }
 
     /// Says whether this program's operator has stopped: at once when it changes, else four times a second.
@@ -69,32 +61,29 @@ impl RosPublisher {
         let said = self.said_stopped.is_some_and(|(last, at_ms)| {
             last == stopped && now_ms.saturating_sub(at_ms) < STOPPED_INTERVAL_MS
         });
-        if !said && let Some(published) = &*lock(&self.published) {
+        if !said && let Some(published) = &mut *lock(&self.published) {
             self.said_stopped = Some((stopped, now_ms));
             // What cannot be handed over is said again soon.
-            let _ = published.stopped.publish(ros::Bool { data: stopped });
+            let _ = published.say_stopped(stopped);
         }
     }
 
     /// Publishes what the hands do.
     pub fn diagnose(&mut self, message: ros::DiagnosticArray) {
-        if let Some(published) = &*lock(&self.published) {
-            // A message that cannot be handed over is late by the next one.
-            let _ = published.diagnostics.publish(message);
+        if let Some(published) = &mut *lock(&self.published) {
+            published.diagnose(message);
         }
     }
 
     /// Publishes the simulator's state, if that is wanted and due.
     pub fn publish_sim(&mut self, robot: &dyn Door, now_ms: u64, stamp: ros::Time) {
         let mut published = lock(&self.published);
-        let topics = published.as_mut().and_then(|published| published.sim.as_mut());
-        let (Some(topics), Some(described)) = (topics, &self.simulator) else { return };
-        if let (Some(publisher), false) = (&topics.description, topics.is_described) {
-            topics.is_described = publisher.publish(ros::Text { data: described.urdf.clone() }).is_ok();
-        }
+        let voice = published.as_mut().filter(|voice| voice.has_simulator());
+        let (Some(voice), Some(described)) = (voice, &self.simulator) else { return };
         if now_ms.saturating_sub(self.sim_published_ms) < SIM_INTERVAL_MS {
             return;
         }
+        voice.describe(&described.urdf);
         self.sim_published_ms = now_ms;
         let (picture, Simulator { setting, frames, .. }) = (robot.picture(), described);
         let header = |frame: &str| ros::Header { stamp, frame_id: frame.to_owned() };
@@ -107,13 +96,11 @@ impl RosPublisher {
             effort: Vec::new(),
         };
         let odom = ros::Odometry::of(&picture, &setting.base, header(&frames.odom), frames.base.clone());
-        let _ = topics.joint_states.publish(joint_state);
-        let _ = topics.odom.publish(odom);
-        let _ = topics.tf.publish(transforms(robot, &picture, setting, frames, stamp));
+        voice.simulate(joint_state, odom, transforms(robot, &picture, setting, frames, stamp));
     }
 }
 
 /// A publisher that panicked leaves what it had whole.
-pub(super) fn lock(published: &Mutex<Option<Published>>) -> MutexGuard<'_, Option<Published>> {
+pub(super) fn lock(published: &Shared) -> MutexGuard<'_, Option<Box<dyn Voice>>> {
     published.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -66,7 +66,13 @@ pub struct Counts {
     pub twists: u64,
     /// Arm motions.
     pub motions: u64,
-    /// Messages that could not be handed over.
+    /// Requests for the end of a goal of arm or gripper; what waits already is not asked for twice.
+    pub cancels: u64,
+    /// Speeds and pieces of arm motions that a newer one replaced before they left: Zenoh on a network that stands still.
+    pub replaced: u64,
+    /// Goals that were cancelled or too old before they left, likewise.
+    pub withdrawn: u64,
+    /// Messages and requests that could not be handed over.
     pub failed: u64,
     /// Joint states heard.
     pub joint_states: u64,

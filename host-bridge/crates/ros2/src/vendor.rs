@@ -16,6 +16,8 @@ impl Vendor {
     pub const CYCLONE_DDS: Vendor = Vendor([0x01, 0x10]);
     /// RTI Connext, under `rmw_connextdds`.
     pub const CONNEXT: Vendor = Vendor([0x01, 0x01]);
+    /// No DDS: a session of Zenoh. Not assigned to anybody.
+    pub const ZENOH: Vendor = Vendor([0xFF, 0x5A]);
     /// RustDDS, as here.
     pub const RUST_DDS: Vendor = Vendor([0x01, 0x12]);
 
@@ -36,6 +38,7 @@ impl fmt::Display for Vendor {
             Vendor::FAST_DDS => f.write_str("Fast DDS"),
             Vendor::CYCLONE_DDS => f.write_str("Cyclone DDS"),
             Vendor::CONNEXT => f.write_str("Connext"),
+            Vendor::ZENOH => f.write_str("Zenoh"),
             Vendor::RUST_DDS => f.write_str("RustDDS"),
             Vendor([high, low]) => write!(f, "vendor {high:02x}.{low:02x}"),
         }

@@ -1,0 +1,55 @@
+//! What the program says on Zenoh beside its commands.
+
+use host_topics::cdr::encode;
+use host_topics::message as ros;
+
+use super::outbox::Outbox;
+use super::waiting::{Order, Place};
+use crate::transport::{Sent, Voice};
+
+/// A description is told again after this many states of the simulator: whoever comes late reads that.
+const DESCRIBED_EVERY: u32 = 50;
+
+/// See the module.
+pub struct ZenohVoice {
+    /// Where it goes.
+    pub outbox: Outbox,
+    /// The simulator's state goes out.
+    pub has_simulator: bool,
+    /// States told.
+    pub states: u32,
+}
+
+impl Voice for ZenohVoice {
+    fn diagnose(&mut self, message: ros::DiagnosticArray) {
+        self.outbox.put(Place::Diagnostics, encode(&message));
+    }
+
+    fn say_stopped(&mut self, stopped: bool) -> bool {
+        self.outbox.put(Place::Stopped, encode(&ros::Bool { data: stopped })) != Sent::No
+    }
+
+    fn has_simulator(&self) -> bool {
+        self.has_simulator
+    }
+
+    fn end_simulator(&mut self) {
+        self.has_simulator = false;
+        for place in [Place::JointStates, Place::Odometry, Place::Frames, Place::Description] {
+            self.outbox.order(Order::Unwrite(place));
+        }
+    }
+
+    fn describe(&mut self, urdf: &str) {
+        if self.states.is_multiple_of(DESCRIBED_EVERY) {
+            self.outbox.put(Place::Description, encode(&ros::Text { data: urdf.to_owned() }));
+        }
+    }
+
+    fn simulate(&mut self, joints: ros::JointState, odometry: ros::Odometry, frames: ros::TfMessage) {
+        self.states = self.states.wrapping_add(1);
+        self.outbox.put(Place::JointStates, encode(&joints));
+        self.outbox.put(Place::Odometry, encode(&odometry));
+        self.outbox.put(Place::Frames, encode(&frames));
+    }
+}
