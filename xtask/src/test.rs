@@ -372,21 +372,16 @@ fn wall_clock() -> Vec<Step> {
         // Minutes of building: no other step has Zenoh in it, and what it shares with others it wants with other features.
         steps.push(Step::new("ROS 2 over Zenoh", || {
             let python = python::environment()?;
-            let lints = ["clippy", "--locked", "-p", "host-ros2", "--features", "zenoh", "--all-targets"];
-            sh(cargo(&lints).args(["--", "-D", "warnings"]))?;
-            sh(&mut cargo(&[
-                "test",
-                "--locked",
-                "-p",
-                "host-ros2",
-                "--features",
-                "zenoh",
-                "--lib",
-                "zenoh",
-            ]))?;
-            let live = ["test", "--locked", "-p", "host-bridge", "--features", "zenoh", "--no-fail-fast"];
-            sh(cargo(&live)
-                .args(["--test", "live", "live::zenoh::", "--", "--nocapture"])
+            let ours = ["-p", "host-ros2", "-p", "host-bridge", "--features"];
+            let with = |verb: &str| {
+                let mut command = cargo(&[verb, "--locked"]);
+                command.args(ours).arg("host-ros2/zenoh,host-bridge/zenoh");
+                command
+            };
+            sh(with("clippy").args(["--all-targets", "--", "-D", "warnings"]))?;
+            sh(with("test")
+                .args(["--no-fail-fast", "--lib", "--test", "live", "zenoh", "--", "--nocapture"])
+                .env("BIMANUAL_PROGRAMS", programs()?)
                 .env("BIMANUAL_ROS2_PYTHON", python))
         }));
     }

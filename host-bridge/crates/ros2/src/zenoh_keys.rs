@@ -347,8 +347,15 @@ mod tests {
         };
         let (plain, labelled) = (attached.bytes(false), attached.bytes(true));
         assert_eq!((plain.len(), labelled.len()), (33, 77));
-        assert_eq!((&plain[..8], plain[16]), (&7_i64.to_le_bytes()[..], 16));
-        assert_eq!((labelled[0], &labelled[1..16]), (15, &b"sequence_number"[..]));
+        // Laid out by hand after rmw_zenoh's attachment_helpers.cpp: two integers, then 16 bytes with their number before them;
+        // Jazzy puts the length and the name of each before it.
+        let hex = |bytes: &[u8]| bytes.iter().map(|byte| format!("{byte:02x}")).collect::<String>();
+        let (number, sent) = ("0700000000000000", "0100f323845bd718");
+        let writer = "10000102030405060708090a0b0c0d0e0f";
+        assert_eq!(hex(&plain), format!("{number}{sent}{writer}"));
+        let [first, second, third] =
+            ["sequence_number", "source_timestamp", "source_gid"].map(|label| hex(label.as_bytes()));
+        assert_eq!(hex(&labelled), format!("0f{first}{number}10{second}{sent}0a{third}{writer}"));
         assert_eq!(Attached::read(&plain), Some((attached, false)));
         assert_eq!(Attached::read(&labelled), Some((attached, true)));
         for bytes in [&plain, &labelled] {
