@@ -494,7 +494,7 @@ mod tests {
             };
             config.connection(&environment).unwrap_err()
         };
-        assert!(with(None, Some("rmw_zenoh_cpp")).contains("zenoh-bridge-ros2dds"));
+        assert!(with(None, Some("rmw_zenoh_cpp")).contains("set transport = \"zenoh\""));
         assert!(with(Some("abc"), None).contains("0 to 232"));
         assert!(with(Some("233"), None).contains("0 to 232"));
         for (range, says) in [("OFF", "nodes find nobody"), ("EVERYWHERE", "none of SUBNET")] {
