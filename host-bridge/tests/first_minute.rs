@@ -127,12 +127,13 @@ impl Desk {
             let asked = self.prompt().text;
             if asked != self.drawn && asked.starts_with("NOW draw ") && self.obeys {
                 let wanted = |motion: &Motion| asked.contains(&format!("draw {},", motion.label()));
-                let motion = Motion::GESTURES.into_iter().find(wanted).expect("a gesture that the model knows");
+                let motion =
+                    Motion::GESTURES.into_iter().find(wanted).expect("a gesture that the model knows");
                 self.draws(motion, 3.0);
             }
             self.drawn = asked;
             if self.next.is_empty() {
-                self.draws(Motion::IDLE, 1.0);
+                self.draws(Motion::IDLE, 60.0);
             }
             let sample = self.next.pop_front().unwrap();
             let counts = std::array::from_fn(|i| (sample[i] / SCALE[i / 3]).round() as i16);
@@ -275,7 +276,9 @@ fn whoever_gives_up_or_does_not_move_leaves_the_board_and_the_disk_as_they_were(
         desk.gestures(since)
     );
 
+    // Another minute of rest begins: between two of them the hand jumps.
     desk.obeys = false;
+    desk.next.clear();
     desk.wearer.press();
     desk.until("the hand hardly moved: once more");
     desk.until("given up: the hand hardly moved, 3 times");
@@ -312,11 +315,8 @@ fn where_board_or_model_cannot_the_wearer_is_told_what_to_do() {
     assert!(told.text.contains("needed beside the model"), "{told:?}");
 
     // Nothing can be kept: a file is where the folder should be.
-    let blocked = Settings {
-        name: Some("ada".to_owned()),
-        folder: folder.path().join("a-file"),
-        model: None,
-    };
+    let blocked =
+        Settings { name: Some("ada".to_owned()), folder: folder.path().join("a-file"), model: None };
     std::fs::write(&blocked.folder, "").unwrap();
     let mut desk = Desk::new(bundled(), blocked);
     desk.until("ada has shown nothing yet");

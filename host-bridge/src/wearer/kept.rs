@@ -75,7 +75,9 @@ impl Kept {
         let kept = kept.and_then(|files| files.blob().map(|blob| (files.card, blob)));
         match kept {
             Err(why) => {
-                let text = format!("the model of {name} cannot be used ({why}): show each gesture {TIMES} times again");
+                let text = format!(
+                    "the model of {name} cannot be used ({why}): show each gesture {TIMES} times again"
+                );
                 Offer::Show { labels: gestures, text }
             }
             Ok((card, _)) if card.labels != labels => {
@@ -111,7 +113,10 @@ impl Kept {
         let recordings = self.folder(&name).join("recordings");
         for (label, recording) in shown {
             let file = next_file(&recordings.join(label), &name).map_err(|error| {
-                format!("{}: nothing can be kept ({error}); is there room, and may you?", recordings.display())
+                format!(
+                    "{}: nothing can be kept ({error}); is there room, and may you?",
+                    recordings.display()
+                )
             })?;
             // Edge Impulse's header; our own tools read both.
             let text = recording.to_csv().replacen("timestamp_ms", "timestamp", 1);

@@ -74,8 +74,7 @@ impl Cmd {
                 progress.tick();
             };
             let aimless_s = self.hours * 3600.0;
-            let events =
-                Events::run(&trial, &people, self.seeds, aimless_s, &self.max_rest, pause, done)?;
+            let events = Events::run(&trial, &people, self.seeds, aimless_s, &self.max_rest, pause, done)?;
             progress.finish_and_clear();
             for (person, tally) in events.people.iter().zip(&events.real) {
                 print(person, tally);

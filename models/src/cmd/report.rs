@@ -78,7 +78,15 @@ impl Cmd {
                 let points = SHARES.par_iter().map(point).collect::<Result<Vec<_>, _>>()?;
                 learning.push((format!("{}: {person}", recipe.name()), points));
             }
-            events = Some(Events::run(&trial, &people, self.seeds, self.hours * 3600.0, &TRIED, Pause::USUAL, done)?);
+            events = Some(Events::run(
+                &trial,
+                &people,
+                self.seeds,
+                self.hours * 3600.0,
+                &TRIED,
+                Pause::USUAL,
+                done,
+            )?);
         }
         progress.finish_and_clear();
         let report = Report {

@@ -425,8 +425,7 @@ mod tests {
     #[test]
     fn recordings_can_be_joined_by_a_rest_of_any_length() {
         let items = [item("circle", 1, [0.0, 0.0, 9.8]), item("wave", 1, [9.8, 0.0, 0.0])];
-        let joined =
-            AnnotatedRecording::joined_by(&items.iter().collect::<Vec<_>>(), 3, Pause::of(0.7), 1);
+        let joined = AnnotatedRecording::joined_by(&items.iter().collect::<Vec<_>>(), 3, Pause::of(0.7), 1);
         let [first, second] = [&joined.annotations[0], &joined.annotations[1]];
         assert_eq!(second.start - first.end, 70);
     }

@@ -68,7 +68,8 @@ impl Facts {
                 }
             }
             person.at_largest = near as f64 / all.max(1) as f64;
-            let theirs = dataset.items.par_iter().filter(|item| item.person == *name && !is_rest(&item.label));
+            let theirs =
+                dataset.items.par_iter().filter(|item| item.person == *name && !is_rest(&item.label));
             let mut tempos: Vec<f64> =
                 theirs.filter_map(|item| strokes_per_second(&item.recording)).collect();
             tempos.sort_by(f64::total_cmp);

@@ -25,8 +25,12 @@ pub fn first(page: &mut String, report: &Report) {
 
 /// A bar for each person held out.
 fn people(page: &mut String, study: &Study, facts: &Facts) {
-    let mut each: Vec<(&String, f64)> =
-        study.people.iter().zip(&study.strangers).map(|(name, runs)| (name, Graded::mean(runs).int8)).collect();
+    let mut each: Vec<(&String, f64)> = study
+        .people
+        .iter()
+        .zip(&study.strangers)
+        .map(|(name, runs)| (name, Graded::mean(runs).int8))
+        .collect();
     each.sort_by(|a, b| a.1.total_cmp(&b.1));
     let floor = each.first().map_or(0.0, |(_, worst)| ((worst - 5.0) / 10.0).floor() * 10.0).max(0.0);
     let drawn: Vec<Bar> = each
@@ -64,8 +68,7 @@ fn trade(page: &mut String, events: &Events, axes: usize) {
     let part = |value: f64| (value - floor) / (100.0 - floor).max(1e-9);
     // Of real people's recordings of no gesture, and of simulated wearers' hours.
     let real = |tally: &Tally| 100.0 * tally.rest_events as f64 / tally.rests.max(1) as f64;
-    let simulated =
-        |tally: &Tally| if tally.rest_s > 0.0 { tally.false_per_hour() } else { 0.0 };
+    let simulated = |tally: &Tally| if tally.rest_s > 0.0 { tally.false_per_hour() } else { 0.0 };
     let most = tried.iter().flat_map(|(_, r, s)| [real(r), simulated(s)]).fold(1.0, f64::max);
     let curve = |name, x: &dyn Fn(&(u8, &Tally, &Tally)) -> f64| Curve {
         name,

@@ -1,7 +1,7 @@
 //! Teaching a model of recipe `aligned` one more person.
 
-use super::memory::{Memory, balanced};
 use super::fit::{Steps, refit};
+use super::memory::{Memory, balanced};
 use super::vary::{Kind, vary};
 use super::{TrainError, Trained};
 use crate::WINDOW;

@@ -85,8 +85,7 @@ impl Adaptable {
             }
         };
         check_recipe(model, &files)?;
-        let [int8, float, memory] =
-            [beside("tflite")?, beside("float.tflite")?, beside("memory.bin")?];
+        let [int8, float, memory] = [beside("tflite")?, beside("float.tflite")?, beside("memory.bin")?];
         Self::of(files, int8.1, &float.0, float.1, &memory.1)
     }
 
@@ -117,7 +116,10 @@ impl Adaptable {
             Err(error) => return Err(AdaptError::Float { file: file(), what: error.to_string() }),
         };
         let memory = Memory::parse(memory, &files.card)?;
-        Ok(Self { model: Trained { card: files.card, float, float_tflite, int8_tflite, memory: None }, memory })
+        Ok(Self {
+            model: Trained { card: files.card, float, float_tflite, int8_tflite, memory: None },
+            memory,
+        })
     }
 
     /// The model after it has learnt these recordings of one person; its name is `name`.

@@ -50,7 +50,8 @@ impl Steps {
         rounded: 300,
     };
     /// For a network that only has to learn one more person.
-    pub const ADAPT: Self = Self { count: 800, most: 800, learning_rate: 2e-3, keep: 0.98, members: 1, ..Self::TRAIN };
+    pub const ADAPT: Self =
+        Self { count: 800, most: 800, learning_rate: 2e-3, keep: 0.98, members: 1, ..Self::TRAIN };
 
     /// As many steps as these windows of recordings and varied copies of them need: each is seen sixteen times. Thirty people
     /// who are seen four times each are known three to four points worse.
@@ -89,8 +90,7 @@ pub(super) fn refit(
     if plan.rounded > 0 {
         let inputs: Vec<&[f32]> = rows.iter().map(|(input, _)| input.as_slice()).collect();
         let rounding = Rounding { limit, ranges: quantise::ranges(&layers, &inputs) };
-        layers =
-            run(rows, labels, &layers, &plan.last(), Some(&rounding), RandomStream::Rounding.of(seed));
+        layers = run(rows, labels, &layers, &plan.last(), Some(&rounding), RandomStream::Rounding.of(seed));
     }
     layers
 }
@@ -125,9 +125,7 @@ impl Changing {
         let [means, squares] = &mut self.moments;
         let moments = means.iter_mut().zip(squares);
         let values = self.values.iter_mut().zip(&mut self.average);
-        for (((value, average), gradient), (mean, square)) in
-            values.zip(&mut self.gradient).zip(moments)
-        {
+        for (((value, average), gradient), (mean, square)) in values.zip(&mut self.gradient).zip(moments) {
             *mean = *mean * keep_first + *gradient * (1.0 - keep_first);
             *square = *square * keep_second + *gradient * *gradient * (1.0 - keep_second);
             *value -= rate * (*mean * first) / ((*square * second).sqrt() + EPSILON);
@@ -192,7 +190,8 @@ impl Fitting {
             for (value, passes) in made.iter_mut().zip(passes) {
                 let inside = value.clamp(low.max(lowest), high);
                 *passes = if *value == inside { 1.0 } else { 0.0 };
-                *value = if range.is_some() { rounded(inside, (high - low).max(1e-9) / 255.0) } else { inside };
+                *value =
+                    if range.is_some() { rounded(inside, (high - low).max(1e-9) / 255.0) } else { inside };
             }
         }
     }
@@ -228,9 +227,8 @@ impl Fitting {
 
     /// The average over the steps, as a plain layer.
     fn layer(&self) -> FloatLayer {
-        let row = |output: usize| {
-            self.weights.average.iter().skip(output).step_by(self.outputs).copied().collect()
-        };
+        let row =
+            |output: usize| self.weights.average.iter().skip(output).step_by(self.outputs).copied().collect();
         FloatLayer {
             weights: (0..self.outputs).map(row).collect(),
             biases: self.biases.average.clone(),

@@ -6,10 +6,10 @@ use sha2::{Digest, Sha256};
 
 use super::memory::Memory;
 use super::quantise;
+use crate::blob;
 use crate::card::Card;
 use crate::recording::write_whole;
 use crate::tflite::{self, FloatLayer, Network};
-use crate::blob;
 
 /// Why a data set cannot be learned; the text says what to do.
 #[derive(Debug, thiserror::Error)]

@@ -316,8 +316,7 @@ impl Showing {
                     self.records = false;
                     match std::mem::replace(&mut self.phase, Phase::Asking) {
                         Phase::Back(After::GiveUp(why)) => {
-                            self.phase =
-                                Phase::Over { text: format!("given up: {why}"), is_done: false };
+                            self.phase = Phase::Over { text: format!("given up: {why}"), is_done: false };
                         }
                         _ => self.go(Phase::Learning { taken: false }, now_ms),
                     }
@@ -348,7 +347,9 @@ impl Showing {
                 let text = if is_done {
                     format!("the board runs model {model_id:08x} now: draw, and see")
                 } else {
-                    format!("the board started with model {model_id:08x}, not with the new one; send it again")
+                    format!(
+                        "the board started with model {model_id:08x}, not with the new one; send it again"
+                    )
                 };
                 self.phase = Phase::Over { text, is_done };
             }
