@@ -96,7 +96,7 @@ impl Desk {
             board: Board::new(built_in),
             engine: live(&Config::default(), HandInput::Nobody, HandInput::Board),
             wearer: Wearer::start(settings, &SystemClock::start()).unwrap(),
-            hand: Simulated::evaluation(41, 3).untaught(),
+            hand: Simulated::evaluation(41, 3),
             next: Default::default(),
             obeys: true,
             drawn: String::new(),
@@ -281,7 +281,7 @@ fn whoever_gives_up_or_does_not_move_leaves_the_board_and_the_disk_as_they_were(
     desk.next.clear();
     desk.wearer.press();
     desk.until("the hand hardly moved: once more");
-    desk.until("given up: the hand hardly moved, 3 times");
+    desk.until("given up: the hand hardly moved, 3 times. who wears");
     assert!(!folder.path().join("wearers").exists());
 
     // A board that restarts under way is no longer in record mode.

@@ -183,6 +183,11 @@ pub fn steer(args: &HandArgs, keep: &KeepArgs) -> Result<ExitCode> {
         "a keyboard hand needs the live view: start it in a terminal, without --headless and --json"
     );
 
+    ensure!(
+        inputs.right == HandInput::Board || (args.wearer.is_none() && args.model.is_none()),
+        "--wearer and --model are for a right hand with a board: give its port with --right"
+    );
+
     let stage = stage(&config, args.scene.as_deref())?;
     let map = config.motion_map();
     check_motions(&map, &config.mappings(), &stage.motions)?;
@@ -287,20 +292,13 @@ pub fn steer(args: &HandArgs, keep: &KeepArgs) -> Result<ExitCode> {
             screen.line(&serde_json::to_string(&line)?);
         }
     }
-    let wearer = if inputs.right == HandInput::Board {
-        let settings = wearer::Settings {
-            name: args.wearer.clone(),
-            folder: args.wearers.clone(),
-            model: args.model.clone(),
-        };
-        Some(Wearer::start(settings, &*clock)?)
-    } else {
-        ensure!(
-            args.wearer.is_none() && args.model.is_none(),
-            "--wearer and --model are for a right hand with a board: give its port with --right"
-        );
-        None
+    let who = wearer::Settings {
+        name: args.wearer.clone(),
+        folder: args.wearers.clone(),
+        model: args.model.clone(),
     };
+    let has_wearer = inputs.right == HandInput::Board;
+    let wearer = has_wearer.then(|| Wearer::start(who, &*clock)).transpose()?;
     let work = Work {
         engine,
         clock: Arc::clone(&clock),

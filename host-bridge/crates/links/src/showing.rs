@@ -204,6 +204,8 @@ impl Showing {
         if let Phase::Kept { model_id } = self.phase {
             let text = format!("the board uses model {model_id:08x} from its next start on");
             self.phase = Phase::Over { text, is_done: false };
+        } else if matches!(self.phase, Phase::Back(After::GiveUp(_))) {
+            // It has been given up already.
         } else if self.records {
             self.go(Phase::Back(After::GiveUp(why.to_owned())), now_ms);
         } else if self.is_over().is_none() {

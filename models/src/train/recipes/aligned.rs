@@ -160,6 +160,6 @@ impl Recipe for Aligned {
         let copies = self.copies.min(3);
         // The figures of `models simulated` were taken with the fewest steps.
         let steps = Steps { most: self.steps.count, ..self.steps };
-        Box::new(Self { steps, copies, bystanders: 0, performers: 0, daily: Daily::None, ..self.clone() })
+        Box::new(Self { steps, copies, bystanders: 0, performers: 0, daily: Daily::None })
     }
 }

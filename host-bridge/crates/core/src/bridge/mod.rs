@@ -3,16 +3,18 @@
 mod accepted;
 mod events;
 mod judged;
+mod wearer;
 
 pub use accepted::{Acceptance, Accepted};
 pub use events::{BridgeEvent, Drops, EventKind, GestureOutcome};
+pub use wearer::{Nearly, Prompt};
 
-use serde::Serialize;
 use shared_proto::message::{Ack, Heading, HostMessage, LeftState, health};
 
 use accepted::Acceptances;
 use host_robot::{Busy, Door, MotionName, NotStarted, Part, Report, Twist};
 use judged::{command, rests, without_figures};
+use wearer::{NEARLY_SHOWN_MS, Seen};
 
 use crate::almost::Almost;
 use crate::doubt;
@@ -23,9 +25,6 @@ use crate::tilt::{Tilt, TiltDrive};
 
 /// The base's speed is repeated this often, so that the robot knows that the bridge lives.
 pub const DRIVE_INTERVAL_MS: u64 = 20;
-
-/// What was nearly a gesture is shown for so long after it was over.
-const NEARLY_SHOWN_MS: u64 = 2000;
 
 /// The bridge.
 #[derive(Clone, Debug)]
@@ -38,12 +37,7 @@ pub struct Bridge {
     drops: Drops,
     scores: Vec<f32>,
     almost: Almost,
-    /// What was nearly a gesture, and until when that is shown.
-    nearly: Option<(Nearly, u64)>,
-    /// The wearer shows gestures to a model that is to learn them: none has an effect.
-    is_shown: bool,
-    /// What the wearer is asked.
-    prompt: Option<Prompt>,
+    wearer: Seen,
     left_state: LeftState,
     right_health: u8,
     was_armed: bool,
@@ -69,24 +63,6 @@ pub struct Restriction {
     pub text: String,
 }
 
-/// A gesture that was nearly one.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Nearly {
-    /// The nearest gesture.
-    pub label: String,
-    /// Its best mean probability, 0 to 1.
-    pub confidence: f32,
-}
-
-/// What the right hand's wearer is asked or told, on every surface.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct Prompt {
-    /// One sentence.
-    pub text: String,
-    /// What the key and the page's button do now; `None` = nothing.
-    pub button: Option<&'static str>,
-}
-
 impl Bridge {
     /// A bridge that waits for its hands.
     pub fn new(map: MotionMap) -> Self {
@@ -104,9 +80,7 @@ impl Bridge {
             drops: Drops::default(),
             scores: Vec::new(),
             almost: Almost::default(),
-            nearly: None,
-            is_shown: false,
-            prompt: None,
+            wearer: Seen::default(),
             left_state: LeftState { heading: Heading::Neutral, ..LeftState::default() },
             right_health: 0,
             was_armed: false,
@@ -225,35 +199,6 @@ impl Bridge {
         if self.was_armed && (due || self.twist() != self.driven.0) {
             self.drive(now_ms, robot);
         }
-    }
-
-    /// From now on the wearer shows gestures that are to be learnt (or no longer): while that lasts, none has an effect.
-    pub fn show_key(&mut self, is_shown: bool) {
-        self.is_shown = is_shown;
-    }
-
-    /// Whether gestures are only shown.
-    pub fn is_shown(&self) -> bool {
-        self.is_shown
-    }
-
-    /// Sets what the wearer is asked.
-    pub fn set_prompt(&mut self, prompt: Option<Prompt>) {
-        self.prompt = prompt;
-    }
-
-    /// What the wearer is asked.
-    pub fn prompt(&self) -> Option<&Prompt> {
-        self.prompt.as_ref()
-    }
-
-    /// What is nearly a gesture, while it is, and for a moment after.
-    pub fn nearly(&self, now_ms: u64) -> Option<Nearly> {
-        if let Some((label, confidence)) = self.almost.near() {
-            let label = self.links.right.model().and_then(|model| model.labels.get(label)).cloned();
-            return label.map(|label| Nearly { label, confidence });
-        }
-        self.nearly.as_ref().filter(|(_, until_ms)| now_ms < *until_ms).map(|(nearly, _)| nearly.clone())
     }
 
     /// What to send to a hand's board now, if anything.
@@ -430,7 +375,7 @@ impl Bridge {
             let unnamed = if named.is_some() { new.unnamed } else { new.unnamed.saturating_add(1) };
             self.drops.gestures_unnamed += u32::from(unnamed);
         }
-        let acts = named.as_ref().filter(|_| !self.is_shown);
+        let acts = named.as_ref().filter(|_| !self.wearer.is_shown);
         let gesture = acts.map(|(new, label)| safety::Gesture {
             label: new.label,
             age_ms: new.age_ms,
@@ -440,7 +385,7 @@ impl Bridge {
         if let Some((label, confidence)) = almost {
             let label = labels[label].clone();
             let nearly = Nearly { label: label.clone(), confidence };
-            self.nearly = Some((nearly, now_ms.saturating_add(NEARLY_SHOWN_MS)));
+            self.wearer.nearly = Some((nearly, now_ms.saturating_add(NEARLY_SHOWN_MS)));
             self.note(now_ms, EventKind::Almost { label, confidence });
         }
         self.scores = report.scores;
@@ -454,9 +399,9 @@ impl Bridge {
         };
         let outcome = self.apply(event, now_ms, robot);
         if let Some((new, label)) = named {
-            self.nearly = None;
+            self.wearer.nearly = None;
             let outcome = match outcome {
-                _ if self.is_shown => GestureOutcome::NotArmed,
+                _ if self.wearer.is_shown => GestureOutcome::NotArmed,
                 outcome => outcome.unwrap_or(GestureOutcome::Late),
             };
             match &outcome {
