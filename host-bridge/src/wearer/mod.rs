@@ -224,6 +224,11 @@ impl Wearer {
             return;
         }
         let Some(identity) = engine.bridge().link(Hand::Right).identity() else { return };
+        if !engine.is_set_up(Hand::Right) {
+            // What a board is told at its start would end its record mode again.
+            self.pressed = true;
+            return;
+        }
         let request = FOREIGN_REQUESTS.wrapping_add(self.showings.wrapping_mul(REQUESTS) & 0x3fff);
         let (boot_id, sample_hz) = (identity.boot_id, identity.sample_hz);
         self.showing = match &self.offer {

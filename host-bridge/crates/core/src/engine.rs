@@ -192,6 +192,11 @@ impl<'b, D: Door> Engine<'b, D> {
         self.marked.push(SessionEvent::Wearer { time_ms: now_ms, text });
     }
 
+    /// Whether a hand's board has acknowledged all that it is told at its start.
+    pub fn is_set_up(&self, hand: Hand) -> bool {
+        self.set_ups[hand].is_none()
+    }
+
     /// Sends a hand's board something that the session itself does not need. `request` in it must be one that the engine
     /// does not use: [`FOREIGN_REQUESTS`] and more.
     pub fn send_to(&mut self, hand: Hand, message: &HostMessage<'_>, now_ms: u64) {

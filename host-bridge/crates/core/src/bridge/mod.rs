@@ -18,6 +18,7 @@ use wearer::{NEARLY_SHOWN_MS, Seen};
 
 use crate::almost::Almost;
 use crate::doubt;
+use crate::engine::FOREIGN_REQUESTS;
 use crate::intent::{Caps, MotionMap, SpeedRules};
 use crate::link::{HandLink, Heard, NewGesture, RightReport};
 use crate::safety::{self, Action, Hand, Ignored, PerHand, Safety, SafetyTimes, State};
@@ -211,7 +212,7 @@ impl Bridge {
         self.link_mut(hand).ping(now_ms)
     }
 
-    /// A hand's newest answer to a request (hellos and pongs are none).
+    /// A hand's newest answer to a request of the session's own (hellos and pongs are none).
     pub fn last_ack(&self, hand: Hand) -> Option<Ack> {
         self.last_acks[hand]
     }
@@ -354,7 +355,9 @@ impl Bridge {
                 let fault = format!("{:?} (detail {:#x})", fault.kind, fault.detail);
                 self.note(now_ms, EventKind::BoardFault { hand, fault });
             }
-            Heard::Ack(ack) => self.last_acks[hand] = Some(ack),
+            // Others may ask the board for something at the same time: theirs must not hide the session's own.
+            Heard::Ack(ack) if ack.request < FOREIGN_REQUESTS => self.last_acks[hand] = Some(ack),
+            Heard::Ack(_) => {}
         }
     }
 
