@@ -24,6 +24,8 @@ use host_core::source::HandKey;
 use host_links::links::{Clock, EventReceiver, Link, News, Waiter};
 use host_robot::Door;
 
+use crate::wearer::Wearer;
+
 /// Bytes wake the loop at once; without any it turns this often.
 const TURN: Duration = Duration::from_millis(2);
 /// Bytes are taken for at most this long before the engine gets its turn.
@@ -48,6 +50,8 @@ pub enum Order {
     EndArm,
     /// An episode is marked.
     Mark(Mark),
+    /// The wearer begins to show gestures, or gives that up.
+    Show,
 }
 
 /// What happened to a link.
@@ -115,6 +119,10 @@ pub struct Work<D: Door> {
     pub asks_for_stop: Box<dyn Fn() -> bool + Send>,
     /// Somebody else who may mark episodes; asked at every turn, and must not wait.
     pub marks: Box<dyn Fn() -> Option<Mark> + Send>,
+    /// Who wears the right hand, if it can be asked.
+    pub wearer: Option<Wearer>,
+    /// Somebody else who may press the wearer's key; asked at every turn, and must not wait.
+    pub shows: Box<dyn Fn() -> bool + Send>,
     /// The session ends by itself then.
     pub until_ms: u64,
     /// After the last halt the robot is served for this long, so that the halt reaches it.
@@ -245,7 +253,12 @@ impl<D: Door> Running<D> {
                     let now_ms = work.clock.now_ms();
                     match event.news {
                         // By the time of handling, so that bytes that waited are as old as they are.
-                        News::Bytes(bytes) => work.engine.receive(event.link, &bytes, now_ms),
+                        News::Bytes(bytes) => {
+                            work.engine.receive(event.link, &bytes, now_ms);
+                            if let (Hand::Right, Some(wearer)) = (event.link, &mut work.wearer) {
+                                wearer.receive(&bytes, now_ms);
+                            }
+                        }
                         News::Opened => {
                             self.waiting.links.push(LinkReport {
                                 time_ms: now_ms,
@@ -275,12 +288,19 @@ impl<D: Door> Running<D> {
                 Order::Release => work.engine.release_key(now_ms),
                 Order::EndArm => work.engine.end_arm_key(now_ms),
                 Order::Mark(mark) => work.engine.mark(mark, MarkedBy::Key, now_ms),
+                Order::Show => work.wearer.iter_mut().for_each(Wearer::press),
             }
         }
         if let Some(mark) = (work.marks)() {
             work.engine.mark(mark, MarkedBy::Page, now_ms);
         }
         let ready = PerHand::of(|hand| work.links[hand].as_ref().is_some_and(Link::is_ready));
+        if let Some(wearer) = &mut work.wearer {
+            if (work.shows)() {
+                wearer.press();
+            }
+            wearer.turn(&mut work.engine, ready.right, now_ms);
+        }
         self.waiting.events.extend(work.engine.advance(now_ms, ready));
         for hand in Hand::BOTH {
             for frame in work.engine.take_outgoing(hand) {

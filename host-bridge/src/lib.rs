@@ -20,12 +20,13 @@ pub mod robots;
 pub mod script;
 pub mod taught;
 pub mod teach;
+pub mod wearer;
 
 pub use host_arm::{self as arm, plan, scene};
 pub use host_core::{
     bridge, describe, doubt, engine, episodes, intent, latency, link, observe, safety, session, source, tilt,
 };
-pub use host_links::{capture, hands, keyboard, links, survey, talk, upload, wire};
+pub use host_links::{capture, hands, keyboard, links, showing, survey, talk, upload, wire};
 pub use host_robot as robot;
 pub use host_robot::base;
 pub use host_ros2 as ros2;

@@ -4,6 +4,7 @@ use std::io::{Read as _, Write as _};
 use std::net::{SocketAddr, TcpStream};
 use std::time::{Duration, Instant};
 
+use host_bridge::bridge::Prompt;
 use host_bridge::config::{Config, HandInput};
 use host_bridge::engine::Engine;
 use host_bridge::episodes::Mark;
@@ -104,6 +105,27 @@ fn a_page_marks_episodes_where_the_session_takes_marks() {
         assert_eq!(marks(), takes.then_some(Mark::Again));
         assert_eq!(marks(), None);
     }
+}
+
+#[test]
+fn a_page_is_told_what_the_wearer_is_asked_and_presses_the_button() {
+    let web = Web::start(&any_port()).unwrap();
+    let mut live = live_engine(&Config::default(), HandInput::Keyboard, HandInput::Keyboard);
+    live.tap_mut().add(Box::new(web.watcher("a test")));
+    let text = "show each gesture".to_owned();
+    live.set_prompt(Some(Prompt { text, button: Some("show three of each") }));
+    publish_step(&mut live, 1);
+    let mut page = open(&web, Some(&own_origin(&web)), "").unwrap();
+    assert_eq!(message(&mut page)["hello"], 1);
+    let right = &message(&mut page)["state"]["right"];
+    assert_eq!(right["prompt"]["text"], "show each gesture");
+    assert_eq!((&right["prompt"]["button"], &right["nearly"]), (&"show three of each".into(), &Value::Null));
+    page.send(Message::text("show")).unwrap();
+    let _ = page.send(Message::text("show it"));
+    // A message that no page sends ends the connection: by then all messages before it were read.
+    while page.read().is_ok() {}
+    let shows = web.shows();
+    assert!(shows() && !shows());
 }
 
 #[test]

@@ -10,6 +10,12 @@ use crate::card::Card;
 pub const TFLITE: &[u8] = include_bytes!("../bundled/right-aligned.tflite");
 /// `right-aligned.card.json`.
 pub const CARD: &[u8] = include_bytes!("../bundled/right-aligned.card.json");
+/// `right-aligned.float.tflite`, to teach it one more person.
+#[cfg(feature = "adapt")]
+pub const FLOAT: &[u8] = include_bytes!("../bundled/right-aligned.float.tflite");
+/// `right-aligned.memory.bin`, for the same.
+#[cfg(feature = "adapt")]
+pub const MEMORY: &[u8] = include_bytes!("../bundled/right-aligned.memory.bin");
 
 /// The bundled model and its card.
 pub fn files() -> Result<ModelFiles, ModelError> {

@@ -12,7 +12,7 @@ pub mod adc;
 pub mod blob;
 pub mod bundled;
 pub mod card;
-#[cfg(feature = "train")]
+#[cfg(feature = "adapt")]
 pub mod daily;
 pub mod dataset;
 #[cfg(feature = "train")]
@@ -28,7 +28,7 @@ pub mod sheet;
 pub mod streams;
 pub mod synth;
 pub mod tflite;
-#[cfg(feature = "train")]
+#[cfg(feature = "adapt")]
 pub mod train;
 pub mod windows;
 

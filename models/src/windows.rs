@@ -114,6 +114,17 @@ pub fn aligned_features(axes: usize, window: &[f32]) -> Vec<f32> {
     }
 }
 
+/// Samples from one window that is learnt to the next: 1 s.
+#[cfg(feature = "adapt")]
+const LEARNT_STRIDE: usize = crate::RATE_HZ as usize;
+
+/// The windows of a prepared recording that recipe `aligned` learns, each sample after sample.
+#[cfg(feature = "adapt")]
+pub(crate) fn cut(ready: &Recording) -> Vec<Vec<f32>> {
+    let starts = (0..=ready.len().saturating_sub(WINDOW)).step_by(LEARNT_STRIDE);
+    starts.map(|start| ready.slice(start, WINDOW).samples().flatten().copied().collect()).collect()
+}
+
 /// A recording as the slow window ([`shared_dsp::right::slow`]) sees it: every two samples averaged.
 pub fn slowed(recording: &Recording) -> Recording {
     let rows: Vec<&[f32]> = recording.samples().collect();

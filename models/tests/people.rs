@@ -13,7 +13,7 @@ use models::train::{ALIGNED, Aligned, Epochs, LOG_POWER, PAPER, PerAxis, Recipe,
 
 /// The aligned recipe, shorter: what is tested does not depend on how long it trains.
 fn recipe() -> Aligned {
-    let steps = Steps { count: 150, rounded: 60, ..Steps::TRAIN };
+    let steps = Steps { count: 150, most: 150, rounded: 60, ..Steps::TRAIN };
     Aligned { steps, bystanders: 5, performers: 5, ..ALIGNED }
 }
 

@@ -40,6 +40,17 @@ fn the_page_needs_nothing_else_and_its_figures_are_those_of_the_other_commands()
         assert!(opened >= least, "{opened} {tag}");
     }
     assert!(page.contains("<h2>Recordings to look at</h2>"));
+    // Pictures first: people one by one, the worst first, and events against false events.
+    let before_tables = &page[..page.find("<table").unwrap()];
+    assert_eq!(before_tables.matches("<svg").count(), 2);
+    assert!(before_tables.contains("worst first") && before_tables.contains("strokes/s"), "{before_tables}");
+    assert!(before_tables.contains("26 (a board's)"), "the threshold of a board is one of the points");
+    let per_cent = |text: &str| text.split(" %, ").next().unwrap().parse::<f64>().unwrap();
+    let drawn: Vec<f64> = before_tables
+        .split("strokes/s")
+        .filter_map(|part| Some(per_cent(part.rsplit_once('>')?.1)))
+        .collect();
+    assert!(drawn.len() == 3 && drawn.is_sorted(), "{drawn:?}");
     assert!(page.starts_with("<!DOCTYPE html>") && page.ends_with("</html>\n"));
     assert!(!page.contains("NaN"));
 

@@ -1,7 +1,7 @@
 //! `host-bridge record`: a hand's raw samples into files (the right hand's for `models train` and Edge Impulse, the left
 //! hand's for `replay --left`), or a session of both hands with the robot.
 
-use std::io::{ErrorKind, IsTerminal as _, Write as _};
+use std::io::{IsTerminal as _, Write as _};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -13,6 +13,7 @@ use host_bridge::ending::Ending;
 use host_bridge::keyboard::LABELS;
 use host_bridge::safety::Hand;
 use host_bridge::talk::{Said, Talk, TalkError};
+use host_bridge::wearer::next_file;
 use models::recording::write_whole;
 use shared_proto::message::{AckResult, HostMessage, Mode};
 
@@ -105,8 +106,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     ensure!((0.5..=3600.0).contains(&args.seconds), "--seconds takes 0.5 to 3600");
     ensure!(args.countdown <= 60, "--countdown takes up to 60 seconds");
     let person = args.person.as_deref().unwrap_or_default();
-    check_name("--person", person)?;
-    ensure!(!person.contains("__"), "--person: two underscores end the name in a file; use one");
+    check_person("--person", person)?;
     let (hand, known, folder) = match args.hand {
         Which::Right => (Hand::Right, LABELS, "recordings"),
         Which::Left => (Hand::Left, LEFT_LABELS, "recordings-left"),
@@ -186,6 +186,13 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         }
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// A person's name, which is a part of files' names, too.
+pub fn check_person(option: &str, name: &str) -> Result<()> {
+    check_name(option, name)?;
+    ensure!(!name.contains("__"), "{option}: two underscores end the name in a file; use one");
+    Ok(())
 }
 
 /// Names become parts of paths.
@@ -359,7 +366,9 @@ impl Recorder<'_> {
 
     fn save(&self, label: &str, taken: Taken) -> Result<()> {
         let (samples, clipped) = (taken.len(), taken.clipped());
-        let file = next_file(&self.out.join(label), self.person)?;
+        let folder = self.out.join(label);
+        let file = next_file(&folder, self.person)
+            .with_context(|| format!("{}: no file can be made there", folder.display()))?;
         let text = taken.csv();
         let about = || format!("{}: cannot be written; is there room, and may you?", file.display());
         if let Err(error) = write_whole(&file, text.as_bytes()) {
@@ -386,18 +395,4 @@ impl Recorder<'_> {
 fn make_folder(folder: &Path) -> Result<()> {
     std::fs::create_dir_all(folder)
         .with_context(|| format!("{}: the folder cannot be made", folder.display()))
-}
-
-/// Takes the first free number: the file exists from now on, empty, so that nobody else takes the number.
-fn next_file(folder: &Path, person: &str) -> Result<PathBuf> {
-    make_folder(folder)?;
-    for n in 1..u32::MAX {
-        let file = folder.join(format!("{person}__{n}.csv"));
-        match std::fs::File::create_new(&file) {
-            Ok(_) => return Ok(file),
-            Err(error) if error.kind() == ErrorKind::AlreadyExists => {}
-            Err(error) => return Err(error).with_context(|| format!("{}: cannot be made", file.display())),
-        }
-    }
-    bail!("{}: no free file name", folder.display())
 }

@@ -21,13 +21,14 @@ use host_bridge::ros2::{ArmInterface, Counts, Stamped};
 use host_bridge::safety::{Hand, PerHand};
 use host_bridge::source::Source;
 use host_bridge::view::View;
+use host_bridge::wearer::{self, Wearer};
 use host_bridge::web::Web;
 
 use super::keep::{KeepArgs, Start, origin};
 use super::lines::PageLine;
 use super::ports::{check_name, read_config, settings};
 use super::ros2::{FAREWELL_MS, Graph, Output};
-use super::screen::{Screen, keys};
+use super::screen::{SHOW, Screen, keys};
 use super::web::WebArgs;
 use crate::play::{check_motions, stage};
 
@@ -94,6 +95,17 @@ pub struct HandArgs {
     /// file says so)
     #[arg(long, conflicts_with = "scene")]
     jerk_limited: bool,
+    /// Who wears the right hand: shows each gesture three times (key t, or the page's button), and gets a model of their
+    /// own [default: a guest]
+    #[arg(long, value_name = "NAME")]
+    wearer: Option<String>,
+    /// Where wearers' models and recordings are kept, a folder for each
+    #[arg(long, value_name = "FOLDER", default_value = "wearers")]
+    wearers: PathBuf,
+    /// The model to start from, if the right hand's board does not run the bundled one; its card, .float.tflite and
+    /// .memory.bin lie beside it
+    #[arg(long, value_name = "FILE.tflite")]
+    model: Option<PathBuf>,
     #[command(flatten)]
     web: WebArgs,
 }
@@ -129,6 +141,9 @@ pub fn steer(args: &HandArgs, keep: &KeepArgs) -> Result<ExitCode> {
         let (label, mark) = marking.split_once('=').context("--mark takes LABEL=MARK, such as wave=begin")?;
         let mark = mark.parse().map_err(anyhow::Error::msg).context("--mark")?;
         config.marks.insert(label.trim().to_owned(), mark);
+    }
+    if let Some(name) = &args.wearer {
+        super::record::check_person("--wearer", name)?;
     }
     config.check()?;
     if args.print_config {
@@ -166,6 +181,11 @@ pub fn steer(args: &HandArgs, keep: &KeepArgs) -> Result<ExitCode> {
     ensure!(
         wants_view || !by_keyboard,
         "a keyboard hand needs the live view: start it in a terminal, without --headless and --json"
+    );
+
+    ensure!(
+        inputs.right == HandInput::Board || (args.wearer.is_none() && args.model.is_none()),
+        "--wearer and --model are for a right hand with a board: give its port with --right"
     );
 
     let stage = stage(&config, args.scene.as_deref())?;
@@ -249,7 +269,8 @@ pub fn steer(args: &HandArgs, keep: &KeepArgs) -> Result<ExitCode> {
     let keeper = keep.start(engine.tap_mut(), &start)?;
     let flags = Flags::default();
     let ending = Ending::watch(&flags.quit_flag(), wants_view)?;
-    let keys = keys(config.keyboard.end_arm, by_keyboard, records);
+    let shows = inputs.right == HandInput::Board && config.keyboard.end_arm != SHOW;
+    let keys = keys(config.keyboard.end_arm, by_keyboard, records, shows);
     let mut screen = Screen {
         view: if wants_view { Some(View::open(&title)?) } else { None },
         json: args.json,
@@ -257,6 +278,7 @@ pub fn steer(args: &HandArgs, keep: &KeepArgs) -> Result<ExitCode> {
         over_air,
         released: None,
         records,
+        shows,
         keys,
         end_arm: config.keyboard.end_arm,
     };
@@ -270,12 +292,21 @@ pub fn steer(args: &HandArgs, keep: &KeepArgs) -> Result<ExitCode> {
             screen.line(&serde_json::to_string(&line)?);
         }
     }
+    let who = wearer::Settings {
+        name: args.wearer.clone(),
+        folder: args.wearers.clone(),
+        model: args.model.clone(),
+    };
+    let has_wearer = inputs.right == HandInput::Board;
+    let wearer = has_wearer.then(|| Wearer::start(who, &*clock)).transpose()?;
     let work = Work {
         engine,
         clock: Arc::clone(&clock),
         links,
         events,
         asks_for_stop: web.as_ref().map_or_else(|| Box::new(|| false) as _, |web| Box::new(web.stops()) as _),
+        wearer,
+        shows: web.as_ref().map_or_else(|| Box::new(|| false) as _, |web| Box::new(web.shows()) as _),
         marks: web.as_ref().map_or_else(|| Box::new(|| None) as _, |web| Box::new(web.marks()) as _),
         until_ms: args.seconds.map_or(u64::MAX, |seconds| (seconds * 1000.0) as u64),
         farewell_ms: if counts.is_some() { FAREWELL_MS } else { 0 },

@@ -26,12 +26,15 @@ const CONFIRM: Duration = Duration::from_secs(2);
 
 const KEYS: &str = "space: stop   r r: release a stop (no right hand)   Esc: quit   end the arm's motion:";
 const MARK_KEYS: &str = "episode: b begins, e ends, a again, g good, n no good";
+const SHOW_KEYS: &str = "t: show each gesture three times, and the model learns your hand; t again: give up";
+/// The key for that.
+pub const SHOW: char = 't';
 const HAND_KEYS: &str = "keyboard: arrows drive while held, q faster, z slower; 1-6 gestures";
 
-/// What the keys mean: of a keyboard hand, and of a session that is recorded.
-pub fn keys(end_arm: char, has_hands: bool, records: bool) -> String {
+/// What the keys mean: of a keyboard hand, of a session that is recorded, and of one whose wearer can show gestures.
+pub fn keys(end_arm: char, has_hands: bool, records: bool, shows: bool) -> String {
     let mut keys = format!("{KEYS} {end_arm}");
-    for (more, wanted) in [(HAND_KEYS, has_hands), (MARK_KEYS, records)] {
+    for (more, wanted) in [(HAND_KEYS, has_hands), (MARK_KEYS, records), (SHOW_KEYS, shows)] {
         if wanted {
             keys += &format!("\n{more}");
         }
@@ -65,6 +68,8 @@ pub struct Screen {
     pub released: Option<Instant>,
     /// Whether there is a file for marks.
     pub records: bool,
+    /// Whether the wearer of the right hand can show gestures by a key.
+    pub shows: bool,
     /// Which key does what.
     pub keys: String,
     /// The key that ends the arm's motion.
@@ -124,6 +129,9 @@ impl Screen {
                 "time_ms": time_ms, "event": "mark", "mark": mark, "by": by, "text": text
             });
             self.line(&line.to_string());
+        } else if let (true, SessionEvent::Wearer { time_ms, text }) = (self.json, event) {
+            let line = serde_json::json!({ "time_ms": time_ms, "event": "wearer", "text": text });
+            self.line(&line.to_string());
         } else if !self.json && !describe::is_echo(event) {
             let time_s = describe::time_ms(event) as f64 / 1000.0;
             self.line(&format!("{time_s:>8.3} s  {}", describe::text(event)));
@@ -170,6 +178,9 @@ impl Screen {
                 KeyCode::Char(' ') => flags.stop(),
                 KeyCode::Char(key) if key == self.end_arm => control.order(Order::EndArm),
                 KeyCode::Char('r') => self.release(control),
+                KeyCode::Char(SHOW) if self.shows && key.kind == KeyEventKind::Press => {
+                    control.order(Order::Show);
+                }
                 KeyCode::Char(letter) if self.records && key.kind == KeyEventKind::Press => {
                     if let Some(mark) = mark_of(letter) {
                         control.order(Order::Mark(mark));

@@ -74,7 +74,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-fn transfer(talk: &mut Talk, upload: &mut Upload<'_>, mut boot_id: u32) -> Result<()> {
+fn transfer(talk: &mut Talk, upload: &mut Upload, mut boot_id: u32) -> Result<()> {
     let mut progress_ms = talk.now_ms();
     let mut open = true;
     let mut reached = upload.progress().0;

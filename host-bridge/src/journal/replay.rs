@@ -280,6 +280,7 @@ impl Player {
                     0 => self.bridge.stop_key(time_ms, &mut self.robot),
                     1 => self.bridge.release_key(time_ms, &mut self.robot),
                     2 => self.bridge.end_arm_key(time_ms, &mut self.robot),
+                    3 | 4 => self.bridge.show_key(key == 3),
                     _ => return None,
                 }
             }

@@ -2,6 +2,7 @@
 //! when a cable is pulled or a board restarts. The boards run the hands' own code (`support/double.rs`);
 //! the firmware images themselves are emulated in the `tests` crate.
 
+use std::net::TcpStream;
 use std::path::Path;
 use std::process::ExitStatus;
 use std::time::Duration;
@@ -9,6 +10,8 @@ use std::time::Duration;
 use host_bridge::adc::AdcRecording;
 use models::recording::Recording;
 use shared_dsp::left::AdcCounts;
+use tungstenite::Message;
+use tungstenite::client::IntoClientRequest as _;
 
 use crate::desk::program::{Desk, Running};
 use crate::double::{BENT, Double, FORWARD, LEVEL};
@@ -306,6 +309,41 @@ fn a_model_sent_through_cuts_and_restarts_runs_after_the_next_start() {
     assert!(text.contains("no motion for wave"), "{text}");
     let (status, text) = run(&desk, &["send-model", &file, "--port", &right.port()]);
     assert!(status.success() && text.contains("already"), "{text}");
+}
+
+#[test]
+fn by_the_pages_button_a_wearer_shows_gestures_and_gives_up_and_the_board_names_gestures_again() {
+    let desk = Desk::new("live-wearer");
+    let right = Double::right(&desk, 0.0);
+    let wearers = desk.text("wearers");
+    let port = right.port();
+    let mut run = start(
+        &desk,
+        &["run", "--right", &port, "--json", "--web=0", "--wearers", &wearers, "--seconds", "230"],
+    );
+    let line: serde_json::Value = serde_json::from_str(&run.wait(&["\"page\""])).unwrap();
+    let url = line["url"].as_str().unwrap().trim_end_matches('/').to_owned();
+    run.wait(&["\"wearer\"", "show each of", "does not move the robot"]);
+    let address = url.trim_start_matches("http://");
+    let mut request = format!("ws://{address}/live").into_client_request().unwrap();
+    request.headers_mut().insert("Origin", url.parse().unwrap());
+    let (mut page, _) = tungstenite::client(request, TcpStream::connect(address).unwrap()).unwrap();
+    page.send(Message::text("show")).unwrap();
+    run.wait(&["\"wearer\"", "NOW draw up-down, 1 of 3"]);
+    assert!(!right.classifies());
+    page.send(Message::text("show")).unwrap();
+    run.wait(&["\"wearer\"", "given up: as you wished. who wears"]);
+    assert!(right.classifies());
+    run.wait(&["\"gesture\"", "started"]);
+    assert!(files(&desk.path("wearers")).is_empty());
+    for args in [
+        vec!["run", "--right", &port, "--wearer", "../ada"],
+        vec!["run", "--right", &port, "--wearer", "a__b"],
+        vec!["run", "--left", &port, "--wearer", "ada"],
+    ] {
+        let (status, text) = start(&desk, &args).end();
+        assert!(status.code() == Some(1) && text.contains("--wearer"), "{args:?}: {text}");
+    }
 }
 
 #[test]

@@ -4,7 +4,7 @@ use std::time::Instant;
 
 use clap::Args;
 use indicatif::ProgressBar;
-use models::evaluate::events::Tally;
+use models::evaluate::events::{Pause, Tally};
 use models::evaluate::people::Trial;
 use models::evaluate::study::Events;
 
@@ -31,6 +31,9 @@ pub struct Cmd {
     /// Also say what other thresholds would make of it: how probable rest may be, in 256ths
     #[arg(long, value_delimiter = ',', value_name = "N,N,...")]
     max_rest: Vec<u8>,
+    /// Rest between two recordings in s [default: 1.4 to 2.5]
+    #[arg(long, value_name = "SECONDS")]
+    apart: Option<f64>,
     /// Name each recording that was not understood and what came instead
     #[arg(long)]
     errors: bool,
@@ -42,6 +45,9 @@ impl Cmd {
     pub fn run(self) -> anyhow::Result<()> {
         anyhow::ensure!(self.seeds > 0, "--seeds takes a number above 0");
         anyhow::ensure!((0.0..=1000.0).contains(&self.hours), "--hours takes 0 to 1000");
+        let is_fit = |apart: &f64| (0.1..=10.0).contains(apart);
+        anyhow::ensure!(self.apart.as_ref().is_none_or(is_fit), "--apart takes 0.1 to 10");
+        let pause = self.apart.map_or(Pause::USUAL, Pause::of);
         let start = Instant::now();
         let axes = self.axes.count();
         let recipe = self.short.shorten(self.recipe.0);
@@ -67,7 +73,8 @@ impl Cmd {
                 progress.set_message(what.to_owned());
                 progress.tick();
             };
-            let events = Events::run(&trial, &people, self.seeds, self.hours * 3600.0, &self.max_rest, done)?;
+            let aimless_s = self.hours * 3600.0;
+            let events = Events::run(&trial, &people, self.seeds, aimless_s, &self.max_rest, pause, done)?;
             progress.finish_and_clear();
             for (person, tally) in events.people.iter().zip(&events.real) {
                 print(person, tally);

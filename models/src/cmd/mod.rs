@@ -10,6 +10,7 @@ pub mod infer;
 pub mod people;
 pub mod report;
 pub mod simulated;
+pub mod sizes;
 pub mod splits;
 pub mod synth;
 pub mod tempo;

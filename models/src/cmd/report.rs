@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use indicatif::ProgressBar;
+use models::evaluate::events::Pause;
 use models::evaluate::people::{Trial, TrialError};
 use models::evaluate::study::{Events, Study};
 use models::recording::write_whole;
@@ -77,7 +78,15 @@ impl Cmd {
                 let points = SHARES.par_iter().map(point).collect::<Result<Vec<_>, _>>()?;
                 learning.push((format!("{}: {person}", recipe.name()), points));
             }
-            events = Some(Events::run(&trial, &people, self.seeds, self.hours * 3600.0, &TRIED, done)?);
+            events = Some(Events::run(
+                &trial,
+                &people,
+                self.seeds,
+                self.hours * 3600.0,
+                &TRIED,
+                Pause::USUAL,
+                done,
+            )?);
         }
         progress.finish_and_clear();
         let report = Report {

@@ -23,10 +23,33 @@ use crate::dataset::Item;
 use crate::streams::RandomStream;
 use crate::synth::{IdleKind, Motion, Segment, Wearer, session};
 
-/// Rest between two recordings in s: turning into the next posture, then still.
-const TURN_S: f64 = 0.4;
-const BEFORE_S: std::ops::Range<f64> = 0.3..0.8;
-const AFTER_S: std::ops::Range<f64> = 0.7..1.3;
+/// Rest between two recordings.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pause {
+    /// Still in the last posture, in s: between these.
+    before_s: (f64, f64),
+    /// Turning into the next one.
+    turn_s: f64,
+    /// Still in that.
+    after_s: (f64, f64),
+}
+
+impl Pause {
+    /// 1.4 to 2.5 s.
+    pub const USUAL: Self = Self { before_s: (0.3, 0.8), turn_s: 0.4, after_s: (0.7, 1.3) };
+
+    /// Of this length in s: the hand turns for up to 0.4 s of it, and is still before and after for as long.
+    pub fn of(seconds: f64) -> Self {
+        let turn_s = 0.4f64.min(0.6 * seconds);
+        let still_s = 0.5 * (seconds - turn_s);
+        Self { before_s: (still_s, still_s), turn_s, after_s: (still_s, still_s) }
+    }
+}
+
+fn between((low, high): (f64, f64), rng: &mut ChaCha8Rng) -> f64 {
+    if low < high { rng.random_range(low..high) } else { low }
+}
+
 /// For this long after its end an event still belongs to a recording: a decision may wait for the hand to rest.
 const TAIL_S: f64 = 0.9;
 
@@ -57,6 +80,11 @@ pub struct AnnotatedRecording {
 impl AnnotatedRecording {
     /// Joins recordings, in an order that follows from the seed.
     pub fn joined(items: &[&Item], axes: usize, seed: u64) -> Self {
+        Self::joined_by(items, axes, Pause::USUAL, seed)
+    }
+
+    /// The same with another rest between them.
+    pub fn joined_by(items: &[&Item], axes: usize, pause: Pause, seed: u64) -> Self {
         use rand::seq::SliceRandom;
         let mut rng = RandomStream::Order.of(seed);
         let mut order: Vec<&Item> = items.to_vec();
@@ -65,14 +93,14 @@ impl AnnotatedRecording {
         for item in order {
             let recording = item.recording.with_axes(axes).resampled();
             let rows: Vec<&[f32]> = recording.samples().collect();
-            joined.rest_until(&posture(&rows[..rows.len().min(POSTURE)]), &mut rng);
+            joined.rest_until(&posture(&rows[..rows.len().min(POSTURE)]), pause, &mut rng);
             let start = joined.len();
             joined.values.extend(rows.iter().copied().flatten());
             let (end, label) = (joined.len(), item.label.clone());
             joined.annotations.push(Annotation { start, end, label, name: item.name.clone() });
         }
         let last = joined.end_posture();
-        joined.rest_until(&last, &mut rng);
+        joined.rest_until(&last, Pause::USUAL, &mut rng);
         joined
     }
 
@@ -122,18 +150,19 @@ impl AnnotatedRecording {
     }
 
     /// Rests, and turns from the posture at the end into the given one.
-    fn rest_until(&mut self, next: &[f64], rng: &mut ChaCha8Rng) {
+    fn rest_until(&mut self, next: &[f64], pause: Pause, rng: &mut ChaCha8Rng) {
+        let turn_s = pause.turn_s;
         let last = if self.is_empty() { next.to_vec() } else { self.end_posture() };
-        let before = rng.random_range(BEFORE_S);
-        let seconds = before + TURN_S + rng.random_range(AFTER_S);
+        let before = between(pause.before_s, rng);
+        let seconds = before + turn_s + between(pause.after_s, rng);
         // A held hand is not still: between a table and a tense arm.
         let quiet: f64 = rng.random_range(-1.5f64..0.7).exp();
         let turn = turn_rate_deg(&last, next);
         for n in 0..(seconds * RATE_HZ) as usize {
-            let part = ((n as f64 / RATE_HZ - before) / TURN_S).clamp(0.0, 1.0);
+            let part = ((n as f64 / RATE_HZ - before) / turn_s).clamp(0.0, 1.0);
             let moved = part * part * part * (10.0 + part * (6.0 * part - 15.0));
             // Derivative of the above per second.
-            let pace = 30.0 * (part * (1.0 - part)).powi(2) / TURN_S;
+            let pace = 30.0 * (part * (1.0 - part)).powi(2) / turn_s;
             for axis in 0..self.axes {
                 let noise: f64 = StandardNormal.sample(rng);
                 let value = match axis {
@@ -391,6 +420,14 @@ mod tests {
             assert!((0..3).all(|a| (pair[0][a] - pair[1][a]).abs() < 2.5), "{pair:?}");
         }
         assert_eq!(recording, AnnotatedRecording::joined(&items.iter().collect::<Vec<_>>(), 3, 1));
+    }
+
+    #[test]
+    fn recordings_can_be_joined_by_a_rest_of_any_length() {
+        let items = [item("circle", 1, [0.0, 0.0, 9.8]), item("wave", 1, [9.8, 0.0, 0.0])];
+        let joined = AnnotatedRecording::joined_by(&items.iter().collect::<Vec<_>>(), 3, Pause::of(0.7), 1);
+        let [first, second] = [&joined.annotations[0], &joined.annotations[1]];
+        assert_eq!(second.start - first.end, 70);
     }
 
     #[test]

@@ -14,7 +14,7 @@ use shared_words::is_rest;
 
 use crate::card::Scores;
 use crate::dataset::{Dataset, DatasetError, Item};
-use crate::evaluate::events::{AnnotatedRecording, Tally, decide, listen, play};
+use crate::evaluate::events::{AnnotatedRecording, Pause, Tally, decide, listen, play};
 use crate::evaluate::score::{Classifier, Given, given, scored, summary};
 use crate::recording::Recording;
 use crate::streams;
@@ -168,9 +168,30 @@ impl Trial<'_> {
 
     /// The results of a model that has never met `person`, on all their recordings.
     pub fn stranger(&self, person: &str, seed: u64) -> Result<Graded, TrialError> {
-        let model = self.without(person, seed)?;
-        let theirs = self.read(model.card.axes, |name| name == person)?;
-        self.grade(&model, &theirs)
+        self.grade_of(&self.without(person, seed)?, person)
+    }
+
+    /// What a model makes of all recordings of `person`.
+    pub fn grade_of(&self, model: &Trained, person: &str) -> Result<Graded, TrialError> {
+        self.grade(model, &self.read(model.card.axes, |name| name == person)?)
+    }
+
+    /// Events of a model, by a board's thresholds, of all recordings of `person`, joined into one.
+    pub fn events_of(
+        &self,
+        model: &Trained,
+        person: &str,
+        pause: Pause,
+        seed: u64,
+    ) -> Result<Tally, TrialError> {
+        let axes = model.card.axes;
+        let theirs = self.read_with_rest(Some(axes), |name| name == person)?;
+        let items: Vec<&Item> = theirs.items.iter().collect();
+        let joined = AnnotatedRecording::joined_by(&items, axes, pause, seed);
+        let blob = model.blob()?;
+        let mut tally = Tally::default();
+        tally.count(&joined, &play(Model::parse(&blob)?, &joined)?, &model.card.labels);
+        Ok(tally)
     }
 
     /// A model's results on a fifth of the recordings, chosen by the seed and kept out of training.
@@ -191,7 +212,7 @@ impl Trial<'_> {
     }
 
     /// Events of a model that has never met `person`: of all their recordings, those of no gesture too whatever labels
-    /// are tried, joined into one, and of simulated wearers of the `crowd` who make no gesture for `aimless_s`
+    /// are tried, joined into one with this pause between them, and of simulated wearers of the `crowd` who make no gesture for `aimless_s`
     /// seconds; both for each [`MovementConfig::max_rest`].
     pub fn events(
         &self,
@@ -200,6 +221,7 @@ impl Trial<'_> {
         seed: u64,
         crowd: u64,
         max_rest: &[u8],
+        pause: Pause,
     ) -> Result<Vec<(Tally, Tally)>, TrialError> {
         let model = self.without(person, seed)?;
         let theirs = self.read_with_rest(Some(model.card.axes), |name| name == person)?;
@@ -220,7 +242,8 @@ impl Trial<'_> {
             Ok(())
         };
         let mut real = vec![Tally::default(); max_rest.len()];
-        count(&AnnotatedRecording::joined(&theirs.items.iter().collect::<Vec<_>>(), axes, seed), &mut real)?;
+        let items: Vec<&Item> = theirs.items.iter().collect();
+        count(&AnnotatedRecording::joined_by(&items, axes, pause, seed), &mut real)?;
         let mut simulated = vec![Tally::default(); max_rest.len()];
         // Ten minutes of each wearer.
         const EACH_S: f64 = 600.0;

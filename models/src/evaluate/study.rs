@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use rayon::prelude::*;
 use shared_dsp::right::movement::MovementConfig;
 
-use crate::evaluate::events::Tally;
+use crate::evaluate::events::{Pause, Tally};
 use crate::evaluate::people::{Accuracy, Graded, Shown, Trial, TrialError};
 
 /// Everything that was tried with one recipe.
@@ -178,6 +178,7 @@ impl Events {
         seeds: u64,
         aimless_s: f64,
         max_rest: &[u8],
+        pause: Pause,
         done: impl Fn(&str) + Sync,
     ) -> Result<Self, TrialError> {
         let trade = max_rest.iter().map(|&max_rest| (max_rest, Tally::default(), Tally::default())).collect();
@@ -193,7 +194,7 @@ impl Events {
             let crowd = 1000 * (1 + index as u64);
             let runs: Vec<_> = (1..=seeds)
                 .into_par_iter()
-                .map(|seed| trial.events(person, each_s(seed), seed, crowd + seed, &tried))
+                .map(|seed| trial.events(person, each_s(seed), seed, crowd + seed, &tried, pause))
                 .collect::<Result<_, _>>()?;
             let mut real = Tally::default();
             for run in &runs {

@@ -4,9 +4,11 @@ use std::collections::BTreeMap;
 
 use rayon::prelude::*;
 use shared_dsp::right::aligned::feature_count;
+use shared_words::is_rest;
 
 use crate::RATE_HZ;
 use crate::dataset::Dataset;
+use crate::evaluate::tempo::strokes_per_second;
 use crate::windows::{aligned_features, prepare};
 
 /// Facts about a data set.
@@ -33,6 +35,9 @@ pub struct PersonFacts {
     pub rates_hz: Option<(f64, f64)>,
     /// Largest acceleration along an axis in m/s².
     pub largest: f64,
+    /// Tempo of the gestures in strokes per second: a tenth of them are slower than the first figure, half than the second,
+    /// nine tenths than the third.
+    pub strokes_hz: Option<[f64; 3]>,
     /// Share of the accelerometer's values within 0.1 % of that: far above 0 if the sensor clips.
     pub at_largest: f64,
 }
@@ -63,6 +68,13 @@ impl Facts {
                 }
             }
             person.at_largest = near as f64 / all.max(1) as f64;
+            let theirs =
+                dataset.items.par_iter().filter(|item| item.person == *name && !is_rest(&item.label));
+            let mut tempos: Vec<f64> =
+                theirs.filter_map(|item| strokes_per_second(&item.recording)).collect();
+            tempos.sort_by(f64::total_cmp);
+            let at = |part: f64| tempos[((tempos.len() - 1) as f64 * part) as usize];
+            person.strokes_hz = (!tempos.is_empty()).then(|| [0.1, 0.5, 0.9].map(at));
         }
         Self {
             people: people.into_iter().collect(),

@@ -2,6 +2,7 @@
 
 mod facts;
 mod page;
+mod pictures;
 pub mod svg;
 
 pub use facts::{Facts, PersonFacts, feature_names};

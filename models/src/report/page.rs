@@ -23,6 +23,7 @@ pub fn html(report: &Report) -> String {
         escape(&report.title),
         report.seeds
     );
+    super::pictures::first(&mut page, report);
     facts(&mut page, &report.facts);
     table(&mut page, report);
     for study in &report.studies {

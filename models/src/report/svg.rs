@@ -108,6 +108,41 @@ pub fn lines(
     svg + "</svg>"
 }
 
+/// A bar with its name before it and a text behind it.
+pub struct Bar {
+    /// Whose it is.
+    pub name: String,
+    /// Its length, 0 to 1.
+    pub part: f64,
+    /// What it says.
+    pub text: String,
+}
+
+/// Bars, one under the other.
+pub fn bars(bars: &[Bar]) -> String {
+    const ROW: f64 = 20.0;
+    const NAMES: f64 = 90.0;
+    const LONGEST: f64 = 180.0;
+    let (width, height) = (NAMES + LONGEST + 210.0, ROW * bars.len() as f64);
+    let mut svg = format!("<svg viewBox=\"0 0 {width} {height}\" width=\"{width}\" role=\"img\">");
+    for (index, bar) in bars.iter().enumerate() {
+        let (y, length) = (ROW * index as f64, LONGEST * bar.part.clamp(0.0, 1.0));
+        let _ = write!(
+            svg,
+            "<text x=\"0\" y=\"{0:.1}\">{1}</text><rect x=\"{NAMES}\" y=\"{2:.1}\" width=\"{LONGEST}\" height=\"12\" \
+             fill=\"#eee\"/><rect x=\"{NAMES}\" y=\"{2:.1}\" width=\"{length:.1}\" height=\"12\" fill=\"{3}\"/>\
+             <text x=\"{4:.1}\" y=\"{0:.1}\">{5}</text>",
+            y + 14.0,
+            escape(&bar.name),
+            y + 4.0,
+            COLOURS[0],
+            NAMES + LONGEST + 8.0,
+            escape(&bar.text)
+        );
+    }
+    svg + "</svg>"
+}
+
 /// A map of values in −1..=1: a row per name, a column per column name (shown where the mouse rests).
 pub fn heat(rows: &[(String, Vec<f64>)], columns: &[String]) -> String {
     const CELL: (f64, f64) = (9.0, 18.0);

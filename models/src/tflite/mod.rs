@@ -123,6 +123,11 @@ pub fn infer_float(layers: &[FloatLayer], inputs: &[f32]) -> Vec<f32> {
             })
             .collect();
     }
+    softmax(&values)
+}
+
+/// Probabilities from a network's last values.
+pub(crate) fn softmax(values: &[f32]) -> Vec<f32> {
     let largest = values.iter().copied().fold(f32::NEG_INFINITY, f32::max);
     let powers: Vec<f32> = values.iter().map(|v| (v - largest).exp()).collect();
     let sum: f32 = powers.iter().sum();

@@ -1,8 +1,7 @@
 //! Teaching a model of recipe `aligned` one more person.
 
+use super::fit::{Steps, refit};
 use super::memory::{Memory, balanced};
-use super::recipes::aligned::cut;
-use super::steps::{self, Start, Steps};
 use super::vary::{Kind, vary};
 use super::{TrainError, Trained};
 use crate::WINDOW;
@@ -10,7 +9,7 @@ use crate::card::Card;
 use crate::daily::Daily;
 use crate::labels::OTHER;
 use crate::streams::RandomStream;
-use crate::windows::{aligned_features, prepare};
+use crate::windows::{aligned_features, cut, prepare};
 
 /// Varied copies of each window of a new person.
 const COPIES_OF_NEW: usize = 60;
@@ -20,7 +19,7 @@ const COPIES_OF_NEW: usize = 60;
 /// stays no gesture: without it, getting up from a chair becomes a circle once three circles have been shown.
 ///
 /// # Errors
-/// If the library that fits networks fails, or the result cannot be quantised.
+/// If the result cannot be quantised.
 pub fn adapt(
     model: &Trained,
     memory: &Memory,
@@ -32,8 +31,8 @@ pub fn adapt(
     // Next to 4,096 rows of what the model remembers, a quarter is enough; with all of it the model doubts the new examples.
     let daily: Vec<Vec<f32>> = daily.rows(model.card.axes).into_iter().step_by(4).collect();
     let rows = rows(&model.card, memory, examples, &daily, seed);
-    let (start, limit) = (Start::Layers(&model.float), model.card.scaling.limit);
-    let layers = steps::fit(&rows, model.card.labels.len(), &start, &Steps::ADAPT, limit, seed)?;
+    let (labels, limit) = (model.card.labels.len(), model.card.scaling.limit);
+    let layers = refit(&rows, labels, &model.float, &Steps::ADAPT, limit, seed);
     let mut card = Card {
         about: format!("{}; adapted to {person} with {} windows", model.card.about, examples.len()),
         test: None,

@@ -116,6 +116,8 @@ pub struct Learnt<'a> {
     pub rows: &'a [(Vec<f32>, usize)],
     /// Inputs of recordings that decide when to stop; may be empty.
     pub check: &'a [(Vec<f32>, usize)],
+    /// How many of them are of the recordings, varied copies included.
+    pub of_recordings: usize,
     /// Number of labels.
     pub labels: usize,
     /// The largest input.

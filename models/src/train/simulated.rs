@@ -4,11 +4,10 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use super::recipe::Shared;
-use super::recipes::aligned::cut;
 use super::vary::{Kind, vary};
 use crate::streams::RandomStream;
 use crate::synth::{IdleKind, Motion, Segment, Wearer, session};
-use crate::windows::aligned_features;
+use crate::windows::{aligned_features, cut};
 
 /// Length of what a simulated person does.
 const SIMULATED_S: f64 = 8.0;

@@ -12,55 +12,10 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
 
+use super::fit::{Steps, equalise};
 use super::net::{Layers, Rounding, export, forward, on_one_thread, vars};
 use crate::streams::RandomStream;
 use crate::tflite::FloatLayer;
-
-/// How to fit in steps.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Steps {
-    /// Number of steps.
-    pub count: usize,
-    /// Windows per step.
-    pub batch: usize,
-    /// Largest learning rate (Adam).
-    pub learning_rate: f64,
-    /// Steps until it is reached.
-    pub warm_up: usize,
-    /// Share of the probability that is spread over all labels.
-    pub label_smoothing: f32,
-    /// Weight of the sum of squared weights in the loss.
-    pub decay: f64,
-    /// Share that the average of the weights keeps per step, in the long run.
-    pub keep: f64,
-    /// Networks that are fitted from different starts and merged into one; [`Aligned`](super::Aligned) says how wide
-    /// each is.
-    pub members: usize,
-    /// Steps after that in which weights and activations are rounded as int8 rounds them.
-    pub rounded: usize,
-}
-
-impl Steps {
-    /// For a new network.
-    pub const TRAIN: Self = Self {
-        count: 1500,
-        batch: 128,
-        learning_rate: 3e-3,
-        warm_up: 50,
-        label_smoothing: 0.1,
-        decay: 1e-4,
-        keep: 0.995,
-        members: crate::ALIGNED_MEMBERS,
-        rounded: 300,
-    };
-    /// For a network that only has to learn one more person.
-    pub const ADAPT: Self = Self { count: 800, learning_rate: 2e-3, keep: 0.98, members: 1, ..Self::TRAIN };
-
-    /// The steps at the end that take int8's rounding into account.
-    fn last(self) -> Self {
-        Self { count: self.rounded, learning_rate: 5e-4, warm_up: 20, keep: 0.98, ..self }
-    }
-}
 
 /// The start of a network.
 pub(super) enum Start<'a> {
@@ -199,26 +154,6 @@ fn one(
     }
     let (pairs, _) = average.as_chunks::<2>();
     export(pairs.iter().map(|[weights, biases]| (weights, biases)))
-}
-
-/// Lets the weights into and out of each hidden unit have the same largest size, which changes no output: a unit
-/// that is twice as large and counts half is the same. Then one int8 scale per layer serves all of its units (Nagel
-/// et al., 2019).
-fn equalise(layers: &mut [FloatLayer]) {
-    for index in 1..layers.len() {
-        let Some([before, after]) = layers.get_mut(index - 1..=index) else { continue };
-        for (unit, (row, bias)) in before.weights.iter_mut().zip(&mut before.biases).enumerate() {
-            let into = row.iter().fold(0.0f32, |most, weight| most.max(weight.abs()));
-            let out = after.weights.iter().fold(0.0f32, |most, row| most.max(row[unit].abs()));
-            if !(before.relu && into > 1e-6 && out > 1e-6) {
-                continue;
-            }
-            let scale = (out / into).sqrt();
-            row.iter_mut().for_each(|weight| *weight *= scale);
-            *bias *= scale;
-            after.weights.iter_mut().for_each(|row| row[unit] /= scale);
-        }
-    }
 }
 
 fn first_layers(start: &Start<'_>, width: usize, labels: usize, rng: &mut ChaCha8Rng) -> Result<Layers> {

@@ -71,6 +71,14 @@ impl Almost {
         None
     }
 
+    /// The gesture that is near now, and how near it came: nothing has been reported of this rise yet.
+    pub(crate) fn near(&self) -> Option<(usize, f32)> {
+        match self.rise {
+            Rise::Nearest(label, best) => Some((label, best)),
+            Rise::None | Rise::Told => None,
+        }
+    }
+
     /// Of all gestures the one with the largest mean probability.
     fn nearest(&self, labels: &[String]) -> Option<(usize, f32)> {
         let mean =
@@ -109,6 +117,23 @@ mod tests {
     fn a_gesture_that_the_board_saw_is_not_almost_one() {
         let rise = [[0.0; 6], [0.9; 6], [0.5; 6], [0.0; 6]].concat();
         assert_eq!(told(&rise, Some(14)), []);
+    }
+
+    #[test]
+    fn a_gesture_is_near_from_its_rise_until_it_was_told_of() {
+        let mut almost = Almost::default();
+        let circle = [[0.0; 6], [0.6; 6], [0.0; 6]].concat();
+        let near: Vec<Option<f32>> = circle
+            .iter()
+            .map(|p| {
+                almost.see(&labels(), &[1.0 - p, *p, 0.0, 0.0], false);
+                almost.near().map(|(_, best)| best)
+            })
+            .collect();
+        // The mean of four hops passes 0.4 with the third one of 0.6.
+        assert_eq!(near.iter().position(Option::is_some), Some(8), "{near:?}");
+        assert!((near[11].unwrap() - 0.6).abs() < 1e-6, "{near:?}");
+        assert_eq!(near.last(), Some(&None));
     }
 
     #[test]

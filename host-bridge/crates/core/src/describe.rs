@@ -13,6 +13,7 @@ pub fn text(event: &SessionEvent) -> String {
             return format!("{hand} hand: the recording is over; silence will halt the robot");
         }
         SessionEvent::Marked { told, by, .. } => return format!("{told} ({})", by.name()),
+        SessionEvent::Wearer { text, .. } => return format!("wearer: {text}"),
         SessionEvent::EpisodeStopped { number, .. } => {
             return format!("episode {number} is thrown away: somebody pressed stop");
         }
@@ -88,7 +89,7 @@ pub fn text(event: &SessionEvent) -> String {
         EventKind::Accepted { part, age_ms } => {
             format!("{}: acts on the hand's sample, {age_ms} ms old now", part.name())
         }
-        EventKind::Almost { label, confidence } => format!("right hand: almost {label} ({confidence:.2})"),
+        EventKind::Almost { label, confidence } => format!("right hand: almost: {label} {confidence:.1}"),
         EventKind::MotionEnded { motion, reached: true } => format!("arm: {motion} reached"),
         EventKind::MotionEnded { motion, reached: false } => format!("arm: {motion} given up on the way"),
         EventKind::MotionRefused { motion, reason } => format!("arm: {motion} refused: {reason}"),
@@ -125,6 +126,7 @@ pub fn time_ms(event: &SessionEvent) -> u64 {
         SessionEvent::Bridge(event) => event.time_ms,
         SessionEvent::RecordingEnded { time_ms, .. }
         | SessionEvent::Marked { time_ms, .. }
+        | SessionEvent::Wearer { time_ms, .. }
         | SessionEvent::EpisodeStopped { time_ms, .. } => *time_ms,
     }
 }

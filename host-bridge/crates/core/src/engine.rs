@@ -13,7 +13,7 @@ use host_robot::{Door, MotionName};
 use shared_proto::frame::{DELIMITER, HOST_FRAME_MAX, encode_host};
 use shared_proto::message::{HostMessage, Mode, TiltThresholds};
 
-use crate::bridge::{Bridge, BridgeEvent, EventKind, GestureOutcome};
+use crate::bridge::{Bridge, BridgeEvent, EventKind, GestureOutcome, Prompt};
 use crate::episodes::{Mark, MarkedBy, Tally};
 use crate::feel;
 use crate::intent::same_label;
@@ -23,6 +23,8 @@ use crate::source::{HandKey, Source};
 
 /// Settings that the board has not acknowledged are sent again after this long.
 const SET_UP_INTERVAL_MS: u64 = 1000;
+/// The engine's own requests are numbered from 1 up, one for each start of a board; those of others from here on.
+pub const FOREIGN_REQUESTS: u16 = 0x4000;
 
 /// See the module. `'b` is the lifetime of what its hands borrow.
 pub struct Engine<'b, D> {
@@ -40,7 +42,7 @@ pub struct Engine<'b, D> {
     /// Labels that mark episodes.
     marks: Vec<(String, Mark)>,
     episodes: Tally,
-    /// Marks, to be shown with the next turn.
+    /// Marks and what the wearer was told, to be shown with the next turn.
     marked: Vec<SessionEvent>,
     tap: Tap,
 }
@@ -173,6 +175,34 @@ impl<'b, D: Door> Engine<'b, D> {
         self.door.send();
     }
 
+    /// The wearer begins to show gestures that are to be learnt (or ends it): meanwhile none has an effect.
+    pub fn show_key(&mut self, is_shown: bool, now_ms: u64) {
+        let key = if is_shown { OperatorKey::Show } else { OperatorKey::Shown };
+        self.tap.show(|observer| observer.operated(now_ms, key));
+        self.bridge.show_key(is_shown);
+    }
+
+    /// What the right hand's wearer is asked from now on.
+    pub fn set_prompt(&mut self, prompt: Option<Prompt>) {
+        self.bridge.set_prompt(prompt);
+    }
+
+    /// The wearer is told something, with the next turn.
+    pub fn tell_wearer(&mut self, text: String, now_ms: u64) {
+        self.marked.push(SessionEvent::Wearer { time_ms: now_ms, text });
+    }
+
+    /// Whether a hand's board has acknowledged all that it is told at its start.
+    pub fn is_set_up(&self, hand: Hand) -> bool {
+        self.set_ups[hand].is_none()
+    }
+
+    /// Sends a hand's board something that the session itself does not need. `request` in it must be one that the engine
+    /// does not use: [`FOREIGN_REQUESTS`] and more.
+    pub fn send_to(&mut self, hand: Hand, message: &HostMessage<'_>, now_ms: u64) {
+        self.send(hand, message, now_ms);
+    }
+
     /// The release key, pressed and confirmed.
     pub fn release_key(&mut self, now_ms: u64) {
         self.tap.show(|observer| observer.operated(now_ms, OperatorKey::Release));
@@ -244,6 +274,7 @@ impl<'b, D: Door> Engine<'b, D> {
                 outcome: GestureOutcome::NoMotion | GestureOutcome::NotArmed,
                 ..
             } = &event.kind
+                && !self.bridge.is_shown()
                 && let Some((_, mark)) = self.marks.iter().find(|(marking, _)| same_label(marking, label))
             {
                 self.mark(*mark, MarkedBy::Gesture, now_ms);

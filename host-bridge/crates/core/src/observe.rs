@@ -24,7 +24,7 @@ use host_robot::{
 };
 use serde::Serialize;
 
-use crate::bridge::{Accepted, Bridge, BridgeEvent, Drops};
+use crate::bridge::{Accepted, Bridge, BridgeEvent, Drops, Nearly, Prompt};
 use crate::episodes::{Mark, MarkedBy, Told};
 use crate::intent::{Caps, SpeedRules};
 use crate::link::LinkCounters;
@@ -126,6 +126,10 @@ pub enum OperatorKey {
     Release,
     /// End the arm's motion alone.
     EndArm,
+    /// Begin to show gestures that are to be learnt.
+    Show,
+    /// That is over.
+    Shown,
 }
 
 /// The state of a session, borrowed.
@@ -239,6 +243,10 @@ pub struct RightSnapshot {
     pub labels: Vec<String>,
     /// Newest probability of each, 0 to 1; empty before the first window is full.
     pub scores: Vec<f32>,
+    /// What is nearly a gesture, or was a moment ago.
+    pub nearly: Option<Nearly>,
+    /// What its wearer is asked.
+    pub prompt: Option<Prompt>,
 }
 
 impl Snapshot {
@@ -271,6 +279,8 @@ impl Snapshot {
                 link: link(Hand::Right, bridge.right_health()),
                 labels: bridge.link(Hand::Right).model().map_or(Vec::new(), |model| model.labels.clone()),
                 scores: bridge.scores().to_vec(),
+                nearly: bridge.nearly(time_ms),
+                prompt: bridge.prompt().cloned(),
             },
             caps: bridge.caps(),
             twist_asked: bridge.twist(),
@@ -335,6 +345,13 @@ pub enum SessionEvent {
         by: MarkedBy,
         /// What follows from it.
         told: Told,
+    },
+    /// The right hand's wearer is told something about the model.
+    Wearer {
+        /// When.
+        time_ms: u64,
+        /// What.
+        text: String,
     },
     /// The operator's stop threw away the episode that was under way.
     EpisodeStopped {

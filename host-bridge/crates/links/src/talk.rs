@@ -397,7 +397,7 @@ impl Talk {
 }
 
 /// A message without its borrowed parts; `None` if its content contradicts itself.
-fn owned(message: &BoardMessage<'_>) -> Option<Said> {
+pub(crate) fn owned(message: &BoardMessage<'_>) -> Option<Said> {
     Some(match message {
         BoardMessage::Hello(hello) => Said::Hello(Who {
             version: (hello.major, hello.minor),

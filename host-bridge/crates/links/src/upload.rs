@@ -36,9 +36,9 @@ pub enum Stage {
 
 /// One transfer.
 #[derive(Clone, Debug)]
-pub struct Upload<'b> {
-    blob: &'b [u8],
-    model: Model<'b>,
+pub struct Upload {
+    blob: Vec<u8>,
+    model_id: u32,
     stage: Stage,
     request: u16,
     asked_ms: Option<u64>,
@@ -70,14 +70,20 @@ pub fn misfit(model: &Model<'_>, board: &ModelNeeds) -> Option<String> {
     ))
 }
 
-impl<'b> Upload<'b> {
+impl Upload {
     /// A transfer of this blob that has not begun. `request` numbers its first message.
     ///
     /// # Errors
     /// [`ModelError`] if the bytes are no model.
-    pub fn new(blob: &'b [u8], request: u16) -> Result<Self, ModelError> {
-        let model = Model::parse(blob)?;
-        Ok(Upload { blob, model, stage: Stage::Begin, request, asked_ms: None, started: false, begins: 0 })
+    pub fn new(blob: &[u8], request: u16) -> Result<Self, ModelError> {
+        let model_id = Model::parse(blob)?.info().model_id;
+        let blob = blob.to_vec();
+        Ok(Upload { blob, model_id, stage: Stage::Begin, request, asked_ms: None, started: false, begins: 0 })
+    }
+
+    /// CRC-32 of the model.
+    pub fn model_id(&self) -> u32 {
+        self.model_id
     }
 
     /// The transfer's state.
@@ -97,40 +103,42 @@ impl<'b> Upload<'b> {
 
     /// The message to send now, if any: once, and again when no answer came. Call [`Upload::unsent`]
     /// if the link did not take it.
-    pub fn poll(&mut self, now_ms: u64) -> Option<HostMessage<'b>> {
+    pub fn poll(&mut self, now_ms: u64) -> Option<HostMessage<'_>> {
         let patience_ms =
             if self.stage == Stage::Begin || self.started { REPEAT_BEGIN_MS } else { REPEAT_MS };
         if self.asked_ms.is_some_and(|asked| now_ms.saturating_sub(asked) < patience_ms) {
             return None;
         }
         let request = self.request;
-        let message = match self.stage {
-            Stage::Begin => {
-                self.begins += 1;
-                if self.begins > MOST_BEGINS {
-                    self.stage = Stage::Failed(format!(
-                        "the transfer started over {MOST_BEGINS} times; check the cable and try again"
-                    ));
-                    return None;
-                }
-                HostMessage::ModelBegin(ModelBegin {
-                    request,
-                    info: model_info_on_the_wire(self.model.info()),
-                    scaling: ModelBegin::DATA_SHEET_SCALING,
-                    size: self.blob.len() as u32,
-                })
+        if self.stage == Stage::Begin {
+            self.begins += 1;
+            if self.begins > MOST_BEGINS {
+                self.stage = Stage::Failed(format!(
+                    "the transfer started over {MOST_BEGINS} times; check the cable and try again"
+                ));
             }
+        }
+        if matches!(self.stage, Stage::Done | Stage::Failed(_)) {
+            return None;
+        }
+        self.asked_ms = Some(now_ms);
+        self.started = false;
+        Some(match self.stage {
+            Stage::Begin => HostMessage::ModelBegin(ModelBegin {
+                request,
+                // It was parsed when the transfer was made.
+                info: model_info_on_the_wire(Model::parse(&self.blob).ok()?.info()),
+                scaling: ModelBegin::DATA_SHEET_SCALING,
+                size: self.blob.len() as u32,
+            }),
             Stage::Chunk(offset) => {
                 let start = (offset as usize).min(self.blob.len());
                 let end = (start + MODEL_CHUNK_MAX).min(self.blob.len());
                 HostMessage::ModelChunk { request, offset, data: Bytes(&self.blob[start..end]) }
             }
-            Stage::Commit => HostMessage::ModelCommit { request, crc32: self.model.info().model_id },
+            Stage::Commit => HostMessage::ModelCommit { request, crc32: self.model_id },
             Stage::Done | Stage::Failed(_) => return None,
-        };
-        self.asked_ms = Some(now_ms);
-        self.started = false;
-        Some(message)
+        })
     }
 
     /// The last message did not leave: send it again at the next chance.

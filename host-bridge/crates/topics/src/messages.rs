@@ -136,6 +136,8 @@ impl Origin {
             OperatorKey::Stop => 0,
             OperatorKey::Release => 1,
             OperatorKey::EndArm => 2,
+            OperatorKey::Show => 3,
+            OperatorKey::Shown => 4,
         };
         Entry::new(Topic::Operated, time_ms, &own::Operated { stamp: self.stamp(time_ms), time_ms, key })
     }

@@ -10,6 +10,7 @@ use crossterm::terminal::{
     Clear, ClearType, EnterAlternateScreen, LeaveAlternateScreen, disable_raw_mode, enable_raw_mode, size,
 };
 use crossterm::{cursor, execute, queue};
+use host_core::bridge::{Nearly, Prompt};
 use host_core::observe::{LinkSnapshot, Snapshot};
 use host_core::safety::State;
 use host_robot::Leg;
@@ -165,6 +166,13 @@ impl View {
         for (label, score) in snapshot.right.labels.iter().zip(&snapshot.right.scores) {
             let bar = "█".repeat((score * 30.0).round() as usize);
             lines.push((Color::Blue, format!("  {label:<15} {score:>4.2} {bar}")));
+        }
+        if let Some(Nearly { label, confidence }) = &snapshot.right.nearly {
+            lines.push((Color::Yellow, format!("  almost: {label} {confidence:.1}")));
+        }
+        if let Some(Prompt { text, button }) = &snapshot.right.prompt {
+            let key = button.map(|button| format!(" [t: {button}]")).unwrap_or_default();
+            lines.push((Color::Cyan, format!("wearer{key} {text}")));
         }
         let (arm, base) = (&snapshot.arm, snapshot.odometry);
         let doing = match &arm.running {

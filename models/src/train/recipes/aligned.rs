@@ -13,18 +13,15 @@ use crate::card::Scaling;
 use crate::daily::{self, Daily};
 use crate::dataset::Item;
 use crate::labels::OTHER;
-use crate::recording::Recording;
 use crate::streams::RandomStream;
 use crate::train::TrainError;
+use crate::train::fit::Steps;
 use crate::train::recipe::{Beside, Calibration, Fitted, Learnt, Plan, Recipe, Row, Windows, scaling};
 use crate::train::simulated::{aimless, performed};
-use crate::train::steps::{self, Start, Steps};
+use crate::train::steps::{self, Start};
 use crate::train::vary::{self, Kind, vary};
-use crate::windows::{aligned_features, prepare};
-use crate::{RATE_HZ, WINDOW};
+use crate::windows::{aligned_features, cut, prepare};
 
-/// Samples from one training window to the next: 1 s.
-const STRIDE: usize = RATE_HZ as usize;
 /// How often each window of daily movement is learnt, beside ten copies of each window of a recording.
 const DAILY_WEIGHT: usize = 8;
 
@@ -56,7 +53,7 @@ impl Aligned {
         let Self { mut steps, copies, bystanders, performers, .. } = *self;
         let fewer = |wearers: u32| wearers.min((wearers as usize * count).div_ceil(steps.count) as u32);
         let (bystanders, performers) = (fewer(bystanders), fewer(performers));
-        steps.count = count;
+        (steps.count, steps.most) = (count, count);
         steps.rounded = steps.rounded.min(count);
         Self { steps, copies, bystanders, performers, daily: self.daily.clone() }
     }
@@ -138,10 +135,11 @@ impl Recipe for Aligned {
     }
 
     fn fit(&self, learnt: &Learnt<'_>, seed: u64, _: &ProgressBar) -> Result<Fitted, TrainError> {
-        let Learnt { rows, labels, limit, .. } = *learnt;
+        let Learnt { rows, labels, limit, of_recordings, .. } = *learnt;
         let start = Start::Widths(&crate::ALIGNED_MEMBER_HIDDEN);
-        let layers = steps::fit(rows, labels, &start, &self.steps, limit, seed)?;
-        let epochs = (self.steps.count * self.steps.batch).div_ceil(rows.len().max(1));
+        let plan = self.steps.following(of_recordings);
+        let layers = steps::fit(rows, labels, &start, &plan, limit, seed)?;
+        let epochs = (plan.count * plan.batch).div_ceil(rows.len().max(1));
         Ok(Fitted { layers, epochs, best_epoch: epochs })
     }
 
@@ -160,12 +158,8 @@ impl Recipe for Aligned {
 
     fn for_simulated(&self) -> Box<dyn Recipe> {
         let copies = self.copies.min(3);
-        Box::new(Self { copies, bystanders: 0, performers: 0, daily: Daily::None, ..self.clone() })
+        // The figures of `models simulated` were taken with the fewest steps.
+        let steps = Steps { most: self.steps.count, ..self.steps };
+        Box::new(Self { steps, copies, bystanders: 0, performers: 0, daily: Daily::None })
     }
-}
-
-/// The windows of a recording at the models' rate, one after the other in each: sample after sample.
-pub(in crate::train) fn cut(ready: &Recording) -> Vec<Vec<f32>> {
-    let starts = (0..=ready.len().saturating_sub(WINDOW)).step_by(STRIDE);
-    starts.map(|start| ready.slice(start, WINDOW).samples().flatten().copied().collect()).collect()
 }

@@ -3,18 +3,22 @@
 mod accepted;
 mod events;
 mod judged;
+mod wearer;
 
 pub use accepted::{Acceptance, Accepted};
 pub use events::{BridgeEvent, Drops, EventKind, GestureOutcome};
+pub use wearer::{Nearly, Prompt};
 
 use shared_proto::message::{Ack, Heading, HostMessage, LeftState, health};
 
 use accepted::Acceptances;
 use host_robot::{Busy, Door, MotionName, NotStarted, Part, Report, Twist};
 use judged::{command, rests, without_figures};
+use wearer::{NEARLY_SHOWN_MS, Seen};
 
 use crate::almost::Almost;
 use crate::doubt;
+use crate::engine::FOREIGN_REQUESTS;
 use crate::intent::{Caps, MotionMap, SpeedRules};
 use crate::link::{HandLink, Heard, NewGesture, RightReport};
 use crate::safety::{self, Action, Hand, Ignored, PerHand, Safety, SafetyTimes, State};
@@ -34,6 +38,7 @@ pub struct Bridge {
     drops: Drops,
     scores: Vec<f32>,
     almost: Almost,
+    wearer: Seen,
     left_state: LeftState,
     right_health: u8,
     was_armed: bool,
@@ -76,6 +81,7 @@ impl Bridge {
             drops: Drops::default(),
             scores: Vec::new(),
             almost: Almost::default(),
+            wearer: Seen::default(),
             left_state: LeftState { heading: Heading::Neutral, ..LeftState::default() },
             right_health: 0,
             was_armed: false,
@@ -206,7 +212,7 @@ impl Bridge {
         self.link_mut(hand).ping(now_ms)
     }
 
-    /// A hand's newest answer to a request (hellos and pongs are none).
+    /// A hand's newest answer to a request of the session's own (hellos and pongs are none).
     pub fn last_ack(&self, hand: Hand) -> Option<Ack> {
         self.last_acks[hand]
     }
@@ -349,7 +355,9 @@ impl Bridge {
                 let fault = format!("{:?} (detail {:#x})", fault.kind, fault.detail);
                 self.note(now_ms, EventKind::BoardFault { hand, fault });
             }
-            Heard::Ack(ack) => self.last_acks[hand] = Some(ack),
+            // Others may ask the board for something at the same time: theirs must not hide the session's own.
+            Heard::Ack(ack) if ack.request < FOREIGN_REQUESTS => self.last_acks[hand] = Some(ack),
+            Heard::Ack(_) => {}
         }
     }
 
@@ -370,7 +378,8 @@ impl Bridge {
             let unnamed = if named.is_some() { new.unnamed } else { new.unnamed.saturating_add(1) };
             self.drops.gestures_unnamed += u32::from(unnamed);
         }
-        let gesture = named.as_ref().map(|(new, label)| safety::Gesture {
+        let acts = named.as_ref().filter(|_| !self.wearer.is_shown);
+        let gesture = acts.map(|(new, label)| safety::Gesture {
             label: new.label,
             age_ms: new.age_ms,
             releases: self.map.motion(label).is_some_and(|motion| *motion == *MotionName::HOME),
@@ -378,6 +387,8 @@ impl Bridge {
         let almost = self.almost.see(labels, &report.scores, report.gesture.is_some());
         if let Some((label, confidence)) = almost {
             let label = labels[label].clone();
+            let nearly = Nearly { label: label.clone(), confidence };
+            self.wearer.nearly = Some((nearly, now_ms.saturating_add(NEARLY_SHOWN_MS)));
             self.note(now_ms, EventKind::Almost { label, confidence });
         }
         self.scores = report.scores;
@@ -391,7 +402,11 @@ impl Bridge {
         };
         let outcome = self.apply(event, now_ms, robot);
         if let Some((new, label)) = named {
-            let outcome = outcome.unwrap_or(GestureOutcome::Late);
+            self.wearer.nearly = None;
+            let outcome = match outcome {
+                _ if self.wearer.is_shown => GestureOutcome::NotArmed,
+                outcome => outcome.unwrap_or(GestureOutcome::Late),
+            };
             match &outcome {
                 GestureOutcome::Started(_) => self.acceptances.ask(Part::Arm, new.age_ms, now_ms),
                 GestureOutcome::Released | GestureOutcome::EndedArm => {}

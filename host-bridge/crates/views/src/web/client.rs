@@ -146,6 +146,7 @@ impl Page<'_> {
     fn hear(&mut self, text: &str) -> bool {
         match text {
             "stop" => self.shared.stop.store(true, Ordering::SeqCst),
+            "show" => self.shared.show.store(true, Ordering::SeqCst),
             "took" if self.taken < self.sent => {
                 self.taken += 1;
                 self.taken_at = Instant::now();

@@ -66,6 +66,8 @@ struct Shared {
     history: Mutex<History>,
     /// A page pressed stop. One flag, not a queue: to stop twice is to stop.
     stop: AtomicBool,
+    /// A page pressed the wearer's button.
+    show: AtomicBool,
     /// Marks of episodes that pages have made, if the session takes any.
     marks: Option<Mutex<VecDeque<Mark>>>,
     over: AtomicBool,
@@ -116,6 +118,7 @@ impl Web {
             gate: bound.gate(),
             history: Mutex::default(),
             stop: AtomicBool::new(false),
+            show: AtomicBool::new(false),
             marks: marks.then(Mutex::default),
             over: AtomicBool::new(false),
             closing: AtomicBool::new(false),
@@ -150,6 +153,12 @@ impl Web {
     pub fn stops(&self) -> impl Fn() -> bool + Send + use<> {
         let shared = Arc::clone(&self.shared);
         move || shared.stop.swap(false, Ordering::SeqCst)
+    }
+
+    /// Whether a page has pressed the wearer's button since the last call, for another thread.
+    pub fn shows(&self) -> impl Fn() -> bool + Send + use<> {
+        let shared = Arc::clone(&self.shared);
+        move || shared.show.swap(false, Ordering::SeqCst)
     }
 
     /// Takes the marks that pages have made, one a call, for another thread; never waits.

@@ -112,7 +112,9 @@ impl Observer for Watcher {
                 _ => "",
             },
             SessionEvent::RecordingEnded { .. } => "",
-            SessionEvent::Marked { .. } | SessionEvent::EpisodeStopped { .. } => "motion",
+            SessionEvent::Marked { .. }
+            | SessionEvent::EpisodeStopped { .. }
+            | SessionEvent::Wearer { .. } => "motion",
         };
         let line = EventLine { time_ms: describe::time_ms(event), class, text: describe::text(event) };
         self.shared.history().events.push(line);

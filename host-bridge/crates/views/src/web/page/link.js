@@ -7,7 +7,7 @@ const HIDDEN_MS = 500;
 
 /**
  * Calls `told` with each message and `changed` with "open", "lost" or "over".
- * Returns an object with `stop()` and `mark()`, which are false where nobody could be told, and `took()`, to be called when
+ * Returns an object with `stop()`, `mark()` and `show()`, which are false where nobody could be told, and `took()`, to be called when
  * the newest frame has been drawn.
  */
 export function connect(told, changed) {
@@ -56,6 +56,12 @@ export function connect(told, changed) {
     mark(name) {
       if (socket?.readyState !== WebSocket.OPEN) return false;
       socket.send(`mark ${name}`);
+      return true;
+    },
+    /** The wearer's button: show gestures, send the kept model, or give up. */
+    show() {
+      if (socket?.readyState !== WebSocket.OPEN) return false;
+      socket.send("show");
       return true;
     },
     /** What has come so far is on the screen. */

@@ -128,6 +128,12 @@ for (const button of document.querySelectorAll("[data-mark]")) {
   });
 }
 
+// ---- the first minute
+
+$("show").addEventListener("click", () => {
+  if (!link.show()) panels.say("Not connected: this page cannot ask the board for anything.");
+});
+
 // ---- the link
 
 function told(message) {

@@ -140,6 +140,8 @@ export class Panels {
       put($(finger), "class", known ? "track" : "track unknown");
     });
     this.showScores(right);
+    put($("nearly"), "text", right.nearly ? `almost: ${right.nearly.label} ${right.nearly.confidence.toFixed(1)}` : "");
+    this.showWearer(right.prompt);
     arm.joints_rad.slice(0, this.joints.length).forEach((reported, i) => {
       const angle = reported ?? 0;
       const { fill, track, low, high, endless } = this.joints[i];
@@ -181,6 +183,15 @@ export class Panels {
       put(text, "text", score.toFixed(2));
       put(row, "class", score === top && score > 0 ? "bar top" : "bar");
     });
+  }
+
+  /** What the wearer of the right hand is asked, and what the button does now. */
+  showWearer(prompt) {
+    $("wearer").hidden = !prompt;
+    if (!prompt) return;
+    put($("wearer-text"), "text", prompt.text);
+    $("show").hidden = !prompt.button;
+    put($("show"), "text", prompt.button ?? "");
   }
 
   /** Figures that nobody reads sixty times a second. */

@@ -1,0 +1,414 @@
+//! A wearer shows each gesture a few times, and the board gets a model that has learnt them. Sans-IO.
+//!
+//! ```text
+//! Asking ─Ok─► Ready ⇄ Taking … ─► Back ─Ok─► Learning ─model─► Sending ─► Kept ─restart─► over
+//!   └ record mode: the board sends samples, and no state: the robot stands still, whatever is drawn ┘
+//! ```
+//!
+//! Who drives it sends what [`Showing::poll`] says, hands over what the board sends, and learns from what
+//! [`Showing::take_shown`] gives, elsewhere: nothing here takes long.
+
+use models::recording::Recording;
+use shared_proto::frame::{BOARD_FRAME_MAX, Decoder};
+use shared_proto::message::{AckResult, HostMessage, Mode};
+
+use crate::capture::Collector;
+use crate::talk::{Said, advice, owned};
+use crate::upload::{Stage, Upload};
+
+/// How often each gesture is shown.
+pub const TIMES: usize = 3;
+/// Length of what is taken, from the word "now" on.
+const TAKE_MS: u64 = 3000;
+/// Time to get ready: for another gesture, and for the same once more.
+const READY_MS: u64 = 3000;
+const AGAIN_MS: u64 = 1200;
+/// Without an answer for this long a request is repeated, and after the other it has failed.
+const REPEAT_MS: u64 = 1000;
+const ANSWER_MS: u64 = 5000;
+/// If no samples come for this long, the board is not recording.
+const SILENCE_MS: u64 = 3000;
+/// How often in a row a take may be spoilt.
+const SPOILT_MAX: u32 = 3;
+/// A model that makes no progress for this long is not kept.
+const SENDING_MS: u64 = 60_000;
+/// A hand moves that is accelerated or turned by more than this (root of the summed variances).
+const MOVES_M_S2: f64 = 0.8;
+const MOVES_DEG_S: f64 = 30.0;
+
+/// What was shown: labels and recordings.
+pub type Shown = Vec<(String, Recording)>;
+
+/// See the module.
+pub struct Showing {
+    labels: Vec<String>,
+    sample_hz: u16,
+    boot_id: u32,
+    decoder: Decoder<BOARD_FRAME_MAX>,
+    /// The number of the next request.
+    request: u16,
+    phase: Phase,
+    /// When the phase began, and when a request was last sent in it.
+    since_ms: u64,
+    asked_ms: Option<u64>,
+    shown: Shown,
+    spoilt: u32,
+    /// What went wrong with the last take.
+    remark: Option<String>,
+    /// The board is in record mode, as far as is known.
+    records: bool,
+}
+
+enum Phase {
+    /// Record mode was asked for.
+    Asking,
+    /// The wearer gets ready.
+    Ready { until_ms: u64 },
+    /// The wearer draws.
+    Taking { collector: Collector, heard_ms: u64 },
+    /// The board goes back to its own work; then this follows.
+    Back(After),
+    /// What was shown is being learnt.
+    Learning { taken: bool },
+    /// The new model is on its way.
+    Sending { upload: Upload, reached: usize },
+    /// The board has it, and uses it from its next start on.
+    Kept { model_id: u32 },
+    /// Done, or given up; the text says which.
+    Over { text: String, is_done: bool },
+}
+
+enum After {
+    Learn,
+    GiveUp(String),
+}
+
+impl Showing {
+    /// A wearer shows these gestures to the board of this start, and requests are numbered from `request` up.
+    pub fn new(labels: Vec<String>, sample_hz: u16, boot_id: u32, request: u16, now_ms: u64) -> Self {
+        let phase = if labels.is_empty() {
+            Phase::Over { text: "the model knows no gesture that could be shown".to_owned(), is_done: false }
+        } else {
+            Phase::Asking
+        };
+        Showing { phase, ..Self::begin(labels, sample_hz, boot_id, request, now_ms) }
+    }
+
+    /// A model that the wearer has shown before goes to the board of this start.
+    pub fn sending(upload: Upload, boot_id: u32, now_ms: u64) -> Self {
+        let phase = Phase::Sending { upload, reached: 0 };
+        Showing { phase, ..Self::begin(Vec::new(), 0, boot_id, 0, now_ms) }
+    }
+
+    fn begin(labels: Vec<String>, sample_hz: u16, boot_id: u32, request: u16, now_ms: u64) -> Self {
+        Showing {
+            labels,
+            sample_hz,
+            boot_id,
+            decoder: Decoder::new(),
+            request,
+            phase: Phase::Asking,
+            since_ms: now_ms,
+            asked_ms: None,
+            shown: Vec::new(),
+            spoilt: 0,
+            remark: None,
+            records: false,
+        }
+    }
+
+    /// What the wearer is asked or told now.
+    pub fn text(&self) -> String {
+        let still = "the robot stands still meanwhile";
+        match &self.phase {
+            Phase::Asking => format!("the board is asked for its samples; {still}"),
+            Phase::Ready { .. } => {
+                let (label, time) = self.place();
+                let remark = self.remark.as_ref().map(|remark| format!("{remark}; ")).unwrap_or_default();
+                format!("{remark}get ready: {label}, {time} of {TIMES} ({still})")
+            }
+            Phase::Taking { .. } => {
+                let (label, time) = self.place();
+                format!("NOW draw {label}, {time} of {TIMES}, for {} s ({still})", TAKE_MS / 1000)
+            }
+            Phase::Back(After::Learn) | Phase::Learning { .. } => {
+                format!("{} recordings are learnt; put your hand down", self.shown.len())
+            }
+            Phase::Back(After::GiveUp(why)) => format!("given up: {why}"),
+            Phase::Sending { upload, .. } => {
+                let (done, all) = upload.progress();
+                format!("the board gets the model: {done} of {all} bytes; gestures have no effect yet")
+            }
+            Phase::Kept { model_id } => {
+                format!("the board has model {model_id:08x}; press its reset button, and it is used")
+            }
+            Phase::Over { text, .. } => text.clone(),
+        }
+    }
+
+    /// What a key or a button does now.
+    pub fn button(&self) -> Option<&'static str> {
+        match self.phase {
+            Phase::Over { .. } => None,
+            Phase::Kept { .. } => Some("later"),
+            _ => Some("give up"),
+        }
+    }
+
+    /// The gesture that is shown next, and for which time.
+    fn place(&self) -> (&str, usize) {
+        let label = self.labels.get(self.shown.len() / TIMES).map_or("", String::as_str);
+        (label, self.shown.len() % TIMES + 1)
+    }
+
+    /// Whether it is over, and whether the board uses what it was sent.
+    pub fn is_over(&self) -> Option<bool> {
+        match self.phase {
+            Phase::Over { is_done, .. } => Some(is_done),
+            _ => None,
+        }
+    }
+
+    /// Gestures of the wearer shall have no effect: they are shown, or the model that names them is on its way.
+    pub fn holds_gestures(&self) -> bool {
+        !matches!(self.phase, Phase::Kept { .. } | Phase::Over { .. })
+    }
+
+    /// What has been shown, once, when it is complete: to be learnt, and [`Showing::learnt`] follows.
+    pub fn take_shown(&mut self) -> Option<Shown> {
+        match &mut self.phase {
+            Phase::Learning { taken } if !*taken => {
+                *taken = true;
+                Some(self.shown.clone())
+            }
+            _ => None,
+        }
+    }
+
+    /// The model that has learnt what was shown, or why there is none.
+    pub fn learnt(&mut self, blob: Result<Vec<u8>, String>, now_ms: u64) {
+        if !matches!(self.phase, Phase::Learning { .. }) {
+            return;
+        }
+        let upload =
+            blob.and_then(|blob| Upload::new(&blob, self.request).map_err(|error| error.to_string()));
+        self.phase = match upload {
+            Ok(upload) => Phase::Sending { upload, reached: 0 },
+            Err(why) => Phase::Over { text: why, is_done: false },
+        };
+        self.since_ms = now_ms;
+    }
+
+    /// The wearer gives up. Whatever the board runs it goes on running.
+    pub fn cancel(&mut self, why: &str, now_ms: u64) {
+        if let Phase::Kept { model_id } = self.phase {
+            let text = format!("the board uses model {model_id:08x} from its next start on");
+            self.phase = Phase::Over { text, is_done: false };
+        } else if matches!(self.phase, Phase::Back(After::GiveUp(_))) {
+            // It has been given up already.
+        } else if self.records {
+            self.go(Phase::Back(After::GiveUp(why.to_owned())), now_ms);
+        } else if self.is_over().is_none() {
+            self.phase = Phase::Over { text: format!("given up: {why}"), is_done: false };
+        }
+    }
+
+    /// The message to send to the board now, if any. Ask only when it can really be sent.
+    pub fn poll(&mut self, now_ms: u64) -> Option<HostMessage<'_>> {
+        self.advance(now_ms);
+        let mode = match &mut self.phase {
+            Phase::Asking => Mode::Record,
+            Phase::Back(_) => Mode::Classify,
+            Phase::Sending { upload, .. } => return upload.poll(now_ms),
+            _ => return None,
+        };
+        if self.asked_ms.is_some_and(|asked| now_ms.saturating_sub(asked) < REPEAT_MS) {
+            return None;
+        }
+        self.asked_ms = Some(now_ms);
+        self.records |= mode == Mode::Record;
+        Some(HostMessage::SetMode { request: self.request, mode })
+    }
+
+    /// Bytes of the board, in any slicing.
+    pub fn receive(&mut self, bytes: &[u8], now_ms: u64) {
+        // The decoder lends its buffer to the message, and handling one needs the rest.
+        let mut decoder = std::mem::take(&mut self.decoder);
+        for &byte in bytes {
+            if let Some(said) = decoder.push_board(byte).and_then(|message| owned(&message)) {
+                self.hear(&said, now_ms);
+            }
+        }
+        self.decoder = decoder;
+    }
+
+    fn go(&mut self, phase: Phase, now_ms: u64) {
+        self.phase = phase;
+        self.since_ms = now_ms;
+        self.asked_ms = None;
+        self.request = self.request.wrapping_add(1);
+    }
+
+    /// What follows from the time alone.
+    fn advance(&mut self, now_ms: u64) {
+        let passed_ms = now_ms.saturating_sub(self.since_ms);
+        match &mut self.phase {
+            Phase::Asking if passed_ms >= ANSWER_MS => {
+                self.cancel("the board does not answer; check the link, and try again", now_ms);
+            }
+            Phase::Ready { until_ms } if now_ms >= *until_ms => {
+                let wanted = TAKE_MS as usize * usize::from(self.sample_hz.max(1)) / 1000;
+                let collector = Collector::new(wanted, self.sample_hz);
+                self.go(Phase::Taking { collector, heard_ms: now_ms }, now_ms);
+            }
+            Phase::Taking { heard_ms, .. } if now_ms.saturating_sub(*heard_ms) > SILENCE_MS => {
+                self.cancel("no samples for 3 s; restart the board, and try again", now_ms);
+            }
+            // `run` calls a board back from record mode whenever it starts.
+            Phase::Back(after) if passed_ms >= ANSWER_MS => {
+                let text = match after {
+                    After::Learn => "the board did not go back to classifying".to_owned(),
+                    After::GiveUp(why) => why.clone(),
+                };
+                self.records = false;
+                self.phase = Phase::Over { text: format!("{text}; restart the board"), is_done: false };
+            }
+            Phase::Sending { upload, reached } => {
+                let done = upload.progress().0;
+                let stage = upload.stage().clone();
+                if done != *reached {
+                    *reached = done;
+                    self.since_ms = now_ms;
+                } else if passed_ms >= SENDING_MS {
+                    let text = "the transfer made no progress for a minute; the board keeps its old model. Check the \
+                                link and try again";
+                    self.phase = Phase::Over { text: text.to_owned(), is_done: false };
+                    return;
+                }
+                match stage {
+                    Stage::Done => {
+                        let model_id = upload.model_id();
+                        self.go(Phase::Kept { model_id }, now_ms);
+                    }
+                    Stage::Failed(why) => self.phase = Phase::Over { text: why, is_done: false },
+                    _ => {}
+                }
+            }
+            _ => {}
+        }
+    }
+
+    fn hear(&mut self, said: &Said, now_ms: u64) {
+        match said {
+            Said::Hello(who) if who.boot_id != self.boot_id => {
+                self.boot_id = who.boot_id;
+                self.restarted(who.model_id, now_ms);
+            }
+            Said::Ack(ack) => match &mut self.phase {
+                Phase::Sending { upload, .. } => upload.ack(ack),
+                Phase::Asking if ack.request == self.request => match ack.result {
+                    AckResult::Ok => self.get_ready(READY_MS, now_ms),
+                    AckResult::Started => {}
+                    AckResult::Unsupported => self.refused(
+                        "this board's firmware sends no samples; flash it with the one of this version",
+                    ),
+                    result => self.refused(advice(result)),
+                },
+                Phase::Back(_) if ack.request == self.request && ack.result == AckResult::Ok => {
+                    self.records = false;
+                    match std::mem::replace(&mut self.phase, Phase::Asking) {
+                        Phase::Back(After::GiveUp(why)) => {
+                            self.phase = Phase::Over { text: format!("given up: {why}"), is_done: false };
+                        }
+                        _ => self.go(Phase::Learning { taken: false }, now_ms),
+                    }
+                }
+                _ => {}
+            },
+            Said::Raw(batch) => {
+                let Phase::Taking { collector, heard_ms } = &mut self.phase else { return };
+                *heard_ms = now_ms;
+                match collector.push(batch) {
+                    Ok(false) => {}
+                    Ok(true) => {
+                        let recording = collector.clone().recording();
+                        self.taken(recording, now_ms);
+                    }
+                    Err(problem) => self.spoil(&problem.to_string(), now_ms),
+                }
+            }
+            _ => {}
+        }
+    }
+
+    fn restarted(&mut self, model_id: u32, now_ms: u64) {
+        match &mut self.phase {
+            Phase::Sending { upload, .. } => upload.restarted(),
+            Phase::Kept { model_id: wanted } => {
+                let is_done = *wanted == model_id;
+                let text = if is_done {
+                    format!("the board runs model {model_id:08x} now: draw, and see")
+                } else {
+                    format!(
+                        "the board started with model {model_id:08x}, not with the new one; send it again"
+                    )
+                };
+                self.phase = Phase::Over { text, is_done };
+            }
+            Phase::Learning { .. } | Phase::Over { .. } => {}
+            // A board starts in its usual mode.
+            _ => {
+                self.records = false;
+                self.cancel("the board restarted; check its power and cable, and try again", now_ms);
+            }
+        }
+    }
+
+    fn refused(&mut self, why: &str) {
+        self.records = false;
+        self.phase = Phase::Over { text: why.to_owned(), is_done: false };
+    }
+
+    fn get_ready(&mut self, time_ms: u64, now_ms: u64) {
+        self.go(Phase::Ready { until_ms: now_ms + time_ms }, now_ms);
+    }
+
+    fn taken(&mut self, recording: Recording, now_ms: u64) {
+        let (label, _) = self.place();
+        let label = label.to_owned();
+        if !moves(&recording) {
+            return self.spoil("the hand hardly moved", now_ms);
+        }
+        self.shown.push((label, recording));
+        (self.spoilt, self.remark) = (0, None);
+        if self.shown.len() == TIMES * self.labels.len() {
+            self.go(Phase::Back(After::Learn), now_ms);
+        } else {
+            let is_other = self.shown.len().is_multiple_of(TIMES);
+            self.get_ready(if is_other { READY_MS } else { AGAIN_MS }, now_ms);
+        }
+    }
+
+    fn spoil(&mut self, why: &str, now_ms: u64) {
+        self.spoilt += 1;
+        if self.spoilt >= SPOILT_MAX {
+            return self.cancel(&format!("{why}, {SPOILT_MAX} times"), now_ms);
+        }
+        self.remark = Some(format!("{why}: once more"));
+        self.get_ready(READY_MS, now_ms);
+    }
+}
+
+/// Whether a hand moves in a recording, as in any gesture.
+fn moves(recording: &Recording) -> bool {
+    let spread = |axes: std::ops::Range<usize>| {
+        let count = recording.len().max(1) as f64;
+        let variance = |axis: usize| {
+            let values = || recording.samples().map(|sample| f64::from(sample[axis]));
+            let mean = values().sum::<f64>() / count;
+            values().map(|value| (value - mean).powi(2)).sum::<f64>() / count
+        };
+        axes.map(variance).sum::<f64>().sqrt()
+    };
+    spread(0..3) > MOVES_M_S2 || (recording.axes() >= 6 && spread(3..6) > MOVES_DEG_S)
+}

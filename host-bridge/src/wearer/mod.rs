@@ -1,0 +1,288 @@
+//! The first minute: whoever wears the right hand shows each gesture three times, and the board gets a model that has
+//! learnt their hand.
+//!
+//! ```text
+//! key, page ─► Wearer ─ text, button ─► terminal, page, JSON
+//! board ◄────►   │  Showing: record mode, takes, the model's way back
+//!                └─► a thread of its own: files, learning ─► kept in FOLDER/NAME
+//! ```
+//!
+//! The control thread asks at every turn and never waits: files and learning are the other thread's. What is shown
+//! moves nothing: the board sends samples then and no gestures, and the bridge ignores whatever gesture comes until the
+//! new model is on the board.
+
+mod kept;
+
+use std::path::PathBuf;
+use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
+use std::time::Duration;
+
+use host_core::bridge::Prompt;
+use host_core::engine::{Engine, FOREIGN_REQUESTS};
+use host_core::safety::Hand;
+use host_links::links::Clock;
+use host_links::showing::{Showing, Shown, TIMES};
+use host_links::upload::Upload;
+use host_robot::Door;
+
+pub use kept::{Kept, next_file};
+
+/// Numbers of requests that one showing may use.
+const REQUESTS: u16 = 0x400;
+/// After the last gesture was shown, gestures have no effect for so long: it may still be in the board's window.
+const AFTER_MS: u64 = 3000;
+/// The other thread looks this often whether the session is over.
+const PATIENCE: Duration = Duration::from_secs(3600);
+const THREAD_ENDED: &str = "nothing can be learnt: a thread of this program has ended; start it again";
+
+/// Who wears the right hand, and where their models are kept.
+#[derive(Clone, Debug)]
+pub struct Settings {
+    /// The name that was given.
+    pub name: Option<String>,
+    /// A folder in it for each wearer.
+    pub folder: PathBuf,
+    /// The model to start from; `None` = the bundled one.
+    pub model: Option<PathBuf>,
+}
+
+/// What the wearer can do now.
+#[derive(Clone, Debug, PartialEq)]
+enum Offer {
+    /// Nothing is known yet.
+    Looking,
+    /// Show each of these gestures.
+    Show { labels: Vec<String>, text: String },
+    /// Let the board have the model that was kept.
+    Send { blob: Vec<u8>, text: String },
+    /// Nothing, for this reason.
+    Cannot(String),
+}
+
+/// What the other thread is asked.
+enum Job {
+    /// The board runs this model: what can the wearer do?
+    Look { model_id: u32, labels: Vec<String> },
+    /// Learn what was shown.
+    Learn(Shown),
+}
+
+enum Answer {
+    Offer(Offer),
+    Learnt(Result<Vec<u8>, String>),
+}
+
+/// See the module.
+pub struct Wearer {
+    jobs: SyncSender<Job>,
+    answers: Receiver<Answer>,
+    offer: Offer,
+    showing: Option<Showing>,
+    /// How many there were.
+    showings: u16,
+    /// Jobs that the other thread has not answered.
+    unanswered: usize,
+    /// The board's start and model, as they were last looked at.
+    board: Option<(u32, u32)>,
+    /// How the last showing ended.
+    result: Option<String>,
+    told: String,
+    held_until_ms: u64,
+    pressed: bool,
+}
+
+impl Wearer {
+    /// With a thread of its own that takes its time from `clock`.
+    ///
+    /// # Errors
+    /// The system starts no thread.
+    pub fn start(settings: Settings, clock: &dyn Clock) -> std::io::Result<Self> {
+        let (jobs, incoming) = sync_channel::<Job>(4);
+        let (outgoing, answers) = sync_channel(4);
+        // At work while it reads and learns.
+        let waiter = clock.waiter();
+        std::thread::Builder::new().name("wearer".to_owned()).spawn(move || {
+            let mut kept = Kept::new(settings);
+            while let Ok(job) = waiter.receive(&incoming, PATIENCE) {
+                let answer = match job {
+                    Job::Look { model_id, labels } => Answer::Offer(kept.offer(model_id, &labels)),
+                    Job::Learn(shown) => Answer::Learnt(kept.learn(&shown)),
+                };
+                if outgoing.send(answer).is_err() {
+                    break;
+                }
+            }
+        })?;
+        Ok(Wearer {
+            jobs,
+            answers,
+            offer: Offer::Looking,
+            showing: None,
+            showings: 0,
+            unanswered: 0,
+            board: None,
+            result: None,
+            told: String::new(),
+            held_until_ms: 0,
+            pressed: false,
+        })
+    }
+
+    /// The key or the page's button: begin, or give up what is under way.
+    pub fn press(&mut self) {
+        self.pressed = true;
+    }
+
+    /// Bytes of the right hand's board.
+    pub fn receive(&mut self, bytes: &[u8], now_ms: u64) {
+        if let Some(showing) = &mut self.showing {
+            showing.receive(bytes, now_ms);
+        }
+    }
+
+    /// Waits for the other thread. Only for those who hold the time themselves: the control thread never waits.
+    pub fn settle(&mut self, now_ms: u64) {
+        while self.unanswered > 0
+            && let Ok(answer) = self.answers.recv()
+        {
+            self.take(answer, now_ms);
+        }
+    }
+
+    /// One turn of the control thread; `ready` says whether the board's link takes bytes.
+    pub fn turn<D: Door>(&mut self, engine: &mut Engine<'static, D>, ready: bool, now_ms: u64) {
+        self.look(engine);
+        self.answered(now_ms);
+        if std::mem::take(&mut self.pressed) {
+            self.begin_or_cancel(engine, now_ms);
+        }
+        if let Some(showing) = &mut self.showing {
+            if ready && let Some(message) = showing.poll(now_ms) {
+                engine.send_to(Hand::Right, &message, now_ms);
+            }
+            if let Some(shown) = showing.take_shown() {
+                match self.jobs.try_send(Job::Learn(shown)) {
+                    Ok(()) => self.unanswered += 1,
+                    Err(_) => showing.learnt(Err(THREAD_ENDED.to_owned()), now_ms),
+                }
+            }
+            if showing.holds_gestures() {
+                self.held_until_ms = now_ms + AFTER_MS;
+            }
+        }
+        self.tell(engine, now_ms);
+        if self.showing.as_ref().is_some_and(|showing| showing.is_over().is_some()) {
+            self.result = self.showing.take().map(|showing| showing.text());
+            // The board may run another model now.
+            self.board = None;
+        }
+        let holds = now_ms < self.held_until_ms;
+        if holds != engine.bridge().is_shown() {
+            engine.show_key(holds, now_ms);
+        }
+        engine.set_prompt(self.prompt());
+    }
+
+    /// Whenever the board says that it runs another model, what can be done is looked up.
+    fn look<D: Door>(&mut self, engine: &Engine<'static, D>) {
+        let link = engine.bridge().link(Hand::Right);
+        let (Some(identity), Some(model)) = (link.identity(), link.model()) else { return };
+        let board = (identity.boot_id, model.model_id);
+        if self.board == Some(board) || self.showing.is_some() {
+            return;
+        }
+        let job = Job::Look { model_id: model.model_id, labels: model.labels.clone() };
+        match self.jobs.try_send(job) {
+            Ok(()) => (self.board, self.unanswered) = (Some(board), self.unanswered + 1),
+            // The thread has not come to it yet.
+            Err(TrySendError::Full(_)) => {}
+            Err(TrySendError::Disconnected(_)) => {
+                self.offer = Offer::Cannot(THREAD_ENDED.to_owned());
+            }
+        }
+    }
+
+    fn answered(&mut self, now_ms: u64) {
+        while let Ok(answer) = self.answers.try_recv() {
+            self.take(answer, now_ms);
+        }
+    }
+
+    fn take(&mut self, answer: Answer, now_ms: u64) {
+        self.unanswered = self.unanswered.saturating_sub(1);
+        match (answer, &mut self.showing) {
+            (Answer::Offer(offer), _) => self.offer = offer,
+            (Answer::Learnt(blob), Some(showing)) => showing.learnt(blob, now_ms),
+            // Given up meanwhile: the model is kept, and offered when the board is looked at again.
+            (Answer::Learnt(_), None) => self.board = None,
+        }
+    }
+
+    fn begin_or_cancel<D: Door>(&mut self, engine: &Engine<'static, D>, now_ms: u64) {
+        if let Some(showing) = &mut self.showing {
+            showing.cancel("as you wished", now_ms);
+            return;
+        }
+        let Some(identity) = engine.bridge().link(Hand::Right).identity() else { return };
+        if !engine.is_set_up(Hand::Right) {
+            // What a board is told at its start would end its record mode again.
+            self.pressed = true;
+            return;
+        }
+        let request = FOREIGN_REQUESTS.wrapping_add(self.showings.wrapping_mul(REQUESTS) & 0x3fff);
+        let (boot_id, sample_hz) = (identity.boot_id, identity.sample_hz);
+        self.showing = match &self.offer {
+            Offer::Show { labels, .. } => {
+                Some(Showing::new(labels.clone(), sample_hz, boot_id, request, now_ms))
+            }
+            // It was parsed when it was read.
+            Offer::Send { blob, .. } => {
+                Upload::new(blob, request).ok().map(|upload| Showing::sending(upload, boot_id, now_ms))
+            }
+            Offer::Looking | Offer::Cannot(_) => None,
+        };
+        self.showings = self.showings.wrapping_add(1);
+        if self.showing.is_some() {
+            self.result = None;
+        }
+    }
+
+    /// What the wearer sees now.
+    fn prompt(&self) -> Option<Prompt> {
+        if let Some(showing) = &self.showing {
+            return Some(Prompt { text: showing.text(), button: showing.button() });
+        }
+        let (text, button) = match &self.offer {
+            Offer::Looking => return None,
+            Offer::Show { text, .. } => (text, Some("show three of each")),
+            Offer::Send { text, .. } => (text, Some("send the kept model")),
+            Offer::Cannot(text) => (text, None),
+        };
+        let result = self.result.as_ref().map(|result| format!("{result}. ")).unwrap_or_default();
+        Some(Prompt { text: format!("{result}{text}"), button })
+    }
+
+    /// What changes is an event, but for the count of bytes.
+    fn tell<D: Door>(&mut self, engine: &mut Engine<'static, D>, now_ms: u64) {
+        let Some(Prompt { text, .. }) = self.prompt() else { return };
+        let plain = |text: &str| text.split(|c: char| c.is_ascii_digit()).next().map(str::to_owned);
+        let is_progress = text.contains(" bytes;") && plain(&text) == plain(&self.told);
+        if text != self.told && !is_progress {
+            engine.tell_wearer(text.clone(), now_ms);
+        }
+        self.told = text;
+    }
+}
+
+/// What a wearer is asked to do, in words: for those who show, and for those who have shown.
+fn offer_to_show(name: Option<&str>, labels: &[String], seconds: usize) -> String {
+    let who = match name {
+        Some(name) => format!("{name} has shown nothing yet"),
+        None => "who wears the right hand is not known (--wearer NAME)".to_owned(),
+    };
+    format!(
+        "{who}: show each of {} {TIMES} times, about {seconds} s in all, and the model learns your hand; what you show \
+         does not move the robot",
+        labels.join(", ")
+    )
+}

@@ -1,0 +1,395 @@
+//! Fitting in a fixed number of steps, and that in plain loops: the networks are so small that a library would bring a
+//! hundred crates and no speed. [`adapt`](super::adapt) learns with it; new networks are fitted by the same plan in
+//! `steps`, which a test compares.
+
+use rand::Rng;
+use rand_chacha::ChaCha8Rng;
+
+use super::quantise;
+use crate::streams::RandomStream;
+use crate::tflite::FloatLayer;
+
+/// How to fit in steps.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Steps {
+    /// Number of steps, at least.
+    pub count: usize,
+    /// Number of steps, at most: between the two they follow what there is to learn ([`Steps::following`]).
+    pub most: usize,
+    /// Windows per step.
+    pub batch: usize,
+    /// Largest learning rate (Adam).
+    pub learning_rate: f64,
+    /// Steps until it is reached.
+    pub warm_up: usize,
+    /// Share of the probability that is spread over all labels.
+    pub label_smoothing: f32,
+    /// Weight of the sum of squared weights in the loss.
+    pub decay: f64,
+    /// Share that the average of the weights keeps per step, in the long run.
+    pub keep: f64,
+    /// Networks that are fitted from different starts and merged into one; recipe `aligned` says how wide
+    /// each is.
+    pub members: usize,
+    /// Steps after that in which weights and activations are rounded as int8 rounds them.
+    pub rounded: usize,
+}
+
+impl Steps {
+    /// For a new network.
+    pub const TRAIN: Self = Self {
+        count: 1500,
+        most: 6000,
+        batch: 128,
+        learning_rate: 3e-3,
+        warm_up: 50,
+        label_smoothing: 0.1,
+        decay: 1e-4,
+        keep: 0.995,
+        members: crate::ALIGNED_MEMBERS,
+        rounded: 300,
+    };
+    /// For a network that only has to learn one more person.
+    pub const ADAPT: Self =
+        Self { count: 800, most: 800, learning_rate: 2e-3, keep: 0.98, members: 1, ..Self::TRAIN };
+
+    /// As many steps as these windows of recordings and varied copies of them need: each is seen sixteen times. Thirty people
+    /// who are seen four times each are known three to four points worse.
+    pub fn following(self, windows: usize) -> Self {
+        const TIMES: usize = 16;
+        let wanted = (TIMES * windows).div_ceil(self.batch.max(1));
+        let count = wanted.clamp(self.count, self.most.max(self.count));
+        Self { count, most: count, ..self }
+    }
+
+    /// The steps at the end that take int8's rounding into account.
+    pub(super) fn last(self) -> Self {
+        Self { count: self.rounded, most: self.rounded, learning_rate: 5e-4, warm_up: 20, keep: 0.98, ..self }
+    }
+}
+
+/// Adam's memory of the gradients and of their squares.
+const BETAS: [f64; 2] = [0.9, 0.999];
+const EPSILON: f32 = 1e-8;
+
+/// Fits a network that exists to rows of inputs with their labels, rare labels counting as much as common ones. `limit` is
+/// the largest input.
+pub(super) fn refit(
+    rows: &[(Vec<f32>, usize)],
+    labels: usize,
+    start: &[FloatLayer],
+    plan: &Steps,
+    limit: f32,
+    seed: u64,
+) -> Vec<FloatLayer> {
+    if rows.is_empty() {
+        return start.to_vec();
+    }
+    let mut layers = run(rows, labels, start, plan, None, RandomStream::Member(0).of(seed));
+    equalise(&mut layers);
+    if plan.rounded > 0 {
+        let inputs: Vec<&[f32]> = rows.iter().map(|(input, _)| input.as_slice()).collect();
+        let rounding = Rounding { limit, ranges: quantise::ranges(&layers, &inputs) };
+        layers = run(rows, labels, &layers, &plan.last(), Some(&rounding), RandomStream::Rounding.of(seed));
+    }
+    layers
+}
+
+/// How int8 will round a network, for steps that see it: the gradient passes as if nothing was rounded.
+struct Rounding {
+    /// Largest input.
+    limit: f32,
+    /// Per layer, smallest and largest output.
+    ranges: Vec<(f32, f32)>,
+}
+
+/// Values that an optimiser changes, with what it remembers of each, and their average over the steps.
+struct Changing {
+    values: Vec<f32>,
+    gradient: Vec<f32>,
+    moments: [Vec<f32>; 2],
+    average: Vec<f32>,
+}
+
+impl Changing {
+    fn new(values: Vec<f32>) -> Self {
+        let zeros = || vec![0.0; values.len()];
+        Self { gradient: zeros(), moments: [zeros(), zeros()], average: values.clone(), values }
+    }
+
+    /// Takes a step against the gradient, which is emptied. `time` counts the steps from 1.
+    fn step(&mut self, rate: f64, time: usize, keep: f32) {
+        let [first, second] = BETAS.map(|beta| 1.0 / (1.0 - beta.powi(time as i32)));
+        let [keep_first, keep_second] = BETAS.map(|beta| beta as f32);
+        let (first, second, rate) = (first as f32, second as f32, rate as f32);
+        let [means, squares] = &mut self.moments;
+        let moments = means.iter_mut().zip(squares);
+        let values = self.values.iter_mut().zip(&mut self.average);
+        for (((value, average), gradient), (mean, square)) in values.zip(&mut self.gradient).zip(moments) {
+            *mean = *mean * keep_first + *gradient * (1.0 - keep_first);
+            *square = *square * keep_second + *gradient * *gradient * (1.0 - keep_second);
+            *value -= rate * (*mean * first) / ((*square * second).sqrt() + EPSILON);
+            *average = *average * keep + *value * (1.0 - keep);
+            *gradient = 0.0;
+        }
+    }
+}
+
+/// A layer while it is fitted, with what it made of the batch.
+struct Fitting {
+    inputs: usize,
+    outputs: usize,
+    /// Those of an input to all outputs, one input after the other.
+    weights: Changing,
+    biases: Changing,
+    /// The weights as they were used: rounded, if anything is.
+    used: Vec<f32>,
+    /// Row after row of the batch: 1 where the gradient passes.
+    passes: Vec<f32>,
+    /// Row after row of the batch: the outputs.
+    made: Vec<f32>,
+    relu: bool,
+}
+
+impl Fitting {
+    fn new(layer: &FloatLayer, batch: usize) -> Self {
+        let (inputs, outputs) = (layer.weights.first().map_or(0, Vec::len), layer.biases.len());
+        let weights: Vec<f32> =
+            (0..inputs).flat_map(|input| layer.weights.iter().map(move |row| row[input])).collect();
+        Self {
+            inputs,
+            outputs,
+            used: weights.clone(),
+            weights: Changing::new(weights),
+            biases: Changing::new(layer.biases.clone()),
+            passes: vec![1.0; batch * outputs],
+            made: vec![0.0; batch * outputs],
+            relu: layer.relu,
+        }
+    }
+
+    /// What the layer makes of a batch; `range` is what int8 can hold, where it is rounded.
+    fn forward(&mut self, batch: &[f32], range: Option<(f32, f32)>) {
+        self.used.copy_from_slice(&self.weights.values);
+        if range.is_some() {
+            let largest = self.used.iter().fold(0.0f32, |most, weight| most.max(weight.abs()));
+            let step = largest.max(1e-9) / 127.0;
+            self.used.iter_mut().for_each(|weight| *weight = rounded(*weight, step));
+        }
+        let rows = batch.chunks_exact(self.inputs).zip(self.made.chunks_exact_mut(self.outputs));
+        for ((row, made), passes) in rows.zip(self.passes.chunks_exact_mut(self.outputs)) {
+            made.copy_from_slice(&self.biases.values);
+            for (value, weights) in row.iter().zip(self.used.chunks_exact(self.outputs)) {
+                // Behind a ReLU half of them are 0.
+                if *value != 0.0 {
+                    made.iter_mut().zip(weights).for_each(|(sum, weight)| *sum += value * weight);
+                }
+            }
+            let lowest = if self.relu { 0.0 } else { f32::NEG_INFINITY };
+            let (low, high) = range.unwrap_or((f32::NEG_INFINITY, f32::INFINITY));
+            for (value, passes) in made.iter_mut().zip(passes) {
+                let inside = value.clamp(low.max(lowest), high);
+                *passes = if *value == inside { 1.0 } else { 0.0 };
+                *value =
+                    if range.is_some() { rounded(inside, (high - low).max(1e-9) / 255.0) } else { inside };
+            }
+        }
+    }
+
+    /// Adds to the gradients what a batch asks for, given the loss's gradient for the outputs, and leaves the one for the
+    /// batch in `to_inputs`, if that is wanted.
+    fn backward(&mut self, batch: &[f32], of_outputs: &mut [f32], mut to_inputs: Option<&mut Vec<f32>>) {
+        of_outputs.iter_mut().zip(&self.passes).for_each(|(gradient, passes)| *gradient *= passes);
+        for (row, gradient) in batch.chunks_exact(self.inputs).zip(of_outputs.chunks_exact(self.outputs)) {
+            for (value, sums) in row.iter().zip(self.weights.gradient.chunks_exact_mut(self.outputs)) {
+                if *value != 0.0 {
+                    sums.iter_mut().zip(gradient).for_each(|(sum, gradient)| *sum += value * gradient);
+                }
+            }
+            self.biases.gradient.iter_mut().zip(gradient).for_each(|(sum, gradient)| *sum += gradient);
+        }
+        let Some(to_inputs) = &mut to_inputs else { return };
+        let turned: Vec<f32> = (0..self.outputs)
+            .flat_map(|output| self.used.iter().skip(output).step_by(self.outputs).copied())
+            .collect();
+        to_inputs.clear();
+        to_inputs.resize(batch.len(), 0.0);
+        for (sums, gradient) in
+            to_inputs.chunks_exact_mut(self.inputs).zip(of_outputs.chunks_exact(self.outputs))
+        {
+            for (gradient, weights) in gradient.iter().zip(turned.chunks_exact(self.inputs)) {
+                if *gradient != 0.0 {
+                    sums.iter_mut().zip(weights).for_each(|(sum, weight)| *sum += gradient * weight);
+                }
+            }
+        }
+    }
+
+    /// The average over the steps, as a plain layer.
+    fn layer(&self) -> FloatLayer {
+        let row =
+            |output: usize| self.weights.average.iter().skip(output).step_by(self.outputs).copied().collect();
+        FloatLayer {
+            weights: (0..self.outputs).map(row).collect(),
+            biases: self.biases.average.clone(),
+            relu: self.relu,
+        }
+    }
+}
+
+fn rounded(value: f32, step: f32) -> f32 {
+    (value / step).round() * step
+}
+
+/// Fits by one plan; `rounding` makes it take int8 into account.
+fn run(
+    rows: &[(Vec<f32>, usize)],
+    labels: usize,
+    start: &[FloatLayer],
+    plan: &Steps,
+    rounding: Option<&Rounding>,
+    mut rng: ChaCha8Rng,
+) -> Vec<FloatLayer> {
+    let mut layers: Vec<Fitting> = start.iter().map(|layer| Fitting::new(layer, plan.batch)).collect();
+    let mut counts = vec![0usize; labels];
+    rows.iter().for_each(|(_, label)| counts[*label] += 1);
+    let weight = |label: usize| rows.len() as f32 / (labels * counts[label].max(1)) as f32;
+    let spread = plan.label_smoothing / labels as f32;
+    let range = |index: usize| rounding.and_then(|rounding| rounding.ranges.get(index).copied());
+    let (mut gradient, mut before) = (Vec::new(), Vec::new());
+    for step in 0..plan.count {
+        let chosen: Vec<usize> =
+            (0..plan.batch).map(|_| rng.random_range(0..rows.len() as u32) as usize).collect();
+        let mut batch: Vec<f32> = chosen.iter().flat_map(|row| rows[*row].0.iter().copied()).collect();
+        if let Some(Rounding { limit, .. }) = rounding {
+            batch.iter_mut().for_each(|value| *value = rounded(value.clamp(-limit, *limit), limit / 127.5));
+        }
+        for index in 0..layers.len() {
+            let (done, rest) = layers.split_at_mut(index);
+            if let Some(layer) = rest.first_mut() {
+                layer.forward(done.last().map_or(&batch, |layer| &layer.made), range(index));
+            }
+        }
+        gradient.clear();
+        if let Some(last) = layers.last() {
+            for (logits, row) in last.made.chunks_exact(labels).zip(&chosen) {
+                let label = rows[*row].1;
+                let scale = weight(label) / plan.batch as f32;
+                let probabilities = crate::tflite::softmax(logits);
+                gradient.extend(probabilities.iter().enumerate().map(|(n, probability)| {
+                    let target = if n == label { spread + 1.0 - plan.label_smoothing } else { spread };
+                    scale * (probability - target)
+                }));
+            }
+        }
+        for index in (0..layers.len()).rev() {
+            let (done, rest) = layers.split_at_mut(index);
+            let Some(layer) = rest.first_mut() else { continue };
+            let wanted = if index > 0 { Some(&mut before) } else { None };
+            layer.backward(done.last().map_or(&batch, |layer| &layer.made), &mut gradient, wanted);
+            std::mem::swap(&mut gradient, &mut before);
+        }
+        let warm = ((step + 1) as f64 / plan.warm_up as f64).min(1.0);
+        let fall = 0.5 * (1.0 + (std::f64::consts::PI * step as f64 / plan.count as f64).cos());
+        let rate = plan.learning_rate * warm * fall;
+        // At first the average forgets fast: it must not remember the start.
+        let time = (step + 1) as f64;
+        let keep = plan.keep.min((1.0 + time) / (10.0 + time)) as f32;
+        for layer in &mut layers {
+            let decay = 2.0 * plan.decay as f32;
+            let Changing { values, gradient, .. } = &mut layer.weights;
+            gradient.iter_mut().zip(values).for_each(|(sum, weight)| *sum += decay * *weight);
+            layer.weights.step(rate, step + 1, keep);
+            layer.biases.step(rate, step + 1, keep);
+        }
+    }
+    layers.iter().map(Fitting::layer).collect()
+}
+
+/// Lets the weights into and out of each hidden unit have the same largest size, which changes no output: a unit
+/// that is twice as large and counts half is the same. Then one int8 scale per layer serves all of its units (Nagel
+/// et al., 2019).
+pub(super) fn equalise(layers: &mut [FloatLayer]) {
+    for index in 1..layers.len() {
+        let Some([before, after]) = layers.get_mut(index - 1..=index) else { continue };
+        for (unit, (row, bias)) in before.weights.iter_mut().zip(&mut before.biases).enumerate() {
+            let into = row.iter().fold(0.0f32, |most, weight| most.max(weight.abs()));
+            let out = after.weights.iter().fold(0.0f32, |most, row| most.max(row[unit].abs()));
+            if !(before.relu && into > 1e-6 && out > 1e-6) {
+                continue;
+            }
+            let scale = (out / into).sqrt();
+            row.iter_mut().for_each(|weight| *weight *= scale);
+            *bias *= scale;
+            after.weights.iter_mut().for_each(|row| row[unit] /= scale);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Three labels that lie apart, and a network that knows nothing of them.
+    fn task() -> (Vec<(Vec<f32>, usize)>, Vec<FloatLayer>) {
+        let mut rng = RandomStream::Order.of(1);
+        let mut uniform = |low: f32, high: f32| rng.random_range(low..high);
+        let centres = [[1.0, 0.0, -1.0, 0.5], [-1.0, 1.0, 0.0, -0.5], [0.0, -1.0, 1.0, 0.0f32]];
+        let rows = (0..300)
+            .map(|n| (centres[n % 3].iter().map(|c| c + uniform(-0.4, 0.4)).collect(), n % 3))
+            .collect();
+        let mut layer = |inputs: usize, outputs: usize, relu: bool| FloatLayer {
+            weights: (0..outputs).map(|_| (0..inputs).map(|_| uniform(-0.7, 0.7)).collect()).collect(),
+            biases: vec![0.0; outputs],
+            relu,
+        };
+        let layers = vec![layer(4, 8, true), layer(8, 3, false)];
+        (rows, layers)
+    }
+
+    #[test]
+    fn steps_follow_what_there_is_to_learn_within_bounds() {
+        let steps = |windows| Steps::TRAIN.following(windows).count;
+        // Two people's few recordings, thirty people's, and a crowd's.
+        assert_eq!([steps(0), steps(12_000), steps(38_400), steps(147_000)], [1500, 1500, 4800, 6000]);
+        assert_eq!(Steps::ADAPT.following(1_000_000), Steps::ADAPT);
+    }
+
+    const SHORT: Steps = Steps { count: 60, rounded: 20, ..Steps::ADAPT };
+
+    #[test]
+    fn a_network_learns_what_it_is_shown_and_the_same_each_time() {
+        let (rows, start) = task();
+        let right = |layers: &[FloatLayer]| {
+            let best = |row: &Vec<f32>| {
+                let scores = crate::tflite::infer_float(layers, row);
+                (0..3).max_by(|a, b| scores[*a].total_cmp(&scores[*b]))
+            };
+            rows.iter().filter(|(row, label)| best(row) == Some(*label)).count()
+        };
+        let fitted = refit(&rows, 3, &start, &SHORT, 2.0, 1);
+        assert!(right(&start) < 200 && right(&fitted) == 300, "{} {}", right(&start), right(&fitted));
+        assert_eq!(fitted, refit(&rows, 3, &start, &SHORT, 2.0, 1));
+        assert_eq!(refit(&[], 3, &start, &SHORT, 2.0, 1), start);
+    }
+
+    /// The library's gradients are worked out by other means.
+    #[cfg(feature = "train")]
+    #[test]
+    fn plain_loops_and_the_library_come_to_the_same_network() {
+        use super::super::steps::{Start, fit};
+        let (rows, start) = task();
+        for rounded in [0, 20] {
+            let plan = Steps { rounded, ..SHORT };
+            let plain = refit(&rows, 3, &start, &plan, 2.0, 1);
+            let library = fit(&rows, 3, &Start::Layers(&start), &plan, 2.0, 1).unwrap();
+            for (one, two) in plain.iter().zip(&library) {
+                let values = one.weights.concat().into_iter().chain(one.biases.clone());
+                let others = two.weights.concat().into_iter().chain(two.biases.clone());
+                let apart = values.zip(others).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+                // Rounding to steps makes a thousandth of a difference into a step now and then.
+                assert!(apart < if rounded == 0 { 1e-3 } else { 2e-2 }, "{rounded}: {apart}");
+            }
+        }
+    }
+}
