@@ -1,6 +1,6 @@
 //! What a serial arm is: joints, limits, the shapes of its links, named poses. Its forward kinematics.
 //!
-//! The Gen3 is built in ([`SerialArm::gen3`]); any other arm with up to seven turning joints comes from a
+//! The Gen3 is built in ([`SerialArm::gen3`]); any other arm with up to seven joints that turn or slide comes from a
 //! URDF file (feature `urdf`, see `arm/urdf.rs`). An arm with fewer joints leaves the last values of
 //! [`Joints`] at zero.
 
@@ -18,7 +18,7 @@ use host_robot::shape::{Capsule, Point};
 /// Name of the built-in arm.
 const GEN3: &str = "Kinova Gen3 (7 joints)";
 
-/// One turning joint and the link that it turns.
+/// One joint and the link that it moves. Where it slides, its angles, speeds and limits are in m instead of rad.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ArmJoint {
     /// As in the robot's own description.
@@ -31,6 +31,8 @@ pub struct ArmJoint {
     pub origin_rotation: DMat3,
     /// Axis in its own frame, of length 1.
     pub axis: Point,
+    /// It slides along its axis instead of turning about it. Such a joint has limits.
+    pub slides: bool,
     /// Minimum and maximum angle; `None` = turns without end.
     pub limit_rad: Option<(f64, f64)>,
     /// Fastest turn.
@@ -74,7 +76,7 @@ pub enum JointError {
         joint: String,
     },
     /// Beyond the limit.
-    #[error("{joint} at {value_rad:.3} rad is beyond its limits of {low_rad:.3} to {high_rad:.3} rad")]
+    #[error("{joint} at {value_rad:.3} {unit} is beyond its limits of {low_rad:.3} to {high_rad:.3} {unit}")]
     BeyondLimit {
         /// Which.
         joint: String,
@@ -84,7 +86,17 @@ pub enum JointError {
         low_rad: f64,
         /// Greatest.
         high_rad: f64,
+        /// Of all three: m where it slides.
+        unit: &'static str,
     },
+}
+
+impl ArmJoint {
+    /// How far it slides at most, either way; 0 where it turns.
+    fn slide_m(&self) -> f64 {
+        let far_m = self.limit_rad.map_or(0.0, |(low, high)| low.abs().max(high.abs()));
+        if self.slides { far_m } else { 0.0 }
+    }
 }
 
 impl SerialArm {
@@ -99,6 +111,7 @@ impl SerialArm {
                 origin_m,
                 origin_rotation,
                 axis: DVec3::Z,
+                slides: false,
                 limit_rad: POSITION_LIMIT_RAD[i].map(|limit| (-limit, limit)),
                 velocity_rad_s: MAX_VELOCITY_RAD_S[i],
                 acceleration_rad_s2: MAX_ACCELERATION_RAD_S2[i],
@@ -131,7 +144,11 @@ impl SerialArm {
         let mut pose = Pose::IDENTITY;
         for (i, joint) in self.joints.iter().enumerate() {
             pose = pose.then(joint.origin_m, joint.origin_rotation);
-            pose.rotation *= DMat3::from_axis_angle(joint.axis, joints_rad[i]);
+            if joint.slides {
+                pose.position_m = pose.at(joint.axis * joints_rad[i]);
+            } else {
+                pose.rotation *= DMat3::from_axis_angle(joint.axis, joints_rad[i]);
+            }
             poses[i] = pose;
         }
         let flange = pose.then(self.flange_m, self.flange_rotation);
@@ -171,7 +188,8 @@ impl SerialArm {
             if let Some((low_rad, high_rad)) = joint.limit_rad
                 && !(low_rad..=high_rad).contains(&value_rad)
             {
-                return Err(JointError::BeyondLimit { joint: name(), value_rad, low_rad, high_rad });
+                let unit = if joint.slides { "m" } else { "rad" };
+                return Err(JointError::BeyondLimit { joint: name(), value_rad, low_rad, high_rad, unit });
             }
         }
         Ok(())
@@ -199,7 +217,8 @@ impl SerialArm {
     /// it lies; the foot fixes the circle of the second joint. No stretched chain is longer than its parts.
     pub fn beyond_reach_m(&self, flange: &Pose) -> f64 {
         let (Some(first), Some(last)) = (self.joints.first(), self.joints.last()) else { return 0.0 };
-        if self.joints.len() < 3 {
+        // Of an arm that slides nobody says no before it was tried.
+        if self.joints.len() < 3 || self.joints.iter().any(|joint| joint.slides) {
             return 0.0;
         }
         // Turned back by the flange's own offset. That leaves the last joint's angle open, not its axis.
@@ -220,7 +239,8 @@ impl SerialArm {
     }
 
     /// For each joint, how far from its origin a point of the arm beyond it can be at most, in m: a turn by
-    /// an angle moves no point of the arm further than the angle times this.
+    /// an angle moves no point of the arm further than the angle times this. A joint that slides moves each point just as
+    /// far: 1.
     pub fn lever_m(&self) -> Joints {
         self.lever_with_m(0.0)
     }
@@ -232,8 +252,8 @@ impl SerialArm {
         for (i, joint) in self.joints.iter().enumerate().rev() {
             let shapes = joint.shapes.iter().map(|c| c.a_m.length().max(c.b_m.length()) + c.radius_m);
             beyond = shapes.fold(beyond, f64::max);
-            lever[i] = beyond;
-            beyond += joint.origin_m.length();
+            lever[i] = if joint.slides { 1.0 } else { beyond };
+            beyond += joint.origin_m.length() + joint.slide_m();
         }
         lever
     }
