@@ -5,8 +5,8 @@ use std::sync::Arc;
 use host_arm::plan::Planner;
 use host_arm::{Director, Motions};
 use host_robot::{
-    BaseConfig, BaseState, End, Following, Grip, GripEnd, JointLimits, Motion, Reading, Robot, Trajectory,
-    Twist,
+    BaseConfig, BaseState, End, Following, Grip, GripEnd, JOINTS, JointLimits, Motion, Reading, Robot,
+    Trajectory, Twist,
 };
 use host_sim::{SimConfig, Simulator};
 
@@ -46,6 +46,14 @@ impl Stage {
     /// It never does: the bundled motions fit the bundled arm, and tests read them.
     pub fn bare() -> Self {
         Stage::new(&Config::default(), None).expect("the bundled motions fit the bundled arm")
+    }
+
+    /// Name of the arm, and how many joints it has.
+    pub fn arm(&self) -> (&str, usize) {
+        match &self.planner {
+            None => ("the Gen3", JOINTS),
+            Some(planner) => (&planner.world().arm().name, planner.world().arm().joints.len()),
+        }
     }
 
     /// The simulator as configured here, its arm at the pose `ready` (or at home).

@@ -52,7 +52,7 @@ fn every_frame_that_is_published_is_a_link_of_the_description_and_every_joint_ha
     let config = Ros2Config {
         base_frame: "base_footprint".to_owned(),
         arm_prefix: "left_".to_owned(),
-        joint_names: std::array::from_fn(|i| format!("left_joint_{}", i + 1)),
+        joint_names: (1..=JOINTS).map(|i| format!("left_joint_{i}")).collect(),
         ..Ros2Config::default()
     };
     let frames = config.frames(&simulator.setting()).unwrap();

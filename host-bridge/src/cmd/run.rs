@@ -308,6 +308,7 @@ pub fn steer(args: &HandArgs, keep: &KeepArgs) -> Result<ExitCode> {
 
 /// Longest time that the arm takes to brake, if it is short enough for streaming.
 pub fn check_braking(config: &Config, stage: &Stage) -> Result<f64> {
+    check_joints(config, stage)?;
     let braking_s = longest_s(&stage.limits);
     ensure!(
         config.ros2.arm != ArmInterface::Stream || braking_s <= BRAKING_MAX_S,
@@ -315,6 +316,18 @@ pub fn check_braking(config: &Config, stage: &Stage) -> Result<f64> {
          [arm] until it is {BRAKING_MAX_S} s or less"
     );
     Ok(braking_s)
+}
+
+/// The robot's arm has as many joints as the one that is planned for.
+pub fn check_joints(config: &Config, stage: &Stage) -> Result<()> {
+    let (name, joints) = stage.arm();
+    let names = config.ros2.joint_names.len();
+    ensure!(
+        config.ros2.arm == ArmInterface::None || names == joints,
+        "joint_names under [ros2] has {names} names, and {name} {joints} joints: name all of them from the foot on, or give the \
+         arm's own description in a scene (urdf under [arm], --scene FILE)"
+    );
+    Ok(())
 }
 
 type AnyRobot = Box<dyn Robot + Send>;

@@ -20,7 +20,7 @@ use host_bridge::teach::{Play, Played, Rest, SEARCH_MS};
 
 use super::ports::read_config;
 use super::ros2::{FAREWELL_MS, Graph};
-use super::run::check_braking;
+use super::run::{check_braking, check_joints};
 use crate::play::{Interrupted, stage, stage_of};
 
 /// How often the robot is looked at.
@@ -63,7 +63,8 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     ensure!(!args.name.trim().is_empty() && !is_taken, "'{}' is no name for a pose of yours", args.name);
     // The arm may be anywhere now; its speed limits are not needed.
     let stage = stage(&config, args.scene.as_deref())?;
-    let count = stage.planner.as_ref().map_or(host_bridge::robot::JOINTS, |p| p.world().arm().joints.len());
+    check_joints(&config, &stage)?;
+    let (_, count) = stage.arm();
     config.ros2.arm = ArmInterface::Topic;
     let mut door = open(&config, &stage)?;
     let joints_rad = here(&mut door)?;

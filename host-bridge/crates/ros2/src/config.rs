@@ -89,8 +89,8 @@ pub struct Ros2Config {
     pub arm: ArmInterface,
     /// The arm's controller.
     pub arm_controller: String,
-    /// Joints 1 to 7 as the robot names them.
-    pub joint_names: [String; JOINTS],
+    /// The arm's joints from its foot on, as the robot names them: one to seven.
+    pub joint_names: Vec<String>,
     /// Where the arm's angles are read (or, with `--publish-sim`, written).
     pub joint_states: String,
     /// Angles older than this are not planned from.
@@ -157,7 +157,7 @@ impl Default for Ros2Config {
             reliable: true,
             arm: ArmInterface::Stream,
             arm_controller: text("joint_trajectory_controller"),
-            joint_names: std::array::from_fn(|i| format!("joint_{}", i + 1)),
+            joint_names: (1..=JOINTS).map(|i| format!("joint_{i}")).collect(),
             joint_states: text("joint_states"),
             joint_states_max_age_ms: 500,
             answer_ms: 1000,
@@ -301,12 +301,14 @@ impl Ros2Config {
             "gripper_open and gripper_closed are two positions, gripper_width_m lies between 0.001 and 1, \
              gripper_timeout_ms between 500 and 60000",
         )?;
-        let mut names = self.joint_names.to_vec();
+        let mut names = self.joint_names.clone();
         names.sort();
         names.dedup();
         ensure(
-            names.len() == JOINTS && !names.contains(&String::new()),
-            "joint_names are seven different names",
+            (1..=JOINTS).contains(&names.len())
+                && names.len() == self.joint_names.len()
+                && !names.contains(&String::new()),
+            "joint_names are one to seven different names",
         )?;
         ensure(
             !self.odom_frame.is_empty() && !self.base_frame.is_empty() && self.odom_frame != self.base_frame,
@@ -402,6 +404,8 @@ mod tests {
         assert!(bad(|c| c.rate_hz = 1).contains("0.5 s"));
         assert!(bad(|c| c.domain_id = 300).contains("domain_id"));
         assert!(bad(|c| c.joint_names[0] = "joint_2".to_owned()).contains("seven different"));
+        assert!(bad(|c| c.joint_names.clear()).contains("seven different"));
+        assert!(bad(|c| c.joint_names.push("joint_8".to_owned())).contains("seven different"));
         assert!(bad(|c| c.estop = "e stop".to_owned()).contains("estop"));
         assert!(bad(|c| c.estop = "/bimanual/stopped".to_owned()).contains("own stop"));
         assert!(bad(|c| c.fault_timeout_ms = 5).contains("fault_timeout_ms"));

@@ -15,6 +15,7 @@
 
 use std::collections::VecDeque;
 
+use super::points;
 use host_robot::{JointLimits, Joints, Motion, Trajectory, brake};
 use host_topics::message::{Header, JointTrajectory, JointTrajectoryPoint, Time};
 
@@ -196,11 +197,8 @@ impl Stream {
     /// The message of these points.
     pub fn message(&self, joint_names: &[String], points: Vec<JointTrajectoryPoint>) -> JointTrajectory {
         let stamp_ns = (self.start_ns - (HOLD_S * 1e9) as i64).max(1);
-        JointTrajectory {
-            header: Header { stamp: Time::at_ns(stamp_ns as u64), ..Header::default() },
-            joint_names: joint_names.to_vec(),
-            points,
-        }
+        let header = Header { stamp: Time::at_ns(stamp_ns as u64), ..Header::default() };
+        points::message(header, joint_names, points)
     }
 }
 
