@@ -146,7 +146,7 @@ impl World {
                 *angle = random.between(low, high);
             }
             let shapes = self.shapes(&joints_rad, &on_flange);
-            always.retain(|&(one, two)| self.pair_distance_m(&shapes, one, two) <= 0.0);
+            always.retain(|&(one, two)| World::pair_distance_m(&shapes, one, two, f64::INFINITY) <= 0.0);
         }
         if always.is_empty() {
             return;
@@ -195,15 +195,30 @@ impl World {
             range(link + 1).any(|second| {
                 let mut joints_rad = [0.0; JOINTS];
                 (joints_rad[link], joints_rad[link + 1]) = (first, second);
-                self.pair_distance_m(&self.shapes(&joints_rad, &on_flange), link, other) <= 0.0
+                let shapes = self.shapes(&joints_rad, &on_flange);
+                World::pair_distance_m(&shapes, link, other, f64::INFINITY) <= 0.0
             })
         })
     }
 
-    fn pair_distance_m(&self, shapes: &[(usize, Capsule)], one: usize, two: usize) -> f64 {
-        let of = |wanted: usize| shapes.iter().filter(move |(link, _)| *link == wanted);
-        let distances = of(one).flat_map(|(_, a)| of(two).map(move |(_, b)| a.distance_m(b)));
-        distances.fold(f64::INFINITY, f64::min)
+    /// The distance of two parts, of which the shapes stand in the order of their numbers; or anything beyond `within_m`.
+    fn pair_distance_m(shapes: &[(usize, Capsule)], one: usize, two: usize, within_m: f64) -> f64 {
+        let of = |wanted: usize| {
+            let start = shapes.partition_point(|(link, _)| *link < wanted);
+            &shapes[start..shapes.partition_point(|(link, _)| *link <= wanted)]
+        };
+        let mut nearest_m = within_m;
+        for (_, a) in of(one) {
+            let (a_m, a_reach_m) = a.bounds_m();
+            for (_, b) in of(two) {
+                let (b_m, b_reach_m) = b.bounds_m();
+                // Balls around both are further apart already.
+                if a_m.distance(b_m) - a_reach_m - b_reach_m < nearest_m {
+                    nearest_m = nearest_m.min(a.distance_m(b));
+                }
+            }
+        }
+        nearest_m
     }
 
     /// The arm.
@@ -377,7 +392,7 @@ impl<'w> Surroundings<'w> {
             }
         }
         for &(one, two) in &world.pairs {
-            let distance_m = world.pair_distance_m(&shapes, one, two);
+            let distance_m = World::pair_distance_m(&shapes, one, two, own.distance_m);
             own.tighten(distance_m, world.part(one), world.part(two));
         }
         (own, boxes)
