@@ -5,8 +5,8 @@ use std::sync::Arc;
 use host_arm::plan::Planner;
 use host_arm::{Director, Motions};
 use host_robot::{
-    BaseConfig, BaseState, End, Following, Grip, GripEnd, JOINTS, JointLimits, Motion, Reading, Robot,
-    Trajectory, Twist,
+    BaseConfig, BaseState, End, Following, Grip, GripEnd, JointLimits, Motion, Reading, Robot, Trajectory,
+    Twist,
 };
 use host_sim::{SimConfig, Simulator};
 
@@ -51,7 +51,7 @@ impl Stage {
     /// Name of the arm, and how many joints it has.
     pub fn arm(&self) -> (&str, usize) {
         match &self.planner {
-            None => ("the Gen3", JOINTS),
+            None => ("the Gen3", host_arm::gen3::COUNT),
             Some(planner) => (&planner.world().arm().name, planner.world().arm().joints.len()),
         }
     }

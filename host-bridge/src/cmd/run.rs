@@ -13,6 +13,7 @@ use host_bridge::engine::Engine;
 use host_bridge::foxglove::Foxglove;
 use host_bridge::keyboard::{KeyLeft, KeyRight};
 use host_bridge::links::{Clock, Link as BoardLink, SystemClock, is_ble, is_serial_over_air, queue};
+use host_bridge::profile;
 use host_bridge::robot::brake::longest_s;
 use host_bridge::robot::{Door as _, Robot};
 use host_bridge::robots::{Echoed, Stage};
@@ -129,6 +130,9 @@ pub fn steer(args: &HandArgs, keep: &KeepArgs) -> Result<ExitCode> {
         let (label, mark) = marking.split_once('=').context("--mark takes LABEL=MARK, such as wave=begin")?;
         let mark = mark.parse().map_err(anyhow::Error::msg).context("--mark")?;
         config.marks.insert(label.trim().to_owned(), mark);
+    }
+    if let Some(scene) = &args.scene {
+        profile::take(&mut config, scene).map_err(anyhow::Error::msg)?;
     }
     config.check()?;
     if args.print_config {

@@ -12,6 +12,7 @@ use host_bridge::arm::Director;
 use host_bridge::arm::motions::is_grasp;
 use host_bridge::config::Config;
 use host_bridge::ending::Ending;
+use host_bridge::profile;
 use host_bridge::robot::{Door as _, Joints, MotionName, Robot};
 use host_bridge::robots::Stage;
 use host_bridge::ros2::ArmInterface;
@@ -52,6 +53,9 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         Some(file) if !file.exists() && !args.play => Config::default(),
         file => read_config(file.as_deref())?,
     };
+    if let Some(scene) = &args.scene {
+        profile::take(&mut config, scene).map_err(anyhow::Error::msg)?;
+    }
     if config.ros2.arm == ArmInterface::None {
         bail!("[ros2] says arm = \"none\": there is no arm to teach");
     }

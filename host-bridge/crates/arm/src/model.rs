@@ -1,6 +1,6 @@
 //! What a serial arm is: joints, limits, the shapes of its links, named poses. Its forward kinematics.
 //!
-//! The Gen3 is built in ([`SerialArm::gen3`]); any other arm with up to seven joints that turn or slide comes from a
+//! The Gen3 is built in ([`SerialArm::gen3`]); any other arm with up to eight joints that turn or slide comes from a
 //! URDF file (feature `urdf`, see `arm/urdf.rs`). An arm with fewer joints leaves the last values of
 //! [`Joints`] at zero.
 
@@ -9,7 +9,7 @@ use std::f64::consts::TAU;
 use host_robot::{DMat3, DVec3, JOINTS, Joints, Pose};
 
 use super::gen3::{
-    FLANGE_LINK, HOME, JOINT_NAMES, LINK_NAMES, MAX_ACCELERATION_RAD_S2, MAX_VELOCITY_RAD_S,
+    COUNT, FLANGE_LINK, HOME, JOINT_NAMES, LINK_NAMES, MAX_ACCELERATION_RAD_S2, MAX_VELOCITY_RAD_S,
     POSITION_LIMIT_RAD, ROOT_LINK,
 };
 use host_robot::JointLimits;
@@ -50,7 +50,7 @@ pub struct SerialArm {
     pub name: String,
     /// The link whose frame is the arm's base frame.
     pub root_link: String,
-    /// From the foot on; one to seven.
+    /// From the foot on; one to eight.
     pub joints: Vec<ArmJoint>,
     /// The flange in the last joint's frame.
     pub flange_m: Point,
@@ -103,7 +103,7 @@ impl SerialArm {
     /// The Kinova Gen3 with seven joints, figures as in [`super::gen3`], links as capsules that enclose Kinova's meshes. What
     /// is on its flange comes as a [tool](crate::tool); its vision module is one.
     pub fn gen3() -> Self {
-        let joints = (0..JOINTS).map(|i| {
+        let joints = (0..COUNT).map(|i| {
             let (origin_m, origin_rotation) = super::gen3::origin(i);
             ArmJoint {
                 name: JOINT_NAMES[i].to_owned(),
@@ -118,7 +118,7 @@ impl SerialArm {
                 shapes: vec![super::gen3::capsule(i + 1)],
             }
         });
-        let (flange_m, flange_rotation) = super::gen3::origin(JOINTS);
+        let (flange_m, flange_rotation) = super::gen3::origin(COUNT);
         SerialArm {
             name: GEN3.to_owned(),
             root_link: ROOT_LINK.to_owned(),
@@ -274,8 +274,12 @@ mod tests {
     fn the_gen3s_zero_pose_is_straight_up_and_its_limits_are_the_papers() {
         let arm = SerialArm::gen3();
         assert!((arm.flange_pose(&[0.0; JOINTS]).position_m[2] - 1.1873).abs() < 1e-3);
-        let limits = arm.limits(gen3::VELOCITY_SCALING, gen3::ACCELERATION_SCALING);
-        assert_eq!(limits, gen3::paper_limits());
+        let limits = gen3::paper_limits();
+        for i in 0..COUNT {
+            let fastest_rad_s = if i < 4 { 1.3963 } else { 1.2218 };
+            assert_eq!(limits.velocity_rad_s[i], fastest_rad_s * 0.1);
+            assert_eq!(limits.acceleration_rad_s2[i], 8.6 * 0.05);
+        }
     }
 
     #[test]

@@ -1,17 +1,17 @@
 //! A serial arm from a URDF file (feature `urdf`, by the crate `urdf-rs`): joints that turn or slide.
 //!
 //! Boxes, cylinders, capsules and spheres of `<collision>` become capsules that enclose them, also those of links that are
-//! fixed to the arm beside its chain. Meshes are not read, which the arm says of itself ([`SerialArm::notes`]): lines of a
-//! given radius stand for them, from a link's frame to the joints that begin there, or balls where none does; so they do for
-//! a moving link without any shape. What is fixed to a link takes nothing away from it. What moves beside the chain is not
-//! counted, and that is said.
+//! fixed to the arm beside its chain; so do meshes that [`crate::urdf_meshes`] could read. Of others the arm says so
+//! ([`SerialArm::notes`]): lines of a given radius stand for them, from a link's frame to the joints that begin there, or
+//! balls where none does; so they do for a moving link without any shape. What is fixed to a link takes nothing away from it.
+//! What moves beside the chain is not counted, and that is said.
 
 use super::model::{ArmJoint, SerialArm};
 use crate::scene::ArmTable;
 use crate::urdf_shapes::{Shapes, at};
 use host_robot::shape::{Capsule, Point};
 use host_robot::{DVec3, JOINTS, Pose};
-use urdf_rs::{Joint, JointType};
+use urdf_rs::{Joint, JointType, Robot};
 
 /// No lift or rail of an arm is longer; angles beyond it would be taken for whole turns elsewhere.
 const SLIDE_MAX_M: f64 = 3.0;
@@ -68,38 +68,7 @@ pub fn parse(text: &str, missing: &Missing) -> Result<SerialArm, UrdfError> {
     }
     let robot = urdf_rs::read_from_string(text)?;
     crate::urdf_numbers::check(&robot).map_err(kind)?;
-    let tip = match &missing.tip {
-        Some(tip) => tip.clone(),
-        None => {
-            let ends = robot.links.iter().filter(|l| robot.joints.iter().all(|j| j.parent.link != l.name));
-            let ends: Vec<&str> = ends.map(|link| link.name.as_str()).collect();
-            let [tip] = ends.as_slice() else {
-                let ends = ends.join(", ");
-                return Err(kind(format!("the robot has several ends ({ends}); name the arm's as tip")));
-            };
-            (*tip).to_owned()
-        }
-    };
-    // From the tip back to the root.
-    let mut chain = Vec::new();
-    let mut link = tip.as_str();
-    let begins = |link: &str| missing.root.as_deref() == Some(link);
-    while let Some(joint) = robot.joints.iter().find(|joint| joint.child.link == link && !begins(link)) {
-        chain.push(joint);
-        link = &joint.parent.link;
-        if chain.len() > robot.joints.len() {
-            return Err(kind("the joints form a circle".to_owned()));
-        }
-    }
-    if let Some(root) = missing.root.as_deref().filter(|root| *root != link) {
-        return Err(kind(format!(
-            "'{root}' does not lead to the tip '{tip}'; name a link before it as root"
-        )));
-    }
-    if chain.is_empty() {
-        return Err(kind(format!("no joint leads to the tip '{tip}'; name another link")));
-    }
-    chain.reverse();
+    let (chain, link, tip) = chain_of(&robot, missing)?;
     let mut arm = SerialArm {
         name: robot.name.clone(),
         root_link: link.to_owned(),
@@ -124,7 +93,10 @@ pub fn parse(text: &str, missing: &Missing) -> Result<SerialArm, UrdfError> {
             JointType::Revolute | JointType::Continuous | JointType::Prismatic => {
                 let name = joint.name.clone();
                 if arm.joints.len() == JOINTS {
-                    return Err(kind(format!("'{name}' is joint 8; an arm may have {JOINTS} that move")));
+                    return Err(kind(format!(
+                        "'{name}' is joint {}; an arm may have {JOINTS} that move",
+                        JOINTS + 1
+                    )));
                 }
                 if joint.mimic.is_some() {
                     return Err(kind(format!("'{name}' follows another joint; name a tip before it")));
@@ -204,6 +176,49 @@ pub fn parse(text: &str, missing: &Missing) -> Result<SerialArm, UrdfError> {
     Ok(arm)
 }
 
+/// The joints from the root to the tip; the root's link, and the tip's.
+pub(crate) fn chain_of<'r>(
+    robot: &'r Robot,
+    missing: &Missing,
+) -> Result<(Vec<&'r Joint>, &'r str, String), UrdfError> {
+    let tip = match &missing.tip {
+        Some(tip) => tip.clone(),
+        None => {
+            let ends = robot.links.iter().filter(|l| robot.joints.iter().all(|j| j.parent.link != l.name));
+            let ends: Vec<&str> = ends.map(|link| link.name.as_str()).collect();
+            let [tip] = ends.as_slice() else {
+                let ends = ends.join(", ");
+                return Err(UrdfError::Kind(format!(
+                    "the robot has several ends ({ends}); name the arm's as tip"
+                )));
+            };
+            (*tip).to_owned()
+        }
+    };
+    // From the tip back to the root.
+    let mut chain = Vec::new();
+    let mut link = tip.as_str();
+    let begins = |link: &str| missing.root.as_deref() == Some(link);
+    while let Some(joint) = robot.joints.iter().find(|joint| joint.child.link == link && !begins(link)) {
+        chain.push(joint);
+        link = &joint.parent.link;
+        if chain.len() > robot.joints.len() {
+            return Err(UrdfError::Kind("the joints form a circle".to_owned()));
+        }
+    }
+    if let Some(root) = missing.root.as_deref().filter(|root| *root != link) {
+        return Err(UrdfError::Kind(format!(
+            "'{root}' does not lead to the tip '{tip}'; name a link before it as root"
+        )));
+    }
+    if chain.is_empty() {
+        return Err(UrdfError::Kind(format!("no joint leads to the tip '{tip}'; name another link")));
+    }
+    chain.reverse();
+    let root = chain.first().map_or("", |joint| joint.parent.link.as_str());
+    Ok((chain, root, tip))
+}
+
 /// A capsule to the next joint, in addition to what was read.
 fn bone(arm: &mut SerialArm, next_m: Point, radius_m: f64) {
     if let Some(last) = arm.joints.last_mut() {
@@ -223,7 +238,7 @@ fn within_soft(joint: &Joint) -> (f64, f64) {
 }
 
 /// Whether there are macros of xacro in it, outside its comments.
-fn is_xacro(text: &str) -> bool {
+pub(crate) fn is_xacro(text: &str) -> bool {
     let mut rest = text;
     let mut live = String::new();
     while let Some((before, comment)) = rest.split_once("<!--") {
@@ -309,19 +324,19 @@ mod tests {
             let way_m = arm.flange_pose(&moved).position_m.distance(one.position_m);
             assert!(way_m <= 0.01 * lever_m[i] + 1e-12, "joint {i}: {way_m}");
         }
-        let beyond = arm.check(&[0.7, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]).unwrap_err().to_string();
+        let beyond = arm.check(&host_robot::joints([0.7])).unwrap_err().to_string();
         assert_eq!(beyond, "joint_1 at 0.700 m is beyond its limits of 0.000 to 0.600 m");
     }
 
     #[test]
     fn places_of_an_arm_on_a_lift_are_found_and_its_plans_touch_nothing() {
         use crate::plan::{Case, Placement, Planner, Purse};
-        let arm = parse(&lift_urdf(), &missing()).unwrap();
+        let arm = parse(&lift_urdf(), &Missing { link_radius_m: 0.03, ..missing() }).unwrap();
         let (mut random, mut found) = (Random::new(9), 0);
         for seed in 0..100 {
             let joints: [f64; JOINTS] = std::array::from_fn(|i| {
-                let (low, high) = arm.joints[i].limit_rad.unwrap_or((-3.1, 3.1));
-                random.between(low, high)
+                let limits = arm.joints.get(i).map(|joint| joint.limit_rad.unwrap_or((-3.1, 3.1)));
+                limits.map_or(0.0, |(low, high)| random.between(low, high))
             });
             let target = arm.flange_pose(&joints);
             let Ok(solution) = crate::ik::solve(&arm, &target, &arm.home_rad, seed, |_| true) else {
@@ -343,6 +358,7 @@ mod tests {
             .map(|_| {
                 let mut joints: [f64; JOINTS] = std::array::from_fn(|_| random.between(-1.5, 1.5));
                 joints[0] = random.between(0.0, 0.6);
+                joints[7] = 0.0;
                 joints
             })
             .filter(|joints| {

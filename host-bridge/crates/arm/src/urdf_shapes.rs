@@ -105,6 +105,11 @@ pub fn at(parent: &Pose, joint: &Joint) -> Pose {
     parent.then(DVec3::from(joint.origin.xyz.0), rotation(joint.origin.rpy.0))
 }
 
+/// A frame as the file writes it.
+pub fn frame(origin: &urdf_rs::Pose) -> Pose {
+    Pose::IDENTITY.then(DVec3::from(origin.xyz.0), rotation(origin.rpy.0))
+}
+
 fn is_mesh(collision: &Collision) -> bool {
     matches!(collision.geometry, Geometry::Mesh { .. })
 }

@@ -11,7 +11,7 @@ const NAMES_MAX: usize = 256;
 /// See the module.
 #[derive(Clone, Debug)]
 pub struct Angles {
-    /// One to seven; joints that the arm does not have stay at zero.
+    /// One to eight; joints that the arm does not have stay at zero.
     names: Vec<String>,
     max_age_ms: u64,
     /// Of each of them.

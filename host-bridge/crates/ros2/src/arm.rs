@@ -485,14 +485,14 @@ impl ArmLink {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use host_robot::{JOINTS, Joints};
+    use host_robot::{JOINTS, Joints, joints};
     use host_topics::message::JointTrajectoryPoint;
 
-    const HOME: Joints = [0.0, 0.26, 3.1, -2.27, 0.0, 0.96, 1.57];
-    const GOAL: Joints = [0.0, 1.01, 3.1, -1.72, 0.0, 0.41, 1.57];
+    const HOME: Joints = joints([0.0, 0.26, 3.1, -2.27, 0.0, 0.96, 1.57]);
+    const GOAL: Joints = joints([0.0, 1.01, 3.1, -1.72, 0.0, 0.41, 1.57]);
 
     fn names() -> Vec<String> {
-        (1..=JOINTS).map(|i| format!("joint_{i}")).collect()
+        (1..=7).map(|i| format!("joint_{i}")).collect()
     }
 
     fn limits() -> JointLimits {
@@ -506,8 +506,8 @@ mod tests {
     fn angles(joints: Joints) -> JointState {
         JointState {
             name: names(),
-            position: joints.to_vec(),
-            velocity: vec![0.0; JOINTS],
+            position: joints[..7].to_vec(),
+            velocity: vec![0.0; 7],
             ..JointState::default()
         }
     }
@@ -555,7 +555,7 @@ mod tests {
         let points = &trajectory.points;
         assert!((points[0].positions[1] - HOME[1]).abs() < 0.02, "starts there");
         let last = points.last().unwrap();
-        assert_eq!(last.velocities, [0.0; JOINTS]);
+        assert_eq!(last.velocities, [0.0; 7]);
         assert!((last.positions[1] - GOAL[1]).abs() < 1e-12);
         let times: Vec<f64> = points.iter().map(|p| p.time_from_start.seconds()).collect();
         assert!(times.windows(2).all(|t| t[1] > t[0]) && times[0] > 0.0);
@@ -572,7 +572,7 @@ mod tests {
 
         let mut rig = Rig::new(ArmInterface::Topic);
         let tell = |rig: &mut Rig, joints: Joints| {
-            let reference = JointTrajectoryPoint { positions: joints.to_vec(), ..Default::default() };
+            let reference = JointTrajectoryPoint { positions: joints[..7].to_vec(), ..Default::default() };
             let state = ControllerState { joint_names: names(), reference, ..Default::default() };
             rig.arm.see_controller(&state, None, rig.now_ms);
         };

@@ -472,6 +472,7 @@ mod tests {
     use super::*;
     use crate::gen3::HOME;
     use crate::motions::Motions;
+    use host_robot::joints;
 
     fn world(scene: &str) -> World {
         World::new(SerialArm::gen3(), Scene::parse(scene).unwrap())
@@ -500,12 +501,12 @@ mod tests {
     fn a_folded_arm_meets_itself_and_a_bowing_one_the_base() {
         let world = world("");
         let around = world.around(Placement::default());
-        let folded = around.arm_clearance(&[0.0, 0.0, 0.0, 2.5, 0.0, 1.6, 0.0]);
+        let folded = around.arm_clearance(&joints([0.0, 0.0, 0.0, 2.5, 0.0, 1.6, 0.0]));
         assert!(
             folded.distance_m < 0.0 && matches!(folded.parts, (Part::Link(_), Part::Link(_))),
             "{folded:?}"
         );
-        let bowing = around.arm_clearance(&[1.57, 2.2, 0.0, 0.5, 0.0, 0.0, 0.0]);
+        let bowing = around.arm_clearance(&joints([1.57, 2.2, 0.0, 0.5]));
         assert!(bowing.distance_m < 0.0, "{bowing:?}");
         assert!(matches!(bowing.parts, (Part::Link(_), Part::Base | Part::Floor)), "{bowing:?}");
     }
@@ -521,7 +522,7 @@ mod tests {
         assert!((at(2.0, -0.5, std::f64::consts::FRAC_PI_2) - 0.6).abs() < 1e-12);
         assert_eq!(at(2.0, 0.5, 0.7), 0.0);
         let nearest = world.around(Placement { x_m: 1.3, y_m: 0.5, heading_rad: 0.0 });
-        let reaching = nearest.arm_clearance(&[0.0, 1.57, 0.0, 0.0, 0.0, 0.0, 0.0]);
+        let reaching = nearest.arm_clearance(&joints([0.0, 1.57]));
         assert!(reaching.distance_m < 0.0 && reaching.parts.1 == Part::Box(0), "{reaching:?}");
         assert_eq!(world.name(reaching.parts.1), "post");
     }

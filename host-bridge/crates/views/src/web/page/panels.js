@@ -77,7 +77,7 @@ export class Panels {
       put(made.track, "aria-valuemin", shown(low));
       put(made.track, "aria-valuemax", shown(high));
       made.row.title = joint.limit_rad ? `limits ${shown(low)}${unit} to ${shown(high)}${unit}` : "turns without end";
-      return { ...made, low, high, shown, endless: !joint.limit_rad };
+      return { ...made, low, high, shown, unit, endless: !joint.limit_rad };
     });
     $("joints").replaceChildren(...this.joints.map((made) => made.row));
   }
@@ -197,7 +197,7 @@ export class Panels {
     for (const [finger, count] of [["index", left.index_bends], ["middle", left.middle_bends]]) {
       put($(`${finger}-text`), "text", left.stop ? "stop" : `${count} bend${count === 1 ? "" : "s"}`);
     }
-    this.joints.forEach(({ text }, i) => put(text, "text", arm.joints_rad[i] === null ? "–" : `${degrees(arm.joints_rad[i]).toFixed(0)}°`));
+    this.joints.forEach(({ text, shown, unit }, i) => put(text, "text", arm.joints_rad[i] === null ? "–" : `${shown(arm.joints_rad[i])}${unit}`));
     put($("linear-text"), "text", `${odometry.twist.linear_m_s.toFixed(2)} m/s`);
     put($("angular-text"), "text", `${degrees(odometry.twist.angular_rad_s).toFixed(0)} °/s`);
     const legs = { "to-home": "home first", "to-goal": "on its way", halting: "halting" };
