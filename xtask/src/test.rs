@@ -393,7 +393,11 @@ fn arms() -> Result<()> {
     }
     let (python, folder) = (python::arms()?, target_dir().join("arm-ways"));
     let mut check = Command::new(&python);
-    check.current_dir(root()).arg("tests/arms/check.py").arg(built("examples/arm-ways")?.get_program()).arg(&folder);
+    check
+        .current_dir(root())
+        .arg("tests/arms/check.py")
+        .arg(built("examples/arm-ways")?.get_program())
+        .arg(&folder);
     if !is_full() {
         return sh(check.args(["6", "ur5", "so101"]));
     }

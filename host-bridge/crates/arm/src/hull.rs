@@ -54,6 +54,11 @@ pub fn capsules(points: &[Point]) -> Vec<Capsule> {
     found
 }
 
+/// The corners of the hull of some points.
+pub fn corners(points: &[Point]) -> Vec<Point> {
+    if points.is_empty() { Vec::new() } else { Hull::around(points).points }
+}
+
 /// A plane: which way is out, and how far it is from the origin.
 type Plane = (DVec3, f64);
 

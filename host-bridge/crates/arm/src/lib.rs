@@ -18,6 +18,7 @@ pub mod model;
 pub mod motions;
 pub mod plan;
 pub mod scene;
+pub mod solid;
 pub mod things;
 pub mod tool;
 #[cfg(feature = "urdf")]

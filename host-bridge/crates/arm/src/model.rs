@@ -12,6 +12,7 @@ use super::gen3::{
     COUNT, FLANGE_LINK, HOME, JOINT_NAMES, LINK_NAMES, MAX_ACCELERATION_RAD_S2, MAX_VELOCITY_RAD_S,
     POSITION_LIMIT_RAD, ROOT_LINK,
 };
+use crate::solid::Solid;
 use host_robot::JointLimits;
 use host_robot::shape::{Capsule, Point};
 
@@ -41,6 +42,8 @@ pub struct ArmJoint {
     pub acceleration_rad_s2: f64,
     /// Shapes of the link that turns with the joint, in the joint's frame. They enclose the link.
     pub shapes: Vec<Capsule>,
+    /// The same without what stands out, if that is known; else empty.
+    pub solids: Vec<Solid>,
 }
 
 /// An arm.
@@ -60,6 +63,8 @@ pub struct SerialArm {
     pub flange_link: String,
     /// Shapes of the foot, which does not move, in the arm's base frame.
     pub foot: Vec<Capsule>,
+    /// As [`ArmJoint::solids`].
+    pub foot_solids: Vec<Solid>,
     /// The pose to go to first and to fall back to, in rad.
     pub home_rad: Joints,
     /// What its file contains and was not understood, for people.
@@ -116,6 +121,7 @@ impl SerialArm {
                 velocity_rad_s: MAX_VELOCITY_RAD_S[i],
                 acceleration_rad_s2: MAX_ACCELERATION_RAD_S2[i],
                 shapes: vec![super::gen3::capsule(i + 1)],
+                solids: Vec::new(),
             }
         });
         let (flange_m, flange_rotation) = super::gen3::origin(COUNT);
@@ -127,6 +133,7 @@ impl SerialArm {
             flange_rotation,
             flange_link: FLANGE_LINK.to_owned(),
             foot: vec![super::gen3::capsule(0)],
+            foot_solids: Vec::new(),
             home_rad: HOME,
             notes: Vec::new(),
         }

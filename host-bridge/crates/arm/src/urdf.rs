@@ -8,6 +8,7 @@
 
 use super::model::{ArmJoint, SerialArm};
 use crate::scene::ArmTable;
+use crate::solid::Solid;
 use crate::urdf_shapes::{Shapes, at};
 use host_robot::shape::{Capsule, Point};
 use host_robot::{DVec3, JOINTS, Pose};
@@ -77,6 +78,7 @@ pub fn parse(text: &str, missing: &Missing) -> Result<SerialArm, UrdfError> {
         flange_rotation: Pose::IDENTITY.rotation,
         flange_link: tip.clone(),
         foot: Vec::new(),
+        foot_solids: Vec::new(),
         home_rad: [0.0; JOINTS],
         notes: Vec::new(),
     };
@@ -85,7 +87,9 @@ pub fn parse(text: &str, missing: &Missing) -> Result<SerialArm, UrdfError> {
     let mut has_shape = true;
     // The frame that has been reached, as seen from the last joint that turns.
     let mut here = Pose::IDENTITY;
-    arm.foot.extend(shapes.of(link, &here, false));
+    let (capsules, solids) = shapes.of(link, &here, false);
+    arm.foot.extend(capsules);
+    arm.foot_solids.extend(solids);
     for joint in &chain {
         here = at(&here, joint);
         match joint.joint_type {
@@ -148,6 +152,7 @@ pub fn parse(text: &str, missing: &Missing) -> Result<SerialArm, UrdfError> {
                         missing.acceleration_rad_s2
                     },
                     shapes: Vec::new(),
+                    solids: Vec::new(),
                 });
                 here = Pose::IDENTITY;
                 has_shape = shapes.are_whole(&joint.child.link);
@@ -159,11 +164,13 @@ pub fn parse(text: &str, missing: &Missing) -> Result<SerialArm, UrdfError> {
                 )));
             }
         }
-        let found = shapes.of(&joint.child.link, &here, joint.joint_type != JointType::Fixed);
-        match arm.joints.last_mut() {
-            Some(last) => last.shapes.extend(found),
-            None => arm.foot.extend(found),
-        }
+        let (capsules, solids) = shapes.of(&joint.child.link, &here, joint.joint_type != JointType::Fixed);
+        let (into, of) = match arm.joints.last_mut() {
+            Some(last) => (&mut last.shapes, &mut last.solids),
+            None => (&mut arm.foot, &mut arm.foot_solids),
+        };
+        into.extend(capsules);
+        of.extend(solids);
     }
     if arm.joints.is_empty() {
         return Err(kind(format!("no joint moves on the way to '{tip}'; name another tip")));
@@ -222,7 +229,9 @@ pub(crate) fn chain_of<'r>(
 /// A capsule to the next joint, in addition to what was read.
 fn bone(arm: &mut SerialArm, next_m: Point, radius_m: f64) {
     if let Some(last) = arm.joints.last_mut() {
-        last.shapes.insert(0, Capsule { a_m: DVec3::ZERO, b_m: next_m, radius_m });
+        let line = Capsule { a_m: DVec3::ZERO, b_m: next_m, radius_m };
+        last.shapes.insert(0, line);
+        last.solids.push(Solid::of(&line));
     }
 }
 

@@ -1,15 +1,16 @@
-//! The meshes of a URDF as capsules (feature `urdf`).
+//! The meshes of a URDF as convex hulls (feature `urdf`).
 //!
-//! What is read is written into the URDF itself, as `<capsule>`. From then on it stands alone: a recorded session needs no mesh.
+//! What is read is written into the URDF itself, as the corners of hulls in place of file names. From then on it stands alone: a
+//! recorded session needs no mesh.
 
 use std::collections::BTreeMap;
 
 use urdf_rs::{Collision, Geometry, JointType, Robot};
 
-use crate::hull::capsules;
+use crate::hull::corners;
 use crate::urdf::{Missing, UrdfError, chain_of, is_xacro};
-use host_robot::shape::Capsule;
-use host_robot::{DQuat, DVec3};
+use crate::urdf_shapes::{HULL, hull_name};
+use host_robot::DVec3;
 
 /// A URDF that stands alone.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -20,7 +21,7 @@ pub struct Alone {
     pub notes: Vec<String>,
 }
 
-/// Puts capsules in place of the meshes of the arm's links and of what is fixed to them. `read` fetches a mesh by its name in
+/// Puts hulls in place of the meshes of the arm's links and of what is fixed to them. `read` fetches a mesh by its name in
 /// the file, or says why it cannot. A mesh that cannot be read stays, and is named in the notes.
 ///
 /// # Errors
@@ -38,8 +39,8 @@ pub fn stand_alone(
     // Before anything is computed with its numbers.
     crate::urdf_numbers::check(&robot).map_err(UrdfError::Kind)?;
     let wanted = links_of(&robot, missing)?;
-    let mut known: BTreeMap<(String, [u64; 3]), Result<Vec<Capsule>, String>> = BTreeMap::new();
-    let (mut meshes, mut made) = (0, 0);
+    let mut known: BTreeMap<(String, [u64; 3]), Result<String, String>> = BTreeMap::new();
+    let mut meshes = 0;
     let mut unread: Vec<String> = Vec::new();
     for link in robot.links.iter_mut().filter(|link| wanted.contains(&link.name)) {
         let mut shapes = Vec::new();
@@ -48,17 +49,21 @@ pub fn stand_alone(
                 shapes.push(collision);
                 continue;
             };
+            if filename.starts_with(HULL) {
+                shapes.push(collision);
+                continue;
+            }
             let scale = scale.map_or(DVec3::ONE, |scale| scale.0.into());
             let key = (filename.clone(), scale.to_array().map(f64::to_bits));
             let found = known.entry(key).or_insert_with(|| {
                 let bytes = read(filename)?;
-                Ok(capsules(&crate::mesh::points(filename, &bytes, scale)?))
+                Ok(hull_name(&corners(&crate::mesh::points(filename, &bytes, scale)?)))
             });
             match found {
-                Ok(found) => {
+                Ok(hull) => {
                     meshes += 1;
-                    made += found.len();
-                    shapes.extend(found.iter().map(|capsule| written(capsule, &collision)));
+                    let geometry = Geometry::Mesh { filename: hull.clone(), scale: None };
+                    shapes.push(Collision { geometry, ..collision });
                 }
                 Err(why) => {
                     let why = format!("{filename} is not read: {why}");
@@ -77,7 +82,7 @@ pub fn stand_alone(
             link.visual.clear();
         }
         alone.text = urdf_rs::write_to_string(&robot)?;
-        alone.notes.push(format!("{meshes} meshes count as {made} capsules that enclose their hulls"));
+        alone.notes.push(format!("{meshes} meshes count: capsules enclose their convex hulls"));
     }
     alone.notes.extend(unread);
     Ok(alone)
@@ -100,24 +105,11 @@ fn links_of(robot: &Robot, missing: &Missing) -> Result<Vec<String>, UrdfError> 
     Ok(links)
 }
 
-/// A capsule that was found in a mesh's own frame, as a shape of the same link.
-fn written(capsule: &Capsule, mesh: &Collision) -> Collision {
-    let frame = crate::urdf_shapes::frame(&mesh.origin);
-    let (a_m, b_m) = (frame.at(capsule.a_m), frame.at(capsule.b_m));
-    let along = (b_m - a_m).try_normalize().unwrap_or(DVec3::Z);
-    let (yaw, pitch, roll) = DQuat::from_rotation_arc(DVec3::Z, along).to_euler(host_robot::EulerRot::ZYX);
-    let mut shape = mesh.clone();
-    shape.origin.xyz.0 = (0.5 * (a_m + b_m)).to_array();
-    shape.origin.rpy.0 = [roll, pitch, yaw];
-    // A ball is a capsule that is hardly longer.
-    shape.geometry = Geometry::Capsule { radius: capsule.radius_m, length: a_m.distance(b_m).max(1e-6) };
-    shape
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::urdf::parse;
+    use host_robot::shape::Capsule;
     use host_robot::{DMat3, Random};
     use std::fmt::Write as _;
 
@@ -191,7 +183,7 @@ mod tests {
     fn nothing_else_of_the_arm_changes_and_what_was_not_read_is_said() {
         let alone = stand_alone(ARM, &missing(), &read).unwrap();
         let [counted, gone] = alone.notes.as_slice() else { panic!("{:?}", alone.notes) };
-        assert!(counted.starts_with("2 meshes count as"), "{counted}");
+        assert!(counted.starts_with("2 meshes count"), "{counted}");
         assert!(gone.contains("gone.stl is not read: it is not there"), "{gone}");
         let (mut before, mut after) =
             (parse(ARM, &missing()).unwrap(), parse(&alone.text, &missing()).unwrap());
@@ -201,7 +193,11 @@ mod tests {
         for arm in [&mut before, &mut after] {
             arm.foot.clear();
             arm.notes.clear();
-            arm.joints.iter_mut().for_each(|joint| joint.shapes.clear());
+            arm.foot_solids.clear();
+            for joint in &mut arm.joints {
+                joint.shapes.clear();
+                joint.solids.clear();
+            }
         }
         assert_eq!(before, after);
     }

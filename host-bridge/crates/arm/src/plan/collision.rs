@@ -9,6 +9,7 @@ use std::cell::Cell;
 use crate::model::SerialArm;
 use crate::plan::purse::Purse;
 use crate::scene::{NamedBox, Scene};
+use crate::solid::Solid;
 use crate::things::{Shop, Things, Touch};
 use crate::tool::Tool;
 use host_robot::shape::{Capsule, UprightBox};
@@ -17,6 +18,9 @@ use host_robot::{Odometry, Random};
 
 /// The shapes around a held thing stand out of it by 6 mm; by more than this it would be pressed into what it stands on.
 const SINKS_M: f64 = 0.010;
+
+/// Links that are next but one to each other, and never nearer than this, are not looked at.
+const APART_M: f64 = 0.004;
 
 /// Where the base stands in the scene.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -197,8 +201,26 @@ impl World {
                 (joints_rad[link], joints_rad[link + 1]) = (first, second);
                 let shapes = self.shapes(&joints_rad, &on_flange);
                 World::pair_distance_m(&shapes, link, other, f64::INFINITY) <= 0.0
+                    && !self.are_apart(&joints_rad, link, other)
             })
         })
+    }
+
+    /// Two links are apart even though their capsules are not, as their solids prove.
+    fn are_apart(&self, joints_rad: &Joints, one: usize, two: usize) -> bool {
+        let poses = self.arm.link_poses(joints_rad);
+        let of = |link: usize| -> Vec<Solid> {
+            match link.checked_sub(1) {
+                None => self.arm.foot_solids.clone(),
+                Some(i) => {
+                    let solids = self.arm.joints.get(i).map_or(&[][..], |joint| &joint.solids);
+                    solids.iter().map(|solid| solid.seen_from(&poses[i])).collect()
+                }
+            }
+        };
+        let (one, two) = (of(one), of(two));
+        // Of links without solids nothing is known.
+        !one.is_empty() && !two.is_empty() && one.iter().all(|a| two.iter().all(|b| a.apart_m(b) >= APART_M))
     }
 
     /// The distance of two parts, of which the shapes stand in the order of their numbers; or anything beyond `within_m`.
