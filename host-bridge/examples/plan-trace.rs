@@ -6,6 +6,7 @@
 //! | file | columns |
 //! |---|---|
 //! | `SCENE.motions` | scene's motions at 100 Hz, one after the other: motion's number, seven angles in rad |
+//! | `SCENE.tools` | with `--tools`: the same with the vision module and the 2F-85 on the flange, for `tests/arms/gen3.py` |
 //! | `SCENE.clearances` | seven angles, the flange's x y z in the arm's frame, shortest distance, all in m |
 //! | `moves.jerk` | single moves with limited jerk: from, to, limits of speed, acceleration and jerk (seven each), duration; when it is halted, how long that takes, in s |
 //! | `base.path` | every 2 ms: speed of the left and right wheel in rad/s, x, y, heading, path length |
@@ -17,14 +18,13 @@ use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, anyhow};
-use host_bridge::arm::gen3::paper_limits;
+use host_bridge::arm::gen3::{COUNT, paper_limits};
 use host_bridge::arm::model::SerialArm;
 use host_bridge::base::{Base, BaseConfig, Twist};
 use host_bridge::plan::{Placement, Planner};
-use host_bridge::robot::JointLimits;
-use host_bridge::robot::Joints;
 use host_bridge::robot::Random;
 use host_bridge::robot::Trajectory;
+use host_bridge::robot::{JOINTS, JointLimits, Joints, joints};
 use host_bridge::scene::Scene;
 
 const SCENES: [(&str, &str); 3] = [
@@ -32,6 +32,9 @@ const SCENES: [(&str, &str); 3] = [
     ("shelf", include_str!("../scenes/shelf.toml")),
     ("bins", include_str!("../scenes/bins.toml")),
 ];
+
+/// What a judge with the makers' meshes has on the flange: `tests/arms/gen3.py`.
+const TOOLS: &str = "\n[[tool]]\nname = \"gen3-vision\"\n[[tool]]\nname = \"2f-85\"\n";
 
 fn main() -> Result<()> {
     let directory = PathBuf::from(std::env::args_os().nth(1).context("name a directory to write to")?);
@@ -41,6 +44,12 @@ fn main() -> Result<()> {
         let planner = Planner::new(SerialArm::gen3(), Scene::parse(text)?)?;
         motions(&planner, seeds, &directory.join(format!("{name}.motions")))?;
         clearances(&planner, &directory.join(format!("{name}.clearances")))?;
+    }
+    if std::env::args().nth(2).as_deref() == Some("--tools") {
+        for (name, text) in SCENES {
+            let planner = Planner::new(SerialArm::gen3(), Scene::parse(&format!("{text}{TOOLS}"))?)?;
+            motions(&planner, 1, &directory.join(format!("{name}.tools")))?;
+        }
     }
     moves(&directory.join("moves.jerk"))?;
     base(&directory.join("base.path"))
@@ -70,7 +79,7 @@ fn motions(planner: &Planner, seeds: u64, file: &Path) -> Result<()> {
                 let samples = (plan.trajectory.duration_s() * 100.0).ceil() as u64;
                 for k in 0..=samples {
                     let joints_rad = plan.trajectory.motion(k as f64 / 100.0).joints_rad;
-                    write(&mut out, std::iter::once(number).chain(joints_rad))?;
+                    write(&mut out, std::iter::once(number).chain(joints_rad.into_iter().take(COUNT)))?;
                 }
                 number += 1.0;
             }
@@ -86,12 +95,12 @@ fn clearances(planner: &Planner, file: &Path) -> Result<()> {
     let mut out = create(file)?;
     for _ in 0..500 {
         let joints_rad: Joints = std::array::from_fn(|i| {
-            let (low, high) = world.arm().joints[i].limit_rad.unwrap_or((-3.2, 3.2));
-            random.between(low, high)
+            let limits = world.arm().joints.get(i).map(|joint| joint.limit_rad.unwrap_or((-3.2, 3.2)));
+            limits.map_or(0.0, |(low, high)| random.between(low, high))
         });
         let flange_m = world.arm().flange_pose(&joints_rad).position_m;
         let distance_m = around.arm_clearance(&joints_rad).distance_m;
-        write(&mut out, joints_rad.into_iter().chain(flange_m.to_array()).chain([distance_m]))?;
+        write(&mut out, joints_rad.into_iter().take(COUNT).chain(flange_m.to_array()).chain([distance_m]))?;
     }
     Ok(out.flush()?)
 }
@@ -103,19 +112,20 @@ fn moves(file: &Path) -> Result<()> {
     let mut out = create(file)?;
     for _ in 0..500 {
         let length = 10.0_f64.powf(random.between(-3.0, 0.3));
-        let from: Joints = std::array::from_fn(|_| random.between(-2.0, 2.0));
-        let to: Joints = from.map(|angle| angle + length * random.between(-1.0, 1.0));
+        let from = joints::<COUNT>(std::array::from_fn(|_| random.between(-2.0, 2.0)));
+        let way = joints::<COUNT>(std::array::from_fn(|_| length * random.between(-1.0, 1.0)));
+        let to: Joints = std::array::from_fn(|i| from[i] + way[i]);
         let stiffer = 10.0_f64.powf(random.between(0.0, 1.3));
         let limits = JointLimits {
             acceleration_rad_s2: papers.acceleration_rad_s2.map(|a| a * stiffer),
-            jerk_rad_s3: [10.0_f64.powf(random.between(-0.3, 2.0)); 7],
+            jerk_rad_s3: [10.0_f64.powf(random.between(-0.3, 2.0)); JOINTS],
             ..papers
         };
         let motion = Trajectory::through(&[from, to], &[], &limits);
         let halted_s = random.between(0.0, 1.0) * motion.duration_s();
         let braking_s = Trajectory::braking(motion.motion(halted_s), &limits).duration_s();
         let all_limits = [limits.velocity_rad_s, limits.acceleration_rad_s2, limits.jerk_rad_s3];
-        let row = [from, to].into_iter().chain(all_limits).flatten();
+        let row = [from, to].into_iter().chain(all_limits).flat_map(|all| all.into_iter().take(COUNT));
         write(&mut out, row.chain([motion.duration_s(), halted_s, braking_s]))?;
     }
     Ok(out.flush()?)

@@ -8,6 +8,8 @@
 //! Each room is a crate of its own below `crates/`, so that rustc keeps what it may not know (docs/ARCHITECTURE.md).
 //! Their modules are offered here under one roof.
 
+#[cfg(feature = "urdf")]
+pub mod arm_file;
 pub mod config;
 pub mod control;
 pub mod demo;
@@ -16,6 +18,7 @@ pub mod ending;
 pub mod export;
 #[cfg(feature = "mcap")]
 pub mod journal;
+pub mod profile;
 pub mod robots;
 pub mod script;
 pub mod taught;

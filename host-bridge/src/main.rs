@@ -38,6 +38,9 @@ enum Verb {
     Record(cmd::record::Args),
     /// Makes data sets of recorded sessions, for those who train robots
     Export(cmd::export::Args),
+    /// Fetches the description of a robot's arm from its ROS 2 graph, into a scene for `teach` and `run`
+    #[cfg(all(feature = "ros2", feature = "urdf"))]
+    Arm(cmd::arm::Args),
     /// Makes a pose of where the robot's arm is now, or goes to one
     Teach(cmd::teach::Args),
     /// Sends a model of your own to the right hand's board
@@ -56,6 +59,8 @@ fn main() -> ExitCode {
         Some(Verb::Calibrate(args)) => cmd::calibrate::run(&args),
         Some(Verb::Record(args)) => cmd::record::run(&args),
         Some(Verb::Export(args)) => cmd::export::run(&args),
+        #[cfg(all(feature = "ros2", feature = "urdf"))]
+        Some(Verb::Arm(args)) => cmd::arm::run(&args),
         Some(Verb::Teach(args)) => cmd::teach::run(&args),
         Some(Verb::SendModel(args)) => cmd::send_model::run(&args),
     };

@@ -130,10 +130,11 @@ fn arm(scene: &Scene, scene_file: &Path) -> Result<SerialArm> {
     #[cfg(feature = "urdf")]
     {
         let about = || format!("{}", file.display());
-        let text = std::fs::read_to_string(&file).with_context(about)?;
+        let read = host_bridge::arm_file::read(urdf, scene_file, &scene.arm);
+        let read = read.map_err(anyhow::Error::msg).with_context(about)?;
         let missing = host_bridge::arm::urdf::Missing::of(&scene.arm);
-        let arm = host_bridge::arm::urdf::parse(&text, &missing).with_context(about)?;
-        for note in &arm.notes {
+        let arm = host_bridge::arm::urdf::parse(&read.text, &missing).with_context(about)?;
+        for note in read.notes.iter().chain(&arm.notes) {
             eprintln!("{}: {note}", file.display());
         }
         Ok(arm)

@@ -48,6 +48,14 @@ impl Stage {
         Stage::new(&Config::default(), None).expect("the bundled motions fit the bundled arm")
     }
 
+    /// Name of the arm, and how many joints it has.
+    pub fn arm(&self) -> (&str, usize) {
+        match &self.planner {
+            None => ("the Gen3", host_arm::gen3::COUNT),
+            Some(planner) => (&planner.world().arm().name, planner.world().arm().joints.len()),
+        }
+    }
+
     /// The simulator as configured here, its arm at the pose `ready` (or at home).
     pub fn simulator(&self, config: &Config) -> Simulator {
         let base = self.planner.as_ref().map_or(config.base, |planner| planner.world().scene().base.config());

@@ -4,7 +4,7 @@ use host_bridge::arm::gen3::{HOME, MAX_JERK_RAD_S3, paper_limits};
 use host_bridge::arm::model::SerialArm;
 use host_bridge::intent::{Caps, MotionMap};
 use host_bridge::robot::Trajectory;
-use host_bridge::robot::{DQuat, DVec3, Door as _, JOINTS, Joints, Pose, Twist};
+use host_bridge::robot::{DQuat, DVec3, Door as _, JOINTS, Joints, Pose, Twist, joints};
 use shared_proto::message::Heading;
 
 #[path = "support/moving.rs"]
@@ -34,7 +34,7 @@ fn forward_kinematics_equals_the_reference_on_all_rows() {
     let (mut rows, mut worst_m, mut worst_rad) = (0, 0.0_f64, 0.0_f64);
     for line in table.lines().skip(1) {
         let values: Vec<f64> = line.split(',').map(|v| v.parse().unwrap()).collect();
-        let joints: Joints = values[..7].try_into().unwrap();
+        let joints: Joints = joints::<7>(values[..7].try_into().unwrap());
         let pose = flange_pose(&joints);
         worst_m = worst_m.max(pose.position_m.distance(DVec3::from_slice(&values[7..10])));
         worst_rad = worst_rad.max(angle_rad(

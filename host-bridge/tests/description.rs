@@ -3,10 +3,11 @@
 
 use std::collections::BTreeSet;
 
+use host_bridge::arm::gen3::COUNT;
 use host_bridge::arm::model::SerialArm;
 use host_bridge::arm::urdf::{Missing, parse};
 use host_bridge::config::Config;
-use host_bridge::robot::{Door, JOINTS, Random, RobotSetting};
+use host_bridge::robot::{Door, Random, RobotSetting};
 use host_bridge::robots::Stage;
 use host_bridge::ros2::Ros2Config;
 use host_bridge::ros2::description::urdf;
@@ -52,7 +53,7 @@ fn every_frame_that_is_published_is_a_link_of_the_description_and_every_joint_ha
     let config = Ros2Config {
         base_frame: "base_footprint".to_owned(),
         arm_prefix: "left_".to_owned(),
-        joint_names: std::array::from_fn(|i| format!("left_joint_{}", i + 1)),
+        joint_names: (1..=COUNT).map(|i| format!("left_joint_{i}")).collect(),
         ..Ros2Config::default()
     };
     let frames = config.frames(&simulator.setting()).unwrap();
@@ -71,7 +72,7 @@ fn every_frame_that_is_published_is_a_link_of_the_description_and_every_joint_ha
     }
     assert_eq!(told[0].header.frame_id, "odom");
     assert!(told[1..].iter().all(|t| links.contains(t.header.frame_id.as_str())));
-    assert_eq!(between(&text, "type=\"continuous\"", "/>").len(), JOINTS - 3, "joints 2, 4 and 6 have ends");
+    assert_eq!(between(&text, "type=\"continuous\"", "/>").len(), COUNT - 3, "joints 2, 4 and 6 have ends");
 }
 
 #[test]

@@ -2,12 +2,12 @@
 //! several steps: the rest is not done, and it is said. In virtual time, before a robot whose answers the test gives.
 
 use host_bridge::arm::Director;
-use host_bridge::arm::gen3::{HOME, JOINT_NAMES};
+use host_bridge::arm::gen3::{COUNT, HOME, JOINT_NAMES};
 use host_bridge::arm::model::SerialArm;
 use host_bridge::base::Twist;
 use host_bridge::config::Config;
 use host_bridge::plan::Planner;
-use host_bridge::robot::{Door as _, Joints, MotionName, NotStarted, Report};
+use host_bridge::robot::{Door as _, Joints, MotionName, NotStarted, Report, joints};
 use host_bridge::robots::Stage;
 use host_bridge::ros2::answer::Answer;
 use host_bridge::ros2::gripper::GripAnswer;
@@ -17,6 +17,10 @@ use host_bridge::topics::message::{self as ros, JointState};
 
 /// The joint of the gripper: 0 open, 0.8 shut.
 const KNUCKLE: &str = "knuckle";
+
+fn joints_of(positions: &[f64]) -> Option<Joints> {
+    Some(joints::<COUNT>(positions.try_into().ok()?))
+}
 
 struct Site {
     door: Director<RosRobot>,
@@ -102,7 +106,7 @@ impl Site {
     fn goal(&self) -> Option<(u32, Joints)> {
         self.sent.iter().rev().find_map(|sent| match sent {
             Output::Goal { goal, trajectory } => {
-                Some((*goal, trajectory.points.last()?.positions.clone().try_into().ok()?))
+                Some((*goal, joints_of(&trajectory.points.last()?.positions)?))
             }
             _ => None,
         })
@@ -303,7 +307,8 @@ fn fingers_of_which_nobody_tells_count_open_and_shut() {
     let mut beside = HOME;
     beside[0] += 0.7;
     let scene = format!(
-        "[[box]]\nname = \"post\"\ncenter_m = {at:?}\nsize_m = [0.02, 0.02, 0.02]\n[[pose]]\nname = \"shelf\"\njoints_rad = {HOME:?}\n"
+        "[[box]]\nname = \"post\"\ncenter_m = {at:?}\nsize_m = [0.02, 0.02, 0.02]\n[[pose]]\nname = \"shelf\"\njoints_rad = {:?}\n",
+        &HOME[..COUNT]
     );
     let mut site = Site::new(&scene);
     site.joints_rad = beside;

@@ -19,8 +19,8 @@ const FORMER: Budget = Budget { steps: 10_000, looks: usize::MAX };
 
 fn anywhere(arm: &SerialArm, random: &mut Random) -> Pose {
     let joints: Joints = std::array::from_fn(|i| {
-        let (low, high) = arm.joints[i].limit_rad.unwrap_or((-3.1, 3.1));
-        random.between(low, high)
+        let limits = arm.joints.get(i).map(|joint| joint.limit_rad.unwrap_or((-3.1, 3.1)));
+        limits.map_or(0.0, |(low, high)| random.between(low, high))
     });
     arm.flange_pose(&joints)
 }

@@ -14,7 +14,7 @@ use host_bridge::arm::things::Things;
 use host_bridge::plan::purse::MOTION_CHECKS_MAX;
 use host_bridge::plan::{Case, Kind, Placement, Plan, Planner, Purse, Refusal};
 use host_bridge::robot::Motion;
-use host_bridge::robot::{JOINTS, Joints, Pose};
+use host_bridge::robot::{JOINTS, Joints, Pose, joints};
 use host_bridge::scene::Scene;
 
 const SCENES: [(&str, &str); 3] = [
@@ -170,7 +170,7 @@ size_m = [0.02, 0.24, 1.05]
 
 /// Before the wall, and behind it.
 fn before_and_behind() -> (Joints, Joints) {
-    let front = [0.0, 1.2, std::f64::consts::PI, -1.5, 0.0, 0.5, 1.57];
+    let front = joints([0.0, 1.2, std::f64::consts::PI, -1.5, 0.0, 0.5, 1.57]);
     let mut back = front;
     back[0] = std::f64::consts::PI;
     (front, back)

@@ -762,7 +762,7 @@ fn cases() -> u32 {
 /// Looks at the robot in every millisecond.
 struct Watch {
     wheels: [f64; 2],
-    joints: [f64; 7],
+    joints: host_bridge::robot::Joints,
 }
 
 impl Watch {

@@ -65,7 +65,7 @@ impl Site {
                 robot.set_arm_listened_to(true);
                 robot.see(&JointState {
                     name: JOINT_NAMES.map(str::to_owned).to_vec(),
-                    position: self.joints_rad.to_vec(),
+                    position: self.joints_rad[..7].to_vec(),
                     velocity: vec![0.0; 7],
                     ..JointState::default()
                 });

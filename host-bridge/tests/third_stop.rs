@@ -6,6 +6,7 @@
 //! diff_drive_controller (`diff_drive_controller.cpp`): a stamp of zero becomes the time of arrival; in each update a
 //! command older than 0.5 s brakes.
 
+use host_bridge::arm::gen3::COUNT;
 use host_bridge::arm::{Director, Motions};
 use host_bridge::base::{BaseConfig, Twist};
 use host_bridge::config::Config;
@@ -48,7 +49,7 @@ impl Controller {
             let times: Vec<f64> = points.iter().map(|p| p.time_from_start.seconds()).collect();
             assert!(times[0] <= at_s, "a point in the past, or the controller would blend");
             let next = times.partition_point(|time_s| *time_s <= at_s);
-            for joint in 0..JOINTS {
+            for joint in 0..COUNT {
                 let (p, v) = (points[next - 1].positions[joint], points[next - 1].velocities[joint]);
                 let Some(after) = points.get(next) else {
                     self.joints[joint] = p;
@@ -63,7 +64,7 @@ impl Controller {
                     + w * h * s * s * (s - 1.0);
             }
         }
-        for joint in 0..JOINTS {
+        for joint in 0..COUNT {
             self.speed[joint] = (self.joints[joint] - before.0[joint]) * 1000.0 / CYCLE_MS as f64;
             let change = (self.speed[joint] - before.1[joint]).abs() * 1000.0 / CYCLE_MS as f64;
             self.worst_rad_s2 = self.worst_rad_s2.max(change);
@@ -77,9 +78,9 @@ impl Controller {
     fn state(&self, now_ms: u64) -> JointState {
         JointState {
             header: Header { stamp: Time::at_ns(robot_ns(now_ms) as u64), ..Header::default() },
-            name: (1..=JOINTS).map(|i| format!("joint_{i}")).collect(),
-            position: self.joints.to_vec(),
-            velocity: self.speed.to_vec(),
+            name: (1..=COUNT).map(|i| format!("joint_{i}")).collect(),
+            position: self.joints[..COUNT].to_vec(),
+            velocity: self.speed[..COUNT].to_vec(),
             effort: Vec::new(),
         }
     }

@@ -68,6 +68,7 @@ const FAULTS: &[Fault] = &[
         &["--test", "left_judgement"],
         &[],
     ),
+    fault("v driving in proportion to the tilt", &["--test", "proportional"], &[]),
     with(Needs::Speed, fault("mutated streams", &["-p", "shared-proto", "--test", "mutations"], &[])),
     fault("mutated files", &["--test", "hostile_files"], &[]),
     fault("v the program dead or frozen, its cable cut, in each motion", &["--test", "third_stop"], &[]),
@@ -76,6 +77,7 @@ const FAULTS: &[Fault] = &[
         &["--test", "servers"],
         &[],
     ),
+    fault("v a gripper that fails, and holds within a sequence", &["--test", "gripper_robot"], &[]),
     fault("v clocks apart, simulated time", &["-p", "host-ros2", "--lib"], &["clocks::"]),
     with(
         Needs::Cyclone,

@@ -9,6 +9,9 @@ use anyhow::{Context, Result, bail};
 use crate::steps::sh;
 use crate::{root, target_dir};
 
+/// The folder of the arms' judges.
+const ARMS: &str = "arms-venv";
+
 /// What the checks want, each beside its check.
 const REQUIREMENTS: [&str; 10] = [
     "models/tests/requirements.txt",
@@ -28,10 +31,27 @@ const REQUIREMENTS: [&str; 10] = [
 /// # Errors
 /// If there is no Python 3 with `venv`, or a package does not install: says what to install.
 pub fn environment() -> Result<PathBuf> {
-    let place = target_dir().join("venv");
+    made("venv", &REQUIREMENTS)
+}
+
+/// The same for the judges of arms, whose packages hold 170 MB of meshes: an environment of its own.
+///
+/// # Errors
+/// As [`environment`].
+pub fn arms() -> Result<PathBuf> {
+    made(ARMS, &["tests/arms/requirements.txt"])
+}
+
+/// Whether somebody has made that one.
+pub fn has_arms() -> bool {
+    works(&target_dir().join(ARMS).join("bin/python"))
+}
+
+fn made(name: &str, requirements: &[&str]) -> Result<PathBuf> {
+    let place = target_dir().join(name);
     let python = place.join("bin/python");
     let mut wanted = String::new();
-    for file in REQUIREMENTS {
+    for file in requirements {
         wanted += &fs::read_to_string(root().join(file)).context(file)?;
     }
     let stamp = place.join("requirements.installed");
@@ -53,7 +73,7 @@ pub fn environment() -> Result<PathBuf> {
         "--disable-pip-version-check",
         "--no-compile",
     ]);
-    for file in REQUIREMENTS {
+    for file in requirements {
         pip.args(["-r", file]);
     }
     sh(&mut pip)?;

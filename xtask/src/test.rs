@@ -403,6 +403,29 @@ fn tests() -> Vec<Step> {
     ]
 }
 
+/// Two arms where the judges' packages are at hand, all of them and the Gen3 with what is on its flange under `--full`.
+fn arms() -> Result<()> {
+    if !is_full() && !python::has_arms() {
+        println!("skipped: the judges' packages (170 MB) are not here; `--full` fetches them");
+        return Ok(());
+    }
+    let (python, folder) = (python::arms()?, target_dir().join("arm-ways"));
+    let mut check = Command::new(&python);
+    check
+        .current_dir(root())
+        .arg("tests/arms/check.py")
+        .arg(built("examples/arm-ways")?.get_program())
+        .arg(&folder);
+    if !is_full() {
+        return sh(check.args(["6", "ur5", "so101"]));
+    }
+    sh(check.arg("30"))?;
+    sh(built("examples/plan-trace")?.arg(&folder).arg("--tools"))?;
+    let shared = std::env::var_os("BIMANUAL_SHARED").map_or_else(|| root().join("../shared"), PathBuf::from);
+    let mut gen3 = Command::new(python);
+    sh(gen3.current_dir(root()).arg("tests/arms/gen3.py").arg(&folder).arg(shared.join("data/arm-hulls")))
+}
+
 fn others() -> Vec<Step> {
     let mut steps = vec![
         Step::new("features against numpy", || {
@@ -430,6 +453,7 @@ fn others() -> Vec<Step> {
             let python = python::environment()?;
             sh(Command::new(python).current_dir(root()).arg("tests/mujoco/check.py").arg(&traces))
         }),
+        Step::new("real arms in Pinocchio and Coal", arms),
         Step::new("a session's file read by others", || {
             let folder = target_dir().join("session-file");
             // Files of sessions are never written over.

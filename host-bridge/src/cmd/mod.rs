@@ -1,5 +1,7 @@
 //! One file per verb: its options and what it does.
 
+#[cfg(all(feature = "ros2", feature = "urdf"))]
+pub mod arm;
 pub mod calibrate;
 pub mod demo;
 pub mod doctor;

@@ -2,6 +2,8 @@
 
 #[cfg(not(feature = "ros2"))]
 pub use off::{Graph, Output, doctor};
+#[cfg(all(feature = "ros2", feature = "urdf"))]
+pub use on::look;
 #[cfg(feature = "ros2")]
 pub use on::{Graph, Output, doctor};
 
@@ -22,6 +24,8 @@ mod on {
     };
     use host_bridge::ros2::config::{Carrier, Connection, RosEnvironment};
     use host_bridge::ros2::driver::RosDriver;
+    #[cfg(feature = "urdf")]
+    use host_bridge::ros2::look::{self, Found};
     use host_bridge::ros2::node::RosNode;
     use host_bridge::ros2::publisher::{RosPublisher, Simulator};
     use host_bridge::ros2::{ArmInterface, Counts, Ros2Config, RosRobot};
@@ -32,9 +36,19 @@ mod on {
     /// The search for other publishers lasts this long before the simulator's state is published.
     const SEARCH: Duration = Duration::from_millis(2500);
 
+    /// A description that is published once arrives within this time.
+    #[cfg(feature = "urdf")]
+    const LOOK: Duration = Duration::from_secs(8);
+
     /// Seconds since 1970.
     fn wall_s() -> f64 {
         SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs_f64()
+    }
+
+    /// What the graph says about the robot, before it is driven.
+    #[cfg(feature = "urdf")]
+    pub fn look(config: &Ros2Config) -> Result<Found> {
+        Ok(look::look(config, &connection(config)?, LOOK)?)
     }
 
     fn connection(config: &Ros2Config) -> Result<Connection> {

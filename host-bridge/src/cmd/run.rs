@@ -13,6 +13,7 @@ use host_bridge::engine::Engine;
 use host_bridge::foxglove::Foxglove;
 use host_bridge::keyboard::{KeyLeft, KeyRight};
 use host_bridge::links::{Clock, Link as BoardLink, SystemClock, is_ble, is_serial_over_air, queue};
+use host_bridge::profile;
 use host_bridge::robot::brake::longest_s;
 use host_bridge::robot::{Door as _, Robot};
 use host_bridge::robots::{Echoed, Stage};
@@ -144,6 +145,9 @@ pub fn steer(args: &HandArgs, keep: &KeepArgs) -> Result<ExitCode> {
     }
     if let Some(name) = &args.wearer {
         super::record::check_person("--wearer", name)?;
+    }
+    if let Some(scene) = &args.scene {
+        profile::take(&mut config, scene).map_err(anyhow::Error::msg)?;
     }
     config.check()?;
     if args.print_config {
@@ -339,6 +343,7 @@ pub fn steer(args: &HandArgs, keep: &KeepArgs) -> Result<ExitCode> {
 
 /// Longest time that the arm takes to brake, if it is short enough for streaming.
 pub fn check_braking(config: &Config, stage: &Stage) -> Result<f64> {
+    check_joints(config, stage)?;
     let braking_s = longest_s(&stage.limits);
     ensure!(
         config.ros2.arm != ArmInterface::Stream || braking_s <= BRAKING_MAX_S,
@@ -346,6 +351,18 @@ pub fn check_braking(config: &Config, stage: &Stage) -> Result<f64> {
          [arm] until it is {BRAKING_MAX_S} s or less"
     );
     Ok(braking_s)
+}
+
+/// The robot's arm has as many joints as the one that is planned for.
+pub fn check_joints(config: &Config, stage: &Stage) -> Result<()> {
+    let (name, joints) = stage.arm();
+    let names = config.ros2.joint_names.len();
+    ensure!(
+        config.ros2.arm == ArmInterface::None || names == joints,
+        "joint_names under [ros2] has {names} names, and {name} {joints} joints: name all of them from the foot on, or give the \
+         arm's own description in a scene (urdf under [arm], --scene FILE)"
+    );
+    Ok(())
 }
 
 type AnyRobot = Box<dyn Robot + Send>;

@@ -12,6 +12,7 @@ use host_bridge::arm::Director;
 use host_bridge::arm::motions::is_grasp;
 use host_bridge::config::Config;
 use host_bridge::ending::Ending;
+use host_bridge::profile;
 use host_bridge::robot::{Door as _, Joints, MotionName, Robot};
 use host_bridge::robots::Stage;
 use host_bridge::ros2::ArmInterface;
@@ -20,7 +21,7 @@ use host_bridge::teach::{Play, Played, Rest, SEARCH_MS};
 
 use super::ports::read_config;
 use super::ros2::{FAREWELL_MS, Graph};
-use super::run::check_braking;
+use super::run::{check_braking, check_joints};
 use crate::play::{Interrupted, stage, stage_of};
 
 /// How often the robot is looked at.
@@ -52,6 +53,9 @@ pub fn run(args: &Args) -> Result<ExitCode> {
         Some(file) if !file.exists() && !args.play => Config::default(),
         file => read_config(file.as_deref())?,
     };
+    if let Some(scene) = &args.scene {
+        profile::take(&mut config, scene).map_err(anyhow::Error::msg)?;
+    }
     if config.ros2.arm == ArmInterface::None {
         bail!("[ros2] says arm = \"none\": there is no arm to teach");
     }
@@ -63,7 +67,8 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     ensure!(!args.name.trim().is_empty() && !is_taken, "'{}' is no name for a pose of yours", args.name);
     // The arm may be anywhere now; its speed limits are not needed.
     let stage = stage(&config, args.scene.as_deref())?;
-    let count = stage.planner.as_ref().map_or(host_bridge::robot::JOINTS, |p| p.world().arm().joints.len());
+    check_joints(&config, &stage)?;
+    let (_, count) = stage.arm();
     config.ros2.arm = ArmInterface::Topic;
     let mut door = open(&config, &stage)?;
     let joints_rad = here(&mut door)?;

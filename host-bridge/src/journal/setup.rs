@@ -82,8 +82,11 @@ impl SceneText {
         let toml = text(file)?;
         let scene = Scene::parse(&toml)
             .map_err(|error| SetupError::Scene { file: file.to_owned(), problem: error.to_string() })?;
-        let beside = |urdf: &PathBuf| file.parent().unwrap_or(Path::new("")).join(urdf);
-        let urdf = scene.arm.urdf.as_ref().map(|urdf| text(&beside(urdf))).transpose()?;
+        let urdf = scene.arm.urdf.as_ref().map(|urdf| {
+            let read = urdf_text(urdf, file, &scene);
+            read.map_err(|problem| SetupError::Scene { file: urdf.clone(), problem })
+        });
+        let urdf = urdf.transpose()?;
         Ok(SceneText { file: file.to_owned(), toml, urdf })
     }
 
@@ -100,6 +103,17 @@ impl SceneText {
         };
         Planner::new(arm, scene).map_err(|error| bad(error.to_string()))
     }
+}
+
+/// Meshes are capsules in it: a session needs no other file.
+#[cfg(feature = "urdf")]
+fn urdf_text(urdf: &Path, file: &Path, scene: &Scene) -> Result<String, String> {
+    Ok(crate::arm_file::read(urdf, file, &scene.arm)?.text)
+}
+
+#[cfg(not(feature = "urdf"))]
+fn urdf_text(_urdf: &Path, _file: &Path, _scene: &Scene) -> Result<String, String> {
+    Err("this program reads no URDF; build it with `--features urdf`".to_owned())
 }
 
 #[cfg(feature = "urdf")]

@@ -5,13 +5,16 @@
 //! `tests/data/kinova_gen3_fk.csv` (see `tests/arm_kinematics.rs`).
 
 use host_robot::shape::Capsule;
-use host_robot::{DMat3, DVec3, JOINTS, JointLimits, Joints};
+use host_robot::{DMat3, DVec3, JointLimits, Joints, joints};
+
+/// How many joints it has.
+pub const COUNT: usize = 7;
 
 /// Fastest joint speeds of the URDF in rad/s (80°/s and 70°/s).
-pub const MAX_VELOCITY_RAD_S: Joints = [1.3963, 1.3963, 1.3963, 1.3963, 1.2218, 1.2218, 1.2218];
+pub const MAX_VELOCITY_RAD_S: [f64; COUNT] = [1.3963, 1.3963, 1.3963, 1.3963, 1.2218, 1.2218, 1.2218];
 
 /// Largest joint acceleration in rad/s², the same for all joints (MoveIt configuration of kortex).
-pub const MAX_ACCELERATION_RAD_S2: Joints = [8.6; JOINTS];
+pub const MAX_ACCELERATION_RAD_S2: [f64; COUNT] = [8.6; COUNT];
 
 /// Share of [`MAX_VELOCITY_RAD_S`] that motions use, as in the paper.
 pub const VELOCITY_SCALING: f64 = 0.1;
@@ -27,23 +30,19 @@ pub const MAX_JERK_RAD_S3: f64 = 4.3;
 
 /// The arm's own limits, scaled as in the paper; jerk is not limited.
 pub fn paper_limits() -> JointLimits {
-    JointLimits {
-        velocity_rad_s: MAX_VELOCITY_RAD_S.map(|v| v * VELOCITY_SCALING),
-        acceleration_rad_s2: MAX_ACCELERATION_RAD_S2.map(|a| a * ACCELERATION_SCALING),
-        jerk_rad_s3: [f64::INFINITY; JOINTS],
-    }
+    crate::model::SerialArm::gen3().limits(VELOCITY_SCALING, ACCELERATION_SCALING)
 }
 
 /// Joints 2, 4 and 6 turn this far either way; `None` = without end.
-pub const POSITION_LIMIT_RAD: [Option<f64>; JOINTS] =
+pub const POSITION_LIMIT_RAD: [Option<f64>; COUNT] =
     [None, Some(2.24), None, Some(2.57), None, Some(2.09), None];
 
 /// Joint names of ros2_kortex.
-pub const JOINT_NAMES: [&str; JOINTS] =
+pub const JOINT_NAMES: [&str; COUNT] =
     ["joint_1", "joint_2", "joint_3", "joint_4", "joint_5", "joint_6", "joint_7"];
 
 /// The links that these joints turn, as ros2_kortex names them.
-pub const LINK_NAMES: [&str; JOINTS] = [
+pub const LINK_NAMES: [&str; COUNT] = [
     "shoulder_link",
     "half_arm_1_link",
     "half_arm_2_link",
@@ -59,10 +58,10 @@ pub const FLANGE_LINK: &str = "end_effector_link";
 
 /// Kinova's own home pose (kortex SRDF, `Home`), in rad.
 #[allow(clippy::approx_constant)] // 3.14 is what the file says
-pub const HOME: Joints = [0.0, 0.26, 3.14, -2.27, 0.0, 0.96, 1.57];
+pub const HOME: Joints = joints([0.0, 0.26, 3.14, -2.27, 0.0, 0.96, 1.57]);
 
 /// Origin of each joint (and, last, of the flange) in its parent's frame: metres, then quarter turns about x.
-const ORIGINS: [([f64; 3], u8); JOINTS + 1] = [
+const ORIGINS: [([f64; 3], u8); COUNT + 1] = [
     ([0.0, 0.0, 0.15643], 2),
     ([0.0, 0.005375, -0.12838], 1),
     ([0.0, -0.21038, -0.006375], 3),
@@ -88,7 +87,7 @@ type Ends = ([f64; 3], [f64; 3], f64);
 ///
 /// Each is the smallest that holds every vertex of the link's mesh in kortex_description (bracelet without vision module),
 /// and 0.4 mm more. A capsule is convex, so it holds the mesh, too. `tests/arm_hulls.rs` has vertices to hold against it.
-const CAPSULES: [Ends; JOINTS + 1] = [
+const CAPSULES: [Ends; COUNT + 1] = [
     ([-0.0046, 0.0, 0.0149], [0.0001, 0.0, 0.1446], 0.0532),
     ([0.0, -0.0078, -0.1284], [0.0, 0.0, -0.0325], 0.0538),
     ([0.0, -0.2131, -0.0063], [0.0, 0.0038, -0.0192], 0.0479),

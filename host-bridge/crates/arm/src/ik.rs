@@ -220,6 +220,10 @@ fn damped_step(arm: &SerialArm, poses: &[Pose; JOINTS + 1], error: &Six, damping
     let mut columns = [[0.0; 6]; JOINTS];
     for (i, joint) in arm.joints.iter().enumerate() {
         let axis = poses[i].rotation * joint.axis;
+        if joint.slides {
+            columns[i] = [axis.x, axis.y, axis.z, 0.0, 0.0, 0.0];
+            continue;
+        }
         let lever = axis.cross(tip - poses[i].position_m);
         columns[i] = [lever.x, lever.y, lever.z, axis.x, axis.y, axis.z];
     }

@@ -1,6 +1,6 @@
 //! What a serial arm is: joints, limits, the shapes of its links, named poses. Its forward kinematics.
 //!
-//! The Gen3 is built in ([`SerialArm::gen3`]); any other arm with up to seven turning joints comes from a
+//! The Gen3 is built in ([`SerialArm::gen3`]); any other arm with up to eight joints that turn or slide comes from a
 //! URDF file (feature `urdf`, see `arm/urdf.rs`). An arm with fewer joints leaves the last values of
 //! [`Joints`] at zero.
 
@@ -9,16 +9,17 @@ use std::f64::consts::TAU;
 use host_robot::{DMat3, DVec3, JOINTS, Joints, Pose};
 
 use super::gen3::{
-    FLANGE_LINK, HOME, JOINT_NAMES, LINK_NAMES, MAX_ACCELERATION_RAD_S2, MAX_VELOCITY_RAD_S,
+    COUNT, FLANGE_LINK, HOME, JOINT_NAMES, LINK_NAMES, MAX_ACCELERATION_RAD_S2, MAX_VELOCITY_RAD_S,
     POSITION_LIMIT_RAD, ROOT_LINK,
 };
+use crate::solid::Solid;
 use host_robot::JointLimits;
 use host_robot::shape::{Capsule, Point};
 
 /// Name of the built-in arm.
 const GEN3: &str = "Kinova Gen3 (7 joints)";
 
-/// One turning joint and the link that it turns.
+/// One joint and the link that it moves. Where it slides, its angles, speeds and limits are in m instead of rad.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ArmJoint {
     /// As in the robot's own description.
@@ -31,6 +32,8 @@ pub struct ArmJoint {
     pub origin_rotation: DMat3,
     /// Axis in its own frame, of length 1.
     pub axis: Point,
+    /// It slides along its axis instead of turning about it. Such a joint has limits.
+    pub slides: bool,
     /// Minimum and maximum angle; `None` = turns without end.
     pub limit_rad: Option<(f64, f64)>,
     /// Fastest turn.
@@ -39,6 +42,8 @@ pub struct ArmJoint {
     pub acceleration_rad_s2: f64,
     /// Shapes of the link that turns with the joint, in the joint's frame. They enclose the link.
     pub shapes: Vec<Capsule>,
+    /// The same without what stands out, if that is known; else empty.
+    pub solids: Vec<Solid>,
 }
 
 /// An arm.
@@ -48,7 +53,7 @@ pub struct SerialArm {
     pub name: String,
     /// The link whose frame is the arm's base frame.
     pub root_link: String,
-    /// From the foot on; one to seven.
+    /// From the foot on; one to eight.
     pub joints: Vec<ArmJoint>,
     /// The flange in the last joint's frame.
     pub flange_m: Point,
@@ -58,6 +63,8 @@ pub struct SerialArm {
     pub flange_link: String,
     /// Shapes of the foot, which does not move, in the arm's base frame.
     pub foot: Vec<Capsule>,
+    /// As [`ArmJoint::solids`].
+    pub foot_solids: Vec<Solid>,
     /// The pose to go to first and to fall back to, in rad.
     pub home_rad: Joints,
     /// What its file contains and was not understood, for people.
@@ -74,7 +81,7 @@ pub enum JointError {
         joint: String,
     },
     /// Beyond the limit.
-    #[error("{joint} at {value_rad:.3} rad is beyond its limits of {low_rad:.3} to {high_rad:.3} rad")]
+    #[error("{joint} at {value_rad:.3} {unit} is beyond its limits of {low_rad:.3} to {high_rad:.3} {unit}")]
     BeyondLimit {
         /// Which.
         joint: String,
@@ -84,14 +91,24 @@ pub enum JointError {
         low_rad: f64,
         /// Greatest.
         high_rad: f64,
+        /// Of all three: m where it slides.
+        unit: &'static str,
     },
+}
+
+impl ArmJoint {
+    /// How far it slides at most, either way; 0 where it turns.
+    fn slide_m(&self) -> f64 {
+        let far_m = self.limit_rad.map_or(0.0, |(low, high)| low.abs().max(high.abs()));
+        if self.slides { far_m } else { 0.0 }
+    }
 }
 
 impl SerialArm {
     /// The Kinova Gen3 with seven joints, figures as in [`super::gen3`], links as capsules that enclose Kinova's meshes. What
     /// is on its flange comes as a [tool](crate::tool); its vision module is one.
     pub fn gen3() -> Self {
-        let joints = (0..JOINTS).map(|i| {
+        let joints = (0..COUNT).map(|i| {
             let (origin_m, origin_rotation) = super::gen3::origin(i);
             ArmJoint {
                 name: JOINT_NAMES[i].to_owned(),
@@ -99,13 +116,15 @@ impl SerialArm {
                 origin_m,
                 origin_rotation,
                 axis: DVec3::Z,
+                slides: false,
                 limit_rad: POSITION_LIMIT_RAD[i].map(|limit| (-limit, limit)),
                 velocity_rad_s: MAX_VELOCITY_RAD_S[i],
                 acceleration_rad_s2: MAX_ACCELERATION_RAD_S2[i],
                 shapes: vec![super::gen3::capsule(i + 1)],
+                solids: Vec::new(),
             }
         });
-        let (flange_m, flange_rotation) = super::gen3::origin(JOINTS);
+        let (flange_m, flange_rotation) = super::gen3::origin(COUNT);
         SerialArm {
             name: GEN3.to_owned(),
             root_link: ROOT_LINK.to_owned(),
@@ -114,6 +133,7 @@ impl SerialArm {
             flange_rotation,
             flange_link: FLANGE_LINK.to_owned(),
             foot: vec![super::gen3::capsule(0)],
+            foot_solids: Vec::new(),
             home_rad: HOME,
             notes: Vec::new(),
         }
@@ -131,7 +151,11 @@ impl SerialArm {
         let mut pose = Pose::IDENTITY;
         for (i, joint) in self.joints.iter().enumerate() {
             pose = pose.then(joint.origin_m, joint.origin_rotation);
-            pose.rotation *= DMat3::from_axis_angle(joint.axis, joints_rad[i]);
+            if joint.slides {
+                pose.position_m = pose.at(joint.axis * joints_rad[i]);
+            } else {
+                pose.rotation *= DMat3::from_axis_angle(joint.axis, joints_rad[i]);
+            }
             poses[i] = pose;
         }
         let flange = pose.then(self.flange_m, self.flange_rotation);
@@ -171,7 +195,8 @@ impl SerialArm {
             if let Some((low_rad, high_rad)) = joint.limit_rad
                 && !(low_rad..=high_rad).contains(&value_rad)
             {
-                return Err(JointError::BeyondLimit { joint: name(), value_rad, low_rad, high_rad });
+                let unit = if joint.slides { "m" } else { "rad" };
+                return Err(JointError::BeyondLimit { joint: name(), value_rad, low_rad, high_rad, unit });
             }
         }
         Ok(())
@@ -199,7 +224,8 @@ impl SerialArm {
     /// it lies; the foot fixes the circle of the second joint. No stretched chain is longer than its parts.
     pub fn beyond_reach_m(&self, flange: &Pose) -> f64 {
         let (Some(first), Some(last)) = (self.joints.first(), self.joints.last()) else { return 0.0 };
-        if self.joints.len() < 3 {
+        // Of an arm that slides nobody says no before it was tried.
+        if self.joints.len() < 3 || self.joints.iter().any(|joint| joint.slides) {
             return 0.0;
         }
         // Turned back by the flange's own offset. That leaves the last joint's angle open, not its axis.
@@ -220,7 +246,8 @@ impl SerialArm {
     }
 
     /// For each joint, how far from its origin a point of the arm beyond it can be at most, in m: a turn by
-    /// an angle moves no point of the arm further than the angle times this.
+    /// an angle moves no point of the arm further than the angle times this. A joint that slides moves each point just as
+    /// far: 1.
     pub fn lever_m(&self) -> Joints {
         self.lever_with_m(0.0)
     }
@@ -232,8 +259,8 @@ impl SerialArm {
         for (i, joint) in self.joints.iter().enumerate().rev() {
             let shapes = joint.shapes.iter().map(|c| c.a_m.length().max(c.b_m.length()) + c.radius_m);
             beyond = shapes.fold(beyond, f64::max);
-            lever[i] = beyond;
-            beyond += joint.origin_m.length();
+            lever[i] = if joint.slides { 1.0 } else { beyond };
+            beyond += joint.origin_m.length() + joint.slide_m();
         }
         lever
     }
@@ -254,8 +281,12 @@ mod tests {
     fn the_gen3s_zero_pose_is_straight_up_and_its_limits_are_the_papers() {
         let arm = SerialArm::gen3();
         assert!((arm.flange_pose(&[0.0; JOINTS]).position_m[2] - 1.1873).abs() < 1e-3);
-        let limits = arm.limits(gen3::VELOCITY_SCALING, gen3::ACCELERATION_SCALING);
-        assert_eq!(limits, gen3::paper_limits());
+        let limits = gen3::paper_limits();
+        for i in 0..COUNT {
+            let fastest_rad_s = if i < 4 { 1.3963 } else { 1.2218 };
+            assert_eq!(limits.velocity_rad_s[i], fastest_rad_s * 0.1);
+            assert_eq!(limits.acceleration_rad_s2[i], 8.6 * 0.05);
+        }
     }
 
     #[test]

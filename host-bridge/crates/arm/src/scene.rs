@@ -14,6 +14,9 @@
 //! jerk_limited = false        # true: accelerations rise and fall no faster than jerk_rad_s3
 //! jerk_rad_s3 = 4.3           # of all joints, not scaled
 //! # urdf = "arm.urdf"         # another arm than the Gen3 (build with `--features urdf`); then also give poses
+//! # packages = [".."]         # folders that hold the packages of its meshes
+//!
+//! [ros2]                      # the robot on its graph, as in a configuration, which comes first; see robots/*.toml
 //!
 //! [[box]]                     # upright boxes; x forward, y left, z up from the robot's start on the floor
 //! name = "table"
@@ -79,6 +82,9 @@ pub struct Scene {
     /// What is on the flange.
     #[serde(default, rename = "tool")]
     pub tools: Vec<ToolTable>,
+    /// The robot's profile for whoever drives a real one; nothing here knows what is in it.
+    #[serde(default)]
+    pub ros2: toml::Table,
     /// The bundled hands that `demo` plays in this scene; none = those of the paper's six motions.
     #[serde(default)]
     pub demo: Option<String>,
@@ -181,6 +187,8 @@ pub struct ArmTable {
     pub seed: u64,
     /// Another arm than the Gen3: its file, seen from the scene file (feature `urdf`).
     pub urdf: Option<PathBuf>,
+    /// Folders that hold the packages of its meshes, seen from the scene file.
+    pub packages: Vec<PathBuf>,
     /// The first link of that arm, whose frame is the arm's; none = the robot's first.
     pub root: Option<String>,
     /// The last link of that arm, if the file has several ends.
@@ -204,6 +212,7 @@ impl Default for ArmTable {
             margin_m: 0.01,
             seed: 1,
             urdf: None,
+            packages: Vec::new(),
             root: None,
             tip: None,
             link_radius_m: 0.06,
@@ -281,6 +290,7 @@ impl Default for Scene {
             motions: Vec::new(),
             objects: Vec::new(),
             tools: Vec::new(),
+            ros2: toml::Table::new(),
             demo: None,
         }
     }

@@ -1,17 +1,21 @@
-//! A serial arm from a URDF file (feature `urdf`, by the crate `urdf-rs`).
+//! A serial arm from a URDF file (feature `urdf`, by the crate `urdf-rs`): joints that turn or slide.
 //!
 //! Boxes, cylinders, capsules and spheres of `<collision>` become capsules that enclose them, also those of links that are
-//! fixed to the arm beside its chain. Meshes are not read, which the arm says of itself ([`SerialArm::notes`]): lines of a
-//! given radius stand for them, from a link's frame to the joints that begin there, or balls where none does; so they do for
-//! a moving link without any shape. What is fixed to a link takes nothing away from it. What moves beside the chain is not
-//! counted, and that is said.
+//! fixed to the arm beside its chain; so do meshes that [`crate::urdf_meshes`] could read. Of others the arm says so
+//! ([`SerialArm::notes`]): lines of a given radius stand for them, from a link's frame to the joints that begin there, or
+//! balls where none does; so they do for a moving link without any shape. What is fixed to a link takes nothing away from it.
+//! What moves beside the chain is not counted, and that is said.
 
 use super::model::{ArmJoint, SerialArm};
 use crate::scene::ArmTable;
+use crate::solid::Solid;
 use crate::urdf_shapes::{Shapes, at};
 use host_robot::shape::{Capsule, Point};
 use host_robot::{DVec3, JOINTS, Pose};
-use urdf_rs::{Joint, JointType};
+use urdf_rs::{Joint, JointType, Robot};
+
+/// No lift or rail of an arm is longer; angles beyond it would be taken for whole turns elsewhere.
+const SLIDE_MAX_M: f64 = 3.0;
 
 /// Settings that a URDF file does not contain.
 #[derive(Clone, Debug, PartialEq)]
@@ -65,38 +69,7 @@ pub fn parse(text: &str, missing: &Missing) -> Result<SerialArm, UrdfError> {
     }
     let robot = urdf_rs::read_from_string(text)?;
     crate::urdf_numbers::check(&robot).map_err(kind)?;
-    let tip = match &missing.tip {
-        Some(tip) => tip.clone(),
-        None => {
-            let ends = robot.links.iter().filter(|l| robot.joints.iter().all(|j| j.parent.link != l.name));
-            let ends: Vec<&str> = ends.map(|link| link.name.as_str()).collect();
-            let [tip] = ends.as_slice() else {
-                let ends = ends.join(", ");
-                return Err(kind(format!("the robot has several ends ({ends}); name the arm's as tip")));
-            };
-            (*tip).to_owned()
-        }
-    };
-    // From the tip back to the root.
-    let mut chain = Vec::new();
-    let mut link = tip.as_str();
-    let begins = |link: &str| missing.root.as_deref() == Some(link);
-    while let Some(joint) = robot.joints.iter().find(|joint| joint.child.link == link && !begins(link)) {
-        chain.push(joint);
-        link = &joint.parent.link;
-        if chain.len() > robot.joints.len() {
-            return Err(kind("the joints form a circle".to_owned()));
-        }
-    }
-    if let Some(root) = missing.root.as_deref().filter(|root| *root != link) {
-        return Err(kind(format!(
-            "'{root}' does not lead to the tip '{tip}'; name a link before it as root"
-        )));
-    }
-    if chain.is_empty() {
-        return Err(kind(format!("no joint leads to the tip '{tip}'; name another link")));
-    }
-    chain.reverse();
+    let (chain, link, tip) = chain_of(&robot, missing)?;
     let mut arm = SerialArm {
         name: robot.name.clone(),
         root_link: link.to_owned(),
@@ -105,6 +78,7 @@ pub fn parse(text: &str, missing: &Missing) -> Result<SerialArm, UrdfError> {
         flange_rotation: Pose::IDENTITY.rotation,
         flange_link: tip.clone(),
         foot: Vec::new(),
+        foot_solids: Vec::new(),
         home_rad: [0.0; JOINTS],
         notes: Vec::new(),
     };
@@ -113,15 +87,20 @@ pub fn parse(text: &str, missing: &Missing) -> Result<SerialArm, UrdfError> {
     let mut has_shape = true;
     // The frame that has been reached, as seen from the last joint that turns.
     let mut here = Pose::IDENTITY;
-    arm.foot.extend(shapes.of(link, &here, false));
+    let (capsules, solids) = shapes.of(link, &here, false);
+    arm.foot.extend(capsules);
+    arm.foot_solids.extend(solids);
     for joint in &chain {
         here = at(&here, joint);
         match joint.joint_type {
             JointType::Fixed => {}
-            JointType::Revolute | JointType::Continuous => {
+            JointType::Revolute | JointType::Continuous | JointType::Prismatic => {
                 let name = joint.name.clone();
                 if arm.joints.len() == JOINTS {
-                    return Err(kind(format!("'{name}' is joint 8; an arm may have {JOINTS} that turn")));
+                    return Err(kind(format!(
+                        "'{name}' is joint {}; an arm may have {JOINTS} that move",
+                        JOINTS + 1
+                    )));
                 }
                 if joint.mimic.is_some() {
                     return Err(kind(format!("'{name}' follows another joint; name a tip before it")));
@@ -145,6 +124,12 @@ pub fn parse(text: &str, missing: &Missing) -> Result<SerialArm, UrdfError> {
                         "'{name}' has no range: its lower limit is not below its upper"
                     )));
                 }
+                let slides = joint.joint_type == JointType::Prismatic;
+                if slides && low.abs().max(high.abs()) > SLIDE_MAX_M {
+                    return Err(kind(format!(
+                        "'{name}' slides further than {SLIDE_MAX_M} m; give it nearer limits"
+                    )));
+                }
                 if !has_shape {
                     bone(&mut arm, here.position_m, missing.link_radius_m);
                 }
@@ -158,6 +143,7 @@ pub fn parse(text: &str, missing: &Missing) -> Result<SerialArm, UrdfError> {
                     origin_m: here.position_m,
                     origin_rotation: here.rotation,
                     axis: axis / length,
+                    slides,
                     limit_rad,
                     velocity_rad_s,
                     acceleration_rad_s2: if acceleration.is_finite() && acceleration > 0.0 {
@@ -166,6 +152,7 @@ pub fn parse(text: &str, missing: &Missing) -> Result<SerialArm, UrdfError> {
                         missing.acceleration_rad_s2
                     },
                     shapes: Vec::new(),
+                    solids: Vec::new(),
                 });
                 here = Pose::IDENTITY;
                 has_shape = shapes.are_whole(&joint.child.link);
@@ -173,18 +160,20 @@ pub fn parse(text: &str, missing: &Missing) -> Result<SerialArm, UrdfError> {
             _ => {
                 let name = &joint.name;
                 return Err(kind(format!(
-                    "'{name}' neither turns nor is fixed; only turning joints can be planned"
+                    "'{name}' neither turns, slides nor is fixed; only such joints can be planned"
                 )));
             }
         }
-        let found = shapes.of(&joint.child.link, &here, joint.joint_type != JointType::Fixed);
-        match arm.joints.last_mut() {
-            Some(last) => last.shapes.extend(found),
-            None => arm.foot.extend(found),
-        }
+        let (capsules, solids) = shapes.of(&joint.child.link, &here, joint.joint_type != JointType::Fixed);
+        let (into, of) = match arm.joints.last_mut() {
+            Some(last) => (&mut last.shapes, &mut last.solids),
+            None => (&mut arm.foot, &mut arm.foot_solids),
+        };
+        into.extend(capsules);
+        of.extend(solids);
     }
     if arm.joints.is_empty() {
-        return Err(kind(format!("no joint turns on the way to '{tip}'; name another tip")));
+        return Err(kind(format!("no joint moves on the way to '{tip}'; name another tip")));
     }
     if !has_shape {
         bone(&mut arm, here.position_m, missing.link_radius_m);
@@ -194,10 +183,55 @@ pub fn parse(text: &str, missing: &Missing) -> Result<SerialArm, UrdfError> {
     Ok(arm)
 }
 
+/// The joints from the root to the tip; the root's link, and the tip's.
+pub(crate) fn chain_of<'r>(
+    robot: &'r Robot,
+    missing: &Missing,
+) -> Result<(Vec<&'r Joint>, &'r str, String), UrdfError> {
+    let tip = match &missing.tip {
+        Some(tip) => tip.clone(),
+        None => {
+            let ends = robot.links.iter().filter(|l| robot.joints.iter().all(|j| j.parent.link != l.name));
+            let ends: Vec<&str> = ends.map(|link| link.name.as_str()).collect();
+            let [tip] = ends.as_slice() else {
+                let ends = ends.join(", ");
+                return Err(UrdfError::Kind(format!(
+                    "the robot has several ends ({ends}); name the arm's as tip"
+                )));
+            };
+            (*tip).to_owned()
+        }
+    };
+    // From the tip back to the root.
+    let mut chain = Vec::new();
+    let mut link = tip.as_str();
+    let begins = |link: &str| missing.root.as_deref() == Some(link);
+    while let Some(joint) = robot.joints.iter().find(|joint| joint.child.link == link && !begins(link)) {
+        chain.push(joint);
+        link = &joint.parent.link;
+        if chain.len() > robot.joints.len() {
+            return Err(UrdfError::Kind("the joints form a circle".to_owned()));
+        }
+    }
+    if let Some(root) = missing.root.as_deref().filter(|root| *root != link) {
+        return Err(UrdfError::Kind(format!(
+            "'{root}' does not lead to the tip '{tip}'; name a link before it as root"
+        )));
+    }
+    if chain.is_empty() {
+        return Err(UrdfError::Kind(format!("no joint leads to the tip '{tip}'; name another link")));
+    }
+    chain.reverse();
+    let root = chain.first().map_or("", |joint| joint.parent.link.as_str());
+    Ok((chain, root, tip))
+}
+
 /// A capsule to the next joint, in addition to what was read.
 fn bone(arm: &mut SerialArm, next_m: Point, radius_m: f64) {
     if let Some(last) = arm.joints.last_mut() {
-        last.shapes.insert(0, Capsule { a_m: DVec3::ZERO, b_m: next_m, radius_m });
+        let line = Capsule { a_m: DVec3::ZERO, b_m: next_m, radius_m };
+        last.shapes.insert(0, line);
+        last.solids.push(Solid::of(&line));
     }
 }
 
@@ -213,7 +247,7 @@ fn within_soft(joint: &Joint) -> (f64, f64) {
 }
 
 /// Whether there are macros of xacro in it, outside its comments.
-fn is_xacro(text: &str) -> bool {
+pub(crate) fn is_xacro(text: &str) -> bool {
     let mut rest = text;
     let mut live = String::new();
     while let Some((before, comment)) = rest.split_once("<!--") {
@@ -266,6 +300,106 @@ mod tests {
         text
     }
 
+    /// The same on a lift: its first joint slides down from its foot by 0.6 m.
+    fn lift_urdf() -> String {
+        gen3_urdf().replacen("type=\"continuous\"", "type=\"prismatic\"", 1).replacen(
+            "lower=\"0\" upper=\"0\" effort=\"9\" velocity=\"1.3963\"",
+            "lower=\"0\" upper=\"0.6\" effort=\"9\" velocity=\"0.2\"",
+            1,
+        )
+    }
+
+    #[test]
+    fn a_joint_that_slides_moves_everything_beyond_it_along_its_axis_and_nothing_further_than_levers_say() {
+        let arm = parse(&lift_urdf(), &missing()).unwrap();
+        let lift = &arm.joints[0];
+        assert_eq!((lift.slides, lift.limit_rad, lift.velocity_rad_s), (true, Some((0.0, 0.6)), 0.2));
+        assert!(arm.joints[1..].iter().all(|joint| !joint.slides));
+        let lever_m = arm.lever_m();
+        assert_eq!(lever_m[0], 1.0);
+        let mut random = Random::new(3);
+        for _ in 0..1000 {
+            let mut joints: [f64; JOINTS] = std::array::from_fn(|_| random.between(-2.0, 2.0));
+            joints[0] = random.between(0.0, 0.5);
+            let mut slid = joints;
+            slid[0] += 0.1;
+            let (one, two) = (arm.flange_pose(&joints), arm.flange_pose(&slid));
+            // The axis points down: the frame stands on its head.
+            assert!(two.position_m.abs_diff_eq(one.position_m - 0.1 * DVec3::Z, 1e-12));
+            assert!(two.rotation.abs_diff_eq(one.rotation, 1e-12));
+            let i = random.below(JOINTS);
+            let mut moved = joints;
+            moved[i] += 0.01;
+            let way_m = arm.flange_pose(&moved).position_m.distance(one.position_m);
+            assert!(way_m <= 0.01 * lever_m[i] + 1e-12, "joint {i}: {way_m}");
+        }
+        let beyond = arm.check(&host_robot::joints([0.7])).unwrap_err().to_string();
+        assert_eq!(beyond, "joint_1 at 0.700 m is beyond its limits of 0.000 to 0.600 m");
+    }
+
+    #[test]
+    fn places_of_an_arm_on_a_lift_are_found_and_its_plans_touch_nothing() {
+        use crate::plan::{Case, Placement, Planner, Purse};
+        let arm = parse(&lift_urdf(), &Missing { link_radius_m: 0.03, ..missing() }).unwrap();
+        let (mut random, mut found) = (Random::new(9), 0);
+        for seed in 0..100 {
+            let joints: [f64; JOINTS] = std::array::from_fn(|i| {
+                let limits = arm.joints.get(i).map(|joint| joint.limit_rad.unwrap_or((-3.1, 3.1)));
+                limits.map_or(0.0, |(low, high)| random.between(low, high))
+            });
+            let target = arm.flange_pose(&joints);
+            let Ok(solution) = crate::ik::solve(&arm, &target, &arm.home_rad, seed, |_| true) else {
+                continue;
+            };
+            assert_eq!(arm.check(&solution.joints_rad), Ok(()));
+            assert!(arm.flange_pose(&solution.joints_rad).position_m.abs_diff_eq(target.position_m, 1e-8));
+            found += 1;
+        }
+        println!("{found} of 100 places found");
+        assert!(found >= 95);
+
+        // Its foot hangs at 1.6 m; a bar before it, and poses below and above.
+        let scene = "[base]\nmount_m = [0.1, 0.0, 1.6]\n[[box]]\nname = \"bar\"\ncenter_m = [0.65, 0.0, 1.2]\nsize_m = [0.3, 1.0, 0.04]\n";
+        let planner = Planner::new(arm, crate::scene::Scene::parse(scene).unwrap()).unwrap();
+        let world = planner.world();
+        let around = world.around(Placement::default());
+        let poses: Vec<[f64; JOINTS]> = (0..4000)
+            .map(|_| {
+                let mut joints: [f64; JOINTS] = std::array::from_fn(|_| random.between(-1.5, 1.5));
+                joints[0] = random.between(0.0, 0.6);
+                joints[7] = 0.0;
+                joints
+            })
+            .filter(|joints| {
+                let near = world.arm().flange_pose(joints).position_m;
+                world.arm().check(joints).is_ok()
+                    && around.arm_clearance(joints).distance_m > 0.03
+                    && (0.3..0.8).contains(&near.x)
+            })
+            .take(12)
+            .collect();
+        let (mut planned, mut slid_m, mut nearest_m) = (0, 0.0_f64, f64::INFINITY);
+        for two in poses.windows(2) {
+            let purse = Purse::default();
+            let case = Case { placement: Placement::default(), things: world.start(), purse: &purse };
+            let Ok(plan) = planner.plan_among(&two[0], &two[1], case, 1) else { continue };
+            planned += 1;
+            slid_m = slid_m.max((two[0][0] - two[1][0]).abs());
+            for k in 0..=(plan.trajectory.duration_s() / 0.02) as u32 {
+                let now = plan.trajectory.motion(f64::from(k) * 0.02);
+                assert_eq!(world.arm().check(&now.joints_rad), Ok(()));
+                assert!(now.velocity_rad_s[0].abs() <= planner.limits().velocity_rad_s[0] * (1.0 + 1e-9));
+                nearest_m = nearest_m.min(around.arm_clearance(&now.joints_rad).distance_m);
+            }
+        }
+        println!(
+            "{planned} of {} planned, slid {slid_m:.2} m, {:.1} mm near",
+            poses.len() - 1,
+            1000.0 * nearest_m
+        );
+        assert!(poses.len() == 12 && planned >= 10 && slid_m > 0.1 && nearest_m >= 0.005);
+    }
+
     #[test]
     fn the_gen3_as_a_file_is_the_built_in_one() {
         let (read, built_in) = (parse(&gen3_urdf(), &missing()).unwrap(), SerialArm::gen3());
@@ -288,11 +422,15 @@ mod tests {
 
     #[test]
     fn a_file_that_is_no_such_arm_is_refused_with_the_reason() {
-        let slides = gen3_urdf().replacen("type=\"revolute\"", "type=\"prismatic\"", 1);
+        let floats = gen3_urdf().replacen("type=\"revolute\"", "type=\"floating\"", 1);
+        let no_range = gen3_urdf().replacen("type=\"continuous\"", "type=\"prismatic\"", 1);
+        let too_far = lift_urdf().replacen("upper=\"0.6\"", "upper=\"60\"", 1);
         let two_ends = gen3_urdf().replace("</robot>", "<link name=\"x\"/><joint name=\"c\" type=\"fixed\"><parent link=\"link3\"/><child link=\"x\"/></joint></robot>");
         let still = gen3_urdf().replacen("velocity=\"1.3963\"", "velocity=\"0\"", 1);
         for (text, told) in [
-            (slides, "'joint_2' neither turns"),
+            (floats, "'joint_2' neither turns"),
+            (no_range, "'joint_1' has no range"),
+            (too_far, "'joint_1' slides further than 3 m"),
             (two_ends.clone(), "several ends (flange, x)"),
             (still, "'joint_1' has no velocity limit"),
         ] {

@@ -1,5 +1,6 @@
 //! Shapes of a URDF's links: those of the arm's chain, and of whatever is fixed to it beside the chain.
 
+use crate::solid::Solid;
 use host_robot::shape::Capsule;
 use host_robot::{DMat3, DVec3, Pose};
 use urdf_rs::{Collision, Geometry, Joint, JointType, Robot};
@@ -35,20 +36,20 @@ impl<'r> Shapes<'r> {
 
     /// Shapes of a link of the chain whose frame is there, and of what is fixed to it beside the chain. A line along the chain
     /// stands for meshes of a link that `moves` anyway.
-    pub fn of(&mut self, link: &'r str, here: &Pose, moves: bool) -> Vec<Capsule> {
-        let mut found = Vec::new();
+    pub fn of(&mut self, link: &'r str, here: &Pose, moves: bool) -> (Vec<Capsule>, Vec<Solid>) {
+        let mut found = Found::default();
         self.collect(link, here, moves, &mut found);
-        found
+        (found.capsules, found.solids)
     }
 
-    fn collect(&mut self, link: &'r str, here: &Pose, has_line: bool, found: &mut Vec<Capsule>) {
+    fn collect(&mut self, link: &'r str, here: &Pose, has_line: bool, found: &mut Found) {
         // A file may join links in a circle.
         if self.seen.contains(&link) {
             return;
         }
         self.seen.push(link);
         let own = self.collisions(link);
-        found.extend(own.iter().filter_map(|collision| enclosing(collision, here)));
+        own.iter().for_each(|collision| found.enclose(collision, here));
         let unread = own.iter().any(is_mesh);
         if unread {
             self.meshes.push(link);
@@ -59,7 +60,7 @@ impl<'r> Shapes<'r> {
             let next = at(here, joint);
             if unread && !has_line {
                 lines += 1;
-                found.push(Capsule { a_m: here.position_m, b_m: next.position_m, radius_m: self.radius_m });
+                found.line(Capsule { a_m: here.position_m, b_m: next.position_m, radius_m: self.radius_m });
             }
             if self.chain.iter().any(|known| known.name == joint.name) {
                 continue;
@@ -75,7 +76,7 @@ impl<'r> Shapes<'r> {
                 let at_m = here.at(DVec3::from(mesh.origin.xyz.0));
                 Capsule { a_m: at_m, b_m: at_m, radius_m: self.radius_m }
             };
-            found.extend(own.iter().filter(|collision| is_mesh(collision)).map(ball));
+            own.iter().filter(|collision| is_mesh(collision)).map(ball).for_each(|ball| found.line(ball));
         }
     }
 
@@ -105,12 +106,68 @@ pub fn at(parent: &Pose, joint: &Joint) -> Pose {
     parent.then(DVec3::from(joint.origin.xyz.0), rotation(joint.origin.rpy.0))
 }
 
+/// A mesh that was not read.
 fn is_mesh(collision: &Collision) -> bool {
-    matches!(collision.geometry, Geometry::Mesh { .. })
+    matches!(&collision.geometry, Geometry::Mesh { filename, .. } if hull_points(filename).is_none())
 }
 
-fn enclosing(collision: &Collision, here: &Pose) -> Option<Capsule> {
-    let pose = here.then(collision.origin.xyz.0.into(), rotation(collision.origin.rpy.0));
+/// Instead of a mesh's file: the corners of its hull themselves.
+pub const HULL: &str = "hull:";
+
+/// A hull's corners as they stand in a URDF.
+pub fn hull_name(points: &[DVec3]) -> String {
+    let corners: Vec<String> = points.iter().map(|p| format!("{} {} {}", p.x, p.y, p.z)).collect();
+    format!("{HULL}{}", corners.join(","))
+}
+
+/// Its corners; `None` if there is something else than finite numbers.
+pub fn hull_points(name: &str) -> Option<Vec<DVec3>> {
+    let corner = |text: &str| {
+        let mut numbers = text.split(' ').map(|word| word.parse::<f64>().ok().filter(|n| n.is_finite()));
+        let point = DVec3::new(numbers.next()??, numbers.next()??, numbers.next()??);
+        numbers.next().is_none().then_some(point)
+    };
+    name.strip_prefix(HULL)?.split(',').map(corner).collect()
+}
+
+/// Shapes of one link.
+#[derive(Default)]
+struct Found {
+    capsules: Vec<Capsule>,
+    solids: Vec<Solid>,
+}
+
+impl Found {
+    fn line(&mut self, capsule: Capsule) {
+        self.capsules.push(capsule);
+        self.solids.push(Solid::of(&capsule));
+    }
+
+    fn enclose(&mut self, collision: &Collision, here: &Pose) {
+        let pose = here.then(collision.origin.xyz.0.into(), rotation(collision.origin.rpy.0));
+        if let Geometry::Mesh { filename, .. } = &collision.geometry {
+            if let Some(points) = hull_points(filename) {
+                self.capsules.extend(crate::hull::capsules(&points).iter().map(|c| c.seen_from(&pose)));
+                let points_m = points.iter().map(|point| pose.at(*point)).collect();
+                self.solids.push(Solid { points_m, radius_m: 0.0 });
+            }
+            return;
+        }
+        let Some(capsule) = enclosing(collision, &pose) else { return };
+        self.capsules.push(capsule);
+        self.solids.push(match &collision.geometry {
+            Geometry::Box { size } => {
+                let half = 0.5 * DVec3::from(size.0);
+                let sign = |k: usize, bit: usize| if k >> bit & 1 == 1 { 1.0 } else { -1.0 };
+                let corner = |k: usize| pose.at(half * DVec3::new(sign(k, 0), sign(k, 1), sign(k, 2)));
+                Solid { points_m: (0..8).map(corner).collect(), radius_m: 0.0 }
+            }
+            _ => Solid::of(&capsule),
+        });
+    }
+}
+
+fn enclosing(collision: &Collision, pose: &Pose) -> Option<Capsule> {
     let (half, radius_m) = match &collision.geometry {
         Geometry::Sphere { radius } => (DVec3::ZERO, *radius),
         // A capsule as long as the cylinder, with round ends beyond it.

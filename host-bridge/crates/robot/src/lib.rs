@@ -28,7 +28,7 @@ pub use door::{ArmState, Busy, Door, Leg, MotionName, NotStarted, Picture, Repor
 pub use glam::{DMat3, DQuat, DVec3, EulerRot};
 pub use gripper::{Grip, GripEnd};
 pub use limits::{JointLimits, Motion};
-pub use pose::{JOINTS, Joints, Pose};
+pub use pose::{JOINTS, Joints, Pose, joints};
 pub use random::Random;
 pub use robot::{BaseState, End, Following, Part, Reading, Robot, Wheels};
 pub use setting::{JointSetting, RobotSetting, SceneBox, SceneObject};
@@ -37,15 +37,15 @@ pub use trajectory::Trajectory;
 /// The Gen3's figures, for tests of what does not know any arm.
 #[cfg(test)]
 mod gen3 {
-    use crate::{JOINTS, JointLimits, Joints};
+    use crate::{JOINTS, JointLimits, Joints, joints};
 
     #[allow(clippy::approx_constant)] // 3.14 is what Kinova's file says
-    pub const HOME: Joints = [0.0, 0.26, 3.14, -2.27, 0.0, 0.96, 1.57];
+    pub const HOME: Joints = joints([0.0, 0.26, 3.14, -2.27, 0.0, 0.96, 1.57]);
 
     /// Kinova's limits at the paper's scaling of 0.1 and 0.05.
     pub fn paper_limits() -> JointLimits {
         JointLimits {
-            velocity_rad_s: [1.3963, 1.3963, 1.3963, 1.3963, 1.2218, 1.2218, 1.2218].map(|v| v * 0.1),
+            velocity_rad_s: [1.3963, 1.3963, 1.3963, 1.3963, 1.2218, 1.2218, 1.2218, 1.0].map(|v| v * 0.1),
             acceleration_rad_s2: [8.6 * 0.05; JOINTS],
             jerk_rad_s3: [f64::INFINITY; JOINTS],
         }

@@ -4,10 +4,25 @@ use glam::{DMat3, DQuat, DVec3};
 use serde::{Serialize, Serializer};
 
 /// Maximum number of joints that an arm may have. An arm with fewer leaves the last values at zero.
-pub const JOINTS: usize = 7;
+pub const JOINTS: usize = 8;
 
-/// One value per joint, from the foot on: rad, rad/s, rad/s² or rad/s³ as the name says.
+/// One value per joint, from the foot on: rad, rad/s, rad/s² or rad/s³ as the name says; for joints that slide m, m/s and so on.
 pub type Joints = [f64; JOINTS];
+
+/// Values of an arm's joints, and zero for those that it does not have.
+///
+/// ```
+/// assert_eq!(host_robot::joints([0.5, -1.0])[..3], [0.5, -1.0, 0.0]);
+/// ```
+pub const fn joints<const N: usize>(own: [f64; N]) -> Joints {
+    let mut all = [0.0; JOINTS];
+    let mut i = 0;
+    while i < N {
+        all[i] = own[i];
+        i += 1;
+    }
+    all
+}
 
 /// Position and orientation of a frame in the base frame of the arm.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]

@@ -63,7 +63,7 @@ pub struct SceneObject {
     pub pose: Pose,
 }
 
-/// One joint and the link that it turns.
+/// One joint and the link that it moves. Where it slides, angles, speeds and limits are in m instead of rad.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct JointSetting {
     /// As in the robot's own description.
@@ -77,6 +77,8 @@ pub struct JointSetting {
     pub origin_rotation: DMat3,
     /// Axis in its own frame.
     pub axis: Point,
+    /// It slides along its axis instead of turning about it.
+    pub slides: bool,
     /// Minimum and maximum angle; `None` = turns without end.
     pub limit_rad: Option<(f64, f64)>,
     /// Maximum speed that motions use.

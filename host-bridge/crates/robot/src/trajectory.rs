@@ -368,7 +368,7 @@ mod tests {
     use proptest::prelude::*;
 
     fn joints() -> impl Strategy<Value = Joints> {
-        prop::array::uniform7(-2.0..2.0_f64)
+        prop::array::uniform8(-2.0..2.0_f64)
     }
 
     #[test]
@@ -376,7 +376,7 @@ mod tests {
     fn kinovas_own_poses_take_the_times_of_moveit() {
         // Figures computed with MoveIt's time parameterization at scaling 0.1 and 0.05.
         let limits = paper_limits();
-        let retract = [0.0, -0.35, 3.14, -2.54, 0.0, -0.87, 1.57];
+        let retract = crate::joints([0.0, -0.35, 3.14, -2.54, 0.0, -0.87, 1.57]);
         let up = Trajectory::through(&[[0.0; JOINTS], HOME], &[], &limits).duration_s();
         let back = Trajectory::through(&[HOME, retract], &[], &limits).duration_s();
         assert!((up - 22.81).abs() < 0.01, "{up}");

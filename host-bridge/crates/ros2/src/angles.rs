@@ -11,9 +11,11 @@ const NAMES_MAX: usize = 256;
 /// See the module.
 #[derive(Clone, Debug)]
 pub struct Angles {
-    names: [String; JOINTS],
+    /// One to eight; joints that the arm does not have stay at zero.
+    names: Vec<String>,
     max_age_ms: u64,
-    seen: [Option<Seen>; JOINTS],
+    /// Of each of them.
+    seen: Vec<Option<Seen>>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -29,12 +31,12 @@ impl Angles {
         Angles {
             names: config.joint_names.clone(),
             max_age_ms: config.joint_states_max_age_ms,
-            seen: [None; JOINTS],
+            seen: vec![None; config.joint_names.len()],
         }
     }
 
     /// The arm's joints, as the robot names them.
-    pub fn names(&self) -> &[String; JOINTS] {
+    pub fn names(&self) -> &[String] {
         &self.names
     }
 

@@ -12,12 +12,12 @@ use super::angles::Angles;
 use super::answer::Answer;
 use super::config::{ArmInterface, Ros2Config};
 use super::doubts::{Doubts, in_order};
-use super::points::points;
+use super::points::{message, points};
 use super::robot::Output;
 use super::strays::{CANCEL_INTERVAL_MS, Strays, Unsure};
 use super::stream::{Late, RobotClock, Stream, off_rad};
 use host_robot::{End, Following, JointLimits, Joints, Motion, Reading, Trajectory};
-use host_topics::message::{ControllerState, JointState, JointTrajectory};
+use host_topics::message::{ControllerState, Header, JointState};
 
 /// The goal counts as reached within this distance, if nobody reports its end.
 const REACHED_RAD: f64 = 0.05;
@@ -251,11 +251,7 @@ impl ArmLink {
     }
 
     fn output(&self, goal: u32, trajectory: &Trajectory) -> Output {
-        let trajectory = JointTrajectory {
-            joint_names: self.angles.names().to_vec(),
-            points: points(trajectory),
-            ..JointTrajectory::default()
-        };
+        let trajectory = message(Header::default(), self.angles.names(), points(trajectory));
         match self.interface {
             ArmInterface::Action => Output::Goal { goal, trajectory },
             _ => Output::Trajectory(trajectory),
@@ -489,14 +485,14 @@ impl ArmLink {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use host_robot::{JOINTS, Joints};
+    use host_robot::{JOINTS, Joints, joints};
     use host_topics::message::JointTrajectoryPoint;
 
-    const HOME: Joints = [0.0, 0.26, 3.1, -2.27, 0.0, 0.96, 1.57];
-    const GOAL: Joints = [0.0, 1.01, 3.1, -1.72, 0.0, 0.41, 1.57];
+    const HOME: Joints = joints([0.0, 0.26, 3.1, -2.27, 0.0, 0.96, 1.57]);
+    const GOAL: Joints = joints([0.0, 1.01, 3.1, -1.72, 0.0, 0.41, 1.57]);
 
     fn names() -> Vec<String> {
-        (1..=JOINTS).map(|i| format!("joint_{i}")).collect()
+        (1..=7).map(|i| format!("joint_{i}")).collect()
     }
 
     fn limits() -> JointLimits {
@@ -510,8 +506,8 @@ mod tests {
     fn angles(joints: Joints) -> JointState {
         JointState {
             name: names(),
-            position: joints.to_vec(),
-            velocity: vec![0.0; JOINTS],
+            position: joints[..7].to_vec(),
+            velocity: vec![0.0; 7],
             ..JointState::default()
         }
     }
@@ -559,7 +555,7 @@ mod tests {
         let points = &trajectory.points;
         assert!((points[0].positions[1] - HOME[1]).abs() < 0.02, "starts there");
         let last = points.last().unwrap();
-        assert_eq!(last.velocities, [0.0; JOINTS]);
+        assert_eq!(last.velocities, [0.0; 7]);
         assert!((last.positions[1] - GOAL[1]).abs() < 1e-12);
         let times: Vec<f64> = points.iter().map(|p| p.time_from_start.seconds()).collect();
         assert!(times.windows(2).all(|t| t[1] > t[0]) && times[0] > 0.0);
@@ -576,7 +572,7 @@ mod tests {
 
         let mut rig = Rig::new(ArmInterface::Topic);
         let tell = |rig: &mut Rig, joints: Joints| {
-            let reference = JointTrajectoryPoint { positions: joints.to_vec(), ..Default::default() };
+            let reference = JointTrajectoryPoint { positions: joints[..7].to_vec(), ..Default::default() };
             let state = ControllerState { joint_names: names(), reference, ..Default::default() };
             rig.arm.see_controller(&state, None, rig.now_ms);
         };
@@ -689,6 +685,57 @@ mod tests {
         rig.answer(1, Answer::Accepted);
         assert_eq!(rig.outputs, [Output::Cancel { goal: 1 }]);
         assert!(!rig.arm.take_notes().is_empty());
+    }
+
+    #[test]
+    fn an_arm_of_three_joints_is_sent_three_of_each_and_arrives() {
+        use host_topics::message::Time;
+        let names: Vec<String> = ["lift", "shoulder", "wrist"].map(str::to_owned).to_vec();
+        let (mut from, mut to) = ([0.0; JOINTS], [0.0; JOINTS]);
+        from[..3].copy_from_slice(&[0.1, 0.2, 0.3]);
+        to[..3].copy_from_slice(&[0.2, -0.1, 0.5]);
+        let trajectory = Arc::new(Trajectory::through(&[from, to], &[], &limits()));
+        for interface in [ArmInterface::Stream, ArmInterface::Topic, ArmInterface::Action] {
+            let config = Ros2Config { arm: interface, joint_names: names.clone(), ..Ros2Config::default() };
+            let mut arm = ArmLink::new(&config, limits());
+            arm.set_listened_to(true);
+            let (mut outputs, mut sent) = (Vec::new(), 0);
+            for now_ms in 1..6000_u64 {
+                if now_ms.is_multiple_of(10) {
+                    let here = trajectory.motion(now_ms.saturating_sub(520) as f64 / 1000.0).joints_rad;
+                    let stamp = Time::at_ns(1_700_000_000_000_000_000 + now_ms * 1_000_000);
+                    let state = JointState {
+                        header: Header { stamp, ..Header::default() },
+                        name: names.clone(),
+                        position: here[..3].to_vec(),
+                        velocity: vec![0.0; 3],
+                        ..JointState::default()
+                    };
+                    arm.see(&state, now_ms);
+                }
+                if now_ms == 500 {
+                    arm.follow(Arc::clone(&trajectory), now_ms, &mut outputs).unwrap();
+                }
+                arm.step(now_ms, &mut outputs);
+                for output in outputs.drain(..) {
+                    let (Output::Trajectory(message) | Output::Goal { trajectory: message, .. }) = output
+                    else {
+                        panic!("{output:?}")
+                    };
+                    assert_eq!(message.joint_names, names);
+                    assert!(message.points.iter().all(|p| p.positions.len() == 3 && p.velocities.len() == 3));
+                    sent += 1;
+                    if interface == ArmInterface::Action {
+                        arm.answer(1, Answer::Accepted, now_ms, &mut Vec::new());
+                    }
+                }
+            }
+            if interface == ArmInterface::Action {
+                arm.answer(1, Answer::Succeeded, 6000, &mut outputs);
+            }
+            assert_eq!(arm.take_end(), Some(End::Reached), "{interface:?}: {:?}", arm.take_notes());
+            assert!(sent > 0, "{interface:?}");
+        }
     }
 
     #[test]

@@ -66,6 +66,9 @@ impl Stamped {
     }
 }
 
+/// ros2_kortex's arm has joint_1 to joint_7.
+const GEN3_JOINTS: usize = 7;
+
 /// See the module.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -106,8 +109,8 @@ pub struct Ros2Config {
     pub arm: ArmInterface,
     /// The arm's controller.
     pub arm_controller: String,
-    /// Joints 1 to 7 as the robot names them.
-    pub joint_names: [String; JOINTS],
+    /// The arm's joints from its foot on, as the robot names them: one to eight.
+    pub joint_names: Vec<String>,
     /// Where the arm's angles are read (or, with `--publish-sim`, written).
     pub joint_states: String,
     /// Angles older than this are not planned from.
@@ -177,7 +180,7 @@ impl Default for Ros2Config {
             reliable: true,
             arm: ArmInterface::Stream,
             arm_controller: text("joint_trajectory_controller"),
-            joint_names: std::array::from_fn(|i| format!("joint_{}", i + 1)),
+            joint_names: (1..=GEN3_JOINTS).map(|i| format!("joint_{i}")).collect(),
             joint_states: text("joint_states"),
             joint_states_max_age_ms: 500,
             answer_ms: 1000,
@@ -330,12 +333,14 @@ impl Ros2Config {
             !self.zenoh_connect.is_empty() && self.zenoh_connect.iter().all(|at| at.contains('/')),
             "zenoh_connect has routers such as \"tcp/localhost:7447\"",
         )?;
-        let mut names = self.joint_names.to_vec();
+        let mut names = self.joint_names.clone();
         names.sort();
         names.dedup();
         ensure(
-            names.len() == JOINTS && !names.contains(&String::new()),
-            "joint_names are seven different names",
+            (1..=JOINTS).contains(&names.len())
+                && names.len() == self.joint_names.len()
+                && !names.contains(&String::new()),
+            "joint_names are one to eight different names",
         )?;
         ensure(
             !self.odom_frame.is_empty() && !self.base_frame.is_empty() && self.odom_frame != self.base_frame,
@@ -451,7 +456,12 @@ mod tests {
         assert!(bad(|c| c.tf = "//tf".to_owned()).contains("tf"));
         assert!(bad(|c| c.rate_hz = 1).contains("0.5 s"));
         assert!(bad(|c| c.domain_id = 300).contains("domain_id"));
-        assert!(bad(|c| c.joint_names[0] = "joint_2".to_owned()).contains("seven different"));
+        assert!(bad(|c| c.joint_names[0] = "joint_2".to_owned()).contains("eight different"));
+        assert!(bad(|c| c.joint_names.clear()).contains("eight different"));
+        assert!(
+            bad(|c| c.joint_names.extend(["joint_8", "joint_9"].map(str::to_owned)))
+                .contains("eight different")
+        );
         assert!(bad(|c| c.estop = "e stop".to_owned()).contains("estop"));
         assert!(bad(|c| c.estop = "/bimanual/stopped".to_owned()).contains("own stop"));
         assert!(bad(|c| c.fault_timeout_ms = 5).contains("fault_timeout_ms"));

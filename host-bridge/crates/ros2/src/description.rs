@@ -65,7 +65,11 @@ pub fn urdf(setting: &RobotSetting, frames: &Frames, config: &Ros2Config) -> Str
         );
         let turns = Joint {
             name,
-            kind: if bounds.is_some() { "revolute" } else { "continuous" },
+            kind: match (&bounds, joint.slides) {
+                (_, true) => "prismatic",
+                (Some(_), false) => "revolute",
+                (None, false) => "continuous",
+            },
             parent: &parent,
             child: &child,
             origin: (joint.origin_m, joint.origin_rotation),

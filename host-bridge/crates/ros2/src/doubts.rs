@@ -136,7 +136,7 @@ fn shortest(rad: f64) -> f64 {
 }
 
 /// Joints by name as the arm has them; `None` if one is missing or NaN.
-pub fn in_order(names: &[String; JOINTS], told: &[String], values: &[f64]) -> Option<Joints> {
+pub fn in_order(names: &[String], told: &[String], values: &[f64]) -> Option<Joints> {
     let mut joints = [0.0; JOINTS];
     for (joint, name) in joints.iter_mut().zip(names) {
         let place = told.iter().position(|other| other == name)?;

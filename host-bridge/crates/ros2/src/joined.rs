@@ -128,7 +128,7 @@ fn reliable(config: &Ros2Config) -> QosProfile {
 const PARTICIPANTS_MAX: usize = 1024;
 
 /// The last message is kept for late subscribers.
-fn latched() -> QosProfile {
+pub(super) fn latched() -> QosProfile {
     QosProfile::publisher_default()
         .history(History::KeepLast { depth: 1 })
         .durability(Durability::TransientLocal)
@@ -138,6 +138,16 @@ fn latched() -> QosProfile {
 /// Best effort listens to every writer.
 fn listening(depth: usize) -> QosProfile {
     QosProfile::subscription_default().history(History::KeepLast { depth })
+}
+
+/// A node that publishes and reads nothing yet.
+pub(super) fn bare(config: &Ros2Config, connection: &Connection) -> Result<(Context, Node), NodeError> {
+    let context = join(connection)?;
+    let namespace = if config.namespace.is_empty() { "/" } else { &config.namespace };
+    let name = NodeName::new(namespace, &config.node).map_err(|e| NodeError::of("the node's name", &e))?;
+    let options = NodeOptions::new().enable_rosout(false).start_parameter_services(false);
+    let node = context.new_node(name, options).map_err(|e| NodeError::of("the node", &e))?;
+    Ok((context, node))
 }
 
 impl Joined {
@@ -151,12 +161,7 @@ impl Joined {
         publish_sim: bool,
     ) -> Result<(Self, Published), NodeError> {
         let others = Watch::running();
-        let context = join(connection)?;
-        let namespace = if config.namespace.is_empty() { "/" } else { &config.namespace };
-        let name =
-            NodeName::new(namespace, &config.node).map_err(|e| NodeError::of("the node's name", &e))?;
-        let options = NodeOptions::new().enable_rosout(false).start_parameter_services(false);
-        let mut node = context.new_node(name, options).map_err(|e| NodeError::of("the node", &e))?;
+        let (context, mut node) = bare(config, connection)?;
 
         let qos = reliable(config);
         let lifespan = (config.lifespan_ms > 0).then(|| Duration::from_millis(config.lifespan_ms));
@@ -394,7 +399,7 @@ fn subscription<M: Message + 'static>(
     subscription_with(node, name, type_name, &listening(depth))
 }
 
-fn subscription_with<M: Message + 'static>(
+pub(super) fn subscription_with<M: Message + 'static>(
     node: &mut Node,
     name: &str,
     type_name: (&str, &str),

@@ -34,6 +34,8 @@ pub mod hashes;
 #[cfg(feature = "ros2")]
 pub mod joined;
 #[cfg(feature = "ros2")]
+pub mod look;
+#[cfg(feature = "ros2")]
 pub mod node;
 mod points;
 #[cfg(feature = "ros2")]

@@ -1,12 +1,21 @@
 //! A whole trajectory as a `joint_trajectory_controller` takes it.
 
 use host_robot::Trajectory;
-use host_topics::message::{JointTrajectoryPoint, Time};
+use host_topics::message::{Header, JointTrajectory, JointTrajectoryPoint, Time};
 
 /// Longest time between two points, besides the instants at which the acceleration changes.
 const GRID_S: f64 = 0.25;
 /// Controllers want increasing times.
 const LEAST_STEP_S: f64 = 0.001;
+
+/// The message of these points, for the joints that the arm has.
+pub fn message(header: Header, names: &[String], mut points: Vec<JointTrajectoryPoint>) -> JointTrajectory {
+    for point in &mut points {
+        point.positions.truncate(names.len());
+        point.velocities.truncate(names.len());
+    }
+    JointTrajectory { header, joint_names: names.to_vec(), points }
+}
 
 /// A trajectory as points in time: between them cubics through positions and speeds give the same motion.
 pub fn points(trajectory: &Trajectory) -> Vec<JointTrajectoryPoint> {

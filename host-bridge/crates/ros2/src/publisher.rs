@@ -90,9 +90,9 @@ impl RosPublisher {
         let arm = &picture.arm;
         let joint_state = ros::JointState {
             header: header(""),
-            name: self.config.joint_names.to_vec(),
-            position: arm.joints_rad.to_vec(),
-            velocity: arm.velocity_rad_s.to_vec(),
+            name: self.config.joint_names.clone(),
+            position: arm.joints_rad[..self.config.joint_names.len()].to_vec(),
+            velocity: arm.velocity_rad_s[..self.config.joint_names.len()].to_vec(),
             effort: Vec::new(),
         };
         let odom = ros::Odometry::of(&picture, &setting.base, header(&frames.odom), frames.base.clone());

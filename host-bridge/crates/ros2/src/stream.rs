@@ -15,6 +15,7 @@
 
 use std::collections::VecDeque;
 
+use super::points;
 use host_robot::{JointLimits, Joints, Motion, Trajectory, brake};
 use host_topics::message::{Header, JointTrajectory, JointTrajectoryPoint, Time};
 
@@ -196,11 +197,8 @@ impl Stream {
     /// The message of these points.
     pub fn message(&self, joint_names: &[String], points: Vec<JointTrajectoryPoint>) -> JointTrajectory {
         let stamp_ns = (self.start_ns - (HOLD_S * 1e9) as i64).max(1);
-        JointTrajectory {
-            header: Header { stamp: Time::at_ns(stamp_ns as u64), ..Header::default() },
-            joint_names: joint_names.to_vec(),
-            points,
-        }
+        let header = Header { stamp: Time::at_ns(stamp_ns as u64), ..Header::default() };
+        points::message(header, joint_names, points)
     }
 }
 
@@ -221,9 +219,9 @@ pub fn off_rad(here_rad: &Joints, there_rad: &Joints) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use host_robot::JOINTS;
+    use host_robot::{JOINTS, joints};
 
-    const FROM: Joints = [0.0, 0.26, 3.0, -2.27, 0.0, 0.96, 1.57];
+    const FROM: Joints = joints([0.0, 0.26, 3.0, -2.27, 0.0, 0.96, 1.57]);
 
     fn limits() -> JointLimits {
         JointLimits {
@@ -272,6 +270,7 @@ mod tests {
     /// Runs for `ms`, with pieces until `dead_ms`; positions of joint 2, a millisecond apart.
     fn run(ms: u64, dead_ms: u64, halt_ms: Option<u64>) -> Vec<f64> {
         let trajectory = trajectory();
+        let names: Vec<String> = (1..=7).map(|i| format!("joint_{i}")).collect();
         let mut stream = Stream::new(BOOT_NS);
         let mut controller = Controller { message: None };
         let mut seen = Vec::new();
@@ -279,12 +278,12 @@ mod tests {
             let robot_ns = BOOT_NS + now_ms as i64 * 1_000_000;
             if halt_ms == Some(now_ms) {
                 let points = stream.halt(&trajectory, &limits(), robot_ns);
-                controller.message = Some(stream.message(&[], points));
+                controller.message = Some(stream.message(&names, points));
             } else if now_ms < dead_ms
                 && halt_ms.is_none_or(|at| now_ms < at)
                 && let Ok(Some(points)) = stream.renew(&trajectory, &limits(), now_ms, robot_ns)
             {
-                controller.message = Some(stream.message(&[], points));
+                controller.message = Some(stream.message(&names, points));
             }
             seen.push(controller.at(robot_ns).unwrap().0);
         }

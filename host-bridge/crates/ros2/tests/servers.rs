@@ -5,15 +5,15 @@
 
 use std::sync::Arc;
 
-use host_robot::{Grip, JOINTS, JointLimits, Joints, Random, Trajectory};
+use host_robot::{Grip, JOINTS, JointLimits, Joints, Random, Trajectory, joints};
 use host_ros2::answer::Answer;
 use host_ros2::arm::ArmLink;
 use host_ros2::gripper::{GripAnswer, GripperLink};
 use host_ros2::{ArmInterface, Output, Ros2Config};
 use host_topics::message::JointState;
 
-const HOME: Joints = [0.0, 0.26, 3.1, -2.27, 0.0, 0.96, 1.57];
-const GOAL: Joints = [0.0, 1.01, 3.1, -1.72, 0.0, 0.41, 1.57];
+const HOME: Joints = joints([0.0, 0.26, 3.1, -2.27, 0.0, 0.96, 1.57]);
+const GOAL: Joints = joints([0.0, 1.01, 3.1, -1.72, 0.0, 0.41, 1.57]);
 /// From the stop, or from the later acceptance, to the cancellation.
 const LIMIT_MS: u64 = 300;
 
@@ -27,9 +27,9 @@ fn limits() -> JointLimits {
 
 fn angles(joints: Joints) -> JointState {
     JointState {
-        name: (1..=JOINTS).map(|i| format!("joint_{i}")).collect(),
-        position: joints.to_vec(),
-        velocity: vec![0.0; JOINTS],
+        name: (1..=7).map(|i| format!("joint_{i}")).collect(),
+        position: joints[..7].to_vec(),
+        velocity: vec![0.0; 7],
         ..JointState::default()
     }
 }

@@ -272,6 +272,7 @@ impl<R: Robot> Door for Director<R> {
             origin_m: joint.origin_m,
             origin_rotation: joint.origin_rotation,
             axis: joint.axis,
+            slides: joint.slides,
             limit_rad: joint.limit_rad,
             velocity_max_rad_s: limits.velocity_rad_s[i],
             acceleration_max_rad_s2: limits.acceleration_rad_s2[i],

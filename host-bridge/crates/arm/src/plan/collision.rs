@@ -9,6 +9,7 @@ use std::cell::Cell;
 use crate::model::SerialArm;
 use crate::plan::purse::Purse;
 use crate::scene::{NamedBox, Scene};
+use crate::solid::Solid;
 use crate::things::{Shop, Things, Touch};
 use crate::tool::Tool;
 use host_robot::shape::{Capsule, UprightBox};
@@ -17,6 +18,9 @@ use host_robot::{Odometry, Random};
 
 /// The shapes around a held thing stand out of it by 6 mm; by more than this it would be pressed into what it stands on.
 const SINKS_M: f64 = 0.010;
+
+/// Links that are next but one to each other, and never nearer than this, are not looked at.
+const APART_M: f64 = 0.004;
 
 /// Where the base stands in the scene.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -146,7 +150,7 @@ impl World {
                 *angle = random.between(low, high);
             }
             let shapes = self.shapes(&joints_rad, &on_flange);
-            always.retain(|&(one, two)| self.pair_distance_m(&shapes, one, two) <= 0.0);
+            always.retain(|&(one, two)| World::pair_distance_m(&shapes, one, two, f64::INFINITY) <= 0.0);
         }
         if always.is_empty() {
             return;
@@ -195,15 +199,48 @@ impl World {
             range(link + 1).any(|second| {
                 let mut joints_rad = [0.0; JOINTS];
                 (joints_rad[link], joints_rad[link + 1]) = (first, second);
-                self.pair_distance_m(&self.shapes(&joints_rad, &on_flange), link, other) <= 0.0
+                let shapes = self.shapes(&joints_rad, &on_flange);
+                World::pair_distance_m(&shapes, link, other, f64::INFINITY) <= 0.0
+                    && !self.are_apart(&joints_rad, link, other)
             })
         })
     }
 
-    fn pair_distance_m(&self, shapes: &[(usize, Capsule)], one: usize, two: usize) -> f64 {
-        let of = |wanted: usize| shapes.iter().filter(move |(link, _)| *link == wanted);
-        let distances = of(one).flat_map(|(_, a)| of(two).map(move |(_, b)| a.distance_m(b)));
-        distances.fold(f64::INFINITY, f64::min)
+    /// Two links are apart even though their capsules are not, as their solids prove.
+    fn are_apart(&self, joints_rad: &Joints, one: usize, two: usize) -> bool {
+        let poses = self.arm.link_poses(joints_rad);
+        let of = |link: usize| -> Vec<Solid> {
+            match link.checked_sub(1) {
+                None => self.arm.foot_solids.clone(),
+                Some(i) => {
+                    let solids = self.arm.joints.get(i).map_or(&[][..], |joint| &joint.solids);
+                    solids.iter().map(|solid| solid.seen_from(&poses[i])).collect()
+                }
+            }
+        };
+        let (one, two) = (of(one), of(two));
+        // Of links without solids nothing is known.
+        !one.is_empty() && !two.is_empty() && one.iter().all(|a| two.iter().all(|b| a.apart_m(b) >= APART_M))
+    }
+
+    /// The distance of two parts, of which the shapes stand in the order of their numbers; or anything beyond `within_m`.
+    fn pair_distance_m(shapes: &[(usize, Capsule)], one: usize, two: usize, within_m: f64) -> f64 {
+        let of = |wanted: usize| {
+            let start = shapes.partition_point(|(link, _)| *link < wanted);
+            &shapes[start..shapes.partition_point(|(link, _)| *link <= wanted)]
+        };
+        let mut nearest_m = within_m;
+        for (_, a) in of(one) {
+            let (a_m, a_reach_m) = a.bounds_m();
+            for (_, b) in of(two) {
+                let (b_m, b_reach_m) = b.bounds_m();
+                // Balls around both are further apart already.
+                if a_m.distance(b_m) - a_reach_m - b_reach_m < nearest_m {
+                    nearest_m = nearest_m.min(a.distance_m(b));
+                }
+            }
+        }
+        nearest_m
     }
 
     /// The arm.
@@ -377,7 +414,7 @@ impl<'w> Surroundings<'w> {
             }
         }
         for &(one, two) in &world.pairs {
-            let distance_m = world.pair_distance_m(&shapes, one, two);
+            let distance_m = World::pair_distance_m(&shapes, one, two, own.distance_m);
             own.tighten(distance_m, world.part(one), world.part(two));
         }
         (own, boxes)
@@ -457,6 +494,7 @@ mod tests {
     use super::*;
     use crate::gen3::HOME;
     use crate::motions::Motions;
+    use host_robot::joints;
 
     fn world(scene: &str) -> World {
         World::new(SerialArm::gen3(), Scene::parse(scene).unwrap())
@@ -485,12 +523,12 @@ mod tests {
     fn a_folded_arm_meets_itself_and_a_bowing_one_the_base() {
         let world = world("");
         let around = world.around(Placement::default());
-        let folded = around.arm_clearance(&[0.0, 0.0, 0.0, 2.5, 0.0, 1.6, 0.0]);
+        let folded = around.arm_clearance(&joints([0.0, 0.0, 0.0, 2.5, 0.0, 1.6, 0.0]));
         assert!(
             folded.distance_m < 0.0 && matches!(folded.parts, (Part::Link(_), Part::Link(_))),
             "{folded:?}"
         );
-        let bowing = around.arm_clearance(&[1.57, 2.2, 0.0, 0.5, 0.0, 0.0, 0.0]);
+        let bowing = around.arm_clearance(&joints([1.57, 2.2, 0.0, 0.5]));
         assert!(bowing.distance_m < 0.0, "{bowing:?}");
         assert!(matches!(bowing.parts, (Part::Link(_), Part::Base | Part::Floor)), "{bowing:?}");
     }
@@ -506,7 +544,7 @@ mod tests {
         assert!((at(2.0, -0.5, std::f64::consts::FRAC_PI_2) - 0.6).abs() < 1e-12);
         assert_eq!(at(2.0, 0.5, 0.7), 0.0);
         let nearest = world.around(Placement { x_m: 1.3, y_m: 0.5, heading_rad: 0.0 });
-        let reaching = nearest.arm_clearance(&[0.0, 1.57, 0.0, 0.0, 0.0, 0.0, 0.0]);
+        let reaching = nearest.arm_clearance(&joints([0.0, 1.57]));
         assert!(reaching.distance_m < 0.0 && reaching.parts.1 == Part::Box(0), "{reaching:?}");
         assert_eq!(world.name(reaching.parts.1), "post");
     }

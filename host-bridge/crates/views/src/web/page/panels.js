@@ -71,10 +71,13 @@ export class Panels {
     this.joints = setting.joints.map((joint) => {
       const made = bar(joint.name.replace("_", " "), "needle");
       const [low, high] = joint.limit_rad ?? [-Math.PI, Math.PI];
-      put(made.track, "aria-valuemin", degrees(low).toFixed(0));
-      put(made.track, "aria-valuemax", degrees(high).toFixed(0));
-      made.row.title = joint.limit_rad ? `limits ${degrees(low).toFixed(0)}° to ${degrees(high).toFixed(0)}°` : "turns without end";
-      return { ...made, low, high, endless: !joint.limit_rad };
+      // Degrees, or millimetres of a joint that slides.
+      const shown = joint.slides ? (m) => (m * 1000).toFixed(0) : (rad) => degrees(rad).toFixed(0);
+      const unit = joint.slides ? " mm" : "°";
+      put(made.track, "aria-valuemin", shown(low));
+      put(made.track, "aria-valuemax", shown(high));
+      made.row.title = joint.limit_rad ? `limits ${shown(low)}${unit} to ${shown(high)}${unit}` : "turns without end";
+      return { ...made, low, high, shown, unit, endless: !joint.limit_rad };
     });
     $("joints").replaceChildren(...this.joints.map((made) => made.row));
   }
@@ -144,11 +147,11 @@ export class Panels {
     this.showWearer(right.prompt);
     arm.joints_rad.slice(0, this.joints.length).forEach((reported, i) => {
       const angle = reported ?? 0;
-      const { fill, track, low, high, endless } = this.joints[i];
+      const { fill, track, low, high, shown, endless } = this.joints[i];
       const turn = endless ? Math.atan2(Math.sin(angle), Math.cos(angle)) : angle;
       const share = (turn - low) / (high - low);
       put(fill, "left", `${(share * 100).toFixed(1)}%`);
-      put(track, "aria-valuenow", degrees(turn).toFixed(0));
+      put(track, "aria-valuenow", shown(turn));
       put(track, "class", !endless && (share < 0.05 || share > 0.95) ? "track needle near" : "track needle");
     });
     for (const [name, speed, cap] of [
@@ -205,7 +208,7 @@ export class Panels {
     for (const [finger, count] of [["index", left.index_bends], ["middle", left.middle_bends]]) {
       put($(`${finger}-text`), "text", left.stop ? "stop" : `${count} bend${count === 1 ? "" : "s"}`);
     }
-    this.joints.forEach(({ text }, i) => put(text, "text", arm.joints_rad[i] === null ? "–" : `${degrees(arm.joints_rad[i]).toFixed(0)}°`));
+    this.joints.forEach(({ text, shown, unit }, i) => put(text, "text", arm.joints_rad[i] === null ? "–" : `${shown(arm.joints_rad[i])}${unit}`));
     put($("linear-text"), "text", `${odometry.twist.linear_m_s.toFixed(2)} m/s`);
     put($("angular-text"), "text", `${degrees(odometry.twist.angular_rad_s).toFixed(0)} °/s`);
     const legs = { "to-home": "home first", "to-goal": "on its way", halting: "halting" };

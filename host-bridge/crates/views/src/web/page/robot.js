@@ -15,13 +15,15 @@ export function baseFrame(state) {
   return multiply(translation([x_m, y_m, 0]), rotation([0, 0, 1], heading_rad));
 }
 
-/** Frames of the joints in the world, and of the flange last: forward kinematics from the joint angles. */
+/** Frames of the joints in the world, and of the flange last: forward kinematics from the joints' angles, or from how far they slide. */
 export function jointFrames(setting, state, joints = state.arm.joints_rad) {
   const frames = [];
   let frame = multiply(baseFrame(state), translation(setting.mount_m));
   setting.joints.forEach((joint, i) => {
     frame = multiply(frame, pose(joint.origin_m, joint.origin_rotation));
-    frame = multiply(frame, rotation(joint.axis, joints[i] ?? 0));
+    const value = joints[i] ?? 0;
+    const moved = joint.slides ? translation(joint.axis.map((part) => part * value)) : rotation(joint.axis, value);
+    frame = multiply(frame, moved);
     frames.push(frame);
   });
   frames.push(multiply(frame, pose(setting.flange_m, setting.flange_rotation)));

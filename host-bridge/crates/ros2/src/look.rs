@@ -1,0 +1,78 @@
+//! A look at the graph before a robot is driven: the robot's description, and the controllers that follow trajectories.
+//! Nothing is published.
+
+use std::time::{Duration, Instant};
+
+use host_topics::message as ros;
+use ros2_client::Subscription;
+
+use super::config::{Connection, Ros2Config};
+use super::joined::{NodeError, bare, latched, subscription_with};
+
+/// The graph is looked at for at least this long: end points are found one after the other.
+const SETTLE: Duration = Duration::from_millis(2500);
+
+/// How the status of a controller's action is named.
+const STATUS: &str = "/follow_joint_trajectory/_action/status";
+
+/// What was found.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Found {
+    /// The newest URDF on the topic of descriptions.
+    pub description: Option<String>,
+    /// Names of controllers that have a `follow_joint_trajectory` action, in order.
+    pub controllers: Vec<String>,
+}
+
+/// Looks until a description was heard, and no longer than `wait`.
+///
+/// # Errors
+/// [`NodeError`]: the domain or the topic cannot be had.
+pub fn look(config: &Ros2Config, connection: &Connection, wait: Duration) -> Result<Found, NodeError> {
+    let (context, mut node) = bare(config, connection)?;
+    let topic = config.resolve(&config.robot_description);
+    let reader: Subscription<ros::Text> =
+        subscription_with(&mut node, &topic, ("std_msgs", "String"), &latched())?;
+    let participant = context.domain_participant();
+    let mut found = Found::default();
+    let start = Instant::now();
+    loop {
+        while let Ok(Some((text, _))) = reader.take() {
+            found.description = Some(text.data);
+        }
+        let enough = found.description.is_some() && start.elapsed() >= SETTLE;
+        if enough || start.elapsed() >= wait {
+            let writers = participant.discovered_writers();
+            found.controllers =
+                controllers(writers.iter().map(|w| w.publication_topic_data.topic_name().as_str()));
+            return Ok(found);
+        }
+        std::thread::sleep(Duration::from_millis(20));
+    }
+}
+
+/// The controllers whose actions have these topics.
+fn controllers<'a>(topics: impl Iterator<Item = &'a str>) -> Vec<String> {
+    let mut names: Vec<String> =
+        topics.filter_map(|topic| Some(topic.strip_prefix("rt")?.strip_suffix(STATUS)?.to_owned())).collect();
+    names.sort();
+    names.dedup();
+    names
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn controllers_are_the_names_before_their_actions_status_each_once() {
+        let topics = [
+            "rt/arm_controller/follow_joint_trajectory/_action/status",
+            "rt/arm_controller/follow_joint_trajectory/_action/feedback",
+            "rt/cell/torso_controller/follow_joint_trajectory/_action/status",
+            "rt/arm_controller/follow_joint_trajectory/_action/status",
+            "rt/joint_states",
+        ];
+        assert_eq!(controllers(topics.into_iter()), ["/arm_controller", "/cell/torso_controller"]);
+    }
+}
