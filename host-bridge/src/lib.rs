@@ -23,7 +23,8 @@ pub mod teach;
 
 pub use host_arm::{self as arm, plan, scene};
 pub use host_core::{
-    bridge, describe, doubt, engine, episodes, intent, latency, link, observe, safety, session, source, tilt,
+    bridge, describe, doubt, engine, episodes, intent, jog, latency, link, observe, safety, session, source,
+    tilt,
 };
 pub use host_links::{capture, hands, keyboard, links, survey, talk, upload, wire};
 pub use host_robot as robot;

@@ -29,8 +29,11 @@ const MARK_KEYS: &str = "episode: b begins, e ends, a again, g good, n no good";
 const HAND_KEYS: &str = "keyboard: arrows drive while held, q faster, z slower; 1-6 gestures";
 
 /// What the keys mean: of a keyboard hand, and of a session that is recorded.
-pub fn keys(end_arm: char, has_hands: bool, records: bool) -> String {
+pub fn keys(end_arm: char, clutch: Option<char>, has_hands: bool, records: bool) -> String {
     let mut keys = format!("{KEYS} {end_arm}");
+    if let Some(clutch) = clutch {
+        keys += &format!("   jog, and back: {clutch}");
+    }
     for (more, wanted) in [(HAND_KEYS, has_hands), (MARK_KEYS, records)] {
         if wanted {
             keys += &format!("\n{more}");
@@ -69,6 +72,8 @@ pub struct Screen {
     pub keys: String,
     /// The key that ends the arm's motion.
     pub end_arm: char,
+    /// The key that lends the left hand to the arm, and takes it back.
+    pub clutch: Option<char>,
 }
 
 impl Screen {
@@ -169,6 +174,12 @@ impl Screen {
                 KeyCode::Char('c') if key.modifiers.contains(KeyModifiers::CONTROL) => return true,
                 KeyCode::Char(' ') => flags.stop(),
                 KeyCode::Char(key) if key == self.end_arm => control.order(Order::EndArm),
+                KeyCode::Char(letter) if Some(letter) == self.clutch => {
+                    // Once, however long it is held.
+                    if key.kind == KeyEventKind::Press {
+                        control.order(Order::Clutch);
+                    }
+                }
                 KeyCode::Char('r') => self.release(control),
                 KeyCode::Char(letter) if self.records && key.kind == KeyEventKind::Press => {
                     if let Some(mark) = mark_of(letter) {

@@ -10,6 +10,7 @@
 pub mod director;
 pub mod gen3;
 pub mod ik;
+pub mod jog;
 pub mod model;
 pub mod motions;
 pub mod plan;
