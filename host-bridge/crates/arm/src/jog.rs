@@ -58,6 +58,11 @@ pub fn joint_speeds(
     let columns = if asks_turn { columns } else { columns.map(|[x, y, z, ..]| [x, y, z, 0.0, 0.0, 0.0]) };
     let drift = if asks_turn { drift } else { DVec3::ZERO };
     let wanted = [tool_m_s.x, tool_m_s.y, tool_m_s.z, drift.x, drift.y, drift.z];
+    let over =
+        |speeds: &Joints| (0..JOINTS).map(|i| speeds[i].abs() / limits.velocity_rad_s[i]).fold(1.0, f64::max);
+    // As fast as the joints can be, before any of them is held back for its limit.
+    let slower = 1.0 / over(&damped(&columns, wanted));
+    let (wanted, tool_m_s) = (wanted.map(|speed| speed * slower), tool_m_s * slower);
 
     let mut fixed: [Option<f64>; JOINTS] = [None; JOINTS];
     let mut speeds = [0.0; JOINTS];
@@ -88,7 +93,7 @@ pub fn joint_speeds(
             None => Stuck::Singular,
         });
     }
-    let fastest = (0..JOINTS).map(|i| speeds[i].abs() / limits.velocity_rad_s[i]).fold(1.0, f64::max);
+    let fastest = over(&speeds);
     Ok(speeds.map(|speed| speed / fastest))
 }
 
