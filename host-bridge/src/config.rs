@@ -16,6 +16,7 @@ use crate::base::BaseConfig;
 use crate::bridge::{Bridge, Restriction};
 use crate::episodes::Mark;
 use crate::intent::{MotionMap, SpeedRules, is_rest, same_label};
+use crate::jog::JogRules;
 use crate::keyboard::KeyTimes;
 use crate::robot::{JointLimits, MotionName};
 use crate::ros2::Ros2Config;
@@ -54,6 +55,8 @@ pub struct Config {
     pub speed: SpeedRules,
     /// How the tilt becomes a speed within them: the paper's four headings, or in proportion.
     pub drive: TiltDrive,
+    /// How the left hand is lent to the arm, and how fast the tool follows it then. Off by default.
+    pub jog: JogRules,
     /// What the wearer of the right hand feels.
     pub vibration: Vibration,
     /// The dead-man's times.
@@ -217,7 +220,8 @@ impl Config {
             // `check` has seen that all can be assigned.
             let _ = map.assign(&format!("{label}={motion}"));
         }
-        for label in self.marks.keys() {
+        for label in self.marks.keys().chain([&self.jog.label].into_iter().filter(|label| !label.is_empty()))
+        {
             map.release(label);
         }
         map
@@ -238,7 +242,8 @@ impl Config {
 
     /// A bridge as configured here.
     pub fn bridge(&self, map: MotionMap) -> Bridge {
-        let bridge = Bridge::with(map, self.speed, self.safety).driving(self.drive);
+        let bridge =
+            Bridge::with(map, self.speed, self.safety).driving(self.drive).jogging_by(self.jog.clone());
         match self.restriction() {
             Some(restriction) => bridge.restricted(restriction),
             None => bridge,
@@ -302,6 +307,7 @@ impl Config {
             end_arm.is_ascii_lowercase() && !"qrzbeagn".contains(end_arm),
             "keyboard: end_arm is one small letter, other than q, r, z and those that mark episodes (b, e, a, g, n)",
         )?;
+        self.check_jog()?;
         ensure(
             self.motion.iter().all(|motion| motion.name != MotionName::END_ARM),
             "motion: the name end-arm is taken: as a label's motion it ends the one under way",
@@ -350,6 +356,45 @@ impl Config {
             )?;
         }
         Ok(())
+    }
+
+    fn check_jog(&self) -> Result<(), ConfigError> {
+        let JogRules { label, key, .. } = &self.jog;
+        let ensure = |sound: bool, what: String| if sound { Ok(()) } else { Err(ConfigError::Value(what)) };
+        ensure(
+            self.jog.is_sound(),
+            "jog: speed_m_s and lift_m_s lie between 0.005 and 0.5, bend_ms between 100 and 2000".to_owned(),
+        )?;
+        let is_free = |letter: char| letter.is_ascii_lowercase() && !"qrzbeagn".contains(letter);
+        let mut letters = key.chars();
+        ensure(
+            key.is_empty()
+                || letters.next().is_some_and(|letter| is_free(letter) && letter != self.keyboard.end_arm)
+                    && letters.next().is_none(),
+            format!(
+                "jog: key is one small letter, other than q, r, z, {} (end_arm) and those that mark episodes (b, e, a, g, n)",
+                self.keyboard.end_arm
+            ),
+        )?;
+        if label.is_empty() {
+            return Ok(());
+        }
+        ensure(
+            !is_rest(label),
+            format!("jog: '{label}' is the class of a resting hand; move the clutch with a gesture"),
+        )?;
+        ensure(
+            !self.motions.keys().chain(self.marks.keys()).any(|taken| same_label(taken, label)),
+            format!("jog: '{label}' has a motion or a mark; a gesture does one or the other"),
+        )?;
+        let mut map = MotionMap::default();
+        for (known, motion) in &self.motions {
+            let _ = map.assign(&format!("{known}={motion}"));
+        }
+        ensure(
+            !map.motion(label).is_some_and(|motion| *motion == *MotionName::HOME),
+            format!("jog: '{label}' releases a stop; take another gesture, or give home another one"),
+        )
     }
 }
 
@@ -430,6 +475,15 @@ mod tests {
             "[drive]\nproportional = true\ngain = 100.0",
             "[drive]\ndead_mrad = 0",
             "[drive]\nlinear_most = nan",
+            "[jog]\nspeed_m_s = nan",
+            "[jog]\nbend_ms = 0",
+            "[jog]\nkey = 'q'",
+            "[jog]\nkey = 'x'",
+            "[jog]\nkey = 'jj'",
+            "[jog]\nlabel = 'idle'",
+            "[jog]\nlabel = 'up-down'",
+            "[jog]\nlabel = 'wave'\n[motions]\nWave = 'pick-up'",
+            "[jog]\nlabel = 'wave'\n[marks]\nwave = 'begin'",
             "[keyboard]\nfirst_press_ms = 10000",
             "[arm]\nvelocity_scaling = 3.0",
             "[arm]\njerk_limited = true\njerk_rad_s3 = 0.0",
@@ -450,6 +504,14 @@ mod tests {
         let map = Config::parse("[motions]\nwave = 'pick-up'\n").unwrap().motion_map();
         assert_eq!(map.motion("wave"), Some(&MotionName::from("pick-up")));
         assert_eq!(map.motion("circle"), Some(&MotionName::from("random-top")));
+    }
+
+    #[test]
+    fn a_label_that_moves_the_clutch_starts_no_motion_and_without_one_there_is_no_clutch() {
+        let config = Config::parse("[jog]\nlabel = 'circle'\nkey = 'j'\n").unwrap();
+        assert!(config.jog.is_on() && !Config::default().jog.is_on());
+        assert_eq!(config.motion_map().motion("circle"), None);
+        assert_eq!(Config::parse(&config.to_toml()).unwrap(), config);
     }
 
     #[test]

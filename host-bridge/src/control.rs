@@ -48,6 +48,8 @@ pub enum Order {
     Release,
     /// The arm's motion ends, and that alone.
     EndArm,
+    /// The left hand is lent to the arm, or taken back.
+    Clutch,
     /// An episode is marked.
     Mark(Mark),
     /// The wearer begins to show gestures, or gives that up.
@@ -287,6 +289,7 @@ impl<D: Door> Running<D> {
                 Order::Up(key) => work.engine.release_hand_key(key),
                 Order::Release => work.engine.release_key(now_ms),
                 Order::EndArm => work.engine.end_arm_key(now_ms),
+                Order::Clutch => work.engine.clutch_key(now_ms),
                 Order::Mark(mark) => work.engine.mark(mark, MarkedBy::Key, now_ms),
                 Order::Show => work.wearer.iter_mut().for_each(Wearer::press),
             }

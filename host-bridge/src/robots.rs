@@ -118,6 +118,12 @@ impl<R: Robot> Robot for Echoed<R> {
     fn follow(&mut self, trajectory: Arc<Trajectory>) -> Result<(), String> {
         self.simulator.follow(trajectory)
     }
+    fn ahead_ms(&self) -> Result<u64, String> {
+        self.simulator.ahead_ms()
+    }
+    fn follow_on(&mut self, trajectory: Arc<Trajectory>, from_s: f64) -> Result<(), String> {
+        self.simulator.follow_on(trajectory, from_s)
+    }
     fn following(&self) -> Following {
         self.simulator.following()
     }

@@ -21,6 +21,7 @@ use host_bridge::journal::sink::Storage;
 use host_bridge::journal::{Disk, Kept, Replay, SceneText, Setup, WhenFull, replay};
 use host_bridge::keyboard::HandKey;
 use host_bridge::observe::SessionEvent;
+use host_bridge::robot::Door as _;
 use host_bridge::safety::Hand;
 use host_bridge::session::Session;
 use host_bridge::topics::Origin;
@@ -224,6 +225,82 @@ fn a_live_session_from_its_file_is_the_same_bit_for_bit() {
         assert!(text.contains(needed), "{needed}: {text}");
     }
     assert!(again.messages["/bridge/right/sent"] > 8, "hellos and a ping a second");
+}
+
+#[test]
+fn motions_that_were_planned_beside_a_session_begin_where_its_file_says() {
+    let scene = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes/posts.toml");
+    let scene = Some(SceneText::read(&scene).unwrap());
+    let mut config = Config::default();
+    config.motions.insert("to-fro".to_owned(), "gap 5".to_owned());
+    let setup = Setup { scene, config, plans_aside: true, ..setup() };
+    let memory = Memory::of_size(usize::MAX);
+    let start =
+        Disk::with_storage(memory.clone(), Path::new("a.mcap"), setup.to_metadata(), ORIGIN, WhenFull::Wait);
+    let (disk, recorder) = start.unwrap();
+    let door = setup.stage().unwrap().simulated(&setup.config).planning_aside();
+    let keys = HandInput::Keyboard;
+    let mut live = moving::live_before(door, &setup.config, keys, keys, 80);
+    live.tap_mut().add(Box::new(recorder));
+    for now_ms in (80..9_000).step_by(2) {
+        match now_ms {
+            2_000 => live.press(HandKey::Gesture(2), now_ms),
+            // The thread gets its time; here the session stands still for it.
+            5_000 => {
+                let began = Instant::now();
+                while !live.door().plan_is_ready() && live.door().arm().at_rest() {
+                    assert!(began.elapsed() < Duration::from_secs(240));
+                    std::thread::sleep(Duration::from_millis(1));
+                }
+            }
+            _ => {}
+        }
+        live.advance(now_ms, [true; 2]);
+    }
+    let end = live.door().arm().joints_rad;
+    live.tap_mut().clear();
+    assert_eq!(disk.close().problem, None);
+    assert!(!live.door().arm().at_rest() || end != moving::pose("home"), "it moved");
+    assert_same(&replay(&memory.file()).unwrap());
+}
+
+#[test]
+fn a_session_in_which_a_hand_moved_the_tool_is_the_same_from_its_file() {
+    let config = Config::parse("[jog]\nlabel = 'circle'\nkey = 'j'\n").unwrap();
+    let setup = Setup { config: config.clone(), ..setup() };
+    let memory = Memory::of_size(usize::MAX);
+    let start =
+        Disk::with_storage(memory.clone(), Path::new("a.mcap"), setup.to_metadata(), ORIGIN, WhenFull::Wait);
+    let (disk, recorder) = start.unwrap();
+    let mut live = moving::live_before(moving::bare(), &config, HandInput::Keyboard, HandInput::Keyboard, 80);
+    live.tap_mut().add(Box::new(recorder));
+    let mut lent_ms = 0;
+    for now_ms in (80..15_000).step_by(2) {
+        match now_ms {
+            // By gesture, and back by key.
+            2_000 => live.press(HandKey::Gesture(6), now_ms),
+            6_000 | 6_500 | 6_700 | 12_500 => live.press(HandKey::Arrow(Heading::Forward), now_ms),
+            8_000 => live.press(HandKey::Faster, now_ms),
+            10_000 => live.clutch_key(now_ms),
+            _ => {}
+        }
+        live.advance(now_ms, [true; 2]);
+        lent_ms += if live.bridge().is_jogging() { 2 } else { 0 };
+    }
+    let end = live.door().arm().joints_rad;
+    live.tap_mut().clear();
+    assert_eq!(disk.close().problem, None);
+    assert!((4_000..8_500).contains(&lent_ms), "{lent_ms}");
+    assert!(
+        end != moving::pose("home") && live.door().odometry().path_m > 0.05,
+        "first the tool, then the base"
+    );
+    let again = replay(&memory.file()).unwrap();
+    assert_same(&again);
+    let clutched =
+        |event: &&host_bridge::bridge::BridgeEvent| matches!(event.kind, EventKind::Jogging { .. });
+    assert_eq!(again.events.iter().filter(clutched).count(), 2);
+    assert_eq!(again.messages["/bridge/operated"], 1);
 }
 
 #[test]

@@ -56,6 +56,7 @@ impl Observer for Recorder {
         self.0.lock().unwrap().seen.push(match turn {
             Turn::Moved(passed_ms) => Seen::Moved(passed_ms),
             Turn::Decided(time_ms) => Seen::Decided(time_ms),
+            Turn::Planned => panic!("in virtual time motions are planned at once"),
         });
     }
     fn happened(&mut self, event: &SessionEvent) {

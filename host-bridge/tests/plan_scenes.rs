@@ -11,6 +11,7 @@ use cpu::timed;
 use host_bridge::arm::ik;
 use host_bridge::arm::model::SerialArm;
 use host_bridge::arm::things::Things;
+use host_bridge::plan::planner::COMPARING_CHECKS_MAX;
 use host_bridge::plan::purse::MOTION_CHECKS_MAX;
 use host_bridge::plan::{Case, Kind, Placement, Plan, Planner, Purse, Refusal};
 use host_bridge::robot::Motion;
@@ -23,8 +24,12 @@ const SCENES: [(&str, &str); 3] = [
     ("bins", include_str!("../scenes/bins.toml")),
 ];
 
+fn is_full() -> bool {
+    std::env::var_os("BIMANUAL_FULL").is_some()
+}
+
 fn seeds() -> u64 {
-    if std::env::var_os("BIMANUAL_FULL").is_some() { 34 } else { 2 }
+    if is_full() { 34 } else { 2 }
 }
 
 fn planner(scene: &str) -> Planner {
@@ -105,6 +110,43 @@ fn blocked_ways_are_gone_around_without_touching_anything() {
         assert!(solved * 100 >= tried * 99);
         assert!(checks <= 4000);
         assert!(nearest_m >= 0.005, "half the margin");
+    }
+}
+
+#[test]
+fn the_best_of_several_plans_is_never_slower_and_costs_no_more_than_its_checks() {
+    for (name, text) in SCENES {
+        let planner = planner(text);
+        let poses = planner.goals();
+        let (mut single_s, mut best_s, mut times_ms, mut most) = (0.0, 0.0, Vec::new(), 0);
+        for (i, (_, from)) in poses.iter().enumerate() {
+            for (j, (_, to)) in poses.iter().enumerate() {
+                if i == j || !(is_full() || (i + j) % 3 == 0) {
+                    continue;
+                }
+                let purse = Purse::default();
+                let case =
+                    Case { placement: Placement::default(), things: planner.world().start(), purse: &purse };
+                let single = planner.plan(from, to, Placement::default(), 1).unwrap();
+                let (best, took_ms) = timed(|| planner.plan_best(from, to, case, 1).unwrap());
+                times_ms.push(took_ms);
+                most = most.max(purse.spent());
+                assert!(best.trajectory.duration_s() <= single.trajectory.duration_s());
+                assert!(purse.spent() <= COMPARING_CHECKS_MAX.max(single.checks) + 8, "{}", purse.spent());
+                assert!(execute(&planner, &best, from, to) >= 0.005);
+                single_s += single.trajectory.duration_s();
+                best_s += best.trajectory.duration_s();
+                let again = Purse::default();
+                let again = planner.plan_best(from, to, Case { purse: &again, ..case }, 1).unwrap();
+                assert_eq!(again.path_rad, best.path_rad, "equal seeds, equal plans");
+            }
+        }
+        println!(
+            "{name}: best of several {:.0} % shorter than single plans, at most {most} checks, median {:.1} ms",
+            100.0 * (1.0 - best_s / single_s),
+            median(&mut times_ms)
+        );
+        assert!(best_s < 0.97 * single_s, "{best_s} {single_s}");
     }
 }
 

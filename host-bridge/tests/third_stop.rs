@@ -10,7 +10,7 @@ use host_bridge::arm::gen3::COUNT;
 use host_bridge::arm::{Director, Motions};
 use host_bridge::base::{BaseConfig, Twist};
 use host_bridge::config::Config;
-use host_bridge::robot::{Door as _, JOINTS, JointLimits, MotionName, Report, brake};
+use host_bridge::robot::{DVec3, Door as _, JOINTS, JointLimits, MotionName, Report, brake};
 use host_bridge::ros2::{Output, Ros2Config, RosRobot};
 use host_bridge::topics::message::{Header, JointState, JointTrajectory, Time};
 
@@ -224,6 +224,67 @@ fn a_dead_program_or_a_cut_cable_is_an_arm_at_rest_without_a_jerk_at_every_momen
             "row: v program dead, frozen or cut off: arm at rest{name} | {count} | {worst_ms} ms | {ARM_LIMIT_MS} ms + {braking_ms} ms of \
              braking"
         );
+    }
+}
+
+#[test]
+fn a_hand_moves_the_tool_in_pieces_and_a_clutch_or_a_dead_program_is_an_arm_at_rest_without_a_jerk() {
+    const TOOL_M_S: DVec3 = DVec3::new(0.06, -0.03, 0.02);
+    let config = Config::default();
+    let mut smooth = config.clone();
+    smooth.arm.jerk_limited = true;
+    for (name, limits) in [("", config.arm_limits()), (", jerk-limited", smooth.arm_limits())] {
+        let braking_ms = (brake::longest_s(&limits) * 1000.0).ceil() as u64;
+        let most = limits.acceleration_rad_s2.iter().copied().fold(0.0, f64::max);
+        let (mut dead_ms, mut open_ms, mut brakes_ms) = (0, 0, 0);
+        for moment_ms in (300..2300).step_by(if is_full() { 50 } else { 400 }) {
+            for dies in [true, false] {
+                let mut rig = Rig::new(limits);
+                let jog = |rig: &mut Rig, ms: u64| {
+                    for _ in 0..ms / 20 {
+                        rig.door.drive(Twist::ZERO);
+                        rig.door.jog(TOOL_M_S);
+                        rig.run(20, true, true);
+                    }
+                };
+                jog(&mut rig, moment_ms);
+                assert!(!rig.controller.rests(), "{moment_ms}");
+                let (from_ms, mut last) = (rig.now_ms, rig.controller.speed);
+                let (mut slower_ms, mut moved_ms) = (None, rig.now_ms);
+                if !dies {
+                    // As the bridge does where the clutch opens.
+                    rig.door.halt();
+                }
+                while rig.now_ms < from_ms + 3000 {
+                    rig.run(CYCLE_MS, !dies, !dies);
+                    let size = |speed: &[f64; JOINTS]| speed.iter().map(|v| v * v).sum::<f64>();
+                    if size(&rig.controller.speed) < size(&last) {
+                        slower_ms.get_or_insert(rig.now_ms - from_ms);
+                    }
+                    last = rig.controller.speed;
+                    if !rig.controller.rests() {
+                        moved_ms = rig.now_ms;
+                    }
+                }
+                let took_ms = moved_ms - from_ms;
+                assert!(rig.controller.rests() && rig.controller.worst_rad_s2 < 1.15 * most, "{moment_ms}");
+                if dies {
+                    dead_ms = dead_ms.max(took_ms);
+                } else {
+                    open_ms = open_ms.max(took_ms);
+                    brakes_ms = brakes_ms.max(slower_ms.unwrap_or(u64::MAX));
+                }
+            }
+        }
+        // With limited jerk a joint that still gains speed has to lose its acceleration first.
+        let loses_ms = (0..JOINTS).map(|i| limits.acceleration_rad_s2[i] / limits.jerk_rad_s3[i] * 1000.0);
+        let brakes_max_ms = 50 + loses_ms.fold(0.0, f64::max) as u64;
+        println!(
+            "row: v jogging, the clutch opens: the arm brakes{name} | | {brakes_ms} ms, at rest after {open_ms} ms | {brakes_max_ms} ms\n\
+             row: v jogging, program dead: arm at rest{name} | | {dead_ms} ms | {ARM_LIMIT_MS} ms + {braking_ms} ms of braking"
+        );
+        assert!(brakes_ms <= brakes_max_ms && open_ms <= 50 + braking_ms, "{brakes_ms} {open_ms}");
+        assert!(dead_ms <= ARM_LIMIT_MS + braking_ms, "{dead_ms}");
     }
 }
 

@@ -74,6 +74,7 @@ impl KeepArgs {
             scene: start.scene.map(SceneText::read).transpose()?,
             origin_ns: start.origin.nanoseconds,
             robot_elsewhere: start.robot_elsewhere,
+            plans_aside: start.live && start.scene.is_some(),
             task: self.task.clone(),
         };
         let when_full = if start.live { WhenFull::Drop } else { WhenFull::Wait };

@@ -242,9 +242,10 @@ pub fn steer(args: &HandArgs, keep: &KeepArgs) -> Result<ExitCode> {
     ];
     let (counts, output, robot) = robot(&stage, &config, graph, args.publish_sim, clock.now_ms());
     let robot_elsewhere = counts.is_some() && !args.publish_sim;
-    let mut engine = Engine::new(config.bridge(map), stage.before(robot), sources, clock.now_ms())
-        .with_tilt(config.tilt)
-        .with_vibration(config.vibration.wired);
+    let mut engine =
+        Engine::new(config.bridge(map), stage.before(robot).planning_aside(), sources, clock.now_ms())
+            .with_tilt(config.tilt)
+            .with_vibration(config.vibration.wired);
     if records {
         engine = engine.with_marks(config.marks.clone());
     }
@@ -274,7 +275,8 @@ pub fn steer(args: &HandArgs, keep: &KeepArgs) -> Result<ExitCode> {
     let flags = Flags::default();
     let ending = Ending::watch(&flags.quit_flag(), wants_view)?;
     let shows = inputs.right == HandInput::Board && config.keyboard.end_arm != SHOW;
-    let keys = keys(config.keyboard.end_arm, by_keyboard, records, shows);
+    let clutch = config.jog.key.chars().next();
+    let keys = keys(config.keyboard.end_arm, clutch, by_keyboard, records, shows);
     let mut screen = Screen {
         view: if wants_view { Some(View::open(&title)?) } else { None },
         json: args.json,
@@ -285,6 +287,7 @@ pub fn steer(args: &HandArgs, keep: &KeepArgs) -> Result<ExitCode> {
         shows,
         keys,
         end_arm: config.keyboard.end_arm,
+        clutch,
     };
     if screen.view.is_none() && !args.json {
         screen.line(&title);

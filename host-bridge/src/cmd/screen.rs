@@ -32,8 +32,11 @@ pub const SHOW: char = 't';
 const HAND_KEYS: &str = "keyboard: arrows drive while held, q faster, z slower; 1-6 gestures";
 
 /// What the keys mean: of a keyboard hand, of a session that is recorded, and of one whose wearer can show gestures.
-pub fn keys(end_arm: char, has_hands: bool, records: bool, shows: bool) -> String {
+pub fn keys(end_arm: char, clutch: Option<char>, has_hands: bool, records: bool, shows: bool) -> String {
     let mut keys = format!("{KEYS} {end_arm}");
+    if let Some(clutch) = clutch {
+        keys += &format!("   jog, and back: {clutch}");
+    }
     for (more, wanted) in [(HAND_KEYS, has_hands), (MARK_KEYS, records), (SHOW_KEYS, shows)] {
         if wanted {
             keys += &format!("\n{more}");
@@ -74,6 +77,8 @@ pub struct Screen {
     pub keys: String,
     /// The key that ends the arm's motion.
     pub end_arm: char,
+    /// The key that lends the left hand to the arm, and takes it back.
+    pub clutch: Option<char>,
 }
 
 impl Screen {
@@ -177,6 +182,12 @@ impl Screen {
                 KeyCode::Char('c') if key.modifiers.contains(KeyModifiers::CONTROL) => return true,
                 KeyCode::Char(' ') => flags.stop(),
                 KeyCode::Char(key) if key == self.end_arm => control.order(Order::EndArm),
+                KeyCode::Char(letter) if Some(letter) == self.clutch => {
+                    // Once, however long it is held.
+                    if key.kind == KeyEventKind::Press {
+                        control.order(Order::Clutch);
+                    }
+                }
                 KeyCode::Char('r') => self.release(control),
                 KeyCode::Char(SHOW) if self.shows && key.kind == KeyEventKind::Press => {
                     control.order(Order::Show);

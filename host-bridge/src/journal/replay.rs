@@ -270,6 +270,7 @@ impl Player {
                             self.moved_ms += turn.ms;
                             self.robot.step(self.moved_ms);
                         }
+                        2 => self.robot.begin_planned(),
                         _ => return None,
                     }
                 }
@@ -281,6 +282,7 @@ impl Player {
                     1 => self.bridge.release_key(time_ms, &mut self.robot),
                     2 => self.bridge.end_arm_key(time_ms, &mut self.robot),
                     3 | 4 => self.bridge.show_key(key == 3),
+                    5 => self.bridge.clutch_key(time_ms, &mut self.robot),
                     _ => return None,
                 }
             }

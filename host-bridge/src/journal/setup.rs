@@ -31,6 +31,8 @@ pub struct Setup {
     pub origin_ns: u64,
     /// A robot elsewhere was driven: what it did cannot be computed again.
     pub robot_elsewhere: bool,
+    /// Motions were planned beside the control thread: they begin where the file says so.
+    pub plans_aside: bool,
     /// What was to be done, for those who train robots with it.
     pub task: Option<String>,
 }
@@ -167,7 +169,8 @@ impl Setup {
     /// # Errors
     /// [`SetupError::Scene`].
     pub fn robot(&self) -> Result<Director<Simulator>, SetupError> {
-        Ok(self.stage()?.simulated(&self.config))
+        let robot = self.stage()?.simulated(&self.config);
+        Ok(if self.plans_aside { robot.planning_held() } else { robot })
     }
 
     /// The setup as metadata of the file.
@@ -182,6 +185,9 @@ impl Setup {
         ]);
         if let Some(scene) = &self.scene {
             metadata.insert("scene".to_owned(), serde_json::to_string(scene).unwrap_or_default());
+        }
+        if self.plans_aside {
+            metadata.insert("planning".to_owned(), "aside".to_owned());
         }
         if let Some(task) = &self.task {
             metadata.insert("task".to_owned(), task.clone());
@@ -206,6 +212,7 @@ impl Setup {
             scene: scene.map_err(|error| bad(error.to_string()))?,
             origin_ns: text("origin_ns")?.parse().map_err(|_| bad("origin_ns is no number".to_owned()))?,
             robot_elsewhere: metadata.get("robot").is_some_and(|robot| robot == "elsewhere"),
+            plans_aside: metadata.get("planning").is_some_and(|planning| planning == "aside"),
             task: metadata.get("task").cloned(),
         })
     }

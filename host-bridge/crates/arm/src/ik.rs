@@ -239,7 +239,7 @@ fn damped_step(arm: &SerialArm, poses: &[Pose; JOINTS + 1], error: &Six, damping
 }
 
 /// Solves A x = b for a symmetric, positive definite A (Cholesky).
-fn solve_symmetric(mut a: [[f64; 6]; 6], mut b: Six) -> Six {
+pub(crate) fn solve_symmetric(mut a: [[f64; 6]; 6], mut b: Six) -> Six {
     for i in 0..6 {
         for j in 0..=i {
             let sum = a[i][j] - (0..j).map(|k| a[i][k] * a[j][k]).sum::<f64>();

@@ -12,6 +12,7 @@ pub mod gen3;
 #[cfg(feature = "urdf")]
 pub mod hull;
 pub mod ik;
+pub mod jog;
 #[cfg(feature = "urdf")]
 mod mesh;
 pub mod model;

@@ -203,6 +203,13 @@ impl<'b, D: Door> Engine<'b, D> {
         self.send(hand, message, now_ms);
     }
 
+    /// The clutch's key: lends the left hand to the arm, or takes it back.
+    pub fn clutch_key(&mut self, now_ms: u64) {
+        self.tap.show(|observer| observer.operated(now_ms, OperatorKey::Clutch));
+        self.bridge.clutch_key(now_ms, &mut self.door);
+        self.door.send();
+    }
+
     /// The release key, pressed and confirmed.
     pub fn release_key(&mut self, now_ms: u64) {
         self.tap.show(|observer| observer.operated(now_ms, OperatorKey::Release));
@@ -217,6 +224,10 @@ impl<'b, D: Door> Engine<'b, D> {
 
     /// Lets the robot move on; the first part of a turn.
     pub fn move_on(&mut self, passed_ms: u64) {
+        if self.door.plan_is_ready() {
+            self.tap.show(|observer| observer.turned(Turn::Planned));
+            self.door.begin_planned();
+        }
         self.tap.show(|observer| observer.turned(Turn::Moved(passed_ms)));
         self.moved_ms += passed_ms;
         self.door.step(self.moved_ms);

@@ -26,12 +26,16 @@ fn of(event: &BridgeEvent) -> Option<Signal> {
             HaltReason::OperatorStop
             | HaltReason::Unhealthy(_)
             | HaltReason::Restart(_)
-            | HaltReason::RobotRefuses => Signal::Stopped,
+            | HaltReason::RobotRefuses
+            | HaltReason::NotAtRest => Signal::Stopped,
+            HaltReason::Clutch => Signal::Accepted,
         },
         EventKind::Gesture { outcome, .. } => match outcome {
-            GestureOutcome::Started(_) | GestureOutcome::EndedArm | GestureOutcome::Released => {
-                Signal::Accepted
-            }
+            GestureOutcome::Started(_)
+            | GestureOutcome::EndedArm
+            | GestureOutcome::Released
+            | GestureOutcome::Lent
+            | GestureOutcome::TakenBack => Signal::Accepted,
             GestureOutcome::Busy(_)
             | GestureOutcome::Refused(_)
             | GestureOutcome::NoMotion

@@ -9,6 +9,7 @@ pub mod engine;
 pub mod episodes;
 pub mod feel;
 pub mod intent;
+pub mod jog;
 pub mod latency;
 pub mod link;
 pub mod observe;

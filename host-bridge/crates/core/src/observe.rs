@@ -95,6 +95,8 @@ impl Tap {
 pub enum Turn {
     /// The bridge is about to let this time come ([`Bridge::step`]), in ms.
     Decided(u64),
+    /// A motion that was planned elsewhere is about to begin ([`Door::begin_planned`]).
+    Planned,
     /// The robot is about to move on by this much ([`Door::step`]), in ms.
     Moved(u64),
 }
@@ -130,6 +132,8 @@ pub enum OperatorKey {
     Show,
     /// That is over.
     Shown,
+    /// Lend the left hand to the arm, or take it back.
+    Clutch,
 }
 
 /// The state of a session, borrowed.
@@ -182,6 +186,10 @@ pub struct Snapshot {
     pub objects: Vec<SceneObject>,
     /// What holds the base back, if anything does.
     pub held: Option<String>,
+    /// The left hand is lent to the arm: it moves the tool while armed, and the base stands still.
+    pub jogging: bool,
+    /// What keeps the tool from following it, if anything does.
+    pub jog_held: Option<String>,
     /// Why the robot itself refuses to move, if it does: its e-stop, a fault, clocks apart.
     pub refusal: Option<String>,
     /// What this session may not do, and why.
@@ -296,6 +304,8 @@ impl Snapshot {
             tool: picture.tool,
             objects: picture.objects,
             held: picture.held,
+            jogging: bridge.is_jogging(),
+            jog_held: picture.jog_held,
             refusal: bridge.refusal().map(str::to_owned),
             restriction: bridge.restriction().map(str::to_owned),
             guard_stops: picture.guard_stops,

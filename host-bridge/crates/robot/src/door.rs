@@ -3,6 +3,7 @@
 use std::fmt;
 use std::sync::Arc;
 
+use glam::DVec3;
 use serde::{Serialize, Serializer};
 
 use crate::base::{Covariance, Odometry, Twist};
@@ -20,6 +21,8 @@ impl MotionName {
     pub const HOME: &'static str = "home";
     /// Not a motion: it only ends the motion under way.
     pub const END_ARM: &'static str = "end-arm";
+    /// Not a motion of the configuration: the left hand moves the tool.
+    pub const JOG: &'static str = "jog";
 
     /// The name.
     pub fn as_str(&self) -> &str {
@@ -61,10 +64,14 @@ impl Serialize for MotionName {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Leg {
+    /// It is planned; the arm rests.
+    Planning,
     /// Moving to the home pose.
     ToHome,
     /// Moving to the motion's own pose.
     ToGoal,
+    /// The tool follows a hand.
+    Jogging,
     /// Braking, since the motion was abandoned.
     Halting,
 }
@@ -113,6 +120,13 @@ pub enum Report {
         /// At its pose, not halted.
         reached: bool,
     },
+    /// An arm motion that was accepted is not begun: there is no safe way, or something has changed while it was planned.
+    MotionRefused {
+        /// Which.
+        motion: MotionName,
+        /// Why, and what to do.
+        reason: String,
+    },
     /// The guard does not let the base drive as asked.
     BaseHeld {
         /// What is in the way, or what is not known.
@@ -155,6 +169,8 @@ pub struct Picture {
     pub reference_rad: Option<Joints>,
     /// What holds the base back, if anything does.
     pub held: Option<String>,
+    /// What keeps the tool from following a hand, if anything does.
+    pub jog_held: Option<String>,
     /// Ticks in which the guard braked for an obstacle.
     pub guard_stops: u32,
     /// How often the robot had to stop by itself.
@@ -174,6 +190,26 @@ pub trait Door {
     /// # Errors
     /// [`NotStarted`] while another one runs, or if it would not be safe. Nothing moves then.
     fn start_motion(&mut self, motion: &MotionName) -> Result<(), NotStarted>;
+
+    /// Whether a hand could move the tool now.
+    ///
+    /// # Errors
+    /// [`NotStarted`] while a motion runs, or if this robot's arm cannot be moved that way.
+    fn can_jog(&self) -> Result<(), NotStarted> {
+        Err(NotStarted::Refused("this robot's arm cannot be moved by hand".to_owned()))
+    }
+
+    /// The tool shall move at this speed, in the arm's base frame, until told otherwise; as far as limits and guard allow.
+    /// Repeated by a bridge that is alive: what is older than a quarter second counts as zero.
+    fn jog(&mut self, _tool_m_s: DVec3) {}
+
+    /// A motion was planned elsewhere, and waits to be begun.
+    fn plan_is_ready(&self) -> bool {
+        false
+    }
+
+    /// Begins it, if nothing speaks against it by now.
+    fn begin_planned(&mut self) {}
 
     /// Brings base and arm to rest within their limits; targets are forgotten.
     fn halt(&mut self);

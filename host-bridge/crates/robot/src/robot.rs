@@ -123,6 +123,24 @@ pub trait Robot {
     /// Why it does not follow or grip; nothing moves then.
     fn follow(&mut self, trajectory: Arc<Trajectory>) -> Result<(), String>;
 
+    /// How far ahead of now a trajectory under way can be continued otherwise; see [`Robot::follow_on`].
+    ///
+    /// # Errors
+    /// Why it cannot, and what to do.
+    fn ahead_ms(&self) -> Result<u64, String> {
+        Err("this robot cannot continue a motion otherwise while it runs".to_owned())
+    }
+
+    /// Continues the trajectory that is followed otherwise: up to `from_s` of its own time, which is at least
+    /// [`Robot::ahead_ms`] from now, the new one is the same. It ends at rest, so that whoever falls silent after this leaves
+    /// an arm that comes to rest.
+    ///
+    /// # Errors
+    /// Why not; the arm goes on as before.
+    fn follow_on(&mut self, _trajectory: Arc<Trajectory>, _from_s: f64) -> Result<(), String> {
+        self.ahead_ms().map(|_| ())
+    }
+
     /// What the arm does with its trajectory.
     fn following(&self) -> Following;
 
@@ -221,6 +239,12 @@ impl<R: Robot + ?Sized> Robot for Box<R> {
     }
     fn follow(&mut self, trajectory: Arc<Trajectory>) -> Result<(), String> {
         (**self).follow(trajectory)
+    }
+    fn ahead_ms(&self) -> Result<u64, String> {
+        (**self).ahead_ms()
+    }
+    fn follow_on(&mut self, trajectory: Arc<Trajectory>, from_s: f64) -> Result<(), String> {
+        (**self).follow_on(trajectory, from_s)
     }
     fn following(&self) -> Following {
         (**self).following()

@@ -121,6 +121,45 @@ impl Trajectory {
         Trajectory { to_rad: next.to_rad, duration_s: after_s + next.duration_s, ..self }
     }
 
+    /// Nothing moves.
+    pub fn at_rest(joints_rad: Joints) -> Self {
+        Trajectory::ending_at(joints_rad)
+    }
+
+    /// The same up to `at_s`; from there on `for_s` seconds in which the acceleration goes to this one (at a constant jerk, or
+    /// at once if jerk is not limited), and then braking to rest. What lies more than `keep_s` before `at_s` is forgotten.
+    #[must_use]
+    pub fn continued(
+        &self,
+        at_s: f64,
+        acceleration_rad_s2: &Joints,
+        for_s: f64,
+        limits: &JointLimits,
+        keep_s: f64,
+    ) -> Self {
+        let mut from = self.motion(at_s);
+        let mut next = Trajectory::ending_at(from.joints_rad);
+        let is_kept =
+            |piece: &&Piece| piece.start_s < at_s && piece.start_s + piece.duration_s > at_s - keep_s;
+        next.pieces = self.pieces.iter().filter(is_kept).copied().collect();
+        if let Some(last) = next.pieces.last_mut() {
+            last.duration_s = last.duration_s.min(at_s - last.start_s);
+        }
+        next.duration_s = at_s.min(self.duration_s);
+        // It may have been at rest for a while by then.
+        next.push(Motion::at_rest(self.to_rad), [0.0; JOINTS], at_s - next.duration_s);
+        next.duration_s = at_s;
+        let change = minus(acceleration_rad_s2, &from.acceleration_rad_s2);
+        let jerk_rad_s3 = if limits.jerk_rad_s3.iter().all(|jerk| jerk.is_finite()) {
+            scaled(&change, 1.0 / for_s)
+        } else {
+            from.acceleration_rad_s2 = *acceleration_rad_s2;
+            [0.0; JOINTS]
+        };
+        let here = next.push(from, jerk_rad_s3, for_s);
+        next.then(&Trajectory::braking(here, limits))
+    }
+
     /// Brakes from motion as fast as the limits allow, all joints together, straight on.
     ///
     /// If jerk is limited, an acceleration that is there now must be reduced first. On a straight segment that

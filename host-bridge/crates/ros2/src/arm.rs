@@ -15,7 +15,7 @@ use super::doubts::{Doubts, in_order};
 use super::points::{message, points};
 use super::robot::Output;
 use super::strays::{CANCEL_INTERVAL_MS, Strays, Unsure};
-use super::stream::{Late, RobotClock, Stream, off_rad};
+use super::stream::{self, Late, RobotClock, Stream, off_rad};
 use host_robot::{End, Following, JointLimits, Joints, Motion, Reading, Trajectory};
 use host_topics::message::{ControllerState, Header, JointState};
 
@@ -234,6 +234,45 @@ impl ArmLink {
             cancelled_ms: 0,
         });
         self.step(now_ms, outputs);
+        Ok(())
+    }
+
+    /// How far ahead a motion under way can be continued otherwise.
+    ///
+    /// # Errors
+    /// Whole goals cannot: they would go on after this program's death.
+    pub fn ahead_ms(&self) -> Result<u64, String> {
+        match self.interface {
+            ArmInterface::Stream => Ok(stream::AHEAD_MS),
+            _ => Err("it needs arm = \"stream\" in [ros2]: of whole goals nothing ends at rest by itself"
+                .to_owned()),
+        }
+    }
+
+    /// Continues the motion under way otherwise, from `from_s` of its own time on.
+    ///
+    /// # Errors
+    /// There is none, it is abandoned, or the piece would come too late; the arm goes on as before.
+    pub fn follow_on(
+        &mut self,
+        trajectory: Arc<Trajectory>,
+        from_s: f64,
+        now_ms: u64,
+        outputs: &mut Vec<Output>,
+    ) -> Result<(), String> {
+        self.ahead_ms()?;
+        let robot_ns = self.clock.at_ns(now_ms).ok_or("the robot's clock is not known")?;
+        let Some(Run { trajectory: run, stream: Some(stream), stopping_since_ms: None, .. }) = &mut self.run
+        else {
+            return Err("there is no motion that could be continued".to_owned());
+        };
+        let points = stream
+            .go_on([run, &trajectory], from_s, &self.limits, now_ms, robot_ns)
+            .map_err(|Late| "the next piece would come too late".to_owned())?;
+        *run = trajectory;
+        // Of two pieces in one turn the last one counts.
+        outputs.retain(|output| !matches!(output, Output::Trajectory(_)));
+        outputs.push(Output::Trajectory(stream.message(self.angles.names(), points)));
         Ok(())
     }
 

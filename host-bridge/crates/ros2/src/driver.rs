@@ -87,6 +87,15 @@ impl Robot for RosDriver {
         self.robot.follow(trajectory)
     }
 
+    fn ahead_ms(&self) -> Result<u64, String> {
+        self.robot.ahead_ms()
+    }
+
+    fn follow_on(&mut self, trajectory: Arc<Trajectory>, from_s: f64) -> Result<(), String> {
+        self.may_move()?;
+        self.robot.follow_on(trajectory, from_s)
+    }
+
     fn following(&self) -> Following {
         self.robot.following()
     }

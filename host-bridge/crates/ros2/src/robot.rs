@@ -334,6 +334,14 @@ impl Robot for RosRobot {
         self.arm.follow(trajectory, self.now_ms, &mut self.outputs)
     }
 
+    fn ahead_ms(&self) -> Result<u64, String> {
+        self.arm.ahead_ms()
+    }
+
+    fn follow_on(&mut self, trajectory: Arc<Trajectory>, from_s: f64) -> Result<(), String> {
+        self.arm.follow_on(trajectory, from_s, self.now_ms, &mut self.outputs)
+    }
+
     fn held_rad(&self) -> Option<Joints> {
         self.arm.held_rad(self.now_ms)
     }

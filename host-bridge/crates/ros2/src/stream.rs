@@ -30,6 +30,8 @@ const LEAD_S: f64 = 0.05;
 const HOLD_S: f64 = 0.5;
 /// A stop takes effect this long after it was sent.
 const STOP_LEAD_S: f64 = 0.01;
+/// A motion is continued otherwise at least this long after that was decided: by then the piece is there.
+pub const AHEAD_MS: u64 = 30;
 /// Longest time between two points of a piece.
 const GRID_S: f64 = 0.05;
 /// Points of braking.
@@ -131,6 +133,28 @@ impl Stream {
         let from_s = (elapsed_s.max(0.0) + HORIZON_MS as f64 / 1000.0).min(trajectory.duration_s());
         self.sent = Some((now_ms, from_s));
         Ok(Some(self.points(trajectory, limits, elapsed_s, from_s)))
+    }
+
+    /// The next piece of a motion that is continued otherwise from `change_s` on. `Err` = the robot could be there already;
+    /// what was sent holds.
+    pub fn go_on(
+        &mut self,
+        [before, trajectory]: [&Trajectory; 2],
+        change_s: f64,
+        limits: &JointLimits,
+        now_ms: u64,
+        robot_ns: i64,
+    ) -> Result<Vec<JointTrajectoryPoint>, Late> {
+        let elapsed_s = self.elapsed_s(robot_ns);
+        // The piece that the robot has must still be the motion as it was.
+        let is_too_late =
+            self.sent.is_some_and(|(_, until_s)| change_s > until_s && until_s < before.duration_s());
+        if self.braking.is_some() || is_too_late || elapsed_s + STOP_LEAD_S > change_s {
+            return Err(Late);
+        }
+        let from_s = (elapsed_s.max(0.0) + HORIZON_MS as f64 / 1000.0).min(trajectory.duration_s());
+        self.sent = Some((now_ms, from_s));
+        Ok(self.points(trajectory, limits, elapsed_s, from_s))
     }
 
     /// A piece that brakes now.

@@ -222,6 +222,20 @@ impl Robot for Simulator {
         Ok(())
     }
 
+    fn ahead_ms(&self) -> Result<u64, String> {
+        Ok(0)
+    }
+
+    fn follow_on(&mut self, trajectory: Arc<Trajectory>, from_s: f64) -> Result<(), String> {
+        match &mut self.arm.following {
+            Some((followed, elapsed_s)) if !self.arm.halting && *elapsed_s <= from_s => {
+                *followed = trajectory;
+                Ok(())
+            }
+            _ => Err("there is no motion that could be continued from there".to_owned()),
+        }
+    }
+
     fn following(&self) -> Following {
         match self.arm.following {
             None => Following::Idle,

@@ -42,7 +42,7 @@ messages! {
 
     /// One step.
     "bimanual_msgs/Turn" Turn {
-        /// 0 = the bridge decided at this time, 1 = the robot moved on by this long.
+        /// 0 = the bridge decided at this time, 1 = the robot moved on by this long, 2 = a motion that had been planned began.
         kind: u8,
         /// Time or duration in ms.
         ms: u64,

@@ -94,6 +94,7 @@ impl Diagnostics {
                 value(&key, ms)
             }));
         }
+        values.push(value("jogging", bridge.is_jogging()));
         values.extend(bridge.refusal().map(|why| value("refusal", why)));
         values.extend(bridge.restriction().map(|text| value("restriction", text)));
         values.extend(self.motion.as_ref().map(|motion| value("motion", motion)));

@@ -138,6 +138,7 @@ impl Origin {
             OperatorKey::EndArm => 2,
             OperatorKey::Show => 3,
             OperatorKey::Shown => 4,
+            OperatorKey::Clutch => 5,
         };
         Entry::new(Topic::Operated, time_ms, &own::Operated { stamp: self.stamp(time_ms), time_ms, key })
     }
@@ -153,6 +154,7 @@ impl Origin {
         let turn = |turn: &Turn| match turn {
             Turn::Decided(ms) => own::Turn { kind: 0, ms: *ms },
             Turn::Moved(ms) => own::Turn { kind: 1, ms: *ms },
+            Turn::Planned => own::Turn { kind: 2, ms: 0 },
         };
         Entry::new(Topic::Turns, time_ms, &own::Turns { turns: turns.iter().map(turn).collect() })
     }
@@ -334,6 +336,9 @@ fn intent(kind: &EventKind, header: &Header) -> Option<Intent> {
 /// The state of the dead-man, and what else keeps the robot from moving as usual.
 fn safety(bridge: &Bridge) -> String {
     let mut text = plain(&bridge.safety().state());
+    if bridge.is_jogging() {
+        text += "; jogging";
+    }
     for why in [bridge.refusal(), bridge.restriction()].into_iter().flatten() {
         text += &format!("; {why}");
     }

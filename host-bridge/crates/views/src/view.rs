@@ -177,8 +177,10 @@ impl View {
         let (arm, base) = (&snapshot.arm, snapshot.odometry);
         let doing = match &arm.running {
             _ if snapshot.arm_age_ms.is_none() => "not heard of".to_owned(),
+            Some((motion, Leg::Planning)) => format!("{motion}: planning"),
             Some((motion, Leg::ToHome)) => format!("{motion}: home first"),
             Some((motion, Leg::ToGoal)) => format!("{motion}: to the pose"),
+            Some((_, Leg::Jogging)) => "moved by the left hand".to_owned(),
             Some((motion, Leg::Halting)) => format!("{motion}: halting"),
             None => "at rest".to_owned(),
         };
@@ -195,6 +197,10 @@ impl View {
                 base.twist.angular_rad_s.to_degrees()
             ),
         ));
+        if snapshot.jogging {
+            let held = snapshot.jog_held.as_ref().map(|why| format!("; held: {why}")).unwrap_or_default();
+            lines.push((Color::Yellow, format!("JOG    the left hand moves the tool, not the base{held}")));
+        }
         if let Some(reason) = &snapshot.refusal {
             lines.push((Color::Red, format!("robot  {reason}")));
         }

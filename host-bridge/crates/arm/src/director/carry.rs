@@ -34,9 +34,32 @@ pub(super) struct Running {
     /// Where the base stood when it was planned.
     placement: Option<Placement>,
     pub(super) halted: bool,
+    /// The tool follows a hand, for as long as that is tilted.
+    pub(super) jogs: bool,
 }
 
 impl Running {
+    /// The tool follows a hand.
+    pub(super) fn jogging(trajectory: Arc<Trajectory>, now_ms: u64) -> Self {
+        Running {
+            motion: MotionName::from(MotionName::JOG),
+            now: Act::Follow { trajectory, home_s: 0.0, touch: Touch::default() },
+            since_ms: now_ms,
+            left: VecDeque::new(),
+            acts: 1,
+            placement: None,
+            halted: false,
+            jogs: true,
+        }
+    }
+
+    /// The trajectory under way continues otherwise.
+    pub(super) fn replace(&mut self, with: Arc<Trajectory>) {
+        if let Act::Follow { trajectory, .. } = &mut self.now {
+            *trajectory = with;
+        }
+    }
+
     /// The trajectory under way.
     pub(super) fn trajectory(&self) -> Option<&Arc<Trajectory>> {
         match &self.now {
@@ -60,10 +83,14 @@ impl Running {
 
 impl<R: Robot> Director<R> {
     /// Begins with the first act.
-    pub(super) fn begin(&mut self, motion: &MotionName, mut acts: VecDeque<Act>) -> Result<(), String> {
+    pub(super) fn begin(
+        &mut self,
+        motion: &MotionName,
+        mut acts: VecDeque<Act>,
+        placement: Option<Placement>,
+    ) -> Result<(), String> {
         let count = acts.len();
         let first = acts.pop_front().ok_or("the motion has no step")?;
-        let placement = self.planner.as_ref().and_then(|_| self.known_base().ok());
         self.start_act(&first)?;
         self.commanded_ms = self.now_ms;
         self.running = Some(Running {
@@ -72,9 +99,12 @@ impl<R: Robot> Director<R> {
             since_ms: self.now_ms,
             left: acts,
             acts: count,
-            placement: placement.map(|base| base.odometry.into()),
+            placement,
             halted: false,
+            jogs: false,
         });
+        *self.draws.entry(motion.clone()).or_default() += 1;
+        self.guard_due_ms = 0;
         Ok(())
     }
 
@@ -133,7 +163,8 @@ impl<R: Robot> Director<R> {
             self.give_up(None);
             return;
         }
-        if let Err(why) = self.can_go_on(&next).and_then(|()| self.start_act(&next)) {
+        let planned = running.placement.filter(|_| running.is_at_work() || next.is_at_work());
+        if let Err(why) = self.can_go_on(&next, planned).and_then(|()| self.start_act(&next)) {
             self.give_up(Some(why));
             return;
         }
@@ -144,7 +175,8 @@ impl<R: Robot> Director<R> {
     }
 
     /// Nothing has changed since the motion was planned: who commands, the base, the arm.
-    fn can_go_on(&self, next: &Act) -> Result<(), String> {
+    /// `planned` is where the base has to stand, if it matters.
+    pub(super) fn can_go_on(&self, next: &Act, planned: Option<Placement>) -> Result<(), String> {
         if let Some(refusal) = self.robot.refusal() {
             return Err(refusal);
         }
@@ -152,12 +184,10 @@ impl<R: Robot> Director<R> {
         if silent_ms > SILENCE_MS {
             return Err(format!("nobody has commanded for {silent_ms} ms"));
         }
-        if let Some(planned) = self.running.as_ref().and_then(|running| running.placement) {
+        if let Some(planned) = planned {
             let here = Placement::from(self.known_base()?.odometry);
             let off_m = (here.x_m - planned.x_m).hypot(here.y_m - planned.y_m);
-            if self.is_at_work()
-                && (off_m > SHIFTED_MAX || (here.heading_rad - planned.heading_rad).abs() > SHIFTED_MAX)
-            {
+            if off_m > SHIFTED_MAX || (here.heading_rad - planned.heading_rad).abs() > SHIFTED_MAX {
                 return Err(format!("the base is {off_m:.2} m from where the motion was planned"));
             }
         }
@@ -235,13 +265,18 @@ impl<R: Robot> Director<R> {
 
     fn end_motion(&mut self, reached: bool) {
         self.things.touch = Touch::default();
-        if let Some(running) = self.running.take() {
+        let Some(running) = self.running.take() else { return };
+        if running.jogs {
+            // It ends with each tilt. One that was stopped does not begin again under a hand that is still tilted.
+            self.jog.needs_neutral |= !reached && !running.halted;
+        } else {
             self.reports.push(Report::MotionEnded { motion: running.motion, reached });
         }
     }
 
     /// Ends the whole motion, whichever part of it is running.
     pub(super) fn halt_motion(&mut self) {
+        self.throw_plan_away();
         if let Some(running) = &mut self.running {
             running.halted = true;
         }

@@ -102,6 +102,7 @@ impl<R: Robot> Director<R> {
         self.robot.drive(twist);
         if halt_arm {
             // Whichever part of a motion is running, the rest of it does not follow.
+            self.jog.needs_neutral = true;
             self.halt_motion();
             self.robot.halt_arm();
             self.robot.halt_gripper();

@@ -9,6 +9,8 @@
 
 mod carry;
 mod guarding;
+mod jogging;
+mod planning;
 mod sequence;
 
 use std::collections::HashMap;
@@ -16,8 +18,8 @@ use std::sync::Arc;
 
 use host_robot::shape::Point;
 use host_robot::{
-    ArmState, Busy, Door, Following, JOINTS, JointLimits, JointSetting, Joints, Leg, MotionName, NotStarted,
-    Picture, Pose, Report, Robot, RobotSetting, SceneBox, Twist, Wheels,
+    ArmState, Busy, DVec3, Door, Following, JOINTS, JointLimits, JointSetting, Joints, Leg, MotionName,
+    NotStarted, Picture, Pose, Report, Robot, RobotSetting, SceneBox, Twist, Wheels,
 };
 
 use crate::model::SerialArm;
@@ -29,6 +31,8 @@ use crate::things::{Things, in_scene};
 use crate::tool::Tool;
 
 use carry::Running;
+use jogging::Jog;
+use planning::{How, Planning};
 
 /// How much of a long pause is looked at tick by tick, in ms.
 const CATCH_UP_MS: u64 = 10_000;
@@ -53,6 +57,9 @@ pub struct Director<R> {
     planner: Option<Arc<Planner>>,
     now_ms: u64,
     running: Option<Running>,
+    /// Where motions are planned, and the one that is.
+    how: How,
+    planning: Option<Planning>,
     /// Tool and objects, as far as known.
     things: Things,
     /// How far the fingers were apart when the gripper was last asked, where that was known.
@@ -67,6 +74,7 @@ pub struct Director<R> {
     guard_due_ms: u64,
     held: Option<String>,
     guard_stops: u32,
+    jog: Jog,
     reports: Vec<Report>,
 }
 
@@ -97,6 +105,8 @@ impl<R: Robot> Director<R> {
             planner,
             now_ms: 0,
             running: None,
+            how: How::AtOnce,
+            planning: None,
             draws: HashMap::new(),
             plans: 0,
             wanted: Twist::ZERO,
@@ -104,6 +114,7 @@ impl<R: Robot> Director<R> {
             guard_due_ms: 0,
             held: None,
             guard_stops: 0,
+            jog: Jog::default(),
             reports: Vec::new(),
         }
     }
@@ -138,9 +149,13 @@ impl<R: Robot> Director<R> {
     }
 
     fn running_state(&self) -> Option<(MotionName, Leg)> {
+        if let Some(planning) = &self.planning {
+            return Some((planning.motion.clone(), Leg::Planning));
+        }
         let running = self.running.as_ref()?;
         let leg = match self.robot.following() {
             Following::Halting => Leg::Halting,
+            _ if running.jogs => Leg::Jogging,
             Following::Moving { elapsed_s } if elapsed_s < running.home_s() => Leg::ToHome,
             Following::Moving { .. } | Following::Idle => Leg::ToGoal,
         };
@@ -161,6 +176,7 @@ impl<R: Robot> Door for Director<R> {
             self.now_ms = now_ms.min(self.now_ms.saturating_add(tick_ms)).min(due_ms);
             self.robot.step(self.now_ms);
             self.carry_on();
+            self.jog_on();
         }
         self.reports.extend(self.robot.take_accepted().into_iter().map(Report::Accepted));
         self.reports.extend(self.robot.take_notes().into_iter().map(Report::Note));
@@ -182,17 +198,36 @@ impl<R: Robot> Door for Director<R> {
     }
 
     fn start_motion(&mut self, motion: &MotionName) -> Result<(), NotStarted> {
-        if let Some(running) = &self.running {
-            return Err(Busy(running.motion.clone()).into());
+        if let Some((busy, _)) = self.running_state() {
+            return Err(Busy(busy).into());
         }
-        let acts = self.plan(motion).map_err(NotStarted::Refused)?;
-        self.begin(motion, acts).map_err(NotStarted::Refused)?;
-        *self.draws.entry(motion.clone()).or_default() += 1;
-        self.guard_due_ms = 0;
+        let task = self.task(motion).map_err(NotStarted::Refused)?;
+        self.plan(motion, task).map_err(NotStarted::Refused)
+    }
+
+    fn plan_is_ready(&self) -> bool {
+        self.has_planned()
+    }
+
+    fn begin_planned(&mut self) {
+        self.begin_what_is_planned();
+    }
+
+    fn can_jog(&self) -> Result<(), NotStarted> {
+        if let Some((busy, _)) = self.running_state() {
+            return Err(Busy(busy).into());
+        }
+        self.robot.can_follow().and_then(|()| self.robot.ahead_ms()).map_err(NotStarted::Refused)?;
         Ok(())
     }
 
+    fn jog(&mut self, tool_m_s: DVec3) {
+        self.commanded_ms = self.now_ms;
+        self.want_jog(tool_m_s);
+    }
+
     fn halt(&mut self) {
+        self.want_jog(DVec3::ZERO);
         (self.wanted, self.allowed) = (Twist::ZERO, Twist::ZERO);
         self.halt_motion();
         self.robot.halt();
@@ -200,6 +235,7 @@ impl<R: Robot> Door for Director<R> {
     }
 
     fn halt_arm(&mut self) {
+        self.want_jog(DVec3::ZERO);
         self.halt_motion();
         self.robot.halt_arm();
         self.robot.halt_gripper();
@@ -259,6 +295,7 @@ impl<R: Robot> Door for Director<R> {
             objects: objects.collect(),
             reference_rad,
             held: self.held.clone(),
+            jog_held: self.jog.held.clone(),
             guard_stops: self.guard_stops,
             timeouts: self.robot.timeouts(),
         }

@@ -4,14 +4,14 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 
 use host_robot::shape::Point;
-use host_robot::{DVec3, Joints, MotionName, Pose, Robot, Trajectory};
+use host_robot::{DVec3, JointLimits, Joints, MotionName, Pose, Robot, Trajectory};
 
 use crate::motions::{Grasp, GripTable, Step};
 use crate::plan::collision::Part;
-use crate::plan::{Case, Placement, Purse, line};
+use crate::plan::{Case, Placement, Planner, Purse, line};
 use crate::things::{Shop, Things, Touch, in_scene};
 
-use super::{Director, REST_RAD_S};
+use super::{Bare, Director, REST_RAD_S};
 
 /// How far a hand that is at an object backs off before it moves freely.
 const BACK_OFF_M: f64 = 0.1;
@@ -48,6 +48,7 @@ impl Act {
 }
 
 /// The state of a plan so far.
+#[derive(Debug)]
 struct Draft {
     acts: VecDeque<Act>,
     from_rad: Joints,
@@ -55,6 +56,8 @@ struct Draft {
     placement: Placement,
     /// What all its steps together may cost.
     purse: Purse,
+    /// Sets apart plans that are otherwise alike.
+    turn: u64,
 }
 
 impl Draft {
@@ -75,27 +78,63 @@ impl Draft {
     }
 }
 
-impl<R: Robot> Director<R> {
-    pub(super) fn plan(&mut self, motion: &MotionName) -> Result<VecDeque<Act>, String> {
-        let steps = self.motions.get(motion.as_str()).map_err(|error| error.to_string())?.steps;
-        let grips = steps.iter().any(|step| matches!(step, Step::Grip { .. }));
-        let moves = steps.iter().any(|step| !matches!(step, Step::Grip { .. } | Step::Wait { .. }));
-        if grips {
-            self.robot.can_grip()?;
-        }
-        let mut draft = self.draft(moves, grips || steps.len() > 1)?;
+/// All that a motion is planned from: a copy of how things are, so that it can be planned elsewhere.
+#[derive(Debug)]
+pub(super) struct Task {
+    plot: Plot,
+    steps: Vec<Step>,
+    draft: Draft,
+}
+
+/// What does not change while it is planned.
+#[derive(Debug)]
+struct Plot {
+    bare: Arc<Bare>,
+    planner: Option<Arc<Planner>>,
+    /// Of the robot; with a scene the planner has its own.
+    limits: JointLimits,
+    /// How often the motion has run, for those that draw.
+    draw: usize,
+}
+
+impl Task {
+    /// The acts, or why there is no safe one.
+    pub(super) fn plan(self) -> Result<VecDeque<Act>, String> {
+        let Task { plot, steps, mut draft } = self;
         for (i, step) in steps.iter().enumerate() {
             let beside = |other: Option<&Step>| matches!(other, Some(Step::Grip { .. }));
             let is_rest = |step: &&Step| matches!(step, Step::Wait { .. });
             let before = beside(steps[..i].iter().rev().find(|step| !is_rest(step)));
             let after = beside(steps[i + 1..].iter().find(|step| !is_rest(step)));
-            let done = self.take_step(motion, step, &mut draft, (before, after));
+            let done = plot.take_step(step, &mut draft, (before, after));
             done.map_err(|why| {
                 let why = draft.purse.refusal().unwrap_or(why);
                 if steps.len() == 1 { why } else { format!("step {}: {why}", i + 1) }
             })?;
         }
         Ok(draft.acts)
+    }
+}
+
+impl<R: Robot> Director<R> {
+    /// What is to be planned for a motion, from how things are now.
+    pub(super) fn task(&mut self, motion: &MotionName) -> Result<Task, String> {
+        let steps = self.motions.get(motion.as_str()).map_err(|error| error.to_string())?.steps;
+        let grips = steps.iter().any(|step| matches!(step, Step::Grip { .. }));
+        let moves = steps.iter().any(|step| !matches!(step, Step::Grip { .. } | Step::Wait { .. }));
+        if grips {
+            self.robot.can_grip()?;
+        }
+        let draft = self.draft(moves, grips || steps.len() > 1)?;
+        // Each step takes one plan at most.
+        self.plans += steps.len() as u64;
+        let plot = Plot {
+            bare: Arc::clone(&self.bare),
+            planner: self.planner.clone(),
+            limits: *self.robot.joint_limits(),
+            draw: self.draws.get(motion).copied().unwrap_or_default(),
+        };
+        Ok(Task { plot, steps, draft })
     }
 
     /// Where everything is now.
@@ -127,17 +166,48 @@ impl<R: Robot> Director<R> {
         }
         let mut things = self.things.clone();
         things.opening_m = self.robot.opening_m().map(|opening| opening.value);
-        Ok(Draft { acts: VecDeque::new(), from_rad, things, placement, purse: Purse::default() })
+        Ok(Draft {
+            acts: VecDeque::new(),
+            from_rad,
+            things,
+            placement,
+            purse: Purse::default(),
+            turn: self.plans,
+        })
+    }
+
+    pub(super) fn shop(&self) -> Shop<'_> {
+        shop(self.planner.as_deref(), &self.bare)
+    }
+
+    pub(super) fn flange_in_scene(&self, placement: Placement, joints_rad: &Joints) -> Pose {
+        in_scene(placement, self.scene().base.mount_m, &self.bare.arm.flange_pose(joints_rad))
+    }
+}
+
+/// Objects, boxes and tool, for gripping.
+fn shop<'a>(planner: Option<&'a Planner>, bare: &'a Bare) -> Shop<'a> {
+    match planner {
+        Some(planner) => planner.world().shop(),
+        None => Shop { objects: &[], boxes: &[], tool: &bare.tool },
+    }
+}
+
+impl Plot {
+    fn shop(&self) -> Shop<'_> {
+        shop(self.planner.as_deref(), &self.bare)
+    }
+
+    fn mount_m(&self) -> Point {
+        self.planner.as_ref().map_or(&self.bare.scene, |planner| planner.world().scene()).base.mount_m
+    }
+
+    fn flange_in_scene(&self, placement: Placement, joints_rad: &Joints) -> Pose {
+        in_scene(placement, self.mount_m(), &self.bare.arm.flange_pose(joints_rad))
     }
 
     /// Plans one step; `beside` says whether the gripper moves before it and after it.
-    fn take_step(
-        &mut self,
-        motion: &MotionName,
-        step: &Step,
-        draft: &mut Draft,
-        beside: (bool, bool),
-    ) -> Result<(), String> {
+    fn take_step(&self, step: &Step, draft: &mut Draft, beside: (bool, bool)) -> Result<(), String> {
         let goal_rad = match step {
             Step::Wait { ms } => {
                 draft.acts.push_back(Act::Wait { ms: *ms });
@@ -145,10 +215,7 @@ impl<R: Robot> Director<R> {
             }
             Step::Grip { to, effort_n } => return self.take_grip(*to, *effort_n, draft),
             Step::To(goal_rad) => *goal_rad,
-            Step::ToNextOf(goals_rad) => {
-                let draw = self.draws.get(motion).copied().unwrap_or_default();
-                goals_rad[draw % goals_rad.len()]
-            }
+            Step::ToNextOf(goals_rad) => goals_rad[self.draw % goals_rad.len()],
             Step::Tool { .. } | Step::Move { .. } => {
                 let target = self.target(step, &draft.from_rad);
                 if step.is_straight() {
@@ -168,7 +235,7 @@ impl<R: Robot> Director<R> {
         let here = self.bare.arm.flange_pose(from_rad);
         match step {
             Step::Tool { pose, .. } => {
-                let mount_m = self.scene().base.mount_m;
+                let mount_m = self.mount_m();
                 Pose { position_m: pose.position_m - mount_m - pose.rotation * point_m, ..*pose }
             }
             Step::Move { way_m, own, turn, .. } => {
@@ -193,7 +260,7 @@ impl<R: Robot> Director<R> {
     }
 
     /// To these angles: through home, or along the planned path.
-    fn go_freely(&mut self, goal_rad: &Joints, draft: &mut Draft) -> Result<(), String> {
+    fn go_freely(&self, goal_rad: &Joints, draft: &mut Draft) -> Result<(), String> {
         let arm = &self.bare.arm;
         let from_rad = draft.from_rad;
         let goal_rad = arm.unwound(goal_rad, &from_rad);
@@ -204,16 +271,16 @@ impl<R: Robot> Director<R> {
                 })?;
                 let home_rad = arm.unwound(&arm.home_rad, &from_rad);
                 let goal_rad = arm.unwound(&goal_rad, &home_rad);
-                let limits = self.robot.joint_limits();
+                let limits = &self.limits;
                 let home = Trajectory::through(&[from_rad, home_rad], &[], limits);
                 let onward = Trajectory::through(&[home_rad, goal_rad], &[], limits);
                 let home_s = home.duration_s();
                 (home.then(&onward), home_s)
             }
             Some(planner) => {
-                self.plans += 1;
+                draft.turn += 1;
                 let plan = planner
-                    .plan_among(&from_rad, &goal_rad, draft.case(), self.plans)
+                    .plan_best(&from_rad, &goal_rad, draft.case(), draft.turn)
                     .map_err(|refusal| refusal.to_string())?;
                 (plan.trajectory, plan.home_s.unwrap_or(0.0))
             }
@@ -234,7 +301,7 @@ impl<R: Robot> Director<R> {
             let path_rad =
                 line::along(arm, &draft.from_rad, target, &draft.purse).map_err(|error| error.to_string())?;
             let corners = path_rad.len().saturating_sub(2);
-            let leg = Trajectory::through(&path_rad, &vec![false; corners], self.robot.joint_limits());
+            let leg = Trajectory::through(&path_rad, &vec![false; corners], &self.limits);
             draft.follow(leg, 0.0, Touch::default());
             return Ok(());
         };
@@ -245,7 +312,7 @@ impl<R: Robot> Director<R> {
             touch = shop.touching(&draft.things, &here);
         }
         if after {
-            let there = in_scene(draft.placement, self.scene().base.mount_m, target);
+            let there = in_scene(draft.placement, self.mount_m(), target);
             touch = both(touch, shop.touching(&draft.things, &there));
         }
         let things = Things { touch: touch.clone(), ..draft.things.clone() };
@@ -329,17 +396,6 @@ impl<R: Robot> Director<R> {
         draft.things.opening_m = draft.things.opening_m.filter(|_| before_m.is_some());
         draft.acts.push_back(Act::Grip { opening_m, effort_n, closes_on });
         Ok(())
-    }
-
-    pub(super) fn shop(&self) -> Shop<'_> {
-        match &self.planner {
-            Some(planner) => planner.world().shop(),
-            None => Shop { objects: &[], boxes: &[], tool: &self.bare.tool },
-        }
-    }
-
-    pub(super) fn flange_in_scene(&self, placement: Placement, joints_rad: &Joints) -> Pose {
-        in_scene(placement, self.scene().base.mount_m, &self.bare.arm.flange_pose(joints_rad))
     }
 }
 

@@ -2,8 +2,9 @@
 
 use std::cell::Cell;
 
-/// Checks that one motion may take, over all its steps. They are made on the thread that also stops the robot, which must not
-/// be kept for long: `a_motion_is_planned_or_refused_within_its_checks` in tests/plan_scenes.rs prints what that is in time.
+/// Checks that one motion may take, over all its steps. `run` makes them beside the thread that stops the robot; whoever plans
+/// at once, as in virtual time, waits for them: `a_motion_is_planned_or_refused_within_its_checks` in tests/plan_scenes.rs
+/// prints what that is in time.
 pub const MOTION_CHECKS_MAX: u64 = 40_000;
 
 /// Checks that are left to a motion: looks of one configuration at everything around it, and steps of inverse kinematics,
@@ -50,8 +51,8 @@ impl Purse {
     pub fn refusal(&self) -> Option<String> {
         self.is_empty().then(|| {
             format!(
-                "planning it takes more than {} checks, and the robot's stops are not kept waiting for longer: give the motion \
-                 fewer steps, put a pose in between, or clear the way",
+                "planning it takes more than {} checks, and nobody is kept waiting for longer: give the motion fewer steps, \
+                 put a pose in between, or clear the way",
                 self.full
             )
         })

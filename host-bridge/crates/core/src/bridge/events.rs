@@ -148,6 +148,11 @@ pub enum EventKind {
     RobotReady,
     /// A key ended the arm's motion alone.
     ArmEnded,
+    /// The left hand is lent to the arm, or taken back.
+    Jogging {
+        /// It is lent.
+        lent: bool,
+    },
     /// This session may do less than others.
     Restricted {
         /// What, and why.
@@ -179,6 +184,10 @@ pub enum GestureOutcome {
     Refused(MotionName),
     /// The arm's motion is ended, and that alone.
     EndedArm,
+    /// The left hand is lent to the arm; both hands have to be neutral first.
+    Lent,
+    /// It is taken back; neutral first.
+    TakenBack,
     /// The label has no motion.
     NoMotion,
     /// Dropped: its window ended too long ago.

@@ -1,18 +1,21 @@
 //! The bridge itself: links, safety and intents wired to a robot. Bytes and the time come in.
 
 mod accepted;
+mod clutch;
 mod events;
 mod judged;
+mod restriction;
 mod wearer;
 
 pub use accepted::{Acceptance, Accepted};
 pub use events::{BridgeEvent, Drops, EventKind, GestureOutcome};
+pub use restriction::Restriction;
 pub use wearer::{Nearly, Prompt};
 
 use shared_proto::message::{Ack, Heading, HostMessage, LeftState, health};
 
 use accepted::Acceptances;
-use host_robot::{Busy, Door, MotionName, NotStarted, Part, Report, Twist};
+use host_robot::{Busy, DVec3, Door, MotionName, NotStarted, Part, Report, Twist};
 use judged::{command, rests, without_figures};
 use wearer::{NEARLY_SHOWN_MS, Seen};
 
@@ -20,6 +23,7 @@ use crate::almost::Almost;
 use crate::doubt;
 use crate::engine::FOREIGN_REQUESTS;
 use crate::intent::{Caps, MotionMap, SpeedRules};
+use crate::jog::{JogRules, Lift};
 use crate::link::{HandLink, Heard, NewGesture, RightReport};
 use crate::safety::{self, Action, Hand, Ignored, PerHand, Safety, SafetyTimes, State};
 use crate::tilt::{Tilt, TiltDrive};
@@ -53,15 +57,10 @@ pub struct Bridge {
     refusal: Option<String>,
     /// What this session is not allowed to do.
     restriction: Option<Restriction>,
-}
-
-/// What a session is not allowed to do, and why.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Restriction {
-    /// Fastest speed of the base, in m/s and rad/s.
-    pub most: f64,
-    /// For people: what is less, and why. The arm does not move.
-    pub text: String,
+    jog: JogRules,
+    lift: Lift,
+    /// What the tool was last asked for.
+    jogged_m_s: DVec3,
 }
 
 impl Bridge {
@@ -93,6 +92,9 @@ impl Bridge {
             acceptances: Acceptances::default(),
             refusal: None,
             restriction: None,
+            jog: JogRules::off(),
+            lift: Lift::default(),
+            jogged_m_s: DVec3::ZERO,
         }
     }
 
@@ -100,28 +102,6 @@ impl Bridge {
     #[must_use]
     pub fn driving(self, drive: TiltDrive) -> Self {
         Bridge { drive, ..self }
-    }
-
-    /// The base drives no faster than that, and the arm does not move.
-    #[must_use]
-    pub fn restricted(mut self, restriction: Restriction) -> Self {
-        let Restriction { most, text } = &restriction;
-        let rules = self.caps.rules;
-        let within = |value: f64| value.min(*most);
-        self.caps = Caps::new(SpeedRules {
-            start: within(rules.start),
-            least: within(rules.least),
-            most: within(rules.most),
-            ..rules
-        });
-        self.note(0, EventKind::Restricted { text: text.clone() });
-        self.restriction = Some(restriction);
-        self
-    }
-
-    /// What this session may not do, for people.
-    pub fn restriction(&self) -> Option<&str> {
-        self.restriction.as_ref().map(|restriction| restriction.text.as_str())
     }
 
     /// The robot itself refuses to move from now on, or (`None`) does not any more.
@@ -189,6 +169,10 @@ impl Bridge {
                     None => continue,
                 },
                 Report::MotionEnded { motion, reached } => EventKind::MotionEnded { motion, reached },
+                Report::MotionRefused { motion, reason } => {
+                    self.drops.gestures_refused += 1;
+                    EventKind::MotionRefused { motion, reason }
+                }
                 Report::BaseHeld { reason } => EventKind::BaseHeld { reason },
                 Report::BaseFree => EventKind::BaseFree,
                 Report::Note(text) => EventKind::Robot { text },
@@ -200,6 +184,7 @@ impl Bridge {
         if self.was_armed && (due || self.twist() != self.driven.0) {
             self.drive(now_ms, robot);
         }
+        self.move_tool(due, now_ms, robot);
     }
 
     /// What to send to a hand's board now, if anything.
@@ -226,6 +211,7 @@ impl Bridge {
     pub fn end_arm_key(&mut self, now_ms: u64, robot: &mut dyn Door) {
         robot.halt_arm();
         self.note(now_ms, EventKind::ArmEnded);
+        self.take_back(now_ms, robot);
     }
 
     /// The release key, pressed and confirmed; has an effect only if no right hand is connected.
@@ -319,7 +305,8 @@ impl Bridge {
             }
             Heard::Model(model) => {
                 let without = self.map.without_motion(&model.labels);
-                let without_motion = without.into_iter().map(str::to_owned).collect();
+                let without = without.into_iter().filter(|label| !self.is_clutch(label));
+                let without_motion = without.map(str::to_owned).collect();
                 self.note(now_ms, EventKind::Model { model, without_motion });
             }
             Heard::Left { age_ms, state, index_bends, middle_bends } => {
@@ -379,7 +366,9 @@ impl Bridge {
             self.drops.gestures_unnamed += u32::from(unnamed);
         }
         let acts = named.as_ref().filter(|_| !self.wearer.is_shown);
-        let gesture = acts.map(|(new, label)| safety::Gesture {
+        // The clutch is no gesture to the safety machine, which knows gestures only from somebody armed.
+        let clutch = acts.filter(|(_, label)| self.is_clutch(label)).map(|(new, _)| new.age_ms);
+        let gesture = acts.filter(|_| clutch.is_none()).map(|(new, label)| safety::Gesture {
             label: new.label,
             age_ms: new.age_ms,
             releases: self.map.motion(label).is_some_and(|motion| *motion == *MotionName::HOME),
@@ -397,10 +386,11 @@ impl Bridge {
             age_ms: report.age_ms,
             prompt: self.links.right.is_prompt(self.safety.times().prompt_ms(), now_ms),
             healthy: health::is_fit(report.health),
-            resting,
+            resting: resting && clutch.is_none(),
             gesture,
         };
         let outcome = self.apply(event, now_ms, robot);
+        let outcome = clutch.map(|age_ms| self.clutch(age_ms, now_ms, robot)).or(outcome);
         if let Some((new, label)) = named {
             self.wearer.nearly = None;
             let outcome = match outcome {
@@ -409,7 +399,10 @@ impl Bridge {
             };
             match &outcome {
                 GestureOutcome::Started(_) => self.acceptances.ask(Part::Arm, new.age_ms, now_ms),
-                GestureOutcome::Released | GestureOutcome::EndedArm => {}
+                GestureOutcome::Released
+                | GestureOutcome::EndedArm
+                | GestureOutcome::Lent
+                | GestureOutcome::TakenBack => {}
                 GestureOutcome::Busy(_) => self.drops.gestures_while_busy += 1,
                 GestureOutcome::Refused(_) => self.drops.gestures_refused += 1,
                 GestureOutcome::NoMotion => self.drops.gestures_without_motion += 1,
@@ -436,6 +429,7 @@ impl Bridge {
                     robot.halt();
                     self.acceptances.forget();
                     self.driven = (Twist::ZERO, now_ms);
+                    (self.jogged_m_s, self.lift) = (DVec3::ZERO, Lift::default());
                     self.note(now_ms, EventKind::Halt { reason });
                 }
                 Action::ResetCaps => self.caps = Caps::new(self.caps.rules),
@@ -446,6 +440,13 @@ impl Bridge {
                 Action::Released => {
                     outcome = Some(GestureOutcome::Released);
                     self.note(now_ms, EventKind::Released);
+                }
+                Action::Lent(lent) => {
+                    self.lift = Lift::default();
+                    self.note(now_ms, EventKind::Jogging { lent });
+                }
+                Action::Bends { index, middle } if self.safety.is_lent() => {
+                    self.lift.bend(index, middle, self.jog.bend_ms, now_ms);
                 }
                 Action::Bends { index, middle } => {
                     self.caps.bend(index, middle);
@@ -479,6 +480,7 @@ impl Bridge {
         };
         if motion == *MotionName::END_ARM {
             robot.halt_arm();
+            self.take_back(now_ms, robot);
             return GestureOutcome::EndedArm;
         }
         if let Some(restriction) = &self.restriction {

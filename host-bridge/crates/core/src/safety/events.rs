@@ -65,6 +65,11 @@ pub enum Event {
         /// It refuses.
         refuses: bool,
     },
+    /// The clutch: the left hand is lent to the arm, or taken back. Only somebody armed can lend it.
+    Clutch {
+        /// It is lent.
+        lends: bool,
+    },
     /// The operator's stop: a key, a button.
     StopKey,
     /// The operator's release key, pressed and confirmed. Only counts if no right hand is connected.
@@ -87,6 +92,10 @@ pub enum HaltReason {
     Restart(Hand),
     /// The robot itself refuses to move.
     RobotRefuses,
+    /// The left hand is lent to the arm, or taken back.
+    Clutch,
+    /// The left hand moves the arm, and the right one does not rest.
+    NotAtRest,
 }
 
 /// Why something that a hand did had no effect.
@@ -118,6 +127,8 @@ pub enum Action {
     Entered(State),
     /// The stop is over. That alone moves nothing.
     Released,
+    /// The left hand is lent to the arm, or (false) taken back. That alone moves nothing.
+    Lent(bool),
     /// These bends count.
     Bends {
         /// Of the index finger.

@@ -92,6 +92,8 @@ impl Default for SafetyTimes {
 /// Only in `Armed` does anything move. Leaving it halts base and arm. `Stale` is reached by time alone.
 /// A stopped robot stays stopped whatever the links do. A robot that refuses by itself (`Refused`, from every state
 /// but `Stopped`) is `Waiting` again when it does not any more, and neutral is needed; no release goes past it.
+/// The clutch, which lends the left hand to the arm or takes it back, leads from `Armed` to `Waiting`; so does a right hand
+/// that does not rest while the left one is lent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum State {
@@ -122,6 +124,8 @@ pub struct Safety {
     right_rested: bool,
     /// The robot itself refuses to move.
     refused: bool,
+    /// The left hand is lent to the arm.
+    lent: bool,
 }
 
 impl Default for Safety {
@@ -148,6 +152,7 @@ impl Safety {
             tilts: Tilts::default(),
             right_rested: false,
             refused: false,
+            lent: false,
         }
     }
 
@@ -167,9 +172,23 @@ impl Safety {
         self.state
     }
 
-    /// The heading that may drive the base: neutral unless armed.
+    /// The heading that may drive the base: neutral unless armed, and while the hand is lent to the arm.
     pub fn heading(&self) -> Heading {
-        if self.state == State::Armed && self.left.connected { self.heading } else { Heading::Neutral }
+        if self.acts() && !self.lent { self.heading } else { Heading::Neutral }
+    }
+
+    fn acts(&self) -> bool {
+        self.state == State::Armed && self.left.connected
+    }
+
+    /// The left hand is lent to the arm; whether it moves it depends on the state.
+    pub fn is_lent(&self) -> bool {
+        self.lent
+    }
+
+    /// Where the left hand points while it may move the arm's tool.
+    pub fn jogging(&self) -> Option<Pointing> {
+        (self.acts() && self.lent).then(|| Pointing { heading: self.heading, tilt: self.tilts.meant() })
     }
 
     /// The same with how far it is tilted.
@@ -214,6 +233,7 @@ impl Safety {
                 if hand == Hand::Right {
                     self.right_rested = false;
                 }
+                self.lend(false, &mut actions);
                 self.leave_armed(State::Waiting, HaltReason::Restart(hand), &mut actions);
             }
             Event::Unusable(hand) => {
@@ -276,6 +296,9 @@ impl Safety {
                     self.right.lose(self.now_ms);
                     self.leave_armed(State::Stale, HaltReason::Unhealthy(Hand::Right), &mut actions);
                 }
+                if self.lent && !(resting && gesture.is_none()) && self.state == State::Armed {
+                    self.leave_armed(State::Waiting, HaltReason::NotAtRest, &mut actions);
+                }
                 if let Some(gesture) = gesture {
                     self.gesture(gesture, &mut actions);
                 }
@@ -283,12 +306,19 @@ impl Safety {
             Event::Robot { refuses } => {
                 self.refused = refuses;
                 if refuses {
+                    self.lend(false, &mut actions);
                     self.leave_armed(State::Refused, HaltReason::RobotRefuses, &mut actions);
                 } else if self.state == State::Refused {
                     // Neutral must be held from now on, not from before.
                     self.left.reset(self.now_ms);
                     self.right.reset(self.now_ms);
                     self.enter(State::Waiting, &mut actions);
+                }
+            }
+            Event::Clutch { lends } => {
+                if lends != self.lent && (!lends || self.acts()) {
+                    self.lend(lends, &mut actions);
+                    self.leave_armed(State::Waiting, HaltReason::Clutch, &mut actions);
                 }
             }
             Event::StopKey => self.stop(&mut actions),
@@ -382,10 +412,17 @@ impl Safety {
         self.left.reset(self.now_ms);
         self.right.reset(self.now_ms);
         self.right_rested = false;
+        self.lend(false, actions);
         if self.state != State::Stopped {
             actions.push(Action::Halt(HaltReason::OperatorStop));
             actions.push(Action::ResetCaps);
             self.enter(State::Stopped, actions);
+        }
+    }
+
+    fn lend(&mut self, lends: bool, actions: &mut Vec<Action>) {
+        if std::mem::replace(&mut self.lent, lends) != lends {
+            actions.push(Action::Lent(lends));
         }
     }
 

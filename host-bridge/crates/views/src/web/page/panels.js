@@ -211,13 +211,14 @@ export class Panels {
     this.joints.forEach(({ text, shown, unit }, i) => put(text, "text", arm.joints_rad[i] === null ? "–" : `${shown(arm.joints_rad[i])}${unit}`));
     put($("linear-text"), "text", `${odometry.twist.linear_m_s.toFixed(2)} m/s`);
     put($("angular-text"), "text", `${degrees(odometry.twist.angular_rad_s).toFixed(0)} °/s`);
-    const legs = { "to-home": "home first", "to-goal": "on its way", halting: "halting" };
+    const legs = { planning: "planning", "to-home": "home first", "to-goal": "on its way", jogging: "moved by hand", halting: "halting" };
     const doing = arm.running ? `${arm.running[0].replaceAll("-", " ")}: ${legs[arm.running[1]]}` : "arm at rest";
     const heard = state.arm_age_ms === null ? "the arm reports nothing" : doing;
     const late = state.arm_age_ms > 100 ? ` (${state.arm_age_ms} ms old)` : "";
     put($("doing"), "text", heard + late);
     const where = `x ${odometry.x_m.toFixed(2)} m, y ${odometry.y_m.toFixed(2)} m, ${degrees(odometry.heading_rad).toFixed(0)}°`;
-    const held = [state.held && `held back: ${state.held}`, state.restriction].filter(Boolean).map((text) => `; ${text}`).join("");
+    const jog = state.jogging && `jogging: the left hand moves the tool${state.jog_held ? ` (held: ${state.jog_held})` : ""}`;
+    const held = [jog, state.held && `held back: ${state.held}`, state.restriction].filter(Boolean).map((text) => `; ${text}`).join("");
     const known = state.base_age_ms === null ? "reports nothing" : `${where}; ${odometry.path_m.toFixed(1)} m driven`;
     put($("base-text"), "text", `base: ${known}${held}`);
     put($("scene-text"), "text", `Base at ${where}. ${doing}. ${this.setting.boxes.length} boxes around.`);

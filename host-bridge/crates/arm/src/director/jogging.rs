@@ -1,0 +1,203 @@
+//! A hand moves the tool: pieces of a few hundredths of a second, each followed by braking to rest.
+//!
+//! ```text
+//! plan    ──────────╲__          what the robot has: it always ends at rest
+//! piece 1     ▪──╲__             begins on the plan, a little ahead of now; then brakes
+//! piece 2        ▪──╲__
+//! ```
+//!
+//! A piece is taken only if it, and the braking after it, keep every limit and touch nothing. If none is, the plan stands,
+//! and the arm comes to rest. So an arm that was allowed to move can always stop, whatever the hand does next, and silence
+//! needs no decision.
+
+use std::sync::Arc;
+
+use host_robot::{
+    Base, BaseState, DMat3, DVec3, JointLimits, Motion, Odometry, Report, Robot, Trajectory, Twist,
+};
+
+use crate::jog::{acceleration, joint_speeds};
+use crate::plan::guard::{Guard, Moving, TICK_MS};
+
+use super::carry::Running;
+use super::{Director, REST_RAD_S};
+
+/// Length of a piece.
+const PIECE_MS: u64 = 20;
+const PIECE_S: f64 = PIECE_MS as f64 / 1000.0;
+/// This much of what is past stays known: whoever compares the arm with its plan looks back.
+const KEEP_S: f64 = 1.0;
+/// What is older than this counts as zero.
+const SILENCE_MS: u64 = 250;
+/// Shares of the wanted speed that are tried, one after the other.
+const SHARES: [f64; 3] = [1.0, 0.5, 0.2];
+/// A base that is faster than this, in m/s or rad/s, has to rest first.
+const BASE_RESTS: f64 = 0.01;
+
+/// What a hand wants of the tool.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Jog {
+    wanted_m_s: DVec3,
+    /// When it was last asked for.
+    asked_ms: u64,
+    /// What was refused is not tried again before this time.
+    due_ms: u64,
+    /// The tool's orientation when it began to move.
+    hold: DMat3,
+    /// Up to this time of the plan the tool is moved; from there on it brakes.
+    until_s: f64,
+    /// It was stopped; the hand must be neutral before it moves again.
+    pub(super) needs_neutral: bool,
+    /// What keeps it from moving.
+    pub(super) held: Option<String>,
+}
+
+impl<R: Robot> Director<R> {
+    pub(super) fn want_jog(&mut self, tool_m_s: DVec3) {
+        self.jog.asked_ms = self.now_ms;
+        self.jog.wanted_m_s = if tool_m_s.is_finite() { tool_m_s } else { DVec3::ZERO };
+        if self.jog.wanted_m_s == DVec3::ZERO {
+            (self.jog.needs_neutral, self.jog.held) = (false, None);
+        }
+    }
+
+    /// Goes on where the hand wants it, if the hand wants anything.
+    pub(super) fn jog_on(&mut self) {
+        if self.now_ms.saturating_sub(self.jog.asked_ms) > SILENCE_MS {
+            // It has to be asked for anew.
+            self.jog.wanted_m_s = DVec3::ZERO;
+        }
+        if self.jog.wanted_m_s == DVec3::ZERO || self.jog.needs_neutral || self.now_ms < self.jog.due_ms {
+            return;
+        }
+        let done = match &self.running {
+            None if self.planning.is_some() => return,
+            None => self.begin_jog(),
+            Some(running) if running.jogs && !running.halted => self.go_on_jogging(),
+            Some(_) => return,
+        };
+        match done {
+            Ok(()) => self.jog.held = None,
+            Err(why) => {
+                self.jog.due_ms = self.now_ms + TICK_MS;
+                if self.jog.held.is_none() {
+                    self.reports.push(Report::Note(format!("the tool is held: {why}")));
+                }
+                self.jog.held = Some(why);
+            }
+        }
+    }
+
+    fn begin_jog(&mut self) -> Result<(), String> {
+        self.robot.can_follow()?;
+        let ahead_s = self.robot.ahead_ms()? as f64 / 1000.0;
+        let here = self.robot.arm().ok_or("the arm's angles are not known")?.value;
+        if here.velocity_rad_s.iter().any(|speed| speed.abs() > REST_RAD_S) {
+            // It will rest in a moment.
+            return Ok(());
+        }
+        let from_rad = self.robot.held_rad().unwrap_or(here.joints_rad);
+        self.bare
+            .arm
+            .check(&from_rad)
+            .map_err(|error| format!("the arm cannot start: {error}; bring it back within its limits"))?;
+        self.jog.hold = self.bare.arm.flange_pose(&from_rad).rotation;
+        let (plan, until_s) = self.extended(&Trajectory::at_rest(from_rad), 0.0, ahead_s + PIECE_S)?;
+        let plan = Arc::new(plan);
+        self.robot.follow(Arc::clone(&plan))?;
+        self.jog.until_s = until_s;
+        self.running = Some(Running::jogging(plan, self.now_ms));
+        self.guard_due_ms = 0;
+        Ok(())
+    }
+
+    fn go_on_jogging(&mut self) -> Result<(), String> {
+        let ahead_s = self.robot.ahead_ms()? as f64 / 1000.0;
+        let Some((plan, elapsed_s)) = self.along() else { return Ok(()) };
+        let (earliest_s, enough_s) = (elapsed_s + ahead_s, elapsed_s + ahead_s + PIECE_S);
+        if self.jog.until_s >= enough_s {
+            return Ok(());
+        }
+        let from_s = self.jog.until_s.max(earliest_s);
+        let (plan, until_s) = self.extended(&Arc::clone(plan), from_s, enough_s)?;
+        let plan = Arc::new(plan);
+        if self.robot.follow_on(Arc::clone(&plan), from_s).is_err() {
+            // It would have come too late; the robot goes on as before, and brakes.
+            return Ok(());
+        }
+        self.jog.until_s = until_s;
+        if let Some(running) = &mut self.running {
+            running.replace(plan);
+        }
+        Ok(())
+    }
+
+    /// The plan with pieces from `from_s` on, at least until `enough_s`, and how far they go. Fewer if there are no more.
+    fn extended(&self, plan: &Trajectory, from_s: f64, enough_s: f64) -> Result<(Trajectory, f64), String> {
+        let (mut plan, mut at_s) = (plan.clone(), from_s);
+        while at_s < enough_s {
+            match self.piece(&plan, at_s) {
+                Ok(next) => plan = next,
+                Err(why) if at_s == from_s => return Err(why),
+                Err(_) => break,
+            }
+            at_s += PIECE_S;
+        }
+        Ok((plan, at_s))
+    }
+
+    /// The plan with one more piece, if one is allowed.
+    fn piece(&self, plan: &Trajectory, at_s: f64) -> Result<Trajectory, String> {
+        let (arm, limits) = (&self.bare.arm, self.joint_limits());
+        let from = plan.motion(at_s);
+        let mut refused = Err(String::new());
+        for share in SHARES {
+            let wanted =
+                joint_speeds(arm, &from.joints_rad, share * self.jog.wanted_m_s, &self.jog.hold, limits)
+                    .map_err(|stuck| stuck.to_string())?;
+            let change = acceleration(&from, &wanted, PIECE_S, limits);
+            let next = plan.continued(at_s, &change, PIECE_S, limits, KEEP_S);
+            let allowed = self.keeps_limits(&next, at_s, limits).and_then(|()| self.keeps_clear(&next, at_s));
+            match allowed {
+                Ok(()) => return Ok(next),
+                Err(why) => refused = Err(why),
+            }
+        }
+        refused
+    }
+
+    /// Speeds and angles, up to rest.
+    fn keeps_limits(&self, next: &Trajectory, at_s: f64, limits: &JointLimits) -> Result<(), String> {
+        let arm = &self.bare.arm;
+        let fastest = next.fastest_rad_s(at_s, next.duration_s());
+        let too_fast = |i: &usize| fastest[*i] > limits.velocity_rad_s[*i] * (1.0 + 1e-9);
+        if let Some(i) = (0..arm.joints.len()).find(too_fast) {
+            return Err(format!("{} would be too fast", arm.joints[i].name));
+        }
+        let steps = ((next.duration_s() - at_s) / PIECE_S).ceil() as usize;
+        (0..=4 * steps)
+            .map(|k| next.motion(at_s + 0.25 * PIECE_S * k as f64))
+            .chain([Motion::at_rest(next.goal_rad())])
+            .try_for_each(|motion| arm.check(&motion.joints_rad))
+            .map_err(|error| error.to_string())
+    }
+
+    /// The guard: nothing is touched on the way, nor while braking after it. The base stands still.
+    fn keeps_clear(&self, next: &Trajectory, at_s: f64) -> Result<(), String> {
+        let Some(planner) = &self.planner else { return Ok(()) };
+        let base = self.known_base().map_err(|why| format!("what is around is not known: {why}"))?;
+        let twist = base.odometry.twist;
+        if twist.linear_m_s.abs() > BASE_RESTS || twist.angular_rad_s.abs() > BASE_RESTS {
+            return Err("the base still moves".to_owned());
+        }
+        let guard = Guard { world: planner.world(), limits: self.joint_limits(), things: &self.things };
+        let odometry = Odometry { twist: Twist::ZERO, ..base.odometry };
+        let model = Base::at(*self.robot.base_limits(), &BaseState { odometry, ..base });
+        let at = |time_s: f64| Moving { odometry, ..Moving::now(&model, next.motion(time_s)) };
+        let instants: Vec<Moving> = (1..=PIECE_MS).map(|ms| at(at_s + ms as f64 / 1000.0)).collect();
+        if guard.allows(&at(at_s), &instants) {
+            return Ok(());
+        }
+        Err(guard.nearest(&odometry, &next.motion(at_s + PIECE_S)))
+    }
+}

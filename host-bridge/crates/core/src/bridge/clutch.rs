@@ -1,0 +1,93 @@
+//! The bridge's part of jogging: who has the left hand, and what it asks of the tool.
+
+use host_robot::{Busy, DVec3, Door, MotionName, NotStarted};
+
+use super::{Bridge, EventKind, GestureOutcome};
+use crate::intent::{is_rest, same_label};
+use crate::jog::{self, JogRules};
+use crate::safety::{self, Hand, State};
+
+impl Bridge {
+    /// A label or a key lends the left hand to the arm by these rules.
+    #[must_use]
+    pub fn jogging_by(self, jog: JogRules) -> Self {
+        Bridge { jog, ..self }
+    }
+
+    /// The left hand is lent to the arm.
+    pub fn is_jogging(&self) -> bool {
+        self.safety.is_lent()
+    }
+
+    /// The clutch's key: lends the left hand, or takes it back.
+    pub fn clutch_key(&mut self, now_ms: u64, robot: &mut dyn Door) {
+        if self.jog.is_on() {
+            let _ = self.clutch(0, now_ms, robot);
+        }
+    }
+
+    pub(super) fn is_clutch(&self, label: &str) -> bool {
+        !self.jog.label.is_empty() && same_label(&self.jog.label, label)
+    }
+
+    pub(super) fn clutch(&mut self, age_ms: u64, now_ms: u64, robot: &mut dyn Door) -> GestureOutcome {
+        if age_ms > self.safety.times().stale_ms {
+            return GestureOutcome::Late;
+        }
+        if self.safety.is_lent() {
+            self.take_back(now_ms, robot);
+            return GestureOutcome::TakenBack;
+        }
+        if self.safety.state() != State::Armed {
+            return GestureOutcome::NotArmed;
+        }
+        if let Err(reason) = self.can_lend(robot) {
+            let motion = MotionName::from(MotionName::JOG);
+            self.note(now_ms, EventKind::MotionRefused { motion: motion.clone(), reason });
+            return GestureOutcome::Refused(motion);
+        }
+        self.apply(safety::Event::Clutch { lends: true }, now_ms, robot);
+        GestureOutcome::Lent
+    }
+
+    /// Whatever the state is.
+    pub(super) fn take_back(&mut self, now_ms: u64, robot: &mut dyn Door) {
+        self.apply(safety::Event::Clutch { lends: false }, now_ms, robot);
+    }
+
+    fn can_lend(&self, robot: &dyn Door) -> Result<(), String> {
+        if let Some(restriction) = &self.restriction {
+            return Err(restriction.text.clone());
+        }
+        if !self.safety.connected(Hand::Left) {
+            return Err("there is no left hand that could move the tool".to_owned());
+        }
+        let labels = self.links.right.model().map_or(&[][..], |model| &model.labels);
+        if !self.safety.connected(Hand::Right) || !labels.iter().any(|label| is_rest(label)) {
+            return Err(
+                "the right hand's rest is the dead-man of jogging: it needs a right hand whose model names a resting \
+                 class (idle)"
+                    .to_owned(),
+            );
+        }
+        robot.can_jog().map_err(|error| match error {
+            NotStarted::Busy(Busy(motion)) => format!("the arm is busy with {motion}; let it end first"),
+            NotStarted::Refused(why) => why,
+        })
+    }
+
+    /// What the hand asks of the tool now; `None` = nothing is asked of it.
+    fn tool_m_s(&self, now_ms: u64) -> Option<DVec3> {
+        let pointing = self.safety.jogging()?;
+        Some(jog::tool_m_s(&self.jog, &self.drive, pointing, &self.lift, now_ms))
+    }
+
+    /// Asks for it, as often as the base is asked for its speed. Halting is the safety machine's.
+    pub(super) fn move_tool(&mut self, due: bool, now_ms: u64, robot: &mut dyn Door) {
+        let Some(tool_m_s) = self.tool_m_s(now_ms) else { return };
+        if due || tool_m_s != self.jogged_m_s {
+            self.jogged_m_s = tool_m_s;
+            robot.jog(tool_m_s);
+        }
+    }
+}

@@ -1,0 +1,153 @@
+//! The clutch: a gesture or a key lends the left hand to the arm, and takes it back.
+//!
+//! While it is lent, the base stands still, tilts move the tool in the plane and bends move it up and down. The right hand's
+//! rest is the dead-man: as soon as it does not rest, the arm brakes. Whatever halts the arm needs neutral of both hands
+//! before it moves again. Who has the left hand changes by the clutch, and is taken back by every stop, by a hand that starts
+//! anew, and by a robot that refuses; never by silence or doubt, after which the same hand would suddenly drive the base.
+
+use host_robot::DVec3;
+use serde::{Deserialize, Serialize};
+
+use crate::tilt::{Pointing, TiltDrive};
+
+/// How the clutch is moved, and how fast the tool follows.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct JogRules {
+    /// A gesture of this label lends the left hand to the arm, and takes it back; empty = none does.
+    pub label: String,
+    /// This key does the same; empty = none does.
+    pub key: String,
+    /// The tool's speed at a full tilt, in m/s. Tilts count as in `[drive]`, in proportion.
+    pub speed_m_s: f64,
+    /// Its speed up (a bend of the index finger) and down (of the middle finger), in m/s,
+    pub lift_m_s: f64,
+    /// and how long a bend lasts for. Bends add up; one of the other finger ends it.
+    pub bend_ms: u64,
+}
+
+impl JogRules {
+    /// Without a clutch, which is the default.
+    pub fn off() -> Self {
+        JogRules { label: String::new(), key: String::new(), speed_m_s: 0.05, lift_m_s: 0.03, bend_ms: 500 }
+    }
+
+    /// There is a clutch.
+    pub fn is_on(&self) -> bool {
+        !self.label.is_empty() || !self.key.is_empty()
+    }
+
+    /// All values make sense.
+    pub fn is_sound(&self) -> bool {
+        (0.005..=0.5).contains(&self.speed_m_s)
+            && (0.005..=0.5).contains(&self.lift_m_s)
+            && (100..=2000).contains(&self.bend_ms)
+    }
+}
+
+impl Default for JogRules {
+    fn default() -> Self {
+        JogRules::off()
+    }
+}
+
+/// More bends than this are not remembered.
+const BENDS_WAITING_MAX: u64 = 4;
+
+/// Up or down, for some time.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Lift {
+    up: bool,
+    until_ms: u64,
+}
+
+impl Lift {
+    /// Bends of the index finger move up, those of the middle finger down; of both in one state the order is unknown, and
+    /// nothing moves.
+    pub(crate) fn bend(&mut self, index: u8, middle: u8, bend_ms: u64, now_ms: u64) {
+        let (count, up) = match (index, middle) {
+            (0, 0) => return,
+            (index, 0) => (index, true),
+            (0, middle) => (middle, false),
+            _ => return *self = Lift::default(),
+        };
+        let runs = now_ms < self.until_ms;
+        if runs && up != self.up {
+            *self = Lift::default();
+            return;
+        }
+        let from_ms = if runs { self.until_ms } else { now_ms };
+        let until_ms = from_ms.saturating_add(u64::from(count) * bend_ms);
+        *self = Lift { up, until_ms: until_ms.min(now_ms.saturating_add(BENDS_WAITING_MAX * bend_ms)) };
+    }
+
+    fn speed_m_s(&self, rules: &JogRules, now_ms: u64) -> f64 {
+        match (now_ms < self.until_ms, self.up) {
+            (false, _) => 0.0,
+            (true, true) => rules.lift_m_s,
+            (true, false) => -rules.lift_m_s,
+        }
+    }
+}
+
+/// What the hand wants of the tool, in the arm's base frame (x forward, y left, z up).
+pub(crate) fn tool_m_s(
+    rules: &JogRules,
+    drive: &TiltDrive,
+    pointing: Pointing,
+    lift: &Lift,
+    now_ms: u64,
+) -> DVec3 {
+    let (forward, left) = drive.shares(pointing);
+    let plane = DVec3::new(forward, left, 0.0).clamp_length_max(1.0) * rules.speed_m_s;
+    plane + DVec3::Z * lift.speed_m_s(rules, now_ms)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::tilt::Tilt;
+    use shared_proto::message::Heading;
+
+    #[test]
+    fn tilts_move_in_the_plane_and_bends_up_and_down_for_a_while() {
+        let rules = JogRules { speed_m_s: 0.1, lift_m_s: 0.02, bend_ms: 400, ..JogRules::off() };
+        let speed = |heading, pitch_mrad, roll_mrad, lift: &Lift, now_ms| {
+            let pointing = Pointing { heading, tilt: Tilt { pitch_mrad, roll_mrad } };
+            tool_m_s(&rules, &TiltDrive::DEFAULT, pointing, lift, now_ms).to_array()
+        };
+        let mut lift = Lift::default();
+        assert_eq!(speed(Heading::Forward, 419, 0, &lift, 0), [0.05, 0.0, 0.0]);
+        assert_eq!(speed(Heading::Left, 0, 698, &lift, 0), [0.0, 0.1, 0.0]);
+        assert_eq!(speed(Heading::Between, 698, 698, &lift, 0), [0.0; 3]);
+        let [x, y, _] = speed(Heading::Forward, 1000, 1000, &lift, 0);
+        assert!((x.hypot(y) - 0.1).abs() < 1e-12, "no faster to a corner");
+        lift.bend(1, 0, 400, 1000);
+        assert_eq!(speed(Heading::Neutral, 0, 0, &lift, 1399), [0.0, 0.0, 0.02]);
+        assert_eq!(speed(Heading::Neutral, 0, 0, &lift, 1400), [0.0; 3]);
+        lift.bend(0, 1, 400, 2000);
+        lift.bend(0, 1, 400, 2100);
+        assert_eq!(speed(Heading::Neutral, 0, 0, &lift, 2799), [0.0, 0.0, -0.02]);
+        lift.bend(1, 0, 400, 2200);
+        assert_eq!(speed(Heading::Neutral, 0, 0, &lift, 2201), [0.0; 3], "the other finger ends it");
+        for _ in 0..100 {
+            lift.bend(3, 0, 400, 3000);
+        }
+        assert_eq!(speed(Heading::Neutral, 0, 0, &lift, 3000 + 1600), [0.0; 3], "four at most");
+        lift.bend(1, 1, 400, 5000);
+        assert_eq!(speed(Heading::Neutral, 0, 0, &lift, 5000), [0.0; 3]);
+    }
+
+    #[test]
+    fn rules_that_make_no_sense_are_not_sound() {
+        assert!(JogRules::off().is_sound() && !JogRules::off().is_on());
+        for wrong in [
+            JogRules { speed_m_s: f64::NAN, ..JogRules::off() },
+            JogRules { speed_m_s: 2.0, ..JogRules::off() },
+            JogRules { lift_m_s: 0.0, ..JogRules::off() },
+            JogRules { bend_ms: 10, ..JogRules::off() },
+        ] {
+            assert!(!wrong.is_sound(), "{wrong:?}");
+        }
+    }
+}
