@@ -268,6 +268,7 @@ fn made_of(board: Board, about: &About) -> String {
         Image::Bootloader => "behind the Arduino bootloader, without Bluetooth".to_owned(),
         Image::S140 => "behind S140".to_owned(),
         Image::Uf2 => "behind S140 and the UF2 bootloader".to_owned(),
+        Image::Linked => "behind the board's own bootloader, with Bluetooth in it".to_owned(),
         Image::Unknown(number) => format!("of a kind that is not known here ({number})"),
     };
     let reset = match about.reset {
