@@ -346,6 +346,12 @@ mod tests {
                  battery 3.71 V",
             ),
             (
+                Board::RightNano33Rev2,
+                about(Sensor::Bmi270, 6, Image::Linked, ResetCause::PowerUp, 0),
+                "Rev2, sensor BMI270, 6 axes; image behind the board's own bootloader, with Bluetooth in it; started by \
+                 power-up; battery unknown",
+            ),
+            (
                 Board::RightNano33,
                 about(Sensor::None, 0, Image::S140, ResetCause::Software, 0),
                 "revision not known, no sensor found; image behind S140; started by itself or its bootloader; \
