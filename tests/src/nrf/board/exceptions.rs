@@ -11,6 +11,9 @@ const STACKED: [RegisterARM; 6] =
 /// the next instruction of that unit for a new context and clears its flags.
 const FP_IN_USE: u32 = 1 << 2 | 1 << 3;
 
+/// From here on an address means the end of a handler.
+const EXCEPTION_RETURNS: u32 = 0xFFFF_FF00;
+
 /// Bytes of a frame on the stack, with the registers of the floating point unit or without.
 fn frame_bytes(with_fp: bool) -> u32 {
     if with_fp { 0x68 } else { 0x20 }
@@ -162,6 +165,8 @@ impl Board {
             panic!("a rule of Nordic's libraries is broken near {lr:#x}: {broken}");
         }
         match then {
+            // A handler of the image that jumps here, and leaves returning from the exception to this function.
+            Then::Return { to, .. } if to >= EXCEPTION_RETURNS => self.leave(),
             Then::Return { value, to } => {
                 self.set_reg(RegisterARM::R0, value);
                 self.set_reg(RegisterARM::PC, to | 1);
