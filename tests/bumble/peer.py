@@ -175,6 +175,8 @@ class Desk:
             sc=self.secure,
             mitm=self.io != "none",
             bonding=self.bonds,
+            # The address that it connects from: bumble's link knows random ones only.
+            identity_address_type=PairingConfig.AddressType.RANDOM,
             delegate=Delegate(io_capability=capabilities[self.io]),
         )
 

@@ -38,13 +38,18 @@ fn joined(interval: f64) -> RightRig {
     rig
 }
 
-/// The times of the samples that the image took since the tap, in ms, have no gap and no step but 10.
+/// The samples that the image took since the tap have successive numbers on its grid of 100 Hz, whose times it gives in whole
+/// ms: none is missing and none came twice.
 fn samples_without_a_gap(rig: &RightRig, tap: usize) -> usize {
-    let times: Vec<u32> = rig.board.tapped(tap).iter().map(|call| call.registers[2]).collect();
-    for pair in times.windows(2) {
-        assert_eq!(pair[1] - pair[0], 10, "a sample is missing behind {} ms", pair[0]);
+    let samples = rig.board.tapped(tap);
+    for pair in samples.windows(2) {
+        let [before, after] = [&pair[0].registers, &pair[1].registers];
+        assert_eq!(after[3], before[3] + 1, "a sample is missing behind {} ms", before[2]);
+        assert!((9..=11).contains(&(after[2] - before[2])), "{} ms, then {}", before[2], after[2]);
     }
-    times.len()
+    let [first, last] = [&samples[0].registers, &samples[samples.len() - 1].registers];
+    assert!((last[2] - first[2]).abs_diff(10 * (last[3] - first[3])) <= 1, "{first:?} to {last:?}");
+    samples.len()
 }
 
 #[test]
