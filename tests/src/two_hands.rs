@@ -20,9 +20,11 @@ use shared_proto::frame::{DELIMITER, HOST_FRAME_MAX, encode_host};
 
 use crate::avr::image::path as left_image;
 use crate::avr::nano::{self, Nano, Voltages};
+use crate::nrf::air_host::AirHost;
 use crate::nrf::ble_host::BleHost;
 use crate::nrf::board::{Board, Boot};
 use crate::nrf::build::{Variant, image};
+use crate::nrf::controller::{Air, Controller};
 use crate::nrf::lsm9ds1::Motion;
 use crate::nrf::time;
 use crate::nrf::usb_host::UsbHost;
@@ -78,6 +80,8 @@ pub enum Cable {
     Usb,
     /// Bluetooth: the other image, behind the model of S140.
     Ble,
+    /// Bluetooth linked in, with bumble as the air and the laptop's Bluetooth, at 15 ms.
+    Air,
 }
 
 /// The right board's connection as it stands.
@@ -89,6 +93,8 @@ pub enum Wire {
     Usb(UsbHost),
     /// Bluetooth.
     Ble(BleHost),
+    /// Bluetooth through bumble.
+    Air(AirHost),
 }
 
 /// The right board with its cable.
@@ -108,13 +114,20 @@ impl Right {
     /// If it is not connected by then.
     pub fn start<M: Motion + 'static>(link: Cable, wear: impl FnOnce(f64) -> M) -> Self {
         // A laptop pairs before it subscribes.
-        let start_ms = if link == Cable::Ble { 4000 } else { 1000 };
+        let start_ms = match link {
+            Cable::Uart | Cable::Usb => 1000,
+            Cable::Ble => 4000,
+            Cable::Air => 8000,
+        };
         let motion = Box::new(wear(start_ms as f64 / 1000.0));
         let (variant, boot) = match link {
             Cable::Uart | Cable::Usb => (Variant::Bootloader, Boot::StockBootloader),
             Cable::Ble => (Variant::Ble, Boot::SoftDevice),
+            Cable::Air => (Variant::Trouble, Boot::StockBootloader),
         };
-        let mut board = Board::new(image(variant), boot, motion);
+        let image = image(variant);
+        let controller = (link == Cable::Air).then(|| Controller::new(&image.symbols, Air::start(), 0));
+        let mut board = Board::new(image, boot, motion);
         let mut wire = match link {
             Cable::Uart => Wire::Uart(true),
             Cable::Usb => {
@@ -128,11 +141,18 @@ impl Right {
                 host.connect(&mut board);
                 Wire::Ble(host)
             }
+            Cable::Air => {
+                board.answer_controller(controller.expect("made above"));
+                board.run_ms(700);
+                let mut host = AirHost::default();
+                host.join(&mut board, 15.0);
+                Wire::Air(host)
+            }
         };
         while board.now() < time::ms(start_ms) {
             board.run_ms(1);
             match &mut wire {
-                Wire::Uart(_) => {}
+                Wire::Uart(_) | Wire::Air(_) => {}
                 Wire::Usb(host) => host.step(&mut board),
                 Wire::Ble(host) => host.step(&mut board),
             }
@@ -154,6 +174,7 @@ impl Right {
             Wire::Uart(cable) => *cable,
             Wire::Usb(host) => host.is_ready(),
             Wire::Ble(host) => host.is_ready(),
+            Wire::Air(_) => self.board.is_connected(),
         }
     }
 
@@ -172,6 +193,7 @@ impl Right {
                 host.step(&mut self.board);
                 host.read(&mut self.board).into_iter().map(|(_, byte)| byte).collect()
             }
+            Wire::Air(host) => host.read(&mut self.board).into_iter().map(|(_, byte)| byte).collect(),
         }
     }
 
@@ -181,6 +203,7 @@ impl Right {
             Wire::Uart(false) => {}
             Wire::Usb(host) => host.write(&mut self.board, bytes),
             Wire::Ble(host) => host.send(&mut self.board, bytes),
+            Wire::Air(host) => host.send(&mut self.board, bytes),
         }
     }
 }

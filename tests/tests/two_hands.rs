@@ -110,16 +110,30 @@ fn the_bundled_session_on_both_emulated_boards_over_bluetooth_comes_to_what_its_
     play_demo(Cable::Ble);
 }
 
+#[test]
+fn the_bundled_session_with_the_right_hand_over_bumbles_link_comes_to_what_its_script_says() {
+    play_demo(Cable::Air);
+}
+
 fn median(sorted: &[f64]) -> f64 {
     sorted[sorted.len() / 2]
 }
 
-/// Simulated wearers whom no model has seen draw gesture after gesture; each starts the arm of a rested robot.
 #[test]
 fn the_arm_moves_within_50_ms_of_the_sample_that_decides() {
+    from_sample_to_arm(Cable::Uart, if is_full() { 40 } else { 2 });
+}
+
+/// When packets pass is modelled: at 15 ms, the longest interval that the board asks for.
+#[test]
+fn over_bumbles_link_at_15_ms_the_arm_moves_within_50_ms_of_the_sample_that_decides() {
+    from_sample_to_arm(Cable::Air, if is_full() { 10 } else { 1 });
+}
+
+/// Simulated wearers whom no model has seen draw gesture after gesture; each starts the arm of a rested robot.
+fn from_sample_to_arm(link: Cable, wearers: u32) {
     const REST_S: f64 = 2.0;
     const GESTURE_S: f64 = 3.0;
-    let wearers: u32 = if is_full() { 40 } else { 2 };
     let (mut to_arm_ms, mut to_event_s, mut others) = (Vec::new(), Vec::new(), Vec::new());
     for index in 1..=wearers {
         let mut script = vec![Segment::new(Motion::IDLE, 1.0 + REST_S)];
@@ -131,7 +145,7 @@ fn the_arm_moves_within_50_ms_of_the_sample_that_decides() {
         let recording = session(&wearer, 0, &script);
         let mut start_s = 0.0;
         // Another phase of hop and millisecond for each wearer, and another sensor clock.
-        let mut right = Right::start(Cable::Uart, |zero_s| {
+        let mut right = Right::start(link, |zero_s| {
             start_s = zero_s + 0.080 * f64::from(index) / f64::from(wearers) + 0.0003;
             Replay { rows: rows(&recording), interval: 0.01, start: start_s }
         });
@@ -182,7 +196,7 @@ fn the_arm_moves_within_50_ms_of_the_sample_that_decides() {
     to_arm_ms.sort_by(f64::total_cmp);
     waiting_s.sort_by(f64::total_cmp);
     println!(
-        "{} gestures of {wearers} wearers, {} named otherwise {others:?}",
+        "{} gestures of {wearers} wearers over {link:?}, {} named otherwise {others:?}",
         to_arm_ms.len(),
         others.len()
     );
@@ -278,6 +292,19 @@ impl Steered {
 
 fn say(what: &str, (halted_ms, rested_ms): (u64, u64)) {
     println!("{what:<36} halt after {halted_ms:>3} ms, at rest after {rested_ms:>4} ms, then needs neutral");
+}
+
+#[test]
+fn a_laptop_that_hears_nothing_more_over_bumbles_link_stops_base_and_arm() {
+    let mut steered = Steered::new(Cable::Air, 1);
+    steered.both_move();
+    // Out of reach: both ends wait for the supervision timeout, the robot does not.
+    steered.desk.right.as_mut().unwrap().board.controller().in_range = false;
+    say("right hand (bumble) out of reach", steered.halts(Which::Right));
+    assert!(steered.desk.right.as_ref().unwrap().board.is_connected());
+    steered.desk.run_ms(500);
+    steered.desk.right.as_mut().unwrap().board.controller().in_range = true;
+    steered.needs_neutral("right hand (bumble) back");
 }
 
 #[test]

@@ -13,9 +13,10 @@ use crate::{root, target_dir};
 const ARMS: &str = "arms-venv";
 
 /// What the checks want, each beside its check.
-const REQUIREMENTS: [&str; 10] = [
+const REQUIREMENTS: [&str; 11] = [
     "models/tests/requirements.txt",
     "shared-dsp/tests/reference/requirements.txt",
+    "tests/bumble/requirements.txt",
     "tests/crates/requirements.txt",
     "tests/foxglove/requirements.txt",
     "tests/lerobot/requirements.txt",

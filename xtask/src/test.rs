@@ -395,7 +395,8 @@ fn tests() -> Vec<Step> {
             sh(cargo_for_all("test")
                 .args(["--no-fail-fast", "--", "--show-output"])
                 .args(WALL_CLOCK.iter().flat_map(|name| ["--skip", name]))
-                .env("BIMANUAL_PROGRAMS", programs()?))
+                .env("BIMANUAL_PROGRAMS", programs()?)
+                .env("BIMANUAL_BUMBLE_PYTHON", python::environment()?))
         }),
         Step::new("the paper's table is what is measured", paper::check),
         Step::new("documentation", || {

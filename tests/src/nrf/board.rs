@@ -13,6 +13,7 @@ pub use measure::{Call, Tapped};
 use measure::{Open, PAINT, PAINTED};
 
 use super::bmi270::Bmi270;
+use super::controller::Controller;
 use super::i2c::Sensor;
 use super::image::Image;
 use super::lsm6ds3::Lsm6ds3;
@@ -27,6 +28,8 @@ use super::time::{HZ, us};
 /// Cycles per two instructions: the flash has wait states and loads take two cycles; 1.5 per
 /// instruction is on the safe side of the 1.2 to 1.4 of `../shared/reference/peers.md`.
 const CYCLES_PER_TWO: u64 = 3;
+/// In place of a number of instructions.
+const ANSWERED: u16 = u16::MAX;
 /// Entering or leaving an exception.
 const EXCEPTION_CYCLES: u64 = 12;
 
@@ -41,6 +44,8 @@ enum Stop {
     ExceptionReturn,
     /// SVC; the program counter is behind it.
     Supervisor,
+    /// A function that is answered from outside, at this address.
+    Function(u32),
     /// A fault from which the core cannot continue.
     Fault(u32),
 }
@@ -56,8 +61,11 @@ struct World {
     /// Cycles of executed instructions, and how many they were when interrupts were masked.
     executed: u64,
     masked_since: Option<u64>,
-    /// Instructions of the block that starts at each half-word of flash; 0 if none was executed yet.
+    /// Instructions of the block that starts at each half-word of flash; 0 if none was executed yet, [`ANSWERED`] if it is
+    /// a function that is answered from outside.
     blocks: Vec<u16>,
+    /// The function at this address is not answered but executed, this time.
+    passes: Option<u32>,
     /// Addresses and numbers; few, and looked through at every block.
     probes: Vec<(u32, usize)>,
     calls: Vec<Vec<Call>>,
@@ -194,6 +202,7 @@ impl Board {
             executed: 0,
             masked_since: None,
             blocks,
+            passes: None,
             probes: Vec::new(),
             calls: Vec::new(),
             painting: Vec::new(),
@@ -454,6 +463,42 @@ impl Board {
     /// If the image does not run behind S140.
     pub fn softdevice(&mut self) -> &mut SoftDevice {
         self.soc().softdevice.as_mut().expect("the image runs behind S140")
+    }
+
+    /// Answers Nordic's controller, which the image has inside, from outside.
+    pub fn answer_controller(&mut self, controller: Controller) {
+        let world = self.uc.get_data_mut();
+        for address in controller.addresses() {
+            world.blocks[address as usize / 2] = ANSWERED;
+        }
+        world.soc.controller = Some(Box::new(controller));
+        world.soc.settle();
+    }
+
+    /// Nordic's controller inside the image.
+    ///
+    /// # Panics
+    /// If it is not [answered](Self::answer_controller).
+    pub fn controller(&mut self) -> &mut Controller {
+        self.soc().controller.as_mut().expect("the image has a controller")
+    }
+
+    /// Whether Nordic's controller inside the image has a connection.
+    pub fn is_connected(&self) -> bool {
+        self.uc.get_data().soc.controller.as_ref().is_some_and(|controller| controller.is_connected())
+    }
+
+    /// Tells bumble's laptop to do something; the number under which its outcome will stand in the air's log.
+    ///
+    /// # Panics
+    /// As [`Self::controller`].
+    pub fn order(&mut self, order: serde_json::Value) -> u64 {
+        let soc = self.soc();
+        let mut controller = soc.controller.take().expect("the image has a controller");
+        let number = controller.order(order, soc);
+        soc.controller = Some(controller);
+        soc.settle();
+        number
     }
 
     /// Runs for this many milliseconds of virtual time.

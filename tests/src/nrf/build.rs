@@ -14,20 +14,24 @@ pub enum Variant {
     Ble,
     /// As `Ble`, for a XIAO nRF52840 Sense.
     Xiao,
+    /// Behind the stock bootloader at 0x10000, with Bluetooth linked in.
+    Trouble,
 }
 
-/// The image of a variant, built by `cargo xtask firmware nano33`. `BIMANUAL_NANO33_ELF`, `BIMANUAL_NANO33_BLE_ELF` and
-/// `BIMANUAL_XIAO_ELF` name other ones, or these where they are built already, as `cargo xtask test` does.
+/// The image of a variant, built by `cargo xtask firmware nano33`. `BIMANUAL_NANO33_ELF`, `BIMANUAL_NANO33_BLE_ELF`,
+/// `BIMANUAL_NANO33_TROUBLE_ELF` and `BIMANUAL_XIAO_ELF` name other ones, or these where they are built already, as `cargo xtask test` does.
 ///
 /// # Panics
 /// If it does not build; the reason is on the terminal.
 pub fn image(variant: Variant) -> Image {
     static BOOTLOADER: OnceLock<PathBuf> = OnceLock::new();
     static BLE: OnceLock<PathBuf> = OnceLock::new();
+    static TROUBLE: OnceLock<PathBuf> = OnceLock::new();
     let (cell, given) = match variant {
         Variant::Bootloader => (&BOOTLOADER, "BIMANUAL_NANO33_ELF"),
         Variant::Ble => (&BLE, "BIMANUAL_NANO33_BLE_ELF"),
         Variant::Xiao => (&XIAO, "BIMANUAL_XIAO_ELF"),
+        Variant::Trouble => (&TROUBLE, "BIMANUAL_NANO33_TROUBLE_ELF"),
     };
     let path = cell.get_or_init(|| std::env::var_os(given).map_or_else(|| build(variant), PathBuf::from));
     Image::load(path)
@@ -54,6 +58,7 @@ fn build(variant: Variant) -> PathBuf {
         Variant::Bootloader => "bootloader",
         Variant::Ble => "ble",
         Variant::Xiao => "xiao",
+        Variant::Trouble => "trouble",
     };
     crate::firmware::build(&["nano33", name], &format!("thumbv7em-none-eabihf/release/nano33-{name}"))
 }

@@ -17,6 +17,10 @@ pub struct Nvmc {
     pub erased: u64,
     /// Words written since the start.
     pub written: u64,
+    /// ERASEPAGEPARTIALCFG, in ms.
+    partial_ms: u64,
+    /// The page that is erased by and by, and how long it was so far.
+    partly: (usize, u64),
     /// Power fails at this operation (a word or a page); for tests of broken transfers.
     pub fails_after: Option<u64>,
 }
@@ -29,6 +33,7 @@ impl Nvmc {
 
     /// After a reset of the chip.
     pub fn reset(&mut self) {
+        // A page half erased stays so.
         *self = Self { erased: self.erased, written: self.written, ..Self::default() };
     }
 
@@ -70,6 +75,28 @@ impl Nvmc {
         }
     }
 
+    /// Erases a page for a part of the time that it takes; it is blank when the parts add up.
+    pub fn erase_partly(&mut self, memory: &mut [u8], offset: usize, now: u64) {
+        let part = ms(self.partial_ms.clamp(1, 127));
+        let start = offset / PAGE * PAGE;
+        let before = if self.partly.0 == start { self.partly.1 } else { 0 };
+        self.partly = (start, before + part);
+        if self.partly.1 < ms(85) {
+            // What a page reads in between is undefined.
+            if self.works()
+                && let Some(page) = memory.get_mut(start..start + PAGE)
+            {
+                page.iter_mut().step_by(3).for_each(|byte| *byte |= 0x5A);
+                self.busy_until = now.max(self.busy_until) + part;
+            }
+            return;
+        }
+        self.partly = (usize::MAX, 0);
+        let busy = now.max(self.busy_until) + part;
+        self.erase(memory, offset, now);
+        self.busy_until = busy;
+    }
+
     /// Whether erasing is enabled.
     pub fn may_erase(&self) -> bool {
         self.config & 3 == 2
@@ -89,6 +116,7 @@ impl Nvmc {
     pub fn write(&mut self, offset: u32, value: u32) {
         match offset {
             0x504 => self.config = value,
+            0x51C => self.partial_ms = value.into(),
             0x540 => self.cache = value & 1 != 0,
             _ => {}
         }
@@ -110,5 +138,18 @@ mod tests {
         nvmc.erase(&mut memory, 100, 0);
         assert!(memory.iter().all(|&b| b == 0xFF));
         assert_eq!(nvmc.busy_until, us(82) + ms(85));
+    }
+    #[test]
+    fn a_page_erased_in_parts_is_blank_when_they_add_up_to_its_time() {
+        let mut nvmc = Nvmc::default();
+        let mut memory = vec![0; PAGE];
+        nvmc.write(0x51C, 10);
+        for part in 1..=9 {
+            assert!(memory.iter().any(|&b| b != 0xFF), "before part {part}");
+            nvmc.erase_partly(&mut memory, 0, ms(100 * part));
+            assert_eq!(nvmc.busy_until, ms(100 * part + 10));
+        }
+        assert!(memory.iter().all(|&b| b == 0xFF));
+        assert_eq!(nvmc.erased, 1);
     }
 }

@@ -4,11 +4,13 @@
 //! with its own tests, since emulators lie a little. What is not modelled: wait states of the flash (see
 //! `board::CYCLES_PER_TWO`), bus contention, analog behaviour of pins, the radio's waves.
 
+pub mod air_host;
 pub mod ble_host;
 pub mod bmi270;
 pub mod bmm150;
 pub mod board;
 pub mod build;
+pub mod controller;
 pub mod events;
 pub mod flash;
 pub mod gpio;

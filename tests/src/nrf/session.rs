@@ -3,9 +3,11 @@
 use shared_proto::frame::{BOARD_FRAME_MAX, Decoder, encode_host, parse_board};
 use shared_proto::message::{About, Ack, BoardMessage, Fault, Hello, HostMessage, Status};
 
+use super::air_host::AirHost;
 use super::ble_host::BleHost;
 use super::board::{Board, Boot, Kind};
 use super::build::{Variant, image};
+use super::controller::{Air, Controller};
 use super::lsm9ds1::{Motion, Still};
 use super::softdevice::central::Happening;
 
@@ -70,6 +72,8 @@ pub struct RightRig {
     decoder: Decoder<BOARD_FRAME_MAX>,
     /// Bluetooth, where the laptop uses it; then another one listens at D0.
     pub ble: Option<BleHost>,
+    /// Bluetooth with bumble at the laptop's end; then, too.
+    pub air: Option<AirHost>,
     /// What that other laptop heard.
     pub uart: Listener,
 }
@@ -114,8 +118,21 @@ impl RightRig {
         session
     }
 
+    /// Starts the image that has Nordic's controller inside, behind the board's own bootloader, with bumble as the air and
+    /// the laptop, which does nothing yet.
+    pub fn air(kind: Kind, motion: Box<dyn Motion>) -> Self {
+        let image = image(Variant::Trouble);
+        let controller = Controller::new(&image.symbols, Air::start(), 0);
+        let mut board = Board::of_kind(kind, image, Boot::StockBootloader, motion);
+        board.answer_controller(controller);
+        let mut rig = Self::new(board, None);
+        rig.air = Some(AirHost::default());
+        rig
+    }
+
     fn new(board: Board, ble: Option<BleHost>) -> Self {
-        Self { board, heard: Heard::default(), decoder: Decoder::new(), ble, uart: Listener::default() }
+        let (heard, decoder, uart) = (Heard::default(), Decoder::new(), Listener::default());
+        Self { board, heard, decoder, ble, air: None, uart }
     }
 
     /// The USB cable goes in, with a charger at its other end. Behind S140 the wire at D0 runs only then.
@@ -128,7 +145,7 @@ impl RightRig {
     /// Runs and listens.
     pub fn run_ms(&mut self, milliseconds: u64) {
         // A laptop's Bluetooth reacts to what it sees.
-        let step = if self.ble.is_some() { 5 } else { milliseconds };
+        let step = if self.ble.is_some() || self.air.is_some() { 5 } else { milliseconds };
         let mut left = milliseconds;
         while left > 0 {
             self.board.run_ms(left.min(step));
@@ -166,9 +183,10 @@ impl RightRig {
     pub fn send(&mut self, message: &HostMessage<'_>) {
         let mut buffer = [0; 512];
         let frame = encode_host(message, &mut buffer).expect("fits a frame").to_vec();
-        match &mut self.ble {
-            Some(host) => host.send(&mut self.board, &frame),
-            None => self.board.uart_in(&frame),
+        match (&mut self.ble, &mut self.air) {
+            (Some(host), _) => host.send(&mut self.board, &frame),
+            (_, Some(host)) => host.send(&mut self.board, &frame),
+            _ => self.board.uart_in(&frame),
         }
     }
 
@@ -196,11 +214,15 @@ impl RightRig {
 
     fn listen(&mut self) {
         let uart = self.board.soc().uart.take_sent();
-        let Some(host) = &mut self.ble else {
-            return uart.into_iter().for_each(|(at, byte)| self.heard.push(&mut self.decoder, at, byte));
+        let air = match (&mut self.ble, &mut self.air) {
+            (Some(host), _) => {
+                host.step(&mut self.board);
+                host.read(&mut self.board)
+            }
+            (_, Some(host)) => host.read(&mut self.board),
+            _ => return uart.into_iter().for_each(|(at, byte)| self.heard.push(&mut self.decoder, at, byte)),
         };
-        host.step(&mut self.board);
-        for (at, byte) in host.read(&mut self.board) {
+        for (at, byte) in air {
             self.heard.push(&mut self.decoder, at, byte);
         }
         for (at, byte) in uart {

@@ -1,5 +1,6 @@
 //! The chip around the core: address map, interrupt lines, PPI, and when something is due.
 
+use super::controller::Controller;
 use super::events::Events;
 use super::flash::Nvmc;
 use super::gpio::Port;
@@ -31,8 +32,8 @@ const PPI: usize = 31;
 const PWM1: usize = 33;
 const USBD: usize = 39;
 
-/// Start of the flash that the firmware writes itself: bond keys, then models.
-pub const SLOTS_START: u32 = 0xD7000;
+/// Start of the flash that the firmware writes itself: bonds, then models.
+pub const SLOTS_START: u32 = 0xD6000;
 /// Its end.
 pub const SLOTS_END: u32 = 0xE0000;
 
@@ -94,6 +95,8 @@ pub struct Soc {
     pub usb: Usbd,
     /// S140, if the image runs behind it.
     pub softdevice: Option<Box<SoftDevice>>,
+    /// Nordic's controller inside the image, if it has one.
+    pub controller: Option<Box<Controller>>,
     /// Pins.
     pub ports: [Port; 2],
     /// The sensor bus.
@@ -134,6 +137,7 @@ impl Soc {
             ppi: Ppi::default(),
             usb: Usbd::default(),
             softdevice: None,
+            controller: None,
             ports: Default::default(),
             bus: Bus::new(sensor),
             d1_is_open: false,
@@ -169,6 +173,9 @@ impl Soc {
         self.usb.reset();
         if let Some(softdevice) = &mut self.softdevice {
             softdevice.reset(self.now);
+        }
+        if let Some(controller) = &mut self.controller {
+            controller.reset(self.now);
         }
         self.ports = Default::default();
         self.others.clear();
@@ -330,6 +337,9 @@ impl Soc {
                         if offset == 0x508 && self.nvmc.may_erase() {
                             self.nvmc.erase(&mut self.flash, value as usize, now);
                         }
+                        if offset == 0x518 && self.nvmc.may_erase() {
+                            self.nvmc.erase_partly(&mut self.flash, value as usize, now);
+                        }
                         self.nvmc.write(offset, value);
                     }
                     PPI => self.ppi.write(offset, value),
@@ -404,8 +414,10 @@ impl Soc {
         self.for_each_events(|page, events| lines |= u64::from(events.irq()) << page);
         self.nvic.set_lines(lines);
         let softdevice = self.softdevice.as_ref().and_then(|s| s.due(&self.power, self.now));
+        let controller = self.controller.as_ref().and_then(|c| c.due(self));
         self.due = [
             softdevice,
+            controller,
             self.power.due(),
             self.uart.due(),
             self.twim.due(),
@@ -438,6 +450,10 @@ impl Soc {
             if let Some(mut softdevice) = self.softdevice.take() {
                 softdevice.advance(at, self);
                 self.softdevice = Some(softdevice);
+            }
+            if let Some(mut controller) = self.controller.take() {
+                controller.advance(at, self);
+                self.controller = Some(controller);
             }
             self.run_ppi();
             self.settle();

@@ -1,5 +1,6 @@
 //! What unicorn leaves out of the core: exceptions, sleep, supervisor calls.
 
+use super::super::controller::{CALL_CYCLES, Then};
 use super::*;
 
 /// The registers that the processor pushes first, in this order (ARMv7-M, B1.5.6).
@@ -9,6 +10,9 @@ const STACKED: [RegisterARM; 6] =
 /// CONTROL with the floating point unit in use: FPCA, and SFPA, without which unicorn, to which all code is secure, takes
 /// the next instruction of that unit for a new context and clears its flags.
 const FP_IN_USE: u32 = 1 << 2 | 1 << 3;
+
+/// From here on an address means the end of a handler.
+const EXCEPTION_RETURNS: u32 = 0xFFFF_FF00;
 
 /// Bytes of a frame on the stack, with the registers of the floating point unit or without.
 fn frame_bytes(with_fp: bool) -> u32 {
@@ -118,6 +122,7 @@ impl Board {
             }
             Some(Stop::ExceptionReturn) => self.leave(),
             Some(Stop::Supervisor) => self.supervisor_call(),
+            Some(Stop::Function(at)) => self.function_called(at),
             Some(Stop::Fault(at)) => {
                 panic!("the core faults at {at:#x}, lr {:#x}", self.reg(RegisterARM::LR))
             }
@@ -144,6 +149,41 @@ impl Board {
             let broken = broken.to_string();
             panic!("a rule of S140 is broken near {:#x}: {broken}", self.reg(RegisterARM::PC));
         }
+    }
+
+    /// A function of Nordic's controller begins, or what it called back has returned to its beginning.
+    pub(super) fn function_called(&mut self, at: u32) {
+        let args = [RegisterARM::R0, RegisterARM::R1, RegisterARM::R2, RegisterARM::R3].map(|r| self.reg(r));
+        let lr = self.reg(RegisterARM::LR);
+        let soc = self.soc();
+        let mut controller = soc.controller.take().expect("it marked this address");
+        let then = controller.call(at, lr, args, soc);
+        let broken = controller.broken.first().cloned();
+        soc.controller = Some(controller);
+        soc.settle();
+        if let Some(broken) = broken {
+            panic!("a rule of Nordic's libraries is broken near {lr:#x}: {broken}");
+        }
+        match then {
+            // A handler of the image that jumps here, and leaves returning from the exception to this function.
+            Then::Return { to, .. } if to >= EXCEPTION_RETURNS => self.leave(),
+            Then::Return { value, to } => {
+                self.set_reg(RegisterARM::R0, value);
+                self.set_reg(RegisterARM::PC, to | 1);
+            }
+            Then::Run => {
+                self.uc.get_data_mut().passes = Some(at);
+                self.set_reg(RegisterARM::PC, at | 1);
+                return;
+            }
+            Then::CallBack { function, arguments } => {
+                self.set_reg(RegisterARM::R0, arguments[0]);
+                self.set_reg(RegisterARM::R1, arguments[1]);
+                self.set_reg(RegisterARM::LR, at | 1);
+                self.set_reg(RegisterARM::PC, function | 1);
+            }
+        }
+        self.spend(CALL_CYCLES);
     }
 
     pub(super) fn supervisor_call(&mut self) {

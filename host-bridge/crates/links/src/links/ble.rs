@@ -34,7 +34,7 @@ pub const TO_BOARD: Uuid = Uuid::from_u128(0xb1a4_0003_6d61_4e75_a1b2_5c3d_9e7f_
 
 /// First pause before a board is looked for again; doubled each time, up to the last.
 const FIRST_PAUSE: Duration = Duration::from_millis(100);
-const LAST_PAUSE: Duration = Duration::from_secs(2);
+const LAST_PAUSE: Duration = Duration::from_millis(500);
 /// How long one search for the board lasts.
 const SEARCH: Duration = Duration::from_secs(10);
 /// How long connecting and finding the service may take.
@@ -266,7 +266,9 @@ impl<I: Copy> Radio<I> {
                 let bonded = bonds.addresses().await?;
                 let (ours, strange): (Vec<Seen>, Vec<Seen>) =
                     wanted.partition(|seen| self.allow_unbonded || bonded.contains(&seen.address));
-                if let Some(best) = ours.into_iter().max_by_key(|seen| seen.rssi_dbm) {
+                if let Some(best) =
+                    ours.into_iter().max_by_key(|seen| rank(bonded.contains(&seen.address), seen.rssi_dbm))
+                {
                     return Ok(best);
                 }
                 looks += 1;
@@ -415,6 +417,11 @@ impl Seen {
     }
 }
 
+/// Of several boards the highest one is taken: a bonded one however far, then the loudest.
+fn rank(is_bonded: bool, rssi_dbm: Option<i16>) -> (bool, Option<i16>) {
+    (is_bonded, rssi_dbm)
+}
+
 async fn scan(adapter: &Adapter) -> Result<(), String> {
     adapter.start_scan(ScanFilter { services: vec![SERVICE] }).await.map_err(|error| trouble(&error))
 }
@@ -474,6 +481,13 @@ fn trouble(error: &btleplug::Error) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_bonded_board_is_taken_before_a_louder_one_and_else_the_loudest() {
+        assert!(rank(true, Some(-90)) > rank(false, Some(-30)));
+        assert!(rank(true, None) > rank(false, Some(-30)));
+        assert!(rank(false, Some(-40)) > rank(false, Some(-60)));
+    }
 
     #[test]
     fn a_service_that_does_not_run_is_told_with_what_to_do() {

@@ -1,0 +1,144 @@
+//! A laptop whose Bluetooth is bumble's: what a test lets it do, and what it heard.
+
+use serde_json::{Value, json};
+
+use super::board::Board;
+use super::session::RightRig;
+
+/// Where the board notifies.
+pub const OUT: &str = "b1a40002-6d61-4e75-a1b2-5c3d9e7f0a33";
+/// Where it is written to.
+pub const IN: &str = "b1a40003-6d61-4e75-a1b2-5c3d9e7f0a33";
+/// What a laptop asks for.
+pub const MTU: u16 = 517;
+/// Longest time for anything that a test orders, in ms of virtual time.
+const PATIENCE_MS: u64 = 40_000;
+
+/// Bumble's laptop at an emulated board. The frames' bytes are those of a UART, cut as the MTU says.
+#[derive(Clone, Debug)]
+pub struct AirHost {
+    taken: usize,
+    room: usize,
+}
+
+impl Default for AirHost {
+    fn default() -> Self {
+        Self { taken: 0, room: 20 }
+    }
+}
+
+impl AirHost {
+    /// Bytes notified since the last call, with the cycle at which each was here.
+    pub fn read(&mut self, board: &mut Board) -> Vec<(u64, u8)> {
+        let air = board.controller().air();
+        let new = &air.log[self.taken..];
+        let bytes = new.iter().filter_map(|(at, said)| Some((*at, said["notified"].as_str()?)));
+        let read = bytes.flat_map(|(at, hex)| decode(hex).into_iter().map(move |byte| (at, byte))).collect();
+        self.taken = air.log.len();
+        read
+    }
+
+    /// Lets the laptop do something and runs until it is done: what came of it, or what bumble says went wrong.
+    ///
+    /// # Panics
+    /// If it takes longer than 40 s.
+    pub fn want(board: &mut Board, order: Value) -> Result<Value, Value> {
+        let number = board.order(order.clone());
+        for _ in 0..PATIENCE_MS {
+            let outcome = board.controller().air().outcome(number).cloned();
+            match outcome {
+                Some(failed) if failed.get("failed").is_some() => return Err(failed),
+                Some(mut done) => return Ok(done["done"].take()),
+                None => board.run_ms(1),
+            }
+        }
+        panic!("{order} takes too long")
+    }
+
+    /// The same where it must work.
+    ///
+    /// # Panics
+    /// If it does not.
+    pub fn get(board: &mut Board, order: Value) -> Value {
+        Self::want(board, order.clone()).unwrap_or_else(|failed| panic!("{order}: {failed}"))
+    }
+
+    /// Connects at this interval (in ms), as a laptop that pairs if it has no keys, and else encrypts; asks for the largest
+    /// MTU and subscribes.
+    ///
+    /// # Panics
+    /// If a step fails.
+    pub fn join(&mut self, board: &mut Board, interval: f64) {
+        Self::get(board, json!({"do": "connect", "interval": interval}));
+        let has_keys = Self::get(board, json!({"do": "bonds"})).as_array().is_some_and(|bonds| !bonds.is_empty());
+        Self::get(board, json!({"do": if has_keys { "encrypt" } else { "pair" }}));
+        self.settle_in(board);
+    }
+
+    /// What follows encryption: MTU, discovery, subscription.
+    ///
+    /// # Panics
+    /// If a step fails.
+    pub fn settle_in(&mut self, board: &mut Board) {
+        let mtu = Self::get(board, json!({"do": "mtu", "mtu": MTU}));
+        Self::get(board, json!({"do": "discover"}));
+        Self::get(board, json!({"do": "subscribe", "uuid": OUT}));
+        self.room = mtu.as_u64().expect("a number") as usize - 3;
+    }
+
+    /// Writes bytes, in pieces as the MTU says, without responses.
+    pub fn send(&mut self, board: &mut Board, bytes: &[u8]) {
+        let pieces: Vec<String> = bytes.chunks(self.room).map(encode).collect();
+        board.order(json!({"do": "write", "uuid": IN, "bytes": pieces}));
+    }
+}
+
+/// Bytes as bumble's process takes them.
+pub fn encode(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+fn decode(hex: &str) -> Vec<u8> {
+    (0..hex.len()).step_by(2).map(|i| u8::from_str_radix(&hex[i..i + 2], 16).expect("hex digits")).collect()
+}
+
+impl RightRig {
+    /// [`AirHost::want`].
+    ///
+    /// # Panics
+    /// As there.
+    pub fn want(&mut self, order: Value) -> Result<Value, Value> {
+        AirHost::want(&mut self.board, order)
+    }
+
+    /// [`AirHost::get`].
+    ///
+    /// # Panics
+    /// As there.
+    pub fn get(&mut self, order: Value) -> Value {
+        AirHost::get(&mut self.board, order)
+    }
+
+    /// [`AirHost::join`].
+    ///
+    /// # Panics
+    /// As there, or without bumble at the laptop's end.
+    pub fn join(&mut self, interval: f64) {
+        self.air.as_mut().expect("bumble's laptop").join(&mut self.board, interval);
+    }
+
+    /// [`AirHost::settle_in`].
+    ///
+    /// # Panics
+    /// As there, or without bumble at the laptop's end.
+    pub fn settle_in(&mut self) {
+        self.air.as_mut().expect("bumble's laptop").settle_in(&mut self.board);
+    }
+
+    /// What the laptop noticed without being asked, under this key.
+    pub fn noticed(&mut self, key: &str) -> Vec<(u64, Value)> {
+        let air = self.board.controller().air();
+        let noticed = air.log.iter().filter(|(_, said)| said.get(key).is_some() && said.get("id").is_none());
+        noticed.map(|(at, said)| (*at, said[key].clone())).collect()
+    }
+}

@@ -1,0 +1,399 @@
+//! The image with Nordic's controller and the host `trouble` inside, against bumble: Google's Bluetooth stack is the other
+//! controller, the link between the two, and the laptop. What is above HCI is the code that users flash.
+//!
+//! Modelled, and no proof of a radio: when packets pass (`src/nrf/controller/link.rs`), time slots for flash, data length, PHY.
+#![cfg(feature = "nrf")]
+
+use serde_json::{Value, json};
+use shared_dsp::right::kind::FeatureKind;
+use shared_dsp::right::network::{Model, crc32};
+use shared_proto::message::{AckResult, Bytes, HostMessage, MODEL_CHUNK_MAX, Mode};
+use tests::is_full;
+use tests::nrf::air_host::{IN, OUT};
+use tests::nrf::board::Kind;
+use tests::nrf::lsm9ds1::Still;
+use tests::nrf::session::RightRig;
+use tests::nrf::time::ms;
+use tests::nrf::transfer::{announce, begin, model_id, random_model};
+
+const SERVICE: &str = "B1A40001-6D61-4E75-A1B2-5C3D9E7F0A33";
+/// The one restart is the first start's, which sets up the reset pin.
+const STARTED_ONCE: [u32; 1] = [4];
+/// Two pages of bonds.
+const BONDS: std::ops::Range<usize> = 0xD6000..0xD8000;
+/// SMP: the board wants something else than what the laptop offers.
+const AUTHENTICATION_REQUIREMENTS: u64 = 3;
+
+/// A board that lies still and has started.
+fn rig() -> RightRig {
+    let mut rig = RightRig::air(Kind::Nano33, Box::new(Still));
+    rig.run_ms(700);
+    rig
+}
+
+/// The same with a bonded laptop that listens, at this interval in ms.
+fn joined(interval: f64) -> RightRig {
+    let mut rig = rig();
+    rig.join(interval);
+    rig
+}
+
+/// The samples that the image took since the tap have successive numbers on its grid of 100 Hz, whose times it gives in whole
+/// ms: none is missing and none came twice.
+fn samples_without_a_gap(rig: &RightRig, tap: usize) -> usize {
+    let samples = rig.board.tapped(tap);
+    for pair in samples.windows(2) {
+        let [before, after] = [&pair[0].registers, &pair[1].registers];
+        assert_eq!(after[3], before[3] + 1, "a sample is missing behind {} ms", before[2]);
+        assert!((9..=11).contains(&(after[2] - before[2])), "{} ms, then {}", before[2], after[2]);
+    }
+    let [first, last] = [&samples[0].registers, &samples[samples.len() - 1].registers];
+    assert!((last[2] - first[2]).abs_diff(10 * (last[3] - first[3])) <= 1, "{first:?} to {last:?}");
+    samples.len()
+}
+
+#[test]
+fn it_is_found_by_its_name_and_its_service() {
+    let mut rig = rig();
+    let heard = rig.get(json!({"do": "scan", "seconds": 1.0}));
+    println!("{heard}");
+    let boards: Vec<&Value> = heard.as_object().expect("advertisers").values().collect();
+    assert_eq!(boards.len(), 1);
+    assert_eq!(boards[0]["names"], json!(["bimanual-right"]));
+    assert_eq!(boards[0]["services"].to_string().to_uppercase(), format!("[\"{SERVICE}\"]"));
+    assert_eq!(rig.board.resets, STARTED_ONCE);
+}
+
+#[test]
+fn a_laptop_pairs_with_secure_connections_and_hears_a_state_every_hop_while_sampling_keeps_100_hz() {
+    let mut rig = rig();
+    let tap = rig.board.tap("bimanual_sample", 0);
+    let from = rig.board.now();
+    rig.get(json!({"do": "connect", "interval": 30.0}));
+    let before = rig.board.instructions();
+    let paired = rig.get(json!({"do": "pair"}));
+    println!(
+        "paired within {} ms, {:.1} million instructions: {paired}",
+        (rig.board.now() - from) / ms(1),
+        (rig.board.instructions() - before) as f64 / 1e6
+    );
+    assert_eq!((&paired["encrypted"], &paired["sc"]), (&json!(true), &json!(true)));
+    rig.settle_in();
+    rig.run_ms(3000);
+    // It has asked for the shortest interval, and for what makes the radio fast.
+    let (interval, radio) = (rig.board.controller().interval(), rig.board.controller().radio());
+    println!("interval {:.2} ms, radio {radio:?}", interval.unwrap() as f64 / ms(1) as f64);
+    assert!(interval.unwrap() <= ms(15));
+    assert_eq!(radio, Some((251, true)));
+    let states = rig.heard.states.len();
+    rig.run_ms(8000);
+    let states = &rig.heard.states[states..];
+    assert!((99..=101).contains(&states.len()), "{} states in 8 s", states.len());
+    assert!(states.windows(2).all(|pair| pair[1].sequence == pair[0].sequence.wrapping_add(1)));
+    let samples = samples_without_a_gap(&rig, tap);
+    println!("{samples} samples, each 10 ms after the last");
+    assert!(samples > 1100);
+    assert_eq!((rig.damaged(), &rig.board.resets[..]), (0, &STARTED_ONCE[..]));
+    println!("calls: {:?}", rig.board.controller().calls);
+}
+
+#[test]
+fn legacy_pairing_is_refused() {
+    let mut rig = rig();
+    rig.get(json!({"do": "configure", "secure": false}));
+    rig.get(json!({"do": "connect", "interval": 15.0}));
+    let failed = rig.want(json!({"do": "pair"})).expect_err("legacy pairing");
+    println!("{failed}");
+    assert_eq!(failed["code"], AUTHENTICATION_REQUIREMENTS);
+    assert_eq!(rig.board.resets, STARTED_ONCE);
+}
+
+#[test]
+fn without_keys_there_is_nothing_to_hear_and_nothing_to_write() {
+    let mut rig = rig();
+    rig.get(json!({"do": "connect", "interval": 15.0}));
+    rig.get(json!({"do": "discover"}));
+    let refused = rig.want(json!({"do": "write", "uuid": IN, "bytes": "00", "response": true}));
+    let deaf = rig.want(json!({"do": "subscribe", "uuid": OUT}));
+    println!("write: {refused:?}; subscribe: {deaf:?}");
+    // Insufficient authentication, authorization or encryption.
+    let code = refused.expect_err("a write without keys")["code"].as_u64().expect("an ATT error");
+    assert!([5, 8, 15].contains(&code), "{code}");
+    assert!(deaf.is_err(), "a subscription without keys");
+    rig.get(json!({"do": "write", "uuid": IN, "bytes": ["0102", "00"]}));
+    rig.run_ms(1000);
+    assert!(rig.heard.states.is_empty(), "not a state");
+    // A stranger that stays is hung up on, and the owner can pair.
+    rig.run_ms(32_000);
+    assert_eq!(rig.noticed("lost").len(), 1, "hung up");
+    rig.join(15.0);
+    rig.run_ms(500);
+    assert!(!rig.heard.states.is_empty());
+    assert_eq!(rig.heard.statuses.last().map_or(0, |status| status.bad_frames), 0, "nothing came through");
+}
+
+#[test]
+fn keys_that_the_laptop_does_not_keep_give_nothing() {
+    let mut rig = rig();
+    rig.get(json!({"do": "configure", "bonds": false}));
+    rig.get(json!({"do": "connect", "interval": 15.0}));
+    let paired = rig.want(json!({"do": "pair"}));
+    println!("{paired:?}");
+    rig.run_ms(1000);
+    let refused = rig.want(json!({"do": "discover"})).and_then(|_| {
+        rig.want(json!({"do": "write", "uuid": IN, "bytes": "00", "response": true}))
+    });
+    println!("{refused:?}");
+    assert!(refused.is_err());
+    assert!(rig.heard.states.is_empty());
+    assert_eq!(rig.board.soc().flash[BONDS.start..BONDS.start + 4], [0xFF; 4], "no bond in flash");
+}
+
+#[test]
+fn a_model_of_5_kb_arrives_within_5_s_and_runs_after_a_restart() {
+    let mut rig = joined(7.5);
+    rig.run_ms(7000);
+    // Bumble grants the longest interval that the board asks for; Linux grants the shortest.
+    rig.get(json!({"do": "parameters", "interval": 7.5, "latency": 4}));
+    rig.run_ms(200);
+    assert_eq!(rig.board.controller().interval(), Some(ms(15) / 2));
+    let tap = rig.board.tap("bimanual_sample", 0);
+    let blob = random_model(FeatureKind::Raw, &[24, 12, 6], 1);
+    let model = Model::parse(&blob).unwrap();
+    assert!((4600..=5600).contains(&blob.len()), "{} bytes", blob.len());
+    let (from, events) = (rig.board.now(), rig.board.controller().events);
+    assert_eq!(announce(&mut rig, begin(&blob, &model)), AckResult::Ok);
+    let mut offset = 0;
+    for (i, data) in blob.chunks(MODEL_CHUNK_MAX).enumerate() {
+        let request = 100 + i as u16;
+        let ack = rig.ask(request, &HostMessage::ModelChunk { request, offset, data: Bytes(data) });
+        offset += data.len() as u32;
+        assert_eq!(ack.map(|a| (a.result, a.next_offset)), Some((AckResult::Ok, offset)));
+    }
+    let commit = HostMessage::ModelCommit { request: 9, crc32: crc32(&blob) };
+    assert_eq!(rig.ask(9, &commit).expect("an answer").result, AckResult::Ok);
+    let seconds = (rig.board.now() - from) as f64 / 64e6;
+    let missed = rig.board.controller().events[1] - events[1];
+    println!("{} bytes of model in {seconds:.2} s at 7.5 ms (modelled); {missed} events missed for flash", blob.len());
+    assert!(seconds < 5.0);
+    assert!(rig.noticed("lost").is_empty(), "the link holds while flash is written");
+    samples_without_a_gap(&rig, tap);
+    rig.board.soc().nvic.reset_wanted = true;
+    rig.run_ms(3000);
+    rig.join(15.0);
+    assert_eq!(model_id(&mut rig), crc32(&blob));
+}
+
+#[test]
+fn a_bonded_laptop_is_back_with_its_keys_after_a_reset_of_either_side() {
+    let mut rig = joined(15.0);
+    rig.run_ms(2000);
+    // The board restarts: the laptop notices by silence.
+    rig.board.soc().nvic.reset_wanted = true;
+    rig.run_ms(3000);
+    assert_eq!(rig.noticed("lost").len(), 1);
+    assert!(!rig.get(json!({"do": "bonds"})).as_array().expect("names").is_empty());
+    rig.join(15.0);
+    let answer = rig.ask(3, &HostMessage::SetMode { request: 3, mode: Mode::Classify });
+    assert_eq!(answer.expect("an answer").result, AckResult::Ok);
+    // The laptop restarts: the board notices by silence.
+    rig.get(json!({"do": "restart"}));
+    rig.board.controller().in_range = false;
+    rig.run_ms(3000);
+    rig.board.controller().in_range = true;
+    assert!(!rig.board.controller().is_connected());
+    rig.join(15.0);
+    let answer = rig.ask(4, &HostMessage::SetMode { request: 4, mode: Mode::Classify });
+    assert_eq!(answer.expect("an answer").result, AckResult::Ok);
+    // A bonded laptop need not subscribe again.
+    rig.get(json!({"do": "disconnect"}));
+    rig.run_ms(300);
+    rig.get(json!({"do": "connect", "interval": 15.0}));
+    rig.get(json!({"do": "encrypt"}));
+    let before = rig.board.controller().passed[1];
+    rig.run_ms(2000);
+    assert!(rig.board.controller().passed[1] > before + 15 * 20, "notifies by itself");
+}
+
+#[test]
+fn when_either_side_has_lost_the_bond_both_pair_anew() {
+    let mut rig = joined(15.0);
+    rig.run_ms(2000);
+    // The board's flash is blank: it says so, and the laptop forgets and pairs again, as its owner would.
+    rig.board.soc().flash[BONDS].fill(0xFF);
+    rig.board.soc().nvic.reset_wanted = true;
+    rig.run_ms(3000);
+    rig.get(json!({"do": "connect", "interval": 15.0}));
+    let missing = rig.want(json!({"do": "encrypt"})).expect_err("no key");
+    println!("the board has no key: {missing}");
+    rig.get(json!({"do": "forget"}));
+    if !rig.board.controller().is_connected() {
+        rig.run_ms(500);
+        rig.get(json!({"do": "connect", "interval": 15.0}));
+    }
+    assert_eq!(rig.get(json!({"do": "pair"}))["sc"], true);
+    rig.settle_in();
+    rig.run_ms(1000);
+    assert!(rig.ask(3, &HostMessage::SetMode { request: 3, mode: Mode::Classify }).is_some());
+    // The laptop has lost its keys: within the time in which laptops may bond it pairs again.
+    rig.get(json!({"do": "disconnect"}));
+    rig.get(json!({"do": "forget"}));
+    rig.run_ms(300);
+    rig.join(15.0);
+    rig.run_ms(500);
+    let answer = rig.ask(4, &HostMessage::SetMode { request: 4, mode: Mode::Classify });
+    assert_eq!(answer.expect("an answer").result, AckResult::Ok);
+    assert_eq!(rig.board.resets.len(), 2, "no panic");
+}
+
+#[test]
+fn out_of_range_for_longer_than_the_supervision_timeout_it_advertises_again() {
+    let mut rig = joined(15.0);
+    rig.run_ms(1000);
+    rig.board.controller().in_range = false;
+    rig.run_ms(5000);
+    assert!(!rig.board.controller().is_connected());
+    assert_eq!(rig.noticed("lost").len(), 1);
+    rig.board.controller().in_range = true;
+    let from = rig.board.now();
+    rig.join(15.0);
+    let states = rig.heard.states.len();
+    assert!(rig.run_until_that(2000, |rig| rig.heard.states.len() > states));
+    println!("states again {} ms after the laptop looked for the board", (rig.board.now() - from) / ms(1));
+    assert_eq!(rig.damaged(), 0);
+}
+
+/// An L2CAP packet of this channel, with a length that may be a lie.
+fn l2cap(channel: u16, len: u16, content: &[u8]) -> Vec<u8> {
+    [&len.to_le_bytes()[..], &channel.to_le_bytes(), content].concat()
+}
+
+/// What somebody without sense sends.
+fn random_packet(random: &mut fastrand::Rng) -> Vec<u8> {
+    // ATT, signalling, SMP, or any.
+    let channel = *random.choice(&[4, 4, 4, 5, 6, 6]).unwrap();
+    let channel = if random.u8(..16) == 0 { random.u16(..) } else { channel };
+    let many = random.usize(0..=60);
+    let content: Vec<u8> = std::iter::repeat_with(|| random.u8(..)).take(many).collect();
+    let len = if random.u8(..8) == 0 { random.u16(..300) } else { content.len() as u16 };
+    l2cap(channel, len, &content)
+}
+
+/// What bumble sends to a board: for mutations.
+fn sensible() -> Vec<Vec<u8>> {
+    let att: [&[u8]; 12] = [
+        &[0x02, 0x05, 0x02],
+        &[0x04, 1, 0, 0xFF, 0xFF],
+        &[0x08, 1, 0, 0xFF, 0xFF, 0x03, 0x28],
+        &[0x10, 1, 0, 0xFF, 0xFF, 0x00, 0x28],
+        &[0x06, 1, 0, 0xFF, 0xFF, 0x00, 0x28, 0x0F, 0x18],
+        &[0x0A, 3, 0],
+        &[0x0C, 3, 0, 0, 0],
+        &[0x12, 12, 0, 1, 0],
+        &[0x52, 14, 0, 1, 2, 3, 0],
+        &[0x16, 14, 0, 0, 0, 1, 2, 3],
+        &[0x18, 1],
+        &[0x20, 3, 0, 5, 0],
+    ];
+    let signalling: [&[u8]; 4] = [
+        &[0x12, 1, 8, 0, 6, 0, 12, 0, 0, 0, 200, 0],
+        &[0x13, 1, 2, 0, 0, 0],
+        &[0x14, 2, 10, 0, 0x25, 0, 0x40, 0, 23, 0, 23, 0, 1, 0],
+        &[0x01, 1, 2, 0, 0, 0],
+    ];
+    let smp: [&[u8]; 7] = [
+        &[0x01, 3, 0, 0x0D, 16, 3, 3],
+        &[0x03; 17],
+        &[0x04; 17],
+        &[0x0C; 65],
+        &[0x0D; 17],
+        &[0x05, 8],
+        &[0x08; 17],
+    ];
+    let all = att.iter().map(|c| (4, c)).chain(signalling.iter().map(|c| (5, c))).chain(smp.iter().map(|c| (6, c)));
+    all.map(|(channel, content)| l2cap(channel, content.len() as u16, content)).collect()
+}
+
+fn mutated_packet(random: &mut fastrand::Rng, from: &[Vec<u8>]) -> Vec<u8> {
+    let mut packet = random.choice(from).unwrap().clone();
+    for _ in 0..random.usize(1..4) {
+        match random.u8(..4) {
+            0 => {
+                let at = random.usize(..packet.len());
+                packet[at] ^= 1 << random.u8(..8);
+            }
+            1 => {
+                // Behind the channel, so that most reach somebody.
+                let at = random.usize(4.min(packet.len() - 1)..packet.len());
+                packet[at] = random.u8(..);
+            }
+            2 => packet.truncate(random.usize(1..=packet.len())),
+            _ => packet.extend((0..random.usize(..20)).map(|_| random.u8(..))),
+        }
+    }
+    if packet.len() >= 4 && random.u8(..4) > 0 {
+        let len = (packet.len() as u16 - 4).to_le_bytes();
+        packet[..2].copy_from_slice(&len);
+    }
+    packet
+}
+
+/// Sends such packets over the air to a board with a bonded laptop, which connects again when the board hangs up.
+fn bombard(seed: u64, mut next: impl FnMut(&mut fastrand::Rng) -> Vec<u8>) {
+    let count = if is_full() { 100_000 } else { 1000 };
+    let mut rig = joined(7.5);
+    rig.run_ms(1500);
+    let tap = rig.board.tap("bimanual_sample", 0);
+    let mut random = fastrand::Rng::with_seed(seed);
+    let (mut sent, mut joins) = (0, 0);
+    while sent < count {
+        if !rig.board.controller().is_connected() {
+            rig.run_ms(200);
+            rig.get(json!({"do": "connect", "interval": 7.5}));
+            if rig.want(json!({"do": "encrypt"})).is_err() {
+                rig.run_ms(100);
+                continue;
+            }
+            joins += 1;
+        }
+        while sent < count && rig.board.controller().waiting_down() < 12 {
+            let packet = next(&mut random);
+            // In one radio packet, or torn in two.
+            if packet.len() > 8 && random.u8(..8) == 0 {
+                let (a, b) = packet.split_at(random.usize(1..packet.len()));
+                rig.board.controller().inject(a, true);
+                rig.board.controller().inject(b, random.u8(..16) == 0);
+            } else {
+                rig.board.controller().inject(&packet, true);
+            }
+            sent += 1;
+        }
+        rig.run_ms(5);
+        assert_eq!(rig.board.resets, STARTED_ONCE, "the image panics within {sent} packets");
+    }
+    rig.run_ms(500);
+    let samples = samples_without_a_gap(&rig, tap);
+    println!("{sent} packets, {joins} new connections, {samples} samples, each 10 ms after the last");
+    assert_eq!(rig.board.resets, STARTED_ONCE);
+    // The owner's keys still work, and the board does what it is told.
+    if rig.board.controller().is_connected() {
+        rig.get(json!({"do": "disconnect"}));
+    }
+    rig.run_ms(500);
+    rig.join(15.0);
+    rig.get(json!({"do": "write", "uuid": IN, "bytes": "00"}));
+    let answer = rig.ask(5, &HostMessage::SetMode { request: 5, mode: Mode::Classify });
+    assert_eq!(answer.expect("an answer").result, AckResult::Ok);
+    assert_eq!(rig.heard.states.iter().filter(|state| state.events != 0).count(), 0, "no gesture out of nothing");
+}
+
+#[test]
+fn random_packets_do_not_stop_it() {
+    bombard(24, random_packet);
+}
+
+#[test]
+fn mutated_packets_do_not_stop_it() {
+    let from = sensible();
+    bombard(25, move |random| mutated_packet(random, &from));
+}
