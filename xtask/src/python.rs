@@ -53,7 +53,7 @@ fn made(name: &str, requirements: &[&str]) -> Result<PathBuf> {
     let python = place.join("bin/python");
     let mut wanted = String::new();
     for file in requirements {
-        wanted += &fs::read_to_string(root().join(file)).context(file)?;
+        wanted += &fs::read_to_string(root().join(file)).with_context(|| (*file).to_owned())?;
     }
     let stamp = place.join("requirements.installed");
     if fs::read_to_string(&stamp).is_ok_and(|installed| installed == wanted) && works(&python) {

@@ -6,8 +6,9 @@ use std::time::{Duration, Instant};
 use host_topics::message as ros;
 use ros2_client::Subscription;
 
-use super::config::{Connection, Ros2Config};
-use super::joined::{NodeError, bare, latched, subscription_with};
+use super::config::{Carrier, Connection, Ros2Config};
+use super::joined::{bare, latched, subscription_with};
+use super::transport::NodeError;
 
 /// The graph is looked at for at least this long: end points are found one after the other.
 const SETTLE: Duration = Duration::from_millis(2500);
@@ -27,8 +28,12 @@ pub struct Found {
 /// Looks until a description was heard, and no longer than `wait`.
 ///
 /// # Errors
-/// [`NodeError`]: the domain or the topic cannot be had.
+/// [`NodeError`]: the domain or the topic cannot be had, or the robot is on Zenoh, whose graph is not looked at here.
 pub fn look(config: &Ros2Config, connection: &Connection, wait: Duration) -> Result<Found, NodeError> {
+    if config.transport == Carrier::Zenoh {
+        let why = "a robot's description is read over DDS alone: save it to a file, and name that in the scene's [arm]";
+        return Err(NodeError(why.to_owned()));
+    }
     let (context, mut node) = bare(config, connection)?;
     let topic = config.resolve(&config.robot_description);
     let reader: Subscription<ros::Text> =

@@ -20,7 +20,7 @@ messages! {
         stamp: Time,
         /// When, on the bridge's clock.
         time_ms: u64,
-        /// 0 = stop, 1 = release, 2 = end the arm's motion.
+        /// 0 = stop, 1 = release, 2 = end the arm's motion, 3 = begin to show gestures, 4 = end that, 5 = the clutch.
         key: u8,
     }
 

@@ -105,7 +105,8 @@ pub struct Controller {
 impl Controller {
     /// Libraries whose functions lie at these symbols, on this air, as its board of this number (0 or 1).
     pub fn new(symbols: &BTreeMap<String, u32>, air: Arc<Mutex<Air>>, index: u8) -> Self {
-        let answered = |name: &str| ["sdc_", "mpsl_", "MPSL_IRQ_"].iter().any(|start| name.starts_with(start));
+        let answered =
+            |name: &str| ["sdc_", "mpsl_", "MPSL_IRQ_"].iter().any(|start| name.starts_with(start));
         let functions = symbols
             .iter()
             .filter(|&(name, &address)| answered(name) && (address as usize) < FLASH_BYTES)
@@ -384,8 +385,7 @@ impl Controller {
             self.broken.push(format!("time slots of kind {kind} are not modelled"));
         }
         let word = |at: u32| u64::from(u32::from_le_bytes(load(soc, at)));
-        let request =
-            Request { length: us(word(at + 8)), high: priority == 0, timeout: us(word(at + 12)) };
+        let request = Request { length: us(word(at + 8)), high: priority == 0, timeout: us(word(at + 12)) };
         self.slot = Slot::plan(request, self.link.as_ref(), soc.now);
     }
 
@@ -650,4 +650,3 @@ fn load<const N: usize>(soc: &Soc, at: u32) -> [u8; N] {
 fn store(soc: &mut Soc, at: u32, bytes: &[u8]) {
     assert!(soc.ram.put(at, bytes), "the image wants {} bytes at {at:#x}", bytes.len());
 }
-
