@@ -182,11 +182,9 @@ impl Screen {
                 KeyCode::Char('c') if key.modifiers.contains(KeyModifiers::CONTROL) => return true,
                 KeyCode::Char(' ') => flags.stop(),
                 KeyCode::Char(key) if key == self.end_arm => control.order(Order::EndArm),
-                KeyCode::Char(letter) if Some(letter) == self.clutch => {
-                    // Once, however long it is held.
-                    if key.kind == KeyEventKind::Press {
-                        control.order(Order::Clutch);
-                    }
+                // Once, however long it is held.
+                KeyCode::Char(letter) if Some(letter) == self.clutch && key.kind == KeyEventKind::Press => {
+                    control.order(Order::Clutch);
                 }
                 KeyCode::Char('r') => self.release(control),
                 KeyCode::Char(SHOW) if self.shows && key.kind == KeyEventKind::Press => {
