@@ -150,13 +150,13 @@ fn a_network_of_the_papers_shape_is_within_the_aims_of_its_peers() {
     println!("{:<40}{:>14}{:>10}{:>8}", "microflow (Rust)", 70_491, 5900, 692);
     println!("{:<40}{:>14}{:>10}{:>8}", "the paper (1 ms, 17.9 KB, 1.7 KB)", "64000 cycles", 17_900, 1700);
     println!(
-        "paper: its network on the chip: inference | 1 ms (64,000 cycles) | {} instructions",
+        "paper: the paper's network on the board: inference | 1 ms (64,000 cycles) | {} instructions",
         cost.network
     );
-    println!("paper: its network on the chip: flash | 17.9 KB | {:.1} KB", f64::from(flash) / 1000.0);
-    println!("paper: its network on the chip: RAM | 1.7 KB | {:.2} KB", cost.stack as f64 / 1000.0);
+    println!("paper: the paper's network on the board: flash | 17.9 KB | {:.1} KB", f64::from(flash) / 1000.0);
+    println!("paper: the paper's network on the board: RAM | 1.7 KB | {:.2} KB", cost.stack as f64 / 1000.0);
     println!(
-        "paper: its features and network: share of time awake | not stated | {:.2} %",
+        "paper: the paper's features and network: share of time awake | not stated | {:.2} %",
         100.0 * cost.awake_share
     );
     println!("flash: without {scaling} of feature scaling, which peers do not have; with it {flash}");

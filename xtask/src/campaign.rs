@@ -114,13 +114,13 @@ const FAULTS: &[Fault] = &[
         &["live::stops::floods", "live::stops::a_hand_that_falls_silent", "live::stops::a_thousand"],
     ),
     fault(
-        "the reader of --json stops; output that nobody takes",
+        "the reader of --json stops; output that nobody reads",
         LIVE,
         &["live::stops::a_reader", "live::stops::output"],
     ),
     fault("stopped and continued, 0.3 to 60 s", LIVE, &["live::stops::a_program"]),
     fault("v the laptop asleep, both boards' images awake", LIVE, &["live::desk::a_laptop_that_slept"]),
-    fault("delays on the very program", LIVE, &["live::stops::a_board"]),
+    fault("delays on the real program", LIVE, &["live::stops::a_board"]),
     fault("record cut short, or twice at a time", LIVE, &["live::stops::a_recording", "live::stops::two"]),
 ];
 

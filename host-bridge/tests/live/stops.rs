@@ -504,7 +504,7 @@ fn output_that_nobody_takes_is_no_panic_in_any_verb() {
             count += 1;
         }
     }
-    println!("row: output that nobody takes: no panic | {count} | 0 | 0");
+    println!("row: output that nobody reads: no panic | {count} | 0 | 0");
     // The takes were saved all the same.
     let saved = std::fs::read_dir(desk.path("recordings/circle")).unwrap().count();
     assert_eq!(saved, 5);

@@ -38,17 +38,17 @@ const PARTS: &[Part] = &[
         test: &["--test", "avr_trials"],
         only: "the_papers_400_tilts",
         rows: &[
-            "tilts, of",
-            "tilts: taken for the opposite",
+            "correct tilts, of",
+            "tilts mistaken for the opposite",
             "start of a tilt",
             "tilts forward",
             "tilts backward",
             "tilts left",
             "tilts right",
         ],
-        note: "Simulated hands before the emulated board and its very image; the paper's were people. A command waits \
-               until a tilt stays (docs/SAFETY.md), which costs some 100 ms. By direction nothing is \
-               compared: of the paper this project holds the total.",
+        note: "The hands are simulated, and the emulated board runs the real image; the paper tested people. A command \
+               starts only if a tilt persists (docs/SAFETY.md), which takes some 100 ms. Results by direction are not \
+               compared, because we know only the paper's total.",
         at_any_length: false,
     },
     Part {
@@ -93,7 +93,7 @@ const PARTS: &[Part] = &[
             "home → place-bottom",
             "home → random",
         ],
-        note: "By construction: the paper prints no poses, and ours were chosen so that these times come out at its scaling.",
+        note: "The times are equal by construction: we chose poses that give them, because the paper prints no poses.",
         at_any_length: true,
     },
     Part {
@@ -101,12 +101,12 @@ const PARTS: &[Part] = &[
         test: &["--test", "nrf_cost"],
         only: "a_network_of_the_papers_shape",
         rows: &[
-            "its network on the chip: inference",
-            "its network on the chip: flash",
-            "its network on the chip: RAM",
-            "its features and network",
+            "the paper's network on the board: inference",
+            "the paper's network on the board: flash",
+            "the paper's network on the board: RAM",
+            "the paper's features and network",
         ],
-        note: "Executed instructions of the emulated nRF52840; the paper gives time.",
+        note: "We count executed instructions of the emulated nRF52840; the paper gives a time.",
         at_any_length: false,
     },
     Part {
@@ -119,7 +119,7 @@ const PARTS: &[Part] = &[
             "mapping: a bend of the middle",
             "mapping: gesture",
         ],
-        note: "The paper's table II, and what its six gestures start.",
+        note: "The paper's table II, and the motions that its six gestures start.",
         at_any_length: true,
     },
     Part {
@@ -136,8 +136,8 @@ const PARTS: &[Part] = &[
             "demo: end of a gesture's last window",
             "demo: left hand's sample",
         ],
-        note: "In the demo each motion begins where the one before it ended and passes through home, so most take two of \
-               the times from home, while the base drives. A gesture's window is 2 s long; it is looked at every 80 ms.",
+        note: "In the demo, each motion starts at the end of the previous one and passes through home while the base drives, \
+               so most motions take twice as long. A gesture's window is 2 s long and is evaluated every 80 ms.",
         at_any_length: true,
     },
 ];
@@ -292,8 +292,8 @@ mod tests {
 
     #[test]
     fn rows_are_read_from_what_tests_print_and_nothing_else_is() {
-        let said = "running 1 test\npaper: tilts, of 40: right | 93.5 % of 400 | 100.00 %\n paper: broken | row\nok\n";
-        assert_eq!(triples(said), [["tilts, of 40: right", "93.5 % of 400", "100.00 %"].map(str::to_owned)]);
+        let said = "running 1 test\npaper: correct tilts, of 40 | 93.5 % of 400 | 100.00 %\n paper: broken | row\nok\n";
+        assert_eq!(triples(said), [["correct tilts, of 40", "93.5 % of 400", "100.00 %"].map(str::to_owned)]);
     }
 
     /// The page in the tree has every row that the command prints.
@@ -310,9 +310,9 @@ mod tests {
             }
         }
         for row in [
-            "recipe `paper`, a random fifth",
-            "recipe `paper`, wearers never met",
-            "recipe `aligned`, wearers never met",
+            "recipe `paper`, tested on a random fifth",
+            "recipe `paper`, tested on unknown wearers",
+            "recipe `aligned`, tested on unknown wearers",
         ] {
             assert!(page.contains(row), "{row}");
         }

@@ -42,7 +42,7 @@ pub fn heat(matrix: &Matrix) -> Result<String> {
     let size = ((LEFT + CELL * columns + 8) as u32, (TOP + CELL * rows + 8) as u32);
     drawn(size, |area| {
         let style = FONT.into_font().color(&BLACK);
-        area.draw(&Text::new(format!("{}: made ↓, named →", matrix.name), (4, 4), style.clone()))?;
+        area.draw(&Text::new(format!("{}: actual ↓, recognised →", matrix.name), (4, 4), style.clone()))?;
         let centred = style.clone().pos(Pos::new(HPos::Center, VPos::Center));
         for (column, name) in (0..).zip(&matrix.named) {
             // Neighbours stand on two heights, since names are wider than cells.

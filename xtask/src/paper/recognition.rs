@@ -50,7 +50,7 @@ pub fn section(quick: bool) -> Result<Section> {
         let of =
             |network: &str| card["test"][network]["per_recording"].as_f64().context("the card has no scores");
         rows.push([
-            format!("recipe `{recipe}`, a random fifth of the same wearers' recordings: float, int8"),
+            format!("recipe `{recipe}`, tested on a random fifth of the same wearers' recordings (float, int8)"),
             papers.to_owned(),
             format!("{:.2} %, {:.2} %", of("float")?, of("int8")?),
         ]);
@@ -58,7 +58,7 @@ pub fn section(quick: bool) -> Result<Section> {
         let met_never = told.lines().last().unwrap_or_default().trim().to_owned();
         met_never.parse::<f64>().context("`models eval` ends with its score")?;
         rows.push([
-            format!("recipe `{recipe}`, wearers never met: int8"),
+            format!("recipe `{recipe}`, tested on unknown wearers (int8)"),
             "not stated".to_owned(),
             format!("{met_never} %"),
         ]);

@@ -294,7 +294,7 @@ fn millions_of_steps_of_a_hostile_link_move_nothing_unarmed_late_or_without_neut
     }
     println!("row: hostile link: moves unarmed, or armed without neutral | {done} steps | 0 | 0");
     println!(
-        "row: hostile link: age of what acts | {commands} commands, {armed} times armed | {oldest_ms} ms | 250 ms and a turn of {TURN_MS}"
+        "row: hostile link: age of the acting state | {commands} commands, {armed} times armed | {oldest_ms} ms | 250 ms and a turn of {TURN_MS}"
     );
     // It did move; otherwise the test would show nothing.
     assert!(armed > steps / 2000 && commands > steps / 20, "{armed} {commands}");
