@@ -153,7 +153,10 @@ fn a_network_of_the_papers_shape_is_within_the_aims_of_its_peers() {
         "paper: the paper's network on the board: inference | 1 ms (64,000 cycles) | {} instructions",
         cost.network
     );
-    println!("paper: the paper's network on the board: flash | 17.9 KB | {:.1} KB", f64::from(flash) / 1000.0);
+    println!(
+        "paper: the paper's network on the board: flash | 17.9 KB | {:.1} KB",
+        f64::from(flash) / 1000.0
+    );
     println!("paper: the paper's network on the board: RAM | 1.7 KB | {:.2} KB", cost.stack as f64 / 1000.0);
     println!(
         "paper: the paper's features and network: share of time awake | not stated | {:.2} %",

@@ -50,7 +50,9 @@ pub fn section(quick: bool) -> Result<Section> {
         let of =
             |network: &str| card["test"][network]["per_recording"].as_f64().context("the card has no scores");
         rows.push([
-            format!("recipe `{recipe}`, tested on a random fifth of the same wearers' recordings (float, int8)"),
+            format!(
+                "recipe `{recipe}`, tested on a random fifth of the same wearers' recordings (float, int8)"
+            ),
             papers.to_owned(),
             format!("{:.2} %, {:.2} %", of("float")?, of("int8")?),
         ]);

@@ -225,7 +225,9 @@ fn no_command_older_than_250_ms_acts_on_links_that_step_and_drift() {
             assert!(oldest <= STALE_MS, "{name}, {drift_ppm} ppm: {oldest} ms");
             assert!(street.driven_ms > 0, "{name}: the good times are used");
         }
-        println!("row: age of the acting state: {name} | {driven_ms} ms driven | {worst_ms} ms | {STALE_MS} ms");
+        println!(
+            "row: age of the acting state: {name} | {driven_ms} ms driven | {worst_ms} ms | {STALE_MS} ms"
+        );
     }
 }
 
