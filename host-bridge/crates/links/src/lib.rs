@@ -1,9 +1,8 @@
-//! The sources of hands: serial ports, Bluetooth, recordings, keys; and the client that talks to one board.
+//! Sources of hands (serial ports, Bluetooth, recordings, keys), and a client for a single board.
 //!
-//! * [`links`]: ports, and the clock that they share,
-//! * [`hands`], [`keyboard`]: what behaves like a board inside this program, with [`wire`] between,
-//! * [`talk`], [`upload`], [`capture`], [`survey`]: one board asked for something, as `doctor`, `record` and
-//!   `send-model` do.
+//! * [`links`]: ports, and their common clock,
+//! * [`hands`], [`keyboard`]: simulated boards inside this program, connected by [`wire`],
+//! * [`talk`], [`upload`], [`capture`], [`survey`]: requests to one board for `doctor`, `record` and `send-model`.
 
 pub mod capture;
 pub mod hands;
