@@ -1,8 +1,7 @@
-//! Learning a network from a data set: windows, scaling, fitting, quantising, scoring, the card.
+//! Trains a network on a data set: windows, scaling, training, quantisation, tests and the card.
 //!
-//! Everything random follows from the seed and from places in sorted lists, never from the order in
-//! which threads finish: the same seed gives the same files on one machine with any number of
-//! threads.
+//! All random values depend only on the seed and on indices in sorted lists, not on the order in which threads finish.
+//! The same seed therefore gives the same files on one machine, for any number of threads.
 
 mod adapt;
 mod augment;
@@ -46,23 +45,23 @@ pub use steps::Steps;
 pub struct Job {
     /// Name of the model.
     pub name: String,
-    /// What the data is, for the card.
+    /// Description of the data for the card.
     pub about: String,
-    /// Everything random follows from it.
+    /// The seed of all random numbers.
     pub seed: u64,
-    /// People who were left out, for the card.
+    /// Excluded people, listed in the card.
     pub excluded: Vec<String>,
-    /// Whether to draw progress bars (where stderr is a terminal).
+    /// Whether to draw progress bars (if stderr is a terminal).
     pub progress: bool,
 }
 
-/// Why a data set cannot be learned; the text says what to do.
+/// The reason why training fails, with a remedy in the text.
 #[derive(Debug, thiserror::Error)]
 pub enum TrainError {
-    /// Fewer than two or too many labels, or a label that cannot be stored.
+    /// There are fewer than two or too many labels, or a label cannot be stored.
     #[error("{0}")]
     Labels(String),
-    /// A file could not be read again or written.
+    /// A file could not be read again, or could not be written.
     #[error("{file}: {source}; check the folder and the space on the disk")]
     Io {
         /// The file.
@@ -78,7 +77,7 @@ pub enum TrainError {
     Quantise(String),
 }
 
-/// A trained model, not yet written.
+/// A trained model that has not been written yet.
 #[derive(Clone, Debug)]
 pub struct Trained {
     /// Its card.
@@ -89,13 +88,13 @@ pub struct Trained {
     pub float_tflite: Vec<u8>,
     /// Bytes of the int8 file.
     pub int8_tflite: Vec<u8>,
-    /// What [`adapt`] needs of the people it was trained on; only with the recipe `aligned`.
+    /// The data about training people that [`adapt`] needs; only with recipe `aligned`.
     pub memory: Option<Memory>,
 }
 
 impl Trained {
-    /// A fitted network with its files and its card's sums of them; `calibration` are the inputs that decide the scales of
-    /// int8.
+    /// Creates the files of a trained network and their checksums for its card.
+    /// The inputs `calibration` determine the scales of int8.
     fn of(
         mut card: Card,
         float: Vec<FloatLayer>,
@@ -111,10 +110,10 @@ impl Trained {
         Ok(Self { card, float, float_tflite, int8_tflite, memory })
     }
 
-    /// The blob that boards and bridge run.
+    /// Returns the blob that boards and bridge run.
     ///
     /// # Errors
-    /// If the numbers cannot be put into one.
+    /// If the numbers cannot be represented in a blob.
     pub fn blob(&self) -> Result<Vec<u8>, TrainError> {
         match tflite::read(&self.int8_tflite) {
             Ok(Network::Int8(layers)) => blob::build(&self.card, &layers).map_err(TrainError::Quantise),
@@ -122,7 +121,7 @@ impl Trained {
         }
     }
 
-    /// Writes `NAME.tflite`, `NAME.float.tflite` and `NAME.card.json`, the card last, and `NAME.memory.bin` if there is one.
+    /// Writes `NAME.tflite`, `NAME.float.tflite`, `NAME.memory.bin` (if there is one), and finally `NAME.card.json`.
     pub fn write(&self, folder: &Path) -> Result<[PathBuf; 3], TrainError> {
         let files = ["tflite", "float.tflite", "card.json"]
             .map(|ending| folder.join(format!("{}.{ending}", self.card.name)));
@@ -141,7 +140,7 @@ impl Trained {
     }
 }
 
-/// A progress bar, or nothing if it is not wanted.
+/// Returns a progress bar, or a hidden one.
 fn bar(job: &Job, length: usize, what: &'static str) -> ProgressBar {
     if !job.progress {
         return ProgressBar::hidden();
@@ -154,7 +153,7 @@ fn bar(job: &Job, length: usize, what: &'static str) -> ProgressBar {
     }
 }
 
-/// Trains on `dataset` without the recordings named in `test`, and scores on those.
+/// Trains on `dataset` without the recordings named in `test`, and tests on those.
 pub fn train(
     dataset: &Dataset,
     test: &[String],
@@ -241,7 +240,7 @@ pub fn train(
     Ok(trained)
 }
 
-/// The card of a model before anything is learnt.
+/// Returns the card of a model before training.
 fn blank_card(
     used: &Dataset,
     labels: &[String],
@@ -296,7 +295,7 @@ fn labelled(windows: &[Vec<f32>], label: usize) -> impl Iterator<Item = Row<'_>>
     windows.iter().map(move |window| (window.as_slice(), label))
 }
 
-/// The same, from several sets.
+/// Does the same for several sets.
 fn rows(sets: &[(Shared, usize)]) -> impl Iterator<Item = Row<'_>> {
     sets.iter().flat_map(|(windows, label)| labelled(windows, *label))
 }
@@ -343,7 +342,8 @@ fn count<'a>(set: &'a Dataset, key: impl Fn(&'a Item) -> &'a String) -> BTreeMap
     counts
 }
 
-/// SHA-256 over the names and contents of the recordings, in order; for one without a file, of what its file would hold.
+/// SHA-256 over the names and contents of the recordings in order.
+/// Simulated ones use the content that a file would have.
 pub fn data_hash(set: &Dataset) -> Result<String, TrainError> {
     let mut hash = Sha256::new();
     for item in &set.items {
@@ -360,7 +360,7 @@ pub fn data_hash(set: &Dataset) -> Result<String, TrainError> {
     Ok(hex(&hash.finalize()))
 }
 
-/// SHA-256 of some bytes, in hexadecimal.
+/// Returns SHA-256 in hexadecimal.
 pub fn sha256(bytes: &[u8]) -> String {
     hex(&Sha256::digest(bytes))
 }

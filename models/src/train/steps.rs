@@ -1,9 +1,10 @@
-//! Fitting in a fixed number of steps, for the recipe `aligned`: batches drawn at random, a learning rate that
-//! warms up and falls as a cosine, and an average of the weights as the result. Nothing is held back to decide when
-//! to stop, and a network that exists can be the start.
+//! Trains in a fixed number of steps, for recipe `aligned`.
+//! Batches are drawn at random, the learning rate warms up and decreases as a cosine,
+//! and the result is an average of the weights.
+//! No recordings are held out to determine the end, and training can start from an existing network.
 //!
-//! Several networks from different starts are merged into one whose logits are the mean of theirs: they err
-//! differently on people whom none has met. The last steps see what int8 will round (Jacob et al., 2018).
+//! Several networks with different starts are merged into one whose logits are the mean of theirs.
+//! Their errors differ for unknown people. The last steps simulate int8 rounding (Jacob et al., 2018).
 
 use candle_core::{D, Device, Result, Tensor, Var};
 use candle_nn::{AdamW, Optimizer, ParamsAdamW};
@@ -16,7 +17,7 @@ use super::net::{Layers, Rounding, export, forward, on_one_thread, vars};
 use crate::streams::RandomStream;
 use crate::tflite::FloatLayer;
 
-/// How to fit in steps.
+/// The parameters of training in steps.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Steps {
     /// Number of steps.
@@ -25,18 +26,18 @@ pub struct Steps {
     pub batch: usize,
     /// Largest learning rate (Adam).
     pub learning_rate: f64,
-    /// Steps until it is reached.
+    /// Number of steps until the maximum learning rate.
     pub warm_up: usize,
-    /// Share of the probability that is spread over all labels.
+    /// Fraction of the probability that is distributed over all labels.
     pub label_smoothing: f32,
     /// Weight of the sum of squared weights in the loss.
     pub decay: f64,
-    /// Share that the average of the weights keeps per step, in the long run.
+    /// Fraction of the average of the weights that is kept in each step, in the long run.
     pub keep: f64,
-    /// Networks that are fitted from different starts and merged into one; [`Aligned`](super::Aligned) says how wide
-    /// each is.
+    /// Number of networks that are trained from different starts and merged.
+    /// [`Aligned`](super::Aligned) defines their width.
     pub members: usize,
-    /// Steps after that in which weights and activations are rounded as int8 rounds them.
+    /// Number of later steps in which weights and activations are rounded like int8.
     pub rounded: usize,
 }
 
@@ -53,10 +54,10 @@ impl Steps {
         members: crate::ALIGNED_MEMBERS,
         rounded: 300,
     };
-    /// For a network that only has to learn one more person.
+    /// For a network that only adapts to another person.
     pub const ADAPT: Self = Self { count: 800, learning_rate: 2e-3, keep: 0.98, members: 1, ..Self::TRAIN };
 
-    /// The steps at the end that take int8's rounding into account.
+    /// Returns the final steps, which simulate int8 rounding.
     fn last(self) -> Self {
         Self { count: self.rounded, learning_rate: 5e-4, warm_up: 20, keep: 0.98, ..self }
     }
@@ -70,8 +71,7 @@ pub(super) enum Start<'a> {
     Layers(&'a [FloatLayer]),
 }
 
-/// Fits a network to rows of inputs with their labels, rare labels counting as much as common ones. `limit` is the
-/// largest input.
+/// Trains a network on labelled inputs, where rare labels count as much as common ones. `limit` is the maximum input.
 pub(super) fn fit(
     rows: &[(Vec<f32>, usize)],
     labels: usize,
@@ -96,7 +96,7 @@ pub(super) fn fit(
     Ok(layers)
 }
 
-/// One network whose logits are the mean of several networks' of the same shape.
+/// Returns one network whose logits are the mean of those of several networks with the same shape.
 fn merged(members: &[Vec<FloatLayer>]) -> Vec<FloatLayer> {
     let [first, rest @ ..] = members else { return Vec::new() };
     if rest.is_empty() {
@@ -107,7 +107,7 @@ fn merged(members: &[Vec<FloatLayer>]) -> Vec<FloatLayer> {
         let parts: Vec<&FloatLayer> = members.iter().map(|layers| &layers[index]).collect();
         let relu = parts[0].relu;
         if index == last {
-            // Side by side: the mean of what each network says.
+            // The networks are side by side, and their outputs are averaged.
             let share = 1.0 / count as f32;
             let row = |output: usize| {
                 parts.iter().flat_map(|part| part.weights[output].iter().map(|w| w * share)).collect()
@@ -123,7 +123,7 @@ fn merged(members: &[Vec<FloatLayer>]) -> Vec<FloatLayer> {
         let mut weights = Vec::new();
         for (place, part) in parts.iter().enumerate() {
             for row in &part.weights {
-                // The first layer's inputs are shared by all members; after it each member sees only its own values.
+                // All members share the inputs of the first layer; later, each member uses only its own values.
                 weights.push(if index == 0 {
                     row.clone()
                 } else {
@@ -138,7 +138,7 @@ fn merged(members: &[Vec<FloatLayer>]) -> Vec<FloatLayer> {
     (0..=last).map(layer).collect()
 }
 
-/// Fits one network by one plan; `rounding` makes it take int8 into account.
+/// Trains one network; with `rounding`, it simulates int8.
 fn one(
     rows: &[(Vec<f32>, usize)],
     labels: usize,
@@ -190,7 +190,7 @@ fn one(
         let fall = 0.5 * (1.0 + (std::f64::consts::PI * step as f64 / plan.count as f64).cos());
         optimizer.set_learning_rate(plan.learning_rate * warm * fall);
         optimizer.backward_step(&loss)?;
-        // At first the average forgets fast: it must not remember the random start.
+        // At first, the average forgets quickly, so that it does not retain the random start.
         let time = (step + 1) as f64;
         let keep = plan.keep.min((1.0 + time) / (10.0 + time));
         for (mean, var) in average.iter_mut().zip(&vars) {
@@ -201,9 +201,9 @@ fn one(
     export(pairs.iter().map(|[weights, biases]| (weights, biases)))
 }
 
-/// Lets the weights into and out of each hidden unit have the same largest size, which changes no output: a unit
-/// that is twice as large and counts half is the same. Then one int8 scale per layer serves all of its units (Nagel
-/// et al., 2019).
+/// Scales each hidden unit so that its input and output weights have the same maximum,
+/// which does not change any output.
+/// A single int8 scale per layer then suits all of its units (Nagel et al., 2019).
 fn equalise(layers: &mut [FloatLayer]) {
     for index in 1..layers.len() {
         let Some([before, after]) = layers.get_mut(index - 1..=index) else { continue };
