@@ -1,4 +1,4 @@
-//! The gripper's action on the graph, of whichever kind its server is.
+//! The gripper's action on the graph, for both kinds of servers.
 
 use ros2_client::action::ActionClient;
 use ros2_client::{Node, QosProfile};
@@ -12,12 +12,12 @@ use super::joined::NodeError;
 use super::vendor::Wrapping;
 use host_topics::message as ros;
 
-/// More goals are not remembered.
+/// Maximum number of stored goals.
 const GOALS_MAX: usize = 64;
-/// The end of its server's topic for requests.
+/// The end of the name of its server's request topic.
 const REQUEST: &str = "/_action/send_goalRequest";
 
-/// The kinds of action, and the type of their requests.
+/// The kinds of actions with the types of their requests.
 const KINDS: [(&str, &str); 2] = [
     ("GripperCommand", "control_msgs::action::dds_::GripperCommand_SendGoal_Request_"),
     ("ParallelGripperCommand", "control_msgs::action::dds_::ParallelGripperCommand_SendGoal_Request_"),
@@ -33,18 +33,18 @@ enum Client {
 
 /// See the module.
 pub struct Gripper {
-    /// The action's name; empty = whichever there is below the namespace.
+    /// Name of the action; empty means any in the namespace.
     name: String,
     namespace: String,
     joint: String,
     qos: QosProfile,
-    /// Name, kind and vendor of the server that it is for.
+    /// Name, kind and vendor of the client's server.
     client: Option<((String, usize, Wrapping), Client)>,
     goals: Goals,
 }
 
 impl Gripper {
-    /// The gripper of a configuration, if it has one; no server is known yet.
+    /// Creates the gripper of a configuration, if it has one, without a known server.
     pub fn new(config: &Ros2Config, qos: QosProfile) -> Option<Self> {
         let name = match config.gripper.as_str() {
             "" => return None,
@@ -62,20 +62,20 @@ impl Gripper {
         })
     }
 
-    /// `/NAMESPACE/CONTROLLER/gripper_cmd`, and no other robot's.
+    /// Returns whether the name is `/NAMESPACE/CONTROLLER/gripper_cmd`, and not of another robot.
     fn may_be_ours(&self, name: &str) -> bool {
         let below = name.strip_prefix(&self.namespace).and_then(|rest| rest.strip_prefix('/'));
         let controller = below.and_then(|rest| rest.strip_suffix("/gripper_cmd"));
         controller.is_some_and(|controller| !controller.is_empty() && !controller.contains('/'))
     }
 
-    /// Which server is asked, for people.
+    /// Describes the server for users.
     pub fn about(&self) -> Option<String> {
         let ((name, kind, _), _) = self.client.as_ref()?;
         Some(format!("the gripper is {name} ({})", KINDS[*kind].0))
     }
 
-    /// The servers that could be meant, with their names and kinds.
+    /// Returns the possible servers with their names and kinds.
     fn servers<'a>(&self, graph: &'a Graph) -> Vec<(String, usize, &'a Endpoint)> {
         let server = |reader: &'a Endpoint| {
             let kind = KINDS.iter().position(|(_, request)| reader.type_name == *request)?;
@@ -86,10 +86,10 @@ impl Gripper {
         graph.readers.iter().filter_map(server).collect()
     }
 
-    /// Looks for the action's server. Returns why none can be used; `None` = one can.
+    /// Searches for the action's server. Returns the reason if none can be used, otherwise `None`.
     ///
     /// # Errors
-    /// If the client cannot be made.
+    /// If the client cannot be created.
     pub fn look(&mut self, node: &mut Node, graph: &Graph) -> Result<Option<String>, NodeError> {
         let servers = self.servers(graph);
         let [(name, kind, server)] = servers.as_slice() else {
@@ -130,7 +130,7 @@ impl Gripper {
         })
     }
 
-    /// Sends a goal; returns whether it could be handed over.
+    /// Sends a goal. Returns whether it was accepted for sending.
     pub fn send(&mut self, ours: u32, position: f64, effort: Option<f64>) -> bool {
         match &self.client {
             None => false,
@@ -151,7 +151,7 @@ impl Gripper {
         }
     }
 
-    /// Asks for a goal to be ended; returns whether the request could be handed over.
+    /// Requests the cancellation of a goal. Returns whether the request was accepted for sending.
     pub fn cancel(&self, ours: u32) -> bool {
         match &self.client {
             None => false,
@@ -160,7 +160,7 @@ impl Gripper {
         }
     }
 
-    /// The server's answers, each with our number of the goal.
+    /// Returns the server's answers, each with our number of the goal.
     pub fn answers(&mut self) -> Vec<(u32, GripAnswer)> {
         let first = |state: &ros::JointState| state.position.first().copied().unwrap_or(f64::NAN);
         match &self.client {
@@ -179,7 +179,7 @@ impl Gripper {
     }
 }
 
-/// What was said by a server of either kind.
+/// Converts the reports of a server of either kind.
 fn answers<R, F>(
     said: Vec<(u32, Said<R, F>)>,
     result_of: impl Fn(&R) -> (f64, bool, bool),

@@ -1,7 +1,8 @@
-//! REP-2016's hashes of the types that are spoken here, as Jazzy has them: two ends whose types have one name and two
-//! hashes do not mean the same. `tests/ros2/hashes.py` holds the table against Jazzy's own packages.
+//! REP-2016's hashes of the types used here, from Jazzy.
+//! Types with the same name but different hashes are incompatible.
+//! `tests/ros2/hashes.py` compares this table with Jazzy's own packages.
 
-/// ROS type, and its hash. Of an action the parts that have topics of their own.
+/// A ROS type and its hash. Actions have an entry for each part with its own topic.
 const HASHES: [(&str, &str); 35] = [
     (
         "action_msgs/msg/GoalStatusArray",
@@ -124,7 +125,7 @@ const HASHES: [(&str, &str); 35] = [
     ),
 ];
 
-/// The hash of a type such as `geometry_msgs/msg/Twist`; `None` for one that is not spoken here.
+/// Returns the hash of a type such as `geometry_msgs/msg/Twist`, or `None` if it is not used here.
 pub fn of(ros_type: &str) -> Option<&'static str> {
     HASHES.iter().find(|(name, _)| *name == ros_type).map(|(_, hash)| *hash)
 }

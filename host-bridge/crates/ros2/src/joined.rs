@@ -1,4 +1,4 @@
-//! The node's entities on the graph: its participant, what it publishes and reads, and whom it sees.
+//! The node's entities on the graph: its participant, its topics, and the other participants.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -34,7 +34,7 @@ impl NodeError {
     }
 }
 
-/// How the base's speed is published.
+/// The publisher of the base's speed.
 pub enum Speed {
     /// `geometry_msgs/Twist`.
     Plain(Publisher<ros::Twist>),
@@ -42,7 +42,7 @@ pub enum Speed {
     Stamped(Publisher<ros::TwistStamped>),
 }
 
-/// How the arm's motions are sent.
+/// The interface for the arm's motions.
 pub enum Arm {
     /// Not at all.
     None,
@@ -52,13 +52,13 @@ pub enum Arm {
     Action(Box<Follow>),
 }
 
-/// What is published beside the commands.
+/// The topics published in addition to the commands.
 pub struct Published {
     /// Diagnostics of the hands.
     pub diagnostics: Publisher<ros::DiagnosticArray>,
-    /// Whether this program's operator has stopped.
+    /// Whether the operator has stopped this program.
     pub stopped: Publisher<ros::Bool>,
-    /// The simulator's state, if that is wanted and nobody else publishes it.
+    /// The simulator's state, if requested and not published by another node.
     pub sim: Option<SimTopics>,
 }
 
@@ -68,7 +68,7 @@ pub struct SimTopics {
     pub joint_states: Publisher<ros::JointState>,
     /// Where the base is.
     pub odom: Publisher<ros::Odometry>,
-    /// The same as a transform, and the arm's links.
+    /// The same position as a transform, and the arm's links.
     pub tf: Publisher<ros::TfMessage>,
     /// Its description, also for late subscribers.
     pub description: Option<Publisher<ros::Text>>,
@@ -82,17 +82,17 @@ pub struct Joined {
     pub speed: Speed,
     /// The arm.
     pub arm: Arm,
-    /// The gripper, if there may be one.
+    /// The gripper, if one is configured.
     pub gripper: Option<Gripper>,
     /// Angles that the robot reports.
     pub joint_states: Option<Subscription<ros::JointState>>,
-    /// The base's odometry; its stamps say what the robot's clock says.
+    /// The base's odometry, whose stamps show the robot's clock.
     pub odom: Option<Subscription<ros::Odometry>>,
-    /// The arm controller's set point and state; silent while it is not active.
+    /// The arm controller's set point and state; silent while it is inactive.
     pub controller_state: Option<Subscription<ToldState>>,
-    /// The status of the goals on the arm's action server, if we have no client of it.
+    /// The status of the goals on the arm's action server, if we have no client for it.
     pub goals: Option<Subscription<GoalStatusArray>>,
-    /// E-stop and fault flag, each as one who comes late reads it and as one who hears what comes.
+    /// E-stop and fault flag, each with a subscription for latched messages and one for new messages.
     pub flags: Vec<[Subscription<ros::Bool>; 2]>,
     /// A simulation's time.
     pub clock: Subscription<ros::Clock>,
@@ -101,7 +101,7 @@ pub struct Joined {
     /// Its threads.
     pub watch: Watch,
     participant: DomainParticipant,
-    // Last: whatever is above belongs to it.
+    // Last, because everything above belongs to it.
     /// The node itself.
     pub node: Node,
 }
@@ -134,10 +134,10 @@ fn reliable(config: &Ros2Config) -> QosProfile {
         .reliability_reliable(WhenFull::Fail)
 }
 
-/// Announcements of more participants are not kept.
+/// Maximum number of participants whose announcements are stored.
 const PARTICIPANTS_MAX: usize = 1024;
 
-/// The last message is kept for late subscribers.
+/// Stores the last message for late subscribers.
 fn latched() -> QosProfile {
     QosProfile::publisher_default()
         .history(History::KeepLast { depth: 1 })
@@ -145,16 +145,16 @@ fn latched() -> QosProfile {
         .reliability_reliable(WhenFull::Fail)
 }
 
-/// Best effort listens to every writer.
+/// Best effort, which matches every writer.
 fn listening(depth: usize) -> QosProfile {
     QosProfile::subscription_default().history(History::KeepLast { depth })
 }
 
 impl Joined {
-    /// Joins the graph; with `publish_sim` as one who publishes the simulator's state.
+    /// Joins the graph. With `publish_sim`, it also publishes the simulator's state.
     ///
     /// # Errors
-    /// [`NodeError`]: the domain or a topic cannot be had.
+    /// [`NodeError`]: the domain or a topic is not available.
     pub fn open(
         config: &Ros2Config,
         connection: &Connection,
@@ -188,7 +188,7 @@ impl Joined {
             )?),
         };
         let goals = match config.arm {
-            // An action's client hears of all goals by itself.
+            // An action's client receives the status of all goals itself.
             ArmInterface::None | ArmInterface::Action => None,
             ArmInterface::Topic | ArmInterface::Stream => Some(subscription_with(
                 &mut node,
@@ -211,7 +211,7 @@ impl Joined {
             ArmInterface::None => Arm::None,
             ArmInterface::Topic | ArmInterface::Stream => {
                 let name = format!("{controller}/joint_trajectory");
-                // A waiting piece is useless once the next one is there.
+                // A waiting piece is useless once the next one exists.
                 let qos = qos.clone().history(History::KeepLast { depth: 1 });
                 Arm::Topic(Box::new(publisher(
                     &mut node,
@@ -224,7 +224,7 @@ impl Joined {
         };
         let (states, odom) = (config.resolve(&config.joint_states), config.resolve(&config.odom));
         let clock = subscription(&mut node, "/clock", ("rosgraph_msgs", "Clock"), 1)?;
-        // What we publish ourselves is not read.
+        // Our own messages are not read.
         let (joint_states, odom_read, sim) = if publish_sim {
             let description = config.resolve(&config.robot_description);
             let description = (!config.robot_description.is_empty())
@@ -267,13 +267,13 @@ impl Joined {
     /// Publishes speeds as the other type from now on.
     ///
     /// # Errors
-    /// [`NodeError`]: the topic cannot be had.
+    /// [`NodeError`]: the topic is not available.
     pub fn set_stamped(&mut self, config: &Ros2Config, stamped: bool) -> Result<(), NodeError> {
         self.speed = speed(&mut self.node, config, stamped, &self.speed_qos)?;
         Ok(())
     }
 
-    /// Our own participant, named as [`Joined::graph`] names others.
+    /// Returns our own participant's name, in the form of [`Joined::graph`].
     pub fn own_name(&self) -> String {
         name_of(&self.participant.guid().to_bytes())
     }
@@ -283,7 +283,7 @@ impl Joined {
         matches!(self.speed, Speed::Stamped(_))
     }
 
-    /// Everybody else on the graph.
+    /// Returns all other participants and their end points.
     pub fn graph(&mut self) -> Graph {
         let own = self.participant.guid().prefix;
         let name = |guid: &GUID| {
@@ -298,7 +298,7 @@ impl Joined {
                 let (id, vendor) = name(&dpd.guid);
                 let version = format!("{:?}", dpd.protocol_version);
                 if self.participants.len() >= PARTICIPANTS_MAX {
-                    // Only their words about themselves; who has an end point shows by that.
+                    // This loses only its description of itself; its end points still reveal it.
                     self.participants.pop_first();
                 }
                 self.participants.insert(id, Participant { vendor, version, name: dpd.entity_name });
@@ -338,7 +338,7 @@ impl Joined {
             graph.writers.push(Endpoint {
                 topic: data.topic_name().clone(),
                 type_name: data.type_name.clone(),
-                // Left out on the wire if it is a writer's default.
+                // A writer's default is omitted on the wire.
                 reliable: qos.reliability().is_none() || reliable(qos.reliability()),
                 transient_local: durable(qos.durability()),
                 vendor,
@@ -346,7 +346,7 @@ impl Joined {
                 type_hash: type_hash(&writer.user_data),
             });
         }
-        // Participants that are gone have no end points left.
+        // Participants that have disappeared have no end points.
         for end in graph.readers.iter().chain(&graph.writers) {
             let known = self.participants.get(&end.participant).cloned();
             let participant =
@@ -357,15 +357,16 @@ impl Joined {
     }
 }
 
-/// A participant's name on the graph: the first bytes of each of its end points.
+/// Returns a participant's name on the graph, which is the beginning of each end point's GUID.
 pub fn name_of(guid: &[u8]) -> String {
     guid.iter().take(12).map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// A controller's state with the fields that follow in Jazzy. Other releases end otherwise; what cannot be read is left out.
+/// A controller's state with Jazzy's additional fields.
+/// Other releases have different fields, and unreadable ones are ignored.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct ToldState {
-    /// The part that all releases share.
+    /// The fields that all releases share.
     pub state: ros::ControllerState,
     rest: Tail,
 }
@@ -373,19 +374,19 @@ pub struct ToldState {
 impl Message for ToldState {}
 
 impl ToldState {
-    /// The factor by which it scales speeds, if it reports it.
+    /// Returns the speed scaling, if it is reported.
     pub fn scaling(&self) -> Option<f64> {
         self.rest.0.as_ref().map(|rest| rest.speed_scaling_factor)
     }
 }
 
-/// The end of a message, if it is as expected.
+/// The end of a message, if it has the expected fields.
 #[derive(Clone, Debug, Serialize)]
 struct Tail(Option<Rest>);
 
 impl<'de> Deserialize<'de> for Tail {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        // Nothing follows that a wrong reading could damage.
+        // Nothing follows, so a failed read cannot affect other fields.
         Ok(Tail(Rest::deserialize(deserializer).ok()))
     }
 }
@@ -399,15 +400,15 @@ struct Rest {
     speed_scaling_factor: f64,
 }
 
-/// REP-2016's hash of a type, from what its end point says about itself.
+/// Returns REP-2016's hash of a type, from the user data of its end point.
 fn type_hash(user_data: &[u8]) -> Option<String> {
     let text = String::from_utf8_lossy(user_data);
-    // The length of the data comes first, as bytes.
+    // The data begins with its length in bytes.
     let (_, rest) = text.split_once("typehash=")?;
     Some(rest.split(';').next().unwrap_or(rest).to_owned())
 }
 
-/// Topics of the simulator that somebody else publishes.
+/// Returns topics of the simulator that another node also publishes.
 pub fn rivals(config: &Ros2Config, graph: &Graph) -> Vec<String> {
     let names = [&config.joint_states, &config.odom, &config.tf].map(|name| config.resolve(name));
     let taken = |name: &String| graph.writers.iter().any(|writer| writer.topic == wire::topic(name));

@@ -1,14 +1,14 @@
-//! A whole trajectory as a `joint_trajectory_controller` takes it.
+//! Converts a complete trajectory to the form of a `joint_trajectory_controller`.
 
 use host_robot::Trajectory;
 use host_topics::message::{JointTrajectoryPoint, Time};
 
-/// Longest time between two points, besides the instants at which the acceleration changes.
+/// Maximum time between two points, in addition to the instants at which the acceleration changes.
 const GRID_S: f64 = 0.25;
 /// Controllers want increasing times.
 const LEAST_STEP_S: f64 = 0.001;
 
-/// A trajectory as points in time: between them cubics through positions and speeds give the same motion.
+/// Returns a trajectory as points in time. Cubics through their positions and speeds give the same motion.
 pub fn points(trajectory: &Trajectory) -> Vec<JointTrajectoryPoint> {
     let end_s = trajectory.duration_s();
     let mut times_s = trajectory.knots_s();

@@ -1,5 +1,5 @@
-//! What the program publishes beside its commands: whether its operator has stopped, diagnostics, and the simulator where
-//! that is the robot. Needs the feature `ros2`.
+//! Publishes data other than commands: the operator's stop, diagnostics, and the simulator if it is the robot.
+//! Needs the feature `ros2`.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -10,9 +10,9 @@ use host_robot::{Door, RobotSetting};
 use host_topics::message as ros;
 use host_topics::messages::{Frames, transforms};
 
-/// The operator's stop is repeated this often.
+/// Repetition interval of the operator's stop.
 const STOPPED_INTERVAL_MS: u64 = 250;
-/// The simulator's state is published this often.
+/// Publication interval of the simulator's state.
 const SIM_INTERVAL_MS: u64 = 20;
 
 /// The simulator as it is published.
@@ -27,29 +27,29 @@ pub struct Simulator {
 }
 
 impl Simulator {
-    /// As configured.
+    /// Creates a simulator as configured.
     ///
     /// # Errors
-    /// Two frames would have one name.
+    /// If two frames would have the same name.
     pub fn new(config: &Ros2Config, setting: &RobotSetting) -> Result<Self, String> {
         let frames = config.frames(setting)?;
         Ok(Simulator { setting: setting.clone(), urdf: urdf(setting, &frames, config), frames })
     }
 }
 
-/// What the program publishes beside its commands: diagnostics, and the simulator where that is the robot.
+/// Publishes diagnostics, and the simulator if it is the robot.
 pub struct RosPublisher {
     config: Ros2Config,
     published: Arc<Mutex<Option<Published>>>,
-    /// Where the simulator's state is published.
+    /// The simulator whose state is published.
     simulator: Option<Simulator>,
     sim_published_ms: u64,
-    /// What was said last about the operator's stop, and when.
+    /// The last published operator's stop, and its time.
     said_stopped: Option<(bool, u64)>,
 }
 
 impl RosPublisher {
-    /// For this node; nothing was said yet.
+    /// Creates a publisher for this node.
     pub(super) fn new(
         config: &Ros2Config,
         published: &Arc<Mutex<Option<Published>>>,
@@ -64,14 +64,14 @@ impl RosPublisher {
         }
     }
 
-    /// Says whether this program's operator has stopped: at once when it changes, else four times a second.
+    /// Publishes the operator's stop: immediately on a change, otherwise four times per second.
     pub fn say_stopped(&mut self, stopped: bool, now_ms: u64) {
         let said = self.said_stopped.is_some_and(|(last, at_ms)| {
             last == stopped && now_ms.saturating_sub(at_ms) < STOPPED_INTERVAL_MS
         });
         if !said && let Some(published) = &*lock(&self.published) {
             self.said_stopped = Some((stopped, now_ms));
-            // What cannot be handed over is said again soon.
+            // If this fails, it is repeated soon.
             let _ = published.stopped.publish(ros::Bool { data: stopped });
         }
     }
@@ -79,12 +79,12 @@ impl RosPublisher {
     /// Publishes what the hands do.
     pub fn diagnose(&mut self, message: ros::DiagnosticArray) {
         if let Some(published) = &*lock(&self.published) {
-            // A message that cannot be handed over is late by the next one.
+            // If this fails, the next message replaces it.
             let _ = published.diagnostics.publish(message);
         }
     }
 
-    /// Publishes the simulator's state, if that is wanted and due.
+    /// Publishes the simulator's state, if requested and due.
     pub fn publish_sim(&mut self, robot: &dyn Door, now_ms: u64, stamp: ros::Time) {
         let mut published = lock(&self.published);
         let topics = published.as_mut().and_then(|published| published.sim.as_mut());
@@ -113,7 +113,7 @@ impl RosPublisher {
     }
 }
 
-/// A publisher that panicked leaves what it had whole.
+/// After a panic of a publisher, its data is still valid.
 pub(super) fn lock(published: &Mutex<Option<Published>>) -> MutexGuard<'_, Option<Published>> {
     published.lock().unwrap_or_else(PoisonError::into_inner)
 }
