@@ -1,4 +1,4 @@
-//! One virtual environment for the independent checks in Python.
+//! A virtual environment for the independent checks in Python.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -9,7 +9,7 @@ use anyhow::{Context, Result, bail};
 use crate::steps::sh;
 use crate::{root, target_dir};
 
-/// What the checks want, each beside its check.
+/// Requirements files of the checks, each in the folder of its check.
 const REQUIREMENTS: [&str; 10] = [
     "models/tests/requirements.txt",
     "shared-dsp/tests/reference/requirements.txt",
@@ -23,10 +23,10 @@ const REQUIREMENTS: [&str; 10] = [
     "tests/web/requirements.txt",
 ];
 
-/// The interpreter of an environment that holds what the checks want, made on first use.
+/// Returns the interpreter of an environment with all requirements, and creates it at the first use.
 ///
 /// # Errors
-/// If there is no Python 3 with `venv`, or a package does not install: says what to install.
+/// If there is no Python 3 with `venv`, or a package cannot be installed. The error names the missing package.
 pub fn environment() -> Result<PathBuf> {
     let place = target_dir().join("venv");
     let python = place.join("bin/python");
@@ -38,13 +38,13 @@ pub fn environment() -> Result<PathBuf> {
     if fs::read_to_string(&stamp).is_ok_and(|installed| installed == wanted) && works(&python) {
         return Ok(python);
     }
-    // One that works is kept: what it has already is not installed again.
+    // A working environment is kept, and installed packages are not installed again.
     if !works(&python) {
         sh(Command::new("python3").args(["-m", "venv", "--clear"]).arg(&place))
             .context("needs Python 3.11 or later with venv (Debian: apt-get install python3 python3-venv)")?;
     }
     let mut pip = Command::new(&python);
-    // Modules are compiled when used, not all at once.
+    // Modules are compiled at their first use and not all at once.
     pip.current_dir(root()).args([
         "-m",
         "pip",

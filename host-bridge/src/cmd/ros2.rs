@@ -1,11 +1,11 @@
-//! The ROS 2 side of `run` and `doctor`. Without the feature `ros2` only the message that it is missing.
+//! The ROS 2 part of `run` and `doctor`. Without the feature `ros2`, it only reports that the feature is missing.
 
 #[cfg(not(feature = "ros2"))]
 pub use off::{Graph, Output, doctor};
 #[cfg(feature = "ros2")]
 pub use on::{Graph, Output, doctor};
 
-/// After a halt the graph is served for this long, so that zero and cancellations arrive.
+/// Time for which the graph is served after a halt, so that zero speeds and cancellations arrive.
 pub const FAREWELL_MS: u64 = 300;
 
 #[cfg(feature = "ros2")]
@@ -27,7 +27,7 @@ mod on {
     use host_bridge::topics::diagnostics::Diagnostics;
     use host_bridge::topics::message::Time;
 
-    /// The search for other publishers lasts this long before the simulator's state is published.
+    /// Duration of the search for other publishers before the simulator's state is published.
     const SEARCH: Duration = Duration::from_millis(2500);
 
     /// Seconds since 1970.
@@ -39,7 +39,7 @@ mod on {
         config.connection(&RosEnvironment::read()).map_err(anyhow::Error::msg)
     }
 
-    /// The program on the graph: a robot, and what else is published.
+    /// The program on the graph: a robot, and additional topics.
     pub struct Graph {
         /// The robot that is driven.
         pub driver: RosDriver,
@@ -47,7 +47,7 @@ mod on {
         pub output: Output,
         /// For the title.
         pub about: String,
-        /// Counters of what was sent and received.
+        /// Counters of sent and received messages.
         pub counts: Arc<Mutex<Counts>>,
     }
 
@@ -93,7 +93,7 @@ mod on {
         }
     }
 
-    /// Diagnostics, and the simulator's state if that is the robot.
+    /// Diagnostics, and the simulator's state if it is the robot.
     pub struct Output {
         publisher: RosPublisher,
         diagnostics: Diagnostics,
@@ -120,7 +120,7 @@ mod on {
         }
     }
 
-    /// Looks at the graph for a while, and tries things out; returns whether all is well.
+    /// Examines the graph for some time with harmless requests. Returns whether there are no problems.
     pub fn doctor(config: &Ros2Config, seconds: f64) -> Result<bool> {
         let environment = RosEnvironment::read();
         let connection = match connection(config) {
@@ -130,7 +130,7 @@ mod on {
                 return Ok(false);
             }
         };
-        // The controller can be asked by its action alone, whichever way the arm is moved.
+        // The controller can be asked only by its action, whichever interface the arm uses.
         let arm = match config.arm {
             ArmInterface::None => ArmInterface::None,
             _ => ArmInterface::Action,
@@ -164,7 +164,7 @@ mod on {
             advice.extend(found.advice);
         }
         if graph.participants.is_empty() {
-            // Our own sockets would mislead, so they are closed first.
+            // Our own sockets are closed first, because they would distort the result.
             drop((node, publisher));
             let read = |file| std::fs::read_to_string(file).unwrap_or_default();
             let udp = read("/proc/net/udp") + &read("/proc/net/udp6");
@@ -202,7 +202,7 @@ mod off {
     const MISSING: &str = "this program was built without ROS 2: `cargo install --path host-bridge --features \
                            ros2`, or `cargo run --release --features ros2 -- …`";
 
-    /// Without a graph there is never a value of this type.
+    /// Without a graph, no value of this type exists.
     pub struct Graph {
         /// The robot that is driven.
         pub driver: Box<dyn Robot + Send>,
@@ -210,7 +210,7 @@ mod off {
         pub output: Output,
         /// For the title.
         pub about: String,
-        /// Counters of what was sent and received.
+        /// Counters of sent and received messages.
         pub counts: Arc<Mutex<Counts>>,
     }
 

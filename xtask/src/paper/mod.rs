@@ -1,8 +1,7 @@
-//! `cargo xtask paper`: what the paper prints, beside what is measured here, row by row with the command of each.
+//! `cargo xtask paper`: compares the paper's results with our measurements, row by row, with the command for each.
 //!
-//! The rows are printed by tests, as `paper: WHAT | PAPER | HERE`, but those of recognition, which come from models that
-//! are trained here. What is drawn comes as `figure: WHICH | …`. A row that does not come is a failure. The paper:
-//! docs/SOURCES.md.
+//! Tests print the rows as `paper: WHAT | PAPER | HERE`. Recognition is different, because its models are trained here.
+//! Data for plots is printed as `figure: WHICH | …`. A missing row is a failure. docs/SOURCES.md cites the paper.
 
 mod page;
 mod plots;
@@ -18,17 +17,17 @@ use crate::steps;
 use crate::test::cargo_for_all;
 use crate::{is_full, root};
 
-/// A table or figure of the paper, and the tests that measure the same here.
+/// A table or figure of the paper, and the tests that measure the same.
 struct Part {
     title: &'static str,
-    /// As arguments of `cargo test`.
+    /// Arguments of `cargo test`.
     test: &'static [&'static str],
     only: &'static str,
-    /// Beginnings of the rows' names; each row must come.
+    /// Beginnings of the rows' names; every row must exist.
     rows: &'static [&'static str],
     /// What a reader must know.
     note: &'static str,
-    /// Whether the rows are the same with and without `--quick`.
+    /// Whether the rows are equal with and without `--quick`.
     at_any_length: bool,
 }
 
@@ -142,20 +141,20 @@ const PARTS: &[Part] = &[
     },
 ];
 
-/// One table with what belongs to it.
+/// One table with its matrices and figures.
 struct Section {
     title: &'static str,
-    /// What, in the paper, here.
+    /// Name of the row, the paper's result, and ours.
     rows: Vec<[String; 3]>,
     note: String,
     command: String,
-    /// What was meant, and what it was taken for.
+    /// Confusion matrices of intended and recognised classes.
     matrices: Vec<Matrix>,
-    /// The cells of `figure:` lines, the name first.
+    /// The cells of `figure:` lines, beginning with the name.
     figures: Vec<Vec<String>>,
 }
 
-/// How often what was made was taken for what.
+/// Number of recognitions for each pair of actual and recognised class.
 struct Matrix {
     name: String,
     made: Vec<String>,
@@ -187,10 +186,10 @@ impl<'a> Asked<'a> {
     }
 }
 
-/// Measures every row, prints the tables, and writes them as Markdown and as a page with plots where that is asked for.
+/// Measures every row and prints the tables. If requested, it writes them as Markdown and as a page with plots.
 ///
 /// # Errors
-/// An option that is not known, a row that does not come, a command that fails.
+/// If an option is unknown, a row is missing, or a command fails.
 pub fn run(args: &[&str]) -> Result<ExitCode> {
     let asked = Asked::read(args)?;
     let began = Instant::now();
@@ -214,14 +213,14 @@ pub fn run(args: &[&str]) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// That docs/PAPER.md says what is measured now: what is the same at any length, and in the long run all that is measured
-/// in emulated boards, too.
+/// Checks that docs/PAPER.md contains the current results.
+/// The short run compares rows that do not depend on its length; the long run also compares results of emulated boards.
 ///
 /// # Errors
-/// Names each row that is measured otherwise.
+/// Names each row that differs.
 pub fn check() -> Result<()> {
     let page = fs::read_to_string(root().join("docs/PAPER.md"))?;
-    // A page that the short run wrote has the short run's counts.
+    // A page from a short run contains the counts of that run.
     let full = is_full() && !page.contains("paper --quick");
     for part in PARTS.iter().filter(|part| part.at_any_length || full) {
         for row in measured(part, !full)?.rows {
@@ -236,7 +235,7 @@ pub fn check() -> Result<()> {
     Ok(())
 }
 
-/// A part as it is measured now.
+/// Measures one part.
 fn measured(part: &Part, quick: bool) -> Result<Section> {
     let mut cargo = cargo_for_all("test");
     cargo.args(part.test).args(["--", part.only, "--nocapture"]).stdin(Stdio::null());
@@ -270,12 +269,12 @@ fn measured(part: &Part, quick: bool) -> Result<Section> {
     Ok(Section { title: part.title, rows, note: part.note.to_owned(), command, matrices, figures })
 }
 
-/// The rows that a test has printed: what, in the paper, here.
+/// Returns the rows that a test has printed: name, paper, here.
 fn triples(said: &str) -> Vec<[String; 3]> {
     steps::rows(said, "paper: ").into_iter().filter_map(|cells| cells.try_into().ok()).collect()
 }
 
-/// Which command a tilt gave, if there are such figures.
+/// Returns the matrix of tilt directions and commands, if there are such figures.
 fn directions(figures: &[Vec<String>]) -> Option<Matrix> {
     let rows: Vec<&[String]> =
         figures.iter().filter_map(|f| f.strip_prefix(&["tilts".to_owned()][..])).collect();
@@ -296,7 +295,7 @@ mod tests {
         assert_eq!(triples(said), [["correct tilts, of 40", "93.5 % of 400", "100.00 %"].map(str::to_owned)]);
     }
 
-    /// The page in the tree has every row that the command prints.
+    /// Checks that docs/PAPER.md has every row that the command prints.
     #[test]
     fn the_page_has_every_row() {
         let page = fs::read_to_string(root().join("docs/PAPER.md")).unwrap();
@@ -318,7 +317,7 @@ mod tests {
         }
     }
 
-    /// The first screen of the README promises nothing that the page does not say.
+    /// Checks that the README's first rows equal those of docs/PAPER.md.
     #[test]
     fn the_readmes_rows_are_the_pages() {
         let page = fs::read_to_string(root().join("docs/PAPER.md")).unwrap();

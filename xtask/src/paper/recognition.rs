@@ -1,4 +1,4 @@
-//! Models of the paper's recipe and of ours, trained and scored here.
+//! Trains and tests models of the paper's recipe and of ours.
 
 use std::process::Stdio;
 
@@ -9,8 +9,8 @@ use super::{Matrix, Section};
 use crate::target_dir;
 use crate::test::cargo;
 
-/// Models of the paper's recipe and of ours, trained on simulated wearers: a random fifth of the recordings, as the paper
-/// splits its own, and wearers that the model has never met.
+/// Trains models of the paper's recipe and of ours on simulated wearers.
+/// It tests them on a random fifth of the recordings, as in the paper, and on wearers whom the model has never met.
 pub fn section(quick: bool) -> Result<Section> {
     let folder = target_dir().join("paper");
     let _ = std::fs::remove_dir_all(&folder);
@@ -81,7 +81,7 @@ pub fn section(quick: bool) -> Result<Section> {
     })
 }
 
-/// Which label was taken for which, int8, in the random fifth.
+/// Returns the int8 confusion matrix for the random fifth.
 fn confusion(recipe: &str, card: &Value) -> Result<Matrix> {
     let labels: Vec<String> = card["labels"]
         .as_array()
