@@ -6,9 +6,9 @@
 //! | frames to the laptop (notify) | `b1a40002-…` |
 //! | frames to the board (write, write without response; needs an encrypted, bonded link) | `b1a40003-…` |
 //!
-//! Frames are a byte stream in both directions, cut wherever the MTU says. States may be read by any
-//! laptop; who may write is said in `bonds.rs`. These two files and `flash.rs` are the only ones that know
-//! nrf-softdevice.
+//! Frames form a byte stream in both directions, split at any byte according to the MTU.
+//! Any laptop may read states; `bonds.rs` decides which laptop may write.
+//! Only these two files and `flash.rs` use nrf-softdevice.
 
 use core::sync::atomic::{AtomicU32, Ordering};
 
@@ -36,29 +36,32 @@ use crate::flash::SoftDeviceFlash;
 use crate::link::{Inlet, WayOut};
 use crate::storage::Slots;
 
-/// Bytes of one notification or write: the largest MTU less three of header.
+/// Maximum payload of one notification or write: the largest MTU less a 3-byte header.
 const PAYLOAD: usize = 244;
-/// Notifications that the SoftDevice queues. A state every 80 ms needs one; raw batches and answers more.
+/// Number of notifications that the SoftDevice queues.
+/// A state every 80 ms needs one entry; raw batches and replies need more.
 const QUEUE: u8 = 8;
-/// Connection intervals in 1.25 ms that are asked for in turn: 7.5 to 15 ms, and 15 ms for systems that refuse less.
+/// Connection intervals to request in order, in units of 1.25 ms: 7.5 to 15 ms,
+/// then 15 ms for systems that reject less.
 const INTERVALS: [(u16, u16); 2] = [(6, 12), (12, 12)];
-/// A laptop answers a request for an interval within this long.
+/// Time within which a laptop replies to a request for a connection interval.
 const ANSWER: Duration = Duration::from_secs(5);
-/// Connection events that the board may sleep through while it has nothing to say: what it has to say leaves
-/// within one interval all the same, a laptop's frame arrives within five, and the radio is off in between.
+/// Number of connection events that the board may skip while it has no data to send.
+/// Data from the board still leaves within one interval, and a frame from the laptop arrives within five intervals.
+/// The radio is off during the skipped events.
 const LATENCY: u16 = 4;
-/// A link that is silent for this long (10 ms) is gone.
+/// Supervision timeout in units of 10 ms: a link without packets for this long is lost.
 const SUPERVISION: u16 = 200;
-/// Advertising interval in 0.625 ms: 30 ms.
+/// Advertising interval in units of 0.625 ms: 30 ms.
 const ADVERTISING: u32 = 48;
-/// A laptop that has written nothing for this long is asked for its interval again. S140 wants an authenticated packet each 480 s
-/// and, where a laptop cannot be asked by its radio (LE Ping), raises an event at which nrf-softdevice panics; the answer
-/// to a request is such a packet.
+/// If a laptop has written nothing for this long, the board requests the connection interval again.
+/// S140 expects an authenticated packet at least every 480 s, and the reply to the request is such a packet.
+/// Without one, and if the laptop does not support LE Ping, S140 raises an event on which nrf-softdevice panics.
 const QUIET: Duration = Duration::from_secs(120);
-/// A laptop that is not bonded by then is disconnected, since it holds the board's only link.
+/// A laptop that has not bonded within this time is disconnected, because it occupies the board's only link.
 const STRANGER: Duration = Duration::from_secs(10);
 const NAME: &str = "bimanual-right";
-/// The service's UUID, little-endian as in an advertisement.
+/// UUID of the service, in the little-endian order of advertisements.
 const SERVICE_UUID: [u8; 16] = 0xb1a4_0001_6d61_4e75_a1b2_5c3d_9e7f_0a33_u128.to_le_bytes();
 
 type Payload = heapless08::Vec<u8, PAYLOAD>;
@@ -81,10 +84,11 @@ struct Server {
     hand: HandService,
 }
 
-/// Starts the SoftDevice. `embassy_nrf::init` has run, since it writes registers that are S140's from here on.
+/// Starts the SoftDevice.
+/// Call `embassy_nrf::init` first, because it writes registers that belong to S140 after this call.
 pub fn enable() -> &'static mut Softdevice {
     let config = nrf_softdevice::Config {
-        // The same clock as embassy-nrf's, or S140 restarts it.
+        // This must be the clock source of embassy-nrf, otherwise S140 restarts the clock.
         clock: Some(raw::nrf_clock_lf_cfg_t {
             source: raw::NRF_CLOCK_LF_SRC_XTAL as u8,
             rc_ctiv: 0,
@@ -113,7 +117,7 @@ pub fn enable() -> &'static mut Softdevice {
     Softdevice::enable(&config)
 }
 
-/// A random number from S140's pool, 0 if it is still empty.
+/// Returns a random number from S140's pool, or 0 if the pool is still empty.
 pub fn random(softdevice: &Softdevice) -> u32 {
     let mut bytes = [0; 4];
     for _ in 0..100_000 {
@@ -130,17 +134,17 @@ pub async fn run_control(store: ModelStore<Slots<SoftDeviceFlash>>) {
     control::run(store).await
 }
 
-/// Whether the USB cable is in.
+/// Whether the USB cable is connected.
 static CABLE: Watch<CriticalSectionRawMutex, bool, 1> = Watch::new();
 
-/// Waits until the USB cable is in, or out. For one task.
+/// Waits until the USB cable is connected (`true`) or disconnected (`false`). Only one task may call this.
 pub async fn cable(wanted: bool) {
     if let Some(mut cable) = CABLE.receiver() {
         cable.get_and(|&is| is == wanted).await;
     }
 }
 
-/// USBREGSTATUS: the cable is in; the regulator's output is ready.
+/// Bits of USBREGSTATUS: the cable is connected, and the output of the regulator is ready.
 const VBUS_DETECTED: u32 = 1;
 const OUTPUT_READY: u32 = 2;
 
@@ -151,17 +155,17 @@ fn usb_power() -> u32 {
     status
 }
 
-/// Runs S140's events, and tells the USB driver of cable and power, which are S140's too.
+/// Processes S140's events, and forwards those about cable and power to the USB driver.
 #[embassy_executor::task]
 async fn run_softdevice(softdevice: &'static Softdevice, vbus: &'static SoftwareVbusDetect) -> ! {
     softdevice
         .run_with_callback(|event| match event {
             SocEvent::PowerUsbDetected => {
-                // USB needs the crystal. SAFETY: plain call of the enabled SoftDevice.
+                // USB requires the crystal. SAFETY: plain call of the enabled SoftDevice.
                 unsafe { raw::sd_clock_hfclk_request() };
                 vbus.detected(true);
-                // That has made the driver forget that power is ready, and S140 tells "ready" before "detected" where
-                // both wait.
+                // The previous call reset the driver's record that power is ready.
+                // If both events are pending, S140 reports "ready" before "detected".
                 if usb_power() & OUTPUT_READY != 0 {
                     vbus.ready();
                 }
@@ -184,7 +188,7 @@ async fn run_usb(usbd: Peri<'static, USBD>, vbus: &'static SoftwareVbusDetect) {
     crate::usb::run(usbd, vbus).await
 }
 
-/// Advertises, serves one laptop, and advertises again, for ever.
+/// Advertises, serves one laptop, and then advertises again, for ever.
 #[embassy_executor::task]
 async fn run_radio(softdevice: &'static Softdevice, server: &'static Server, bonder: &'static Bonder) -> ! {
     static ADVERTISEMENT: nrf_softdevice::ble::advertisement_builder::LegacyAdvertisementPayload =
@@ -208,7 +212,8 @@ async fn run_radio(softdevice: &'static Softdevice, server: &'static Server, bon
     }
 }
 
-/// Writes on their way from S140's callback to the decoder. What does not fit is lost, and the laptop repeats it.
+/// Writes on their way from S140's callback to the decoder.
+/// A write that does not fit is lost, and the laptop repeats it.
 static WRITES: Channel<CriticalSectionRawMutex, Payload, 4> = Channel::new();
 
 /// Writes so far.
@@ -223,7 +228,7 @@ fn ask_for(connection: &Connection, (min, max): (u16, u16)) {
     });
 }
 
-/// Asks the laptop for an interval until it grants one, or leaves it at what it wants; then whenever it is quiet.
+/// Requests an interval until the laptop grants one or the list ends. Later repeats the request when the link is quiet.
 async fn negotiate(connection: &Connection) {
     let mut asked = INTERVALS[0];
     for interval in INTERVALS {
@@ -243,7 +248,8 @@ async fn negotiate(connection: &Connection) {
     }
 }
 
-/// Queues a piece of a frame; false if the queue stays full for longer than a hop, since the frame is late then.
+/// Queues a piece of a frame.
+/// Returns false if the queue stays full for longer than a hop, because the frame is then late.
 async fn queue(connection: &Connection, server: &Server, piece: &[u8]) -> bool {
     let Ok(piece) = Payload::from_slice(piece) else { return false };
     // The queue empties once per connection interval.
@@ -274,12 +280,12 @@ async fn serve(connection: &Connection, server: &Server, bonder: &Bonder) {
         let mut inlet = Inlet::new(WayOut::Ble);
         loop {
             let bytes = WRITES.receive().await;
-            // S140 has checked that the link is encrypted (`security` above), not that the keys are kept.
+            // S140 has checked through `security` above that the link is encrypted, but not that the laptop is bonded.
             inlet.take(&bytes, bonder.trusts()).await;
         }
     };
     let send = async {
-        // The beginning of a frame left and its end did not: the next one must not be taken for it.
+        // Set after only the first part of a frame was sent, so that the laptop does not join it with the next frame.
         let mut torn = false;
         loop {
             let frame = outbox.next().await;
@@ -308,7 +314,7 @@ async fn serve(connection: &Connection, server: &Server, bonder: &Bonder) {
     outbox.set_open(false);
 }
 
-/// Starts what needs the SoftDevice.
+/// Starts the tasks that need the SoftDevice.
 pub fn spawn(spawner: Spawner, softdevice: &'static mut Softdevice, usbd: Peri<'static, USBD>) {
     static SERVER: StaticCell<Server> = StaticCell::new();
     static BONDER: StaticCell<Bonder> = StaticCell::new();

@@ -1,4 +1,4 @@
-//! Writing to flash: through the chip's controller, or through the SoftDevice, which owns it.
+//! Writes to flash, either through the chip's controller or through the SoftDevice, which then owns the controller.
 
 #[cfg(feature = "ble")]
 use crate::storage::PAGE_BYTES;
@@ -33,8 +33,9 @@ impl Flash for Controller {
     }
 }
 
-/// The SoftDevice's flash calls, which fit between radio events. One user at a time. If the radio leaves no room
-/// (while a link begins, changes or ends) the SoftDevice gives up after a while, and is asked again.
+/// The SoftDevice's flash calls, which run between radio events. Only one user at a time may call them.
+/// The SoftDevice gives up if the radio leaves no time, for example while a link starts, changes or ends.
+/// The operation is then repeated.
 #[cfg(feature = "ble")]
 #[derive(Clone, Copy)]
 pub struct SoftDeviceFlash;
@@ -45,11 +46,11 @@ static CALLS: embassy_sync::mutex::Mutex<
     Option<Calls>,
 > = embassy_sync::mutex::Mutex::new(None);
 
-/// May move between tasks: there is one executor, on one core.
+/// Marks the calls as safe to move between tasks, because there is one executor on one core.
 #[cfg(feature = "ble")]
 struct Calls(nrf_softdevice::Flash);
 
-// SAFETY: the calls have no state but a flag; the marker in it only keeps it on one core.
+// SAFETY: the only state of the calls is a flag, and the type's marker only restricts it to one core.
 #[cfg(feature = "ble")]
 unsafe impl Send for Calls {}
 
@@ -64,7 +65,7 @@ impl SoftDeviceFlash {
     }
 }
 
-/// Times that an operation is asked for, and the pause in between.
+/// Maximum number of attempts per operation, and the pause between two attempts.
 #[cfg(feature = "ble")]
 const TRIES: usize = 5;
 #[cfg(feature = "ble")]
@@ -87,12 +88,12 @@ impl Flash for SoftDeviceFlash {
 
     async fn write(&mut self, address: u32, words: &[u32]) -> Result<(), FlashFailed> {
         use embedded_storage_async::nor_flash::NorFlash;
-        // SAFETY: words are bytes; the length is the same.
+        // SAFETY: any word is valid as bytes, and the length in bytes is the same.
         let bytes = unsafe { core::slice::from_raw_parts(words.as_ptr().cast::<u8>(), words.len() * 4) };
         let mut calls = CALLS.lock().await;
         let calls = calls.as_mut().ok_or(FlashFailed)?;
         for _ in 0..TRIES {
-            // Writing the same words once more changes nothing.
+            // Writing the same words a second time does not change the flash.
             if calls.0.write(address, bytes).await.is_ok() {
                 return Ok(());
             }

@@ -1,4 +1,4 @@
-//! How the image's flash is divided, and the part in which received models are kept: `shared_board`'s two slots.
+//! Defines the layout of the image's flash and stores received models in the two slots of `shared_board`.
 
 use embedded_storage_async::nor_flash::{
     ErrorType, NorFlash, NorFlashError, NorFlashErrorKind, ReadNorFlash,
@@ -6,17 +6,17 @@ use embedded_storage_async::nor_flash::{
 use shared_board::models::{MappedFlash, StoredModel};
 use shared_board::slots::STORE_BYTES;
 
-/// Start of the slots; the layouts in `src/boards` end the image's flash here.
+/// Start address of the slots. The memory layouts in `src/boards` end the image at this address.
 pub const SLOTS_START: u32 = 0x000D_8000;
-/// The page before them holds the keys of the laptop that bonded last.
+/// Address of the page before the slots, which stores the keys of the laptop that bonded last.
 #[cfg(feature = "ble")]
 pub const BOND_PAGE: u32 = SLOTS_START - PAGE_BYTES;
 /// Bytes per erasable page.
 pub const PAGE_BYTES: u32 = 0x1000;
-/// Words that one call of [`Flash::write`] gets at most.
+/// Maximum number of words per call of [`Flash::write`].
 const WORDS_AT_ONCE: usize = 32;
 
-/// The flash did not take the data.
+/// A flash operation failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FlashFailed;
 
@@ -26,15 +26,15 @@ impl NorFlashError for FlashFailed {
     }
 }
 
-/// What the storage needs of the flash controller.
+/// Flash operations that the storage requires.
 pub trait Flash {
     /// Sets a page to all ones.
     async fn erase_page(&mut self, address: u32) -> Result<(), FlashFailed>;
-    /// Writes words to erased flash. The address is a multiple of 4.
+    /// Writes words to erased flash. The address must be a multiple of 4.
     async fn write(&mut self, address: u32, words: &[u32]) -> Result<(), FlashFailed>;
 }
 
-/// The two slots of a controller's flash.
+/// The two model slots in the flash of a controller.
 pub struct Slots<F>(pub F);
 
 impl<F> ErrorType for Slots<F> {
@@ -89,14 +89,14 @@ impl<F: Flash> MappedFlash for Slots<F> {
     }
 }
 
-/// The blob of a stored model.
+/// Returns the data of a stored model.
 pub fn blob(place: StoredModel) -> &'static [u8] {
     stored(place.offset(), place.len)
 }
 
 fn stored(offset: usize, len: usize) -> &'static [u8] {
     let len = len.min(STORE_BYTES.saturating_sub(offset));
-    // SAFETY: memory-mapped flash that the linker gives to nobody. It changes only through `Flash`. A `ModelStore`
-    // keeps no reference while it writes, and never writes to the slot whose model runs.
+    // SAFETY: this is memory-mapped flash that the linker does not use, and only `Flash` changes it.
+    // A `ModelStore` holds no reference during a write, and never writes to the slot of the running model.
     unsafe { core::slice::from_raw_parts((SLOTS_START as usize + offset) as *const u8, len) }
 }
