@@ -150,7 +150,7 @@ pub enum ConfigError {
     UnknownKey {
         /// Line, from 1.
         line: usize,
-        /// The key with its tables.
+        /// Full name of the key, including its tables.
         key: String,
         /// The most similar known key.
         nearest: Option<String>,
@@ -223,7 +223,7 @@ impl Config {
         map
     }
 
-    /// Returns its changes to the paper's map as `LABEL=MOTION`.
+    /// Returns the changes to the paper's map as `LABEL=MOTION`.
     pub fn mappings(&self) -> Vec<String> {
         self.motions.iter().map(|(label, motion)| format!("{label}={motion}")).collect()
     }

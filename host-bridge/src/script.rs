@@ -73,7 +73,7 @@ pub struct Expect {
 pub struct ObjectPlace {
     /// As in the scene.
     pub name: String,
-    /// The middle of its underside.
+    /// Centre of the object's bottom face.
     pub at_m: [f64; 3],
     /// Tolerance.
     pub within_m: f64,

@@ -61,7 +61,7 @@ pub struct Play {
     farewell_ms: u64,
     began_ms: Option<u64>,
     started: bool,
-    /// Time of the halt, and its result.
+    /// Time of the halt, and the result to report.
     halted: Option<(u64, Played)>,
 }
 

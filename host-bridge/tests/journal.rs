@@ -301,7 +301,7 @@ fn a_file_in_which_one_bit_of_a_command_differs_is_found_out() {
         (0..file.len() - name.len()).filter(|&at| &file[at..at + name.len()] == name).collect();
     assert!(joints.len() > 900);
     let mut changed = file;
-    // The position after both names and the count.
+    // The number follows both names and the count in the record.
     let at = joints[800];
     let after = changed[at..].windows(12).position(|w| w == b"right_wheel\0").unwrap() + at + 12;
     let count = (after..).find(|&i| changed[i] == 9).unwrap();

@@ -124,7 +124,7 @@ impl AdcRecording {
 }
 
 /// Finds the first place where all five values stay equal until the board would report a fault.
-/// Returns its start and duration in ms.
+/// Returns the start and duration of this period in ms.
 fn standing_still(samples: &[(u64, AdcCounts)]) -> Option<(u64, u64)> {
     let mut from = 0;
     while from < samples.len() {

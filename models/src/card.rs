@@ -113,7 +113,7 @@ pub struct Data {
 pub struct Scores {
     /// float32.
     pub float: Score,
-    /// int8, as boards run it.
+    /// The int8 network, which boards run.
     pub int8: Score,
 }
 

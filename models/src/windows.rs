@@ -10,9 +10,9 @@ use crate::{HOP, WINDOW};
 /// The preparation of a recording.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Prepared {
-    /// Whether it was shorter than a window and was padded.
+    /// Whether the recording was shorter than a window and was padded.
     pub padded: bool,
-    /// Whether it was resampled to the models' rate.
+    /// Whether the recording was resampled to the models' rate.
     pub resampled: bool,
 }
 

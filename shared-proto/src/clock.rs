@@ -82,7 +82,7 @@ impl BoardClock {
 
     /// Returns the maximum age of a board time in milliseconds,
     /// for example of a frame's newest sample or the end of a window.
-    /// Without a round trip, it is `u64::MAX`.
+    /// The age is `u64::MAX` if no ping has been answered.
     pub fn age_ms(&self, board_time_ms: u32, now_ms: u64) -> u64 {
         let Some(anchor) = &self.anchor else { return u64::MAX };
         // The laptop's clock is also rounded down.

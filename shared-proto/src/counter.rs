@@ -24,7 +24,7 @@ pub struct CounterTracker {
 
 impl CounterTracker {
     /// The maximum step that counts as events.
-    /// A larger one is a step backwards.
+    /// A larger difference is a step backwards.
     /// A hand needs minutes for this many events.
     pub const MOST: u8 = 127;
 

@@ -32,7 +32,7 @@ pub struct Mismatch {
 ///
 /// # Errors
 /// [`Mismatch`] if the major versions differ. Accept no other message from this board.
-/// Send it nothing but [`HelloRequest`](crate::message::HostMessage::HelloRequest).
+/// Send only [`HelloRequest`](crate::message::HostMessage::HelloRequest) to such a board.
 pub fn check(hello: &Hello<'_>) -> Result<Compatibility, Mismatch> {
     if hello.major != PROTOCOL_MAJOR {
         return Err(Mismatch { board: hello.board, major: hello.major, minor: hello.minor });

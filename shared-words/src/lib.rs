@@ -2,7 +2,7 @@
 //!
 //! `shared-dsp` computes them without depending on the wire,
 //! and `shared-proto` sends them without depending on the computation.
-//! The laptop acts on them.
+//! The laptop acts on the results.
 //! With the feature `serde`, they can be sent as numbers on the wire and written as lower-case texts in files.
 #![no_std]
 #![forbid(unsafe_code)]

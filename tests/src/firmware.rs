@@ -6,7 +6,7 @@ use std::process::{Command, Stdio};
 /// Runs `cargo xtask firmware` with these arguments and returns the path of the image in the target folder.
 ///
 /// # Panics
-/// If it does not build. The terminal shows the reason.
+/// Panics if the firmware does not build. The terminal shows the reason.
 pub(crate) fn build(words: &[&str], image: &str) -> PathBuf {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("tests lies in the root");
     let status = Command::new("cargo")

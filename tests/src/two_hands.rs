@@ -105,7 +105,7 @@ impl Right {
     /// `wear` receives the board's clock in seconds at the desk's time 0, which is some seconds after power-up.
     ///
     /// # Panics
-    /// If it is not connected by then.
+    /// Panics if the laptop is not connected by then.
     pub fn start<M: Motion + 'static>(link: Cable, wear: impl FnOnce(f64) -> M) -> Self {
         // A laptop pairs before it subscribes.
         let start_ms = if link == Cable::Ble { 4000 } else { 1000 };
@@ -293,7 +293,7 @@ impl TwoHands {
     /// Runs until a condition holds, and returns the elapsed time.
     ///
     /// # Panics
-    /// If it does not hold in time.
+    /// Panics if the condition does not become true in time.
     pub fn run_until(&mut self, what: &str, most_ms: u64, mut holds: impl FnMut(&Self) -> bool) -> u64 {
         let start_ms = self.now_ms;
         while !holds(self) {

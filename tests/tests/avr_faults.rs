@@ -57,7 +57,7 @@ fn each_sensor_fault_halts_the_hand_until_neutral() {
     println!("{:<18}{:>14}{:>12}", "fault", "flag after ms", "commands");
     for (name, fault, bit) in FAULTS {
         for tilted in [false, true] {
-            // Each fault gets a new board, because a line fault that returns soon is not reported again.
+            // Each fault gets a new board, because a line fault that returns soon remains active.
             let (mut session, hand) = powered(&BLANK, 7);
             session.run_ms(300.0);
             let angle = if tilted { FORWARD_RAD } else { 0.0 };

@@ -19,7 +19,7 @@ const RAM: u64 = 2048;
 /// `--baud 57600|115200|250000` selects the serial speed, and `--no-stack` skips the measurement in the emulator.
 ///
 /// # Errors
-/// If it does not build, or is larger than permitted.
+/// Fails if the image does not build, or is larger than permitted.
 pub fn run(args: &[&str]) -> Result<()> {
     let mut baud = "115200";
     let mut measure = true;

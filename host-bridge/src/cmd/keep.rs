@@ -10,7 +10,7 @@ use host_bridge::topics::Origin;
 #[cfg(feature = "mcap")]
 use host_bridge::journal::{Disk, SceneText, Setup, WhenFull};
 
-/// Whether and where to write it.
+/// Whether and where to write the session file.
 #[derive(clap::Args, Clone, Debug, Default)]
 pub struct KeepArgs {
     /// Record the session to a new file, for `replay FILE.mcap`, Foxglove and ROS tools
@@ -46,7 +46,7 @@ pub fn origin(now_ms: u64) -> Origin {
     Origin { nanoseconds: (day.as_nanos() as u64).saturating_sub(now_ms * 1_000_000) }
 }
 
-/// The file, if there is one.
+/// The session file, if one is written.
 #[derive(Default)]
 pub struct Keeper {
     #[cfg(feature = "mcap")]

@@ -45,7 +45,7 @@ const TOKEN_VARIABLE: &str = "BIMANUAL_WEB_TOKEN";
 
 impl WebArgs {
     /// Starts the server if it was requested. With `unasked`, it also starts otherwise if a port is free.
-    /// With `marks`, its pages can mark episodes.
+    /// With `marks`, the pages can mark episodes.
     pub fn start(&self, unasked: bool, marks: bool) -> Result<Option<Web>> {
         let rules = self.web_listen.is_some() || self.web_token.is_some() || self.web_token_file.is_some();
         if self.web_token.is_some() {

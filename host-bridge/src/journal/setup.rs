@@ -42,7 +42,7 @@ pub struct SceneText {
     pub file: PathBuf,
     /// The scene.
     pub toml: String,
-    /// Its arm, if it is not the Gen3.
+    /// The scene's arm, if it is not the Gen3.
     pub urdf: Option<String>,
 }
 

@@ -17,7 +17,7 @@ pub enum Part {
 }
 
 impl Part {
-    /// The name of its folder.
+    /// Returns the name of this part's folder.
     pub fn name(self) -> &'static str {
         match self {
             Part::Training => "training",

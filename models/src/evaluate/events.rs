@@ -282,7 +282,7 @@ impl Tally {
 /// Plays a recording like a board, and returns its events as (sample, label).
 ///
 /// # Errors
-/// If the model is for other samples.
+/// The model is for other samples.
 pub fn play(model: Model<'_>, recording: &AnnotatedRecording) -> Result<Vec<(usize, usize)>, ModelMismatch> {
     fn run<const A: usize>(model: Model<'_>, values: &[f32]) -> Result<Vec<(usize, usize)>, ModelMismatch> {
         let mut hand = RightHand::<A>::new(model, DecisionConfig::default())?;
@@ -316,7 +316,7 @@ pub struct Heard {
 /// Returns all outputs of a model of recipe `aligned` for a recording, so that several decisions can be compared.
 ///
 /// # Errors
-/// If the model is for other samples.
+/// The model is for other samples.
 pub fn listen(model: Model<'_>, recording: &AnnotatedRecording) -> Result<Vec<Heard>, ModelMismatch> {
     fn run<const A: usize>(model: Model<'_>, values: &[f32]) -> Result<Vec<Heard>, ModelMismatch> {
         let info = model.info();

@@ -133,7 +133,7 @@ impl Study {
 pub struct Doubt {
     /// Name in the data set.
     pub recording: String,
-    /// Number of models that classified it.
+    /// Number of models that classified the recording.
     pub models: usize,
     /// Incorrect answers, with the probability of each.
     pub given: BTreeMap<String, Vec<f32>>,

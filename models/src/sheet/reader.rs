@@ -42,7 +42,7 @@ pub(super) trait Format {
     /// Returns the columns with these names, or `None` if this is not a header of such a file.
     ///
     /// # Errors
-    /// If it is a header, but cannot be used.
+    /// The row is a header that cannot be used.
     fn columns(&self, names: &[String]) -> Result<Option<(ColumnTable, Self::Layout)>, Problem>;
 
     /// Describes the missing header; `numbers` is true if the file begins with numbers.

@@ -35,7 +35,7 @@ pub(super) struct Rounding {
 }
 
 impl Rounding {
-    /// Creates it with the ranges of the outputs for `rows`.
+    /// Creates the int8 simulation with the ranges of the outputs for `rows`.
     pub fn new(layers: &[FloatLayer], rows: &[(Vec<f32>, usize)], limit: f32) -> Self {
         let inputs: Vec<&[f32]> = rows.iter().map(|(input, _)| input.as_slice()).collect();
         let ranges = quantise::ranges(layers, &inputs);

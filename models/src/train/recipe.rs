@@ -30,7 +30,7 @@ pub trait Recipe: fmt::Debug + Send + Sync {
     /// A description in one sentence, for users.
     fn about(&self) -> &'static str;
 
-    /// The features that its models read.
+    /// The features that models of this recipe read.
     fn features(&self) -> FeatureKind;
 
     /// The description of the training for the card.
@@ -95,7 +95,7 @@ pub struct Windows {
     pub label: usize,
     /// Features of the unvaried recording.
     pub own: Vec<Vec<f32>>,
-    /// Features of its varied copies.
+    /// Features of varied copies of the recording.
     pub varied: Vec<Vec<f32>>,
     /// How it was prepared.
     pub prepared: Prepared,

@@ -35,7 +35,7 @@ pub struct Steps {
     /// Fraction of the average of the weights that is kept in each step, in the long run.
     pub keep: f64,
     /// Number of networks that are trained from different starts and merged.
-    /// [`Aligned`](super::Aligned) defines their width.
+    /// [`Aligned`](super::Aligned) defines the width of these networks.
     pub members: usize,
     /// Number of later steps in which weights and activations are rounded like int8.
     pub rounded: usize,

@@ -35,7 +35,7 @@ const MOST_GRAVITY: u32 = (ONE_G as u32) * 16 / 10;
 #[derive(Clone, Copy, Debug)]
 pub struct FaultWatch {
     last: AdcCounts,
-    /// The flex readings of the last sample but one.
+    /// The flex readings of the sample before the last one.
     flex_before: [u16; 2],
     last_change_ms: u32,
     last_sample_ms: u32,

@@ -375,7 +375,7 @@ mod tests {
         let mut hand = Hand::open();
         assert_eq!(hand.hold(900, 0, 200), (1, 0, false));
         assert_eq!(hand.hold(900, 900, 100), (1, 0, false));
-        // The fingers open one after the other.
+        // The fingers straighten one after the other.
         assert_eq!(hand.hold(0, 900, 500), (1, 0, false));
         assert_eq!(hand.hold(0, 0, 50), (1, 0, false));
         assert_eq!(hand.hold(0, 900, 200), (1, 1, false));

@@ -16,7 +16,7 @@ use crate::left::flex::{FlexDetector, bend_permille};
 use crate::left::tilt::{Acceleration, Tilt, TiltDetector};
 use shared_words::{Heading, TiltThresholds, health};
 
-/// Number of 10-bit conversions that one reading adds up.
+/// Number of 10-bit conversions that are summed to one reading.
 pub const OVERSAMPLING: u16 = 8;
 /// 1 g in units of [`AdcCounts`]. The ADXL335 gives a tenth of its supply per g, which is 102.4 of 1024.
 pub const ONE_G: i16 = 819;

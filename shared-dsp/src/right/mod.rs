@@ -184,7 +184,7 @@ impl<'m, const A: usize> RightHand<'m, A> {
     /// Models of recipe 3 use their own decision ([`crate::right::movement`]) with its default values.
     ///
     /// # Errors
-    /// If the model is for other samples or windows.
+    /// The model is for other samples or windows.
     pub fn new(model: Model<'m>, config: DecisionConfig) -> Result<Self, ModelMismatch> {
         let info = model.info();
         if !info.recipe.runs_on(info.axes, A) {

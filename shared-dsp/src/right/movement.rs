@@ -93,7 +93,7 @@ struct Run {
     moving: u8,
     /// Label of the last event in this movement.
     fired: Option<u8>,
-    /// Whether the slow window detected one of its events.
+    /// Whether an event of this movement came from the slow window.
     slow: bool,
 }
 

@@ -36,7 +36,7 @@ impl Board {
         }
     }
 
-    /// Returns the folder of its firmware below the project's root.
+    /// Returns the folder of the board's firmware below the project's root.
     pub const fn folder(self) -> Option<&'static str> {
         match self {
             Self::LeftNano => Some("firmware-nano-avr/"),

@@ -33,9 +33,9 @@ pub struct Row {
     pub number: u8,
     /// Its name.
     pub name: &'static str,
-    /// The boards that send or receive it.
+    /// The boards that send or receive the message.
     pub boards: Boards,
-    /// The minor version of the wire that added it.
+    /// The minor version of the wire protocol that added the message.
     pub since: u8,
     /// Its largest frame, in bytes.
     pub frame_max: usize,

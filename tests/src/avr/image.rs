@@ -8,7 +8,7 @@ use object::{Object, ObjectSection, ObjectSymbol};
 /// Returns the path of the image and builds it if necessary. `BIMANUAL_AVR_ELF` selects another image.
 ///
 /// # Panics
-/// If it cannot be built. The terminal shows the reason.
+/// Panics if the image does not build. The terminal shows the reason.
 pub fn path() -> PathBuf {
     static PATH: OnceLock<PathBuf> = OnceLock::new();
     PATH.get_or_init(|| {

@@ -9,7 +9,7 @@ use serde::de::DeserializeOwned;
 /// Returns the JSON that each process printed on standard output, in the order of the jobs.
 ///
 /// # Panics
-/// If a worker fails. The terminal shows its standard error.
+/// Panics if a worker fails. The terminal shows its standard error.
 pub fn run<J: Serialize, R: DeserializeOwned>(program: &str, verb: &str, jobs: &[J]) -> Vec<R> {
     let at_once = std::thread::available_parallelism().map_or(2, usize::from);
     let mut results = Vec::new();

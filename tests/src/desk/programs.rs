@@ -11,7 +11,7 @@ use super::program::{Desk, Running};
 /// `BIMANUAL_PROGRAMS` selects a folder with programs that are already built, as `cargo xtask test` does.
 ///
 /// # Panics
-/// If they do not build. The terminal shows the reason.
+/// Panics if the programs do not build. The terminal shows the reason.
 pub fn folder() -> &'static Path {
     static FOLDER: OnceLock<PathBuf> = OnceLock::new();
     FOLDER.get_or_init(|| {

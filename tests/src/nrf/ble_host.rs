@@ -13,9 +13,9 @@ const SMALLEST_WRITE: usize = 20;
 /// The laptop's side of a Bluetooth link. Frames are the same bytes as on a UART, split according to the MTU.
 #[derive(Clone, Debug)]
 pub struct BleHost {
-    /// Whether it pairs if it has no keys.
+    /// Whether a laptop without keys pairs.
     pub pairs: bool,
-    /// Whether it stores the keys of a pairing.
+    /// Whether the laptop stores the keys of a pairing.
     pub bonds: bool,
     seen: usize,
     taken: usize,

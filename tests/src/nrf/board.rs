@@ -39,7 +39,7 @@ enum Stop {
     Wait { at: u32, for_event: bool },
     /// A handler returned.
     ExceptionReturn,
-    /// The core executed SVC; the program counter is after it.
+    /// The core executed SVC; the program counter points to the next instruction.
     Supervisor,
     /// A fault after which the core cannot continue.
     Fault(u32),
@@ -157,7 +157,7 @@ pub struct Board {
     /// Causes of all resets since power-up (RESETREAS).
     pub resets: Vec<u32>,
     /// Whether the simulated bootloader is active. It accepts an upload until the board is reset.
-    /// Like the stock one, it never feeds a watchdog.
+    /// Like the stock bootloader, this one never feeds a watchdog.
     pub in_bootloader: bool,
     slept: u64,
 }

@@ -21,7 +21,7 @@ pub enum Variant {
 /// as `cargo xtask test` does.
 ///
 /// # Panics
-/// If it does not build. The terminal shows the reason.
+/// Panics if the image does not build. The terminal shows the reason.
 pub fn image(variant: Variant) -> Image {
     static BOOTLOADER: OnceLock<PathBuf> = OnceLock::new();
     static BLE: OnceLock<PathBuf> = OnceLock::new();

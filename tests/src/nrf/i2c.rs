@@ -8,7 +8,7 @@ const BOOT: u64 = ms(35);
 
 /// A motion sensor on the bus, with its own clock.
 pub trait Sensor {
-    /// Returns whether it answers at this address.
+    /// Returns whether the device answers at this address.
     fn has_address(&self, address: u8) -> bool;
     /// Performs a write transfer, whose first byte selects the register.
     fn write(&mut self, address: u8, bytes: &[u8], now: u64);

@@ -15,7 +15,7 @@ pub struct Drive {
     pub at: u64,
     /// Port and pin.
     pub pin: (u32, u32),
-    /// Fraction of the time in which it is high.
+    /// Fraction of the time in which the pin is high.
     pub high: f64,
     /// Frequency of the signal.
     pub period_hz: f64,

@@ -16,7 +16,7 @@ pub fn data() -> PathBuf {
 /// Joins the first recordings of a class, or returns `None` if the folder does not exist.
 ///
 /// # Panics
-/// If a file differs from its documentation.
+/// Panics if a file differs from its documentation.
 pub fn joined(set: &str, class: &str, most: usize) -> Option<(Replay, usize)> {
     let mut files: Vec<_> =
         std::fs::read_dir(data().join(set).join(class)).ok()?.flatten().map(|f| f.path()).collect();

@@ -12,7 +12,7 @@ use super::softdevice::central::Happening;
 /// A state of the right hand, owned.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Right {
-    /// Cycle at which its frame was complete on the wire.
+    /// Cycle at which the frame was complete on the wire.
     pub at: u64,
     /// As on the wire.
     pub sequence: u16,

@@ -105,7 +105,7 @@ pub fn model_id(session: &mut RightRig) -> u32 {
 /// Sends a complete model, which runs after a restart.
 ///
 /// # Panics
-/// If the board does not accept it.
+/// Panics if the board does not accept the model.
 pub fn install(session: &mut RightRig, blob: &[u8]) {
     let model = Model::parse(blob).expect("a model");
     assert_eq!(announce(session, begin(blob, &model)), AckResult::Ok);

@@ -75,7 +75,7 @@ pub struct Usbd {
     to_send: [VecDeque<Vec<u8>>; 8],
     /// Data that the host has read, by endpoint.
     pub received: [Vec<u8>; 8],
-    /// Whether the host polls its IN endpoints.
+    /// Whether the host polls the device's IN endpoints.
     pub host_reads: bool,
     /// The cable is plugged in.
     pub plugged: bool,

@@ -72,7 +72,7 @@ h2{margin-top:2.5rem;border-bottom:1px solid #ccc}table{border-collapse:collapse
 td,th{padding:.15rem .6rem;border:1px solid #ddd;text-align:left}p.how{color:#555}\
 .plots{display:flex;flex-wrap:wrap}svg{max-width:100%;height:auto;margin:.5rem 1rem .5rem 0}";
 
-/// Returns everything as one HTML page.
+/// Returns all tables and figures as one HTML page.
 ///
 /// # Errors
 /// A figure that cannot be drawn.

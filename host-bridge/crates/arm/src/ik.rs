@@ -54,7 +54,7 @@ pub enum Unreachable {
         "the flange cannot get there: the place is {beyond_mm:.0} mm beyond the arm's reach; choose a nearer one"
     )]
     Beyond {
-        /// Minimum distance beyond its reach.
+        /// Minimum distance from the target to the arm's reach.
         beyond_mm: f64,
     },
     /// The search ended without a solution.

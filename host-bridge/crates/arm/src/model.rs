@@ -27,9 +27,9 @@ pub struct ArmJoint {
     pub link: String,
     /// Position of the joint in its parent's frame, in m.
     pub origin_m: Point,
-    /// Rotation of its frame relative to its parent's.
+    /// Rotation of the joint's frame relative to the parent's frame.
     pub origin_rotation: DMat3,
-    /// Axis in its own frame, with length 1.
+    /// Axis of the joint in the joint's frame, with length 1.
     pub axis: Point,
     /// Minimum and maximum angle; `None` for a continuous joint.
     pub limit_rad: Option<(f64, f64)>,
@@ -60,7 +60,7 @@ pub struct SerialArm {
     pub foot: Vec<Capsule>,
     /// The first pose, which is also the fallback, in rad.
     pub home_rad: Joints,
-    /// Contents of its file that were not understood, for users.
+    /// Contents of the arm's file that were not understood, for users.
     pub notes: Vec<String>,
 }
 

@@ -101,7 +101,7 @@ pub enum GripTable {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Grasp {
-    /// As wide as it goes.
+    /// Opens the gripper completely.
     Open,
     /// Close until an object is held or the gripper is closed.
     Close,
@@ -221,7 +221,7 @@ pub enum Step {
         way_m: Point,
         /// Whether the move is along its own axes instead of the robot's.
         own: bool,
-        /// A rotation about its own axes.
+        /// A rotation about the tool's own axes.
         turn: DMat3,
         /// in a straight line.
         straight: bool,

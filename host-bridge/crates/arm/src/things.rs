@@ -29,11 +29,11 @@ const CARRIES_M: f64 = 0.02;
 pub struct ObjectTable {
     /// Its name, which must differ from the other objects' and boxes'.
     pub name: String,
-    /// The middle of its underside.
+    /// Centre of the object's bottom face.
     pub at_m: Point,
     /// Upwards.
     pub height_m: f64,
-    /// Radius, if it is round.
+    /// Radius of a round object.
     pub radius_m: Option<f64>,
     /// Length and width of a box.
     pub size_m: Option<[f64; 2]>,
@@ -63,7 +63,7 @@ impl ObjectTable {
         ))
     }
 
-    /// Half its length and width.
+    /// Half of the object's length and width.
     fn half_m(&self) -> [f64; 2] {
         self.size_m.map_or([self.radius_m.unwrap_or_default(); 2], |size| size.map(|m| 0.5 * m))
     }
@@ -73,7 +73,7 @@ impl ObjectTable {
         Pose { position_m: self.at_m, rotation: DMat3::from_rotation_z(self.yaw_rad) }
     }
 
-    /// Returns its width along a direction in its own frame.
+    /// Returns the object's width along a direction in its own frame.
     fn width_m(&self, along: DVec3) -> f64 {
         let upward = self.height_m * along.z.abs();
         match self.size_m {
@@ -124,7 +124,7 @@ impl ObjectTable {
         }
     }
 
-    /// Returns the upright box around it at its current position.
+    /// Returns the upright bounding box of the object at its current position.
     fn standing(&self, at: &Pose) -> UprightBox {
         let [length, width] = self.half_m();
         let ahead = at.rotation.x_axis;
@@ -192,7 +192,7 @@ impl Things {
 pub struct Shop<'a> {
     /// The objects.
     pub objects: &'a [ObjectTable],
-    /// Boxes that may support them.
+    /// Boxes that may support the objects.
     pub boxes: &'a [NamedBox],
     /// Who grips.
     pub tool: &'a Tool,
@@ -263,7 +263,7 @@ impl Shop<'_> {
                 return None;
             };
             let ObjectPose::Stands(at) = things.poses[i] else { return None };
-            // Closing fingers push it to their centre.
+            // Closing fingers push the object to their centre.
             let across = flange.rotation.x_axis;
             let off = (flange.at(self.tool.point_m()) - at.position_m).dot(across);
             let inverse = flange.rotation.transpose();

@@ -184,7 +184,7 @@ impl Tool {
         self.name.is_empty()
     }
 
-    /// The gripper, if it is one.
+    /// The tool as a gripper, or `None` for any other tool.
     pub fn hand(&self) -> Option<&Hand> {
         self.hand.as_ref()
     }
@@ -222,7 +222,7 @@ impl Tool {
         shapes
     }
 
-    /// Returns the maximum distance of its parts from the flange.
+    /// Returns the maximum distance of the tool's parts from the flange.
     pub fn reach_m(&self) -> f64 {
         let reach = |c: &Capsule| c.a_m.length().max(c.b_m.length()) + c.radius_m;
         self.shapes(None).iter().map(reach).fold(0.0, f64::max)

@@ -113,7 +113,7 @@ pub enum Told {
     Repeated(usize, usize),
     /// This one is good.
     Good(usize),
-    /// This one is left out.
+    /// This episode is not exported.
     Bad(usize),
     /// There is no episode to mark.
     Nothing(Mark),

@@ -49,7 +49,7 @@ pub struct Identity {
     pub firmware: String,
     /// A number that differs after each start.
     pub boot_id: u32,
-    /// CRC-32 of its model; 0 = none.
+    /// CRC-32 of the board's model; 0 = none.
     pub model_id: u32,
     /// Samples per second.
     pub sample_hz: u16,

@@ -200,15 +200,15 @@ pub struct LinkSnapshot {
     pub connected: bool,
     /// Whether the hand is connected, recent and healthy.
     pub live: bool,
-    /// Age of its newest valid sample.
+    /// Age of the hand's newest valid sample.
     pub age_ms: Option<u64>,
     /// Round-trip time of the newest answered ping.
     pub round_trip_ms: Option<u64>,
-    /// How its frames were used.
+    /// Statistics of the frames on the hand's link.
     pub counters: LinkCounters,
-    /// Voltage of its board's battery in millivolts, if known.
+    /// Battery voltage of the board in millivolts, if known.
     pub battery_mv: Option<u16>,
-    /// Bits of [`shared_proto::message::health`] in its newest state.
+    /// Bits of [`shared_proto::message::health`] in the hand's newest state.
     pub health: u8,
 }
 
@@ -236,7 +236,7 @@ pub struct LeftSnapshot {
 pub struct RightSnapshot {
     /// Its link.
     pub link: LinkSnapshot,
-    /// Names of its model's outputs.
+    /// Names of the model's outputs.
     pub labels: Vec<String>,
     /// Newest probability of each label, 0 to 1; empty until the first window is full.
     pub scores: Vec<f32>,

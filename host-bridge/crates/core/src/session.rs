@@ -227,7 +227,7 @@ pub struct Summary {
 /// One gesture event.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct GestureRecord {
-    /// Time at which the bridge received it.
+    /// Time at which the bridge received the gesture.
     pub time_ms: u64,
     /// Its name.
     pub label: String,

@@ -52,7 +52,7 @@ pub enum Source<'b> {
     Here {
         /// It.
         hand: Box<dyn HandSource + 'b>,
-        /// Whether its end has been reported.
+        /// Whether the end of the source has been reported.
         end_noted: bool,
     },
 }

@@ -29,7 +29,7 @@ pub enum Said {
     Closed(String),
     /// Who is there.
     Hello(Who),
-    /// The requirements and labels of its model.
+    /// The requirements and labels of the board's model.
     Model(ModelNeeds),
     /// The hardware of a right hand's board.
     About(About),
@@ -73,11 +73,11 @@ pub struct Who {
     pub firmware: String,
     /// Different after each start.
     pub boot_id: u32,
-    /// CRC-32 of its model; 0 = none.
+    /// CRC-32 of the board's model; 0 = none.
     pub model_id: u32,
     /// Samples per second.
     pub sample_hz: u16,
-    /// The reason why it cannot be used, with a remedy.
+    /// The reason why the board cannot be used, with a remedy.
     pub problem: Option<String>,
 }
 
@@ -152,7 +152,7 @@ pub enum TalkError {
     Refused {
         /// The port.
         port: String,
-        /// As the board says it.
+        /// Text of the problem, as reported by the board.
         result: AckResult,
         /// The meaning of the answer and a remedy.
         advice: String,
@@ -463,7 +463,7 @@ impl TextHeard {
         self.last.drain(..beyond);
     }
 
-    /// Returns the end of the text, if it is text.
+    /// Returns the end of the received data, if the data is text.
     fn line(&self) -> Option<String> {
         (!self.frames && self.last.len() >= Self::LEAST)
             .then(|| String::from_utf8_lossy(&self.last).into_owned())

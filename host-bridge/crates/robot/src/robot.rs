@@ -116,7 +116,7 @@ pub trait Robot {
     /// Checks whether the arm can follow a trajectory now.
     ///
     /// # Errors
-    /// The reason why it cannot, with a remedy.
+    /// The reason why the arm cannot follow a motion, with a remedy.
     fn can_follow(&self) -> Result<(), String>;
 
     /// Makes the arm follow a trajectory that starts at its position. It replaces the current trajectory.
@@ -145,7 +145,7 @@ pub trait Robot {
     /// Checks whether the gripper can open or close now.
     ///
     /// # Errors
-    /// The reason why it cannot, with a remedy.
+    /// The reason why the gripper cannot be used, with a remedy.
     fn can_grip(&self) -> Result<(), String> {
         Err("this robot has no gripper".to_owned())
     }

@@ -56,9 +56,9 @@ pub struct SceneObject {
     pub height_m: f64,
     /// Radius, if the object is round.
     pub radius_m: Option<f64>,
-    /// Half of its length and width.
+    /// Half of the object's length and width.
     pub half_m: [f64; 2],
-    /// Pose of the centre of its underside in the world.
+    /// Pose of the centre of the object's bottom face in the world.
     #[serde(flatten)]
     pub pose: Pose,
 }
@@ -72,7 +72,7 @@ pub struct JointSetting {
     pub link: String,
     /// Position of the joint in its parent's frame.
     pub origin_m: Point,
-    /// Rotation of its frame relative to its parent's.
+    /// Rotation of the joint's frame relative to the parent's frame.
     #[serde(serialize_with = "rows")]
     pub origin_rotation: DMat3,
     /// Axis of the joint in its own frame.

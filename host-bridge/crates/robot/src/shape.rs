@@ -29,7 +29,7 @@ pub struct Capsule {
 pub struct UprightBox {
     /// Its middle.
     pub center_m: Point,
-    /// Half of its length, width and height.
+    /// Half of the box's length, width and height.
     pub half_m: Point,
     /// Turned to the left.
     pub yaw_rad: f64,

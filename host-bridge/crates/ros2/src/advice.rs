@@ -14,7 +14,7 @@ pub struct Participant {
     pub vendor: Vendor,
     /// The version of the protocol, such as `2.3`; empty if unknown.
     pub version: String,
-    /// The name that it reports for itself.
+    /// Name that the node reports for itself.
     pub name: Option<String>,
 }
 
@@ -25,15 +25,15 @@ pub struct Endpoint {
     pub topic: String,
     /// Type on the wire: `geometry_msgs::msg::dds_::Twist_`.
     pub type_name: String,
-    /// Whether it requests (or offers) retransmission of lost messages.
+    /// Whether the end point requests (or offers) retransmission of lost messages.
     pub reliable: bool,
-    /// Whether it requests (or offers) messages from before its start.
+    /// Whether the end point requests (or offers) messages from before its start.
     pub transient_local: bool,
     /// Whose middleware.
     pub vendor: Vendor,
     /// The participant, as the first 12 bytes of its GUID.
     pub participant: String,
-    /// REP-2016's hash of its type, if it announces one.
+    /// REP-2016's hash of the type, if it is announced.
     pub type_hash: Option<String>,
 }
 
@@ -93,7 +93,7 @@ pub struct Topic {
     pub topic: String,
     /// As on the wire.
     pub type_name: String,
-    /// Whether we write it; otherwise, we read it.
+    /// Whether the bridge writes the topic; otherwise it reads the topic.
     pub written: bool,
     /// Our offer or request.
     pub reliable: bool,

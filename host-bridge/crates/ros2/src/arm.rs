@@ -23,7 +23,7 @@ use host_topics::message::{ControllerState, JointState, JointTrajectory};
 /// Maximum distance at which the goal counts as reached, if its end is not reported.
 const REACHED_RAD: f64 = 0.05;
 /// Maximum distance between the arm and its expected positions within the last [`FOLLOW_STEPS`] times 20 ms.
-/// Beyond it, the arm is stopped.
+/// The arm is stopped if this distance is exceeded.
 const FOLLOW_RAD: f64 = 0.1;
 const FOLLOW_STEPS: u32 = 10;
 /// If the controller's set point changes by more than this, the arm has begun to move.
@@ -48,7 +48,7 @@ struct Run {
     elapsed_s: Option<f64>,
     /// Sent in pieces.
     stream: Option<Stream>,
-    /// The time at which it was abandoned.
+    /// The time at which the motion was abandoned.
     stopping_since_ms: Option<u64>,
     cancelled_ms: u64,
 }

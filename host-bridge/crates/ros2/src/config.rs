@@ -30,7 +30,7 @@ pub enum ArmInterface {
 pub enum Stamped {
     /// As said.
     Fixed(bool),
-    /// As the reader wants them.
+    /// Use the type that the subscriber requires.
     Open(Auto),
 }
 
@@ -43,7 +43,7 @@ pub enum Auto {
 }
 
 impl Stamped {
-    /// As the reader wants them.
+    /// Use the type that the subscriber requires.
     pub const AUTO: Stamped = Stamped::Open(Auto::Auto);
 
     /// Returns the setting, or `None` if the subscriber decides.

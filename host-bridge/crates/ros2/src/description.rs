@@ -87,7 +87,7 @@ pub fn urdf(setting: &RobotSetting, frames: &Frames, config: &Ros2Config) -> Str
     text + "</robot>\n"
 }
 
-/// A joint as URDF has it.
+/// A joint in the terms of URDF.
 struct Joint<'a> {
     name: &'a str,
     kind: &'a str,

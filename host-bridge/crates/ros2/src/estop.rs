@@ -57,7 +57,7 @@ impl Inputs {
         Inputs { inputs: estop.into_iter().chain(fault).collect() }
     }
 
-    /// Returns their topics, in the order of the numbers below.
+    /// Returns the topics of the flags, in the order of the numbers below.
     pub fn topics(&self) -> impl Iterator<Item = &str> {
         self.inputs.iter().map(|input| input.topic.as_str())
     }

@@ -14,7 +14,7 @@ use host_topics::message as ros;
 
 /// Maximum number of stored goals.
 const GOALS_MAX: usize = 64;
-/// The end of the name of its server's request topic.
+/// Suffix of the topic on which a server of this type receives requests.
 const REQUEST: &str = "/_action/send_goalRequest";
 
 /// The kinds of actions with the types of their requests.

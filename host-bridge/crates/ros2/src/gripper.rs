@@ -49,7 +49,7 @@ struct Run {
     closing: bool,
     asked_ms: u64,
     accepted_ms: Option<u64>,
-    /// Time of its last report.
+    /// Time of the last report about the goal.
     heard_ms: u64,
     stopping_since_ms: Option<u64>,
 }
@@ -111,7 +111,7 @@ impl GripperLink {
         self.closed + share * (self.open - self.closed)
     }
 
-    /// Reads its joint's position, if it is among these.
+    /// Reads the position of the gripper's joint, if the message contains it.
     pub fn see(&mut self, state: &JointState, now_ms: u64) {
         let mut joints = state.name.iter().zip(&state.position);
         if let Some((_, &position)) = joints.find(|(name, _)| **name == self.joint) {
@@ -216,7 +216,7 @@ impl GripperLink {
             GripAnswer::Accepted => {
                 run.accepted_ms = run.accepted_ms.or(Some(now_ms));
                 if stopping {
-                    // Its cancellation was requested before it began.
+                    // The cancellation was requested before the goal began.
                     outputs.push(Output::CancelGrip { goal });
                 }
             }
@@ -419,7 +419,7 @@ mod tests {
         rig.grip(0.0).unwrap();
         rig.outputs.clear();
         rig.gripper.halt(rig.now_ms, &mut rig.outputs);
-        // It is accepted only now, so it is cancelled again.
+        // The server accepts the goal only now, so the cancellation is repeated.
         rig.answer(1, GripAnswer::Accepted);
         let sent = rig.run(500);
         assert!(sent.len() >= 3 && sent.iter().all(|o| *o == Output::CancelGrip { goal: 1 }), "{sent:?}");

@@ -211,7 +211,7 @@ impl RosNode {
             if let Some(joined) = &mut self.joined {
                 let graph = joined.graph();
                 if let Arm::Action(follow) = &mut joined.arm {
-                    // The missing answer will show why it cannot be asked.
+                    // The missing reply will show why the server cannot be asked.
                     if follow.look(&mut joined.node, &graph) == Ok(true) {
                         follow.ask();
                     }

@@ -15,10 +15,10 @@ const STOPPED_INTERVAL_MS: u64 = 250;
 /// Publication interval of the simulator's state.
 const SIM_INTERVAL_MS: u64 = 20;
 
-/// The simulator as it is published.
+/// The simulator's data for publishing.
 #[derive(Clone, Debug)]
 pub struct Simulator {
-    /// What does not change of it.
+    /// Data of the simulator that does not change.
     pub setting: RobotSetting,
     /// Names of its frames.
     pub frames: Frames,
@@ -71,7 +71,7 @@ impl RosPublisher {
         });
         if !said && let Some(published) = &*lock(&self.published) {
             self.said_stopped = Some((stopped, now_ms));
-            // If this fails, it is repeated soon.
+            // If publishing fails, it is soon repeated.
             let _ = published.stopped.publish(ros::Bool { data: stopped });
         }
     }
@@ -79,7 +79,7 @@ impl RosPublisher {
     /// Publishes what the hands do.
     pub fn diagnose(&mut self, message: ros::DiagnosticArray) {
         if let Some(published) = &*lock(&self.published) {
-            // If this fails, the next message replaces it.
+            // If publishing fails, the next message replaces this one.
             let _ = published.diagnostics.publish(message);
         }
     }

@@ -9,7 +9,7 @@ const STRAYS_MAX: usize = 64;
 struct Stray {
     goal: u32,
     cancelled_ms: u64,
-    /// Time at which it is over in any case.
+    /// Latest end of the waiting time.
     until_ms: u64,
     /// Whether it was reported as not running, which may be forged or refer to another server.
     is_said_over: bool,

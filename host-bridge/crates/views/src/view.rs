@@ -37,7 +37,7 @@ pub struct Scene<'a> {
     pub snapshot: &'a Snapshot,
     /// Description of the keys, in one or more lines.
     pub keys: &'a str,
-    /// The speed of time, if it is not normal.
+    /// The playback speed, if it is not 1.
     pub pace: String,
 }
 

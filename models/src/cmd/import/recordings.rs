@@ -24,7 +24,7 @@ const SHORTEST_S: f64 = 0.3;
 
 /// Files that are read together as one recording.
 struct Source {
-    /// One file, or one per sensor.
+    /// Files of one recording: a single file, or one per sensor.
     files: Vec<PathBuf>,
     /// The folder given on the command line, or the file's own folder.
     below: PathBuf,
@@ -33,7 +33,7 @@ struct Source {
 }
 
 impl Source {
-    /// Returns its name for the output.
+    /// Returns the recording's name for the output.
     fn name(&self) -> String {
         match self.files.as_slice() {
             [file] => file.display().to_string(),

@@ -112,15 +112,15 @@ impl Heard {
 pub struct Central {
     /// Its address.
     pub address: [u8; 6],
-    /// Whether its radio is in range.
+    /// Whether the laptop's radio is in range.
     pub in_range: bool,
-    /// Whether it connects as soon as it receives an advertisement.
+    /// Whether the laptop connects as soon as it receives an advertisement.
     pub connects: bool,
     /// Interval of new connections in units of 1.25 ms.
     pub first_interval: u16,
-    /// Shortest interval that it grants, in units of 1.25 ms.
+    /// Shortest interval that the laptop grants, in units of 1.25 ms.
     pub shortest_interval: u16,
-    /// Whether it supports long radio packets.
+    /// Whether the laptop supports long radio packets.
     pub long_packets: bool,
     /// Whether its radio answers LE Ping, as all except old ones do.
     pub answers_radio_pings: bool,

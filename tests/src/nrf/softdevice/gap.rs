@@ -39,7 +39,7 @@ pub(super) struct Keyset {
 pub(super) struct Pairing {
     keyset: Keyset,
     bond: bool,
-    /// Number of connection events until its next step.
+    /// Number of connection events until the next step of the pairing.
     wait: u8,
     encrypted: bool,
 }

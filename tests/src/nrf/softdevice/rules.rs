@@ -19,7 +19,7 @@ const OWN_PRIORITIES: [u8; 3] = [0, 1, 4];
 /// S140's peripherals by page: CLOCK and POWER, RADIO, TIMER0, RTC0, TEMP, RNG, ECB, CCM and AAR, EGU1, EGU2 and EGU5,
 /// NVMC with ACL, MWU.
 const OWN_PAGES: [u32; 13] = [0, 1, 8, 11, 12, 13, 14, 15, 21, 22, 25, 30, 32];
-/// Names to go with them.
+/// Names of the peripherals on these pages.
 const PAGE_NAMES: [&str; 13] = [
     "POWER/CLOCK",
     "RADIO",

@@ -119,7 +119,7 @@ impl<R: Robot> Director<R> {
         &mut self.robot
     }
 
-    /// The time that it was last stepped to.
+    /// The time of the last step.
     pub fn now_ms(&self) -> u64 {
         self.now_ms
     }

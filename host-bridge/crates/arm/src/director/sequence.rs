@@ -20,7 +20,7 @@ const LIFT_M: f64 = 0.05;
 /// Fingers are open if their distance exceeds this fraction of their range.
 const OPEN_SHARE: f64 = 0.5;
 
-/// The acts, one after the other.
+/// One action in the execution of a motion.
 #[derive(Clone, Debug)]
 pub(super) enum Act {
     /// The arm follows this.
@@ -53,7 +53,7 @@ struct Draft {
     from_rad: Joints,
     things: Things,
     placement: Placement,
-    /// The budget of all its steps together.
+    /// The planning budget shared by all steps of a motion.
     purse: Purse,
 }
 

@@ -59,7 +59,7 @@ pub enum Part {
 /// The closest pair of parts.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Clearance {
-    /// Distance in m; negative if they overlap.
+    /// Distance between the two bodies in m; negative if they overlap.
     pub distance_m: f64,
     /// Which.
     pub parts: (Part, Part),

@@ -37,7 +37,7 @@ pub enum Kind {
 pub struct Plan {
     /// The motion in time.
     pub trajectory: Trajectory,
-    /// Its corners in rad, including both ends.
+    /// Corners of the path in rad, including both ends.
     pub path_rad: Vec<Joints>,
     /// How it was found.
     pub kind: Kind,
@@ -62,7 +62,7 @@ pub enum Refusal {
         one: String,
         /// The other.
         two: String,
-        /// Their distance at the goal; negative if they overlap.
+        /// Distance between the two bodies at the goal; negative if they overlap.
         distance_mm: f64,
     },
     /// The arm touches something now, or is beyond a limit.
@@ -89,7 +89,7 @@ pub enum Refusal {
         one: String,
         /// The other.
         two: String,
-        /// Their distance; negative if they overlap.
+        /// Distance between the two bodies; negative if they overlap.
         distance_mm: f64,
     },
     /// Nothing was found.

@@ -181,7 +181,7 @@ pub enum GestureOutcome {
     EndedArm,
     /// The label has no motion.
     NoMotion,
-    /// Dropped, because its window ended too long ago.
+    /// Dropped, because the window of the gesture ended too long ago.
     Late,
     /// Dropped: not armed.
     NotArmed,

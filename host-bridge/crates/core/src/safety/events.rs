@@ -11,7 +11,7 @@ use crate::tilt::Tilt;
 pub struct Gesture {
     /// Index in the model's labels.
     pub label: u8,
-    /// Current age of the end of its window.
+    /// Current age of the end of the gesture's window.
     pub age_ms: u64,
     /// This gesture ends a stop.
     pub releases: bool,
@@ -34,7 +34,7 @@ pub enum Event {
         age_ms: u64,
         /// Whether the link's last round trip is recent and short, so that neutral counts.
         prompt: bool,
-        /// Whether no health flag forbids using it.
+        /// Whether the health flags permit use of this state.
         healthy: bool,
         /// The heading of the hand.
         heading: Heading,
@@ -53,7 +53,7 @@ pub enum Event {
         age_ms: u64,
         /// Whether the link's last round trip is recent and short, so that rest counts.
         prompt: bool,
-        /// Whether no health flag forbids using it.
+        /// Whether the health flags permit use of this state.
         healthy: bool,
         /// Whether a rest label has the highest score.
         resting: bool,

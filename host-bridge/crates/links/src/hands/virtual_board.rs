@@ -26,7 +26,7 @@ pub fn onto(wire: &mut Vec<u8>) -> impl FnMut(&[u8]) -> bool {
 #[derive(Clone, Debug)]
 pub struct VirtualLeft {
     board: LeftBoard<RamEeprom>,
-    /// The bytes that it sent at its start.
+    /// The bytes that the board sent at its start.
     begun: Vec<u8>,
 }
 

@@ -58,7 +58,7 @@ impl Link {
         Link::Serial(SerialLink::start(link, port, settings, clock, events))
     }
 
-    /// As the user named it.
+    /// Name of the port, as the user entered it.
     pub fn port(&self) -> &str {
         match self {
             Link::Serial(link) => link.port(),

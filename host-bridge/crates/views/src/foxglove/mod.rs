@@ -82,7 +82,7 @@ struct QueueEnd {
 struct Seen {
     /// A bit for each topic that the viewer has subscribed to.
     wanted: AtomicU32,
-    /// Number of messages that did not fit in its queue.
+    /// Number of messages that did not fit in the viewer's queue.
     lost: AtomicU64,
 }
 

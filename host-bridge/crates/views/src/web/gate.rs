@@ -35,7 +35,7 @@ pub enum Refused {
     /// A foreign page.
     #[error("another site's page may not look at the robot")]
     Origin,
-    /// No token, or a wrong one.
+    /// The request has a wrong token or none.
     #[error("this page needs the token that --web-token gave: open it with ?token=… at its end")]
     Token,
 }

@@ -106,7 +106,7 @@ impl Web {
         Self::start_with(options, false)
     }
 
-    /// Does the same; with `marks`, its pages can mark episodes.
+    /// Like the function above; with `marks`, the pages can mark episodes.
     ///
     /// # Errors
     /// As [`Web::start`].

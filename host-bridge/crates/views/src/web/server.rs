@@ -83,7 +83,7 @@ fn other_port(address: &SocketAddr) -> u16 {
 pub struct Name {
     /// The subject in "the page cannot be served".
     pub what: &'static str,
-    /// The option that sets its port.
+    /// The option that sets the server's port.
     pub option: &'static str,
 }
 
