@@ -119,7 +119,7 @@ impl FrameOut for Everywhere {
 
 /// A decoded frame from the laptop, still in postcard encoding, and the link it arrived on.
 pub struct Received {
-    /// Where the answer goes.
+    /// The link on which to reply.
     pub link: WayOut,
     /// Whether the link may make permanent changes to the board. A Bluetooth link must be bonded for this.
     pub trusted: bool,

@@ -29,7 +29,7 @@ pub const KEYBOARD: &str = "keyboard";
 /// Maximum speed of the base in m/s and rad/s if boards need not be bonded.
 const UNBONDED_MOST: f64 = 0.2;
 
-/// What plays a hand.
+/// The source of a hand's data.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum HandInput {
     /// Left out.
@@ -46,7 +46,7 @@ pub enum HandInput {
 pub struct Config {
     /// Exchanges the hands: `left` is then the port of the gesture board, `right` of the tilt board.
     pub left_handed: bool,
-    /// Where the boards are.
+    /// The ports of the boards.
     pub ports: Ports,
     /// Tilt thresholds, sent to the left hand's board at its start.
     pub tilt: TiltThresholds,
@@ -58,7 +58,7 @@ pub struct Config {
     pub vibration: Vibration,
     /// The dead-man's times.
     pub safety: SafetyTimes,
-    /// How long a key counts.
+    /// Duration for which a key press counts.
     pub keyboard: KeyTimes,
     /// The simulated base.
     pub base: BaseConfig,
@@ -77,7 +77,7 @@ pub struct Config {
     pub pose: Vec<PoseTable>,
 }
 
-/// Where the boards are.
+/// The ports of the boards.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Ports {
@@ -160,7 +160,7 @@ pub enum ConfigError {
     Text {
         /// Line, from 1.
         line: usize,
-        /// What the parser says.
+        /// The parser's error message.
         what: String,
     },
     /// A value is invalid or unsafe.

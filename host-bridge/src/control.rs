@@ -50,7 +50,7 @@ pub enum Order {
     Mark(Mark),
 }
 
-/// What happened to a link.
+/// An event of a link.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LinkReport {
     /// When.
@@ -109,7 +109,7 @@ pub struct Work<D: Door> {
     pub clock: Arc<dyn Clock>,
     /// The boards' links.
     pub links: PerHand<Option<Link>>,
-    /// Where they report.
+    /// The queue for the links' events.
     pub events: EventReceiver<Hand>,
     /// Another source of stops, which is checked at every turn and must not block.
     pub asks_for_stop: Box<dyn Fn() -> bool + Send>,

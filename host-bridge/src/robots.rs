@@ -15,7 +15,7 @@ use crate::config::Config;
 /// The robot's surroundings and the motions of its arm.
 #[derive(Clone, Debug)]
 pub struct Stage {
-    /// What the arm can be asked to do.
+    /// The motions of the arm.
     pub motions: Motions,
     /// The planner, if there is a scene.
     pub planner: Option<Arc<Planner>>,

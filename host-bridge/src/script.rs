@@ -60,7 +60,7 @@ pub struct Expect {
     pub stops: u32,
     /// Final value of both caps in m/s and rad/s, within 0.001.
     pub cap: f64,
-    /// Where the base ends.
+    /// The expected final pose of the base.
     pub base: BaseGoal,
     /// Final positions of objects in the scene.
     #[serde(default, rename = "object")]
@@ -100,9 +100,9 @@ pub struct BaseGoal {
 pub struct Check {
     /// What.
     pub what: &'static str,
-    /// What the script says.
+    /// The value that the script expects.
     pub expected: String,
-    /// What happened.
+    /// The actual value.
     pub got: String,
     /// Whether the result is as expected.
     pub ok: bool,

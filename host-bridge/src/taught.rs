@@ -16,7 +16,7 @@ pub enum TaughtError {
     Text {
         /// Line, from 1.
         line: usize,
-        /// What the parser says.
+        /// The parser's error message.
         what: String,
     },
     /// The pose exists, but is not defined by joint angles.

@@ -43,7 +43,7 @@ fn is_near(one: &Joints, two: &Joints) -> bool {
     one.iter().zip(two).all(|(a, b)| (a - b).abs() <= NOISE_RAD)
 }
 
-/// How it went.
+/// The result of playing a pose.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Played {
     /// The arm is there.

@@ -19,7 +19,7 @@ pub enum ModelError {
     Io {
         /// The file.
         file: PathBuf,
-        /// What the system said.
+        /// The system's error message.
         source: std::io::Error,
     },
     /// The card cannot be used.

@@ -39,7 +39,7 @@ pub struct Card {
     pub features: String,
     /// The conversion of features to inputs of the network.
     pub scaling: Scaling,
-    /// How it was trained.
+    /// The training of the model.
     pub training: Training,
     /// The training data of the model.
     pub data: Data,
@@ -60,7 +60,7 @@ pub struct Scaling {
     pub limit: f32,
 }
 
-/// How a model was trained.
+/// The training of a model.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Training {
     /// Either `aligned`, `log-power` (formerly `default`) or `paper`.
@@ -138,7 +138,7 @@ pub enum CardError {
     Io {
         /// The card's file.
         file: PathBuf,
-        /// What the system said.
+        /// The system's error message.
         source: std::io::Error,
     },
     /// The file is not the expected JSON.

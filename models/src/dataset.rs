@@ -52,7 +52,7 @@ pub enum DatasetError {
     Io {
         /// The folder.
         folder: PathBuf,
-        /// What the system said.
+        /// The system's error message.
         source: std::io::Error,
     },
     /// A file name does not contain the person.

@@ -27,11 +27,11 @@ impl Step {
     }
 }
 
-/// How a step went.
+/// Result of a step.
 pub struct Outcome {
     name: &'static str,
     time: Duration,
-    /// Why it failed.
+    /// The error of a failed step.
     error: Option<String>,
 }
 

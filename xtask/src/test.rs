@@ -220,7 +220,7 @@ pub fn built(name: &str) -> Result<Command> {
     Ok(command)
 }
 
-/// What is not Rust.
+/// Tests of code in other languages.
 const TOOLS: &str = "tools that are no Rust crates";
 /// Requirements of the checks in Python.
 const PACKAGES: &str = "packages";

@@ -21,7 +21,7 @@ use crate::{Batch, FIFO_SETS, Imu, ImuError, Set};
 /// I2C address on this board (SDO low).
 pub const ADDRESS: u8 = 0x68;
 pub(crate) const CHIP_ID: u8 = 0x00;
-/// What CHIP_ID reads.
+/// Expected value of CHIP_ID.
 pub(crate) const ID: u8 = 0x24;
 
 const ERROR: u8 = 0x02;

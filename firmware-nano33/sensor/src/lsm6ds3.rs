@@ -15,7 +15,7 @@ use crate::{Batch, FIFO_SETS, Imu, ImuError};
 /// I2C address on this board (SA0 low).
 pub const ADDRESS: u8 = 0x6A;
 pub(crate) const WHO_AM_I: u8 = 0x0F;
-/// What WHO_AM_I reads.
+/// Expected value of WHO_AM_I.
 pub(crate) const ID: u8 = 0x6A;
 
 const FIFO_CTRL3: u8 = 0x08;

@@ -107,7 +107,7 @@ pub struct Config {
     pub accel: AccelRange,
     /// Sets per second.
     pub rate: Rate,
-    /// What a count is worth.
+    /// Conversion factors of the counts.
     pub scale: Scale,
 }
 

@@ -27,7 +27,7 @@ use crate::{uart, vibrate, watch};
 pub struct UsbNames {
     /// USB vendor and product ids, which operating systems use to select drivers and rules.
     pub ids: (u16, u16),
-    /// What people read.
+    /// Names for people.
     pub product: &'static str,
 }
 

@@ -45,7 +45,7 @@ pub struct Args {
     robot: String,
 }
 
-/// What an episode is.
+/// The definition of an episode.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Episodes {
     /// The whole session

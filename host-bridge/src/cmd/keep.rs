@@ -30,7 +30,7 @@ pub struct Start<'a> {
     pub config: &'a host_bridge::config::Config,
     /// Additional `LABEL=MOTION` mappings.
     pub maps: &'a [String],
-    /// What stands around.
+    /// The robot's surroundings.
     pub scene: Option<&'a std::path::Path>,
     /// Time at which the session's clock was zero.
     pub origin: Origin,

@@ -87,7 +87,7 @@ struct SessionArgs {
     hands: steering::HandArgs,
 }
 
-/// Whose samples.
+/// The hand to record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum Which {
     /// The right one's IMU
@@ -198,7 +198,7 @@ fn check_name(what: &str, name: &str) -> Result<()> {
     Ok(())
 }
 
-/// What was recorded so far.
+/// The recordings so far.
 enum Taken {
     Right(Collector),
     Left(LeftCollector),

@@ -59,13 +59,13 @@ pub struct Screen {
     pub json: bool,
     /// The session's file.
     pub keeper: Keeper,
-    /// Which hands come over Bluetooth.
+    /// The hands that are connected over Bluetooth.
     pub over_air: PerHand<bool>,
     /// Time at which the release key was pressed once.
     pub released: Option<Instant>,
     /// Whether there is a file for marks.
     pub records: bool,
-    /// Which key does what.
+    /// The function of each key.
     pub keys: String,
     /// The key that ends the arm's motion.
     pub end_arm: char,

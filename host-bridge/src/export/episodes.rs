@@ -4,7 +4,7 @@ use host_core::episodes::{Take, Tally, Verdict};
 
 use super::session::{Happened, Streams};
 
-/// How a session is cut.
+/// The division of a session into episodes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Cut {
     /// The complete session is one episode.

@@ -33,7 +33,7 @@ impl Columns {
 /// The rows of one episode, `1 / fps` s apart.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Rows {
-    /// What was to be done.
+    /// The task of the episode.
     pub task: String,
     /// Position of base and joints, and motion of the base, one entry per row.
     pub state: Vec<Vec<f32>>,

@@ -28,7 +28,7 @@ pub struct Streams {
     pub base: Vec<(u64, [f64; 5])>,
     /// Commanded speed of the base: m/s, rad/s.
     pub asked: Vec<(u64, [f64; 2])>,
-    /// What happened.
+    /// The events with their times.
     pub events: Vec<(u64, Happened)>,
 }
 

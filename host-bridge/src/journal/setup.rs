@@ -25,7 +25,7 @@ pub struct Setup {
     pub config: Config,
     /// `LABEL=MOTION` mappings in the given order, applied after those of `config`.
     pub maps: Vec<String>,
-    /// What stood around.
+    /// The robot's surroundings.
     pub scene: Option<SceneText>,
     /// Time of day at which the session's clock was zero, in nanoseconds since 1970.
     pub origin_ns: u64,
@@ -38,7 +38,7 @@ pub struct Setup {
 /// A scene with all files that it names.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SceneText {
-    /// Where it was read.
+    /// The path of the scene file.
     pub file: PathBuf,
     /// The scene.
     pub toml: String,

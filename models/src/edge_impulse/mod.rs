@@ -16,7 +16,7 @@ use serde_json::Value;
 use crate::recording::{MAX_RATE_HZ, MIN_RATE_HZ, Recording, RecordingError};
 use crate::sheet::{self, Reading};
 
-/// What a file holds.
+/// The contents of a file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Imported {
     /// The samples in m/s², deg/s and µT.
@@ -35,7 +35,7 @@ pub enum ImportError {
     Io {
         /// The file.
         file: PathBuf,
-        /// What the system said.
+        /// The system's error message.
         source: std::io::Error,
     },
     /// Neither JSON nor CBOR.

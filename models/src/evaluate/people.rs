@@ -31,7 +31,7 @@ pub struct Trial<'a> {
     /// Labels tested; empty means all.
     /// Models also learn from the other people's recordings without gestures (`idle`, `other`).
     pub labels: &'a [String],
-    /// How models are trained.
+    /// The recipes for training the models.
     pub recipe: &'a dyn Recipe,
 }
 

@@ -24,7 +24,7 @@ pub struct Facts {
     pub features: Vec<(String, Vec<f64>)>,
 }
 
-/// What one person recorded.
+/// The recordings of one person.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PersonFacts {
     /// Number of recordings and seconds per label.

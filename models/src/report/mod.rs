@@ -37,7 +37,7 @@ pub struct Report {
     pub title: String,
     /// Seeds per figure.
     pub seeds: u64,
-    /// What the data holds.
+    /// The contents of the data set.
     pub facts: Facts,
     /// One per recipe.
     pub studies: Vec<Study>,

@@ -1,4 +1,4 @@
-//! Why a recording cannot be used.
+//! Errors of recordings that cannot be used.
 
 use std::borrow::Cow;
 use std::path::PathBuf;
@@ -11,7 +11,7 @@ pub enum RecordingError {
     Io {
         /// The file.
         file: PathBuf,
-        /// What the system said.
+        /// The system's error message.
         source: std::io::Error,
     },
     /// The file is empty, or has a header without samples.
@@ -19,9 +19,9 @@ pub enum RecordingError {
     Empty {
         /// The file.
         file: PathBuf,
-        /// What is missing.
+        /// The missing part.
         what: &'static str,
-        /// What else can be done.
+        /// An alternative for the user.
         instead: &'static str,
     },
     /// The columns of a recording were not found.
@@ -108,9 +108,9 @@ pub enum RecordingError {
         column: usize,
         /// The column's name.
         name: String,
-        /// What stands there.
+        /// The actual content.
         value: String,
-        /// What should stand there.
+        /// The expected content.
         wanted: Cow<'static, str>,
     },
     /// The time does not increase.

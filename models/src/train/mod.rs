@@ -66,7 +66,7 @@ pub enum TrainError {
     Io {
         /// The file.
         file: PathBuf,
-        /// What the system said.
+        /// The system's error message.
         source: std::io::Error,
     },
     /// The library that fits networks failed.

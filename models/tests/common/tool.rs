@@ -2,7 +2,7 @@
 
 use std::process::{Command, Output};
 
-/// How it ended.
+/// Returns the exit status and the output.
 pub fn models(args: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_models")).args(args).output().expect("the tool starts")
 }

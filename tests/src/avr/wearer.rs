@@ -105,7 +105,7 @@ pub struct Hand {
     pitch: Way,
     roll: Way,
     bend: [Way; 2],
-    /// What is broken now.
+    /// The current fault.
     pub fault: Option<Fault>,
 }
 

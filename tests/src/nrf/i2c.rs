@@ -28,7 +28,7 @@ pub trait Sensor {
     fn fail(&mut self) {}
 }
 
-/// How a transfer ends.
+/// The result of a transfer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reply {
     /// All bytes were acknowledged.

@@ -56,7 +56,7 @@ pub struct Heard {
 /// Decodes bytes from the board.
 #[derive(Default)]
 pub struct Listener {
-    /// What the board said.
+    /// The messages that the board sent.
     pub heard: Heard,
     decoder: Decoder<BOARD_FRAME_MAX>,
 }

@@ -29,7 +29,7 @@ struct Control {
     received: Vec<u8>,
 }
 
-/// How a control transfer ended.
+/// The result of a control transfer.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Reply {
     /// Success, with the data of an IN transfer.

@@ -64,7 +64,7 @@ pub struct Scene {
     /// How the arm moves.
     #[serde(default)]
     pub arm: ArmTable,
-    /// What stands around.
+    /// The robot's surroundings.
     #[serde(default, rename = "box")]
     pub boxes: Vec<NamedBox>,
     /// Named goals.

@@ -12,7 +12,7 @@ pub struct Grip {
     pub between_m: Option<f64>,
 }
 
-/// How a grip ended.
+/// The result of a gripper command.
 #[derive(Clone, Debug, PartialEq)]
 pub enum GripEnd {
     /// The fingers have reached the requested width.

@@ -24,7 +24,7 @@ pub struct Reading<T> {
 pub struct BaseState {
     /// Position and speed of the base.
     pub odometry: Odometry,
-    /// How sure that is.
+    /// The covariance of the position.
     pub covariance: Covariance,
     /// State of the wheels, if reported.
     pub wheels: Option<Wheels>,
@@ -53,7 +53,7 @@ pub enum Following {
     Halting,
 }
 
-/// What a command is for.
+/// The part of the robot that a command is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Part {
@@ -73,7 +73,7 @@ impl Part {
     }
 }
 
-/// How following a trajectory ended.
+/// The result of following a trajectory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum End {
     /// The arm rests at the trajectory's end.

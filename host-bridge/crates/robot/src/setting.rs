@@ -12,7 +12,7 @@ use crate::shape::{Capsule, Point, UprightBox};
 pub struct RobotSetting {
     /// Title of the scene; empty without a scene.
     pub scene: String,
-    /// What stands around.
+    /// The robot's surroundings.
     pub boxes: Vec<SceneBox>,
     /// Wheels and limits of the base.
     pub base: BaseConfig,

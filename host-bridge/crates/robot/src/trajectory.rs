@@ -48,7 +48,7 @@ pub struct Trajectory {
     pieces: Vec<Piece>,
     /// Start and end of each blend.
     corners_s: Vec<(f64, f64)>,
-    /// Where it ends, exactly.
+    /// The exact end position.
     to_rad: Joints,
     duration_s: f64,
 }

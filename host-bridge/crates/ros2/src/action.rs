@@ -51,7 +51,7 @@ pub enum Said<R, F> {
     Rejected,
     /// How far it is.
     Feedback(F),
-    /// How it ended.
+    /// The final status and the result of the goal.
     Result(GoalStatusEnum, R),
 }
 

@@ -23,7 +23,7 @@ use super::vendor::Vendor;
 use super::watch::Watch;
 use host_topics::message as ros;
 
-/// Why there is no node.
+/// The reason why the node cannot be created.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("ROS 2: {0}")]
 pub struct NodeError(String);

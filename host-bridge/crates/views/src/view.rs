@@ -23,7 +23,7 @@ const MAP_CELL_M: f64 = 0.2;
 /// Minimum number of rows for a map beside the events.
 const ROWS_FOR_MAP: usize = 32;
 
-/// What the operator pressed.
+/// A key that the operator pressed.
 pub enum Key {
     /// Leave.
     Quit,
@@ -31,9 +31,9 @@ pub enum Key {
     Stop,
 }
 
-/// What is shown.
+/// The displayed data.
 pub struct Scene<'a> {
-    /// How things stand.
+    /// The session's current state.
     pub snapshot: &'a Snapshot,
     /// Description of the keys, in one or more lines.
     pub keys: &'a str,

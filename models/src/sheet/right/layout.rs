@@ -24,7 +24,7 @@ pub(super) struct Source {
     pub linear: bool,
 }
 
-/// Which columns are used.
+/// The used columns.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Layout {
     /// The time column, with ms per unit if its name declares them.

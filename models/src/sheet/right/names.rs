@@ -62,7 +62,7 @@ pub(crate) fn factor(sensor: Sensor, unit: &str) -> Option<f64> {
     units(sensor).iter().find(|(name, _)| *name == unit).map(|(_, factor)| *factor)
 }
 
-/// What a column holds.
+/// The content of a column.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Kind {
     /// Acceleration in g, including gravity.
@@ -79,7 +79,7 @@ pub(super) enum Kind {
     Bare,
 }
 
-/// What a column's name says.
+/// The information in a column's name.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Named {
     pub kind: Kind,

@@ -19,13 +19,13 @@ pub struct PerAxis {
     pub name: &'static str,
     /// In one sentence.
     pub about: &'static str,
-    /// How features become inputs.
+    /// The conversion of features to network inputs.
     pub features: FeatureKind,
     /// Fraction of the recordings that determine when training stops.
     pub validation_fraction: f64,
     /// Number of hops between two training windows of a recording.
     pub stride_hops: usize,
-    /// How recordings are varied.
+    /// The variation of recordings.
     pub augmentation: Augmentation,
     /// The training of the network.
     pub epochs: Epochs,

@@ -108,7 +108,7 @@ pub mod reason {
     pub const LOCAL_HOST: u8 = 0x16;
 }
 
-/// What a call returns.
+/// The return value of a call.
 pub type Answer = Result<(), u32>;
 
 /// Reads memory for a call: arguments may be in RAM or flash, and results only in RAM.

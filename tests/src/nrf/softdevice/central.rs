@@ -28,7 +28,7 @@ pub enum Command {
     Disconnect,
 }
 
-/// What the laptop noticed.
+/// An event on the laptop's side.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Happening {
     /// The link is established with this interval in units of 1.25 ms.

@@ -171,7 +171,7 @@ impl Foxglove {
         self.server.url("ws")
     }
 
-    /// Where it listens.
+    /// The address of the server.
     pub fn address(&self) -> SocketAddr {
         self.server.address()
     }
@@ -181,7 +181,7 @@ impl Foxglove {
         Teller::new(self.origin, Feed(self.shared.clone()))
     }
 
-    /// How many viewers look on.
+    /// Number of connected viewers.
     pub fn viewers(&self) -> usize {
         self.shared.viewers.load(Ordering::SeqCst)
     }

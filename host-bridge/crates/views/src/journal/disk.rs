@@ -24,7 +24,7 @@ const QUEUE: usize = 8192;
 const FLUSH_INTERVAL: Duration = Duration::from_millis(500);
 /// Size of messages in memory at which they are written earlier.
 const CHUNK_BYTES: u64 = 1 << 20;
-/// How long to wait for the file's end.
+/// Maximum waiting time for the end of writing.
 const POLL: Duration = Duration::from_millis(50);
 
 /// The behaviour if the disk is slower than the session.
@@ -36,7 +36,7 @@ pub enum WhenFull {
     Drop,
 }
 
-/// How a file ended.
+/// The result of closing a file.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Kept {
     /// Number of messages in the file on the disk.

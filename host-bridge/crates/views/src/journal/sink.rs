@@ -35,7 +35,7 @@ pub trait Storage {
     /// Removes everything after this position.
     ///
     /// # Errors
-    /// What the disk says.
+    /// The file system's error message.
     fn cut(&mut self, length: u64) -> io::Result<()>;
 }
 

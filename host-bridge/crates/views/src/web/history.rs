@@ -71,7 +71,7 @@ pub struct History {
     pub bends_permille: Option<[i16; 2]>,
     /// Time in ms, followed by the values of one IMU sample.
     pub imu: Last<Vec<f32>>,
-    /// What happened.
+    /// The events with their times.
     pub events: Last<EventLine>,
     /// Path of the base in m.
     pub path: Last<[f64; 2]>,

@@ -130,7 +130,7 @@ impl Web {
         self.server.url("http")
     }
 
-    /// Where it listens.
+    /// The address of the server.
     pub fn address(&self) -> SocketAddr {
         self.server.address()
     }
@@ -158,7 +158,7 @@ impl Web {
         move || shared.marks.as_ref()?.try_lock().ok()?.pop_front()
     }
 
-    /// How many pages look on.
+    /// Number of connected pages.
     pub fn pages(&self) -> usize {
         self.shared.pages.load(Ordering::SeqCst)
     }

@@ -59,7 +59,7 @@ pub enum WebError {
         option: &'static str,
         /// Where.
         address: SocketAddr,
-        /// What the system said.
+        /// The system's error message.
         source: io::Error,
     },
     /// Other machines could reach the page without a token.
@@ -138,7 +138,7 @@ pub struct Server {
 }
 
 impl Server {
-    /// Where it listens.
+    /// The address of the server.
     pub fn address(&self) -> SocketAddr {
         self.address
     }
