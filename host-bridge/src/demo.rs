@@ -33,7 +33,7 @@ impl Demo {
     /// Returns the script inside this program.
     ///
     /// # Panics
-    /// Never, because the files are compiled in and tested.
+    /// This never fails, because the files are compiled in and tested.
     pub fn bundled() -> Self {
         let read = "the bundled session is whole";
         Demo {
@@ -49,7 +49,7 @@ impl Demo {
     /// If there is no such session. The error lists all sessions.
     ///
     /// # Panics
-    /// Never, because the files are compiled in and tested.
+    /// This never fails, because the files are compiled in and tested.
     pub fn named(name: Option<&str>) -> Result<Self, String> {
         let demo = Demo::bundled();
         let script = match name {

@@ -43,7 +43,7 @@ impl Stage {
     /// Returns the Gen3 without surroundings, in the default configuration.
     ///
     /// # Panics
-    /// Never, because the bundled motions fit the bundled arm and are tested.
+    /// This never fails, because the bundled motions fit the bundled arm and are tested.
     pub fn bare() -> Self {
         Stage::new(&Config::default(), None).expect("the bundled motions fit the bundled arm")
     }

@@ -63,7 +63,7 @@ pub struct Scaling {
 /// The training of a model.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Training {
-    /// Either `aligned`, `log-power` (formerly `default`) or `paper`.
+    /// Recipe: `aligned`, `log-power` (formerly `default`) or `paper`.
     pub recipe: String,
     /// The seed of all random numbers.
     pub seed: u64,

@@ -23,7 +23,7 @@ pub fn out(text: Arguments<'_>) {
 
 /// Prints to the standard error on behalf of the macros.
 pub fn err(text: Arguments<'_>) {
-    // Nobody is left to be told.
+    // There is no reader left to notify.
     let _ = std::io::stderr().lock().write_fmt(text);
 }
 

@@ -54,7 +54,7 @@ impl Slot {
 /// The contents of a slot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Content<'f> {
-    /// Nothing, or an incomplete transfer.
+    /// The slot is empty or contains an incomplete transfer.
     Empty,
     /// A blob that was complete but is now damaged.
     Damaged,

@@ -65,7 +65,7 @@ pub struct Motor {
 pub struct Vibration {
     /// The current signal and its start time.
     playing: Option<(Signal, u32)>,
-    /// Time of the laptop's last message, or `None` if it has requested no signals or is lost.
+    /// Time of the laptop's last message, or `None` if it has requested no signals or is disconnected.
     heard_ms: Option<u32>,
     /// Whether signals were requested since start.
     wanted: bool,

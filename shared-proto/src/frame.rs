@@ -137,7 +137,7 @@ impl<'b> FrameWriter<'b> {
 impl<'b> Flavor for FrameWriter<'b> {
     type Output = &'b [u8];
 
-    // Not inlined, because a copy for each field of each message would cost the left board several KB.
+    // This function is not inlined, because a copy for each field of each message would cost the left board several KB.
     #[inline(never)]
     fn try_push(&mut self, byte: u8) -> postcard::Result<()> {
         self.crc.update(&[byte]);

@@ -33,9 +33,9 @@ pub use signal::Signal;
 pub(crate) use table::largest;
 pub use table::{BoardBody, Boards, Row};
 
-/// Increased when the layout of a message changes. Both sides must have the same number.
+/// This number increases when the layout of a message changes. Both sides must have the same number.
 pub const PROTOCOL_MAJOR: u8 = 1;
-/// Increased when a message is added. The older side ignores unknown messages.
+/// This number increases when a message is added. The older side ignores unknown messages.
 pub const PROTOCOL_MINOR: u8 = 3;
 
 board_messages! {
@@ -75,7 +75,7 @@ host_messages! {
     HostMessage<'a> {
         /// Asks for a [`Hello`].
         0 HelloRequest => Both, 0;
-        /// Answered by [`Pong`] with the same id.
+        /// The receiver answers with [`Pong`] and the same id.
         1 Ping {
             /// Chosen by the laptop.
             id: u32,

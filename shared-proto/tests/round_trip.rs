@@ -51,7 +51,7 @@ proptest! {
         for frame in [board, host] {
             prop_assert_eq!(frame.iter().position(|&byte| byte == DELIMITER), Some(frame.len() - 1));
         }
-        // Compared as text, because NaN differs from itself.
+        // The values are compared as text, because NaN differs from itself.
         let (from_board, _) = payloads(board);
         prop_assert_eq!(format!("{:?}", parse_board(&from_board[0])), format!("Ok({to_host:?})"));
         let (from_host, _) = payloads(host);

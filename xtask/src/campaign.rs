@@ -169,13 +169,13 @@ pub fn run(args: &[&str]) -> Result<ExitCode> {
 /// Measures the rows of one fault, and returns whether all its tests passed.
 fn measure(fault: &Fault, short: bool) -> Result<(Vec<Vec<String>>, bool)> {
     let mut cargo = match fault.needs {
-        // Only one crate, so that nothing else is built in release mode.
+        // Builds only one crate, so that nothing else is built in release mode.
         Needs::Speed => cargo(&["test", "--locked", "--release"]),
         // The workspace with the features of its tests, so that nothing is compiled again.
         _ => cargo_for_all("test"),
     };
     cargo.args(fault.test).arg("--").args(fault.only);
-    // One after another, because concurrent tests would affect the measurements.
+    // The tests run one after another, because concurrent tests would affect the measurements.
     cargo.args(["--nocapture", "--test-threads", "1"]).stdin(Stdio::null());
     if !short {
         cargo.env("BIMANUAL_FULL", "1");

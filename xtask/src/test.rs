@@ -121,7 +121,7 @@ fn run_groups() -> Result<ExitCode> {
     outcomes.extend(run_all(&wall_clock()));
     passed &= tests.wait()?;
     passed &= others.wait()?;
-    // Last, so that no other output separates the reader from the failures.
+    // The failures are printed last, so that no other output separates the reader from them.
     passed &= report(&outcomes);
     println!("all in all {:.0} s", start.elapsed().as_secs_f64());
     Ok(code(passed))
@@ -291,7 +291,7 @@ fn quick() -> Vec<Step> {
 fn format() -> Result<()> {
     sh(&mut cargo(&["fmt", "--all", "--check"]))?;
     for folder in ["firmware-nano-avr", "firmware-nano33"] {
-        // Not --all, which would also format the shared crates again.
+        // This does not use --all, which would also format the shared crates again.
         sh(cargo(&["fmt", "--check"]).current_dir(root().join(folder)))?;
     }
     Ok(())

@@ -5,7 +5,7 @@
 //! 0 magic  4 magic  8 flags  12 address  16 bytes  20 number  24 blocks  28 family  32 data (476)  508 magic
 //! ```
 
-/// Nordic's nRF52840 in Microsoft's list of families.
+/// Id of Nordic's nRF52840 in Microsoft's list of families.
 pub const NRF52840: u32 = 0xADA5_2840;
 
 const MAGIC: [u32; 2] = [0x0A32_4655, 0x9E5D_5157];

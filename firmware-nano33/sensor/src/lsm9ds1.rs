@@ -96,7 +96,7 @@ pub enum Scale {
     #[default]
     DataSheet,
     /// Full scale / 32768, as in Arduino's library. With these factors gyroscope and magnetometer read 12.8 % too low.
-    /// Required for models trained on recordings made with that library.
+    /// Models trained on recordings made with that library require these factors.
     Arduino,
 }
 

@@ -318,7 +318,7 @@ fn both_kinds_of_middleware_on_one_graph_are_each_asked_in_their_own_way() {
         let finished = robot.has("the arm arrives", |v| is(v, "finished") && v["id"] == goal["id"]);
         assert_eq!(finished["status"], 4, "{finished}");
         bridge.has("arrival", |v| is(v, "motion-ended") && v["reached"] == true);
-        // A stop in the middle of the motion cancels it.
+        // A stop in the middle of the motion cancels the motion.
         robot.order("pace 1");
         robot.wait("another goal", |v| is(v, "goal"));
         desk.pass(Duration::from_millis(200));
@@ -639,7 +639,7 @@ fn announcement(prefix: [u8; 12]) -> Vec<u8> {
     put(0x32, &locator);
     put(0x02, &[100, 0, 0, 0, 0, 0, 0, 0]);
     put(0x01, &[]);
-    // To any reader, from the participant writer, number 1, with little-endian parameters.
+    // The message is for any reader, from the participant writer, number 1, with little-endian parameters.
     let mut data = vec![0, 0, 16, 0, 0, 0, 0, 0, 0, 1, 0, 0xc2, 0, 0, 0, 0, 1, 0, 0, 0, 0, 3, 0, 0];
     data.extend(parameters);
     let mut datagram = [&b"RTPS"[..], &[2, 3, 1, 16], &prefix].concat();

@@ -58,7 +58,7 @@ impl Cmd {
             GroupName::Training => Group::Training,
             GroupName::Evaluation => Group::Evaluation,
         };
-        // Created in a temporary folder and then renamed, so that an incomplete data set is never visible.
+        // The data set is created in a temporary folder and then renamed, so that an incomplete one is never visible.
         let name = self.out.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let part = self.out.with_file_name(format!("{name}.{}.part", std::process::id()));
         let mut takes = takes(self.seconds);

@@ -29,7 +29,7 @@ impl Augmentation {
     /// The variation of recipe `log-power`.
     pub const NONE: Self =
         Self { copies: 0, turn_deg: 0.0, size: 0.0, tempo: 0.0, iron_ut: 0.0, heading_deg: 0.0 };
-    /// What the recipe `log-power` does.
+    /// The variation of the recipe `log-power`.
     pub const DEFAULT: Self =
         Self { copies: 6, turn_deg: 8.0, size: 0.1, tempo: 0.08, iron_ut: 3.0, heading_deg: 30.0 };
 

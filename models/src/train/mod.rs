@@ -343,7 +343,7 @@ fn count<'a>(set: &'a Dataset, key: impl Fn(&'a Item) -> &'a String) -> BTreeMap
 }
 
 /// SHA-256 over the names and contents of the recordings in order.
-/// Simulated ones use the content that a file would have.
+/// Simulated recordings use the content that a file would have.
 pub fn data_hash(set: &Dataset) -> Result<String, TrainError> {
     let mut hash = Sha256::new();
     for item in &set.items {

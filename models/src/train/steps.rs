@@ -224,7 +224,7 @@ fn equalise(layers: &mut [FloatLayer]) {
 fn first_layers(start: &Start<'_>, width: usize, labels: usize, rng: &mut ChaCha8Rng) -> Result<Layers> {
     let layer = |weights: Vec<f32>, biases: Vec<f32>, inputs: usize| {
         let outputs = biases.len();
-        // Stored as rows of inputs.
+        // The inputs are stored as rows.
         let weights = Tensor::from_vec(weights, (outputs, inputs), &Device::Cpu)?.t()?.contiguous()?;
         Ok((Var::from_tensor(&weights)?, Var::from_vec(biases, outputs, &Device::Cpu)?))
     };

@@ -94,7 +94,7 @@ pub(super) fn vary(window: &[f32], axes: usize, kind: Kind, rng: &mut ChaCha8Rng
         }
         for (index, triad) in sample.as_chunks_mut::<3>().0.iter_mut().enumerate() {
             if mirrored {
-                // Reflected in y; rotation and magnetic field are axial vectors.
+                // The motion is reflected in y; rotation and magnetic field are axial vectors.
                 triad[1] = -triad[1];
                 if index > 0 {
                     *triad = triad.map(|value| -value);

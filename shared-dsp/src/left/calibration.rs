@@ -162,7 +162,7 @@ impl Capture {
 pub const RECORD_BYTES: usize = 20;
 /// The first byte of a record. Every new layout needs a new number.
 const RECORD_VERSION: u8 = 1;
-/// Computed bit by bit, because a table would take half of an ATmega's RAM.
+/// The checksum is computed bit by bit, because a table would take half of an ATmega's RAM.
 const RECORD_CRC: Crc<u32, NoTable> = Crc::<u32, NoTable>::new(&CRC_32_ISO_HDLC);
 
 /// A calibration in its stored form, with version, generation and checksum.

@@ -229,7 +229,7 @@ impl LeftHand {
         self.disarm();
         let bends = self.flex.bends();
         self.publish(LeftOutput {
-            // Only an output with a fault may report neutral for a hand that is not, because nobody acts on it.
+            // During a fault, neutral is a safe value, because the heading has no effect.
             heading: if fault != 0 { Heading::Neutral } else { Heading::Between },
             index_bends: bends.index,
             middle_bends: bends.middle,

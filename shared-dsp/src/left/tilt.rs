@@ -212,7 +212,7 @@ impl TiltDetector {
 fn root_of_squares(a: i16, b: i16) -> u16 {
     let square = |v: i16| u32::from(v.unsigned_abs()) * u32::from(v.unsigned_abs());
     let mut rest = square(a) + square(b);
-    // Computed digit by digit without a division, which the 8-bit board does not have.
+    // The root is computed digit by digit without a division, which the 8-bit board does not have.
     let mut root: u32 = 0;
     let mut bit: u32 = 1 << 30;
     while bit != 0 {

@@ -94,7 +94,7 @@ struct HopTerms {
 impl HopTerms {
     #[inline(always)]
     fn new(samples: &[f32; HOP]) -> Self {
-        // Computed about the first sample, so that the mean of a resting hand is exact and its variance is 0.
+        // Deviations are from the first sample, so a resting hand has an exact mean and a variance of 0.
         let first = samples[0];
         let offset = samples.iter().fold(0.0, |sum, sample| sum + (sample - first)) * (1.0 / HOP as f32);
         let squares = samples.iter().fold(0.0, |sum, sample| {
@@ -272,7 +272,7 @@ impl<const A: usize> AlignedWindow<A> {
         let mut lines = [[(0.0, 0.0); LINES]; 3];
         for (index, series) in centred.iter_mut().enumerate() {
             let (new, old) = self.bins[first + index].split_at(self.oldest.min(HOPS - 1));
-            // Computed relative to the oldest hop, so that a constant has no effect.
+            // The values are computed relative to the oldest hop, so that a constant has no effect.
             let start = old[0];
             let mut sum = 0.0;
             for (place, value) in series.iter_mut().zip(old.iter().chain(new)) {

@@ -43,7 +43,7 @@ impl<const A: usize> SlowWindow<A> {
             self.is_new = false;
             return;
         };
-        // Halved first, because the sum of two large values may be infinite.
+        // Both values are halved first, because the sum of two large values may be infinite.
         self.is_new = self.window.push(&core::array::from_fn(|axis| 0.5 * first[axis] + 0.5 * sample[axis]));
     }
 

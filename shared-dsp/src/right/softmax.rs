@@ -51,7 +51,7 @@ pub(crate) fn softmax(table: &[[u8; 4]], logits: &[i8], scores: &mut [i8]) {
     let mut sum = 0;
     for (value, &logit) in exponentials.iter_mut().zip(logits) {
         *value = exponential(table, i32::from(largest) - i32::from(logit));
-        // Rounded to a number with 12 integer bits, at most 2¹⁹.
+        // The value is rounded to a number with 12 integer bits, at most 2¹⁹.
         sum += (*value as u32 + (1 << 11)) >> ACCUMULATOR_INTEGER_BITS;
     }
     // The sum is at least 2¹⁹ (from the largest logit) and below 2²⁴.

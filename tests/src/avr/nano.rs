@@ -41,7 +41,7 @@ const RAM: std::ops::Range<usize> = 0x100..0x900;
 pub enum PinInput {
     /// A source, in millivolts.
     Millivolts(f64),
-    /// Not connected: the converter keeps its last value.
+    /// The pin is not connected, and the converter keeps its last value.
     Open,
 }
 

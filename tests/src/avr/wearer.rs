@@ -154,7 +154,7 @@ impl Tremor {
 pub enum Fault {
     /// This channel (0..=4 = x, y, z, index, middle) is disconnected.
     Open(u8),
-    /// This channel is shorted to a rail, in mV.
+    /// Voltage in mV of a rail to which this channel is shorted.
     Shorted(u8, f64),
     /// All accelerations are multiplied by this factor.
     Gravity(f64),

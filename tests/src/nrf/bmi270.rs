@@ -143,7 +143,7 @@ impl Chip for Bmi270 {
         if self.starts.is_some_and(|at| at <= now) {
             self.starts = None;
             let good = shared_dsp::right::network::crc32(&self.configuration) == CONFIGURATION_CRC;
-            // Initialised, or an error of the initialisation and of the processor.
+            // Status: initialised, or an error of the initialisation and of the processor.
             self.registers.set(0x21, if good { 1 } else { 2 });
             self.registers.set(0x02, self.register(0x02) | if good { 0 } else { 1 << 1 });
         }

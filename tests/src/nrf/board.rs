@@ -286,7 +286,7 @@ impl Board {
                 self.in_bootloader = true;
                 return;
             }
-            // As after the stock bootloader: its own table is active, and the converter and the cache are on.
+            // The state after the stock bootloader: its own table is active, and the converter and the cache are on.
             soc.write(0x4000_0578, 1, 4);
             soc.write(0x4001_E540, 1, 4);
             // UARTE0 still receives to a byte of the bootloader's RAM, which is now ours.

@@ -40,7 +40,7 @@ pub const TOLERANCE: f64 = 1e-9;
 /// Joint angles that were found.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Solution {
-    /// Within the limits, in rad.
+    /// Joint angles within the limits, in rad.
     pub joints_rad: Joints,
     /// What it took.
     pub steps: usize,
@@ -120,7 +120,7 @@ pub fn steps(found: &Result<Solution, Unreachable>) -> u64 {
     }
 }
 
-/// Only searches, with a custom budget.
+/// Runs only the search, with a custom budget.
 ///
 /// # Errors
 /// [`Unreachable::NotFound`] when the budget is used up.

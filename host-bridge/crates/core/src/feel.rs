@@ -9,7 +9,7 @@ use crate::safety::HaltReason;
 pub const SINCE_MINOR: u8 = HostMessage::Feel { signal: Signal::Ready }.row().since;
 
 /// Returns the signal for the events of a turn.
-/// Of several events it is the most serious one, because a wrist can feel only one signal at a time.
+/// If there are several events, the most serious one is signalled, because a wrist can feel only one signal at a time.
 pub fn signal(events: &[BridgeEvent]) -> Option<Signal> {
     let weight = |signal: &Signal| match signal {
         Signal::LinkLost => 3,

@@ -28,7 +28,7 @@ use crate::safety::Hand;
 /// Interval for requesting a hello while nothing usable arrives.
 pub const HELLO_INTERVAL_MS: u64 = 500;
 
-/// Interval for pinging a known board. The answers determine ages.
+/// Interval for pinging a known board. The replies limit the age of its states.
 pub const PING_INTERVAL_MS: u64 = 100;
 
 /// A board that has answered no ping for this long counts as silent, even if it sends other data.
@@ -129,7 +129,7 @@ pub struct NewGesture {
 pub struct LinkCounters {
     /// Intact frames.
     pub frames: u32,
-    /// Damaged frames, by checksum, delimiters or length.
+    /// Number of damaged frames, detected by checksum, delimiters or length.
     pub damaged: u32,
     /// Intact frames with a message that this version does not know or cannot read.
     pub unreadable: u32,
@@ -434,7 +434,7 @@ impl HandLink {
             label: state.label,
             confidence: f32::from(state.confidence) / 255.0,
             window_end_ms: state.event_window_end_ms,
-            // Derived from the state's own age, so that an event's age is never below it.
+            // The event's age is derived from the state's age, so that it is never smaller.
             age_ms: age_ms.saturating_add(with_drift(
                 state.board_time_ms.wrapping_sub(state.event_window_end_ms).into(),
             )),

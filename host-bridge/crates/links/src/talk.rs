@@ -232,7 +232,7 @@ impl Talk {
         &self.waiter
     }
 
-    /// Returns the numbers of all and of damaged frames.
+    /// Returns the total number of frames and the number of damaged frames.
     pub fn frames(&self) -> (u32, u32) {
         let counters = self.decoder.counters();
         (counters.frames, counters.damaged())

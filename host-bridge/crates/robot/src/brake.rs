@@ -41,7 +41,7 @@ pub fn along(trajectory: &Trajectory, from_s: f64, limits: &JointLimits) -> Vec<
         let (allowed, ramp) = allowed(&planned, rate, limits);
         brake = match ramp {
             None => allowed,
-            // Reduced early enough to come to rest without a jump.
+            // The acceleration is reduced early enough to come to rest without a jump.
             Some(ramp) if rate <= 0.5 * brake * brake / ramp => (brake - ramp * STEP_S).max(ramp * STEP_S),
             Some(ramp) => (brake + ramp * STEP_S).min(allowed),
         };

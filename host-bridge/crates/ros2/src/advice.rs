@@ -277,7 +277,7 @@ pub fn look_at(ours: &Topic, graph: &Graph) -> Finding {
         names.sort();
         names.dedup();
         let known = if ours.topic.starts_with("rq/") {
-            // Only the controller's part of the name.
+            // Returns only the controller's part of the name.
             let tail = "/follow_joint_trajectory/_action/send_goalRequest";
             names.iter().filter_map(|name| name.strip_suffix(tail)).map(str::to_owned).collect()
         } else {
@@ -302,7 +302,7 @@ pub fn look_at(ours: &Topic, graph: &Graph) -> Finding {
 
 fn whose(end: &Endpoint) -> String {
     match &end.type_hash {
-        // Long enough to distinguish two hashes.
+        // This length is enough to distinguish two hashes.
         Some(hash) => format!("{}, {}", end.vendor, hash.get(..15).unwrap_or(hash)),
         None => format!("{}, no type hash", end.vendor),
     }

@@ -1,7 +1,7 @@
 //! An arm with a `joint_trajectory_controller`: its commands and their results.
 //!
 //! There are three interfaces: a stream of short pieces ([`crate::stream`]), an action goal, and a single message.
-//! Only with the stream does the arm stop if this program dies.
+//! The arm stops after the death of this program only if the stream is used.
 //!
 //! This module is sans-IO. A trajectory starts at the angles that the robot reports, and is sent as a whole.
 //! It runs until the controller (action), or the angles and the time (topic), show its end.

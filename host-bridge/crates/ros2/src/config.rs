@@ -12,7 +12,7 @@ use host_topics::messages::ARM_PREFIX;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum ArmInterface {
-    /// Short pieces on the controller's topic, each ending at rest, so that the arm stops if the program dies.
+    /// Sends short pieces to the controller's topic, each ending at rest, so that the arm stops if the program dies.
     #[default]
     Stream,
     /// Complete `FollowJointTrajectory` goals with feedback, cancelled by a stop.

@@ -38,7 +38,7 @@ pub enum GripAnswer {
         stalled: bool,
         /// Whether the requested position was reached.
         reached: bool,
-        /// As the server gives it.
+        /// The status in the server's terms.
         status: String,
     },
 }

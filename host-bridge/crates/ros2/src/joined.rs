@@ -101,7 +101,7 @@ pub struct Joined {
     /// Its threads.
     pub watch: Watch,
     participant: DomainParticipant,
-    // Last, because everything above belongs to it.
+    // This field must be the last one, because all fields above belong to the node.
     /// The node itself.
     pub node: Node,
 }
@@ -264,7 +264,7 @@ impl Joined {
         Ok((joined, Published { diagnostics, stopped, sim }))
     }
 
-    /// Publishes speeds as the other type from now on.
+    /// Publishes speeds as the other message type from now on.
     ///
     /// # Errors
     /// [`NodeError`]: the topic is not available.

@@ -367,7 +367,7 @@ impl RosNode {
         let gripper_note = joined.gripper.as_ref().and_then(Gripper::about);
         let rivals = if self.publish_sim { rivals(&self.config, &graph) } else { Vec::new() };
         if !rivals.is_empty() {
-            // This also applies after the node was reopened.
+            // The call also affects a node that is reopened.
             self.publish_sim = false;
             if let Some(published) = &mut *lock(&self.published) {
                 published.sim = None;

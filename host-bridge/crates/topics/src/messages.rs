@@ -26,7 +26,7 @@ pub const ARM_PREFIX: &str = "arm_";
 pub struct Frames {
     /// Frame of the base's odometry.
     pub odom: String,
-    /// Of the base, on the floor between its wheels.
+    /// Frame of the base, on the floor between its wheels.
     pub base: String,
     /// Of the arm's foot.
     pub arm_root: String,

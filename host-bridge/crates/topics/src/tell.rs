@@ -26,7 +26,7 @@ pub struct Teller<O: Outlet> {
     outlet: O,
     turns: Vec<Turn>,
     time_ms: u64,
-    /// Times at which joints, odometry and hands are due.
+    /// Times for publishing joints, odometry and hands.
     due_ms: [u64; 3],
 }
 

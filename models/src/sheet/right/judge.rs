@@ -27,7 +27,7 @@ const WILDEST: f32 = 2.5;
 const LEAST_MEAN: f32 = 0.25;
 /// The same minimum if the unit seems to be g, also relative to the deviation.
 /// It is stricter, because movement without gravity has a similar magnitude in m/s².
-/// Of 426 real recordings in g, one is below it; of the same number with linear acceleration, two thirds are.
+/// Of 426 real recordings in g, one is below this value; with linear acceleration, two thirds are.
 const LEAST_MEAN_IN_G: f32 = 0.4;
 const LEAST_MEAN_OF_DEVIATION: f32 = 0.45;
 /// Range of the median magnitude of a moving hand's acceleration, in g.

@@ -60,7 +60,7 @@ pub extern "C" fn main() {
     let _ = writeln!(Host, "features_hop_worst_instructions={worst}");
     let _ = writeln!(Host, "features_hop_best_instructions={best}");
     let _ = writeln!(Host, "features_hop_mean_instructions={}", total / hops);
-    // Only NaN: all axes take the slow path, in a hop that also turns the window.
+    // Input of only NaN: all axes take the slow path, in a hop that also turns the window.
     let samples = [[f32::NAN; 9]; 8];
     let mut worst = 0;
     for _ in 0..25 {

@@ -175,7 +175,7 @@ impl<R: Robot> Door for Director<R> {
             self.guard_due_ms = 0;
         }
         self.wanted = twist;
-        // Repeated even without a change, to show that the bridge is alive.
+        // The command is repeated even without a change, to show that the bridge is alive.
         if self.guard_due_ms == 0 {
             self.guard();
         }

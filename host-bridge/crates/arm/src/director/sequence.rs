@@ -174,7 +174,7 @@ impl<R: Robot> Director<R> {
             Step::Move { way_m, own, turn, .. } => {
                 let way_m = if *own { here.rotation * *way_m } else { *way_m };
                 let rotation = here.rotation * *turn;
-                // Turned about the tool's point.
+                // The pose is rotated about the tool's point.
                 Pose { position_m: here.at(point_m) + way_m - rotation * point_m, rotation }
             }
             _ => here,
@@ -281,7 +281,7 @@ impl<R: Robot> Director<R> {
         let part = near_m(&draft.things)?;
         let here = self.flange_in_scene(draft.placement, &draft.from_rad);
         let touch = self.shop().touching(&draft.things, &here);
-        // Only if the close object is the hand's own.
+        // This applies only if the close object is the hand's own.
         let without = near_m(&Things { touch, ..draft.things.clone() });
         without.is_none().then_some(part)
     }

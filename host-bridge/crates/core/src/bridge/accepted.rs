@@ -17,9 +17,9 @@ pub struct Acceptance {
 /// The values for base and arm; `None` if the robot has not reported any effect.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Accepted {
-    /// Measured when odometry begins to follow a new speed.
+    /// Ages of samples when the odometry begins to follow a new speed.
     pub base: Option<Acceptance>,
-    /// Measured when the controller accepts a motion.
+    /// Ages of samples when the controller accepts a motion.
     pub arm: Option<Acceptance>,
 }
 

@@ -173,15 +173,15 @@ pub enum GestureOutcome {
     Started(MotionName),
     /// The stop is released. This alone moves nothing.
     Released,
-    /// Dropped, because this motion is still running.
+    /// The gesture was dropped, because this motion is still running.
     Busy(MotionName),
-    /// Dropped, because there is no safe path to this motion's pose.
+    /// The gesture was dropped, because there is no safe path to this motion's pose.
     Refused(MotionName),
     /// Only the arm's motion is ended.
     EndedArm,
     /// The label has no motion.
     NoMotion,
-    /// Dropped, because the window of the gesture ended too long ago.
+    /// The gesture was dropped, because its window ended too long ago.
     Late,
     /// Dropped: not armed.
     NotArmed,

@@ -65,7 +65,7 @@ impl Bridge {
         Bridge::with(map, SpeedRules::default(), SafetyTimes::default())
     }
 
-    /// Like `new`, with other limits.
+    /// Like `new`, but with other limits.
     pub fn with(map: MotionMap, speed: SpeedRules, times: SafetyTimes) -> Self {
         Bridge {
             links: PerHand::of(HandLink::new),

@@ -20,7 +20,7 @@ pub struct Gesture {
 /// Inputs of the safety machine.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Event {
-    /// Only time passes. Required at least every few milliseconds.
+    /// Advances the time. This event is required at least every few milliseconds.
     Tick,
     /// A hand started: its hello had a boot id that is new on this link.
     Started(Hand),

@@ -135,7 +135,7 @@ impl Safety {
         Safety::with(SafetyTimes::default())
     }
 
-    /// As `new`, with other times.
+    /// Like `new`, but with other times.
     pub fn with(times: SafetyTimes) -> Self {
         Safety {
             times,

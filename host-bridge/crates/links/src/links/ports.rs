@@ -50,7 +50,7 @@ fn about_usb(vendor: u16, product: u16) -> String {
     known.to_owned()
 }
 
-/// Returns advice for the case that no hand was found.
+/// Returns advice for a user whose hands were not found.
 pub fn hints() -> [&'static str; 4] {
     [
         "cable: many USB cables carry power only; try another one, without a hub",

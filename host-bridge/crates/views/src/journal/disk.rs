@@ -205,7 +205,7 @@ struct Work<S: Storage> {
     origin: Origin,
     shared: Arc<Shared>,
     messages: u64,
-    /// Of these, on the disk.
+    /// Number of these bytes that are on the disk.
     kept: u64,
     /// Approximate number of bytes that are not on the disk yet.
     waiting: u64,

@@ -141,7 +141,7 @@ impl Web {
     }
 
     /// Returns whether a page has requested a stop since the last call.
-    /// The session checks this at every turn, and stops as for its own stop key.
+    /// Whether a page has requested a stop. The session checks this at every turn.
     pub fn take_stop(&self) -> bool {
         self.shared.stop.swap(false, Ordering::SeqCst)
     }

@@ -214,7 +214,7 @@ fn accept<S: Fn(TcpStream, &Seat) + Send + Sync + 'static>(
             return;
         }
         match accepted {
-            // Closed without an answer, because the threads of closed connections have not ended yet.
+            // The connection is closed without an answer, because the threads of closed connections have not ended yet.
             Ok(_) if threads.load(Ordering::SeqCst) >= THREADS_MAX => {}
             Ok((stream, _)) => {
                 let Ok(handle) = stream.try_clone() else { continue };

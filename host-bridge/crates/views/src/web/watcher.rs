@@ -31,7 +31,7 @@ struct Hello<'a> {
     setting: &'a Setting,
 }
 
-/// Attached to a session's tap. It never waits for a page.
+/// An observer of a session, which never waits for a page.
 pub struct Watcher {
     shared: Arc<Shared>,
     title: String,
