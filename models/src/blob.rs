@@ -30,7 +30,7 @@ pub enum ModelError {
     Tflite {
         /// The file.
         file: PathBuf,
-        /// The problem with the file.
+        /// Description of the problem with the file.
         source: TfliteError,
     },
     /// Model and card are valid, but they do not match or are not suitable.

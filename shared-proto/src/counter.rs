@@ -25,7 +25,7 @@ pub struct CounterTracker {
 impl CounterTracker {
     /// The maximum step that counts as events.
     /// A larger difference is a step backwards.
-    /// A hand needs minutes for this many events.
+    /// A hand needs minutes for 127 events.
     pub const MOST: u8 = 127;
 
     /// Creates a tracker without a reference.

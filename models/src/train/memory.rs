@@ -96,7 +96,7 @@ impl Memory {
     }
 }
 
-/// Returns indices of `count` rows, drawn with replacement, with the same number for each label.
+/// Draws the indices of `count` rows with replacement, with equally many rows per label.
 pub(super) fn balanced(
     labels: impl Iterator<Item = usize>,
     kinds: usize,

@@ -71,7 +71,7 @@ impl Follow {
         self.client.as_ref().is_some_and(|(_, client)| self.goals.cancel(client, ours))
     }
 
-    /// Requests the cancellation of a goal that does not exist, once.
+    /// Requests once the cancellation of a goal that does not exist.
     pub fn ask(&mut self) {
         if self.probed == Probe::NotSent
             && let Some((_, client)) = &self.client

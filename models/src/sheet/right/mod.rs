@@ -295,7 +295,7 @@ impl Take {
 }
 
 impl RawSheet {
-    /// Returns one sensor's samples of all recordings, times a factor.
+    /// Returns one sensor's samples of all recordings, multiplied by a factor.
     fn of(&self, sensor: Sensor, factor: f64) -> Vec<[f32; 3]> {
         let values = self.takes.iter().flat_map(|take| &take.values[sensor as usize]);
         values.map(|sample| sample.map(|value| (value * factor) as f32)).collect()

@@ -472,7 +472,7 @@ fn scale_of(pair: &[u8; 8]) -> (f32, f32) {
 
 /// CRC-32 (ISO-HDLC, as in zip and PNG) of a blob: its model id.
 pub fn crc32(blob: &[u8]) -> u32 {
-    // Without a table, because it runs once at start and a table needs a kilobyte of flash.
+    // This code needs no table: it runs only once at start, and a table would need a kilobyte of flash.
     const ISO_HDLC: Crc<u32, NoTable> = Crc::<u32, NoTable>::new(&CRC_32_ISO_HDLC);
     ISO_HDLC.checksum(blob)
 }

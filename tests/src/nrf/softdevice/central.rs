@@ -122,7 +122,7 @@ pub struct Central {
     pub shortest_interval: u16,
     /// Whether the laptop supports long radio packets.
     pub long_packets: bool,
-    /// Whether its radio answers LE Ping, as all except old ones do.
+    /// Whether the laptop's radio answers LE Ping, as nearly all current radios do.
     pub answers_radio_pings: bool,
     /// Commands that are not executed yet.
     pub commands: VecDeque<Command>,

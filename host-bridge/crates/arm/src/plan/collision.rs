@@ -333,7 +333,7 @@ impl<'w> Surroundings<'w> {
         self.purse.is_some_and(Purse::is_empty)
     }
 
-    /// The world that this is a view of.
+    /// Returns the underlying world.
     pub fn world(&self) -> &World {
         self.world
     }

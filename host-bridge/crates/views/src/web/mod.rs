@@ -141,7 +141,7 @@ impl Web {
     }
 
     /// Returns whether a page has requested a stop since the last call.
-    /// Whether a page has requested a stop. The session checks this at every turn.
+    /// The session calls this at every turn.
     pub fn take_stop(&self) -> bool {
         self.shared.stop.swap(false, Ordering::SeqCst)
     }
