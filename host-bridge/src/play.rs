@@ -100,7 +100,7 @@ pub fn stage(config: &Config, scene: Option<&Path>) -> Result<Stage> {
     stage_of(config, &text, file)
 }
 
-/// Does the same with this text instead of the file's own.
+/// Like [`stage`], with this text instead of the file's content.
 pub fn stage_of(config: &Config, text: &str, file: &Path) -> Result<Stage> {
     let about = || format!("{}", file.display());
     let scene = Scene::parse(text).with_context(about)?;

@@ -95,7 +95,7 @@ pub struct BaseGoal {
     pub within_rad: f64,
 }
 
-/// One thing that was expected.
+/// One difference from an expected value.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Check {
     /// What.

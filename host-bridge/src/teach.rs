@@ -50,7 +50,7 @@ pub enum Played {
     Reached,
     /// The motion was not performed, for the reason in the text.
     Not(String),
-    /// It was asked to end.
+    /// The program was asked to end.
     Interrupted,
 }
 

@@ -60,7 +60,7 @@ impl ModelFiles {
         Self::new(model, &bytes, Card::read(model)?)
     }
 
-    /// Does the same from memory; `model` is used only in errors.
+    /// Like [`Self::read`], but from memory; `model` is used only in errors.
     pub fn new(model: &Path, bytes: &[u8], card: Card) -> Result<Self, ModelError> {
         let file = || model.to_owned();
         let network = tflite::read(bytes).map_err(|source| ModelError::Tflite { file: file(), source })?;

@@ -1,7 +1,7 @@
 //! Daily movement of real people without gestures, which every model learns as `other`.
 //!
 //! `daily/watch-daily.bin` contains no recordings, only int8 features of recipe `aligned`.
-//! They were computed from the watches of twelve people who sat, stood up, walked, turned and sat down.
+//! The features were computed from the watches of twelve people who sat, stood up, walked, turned and sat down.
 //! `models daily vectors` generates the file, and `daily/ABOUT.txt` contains the source and its licence.
 //! Without this training, a model easily mistakes getting up from a chair for a circle.
 //!

@@ -69,7 +69,7 @@ impl Recording {
         Self::parse_as(file, bytes, &Reading::default())
     }
 
-    /// Does the same with the rules of [`Reading`].
+    /// Like [`Self::parse`], with the rules of [`Reading`].
     ///
     /// # Errors
     /// [`RecordingError`], also if the file contains several recordings.

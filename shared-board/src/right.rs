@@ -14,7 +14,7 @@ use shared_proto::message::{
 };
 
 /// After this long without a sample, [`RightBoard::silence`] is due, and again after each further period.
-/// It is longer than erasing a page of flash, during which samples wait in the sensor.
+/// This time is longer than erasing a page of flash, during which samples wait in the sensor.
 pub const SILENCE_MS: u32 = 120;
 
 /// The state that the board's light shows.

@@ -83,7 +83,7 @@ pub(crate) fn look(store: &[u8], slot: Slot) -> Content<'_> {
 
 /// Returns whether sequence number `a` is later than `b`; both wrap.
 pub(crate) fn is_newer(a: u32, b: u32) -> bool {
-    // It is ahead by less than half the range.
+    // A later number is ahead by less than half the range.
     (1..1 << 31).contains(&a.wrapping_sub(b))
 }
 

@@ -13,7 +13,7 @@
 use shared_proto::message::Signal;
 
 /// A laptop that has requested signals and then sends nothing for this long counts as lost.
-/// It normally pings ten times as often.
+/// The laptop normally pings ten times as often.
 pub const LAPTOP_LOST_MS: u32 = 1000;
 
 struct Pattern {
@@ -123,7 +123,7 @@ mod tests {
     use std::vec::Vec;
 
     /// Returns strengths and their durations from `from_ms` on, as a driver obtains them.
-    /// It ends at `until_ms`, or when nothing changes for a second.
+    /// The pattern ends at `until_ms`, or when nothing changes for a second.
     fn played(vibration: &mut Vibration, from_ms: u32, until_ms: u32) -> Vec<(u8, u32)> {
         let mut seen: Vec<(u8, u32)> = Vec::new();
         let mut now_ms = from_ms;

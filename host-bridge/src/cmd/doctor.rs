@@ -115,7 +115,7 @@ fn examine(port: &str, hand: Hand, settings: SerialSettings, seconds: f64) -> Re
     let heard = listen(&mut talk, who, (seconds * 1000.0) as u64);
     let mut advice = advice(&heard);
     if is_left(heard.who.board) != (hand == Hand::Left) {
-        // The same text as in `run`, which refuses such a board.
+        // This text is also used by `run`, which refuses such a board.
         advice.insert(
             0,
             format!("{} answers where the {hand} hand is expected: swap the ports", heard.who.board),
@@ -245,7 +245,7 @@ fn lines(heard: &Heard) -> Vec<String> {
 
 /// Maximum drift of a board with a crystal in parts per million; a larger one is reported.
 const CRYSTAL_DRIFT_PPM: u32 = 500;
-/// The same for an Arduino Nano, whose 16 MHz come from a ceramic resonator (0.5 % and ageing).
+/// Tolerance for an Arduino Nano, whose 16 MHz come from a ceramic resonator (0.5 % and ageing).
 const RESONATOR_DRIFT_PPM: u32 = 10_000;
 
 /// Describes the hardware: revision, sensor, image, reset cause and battery.

@@ -103,7 +103,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     steer(&args.hands, &args.keep)
 }
 
-/// Does the same with a file that another command selects.
+/// Like [`run`], with a session file that another command selects.
 pub fn steer(args: &HandArgs, keep: &KeepArgs) -> Result<ExitCode> {
     let mut config = read_config(args.config.as_deref())?;
     config.left_handed |= args.left_handed;

@@ -48,7 +48,7 @@ pub enum Happened {
 /// The reason why a file cannot be exported, with a remedy in the text.
 #[derive(Debug, thiserror::Error)]
 pub enum ExportError {
-    /// It is no MCAP file.
+    /// The file is not an MCAP file.
     #[error("this is no MCAP file ({0}); give a file that `--record` has written")]
     Form(#[from] McapError),
     /// A message does not match its type.

@@ -66,13 +66,13 @@ impl Replay {
 /// The file cannot be replayed.
 #[derive(Debug, thiserror::Error)]
 pub enum ReplayError {
-    /// It is no MCAP file.
+    /// The file is not an MCAP file.
     #[error("this is no MCAP file ({0}); give a file that `--record` has written")]
     Form(#[from] McapError),
     /// Another program wrote it.
     #[error("the file was not written by this program's `--record`: it does not say how its session started")]
     NoSetup,
-    /// Its session cannot be started.
+    /// The recorded session cannot be started.
     #[error(transparent)]
     Setup(#[from] SetupError),
     /// A message does not match its type.

@@ -129,7 +129,7 @@ impl Setup {
     /// Returns a bridge that waits for its hands.
     ///
     /// # Errors
-    /// The same errors as [`Setup::motion_map`].
+    /// This function has the errors of [`Setup::motion_map`].
     pub fn bridge(&self) -> Result<Bridge, SetupError> {
         let bridge = self.config.bridge(self.motion_map()?);
         let inputs = self.config.inputs();

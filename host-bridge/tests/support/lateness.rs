@@ -17,7 +17,7 @@ struct Seen {
     late_ms: Vec<f64>,
     /// Share of all processors used at normal priority, in each tenth of a second.
     taken: Vec<f64>,
-    /// The same share without this test's own programs.
+    /// Share of all processors that other programs used, in each tenth of a second.
     others: Vec<f64>,
 }
 

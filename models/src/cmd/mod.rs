@@ -123,7 +123,7 @@ pub fn read(folder: &Path, axes: Option<usize>) -> anyhow::Result<Dataset> {
     read_where(folder, axes, |_| true)
 }
 
-/// Does the same for some people only.
+/// Like [`read`], for selected people only.
 fn read_where(folder: &Path, axes: Option<usize>, person: impl Fn(&str) -> bool) -> anyhow::Result<Dataset> {
     let dataset = Dataset::read_where(folder, axes, |_, name| person(name))?;
     println!(

@@ -46,7 +46,7 @@ pub enum ImportError {
         /// The parser's message, with line and column or byte offset.
         what: String,
     },
-    /// Its columns or units cannot be used.
+    /// The columns or units of the file cannot be used.
     #[error(transparent)]
     Recording(#[from] RecordingError),
     /// A part is missing or invalid.
@@ -124,7 +124,7 @@ pub fn read(file: &Path, reading: &Reading) -> Result<Imported, ImportError> {
     parse(file, &bytes, reading)
 }
 
-/// Does the same from memory: JSON if the data begins like an object, otherwise CBOR.
+/// Like [`read`], but from memory: JSON if the data begins like an object, otherwise CBOR.
 /// `file` is used only in errors.
 ///
 /// # Errors

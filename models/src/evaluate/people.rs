@@ -296,7 +296,7 @@ pub fn from_simulated(
 }
 
 /// Simulates wearers and returns their recordings as a data set without files.
-/// They are [untaught](Wearer::untaught), like the people who made the real recordings.
+/// These wearers are [untaught](Wearer::untaught), like the people who made the real recordings.
 fn simulated(wearers: u32, wanted: &[String], axes: usize, seed: u64) -> Dataset {
     const SECONDS: f64 = 6.0;
     // Start and length of two short recordings that are taken from each gesture, in samples.

@@ -141,7 +141,7 @@ pub fn given(classifier: &Classifier<'_>, recording: &Scored, answers: &[bool]) 
 }
 
 /// Tests a classifier. A recording whose label the model does not know counts as incorrect.
-/// It does not appear in the confusion matrix.
+/// An unanswered recording does not appear in the confusion matrix.
 pub fn score(classifier: &Classifier<'_>, recordings: &[Scored], answers: &[bool]) -> Score {
     let given: Vec<Given> =
         recordings.iter().map(|recording| given(classifier, recording, answers)).collect();

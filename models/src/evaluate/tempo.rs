@@ -78,7 +78,7 @@ fn low_pass(values: &[f64]) -> Vec<f64> {
 
 /// Returns the number of strokes per second, which is the frequency with the most power
 /// in the acceleration without gravity.
-/// It is `None` if nothing moves.
+/// The tempo is `None` if nothing moves.
 pub fn strokes_per_second(recording: &Recording) -> Option<f64> {
     let ready = recording.resampled();
     let rows: Vec<&[f32]> = ready.samples().collect();

@@ -37,7 +37,7 @@ pub fn session(wearer: &Wearer, take: u64, script: &[Segment]) -> Recording {
     sensor::record(wearer, &mut rng, &track)
 }
 
-/// One recording of a simulated wearer in a data set.
+/// A recording of a simulated wearer in a data set.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Take {
     /// The label, canonical.

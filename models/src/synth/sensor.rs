@@ -1,5 +1,5 @@
 //! Simulates an LSM9DS1 on the hand: specific force, turn rate and magnetic field in the board's frame.
-//! It adds offsets, gains, noise, clipping at the ranges and quantisation to 16 bits.
+//! The model adds offsets, gains, noise, clipping at the ranges and quantisation to 16 bits.
 
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;

@@ -114,7 +114,7 @@ pub fn read(bytes: &[u8]) -> Result<Network, TfliteError> {
     Ok(read_to_end(bytes)?.0)
 }
 
-/// Does the same, and also returns the end of the file's network.
+/// Like [`read`], but also returns the end of the file's network.
 ///
 /// # Errors
 /// [`TfliteError`].

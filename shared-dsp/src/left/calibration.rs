@@ -3,7 +3,7 @@
 //! A calibration has three steps in this order: *neutral* (hand level and still), *rest* (both fingers straight),
 //! *bend* (both bent).
 //! Each step averages [`CAPTURE_SAMPLES`] samples.
-//! It is refused if the hand moves or the pose is implausible, and then changes nothing.
+//! A calibration is refused if the hand moves or the pose is implausible, and then changes nothing.
 
 use crate::left::{AdcCounts, ONE_G, OVERSAMPLING};
 use crc::{CRC_32_ISO_HDLC, Crc, NoTable};

@@ -48,7 +48,7 @@ impl Finger {
 }
 
 /// Returns `part` / `whole` in thousandths, rounded down, at most 2047.
-/// It is 0 if `whole` is 0.
+/// The result is 0 if `whole` is 0.
 /// Both must be below 2^21.
 ///
 /// This uses only subtractions and shifts, because an 8-bit board has no divider and only these eleven bits are needed.

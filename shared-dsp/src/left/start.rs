@@ -3,8 +3,8 @@
 //! An accelerometer cannot distinguish a tilt from a push, and a push of 0.27 g looks like 15°.
 //! However, only an intended tilt persists.
 //! A command therefore starts when the hand comes to rest beyond the threshold.
-//! It also starts when the tilt is clearly beyond the threshold for longer than a swing lasts.
-//! It does not start while the hand swings to and fro.
+//! A command also starts when the tilt is clearly beyond the threshold for longer than a swing lasts.
+//! No command starts while the hand swings to and fro.
 //!
 //! A walker's hand is pushed by ±0.35 g twice per second, which looks like up to 24° from a pose 5° off level.
 //! It stays within 1.2° for 68 ms at its turning points, and never exceeds 25°.

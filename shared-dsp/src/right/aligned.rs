@@ -1,5 +1,5 @@
 //! Features of recipe 3.
-//! They describe the motion in the hand's own frame, independent of the wearer and the sensor's position.
+//! The features describe the motion in the hand's own frame, independent of the wearer and the sensor's position.
 //!
 //! Acceleration and rotation rate are averaged over hops of 8 samples (12.5 Hz, because gestures have 0.5 to 5 Hz).
 //! They are then rotated into a frame whose first direction is gravity.
@@ -445,7 +445,7 @@ fn principal(triad: &Triad, mean: [f32; 3], across: [f32; 3], along: [f32; 3]) -
 }
 
 /// Writes the first [`TRIAD_FEATURES`] features of a triad in the given frame and returns the mean squares.
-/// It is inlined twice for speed.
+/// This function is inlined twice for speed.
 #[inline(always)]
 fn describe(triad: &Triad, frame: &[[f32; 3]; 3], unit: f32, floor: f32, out: &mut Writer<'_>) -> [f32; 3] {
     let frame = frame.map(|direction| direction.map(|value| value * unit));

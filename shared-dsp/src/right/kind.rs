@@ -81,7 +81,7 @@ impl FeatureKind {
 
 /// Base-10 logarithm of a positive normal number, with a relative error below 1e-6 of max(|log|, 1).
 ///
-/// It uses only additions, products and one quotient in a fixed order, so that the bits are equal on every target.
+/// The logarithm uses only additions, products and one quotient in a fixed order. The bits are equal on every target.
 fn log10(x: f32) -> f32 {
     // x = 2^exponent · mantissa with mantissa in [√½, √2).
     let bits = x.to_bits().wrapping_sub(0x3F35_04F3);

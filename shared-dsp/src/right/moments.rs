@@ -40,7 +40,7 @@ impl Block {
     pub fn new(samples: &HalfFrame) -> Self {
         let [d1, d2, d3, d4, d5, d6, d7] = samples.deviations;
         let offset = (((d1 + d2) + (d3 + d4)) + ((d5 + d6) + d7)) * (1.0 / BLOCK);
-        // The first sample's deviation from itself is 0.
+        // The deviation of the first sample from itself is 0.
         let square = offset * offset;
         let (mut m2, mut m3, mut m4) = (square, -(square * offset), square * square);
         for d in [d1, d2, d3, d4, d5, d6, d7] {
@@ -260,7 +260,7 @@ mod cortex_m4f {
         fn bimanual_moments(sums: *mut Sums, blocks_end: *const Block, front_end: *mut Sums, count: usize);
     }
 
-    /// Does the same as the portable version, in the same order, with all values in registers.
+    /// Like the portable version, in the same order, with all values in registers.
     pub(super) fn accumulate_down(sums: &mut Sums, blocks: &[Block], front: &mut [Sums]) {
         let count = blocks.len().min(front.len());
         if count > 0 {

@@ -1,5 +1,5 @@
 //! The common parts of the emulated sensors with a single address: 128 byte registers, one of which is selected.
-//! A [`Motion`] moves them, and each has its own clock.
+//! A [`Motion`] moves the sensors, and each has its own clock.
 
 use super::i2c::Sensor;
 use super::lsm9ds1::Motion;

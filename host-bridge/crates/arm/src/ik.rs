@@ -1,7 +1,7 @@
 //! Inverse kinematics: finds joint angles for a position and an orientation of the flange.
 //!
 //! The method is damped least squares (Nakamura and Hanafusa 1986), with more damping after an unsuccessful step.
-//! It restarts from seeded random angles. Its budget counts steps and collision checks ([`Budget`]), never time.
+//! The solver restarts from seeded random angles. The budget counts steps and collision checks ([`Budget`]), not time.
 //! Equal calls therefore give equal results on any machine.
 //! A position beyond the arm's length is refused without a step ([`SerialArm::beyond_reach_m`]).
 //! The test `tests/plan_ik.rs` prints the number of steps for solved and for refused positions.
@@ -91,10 +91,10 @@ pub fn solve(
     solve_from(&Purse::of(Budget::DEFAULT.steps as u64), arm, target, start_rad, seed, accept)
 }
 
-/// Does the same. Its steps are taken from the purse, and it ends when that is empty.
+/// Like [`solve`], but the steps are taken from the purse, and the search ends when the purse is empty.
 ///
 /// # Errors
-/// The same errors as [`solve`].
+/// This function has the errors of [`solve`].
 pub fn solve_from(
     purse: &Purse,
     arm: &SerialArm,

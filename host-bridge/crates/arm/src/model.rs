@@ -230,7 +230,7 @@ impl SerialArm {
         self.lever_with_m(0.0)
     }
 
-    /// Does the same with a tool whose parts are at most `tool_m` from the flange.
+    /// Like [`Self::lever_m`], for a tool whose parts are at most `tool_m` from the flange.
     pub fn lever_with_m(&self, tool_m: f64) -> Joints {
         let mut lever = [0.0; JOINTS];
         let mut beyond: f64 = if tool_m > 0.0 { self.flange_m.length() + tool_m } else { 0.0 };

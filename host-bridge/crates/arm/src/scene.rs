@@ -217,7 +217,7 @@ impl Default for ArmTable {
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct NamedBox {
-    /// Its name, which must differ from the other boxes'.
+    /// Name of the box, which must differ from the names of the other boxes.
     pub name: String,
     /// Its middle.
     pub center_m: Point,
@@ -229,7 +229,7 @@ pub struct NamedBox {
 }
 
 impl NamedBox {
-    /// Its shape in collision checks.
+    /// Shape of the box in collision checks.
     pub fn shape(&self) -> UprightBox {
         UprightBox { center_m: self.center_m, half_m: 0.5 * self.size_m, yaw_rad: self.yaw_rad }
     }
@@ -239,7 +239,7 @@ impl NamedBox {
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct NamedPose {
-    /// Its name, which must differ from the other poses'.
+    /// Name of the pose, which must differ from the names of the other poses.
     pub name: String,
     /// One angle per joint.
     pub joints_rad: Option<Vec<f64>>,
@@ -261,7 +261,7 @@ pub enum Goal {
 /// The file cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum SceneError {
-    /// It is not valid TOML, or has invalid fields.
+    /// The file is not valid TOML, or has invalid fields.
     #[error("{0}")]
     Toml(#[from] toml::de::Error),
     /// A value makes no sense.

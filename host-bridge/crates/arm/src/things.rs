@@ -27,7 +27,7 @@ const CARRIES_M: f64 = 0.02;
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ObjectTable {
-    /// Its name, which must differ from the other objects' and boxes'.
+    /// Name of the object, which must differ from the names of other objects and boxes.
     pub name: String,
     /// Centre of the object's bottom face.
     pub at_m: Point,
@@ -139,7 +139,7 @@ impl ObjectTable {
 /// Where an object is.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum ObjectPose {
-    /// It stands at this pose, relative to the scene's origin.
+    /// The object stands at this pose, relative to the scene's origin.
     Stands(Pose),
     /// The gripper holds it at this pose, relative to the flange.
     Held(Pose),
@@ -171,7 +171,7 @@ pub struct Touch {
 pub struct Things {
     /// Distance between the fingers. If it is `None`, the fingers count at all possible positions.
     pub opening_m: Option<f64>,
-    /// One per object of the scene.
+    /// One entry per object of the scene.
     pub poses: Vec<ObjectPose>,
     /// What may be touched now.
     pub touch: Touch,

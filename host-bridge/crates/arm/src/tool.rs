@@ -34,11 +34,11 @@ pub struct ToolShape {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FingerShape {
-    /// One end when the gripper is open.
+    /// One end of the capsule when the gripper is open.
     pub a_m: Point,
     /// The other.
     pub b_m: Point,
-    /// One end when the gripper is closed.
+    /// One end of the capsule when the gripper is closed.
     pub closed_a_m: Point,
     /// The other.
     pub closed_b_m: Point,
@@ -199,7 +199,7 @@ impl Tool {
         [self.fixed(), &self.fingers(opening_m)].concat()
     }
 
-    /// Those that do not move.
+    /// The parts of the tool that do not move.
     pub fn fixed(&self) -> &[Capsule] {
         &self.shapes
     }

@@ -49,7 +49,7 @@ pub enum UrdfError {
     /// It is no URDF.
     #[error("{0}")]
     Form(#[from] urdf_rs::UrdfError),
-    /// It is a valid file, but for another kind of robot.
+    /// The file is valid, but for another kind of robot.
     #[error("{0}")]
     Kind(String),
 }

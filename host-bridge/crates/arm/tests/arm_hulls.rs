@@ -185,7 +185,7 @@ fn finger_parts(angle_rad: f64) -> [(&'static str, DMat3, DVec3); 4] {
 fn the_grippers_parts_are_within_its_shapes_however_far_it_is_open() {
     let tool = tool("2f-85");
     if let Some(points) = hull("2f85_robotiq_base") {
-        // Its fingers enclose a part of its base.
+        // The fingers of the gripper enclose a part of its base.
         let points: Vec<DVec3> = points.into_iter().filter(|p| p.z < 0.05).collect();
         let out_mm = 1000.0 * furthest_out_m(&tool.shapes(Some(0.085)), &points);
         assert!(out_mm < 0.0, "base: {out_mm} mm");

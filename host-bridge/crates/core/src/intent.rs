@@ -12,14 +12,14 @@ use host_robot::{MotionName, Twist};
 ///
 /// Both caps change together.
 /// Each bend of the index finger multiplies them by 1.10, and each bend of the middle finger by 0.90.
-/// They stay within [0.05, 1.0] (the paper's table II and figures).
+/// Caps stay within [0.05, 1.0] (the paper's table II and figures).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Caps {
     /// Maximum forward or backward speed in m/s.
     pub linear_m_s: f64,
     /// Fastest turn, in rad/s.
     pub angular_rad_s: f64,
-    /// Their initial value and the rules for changes.
+    /// The initial value of the caps and the rules for changes.
     #[serde(skip)]
     pub rules: SpeedRules,
 }

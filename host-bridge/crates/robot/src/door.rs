@@ -131,7 +131,7 @@ pub enum Report {
 pub struct Picture {
     /// The arm. Its angles are NaN if unknown.
     pub arm: ArmState,
-    /// Age of the angles; `None` if unknown.
+    /// Age of the joint angles; `None` if unknown.
     pub arm_age_ms: Option<u64>,
     /// The base, or the origin if it is unknown.
     pub odometry: Odometry,

@@ -4,7 +4,7 @@
 //! The arm stops after the death of this program only if the stream is used.
 //!
 //! This module is sans-IO. A trajectory starts at the angles that the robot reports, and is sent as a whole.
-//! It runs until the controller (action), or the angles and the time (topic), show its end.
+//! A motion runs until the controller (action), or the angles and the time (topic), show its end.
 //! A stop cancels it, and also any goal that is accepted later.
 
 use std::sync::Arc;
@@ -120,7 +120,7 @@ impl ArmLink {
         self.see_from("", state, now_ms);
     }
 
-    /// Does the same for angles from a named publisher.
+    /// Like [`Self::see`], for angles from a named publisher.
     pub fn see_from(&mut self, teller: &str, state: &JointState, now_ms: u64) {
         self.clock.see(state.header.stamp, now_ms);
         if self.angles.see(state, now_ms, &mut self.doubts) {
@@ -421,7 +421,7 @@ impl ArmLink {
         }
     }
 
-    /// Does the same for a trajectory in pieces.
+    /// Like [`Self::step`], for a trajectory in pieces.
     fn step_stream(&mut self, sample: Option<Motion>, now_ms: u64, outputs: &mut Vec<Output>) {
         let Some(robot_ns) = self.clock.at_ns(now_ms) else { return };
         let Some(Run { trajectory, stream: Some(stream), stopping_since_ms, .. }) = &mut self.run else {

@@ -28,7 +28,7 @@ const STAMPS_MAX: usize = 1024;
 #[serde(rename_all = "lowercase")]
 pub enum Stamp {
     /// Zero, which Jazzy's diff_drive_controller replaces by the time of arrival.
-    /// Its own timeout therefore works with any clocks.
+    /// The controller's timeout therefore works with any clocks.
     #[default]
     Zero,
     /// The graph's time: `/clock` if published, otherwise this machine's clock plus the measured difference.
@@ -126,7 +126,7 @@ impl Clocks {
         (difference.seconds.abs() > DIFFERENCE_MAX_S).then(|| advice(difference))
     }
 
-    /// Does the same for speeds with these stamps.
+    /// Like [`Self::refusal`], for speeds with these stamps.
     pub fn refusal_of(&self, stamp: Stamp, now_ms: u64) -> Option<String> {
         if self.simulated.is_some() && stamp == Stamp::Wall {
             return Some(
@@ -249,7 +249,7 @@ mod tests {
     }
 
     /// A base with diff_drive_controller: a zero stamp is replaced by the time of arrival.
-    /// It brakes if a command is more than 0.5 s old by its own clock.
+    /// The controller brakes if a command is more than 0.5 s old by the controller's clock.
     #[test]
     fn with_any_clocks_the_base_stops_soon_after_the_last_command_or_nothing_arms() {
         let (mut worst_s, mut refused, mut count) = (0.0_f64, 0, 0);

@@ -1,5 +1,5 @@
 //! `/robot_description`: the simulated robot as URDF, with the published names of frames and joints.
-//! It contains the shapes that the planner uses, and no meshes.
+//! The description contains the shapes that the planner uses, and no meshes.
 
 use std::fmt::Write as _;
 

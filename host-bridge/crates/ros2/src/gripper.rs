@@ -392,11 +392,11 @@ mod tests {
         assert_eq!(rig.run(400).len(), 2, "asked again");
         assert!(rig.grip(0.0).unwrap_err().contains("not known yet"));
         rig.answer(1, GripAnswer::Rejected);
-        // Another server may have accepted it, so requests continue without waiting.
+        // Another server may have accepted the goal, so requests continue without waiting.
         assert_eq!(rig.run(400).len(), 2);
         assert_eq!(rig.gripper.can_grip(), Ok(()));
 
-        // It is accepted after all, so it is cancelled, and no other goal is sent until its end is known.
+        // The goal is accepted after all, so it is cancelled, and no other goal is sent until its end is known.
         rig.answer(1, GripAnswer::Accepted);
         assert_eq!(rig.outputs, [Output::CancelGrip { goal: 1 }]);
         assert!(rig.grip(0.0).unwrap_err().contains("not known yet"));

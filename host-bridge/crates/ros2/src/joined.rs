@@ -68,9 +68,9 @@ pub struct SimTopics {
     pub joint_states: Publisher<ros::JointState>,
     /// Where the base is.
     pub odom: Publisher<ros::Odometry>,
-    /// The same position as a transform, and the arm's links.
+    /// The base's position as a transform, and the arm's links.
     pub tf: Publisher<ros::TfMessage>,
-    /// Its description, also for late subscribers.
+    /// The robot description, also for late subscribers.
     pub description: Option<Publisher<ros::Text>>,
     /// That was published.
     pub is_described: bool,

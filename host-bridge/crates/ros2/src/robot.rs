@@ -101,7 +101,7 @@ pub struct RosRobot {
     outputs: Vec<Output>,
     limits: JointLimits,
     base_limits: BaseConfig,
-    /// Its newest odometry relative to the first known position, and its time of arrival.
+    /// The newest odometry relative to the first known position, and its time of arrival.
     seen: Option<(BaseState, u64)>,
     first: Option<Odometry>,
     /// The base's speed at the last change of its command, until odometry begins to follow.
@@ -145,7 +145,7 @@ impl RosRobot {
         self.see_from("", state);
     }
 
-    /// Does the same for angles from a named publisher.
+    /// Like [`Self::see`], for angles from a named publisher.
     pub fn see_from(&mut self, teller: &str, state: &JointState) {
         self.arm.see_from(teller, state, self.now_ms);
         self.gripper.see(state, self.now_ms);

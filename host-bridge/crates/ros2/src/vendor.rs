@@ -2,7 +2,7 @@
 //!
 //! RTPS (version 2.2 and later, 8.2.4.3 and 9.3.1.5) stores the vendor's id in the first two bytes
 //! of every GUID prefix.
-//! It equals the id in the participant's announcements.
+//! The two bytes equal the id in the participant's announcements.
 
 use std::fmt;
 

@@ -1,5 +1,5 @@
 //! Little-endian CDR as in ROS 2: four bytes of header, followed by the fields.
-//! It uses the crate `cdr-encoding`, like the ROS 2 client.
+//! This module uses the crate `cdr-encoding`, like the ROS 2 client.
 
 use byteorder::LittleEndian;
 use serde::Serialize;

@@ -25,8 +25,8 @@ const WILDEST: f32 = 2.5;
 /// gravity is missing.
 /// Gravity keeps its direction, while the hand's own acceleration averages to zero. Real recordings have 0.36 to 1.
 const LEAST_MEAN: f32 = 0.25;
-/// The same minimum if the unit seems to be g, also relative to the deviation.
-/// It is stricter, because movement without gravity has a similar magnitude in m/s².
+/// Minimum mean if the unit seems to be g, also relative to the deviation.
+/// This minimum is stricter, because movement without gravity has a similar magnitude in m/s².
 /// Of 426 real recordings in g, one is below this value; with linear acceleration, two thirds are.
 const LEAST_MEAN_IN_G: f32 = 0.4;
 const LEAST_MEAN_OF_DEVIATION: f32 = 0.45;
@@ -160,7 +160,7 @@ pub(crate) fn acceleration(samples: &[[f32; 3]], rate_hz: f64) -> Verdict {
 }
 
 /// Returns whether turn rates are in rad/s (true) or deg/s (false), given acceleration in m/s².
-/// It is `None` if the hand hardly moves.
+/// The result is `None` if the hand hardly moves.
 pub(crate) fn turns_in_radians(acceleration: &[[f32; 3]], turns: &[[f32; 3]]) -> Option<bool> {
     let (_, moves) = moments(acceleration);
     let (_, turning) = moments(turns);
@@ -170,7 +170,7 @@ pub(crate) fn turns_in_radians(acceleration: &[[f32; 3]], turns: &[[f32; 3]]) ->
 
 /// Returns whether magnetic flux is in gauss (true) or µT (false).
 /// The earth's field has 25 to 65 µT, and iron mostly adds to it.
-/// It is `None` if the sensor measures nothing.
+/// The result is `None` if the sensor measures nothing.
 pub(crate) fn field_in_gauss(field: &[[f32; 3]]) -> Option<bool> {
     let typical = median(field.iter().map(|sample| length(*sample)).collect());
     (field.len() >= ENOUGH && typical > 0.05).then_some(typical < 2.5)

@@ -223,10 +223,10 @@ impl Take {
 }
 
 /// Merges several files of one recording with one sensor each, interpolated at the times of the accelerometer.
-/// It is `None` without an accelerometer, or if they do not overlap in time.
+/// The result is `None` without an accelerometer, or if the files do not overlap in time.
 ///
 /// # Errors
-/// The same errors as [`super::parse`].
+/// This function has the errors of [`super::parse`].
 pub fn merge(files: &[(&Path, Vec<u8>)], reading: &Reading) -> Result<Option<Sheet>, RecordingError> {
     let mut sheets = Vec::new();
     for (file, bytes) in files {

@@ -2,7 +2,7 @@
 //!
 //! It uses features in the hand's own frame ([`shared_dsp::right::aligned`]) and windows that are varied
 //! to simulate other hands.
-//! It adds simulated wearers and real daily movement to the recordings, and trains for a fixed number of steps.
+//! The recipe adds simulated wearers and real daily movement to the recordings, and trains for a fixed number of steps.
 
 use std::sync::Arc;
 
@@ -41,7 +41,7 @@ pub struct Aligned {
     pub bystanders: u32,
     /// Number of [untaught](crate::synth::Wearer::untaught) simulated wearers who show the gestures
     /// that the simulator supports.
-    /// They supplement the few people of the recordings.
+    /// Simulated people supplement the few people of the recordings.
     pub performers: u32,
     /// Real people whose daily movement is also an example of `other`; only with `bystanders`.
     pub daily: Daily,

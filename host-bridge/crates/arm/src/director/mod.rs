@@ -1,6 +1,6 @@
 //! The arm director, which connects the bridge with any robot.
 //!
-//! It resolves names to goals, plans from the pose that the robot reports, monitors base and arm, and reports results.
+//! The director resolves names to goals, plans from the reported pose, monitors base and arm, and reports results.
 //! A motion of several steps is planned as a whole, and it ends as a whole if one step fails.
 //! The simulator and a robot on ROS 2 get the same plans, the same guard and the same refusals.
 //!

@@ -243,7 +243,7 @@ impl World {
         self.around_with(placement, &self.start)
     }
 
-    /// Does the same with the current tool and objects.
+    /// Like [`Self::around`], with the current tool and objects.
     pub fn around_with<'w>(&'w self, placement: Placement, things: &'w Things) -> Surroundings<'w> {
         let mount_m = self.scene.base.mount_m;
         let from_world = DMat3::from_rotation_z(-placement.heading_rad);

@@ -2,7 +2,7 @@
 //!
 //! Plans assume that the base does not move.
 //! The guard handles a moving base, for example one that drives towards a wall.
-//! It permits a tick of motion only if both can brake to rest afterwards without contact.
+//! The guard permits a tick of motion only if base and arm can brake to rest afterwards without contact.
 //! This holds after every tick, so braking is always safe, and it is the reaction to a forbidden tick.
 
 use crate::plan::collision::{Placement, World};

@@ -250,7 +250,7 @@ impl Planner {
         Ok(self.world.scene().arm.margin_m.min(0.8 * distance_m))
     }
 
-    /// Does the same as [`Planner::plan`] with the current tool and objects.
+    /// Like [`Planner::plan`], with the current tool and objects.
     ///
     /// # Errors
     /// [`Refusal`]. Nothing moves in this case.

@@ -8,7 +8,7 @@ use std::cell::Cell;
 pub const MOTION_CHECKS_MAX: u64 = 40_000;
 
 /// The remaining checks of a motion: complete checks of a configuration, and (cheaper) steps of inverse kinematics.
-/// They are counted and never timed, so that equal calls give equal results on any machine.
+/// Steps are counted and never timed, so that equal calls give equal results on any machine.
 #[derive(Clone, Debug)]
 pub struct Purse {
     full: u64,

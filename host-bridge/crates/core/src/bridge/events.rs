@@ -115,7 +115,7 @@ pub enum EventKind {
     Almost {
         /// The nearest gesture.
         label: String,
-        /// Its best mean probability, 0 to 1.
+        /// Highest mean probability of the gesture, 0 to 1.
         confidence: f32,
     },
     /// An arm motion ended.

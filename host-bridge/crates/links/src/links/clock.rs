@@ -124,7 +124,7 @@ impl Waiter {
         channel.recv_timeout(patience)
     }
 
-    /// Does the same for events of links.
+    /// Like [`Self::receive`], for events of links.
     ///
     /// # Errors
     /// As [`EventReceiver::recv_timeout`].

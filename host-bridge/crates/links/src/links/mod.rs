@@ -1,7 +1,7 @@
 //! Real links: serial ports and (feature `ble`) Bluetooth, each with its own thread and all with a common clock.
 //!
 //! A link opens its port, passes on every byte with its time of arrival, and reopens the port after a failure.
-//! It never sends to a board that was just reset.
+//! The program never sends to a board that was just reset.
 //! Opening the port of an Arduino Nano restarts the board, and its bootloader would interpret our bytes as a program.
 
 #[cfg(feature = "ble")]

@@ -47,7 +47,7 @@ pub fn complete(file: &Path) -> Result<bool, String> {
     Ok(true)
 }
 
-/// Does the same for all files in the folder of `file`. Returns the completed files and all errors.
+/// Like [`complete`], for all files in the folder of `file`. Returns the completed files and all errors.
 pub fn complete_beside(file: &Path) -> Vec<Result<PathBuf, String>> {
     let folder = match file.parent() {
         Some(folder) if folder != Path::new("") => folder,

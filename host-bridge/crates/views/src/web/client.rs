@@ -28,7 +28,7 @@ pub fn accept(head: &httparse::Request<'_, '_>) -> Option<Vec<u8>> {
     accept_with(head, "")
 }
 
-/// Does the same with additional header lines, each with its line end.
+/// Like [`accept`], with additional header lines, each with its line end.
 pub fn accept_with(head: &httparse::Request<'_, '_>, more: &str) -> Option<Vec<u8>> {
     let has = |name: &str, word: &str| {
         let mut found = head.headers.iter().filter(|h| h.name.eq_ignore_ascii_case(name));

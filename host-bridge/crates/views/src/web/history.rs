@@ -52,7 +52,7 @@ impl<T: Clone> Last<T> {
 pub struct EventLine {
     /// When.
     pub time_ms: u64,
-    /// Its style: `halt`, `motion`, or empty.
+    /// Style of the line: `halt`, `motion`, or empty.
     pub class: &'static str,
     /// For people.
     pub text: String,
