@@ -7,14 +7,13 @@
 //! The interrupt restarts the program by a jump to address 0, past the bootloader.
 //! This method does not catch a program that hangs with interrupts disabled.
 //! Such a board is silent, which stops the robot, until the laptop reopens the port, which pulls the reset line.
-//! With any other bootloader, the watchdog first raises an interrupt, which stores the reason,
-//! and resets the board at its
-//! next time-out.
+//! With any other bootloader, the watchdog first raises an interrupt, which stores the reason.
+//! At its next time-out, the watchdog resets the board.
 //!
 //! **A reset that is not reported.** Optiboot hides the reason of a reset.
 //! Under Optiboot, a program that hangs with interrupts disabled is reset too.
 //! The board cannot distinguish that start from a press of the reset button and does not report it.
-//! The boot id is still new.
+//! Such a start still gets a new boot id.
 
 use avr_device::atmega328p::Peripherals;
 use core::arch::asm;

@@ -49,7 +49,7 @@ enum Act {
     Tilt(f64, f64, [f64; 2]),
     /// One bend of a finger (0 index, 1 middle).
     Bend(f64, usize),
-    /// Both fingers bent between two times, which means stop.
+    /// Both fingers are bent between two times, which means stop.
     Fist(f64, f64),
 }
 

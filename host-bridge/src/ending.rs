@@ -174,7 +174,7 @@ mod tests {
 
     const CHILD: &str = "BIMANUAL_TEST_ENDING";
 
-    /// The test below runs this in a separate process, because it affects the complete process.
+    /// The test below runs this function in a separate process, because it affects the whole process.
     #[test]
     fn child() {
         let Ok(how) = std::env::var(CHILD) else { return };

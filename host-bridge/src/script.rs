@@ -38,7 +38,7 @@ pub struct CalibrationTable {
     pub zero: [i16; 3],
     /// Index and middle finger straight.
     pub rest: [u16; 2],
-    /// Index and middle finger bent.
+    /// Whether index and middle finger are bent.
     pub bend: [u16; 2],
 }
 

@@ -19,7 +19,7 @@ pub enum TaughtError {
         /// The parser's error message.
         what: String,
     },
-    /// The pose exists, but is not defined by joint angles.
+    /// The pose exists, but it is not given by joint angles.
     #[error("pose '{0}' is there already, given by its place; take it out, or choose another name")]
     ByPlace(String),
 }

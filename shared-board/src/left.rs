@@ -18,7 +18,7 @@ const SAMPLES_PER_STATE: u8 = 2;
 #[derive(Clone, Copy, Debug)]
 enum Asker {
     Nobody,
-    /// The laptop, with the number of its request.
+    /// The laptop requested the step; the value is the number of its request.
     Host(u16),
     /// The calibration pin at power-on.
     Pin {

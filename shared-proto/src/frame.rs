@@ -90,7 +90,7 @@ struct FrameWriter<'b> {
     /// Position of the open block's code byte.
     code_at: usize,
     crc: Crc32,
-    /// Whether something did not fit.
+    /// Whether any data did not fit in the buffer.
     /// It is checked at the end, because a check after each byte would cost the left board 1 KB.
     full: bool,
 }

@@ -122,7 +122,7 @@ host_messages! {
             crc32: u32,
         } => Right, 0;
         /// Plays a signal on a motor at the right hand's board, if one is connected.
-        /// It is not acknowledged, because a late signal is useless. Boards of earlier versions do not receive it.
+        /// The signal is not acknowledged, because a late signal is useless. Boards of earlier versions do not receive it.
         8 Feel {
             /// The signal to play.
             signal: Signal,

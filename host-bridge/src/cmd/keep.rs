@@ -96,7 +96,7 @@ impl KeepArgs {
 
 #[cfg(feature = "mcap")]
 impl Keeper {
-    /// Returns the reason if writing has stopped, once.
+    /// Returns once the reason why writing has stopped.
     pub fn take_problem(&mut self) -> Option<String> {
         self.disk.as_mut()?.take_problem()
     }

@@ -82,7 +82,7 @@ impl Cmd {
 struct Outcome {
     /// Of daily movement.
     daily: Vec<Tally>,
-    /// The results for the folder of gestures.
+    /// Results for the gestures in the folder.
     gestures: Vec<Tally>,
 }
 

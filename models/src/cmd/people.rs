@@ -64,7 +64,7 @@ impl Set {
         })?)
     }
 
-    /// Returns the people in the folder, at least two, and a line that describes it.
+    /// Returns the folder's people, at least two, and a line of text that describes them.
     pub fn people(&self, axes: Option<usize>) -> anyhow::Result<(Vec<String>, String)> {
         let known = self.read(axes)?;
         let people = known.people();

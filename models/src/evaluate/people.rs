@@ -290,7 +290,7 @@ pub fn from_simulated(
     seed: u64,
 ) -> Result<Graded, TrialError> {
     let simulated = simulated(wearers, labels, real.axes, seed);
-    // Their variety is larger than that of copies of one recording.
+    // The variety of simulated wearers is larger than that of copies of one recording.
     let model = train(&simulated, &[], &*recipe.for_simulated(), &Trial::job(seed))?;
     grade(&model, real)
 }

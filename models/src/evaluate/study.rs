@@ -225,7 +225,7 @@ mod tests {
     use crate::card::Scores;
     use crate::evaluate::people::Answer;
 
-    /// Creates a run with answers (recording, label given, probability, correct).
+    /// Creates a run from answers, each with the recording, the given label, the probability and its correctness.
     fn run(answers: &[(&str, usize, f32, bool)]) -> Graded {
         let answer = |&(recording, label, probability, right): &(&str, usize, f32, bool)| Answer {
             recording: recording.to_owned(),

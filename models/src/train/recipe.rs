@@ -97,7 +97,7 @@ pub struct Windows {
     pub own: Vec<Vec<f32>>,
     /// Features of varied copies of the recording.
     pub varied: Vec<Vec<f32>>,
-    /// How it was prepared.
+    /// The preparation of the recording.
     pub prepared: Prepared,
 }
 

@@ -1,7 +1,7 @@
 //! Trains in a fixed number of steps, for recipe `aligned`.
 //! Batches are drawn at random, the learning rate warms up and decreases as a cosine,
 //! and the result is an average of the weights.
-//! No recordings are held out to determine the end, and training can start from an existing network.
+//! Training needs no held-out recordings, and can start from an existing network.
 //!
 //! Several networks with different starts are merged into one whose logits are the mean of theirs.
 //! Their errors differ for unknown people. The last steps simulate int8 rounding (Jacob et al., 2018).

@@ -25,7 +25,7 @@ use core::fmt;
 /// The reason why a model cannot run on a hand.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ModelMismatch {
-    /// The model needs more values per sample, or different ones.
+    /// The model needs other values per sample than the board has, or more of them.
     Axes {
         /// Axes of the model.
         model: usize,

@@ -186,7 +186,7 @@ pub struct MovementDecision {
     slow_scores: Average,
     run: Option<Run>,
     quiet: u8,
-    /// A gesture late in a movement, or a different one after an event.
+    /// State of a gesture that begins late in a movement, or differs from the movement's event.
     change: Streak,
     /// A gesture in the slow window.
     slow: Streak,

@@ -384,7 +384,7 @@ impl Nano {
         // `sts address, r16` and `rjmp .-2`.
         let code = [0x00, 0x93, low, high, 0xFF, 0xCF];
         for (i, byte) in code.into_iter().enumerate() {
-            // Safety: within the 32 KB of flash.
+            // Safety: the address is within the 32 KB of flash.
             unsafe { *(*self.avr).flash.add(UNUSED_FLASH + i) = byte }
         }
         self.poke(R16, value);

@@ -9,7 +9,7 @@ use super::time::{HZ, ms};
 
 /// The motion of the hand: accX accY accZ in m/s², gyrX gyrY gyrZ in deg/s, magX magY magZ in µT.
 pub trait Motion {
-    /// The values at this time.
+    /// Returns the values of the motion at this time.
     fn at(&self, seconds: f64) -> [f64; 9];
 }
 

@@ -225,7 +225,7 @@ impl SerialArm {
     }
 
     /// Returns for each joint the maximum distance in m from its origin to a point of the arm beyond it.
-    /// A rotation moves no point of the arm further than its angle times this.
+    /// A rotation moves no point of the arm further than the angle times this distance.
     pub fn lever_m(&self) -> Joints {
         self.lever_with_m(0.0)
     }

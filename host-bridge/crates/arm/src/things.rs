@@ -229,7 +229,7 @@ impl Shop<'_> {
         things.poses.iter().enumerate().find_map(fits)
     }
 
-    /// Returns the permitted contacts on the straight path to or from this pose of the flange.
+    /// The hand may touch the object, and a held object may touch its support.
     /// These are with the object and, for a held object, with its support.
     pub fn touching(&self, things: &Things, flange: &Pose) -> Touch {
         let Some((object, on_flange)) = things.held() else {

@@ -49,7 +49,7 @@ pub struct Upload<'b> {
 
 /// Returns the reason why a model does not fit a board, or `None` if it fits.
 ///
-/// Its labels may differ from those of the running model, because they are part of the new model.
+/// The model's labels may differ from those of the running model, because they are part of the new model.
 pub fn misfit(model: &Model<'_>, board: &ModelNeeds) -> Option<String> {
     let info = model.info();
     if !info.recipe.runs_on(info.axes, usize::from(board.board_axes)) {

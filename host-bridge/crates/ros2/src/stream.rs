@@ -24,7 +24,7 @@ use host_topics::message::{Header, JointTrajectory, JointTrajectoryPoint, Time};
 pub const HORIZON_MS: u64 = 250;
 /// Interval at which pieces are sent.
 pub const RENEW_MS: u64 = 100;
-/// Time by which each piece begins before now.
+/// Time between the start of a piece and the time of sending; the start is earlier.
 const PAST_S: f64 = 0.02;
 /// Time between sending the first piece and its motion. Its timeline begins by the same time before that.
 const LEAD_S: f64 = 0.05;

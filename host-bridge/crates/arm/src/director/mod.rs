@@ -119,7 +119,7 @@ impl<R: Robot> Director<R> {
         &mut self.robot
     }
 
-    /// The time of the last step.
+    /// Time of the last step in ms.
     pub fn now_ms(&self) -> u64 {
         self.now_ms
     }

@@ -76,7 +76,7 @@ impl Disk {
     /// Creates the file and starts its thread. Also returns the observer that fills it.
     ///
     /// # Errors
-    /// If the file cannot be created or written, or already exists. This is reported before anything moves.
+    /// The file cannot be created or written, or already exists. This is reported before anything moves.
     pub fn create(
         file: &Path,
         metadata: BTreeMap<String, String>,

@@ -40,7 +40,7 @@ pub enum WebError {
         other_port(address)
     )]
     PortTaken {
-        /// What was to be served.
+        /// Name of the service, for the error message.
         what: &'static str,
         /// The option that sets the port.
         option: &'static str,
@@ -53,7 +53,7 @@ pub enum WebError {
          or another address of this machine with --web-listen ADDR"
     )]
     Listen {
-        /// What was to be served.
+        /// Name of the service, for the error message.
         what: &'static str,
         /// The option that sets the port.
         option: &'static str,
@@ -258,7 +258,7 @@ fn take(places: &Places, place: Arc<Seat>, handle: TcpStream) -> bool {
         let quietest = (0..places.len()).min_by_key(order);
         if let Some(at) = quietest {
             let (_, gone) = places.remove(at);
-            // Its thread reads the end of the stream and ends.
+            // The client's thread reads the end of the stream and ends.
             let _ = gone.shutdown(Shutdown::Both);
         }
     }
