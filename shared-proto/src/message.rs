@@ -122,7 +122,7 @@ host_messages! {
             crc32: u32,
         } => Right, 0;
         /// Plays a signal on a motor at the right hand's board, if one is connected.
-        /// The signal is not acknowledged, because a late signal is useless. Boards of earlier versions do not receive it.
+        /// The board sends no acknowledgement, because a late signal is useless. Older boards ignore it.
         8 Feel {
             /// The signal to play.
             signal: Signal,
