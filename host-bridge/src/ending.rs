@@ -16,7 +16,7 @@ use std::time::Duration;
 use crossterm::terminal::disable_raw_mode;
 use host_links::links::{Clock as _, SystemClock};
 
-/// Time after which a program that was told to end is terminated.
+/// Time after the request to end, at which the program is terminated.
 const PATIENCE_MS: u64 = 900;
 /// Interval of this check.
 const LOOK: Duration = Duration::from_millis(10);

@@ -161,7 +161,7 @@ mod tests {
         let (taken_ms, joints_rad) = taken.unwrap();
         assert!((1480..=1500).contains(&taken_ms), "{taken_ms}");
         assert!((joints_rad[0] - 0.1).abs() < NOISE_RAD && rest.was_told());
-        // An arm that reports a speed is not at rest, whatever its angles are.
+        // An arm that reports a speed is not at rest, even if its angles do not change.
         let mut rest = Rest::default();
         let mut drifting = Motion::at_rest([0.0; JOINTS]);
         drifting.velocity_rad_s[3] = -0.03;

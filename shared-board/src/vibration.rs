@@ -152,7 +152,7 @@ mod tests {
             (Signal::LinkLost, vec![(100, 250), (0, 150), (100, 250), (0, 150), (100, 250), (0, 950)]),
             (Signal::Unknown(77), vec![(0, 2000)]),
         ] {
-            // This also holds when the clock wraps.
+            // This is also true when the clock wraps.
             for now_ms in [0, 12_345, u32::MAX - 90] {
                 let mut vibration = Vibration::default();
                 vibration.feel(signal, now_ms);

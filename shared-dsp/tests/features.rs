@@ -88,7 +88,7 @@ fn three_and_six_axes_give_what_nine_give() {
         assert_eq!(six.push(sample.first_chunk().unwrap()), ready);
         assert_eq!(three.push(sample.first_chunk().unwrap()), ready);
         if ready {
-            // Each axis turns at its own hop, whatever the number of axes is.
+            // Each axis turns at its own hop, for any number of axes.
             assert_eq!(nine.features()[..6], six.features()[..]);
             assert_eq!(nine.features()[..3], three.features()[..]);
         }

@@ -84,7 +84,7 @@ const PROGRAMS: [&str; 2] = ["host-bridge", "models"];
 /// Builds the archive under `target/package`, unpacks it once and runs its programs.
 ///
 /// # Errors
-/// If something does not build, a file is missing, or the unpacked programs do not run.
+/// A program does not build, a file is missing, or the unpacked programs do not run.
 pub fn run() -> Result<()> {
     ensure!(
         cfg!(all(target_os = "linux", target_arch = "x86_64")),

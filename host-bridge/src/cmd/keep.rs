@@ -34,7 +34,7 @@ pub struct Start<'a> {
     pub scene: Option<&'a std::path::Path>,
     /// Time at which the session's clock was zero.
     pub origin: Origin,
-    /// Whether something real moves, so that nothing may delay the session.
+    /// Whether a real robot moves, so that nothing may delay the session.
     pub live: bool,
     /// Whether the robot is not the simulator.
     pub robot_elsewhere: bool,

@@ -22,7 +22,7 @@ use crate::play::Interrupted;
 
 const HELLO_MS: u64 = 6000;
 const REQUEST_MS: u64 = 4000;
-/// Maximum time for returning the board to classifying, shorter because the program was told to end.
+/// Maximum time for returning the board to classifying. It is short because the program must end.
 const BACK_MS: u64 = 700;
 /// If no samples arrive for this long, the board is not recording.
 const SILENCE_MS: u64 = 3000;

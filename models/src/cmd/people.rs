@@ -13,7 +13,7 @@ use models::train::{ALIGNED, PAPER, Recipe};
 
 use super::RecipeName;
 
-/// Hold out each person in turn and test models that have never met this person
+/// Hold out each person in turn and test models trained without this person
 #[derive(Args)]
 pub struct Cmd {
     /// Folders with <label>/<person>__<n>.csv; FOLDER:LABEL,LABEL,... uses only these labels

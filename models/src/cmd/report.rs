@@ -14,7 +14,7 @@ use shared_dsp::right::network::Model;
 use super::RecipeName;
 use super::people::{Set, recipes};
 
-/// Write one self-contained HTML page about a folder and the results of models that have never met its people
+/// Write one self-contained HTML page about a folder and the results of models trained without these people
 #[derive(Args)]
 pub struct Cmd {
     /// Folder with <label>/<person>__<n>.csv; FOLDER:LABEL,LABEL,... uses only these labels

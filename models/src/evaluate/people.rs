@@ -161,13 +161,13 @@ impl Trial<'_> {
         graded(model, recordings, &answers)
     }
 
-    /// Trains a model that has never met `person`.
+    /// Trains a model without the recordings of `person`.
     pub fn without(&self, person: &str, seed: u64) -> Result<Trained, TrialError> {
         let others = self.read_with_rest(self.axes, |name| name != person)?;
         Ok(train(&others, &[], self.recipe, &Self::job(seed))?)
     }
 
-    /// Tests a model that has never met `person` on all their recordings.
+    /// Tests a model trained without `person` on all their recordings.
     pub fn stranger(&self, person: &str, seed: u64) -> Result<Graded, TrialError> {
         let model = self.without(person, seed)?;
         let theirs = self.read(model.card.axes, |name| name == person)?;
@@ -182,7 +182,7 @@ impl Trial<'_> {
         self.grade(&model, &all.filtered(|item| test.contains(&item.name) && self.uses(&item.label)))
     }
 
-    /// Tests a model that has never met `person` and was trained on a fraction `share`
+    /// Tests a model that was trained without `person` on a fraction `share`
     /// of the other people's recordings.
     /// The recordings of each label are in an order that depends on the seed.
     pub fn stranger_after(&self, person: &str, share: f64, seed: u64) -> Result<Graded, TrialError> {
@@ -192,7 +192,7 @@ impl Trial<'_> {
         self.grade(&model, &self.read(model.card.axes, |name| name == person)?)
     }
 
-    /// Counts the events of a model that has never met `person`, for each [`MovementConfig::max_rest`].
+    /// Counts the events of a model trained without `person`, for each [`MovementConfig::max_rest`].
     /// It plays all recordings of this person joined into one, including those without gestures.
     /// It also plays simulated wearers of the `crowd` who make no gesture for `aimless_s` seconds.
     pub fn events(

@@ -17,7 +17,7 @@ pub struct Study {
     pub recipe: &'static str,
     /// The people, sorted.
     pub people: Vec<String>,
-    /// Results of models that have never met a person, by person and seed.
+    /// Results by person and seed, each of a model trained without that person.
     pub strangers: Vec<Vec<Graded>>,
     /// Results for a random fifth of the same people's recordings, by seed.
     pub random: Vec<Graded>,
@@ -170,7 +170,7 @@ pub struct Events {
 }
 
 impl Events {
-    /// Plays every person's recordings with models that have never met them, for the seeds 1 to `seeds`.
+    /// Plays every person's recordings with models trained without them, for the seeds 1 to `seeds`.
     /// It also plays `aimless_s` seconds of simulated wearers, divided among the models of the first seed.
     pub fn run(
         trial: &Trial<'_>,

@@ -31,7 +31,7 @@ pub fn adapt(
     seed: u64,
 ) -> Result<Trained, TrainError> {
     // A quarter suffices beside 4,096 remembered rows.
-    // With all of it, the model is less certain about the new examples.
+    // With all of the training data, the model is less certain about the new examples.
     let daily: Vec<Vec<f32>> = daily.rows(model.card.axes).into_iter().step_by(4).collect();
     let rows = rows(&model.card, memory, examples, &daily, seed);
     let (start, limit) = (Start::Layers(&model.float), model.card.scaling.limit);

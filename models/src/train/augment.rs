@@ -63,7 +63,7 @@ impl Augmentation {
                 let (l, r) = (f64::from(rows[left][a]), f64::from(rows[left + 1][a]));
                 l + (r - l) * part
             };
-            // A tempo of `tempo` multiplies turn rates by it, and accelerations by its square.
+            // A tempo multiplies turn rates by `tempo` and accelerations by its square.
             let force = std::array::from_fn(|a| mean[a] + (sample(a) - mean[a]) * size * tempo * tempo);
             values.extend(apply(&turn, force));
             if axes > 3 {

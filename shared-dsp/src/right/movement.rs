@@ -439,7 +439,7 @@ mod tests {
         let pause = |hops| (hops, 250, STILL);
         assert_eq!(run_slow(&mut decision(), &[gesture, pause(5), gesture]), [(89, 1)]);
         assert_eq!(run_slow(&mut decision(), &[gesture, pause(6), gesture]), [(89, 1), (195, 1)]);
-        // This also holds if the event occurs at the end of the movement.
+        // This is also true if the event occurs at the end of the movement.
         let gesture = (87, 250, MOVING);
         assert_eq!(run_slow(&mut decision(), &[gesture, pause(5), (100, 250, MOVING)]), [(89, 1)]);
     }

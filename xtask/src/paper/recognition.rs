@@ -10,7 +10,7 @@ use crate::target_dir;
 use crate::test::cargo;
 
 /// Trains models of the paper's recipe and of ours on simulated wearers.
-/// It tests them on a random fifth of the recordings, as in the paper, and on wearers whom the model has never met.
+/// It tests them on a random fifth of the recordings, as in the paper, and on wearers outside the training data.
 pub fn section(quick: bool) -> Result<Section> {
     let folder = target_dir().join("paper");
     let _ = std::fs::remove_dir_all(&folder);

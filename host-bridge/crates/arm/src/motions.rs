@@ -45,7 +45,7 @@ pub struct MotionTable {
     pub steps: Vec<StepTable>,
 }
 
-/// One step of a motion, which does one thing.
+/// One step of a motion with a single action.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct StepTable {

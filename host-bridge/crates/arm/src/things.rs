@@ -141,7 +141,7 @@ impl ObjectTable {
 pub enum ObjectPose {
     /// The object stands at this pose, relative to the scene's origin.
     Stands(Pose),
-    /// The gripper holds it at this pose, relative to the flange.
+    /// The gripper holds the object at this pose, relative to the flange.
     Held(Pose),
 }
 
@@ -218,7 +218,7 @@ impl Shop<'_> {
             let object = &self.objects[i];
             let own = at.rotation.transpose();
             let width_m = object.width_m(own * across);
-            // The part of it that is closest to the point between the fingertips.
+            // The part of the object that is closest to the point between the fingertips.
             let height_m = (point_m - at.position_m).z.clamp(0.0, object.height_m);
             let off = point_m - (at.position_m + height_m * DVec3::Z);
             let inside = off.dot(across).abs() + 0.5 * width_m <= 0.5 * apart_m + 1e-3

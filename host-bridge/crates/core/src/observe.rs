@@ -177,7 +177,7 @@ pub struct Snapshot {
     pub tool: Vec<Capsule>,
     /// Objects of the scene at their current positions.
     pub objects: Vec<SceneObject>,
-    /// The reason why the guard holds the base, if it does.
+    /// The reason why the guard has stopped the base, or `None`.
     pub held: Option<String>,
     /// The reason why the robot refuses to move, if it does: its e-stop, a fault, or clocks that differ.
     pub refusal: Option<String>,

@@ -64,7 +64,7 @@ pub struct TiltDrive {
     pub proportional: bool,
     /// Smaller tilts cause no motion (8° = 140).
     pub dead_mrad: u16,
-    /// Tilts from this value on give the full cap (40° = 698).
+    /// Tilts above this value cause the full cap (40° = 698).
     pub full_mrad: u16,
     /// Factor for tilts between these two values. The result is limited to the cap.
     pub gain: f64,

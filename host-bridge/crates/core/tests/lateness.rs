@@ -1,4 +1,4 @@
-//! Checks that ages are upper bounds: whatever delays a link has, no command older than 250 ms has an effect.
+//! Checks that ages are upper bounds: for any delays of a link, no command older than 250 ms has an effect.
 //!
 //! The test knows the true time of each sample, and compares it with the time at which the base moves.
 //! All of this is in virtual time.

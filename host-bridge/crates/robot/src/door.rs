@@ -153,7 +153,7 @@ pub struct Picture {
     pub objects: Vec<SceneObject>,
     /// Current target of the arm in rad, while it follows a trajectory.
     pub reference_rad: Option<Joints>,
-    /// The reason why the guard holds the base, if it does.
+    /// The reason why the guard has stopped the base, or `None`.
     pub held: Option<String>,
     /// Number of ticks in which the guard braked for an obstacle.
     pub guard_stops: u32,

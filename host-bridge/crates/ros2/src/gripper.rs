@@ -16,7 +16,7 @@ use super::strays::{CANCEL_INTERVAL_MS, Strays, Unsure};
 const CANCEL_PATIENCE_MS: u64 = 2000;
 /// Maximum duration of a gripper's goal.
 const STRAY_MS: u64 = 60_000;
-/// Time after which a goal is over, whatever is reported.
+/// Time after which a goal is over, regardless of later reports.
 const OVERALL_MS: u64 = 30_000;
 /// Maximum age of joint states.
 const TOLD_MS: u64 = 1000;

@@ -1,4 +1,4 @@
-//! Recipe `aligned`, for people whom the model has never met.
+//! Recipe `aligned`, for people outside the training data.
 //!
 //! It uses features in the hand's own frame ([`shared_dsp::right::aligned`]) and windows that are varied
 //! to simulate other hands.

@@ -189,7 +189,7 @@ impl<'a> Model<'a> {
     /// Any alignment works, but a blob at a multiple of 4 bytes runs about three times faster on a Cortex-M4F.
     ///
     /// # Errors
-    /// Returns the problem with the blob. It never panics, whatever the bytes are.
+    /// Returns the problem with the blob. It never panics, for any bytes.
     pub fn parse(blob: &'a [u8]) -> Result<Self, ModelError> {
         let header = blob.first_chunk::<HEADER_BYTES>().ok_or(ModelError::Truncated)?;
         let short = |at: usize| u16::from_le_bytes([header[at], header[at + 1]]);

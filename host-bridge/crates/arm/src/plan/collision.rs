@@ -176,7 +176,7 @@ impl World {
         &self.notes
     }
 
-    /// Tool and objects as the scene says.
+    /// Tool and objects according to the scene.
     pub fn start(&self) -> &Things {
         &self.start
     }

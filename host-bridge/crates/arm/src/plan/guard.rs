@@ -3,7 +3,7 @@
 //! Plans assume that the base does not move.
 //! The guard handles a moving base, for example one that drives towards a wall.
 //! The guard permits a tick of motion only if base and arm can brake to rest afterwards without contact.
-//! This holds after every tick, so braking is always safe, and it is the reaction to a forbidden tick.
+//! This condition is true after every tick, so braking is always safe. A forbidden tick triggers braking.
 
 use crate::plan::collision::{Placement, World};
 use crate::things::Things;

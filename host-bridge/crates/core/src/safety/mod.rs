@@ -88,7 +88,7 @@ impl Default for SafetyTimes {
 ///   Armed ◄── neutral for 1 s, then the release ── Stopped ◄──┴── (from every state)
 /// ```
 /// The robot moves only in `Armed`. Leaving it halts base and arm. `Stale` depends on time alone.
-/// A stopped robot remains stopped, whatever the links do.
+/// A stopped robot remains stopped, even if links change.
 /// A robot that refuses by itself is `Refused`, from every state but `Stopped`, and no release is possible.
 /// When it no longer refuses, the state is `Waiting`, and the hands must be neutral.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -176,7 +176,7 @@ impl Safety {
         Pointing { heading: self.heading(), tilt: self.tilts.meant() }
     }
 
-    /// The hand has said hello.
+    /// The hand has sent its hello.
     pub fn connected(&self, hand: Hand) -> bool {
         self.watch(hand).connected
     }

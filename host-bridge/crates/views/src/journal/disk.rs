@@ -120,7 +120,7 @@ impl Disk {
         Ok((Disk { file: file.to_owned(), thread, shared, told: false }, recorder))
     }
 
-    /// Returns the reason if writing has stopped, once. The data written so far is preserved.
+    /// Returns once the reason why writing has stopped. The data written so far is preserved.
     pub fn take_problem(&mut self) -> Option<String> {
         if self.told {
             return None;
