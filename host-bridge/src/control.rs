@@ -137,7 +137,7 @@ impl<D: Door + Send + 'static> Control<D> {
     /// Starts the thread.
     ///
     /// # Errors
-    /// If the system cannot start a thread.
+    /// Fails if the system cannot start a thread.
     pub fn start(work: Work<D>, flags: Flags) -> std::io::Result<Self> {
         let (orders, incoming) = sync_channel(REPORTS_MAX);
         let (outgoing, reports) = sync_channel(REPORTS_MAX);
@@ -166,7 +166,7 @@ impl<D: Door + Send + 'static> Control<D> {
     /// Waits for at most `patience` for a report; `None` without one.
     ///
     /// # Errors
-    /// If the thread has ended.
+    /// Fails if the thread has ended.
     pub fn report(&self, patience: Duration) -> Result<Option<Report>, Over> {
         match self.waiter.receive(&self.reports, patience) {
             Ok(report) => Ok(Some(report)),

@@ -46,7 +46,7 @@ impl Demo {
     /// Returns the bundled session with this name; `None` selects the paper's six motions.
     ///
     /// # Errors
-    /// If there is no such session. The error lists all sessions.
+    /// Fails if there is no such session. The error lists all sessions.
     ///
     /// # Panics
     /// This never fails, because the files are compiled in and tested.

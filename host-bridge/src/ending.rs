@@ -36,7 +36,7 @@ impl Ending {
     /// Makes every such end set `quit` from now on. `screen` means that the live view uses the terminal.
     ///
     /// # Errors
-    /// If the system does not permit signal handlers.
+    /// Fails if the system does not permit signal handlers.
     pub fn watch(quit: &Arc<AtomicBool>, screen: bool) -> io::Result<Self> {
         // Set only by an external end; a session that the operator ends may take its time.
         let told = Arc::new(AtomicBool::new(false));

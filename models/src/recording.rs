@@ -41,7 +41,7 @@ impl Recording {
     /// Creates a recording from its parts: `values` contains `axes` values for each entry of `time_ms`.
     ///
     /// # Panics
-    /// If `axes` is not 3, 6 or 9, or the lengths do not match, because these are constants of the caller.
+    /// Panics if `axes` is not 3, 6 or 9, or the lengths do not match, because these are constants of the caller.
     pub fn new(axes: usize, time_ms: Vec<f64>, values: Vec<f32>) -> Self {
         assert!(matches!(axes, 3 | 6 | 9), "3, 6 or 9 axes");
         assert_eq!(values.len(), time_ms.len() * axes, "one value per axis and time");
@@ -147,7 +147,7 @@ impl Recording {
     /// Returns the first `axes` axes only.
     ///
     /// # Panics
-    /// If the recording has fewer axes, or `axes` is not 3, 6 or 9.
+    /// Panics if the recording has fewer axes, or `axes` is not 3, 6 or 9.
     pub fn with_axes(&self, axes: usize) -> Self {
         assert!(axes <= self.axes, "{axes} axes of {}", self.axes);
         let values = self.samples().flat_map(|sample| sample[..axes].iter().copied()).collect();

@@ -14,7 +14,7 @@ use std::vec::Vec;
 /// Runs a future that never waits, such as a [`ModelStore`](crate::models::ModelStore) with a [`RamFlash`].
 ///
 /// # Panics
-/// If the future waits.
+/// Panics if the future waits.
 pub fn at_once<F: Future>(future: F) -> F::Output {
     match pin!(future).poll(&mut Context::from_waker(Waker::noop())) {
         Poll::Ready(outcome) => outcome,

@@ -95,7 +95,7 @@ impl Bus {
     /// Starts a `dbus-daemon` with its own configuration in this folder.
     ///
     /// # Panics
-    /// If `dbus-daemon` is not installed (Debian: package dbus-daemon).
+    /// Panics if `dbus-daemon` is not installed (Debian: package dbus-daemon).
     pub fn start(folder: &Path) -> Self {
         let config = folder.join("bus.conf");
         let socket = folder.join("bus");
@@ -138,7 +138,7 @@ impl Bluez {
     /// The board's bytes come from the serial port at `air`.
     ///
     /// # Panics
-    /// If the bus does not accept the service.
+    /// Panics if the bus does not accept the service.
     pub fn start(bus: &Bus, air: &Path) -> Self {
         let (orders, received) = channel();
         let (ready, is_ready) = channel();

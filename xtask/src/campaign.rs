@@ -127,7 +127,7 @@ const FAULTS: &[Fault] = &[
 /// Runs every row, prints the table, and returns whether all limits were respected.
 ///
 /// # Errors
-/// If an option is unknown, or `cargo` does not start.
+/// Fails if an option is unknown, or `cargo` does not start.
 pub fn run(args: &[&str]) -> Result<ExitCode> {
     let (mut short, mut only) = (false, None);
     let mut words = args.iter();

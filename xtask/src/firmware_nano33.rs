@@ -49,7 +49,7 @@ const PARTS: [(&str, &[&str]); 6] = [
 /// Builds and prints all variants, or only the named one.
 ///
 /// # Errors
-/// If a variant does not build, or the name is unknown.
+/// Fails if a variant does not build, or the name is unknown.
 pub fn run(args: &[&str]) -> Result<()> {
     let chosen = |name: &str| match args {
         [] => true,

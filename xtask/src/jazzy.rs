@@ -29,7 +29,7 @@ const BUILT_FOR: &str = "/opt/python/cp312-cp312";
 /// It is `None` if this machine has no Python 3.12.
 ///
 /// # Errors
-/// If a package cannot be installed or an interface does not build.
+/// Fails if a package cannot be installed or an interface does not build.
 pub fn environment() -> Result<Option<PathBuf>> {
     let place = target_dir().join("ros2-jazzy");
     let launcher = place.join("python");

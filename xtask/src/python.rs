@@ -26,7 +26,7 @@ const REQUIREMENTS: [&str; 10] = [
 /// Returns the interpreter of an environment with all requirements, and creates it at the first use.
 ///
 /// # Errors
-/// If there is no Python 3 with `venv`, or a package cannot be installed. The error names the missing package.
+/// Fails if there is no Python 3 with `venv`, or a package cannot be installed. The error names the missing package.
 pub fn environment() -> Result<PathBuf> {
     let place = target_dir().join("venv");
     let python = place.join("bin/python");

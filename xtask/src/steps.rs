@@ -56,7 +56,7 @@ pub fn rows(said: &str, mark: &str) -> Vec<Vec<String>> {
 /// Runs a command to its end and shows its output.
 ///
 /// # Errors
-/// If it does not start or its exit code is not 0. The error contains its last lines.
+/// Fails if the command does not start or its exit code is not 0. The error contains the last lines of output.
 pub fn sh(command: &mut Command) -> Result<()> {
     eprintln!("$ {}", shown(command));
     // Uses a file instead of a pipe, because background processes would keep a pipe open.

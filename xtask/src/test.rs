@@ -56,7 +56,7 @@ impl<'a> Asked<'a> {
 /// Runs the steps.
 ///
 /// # Errors
-/// If an option is unknown.
+/// Fails if an option is unknown.
 pub fn run(args: &[&str]) -> Result<ExitCode> {
     let asked = Asked::read(args)?;
     if asked.full {
@@ -201,7 +201,7 @@ pub fn cargo_for_all(subcommand: &str) -> Command {
 /// Returns the folder of the workspace's programs and examples, as built for the tests.
 ///
 /// # Errors
-/// If the workspace does not build.
+/// Fails if the workspace does not build.
 pub fn programs() -> Result<PathBuf> {
     if let Some(folder) = std::env::var_os("BIMANUAL_PROGRAMS") {
         return Ok(folder.into());
@@ -213,7 +213,7 @@ pub fn programs() -> Result<PathBuf> {
 /// Returns a program or example of the workspace; `name` is its path below the folder of programs.
 ///
 /// # Errors
-/// If the workspace does not build.
+/// Fails if the workspace does not build.
 pub fn built(name: &str) -> Result<Command> {
     let mut command = Command::new(programs()?.join(name));
     command.current_dir(root());

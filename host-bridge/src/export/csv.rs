@@ -38,7 +38,7 @@ pub fn write(folder: &Path, columns: &Columns, episodes: &[Rows], fps: u32) -> R
 /// Creates a folder, or accepts an empty one.
 ///
 /// # Errors
-/// If the folder is not empty or cannot be created.
+/// Fails if the folder is not empty or cannot be created.
 pub(super) fn fresh(folder: &Path) -> Result<(), ExportError> {
     let error = |error: &dyn std::fmt::Display| ExportError::Write(format!("{}: {error}", folder.display()));
     if std::fs::read_dir(folder).is_ok_and(|mut entries| entries.next().is_some()) {

@@ -60,7 +60,7 @@ fn newest<'s, T>(stream: &'s [(u64, T)], time_ms: f64, name: &str) -> Result<&'s
 /// Returns the rows of an episode.
 ///
 /// # Errors
-/// If a stream has a gap. The error contains its name and time.
+/// Fails if a stream has a gap. The error contains its name and time.
 pub fn rows(streams: &Streams, episode: &Episode, fps: u32) -> Result<Rows, String> {
     let step_ms = 1000.0 / f64::from(fps.max(1));
     let count = ((episode.end_ms - episode.start_ms) as f64 / step_ms + 1e-9).floor() as usize + 1;

@@ -21,7 +21,7 @@ const COPIES_OF_NEW: usize = 60;
 /// three circles would make getting up from a chair a circle.
 ///
 /// # Errors
-/// If the training library fails, or the result cannot be quantised.
+/// Fails if the training library fails, or the result cannot be quantised.
 pub fn adapt(
     model: &Trained,
     memory: &Memory,
@@ -31,7 +31,7 @@ pub fn adapt(
     seed: u64,
 ) -> Result<Trained, TrainError> {
     // A quarter suffices beside 4,096 remembered rows.
-    // With all of the training data, the model is less certain about the new examples.
+    // With all of the daily movement, the model is less certain about the new examples.
     let daily: Vec<Vec<f32>> = daily.rows(model.card.axes).into_iter().step_by(4).collect();
     let rows = rows(&model.card, memory, examples, &daily, seed);
     let (start, limit) = (Start::Layers(&model.float), model.card.scaling.limit);

@@ -57,7 +57,7 @@ impl Memory {
     /// Parses the bytes of a memory that belongs to a model with this card.
     ///
     /// # Errors
-    /// If they are not a memory, are damaged, or belong to another model.
+    /// Fails if the bytes are not a memory, are damaged, or belong to another model.
     pub fn parse(bytes: &[u8], card: &Card) -> Result<Self, MemoryError> {
         let error =
             |what: &str| MemoryError(format!("{what}; copy the .memory.bin again or train the model again"));

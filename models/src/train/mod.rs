@@ -113,7 +113,7 @@ impl Trained {
     /// Returns the blob that boards and bridge run.
     ///
     /// # Errors
-    /// If the numbers cannot be represented in a blob.
+    /// Fails if the numbers cannot be represented in a blob.
     pub fn blob(&self) -> Result<Vec<u8>, TrainError> {
         match tflite::read(&self.int8_tflite) {
             Ok(Network::Int8(layers)) => blob::build(&self.card, &layers).map_err(TrainError::Quantise),

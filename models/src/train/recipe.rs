@@ -55,7 +55,7 @@ pub trait Recipe: fmt::Debug + Send + Sync {
     /// Fits a network.
     ///
     /// # Errors
-    /// If the training library fails.
+    /// Fails if the training library fails.
     fn fit(&self, learnt: &Learnt<'_>, seed: u64, progress: &ProgressBar) -> Result<Fitted, TrainError>;
 
     /// Selects the inputs that determine the scales of int8.

@@ -24,11 +24,11 @@ use shared_words::{Heading, TiltThresholds};
 /// Acceleration along the sensor's axes, in any unit, because only ratios matter.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Acceleration {
-    /// Towards the wrist.
+    /// Component towards the wrist.
     pub x: i16,
-    /// Towards the right.
+    /// Component towards the right.
     pub y: i16,
-    /// Out of the back of the hand.
+    /// Component out of the back of the hand.
     pub z: i16,
 }
 
@@ -122,7 +122,7 @@ impl TiltDetector {
     }
 
     /// Processes a sample with gravity on the palm's side.
-    /// The first is treated as a jolt; from the second on, the hand is turned over, and its tilts are ignored.
+    /// The first such sample is treated as a jolt. From the second on, the hand is turned over, and its tilts are ignored.
     pub fn turned_over(&mut self) -> Heading {
         let samples = self.turned_over.saturating_add(1);
         if samples >= DEBOUNCE_SAMPLES {

@@ -23,7 +23,7 @@ pub fn path() -> PathBuf {
 /// The address after the image's static memory, down to which the stack may grow (`__heap_start`).
 ///
 /// # Panics
-/// If the image cannot be read.
+/// Panics if the image cannot be read.
 pub fn static_end() -> usize {
     let bytes = std::fs::read(path()).expect("the image is there");
     let file = object::File::parse(&*bytes).expect("the image is an ELF file");

@@ -179,7 +179,7 @@ impl Nano {
     /// Runs until `cycle` cycles after power-on.
     ///
     /// # Panics
-    /// If the program crashes, stops for ever, or selects a wrong reference for the converter.
+    /// Panics if the program crashes, stops for ever, or selects a wrong reference for the converter.
     pub fn run_until(&mut self, cycle: u64) {
         let mut last = self.cycle();
         let mut has_heartbeat = false;

@@ -47,7 +47,7 @@ impl Voltages for Recorded {
 /// Returns a running board that was calibrated over the wire, with sensor readings from this table.
 ///
 /// # Panics
-/// If the board refuses a step.
+/// Panics if the board refuses a step.
 pub fn calibrated(table: &CalibrationTable) -> Nano {
     let [x, y, z] = table.zero;
     let level = [x, y, z + ONE_G].map(f64::from);

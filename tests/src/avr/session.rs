@@ -61,7 +61,7 @@ impl LeftRig {
     /// Returns all messages since the last call.
     ///
     /// # Panics
-    /// If the board sends anything other than intact frames, because this line has no errors.
+    /// Panics if the board sends anything other than intact frames, because this line has no errors.
     pub fn heard(&mut self) -> Vec<(f64, Seen)> {
         let mut seen = Vec::new();
         while let Some((cycle, byte)) = self.nano.sent() {

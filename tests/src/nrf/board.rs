@@ -166,7 +166,7 @@ impl Board {
     /// Returns a Nano 33 BLE Sense (Rev1) with the image in flash, before its start.
     ///
     /// # Panics
-    /// If the emulator cannot be set up.
+    /// Panics if the emulator cannot be set up.
     pub fn new(image: Image, boot: Boot, motion: Box<dyn Motion>) -> Self {
         Self::of_kind(Kind::Nano33, image, boot, motion)
     }
@@ -218,7 +218,7 @@ impl Board {
         for (start, len) in [
             (SLOTS_START, SLOTS_END - SLOTS_START),
             (0x1000_0000, 0x2000),
-            // Includes the hidden registers for errata of USB.
+            // This range includes the undocumented registers of the USB errata.
             (0x4000_0000, 0x10_0000),
             (0x5000_0000, 0x1000),
             (0xE000_1000, 0x1000),
@@ -365,7 +365,7 @@ impl Board {
     /// Runs until this cycle of virtual time.
     ///
     /// # Panics
-    /// If the core faults. The message contains the address.
+    /// Panics if the core faults. The message contains the address.
     pub fn run_until(&mut self, until: u64) {
         while self.now() < until {
             if self.in_bootloader {
@@ -451,7 +451,7 @@ impl Board {
     /// Returns the S140 of the board.
     ///
     /// # Panics
-    /// If the image does not use S140.
+    /// Panics if the image does not use S140.
     pub fn softdevice(&mut self) -> &mut SoftDevice {
         self.soc().softdevice.as_mut().expect("the image runs behind S140")
     }

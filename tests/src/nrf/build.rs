@@ -37,7 +37,7 @@ pub fn image(variant: Variant) -> Image {
 /// Returns the XIAO's image in the format of its bootloader.
 ///
 /// # Panics
-/// If the file does not exist.
+/// Panics if the file does not exist.
 pub fn uf2() -> Vec<u8> {
     image(Variant::Xiao);
     let elf = XIAO.get().expect("asked for above");

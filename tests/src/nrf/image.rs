@@ -27,7 +27,7 @@ impl Image {
     /// Reads an ELF file.
     ///
     /// # Panics
-    /// If it is not an image for this chip, which our own linker never produces.
+    /// Panics if the file is not an image for this chip, which our own linker never produces.
     pub fn load(path: &Path) -> Self {
         let data = std::fs::read(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
         let file: ElfFile32<'_> = ElfFile32::parse(&*data).expect("an ELF file");
@@ -66,7 +66,7 @@ impl Image {
     /// Returns the address of a function without the Thumb bit.
     ///
     /// # Panics
-    /// If the image has no such function.
+    /// Panics if the image has no such function.
     pub fn function(&self, name: &str) -> u32 {
         self.symbols.get(name).unwrap_or_else(|| panic!("the image has no `{name}`")) & !1
     }

@@ -151,7 +151,7 @@ impl RightRig {
     /// Runs until the laptop is connected over Bluetooth and subscribed.
     ///
     /// # Panics
-    /// If this takes more than five seconds.
+    /// Panics if the board is not ready after five seconds.
     pub fn wait_until_ready(&mut self) {
         let is_ready = self.run_until_that(5000, |s| s.ble.as_ref().is_some_and(|b| b.is_ready()));
         assert!(is_ready, "{:?}", self.board.softdevice().central.log);
@@ -184,7 +184,7 @@ impl RightRig {
     /// Fraction of time awake as reported by the board, in parts per thousand.
     ///
     /// # Panics
-    /// If the board has sent no status.
+    /// Panics if the board has sent no status.
     pub fn board_load(&self) -> u16 {
         self.heard.statuses.last().expect("a status").load_permille
     }

@@ -10,7 +10,7 @@ use super::session::RightRig;
 /// Returns a model with nine axes, seven labels and random weights from a seed.
 ///
 /// # Panics
-/// If the widths are too large for a blob.
+/// Panics if the widths are too large for a blob.
 pub fn random_model(recipe: FeatureKind, hidden: &[usize], seed: u32) -> Vec<u8> {
     const AXES: usize = 9;
     let inputs = recipe.feature_count(AXES);
@@ -73,7 +73,7 @@ pub fn announce(session: &mut RightRig, begin: ModelBegin<'_>) -> AckResult {
 /// Sends pieces until `most` have been accepted.
 ///
 /// # Panics
-/// If one is refused.
+/// Panics if the board refuses a piece.
 pub fn pieces(session: &mut RightRig, blob: &[u8], most: usize) {
     for (i, data) in blob.chunks(MODEL_CHUNK_MAX).enumerate().take(most) {
         let offset = (i * MODEL_CHUNK_MAX) as u32;

@@ -107,7 +107,7 @@ impl UsbHost {
     /// Continues with the next request.
     ///
     /// # Panics
-    /// If the device does not answer like a serial port with Arduino's ids.
+    /// Panics if the device does not answer like a serial port with Arduino's ids.
     pub fn step(&mut self, board: &mut Board) {
         if !self.plugged || board.in_bootloader {
             return;

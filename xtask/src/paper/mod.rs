@@ -189,7 +189,7 @@ impl<'a> Asked<'a> {
 /// Measures every row and prints the tables. If requested, it writes them as Markdown and as a page with plots.
 ///
 /// # Errors
-/// If an option is unknown, a row is missing, or a command fails.
+/// Fails if an option is unknown, a row is missing, or a command fails.
 pub fn run(args: &[&str]) -> Result<ExitCode> {
     let asked = Asked::read(args)?;
     let began = Instant::now();

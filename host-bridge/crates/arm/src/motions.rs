@@ -267,7 +267,7 @@ pub struct Motions {
 /// Parses the angles of a pose for this arm.
 ///
 /// # Errors
-/// If their number differs from the arm's joints, or one is beyond its limits.
+/// Fails if the number of angles differs from the arm's joints, or an angle is beyond the limits.
 pub fn joints_of(arm: &SerialArm, name: &str, angles: &[f64]) -> Result<Joints, MotionError> {
     let bad = |reason| MotionError::Pose { name: name.to_owned(), reason };
     let count = arm.joints.len();

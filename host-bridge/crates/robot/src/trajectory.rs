@@ -289,7 +289,7 @@ impl Trajectory {
         starts.chain([self.duration_s]).collect()
     }
 
-    /// Returns start and end of each part in which the arm leaves the straight segments.
+    /// Returns start and end of each time interval in which the arm leaves the straight segments.
     pub fn corners_s(&self) -> Vec<(f64, f64)> {
         self.corners_s.clone()
     }

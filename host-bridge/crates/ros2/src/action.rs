@@ -13,7 +13,7 @@ use super::vendor::Wrapping;
 /// Creates a client of this action, whose types are from `control_msgs`.
 ///
 /// # Errors
-/// If its name is invalid, or the client cannot be created.
+/// Fails if the action's name is invalid, or the client cannot be created.
 pub fn connect<G, R, F>(
     node: &mut Node,
     name: &str,

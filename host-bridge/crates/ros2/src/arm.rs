@@ -175,7 +175,7 @@ impl ArmLink {
     /// Checks whether a trajectory can be sent now.
     ///
     /// # Errors
-    /// If the arm's angles are unknown or old, or there is no subscriber.
+    /// Fails if the arm's angles are unknown or old, or there is no subscriber.
     pub fn can_follow(&self, now_ms: u64) -> Result<(), String> {
         if self.interface == ArmInterface::None {
             return Err("this robot's arm is not driven (arm = \"none\" in [ros2])".to_owned());

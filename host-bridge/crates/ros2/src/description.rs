@@ -12,7 +12,7 @@ impl Ros2Config {
     /// Returns the names of the frames on the graph.
     ///
     /// # Errors
-    /// If two frames would have the same name.
+    /// Fails if two frames would have the same name.
     pub fn frames(&self, setting: &RobotSetting) -> Result<Frames, String> {
         let mut frames = Frames {
             odom: self.odom_frame.clone(),

@@ -44,7 +44,7 @@ impl Follow {
     /// Searches for the action's server. Returns whether goals may be sent, and a message for the user.
     ///
     /// # Errors
-    /// If the client cannot be created.
+    /// Fails if the client cannot be created.
     pub fn look(&mut self, node: &mut Node, graph: &Graph) -> Result<bool, NodeError> {
         let servers = self.servers(graph);
         let Some(first) = servers.first() else { return Ok(false) };

@@ -62,7 +62,7 @@ impl Gripper {
         })
     }
 
-    /// Returns whether the name is `/NAMESPACE/CONTROLLER/gripper_cmd`, and not of another robot.
+    /// Returns whether the name is `/NAMESPACE/CONTROLLER/gripper_cmd` and belongs to this robot.
     fn may_be_ours(&self, name: &str) -> bool {
         let below = name.strip_prefix(&self.namespace).and_then(|rest| rest.strip_prefix('/'));
         let controller = below.and_then(|rest| rest.strip_suffix("/gripper_cmd"));
@@ -89,7 +89,7 @@ impl Gripper {
     /// Searches for the action's server. Returns the reason if none can be used, otherwise `None`.
     ///
     /// # Errors
-    /// If the client cannot be created.
+    /// Fails if the client cannot be created.
     pub fn look(&mut self, node: &mut Node, graph: &Graph) -> Result<Option<String>, NodeError> {
         let servers = self.servers(graph);
         let [(name, kind, server)] = servers.as_slice() else {

@@ -30,7 +30,7 @@ impl Simulator {
     /// Creates a simulator as configured.
     ///
     /// # Errors
-    /// If two frames would have the same name.
+    /// Fails if two frames would have the same name.
     pub fn new(config: &Ros2Config, setting: &RobotSetting) -> Result<Self, String> {
         let frames = config.frames(setting)?;
         Ok(Simulator { setting: setting.clone(), urdf: urdf(setting, &frames, config), frames })

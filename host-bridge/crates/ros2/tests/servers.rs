@@ -144,7 +144,7 @@ fn whatever_two_servers_and_a_forger_answer_a_stop_ends_every_motion() {
                 arm.see(&angles(HOME), now_ms);
             }
             if now_ms % 700 == 0 && now_ms < stop_ms {
-                // This is refused while another trajectory is running.
+                // The arm refuses the trajectory while another one is running.
                 let _ = arm.follow(Arc::clone(&trajectory), now_ms, &mut outputs);
             }
             if now_ms == stop_ms {

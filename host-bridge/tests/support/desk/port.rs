@@ -20,7 +20,7 @@ pub fn alone() -> MutexGuard<'static, ()> {
 /// Returns the board's end of a pseudo-terminal, which no program inherits, and the laptop's end.
 ///
 /// # Panics
-/// If the system has no free pseudo-terminal.
+/// Panics if the system has no free pseudo-terminal.
 pub fn pair() -> (TTYPort, TTYPort) {
     let _alone = alone();
     let (board, laptop) = TTYPort::pair().expect("a pseudo-terminal");
@@ -51,7 +51,7 @@ impl Port {
     /// Connects the cable, which creates the path.
     ///
     /// # Panics
-    /// If the system has no free pseudo-terminal.
+    /// Panics if the system has no free pseudo-terminal.
     pub fn plug(&mut self) {
         let (mut port, laptop) = pair();
         port.set_timeout(Duration::ZERO).expect("a timeout");

@@ -26,7 +26,7 @@ impl Desk {
     /// Creates an empty desk.
     ///
     /// # Panics
-    /// If the folder cannot be created.
+    /// Panics if the folder cannot be created.
     pub fn new(name: &str) -> Self {
         let path = std::env::temp_dir().join(format!("bimanual-{name}-{}", std::process::id()));
         let _ = std::fs::remove_dir_all(&path);
@@ -58,7 +58,7 @@ impl Desk {
     /// Starts a program that uses the desk's time. Its output is printed immediately.
     ///
     /// # Panics
-    /// If the program does not start.
+    /// Panics if the program does not start.
     pub fn start(&self, mut command: Command) -> Running {
         let outputs = outputs(&mut command);
         Running::new(&self.time, self.time.spawn(&mut command), outputs)
@@ -67,7 +67,7 @@ impl Desk {
     /// Starts a program that uses wall-clock time. The desk's time stops while a test waits for it.
     ///
     /// # Panics
-    /// If the program does not start.
+    /// Panics if the program does not start.
     pub fn start_on_its_own(&self, mut command: Command) -> Running {
         let outputs = outputs(&mut command);
         Running::new(&self.time, Process::on_its_own(&mut command), outputs)
@@ -195,7 +195,7 @@ impl Running {
     /// Waits for a line that contains all these words.
     ///
     /// # Panics
-    /// If there is no such line within [`PATIENCE`].
+    /// Panics if there is no such line within [`PATIENCE`].
     pub fn wait(&mut self, words: &[&str]) -> String {
         match self.wait_for(PATIENCE, words) {
             Some(line) => line,
@@ -252,7 +252,7 @@ impl Running {
     /// Waits for the end of the program, and returns its exit status and its complete output.
     ///
     /// # Panics
-    /// If the program does not end.
+    /// Panics if the program does not end.
     pub fn end(mut self) -> (ExitStatus, String) {
         *self.stdin.borrow_mut() = None;
         let until = self.until(PATIENCE);

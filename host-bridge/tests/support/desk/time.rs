@@ -80,7 +80,7 @@ impl Time {
     /// Lets a millisecond pass.
     ///
     /// # Panics
-    /// If a program hangs.
+    /// Panics if a program hangs.
     pub fn step(&self) {
         let programs: Vec<_> = self.0.programs.borrow().iter().filter_map(Weak::upgrade).collect();
         self.turn(&programs);
@@ -111,7 +111,7 @@ impl Time {
     /// Starts a program that uses this time. The time stands still until the program has joined.
     ///
     /// # Panics
-    /// If the program does not start.
+    /// Panics if the program does not start.
     pub fn spawn(&self, command: &mut Command) -> Rc<Process> {
         let number = self.0.started.get();
         self.0.started.set(number + 1);
@@ -145,7 +145,7 @@ impl Process {
     /// Starts a program that uses wall-clock time.
     ///
     /// # Panics
-    /// If the program does not start.
+    /// Panics if the program does not start.
     pub fn on_its_own(command: &mut Command) -> Rc<Self> {
         Rc::new(Self::spawn(command, Follows::Nothing))
     }

@@ -110,7 +110,7 @@ fn quantise_multiplier(real: f64) -> Option<(i32, i32)> {
 /// Builds a blob. The same input always gives the same bytes.
 ///
 /// # Errors
-/// If sizes contradict each other or exceed the format's maxima, or numbers cannot be represented.
+/// Fails if sizes contradict each other or exceed the format's maxima, or numbers cannot be represented.
 pub fn build_blob(spec: &BlobSpec) -> Result<Vec<u8>, BuildError> {
     let inputs = spec.recipe.feature_count(spec.axes);
     if !(1..=MAX_AXES).contains(&spec.axes) {

@@ -304,7 +304,7 @@ impl<'a> Model<'a> {
     /// Here, f is the feature after the recipe. A NaN feature becomes −128.
     ///
     /// # Errors
-    /// If the number of features or inputs differs from the model's.
+    /// Fails if the number of features or inputs differs from the model's.
     pub fn quantise(
         &self,
         features: &[[f32; FEATURES_PER_AXIS]],
@@ -334,7 +334,7 @@ impl<'a> Model<'a> {
     /// Converts int8 inputs to int8 scores, one per label: (score + 128) / 256 is the probability. It uses no floats.
     ///
     /// # Errors
-    /// If the number of inputs or scores differs from the model's.
+    /// Fails if the number of inputs or scores differs from the model's.
     pub fn infer(&self, inputs: &[i8], scores: &mut [i8]) -> Result<(), WrongLength> {
         self.infer_with_logits(inputs, &mut [0; MAX_LABELS], scores)
     }
@@ -343,7 +343,7 @@ impl<'a> Model<'a> {
     /// The first `label_count` are valid, and the rest is undefined.
     ///
     /// # Errors
-    /// If the number of inputs or scores differs from the model's.
+    /// Fails if the number of inputs or scores differs from the model's.
     pub fn infer_with_logits(
         &self,
         inputs: &[i8],
@@ -359,7 +359,7 @@ impl<'a> Model<'a> {
     /// Converts features to scores: [`Model::quantise`] and [`Model::infer`] combined, without an intermediate buffer.
     ///
     /// # Errors
-    /// If the number of axes or scores differs from the model's.
+    /// Fails if the number of axes or scores differs from the model's.
     pub fn classify(
         &self,
         features: &[[f32; FEATURES_PER_AXIS]],
@@ -371,7 +371,7 @@ impl<'a> Model<'a> {
     /// Like [`Model::classify`], for a flat slice of features of any recipe.
     ///
     /// # Errors
-    /// If the number of features or scores differs from the model's.
+    /// Fails if the number of features or scores differs from the model's.
     pub fn classify_features(&self, features: &[f32], scores: &mut [i8]) -> Result<(), WrongLength> {
         if features.len() != self.info.inputs {
             return Err(WrongLength);

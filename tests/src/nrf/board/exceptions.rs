@@ -136,7 +136,7 @@ impl Board {
     /// S140's own interrupts end a sleep, and violations of its rules end the run.
     ///
     /// # Panics
-    /// If the image has violated a rule of S140.
+    /// Panics if the image has violated a rule of S140.
     pub(super) fn softdevice_woke(&mut self) {
         let world = self.uc.get_data_mut();
         let Some(softdevice) = &mut world.soc.softdevice else { return };

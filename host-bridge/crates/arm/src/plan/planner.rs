@@ -129,7 +129,7 @@ impl Planner {
     /// A pose named `home` replaces the arm's own.
     ///
     /// # Errors
-    /// If a pose is beyond the joints' limits, or a position has no safe joint angles.
+    /// Fails if a pose is beyond the joints' limits, or a position has no safe joint angles.
     pub fn new(mut arm: SerialArm, scene: Scene) -> Result<Self, BadPose> {
         // A home pose must be known before the world is created, and must not need inverse kinematics.
         for (name, goal) in scene.goals() {

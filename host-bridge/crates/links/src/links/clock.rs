@@ -30,7 +30,7 @@ pub trait Clock: Send + Sync {
 ///
 /// On Linux, `std::time::Instant` stops while the machine is suspended.
 /// After an hour of sleep, every hand would then look as recent as before.
-/// This clock continues, so that a sleep is a silence like any other.
+/// This clock continues during suspend, so a sleeping laptop is noticed like any other silence.
 #[derive(Clone, Copy, Debug)]
 pub struct SystemClock {
     start_ms: u64,

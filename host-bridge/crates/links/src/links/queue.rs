@@ -96,7 +96,7 @@ impl<I> EventReceiver<I> {
     /// Waits for the oldest event.
     ///
     /// # Errors
-    /// If nothing arrives within `patience`, or no link is left.
+    /// Fails if nothing arrives within `patience`, or no link is left.
     pub fn recv_timeout(&self, patience: Duration) -> Result<LinkEvent<I>, RecvTimeoutError> {
         let until = Instant::now() + patience;
         let mut waiting = lock(&self.0.waiting);
