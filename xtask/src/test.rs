@@ -171,7 +171,7 @@ impl Beside {
     }
 }
 
-/// The laptop's cargo, in the root.
+/// Returns a cargo command for the laptop's workspace, run in the root folder.
 pub fn cargo(args: &[&str]) -> Command {
     let mut command = Command::new("cargo");
     command.current_dir(root()).args(args);

@@ -1,7 +1,7 @@
 //! The complete left hand: converts readings and times to tilt, heading, bends, stop and health.
 //!
 //! The Nano runs [`LeftHand`], and the laptop runs it to replay recordings.
-//! Both compute the same bits from the same readings.
+//! Board and laptop compute the same bits from the same readings.
 
 pub mod calibration;
 pub mod faults;

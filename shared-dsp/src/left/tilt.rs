@@ -122,7 +122,7 @@ impl TiltDetector {
     }
 
     /// Processes a sample with gravity on the palm's side.
-    /// The first such sample is treated as a jolt. From the second on, the hand is turned over, and its tilts are ignored.
+    /// The first such sample counts as a jolt. From the second on, the hand is turned over and its tilts are ignored.
     pub fn turned_over(&mut self) -> Heading {
         let samples = self.turned_over.saturating_add(1);
         if samples >= DEBOUNCE_SAMPLES {

@@ -389,7 +389,7 @@ impl RosNode {
         self.say(SPEED, speed_note, notes);
         self.say(SERVERS, servers_note, notes);
         self.say(GRIPPER, gripper_note, notes);
-        // Without the numbers, which change continually.
+        // The comparison ignores numbers, because they change continually.
         let clocks = self.clocks.refusal_of(self.config.stamp, now_ms);
         if clocks.is_some() != self.said[CLOCKS].is_some() {
             self.say(CLOCKS, clocks.map(|why| format!("the clocks do not agree: {why}")), notes);
