@@ -529,7 +529,7 @@ mod tests {
             robot.see_base(&odometry(0.3, turn));
             assert_eq!(robot.take_accepted(), expected, "{turn} rad/s");
         }
-        // The threshold also applies to a stop and to a change of sign.
+        // The acceptance of a stop is detected too.
         robot.drive(Twist::ZERO);
         robot.see_base(&odometry(0.2, 0.2));
         assert_eq!(robot.take_accepted(), [Part::Base]);
