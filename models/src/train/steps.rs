@@ -4,7 +4,7 @@
 //! Training needs no held-out recordings, and can start from an existing network.
 //!
 //! Several networks with different starts are merged into one whose logits are the mean of theirs.
-//! Their errors differ for unknown people. The last steps simulate int8 rounding (Jacob et al., 2018).
+//! The networks' errors differ for unknown people. The last steps simulate int8 rounding (Jacob et al., 2018).
 
 use candle_core::{D, Device, Result, Tensor, Var};
 use candle_nn::{AdamW, Optimizer, ParamsAdamW};

@@ -42,7 +42,7 @@ fn reciprocal_of_one_plus(a: i32) -> i32 {
 /// Computes the softmax of `logits` into `scores`: (score + 128) / 256 is the probability.
 ///
 /// `table[d]` is exp(−d · scale) in Q0.31, little-endian, for differences d = 0, 1, …
-/// Beyond its end, the exponentials are too small to affect any output.
+/// Beyond the end of the table, the exponentials are too small to affect any output.
 /// Both slices must have the same length, at most 16.
 #[inline(never)]
 pub(crate) fn softmax(table: &[[u8; 4]], logits: &[i8], scores: &mut [i8]) {

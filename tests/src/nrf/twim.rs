@@ -25,7 +25,7 @@ enum Doing {
     Sending,
     Receiving,
     Stopping,
-    /// Waits for the line for ever.
+    /// Waits without a time limit for the line.
     Stuck,
 }
 

@@ -91,7 +91,7 @@ pub fn solve(
     solve_from(&Purse::of(Budget::DEFAULT.steps as u64), arm, target, start_rad, seed, accept)
 }
 
-/// Like [`solve`], but the steps are taken from the purse, and the search ends when the purse is empty.
+/// Like [`solve`], but the steps count against the purse, and the search ends when the purse is empty.
 ///
 /// # Errors
 /// This function has the errors of [`solve`].

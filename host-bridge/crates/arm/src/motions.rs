@@ -105,7 +105,7 @@ pub enum Grasp {
     Open,
     /// Close until an object is held or the gripper is closed.
     Close,
-    /// Open if closed, and close if open.
+    /// Open a closed gripper, and close an open one.
     Toggle,
 }
 

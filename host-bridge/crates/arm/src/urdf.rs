@@ -281,7 +281,7 @@ mod tests {
             );
             assert_eq!(read.check(&joints).is_ok(), built_in.check(&joints).is_ok());
         }
-        // Without shapes in the file, there are bones from joint to joint.
+        // If the file contains no shapes, capsules from joint to joint replace them.
         for (i, joint) in read.joints.iter().enumerate() {
             let next_m = read.joints.get(i + 1).map_or(read.flange_m, |next| next.origin_m);
             assert_eq!(joint.shapes, [Capsule { a_m: DVec3::ZERO, b_m: next_m, radius_m: 0.05 }]);

@@ -140,7 +140,7 @@ impl Origin {
         Entry::new(Topic::Operated, time_ms, &own::Operated { stamp: self.stamp(time_ms), time_ms, key })
     }
 
-    /// Reports that the robot itself refuses to move, or with `None`, that it no longer does.
+    /// Reports that the robot itself refuses to move, or with `None` that the refusal has ended.
     pub fn refused(self, time_ms: u64, reason: Option<&str>) -> Entry {
         let reason = reason.unwrap_or_default().to_owned();
         Entry::new(Topic::Refused, time_ms, &own::Refused { stamp: self.stamp(time_ms), time_ms, reason })

@@ -25,7 +25,7 @@ pub struct Ends {
 }
 
 /// Returns the angles on the straight line from the arm's position to a pose of its flange, including both ends.
-/// The solver's steps are taken from the purse.
+/// The solver's steps count against the purse's budget.
 ///
 /// # Errors
 /// The distance that can be reached, or for which checks remain.

@@ -1,5 +1,5 @@
 //! Plans from one pose to another: straight if that is clear, otherwise around obstacles, otherwise via home.
-//! If nothing works, it refuses with a reason.
+//! If no path is found, the planner refuses the motion with a reason.
 
 use crate::ik;
 use crate::model::{JointError, SerialArm};

@@ -118,7 +118,7 @@ impl Bridge {
         self.restriction.as_ref().map(|restriction| restriction.text.as_str())
     }
 
-    /// Reports that the robot itself refuses to move, or with `None`, that it no longer does.
+    /// Reports that the robot itself refuses to move, or with `None` that the refusal has ended.
     pub fn robot_refuses(&mut self, refusal: Option<String>, now_ms: u64, robot: &mut dyn Door) {
         let kind = match &refusal {
             Some(reason) => EventKind::RobotRefuses { reason: reason.clone() },
