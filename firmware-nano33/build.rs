@@ -1,4 +1,4 @@
-//! Hands the linker the memory layout of the variant that is built.
+//! Passes the memory layout of the selected variant to the linker.
 
 use std::path::PathBuf;
 use std::{env, fs};
@@ -14,13 +14,13 @@ fn main() {
         (false, false, false) => "src/boards/nano33-bootloader.x",
     };
     fs::copy(layout, out.join("memory.x")).expect("the memory layout is readable");
-    // The model trained on simulated wearers, as the board reads it (models/bundled).
+    // Loads the model trained on simulated wearers (models/bundled), in the format that the board reads.
     let blob = models::bundled::blob().expect("the bundled model is intact");
     fs::write(out.join("model.blob"), blob).expect("OUT_DIR is writable");
     println!("cargo:rustc-link-search={}", out.display());
     println!("cargo:rerun-if-changed={layout}");
     println!("cargo:rerun-if-changed=build.rs");
-    // Page alignment of segments is for hosted systems (it would move the image in flash).
+    // Page alignment of segments is only useful on hosted systems, and here it would move the image in flash.
     println!("cargo:rustc-link-arg-bins=--nmagic");
     println!("cargo:rustc-link-arg-bins=-Tlink.x");
     println!("cargo:rustc-link-arg-bins=-Tdefmt.x");

@@ -1,5 +1,4 @@
-//! Tells the crate whether the target has the DSP and FPU instructions of a Cortex-M4F, which stable
-//! `cfg(target_feature)` does not.
+//! Detects the DSP and FPU instructions of a Cortex-M4F, because stable `cfg(target_feature)` cannot.
 
 fn main() {
     println!("cargo::rerun-if-changed=build.rs");

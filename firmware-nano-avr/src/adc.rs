@@ -1,23 +1,26 @@
-//! Five channels, eight conversions each, read by interrupt after each tick of the clock.
+//! Reads five analog channels, eight conversions each, from the converter's interrupt after each clock tick.
 //!
-//! Each channel is preceded by one conversion of ground, which empties the converter's capacitor: an open
-//! channel then reads near 0 instead of repeating its neighbour, and counts as a fault.
+//! Before each channel the converter measures ground once, which empties its capacitor.
+//! Without this, an open channel would repeat its neighbour's voltage.
+//! With it, an open channel reads near 0, which counts as a fault.
 //!
-//! The reference is always AREF, which is wired to 3.3 V. **Any other choice connects an internal
-//! source to that pin and shorts the board's 3.3 V**, so the multiplexer is written in one place only.
+//! The reference is always AREF, which is wired to 3.3 V.
+//! **Any other setting connects an internal source to that pin and shorts the board's 3.3 V supply.**
+//! For this reason only one function writes the multiplexer register.
 
 use avr_device::atmega328p::{ADC, Peripherals};
 use avr_device::interrupt::{self, CriticalSection, Mutex};
 use core::cell::{Cell, RefCell};
 use shared_dsp::left::{AdcCounts, OVERSAMPLING};
 
-/// A3 index, A4 middle, A0 x, A1 y, A2 z: the accelerometer last, for the least delay.
+/// A3 is the index finger and A4 the middle finger.
+/// A0, A1 and A2 are x, y and z. The accelerometer is read last to keep its delay short.
 const CHANNELS: [u8; 5] = [3, 4, 0, 1, 2];
 /// The multiplexer's ground.
 const GROUND: u8 = 0b1111;
-/// Clock / 128 = 125 kHz: full resolution needs 50 to 200 kHz. 13 clocks per conversion, 104 µs.
+/// Clock / 128 = 125 kHz. Full resolution requires 50 to 200 kHz. One conversion takes 13 clocks, 104 µs.
 const PRESCALER: u8 = 0b111;
-/// Periods after which an unfinished sample means that the converter hangs.
+/// Number of sample periods after which an unfinished sample means that the converter hangs.
 const PATIENCE: u8 = 3;
 
 struct Burst {
@@ -42,12 +45,12 @@ static BURST: Mutex<RefCell<Burst>> = Mutex::new(RefCell::new(Burst {
 static DROPPED: Mutex<Cell<u32>> = Mutex::new(Cell::new(0));
 static RESTARTS: Mutex<Cell<u32>> = Mutex::new(Cell::new(0));
 
-/// Safety: the converter belongs to this module; callers have interrupts off.
+/// Safety: only this module uses the converter, and callers disable interrupts first.
 fn converter() -> ADC {
     unsafe { Peripherals::steal() }.ADC
 }
 
-/// Chooses a channel against AREF: REFS1 and REFS0 stay 0, results stand at the right (ADLAR 0).
+/// Selects a channel with AREF as the reference (REFS1 and REFS0 are 0) and right-aligned results (ADLAR is 0).
 fn select(adc: &ADC, channel: u8) {
     adc.admux.write(|w| unsafe { w.bits(channel & 0x0F) });
 }
@@ -57,18 +60,18 @@ fn convert(adc: &ADC) {
     adc.adcsra.write(|w| unsafe { w.bits(0b1100_1000 | PRESCALER) });
 }
 
-/// Switches the converter on. Interrupts are off.
+/// Enables the converter. Must be called with interrupts disabled.
 pub fn start() {
     let adc = converter();
     select(&adc, GROUND);
     adc.adcsrb.write(|w| unsafe { w.bits(0) });
-    // The digital buffers of A0..A4 would only draw current.
+    // The digital input buffers of A0 to A4 are not needed and would draw current.
     adc.didr0.write(|w| unsafe { w.bits(0b0001_1111) });
-    // ADEN, and ADIF written as 1 clears it.
+    // Sets ADEN to enable the converter, and clears ADIF by writing 1 to it.
     adc.adcsra.write(|w| unsafe { w.bits(0b1001_0000 | PRESCALER) });
 }
 
-/// Begins the sample of this period; a sample that was not finished or not fetched counts as dropped.
+/// Starts the sample of this period. A previous sample that was not finished or not fetched counts as dropped.
 pub fn begin_sample(cs: CriticalSection<'_>) {
     let mut burst = BURST.borrow(cs).borrow_mut();
     let count = |counter: &Mutex<Cell<u32>>| {
@@ -132,7 +135,7 @@ fn ADC() {
     });
 }
 
-/// The finished sample of this period, once.
+/// Returns the finished sample of this period, at most once.
 pub fn take_sample() -> Option<AdcCounts> {
     interrupt::free(|cs| BURST.borrow(cs).borrow_mut().finished.take())
 }
@@ -142,12 +145,12 @@ pub fn has_sample() -> bool {
     interrupt::free(|cs| BURST.borrow(cs).borrow().finished.is_some())
 }
 
-/// Samples that could not be taken or fetched in time since start.
+/// Number of samples since start that were not taken or not fetched in time.
 pub fn dropped() -> u32 {
     interrupt::free(|cs| DROPPED.borrow(cs).get())
 }
 
-/// How often a hanging converter was switched off and on since start.
+/// Number of times since start that a hanging converter was switched off and on again.
 pub fn restarts() -> u32 {
     interrupt::free(|cs| RESTARTS.borrow(cs).get())
 }

@@ -1,4 +1,5 @@
-//! The registers around [`LeftBoard`]: its samples, bytes and time in, its frames, EEPROM and light out.
+//! Connects [`LeftBoard`] to the registers: samples, received bytes and time go in; frames,
+//! EEPROM writes and the LED state come out.
 
 use crate::pins::Light;
 use crate::restart::{self, Cause};
@@ -13,7 +14,7 @@ use shared_board::calibration_store::{Eeprom, next_boot_id};
 use shared_board::left::{LeftBoard, Start};
 use shared_proto::message::{Board, FaultKind, Status};
 
-/// Received bytes handled in one go, so that a flood cannot keep a sample waiting.
+/// Maximum number of received bytes handled per pass, so that a flood of bytes cannot delay a sample.
 const BYTES_AT_ONCE: usize = 16;
 
 /// The chip's EEPROM.
@@ -33,21 +34,22 @@ impl Eeprom for Memory {
     }
 }
 
-/// The whole board behind its registers.
+/// The complete firmware state around [`LeftBoard`].
 pub struct App {
     board: LeftBoard<Memory>,
     period: u32,
     last_status_period: u32,
 }
 
-/// The one [`App`]. In static memory, so that `.bss` shows what it takes.
+/// The only [`App`]. It is in static memory so that the size of `.bss` includes it.
 static mut APP: MaybeUninit<App> = MaybeUninit::uninit();
 
-/// Makes the [`App`]; `guided` starts the calibration that one light guides. Called once per start. Not
-/// inlined: its copy on the stack would stay there for ever.
+/// Creates the [`App`]. `guided` starts the calibration that the LED guides.
+/// Must be called once per start.
+/// This function is not inlined, because its temporary copy would otherwise occupy the stack of `main` permanently.
 #[inline(never)]
 pub fn install(cause: Cause, guided: bool) -> &'static mut App {
-    // Safety: the only use of `APP`, before interrupts are on; they never touch it.
+    // Safety: this is the only use of `APP`. Interrupts are still disabled and never access it.
     let place = unsafe { &mut *addr_of_mut!(APP) };
     let identity = Identity {
         board: Board::LeftNano,
@@ -64,18 +66,18 @@ pub fn install(cause: Cause, guided: bool) -> &'static mut App {
     place.write(App { board, period: 0, last_status_period: 0 })
 }
 
-/// Queues a frame, whole or not at all: nothing here ever waits for the line.
+/// Queues a frame completely or not at all. This function never waits for the serial line.
 fn queue(frame: &[u8]) -> bool {
     frame.len() <= serial::room() && Serial.write_all(frame).is_ok()
 }
 
 impl App {
-    /// Is there anything to do? Interrupts are off.
+    /// Returns whether any work is pending. Must be called with interrupts disabled.
     pub fn has_work(&self) -> bool {
         self.period != clock::periods() || adc::has_sample() || Serial.read_ready() == Ok(true)
     }
 
-    /// Does all there is to do.
+    /// Does all pending work.
     pub fn poll(&mut self) {
         if let Some(counts) = adc::take_sample() {
             self.board.sample(counts, self.now_ms(), &mut queue);
@@ -84,7 +86,7 @@ impl App {
         if period != self.period {
             self.period = period;
             restart::all_is_well();
-            // Its sample follows 5 ms later.
+            // The converter finishes this sample 5 ms later.
             if self.board.period(self.now_ms(), &mut queue) {
                 self.status();
             }

@@ -1,20 +1,20 @@
-//! One byte of EEPROM at a time.
+//! Reads and writes single bytes of EEPROM.
 
 use avr_device::atmega328p::{EEPROM, Peripherals};
 use avr_device::interrupt;
 use core::arch::asm;
 
-/// Safety: EEPROM belongs to this module.
+/// Safety: only this module uses the EEPROM.
 fn eeprom() -> EEPROM {
     unsafe { Peripherals::steal() }.EEPROM
 }
 
-/// Is a byte still being written (3.4 ms)?
+/// Returns whether a write is in progress. A write takes 3.4 ms.
 pub fn is_busy() -> bool {
     eeprom().eecr.read().eepe().bit_is_set()
 }
 
-/// Reads a byte. Waits for a write that is under way.
+/// Reads a byte, after waiting for any write in progress.
 pub fn read(address: u16) -> u8 {
     while is_busy() {}
     let eeprom = eeprom();
@@ -23,13 +23,13 @@ pub fn read(address: u16) -> u8 {
     eeprom.eedr.read().bits()
 }
 
-/// Starts writing a byte (erase and write in one). Waits for a write that is under way.
+/// Starts to erase and write a byte, after waiting for any write in progress.
 pub fn write(address: u16, byte: u8) {
     while is_busy() {}
     let eeprom = eeprom();
     eeprom.eear.write(|w| w.bits(address));
     eeprom.eedr.write(|w| w.bits(byte));
-    // EEPE must follow EEMPE within four cycles.
-    // Safety: two bits of EECR (0x1F in I/O space).
+    // EEPE must be set within four cycles after EEMPE.
+    // Safety: this sets two bits of EECR (0x1F in I/O space).
     interrupt::free(|_| unsafe { asm!("sbi 0x1F, 2", "sbi 0x1F, 1") });
 }

@@ -1,8 +1,9 @@
-//! The left hand's firmware: an Arduino Nano (ATmega328P, 16 MHz) with an ADXL335 and two flex sensors.
+//! Firmware of the left hand: an Arduino Nano (ATmega328P, 16 MHz) with an ADXL335 and two flex sensors.
 //!
-//! This crate holds pins, converter, serial line, timer, EEPROM and watchdog. What the board says, when, and what
-//! it answers is `shared_board`'s, every judgement (what a tilt means, what a bend is, what a fault is)
-//! `shared_dsp`'s, every byte on the wire `shared_proto`'s.
+//! This crate contains the drivers for pins, converter, serial line, timer, EEPROM and watchdog.
+//! `shared_board` defines the messages that the board sends, their timing and its replies.
+//! `shared_dsp` judges tilts, bends and faults.
+//! `shared_proto` defines every byte on the wire.
 //!
 //! ```text
 //!  TIMER1 100 Hz ─▶ adc: 45 conversions, 4.7 ms ─▶ app ─▶ shared_board::left ─▶ serial
@@ -25,7 +26,9 @@ mod stack;
 use avr_device::interrupt;
 use core::arch::asm;
 
-/// Where avr-libc's start code arrives: up to 2.2 it calls `main` from `.init9`, from 2.3 on it runs into what stands there.
+/// Entry point for avr-libc's start code.
+/// Up to avr-libc 2.2 the start code calls `main` from `.init9`;
+/// from 2.3 on it falls through into the code placed there.
 #[unsafe(link_section = ".init9")]
 #[unsafe(export_name = "main")]
 extern "C" fn main() -> ! {
@@ -42,21 +45,21 @@ extern "C" fn main() -> ! {
         app.poll();
         interrupt::disable();
         if app.has_work() {
-            // Everything that interrupts touch is set up.
+            // All state that interrupts use is initialised at this point.
             unsafe { interrupt::enable() };
         } else {
             let asleep_at = clock::ticks_in_period();
-            // `sei` takes effect after the instruction behind it, so no interrupt fits between the
-            // question and the sleep, if these two stand together.
+            // `sei` takes effect after the next instruction.
+            // Because `sleep` directly follows `sei`, no interrupt can occur between the check for work and the sleep.
             unsafe { asm!("sei", "sleep") };
             clock::add_sleep_since(asleep_at);
         }
     }
 }
 
-/// Lets SLEEP stop the processor, and nothing else (idle): without SMCR.SE it does nothing.
+/// Enables SLEEP in idle mode, which stops only the processor. Without SMCR.SE, the instruction has no effect.
 fn allow_sleep() {
     const SE_IDLE: u8 = 1;
-    // Safety: a register that nobody else writes.
+    // Safety: nothing else writes this register.
     unsafe { avr_device::atmega328p::Peripherals::steal() }.CPU.smcr.write(|w| unsafe { w.bits(SE_IDLE) });
 }

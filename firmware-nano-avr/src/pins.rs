@@ -1,4 +1,4 @@
-//! D13, the board's own light, and D2, which calibrates when it is held to ground at power-on.
+//! Controls D13, the board's LED, and reads D2, which starts the calibration if it is grounded at power-on.
 
 use avr_device::atmega328p::Peripherals;
 use core::convert::Infallible;
@@ -10,15 +10,15 @@ pub struct Light;
 /// D2 (PD2), pulled up.
 struct CalibrationPin;
 
-/// Sets both directions and D2's pull-up.
+/// Sets both pin directions and enables the pull-up of D2.
 pub fn start() {
-    // Safety: both ports belong to this module.
+    // Safety: only this module uses both ports.
     let dp = unsafe { Peripherals::steal() };
     dp.PORTB.ddrb.write(|w| w.pb5().set_bit());
     dp.PORTB.portb.write(|w| unsafe { w.bits(0) });
     dp.PORTD.ddrd.write(|w| unsafe { w.bits(0) });
     dp.PORTD.portd.write(|w| w.pd2().set_bit());
-    // Time for the pull-up to charge the pin.
+    // This delay lets the pull-up charge the pin.
     for _ in 0..200 {
         avr_device::asm::nop();
     }

@@ -1,15 +1,19 @@
-//! Why the board started, the watchdog, and what happens when the program fails.
+//! Determines why the board started, runs the watchdog, and handles a failure of the program.
 //!
-//! **The trap.** After a watchdog reset the watchdog goes on running at 16 ms. The old bootloader of
-//! many Nanos never stops it and waits for more than a second: it is reset again and again until
-//! somebody pulls the plug. So where that bootloader is found in flash, the watchdog only interrupts,
-//! and the interrupt restarts the program by a jump to 0, past the bootloader. A program that hangs
-//! with interrupts off is not caught there: the board is silent, which stops the robot, until the
-//! laptop opens the port again (that pulls the reset line). Elsewhere the watchdog interrupts first, which leaves
-//! word, and resets at its next time-out.
+//! **The bootloader trap.** After a watchdog reset the watchdog keeps running with a time-out of 16 ms.
+//! The old bootloader of many Nanos never stops the watchdog and waits for more than a second.
+//! The watchdog therefore resets the board repeatedly until the power is disconnected.
+//! If the old bootloader is found in flash, the watchdog only raises an interrupt.
+//! The interrupt restarts the program by a jump to address 0, past the bootloader.
+//! This method does not catch a program that hangs with interrupts disabled.
+//! Such a board is silent, which stops the robot, until the laptop reopens the port, which pulls the reset line.
+//! With any other bootloader, the watchdog first raises an interrupt, which stores the reason.
+//! At its next time-out, the watchdog resets the board.
 //!
-//! **What stays unsaid.** Under Optiboot, which hides the reason of a reset, a program that hangs with interrupts off is reset
-//! like any other, but that start looks like one by the reset button and is not reported. Its boot id is new.
+//! **A reset that is not reported.** Optiboot hides the reason of a reset.
+//! Under Optiboot, a program that hangs with interrupts disabled is reset too.
+//! The board cannot distinguish that start from a press of the reset button and does not report it.
+//! Such a start still gets a new boot id.
 
 use avr_device::atmega328p::Peripherals;
 use core::arch::asm;
@@ -19,7 +23,7 @@ use core::ptr::{addr_of, addr_of_mut};
 /// Why the board started.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Cause {
-    /// Power, the reset button, or the serial port being opened.
+    /// Power-up, the reset button, or the laptop opened the serial port.
     Ordinary,
     /// The watchdog.
     Watchdog,
@@ -27,15 +31,15 @@ pub enum Cause {
     Panic,
 }
 
-/// What a restart leaves in RAM for the next start. (Registers would not do: a reset clears them, and Optiboot clears
-/// MCUSR, which says why there was one, before it starts the program.)
+/// Data in RAM that a restart passes to the next start.
+/// Registers are unsuitable: a reset clears them, and Optiboot clears MCUSR before it starts the program.
 #[repr(C)]
 #[derive(Clone, Copy)]
 struct Kept {
     magic: [u8; 2],
-    /// One of the marks below; 0 for a start that was not announced.
+    /// One of the marks below, or 0 if the last run left no mark.
     cause: u8,
-    /// Starts since the last power-up, wrapping.
+    /// Number of starts since the last power-up. The counter wraps.
     starts: u8,
     check: u8,
 }
@@ -51,9 +55,9 @@ impl Kept {
         Self { magic: MAGIC, cause, starts, check: !(cause ^ starts) }
     }
 
-    /// `None` after a power-up, when RAM has arbitrary content.
+    /// Returns `None` after a power-up, when the content of RAM is arbitrary.
     fn load() -> Option<Self> {
-        // Safety: bytes, of which any value is one, and nobody else touches them.
+        // Safety: every byte value is valid for this type, and nothing else accesses it.
         let kept = unsafe { addr_of!(KEPT).cast::<Self>().read_volatile() };
         (kept.magic == MAGIC && kept.check == !(kept.cause ^ kept.starts)).then_some(kept)
     }
@@ -64,22 +68,23 @@ impl Kept {
     }
 }
 
-/// The start code leaves this section alone, and so do both bootloaders.
+/// The start code does not initialise this section, and neither bootloader uses it.
 #[unsafe(link_section = ".noinit")]
 static mut KEPT: MaybeUninit<Kept> = MaybeUninit::uninit();
 
-/// Leaves a mark for the next start.
+/// Stores a mark for the next start.
 fn leave(cause: u8) {
     Kept::new(cause, starts()).store();
 }
 
-/// Stops the watchdog, before anything else, and returns why the board started.
+/// Stops the watchdog before anything else runs, and returns why the board started.
 pub fn begin() -> Cause {
     avr_device::interrupt::disable();
-    // Safety: nothing else runs yet.
+    // Safety: no other code runs yet.
     let dp = unsafe { Peripherals::steal() };
     let reset_flags = dp.CPU.mcusr.read().bits();
-    // WDRF holds the watchdog on, so it goes first. Some bootloaders have cleared it already.
+    // While WDRF is set, the watchdog cannot be disabled, so clear WDRF first.
+    // Some bootloaders have already cleared it.
     dp.CPU.mcusr.write(|w| unsafe { w.bits(0) });
     set_watchdog(0);
     let kept = Kept::load();
@@ -92,13 +97,13 @@ pub fn begin() -> Cause {
     }
 }
 
-/// Starts since the last power-up, this one not counted, wrapping.
+/// Number of starts since the last power-up, without the current one. The counter wraps.
 pub fn starts() -> u8 {
     Kept::load().map_or(0, |kept| kept.starts)
 }
 
-/// Starts the watchdog: after 0.25 s an interrupt, and after as long again a reset, unless that leads into the old
-/// bootloader's trap.
+/// Starts the watchdog, which raises an interrupt after 0.25 s and resets the board after another 0.25 s.
+/// The reset is omitted if it would enter the trap of the old bootloader.
 pub fn arm() {
     const WDIE: u8 = 1 << 6;
     const WDE: u8 = 1 << 3;
@@ -107,7 +112,7 @@ pub fn arm() {
     set_watchdog(mode | QUARTER_SECOND);
 }
 
-/// The old bootloader starts at 0x7800; the new one at 0x7E00, with erased flash below.
+/// The old bootloader starts at 0x7800. The new one starts at 0x7E00 and leaves the flash below it erased.
 fn has_old_bootloader() -> bool {
     let (low, high): (u8, u8);
     // Safety: reads two bytes of flash.
@@ -118,7 +123,7 @@ fn has_old_bootloader() -> bool {
     low & high != 0xFF
 }
 
-/// Tells the watchdog that all is well.
+/// Resets the watchdog timer.
 pub fn all_is_well() {
     avr_device::asm::wdr();
 }
@@ -126,19 +131,20 @@ pub fn all_is_well() {
 fn set_watchdog(value: u8) {
     const WDCE_WDE: u8 = 0x18;
     avr_device::asm::wdr();
-    // The change must follow its permission within four cycles.
-    // Safety: two stores to WDTCSR (0x60), interrupts off.
+    // The new value must be written within four cycles after the change is enabled.
+    // Safety: this performs two stores to WDTCSR (0x60) with interrupts disabled.
     unsafe {
         asm!("sts 0x60, {permit}", "sts 0x60, {value}",
             permit = in(reg) WDCE_WDE, value = in(reg) value);
     }
 }
 
-/// Restarts the program without a reset. Every module's `start` sets its registers whole, so what
-/// the old run left in them does not matter.
+/// Restarts the program without a reset.
+/// Register values from the old run have no effect, because the `start` function of every module writes its registers
+/// completely.
 fn restart(mark: u8) -> ! {
     avr_device::interrupt::disable();
-    // Safety: interrupts are off, and nothing of this run goes on.
+    // Safety: interrupts are disabled, and no code of the old run continues.
     let dp = unsafe { Peripherals::steal() };
     dp.ADC.adcsra.write(|w| unsafe { w.bits(0) });
     dp.TC1.timsk1.write(|w| unsafe { w.bits(0) });
@@ -154,7 +160,7 @@ fn WDT() {
         restart(MARK_WATCHDOG)
     }
     leave(MARK_WATCHDOG);
-    // The next time-out resets.
+    // The next watchdog time-out resets the board.
     loop {
         core::hint::spin_loop();
     }

@@ -1,7 +1,7 @@
-//! The serial line to the laptop (USART0): two ring buffers that interrupts fill and empty.
+//! Drives the serial line to the laptop (USART0) with two ring buffers that interrupts fill and empty.
 //!
-//! Nothing here waits, except [`Read`] and [`Write`] on a line that is not ready, as their contracts
-//! ask; the firmware asks [`ReadReady`] and [`room`] first.
+//! Only [`Read`] and [`Write`] wait if the line is not ready, as their contracts require.
+//! The firmware checks [`ReadReady`] and [`room`] first and therefore never waits.
 
 use avr_device::atmega328p::Peripherals;
 use avr_device::interrupt::{self, Mutex};
@@ -26,30 +26,30 @@ const BAUD: u32 = if cfg!(feature = "baud-57600") {
 } else {
     115_200
 };
-/// With U2X one bit takes 8·(UBRR + 1) clocks, rounded to the nearest: 57600 comes out 0.8 % slow,
-/// 115200 2.1 % fast, 250000 exact.
+/// With U2X one bit takes 8·(UBRR + 1) clocks.
+/// After rounding, 57600 baud is 0.8 % slow, 115200 is 2.1 % fast, and 250000 is exact.
 const UBRR: u16 = ((16_000_000 / 8 + BAUD / 2) / BAUD - 1) as u16;
 const _: () = assert!(UBRR == 34 || UBRR == 16 || UBRR == 7);
 
-/// Enough for what comes in while a frame is computed (under 3 ms, 11 bytes per ms at most).
+/// This size covers the bytes that arrive while a frame is computed (less than 3 ms, at most 11 bytes per ms).
 static RECEIVED: Mutex<RefCell<Deque<u8, 64>>> = Mutex::new(RefCell::new(Deque::new()));
-/// Enough for a hello, a fault and two states, the most that falls due together.
+/// This size covers the most frames that can be due together: a hello, a fault and two states.
 static TO_SEND: Mutex<RefCell<Deque<u8, 160>>> = Mutex::new(RefCell::new(Deque::new()));
-/// Bytes that came too fast or with a wrong stop bit.
+/// Number of bytes that were lost to an overrun or a wrong stop bit.
 static LOST: Mutex<Cell<u16>> = Mutex::new(Cell::new(0));
 
 /// The line.
 pub struct Serial;
 
-/// 8N1 at the chosen speed, receiver and its interrupt on. Interrupts are off.
+/// Enables 8N1 at the configured baud rate, the receiver and its interrupt. Must be called with interrupts disabled.
 pub fn start() {
-    // Safety: USART0 belongs to this module.
+    // Safety: only this module uses USART0.
     let usart = unsafe { Peripherals::steal() }.USART0;
     usart.ucsr0b.write(|w| unsafe { w.bits(0) });
     usart.ucsr0a.write(|w| w.u2x0().set_bit());
-    // 8 data bits, no parity, one stop bit.
+    // Frame format: 8 data bits, no parity, one stop bit.
     usart.ucsr0c.write(|w| unsafe { w.bits(0b0000_0110) });
-    // Last: the emulator works out its speed at this write.
+    // Write this register last, because the emulator computes the baud rate at this write.
     usart.ubrr0.write(|w| w.bits(UBRR));
     // RXCIE, RXEN, TXEN.
     usart.ucsr0b.write(|w| unsafe { w.bits(0b1001_1000) });
@@ -85,7 +85,7 @@ fn USART_UDRE() {
     });
 }
 
-/// Bytes that [`Write`] takes without waiting.
+/// Number of bytes that [`Write`] accepts without waiting.
 pub fn room() -> usize {
     interrupt::free(|cs| {
         let queue = TO_SEND.borrow(cs).borrow();
@@ -93,7 +93,7 @@ pub fn room() -> usize {
     })
 }
 
-/// Received bytes that were lost since start (stops at 65535).
+/// Number of received bytes lost since start, up to 65535.
 pub fn lost() -> u16 {
     interrupt::free(|cs| LOST.borrow(cs).get())
 }
@@ -149,7 +149,7 @@ impl Write for Serial {
                 count += 1;
             }
             if count > 0 {
-                // Safety: one bit; the interrupt that clears it is kept out.
+                // Safety: this changes one bit, and the interrupt that clears the same bit is disabled.
                 interrupt::free(|_| {
                     let usart = unsafe { Peripherals::steal() }.USART0;
                     usart.ucsr0b.modify(|_, w| w.udrie0().set_bit());

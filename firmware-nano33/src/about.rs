@@ -1,11 +1,11 @@
-//! What this board is made of, and how it started.
+//! Stores facts about the board that do not change during a run: its sensor and the cause of its last reset.
 
 use core::sync::atomic::{AtomicU8, AtomicU16, Ordering};
 
 use nano33_sensor::found::Kind;
 use shared_proto::message::{About, Image, ResetCause};
 
-/// Sensor, axes and reset cause: bytes of the wire, so that any task may read them.
+/// Sensor, axes and reset cause as protocol bytes in atomics, so that any task can read them.
 static SENSOR: AtomicU8 = AtomicU8::new(0);
 static AXES: AtomicU8 = AtomicU8::new(0);
 static RESET: AtomicU8 = AtomicU8::new(0);
@@ -22,7 +22,7 @@ const IMAGE: Image = if cfg!(feature = "trouble") {
     Image::Bootloader
 };
 
-/// Keeps why the board started; `reasons` is RESETREAS at start.
+/// Stores why the board started. `reasons` is the value of RESETREAS at start.
 pub fn started(reasons: u32) {
     const PIN: u32 = 1 << 0;
     const WATCHDOG: u32 = 1 << 1;
@@ -37,7 +37,7 @@ pub fn started(reasons: u32) {
     RESET.store(cause.into(), Ordering::Relaxed);
 }
 
-/// A sensor with this many axes was found. The laptop knows its name.
+/// Stores the detected sensor and its number of axes. The laptop translates the number of the sensor to a name.
 pub fn found(kind: Kind, axes: usize) {
     SENSOR.store(kind as u8, Ordering::Relaxed);
     AXES.store(axes as u8, Ordering::Relaxed);
@@ -49,7 +49,7 @@ pub fn battery(millivolts: u16) {
     BATTERY.store(millivolts, Ordering::Relaxed);
 }
 
-/// All that is known by now.
+/// Returns the facts known so far.
 pub fn now() -> About {
     About {
         sensor: SENSOR.load(Ordering::Relaxed).into(),

@@ -1,4 +1,4 @@
-//! The executor's loop, with a count of the time awake, and the least free stack.
+//! Runs the executor and measures the processor load and the least free stack.
 
 use core::sync::atomic::{AtomicU32, Ordering};
 
@@ -8,19 +8,21 @@ use embassy_executor::{Spawner, raw};
 /// Processor cycles per second.
 pub const CYCLES_HZ: u32 = 64_000_000;
 
-/// Runs tasks for ever, and sleeps between.
+/// Runs tasks for ever and sleeps while no task is ready.
 ///
-/// The cycle counter stands still while the core sleeps, so it counts the time awake, interrupts and
-/// SoftDevice included. (A debugger that is attached may keep it running.)
+/// The cycle counter stops while the core sleeps.
+/// It therefore measures the time awake, including interrupts and the SoftDevice.
+/// An attached debugger may prevent the counter from stopping.
 pub fn run(mut dcb: DCB, mut dwt: DWT, init: impl FnOnce(Spawner)) -> ! {
     static EXECUTOR: static_cell::StaticCell<raw::Executor> = static_cell::StaticCell::new();
     dcb.enable_trace();
     dwt.enable_cycle_counter();
-    // The thread-mode executor's context: tasks that wake send an event, which ends the sleep below.
+    // This is the context value of the thread-mode executor: a task that wakes sends an event,
+    // which ends the sleep below.
     let executor: &'static raw::Executor = EXECUTOR.init(raw::Executor::new(usize::MAX as *mut ()));
     init(executor.spawner());
     loop {
-        // SAFETY: only here, and never from within a task.
+        // SAFETY: `poll` is called only here and never from within a task.
         unsafe { executor.poll() };
         sleep();
     }
@@ -28,9 +30,10 @@ pub fn run(mut dcb: DCB, mut dwt: DWT, init: impl FnOnce(Spawner)) -> ! {
 
 /// Sleeps until an event.
 fn sleep() {
-    // nRF52840 erratum 87: a pending floating-point exception keeps the core awake. They are sticky
-    // (an inexact result is enough), so clear them and what they have raised.
-    // SAFETY: the exception flags of FPSCR have no other use here; interrupt 38 (FPU) has no handler.
+    // nRF52840 erratum 87: a pending floating-point exception prevents the core from sleeping.
+    // Exception flags are sticky, and an inexact result is enough to set one.
+    // The code therefore clears the flags and the pending interrupt.
+    // SAFETY: the exception flags of FPSCR have no other use here, and interrupt 38 (FPU) has no handler.
     unsafe {
         core::arch::asm!(
             "vmrs {0}, fpscr",
@@ -44,12 +47,12 @@ fn sleep() {
     cortex_m::asm::wfe();
 }
 
-/// Cycles awake since start, wrapping.
+/// Cycles awake since start. The counter wraps.
 pub fn cycles() -> u32 {
     DWT::cycle_count()
 }
 
-/// Share of time awake since the last call, in parts per thousand.
+/// Measures the share of time awake since the last call, in parts per thousand.
 pub struct Load {
     cycles: u32,
     at: embassy_time::Instant,
@@ -61,7 +64,7 @@ impl Load {
         Self { cycles: cycles(), at: embassy_time::Instant::now() }
     }
 
-    /// The share, rounded up. At most a minute between calls.
+    /// Returns the share, rounded up. Calls must be at most one minute apart.
     pub fn permille(&mut self) -> u16 {
         let (now, at) = (cycles(), embassy_time::Instant::now());
         let awake = u64::from(now.wrapping_sub(self.cycles));
@@ -72,7 +75,7 @@ impl Load {
 }
 
 const PAINT: u32 = 0x57AC_57AC;
-/// Words that happen to look painted may lie in used stack; this many in a row count as never used.
+/// Used stack may contain a few words equal to the pattern, so only a run of this many words counts as never used.
 const RUN: usize = 64;
 static LEAST_FREE: AtomicU32 = AtomicU32::new(u32::MAX);
 
@@ -85,7 +88,7 @@ pub fn paint_stack() {
     let mut word = &raw mut __sheap;
     let end = (cortex_m::register::msp::read() - 256) as *mut u32;
     while word < end {
-        // SAFETY: between the statics and the stack pointer lies nothing (there is no heap).
+        // SAFETY: the memory between the statics and the stack pointer is unused, because the firmware has no heap.
         unsafe {
             word.write_volatile(PAINT);
             word = word.add(1);
@@ -93,7 +96,7 @@ pub fn paint_stack() {
     }
 }
 
-/// Minimum free stack seen since start, in bytes.
+/// Returns the minimum free stack since start, in bytes.
 pub fn free_stack_bytes() -> u32 {
     let bottom = (&raw const __sheap) as usize;
     let top = match LEAST_FREE.load(Ordering::Relaxed) {
@@ -105,7 +108,7 @@ pub fn free_stack_bytes() -> u32 {
     let mut at = top;
     while at > bottom && run < RUN {
         at -= 4;
-        // SAFETY: as above; aligned, since the bottom and the stack pointer are.
+        // SAFETY: as above. The address is aligned because the end of the statics and the stack pointer are aligned.
         if unsafe { (at as *const u32).read_volatile() } == PAINT {
             run += 1;
         } else {

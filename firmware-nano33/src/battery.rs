@@ -1,4 +1,4 @@
-//! The battery's voltage, on boards that have a divider for it.
+//! Measures the battery voltage on boards with a voltage divider.
 
 use embassy_nrf::gpio::{AnyPin, Level, Output, OutputDrive};
 use embassy_nrf::peripherals::SAADC;
@@ -14,7 +14,7 @@ bind_interrupts!(struct Irqs {
 
 /// A minute: a battery changes slowly.
 const BETWEEN: Duration = Duration::from_secs(60);
-/// Millivolts of the converter's whole range: 0.6 V, a gain of a sixth, 12 bits.
+/// Full scale of the converter in millivolts: 0.6 V reference, gain 1/6, 12 bits.
 const FULL_SCALE_MV: u32 = 3600;
 
 /// The divider.
@@ -23,10 +23,10 @@ pub struct Parts {
     pub converter: Peri<'static, SAADC>,
     /// Its middle.
     pub middle: AnyInput<'static>,
-    /// Its lower end, low for good: floating it would lift the middle to the battery's voltage, which is too much for a
-    /// pin.
+    /// Lower end of the divider, always driven low.
+    /// If it floated, the middle of the divider would rise to the battery's voltage, which is too high for a pin.
     pub low: Peri<'static, AnyPin>,
-    /// Resistance of the whole, and of its lower part, in kilohms.
+    /// Resistance of the whole divider and of its lower part, in kilohms.
     pub kilohms: (u32, u32),
 }
 

@@ -1,4 +1,4 @@
-//! The one board, which all tasks share. There is one executor, so they take turns; nobody keeps it across an `await`.
+//! Owns the one board state that all tasks share. All tasks run in one executor, and none borrows it across an `await`.
 
 use core::cell::RefCell;
 use core::sync::atomic::Ordering;
@@ -16,19 +16,19 @@ use crate::{about, boards};
 /// The board's logic.
 pub type Board = RightBoard<CountHand<'static, AXES>>;
 
-/// What models this image can run, where its sensor has all nine axes.
+/// Requirements for a model to run on this image, if the sensor has all nine axes.
 pub const RUNS: Runs = Runs { axes: AXES as u8, sample_hz: SAMPLE_HZ as u16 };
 
 static BOARD: OnceLock<ThreadModeMutex<RefCell<Board>>> = OnceLock::new();
 
-/// Puts the board in its place. Called once, before any task runs.
+/// Stores the board. Called once, before any task runs.
 pub fn install(board: Board) {
     if BOARD.init(ThreadModeMutex::new(RefCell::new(board))).is_err() {
         defmt::unreachable!("installed once");
     }
 }
 
-/// Does something with the board, which knows what the sensor's driver has found out.
+/// Calls `act` with the board, after updating the board with the sensor's detected properties.
 pub fn with<R>(act: impl FnOnce(&mut Board) -> R) -> R {
     let Some(board) = BOARD.try_get() else { defmt::unreachable!("installed before any task runs") };
     board.lock(|board| {

@@ -1,4 +1,4 @@
-//! Power and wires of the sensors inside the module.
+//! Power supply and I2C bus of the sensors inside the module.
 
 use embassy_nrf::gpio::{AnyPin, Flex, Level, Output, OutputDrive};
 use embassy_nrf::peripherals::TWISPI0;
@@ -20,16 +20,16 @@ pub struct SensorPins {
     pub sda: Peri<'static, AnyPin>,
     /// I2C clock.
     pub scl: Peri<'static, AnyPin>,
-    /// Supplies the sensor when high.
+    /// Supplies the sensor while high.
     pub power: Peri<'static, AnyPin>,
-    /// Supplies the bus' pull-ups when high, where they have a pin of their own.
+    /// Supplies the pull-ups of the bus while high, on boards with a separate pin for them.
     pub pull_ups: Option<Peri<'static, AnyPin>>,
 }
 
-/// 390 kHz. At the nominal 400 kHz the clock's low period is too short for I2C (nRF52840 erratum 219).
+/// 390 kHz. At the nominal 400 kHz the clock's low period is shorter than I2C allows (nRF52840 erratum 219).
 const FREQUENCY: u32 = 0x0620_0000;
 
-/// The internal I2C bus. (A bus on the board's header is another one.)
+/// The internal I2C bus, which is not the one on the board's header.
 pub struct SensorBus {
     twim: Peri<'static, TWISPI0>,
     sda: Peri<'static, AnyPin>,
@@ -48,14 +48,15 @@ impl SensorBus {
             twim,
             sda: pins.sda,
             scl: pins.scl,
-            // The sensors of a Rev2 and of a XIAO need the high drive.
+            // The sensors of a Rev2 and of a XIAO require high drive strength.
             power: Output::new(pins.power, Level::Low, OutputDrive::HighDrive),
             pull_ups: pins.pull_ups.map(|pin| Output::new(pin, Level::Low, OutputDrive::Standard)),
             tx_buffer: TX_BUFFER.take(),
         }
     }
 
-    /// Sensor on, 10 ms, then the pull-ups, as Arduino does it; then the sensor gets its time to start.
+    /// Switches the sensor on and, 10 ms later, the pull-ups, as Arduino's core does.
+    /// Then waits for the sensor to start.
     pub async fn power_up(&mut self) {
         self.power.set_high();
         Timer::after(Duration::from_millis(10)).await;
@@ -65,8 +66,8 @@ impl SensorBus {
         Timer::after(Duration::from_millis(boards::START_MS - 10)).await;
     }
 
-    /// Frees a bus on which a device holds SDA low: up to nine clocks until it lets go, then a stop.
-    /// Returns whether the bus had been stuck; both lines are high afterwards unless the fault stays.
+    /// Frees a bus on which a device drives SDA low, with up to nine clock pulses and a stop condition.
+    /// Returns whether the bus was stuck. Afterwards both lines are high unless the fault persists.
     pub async fn clear(&mut self) -> bool {
         let mut sda = Flex::new(self.sda.reborrow());
         let mut scl = Flex::new(self.scl.reborrow());
@@ -99,7 +100,7 @@ impl SensorBus {
         true
     }
 
-    /// The bus controller, until it is dropped.
+    /// Opens the bus controller until the returned value is dropped.
     pub fn open(&mut self) -> Wire<'_> {
         let mut config = twim::Config::default();
         config.frequency = twim::Frequency::K400;
@@ -113,8 +114,9 @@ impl SensorBus {
 
 /// The bus controller, with a pause after a failed transfer.
 ///
-/// embassy-nrf's driver asks for a stop condition after an error and does not wait for it: the "stopped" event
-/// would end the next transfer before it has begun, with a buffer of zeros.
+/// After an error embassy-nrf's driver requests a stop condition and does not wait for it.
+/// Without the pause, the late "stopped" event would end the next transfer before its start and leave a buffer
+/// of zeros.
 pub struct Wire<'a>(Twim<'a>);
 
 impl ErrorType for Wire<'_> {

@@ -1,4 +1,5 @@
-//! The classifying task: samples to the board's logic, which names gestures or makes raw batches, by mode.
+//! The classification task passes samples to the board's logic.
+//! Depending on the mode, the logic classifies gestures or builds raw batches.
 
 use embassy_time::{Duration, with_timeout};
 use shared_board::right::SILENCE_MS;
@@ -8,7 +9,7 @@ use crate::link::Everywhere;
 use crate::sample::{AXES, SAMPLES, Taken};
 use crate::state::{self, ALIVE_CLASSIFY};
 
-/// One sample into the board; tests watch its arguments and count its instructions.
+/// Passes one sample to the board. Tests inspect the arguments of this function and count its instructions.
 #[inline(never)]
 #[unsafe(no_mangle)]
 extern "C" fn bimanual_sample(counts: &[i16; AXES], board: &mut Board, time_ms: u32, number: u32) -> bool {

@@ -1,7 +1,9 @@
-//! What all transports share: frames out, messages in.
+//! Code common to all transports: sending frames and receiving messages.
 //!
-//! Each transport has an [`Outbox`]. While nobody listens it takes nothing, and when it is full its
-//! oldest frame goes: late is dropped, never queued, since every state frame is whole.
+//! Each transport has an [`Outbox`].
+//! While nobody listens, the outbox rejects frames.
+//! A full outbox drops its oldest frame.
+//! Late frames are not useful, because every state frame is complete in itself.
 
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
@@ -10,10 +12,10 @@ use embassy_sync::channel::Channel;
 use shared_board::FrameOut;
 use shared_proto::frame::{BOARD_FRAME_MAX, Decoder, HOST_FRAME_MAX};
 
-/// A frame ready for the wire.
+/// An encoded frame.
 pub type Frame = heapless::Vec<u8, BOARD_FRAME_MAX>;
 
-/// The outputs of the board.
+/// The transports of the board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, defmt::Format)]
 #[repr(u8)]
 pub enum WayOut {
@@ -37,7 +39,7 @@ impl Outbox {
         Self { frames: Channel::new(), open: AtomicBool::new(false) }
     }
 
-    /// Somebody listens now, or no longer does; what waited is forgotten.
+    /// Sets whether anybody listens, and discards the waiting frames.
     pub fn set_open(&self, open: bool) {
         if self.open.swap(open, Ordering::Relaxed) != open {
             self.frames.clear();
@@ -84,9 +86,9 @@ static USB: Outbox = Outbox::new();
 #[cfg(feature = "radio")]
 static BLE: Outbox = Outbox::new();
 
-/// Frames that went because a transport was too slow.
+/// Number of frames dropped because a transport was too slow.
 pub static LATE_FRAMES: AtomicU32 = AtomicU32::new(0);
-/// Damaged frames from the laptop, on all transports.
+/// Number of damaged frames from the laptop, on all transports.
 pub static BAD_FRAMES: AtomicU32 = AtomicU32::new(0);
 
 impl WayOut {
@@ -108,7 +110,7 @@ impl FrameOut for WayOut {
     }
 }
 
-/// Every link where somebody listens.
+/// Sends to every link with a listener.
 pub struct Everywhere;
 
 impl FrameOut for Everywhere {
@@ -121,20 +123,20 @@ impl FrameOut for Everywhere {
     }
 }
 
-/// A decoded frame from the laptop, still in postcard, with the link it came from.
+/// A decoded frame from the laptop, still in postcard encoding, and the link it arrived on.
 pub struct Received {
-    /// Where the answer goes.
+    /// The link on which to reply.
     pub link: WayOut,
-    /// Whether the link may change what the board keeps (Bluetooth: bonded).
+    /// Whether the link may make permanent changes to the board. A Bluetooth link must be bonded for this.
     pub trusted: bool,
     /// The message.
     pub payload: heapless::Vec<u8, HOST_FRAME_MAX>,
 }
 
-/// Messages from the laptop, in order. A full inbox holds the transports back.
+/// Messages from the laptop, in order. While the inbox is full, the transports wait.
 pub static INBOX: Channel<CriticalSectionRawMutex, Received, 3> = Channel::new();
 
-/// Bytes of one transport to messages in the [`INBOX`].
+/// Decodes the bytes of one transport to messages in the [`INBOX`].
 pub struct Inlet {
     link: WayOut,
     decoder: Decoder<HOST_FRAME_MAX>,
@@ -142,12 +144,12 @@ pub struct Inlet {
 }
 
 impl Inlet {
-    /// An inlet that waits for the start of a frame.
+    /// Creates an inlet that waits for the start of a frame.
     pub const fn new(link: WayOut) -> Self {
         Self { link, decoder: Decoder::new(), damaged: 0 }
     }
 
-    /// Takes bytes as they come.
+    /// Decodes received bytes.
     pub async fn take(&mut self, bytes: &[u8], trusted: bool) {
         for &byte in bytes {
             if let Some(payload) = self.decoder.push(byte)

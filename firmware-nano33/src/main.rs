@@ -1,5 +1,6 @@
-//! The right hand: wiring only. Samples flow `sample -> classify -> board -> link`, requests
-//! `link -> control -> board`. What the board says and answers is `shared_board`'s.
+//! Firmware of the right hand. This file only starts and connects the tasks.
+//! Samples flow through `sample -> classify -> board -> link`, and requests through `link -> control -> board`.
+//! The crate `shared_board` defines the board's messages and replies.
 #![no_std]
 #![no_main]
 #![allow(async_fn_in_trait, reason = "one executor, one core")]
@@ -67,18 +68,19 @@ fn main() -> ! {
     {
         config.hfclk_source = embassy_nrf::config::HfclkSource::ExternalXtal;
     }
-    // The converter instead of the linear regulator halves the current; its coil is on every board here.
+    // The DC/DC converter halves the current compared to the linear regulator.
+    // All supported boards have the required coil.
     config.dcdc.reg1 = true;
     // 0, 1 and 4 belong to the SoftDevice, 0 and 4 to the linked-in controller.
     config.time_interrupt_priority = Priority::P2;
     config.gpiote_interrupt_priority = Priority::P7;
     let p = embassy_nrf::init(config);
     let reasons = embassy_nrf::pac::POWER.resetreas().read();
-    // Bits are cleared by writing ones.
+    // Writing ones clears the bits.
     embassy_nrf::pac::POWER.resetreas().write_value(reasons);
     let reasons = reasons.0;
     about::started(reasons);
-    // The flash's cache: fewer fetches, less current.
+    // The flash cache reduces the number of flash reads and thus the current.
     embassy_nrf::pac::NVMC.icachecnf().write(|w| w.set_cacheen(true));
     for (irq, priority) in [
         (interrupt::TWISPI0, Priority::P3),

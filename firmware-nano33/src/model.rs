@@ -1,4 +1,4 @@
-//! Which model runs: the newest received one that is intact and fits, else the compiled-in one.
+//! Selects the model to run: the newest received model that is intact and compatible, otherwise the built-in model.
 
 use core::sync::atomic::Ordering;
 
@@ -15,17 +15,17 @@ use crate::sample::SAMPLE_HZ;
 use crate::storage::{self, Flash, Region, Slots};
 use crate::{boards, state};
 
-/// At a multiple of 4 bytes the network runs about three times as fast.
+/// With an alignment of 4 bytes the network runs about three times as fast.
 #[repr(C, align(4))]
 struct Aligned<T: ?Sized>(T);
 
 static BUNDLED: &Aligned<[u8]> = &Aligned(*include_bytes!(concat!(env!("OUT_DIR"), "/model.blob")));
 
-/// Installs the board with the model to run, and gives the store for the next one.
+/// Installs the board with the model to run, and returns the store for received models.
 pub fn install<F: Flash>(flash: F) -> ModelStore<Slots<F>> {
     let (store, found) = ModelStore::open(Region(flash), RUNS);
     let blob = found.model.map_or(&BUNDLED.0, storage::blob);
-    // The store has parsed a stored one; the bundled one is checked by build.rs.
+    // The store has parsed a stored model, and build.rs checks the built-in one.
     let hand =
         Model::parse(blob).ok().and_then(|model| RightHand::new(model, DecisionConfig::default()).ok());
     let Some(hand) = hand else { defmt::unreachable!("checked before") };

@@ -1,9 +1,10 @@
-//! The sampling task: keeps the sensor alive and puts its samples onto the exact 100 Hz grid.
+//! The sampling task operates the sensor and resamples its data to the exact 100 Hz grid.
 //!
-//! Grid time k is tick `k · 32768 / 100` of the crystal, rounded down: 327 or 328 ticks apart and
-//! exactly 100 Hz on average. (A 10 ms timer in whole ticks would be 327 ticks: 100.2 Hz, or 328:
-//! 99.9 Hz.) Sample number k belongs to grid time k for as long as the board runs; what could not be
-//! taken is counted and leaves a gap in the window.
+//! Grid time k is tick `k · 32768 / 100` of the crystal, rounded down.
+//! Grid times are 327 or 328 ticks apart, and their average rate is exactly 100 Hz.
+//! A 10 ms timer in whole ticks would have a period of 327 ticks (100.2 Hz) or 328 ticks (99.9 Hz).
+//! Sample number k always belongs to grid time k.
+//! A sample that could not be taken is counted and leaves a gap in the window.
 
 use core::sync::atomic::Ordering;
 
@@ -24,19 +25,19 @@ pub const SAMPLE_HZ: u64 = 100;
 /// Values per sample.
 pub const AXES: usize = 9;
 
-/// One sample on the grid, in counts of [`nano33_sensor::SCALE`]: accX accY accZ gyrX gyrY gyrZ magX magY magZ. The last three
-/// are 0 if the board has no magnetometer.
+/// One sample on the grid, in counts of [`nano33_sensor::SCALE`]: accX accY accZ gyrX gyrY gyrZ magX magY magZ.
+/// The last three values are 0 on a board without a magnetometer.
 #[derive(Clone, Copy, Debug)]
 pub struct Sample {
     /// Its number since start.
     pub number: u32,
-    /// Its grid time on the board's clock.
+    /// Grid time of the sample, on the board's clock.
     pub board_time_ms: u32,
     /// The counts.
     pub counts: [i16; AXES],
 }
 
-/// What the classifying task gets.
+/// Message to the classification task.
 #[derive(Clone, Copy, Debug)]
 pub enum Taken {
     /// The next sample.
@@ -45,21 +46,23 @@ pub enum Taken {
     Gap,
 }
 
-/// Samples on their way to the window.
+/// Samples on their way to the classification task.
 pub static SAMPLES: Channel<CriticalSectionRawMutex, Taken, 16> = Channel::new();
 
-/// Transfers of one poll take about 1 ms, 15 with a full FIFO, and erasing a page of flash stops the processor for
-/// 85 ms in between; after this the bus is taken to be stuck.
+/// Time limit of one poll, after which the bus counts as stuck.
+/// The transfers of a poll take about 1 ms, or 15 ms with a full FIFO.
+/// Erasing a page of flash can stop the processor for another 85 ms.
 const POLL_TIMEOUT: Duration = Duration::from_millis(150);
-/// Without new sets for this long the sensor is asked whether it still has its settings.
+/// If no new sets arrive for this long, the task checks the sensor's settings.
 const SILENCE: Duration = Duration::from_millis(50);
-/// A failing sensor is started anew after this long; its FIFO holds 134 ms.
+/// A failing sensor is restarted after this time. The sensor's FIFO covers 134 ms.
 const PATIENCE: Duration = Duration::from_millis(60);
-/// A sensor is set up within this long; the BMI270's own program takes half of it.
+/// Time limit for configuring a sensor. Loading the BMI270's configuration file takes half of it.
 const START_TIMEOUT: Duration = Duration::from_millis(800);
-/// Between attempts to start the sensor.
+/// Pause between attempts to start the sensor.
 const RETRY: Duration = Duration::from_millis(250);
-/// Failures in a row until the laptop is told: one may be a hiccup. Then every fourth.
+/// Number of consecutive failures after which the laptop is notified, because a single failure may be transient.
+/// Later every fourth failure is reported.
 const TOLD_FROM: u32 = 2;
 
 fn tick_of(number: u64) -> Instant {
@@ -87,7 +90,7 @@ pub async fn run(mut bus: SensorBus) -> ! {
         } else if attempt >= TOLD_FROM && (attempt - TOLD_FROM).is_multiple_of(4) {
             say(why);
         }
-        // At once after the first failure, so that a hiccup costs little.
+        // The first restart follows immediately, so that a transient failure causes only a short gap.
         if attempt > 0 {
             Timer::after(RETRY).await;
         }
@@ -97,7 +100,7 @@ pub async fn run(mut bus: SensorBus) -> ! {
     }
 }
 
-/// Finds the sensor, starts it, and samples until it fails.
+/// Detects and starts the sensor, then samples until the sensor fails.
 async fn attempt_once(bus: &mut SensorBus, batch: &mut Batch, next: &mut u64, attempt: &mut u32) -> ImuError {
     let mut imu = match with_timeout(POLL_TIMEOUT, Found::find(bus.open(), boards::SENSORS)).await {
         Ok(Ok(imu)) => imu,
@@ -128,7 +131,7 @@ fn say(why: ImuError) {
     }
 }
 
-/// Moves on to the first grid time that is not past; those left out are dropped samples.
+/// Advances to the first grid time that is not in the past. The skipped samples count as dropped.
 fn skip_past(next: &mut u64) {
     let now = Instant::now();
     while tick_of(*next) < now {
@@ -162,7 +165,7 @@ async fn stream<I: Imu>(imu: &mut I, batch: &mut Batch, next: &mut u64) -> ImuEr
                 if asked - last_good > PATIENCE {
                     return error;
                 }
-                // What the sensor keeps in its FIFO is fetched by the next poll.
+                // The next poll fetches the sets that remain in the sensor's FIFO.
                 Timer::after(Duration::from_millis(2)).await;
                 continue;
             }

@@ -1,4 +1,4 @@
-//! How the image's flash is divided, and the part in which received models are kept: `shared_board`'s two slots.
+//! Defines the layout of the image's flash and stores received models in the two slots of `shared_board`.
 
 use embedded_storage_async::nor_flash::{
     ErrorType, NorFlash, NorFlashError, NorFlashErrorKind, ReadNorFlash,
@@ -6,9 +6,9 @@ use embedded_storage_async::nor_flash::{
 use shared_board::models::{MappedFlash, StoredModel};
 use shared_board::slots::STORE_BYTES;
 
-/// Start of the slots; the layouts in `src/boards` end the image's flash here.
+/// Start address of the slots. The memory layouts in `src/boards` end the image at this address.
 pub const SLOTS_START: u32 = 0x000D_8000;
-/// The page before them holds the keys of the laptop that bonded last.
+/// Address of the page before the slots, which stores the keys of the laptop that bonded last.
 #[cfg(feature = "ble")]
 pub const BOND_PAGE: u32 = SLOTS_START - PAGE_BYTES;
 /// The two pages before them hold the log of bonds.
@@ -19,10 +19,10 @@ pub const BONDS_START: u32 = SLOTS_START - BONDS_BYTES as u32;
 pub const BONDS_BYTES: usize = shared_board::bonds::PAGES * PAGE_BYTES as usize;
 /// Bytes per erasable page.
 pub const PAGE_BYTES: u32 = 0x1000;
-/// Words that one call of [`Flash::write`] gets at most.
+/// Maximum number of words per call of [`Flash::write`].
 const WORDS_AT_ONCE: usize = 32;
 
-/// The flash did not take the data.
+/// A flash operation failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FlashFailed;
 
@@ -32,11 +32,11 @@ impl NorFlashError for FlashFailed {
     }
 }
 
-/// What the storage needs of the flash controller.
+/// Flash operations that the storage requires.
 pub trait Flash {
     /// Sets a page to all ones.
     async fn erase_page(&mut self, address: u32) -> Result<(), FlashFailed>;
-    /// Writes words to erased flash. The address is a multiple of 4.
+    /// Writes words to erased flash. The address must be a multiple of 4.
     async fn write(&mut self, address: u32, words: &[u32]) -> Result<(), FlashFailed>;
 }
 
@@ -98,7 +98,7 @@ impl<F: Flash, const START: u32, const BYTES: usize> MappedFlash for Region<F, S
     }
 }
 
-/// The blob of a stored model.
+/// Returns the data of a stored model.
 pub fn blob(place: StoredModel) -> &'static [u8] {
     stored(place.offset(), place.len)
 }

@@ -1,7 +1,7 @@
-//! The header's serial port at 115200 baud, 8N1. Not 5 V tolerant.
+//! Serial port on the board's header at 115200 baud, 8N1. The pins do not tolerate 5 V.
 //!
-//! A receiver that waits keeps the fast clock on, half a milliampere and more. So the image with Bluetooth, which may run
-//! on a battery, has this port only while the USB cable is in.
+//! An enabled receiver keeps the fast clock running, which draws half a milliampere or more.
+//! The Bluetooth image may run on a battery, so it enables this port only while the USB cable is connected.
 
 use embassy_futures::join::join;
 use embassy_nrf::buffered_uarte::{self, BufferedUarte};
@@ -16,7 +16,7 @@ bind_interrupts!(struct Irqs {
     UARTE0 => buffered_uarte::InterruptHandler<UARTE0>;
 });
 
-/// What the driver takes: it counts received bytes with a timer.
+/// Peripherals that the driver uses. It counts received bytes with a timer.
 pub struct Parts {
     /// The controller.
     pub uarte: Peri<'static, UARTE0>,
@@ -70,7 +70,7 @@ async fn serve(parts: &mut Parts, rx: &mut [u8], tx: &mut [u8]) -> ! {
         rx,
         tx,
     );
-    // The driver leaves the pin floating: with nothing plugged in it would receive noise.
+    // The driver leaves the receive pin floating, so an unconnected pin would receive noise.
     let pins = match port {
         Port::Port0 => pac::P0,
         Port::Port1 => pac::P1,
@@ -78,7 +78,7 @@ async fn serve(parts: &mut Parts, rx: &mut [u8], tx: &mut [u8]) -> ! {
     pins.pin_cnf(pin.into()).modify(|w| w.set_pull(pac::gpio::vals::Pull::Pullup));
     let (mut rx, mut tx) = uart.split();
     let outbox = WayOut::Uart.outbox();
-    // A wire does not show whether somebody listens.
+    // A serial line does not indicate whether anybody listens.
     outbox.set_open(true);
     let send = async {
         loop {

@@ -1,4 +1,4 @@
-//! A serial port over the USB cable (CDC ACM). A touch at 1200 baud returns to the bootloader.
+//! Serial port over the USB cable (CDC ACM). Opening the port at 1200 baud starts the bootloader.
 
 use embassy_futures::join::join3;
 use embassy_futures::select::{Either, select};
@@ -19,7 +19,7 @@ bind_interrupts!(struct Irqs {
 
 const TOUCH_BAUD: u32 = 1200;
 const PACKET: usize = 64;
-/// A laptop that stopped reading: its frames are dropped, not queued.
+/// A write that takes this long means that the laptop has stopped reading. Its frames are then dropped, not queued.
 const STALLED: Duration = Duration::from_millis(100);
 
 static CONFIG_DESCRIPTOR: ConstStaticCell<[u8; 128]> = ConstStaticCell::new([0; 128]);
@@ -27,7 +27,7 @@ static CONTROL: ConstStaticCell<[u8; 64]> = ConstStaticCell::new([0; 64]);
 static SERIAL: ConstStaticCell<[u8; 16]> = ConstStaticCell::new([b'0'; 16]);
 static STATE: StaticCell<State<'static>> = StaticCell::new();
 
-/// Serves the port for ever.
+/// Operates the port for ever.
 pub async fn run<V: VbusDetect + 'static>(usbd: Peri<'static, USBD>, vbus: V) -> ! {
     let driver = usb::Driver::new(usbd, Irqs, vbus);
     let (vendor, product) = boards::USB.ids;
@@ -52,7 +52,7 @@ pub async fn run<V: VbusDetect + 'static>(usbd: Peri<'static, USBD>, vbus: V) ->
                     Either::Second(()) => {
                         outbox.set_open(control.dtr());
                         if sender.line_coding().data_rate() == TOUCH_BAUD && !control.dtr() {
-                            // The laptop gets its answer first.
+                            // This delay lets the laptop receive its reply first.
                             Timer::after(Duration::from_millis(50)).await;
                             boards::enter_bootloader();
                         }
@@ -66,13 +66,13 @@ pub async fn run<V: VbusDetect + 'static>(usbd: Peri<'static, USBD>, vbus: V) ->
                         break;
                     }
                 }
-                // A full last packet needs an empty one to end the transfer.
+                // A full last packet requires an empty packet to end the transfer.
                 if matches!(sent, Ok(Ok(()))) && frame.len() % PACKET == 0 {
                     sent = with_timeout(STALLED, sender.write_packet(&[])).await;
                 }
                 match sent {
                     Ok(Ok(())) => {}
-                    // Nobody reads: what waits is old by the time somebody does.
+                    // Nobody reads, so the waiting frames would be out of date by the time anybody does.
                     Err(_) => outbox.forget(),
                     Ok(Err(_)) => break,
                 }
@@ -94,7 +94,7 @@ pub async fn run<V: VbusDetect + 'static>(usbd: Peri<'static, USBD>, vbus: V) ->
     unreachable!("all run for ever")
 }
 
-/// The chip's own number in hexadecimal, by which operating systems tell two boards apart.
+/// The chip's serial number in hexadecimal, which lets operating systems distinguish two boards.
 fn serial_number() -> &'static str {
     let text = SERIAL.take();
     let id = [1, 0].map(|word| embassy_nrf::pac::FICR.deviceid(word).read());

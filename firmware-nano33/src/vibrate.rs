@@ -1,4 +1,5 @@
-//! The vibration motor's pin: what the board's logic says, as a pulse width. Low and unclocked while the motor is still.
+//! Drives the pin of the vibration motor with the pulse width that the board's logic sets.
+//! While the motor is off, the pin is low and its clock is stopped.
 
 use embassy_futures::select::select;
 use embassy_nrf::Peri;
@@ -11,15 +12,15 @@ use embassy_time::{Duration, Timer};
 
 use crate::{board, state};
 
-/// The laptop asks for a signal.
+/// Signals that the laptop has requested a vibration.
 pub static FELT: Signal<CriticalSectionRawMutex, ()> = Signal::new();
 
-/// Of the 16 MHz clock: a period of 20 kHz, which nobody hears, has a hundred.
+/// Clock cycles per per cent of pulse width: 16 MHz / 20 kHz / 100. People cannot hear 20 kHz.
 const PERCENT: u16 = 8;
 
-/// The pin to which a motor's transistor may be wired.
+/// The pin for the transistor of an optional motor.
 pub struct Parts {
-    /// The generator. Not the first one, which the stock bootloader leaves running.
+    /// The PWM generator. It is not PWM0, because the stock bootloader leaves that one running.
     pub pwm: Peri<'static, PWM1>,
     /// Its pin.
     pub pin: Peri<'static, AnyPin>,
@@ -42,7 +43,7 @@ pub async fn run(parts: Parts) -> ! {
             // With this polarity the pin is high while the counter is below the value.
             pwm.set_duty(0, DutyCycle::inverted(PERCENT * u16::from(percent)));
             if percent == 0 {
-                // Its clock is off, and the pin is the port's again: low.
+                // This stops the generator's clock and returns the pin to the GPIO port, which drives it low.
                 pwm.disable();
             }
         }

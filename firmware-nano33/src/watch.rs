@@ -1,4 +1,4 @@
-//! Status every second, the LED, the watchdog, and what a restart leaves behind.
+//! Sends the status every second, drives the LED, feeds the watchdog, and records a panic across a restart.
 
 use core::sync::atomic::Ordering;
 
@@ -13,7 +13,7 @@ use crate::board;
 use crate::link::{self, Everywhere};
 use crate::state::{self, ALIVE, ALIVE_CLASSIFY, ALIVE_SAMPLE};
 
-/// Red, green and blue of the board's LED; low is on.
+/// Red, green and blue pins of the board's LED, which are on while low.
 pub struct Led {
     /// Something is wrong.
     pub red: Output<'static>,
@@ -23,7 +23,7 @@ pub struct Led {
     pub blue: Output<'static>,
 }
 
-/// Restarts the board unless [`feed`] runs and all tasks are alive.
+/// Starts the watchdog, which resets the board unless [`feed`] runs and all tasks are alive.
 pub fn start_watchdog(
     wdt: embassy_nrf::Peri<'static, embassy_nrf::peripherals::WDT>,
 ) -> Option<WatchdogHandle> {
@@ -32,12 +32,12 @@ pub fn start_watchdog(
     config.action_during_debug_halt = wdt::HaltConfig::Pause;
     match Watchdog::try_new::<_, 1>(wdt, config) {
         Ok((_, [handle])) => Some(handle),
-        // A bootloader started it with other settings; it cannot be changed until the next reset.
+        // A bootloader started the watchdog with other settings, which cannot be changed until the next reset.
         Err(_) => None,
     }
 }
 
-/// Once per second: status out, watchdog fed, LED lit for a moment.
+/// Sends the status, feeds the watchdog and flashes the LED once per second.
 #[embassy_executor::task]
 pub async fn run(mut watchdog: Option<WatchdogHandle>, mut led: Led) -> ! {
     let mut second = Ticker::every(Duration::from_secs(1));
@@ -68,7 +68,7 @@ pub async fn run(mut watchdog: Option<WatchdogHandle>, mut led: Led) -> ! {
             Light::Recording => &mut led.blue,
             Light::Well => &mut led.green,
         };
-        // A short flash: the LED draws more than the rest of the board.
+        // The flash is short because the LED draws more current than the rest of the board.
         light.set_level(Level::Low);
         Timer::after(Duration::from_millis(10)).await;
         light.set_level(Level::High);
@@ -76,33 +76,33 @@ pub async fn run(mut watchdog: Option<WatchdogHandle>, mut led: Led) -> ! {
 }
 
 unsafe extern "C" {
-    /// Where a panic leaves its mark for the next start: a word that neither the image nor a bootloader uses
-    /// (`src/boards/*.x`).
+    /// Word in which a panic stores a mark for the next start.
+    /// The memory layouts (`src/boards/*.x`) reserve the word, so neither the image nor a bootloader uses it.
     #[link_name = "_kept"]
     static mut PANICKED: u32;
 }
 const MARK: u32 = 0xDEAD_0A33;
 
-/// Leaves the mark and restarts.
+/// Stores the mark and restarts the board.
 #[inline(never)]
 pub fn restart_after_panic() -> ! {
-    // SAFETY: one core, interrupts off, and nobody else touches it.
+    // SAFETY: there is one core, interrupts are disabled, and no other code accesses the word.
     unsafe {
         (&raw mut PANICKED).write_volatile(MARK);
     }
     cortex_m::peripheral::SCB::sys_reset()
 }
 
-/// Reports how the last run ended. `reasons` is RESETREAS at start.
+/// Reports how the last run ended. `reasons` is the value of RESETREAS at start.
 pub fn report_last_run(reasons: u32) {
     const WATCHDOG: u32 = 1 << 1;
-    // SAFETY: as above; at start nobody else runs.
+    // SAFETY: as above, and no other code runs at start.
     let panicked = unsafe {
         let mark = (&raw const PANICKED).read_volatile();
         (&raw mut PANICKED).write_volatile(0);
         mark == MARK
     };
-    // After a power-up (no reason bit set) the mark in RAM is random.
+    // After a power-up, when no reason bit is set, the mark in RAM is random.
     if panicked && reasons != 0 {
         state::report(FaultKind::Panic, 0);
     }

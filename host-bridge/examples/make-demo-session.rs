@@ -1,14 +1,15 @@
-//! Makes the bundled demo session: `sessions/demo/{right.csv,left.csv,session.toml}`, the same bytes each time.
+//! Generates the bundled demo session: `sessions/demo/{right.csv,left.csv,session.toml}`. The output is reproducible.
 //!
 //! ```text
 //! cargo run --release -p host-bridge --example make-demo-session [FOLDER]
 //! ```
-//! Both hands are simulated. The right one is a demo wearer of `models synth`, who is never among the
-//! training wearers. The left one is made here: an ADXL335 with offsets, gains and noise on a hand with
-//! tremor, and two flex sensors of different strength.
+//! Both hands are simulated.
+//! The right hand is a demo wearer of `models synth`, who is never among the training wearers.
+//! The left hand is generated here.
+//! It has an ADXL335 with offsets, gains and noise, a tremor, and two flex sensors of different sensitivity.
 //!
-//! The script below is the plan. What the base must come to follows from it by plain arithmetic (speed
-//! times time), not from running the simulator.
+//! The script below is a list of planned actions.
+//! The expected final pose of the base is calculated from it as speed times time, without the simulator.
 
 use std::f64::consts::{FRAC_PI_2, TAU};
 use std::fmt::Write as _;
@@ -22,7 +23,7 @@ use shared_dsp::left::calibration::{CAPTURE_SAMPLES, Calibration, CaptureStep};
 use shared_dsp::left::{AdcCounts, LeftHand};
 use shared_words::TiltThresholds;
 
-/// Which demo wearer plays the right hand, and which take.
+/// Number of the demo wearer for the right hand, and number of the recording.
 const WEARER: u32 = 1;
 const TAKE: u64 = 0;
 /// Seed of the left hand's noise and tremor.
@@ -30,7 +31,7 @@ const SEED: u64 = 20_261_122;
 /// Length of both recordings.
 const LENGTH_S: f64 = 84.0;
 
-/// Gestures of the right hand: onset, how long, which. The second up-down releases the stop.
+/// Gestures of the right hand: start time, duration, motion. The second up-down releases the stop.
 const RIGHT: [(f64, f64, Motion); 7] = [
     (3.0, 3.2, Motion::UpDown),
     (8.8, 3.2, Motion::ToFro),
@@ -41,14 +42,14 @@ const RIGHT: [(f64, f64, Motion); 7] = [
     (66.4, 3.2, Motion::Circle),
 ];
 
-/// What the left hand does, and when (in s).
+/// Actions of the left hand, with times in s.
 #[derive(Clone, Copy)]
 enum Act {
-    /// Tilted by this much (pitch, roll in degrees) from one time to another.
+    /// A tilt (pitch, roll in degrees) between two times.
     Tilt(f64, f64, [f64; 2]),
     /// One bend of a finger (0 index, 1 middle).
     Bend(f64, usize),
-    /// Both fingers bent from one time to another: stop.
+    /// Both fingers are bent between two times, which means stop.
     Fist(f64, f64),
 }
 
@@ -56,7 +57,7 @@ const FORWARD: [f64; 2] = [26.0, 2.0];
 const BACKWARD: [f64; 2] = [-24.0, -1.0];
 const LEFT: [f64; 2] = [2.0, 27.0];
 const RIGHT_TILT: [f64; 2] = [-1.0, -25.0];
-/// A quarter turn at 0.5 and at 0.478 rad/s.
+/// Duration of a quarter turn at 0.5 rad/s and at 0.478 rad/s.
 const QUARTER_S: f64 = FRAC_PI_2 / 0.5;
 const SLOW_QUARTER_S: f64 = FRAC_PI_2 / 0.478_296_9;
 const FIST_S: f64 = 17.0;
@@ -81,9 +82,11 @@ fn left_script() -> Vec<Act> {
     acts
 }
 
-/// Where the base must end, and the caps: each command's speed times its time, at the cap of that moment.
+/// Calculates the final pose of the base and the final cap.
+/// Each command contributes its speed, at the current cap, times
+/// its duration.
 fn plan(acts: &[Act]) -> (Odometry, f64) {
-    // From closing the fingers to stop: half the way down, 20 ms of debounce, 300 ms held.
+    // Delay from the start of closing the fingers to the stop: half the closing time, 20 ms debouncing, 300 ms holding.
     const STOP_DELAY_S: f64 = 0.4;
     let mut place = Odometry::default();
     let mut ordered = acts.to_vec();
@@ -110,13 +113,13 @@ fn start_s(act: &Act) -> f64 {
     }
 }
 
-/// Time that the hand takes from one tilt to another.
+/// Duration of a change from one tilt to another.
 const TILT_S: f64 = 0.35;
-/// Time that a finger takes to bend, and how long a bend is held.
+/// Duration of bending a finger, and duration of the bent phase.
 const FINGER_S: f64 = 0.12;
 const HELD_S: f64 = 0.2;
 
-/// From 0 to 1 without a jerk at either end.
+/// Smooth transition from 0 to 1, without a jerk at either end.
 fn smooth(share: f64) -> f64 {
     let t = share.clamp(0.0, 1.0);
     t * t * t * (10.0 - 15.0 * t + 6.0 * t * t)
@@ -127,24 +130,24 @@ fn hump(time_s: f64, from_s: f64, to_s: f64, ramp_s: f64) -> f64 {
     smooth((time_s - from_s) / ramp_s) - smooth((time_s - to_s) / ramp_s)
 }
 
-/// The left hand with its sensors.
+/// The simulated left hand and its sensors.
 struct LeftWearer {
     random: Random,
-    /// Slow wander of pitch and roll, in degrees.
+    /// Slow drift of pitch and roll, in degrees.
     wander: [f64; 2],
 }
 
 impl LeftWearer {
-    /// How this wearer holds a hand that feels level, in degrees.
+    /// Actual pitch and roll of this wearer's hand in the pose that the wearer considers level, in degrees.
     const POSE: [f64; 2] = [4.0, -3.0];
-    /// Of the accelerometer, in counts and as a factor.
+    /// Errors of the accelerometer: offsets in counts, and gain factors.
     const OFFSET: [f64; 3] = [14.0, -11.0, 9.0];
     const GAIN: [f64; 3] = [1.02, 0.985, 1.01];
-    /// Flex dividers straight and bent, in counts.
+    /// Counts of the flex dividers with straight and with bent fingers.
     const REST: [f64; 2] = [689.0, 716.0];
     const BEND: [f64; 2] = [545.0, 521.0];
 
-    /// Conversions at one time; tilt in degrees, fingers from 0 to 1.
+    /// Returns the conversions at one time, for a tilt in degrees and finger bends from 0 to 1.
     fn sample(&mut self, time_s: f64, tilt: [f64; 2], fingers: [f64; 2]) -> [u16; 5] {
         let mut angle = [0.0; 2];
         for axis in 0..2 {
@@ -162,7 +165,7 @@ impl LeftWearer {
             counts[axis] = self.convert(value, 0.6);
         }
         for finger in 0..2 {
-            // The neighbouring finger moves along a little.
+            // A bent finger also moves the neighbouring finger a little.
             let bent = fingers[finger].max(0.08 * fingers[1 - finger]);
             let value = Self::REST[finger] + bent * (Self::BEND[finger] - Self::REST[finger]);
             counts[3 + finger] = self.convert(value, 0.8);
@@ -170,7 +173,7 @@ impl LeftWearer {
         counts
     }
 
-    /// Of the normal distribution, mean 0 and deviation 1.
+    /// Returns a normally distributed random number with mean 0 and standard deviation 1.
     fn normal(&mut self) -> f64 {
         let mut uniform = || self.random.between(0.0, 1.0);
         (-2.0 * (1.0 - uniform()).ln()).sqrt() * (TAU * uniform()).cos()
@@ -181,7 +184,7 @@ impl LeftWearer {
     }
 }
 
-/// Takes neutral, rest and bend as the board does when it is calibrated.
+/// Measures the neutral pose, the straight fingers and the bends in the same way as the board's calibration.
 fn calibrate(wearer: &mut LeftWearer) -> Calibration {
     let mut hand = LeftHand::new(None, TiltThresholds::DEFAULT, 0);
     let mut time_ms = 0;
@@ -214,7 +217,7 @@ fn left_recording(wearer: &mut LeftWearer, acts: &[Act]) -> AdcRecording {
                     fingers[finger] += hump(time_s, at_s, at_s + FINGER_S + HELD_S, FINGER_S);
                 }
                 Act::Fist(from_s, to_s) => {
-                    // Nobody closes two fingers in the same instant.
+                    // A person never closes both fingers at exactly the same time.
                     fingers[0] += hump(time_s, from_s, to_s, FINGER_S);
                     fingers[1] += hump(time_s, from_s + 0.03, to_s + 0.02, FINGER_S);
                 }
@@ -261,7 +264,7 @@ fn session_toml(calibration: Calibration, acts: &[Act]) -> String {
     text
 }
 
-/// Names and contents of the three files.
+/// Returns the names and contents of the three files.
 pub fn files() -> [(&'static str, String); 3] {
     let acts = left_script();
     let mut wearer = LeftWearer { random: Random::new(SEED), wander: [0.0; 2] };

@@ -1,7 +1,7 @@
-//! Writes what the planner, the kinematics and the base do into files, for `tests/mujoco/check.py` to look
-//! at with an independent engine: `cargo run -p host-bridge --example plan-trace -- DIRECTORY`.
+//! Writes results of the planner, the kinematics and the base to files, which `tests/mujoco/check.py` checks with an
+//! independent physics engine: `cargo run -p host-bridge --example plan-trace -- DIRECTORY`.
 //!
-//! All files are rows of little-endian f64:
+//! All files consist of rows of little-endian f64:
 //!
 //! | file | columns |
 //! |---|---|
@@ -11,7 +11,7 @@
 //! | `moves.jerk` | single moves with limited jerk: from, to, limits of speed, acceleration and jerk (seven each), duration; when it is halted, how long that takes, in s |
 //! | `base.path` | every 2 ms: speed of the left and right wheel in rad/s, x, y, heading, path length |
 //!
-//! `BIMANUAL_FULL=1` writes 34 seeds per pair of poses instead of 2.
+//! With `BIMANUAL_FULL=1` it writes 34 seeds per pair of poses instead of 2.
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -105,7 +105,7 @@ fn clearances(planner: &Planner, file: &Path) -> Result<()> {
     Ok(out.flush()?)
 }
 
-/// Short and long moves, with limits from gentle to stiff.
+/// Writes short and long moves, with limits from low to high.
 fn moves(file: &Path) -> Result<()> {
     let papers = paper_limits();
     let mut random = Random::new(6);
@@ -131,7 +131,7 @@ fn moves(file: &Path) -> Result<()> {
     Ok(out.flush()?)
 }
 
-/// 60 s of random speeds, each held for one to three seconds.
+/// Writes 60 s of random speeds, each of which lasts one to three seconds.
 fn base(file: &Path) -> Result<()> {
     let mut base = Base::new(BaseConfig::default());
     let mut random = Random::new(3);

@@ -1,5 +1,5 @@
-//! The state of the demo at given times, as one JSON object per line. An example of an observer; `tests/web`
-//! compares what the page draws with it.
+//! Prints the state of the demo at given times, as one JSON object per line.
+//! This is an example of an observer, and `tests/web` compares its output with the web page.
 //!
 //! ```text
 //! printf '1000\n2500\n' | cargo run -p host-bridge --example state-at [SCENE.toml]

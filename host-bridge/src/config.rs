@@ -1,7 +1,7 @@
-//! The configuration file: every port, threshold, limit and mapping, in TOML.
+//! The configuration file (TOML): every port, threshold, limit and mapping.
 //!
-//! `host-bridge run --print-config` writes one with all keys. A key that does not exist is an error that
-//! names its line and the nearest key that does; so is a value that is unsafe.
+//! `host-bridge run --print-config` writes one with all keys.
+//! An unknown key is an error with its line and the most similar known key. Unsafe values are errors too.
 
 use std::collections::BTreeMap;
 
@@ -24,13 +24,13 @@ use crate::safety::PerHand;
 use crate::safety::SafetyTimes;
 use crate::tilt::TiltDrive;
 
-/// Instead of a port: keys play the hand.
+/// Replaces a port: keys control the hand.
 pub const KEYBOARD: &str = "keyboard";
 
-/// Fastest speed of the base if boards need not be bonded, in m/s and rad/s.
+/// Maximum speed of the base in m/s and rad/s if boards need not be bonded.
 const UNBONDED_MOST: f64 = 0.2;
 
-/// What plays a hand.
+/// The source of a hand's data.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum HandInput {
     /// Left out.
@@ -41,19 +41,19 @@ pub enum HandInput {
     Keyboard,
 }
 
-/// All settings. The default is the paper's value, or the safest.
+/// All settings. The defaults are the paper's values, or the safest ones.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Config {
-    /// The hands change places: `left` is then the port of the gesture board, `right` of the tilt board.
+    /// Exchanges the hands: `left` is then the port of the gesture board, `right` of the tilt board.
     pub left_handed: bool,
-    /// Where the boards are.
+    /// The ports of the boards.
     pub ports: Ports,
-    /// Thresholds of tilts, sent to the left hand's board when it starts.
+    /// Tilt thresholds, sent to the left hand's board at its start.
     pub tilt: TiltThresholds,
     /// Caps on the base's speed.
     pub speed: SpeedRules,
-    /// How the tilt becomes a speed within them: the paper's four headings, or in proportion.
+    /// The conversion of a tilt to a speed within these caps: the paper's four headings, or proportional.
     pub drive: TiltDrive,
     /// How the left hand is lent to the arm, and how fast the tool follows it then. Off by default.
     pub jog: JogRules,
@@ -61,7 +61,7 @@ pub struct Config {
     pub vibration: Vibration,
     /// The dead-man's times.
     pub safety: SafetyTimes,
-    /// How long a key counts.
+    /// Duration for which a key press counts.
     pub keyboard: KeyTimes,
     /// The simulated base.
     pub base: BaseConfig,
@@ -69,18 +69,18 @@ pub struct Config {
     pub arm: Arm,
     /// The robot on a ROS 2 graph, for `--ros2`.
     pub ros2: Ros2Config,
-    /// Label → motion or pose. Labels that are not named keep the paper's motion.
+    /// Maps labels to motions or poses. Other labels keep the paper's motion.
     pub motions: BTreeMap<String, String>,
-    /// Label → `begin`, `end`, `again`, `good` or `bad`: gestures that mark episodes of a recorded session, and move
-    /// nothing.
+    /// Maps labels to `begin`, `end`, `again`, `good` or `bad`:
+    /// these gestures mark episodes of a recorded session and move nothing.
     pub marks: BTreeMap<String, Mark>,
-    /// Motions of one's own; they replace bundled ones of the same name.
+    /// Your own motions, which replace bundled ones with the same name.
     pub motion: Vec<MotionTable>,
-    /// Poses of one's own, by joint angles.
+    /// Your own poses, as joint angles.
     pub pose: Vec<PoseTable>,
 }
 
-/// Where the boards are.
+/// The ports of the boards.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Ports {
@@ -90,10 +90,10 @@ pub struct Ports {
     pub right: String,
     /// Speed of the lines, in baud.
     pub baud: u32,
-    /// Nothing is sent for this long after a port was opened, unless the board speaks first.
+    /// Nothing is sent for this long after a port was opened, unless the board sends first.
     pub settle_ms: u64,
-    /// Boards over Bluetooth that are not bonded may move the base, at most 0.2 m/s, and never the arm. For serial modules
-    /// that know no bonding: whoever is in reach can take their place.
+    /// Whether unbonded boards over Bluetooth may move the base (at most 0.2 m/s), but never the arm.
+    /// It is for serial modules that cannot bond, which any device in range can impersonate.
     pub allow_unbonded: bool,
 }
 
@@ -110,25 +110,25 @@ impl Default for Ports {
     }
 }
 
-/// What a motor at the right hand's board signals.
+/// Signals of a motor at the right hand's board.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Vibration {
-    /// Whether one is wired: gestures that count or do not, stops and lost links are felt.
+    /// Whether a motor is connected, which signals accepted and refused gestures, stops and lost links.
     pub wired: bool,
 }
 
-/// How much of the arm's own limits may be used, 0 to 1; and whether its accelerations may jump.
+/// The usable fraction of the arm's own limits, 0 to 1, and whether its jerk is limited.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Arm {
-    /// Share of the largest joint speeds.
+    /// Fraction of the maximum joint speeds.
     pub velocity_scaling: f64,
-    /// Share of the largest joint accelerations.
+    /// Fraction of the maximum joint accelerations.
     pub acceleration_scaling: f64,
-    /// Accelerations rise and fall no faster than `jerk_rad_s3`, also while stopping.
+    /// Whether jerk is limited to `jerk_rad_s3`, also while stopping.
     pub jerk_limited: bool,
-    /// The limit for all joints; it is not scaled.
+    /// The jerk limit of all joints, which is not scaled.
     pub jerk_rad_s3: f64,
 }
 
@@ -144,7 +144,7 @@ impl Default for Arm {
     }
 }
 
-/// Why a configuration cannot be used; the text names the line and what to do.
+/// The reason why a configuration cannot be used, with the line and a remedy.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ConfigError {
     /// A key that does not exist.
@@ -153,20 +153,20 @@ pub enum ConfigError {
     UnknownKey {
         /// Line, from 1.
         line: usize,
-        /// The key with its tables.
+        /// Full name of the key, including its tables.
         key: String,
-        /// The nearest key that exists.
+        /// The most similar known key.
         nearest: Option<String>,
     },
-    /// The text is no TOML, or a value is of another kind.
+    /// The text is not valid TOML, or a value has the wrong type.
     #[error("line {line}: {what}")]
     Text {
         /// Line, from 1.
         line: usize,
-        /// What the parser says.
+        /// The parser's error message.
         what: String,
     },
-    /// A value that makes no sense or is unsafe.
+    /// A value is invalid or unsafe.
     #[error("{0}")]
     Value(String),
 }
@@ -192,19 +192,19 @@ impl Config {
         Ok(config)
     }
 
-    /// All keys with their values, ready to be a file.
+    /// Returns all keys with their values as the text of a file.
     pub fn to_toml(&self) -> String {
-        // Strings, numbers and tables: nothing that could fail.
+        // The data consists of strings, numbers and tables, which cannot fail.
         toml::to_string(self).unwrap_or_default()
     }
 
-    /// The ports of the left and of the right hand, exchanged for left-handed people; empty if there is none.
+    /// Returns the ports of the left and right hand, exchanged for left-handed users; empty without a port.
     pub fn hand_ports(&self) -> [&str; 2] {
         let Ports { left, right, .. } = &self.ports;
         if self.left_handed { [right, left] } else { [left, right] }
     }
 
-    /// What stands for each hand.
+    /// Returns the source of each hand's data.
     pub fn inputs(&self) -> PerHand<HandInput> {
         PerHand::from(self.hand_ports()).map(|port| match port {
             "" => HandInput::Nobody,
@@ -213,11 +213,11 @@ impl Config {
         })
     }
 
-    /// The paper's map with this file's changes.
+    /// Returns the paper's map with this file's changes.
     pub fn motion_map(&self) -> MotionMap {
         let mut map = MotionMap::default();
         for (label, motion) in &self.motions {
-            // `check` has seen that all can be assigned.
+            // `check` has verified that everything can be assigned.
             let _ = map.assign(&format!("{label}={motion}"));
         }
         for label in self.marks.keys().chain([&self.jog.label].into_iter().filter(|label| !label.is_empty()))
@@ -227,12 +227,12 @@ impl Config {
         map
     }
 
-    /// Its changes of the paper's map, as `LABEL=MOTION`.
+    /// Returns the changes to the paper's map as `LABEL=MOTION`.
     pub fn mappings(&self) -> Vec<String> {
         self.motions.iter().map(|(label, motion)| format!("{label}={motion}")).collect()
     }
 
-    /// What a session is not allowed to do if boards need not be bonded.
+    /// Returns the restriction of a session if boards need not be bonded.
     pub fn restriction(&self) -> Option<Restriction> {
         let text = format!(
             "unbonded boards are allowed: the base alone, at most {UNBONDED_MOST} m/s (allow_unbonded in [ports])"
@@ -257,7 +257,7 @@ impl Config {
         if jerk_limited { limits.with_jerk(jerk_rad_s3) } else { limits }
     }
 
-    /// Are all values sound? Called by [`Config::parse`]; call it again after a change by hand.
+    /// Checks that all values are valid. [`Config::parse`] calls it; call it again after a manual change.
     ///
     /// # Errors
     /// [`ConfigError::Value`].
@@ -265,7 +265,7 @@ impl Config {
         let ensure = |sound: bool, what: &str| {
             if sound { Ok(()) } else { Err(ConfigError::Value(what.to_owned())) }
         };
-        // First, for what follows asks each of them about all others.
+        // This check is first, because the following ones compare each entry with all others.
         ensure(self.motions.len() <= 200, "motions: at most 200 labels; a model names no more than 16")?;
         ensure(
             self.tilt.are_sound(),
@@ -398,7 +398,7 @@ impl Config {
     }
 }
 
-/// Every key must be a known one; keys of `motions` and `marks` are labels and free.
+/// Checks that every key is known; keys of `motions` and `marks` are labels and therefore arbitrary.
 fn check_keys(
     table: &DeTable<'_>,
     known: &toml::Table,

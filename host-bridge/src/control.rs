@@ -1,4 +1,4 @@
-//! The control thread: the engine against the clock.
+//! The control thread, which runs the engine in real time.
 //!
 //! ```text
 //! links ══ bytes ══►┐                       ┌══► links (frames for boards)
@@ -6,9 +6,9 @@
 //!                                           └──► observers on the tap, robot
 //! ```
 //!
-//! Everything that comes in is taken in bounded portions, everything that goes out is handed over or dropped: no
-//! terminal, file, pipe or socket can keep this thread from a stop. When it ends, by order or by a panic, the robot is
-//! halted.
+//! Inputs are read in bounded portions, and outputs are sent without waiting or dropped.
+//! Therefore, no terminal, file, pipe or socket can delay a stop.
+//! When the thread ends, normally or by a panic, it halts the robot.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
@@ -28,25 +28,25 @@ use crate::wearer::Wearer;
 
 /// Bytes wake the loop at once; without any it turns this often.
 const TURN: Duration = Duration::from_millis(2);
-/// Bytes are taken for at most this long before the engine gets its turn.
+/// Maximum time for reading bytes before the engine runs.
 const RECEIVE_MAX: Duration = Duration::from_millis(5);
-/// A state is reported this often.
+/// Interval at which a state is reported.
 const STATE_INTERVAL_MS: u64 = 33;
-/// Reports that may wait for whoever prints them.
+/// Maximum number of reports that wait to be printed.
 const REPORTS_MAX: usize = 64;
-/// Events that may wait when nobody takes reports; older ones are dropped and counted.
+/// Maximum number of events that wait if nobody reads reports; older ones are dropped and counted.
 const BACKLOG_MAX: usize = 1000;
 
-/// What a person or the program orders.
+/// An order of the user or the program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Order {
-    /// A key that stands for a hand is pressed or repeated.
+    /// A key that controls a hand is pressed or repeated.
     Press(HandKey),
     /// Such a key was released.
     Up(HandKey),
     /// The release key, pressed and confirmed.
     Release,
-    /// The arm's motion ends, and that alone.
+    /// Ends only the arm's motion.
     EndArm,
     /// The left hand is lent to the arm, or taken back.
     Clutch,
@@ -56,29 +56,29 @@ pub enum Order {
     Show,
 }
 
-/// What happened to a link.
+/// An event of a link.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LinkReport {
     /// When.
     pub time_ms: u64,
     /// Whose.
     pub hand: Hand,
-    /// `None` = open; else why it is not, and what to do.
+    /// The reason why the link is closed with a remedy, or `None` if it is open.
     pub closed: Option<String>,
 }
 
-/// What happened since the last one.
+/// Events since the last report.
 #[derive(Clone, Debug, Default)]
 pub struct Report {
     /// In order.
     pub events: Vec<SessionEvent>,
     /// In order.
     pub links: Vec<LinkReport>,
-    /// The session's state, every 33 ms.
+    /// The state of the session, every 33 ms.
     pub snapshot: Option<Snapshot>,
 }
 
-/// Flags that anybody may set at any time, without waiting.
+/// Flags that any thread may set at any time without waiting.
 #[derive(Clone, Default)]
 pub struct Flags {
     stop: Arc<AtomicBool>,
@@ -86,28 +86,28 @@ pub struct Flags {
 }
 
 impl Flags {
-    /// The operator's stop. One flag, not a queue: to stop twice is to stop.
+    /// Sets the operator's stop. A flag suffices, because several stops have the same effect as one.
     pub fn stop(&self) {
         self.stop.store(true, Ordering::SeqCst);
     }
 
-    /// The session ends: base and arm are halted.
+    /// Ends the session and halts base and arm.
     pub fn quit(&self) {
         self.quit.store(true, Ordering::SeqCst);
     }
 
-    /// Whether it was asked to end.
+    /// Returns whether the end was requested.
     pub fn is_quitting(&self) -> bool {
         self.quit.load(Ordering::SeqCst)
     }
 
-    /// The flag of [`Flags::quit`], for a signal handler.
+    /// Returns the flag of [`Flags::quit`] for a signal handler.
     pub fn quit_flag(&self) -> Arc<AtomicBool> {
         Arc::clone(&self.quit)
     }
 }
 
-/// What the control thread works with.
+/// The data of the control thread.
 pub struct Work<D: Door> {
     /// The engine, at its beginning.
     pub engine: Engine<'static, D>,
@@ -115,11 +115,11 @@ pub struct Work<D: Door> {
     pub clock: Arc<dyn Clock>,
     /// The boards' links.
     pub links: PerHand<Option<Link>>,
-    /// Where they report.
+    /// The queue for the links' events.
     pub events: EventReceiver<Hand>,
-    /// Somebody else who may ask for a stop; asked at every turn, and must not wait.
+    /// Another source of stops, which is checked at every turn and must not block.
     pub asks_for_stop: Box<dyn Fn() -> bool + Send>,
-    /// Somebody else who may mark episodes; asked at every turn, and must not wait.
+    /// Another source of marks, which is checked at every turn and must not block.
     pub marks: Box<dyn Fn() -> Option<Mark> + Send>,
     /// Who wears the right hand, if it can be asked.
     pub wearer: Option<Wearer>,
@@ -127,7 +127,7 @@ pub struct Work<D: Door> {
     pub shows: Box<dyn Fn() -> bool + Send>,
     /// The session ends by itself then.
     pub until_ms: u64,
-    /// After the last halt the robot is served for this long, so that the halt reaches it.
+    /// Time for which the robot is served after the last halt, so that the halt arrives.
     pub farewell_ms: u64,
 }
 
@@ -138,7 +138,7 @@ pub struct Control<D: Door> {
     reports: Receiver<Report>,
     dropped: Arc<AtomicU64>,
     result: Arc<Mutex<Option<Engine<'static, D>>>>,
-    /// The waiter of whoever takes the reports.
+    /// The waiter of the thread that reads reports.
     waiter: Waiter,
     thread: Option<JoinHandle<()>>,
 }
@@ -147,7 +147,7 @@ impl<D: Door + Send + 'static> Control<D> {
     /// Starts the thread.
     ///
     /// # Errors
-    /// The system starts no thread.
+    /// Fails if the system cannot start a thread.
     pub fn start(work: Work<D>, flags: Flags) -> std::io::Result<Self> {
         let (orders, incoming) = sync_channel(REPORTS_MAX);
         let (outgoing, reports) = sync_channel(REPORTS_MAX);
@@ -168,15 +168,15 @@ impl<D: Door + Send + 'static> Control<D> {
         Ok(Control { flags, orders, reports, dropped, result, waiter, thread: Some(thread) })
     }
 
-    /// Hands an order over; one that does not fit is dropped: it would be late.
+    /// Sends an order. An order that does not fit in the queue is dropped, because it would be late.
     pub fn order(&self, order: Order) {
         let _ = self.orders.try_send(order);
     }
 
-    /// What happened, as soon as there is something, within `patience`; `None` = nothing yet.
+    /// Waits for at most `patience` for a report; `None` without one.
     ///
     /// # Errors
-    /// The thread is over.
+    /// Fails if the thread has ended.
     pub fn report(&self, patience: Duration) -> Result<Option<Report>, Over> {
         match self.waiter.receive(&self.reports, patience) {
             Ok(report) => Ok(Some(report)),
@@ -185,12 +185,12 @@ impl<D: Door + Send + 'static> Control<D> {
         }
     }
 
-    /// Events that nobody took in time.
+    /// Number of events that nobody read in time.
     pub fn dropped(&self) -> u64 {
         self.dropped.load(Ordering::Relaxed)
     }
 
-    /// Ends the session and gives the engine back; `None` = the thread has panicked, and the robot was halted.
+    /// Ends the session and returns the engine. `None` means that the thread has panicked and the robot was halted.
     pub fn end(mut self) -> Option<Engine<'static, D>> {
         self.join();
         self.result.lock().unwrap_or_else(PoisonError::into_inner).take()
@@ -201,7 +201,7 @@ impl<D: Door> Control<D> {
     fn join(&mut self) {
         self.flags.quit();
         if let Some(thread) = self.thread.take() {
-            // A panic was printed where it happened.
+            // The panic message was already printed.
             let _ = self.waiter.aside(|| thread.join());
         }
     }
@@ -219,7 +219,7 @@ pub struct Over;
 
 struct Running<D: Door> {
     waiter: Waiter,
-    /// There until the thread ends.
+    /// Present until the thread ends.
     work: Option<Work<D>>,
     flags: Flags,
     orders: Receiver<Order>,
@@ -351,7 +351,7 @@ fn farewell<D: Door>(work: &mut Work<D>, waiter: &Waiter) {
 }
 
 impl<D: Door> Drop for Running<D> {
-    /// By a panic: the robot is halted all the same.
+    /// Even after a panic, the robot is halted.
     fn drop(&mut self) {
         if let Some(work) = &mut self.work {
             farewell(work, &self.waiter);

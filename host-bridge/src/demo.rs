@@ -1,5 +1,5 @@
-//! The bundled sessions: recorded hands, and the result that they must have, written down with them. A second session is made of
-//! stretches of the first.
+//! The bundled sessions: recorded hands together with the expected result.
+//! A second session consists of parts of the first.
 
 use std::path::Path;
 
@@ -19,7 +19,7 @@ const PICK_AND_PLACE: &str = include_str!("../sessions/pick-and-place/session.to
 const LEFT: &[u8] = include_bytes!("../sessions/demo/left.csv");
 const RIGHT: &[u8] = include_bytes!("../sessions/demo/right.csv");
 
-/// Both hands' recordings and their script. The hands are simulated wearers.
+/// Recordings and script of both hands, which are simulated wearers.
 pub struct Demo {
     /// The left hand's converter at 100 Hz.
     pub left: AdcRecording,
@@ -30,10 +30,10 @@ pub struct Demo {
 }
 
 impl Demo {
-    /// The script inside this program.
+    /// Returns the script inside this program.
     ///
     /// # Panics
-    /// It never does: the files are compiled in, and the tests read them.
+    /// This never fails, because the files are compiled in and tested.
     pub fn bundled() -> Self {
         let read = "the bundled session is whole";
         Demo {
@@ -43,13 +43,13 @@ impl Demo {
         }
     }
 
-    /// The bundled session of that name; `None` = the paper's six motions.
+    /// Returns the bundled session with this name; `None` selects the paper's six motions.
     ///
     /// # Errors
-    /// There is none, and which there are.
+    /// Fails if there is no such session. The error lists all sessions.
     ///
     /// # Panics
-    /// It never does: the files are compiled in, and the tests read them.
+    /// This never fails, because the files are compiled in and tested.
     pub fn named(name: Option<&str>) -> Result<Self, String> {
         let demo = Demo::bundled();
         let script = match name {
@@ -71,10 +71,10 @@ impl Demo {
         Ok(Demo { left: AdcRecording { samples: left }, right: Recording::new(axes, time_ms, right), script })
     }
 
-    /// Both hands before this robot, at their beginning.
+    /// Returns a session of both hands with this robot, at its start.
     ///
     /// # Errors
-    /// [`ModelFileError`] if the model is for other axes.
+    /// [`ModelFileError`] if the model needs other axes.
     pub fn session<D: Door>(
         self,
         model: &ModelFile,
@@ -87,7 +87,7 @@ impl Demo {
     }
 }
 
-/// Parts of a recording, one after the other: the new time in ms of each sample, and the sample's number.
+/// Returns parts of a recording in sequence: the new time in ms of each sample, and the sample's index.
 fn cut(stretches: &[[f64; 2]], samples: usize, time_ms: impl Fn(usize) -> f64) -> Vec<(f64, usize)> {
     let mut kept = Vec::new();
     let mut at_ms = 0.0;

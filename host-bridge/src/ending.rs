@@ -1,5 +1,4 @@
-//! The end of the program is a stop, however it comes about: a signal, a terminal that is gone, a panic in any
-//! thread.
+//! Stops the robot at every end of the program: a signal, a lost terminal, or a panic in any thread.
 //!
 //! ```text
 //! INT, TERM, HUP, QUIT ─┐
@@ -7,8 +6,7 @@
 //! panic in any thread  ─┘                           └─► after 0.9 s without an end: the terminal is given back,
 //!                                                       and the process exits
 //! ```
-//! Where SIGHUP was ignored from the start (`nohup`) it stays ignored; a terminal that hangs up is the end of input
-//! all the same.
+//! If SIGHUP was ignored from the start (`nohup`), it remains ignored. A terminal that hangs up still ends the input.
 
 use std::io;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -18,29 +16,29 @@ use std::time::Duration;
 use crossterm::terminal::disable_raw_mode;
 use host_links::links::{Clock as _, SystemClock};
 
-/// A program that was told to end and has not is ended after this long.
+/// Time after the request to end, at which the program is terminated.
 const PATIENCE_MS: u64 = 900;
-/// How often that is checked.
+/// Interval of this check.
 const LOOK: Duration = Duration::from_millis(10);
 
-/// Leaves the alternate screen and shows the cursor: what the live view changed.
+/// Leaves the alternate screen and shows the cursor, which the live view has changed.
 const RESTORE: &[u8] = b"\x1b[?1049l\x1b[?25h\r\n";
 
-/// The exit code of a session that was told to end and had to be ended.
+/// The exit code of a session that had to be terminated.
 const FORCED: i32 = 1;
 
-/// See the module. Dropping it changes nothing: the program is about to end.
+/// See the module documentation. Dropping it has no effect, because the program is about to end.
 pub struct Ending {
     panicked: Arc<Mutex<Option<String>>>,
 }
 
 impl Ending {
-    /// From now on every such end sets `quit`. `screen`: the live view has the terminal.
+    /// Makes every such end set `quit` from now on. `screen` means that the live view uses the terminal.
     ///
     /// # Errors
-    /// The system does not let signals be caught.
+    /// Fails if the system does not permit signal handlers.
     pub fn watch(quit: &Arc<AtomicBool>, screen: bool) -> io::Result<Self> {
-        // Set by an end from outside only: a session that the operator ends may take its time.
+        // Set only by an external end; a session that the operator ends may take its time.
         let told = Arc::new(AtomicBool::new(false));
         for signal in system::signals() {
             signal_hook::flag::register(signal, Arc::clone(quit))?;
@@ -71,7 +69,7 @@ impl Ending {
         Ok(Ending { panicked })
     }
 
-    /// The message of a thread that panicked, if one did.
+    /// Returns the message of a thread that panicked, if there is one.
     pub fn panicked(&self) -> Option<String> {
         self.panicked.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
@@ -86,7 +84,7 @@ fn watch_panics(
     let (quit, told, panicked) = (Arc::clone(quit), Arc::clone(told), Arc::clone(panicked));
     let before = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |info| {
-        // The halt comes first, the message later.
+        // The halt comes first, and the message later.
         quit.store(true, Ordering::SeqCst);
         told.store(true, Ordering::SeqCst);
         let thread = std::thread::current().name().unwrap_or("a thread").to_owned();
@@ -98,7 +96,7 @@ fn watch_panics(
     }));
 }
 
-/// Gives the terminal back as it was, as far as that can be done without waiting for it.
+/// Restores the terminal, as far as possible without waiting for it.
 fn give_terminal_back() {
     let _ = disable_raw_mode();
     system::write_at_once(RESTORE);
@@ -113,19 +111,19 @@ mod system {
 
     const AT_ONCE: Timespec = Timespec { tv_sec: 0, tv_nsec: 0 };
 
-    /// What tells a program to end.
+    /// Returns the signals that end a program.
     pub fn signals() -> impl Iterator<Item = i32> {
         [SIGINT, SIGTERM, SIGQUIT, SIGHUP].into_iter().filter(|s| *s != SIGHUP || !hangups_are_ignored())
     }
 
-    /// Was this program started with SIGHUP ignored? (`std` cannot say; Linux's /proc can.)
+    /// Returns whether this program was started with SIGHUP ignored, according to Linux's /proc.
     fn hangups_are_ignored() -> bool {
         let Ok(status) = std::fs::read_to_string("/proc/self/status") else { return false };
         let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
         mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).is_some_and(|mask| mask & 1 != 0)
     }
 
-    /// Has the terminal behind the standard input hung up? Reading from it would never end.
+    /// Returns whether the terminal of the standard input has hung up; reading from it would never end.
     pub fn terminal_is_gone() -> bool {
         let stdin = io::stdin();
         let mut look = [PollFd::new(&stdin, PollFlags::empty())];
@@ -133,7 +131,7 @@ mod system {
         poll(&mut look, Some(&AT_ONCE)).is_ok() && look[0].revents().intersects(gone)
     }
 
-    /// Writes to the terminal if that is possible without waiting.
+    /// Writes to the terminal if this is possible without waiting.
     pub fn write_at_once(bytes: &[u8]) {
         let stdout = io::stdout();
         let mut look = [PollFd::new(&stdout, PollFlags::OUT)];
@@ -143,24 +141,24 @@ mod system {
     }
 }
 
-/// Compiled, and never run by us: no machine with Windows was at hand.
+/// This code compiles, but we have not run it, because we had no Windows machine.
 #[cfg(not(unix))]
 mod system {
     use std::io::{self, Write as _};
 
     use signal_hook::consts::{SIGINT, SIGTERM};
 
-    /// What tells a program to end.
+    /// Returns the signals that end a program.
     pub fn signals() -> impl Iterator<Item = i32> {
         [SIGINT, SIGTERM].into_iter()
     }
 
-    /// A console that is closed ends its programs itself.
+    /// A closed console ends its programs itself.
     pub fn terminal_is_gone() -> bool {
         false
     }
 
-    /// Writes to the console, which cannot be asked whether it would wait.
+    /// Writes to the console, which cannot report whether it would block.
     pub fn write_at_once(bytes: &[u8]) {
         let mut stdout = io::stdout();
         let _ = stdout.write_all(bytes).and_then(|()| stdout.flush());
@@ -176,7 +174,7 @@ mod tests {
 
     const CHILD: &str = "BIMANUAL_TEST_ENDING";
 
-    /// Run by the test below in a process of its own, since the whole process is watched.
+    /// The test below runs this function in a separate process, because it affects the whole process.
     #[test]
     fn child() {
         let Ok(how) = std::env::var(CHILD) else { return };
@@ -194,7 +192,7 @@ mod tests {
         println!("row: a panic in a thread: the halt | 1 | {} ms | 20 ms", began.elapsed().as_millis());
         match how.as_str() {
             "ends" => std::process::exit(if told { 42 } else { 43 }),
-            // A session that does not end by itself is ended.
+            // A session that does not end by itself is terminated.
             _ => std::thread::sleep(Duration::from_secs(60)),
         }
     }

@@ -1,12 +1,12 @@
-//! The laptop side of the two-hand interface, put together: configuration, the demo, recorded sessions.
+//! The laptop side of the two-hand interface: configuration, the demo, recorded sessions, and all crates combined.
 //!
 //! ```text
 //! hand → samples → features/tilt → event → frame → wire → frame → intent → limits → director → robot
 //!        └─────────── host-links ───────────┘    └──── host-core ────┘   └ host-arm ┘  └ host-sim, host-ros2 ┘
 //! ```
 //!
-//! Each room is a crate of its own below `crates/`, so that rustc keeps what it may not know (docs/ARCHITECTURE.md).
-//! Their modules are offered here under one roof.
+//! Each part is a crate in `crates/`, so that the compiler enforces the permitted dependencies (docs/ARCHITECTURE.md).
+//! This crate re-exports their modules.
 
 #[cfg(feature = "urdf")]
 pub mod arm_file;

@@ -1,4 +1,4 @@
-//! Command line of the bridge: one file per verb in `cmd/`.
+//! The command line of the bridge, with one file per command in `cmd/`.
 
 #[macro_use]
 extern crate models;
@@ -10,7 +10,7 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
-/// Two hands steer a robot: the left one drives the base, the right one names arm motions.
+/// Two hands steer a robot: the left one drives the base, the right one selects arm motions.
 #[derive(Parser)]
 #[command(version, args_conflicts_with_subcommands = true)]
 struct Cli {
@@ -26,24 +26,24 @@ enum Verb {
     Demo(cmd::demo::Args),
     /// Plays recordings of your own
     Replay(cmd::replay::Args),
-    /// Shows the serial ports and which hand answers on each
+    /// Lists the serial ports and the hand that answers on each
     List(cmd::list::Args),
-    /// Steers the simulated robot with the boards, or with keys in their place
+    /// Steers the robot with the boards, or with keys in their place
     Run(cmd::run::Args),
-    /// Examines the links: versions, rates, clock, losses, latency, with advice
+    /// Measures versions, rates, clock, losses and latency of the links, and gives advice
     Doctor(cmd::doctor::Args),
-    /// Teaches the left hand's board your neutral pose and your bends
+    /// Calibrates the left hand's board with your neutral pose and your bends
     Calibrate(cmd::calibrate::Args),
-    /// Records gestures of your own for `models train`
+    /// Records your own gestures for `models train`
     Record(cmd::record::Args),
-    /// Makes data sets of recorded sessions, for those who train robots
+    /// Converts recorded sessions to data sets for training robots
     Export(cmd::export::Args),
     /// Fetches the description of a robot's arm from its ROS 2 graph, into a scene for `teach` and `run`
     #[cfg(all(feature = "ros2", feature = "urdf"))]
     Arm(cmd::arm::Args),
     /// Makes a pose of where the robot's arm is now, or goes to one
     Teach(cmd::teach::Args),
-    /// Sends a model of your own to the right hand's board
+    /// Sends your own model to the right hand's board
     SendModel(cmd::send_model::Args),
 }
 
@@ -67,7 +67,7 @@ fn main() -> ExitCode {
     match done {
         Ok(_) if models::say::lost() => ExitCode::FAILURE,
         Ok(code) => code,
-        // As a shell reports a program that was ended by Ctrl-C.
+        // The code that a shell reports for a program ended by Ctrl-C.
         Err(error) if error.is::<play::Interrupted>() => ExitCode::from(130),
         Err(error) => {
             eprintln!("error: {}", models::errors::in_full(&*error));

@@ -1,4 +1,4 @@
-//! Plays a session against the wall clock, and shows it.
+//! Plays a session in real time and displays it.
 
 use std::io::IsTerminal as _;
 use std::path::{Path, PathBuf};
@@ -26,31 +26,31 @@ use host_bridge::web::Web;
 use crate::cmd::keep::{KeepArgs, Start, origin};
 use crate::cmd::web::WebArgs;
 
-/// The terminal is drawn this often.
+/// Interval at which the terminal is drawn.
 const DRAW_INTERVAL: Duration = Duration::from_millis(33);
-/// The session is advanced at this interval.
+/// Interval at which the session advances.
 const TURN: Duration = Duration::from_millis(4);
 
-/// Options of everything that plays a session.
+/// Options of all commands that play a session.
 #[derive(clap::Args, Clone, Debug)]
 pub struct PlayOptions {
-    /// Times real time; 0 = as fast as the machine can
+    /// Speed relative to real time; 0 = as fast as the machine can
     #[arg(long, default_value_t = 1.0)]
     pub speed: f64,
-    /// No live view: print events as lines
+    /// Print events as lines instead of the live view
     #[arg(long)]
     pub headless: bool,
     /// Print one JSON object at the end on stdout; events go to stderr
     #[arg(long)]
     pub json: bool,
-    /// Give a label an arm motion or pose, LABEL=MOTION; may be repeated. Without a scene: home, pick-up, place,
+    /// Assign an arm motion or pose to a label, LABEL=MOTION (repeatable). Without a scene: home, pick-up, place,
     /// place-top-right, place-bottom-right, random-top and the poses of motions/paper.toml
     #[arg(long, value_name = "LABEL=MOTION")]
     pub map: Vec<String>,
-    /// Scene (TOML: boxes, poses, base, arm): the arm plans its ways, and nothing is touched
+    /// Scene (TOML: boxes, poses, base, arm) in which the arm plans its paths without contact
     #[arg(long, value_name = "FILE.toml")]
     pub scene: Option<PathBuf>,
-    /// The arm's accelerations rise and fall no faster than 4.3 rad/s³ (in a scene, its file says so)
+    /// Limit the arm's jerk to 4.3 rad/s³ (a scene sets this in its own file)
     #[arg(long, conflicts_with = "scene")]
     pub jerk_limited: bool,
     #[command(flatten)]
@@ -60,19 +60,19 @@ pub struct PlayOptions {
 }
 
 impl PlayOptions {
-    /// The default configuration with the changes asked for.
+    /// Returns the default configuration with the requested changes.
     fn config(&self) -> Config {
         let mut config = Config::default();
         config.arm.jerk_limited = self.jerk_limited;
         config
     }
 
-    /// The surroundings, and what the arm can be asked to do.
+    /// Returns the surroundings and the motions of the arm.
     pub fn stage(&self) -> Result<Stage> {
         stage(&self.config(), self.scene.as_deref())
     }
 
-    /// The simulated robot behind its door, and the paper's map with the changes asked for.
+    /// Returns the simulated robot behind its door, and the paper's map with the requested changes.
     pub fn robot_and_map(&self, stage: &Stage) -> Result<(Director<Simulator>, MotionMap)> {
         let door = stage.simulated(&self.config());
         let mut map = MotionMap::default();
@@ -93,14 +93,14 @@ impl PlayOptions {
     }
 }
 
-/// A stage as configured, in the scene of a file.
+/// Returns the configured stage in the scene of a file.
 pub fn stage(config: &Config, scene: Option<&Path>) -> Result<Stage> {
     let Some(file) = scene else { return Ok(Stage::new(config, None)?) };
     let text = std::fs::read_to_string(file).with_context(|| file.display().to_string())?;
     stage_of(config, &text, file)
 }
 
-/// The same, from this text instead of the file's own.
+/// Like [`stage`], with this text instead of the file's content.
 pub fn stage_of(config: &Config, text: &str, file: &Path) -> Result<Stage> {
     let about = || format!("{}", file.display());
     let scene = Scene::parse(text).with_context(about)?;
@@ -112,7 +112,7 @@ pub fn stage_of(config: &Config, text: &str, file: &Path) -> Result<Stage> {
     Stage::new(config, Some(planner)).with_context(about)
 }
 
-/// What was mapped by hand must exist; of the paper's own map, another arm may lack some.
+/// Checks that explicitly mapped motions exist. Another arm may lack some motions of the paper's map.
 pub fn check_motions(map: &MotionMap, mappings: &[String], motions: &Motions) -> Result<()> {
     for label in mappings.iter().filter_map(|mapping| mapping.split_once('=')).map(|(label, _)| label.trim())
     {
@@ -123,7 +123,7 @@ pub fn check_motions(map: &MotionMap, mappings: &[String], motions: &Motions) ->
     Ok(())
 }
 
-/// The scene's arm: the Gen3, or one from a file beside the scene's.
+/// Returns the scene's arm: the Gen3, or one from a file relative to the scene's.
 fn arm(scene: &Scene, scene_file: &Path) -> Result<SerialArm> {
     let Some(urdf) = &scene.arm.urdf else { return Ok(SerialArm::gen3()) };
     let file = scene_file.parent().unwrap_or(Path::new("")).join(urdf);
@@ -148,7 +148,7 @@ fn arm(scene: &Scene, scene_file: &Path) -> Result<SerialArm> {
 #[error("interrupted")]
 pub struct Interrupted;
 
-/// Plays to the end. `page_unasked`: beside the live view there is a page, too, if a port is free.
+/// Plays to the end. With `page_unasked`, there is a page in addition to the live view if a port is free.
 pub fn play<D: Door>(
     session: &mut Session<'_, D>,
     options: &PlayOptions,
@@ -171,7 +171,7 @@ pub fn play<D: Door>(
         headline += &format!("\npage: {}", web.url());
     }
     let ended = Arc::new(AtomicBool::new(false));
-    // Before the view has the terminal: an end in between would leave that raw.
+    // Before the view uses the terminal, because an end in between would leave it in raw mode.
     let _ending = Ending::watch(&ended, wants_view)?;
     let mut view = if wants_view { Some(View::open(&headline)?) } else { None };
     if view.is_none() {
@@ -260,10 +260,10 @@ fn note(event: &SessionEvent, view: Option<&mut View>, options: &PlayOptions) {
     }
 }
 
-/// Prints a line where it does not disturb the JSON object.
+/// Prints a line in a place that does not disturb the JSON object.
 pub fn say(options: &PlayOptions, line: &str) {
     use std::io::Write as _;
-    // A closed pipe (`| head`) is no reason to stop the robot's session half-way with a panic.
+    // A closed pipe (`| head`) must not interrupt the session with a panic.
     if options.json {
         let _ = writeln!(std::io::stderr(), "{line}");
     } else {

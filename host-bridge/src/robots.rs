@@ -1,4 +1,4 @@
-//! The robots that the bridge can command, behind the one door.
+//! The robots that the bridge can command through a common door.
 
 use std::sync::Arc;
 
@@ -12,22 +12,22 @@ use host_sim::{SimConfig, Simulator};
 
 use crate::config::Config;
 
-/// The robot's surroundings, and what its arm can be asked to do.
+/// The robot's surroundings and the motions of its arm.
 #[derive(Clone, Debug)]
 pub struct Stage {
-    /// What the arm can be asked to do.
+    /// The motions of the arm.
     pub motions: Motions,
     /// The planner, if there is a scene.
     pub planner: Option<Arc<Planner>>,
-    /// Limits that the arm's motions keep.
+    /// Limits of the arm's motions.
     pub limits: JointLimits,
 }
 
 impl Stage {
-    /// As configured, with a scene or without.
+    /// Creates a stage as configured, with or without a scene.
     ///
     /// # Errors
-    /// A motion or pose that does not fit the arm, by name.
+    /// Fails if a motion or pose does not fit the arm. The error names it.
     pub fn new(config: &Config, planner: Option<Planner>) -> Result<Self, host_arm::motions::MotionError> {
         let Some(planner) = planner else {
             let arm = host_arm::model::SerialArm::gen3();
@@ -40,10 +40,10 @@ impl Stage {
         Ok(Stage { motions, limits: *planner.limits(), planner: Some(Arc::new(planner)) })
     }
 
-    /// The Gen3 with nothing around, as configured by default.
+    /// Returns the Gen3 without surroundings, in the default configuration.
     ///
     /// # Panics
-    /// It never does: the bundled motions fit the bundled arm, and tests read them.
+    /// This never fails, because the bundled motions fit the bundled arm and are tested.
     pub fn bare() -> Self {
         Stage::new(&Config::default(), None).expect("the bundled motions fit the bundled arm")
     }
@@ -69,7 +69,7 @@ impl Stage {
         }
     }
 
-    /// A robot with the arm director that commands it.
+    /// Returns a robot with the arm director that commands it.
     pub fn before<R: Robot>(&self, robot: R) -> Director<R> {
         match &self.planner {
             None => Director::new(robot, self.motions.clone()),
@@ -77,13 +77,13 @@ impl Stage {
         }
     }
 
-    /// The simulator behind its door, as tests and played sessions want it.
+    /// Returns the simulator behind its door, for tests and played sessions.
     pub fn simulated(&self, config: &Config) -> Director<Simulator> {
         self.before(self.simulator(config))
     }
 }
 
-/// The simulator is the robot, and the speeds that it is given are published on a graph.
+/// The simulator as the robot, whose speed commands are also published on a graph.
 pub struct Echoed<R> {
     /// The robot.
     pub simulator: Simulator,

@@ -1,4 +1,4 @@
-//! `session.toml`: what a recorded session is, and which result it must have.
+//! `session.toml`: describes a recorded session and its expected result.
 
 use serde::{Deserialize, Serialize};
 use shared_dsp::left::calibration::Calibration;
@@ -11,16 +11,16 @@ use host_core::session::Summary;
 pub struct Script {
     /// One line for people.
     pub title: String,
-    /// What the left hand's EEPROM holds.
+    /// The contents of the left hand's EEPROM.
     pub calibration: CalibrationTable,
-    /// Which parts of the bundled recordings it is made of; none = all of them as they are.
+    /// The parts of the bundled recordings that it consists of; `None` means the complete recordings.
     #[serde(default)]
     pub cuts: Option<Cuts>,
     /// The expected result.
     pub expect: Expect,
 }
 
-/// Parts of the bundled recordings, from when to when in s, one after the other.
+/// Parts of the bundled recordings in sequence, with start and end in s.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Cuts {
@@ -30,7 +30,7 @@ pub struct Cuts {
     pub right: Vec<[f64; 2]>,
 }
 
-/// The left hand's calibration; each value is the sum of eight 10-bit conversions.
+/// The left hand's calibration. Each value is the sum of eight 10-bit conversions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CalibrationTable {
@@ -38,7 +38,7 @@ pub struct CalibrationTable {
     pub zero: [i16; 3],
     /// Index and middle finger straight.
     pub rest: [u16; 2],
-    /// Index and middle finger bent.
+    /// Whether index and middle finger are bent.
     pub bend: [u16; 2],
 }
 
@@ -52,17 +52,17 @@ impl From<CalibrationTable> for Calibration {
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Expect {
-    /// Labels of all gesture events, in order, the one that releases the stop included.
+    /// Labels of all gesture events in order, including the one that releases the stop.
     pub gestures: Vec<String>,
     /// Arm motions that reach their pose, in order.
     pub poses: Vec<String>,
     /// Operator's stops, each released.
     pub stops: u32,
-    /// Both caps at the end, in m/s and rad/s, within 0.001.
+    /// Final value of both caps in m/s and rad/s, within 0.001.
     pub cap: f64,
-    /// Where the base ends.
+    /// The expected final pose of the base.
     pub base: BaseGoal,
-    /// Where objects of the scene end.
+    /// Final positions of objects in the scene.
     #[serde(default, rename = "object")]
     pub objects: Vec<ObjectPlace>,
 }
@@ -73,13 +73,13 @@ pub struct Expect {
 pub struct ObjectPlace {
     /// As in the scene.
     pub name: String,
-    /// The middle of its underside.
+    /// Centre of the object's bottom face.
     pub at_m: [f64; 3],
     /// Tolerance.
     pub within_m: f64,
 }
 
-/// Where the base has to be, with a tolerance.
+/// Final pose of the base, with a tolerance.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BaseGoal {
@@ -87,7 +87,7 @@ pub struct BaseGoal {
     pub x_m: f64,
     /// Left of the start.
     pub y_m: f64,
-    /// Turned to the left, in rad, not wrapped.
+    /// Rotation to the left in rad, not wrapped.
     pub heading_rad: f64,
     /// Tolerance of the position.
     pub within_m: f64,
@@ -95,20 +95,20 @@ pub struct BaseGoal {
     pub within_rad: f64,
 }
 
-/// One thing that was expected.
+/// One difference from an expected value.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Check {
     /// What.
     pub what: &'static str,
-    /// What the script says.
+    /// The value that the script expects.
     pub expected: String,
-    /// What happened.
+    /// The actual value.
     pub got: String,
-    /// Whether it is as expected.
+    /// Whether the result is as expected.
     pub ok: bool,
 }
 
-/// The text is not a session; the message says where and why.
+/// The text is not a valid session; the message contains the place and the reason.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
 pub struct ScriptError(#[from] toml::de::Error);

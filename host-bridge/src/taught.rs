@@ -1,11 +1,11 @@
-//! A pose written into somebody's own TOML file, of which everything else stays as it is.
+//! Writes a pose to a user's TOML file and preserves everything else.
 
 use std::fmt::Write as _;
 use std::ops::Range;
 
 use toml::de::{DeTable, DeValue};
 
-/// Digits behind the point: a micrometre at the end of an arm.
+/// Number of decimals, which corresponds to a micrometre at the end of an arm.
 const DIGITS: usize = 6;
 
 /// The pose cannot be written.
@@ -16,18 +16,18 @@ pub enum TaughtError {
     Text {
         /// Line, from 1.
         line: usize,
-        /// What the parser says.
+        /// The parser's error message.
         what: String,
     },
-    /// The pose exists, but is not given by its angles.
+    /// The pose exists, but it is not given by joint angles.
     #[error("pose '{0}' is there already, given by its place; take it out, or choose another name")]
     ByPlace(String),
 }
 
-/// The text with this pose in it: a known one gets new angles, a new one comes last.
+/// Returns the text with this pose: an existing one gets new angles, and a new one is appended.
 ///
 /// # Errors
-/// [`TaughtError`]; nothing is lost then.
+/// [`TaughtError`]. Nothing is lost in this case.
 pub fn with_pose(text: &str, name: &str, joints_rad: &[f64]) -> Result<String, TaughtError> {
     let mut angles = String::from("[");
     for (i, angle) in joints_rad.iter().enumerate() {
@@ -53,7 +53,7 @@ fn quoted(name: &str) -> String {
     toml::Value::String(name.to_owned()).to_string()
 }
 
-/// Where the angles of the pose of that name stand.
+/// Returns the position of the angles of the pose with this name.
 fn place(text: &str, name: &str) -> Result<Option<Range<usize>>, TaughtError> {
     let table = DeTable::parse(text).map_err(|error| {
         let at = error.span().map_or(0, |span| span.start);

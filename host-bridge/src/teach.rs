@@ -1,24 +1,24 @@
-//! Teaching, sans-IO: when an arm's angles can be taken for a pose, and one motion played on its own.
+//! Teaching, sans-IO: decides when an arm's angles can become a pose, and plays a single motion.
 
 use host_arm::Director;
 use host_robot::{Door as _, Joints, Motion, MotionName, Report, Robot, Twist};
 
-/// A robot is waited for this long.
+/// Maximum time of waiting for a robot.
 pub const SEARCH_MS: u64 = 8000;
-/// Nothing that is taught moves faster,
+/// Maximum speed of an arm that counts as at rest, in rad/s.
 const REST_RAD_S: f64 = 0.02;
-/// nor further in this time.
+/// Time for which the angles must not change.
 const RESTED_MS: u64 = 500;
 const NOISE_RAD: f64 = 0.002;
 
-/// Waits for an arm that rests: not every driver reports speeds, so its angles must be the same for a while.
+/// Waits for an arm at rest. Some drivers report no speeds, so its angles must be constant for some time.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Rest {
     since: Option<(Joints, u64)>,
 }
 
 impl Rest {
-    /// How the arm moves now; its angles, once it has rested.
+    /// Adds the arm's motion. Returns its angles once it has rested.
     pub fn see(&mut self, arm: &Motion, now_ms: u64) -> Option<Joints> {
         let here = arm.joints_rad;
         let moves = arm.velocity_rad_s.iter().any(|v| v.abs() > REST_RAD_S);
@@ -33,7 +33,7 @@ impl Rest {
         }
     }
 
-    /// Whether angles came at all.
+    /// Returns whether any angles have arrived.
     pub fn was_told(&self) -> bool {
         self.since.is_some()
     }
@@ -43,35 +43,35 @@ fn is_near(one: &Joints, two: &Joints) -> bool {
     one.iter().zip(two).all(|(a, b)| (a - b).abs() <= NOISE_RAD)
 }
 
-/// How it went.
+/// The result of playing a pose.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Played {
     /// The arm is there.
     Reached,
-    /// It is not; the text says why.
+    /// The motion was not performed, for the reason in the text.
     Not(String),
-    /// It was asked to end.
+    /// The program was asked to end.
     Interrupted,
 }
 
-/// One motion: the robot is waited for, the motion asked for once, and whatever speaks against it halts the robot.
+/// A single motion: waits for the robot, requests the motion once, and halts the robot on any problem.
 #[derive(Clone, Debug)]
 pub struct Play {
     motion: MotionName,
     farewell_ms: u64,
     began_ms: Option<u64>,
     started: bool,
-    /// Halted since then, with this outcome.
+    /// Time of the halt, and the result to report.
     halted: Option<(u64, Played)>,
 }
 
 impl Play {
-    /// The motion, not yet begun; after a halt the robot is listened to for `farewell_ms` more.
+    /// Creates a motion that has not begun. After a halt, the robot's messages are read for `farewell_ms`.
     pub fn new(motion: MotionName, farewell_ms: u64) -> Self {
         Play { motion, farewell_ms, began_ms: None, started: false, halted: None }
     }
 
-    /// One turn; `interrupted` halts the robot. What it says goes to `note`. The outcome, at the end.
+    /// Performs one turn; `interrupted` halts the robot. Messages go to `note`. Returns the result at the end.
     pub fn turn<R: Robot>(
         &mut self,
         door: &mut Director<R>,
@@ -80,7 +80,7 @@ impl Play {
         mut note: impl FnMut(&str),
     ) -> Option<Played> {
         door.step(now_ms);
-        // This shows that somebody is in command; the base stays where it is.
+        // This shows that there is a commander; the base does not move.
         door.drive(Twist::ZERO);
         let mut reached = None;
         for report in door.take_reports() {
@@ -155,13 +155,13 @@ mod tests {
     fn angles_are_taken_from_an_arm_that_rests_for_half_a_second_whether_or_not_it_reports_speeds() {
         let mut rest = Rest::default();
         assert!(!rest.was_told());
-        // It moves at 0.1 rad/s for a second, and reports no speed.
+        // The arm moves at 0.1 rad/s for a second and reports no speed.
         let at = |ms: u64| Motion::at_rest([0.1 * ms.min(1000) as f64 / 1000.0; JOINTS]);
         let taken = (0..3000).step_by(10).find_map(|ms| Some((ms, rest.see(&at(ms), ms)?)));
         let (taken_ms, joints_rad) = taken.unwrap();
         assert!((1480..=1500).contains(&taken_ms), "{taken_ms}");
         assert!((joints_rad[0] - 0.1).abs() < NOISE_RAD && rest.was_told());
-        // One that reports a speed is not taken, whatever its angles are.
+        // An arm that reports a speed is not at rest, even if its angles do not change.
         let mut rest = Rest::default();
         let mut drifting = Motion::at_rest([0.0; JOINTS]);
         drifting.velocity_rad_s[3] = -0.03;

@@ -1,5 +1,4 @@
-//! What `docs/ADDING.md` promises: a robot of one's own behind the same door, an output on the tap, and poses, motions
-//! and another arm as data.
+//! Tests the instructions of `docs/ADDING.md`: a new robot, a new output, and new poses, motions and arms as data.
 
 use std::sync::{Arc, Mutex};
 
@@ -20,7 +19,7 @@ mod moving;
 
 use moving::{Virtual as _, live_before, pose};
 
-/// A robot in thirty lines: it is where it was told to be, at once, and stops when it is not driven.
+/// A robot in thirty lines: it reaches every commanded position immediately and stops when commands end.
 struct Puppet {
     limits: JointLimits,
     base: BaseConfig,
@@ -66,7 +65,7 @@ impl Robot for Puppet {
     }
 }
 
-/// An output in eight lines: the fastest speed that was asked for.
+/// An output in eight lines: it records the fastest commanded speed.
 struct Fastest(Arc<Mutex<f64>>);
 
 impl Observer for Fastest {
@@ -135,7 +134,7 @@ fn a_motion_and_a_pose_in_the_configuration_are_carried_out_without_a_change_of_
     assert_eq!(robot.arm().joints_rad, Motions::paper().pose("pick-up").unwrap());
 }
 
-/// The lines that a diff keeps or removes must exist: otherwise it shows old sources.
+/// Context and removed lines of each diff must exist in the sources, otherwise the document is out of date.
 #[test]
 fn the_diffs_of_the_document_fit_the_sources() {
     let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();

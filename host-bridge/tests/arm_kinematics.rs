@@ -1,4 +1,4 @@
-//! The arm against the reference table, and the table of motions against the paper.
+//! Compares the arm with the reference table, and the table of motions with the paper.
 
 use host_bridge::arm::gen3::{HOME, MAX_JERK_RAD_S3, paper_limits};
 use host_bridge::arm::model::SerialArm;
@@ -23,7 +23,7 @@ fn random_top_poses() -> [Joints; 8] {
     std::array::from_fn(|i| pose(&format!("top-{}", i + 1)))
 }
 
-/// Angle between two orientations; stable near zero, where arc cosines are not.
+/// Angle between two orientations. The formula is accurate near zero, unlike the arc cosine.
 fn angle_rad(a: DQuat, b: DQuat) -> f64 {
     4.0 * ((a - b).length().min((a + b).length()) / 2.0).asin()
 }
@@ -48,7 +48,7 @@ fn forward_kinematics_equals_the_reference_on_all_rows() {
     assert!(worst_m <= 1e-6 && worst_rad <= 1e-6);
 }
 
-/// As in the paper, and with limited jerk.
+/// Returns the duration of a move as in the paper and with limited jerk.
 fn move_s(from: Joints, to: Joints) -> [f64; 2] {
     let papers = paper_limits();
     [papers, papers.with_jerk(MAX_JERK_RAD_S3)]
@@ -86,7 +86,7 @@ fn single_moves_take_the_papers_times_within_5_per_cent() {
     }
 }
 
-/// The paper's table II, and what each of its gestures starts.
+/// Checks the paper's table II and the motion that each gesture starts.
 #[test]
 fn tilts_bends_and_gestures_mean_what_the_paper_says() {
     let caps = Caps::default();

@@ -1,4 +1,4 @@
-//! The program as a user meets it: exit codes, what is printed where, and bad input.
+//! Tests the command line: exit codes, output on stdout and stderr, and invalid input.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -62,7 +62,7 @@ fn replay_plays_files_of_both_hands() {
     assert_eq!(report["gestures"].as_array().unwrap().len(), 7);
     assert!(report["odometry"]["path_m"].as_f64().unwrap() > 8.0, "{}", report["odometry"]);
 
-    // With nominal parts this wearer's sensor is never neutral; the program says what to do.
+    // With the default calibration this wearer's sensor is never neutral, and the program prints a suggestion.
     let output = replay(&[]);
     assert!(output.status.success());
     assert!(stderr(&output).contains("--calibration start"), "{}", stderr(&output));
@@ -77,7 +77,7 @@ fn several_right_recordings_are_joined_into_one_stream() {
     assert!((report["seconds"].as_f64().unwrap() - 168.0).abs() < 2.0);
 }
 
-/// Every kind of damage gives an error that names the place, a code that is not zero, and nothing on stdout.
+/// Each kind of damage causes an error with its location, a non-zero exit code, and an empty stdout.
 #[test]
 fn bad_input_names_file_line_and_column_and_moves_nothing() {
     let folder = tempfile::tempdir().unwrap();

@@ -1,4 +1,4 @@
-//! The bundled session, and recordings in general, from raw samples to the robot.
+//! Tests the bundled session and recordings in general, from raw samples to the robot.
 
 use std::path::Path;
 
@@ -69,7 +69,7 @@ fn every_gesture_of_the_demo_is_executed_in_order_and_the_base_ends_where_the_sc
     assert_eq!(summary.robot_timeouts, 0);
 }
 
-/// What `cargo xtask paper` shows of it: each motion where it comes in the demo, and the parts of the latency.
+/// Prints the rows for `cargo xtask paper`: the start of each motion in the demo, and the components of the latency.
 fn papers_rows(summary: &Summary) {
     let from_home_s = [3.3, 5.7, 6.1, 6.4, 7.1, 5.9];
     for (pose, paper_s) in summary.poses_reached.iter().zip(from_home_s) {
@@ -129,7 +129,7 @@ fn the_same_session_gives_the_same_summary() {
 fn the_demo_session_can_be_made_again() {
     let files = make_demo_session::files();
     assert!(files == make_demo_session::files(), "the same bytes each time");
-    // Another machine's sine may round differently: at most the last digit may differ from what is committed.
+    // The sine of another machine may be rounded differently, so the last digit may differ from the committed files.
     for (name, made) in files {
         let kept = committed(name);
         assert_eq!(made.lines().count(), kept.lines().count(), "{name}: run the example again");
@@ -150,7 +150,7 @@ fn the_demo_session_can_be_made_again() {
 #[test]
 fn a_recording_that_ends_leaves_the_robot_at_rest() {
     let mut cut = left();
-    // In the middle of the first drive.
+    // The recording ends in the middle of the first drive.
     cut.samples.truncate(600);
     let summary = run(Some(cut), None, MotionMap::default());
     assert!(summary.odometry.path_m > 0.5);
@@ -162,12 +162,13 @@ fn a_recording_that_ends_leaves_the_robot_at_rest() {
 fn one_hand_alone_does_its_part() {
     let summary = run(None, Some(right()), MotionMap::default());
     assert_eq!(summary.odometry.path_m, 0.0);
-    // Without a left hand nobody stops: the second up-down brings the arm home, and left-right comes while it still moves.
+    // Without a left hand there is no stop.
+    // The second up-down therefore moves the arm home, and left-right arrives during that motion.
     assert_eq!(summary.poses_reached.len(), 6);
     assert_eq!(summary.drops.gestures_while_busy, 1);
     assert!(summary.frames.left.is_none());
     let summary = run(Some(left()), None, MotionMap::default());
-    // Without a right hand nothing releases the stop: what follows it is dropped.
+    // Without a right hand the stop is never released, so later commands are dropped.
     assert_eq!((summary.stops, summary.releases), (1, 0));
     assert!(summary.odometry.path_m < 4.0);
     assert!(summary.gestures.is_empty());
@@ -182,7 +183,7 @@ fn a_map_changes_what_a_gesture_does() {
     assert_eq!(*outcome, GestureOutcome::Started("place".into()));
 }
 
-/// A board on a bad cable: one byte in a thousand is damaged, one in ten thousand is lost.
+/// A board with a bad cable: one byte in a thousand is damaged, and one in ten thousand is lost.
 struct BadCable<B> {
     board: B,
     state: u32,
@@ -235,8 +236,8 @@ fn a_bad_cable_costs_frames_but_no_gesture_no_bend_and_no_safety() {
     println!("{frames:?}");
     let (left, right) = (frames.left.unwrap(), frames.right.unwrap());
     assert!(left.damaged > 50 && right.damaged > 20);
-    // Two frames glued together by a damaged delimiter count as damaged once. What is damaged and not lost is no state
-    // but an answer to a ping or a status.
+    // Two frames joined by a damaged delimiter count as one damaged frame.
+    // The damaged frames that do not count as lost are ping replies and status frames, which have no sequence number.
     let unnumbered = summary.seconds as u32 * 11;
     assert!(left.lost > 20 && left.lost + unnumbered / 20 >= left.damaged, "{left:?}");
     assert!(right.lost > 10 && right.lost + unnumbered / 20 >= right.damaged, "{right:?}");

@@ -1,4 +1,4 @@
-//! The simulator's description on a ROS 2 graph: a URDF that other programs can lay over the frames published beside it.
+//! Tests the simulator's URDF on a ROS 2 graph: it must match the frames that the bridge publishes.
 #![cfg(feature = "urdf")]
 
 use std::collections::BTreeSet;
@@ -18,7 +18,7 @@ fn setting() -> RobotSetting {
     Stage::bare().simulated(&Config::default()).setting()
 }
 
-/// The text between these words, at each place.
+/// Returns every part of the text between `before` and `after`.
 fn between<'a>(text: &'a str, before: &str, after: &str) -> Vec<&'a str> {
     text.split(before).skip(1).filter_map(|rest| rest.split(after).next()).collect()
 }
@@ -41,7 +41,7 @@ fn the_description_read_back_is_the_arm_on_its_base_and_moves_as_it_does() {
     }
     for (one, two) in read.joints.iter().zip(&arm.joints) {
         assert_eq!((&one.name, one.limit_rad), (&two.name, two.limit_rad));
-        // A cylinder and two balls: together they reach from end to end.
+        // A cylinder and two spheres, which together reach from one end to the other.
         let ends = one.shapes.iter().map(|shape| (shape.a_m - two.shapes[0].b_m).length());
         assert!(ends.fold(f64::INFINITY, f64::min) < 1e-9, "{}", one.name);
     }
@@ -63,7 +63,7 @@ fn every_frame_that_is_published_is_a_link_of_the_description_and_every_joint_ha
         .transforms;
     let children: BTreeSet<&str> = told.iter().map(|t| t.child_frame_id.as_str()).collect();
     assert_eq!(links, children);
-    // As ros2_kortex names them, with its prefix.
+    // These are the names in ros2_kortex, with its prefix.
     for name in ["base_footprint", "left_base_link", "left_shoulder_link", "left_bracelet_link"] {
         assert!(links.contains(name), "{name} in {links:?}");
     }

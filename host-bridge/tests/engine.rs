@@ -1,4 +1,4 @@
-//! The engine with keys and boards in virtual time.
+//! Tests the engine with keyboard hands and boards in virtual time.
 
 use host_bridge::arm::Motions;
 use host_bridge::arm::gen3::paper_limits;
@@ -90,7 +90,7 @@ fn a_bridge_that_stands_still_stops_a_held_arrow_like_any_silent_hand() {
     let mut rig = Rig::new(HandInput::Keyboard, HandInput::Keyboard);
     rig.press(FORWARD);
     rig.run(400);
-    // The laptop was suspended: the robot's own timeout acts before the next step.
+    // The laptop was suspended, so the robot's own timeout takes effect before the next step.
     rig.now_ms += 3000;
     rig.run(1);
     assert!(rig.live.door().at_rest());
@@ -105,7 +105,7 @@ fn q_and_z_change_the_cap_and_numbers_start_motions() {
     rig.run(300);
     assert!((rig.live.bridge().caps().linear_m_s - 0.55).abs() < 1e-9);
     rig.press(HandKey::Slower);
-    // A held bend counts after 130 ms, by the board's own rules.
+    // A held bend counts after 130 ms, according to the board's rules.
     rig.run(200);
     assert!((rig.live.bridge().caps().linear_m_s - 0.495).abs() < 1e-9);
     rig.press(HandKey::Gesture(6));
@@ -205,7 +205,7 @@ fn a_new_board_is_told_its_thresholds_until_it_has_heard() {
     let frame = shared_proto::frame::encode_board(&message, &mut buffer).unwrap();
     live.receive(Hand::Left, frame, 1005);
     assert!(told(&mut live, 5000, true).is_empty());
-    // Nor is it left in record mode.
+    // The board does not remain in record mode either.
     live.advance(7000, [true; 2]);
     let mut decoder = shared_proto::frame::Decoder::<HOST_FRAME_MAX>::new();
     let frames = live.take_outgoing(Hand::Left).concat();
@@ -221,11 +221,11 @@ fn send_hello(wire: &mut Vec<u8>) {
     let mut buffer = [0; HOST_FRAME_MAX];
     let request = encode_host(&HostMessage::HelloRequest, &mut buffer).unwrap();
     keys.receive(request, 0, wire);
-    // What is still due is sent with the next period.
+    // Frames that are still due are sent in the next period.
     keys.step(0, wire);
 }
 
-/// The signals that a right board of this minor version gets for its wearer, at its start and at a stop.
+/// Returns the vibration signals that a right board with this minor version receives at its start and at a stop.
 fn felt(wired: bool, minor: u8, ready: bool) -> Vec<Signal> {
     let mut config = Config::default();
     config.vibration.wired = wired;

@@ -1,6 +1,7 @@
-//! The session as Foxglove gets it: what is advertised is what a file has, what is sent is the simulator's state,
-//! and who may look on. Sockets on the loopback only. `tests/foxglove/check.py` does the same with other
-//! people's packages.
+//! Tests the Foxglove server on loopback sockets.
+//! The advertised channels must match those of a session file, and the messages must match the simulator's state.
+//! The test also checks which clients may connect.
+//! `tests/foxglove/check.py` runs similar checks with third-party packages.
 
 use std::io::{ErrorKind, Read as _, Write as _};
 use std::net::TcpStream;
@@ -25,7 +26,7 @@ use moving::{Robot, Virtual as _, live as live_engine};
 
 type Live = Engine<'static, Robot>;
 
-/// By the wall clock; a hang must not stop the tests.
+/// Limit in wall-clock time, so that a hang cannot block the tests.
 const PATIENCE: Duration = Duration::from_secs(120);
 const ORIGIN: Origin = Origin { nanoseconds: 1_700_000_000_000_000_000 };
 
@@ -72,10 +73,10 @@ fn words(socket: &mut WebSocket<TcpStream>) -> Value {
     }
 }
 
-/// Subscription, time in ms of the session, payload behind the four bytes that say how it is laid out.
+/// Subscription id, session time in ms, and the payload after the four bytes that state its encoding.
 type Data = (u32, u64, Vec<u8>);
 
-/// The message that has arrived, or arrives within a moment.
+/// Returns the messages that have arrived or arrive shortly afterwards.
 fn arrived(socket: &mut WebSocket<TcpStream>) -> Vec<Data> {
     socket.get_ref().set_read_timeout(Some(Duration::from_millis(5))).unwrap();
     let arrived = std::iter::from_fn(|| match socket.read() {
@@ -122,7 +123,7 @@ fn a_viewer_is_told_every_topic_and_gets_what_it_subscribes_to_as_the_simulator_
         { "id": 41, "channelId": named("/odom") }, { "id": 42, "channelId": named("/joint_states") } ] });
     socket.send(Message::text(wish.to_string())).unwrap();
 
-    // Nothing shows when the subscription takes effect, so time passes until enough has come.
+    // Nothing indicates when the subscription takes effect, so the session runs until enough messages have arrived.
     let mut now_ms = 500;
     live.press(HandKey::Arrow(Heading::Forward), now_ms);
     live.press(HandKey::Gesture(2), now_ms);
@@ -212,7 +213,7 @@ fn a_viewer_that_takes_nothing_loses_messages_and_delays_nobody() {
     let mut socket = open(&foxglove, None, "foxglove.sdk.v1", "").unwrap();
     let all: Vec<Value> = (0..Topic::ALL.len()).map(|k| json!({ "id": k, "channelId": k })).collect();
     socket.send(Message::text(json!({ "op": "subscribe", "subscriptions": all }).to_string())).unwrap();
-    // What kind of server it is, and its topics.
+    // Reads the server information and the list of channels.
     words(&mut socket);
     words(&mut socket);
     let (mut now_ms, began) = (500, Instant::now());
@@ -226,7 +227,8 @@ fn a_viewer_that_takes_nothing_loses_messages_and_delays_nobody() {
         assert!(began.elapsed() < PATIENCE, "the subscription takes effect");
         pass(100);
     }
-    // If the session waited for a single message, this would never end: it is far more than sockets and queue hold.
+    // If the session waited for a client, this loop would never end,
+    // because its data far exceed the sockets and the queue.
     pass(100_000);
     let lost = (0..1_000_000).find_map(|_| match socket.read().unwrap() {
         Message::Text(text) if text.as_str().contains("too slow for") => Some(text.to_string()),

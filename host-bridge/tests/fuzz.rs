@@ -1,7 +1,10 @@
-//! Readers of recordings and sessions against damaged files: no panic, no hang over 2 s, no more than 500 MB.
+//! Feeds damaged files to the readers of recordings and sessions.
+//! They must not panic, hang for more than 2 s, or use more than 500 MB.
 //!
-//! `cargo test -p host-bridge --test fuzz` gives each reader a few hundred inputs. A million each, with their figures:
-//! `BIMANUAL_FULL=1 cargo test --release -p host-bridge --features lerobot --test fuzz -- --nocapture --test-threads 1`.
+//! `cargo test -p host-bridge --test fuzz` gives each reader a few hundred inputs.
+//! The following command gives each reader a million inputs and prints statistics:
+//! `BIMANUAL_FULL=1 cargo test --release -p host-bridge --features lerobot --test fuzz -- --nocapture --test-threads
+//! 1`.
 
 use std::path::Path;
 
@@ -17,7 +20,7 @@ mod moving;
 
 use mutate::{count, fuzz};
 
-/// A hand that tilts and bends, of this many bits and samples a second.
+/// Returns a recording of a hand that tilts and bends, with this resolution in bits and this sample rate.
 fn adc(rate_hz: f64, bits: u32, decimals: usize) -> Vec<u8> {
     let mut text = "timestamp_ms,x,y,z,index,middle\n".to_owned();
     for n in 0..120 {
@@ -38,7 +41,7 @@ fn damaged_recordings_of_the_left_hand_are_read_or_refused() {
     let seeds = [adc(100.0, 10, 0), adc(100.0, 10, 3), adc(50.0, 12, 0), adc(500.0, 8, 0), adc(104.0, 11, 0)];
     fuzz("ADC", &seeds, count(2000), |bytes| {
         let Ok(recording) = AdcRecording::parse(Path::new("a.csv"), bytes) else { return false };
-        // Whatever is accepted has the board's order and range.
+        // Accepted recordings must have the board's order and range.
         assert!(recording.samples.windows(2).all(|pair| pair[0].0 <= pair[1].0));
         let in_range = |counts: AdcCounts| counts.as_array().iter().all(|sum| *sum <= AdcCounts::MAX);
         assert!(recording.samples.iter().all(|(_, counts)| in_range(*counts)));
@@ -81,7 +84,7 @@ mod session {
         }
     }
 
-    /// A moment of a session of two keyboard hands, in which somebody marks an episode and stops.
+    /// Returns a short session of two keyboard hands with a marked episode and a stop.
     fn moment() -> Vec<u8> {
         let config = Config::default();
         let origin = Origin { nanoseconds: 1_700_000_000_123_456_789 };
@@ -120,7 +123,7 @@ mod session {
         file.clone()
     }
 
-    /// The same as another program writes it.
+    /// Returns the same messages in a file with another program's compression.
     fn rewritten(file: &[u8], compression: Option<Compression>) -> Vec<u8> {
         let mut bytes = Cursor::new(Vec::new());
         let mut writer =

@@ -1,5 +1,7 @@
-//! A gripper on the ROS 2 graph that does not do as it is told, and what holds the hand back in the middle of a motion of
-//! several steps: the rest is not done, and it is said. In virtual time, before a robot whose answers the test gives.
+//! Tests a gripper on the ROS 2 graph that does not carry out its commands,
+//! and halts in the middle of a motion with several steps.
+//! In both cases the remaining steps must be cancelled and reported.
+//! The tests run in virtual time, with a robot whose replies the test provides.
 
 use host_bridge::arm::Director;
 use host_bridge::arm::gen3::{COUNT, HOME, JOINT_NAMES};
@@ -15,7 +17,7 @@ use host_bridge::ros2::{ArmInterface, Output, Ros2Config, RosRobot};
 use host_bridge::scene::Scene;
 use host_bridge::topics::message::{self as ros, JointState};
 
-/// The joint of the gripper: 0 open, 0.8 shut.
+/// The joint of the gripper: 0 is open, and 0.8 is closed.
 const KNUCKLE: &str = "knuckle";
 
 fn joints_of(positions: &[f64]) -> Option<Joints> {
@@ -40,7 +42,7 @@ impl Site {
         let text = format!("{scene}\n[[tool]]\nname = \"2f-85\"\n");
         let planner = Planner::new(SerialArm::gen3(), Scene::parse(&text).unwrap()).unwrap();
         let stage = Stage::new(&config, Some(planner)).unwrap();
-        // Whole goals, so that the test sees whole plans.
+        // The action interface sends complete goals, so the test sees complete plans.
         let ros2 = Ros2Config {
             arm: ArmInterface::Action,
             gripper_joint: KNUCKLE.to_owned(),
@@ -94,7 +96,7 @@ impl Site {
         started
     }
 
-    /// The newest goal of the gripper.
+    /// Returns the newest goal of the gripper.
     fn grip(&self) -> Option<u32> {
         self.sent.iter().rev().find_map(|sent| match sent {
             Output::Grip { goal, .. } => Some(*goal),
@@ -102,7 +104,7 @@ impl Site {
         })
     }
 
-    /// The newest goal of the arm: its number, and where it leads.
+    /// Returns the newest goal of the arm: its number and its target.
     fn goal(&self) -> Option<(u32, Joints)> {
         self.sent.iter().rev().find_map(|sent| match sent {
             Output::Goal { goal, trajectory } => {
@@ -112,11 +114,11 @@ impl Site {
         })
     }
 
-    /// The arm is where its newest goal leads, and its controller says so.
+    /// Moves the arm to the target of its newest goal, and lets its controller report success.
     fn arrive(&mut self) {
         let (goal, there) = self.goal().unwrap();
         self.answer_arm(goal, Answer::Accepted);
-        // As slowly as an arm goes, or it would be a jump that no arm makes.
+        // The arm moves at a realistic speed, because a jump in its position would be rejected.
         let from = self.joints_rad;
         for k in 1..=100 {
             let share = f64::from(k) / 100.0;
@@ -160,7 +162,7 @@ fn done(position: f64, stalled: bool, reached: bool) -> GripAnswer {
     GripAnswer::Done { position, stalled, reached, status: "Aborted".to_owned() }
 }
 
-/// A motion that closes or opens, and then moves.
+/// Returns the configuration of a motion that closes or opens the gripper and then moves the arm.
 fn grips_and_moves(word: &str) -> String {
     format!("[[motion]]\nname = \"own\"\nsteps = [{{ gripper = \"{word}\" }}, {{ to = \"ready\" }}]\n")
 }
@@ -236,7 +238,7 @@ fn a_stall_on_a_thing_is_success_and_the_motion_goes_on() {
     assert_eq!(site.ended(), Some(true), "{}", site.notes());
 }
 
-/// What holds the hand back.
+/// An event that halts the motion.
 type Hold = fn(&mut Site);
 
 #[test]
@@ -244,13 +246,13 @@ fn whatever_holds_the_hand_back_within_a_sequence_ends_all_of_it_and_nothing_goe
     let steps = "[[motion]]\nname = \"own\"\nsteps = [{ to = \"ready\" }, { gripper = \"close\" }, { wait_s = 2 }, \
                  { to = \"home\" }]\n";
     let holds: [(&str, Hold); 3] = [
-        // The guard knows no longer where the base is: it lets nothing go on.
+        // The guard no longer has the position of the base and therefore stops everything.
         ("its base is lost", |site| site.tells_base = false),
         ("a stop", |site| site.door.halt()),
         ("the arm's own end", |site| site.door.halt_arm()),
     ];
     for (what, hold) in holds {
-        // In the arm's way, in the grip, while it waits, in the arm's last way.
+        // The four phases are the arm's first move, the grip, the wait and the arm's last move.
         for part in 1..=4 {
             let mut site = Site::new(steps);
             site.start("own").unwrap();
@@ -278,7 +280,7 @@ fn whatever_holds_the_hand_back_within_a_sequence_ends_all_of_it_and_nothing_goe
                 2 => assert!(is_told(|sent| matches!(sent, Output::CancelGrip { .. })), "{what}, {part}"),
                 _ => {}
             }
-            // Both are confirmed; the hand is free again.
+            // Both cancellations are confirmed, and a new motion may start.
             site.answer_arm(1, Answer::Ended("cancelled".to_owned()));
             site.answer_arm(2, Answer::Ended("cancelled".to_owned()));
             site.door.robot_mut().grip_answer(1, done(0.4, false, false));
@@ -295,14 +297,14 @@ fn whatever_holds_the_hand_back_within_a_sequence_ends_all_of_it_and_nothing_goe
 
 #[test]
 fn fingers_of_which_nobody_tells_count_open_and_shut() {
-    // The tips of closed fingers reach 13 mm further than those of open ones: a shelf between the two.
+    // The fingertips reach 13 mm further when closed than when open. The shelf lies between these two positions.
     let arm = SerialArm::gen3();
     let flange = arm.flange_pose(&HOME);
     let tip = |z_m: f64| {
         flange.at(host_bridge::robot::DVec3::new(0.0, 0.0, z_m))
             + host_bridge::robot::DVec3::new(0.1, 0.0, 0.4)
     };
-    // Open fingers end 161 mm from the flange, closed ones 175 mm: a post ahead of where the arm goes.
+    // Open fingers end 161 mm from the flange, and closed ones 175 mm. The post stands in front of the arm's target.
     let at = tip(0.183).to_array();
     let mut beside = HOME;
     beside[0] += 0.7;
@@ -312,7 +314,7 @@ fn fingers_of_which_nobody_tells_count_open_and_shut() {
     );
     let mut site = Site::new(&scene);
     site.joints_rad = beside;
-    // A jump that no arm makes is remembered for 2 s.
+    // An impossible jump of the arm blocks motions for 2 s.
     site.run(2500);
     site.start("shelf").unwrap();
     assert!(site.goal().is_some(), "open fingers have room");

@@ -1,8 +1,8 @@
-//! What a person writes or is given beside recordings (configurations, scenes, arms, models) against damaged files: no
-//! panic, no hang, no memory without end.
+//! Feeds damaged configurations, scenes, arms and models to their parsers.
+//! The parsers must not panic, hang, or use unlimited memory.
 //!
-//! Files are damaged as recordings are in `fuzz.rs`; a hang is judged by the processor's time. 100,000 per parser under
-//! `BIMANUAL_FULL=1`.
+//! The damage is generated as in `fuzz.rs`, and hangs are detected by processor time.
+//! With `BIMANUAL_FULL=1` each parser gets 100,000 files.
 #![cfg(unix)]
 
 use std::path::Path;
@@ -19,11 +19,11 @@ mod damage;
 
 use damage::{Rng, damage};
 
-/// Whoever waits longer for a file believes that the program hangs. In processor time, which a busy machine does not change.
+/// Limit in processor time, which does not depend on the load of the machine. A longer delay would look like a hang.
 const SLOW: Duration = Duration::from_secs(2);
 const MEMORY_MAX_MB: u64 = 500;
 
-/// The processor time of this thread.
+/// Returns the processor time of this thread.
 fn worked() -> Duration {
     let now = rustix::time::clock_gettime(rustix::time::ClockId::ThreadCPUTime);
     Duration::new(now.tv_sec as u64, now.tv_nsec as u32)
@@ -35,7 +35,7 @@ fn peak_mb() -> u64 {
     line.and_then(|line| line.split_whitespace().next()?.parse::<u64>().ok()).unwrap_or(0) / 1024
 }
 
-/// Gives a parser mutated files; it returns whether it accepted one.
+/// Feeds mutated files to a parser, which returns whether it accepted the file.
 fn torment(name: &str, seeds: &[&[u8]], parse: impl Fn(&[u8]) -> bool) {
     let count = if std::env::var_os("BIMANUAL_FULL").is_some() { 100_000 } else { 200 };
     let mut rng = Rng(name.len() as u64);

@@ -1,4 +1,4 @@
-//! Sessions on disk: what is written is all that there is, and stays readable whatever happens.
+//! Tests session files: they must be complete, and remain readable after a crash or a full disk.
 #![cfg(feature = "mcap")]
 
 use std::io::{self, BufRead as _, BufReader};
@@ -34,7 +34,7 @@ use moving::{Robot, Virtual as _, live as live_engine};
 
 type Live = Engine<'static, Robot>;
 
-/// A disk in memory, of this many bytes; a writer waits while the other end of `gate` holds it.
+/// A disk in memory with a capacity in bytes. Writes block while the other end of `gate` exists.
 #[derive(Clone)]
 struct Memory {
     bytes: Arc<Mutex<Vec<u8>>>,
@@ -55,7 +55,7 @@ impl Memory {
 impl Storage for Memory {
     fn write_at(&mut self, at: u64, bytes: &[u8]) -> io::Result<()> {
         if let Some(gate) = self.gate.lock().unwrap().as_ref() {
-            // Blocks until the other end is gone.
+            // Blocks until the other end is dropped.
             while gate.recv().is_ok() {}
         }
         let mut disk = self.bytes.lock().unwrap();
@@ -94,7 +94,7 @@ fn play(session: &mut Session<'_, Robot>, until_ms: u64, stop_ms: Option<u64>) {
     }
 }
 
-/// Records the demo on a disk; returns how the file ended.
+/// Records the demo to a disk and returns the result of closing the file.
 fn recorded_demo(setup: &Setup, until_ms: u64, stop_ms: Option<u64>, memory: &Memory) -> Kept {
     with_demo(setup, |session| {
         let start = Disk::with_storage(
@@ -134,7 +134,7 @@ fn a_played_session_from_its_file_is_the_same_bit_for_bit() {
         assert!(summary.events.len() > 10);
         assert_eq!(summary.stops, 1);
     });
-    // 100 Hz, 50 Hz, 20 Hz from 0 until just before 30 s; and the samples of both hands.
+    // The rates are 100 Hz, 50 Hz and 20 Hz from 0 until just before 30 s, plus the samples of both hands.
     let counted = |topic: &str| again.messages.get(topic).copied().unwrap_or_default();
     let topics = ["/joint_states", "/odom", "/tf", "/cmd_vel", "/hands/state"].map(counted);
     assert_eq!(topics, [3000, 1500, 1500, 1500, 600]);
@@ -157,7 +157,7 @@ fn motions_with_limited_jerk_are_the_same_too_and_take_longer() {
         reached.expect("the arm was home by then").time_ms
     };
     let (even_ms, smooth_ms) = (first_pose_ms(&setup()), first_pose_ms(&smooth));
-    // An acceleration of 0.43 rad/s² is built up, and reduced, at 4.3 rad/s³.
+    // With a jerk of 4.3 rad/s³, an acceleration of 0.43 rad/s² takes 100 ms to build up.
     assert_eq!(smooth_ms - even_ms, 100);
 }
 
@@ -173,7 +173,7 @@ fn planned_motions_are_the_same_too() {
     assert!(text.contains("Started("), "an arm motion was among it: {text}");
 }
 
-/// A live session: keys for both hands, irregular turns, pings, a stop and its release, a pause.
+/// Runs a live session: keys for both hands, irregular time steps, pings, a stop with its release, and a pause.
 fn live_session(memory: &Memory, when_full: WhenFull, until_ms: u64) -> (Live, Disk) {
     let mut config = Config::default();
     config.speed.start = 0.3;
@@ -200,7 +200,7 @@ fn live_session(memory: &Memory, when_full: WhenFull, until_ms: u64) -> (Live, D
             1600 => live.press(HandKey::Gesture(1), now_ms),
             1800 => live.press(HandKey::Faster, now_ms),
             1900 => live.press(HandKey::Gesture(5), now_ms),
-            // Noise on a line, between two turns.
+            // Noise arrives on a line between two time steps.
             2000 => live.receive(Hand::Left, &[7, 0, 255, 3], now_ms),
             2100 => live.end_arm_key(now_ms),
             _ => {}
@@ -323,7 +323,7 @@ fn marks_by_gesture_key_and_page_are_in_the_file_and_make_its_episodes() {
             2_000 => live.press(HandKey::Gesture(6), now_ms),
             4_000 => live.press(HandKey::Gesture(3), now_ms),
             5_000 => live.mark(Mark::Begin, MarkedBy::Key, now_ms),
-            // Again: by gesture, then on the page.
+            // The episode is marked again, first by gesture and then on the page.
             5_500 => live.press(HandKey::Gesture(2), now_ms),
             6_500 => live.mark(Mark::Again, MarkedBy::Page, now_ms),
             7_500 => live.mark(Mark::Good, MarkedBy::Key, now_ms),
@@ -372,13 +372,13 @@ fn a_file_in_which_one_bit_of_a_command_differs_is_found_out() {
     let memory = Memory::of_size(usize::MAX);
     recorded_demo(&setup(), 10_000, None, &memory);
     let file = memory.file();
-    // This reader does not check the checksums of chunks, so what follows must show the damage.
+    // This reader does not verify chunk checksums, so the content itself must reveal the damage.
     let name = b"left_wheel\0";
     let joints: Vec<usize> =
         (0..file.len() - name.len()).filter(|&at| &file[at..at + name.len()] == name).collect();
     assert!(joints.len() > 900);
     let mut changed = file;
-    // Behind both names and the count.
+    // The number follows both names and the count in the record.
     let at = joints[800];
     let after = changed[at..].windows(12).position(|w| w == b"right_wheel\0").unwrap() + at + 12;
     let count = (after..).find(|&i| changed[i] == 9).unwrap();
@@ -418,9 +418,9 @@ fn a_full_disk_is_told_once_and_leaves_a_whole_file_while_the_session_goes_on() 
     assert!(file.ends_with(b"\x89MCAP0\r\n"));
     let again = replay(&file).unwrap();
     assert_same_until(&again, &plain.events);
-    // Chunks of 1 MiB: at least one is there.
+    // Chunks are 1 MiB, so the file contains at least one.
     assert!(again.seconds > 3.0, "{}", again.seconds);
-    // What is reported as being in it is in it.
+    // The file contains every message that was reported as written.
     assert_eq!(kept.messages, again.messages.values().sum::<u64>());
     assert_eq!(kept.bytes, file.len() as u64);
 }
@@ -447,10 +447,10 @@ fn a_disk_that_stands_still_never_delays_a_live_session_and_the_gap_is_known() {
     *memory.gate.lock().unwrap() = Some(gate);
     let mut live = live_engine(&Config::default(), HandInput::Keyboard, HandInput::Nobody);
     live.tap_mut().add(Box::new(recorder));
-    // If the session waited for a single write, this would never end.
+    // If the session waited for a write, this loop would never end.
     let started = Instant::now();
     let mut now_ms = 0;
-    // Long enough for the writer to get to its first write.
+    // The loop runs long enough for the writer to start its first write.
     while now_ms < 120_000 || started.elapsed() < Duration::from_secs(2) {
         now_ms += 1;
         live.advance(now_ms, [true; 2]);
@@ -488,7 +488,7 @@ fn a_killed_program_leaves_a_file_up_to_its_last_second() {
     program.args(["demo", "--headless", "--speed", "1", "--record"]).arg(&file);
     let mut child = program.stdout(Stdio::piped()).spawn().unwrap();
     let lines = BufReader::new(child.stdout.take().unwrap()).lines();
-    // Events are printed as they happen: the first one after 3 s is the moment of the kill.
+    // Events are printed immediately, so the first event after 3 s triggers the kill.
     let mut seen_s = 0.0;
     for line in lines {
         let line = line.unwrap();
@@ -510,16 +510,16 @@ fn a_killed_program_leaves_a_file_up_to_its_last_second() {
     assert_eq!(again.different, 0, "{:?}", again.first_difference);
     assert!(again.seconds > seen_s - 1.0, "{} of {seen_s} s", again.seconds);
 
-    // And the program itself reads it.
+    // The program itself can read the file too.
     let mut program = Command::new(env!("CARGO_BIN_EXE_host-bridge"));
     let output = program.arg("replay").arg(&file).arg("--json").output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let json: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!(json["different"], 0);
-    // The reader gave the file the index that a killed program does not write, and changed nothing else.
+    // The reader added the index, which a killed program does not write, and changed nothing else.
     let bytes = std::fs::read(&file).unwrap();
     assert_eq!(replay(&bytes).unwrap(), again);
-    // An existing file is not overwritten.
+    // The program must not overwrite an existing file.
     let mut program = Command::new(env!("CARGO_BIN_EXE_host-bridge"));
     let output =
         program.args(["demo", "--headless", "--speed", "0", "--record"]).arg(&file).output().unwrap();

@@ -1,4 +1,5 @@
-//! The program with boards behind pseudo-terminals, in one time. `cargo test -- --skip live::` leaves it out.
+//! Runs the program with boards behind pseudo-terminals in simulated time.
+//! `cargo test -- --skip live::` skips these tests.
 #![cfg(unix)]
 
 #[path = "support/desk/mod.rs"]

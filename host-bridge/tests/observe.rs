@@ -1,4 +1,4 @@
-//! What the tap shows is all that there is: a bridge that gets only that does the same.
+//! Tests that the observers' interface is complete: a bridge that receives only its data behaves identically.
 
 use std::sync::{Arc, Mutex};
 
@@ -93,7 +93,7 @@ fn a_bridge_fed_with_what_an_observer_saw_does_the_same() {
     for seen in &record.seen {
         match seen {
             Seen::Bytes(time_ms, hand, bytes) => bridge.receive(*hand, bytes, *time_ms, &mut robot),
-            // Either of two messages was due then, and the bridge knows which.
+            // One of two messages was due at this time, and the bridge knows which one it sent.
             Seen::Sent(time_ms, hand) => {
                 let _ = bridge.poll(*hand, *time_ms).or_else(|| bridge.ping(*hand, *time_ms));
             }
@@ -109,7 +109,7 @@ fn a_bridge_fed_with_what_an_observer_saw_does_the_same() {
     assert!(events.len() > 10, "{events:?}");
     assert_eq!(robot.odometry(), session.door().odometry());
     assert_eq!(robot.arm(), session.door().arm());
-    // Both hands are sampled at 100 Hz from time 0 on.
+    // Both hands are sampled at 100 Hz from time 0.
     assert_eq!(record.samples, [2001, 2001]);
     assert!(record.sent >= 2, "both boards were asked who they are");
 
@@ -119,7 +119,7 @@ fn a_bridge_fed_with_what_an_observer_saw_does_the_same() {
     assert!(last.left.link.connected && last.right.link.live);
     let setting = Setting::of(&session.now());
     assert_eq!(setting.robot.joints.len(), 7);
-    // The flange's pose from the transforms equals the flange's pose from the arm, put on the base.
+    // The flange pose from the transforms must equal the flange pose from the arm, shifted by the base pose.
     let now = session.now();
     let flange = link_poses_in_world(&now, &now.robot.picture().arm.joints_rad)[7].position_m;
     let odometry = now.robot.picture().odometry;

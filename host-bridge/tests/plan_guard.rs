@@ -1,5 +1,5 @@
-//! Base and arm in a scene, moved at random: neither ever touches anything, and both always come to rest
-//! within the time that the limits allow.
+//! Moves base and arm at random in a scene. Neither may touch an obstacle, and both must stop within the time that the
+//! limits allow.
 
 use host_bridge::arm::model::SerialArm;
 use host_bridge::base::Twist;
@@ -27,7 +27,7 @@ fn clearance_m(robot: &Robot, planner: &Planner) -> f64 {
     around.arm_clearance(&robot.arm().joints_rad).distance_m.min(around.base_clearance().distance_m)
 }
 
-/// Watches how fast the joints' accelerations change, by their speeds at every millisecond.
+/// Computes the change of the joints' accelerations from their speeds at each millisecond.
 struct Jerks([[f64; JOINTS]; 2]);
 
 impl Jerks {
@@ -62,7 +62,7 @@ fn a_base_driven_at_a_wall_stops_before_it_and_can_leave() {
         robot.pass(20);
         assert!(clearance_m(&robot, &planner) > 0.0);
     }
-    // The wall's face is at 1.9 m, the base's at 0.3 m ahead of its middle.
+    // The wall's surface is at 1.9 m, and the base's front is 0.3 m ahead of its centre.
     let stopped_m = robot.odometry().x_m;
     assert!((1.57..1.6).contains(&stopped_m), "{stopped_m}");
     assert!(robot.at_rest());
@@ -85,7 +85,7 @@ fn an_arm_that_reaches_out_keeps_the_base_from_a_wall_that_the_base_would_not_to
         robot.pass(20);
         assert!(clearance_m(&robot, &planner) > 0.0);
     }
-    // 0.9 m of arm ahead of its foot at 0.1 m, before a board at 1.9 m.
+    // The arm extends 0.9 m from its mount at 0.1 m, towards a board at 1.9 m.
     assert!((0.75..0.95).contains(&robot.odometry().x_m), "{}", robot.odometry().x_m);
 }
 
@@ -132,7 +132,7 @@ fn base_and_arm_at_random_never_touch_anything_and_always_stop_in_time() {
     let (mut nearest_m, mut stops, mut motions, mut refused) = (f64::INFINITY, 0, 0, 0);
     let (mut slowest_ms, mut way_m) = (0, 0.0);
     for seed in 0..runs {
-        // Every third run with limited jerk.
+        // Every third run limits the jerk.
         let (mut robot, planner) = in_scene(if seed % 3 == 2 { &smooth } else { clutter }, pose("ready"));
         let limits = *planner.limits();
         let mut jerks = Jerks::new(&robot);

@@ -1,5 +1,5 @@
-//! Inverse kinematics: what it finds, what it refuses, and the cost of both, counted in the solver's steps.
-//! Times are printed, as the processor's time of this thread, and asserted nowhere:
+//! Tests inverse kinematics: which poses it solves or rejects, and how many solver steps each case takes.
+//! The times are processor times of this thread, which are printed but not checked:
 //! `cargo test --release -p host-bridge --test plan_ik -- --nocapture`.
 
 #[path = "support/cpu.rs"]
@@ -14,7 +14,7 @@ use host_bridge::robot::Random;
 use host_bridge::robot::{DVec3, Joints, Pose};
 use host_bridge::scene::Scene;
 
-/// The budget before there was one of 0.2 s.
+/// The step budget before it was replaced by a time budget of 0.2 s.
 const FORMER: Budget = Budget { steps: 10_000, looks: usize::MAX };
 
 fn anywhere(arm: &SerialArm, random: &mut Random) -> Pose {
@@ -93,9 +93,9 @@ fn a_place_beyond_reach_is_refused_without_a_step_and_the_search_would_not_have_
 #[test]
 fn a_place_that_no_angles_reach_or_that_is_blocked_ends_with_the_budget_and_always_alike() {
     let arm = SerialArm::gen3();
-    // Within the arm's length, but with the tool turned so that the elbow would have to fold through itself.
+    // The position is within reach, but the tool's orientation would require the elbow to pass through the arm.
     let folded = Pose { position_m: DVec3::new(0.05, 0.0, 0.42), rotation: arm.flange_pose(&HOME).rotation };
-    // A real place in a box: every solution touches it.
+    // A reachable position inside a box, where every solution touches the box.
     let scene = "[[box]]\nname = \"crate\"\ncenter_m = [0.65, 0.0, 0.75]\nsize_m = [0.5, 0.5, 0.5]";
     let world = World::new(arm.clone(), Scene::parse(scene).unwrap());
     let around = world.around(Placement::default());

@@ -1,8 +1,8 @@
-//! Planning where the straight path is blocked: three scenes, six poses each, all ordered pairs, many seeds.
-//! What is planned is executed by the arm in virtual time and looked at every 10 ms.
+//! Plans motions where the straight path is blocked: three scenes, six poses each, all ordered pairs, many seeds.
+//! The arm executes each plan in virtual time, and the test checks it every 10 ms.
 //!
-//! `BIMANUAL_FULL=1` runs 34 seeds per pair. Times are the processor's, printed and asserted nowhere.
-//! `tests/mujoco/check.py` looks at the same motions with an independent engine.
+//! `BIMANUAL_FULL=1` runs 34 seeds per pair. The times are processor times, which are printed but not checked.
+//! `tests/mujoco/check.py` checks the same motions with an independent physics engine.
 
 #[path = "support/cpu.rs"]
 mod cpu;
@@ -36,7 +36,7 @@ fn planner(scene: &str) -> Planner {
     Planner::new(SerialArm::gen3(), Scene::parse(scene).unwrap()).unwrap()
 }
 
-/// Runs a motion at 100 Hz and checks every sample. Returns the shortest clearance.
+/// Executes a motion at 100 Hz, checks every sample, and returns the shortest clearance.
 fn execute(planner: &Planner, plan: &Plan, from: &Joints, to: &Joints) -> f64 {
     let around = planner.world().around(Placement::default());
     let (limits, dt_s) = (planner.limits(), 0.01);
@@ -59,7 +59,7 @@ fn execute(planner: &Planner, plan: &Plan, from: &Joints, to: &Joints) -> f64 {
         nearest = nearest.min(around.arm_clearance(&now.joints_rad).distance_m);
         before = now;
     }
-    // Whole turns of joints without end aside.
+    // Complete turns of continuous joints are ignored.
     let there = planner.world().arm().unwound(to, &before.joints_rad);
     assert_eq!(before, Motion::at_rest(before.joints_rad), "ends at rest");
     assert!((0..JOINTS).all(|i| (before.joints_rad[i] - there[i]).abs() < 1e-9), "ends at the pose");
@@ -173,7 +173,7 @@ fn goals_that_cannot_be_reached_safely_are_refused_with_the_reason() {
         beyond[3] = f64::NAN;
         assert!(matches!(refused(&beyond), Refusal::GoalBeyondLimit(_)));
 
-        // The flange in the middle of each box that the arm can reach at all.
+        // Poses with the flange in the middle of each box that the arm can reach.
         let scene = planner.world().scene();
         let mut inside = 0;
         for shape in &scene.boxes {
@@ -194,7 +194,7 @@ fn goals_that_cannot_be_reached_safely_are_refused_with_the_reason() {
     }
 }
 
-/// A wall through the arm's foot: open only around the shoulder, and closed above it.
+/// A wall through the arm's mount, with an opening only around the shoulder.
 const WALLS: &str = r#"
 [[box]]
 name = "right wall"
@@ -210,7 +210,7 @@ center_m = [0.1, 0.0, 1.375]
 size_m = [0.02, 0.24, 1.05]
 "#;
 
-/// Before the wall, and behind it.
+/// Returns joint angles in front of the wall and behind it.
 fn before_and_behind() -> (Joints, Joints) {
     let front = joints([0.0, 1.2, std::f64::consts::PI, -1.5, 0.0, 0.5, 1.57]);
     let mut back = front;
@@ -257,7 +257,7 @@ fn a_motion_is_planned_or_refused_within_its_checks_and_what_is_planned_with_few
     println!("{planned} planned, {refused} refused, at most {over} checks more than there were");
     assert!(planned > 20 && refused > 20 && over <= 8);
 
-    // The longest that a stop can be kept waiting for: a motion that uses everything up.
+    // The longest possible delay of a stop: a plan that uses its whole budget.
     let gripper = format!("{WALLS}\n[[tool]]\nname = \"2f-85\"\n[[tool]]\nname = \"gen3-vision\"\n");
     for (name, scene) in [("bare", WALLS), ("with gripper and vision module", &gripper)] {
         let planner = self::planner(scene);

@@ -1,5 +1,5 @@
-//! The table of motions: for all ordered pairs of the named poses, via home as in the paper beside the
-//! planned path, with the shortest clearance and the end-point error.
+//! Prints the table of motions for all ordered pairs of named poses.
+//! Each row compares the paper's path via home with the planned path: shortest clearance and end-point error.
 
 use host_bridge::arm::gen3::MAX_JERK_RAD_S3;
 use host_bridge::arm::model::SerialArm;
@@ -20,7 +20,7 @@ fn starting_at(joints: Joints) -> String {
     format!("[[pose]]\nname = \"ready\"\njoints_rad = {joints:?}")
 }
 
-/// No limit is broken from one executed sample to the next.
+/// Checks the limits between two executed samples.
 fn assert_within(limits: &JointLimits, before: &Motion, now: &Motion, dt_s: f64) {
     for i in 0..JOINTS {
         let (v, a, j) = (limits.velocity_rad_s[i], limits.acceleration_rad_s2[i], limits.jerk_rad_s3[i]);
@@ -64,7 +64,7 @@ fn all_pairs_of_motions_via_home_and_direct() {
             assert_eq!((there.kind, plan.kind), (Kind::ViaHome, Kind::Straight));
             assert_eq!(smoothly.path_rad, plan.path_rad);
 
-            // Every trajectory is followed, as by the simulator.
+            // Executes every trajectory as the simulator does.
             let mut ends = Vec::new();
             let mut clearances_m = Vec::new();
             for (plan, limits) in
@@ -95,7 +95,7 @@ fn all_pairs_of_motions_via_home_and_direct() {
                 ends.iter().map(|end| end.1).fold(0.0, f64::max)
             );
             assert!(ends[1].0 <= ends[0].0 + 1e-9, "the direct way is never slower");
-            // At cruise speed: the time to build 0.43 rad/s² up.
+            // For a move that reaches cruise speed, limited jerk adds the time to build up 0.43 rad/s².
             assert!((ends[2].0 - ends[1].0 - 0.43 / MAX_JERK_RAD_S3).abs() < 0.02, "{ends:?}");
             assert!(clearances_m.iter().all(|clearance_m| *clearance_m > 0.02));
             sum_home_s += ends[0].0;
@@ -124,7 +124,7 @@ fn without_a_scene_the_arm_goes_home_first_and_with_one_it_need_not() {
     println!("place → place-top-right: via home {papers_s:.2} s, direct {direct_s:.2} s");
     assert_eq!(robot.arm().joints_rad, pose("place-top-right"));
     assert_eq!(papers.arm().joints_rad, robot.arm().joints_rad);
-    // 6.1 s to home and 6.4 s from there; on the straight path joint 1 turns by 1.654 rad.
+    // The path via home takes 6.1 s and 6.4 s. On the straight path joint 1 turns by 1.654 rad.
     assert!((12.3..12.7).contains(&papers_s) && (12.0..12.3).contains(&direct_s));
     assert_eq!(robot.picture().guard_stops, 0);
 }

@@ -1,6 +1,8 @@
-//! Driving in proportion to the tilt: the same silence, neutral, stops and guard as with four headings, and arcs.
+//! Tests driving in proportion to the tilt.
+//! The rules for silence, neutral, stops and the guard are those of driving with four headings;
+//! in addition it drives arcs.
 //!
-//! The hand's tilt is judged as its board does it, at 100 Hz; states go out at 50 Hz.
+//! The tilt is judged at 100 Hz by the board's code, and states are sent at 50 Hz.
 
 mod support;
 
@@ -15,7 +17,7 @@ use shared_dsp::left::tilt::{Tilt, TiltDetector};
 use shared_proto::message::{Heading, TiltThresholds};
 use support::{Rig, Virtual as _, moving};
 
-/// From 0.5 m/s at 1 m/s² in 0.5 s; a little more for the frame in flight.
+/// Braking from 0.5 m/s at 1 m/s² takes 0.5 s. The rest is a margin for the frame in transit.
 const REST_MS: u64 = 520;
 
 /// Caps at the start of a session, in m/s and rad/s.
@@ -27,7 +29,7 @@ struct Wearer {
 }
 
 impl Wearer {
-    /// A hand that is neutral and armed.
+    /// Creates a wearer whose hand is neutral and armed.
     fn new(drive: &str) -> Self {
         let config = Config::parse(&format!("[drive]\nproportional = true\n{drive}")).unwrap();
         let mut rig = Rig::empty();
@@ -39,7 +41,7 @@ impl Wearer {
         wearer
     }
 
-    /// Tilted so far, in milliradians, for this long.
+    /// Keeps this tilt, in milliradians, for a duration in ms.
     fn hold(&mut self, pitch_mrad: i16, roll_mrad: i16, ms: u64) {
         for _ in 0..ms / 10 {
             let heading = self.detector.step(Tilt { pitch_mrad, roll_mrad });
@@ -54,7 +56,7 @@ impl Wearer {
     }
 }
 
-/// A share of the cap by the default rules: from 140 to 698 mrad.
+/// Fraction of the cap by the default rules, between 140 and 698 mrad.
 fn share(mrad: i16) -> f64 {
     f64::from(mrad - 140) / 558.0
 }
@@ -66,7 +68,7 @@ fn the_base_drives_a_figure_of_eight_by_tilts_alone() {
     let mut wearer = Wearer::new("");
     let mut path = vec![wearer.rig.robot.odometry()];
     let from_ms = wearer.rig.now_ms;
-    // Once around to the left, then once around to the right, as the wearer sees it turn.
+    // One full turn to the left and then one to the right, from the wearer's point of view.
     for (roll_mrad, until_rad) in [(roll_mrad, std::f64::consts::TAU), (-roll_mrad, 0.0)] {
         let has_turned = |heading_rad: f64| (heading_rad - until_rad) * f64::from(roll_mrad) >= 0.0;
         while !has_turned(path[path.len() - 1].heading_rad) {
@@ -79,7 +81,8 @@ fn the_base_drives_a_figure_of_eight_by_tilts_alone() {
     }
     wearer.hold(0, 0, 1000);
     let end = wearer.rig.robot.odometry();
-    // Each point is on one of two circles that touch where it began; it takes a moment to get up to speed and to change sides.
+    // Each point is on one of two circles that touch at the start.
+    // The tolerance covers the time to reach full speed and to change direction.
     let off = |x: f64, y: f64, side: f64| (x.hypot(y - side * radius_m) - radius_m).abs();
     let worst_m =
         path.iter().map(|o| off(o.x_m, o.y_m, 1.0).min(off(o.x_m, o.y_m, -1.0))).fold(0.0, f64::max);
@@ -120,7 +123,7 @@ fn below_the_boards_end_of_a_command_nothing_drives_and_neutral_is_needed_after_
     let mut wearer = Wearer::new("");
     wearer.hold(500, 300, 1500);
     assert!(wearer.twist().linear_m_s > 0.2);
-    // 11°: the board says that the command is over. It is more than the dead zone.
+    // At 11° the board ends the command, although the tilt exceeds the dead zone.
     wearer.hold(192, 0, 40);
     assert_eq!((wearer.rig.left.heading, wearer.rig.bridge.twist()), (Heading::Between, Twist::ZERO));
     wearer.hold(192, 0, REST_MS);

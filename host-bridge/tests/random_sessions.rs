@@ -1,6 +1,6 @@
-//! Random sessions of both hands, through real frames and the bridge, in virtual time: whatever the hands
-//! do, however the links fail, no limit is broken, nothing becomes not-a-number, and each stop ends at rest
-//! within the time that the limits allow.
+//! Runs random sessions of both hands through real frames and the bridge, in virtual time.
+//! For any input and any failure of the links, no limit may be exceeded and no value may be NaN.
+//! Each stop must bring the robot to rest within the time that the limits allow.
 //!
 //! `BIMANUAL_FULL=1` runs ten thousand sessions.
 
@@ -19,7 +19,7 @@ use support::{Rig, Virtual as _};
 const HEADINGS: [Heading; 6] =
     [Heading::Neutral, Heading::Between, Heading::Forward, Heading::Backward, Heading::Left, Heading::Right];
 
-/// What was seen in the whole run.
+/// Statistics of the whole run.
 #[derive(Default, Debug)]
 struct Seen {
     stops: u32,
@@ -28,12 +28,12 @@ struct Seen {
     path_m: f64,
 }
 
-/// Watches the robot from one millisecond to the next.
+/// Checks the robot from one millisecond to the next.
 struct Watch {
     joints_rad: [f64; JOINTS],
     velocity_rad_s: [f64; JOINTS],
     wheels_rad_s: [f64; 2],
-    /// The time from which nothing may move any more, and how long braking may take from then on.
+    /// Time from which no motion may start, and maximum braking time after it.
     halted: Option<(u64, f64)>,
 }
 
@@ -78,7 +78,7 @@ impl Watch {
             });
             let since_ms = rig.now_ms - since_ms;
             if rig.robot.at_rest() {
-                // It stays at rest: nothing starts while not armed.
+                // After braking the robot stays at rest, because no motion may start while it is not armed.
                 self.halted = Some((rig.now_ms - since_ms, 0.0));
             } else {
                 assert!(since_ms as f64 <= allowed_s * 1000.0 + 2.0, "{since_ms} ms, {allowed_s} s allowed");
@@ -119,7 +119,7 @@ fn session(seed: u64, seen: &mut Seen) {
                 rig.left.middle_bends = rig.left.middle_bends.wrapping_add(random.below(3) as u8);
             }
             7 => {
-                // Both fingers, then neutral and the release.
+                // Both fingers are bent, then the hand returns to neutral, and a gesture releases the stop.
                 rig.left.stop = true;
                 run(&mut rig, 20 + random.below(200));
                 rig.left.stop = false;
@@ -133,7 +133,7 @@ fn session(seed: u64, seen: &mut Seen) {
                 }
             }
             8 => {
-                // A hand falls silent, or comes back; or bytes are garbled.
+                // A hand falls silent or resumes, or bytes are damaged.
                 let hand = Hand::BOTH[random.below(2)];
                 rig.talking[hand] = !rig.talking[hand];
                 let noise: Vec<u8> = (0..random.below(40)).map(|_| random.bits() as u8).collect();

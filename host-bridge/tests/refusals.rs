@@ -1,5 +1,5 @@
-//! A robot that refuses by itself, an arm's motion that is ended alone, and a session that may do less: by frames of both
-//! hands in virtual time, and on every surface.
+//! Tests a robot that refuses commands, the ending of only the arm's motion, and a session with fewer permissions.
+//! The tests use frames of both hands in virtual time and check every output.
 //!
 //! Labels by number: 1 up-down (home, releases), 2 to-fro (pick-up), 3 left-right (here: end arm).
 
@@ -30,7 +30,8 @@ use host_bridge::topics::{Entry, Origin, Outlet, Teller, Topic};
 use shared_proto::message::Heading;
 use support::{Rig, Virtual as _};
 
-/// From 0.5 m/s at 1 m/s² in 0.5 s; the arm within 0.33 s. A little more for the frame in flight.
+/// Braking from 0.5 m/s at 1 m/s² takes 0.5 s, and the arm brakes within 0.33 s. The rest is a margin for the frame in
+/// transit.
 const REST_MS: u64 = 520;
 
 fn refuse(rig: &mut Rig, why: Option<&str>) {
@@ -56,14 +57,14 @@ fn a_robot_that_refuses_halts_base_and_arm_and_needs_neutral_when_it_does_not_an
     rig.run(REST_MS);
     assert!(rig.robot.at_rest());
     assert_eq!(halts(&rig), [HaltReason::RobotRefuses]);
-    // Neutral does not arm while it refuses, and no gesture acts.
+    // During the refusal, neutral does not arm the hand, and gestures have no effect.
     rig.take_moved();
     rig.point(Heading::Neutral, 2000);
     assert_eq!(rig.state(), State::Refused);
     rig.take_outcomes();
     rig.gesture(2);
     assert_eq!(rig.take_outcomes(), [NotArmed]);
-    // It no longer refuses, and the hand is tilted: nothing moves before neutral has been held from then on.
+    // The refusal ends while the hand is tilted. The robot must not move until the hand has been neutral.
     rig.point(Heading::Forward, 200);
     refuse(&mut rig, None);
     rig.run(1000);
@@ -115,7 +116,7 @@ fn a_hand_that_falls_silent_during_a_refusal_is_waited_for_and_the_refusal_still
     assert!(!rig.take_moved());
 }
 
-/// A rig whose left-right ends the arm's motion.
+/// Creates a rig in which the gesture left-right ends the arm's motion.
 fn with_end_arm() -> Rig {
     let mut map = MotionMap::default();
     map.assign("left-right=end arm").unwrap();
@@ -124,7 +125,7 @@ fn with_end_arm() -> Rig {
     armed(rig)
 }
 
-/// The rig with both hands there, and armed.
+/// Returns the rig with both hands connected and armed.
 fn armed(mut rig: Rig) -> Rig {
     rig.connect(Hand::Left, 1);
     rig.connect(Hand::Right, 1);
@@ -147,7 +148,7 @@ fn a_gesture_of_ones_choice_ends_the_arms_motion_alone() {
     assert_eq!(rig.state(), State::Armed);
     let ended = |event: &EventKind| matches!(event, EventKind::MotionEnded { reached: false, .. });
     assert!(rig.events.iter().any(ended), "{:?}", rig.events);
-    // And the next motion may start at once.
+    // The next motion may start immediately.
     rig.gesture(2);
     assert_eq!(rig.take_outcomes(), [Started("pick-up".into())]);
 }
@@ -189,10 +190,10 @@ fn where_boards_need_not_be_bonded_the_base_is_slow_and_the_arm_still() {
     assert_eq!(rig.take_outcomes(), [Refused("pick-up".into())]);
 }
 
-/// Why a robot refuses, as the test has it.
+/// The reason of a refusal, set by the test.
 type Mood = Arc<Mutex<Option<String>>>;
 
-/// A robot that takes no commands and says why nothing may move.
+/// A robot that ignores commands and reports the reason of its refusal.
 struct Moody {
     limits: JointLimits,
     base: BaseConfig,
@@ -233,7 +234,7 @@ impl Robot for Moody {
     }
 }
 
-/// The newest state as observers see it, and as a viewer of Foxglove gets it.
+/// The newest state as observers receive it, and as a Foxglove client receives it.
 #[derive(Clone, Default)]
 struct Surfaces {
     snapshot: Arc<Mutex<Option<Snapshot>>>,
@@ -298,7 +299,7 @@ fn every_surface_says_what_refuses_and_when_it_does_not_any_more() {
     let page = serde_json::to_string(&snapshot).unwrap();
     assert!(page.contains("\"safety\":\"refused\"") && page.contains("2.00 s apart"), "{page}");
     assert!(surfaces.diagnostics.lock().unwrap().contains("2.00 s apart"));
-    // Figures that change all the time are not reported again.
+    // A changing number in the reason does not cause a new report.
     *refusal.lock().unwrap() = Some("the clocks are 2.01 s apart".to_owned());
     assert!(!run(&mut live, 100).contains("refuses"));
     let entries = std::mem::take(&mut *surfaces.entries.lock().unwrap());
@@ -312,7 +313,7 @@ fn every_surface_says_what_refuses_and_when_it_does_not_any_more() {
     assert_eq!(surfaces.snapshot.lock().unwrap().clone().unwrap().refusal, None);
 }
 
-/// A stage with a pose of its own, and its robot: the simulator, whose refusals the test gives.
+/// Returns a stage with its own pose, and a simulated robot whose refusals the test sets.
 fn taught() -> (Director<Echoed<Moody>>, Mood, Joints) {
     let mut there = HOME;
     there[1] += 0.6;
@@ -324,7 +325,7 @@ fn taught() -> (Director<Echoed<Moody>>, Mood, Joints) {
     (stage.before(Echoed { simulator: stage.simulator(&config), graph }), refusal, there)
 }
 
-/// Plays the pose until its end; `each` may do what it likes, by the time in ms.
+/// Plays the pose until its end, and calls `each` with the time in ms.
 fn play(door: &mut Director<Echoed<Moody>>, mut each: impl FnMut(u64) -> bool) -> (Played, u64, Vec<String>) {
     let (mut play, mut notes) = (Play::new("shelf".into(), 300), Vec::new());
     for now_ms in (0..60_000).step_by(5) {
@@ -349,7 +350,7 @@ fn a_taught_pose_is_written_read_and_played_to_where_it_was() {
 
 #[test]
 fn a_taught_pose_is_played_neither_against_a_robot_that_refuses_nor_on_when_it_begins_to() {
-    // From the start, and all the time that a robot is waited for.
+    // The robot refuses from the start and during the whole waiting time.
     let (mut door, refusal, _) = taught();
     *refusal.lock().unwrap() = Some("the e-stop is pressed".to_owned());
     let before = door.robot().simulator.motion();
@@ -357,7 +358,7 @@ fn a_taught_pose_is_played_neither_against_a_robot_that_refuses_nor_on_when_it_b
     assert_eq!(outcome, Played::Not("the robot refuses to move: the e-stop is pressed".to_owned()));
     assert!(took_ms >= SEARCH_MS);
     assert_eq!(door.robot().simulator.motion(), before, "nothing has moved");
-    // On the way: it rests within what the limits allow, and no part of the motion comes after.
+    // The robot refuses during the motion: it stops within the braking time, and the rest of the motion is cancelled.
     let (mut door, refusal, there) = taught();
     let (outcome, ended_ms, _) = play(&mut door, |now_ms| {
         if now_ms == 2000 {
@@ -373,7 +374,7 @@ fn a_taught_pose_is_played_neither_against_a_robot_that_refuses_nor_on_when_it_b
     assert!(rested.joints_rad.iter().zip(there).any(|(a, b)| (a - b).abs() > 0.05));
     door.step(20_000);
     assert_eq!(door.robot().simulator.motion(), rested);
-    // And so it is with Ctrl-C.
+    // Ctrl-C has the same effect.
     let (mut door, _, _) = taught();
     let (outcome, ended_ms, _) = play(&mut door, |now_ms| now_ms >= 2000);
     assert_eq!((outcome, ended_ms), (Played::Interrupted, 2300));
@@ -381,7 +382,7 @@ fn a_taught_pose_is_played_neither_against_a_robot_that_refuses_nor_on_when_it_b
     assert!(door.robot().simulator.at_rest());
 }
 
-/// A motion of three parts: there, a rest, and on.
+/// A motion of three steps: a move, a wait and another move.
 const OF_THREE: &str = "[[motion]]\nname = \"own\"\nsteps = [{ to = \"pick-up\" }, { wait_s = 4 }, { to = \"place\" }]\n\
                         [motions]\nto-fro = \"own\"\n";
 
@@ -395,7 +396,7 @@ fn with_steps() -> Rig {
 
 #[test]
 fn a_hand_or_robot_that_holds_it_back_within_a_sequence_ends_all_of_it_and_neutral_revives_none() {
-    // Where the arm moves, and where it waits, as the whole of it shows.
+    // Executes the complete motion to determine when the arm moves and when it waits.
     let mut rig = with_steps();
     rig.gesture(2);
     let from_ms = rig.now_ms;
@@ -408,7 +409,7 @@ fn a_hand_or_robot_that_holds_it_back_within_a_sequence_ends_all_of_it_and_neutr
     let takes_ms = rig.now_ms - from_ms;
     let first_rest = rests.iter().skip(20).position(|rest| *rest).unwrap() as u64 + 20;
     println!("the whole takes {takes_ms} ms, it waits from {} ms on", 100 * first_rest);
-    // In the first way, in the wait, in the last way.
+    // Moments in the first move, in the wait, and in the last move.
     let moments_ms = [2000, 100 * first_rest + 1500, takes_ms - 3000];
     type Holds = fn(&mut Rig);
     let holds: [(&str, Holds, Holds); 5] = [

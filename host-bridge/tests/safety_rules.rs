@@ -1,4 +1,4 @@
-//! Every safety rule, through real frames, on virtual time.
+//! Tests every safety rule with real frames in virtual time.
 //!
 //! Labels by number: 1 up-down (home, releases), 2 to-fro (pick-up), 3 left-right (place).
 
@@ -12,7 +12,8 @@ use proptest::prelude::*;
 use shared_proto::message::{Board, Heading, PROTOCOL_MAJOR, health};
 use support::{LABELS, Rig, Virtual as _, hello, hello_of, model, pose};
 
-/// From 0.5 m/s at 1 m/s² in 0.5 s; the arm within 0.33 s. A little more for the frame in flight.
+/// Braking from 0.5 m/s at 1 m/s² takes 0.5 s, and the arm brakes within 0.33 s. The rest is a margin for the frame in
+/// transit.
 const REST_MS: u64 = 520;
 
 #[test]
@@ -88,7 +89,7 @@ fn silence_of_either_hand_halts_base_and_arm_within_250_ms_and_for_good() {
         assert_eq!(rig.state(), State::Stale);
         rig.run(REST_MS);
         assert!(rig.robot.at_rest());
-        // The hand is back, and still tilted: nothing moves, and the arm's motion is given up.
+        // The hand is connected again but still tilted: the robot does not move, and the arm's motion is cancelled.
         rig.talking[silent] = true;
         rig.take_moved();
         rig.run(3000);
@@ -130,7 +131,7 @@ fn a_hand_in_doubt_halts_at_once_and_a_default_calibration_does_not() {
             rig.run(40);
             let drives = rig.bridge.twist().linear_m_s > 0.0;
             assert_eq!(drives, flag == health::DEFAULT_CALIBRATION, "{hand} flag {flag:#x}");
-            // Well again, but still tilted.
+            // The sensor works again, but the hand is still tilted.
             rig.left.health = 0;
             rig.right.health = 0;
             rig.run(1000);
@@ -152,7 +153,7 @@ fn a_right_hand_in_doubt_starts_no_motion() {
 fn states_older_than_250_ms_are_dropped_but_can_stop() {
     let mut rig = Rig::armed();
     rig.talking = [false, true].into();
-    // Taken now, tilted; delivered 251 ms later, when the hand counts as silent.
+    // The sample is tilted and arrives 251 ms later, when the hand already counts as silent.
     rig.left.heading = Heading::Forward;
     let late = rig.left_frame();
     rig.run(260);
@@ -192,7 +193,7 @@ fn a_burst_after_a_stall_is_not_replayed() {
     assert_eq!(rig.bridge.caps().linear_m_s, 0.5, "bends of the stall do not count later");
 }
 
-/// A left hand alone, tilted backward, on a prompt link; not armed.
+/// Creates a rig with only a left hand, which is tilted backward, on a fast link; the hand is not armed.
 fn tilted_backward() -> Rig {
     let mut rig = Rig::with(&[Hand::Left]);
     rig.point(Heading::Backward, 1000);
@@ -256,7 +257,7 @@ fn a_stall_that_ends_in_neutral_frames_arms_only_after_100_ms_more() {
         burst.extend(rig.left_frame());
         rig.run(20);
     }
-    // 200 ms of neutral, all of which arrives only now.
+    // 200 ms of neutral samples arrive only at this moment.
     rig.send(Hand::Left, &burst);
     rig.talking.left = true;
     rig.run(90);
@@ -291,7 +292,7 @@ fn any_pause_of_the_process_needs_neutral_afterwards() {
         let mut rig = Rig::armed();
         rig.point(Heading::Forward, 500);
         assert_eq!(rig.bridge.twist().linear_m_s, 0.5);
-        // Stopped, frozen, suspended: the boards' clocks go on, nothing was read meanwhile.
+        // The program is stopped, frozen or suspended: the boards' clocks continue, but no data is read.
         rig.now_ms += pause_ms;
         rig.run(3000);
         assert_eq!(rig.bridge.twist().linear_m_s, 0.0, "after {pause_ms} ms");
@@ -305,7 +306,7 @@ fn any_pause_of_the_process_needs_neutral_afterwards() {
 fn neutral_counts_on_a_prompt_link_only() {
     let mut rig = tilted_backward();
     rig.answering.left = false;
-    // The last answer is 100 ms old at most: a ping that waits for 125 ms is not prompt any more.
+    // The last reply is at most 100 ms old, so a ping that waits for 125 ms no longer counts as fast.
     rig.point(Heading::Backward, 240);
     rig.point(Heading::Neutral, 2000);
     assert_ne!(rig.state(), State::Armed);
@@ -344,7 +345,7 @@ fn lost_repeated_and_overtaken_frames_change_nothing() {
     rig.send(Hand::Left, &frame);
     rig.send(Hand::Left, &frame);
     assert!((rig.bridge.caps().linear_m_s - 0.605).abs() < 1e-12);
-    // An older frame says forward; the newer one, already here, says neutral.
+    // An older frame contains forward. The newer frame has already arrived and contains neutral.
     rig.left.heading = Heading::Forward;
     let older = rig.left_frame();
     rig.left.heading = Heading::Neutral;
@@ -354,7 +355,7 @@ fn lost_repeated_and_overtaken_frames_change_nothing() {
     rig.run(20);
     assert!(!rig.take_moved());
     let counters = rig.bridge.link(Hand::Left).counters();
-    // The overtaken one was missing when the newer one came, so it counts among the lost too.
+    // The overtaken frame was missing when the newer one arrived, so it also counts as lost.
     assert_eq!((counters.lost, counters.duplicates, counters.overtaken), (2, 2, 1), "{counters:?}");
 }
 
@@ -386,7 +387,7 @@ fn a_restarted_board_needs_neutral_again_and_its_counters_start_anew() {
     rig.run(20);
     let cap = rig.bridge.caps().linear_m_s;
     rig.point(Heading::Forward, 1000);
-    // The board restarts: its clock, sequence and counters are back at the start.
+    // The board restarts, and its clock, sequence number and counters start again at 0.
     rig.board_ahead_ms = 0_u32.wrapping_sub(rig.now_ms as u32);
     rig.left.sequence = 0;
     rig.left.index_bends = 5;
@@ -464,7 +465,7 @@ fn stop_halts_base_and_arm_and_resets_the_caps() {
     assert_eq!(rig.bridge.caps().linear_m_s, 0.5);
     rig.run(REST_MS + 200);
     assert!(rig.robot.at_rest());
-    // Neither tilt nor neutral nor time nor other gestures end it.
+    // Tilt, neutral, time and other gestures do not release the stop.
     rig.take_moved();
     rig.point(Heading::Forward, 1000);
     rig.point(Heading::Neutral, 5000);
@@ -549,7 +550,7 @@ fn the_release_key_counts_only_without_a_right_hand() {
     rig.run(2000);
     rig.bridge.release_key(rig.now_ms, &mut rig.robot);
     assert_eq!(rig.state(), State::Stopped);
-    // Not even when the right hand has gone silent.
+    // Silence of the right hand does not change this.
     rig.talking.right = false;
     rig.run(2000);
     rig.bridge.release_key(rig.now_ms, &mut rig.robot);
@@ -625,7 +626,7 @@ fn a_gesture_whose_window_ended_too_long_ago_is_dropped() {
     rig.right.event_window_end_ms = rig.board_time_ms().wrapping_sub(300);
     rig.run(100);
     assert_eq!(rig.take_outcomes(), [Late]);
-    // And one from the future, which can only be nonsense.
+    // The next age is negative, which is not valid.
     rig.right.events += 1;
     rig.right.event_window_end_ms = rig.board_time_ms().wrapping_add(1000);
     rig.run(100);
@@ -672,7 +673,7 @@ fn a_new_hand_halts_the_one_that_drives_until_both_are_neutral() {
     assert!(rig.take_moved());
 }
 
-/// An event that may happen in a random session.
+/// An event in a random session.
 #[derive(Clone, Debug)]
 enum Step {
     Point(Heading),
@@ -744,7 +745,7 @@ proptest! {
                 Step::Wait(ms) => check.run(&mut rig, ms)?,
             }
         }
-        // Both hands fall silent: at rest within 250 ms plus what the limits need from full speed.
+        // Both hands fall silent. The robot must be at rest after 250 ms plus the braking time from full speed.
         rig.talking = [false, false].into();
         check.run(&mut rig, 250 + 1010)?;
         prop_assert!(rig.robot.at_rest());
@@ -759,7 +760,7 @@ fn cases() -> u32 {
     if std::env::var_os("BIMANUAL_FULL").is_some() { 2000 } else { 100 }
 }
 
-/// Looks at the robot in every millisecond.
+/// Checks the robot every millisecond.
 struct Watch {
     wheels: [f64; 2],
     joints: host_bridge::robot::Joints,

@@ -1,5 +1,5 @@
-//! A scene holds for whichever robot is there: planning, refusals and the guard work for one on the ROS 2 graph as for the
-//! simulator is.
+//! Tests that a scene also applies to a robot on the ROS 2 graph.
+//! Planning, refusals and the guard must work as for the simulator.
 
 use host_bridge::arm::Director;
 use host_bridge::arm::gen3::{HOME, JOINT_NAMES};
@@ -23,7 +23,7 @@ mod moving;
 
 use moving::{live_before, pose};
 
-/// The bridge with keys for both hands, before a robot on a graph whose answers the test gives.
+/// The bridge with keys for both hands, and a simulated ROS 2 robot whose replies the test provides.
 struct Site {
     live: Engine<'static, Director<RosRobot>>,
     now_ms: u64,
@@ -38,7 +38,7 @@ impl Site {
         let config = Config::default();
         let planner = Planner::new(SerialArm::gen3(), Scene::parse(scene).unwrap()).unwrap();
         let stage = Stage::new(&config, Some(planner)).unwrap();
-        // Whole goals, so that the test sees whole plans.
+        // The action interface sends complete goals, so the test sees complete plans.
         let whole = Ros2Config { arm: ArmInterface::Action, ..Ros2Config::default() };
         let robot = RosRobot::new(&whole, stage.limits, config.base);
         let live = live_before(stage.before(robot), &config, HandInput::Keyboard, HandInput::Keyboard, 0);
@@ -54,7 +54,7 @@ impl Site {
         site
     }
 
-    /// The robot reports every 10 ms; its base does what it is told, at once.
+    /// The robot reports every 10 ms, and its base executes commands immediately.
     fn run(&mut self, ms: u64) {
         for _ in 0..ms {
             self.now_ms += 1;
@@ -103,7 +103,7 @@ impl Site {
 #[test]
 fn a_pose_inside_a_box_is_refused_to_the_operator_and_nothing_is_sent() {
     let [x, y, z] = SerialArm::gen3().flange_pose(&pose("pick-up")).position_m.to_array();
-    // The arm's foot stands 0.1 m ahead of the base's middle and 0.4 m above the floor.
+    // The arm's mount is 0.1 m ahead of the base's centre and 0.4 m above the floor.
     let (x, z) = (x + 0.1, z + 0.4);
     let mut site = Site::new(&format!(
         "[[box]]\nname = \"crate\"\ncenter_m = [{x}, {y}, {z}]\nsize_m = [0.2, 0.2, 0.2]\n"
@@ -128,7 +128,7 @@ fn the_plan_that_is_sent_is_the_scenes_around_its_boxes_to_its_pose_at_its_speed
     let config = format!("{text}\n[[motion]]\nname = \"pick-up\"\nsteps = [{{ to = \"{to_name}\" }}]\n");
     let mut site = Site::new(&config);
     site.joints_rad = *from;
-    // A jump that no arm makes is remembered for 2 s.
+    // An impossible jump of the arm blocks motions for 2 s.
     site.run(2500);
     site.live.press(HandKey::Gesture(2), site.now_ms);
     site.run(100);
@@ -136,7 +136,7 @@ fn the_plan_that_is_sent_is_the_scenes_around_its_boxes_to_its_pose_at_its_speed
     let [goal] = &goals[..] else { panic!("{:?}", site.events) };
     let last = goal.points.last().unwrap();
     for (got, expected) in last.positions.iter().zip(to) {
-        // A joint without end may be a turn away.
+        // A continuous joint may differ by a complete turn.
         let off = (got - expected).rem_euclid(std::f64::consts::TAU);
         assert!(off.min(std::f64::consts::TAU - off) < 1e-6, "{:?} {to:?}", last.positions);
     }
@@ -160,7 +160,7 @@ fn a_base_driven_at_a_wall_is_held_back_before_it_and_the_operator_is_told_what_
         site.live.press(HandKey::Arrow(Heading::Forward), site.now_ms);
         site.run(33);
     }
-    // The wall's face is 1.9 m ahead, the base's front 0.3 m.
+    // The wall's surface is 1.9 m ahead, and the base's front 0.3 m.
     let driven_m = site.base.x_m - start_m;
     assert!((1.2..1.6).contains(&driven_m), "{driven_m}");
     assert_eq!(site.base.twist, Twist::ZERO);
@@ -210,7 +210,7 @@ fn what_is_shown_is_what_the_robot_reports_and_where_it_should_be_stands_beside_
     let robot = site.live.door_mut().robot_mut();
     robot.answer(1, host_bridge::ros2::answer::Answer::Accepted);
     site.run(3000);
-    // The robot has not moved at all.
+    // The robot has not moved.
     let snapshot = Snapshot::of(&site.live.now(site.now_ms));
     assert_eq!(snapshot.arm.joints_rad, site.joints_rad);
     assert!(snapshot.arm_age_ms.is_some_and(|age_ms| age_ms <= 10));

@@ -1,5 +1,5 @@
-//! Motions of several steps, and the gripper: a cup is picked up, carried and put down, and whatever goes wrong on the way
-//! ends the rest and is said.
+//! Tests motions of several steps and the gripper.
+//! A cup is picked up, carried and put down; any failure ends the remaining steps and is reported.
 
 use host_bridge::base::Twist;
 use host_bridge::plan::Planner;
@@ -18,7 +18,7 @@ fn robot(scene: &str) -> Robot {
     in_scene(Planner::new(host_bridge::arm::model::SerialArm::gen3(), scene).unwrap())
 }
 
-/// Lets the motion under way end; what was reported meanwhile.
+/// Waits for the end of the current motion and returns the reports of that time.
 fn finish(robot: &mut Robot) -> Vec<Report> {
     let mut reports = Vec::new();
     for _ in 0..4000 {
@@ -49,7 +49,7 @@ fn ended(reports: &[Report]) -> Option<bool> {
     })
 }
 
-/// Where the cup is, in mm.
+/// Position of the cup, in mm.
 fn cup_mm(robot: &Robot) -> [f64; 3] {
     (robot.picture().objects[0].pose.position_m * 1000.0).round().to_array()
 }
@@ -63,7 +63,7 @@ fn a_cup_is_picked_up_carried_while_the_base_drives_and_put_down() {
     assert_eq!(notes(&reports), ["the gripper has cup (60 mm)"]);
     assert_eq!(ended(&reports), Some(true));
     assert!((robot.picture().opening_m.unwrap() - 0.06).abs() < 1e-9);
-    // Its underside was 70 mm below the point between the fingertips, and is so still.
+    // The bottom of the cup was 70 mm below the point between the fingertips before and must be so afterwards.
     assert_eq!(cup_mm(&robot), [450.0, 0.0, 680.0]);
     assert_eq!(robot.picture().held, None);
     for _ in 0..100 {
@@ -92,7 +92,7 @@ fn what_cannot_be_done_is_refused_with_its_step_before_anything_moves() {
             "{ to = \"carry\" }, { position_m = [0.8, 0, 0.3], quaternion_wxyz = [0, 1, 0, 0] }",
             "step 2: no joint angles were found",
         ),
-        // Not next to a gripper step, so nothing may be touched.
+        // This step is not next to a gripper step, so the arm must not touch anything.
         (
             "{ position_m = [0.7, 0.0, 0.66], quaternion_wxyz = [0, 1, 0, 0] }, { move_m = [0, 0, -0.14] }",
             "step 2: the straight line is not clear: the gripper's fingers would come within",
@@ -117,7 +117,7 @@ fn without_a_gripper_a_motion_that_needs_one_is_refused() {
 
 #[test]
 fn a_stop_while_it_puts_down_leaves_the_cup_in_the_hand_or_where_it_was_put() {
-    // Put back where it was taken from.
+    // The cup is put back in its original position.
     for stop_ms in (500..14_000).step_by(700) {
         let mut robot = robot(SCENE);
         robot.start("pick-up").unwrap();
@@ -145,7 +145,7 @@ fn a_stop_while_it_puts_down_leaves_the_cup_in_the_hand_or_where_it_was_put() {
 #[test]
 fn a_stop_anywhere_ends_the_rest_says_so_and_never_opens_the_gripper() {
     let mut parts = Vec::new();
-    // 17 s, stopped after every half second of it.
+    // The motion takes 17 s and is stopped at every half second.
     for stop_ms in (500..17_000).step_by(500) {
         let mut robot = robot(SCENE);
         robot.start("pick-up").unwrap();
@@ -162,7 +162,7 @@ fn a_stop_anywhere_ends_the_rest_says_so_and_never_opens_the_gripper() {
         parts.push(said.to_owned());
         let opening_m = robot.picture().opening_m.unwrap();
         assert!(opening_m <= 0.085);
-        // Nothing more is done, and the gripper keeps what it holds.
+        // No further step is executed, and the gripper still holds the object.
         let rested = robot.arm();
         for _ in 0..100 {
             robot.drive(Twist::ZERO);
@@ -174,7 +174,7 @@ fn a_stop_anywhere_ends_the_rest_says_so_and_never_opens_the_gripper() {
         } else {
             assert_eq!(cup_mm(&robot), cup_before);
         }
-        // From wherever it was stopped there is a path to home, with or without the cup.
+        // From every position of a stop there is a path to home, with or without the cup.
         robot.start("home").unwrap_or_else(|why| panic!("after a stop at {stop_ms} ms: {why}"));
         assert_eq!(ended(&finish(&mut robot)), Some(true), "home after a stop at {stop_ms} ms");
         let lifted = cup_mm(&robot)[2] > 451.0;
@@ -260,7 +260,7 @@ fn a_motion_that_is_late_for_its_next_part_or_loses_who_commands_does_not_go_on(
     }
     let rested = robot.arm().joints_rad;
     assert!(robot.arm().running.is_some(), "it waits");
-    // Nobody commands any longer; the simulated robot stops by itself after 0.5 s, and is not revived.
+    // Commands have ended. The simulated robot stops by itself after 0.5 s and does not continue later.
     robot.pass(5000);
     let reports = robot.take_reports();
     assert_eq!(ended(&reports), Some(false), "{reports:?}");

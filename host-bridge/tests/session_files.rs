@@ -1,4 +1,4 @@
-//! Sessions' files after other programs or accidents have changed them, and as other programs read them.
+//! Tests session files that were modified by other programs or damaged, and their use in other programs.
 #![cfg(feature = "mcap")]
 
 use std::collections::HashMap;
@@ -19,7 +19,7 @@ fn host_bridge(args: &[&str]) -> (bool, String) {
     (output.status.success(), text.into_owned())
 }
 
-/// The demo on disk, recorded once for all tests here.
+/// The recorded demo, created once for all tests of this file.
 fn demo() -> &'static [u8] {
     static DEMO: OnceLock<Vec<u8>> = OnceLock::new();
     DEMO.get_or_init(|| {
@@ -31,7 +31,7 @@ fn demo() -> &'static [u8] {
     })
 }
 
-/// The demo's messages but those of one topic, to a writer.
+/// Copies the demo's messages except those of one topic.
 fn copy<W: std::io::Write + std::io::Seek>(writer: &mut Writer<W>, without: &str) {
     let (mut schemas, mut channels) = (HashMap::new(), HashMap::new());
     for record in mcap::read::ChunkFlattener::new(demo()).unwrap() {
@@ -101,7 +101,7 @@ fn a_killed_recording_gets_its_index_on_the_next_start_unless_it_still_goes_on()
     let mut writer = options.create(NoSeek::new(Sink::new(storage))).unwrap();
     copy(&mut writer, "");
     writer.flush().unwrap();
-    // The writer is never closed.
+    // Leaking the writer leaves the file without its end.
     std::mem::forget(writer);
     let indexed = |file: &Path| {
         let bytes = std::fs::read(file).unwrap();
@@ -124,7 +124,7 @@ fn a_killed_recording_gets_its_index_on_the_next_start_unless_it_still_goes_on()
 #[test]
 fn a_damaged_step_does_not_run_for_ever() {
     let mut file = demo().to_vec();
-    // The first time of a message of steps, which stands behind the kind of the first step, made enormous.
+    // In a message of steps, the first time follows the type of the first step. The test replaces it with a huge value.
     let turns =
         mcap::read::ChunkFlattener::new(demo()).unwrap().filter_map(Result::ok).find_map(
             |record| match record {
@@ -165,7 +165,7 @@ fn a_session_becomes_rows_at_an_even_rate() {
     assert!(rows[1].starts_with("0,0,") && rows[2].starts_with("0.02,1,"), "{:?}", &rows[..3]);
     let columns = rows[0].split(',').count();
     assert!(rows.iter().all(|row| row.split(',').count() == columns));
-    // An arm that moves is seen in its columns; the base's wheels have no columns.
+    // The arm's motion appears in its columns, and the wheels of the base have no columns.
     assert!(!rows[0].contains("wheel"));
     let last = |row: &str| row.split(',').map(str::to_owned).collect::<Vec<_>>();
     assert_ne!(last(&rows[1])[7..14], last(&rows[rows.len() - 1])[7..14]);

@@ -1,10 +1,14 @@
-//! The third stop: what robot and base do when this program dies, freezes, or its cable is cut, at moments in each motion
-//! and while driving. In virtual time, before controllers after Jazzy's rules.
+//! Tests the third stop: the behaviour of arm and base after this program dies or freezes, or its cable is cut.
+//! The failures occur during each motion and while driving.
+//! The tests run in virtual time with simulated controllers that follow the rules of ROS 2 Jazzy.
 //!
-//! joint_trajectory_controller (ros2_controllers, `joint_trajectory_controller.cpp`, `trajectory.cpp`): the last message on
-//! the topic counts; it is sampled at the controller's own time, cubic between points; its last point is held.
-//! diff_drive_controller (`diff_drive_controller.cpp`): a stamp of zero becomes the time of arrival; in each update a
-//! command older than 0.5 s brakes.
+//! joint_trajectory_controller (ros2_controllers, `joint_trajectory_controller.cpp`, `trajectory.cpp`):
+//! the last message on the topic counts, it is sampled in the controller's own time with cubic interpolation,
+//! and its last
+//! point is held.
+//! diff_drive_controller (`diff_drive_controller.cpp`): a stamp of zero is replaced by the time of arrival,
+//! and a command
+//! older than 0.5 s makes the controller brake.
 
 use host_bridge::arm::gen3::COUNT;
 use host_bridge::arm::{Director, Motions};
@@ -16,9 +20,9 @@ use host_bridge::topics::message::{Header, JointState, JointTrajectory, Time};
 
 /// The controllers' cycle.
 const CYCLE_MS: u64 = 10;
-/// What diff_drive_controller waits for.
+/// Timeout of diff_drive_controller.
 const BASE_TIMEOUT_MS: u64 = 500;
-/// The time from a dead program to an arm that brakes.
+/// Maximum time from the death of the program to a braking arm.
 const ARM_LIMIT_MS: u64 = 300;
 const BOOT_NS: i64 = 1_700_000_000_000_000_000;
 
@@ -30,7 +34,7 @@ fn robot_ns(now_ms: u64) -> i64 {
     BOOT_NS + now_ms as i64 * 1_000_000
 }
 
-/// An arm that goes where its controller says, at once.
+/// An arm that immediately moves to the positions of its controller.
 struct Controller {
     message: Option<JointTrajectory>,
     joints: [f64; JOINTS],
@@ -86,12 +90,12 @@ impl Controller {
     }
 }
 
-/// What happens to the program.
+/// Failure of the program or the cable.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Fault {
-    /// kill -9, SIGSTOP for good, a laptop that is off.
+    /// kill -9, a permanent SIGSTOP, or a laptop that is switched off.
     Dead,
-    /// Nothing passes any more, in either direction.
+    /// Messages are lost in both directions.
     Cut,
     /// Nothing passes for 2 s.
     CutForAWhile,
@@ -118,7 +122,7 @@ impl Rig {
         rig
     }
 
-    /// `alive`: the program runs; `through`: what either side says reaches the other.
+    /// `alive`: the program runs; `through`: messages pass in both directions.
     fn run(&mut self, ms: u64, alive: bool, through: bool) {
         for _ in 0..ms {
             self.now_ms += 1;
@@ -156,7 +160,7 @@ impl Rig {
 const MOTIONS: [&str; 6] =
     ["home", "pick-up", "place", "place-top-right", "place-bottom-right", "random-top"];
 
-/// How long each motion takes from where the one before it has ended.
+/// Duration of each motion, starting from the end of the previous one.
 fn durations_ms(limits: JointLimits) -> Vec<u64> {
     let mut rig = Rig::new(limits);
     let mut durations = Vec::new();
@@ -188,7 +192,7 @@ fn a_dead_program_or_a_cut_cable_is_an_arm_at_rest_without_a_jerk_at_every_momen
             for moment in 0..moments {
                 for fault in [Fault::Dead, Fault::Cut, Fault::CutForAWhile] {
                     let mut rig = Rig::new(limits);
-                    // Not yet at its goal.
+                    // The arm is not at its goal yet.
                     rig.controller.joints[1] += 0.2;
                     rig.run(200, true, true);
                     rig.start(motion);
@@ -201,7 +205,7 @@ fn a_dead_program_or_a_cut_cable_is_an_arm_at_rest_without_a_jerk_at_every_momen
                             moved_ms = rig.now_ms;
                         }
                     }
-                    // The cable is in again: an abandoned motion stays abandoned.
+                    // The cable is connected again, and the cancelled motion does not continue.
                     let there = rig.controller.joints;
                     if fault == Fault::CutForAWhile {
                         rig.run(2000, true, true);

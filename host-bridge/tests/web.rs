@@ -1,4 +1,4 @@
-//! The page's server, as a browser, a stranger and a rude client use it. Sockets on the loopback only.
+//! Tests the web server with a browser's requests, foreign requests and misbehaving clients, on loopback sockets.
 
 use std::io::{Read as _, Write as _};
 use std::net::{SocketAddr, TcpStream};
@@ -21,21 +21,21 @@ use moving::{Robot, live as live_engine};
 
 type Live = Engine<'static, Robot>;
 
-/// By the wall clock; a hang must not stop the tests.
+/// Limit in wall-clock time, so that a hang cannot block the tests.
 const PATIENCE: Duration = Duration::from_secs(120);
 
 fn any_port() -> WebOptions {
     WebOptions { port: 0, ..WebOptions::default() }
 }
 
-/// Status and body of one request with these lines.
+/// Returns the status and the body of the reply to a request with these headers.
 fn ask(address: SocketAddr, request: &str, headers: &[(&str, &str)]) -> (String, String) {
     let mut stream = TcpStream::connect(address).unwrap();
     stream.set_read_timeout(Some(PATIENCE)).unwrap();
     let headers: String = headers.iter().map(|(name, value)| format!("{name}: {value}\r\n")).collect();
     stream.write_all(format!("{request} HTTP/1.1\r\n{headers}\r\n").as_bytes()).unwrap();
     let mut answer = String::new();
-    // A server that does not read all of a bad request resets the connection behind its answer.
+    // A server that does not read all of an invalid request resets the connection after its reply.
     let _ = stream.read_to_string(&mut answer);
     let (head, body) = answer.split_once("\r\n\r\n").unwrap_or((&answer, ""));
     (head.to_owned(), body.to_owned())
@@ -69,7 +69,7 @@ fn message(socket: &mut WebSocket<TcpStream>) -> Value {
     }
 }
 
-/// A session with keys for both hands, and its page.
+/// Creates a session with keys for both hands, and its web page.
 fn session() -> (Web, Live) {
     let web = Web::start(&any_port()).unwrap();
     let mut live = live_engine(&Config::default(), HandInput::Keyboard, HandInput::Keyboard);
@@ -82,7 +82,7 @@ fn session() -> (Web, Live) {
     (web, live)
 }
 
-/// A step whose state is sent to pages. How many of the steps before were sent depends on the machine.
+/// Publishes a step whose state is sent to pages. How many earlier steps were sent depends on the speed of the machine.
 fn publish_step(live: &mut Live, now_ms: u64) {
     std::thread::sleep(INTERVAL);
     live.advance(now_ms, [true; 2]);
@@ -99,7 +99,7 @@ fn a_page_marks_episodes_where_the_session_takes_marks() {
         assert_eq!(message(&mut page)["marks"], takes);
         page.send(Message::text("mark again")).unwrap();
         let _ = page.send(Message::text("mark it"));
-        // A message that no page sends ends the connection: by then all messages before it were read.
+        // A message that no page sends ends the connection after all earlier messages were read.
         while page.read().is_ok() {}
         let marks = web.marks();
         assert_eq!(marks(), takes.then_some(Mark::Again));
@@ -143,13 +143,13 @@ fn the_page_and_its_files_come_whole_with_a_strict_policy_and_nothing_else_does(
         let (head, _) = get(&format!("/{file}"));
         assert!(head.starts_with("HTTP/1.1 200") && head.contains(kind), "{head}");
     }
-    // Nothing from elsewhere: the page must work offline.
+    // The page must not load anything from other servers, because it must work offline.
     for file in
         ["/", "/page.css", "/main.js", "/link.js", "/panels.js", "/robot.js", "/draw.js", "/matrix.js"]
     {
         let (_, text) = get(file);
         assert!(!text.contains("https://") && !text.contains("//cdn"), "{file}");
-        // Whatever one module imports is served.
+        // The server must offer every imported module.
         for import in text.lines().filter(|line| line.starts_with("import ")) {
             let name = import.split('"').nth(1).unwrap().trim_start_matches('.');
             assert!(get(name).0.starts_with("HTTP/1.1 200"), "{file} imports {name}");
@@ -269,7 +269,7 @@ fn rude_clients_are_let_go_and_others_are_still_served() {
     let origin = own_origin(&web);
     for rude in [Message::text("drive"), Message::text("took"), Message::binary(vec![0; 64])] {
         let mut socket = open(&web, Some(&origin), "").unwrap();
-        // The first frame is not acknowledged at first: one acknowledgement of it is accepted, a second one is an error.
+        // The first frame is acknowledged late: one acknowledgement is accepted, and a second one is an error.
         for _ in 0..8 {
             let _ = socket.send(rude.clone());
         }
@@ -286,7 +286,7 @@ fn rude_clients_are_let_go_and_others_are_still_served() {
     let (head, _) = ask(web.address(), "nonsense\u{1}", &[]);
     assert!(head.starts_with("HTTP/1.1 400"), "{head}");
 
-    // Whoever opens connections and says nothing does not lock others out for ever.
+    // Clients that open connections and send nothing do not block others permanently.
     let silent: Vec<TcpStream> =
         (0..CONNECTIONS_MAX).map(|_| TcpStream::connect(web.address()).unwrap()).collect();
     drop(silent);

@@ -1,9 +1,10 @@
-//! Recordings of the left hand: raw converter counts, as the Nano reads them.
+//! Recordings of the left hand: raw converter counts, as read by the Nano.
 //!
-//! CSV with the header `timestamp_ms,x,y,z,index,middle` (or `timestamp`): conversions of 8 to 12 bits at 50 to 500 Hz,
-//! which become what the board takes, sums of eight conversions of 10 bits at 100 Hz; [`Read::notes`] say so. What
-//! `host-bridge record --hand left` writes has the eighths of a conversion, so that nothing is lost: 512.375. Nothing is
-//! repaired silently: what cannot be used is an error that names the file, the line and the column and says what to do.
+//! A CSV file has the header `timestamp_ms,x,y,z,index,middle` (or `timestamp`), with 8 to 12 bits at 50 to 500 Hz.
+//! It is converted to the board's input, which is sums of eight 10-bit conversions at 100 Hz;
+//! [`Read::notes`] mention this.
+//! `host-bridge record --hand left` writes eighths of a conversion (512.375), so that nothing is lost.
+//! Nothing is repaired silently: unusable data causes an error with file, line, column and a remedy.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -14,28 +15,28 @@ use shared_dsp::left::{AdcCounts, OVERSAMPLING};
 use crate::sheet::RecordingError;
 use crate::sheet::left::{CHANNEL_NAMES, LeftRow, LeftSheet};
 
-/// The board samples every 10 ms; a recording this near to that on average is taken as it is.
+/// The board samples every 10 ms. A recording with a similar mean interval is used unchanged.
 const INTERVAL_MS: std::ops::RangeInclusive<f64> = 9.0..=11.0;
-/// Usual intervals that can be brought to that, and the rates that they stand for.
+/// Mean intervals that can be converted, with their rates.
 const USABLE_MS: std::ops::RangeInclusive<f64> = 1.98..=20.2;
 const USABLE_HZ: (f64, f64) = (50.0, 500.0);
-/// Bits of converters that are told by their values, from this many samples on.
+/// Resolutions of converters that are inferred from the values, given this many samples.
 const BITS: std::ops::RangeInclusive<u32> = 8..=12;
 const ENOUGH: usize = 100;
 
 /// Samples of all five channels with their times.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct AdcRecording {
-    /// Time and reading of each sample.
+    /// Time and readings of each sample.
     pub samples: Vec<(u64, AdcCounts)>,
 }
 
-/// A recording from a file, with what was done to it.
+/// A recording from a file, with notes about its conversion.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Read {
-    /// As the board would have taken it.
+    /// The recording in the form that the board would have sampled.
     pub recording: AdcRecording,
-    /// What was judged and changed, in words.
+    /// Descriptions of everything that was inferred or changed.
     pub notes: Vec<String>,
     /// The first time in the file, in ms.
     pub start_ms: f64,
@@ -45,14 +46,14 @@ impl AdcRecording {
     /// Reads a CSV file.
     ///
     /// # Errors
-    /// [`RecordingError`] for anything but a whole recording.
+    /// [`RecordingError`] unless the file is a complete recording.
     pub fn read(file: &Path) -> Result<Read, RecordingError> {
         let bytes =
             std::fs::read(file).map_err(|source| RecordingError::Io { file: file.to_owned(), source })?;
         Self::read_bytes(file, &bytes)
     }
 
-    /// Reads the bytes of a CSV file; `file` is only for the errors.
+    /// Parses the bytes of a CSV file; `file` is used only in errors.
     ///
     /// # Errors
     /// As [`Self::read`].
@@ -89,7 +90,7 @@ impl AdcRecording {
         let samples: Vec<(u64, AdcCounts)> = if INTERVAL_MS.contains(&interval_ms) {
             samples.iter().map(|row| (row.time_ms.round() as u64, reading(row.conversions))).collect()
         } else {
-            // A pause in a recording at a rate that can be used is none of the rate.
+            // A pause must not affect the rate of a usable recording.
             let usual = usual_interval(samples);
             if !USABLE_MS.contains(&usual) {
                 return Err(sheet.wrong_rate(interval_ms, USABLE_HZ));
@@ -110,7 +111,7 @@ impl AdcRecording {
         Ok(Read { recording: AdcRecording { samples }, notes, start_ms: sheet.start_ms })
     }
 
-    /// The CSV text: conversions of 10 bits, with their eighths if there are any.
+    /// Returns the CSV text: 10-bit conversions, with eighths if there are any.
     pub fn to_csv(&self) -> String {
         let mut text = format!("timestamp_ms,{}\n", CHANNEL_NAMES.join(","));
         for (time_ms, counts) in &self.samples {
@@ -122,7 +123,8 @@ impl AdcRecording {
     }
 }
 
-/// Where the same five values first stay as long as the board takes for a fault: from when, and for how long, in ms.
+/// Finds the first place where all five values stay equal until the board would report a fault.
+/// Returns the start and duration of this period in ms.
 fn standing_still(samples: &[(u64, AdcCounts)]) -> Option<(u64, u64)> {
     let mut from = 0;
     while from < samples.len() {
@@ -136,8 +138,9 @@ fn standing_still(samples: &[(u64, AdcCounts)]) -> Option<(u64, u64)> {
     None
 }
 
-/// Bits of the converter: fingers at rest stand at two thirds of its range, so most of a recording's values lie below
-/// its end and not all below half of it. Few samples are taken as the board's, and so are eighths.
+/// Infers the converter's number of bits.
+/// Straight fingers read two thirds of its range, so most values are below its end, but not all are below the middle.
+/// Few samples, or samples with eighths, count as 10 bits.
 fn bits(samples: &[LeftRow]) -> u32 {
     let mut all: Vec<f64> = samples.iter().flat_map(|row| row.conversions).collect();
     if samples.len() < ENOUGH || all.iter().any(|count| count.fract() != 0.0) {
@@ -155,7 +158,7 @@ fn usual_interval(samples: &[LeftRow]) -> f64 {
     steps[steps.len() / 2]
 }
 
-/// Samples every 10 ms, between their neighbours, or the mean of those within 5 ms where they come faster; none in pauses.
+/// Resamples to 10 ms by interpolation, or by the mean within 5 ms for higher rates; pauses have no samples.
 fn resampled(
     samples: &[LeftRow],
     usual_ms: f64,
@@ -166,7 +169,7 @@ fn resampled(
     let end_ms = samples.last().map_or(0.0, |last| last.time_ms);
     let mut taken = Vec::new();
     let (mut left, mut from, mut to) = (0, 0, 0);
-    // Not slot by slot through a pause that a wrong clock made endless.
+    // Skips a pause at once, because a wrong clock can make it extremely long.
     let mut time_ms = 0;
     while time_ms as f64 <= end_ms {
         let at = time_ms as f64;
@@ -227,7 +230,7 @@ mod tests {
         assert_eq!(parse(text).unwrap().samples[1], (10, AdcCounts::from_ten_bit([1, 2, 3, 4, 5])));
     }
 
-    /// A level hand with straight fingers that tilts once, from a converter of this many bits.
+    /// A level hand with straight fingers that tilts once, from a converter with this many bits.
     fn level(rate_hz: f64, bits: u32, seconds: f64) -> String {
         let full = f64::from(1u32 << bits);
         let row = |n: usize| {

@@ -1,6 +1,6 @@
-//! From a model's files to what boards and bridge run.
+//! Converts a model's files to the blob that boards and bridge run.
 //!
-//! The blob follows from `.tflite` and card alone; its CRC-32 is the model id on the wire.
+//! The blob is derived from `.tflite` and card alone, and its CRC-32 is the model id on the wire.
 
 use std::path::{Path, PathBuf};
 
@@ -11,7 +11,7 @@ use shared_dsp::right::network::{BlobSpec, DenseSpec, build_blob};
 use crate::card::{Card, CardError};
 use crate::tflite::{self, Network, TfliteError};
 
-/// Why no blob can be made from a model's files; the text says what to do.
+/// The reason why a blob cannot be built, with a remedy in the text.
 #[derive(Debug, thiserror::Error)]
 pub enum ModelError {
     /// The file cannot be read.
@@ -19,7 +19,7 @@ pub enum ModelError {
     Io {
         /// The file.
         file: PathBuf,
-        /// What the system said.
+        /// The system's error message.
         source: std::io::Error,
     },
     /// The card cannot be used.
@@ -30,20 +30,20 @@ pub enum ModelError {
     Tflite {
         /// The file.
         file: PathBuf,
-        /// What is wrong with it.
+        /// Description of the problem with the file.
         source: TfliteError,
     },
-    /// Model and card are both sound, but do not belong together, or are not what is needed.
+    /// Model and card are valid, but they do not match or are not suitable.
     #[error("{file}: {what}")]
     Mismatch {
         /// The model's file.
         file: PathBuf,
-        /// What does not fit and what to do.
+        /// The mismatch and a remedy.
         what: String,
     },
 }
 
-/// A model's files, read and found to belong together.
+/// A model's files, which were read and match.
 #[derive(Clone, Debug)]
 pub struct ModelFiles {
     /// The card.
@@ -53,14 +53,14 @@ pub struct ModelFiles {
 }
 
 impl ModelFiles {
-    /// Reads a `.tflite`, float or int8, and the card beside it.
+    /// Reads a `.tflite` file (float or int8) and its card.
     pub fn read(model: &Path) -> Result<Self, ModelError> {
         let bytes =
             std::fs::read(model).map_err(|source| ModelError::Io { file: model.to_owned(), source })?;
         Self::new(model, &bytes, Card::read(model)?)
     }
 
-    /// The same, from memory; `model` is only for the errors.
+    /// Like [`Self::read`], but from memory; `model` is used only in errors.
     pub fn new(model: &Path, bytes: &[u8], card: Card) -> Result<Self, ModelError> {
         let file = || model.to_owned();
         let network = tflite::read(bytes).map_err(|source| ModelError::Tflite { file: file(), source })?;
@@ -93,7 +93,7 @@ impl ModelFiles {
         Ok(files)
     }
 
-    /// The blob of an int8 model; a float model has none.
+    /// Returns the blob of an int8 model. A float model has none.
     pub fn blob(&self) -> Result<Vec<u8>, String> {
         match &self.network {
             Network::Int8(layers) => build(&self.card, layers),
@@ -102,7 +102,7 @@ impl ModelFiles {
     }
 }
 
-/// The blob for an int8 model on disk, with its card.
+/// Reads an int8 model from disk, and returns its blob and its card.
 ///
 /// ```no_run
 /// let (blob, card) = models::blob::read(std::path::Path::new("right-aligned.tflite"))?;
@@ -116,12 +116,12 @@ pub fn read(model: &Path) -> Result<(Vec<u8>, Card), ModelError> {
     }
 }
 
-/// The id of a blob as cards write it.
+/// Returns the id of a blob in the form that cards use.
 pub fn model_id(blob: &[u8]) -> String {
     format!("{:08x}", crc32(blob))
 }
 
-/// The feature recipe that a card names.
+/// Returns the feature recipe with this name in a card.
 pub fn recipe(name: &str) -> Option<FeatureKind> {
     match name {
         "raw" => Some(FeatureKind::Raw),
@@ -131,7 +131,7 @@ pub fn recipe(name: &str) -> Option<FeatureKind> {
     }
 }
 
-/// The name of a feature recipe in cards.
+/// Returns the name of a feature recipe in cards.
 pub fn recipe_name(recipe: FeatureKind) -> &'static str {
     match recipe {
         FeatureKind::Raw => "raw",
@@ -140,7 +140,7 @@ pub fn recipe_name(recipe: FeatureKind) -> &'static str {
     }
 }
 
-/// Builds the blob; the error says what does not fit.
+/// Builds the blob. The error describes any mismatch.
 pub fn build(card: &Card, layers: &[DenseSpec]) -> Result<Vec<u8>, String> {
     let recipe = recipe(&card.features)
         .ok_or_else(|| format!("features {:?} are not known here; update this program", card.features))?;

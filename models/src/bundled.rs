@@ -1,5 +1,6 @@
-//! The model that comes with this project, trained on simulated wearers only: recordings of the
-//! paper's seven gestures are not public. Its card says so, and so must every place that shows it.
+//! The model that is bundled with this project. It was trained on simulated wearers only.
+//! The paper's recordings of its seven gestures are not public.
+//! The card states this, and so must every place that shows the model.
 
 use std::path::Path;
 
@@ -23,7 +24,7 @@ pub fn files() -> Result<ModelFiles, ModelError> {
     ModelFiles::new(file, TFLITE, Card::parse(&Card::path(file), CARD)?)
 }
 
-/// The blob of the bundled model, as boards and bridge run it.
+/// Returns the blob of the bundled model, which boards and bridge run.
 pub fn blob() -> Result<Vec<u8>, ModelError> {
     files()?.blob().map_err(|what| ModelError::Mismatch { file: "right-aligned.tflite".into(), what })
 }

@@ -1,6 +1,6 @@
-//! The card: the JSON beside a model that says what it is, where it comes from and what it can do.
+//! The card: a JSON file beside a model that describes the model, its training data and its accuracy.
 //!
-//! `NAME.tflite` (int8) and `NAME.float.tflite` share `NAME.card.json`. The README lists the fields.
+//! `NAME.tflite` (int8) and `NAME.float.tflite` share the card `NAME.card.json`. The README lists its fields.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -12,16 +12,16 @@ use crate::labels::OTHER;
 /// Version of the card's format.
 pub const FORMAT: u32 = 1;
 
-/// What is known about a model.
+/// The description of a model.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Card {
     /// [`FORMAT`].
     pub format: u32,
-    /// The model's name: its file's without ending.
+    /// The model's name, which is its file name without extension.
     pub name: String,
-    /// What the training data is, in words; simulated data says so here.
+    /// A description of the training data. It mentions simulated data.
     pub about: String,
-    /// CRC-32 of the blob in hexadecimal: the id that a board reports.
+    /// CRC-32 of the blob in hexadecimal, which is the id that a board reports.
     pub model_id: String,
     /// SHA-256 of the int8 file.
     pub tflite_sha256: String,
@@ -37,22 +37,22 @@ pub struct Card {
     pub hop: u16,
     /// The kind of features: `raw`, `log-power` or `aligned` (`shared_dsp::right::kind`).
     pub features: String,
-    /// How features become inputs of the network.
+    /// The conversion of features to inputs of the network.
     pub scaling: Scaling,
-    /// How it was trained.
+    /// The training of the model.
     pub training: Training,
-    /// What it was trained on.
+    /// The training data of the model.
     pub data: Data,
-    /// Scores on recordings that took no part in the training; which ones, is in `data.test`.
+    /// Results for the recordings that were not used in training. `data.test` lists them.
     pub test: Option<Scores>,
-    /// Scores on the training's own validation recordings (they chose when to stop: optimistic).
+    /// Results for the validation recordings, which are optimistic because they determined when training stopped.
     pub validation: Option<Scores>,
 }
 
 /// Standardisation: input = (feature − mean) / deviation, limited to ±`limit`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Scaling {
-    /// Per feature, axis after axis.
+    /// One value per feature, axis by axis.
     pub mean: Vec<f32>,
     /// Per feature, never 0.
     pub deviation: Vec<f32>,
@@ -60,16 +60,16 @@ pub struct Scaling {
     pub limit: f32,
 }
 
-/// How a model was trained.
+/// The training of a model.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Training {
-    /// `aligned`, `log-power` (once called `default`) or `paper`.
+    /// Recipe: `aligned`, `log-power` (formerly `default`) or `paper`.
     pub recipe: String,
-    /// Everything random follows from it.
+    /// The seed of all random numbers.
     pub seed: u64,
     /// Version of this tool.
     pub tool: String,
-    /// Epochs run, and the one whose weights were kept.
+    /// Number of epochs in the training.
     pub epochs: usize,
     /// The epoch whose weights were kept.
     pub best_epoch: usize,
@@ -77,30 +77,30 @@ pub struct Training {
     pub batch: usize,
     /// Largest learning rate.
     pub learning_rate: f64,
-    /// Share of the recordings that decide when to stop.
+    /// Fraction of the recordings that determine when training stops.
     pub validation_fraction: f64,
-    /// What was varied in the training recordings, in words.
+    /// A description of the variations applied to training recordings.
     pub augmentation: String,
-    /// Training windows, varied ones included.
+    /// Number of training windows, including varied ones.
     pub windows: usize,
 }
 
-/// What a model was trained on.
+/// The training data of a model.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Data {
-    /// SHA-256 over names and contents of the recordings used, those held out for the test not.
+    /// SHA-256 over names and contents of the recordings used, without those held out for the test.
     pub sha256: String,
     /// Number of recordings used.
     pub recordings: usize,
     /// Their total length.
     pub minutes: f64,
-    /// Recordings shorter than a window, which were padded, going on as they went a period before.
+    /// Number of recordings shorter than a window, which were continued periodically.
     pub padded: usize,
-    /// Recordings that were resampled to `rate_hz`.
+    /// Number of recordings that were resampled to `rate_hz`.
     pub resampled: usize,
     /// Recordings per label.
     pub labels: BTreeMap<String, usize>,
-    /// Recordings per person; if there are many people, only their number.
+    /// Number of recordings per person, or only a total if there are many people.
     pub people: BTreeMap<String, usize>,
     /// People left out with --exclude-person.
     pub excluded: Vec<String>,
@@ -108,29 +108,29 @@ pub struct Data {
     pub test: Vec<String>,
 }
 
-/// Scores of the float and the int8 network on the same recordings.
+/// Results of the float and the int8 network for the same recordings.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Scores {
     /// float32.
     pub float: Score,
-    /// int8, as boards run it.
+    /// The int8 network, which boards run.
     pub int8: Score,
 }
 
 /// The scores of a network.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Score {
-    /// Right windows in per cent (stride 1 s).
+    /// Correctly classified windows in per cent (stride 1 s).
     pub per_window: f64,
-    /// Recordings recognised correctly, in per cent (largest mean probability of their windows).
+    /// Correctly classified recordings in per cent, by the highest mean probability of their windows.
     pub per_recording: f64,
-    /// Recordings: `confusion[true label][given label]`.
+    /// Confusion matrix of recordings: `confusion[true label][given label]`.
     pub confusion: Vec<Vec<usize>>,
-    /// Right recordings per person in per cent.
+    /// Correctly classified recordings of each person in per cent.
     pub per_person: BTreeMap<String, f64>,
 }
 
-/// Why a card cannot be used; the text says what to do.
+/// The reason why a card cannot be used, with a remedy in the text.
 #[derive(Debug, thiserror::Error)]
 pub enum CardError {
     /// The file cannot be read.
@@ -138,10 +138,10 @@ pub enum CardError {
     Io {
         /// The card's file.
         file: PathBuf,
-        /// What the system said.
+        /// The system's error message.
         source: std::io::Error,
     },
-    /// Not the JSON that is expected.
+    /// The file is not the expected JSON.
     #[error("{file}: {what}; copy the card again or train the model again")]
     Format {
         /// The card's file.
@@ -152,7 +152,7 @@ pub enum CardError {
 }
 
 impl Card {
-    /// Where the card of a model lies: `NAME.card.json` beside `NAME.tflite` or `NAME.float.tflite`.
+    /// Returns the path of a model's card: `NAME.card.json` for `NAME.tflite` or `NAME.float.tflite`.
     pub fn path(model: &Path) -> PathBuf {
         let name = model.file_name().unwrap_or_default().to_string_lossy();
         let stem = name.strip_suffix(".tflite").unwrap_or(&name);
@@ -160,20 +160,21 @@ impl Card {
         model.with_file_name(format!("{stem}.card.json"))
     }
 
-    /// Of each label, whether it can be what a recording shows. `other` cannot where no recording of it was there to
-    /// learn from: the model knows it from simulated wearers, so that boards can tell that something is no gesture.
+    /// Returns for each label whether a recording can have it.
+    /// `other` is impossible if the training data had no recordings of it.
+    /// The model then knows it only from simulated wearers, so that boards can reject movements.
     pub fn answers(&self) -> Vec<bool> {
         let known = &self.data.labels;
         let one = |label: &String| known.is_empty() || label != OTHER || known.contains_key(label);
         self.labels.iter().map(one).collect()
     }
 
-    /// Axes that a recording must have: recipe `aligned` makes its features of accelerometer and gyroscope alone.
+    /// Number of axes that a recording must have. Recipe `aligned` uses only accelerometer and gyroscope.
     pub fn axes_needed(&self) -> usize {
         if self.features == "aligned" { self.axes.min(6) } else { self.axes }
     }
 
-    /// Reads the card beside a model.
+    /// Reads the card of a model.
     pub fn read(model: &Path) -> Result<Self, CardError> {
         let file = Self::path(model);
         match std::fs::read(&file) {
@@ -182,7 +183,7 @@ impl Card {
         }
     }
 
-    /// Reads a card from JSON; `file` is only for the errors.
+    /// Parses a card from JSON; `file` is used only in errors.
     pub fn parse(file: &Path, bytes: &[u8]) -> Result<Self, CardError> {
         let error = |what: String| CardError::Format { file: file.to_owned(), what };
         let card: Self = serde_json::from_slice(bytes).map_err(|e| error(e.to_string()))?;
@@ -193,7 +194,7 @@ impl Card {
         {
             return Err(error(format!("the label {:?} is there twice", card.labels[twice])));
         }
-        // A recipe that is not known here is refused later, by name.
+        // An unknown recipe is refused later, by name.
         let inputs = crate::blob::recipe(&card.features)
             .map_or(card.scaling.mean.len(), |recipe| recipe.feature_count(card.axes));
         if !matches!(card.axes, 3 | 6 | 9)
@@ -217,7 +218,7 @@ impl Card {
         Ok(card)
     }
 
-    /// The card as JSON text, one field per line.
+    /// Returns the card as JSON text with one field per line.
     pub fn to_json(&self) -> String {
         let mut text = serde_json::to_string_pretty(self).unwrap_or_default();
         text.push('\n');

@@ -1,13 +1,16 @@
-//! Daily movement of real people that is no gesture: what every model learns as `other`.
+//! Daily movement of real people without gestures, which every model learns as `other`.
 //!
-//! `daily/watch-daily.bin` holds no recordings, only features of recipe `aligned` in int8, computed from twelve people's
-//! watches while they sat, stood up, walked, turned and sat down (`models daily vectors` makes it; `daily/ABOUT.txt` names
-//! the source and its licence). Getting up from a chair looks much like a circle to a model that never saw it.
+//! `daily/watch-daily.bin` contains no recordings, only int8 features of recipe `aligned`.
+//! The features were computed from the watches of twelve people who sat, stood up, walked, turned and sat down.
+//! `models daily vectors` generates the file, and `daily/ABOUT.txt` contains the source and its licence.
+//! Without this training, a model easily mistakes getting up from a chair for a circle.
 //!
-//! The file: `BIMANDAY`; the number of people as u8; their names, each with its length as u8 before it; then three tables:
-//! features without a gyroscope, those of the slow window behind them ([`shared_dsp::right::slow`]), features with a gyroscope. A
-//! table: rows and columns as u32 little-endian; per column the middle and the unit as f32 little-endian; per row its
-//! person as u8 and a signed byte per column, which times the unit, plus the middle, is the feature.
+//! The file starts with `BIMANDAY`, the number of people as u8, and their names, each after its length as u8.
+//! Three tables follow: features without a gyroscope, features of the slow window ([`shared_dsp::right::slow`]),
+//! and features with a gyroscope.
+//! A table has its rows and columns as u32, and an offset and a unit as f32 for each column (little-endian).
+//! Each row has its person as u8, and a signed byte for each column.
+//! A feature is this byte times the unit, plus the offset.
 
 use std::sync::OnceLock;
 
@@ -16,19 +19,19 @@ use crate::recording::Recording;
 use crate::windows::{aligned_features, prepare, slowed};
 use crate::{HOP, WINDOW};
 
-/// The source of the vectors, for a model's card: their licence asks for it.
+/// The source of the vectors for a model's card, as their licence requires.
 pub const SOURCE: &str = "features of daily movement without a gesture, as other, from: Dataset of inertial measurements of \
      smartphones and smartwatches for human activity recognition, M. Matey-Sanz, S. Casteleyn, C. Granell, Data in Brief \
      2023, 109809, doi 10.5281/zenodo.8398688, CC BY 4.0 (changed: smartwatches of 12 people, features only)";
 
-/// The vectors that come with this crate.
+/// The vectors that are bundled with this crate.
 const BYTES: &[u8] = include_bytes!("../daily/watch-daily.bin");
 const MAGIC: &[u8; 8] = b"BIMANDAY";
-/// Samples from one window to the next, and from one slow one to the next.
+/// Number of samples between two windows, and between two slow windows.
 const STRIDE: usize = 6 * HOP;
 const SLOW_STRIDE: usize = 12 * HOP;
 
-/// Whose daily movement a model learns.
+/// The people whose daily movement a model learns.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum Daily {
     /// Nobody's.
@@ -36,12 +39,13 @@ pub enum Daily {
     /// Everybody's.
     #[default]
     All,
-    /// That of all people but these, on whom the model is to be judged.
+    /// All people except these, on whom the model will be tested.
     Without(Vec<String>),
 }
 
 impl Daily {
-    /// Their feature vectors, for samples of this many axes: of each window, and without a gyroscope of each slow one.
+    /// Returns the feature vectors for samples of this many axes, one per window.
+    /// Without a gyroscope, the slow windows are included.
     pub fn rows(&self, axes: usize) -> Vec<Vec<f32>> {
         let knows = |name: &String| match self {
             Self::None => false,
@@ -56,14 +60,14 @@ impl Daily {
     }
 }
 
-/// The people whose movement comes with this crate.
+/// Returns the people whose movement is bundled with this crate.
 pub fn people() -> &'static [String] {
     &bundled().people
 }
 
 fn bundled() -> &'static Vectors {
     static VECTORS: OnceLock<Vectors> = OnceLock::new();
-    // A test below shows that the file is whole.
+    // A test below checks that the file is valid.
     VECTORS.get_or_init(|| Vectors::parse(BYTES).unwrap_or_default())
 }
 
@@ -173,7 +177,7 @@ impl Vectors {
     }
 }
 
-/// The bytes of a file of vectors, from recordings with a gyroscope of people who make no gesture.
+/// Returns a file of vectors, computed from recordings with a gyroscope of people who make no gesture.
 pub fn vectors(recordings: &Dataset) -> Vec<u8> {
     let people = recordings.people();
     let windows = |recording: &Recording, stride: usize| -> Vec<Vec<f32>> {

@@ -1,9 +1,9 @@
 //! A folder of recordings, `FOLDER/<label>/<person>__<n>.csv`.
 //!
-//! Every CSV file in every label folder is read; only `index.csv`, other files at the top (licences)
-//! and hidden files are ignored, and `ignored` names them. Mixed folders (3, 6 and 9 axes) are
-//! read with the axes that all recordings have, since the axes are nested: accelerometer, then
-//! gyroscope, then magnetometer.
+//! Every CSV file in every label folder is read.
+//! `index.csv`, other files at the top level (licences) and hidden files are ignored and listed in `ignored`.
+//! Folders with 3, 6 and 9 axes are read with the axes common to all recordings.
+//! This works because the axes are nested: accelerometer, gyroscope, magnetometer.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -12,18 +12,18 @@ use crate::labels;
 use crate::recording::{Recording, RecordingError};
 use crate::sheet::Reading;
 
-/// One recording with what its path says.
+/// A recording with the information from its path.
 #[derive(Clone, Debug)]
 pub struct Item {
     /// The file as found.
     pub file: PathBuf,
-    /// `<label folder>/<file name>` as on disk, `/` on every system.
+    /// Path `<label folder>/<file name>` as on disk, with `/` on every system.
     pub name: String,
-    /// Canonical label, from the folder.
+    /// Canonical label, derived from the folder.
     pub label: String,
-    /// The person: the part of the file name before `__`.
+    /// The person, which is the part of the file name before `__`.
     pub person: String,
-    /// The recording as in the file, with the data set's axes.
+    /// The recording from the file, with the data set's axes.
     pub recording: Recording,
 }
 
@@ -38,13 +38,13 @@ pub struct Dataset {
     pub labels: Vec<String>,
     /// Axes of every recording: 3, 6 or 9.
     pub axes: usize,
-    /// Files that are not recordings and were left out.
+    /// Files that are not recordings and were ignored.
     pub ignored: Vec<PathBuf>,
-    /// Recordings that had more axes than the data set keeps.
+    /// Number of recordings that had more axes than the data set.
     pub narrowed: usize,
 }
 
-/// Why a folder cannot be used; the text says what to do.
+/// The reason why a folder cannot be used, with a remedy in the text.
 #[derive(Debug, thiserror::Error)]
 pub enum DatasetError {
     /// The folder cannot be listed.
@@ -52,22 +52,22 @@ pub enum DatasetError {
     Io {
         /// The folder.
         folder: PathBuf,
-        /// What the system said.
+        /// The system's error message.
         source: std::io::Error,
     },
-    /// A file's name does not say who made it.
+    /// A file name does not contain the person.
     #[error("{file}: the name must be <person>__<n>.csv (two underscores); rename the file")]
     Name {
         /// The file.
         file: PathBuf,
     },
-    /// There is nothing to learn from.
+    /// The folder contains no recordings.
     #[error("{folder}: no recordings; put them in {folder}/<label>/<person>__<n>.csv")]
     Empty {
         /// The folder.
         folder: PathBuf,
     },
-    /// A recording lacks axes that were asked for.
+    /// A recording has too few axes.
     #[error(
         "{file}: {found} axes, but {wanted} are wanted; leave the file out, or use a model of {found} axes \
          (`models train --axes {found}`)"
@@ -86,13 +86,12 @@ pub enum DatasetError {
 }
 
 impl Dataset {
-    /// Reads a folder; `axes` keeps only the first 3, 6 or 9 axes of every recording, `None` as
-    /// many as all of them have.
+    /// Reads a folder. `axes` selects the first 3, 6 or 9 axes of every recording; `None` selects all common axes.
     pub fn read(folder: &Path, axes: Option<usize>) -> Result<Self, DatasetError> {
         Self::read_where(folder, axes, |_, _| true)
     }
 
-    /// The people of a folder, sorted, from the names of the files alone.
+    /// Returns the people in a folder, sorted, using only file names.
     pub fn people_of(folder: &Path) -> Result<Vec<String>, DatasetError> {
         let mut people = BTreeSet::new();
         for entry in list(folder)?.into_iter().filter(|entry| entry.is_dir()) {
@@ -105,7 +104,7 @@ impl Dataset {
         Ok(people.into_iter().collect())
     }
 
-    /// Reads the part of a folder for whose label and person `wanted` holds. The other files are not even opened.
+    /// Reads only the recordings whose label and person satisfy `wanted`. Other files are not opened.
     pub fn read_where(
         folder: &Path,
         axes: Option<usize>,
@@ -135,7 +134,7 @@ impl Dataset {
                 if !wanted(&labels::canonical(&folder_name), person) {
                     continue;
                 }
-                // A hand may move without turning in one recording, hardly in all of somebody's: then the unit is another.
+                // One recording may contain little rotation, but if this holds for most of a person, the unit is wrong.
                 let recording = match Recording::read(&file) {
                     Err(error) => match Recording::read_as(&file, &in_degrees) {
                         Ok(recording) => {
@@ -187,7 +186,7 @@ impl Dataset {
         people.into_iter().collect()
     }
 
-    /// The part of the data set for which `keep` holds; labels follow what is left.
+    /// Returns the part of the data set that satisfies `keep`, with the remaining labels.
     pub fn filtered(&self, keep: impl Fn(&Item) -> bool) -> Self {
         let items: Vec<_> = self.items.iter().filter(|item| keep(item)).cloned().collect();
         Self { labels: label_list(&items), items, ..self.clone_without_items() }

@@ -1,6 +1,6 @@
 //! Errors for people.
 
-/// An error and what led to it, each cause once: many errors already name their cause.
+/// Formats an error with its causes, each of them once, because many errors already mention their cause.
 ///
 /// ```
 /// let error = models::recording::Recording::read("no/such.csv".as_ref()).unwrap_err();

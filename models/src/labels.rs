@@ -1,10 +1,10 @@
-//! The names of gestures: one canonical spelling each, and the aliases that people use.
+//! The canonical names of gestures, and common aliases.
 
 /// The paper's seven labels in the order of its network's outputs.
 pub const PAPER: [&str; 7] =
     ["idle", "up-down", "to-fro", "left-right", "rectangle", "rectangle-flat", "circle"];
 
-/// Aliases, spelled as [`squash`] leaves them, and what they mean.
+/// Aliases, in the form that [`squash`] returns, with their canonical names.
 const ALIASES: [(&str, &str); 26] = [
     ("idle", "idle"),
     ("still", "idle"),
@@ -34,13 +34,13 @@ const ALIASES: [(&str, &str); 26] = [
     ("round", "circle"),
 ];
 
-/// Names of movement that is no gesture: a model learns it as [`OTHER`], which never does anything.
+/// Names of movement without a gesture. A model learns it as [`OTHER`], which has no effect.
 const NO_GESTURE: [&str; 6] = ["noise", "unknown", "background", "none", "negative", "other"];
 
-/// The label of all movement that is no gesture.
+/// The label of all movement without a gesture.
 pub const OTHER: &str = "other";
 
-/// Whether a name other than [`OTHER`] stands for movement that is no gesture.
+/// Returns whether a name other than [`OTHER`] means movement without a gesture.
 ///
 /// ```
 /// assert!(models::labels::is_no_gesture("Noise"));
@@ -51,10 +51,10 @@ pub fn is_no_gesture(name: &str) -> bool {
     squashed != OTHER && NO_GESTURE.contains(&squashed.as_str())
 }
 
-/// Canonical names of a list of labels, each once.
+/// Returns the canonical names of a list of labels, each once.
 ///
 /// # Errors
-/// Two of them mean the same: says which.
+/// Fails if two labels have the same meaning. The error names both.
 pub fn canonical_list(names: &[String]) -> Result<Vec<String>, String> {
     let labels: Vec<String> = names.iter().map(|name| canonical(name)).collect();
     for (at, label) in labels.iter().enumerate() {
@@ -68,15 +68,16 @@ pub fn canonical_list(names: &[String]) -> Result<Vec<String>, String> {
     Ok(labels)
 }
 
-/// Lower case without separators, so that `Left_Right`, `left-right` and `leftright` are one.
+/// Returns lower case without separators, so that `Left_Right`, `left-right` and `leftright` are equal.
 fn squash(name: &str) -> String {
     name.chars().filter(|c| c.is_alphanumeric()).flat_map(char::to_lowercase).collect()
 }
 
-/// The canonical name of a label.
+/// Returns the canonical name of a label.
 ///
-/// Aliases of the paper's labels become the paper's; any other name is kept, lower-cased, with
-/// spaces and underscores turned into hyphens. What is no gesture ([`is_no_gesture`]) becomes [`OTHER`].
+/// Aliases of the paper's labels become the paper's names.
+/// Any other name is converted to lower case, with hyphens instead of spaces and underscores.
+/// Names for movement without a gesture ([`is_no_gesture`]) become [`OTHER`].
 ///
 /// ```
 /// assert_eq!(models::labels::canonical("LeftRight"), "left-right");
@@ -99,7 +100,7 @@ pub fn canonical(name: &str) -> String {
     }
 }
 
-/// Words for a direction, and their opposites. If one contains the other, the longer one comes first.
+/// Words for directions and their opposites. If one contains another, the longer one comes first.
 const OPPOSITES: [(&str, &str); 9] = [
     ("counter-clockwise", "clockwise"),
     ("counterclockwise", "clockwise"),
@@ -112,8 +113,8 @@ const OPPOSITES: [(&str, &str); 9] = [
     ("push", "pull"),
 ];
 
-/// Pairs of labels that name a movement and the same one the other way, by their words: a recipe whose features are the same
-/// for a movement and its mirror image can tell them apart by habit only.
+/// Returns pairs of labels whose names describe a movement and its mirror image.
+/// A recipe with mirror-symmetric features can distinguish them only by habits of the wearer.
 ///
 /// ```
 /// let labels = ["swipe-left", "swipe-right", "left-right", "circle"].map(String::from);
@@ -134,7 +135,7 @@ pub fn mirrored(labels: &[String]) -> Vec<(&str, &str)> {
     pairs
 }
 
-/// Sorts labels as a network's outputs: the paper's labels first in its order, then the rest by name.
+/// Sorts labels in the order of a network's outputs: first the paper's labels in its order, then the rest by name.
 pub fn sort(labels: &mut [String]) {
     labels.sort_by_key(|label| {
         let place = PAPER.iter().position(|paper| paper == label).unwrap_or(PAPER.len());
@@ -189,7 +190,7 @@ mod tests {
             ("clockwise,Counter Clockwise", vec![("clockwise", "counter-clockwise")]),
             ("swipe_up,swipe_down,swipe_left", vec![("swipe-up", "swipe-down")]),
             ("push,pull,wave", vec![("push", "pull")]),
-            // The paper's labels: each goes both ways.
+            // The paper's labels do not count, because each of them goes in both directions.
             ("idle,up-down,to-fro,left-right,rectangle,rectangle-flat,circle,other", vec![]),
         ] {
             assert_eq!(mirrored(&names(list)), pairs, "{list}");

@@ -1,12 +1,13 @@
 //! Recordings, training, quantisation, TFLite files and model cards.
 //!
-//! Without the feature `train` this crate is small: reading recordings, simulated wearers and
-//! turning a `.tflite` file with its card into the blob that boards and bridge run. With `train`
-//! (the default, used by the tool `models`) it also learns networks.
+//! Without the feature `train`, this crate is small.
+//! It then reads recordings, simulates wearers, and converts a `.tflite` file with its card to the blob for boards
+//! and bridge.
+//! With `train` (the default, used by the program `models`), it also trains networks.
 //!
-//! Glossary: a *recording* is one file of samples of one person making one gesture; a *window* is
-//! [`WINDOW`] samples at [`RATE_HZ`]; a *label* is a gesture's canonical name; a *card* is the JSON
-//! beside a model that says where it comes from.
+//! Glossary: a *recording* is one file with samples of one person making one gesture.
+//! A *window* is [`WINDOW`] samples at [`RATE_HZ`]. A *label* is a gesture's canonical name.
+//! A *card* is a JSON file beside a model that describes it.
 
 pub mod adc;
 pub mod blob;
@@ -32,17 +33,17 @@ pub mod tflite;
 pub mod train;
 pub mod windows;
 
-/// Sampling rate of the features and the network, in Hz.
+/// Sampling rate of features and network in Hz.
 pub const RATE_HZ: f64 = 100.0;
-/// Samples in one window of features (2 s at [`RATE_HZ`]).
+/// Number of samples in a window of features (2 s at [`RATE_HZ`]).
 pub const WINDOW: usize = 200;
-/// Samples from one window to the next on the board (80 ms).
+/// Number of samples between two windows on the board (80 ms).
 pub const HOP: usize = 8;
 
-/// How many networks the recipe `aligned` fits from different starts and merges into one.
+/// Number of networks that recipe `aligned` trains from different starts and merges into one.
 pub const ALIGNED_MEMBERS: usize = 4;
-/// Widths of the hidden layers of each of them.
+/// Widths of the hidden layers of each of these networks.
 pub const ALIGNED_MEMBER_HIDDEN: [usize; 2] = [20, 10];
-/// Widths of the hidden layers of the merged network, which boards run; a test measures its cost there.
+/// Widths of the hidden layers of the merged network. A test measures its cost on boards.
 pub const ALIGNED_HIDDEN: [usize; 2] =
     [ALIGNED_MEMBERS * ALIGNED_MEMBER_HIDDEN[0], ALIGNED_MEMBERS * ALIGNED_MEMBER_HIDDEN[1]];

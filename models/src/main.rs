@@ -1,4 +1,4 @@
-//! `models`: train, score and make models of gestures. One file per verb in `cmd/`.
+//! `models`: trains, tests and converts models of gestures. `cmd/` contains one file per command.
 
 #[macro_use]
 extern crate models;
@@ -12,7 +12,7 @@ use clap::{Parser, Subcommand};
 #[derive(Parser)]
 #[command(version, about = "Recordings, training, quantisation, TFLite files and model cards.")]
 struct Cli {
-    /// Threads to use; the results are the same with any number
+    /// Number of threads; it does not affect the results
     #[arg(long, global = true, value_name = "N")]
     threads: Option<usize>,
     #[command(subcommand)]
@@ -50,11 +50,12 @@ fn main() -> ExitCode {
 
 fn run() -> anyhow::Result<()> {
     let cli = Cli::parse();
-    // None = as many as rayon chooses.
+    // With `None`, rayon chooses the number.
     rayon::ThreadPoolBuilder::new().num_threads(cli.threads.unwrap_or(0)).build_global()?;
-    // Unless this is set, candle counts the processors anew for every product of matrices, which takes a fifth of the
-    // time of a training; and products here are too small to be shared out.
-    // SAFETY: no thread that looks at the environment runs yet.
+    // Without this variable, candle counts the processors for every matrix product,
+    // which takes a fifth of the training time.
+    // The products here are too small for several threads.
+    // SAFETY: no thread that reads the environment is running yet.
     unsafe { std::env::set_var("RAYON_NUM_THREADS", "1") };
     match cli.verb {
         Verb::Train(cmd) => cmd.run(),

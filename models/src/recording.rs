@@ -1,9 +1,10 @@
-//! One recording of the right hand: reading, checking, resampling and writing its CSV file.
+//! A recording of the right hand: reading, checking, resampling and writing its CSV file.
 //!
-//! The format that is written is Edge Impulse's: a header `timestamp` or `timestamp_ms`, then `accX,accY,accZ`
-//! (m/s²), optionally `gyrX,gyrY,gyrZ` (deg/s), optionally `magX,magY,magZ` (µT); times in ms. What is read besides,
-//! [`crate::sheet`] says. Nothing is dropped or repaired silently: what was mended is in [`Recording::notes`], and what
-//! cannot be used is an error that names the file, the line and the column and says what to do.
+//! The output format is Edge Impulse's: a header `timestamp` or `timestamp_ms`, then `accX,accY,accZ` (m/s²).
+//! Optional columns are `gyrX,gyrY,gyrZ` (deg/s) and `magX,magY,magZ` (µT); times are in ms.
+//! [`crate::sheet`] lists the other formats that can be read.
+//! Nothing is dropped or repaired silently: [`Recording::notes`] lists all repairs.
+//! Unusable data causes an error with the file, the line, the column and a remedy.
 
 use std::fmt::Write as _;
 use std::io::Write as _;
@@ -16,15 +17,15 @@ use crate::sheet::{self, Reading, Sheet};
 /// Column names in the order of a sample's axes.
 pub const AXIS_NAMES: [&str; 9] = ["accX", "accY", "accZ", "gyrX", "gyrY", "gyrZ", "magX", "magY", "magZ"];
 
-/// Slowest sampling rate that is accepted, in Hz.
+/// Minimum sampling rate in Hz.
 pub const MIN_RATE_HZ: f64 = 25.0;
-/// Fastest sampling rate that is accepted, in Hz.
+/// Maximum sampling rate in Hz.
 pub const MAX_RATE_HZ: f64 = 500.0;
 
-/// Longer than this no recording is: what is read is brought to the models' rate, pauses and all.
+/// Maximum length of a recording, because it is resampled to the models' rate including its pauses.
 const LONGEST_H: f64 = 24.0;
 
-/// A rate this near to the wanted one counts as the wanted one: samples are used as they are.
+/// A rate that differs by at most this fraction counts as equal, and its samples are used unchanged.
 pub(crate) const SAME_RATE: f64 = 0.01;
 
 /// Samples of 3, 6 or 9 axes with their times.
@@ -37,10 +38,10 @@ pub struct Recording {
 }
 
 impl Recording {
-    /// A recording from its parts: `values` holds `axes` values per entry of `time_ms`.
+    /// Creates a recording from its parts: `values` contains `axes` values for each entry of `time_ms`.
     ///
     /// # Panics
-    /// If `axes` is not 3, 6 or 9 or the lengths do not match: these are the caller's constants.
+    /// Panics if `axes` is not 3, 6 or 9, or the lengths do not match, because these are constants of the caller.
     pub fn new(axes: usize, time_ms: Vec<f64>, values: Vec<f32>) -> Self {
         assert!(matches!(axes, 3 | 6 | 9), "3, 6 or 9 axes");
         assert_eq!(values.len(), time_ms.len() * axes, "one value per axis and time");
@@ -52,7 +53,7 @@ impl Recording {
         Self::read_as(file, &Reading::default())
     }
 
-    /// Reads a CSV file as [`Reading`] says.
+    /// Reads a CSV file with the rules of [`Reading`].
     ///
     /// # Errors
     /// As [`Self::parse_as`].
@@ -62,16 +63,16 @@ impl Recording {
         Self::parse_as(file, &bytes, reading)
     }
 
-    /// Reads the bytes of a CSV file; `file` is only for the errors. Units that the file does not declare are ours, or
-    /// it is refused.
+    /// Parses the bytes of a CSV file; `file` is used only in errors.
+    /// Undeclared units must be ours; otherwise, the file is refused.
     pub fn parse(file: &Path, bytes: &[u8]) -> Result<Self, RecordingError> {
         Self::parse_as(file, bytes, &Reading::default())
     }
 
-    /// The same of a file that is read as [`Reading`] says.
+    /// Like [`Self::parse`], with the rules of [`Reading`].
     ///
     /// # Errors
-    /// [`RecordingError`], also where the file holds several recordings.
+    /// [`RecordingError`], also if the file contains several recordings.
     pub fn parse_as(file: &Path, bytes: &[u8], reading: &Reading) -> Result<Self, RecordingError> {
         let Sheet { mut takes, notes } = sheet::parse(file, bytes, reading)?;
         match takes.pop() {
@@ -87,12 +88,12 @@ impl Recording {
         }
     }
 
-    /// What was judged, repaired or left out when it was read, in words.
+    /// Descriptions of everything that was inferred, repaired or omitted while reading.
     pub fn notes(&self) -> &[String] {
         &self.notes
     }
 
-    /// Axes per sample: 3 (accelerometer), 6 (and gyroscope) or 9 (and magnetometer).
+    /// Number of axes per sample: 3 (accelerometer), 6 (with gyroscope) or 9 (with magnetometer).
     pub fn axes(&self) -> usize {
         self.axes
     }
@@ -102,7 +103,7 @@ impl Recording {
         self.time_ms.len()
     }
 
-    /// Whether there are no samples (never so for a recording that was read).
+    /// Whether there are no samples, which is never the case for a recording from a file.
     pub fn is_empty(&self) -> bool {
         self.time_ms.is_empty()
     }
@@ -112,12 +113,12 @@ impl Recording {
         &self.time_ms
     }
 
-    /// The samples in order, `axes()` values each: m/s², deg/s, µT.
+    /// The samples in order, with `axes()` values each: m/s², deg/s, µT.
     pub fn samples(&self) -> impl ExactSizeIterator<Item = &[f32]> {
         self.values.chunks_exact(self.axes)
     }
 
-    /// Mean sampling rate in Hz; 0 with fewer than two samples.
+    /// Mean sampling rate in Hz; 0 for fewer than two samples.
     pub fn rate_hz(&self) -> f64 {
         match (self.time_ms.first(), self.time_ms.last()) {
             (Some(first), Some(last)) if last > first => (self.len() - 1) as f64 * 1000.0 / (last - first),
@@ -125,35 +126,35 @@ impl Recording {
         }
     }
 
-    /// Length in seconds: every sample stands for one interval.
+    /// Length in seconds, where every sample counts for one interval.
     pub fn seconds(&self) -> f64 {
         let rate_hz = self.rate_hz();
         if rate_hz > 0.0 { self.len() as f64 / rate_hz } else { 0.0 }
     }
 
-    /// Intervals longer than 2.5 mean intervals: places where samples were lost.
+    /// Number of intervals longer than 2.5 mean intervals, where samples were lost.
     pub fn gaps(&self) -> usize {
         let limit_ms = 2.5 * 1000.0 / self.rate_hz();
         self.time_ms.windows(2).filter(|pair| pair[1] - pair[0] > limit_ms).count()
     }
 
-    /// Pauses longer than `limit_ms`: the sample before each, and how long it is.
+    /// Pauses longer than `limit_ms`: the index of the sample before each, and its duration.
     pub fn holes(&self, limit_ms: f64) -> Vec<(usize, f64)> {
         let steps = self.time_ms.windows(2).map(|pair| pair[1] - pair[0]).enumerate();
         steps.filter(|(_, step)| *step > limit_ms).collect()
     }
 
-    /// The first `axes` axes only.
+    /// Returns the first `axes` axes only.
     ///
     /// # Panics
-    /// If the recording has fewer axes, or `axes` is not 3, 6 or 9.
+    /// Panics if the recording has fewer axes, or `axes` is not 3, 6 or 9.
     pub fn with_axes(&self, axes: usize) -> Self {
         assert!(axes <= self.axes, "{axes} axes of {}", self.axes);
         let values = self.samples().flat_map(|sample| sample[..axes].iter().copied()).collect();
         Self::new(axes, self.time_ms.clone(), values)
     }
 
-    /// The samples from `start` on, `len` of them or as many as there are.
+    /// Returns `len` samples from `start` on, or as many as exist.
     pub fn slice(&self, start: usize, len: usize) -> Self {
         let start = start.min(self.len());
         let end = (start + len).min(self.len());
@@ -161,12 +162,11 @@ impl Recording {
         Self::new(self.axes, self.time_ms[start..end].to_vec(), values)
     }
 
-    /// The recording at the models' rate of [`RATE_HZ`], evenly spaced from time 0.
+    /// Returns the recording at the models' rate of [`RATE_HZ`], evenly spaced from time 0.
     ///
-    /// A rate within 1 % of it and without gaps is taken sample for sample. Otherwise each new
-    /// sample is interpolated linearly between its neighbours in time; a recording more than half
-    /// as fast again is first averaged over one new interval, so that what lies above the new
-    /// Nyquist frequency does not fold back.
+    /// If the rate is within 1 % and there are no gaps, the samples are used unchanged.
+    /// Otherwise, each new sample is interpolated linearly between its neighbours in time.
+    /// A recording with more than 1.5 times the rate is first averaged over one new interval, to avoid aliasing.
     pub fn resampled(&self) -> Self {
         let interval_ms = 1000.0 / RATE_HZ;
         if (self.rate_hz() / RATE_HZ - 1.0).abs() <= SAME_RATE && self.gaps() == 0 {
@@ -177,7 +177,7 @@ impl Recording {
         let source = if smooth { self.averaged_over(interval_ms) } else { self.values.clone() };
         let start_ms = self.time_ms[0];
         let last_ms = self.time_ms[self.len() - 1];
-        // The small allowance keeps a last sample that rounding would put just past the end.
+        // The small tolerance preserves a last sample that rounding would place just after the end.
         let count = ((last_ms - start_ms) / interval_ms + 1e-6).floor() as usize + 1;
         let mut values = Vec::with_capacity(count * self.axes);
         let mut left = 0;
@@ -198,7 +198,7 @@ impl Recording {
         Self::new(self.axes, time_ms, values)
     }
 
-    /// Each sample replaced by the mean of those less than half of `span_ms` away.
+    /// Replaces each sample by the mean of the samples within half of `span_ms`.
     fn averaged_over(&self, span_ms: f64) -> Vec<f32> {
         let mut values = Vec::with_capacity(self.values.len());
         let (mut from, mut to) = (0, 0);
@@ -217,8 +217,8 @@ impl Recording {
         values
     }
 
-    /// The CSV text: header `timestamp_ms,…`, acceleration with 4 decimals, the rest with 2, as
-    /// the recordings of real boards have them.
+    /// Returns the CSV text with the header `timestamp_ms,…`.
+    /// Accelerations have 4 decimals and other values 2, as in recordings of real boards.
     pub fn to_csv(&self) -> String {
         let mut text = String::with_capacity(self.len() * self.axes * 9);
         text.push_str("timestamp_ms");
@@ -238,13 +238,13 @@ impl Recording {
         text
     }
 
-    /// Writes the CSV file whole or not at all.
+    /// Writes the CSV file completely or not at all.
     pub fn write(&self, file: &Path) -> std::io::Result<()> {
         write_whole(file, self.to_csv().as_bytes())
     }
 }
 
-/// Writes a file under a temporary name and renames it, so that no reader ever sees half of it.
+/// Writes a file under a temporary name and then renames it, so that a partial file is never visible.
 pub fn write_whole(file: &Path, bytes: &[u8]) -> std::io::Result<()> {
     let mut name = file.file_name().unwrap_or_default().to_owned();
     name.push(format!(".{}.part", std::process::id()));

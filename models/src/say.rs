@@ -1,7 +1,7 @@
-//! What the programs print: like `std`'s macros, but a reader that goes away causes no panic.
+//! Output of the programs: like `std`'s macros, but without a panic if the reader disappears.
 //!
-//! `… | head`, a closed terminal or a full disk end a command with what it has done, not in the middle of it.
-//! Both programs say `#[macro_use] extern crate models;` and write `println!` as everybody does.
+//! After `… | head`, a closed terminal or a full disk, a command still completes its work.
+//! Both programs use `#[macro_use] extern crate models;` and then the normal `println!`.
 
 use std::fmt::Arguments;
 use std::io::{ErrorKind, Write as _};
@@ -9,11 +9,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 static LOST: AtomicBool = AtomicBool::new(false);
 
-/// Prints to the standard output; for the macros.
+/// Prints to the standard output on behalf of the macros.
 pub fn out(text: Arguments<'_>) {
     let mut out = std::io::stdout().lock();
     if let Err(error) = out.write_fmt(text).and_then(|()| out.flush())
-        // The reader that closed the pipe has read enough.
+        // A reader that closed the pipe needs no further output.
         && error.kind() != ErrorKind::BrokenPipe
         && !LOST.swap(true, Ordering::SeqCst)
     {
@@ -21,31 +21,31 @@ pub fn out(text: Arguments<'_>) {
     }
 }
 
-/// Prints to the standard error; for the macros.
+/// Prints to the standard error on behalf of the macros.
 pub fn err(text: Arguments<'_>) {
-    // Nobody is left to be told.
+    // There is no reader left to notify.
     let _ = std::io::stderr().lock().write_fmt(text);
 }
 
-/// Something printed was lost, other than by a reader that closed the pipe: the command has failed.
+/// Returns whether output was lost for a reason other than a closed pipe, so that the command has failed.
 pub fn lost() -> bool {
     LOST.load(Ordering::SeqCst)
 }
 
-/// Like `std::print`; a failure is remembered, see [`lost`].
+/// Like `std::print`, but failures are recorded, see [`lost`].
 #[macro_export]
 macro_rules! print {
     ($($part:tt)*) => { $crate::say::out(::core::format_args!($($part)*)) };
 }
 
-/// Like `std::println`; a failure is remembered, see [`lost`].
+/// Like `std::println`, but failures are recorded, see [`lost`].
 #[macro_export]
 macro_rules! println {
     () => { $crate::say::out(::core::format_args!("\n")) };
     ($($part:tt)*) => { $crate::say::out(::core::format_args!("{}\n", ::core::format_args!($($part)*))) };
 }
 
-/// Like `std::eprintln`; a failure is ignored.
+/// Like `std::eprintln`, but failures are ignored.
 #[macro_export]
 macro_rules! eprintln {
     () => { $crate::say::err(::core::format_args!("\n")) };

@@ -1,40 +1,41 @@
-//! Streams of random numbers: each use of a seed has its own, so that none depends on how many another one draws.
+//! Streams of random numbers. Each use of a seed has its own stream, independent of all others.
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
-/// The uses of random numbers. The numbers behind the names are part of what makes a training repeatable: a new use gets a
-/// new one, and none is ever changed.
+/// The uses of random numbers.
+/// Their numbers are part of a training's reproducibility, so a new use needs a new number,
+/// and existing numbers never change.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RandomStream {
-    /// First weights and the order of windows, in recipes that train in epochs.
+    /// Initial weights and the order of windows, in recipes that train in epochs.
     Epochs,
-    /// Varied windows of the recording at this place of a data set.
+    /// Varied windows of the recording with this index in a data set.
     Recording(usize),
-    /// A varied copy of the recording at this place of a data set.
+    /// A varied copy of the recording with this index in a data set.
     Copy {
         /// Its place.
         recording: usize,
         /// Which copy, below 1000.
         copy: usize,
     },
-    /// Which recordings of the label at this place are held out.
+    /// The held-out recordings of the label with this index.
     HeldOut(usize),
-    /// One of the networks that are fitted in steps and merged.
+    /// One of the networks that are trained in steps and merged.
     Member(usize),
-    /// The steps after that, which take int8's rounding into account.
+    /// The later training steps, which use int8 rounding.
     Rounding,
-    /// What a model remembers of the people it was trained on.
+    /// The memory of a model about its training people.
     Memory,
-    /// What is learnt of one more person.
+    /// The adaptation to another person.
     Adapting,
-    /// Which recordings of a person held out are shown.
+    /// The recordings of a held-out person that are shown.
     Shown,
-    /// The order in which recordings are joined, and the rest between them.
+    /// The order of joined recordings, and the rest between them.
     Order,
-    /// What the simulated wearer of this number does where no gesture is made.
+    /// The movements of this simulated wearer without gestures.
     Aimless(u32),
-    /// Which three recordings of each gesture a person shows (`models daily`).
+    /// The three recordings of each gesture that a person shows (`models daily`).
     ShownDaily,
     /// Varied windows of a simulated wearer, whose number is the seed.
     OfWearer,
@@ -54,12 +55,12 @@ impl RandomStream {
             Self::Shown => 1 << 44,
             Self::Order => 1 << 45,
             Self::Aimless(index) => (1 << 46) + index as u64,
-            // As `Epochs`, which draws in other commands, or of other seeds.
+            // The same number as `Epochs`, which is used in other commands or with other seeds.
             Self::ShownDaily | Self::OfWearer => 0,
         }
     }
 
-    /// The stream's numbers for a seed, from the first on.
+    /// Returns the stream's numbers for a seed, from the start.
     pub fn of(self, seed: u64) -> ChaCha8Rng {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         rng.set_stream(self.number());

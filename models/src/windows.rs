@@ -1,4 +1,4 @@
-//! From a recording to the features of its windows, computed by the code that boards run.
+//! Computes the features of a recording's windows, with the code that boards run.
 
 use shared_dsp::right::aligned::AlignedWindow;
 use shared_dsp::right::features::FeatureWindow;
@@ -7,19 +7,19 @@ use shared_dsp::right::kind::FeatureKind;
 use crate::recording::Recording;
 use crate::{HOP, WINDOW};
 
-/// What was done to a recording to make windows of it.
+/// The preparation of a recording.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Prepared {
-    /// It was shorter than a window and was padded.
+    /// Whether the recording was shorter than a window and was padded.
     pub padded: bool,
-    /// It was resampled to the models' rate.
+    /// Whether the recording was resampled to the models' rate.
     pub resampled: bool,
 }
 
-/// A recording at the models' rate and at least one window long.
+/// Returns a recording at the models' rate that is at least one window long.
 ///
-/// A shorter one goes on as it went on a period before, until the window is full; the period is where its end resembles
-/// most what went before. (Played backward, a circle would turn the other way.)
+/// A shorter one is continued periodically until the window is full, with the period that best matches its end.
+/// (If it were mirrored in time, a circle would change its direction.)
 pub fn prepare(recording: &Recording) -> (Recording, Prepared) {
     let at_rate = recording.resampled();
     let resampled = at_rate.len() != recording.len() || !at_rate.samples().eq(recording.samples());
@@ -28,14 +28,14 @@ pub fn prepare(recording: &Recording) -> (Recording, Prepared) {
     (ready, Prepared { padded, resampled })
 }
 
-/// Minimum number of samples after which a movement may repeat itself: 5 strokes per second.
+/// Minimum period of a movement in samples: 5 strokes per second.
 const LEAST_PERIOD: usize = 20;
-/// Minimum and maximum number of samples that are compared with those a period earlier.
+/// Minimum and maximum number of samples for comparing the end with the previous period.
 const COMPARED: (usize, usize) = (12, 50);
-/// Samples over which a jump at the seam fades.
+/// Number of samples over which a jump at the seam fades.
 const SEAM: usize = 10;
 
-/// The recording, continued as it went a period before, until a window is full.
+/// Continues the recording periodically until a window is full.
 fn continued(recording: &Recording) -> Recording {
     let axes = recording.axes();
     let mut rows: Vec<Vec<f32>> = recording.samples().map(<[f32]>::to_vec).collect();
@@ -57,7 +57,8 @@ fn continued(recording: &Recording) -> Recording {
     Recording::new(axes, time_ms, rows.concat())
 }
 
-/// After how many samples the end of a short movement resembles what went before it most. None if it is too short to tell.
+/// Returns the period in samples with which the end of a short movement best matches its past,
+/// or `None` if it is too short.
 pub(crate) fn period<R: AsRef<[f32]>>(rows: &[R]) -> Option<usize> {
     let rows: Vec<&[f32]> = rows.iter().map(AsRef::as_ref).collect();
     let axes = rows.first()?.len().min(6);
@@ -66,7 +67,7 @@ pub(crate) fn period<R: AsRef<[f32]>>(rows: &[R]) -> Option<usize> {
         .map(|axis| {
             let mean = rows.iter().map(|row| row[axis]).sum::<f32>() / count;
             let variance = rows.iter().map(|row| (row[axis] - mean).powi(2)).sum::<f32>() / count;
-            // Acceleration and rotation count alike, each as a whole: small directions are mostly noise.
+            // Acceleration and rotation get equal weight as a whole, because small directions are mostly noise.
             variance
         })
         .collect();
@@ -88,8 +89,8 @@ pub(crate) fn period<R: AsRef<[f32]>>(rows: &[R]) -> Option<usize> {
     lags.map(|lag| (lag, difference(lag))).min_by(|a, b| a.1.total_cmp(&b.1)).map(|(lag, _)| lag)
 }
 
-/// Features of every window of a prepared recording whose start is a multiple of `stride_hops`
-/// hops, after `recipe`: 13 per axis, axis after axis, or those of recipe 3.
+/// Returns the features of every window that starts at a multiple of `stride_hops` hops.
+/// They are those of `recipe`: 13 per axis, axis by axis, or those of recipe 3.
 pub fn features(recording: &Recording, recipe: FeatureKind, stride_hops: usize) -> Vec<Vec<f32>> {
     match recording.axes() {
         3 => stream::<3>(recording, recipe, stride_hops),
@@ -98,7 +99,7 @@ pub fn features(recording: &Recording, recipe: FeatureKind, stride_hops: usize) 
     }
 }
 
-/// Features of recipe 3 of one window: [`WINDOW`] samples, one after the other.
+/// Returns the features of recipe 3 for one window of [`WINDOW`] samples in sequence.
 pub fn aligned_features(axes: usize, window: &[f32]) -> Vec<f32> {
     fn run<const A: usize>(window: &[f32]) -> Vec<f32> {
         let mut state = AlignedWindow::<A>::new();
@@ -150,7 +151,7 @@ fn stream<const A: usize>(recording: &Recording, recipe: FeatureKind, stride_hop
     }
 }
 
-/// Pushes a recording through a window and reads its features at every `stride_hops`th full hop.
+/// Feeds a recording to a window and reads its features at every `stride_hops`th complete hop.
 fn every<W, const A: usize>(
     recording: &Recording,
     stride_hops: usize,
@@ -171,9 +172,9 @@ fn every<W, const A: usize>(
     all
 }
 
-/// Features of windows that start every `stride` samples, whatever the hop.
+/// Returns the features of windows that start every `stride` samples, independent of the hop.
 ///
-/// Each window is fed anew, as its start is not one of the board's hops in general.
+/// Each window is fed separately, because its start is generally not at one of the board's hops.
 pub fn features_every(recording: &Recording, recipe: FeatureKind, stride: usize) -> Vec<Vec<f32>> {
     if stride.is_multiple_of(HOP) {
         return features(recording, recipe, stride / HOP);
@@ -193,7 +194,7 @@ mod tests {
 
     #[test]
     fn a_short_recording_goes_on_as_it_did_until_the_window_is_full() {
-        // A circle of 1.6 Hz, of which 1.1 s are known.
+        // A circle of 1.6 Hz, of which 1.1 s are recorded.
         let circle = |n: usize| {
             let angle = std::f32::consts::TAU * 1.6 * n as f32 / 100.0;
             [3.0 * angle.cos(), 3.0 * angle.sin(), 9.8]
@@ -211,7 +212,7 @@ mod tests {
             );
         }
         assert!(!prepare(&ramp(200)).1.padded);
-        // The recording is too short to repeat itself: its last value is held.
+        // The recording is too short to contain a period, so its last value is repeated.
         assert_eq!(prepare(&ramp(2)).0.samples().nth(199).unwrap()[0], 1.0);
     }
 

@@ -1,4 +1,4 @@
-//! What docs/ADDING.md says about recipes: a type that implements `Recipe` trains as the others do.
+//! Tests the instructions of docs/ADDING.md for recipes: a type that implements `Recipe` is trained like the others.
 
 mod common;
 
@@ -12,7 +12,7 @@ use models::train::{
 use shared_dsp::right::kind::FeatureKind;
 use shared_dsp::right::network::Model;
 
-/// The paper's windows, all scaled alike: a recipe of one's own in forty lines.
+/// A custom recipe in forty lines: the paper's windows with the same scale for all channels.
 #[derive(Debug)]
 struct Plain;
 

@@ -1,4 +1,4 @@
-//! The bundled model: its files belong together, say where they come from, and work on new wearers.
+//! Tests the bundled model: its files are consistent, state their origin, and give good results for new wearers.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -29,7 +29,7 @@ fn the_blob_follows_from_file_and_card_and_its_id_is_the_cards() {
     assert_eq!(format!("{:08x}", crc32(&made)), files.card.model_id);
     assert_eq!(blob::read(Path::new(BUNDLED)).unwrap().0, made);
     let model = Model::parse(&made).unwrap();
-    // `other` is what a hand does that makes none of the gestures: like `idle` it never makes an event.
+    // `other` stands for movements that are not gestures. Like `idle`, it never causes an event.
     let labels: Vec<_> = model.info().labels().collect();
     assert_eq!(labels, [labels::PAPER.as_slice(), &["other"]].concat());
     assert_eq!(
@@ -47,8 +47,8 @@ fn the_card_says_that_the_wearers_are_simulated_and_none_is_a_demo_wearer() {
     assert!(!card.data.people.contains_key(&demo));
 }
 
-/// Recordings of 20 wearers that no model learns from: each gesture, and each kind of movement that is none. What to
-/// make of a gesture that has only just begun is for the decision (`sessions.rs`).
+/// Recordings of 20 wearers that no model was trained on, with each gesture and each type of other movement.
+/// Incomplete gestures are tested separately, with the decision (`sessions.rs`).
 fn recordings(untaught: bool) -> Dataset {
     let mut items = Vec::new();
     for index in 1..=20 {
@@ -76,10 +76,10 @@ fn wearers_that_it_never_met_are_understood() {
     let made = files.blob().unwrap();
     let network = Classifier::Int8(Model::parse(&made).unwrap());
     let is_rest: Vec<bool> = card.labels.iter().map(|label| is_rest(label)).collect();
-    // The lower limits are set here; the measured figures are in the README.
+    // These are only lower limits. The README contains the measured values.
     for (untaught, floor) in [(false, 97.0), (true, 94.0)] {
         let recordings = scored(&recordings(untaught), &card.labels, &card.features);
-        // As on a board, where all labels compete and whatever is no gesture is rest.
+        // The scores are computed as on a board, where all labels compete and every other movement counts as rest.
         let result = score(&network, &recordings, &vec![true; card.labels.len()]);
         let (mut all, mut right) = (0, 0);
         for (truth, given) in result.confusion.iter().enumerate() {
@@ -97,7 +97,7 @@ fn wearers_that_it_never_met_are_understood() {
     }
 }
 
-/// Real recordings of the very board and sensor, by people whom the model has never met.
+/// Tests real recordings of the same board and sensor, by people who are not in the training data.
 #[test]
 fn real_circles_are_circles_and_three_that_are_shown_make_it_sure() {
     let Some(folder) = shared("data/nano33-lsm9ds1-9axis") else { return };
@@ -112,7 +112,7 @@ fn real_circles_are_circles_and_three_that_are_shown_make_it_sure() {
     println!("{:.2} % of {} circles", result.per_recording, recordings.len());
     assert!(recordings.len() >= 100 && result.per_recording >= 90.0, "{:.2} %", result.per_recording);
 
-    // Shown three circles of one of the two people.
+    // The model is adapted with three circles of one of the two people.
     let shown: Vec<&Item> = circles.items.iter().filter(|item| item.person == "s1").take(3).collect();
     let out = tempfile::tempdir().unwrap();
     let path = |name: &str| out.path().join(name).to_string_lossy().into_owned();

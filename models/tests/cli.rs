@@ -1,4 +1,4 @@
-//! The tool `models` from the outside: files, exit codes, last lines.
+//! Tests the command-line tool `models`: files, exit codes and final output lines.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -14,7 +14,7 @@ fn bad(args: &[&str]) -> String {
     String::from_utf8(output.stderr).unwrap()
 }
 
-/// Every file below a folder with its content.
+/// Returns all files below a folder with their contents.
 fn contents(folder: &Path) -> BTreeMap<String, Vec<u8>> {
     let mut all = BTreeMap::new();
     for entry in std::fs::read_dir(folder).unwrap() {

@@ -1,6 +1,8 @@
-//! Readers of foreign files against damaged ones: no panic, no hang over 2 s, no more than 500 MB.
+//! Feeds damaged files to the readers of other programs' formats.
+//! They must not panic, hang for more than 2 s, or use more than 500 MB.
 //!
-//! `cargo test -p models --test fuzz` gives each reader a few thousand inputs. A million each, with their figures:
+//! `cargo test -p models --test fuzz` gives each reader a few thousand inputs.
+//! The following command gives each reader a million inputs and prints statistics:
 //! `BIMANUAL_FULL=1 cargo test --release -p models --test fuzz -- --nocapture --test-threads 1`.
 
 use std::path::Path;
@@ -14,7 +16,7 @@ mod mutate;
 
 use mutate::{count, fuzz};
 
-/// A swinging hand under gravity: `row` writes a sample (time in s, acceleration in m/s², turn rate in deg/s).
+/// A swinging hand with gravity. `row` writes a sample (time in s, acceleration in m/s², turn rate in deg/s).
 fn swing(rows: usize, row: impl Fn(usize, f64, [f64; 3], [f64; 3]) -> String) -> String {
     let one = |n: usize| {
         let t = n as f64 / 100.0;
@@ -29,7 +31,7 @@ fn swing(rows: usize, row: impl Fn(usize, f64, [f64; 3], [f64; 3]) -> String) ->
     (0..rows).map(one).collect()
 }
 
-/// The formats of docs/FILES.md, short.
+/// Short examples of the formats in docs/FILES.md.
 fn csv() -> Vec<Vec<u8>> {
     let g = 9.80665;
     let files = [
@@ -89,7 +91,7 @@ fn csv() -> Vec<Vec<u8>> {
             }),
     ];
     let mut files: Vec<Vec<u8>> = files.into_iter().map(String::into_bytes).collect();
-    // Text as other systems write it.
+    // Text in the encoding and with the line ends of other systems.
     files.push(String::from_utf8_lossy(&files[0]).encode_utf16().flat_map(u16::to_le_bytes).collect());
     files.last_mut().expect("just pushed").splice(0..0, [0xff, 0xfe]);
     files
@@ -105,7 +107,7 @@ fn damaged_csv_files_of_any_format_are_read_or_refused() {
         let told = sheet::parse(Path::new("a.csv"), bytes, &counts).is_ok();
         if let Ok(sheet) = &read {
             for take in &sheet.takes {
-                // Whatever is accepted can be used.
+                // An accepted recording must contain only usable values.
                 assert!(take.samples().all(|sample| sample.iter().all(|value| value.is_finite())));
                 let _ = (take.gaps(), take.holes(1000.0), take.to_csv());
                 if take.seconds() < 1e4 {
@@ -127,7 +129,7 @@ fn damaged_folders_of_one_file_per_sensor_are_read_or_refused() {
                 format!("{ns},{:.3},{:.4},{:.4},{:.4}\n", start + t * scale, v[2], v[1], v[0])
             })
     };
-    // Both files, parted by a byte that text does not have.
+    // Both files in one input, separated by a byte that does not occur in text.
     let pair = |a: String, b: String| [a.as_bytes(), &[0], b.as_bytes()].concat();
     let seeds = [pair(file(1.0, 0, 0.0), file(1.0, 1, 0.02)), pair(file(1.0, 0, 0.1), file(2.0, 1, 0.0))];
     let reading = Reading { guess: true, ..Reading::default() };
@@ -140,7 +142,7 @@ fn damaged_folders_of_one_file_per_sensor_are_read_or_refused() {
     });
 }
 
-/// The data acquisition format, of this many samples.
+/// A file in the data acquisition format with this number of samples.
 fn acquired(rows: usize, units: &str) -> serde_json::Value {
     let values: Vec<[f64; 6]> = (0..rows)
         .map(|n| {
@@ -189,7 +191,7 @@ fn damaged_networks_of_tensorflow_are_read_or_refused() {
     let seeds: Vec<_> = names.iter().map(|name| fixture(&format!("{name}.tflite"))).collect();
     fuzz("tflite", &seeds, count(2000), |bytes| match tflite::read_to_end(bytes) {
         Ok((network, _)) => {
-            // Whatever is accepted can be written and read again.
+            // An accepted network can be written and read again.
             assert!(tflite::read(&tflite::write(&network)).is_ok());
             true
         }

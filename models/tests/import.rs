@@ -1,4 +1,4 @@
-//! `models import` as a user runs it: exports of Edge Impulse's kind, written here, and networks.
+//! Tests `models import` with networks and with generated files in the format of Edge Impulse's exports.
 
 use std::path::Path;
 use std::process::{Command, Output};
@@ -14,12 +14,12 @@ fn models(args: &[&str]) -> (bool, String) {
     (status.success(), String::from_utf8_lossy(&stdout).into_owned() + &String::from_utf8_lossy(&stderr))
 }
 
-/// Two seconds of a movement along one axis, as an Edge Impulse device would send it.
+/// Returns two seconds of a movement along one axis, in the format of an Edge Impulse device.
 fn export(axis: usize, interval_ms: f64) -> Value {
     export_of(axis, interval_ms, 0)
 }
 
-/// The same with another number of samples before the movement begins.
+/// Returns the same movement with another number of samples before its start.
 fn export_of(axis: usize, interval_ms: f64, late: usize) -> Value {
     let names = ["accX", "accY", "accZ", "gyrX", "gyrY", "gyrZ"];
     let sensors: Vec<Value> = names
@@ -70,11 +70,11 @@ fn an_unpacked_export_of_json_and_cbor_becomes_recordings_that_train_and_score()
     );
     let first = Recording::read(&folder.path().join("recordings/training/wave/me__1.csv")).unwrap();
     assert_eq!((first.axes(), first.len()), (6, 200));
-    // A second import writes nothing twice, whoever is named as its maker.
+    // A second import writes no duplicates, even with another person's name.
     let (ok, text) = models(&["import", &path("export/testing"), "--out", &path("recordings")]);
     assert!(ok && text.contains("2 recordings are there already"), "{text}");
     assert!(!folder.path().join("recordings/wave").exists());
-    // Another part continues the numbers.
+    // Numbering continues with the next part of the export.
     let (ok, text) = models(&["import", &path("export/testing"), "--out", &path("others")]);
     assert!(ok && text.contains("wave: 1 recordings of d0-bf-9c"), "{text}");
     let (ok, text) = models(&[
@@ -133,7 +133,7 @@ fn an_export_is_cut_at_its_labels_and_what_nobody_labelled_is_named() {
     assert_eq!((length("out/idle/me__1.csv"), length("out/wave/me__1.csv")), (80, 120));
 }
 
-/// Rows of a hand that waves: a time in ms, then m/s², deg/s and µT.
+/// Returns rows of a waving hand: a time in ms, then values in m/s², deg/s and µT.
 fn rows(count: usize, row: impl Fn(f64, [f64; 9]) -> String) -> String {
     let one = |n: usize| {
         let s = (n as f64 * 0.09).sin();
@@ -142,7 +142,7 @@ fn rows(count: usize, row: impl Fn(f64, [f64; 9]) -> String) -> String {
     (0..count).map(|n| one(n) + "\n").collect()
 }
 
-/// Headers as named programs and public data sets have them, and what an import of rows below them has to give.
+/// Tests the column headers of common programs and public data sets, each with its expected imported values.
 #[test]
 fn files_of_ten_programs_become_the_same_recording() {
     const G: f64 = 9.806_65;
@@ -380,7 +380,7 @@ fn files_of_ten_programs_become_the_same_recording() {
         for (at, sample) in got.samples().enumerate() {
             let s = (at as f64 * 0.09).sin();
             let wanted = [3.0 * s + 1.0, 0.5, 9.7, 60.0 * s, 20.0, -40.0 * s, 20.0, -10.0 * s, 40.0];
-            // Four decimals of m/s² and two of the rest are written; counts are whole numbers.
+            // The files contain four decimals for m/s² and two for the other units; counts are integers.
             let near = |(axis, (a, b)): (usize, (&f32, &f64))| {
                 (f64::from(*a) - b).abs() < if axis < 3 { 1e-3 } else { 1.1e-2 }
             };

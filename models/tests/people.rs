@@ -1,6 +1,6 @@
-//! A person held out stays out: their files are not opened before the model is finished.
+//! Tests that the data of a held-out person is not used: the files are not opened before the model is complete.
 //!
-//! Recordings here are synthetic; figures on real people come from `models people` (see its help).
+//! The recordings in this test are synthetic. `models people` calculates results for real people (see its help).
 
 mod common;
 
@@ -11,7 +11,7 @@ use models::daily::Daily;
 use models::evaluate::people::Trial;
 use models::train::{ALIGNED, Aligned, Epochs, LOG_POWER, PAPER, PerAxis, Recipe, Steps, adapt, examples_of};
 
-/// The aligned recipe, shorter: what is tested does not depend on how long it trains.
+/// The aligned recipe with shorter training, because the duration of training does not affect this test.
 fn recipe() -> Aligned {
     let steps = Steps { count: 150, most: 150, rounded: 60, ..Steps::TRAIN };
     Aligned { steps, bystanders: 5, performers: 5, ..ALIGNED }
@@ -21,7 +21,7 @@ fn trial<'a>(folder: &'a Path, recipe: &'a dyn Recipe) -> Trial<'a> {
     Trial { folder, axes: None, labels: &[], recipe }
 }
 
-/// Every file of a person becomes unreadable as a recording: opening a single one is an error.
+/// Makes every file of a person unreadable, so that opening any of them causes an error.
 fn spoil(folder: &Path, person: &str) {
     let mut spoiled = 0;
     for label in ["circle", "leftright", "idle"] {
@@ -35,8 +35,9 @@ fn spoil(folder: &Path, person: &str) {
 
 #[test]
 fn no_file_of_a_person_held_out_touches_the_model_whatever_the_recipe() {
-    // Recipes are constants that no data chooses; what they do with data is all in the model: inputs' scaling, when to
-    // stop, weights, their quantisation and what is kept for adapting.
+    // Recipes are constants that do not depend on data.
+    // All results of the data are in the model: input scaling, early stopping, weights, quantisation and the data for
+    // adaptation.
     let short = |recipe: PerAxis| PerAxis { epochs: Epochs { most: 6, ..recipe.epochs }, ..recipe };
     let (aligned, log_power, paper) = (recipe(), short(LOG_POWER), short(PAPER));
     let recipes: [&dyn Recipe; 3] = [&aligned, &log_power, &paper];

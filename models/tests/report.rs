@@ -1,6 +1,6 @@
-//! The page of `models report`: it needs nothing else, and its figures are those of the other commands.
+//! Tests the page of `models report`: it is self-contained, and its results equal those of the other commands.
 //!
-//! Recordings here are synthetic, and training is short: what is tested does not depend on how good models are.
+//! The recordings are synthetic and the training is short, because the quality of the models does not affect this test.
 
 mod common;
 
@@ -54,7 +54,7 @@ fn the_page_needs_nothing_else_and_its_figures_are_those_of_the_other_commands()
     assert!(page.starts_with("<!DOCTYPE html>") && page.ends_with("</html>\n"));
     assert!(!page.contains("NaN"));
 
-    // Every row of the table, to the last digit.
+    // Compares every row of the table, including the last digit.
     let text = models(&[&["people", folder, "--examples", "1"], &QUICK[..]].concat());
     let mut rows = 0;
     for line in text.lines().filter(|line| line.starts_with("paper ") || line.starts_with("aligned ")) {

@@ -1,5 +1,4 @@
-//! Whole sessions of unseen simulated wearers through the bundled model and the decision that the
-//! board makes, sample by sample.
+//! Tests the bundled model and the board's decision, sample by sample, on complete sessions of new simulated wearers.
 
 use std::path::PathBuf;
 
@@ -16,10 +15,10 @@ struct Tally {
     delays_s: Vec<f64>,
 }
 
-/// Rest before and after what the hand does between two gestures, in s: a movement is over when the hand has rested.
+/// Rest before and after each movement between two gestures, in s. A movement ends when the hand rests.
 const REST_S: f64 = 1.0;
 
-/// The six gestures, 5 s each, with 5 s of various idle movement and two rests between.
+/// Plays the six gestures, 5 s each, separated by 5 s of various idle movement and two rests.
 fn play(model: Model<'_>, wearer: &Wearer, take: u64, tally: &mut Tally) {
     let mut script = vec![Segment::new(Motion::IDLE, 5.0)];
     for (n, gesture) in Motion::GESTURES.into_iter().enumerate() {
@@ -38,7 +37,7 @@ fn play(model: Model<'_>, wearer: &Wearer, take: u64, tally: &mut Tally) {
     let mut during = 0;
     for (n, gesture) in Motion::GESTURES.into_iter().enumerate() {
         let onset_s = 5.0 + 12.0 * n as f64;
-        // A gesture just ended still fills part of the window.
+        // A gesture that has just ended still occupies part of the window.
         let of_this: Vec<_> =
             events.iter().filter(|(at_s, _)| (onset_s..onset_s + 6.0).contains(at_s)).collect();
         during += of_this.len();
@@ -76,7 +75,7 @@ fn demo_wearer_2_gets_one_right_event_for_every_gesture() {
     assert_eq!((tally.right_once, tally.wrong, tally.outside), (6, 0, 0));
 }
 
-/// Plays wearers, and compares the result with a lower limit; the measured value is higher (README).
+/// Plays wearers and compares the result with a lower limit. The README contains the measured value, which is higher.
 fn at_least(per_cent: usize, wearers: impl Iterator<Item = (Wearer, u64)>) {
     let blob = bundled();
     let model = Model::parse(&blob).unwrap();
@@ -115,7 +114,8 @@ fn two_hours_of_movement_without_a_gesture_make_few_events() {
     let count = |index| events::play(model, &AnnotatedRecording::aimless(5, index, 600.0)).unwrap().len();
     let events: usize = (1..=12).map(count).sum();
     println!("{events} events in two hours without a gesture");
-    // Simulated wearers handle things all the time; real daily movement makes none (`models daily events`). Twice as many as
-    // when a third of real circles got no answer: README.
+    // Simulated wearers handle objects all the time; real daily movement causes no events (`models daily events`).
+    // The limit is twice the former one, from the time when a third
+    // of the real circles were not recognised (see README).
     assert!(events <= 24, "{events}");
 }

@@ -1,32 +1,34 @@
-//! Where the left hand's calibration is kept: two slots in EEPROM, written in turn, one byte per call.
+//! Stores the left hand's calibration in two EEPROM slots that are written alternately, one byte per call.
 //!
 //! ```text
 //! 0x020 slot 0 (20 bytes)   0x040 slot 1 (20 bytes)   0x060 count of power-ups (4 bytes)
 //! ```
 //!
-//! Address 0 stays empty: a supply that fails during a write damages it, since the address register holds 0 after a
-//! reset.
+//! Address 0 remains unused.
+//! If the supply fails during a write, it can be damaged, because the address register is 0 after a reset.
 //!
-//! A new record goes to the slot that is not in use, so a power cut at any moment leaves the last good
-//! one. What a record looks like, and which slot counts, is `shared_dsp::left::calibration`'s.
+//! A new record goes to the unused slot, so a power cut at any moment preserves the last valid record.
+//! `shared_dsp::left::calibration` defines the records and selects the valid slot.
 
 use shared_dsp::left::calibration::{Calibration, RECORD_BYTES, Record, Stored};
 
 const SLOTS: [u16; 2] = [0x020, 0x040];
 const POWER_UPS: u16 = 0x060;
 
-/// Memory that is written byte by byte and keeps its bytes without power. Never written, it reads 0xFF.
+/// Non-volatile memory that is written byte by byte. Unwritten bytes read 0xFF.
 pub trait Eeprom {
-    /// Whether a byte is still being written.
+    /// Returns whether a write is in progress.
     fn is_busy(&self) -> bool;
-    /// Reads a byte. May wait for a write that is under way.
+    /// Reads a byte. May wait for a write in progress.
     fn read(&self, address: u16) -> u8;
-    /// Starts to write a byte. May wait for a write that is under way.
+    /// Starts to write a byte. May wait for a write in progress.
     fn write(&mut self, address: u16, byte: u8);
 }
 
-/// Makes a number that no other start has: of power-ups, which are counted here, and of `starts` since the last one, this one not
-/// counted, which RAM remembers. A program that fails and restarts for ever must not wear out the EEPROM.
+/// Generates a number that is unique to this start.
+/// It combines a count of power-ups, which is stored here, with `starts`, the number of earlier starts since then,
+/// which is kept in RAM.
+/// A program that restarts for ever therefore does not wear out the EEPROM.
 #[inline(never)]
 pub fn next_boot_id(memory: &mut impl Eeprom, starts: u8) -> u32 {
     let mut bytes = [0; 4];
@@ -34,7 +36,7 @@ pub fn next_boot_id(memory: &mut impl Eeprom, starts: u8) -> u32 {
         *byte = memory.read(POWER_UPS + i as u16);
     }
     let mut power_ups = u32::from_le_bytes(bytes);
-    // Also each time that the count in RAM has wrapped.
+    // The count is also incremented when the count in RAM has wrapped.
     if starts == 0 {
         power_ups = power_ups.wrapping_add(1);
         for (i, (new, old)) in power_ups.to_le_bytes().into_iter().zip(bytes).enumerate() {
@@ -55,14 +57,14 @@ fn read_slot(memory: &impl Eeprom, slot: usize) -> [u8; RECORD_BYTES] {
     bytes
 }
 
-/// How a write of the store goes.
+/// The progress of a write.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Progress {
-    /// No write, or one that is not done yet.
+    /// No write has finished.
     None,
-    /// Written and read back.
+    /// A write has finished and was verified.
     Done,
-    /// Read back differently.
+    /// A write has finished, but the bytes differ.
     Failed,
 }
 
@@ -71,7 +73,7 @@ struct Job {
     slot: usize,
     bytes: [u8; RECORD_BYTES],
     at: usize,
-    /// Erase the other slot afterwards.
+    /// Whether to erase the other slot afterwards.
     then_other: bool,
 }
 
@@ -79,7 +81,7 @@ struct Job {
 #[derive(Clone, Debug)]
 pub struct CalibrationStore<M> {
     memory: M,
-    /// The slot in use, and its generation.
+    /// The active slot and its generation.
     slot: usize,
     generation: u8,
     job: Option<Job>,
@@ -97,13 +99,13 @@ impl<M: Eeprom> CalibrationStore<M> {
         (Self { memory, slot, generation, job: None }, stored)
     }
 
-    /// Begins to keep a calibration.
+    /// Begins to store a calibration.
     pub fn keep(&mut self, calibration: &Calibration) {
         let record = Record { generation: self.generation.wrapping_add(1), calibration: *calibration };
         self.begin(record.to_bytes(), false);
     }
 
-    /// Begins to forget every calibration: the slot not in use first.
+    /// Begins to delete all calibrations, starting with the inactive slot.
     pub fn forget(&mut self) {
         self.begin([0xFF; RECORD_BYTES], true);
     }
@@ -113,12 +115,12 @@ impl<M: Eeprom> CalibrationStore<M> {
         self.job = Some(Job { slot: 1 - self.slot, bytes, at: 0, then_other });
     }
 
-    /// Whether a write is under way.
+    /// Returns whether a write is in progress.
     pub fn is_busy(&self) -> bool {
         self.job.is_some()
     }
 
-    /// Writes one byte at most. Called once per sample.
+    /// Writes at most one byte. Call it once per sample.
     #[inline(never)]
     pub fn poll(&mut self) -> Progress {
         let Some(job) = &mut self.job else { return Progress::None };
@@ -150,7 +152,7 @@ impl<M: Eeprom> CalibrationStore<M> {
         Progress::Done
     }
 
-    /// The memory, for the board's next start.
+    /// Returns the memory, for the board's next start.
     pub fn into_memory(self) -> M {
         self.memory
     }
@@ -229,7 +231,7 @@ mod tests {
     }
 
     proptest! {
-        /// Power may go at any byte of any write: the next start finds the old calibration or the new one.
+        /// Power may fail at any byte of any write. The next start then finds the old or the new calibration.
         #[test]
         fn a_power_cut_costs_the_new_calibration_at_most(cut in 0u32..25, rounds in 0i16..4) {
             let (mut store, _) = CalibrationStore::load(RamEeprom::blank());

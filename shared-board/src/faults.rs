@@ -1,23 +1,23 @@
-//! Faults that a laptop which connects later should still hear of.
+//! Stores faults for laptops that connect later.
 
 use crate::FrameOut;
 use shared_proto::message::{BoardBody, Fault};
 
 const KEPT: usize = 4;
 
-/// The first faults of each kind since start, and the newest: one of each kind, four in all.
+/// The first fault of each kind since start, and the newest one: at most four in total.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct FaultLog {
     kept: [Option<Fault>; KEPT],
 }
 
 impl FaultLog {
-    /// Nothing has gone wrong yet.
+    /// Creates an empty log.
     pub const fn new() -> Self {
         Self { kept: [None; KEPT] }
     }
 
-    /// Keeps a fault and sends it. If there is no room, the newest is replaced.
+    /// Stores and sends a fault. If there is no room, it replaces the newest one.
     pub fn report(&mut self, fault: Fault, out: &mut impl FrameOut) {
         let same = self.kept.iter().position(|f| f.is_some_and(|f| f.kind == fault.kind));
         let free = self.kept.iter().position(Option::is_none);
@@ -25,7 +25,7 @@ impl FaultLog {
         crate::send::<{ Fault::FRAME_MAX }>(&fault, out);
     }
 
-    /// Sends all that is kept.
+    /// Sends all stored faults.
     pub fn repeat(&self, out: &mut impl FrameOut) {
         for fault in self.kept.iter().flatten() {
             crate::send::<{ Fault::FRAME_MAX }>(fault, out);

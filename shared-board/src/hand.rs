@@ -1,4 +1,4 @@
-//! What names the gestures of a right board: the network behind an IMU, or anything else that gives the same output.
+//! The source of a right board's gestures: a network with an IMU, or anything with the same output.
 
 use core::marker::PhantomData;
 
@@ -6,31 +6,31 @@ use shared_dsp::right::network::{self, MAX_AXES};
 use shared_dsp::right::{RightHand, RightOutput};
 use shared_proto::message::{ModelInfo, Text};
 
-/// Samples in, gestures out.
+/// Converts samples to gestures.
 pub trait Hand {
-    /// One sample.
+    /// The type of a sample.
     type Sample;
 
-    /// Takes the sample of `time_ms`; true once per hop, when [`Hand::output`] is new.
+    /// Adds the sample of `time_ms`. Returns true once per hop, when [`Hand::output`] is new.
     fn push(&mut self, sample: &Self::Sample, time_ms: u32) -> bool;
 
-    /// Samples are missing here: the window starts over. Events and their counter stay.
+    /// Reports missing samples: the window starts again, and events and their counter remain.
     fn gap(&mut self);
 
-    /// The state at the last hop.
+    /// Returns the state at the last hop.
     fn output(&self) -> &RightOutput;
 
-    /// What the model needs and names.
+    /// Returns the requirements and labels of the model.
     fn model(&self) -> ModelInfo<'_>;
 
-    /// Physical value of one count (m/s², deg/s, µT); `None` for a hand whose samples cannot be recorded.
+    /// Returns the physical value of one count (m/s², deg/s, µT), or `None` if samples cannot be recorded.
     fn scale(&self) -> Option<[f32; 3]>;
 
-    /// Writes a sample in counts (accelerometer, gyroscope, magnetometer) and returns how many values it has.
+    /// Writes a sample in counts (accelerometer, gyroscope, magnetometer) and returns the number of values.
     fn counts(&self, sample: &Self::Sample, counts: &mut [i16; MAX_AXES]) -> usize;
 }
 
-/// What the wire says of a model.
+/// Converts a model's description to its wire message.
 pub fn model_info_on_the_wire<'a>(info: &network::ModelHeader<'a>) -> ModelInfo<'a> {
     ModelInfo {
         model_id: info.model_id,
@@ -42,16 +42,16 @@ pub fn model_info_on_the_wire<'a>(info: &network::ModelHeader<'a>) -> ModelInfo<
     }
 }
 
-/// The units in which a hand's samples come.
+/// The unit of a hand's samples.
 pub trait Reading: Copy {
-    /// In m/s², deg/s or µT, where a count is `scale` of them.
+    /// Converts to m/s², deg/s or µT, where one count is `scale`.
     fn value(self, scale: f32) -> f32;
 
-    /// In counts of `scale`.
+    /// Converts to counts of `scale`.
     fn count(self, scale: f32) -> i16;
 }
 
-/// As the sensor's counts.
+/// Counts of the sensor.
 impl Reading for i16 {
     fn value(self, scale: f32) -> f32 {
         f32::from(self) * scale
@@ -62,24 +62,24 @@ impl Reading for i16 {
     }
 }
 
-/// In m/s², deg/s and µT, as recordings hold them.
+/// Values in m/s², deg/s and µT, as in recordings.
 impl Reading for f32 {
     fn value(self, _: f32) -> f32 {
         self
     }
 
-    /// Rounds to the nearest count, within 16 bits; NaN becomes 0.
+    /// Rounds to the nearest count within 16 bits. NaN becomes 0.
     fn count(self, scale: f32) -> i16 {
         let exact = self / scale;
-        // The cast saturates at the limits, and truncates towards zero.
+        // The cast saturates at the limits and truncates towards zero.
         (exact + if exact < 0.0 { -0.5 } else { 0.5 }) as i16
     }
 }
 
-/// A hand whose samples come as the sensor's counts.
+/// A hand whose samples are counts of the sensor.
 pub type CountHand<'m, const A: usize> = SampledHand<'m, i16, A>;
 
-/// A hand whose samples come in m/s², deg/s and µT.
+/// A hand whose samples are in m/s², deg/s and µT.
 pub type ValueHand<'m, const A: usize> = SampledHand<'m, f32, A>;
 
 /// A hand that runs a model on samples of `A` readings.
@@ -91,7 +91,7 @@ pub struct SampledHand<'m, R, const A: usize> {
 }
 
 impl<'m, R: Reading, const A: usize> SampledHand<'m, R, A> {
-    /// `scale` is the physical value of one count, of the samples or in record mode: m/s², deg/s, µT.
+    /// `scale` is the physical value of one count in m/s², deg/s and µT, for the samples or for record mode.
     pub fn new(hand: RightHand<'m, A>, scale: [f32; 3]) -> Self {
         Self { hand, scale, readings: PhantomData }
     }

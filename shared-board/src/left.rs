@@ -1,4 +1,4 @@
-//! The left board: samples to states, requests to acknowledgements, one status per second.
+//! The left board: converts samples to states, answers requests, and sends a status each second.
 
 use crate::calibration_store::{CalibrationStore, Eeprom, Progress};
 use crate::{FrameOut, Identity, STATUS_INTERVAL_MS};
@@ -11,35 +11,35 @@ use shared_proto::message::{
     Status, TiltThresholds,
 };
 
-/// A state goes out with every second sample: 50 Hz.
+/// A state is sent with every second sample: 50 Hz.
 const SAMPLES_PER_STATE: u8 = 2;
 
-/// Who asked for the calibration step or the write that is under way.
+/// The origin of the current calibration step or write.
 #[derive(Clone, Copy, Debug)]
 enum Asker {
     Nobody,
-    /// The laptop, with its request number.
+    /// The laptop requested the step; the value is the number of its request.
     Host(u16),
-    /// The pin at power-on.
+    /// The calibration pin at power-on.
     Pin {
         guided: Guided,
-        /// The calibration to go back to.
+        /// The calibration to restore after a failure.
         before: Option<Calibration>,
     },
 }
 
-/// How a board starts.
+/// The circumstances of a start.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Start {
-    /// What ended the previous run: a watchdog, a panic.
+    /// The reason why the previous run ended, such as a watchdog or a panic.
     pub fault: Option<FaultKind>,
-    /// Calibrate now, guided by the light, without a laptop.
+    /// Whether to calibrate now, guided by the light, without a laptop.
     pub guided: bool,
 }
 
-/// The left board behind its registers. `M` keeps the calibration.
+/// The left board without its registers. `M` is the memory for the calibration.
 ///
-/// The time of all calls is the beginning of the present sampling period on the board's clock.
+/// All times are the beginning of the current sampling period on the board's clock.
 #[derive(Clone, Debug)]
 pub struct LeftBoard<M> {
     identity: Identity,
@@ -52,7 +52,7 @@ pub struct LeftBoard<M> {
     last_status_ms: u32,
     samples_until_state: u8,
     sampled_in_period: bool,
-    /// A change that found no room on the line.
+    /// A change could not be sent because the line had no room.
     owed: bool,
     hello_owed: bool,
     fault_owed: Option<FaultKind>,
@@ -60,7 +60,7 @@ pub struct LeftBoard<M> {
 }
 
 impl<M: Eeprom> LeftBoard<M> {
-    /// Loads the calibration and ends whatever half frame an earlier run left on the line.
+    /// Loads the calibration, and terminates any partial frame of an earlier run.
     pub fn start(identity: Identity, memory: M, start: Start, out: &mut impl FrameOut) -> Self {
         let (store, stored) = CalibrationStore::load(memory);
         let calibration = match stored {
@@ -91,19 +91,19 @@ impl<M: Eeprom> LeftBoard<M> {
         }
     }
 
-    /// Takes the sample of this period.
+    /// Processes the sample of this period.
     #[inline(never)]
     pub fn sample(&mut self, counts: AdcCounts, now_ms: u32, out: &mut impl FrameOut) {
         self.sampled_in_period = true;
         if self.mode == Mode::Record {
-            // A sample that finds no room is missing: the laptop sees that by the times.
+            // If there is no room, the sample is lost, and the laptop detects this from the times.
             send(&RawAdc { board_time_ms: now_ms, counts: counts.as_array() }, out);
         }
         let output = self.hand.step(counts, now_ms);
         self.on_output(output, now_ms, out);
     }
 
-    /// A new period began; its sample follows. Returns whether [`LeftBoard::status`] is due.
+    /// Begins a new period, whose sample follows. Returns whether [`LeftBoard::status`] is due.
     #[inline(never)]
     pub fn period(&mut self, now_ms: u32, out: &mut impl FrameOut) -> bool {
         if !self.sampled_in_period {
@@ -126,8 +126,8 @@ impl<M: Eeprom> LeftBoard<M> {
         due
     }
 
-    /// Sends what the drivers have counted (in `bad_frames`: bytes that came too fast), with the board's own part:
-    /// time, damaged frames and mode.
+    /// Sends the counters of the drivers together with the board's time, damaged frames and mode.
+    /// The drivers' `bad_frames` are bytes that arrived too fast.
     #[inline]
     pub fn status(&self, mut counted: Status, now_ms: u32, out: &mut impl FrameOut) {
         counted.uptime_ms = now_ms;
@@ -136,7 +136,7 @@ impl<M: Eeprom> LeftBoard<M> {
         send(&counted, out);
     }
 
-    /// Takes a byte from the laptop; what answers it goes out at once, a hello with the next period.
+    /// Processes a byte from the laptop. Answers are sent immediately, and a hello in the next period.
     #[inline(never)]
     pub fn receive(&mut self, byte: u8, now_ms: u32, out: &mut impl FrameOut) {
         let Some(message) = self.decoder.push_left_request(byte) else { return };
@@ -162,17 +162,17 @@ impl<M: Eeprom> LeftBoard<M> {
         acknowledge(request, result, out);
     }
 
-    /// Whether the light is on. It guides the calibration without a laptop, and is off otherwise.
+    /// Returns whether the light is on. It guides the calibration without a laptop and is otherwise off.
     pub fn light(&self) -> bool {
         self.light
     }
 
-    /// The calibration in use.
+    /// The active calibration.
     pub fn calibration(&self) -> &Calibration {
         self.hand.calibration()
     }
 
-    /// The memory, for the board's next start.
+    /// Returns the memory, for the board's next start.
     pub fn into_memory(self) -> M {
         self.store.into_memory()
     }
@@ -204,7 +204,7 @@ impl<M: Eeprom> LeftBoard<M> {
         }
     }
 
-    /// Moves calibration along: steps that ended, bytes to write, the guide's light.
+    /// Advances the calibration: completed steps, bytes to write, and the light.
     #[inline(never)]
     fn calibrate(&mut self, now_ms: u32, out: &mut impl FrameOut) {
         let ended = self.hand.take_captured();
@@ -280,7 +280,7 @@ fn acknowledge(request: u16, result: AckResult, out: &mut impl FrameOut) {
     send(&Ack { request, result, next_offset: 0 }, out);
 }
 
-/// One buffer size for all messages: the left board has no room for the code of several.
+/// All messages share one buffer size, because the left board has no room for several versions of this code.
 fn send(body: &impl BoardBody, out: &mut impl FrameOut) -> bool {
     crate::send::<LEFT_BOARD_FRAME_MAX>(body, out)
 }

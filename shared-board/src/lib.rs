@@ -1,4 +1,4 @@
-//! What a board does, without its pins: samples, bytes and time in; frames, memory operations and light out.
+//! The logic of the boards without their pins: samples, bytes and time in; frames, memory operations and light out.
 //!
 //! ```text
 //!  samples ─▶ ┌───────────────────────┐ ─▶ frames
@@ -10,15 +10,15 @@
 //! ```
 //!
 //! * [`left::LeftBoard`]: tilt and bends, calibration kept in EEPROM, thresholds.
-//! * [`right::RightBoard`]: gestures, record mode, what a model needs.
-//! * [`vibration::Vibration`]: what a motor at the right board says.
+//! * [`right::RightBoard`]: gestures, record mode, requirements of the model.
+//! * [`vibration::Vibration`]: patterns of the motor at the right board.
 //! * [`models::ModelStore`]: receives a model over the wire into one of two slots of NOR flash.
 //!
-//! The firmware of both boards, replayed recordings, keyboard hands and the doubles of the tests all run this
-//! code. They differ in where samples come from and where frames go, and in nothing else.
+//! The firmware of both boards, replayed recordings, keyboard hands and the test doubles all run this code.
+//! They differ only in the source of samples and the destination of frames.
 //!
-//! Nothing here waits, looks at a clock or knows a register. Time is the board's own clock in milliseconds since
-//! start, which wraps after 49 days.
+//! This code never waits, reads a clock or accesses a register.
+//! Time is the board's own clock in milliseconds since start, which wraps after 49 days.
 //!
 //! # A left board in ten lines
 //! ```
@@ -67,11 +67,11 @@ pub mod vibration;
 use shared_proto::frame::encode_body;
 use shared_proto::message::{Board, BoardBody, Hello, PROTOCOL_MAJOR, PROTOCOL_MINOR, Text};
 
-/// Where frames go: a serial line, a radio, a vector of bytes.
+/// A destination of frames, such as a serial line, a radio or a vector of bytes.
 ///
-/// Every `FnMut(&[u8]) -> bool` is one.
+/// Every `FnMut(&[u8]) -> bool` implements this trait.
 pub trait FrameOut {
-    /// Takes a frame whole or not at all; false if there is no room for it now.
+    /// Accepts a complete frame, or returns false if there is no room.
     fn send(&mut self, frame: &[u8]) -> bool;
 }
 
@@ -81,21 +81,21 @@ impl<F: FnMut(&[u8]) -> bool> FrameOut for F {
     }
 }
 
-/// How a board introduces itself.
+/// The identity of a board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Identity {
-    /// Which board it is, and so for which hand.
+    /// The kind of board, which also determines its hand.
     pub board: Board,
-    /// Version of the program that runs the board's code, such as `0.1.0`.
+    /// Version of the program, such as `0.1.0`.
     pub firmware: &'static str,
-    /// Different after each start.
+    /// A number that differs after each start.
     pub boot_id: u32,
     /// Samples per second.
     pub sample_hz: u16,
 }
 
 impl Identity {
-    /// The hello of this board; `model_id` is 0 if no model runs.
+    /// Creates the hello of this board. `model_id` is 0 if no model runs.
     fn hello(&self, model_id: u32) -> Hello<'static> {
         Hello {
             major: PROTOCOL_MAJOR,
@@ -112,7 +112,7 @@ impl Identity {
 /// Time between two statuses.
 pub const STATUS_INTERVAL_MS: u32 = 1000;
 
-/// Encodes a message into a buffer of `N` bytes, its [`BoardBody::FRAME_MAX`] or more, and hands it over.
+/// Encodes a message into a buffer of `N` bytes, which must be at least its [`BoardBody::FRAME_MAX`], and sends it.
 fn send<const N: usize>(body: &impl BoardBody, out: &mut impl FrameOut) -> bool {
     let mut buffer = [0; N];
     match encode_body(body, &mut buffer) {

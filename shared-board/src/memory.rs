@@ -1,4 +1,4 @@
-//! A board's memories on a laptop: EEPROM and NOR flash that lose power where a test wants them to.
+//! Simulated EEPROM and NOR flash for tests on a laptop, including power cuts.
 
 use crate::calibration_store::{CalibrationStore, Eeprom, Progress};
 use crate::models::MappedFlash;
@@ -11,11 +11,10 @@ use shared_dsp::left::calibration::Calibration;
 use std::vec;
 use std::vec::Vec;
 
-/// The outcome of a future that never waits, such as what a [`ModelStore`](crate::models::ModelStore) does with a
-/// [`RamFlash`].
+/// Runs a future that never waits, such as a [`ModelStore`](crate::models::ModelStore) with a [`RamFlash`].
 ///
 /// # Panics
-/// If it waits.
+/// Panics if the future waits.
 pub fn at_once<F: Future>(future: F) -> F::Output {
     match pin!(future).poll(&mut Context::from_waker(Waker::noop())) {
         Poll::Ready(outcome) => outcome,
@@ -27,22 +26,22 @@ pub fn at_once<F: Future>(future: F) -> F::Output {
 #[derive(Clone, Debug)]
 pub struct RamEeprom {
     bytes: [u8; 128],
-    /// Bytes written so far.
+    /// Number of bytes written.
     pub writes: u32,
-    /// Bytes that it still keeps; what is written later is lost, as after a power cut.
+    /// Number of bytes that are still stored. Later writes are lost, as after a power cut.
     pub writes_left: u32,
-    /// For how many questions after a write it answers that it is busy.
+    /// Number of calls to `is_busy` after a write that return true.
     pub busy_for: u32,
     busy: Cell<u32>,
 }
 
 impl RamEeprom {
-    /// Never written.
+    /// An EEPROM that was never written.
     pub fn blank() -> Self {
         Self { bytes: [0xFF; 128], writes: 0, writes_left: u32::MAX, busy_for: 0, busy: Cell::new(0) }
     }
 
-    /// As a board leaves it that has kept this calibration.
+    /// An EEPROM in which a board has stored this calibration.
     pub fn with(calibration: &Calibration) -> Self {
         let (mut store, _) = CalibrationStore::load(Self::blank());
         store.keep(calibration);
@@ -50,7 +49,7 @@ impl RamEeprom {
         store.into_memory()
     }
 
-    /// A byte, to be damaged.
+    /// Returns a byte, so that a test can damage it.
     pub fn byte_mut(&mut self, address: usize) -> &mut u8 {
         &mut self.bytes[address]
     }
@@ -80,30 +79,31 @@ impl Eeprom for RamEeprom {
     }
 }
 
-/// NOR flash in RAM: writing clears bits, erasing sets a page of them.
+/// NOR flash in RAM: writing clears bits, and erasing sets all bits of a page.
 #[derive(Clone, Debug)]
 pub struct RamFlash {
     bytes: Vec<u8>,
-    /// Words and pages done so far.
+    /// Number of words and pages processed.
     pub operations: u32,
-    /// Words and pages until the power goes: in the middle of that one, at any bit. Nothing is done afterwards.
+    /// Number of operations until a power cut, which interrupts the last one at any bit.
+    /// Later operations have no effect.
     pub cut_after: Option<u32>,
-    /// Decides which bits a torn operation has reached.
+    /// Selects the bits that an interrupted operation has changed.
     pub torn: u32,
 }
 
 impl RamFlash {
-    /// Erased.
+    /// Erased flash.
     pub fn blank() -> Self {
         Self { bytes: vec![0xFF; STORE_BYTES], operations: 0, cut_after: None, torn: 1 }
     }
 
-    /// Power again.
+    /// Restores the power.
     pub fn power_up(&mut self) {
         self.cut_after = None;
     }
 
-    /// A byte, to be damaged.
+    /// Returns a byte, so that a test can damage it.
     pub fn byte_mut(&mut self, offset: usize) -> &mut u8 {
         &mut self.bytes[offset]
     }
@@ -113,7 +113,7 @@ impl RamFlash {
         (self.torn >> 24) as u8
     }
 
-    /// Sets bytes to `new`, whole or (at the power cut) in some bits only.
+    /// Sets bytes to `new`, or only some of their bits at a power cut.
     fn operate(&mut self, offset: usize, new: &[u8]) -> Result<(), NorFlashErrorKind> {
         let is_cut = match &mut self.cut_after {
             Some(0) => return Err(NorFlashErrorKind::Other),
@@ -173,7 +173,7 @@ impl NorFlash for RamFlash {
             return Err(NorFlashErrorKind::NotAligned);
         }
         let old = self.bytes.get(start..start + bytes.len()).ok_or(NorFlashErrorKind::OutOfBounds)?;
-        // Only an erased page accepts any bytes; a real memory would mix old and new ones, and nobody would notice.
+        // Only an erased page accepts any bytes. Real flash would silently mix old and new bytes.
         assert!(old.iter().zip(bytes).all(|(old, new)| old & new == *new), "written without being erased");
         bytes.chunks(4).enumerate().try_for_each(|(i, word)| self.operate(start + 4 * i, word))
     }

@@ -1,12 +1,12 @@
-//! A model on its way from the laptop to flash.
+//! Receives a model from the laptop and stores it in flash.
 //!
 //! ```text
 //! Begin -> Started ... Ok(0) -> Chunk -> Ok(next) ... Chunk -> Ok(size) -> Commit -> Ok
 //! ```
 //!
-//! A piece at another offset than the wanted one is refused with the wanted one, so a laptop whose
-//! acknowledgement was lost goes on from there. A new `Begin` starts over. The model that runs is never
-//! overwritten: a transfer goes to the other slot, and nothing that breaks touches the model that runs.
+//! A piece at an unexpected offset is refused, and the answer contains the expected one.
+//! A laptop that missed an acknowledgement continues from there. A new `Begin` starts again.
+//! A transfer always uses the inactive slot, so no failure can damage the running model.
 
 use crate::slots::{BLOB_MAX, Content, HEADER_BYTES, MAGIC, SLOT_BYTES, Slot, is_newer, look};
 use crate::{FrameOut, send};
@@ -16,40 +16,40 @@ use shared_dsp::right::kind::FeatureKind;
 use shared_dsp::right::network::{Model, crc32};
 use shared_proto::message::{Ack, AckResult, BoardBody, MODEL_CHUNK_MAX, ModelBegin, ModelInfo};
 
-/// NOR flash that can also be read like memory, as that of a microcontroller.
+/// NOR flash that can also be read like memory, as in a microcontroller.
 ///
-/// Its first [`STORE_BYTES`](crate::slots::STORE_BYTES) are the store's. One write is a multiple of four bytes, at
-/// an address that is one, from memory that is aligned to four.
+/// The store uses the first [`STORE_BYTES`](crate::slots::STORE_BYTES).
+/// A write has a multiple of four bytes, and its address and its source are aligned to four.
 pub trait MappedFlash: NorFlash {
-    /// All of its bytes.
+    /// Returns all bytes of the flash.
     fn mapped(&self) -> &[u8];
 }
 
 /// A message about models.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum ModelRequest<'r> {
-    /// A model is announced.
+    /// Announces a model.
     Begin(ModelBegin<'r>),
-    /// A piece of it.
+    /// Contains a piece of the model.
     Chunk {
-        /// Echoed in the answer.
+        /// Repeated in the answer.
         request: u16,
-        /// Where the data belongs, in bytes.
+        /// Offset of the data in bytes.
         offset: u32,
         /// The piece.
         data: &'r [u8],
     },
-    /// All pieces are there: check and keep it.
+    /// All pieces were sent: verify and store the model.
     Commit {
-        /// Echoed in the answer.
+        /// Repeated in the answer.
         request: u16,
-        /// CRC-32 of the whole blob.
+        /// CRC-32 of the complete blob.
         crc32: u32,
     },
 }
 
 impl ModelRequest<'_> {
-    /// Answers for a board that stores no models.
+    /// Answers on behalf of a board that stores no models.
     pub fn refuse(&self, out: &mut impl FrameOut) {
         let (Self::Begin(ModelBegin { request, .. })
         | Self::Chunk { request, .. }
@@ -58,17 +58,17 @@ impl ModelRequest<'_> {
     }
 }
 
-/// What an image can run.
+/// The models that an image can run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Runs {
-    /// Values per sample of its sensor. A model may read fewer.
+    /// Values per sample of the sensor. A model may read fewer.
     pub axes: u8,
     /// Samples per second.
     pub sample_hz: u16,
 }
 
 impl Runs {
-    /// Whether a model that needs this can run.
+    /// Returns whether a model with these requirements can run.
     pub fn takes(self, needs: &ModelInfo<'_>) -> bool {
         FeatureKind::from_id(needs.recipe)
             .is_some_and(|recipe| recipe.runs_on(usize::from(needs.axes), usize::from(self.axes)))
@@ -76,7 +76,7 @@ impl Runs {
             && usize::from(needs.window) == WINDOW
     }
 
-    /// Whether this blob is a model that can run.
+    /// Returns whether this blob is a model that can run.
     pub fn takes_blob(self, blob: &[u8]) -> bool {
         Model::parse(blob).is_ok_and(|model| {
             let info = model.info();
@@ -88,25 +88,25 @@ impl Runs {
 /// A stored model that can run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct StoredModel {
-    /// Where it is.
+    /// The slot of the model.
     pub slot: Slot,
-    /// Bytes of its blob.
+    /// Length of the blob in bytes.
     pub len: usize,
 }
 
 impl StoredModel {
-    /// Where the blob begins, in bytes from the beginning of the store.
+    /// Returns the offset of the blob in the store, in bytes.
     pub const fn offset(self) -> usize {
         self.slot.offset() + HEADER_BYTES
     }
 }
 
-/// What was found at start.
+/// The contents of the store at start.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Found {
-    /// The newest intact model that this image can run.
+    /// The newest valid model that this image can run.
     pub model: Option<StoredModel>,
-    /// A slot holds something damaged, or a model that this image cannot run.
+    /// Whether a slot contains damaged data, or a model that this image cannot run.
     pub damaged: bool,
 }
 
@@ -118,7 +118,7 @@ struct Transfer {
     next: u32,
 }
 
-/// Receives one model at a time into the slot that is not in use.
+/// Receives one model at a time into the inactive slot.
 #[derive(Clone, Debug)]
 pub struct ModelStore<F> {
     flash: F,
@@ -128,7 +128,7 @@ pub struct ModelStore<F> {
 }
 
 impl<F: MappedFlash> ModelStore<F> {
-    /// Looks for the model to run. Whoever starts the board runs it; without one, the compiled-in model.
+    /// Searches for the model to run. The caller runs it, or the compiled-in model if there is none.
     pub fn open(flash: F, runs: Runs) -> (Self, Found) {
         let mut found = Found { model: None, damaged: false };
         let mut newest = 0;
@@ -147,23 +147,23 @@ impl<F: MappedFlash> ModelStore<F> {
         (Self { flash, runs, running: found.model.map(|place| place.slot), transfer: None }, found)
     }
 
-    /// The driver has found out how many axes the sensor has: models that come from now on must run on it.
+    /// Sets the number of axes that the driver has detected. Models received later must run with them.
     pub fn set_axes(&mut self, axes: u8) {
         self.runs.axes = axes;
     }
 
-    /// The flash.
+    /// Returns the flash.
     pub fn flash(&self) -> &F {
         &self.flash
     }
 
-    /// The flash, for the board's next start.
+    /// Returns the flash, for the board's next start.
     pub fn into_flash(self) -> F {
         self.flash
     }
 
-    /// Does what is asked and answers it. Each page that is erased is followed by `pause`, in which a board
-    /// fetches the samples that its sensor kept meanwhile.
+    /// Executes a request and answers it.
+    /// After each erased page it calls `pause`, in which a board reads the samples that its sensor has buffered.
     pub async fn answer(
         &mut self,
         request: &ModelRequest<'_>,
@@ -178,7 +178,7 @@ impl<F: MappedFlash> ModelStore<F> {
         acknowledge(request, result, self.transfer.map_or(0, |t| t.next), out);
     }
 
-    /// Refuses a model that this image cannot run, else makes room.
+    /// Refuses a model that this image cannot run, or erases its slot.
     async fn begin(
         &mut self,
         begin: &ModelBegin<'_>,
@@ -214,14 +214,14 @@ impl<F: MappedFlash> ModelStore<F> {
         if data.is_empty() || end > u64::from(transfer.size) || (!data.len().is_multiple_of(4) && !is_last) {
             return AckResult::OutOfRange;
         }
-        // A last piece is filled up with ones, which write nothing.
+        // The last piece is padded with ones, which have no effect in flash.
         let mut aligned = Aligned([0xFF; MODEL_CHUNK_MAX]);
         let Some(place) = aligned.0.get_mut(..data.len()) else { return AckResult::OutOfRange };
         place.copy_from_slice(data);
         let words = &aligned.0[..data.len().next_multiple_of(4)];
         let at = transfer.slot.offset() + HEADER_BYTES + offset as usize;
         if self.flash.write(at as u32, words).await.is_err() {
-            // Flash cannot be written twice: start over.
+            // Flash cannot be written twice, so the transfer must start again.
             self.transfer = None;
             return AckResult::StorageFailed;
         }
@@ -229,7 +229,7 @@ impl<F: MappedFlash> ModelStore<F> {
         AckResult::Ok
     }
 
-    /// Keeps the model if it is whole, is the announced one and can run.
+    /// Stores the model if it is complete, equals the announced one and can run.
     async fn commit(&mut self, crc: u32) -> AckResult {
         let Some(transfer) = self.transfer.filter(|t| t.next == t.size) else {
             return AckResult::WrongOffset;
@@ -249,7 +249,7 @@ impl<F: MappedFlash> ModelStore<F> {
         result
     }
 
-    /// Makes the written blob valid: from the next start on it is used.
+    /// Makes the written blob valid, so that the next start uses it.
     async fn validate(&mut self, transfer: &Transfer, crc: u32) -> Result<(), ()> {
         let mut newest = None;
         for slot in Slot::ALL {
@@ -264,7 +264,7 @@ impl<F: MappedFlash> ModelStore<F> {
         for (place, word) in words.0.chunks_exact_mut(4).zip([MAGIC, transfer.size, crc, sequence]) {
             place.copy_from_slice(&word.to_le_bytes());
         }
-        // The magic number last: without it the slot counts as empty.
+        // The magic number is written last, because without it the slot counts as empty.
         let at = transfer.slot.offset() as u32;
         self.flash.write(at + 4, &words.0[4..]).await.map_err(drop)?;
         self.flash.write(at, &words.0[..4]).await.map_err(drop)?;
@@ -274,12 +274,12 @@ impl<F: MappedFlash> ModelStore<F> {
         }
     }
 
-    /// The slot that a transfer goes to.
+    /// Returns the slot for a transfer.
     fn target(&self) -> Slot {
         if let Some(running) = self.running {
             return running.other();
         }
-        // The compiled-in model runs: keep the newer one, whatever it is.
+        // If the compiled-in model runs, the newer of the stored models is preserved.
         let [a, b] = Slot::ALL.map(|slot| look(self.flash.mapped(), slot));
         match (a, b) {
             (Content::Blob { sequence: a, .. }, Content::Blob { sequence: b, .. }) if is_newer(a, b) => {
@@ -292,7 +292,7 @@ impl<F: MappedFlash> ModelStore<F> {
     }
 }
 
-/// Flash controllers take whole words.
+/// A buffer aligned for flash controllers, which accept only complete words.
 #[repr(align(4))]
 struct Aligned<const N: usize>([u8; N]);
 

@@ -1,4 +1,4 @@
-//! The right board: samples to gestures or to raw batches, by mode; requests to answers.
+//! The right board: converts samples to gestures or raw batches, and answers requests.
 
 use crate::faults::FaultLog;
 use crate::hand::Hand;
@@ -13,22 +13,22 @@ use shared_proto::message::{
     Pong, RAW_COUNTS_MAX, RawImu, RightState, SCORES_MAX, Status, health,
 };
 
-/// Without a sample for this long [`RightBoard::silence`] is due, and again after each further period. Longer than
-/// erasing a page of flash, in which samples wait in the sensor.
+/// After this long without a sample, [`RightBoard::silence`] is due, and again after each further period.
+/// This time is longer than erasing a page of flash, during which samples wait in the sensor.
 pub const SILENCE_MS: u32 = 120;
 
-/// What the board's light says.
+/// The state that the board's light shows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Light {
-    /// Red: the sensor does not deliver.
+    /// Red: the sensor delivers no samples.
     SensorGone,
     /// Blue: raw samples are recorded.
     Recording,
-    /// Green: gestures are named, or the board idles.
+    /// Green: gestures are recognised, or the board is idle.
     Well,
 }
 
-/// The right board behind its registers. `H` names the gestures.
+/// The right board without its registers. `H` recognises the gestures.
 #[derive(Clone, Debug)]
 pub struct RightBoard<H> {
     identity: Identity,
@@ -38,17 +38,17 @@ pub struct RightBoard<H> {
     board_time_ms: u32,
     sensor_ok: bool,
     about: Option<About>,
-    /// As all links were told it with a status.
+    /// The last description that was sent to all links.
     told: Option<About>,
     vibration: Vibration,
-    /// It has said who it is since it started.
+    /// Whether a hello was sent since start.
     greeted: bool,
     raw: RawBatch,
     faults: FaultLog,
 }
 
 impl<H: Hand> RightBoard<H> {
-    /// A board that starts now. Its sensor has not delivered yet.
+    /// Creates a board that starts now, whose sensor has not delivered any samples.
     pub fn new(identity: Identity, hand: H) -> Self {
         Self {
             identity,
@@ -66,9 +66,10 @@ impl<H: Hand> RightBoard<H> {
         }
     }
 
-    /// Takes sample `number` since start with its time; returns whether [`RightBoard::send_due`] has something.
+    /// Processes sample `number` since start with its time.
+    /// Returns whether [`RightBoard::send_due`] has something to send.
     ///
-    /// In two calls, since this one is all arithmetic and the other one is all wire.
+    /// There are two functions because this one only computes and the other one only sends.
     #[inline]
     pub fn sample(&mut self, sample: &H::Sample, time_ms: u32, number: u32) -> bool {
         match self.mode {
@@ -77,12 +78,12 @@ impl<H: Hand> RightBoard<H> {
                 if self.model_can_run() {
                     return self.hand.push(sample, time_ms);
                 }
-                // The laptop is told why no gesture is named, as often as it would be told a gesture.
+                // The laptop receives the reason why no gesture is recognised, at the usual rate of states.
                 self.hand.gap();
                 number.is_multiple_of(HOP as u32)
             }
             mode => {
-                // Samples that the window did not see count as a gap.
+                // Samples that did not enter the window count as a gap.
                 self.hand.gap();
                 let mut counts = [0; MAX_AXES];
                 mode == Mode::Record && {
@@ -93,8 +94,7 @@ impl<H: Hand> RightBoard<H> {
         }
     }
 
-    /// Sends the state or the batch of samples that the last [`RightBoard::sample`] completed; before the first
-    /// one, a hello.
+    /// Sends the state or the batch that the last [`RightBoard::sample`] completed. The first call also sends a hello.
     pub fn send_due(&mut self, out: &mut impl FrameOut) {
         self.greet(out);
         match self.mode {
@@ -104,13 +104,13 @@ impl<H: Hand> RightBoard<H> {
         }
     }
 
-    /// Samples are missing here.
+    /// Reports missing samples.
     pub fn gap(&mut self) {
         self.hand.gap();
         self.raw.clear();
     }
 
-    /// No sample came for [`SILENCE_MS`]: the window is emptied and the laptop hears of it.
+    /// Reports that no sample arrived for [`SILENCE_MS`]. It empties the window and informs the laptop.
     pub fn silence(&mut self, out: &mut impl FrameOut) {
         self.gap();
         self.greet(out);
@@ -119,23 +119,23 @@ impl<H: Hand> RightBoard<H> {
         }
     }
 
-    /// Whether the sensor delivers.
+    /// Sets whether the sensor delivers samples.
     pub fn set_sensor_ok(&mut self, ok: bool) {
         self.sensor_ok = ok;
     }
 
-    /// What the board is made of, as far as its driver knows by now; said after each hello, and with the next status where it
-    /// has changed (its battery).
+    /// Sets the description of the board's hardware, as far as the driver knows it.
+    /// It is sent after each hello, and with the next status after a change (such as the battery).
     pub fn set_about(&mut self, about: About) {
         self.about = Some(about);
     }
 
-    /// Values per sample that mean something, once the sensor is known.
+    /// Number of valid values per sample, once the sensor is known.
     fn axes(&self) -> Option<usize> {
         self.about.map(|about| usize::from(about.axes)).filter(|&axes| axes > 0)
     }
 
-    /// Whether the sensor has all that the model reads.
+    /// Returns whether the sensor provides everything that the model reads.
     pub fn model_can_run(&self) -> bool {
         let model = self.hand.model();
         let runs_on = |axes| {
@@ -144,19 +144,20 @@ impl<H: Hand> RightBoard<H> {
         self.axes().is_none_or(runs_on)
     }
 
-    /// The driver has found out which board this is.
+    /// Sets the kind of board that the driver has detected.
     pub fn set_board(&mut self, board: Board) {
         self.identity.board = board;
     }
 
-    /// Sends a fault, and keeps it for those who connect later.
+    /// Sends a fault, and stores it for laptops that connect later.
     pub fn report(&mut self, kind: FaultKind, detail: u32, now_ms: u32, out: &mut impl FrameOut) {
         self.faults.report(Fault { uptime_ms: now_ms, kind, detail }, out);
     }
 
-    /// Answers a message. One about models is handed back: a [`ModelStore`](crate::models::ModelStore) answers it.
+    /// Answers a message.
+    /// It returns messages about models, which a [`ModelStore`](crate::models::ModelStore) must answer.
     ///
-    /// `trusted` says whether the link may change what the board does and keeps (Bluetooth: bonded).
+    /// `trusted` is whether the link may change settings and stored data (Bluetooth: bonded).
     pub fn receive<'r>(
         &mut self,
         message: &HostMessage<'r>,
@@ -202,8 +203,8 @@ impl<H: Hand> RightBoard<H> {
         None
     }
 
-    /// Sends what the drivers have counted, with the board's own part: time and mode. Due every
-    /// [`STATUS_INTERVAL_MS`](crate::STATUS_INTERVAL_MS).
+    /// Sends the counters of the drivers together with the board's time and mode.
+    /// Call it every [`STATUS_INTERVAL_MS`](crate::STATUS_INTERVAL_MS).
     pub fn status(&mut self, mut counted: Status, now_ms: u32, out: &mut impl FrameOut) {
         counted.uptime_ms = now_ms;
         counted.mode = self.mode;
@@ -214,13 +215,13 @@ impl<H: Hand> RightBoard<H> {
         }
     }
 
-    /// What a vibration motor does now. Ask again when the returned time is over, and after each
-    /// [`HostMessage::Feel`].
+    /// Returns the state of the vibration motor.
+    /// Call it again after the returned time, and after each [`HostMessage::Feel`].
     pub fn motor(&mut self, now_ms: u32) -> Motor {
         self.vibration.motor(now_ms)
     }
 
-    /// What the light says now.
+    /// Returns the state of the light.
     pub fn light(&self) -> Light {
         match (self.sensor_ok, self.mode) {
             (false, _) => Light::SensorGone,
@@ -229,7 +230,7 @@ impl<H: Hand> RightBoard<H> {
         }
     }
 
-    /// A laptop that already listens learns of the start.
+    /// Informs a connected laptop about the start.
     fn greet(&mut self, out: &mut impl FrameOut) {
         if !self.greeted {
             self.greeted = true;
@@ -237,7 +238,7 @@ impl<H: Hand> RightBoard<H> {
         }
     }
 
-    /// Says who this board is and what its model names, and repeats its faults.
+    /// Sends the identity and labels of this board, and repeats its faults.
     fn hello(&self, out: &mut impl FrameOut) {
         let model = self.hand.model();
         send::<{ Hello::FRAME_MAX }>(&self.identity.hello(model.model_id), out);
@@ -288,7 +289,7 @@ impl<H: Hand> RightBoard<H> {
     }
 }
 
-/// Samples on their way out in record mode, a hop at a time.
+/// Samples to be sent in record mode, one hop at a time.
 #[derive(Clone, Copy, Debug)]
 struct RawBatch {
     sequence: u16,
@@ -307,9 +308,9 @@ impl RawBatch {
         self.samples = 0;
     }
 
-    /// Takes a sample; true when the batch is full.
+    /// Adds a sample. Returns true if the batch is full.
     fn push(&mut self, number: u32, counts: &[i16]) -> bool {
-        // A batch has no gaps inside.
+        // A batch must not contain gaps.
         let expected = self.first.wrapping_add(self.samples as u32);
         if self.samples == 0 || self.samples == HOP || number != expected {
             self.samples = 0;

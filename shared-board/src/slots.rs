@@ -1,40 +1,40 @@
-//! Where received models live: two slots of 16 KB in NOR flash.
+//! Layout of received models in flash: two slots of 16 KB in NOR flash.
 //!
 //! ```text
 //! slot + 0   magic, length, CRC-32 of the blob, sequence number (four little-endian words)
 //! slot + 16  the blob
 //! ```
 //!
-//! The words are written last, after the blob has been read back and its CRC has been checked, and the magic
-//! number after the other three. So a transfer that breaks anywhere leaves a slot that counts as empty.
+//! The words are written after the blob was read back and its CRC was checked, and the magic number is written last.
+//! A transfer that is interrupted at any point therefore leaves a slot that counts as empty.
 
 use shared_dsp::right::network::crc32;
 
 /// Bytes per slot.
 pub const SLOT_BYTES: usize = 0x4000;
-/// Bytes of both slots: what a store needs of the flash.
+/// Size of both slots in bytes, which is the flash that a store needs.
 pub const STORE_BYTES: usize = 2 * SLOT_BYTES;
-/// Bytes before the blob.
+/// Number of bytes before the blob.
 pub const HEADER_BYTES: usize = 16;
-/// Longest blob.
+/// Maximum length of a blob.
 pub const BLOB_MAX: usize = SLOT_BYTES - HEADER_BYTES;
-/// First word of a slot that holds a whole blob.
+/// First word of a slot with a complete blob.
 pub(crate) const MAGIC: u32 = u32::from_le_bytes(*b"BMS1");
 
 /// One of the two slots.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Slot {
-    /// The one at the lower address.
+    /// The slot at the lower address.
     A,
-    /// The other.
+    /// The slot at the higher address.
     B,
 }
 
 impl Slot {
-    /// Both.
+    /// Both slots.
     pub const ALL: [Slot; 2] = [Slot::A, Slot::B];
 
-    /// Where it begins, in bytes from the beginning of the store.
+    /// Returns the slot's offset in the store, in bytes.
     pub const fn offset(self) -> usize {
         match self {
             Slot::A => 0,
@@ -42,7 +42,7 @@ impl Slot {
         }
     }
 
-    /// The other one.
+    /// Returns the other slot.
     pub const fn other(self) -> Self {
         match self {
             Slot::A => Slot::B,
@@ -51,23 +51,23 @@ impl Slot {
     }
 }
 
-/// What a slot holds.
+/// The contents of a slot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Content<'f> {
-    /// Nothing, or a transfer that was not finished.
+    /// The slot is empty or contains an incomplete transfer.
     Empty,
-    /// Something that was finished, and is not whole any more.
+    /// A blob that was complete but is now damaged.
     Damaged,
-    /// A whole blob.
+    /// A valid blob.
     Blob {
-        /// Its bytes.
+        /// The bytes of the blob.
         blob: &'f [u8],
-        /// One more than that of the blob before it, wrapping.
+        /// The sequence number, which increases by one with each blob and wraps.
         sequence: u32,
     },
 }
 
-/// Looks into a slot of a store's bytes.
+/// Reads a slot of a store.
 pub(crate) fn look(store: &[u8], slot: Slot) -> Content<'_> {
     let Some(bytes) = store.get(slot.offset()..slot.offset() + SLOT_BYTES) else { return Content::Empty };
     let (header, room) = bytes.split_at(HEADER_BYTES);
@@ -81,9 +81,9 @@ pub(crate) fn look(store: &[u8], slot: Slot) -> Content<'_> {
     }
 }
 
-/// Whether sequence number `a` was given after `b`; both wrap.
+/// Returns whether sequence number `a` is later than `b`; both wrap.
 pub(crate) fn is_newer(a: u32, b: u32) -> bool {
-    // Less than half the range ahead.
+    // A later number is ahead by less than half the range.
     (1..1 << 31).contains(&a.wrapping_sub(b))
 }
 

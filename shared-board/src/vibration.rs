@@ -1,4 +1,4 @@
-//! What a vibration motor at a right hand's board says: four patterns that a wrist tells apart.
+//! Patterns of the vibration motor at the right hand's board, designed to be distinguishable at the wrist.
 //!
 //! | | pulses |
 //! |---|---|
@@ -7,12 +7,13 @@
 //! | stopped | one, long |
 //! | link lost | three, of middle length |
 //!
-//! The laptop asks for the first three. It asks for the last one if the *other* hand is lost; if the laptop itself
-//! falls silent, the board says it.
+//! The laptop requests the first three, and also the last one if the *other* hand is lost.
+//! If the laptop itself is silent, the board plays the last one on its own.
 
 use shared_proto::message::Signal;
 
-/// A laptop that has asked for signals and sends nothing for this long counts as lost. It pings ten times as often.
+/// A laptop that has requested signals and then sends nothing for this long counts as lost.
+/// The laptop normally pings ten times as often.
 pub const LAPTOP_LOST_MS: u32 = 1000;
 
 struct Pattern {
@@ -20,7 +21,7 @@ struct Pattern {
     on_ms: u32,
     off_ms: u32,
     percent: u8,
-    /// A signal that matters less does not cut it short.
+    /// Priority: a less important signal does not interrupt this one.
     weight: u8,
 }
 
@@ -39,7 +40,7 @@ impl Pattern {
         self.pulses * (self.on_ms + self.off_ms) - self.off_ms
     }
 
-    /// Strength at a time after its start, and when that changes.
+    /// Returns the strength at a time after the start, and the time of its next change.
     const fn at(&self, passed_ms: u32) -> (u8, u32) {
         let in_pulse_ms = passed_ms % (self.on_ms + self.off_ms);
         if in_pulse_ms < self.on_ms {
@@ -50,42 +51,42 @@ impl Pattern {
     }
 }
 
-/// What the motor does now.
+/// The current state of the motor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Motor {
-    /// 0 = off, 100 = as strong as possible.
+    /// Strength in per cent: 0 = off, 100 = maximum.
     pub percent: u8,
-    /// Ask again after this long; never, if nothing was ever asked for.
+    /// Time after which to ask again, or `None` if no signal was ever requested.
     pub for_ms: Option<u32>,
 }
 
-/// Signals in, strength out.
+/// Converts signals to the strength of the motor.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Vibration {
-    /// What is played, and since when.
+    /// The current signal and its start time.
     playing: Option<(Signal, u32)>,
-    /// When the laptop, once it has asked for signals, was last heard; `None` = it has not asked, or is lost.
+    /// Time of the laptop's last message, or `None` if it has requested no signals or is disconnected.
     heard_ms: Option<u32>,
-    /// It has asked for signals since the start.
+    /// Whether signals were requested since start.
     wanted: bool,
 }
 
 impl Vibration {
-    /// The laptop has sent something.
+    /// Reports a message from the laptop.
     pub fn heard(&mut self, now_ms: u32) {
         if self.wanted {
             self.heard_ms = Some(now_ms);
         }
     }
 
-    /// The laptop asks for this signal.
+    /// Starts a signal that the laptop requests.
     pub fn feel(&mut self, signal: Signal, now_ms: u32) {
         self.wanted = true;
         self.heard(now_ms);
         self.play(signal, now_ms);
     }
 
-    /// What the motor does now.
+    /// Returns the current state of the motor.
     pub fn motor(&mut self, now_ms: u32) -> Motor {
         if self.heard_ms.is_some_and(|heard| now_ms.wrapping_sub(heard) >= LAPTOP_LOST_MS) {
             self.heard_ms = None;
@@ -100,7 +101,7 @@ impl Vibration {
         Motor { percent, for_ms: Some(lost_in_ms.map_or(for_ms, |lost| lost.min(for_ms))) }
     }
 
-    /// What is played, unless it is over.
+    /// Returns the current pattern unless it has ended.
     fn pattern(&self, now_ms: u32) -> Option<(Pattern, u32)> {
         let (signal, since_ms) = self.playing?;
         let (pattern, passed_ms) = (Pattern::of(signal)?, now_ms.wrapping_sub(since_ms));
@@ -121,13 +122,13 @@ mod tests {
     use std::vec;
     use std::vec::Vec;
 
-    /// Strengths from `from_ms` on with their lengths, as a driver sees them that asks at the board's times, until nothing
-    /// changes for a second or `until_ms`.
+    /// Returns strengths and their durations from `from_ms` on, as a driver obtains them.
+    /// The pattern ends at `until_ms`, or when nothing changes for a second.
     fn played(vibration: &mut Vibration, from_ms: u32, until_ms: u32) -> Vec<(u8, u32)> {
         let mut seen: Vec<(u8, u32)> = Vec::new();
         let mut now_ms = from_ms;
         while now_ms.wrapping_sub(from_ms) < until_ms.wrapping_sub(from_ms) {
-            // The laptop pings.
+            // The laptop sends pings.
             vibration.heard(now_ms);
             let motor = vibration.motor(now_ms);
             let left_ms = until_ms.wrapping_sub(now_ms);
@@ -151,7 +152,7 @@ mod tests {
             (Signal::LinkLost, vec![(100, 250), (0, 150), (100, 250), (0, 150), (100, 250), (0, 950)]),
             (Signal::Unknown(77), vec![(0, 2000)]),
         ] {
-            // Also when the clock wraps.
+            // This is also true when the clock wraps.
             for now_ms in [0, 12_345, u32::MAX - 90] {
                 let mut vibration = Vibration::default();
                 vibration.feel(signal, now_ms);
@@ -186,7 +187,7 @@ mod tests {
         assert_eq!(vibration.motor(6900), Motor { percent: 100, for_ms: Some(250) });
         assert_eq!(vibration.motor(8000), Motor { percent: 0, for_ms: None });
         assert_eq!(vibration.motor(60_000), Motor { percent: 0, for_ms: None });
-        // It comes back and goes again.
+        // The laptop returns and is lost again.
         vibration.heard(70_000);
         assert_eq!(vibration.motor(70_999), Motor { percent: 0, for_ms: Some(1) });
         assert_eq!(vibration.motor(71_000).percent, 100);

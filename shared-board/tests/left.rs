@@ -1,4 +1,4 @@
-//! What a laptop may expect of a left board.
+//! Checks the behaviour of a left board towards the laptop.
 
 mod common;
 
@@ -15,14 +15,14 @@ use shared_proto::message::{
     Status, TiltThresholds, health,
 };
 
-/// x, y, z, index, middle in 10-bit conversions: level with straight fingers, as the default calibration expects.
+/// x, y, z, index, middle in 10-bit conversions: level with straight fingers, according to the default calibration.
 const LEVEL: [u16; 5] = [512, 512, 614, 704, 704];
-/// 30° forward.
+/// The hand tilted 30° forward.
 const FORWARD: [u16; 5] = [563, 512, 601, 704, 704];
 const BENT: [u16; 5] = [512, 512, 614, 536, 536];
 const PERIOD_MS: u32 = 10;
 
-/// A board in virtual time, and what came from it.
+/// A board in virtual time, with its received messages.
 struct Rig {
     board: LeftBoard<RamEeprom>,
     line: Line,
@@ -51,12 +51,12 @@ impl Rig {
         }
     }
 
-    /// The hand holds still for a while.
+    /// Holds the hand still for this time.
     fn hold(&mut self, conversions: [u16; 5], ms: u32) {
         for _ in 0..ms / PERIOD_MS {
             self.period();
             let mut counts = AdcCounts::from_ten_bit(conversions);
-            // The last bit of a real converter is never still.
+            // The last bit of a real converter always changes.
             counts.z += u16::from((self.now_ms / PERIOD_MS).is_multiple_of(2));
             self.board.sample(counts, self.now_ms, &mut self.line);
         }
@@ -78,7 +78,7 @@ impl Rig {
         *self.line.left().last().expect("a state")
     }
 
-    /// The next start with the same EEPROM.
+    /// Restarts the board with the same EEPROM.
     fn restart(self) -> Self {
         Rig::start(self.board.into_memory())
     }
@@ -91,7 +91,7 @@ fn a_hello_comes_first_and_states_follow_fifty_times_a_second() {
     let first = rig.line.all(|m| Some(matches!(m, BoardMessage::Hello(_))))[0];
     assert!(first);
     let states = rig.line.left();
-    // The heading's change from between to neutral is sent at once, between two.
+    // The change of the heading from between to neutral is sent immediately, in addition to the regular states.
     assert_eq!(states.len(), 51);
     for (i, state) in states.iter().enumerate() {
         assert_eq!(state.sequence, i as u16);
@@ -105,7 +105,7 @@ fn a_change_is_sent_at_once() {
     rig.hold(LEVEL, 100);
     rig.hold(FORWARD, 500);
     rig.hold(LEVEL, 500);
-    // The hand alone says when its heading changes.
+    // A separate `LeftHand` determines when the heading changes.
     let mut hand = LeftHand::new(None, shared_words::TiltThresholds::DEFAULT, 0);
     let mut changes = Vec::new();
     for now_ms in (10..=1100).step_by(10) {
@@ -148,7 +148,7 @@ fn who_asks_is_answered_and_who_does_not_know_the_board_is_told() {
     rig.send(&HostMessage::HelloRequest);
     rig.hold(LEVEL, 20);
     assert_eq!(rig.line.hellos(), boot_ids);
-    // The model's messages are for the other board.
+    // Messages about models are for the other board.
     rig.send(&HostMessage::ModelCommit { request: 3, crc32: 0 });
     assert!(rig.line.acks().is_empty());
 }
@@ -188,7 +188,7 @@ fn record_mode_sends_each_sample_as_it_is_judged_and_no_state() {
     assert_eq!(rig.line.statuses().last().unwrap().mode, Mode::Record);
     rig.send(&HostMessage::SetMode { request: 2, mode: Mode::Classify });
     rig.hold(LEVEL, 40);
-    // The hand was followed all the time, and no state is missing between the two.
+    // The hand was processed all the time, and no state is missing in between.
     let first = rig.line.left()[0];
     assert_eq!((first.sequence, first.health), (before + 1, health::DEFAULT_CALIBRATION));
     assert_eq!(first.heading, Heading::Neutral);
@@ -218,7 +218,7 @@ fn a_calibration_step_is_acknowledged_twice_and_kept_across_the_restart() {
     let moved = [520, 505, 610, 690, 710];
     let request = rig.calibrate(CalibrationStep::Neutral);
     assert_eq!(rig.line.acks(), [(request, AckResult::Started)]);
-    // Another one has to wait.
+    // A second request must wait.
     let refused = rig.calibrate(CalibrationStep::Rest);
     assert_eq!(rig.line.acks().last(), Some(&(refused, AckResult::Busy)));
     rig.hold(moved, u32::from(CAPTURE_SAMPLES) * PERIOD_MS + 500);
@@ -276,7 +276,7 @@ fn what_ended_the_last_run_follows_the_hello() {
 #[test]
 fn a_damaged_calibration_is_reported_and_defaults_are_used() {
     let mut memory = RamEeprom::with(&Calibration { rest: [5000, 5000], ..Calibration::DEFAULT });
-    // The first record goes to the first slot, which begins at 0x20: address 0 is where brown-outs write.
+    // The first slot begins at 0x20, because brown-outs can damage address 0.
     *memory.byte_mut(0x25) ^= 1;
     let mut rig = Rig::start(memory);
     rig.hold(LEVEL, 100);
@@ -317,7 +317,7 @@ fn the_light_guides_a_wearer_without_a_laptop() {
     let start = Start { fault: None, guided: true };
     let mut rig = Rig::started(RamEeprom::blank(), start);
     let mut lit = Vec::new();
-    // Three seconds to get ready, neutral and rest (1.3 s), three seconds to bend, bend.
+    // Three seconds to prepare, neutral and rest (1.3 s), three seconds to bend, and bend.
     for ms in 0..9000 / PERIOD_MS {
         rig.hold(if ms * PERIOD_MS < 4400 { LEVEL } else { BENT }, PERIOD_MS);
         lit.push(rig.board.light());
@@ -334,7 +334,7 @@ fn the_light_guides_a_wearer_without_a_laptop() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
-    /// Whatever comes in, what goes out is whole frames with sequence numbers without a gap.
+    /// For any input, the output consists of complete frames with consecutive sequence numbers.
     #[test]
     fn noise_from_the_laptop_and_from_the_hand_leaves_the_board_working(
         noise in prop::collection::vec((any::<[u16; 5]>(), prop::collection::vec(any::<u8>(), 0..20)), 1..200),

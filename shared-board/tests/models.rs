@@ -1,4 +1,4 @@
-//! A model is received whole or not at all, whatever happens to the line and to the power.
+//! Checks that a model is received completely or not at all, for any failure of line and power.
 
 mod common;
 
@@ -13,7 +13,7 @@ use shared_proto::message::{AckResult, MODEL_CHUNK_MAX, ModelBegin, ModelInfo};
 
 const RUNS: Runs = Runs { axes: 3, sample_hz: 100 };
 
-/// A small model; each `seed` gives another one. Because of its text its length is not a multiple of a piece.
+/// A small model that depends on `seed`. Because of its text, its length is not a multiple of a piece.
 fn blob(seed: i8) -> Vec<u8> {
     spec(seed, 3, 8)
 }
@@ -32,7 +32,7 @@ fn begin(blob: &[u8]) -> ModelBegin<'_> {
     }
 }
 
-/// Asks and returns the last answer: its result and the offset that is wanted next.
+/// Sends a request and returns the last answer: its result and the next expected offset.
 fn ask(store: &mut ModelStore<RamFlash>, request: &ModelRequest<'_>) -> (AckResult, u32) {
     let mut line = Line::default();
     at_once(store.answer(request, async || (), &mut line));
@@ -40,7 +40,7 @@ fn ask(store: &mut ModelStore<RamFlash>, request: &ModelRequest<'_>) -> (AckResu
     (last.result, last.next_offset)
 }
 
-/// Sends pieces from `offset` on; the first answer that is not `Ok`.
+/// Sends pieces starting at `offset`. Returns the first answer that is not `Ok`.
 fn pieces(store: &mut ModelStore<RamFlash>, blob: &[u8], mut offset: usize) -> Option<AckResult> {
     while offset < blob.len() {
         let end = (offset + MODEL_CHUNK_MAX).min(blob.len());
@@ -54,7 +54,7 @@ fn pieces(store: &mut ModelStore<RamFlash>, blob: &[u8], mut offset: usize) -> O
     None
 }
 
-/// Sends a whole model; returns how it ended.
+/// Sends a complete model and returns the result.
 fn send(store: &mut ModelStore<RamFlash>, blob: &[u8]) -> AckResult {
     match ask(store, &ModelRequest::Begin(begin(blob))) {
         (AckResult::Ok, 0) => {}
@@ -70,14 +70,14 @@ fn open(flash: RamFlash) -> (ModelStore<RamFlash>, Found) {
     ModelStore::open(flash, RUNS)
 }
 
-/// The CRC of the model that a board with this flash would run.
+/// Returns the CRC of the model that a board with this flash would run.
 fn running(flash: RamFlash) -> Option<u32> {
     let (store, found) = open(flash);
     let place = found.model?;
     Some(crc32(&store.flash().mapped()[place.offset()..place.offset() + place.len]))
 }
 
-/// Flash as a board leaves it that has received these models, with a restart after each.
+/// Flash of a board that has received these models, with a restart after each.
 fn with(models: &[Vec<u8>]) -> RamFlash {
     models.iter().fold(RamFlash::blank(), |flash, blob| {
         let mut store = open(flash).0;
@@ -108,9 +108,9 @@ fn every_answer_names_the_offset_that_is_wanted_next() {
         |offset: u32| ModelRequest::Chunk { request: 2, offset, data: &blob[offset as usize..][..64] };
     assert_eq!(ask(&mut store, &chunk(64)), (AckResult::WrongOffset, 0));
     assert_eq!(ask(&mut store, &chunk(0)), (AckResult::Ok, 64));
-    // Its answer was lost, so it is sent once more.
+    // The answer was lost, so the piece is sent again.
     assert_eq!(ask(&mut store, &chunk(0)), (AckResult::WrongOffset, 64));
-    // Too early, too long, too short, and not of whole words.
+    // These pieces are too early, too long, too short, or do not consist of complete words.
     let commit = ModelRequest::Commit { request: 3, crc32: crc32(&blob) };
     assert_eq!(ask(&mut store, &commit), (AckResult::WrongOffset, 64));
     let bad = |data| ModelRequest::Chunk { request: 2, offset: 64, data };
@@ -119,7 +119,7 @@ fn every_answer_names_the_offset_that_is_wanted_next() {
     }
     assert_eq!(pieces(&mut store, &blob, 64), None);
     assert_eq!(ask(&mut store, &commit), (AckResult::Ok, 0));
-    // The transfer is over: nothing is announced any more.
+    // The transfer has ended, so there is no announced model.
     assert_eq!(ask(&mut store, &commit), (AckResult::WrongOffset, 0));
 }
 
@@ -144,7 +144,7 @@ fn what_cannot_run_is_refused_before_anything_is_erased() {
         ModelBegin { info: ModelInfo { recipe: 99, ..info }, ..good },
         ModelBegin { info: ModelInfo { sample_hz: 104, ..info }, ..good },
         ModelBegin { info: ModelInfo { window: 128, ..info }, ..good },
-        // In the scale of Arduino's library.
+        // This model uses the scale of Arduino's library.
         ModelBegin { scaling: [1.0, 1.1469, 1.1469], ..good },
         ModelBegin { size: 0, ..good },
         ModelBegin { size: BLOB_MAX as u32 + 1, ..good },
@@ -161,14 +161,14 @@ fn a_model_that_was_announced_as_another_one_is_not_kept() {
     let mut wrong = sent.clone();
     wrong[100] ^= 4;
     let flash = with(std::slice::from_ref(&kept));
-    // One bit differs on the way.
+    // One bit changes during the transfer.
     let mut store = open(flash.clone()).0;
     ask(&mut store, &ModelRequest::Begin(begin(&sent)));
     assert_eq!(pieces(&mut store, &wrong, 0), None);
     let commit = ModelRequest::Commit { request: 3, crc32: crc32(&sent) };
     assert_eq!(ask(&mut store, &commit).0, AckResult::BadChecksum);
     assert_eq!(running(store.into_flash()), Some(crc32(&kept)));
-    // Its announcement promises what the blob does not hold: a hop that this image does not make.
+    // The announcement differs from the blob, whose hop this image does not support.
     let other_hop = spec(2, 3, 10);
     let mut store = open(flash).0;
     assert_eq!(send(&mut store, &other_hop), AckResult::ModelDoesNotFit);
@@ -183,7 +183,7 @@ fn a_damaged_slot_is_reported_and_the_other_one_is_used() {
     *flash.byte_mut(Slot::B.offset() + 200) ^= 1;
     let (store, found) = open(flash);
     assert_eq!((found.damaged, found.model.unwrap().slot), (true, Slot::A));
-    // The next one goes where the damage is.
+    // The next transfer goes to the damaged slot.
     let mut store = store;
     assert_eq!(send(&mut store, &blob(3)), AckResult::Ok);
     let flash = store.into_flash();
@@ -193,7 +193,7 @@ fn a_damaged_slot_is_reported_and_the_other_one_is_used() {
 
 #[test]
 fn the_newer_model_is_found_across_the_end_of_the_sequence_numbers() {
-    // Four sequence numbers before the end, set by hand in the first slot's header.
+    // The header of the first slot is modified to a sequence number four before the end.
     let mut flash = with(&[blob(1)]);
     for (i, byte) in (u32::MAX - 3).to_le_bytes().into_iter().enumerate() {
         *flash.byte_mut(12 + i) = byte;
@@ -217,7 +217,7 @@ fn two_transfers_without_a_restart_leave_the_newer_one() {
     }
 }
 
-/// Words and pages that a transfer takes.
+/// Returns the number of words and pages that a transfer processes.
 fn operations(blob: &[u8]) -> u32 {
     let mut store = open(RamFlash::blank()).0;
     assert_eq!(send(&mut store, blob), AckResult::Ok);
@@ -246,7 +246,7 @@ fn power_that_goes_at_any_word_leaves_the_old_model_or_the_new_one_and_the_next_
             assert_eq!(send(&mut store, &next), AckResult::Ok, "after the cut at {cut}");
             assert_eq!(running(store.into_flash()), Some(crc32(&next)), "after the cut at {cut}");
         }
-        // Only the very last word makes the new one valid.
+        // Only the very last word makes the new model valid.
         assert!(kept_new <= 1, "{kept_new}");
     }
 }
@@ -254,7 +254,7 @@ fn power_that_goes_at_any_word_leaves_the_old_model_or_the_new_one_and_the_next_
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
-    /// Power cut after power cut, at any word and any of its bits: a board that ever had a model always has one.
+    /// After any number of power cuts, at any word and bit, a board that had a model still has one.
     #[test]
     fn a_board_that_had_a_model_has_one_after_any_number_of_power_cuts(
         cuts in prop::collection::vec((1u32..80, any::<u32>()), 1..12),

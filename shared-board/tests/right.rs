@@ -1,4 +1,4 @@
-//! What a laptop may expect of a right board.
+//! Checks the behaviour of a right board towards the laptop.
 
 mod common;
 
@@ -40,7 +40,7 @@ struct Rig<'m> {
     number: u32,
 }
 
-/// Sequence, board time, health and number of scores of a state.
+/// Sequence number, board time, health and number of scores of a state.
 type State = (u16, u32, u8, usize);
 
 impl<'m> Rig<'m> {
@@ -71,7 +71,7 @@ impl<'m> Rig<'m> {
         })
     }
 
-    /// First sample and counts of the raw batches.
+    /// Returns the first sample and the counts of each raw batch.
     fn raw(&self) -> Vec<(u32, Vec<i16>)> {
         self.line.all(|m| match m {
             BoardMessage::RawImu(raw) => {
@@ -93,7 +93,7 @@ fn a_state_goes_out_each_hop_and_says_gap_until_the_window_is_full() {
     assert_eq!(states.len(), 30);
     for (i, (sequence, time_ms, flags, scores)) in states.into_iter().enumerate() {
         assert_eq!((usize::from(sequence), time_ms as usize), (i, 80 * (i + 1) - 10));
-        // The window of 200 samples is full with the 25th hop. There is one score per label from the first on.
+        // The window of 200 samples is full at the 25th hop. Every state has one score per label.
         assert_eq!(flags, if i < 24 { health::GAP } else { 0 }, "hop {i}");
         assert_eq!(scores, LABELS.len());
     }
@@ -149,7 +149,7 @@ fn the_left_hands_requests_are_refused_and_an_untrusted_link_changes_nothing() {
         [(1, AckResult::Unsupported), refused(2), refused(3), refused(4), refused(5)]
     );
     assert_eq!(rig.board.light(), Light::Well);
-    // A trusted one is handed to the store; a board without one refuses.
+    // A trusted request goes to the store, and a board without a store refuses it.
     rig.line.clear();
     for (i, message) in untrusted[..3].iter().enumerate() {
         let request = rig.send(message).expect("for the store");
@@ -171,7 +171,7 @@ fn record_mode_sends_each_sample_once_in_whole_hops() {
     assert_eq!(raw[0].1[..6], [5, 15, -5, 6, 18, -6]);
     assert!(raw.iter().all(|r| r.1.len() == 24));
     assert!(rig.states().is_empty());
-    // A gap: the batch that was begun is not sent, and the next one has no gap.
+    // After a gap, the unfinished batch is discarded, and the next batch has no gap.
     rig.line.clear();
     rig.number += 3;
     rig.samples(16);
@@ -180,7 +180,7 @@ fn record_mode_sends_each_sample_once_in_whole_hops() {
     rig.line.clear();
     rig.samples(8);
     assert_eq!(rig.raw()[0].0, 44);
-    // Samples that the window did not see count as a gap.
+    // Samples that did not enter the window count as a gap.
     rig.send(&HostMessage::SetMode { request: 2, mode: Mode::Classify });
     rig.line.clear();
     rig.samples(240);
@@ -204,7 +204,7 @@ fn idle_is_silent_but_for_statuses() {
     assert_eq!(status.mode, Mode::Idle);
 }
 
-/// What the motor does `ms` after now.
+/// Returns the state of the motor after `ms`.
 fn motor_after(rig: &mut Rig<'_>, ms: u32) -> u8 {
     rig.board.motor(rig.number * 10 + ms).percent
 }
@@ -219,7 +219,7 @@ fn a_trusted_laptop_is_felt_without_an_answer_and_when_it_falls_silent() {
     rig.send(&stopped);
     assert_eq!([10, 599, 600].map(|ms| motor_after(&mut rig, ms)), [100, 100, 0]);
     assert!(rig.line.all_acks().is_empty());
-    // Any message from the laptop keeps the link alive.
+    // Any message from the laptop shows that the link is alive.
     rig.board.receive(&HostMessage::Ping { id: 1 }, true, 900, &mut rig.line);
     assert_eq!([1899, 1900].map(|ms| motor_after(&mut rig, ms)), [0, 100]);
 }
@@ -292,7 +292,7 @@ fn measured_values_become_the_counts_that_a_sensor_would_have_given() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
-    /// Samples in counts and the same samples in physical units name the same gestures.
+    /// Samples in counts and the same samples in physical units give the same gestures.
     #[test]
     fn counts_and_values_are_the_same_hand(samples in prop::collection::vec(any::<[i16; 3]>(), 400)) {
         let blob = blob();
@@ -306,7 +306,7 @@ proptest! {
         prop_assert_eq!(counted.output(), valued.output());
     }
 
-    /// Any intact message in any mode is answered at most once, and never ends the board's work.
+    /// Any intact message in any mode is answered at most once, and the board continues to work.
     #[test]
     fn messages_of_any_content_leave_the_board_working(
         payloads in prop::collection::vec(prop::collection::vec(any::<u8>(), 1..40), 0..40),

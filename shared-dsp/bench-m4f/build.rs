@@ -1,4 +1,4 @@
-//! Turns the reference figures into bytes that the images include.
+//! Converts the reference figures to bytes that the images include.
 
 #[path = "../tests/common/mod.rs"]
 mod common;

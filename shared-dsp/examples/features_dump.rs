@@ -1,6 +1,7 @@
-//! Samples in, features out, as bytes: for comparison with another implementation.
+//! Converts samples to features as raw bytes, for comparison with another implementation.
 //!
-//! `features_dump AXES < samples > features`, all little-endian f32: `AXES` values per sample in, 13 · `AXES` values per hop out.
+//! Usage: `features_dump AXES < samples > features`. All values are little-endian f32.
+//! The input has `AXES` values per sample; the output has 13 · `AXES` values per hop.
 
 use shared_dsp::right::features::FeatureWindow;
 use std::io::{self, BufReader, BufWriter, Read, Write};

@@ -1,6 +1,6 @@
-//! Everything a board computes: samples and time in, values out. No pins, no wire, no std, no heap.
+//! All computations of the boards, without pins, wire protocol, std or heap.
 //!
-//! All arithmetic is `f32` or integer in a fixed order, so that a laptop and a Cortex-M4F agree bit for bit.
+//! All arithmetic uses `f32` or integers in a fixed order, so that a laptop and a Cortex-M4F agree bit for bit.
 #![no_std]
 
 #[cfg(any(test, feature = "build"))]

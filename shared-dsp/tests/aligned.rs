@@ -1,4 +1,4 @@
-//! Recipe 3 against its reference in numpy, and what it promises about inputs that are no movement.
+//! Compares recipe 3 with its reference in numpy, and checks its behaviour without movement.
 
 use proptest::prelude::*;
 use serde_json::Value;
@@ -23,7 +23,7 @@ fn any_features(samples: &[Vec<f32>]) -> Vec<f32> {
     }
 }
 
-/// A movement with every axis at its own pace, 9 axes.
+/// A movement with a different tempo on each of 9 axes.
 fn swing(count: usize) -> Vec<Vec<f32>> {
     let value = |n: usize, axis: usize| {
         let t = n as f32 / 100.0;
@@ -61,7 +61,7 @@ fn features_equal_those_of_numpy() {
 
 #[test]
 fn a_window_depends_on_its_own_samples_only() {
-    // A wild past and any phase of the ring; what remains must be the window's features to the bit.
+    // With any previous samples and any phase of the ring, the features depend only on the window, bit for bit.
     let window = swing(WINDOW);
     let expected = features::<9>(&window);
     for hops_before in [1, 7, 24, 25, 61] {
@@ -150,7 +150,7 @@ proptest! {
         let turned: Vec<Vec<f32>> = samples.iter().map(|sample| {
             let mut sample = sample.clone();
             if mirrored {
-                // A plane mirror: acceleration as a vector, rotation as an axial vector.
+                // A plane mirror: acceleration is a vector and rotation is an axial vector.
                 sample[1] = -sample[1];
                 sample[3] = -sample[3];
                 sample[5] = -sample[5];

@@ -1,4 +1,4 @@
-//! Features against the float64 reference, over long runs and on hard signals.
+//! Compares features with the float64 reference, over long runs and for difficult signals.
 
 mod common;
 
@@ -24,7 +24,7 @@ fn reference(window: &[f32]) -> [f64; FEATURES_PER_AXIS] {
         out[3] = m3 / m2.powf(1.5);
         out[4] = m4 / (m2 * m2) - 3.0;
     }
-    // The mean only adds to X[0]: leaving it out elsewhere spares the reference its own rounding.
+    // The mean affects only X[0]. Omitting it elsewhere avoids rounding errors in the reference.
     for k in 0..8 {
         for start in (0..=x.len() - 16).step_by(8) {
             let (mut re, mut im) = (0.0, 0.0);
@@ -40,7 +40,7 @@ fn reference(window: &[f32]) -> [f64; FEATURES_PER_AXIS] {
     out
 }
 
-/// Largest error in units of what is allowed, and where.
+/// Returns the largest error relative to its tolerance, and its position.
 fn worst(got: &[f32; FEATURES_PER_AXIS], expected: &[f64; FEATURES_PER_AXIS]) -> (f64, usize) {
     let ratio = |f: usize| {
         let error = (f64::from(got[f]) - expected[f]).abs();
@@ -88,14 +88,14 @@ fn three_and_six_axes_give_what_nine_give() {
         assert_eq!(six.push(sample.first_chunk().unwrap()), ready);
         assert_eq!(three.push(sample.first_chunk().unwrap()), ready);
         if ready {
-            // In the window's queues each axis turns at its own hop, whatever the number of axes.
+            // Each axis turns at its own hop, for any number of axes.
             assert_eq!(nine.features()[..6], six.features()[..]);
             assert_eq!(nine.features()[..3], three.features()[..]);
         }
     }
 }
 
-/// Deterministic noise: uniform in −1 to 1.
+/// Deterministic noise, uniform from −1 to 1.
 struct Noise(u64);
 
 impl Noise {
@@ -174,7 +174,7 @@ fn small_means_of_large_swings_are_kept() {
 fn ten_million_samples_do_not_drift() {
     let mut noise = Noise(4);
     let mut phase = 0f64;
-    // Every 997th hop, so that all phases of both queues are met.
+    // Checks every 997th hop, which covers all phases of both queues.
     check_stream("long mixture", 10_000_000, 997, |index| {
         phase += 0.13 + 0.05 * noise.next();
         let amplitude = [0.0, 0.01, 8.0, 300.0, 0.002][index / 1300 % 5];

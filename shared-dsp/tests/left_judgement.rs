@@ -1,7 +1,8 @@
-//! The left hand's judgement: movements that are not meant as commands command nothing.
+//! Checks that unintended movements of the left hand cause no command.
 //!
-//! Thirty minutes (in the short run three) of ten simulated wearers each, palm up, walking, shaken, and with pins that hum, in
-//! virtual time; and what that costs tilts that are meant.
+//! The test simulates ten wearers in virtual time, for 30 minutes each (3 minutes in the short version).
+//! They hold the palm up, walk, shake the hand, and have pins that pick up hum.
+//! It also measures the delay of intended tilts.
 
 use std::f64::consts::TAU;
 
@@ -11,13 +12,13 @@ use shared_words::health;
 use shared_words::{Heading, TiltThresholds};
 
 const WEARERS: u64 = 10;
-/// Half an hour of each wearer in the long run (the campaign), three minutes in the short one.
+/// Seconds per wearer: half an hour in the campaign, three minutes in the short version.
 fn seconds() -> u32 {
     if std::env::var_os("BIMANUAL_FULL").is_some() { 1800 } else { 180 }
 }
 const SAMPLE_MS: u32 = 10;
 
-/// Small and the same everywhere.
+/// A small generator with equal results on all machines.
 struct Random(u64);
 
 impl Random {
@@ -26,7 +27,7 @@ impl Random {
         low + (high - low) * ((self.0 >> 11) as f64 / (1u64 << 53) as f64)
     }
 
-    /// Roughly normal, standard deviation 1.
+    /// A roughly normal random number with standard deviation 1.
     fn normal(&mut self) -> f64 {
         (0..12).map(|_| self.uniform(-0.5, 0.5)).sum()
     }
@@ -34,20 +35,20 @@ impl Random {
 
 type Vector = [f64; 3];
 
-/// Up in the frame of a hand tilted by these angles, in radians; the larger one is exact.
+/// The up direction in the frame of a hand tilted by these angles in radians. The larger angle is exact.
 fn up(pitch: f64, roll: f64) -> Vector {
     let ((sp, cp), (sr, cr)) = (pitch.sin_cos(), roll.sin_cos());
     if pitch.abs() >= roll.abs() { [sp, cp * sr, cp * cr] } else { [cr * sp, sr, cr * cp] }
 }
 
-/// A wearer whose hand is calibrated, with noise, tremor and up to 10 % of error in each axis.
+/// A wearer with a calibrated hand, noise, tremor and an error of up to 10 % in each axis.
 struct Wearer {
     random: Random,
     hand: LeftHand,
     gain: Vector,
     tremor: [(f64, f64, f64); 4],
     now_ms: u32,
-    /// Flex readings in tenths of volts make no sense here: the converter's, 0 to 1023.
+    /// Flex readings in counts of the converter, 0 to 1023.
     flex: [f64; 2],
 }
 
@@ -56,7 +57,7 @@ impl Wearer {
         let mut random = Random(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1);
         let now_ms = random.uniform(0.0, f64::from(u32::MAX)) as u32;
         let gain = [0; 3].map(|_| random.uniform(0.9, 1.1));
-        // A quarter of a degree each, 4 to 12 Hz: at most 1°.
+        // A quarter of a degree each, 4 to 12 Hz, in total at most 1°.
         let tremor =
             [0; 4].map(|_| (random.uniform(4.0, 12.0), random.uniform(0.0, 6.3), 0.25f64.to_radians()));
         let hand = LeftHand::new(Some(Calibration::DEFAULT), TiltThresholds::DEFAULT, now_ms);
@@ -71,7 +72,7 @@ impl Wearer {
         self.tremor.iter().map(|(hz, phase, size)| size * (TAU * hz * t + phase).sin()).sum()
     }
 
-    /// One sample with this acceleration in g.
+    /// Processes one sample with this acceleration in g.
     fn feel(&mut self, a: Vector) -> LeftOutput {
         self.now_ms = self.now_ms.wrapping_add(SAMPLE_MS);
         let mut axis = |i: usize| {
@@ -85,7 +86,7 @@ impl Wearer {
         self.hand.step(AdcCounts { x, y, z, index, middle }, self.now_ms)
     }
 
-    /// Level and at rest until the hand is neutral.
+    /// Holds the hand level and at rest until it is neutral.
     fn rest(&mut self) {
         for sample in 0..100 {
             let t = self.seconds(sample);
@@ -95,7 +96,7 @@ impl Wearer {
     }
 }
 
-/// Samples with a command in the whole time of each wearer.
+/// Counts the samples with a command over the total time of all wearers.
 fn commands(
     what: &str,
     mut begin: impl FnMut(&mut Wearer),
@@ -122,7 +123,7 @@ fn a_palm_turned_up_neither_arms_nor_commands_nor_is_neutral() {
     let mut neutral = 0;
     let mut turned = |wearer: &mut Wearer, sample: u32| {
         let t = wearer.seconds(sample);
-        // Now level, now tilted by up to 40°, a turn of the hand every 3 s.
+        // The hand is alternately level and tilted by up to 40°, with a turn every 3 s.
         let tilt = 0.7 * (t / 3.0).sin().max(0.0) + wearer.shaken(t);
         let [x, y, z] = if (sample / 1000).is_multiple_of(2) { up(tilt, 0.0) } else { up(0.0, tilt) };
         let out = wearer.feel([x, y, -z]);
@@ -134,13 +135,13 @@ fn a_palm_turned_up_neither_arms_nor_commands_nor_is_neutral() {
     assert_eq!(neutral, 0);
 }
 
-/// A walker's step: 1.7 to 2.1 times a second, ±0.35 g along and across the hand, pose up to 4° off.
+/// A sample of walking: 1.7 to 2.1 steps per second, ±0.35 g along and across the hand, pose up to 4° off level.
 fn walk(wearer: &mut Wearer, sample: u32, hz: f64, off: (f64, f64), towards: f64) -> LeftOutput {
     let t = wearer.seconds(sample);
-    // Stands still for 5 s in every minute: each start has a first step.
+    // The walker stands still for 5 s in every minute, so that first steps occur often.
     let walks = if t % 60.0 < 5.0 { 0.0 } else { 1.0 };
     let step = 0.35 * walks * (TAU * hz * t).sin();
-    // Heels strike twice a stride.
+    // The heels strike twice per stride.
     let heel = 0.2 * walks * (2.0 * TAU * hz * t + 0.7).sin();
     let [x, y, z] = up(off.0 + wearer.shaken(t), off.1);
     wearer.feel([x + step * towards.cos(), y + step * towards.sin(), z + heel])
@@ -167,7 +168,7 @@ fn a_walking_wearer_commands_nothing() {
 
 #[test]
 fn a_hand_shaken_four_times_a_second_commands_nothing() {
-    // Zero to 1.2 g about level.
+    // Shaking about level with 0 to 1.2 g.
     let level = |wearer: &mut Wearer, sample: u32| {
         let t = wearer.seconds(sample);
         let size = 1.2 * (t / 30.0).sin().abs();
@@ -176,7 +177,7 @@ fn a_hand_shaken_four_times_a_second_commands_nothing() {
         wearer.feel([x + push, y, z])
     };
     assert_eq!(commands("shaken about level", Wearer::rest, level), 0);
-    // Along gravity, so hard that it turns over: a tilted hand seems to point the other way.
+    // Shaking along gravity, so hard that it reverses: a tilted hand then seems to point the other way.
     let tilted = |wearer: &mut Wearer, sample: u32| {
         let t = wearer.seconds(sample);
         let push = 1.0 + 2.2 * (TAU * 4.0 * t).sin();
@@ -217,7 +218,7 @@ fn pins_that_hum_command_nothing_count_nothing_and_stay_in_doubt() {
     let mut healthy_late = 0;
     let mut act = |wearer: &mut Wearer, sample: u32| {
         let t = wearer.seconds(sample);
-        // A floating pin: mains hum, sampled just off its period, with a slow drift.
+        // A floating pin with mains hum, sampled slightly off its period, with a slow drift.
         let hum = 480.0 * (TAU * 50.07 * t).sin() + 20.0 * (t / 7.0).sin();
         wearer.flex = [(512.0 + hum).clamp(0.0, 1023.0), 704.0];
         let tilt = if sample % 1000 < 500 { 0.0 } else { 0.45 };
@@ -248,7 +249,7 @@ fn a_line_whose_fault_comes_back_within_10_s_stays_in_doubt_until_somebody_calib
     };
     assert_eq!(run(&mut wearer, 0.0, 50), health::FLEX);
     assert_eq!(run(&mut wearer, 704.0, 500), 0, "once is a touch");
-    // More than 10 s later it is another touch.
+    // A contact more than 10 s later counts as new.
     assert_eq!(run(&mut wearer, 704.0, 11_000), 0);
     assert_eq!(run(&mut wearer, 0.0, 50), health::FLEX);
     assert_eq!(run(&mut wearer, 704.0, 9000), 0);
@@ -265,7 +266,7 @@ fn smooth(x: f64) -> f64 {
     x * x * x * (10.0 - 15.0 * x + 6.0 * x * x)
 }
 
-/// From the first sample beyond 15° to the command, over tilts of 16° to 45° within 100 to 220 ms.
+/// Measures the time from the first sample beyond 15° to the command, for tilts of 16° to 45° within 100 to 220 ms.
 #[test]
 fn a_tilt_that_is_meant_is_told_within_130_ms_of_its_first_sample_beyond_15_degrees() {
     let mut delays_ms = Vec::new();
@@ -290,7 +291,7 @@ fn a_tilt_that_is_meant_is_told_within_130_ms_of_its_first_sample_beyond_15_degr
                     told = told.or(Some(sample));
                 }
             }
-            // A gain of 0.9 leaves the smallest ones at the threshold: those may give no command.
+            // With a gain of 0.9, the smallest tilts are at the threshold and may cause no command.
             if let (Some(crossed), Some(told)) = (crossed, told) {
                 delays_ms.push((told - crossed) * SAMPLE_MS);
             } else {

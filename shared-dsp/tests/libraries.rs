@@ -1,11 +1,11 @@
-//! How far the functions of `micromath`, made for boards, are from the truth, beside those that boards run here. The
-//! figures stand in docs/ARCHITECTURE.md: `cargo test -p shared-dsp --test libraries -- --nocapture`.
+//! Compares the accuracy of `micromath`, a library for microcontrollers, with our own functions.
+//! docs/ARCHITECTURE.md lists the results of `cargo test -p shared-dsp --test libraries -- --nocapture`.
 
 use micromath::F32;
 use shared_dsp::left::tilt::{Acceleration, Tilt};
 use shared_dsp::right::kind::{FeatureKind, LOG_FLOOR};
 
-/// Every tilt is promised to within a milliradian, and thresholds are 52 mrad apart.
+/// Every tilt has a guaranteed error below a milliradian, and thresholds are 52 mrad apart.
 #[test]
 fn tilts_are_within_a_milliradian_and_those_of_micromath_are_not() {
     let (mut ours, mut theirs) = (0.0_f64, 0.0_f64);

@@ -1,4 +1,4 @@
-//! The int8 network against TFLite's reference kernels, and the blob parser against damage.
+//! Compares the int8 network with TFLite's reference kernels, and tests the blob parser with damaged input.
 
 mod common;
 
@@ -127,7 +127,7 @@ fn damaged_headers_have_typed_errors() {
     assert_eq!(Model::parse(&[]).map(|_| ()), Err(ModelError::Truncated));
 }
 
-/// A plain model of TFLite's arithmetic, to compare with on other shapes.
+/// A simple model of TFLite's arithmetic, for comparison with other shapes.
 fn naive(spec: &BlobSpec, input: &[i8]) -> Vec<i8> {
     let mut x: Vec<i8> = input.to_vec();
     for layer in &spec.layers {
@@ -171,7 +171,7 @@ fn dense(rng: &mut impl FnMut() -> u64, inputs: usize, outputs: usize, relu: boo
         biases: (0..outputs).map(|_| (rng() % 20001) as i32 - 10000).collect(),
         input_scale: 0.02,
         input_zero_point: (rng() % 256) as i8,
-        // As in TFLite by default, each row has a scale of its own.
+        // Each row has its own scale, which is TFLite's default.
         weight_scales: match rng() % 2 {
             0 => vec![0.01],
             _ => (0..outputs).map(|_| 0.001 + (rng() % 1000) as f32 * 2e-5).collect(),
@@ -194,7 +194,7 @@ fn only_what_needs_the_second_version_of_the_blob_is_of_it() {
     spec.layers[0].largest = 100;
     let blob = build_blob(&spec).unwrap();
     assert_eq!(blob[4], 2);
-    // An image that knows version 1 alone must not read it as one.
+    // An image that supports only version 1 must refuse this blob.
     let mut first = blob.clone();
     first[4] = 1;
     assert_eq!(Model::parse(&first).map(|_| ()), Err(ModelError::Layer { layer: 0 }));

@@ -5,7 +5,8 @@ use shared_dsp::right::kind::FeatureKind;
 use shared_dsp::right::network::{BlobSpec, DenseSpec, Model, build_blob};
 use shared_dsp::right::{ModelMismatch, RightHand};
 
-/// One layer that names `label` if the sum of its weighted inputs is above 0, else `idle`; `inputs` have a weight of 1 or -1.
+/// Builds one layer that gives `label` if the weighted sum of its inputs is above 0, else `idle`.
+/// `inputs` have a weight of 1 or -1.
 fn blob_of(
     recipe: FeatureKind,
     axes: usize,
@@ -34,14 +35,14 @@ fn blob_of(
     build_blob(&BlobSpec { recipe, axes, sample_hz: 100, window: 200, hop, labels, scaling, layers }).unwrap()
 }
 
-/// Says `shake` when the variance of the first axis is above 4.
+/// Builds a model that gives `shake` if the variance of the first axis is above 4.
 fn blob(axes: usize, hop: u16) -> Vec<u8> {
     let mut scaling = vec![(0.0, 0.0); 13 * axes];
     scaling[2] = (8.0, -32.0);
     blob_of(FeatureKind::Raw, axes, hop, "shake", scaling, &[(2, 1)])
 }
 
-/// Shakes if `shaking` is true for the sample; sample number in, axes out.
+/// Generates a sample that shakes if `shaking` is true.
 fn sample(index: u32, shaking: bool) -> [f32; 3] {
     [if shaking { 5.0 * (index as f32 * 0.9).sin() } else { 0.0 }, 0.0, 9.81]
 }
@@ -121,15 +122,15 @@ fn replaced_values_are_reported_while_they_are_in_the_window() {
     assert_eq!(hand.replaced(), 1);
 }
 
-/// Names `sway` if the window shows more power at 1.17 Hz than at 0.39 Hz across gravity.
+/// Builds a model that gives `sway` if the power across gravity is higher at 1.17 Hz than at 0.39 Hz.
 fn sway_blob(axes: usize) -> Vec<u8> {
-    // Line after line of three directions each, behind four other features; the second direction is the swaying one.
+    // Each line has three directions and follows four other features; the second direction is the swaying one.
     let (low, high) = (4 + 1, 4 + 3 * 2 + 1);
     let scaling = vec![(60.0, 0.0); FeatureKind::Aligned.feature_count(axes)];
     blob_of(FeatureKind::Aligned, axes, 8, "sway", scaling, &[(high, 1), (low, -1)])
 }
 
-/// Samples at which a hand that sways at this many Hz has its events.
+/// Returns the samples at which a hand that sways with this many Hz has events.
 fn sway<const A: usize>(hand: &mut RightHand<'_, A>, hz: f32, samples: usize) -> Vec<usize> {
     let mut events = Vec::new();
     for n in 0..samples {

@@ -1,10 +1,11 @@
-//! How old a frame can be: the board's clock seen from the laptop. No clock inside; time comes in.
+//! Determines the maximum age of a frame from the board's clock. It reads no clock itself; times are arguments.
 //!
-//! A frame says when its newest sample was taken on the board's clock. Only a round trip says what that
-//! means here: a board that answers a ping with its time read its clock *after* the ping was sent. So the
-//! sample of a later frame was taken at least that much later, and the age that follows is an **upper
-//! bound**: too old by the ping's path to the board, never too young. A delay that all frames share, a
-//! queue that grows and a clock that drifts all make frames older here, and none makes them younger.
+//! A frame contains the time of its newest sample on the board's clock.
+//! Only a round trip relates this clock to the laptop's:
+//! a board that answers a ping reads its clock *after* the ping was sent.
+//! The sample of a later frame was taken at least the corresponding time later.
+//! The resulting age is an **upper bound**. It is too large by the ping's travel time, but never too small.
+//! Constant delays, growing queues and clock drift can only increase the computed age.
 //!
 //! ```text
 //! laptop  ──┬────────────────────────────────┬──►   age ≤ now − sent − (sample − pong)
@@ -13,19 +14,19 @@
 //!              pong        sample
 //! ```
 
-/// A board's clock may run this much fast or slow against the laptop's, in parts per million. Far more
-/// than any board needs (an Arduino Nano's resonator: 5,000): with ten pings per second it costs 5 ms.
+/// Maximum drift of a board's clock against the laptop's, in parts per million.
+/// It is far more than any board needs (an Arduino Nano's resonator: 5,000). With ten pings per second, it adds 5 ms.
 pub const DRIFT_PPM: u32 = 50_000;
 
-/// Maps one board's time onto the laptop's, and bounds the age of what is stamped with it.
+/// Maps a board's time to the laptop's time and limits the age of its messages.
 ///
-/// The laptop's time is milliseconds on any clock that never steps back.
+/// The laptop's time is in milliseconds on any clock that never steps back.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct BoardClock {
     anchor: Option<Anchor>,
 }
 
-/// The board's clock did not show `board_ms` before the laptop's showed `host_us`.
+/// The board's clock cannot have shown `board_ms` before the laptop's clock showed `host_us`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Anchor {
     board_ms: u32,
@@ -33,35 +34,36 @@ struct Anchor {
 }
 
 impl Anchor {
-    /// The laptop's earliest time at which the board's clock can have shown `board_ms`: the nearest
-    /// such time to the anchor, up to 24 days either way across the wrap.
+    /// Returns the laptop's earliest time at which the board's clock can have shown `board_ms`.
+    /// It is the time nearest to the anchor, up to 24 days before or after, across the wrap.
     fn earliest_us(&self, board_ms: u32) -> i64 {
         let step_ms = i64::from(board_ms.wrapping_sub(self.board_ms) as i32);
-        // Both stamps are whole milliseconds rounded down, so the time between may be one shorter.
+        // Both stamps are rounded down to milliseconds, so the true difference may be one millisecond shorter.
         self.host_us + (step_ms - 1) * 1000 - step_ms.abs() * i64::from(DRIFT_PPM) / 1000
     }
 }
 
-/// Also keeps differences of two such times within range.
+/// Converts to microseconds and keeps differences of two such times in range.
 fn micros(ms: u64) -> i64 {
     const LIMIT_MS: u64 = i64::MAX as u64 / 4000;
     ms.min(LIMIT_MS) as i64 * 1000
 }
 
 impl BoardClock {
-    /// A clock that knows of no round trip: everything counts as infinitely old.
+    /// Creates a clock without a round trip, for which everything is infinitely old.
     pub const fn new() -> Self {
         Self { anchor: None }
     }
 
-    /// Forgets every round trip: the board has restarted, and its clock with it.
+    /// Forgets all round trips, because the board and its clock have restarted.
     pub fn rebase(&mut self) {
         self.anchor = None;
     }
 
-    /// A pong has arrived at `now_ms` for the ping sent at `sent_ms`: the board's clock showed
-    /// `board_time_ms` somewhere between. False if that is earlier than a pong before showed: then the
-    /// board has restarted unseen, and nothing is known of its clock.
+    /// Adds a pong that arrived at `now_ms` for the ping sent at `sent_ms`; in between,
+    /// the board's clock showed `board_time_ms`.
+    /// Returns false if this is earlier than a previous pong.
+    /// The board must then have restarted, and its clock is unknown.
     pub fn pong(&mut self, board_time_ms: u32, sent_ms: u64, now_ms: u64) -> bool {
         let fresh = Anchor { board_ms: board_time_ms, host_us: micros(sent_ms.min(now_ms)) };
         let Some(old) = self.anchor else {
@@ -72,17 +74,18 @@ impl BoardClock {
             self.anchor = None;
             return false;
         }
-        // The round trip that proves more, unless a clock that runs faster than allowed disproves it.
+        // Uses the round trip with the stricter bound, unless a clock that is faster than allowed contradicts it.
         let known_us = old.earliest_us(board_time_ms).min(micros(now_ms));
         self.anchor = Some(Anchor { host_us: fresh.host_us.max(known_us), ..fresh });
         true
     }
 
-    /// The most that the age of anything stamped with board time can be, in milliseconds: a frame's
-    /// newest sample, the end of a window. Without a round trip the bound is `u64::MAX`.
+    /// Returns the maximum age of a board time in milliseconds,
+    /// for example of a frame's newest sample or the end of a window.
+    /// The age is `u64::MAX` if no ping has been answered.
     pub fn age_ms(&self, board_time_ms: u32, now_ms: u64) -> u64 {
         let Some(anchor) = &self.anchor else { return u64::MAX };
-        // The laptop's clock is rounded down, too.
+        // The laptop's clock is also rounded down.
         let now_us = micros(now_ms) + 999;
         (now_us - anchor.earliest_us(board_time_ms)).max(0) as u64 / 1000
     }
@@ -93,7 +96,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// A clock with a round trip: the ping left at 1000, and the board showed 0 when it answered.
+    /// A clock with one round trip: the ping was sent at 1000, and the board showed 0.
     fn anchored() -> BoardClock {
         let mut clock = BoardClock::new();
         assert!(clock.pong(0, 1000, 1004));
@@ -108,7 +111,7 @@ mod tests {
     #[test]
     fn a_frame_is_as_old_as_it_can_be_with_the_path_of_the_ping_added() {
         let clock = anchored();
-        // Taken 20 ms after the pong, at 1020 at the earliest; 1 ms for stamps, 1 ms of drift.
+        // The sample was taken 20 ms after the pong, so not before 1020; stamps and drift add 1 ms each.
         assert_eq!(clock.age_ms(20, 1024), 6);
         assert_eq!(clock.age_ms(20, 1324), 306);
     }
@@ -116,7 +119,7 @@ mod tests {
     #[test]
     fn a_delay_that_every_frame_and_every_pong_shares_is_seen() {
         let mut clock = BoardClock::new();
-        // All that the board sends takes 1.5 s; the pings arrive at once.
+        // All data from the board takes 1.5 s, but pings arrive immediately.
         for k in 0..20u64 {
             let sent = 10_000 + 100 * k;
             assert!(clock.pong(sent as u32, sent, sent + 1500));
@@ -128,7 +131,7 @@ mod tests {
     #[test]
     fn a_link_that_became_slow_stays_old_for_ever() {
         let mut clock = anchored();
-        // Every 100 ms a pong that took 1.5 s on its way back, for half an hour.
+        // For half an hour, a pong arrives every 100 ms after a delay of 1.5 s.
         for k in 1..18_000u64 {
             let sent = 1000 + 100 * k;
             clock.pong((100 * k) as u32, sent, sent + 1500);
@@ -141,7 +144,7 @@ mod tests {
         let clock = anchored();
         for k in 1..=100u64 {
             let (age, truth) = (clock.age_ms((k * 20) as u32, 3000), 2000 - k * 20);
-            // 1 ms for stamps, and the drift that is possible since the pong.
+            // The bound includes 1 ms for stamps, and the possible drift since the pong.
             assert!((truth..=truth + 2 + k).contains(&age), "frame {k}: {age}");
         }
     }
@@ -168,14 +171,14 @@ mod tests {
         }
     }
 
-    /// What a board's clock shows: `ppm` fast against the laptop, whole milliseconds.
+    /// The time on a board's clock that is `ppm` fast against the laptop, in whole milliseconds.
     fn board_ms(host_us: i64, ppm: i64, start_ms: u32) -> u32 {
         start_ms.wrapping_add(((host_us + host_us * ppm / 1_000_000) / 1000) as u32)
     }
 
     proptest! {
-        /// Whatever the drift within the allowance and the delays of pings, pongs and frames: no age is
-        /// ever below the truth, nor above it by more than the shortest recent ping's path allows.
+        /// For any allowed drift and any delays of pings, pongs and frames, no age is below the true one.
+        /// No age exceeds it by more than the travel time of the fastest recent ping.
         #[test]
         fn ages_are_never_too_young_and_too_old_by_the_path_of_a_ping_only(
             ppm in -50_000i64..=50_000,
@@ -184,7 +187,7 @@ mod tests {
         ) {
             let mut clock = BoardClock::new();
             for (k, &(there, back, delay)) in paths_us.iter().enumerate() {
-                // Times on the laptop in microseconds, each rounded down where it is read.
+                // Times on the laptop in microseconds, rounded down when they are read.
                 let sent = 5_000_000 + k as i64 * 100_000 + k as i64 * 137;
                 let at_board = sent + there.min(99_000);
                 let ms = |us: i64| (us / 1000) as u64;
@@ -197,7 +200,7 @@ mod tests {
             }
         }
 
-        /// Even a clock that runs a fifth fast hides no more than it gains between two pongs.
+        /// Even if a clock is a fifth too fast, the error is limited to its gain between two pongs.
         #[test]
         fn a_clock_far_faster_than_allowed_hides_little(back_ms in 0u64..30) {
             let mut clock = BoardClock::new();
@@ -209,7 +212,7 @@ mod tests {
             }
         }
 
-        /// The board's clock may start at any value, near its wrap or not.
+        /// The board's clock may start at any value, including near its wrap.
         #[test]
         fn ages_do_not_depend_on_where_the_board_clock_stands(
             start_ms: u32,

@@ -1,13 +1,13 @@
-//! What a receiver does with the wrapping numbers in a state: events since the last frame, and frames
-//! lost on the way.
+//! Interprets the wrapping numbers in a state: new events since the last frame, and lost frames.
 //!
-//! For each state that arrives: ask [`SequenceTracker::see`] first and leave out what is not new, then
-//! feed the event counters. After a [`Hello`](crate::message::Hello) with a new boot id, `rebase` them all.
+//! For each state, call [`SequenceTracker::see`] first and ignore states that are not new.
+//! Then update the event counters.
+//! After a [`Hello`](crate::message::Hello) with a new boot id, call `rebase` on all of them.
 
-/// Turns a wrapping event counter into new events.
+/// Converts a wrapping event counter to new events.
 ///
-/// The first value seen is the base: what happened before the receiver listened is not new. A repeated
-/// frame gives 0, and a frame after lost ones gives all that happened meanwhile.
+/// The first value is the reference, because earlier events are not new.
+/// A repeated frame gives 0, and a frame after lost ones gives all events since the last received frame.
 ///
 /// ```
 /// # use shared_proto::counter::CounterTracker;
@@ -23,56 +23,59 @@ pub struct CounterTracker {
 }
 
 impl CounterTracker {
-    /// The largest step that counts as events rather than as a step backwards. A hand needs minutes for so many events.
+    /// The maximum step that counts as events.
+    /// A larger difference is a step backwards.
+    /// A hand needs minutes for 127 events.
     pub const MOST: u8 = 127;
 
-    /// A tracker without a base.
+    /// Creates a tracker without a reference.
     pub const fn new() -> Self {
         Self { last: None }
     }
 
-    /// Events since the last value, at most [`Self::MOST`]. A larger step is no count of events but a
-    /// restart or a very long silence: it gives 0 and becomes the new base.
+    /// Returns the number of events since the last value, at most [`Self::MOST`].
+    /// A larger step means a restart or a very long silence; it returns 0 and sets a new reference.
     pub fn see(&mut self, value: u8) -> u8 {
         let new = value.wrapping_sub(self.last.unwrap_or(value));
         self.last = Some(value);
         if new > Self::MOST { 0 } else { new }
     }
 
-    /// Forgets the base: the board has restarted.
+    /// Forgets the reference, because the board has restarted.
     pub fn rebase(&mut self) {
         self.last = None;
     }
 }
 
-/// How a frame stands to the ones before it.
+/// The position of a frame relative to earlier ones.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Order {
-    /// Newer than all before it.
+    /// The frame is newer than all earlier ones.
     New {
-        /// Frames missing between the last one and this.
+        /// Number of missing frames between the last one and this one.
         lost: u16,
     },
-    /// The same number as the last one. Leave it out.
+    /// The frame has the same number as the last one. Ignore it.
     Duplicate,
-    /// Older than the last one. Leave it out. Several in a row mean that the board has restarted and
-    /// its hello was lost: send a [`HelloRequest`](crate::message::HostMessage::HelloRequest).
+    /// The frame is older than the last one. Ignore it.
+    /// Several in a row mean that the board has restarted and its hello was lost.
+    /// In this case, send a [`HelloRequest`](crate::message::HostMessage::HelloRequest).
     Old,
 }
 
-/// Watches the sequence numbers of one kind of message.
+/// Tracks the sequence numbers of one kind of message.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SequenceTracker {
     last: Option<u16>,
 }
 
 impl SequenceTracker {
-    /// A tracker without a base.
+    /// Creates a tracker without a reference.
     pub const fn new() -> Self {
         Self { last: None }
     }
 
-    /// Places a sequence number. The first one is new, with none lost.
+    /// Classifies a sequence number. The first one is new and without losses.
     pub fn see(&mut self, sequence: u16) -> Order {
         let step = match self.last {
             None => 1,
@@ -80,7 +83,7 @@ impl SequenceTracker {
         };
         match step {
             0 => Order::Duplicate,
-            // Half the range counts as ahead: 11 minutes of left-hand states at 50 Hz.
+            // Half the range counts as ahead, which is 11 minutes of left-hand states at 50 Hz.
             1..0x8000 => {
                 self.last = Some(sequence);
                 Order::New { lost: step - 1 }
@@ -89,7 +92,7 @@ impl SequenceTracker {
         }
     }
 
-    /// Forgets the base: the board has restarted.
+    /// Forgets the reference, because the board has restarted.
     pub fn rebase(&mut self) {
         self.last = None;
     }
@@ -132,8 +135,8 @@ mod tests {
     }
 
     proptest! {
-        /// What reaches the receiver (some frames lost, some repeated, some late) yields exactly the
-        /// events between the first and the newest frame that came through.
+        /// For any lost, repeated and late frames, the receiver counts exactly the events between the first
+        /// and the newest received frame.
         #[test]
         fn no_loss_repetition_or_reordering_changes_the_sum_of_events(
             first_count: u8,
@@ -153,7 +156,7 @@ mod tests {
                     0 | 1 => continue,
                     2 => line.extend([frame, frame]),
                     3 => {
-                        // Comes after the next one that comes through, if that has not taken its place.
+                        // This frame arrives after the next received one, unless that one has replaced it.
                         if base.is_some() && held.is_none() {
                             held = Some(frame);
                         }
@@ -172,7 +175,7 @@ mod tests {
                     seen += u32::from(events.see(count));
                 }
             }
-            // 4 events a frame at most, so a gap of 127 needs 32 lost frames in a row.
+            // A frame has at most 4 events, so a gap of 127 needs 32 consecutive lost frames.
             prop_assert_eq!(seen, newest - base.unwrap_or(newest));
         }
     }

@@ -1,7 +1,7 @@
-//! CRC-32 of zip and Ethernet, bit by bit: a table would cost the left board half its RAM, and the crate `crc`, fed byte by
-//! byte as frames are, 1.4 KB of its flash.
+//! The CRC-32 of zip and Ethernet, computed bit by bit.
+//! A table would take half of the left board's RAM. The crate `crc`, used byte by byte, would take 1.4 KB of its flash.
 
-/// A running checksum. It is also a model's id, and protects what boards store.
+/// A running checksum. It is also used for model ids and for stored data on boards.
 ///
 /// ```
 /// # use shared_proto::crc::Crc32;
@@ -14,19 +14,19 @@
 pub struct Crc32(u32);
 
 impl Crc32 {
-    /// Of nothing yet.
+    /// Creates the checksum of no bytes.
     pub const fn new() -> Self {
         Self(u32::MAX)
     }
 
-    /// Of all of `bytes`.
+    /// Returns the checksum of `bytes`.
     pub fn of(bytes: &[u8]) -> u32 {
         let mut crc = Self::new();
         crc.update(bytes);
         crc.finish()
     }
 
-    /// Takes more bytes.
+    /// Adds more bytes.
     pub fn update(&mut self, bytes: &[u8]) {
         for &byte in bytes {
             self.0 ^= u32::from(byte);
@@ -40,7 +40,7 @@ impl Crc32 {
         }
     }
 
-    /// The checksum of the bytes so far.
+    /// Returns the checksum of all bytes so far.
     pub const fn finish(self) -> u32 {
         !self.0
     }

@@ -1,11 +1,13 @@
-//! Frames: how one message becomes bytes that survive a noisy line, and comes back.
+//! Frames: converts messages to bytes that survive a noisy line, and back.
 //!
-//! `COBS(postcard(message) ++ CRC-32 little endian) ++ 0x00`. The zero byte occurs nowhere else, so
-//! a receiver that lost its place waits for the next one.
+//! The format is `COBS(postcard(message) ++ CRC-32 little endian) ++ 0x00`.
+//! The zero byte occurs nowhere else, so a receiver that is out of step waits for the next one.
 //!
-//! Every frame that arrives whole behind a zero byte (or as the first bytes of a new [`Decoder`]) is
-//! accepted, whatever came before that zero. A sender therefore writes one [`DELIMITER`] after each
-//! start or opened link: it ends whatever half frame or noise was under way, and costs nothing, since
+//! Every complete frame after a zero byte (or at the start of a new [`Decoder`]) is accepted,
+//! whatever precedes that zero.
+//! A sender therefore writes one [`DELIMITER`] after each start or opened link, to terminate a partial frame or noise.
+//! This is harmless because empty frames are skipped.
+//! Damaged frames are counted and dropped, and never requested again.
 //! empty frames are skipped. What is damaged is counted and dropped; nothing is ever asked for again.
 
 use crate::crc::Crc32;
@@ -13,31 +15,31 @@ use crate::message::{BoardBody, BoardMessage, HostMessage, LeftRequest, Row, lar
 use postcard::ser_flavors::Flavor;
 use serde::Serialize;
 
-/// Ends each frame and occurs nowhere else.
+/// Ends each frame. It occurs nowhere else.
 pub const DELIMITER: u8 = 0;
 
 const CRC_BYTES: usize = 4;
 
-/// A frame around `message` bytes: checksum, one code byte per started 254 bytes, delimiter.
+/// Length of a frame with `message` bytes: checksum, one code byte for each started block of 254 bytes, delimiter.
 pub(crate) const fn frame_len(message: usize) -> usize {
     let decoded = message + CRC_BYTES;
     decoded + decoded / 254 + 1 + 1
 }
 
-/// Largest frame that any board sends, in bytes: the laptop's receive buffer.
+/// Largest frame from any board in bytes, which is the size of the laptop's receive buffer.
 pub const BOARD_FRAME_MAX: usize = largest(BoardMessage::ROWS, false);
-/// Largest frame that the left board sends, in bytes: its send buffer.
+/// Largest frame from the left board in bytes, which is the size of its send buffer.
 pub const LEFT_BOARD_FRAME_MAX: usize = largest(BoardMessage::ROWS, true);
-/// Largest frame that the laptop sends to a left board, in bytes: that board's receive buffer.
-/// (Longer ones, the model's, are not for it: they count as overflow there.)
+/// Largest frame from the laptop to a left board in bytes, which is the size of that board's receive buffer.
+/// Longer frames contain models, which are not for this board; it counts them as overflow.
 pub const HOST_TO_LEFT_FRAME_MAX: usize = largest(HostMessage::ROWS, true);
-/// Largest frame that the laptop sends, in bytes: the right board's receive buffer.
+/// Largest frame from the laptop in bytes, which is the size of the right board's receive buffer.
 pub const HOST_FRAME_MAX: usize = largest(HostMessage::ROWS, false);
 
 /// The caller's buffer is too small for the frame.
 ///
-/// With a buffer of the message's [`BoardBody::FRAME_MAX`] it means that a text or list in the message is longer
-/// than its maximum in [`message`](crate::message).
+/// If the buffer has the message's [`BoardBody::FRAME_MAX`], a text or list in the message exceeds its maximum length.
+/// See [`message`](crate::message).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct EncodeError;
 
@@ -49,30 +51,30 @@ impl core::fmt::Display for EncodeError {
 
 impl core::error::Error for EncodeError {}
 
-/// Writes the frame of a board's message into `out` and returns the written part.
+/// Writes the frame of a board's message to `out` and returns the written part.
 ///
 /// # Errors
-/// [`EncodeError`] when `out` is too small; its content is then meaningless.
+/// [`EncodeError`] if `out` is too small; its content is then undefined.
 pub fn encode_board<'b>(message: &BoardMessage<'_>, out: &'b mut [u8]) -> Result<&'b [u8], EncodeError> {
     encode(message, out)
 }
 
-/// Writes the frame of the laptop's message into `out` and returns the written part.
+/// Writes the frame of a laptop's message to `out` and returns the written part.
 ///
 /// # Errors
-/// [`EncodeError`] when `out` is too small; its content is then meaningless.
+/// [`EncodeError`] if `out` is too small; its content is then undefined.
 pub fn encode_host<'b>(message: &HostMessage<'_>, out: &'b mut [u8]) -> Result<&'b [u8], EncodeError> {
     encode(message, out)
 }
 
-/// Writes the same frame as [`encode_board`], from the message's body alone.
+/// Writes the same frame as [`encode_board`], but only needs the message's body.
 ///
-/// For boards with little flash: only the bodies that a program sends become code in it.
+/// This saves flash on boards, because the program contains code only for the bodies that it sends.
 ///
 /// # Errors
-/// [`EncodeError`] when `out` is too small; its content is then meaningless.
+/// [`EncodeError`] if `out` is too small; its content is then undefined.
 pub fn encode_body<'b, B: BoardBody>(body: &B, out: &'b mut [u8]) -> Result<&'b [u8], EncodeError> {
-    // A message's number is one byte on the wire, as long as there are fewer than 128.
+    // A message's number is one byte on the wire, because there are fewer than 128.
     encode(&(B::NUMBER, body), out)
 }
 
@@ -83,12 +85,13 @@ fn encode<'b>(message: &impl Serialize, out: &'b mut [u8]) -> Result<&'b [u8], E
 /// Encodes COBS and computes the checksum while postcard writes, so that a frame needs one buffer and one pass.
 struct FrameWriter<'b> {
     out: &'b mut [u8],
-    /// Bytes written, the open code byte included.
+    /// Number of bytes written, including the open code byte.
     len: usize,
-    /// Where the open block's code byte will stand.
+    /// Position of the open block's code byte.
     code_at: usize,
     crc: Crc32,
-    /// Something did not fit. Reported at the end: a check after each byte would cost the left board 1 KB.
+    /// Whether any data did not fit in the buffer.
+    /// It is checked at the end, because a check after each byte would cost the left board 1 KB.
     full: bool,
 }
 
@@ -105,7 +108,7 @@ impl<'b> FrameWriter<'b> {
     }
 
     fn close_block(&mut self) {
-        // At most 255: a block is closed as soon as it holds 254 bytes.
+        // At most 255, because a block is closed as soon as it contains 254 bytes.
         let code = (self.len - self.code_at) as u8;
         self.put(self.code_at, code);
     }
@@ -116,7 +119,7 @@ impl<'b> FrameWriter<'b> {
     }
 
     fn stuff(&mut self, byte: u8) {
-        // A full block is closed only when more follows, so that none is left empty at the end.
+        // A full block is closed only if more bytes follow, so that the frame does not end with an empty block.
         if self.len - self.code_at == 255 {
             self.close_block();
             self.open_block();
@@ -134,7 +137,7 @@ impl<'b> FrameWriter<'b> {
 impl<'b> Flavor for FrameWriter<'b> {
     type Output = &'b [u8];
 
-    // Not inlined: a copy for each field of each message would cost the left board KBs.
+    // This function is not inlined, because a copy for each field of each message would cost the left board several KB.
     #[inline(never)]
     fn try_push(&mut self, byte: u8) -> postcard::Result<()> {
         self.crc.update(&[byte]);
@@ -153,12 +156,12 @@ impl<'b> Flavor for FrameWriter<'b> {
     }
 }
 
-/// Why an intact frame's payload is not a message of this version.
+/// The reason why the payload of an intact frame is not a message of this version.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ParseError {
     /// A message that a later minor version added. Ignore it.
     Unknown,
-    /// A known message in an unknown shape: a sender of another major version.
+    /// A known message with another layout, so the sender has another major version.
     Malformed,
 }
 
@@ -173,13 +176,13 @@ impl core::fmt::Display for ParseError {
 
 impl core::error::Error for ParseError {}
 
-/// Reads a board's message from an intact frame's payload.
+/// Parses a board's message from the payload of an intact frame.
 ///
-/// Bytes behind the message make it [`ParseError::Malformed`], except behind a
-/// [`Hello`](BoardMessage::Hello): its fields are frozen, but later versions may append to it.
+/// Extra bytes after the message make it [`ParseError::Malformed`].
+/// [`Hello`](BoardMessage::Hello) is an exception: its fields are frozen, but later versions may append to it.
 ///
 /// # Errors
-/// [`ParseError`] when this version does not have such a message.
+/// [`ParseError`] if this version does not have such a message.
 pub fn parse_board(payload: &[u8]) -> Result<BoardMessage<'_>, ParseError> {
     match postcard::take_from_bytes(payload) {
         Ok((message, rest)) if rest.is_empty() || matches!(message, BoardMessage::Hello(_)) => Ok(message),
@@ -187,13 +190,13 @@ pub fn parse_board(payload: &[u8]) -> Result<BoardMessage<'_>, ParseError> {
     }
 }
 
-/// Reads the laptop's message from an intact frame's payload.
+/// Parses a laptop's message from the payload of an intact frame.
 ///
-/// Bytes behind the message make it [`ParseError::Malformed`], except behind a
-/// [`HelloRequest`](HostMessage::HelloRequest), for the same reason as in [`parse_board`].
+/// Extra bytes after the message make it [`ParseError::Malformed`].
+/// [`HelloRequest`](HostMessage::HelloRequest) is an exception for the same reason as in [`parse_board`].
 ///
 /// # Errors
-/// [`ParseError`] when this version does not have such a message.
+/// [`ParseError`] if this version does not have such a message.
 pub fn parse_host(payload: &[u8]) -> Result<HostMessage<'_>, ParseError> {
     match postcard::take_from_bytes(payload) {
         Ok((message, rest)) if rest.is_empty() || message == HostMessage::HelloRequest => Ok(message),
@@ -201,11 +204,11 @@ pub fn parse_host(payload: &[u8]) -> Result<HostMessage<'_>, ParseError> {
     }
 }
 
-/// Reads what the laptop sends to a left board; what is for the right one only is
-/// [`ParseError::Unknown`]. Otherwise like [`parse_host`], in much less code.
+/// Parses a laptop's message to a left board. Messages for the right board only are [`ParseError::Unknown`].
+/// Otherwise it behaves like [`parse_host`], with much less code.
 ///
 /// # Errors
-/// [`ParseError`] when this version does not have such a message for a left board.
+/// [`ParseError`] if this version does not have such a message for a left board.
 pub fn parse_left_request(payload: &[u8]) -> Result<LeftRequest, ParseError> {
     match LeftRequest::take(payload)? {
         (message, rest) if rest.is_empty() || message == LeftRequest::HelloRequest => Ok(message),
@@ -220,44 +223,44 @@ fn why_not(payload: &[u8], known: &[Row]) -> ParseError {
     }
 }
 
-/// What a [`Decoder`] has seen since it was made. All wrap.
+/// Statistics of a [`Decoder`] since its creation. All counters wrap.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counters {
-    /// Intact frames, whether or not their message is known.
+    /// Intact frames, with known or unknown messages.
     pub frames: u32,
     /// Intact frames with a message that a later minor version added.
     pub unknown: u32,
-    /// Intact frames with a message of another shape: the sender has another major version.
+    /// Intact frames with a message of another layout, so the sender has another major version.
     pub malformed: u32,
-    /// Damaged: the delimiter came too early or too late.
+    /// Damaged frames whose delimiter came too early or too late.
     pub bad_cobs: u32,
-    /// Damaged: the checksum differs, or there is none.
+    /// Damaged frames whose checksum is wrong or missing.
     pub bad_crc: u32,
-    /// Damaged, or not for this receiver: longer than the buffer.
+    /// Frames longer than the buffer, which are damaged or not for this receiver.
     pub overflow: u32,
 }
 
 impl Counters {
-    /// Frames lost to the line: what [`Status::bad_frames`](crate::message::Status) reports.
+    /// Number of frames lost on the line, as reported in [`Status::bad_frames`](crate::message::Status).
     pub fn damaged(&self) -> u32 {
         self.bad_cobs.wrapping_add(self.bad_crc).wrapping_add(self.overflow)
     }
 }
 
-/// Turns bytes, in any slicing, into messages.
+/// Converts bytes, in portions of any size, to messages.
 ///
-/// `N` is the longest frame it takes, in bytes on the wire, such as [`BOARD_FRAME_MAX`]. The decoder
-/// itself takes `N` bytes plus about 30.
+/// `N` is the maximum length of a frame in bytes on the wire, such as [`BOARD_FRAME_MAX`].
+/// The decoder itself needs `N` bytes plus about 30.
 #[derive(Clone, Debug)]
 pub struct Decoder<const N: usize> {
     buffer: [u8; N],
-    /// Decoded bytes in `buffer`.
+    /// Number of decoded bytes in `buffer`.
     len: usize,
-    /// The open block's code byte; 0 before the first block of a frame.
+    /// The code byte of the open block; 0 before the first block of a frame.
     code: u8,
-    /// Bytes still to come in the open block.
+    /// Number of bytes still to come in the open block.
     left: u8,
-    /// The frame is longer than the buffer: wait for the delimiter.
+    /// Whether the frame is longer than the buffer, so that all bytes up to the delimiter are skipped.
     skipping: bool,
     counters: Counters,
 }
@@ -269,7 +272,7 @@ impl<const N: usize> Default for Decoder<N> {
 }
 
 impl<const N: usize> Decoder<N> {
-    /// A decoder that expects the start of a frame.
+    /// Creates a decoder that expects the start of a frame.
     pub const fn new() -> Self {
         Self {
             buffer: [0; N],
@@ -281,32 +284,32 @@ impl<const N: usize> Decoder<N> {
         }
     }
 
-    /// What has been seen so far.
+    /// Returns the statistics so far.
     pub fn counters(&self) -> Counters {
         self.counters
     }
 
-    /// Takes one byte; the payload (the message without its checksum) when it ends an intact frame.
+    /// Adds one byte. Returns the payload (the message without its checksum) if the byte completes an intact frame.
     pub fn push(&mut self, byte: u8) -> Option<&[u8]> {
         let len = self.step(byte)?;
         Some(&self.buffer[..len])
     }
 
-    /// Takes one byte on the laptop; a message when it ends an intact frame with a known one.
+    /// Adds one byte on the laptop. Returns a message if the byte completes an intact frame with a known one.
     pub fn push_board(&mut self, byte: u8) -> Option<BoardMessage<'_>> {
         let len = self.step(byte)?;
         let parsed = parse_board(&self.buffer[..len]);
         Self::count_unparsed(&mut self.counters, parsed)
     }
 
-    /// Takes one byte on a board; a message when it ends an intact frame with a known one.
+    /// Adds one byte on a board. Returns a message if the byte completes an intact frame with a known one.
     pub fn push_host(&mut self, byte: u8) -> Option<HostMessage<'_>> {
         let len = self.step(byte)?;
         let parsed = parse_host(&self.buffer[..len]);
         Self::count_unparsed(&mut self.counters, parsed)
     }
 
-    /// Takes one byte on a left board; a request when it ends an intact frame with a known one.
+    /// Adds one byte on a left board. Returns a request if the byte completes an intact frame with a known one.
     pub fn push_left_request(&mut self, byte: u8) -> Option<LeftRequest> {
         let len = self.step(byte)?;
         let parsed = parse_left_request(&self.buffer[..len]);
@@ -323,7 +326,7 @@ impl<const N: usize> Decoder<N> {
         None
     }
 
-    /// Takes one byte; the payload's length in `buffer` when it ends an intact frame.
+    /// Adds one byte. Returns the payload's length in `buffer` if the byte completes an intact frame.
     fn step(&mut self, byte: u8) -> Option<usize> {
         if byte == DELIMITER {
             let ended = self.end_frame();
@@ -340,7 +343,7 @@ impl<const N: usize> Decoder<N> {
             self.left -= 1;
             self.keep(byte);
         } else {
-            // A new block. The one before it ended in a zero, unless it was full or is not there.
+            // A new block begins. The previous block ended in a zero unless it was full or this is the first block.
             if self.code != 0 && self.code != 255 {
                 self.keep(0);
             }
@@ -369,7 +372,7 @@ impl<const N: usize> Decoder<N> {
             &mut self.counters.bad_cobs
         } else {
             match self.len.checked_sub(CRC_BYTES) {
-                // An empty message does not exist, and its checksum is 0: what a line stuck at 0x01 reads as.
+                // A message is never empty. An empty one has checksum 0, which a line stuck at 0x01 would produce.
                 Some(len)
                     if len > 0
                         && Crc32::of(&self.buffer[..len]).to_le_bytes() == self.buffer[len..self.len] =>

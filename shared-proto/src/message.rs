@@ -1,16 +1,20 @@
-//! Every message that crosses the wire: a table for each direction.
+//! All messages of the wire: one table for each direction.
 //!
-//! A row is `number Name fields => boards, minor version that added it`. All else about a message follows from its row:
-//! its place in the enum, the buffer sizes in [`frame`](crate::frame), what a left board takes ([`LeftRequest`]), and the rows
-//! of `WIRE.md` with the golden frames, which tests compare with [`BoardMessage::ROWS`] and [`HostMessage::ROWS`].
+//! A row is `number Name fields => boards, minor version that added it`.
+//! Everything else about a message is derived from it:
+//! its place in the enum, the buffer sizes in [`frame`](crate::frame),
+//! and the messages of a left board ([`LeftRequest`]).
+//! Tests also compare the rows of `WIRE.md` and the golden frames with [`BoardMessage::ROWS`]
+//! and [`HostMessage::ROWS`].
 //!
-//! A message is a [postcard](https://postcard.jamesmunns.com/wire-format) enum: one byte of variant
-//! number, then the fields in order. State travels whole and events travel as wrapping counters, so
-//! a lost frame loses nothing and a repeated one does nothing.
+//! A message is a [postcard](https://postcard.jamesmunns.com/wire-format) enum: one byte of variant number,
+//! then the fields.
+//! States are sent completely, and events are wrapping counters, so that lost and repeated frames do no harm.
 //!
-//! **Adding** a message at the end of a table, or a value to an open list ([`Board`], [`FaultKind`], [`AckResult`]: they have
-//! `Unknown`), is a minor change; anything else is a major one (see [`PROTOCOL_MAJOR`]). [`Hello`] and
-//! [`HostMessage::HelloRequest`] are frozen for ever, so that any two versions can tell each other that they differ.
+//! A new message at the end of a table is a minor change. So is a new value in a list that has `Unknown`.
+//! These lists include [`Board`], [`FaultKind`] and [`AckResult`].
+//! Every other change is a major one (see [`PROTOCOL_MAJOR`]).
+//! [`Hello`] and [`HostMessage::HelloRequest`] never change, so that any two versions can detect their difference.
 
 use crate::frame::{ParseError, frame_len};
 use postcard::experimental::max_size::MaxSize;
@@ -29,37 +33,37 @@ pub use signal::Signal;
 pub(crate) use table::largest;
 pub use table::{BoardBody, Boards, Row};
 
-/// Raised when a message is reshaped; both sides must have the same one.
+/// This number increases when the layout of a message changes. Both sides must have the same number.
 pub const PROTOCOL_MAJOR: u8 = 1;
 /// Raised when a message is added; the older side ignores what it does not know.
 pub const PROTOCOL_MINOR: u8 = 4;
 
 board_messages! {
-    /// What a board sends to the laptop.
+    /// Messages from a board to the laptop.
     BoardMessage<'a> {
-        /// At start, and in answer to [`HostMessage::HelloRequest`].
+        /// Sent at start, and in answer to [`HostMessage::HelloRequest`].
         #[serde(borrow)]
         0 Hello(Hello<'a>) => Both, 0;
-        /// The left hand's whole state, at 50 Hz and at once on a change.
+        /// The complete state of the left hand, at 50 Hz and immediately on a change.
         1 Left(LeftState) => Left, 0;
-        /// The right hand's whole state, once per hop (80 ms).
+        /// The complete state of the right hand, once per hop (80 ms).
         #[serde(borrow)]
         2 Right(RightState<'a>) => Right, 0;
-        /// Samples as the window saw them, in record mode only.
+        /// The samples that entered the window, in record mode only.
         #[serde(borrow)]
         3 RawImu(RawImu<'a>) => Right, 0;
         /// Counters, once per second.
         4 Status(Status) => Both, 0;
-        /// Something is wrong that a person should know about.
+        /// A problem that the user should know about.
         5 Fault(Fault) => Both, 0;
         /// Answer to [`HostMessage::Ping`].
         6 Pong(Pong) => Both, 0;
         /// Answer to every other request.
         7 Ack(Ack) => Both, 0;
-        /// What the running model expects and names, sent after each hello of a right hand.
+        /// The requirements and labels of the running model, sent after each hello of a right hand.
         #[serde(borrow)]
         8 ModelInfo(ModelInfo<'a>) => Right, 0;
-        /// What a right hand's board is made of, sent after each hello.
+        /// The hardware of a right hand's board, sent after each hello.
         9 About(About) => Right, 1;
         /// One sample of a left hand's converter, in record mode only.
         10 RawAdc(RawAdc) => Left, 3;
@@ -67,80 +71,80 @@ board_messages! {
 }
 
 host_messages! {
-    /// What the laptop sends to a board.
+    /// Messages from the laptop to a board.
     HostMessage<'a> {
-        /// Who are you?
+        /// Asks for a [`Hello`].
         0 HelloRequest => Both, 0;
-        /// Answered by [`Pong`] with the same id.
+        /// The receiver answers with [`Pong`] and the same id.
         1 Ping {
             /// Chosen by the laptop.
             id: u32,
         } => Both, 0;
-        /// Change what the board does.
+        /// Changes the mode of the board.
         2 SetMode {
             /// Echoed in the [`Ack`].
             request: u16,
             /// The new mode.
             mode: Mode,
         } => Both, 0;
-        /// Start one step of the left hand's calibration.
+        /// Starts one step of the left hand's calibration.
         3 Calibrate {
             /// Echoed in the [`Ack`].
             request: u16,
-            /// Which pose the hand holds now.
+            /// The current pose of the hand.
             step: CalibrationStep,
         } => Both, 0;
-        /// Change the left hand's tilt thresholds until the next restart.
+        /// Changes the left hand's tilt thresholds until the next restart.
         4 SetThresholds {
             /// Echoed in the [`Ack`].
             request: u16,
             /// The new thresholds.
             thresholds: TiltThresholds,
         } => Both, 0;
-        /// Announce a model blob; the board answers with the offset it wants next.
+        /// Announces a model blob. The board answers with the next expected offset.
         #[serde(borrow)]
         5 ModelBegin(ModelBegin<'a>) => Right, 0;
-        /// A piece of the blob. Pieces arrive in order; the [`Ack`] names the next offset.
+        /// A piece of the blob. Pieces must arrive in order; the [`Ack`] contains the next offset.
         6 ModelChunk {
             /// Echoed in the [`Ack`].
             request: u16,
-            /// Where in the blob the data belongs, in bytes.
+            /// Offset of the data in the blob, in bytes.
             offset: u32,
             /// A piece of the blob.
             #[serde(borrow)]
             data: Bytes<'a, MODEL_CHUNK_MAX>,
         } => Right, 0;
-        /// Verify and keep the blob; used after the next restart.
+        /// Verifies and stores the blob, which is used after the next restart.
         7 ModelCommit {
             /// Echoed in the [`Ack`].
             request: u16,
-            /// CRC-32 of the whole blob, which is also the new model id.
+            /// CRC-32 of the complete blob, which is also the new model id.
             crc32: u32,
         } => Right, 0;
-        /// What the wearer of a right hand shall feel, if a motor is wired to its board. Not acknowledged: a late one
-        /// is worth nothing. Boards of earlier versions are not sent it.
+        /// Plays a signal on a motor at the right hand's board, if one is connected.
+        /// The board sends no acknowledgement, because a late signal is useless. Older boards ignore it.
         8 Feel {
-            /// What.
+            /// The signal to play.
             signal: Signal,
         } => Right, 2;
     }
 }
 
-/// Largest piece of a model in one frame, in bytes. All but the last have this size.
+/// Maximum size of a model's piece in one frame, in bytes. All pieces but the last have this size.
 pub const MODEL_CHUNK_MAX: usize = 128;
-/// Largest [`RawImu::counts`], in bytes: 8 samples of 9 axes.
+/// Maximum size of [`RawImu::counts`] in bytes: 8 samples of 9 axes.
 pub const RAW_COUNTS_MAX: usize = 8 * 9 * 2;
-/// Longest [`ModelInfo::labels`], in bytes of UTF-8, commas included.
+/// Maximum size of [`ModelInfo::labels`] in bytes of UTF-8, including commas.
 pub const LABELS_MAX: usize = 96;
-/// Longest [`RightState::scores`]: the most labels that a model may have.
+/// Maximum size of [`RightState::scores`], which is the maximum number of labels.
 pub const SCORES_MAX: usize = 32;
-/// Longest [`Hello::firmware`], in bytes of UTF-8.
+/// Maximum size of [`Hello::firmware`] in bytes of UTF-8.
 pub const FIRMWARE_MAX: usize = 32;
 
-/// The left hand, whole.
+/// The complete state of the left hand.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, MaxSize)]
 pub struct LeftState {
-    /// One more for each frame of this message, wrapping.
+    /// Sequence number, which increases by one with each frame of this message and wraps.
     pub sequence: u16,
     /// Board clock at the newest sample in this state, wrapping after 49 days.
     pub board_time_ms: u32,
@@ -148,7 +152,7 @@ pub struct LeftState {
     pub pitch_mrad: i16,
     /// Tilt about the forward axis in milliradians, positive = left.
     pub roll_mrad: i16,
-    /// What the tilt means, debounced.
+    /// The debounced meaning of the tilt.
     pub heading: Heading,
     /// Bends of the index finger since start, wrapping.
     pub index_bends: u8,
@@ -156,40 +160,40 @@ pub struct LeftState {
     pub middle_bends: u8,
     /// Both fingers have been held bent for 300 ms.
     pub stop: bool,
-    /// Bits of [`health`]; 0 = all well.
+    /// Bits of [`health`]; 0 means no problem.
     pub health: u8,
 }
 
-/// The right hand, whole.
+/// The complete state of the right hand.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, MaxSize)]
 pub struct RightState<'a> {
-    /// One more for each frame of this message, wrapping.
+    /// Sequence number, which increases by one with each frame of this message and wraps.
     pub sequence: u16,
     /// Board clock at the newest sample of the window, wrapping after 49 days.
     pub board_time_ms: u32,
-    /// Gestures performed since start, wrapping.
+    /// Number of gestures performed since start, wrapping.
     pub events: u8,
     /// Index (in the model's labels) of the last event's gesture; 255 before the first.
     pub label: u8,
     /// Confidence of the last event, 0 to 255 = 0 to 1.
     pub confidence: u8,
-    /// Board clock at the end of the window that decided the last event.
+    /// Board clock at the end of the window that triggered the last event.
     pub event_window_end_ms: u32,
     /// The network's int8 outputs as bytes, one per label: (score + 128) / 256 is the probability.
     #[serde(borrow)]
     pub scores: Bytes<'a, SCORES_MAX>,
-    /// Bits of [`health`]; 0 = all well.
+    /// Bits of [`health`]; 0 means no problem.
     pub health: u8,
 }
 
-/// Samples exactly as the window saw them: i16 counts on the 100 Hz grid.
+/// Samples exactly as they entered the window: i16 counts on the 100 Hz grid.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, MaxSize)]
 pub struct RawImu<'a> {
-    /// One more for each frame of this message, wrapping.
+    /// Sequence number, which increases by one with each frame of this message and wraps.
     pub sequence: u16,
     /// Number of the first sample since start, counted at the sample rate.
     pub first_sample: u32,
-    /// Values per sample: 3 (accelerometer), 6 (and gyroscope) or 9 (and magnetometer).
+    /// Values per sample: 3 (accelerometer), 6 (with gyroscope) or 9 (with magnetometer).
     pub axes: u8,
     /// Physical value of one count: m/s², deg/s, µT.
     pub scale: [f32; 3],
@@ -198,10 +202,10 @@ pub struct RawImu<'a> {
     pub counts: Bytes<'a, RAW_COUNTS_MAX>,
 }
 
-/// One sample of a left hand's five channels, as its board judges it.
+/// One sample of a left hand's five channels, as used by its board.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, MaxSize)]
 pub struct RawAdc {
-    /// Board clock at the sample, wrapping after 49 days: a jump tells of samples that are missing.
+    /// Board clock at the sample, wrapping after 49 days. A jump means that samples are missing.
     pub board_time_ms: u32,
     /// x, y, z, index, middle: each the sum of eight conversions of 10 bits, 0 to 8184.
     pub counts: [u16; 5],
@@ -222,14 +226,14 @@ pub struct Status {
     pub free_stack_bytes: u32,
     /// Share of time awake since the last status, in parts per thousand.
     pub load_permille: u16,
-    /// What the board does.
+    /// The mode of the board.
     pub mode: Mode,
 }
 
-/// What a board does.
+/// The mode of a board.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, MaxSize)]
 pub enum Mode {
-    /// Names gestures (right hand), or sends the hand's state (left hand).
+    /// Recognises gestures (right hand), or sends the hand's state (left hand).
     #[default]
     Classify,
     /// Sends raw batches.
@@ -238,12 +242,12 @@ pub enum Mode {
     Idle,
 }
 
-/// What went wrong on a board.
+/// A problem on a board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, MaxSize)]
 pub struct Fault {
     /// Time since start.
     pub uptime_ms: u32,
-    /// What.
+    /// The kind of problem.
     pub kind: FaultKind,
     /// Depends on the kind: a register value, an address, a channel.
     pub detail: u32,
@@ -256,20 +260,20 @@ open_list! {
         SensorMissing = 0,
         /// The sensor is not the expected one; detail = its WHO_AM_I.
         SensorUnknown = 1,
-        /// The board is a Rev2, which an image of version 0.1.0 did not support. Later ones do.
+        /// The board is a Rev2, which images of version 0.1.0 did not support. Later images do.
         BoardRev2 = 2,
-        /// The bus was stuck and has been cleared.
+        /// The bus was blocked and has been cleared.
         BusStuck = 3,
         /// The watchdog restarted the board.
         Watchdog = 4,
         /// The firmware panicked before this start.
         Panic = 5,
-        /// The stored calibration was damaged; defaults are in use.
+        /// The stored calibration was damaged, so the default is used.
         CalibrationDamaged = 6,
-        /// The stored model was damaged or does not fit; the compiled-in one is in use.
+        /// The stored model was damaged or does not fit, so the compiled-in one is used.
         ModelDamaged = 7,
-        /// The running model reads a magnetometer and this board has none that may be used: no gesture comes from it;
-        /// detail = axes of its sensor.
+        /// The running model reads a magnetometer that this board does not have, so no gesture is recognised;
+        /// detail = axes of the sensor.
         NoMagnetometer = 8,
     }
 }
@@ -279,7 +283,7 @@ open_list! {
 pub struct Pong {
     /// The id of the ping.
     pub id: u32,
-    /// Board clock when the ping was handled.
+    /// Board clock when the ping was processed.
     pub board_time_ms: u32,
 }
 
@@ -288,34 +292,34 @@ pub struct Pong {
 pub struct Ack {
     /// The request's number.
     pub request: u16,
-    /// How it went.
+    /// The result of the request.
     pub result: AckResult,
-    /// In a model transfer: the offset that the board wants next, in bytes. Else 0.
+    /// The next expected offset of a model transfer in bytes; otherwise 0.
     pub next_offset: u32,
 }
 
 open_list! {
-    /// How a request went.
+    /// The result of a request.
     AckResult {
-        /// Done.
+        /// The request was executed.
         Ok = 0,
-        /// Accepted, and it takes time: a second acknowledgement follows.
+        /// The request was accepted and takes time. A second acknowledgement follows.
         Started = 1,
-        /// Not now: another request is under way.
+        /// Another request is in progress.
         Busy = 2,
-        /// This board does not do that.
+        /// This board does not support the request.
         Unsupported = 3,
-        /// A value is outside its range.
+        /// A value is out of range.
         OutOfRange = 4,
-        /// The hand did not hold still, or the pose cannot be right.
+        /// The hand moved, or its pose is implausible.
         Unsteady = 5,
         /// The model's recipe, axes, rate, window or size does not fit this image.
         ModelDoesNotFit = 6,
-        /// The piece is not the one wanted next.
+        /// The piece is not the expected one.
         WrongOffset = 7,
         /// The checksum differs.
         BadChecksum = 8,
-        /// Flash or EEPROM did not take the data.
+        /// Flash or EEPROM did not store the data.
         StorageFailed = 9,
         /// Writes need a bonded link.
         NotBonded = 10,
@@ -331,16 +335,16 @@ pub enum CalibrationStep {
     Rest,
     /// Both fingers are bent.
     Bend,
-    /// Forget it all and use defaults.
+    /// Deletes the calibration, so that the default is used.
     Reset,
 }
 
-/// What a model needs and names.
+/// The requirements and labels of a model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, MaxSize)]
 pub struct ModelInfo<'a> {
     /// CRC-32 of the blob.
     pub model_id: u32,
-    /// How features are made (see `shared_dsp::right::kind`).
+    /// The kind of features (see `shared_dsp::right::kind`).
     pub recipe: u8,
     /// Values per sample.
     pub axes: u8,
@@ -354,7 +358,7 @@ pub struct ModelInfo<'a> {
 }
 
 impl ModelBegin<'_> {
-    /// [`ModelBegin::scaling`] of a model that boards run.
+    /// [`ModelBegin::scaling`] of models that boards can run.
     pub const DATA_SHEET_SCALING: [f32; 3] = [1.0; 3];
 }
 
@@ -363,13 +367,14 @@ impl ModelBegin<'_> {
 pub struct ModelBegin<'a> {
     /// Echoed in the [`Ack`].
     pub request: u16,
-    /// What the model needs and names; `model_id` is the CRC-32 of the whole blob.
+    /// The requirements and labels of the model; `model_id` is the CRC-32 of the complete blob.
     #[serde(borrow)]
     pub info: ModelInfo<'a>,
-    /// In which scale of accelerometer, gyroscope and magnetometer the model was trained, as a factor on the data sheets'.
-    /// Arduino's library reads 1.1469 too much on two of them. Boards compute in data sheets' scale and refuse a model of
-    /// another one: its gestures would be recognised at another tempo.
+    /// The sensor scale during training for accelerometer, gyroscope and magnetometer,
+    /// as a factor of the data sheets' scale.
+    /// For two sensors, Arduino's library has a factor of 1.1469.
+    /// Boards use the data sheets' scale and refuse models with another one, because gestures would need another tempo.
     pub scaling: [f32; 3],
-    /// Bytes of the whole blob.
+    /// Length of the complete blob in bytes.
     pub size: u32,
 }

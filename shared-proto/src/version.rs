@@ -1,26 +1,26 @@
-//! Whether a board and this program understand each other, and what to do when not.
+//! Checks whether a board and this program have compatible versions, and proposes a remedy.
 
 use crate::message::{Board, Hello, PROTOCOL_MAJOR, PROTOCOL_MINOR};
 use core::fmt;
 
-/// How a board's minor version stands to ours. All three work.
+/// The relation of a board's minor version to ours. All three are compatible.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Compatibility {
-    /// The same version.
+    /// The versions are equal.
     Same,
-    /// The board lacks messages that we know: requests may come back
-    /// [`Unsupported`](crate::message::AckResult::Unsupported) or stay without an answer.
+    /// The board lacks messages that we know.
+    /// Requests may be answered with [`Unsupported`](crate::message::AckResult::Unsupported), or not at all.
     BoardOlder,
-    /// The board may send messages that we do not know; they are counted and left out.
+    /// The board may send messages that we do not know. They are counted and ignored.
     BoardNewer,
 }
 
-/// The board speaks another major version: nothing but its hello can be read.
+/// The board has another major version, so only its hello can be read.
 ///
-/// Its text says which side to update, and how.
+/// The text of this error names the side to update and how to do it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Mismatch {
-    /// Who speaks.
+    /// The board.
     pub board: Board,
     /// The board's major version.
     pub major: u8,
@@ -31,8 +31,8 @@ pub struct Mismatch {
 /// Compares a board's version with ours.
 ///
 /// # Errors
-/// [`Mismatch`] when the major versions differ: take no other message from this board and send it
-/// nothing but [`HelloRequest`](crate::message::HostMessage::HelloRequest).
+/// [`Mismatch`] if the major versions differ. Accept no other message from this board.
+/// Send only [`HelloRequest`](crate::message::HostMessage::HelloRequest) to such a board.
 pub fn check(hello: &Hello<'_>) -> Result<Compatibility, Mismatch> {
     if hello.major != PROTOCOL_MAJOR {
         return Err(Mismatch { board: hello.board, major: hello.major, minor: hello.minor });

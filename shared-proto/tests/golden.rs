@@ -1,7 +1,7 @@
-//! Pins the wire: `tests/golden_wire.txt` has one frame of every message, and `WIRE.md` shows the same
-//! bytes to people.
+//! Pins the wire format: `tests/golden_wire.txt` contains one frame of every message,
+//! and `WIRE.md` shows the same bytes.
 //!
-//! After a deliberate change: raise the version in `message.rs`, then
+//! After a deliberate change, increase the version in `message.rs` and then run
 //! `BIMANUAL_BLESS=1 cargo test -p shared-proto --test golden`.
 
 use shared_proto::frame::*;
@@ -105,7 +105,7 @@ fn host_messages() -> Vec<HostMessage<'static>> {
     ]
 }
 
-/// The values of the lists that messages contain, by their byte on the wire.
+/// The values of all lists in messages, sorted by their byte on the wire.
 fn lists() -> Vec<String> {
     fn list<T: serde::de::DeserializeOwned + std::fmt::Debug>(name: &str) -> String {
         let mut line = format!("list {name}:");
@@ -144,7 +144,7 @@ fn host_frame(message: &HostMessage<'_>) -> Vec<u8> {
     encode_host(message, &mut [0; HOST_FRAME_MAX]).unwrap().to_vec()
 }
 
-/// Without the first line, which is the version.
+/// Omits the first line, which is the version.
 fn golden_now() -> Vec<String> {
     let board = board_messages();
     let host = host_messages();
@@ -199,7 +199,7 @@ fn the_wire_has_not_changed_without_a_new_version() {
     std::fs::write(&path, format!("{version}\n{}\n", now.join("\n"))).unwrap();
 }
 
-/// A message that this file does not know would not be pinned.
+/// Otherwise, a message that is missing in this file would not be pinned.
 #[test]
 fn every_message_is_in_the_list() {
     let board: Vec<Row> = board_messages().iter().map(|message| *message.row()).collect();
@@ -210,7 +210,7 @@ fn every_message_is_in_the_list() {
     let (board, host) = (BoardMessage::ROWS.len(), HostMessage::ROWS.len());
     let mut payload = [0; 64];
     for number in 0..128 {
-        // Zeros are valid values of everything in a message.
+        // Zeros are valid values of all fields.
         payload[0] = number as u8;
         assert_eq!(postcard::take_from_bytes::<BoardMessage>(&payload).is_ok(), number < board, "{number}");
         assert_eq!(postcard::take_from_bytes::<HostMessage>(&payload).is_ok(), number < host, "{number}");
@@ -219,7 +219,7 @@ fn every_message_is_in_the_list() {
     }
 }
 
-/// Not with today's encoder: the pinned bytes go through the decoder.
+/// This test decodes the pinned bytes, independent of the current encoder.
 #[test]
 fn the_pinned_frames_are_read_as_the_pinned_messages() {
     let text = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden_wire.txt"));
@@ -249,12 +249,12 @@ fn wire_md_shows_the_true_bytes() {
 
     shows(&format!("protocol {PROTOCOL_MAJOR}.{PROTOCOL_MINOR}"));
 
-    // The picture, byte by byte.
+    // Checks the diagram byte by byte.
     let frame = board_frame(&LEFT);
     let line = page.lines().find_map(|line| line.strip_prefix("bytes ")).expect("a line of bytes");
     assert_eq!(line.replace('|', " ").split_whitespace().collect::<Vec<_>>().join(" "), hex(&frame));
 
-    // Values.
+    // Checks the values.
     fn value<T: serde::Serialize + ?Sized>(value: &T) -> String {
         hex(postcard::to_slice(value, &mut [0; 32]).unwrap())
     }
@@ -284,7 +284,7 @@ fn wire_md_shows_the_true_bytes() {
     }
     let rows = page.lines().filter(|line| line.starts_with("| `")).count();
     assert_eq!(rows, BoardMessage::ROWS.len() + HostMessage::ROWS.len(), "WIRE.md has a row of no message");
-    // A frame's second byte is the message's number, unless that is 0.
+    // The second byte of a frame is the message's number, unless that is 0.
     for (number, message) in host_messages().iter().enumerate().skip(1) {
         assert_eq!(usize::from(host_frame(message)[1]), number);
     }

@@ -1,16 +1,17 @@
-//! Streams of frames, damaged in every way a line can: nothing accepted that was not sent, everything
-//! accepted that was left whole.
+//! Damages streams of frames in every way that a line can.
+//! Only frames that were sent may be accepted, and all undamaged frames must be accepted.
 //!
-//! `cargo test -p shared-proto --test mutations` runs 200 000 streams. Ten million, with their figures:
+//! `cargo test -p shared-proto --test mutations` runs 200 000 streams.
+//! To run ten million and print statistics, use
 //! `BIMANUAL_FULL=1 cargo test --release -p shared-proto --test mutations -- --nocapture`.
-//! `BIMANUAL_SEED=n` starts elsewhere.
+//! `BIMANUAL_SEED=n` selects another seed.
 
 mod common;
 
 use common::{Material, Rng};
 use shared_proto::frame::*;
 
-/// Frames to draw from, each without its delimiter.
+/// A collection of frames without their delimiters.
 struct Pool(Vec<Vec<u8>>);
 
 impl Pool {
@@ -33,7 +34,7 @@ impl Pool {
     }
 }
 
-/// Any part of `len` bytes, most often a short one.
+/// Returns a random part of `len` bytes, which is usually short.
 fn part(rng: &mut Rng, len: usize) -> std::ops::Range<usize> {
     let start = rng.below(len + 1);
     let most = if rng.below(4) == 0 { len - start } else { (len - start).min(8) };
@@ -63,12 +64,12 @@ fn mutate(rng: &mut Rng, stream: &mut Vec<u8>, donor: &[u8]) {
         7 => {
             stream.drain(..at);
         }
-        // Repeated: a part of the stream once more, elsewhere.
+        // Repetition: inserts a part of the stream elsewhere.
         8 => {
             let copy = stream[part(rng, stream.len())].to_vec();
             stream.splice(at..at, copy);
         }
-        // Spliced: a part of another stream, over or between.
+        // Splicing: inserts a part of another stream, or overwrites with it.
         9 => {
             let copy = donor[part(rng, donor.len())].to_vec();
             let over = part(rng, stream.len());
@@ -100,16 +101,16 @@ struct Tally {
     damaged: u64,
 }
 
-/// Feeds the stream to a decoder of `N` bytes and compares with what must come out.
+/// Feeds the stream to a decoder of `N` bytes and compares the result with the expected frames.
 fn check<const N: usize>(stream: &[u8], sent: &[&[u8]], tally: &mut Tally, name: impl Fn() -> String) {
     let mut decoder = Decoder::<N>::new();
     let mut rest = stream;
     let mut whole = 0;
-    // A chunk is whole if it equals a sent frame and a delimiter ends it; the one before it, or the
-    // start of the stream, is its leading delimiter.
+    // A chunk is valid if it equals a sent frame and ends with a delimiter.
+    // Its leading delimiter is that of the previous chunk, or the start of the stream.
     while let Some(end) = rest.iter().position(|&byte| byte == DELIMITER) {
         let chunk = &rest[..end];
-        // One code byte, since no frame here has more: the decoded length is one less.
+        // Frames here are short enough for one code byte, so the decoded length is one less.
         let expected = (chunk.len() <= N + 1 && sent.contains(&chunk)).then_some(chunk);
         for &byte in chunk {
             assert!(decoder.push(byte).is_none(), "{}: a frame before its delimiter", name());
@@ -135,8 +136,8 @@ fn check<const N: usize>(stream: &[u8], sent: &[&[u8]], tally: &mut Tally, name:
     tally.damaged += u64::from(counters.damaged());
 }
 
-/// The payload in a frame of blocks shorter than 254 bytes, by the definition of COBS: each code byte
-/// says how far the next zero is.
+/// Decodes a frame of blocks shorter than 254 bytes by the definition of COBS:
+/// each code byte is the distance to the next zero.
 fn unstuffed(chunk: &[u8]) -> impl Iterator<Item = u8> {
     let mut next_code = usize::from(chunk[0]);
     let payload = chunk.len() - 1 - 4;
@@ -191,6 +192,6 @@ fn damaged_streams_yield_exactly_the_frames_left_whole() {
     let Tally { sent, whole, damaged } = tally;
     println!("{sent} frames drawn, {whole} left whole and all accepted, {damaged} damaged and all dropped");
     println!("row: damaged frames taken | {streams} streams, {damaged} damaged frames | 0 | 0");
-    // Otherwise the run would have tested little.
+    // With fewer cases, the run would have tested too little.
     assert!(whole > streams && damaged > streams / 2);
 }

@@ -1,4 +1,4 @@
-//! Every message comes back from its frame, fits its stated maximum, and nothing else is a message.
+//! Checks that every message can be decoded from its frame and fits its maximum, and that nothing else is a message.
 
 mod common;
 
@@ -22,7 +22,7 @@ prop_compose! {
     }
 }
 
-/// The largest message of each kind.
+/// Returns the largest message of each kind.
 fn largest(kind: usize, row: &Row) -> Material {
     Material {
         kind,
@@ -32,7 +32,7 @@ fn largest(kind: usize, row: &Row) -> Material {
     }
 }
 
-/// The payloads of the intact frames in `bytes`.
+/// Returns the payloads of the intact frames in `bytes`.
 fn payloads(bytes: &[u8]) -> (Vec<Vec<u8>>, Counters) {
     let mut decoder = Decoder::<BOARD_FRAME_MAX>::new();
     let payloads = bytes.iter().filter_map(|&byte| decoder.push(byte).map(<[u8]>::to_vec)).collect();
@@ -51,14 +51,14 @@ proptest! {
         for frame in [board, host] {
             prop_assert_eq!(frame.iter().position(|&byte| byte == DELIMITER), Some(frame.len() - 1));
         }
-        // Compared as text, since NaN differs from itself.
+        // The values are compared as text, because NaN differs from itself.
         let (from_board, _) = payloads(board);
         prop_assert_eq!(format!("{:?}", parse_board(&from_board[0])), format!("Ok({to_host:?})"));
         let (from_host, _) = payloads(host);
         prop_assert_eq!(format!("{:?}", parse_host(&from_host[0])), format!("Ok({to_board:?})"));
     }
 
-    /// The small encoder and decoder of a left board.
+    /// Tests the small encoder and decoder of a left board.
     #[test]
     fn a_body_alone_gives_the_same_frame_and_a_left_board_reads_the_same_requests(material in material()) {
         let (mut buffer, mut again) = ([0; BOARD_FRAME_MAX], [0; BOARD_FRAME_MAX]);
@@ -111,8 +111,8 @@ proptest! {
         prop_assert!(bytes.iter().all(|&byte| tiny.push(byte).is_none()));
     }
 
-    /// Long payloads exercise what our messages do not: blocks of 254 bytes without a zero. The frame
-    /// here comes from another implementation than the one under test.
+    /// Long payloads contain blocks of 254 bytes without a zero, which our messages do not.
+    /// The frames in this test come from another implementation.
     #[test]
     fn the_decoder_agrees_with_the_cobs_of_postcard_and_a_table_driven_crc(
         payload in prop::collection::vec(prop_oneof![1 => Just(0u8), 600 => any::<u8>()], 1..1200),
@@ -132,7 +132,7 @@ proptest! {
     }
 }
 
-/// Blocks of 254 bytes: a frame of our own that is as long as no message is, decoded again.
+/// Encodes and decodes our own frames with blocks of 254 bytes, which are longer than any message.
 #[test]
 fn blocks_without_a_zero_of_every_length_come_back() {
     for len in 1..1100 {
@@ -169,7 +169,7 @@ fn buffers_are_as_large_as_the_largest_frame_that_they_may_hold() {
     assert_eq!(sizes, [174, 56, 145, 19]);
 }
 
-/// A frame around any payload.
+/// Builds a frame around any payload.
 fn framed(payload: &[u8]) -> Vec<u8> {
     let mut plain = payload.to_vec();
     plain.extend(crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC).checksum(payload).to_le_bytes());
@@ -216,7 +216,7 @@ fn damage_is_counted_by_its_kind_and_the_next_frame_is_taken() {
         (&[5, 1, 2, 0], Counters { bad_cobs: 1, ..Default::default() }),
         (&[4, 1, 2, 3, 0], Counters { bad_crc: 1, ..Default::default() }), // too short for a checksum
         (&[7, 6, 1, 2, 1, 1, 1, 0], Counters { bad_crc: 1, ..Default::default() }),
-        // A line that reads 0x01 for ever: an empty message with its true checksum, 0.
+        // A line that always reads 0x01 looks like an empty message with its correct checksum, 0.
         (&[1, 1, 1, 1, 1, 0], Counters { bad_crc: 1, ..Default::default() }),
         (&[0, 0, 0, 0], Counters::default()),
     ];

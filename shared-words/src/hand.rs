@@ -3,18 +3,18 @@
 use core::fmt;
 use core::ops::{Index, IndexMut};
 
-/// Which hand.
+/// The left or the right hand.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "lowercase"))]
 pub enum Hand {
-    /// Tilt and bends: the base.
+    /// The hand with tilt and bends, which drives the base.
     Left,
-    /// Gestures: the arm.
+    /// The hand with gestures, which moves the arm.
     Right,
 }
 
 impl Hand {
-    /// Left, right.
+    /// Both hands in the order left, right.
     pub const BOTH: [Self; 2] = [Self::Left, Self::Right];
 }
 
@@ -27,38 +27,38 @@ impl fmt::Display for Hand {
     }
 }
 
-/// A value of each hand: `values[Hand::Left]`.
+/// A pair of values, one for each hand: `values[Hand::Left]`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct PerHand<T> {
-    /// Of the left one.
+    /// The value of the left hand.
     pub left: T,
-    /// Of the right one.
+    /// The value of the right hand.
     pub right: T,
 }
 
 impl<T> PerHand<T> {
-    /// What `make` says of each.
+    /// Calls `make` for each hand.
     pub fn of(mut make: impl FnMut(Hand) -> T) -> Self {
         Self { left: make(Hand::Left), right: make(Hand::Right) }
     }
 
-    /// Each hand with its value.
+    /// Iterates over both hands with their values.
     pub fn iter(&self) -> impl Iterator<Item = (Hand, &T)> {
         [(Hand::Left, &self.left), (Hand::Right, &self.right)].into_iter()
     }
 
-    /// Both values, to be changed.
+    /// Returns mutable references to both values.
     pub fn values_mut(&mut self) -> [&mut T; 2] {
         [&mut self.left, &mut self.right]
     }
 
-    /// The same of what `make` says of each value.
+    /// Applies `make` to each value.
     pub fn map<U>(self, mut make: impl FnMut(T) -> U) -> PerHand<U> {
         PerHand { left: make(self.left), right: make(self.right) }
     }
 }
 
-/// Left, right.
+/// Converts an array in the order left, right.
 impl<T> From<[T; 2]> for PerHand<T> {
     fn from([left, right]: [T; 2]) -> Self {
         Self { left, right }

@@ -1,13 +1,14 @@
-//! Which labels are no gesture.
+//! Identifies the labels that are not gestures.
 
-/// `idle` and `other`: the hand rests, or does what is no gesture. Case and punctuation do not matter: `Idle` is `idle`.
+/// Returns whether the label is `idle` or `other`, which means that the hand rests or makes no gesture.
+/// Case and punctuation do not matter: `Idle` is `idle`.
 pub fn is_rest(label: &str) -> bool {
     ["idle", "other"].into_iter().any(|rest| is_same(label, rest))
 }
 
-/// Letters and digits of `label`, without case, are those of `word`, which is in lower case.
+/// Compares the letters and digits of `label`, without case, with `word`, which is lower case.
 fn is_same(label: &str, word: &str) -> bool {
-    // Nothing beyond ASCII is compared: boards have no room for the tables of all letters.
+    // Only ASCII is compared, because boards have no room for tables of other letters.
     let letters = label.chars().filter(|c| !c.is_ascii() || c.is_ascii_alphanumeric());
     letters.map(|c| c.to_ascii_lowercase()).eq(word.chars())
 }

@@ -1,8 +1,9 @@
-//! The words that boards, wire and laptop share: each is one type, and it is here.
+//! Types that boards, wire and laptop share.
 //!
-//! `shared-dsp` computes them without knowing the wire; `shared-proto` sends them without knowing what they are computed
-//! from; the laptop acts on them. With the feature `serde` they cross the wire, each as its number in the list, and are
-//! lower-case texts in files.
+//! `shared-dsp` computes them without depending on the wire,
+//! and `shared-proto` sends them without depending on the computation.
+//! The laptop acts on the results.
+//! With the feature `serde`, they can be sent as numbers on the wire and written as lower-case texts in files.
 #![no_std]
 #![forbid(unsafe_code)]
 

@@ -1,6 +1,6 @@
-//! What a tilt of the left hand means, and from where on.
+//! The meaning of a tilt of the left hand, and its thresholds.
 
-/// Where the left hand points. At most one command at a time: the larger tilt wins.
+/// The direction of the left hand. There is at most one command at a time, and the larger tilt wins.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(
     feature = "serde",
@@ -8,28 +8,28 @@
     serde(rename_all = "lowercase")
 )]
 pub enum Heading {
-    /// Both tilts lie within the dead zone (5°). Needed to re-arm after a stop.
+    /// Both tilts are within the dead zone (5°). This is required to re-arm after a stop.
     Neutral,
-    /// Neither neutral nor a command.
+    /// The hand is neither neutral nor gives a command.
     #[default]
     Between,
-    /// Base forward: pitch beyond the start threshold.
+    /// The base drives forward: the pitch is beyond the start threshold.
     Forward,
-    /// Base backward: pitch beyond the negative start threshold.
+    /// The base drives backward: the pitch is beyond the negative start threshold.
     Backward,
-    /// Base turns left (counter-clockwise seen from above): roll beyond the start threshold.
+    /// The base turns left (counter-clockwise seen from above): the roll is beyond the start threshold.
     Left,
-    /// Base turns right: roll beyond the negative start threshold.
+    /// The base turns right: the roll is beyond the negative start threshold.
     Right,
 }
 
 impl Heading {
-    /// Does this heading move the base?
+    /// Returns whether this heading moves the base.
     pub const fn is_command(self) -> bool {
         !matches!(self, Heading::Neutral | Heading::Between)
     }
 
-    /// As a text for people.
+    /// Returns a text for users.
     pub const fn name(self) -> &'static str {
         match self {
             Heading::Neutral => "neutral",
@@ -42,7 +42,7 @@ impl Heading {
     }
 }
 
-/// When a command starts and ends, in milliradians.
+/// The thresholds for the start and end of a command, in milliradians.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(
     feature = "serde",
@@ -50,20 +50,20 @@ impl Heading {
     serde(default, deny_unknown_fields)
 )]
 pub struct TiltThresholds {
-    /// Neutral lies within this (5° = 87).
+    /// A hand is neutral within this angle (5° = 87).
     pub neutral_mrad: u16,
-    /// A command ends below this (12° = 209).
+    /// A command ends below this angle (12° = 209).
     pub end_mrad: u16,
-    /// A command starts beyond this (15° = 262).
+    /// A command starts beyond this angle (15° = 262).
     pub start_mrad: u16,
 }
 
 impl TiltThresholds {
-    /// 5°, 12° and 15°.
+    /// The default thresholds: 5°, 12° and 15°.
     pub const DEFAULT: Self = Self { neutral_mrad: 87, end_mrad: 209, start_mrad: 262 };
 
-    /// Ordered, with room for hysteresis, and neutral wide enough to be reached: else a hand could
-    /// be commanded for ever, or never be re-armed.
+    /// Returns whether the thresholds are ordered with enough hysteresis, and neutral is wide enough to be reached.
+    /// Otherwise, a command might never end, or a hand could never be re-armed.
     pub fn are_sound(self) -> bool {
         self.neutral_mrad >= 17
             && self.neutral_mrad < self.end_mrad

@@ -1,12 +1,13 @@
-//! A double of BlueZ, the system's Bluetooth service, on a private D-Bus: the part of its interface that a
-//! program uses that finds, connects and talks to one board. There is no radio here.
+//! Simulates BlueZ, the system's Bluetooth service, on a private D-Bus.
+//! It implements the part of the interface that is needed to find, connect and use one board. There is no radio.
 //!
-//! The board at the other end of the radio link is whatever answers on a serial port (an emulated board's
-//! pseudo-terminal): its bytes become notifications, writes become its input. While the port is not there
-//! the board is out of reach.
+//! The board at the other end is any device on a serial port, such as an emulated board's pseudo-terminal.
+//! Its bytes become notifications, and writes become its input.
+//! While the port does not exist, the board is out of range.
 //!
-//! Objects, properties and errors are named as in BlueZ 5.66 (`doc/*-api.txt`): an adapter `hci0`, under it
-//! the board once it has been discovered, under that its service and the two characteristics.
+//! Objects, properties and errors have the names of BlueZ 5.66 (`doc/*-api.txt`).
+//! The adapter `hci0` contains the board after its discovery,
+//! and the board contains its service and two characteristics.
 
 use std::collections::{BTreeMap, HashMap};
 use std::io::{BufRead as _, BufReader, Read as _, Write as _};
@@ -37,11 +38,11 @@ const HAND: &str = "/org/bluez/hci0/dev_C0_FF_EE_00_00_33/service0010";
 const OUT: &str = "/org/bluez/hci0/dev_C0_FF_EE_00_00_33/service0010/char0011";
 const IN: &str = "/org/bluez/hci0/dev_C0_FF_EE_00_00_33/service0010/char0014";
 
-/// As in `firmware-nano33/src/ble.rs`.
+/// The same UUIDs as in `firmware-nano33/src/ble.rs`.
 const UUID: &str = "b1a40001-6d61-4e75-a1b2-5c3d9e7f0a33";
 const OUT_UUID: &str = "b1a40002-6d61-4e75-a1b2-5c3d9e7f0a33";
 const IN_UUID: &str = "b1a40003-6d61-4e75-a1b2-5c3d9e7f0a33";
-/// The board's MTU, and the longest notification that it carries.
+/// The board's MTU, which limits the length of a notification.
 const MTU: u16 = 247;
 const NOTIFICATION: usize = 244;
 
@@ -86,15 +87,15 @@ enum Order {
 /// A private bus.
 pub struct Bus {
     daemon: Child,
-    /// For `DBUS_SYSTEM_BUS_ADDRESS`.
+    /// The value for `DBUS_SYSTEM_BUS_ADDRESS`.
     pub address: String,
 }
 
 impl Bus {
-    /// Starts a `dbus-daemon` with a configuration of its own in this folder.
+    /// Starts a `dbus-daemon` with its own configuration in this folder.
     ///
     /// # Panics
-    /// If there is none (Debian: package dbus-daemon).
+    /// Panics if `dbus-daemon` is not installed (Debian: package dbus-daemon).
     pub fn start(folder: &Path) -> Self {
         let config = folder.join("bus.conf");
         let socket = folder.join("bus");
@@ -133,11 +134,11 @@ pub struct Bluez {
 }
 
 impl Bluez {
-    /// Starts the service with one adapter, switched on, and one paired board near it whose bytes come
-    /// from the serial port at `air`.
+    /// Starts the service with one enabled adapter and one paired board in range.
+    /// The board's bytes come from the serial port at `air`.
     ///
     /// # Panics
-    /// If the bus does not take it.
+    /// Panics if the bus does not accept the service.
     pub fn start(bus: &Bus, air: &Path) -> Self {
         let (orders, received) = channel();
         let (ready, is_ready) = channel();
@@ -151,12 +152,12 @@ impl Bluez {
         Self { orders, thread: Some(thread) }
     }
 
-    /// Somebody switches Bluetooth on or off.
+    /// Switches Bluetooth on or off.
     pub fn power(&self, on: bool) {
         self.orders.send(Order::Power(on)).expect("the service runs");
     }
 
-    /// The board is paired, or forgotten.
+    /// Pairs or removes the board.
     pub fn pair(&self, paired: bool) {
         self.orders.send(Order::Pair(paired)).expect("the service runs");
     }
@@ -230,7 +231,7 @@ impl Service {
         matches!(value, Some(Value::Flag(true)))
     }
 
-    /// Changes a property and notifies everybody; `None` removes it.
+    /// Changes a property and notifies all listeners; `None` removes it.
     fn set(
         &mut self,
         object: &'static str,
@@ -276,7 +277,7 @@ impl Service {
         self.set(HCI, ADAPTER, "Powered", Some(Value::Flag(on)));
     }
 
-    /// A board in reach is found while somebody scans.
+    /// Adds a board in range while a program scans.
     fn advertise(&mut self) {
         let heard = self.flag(HCI, ADAPTER, "Discovering") && self.air.exists();
         let known = self.objects.contains_key(BOARD);
@@ -340,7 +341,7 @@ impl Service {
         }
     }
 
-    /// The board's bytes, as notifications.
+    /// Sends the board's bytes as notifications.
     fn notify(&mut self) {
         let Some(port) = &mut self.board else { return };
         let mut buffer = [0; NOTIFICATION];
@@ -390,7 +391,7 @@ impl Service {
                 let value = object.and_then(|properties| properties.get(name));
                 value.map_or_else(|| unknown(message), |v| message.method_return().append1(v.variant()))
             }
-            // btleplug switches on what is off before it scans; nobody asked for that here.
+            // btleplug enables a disabled adapter before it scans, which this program must not do.
             (PROPERTIES, "Set") if self.flag(HCI, ADAPTER, "Powered") => done(),
             (PROPERTIES, "Set") => failed(message, "org.bluez.Error.Blocked", c"Blocked through rfkill"),
             (ADAPTER, "SetDiscoveryFilter") => done(),

@@ -1,12 +1,12 @@
-//! Builds the boards' images as a user does.
+//! Builds the boards' images with the same command that users run.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-/// Lets `cargo xtask firmware` build what `words` say; returns the image's path, from its place below the target folder.
+/// Runs `cargo xtask firmware` with these arguments and returns the path of the image in the target folder.
 ///
 /// # Panics
-/// If it does not build; the reason is on the terminal.
+/// Panics if the firmware does not build. The terminal shows the reason.
 pub(crate) fn build(words: &[&str], image: &str) -> PathBuf {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("tests lies in the root");
     let status = Command::new("cargo")

@@ -18,7 +18,7 @@ pub mod desk;
 #[cfg(all(unix, feature = "ble"))]
 pub mod bluez;
 
-/// Is this the long run (`cargo xtask test --full`)?
+/// Returns whether this is the long run (`cargo xtask test --full`).
 pub fn is_full() -> bool {
     std::env::var_os("BIMANUAL_FULL").is_some()
 }

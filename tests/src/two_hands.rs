@@ -1,4 +1,4 @@
-//! Both emulated boards, one bridge, one simulated robot, in virtual time.
+//! Both emulated boards with one bridge and one simulated robot, in virtual time.
 //!
 //! ```text
 //! voltages -> ATmega328P (simavr) -> serial bytes -------\
@@ -6,7 +6,7 @@
 //! motion   -> nRF52840 (unicorn)  -> UART, USB, BLE -----/
 //! ```
 //!
-//! Each board has a clock of its own; a step lets both run up to the same moment of the desk's time.
+//! Each board has its own clock. A step lets both run up to the same moment of the desk's time.
 
 use host_bridge::arm::Director;
 use host_bridge::bridge::{Bridge, BridgeEvent};
@@ -35,18 +35,18 @@ pub struct Left {
     pub nano: Nano,
     /// Whether the cable's data lines are connected.
     pub cable: bool,
-    /// The board's clock when the desk's was 0; negative for a board that got power later.
+    /// The board's clock when the desk's clock was 0; negative for a board that was powered later.
     zero_cycle: i64,
 }
 
 impl Left {
-    /// A running board; what it has said so far is lost.
+    /// Takes over a running board, whose earlier messages are lost.
     pub fn new(mut nano: Nano) -> Self {
         while nano.sent().is_some() {}
         Self { cable: true, zero_cycle: nano.cycle() as i64, nano }
     }
 
-    /// The board's clock in seconds at a moment of the desk's time: when a wearer's hand moves.
+    /// Returns the board's clock in seconds at a moment of the desk's time, for timing a wearer's movements.
     pub fn seconds_at(&self, desk_ms: u64) -> f64 {
         self.cycle_at(desk_ms) as f64 / (1000 * nano::CYCLES_PER_MS) as f64
     }
@@ -62,7 +62,7 @@ impl Left {
         if self.cable { bytes } else { Vec::new() }
     }
 
-    /// The cable is the supply: pulled and put back, the board starts anew with what its EEPROM holds.
+    /// Pulls and reconnects the cable, which is also the power supply. The board restarts with its EEPROM.
     pub fn power_again(&mut self, desk_ms: u64, voltages: Box<dyn Voltages>) {
         let eeprom = self.nano.eeprom();
         self.nano = Nano::new(&left_image(), &eeprom, voltages);
@@ -71,23 +71,23 @@ impl Left {
     }
 }
 
-/// What connects the right board.
+/// The connection of the right board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Cable {
     /// D0 and D1.
     Uart,
     /// The USB cable.
     Usb,
-    /// Bluetooth: the other image, behind the model of S140.
+    /// Bluetooth with the other image, on the model of S140.
     Ble,
     /// Bluetooth linked in, with bumble as the air and the laptop's Bluetooth, at 15 ms.
     Air,
 }
 
-/// The right board's connection as it stands.
+/// The current state of the right board's connection.
 #[derive(Debug)]
 pub enum Wire {
-    /// D0 and D1; whether the cable is connected.
+    /// D0 and D1, and whether the cable is connected.
     Uart(bool),
     /// The USB cable.
     Usb(UsbHost),
@@ -107,11 +107,11 @@ pub struct Right {
 }
 
 impl Right {
-    /// A board that has been started (for UART and USB by the stand-in for the stock bootloader) and connected. `wear` is
-    /// given the board's clock in seconds at the desk's time 0, some seconds from power-up.
+    /// Starts and connects a board (for UART and USB with the simulated stock bootloader).
+    /// `wear` receives the board's clock in seconds at the desk's time 0, which is some seconds after power-up.
     ///
     /// # Panics
-    /// If it is not connected by then.
+    /// Panics if the laptop is not connected by then.
     pub fn start<M: Motion + 'static>(link: Cable, wear: impl FnOnce(f64) -> M) -> Self {
         // A laptop pairs before it subscribes.
         let start_ms = match link {
@@ -164,7 +164,7 @@ impl Right {
         right
     }
 
-    /// The board's emulated clock (cycles since power-up) at a moment of the desk's time.
+    /// Returns the board's emulated clock (cycles since power-up) at a moment of the desk's time.
     pub fn cycle_at(&self, desk_ms: u64) -> u64 {
         self.zero_cycle + time::ms(desk_ms)
     }
@@ -208,11 +208,11 @@ impl Right {
     }
 }
 
-/// What a bad cable does: changes the bytes that a board sent in a millisecond, and gives those that come to the
-/// board besides the laptop's.
+/// Simulates a bad cable: changes the bytes that a board sends in a millisecond,
+/// and adds bytes on their way to the board.
 pub type Disturbance = Box<dyn FnMut(Hand, &mut Vec<u8>) -> Vec<u8>>;
 
-/// The desk: boards, laptop, robot.
+/// The desk with boards, laptop and robot.
 pub struct TwoHands {
     /// The left board, if it takes part.
     pub left: Option<Left>,
@@ -222,15 +222,15 @@ pub struct TwoHands {
     pub bridge: Bridge,
     /// The robot.
     pub robot: Director<Simulator>,
-    /// Everything that happened on the bridge, with the desk's time.
+    /// All events on the bridge, with the desk's time.
     pub log: Vec<BridgeEvent>,
-    /// What the cables do to the bytes.
+    /// The disturbance of the cables.
     pub disturbance: Option<Disturbance>,
     now_ms: u64,
 }
 
 impl TwoHands {
-    /// The boards run already; the bridge has not heard of them yet.
+    /// Creates a desk with running boards, and a bridge that has not received anything yet.
     pub fn new(left: Option<Left>, right: Option<Right>) -> Self {
         Self {
             left,
@@ -256,7 +256,7 @@ impl TwoHands {
         self.left.as_ref().expect("a left board").seconds_at(self.now_ms)
     }
 
-    /// One millisecond: the boards run, the bridge reads what has arrived and answers, the robot moves.
+    /// Advances by one millisecond: the boards run, the bridge reads and answers, and the robot moves.
     pub fn step(&mut self) {
         self.now_ms += 1;
         let now_ms = self.now_ms;
@@ -277,7 +277,7 @@ impl TwoHands {
             while let Some(message) = self.next_message(hand) {
                 let mut buffer = [0; HOST_FRAME_MAX];
                 let frame = encode_host(&message, &mut buffer).expect("the bridge's messages fit");
-                // This ends what noise has left on the line.
+                // This terminates noise on the line.
                 self.send(hand, &[DELIMITER]);
                 self.send(hand, frame);
             }
@@ -291,7 +291,7 @@ impl TwoHands {
             Hand::Left => self.left.as_ref().is_some_and(|left| left.cable),
             Hand::Right => self.right.as_ref().is_some_and(Right::is_connected),
         };
-        // A laptop cannot write to a port that is gone.
+        // A laptop cannot write to a port that has disappeared.
         if !connected {
             return None;
         }
@@ -313,10 +313,10 @@ impl TwoHands {
         }
     }
 
-    /// Runs until something holds; returns how long it took.
+    /// Runs until a condition holds, and returns the elapsed time.
     ///
     /// # Panics
-    /// If it does not hold in time.
+    /// Panics if the condition does not become true in time.
     pub fn run_until(&mut self, what: &str, most_ms: u64, mut holds: impl FnMut(&Self) -> bool) -> u64 {
         let start_ms = self.now_ms;
         while !holds(self) {

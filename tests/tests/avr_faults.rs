@@ -1,4 +1,4 @@
-//! What breaks at the emulated Nano, and that it never moves the robot, hangs or loses a calibration.
+//! Tests faults of the emulated Nano: none of them may move the robot, hang the board or destroy a calibration.
 #![cfg(feature = "avr")]
 
 use std::cell::RefCell;
@@ -57,7 +57,7 @@ fn each_sensor_fault_halts_the_hand_until_neutral() {
     println!("{:<18}{:>14}{:>12}", "fault", "flag after ms", "commands");
     for (name, fault, bit) in FAULTS {
         for tilted in [false, true] {
-            // A board of its own: a line's fault that comes back soon stays.
+            // Each fault gets a new board, because a line fault that returns soon remains active.
             let (mut session, hand) = powered(&BLANK, 7);
             session.run_ms(300.0);
             let angle = if tilted { FORWARD_RAD } else { 0.0 };
@@ -65,7 +65,7 @@ fn each_sensor_fault_halts_the_hand_until_neutral() {
             let before = last(&session.states(400.0));
             assert_eq!(before.heading, if tilted { Heading::Forward } else { Heading::Neutral }, "{name}");
             assert_eq!(before.health & !health::DEFAULT_CALIBRATION, 0, "{name}");
-            // Not at a tick of the sample clock.
+            // The fault starts between two ticks of the sample clock.
             session.run_ms(3.7);
             let start_ms = session.now_ms();
             hand.borrow_mut().fault = Some(fault);
@@ -81,7 +81,7 @@ fn each_sensor_fault_halts_the_hand_until_neutral() {
             assert!(after_ms <= limit_ms, "{name}: noticed after {after_ms:.0} ms");
             let commands = states[flagged..].iter().filter(|(_, s)| s.heading.is_command()).count();
             assert_eq!(commands, 0, "{name}");
-            // Before the flag the old heading may stand, but no other command may come up.
+            // The old heading may remain until the fault flag is set, but no other command may appear.
             let strange =
                 states[..flagged].iter().find(|(_, s)| s.heading.is_command() && s.heading != before.heading);
             assert_eq!(strange, None, "{name}");
@@ -94,7 +94,7 @@ fn each_sensor_fault_halts_the_hand_until_neutral() {
                 (before.index_bends, before.middle_bends, false),
                 "{name}"
             );
-            // Repaired while tilted forward: nothing until the hand has been neutral.
+            // The fault is repaired while the hand is tilted forward: no command until the hand has been neutral.
             hand.borrow_mut().fault = None;
             hand.borrow_mut().tilt(FORWARD_RAD, 0.0, now_s(&session), 0.01);
             let states = session.states(1500.0);
@@ -132,7 +132,7 @@ fn a_converter_that_hangs_is_restarted() {
     const ADCSRA: usize = 0x7A;
     let (mut session, _hand) = powered(&BLANK, 9);
     session.run_ms(1500.0);
-    // The converter switches itself off in the middle of a sample.
+    // The converter switches off in the middle of a sample.
     for _ in 0..100 {
         session.nano.run_ms(0.1);
         session.nano.poke(ADCSRA, 0);
@@ -147,7 +147,7 @@ fn a_converter_that_hangs_is_restarted() {
     assert_eq!(last(&session.states(100.0)).heading, Heading::Neutral);
 }
 
-/// 10 minutes of random bytes at the full speed of the line (10 s in the short run).
+/// Sends 10 minutes of random bytes at the full speed of the line (10 s in the short run).
 #[test]
 fn random_bytes_on_the_line_disturb_nothing() {
     let seconds = if is_full() { 600 } else { 10 };
@@ -157,9 +157,10 @@ fn random_bytes_on_the_line_disturb_nothing() {
     let (mut states, mut last_status, mut changes) = (0u32, None, 0u32);
     let mut tilted = false;
     for second in 0..seconds {
-        // As many bytes as the emulated line carries; zeros are delimiters, so there are many short frames.
+        // The number of bytes is the capacity of the emulated line.
+        // Zeros are delimiters, so there are many short frames.
         let mut noise: Vec<u8> = (0..10_650).map(|_| if rng.u8(..) < 20 { 0 } else { rng.u8(..) }).collect();
-        // Some are real frames, but damaged.
+        // Some frames are valid frames with damage.
         let mut frame = [0; 64];
         let request = HostMessage::Calibrate { request: 1, step: CalibrationStep::Reset };
         let frame = shared_proto::frame::encode_host(&request, &mut frame).unwrap();
@@ -248,7 +249,7 @@ fn under_an_old_bootloader_a_hanging_program_starts_again_without_a_reset_and_sa
     let boot = |heard: &[(f64, Seen)]| {
         heard.iter().find_map(|(_, s)| if let Seen::Hello(id, _) = s { Some(*id) } else { None })
     };
-    // The sample clock dies: nothing wakes the program any more.
+    // The sample clock stops, so no interrupt wakes the program.
     session.nano.poke(TIMSK1, 0);
     let heard = session.run_ms(1500.0);
     let watchdog = |heard: &[(f64, Seen)]| {
@@ -280,13 +281,13 @@ fn a_program_that_hangs_is_reset_and_says_so_whatever_bootloader_hides_the_reaso
             heard.iter().any(|(_, s)| matches!(s, Seen::Fault(f) if f.kind == FaultKind::Watchdog))
         };
         assert!(!watchdog(&start));
-        // The sample clock dies: nothing wakes the program any more.
+        // The sample clock stops, so no interrupt wakes the program.
         session.nano.poke(TIMSK1, 0);
         let heard = session.run_ms(2000.0);
         assert_eq!(session.nano.resets(), 1, "optiboot {optiboot}");
         assert!(watchdog(&heard), "optiboot {optiboot}: the restart is reported");
         assert!(boot(&heard).is_some() && boot(&heard) != boot(&start), "with a new boot id");
-        // The button, or a laptop that opens the port, is no fault.
+        // The reset button, or a laptop that opens the port, is not a fault.
         session.nano.reset();
         let heard = session.run_ms(1000.0);
         assert!(boot(&heard).is_some() && !watchdog(&heard), "optiboot {optiboot}: {heard:?}");
@@ -347,7 +348,7 @@ fn nothing_is_kept_at_address_0_of_the_eeprom() {
     for pose in [0.05, NEW_POSE, OLD_POSE] {
         assert_eq!(calibrate_at(&mut session, &hand, pose), AckResult::Ok);
     }
-    // A dip of the supply may write the byte whose address a fresh controller holds.
+    // A supply dip may write the byte at the controller's reset address.
     let lowest = session.nano.eeprom_writes().iter().map(|write| write.address).min();
     assert_eq!(lowest, Some(0x20));
 }
@@ -356,16 +357,16 @@ fn nothing_is_kept_at_address_0_of_the_eeprom() {
 fn a_program_that_hangs_with_interrupts_off_is_reset_and_says_so() {
     let (mut session, _hand) = powered(&BLANK, 14);
     session.run_ms(1000.0);
-    // Into an endless loop with interrupts off: the end of the program in the C runtime.
+    // The program enters an endless loop with interrupts disabled, the end of a program in the C runtime.
     session.nano.jump(image::stop_program());
     let heard = session.run_ms(2000.0);
-    // The interrupt waits for ever, so the second time-out resets.
+    // The interrupt remains pending, so the second time-out resets the board.
     assert_eq!(session.nano.resets(), 1, "the watchdog resets");
     assert!(heard.iter().any(|(_, s)| matches!(s, Seen::Fault(f) if f.kind == FaultKind::Watchdog)));
     assert!(heard.iter().any(|(_, s)| matches!(s, Seen::Left(_))), "and the board lives again");
 }
 
-/// What remains of the old bootloader's trap: the board is silent, the robot at rest, and the reset line helps.
+/// Tests the remaining effect of the old bootloader's trap: the board is silent, the robot at rest, and a reset helps.
 #[test]
 fn under_an_old_bootloader_a_program_that_hangs_with_interrupts_off_is_silent_until_the_port_is_opened() {
     let (mut session, hand) = powered(&BLANK, 26);
@@ -393,7 +394,7 @@ fn under_an_old_bootloader_a_program_that_hangs_with_interrupts_off_is_silent_un
 fn no_reference_but_aref_is_ever_selected() {
     let (mut session, _hand) = powered(&BLANK, 15);
     session.run_ms(2000.0);
-    // `run_ms` panics at any other setting; this is what it checks.
+    // `run_ms` panics at any other setting, so this run checks the setting.
     assert_eq!(session.nano.peek(0x7C) >> 6, 0);
     assert!(session.nano.conversions() > 8000, "45 conversions per sample, 100 samples per second");
 }
@@ -407,7 +408,7 @@ fn the_watch_on_the_reference_sees_a_wrong_one() {
     session.run_ms(100.0);
 }
 
-/// Names of the two calibrations that the power cuts lie between.
+/// Poses of the two calibrations, before and after the power cut.
 const OLD_POSE: f64 = 0.0;
 const NEW_POSE: f64 = 0.12;
 
@@ -418,7 +419,7 @@ fn calibrate_at(session: &mut LeftRig, hand: &Rc<RefCell<Hand>>, pose: f64) -> A
     session.calibrate(CalibrationStep::Neutral)
 }
 
-/// The pitch that a board with this EEPROM reports for a hand held at `pose`, and its health.
+/// Returns the pitch and health that a board with this EEPROM reports for a hand in this pose.
 fn pitch_after_power_on(eeprom: &[u8; EEPROM_BYTES], pose: f64) -> (f64, u8, bool) {
     let (mut session, hand) = powered(eeprom, 17);
     hand.borrow_mut().tilt(pose, 0.0, 0.0, 0.0);
@@ -431,7 +432,7 @@ fn pitch_after_power_on(eeprom: &[u8; EEPROM_BYTES], pose: f64) -> (f64, u8, boo
 
 #[test]
 fn a_power_cut_at_any_byte_keeps_a_good_calibration() {
-    // A board with a good calibration, in each of both slots in turn.
+    // Creates a board with a good calibration, in each of the two slots in turn.
     let (mut session, hand) = powered(&BLANK, 18);
     session.run_ms(300.0);
     assert_eq!(calibrate_at(&mut session, &hand, 0.05), AckResult::Ok);
@@ -441,7 +442,7 @@ fn a_power_cut_at_any_byte_keeps_a_good_calibration() {
     let mut rng = Rng::with_seed(19);
     let (mut cuts, mut kept_old, mut have_new) = (0, 0, 0);
     for (before, old_pose) in [(one, 0.05), (two, OLD_POSE)] {
-        // What the board writes for the next calibration, byte by byte.
+        // Records every byte that the board writes for the next calibration.
         let (mut session, hand) = powered(&before, 20);
         session.run_ms(300.0);
         let counted = session.nano.eeprom_write_count();
@@ -449,14 +450,14 @@ fn a_power_cut_at_any_byte_keeps_a_good_calibration() {
         let writes = session.nano.eeprom_writes()[counted..].to_vec();
         assert!(writes.len() >= 6, "a record was written: {writes:?}");
         let mut eeprom = before;
-        // The count of starts was written before.
+        // The start counter was written before.
         for write in &session.nano.eeprom_writes()[..counted] {
             eeprom[write.address as usize] = write.new;
         }
         for (i, write) in writes.iter().enumerate() {
             let place = write.address as usize;
             assert_eq!(eeprom[place], write.old);
-            // Before this byte, and while it is written: the cell may then hold anything.
+            // The power fails before this byte or during its write, when the cell may contain any value.
             for in_flight in [write.old, 0xFF, rng.u8(..)] {
                 eeprom[place] = in_flight;
                 let (pitch, health, _) = pitch_after_power_on(&eeprom, 0.0);
@@ -469,7 +470,7 @@ fn a_power_cut_at_any_byte_keeps_a_good_calibration() {
             }
             eeprom[place] = write.new;
         }
-        // After the last byte: the new calibration.
+        // After the last byte, the new calibration is valid.
         let (pitch, health, _) = pitch_after_power_on(&eeprom, 0.0);
         assert_eq!(health & health::DEFAULT_CALIBRATION, 0);
         assert!((pitch + NEW_POSE).abs() < 0.02, "{pitch}");
@@ -495,7 +496,7 @@ fn a_damaged_record_falls_back_to_defaults_and_is_reported() {
         assert!(damaged, "byte {place} is reported");
         assert!(pitch.abs() < 0.02, "defaults: {pitch}");
     }
-    // A board that was never calibrated has nothing to report.
+    // A board without any calibration reports no damage.
     let (_, health, damaged) = pitch_after_power_on(&BLANK, 0.0);
     assert!(health == health::DEFAULT_CALIBRATION && !damaged);
 }

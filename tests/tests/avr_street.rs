@@ -1,4 +1,4 @@
-//! From voltages at the emulated Nano's pins to the wheels of the simulated base.
+//! Tests the path from voltages at the pins of the emulated Nano to the wheels of the simulated base.
 #![cfg(feature = "avr")]
 
 use std::cell::RefCell;
@@ -13,7 +13,7 @@ use tests::avr::street::Street;
 use tests::avr::wearer::{Sensors, Wearer, normal};
 use tests::is_full;
 
-/// Pins of a nominal hand that tips forward in one step at a given clock.
+/// Returns pin voltages of a nominal hand that tips forward in one step at a given clock cycle.
 fn stepping(at: Rc<RefCell<(u64, f64)>>) -> impl FnMut(u8, u64) -> PinInput {
     let mut rng = Rng::with_seed(5);
     move |pin, cycle| {
@@ -41,7 +41,7 @@ fn a_voltage_step_that_stays_turns_the_wheels_within_150_ms() {
         street.run_ms(500);
         let mut latencies = Vec::new();
         for phase in 0..phases {
-            // 10 ms of sample clock, in even parts; from rest at neutral each time.
+            // The steps are spread evenly over the 10 ms sample period. Each one starts at rest in neutral.
             let at = (street.now_ms() / 10 + 5) * 10 * CYCLES_PER_MS + phase * 10 * CYCLES_PER_MS / phases;
             step.borrow_mut().0 = at;
             while !street.moves() {
@@ -50,7 +50,7 @@ fn a_voltage_step_that_stays_turns_the_wheels_within_150_ms() {
             }
             latencies.push(street.now_ms() as f64 - at as f64 / CYCLES_PER_MS as f64);
             step.borrow_mut().0 = u64::MAX;
-            // Long enough that the next step is no shaking.
+            // The pause is long enough that the next step does not count as shaking.
             street.run_ms(1500);
             while street.moves() {
                 street.step();
@@ -62,12 +62,12 @@ fn a_voltage_step_that_stays_turns_the_wheels_within_150_ms() {
         println!(
             "paper: a tilt to {degrees:.0}° to the wheels, median and worst | not stated | {median:.0} and {worst:.0} ms"
         );
-        // A tilt is a command when it stays: what a walking or a shaken hand does is none.
+        // A tilt counts only if it persists, so that movements of a walking or shaken hand are not commands.
         assert!(worst <= 150.0, "{degrees}°: {worst:.1} ms");
     }
 }
 
-/// The paper's 10 s: hold, eight index bends to 1.00 m/s, steady, seven middle bends, hold.
+/// Replays the paper's 10 s: hold, eight index bends to 1.00 m/s, steady, seven middle bends, hold.
 #[test]
 fn the_papers_speed_modulation_comes_out_of_the_emulated_board() {
     let (wearer, hand) = Wearer::new(Sensors::nominal(), (0.0, 0.0), None, Rng::with_seed(6));
@@ -89,7 +89,7 @@ fn the_papers_speed_modulation_comes_out_of_the_emulated_board() {
     street.run_ms(1500);
     let start_ms = street.now_ms();
     let at = |ms: u64| (start_ms + ms) as f64 / 1000.0;
-    // (from, to) in ms, what happens, what the paper prints, and the cap it ends with.
+    // Columns: start and end in ms, action, values in the paper, final cap.
     let phases = [
         (0, 1000, "hold (neutral)", 0.00, 0.0, None, 0),
         (1000, 5200, "eight index bends", 1.00, 1.0, Some(0), 8),

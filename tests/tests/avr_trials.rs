@@ -1,4 +1,4 @@
-//! The left hand's trials on the emulated Nano: the paper's 400 tilts, tremor, 2,000 bends.
+//! Runs the left hand's trials on the emulated Nano: the paper's 400 tilts, tremor, and 2,000 bends.
 #![cfg(feature = "avr")]
 
 use tests::avr::trials::{BendCounts, DIRECTIONS, Job, Parts, Quiet, Tilts};
@@ -11,7 +11,7 @@ fn jobs(parts: Parts, seeds: std::ops::Range<u64>, count: u32) -> Vec<Job> {
     seeds.map(|seed| Job { seed, parts, count }).collect()
 }
 
-/// 400 trials (100 per direction), 20 wearers with 5 tilts per direction each. The short run has 2 wearers.
+/// 400 trials (100 per direction) by 20 wearers with 5 tilts per direction each. The short run has 2 wearers.
 #[test]
 fn the_papers_400_tilts_are_right_and_none_is_reversed() {
     let wearers = if is_full() { 20 } else { 2 };
@@ -23,10 +23,10 @@ fn the_papers_400_tilts_are_right_and_none_is_reversed() {
     latencies.sort_by(f64::total_cmp);
     println!("{wearers} wearers, parts from the whole data-sheet tolerance, neutral within 10° of level");
     println!(
-        "paper: tilts, of {trials}: right | 93.5 % of 400 | {:.2} %",
+        "paper: correct tilts, of {trials} | 93.5 % of 400 | {:.2} %",
         100.0 * f64::from(right) / f64::from(trials)
     );
-    println!("paper: tilts: taken for the opposite | not stated | {reversed}");
+    println!("paper: tilts mistaken for the opposite | not stated | {reversed}");
     if let (Some(worst), Some(median)) = (latencies.last(), latencies.get(latencies.len() / 2)) {
         println!(
             "paper: start of a tilt to its command, median and worst | not stated | {median:.0} and {worst:.0} ms"
@@ -40,7 +40,7 @@ fn the_papers_400_tilts_are_right_and_none_is_reversed() {
         let name = format!("{direction:?}").to_lowercase();
         let right = format!("{} of {}", latencies.len(), first.iter().sum::<u32>());
         let median = latencies.get(latencies.len() / 2).copied().unwrap_or(f64::NAN);
-        println!("paper: tilts {name}: right, median response | not compared | {right}, {median:.0} ms");
+        println!("paper: tilts {name}: correct, median response | not compared | {right}, {median:.0} ms");
         println!("figure: tilts | {name} | {}", first.map(|count| count.to_string()).join(" | "));
     }
     results.iter().flat_map(|t| &t.notes).for_each(|note| println!("  wrong: {note}"));
@@ -49,7 +49,7 @@ fn the_papers_400_tilts_are_right_and_none_is_reversed() {
     assert_eq!(reversed, 0);
 }
 
-/// 10 minutes, half of them by the wearers whose parts make every tilt look largest.
+/// 10 minutes, half of them by the wearers whose components make each tilt appear largest.
 #[test]
 fn tremor_of_11_degrees_never_commands() {
     let (wearers, seconds) = if is_full() { (3, 100) } else { (1, 10) };

@@ -1,5 +1,5 @@
-//! The programs at a desk with emulated boards, one binary for `cargo xtask test` to run side by side.
-//! `cargo test -- --skip live::` leaves them out: each takes a minute.
+//! Runs the programs with emulated boards, as one test binary that `cargo xtask test` runs in parallel.
+//! `cargo test -- --skip live::` skips these tests, each of which takes a minute.
 
 #[path = "../../host-bridge/tests/support/renamed.rs"]
 mod renamed;

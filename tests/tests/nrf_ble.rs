@@ -1,4 +1,5 @@
-//! The image behind S140: boots by its rules, advertises, and sends over Bluetooth what it sends over a wire.
+//! Tests the image with the SoftDevice S140: it boots correctly, advertises,
+//! and sends the same data over Bluetooth and UART.
 #![cfg(feature = "nrf")]
 
 use models::synth::{self, Motion, Segment};
@@ -33,11 +34,11 @@ fn it_boots_within_s140s_rules_and_advertises_its_name_and_service() {
     assert_eq!(heard.part(ADVERTISED_NAME), Some(&b"bimanual-right"[..]));
     assert_eq!(heard.part(ADVERTISED_SERVICES), Some(&SERVICE.to_le_bytes()[..]));
     assert_eq!(softdevice.discover().0, [SERVICE]);
-    // Every 30 to 40 ms, from some 10 ms on.
+    // One advertisement every 30 to 40 ms, starting after about 10 ms.
     let count = softdevice.central.advertisements;
     println!("{count} advertisements in the first second");
     assert!((24..=34).contains(&count));
-    // The one restart is the first start's, which sets up the reset pin.
+    // The only restart is that of the first start, which configures the reset pin.
     assert_eq!(session.board.resets, [4]);
 }
 
@@ -102,7 +103,7 @@ fn notifications_carry_the_frames_of_the_uart_and_the_laptops_own_labels() {
     assert_eq!(session.heard.hellos.len(), 1);
     assert_eq!(session.damaged(), 0);
 
-    // Over the wire and over the radio: the same states, word by word.
+    // The states over UART and over the radio must be identical.
     let (wire, air) = (&session.uart.heard.states, &session.heard.states);
     let mut delays = Vec::new();
     let mut wire_after = wire.iter().skip_while(|w| w.sequence != air[0].sequence);
@@ -115,7 +116,7 @@ fn notifications_carry_the_frames_of_the_uart_and_the_laptops_own_labels() {
     }
     assert!(air.len() as u64 > (seconds - 2) * 12, "{} states", air.len());
 
-    // And the laptop's own on the board's samples.
+    // The laptop's own calculation from the board's samples must agree too.
     let blob = models::bundled::blob().expect("the bundled model is intact");
     let mut hand = RightHand::<9>::new(Model::parse(&blob).unwrap(), DecisionConfig::default()).unwrap();
     let scale = Config::default().scale();
@@ -153,7 +154,8 @@ fn notifications_carry_the_frames_of_the_uart_and_the_laptops_own_labels() {
         100.0 * share,
         100.0 * own as f64 / session.board.now() as f64
     );
-    // nRF52840 product specification: 52 uA/MHz from flash at 3 V with the converter; 3.16 uA asleep with RAM and RTC.
+    // nRF52840 product specification: 52 uA/MHz from flash at 3 V with DC/DC converter;
+    // 3.16 uA asleep with RAM and RTC.
     println!(
         "processor current implied {:.0} uA (radio and sensor come on top)",
         share * 0.052 * 64e3 + 3.16
@@ -168,7 +170,7 @@ fn a_link_that_stalls_costs_old_states_not_new_ones_and_nothing_else_waits() {
     session.charge();
     session.run_ms(3000);
     let dropped = session.heard.statuses.last().unwrap().dropped_samples;
-    // Shorter than the supervision timeout: the link survives.
+    // The interruption is shorter than the supervision timeout, so the link survives.
     session.board.softdevice().central.in_range = false;
     let (before, wire_before) = (session.heard.states.len(), session.uart.heard.states.len());
     session.run_ms(1700);
@@ -197,12 +199,12 @@ fn a_link_that_stalls_costs_old_states_not_new_ones_and_nothing_else_waits() {
 #[test]
 fn it_advertises_again_after_every_kind_of_disconnect_and_the_laptop_is_back_by_itself() {
     let mut session = RightRig::ble_ready();
-    // The keys are written to flash in the meantime, which holds the radio.
+    // Meanwhile the keys are written to flash, which delays the radio.
     session.run_ms(500);
     session.board.softdevice().central.order([Command::Disconnect]);
     session.run_ms(100);
     session.wait_until_ready();
-    // Out of range for longer than the supervision timeout.
+    // The laptop is out of range for longer than the supervision timeout.
     session.board.softdevice().central.in_range = false;
     session.run_ms(3000);
     assert!(session.board.softdevice().is_advertising());
@@ -241,7 +243,7 @@ fn usb_and_uart_go_on_while_s140_owns_clock_and_power() {
         step(&mut session, &mut usb);
     }
     let (air, wire) = (session.heard.states.len() - air, session.uart.heard.states.len() - wire);
-    // The cable is pulled and put back.
+    // The cable is disconnected and reconnected.
     usb.unplug(&mut session.board);
     for _ in 0..300 {
         step(&mut session, &mut usb);
@@ -278,7 +280,7 @@ fn raw_samples_arrive_without_a_gap() {
     assert!((980..=1010).contains(&samples));
 }
 
-/// Frames of a byte stream: whole ones and damaged ones.
+/// Numbers of complete and damaged frames in a byte stream.
 fn frames(notified: &[(u64, Vec<u8>)]) -> (u32, u32) {
     let mut decoder = Decoder::<BOARD_FRAME_MAX>::new();
     let bytes = notified.iter().flat_map(|(_, bytes)| bytes);

@@ -1,4 +1,4 @@
-//! Who may change the board over Bluetooth: only a laptop with kept keys; models and bonds outlive a restart.
+//! Tests that only a bonded laptop can change the board over Bluetooth, and that models and bonds survive a restart.
 #![cfg(feature = "nrf")]
 
 use shared_dsp::right::kind::FeatureKind;
@@ -14,7 +14,7 @@ const BOND_PAGE: usize = 0xD7000;
 /// ATT error "insufficient authentication".
 const REFUSED: u8 = 5;
 
-/// A laptop that pairs without keeping keys, or not at all.
+/// A laptop that pairs without bonding, or does not pair.
 fn stranger(pairs: bool) -> RightRig {
     let mut session = RightRig::ble(Box::new(Still));
     let mut host = BleHost::default();
@@ -27,7 +27,7 @@ fn stranger(pairs: bool) -> RightRig {
 fn restart(session: &mut RightRig) {
     session.run_ms(500);
     session.board.soc().nvic.reset_wanted = true;
-    // The laptop notices that the board is gone, then finds it again.
+    // The laptop notices that the board has disappeared, and then finds it again.
     session.run_ms(2500);
     session.wait_until_ready();
 }
@@ -41,7 +41,7 @@ fn without_keys_states_are_read_but_writes_are_refused() {
     let log = session.log();
     assert!(log.contains(&Happening::Written(Err(REFUSED))), "{log:?}");
     assert_eq!(session.heard.statuses.last().unwrap().bad_frames, 0, "nothing came through");
-    // It pairs and keeps the keys: now it may change things.
+    // The laptop bonds, and may then change the board.
     session.board.softdevice().central.order([Command::Pair { bond: true }, Command::Write(vec![0])]);
     session.run_ms(1000);
     assert_eq!(session.log().last(), Some(&Happening::Written(Ok(()))));
@@ -56,7 +56,7 @@ fn whoever_does_not_bond_within_ten_seconds_is_hung_up_on() {
         let hung_up = |session: &mut RightRig| {
             session.log().iter().any(|what| matches!(what, Happening::Disconnected(_)))
         };
-        // Ready about a second after the link was up.
+        // The connection is ready about one second after the link is established.
         session.run_ms(6000);
         assert!(!hung_up(&mut session), "pairs: {pairs}");
         session.run_ms(5000);
@@ -78,7 +78,7 @@ fn a_laptop_that_pairs_without_keeping_keys_changes_nothing() {
     let model = Model::parse(&blob).unwrap();
     assert_eq!(announce(&mut session, begin(&blob, &model)), AckResult::NotBonded);
     assert_eq!(session.board.soc().nvmc.erased, 0);
-    // Requests that change nothing are answered.
+    // The board replies to requests that change nothing.
     model_id(&mut session);
 }
 
@@ -94,7 +94,7 @@ fn a_bond_outlives_a_restart_and_later_nobody_else_takes_its_place() {
     let answer = session.ask(3, &HostMessage::SetMode { request: 3, mode: Mode::Classify }).unwrap();
     assert_eq!(answer.result, AckResult::Ok);
 
-    // A bonded laptop need not subscribe again.
+    // A bonded laptop does not need to subscribe again.
     session.ble = None;
     session.board.softdevice().central.order([Command::Disconnect]);
     session.run_ms(200);
@@ -103,7 +103,8 @@ fn a_bond_outlives_a_restart_and_later_nobody_else_takes_its_place() {
     session.run_ms(2000);
     assert!(session.board.softdevice().central.notified.len() > notified + 15, "notifies by itself");
 
-    // Two minutes later a stranger's pairing is no bond. (Without its sensor the board sleeps most of them.)
+    // After two minutes, another laptop's pairing creates no bond.
+    // Without its sensor the board sleeps most of this time.
     session.board.soc().bus.unplugged = true;
     session.run_ms(120_000);
     session.board.soc().bus.unplugged = false;
@@ -143,7 +144,7 @@ fn random_bytes_are_counted_and_change_nothing() {
     session.run_ms(1000);
     let erased = session.board.soc().nvmc.erased;
     let mut random = fastrand::Rng::with_seed(140);
-    // Full packets too: 244 bytes are the most that fit.
+    // The lengths include full packets with the maximum of 244 bytes.
     for len in [1, 20, 100, 238, 239, 240, 243, 244].into_iter().cycle().take(400) {
         let bytes = std::iter::repeat_with(|| random.u8(..)).take(len).collect();
         session.board.softdevice().central.order([Command::WriteCommand(bytes)]);
@@ -178,7 +179,7 @@ fn a_model_sent_over_bluetooth_is_used_after_a_restart_though_flash_and_link_fai
             session.board.softdevice().flash_refusals = 1;
         }
         if i == 30 {
-            // The link breaks, and the transfer goes on over the next one.
+            // The link breaks, and the transfer continues over the next link.
             session.board.softdevice().central.order([Command::Disconnect]);
             session.run_ms(300);
             session.wait_until_ready();
@@ -187,7 +188,7 @@ fn a_model_sent_over_bluetooth_is_used_after_a_restart_though_flash_and_link_fai
         let answer = || HostMessage::ModelChunk { request, offset, data: Bytes(data) };
         let mut ack = session.ask(request, &answer());
         if ack.is_none() {
-            // The flash operation had to be repeated; the answer comes late.
+            // The flash operation was repeated, so the reply is late.
             session.run_ms(300);
             ack = session.heard.acks.iter().rev().find(|a| a.request == request).copied();
         }
@@ -205,7 +206,8 @@ fn a_model_sent_over_bluetooth_is_used_after_a_restart_though_flash_and_link_fai
     println!("dropped samples so far: {worst:?}");
 }
 
-/// S140 wants proof of the keys every 480 s; nrf-softdevice panics if a radio without LE Ping gives none.
+/// S140 requires an authenticated packet every 480 s, and nrf-softdevice panics without one
+/// if the laptop lacks LE Ping.
 #[test]
 fn a_laptop_that_only_listens_and_whose_radio_knows_no_ping_does_not_restart_the_board() {
     let mut session = RightRig::ble_ready();
@@ -217,7 +219,7 @@ fn a_laptop_that_only_listens_and_whose_radio_knows_no_ping_does_not_restart_the
     assert_eq!(session.board.resets, [4], "no panic");
     let log = session.log();
     assert!(!log.iter().any(|h| matches!(h, Happening::Disconnected(_))), "{log:?}");
-    // Asked after each two minutes of silence.
+    // The board sends a request after every two minutes of silence.
     let asked = log.iter().filter(|h| matches!(h, Happening::AskedFor { .. })).count();
     assert!((4..=6).contains(&asked), "{asked} times");
     assert!(session.ask(4, &HostMessage::SetMode { request: 4, mode: Mode::Classify }).is_some());

@@ -1,4 +1,4 @@
-//! What differs from board to board: the sensor that is found, pins, the way into the bootloader, the file to flash.
+//! Tests the differences between boards: detected sensor, pins, start of the bootloader, and the file to flash.
 #![cfg(feature = "nrf")]
 
 use shared_dsp::right::kind::FeatureKind;
@@ -15,7 +15,7 @@ use tests::nrf::time::ms;
 use tests::nrf::transfer::{announce, begin, install, random_model};
 use tests::nrf::usb_host::UsbHost;
 
-/// A board of this kind that lies still and has filled its window.
+/// Creates a board of this type that lies still and has a full window.
 fn resting(kind: Kind) -> RightRig {
     let mut session = RightRig::of_kind(kind, Box::new(Still));
     session.run_ms(3500);
@@ -58,7 +58,7 @@ fn a_board_says_what_it_is_made_of_and_why_it_started() {
     }
 }
 
-/// The axes of a Rev2's magnetometer against the others are not known, and a XIAO has none.
+/// A Rev2's magnetometer axes have not been measured, and a XIAO has no magnetometer.
 #[test]
 fn a_model_that_reads_a_magnetometer_is_refused_where_none_may_be_used_and_a_kept_one_names_nothing() {
     let blob = random_model(FeatureKind::LogPower, &[20, 10, 5], 7);
@@ -72,7 +72,7 @@ fn a_model_that_reads_a_magnetometer_is_refused_where_none_may_be_used_and_a_kep
         let mut session = resting(kind);
         assert_eq!(announce(&mut session, begin(&blob, &model)), AckResult::ModelDoesNotFit, "{kind:?}");
         assert_eq!(session.board.soc().nvmc.erased, 0);
-        // The model was already in the flash, from another board.
+        // The flash already contains the model, which came from another board.
         session.board.soc().flash[slots.clone()].copy_from_slice(&kept);
         session.board.press_reset();
         session.heard.states.clear();
@@ -150,7 +150,7 @@ fn the_xiao_runs_over_bluetooth_and_a_touch_at_1200_baud_shows_its_drive() {
     assert!(session.board.in_bootloader, "its bootloader feeds the watchdog");
 }
 
-/// A divider of 1 MΩ and 510 kΩ, whose lower end must stay low or the pin gets the battery's voltage.
+/// Tests the divider of 1 MΩ and 510 kΩ. If its lower end is not low, the pin gets the battery's voltage.
 #[test]
 fn the_xiao_measures_its_battery() {
     for (battery_mv, later_mv) in [(3300.0, None), (4150.0, Some(3950.0))] {
@@ -171,7 +171,7 @@ fn the_xiao_measures_its_battery() {
     }
 }
 
-/// Reads the file as a bootloader does: every block by itself, and what it puts into flash.
+/// Reads the file as a bootloader does, block by block, and compares the resulting flash content.
 #[test]
 fn the_xiaos_file_puts_every_byte_of_the_image_into_its_place_and_none_elsewhere() {
     let file = uf2();
@@ -191,7 +191,7 @@ fn the_xiaos_file_puts_every_byte_of_the_image_into_its_place_and_none_elsewhere
         let (at, len) = (word(12) as usize, word(16) as usize);
         assert_eq!(len, 256, "block {n}: bootloaders take 256 bytes");
         assert!(at.is_multiple_of(256));
-        // Neither S140 below nor bond keys, models and bootloader above.
+        // The file must not overwrite S140 below, or the bond keys, models and bootloader above.
         assert!(at >= 0x27000 && at + len <= 0xD7000, "block {n} at {at:#x}");
         for (place, &byte) in flash[at..at + len].iter_mut().zip(&block[32..]) {
             assert_eq!(place.replace(byte), None, "block {n}: {at:#x} comes twice");
@@ -209,12 +209,12 @@ fn the_xiaos_file_puts_every_byte_of_the_image_into_its_place_and_none_elsewhere
     assert!(blocks * 256 < bytes + 4096);
 }
 
-/// What the motor's pin does from now on: milliseconds, and share of the time that it is high.
+/// Returns the changes of the motor's pin during this time: milliseconds and duty cycle.
 fn felt(session: &mut RightRig, signal: Signal, milliseconds: u64) -> Vec<(u64, f64)> {
     session.board.soc().pwm1.drives.clear();
     let start = session.board.now();
     session.send(&HostMessage::Feel { signal });
-    // The laptop goes on pinging.
+    // The laptop keeps sending pings.
     for id in 0..milliseconds / 100 {
         session.run_ms(100);
         session.send(&HostMessage::Ping { id: id as u32 });
@@ -227,7 +227,7 @@ fn drives(session: &mut RightRig, start: u64) -> Vec<(u64, f64)> {
     drives.iter().map(|drive| ((drive.at - start) / ms(1), drive.high)).collect()
 }
 
-/// Times of both within some milliseconds (a frame takes one on the wire).
+/// Compares the duty cycles and times, with a tolerance of some milliseconds because a frame takes one on the wire.
 fn assert_felt(seen: &[(u64, f64)], wanted: &[(u64, f64)], what: &str) {
     assert_eq!(seen.len(), wanted.len(), "{what}: {seen:?}");
     for ((at_ms, high), (wanted_ms, wanted_high)) in seen.iter().zip(wanted) {
@@ -239,7 +239,7 @@ fn assert_felt(seen: &[(u64, f64)], wanted: &[(u64, f64)], what: &str) {
 fn a_vibration_motor_has_a_pattern_for_each_signal_and_for_a_laptop_that_falls_silent() {
     for (kind, pin) in [(Kind::Nano33, (1, 11)), (Kind::Xiao, (0, 2))] {
         let mut session = resting(kind);
-        // Nobody has asked for anything: low, and without a clock.
+        // Without a request, the pin is low and its clock is off.
         session.run_ms(2000);
         assert!(session.board.soc().pwm1.drives.is_empty() && !session.board.soc().pwm1.is_enabled());
         assert_eq!(session.board.soc().ports[pin.0 as usize].drives(pin.1), Some(false));

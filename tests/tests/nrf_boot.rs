@@ -1,4 +1,4 @@
-//! The image starts behind the stock bootloader, says hello over UART and samples on its grid.
+//! Tests that the image starts after the stock bootloader, sends a hello over UART and samples on its grid.
 #![cfg(feature = "nrf")]
 
 use shared_proto::frame::{BOARD_FRAME_MAX, Decoder, encode_host};
@@ -29,6 +29,6 @@ fn the_image_starts_and_says_hello_over_uart() {
             }
         }
     }
-    // At start, and when asked.
+    // The board sends a hello at its start and on request.
     assert_eq!(hello, 2, "{:?}", decoder.counters());
 }

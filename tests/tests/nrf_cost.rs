@@ -1,4 +1,5 @@
-//! What a gesture costs on the board: instructions, time awake and memory, beside the paper and its peers.
+//! Measures the cost of recognition on the board: instructions, time awake and memory,
+//! compared with the paper and others.
 #![cfg(feature = "nrf")]
 
 use shared_dsp::right::aligned::AlignedWindow;
@@ -22,13 +23,13 @@ impl Motion for Wild {
     }
 }
 
-/// Medians over hops of executed instructions, with the worst.
+/// Medians and maxima of executed instructions per hop.
 struct Cost {
     hop: (u64, u64),
     features: (u64, u64),
-    /// The layers and the softmax.
+    /// Instructions of the layers and the softmax.
     network: u64,
-    /// Scaling of the features to int8, and a logarithm of some in recipe 2.
+    /// Instructions for scaling the features to int8, including a logarithm of some features in recipe 2.
     to_int8: u64,
     worst_sample: u64,
     /// Stack of the network in bytes.
@@ -41,7 +42,7 @@ fn median_and_worst(mut values: Vec<u64>) -> (u64, u64) {
     (values[values.len() / 2], values[values.len() - 1])
 }
 
-/// Twenty seconds of a board that runs already.
+/// Measures twenty seconds of a running board.
 fn measure(session: &mut RightRig, window: &str) -> Cost {
     let sample = session.board.probe("bimanual_sample");
     let names = |words: &[&str]| session.board.image().functions_with(words);
@@ -53,7 +54,8 @@ fn measure(session: &mut RightRig, window: &str) -> Cost {
         let board = &mut session.board;
         names.iter().map(|name| if stack { board.probe_stack(name) } else { board.probe(name) }).collect()
     };
-    // Painted again where the layers begin: as with its peers, computing the inputs does not count as part of the network.
+    // The stack is painted again before the layers, so that the calculation of the inputs is excluded, as in the other
+    // measurements.
     let forward = probe(&forward, true);
     let inputs_and_forward = probe(&inputs_and_forward, true);
     let softmax = probe(&softmax, true);
@@ -64,7 +66,7 @@ fn measure(session: &mut RightRig, window: &str) -> Cost {
     let awake_share = (session.board.awake() - awake) as f64 / (session.board.now() - now) as f64;
 
     let calls = |probes: &[usize]| probes.iter().flat_map(|&p| session.board.calls(p)).collect::<Vec<_>>();
-    // A hop is eight samples; the first full windows come after two seconds.
+    // A hop is eight samples, and the first full window is available after two seconds.
     let samples: Vec<u64> = calls(&[sample]).iter().map(|c| c.instructions).collect();
     let samples = &samples[samples.len() % 8..];
     let hop = median_and_worst(samples.chunks_exact(8).skip(40).map(|c| c.iter().sum()).collect());
@@ -80,7 +82,7 @@ fn measure(session: &mut RightRig, window: &str) -> Cost {
         network,
         to_int8: instructions(&inputs_and_forward).0 - instructions(&forward).0,
         worst_sample: *samples[320..].iter().max().expect("samples"),
-        // One after the other; the logits lie above both.
+        // The two functions run one after another, and the logits are above both on the stack.
         stack: stack(&inputs_and_forward).max(stack(&softmax)) + MAX_LABELS as u64,
         awake_share,
     }
@@ -95,23 +97,24 @@ fn say(cost: &Cost) {
     println!("stack of the network      {:>7} B", cost.stack);
 }
 
-/// Words in the names of the network's code.
+/// Parts of the symbol names of the network's code.
 const NETWORK: [&str; 3] = ["10shared_dsp5right7network", "10shared_dsp5right7softmax", "bimanual_layer"];
 
-/// Bytes of flash of the symbols whose names hold one of these words.
+/// Returns the flash size, in bytes, of all symbols whose names contain one of these words.
 fn flash_of(image: &Image, words: &[&str]) -> u32 {
     let is_ours = |name: &str| words.iter().any(|word| name.contains(word));
     let in_flash = |name: &str| image.symbols[name] < 0x2000_0000;
     image.sizes.iter().filter(|(name, _)| is_ours(name) && in_flash(name)).map(|(_, size)| size).sum()
 }
 
-/// Checks that the time awake is within its aim, and agrees with what the board reports.
+/// Checks that the time awake meets its target and agrees with the board's own report.
 fn check_time_awake(cost: &Cost, load_permille: u16) {
     println!(
         "awake                     {:>6.2} % (aim 5 %; 1.5 cycles per instruction); the board says {load_permille} per mille",
         cost.awake_share * 100.0
     );
-    // nRF52840 product specification: 52 uA/MHz from flash at 3 V with the converter; 3.16 uA asleep with RAM and RTC.
+    // nRF52840 product specification: 52 uA/MHz from flash at 3 V with DC/DC converter;
+    // 3.16 uA asleep with RAM and RTC.
     println!(
         "processor current implied {:>6.2} mA x share + sleep = {:.0} uA (the sensor draws 4.6 mA more)",
         0.052 * 64.0,
@@ -128,7 +131,7 @@ fn check_time_awake(cost: &Cost, load_permille: u16) {
 fn a_network_of_the_papers_shape_is_within_the_aims_of_its_peers() {
     let mut session = RightRig::uart(Box::new(Wild));
     session.run_ms(500);
-    // Arbitrary weights: only the shape matters.
+    // The weights are random, because only the shape matters.
     let blob = random_model(FeatureKind::LogPower, &[20, 10, 5], 7);
     install(&mut session, &blob);
     let cost = measure(&mut session, "features");
@@ -138,7 +141,9 @@ fn a_network_of_the_papers_shape_is_within_the_aims_of_its_peers() {
     let code = flash_of(session.board.image(), &NETWORK);
     let scaling = 8 * 117;
     let flash = code + blob.len() as u32;
-    // ../shared/reference/peers.md: the network with softmax, from int8 inputs; the best of each column and the paper.
+    // Results of ../shared/reference/peers.md for the network with softmax, from int8 inputs:
+    // the best value per column, and
+    // those of the paper.
     println!();
     println!("{:<40}{:>14}{:>10}{:>8}", "inference with softmax", "instructions", "flash B", "RAM B");
     println!("{:<40}{:>14}{:>10}{:>8}", "this board", cost.network, flash - scaling, cost.stack);
@@ -150,13 +155,16 @@ fn a_network_of_the_papers_shape_is_within_the_aims_of_its_peers() {
     println!("{:<40}{:>14}{:>10}{:>8}", "microflow (Rust)", 70_491, 5900, 692);
     println!("{:<40}{:>14}{:>10}{:>8}", "the paper (1 ms, 17.9 KB, 1.7 KB)", "64000 cycles", 17_900, 1700);
     println!(
-        "paper: its network on the chip: inference | 1 ms (64,000 cycles) | {} instructions",
+        "paper: the paper's network on the board: inference | 1 ms (64,000 cycles) | {} instructions",
         cost.network
     );
-    println!("paper: its network on the chip: flash | 17.9 KB | {:.1} KB", f64::from(flash) / 1000.0);
-    println!("paper: its network on the chip: RAM | 1.7 KB | {:.2} KB", cost.stack as f64 / 1000.0);
     println!(
-        "paper: its features and network: share of time awake | not stated | {:.2} %",
+        "paper: the paper's network on the board: flash | 17.9 KB | {:.1} KB",
+        f64::from(flash) / 1000.0
+    );
+    println!("paper: the paper's network on the board: RAM | 1.7 KB | {:.2} KB", cost.stack as f64 / 1000.0);
+    println!(
+        "paper: the paper's features and network: share of time awake | not stated | {:.2} %",
         100.0 * cost.awake_share
     );
     println!("flash: without {scaling} of feature scaling, which peers do not have; with it {flash}");
@@ -164,7 +172,7 @@ fn a_network_of_the_papers_shape_is_within_the_aims_of_its_peers() {
     println!("{:<40}{:>14}  (best peer: 66643 for a window)", "aim", 6000);
     assert!(cost.network <= 5_500, "inference: {} instructions", cost.network);
     assert!(cost.features.1 <= 6_000, "features of a hop");
-    // The aim is 400 B; a scale per channel costs 4 B more.
+    // The target is 400 B, and one scale per channel adds 4 B.
     assert!(cost.stack <= 408, "stack of the network: {} B", cost.stack);
 }
 
@@ -190,14 +198,14 @@ fn the_bundled_network_stays_within_the_papers_memory_and_40_000_instructions_pe
     assert!(flash <= 17_900, "network and its weights: {flash} B");
 }
 
-/// Milliamperes of each sensor as the images run it, by its data sheet: the LSM9DS1's gyroscope 4.0, its accelerometer and
-/// magnetometer 0.6; the BMI270 for performance; the LSM6DS3TR-C in high performance.
+/// Current in mA of each sensor in the configuration of the images, from its data sheet.
+/// LSM9DS1: gyroscope 4.0, accelerometer and magnetometer 0.6; BMI270: performance mode; LSM6DS3TR-C: high performance.
 const SENSORS_MA: [(Kind, f64); 3] = [(Kind::Nano33, 4.6), (Kind::Nano33Rev2, 0.97), (Kind::Xiao, 0.9)];
-/// nRF52840: awake from flash at 3 V with the converter, 52 uA/MHz; asleep with RAM and clock.
+/// nRF52840: 52 uA/MHz awake from flash at 3 V with DC/DC converter; the next value is asleep with RAM and clock.
 const AWAKE_MA: f64 = 0.052 * 64.0;
 const ASLEEP_MA: f64 = 0.003_16;
 
-/// Shares of the time: awake, of that naming gestures (window, features, network, decision), of that S140.
+/// Shares of time: total awake, classification (window, features, network, decision), and S140.
 struct Awake {
     all: f64,
     naming: f64,
@@ -222,8 +230,10 @@ fn awake(kind: Kind, motion: Box<dyn Motion>) -> Awake {
     }
 }
 
-/// What sleeping at rest would save: the classifier's share of the processor, beside a sensor that must keep running, since the dead-man
-/// wants fresh samples and a gesture's window begins before it is known to be one.
+/// Calculates the possible saving from pausing the classifier at rest, which is its share of the processor time.
+/// The sensor must keep running, because the dead-man rule requires fresh samples
+/// and a gesture's window starts before the
+/// gesture is detected.
 #[test]
 fn over_bluetooth_a_resting_hand_costs_as_much_as_a_moving_one_and_naming_gestures_is_the_least_of_it() {
     println!(
@@ -248,7 +258,8 @@ fn over_bluetooth_a_resting_hand_costs_as_much_as_a_moving_one_and_naming_gestur
                 100.0 * saved / mah
             );
             assert!(all <= 0.05, "{kind:?} {what}: awake {all}");
-            // The whole of what a classifier that sleeps at rest could save, on the board with the thriftiest sensor.
+            // This is the maximum saving from pausing the classifier at rest,
+            // on the board with the lowest sensor current.
             assert!(saved / mah < 0.05, "{kind:?} {what}: now it is worth the trouble");
         }
     }

@@ -1,4 +1,4 @@
-//! The sensors' drivers against their models, without board or processor.
+//! Tests the sensor drivers with simulated sensors, without a board or processor.
 #![cfg(feature = "nrf")]
 
 use std::cell::Cell;
@@ -23,7 +23,7 @@ use tests::nrf::lsm6ds3::Lsm6ds3;
 use tests::nrf::lsm9ds1::{Lsm9ds1, Motion, Still};
 use tests::nrf::time::{HZ, ms, us};
 
-/// The emulated bus as a driver sees it, in virtual time; each transfer takes 100 us.
+/// The emulated bus for a driver in virtual time. Each transfer takes 100 us.
 #[derive(Clone)]
 struct Wire {
     bus: Rc<Cell<Option<Bus>>>,
@@ -37,7 +37,7 @@ impl Wire {
         Self { bus: Rc::new(Cell::new(Some(bus))), now: Rc::default() }
     }
 
-    /// Does something with the bus.
+    /// Calls `what` with the bus.
     fn with<T>(&self, what: impl FnOnce(&mut Bus, u64) -> T) -> T {
         let mut bus = self.bus.take().expect("one at a time");
         let result = what(&mut bus, self.now.get());
@@ -103,7 +103,7 @@ fn start<I: Imu>(driver: &mut I, wire: &Wire) -> Result<(), ImuError> {
     wait(driver.start(&mut wire.delay()))
 }
 
-/// The sets of samples of this many milliseconds, fetched every 10 ms.
+/// Returns the sets of this many milliseconds, fetched every 10 ms.
 fn sets<I: Imu>(driver: &mut I, wire: &Wire, milliseconds: u64) -> Vec<[i16; 6]> {
     let mut all = Vec::new();
     let mut batch = Batch::default();
@@ -127,7 +127,7 @@ fn every_setting_reads_one_g_and_the_earths_field_in_its_own_scale() {
             wire.pass(ms(100));
             let mut batch = Batch::default();
             wait(driver.poll(&mut batch)).unwrap();
-            // Five sets are dropped while the filters settle.
+            // The driver drops five sets while the filters settle.
             let expected = if rate == Rate::Hz119 { 6 } else { 18 };
             assert!((expected..=expected + 2).contains(&batch.sets().len()), "{}", batch.sets().len());
             let [accel_scale, _, mag_scale] = config.scale();
@@ -147,7 +147,7 @@ fn arduinos_scale_is_12_8_per_cent_smaller_for_gyroscope_and_magnetometer() {
     assert!((mag / mag_arduino - 1.1469).abs() < 1e-3);
 }
 
-/// All directions differ, and change.
+/// A motion with different and changing values on all axes.
 struct Swing;
 
 impl Motion for Swing {
@@ -167,19 +167,19 @@ impl Motion for Swing {
     }
 }
 
-/// The motion's values at a time at which the sensor is asked late: the same in every frame of counts.
+/// Checks that the driver returns the motion's values, even with a late poll, in the common units and axes.
 fn sees_the_swing<I: Imu>(driver: &mut I, wire: &Wire) {
     start(driver, wire).unwrap();
     let sets = sets(driver, wire, 1000);
     let period = 1.0 / f64::from(driver.nominal_hz());
     let newest = wire.now.get() as f64 / HZ as f64;
-    // The newest set is less than a period and a transfer old.
+    // The age of the newest set is less than a period plus a transfer.
     for (n, set) in sets.iter().rev().take(100).enumerate() {
         let at = newest - (n as f64 + 0.5) * period;
         let wanted = Swing.at(at);
         for axis in 0..6 {
             let value = f64::from(set[axis]) * f64::from(SCALE[axis / 3]);
-            // The fastest change of each over one and a half periods, and rounding.
+            // The tolerance is the fastest change of each axis over one and a half periods, plus rounding.
             let slack = [0.08, 0.08, 0.003, 5.0, 0.1, 6.5][axis];
             assert!(
                 (value - wanted[axis]).abs() < slack,
@@ -215,7 +215,7 @@ fn the_sensor_that_is_there_is_found_and_what_is_not_is_named() {
     assert_eq!(find(&xiao, &[Kind::Bmi270]), Err(ImuError::Missing(0x68)));
 }
 
-/// Starts, then loses a setting during or after the start; losing `register` changes the scale.
+/// Starts the sensor, which loses a setting during or after the start. A wrong `register` changes the scale.
 fn notices<I: Imu>(driver: &mut I, wire: &Wire, address: u8, register: u8) {
     wire.with(|bus, _| bus.sensor.lose_write(register));
     assert_eq!(start(driver, wire), Err(ImuError::Reset(address)), "{register:#x} did not arrive");
@@ -227,7 +227,7 @@ fn notices<I: Imu>(driver: &mut I, wire: &Wire, address: u8, register: u8) {
 
 #[test]
 fn a_setting_that_did_not_arrive_is_noticed_at_the_start_and_a_lost_one_later() {
-    // CTRL_REG6_XL: the accelerometer would stay at ±2 g. FIFO_CTRL and CTRL_REG9: no FIFO.
+    // CTRL_REG6_XL: the accelerometer would stay at ±2 g. FIFO_CTRL and CTRL_REG9: the FIFO would be off.
     for register in [0x20, 0x23] {
         let wire = Wire::new(Lsm9ds1::new(Box::new(Still)));
         notices(&mut Driver::new(wire.clone(), Config::default()), &wire, 0x6B, register);
@@ -249,7 +249,7 @@ fn a_broken_bmi270_and_one_with_half_a_configuration_are_not_started() {
     start(&mut driver, &wire).unwrap();
     wire.with(|bus, _| bus.sensor.fail());
     assert_eq!(wait(driver.check()), Err(ImuError::Reset(0x68)));
-    // A byte of the upload is lost, and all later bytes are in the wrong place.
+    // The upload loses a byte, so all later bytes are at a wrong position.
     wire.with(|bus, _| bus.sensor.lose_write(0x5E));
     assert_eq!(start(&mut driver, &wire), Err(ImuError::Reset(0x68)));
     assert_eq!(start(&mut driver, &wire), Ok(()));
@@ -299,7 +299,7 @@ fn a_rev2s_magnetometer_gives_the_field_whatever_its_trimming_and_its_temperatur
             wire.pass(ms(34));
             let seen = wait(driver.field_ut()).unwrap().expect("a field");
             for (seen, field) in seen.into_iter().zip(field) {
-                // Half a count: 0.19 uT flat, 0.20 upright.
+                // Half a count is 0.19 uT for x and y and 0.20 uT for z.
                 assert!((f64::from(seen) - field).abs() < 0.21, "hall {hall}: {seen:?} uT, not {field:?}");
             }
             assert_eq!(wait(driver.field_ut()).unwrap(), None, "read once");
@@ -329,13 +329,13 @@ fn a_rev2s_magnetometer_beside_a_magnet_gives_nothing_and_its_faults_are_named()
     assert_eq!(wait(driver.field_ut()), Err(ImuError::Bus(0x10)));
 }
 
-/// What docs/ADDING.md says about another IMU: sampling needs nothing but a driver that implements `Imu`.
+/// Tests the instructions of docs/ADDING.md for another IMU: sampling requires only a driver that implements `Imu`.
 struct OwnImu {
     now_us: u64,
     taken: u64,
 }
 
-/// Its own clock is 3 % fast.
+/// The sensor's own clock is 3 % fast.
 const OWN_US: u64 = 1_000_000 / 107;
 
 impl Imu for OwnImu {
@@ -378,7 +378,7 @@ fn an_imu_of_ones_own_comes_out_at_100_hz() {
         values.extend(grid.sample(imu.now_us));
     }
     assert!(values.len() > 290, "{} of 300", values.len());
-    // It counts tenths of a millisecond: 100 from one sample to the next, once its clock is known.
+    // The values count tenths of a millisecond: 100 per sample, once the sensor's rate is known.
     for pair in values[100..].windows(2) {
         assert!((98..=102).contains(&(pair[1][0] - pair[0][0])), "{pair:?}");
     }

@@ -1,4 +1,4 @@
-//! The board computes what a laptop computes, bit for bit, on a grid of exactly 100 Hz.
+//! Tests that the board's results equal the laptop's bit for bit, on a grid of exactly 100 Hz.
 #![cfg(feature = "nrf")]
 
 use models::synth::{self, Segment};
@@ -17,7 +17,7 @@ use tests::nrf::session::{Right, RightRig};
 use tests::nrf::time::HZ;
 use tests::nrf::transfer::{install, random_model};
 
-/// The blob that is compiled into the image.
+/// Returns the blob that is compiled into the image.
 fn blob() -> Vec<u8> {
     models::bundled::blob().expect("the bundled model is intact")
 }
@@ -26,11 +26,11 @@ struct Window {
     counts: Vec<[i16; 9]>,
     times_ms: Vec<u32>,
     at: Vec<u64>,
-    /// The board's memory of the hand, once a second, and after how many samples.
+    /// The board's stored hand data once a second, with the number of samples before it.
     memory: Vec<(usize, Vec<u8>)>,
 }
 
-/// Sets per second of the board's sensor, by its data sheet.
+/// Number of sets per second of the board's sensor, from its data sheet.
 fn sensor_hz(kind: Kind) -> f64 {
     match kind {
         Kind::Nano33 => 238.0,
@@ -39,12 +39,12 @@ fn sensor_hz(kind: Kind) -> f64 {
     }
 }
 
-/// Axes of the board's sensor.
+/// Number of axes of the board's sensor.
 fn axes(kind: Kind) -> usize {
     if kind == Kind::Nano33 { 9 } else { 6 }
 }
 
-/// Runs for some seconds; what the board put into its window, and the session.
+/// Runs for some seconds, and returns the samples in the board's window and the session.
 fn run(kind: Kind, motion: Box<dyn Motion>, clock_ratio: f64, seconds: u64) -> (RightRig, Window) {
     let mut session = RightRig::of_kind(kind, motion);
     session.board.soc().bus.sensor.set_clock_ratio(clock_ratio);
@@ -54,12 +54,12 @@ fn run(kind: Kind, motion: Box<dyn Motion>, clock_ratio: f64, seconds: u64) -> (
     (session, window)
 }
 
-/// Runs for some seconds; from the fourth on, how many samples were tapped and the board's memory of the hand.
+/// Runs for some seconds. From the fourth second on, records the number of tapped samples and the board's hand data.
 fn watch(session: &mut RightRig, tap: usize, seconds: u64) -> Vec<(usize, Vec<u8>)> {
     let mut memory = Vec::new();
     for second in 1..=seconds {
         session.run_ms(1000 - session.board.now() / tests::nrf::time::ms(1) % 1000);
-        // Not in the middle of a hop.
+        // The state is read only between two hops.
         while !session.board.is_asleep() {
             session.run_ms(1);
         }
@@ -73,7 +73,7 @@ fn watch(session: &mut RightRig, tap: usize, seconds: u64) -> Vec<(usize, Vec<u8
     memory
 }
 
-/// Takes a sample, gives no features until the window is full.
+/// Takes a sample, and returns no features until the window is full.
 type Features = Box<dyn FnMut(&[f32; 9]) -> Option<Vec<f32>>>;
 
 /// The laptop's features of a recipe.
@@ -96,7 +96,7 @@ fn features(recipe: FeatureKind) -> Features {
     }
 }
 
-/// What a tap on `bimanual_sample` saw.
+/// Returns the samples recorded by a tap on `bimanual_sample`.
 fn window_of(calls: &[Tapped]) -> Window {
     let counts = |call: &Tapped| {
         std::array::from_fn(|axis| i16::from_le_bytes([call.bytes[2 * axis], call.bytes[2 * axis + 1]]))
@@ -109,20 +109,20 @@ fn window_of(calls: &[Tapped]) -> Window {
     }
 }
 
-/// Compares every state that the board sent with this model, and its features once a second, with the laptop's on the
-/// board's own samples; hops compared.
+/// Compares every state of the board with this model, and once a second also the features.
+/// The expected values are the laptop's, computed from the board's own samples. Returns the number of compared hops.
 fn compare(blob: &[u8], session: &RightRig, window: &Window) -> usize {
     let model = Model::parse(blob).unwrap();
     compare_features(model.info().recipe, window);
     let mut hand = RightHand::<9>::new(model, DecisionConfig::default()).unwrap();
     let scale = SCALE;
-    // A board that has no sample yet says so, with time 0.
+    // A board without a sample sends a state with time 0.
     let mut states = session.heard.states.iter().skip_while(|state| state.board_time_ms == 0);
     let mut hops = 0;
     for (counts, &time) in window.counts.iter().zip(&window.times_ms) {
         let values = std::array::from_fn(|axis| f32::from(counts[axis]) * scale[axis / 3]);
         let Some(output) = hand.push(&values, time) else { continue };
-        // The last frame may still be on the wire.
+        // The last frame may still be in transit.
         let Some(state) = states.next() else { break };
         assert_eq!(state.board_time_ms, output.window_end_ms);
         assert_eq!(state.scores, output.score_bytes()[..output.scores().len()], "at {time} ms");
@@ -136,7 +136,7 @@ fn compare(blob: &[u8], session: &RightRig, window: &Window) -> usize {
     hops
 }
 
-/// The laptop's features must stand in the board's memory, all bits equal.
+/// Checks that the board's memory contains the laptop's features bit for bit.
 fn compare_features(recipe: FeatureKind, window: &Window) {
     let scale = SCALE;
     let mut features = features(recipe);
@@ -156,32 +156,34 @@ fn compare_features(recipe: FeatureKind, window: &Window) {
     assert!(compared + 1 >= window.memory.len(), "{compared} of {} compared", window.memory.len());
 }
 
-/// Seconds for which the first row is held before the recording begins, so that the sensor's clock is known by then.
+/// Duration in s for which the first row is repeated before the recording, so that the sensor's rate is known.
 const LEAD_S: u64 = 3;
-/// How far a grid sample lies behind its grid time, in periods of the sensor (`sensor/src/grid.rs`).
+/// Delay of a grid sample relative to its grid time, in periods of the sensor (`sensor/src/grid.rs`).
 const DELAY_PERIODS: f64 = 1.1;
-/// The largest error of a set's time on the grid, in ms: the stated error in time of the resampling.
+/// Maximum error of the time of a set on the grid, in ms, as specified for the resampler.
 const TIMING_MS: f64 = 0.5;
 
-/// The sensor's clock against the board's in the comparisons below.
+/// Ratio of the sensor's clock to the board's clock in the comparisons below.
 const CLOCK_RATIO: f64 = 1.013;
 
-/// How a recording arrived in the board's window.
+/// A recording after resampling by the board.
 struct Resampled {
     session: RightRig,
     window: Window,
-    /// Distances between sample and row in counts, with the distance allowed; the first six axes.
+    /// Differences between sample and row in counts, each with its tolerance; only the first six axes.
     errors: Vec<(f64, f64)>,
 }
 
-/// Replays rows of 100 Hz such that row n is due at the sensor when the board's sample `100 · LEAD_S + n` is, and
-/// compares each sample with its row.
+/// Replays rows at 100 Hz and compares each sample with its row.
+/// Row n reaches the sensor at the time of the board's sample `100 · LEAD_S + n`.
 ///
-/// Between two rows the hand moves along a straight line; m and m' are its slopes before and after a row, in counts
-/// per ms. The sensor takes a set every p ms and rounds it (half a count), the grid draws straight lines between sets
-/// and rounds (half a count). A line that bridges the row's corner misses it by at most |m' − m| · p / 4, and a time
-/// that is wrong by [`TIMING_MS`] costs that much of the steeper slope. The magnetometer (80 Hz) is not interpolated: its
-/// newest value was taken between the rows before and after.
+/// Between two rows the hand moves along a straight line.
+/// Let m and m' be the slopes before and after a row, in counts per ms.
+/// The sensor takes a set every p ms and rounds it, which adds half a count.
+/// The grid interpolates linearly between sets and rounds again, which adds half a count.
+/// An interpolation across the corner at a row has an error of at most |m' − m| · p / 4.
+/// A time error of [`TIMING_MS`] adds its product with the steeper slope.
+/// The magnetometer (80 Hz) is not interpolated: its newest value was taken between the previous and the next row.
 fn resample(kind: Kind, rows: Vec<[f64; 9]>) -> Resampled {
     let clock_start_s = {
         let mut session = RightRig::of_kind(kind, Box::new(Still));
@@ -197,7 +199,7 @@ fn resample(kind: Kind, rows: Vec<[f64; 9]>) -> Resampled {
 
     let scale = SCALE;
     let period_ms = CLOCK_RATIO * 1000.0 / sensor_hz(kind);
-    // A BMI270's counts are converted: they are rounded once more.
+    // The BMI270's counts are converted, which adds another rounding.
     let rounding = if kind == Kind::Nano33Rev2 { 1.5 } else { 1.0 };
     let mut errors = Vec::new();
     let mut next = 0;
@@ -230,7 +232,7 @@ fn resample(kind: Kind, rows: Vec<[f64; 9]>) -> Resampled {
     Resampled { session, window, errors }
 }
 
-/// Prints how far samples lie from the rows of their recordings.
+/// Prints the differences between samples and the rows of their recordings.
 fn say(what: &str, errors: &mut [(f64, f64)]) {
     let used = errors.iter().map(|(error, allowed)| error / allowed).fold(0.0, f64::max);
     let within_one = errors.iter().filter(|(error, _)| *error <= 1.0).count() as f64 / errors.len() as f64;
@@ -264,7 +266,7 @@ fn on_real_recordings_a_xiao_computes_what_the_laptop_does() {
 }
 
 fn equals_on_real_recordings(kind: Kind) {
-    // Per class; then the least that there must be of all.
+    // Maximum per class, then the required minimum of all.
     let (most, least_recordings, least_hops) = match (is_full(), kind) {
         (true, _) => (146, 100, 2000),
         (false, Kind::Nano33) => (13, 52, 1000),
@@ -354,13 +356,13 @@ fn a_minute(kind: Kind, ratio: f64) {
     let from = window.at.iter().position(|&at| at >= 2 * HZ).unwrap();
     let minute = window.at[from..].iter().filter(|&&at| at < 62 * HZ).count();
     let status = session.heard.statuses.last().unwrap();
-    // Distance to the truth at the grid time less the stated delay.
+    // Difference from the true motion at the grid time minus the specified delay.
     let scale = SCALE;
     let mut worst = [0.0f64; 2];
     let first = (f64::from(window.times_ms[from]) / 10.0).round() as u64;
     for (k, counts) in (first..).zip(&window.counts[from..]) {
         let grid = (k * 32768 / 100) as f64 / 32768.0;
-        // The board's clock starts some milliseconds after power-up: find it from the first sample.
+        // The board's clock starts some milliseconds after power-up; the first sample determines the offset.
         let truth = Swing.at(grid + offset(&session) - DELAY_PERIODS / sensor_hz(kind));
         for axis in 0..6 {
             let unit = f64::from(scale[axis / 3]);
@@ -377,12 +379,13 @@ fn a_minute(kind: Kind, ratio: f64) {
     );
     assert!((5999..=6001).contains(&minute));
     assert!(window.times_ms.windows(2).all(|w| (9..=11).contains(&(w[1] - w[0]))));
-    // The largest error of a set's time on the grid. 200 and 208 Hz at these ratios are 25/12, 13/6 and even 2 times
-    // 100 Hz: then polls meet few phases of the sensor's period, or one, and its age stays unknown within it, the
-    // same for all samples, until the clocks drift.
+    // The maximum error of the time of a set on the grid.
+    // At these ratios, 200 and 208 Hz are 25/12, 13/6 and exactly 2 times 100 Hz.
+    // Polls then occur at only a few phases of the sensor's period, or one.
+    // The age of a set remains uncertain within that interval, equally for all samples, until the clocks drift.
     let period_ms = if kind == Kind::Nano33 { 0.0 } else { ratio * 1000.0 / sensor_hz(kind) };
     let timing_ms = TIMING_MS + period_ms;
-    // Slopes here are up to 61 m/s^3 and 2,100 deg/s^2, in counts per ms; and a count of rounding.
+    // Slopes are up to 61 m/s^3 and 2,100 deg/s^2, converted to counts per ms; rounding adds one count.
     let allowed = [51.0, 30.0].map(|slope| 1.0 + slope * timing_ms);
     assert!(worst[0] <= allowed[0] && worst[1] <= allowed[1], "{worst:?} of {allowed:?}");
 }
@@ -392,7 +395,7 @@ fn offset(session: &RightRig) -> f64 {
     session.board.clock_start() as f64 / HZ as f64
 }
 
-/// Other models take the place of the bundled one, over the wire.
+/// Tests models that replace the bundled one over the wire.
 #[test]
 fn received_models_of_every_recipe_compute_what_the_laptop_computes() {
     let mut script = Vec::new();
@@ -401,7 +404,7 @@ fn received_models_of_every_recipe_compute_what_the_laptop_computes() {
         script.push(Segment::new(synth::Motion::IDLE, 1.0));
     }
     let rows = recordings::rows(&synth::session(&synth::Wearer::evaluation(22, 1), 0, &script));
-    // Weights with which the model happens to name something.
+    // Searches for random weights with which the model recognises a gesture.
     let names_something = |blob: &Vec<u8>| {
         let model = Model::parse(blob).unwrap();
         let mut hand = RightHand::<9>::new(model, DecisionConfig::default()).unwrap();
@@ -429,11 +432,11 @@ fn received_models_of_every_recipe_compute_what_the_laptop_computes() {
         let seconds = rows.len() as u64 / 100;
         let replay = Replay { rows: rows.clone(), interval: 0.01, start };
         session.board.soc().bus.sensor.set_motion(Box::new(replay));
-        // The first of them began before the replay.
+        // The first of these hops started before the replay.
         let memory = watch(&mut session, tap, seconds + 1);
 
         let mut window = window_of(session.board.tapped(tap));
-        // From the restart on: there the board's clock began anew.
+        // The comparison starts at the restart, because the board's clock was reset there.
         let first = window.times_ms.windows(2).rposition(|w| w[1] < w[0]).map_or(0, |n| n + 1);
         window.times_ms.drain(..first);
         window.counts.drain(..first);

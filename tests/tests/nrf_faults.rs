@@ -1,11 +1,11 @@
-//! What goes wrong on a hand: no panic, no false gesture, recovery within a second, and a report of it.
+//! Tests faults on the hand: no panic, no false gesture, recovery within a second, and a report.
 #![cfg(feature = "nrf")]
 
 use shared_proto::message::{FaultKind, HostMessage, Mode, health};
 use tests::nrf::lsm9ds1::Still;
 use tests::nrf::session::RightRig;
 
-/// A board that lies still and has filled its window.
+/// Creates a board that lies still and has a full window.
 fn resting() -> RightRig {
     let mut session = RightRig::uart(Box::new(Still));
     session.run_ms(3000);
@@ -13,7 +13,7 @@ fn resting() -> RightRig {
     session
 }
 
-/// Samples flow again within a second, the window fills, and nothing was named.
+/// Checks that samples resume within a second, the window fills, and no gesture was reported.
 fn recovers(session: &mut RightRig, what: &str) {
     let dropped = |s: &RightRig| s.heard.statuses.last().unwrap().dropped_samples;
     session.run_ms(1000);
@@ -89,7 +89,7 @@ fn a_sensor_that_takes_35_ms_to_start_is_no_fault() {
 #[test]
 fn a_lost_setting_of_the_scale_is_noticed_and_set_again() {
     let mut session = RightRig::uart(Box::new(Still));
-    // CTRL_REG6_XL: the accelerometer would stay at ±2 g, and a resting hand would weigh double.
+    // CTRL_REG6_XL: the accelerometer would stay at ±2 g, so the gravity of a resting hand would double.
     session.board.soc().bus.sensor.lose_write(0x20);
     session.run_ms(1000);
     session.send(&HostMessage::SetMode { request: 1, mode: Mode::Record });
@@ -109,7 +109,7 @@ fn an_open_serial_line_brings_no_noise() {
 #[test]
 fn what_the_bootloader_leaves_running_writes_to_no_memory_of_ours() {
     let mut session = RightRig::uart(Box::new(Still));
-    // A byte arrives while the image starts: the bootloader's receiver would put it where our statics are.
+    // A byte arrives during the start, and the bootloader's receiver would write it over the image's statics.
     session.board.uart_in(b"x");
     session.run_ms(1);
     assert_ne!(session.board.soc().ram.get(0x2000_9BD4, 1), Some(&b"x"[..]));
@@ -164,7 +164,7 @@ fn random_bytes_from_the_laptop_are_counted_and_change_nothing() {
     }
     let pongs = session.heard.pongs;
     session.run_ms(100);
-    // A delimiter ends the frame that the noise began.
+    // A delimiter ends the frame that the noise started.
     session.board.uart_in(&[0]);
     session.send(&HostMessage::Ping { id: 7 });
     session.run_ms(50);
@@ -180,14 +180,14 @@ fn random_bytes_from_the_laptop_are_counted_and_change_nothing() {
 fn a_board_whose_tasks_stand_still_is_restarted_by_its_watchdog_and_says_so() {
     let mut session = resting();
     let hello = session.heard.hellos.len();
-    // The processor stands still for longer than the watchdog waits.
+    // The processor stops for longer than the watchdog's time-out.
     let soc = session.board.soc();
     soc.nvmc.busy_until = soc.now + tests::nrf::time::ms(2500);
     session.run_ms(4000);
     assert!(session.board.resets.contains(&2), "{:?}", session.board.resets);
     session.send(&HostMessage::HelloRequest);
     session.run_ms(100);
-    // One hello at the start, one in answer.
+    // One hello at the start and one as a reply.
     assert_eq!(session.heard.hellos.len(), hello + 2);
     assert!(session.heard.faults.iter().any(|f| f.kind == FaultKind::Watchdog));
 }

@@ -1,4 +1,5 @@
-//! A model sent over the wire: kept, used after the restart, and never at the cost of the old one.
+//! Tests sending a model over the wire: it is stored and used after the restart,
+//! and a failure never loses the old model.
 #![cfg(feature = "nrf")]
 
 use shared_dsp::right::kind::FeatureKind;
@@ -10,7 +11,7 @@ use tests::nrf::lsm9ds1::Still;
 use tests::nrf::session::RightRig;
 use tests::nrf::transfer::{announce, begin, model_id, pieces, random_model, restart};
 
-/// A model of the paper's shape.
+/// Returns a model of the paper's shape.
 fn other_model(seed: u32) -> Vec<u8> {
     random_model(FeatureKind::Raw, &[20, 10, 5], seed)
 }
@@ -48,7 +49,7 @@ fn a_model_is_kept_after_its_check_and_used_after_the_restart() {
 fn a_transfer_that_breaks_at_any_piece_leaves_the_old_model() {
     let mut session = RightRig::uart(Box::new(Still));
     session.run_ms(500);
-    // A received model runs, so that both slots are at stake.
+    // A received model runs, so that both slots are tested.
     let kept = other_model(1);
     assert_eq!(announce(&mut session, begin(&kept, &Model::parse(&kept).unwrap())), AckResult::Ok);
     pieces(&mut session, &kept, usize::MAX);
@@ -68,7 +69,7 @@ fn a_transfer_that_breaks_at_any_piece_leaves_the_old_model() {
         assert_eq!(model_id(&mut session), crc32(&kept), "broken after {after} pieces");
         broken += 1;
     }
-    // Wrong in the middle: everything arrives, but one bit differs from what was announced.
+    // The complete model arrives, but one bit in the middle differs from the announced checksum.
     let mut wrong = blob.clone();
     wrong[1000] ^= 4;
     assert_eq!(announce(&mut session, begin(&blob, &model)), AckResult::Ok);

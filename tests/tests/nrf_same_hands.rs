@@ -1,6 +1,7 @@
-//! A model that learned from one sensor names the same gestures through another: other rate, scale, axes, no magnetometer.
+//! Tests that a model trained on one sensor recognises the same gestures with another sensor.
+//! The sensors differ in rate, scale and axes, and some have no magnetometer.
 //!
-//! Drivers, grid and hand run as on the board, without the processor around them.
+//! Drivers, grid and hand logic run as on the board, but without the emulated processor.
 #![cfg(feature = "nrf")]
 
 use std::cell::RefCell;
@@ -25,7 +26,7 @@ use tests::nrf::lsm9ds1::{Lsm9ds1, Replay};
 use tests::nrf::recordings;
 use tests::nrf::time::{HZ, ms, us};
 
-/// A sensor at the end of its wires, and the time.
+/// A simulated sensor on its bus, and the current time.
 #[derive(Clone)]
 struct Wire(Rc<RefCell<(Box<dyn Sensor>, u64)>>);
 
@@ -72,7 +73,7 @@ fn wait<T>(future: impl Future<Output = T>) -> T {
     }
 }
 
-/// Labels of the events that a board with this sensor makes of these rows of 100 Hz, with the second of each.
+/// Returns the events that a board with this sensor detects in these 100 Hz rows: labels and times in seconds.
 fn events(sensor: Box<dyn Sensor>, model: &Model<'_>, seconds: u64) -> Vec<(f64, usize)> {
     let wire = Wire(Rc::new(RefCell::new((sensor, 0))));
     let mut imu = wait(Found::find(wire.clone(), &[Kind::Lsm9ds1, Kind::Bmi270, Kind::Lsm6ds3])).unwrap();
@@ -103,7 +104,8 @@ fn events(sensor: Box<dyn Sensor>, model: &Model<'_>, seconds: u64) -> Vec<(f64,
     found
 }
 
-/// Gestures named right by each of the three sensors: an event with its label and no other while it is drawn and just after.
+/// Counts the gestures recognised correctly with each of the three sensors.
+/// A correct gesture has an event with its label, and no other event during it or shortly after.
 fn right(rows: &[[f64; 9]], wanted: &[(f64, f64, usize)], model: &Model<'_>) -> [usize; 3] {
     const LEAD_S: f64 = 3.0;
     let replay = || Box::new(Replay { rows: rows.to_vec(), interval: 0.01, start: LEAD_S });

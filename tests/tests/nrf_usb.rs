@@ -1,4 +1,4 @@
-//! The same frames over the USB cable: enumeration, both directions, a cable pulled and put back, the touch.
+//! Tests the frames over USB: enumeration, both directions, a reconnected cable, and the 1200 baud touch.
 #![cfg(feature = "nrf")]
 
 use shared_proto::frame::{BOARD_FRAME_MAX, Decoder, encode_host};
@@ -7,7 +7,7 @@ use tests::nrf::lsm9ds1::Still;
 use tests::nrf::session::RightRig;
 use tests::nrf::usb_host::UsbHost;
 
-/// Steps of a millisecond until the host has nothing left to ask.
+/// Runs in steps of a millisecond until the host has no more requests.
 fn settle(session: &mut RightRig, host: &mut UsbHost) {
     for _ in 0..500 {
         session.run_ms(1);
@@ -82,7 +82,7 @@ fn a_laptop_that_stops_reading_gets_fresh_states_when_it_reads_again() {
             times.push(r.board_time_ms);
         }
     }
-    // At most what was already in the controller is old.
+    // Only data that was already in the controller may be old.
     let fresh = session.heard.states.iter().rev().nth(26).unwrap().board_time_ms;
     let old = times.iter().filter(|&&t| t < fresh).count();
     println!("{} states after a pause of 3 s, {old} of them old", times.len());
@@ -96,7 +96,7 @@ fn a_touch_at_1200_baud_returns_to_the_bootloader_which_has_all_the_time_it_need
     let mut host = plug_in(&mut session);
     assert!(!session.board.in_bootloader);
     host.touch();
-    // The watchdog itself does the reset, so that it is off afterwards.
+    // The watchdog itself resets the board, and is therefore off afterwards.
     for _ in 0..3000 {
         session.run_ms(1);
         host.step(&mut session.board);
@@ -105,7 +105,7 @@ fn a_touch_at_1200_baud_returns_to_the_bootloader_which_has_all_the_time_it_need
         }
     }
     assert!(session.board.in_bootloader);
-    // An upload takes 6 s; a watchdog that still ran would end it and start half an image.
+    // An upload takes 6 s. A running watchdog would interrupt it and start an incomplete image.
     session.run_ms(30_000);
     assert!(session.board.in_bootloader, "resets {:?}", session.board.resets);
     session.board.press_reset();
@@ -125,7 +125,7 @@ fn two_boards_at_one_laptop_differ_by_the_chips_own_number() {
 fn behind_s140_a_cable_attaches_though_ready_is_told_before_detected() {
     let mut session = RightRig::ble(Box::new(Still));
     session.run_ms(1000);
-    // The processor stands still while the cable goes in: both events wait afterwards.
+    // The processor is stopped while the cable is connected, so both events are pending afterwards.
     let soc = session.board.soc();
     soc.nvmc.busy_until = soc.now + tests::nrf::time::ms(10);
     let mut host = plug_in(&mut session);

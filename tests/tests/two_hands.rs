@@ -1,4 +1,4 @@
-//! Both hands at once: the two boards' images, emulated, at one bridge with one simulated robot.
+//! Tests both hands together: the emulated images of both boards, one bridge and one simulated robot.
 #![cfg(all(feature = "avr", feature = "nrf"))]
 
 use std::cell::RefCell;
@@ -22,7 +22,7 @@ use tests::nrf::lsm9ds1::{Replay, Still};
 use tests::nrf::recordings::rows;
 use tests::two_hands::{Cable, Disturbance, Left, Right, TwoHands, Wire};
 
-/// A nominal left hand on a board that has never been calibrated, and the hand to steer.
+/// Returns a board without calibration and the nominal left hand that controls it.
 fn left_hand(seed: u64) -> (Nano, Rc<RefCell<Hand>>) {
     let (wearer, hand) = Wearer::new(Sensors::nominal(), (0.0, 0.0), None, Rng::with_seed(seed));
     (Nano::new(&image::path(), &BLANK, Box::new(wearer)), hand)
@@ -30,8 +30,8 @@ fn left_hand(seed: u64) -> (Nano, Rc<RefCell<Hand>>) {
 
 const FORWARD_RAD: f64 = 0.5;
 
-/// Plays the bundled session on both boards, and compares with what it says must come out. The short run plays all of
-/// it over one link, and its first gestures over the others.
+/// Plays the bundled session on both boards, and compares the results with the session's expected values.
+/// The short run plays the complete session over one link, and only the first gestures over the others.
 fn play_demo(link: Cable) {
     let whole = is_full() || link == Cable::Uart;
     let Demo { left, right, script } = Demo::bundled();
@@ -172,7 +172,7 @@ fn from_sample_to_arm(link: Cable, wearers: u32) {
                     others.push(format!("{}: {label} for {meant}", wearer.name));
                 }
                 if matches!(outcome, GestureOutcome::Started(_)) {
-                    // The grid time of the window's last sample, on the emulated clock.
+                    // The grid time of the last sample in the window, on the emulated clock.
                     let number = (f64::from(*window_end_board_ms) / 10.0).round() as u64;
                     let tick = number * 32_768 / 100;
                     deciding = Some(right.board.clock_start() + tests::nrf::time::cycle_of_tick(tick));
@@ -183,11 +183,11 @@ fn from_sample_to_arm(link: Cable, wearers: u32) {
                 && desk.arm_moves()
             {
                 let cycles = right.cycle_at(now_ms) - sample;
-                // The sensor took it that much before its grid time (sensor/src/grid.rs).
+                // The sensor measured the sample this long before its grid time (sensor/src/grid.rs).
                 let delay_ms = 1100.0 / 238.0;
                 to_arm_ms.push(cycles as f64 / tests::nrf::time::ms(1) as f64 + delay_ms);
                 deciding = None;
-                // A rested robot for the next gesture; this one has shown what it was asked for.
+                // The next gesture gets a new robot at rest.
                 desk.robot = Stage::bare().simulated(&Config::default());
             }
         }
@@ -219,7 +219,7 @@ fn from_sample_to_arm(link: Cable, wearers: u32) {
     assert!(*to_arm_ms.last().unwrap() <= 50.0);
 }
 
-/// The right hand strokes to and fro every 10 s, for 3 s, from 4 s on.
+/// The right hand makes to-fro strokes for 3 s in every 10 s, starting at 4 s.
 fn strokes(count: usize) -> impl FnOnce(f64) -> Replay {
     let mut script = vec![Segment::new(Motion::IDLE, 4.0)];
     for _ in 0..count {
@@ -230,7 +230,7 @@ fn strokes(count: usize) -> impl FnOnce(f64) -> Replay {
     move |start| Replay { rows, interval: 0.01, start }
 }
 
-/// A desk whose left hand a test steers.
+/// A desk whose left hand is controlled by the test.
 struct Steered {
     desk: TwoHands,
     hand: Rc<RefCell<Hand>>,
@@ -248,7 +248,7 @@ impl Steered {
         self.hand.borrow_mut().tilt(pitch_rad, 0.0, self.desk.left_seconds(), 0.1);
     }
 
-    /// Drives forward until a stroke has started the arm, too.
+    /// Drives forward until a stroke has also started the arm.
     fn both_move(&mut self) {
         self.tilt(0.0);
         self.desk.run_until("armed", 8000, TwoHands::is_armed);
@@ -261,7 +261,7 @@ impl Steered {
         assert!(self.desk.base_moves() && self.desk.arm_moves(), "both move");
     }
 
-    /// The robot halts because of this hand's silence; when it rested.
+    /// Checks that the robot halts because of this hand's silence, and returns the time when it came to rest.
     fn halts(&mut self, hand: Which) -> (u64, u64) {
         let halted_ms = self.desk.run_until("a halt", 260, |d| !d.is_armed());
         let rests = |d: &TwoHands| !d.base_moves() && !d.arm_moves();
@@ -274,7 +274,7 @@ impl Steered {
         (halted_ms, rested_ms)
     }
 
-    /// Nothing moves for a while, though the left hand is still tilted; after neutral it does.
+    /// Checks that nothing moves while the left hand remains tilted, and that the robot moves again after neutral.
     fn needs_neutral(&mut self, what: &str) {
         for _ in 0..3500 {
             self.desk.step();
@@ -326,7 +326,7 @@ fn a_cable_pulled_in_mid_drive_stops_base_and_arm_and_put_back_it_needs_neutral(
     steered.desk.right.as_mut().unwrap().wire = Wire::Uart(true);
     steered.needs_neutral("right cable (UART) put back");
 
-    // The left cable is the board's supply: put back, it starts anew, in a hand that is tilted still.
+    // The left cable supplies the board, which restarts after reconnection in a hand that is still tilted.
     steered.both_move();
     steered.desk.left.as_mut().unwrap().cable = false;
     say("left board without power", steered.halts(Which::Left));
@@ -360,13 +360,13 @@ fn a_usb_cable_pulled_and_a_touch_at_1200_baud_stop_the_robot() {
     let right = steered.desk.right.as_mut().unwrap();
     let Wire::Usb(host) = &mut right.wire else { unreachable!() };
     host.touch();
-    // The watchdog does the reset, within its two seconds.
+    // The watchdog resets the board within its two seconds.
     steered.desk.run_until("the bootloader", 2200, |d| d.right.as_ref().unwrap().board.in_bootloader);
     say("right board touched at 1200 baud", steered.halts(Which::Right));
 }
 
-/// How bad a cable is, per thousand: bytes from a board that are damaged, and milliseconds in which others come
-/// among them. The lines to the boards are half full of noise at any rate.
+/// Noise of a cable, per thousand: damaged bytes from a board, and milliseconds in which additional bytes appear.
+/// The lines to the boards are always half full of noise.
 fn noise(damaged: u32, disturbed: u32, mut rng: Rng) -> Disturbance {
     Box::new(move |_, bytes| {
         for byte in bytes.iter_mut() {
@@ -384,7 +384,7 @@ fn noise(damaged: u32, disturbed: u32, mut rng: Rng) -> Disturbance {
 
 #[test]
 fn random_bytes_on_both_links_move_nothing_that_the_hands_do_not() {
-    // A damaged frame at the wrong moment costs a whole second of driving; in eight, some remain.
+    // A damaged frame at an unfavourable moment costs a second of driving, and in eight seconds some driving remains.
     let seconds = if is_full() { 60 } else { 8 };
     let (mut nano, hand) = left_hand(33);
     nano.run_ms(600.0);
@@ -404,7 +404,8 @@ fn random_bytes_on_both_links_move_nothing_that_the_hands_do_not() {
             for ms in 0..1000 {
                 desk.step();
                 let twist = desk.bridge.twist();
-                // Forward, or halted in doubt; after the hand went neutral, its last command may stand for 300 ms.
+                // The base drives forward or halts.
+                // After the hand returns to neutral, the last command may persist for 300 ms.
                 assert!(twist.linear_m_s >= 0.0 && twist.angular_rad_s == 0.0, "{twist:?}");
                 assert!(tilted || ms < 300 || twist.linear_m_s == 0.0, "{twist:?} at neutral");
                 assert!(!desk.arm_moves());

@@ -1,7 +1,7 @@
-//! `cargo xtask campaign`: everything that must hold when something else fails, at full length, in one table.
+//! `cargo xtask campaign`: runs all safety tests under faults at full length, and prints one table.
 //!
-//! The rows are tests. Each prints `row: WHAT | COUNT | WORST | LIMIT`; a test program without such lines becomes one
-//! row itself. The short form of every row is a part of `cargo xtask test`: the same tests without `BIMANUAL_FULL`.
+//! The rows are tests. Each prints `row: WHAT | COUNT | WORST | LIMIT`; a test program without such lines is one row.
+//! `cargo xtask test` includes the short form of every row: the same tests without `BIMANUAL_FULL`.
 
 use std::process::{ExitCode, Stdio};
 use std::time::Instant;
@@ -14,20 +14,20 @@ use crate::{jazzy, python};
 
 /// One fault of the campaign, and its tests.
 struct Fault {
-    /// As in docs/SAFETY.md.
+    /// Name of the row in docs/SAFETY.md.
     name: &'static str,
-    /// Which of the tests, as arguments of `cargo test`.
+    /// The selected tests, as arguments of `cargo test`.
     test: &'static [&'static str],
     /// The tests' environment.
     only: &'static [&'static str],
     needs: Needs,
 }
 
-/// What a fault's tests need besides the workspace.
+/// Additional requirements of a fault's tests.
 #[derive(Clone, Copy, PartialEq)]
 enum Needs {
     Nothing,
-    /// These tests take millions of turns, so they are built for speed.
+    /// A release build, because these tests take millions of turns.
     Speed,
     /// An independent robot on Cyclone DDS.
     Cyclone,
@@ -45,7 +45,7 @@ const fn with(needs: Needs, fault: Fault) -> Fault {
 
 const LIVE: &[&str] = &["--test", "live"];
 
-/// In the order of the table in docs/SAFETY.md. Those on the wall clock run one after the other.
+/// Sorted like the table in docs/SAFETY.md. Tests with the wall clock run one after another.
 const FAULTS: &[Fault] = &[
     fault("v delays: constant, stepping, drifting ±5 %; restarts unseen", &["--test", "lateness"], &[]),
     with(
@@ -116,20 +116,20 @@ const FAULTS: &[Fault] = &[
         &["live::stops::floods", "live::stops::a_hand_that_falls_silent", "live::stops::a_thousand"],
     ),
     fault(
-        "the reader of --json stops; output that nobody takes",
+        "the reader of --json stops; output that nobody reads",
         LIVE,
         &["live::stops::a_reader", "live::stops::output"],
     ),
     fault("stopped and continued, 0.3 to 60 s", LIVE, &["live::stops::a_program"]),
     fault("v the laptop asleep, both boards' images awake", LIVE, &["live::desk::a_laptop_that_slept"]),
-    fault("delays on the very program", LIVE, &["live::stops::a_board"]),
+    fault("delays on the real program", LIVE, &["live::stops::a_board"]),
     fault("record cut short, or twice at a time", LIVE, &["live::stops::a_recording", "live::stops::two"]),
 ];
 
-/// Runs every row, prints the table, and says whether all held.
+/// Runs every row, prints the table, and returns whether all limits were respected.
 ///
 /// # Errors
-/// An option that is not known, or `cargo` does not start.
+/// Fails if an option is unknown, or `cargo` does not start.
 pub fn run(args: &[&str]) -> Result<ExitCode> {
     let (mut short, mut only) = (false, None);
     let mut words = args.iter();
@@ -168,16 +168,16 @@ pub fn run(args: &[&str]) -> Result<ExitCode> {
     Ok(if held { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
-/// The rows of one fault, and whether all its tests passed.
+/// Measures the rows of one fault, and returns whether all its tests passed.
 fn measure(fault: &Fault, short: bool) -> Result<(Vec<Vec<String>>, bool)> {
     let mut cargo = match fault.needs {
-        // One crate alone, so that nothing else is built for speed.
+        // Builds only one crate, so that nothing else is built in release mode.
         Needs::Speed => cargo(&["test", "--locked", "--release"]),
-        // The workspace as its tests have built it: with the same features, so that nothing is compiled again.
+        // The workspace with the features of its tests, so that nothing is compiled again.
         _ => cargo_for_all("test"),
     };
     cargo.args(fault.test).arg("--").args(fault.only);
-    // One after the other: a test that runs beside another would be measured, too.
+    // The tests run one after another, because concurrent tests would affect the measurements.
     cargo.args(["--nocapture", "--test-threads", "1"]).stdin(Stdio::null());
     if !short {
         cargo.env("BIMANUAL_FULL", "1");
@@ -200,8 +200,8 @@ fn measure(fault: &Fault, short: bool) -> Result<(Vec<Vec<String>>, bool)> {
     if rows.is_empty() {
         rows.push(vec!["tests".into(), tests.to_string(), "0 failed".into(), "0 failed".into()]);
     }
-    // A filter that finds no test proves nothing, and neither does one that was skipped, or that measured on a machine
-    // too busy to judge.
+    // A filter without matching tests proves nothing.
+    // The same applies to skipped tests, and to measurements on a machine that is too busy.
     let ok = done.status.success() && tests > 0 && !said.contains("SKIPPED") && !said.contains("NOT JUDGED");
     if !ok {
         println!("{said}{}", String::from_utf8_lossy(&done.stderr));
@@ -209,7 +209,7 @@ fn measure(fault: &Fault, short: bool) -> Result<(Vec<Vec<String>>, bool)> {
     Ok((rows, ok))
 }
 
-/// The number of tests that a line of `cargo test` says have passed.
+/// Returns the number of passed tests in a line of `cargo test`.
 fn passed(line: &str) -> Option<usize> {
     let (_, counts) = line.split_once("test result: ")?;
     counts.split_once(" passed")?.0.rsplit(' ').next()?.parse().ok()

@@ -1,5 +1,5 @@
-//! What every crate that is built here must keep: its licence is allowed, it comes from the registry, it is used, and it
-//! compiles with the Rust that this project asks for.
+//! Checks all crates: permitted licence, source in the registry, actual use,
+//! and compatibility with this project's Rust version.
 
 use std::path::Path;
 use std::process::Command;
@@ -10,13 +10,13 @@ use serde_json::Value;
 use crate::steps::{output, sh};
 use crate::{python, root};
 
-/// The workspaces: the laptop's side, and each board's.
+/// The workspaces of the laptop programs and of each board.
 const WORKSPACES: [&str; 3] = ["", "firmware-nano-avr", "firmware-nano33"];
 
-/// Licences, bans and sources (`deny.toml`), and dependencies that nothing uses.
+/// Checks licences, bans and sources (`deny.toml`), and unused dependencies.
 ///
 /// # Errors
-/// Names each crate and each line of a Cargo.toml that is wrong.
+/// Names each invalid crate and each invalid line of a Cargo.toml.
 pub fn check() -> Result<()> {
     let python = python::environment()?;
     let tools = python.parent().context("the environment's folder")?;
@@ -34,8 +34,9 @@ pub fn check() -> Result<()> {
     Ok(())
 }
 
-/// No crate wants a newer Rust than the workspace promises. That the workspace itself compiles with it is seen where the
-/// tests run with that very Rust, and clippy's `incompatible_msrv` knows which parts of the library are newer.
+/// Checks that no crate needs a newer Rust than the workspace promises.
+/// The tests run with exactly this Rust, which shows that the workspace itself compiles.
+/// Clippy's `incompatible_msrv` checks for newer parts of the library.
 fn oldest_rust(folder: &Path) -> Result<()> {
     let mut cargo = Command::new("cargo");
     cargo.current_dir(folder).args(["metadata", "--format-version", "1", "--locked", "--all-features"]);
@@ -44,7 +45,7 @@ fn oldest_rust(folder: &Path) -> Result<()> {
     let promised = packages.iter().filter(|package| package["source"].is_null()).map(wanted).max();
     let promised = promised.context("a workspace has a crate")?;
     if promised == (0, 0) {
-        // The boards' images are built by one compiler each, which `toolchain` names.
+        // Each board's images are built by one compiler, which `toolchain` selects.
         return Ok(());
     }
     for package in packages {
@@ -69,7 +70,7 @@ fn oldest_rust(folder: &Path) -> Result<()> {
     Ok(())
 }
 
-/// The Rust that a package says it needs; none is 0.
+/// Returns the Rust version that a package requires; 0 without a requirement.
 fn wanted(package: &Value) -> (u32, u32) {
     package["rust_version"].as_str().map(version).unwrap_or_default()
 }

@@ -1,4 +1,4 @@
-//! `cargo xtask firmware avr`: the left hand's image, its size, and how to flash it.
+//! `cargo xtask firmware avr`: builds the left hand's image, prints its size, and explains flashing.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -9,18 +9,17 @@ use crate::steps::{output, sh};
 use crate::toolchain::{self, Target};
 use crate::{root, target_dir};
 
-/// The limits in bytes: what an ATmega328P with a 2 KB bootloader has, and what this project allows.
+/// Limits in bytes, from an ATmega328P with a 2 KB bootloader and from this project.
 const FLASH_LIMIT: u64 = 24 * 1024;
 const RAM_LIMIT: u64 = 1536;
 const RAM: u64 = 2048;
 
-/// Builds, measures, and names the avrdude lines.
+/// Builds and measures the image, and prints the avrdude commands.
 ///
-/// `--baud 57600|115200|250000` chooses the serial speed, `--no-stack` skips the measurement in the
-/// emulator.
+/// `--baud 57600|115200|250000` selects the serial speed, and `--no-stack` skips the measurement in the emulator.
 ///
 /// # Errors
-/// If it does not build, or is larger than allowed.
+/// Fails if the image does not build, or is larger than permitted.
 pub fn run(args: &[&str]) -> Result<()> {
     let mut baud = "115200";
     let mut measure = true;
@@ -76,14 +75,14 @@ pub fn run(args: &[&str]) -> Result<()> {
 /// Clippy of the image.
 ///
 /// # Errors
-/// Names what is not as it should be.
+/// Names each problem.
 pub fn check() -> Result<()> {
     let mut clippy = toolchain::cargo(Target::Avr, "clippy")?;
     clippy.args(["--release", "--locked", "--", "-D", "warnings"]);
     sh(clippy.current_dir(root().join("firmware-nano-avr")).env("CARGO_TARGET_DIR", target_dir()))
 }
 
-/// Where the image lies once it is built.
+/// Returns the path of the built image.
 pub fn image() -> PathBuf {
     target_dir().join("avr-none/release/firmware-nano-avr.elf")
 }
@@ -111,13 +110,13 @@ impl Size {
     }
 }
 
-/// Runs the image in the emulator through everything it can do, and looks how far the stack came.
+/// Runs all functions of the image in the emulator, and returns the deepest stack.
 fn deepest_stack(elf: &PathBuf) -> Result<u64> {
     let mut emulator = Command::new("cargo");
     emulator.current_dir(root()).env("BIMANUAL_AVR_ELF", elf);
     emulator.args(["run", "--quiet", "-p", "tests", "--features", "avr", "--bin", "avr_trials", "stack"]);
     let text = output(&mut emulator)?;
-    // simavr talks on standard output, too: the result is the last line.
+    // simavr also prints to standard output, so the result is the last line.
     let last = text.lines().last().unwrap_or("");
     last.trim().parse().with_context(|| format!("`avr_trials stack` printed `{last}`"))
 }

@@ -1,4 +1,4 @@
-//! `cargo xtask firmware nano33`: builds the variants of the right hand's image and says where their bytes are.
+//! `cargo xtask firmware nano33`: builds the variants of the right hand's image and prints their sizes by part.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -41,7 +41,7 @@ const XIAO_TROUBLE: &str = "xiao-trouble";
 /// Where a XIAO's image starts, behind S140.
 const XIAO_ORIGIN: u32 = 0x27000;
 
-/// Parts of the image and the words in the names of their symbols; the first match wins.
+/// Parts of the image with words in the names of their symbols; the first match counts.
 const PARTS: [(&str, &[&str]); 6] = [
     (
         "network",
@@ -81,10 +81,10 @@ const PARTS: [(&str, &[&str]); 6] = [
     ("rest", &[""]),
 ];
 
-/// Builds and prints; the name of a variant chooses that one.
+/// Builds and prints all variants, or only the named one.
 ///
 /// # Errors
-/// If a variant does not build, or there is none of that name.
+/// Fails if a variant does not build, or the name is unknown.
 pub fn run(args: &[&str]) -> Result<()> {
     let is_xiao = |name: &str| name.starts_with("xiao");
     let chosen = |name: &str| match args {
@@ -150,10 +150,10 @@ fn build(name: &str, options: &[&str]) -> Result<PathBuf> {
     Ok(image)
 }
 
-/// The drivers' own tests, which run on a laptop.
+/// Runs the drivers' own tests on the laptop.
 ///
 /// # Errors
-/// Names what is not as it should be.
+/// Names each problem.
 pub fn test_drivers() -> Result<()> {
     let host = output(Command::new("rustc").args(["--print", "host-tuple"]))?;
     let mut tests = Command::new("cargo");
@@ -164,7 +164,7 @@ pub fn test_drivers() -> Result<()> {
 /// Clippy of all variants.
 ///
 /// # Errors
-/// Names what is not as it should be.
+/// Names each problem.
 pub fn check() -> Result<()> {
     let folder = root().join("firmware-nano33");
     for (_, options, _) in VARIANTS {
@@ -175,12 +175,12 @@ pub fn check() -> Result<()> {
     Ok(())
 }
 
-/// Where the image of a variant lies once it is built.
+/// Returns the path of a variant's built image.
 pub fn image(name: &str) -> PathBuf {
     target_dir().join(Target::Thumb.triple()).join("release").join(format!("nano33-{name}"))
 }
 
-/// The image as the XIAO's bootloader takes it, beside the linked one.
+/// Converts the image to the format of the XIAO's bootloader, in the same folder.
 fn make_uf2(image: &Path) -> Result<PathBuf> {
     let (raw, file) = (image.with_extension("bin"), image.with_extension("uf2"));
     sh(Command::new(tool("objcopy")).args(["-O", "binary"]).arg(image).arg(&raw))?;
@@ -189,7 +189,7 @@ fn make_uf2(image: &Path) -> Result<PathBuf> {
 }
 
 fn report(image: &Path) -> Result<()> {
-    // Names stay mangled: each holds its path as `length name`.
+    // Names remain mangled; each contains its path as `length name`.
     let nm = tool("nm");
     let text = output(Command::new(nm).args(["--print-size", "--radix=d"]).arg(image))?;
     let mut sizes: BTreeMap<&str, (u64, u64)> = BTreeMap::new();
@@ -232,7 +232,7 @@ fn report(image: &Path) -> Result<()> {
     Ok(())
 }
 
-/// `llvm-nm` and `llvm-size`, or binutils', which read ELF files of any machine's symbols.
+/// Returns `llvm-nm` and `llvm-size`, or binutils' versions, which support ELF files of any machine.
 pub fn tool(name: &str) -> String {
     let llvm = format!("llvm-{name}");
     if Command::new(&llvm).arg("--version").output().is_ok_and(|o| o.status.success()) {

@@ -1,5 +1,5 @@
-//! ROS 2 Jazzy's own client library and middleware in a virtual environment, for a robot that shares nothing with the
-//! program but the standard. Everything lies below `target/ros2-jazzy`; nothing outside is written.
+//! Installs ROS 2 Jazzy's own client library and middleware in a virtual environment.
+//! This gives a robot that is independent of the program. All files are below `target/ros2-jazzy`.
 
 use std::fmt::Write as _;
 use std::fs;
@@ -11,10 +11,10 @@ use anyhow::{Context, Result, ensure};
 use crate::steps::sh;
 use crate::{root, target_dir};
 
-/// The version of Python for which there are wheels.
+/// The version of Python for which wheels exist.
 const PYTHON: &str = "3.12";
 const REQUIREMENTS: &str = "tests/ros2/jazzy-requirements.txt";
-/// Interfaces without a wheel: each package, and the packages that it needs.
+/// Interfaces without a wheel: each package, and its dependencies.
 const INTERFACES: [(&str, &[&str]); 2] = [
     (
         "control_msgs",
@@ -22,13 +22,14 @@ const INTERFACES: [(&str, &[&str]); 2] = [
     ),
     ("tf2_msgs", &["geometry_msgs"]),
 ];
-/// Where the wheels were built, as their files for CMake have it.
+/// The folder in which the wheels were built, as in their CMake files.
 const BUILT_FOR: &str = "/opt/python/cp312-cp312";
 
-/// A program that runs Python with ROS 2 in it, made on first use; `None` if this machine has no Python 3.12.
+/// Returns a program that runs Python with ROS 2, and installs it at the first use.
+/// It is `None` if this machine has no Python 3.12.
 ///
 /// # Errors
-/// If a package does not install or an interface does not build.
+/// Fails if a package cannot be installed or an interface does not build.
 pub fn environment() -> Result<Option<PathBuf>> {
     let place = target_dir().join("ros2-jazzy");
     let launcher = place.join("python");
@@ -73,7 +74,7 @@ pub fn environment() -> Result<Option<PathBuf>> {
     Ok(Some(launcher))
 }
 
-/// Python of the right version: on the path, or pyenv's.
+/// Finds Python with the required version, on the path or in pyenv.
 fn python() -> Option<String> {
     let works = |program: &str| {
         let asked = Command::new(program).args(["-c", "import sys, venv; print(sys.version)"]).output();
@@ -90,7 +91,7 @@ fn python() -> Option<String> {
     ["python3.12".to_owned(), "python3".to_owned()].into_iter().chain(pyenv).find(|program| works(program))
 }
 
-/// The wheels' files for CMake name folders of the machine on which they were built.
+/// Corrects the wheels' CMake files, which contain folders of the machine on which they were built.
 fn say_where_python_is(venv: &Path) -> Result<()> {
     let script = "import sysconfig, numpy; print(sysconfig.get_path('include')); print(numpy.get_include())";
     let told = Command::new(venv.join("bin/python")).args(["-c", script]).output()?;
@@ -119,7 +120,7 @@ fn say_where_python_is(venv: &Path) -> Result<()> {
     Ok(())
 }
 
-/// The files of a package of interfaces, such as `msg/TFMessage.msg`, in order.
+/// Returns the files of a package of interfaces, such as `msg/TFMessage.msg`, sorted.
 fn interface_files(package: &str) -> Result<Vec<String>> {
     let folder = root().join("tests/ros2/interfaces").join(package);
     let mut files = Vec::new();
@@ -132,12 +133,12 @@ fn interface_files(package: &str) -> Result<Vec<String>> {
     Ok(files)
 }
 
-/// Builds one package of interfaces into `install`.
+/// Builds one package of interfaces and installs it to `install`.
 fn build(place: &Path, package: &str, parts: &[&str]) -> Result<()> {
     let (source, build, venv) =
         (place.join("src").join(package), place.join("build").join(package), place.join("venv"));
     for folder in [&source, &build] {
-        // Removes what another version left behind.
+        // Removes the files of another version.
         let _ = fs::remove_dir_all(folder);
     }
     let files = interface_files(package)?;

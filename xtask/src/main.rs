@@ -1,4 +1,4 @@
-//! The chores. `cargo xtask test` is what a user and CI run.
+//! The project's commands. Users and CI run `cargo xtask test`.
 
 mod campaign;
 mod crates;
@@ -94,12 +94,12 @@ pub fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("xtask lies in the root").to_path_buf()
 }
 
-/// Is this the long run (`cargo xtask test --full`)?
+/// Returns whether this is the long run (`cargo xtask test --full`).
 pub fn is_full() -> bool {
     std::env::var_os("BIMANUAL_FULL").is_some()
 }
 
-/// Where cargo puts what it builds.
+/// Returns cargo's folder for build results.
 pub fn target_dir() -> PathBuf {
     std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root().join("target"), PathBuf::from)
 }

@@ -1,5 +1,5 @@
-//! `cargo xtask package`: what a user unpacks who has no Rust: programs, the boards' images, model, scenes, documents,
-//! licences, udev rules.
+//! `cargo xtask package`: builds an archive for users without Rust.
+//! It contains programs, firmware images, model, scenes, documents, licences and udev rules.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -55,7 +55,7 @@ const FILES: [&str; 39] = [
     "models/bundled/right-aligned.tflite",
     "shared-proto/WIRE.md",
 ];
-/// Files that lie elsewhere in the archive.
+/// Files with another path in the archive.
 const MOVED: [(&str, &str); 2] = [
     ("xtask/package/INSTALL.txt", "INSTALL.txt"),
     ("xtask/package/60-bimanual.rules", "udev/60-bimanual.rules"),
@@ -108,17 +108,17 @@ const DEEPER_TEXTS: [&str; 6] = [
 const MORE_NOTICES: [&str; 1] = ["firmware-nano33/sensor/NOTICE-Bosch.txt"];
 const PROGRAMS: [&str; 2] = ["host-bridge", "models"];
 
-/// Builds the archive under `target/package`, unpacks it once and runs what is in it.
+/// Builds the archive under `target/package`, unpacks it once and runs its programs.
 ///
 /// # Errors
-/// If something does not build, a file is missing, or the unpacked programs do not run.
+/// A program does not build, a file is missing, or the unpacked programs do not run.
 pub fn run() -> Result<()> {
     ensure!(
         cfg!(all(target_os = "linux", target_arch = "x86_64")),
         "the archive is for Linux on x86-64: make it there; elsewhere `cargo install --path host-bridge`"
     );
     tools::ensure(&[&BLUETOOTH])?;
-    // With all its features: Bluetooth and whatever else is optional.
+    // With all features, including optional ones such as Bluetooth.
     sh(&mut cargo(&["build", "--release", "--locked", "-p", "host-bridge", "--all-features", "--bins"]))?;
     sh(&mut cargo(&["build", "--release", "--locked", "-p", "models", "--bins"]))?;
     let name = format!("bimanual-{}-x86_64-linux", env!("CARGO_PKG_VERSION"));
@@ -134,7 +134,7 @@ pub fn run() -> Result<()> {
     for program in PROGRAMS {
         let to = folder.join("bin").join(program);
         copy(&target_dir().join("release").join(program), &to)?;
-        // Line tables are for developers; if binutils is missing they stay.
+        // Line tables are only for developers; without binutils, they remain.
         let _ = Command::new("strip").arg(&to).status();
     }
     let mut trees = String::new();
@@ -144,7 +144,7 @@ pub fn run() -> Result<()> {
     }
     fs::write(folder.join("LICENCES-OF-PARTS.txt"), notices(&parts(&trees)?)?)?;
     let archive = place.join(format!("{name}.tar.gz"));
-    // The same content gives the same bytes.
+    // The same content must give the same bytes.
     let mut tar = Command::new("tar");
     tar.args(["--sort=name", "--owner=0", "--group=0", "--numeric-owner", "--mtime=@0", "--mode=u+rw,go=rX"]);
     sh(tar.arg("-C").arg(&place).arg("-czf").arg(&archive).arg(&name))?;
@@ -153,7 +153,7 @@ pub fn run() -> Result<()> {
     Ok(())
 }
 
-/// The boards' images as avrdude and bossac take them.
+/// Writes the firmware images in the formats of avrdude and bossac.
 fn images(folder: &Path) -> Result<()> {
     fs::create_dir_all(folder)?;
     firmware_avr::run(&["--no-stack"])?;
@@ -183,7 +183,7 @@ fn copy(from: &Path, to: &PathBuf) -> Result<()> {
 /// A foreign crate in the programs: `name vVERSION` and its licence.
 type Part<'a> = (&'a str, &'a str);
 
-/// The foreign crates, once each.
+/// Returns the foreign crates, each once.
 fn parts(tree: &str) -> Result<Vec<Part<'_>>> {
     let ours = |line: &&str| line.contains("(/");
     let mut parts = Vec::new();
@@ -192,7 +192,7 @@ fn parts(tree: &str) -> Result<Vec<Part<'_>>> {
         let name = part.split(' ').next().unwrap_or("");
         let by_file = LICENCE_FILES.iter().find(|(of, _)| *of == name && licence.trim().is_empty());
         let licence = by_file.map_or(licence, |(_, licence)| licence);
-        // One of several licences is enough; a slash separates them, too.
+        // One of several licences suffices; they may also be separated by a slash.
         let free = licence
             .split(" OR ")
             .flat_map(|l| l.split('/'))
@@ -205,7 +205,7 @@ fn parts(tree: &str) -> Result<Vec<Part<'_>>> {
     Ok(parts)
 }
 
-/// All parts with their licences, and what their packages say about them, each text once.
+/// Returns all parts with their licences, and each text in their packages once.
 fn notices(parts: &[Part<'_>]) -> Result<String> {
     let home = std::env::var_os("CARGO_HOME").map(PathBuf::from);
     let home =
@@ -263,7 +263,7 @@ fn try_out(archive: &Path, name: &str, into: &Path) -> Result<()> {
     for name in PROGRAMS {
         print!("{}", output(program(name).arg("--version"))?);
     }
-    // With a session's file, so that MCAP is in it.
+    // With a session file, so that MCAP is tested.
     let demo = ["demo", "--headless", "--speed", "0", "--json", "--record", "demo.mcap"];
     let demo = output(program("host-bridge").args(demo))?;
     ensure!(demo.contains("\"ok\":true"), "the unpacked demo does not come out as scripted:\n{demo}");
@@ -271,7 +271,7 @@ fn try_out(archive: &Path, name: &str, into: &Path) -> Result<()> {
     output(
         program("host-bridge").args(["demo", "--headless", "--speed", "0", "--json", "--scene"]).arg(urdf),
     )?;
-    // Whatever answers here, and whoever is on the graph, these commands only look and report.
+    // Whatever devices and nodes exist, these commands only read and report.
     for (words, said) in [
         (&["list"][..], "Bluetooth"),
         (&["doctor", "--right", "ble"], "Bluetooth"),
@@ -293,7 +293,7 @@ fn try_out(archive: &Path, name: &str, into: &Path) -> Result<()> {
 mod tests {
     use super::{MOVED, parts};
 
-    /// In 73-seat-late.rules systemd gives the port to the user at the seat, by a tag that an earlier rule must set.
+    /// In 73-seat-late.rules, systemd grants the port to the local user by a tag, which an earlier rule must set.
     #[test]
     fn the_udev_rule_is_read_in_time_and_knows_every_board() {
         let (from, to) = MOVED.into_iter().find(|(from, _)| from.ends_with(".rules")).unwrap();

@@ -1,4 +1,4 @@
-//! Spelling, and links between the documents.
+//! Checks the spelling, and the links between the documents.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -9,10 +9,10 @@ use anyhow::{Context as _, Result, bail};
 use crate::steps::sh;
 use crate::{python, root};
 
-/// Nothing is misspelt, as far as `typos` knows, and each link in a document leads to a file.
+/// Checks that `typos` finds no errors, and that every link in a document leads to a file.
 ///
 /// # Errors
-/// Names each word and each link that is wrong.
+/// Names each misspelt word and each broken link.
 pub fn check() -> Result<()> {
     let python = python::environment()?;
     let typos = python.parent().context("the environment's folder")?.join("typos");
@@ -40,7 +40,7 @@ fn documents(folder: &Path) -> Result<Vec<PathBuf>> {
     Ok(found)
 }
 
-/// `DOCUMENT: LINK` for each relative link that leads to no file.
+/// Returns `DOCUMENT: LINK` for each relative link to a missing file.
 fn broken_links(document: &Path) -> Vec<String> {
     let text = fs::read_to_string(document).unwrap_or_default();
     let folder = document.parent().unwrap_or(Path::new("."));
@@ -51,13 +51,13 @@ fn broken_links(document: &Path) -> Vec<String> {
     missing.map(|link| format!("{}: {link}", document.display())).collect()
 }
 
-/// What stands in the parentheses of `[text](link)`, outside of code.
+/// Returns the targets of `[text](link)` outside of code.
 fn links(text: &str) -> Vec<&str> {
     let mut found = Vec::new();
     let mut in_code = false;
     for line in text.lines() {
         in_code ^= line.trim_start().starts_with("```");
-        // Every second part of a line lies between two backticks.
+        // Every second part of a line is between two backticks.
         let prose = line.split('`').step_by(2);
         let parts = prose.flat_map(|part| part.split("](").skip(1)).filter(|_| !in_code);
         found.extend(parts.filter_map(|rest| rest.split_once(')')).map(|(link, _)| link));

@@ -1,4 +1,4 @@
-//! One virtual environment for the independent checks in Python.
+//! A virtual environment for the independent checks in Python.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -27,10 +27,10 @@ const REQUIREMENTS: [&str; 11] = [
     "tests/web/requirements.txt",
 ];
 
-/// The interpreter of an environment that holds what the checks want, made on first use.
+/// Returns the interpreter of an environment with all requirements, and creates it at the first use.
 ///
 /// # Errors
-/// If there is no Python 3 with `venv`, or a package does not install: says what to install.
+/// Fails if there is no Python 3 with `venv`, or a package cannot be installed. The error names the missing package.
 pub fn environment() -> Result<PathBuf> {
     made("venv", &REQUIREMENTS)
 }
@@ -59,13 +59,13 @@ fn made(name: &str, requirements: &[&str]) -> Result<PathBuf> {
     if fs::read_to_string(&stamp).is_ok_and(|installed| installed == wanted) && works(&python) {
         return Ok(python);
     }
-    // One that works is kept: what it has already is not installed again.
+    // A working environment is kept, and installed packages are not installed again.
     if !works(&python) {
         sh(Command::new("python3").args(["-m", "venv", "--clear"]).arg(&place))
             .context("needs Python 3.11 or later with venv (Debian: apt-get install python3 python3-venv)")?;
     }
     let mut pip = Command::new(&python);
-    // Modules are compiled when used, not all at once.
+    // Modules are compiled at their first use and not all at once.
     pip.current_dir(root()).args([
         "-m",
         "pip",

@@ -1,4 +1,4 @@
-//! Real recordings through the tools that a user has: `models splits`, `models train`, `host-bridge replay`.
+//! Tests users' tools with real recordings: `models splits`, `models train`, `host-bridge replay`.
 
 use std::fs;
 use std::path::PathBuf;
@@ -11,14 +11,14 @@ use crate::{is_full, root, target_dir};
 
 /// Minimum mean accuracy per recording over random splits of the LSM9DS1 set, in per cent: two splits, and twenty.
 const SPLITS_MIN: [f64; 2] = [97.0, 99.0];
-/// Minimum share of performed gestures of people never met with exactly one right event, in per cent.
+/// Minimum percentage of unknown people's gestures with exactly one correct event.
 const EVENTS_MIN: f64 = 95.0;
-/// Maximum number of recordings without a gesture, in a hundred, that may make an event (the aim is 0).
+/// Maximum percentage of recordings without a gesture that cause an event (the goal is 0).
 const FALSE_MAX: f64 = 1.5;
-/// Maximum difference of the int8 mean from the float mean, in points.
+/// Maximum difference between the int8 mean and the float mean, in points.
 const INT8_GAP_MAX: f64 = 0.5;
 
-/// The folder of one set, if this machine has it.
+/// Returns the folder of one data set, if this machine has it.
 fn set(name: &str) -> Option<PathBuf> {
     let shared = std::env::var_os("BIMANUAL_SHARED").map_or_else(|| root().join("../shared"), PathBuf::from);
     let folder = shared.join("data").join(name);
@@ -29,7 +29,7 @@ fn set(name: &str) -> Option<PathBuf> {
     Some(folder)
 }
 
-/// Random splits of the nine-axis set, twenty under `--full`: the mean accuracy, float and int8.
+/// Measures random splits of the nine-axis set (twenty with `--full`): the mean accuracy, float and int8.
 pub fn splits() -> Result<()> {
     let Some(folder) = set("nano33-lsm9ds1-9axis") else { return Ok(()) };
     let (splits, least) = if is_full() { ("20", SPLITS_MIN[1]) } else { ("2", SPLITS_MIN[0]) };
@@ -46,8 +46,9 @@ pub fn splits() -> Result<()> {
     Ok(())
 }
 
-/// People that a model has never met: accuracy, accuracy after three examples, and events. One seed on the nine-axis set, with
-/// floors two points lower; under `--full` both sets with five seeds, and ten hours of simulated wearers without a gesture.
+/// Tests unknown people: accuracy, accuracy after three examples, and events.
+/// The short test uses one seed on the nine-axis set, with limits two points lower.
+/// `--full` uses both sets with five seeds, and ten hours of simulated wearers without gestures.
 pub fn strangers() -> Result<()> {
     let (Some(nine), Some(acc)) = (set("nano33-lsm9ds1-9axis"), set("nano33rev2-acc-people")) else {
         return Ok(());
@@ -68,7 +69,7 @@ pub fn strangers() -> Result<()> {
     }
     let text = output(&mut people)?;
     print!("{text}");
-    // int8, the nine-axis set first.
+    // int8 results, with the nine-axis set first.
     for (what, floors) in [
         ("never met: mean", [92.0, 96.0]),
         ("never met: worst", [90.0, 90.0]),
@@ -92,7 +93,7 @@ pub fn strangers() -> Result<()> {
         };
         let (right, no_gesture, wrong) = (figure(2)?, figure(7)?, figure(8)?);
         ensure!(right >= EVENTS_MIN - slack, "{right} % of gestures gave exactly one right event");
-        // One seed plays 146 recordings: two more or less are chance.
+        // One seed plays 146 recordings, so a difference of two is random.
         ensure!(
             wrong <= no_gesture * (FALSE_MAX + slack) / 100.0,
             "{wrong} events in {no_gesture} recordings of no gesture"
@@ -101,7 +102,7 @@ pub fn strangers() -> Result<()> {
     Ok(())
 }
 
-/// A model of its own, and recordings that it never saw, joined and replayed into the simulator.
+/// Trains a model, and replays joined recordings that it has never seen to the simulator.
 pub fn replay() -> Result<()> {
     let Some(folder) = set("nano33-lsm9ds1-9axis") else { return Ok(()) };
     let out = target_dir().join("real-data");

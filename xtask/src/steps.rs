@@ -1,4 +1,4 @@
-//! Runs named steps, goes on after a failure, and ends with one table and the reason of every failure.
+//! Runs named steps, continues after a failure, and prints a table with the reason of every failure.
 
 use std::fs::File;
 use std::io::{Read, Write};
@@ -9,29 +9,29 @@ use anyhow::{Context, Result, bail};
 
 use crate::target_dir;
 
-/// How many of a failed command's last lines are printed under the table, where a reader of a long log looks first.
+/// Number of a failed command's last lines that are printed after the table, where readers look first.
 const LAST_LINES: usize = 50;
 
 /// One thing to check.
 pub struct Step {
-    /// What is checked, in a few words.
+    /// A short description of the check.
     pub name: &'static str,
     /// Checks it.
     pub check: Box<dyn Fn() -> Result<()>>,
 }
 
 impl Step {
-    /// A step from a name and a closure.
+    /// Creates a step from a name and a closure.
     pub fn new(name: &'static str, check: impl Fn() -> Result<()> + 'static) -> Self {
         Step { name, check: Box::new(check) }
     }
 }
 
-/// How a step went.
+/// Result of a step.
 pub struct Outcome {
     name: &'static str,
     time: Duration,
-    /// Why it failed.
+    /// The error of a failed step.
     error: Option<String>,
 }
 
@@ -47,19 +47,19 @@ impl Outcome {
     }
 }
 
-/// The rows that tests have printed for a table: the cells behind this mark, between bars.
+/// Returns the rows that tests have printed for a table: the cells after this mark, separated by bars.
 pub fn rows(said: &str, mark: &str) -> Vec<Vec<String>> {
     let rows = said.lines().filter_map(|line| Some(line.split_once(mark)?.1));
     rows.map(|row| row.split('|').map(|cell| cell.trim().to_owned()).collect()).collect()
 }
 
-/// Runs a command to its end with its output shown.
+/// Runs a command to its end and shows its output.
 ///
 /// # Errors
-/// If it does not start or does not exit with 0: with its last lines.
+/// Fails if the command does not start or its exit code is not 0. The error contains the last lines of output.
 pub fn sh(command: &mut Command) -> Result<()> {
     eprintln!("$ {}", shown(command));
-    // Through a file, not a pipe: what a command leaves running in the background would keep a pipe open.
+    // Uses a file instead of a pipe, because background processes would keep a pipe open.
     std::fs::create_dir_all(target_dir())?;
     let path = target_dir().join(format!("xtask-{}.log", std::process::id()));
     let log = File::create(&path).with_context(|| path.display().to_string())?;
@@ -86,10 +86,10 @@ pub fn sh(command: &mut Command) -> Result<()> {
     well_ended(command, status, &String::from_utf8_lossy(&text))
 }
 
-/// Runs a command to its end and returns what it printed on standard output.
+/// Runs a command to its end and returns its standard output.
 ///
 /// # Errors
-/// As [`sh`].
+/// The same errors as [`sh`].
 pub fn output(command: &mut Command) -> Result<String> {
     eprintln!("$ {}", shown(command));
     let output = command
@@ -105,7 +105,7 @@ pub fn output(command: &mut Command) -> Result<String> {
     Ok(text)
 }
 
-/// That a command ended with 0; else its last lines are the error.
+/// Checks that a command ended with 0; otherwise, its last lines are the error.
 fn well_ended(command: &Command, status: ExitStatus, text: &str) -> Result<()> {
     if !status.success() {
         let lines: Vec<&str> = text.lines().collect();
@@ -135,7 +135,7 @@ fn run(step: &Step) -> Outcome {
     Outcome { name: step.name, time, error }
 }
 
-/// Prints the table, and below it why steps failed; whether all passed.
+/// Prints the table and the reasons of all failures. Returns whether all steps passed.
 pub fn report(outcomes: &[Outcome]) -> bool {
     println!("\n{:<48} {:>8}  result", "step", "seconds");
     for outcome in outcomes {

@@ -1,10 +1,12 @@
-//! `cargo xtask test`: every check; with `--quick` those of daily work, with `--full` the long forms.
+//! `cargo xtask test`: runs every check, or those for daily work (`--quick`), or the long versions (`--full`).
 //!
-//! First comes what a slip of the hand breaks: format, and clippy over our own crates, which ends the run within three
-//! minutes. Then comes what is no Rust, then the demo, built and run as a new user does it. Then all is built: the laptop's side,
-//! and beside it the boards' images. Then what keeps time by the wall clock runs step by step, and beside it, at low
-//! priority, everything that gives the same result at any pace. So no processor waits for a network or a clock. No step is
-//! run twice: what fails has failed.
+//! The first steps detect common mistakes: format, and clippy for our own crates.
+//! A failure there ends the run within three minutes.
+//! Then come checks other than Rust, and the demo, built and run as by a new user.
+//! Then everything is built: the laptop programs and, in parallel, the firmware images.
+//! Finally, tests with the wall clock run one by one.
+//! In parallel, at low priority, run all tests that do not depend on speed.
+//! No processor therefore waits for a network or a clock. No step runs twice, so a failure is final.
 
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -27,7 +29,7 @@ struct Asked<'a> {
     quick: bool,
     full: bool,
     list: bool,
-    /// How this program starts itself for the steps that run beside others.
+    /// The option with which this program starts itself for parallel steps.
     group: Option<&'a str>,
     only: Option<&'a str>,
 }
@@ -54,11 +56,11 @@ impl<'a> Asked<'a> {
 /// Runs the steps.
 ///
 /// # Errors
-/// An option that is not known.
+/// Fails if an option is unknown.
 pub fn run(args: &[&str]) -> Result<ExitCode> {
     let asked = Asked::read(args)?;
     if asked.full {
-        // SAFETY: no other thread runs yet; every test below inherits it.
+        // SAFETY: no other thread is running yet, and all tests below inherit the variable.
         unsafe { std::env::set_var("BIMANUAL_FULL", "1") };
     }
     let groups = if asked.quick { vec![("quick", quick())] } else { groups() };
@@ -81,7 +83,7 @@ pub fn run(args: &[&str]) -> Result<ExitCode> {
 
 fn run_groups() -> Result<ExitCode> {
     let start = Instant::now();
-    // Asked for now: a build of the workspace puts an equal file in its place, and this one has no name then.
+    // Read now, because a build of the workspace replaces this program by an equal file.
     let program = std::env::current_exe()?;
     let mut outcomes = run_all(&slips());
     if outcomes.iter().any(Outcome::failed) {
@@ -89,7 +91,7 @@ fn run_groups() -> Result<ExitCode> {
         println!("nothing else was started: first this has to be mended");
         return Ok(ExitCode::FAILURE);
     }
-    // Alone: a linker that is in use must not be exchanged.
+    // Alone, because a linker must not be replaced while it is in use.
     outcomes.extend(run_all(&tools()));
     let mut passed = !outcomes.iter().any(Outcome::failed);
     let packages = Beside::start(&program, PACKAGES, 0)?;
@@ -98,7 +100,7 @@ fn run_groups() -> Result<ExitCode> {
     let images = Beside::start(&program, IMAGES, 0)?;
     outcomes.extend(run_all(&laptop()));
     let images_built = images.wait()?;
-    // Where a tool is missing and named, all goes on that needs none.
+    // If a tool is missing, all steps that do not need it continue.
     let built = outcomes.iter().all(|outcome| !outcome.failed() || outcome.name() == TOOLS);
     if !built || (passed && !images_built) {
         report(&outcomes);
@@ -107,7 +109,7 @@ fn run_groups() -> Result<ExitCode> {
     }
     passed &= images_built;
     if passed {
-        // All of it lies there: no test needs to look whether it is up to date.
+        // Everything exists now, so tests need not check whether it is up to date.
         announce("PROGRAMS", &target_dir().join("debug"));
         announce("AVR_ELF", &firmware_avr::image());
         announce("NANO33_ELF", &firmware_nano33::image("bootloader"));
@@ -120,13 +122,13 @@ fn run_groups() -> Result<ExitCode> {
     outcomes.extend(run_all(&wall_clock()));
     passed &= tests.wait()?;
     passed &= others.wait()?;
-    // Last, so that no other output stands between a reader and what failed.
+    // The failures are printed last, so that no other output separates the reader from them.
     passed &= report(&outcomes);
     println!("all in all {:.0} s", start.elapsed().as_secs_f64());
     Ok(code(passed))
 }
 
-/// Says in the environment of all that follows where something lies, so that nothing builds it again.
+/// Sets a variable with a path for all following steps, so that nothing is built again.
 pub fn announce(what: &str, path: &Path) {
     // SAFETY: this program has one thread.
     unsafe { std::env::set_var(format!("BIMANUAL_{what}"), path) };
@@ -136,7 +138,7 @@ fn code(passed: bool) -> ExitCode {
     if passed { ExitCode::SUCCESS } else { ExitCode::FAILURE }
 }
 
-/// A group of steps in a process of its own, while other steps run here.
+/// A group of steps in a separate process, while other steps run here.
 struct Beside {
     group: &'static str,
     child: Child,
@@ -144,7 +146,7 @@ struct Beside {
 }
 
 impl Beside {
-    /// Starts it; `nice` is 0 (as this process) to 19 (only what others leave).
+    /// Starts it; `nice` is 0 (like this process) to 19 (only otherwise unused time).
     fn start(program: &Path, group: &'static str, nice: u8) -> Result<Self> {
         std::fs::create_dir_all(target_dir())?;
         let log = target_dir().join(format!("xtask-{}.log", group.replace(' ', "-")));
@@ -161,7 +163,7 @@ impl Beside {
         Ok(Self { group, child, log })
     }
 
-    /// Waits for the end and shows all that was said; whether all passed.
+    /// Waits for the end and prints all output. Returns whether all steps passed.
     fn wait(mut self) -> Result<bool> {
         let passed = self.child.wait()?.success();
         println!("\n=== beside it: {} ===", self.group);
@@ -170,25 +172,25 @@ impl Beside {
     }
 }
 
-/// The laptop's cargo, in the root.
+/// Returns a cargo command for the laptop's workspace, run in the root folder.
 pub fn cargo(args: &[&str]) -> Command {
     let mut command = Command::new("cargo");
     command.current_dir(root()).args(args);
     command
 }
 
-/// Everything that the laptop's side can have but Bluetooth, which needs a system library.
+/// All features of the laptop programs except Bluetooth, which needs a system library.
 const LAPTOP: &str = "host-bridge/urdf,host-bridge/ros2,host-bridge/lerobot";
 
-/// The laptop's cargo over all but the emulated boards.
+/// Returns the laptop's cargo for all crates except the emulated boards.
 fn cargo_for_laptop(subcommand: &str) -> Command {
     cargo(&[subcommand, "--workspace", "--locked", "--exclude", "tests", "--features", LAPTOP])
 }
 
-/// The laptop's cargo over the whole workspace with every feature that this machine can build.
+/// Returns the laptop's cargo for the whole workspace with every feature that this machine can build.
 ///
-/// Always the same choice: cargo sets the features of shared dependencies by the packages that are built
-/// together, and would compile most of them again for any other choice.
+/// The selection is always the same. Cargo sets the features of shared dependencies for all packages in a build,
+/// so another selection would compile most of them again.
 pub fn cargo_for_all(subcommand: &str) -> Command {
     if !EMULATORS.is_complete() {
         return cargo_for_laptop(subcommand);
@@ -197,10 +199,10 @@ pub fn cargo_for_all(subcommand: &str) -> Command {
     cargo(&[subcommand, "--workspace", "--locked", "--features", &features])
 }
 
-/// The folder of the workspace's programs and examples as the tests built them.
+/// Returns the folder of the workspace's programs and examples, as built for the tests.
 ///
 /// # Errors
-/// If the workspace does not build.
+/// Fails if the workspace does not build.
 pub fn programs() -> Result<PathBuf> {
     if let Some(folder) = std::env::var_os("BIMANUAL_PROGRAMS") {
         return Ok(folder.into());
@@ -209,25 +211,25 @@ pub fn programs() -> Result<PathBuf> {
     Ok(target_dir().join("debug"))
 }
 
-/// A program or example of the workspace; `name` is its path below the folder of programs.
+/// Returns a program or example of the workspace; `name` is its path below the folder of programs.
 ///
 /// # Errors
-/// If the workspace does not build.
+/// Fails if the workspace does not build.
 pub fn built(name: &str) -> Result<Command> {
     let mut command = Command::new(programs()?.join(name));
     command.current_dir(root());
     Ok(command)
 }
 
-/// What is not Rust.
+/// Tests of code in other languages.
 const TOOLS: &str = "tools that are no Rust crates";
-/// What the checks in Python want.
+/// Requirements of the checks in Python.
 const PACKAGES: &str = "packages";
 /// The boards' images.
 const IMAGES: &str = "the boards' images";
-/// Tests that give the same result at any pace.
+/// Tests whose results do not depend on speed.
 const TESTS: &str = "tests at any pace";
-/// What others' programs say to ours, at any pace.
+/// Checks by other programs that do not depend on speed.
 const OTHERS: &str = "checks by other programs";
 
 /// All steps, by group.
@@ -245,8 +247,9 @@ fn groups() -> Vec<(&'static str, Vec<Step>)> {
     ]
 }
 
-/// What whoever changed a line wants to know at once. Without the emulators it needs three quarters of what all features
-/// need, and nearly all of what it compiles is used again by the step that looks at everything.
+/// Checks that give quick feedback after a change.
+/// Without the emulators, they take three quarters of the time with all features,
+/// and later steps reuse nearly all results.
 fn slips() -> Vec<Step> {
     vec![
         Step::new("format", format),
@@ -273,7 +276,7 @@ fn packages() -> Vec<Step> {
     ]
 }
 
-/// Daily work: no board, no robot, no browser, and nothing to install.
+/// Checks for daily work, without boards, robots, browsers or installations.
 fn quick() -> Vec<Step> {
     vec![
         Step::new("format", format),
@@ -289,24 +292,24 @@ fn quick() -> Vec<Step> {
 fn format() -> Result<()> {
     sh(&mut cargo(&["fmt", "--all", "--check"]))?;
     for folder in ["firmware-nano-avr", "firmware-nano33"] {
-        // Not --all, which would format the shared crates again.
+        // This does not use --all, which would also format the shared crates again.
         sh(cargo(&["fmt", "--check"]).current_dir(root().join(folder)))?;
     }
     Ok(())
 }
 
-/// What needs nothing but Rust.
+/// Checks that need only Rust.
 fn first() -> Vec<Step> {
     vec![Step::new("the demo, as a new user runs it", || {
         let demo = ["run", "--release", "--locked", "--", "demo", "--headless", "--speed", "20", "--json"];
         let summary = output(&mut cargo(&demo))?;
         println!("{}", summary.trim());
         ensure!(summary.trim_start().starts_with('{'), "the summary is not one JSON object");
-        // No test holds the time of a program that is given to anybody.
+        // Released programs must not contain the test clock.
         let program = std::fs::read(target_dir().join("release/host-bridge"))?;
         let word = b"BIMANUAL_TEST_CLOCK";
         ensure!(!program.windows(word.len()).any(|w| w == word), "built with the feature test-clock");
-        // The lean build names what it takes to have Bluetooth.
+        // The default build must explain how to get Bluetooth.
         let lean = ["run", "--quiet", "--release", "--locked", "--", "doctor", "--right", "ble"];
         let refused = String::from_utf8_lossy(&cargo(&lean).output()?.stderr).into_owned();
         ensure!(["--features ble", "libdbus-1-dev"].iter().all(|word| refused.contains(word)), "{refused}");
@@ -323,7 +326,7 @@ fn laptop() -> Vec<Step> {
 
 fn images() -> Vec<Step> {
     vec![
-        // The stack is measured, and held to its limit, by the tests.
+        // The tests measure the stack and compare it with its limit.
         Step::new("left hand: image and size", || firmware_avr::run(&["--no-stack"])),
         Step::new("right hand: images and size", firmware_nano33::run_for_tests),
         Step::new("tests of the sensors' drivers", firmware_nano33::test_drivers),
@@ -334,11 +337,10 @@ fn images() -> Vec<Step> {
     ]
 }
 
-/// Tests in `live` that keep time by the wall clock, because what they meet knows no other: DDS, BlueZ, the
-/// system that signals, stops and hangs up.
+/// Tests in `live` that use the wall clock, because DDS, BlueZ and the system's signals know no other time.
 const WALL_CLOCK: [&str; 3] = ["live::ros2::", "live::ble::", "live::stops::"];
 
-/// What keeps time by the wall clock, one after the other.
+/// Tests with the wall clock, one after another.
 fn wall_clock() -> Vec<Step> {
     let mut steps = vec![
         Step::new("ROS 2 against Cyclone DDS, Bluetooth, stops", || {
@@ -458,7 +460,7 @@ fn others() -> Vec<Step> {
         Step::new("real arms in Pinocchio and Coal", arms),
         Step::new("a session's file read by others", || {
             let folder = target_dir().join("session-file");
-            // Files of sessions are never written over.
+            // Session files are never overwritten.
             let _ = std::fs::remove_dir_all(&folder);
             std::fs::create_dir_all(&folder)?;
             let (file, summary) = (folder.join("demo.mcap"), folder.join("demo.json"));
@@ -499,9 +501,9 @@ fn others() -> Vec<Step> {
             }
             Ok(())
         }));
-        // Minutes of checking, of which the images' builds share nothing.
+        // This takes minutes and shares nothing with the builds of the images.
         steps.push(Step::new("clippy of the right hand's images", firmware_nano33::check));
-        // Minutes of building with another choice of features.
+        // This takes minutes because of another selection of features.
         steps.push(Step::new("the archive, unpacked and run", package::run));
     }
     steps

@@ -1,8 +1,9 @@
-//! Picks the compiler for what is not this machine: rustup's where it has the target, else Debian's packages.
+//! Selects the compiler for other targets: rustup's if it has the target, otherwise Debian's packages.
 //!
-//! Both boards build from the same sources with either. Debian's `rustc-web` brings the library
-//! source and no prebuilt core, so there `core` is built along (`-Zbuild-std`, which a stable
-//! compiler allows only under `RUSTC_BOOTSTRAP=1`). AVR has no prebuilt core anywhere.
+//! Both boards build from the same sources with either compiler.
+//! Debian's `rustc-web` contains the library source but no prebuilt core, so `core` is also built.
+//! This needs `-Zbuild-std`, which a stable compiler permits only with `RUSTC_BOOTSTRAP=1`.
+//! AVR never has a prebuilt core.
 
 use std::path::Path;
 use std::process::Command;
@@ -11,7 +12,7 @@ use anyhow::{Result, bail};
 
 use crate::tools;
 
-/// The two boards, and other people's laptops.
+/// The two boards, and other laptop platforms.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Target {
     /// ATmega328P.
@@ -25,7 +26,7 @@ pub enum Target {
 }
 
 impl Target {
-    /// The compiler's name for it.
+    /// Returns the compiler's name of the target.
     pub fn triple(self) -> &'static str {
         match self {
             Target::Avr => "avr-none",
@@ -35,7 +36,7 @@ impl Target {
         }
     }
 
-    /// What has to be built of the library if there is none for the target.
+    /// Returns the parts of the library to build if there is no prebuilt one for the target.
     fn library(self) -> &'static str {
         match self {
             Target::Avr | Target::Thumb => "-Zbuild-std=core",
@@ -44,10 +45,10 @@ impl Target {
     }
 }
 
-/// A `cargo` for the target, ready for a subcommand such as `build --release`.
+/// Returns a `cargo` for the target, ready for a subcommand such as `build --release`.
 ///
 /// # Errors
-/// Names what to install if neither rustup nor Debian's compiler can build for the target.
+/// Names the package to install if neither rustup nor Debian's compiler supports the target.
 pub fn cargo(target: Target, subcommand: &str) -> Result<Command> {
     let mut command = if has_rustup(target) {
         let mut command = Command::new("cargo");
@@ -63,10 +64,10 @@ pub fn cargo(target: Target, subcommand: &str) -> Result<Command> {
         // Clippy and rustdoc of rustup would not match this compiler.
         command.env_remove("RUSTUP_TOOLCHAIN").env_remove("RUSTDOC");
         if target == Target::Thumb {
-            // Debian's compiler has no linker of its own for this target.
+            // Debian's compiler has no linker for this target.
             command.env("CARGO_TARGET_THUMBV7EM_NONE_EABIHF_LINKER", "ld.lld");
         }
-        // Its own clippy lies beside it.
+        // Its own clippy is in the same folder.
         let path = std::env::var_os("PATH").unwrap_or_default();
         let folders = std::iter::once("/usr/bin".into()).chain(std::env::split_paths(&path));
         command.env("PATH", std::env::join_paths(folders)?);
@@ -85,7 +86,7 @@ pub fn cargo(target: Target, subcommand: &str) -> Result<Command> {
             tools::CROSS_RUST.install_line(),
         )
     };
-    // Set by the cargo that runs this program; the inner one must find its own.
+    // The cargo that runs this program sets these variables, and the inner cargo must use its own.
     for name in ["CARGO", "RUSTFLAGS", "CARGO_ENCODED_RUSTFLAGS", "LD_LIBRARY_PATH"] {
         command.env_remove(name);
     }
@@ -93,7 +94,7 @@ pub fn cargo(target: Target, subcommand: &str) -> Result<Command> {
     Ok(command)
 }
 
-/// Is there a compiler for both boards?
+/// Returns whether there is a compiler for both boards.
 pub fn is_complete() -> bool {
     has_debian() || (has_rustup(Target::Avr) && has_rustup(Target::Thumb))
 }

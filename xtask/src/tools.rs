@@ -1,4 +1,4 @@
-//! What the tests need beyond Rust, and how to get it.
+//! Requirements of the tests in addition to Rust, and their installation.
 
 use std::process::{Command, Stdio};
 
@@ -11,7 +11,7 @@ pub struct Packages {
     names: &'static [&'static str],
 }
 
-/// Compilers for the boards, where rustup has none.
+/// Compilers for the boards, if rustup has none.
 pub const CROSS_RUST: Packages = Packages {
     purpose: "compilers for the boards",
     names: &["rustc-web", "cargo-web", "rust-web-src", "rust-web-clippy"],
@@ -27,11 +27,11 @@ pub const CROSS_LINK: Packages = Packages {
 pub const QEMU: Packages =
     Packages { purpose: "counting instructions on a Cortex-M4F", names: &["qemu-system-arm"] };
 
-/// A browser to look at the page with, and letters for it.
+/// A browser for testing the page, with fonts.
 pub const BROWSER: Packages =
     Packages { purpose: "the page in a browser", names: &["chromium", "fonts-dejavu-core"] };
 
-/// What the emulated boards stand on, and the double of the laptop's Bluetooth.
+/// Dependencies of the emulated boards and of the simulated Bluetooth.
 pub const EMULATORS: Packages = Packages {
     purpose: "emulated boards and Bluetooth's double",
     names: &[
@@ -59,7 +59,7 @@ pub const BLUETOOTH: Packages =
     Packages { purpose: "Bluetooth on the laptop", names: &["libdbus-1-dev", "pkg-config"] };
 
 impl Packages {
-    /// The command that a person types.
+    /// Returns the command that a user types.
     pub fn install_line(&self) -> String {
         format!("sudo apt-get install {}", self.names.join(" "))
     }
@@ -74,10 +74,10 @@ impl Packages {
     }
 }
 
-/// Installs what is missing where that needs no question (root on Debian), else names it.
+/// Installs missing packages if this is possible without questions (root on Debian); otherwise names them.
 ///
 /// # Errors
-/// The packages that are missing and what for, with the line that installs them.
+/// The missing packages with their purpose, and the command that installs them.
 pub fn ensure(wanted: &[&Packages]) -> Result<()> {
     let missing: Vec<&str> = wanted.iter().flat_map(|packages| packages.missing()).collect();
     if missing.is_empty() {

@@ -1,20 +1,22 @@
-//! UF2: a file that a bootloader takes as a drive's content. Blocks of 512 bytes, each with its own address.
+//! UF2: a file format that bootloaders accept as the content of a drive.
+//! It has blocks of 512 bytes, each with its address.
 //!
 //! ```text
 //! 0 magic  4 magic  8 flags  12 address  16 bytes  20 number  24 blocks  28 family  32 data (476)  508 magic
 //! ```
 
-/// Nordic's nRF52840 in Microsoft's list of families.
+/// Id of Nordic's nRF52840 in Microsoft's list of families.
 pub const NRF52840: u32 = 0xADA5_2840;
 
 const MAGIC: [u32; 2] = [0x0A32_4655, 0x9E5D_5157];
 const END_MAGIC: u32 = 0x0AB1_6F30;
 const HAS_FAMILY: u32 = 0x2000;
 const BLOCK: usize = 512;
-/// Bytes of the image per block: what all bootloaders take.
+/// Number of image bytes per block that all bootloaders accept.
 const PAYLOAD: usize = 256;
 
-/// The file for an image that starts at this address of flash. A last piece is filled up with ones, as erased flash.
+/// Returns the file for an image that starts at this address of flash.
+/// The last piece is padded with ones, like erased flash.
 pub fn encode(image: &[u8], address: u32, family: u32) -> Vec<u8> {
     let blocks = image.len().div_ceil(PAYLOAD);
     let mut file = Vec::with_capacity(blocks * BLOCK);
@@ -41,7 +43,7 @@ mod tests {
         let image: Vec<u8> = (0..600u32).map(|i| i as u8).collect();
         let file = encode(&image, 0x27000, NRF52840);
         assert_eq!(file.len(), 3 * 512);
-        // As the format's description has it, byte by byte.
+        // According to the format's description, byte by byte.
         assert_eq!(file[..8], *b"UF2\n\x57\x51\x5D\x9E");
         assert_eq!(file[512 + 12..512 + 16], 0x27100u32.to_le_bytes());
         assert_eq!(file[512 + 20..512 + 32], [1, 0, 0, 0, 3, 0, 0, 0, 0x40, 0x28, 0xA5, 0xAD]);

@@ -1,10 +1,11 @@
-//! Only what nrf-softdevice 0.1.0 uses of `nrf52840-pac`, without that crate's interrupt table.
+//! Replaces `nrf52840-pac` with only the items that nrf-softdevice 0.1.0 uses, without that crate's interrupt table.
 //!
-//! nrf-softdevice wants the old register crate and embassy-nrf the new one (`nrf-pac`). Each of them
-//! brings a table `__INTERRUPTS`; two tables either do not link or, worse, link silently with the
-//! handlers of the other one missing. Here the only table is embassy-nrf's. Both crates name the
-//! SoftDevice's event interrupt differently (`SWI2_EGU2` here, `EGU2_SWI2` there): `memory.x`
-//! assigns one to the other, and the test `nrf_vectors` reads the linked image to prove it.
+//! nrf-softdevice depends on the old register crate, and embassy-nrf depends on the new one (`nrf-pac`).
+//! Each register crate defines a table `__INTERRUPTS`.
+//! Two tables either fail to link or, worse, link silently without the other crate's handlers.
+//! With this replacement the only table is embassy-nrf's.
+//! The two crates use different names for the SoftDevice's event interrupt: `SWI2_EGU2` here and `EGU2_SWI2` there.
+//! `memory.x` defines one as an alias of the other, and the test `nrf_vectors` checks this in the linked image.
 #![no_std]
 
 pub use cortex_m::peripheral::NVIC;
@@ -12,7 +13,7 @@ pub use cortex_m_rt::interrupt;
 
 pub use self::Interrupt as interrupt;
 
-/// The interrupts that the SoftDevice owns or raises.
+/// The interrupts that the SoftDevice reserves or triggers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[allow(non_camel_case_types)]
 #[repr(u16)]
@@ -31,7 +32,7 @@ pub enum Interrupt {
     RNG = 13,
     /// AES block.
     ECB = 14,
-    /// AES-CCM and address resolution.
+    /// AES-CCM encryption and Bluetooth address resolution.
     CCM_AAR = 15,
     /// The SoftDevice has an event for the application.
     SWI2_EGU2 = 22,
@@ -39,7 +40,7 @@ pub enum Interrupt {
     SWI5_EGU5 = 25,
 }
 
-// SAFETY: the numbers are those of the nRF52840's vector table.
+// SAFETY: the numbers match the vector table of the nRF52840.
 unsafe impl cortex_m::interrupt::InterruptNumber for Interrupt {
     fn number(self) -> u16 {
         self as u16

@@ -1,13 +1,14 @@
 //! BMI270: accelerometer and gyroscope of the Nano 33 BLE Sense Rev2 (Bosch BST-BMI270-DS000-07).
 //!
-//! It starts only with Bosch's configuration file, 8 KB of code for its own processor, which is taken from the crate
-//! `bmi2` (Bosch's notice: `NOTICE-Bosch.txt`).
+//! The sensor starts only after it has received Bosch's configuration file, 8 KB of code for its internal processor.
+//! The file is part of the crate `bmi2` (Bosch's notice: `NOTICE-Bosch.txt`).
 //!
-//! **Counts and axes** are turned into those of a Rev1 board (see [`crate::Set`]): x = −y, y = −x, z = z, as Arduino's two
-//! libraries relate them.
+//! **Counts and axes** are converted to those of a Rev1 board (see [`crate::Set`]): x = −y, y = −x, z = z.
+//! This relation follows from Arduino's libraries for the two sensors.
 //!
-//! **The magnetometer** beside it (a BMM150) is not used: how its axes lie against the other ones has
-//! yet to be measured on a board, and a wrong sign would look like a working sensor.
+//! **The magnetometer** on the same bus (a BMM150) is not used.
+//! The orientation of its axes relative to the other sensors has not been measured on a board.
+//! A wrong sign would be hard to notice, because the readings would still look plausible.
 
 /// Bosch's configuration file.
 pub use bmi2::config::BMI270_CONFIG_FILE as CONFIGURATION;
@@ -17,10 +18,10 @@ use embedded_hal_async::i2c::I2c;
 use crate::i2c::{Setting, read, read_into, set, triple, verify, write};
 use crate::{Batch, FIFO_SETS, Imu, ImuError, Set};
 
-/// Bus address on this board (SDO low).
+/// I2C address on this board (SDO low).
 pub const ADDRESS: u8 = 0x68;
 pub(crate) const CHIP_ID: u8 = 0x00;
-/// What CHIP_ID reads.
+/// Expected value of CHIP_ID.
 pub(crate) const ID: u8 = 0x24;
 
 const ERROR: u8 = 0x02;
@@ -42,34 +43,35 @@ const COMMAND: u8 = 0x7E;
 const SOFT_RESET: u8 = 0xB6;
 const FIFO_FLUSH: u8 = 0xB0;
 const INITIALISED: u8 = 1;
-/// A fatal error, or one of the sensor's own processor.
+/// Error bits: a fatal error, or an error of the sensor's internal processor.
 const FATAL: u8 = 0x1F;
 
 const SETTINGS: [Setting; 6] = [
-    // 200 Hz, low-pass of normal bandwidth, for performance.
+    // Accelerometer: 200 Hz, normal filter bandwidth, performance mode.
     (ACC_CONF, 0xA9),
     // ±4 g.
     (ACC_RANGE, 0x01),
-    // 200 Hz, normal bandwidth, low noise, for performance.
+    // Gyroscope: 200 Hz, normal filter bandwidth, low noise, performance mode.
     (GYR_CONF, 0xE9),
     // ±2000 deg/s.
     (GYR_RANGE, 0x00),
-    // Gyroscope and accelerometer, without headers.
+    // FIFO with gyroscope and accelerometer data, without headers.
     (FIFO_CONFIG_1, 0xC0),
-    // Gyroscope, accelerometer and thermometer on.
+    // Enables gyroscope, accelerometer and thermometer.
     (POWER_CTRL, 0x0E),
 ];
 
-/// Bytes of a set: gyroscope, then accelerometer.
+/// Size of a set in bytes: gyroscope, then accelerometer.
 const SET_BYTES: usize = 12;
-/// Bytes of the configuration per transfer.
+/// Size of one transfer of the configuration file, in bytes.
 const PIECE: usize = 128;
 /// The gyroscope takes 45 ms to start.
 const SETTLING_SETS: u8 = 10;
-/// What the FIFO has in the place of a sensor's missing value.
+/// Value in the FIFO that replaces a missing measurement.
 const NO_VALUE: i16 = i16::MIN;
 
-/// ±4 g over 2^15 counts to 0.122 mg, and ±2000 deg/s over 2^15 counts to 70 mdps, in 1/65536.
+/// Conversion factors in 1/65536: from ±4 g per 2^15 counts to 0.122 mg,
+/// and from ±2000 deg/s per 2^15 counts to 70 mdps.
 const ACCEL: i64 = (65_536.0 * (4000.0 / 32_768.0) / 0.122 + 0.5) as i64;
 const GYRO: i64 = (65_536.0 * (2000.0 / 32_768.0) / 0.07 + 0.5) as i64;
 
@@ -83,7 +85,7 @@ fn turn([x, y, z]: [i16; 3], factor: i64) -> [i16; 3] {
     [y.saturating_neg(), x.saturating_neg(), z].map(|counts| convert(counts, factor))
 }
 
-/// The sensor on its bus.
+/// Driver of the sensor on an I2C bus.
 #[derive(Debug)]
 pub struct Bmi270<I> {
     i2c: I,
@@ -92,7 +94,7 @@ pub struct Bmi270<I> {
 }
 
 impl<I: I2c> Bmi270<I> {
-    /// A sensor that has yet to be [started](Imu::start).
+    /// Creates a driver. Call [`Imu::start`] before any other method.
     pub fn new(i2c: I) -> Self {
         Self { i2c, to_drop: 0, buffer: [0; SET_BYTES * FIFO_SETS] }
     }
@@ -102,17 +104,18 @@ impl<I: I2c> Bmi270<I> {
         self.i2c
     }
 
-    /// Loads the sensor's own program.
+    /// Loads Bosch's configuration file into the sensor.
     async fn configure(&mut self, delay: &mut impl DelayNs) -> Result<(), ImuError> {
-        // Out of the power-save mode, in which only a few registers may be written.
+        // Leaves the power-save mode, in which only a few registers can be written.
         set(&mut self.i2c, ADDRESS, &[(POWER_CONF, 0)]).await?;
         delay.delay_us(450).await;
         set(&mut self.i2c, ADDRESS, &[(INIT_CTRL, 0)]).await?;
         for (number, piece) in CONFIGURATION.chunks(PIECE).enumerate() {
-            // The place is given in words of 16 bits: four bits and the rest.
+            // The address counts 16-bit words.
+            // One register holds its lowest four bits, and the next register holds the rest.
             let word = number * PIECE / 2;
             write(&mut self.i2c, ADDRESS, &[INIT_ADDRESS, (word & 0xF) as u8, (word >> 4) as u8]).await?;
-            // From RAM, which the controller can read.
+            // The data is copied to RAM, because the bus controller cannot read flash.
             self.buffer[0] = INIT_DATA;
             self.buffer[1..=piece.len()].copy_from_slice(piece);
             write(&mut self.i2c, ADDRESS, &self.buffer[..=piece.len()]).await?;
@@ -157,7 +160,7 @@ impl<I: I2c> Imu for Bmi270<I> {
         batch.clear();
         let [low, high] = read::<2, _>(&mut self.i2c, ADDRESS, FIFO_LENGTH).await?;
         let waiting = usize::from(u16::from_le_bytes([low, high & 0x3F]));
-        // Long before the sensor itself loses a set.
+        // This limit is far below the size of the sensor's own FIFO.
         if waiting / SET_BYTES > FIFO_SETS {
             batch.overrun = true;
             return set(&mut self.i2c, ADDRESS, &[(COMMAND, FIFO_FLUSH)]).await;
@@ -186,7 +189,7 @@ impl<I: I2c> Imu for Bmi270<I> {
     }
 }
 
-/// A set in counts and axes of a Rev1 board.
+/// Converts a set to the counts and axes of a Rev1 board.
 fn rev1(gyro: [i16; 3], accel: [i16; 3]) -> Set {
     let ([ax, ay, az], [gx, gy, gz]) = (turn(accel, ACCEL), turn(gyro, GYRO));
     [ax, ay, az, gx, gy, gz]
@@ -198,9 +201,9 @@ mod tests {
 
     #[test]
     fn a_set_reads_as_a_rev1_boards_does() {
-        // 1 g is 8192 counts here and 8197 there; 100 deg/s 1638 here and 1429 there.
+        // 1 g is 8192 counts of the BMI270 and 8197 of the Rev1 board; 100 deg/s are 1638 and 1429 counts.
         assert_eq!(rev1([1638, 0, -1638], [0, 8192, 8192]), [-8197, 0, 8197, 0, -1428, -1428]);
-        // The ends of the range neither wrap nor change their sign.
+        // At the ends of the range, values neither wrap nor change their sign.
         assert_eq!(
             rev1([0, i16::MIN, i16::MAX], [i16::MIN, i16::MAX, i16::MIN])[..3],
             [i16::MIN, i16::MAX, i16::MIN]

@@ -1,12 +1,17 @@
-//! BMM150: magnetometer of the Nano 33 BLE Sense Rev2, on the same wires as the BMI270 (Bosch BST-BMM150-DS001).
+//! BMM150: magnetometer of the Nano 33 BLE Sense Rev2, on the same bus as the BMI270 (Bosch BST-BMM150-DS001).
 //!
-//! **No image runs it.** How its axes lie against the accelerometer's has yet to be measured on a board: Arduino's
-//! library gives them raw, another program mirrors one of them, and a wrong sign would look like a working sensor. So a
-//! Rev2 is a board of six axes, and models that read nine are refused there. Whoever holds a board can measure with this:
-//! turn it so that each edge points down and north in turn, and compare signs with [`crate::Set`]'s.
+//! **No firmware image uses this driver yet.**
+//! The orientation of the magnetometer's axes relative to the accelerometer's has not been measured on a board.
+//! Arduino's library does not convert the axes, and another program inverts one of them.
+//! A wrong sign would be hard to notice, because the readings would still look plausible.
+//! The firmware therefore treats a Rev2 as a six-axis board and rejects models that need nine axes.
+//! To measure the orientation on a board, turn each edge downwards and then north, and compare the signs with those of
+//! [`crate::Set`].
 //!
-//! Raw counts mean little by themselves: each chip has trimming values of its own, and the resistance of its Hall plates
-//! (its temperature) enters, too.
+//! Raw counts alone are not a field strength.
+//! The conversion also needs the chip's individual trimming values and the resistance of its Hall plates,
+//! which depends on
+//! the temperature.
 
 use embedded_hal_async::delay::DelayNs;
 use embedded_hal_async::i2c::I2c;
@@ -14,10 +19,10 @@ use embedded_hal_async::i2c::I2c;
 use crate::ImuError;
 use crate::i2c::{Setting, read, set, verify};
 
-/// Bus address on this board.
+/// I2C address on this board.
 pub const ADDRESS: u8 = 0x10;
 const CHIP_ID: u8 = 0x40;
-/// The value of CHIP_ID once the chip has power.
+/// Value of CHIP_ID after the chip's power bit is set.
 const ID: u8 = 0x32;
 const DATA: u8 = 0x42;
 const POWER: u8 = 0x4B;
@@ -30,29 +35,29 @@ const TRIM_3: u8 = 0x68;
 
 const SOFT_RESET: u8 = 0x83;
 const ON: u8 = 0x01;
-/// From power to a chip that can be read.
+/// Time from power-up until the chip can be read, in milliseconds.
 const START_MS: u32 = 3;
 
 const SETTINGS: [Setting; 3] = [
-    // The data sheet's regular preset.
+    // The data sheet's preset "regular".
     (REPETITIONS_XY, 4),
     (REPETITIONS_Z, 7),
-    // 30 Hz, the most it has, by itself.
+    // Normal mode at 30 Hz, the highest rate of the chip.
     (MODE, 7 << 3),
 ];
 
-/// In the last word of the data: the bit for new data.
+/// Data-ready bit in the last word of the data.
 const READY: u8 = 1;
-/// What is read instead of a value beyond the converter's range.
+/// Value that replaces a measurement beyond the converter's range.
 const OVERFLOW_XY: i16 = -4096;
 const OVERFLOW_Z: i16 = -16384;
 
-/// One reading: 13, 13 and 15 bits, and the Hall plates' resistance.
+/// One raw measurement: field values of 13, 13 and 15 bits, and the resistance of the Hall plates.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Raw {
-    /// x, y and z in the chip's counts.
+    /// x, y and z in counts of the chip.
     pub field: [i16; 3],
-    /// Resistance of the Hall plates; 0 = not measured.
+    /// Resistance of the Hall plates in counts; 0 means not measured.
     pub hall: u16,
 }
 
@@ -64,7 +69,7 @@ impl Raw {
     }
 }
 
-/// A chip's own trimming values, named as in the data sheet.
+/// The trimming values of an individual chip. The names are those of the data sheet.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[expect(missing_docs, reason = "the data sheet's names, which it does not explain")]
 pub struct Trim {
@@ -82,7 +87,7 @@ pub struct Trim {
 }
 
 impl Trim {
-    /// What chips of this kind have.
+    /// Typical trimming values for this type of chip.
     pub const TYPICAL: Self = Self {
         x1: 0,
         y1: 0,
@@ -97,7 +102,7 @@ impl Trim {
         xyz1: 6753,
     };
 
-    /// A chip whose trimming values are all unusual, to test with.
+    /// Unusual trimming values, for tests.
     pub const ODD: Self = Self {
         x1: -5,
         y1: 7,
@@ -112,7 +117,7 @@ impl Trim {
         xyz1: 6500,
     };
 
-    /// From the registers 0x5D, 0x62 and 0x68 on.
+    /// Decodes the registers that start at 0x5D, 0x62 and 0x68.
     fn from_bytes(one: [u8; 2], two: [u8; 4], three: [u8; 10]) -> Self {
         let word = |i: usize| u16::from_le_bytes([three[i], three[i + 1]]);
         Self {
@@ -130,7 +135,8 @@ impl Trim {
         }
     }
 
-    /// The field in µT along the chip's axes; `None` if an axis is beyond its range, or what it takes is missing.
+    /// Returns the field in µT along the chip's axes.
+    /// Returns `None` if an axis is out of range or if a value needed for the conversion is missing.
     pub fn field_ut(&self, raw: Raw) -> Option<[f32; 3]> {
         let [x, y, z] = raw.field;
         if x == OVERFLOW_XY || y == OVERFLOW_XY || z == OVERFLOW_Z {
@@ -140,7 +146,7 @@ impl Trim {
             return None;
         }
         let (hall, reference) = (f32::from(raw.hall), f32::from(self.xyz1));
-        // How far the plates' resistance is from where the chip was trimmed: linear and square share.
+        // Relative difference between the plates' resistance now and at trimming, with a linear and a quadratic term.
         let drift = reference / hall - 1.0;
         let gain = 256.0 + f32::from(self.xy2) * drift * drift + f32::from(self.xy1) * drift;
         let flat = |counts: i16, slope: i8, offset: i8| {
@@ -156,7 +162,7 @@ impl Trim {
     }
 }
 
-/// The chip on its bus.
+/// Driver of the chip on an I2C bus.
 #[derive(Debug)]
 pub struct Bmm150<I> {
     i2c: I,
@@ -164,17 +170,17 @@ pub struct Bmm150<I> {
 }
 
 impl<I: I2c> Bmm150<I> {
-    /// A chip that has yet to be [started](Self::start).
+    /// Creates a driver. Call [`Self::start`] before any other method.
     pub fn new(i2c: I) -> Self {
         Self { i2c, trim: Trim::default() }
     }
 
-    /// Gives it power, reads its trimming, and lets it measure by itself.
+    /// Powers the chip up, reads its trimming values and starts continuous measurement.
     ///
     /// # Errors
-    /// Says what is wrong with the chip or the bus.
+    /// The chip was not recognised, or a transfer failed.
     pub async fn start(&mut self, delay: &mut impl DelayNs) -> Result<(), ImuError> {
-        // Without its power bit nothing but that can be read. A reset keeps it.
+        // Until the power bit is set, only that bit can be read. A soft reset does not clear it.
         for value in [ON, SOFT_RESET, ON] {
             set(&mut self.i2c, ADDRESS, &[(POWER, value)]).await.map_err(|_| ImuError::Missing(ADDRESS))?;
             delay.delay_ms(START_MS).await;
@@ -192,21 +198,22 @@ impl<I: I2c> Bmm150<I> {
         self.check().await
     }
 
-    /// The newest field in µT along the chip's axes; `None` while there is none, or if it is beyond the chip's range (a
-    /// magnet).
+    /// Returns the newest field in µT along the chip's axes.
+    /// Returns `None` if there is no new measurement, or if the field exceeds the chip's range,
+    /// for example near a magnet.
     ///
     /// # Errors
-    /// A failed transfer.
+    /// A transfer failed.
     pub async fn field_ut(&mut self) -> Result<Option<[f32; 3]>, ImuError> {
         let bytes = read::<8, _>(&mut self.i2c, ADDRESS, DATA).await?;
         let is_new = bytes[6] & READY != 0;
         Ok(if is_new { self.trim.field_ut(Raw::from_bytes(bytes)) } else { None })
     }
 
-    /// Whether the chip still has its settings.
+    /// Checks that the chip's settings are still in effect.
     ///
     /// # Errors
-    /// [`ImuError::Reset`] if it has lost them, or a failed transfer.
+    /// [`ImuError::Reset`] if the settings were lost, or an error if a transfer failed.
     pub async fn check(&mut self) -> Result<(), ImuError> {
         verify(&mut self.i2c, ADDRESS, &SETTINGS).await
     }
@@ -216,7 +223,7 @@ impl<I: I2c> Bmm150<I> {
 mod tests {
     use super::*;
 
-    /// Bosch's own program (BMM150_SensorAPI, in floating point) gave these.
+    /// The expected values come from Bosch's own driver (BMM150_SensorAPI, floating-point version).
     #[test]
     fn trimming_gives_the_field_that_the_makers_own_program_gives() {
         for (trim, field, hall, wanted) in [
@@ -256,7 +263,7 @@ mod tests {
 
     #[test]
     fn values_of_13_13_15_and_14_bits_are_cut_from_the_registers_with_their_signs() {
-        // The lowest bits of each register belong to other things.
+        // The lowest bits of each register have other meanings.
         let bytes = [0x07 | 0x08, 0xFF, 0xF8 | 0x05, 0x7F, 0x01, 0x80, 0x03, 0xFF];
         let raw = Raw::from_bytes(bytes);
         assert_eq!(raw, Raw { field: [-31, 4095, -16384], hall: 0x3FC0 });

@@ -1,4 +1,4 @@
-//! Which sensor is on the bus: boards of one name come with different ones.
+//! Detects the sensor on the bus, because boards with the same name carry different sensors.
 
 use embedded_hal_async::delay::DelayNs;
 use embedded_hal_async::i2c::I2c;
@@ -9,8 +9,8 @@ use crate::lsm6ds3::{self, Lsm6ds3};
 use crate::lsm9ds1::{self, Lsm9ds1};
 use crate::{Batch, Imu, ImuError};
 
-/// The sensors that there are drivers for, with their numbers in the wire's list `Sensor`. A sensor that the list does not
-/// name yet works all the same: the laptop calls it by its number.
+/// The supported sensors, with their numbers in the protocol's list `Sensor`.
+/// A sensor missing from that list still works, and the laptop then shows its number instead of its name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Kind {
@@ -23,7 +23,7 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// Bus address, register and value by which it is known.
+    /// Returns the I2C address, the identity register and the register's expected value.
     const fn identity(self) -> (u8, u8, u8) {
         match self {
             Self::Lsm9ds1 => (lsm9ds1::ADDRESS_AG, lsm9ds1::WHO_AM_I, lsm9ds1::WHO_AM_I_AG),
@@ -38,7 +38,7 @@ impl Kind {
     }
 }
 
-/// The sensor that is there.
+/// The detected sensor.
 #[derive(Debug)]
 pub enum Found<I> {
     /// As its kind says.
@@ -50,11 +50,11 @@ pub enum Found<I> {
 }
 
 impl<I: I2c> Found<I> {
-    /// Asks for one kind after the other.
+    /// Probes the given sensors in order.
     ///
     /// # Errors
-    /// [`ImuError::Unknown`] if something else answers at the address of one of them; where nothing answers,
-    /// [`ImuError::Missing`] with the address of the first.
+    /// [`ImuError::Unknown`] if a different chip answers at one of the addresses.
+    /// [`ImuError::Missing`] with the first address if no chip answers.
     pub async fn find(mut i2c: I, kinds: &[Kind]) -> Result<Self, ImuError> {
         let mut why = ImuError::Missing(kinds.first().map_or(0, |kind| kind.address()));
         for &kind in kinds {

@@ -1,33 +1,35 @@
-//! Samples of a sensor with its own clock on the grid of the board's crystal.
+//! Resamples a sensor that has its own clock to the 100 Hz grid of the board's crystal.
 //!
-//! The LSM9DS1's "238 Hz" may be off by some per cent and drifts with temperature, and it has no
-//! interrupt line on this board. But every poll of its FIFO says how many sets it has taken, and so
-//! bounds when the newest one was taken: less than one period ago. [`Grid`] keeps an estimate of that
-//! age, moves it along with the board's clock, and corrects it (and the estimated period) whenever
-//! it leaves its bounds. As the two clocks slide past each other the bounds get tight: after a
-//! second the age is known to about the jitter of the polls.
+//! The LSM9DS1's nominal 238 Hz may be wrong by some per cent and drifts with temperature.
+//! Its interrupt line is not connected on this board.
+//! However, each poll of the sensor's FIFO returns a known number of sets,
+//! and the newest set is less than one period old.
+//! [`Grid`] estimates the age of the newest set and advances the estimate with the board's clock.
+//! If the estimate leaves its limits, [`Grid`] corrects both the age and the estimated period.
+//! Because the phase between the two clocks drifts, the limits become narrow.
+//! After a second the error of the age is about equal to the jitter of the polls.
 //!
-//! A grid sample is the straight line between the two sets around it. For a movement of f Hz that
-//! errs by at most (π·f/238)²/2 of its amplitude: 0.2 % at 5 Hz. The sample lies [`Grid::delay_us`]
-//! behind its grid time, so that the later set has always arrived.
+//! A grid sample is a linear interpolation between the two neighbouring sets.
+//! For a movement of frequency f in Hz, the error is at most (π·f/238)²/2 of the amplitude: 0.2 % at 5 Hz.
+//! The sample is taken [`Grid::delay_us`] before its grid time, so that the later set has always arrived.
 
 use crate::Set;
 
-/// Sets remembered; more than the FIFO holds, since grid times may be served late.
+/// Number of stored sets. It exceeds the size of the sensor's FIFO because a grid time may be processed late.
 const HISTORY: usize = 64;
 
-/// Sets that a grid time may lie behind the newest one; beyond that it is a gap.
+/// Maximum age of a grid time relative to the newest set, in sets. An older grid time counts as a gap.
 const OLDEST: f32 = (HISTORY - 2) as f32;
 
-/// The resampler. Times are in microseconds of the board's clock.
+/// The resampler. All times are in microseconds of the board's clock.
 #[derive(Clone, Debug)]
 pub struct Grid {
     history: [Set; HISTORY],
-    /// Sets since the start or the last gap.
+    /// Number of sets since the start or the last gap.
     count: u32,
     period_us: f32,
     nominal_us: f32,
-    /// Time since the newest set at the last poll.
+    /// Age of the newest set at the last poll.
     age_us: f32,
     last_poll_us: u64,
     polls: u32,
@@ -35,7 +37,7 @@ pub struct Grid {
 }
 
 impl Grid {
-    /// A resampler for a sensor of this nominal rate.
+    /// Creates a resampler for a sensor with this nominal rate.
     pub fn new(nominal_hz: f32) -> Self {
         let nominal_us = 1e6 / nominal_hz;
         Self {
@@ -50,7 +52,7 @@ impl Grid {
         }
     }
 
-    /// Forgets the sets after a gap; the sensor's rate is kept.
+    /// Discards the sets after a gap. The estimated rate of the sensor does not change.
     pub fn restart(&mut self) {
         self.count = 0;
         self.polls = 0;
@@ -58,9 +60,9 @@ impl Grid {
         self.age_us = self.period_us / 2.0;
     }
 
-    /// How far a grid sample lies behind its grid time.
+    /// Delay between a grid sample and its grid time.
     pub fn delay_us(&self) -> f32 {
-        // A tenth more than the nominal period: the sensor may be that slow.
+        // This is a tenth more than the nominal period, because the sensor may be slower than nominal.
         self.nominal_us * 1.1
     }
 
@@ -78,7 +80,7 @@ impl Grid {
         }
     }
 
-    /// All sets up to this time have been [pushed](Self::push).
+    /// Must be called after all sets up to this time were [pushed](Self::push).
     pub fn synchronise(&mut self, poll_us: u64) {
         let elapsed_us = poll_us.saturating_sub(self.last_poll_us) as f32;
         let sets = core::mem::take(&mut self.since_poll) as f32;
@@ -99,18 +101,18 @@ impl Grid {
             between(self.period_us + error_us * gain, self.nominal_us * 0.9, self.nominal_us * 1.1);
     }
 
-    /// The sample for this grid time, or nothing if the sets around it are not known.
+    /// Returns the sample for this grid time, or `None` if the neighbouring sets are not stored.
     pub fn sample(&self, grid_us: u64) -> Option<Set> {
-        // Wanted time before the newest set, in sets.
+        // Distance from the requested time to the newest set, in sets.
         let before_poll_us = self.last_poll_us as i64 - grid_us as i64;
         let behind = (before_poll_us as f32 + self.delay_us() - self.age_us) / self.period_us;
-        // With jitter in the first polls, the time may lie a little beyond the sets.
+        // Because of jitter in the first polls, the requested time may be slightly later than the newest set.
         let behind = behind.max(0.0);
         if behind > OLDEST || behind + 2.0 > self.count as f32 {
             return None;
         }
         let whole = behind as u32;
-        // In 1/16384: the product with a difference of two i16 fits an i32.
+        // In units of 1/16384, so that the product with a difference of two i16 values fits an i32.
         let part = ((behind - whole as f32) * 16384.0) as i32;
         let newer = &self.history[(self.count - 1 - whole) as usize % HISTORY];
         let older = &self.history[(self.count - 2 - whole) as usize % HISTORY];
@@ -140,7 +142,9 @@ mod tests {
 
     extern crate std;
 
-    /// A sensor whose clock is off by `ratio`, polled every 10 ms with jitter, shows a ramp.
+    /// Returns the worst error for a simulated sensor that outputs a ramp,
+    /// with a clock error of `ratio` and a jittered poll
+    /// every 10 ms.
     fn worst_error_us(ratio: f64, jitter_us: u64) -> f64 {
         let mut grid = Grid::new(238.0);
         let period = 1e6 / 238.0 * ratio;
@@ -154,7 +158,7 @@ mod tests {
             let mut sets = std::vec::Vec::new();
             while taken < due {
                 taken += 1;
-                // One count per 100 us, wrapping never within this test.
+                // One count per 100 µs. The value does not wrap within this test.
                 let value = (taken as f64 * period + 700.0) / 1000.0;
                 sets.push([(value - 15_000.0) as i16; 6]);
             }
@@ -173,7 +177,7 @@ mod tests {
     #[test]
     fn a_sensor_clock_that_is_off_is_followed() {
         for ratio in [0.95, 0.99, 1.0, 1.003, 1.05] {
-            // The ramp's own resolution is 1000 us with truncation.
+            // The truncated ramp itself has a resolution of 1000 µs.
             let worst = worst_error_us(ratio, 100);
             assert!(worst < 1600.0, "ratio {ratio}: {worst} us");
         }

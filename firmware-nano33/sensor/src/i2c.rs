@@ -1,10 +1,10 @@
-//! Registers of one byte behind a bus address.
+//! Accesses 8-bit registers of an I2C device.
 
 use embedded_hal_async::i2c::I2c;
 
 use crate::ImuError;
 
-/// A device's register and what stands in it.
+/// A register address and its value.
 pub(crate) type Setting = (u8, u8);
 
 pub(crate) async fn write<I: I2c>(i2c: &mut I, address: u8, bytes: &[u8]) -> Result<(), ImuError> {
@@ -30,7 +30,7 @@ pub(crate) async fn read<const N: usize, I: I2c>(
     Ok(bytes)
 }
 
-/// Writes settings one by one.
+/// Writes the settings one after another.
 pub(crate) async fn set<I: I2c>(i2c: &mut I, address: u8, settings: &[Setting]) -> Result<(), ImuError> {
     for &(register, value) in settings {
         write(i2c, address, &[register, value]).await?;
@@ -38,7 +38,7 @@ pub(crate) async fn set<I: I2c>(i2c: &mut I, address: u8, settings: &[Setting]) 
     Ok(())
 }
 
-/// Reads settings back: a lost one may mean another range, silently.
+/// Reads the settings back, because a lost write could silently leave a different measuring range in effect.
 pub(crate) async fn verify<I: I2c>(i2c: &mut I, address: u8, settings: &[Setting]) -> Result<(), ImuError> {
     for &(register, value) in settings {
         if read::<1, _>(i2c, address, register).await? != [value] {
@@ -48,7 +48,7 @@ pub(crate) async fn verify<I: I2c>(i2c: &mut I, address: u8, settings: &[Setting
     Ok(())
 }
 
-/// Three little-endian numbers of 16 bits.
+/// Decodes three little-endian 16-bit numbers.
 pub(crate) fn triple(bytes: &[u8]) -> [i16; 3] {
     core::array::from_fn(|axis| i16::from_le_bytes([bytes[2 * axis], bytes[2 * axis + 1]]))
 }

@@ -1,13 +1,15 @@
-//! The right hand's motion sensors, without the board: everything here runs on a laptop too.
+//! Drivers of the right hand's motion sensors. The crate does not depend on the board and also runs on a laptop.
 //!
 //! ```text
 //! FIFO (the sensor's own clock) -> Imu::poll -> Grid -> 100 Hz, the board's crystal
 //! ```
 //!
-//! * [`lsm9ds1`] (Nano 33 BLE Sense), [`bmi270`] (its Rev2) and [`lsm6ds3`] (XIAO nRF52840 Sense): the drivers, async over
-//!   embedded-hal-async I2C. [`found`] looks which one is there.
-//! * [`grid`]: finds out when the sensor took each set, and interpolates onto the 100 Hz grid.
-//! * [`Imu`]: what a sensor has to offer. All of them speak in the same counts and axes, so one model serves all.
+//! * [`lsm9ds1`] is the driver for the Nano 33 BLE Sense, [`bmi270`] for its Rev2,
+//!   and [`lsm6ds3`] for the XIAO nRF52840 Sense.
+//!   The drivers use asynchronous I2C of embedded-hal-async. [`found`] detects the sensor on the bus.
+//! * [`grid`] estimates the time of each set and interpolates the sets to the 100 Hz grid.
+//! * [`Imu`] is the trait that all drivers implement.
+//!   All drivers return the same units and axes, so one model fits all.
 #![no_std]
 
 pub mod bmi270;
@@ -18,25 +20,26 @@ mod i2c;
 pub mod lsm6ds3;
 pub mod lsm9ds1;
 
-/// One accelerometer and gyroscope set: accX accY accZ gyrX gyrY gyrZ, in counts of [`SCALE`] along the raw axes of a
-/// Rev1 board's LSM9DS1 (left-handed, see [`lsm9ds1`]).
+/// One set of accelerometer and gyroscope values: accX accY accZ gyrX gyrY gyrZ.
+/// The values are in counts of [`SCALE`] along the raw axes of a Rev1 board's LSM9DS1 (left-handed, see [`lsm9ds1`]).
 pub type Set = [i16; 6];
 
-/// Physical value of one count of accelerometer, gyroscope and magnetometer, whatever sensor it comes from: m/s², deg/s,
-/// µT. The LSM9DS1's sensitivities at ±4 g, ±2000 deg/s and ±4 gauss; drivers of other sensors convert.
+/// Value of one count of accelerometer (m/s²), gyroscope (deg/s) and magnetometer (µT), for every supported sensor.
+/// These are the LSM9DS1's sensitivities at ±4 g, ±2000 deg/s and ±4 gauss.
+/// The drivers of other sensors convert their counts.
 pub const SCALE: [f32; 3] = [0.122e-3 * 9.80665, 0.07, 0.014];
 
-/// Most sets that one poll fetches; more waiting sets count as an overrun.
+/// Maximum number of sets that one poll fetches. More waiting sets count as an overrun.
 pub const FIFO_SETS: usize = 32;
 
-/// The sets that waited in the sensor since the last poll.
+/// The sets that the sensor collected since the last poll.
 #[derive(Clone, Copy, Debug)]
 pub struct Batch {
     sets: [Set; FIFO_SETS],
     len: usize,
-    /// The FIFO was full: sets were lost before the first one here.
+    /// The sensor's FIFO was full, and sets before the first one in this batch were lost.
     pub overrun: bool,
-    /// The newest magnetometer values in counts; zeros from a sensor of six axes.
+    /// The newest magnetometer values in counts, or zeros from a six-axis sensor.
     pub magnetometer: [i16; 3],
 }
 
@@ -52,13 +55,13 @@ impl Batch {
         &self.sets[..self.len]
     }
 
-    /// Forgets the sets, and keeps the magnetometer values.
+    /// Removes all sets. The magnetometer values do not change.
     pub fn clear(&mut self) {
         self.len = 0;
         self.overrun = false;
     }
 
-    /// Adds a set; one that does not fit raises [`Self::overrun`].
+    /// Adds a set, or sets [`Self::overrun`] if the batch is full.
     pub fn push(&mut self, set: Set) {
         match self.sets.get_mut(self.len) {
             Some(place) => {
@@ -70,44 +73,44 @@ impl Batch {
     }
 }
 
-/// Why a sensor cannot be used now.
+/// Reason why a sensor cannot be used at the moment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ImuError {
-    /// Nothing answers at this bus address.
+    /// No device answers at this I2C address.
     Missing(u8),
-    /// Something else answers; its WHO_AM_I.
+    /// A different device answers, with this WHO_AM_I value.
     Unknown(u8),
-    /// A transfer failed; the bus address.
+    /// A transfer to this I2C address failed.
     Bus(u8),
-    /// The sensor at this bus address has other settings than it was given: one did not arrive, or it lost them (power
-    /// dip).
+    /// The settings of the sensor at this I2C address differ from those written.
+    /// Either a write was lost, or a drop of the supply voltage reset the sensor.
     Reset(u8),
 }
 
 /// A motion sensor with a FIFO.
 #[allow(async_fn_in_trait, reason = "used with one executor, on one core")]
 pub trait Imu {
-    /// Sets per second by the data sheet. The true rate may differ by some per cent.
+    /// Number of sets per second in the data sheet. The true rate may differ by some per cent.
     fn nominal_hz(&self) -> f32;
 
-    /// Values per sample that mean something: 9, or 6 without a magnetometer.
+    /// Number of valid values per sample: 9, or 6 without a magnetometer.
     fn axes(&self) -> usize;
 
     /// Resets and configures the sensor, reads its settings back, and starts its FIFO.
     ///
     /// # Errors
-    /// Says what is wrong with the sensor or the bus.
+    /// The sensor was not recognised or did not accept its settings, or a transfer failed.
     async fn start(&mut self, delay: &mut impl embedded_hal_async::delay::DelayNs) -> Result<(), ImuError>;
 
-    /// Moves all that waits in the sensor to the batch, which it clears first.
+    /// Clears the batch and moves all waiting sets from the sensor to it.
     ///
     /// # Errors
-    /// A failed transfer. What was read before it is in the batch.
+    /// A transfer failed. The batch contains the sets that were read before the failure.
     async fn poll(&mut self, batch: &mut Batch) -> Result<(), ImuError>;
 
-    /// Whether the sensor still has its settings; asked when sets stop coming.
+    /// Checks that the sensor's settings are still in effect. Called when sets stop arriving.
     ///
     /// # Errors
-    /// [`ImuError::Reset`] if it has lost them, or a failed transfer.
+    /// [`ImuError::Reset`] if the settings were lost, or an error if a transfer failed.
     async fn check(&mut self) -> Result<(), ImuError>;
 }

@@ -1,8 +1,10 @@
 //! LSM6DS3TR-C: accelerometer and gyroscope of the XIAO nRF52840 Sense (ST DocID030071, application note AN5130).
 //!
-//! It counts as the LSM9DS1 does: 0.122 mg at ±4 g, 70 mdps at ±2000 deg/s. **How its axes lie against the case of the board is not
-//! known here**: they are given as the chip has them. The bundled model does not mind, since its recipe turns every hand
-//! into its own frame.
+//! The count values are those of the LSM9DS1: 0.122 mg at ±4 g and 70 mdps at ±2000 deg/s.
+//! **The orientation of the chip's axes relative to the board's case is not known.**
+//! The driver returns the axes of the chip.
+//! The bundled model works with any orientation, because its recipe rotates the data of every hand into the hand's own
+//! frame.
 
 use embedded_hal_async::delay::DelayNs;
 use embedded_hal_async::i2c::I2c;
@@ -10,10 +12,10 @@ use embedded_hal_async::i2c::I2c;
 use crate::i2c::{Setting, read, read_into, set, triple, verify};
 use crate::{Batch, FIFO_SETS, Imu, ImuError};
 
-/// Bus address on this board (SA0 low).
+/// I2C address on this board (SA0 low).
 pub const ADDRESS: u8 = 0x6A;
 pub(crate) const WHO_AM_I: u8 = 0x0F;
-/// What WHO_AM_I reads.
+/// Expected value of WHO_AM_I.
 pub(crate) const ID: u8 = 0x6A;
 
 const FIFO_CTRL3: u8 = 0x08;
@@ -25,31 +27,31 @@ const FIFO_STATUS1: u8 = 0x3A;
 const FIFO_DATA_OUT: u8 = 0x3E;
 
 const SOFTWARE_RESET: u8 = 1;
-/// 208 Hz, the FIFO overwrites its oldest.
+/// 208 Hz, continuous mode: new data overwrites the oldest data in the FIFO.
 const FIFO_CONTINUOUS: u8 = 0x2E;
 const FIFO_BYPASS: u8 = 0;
-/// In the second byte of the FIFO's status.
+/// Overrun bit in the second byte of the FIFO status.
 const FIFO_OVERRUN: u8 = 1 << 6;
 const FIFO_COUNT_HIGH: u8 = 0x07;
 
 const SETTINGS: [Setting; 5] = [
-    // Block data update, address increment.
+    // Enables block data update and address auto-increment.
     (CTRL3_C, 0x44),
     // 208 Hz, ±4 g.
     (CTRL1_XL, 0x58),
     // 208 Hz, ±2000 deg/s.
     (CTRL2_G, 0x5C),
-    // Gyroscope and accelerometer go into the FIFO, each set of them.
+    // Stores every gyroscope and accelerometer set in the FIFO.
     (FIFO_CTRL3, 0x09),
     (FIFO_CTRL5, FIFO_CONTINUOUS),
 ];
 
-/// Numbers of 16 bits in a set: gyroscope, then accelerometer.
+/// Number of 16-bit words in a set: three of the gyroscope, then three of the accelerometer.
 const WORDS: usize = 6;
-/// The gyroscope takes 35 ms to turn on; what comes before is dropped.
+/// The gyroscope takes 35 ms to start, and the sets of that time are discarded.
 const SETTLING_SETS: u8 = 8;
 
-/// The sensor on its bus.
+/// Driver of the sensor on an I2C bus.
 #[derive(Debug)]
 pub struct Lsm6ds3<I> {
     i2c: I,
@@ -58,7 +60,7 @@ pub struct Lsm6ds3<I> {
 }
 
 impl<I: I2c> Lsm6ds3<I> {
-    /// A sensor that has yet to be [started](Imu::start).
+    /// Creates a driver. Call [`Imu::start`] before any other method.
     pub fn new(i2c: I) -> Self {
         Self { i2c, to_drop: 0, buffer: [0; 2 * WORDS * FIFO_SETS] }
     }
@@ -100,7 +102,7 @@ impl<I: I2c> Imu for Lsm6ds3<I> {
         batch.clear();
         let [low, high, pattern, _] = read::<4, _>(&mut self.i2c, ADDRESS, FIFO_STATUS1).await?;
         let waiting = usize::from(u16::from_le_bytes([low, high & FIFO_COUNT_HIGH]));
-        // In step: the first word of a set comes next.
+        // If the FIFO is in step, its next word is the first word of a set.
         if high & FIFO_OVERRUN != 0 || waiting / WORDS > FIFO_SETS || usize::from(pattern) % WORDS != 0 {
             batch.overrun = true;
             return self.empty_fifo().await;
@@ -109,7 +111,7 @@ impl<I: I2c> Imu for Lsm6ds3<I> {
         if bytes.is_empty() {
             return Ok(());
         }
-        // A burst stays at the FIFO's output register.
+        // During a burst read, the address stays at the FIFO's output register.
         read_into(&mut self.i2c, ADDRESS, FIFO_DATA_OUT, bytes).await?;
         for set in bytes.chunks_exact(2 * WORDS) {
             let ([gx, gy, gz], [ax, ay, az]) = (triple(&set[..6]), triple(&set[6..]));

@@ -1,12 +1,14 @@
 //! LSM9DS1: accelerometer and gyroscope on one die, magnetometer on the other (ST DocID025715 Rev 2).
 //!
-//! **Axes** are the raw chip axes, as Arduino's library and Edge Impulse's firmware give them, so that
-//! models and recordings are exchangeable. As drawn in the data sheet's figure 1 the accelerometer's
-//! and gyroscope's axes are left-handed; the magnetometer's are right-handed, with X = −X of the
-//! others. For a right-handed frame negate X of accelerometer *and* gyroscope.
+//! **Axes.** The driver returns the raw chip axes, as Arduino's library and Edge Impulse's firmware do,
+//! so that models and
+//! recordings can be exchanged.
+//! Figure 1 of the data sheet shows left-handed axes for the accelerometer and gyroscope.
+//! The magnetometer's axes are right-handed, and its X points opposite to the X of the other two sensors.
+//! For a right-handed frame, negate X of both the accelerometer and the gyroscope.
 //!
-//! **Filters**: at 238 Hz the gyroscope's low-pass is at 76 Hz and the accelerometer's at 105 Hz, at
-//! 119 Hz they are at 38 and 50 Hz.
+//! **Filters.** The low-pass cut-off frequency of the gyroscope is 76 Hz at 238 Hz and 38 Hz at 119 Hz.
+//! That of the accelerometer is 105 Hz at 238 Hz and 50 Hz at 119 Hz.
 
 use embedded_hal_async::delay::DelayNs;
 use embedded_hal_async::i2c::I2c;
@@ -14,9 +16,9 @@ use embedded_hal_async::i2c::I2c;
 use crate::i2c::{Setting, read, set, triple, verify};
 use crate::{Batch, Imu, ImuError};
 
-/// Bus address of the accelerometer and gyroscope on this board (SA0 high).
+/// I2C address of the accelerometer and gyroscope on this board (SA0 high).
 pub const ADDRESS_AG: u8 = 0x6B;
-/// Bus address of the magnetometer on this board.
+/// I2C address of the magnetometer on this board.
 pub const ADDRESS_MAG: u8 = 0x1E;
 
 pub(crate) const WHO_AM_I: u8 = 0x0F;
@@ -25,7 +27,7 @@ const WHO_AM_I_MAG: u8 = 0x3D;
 
 const CTRL_REG1_G: u8 = 0x10;
 const STATUS: u8 = 0x17;
-/// The sensor is still busy with its start or its reset.
+/// The sensor has not finished its start-up or reset.
 const BOOT_STATUS: u8 = 1 << 3;
 const OUT_X_G: u8 = 0x18;
 const CTRL_REG6_XL: u8 = 0x20;
@@ -40,7 +42,7 @@ const CTRL_REG3_M: u8 = 0x22;
 const CTRL_REG4_M: u8 = 0x23;
 const CTRL_REG5_M: u8 = 0x24;
 const OUT_X_L_M: u8 = 0x28;
-/// The magnetometer counts its sub-address up only with this bit set.
+/// The magnetometer increments the register address only if this bit is set.
 const MAG_AUTO_INCREMENT: u8 = 0x80;
 
 const FIFO_CONTINUOUS: u8 = 0b110 << 5;
@@ -48,17 +50,18 @@ const FIFO_BYPASS: u8 = 0;
 const FIFO_OVERRUN: u8 = 1 << 6;
 const FIFO_COUNT: u8 = 0x3F;
 
-/// Sets to drop after a start: the first after a change of the FIFO mode, and four while the
-/// gyroscope's filter settles (data sheet, table 12).
+/// Number of sets to discard after a start: the first one after a change of the FIFO mode,
+/// and four while the gyroscope's
+/// filter settles (data sheet, table 12).
 const SETTLING_SETS: u8 = 5;
 
-/// Settings of the magnetometer's die.
+/// Settings of the magnetometer.
 const MAG: [Setting; 5] = [
-    // Temperature compensation, ultra-high performance, 80 Hz.
+    // Temperature compensation, ultra-high-performance mode for X and Y, 80 Hz.
     (CTRL_REG1_M, 0x80 | (3 << 5) | (7 << 2)),
     // ±4 gauss.
     (CTRL_REG2_M, 0),
-    // Z too in ultra-high performance.
+    // Ultra-high-performance mode for Z.
     (CTRL_REG4_M, 3 << 2),
     // Block data update.
     (CTRL_REG5_M, 0x40),
@@ -69,14 +72,14 @@ const MAG: [Setting; 5] = [
 /// Range of the accelerometer.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum AccelRange {
-    /// ±2 g, as Edge Impulse's firmware has it (its recordings clip at ±19.61 m/s²).
+    /// ±2 g, as in Edge Impulse's firmware. Recordings made with that firmware clip at ±19.61 m/s².
     G2,
     /// ±4 g.
     #[default]
     G4,
 }
 
-/// Sets per second of accelerometer and gyroscope.
+/// Number of accelerometer and gyroscope sets per second.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Rate {
     /// 119 Hz.
@@ -86,14 +89,14 @@ pub enum Rate {
     Hz238,
 }
 
-/// What a count of gyroscope and magnetometer is worth.
+/// Conversion factors of the gyroscope and magnetometer counts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Scale {
-    /// By the data sheet's sensitivities.
+    /// The sensitivities of the data sheet.
     #[default]
     DataSheet,
-    /// Full scale / 32768, as Arduino's library has it: gyroscope and magnetometer read 12.8 % low.
-    /// For models trained on recordings made with that library.
+    /// Full scale / 32768, as in Arduino's library. With these factors gyroscope and magnetometer read 12.8 % too low.
+    /// Models trained on recordings made with that library require these factors.
     Arduino,
 }
 
@@ -104,12 +107,12 @@ pub struct Config {
     pub accel: AccelRange,
     /// Sets per second.
     pub rate: Rate,
-    /// What a count is worth.
+    /// Conversion factors of the counts.
     pub scale: Scale,
 }
 
 impl Config {
-    /// Physical value of one count: m/s², deg/s, µT.
+    /// Value of one count in m/s², deg/s and µT.
     pub fn scale(&self) -> [f32; 3] {
         const G: f32 = 9.80665;
         match (self.scale, self.accel) {
@@ -120,14 +123,14 @@ impl Config {
         }
     }
 
-    /// Settings of the accelerometer's and gyroscope's die.
+    /// Settings of the accelerometer and gyroscope.
     fn ag(&self) -> [Setting; 5] {
         [
-            // Block data update, address increment.
+            // Enables block data update and address auto-increment.
             (CTRL_REG8, 0x44),
             (CTRL_REG1_G, self.ctrl_reg1_g()),
             (CTRL_REG6_XL, self.ctrl_reg6_xl()),
-            // FIFO on, overwriting its oldest.
+            // Enables the FIFO, in which new data overwrites the oldest data.
             (CTRL_REG9, 0x02),
             (FIFO_CTRL, FIFO_CONTINUOUS),
         ]
@@ -155,7 +158,7 @@ impl Config {
     }
 }
 
-/// The sensor on its bus.
+/// Driver of the sensor on an I2C bus.
 #[derive(Debug)]
 pub struct Lsm9ds1<I> {
     i2c: I,
@@ -164,7 +167,7 @@ pub struct Lsm9ds1<I> {
 }
 
 impl<I: I2c> Lsm9ds1<I> {
-    /// A sensor that has yet to be [started](Imu::start).
+    /// Creates a driver. Call [`Imu::start`] before any other method.
     pub fn new(i2c: I, config: Config) -> Self {
         Self { i2c, config, to_drop: 0 }
     }
@@ -174,7 +177,7 @@ impl<I: I2c> Lsm9ds1<I> {
         self.i2c
     }
 
-    /// Both dies are there and are what they should be.
+    /// Checks the identity of both dies.
     async fn identify(&mut self) -> Result<(), ImuError> {
         for (address, wanted) in [(ADDRESS_AG, WHO_AM_I_AG), (ADDRESS_MAG, WHO_AM_I_MAG)] {
             match read::<1, _>(&mut self.i2c, address, WHO_AM_I).await {
@@ -186,7 +189,7 @@ impl<I: I2c> Lsm9ds1<I> {
         Ok(())
     }
 
-    /// Waits until the accelerometer's die has started.
+    /// Waits until the accelerometer and gyroscope have started.
     async fn booted(&mut self, delay: &mut impl DelayNs) -> Result<(), ImuError> {
         for _ in 0..10 {
             if read::<1, _>(&mut self.i2c, ADDRESS_AG, STATUS).await?[0] & BOOT_STATUS == 0 {
@@ -212,12 +215,12 @@ impl<I: I2c> Imu for Lsm9ds1<I> {
 
     async fn start(&mut self, delay: &mut impl DelayNs) -> Result<(), ImuError> {
         self.identify().await?;
-        // Software reset of both dies (with address increment kept on), then the 10 ms of Arduino's library.
+        // Software reset of both dies with address auto-increment enabled, then the 10 ms delay of Arduino's library.
         set(&mut self.i2c, ADDRESS_AG, &[(CTRL_REG8, 0x05)]).await?;
         set(&mut self.i2c, ADDRESS_MAG, &[(CTRL_REG2_M, 0x0C)]).await?;
         delay.delay_ms(10).await;
         self.booted(delay).await?;
-        // The FIFO is emptied by bypass first.
+        // Bypass mode first empties the FIFO.
         set(&mut self.i2c, ADDRESS_AG, &[(FIFO_CTRL, FIFO_BYPASS)]).await?;
         let ag = self.config.ag();
         set(&mut self.i2c, ADDRESS_AG, &ag).await?;
@@ -233,7 +236,7 @@ impl<I: I2c> Imu for Lsm9ds1<I> {
         let [source] = read::<1, _>(&mut self.i2c, ADDRESS_AG, FIFO_SRC).await?;
         batch.overrun = source & FIFO_OVERRUN != 0;
         for _ in 0..source & FIFO_COUNT {
-            // One burst rolls from the gyroscope's registers (18h..1Dh) to the accelerometer's (28h..2Dh).
+            // One burst read continues from the gyroscope's registers (18h to 1Dh) to the accelerometer's (28h to 2Dh).
             let b = read::<12, _>(&mut self.i2c, ADDRESS_AG, OUT_X_G).await?;
             let ([gx, gy, gz], [ax, ay, az]) = (triple(&b[..6]), triple(&b[6..]));
             if self.to_drop > 0 {

@@ -1,8 +1,10 @@
-//! The boards that this firmware is built for, one file each: pins, sensors, names, memory (the `.x` files), and what their
-//! bootloader leaves behind and wants. Nothing else here knows which board it is.
+//! The supported boards, one file each.
+//! Each file defines pins, sensors, names and memory (the `.x` files), and handles the board's bootloader.
+//! No other code in this crate depends on the board.
 //!
-//! A file offers `SENSORS`, `START_MS`, `USB`, `kind` (its name on the wire), [`Parts`] from `parts`, `begin` (before
-//! anything else runs) and `enter_bootloader`.
+//! Each file provides `SENSORS`, `START_MS`, `USB`, `kind` (the board's name in the protocol) and [`Parts`]
+//! from `parts`.
+//! It also provides `begin`, which runs before all other code, and `enter_bootloader`.
 
 #[cfg(not(feature = "xiao"))]
 mod nano33;
@@ -21,23 +23,23 @@ use embassy_nrf::peripherals::{USBD, WDT};
 use crate::bus::SensorBus;
 use crate::{uart, vibrate, watch};
 
-/// How the board names itself at the USB cable.
+/// Names of the board in its USB descriptors.
 pub struct UsbNames {
-    /// Vendor and product, by which operating systems choose their drivers and rules.
+    /// USB vendor and product ids, which operating systems use to select drivers and rules.
     pub ids: (u16, u16),
-    /// What people read.
+    /// Names for people.
     pub product: &'static str,
 }
 
-/// The chip's peripherals in their roles.
+/// The chip's peripherals, grouped by function.
 pub struct Parts {
-    /// The sensor and its bus.
+    /// The sensor's bus and power pins.
     pub bus: SensorBus,
     /// The serial port.
     pub uart: uart::Parts,
     /// The light.
     pub led: watch::Led,
-    /// A vibration motor, if one is wired.
+    /// Pin and peripheral for an optional vibration motor.
     pub vibration: vibrate::Parts,
     /// The battery's divider.
     #[cfg(feature = "xiao")]

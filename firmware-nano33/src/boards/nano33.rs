@@ -1,4 +1,5 @@
-//! Arduino Nano 33 BLE Sense, Rev1 (LSM9DS1) and Rev2 (BMI270): same pins, one image.
+//! Arduino Nano 33 BLE Sense, Rev1 (LSM9DS1) and Rev2 (BMI270).
+//! Both revisions have the same pins and use the same image.
 
 use embassy_nrf::Peripherals;
 use nano33_sensor::found::Kind;
@@ -11,13 +12,14 @@ use crate::{uart, vibrate, watch};
 /// The sensors of Rev1 and Rev2.
 pub const SENSORS: &[Kind] = &[Kind::Lsm9ds1, Kind::Bmi270];
 
-/// From power to a sensor that answers: ST's sensors of this kind take up to 35 ms to turn on; SparkFun waits 100 ms.
+/// Time from power-up until the sensor answers, in milliseconds.
+/// ST's sensors of this type need up to 35 ms, and SparkFun's library waits 100 ms.
 pub const START_MS: u64 = 50;
 
-/// Arduino's ids for a sketch on this board, which its drivers and udev rules know.
+/// Arduino's ids for a sketch on this board, which Arduino's drivers and udev rules recognise.
 pub const USB: UsbNames = UsbNames { ids: (0x2341, 0x805A), product: "bimanual right hand" };
 
-/// The revisions differ by their sensor.
+/// Returns the revision of the board, which follows from its sensor.
 pub fn kind(sensor: Sensor) -> Board {
     if sensor == Sensor::Bmi270 { Board::RightNano33Rev2 } else { Board::RightNano33 }
 }
@@ -31,7 +33,8 @@ pub fn parts(p: Peripherals) -> Parts {
                 sda: p.P0_14.into(),
                 scl: p.P0_15.into(),
                 power: p.P0_22.into(),
-                // Driven high, or the bus has no pull-ups. Also SWO, which must stay off.
+                // This pin must be high, because it supplies the pull-ups of the bus.
+                // It is also SWO, which must stay disabled.
                 pull_ups: Some(p.P1_00.into()),
             },
         ),
@@ -56,21 +59,24 @@ pub fn parts(p: Peripherals) -> Parts {
     }
 }
 
-/// Clears away what the stock bootloader leaves behind. It also leaves the MPU, RTC1's compare interrupt and PWM0 on
-/// P0.13 on, which disturb nobody.
+/// Resets peripherals that the stock bootloader leaves running.
+/// The bootloader also leaves the MPU, the compare interrupt of RTC1 and PWM0 on P0.13 enabled,
+/// which have no effect here.
 pub fn begin() {
-    // If the slow crystal started late, its interrupt would be enabled with nobody to clear it.
+    // If the slow crystal started late, its interrupt would be enabled without a handler that clears it.
     const CLOCK_INTENCLR: *mut u32 = 0x4000_0308 as _;
-    // UARTE0 receives into a byte of RAM that is ours, and pins may be chosen only while it is off.
+    // UARTE0 writes received data to a byte of RAM that belongs to this image,
+    // and its pins can be changed only while it is
+    // off.
     const UARTE0_STOPRX: *mut u32 = 0x4000_2004 as _;
     const UARTE0_RXTO: *mut u32 = 0x4000_2144 as _;
     const UARTE0_ENABLE: *mut u32 = 0x4000_2500 as _;
-    // SAFETY: registers of this chip; nobody else runs yet.
+    // SAFETY: these are registers of this chip, and no other code runs yet.
     unsafe {
         CLOCK_INTENCLR.write_volatile(u32::MAX);
         if UARTE0_ENABLE.read_volatile() != 0 {
             UARTE0_STOPRX.write_volatile(1);
-            // Bounded: about five byte times.
+            // The loop ends after about five byte times.
             for _ in 0..8_000 {
                 if UARTE0_RXTO.read_volatile() != 0 {
                     break;
@@ -92,11 +98,11 @@ pub fn enter_bootloader() -> ! {
     const DOUBLE_PRESSED: u32 = 0x0773_8135;
     const STAY: u8 = 0xB0;
     cortex_m::interrupt::disable();
-    // The laptop sees the port go at once.
+    // This disconnects the USB port immediately for the laptop.
     embassy_nrf::pac::USBD.usbpullup().write(|w| w.set_connect(false));
-    // What Arduino's bootloaders look for after a soft reset.
+    // Arduino's bootloaders check this value after a soft reset.
     embassy_nrf::pac::POWER.gpregret().write(|w| w.set_gpregret(STAY));
-    // SAFETY: whatever stood there is nobody's any more: nothing of this run goes on.
+    // SAFETY: no code of this run continues, so the old content of this word is not needed.
     unsafe { DOUBLE_PRESS.write_volatile(DOUBLE_PRESSED) };
     if embassy_nrf::pac::WDT.runstatus().read().0 != 0 {
         loop {
@@ -106,7 +112,7 @@ pub fn enter_bootloader() -> ! {
     cortex_m::peripheral::SCB::sys_reset()
 }
 
-/// Restarts: behind S140 there is no bootloader.
+/// Restarts the board. An image with S140 has no bootloader.
 #[cfg(feature = "ble")]
 pub fn enter_bootloader() -> ! {
     cortex_m::peripheral::SCB::sys_reset()

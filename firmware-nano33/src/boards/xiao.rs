@@ -1,7 +1,8 @@
-//! Seeed XIAO nRF52840 Sense (LSM6DS3TR-C), sold with S140 7.3.0 and a UF2 bootloader on it.
+//! Seeed XIAO nRF52840 Sense (LSM6DS3TR-C), which is sold with S140 7.3.0 and a UF2 bootloader.
 //!
-//! Left alone: P0.13 (charging current), P0.17 (charging), P0.25 (flash), P0.16, P1.00 and P1.10
-//! (microphone). **Nothing here has met a real board**; pins are Zephyr's and Seeed's.
+//! Pins that are not used: P0.13 (charging current), P0.17 (charging), P0.25 (flash), and P0.16, P1.00 and P1.10
+//! (microphone).
+//! **This file has not been tested on a real board.** The pins are from the sources of Zephyr and Seeed.
 
 use embassy_nrf::{Peripherals, saadc};
 use nano33_sensor::found::Kind;
@@ -14,7 +15,7 @@ use crate::{uart, vibrate, watch};
 /// Its sensor.
 pub const SENSORS: &[Kind] = &[Kind::Lsm6ds3];
 
-/// From power to a sensor that answers: 35 ms.
+/// Time in milliseconds from power-up until the sensor answers: 35 ms and a margin.
 pub const START_MS: u64 = 50;
 
 /// Seeed's ids for a program on this board.
@@ -34,7 +35,7 @@ pub fn parts(p: Peripherals) -> Parts {
                 sda: p.P0_07.into(),
                 scl: p.P0_27.into(),
                 power: p.P1_08.into(),
-                // They hang on the sensor's supply.
+                // The pull-ups are connected to the sensor's supply.
                 pull_ups: None,
             },
         ),
@@ -62,10 +63,10 @@ pub fn parts(p: Peripherals) -> Parts {
     }
 }
 
-/// The UF2 bootloader leaves nothing behind that disturbs.
+/// Does nothing, because the UF2 bootloader leaves no disturbing peripheral enabled.
 pub fn begin() {}
 
-/// Restarts into the UF2 bootloader, which shows itself as a drive and feeds a watchdog that runs.
+/// Restarts into the UF2 bootloader, which appears as a USB drive and feeds a running watchdog.
 pub fn enter_bootloader() -> ! {
     const UF2: u8 = 0x57;
     // SAFETY: plain calls of the enabled SoftDevice, which owns the register.

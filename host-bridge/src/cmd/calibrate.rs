@@ -1,4 +1,4 @@
-//! `host-bridge calibrate`: neutral, rest and bend of the left hand, step by step.
+//! `host-bridge calibrate`: calibrates the left hand in the steps neutral, rest and bend.
 
 use std::io::{BufRead as _, Write as _};
 use std::process::ExitCode;
@@ -13,7 +13,7 @@ use shared_proto::message::{AckResult, CalibrationStep, HostMessage, health};
 use super::ports::PortOptions;
 
 const HELLO_MS: u64 = 6000;
-/// A step takes 0.64 s, and the write to EEPROM a little more.
+/// Maximum time of a step, which takes 0.64 s plus the write to EEPROM.
 const STEP_MS: u64 = 8000;
 const ATTEMPTS: u32 = 3;
 
@@ -28,15 +28,15 @@ const STEPS: [(CalibrationStep, &str); 3] = [
 pub struct Args {
     #[command(flatten)]
     port: PortOptions,
-    /// Do not wait for Enter: each step begins so many seconds after it was announced
+    /// Do not wait for Enter: start each step this many seconds after its announcement
     #[arg(long, value_name = "SECONDS")]
     every: Option<f64>,
-    /// Forget the calibration in the board and use nominal parts
+    /// Delete the calibration in the board and use nominal parts
     #[arg(long, conflicts_with = "every")]
     reset: bool,
 }
 
-/// Walks through the steps; the board keeps each one as it succeeds.
+/// Performs the steps. The board stores each successful one.
 pub fn run(args: &Args) -> Result<ExitCode> {
     if let Some(seconds) = args.every {
         ensure!((0.0..=60.0).contains(&seconds), "--every takes 0 to 60 seconds");
@@ -78,7 +78,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// What may be wrong with a pose: the board reports only that something is.
+/// Describes possible problems of a pose, because the board only reports a failure.
 fn why_refused(step: CalibrationStep) -> &'static str {
     match step {
         CalibrationStep::Neutral => {
@@ -110,7 +110,7 @@ fn announce(waiter: &Waiter, number: usize, pose: &str, every: Option<f64>) -> R
     Ok(())
 }
 
-/// What the hand reads now: the neutral pose should be near 0°.
+/// Prints the current readings of the hand. The neutral pose should be close to 0°.
 fn report(talk: &mut Talk) {
     let until_ms = talk.now_ms() + 1000;
     let mut last = None;

@@ -1,4 +1,4 @@
-//! `host-bridge demo`: the bundled session of both hands, checked against its script.
+//! `host-bridge demo`: plays the bundled session of both hands and compares it with its script.
 
 use std::process::ExitCode;
 
@@ -30,7 +30,7 @@ struct Report<'a> {
     summary: &'a Summary,
 }
 
-/// Plays it; the exit code says whether everything came out as scripted.
+/// Plays the session. The exit code shows whether the result matches the script.
 pub fn run(args: &Args) -> Result<ExitCode> {
     let stage = args.play.stage()?;
     let (robot, map) = args.play.robot_and_map(&stage)?;

@@ -1,4 +1,4 @@
-//! `host-bridge doctor`: how good each link is, and what to do about it.
+//! `host-bridge doctor`: measures the quality of each link and gives advice.
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -33,15 +33,15 @@ pub struct Args {
     /// Configuration file with the ports
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// Examine the ROS 2 graph: who listens to which topic, and why nobody does
+    /// Examine the ROS 2 graph: list the subscribers of each topic, or the reasons why there are none
     #[arg(long)]
     ros2: bool,
-    /// How long to listen; the clock's drift needs some time
+    /// How many seconds to listen; measuring the clock's drift needs some time
     #[arg(long, default_value_t = 5.0)]
     seconds: f64,
 }
 
-/// Listens to all links at once. The exit code says whether all is well.
+/// Listens to all links at once. The exit code shows whether there are problems.
 pub fn run(args: &Args) -> Result<ExitCode> {
     ensure!((1.0..=3600.0).contains(&args.seconds), "--seconds takes 1 to 3600");
     let config = read_config(args.config.as_deref())?;
@@ -92,7 +92,7 @@ struct Report {
     advice: Vec<String>,
 }
 
-/// What was heard of one board.
+/// The data received from one board.
 struct Heard {
     who: Who,
     model: Option<ModelNeeds>,
@@ -115,7 +115,7 @@ fn examine(port: &str, hand: Hand, settings: SerialSettings, seconds: f64) -> Re
     let heard = listen(&mut talk, who, (seconds * 1000.0) as u64);
     let mut advice = advice(&heard);
     if is_left(heard.who.board) != (hand == Hand::Left) {
-        // In the same words as `run`, which refuses such a board.
+        // This text is also used by `run`, which refuses such a board.
         advice.insert(
             0,
             format!("{} answers where the {hand} hand is expected: swap the ports", heard.who.board),
@@ -132,7 +132,7 @@ fn listen(talk: &mut Talk, who: Who, listen_ms: u64) -> Heard {
     let (mut pinged, mut pings) = ((0, u64::MAX), 0u32);
     let mut next_ping_ms = talk.now_ms();
     if !is_left(who.board) {
-        // It may have been left recording.
+        // The board may still be in record mode.
         let request = talk.next_request();
         talk.send(&HostMessage::SetMode { request, mode: Mode::Classify });
     }
@@ -168,7 +168,7 @@ fn listen(talk: &mut Talk, who: Who, listen_ms: u64) -> Heard {
             }
             Some((at_ms, Said::Right { sequence, board_time_ms, health, .. })) => {
                 heard.survey.state(sequence, board_time_ms, at_ms);
-                // The first window after a start has a gap by nature.
+                // The first window after a start always has a gap.
                 heard.health = health;
             }
             Some((at_ms, Said::Pong(pong))) if pong.id == pinged.0 => {
@@ -187,7 +187,7 @@ fn listen(talk: &mut Talk, who: Who, listen_ms: u64) -> Heard {
                 heard.survey.restarted();
             }
             Some((_, Said::Closed(why))) => heard.closed = Some(why),
-            // Perhaps the board restarted, with another clock: its hello says so.
+            // The board may have restarted with another clock, as its hello will show.
             Some((_, Said::Opened)) => {
                 heard.survey.restarted();
                 meet = true;
@@ -243,14 +243,14 @@ fn lines(heard: &Heard) -> Vec<String> {
     lines
 }
 
-/// More drift than this of a board with a crystal, in parts per million, is reported.
+/// Maximum drift of a board with a crystal in parts per million; a larger one is reported.
 const CRYSTAL_DRIFT_PPM: u32 = 500;
-/// The same for an Arduino Nano, whose 16 MHz come from a ceramic resonator (0.5 % and ageing).
+/// Tolerance for an Arduino Nano, whose 16 MHz come from a ceramic resonator (0.5 % and ageing).
 const RESONATOR_DRIFT_PPM: u32 = 10_000;
 
-/// Revision, sensor, image, why it started, battery.
+/// Describes the hardware: revision, sensor, image, reset cause and battery.
 fn made_of(board: Board, about: &About) -> String {
-    // One image serves both revisions of a Nano 33, which differ by their sensor.
+    // One image supports both revisions of a Nano 33, which differ in their sensor.
     let revision = match (board, about.sensor) {
         (Board::RightNano33 | Board::RightNano33Rev2, Sensor::Lsm9ds1) => "Rev1, ",
         (Board::RightNano33 | Board::RightNano33Rev2, Sensor::Bmi270) => "Rev2, ",
@@ -289,14 +289,14 @@ fn advice(heard: &Heard) -> Vec<String> {
     let left = is_left(heard.who.board);
     let (state_hz, drift_ppm) = if left { (50.0, RESONATOR_DRIFT_PPM) } else { (12.5, CRYSTAL_DRIFT_PPM) };
     let mut advice = match &heard.closed {
-        // What was measured before and after says little.
+        // Measurements across an interruption are not meaningful.
         Some(why) => vec![format!("the link broke meanwhile: {why}; then ask again")],
         None => heard.survey.advice(state_hz, f64::from(drift_ppm)),
     };
     if heard.restarts > 0 {
         advice.push(format!("the board restarted {} times: check its power and cable", heard.restarts));
     }
-    // Wider than u8: no minor is below the first one, 0, which clippy would point out.
+    // Wider than u8, because clippy notices that no minor version is below 0.
     if u16::from(heard.who.version.1) < u16::from(PROTOCOL_MINOR) {
         advice.push("the firmware is older than this program: flash it anew for all functions".to_owned());
     }

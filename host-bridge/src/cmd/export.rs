@@ -1,4 +1,4 @@
-//! `host-bridge export`: sessions for those who train robots.
+//! `host-bridge export`: exports sessions for training robots.
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -8,43 +8,44 @@ use anyhow::Result;
 /// Options.
 #[derive(clap::Args, Clone, Debug)]
 pub struct Args {
-    /// Sessions that `--record` has written, of one robot; their episodes are numbered through
+    /// Sessions written by `--record`, all of one robot; their episodes are numbered consecutively
     #[arg(required = true, value_name = "SESSION.mcap")]
     sessions: Vec<PathBuf>,
-    /// Write a LeRobotDataset v3 into this new folder (feature lerobot)
+    /// Write a LeRobotDataset v3 to this new folder (feature lerobot)
     #[arg(long, value_name = "DIR", required_unless_present = "csv")]
     lerobot: Option<PathBuf>,
-    /// Write a CSV file per episode into this new folder
+    /// Write one CSV file per episode to this new folder
     #[arg(long, value_name = "DIR")]
     csv: Option<PathBuf>,
     /// Rows per second
     #[arg(long, default_value_t = 50, value_parser = clap::value_parser!(u32).range(1..=200))]
     fps: u32,
-    /// What an episode is: the whole session, each motion of the arm that reached its pose, or what the operator marked
-    /// while the session ran [default: the marks, if there are any; else the whole session]
+    /// What counts as an episode: the whole session, each completed motion of the arm,
+    /// or the marks that the operator set
+    /// during the session [default: the marks, if there are any; otherwise the whole session]
     #[arg(long, value_enum)]
     episodes: Option<Episodes>,
-    /// Of marked episodes, only those that were marked good
+    /// Export only episodes that were marked as good
     #[arg(long, conflicts_with = "begin")]
     only_good: bool,
-    /// An episode begins at this gesture, instead
+    /// Instead, begin an episode at this gesture
     #[arg(long, value_name = "LABEL", requires = "end", conflicts_with = "episodes")]
     begin: Option<String>,
-    /// It ends at this gesture, and is good
+    /// End the episode at this gesture and mark it as good
     #[arg(long, value_name = "LABEL", requires = "begin")]
     end: Option<String>,
-    /// This gesture throws away what was begun and begins again
+    /// Discard the current episode at this gesture and begin again
     #[arg(long, value_name = "LABEL", requires = "begin")]
     again: Option<String>,
-    /// What was to be done, in words [default: what the recording's --task said; else the motion, or the session's title]
+    /// Description of the task [default: the recording's --task, otherwise the motion or the session's title]
     #[arg(long, value_name = "TEXT")]
     task: Option<String>,
-    /// What the robot is called
+    /// Name of the robot
     #[arg(long, value_name = "NAME", default_value = "bimanual")]
     robot: String,
 }
 
-/// What an episode is.
+/// The definition of an episode.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Episodes {
     /// The whole session
@@ -55,13 +56,13 @@ pub enum Episodes {
     Marks,
 }
 
-/// Says that this program cannot.
+/// Reports that this build does not support exports.
 #[cfg(not(feature = "mcap"))]
 pub fn run(_args: &Args) -> Result<ExitCode> {
     anyhow::bail!("this program was built without sessions on disk; build it with `--features lerobot`")
 }
 
-/// Exports; nothing is written unless every session can be read.
+/// Exports the sessions. Nothing is written unless every session can be read.
 #[cfg(feature = "mcap")]
 pub fn run(args: &Args) -> Result<ExitCode> {
     use anyhow::{Context as _, ensure};

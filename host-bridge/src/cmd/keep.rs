@@ -1,4 +1,4 @@
-//! The option that writes a session to a file, shared by the verbs that move a robot.
+//! The option for recording a session, used by all commands that move a robot.
 
 use std::path::PathBuf;
 use std::time::{SystemTime, UNIX_EPOCH};
@@ -10,13 +10,13 @@ use host_bridge::topics::Origin;
 #[cfg(feature = "mcap")]
 use host_bridge::journal::{Disk, SceneText, Setup, WhenFull};
 
-/// Whether and where to write it.
+/// Whether and where to write the session file.
 #[derive(clap::Args, Clone, Debug, Default)]
 pub struct KeepArgs {
-    /// Write everything that happens to a new file, for `replay FILE.mcap`, Foxglove and ROS tools
+    /// Record the session to a new file, for `replay FILE.mcap`, Foxglove and ROS tools
     #[arg(long, value_name = "FILE.mcap")]
     pub record: Option<PathBuf>,
-    /// What is to be done in the session, in words, for `export`
+    /// Description of the session's task, for `export`
     #[arg(long, value_name = "TEXT", requires = "record")]
     pub task: Option<String>,
 }
@@ -28,25 +28,25 @@ pub struct Start<'a> {
     pub title: &'a str,
     /// Limits, times, base, arm, motions.
     pub config: &'a host_bridge::config::Config,
-    /// `LABEL=MOTION`, more of them.
+    /// Additional `LABEL=MOTION` mappings.
     pub maps: &'a [String],
-    /// What stands around.
+    /// The robot's surroundings.
     pub scene: Option<&'a std::path::Path>,
-    /// When the session's clock was zero.
+    /// Time at which the session's clock was zero.
     pub origin: Origin,
-    /// Something real moves, so nothing may delay the session.
+    /// Whether a real robot moves, so that nothing may delay the session.
     pub live: bool,
-    /// The robot is not the simulator.
+    /// Whether the robot is not the simulator.
     pub robot_elsewhere: bool,
 }
 
-/// The time of day at which a session's clock was zero that now says `now_ms`.
+/// Returns the time of day at which a session's clock was zero, if it shows `now_ms` now.
 pub fn origin(now_ms: u64) -> Origin {
     let day = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     Origin { nanoseconds: (day.as_nanos() as u64).saturating_sub(now_ms * 1_000_000) }
 }
 
-/// The file, if there is one.
+/// The session file, if one is written.
 #[derive(Default)]
 pub struct Keeper {
     #[cfg(feature = "mcap")]
@@ -58,7 +58,7 @@ impl KeepArgs {
     #[cfg(feature = "mcap")]
     pub fn start(&self, tap: &mut Tap, start: &Start<'_>) -> Result<Keeper> {
         let Some(file) = &self.record else { return Ok(Keeper::default()) };
-        // A recording that was killed gets the index that it lacks.
+        // Adds the missing index to recordings that were killed.
         for done in host_bridge::journal::index::complete_beside(file) {
             match done {
                 Ok(file) => {
@@ -84,7 +84,7 @@ impl KeepArgs {
         Ok(Keeper { disk: Some(disk) })
     }
 
-    /// Says that this program cannot.
+    /// Reports that this build cannot record sessions.
     #[cfg(not(feature = "mcap"))]
     pub fn start(&self, _tap: &mut Tap, _start: &Start<'_>) -> Result<Keeper> {
         anyhow::ensure!(
@@ -97,12 +97,12 @@ impl KeepArgs {
 
 #[cfg(feature = "mcap")]
 impl Keeper {
-    /// Why nothing more is written, reported once.
+    /// Returns once the reason why writing has stopped.
     pub fn take_problem(&mut self) -> Option<String> {
         self.disk.as_mut()?.take_problem()
     }
 
-    /// Writes what waits; one line about the file, if there is one.
+    /// Writes all remaining data. Returns a line about the file, if there is one.
     pub fn end(&mut self, tap: &mut Tap) -> Option<String> {
         tap.clear();
         let disk = self.disk.take()?;

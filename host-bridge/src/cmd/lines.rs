@@ -1,4 +1,4 @@
-//! What `run --json` prints beside the events.
+//! Additional lines of `run --json` besides the events.
 
 use host_bridge::ros2::Counts;
 use host_bridge::safety::Hand;

@@ -1,4 +1,4 @@
-//! `host-bridge list`: serial ports and Bluetooth boards, and which hand answers on each.
+//! `host-bridge list`: lists serial ports and Bluetooth boards with the hand that answers on each.
 
 use std::process::ExitCode;
 
@@ -6,24 +6,24 @@ use anyhow::Result;
 use host_bridge::links::{PortAbout, SerialSettings, hints, ports};
 use host_bridge::talk::{Talk, TalkError, Who};
 
-/// An old Nano takes 2 s to start; then it is asked twice.
+/// Time for two attempts, because an old Nano takes 2 s to start.
 const PATIENCE_MS: u64 = 4500;
-/// Ports that are asked besides the USB ports found, separated by colons: adapters that the system does not
-/// take for USB, pseudo-terminals, emulated boards.
+/// Variable with additional ports, separated by colons.
+/// Such ports include adapters that the system does not classify as USB, pseudo-terminals, and emulated boards.
 const MORE_PORTS: &str = "BIMANUAL_PORTS";
 
 /// Options.
 #[derive(clap::Args, Clone, Debug)]
 pub struct Args {
-    /// Ports to ask besides the USB ports found (the variable BIMANUAL_PORTS names more, separated by colons)
+    /// Additional ports besides the USB ports found (also in the variable BIMANUAL_PORTS, separated by colons)
     #[arg(value_name = "PORT")]
     ports: Vec<String>,
-    /// Only name the ports, do not open them (opening resets a Nano)
+    /// Only list the ports without opening them (opening resets a Nano)
     #[arg(long)]
     no_ask: bool,
 }
 
-/// Asks all ports at once. The exit code says whether a hand was found.
+/// Asks all ports at once. The exit code shows whether a hand was found.
 pub fn run(args: &Args) -> Result<ExitCode> {
     let (mut asked, others): (Vec<_>, Vec<_>) = ports().into_iter().partition(|port| port.is_usb);
     let more = std::env::var(MORE_PORTS).unwrap_or_default();
@@ -95,7 +95,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     Ok(ExitCode::FAILURE)
 }
 
-/// The boards that advertise, or why none can be seen.
+/// Returns the boards that advertise, or the reason why none can be found.
 #[cfg(feature = "ble")]
 fn bluetooth() -> Result<Vec<PortAbout>, String> {
     host_bridge::links::ble_devices(std::time::Duration::from_secs(3))

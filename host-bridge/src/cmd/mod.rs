@@ -1,4 +1,4 @@
-//! One file per verb: its options and what it does.
+//! One file per command, with its options and its implementation.
 
 #[cfg(all(feature = "ros2", feature = "urdf"))]
 pub mod arm;

@@ -1,4 +1,4 @@
-//! Options that name ports, shared by the verbs that talk to one board.
+//! Port options of all commands that communicate with one board.
 
 use std::path::{Path, PathBuf};
 
@@ -7,7 +7,7 @@ use host_bridge::config::{Config, Ports};
 use host_bridge::links::{SerialSettings, is_ble};
 use host_bridge::safety::Hand;
 
-/// A configuration file, or the defaults.
+/// Reads a configuration file, or returns the defaults.
 pub fn read_config(file: Option<&Path>) -> Result<Config> {
     let Some(file) = file else { return Ok(Config::default()) };
     let about = || file.display().to_string();
@@ -16,14 +16,14 @@ pub fn read_config(file: Option<&Path>) -> Result<Config> {
     Config::parse(&text).with_context(about)
 }
 
-/// How ports are to be used.
+/// Returns the settings of serial ports.
 pub fn settings(config: &Config) -> SerialSettings {
     let Ports { baud, settle_ms, allow_unbonded, .. } = config.ports;
     SerialSettings { baud, settle_ms, allow_unbonded }
 }
 
-/// The port of a hand: the one asked for, else the configuration's. With `left_handed` the hands have
-/// changed places there.
+/// Returns the port of a hand: the requested one, otherwise that of the configuration.
+/// With `left_handed`, the hands are exchanged there.
 pub fn port_of(hand: Hand, asked: Option<&str>, config: &Config) -> Result<String> {
     let left = (hand == Hand::Left) != config.left_handed;
     let port = asked.unwrap_or(if left { &config.ports.left } else { &config.ports.right });
@@ -37,7 +37,7 @@ pub fn port_of(hand: Hand, asked: Option<&str>, config: &Config) -> Result<Strin
     Ok(port.to_owned())
 }
 
-/// Refuses Bluetooth if this build has none.
+/// Refuses a Bluetooth port if this build has no Bluetooth.
 pub fn check_name(port: &str) -> Result<()> {
     if cfg!(not(feature = "ble")) && is_ble(port) {
         bail!("'{port}': {NO_BLUETOOTH}; or connect the board with its USB cable");
@@ -45,15 +45,15 @@ pub fn check_name(port: &str) -> Result<()> {
     Ok(())
 }
 
-/// What to do for Bluetooth if this build has none.
+/// The remedy if this build has no Bluetooth.
 pub const NO_BLUETOOTH: &str = "this build has no Bluetooth link: `cargo install --path host-bridge --features ble` makes \
                                 one (Debian: it needs the packages libdbus-1-dev and pkg-config), and the packaged \
                                 archive has it";
 
-/// The one board that a verb talks to.
+/// The only board that a command communicates with.
 #[derive(clap::Args, Clone, Debug)]
 pub struct PortOptions {
-    /// The board's port, for example /dev/ttyACM0, or `ble[:NAME]`; `host-bridge list` shows them
+    /// The board's port, for example /dev/ttyACM0 or `ble[:NAME]`; `host-bridge list` lists all ports
     #[arg(long, visible_aliases = ["left", "right"])]
     pub port: Option<String>,
     /// Configuration file (TOML); `host-bridge run --print-config` writes one
@@ -62,7 +62,7 @@ pub struct PortOptions {
 }
 
 impl PortOptions {
-    /// The port of this hand and how to use it.
+    /// Returns the port of this hand and its settings.
     pub fn resolve(&self, hand: Hand) -> Result<(String, SerialSettings)> {
         let config = read_config(self.config.as_deref())?;
         Ok((port_of(hand, self.port.as_deref(), &config)?, settings(&config)))

@@ -1,5 +1,5 @@
-//! `host-bridge record`: a hand's raw samples into files (the right hand's for `models train` and Edge Impulse, the left
-//! hand's for `replay --left`), or a session of both hands with the robot.
+//! `host-bridge record`: records raw samples of one hand, or a session of both hands with the robot.
+//! Files of the right hand are for `models train` and Edge Impulse, and those of the left hand for `replay --left`.
 
 use std::io::{IsTerminal as _, Write as _};
 use std::path::{Path, PathBuf};
@@ -23,14 +23,14 @@ use crate::play::Interrupted;
 
 const HELLO_MS: u64 = 6000;
 const REQUEST_MS: u64 = 4000;
-/// The time to bring the board back is shorter in a program that was told to end.
+/// Maximum time for returning the board to classifying. It is short because the program must end.
 const BACK_MS: u64 = 700;
-/// If no samples come for this long, the board is not recording.
+/// If no samples arrive for this long, the board is not recording.
 const SILENCE_MS: u64 = 3000;
-/// In a guided session a spoilt take is taken again.
+/// Number of attempts for a recording in a guided session.
 const ATTEMPTS: u32 = 3;
 
-/// What a guided session of the left hand goes through.
+/// Labels of a guided session of the left hand.
 const LEFT_LABELS: &str = "level,forward,backward,left,right,index,middle,both-fingers";
 
 /// Options.
@@ -39,30 +39,30 @@ const LEFT_LABELS: &str = "level,forward,backward,left,right,index,middle,both-f
 pub struct Args {
     #[command(subcommand)]
     whole: Option<Whole>,
-    /// Which hand: the right one's IMU for `models train`, or the left one's converter for `replay --left`
+    /// The hand to record: the right one's IMU for `models train`, or the left one's converter for `replay --left`
     #[arg(long, value_enum, default_value = "right")]
     hand: Which,
     #[command(flatten)]
     port: PortOptions,
-    /// Which gesture or movement this is, for example circle
+    /// Label of the gesture or movement, for example circle
     #[arg(long, required_unless_present = "guided", conflicts_with = "guided")]
     label: Option<String>,
     /// Who performs it
     #[arg(long, required = true)]
     person: Option<String>,
-    /// Length of a recording (the paper's: 150)
+    /// Length of a recording in seconds (in the paper: 150)
     #[arg(long, default_value_t = 20.0)]
     seconds: f64,
-    /// Walk through all labels, one after the other
+    /// Lead through all labels, one after another
     #[arg(long)]
     guided: bool,
-    /// Labels of a guided session, separated by commas [default: the model's; of the left hand: level,forward,…]
+    /// Labels of a guided session, separated by commas [default: the model's; for the left hand level,forward,…]
     #[arg(long, requires = "guided")]
     labels: Option<String>,
     /// Seconds to get ready
     #[arg(long, default_value_t = 3)]
     countdown: u64,
-    /// Folder for FOLDER/<label>/<person>__<n>.csv [default: recordings; of the left hand: recordings-left]
+    /// Folder for FOLDER/<label>/<person>__<n>.csv [default: recordings; for the left hand recordings-left]
     #[arg(long, value_name = "FOLDER")]
     out: Option<PathBuf>,
 }
@@ -70,7 +70,7 @@ pub struct Args {
 /// More than one hand.
 #[derive(clap::Subcommand, Clone, Debug)]
 enum Whole {
-    /// Both hands at once with the robot, into FILE.mcap: what `run --record FILE.mcap` does, and marks of episodes
+    /// Record both hands together with the robot to FILE.mcap, like `run --record FILE.mcap`, with marks of episodes
     #[command(long_flag = "session")]
     Recorder(Box<SessionArgs>),
 }
@@ -78,26 +78,26 @@ enum Whole {
 /// Options of a whole session.
 #[derive(clap::Args, Clone, Debug)]
 struct SessionArgs {
-    /// The new file; `replay FILE.mcap` plays it, `export FILE.mcap` makes a data set of it
+    /// The new file; `replay FILE.mcap` plays it, and `export FILE.mcap` converts it to a data set
     #[arg(value_name = "FILE.mcap")]
     file: PathBuf,
-    /// What is to be done in it, in words, for `export`
+    /// Description of the session's task, for `export`
     #[arg(long, value_name = "TEXT")]
     task: Option<String>,
     #[command(flatten)]
     hands: steering::HandArgs,
 }
 
-/// Whose samples.
+/// The hand to record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum Which {
     /// The right one's IMU
     Right,
-    /// The left one's converter: tilt and fingers
+    /// The left hand's converter: tilt and fingers
     Left,
 }
 
-/// Records; every file is written whole or not at all.
+/// Records samples. Every file is written completely or not at all.
 pub fn run(args: &Args) -> Result<ExitCode> {
     if let Some(Whole::Recorder(session)) = &args.whole {
         let keep = keep::KeepArgs { record: Some(session.file.clone()), task: session.task.clone() };
@@ -122,18 +122,18 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     for label in &labels {
         check_name("label", label)?;
     }
-    // Whether there is room on the disk is checked before anybody performs anything.
+    // Disk space is checked before the user performs anything.
     for label in &labels {
         let folder = out.join(label);
         make_folder(&folder)?;
-        // Of this process alone: another recording of the same label may try at the same time.
+        // The name is specific to this process, because another recording of the same label may run this check too.
         let trial = folder.join(format!("{person}.{}.trial", std::process::id()));
         std::fs::write(&trial, []).and_then(|()| std::fs::remove_file(&trial)).with_context(|| {
             format!("{}: nothing can be written here; is there room, and may you?", folder.display())
         })?;
     }
     let (port, settings) = args.port.resolve(hand)?;
-    // From here on a signal only sets a flag, so that the board can be brought back to classifying.
+    // From now on, a signal only sets a flag, so that the board can be returned to classifying.
     let interrupted = Arc::new(AtomicBool::new(false));
     let _ending = Ending::watch(&interrupted, false).context("signals cannot be caught here")?;
 
@@ -172,7 +172,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
             break;
         }
     }
-    // This is done however it ended. If the board does not answer, `run` will bring it back.
+    // This happens after any result. If the board does not answer, `run` will do it.
     let patience_ms = if session.is_interrupted() { BACK_MS } else { REQUEST_MS };
     let back = session.talk.request(patience_ms, mode(Mode::Classify));
     done?;
@@ -205,14 +205,14 @@ fn check_name(what: &str, name: &str) -> Result<()> {
     Ok(())
 }
 
-/// What was recorded so far.
+/// The recordings so far.
 enum Taken {
     Right(Collector),
     Left(LeftCollector),
 }
 
 impl Taken {
-    /// Takes what is of this hand; `None` for all else. True when there is enough.
+    /// Adds a message of this hand; `None` for other messages. Returns true if there are enough samples.
     fn push(&mut self, said: &Said) -> Option<Result<bool, CaptureProblem>> {
         match (self, said) {
             (Taken::Right(collector), Said::Raw(batch)) => Some(collector.push(batch)),
@@ -235,7 +235,7 @@ impl Taken {
         }
     }
 
-    /// How the hand moves: its acceleration, or its tilt forward and both fingers.
+    /// Describes the hand's movement: its acceleration, or its forward tilt and both fingers.
     fn line(&self) -> String {
         match self {
             Taken::Right(collector) => sparkline(&collector.newest_acceleration(40), 4.0, 20.0),
@@ -248,7 +248,7 @@ impl Taken {
 
     fn csv(self) -> String {
         match self {
-            // Edge Impulse's header; our own tools read both.
+            // Edge Impulse's header, which our own tools also read.
             Taken::Right(collector) => {
                 collector.recording().to_csv().replacen("timestamp_ms", "timestamp", 1)
             }
@@ -267,7 +267,7 @@ struct Recorder<'a> {
 }
 
 impl Recorder<'_> {
-    /// One label: one good take.
+    /// Records one label until there is one good recording.
     fn record(&mut self, label: &str) -> Result<()> {
         let attempts = if self.args.guided { ATTEMPTS } else { 1 };
         for attempt in 1.. {
@@ -292,7 +292,7 @@ impl Recorder<'_> {
                 self.ensure_open(50)?;
             }
         }
-        // What came during the countdown is not part of it.
+        // Samples from the countdown do not belong to the recording.
         while self.talk.next(0).is_some() {}
         println!("   go: {label}, {} s", self.args.seconds);
         let rate_hz = f64::from(self.sample_hz.max(1));
@@ -351,7 +351,7 @@ impl Recorder<'_> {
         }
     }
 
-    /// A bar, the time, and how the hand moves.
+    /// Displays a progress bar, the time, and the hand's movement.
     fn show(&self, taken: &Taken, rate_hz: f64) {
         const BAR: usize = 20;
         if !std::io::stdout().is_terminal() {
@@ -372,7 +372,7 @@ impl Recorder<'_> {
         let text = taken.csv();
         let about = || format!("{}: cannot be written; is there room, and may you?", file.display());
         if let Err(error) = write_whole(&file, text.as_bytes()) {
-            // The empty file only kept the name.
+            // The empty file only reserved the name.
             let _ = std::fs::remove_file(&file);
             return Err(error).with_context(about);
         }

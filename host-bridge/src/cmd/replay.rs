@@ -1,4 +1,4 @@
-//! `host-bridge replay`: recordings of your own, as if their boards were plugged in.
+//! `host-bridge replay`: plays your own recordings as if their boards were plugged in.
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -20,7 +20,7 @@ use crate::play::{PlayOptions, play, say};
 /// Options.
 #[derive(clap::Args, Clone, Debug)]
 pub struct Args {
-    /// A session that `--record` has written: the same again, compared with what is in the file
+    /// Session file written by `--record`, which is replayed and compared
     #[arg(value_name = "FILE.mcap", conflicts_with_all = ["right", "left", "record", "scene", "map", "jerk_limited"])]
     session: Option<PathBuf>,
     /// Recordings of the right hand (timestamp_ms,accX,…); several are joined into one
@@ -29,32 +29,33 @@ pub struct Args {
     /// Recording of the left hand (timestamp_ms,x,y,z,index,middle: counts of 8 to 12 bits at 50 to 500 Hz)
     #[arg(long, value_name = "ADC.csv")]
     left: Option<PathBuf>,
-    /// Model for the right hand, int8, with its card beside it; else the bundled one (9 axes)
+    /// Int8 model for the right hand, with its card in the same folder [default: the bundled model, 9 axes]
     #[arg(long, value_name = "FILE.tflite")]
     model: Option<PathBuf>,
-    /// Calibration of the left hand: a TOML file with zero, rest and bend; or `start`, to take neutral
-    /// and rest from the first 1.6 s (hand level and still, fingers straight); else nominal parts
+    /// Calibration of the left hand: a TOML file with zero, rest and bend,
+    /// or `start` for taking neutral and rest from the
+    /// first 1.6 s (hand level and still, fingers straight) [default: nominal parts]
     #[arg(long, value_name = "FILE.toml|start", requires = "left")]
     calibration: Option<PathBuf>,
     #[command(flatten)]
     reading: ReadingOptions,
-    /// Start both recordings at once, even if their times are of one clock
+    /// Start both recordings at once, even if their times are from a common clock
     #[arg(long, requires = "left", requires = "right")]
     own_clocks: bool,
     #[command(flatten)]
     play: PlayOptions,
 }
 
-/// How recordings of the right hand are read.
+/// Options for reading recordings of the right hand.
 #[derive(clap::Args, Clone, Debug)]
 struct ReadingOptions {
-    /// Units of the right hand's recordings, whatever they say: g, mg or m/s2; rad/s or deg/s; uT or gauss
+    /// Units of the right hand's recordings, overriding the files: g, mg or m/s2; rad/s or deg/s; uT or gauss
     #[arg(long, value_name = "UNIT,...", value_parser = |text: &str| text.parse::<Units>())]
     units: Option<Units>,
     /// Samples per second of recordings without times
     #[arg(long, value_name = "HZ")]
     rate: Option<f64>,
-    /// What columns are: ours in the file's order (time,accX,accY,accZ,-), or OURS=THEIRS,... by name or number
+    /// Columns: our names in the file's order (time,accX,accY,accZ,-), or OURS=THEIRS,... by name or number
     #[arg(long, value_name = "COLUMNS", value_parser = |text: &str| text.parse::<Columns>())]
     columns: Option<Columns>,
 }
@@ -78,7 +79,7 @@ struct Report<'a> {
     summary: &'a Summary,
 }
 
-/// Plays them. Everything is read and checked before anything moves.
+/// Plays the recordings. Everything is read and checked before anything moves.
 pub fn run(args: &Args) -> Result<ExitCode> {
     if let Some(file) = &args.session {
         return again(file, args);
@@ -158,7 +159,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Plays a session from a file once more.
+/// Replays a session from a file.
 #[cfg(feature = "mcap")]
 fn again(file: &Path, args: &Args) -> Result<ExitCode> {
     use host_bridge::observe::SessionEvent;
@@ -207,7 +208,7 @@ fn again(file: &Path, args: &Args) -> Result<ExitCode> {
     Ok(if replay.is_same() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
-/// Says that this program cannot.
+/// Reports that this build cannot replay sessions.
 #[cfg(not(feature = "mcap"))]
 fn again(file: &Path, _args: &Args) -> Result<ExitCode> {
     bail!(
@@ -216,7 +217,7 @@ fn again(file: &Path, _args: &Args) -> Result<ExitCode> {
     )
 }
 
-/// The left hand's board, and what its file said.
+/// The left hand's board, and the notes of its file.
 struct Left {
     board: LeftBoard,
     notes: Vec<String>,
@@ -249,8 +250,9 @@ fn read_left(file: &Path, calibration: Option<&Path>) -> Result<Left> {
     Ok(Left { board, notes, span_ms })
 }
 
-/// How much later than the session each hand begins, left and right, by the first and last times of their recordings;
-/// and what is to be said of that. Times that overlap are of one clock.
+/// Returns the delays of both hands relative to the session, from the first and last times of their recordings,
+/// with notes.
+/// Overlapping times are assumed to be from a common clock.
 fn aligned([left, right]: [[f64; 2]; 2]) -> ([u64; 2], Option<String>) {
     let late_ms = left[0] - right[0];
     if late_ms.abs() < 1.0 {

@@ -1,4 +1,4 @@
-//! The ROS 2 side of `run` and `doctor`. Without the feature `ros2` only the message that it is missing.
+//! The ROS 2 part of `run` and `doctor`. Without the feature `ros2`, it only reports that the feature is missing.
 
 #[cfg(not(feature = "ros2"))]
 pub use off::{Graph, Output, doctor};
@@ -7,7 +7,7 @@ pub use on::look;
 #[cfg(feature = "ros2")]
 pub use on::{Graph, Output, doctor};
 
-/// After a halt the graph is served for this long, so that zero and cancellations arrive.
+/// Time for which the graph is served after a halt, so that zero speeds and cancellations arrive.
 pub const FAREWELL_MS: u64 = 300;
 
 #[cfg(feature = "ros2")]
@@ -33,7 +33,7 @@ mod on {
     use host_bridge::topics::diagnostics::Diagnostics;
     use host_bridge::topics::message::Time;
 
-    /// The search for other publishers lasts this long before the simulator's state is published.
+    /// Duration of the search for other publishers before the simulator's state is published.
     const SEARCH: Duration = Duration::from_millis(2500);
 
     /// A description that is published once arrives within this time.
@@ -55,7 +55,7 @@ mod on {
         config.connection(&RosEnvironment::read()).map_err(anyhow::Error::msg)
     }
 
-    /// The program on the graph: a robot, and what else is published.
+    /// The program on the graph: a robot, and additional topics.
     pub struct Graph {
         /// The robot that is driven.
         pub driver: RosDriver,
@@ -63,7 +63,7 @@ mod on {
         pub output: Output,
         /// For the title.
         pub about: String,
-        /// Counters of what was sent and received.
+        /// Counters of sent and received messages.
         pub counts: Arc<Mutex<Counts>>,
     }
 
@@ -110,7 +110,7 @@ mod on {
         }
     }
 
-    /// Diagnostics, and the simulator's state if that is the robot.
+    /// Diagnostics, and the simulator's state if it is the robot.
     pub struct Output {
         publisher: RosPublisher,
         diagnostics: Diagnostics,
@@ -137,7 +137,7 @@ mod on {
         }
     }
 
-    /// Looks at the graph for a while, and tries things out; returns whether all is well.
+    /// Examines the graph for some time with harmless requests. Returns whether there are no problems.
     pub fn doctor(config: &Ros2Config, seconds: f64) -> Result<bool> {
         let environment = RosEnvironment::read();
         let connection = match connection(config) {
@@ -147,7 +147,7 @@ mod on {
                 return Ok(false);
             }
         };
-        // The controller can be asked by its action alone, whichever way the arm is moved.
+        // The controller can be asked only by its action, whichever interface the arm uses.
         let arm = match config.arm {
             ArmInterface::None => ArmInterface::None,
             _ => ArmInterface::Action,
@@ -226,7 +226,7 @@ mod off {
     const MISSING: &str = "this program was built without ROS 2: `cargo install --path host-bridge --features \
                            ros2`, or `cargo run --release --features ros2 -- …`";
 
-    /// Without a graph there is never a value of this type.
+    /// Without a graph, no value of this type exists.
     pub struct Graph {
         /// The robot that is driven.
         pub driver: Box<dyn Robot + Send>,
@@ -234,7 +234,7 @@ mod off {
         pub output: Output,
         /// For the title.
         pub about: String,
-        /// Counters of what was sent and received.
+        /// Counters of sent and received messages.
         pub counts: Arc<Mutex<Counts>>,
     }
 

@@ -1,4 +1,4 @@
-//! `host-bridge run`: the boards on their ports (or keys in their place) steer the simulated robot.
+//! `host-bridge run`: boards (or keys that replace them) steer the robot.
 
 use std::io::IsTerminal as _;
 use std::path::PathBuf;
@@ -33,7 +33,7 @@ use super::screen::{SHOW, Screen, keys};
 use super::web::WebArgs;
 use crate::play::{check_motions, stage};
 
-/// An arm on a graph that takes longer to brake is not driven.
+/// Maximum braking time of an arm on a graph.
 const BRAKING_MAX_S: f64 = 1.0;
 
 /// Options.
@@ -45,55 +45,55 @@ pub struct Args {
     pub keep: KeepArgs,
 }
 
-/// Which hands steer which robot; shared with `record --session`.
+/// The selection of hands and robot, also used by `record --session`.
 #[derive(clap::Args, Clone, Debug)]
 pub struct HandArgs {
-    /// Port of the left hand's board (tilt, bends: the base), or `keyboard`
+    /// Port of the left hand's board (tilt and bends for the base), or `keyboard`
     #[arg(long, value_name = "PORT|keyboard")]
     left: Option<String>,
-    /// Port of the right hand's board (gestures: the arm), `ble[:NAME]`, or `keyboard`
+    /// Port of the right hand's board (gestures for the arm), `ble[:NAME]`, or `keyboard`
     #[arg(long, value_name = "PORT|ble[:NAME]|keyboard")]
     right: Option<String>,
     /// Configuration file (TOML) with ports, thresholds, limits and motions
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// Print the configuration in effect, all keys, and do nothing else
+    /// Print the complete configuration in effect and exit
     #[arg(long)]
     print_config: bool,
-    /// Gives a label of your own model a motion, such as wave=pick-up (repeatable)
+    /// Assign a motion to a label of your own model, such as wave=pick-up (repeatable)
     #[arg(long, value_name = "LABEL=MOTION")]
     map: Vec<String>,
-    /// This gesture marks episodes of a recorded session and moves nothing: LABEL=begin, end, again, good or bad
+    /// Let this gesture mark episodes of a recorded session instead of moving anything: LABEL=begin, end, again,
+    /// good or bad
     /// (repeatable)
     #[arg(long, value_name = "LABEL=MARK")]
     mark: Vec<String>,
-    /// The hands change places: --left is the gesture board, --right the tilt board
+    /// Exchange the hands: --left is the gesture board, --right the tilt board
     #[arg(long)]
     left_handed: bool,
-    /// Drive a robot on a ROS 2 graph too, as the configuration says under ros2
+    /// Also drive a robot on a ROS 2 graph, as configured under ros2
     #[arg(long)]
     ros2: bool,
-    /// Speeds as Twist, not TwistStamped
+    /// Publish speeds as Twist instead of TwistStamped
     #[arg(long, requires = "ros2")]
     unstamped: bool,
-    /// There is no robot: publish the simulator's joint states, odometry and transforms
+    /// Without a robot: publish the simulator's joint states, odometry and transforms
     #[arg(long, requires = "ros2")]
     publish_sim: bool,
-    /// No live view: print events as lines
+    /// Print events as lines instead of the live view
     #[arg(long)]
     headless: bool,
-    /// Print events as JSON, one object per line, and no live view
+    /// Print events as JSON, one object per line, instead of the live view
     #[arg(long)]
     json: bool,
     /// End after this many seconds
     #[arg(long, value_name = "SECONDS")]
     seconds: Option<f64>,
-    /// Scene (TOML: boxes, poses, base, arm): the arm plans its ways, and nothing is touched. Its base and
-    /// arm take the place of the configuration's
+    /// Scene (TOML: boxes, poses, base, arm) in which the arm plans its paths without contact. Its base and arm replace
+    /// those of the configuration
     #[arg(long, value_name = "FILE.toml")]
     scene: Option<PathBuf>,
-    /// The arm's accelerations rise and fall no faster than the configuration's jerk_rad_s3 (in a scene, its
-    /// file says so)
+    /// Limit the arm's jerk to the configuration's jerk_rad_s3 (a scene sets this in its own file)
     #[arg(long, conflicts_with = "scene")]
     jerk_limited: bool,
     /// Who wears the right hand: shows each gesture three times (key t, or the page's button), and gets a model of their
@@ -111,12 +111,12 @@ pub struct HandArgs {
     web: WebArgs,
 }
 
-/// Runs until somebody quits or the time is over.
+/// Runs until the user quits or the time is over.
 pub fn run(args: &Args) -> Result<ExitCode> {
     steer(&args.hands, &args.keep)
 }
 
-/// The same with a file that another verb names.
+/// Like [`run`], with a session file that another command selects.
 pub fn steer(args: &HandArgs, keep: &KeepArgs) -> Result<ExitCode> {
     let mut config = read_config(args.config.as_deref())?;
     config.left_handed |= args.left_handed;
@@ -125,7 +125,7 @@ pub fn steer(args: &HandArgs, keep: &KeepArgs) -> Result<ExitCode> {
         config.ros2.stamped = Stamped::Fixed(false);
     }
     if args.publish_sim {
-        // The simulator's arm is the one that moves.
+        // In this case, the simulator's arm moves.
         config.ros2.arm = ArmInterface::None;
     }
     for (asked, known) in [(&args.left, &mut config.ports.left), (&args.right, &mut config.ports.right)] {
@@ -206,7 +206,7 @@ pub fn steer(args: &HandArgs, keep: &KeepArgs) -> Result<ExitCode> {
         None
     };
     let clock: Arc<dyn Clock> = Arc::new(SystemClock::start());
-    // At work as long as the control thread is.
+    // Counts as busy until the control thread does.
     let starting = clock.waiter();
     let (sender, events) = queue();
     let open = |hand: Hand, port: &str| {
@@ -344,7 +344,7 @@ pub fn steer(args: &HandArgs, keep: &KeepArgs) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Longest time that the arm takes to brake, if it is short enough for streaming.
+/// Returns the longest braking time of the arm, if it is short enough for streaming.
 pub fn check_braking(config: &Config, stage: &Stage) -> Result<f64> {
     check_joints(config, stage)?;
     let braking_s = longest_s(&stage.limits);
@@ -370,7 +370,7 @@ pub fn check_joints(config: &Config, stage: &Stage) -> Result<()> {
 
 type AnyRobot = Box<dyn Robot + Send>;
 
-/// The robot that is there: one on a graph, or the simulator.
+/// Returns the robot on the graph, or the simulator.
 fn robot(
     stage: &Stage,
     config: &Config,

@@ -1,4 +1,4 @@
-//! The terminal of a running session: the live view or lines, and what its keys mean.
+//! The terminal of a running session: the live view or lines, and its keys.
 
 use std::io::Write as _;
 use std::time::{Duration, Instant};
@@ -19,9 +19,9 @@ use shared_proto::message::Heading;
 use super::keep::Keeper;
 use super::lines::{EndLine, LinkLine};
 
-/// Keys are looked for this often, also when nothing happens.
+/// Interval for checking keys, also while nothing happens.
 const PATIENCE: Duration = Duration::from_millis(10);
-/// The release key must be pressed twice within this time.
+/// Time within which the release key must be pressed twice.
 const CONFIRM: Duration = Duration::from_secs(2);
 
 const KEYS: &str = "space: stop   r r: release a stop (no right hand)   Esc: quit   end the arm's motion:";
@@ -45,7 +45,7 @@ pub fn keys(end_arm: char, clutch: Option<char>, has_hands: bool, records: bool,
     keys
 }
 
-/// Which key makes which mark.
+/// Returns the mark of a key.
 fn mark_of(letter: char) -> Option<Mark> {
     Some(match letter {
         'b' => Mark::Begin,
@@ -57,7 +57,7 @@ fn mark_of(letter: char) -> Option<Mark> {
     })
 }
 
-/// The terminal: draws, prints and takes keys. Nothing here can delay the control thread.
+/// Draws, prints and reads keys. Nothing here can delay the control thread.
 pub struct Screen {
     /// The live view, if there is one.
     pub view: Option<View>,
@@ -65,9 +65,9 @@ pub struct Screen {
     pub json: bool,
     /// The session's file.
     pub keeper: Keeper,
-    /// Which hands come over Bluetooth.
+    /// The hands that are connected over Bluetooth.
     pub over_air: PerHand<bool>,
-    /// When the release key was pressed once.
+    /// Time at which the release key was pressed once.
     pub released: Option<Instant>,
     /// Whether there is a file for marks.
     pub records: bool,
@@ -82,7 +82,7 @@ pub struct Screen {
 }
 
 impl Screen {
-    /// Until somebody quits or the session is over.
+    /// Runs until the user quits or the session ends.
     pub fn show<D: Door + Send + 'static>(&mut self, control: &Control<D>, flags: &Flags) -> Result<()> {
         loop {
             let Ok(report) = control.report(PATIENCE) else { return Ok(()) };
@@ -144,11 +144,11 @@ impl Screen {
         Ok(())
     }
 
-    /// A line for people, or of JSON.
+    /// Prints a line of text or JSON.
     pub fn line(&mut self, line: &str) {
         match &mut self.view {
             Some(view) => view.note(line.to_owned()),
-            // A closed pipe is no reason to stop the robot with a panic.
+            // A closed pipe must not stop the robot with a panic.
             None => {
                 let mut out = std::io::stdout();
                 let _ = writeln!(out, "{line}").and_then(|()| out.flush());
@@ -156,7 +156,7 @@ impl Screen {
         }
     }
 
-    /// Handles a key; true if it means to quit.
+    /// Processes a key. Returns true if the user quits.
     fn press<D: Door + Send + 'static>(
         &mut self,
         key: KeyEvent,
@@ -201,7 +201,7 @@ impl Screen {
         false
     }
 
-    /// The release key: the second time it counts.
+    /// Processes the release key, which counts at the second press.
     fn release<D: Door + Send + 'static>(&mut self, control: &Control<D>) {
         if self.released.take().is_some_and(|at| at.elapsed() < CONFIRM) {
             control.order(Order::Release);

@@ -1,4 +1,4 @@
-//! `host-bridge send-model`: a model of your own into the right hand's board, over the wire.
+//! `host-bridge send-model`: sends your own model to the right hand's board.
 
 use std::io::{IsTerminal as _, Write as _};
 use std::path::PathBuf;
@@ -16,23 +16,23 @@ use shared_proto::message::{HostMessage, LABELS_MAX, SCORES_MAX};
 use super::ports::PortOptions;
 
 const HELLO_MS: u64 = 6000;
-/// Without progress for this long, give up. Time enough to plug a cable in again.
+/// Maximum time without progress, long enough for plugging in a cable again.
 const PATIENCE_MS: u64 = 60_000;
 
 /// Options.
 #[derive(clap::Args, Clone, Debug)]
 pub struct Args {
-    /// The int8 model, with its card beside it
+    /// The int8 model, with its card in the same folder
     #[arg(value_name = "FILE.tflite")]
     model: PathBuf,
     #[command(flatten)]
     port: PortOptions,
-    /// Send it even if the board runs this very model
+    /// Send it even if the board already runs this model
     #[arg(long)]
     force: bool,
 }
 
-/// Sends it, resuming after a cut.
+/// Sends the model, and resumes after an interruption.
 pub fn run(args: &Args) -> Result<ExitCode> {
     let file = ModelFile::read(&args.model)?;
     let model = Model::parse(file.blob())?;
@@ -109,7 +109,7 @@ fn transfer(talk: &mut Talk, upload: &mut Upload, mut boot_id: u32) -> Result<()
             }
             Some((_, Said::Opened)) => {
                 open = true;
-                // The board's answer shows whether it restarted meanwhile.
+                // The board's answer shows whether it has restarted.
                 talk.send(&HostMessage::HelloRequest);
             }
             _ => {}

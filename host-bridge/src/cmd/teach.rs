@@ -1,4 +1,4 @@
-//! `host-bridge teach NAME`: where the robot's arm is now becomes a pose; `--play` goes there.
+//! `host-bridge teach NAME`: saves the robot's current arm pose; `--play` moves to it.
 
 use std::io::{IsTerminal as _, Write as _};
 use std::path::PathBuf;
@@ -24,30 +24,30 @@ use super::ros2::{FAREWELL_MS, Graph};
 use super::run::{check_braking, check_joints};
 use crate::play::{Interrupted, stage, stage_of};
 
-/// How often the robot is looked at.
+/// Interval for reading the robot's state.
 const TURN: Duration = Duration::from_millis(5);
 
 /// Options.
 #[derive(clap::Args, Clone, Debug)]
 pub struct Args {
-    /// Name of the pose; a gesture goes there with --map LABEL=NAME, or one line under [motions]
+    /// Name of the pose; a gesture moves to it with --map LABEL=NAME, or a line under [motions]
     #[arg(value_name = "NAME")]
     name: String,
-    /// Scene that the pose is written into; with it motions are planned
+    /// Scene file for the pose, in which motions are also planned
     #[arg(long, value_name = "FILE.toml")]
     scene: Option<PathBuf>,
-    /// Configuration file: the robot's names under ros2, and the pose where no scene is given
+    /// Configuration file with the robot's names under ros2, and for the pose if there is no scene
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// Goes to the pose (or does the motion) of that name instead
+    /// Move to the pose (or perform the motion) with this name instead
     #[arg(long)]
     play: bool,
-    /// Does not ask before the arm moves
+    /// Do not ask before the arm moves
     #[arg(long, requires = "play")]
     yes: bool,
 }
 
-/// Asks the robot where it is, or sends it there.
+/// Reads the robot's pose, or moves it.
 pub fn run(args: &Args) -> Result<ExitCode> {
     let mut config = match &args.config {
         Some(file) if !file.exists() && !args.play => Config::default(),
@@ -65,7 +65,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     };
     let is_taken = is_grasp(&args.name) || [MotionName::END_ARM, "ready"].contains(&args.name.as_str());
     ensure!(!args.name.trim().is_empty() && !is_taken, "'{}' is no name for a pose of yours", args.name);
-    // The arm may be anywhere now; its speed limits are not needed.
+    // The arm may be anywhere, and its speed limits are not needed.
     let stage = stage(&config, args.scene.as_deref())?;
     check_joints(&config, &stage)?;
     let (_, count) = stage.arm();
@@ -79,7 +79,7 @@ pub fn run(args: &Args) -> Result<ExitCode> {
     };
     let about = || into.display().to_string();
     let new = with_pose(&text, &args.name, &joints_rad[..count]).with_context(about)?;
-    // The file as it will be can be used.
+    // Checks that the new file is valid.
     match &args.scene {
         Some(scene) => drop(stage_of(&config, &new, scene)?),
         None => check(&new).with_context(about)?,
@@ -95,7 +95,7 @@ fn quoted(name: &str) -> String {
     if name.contains(' ') { format!("\"{name}\"") } else { name.to_owned() }
 }
 
-/// A configuration as it will be can be used.
+/// Checks that the new configuration is valid.
 fn check(text: &str) -> Result<()> {
     Stage::new(&Config::parse(text)?, None)?;
     Ok(())
@@ -111,7 +111,7 @@ fn open(config: &Config, stage: &Stage) -> Result<Remote> {
     Ok(stage.before(robot))
 }
 
-/// The arm's angles, once it rests.
+/// Returns the arm's angles as soon as it rests.
 fn here(door: &mut Remote) -> Result<Joints> {
     let start = Instant::now();
     let mut rest = Rest::default();
@@ -134,7 +134,7 @@ fn here(door: &mut Remote) -> Result<Joints> {
     )
 }
 
-/// Goes there as a gesture would.
+/// Moves to the pose, like a gesture.
 fn play(args: &Args, config: &Config) -> Result<ExitCode> {
     let stage = stage(config, args.scene.as_deref())?;
     stage.motions.get(&args.name)?;

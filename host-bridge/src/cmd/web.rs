@@ -1,4 +1,4 @@
-//! Options of the page and of what Foxglove is shown, shared by the verbs that move a robot.
+//! Options of the page and of Foxglove, used by all commands that move a robot.
 
 use std::fs::File;
 use std::io::{BufRead, BufReader, Read as _, Write as _};
@@ -17,43 +17,46 @@ pub struct WebArgs {
     /// Show the session on a page for the browser, on 127.0.0.1 (port 8042; 0 = any free one)
     #[arg(long, value_name = "PORT", num_args = 0..=1, require_equals = true, default_missing_value = "8042")]
     web: Option<u16>,
-    /// Serve the session to Foxglove, live, on 127.0.0.1 (port 8765; 0 = any free one)
+    /// Serve the live session to Foxglove on 127.0.0.1 (port 8765; 0 = any free one)
     #[arg(long, value_name = "PORT", num_args = 0..=1, require_equals = true, default_missing_value = "8765")]
     foxglove: Option<u16>,
-    /// Another page that may look on as Foxglove does, such as http://localhost:8080 (repeatable)
+    /// Another page that may watch like Foxglove, such as http://localhost:8080 (repeatable)
     #[arg(long, value_name = "ORIGIN", requires = "foxglove")]
     foxglove_origin: Vec<String>,
-    /// Let other machines have the page, with its stop button, and what Foxglove is shown: listen on this
-    /// address (0.0.0.0 = all); needs --web-token
+    /// Let other machines use the page with its stop button, and Foxglove's port:
+    /// listen on this address (0.0.0.0 = all);
+    /// needs --web-token
     #[arg(long, value_name = "ADDR")]
     web_listen: Option<IpAddr>,
-    /// What a page must know: 16 or more letters and digits. Everybody on this machine can read it in the list of
-    /// processes: better give it with --web-token-file, or in the variable BIMANUAL_WEB_TOKEN
+    /// Token that a page must send: at least 16 letters and digits.
+    /// Other users of this machine can read it in the list of
+    /// processes, so prefer --web-token-file or the variable BIMANUAL_WEB_TOKEN
     #[arg(long, value_name = "TOKEN", conflicts_with = "web_token_file")]
     web_token: Option<String>,
-    /// A file with that token in its first line, - for standard input. It crosses the network as it is: for more
-    /// than your own network forward the port over ssh instead
+    /// File whose first line is the token, - for standard input.
+    /// The token is sent unencrypted, so outside your own network
+    /// forward the port over ssh instead
     #[arg(long, value_name = "FILE")]
     web_token_file: Option<PathBuf>,
 }
 
-/// The token in the environment, which only its owner can read.
+/// Variable with the token, which only its owner can read.
 const TOKEN_VARIABLE: &str = "BIMANUAL_WEB_TOKEN";
 
 impl WebArgs {
-    /// Starts the server if it was asked for; `unasked`: also without that, if a port is free. With `marks` its
-    /// pages can mark episodes.
+    /// Starts the server if it was requested. With `unasked`, it also starts otherwise if a port is free.
+    /// With `marks`, the pages can mark episodes.
     pub fn start(&self, unasked: bool, marks: bool) -> Result<Option<Web>> {
         let rules = self.web_listen.is_some() || self.web_token.is_some() || self.web_token_file.is_some();
         if self.web_token.is_some() {
-            // Nobody may be reading the output.
+            // The output may have no reader.
             let _ = writeln!(
                 std::io::stderr(),
                 "--web-token shows the token to everybody on this machine who lists its processes: give it with \
                  --web-token-file FILE, or in {TOKEN_VARIABLE}"
             );
         }
-        // Options for access also ask for the page, unless they are for Foxglove.
+        // Access options also request the page, unless they are for Foxglove.
         if self.web.is_none() && (!rules || self.foxglove.is_some()) {
             let options = [WebOptions::default(), WebOptions { port: 0, ..WebOptions::default() }];
             return Ok(options.iter().filter(|_| unasked).find_map(|options| Web::start(options).ok()));
@@ -63,7 +66,7 @@ impl WebArgs {
         Ok(Some(started?))
     }
 
-    /// Starts serving Foxglove if it was asked for.
+    /// Starts serving Foxglove if it was requested.
     pub fn start_foxglove(&self, origin: Origin) -> Result<Option<Foxglove>> {
         let Some(port) = self.foxglove else { return Ok(None) };
         let options = FoxgloveOptions { server: self.options(port)?, origins: self.foxglove_origin.clone() };
@@ -75,7 +78,7 @@ impl WebArgs {
         Ok(WebOptions { address, port, token: self.token()? })
     }
 
-    /// From the command line, a file, or the environment, read once.
+    /// Reads the token from the command line, a file, or the environment, once.
     fn token(&self) -> Result<Option<String>> {
         static READ: OnceLock<String> = OnceLock::new();
         let Some(file) = &self.web_token_file else {
@@ -97,10 +100,10 @@ impl WebArgs {
     }
 }
 
-/// No token is longer, its line end included.
+/// Maximum length of a token, including its line end.
 const LINE_MAX: u64 = 200;
 
-/// Whether somebody sits at a screen that can show a browser.
+/// Returns whether the user has a screen for a browser.
 pub fn has_display() -> bool {
     let set = |name: &str| std::env::var_os(name).is_some_and(|value| !value.is_empty());
     cfg!(any(windows, target_os = "macos")) || set("DISPLAY") || set("WAYLAND_DISPLAY")

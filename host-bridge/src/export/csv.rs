@@ -1,4 +1,4 @@
-//! Episodes as CSV: `episode_000000.csv` … with a column per value, and `episodes.csv`.
+//! Writes episodes as CSV: `episode_000000.csv` … with a column per value, and `episodes.csv`.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -6,7 +6,7 @@ use std::path::Path;
 use super::frames::{Columns, Rows};
 use super::session::ExportError;
 
-/// Writes the files into a folder that is made, or is empty.
+/// Writes the files to a new or empty folder.
 ///
 /// # Errors
 /// [`ExportError::Write`].
@@ -35,10 +35,10 @@ pub fn write(folder: &Path, columns: &Columns, episodes: &[Rows], fps: u32) -> R
     put(&folder.join("episodes.csv"), list.as_bytes())
 }
 
-/// Makes a folder, or takes one that is empty.
+/// Creates a folder, or accepts an empty one.
 ///
 /// # Errors
-/// It holds something, or cannot be made.
+/// Fails if the folder is not empty or cannot be created.
 pub(super) fn fresh(folder: &Path) -> Result<(), ExportError> {
     let error = |error: &dyn std::fmt::Display| ExportError::Write(format!("{}: {error}", folder.display()));
     if std::fs::read_dir(folder).is_ok_and(|mut entries| entries.next().is_some()) {

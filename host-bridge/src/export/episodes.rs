@@ -1,29 +1,29 @@
-//! Where episodes begin and end.
+//! Finds the start and end of episodes.
 
 use host_core::episodes::{Take, Tally, Verdict};
 
 use super::session::{Happened, Streams};
 
-/// How a session is cut.
+/// The division of a session into episodes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Cut {
-    /// All of it is one episode.
+    /// The complete session is one episode.
     Whole,
-    /// One for each motion of the arm, from the gesture that starts it to its end. A motion that did not reach its pose
-    /// is one that is to be repeated: it is left out.
+    /// One episode for each motion of the arm, from the gesture to its end.
+    /// A motion that did not reach its pose must be repeated, so it is omitted.
     Motions,
-    /// As the operator marked them while the session ran.
+    /// The marks that the operator set during the session.
     Marks {
-        /// Only those that were marked good, not all that ended.
+        /// Whether to select only good episodes, instead of all that ended.
         only_good: bool,
     },
-    /// By gestures that are reserved for this.
+    /// Gestures that are reserved for marking.
     Gestures {
         /// Begins an episode.
         begin: String,
-        /// Ends it and marks it as good.
+        /// Ends the episode and marks it as good.
         end: String,
-        /// Throws away what was begun and begins again.
+        /// Discards the current episode and begins again.
         again: Option<String>,
     },
 }
@@ -33,13 +33,13 @@ pub enum Cut {
 pub struct Episode {
     /// On the session's clock.
     pub start_ms: u64,
-    /// On the session's clock, at least one frame later.
+    /// Time on the session's clock, at least one frame later.
     pub end_ms: u64,
-    /// What was to be done, in words.
+    /// A description of the task.
     pub task: String,
 }
 
-/// Episodes, and why other parts are not.
+/// Episodes, and reasons for omitted parts.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Found {
     /// In order of time.
@@ -48,7 +48,7 @@ pub struct Found {
     pub left_out: Vec<(u64, String)>,
 }
 
-/// Cuts a session. `task` goes before what the session says.
+/// Splits a session. `task` has priority over the session's own task.
 pub fn find(streams: &Streams, cut: &Cut, task: Option<&str>) -> Found {
     let first = |times: [Option<u64>; 3]| times.into_iter().flatten().max().unwrap_or_default();
     let begun = first([
@@ -111,7 +111,7 @@ pub fn find(streams: &Streams, cut: &Cut, task: Option<&str>) -> Found {
     cutter.found
 }
 
-/// What was begun, as the program told the operator at the time.
+/// Returns the takes, as the program reported them to the operator during the session.
 fn takes(streams: &Streams, over_ms: u64) -> Vec<Take> {
     let mut tally = Tally::default();
     for (time_ms, happened) in &streams.events {

@@ -3,10 +3,10 @@
 use super::episodes::Episode;
 use super::session::Streams;
 
-/// A value is held for at most this long, in ms: after that it counts as unknown.
+/// Maximum age of a value in ms; older values count as unknown.
 pub const HELD_MS: u64 = 100;
 
-/// What the columns of a row are called: positions `.pos` in m and rad, speeds `.vel` in m/s and rad/s.
+/// Names of the columns: positions `.pos` in m and rad, speeds `.vel` in m/s and rad/s.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Columns {
     /// Of `observation.state`.
@@ -16,7 +16,7 @@ pub struct Columns {
 }
 
 impl Columns {
-    /// Of a robot with these joints.
+    /// Returns the columns of a robot with these joints.
     pub fn of(joints: &[String]) -> Self {
         let joints = || joints.iter().map(|name| format!("{name}.pos"));
         let names = |names: &[&str]| names.iter().map(|name| (*name).to_owned()).collect::<Vec<_>>();
@@ -33,16 +33,16 @@ impl Columns {
 /// The rows of one episode, `1 / fps` s apart.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Rows {
-    /// What was to be done.
+    /// The task of the episode.
     pub task: String,
-    /// One per row: where base and joints are, and how the base moves.
+    /// Position of base and joints, and motion of the base, one entry per row.
     pub state: Vec<Vec<f32>>,
-    /// One per row: what the base is asked for, and where the joints are one row later (a session's file holds where the
-    /// arm went, not each set point on the way).
+    /// Commanded speed of the base, and position of the joints one row later, one entry per row.
+    /// (A session's file contains the arm's path, but not its set points.)
     pub action: Vec<Vec<f32>>,
 }
 
-/// The newest entry at a time, if it is not too old.
+/// Returns the newest entry at a time, if it is recent enough.
 fn newest<'s, T>(stream: &'s [(u64, T)], time_ms: f64, name: &str) -> Result<&'s T, String> {
     let behind = stream.partition_point(|(time, _)| *time as f64 <= time_ms);
     let found = behind.checked_sub(1).map(|at| &stream[at]);
@@ -57,10 +57,10 @@ fn newest<'s, T>(stream: &'s [(u64, T)], time_ms: f64, name: &str) -> Result<&'s
     }
 }
 
-/// The rows of an episode, or why it has none.
+/// Returns the rows of an episode.
 ///
 /// # Errors
-/// A stream has a gap; the error has its name and time.
+/// Fails if a stream has a gap. The error contains its name and time.
 pub fn rows(streams: &Streams, episode: &Episode, fps: u32) -> Result<Rows, String> {
     let step_ms = 1000.0 / f64::from(fps.max(1));
     let count = ((episode.end_ms - episode.start_ms) as f64 / step_ms + 1e-9).floor() as usize + 1;

@@ -1,8 +1,9 @@
-//! Episodes as a LeRobotDataset v3: `meta/info.json`, `meta/stats.json`, `meta/tasks.parquet`,
+//! Writes episodes as a LeRobotDataset v3: `meta/info.json`, `meta/stats.json`, `meta/tasks.parquet`,
 //! `meta/episodes/chunk-000/file-000.parquet` and `data/chunk-000/file-000.parquet`.
 //!
-//! Timestamps are `frame_index / fps`. Every feature's statistics (minimum, maximum, mean, standard deviation, count) stand
-//! with each episode and for all of them.
+//! Timestamps are `frame_index / fps`.
+//! The statistics of every feature (minimum, maximum, mean, standard deviation,
+//! count) are stored per episode and in total.
 
 use std::path::Path;
 
@@ -16,7 +17,7 @@ use super::tables::{Column, pandas_index, write_table};
 /// Version of the data set's format.
 const VERSION: &str = "v3.0";
 
-/// Writes the data set into a folder that is made, or is empty.
+/// Writes the data set to a new or empty folder.
 ///
 /// # Errors
 /// [`ExportError::Write`].

@@ -1,11 +1,11 @@
-//! What a session's file holds, for those who train robots (feature `mcap`; `lerobot` for parquet).
+//! Exports session files for training robots (feature `mcap`; `lerobot` for parquet).
 //!
 //! ```text
 //! FILE.mcap ─ session ─► streams over time ─ episodes ─► begun, ended ─ frames ─► rows at an even rate ─► csv, lerobot
 //! ```
 //!
-//! A row holds what was known at its time: the newest message of each stream, which must not be older than
-//! [`frames::HELD_MS`]; an episode in which one is older is refused, not filled.
+//! A row contains the newest message of each stream at its time, which must not be older than [`frames::HELD_MS`].
+//! An episode with older messages is refused and not interpolated.
 
 pub mod csv;
 pub mod episodes;

@@ -1,4 +1,4 @@
-//! The streams of a session's file that an export needs.
+//! The streams of a session file that an export needs.
 
 use std::collections::BTreeMap;
 
@@ -13,45 +13,45 @@ use mcap::records::Record;
 use crate::journal::METADATA;
 use crate::journal::records::records;
 
-/// The content of a file, each stream in the order of its times (ms since the session began).
+/// The contents of a file, each stream sorted by time (ms since the session began).
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Streams {
-    /// What the session is called.
+    /// Title of the session.
     pub title: String,
-    /// What was to be done, if `--task` said it.
+    /// Description of the task, if `--task` was given.
     pub task: Option<String>,
     /// Names of the joints, without the base's wheels.
     pub joint_names: Vec<String>,
-    /// Where the joints are, in rad (or m).
+    /// Positions of the joints in rad (or m).
     pub joints: Vec<(u64, Vec<f64>)>,
-    /// Where the base is and how it moves: x and y in m, turn in rad, m/s, rad/s.
+    /// Position and motion of the base: x and y in m, turn in rad, m/s, rad/s.
     pub base: Vec<(u64, [f64; 5])>,
-    /// What the base is asked for: m/s, rad/s.
+    /// Commanded speed of the base: m/s, rad/s.
     pub asked: Vec<(u64, [f64; 2])>,
-    /// What happened.
+    /// The events with their times.
     pub events: Vec<(u64, Happened)>,
 }
 
-/// What an export makes episodes of.
+/// The events that define episodes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Happened {
-    /// A gesture was performed; the motion that it started, if one.
+    /// A gesture was performed, with the motion that it started, if any.
     Gesture(String, Option<String>),
-    /// A motion ended: at its pose, or not.
+    /// A motion ended, at its pose or not.
     MotionEnded(String, bool),
-    /// Somebody pressed stop, on a keyboard or on the page.
+    /// The operator pressed stop on a keyboard or on the page.
     StopKey,
     /// The operator marked an episode.
     Marked(Mark),
 }
 
-/// Why a file cannot be exported; the text says what to do.
+/// The reason why a file cannot be exported, with a remedy in the text.
 #[derive(Debug, thiserror::Error)]
 pub enum ExportError {
-    /// It is no MCAP file.
+    /// The file is not an MCAP file.
     #[error("this is no MCAP file ({0}); give a file that `--record` has written")]
     Form(#[from] McapError),
-    /// A message is not as its type says.
+    /// A message does not match its type.
     #[error("{topic}, at {seconds:.3} s: the message cannot be read; the file is damaged")]
     Message {
         /// Where.
@@ -74,7 +74,7 @@ pub enum ExportError {
 }
 
 impl Streams {
-    /// Reads the bytes of a file, to its end or to where it is damaged.
+    /// Reads a file up to its end or to a damaged place.
     ///
     /// # Errors
     /// [`ExportError`].
@@ -116,7 +116,7 @@ impl Streams {
                 return Err(ExportError::Missing(topic.name()));
             }
         }
-        // Another program may have put the messages into another order.
+        // Another program may have reordered the messages.
         streams.joints.sort_by_key(|(time, _)| *time);
         streams.base.sort_by_key(|(time, _)| *time);
         streams.asked.sort_by_key(|(time, _)| *time);
@@ -124,12 +124,12 @@ impl Streams {
         Ok(streams)
     }
 
-    /// Whether anybody marked an episode.
+    /// Returns whether the operator marked an episode.
     pub fn is_marked(&self) -> bool {
         self.events.iter().any(|(_, happened)| matches!(happened, Happened::Marked(_)))
     }
 
-    /// `None` if the message cannot be read.
+    /// Processes a message; `None` if it cannot be read.
     fn take(&mut self, topic: Topic, time_ms: u64, data: &[u8]) -> Option<Result<(), ExportError>> {
         match topic {
             Topic::Joints => {
@@ -171,7 +171,7 @@ impl Streams {
             }
             Topic::Marks => {
                 let MarkMessage { time_ms, mark, .. } = decode(data)?;
-                // A kind that only a later version knows is left out.
+                // A mark that only a later version knows is ignored.
                 self.events.extend(mark.parse().ok().map(|mark| (time_ms, Happened::Marked(mark))));
             }
             _ => {}
@@ -192,7 +192,7 @@ fn happened(json: &serde_json::Value) -> Option<Happened> {
     }
 }
 
-/// Forward and to the left; `None` for NaN and infinity.
+/// Returns the speed forward and the turn rate to the left; `None` for NaN and infinity.
 fn speeds(twist: &Twist) -> Option<[f64; 2]> {
     let speeds = [twist.linear.x, twist.angular.z];
     speeds.iter().all(|speed| speed.is_finite()).then_some(speeds)
@@ -204,7 +204,7 @@ mod tests {
     use host_topics::cdr::encode;
     use host_topics::message::Header;
 
-    /// A file of a few messages of each stream.
+    /// A file with a few messages of each stream.
     fn small() -> Vec<u8> {
         let mut bytes = std::io::Cursor::new(Vec::new());
         let mut writer = mcap::WriteOptions::new().compression(None).create(&mut bytes).unwrap();

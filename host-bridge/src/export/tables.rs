@@ -15,7 +15,7 @@ use serde_json::json;
 
 use super::session::ExportError;
 
-/// A column; lists are never empty.
+/// A column. Lists must not be empty.
 pub(super) enum Column {
     Int64(Vec<i64>),
     Float(Vec<f32>),
@@ -26,7 +26,7 @@ pub(super) enum Column {
     TextLists(Vec<Vec<String>>),
 }
 
-/// What pandas needs to know of a table whose index is the text column `__index_level_0__`.
+/// Metadata for pandas about a table with the text column `__index_level_0__` as its index.
 pub(super) fn pandas_index(column: &str) -> String {
     let index = "__index_level_0__";
     json!({
@@ -42,7 +42,7 @@ pub(super) fn pandas_index(column: &str) -> String {
     .to_string()
 }
 
-/// Writes a file; `pandas` is its metadata of that name.
+/// Writes a file with metadata `pandas`.
 pub(super) fn write_table(
     file: &Path,
     columns: &[(String, Column)],
@@ -132,7 +132,7 @@ fn lists<T: DataType>(
     rows: &[Vec<T::T>],
 ) -> Result<(), ParquetError> {
     let values: Vec<T::T> = rows.iter().flatten().cloned().collect();
-    // 0 begins a list, 1 continues it; no list is empty or missing.
+    // 0 begins a list and 1 continues it; lists are never empty or missing.
     let repeats: Vec<i16> = rows.iter().flat_map(|row| (0..row.len()).map(|n| i16::from(n > 0))).collect();
     batch::<T>(group, &values, Some(&repeats))
 }

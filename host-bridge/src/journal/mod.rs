@@ -1,8 +1,8 @@
-//! Sessions from disk (feature `mcap`): how one started, and a replay that is compared with it.
+//! Sessions from disk (feature `mcap`): their start, and a replay with comparison.
 //!
-//! * [`setup`]: what a session started with, as the file's metadata,
-//! * [`mod@replay`]: bytes and keys of a file through the engine again; every message that follows from them must be the
-//!   one in the file, bit for bit.
+//! * [`setup`]: the initial conditions of a session, as the file's metadata,
+//! * [`mod@replay`]: sends a file's bytes and keys through the engine;
+//!   every resulting message must equal that in the file.
 
 pub mod replay;
 pub mod setup;

@@ -1,4 +1,4 @@
-//! A file's bytes and keys through a bridge and a robot again.
+//! Sends a file's bytes and keys through a bridge and a robot again.
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -22,7 +22,7 @@ use host_topics::bimanual::{Bytes, Operated, Refused, Turns};
 use host_topics::cdr::decode;
 use host_topics::{Entry, Origin, Topic};
 
-/// No step of a session is longer, in ms: a laptop may have slept.
+/// Maximum length of a step in ms, because a laptop may have slept.
 const PAUSE_MS: u64 = 3_600_000;
 
 /// The result of a replay.
@@ -30,34 +30,34 @@ const PAUSE_MS: u64 = 3_600_000;
 pub struct Replay {
     /// Of the session.
     pub title: String,
-    /// Time of the session that was replayed.
+    /// Duration of the replayed session.
     pub seconds: f64,
-    /// Everything that happened, in order.
+    /// All events in order.
     pub events: Vec<BridgeEvent>,
     /// Messages by topic.
     pub messages: BTreeMap<&'static str, u64>,
-    /// Messages that were made again and compared.
+    /// Number of messages that were recomputed and compared.
     pub compared: u64,
-    /// How many of them came out differently.
+    /// Number of messages that differ.
     pub different: u64,
     /// The first of these.
     pub first_difference: Option<String>,
-    /// The file ends early: it was being written, or it is damaged.
+    /// Why the file ends early: it was still being written, or it is damaged.
     pub cut: Option<String>,
-    /// Messages that the recording program numbered and that are not in the file: taken out by another program.
+    /// Number of numbered messages that another program has removed from the file.
     pub missing: u64,
-    /// Topics that a session always has and of which the file has nothing.
+    /// Topics that every session has, but that are missing in the file.
     pub absent: Vec<&'static str>,
-    /// From here on the file has gaps, because the disk was too slow: nothing behind this was replayed.
+    /// Time of the first gap, caused by a slow disk. Nothing after it was replayed.
     pub gap_ms: Option<u64>,
-    /// The base at the end.
+    /// The final position of the base.
     pub odometry: Odometry,
-    /// The robot rests at the end.
+    /// Whether the robot rests at the end.
     pub at_rest: bool,
 }
 
 impl Replay {
-    /// Whether everything that followed was the same.
+    /// Returns whether all results were equal.
     pub fn is_same(&self) -> bool {
         self.different == 0 && self.compared > 0
     }
@@ -66,16 +66,16 @@ impl Replay {
 /// The file cannot be replayed.
 #[derive(Debug, thiserror::Error)]
 pub enum ReplayError {
-    /// It is no MCAP file.
+    /// The file is not an MCAP file.
     #[error("this is no MCAP file ({0}); give a file that `--record` has written")]
     Form(#[from] McapError),
     /// Another program wrote it.
     #[error("the file was not written by this program's `--record`: it does not say how its session started")]
     NoSetup,
-    /// Its session cannot be started.
+    /// The recorded session cannot be started.
     #[error(transparent)]
     Setup(#[from] SetupError),
-    /// A message is not as its type says.
+    /// A message does not match its type.
     #[error("{topic}, at {seconds:.3} s: the message cannot be read; the file is damaged")]
     Message {
         /// Where.
@@ -85,7 +85,7 @@ pub enum ReplayError {
     },
 }
 
-/// Replays a file's bytes, to its end or to where it is damaged.
+/// Replays a file up to its end or to a damaged place.
 ///
 /// # Errors
 /// [`ReplayError`] if nothing can be replayed.
@@ -126,7 +126,7 @@ pub fn replay(file: &[u8]) -> Result<Replay, ReplayError> {
     let player = player.ok_or(ReplayError::NoSetup)?;
     let mut result = player.end(cut);
     result.missing = numbers.missing();
-    // These are in every session from its first moment on.
+    // Every session contains these from its first moment.
     let always =
         [Topic::Turns, Topic::Hands, Topic::Twist, Topic::Joints, Topic::Odometry, Topic::Transforms];
     let names = always.into_iter().map(Topic::name);
@@ -134,7 +134,7 @@ pub fn replay(file: &[u8]) -> Result<Replay, ReplayError> {
     Ok(result)
 }
 
-/// The numbers that the recording program gave its messages, counted through all topics from 0 on.
+/// The message numbers of the recording program, which count from 0 across all topics.
 #[derive(Default)]
 struct Numbers {
     count: u64,
@@ -147,7 +147,7 @@ impl Numbers {
         self.largest = self.largest.max(number);
     }
 
-    /// How many are missing. If a program gives its own numbers, or none, this shows nothing.
+    /// Returns the number of missing messages. It is 0 if a program uses its own numbers, or none.
     fn missing(&self) -> u64 {
         (u64::from(self.largest) + 1).saturating_sub(self.count)
     }
@@ -164,9 +164,9 @@ struct Player {
     bridge: Bridge,
     robot: Director<Simulator>,
     moved_ms: u64,
-    /// A robot elsewhere was driven: only what the hands said is compared.
+    /// Whether an external robot was driven, so that only the hands' messages are compared.
     elsewhere: bool,
-    /// Messages that follow from the last steps, and must come next in the file.
+    /// Results of the last steps, which must be the next messages in the file.
     due: VecDeque<Entry>,
     now_ms: u64,
     result: Replay,
@@ -253,7 +253,7 @@ impl Player {
         self.result.first_difference.get_or_insert(what);
     }
 
-    /// What came in, and steps. `None` if the message cannot be read.
+    /// Processes inputs and steps; `None` if the message cannot be read.
     fn repeat(&mut self, entry: &Entry) -> Option<()> {
         let hand = match entry.topic {
             Topic::LeftReceived | Topic::LeftSent => Hand::Left,
@@ -262,7 +262,7 @@ impl Player {
         match entry.topic {
             Topic::Turns => {
                 for turn in decode::<Turns>(&entry.data)?.turns {
-                    // A larger number is damaged, and stepping that far would take for ever.
+                    // A larger number is damaged, and stepping that far would never end.
                     let latest_ms = self.now_ms.max(entry.time_ms).saturating_add(PAUSE_MS);
                     match turn.kind {
                         0 if turn.ms <= self.now_ms.saturating_add(PAUSE_MS) => self.decide(turn.ms),
@@ -313,7 +313,7 @@ impl Player {
         }
     }
 
-    /// A link remembers when it asked and when it pinged, on which the ages of states depend.
+    /// Informs the link about its requests and pings, on which the ages of states depend.
     fn send(&mut self, hand: Hand, frame: &[u8], time_ms: u64) {
         let mut decoder = Decoder::<HOST_FRAME_MAX>::new();
         let mut sent = None;
@@ -369,7 +369,7 @@ mod tests {
             let error = replay(bytes).unwrap_err().to_string();
             assert!(error.contains(told), "{error}");
         }
-        // A whole file of another program: magic, header, data end, footer, magic.
+        // A complete file of another program: magic, header, data end, footer, magic.
         let mut file = Vec::new();
         let mut writer = mcap::Writer::new(std::io::Cursor::new(&mut file)).unwrap();
         writer.finish().unwrap();

@@ -1,4 +1,4 @@
-//! What a session started with: enough to start the same one again.
+//! The initial conditions of a session, which suffice to start the same one again.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -23,13 +23,13 @@ pub struct Setup {
     pub title: String,
     /// Limits, times, base, arm, motions.
     pub config: Config,
-    /// `LABEL=MOTION`, in the order in which they were given; they come after those of `config`.
+    /// `LABEL=MOTION` mappings in the given order, applied after those of `config`.
     pub maps: Vec<String>,
-    /// What stood around.
+    /// The robot's surroundings.
     pub scene: Option<SceneText>,
     /// Time of day at which the session's clock was zero, in nanoseconds since 1970.
     pub origin_ns: u64,
-    /// A robot elsewhere was driven: what it did cannot be computed again.
+    /// Whether an external robot was driven, whose motion cannot be recomputed.
     pub robot_elsewhere: bool,
     /// Motions were planned beside the control thread: they begin where the file says so.
     pub plans_aside: bool,
@@ -37,18 +37,18 @@ pub struct Setup {
     pub task: Option<String>,
 }
 
-/// A scene with all that it names.
+/// A scene with all files that it names.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SceneText {
-    /// Where it was read.
+    /// The path of the scene file.
     pub file: PathBuf,
     /// The scene.
     pub toml: String,
-    /// Its arm, if it is not the Gen3.
+    /// The scene's arm, if it is not the Gen3.
     pub urdf: Option<String>,
 }
 
-/// Why a session cannot be started from a file.
+/// The reason why a session cannot be started from a file.
 #[derive(Debug, thiserror::Error)]
 pub enum SetupError {
     /// A file cannot be read.
@@ -64,19 +64,19 @@ pub enum SetupError {
     Scene {
         /// Which.
         file: PathBuf,
-        /// Why, and what to do.
+        /// The problem and a remedy.
         problem: String,
     },
-    /// The file's metadata are of another version, or damaged.
+    /// The file's metadata have another version or are damaged.
     #[error("the session's settings cannot be read: {0}; it was written by another version of this program")]
     Metadata(String),
 }
 
 impl SceneText {
-    /// Reads a scene file and the arm beside it.
+    /// Reads a scene file and its arm.
     ///
     /// # Errors
-    /// [`SetupError`] if one is missing or the scene is invalid.
+    /// [`SetupError`] if a file is missing or the scene is invalid.
     pub fn read(file: &Path) -> Result<Self, SetupError> {
         let text = |file: &Path| {
             std::fs::read_to_string(file).map_err(|source| SetupError::Read { file: file.to_owned(), source })
@@ -130,10 +130,10 @@ fn arm(_urdf: &str, _scene: &Scene) -> Result<SerialArm, String> {
 }
 
 impl Setup {
-    /// The motions of all labels.
+    /// Returns the motions of all labels.
     ///
     /// # Errors
-    /// [`SetupError::Metadata`] for a mapping that is invalid.
+    /// [`SetupError::Metadata`] for an invalid mapping.
     pub fn motion_map(&self) -> Result<MotionMap, SetupError> {
         let mut map = self.config.motion_map();
         for mapping in &self.maps {
@@ -142,10 +142,10 @@ impl Setup {
         Ok(map)
     }
 
-    /// A bridge that waits for its hands.
+    /// Returns a bridge that waits for its hands.
     ///
     /// # Errors
-    /// As [`Setup::motion_map`].
+    /// This function has the errors of [`Setup::motion_map`].
     pub fn bridge(&self) -> Result<Bridge, SetupError> {
         let bridge = self.config.bridge(self.motion_map()?);
         let inputs = self.config.inputs();
@@ -153,7 +153,7 @@ impl Setup {
         Ok(boards.fold(bridge, |bridge, (hand, _)| bridge.awaiting(hand)))
     }
 
-    /// The surroundings, and what the arm could be asked to do.
+    /// Returns the surroundings and the motions of the arm.
     ///
     /// # Errors
     /// [`SetupError::Scene`].
@@ -164,7 +164,7 @@ impl Setup {
             .map_err(|error| SetupError::Scene { file: file(), problem: error.to_string() })
     }
 
-    /// The simulated robot at rest, behind its door.
+    /// Returns the simulated robot at rest, behind its door.
     ///
     /// # Errors
     /// [`SetupError::Scene`].
@@ -173,7 +173,7 @@ impl Setup {
         Ok(if self.plans_aside { robot.planning_held() } else { robot })
     }
 
-    /// The setup as metadata of the file.
+    /// Returns the setup as metadata of the file.
     pub fn to_metadata(&self) -> BTreeMap<String, String> {
         let mut metadata = BTreeMap::from([
             ("version".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),

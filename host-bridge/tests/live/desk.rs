@@ -1,6 +1,7 @@
-//! The program with boards behind pseudo-terminals: what a user types, what comes out, and what happens
-//! when a cable is pulled or a board restarts. The boards run the hands' own code (`support/double.rs`);
-//! the firmware images themselves are emulated in the `tests` crate.
+//! Runs the program with boards behind pseudo-terminals.
+//! The tests check commands and their output, a disconnected cable and a restarted board.
+//! The simulated boards run the boards' own logic (`support/double.rs`).
+//! The crate `tests` emulates the complete firmware images.
 
 use std::net::TcpStream;
 use std::path::Path;
@@ -63,7 +64,7 @@ fn a_pulled_cable_halts_the_robot_and_a_replugged_one_needs_neutral() {
     run.wait(&["\"open\":false", "comes back by itself"]);
     run.wait(&["\"halt\"", "silence"]);
     run.wait(&["\"state\"", "stale"]);
-    // Plugged in while still tilted: the board starts anew, and nothing moves.
+    // The board is reconnected while it is tilted. It restarts, and the robot does not move.
     left.plug();
     run.wait(&["\"open\":true"]);
     run.wait(&["hand-started"]);
@@ -72,7 +73,7 @@ fn a_pulled_cable_halts_the_robot_and_a_replugged_one_needs_neutral() {
     left.hold(LEVEL);
     run.wait(&["\"state\"", "armed"]);
     assert!(!run.seen[before..].iter().any(|line| line.contains("\"forward\"")), "{:#?}", run.seen);
-    // A restart without losing the port halts too.
+    // A restart without loss of the port also halts the robot.
     left.hold(FORWARD);
     run.wait(&["\"heading\":\"forward\""]);
     left.restart();
@@ -100,7 +101,7 @@ fn both_hands_on_their_ports_move_base_and_arm() {
     assert!(last["odometry"]["path_m"].as_f64().unwrap() > 0.1, "{last}");
     for hand in [0, 1] {
         assert!(last["round_trip_ms"][hand].as_u64().is_some(), "both boards answer pings: {last}");
-        // On a busy machine some may be lost; the boards drop what nobody reads.
+        // On a busy machine some frames may be lost, because the boards drop frames that nobody reads.
         assert!(last["frames"][hand]["lost"].as_u64().unwrap() < 50, "{last}");
     }
 }
@@ -151,7 +152,7 @@ fn calibrate_walks_through_three_poses_and_doctor_is_content_afterwards() {
 fn a_pose_that_cannot_be_right_is_refused_and_says_why() {
     let desk = Desk::new("live-6");
     let left = Double::left(&desk);
-    // Straight fingers where bent ones are asked for.
+    // The fingers are straight although the program asks for bent ones.
     let (status, text) = run(&desk, &["calibrate", "--port", &left.port(), "--every", "0"]);
     assert_eq!(status.code(), Some(1), "{text}");
     assert_eq!(
@@ -184,7 +185,7 @@ fn record_writes_what_the_sensor_read_in_the_training_layout() {
         assert!(header.starts_with("timestamp,accX,accY,accZ,gyrX,gyrY,gyrZ,magX,magY,magZ\n"));
         let recording = Recording::read(&file).unwrap();
         assert_eq!((recording.axes(), recording.len()), (9, 150));
-        // A part of the recording that the board plays, to half a count of its scale.
+        // The recorded samples are a part of the board's recording, with an error of at most half a count.
         let played = Path::new(env!("CARGO_MANIFEST_DIR")).join("sessions/demo/right.csv");
         let played = Recording::read(&played).unwrap().resampled();
         let near = |a: &[f32], b: &[f32]| (0..9).all(|i| (a[i] - b[i]).abs() <= [0.004, 0.041, 0.013][i / 3]);
@@ -200,7 +201,7 @@ fn record_writes_what_the_sensor_read_in_the_training_layout() {
     assert_eq!(files(&out), ["circle", "idle", "wave"]);
     assert_eq!(files(&out.join("wave")), ["me__1.csv"]);
 
-    // Names that would leave the folder are refused before the port is opened.
+    // Names that refer to other folders are refused before the port is opened.
     let (status, text) = record(&["--label", "../x"]);
     assert!(status.code() == Some(1) && text.contains("letters"), "{text}");
 }
@@ -226,13 +227,14 @@ fn record_writes_the_left_hands_readings_and_replay_plays_them() {
     assert_eq!(read.recording.samples.len(), 150);
     for (n, (time_ms, counts)) in read.recording.samples.iter().enumerate() {
         assert_eq!(*time_ms, 10 * n as u64);
-        // All that the board has based its decisions on, to the eighth of a conversion: its last bit is never still.
+        // The recording contains the conversions with eighths, on which the board bases its decisions.
+        // The last bit always varies.
         let level = AdcCounts::from_ten_bit(FORWARD);
         assert!(*counts == level || *counts == AdcCounts { z: level.z + 1, ..level }, "{counts:?}");
     }
     let (status, text) = run(&desk, &["replay", "--left", &file, "--speed", "0", "--headless"]);
     assert!(status.success() && text.contains("(0 damaged, 0 lost)"), "{text}");
-    // A guided session has movements of its own.
+    // A guided session uses its own list of movements.
     let (status, text) =
         run(&desk, &["record", "--hand", "left", "--guided", "--person", "a__b", "--port", &port]);
     assert!(!status.success() && text.contains("underscores"), "{text}");
@@ -384,7 +386,7 @@ fn bad_options_and_configurations_say_what_to_do() {
         (vec!["run", "--config", "/no/such.toml"], vec!["/no/such.toml"]),
         (vec!["run", "--left", "keyboard", "--headless"], vec!["terminal"]),
         (vec!["run", "--left", "/dev/x", "--right", "/dev/x"], vec!["same port"]),
-        // Looking for Bluetooth if there is none, or in a build without it.
+        // Bluetooth is requested, but is missing on this machine or in this build.
         (vec!["doctor", "--right", "ble:Hand"], vec!["Bluetooth"]),
         (vec!["calibrate"], vec!["--port", "list"]),
         (vec!["doctor"], vec!["--left", "list"]),

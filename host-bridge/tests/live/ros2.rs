@@ -1,8 +1,9 @@
-//! The program with boards behind pseudo-terminals on one side, and on the other an independent robot on the
-//! graph: `tests/ros2/peer.py`, on Eclipse Cyclone DDS. `cargo xtask test --only "ROS 2"` runs it; it sets
-//! BIMANUAL_ROS2_PYTHON to an interpreter that has the packages.
+//! Runs the program between boards behind pseudo-terminals and an independent robot on the ROS 2 graph.
+//! The robot is `tests/ros2/peer.py` on Eclipse Cyclone DDS.
+//! `cargo xtask test --only "ROS 2"` runs these tests and sets BIMANUAL_ROS2_PYTHON to an interpreter
+//! with the packages.
 //!
-//! Each test makes a network of its own (a namespace) where it may, and so disturbs no other.
+//! If the system permits it, each test creates its own network namespace, so that tests do not disturb each other.
 
 use std::net::TcpStream;
 use std::process::Command;
@@ -36,7 +37,7 @@ fn hands_drive_an_independent_robot_with_right_types_values_quality_and_in_time(
     let mut bridge =
         bridge(&desk, domain, "arm = 'action'\n", &["--left", &left.port(), "--right", &right.port()]);
 
-    // Types and quality of service, as the other side's middleware reports them.
+    // Checks types and quality of service, as reported by the other middleware.
     for (topic, type_name) in [
         ("rt/cmd_vel", "geometry_msgs::msg::dds_::TwistStamped_"),
         ("rt/diagnostics", "diagnostic_msgs::msg::dds_::DiagnosticArray_"),
@@ -57,7 +58,7 @@ fn hands_drive_an_independent_robot_with_right_types_values_quality_and_in_time(
     assert!(!robot.seen.iter().any(|(_, v)| speed(v).is_some()), "nothing is sent while nothing moves");
 
     let lateness = Lateness::watch();
-    // Tilt: values, and the time from the decision to the robot.
+    // Tilt commands: checks the values and the time from the decision to the robot.
     let mut delays_ms = Vec::new();
     for _ in 0..10 {
         left.hold(FORWARD);
@@ -74,7 +75,7 @@ fn hands_drive_an_independent_robot_with_right_types_values_quality_and_in_time(
     println!("tilt, decision to robot: median {middle_ms:.2} ms, worst {worst_ms:.2} ms of 20");
     assert!(!lateness.was_quiet() || middle_ms <= DECISION_MS);
 
-    // After a stop zero is repeated at 50 Hz for a second; then there is silence.
+    // After a stop, zero is repeated at 50 Hz for a second, and then nothing is sent.
     left.hold(FORWARD);
     robot.wait("forward", |v| speed(v).is_some_and(|s| s.0 > 0.0));
     let driven = robot.listen(Duration::from_millis(1000));
@@ -87,18 +88,18 @@ fn hands_drive_an_independent_robot_with_right_types_values_quality_and_in_time(
     let since = |v: &&(f64, Value)| number(&v.1["t"]) >= number(&zero["t"]);
     let zeros: Vec<_> = robot.seen.iter().filter(since).filter_map(|(_, v)| speed(v)).collect();
     assert!(zeros.iter().all(|speed| *speed == (0.0, 0.0)), "{zeros:?}");
-    // The controllers' own quality of service on Fast DDS keeps the newest message alone: a busy robot misses some.
+    // The controllers' quality of service on Fast DDS stores only the newest message, so a busy robot misses some.
     let least = if is_rclpy() { 15 } else { 40 };
     assert!((least..=60).contains(&zeros.len()), "zero is sent {} times, not 50", zeros.len());
 
-    // Gestures: as diagnostics, and as a motion of the arm from where it is.
+    // Gestures appear as diagnostics and as an arm motion from the current position.
     robot.catch_up();
     let before = robot.seen.iter().map(|(_, v)| gestures(v)).max().unwrap_or(0);
     let told = robot.wait("a new gesture", |v| started(v).is_some() && gestures(v) > before);
-    // Both are decided together; either may be published first.
+    // The diagnostics and the goal are decided at the same time and may be published in either order.
     let stamp_s = number(&told["stamp"]);
     let goal = robot.wait_from(0, "its goal", |v| is(v, "goal") && number(&v["t"]) >= stamp_s);
-    // Another gesture may have moved it before.
+    // Another gesture may have moved the arm before.
     let rest = robot.seen[..goal].iter().rev().find(|(_, v)| is(v, "arm") && v["moves"] == false);
     let start: Vec<f64> =
         rest.map_or(HOME.to_vec(), |(_, v)| v["position"].as_array().unwrap().iter().map(number).collect());
@@ -123,7 +124,7 @@ fn hands_drive_an_independent_robot_with_right_types_values_quality_and_in_time(
     let value = |point: &Value, of: usize, joint: usize| number(&point[of][joint]);
     assert!((0..7).all(|j| value(points.last().unwrap(), 2, j) == 0.0), "it ends at rest");
     assert!((0..7).all(|j| (value(&points[0], 1, j) - start[j]).abs() < 0.05), "it starts where the arm is");
-    // How old a hand's sample was when the robot acted on it.
+    // Checks the age of the hand's sample when the robot acted on it.
     for part in ["base", "arm"] {
         let taken = bridge.has("an acceptance", |v| is(v, "accepted") && v["part"] == part);
         println!("sample to {part}: {} ms", taken["age_ms"]);
@@ -136,7 +137,7 @@ fn hands_drive_an_independent_robot_with_right_types_values_quality_and_in_time(
     assert_eq!(finished["status"], 4);
     bridge.has("arrival", |v| is(v, "motion-ended") && v["reached"] == true);
 
-    // Silence of a board while driving.
+    // The board falls silent while the base drives.
     left.hold(FORWARD);
     robot.wait("forward", |v| speed(v).is_some_and(|s| s.0 > 0.0));
     desk.pass(Duration::from_millis(500));
@@ -150,18 +151,19 @@ fn hands_drive_an_independent_robot_with_right_types_values_quality_and_in_time(
     left.plug();
     bridge.wait("armed again", armed);
 
-    // A stop in the middle of a motion cancels it. The arm keeps time by the wall clock and the hand does not: on a busy
-    // machine only a motion that takes its time has a middle for both.
+    // A stop in the middle of a motion cancels the motion.
+    // The arm runs in wall-clock time, but the hand does not.
+    // On a busy machine only a slow motion is certain to be unfinished in both times.
     robot.order("pace 1");
     robot.wait("another goal", |v| is(v, "goal"));
     desk.pass(Duration::from_millis(200));
     left.hold(BENT);
-    // Goals that this fast arm has reached early are cancelled, too: they might continue.
+    // Goals that this fast arm reached early are also cancelled, because they might continue.
     robot.wait("the cancellation", |v| is(v, "cancel") && v["running"] == true);
     robot.has("cancelled", |v| is(v, "finished") && v["status"] == 5);
     bridge.has("halted", |v| is(v, "motion-ended") && v["reached"] == false);
 
-    // A robot gets zero before the program ends.
+    // The robot receives zero before the program ends.
     bridge.interrupt();
     let (status, said, errors) = bridge.end();
     assert!(status.success(), "{errors}");
@@ -169,13 +171,13 @@ fn hands_drive_an_independent_robot_with_right_types_values_quality_and_in_time(
     assert!(number(&counts["joint_states"]) > 500.0 && counts["failed"] == 0, "{counts}");
     robot.order("quit");
     let (_, said, errors) = robot.end();
-    // Fast DDS reports shared memory that killed programs left behind; that is not ours.
+    // Fast DDS complains about shared memory of killed programs, which is unrelated to this test.
     let complaints: Vec<&str> = errors.lines().filter(|line| !line.contains("_SHM")).collect();
     assert_eq!(complaints, [""; 0], "the robot's side has nothing to complain of");
     let last = said.last().unwrap();
     assert_eq!(last["dropped"], 0, "{last}");
     let (received, sent) = (number(&last["received"]), number(&counts["twists"]));
-    // The controllers' own quality of service on Fast DDS keeps the newest message alone.
+    // The controllers' quality of service on Fast DDS stores only the newest message.
     let least = if is_rclpy() { 0.5 * sent } else { sent };
     assert!((least..=sent).contains(&received), "{received} of {sent}");
     assert!(!said.iter().any(|v| v["became"].as_str().is_some_and(|b| b.contains("older"))));
@@ -215,7 +217,7 @@ fn the_simulators_state_is_published_only_where_no_robot_is() {
     assert!((0..2).all(|i| number(&far["speed_covariance"][i]) > 0.0), "{far}");
     let moved = viewer.wait("the transform", |v| is(v, "tf") && v["child"] == "base_link");
     assert!(number(&moved["position"][0]) >= 0.2, "{moved}");
-    // The description reached subscribers that were there before it, and fits what else is published.
+    // Subscribers that existed before the description receive it, and it matches the other published data.
     let described = viewer.has("the description", |v| is(v, "description"));
     let links = described["links"].as_array().unwrap();
     assert_eq!(links.len(), 10, "base, arm, seven links and the flange: {described}");
@@ -225,17 +227,17 @@ fn the_simulators_state_is_published_only_where_no_robot_is() {
     let named = |joint: &Value| described["joints"].as_array().unwrap().contains(joint);
     assert!(joints["name"].as_array().unwrap().iter().all(named), "{described}");
 
-    // A robot appears: the simulator's state is no longer published.
+    // When a robot appears, the bridge stops publishing the simulator's state.
     let mut robot = peer(&desk, &site.python, domain, &["--robot", "--namespace", "/cell1", "--unstamped"]);
     robot.has("ready", |v| is(v, "ready"));
     bridge.has("the robot was seen", |v| {
         is(v, "robot") && v["text"].as_str().unwrap().contains("somebody else publishes /cell1/joint_states")
     });
-    // A busy machine reads what was sent before somewhat later.
+    // A busy machine may read earlier messages somewhat later.
     let is_quiet = |_| !viewer.listen(Duration::from_millis(500)).iter().any(|v| is(v, "odom"));
     assert!((0..20).any(is_quiet));
 
-    // And if there is one already, the program does not start.
+    // If a robot already exists, the program does not start.
     let other = Double::left_named(&desk, "other");
     let refused =
         self::bridge(&desk, domain, "namespace = '/cell1'\n", &["--left", &other.port(), "--publish-sim"]);
@@ -256,7 +258,7 @@ fn on_the_topic_a_motion_is_a_trajectory_and_a_stop_is_one_that_brakes() {
     robot.has("ready", |v| is(v, "ready"));
     let options = ["--left", &left.port(), "--right", &right.port()];
     let mut bridge = bridge(&desk, domain, "arm = 'topic'\n", &options);
-    // Without angles nothing is planned, and the reason is reported.
+    // Without joint angles no motion is planned, and the reason is reported.
     robot.order("joints off");
     bridge.has("a refusal", |v| {
         is(v, "motion-refused") && v["reason"].as_str().unwrap().contains("joint_state_broadcaster")
@@ -360,7 +362,7 @@ fn both_kinds_of_middleware_on_one_graph_are_each_asked_in_their_own_way() {
         println!("SKIPPED: BIMANUAL_CYCLONE_PYTHON is not set; `cargo xtask test --only \"ROS 2\"` sets it");
         return;
     };
-    // A second base of the other kind on the first pair's topic: all of them move.
+    // A second base of the other type subscribes to the first pair's topic, and both bases move.
     let mut second =
         cyclone_peer(&desk, domain, &["--base-only", "--namespace", "/fast"]).expect("as before");
     for robot in [&mut fast, &mut cyclone, &mut second] {
@@ -383,7 +385,7 @@ fn both_kinds_of_middleware_on_one_graph_are_each_asked_in_their_own_way() {
         let finished = robot.has("the arm arrives", |v| is(v, "finished") && v["id"] == goal["id"]);
         assert_eq!(finished["status"], 4, "{finished}");
         bridge.has("arrival", |v| is(v, "motion-ended") && v["reached"] == true);
-        // A stop in the middle cancels it.
+        // A stop in the middle of the motion cancels the motion.
         robot.order("pace 1");
         robot.wait("another goal", |v| is(v, "goal"));
         desk.pass(Duration::from_millis(200));
@@ -399,17 +401,18 @@ fn both_kinds_of_middleware_on_one_graph_are_each_asked_in_their_own_way() {
         let (status, _, errors) = bridge.end();
         assert!(status.success(), "{errors}");
     }
-    // The stop at the first pair reached both kinds.
+    // The stop by the first pair of hands reaches both types of robots.
     second.has("zero", |v| speed(v).is_some_and(|s| s == (0.0, 0.0)));
 }
 
-/// The base's speed as the robot's controller has it.
+/// The base's speed according to the robot's controller.
 fn base_speed(value: &Value) -> Option<f64> {
     is(value, "base").then(|| number(&value["linear"]))
 }
 
-/// Tilts until the base drives. A bridge on the machine's own clock halts where a busy machine let it stand still; then
-/// the wearer goes back to neutral first, as anybody would have to.
+/// Tilts the hand until the base drives.
+/// A bridge on the wall clock halts if a busy machine delays it.
+/// The hand then returns to neutral first, as a real wearer would have to.
 fn drive_forward(desk: &Desk, left: &Double, robot: &mut Teller) {
     for _ in 0..20 {
         left.hold(FORWARD);
@@ -434,14 +437,14 @@ fn a_killed_bridge_is_a_base_at_rest_and_a_stopped_one_is_on_the_graph_again() {
         let left = Double::left(&desk);
         let mut robot = peer(&desk, &site.python, domain, &["--robot", "--odom", clock]);
         robot.has("ready", |v| is(v, "ready"));
-        // As it is by default, written down so that the test's own stamps are not taken.
-        // On its own clock: the system stops it.
+        // This is the default, but it is set here explicitly to override the stamps of the tests.
+        // The program runs on the wall clock, because a signal stops it.
         let mut bridge = bridge_on_its_own(&desk, domain, "stamp = 'zero'\n", &["--left", &left.port()]);
         bridge.has("the reader", |v| is(v, "robot") && v["text"].as_str().unwrap().contains("1 reader"));
         bridge.has("armed", armed);
         drive_forward(&desk, &left, &mut robot);
 
-        // Stopped and continued, as by a debugger, a frozen container or suspend.
+        // The program is stopped and continued, as by a debugger, a frozen container or suspend.
         bridge.signal("STOP");
         robot.wait("it stops by itself", |v| is(v, "stopped"));
         bridge.catch_up();
@@ -474,7 +477,7 @@ fn a_killed_bridge_is_a_base_at_rest_and_a_stopped_one_is_on_the_graph_again() {
     }
 }
 
-/// Angles of the arm with the time at which they were reported or shown, in order.
+/// Returns the arm's angles with the times of their report or display, in order.
 fn angles(seen: &[(f64, Value)], event: &str) -> Vec<(f64, Vec<f64>)> {
     let joints = |v: &Value| v["position"].as_array().unwrap().iter().map(number).collect();
     seen.iter().filter(|(_, v)| is(v, event)).map(|(_, v)| (number(&v["t"]), joints(v))).collect()
@@ -490,7 +493,7 @@ fn what_people_see_are_a_slower_arms_own_angles_within_100_ms() {
     let desk = desk("ros2-shown");
     let domain = domain();
     let (left, right) = (Double::left(&desk), Double::right(&desk, 0.0));
-    // Half as fast as asked for, and not at the simulator's start.
+    // The arm runs at half speed and does not start in the simulator's start pose.
     let slower = ["--robot", "--action", "--pace", "0.5", "--start-offset", "0.2", "--say-angles"];
     let mut robot = peer(&desk, &site.python, domain, &slower);
     robot.has("ready", |v| is(v, "ready"));
@@ -523,8 +526,8 @@ fn what_people_see_are_a_slower_arms_own_angles_within_100_ms() {
         seen.retain(|(at_s, _)| *at_s > moves_s);
         let mut delays_ms = Vec::new();
         for (at_s, joints) in &seen {
-            // Shown as it was reported, to the bit, so that nothing of the simulator's can be in it. The newest that
-            // had been reported by then counts; clocks read by two programs may differ by a moment.
+            // The displayed angles must equal the reported ones exactly, so they cannot come from the simulator.
+            // The newest report by that time counts, with a tolerance for the clocks of two programs.
             let same = |(then_s, reported): &&(f64, Vec<f64>)| *then_s <= at_s + 0.005 && reported == joints;
             let Some((then_s, _)) = reported.iter().rev().find(same) else {
                 panic!("{event} shows {joints:?} at {at_s}, which the arm never reported");
@@ -557,11 +560,11 @@ fn an_e_stop_a_fault_and_a_publisher_that_is_gone_stop_base_and_arm_and_are_name
     let domain = domain();
     let (left, right) = (Double::left(&desk), Double::right(&desk, 0.0));
     let mut robot = peer(&desk, &site.python, domain, &["--robot"]);
-    // The publisher of the e-stop, in a process of its own.
+    // The publisher of the e-stop runs in its own process.
     let mut button = peer(&desk, &site.python, domain, &["--base-only", "--namespace", "/button"]);
     robot.has("ready", |v| is(v, "ready"));
     button.has("ready", |v| is(v, "ready"));
-    // Published before the bridge came: latched.
+    // The e-stop state was published before the bridge started and is latched.
     button.order("flag /e_stop off");
     let section = "estop = '/e_stop'\nfault = '/fault_controller/internal_fault'\n";
     let options = ["--left", &left.port(), "--right", &right.port()];
@@ -591,7 +594,7 @@ fn an_e_stop_a_fault_and_a_publisher_that_is_gone_stop_base_and_arm_and_are_name
     left.hold(LEVEL);
     bridge.wait("armed again", armed);
 
-    // A fault while the arm moves.
+    // The robot reports a fault while the arm moves.
     robot.wait("the arm moves", |v| is(v, "arm") && v["moves"] == true);
     robot.order("flag /fault_controller/internal_fault on");
     robot.wait("the arm rests", |v| is(v, "arm") && v["moves"] == false);
@@ -599,11 +602,11 @@ fn an_e_stop_a_fault_and_a_publisher_that_is_gone_stop_base_and_arm_and_are_name
     robot.order("flag /fault_controller/internal_fault off");
     bridge.wait("armed again", armed);
 
-    // The operator's stop goes out on a topic of its own.
+    // The operator's stop is published on a separate topic.
     left.hold(BENT);
     robot.wait("the operator's stop", |v| is(v, "operator stop") && v["data"] == true);
 
-    // The publisher of the e-stop is gone.
+    // The publisher of the e-stop has disappeared.
     button.order("quit");
     bridge.wait("nobody has the e-stop", refuses("nobody publishes the e-stop"));
 }
@@ -611,7 +614,7 @@ fn an_e_stop_a_fault_and_a_publisher_that_is_gone_stop_base_and_arm_and_are_name
 #[test]
 fn however_the_program_ends_base_and_arm_are_at_rest_soon() {
     let Some(site) = site("however_the_program_ends_base_and_arm_are_at_rest_soon", true) else { return };
-    // At the paper's scaling; and a cycle of the controllers and of their observer.
+    // Braking time at the paper's scaling, plus one cycle each of the controllers and their observer.
     let braking_ms = 330.0;
     let ends: &[&str] =
         if is_full() { &["KILL", "STOP", "TERM", "HUP", "INT", "QUIT"] } else { &["KILL", "TERM"] };
@@ -636,7 +639,7 @@ fn however_the_program_ends_base_and_arm_are_at_rest_soon() {
             let mut bridge = bridge_on_its_own(&desk, domain, "stamp = 'zero'\n", &options);
             bridge.has("armed", armed);
             let arm_moves = |v: &Value| is(v, "arm") && v["moves"] == true;
-            // A busy machine may halt it meanwhile; then both start again.
+            // A busy machine may halt the robot meanwhile, and then both start again.
             loop {
                 drive_forward(&desk, &left, &mut robot);
                 let next = robot.wait("the arm moves", |v| arm_moves(v) || base_speed(v) == Some(0.0));
@@ -682,7 +685,7 @@ fn however_the_program_ends_base_and_arm_are_at_rest_soon() {
     }
 }
 
-/// A participant's announcement, as RTPS 2.3 has it (8.5.3.2, 9.4.5, 9.6.2): its sender is found on the graph.
+/// A participant announcement of RTPS 2.3 (8.5.3.2, 9.4.5, 9.6.2), which makes its sender visible on the graph.
 fn announcement(prefix: [u8; 12]) -> Vec<u8> {
     let mut parameters = Vec::new();
     let mut put = |id: u16, value: &[u8]| {
@@ -690,7 +693,7 @@ fn announcement(prefix: [u8; 12]) -> Vec<u8> {
         parameters.extend((value.len() as u16).to_le_bytes());
         parameters.extend(value);
     };
-    // UDPv4, a port that nobody has, 127.0.0.1.
+    // UDPv4 address 127.0.0.1 with an unused port.
     let mut locator = vec![1, 0, 0, 0];
     locator.extend(9_u32.to_le_bytes());
     locator.extend([0; 12]);
@@ -703,7 +706,7 @@ fn announcement(prefix: [u8; 12]) -> Vec<u8> {
     put(0x32, &locator);
     put(0x02, &[100, 0, 0, 0, 0, 0, 0, 0]);
     put(0x01, &[]);
-    // To any reader, from the participants' writer, number 1, little-endian parameters.
+    // The message is for any reader, from the participant writer, number 1, with little-endian parameters.
     let mut data = vec![0, 0, 16, 0, 0, 0, 0, 0, 0, 1, 0, 0xc2, 0, 0, 0, 0, 1, 0, 0, 0, 0, 3, 0, 0];
     data.extend(parameters);
     let mut datagram = [&b"RTPS"[..], &[2, 3, 1, 16], &prefix].concat();
@@ -721,7 +724,8 @@ fn forged_participants_and_damaged_datagrams_delay_no_stop_and_fill_no_memory() 
     }
     let (participants, datagrams) = if is_full() { (18_000_u32, 1_000_000_u32) } else { (2000, 20_000) };
     let (mut stop_worst_ms, lateness) = (0.0_f64, Lateness::watch());
-    // The graph's library keeps some 650 bytes of each participant, and damage turns a hundred of them into new ones, too.
+    // The DDS library uses about 650 bytes per participant,
+    // and mutated announcements can add a hundred more participants.
     for (what, count, of, limit_mb) in [
         ("forged participants", participants, participants, 100.0),
         ("damaged datagrams", datagrams, 100, 500.0),
@@ -749,15 +753,15 @@ fn forged_participants_and_damaged_datagrams_delay_no_stop_and_fill_no_memory() 
                     _ => datagram.truncate(at.max(20)),
                 }
             }
-            // A full buffer drops it, as networks do.
+            // If the buffer is full, the datagram is dropped, as on a real network.
             let _ = socket.send_to(&datagram, ("127.0.0.1", port));
-            // About 15,000 a second; the board goes on meanwhile.
+            // About 15,000 datagrams per second are sent while the board keeps running.
             if n % 150 == 0 {
                 desk.pass(Duration::from_millis(10));
             }
         }
         let memory_mb = used(bridge.process.id()).0;
-        // If this machine was too slow for the board, the program has halted, and was right to.
+        // If this machine was too slow for the board, the program has halted, which is correct.
         bridge.catch_up();
         if !bridge.seen.iter().rev().find(|(_, v)| is(v, "state")).is_some_and(|(_, v)| armed(v)) {
             left.hold(LEVEL);
@@ -777,14 +781,14 @@ fn forged_participants_and_damaged_datagrams_delay_no_stop_and_fill_no_memory() 
     println!(
         "row: forged participants, damaged datagrams: the page's stop | 2 | {stop_worst_ms:.0} ms | 20 ms"
     );
-    // Lines are read every few milliseconds.
+    // The test reads lines every few milliseconds.
     assert!(!lateness.had_room() || stop_worst_ms <= 40.0, "{stop_worst_ms} ms");
 }
 
-/// One set-up that is not as it should be, and what `doctor` reports about it.
+/// One incorrect setup and the expected report of `doctor`.
 struct Wrong {
     what: &'static str,
-    /// The robots' options; nobody if there are none.
+    /// Options of each robot. An empty list means that there is no robot.
     robots: &'static [&'static [&'static str]],
     section: &'static str,
     environment: Option<(&'static str, &'static str)>,
@@ -871,7 +875,7 @@ fn doctor_tries_and_names_what_is_wrong() {
         let text = String::from_utf8_lossy(&output.stdout) + String::from_utf8_lossy(&output.stderr);
         (output.status.success(), text.into_owned())
     };
-    // A correct set-up, for speeds as Jazzy's controller and as Nav2 use them.
+    // A correct setup, with the speed type of Jazzy's controller and that of Nav2.
     for unstamped in [false, true] {
         let domain = domain();
         let options: &[&str] = if unstamped { &["--robot", "--action", "--unstamped"] } else { ROBOT };
@@ -894,7 +898,7 @@ fn doctor_tries_and_names_what_is_wrong() {
             assert!(text.contains(word), "{word} in\n{text}");
         }
     }
-    // A few at a time: each is a program that listens for 4 s.
+    // The setups run in small groups, because each one is a program that listens for 4 s.
     for some in setups.chunks(6) {
         std::thread::scope(|scope| {
             for setup in some {
@@ -920,7 +924,7 @@ fn doctor_tries_and_names_what_is_wrong() {
     }
 }
 
-// What follows needs a network of its own, and does not run without one.
+// The following tests require their own network namespace and are skipped without one.
 
 fn own_site(test: &str, measures: bool) -> Option<Site> {
     if is_rclpy() {
@@ -965,7 +969,7 @@ fn a_fifth_of_the_datagrams_lost_moves_the_robot_never_by_old_commands() {
     let iptables = |verb: &str| net(&[&["iptables", verb][..], &rule[..], &["-j", "DROP"][..]].concat());
     iptables("-A");
     let (start, start_s) = (Instant::now(), wall_s());
-    // Forward and level alternate, so that an old command would be a wrong one.
+    // Forward and level alternate, so that an out-of-date command would be wrong.
     let mut forward = true;
     while start.elapsed().as_secs_f64() < lossy_s {
         desk.pass(Duration::from_millis(700));
@@ -995,7 +999,7 @@ fn a_fifth_of_the_datagrams_lost_moves_the_robot_never_by_old_commands() {
         lossy.len()
     );
     assert!(lossy.len() as f64 > 10.0 * lossy_s, "{} speeds; {errors}", lossy.len());
-    // Never an older one after a newer one, never one that is too old.
+    // An older command never follows a newer one, and no command is too old.
     let mut newest = 0.0;
     for v in &speeds {
         let stamp = number(&v["stamp"]);
@@ -1004,7 +1008,7 @@ fn a_fifth_of_the_datagrams_lost_moves_the_robot_never_by_old_commands() {
         assert!(v["became"] == "dropped" || age_ms(v) <= 500.0, "{v}");
         assert!(v["became"] == "acted" || v["became"] == "dropped", "{v}");
     }
-    // A second after the end of the losses everything arrives again.
+    // One second after the end of the losses, all messages arrive again.
     let after: Vec<f64> =
         speeds.iter().map(|v| number(&v["t"])).filter(|t| (end_s + 1.0..end_s + 4.0).contains(t)).collect();
     let gap_ms = after.windows(2).map(|t| (t[1] - t[0]) * 1000.0).fold(0.0, f64::max);
@@ -1038,7 +1042,7 @@ fn twenty_bridges_and_twenty_robots_share_this_machine() {
         let mut robot = peer(&desk, &site.python, 1, &options);
         robot.has("ready", |v| is(v, "ready"));
         let section = format!("namespace = '{space}'\n");
-        // Its processor time is measured, so no test controls its clock.
+        // The program's processor time is measured, so the test does not control its clock.
         let bridge = bridge_on_its_own(&desk, 1, &section, &["--left", &left.port()]);
         all.push((left, bridge, robot));
     }
@@ -1070,7 +1074,7 @@ fn twenty_bridges_and_twenty_robots_share_this_machine() {
         bridge.interrupt();
         let (_, said, errors) = bridge.end();
         let twists = said.last().unwrap()["ros2"]["twists"].as_u64().unwrap_or_else(|| panic!("{errors}"));
-        // The last messages may still be sent again.
+        // The last messages may still be repeated.
         robot.listen(Duration::from_millis(100));
         robot.order("quit");
         let (_, said, _) = robot.end();
@@ -1106,11 +1110,11 @@ pub(super) fn used(pid: u32) -> (f64, f64) {
     let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).unwrap_or_default();
     let fields: Vec<&str> = stat.rsplit(')').next().unwrap_or("").split_whitespace().collect();
     let ticks = |place: usize| fields.get(place).and_then(|text| text.parse::<f64>().ok()).unwrap_or(0.0);
-    // Clock ticks of 10 ms; user and system time are the 14th and 15th fields.
+    // Clock ticks are 10 ms; fields 14 and 15 are user and system time.
     (kb / 1024.0, (ticks(11) + ticks(12)) / 100.0)
 }
 
-/// Bytes and datagrams on loopback so far, in this network.
+/// Number of bytes and datagrams on the loopback interface of this network namespace so far.
 fn traffic() -> (f64, f64) {
     let table = std::fs::read_to_string("/proc/net/dev").unwrap_or_default();
     let line = table.lines().find_map(|line| line.trim().strip_prefix("lo:")).unwrap_or("");
@@ -1126,7 +1130,7 @@ fn a_gesture_closes_and_opens_a_gripper_of_either_kind_and_a_stop_halts_it_and_n
     ) else {
         return;
     };
-    // One kind for each of the two middlewares; both under --full.
+    // Each middleware tests one gripper type, and with --full both types.
     let kinds = ["command", "parallel"];
     let kinds = if is_full() { &kinds[..] } else { &kinds[usize::from(is_rclpy())..][..1] };
     for kind in kinds {
@@ -1226,7 +1230,7 @@ fn a_pose_is_played_to_and_where_the_robots_arm_then_is_can_be_taught() {
     let off = there.iter().zip(raised).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
     println!("taught {off:.4} rad from where it was sent");
     assert!(off < 0.01, "{there:?}");
-    // Nobody is asked where nobody can answer, and a pose that is not there is named.
+    // Without a terminal the program asks no question, and a missing pose is reported by its name.
     let (done, said) = teach(&["raised", "--play"]);
     assert!(!done && said.contains("--yes"), "{said}");
     let (done, said) = teach(&["nowhere", "--play", "--yes"]);

@@ -1,9 +1,12 @@
-//! Stops that hold when something else fails, on the very program: rows of the campaign (`cargo xtask campaign`).
+//! Tests that stops work on the real program while other parts fail.
+//! Each test is a row of the campaign (`cargo xtask campaign`).
 //!
-//! Each test prints a line `row: NAME | COUNT | WORST | LIMIT` for the table. What a system does to a program (signals,
-//! terminals, floods, pauses) happens by the wall clock, and so do most of these tests: they wait for what comes. Limits
-//! of times are judged where the machine is quiet ([`Lateness`]); one that is busy with other tests gets [`GRACE_MS`]
-//! more. Recordings and verbs without a reader are on a desk, in the test's own time.
+//! Each test prints a line `row: NAME | COUNT | WORST | LIMIT` for the table.
+//! The operating system affects programs in wall-clock time (signals, terminals, floods, pauses).
+//! Most of these tests therefore also run in wall-clock time and wait for each expected result.
+//! Time limits are judged on a quiet machine ([`Lateness`]);
+//! a machine that is busy with other tests gets [`GRACE_MS`] more.
+//! The tests of recordings and of commands without a reader use a desk with simulated time.
 
 use std::fs::File;
 use std::io::{BufRead as _, BufReader, Read as _};
@@ -29,7 +32,7 @@ use crate::talker::{Flood, Talker};
 const PATIENCE: Duration = Duration::from_secs(240);
 const PROGRAM: &str = env!("CARGO_BIN_EXE_host-bridge");
 
-/// What a machine with two processors that run other tests may add to a limit.
+/// Extra time on a machine with two processors that also runs other tests.
 const GRACE_MS: u64 = 500;
 
 fn is_full() -> bool {
@@ -45,7 +48,7 @@ fn ms(time: Duration) -> u64 {
     time.as_millis() as u64
 }
 
-/// `run --json` with a talker as its left hand.
+/// `run --json` with a simulated left hand.
 struct Bridge {
     child: Child,
     lines: Arc<Mutex<Vec<(Instant, Value)>>>,
@@ -65,7 +68,7 @@ impl Bridge {
             .unwrap();
         drop(alone);
         let out = child.stdout.take().unwrap();
-        // Small, so that a reader who stops has an effect soon.
+        // The pipe is small, so that a reader that stops has an effect soon.
         let _ = rustix::pipe::fcntl_setpipe_size(out.as_fd(), 4096);
         let (lines, reads) = (Arc::new(Mutex::new(Vec::new())), Arc::new(AtomicBool::new(true)));
         let (to, may) = (Arc::clone(&lines), Arc::clone(&reads));
@@ -82,15 +85,15 @@ impl Bridge {
         Bridge { child, lines, reads }
     }
 
-    /// The program drives forward; and the place from which to look for what follows.
+    /// Starts the program and drives forward. Returns the program and the index from which to search for later lines.
     fn driving(talker: &Talker, more: &[&str]) -> (Self, usize) {
         let bridge = Bridge::start(talker, more);
         let from = bridge.drive(talker, 0);
         (bridge, from)
     }
 
-    /// Drives forward from neutral; returns the place from which to look for what follows. A busy machine makes the board late, and the bridge
-    /// is right to halt then: it goes on from neutral.
+    /// Drives forward from neutral. Returns the index from which to search for later lines.
+    /// A busy machine delays the board, and the bridge then halts correctly; the drive restarts from neutral.
     fn drive(&self, talker: &Talker, mut from: usize) -> usize {
         let until = Instant::now() + PATIENCE;
         loop {
@@ -112,7 +115,7 @@ impl Bridge {
         }
     }
 
-    /// What the last state says.
+    /// Returns whether the last state is armed.
     fn is_armed(&self) -> bool {
         let lines = self.lines.lock().unwrap();
         let last = lines.iter().rev().find(|(_, line)| line["event"] == "state");
@@ -167,7 +170,7 @@ fn signal(child: &Child, name: &str) {
     assert!(Command::new("kill").args([name, &child.id().to_string()]).status().unwrap().success());
 }
 
-/// How long the child takes to end.
+/// Returns the time until the child exits, and its exit code.
 fn end_of(child: &mut Child) -> (Duration, Option<i32>) {
     let began = Instant::now();
     loop {
@@ -198,7 +201,7 @@ fn each_signal_ends_a_driving_session_with_a_halt_within_a_second() {
             bridge.signal(name);
             let (took, code) = end_of(&mut bridge.child);
             assert_eq!(code, Some(0), "{name}");
-            // Its last line is the state at the end: everything is written, nothing is cut off.
+            // The last line is the final state, so all output was written and none was truncated.
             bridge.wait(from, |line| line["event"] == "end");
             worst = worst.max(ms(took));
             count += 1;
@@ -207,18 +210,18 @@ fn each_signal_ends_a_driving_session_with_a_halt_within_a_second() {
     row(lateness, "signals: the program is gone", count, worst, 1000);
 }
 
-/// The program on a terminal of its own, with a live view.
+/// The program on its own terminal, with the live view.
 struct OnTerminal {
     child: Child,
-    /// The far end, which a person would see.
+    /// The other end of the terminal, which receives the screen output.
     screen: File,
     /// Kept open so that the terminal's settings can be queried.
     terminal: File,
 }
 
-/// A copy that no other program inherits: it would keep the terminal from vanishing.
+/// Returns a copy that no other program inherits, because an inherited copy would keep the terminal open.
 fn file(port: TTYPort) -> File {
-    // Safety: the port gives its descriptor away.
+    // Safety: the port gives up ownership of its descriptor.
     let port: OwnedFd = unsafe { OwnedFd::from_raw_fd(port.into_raw_fd()) };
     port.try_clone().unwrap().into()
 }
@@ -228,7 +231,7 @@ impl OnTerminal {
         let alone = alone();
         let (screen, terminal) = TTYPort::pair().unwrap();
         let (screen, terminal) = (file(screen), file(terminal));
-        // Set as a shell leaves a terminal, not as a serial port.
+        // The terminal gets the settings of a shell instead of those of a serial port.
         let mut sane = Command::new("stty");
         sane.args(["sane", "rows", "50", "cols", "160"]).stdin(terminal.try_clone().unwrap());
         assert!(sane.status().unwrap().success());
@@ -256,7 +259,7 @@ impl OnTerminal {
         String::from_utf8(ask.output().unwrap().stdout).unwrap()
     }
 
-    /// Reads until the view has been drawn with this text.
+    /// Reads until the view displays this text.
     fn wait_for(&mut self, text: &str) -> String {
         let (mut seen, mut buffer) = (String::new(), [0; 4096]);
         let until = Instant::now() + PATIENCE;
@@ -280,7 +283,7 @@ fn a_signal_gives_the_terminal_back_as_it_was() {
     for args in verbs {
         for name in ["-TERM", "-HUP", "-INT", "-QUIT"] {
             let mut there = OnTerminal::start(args, false);
-            // `start` has left it as a shell does; the program makes it raw.
+            // `start` leaves the terminal in a shell's mode, and the program switches it to raw mode.
             there.wait_for("\x1b[?1049h");
             let raw = there.settings();
             signal(&there.child, name);
@@ -324,7 +327,7 @@ fn a_terminal_that_takes_no_output_delays_no_end() {
     let port = talker.port();
     let mut there = OnTerminal::start(&["run", "--left", &port, "--seconds", "60"], false);
     there.wait_for("\x1b[?1049h");
-    // Nobody reads from here on: the view's next frames fill the terminal.
+    // From here on nobody reads, so the next frames of the view fill the terminal's buffer.
     std::thread::sleep(Duration::from_secs(3));
     signal(&there.child, "-TERM");
     let (took, _) = end_of(&mut there.child);
@@ -363,7 +366,7 @@ fn a_thousand_connections_keep_nobody_from_the_pages_stop() {
     let lateness = Lateness::watch();
     let folder = tempfile::tempdir().unwrap();
     let (mut worst, mut memory_mb) = (0, 0);
-    // By a page that was there before, and by one that connects afterwards.
+    // Tests a page that was connected before, and one that connects afterwards.
     for comes_late in [false, true] {
         let talker = Talker::start(folder.path());
         let (bridge, from) = Bridge::driving(&talker, &["--web=0"]);
@@ -373,7 +376,7 @@ fn a_thousand_connections_keep_nobody_from_the_pages_stop() {
         for n in 0..1000 {
             held.push(TcpStream::connect(address).unwrap());
             if n % 20 == 0 {
-                // It acknowledges what it is shown, as a browser does.
+                // Like a browser, the page acknowledges each message.
                 while !page.read().unwrap().to_text().unwrap().contains("safety") {}
                 page.send(Message::text("took")).unwrap();
             }
@@ -417,7 +420,7 @@ fn a_reader_of_json_that_stops_reading_delays_no_halt() {
     let (_, seen, line) = bridge.wait(from - 1, |line| line["heading"] == "forward");
     let program_ms = line["time_ms"].as_u64().unwrap();
     bridge.reads.store(false, Ordering::SeqCst);
-    // 60 changes of heading, a line each: several times what the pipe holds.
+    // 60 changes of heading produce one line each, several times the capacity of the pipe.
     for change in 0..60 {
         talker.point(if change % 2 == 0 { Heading::Left } else { Heading::Right });
         std::thread::sleep(Duration::from_millis(40));
@@ -497,15 +500,15 @@ fn output_that_nobody_takes_is_no_panic_in_any_verb() {
     for verb in &verbs {
         for sink in ["| true", "| head -c 1", "> /dev/full", "> /dev/full 2> /dev/full", ">&- 2>&-"] {
             let mut shell = Command::new("bash");
-            // The program's code, not that of what it is piped into.
+            // This reports the exit code of the program instead of the exit code of the pipeline's last command.
             shell.args(["-c", &format!("{PROGRAM} {verb} {sink}; exit ${{PIPESTATUS[0]}}")]);
             let (status, told) = desk.start(shell).end();
             assert!(status.code() != Some(101) && !told.contains("panicked"), "{verb} {sink}: {told}");
             count += 1;
         }
     }
-    println!("row: output that nobody takes: no panic | {count} | 0 | 0");
-    // The takes were saved all the same.
+    println!("row: output that nobody reads: no panic | {count} | 0 | 0");
+    // The recordings were saved nevertheless.
     let saved = std::fs::read_dir(desk.path("recordings/circle")).unwrap().count();
     assert_eq!(saved, 5);
 }

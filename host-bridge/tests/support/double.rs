@@ -1,4 +1,4 @@
-//! Boards on a desk: they run the boards' own code on recordings, and can be unplugged and restarted at any moment.
+//! Simulated boards on a desk. They run the boards' own code with recordings, and tests can unplug and restart them.
 
 use std::collections::VecDeque;
 use std::path::Path;
@@ -20,14 +20,14 @@ use shared_proto::message::{Board as Kind, HostMessage, Mode};
 use crate::desk::program::Desk;
 use crate::desk::station::{Board, Station};
 
-/// A level left hand with straight fingers.
+/// Counts of a level left hand with straight fingers.
 pub const LEVEL: [u16; 5] = [512, 512, 614, 704, 704];
 /// The same, 30° forward.
 pub const FORWARD: [u16; 5] = [563, 512, 601, 704, 704];
 /// Level, both fingers bent.
 pub const BENT: [u16; 5] = [512, 512, 614, 536, 536];
 
-/// Scale of the LSM9DS1 as the right board uses it.
+/// Scale of the LSM9DS1 on the right board.
 const SCALE: [f32; 3] = [0.000_732 * 9.806_65, 0.07, 0.014];
 
 /// A board on a port.
@@ -39,17 +39,17 @@ impl Double {
         Self::left_named(desk, "left")
     }
 
-    /// The same with a port of another name.
+    /// Creates a left hand with this port name.
     pub fn left_named(desk: &Desk, name: &str) -> Self {
         Self::start(desk, name, Box::new(Left::new()))
     }
 
-    /// A right hand that plays the demo's recording from `start_s` on, again and again.
+    /// Creates a right hand that repeats the demo's recording, from `start_s`.
     pub fn right(desk: &Desk, start_s: f64) -> Self {
         Self::right_named(desk, "right", start_s)
     }
 
-    /// The same with a port of another name.
+    /// Creates a right hand with this port name.
     pub fn right_named(desk: &Desk, name: &str, start_s: f64) -> Self {
         Self::start(desk, name, Box::new(Right::new(start_s)))
     }
@@ -58,7 +58,7 @@ impl Double {
         Double(Station::start(desk.time(), &desk.path(name), Machine::new(hand)))
     }
 
-    /// The argument for `--left` or `--right`.
+    /// The value for `--left` or `--right`.
     pub fn port(&self) -> String {
         self.0.port()
     }
@@ -68,41 +68,41 @@ impl Double {
         self.0.pull();
     }
 
-    /// And plugged in again, which restarts a board without a battery.
+    /// Connects the cable, which restarts a board without a battery.
     pub fn plug(&self) {
         self.0.plug();
     }
 
-    /// The cable was loose for a moment; the board has its own battery.
+    /// Reconnects the cable of a board with its own battery, which has kept running.
     pub fn plug_without_restart(&self) {
         self.0.with(|machine| machine.has_battery = true);
         self.0.plug();
         self.0.with(|machine| machine.has_battery = false);
     }
 
-    /// Reset without losing the port.
+    /// Resets the board without losing the port.
     pub fn restart(&self) {
         self.0.restart();
     }
 
-    /// Whether the last mode that it was asked for is not record mode.
+    /// Returns whether the last requested mode is not the record mode.
     pub fn classifies(&self) -> bool {
         self.0.with(|machine| machine.asked == Mode::Classify)
     }
 
-    /// Sets the pose that the left hand holds.
+    /// Sets the pose of the left hand.
     pub fn hold(&self, counts: [u16; 5]) {
         self.0.with(|machine| machine.hand.hold(counts));
     }
 }
 
-/// What differs between the two kinds of hands.
+/// The differences between left and right boards.
 trait Hand {
-    /// The board starts; its clock is at 0.
+    /// Starts the board with its clock at 0.
     fn restart(&mut self, boot_id: u32);
-    /// The sample of this time, every 10 ms.
+    /// Processes the sample of this time, every 10 ms.
     fn sample(&mut self, now_ms: u64, wire: &mut Vec<u8>);
-    /// A byte from the laptop. For this many milliseconds the board is busy, and answers only then.
+    /// Processes a byte from the laptop. Returns how many milliseconds the board is busy before it replies.
     fn receive(&mut self, byte: u8, now_ms: u64, wire: &mut Vec<u8>) -> u64;
     fn hold(&mut self, _counts: [u16; 5]) {}
 }
@@ -112,13 +112,13 @@ struct Machine {
     decoder: Decoder<HOST_FRAME_MAX>,
     asked: Mode,
     boot_id: u32,
-    /// Time since power-on, and when it last started.
+    /// Time since power-on, and time of the last start.
     now_ms: u64,
     started_ms: u64,
     has_battery: bool,
     busy_until_ms: u64,
     incoming: VecDeque<u8>,
-    /// Sent when it is no longer busy.
+    /// Data to send when the board is no longer busy.
     later: Vec<u8>,
     wire: Vec<u8>,
 }
@@ -225,7 +225,7 @@ impl Hand for Left {
     }
 
     fn sample(&mut self, now_ms: u64, wire: &mut Vec<u8>) {
-        // The last bit of a real converter is never still.
+        // The last bit of a real converter always varies.
         self.dither ^= 1;
         let mut counts = AdcCounts::from_ten_bit(self.counts);
         counts.z += self.dither;
@@ -261,7 +261,7 @@ impl Right {
         Right { board, store, samples: recording.samples().map(count).collect(), start }
     }
 
-    /// With the model in flash, or the bundled one.
+    /// Starts with the model in flash, or otherwise with the bundled model.
     fn start(boot_id: u32, flash: RamFlash) -> (VirtualRight<CountHand<'static, 9>>, ModelStore<RamFlash>) {
         let (store, found) = ModelStore::open(flash, RUNS);
         let blob = match found.model {
@@ -289,7 +289,8 @@ impl Hand for Right {
     fn receive(&mut self, byte: u8, now_ms: u64, wire: &mut Vec<u8>) -> u64 {
         let (store, mut busy_ms) = (&mut self.store, 0);
         self.board.receive(&[byte], now_ms, wire, |request, wire| {
-            // Flash is slow, and a test needs time to pull the cable. Erasing four pages takes a third of a second.
+            // Flash is slow, and the tests need time to disconnect the cable.
+            // Erasing four pages takes a third of a second.
             busy_ms += if matches!(request, ModelRequest::Begin(_)) { 50 } else { 20 };
             at_once(store.answer(request, async || (), &mut onto(wire)));
         });

@@ -1,10 +1,11 @@
-//! The other side of the graph: `tests/ros2/peer.py` (Cyclone DDS) or `rclpy_peer.py` (Fast DDS) as a robot, the program beside it, and a network of their own.
+//! A robot on the ROS 2 graph for tests: `tests/ros2/peer.py` (Cyclone DDS) or `rclpy_peer.py` (Fast DDS),
+//! the program under test, and their own network.
 //!
-//! DDS and the robot keep time by the wall clock, as do the delays that are measured here. Boards and program share one
-//! time, which goes no faster than that, and slower on a busy machine; so tests wait for what comes, and judge delays
-//! only where the machine was quiet.
+//! DDS and the robot use wall-clock time, and delays are measured in it.
+//! Boards and program share a time that is never faster than the wall clock and is slower on a busy machine.
+//! Tests therefore wait for events, and judge delays only on a quiet machine.
 //!
-//! Whoever includes this has `host_bridge()`, the program's path, and the parts of `desk`.
+//! A test that includes this module must define `host_bridge()`, the program's path, and the modules of `desk`.
 
 use std::io::{BufRead as _, BufReader, Write as _};
 use std::path::Path;
@@ -22,27 +23,27 @@ use super::port::alone as starting;
 use super::program::Desk;
 use super::time::{Process, Time};
 
-/// By the wall clock; a hang must not stop the tests.
+/// Limit in wall-clock time, so that a hang cannot block the tests.
 const PATIENCE: Duration = Duration::from_secs(240);
 
-/// Those that measure time are not disturbed by each other.
+/// Lock for tests that measure time, so that they do not disturb each other.
 static ALONE: Mutex<()> = Mutex::new(());
 
 fn alone() -> MutexGuard<'static, ()> {
     ALONE.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Is this the long run (`cargo xtask test --full`)?
+/// Returns whether this is the long run (`cargo xtask test --full`).
 pub fn is_full() -> bool {
     std::env::var_os("BIMANUAL_FULL").is_some()
 }
 
-/// Seconds since 1970, as the robot's stamps are.
+/// Seconds since 1970, as in the robot's stamps.
 pub fn wall_s() -> f64 {
     SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_secs_f64()
 }
 
-/// A domain that nobody else on this machine is likely to use.
+/// Returns a domain id that other programs on this machine are unlikely to use.
 pub fn domain() -> u32 {
     static NEXT: AtomicU32 = AtomicU32::new(0);
     20 + (std::process::id() * 7 + NEXT.fetch_add(1, Ordering::Relaxed)) % 80
@@ -56,12 +57,12 @@ pub struct Teller {
     pub process: Rc<Process>,
     orders: Option<ChildStdin>,
     lines: Receiver<(f64, Value)>,
-    /// Every line with the time at which it was read.
+    /// All lines with the times at which they were read.
     pub seen: Vec<(f64, Value)>,
     errors: Receiver<String>,
 }
 
-/// Starts such a program in this way; `what` names it where it fails.
+/// Starts such a program. Error messages use the name `what`.
 fn start(
     what: &'static str,
     time: &Time,
@@ -88,7 +89,7 @@ fn start(
 }
 
 impl Teller {
-    /// Ends the test with the last lines of output.
+    /// Fails the test and prints the last lines of output.
     pub fn fail(&mut self, why: &str) -> ! {
         self.process.kill();
         let tail: Vec<String> = self.seen.iter().rev().take(40).rev().map(|(_, v)| v.to_string()).collect();
@@ -96,12 +97,12 @@ impl Teller {
         panic!("{}: {why}; last lines:\n{}\n{}", self.what, tail.join("\n"), errors.join("\n"));
     }
 
-    /// Reads what was printed, without waiting.
+    /// Reads the available output without waiting.
     pub fn catch_up(&mut self) {
         self.seen.extend(self.lines.try_iter());
     }
 
-    /// Waits this long for a line from the `from`th on; returns its place.
+    /// Waits for a matching line from index `from` on, and returns its index.
     pub fn find(
         &mut self,
         from: usize,
@@ -122,7 +123,7 @@ impl Teller {
         }
     }
 
-    /// The next line, while time goes on; none at the end of the patience or of the program.
+    /// Returns the next line while time advances, or `None` at the time limit or the end of the program.
     fn next(&mut self, until: Instant) -> Option<(f64, Value)> {
         loop {
             match self.lines.try_recv() {
@@ -133,7 +134,7 @@ impl Teller {
         }
     }
 
-    /// The same, and fails if none comes.
+    /// Like [`Self::find`], but fails if there is no such line.
     pub fn wait_from(&mut self, from: usize, what: &str, fits: impl FnMut(&Value) -> bool) -> usize {
         match self.find(from, PATIENCE, fits) {
             Some(place) => place,
@@ -141,7 +142,7 @@ impl Teller {
         }
     }
 
-    /// Waits this long for a new line.
+    /// Waits for a new line, at most for this duration.
     pub fn wait_for(&mut self, patience: Duration, fits: impl FnMut(&Value) -> bool) -> Option<Value> {
         self.catch_up();
         let place = self.find(self.seen.len(), patience, fits)?;
@@ -156,7 +157,7 @@ impl Teller {
         }
     }
 
-    /// Waits for a line that may have been there already.
+    /// Waits for a matching line, which may already have been printed.
     pub fn has(&mut self, what: &str, fits: impl FnMut(&Value) -> bool) -> Value {
         let place = self.wait_from(0, what, fits);
         self.seen[place].1.clone()
@@ -168,7 +169,7 @@ impl Teller {
         writeln!(orders, "{order}").unwrap();
     }
 
-    /// Everything it says from now on for this long.
+    /// Returns all lines that are printed during this duration.
     pub fn listen(&mut self, time: Duration) -> Vec<Value> {
         self.catch_up();
         let from = self.seen.len();
@@ -182,12 +183,12 @@ impl Teller {
         self.signal("INT");
     }
 
-    /// Sends a signal of this name.
+    /// Sends a signal with this name.
     pub fn signal(&self, name: &str) {
         self.process.signal(&format!("-{name}"));
     }
 
-    /// Waits for the end; what it printed on standard error.
+    /// Waits for the end, and returns the status, the lines and the standard error output.
     pub fn end(mut self) -> (ExitStatus, Vec<Value>, String) {
         drop(self.orders.take());
         let until = Instant::now() + PATIENCE;
@@ -203,24 +204,24 @@ impl Teller {
     }
 }
 
-/// A desk whose time goes no faster than the wall clock.
+/// Creates a desk whose time is never faster than the wall clock.
 pub fn desk(name: &str) -> Desk {
     let desk = Desk::new(name);
     desk.time().keep_pace();
     desk
 }
 
-/// The robot's program below `tests/ros2`.
+/// Path of the robot's script below `tests/ros2`.
 fn peer_script() -> String {
     std::env::var("BIMANUAL_ROS2_PEER").unwrap_or_else(|_| "peer.py".to_owned())
 }
 
-/// Whether the robot is ROS 2's own client library on Fast DDS; else it is Cyclone DDS.
+/// Returns whether the robot uses ROS 2's own client library on Fast DDS. Otherwise it uses Cyclone DDS.
 pub fn is_rclpy() -> bool {
     peer_script() == "rclpy_peer.py"
 }
 
-/// The robot, or what `options` turn it into.
+/// Starts the robot, or another program that `options` select.
 pub fn peer(desk: &Desk, python: &str, domain: u32, options: &[&str]) -> Teller {
     let mut command = script(python, &peer_script());
     command.args(["--domain", &domain.to_string()]).args(options);
@@ -241,7 +242,7 @@ pub fn cyclone_peer(desk: &Desk, domain: u32, options: &[&str]) -> Option<Teller
     Some(start("the robot on Cyclone DDS", desk.time(), &mut command, Process::on_its_own))
 }
 
-/// The arm's angles as a person is shown them, by `tests/ros2/shown.py`.
+/// Starts `tests/ros2/shown.py`, which prints the arm's angles as viewers display them.
 pub fn shown(desk: &Desk, python: &str, where_from: &[&str]) -> Teller {
     teller(desk, "what is shown", python, "shown.py", where_from)
 }
@@ -252,14 +253,14 @@ fn script(python: &str, name: &str) -> Command {
     command
 }
 
-/// The program under test with `section` in its configuration's `[ros2]`. Speeds are stamped, so that the test sees how
-/// old they are, unless the section says otherwise.
+/// Starts the program under test with `section` as its `[ros2]` configuration.
+/// By default speed commands have a stamp, so that the test can determine their age.
 pub fn bridge(desk: &Desk, domain: u32, section: &str, options: &[&str]) -> Teller {
     let mut command = bridge_command(desk, domain, section, options);
     start("the bridge", desk.time(), &mut command, |command| desk.time().spawn(command))
 }
 
-/// The same on the machine's own clock.
+/// Starts the same program on the wall clock.
 pub fn bridge_on_its_own(desk: &Desk, domain: u32, section: &str, options: &[&str]) -> Teller {
     let mut command = bridge_command(desk, domain, section, options);
     start("the bridge", desk.time(), &mut command, Process::on_its_own)
@@ -292,57 +293,58 @@ pub fn number(value: &Value) -> f64 {
     value.as_f64().unwrap_or(f64::NAN)
 }
 
-/// The twist that the robot took over, in m/s and rad/s.
+/// The twist that the robot adopted, in m/s and rad/s.
 pub fn speed(value: &Value) -> Option<(f64, f64)> {
     is(value, "speed").then(|| (number(&value["linear"]), number(&value["angular"])))
 }
 
-/// Whether the bridge says that it is armed.
+/// Returns whether the bridge reports that it is armed.
 pub fn armed(value: &Value) -> bool {
     is(value, "state") && value["state"] == "armed"
 }
 
-/// From a message's stamp to its arrival.
+/// Delay from a message's stamp to its arrival.
 pub fn delay_ms(message: &Value) -> f64 {
     (number(&message["t"]) - number(&message["stamp"])) * 1000.0
 }
 
-/// A gesture's place among the diagnostics, if it started a motion.
+/// Returns the entry of a gesture in the diagnostics, if it started a motion.
 pub fn started(message: &Value) -> Option<&Value> {
     let gesture = &message["status"]["bimanual: gesture"];
     let outcome = gesture["outcome"].as_str().filter(|_| is(message, "diagnostics"))?;
     outcome.starts_with("started").then_some(gesture)
 }
 
-/// How many gestures a message tells of; the last one is repeated every second.
+/// Returns the number of gestures in a message. The last gesture is repeated every second.
 pub fn gestures(message: &Value) -> u32 {
     message["status"]["bimanual: gesture"]["count"].as_str().and_then(|count| count.parse().ok()).unwrap_or(0)
 }
 
-/// Delays in ms: the median and the longest.
+/// Returns the median and the maximum of delays in ms.
 pub fn middle_and_worst(mut delays_ms: Vec<f64>) -> (f64, f64) {
     delays_ms.sort_by(f64::total_cmp);
     (delays_ms[delays_ms.len() / 2], delays_ms[delays_ms.len() - 1])
 }
 
-/// How long the robot may go on after a board fell silent.
+/// Maximum time that the robot may continue after a board falls silent, in ms.
 pub const SILENCE_MS: f64 = 350.0;
-/// From the bridge's decision to the robot, the median.
+/// Maximum median delay from the bridge's decision to the robot, in ms.
 pub const DECISION_MS: f64 = 10.0;
 
-/// What a test on the graph needs.
+/// Environment of a test on the graph.
 pub struct Site {
-    /// The interpreter that has the robot's packages.
+    /// The Python interpreter with the robot's packages.
     pub python: String,
-    /// A network that only this test has, in which datagrams can be dropped. Else it is the machine's loopback.
+    /// Whether the test has its own network, in which it can drop datagrams. Otherwise it uses the machine's loopback.
     pub has_own_network: bool,
-    /// A lock that others wait for while this test runs.
+    /// A lock that makes other tests wait while this test runs.
     _alone: Option<MutexGuard<'static, ()>>,
 }
 
-/// A place for the test of this name (in a module `live::ros2`), which starts itself again in a new network namespace
-/// where it may; `None` if it has run and passed there, or cannot run at all. Those that measure times do so one
-/// after the other, as do all on loopback.
+/// Returns the environment for the test with this name (in a module `live::ros2`).
+/// If permitted, the test restarts itself in a new network namespace.
+/// Returns `None` if it has passed there or cannot run at all.
+/// Tests that measure times run one after another in a namespace, and all tests do on loopback.
 pub fn site(test: &str, measures: bool) -> Option<Site> {
     site_in("ros2", test, measures)
 }

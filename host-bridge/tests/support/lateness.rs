@@ -1,23 +1,23 @@
-//! Whether times that were measured by the wall clock can be judged.
+//! Determines whether times measured with the wall clock can be judged.
 
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 const SLEEP: Duration = Duration::from_millis(5);
-/// Sleeps between two looks at the processors' load.
+/// Number of sleeps between two measurements of the processor load.
 const SLEEPS_PER_LOOK: u32 = 20;
 
-/// The delays that a busy machine causes everywhere say nothing about the program's own.
+/// Measures the load of the machine, because a busy machine delays every program.
 #[derive(Clone)]
 pub struct Lateness(Arc<Mutex<Seen>>);
 
 #[derive(Clone, Default)]
 struct Seen {
-    /// How late this machine wakes a thread that slept, each time.
+    /// Delays with which this machine woke a sleeping thread.
     late_ms: Vec<f64>,
-    /// The share of all processors that work of ordinary priority took, in each tenth of a second.
+    /// Share of all processors used at normal priority, in each tenth of a second.
     taken: Vec<f64>,
-    /// The same without this test's own programs.
+    /// Share of all processors that other programs used, in each tenth of a second.
     others: Vec<f64>,
 }
 
@@ -25,7 +25,7 @@ impl Lateness {
     /// Begins to look.
     pub fn watch() -> Self {
         let seen = Arc::new(Mutex::new(Seen::default()));
-        // Ends when nobody needs it any more.
+        // The thread ends when this is dropped.
         let looks = Arc::downgrade(&seen);
         std::thread::spawn(move || {
             let mut before = Ticks::now();
@@ -66,9 +66,10 @@ impl Lateness {
         in_time
     }
 
-    /// Whether times measured meanwhile can be judged: nine sleeps of ten ended within 2 ms, and in nine tenths of a
-    /// second of ten work of ordinary priority left something of the processors. (A thread that hardly works is woken
-    /// in time on a full machine, too.)
+    /// Returns whether times measured meanwhile can be judged.
+    /// Nine of ten sleeps must have ended within 2 ms.
+    /// In nine tenths of a second out of ten, work at normal priority must have left some processor time.
+    /// The second condition is necessary because a mostly idle thread is woken in time even on a fully loaded machine.
     pub fn was_quiet(&self) -> bool {
         at_most(0.9, self.seen().taken, "work of ordinary priority takes") && self.woke_in_time()
     }
@@ -78,7 +79,7 @@ impl Lateness {
     }
 }
 
-/// Whether nine of ten shares of the processors are no larger.
+/// Returns whether at least nine of ten shares are within the limit.
 fn at_most(limit: f64, shares: Vec<f64>, who: &str) -> bool {
     let share = mostly(shares);
     if share > limit {
@@ -87,39 +88,40 @@ fn at_most(limit: f64, shares: Vec<f64>, who: &str) -> bool {
     share <= limit
 }
 
-/// The value that nine of ten do not exceed; 0 if there are none.
+/// The 90th percentile, or 0 without values.
 fn mostly(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     values.get(values.len() * 9 / 10).copied().unwrap_or(0.0)
 }
 
-/// What the processors did since the machine started, in ticks.
+/// Processor usage since the start of the machine, in ticks.
 #[derive(Clone, Copy)]
 struct Ticks {
     /// Work of ordinary priority.
     ordinary: f64,
-    /// The part of it that is this test's and its programs'.
+    /// The part used by this test and its programs.
     ours: f64,
     all: f64,
 }
 
 impl Ticks {
-    /// `None` if the system does not say.
+    /// Returns `None` if the system does not report it.
     fn now() -> Option<Self> {
         let text = std::fs::read_to_string("/proc/stat").ok()?;
         let ticks: Vec<f64> = text.lines().next()?.split_whitespace().skip(1).flat_map(str::parse).collect();
-        // user, nice, system, idle, iowait, irq, softirq, steal: what is nice, idle or waits would have given way.
-        // Steal is another machine's work, and does not give way.
+        // The fields are user, nice, system, idle, iowait, irq, softirq and steal.
+        // Nice, idle and waiting time would have been available to this test.
+        // Steal is the work of another virtual machine and would not.
         let [user, _nice, system, _idle, _iowait, irq, softirq, steal] = *ticks.first_chunk()?;
         let ordinary = user + system + irq + softirq + steal;
         Some(Self { ordinary, ours: of_our_group(), all: ticks[..8].iter().sum() })
     }
 }
 
-/// Ticks of this process and of all that it started, whether or not they have ended: of its process group.
+/// Ticks of all processes in this test's process group, including ended ones.
 fn of_our_group() -> f64 {
-    // After the name, which may hold anything: state, parent, group, ..., utime (12th), stime, and both of children
-    // that have ended.
+    // The name may contain any character.
+    // The fields after it are: state, parent, group, ..., utime (12th), stime, and both times of ended children.
     let fields = |process: &str| -> Vec<f64> {
         let stat = std::fs::read_to_string(format!("/proc/{process}/stat")).unwrap_or_default();
         let numbers = stat.rsplit(')').next().unwrap_or_default().split_whitespace().skip(1);

@@ -1,4 +1,4 @@
-//! Two hands under the test's control, wired to a bridge and the simulated robot, in virtual time.
+//! Two hands controlled by the test, connected to a bridge and the simulated robot, in virtual time.
 #![allow(dead_code)] // each test file uses its own part
 
 use host_bridge::bridge::{Bridge, EventKind, GestureOutcome};
@@ -65,14 +65,14 @@ pub struct Rig {
     pub now_ms: u64,
     pub left: LeftState,
     pub right: RightHand,
-    /// Hands that send their state by themselves.
+    /// Whether each hand sends its state regularly.
     pub talking: PerHand<bool>,
-    /// Hands that answer pings, at once.
+    /// Whether each hand replies to pings immediately.
     pub answering: PerHand<bool>,
-    /// How far the boards' clocks are from the laptop's.
+    /// Offset of the boards' clocks from the laptop's clock.
     pub board_ahead_ms: u32,
     pub events: Vec<EventKind>,
-    /// Greatest wheel speed and joint speed seen since the last look.
+    /// Whether the robot has moved since the last query.
     pub moved: bool,
 }
 
@@ -109,7 +109,7 @@ impl Rig {
         rig
     }
 
-    /// Both hands connected, neutral, armed.
+    /// Creates a rig with both hands connected, neutral and armed.
     pub fn armed() -> Self {
         let mut rig = Rig::with(&[Hand::Left, Hand::Right]);
         rig.run(200);
@@ -175,7 +175,7 @@ impl Rig {
         }
     }
 
-    /// Lets time pass; talking hands send their state every 20 ms, and all hands answer pings.
+    /// Advances the time. Talking hands send their state every 20 ms, and answering hands reply to pings.
     pub fn run(&mut self, ms: u64) {
         for _ in 0..ms {
             self.answer_ping(Hand::Left);
@@ -200,13 +200,13 @@ impl Rig {
         self.bridge.safety().state()
     }
 
-    /// The left hand points in this direction, and time passes.
+    /// Sets the left hand's heading and advances the time.
     pub fn point(&mut self, heading: Heading, ms: u64) {
         self.left.heading = heading;
         self.run(ms);
     }
 
-    /// The right hand performs a gesture (reported in the next state) and rests again.
+    /// The right hand performs a gesture, which its next state reports, and then rests.
     pub fn gesture(&mut self, label: u8) {
         self.right.events = self.right.events.wrapping_add(1);
         self.right.label = label;
@@ -217,7 +217,7 @@ impl Rig {
         self.run(100);
     }
 
-    /// Both fingers bent for a while.
+    /// Bends both fingers for a while.
     pub fn stop(&mut self) {
         self.left.stop = true;
         self.run(100);
@@ -232,12 +232,12 @@ impl Rig {
         !self.robot.arm().at_rest()
     }
 
-    /// Did anything move since the last call?
+    /// Returns whether anything has moved since the last call.
     pub fn take_moved(&mut self) -> bool {
         std::mem::take(&mut self.moved)
     }
 
-    /// What followed from the gestures so far; forgets them.
+    /// Returns and clears the outcomes of the gestures so far.
     pub fn take_outcomes(&mut self) -> Vec<GestureOutcome> {
         let outcomes = self.events.iter().filter_map(|event| match event {
             EventKind::Gesture { outcome, .. } => Some(outcome.clone()),

@@ -1,4 +1,4 @@
-//! The simulated robot and a live engine, in virtual time, for tests.
+//! The simulated robot and a live engine for tests in virtual time.
 #![allow(dead_code)] // each test file uses its own part
 
 use host_bridge::arm::{Director, Motions};
@@ -12,7 +12,7 @@ use host_bridge::robots::Stage;
 use host_bridge::sim::Simulator;
 use host_bridge::source::Source;
 
-/// The simulator behind its door.
+/// The simulator as a robot of the engine.
 pub type Robot = Director<Simulator>;
 
 /// Nothing around.
@@ -27,12 +27,12 @@ pub fn in_scene(planner: Planner) -> Robot {
     Stage::new(&config, Some(planner)).unwrap().simulated(&config)
 }
 
-/// The paper's pose of this name.
+/// Returns the paper's pose with this name.
 pub fn pose(name: &str) -> Joints {
     Motions::paper().pose(name).unwrap()
 }
 
-/// What tests ask of a robot.
+/// Functions of a robot that tests use.
 pub trait Virtual {
     fn pass(&mut self, ms: u64);
     fn start(&mut self, motion: &str) -> Result<(), NotStarted>;
@@ -63,12 +63,12 @@ impl Virtual for Robot {
     }
 }
 
-/// An engine as `run` makes it, with the simulator and these hands.
+/// Creates an engine as `run` does, with the simulator and these hands.
 pub fn live(config: &Config, left: HandInput, right: HandInput) -> Engine<'static, Robot> {
     live_before(bare(), config, left, right, 0)
 }
 
-/// The same before another robot.
+/// Creates the same engine with another robot.
 pub fn live_before<D: Door>(
     door: D,
     config: &Config,

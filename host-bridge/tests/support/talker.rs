@@ -1,6 +1,7 @@
-//! A left board that a test drives word by word: late, silent, flooding. Message by message it is a real one;
-//! what it says is the test's. It keeps time by the wall clock: what a program does that is stopped, flooded or without
-//! a reader is the system's affair, too.
+//! A simulated left board whose delays, silence and floods a test controls.
+//! Its individual messages are valid, and their content is set by the test.
+//! It uses wall-clock time, because the operating system's behaviour matters for programs that are stopped, flooded or
+//! without a reader.
 
 use std::collections::VecDeque;
 use std::fs::File;
@@ -22,29 +23,29 @@ use crate::desk::port::pair;
 
 const STATE_INTERVAL: Duration = Duration::from_millis(20);
 
-/// What it sends besides its states.
+/// Additional data that the board sends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Flood {
-    /// As fast as the line takes them.
+    /// Zeros, as fast as the line accepts them.
     Zeros,
-    /// The newest state, again and again: intact frames.
+    /// The newest state repeatedly, in valid frames.
     States,
     /// Hellos of one board.
     Hellos,
 }
 
-/// What the test asks of it now.
+/// The current settings of the test.
 #[derive(Clone, Copy, Debug)]
 pub struct Wish {
     pub heading: Heading,
     pub silent: bool,
-    /// Everything that it says takes this long.
+    /// Delay of all of the board's data.
     pub delay: Duration,
     pub flood: Option<Flood>,
     over: bool,
 }
 
-/// The board on its pseudo-terminal; its thread ends with it.
+/// The board on its pseudo-terminal. Its thread ends when this is dropped.
 pub struct Talker {
     wish: Arc<Mutex<Wish>>,
     said: Arc<Mutex<Instant>>,
@@ -59,9 +60,9 @@ fn lock<T>(what: &Mutex<T>) -> MutexGuard<'_, T> {
 impl Talker {
     pub fn start(folder: &Path) -> Self {
         let (board, laptop) = pair();
-        // Safety: the port gives its descriptor away.
+        // Safety: the port gives up ownership of its descriptor.
         let board = File::from(unsafe { OwnedFd::from_raw_fd(board.into_raw_fd()) });
-        // A board never waits for whoever reads.
+        // A board never waits for the reader.
         rustix::io::ioctl_fionbio(&board, true).unwrap();
         let port = folder.join("talker");
         let _ = std::fs::remove_file(&port);
@@ -100,7 +101,7 @@ impl Talker {
         self.set(|wish| wish.heading = heading);
     }
 
-    /// When it sent its last state.
+    /// Time of the last sent state.
     pub fn last_state(&self) -> Instant {
         *lock(&self.said)
     }
@@ -117,13 +118,13 @@ impl Drop for Talker {
 
 struct Machine {
     board: File,
-    /// Kept open, so that the board's end stays valid while nobody has the port open.
+    /// Kept open, so that the board's end remains valid while no program has the port open.
     _laptop: TTYPort,
     wish: Arc<Mutex<Wish>>,
     said: Arc<Mutex<Instant>>,
     began: Instant,
     sequence: u16,
-    /// Bytes on the way to the laptop.
+    /// Bytes on their way to the laptop.
     waiting: VecDeque<(Instant, Vec<u8>)>,
 }
 

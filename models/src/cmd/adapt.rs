@@ -1,4 +1,4 @@
-//! `models adapt`: a model of one's own from a few recordings.
+//! `models adapt`: adapts a model to one person with a few recordings.
 
 use std::path::PathBuf;
 
@@ -11,11 +11,11 @@ use models::train::Adaptable;
 /// Teach a model (recipe aligned) one more person from a few recordings of each gesture
 #[derive(Args)]
 pub struct Cmd {
-    /// The int8 .tflite; its card, .float.tflite and .memory.bin lie beside it
+    /// The int8 .tflite file, with its card, .float.tflite and .memory.bin in the same folder
     model: PathBuf,
     /// Folder with <label>/<person>__<n>.csv
     folder: PathBuf,
-    /// Whose recordings to learn from
+    /// Person whose recordings are used
     #[arg(long)]
     person: String,
     /// Folder for the new model
@@ -24,7 +24,7 @@ pub struct Cmd {
     /// Name of the new model's files [default: the model's name and the person's]
     #[arg(long)]
     name: Option<String>,
-    /// Everything random follows from it
+    /// Seed of all random numbers
     #[arg(long, default_value_t = 1)]
     seed: u64,
 }

@@ -1,4 +1,4 @@
-//! `models card`: renew the model id in a card after the blob's format has changed.
+//! `models card`: updates the model id in a card after a change of the blob's format.
 
 use std::path::PathBuf;
 
@@ -9,10 +9,10 @@ use models::recording::write_whole;
 use models::tflite::{self, Network};
 use models::train::sha256;
 
-/// Renew the model id in a model's card (needed when a new version changes the blob's format)
+/// Update the model id in a model's card (needed when a new version changes the blob's format)
 #[derive(Args)]
 pub struct Cmd {
-    /// The int8 .tflite file with its card beside it
+    /// The int8 .tflite file, with its card in the same folder
     model: PathBuf,
 }
 

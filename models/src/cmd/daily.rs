@@ -1,4 +1,4 @@
-//! `models daily`: real daily movement without a gesture, to learn from and to be judged by.
+//! `models daily`: real daily movement without gestures, for training and for tests.
 
 use std::path::PathBuf;
 use std::time::Instant;
@@ -16,7 +16,7 @@ use shared_dsp::right::network::Model;
 
 use super::people::Set;
 
-/// Real daily movement without a gesture: to learn from, and to count false events in
+/// Use real daily movement without gestures: train with it, or count false events in it
 #[derive(Args)]
 pub struct Cmd {
     #[command(subcommand)]
@@ -25,7 +25,7 @@ pub struct Cmd {
 
 #[derive(Subcommand)]
 enum Verb {
-    /// Write the feature vectors that every model learns from
+    /// Write the feature vectors that every model learns
     Vectors {
         /// Folder with other/<person>__<n>.csv, accelerometer and gyroscope
         folder: PathBuf,
@@ -36,27 +36,27 @@ enum Verb {
     Events(Events),
 }
 
-/// Count events in it: half of its people teach, the other half judge, both ways
+/// Count events in daily movement: train with half of its people, test with the other half, and vice versa
 #[derive(Args)]
 struct Events {
-    /// Folder with other/<person>__<n>.csv of people who make no gesture, at least two of them
+    /// Folder with other/<person>__<n>.csv of at least two people who make no gesture
     daily: PathBuf,
-    /// Folders to train models on, each one on its own; FOLDER:LABEL,LABEL,... tries only these labels
+    /// Folders to train separate models on; FOLDER:LABEL,LABEL,... uses only these labels
     #[arg(required = true, value_name = "FOLDER[:LABEL,...]")]
     folders: Vec<Set>,
-    /// Also play the gestures in this folder, before and after three of each have been shown by each of its people
+    /// Also play the gestures in this folder, before and after the model has learned three of each from each person
     #[arg(long, value_name = "FOLDER[:LABEL,...]")]
     show: Option<Set>,
-    /// Models per half, with the seeds 1, 2, ...
+    /// Number of models per half, with the seeds 1, 2, ...
     #[arg(long, default_value_t = 5)]
     seeds: u64,
-    /// How sure the decision may be that it is no gesture, in 256ths; several to see what each costs [default: a board's]
+    /// Maximum probability of rest for an event, in 256ths; several values are compared [default: a board's]
     #[arg(long, value_delimiter = ',', value_name = "N,N,...")]
     max_rest: Vec<u8>,
-    /// Name each recording that made an event
+    /// Print the name of each recording that caused an event
     #[arg(long)]
     errors: bool,
-    /// Judge models that have never seen daily movement
+    /// Test models that have never learned daily movement
     #[arg(long)]
     untaught: bool,
     #[command(flatten)]
@@ -77,12 +77,12 @@ impl Cmd {
     }
 }
 
-/// The results of one model on everything, per setting of the decision.
+/// The results of one model for all data, for each setting of the decision.
 #[derive(Clone, Default)]
 struct Outcome {
     /// Of daily movement.
     daily: Vec<Tally>,
-    /// The folder of the gestures to show.
+    /// Results for the gestures in the folder.
     gestures: Vec<Tally>,
 }
 
@@ -196,7 +196,7 @@ impl Events {
         }
     }
 
-    /// A model that was taught by half of the people and is judged on the other half: as it is, and after three examples.
+    /// Trains a model with half of the people and tests it on the other half, before and after three examples.
     fn one(
         &self,
         learned: &Dataset,
@@ -268,7 +268,7 @@ fn tally(
     Ok(())
 }
 
-/// The windows of three recordings of each gesture that the model knows, chosen by the seed, and all other recordings.
+/// Returns the windows of three recordings of each known gesture, chosen by the seed, and all other recordings.
 fn three_of_each<'a>(
     theirs: &'a Dataset,
     model: &Trained,
@@ -290,7 +290,7 @@ fn three_of_each<'a>(
     (examples, rest)
 }
 
-/// The mean counts between which a count is likely in 95 of 100 cases (Byar's approximation of Poisson's).
+/// Returns the 95 % confidence interval of the mean for a count (Byar's approximation for Poisson).
 fn interval(count: usize) -> (f64, f64) {
     let bound = |n: f64, z: f64| {
         if n == 0.0 { 0.0 } else { n * (1.0 - 1.0 / (9.0 * n) + z / (3.0 * n.sqrt())).powi(3) }

@@ -1,4 +1,4 @@
-//! `models eval`: score a model on a folder; the last line is the accuracy per recording.
+//! `models eval`: tests a model on a folder. The last line of its output is the accuracy per recording.
 
 use std::path::PathBuf;
 
@@ -8,17 +8,17 @@ use models::evaluate::score::{Classifier, score, scored};
 use models::tflite::Network;
 use shared_dsp::right::network::Model;
 
-/// Score a model on a folder of recordings
+/// Test a model on a folder of recordings
 #[derive(Args)]
 pub struct Cmd {
-    /// A .tflite file, float or int8, with its card beside it
+    /// A .tflite file, float or int8, with its card in the same folder
     model: PathBuf,
     /// Folder with <label>/<person>__<n>.csv
     folder: PathBuf,
-    /// Score only the recordings named in this file, one <label>/<file> a line (as `train` writes it)
+    /// Test only the recordings listed in this file, one <label>/<file> per line (as `train` writes it)
     #[arg(long, value_name = "FILE")]
     only: Option<PathBuf>,
-    /// Score only this person (repeatable)
+    /// Test only this person's recordings (repeatable)
     #[arg(long, value_name = "PERSON")]
     person: Vec<String>,
 }

@@ -1,4 +1,4 @@
-//! `models events`: the recordings of people held out, joined into one each, through the right hand as a board runs it.
+//! `models events`: joins the recordings of each held-out person and plays them through a board's right hand.
 
 use std::time::Instant;
 
@@ -11,13 +11,13 @@ use models::evaluate::study::Events;
 use super::RecipeName;
 use super::people::Set;
 
-/// Hold out each person in turn, play their recordings one after the other and count the gesture events
+/// Hold out each person in turn, play their recordings one after another and count the gesture events
 #[derive(Args)]
 pub struct Cmd {
-    /// Folders with <label>/<person>__<n>.csv; FOLDER:LABEL,LABEL,... tries only these labels
+    /// Folders with <label>/<person>__<n>.csv; FOLDER:LABEL,LABEL,... uses only these labels
     #[arg(required = true, value_name = "FOLDER[:LABEL,...]")]
     folders: Vec<Set>,
-    /// Models per person, with the seeds 1, 2, ...
+    /// Number of models per person, with the seeds 1, 2, ...
     #[arg(long, default_value_t = 5)]
     seeds: u64,
     /// How to train
@@ -28,7 +28,7 @@ pub struct Cmd {
     /// Hours of simulated wearers who make no gesture, per folder
     #[arg(long, default_value_t = 1.0)]
     hours: f64,
-    /// Also say what other thresholds would make of it: how probable rest may be, in 256ths
+    /// Also print the results for other thresholds: maximum probability of rest, in 256ths
     #[arg(long, value_delimiter = ',', value_name = "N,N,...")]
     max_rest: Vec<u8>,
     /// Rest between two recordings in s [default: 1.4 to 2.5]

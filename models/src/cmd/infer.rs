@@ -1,4 +1,4 @@
-//! `models infer`: run a network on rows of inputs, to compare it with other runtimes.
+//! `models infer`: runs a network on rows of inputs, to compare it with other runtimes.
 
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -9,12 +9,12 @@ use models::blob::ModelFiles;
 use models::tflite::{Network, infer_float};
 use shared_dsp::right::network::Model;
 
-/// Run a network on rows of its inputs (after scaling) and print its scores
+/// Run a network on rows of (scaled) inputs and print its scores
 #[derive(Args)]
 pub struct Cmd {
-    /// A .tflite file, float or int8, with its card beside it
+    /// A .tflite file, float or int8, with its card in the same folder
     model: PathBuf,
-    /// CSV without header, one row of inputs a line: whole numbers from -128 to 127 for int8
+    /// CSV file without header, one row of inputs per line: integers from -128 to 127 for int8
     inputs: PathBuf,
 }
 

@@ -1,4 +1,4 @@
-//! The verbs, and what they share.
+//! The commands, and their common parts.
 
 pub mod adapt;
 pub mod card;
@@ -25,7 +25,7 @@ use models::card::Score;
 use models::dataset::Dataset;
 use models::train::{ALIGNED, Aligned, Recipe, recipes};
 
-/// How to train: one of [`recipes::ALL`].
+/// The training recipe: one of [`recipes::ALL`].
 #[derive(Clone, Copy, Debug)]
 pub struct RecipeName(pub &'static dyn Recipe);
 
@@ -41,47 +41,47 @@ impl ValueEnum for RecipeName {
     }
 }
 
-/// Options for training in less time than a good model needs.
+/// Options for a shorter training with a worse result.
 #[derive(Args)]
 pub struct Short {
-    /// Training steps of recipe aligned, to try things out [default: what the recipe needs]
+    /// Number of training steps of recipe aligned, for quick experiments [default: that of the recipe]
     #[arg(long, value_name = "N")]
     steps: Option<usize>,
 }
 
 impl Short {
-    /// The recipe with as many steps as asked for.
+    /// Returns the recipe with the requested number of steps.
     pub fn shorten(&self, recipe: &dyn Recipe) -> Box<dyn Recipe> {
         recipe.shortened(self.steps)
     }
 
-    /// The same for recipe aligned, whose settings may change.
+    /// Returns recipe aligned, whose settings can be changed, with the requested number of steps.
     pub fn aligned(&self) -> Aligned {
         ALIGNED.with_steps(self.steps)
     }
 }
 
-/// How many axes of each sample are used.
+/// The number of axes used in each sample.
 #[derive(Args)]
 pub struct Axes {
-    /// Use only the first 3, 6 or 9 axes [default: all that every recording has]
+    /// Use only the first 3, 6 or 9 axes [default: all axes common to the recordings]
     #[arg(long, value_parser = clap::builder::PossibleValuesParser::new(["3", "6", "9"]))]
     axes: Option<String>,
 }
 
 impl Axes {
-    /// The number that was asked for; none = all that every recording has.
+    /// Returns the requested number, or `None` for all axes common to the recordings.
     pub fn count(&self) -> Option<usize> {
         self.axes.as_deref().and_then(|text| text.parse().ok())
     }
 }
 
-/// Which recordings, and how to train on them.
+/// The recordings and the training options.
 #[derive(Args)]
 pub struct Source {
     /// Folder with <label>/<person>__<n>.csv
     pub folder: PathBuf,
-    /// Everything random follows from it
+    /// Seed of all random numbers
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
     /// How to train
@@ -91,7 +91,7 @@ pub struct Source {
     short: Short,
     #[command(flatten)]
     axes: Axes,
-    /// Leave out everything that this person recorded (repeatable)
+    /// Exclude all recordings of this person (repeatable)
     #[arg(long, value_name = "PERSON")]
     pub exclude_person: Vec<String>,
 }
@@ -101,7 +101,7 @@ impl Source {
         self.short.shorten(self.recipe.0)
     }
 
-    /// The recordings. Those of people who are left out are not even opened.
+    /// Returns the recordings. Those of excluded people are not even opened.
     pub fn dataset(&self) -> anyhow::Result<Dataset> {
         let axes = self.axes.count();
         let people = Dataset::people_of(&self.folder)?;
@@ -119,12 +119,12 @@ impl Source {
     }
 }
 
-/// Reads a folder and says what is in it and what is not used.
+/// Reads a folder and prints its contents, including unused files.
 pub fn read(folder: &Path, axes: Option<usize>) -> anyhow::Result<Dataset> {
     read_where(folder, axes, |_| true)
 }
 
-/// The same for some people alone.
+/// Like [`read`], for selected people only.
 fn read_where(folder: &Path, axes: Option<usize>, person: impl Fn(&str) -> bool) -> anyhow::Result<Dataset> {
     let dataset = Dataset::read_where(folder, axes, |_, name| person(name))?;
     println!(
@@ -164,7 +164,7 @@ fn read_where(folder: &Path, axes: Option<usize>, person: impl Fn(&str) -> bool)
     Ok(dataset)
 }
 
-/// Prints a score: windows, confusion of recordings, people, and the recordings last.
+/// Prints a score: windows, confusion of recordings, people, and finally the accuracy per recording.
 pub fn print_score(score: &Score, labels: &[String]) {
     println!("per window (stride 1 s): {:.2} %", score.per_window);
     let width = labels.iter().map(String::len).max().unwrap_or(0).max(5);

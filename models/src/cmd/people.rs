@@ -1,4 +1,4 @@
-//! `models people`: each person held out in turn, random splits, and a few examples shown.
+//! `models people`: holds out each person in turn, and tests random splits and shown examples.
 
 use std::path::PathBuf;
 use std::str::FromStr;
@@ -13,13 +13,13 @@ use models::train::{ALIGNED, PAPER, Recipe};
 
 use super::RecipeName;
 
-/// Hold out each person in turn and print how models do that have never met them
+/// Hold out each person in turn and test models trained without this person
 #[derive(Args)]
 pub struct Cmd {
-    /// Folders with <label>/<person>__<n>.csv; FOLDER:LABEL,LABEL,... tries only these labels
+    /// Folders with <label>/<person>__<n>.csv; FOLDER:LABEL,LABEL,... uses only these labels
     #[arg(required = true, value_name = "FOLDER[:LABEL,...]")]
     folders: Vec<Set>,
-    /// Models per row, with the seeds 1, 2, ...
+    /// Number of models per row, with the seeds 1, 2, ...
     #[arg(long, default_value_t = 5)]
     seeds: u64,
     /// Recipes to compare (repeatable) [default: paper and aligned]
@@ -27,14 +27,14 @@ pub struct Cmd {
     recipe: Vec<RecipeName>,
     #[command(flatten)]
     axes: super::Axes,
-    /// Also adapt to each person with this many examples of 2 s per class (recipe aligned)
+    /// Also adapt models to each person with this many examples of 2 s per class (recipe aligned)
     #[arg(long, value_delimiter = ',', value_name = "N,N,...", default_value = "1,3,10")]
     examples: Vec<usize>,
     #[command(flatten)]
     short: super::Short,
 }
 
-/// A folder, and which of its labels are used; none = all.
+/// A folder and the labels used; an empty list means all.
 #[derive(Clone, Debug)]
 pub struct Set {
     pub folder: PathBuf,
@@ -57,14 +57,14 @@ impl FromStr for Set {
 }
 
 impl Set {
-    /// Reads the part of the folder that is used.
+    /// Reads the selected part of the folder.
     pub fn read(&self, axes: Option<usize>) -> anyhow::Result<Dataset> {
         Ok(Dataset::read_where(&self.folder, axes, |label, _| {
             self.labels.is_empty() || self.labels.iter().any(|wanted| wanted == label)
         })?)
     }
 
-    /// The people in it, at least two, and a line that says what it is.
+    /// Returns the folder's people, at least two, and a line of text that describes them.
     pub fn people(&self, axes: Option<usize>) -> anyhow::Result<(Vec<String>, String)> {
         let known = self.read(axes)?;
         let people = known.people();
@@ -85,7 +85,7 @@ impl Set {
     }
 }
 
-/// The recipes that are compared: those named, or the paper's and the best.
+/// Returns the recipes to compare: the named ones, or the paper's and the best.
 pub fn recipes(names: &[RecipeName], short: &super::Short) -> Vec<Box<dyn Recipe>> {
     let usual = [RecipeName(&PAPER), RecipeName(&ALIGNED)];
     let names = if names.is_empty() { &usual } else { names };

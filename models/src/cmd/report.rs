@@ -1,4 +1,4 @@
-//! `models report`: one HTML page about a folder and how models do on it.
+//! `models report`: writes one HTML page about a folder and the models' results.
 
 use std::path::PathBuf;
 
@@ -15,24 +15,24 @@ use shared_dsp::right::network::Model;
 use super::RecipeName;
 use super::people::{Set, recipes};
 
-/// Write one self-contained HTML page: what a folder holds and how models do that have never met its people
+/// Write one self-contained HTML page about a folder and the results of models trained without these people
 #[derive(Args)]
 pub struct Cmd {
-    /// Folder with <label>/<person>__<n>.csv; FOLDER:LABEL,LABEL,... tries only these labels
+    /// Folder with <label>/<person>__<n>.csv; FOLDER:LABEL,LABEL,... uses only these labels
     #[arg(value_name = "FOLDER[:LABEL,...]")]
     set: Set,
     /// Where to write it
     #[arg(long, default_value = "report.html")]
     out: PathBuf,
-    /// Models per figure, with the seeds 1, 2, ...
+    /// Number of models per figure, with the seeds 1, 2, ...
     #[arg(long, default_value_t = 5)]
     seeds: u64,
-    /// Recipes to compare (repeatable); events are the last one's [default: paper and aligned]
+    /// Recipes to compare (repeatable); events are those of the last one [default: paper and aligned]
     #[arg(long, value_enum)]
     recipe: Vec<RecipeName>,
     #[command(flatten)]
     axes: super::Axes,
-    /// Adapt to each person with this many examples of 2 s per class (recipe aligned)
+    /// Adapt models to each person with this many examples of 2 s per class (recipe aligned)
     #[arg(long, value_delimiter = ',', value_name = "N,N,...", default_value = "1,3,10")]
     examples: Vec<usize>,
     /// Hours of simulated wearers who make no gesture
@@ -42,10 +42,10 @@ pub struct Cmd {
     short: super::Short,
 }
 
-/// Shares of the others' recordings in the learning curves.
+/// Fractions of the other people's recordings in the learning curves.
 const SHARES: [f64; 4] = [0.1, 0.25, 0.5, 1.0];
 
-/// How probable rest may be when an event is made, in 256ths, in the picture of what that costs.
+/// Maximum probabilities of rest for an event, in 256ths, in the comparison of thresholds.
 const TRIED: [u8; 6] = [13, 26, 36, 50, 77, 102];
 
 impl Cmd {

@@ -1,4 +1,4 @@
-//! `models simulated`: how far simulated wearers resemble real people.
+//! `models simulated`: compares simulated wearers with real people.
 
 use std::time::Instant;
 
@@ -9,19 +9,19 @@ use rayon::prelude::*;
 use super::RecipeName;
 use super::people::Set;
 
-/// Train on simulated wearers only and test on real recordings whose labels the simulator knows
+/// Train on simulated wearers only and test on real recordings whose labels the simulator supports
 #[derive(Args)]
 pub struct Cmd {
     /// Folders with <label>/<person>__<n>.csv; FOLDER:LABEL,LABEL,... uses only these labels
     #[arg(required = true, value_name = "FOLDER[:LABEL,...]")]
     folders: Vec<Set>,
-    /// Models per row, with the seeds 1, 2, ...
+    /// Number of models per row, with the seeds 1, 2, ...
     #[arg(long, default_value_t = 5)]
     seeds: u64,
     /// How to train
     #[arg(long, value_enum, default_value = "aligned")]
     recipe: RecipeName,
-    /// What the models know: LABEL,LABEL,... [default: the four that real recordings have, then the paper's seven]
+    /// Labels of the models: LABEL,LABEL,... [default: the four of real recordings, then the paper's seven]
     #[arg(long, value_delimiter = ',')]
     labels: Vec<String>,
     #[command(flatten)]
@@ -31,7 +31,7 @@ pub struct Cmd {
     wearers: u32,
 }
 
-/// Labels of the simulator that real recordings also have.
+/// Labels of the simulator for which real recordings exist.
 const REAL: [&str; 4] = ["idle", "up-down", "left-right", "circle"];
 
 impl Cmd {

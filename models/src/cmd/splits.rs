@@ -1,11 +1,10 @@
-//! `models splits`: train and test on several random splits by recording, to know how far one
-//! figure can be trusted.
+//! `models splits`: trains and tests on several random splits by recording, to estimate the uncertainty of one figure.
 
 use clap::Args;
 use models::train::{Job, held_out, train};
 use rayon::prelude::*;
 
-/// Train on random splits by recording and print each one's accuracy and the mean
+/// Train on random splits by recording and print the accuracy of each and the mean
 #[derive(Args)]
 pub struct Cmd {
     #[command(flatten)]
@@ -13,7 +12,7 @@ pub struct Cmd {
     /// Number of splits; split k has the seed SEED + k − 1
     #[arg(long, default_value_t = 5)]
     splits: u64,
-    /// Share of the recordings that is tested
+    /// Fraction of the recordings for the test
     #[arg(long, default_value_t = 0.2)]
     test: f64,
 }

@@ -12,33 +12,33 @@ use rayon::prelude::*;
 enum GroupName {
     /// For training
     Training,
-    /// For measuring: never one of the training wearers
+    /// For tests: never one of the training wearers
     Evaluation,
 }
 
-/// Make recordings of simulated wearers (not of real people)
+/// Generate recordings of simulated wearers (not of real people)
 #[derive(Args)]
 pub struct Cmd {
-    /// Folder for the recordings; must be new or empty
+    /// Folder for the recordings, which must be new or empty
     #[arg(long)]
     out: PathBuf,
-    /// The crowd: everything random follows from it
+    /// Seed of the wearers and of all random numbers
     #[arg(long, default_value_t = 1)]
     seed: u64,
     /// Number of wearers
     #[arg(long, default_value_t = 20)]
     wearers: u32,
-    /// Seconds of each gesture per wearer
+    /// Duration of each gesture per wearer in seconds
     #[arg(long, default_value_t = 10.0)]
     seconds: f64,
     /// Which wearers
     #[arg(long, value_enum, default_value = "training")]
     group: GroupName,
-    /// This many of them, the last ones, were told by nobody how to move: slower and faster, circles in any plane
+    /// Number of wearers (the last ones) without instructions: slower and faster, with circles in any plane
     #[arg(long, value_name = "N", default_value_t = 0)]
     untaught: u32,
-    /// Whole gestures only, without takes in which one has just begun or is nearly over: recipe aligned, whose decision
-    /// waits for the movement, learns from them to doubt
+    /// Omit recordings in which a gesture has just begun or has nearly ended. They would teach recipe aligned to
+    /// hesitate, although its decision already waits for the movement
     #[arg(long)]
     whole: bool,
 }
@@ -58,7 +58,7 @@ impl Cmd {
             GroupName::Training => Group::Training,
             GroupName::Evaluation => Group::Evaluation,
         };
-        // Made whole beside its final place, then renamed: nobody ever finds half a data set.
+        // The data set is created in a temporary folder and then renamed, so that an incomplete one is never visible.
         let name = self.out.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let part = self.out.with_file_name(format!("{name}.{}.part", std::process::id()));
         let mut takes = takes(self.seconds);

@@ -1,4 +1,4 @@
-//! `models tempo`: people held out, played slower and faster.
+//! `models tempo`: plays recordings of held-out people slower and faster.
 
 use std::time::Instant;
 
@@ -11,13 +11,13 @@ use shared_words::is_rest;
 
 use super::people::Set;
 
-/// Hold out each person in turn and play their gestures slower and faster, with the force that belongs to the tempo
+/// Hold out each person in turn and play their gestures slower and faster, with the matching forces
 #[derive(Args)]
 pub struct Cmd {
-    /// Folders with <label>/<person>__<n>.csv; FOLDER:LABEL,LABEL,... tries only these labels
+    /// Folders with <label>/<person>__<n>.csv; FOLDER:LABEL,LABEL,... uses only these labels
     #[arg(required = true, value_name = "FOLDER[:LABEL,...]")]
     folders: Vec<Set>,
-    /// Models per person, with the seeds 1, 2, ...
+    /// Number of models per person, with the seeds 1, 2, ...
     #[arg(long, default_value_t = 5)]
     seeds: u64,
     /// Tempos, relative to the recordings
@@ -29,7 +29,7 @@ pub struct Cmd {
     short: super::Short,
 }
 
-/// Recordings count that land between so many strokes per second.
+/// Only recordings with this many strokes per second count.
 const STROKES_HZ: std::ops::RangeInclusive<f64> = 0.5..=5.0;
 
 impl Cmd {
@@ -52,7 +52,7 @@ impl Cmd {
             let trial = Trial { folder: &set.folder, axes, labels: &set.labels, recipe: &recipe };
             let all = set.read(axes)?;
             let range = range_of(all.items.iter().map(|item| &item.recording));
-            // Per tempo: what is played.
+            // The played recordings of each tempo.
             let played: Vec<Dataset> = self.tempo.iter().map(|factor| at(&all, *factor, range)).collect();
             let jobs: Vec<(&String, u64)> =
                 people.iter().flat_map(|person| (1..=self.seeds).map(move |seed| (person, seed))).collect();
@@ -97,10 +97,10 @@ impl Cmd {
     }
 }
 
-/// The gestures of a data set at another tempo, as far as that is a tempo of gesticulating hands.
+/// Returns the gestures of a data set at another tempo, omitting tempos that hands do not have.
 fn at(all: &Dataset, factor: f64, range: f64) -> Dataset {
     let gestures = all.filtered(|item| !is_rest(&item.label));
-    // `other` is wild: its largest values are the sensor's limits.
+    // The movements of `other` are so strong that their largest values are the sensor's limits.
     let items = gestures.items.par_iter().filter_map(|item| {
         let hz = strokes_per_second(&item.recording)?;
         STROKES_HZ.contains(&(hz * factor)).then(|| {

@@ -1,4 +1,4 @@
-//! `models train`: recordings in, `NAME.tflite`, `NAME.float.tflite` and `NAME.card.json` out.
+//! `models train`: trains on recordings and writes `NAME.tflite`, `NAME.float.tflite` and `NAME.card.json`.
 
 use std::path::PathBuf;
 
@@ -16,10 +16,10 @@ pub struct Cmd {
     /// Name of the model's files
     #[arg(long, default_value = "gestures")]
     name: String,
-    /// Share of the recordings to keep out of training and score on, chosen by the seed
+    /// Fraction of the recordings to hold out and test on, chosen by the seed
     #[arg(long, value_name = "FRACTION", default_value_t = 0.0)]
     test: f64,
-    /// What the data is, for the card [default: FOLDER/ABOUT.txt, as `synth` writes it]
+    /// Description of the data for the card [default: FOLDER/ABOUT.txt, as `synth` writes it]
     #[arg(long)]
     about: Option<String>,
 }
@@ -85,7 +85,7 @@ impl Cmd {
         }
         let list = self.out.join(format!("{}.test.txt", self.name));
         if test.is_empty() {
-            // With the list of an earlier model of this name, this one would be scored on what it has learned.
+            // With the test list of an earlier model, this model would be tested on its own training data.
             match std::fs::remove_file(&list) {
                 Ok(()) => println!("removed {}: it was of the model that was here before", list.display()),
                 Err(error) if error.kind() == std::io::ErrorKind::NotFound => {}

@@ -1,4 +1,4 @@
-//! The labels of a whole export: `info.labels` at its top, `structured_labels.labels` beside its files.
+//! Reads the labels of an export: `info.labels` at its top, `structured_labels.labels` beside its files.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -7,7 +7,7 @@ use serde_json::Value;
 
 use crate::labels;
 
-/// What an export keeps apart.
+/// The separate parts of an export.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Part {
     /// To learn from.
@@ -17,7 +17,7 @@ pub enum Part {
 }
 
 impl Part {
-    /// The name of its folder.
+    /// Returns the name of this part's folder.
     pub fn name(self) -> &'static str {
         match self {
             Part::Training => "training",
@@ -26,7 +26,7 @@ impl Part {
     }
 }
 
-/// The samples of one label within a file.
+/// The samples of one label in a file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Cut {
     /// Canonical.
@@ -37,23 +37,23 @@ pub struct Cut {
     pub end: usize,
 }
 
-/// What an export says of a file.
+/// The labels of a file in an export.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Labelled {
-    /// All of it is one gesture; the canonical label.
+    /// The complete file has this canonical label.
     As(String),
-    /// Several, one after the other.
+    /// The file contains several labels in sequence.
     Cuts(Vec<Cut>),
-    /// Nobody has labelled it yet.
+    /// The file has not been labelled.
     Not,
 }
 
-/// What an export says of its files. Reads each of its label files once.
+/// The labels of all files in an export. Each label file is read once.
 #[derive(Debug, Default)]
 pub struct Labels {
-    /// By folder: what its `info.labels` says, by the path below the folder.
+    /// Contents of `info.labels` by folder, and then by the path below the folder.
     infos: HashMap<PathBuf, Option<HashMap<String, Entry>>>,
-    /// By folder: what its `structured_labels.labels` says, by the name of the file.
+    /// Contents of `structured_labels.labels` by folder, and then by file name.
     structured: HashMap<PathBuf, HashMap<String, Vec<Cut>>>,
 }
 
@@ -99,12 +99,11 @@ fn entry(value: &Value) -> Option<(String, Entry)> {
 }
 
 impl Labels {
-    /// What the export around a file says of it, and which part the file is of; none if there is no export, or it
-    /// does not name the file.
+    /// Returns the labels and the part of a file, or nothing if there is no export or it does not list the file.
     pub fn of(&mut self, file: &Path) -> (Option<Labelled>, Option<Part>) {
         let name = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let folder = file.parent().unwrap_or(Path::new(""));
-        // The last of the folders above it that is called like a part.
+        // The last parent folder whose name is that of a part.
         let by_folder =
             file.ancestors().skip(1).take(2).find_map(|folder| part(&folder.file_name()?.to_string_lossy()));
         let structured = self.structured.entry(folder.to_owned()).or_insert_with(|| structured(folder));
@@ -125,7 +124,7 @@ impl Labels {
     }
 }
 
-/// What `FOLDER/info.labels` says, if it is there and can be read.
+/// Reads `FOLDER/info.labels`, if it exists and is valid.
 fn info(folder: &Path) -> Option<HashMap<String, Entry>> {
     let info = json(&folder.join("info.labels"))?;
     Some(info.get("files")?.as_array()?.iter().filter_map(entry).collect())

@@ -1,9 +1,11 @@
-//! Recordings in Edge Impulse's data acquisition format, JSON or CBOR, into ours.
+//! Reads recordings in Edge Impulse's data acquisition format, JSON or CBOR.
 //!
-//! Such a file is one object: `payload.interval_ms`, `payload.sensors` (names and units) and `payload.values`
-//! (one row of numbers per sample). Signatures are not checked: they say who sent a file, not whether it is
-//! sound. Columns and units are found and judged as those of CSV files are ([`crate::sheet`]). What cannot be used is an
-//! error that names the file, the place in it, and what to do. [`export`] knows the labels of a whole export.
+//! Such a file is one object with `payload.interval_ms`,
+//! `payload.sensors` (names and units) and `payload.values` (one row per sample).
+//! Signatures are not checked, because they identify the sender and do not prove validity.
+//! Columns and units are detected as in CSV files ([`crate::sheet`]).
+//! Unusable data causes an error with the file, the place in it, and a remedy.
+//! [`export`] reads the labels of an export.
 
 pub mod export;
 
@@ -14,18 +16,18 @@ use serde_json::Value;
 use crate::recording::{MAX_RATE_HZ, MIN_RATE_HZ, Recording, RecordingError};
 use crate::sheet::{self, Reading};
 
-/// What a file holds.
+/// The contents of a file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Imported {
     /// The samples in m/s², deg/s and µT.
     pub recording: Recording,
-    /// What the file calls the device, if it does.
+    /// Name of the device in the file, if there is one.
     pub device: Option<String>,
-    /// What was judged or left out, in words.
+    /// Descriptions of everything that was inferred or omitted.
     pub notes: Vec<String>,
 }
 
-/// Why a file cannot be imported; the text says where and what to do.
+/// The reason why a file cannot be imported, with the place and a remedy.
 #[derive(Debug, thiserror::Error)]
 pub enum ImportError {
     /// The file cannot be read.
@@ -33,7 +35,7 @@ pub enum ImportError {
     Io {
         /// The file.
         file: PathBuf,
-        /// What the system said.
+        /// The system's error message.
         source: std::io::Error,
     },
     /// Neither JSON nor CBOR.
@@ -41,20 +43,20 @@ pub enum ImportError {
     Text {
         /// The file.
         file: PathBuf,
-        /// What the parser said, with line and column or the byte.
+        /// The parser's message, with line and column or byte offset.
         what: String,
     },
-    /// Its columns or units cannot be used.
+    /// The columns or units of the file cannot be used.
     #[error(transparent)]
     Recording(#[from] RecordingError),
-    /// A part is missing, or is not what it should be.
+    /// A part is missing or invalid.
     #[error("{file}, {place}: {what}")]
     Content {
         /// The file.
         file: PathBuf,
-        /// The place in the object, such as `payload.values[3][0]`.
+        /// Place in the object, such as `payload.values[3][0]`.
         place: String,
-        /// What is wrong there and what to do.
+        /// The problem at this place and a remedy.
         what: String,
     },
 }
@@ -68,7 +70,7 @@ impl Reader<'_> {
         Err(ImportError::Content { file: self.file.to_owned(), place: place.to_owned(), what: what.into() })
     }
 
-    /// The member of an object; `path` names the object.
+    /// Returns a member of the object at `path`.
     fn member<'v>(&self, value: &'v Value, path: &str, name: &str) -> Result<&'v Value, ImportError> {
         let place = if path.is_empty() { name.to_owned() } else { format!("{path}.{name}") };
         match value.get(name) {
@@ -122,7 +124,8 @@ pub fn read(file: &Path, reading: &Reading) -> Result<Imported, ImportError> {
     parse(file, &bytes, reading)
 }
 
-/// The same from memory: JSON if it begins like an object, else CBOR. `file` is only for the errors.
+/// Like [`read`], but from memory: JSON if the data begins like an object, otherwise CBOR.
+/// `file` is used only in errors.
 ///
 /// # Errors
 /// [`ImportError`].
@@ -206,7 +209,7 @@ fn names(reader: &Reader<'_>, sensors: &[Value]) -> Result<Vec<String>, ImportEr
     sensors.iter().enumerate().map(one).collect()
 }
 
-/// Per column that is used, the factor to our unit, and 1 where the file declares none; which sensors' units it declares.
+/// Returns the factor to our unit for each column used (1 if undeclared), and the sensors whose units are declared.
 fn factors(
     reader: &Reader<'_>,
     sensors: &[Value],
@@ -226,7 +229,7 @@ fn factors(
                 Some(1.0)
             }
             Some(factor) => Some(factor),
-            // Names as the data forwarder writes them if nobody chose any.
+            // Default names written by the data forwarder.
             None if matches!(spelled.as_str(), "" | "n/a" | "na" | "none" | "-") => {
                 declared[sensor as usize] = false;
                 Some(1.0)
@@ -343,7 +346,7 @@ mod tests {
         assert!(text.contains("(\"magX\"): this sensor has no y and no z"), "{text}");
     }
 
-    /// Two seconds of a hand that waves, `unit` times.
+    /// Two seconds of a waving hand, scaled by `unit`.
     fn waved(unit: f64) -> Value {
         let row = |n: u32| {
             let s = (f64::from(n) * 0.09).sin();
@@ -370,7 +373,7 @@ mod tests {
             assert!(close(&judged.recording, &right.recording));
             assert_eq!(judged.notes, ["the accelerometer is in g, by gravity"]);
         }
-        // What the user says has priority over what the file says.
+        // The user's options have priority over the file.
         let told = Reading { units: "g".parse().unwrap(), ..GUESS };
         let root = file(acc_in("m/s2"), waved(g)).to_string();
         let told = parse(Path::new("x.json"), root.as_bytes(), &told).unwrap();

@@ -1,10 +1,12 @@
-//! From recordings to events: recordings of one person joined into one, played through the right hand as a board
-//! runs it, and what came of each performed gesture.
+//! Evaluates events: joins the recordings of one person, plays them through a board's right hand,
+//! and compares the events with the labels.
 //!
-//! Between two recordings the hand rests: it holds the posture in which the last one ended, turns smoothly into the one
-//! in which the next begins, and holds that, with the noise of a held hand. A recording of a gesture counts as one
-//! performed gesture, however often it repeats its shape, and its first sample as the onset, though people begin a
-//! little later: delays are overestimated.
+//! The hand rests between two recordings.
+//! It holds the final posture of the first, turns smoothly to the initial posture of the next, and holds that,
+//! with the noise of a held hand.
+//! A recording counts as one performed gesture, however often it repeats the shape,
+//! and its first sample counts as the onset.
+//! People actually begin a little later, so delays are overestimated.
 
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
@@ -53,32 +55,32 @@ fn between((low, high): (f64, f64), rng: &mut ChaCha8Rng) -> f64 {
 /// For this long after its end an event still belongs to a recording: a decision may wait for the hand to rest.
 const TAIL_S: f64 = 0.9;
 
-/// A recording among those that were joined: samples from `start` to before `end`.
+/// The position of a recording in a joined one: samples from `start` up to `end`, exclusive.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Annotation {
     /// First sample.
     pub start: usize,
-    /// The place after the last sample.
+    /// Index after the last sample.
     pub end: usize,
     /// Its label.
     pub label: String,
-    /// Its name in its data set.
+    /// Name in the data set.
     pub name: String,
 }
 
-/// Recordings of one person, one after the other.
+/// Recordings of one person, joined in sequence.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct AnnotatedRecording {
     /// Values per sample: 3, 6 or 9.
     pub axes: usize,
-    /// Samples at the models' rate, one after the other.
+    /// All samples in sequence, at the models' rate.
     pub values: Vec<f32>,
-    /// Where the recordings stand, in order.
+    /// Positions of the recordings, in order.
     pub annotations: Vec<Annotation>,
 }
 
 impl AnnotatedRecording {
-    /// Joins recordings, in an order that follows from the seed.
+    /// Joins recordings in an order that depends on the seed.
     pub fn joined(items: &[&Item], axes: usize, seed: u64) -> Self {
         Self::joined_by(items, axes, Pause::USUAL, seed)
     }
@@ -104,7 +106,7 @@ impl AnnotatedRecording {
         joined
     }
 
-    /// A simulated wearer, never one of those that models learn from, who does many things but no gesture.
+    /// Generates a simulated wearer who makes no gesture and is never used for training.
     pub fn aimless(seed: u64, index: u32, seconds: f64) -> Self {
         let wearer = Wearer::evaluation(seed, index);
         let mut rng = RandomStream::Aimless(index).of(seed);
@@ -124,7 +126,7 @@ impl AnnotatedRecording {
         Self { axes: recording.axes(), values, annotations: vec![annotation] }
     }
 
-    /// The same, with the first axes only.
+    /// Returns the same recording with the first axes only.
     pub fn with_axes(mut self, axes: usize) -> Self {
         if axes < self.axes {
             let rows = self.values.chunks_exact(self.axes);
@@ -176,17 +178,17 @@ impl AnnotatedRecording {
     }
 }
 
-/// Samples whose mean is a posture: 0.15 s.
+/// Number of samples that are averaged for a posture: 0.15 s.
 pub(crate) const POSTURE: usize = 15;
 
-/// The mean of some samples: what a hand measures that is held like that.
+/// Returns the mean of some samples, which is the measurement in that posture.
 pub(crate) fn posture(rows: &[&[f32]]) -> Vec<f64> {
     let axes = rows.first().map_or(0, |row| row.len());
     let count = rows.len().max(1) as f64;
     (0..axes).map(|axis| rows.iter().map(|row| f64::from(row[axis])).sum::<f64>() / count).collect()
 }
 
-/// The rotation between two postures as their accelerometers see it, in deg about each axis.
+/// Returns the rotation between two postures, according to their accelerometers, in deg about each axis.
 fn turn_rate_deg(from: &[f64], to: &[f64]) -> [f64; 3] {
     let length = |v: &[f64]| v[..3].iter().map(|x| x * x).sum::<f64>().sqrt().max(1e-6);
     let (a, b) = (length(from), length(to));
@@ -198,16 +200,16 @@ fn turn_rate_deg(from: &[f64], to: &[f64]) -> [f64; 3] {
     axis.map(|x| if sine > 1e-9 { x / sine * angle } else { 0.0 })
 }
 
-/// What came of annotated recordings.
+/// The results for annotated recordings.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Tally {
     /// Gestures performed.
     pub performed: usize,
-    /// Exactly one event came, of the right label.
+    /// Number of recordings with exactly one event of the correct label.
     pub right: usize,
     /// No event came.
     pub missed: usize,
-    /// One event came, of another label.
+    /// Number of recordings with one event of another label.
     pub wrong: usize,
     /// Several events came.
     pub several: usize,
@@ -215,13 +217,13 @@ pub struct Tally {
     pub rests: usize,
     /// Events in those.
     pub rest_events: usize,
-    /// Events outside of all recordings, in the rest between.
+    /// Number of events between recordings.
     pub stray_events: usize,
-    /// Time of the recordings of no gesture, in s.
+    /// Duration of recordings without gestures, in s.
     pub rest_s: f64,
-    /// From onset to event of those that were right, in s.
+    /// Delays of correct events from onset to event, in s.
     pub delays_s: Vec<f64>,
-    /// Names of recordings that were not understood, with what came instead.
+    /// Names of misclassified recordings, with their results.
     pub errors: Vec<String>,
 }
 
@@ -241,29 +243,29 @@ impl Tally {
         self.errors.extend(other.errors.iter().cloned());
     }
 
-    /// Performed gestures with exactly one right event, in per cent.
+    /// Percentage of performed gestures with exactly one correct event.
     pub fn right_per_cent(&self) -> f64 {
         100.0 * self.right as f64 / self.performed.max(1) as f64
     }
 
-    /// Median delay of the right events in s; none if there are none.
+    /// Median delay of correct events in s, or `None` without any.
     pub fn median_delay_s(&self) -> Option<f64> {
         let mut delays = self.delays_s.clone();
         delays.sort_by(f64::total_cmp);
         delays.get(delays.len() / 2).copied()
     }
 
-    /// [`Self::median_delay_s`] for people.
+    /// [`Self::median_delay_s`] as a text for users.
     pub fn median_delay(&self) -> String {
         self.median_delay_s().map_or_else(|| "–".to_owned(), |delay| format!("{delay:.2}"))
     }
 
-    /// Events in recordings of no gesture, per hour.
+    /// Number of events per hour in recordings without gestures.
     pub fn false_per_hour(&self) -> f64 {
         3600.0 * self.rest_events as f64 / self.rest_s.max(1e-9)
     }
 
-    /// Counts what events (sample, label) came in a recording. A gesture that the model does not know is left out.
+    /// Adds the events (sample, label) of a recording. Gestures that the model does not know are ignored.
     pub fn count(&mut self, recording: &AnnotatedRecording, events: &[(usize, usize)], labels: &[String]) {
         let tail = (TAIL_S * RATE_HZ) as usize;
         let mut counted = 0;
@@ -306,10 +308,10 @@ impl Tally {
     }
 }
 
-/// Events of a recording, (sample, label), as a board makes them.
+/// Plays a recording like a board, and returns its events as (sample, label).
 ///
 /// # Errors
-/// If the model is for other samples.
+/// The model is for other samples.
 pub fn play(model: Model<'_>, recording: &AnnotatedRecording) -> Result<Vec<(usize, usize)>, ModelMismatch> {
     fn run<const A: usize>(model: Model<'_>, values: &[f32]) -> Result<Vec<(usize, usize)>, ModelMismatch> {
         let mut hand = RightHand::<A>::new(model, DecisionConfig::default())?;
@@ -340,10 +342,10 @@ pub struct Heard {
     movement: Movement,
 }
 
-/// Everything that a model of recipe `aligned` says of a recording, so that several decisions can be tried on it.
+/// Returns all outputs of a model of recipe `aligned` for a recording, so that several decisions can be compared.
 ///
 /// # Errors
-/// If the model is for other samples.
+/// The model is for other samples.
 pub fn listen(model: Model<'_>, recording: &AnnotatedRecording) -> Result<Vec<Heard>, ModelMismatch> {
     fn run<const A: usize>(model: Model<'_>, values: &[f32]) -> Result<Vec<Heard>, ModelMismatch> {
         let info = model.info();
@@ -353,7 +355,7 @@ pub fn listen(model: Model<'_>, recording: &AnnotatedRecording) -> Result<Vec<He
         let (mut window, mut slow) = (AlignedWindow::<A>::new(), SlowWindow::<A>::new());
         let classify = |features: &[f32]| {
             let mut scores = [i8::MIN; MAX_LABELS];
-            // The number of features is the model's.
+            // The number of features equals the model's.
             let _ = model.classify_features(features, &mut scores[..info.label_count]);
             scores
         };
@@ -379,7 +381,7 @@ pub fn listen(model: Model<'_>, recording: &AnnotatedRecording) -> Result<Vec<He
     }
 }
 
-/// The events (sample, label) that a decision makes from these outputs.
+/// Returns the events (sample, label) of a decision for these outputs.
 pub fn decide(heard: &[Heard], labels: &[String], config: MovementConfig) -> Vec<(usize, usize)> {
     let mut decision = MovementDecision::new(labels.iter().map(String::as_str), config);
     let step = |hop: &Heard| {
@@ -433,7 +435,7 @@ mod tests {
     #[test]
     fn a_quarter_turn_is_ninety_degrees_about_the_axis_across() {
         let turn = turn_rate_deg(&[0.0, 0.0, 9.8], &[9.8, 0.0, 0.0]);
-        // Seen from a board, gravity turns the other way: nose up is a turn about -y.
+        // In the board's frame, gravity turns in the opposite direction: nose up is a rotation about -y.
         assert!((turn[1] + 90.0).abs() < 1e-6 && turn[0].abs() < 1e-6 && turn[2].abs() < 1e-6, "{turn:?}");
     }
 

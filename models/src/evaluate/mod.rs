@@ -1,5 +1,4 @@
-//! How well a model does: recordings it has never seen, people it has never met, one recording after the other played
-//! through the right hand, other tempos.
+//! Evaluates models on unseen recordings, unknown people, joined recordings and other tempos.
 
 pub mod events;
 #[cfg(feature = "train")]

@@ -1,7 +1,7 @@
-//! How a recipe does with people it has never met: each person of a folder held out in turn.
+//! Evaluates recipes on unknown people: each person of a folder is held out in turn.
 //!
-//! A fold reads the files of the other people only; those of the held-out person are opened after the model is
-//! finished, to score it. So nothing of theirs can reach training, scaling, stopping or quantisation.
+//! A fold reads only the files of the other people. The files of the held-out person are opened after training.
+//! Therefore, they cannot influence training, scaling, stopping or quantisation.
 
 use std::path::{Path, PathBuf};
 
@@ -26,15 +26,16 @@ use crate::train::{Job, Recipe, TrainError, Trained, adapt, examples_of, held_ou
 pub struct Trial<'a> {
     /// Folder with `<label>/<person>__<n>.csv`.
     pub folder: &'a Path,
-    /// Axes used; none = as many as all recordings have.
+    /// Number of axes used; `None` means all axes common to the recordings.
     pub axes: Option<usize>,
-    /// Labels tried; empty: all. Models also learn from the others' recordings of no gesture (`idle`, `other`).
+    /// Labels tested; empty means all.
+    /// Models also learn from the other people's recordings without gestures (`idle`, `other`).
     pub labels: &'a [String],
-    /// How models are trained.
+    /// The recipes for training the models.
     pub recipe: &'a dyn Recipe,
 }
 
-/// Why a trial cannot be run; the text says what to do.
+/// The reason why a trial cannot run, with a remedy in the text.
 #[derive(Debug, thiserror::Error)]
 pub enum TrialError {
     /// The folder cannot be read.
@@ -43,20 +44,20 @@ pub enum TrialError {
     /// A model cannot be trained.
     #[error(transparent)]
     Train(#[from] TrainError),
-    /// A trained model does not parse: a fault of this program.
+    /// A trained model cannot be parsed, which is a bug of this program.
     #[error("the trained model is damaged: {0}")]
     Model(#[from] shared_dsp::right::network::ModelError),
-    /// A trained model does not run on its own recordings: a fault of this program.
+    /// A trained model cannot run on its own recordings, which is a bug of this program.
     #[error("the trained model does not run: {0}")]
     Mismatch(#[from] ModelMismatch),
 }
 
-/// Recordings recognised correctly, in per cent, float and int8.
+/// Correctly classified recordings in per cent, for float and int8.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Accuracy {
     /// Score of the float network.
     pub float: f64,
-    /// Score of the int8 network, as boards run it.
+    /// Score of the int8 network, which boards run.
     pub int8: f64,
 }
 
@@ -70,7 +71,7 @@ impl Accuracy {
         }
     }
 
-    /// The minimum of several, for float and int8 separately.
+    /// Returns the minimum, separately for float and int8.
     pub fn worst(all: &[Self]) -> Self {
         let least = |pick: fn(&Self) -> f64| all.iter().map(pick).fold(f64::INFINITY, f64::min);
         Self { float: least(|a| a.float), int8: least(|a| a.int8) }
@@ -80,22 +81,22 @@ impl Accuracy {
 /// A model's results on recordings.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Graded {
-    /// Labels of rows and columns of the confusion matrices.
+    /// Labels of the rows and columns of the confusion matrices.
     pub labels: Vec<String>,
     /// Confusion of the float and of the int8 network.
     pub scores: Scores,
-    /// The int8 network's answer to each recording.
+    /// The int8 network's answer for each recording.
     pub answers: Vec<Answer>,
 }
 
-/// The int8 network's answer to a recording.
+/// The int8 network's answer for one recording.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Answer {
-    /// Name of the recording in its data set.
+    /// Name of the recording in the data set.
     pub recording: String,
     /// Index in [`Graded::labels`].
     pub label: usize,
-    /// The probability that the network gave it, 0 to 1.
+    /// The network's probability for this answer, 0 to 1.
     pub probability: f32,
     /// Whether it was right.
     pub right: bool,
@@ -107,20 +108,20 @@ impl Graded {
         Accuracy { float: self.scores.float.per_recording, int8: self.scores.int8.per_recording }
     }
 
-    /// The mean accuracy of several results.
+    /// Returns the mean accuracy of several results.
     pub fn mean<'a>(all: impl IntoIterator<Item = &'a Self>) -> Accuracy {
         Accuracy::mean(&all.into_iter().map(Self::accuracy).collect::<Vec<_>>())
     }
 }
 
-/// A person's recordings after a model has been shown so many examples per class.
+/// The results of a model after it has learned some examples per class from a person.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Shown {
-    /// Examples per class; 0: the model as it was.
+    /// Number of examples per class; 0 is the original model.
     pub examples: usize,
-    /// On recordings of the person that are never shown, however many are.
+    /// Results on recordings of this person that are never used as examples.
     pub new: Graded,
-    /// On recordings of the others that took no part in anything.
+    /// Results on other people's recordings that were not used for anything.
     pub old: Graded,
 }
 
@@ -143,7 +144,7 @@ impl Trial<'_> {
         Dataset::read_where(self.folder, Some(axes), |label, name| self.uses(label) && person(name))
     }
 
-    /// Recordings to learn from, and to join into one: those of no gesture too, whatever labels are tried.
+    /// Reads recordings for learning and for joining, including those without gestures, for any tested labels.
     fn read_with_rest(
         &self,
         axes: Option<usize>,
@@ -153,20 +154,20 @@ impl Trial<'_> {
         Dataset::read_where(self.folder, axes, |label, name| wanted(label) && person(name))
     }
 
-    /// What a model makes of recordings of the labels tried; it answers with one of these.
+    /// Tests a model on recordings of the tested labels; its answers are restricted to these.
     pub fn grade(&self, model: &Trained, recordings: &Dataset) -> Result<Graded, TrialError> {
         let mut answers = model.card.answers();
         answers.iter_mut().zip(&model.card.labels).for_each(|(answer, label)| *answer &= self.uses(label));
         graded(model, recordings, &answers)
     }
 
-    /// A model that has never met `person`.
+    /// Trains a model without the recordings of `person`.
     pub fn without(&self, person: &str, seed: u64) -> Result<Trained, TrialError> {
         let others = self.read_with_rest(self.axes, |name| name != person)?;
         Ok(train(&others, &[], self.recipe, &Self::job(seed))?)
     }
 
-    /// The results of a model that has never met `person`, on all their recordings.
+    /// Tests a model trained without `person` on all their recordings.
     pub fn stranger(&self, person: &str, seed: u64) -> Result<Graded, TrialError> {
         self.grade_of(&self.without(person, seed)?, person)
     }
@@ -194,7 +195,7 @@ impl Trial<'_> {
         Ok(tally)
     }
 
-    /// A model's results on a fifth of the recordings, chosen by the seed and kept out of training.
+    /// Tests a model on a random fifth of the recordings, which is held out of training.
     pub fn random_split(&self, seed: u64) -> Result<Graded, TrialError> {
         let all = self.read_with_rest(self.axes, |_| true)?;
         let test = held_out(&all, 0.2, seed);
@@ -202,8 +203,9 @@ impl Trial<'_> {
         self.grade(&model, &all.filtered(|item| test.contains(&item.name) && self.uses(&item.label)))
     }
 
-    /// What a model that has never met `person` makes of them when it knows only the first part of the others'
-    /// recordings, `share` of each label's in an order by the seed.
+    /// Tests a model that was trained without `person` on a fraction `share`
+    /// of the other people's recordings.
+    /// The recordings of each label are in an order that depends on the seed.
     pub fn stranger_after(&self, person: &str, share: f64, seed: u64) -> Result<Graded, TrialError> {
         let others = self.read_with_rest(self.axes, |name| name != person)?;
         let dropped = held_out(&others, 1.0 - share, seed);
@@ -245,7 +247,7 @@ impl Trial<'_> {
         let items: Vec<&Item> = theirs.items.iter().collect();
         count(&AnnotatedRecording::joined_by(&items, axes, pause, seed), &mut real)?;
         let mut simulated = vec![Tally::default(); max_rest.len()];
-        // Ten minutes of each wearer.
+        // Each wearer is simulated for ten minutes.
         const EACH_S: f64 = 600.0;
         for index in 0..(aimless_s / EACH_S).ceil() as u32 {
             let left_s = aimless_s - f64::from(index) * EACH_S;
@@ -257,8 +259,9 @@ impl Trial<'_> {
         Ok(real.into_iter().zip(simulated).collect())
     }
 
-    /// How a model does that knows four fifths of the others' recordings and is shown `counts` examples of 2 s per
-    /// class of `person`, each cut from another recording.
+    /// Trains a model on four fifths of the other people's recordings,
+    /// and adapts it with `counts` examples per class of `person`.
+    /// Each example lasts 2 s and is from a different recording.
     pub fn shown(&self, person: &str, counts: &[usize], seed: u64) -> Result<Vec<Shown>, TrialError> {
         let others = self.read_with_rest(self.axes, |name| name != person)?;
         let kept = held_out(&others, 0.2, seed);
@@ -266,7 +269,7 @@ impl Trial<'_> {
         let old = others.filtered(|item| kept.contains(&item.name) && self.uses(&item.label));
         let theirs = self.read(model.card.axes, |name| name == person)?;
         let most = counts.iter().copied().max().unwrap_or(0);
-        // Per class, in an order by the seed: first what may be shown (at most half), then what is tested.
+        // For each class, an order by the seed: at most half may be examples, and the rest is tested.
         let mut rng = streams::RandomStream::Shown.of(seed);
         let mut shown: Vec<Vec<(Vec<f32>, usize)>> = Vec::new();
         let mut tested = Vec::new();
@@ -301,8 +304,7 @@ impl Trial<'_> {
     }
 }
 
-/// What a model makes of real recordings that was trained on simulated wearers only, `wearers` of them, with these
-/// labels and the axes of the recordings.
+/// Trains a model on `wearers` simulated wearers with these labels and axes, and tests it on real recordings.
 pub fn from_simulated(
     recipe: &dyn Recipe,
     wearers: u32,
@@ -311,16 +313,16 @@ pub fn from_simulated(
     seed: u64,
 ) -> Result<Graded, TrialError> {
     let simulated = simulated(wearers, labels, real.axes, seed);
-    // They differ more than copies of one recording would.
+    // The variety of simulated wearers is larger than that of copies of one recording.
     let model = train(&simulated, &[], &*recipe.for_simulated(), &Trial::job(seed))?;
     grade(&model, real)
 }
 
-/// Recordings of simulated wearers as a data set, without files. They are [untaught](Wearer::untaught), as those are who
-/// made the real recordings.
+/// Simulates wearers and returns their recordings as a data set without files.
+/// These wearers are [untaught](Wearer::untaught), like the people who made the real recordings.
 fn simulated(wearers: u32, wanted: &[String], axes: usize, seed: u64) -> Dataset {
     const SECONDS: f64 = 6.0;
-    // Start and samples of two short recordings cut out of each gesture.
+    // Start and length of two short recordings that are taken from each gesture, in samples.
     const SHORT: [(usize, usize); 2] = [(150, 105), (300, 130)];
     let of_wearer = |index: u32| {
         let wearer = Wearer::training(seed, index).untaught();
@@ -336,7 +338,7 @@ fn simulated(wearers: u32, wanted: &[String], axes: usize, seed: u64) -> Dataset
             let whole = session(&wearer, number as u64, &take.script).with_axes(axes);
             let mut items = Vec::new();
             if take.label != "idle" {
-                // Recordings of others are often shorter than a window; then they are padded, which changes the features.
+                // Real recordings are often shorter than a window, and the padding changes their features.
                 for ((from, len), number) in SHORT.into_iter().zip(500..) {
                     items.push(item(number, &take, whole.slice(from, len)));
                 }
@@ -358,7 +360,7 @@ pub fn grade(model: &Trained, recordings: &Dataset) -> Result<Graded, TrialError
     graded(model, recordings, &model.card.answers())
 }
 
-/// What a model makes of recordings; `answers` says of each of its labels whether it may be given.
+/// Tests a model on recordings; `answers` are the labels that it may give.
 fn graded(model: &Trained, recordings: &Dataset, answers: &[bool]) -> Result<Graded, TrialError> {
     let card = &model.card;
     let scored = scored(recordings, &card.labels, &card.features);

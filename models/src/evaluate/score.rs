@@ -1,5 +1,4 @@
-//! Scoring a network on recordings: per window, per recording (the largest mean probability of its windows), per
-//! person.
+//! Tests a network per window, per recording (by the highest mean probability of its windows) and per person.
 
 use std::collections::BTreeMap;
 
@@ -12,10 +11,10 @@ use crate::tflite::{FloatLayer, infer_float};
 use crate::windows::{features_every, prepare};
 use crate::{RATE_HZ, blob};
 
-/// Samples from one scored window to the next: 1 s.
+/// Number of samples between two tested windows: 1 s.
 pub const STRIDE: usize = RATE_HZ as usize;
 
-/// A network that gives each window of features a label.
+/// A network that assigns a label to each window of features.
 pub enum Classifier<'a> {
     /// The float network with the card's scaling.
     Float {
@@ -24,11 +23,11 @@ pub enum Classifier<'a> {
         /// Its layers.
         layers: &'a [FloatLayer],
     },
-    /// The int8 network as boards run it.
+    /// The int8 network, which boards run.
     Int8(Model<'a>),
 }
 
-/// Inputs of the float network from features after the recipe.
+/// Converts transformed features to inputs of the float network.
 pub fn standardise(card: &Card, features: &[f32]) -> Vec<f32> {
     let scaling = &card.scaling;
     let pairs = scaling.mean.iter().zip(&scaling.deviation);
@@ -44,9 +43,9 @@ pub fn standardise(card: &Card, features: &[f32]) -> Vec<f32> {
 }
 
 impl Classifier<'_> {
-    /// Probability of each label; none if the number of features is not the model's.
+    /// Returns the probability of each label, or `None` if the number of features differs from the model's.
     ///
-    /// The int8 network gets raw features and applies its recipe itself.
+    /// The int8 network takes raw features and applies its recipe itself.
     pub fn probabilities(&self, raw: &[f32], transformed: &[f32]) -> Vec<f32> {
         match self {
             Self::Float { card, layers } => infer_float(layers, &standardise(card, transformed)),
@@ -61,7 +60,7 @@ impl Classifier<'_> {
     }
 }
 
-/// Index of the largest value that is an answer; of equal ones, the first.
+/// Returns the index of the largest permitted value, or of the first one if several are equal.
 fn best(values: &[f32], answers: &[bool]) -> usize {
     let mut best = None;
     for (index, value) in values.iter().enumerate().filter(|(index, _)| answers[*index]) {
@@ -75,19 +74,19 @@ fn best(values: &[f32], answers: &[bool]) -> usize {
 /// A recording's windows at stride 1 s.
 #[derive(Clone, Debug)]
 pub struct Scored {
-    /// Index of the true label in the model's labels; none if the model does not know it.
+    /// Index of the correct label in the model's labels, or `None` if the model does not know it.
     pub truth: Option<usize>,
     /// Who made it.
     pub person: String,
     /// Raw features of each window.
     pub raw: Vec<Vec<f32>>,
-    /// The same after the card's recipe.
+    /// The features after the card's recipe.
     pub transformed: Vec<Vec<f32>>,
-    /// Whether it was shorter than a window.
+    /// Whether the recording was shorter than a window.
     pub padded: bool,
 }
 
-/// Computes what is needed to score a data set with models of these labels and this recipe.
+/// Computes the data for testing models with these labels and this recipe.
 pub fn scored(dataset: &Dataset, labels: &[String], features: &str) -> Vec<Scored> {
     let recipe = blob::recipe(features).unwrap_or(FeatureKind::Raw);
     let one = |item: &crate::dataset::Item| {
@@ -112,18 +111,18 @@ pub fn scored(dataset: &Dataset, labels: &[String], features: &str) -> Vec<Score
     dataset.items.iter().map(one).collect()
 }
 
-/// A classifier's result on one recording.
+/// A classifier's result for one recording.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Given {
-    /// Index of the label with the largest mean probability.
+    /// Index of the label with the highest mean probability.
     pub label: usize,
     /// That probability.
     pub probability: f32,
-    /// Windows, and how many of them have the true label on their own.
+    /// Number of windows, and number of windows with the correct label.
     pub windows: (usize, usize),
 }
 
-/// What a classifier makes of a recording; `answers` says of each label whether it may be one ([`Card::answers`]).
+/// Classifies a recording; `answers` are the labels that may be given ([`Card::answers`]).
 pub fn given(classifier: &Classifier<'_>, recording: &Scored, answers: &[bool]) -> Given {
     let mut sum = vec![0.0f32; answers.len()];
     let mut right = 0;
@@ -141,15 +140,15 @@ pub fn given(classifier: &Classifier<'_>, recording: &Scored, answers: &[bool]) 
     Given { label, probability, windows: (windows, right) }
 }
 
-/// Scores a classifier. A recording whose label the model does not know counts as wrong and stands
-/// in no row of the confusion matrix.
+/// Tests a classifier. A recording whose label the model does not know counts as incorrect.
+/// An unanswered recording does not appear in the confusion matrix.
 pub fn score(classifier: &Classifier<'_>, recordings: &[Scored], answers: &[bool]) -> Score {
     let given: Vec<Given> =
         recordings.iter().map(|recording| given(classifier, recording, answers)).collect();
     summary(recordings, &given, answers.len())
 }
 
-/// The scores from a classifier's results on each recording.
+/// Computes the scores from a classifier's results for all recordings.
 pub fn summary(recordings: &[Scored], given: &[Given], labels: usize) -> Score {
     let mut confusion = vec![vec![0; labels]; labels];
     let mut people: BTreeMap<String, (usize, usize)> = BTreeMap::new();

@@ -1,5 +1,6 @@
-//! A whole comparison on one folder: every person held out in turn, a random fifth, and a few examples shown, for
-//! several seeds. `models people` prints its rows, `models report` draws them: the same figures from the same code.
+//! A complete comparison on one folder for several seeds: each person held out, a random fifth,
+//! and a few shown examples.
+//! `models people` prints its results, and `models report` draws the same figures.
 
 use std::collections::BTreeMap;
 
@@ -9,18 +10,18 @@ use shared_dsp::right::movement::MovementConfig;
 use crate::evaluate::events::{Pause, Tally};
 use crate::evaluate::people::{Accuracy, Graded, Shown, Trial, TrialError};
 
-/// Everything that was tried with one recipe.
+/// All results of one recipe.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Study {
     /// Name of the recipe.
     pub recipe: &'static str,
     /// The people, sorted.
     pub people: Vec<String>,
-    /// Per person, per seed: models that have never met them.
+    /// Results by person and seed, each of a model trained without that person.
     pub strangers: Vec<Vec<Graded>>,
-    /// Per seed: a random fifth of the recordings, same people.
+    /// Results for a random fifth of the same people's recordings, by seed.
     pub random: Vec<Graded>,
-    /// Per person, per seed, per number of examples. Empty with a recipe that cannot adapt.
+    /// Results by person, seed and number of examples. Empty if the recipe cannot adapt.
     pub shown: Vec<Vec<Vec<Shown>>>,
 }
 
@@ -29,13 +30,13 @@ pub struct Study {
 pub struct Row {
     /// What was tested.
     pub what: String,
-    /// Recordings recognised correctly, in per cent, mean over the seeds.
+    /// Mean percentage of correctly classified recordings over all seeds.
     pub accuracy: Accuracy,
 }
 
 impl Study {
-    /// Runs it with the seeds 1 to `seeds` and, for a recipe that can adapt, the numbers of examples `counts`, to which 0
-    /// is added. `done` is called after each part.
+    /// Runs the comparison with the seeds 1 to `seeds`. If the recipe can adapt, it also uses `counts` examples, and 0.
+    /// `done` is called after each part.
     pub fn run(
         trial: &Trial<'_>,
         people: &[String],
@@ -67,13 +68,13 @@ impl Study {
         Ok(Self { recipe: trial.recipe.name(), people: people.to_vec(), strangers, random, shown })
     }
 
-    /// Numbers of examples that were shown, 0 first.
+    /// Numbers of shown examples, starting with 0.
     pub fn counts(&self) -> Vec<usize> {
         let first = self.shown.first().and_then(|seeds| seeds.first());
         first.map_or_else(Vec::new, |runs| runs.iter().map(|run| run.examples).collect())
     }
 
-    /// For a number of examples (by its place): per person the runs of all seeds.
+    /// Results of all seeds by person, for the number of examples at this index.
     pub fn shown_at(&self, place: usize) -> Vec<Vec<&Shown>> {
         self.shown.iter().map(|seeds| seeds.iter().map(|runs| &runs[place]).collect()).collect()
     }
@@ -102,7 +103,7 @@ impl Study {
         rows
     }
 
-    /// Recordings of people never met that most of the models take for something else, the surest first.
+    /// Returns recordings of unknown people that most models misclassify, the most certain errors first.
     pub fn doubts(&self) -> Vec<Doubt> {
         let mut doubts: BTreeMap<&str, Doubt> = BTreeMap::new();
         for runs in &self.strangers {
@@ -127,24 +128,24 @@ impl Study {
     }
 }
 
-/// A recording that models take for something else; perhaps its label is wrong.
+/// A recording that models misclassify, whose label may be wrong.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Doubt {
-    /// Its name in its data set.
+    /// Name in the data set.
     pub recording: String,
-    /// Models that have judged it.
+    /// Number of models that classified the recording.
     pub models: usize,
-    /// The wrong labels that were given, with the probability of each answer.
+    /// Incorrect answers, with the probability of each.
     pub given: BTreeMap<String, Vec<f32>>,
 }
 
 impl Doubt {
-    /// Models that gave another label.
+    /// Number of models with an incorrect answer.
     pub fn wrong(&self) -> usize {
         self.given.values().map(Vec::len).sum()
     }
 
-    /// Probabilities of the other labels over all models, those that were right counting as 0.
+    /// Mean probability of incorrect answers over all models, where correct answers count as 0.
     pub fn sureness(&self) -> f32 {
         self.given.values().flatten().sum::<f32>() / self.models.max(1) as f32
     }
@@ -155,23 +156,22 @@ pub fn widest_gap(rows: &[Row]) -> f64 {
     rows.iter().map(|row| (row.accuracy.float - row.accuracy.int8).abs()).fold(0.0, f64::max)
 }
 
-/// What came of the recordings of people held out, joined into one each.
+/// Events in the recordings of held-out people, joined for each person.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Events {
     /// The people, sorted.
     pub people: Vec<String>,
-    /// Per person, all seeds together: their recordings, joined.
+    /// Results of each person's joined recordings, for all seeds together.
     pub real: Vec<Tally>,
-    /// Simulated wearers who make no gesture, for all models together.
+    /// Results of simulated wearers who make no gesture, for all models together.
     pub simulated: Tally,
-    /// What other thresholds would have made of everybody: how probable rest may be, in 256ths, all people and the
-    /// simulated wearers.
+    /// Results for other thresholds (maximum probability of rest, in 256ths), for all people and for simulated wearers.
     pub trade: Vec<(u8, Tally, Tally)>,
 }
 
 impl Events {
-    /// Plays every person's recordings to models that have never met them, with the seeds 1 to `seeds`, and `aimless_s`
-    /// seconds of simulated wearers, shared out among the models of the first seed.
+    /// Plays every person's recordings with models trained without them, for the seeds 1 to `seeds`.
+    /// It also plays `aimless_s` seconds of simulated wearers, divided among the models of the first seed.
     pub fn run(
         trial: &Trial<'_>,
         people: &[String],
@@ -190,7 +190,7 @@ impl Events {
             .collect();
         for (index, person) in people.iter().enumerate() {
             let each_s = |seed: u64| if seed == 1 { aimless_s / people.len() as f64 } else { 0.0 };
-            // Different simulated wearers for every model.
+            // Each model gets different simulated wearers.
             let crowd = 1000 * (1 + index as u64);
             let runs: Vec<_> = (1..=seeds)
                 .into_par_iter()
@@ -226,7 +226,7 @@ mod tests {
     use crate::card::Scores;
     use crate::evaluate::people::Answer;
 
-    /// A run in which recordings (name, label given, probability, right) were answered.
+    /// Creates a run from answers, each with the recording, the given label, the probability and its correctness.
     fn run(answers: &[(&str, usize, f32, bool)]) -> Graded {
         let answer = |&(recording, label, probability, right): &(&str, usize, f32, bool)| Answer {
             recording: recording.to_owned(),

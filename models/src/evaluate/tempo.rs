@@ -1,19 +1,19 @@
-//! The readings of a hand that makes the same movement faster or slower: to judge models, never to train them.
+//! Simulates the same movement at another tempo, only for testing models and never for training.
 //!
-//! Gravity, which is what is left of the accelerometer below 0.3 Hz, stays; what is left above grows with the square of
-//! the tempo, rotation with the tempo, and time shrinks. Then the sensor clips at its `range`. The
-//! magnetometer is only replayed.
+//! Gravity is the part of the acceleration below 0.3 Hz, and does not change.
+//! The rest of the acceleration scales with the square of the tempo, and rotation scales with the tempo.
+//! Time is shortened, and the sensor clips at its `range`. The magnetometer is only replayed.
 
 use crate::RATE_HZ;
 use crate::recording::Recording;
 
-/// The frequency below which is gravity, and above which is movement.
+/// The frequency that separates gravity (below) from movement (above).
 const GRAVITY_HZ: f64 = 0.3;
-/// Movement is searched for its period between these, in Hz.
+/// Frequency range in which the period of a movement is searched, in Hz.
 const SEARCH_HZ: std::ops::Range<f64> = 0.2..8.0;
 const STEP_HZ: f64 = 0.05;
 
-/// A recording (resampled to the models' rate) as if the hand had moved `factor` times as fast.
+/// Converts a recording (at the models' rate) to one in which the hand moves `factor` times as fast.
 pub fn at_tempo(recording: &Recording, factor: f64, range: f64) -> Recording {
     let ready = recording.resampled();
     let axes = ready.axes();
@@ -48,7 +48,7 @@ pub fn at_tempo(recording: &Recording, factor: f64, range: f64) -> Recording {
     Recording::new(axes, time_ms, values)
 }
 
-/// The range of the accelerometer that made these recordings, in m/s²: the smallest of 2, 4, 8 and 16 g that holds all.
+/// Returns the range of the accelerometer in m/s², which is the smallest of 2, 4, 8 and 16 g that contains all values.
 pub fn range_of<'a>(recordings: impl Iterator<Item = &'a Recording>) -> f64 {
     let samples = recordings.flat_map(Recording::samples).flat_map(|row| &row[..3]);
     let most = samples.fold(0.0f64, |most, value| most.max(f64::from(value.abs())));
@@ -56,7 +56,7 @@ pub fn range_of<'a>(recordings: impl Iterator<Item = &'a Recording>) -> f64 {
     ranges.into_iter().find(|range| most <= range + 0.05).unwrap_or(16.0 * 9.806_65)
 }
 
-/// Forward and backward through a filter of second order, so that nothing is delayed.
+/// Applies a second-order filter forward and backward, so that there is no delay.
 fn low_pass(values: &[f64]) -> Vec<f64> {
     let once = |values: &mut dyn Iterator<Item = f64>, first: f64| -> Vec<f64> {
         let keep = (-std::f64::consts::TAU * GRAVITY_HZ / RATE_HZ).exp();
@@ -76,7 +76,9 @@ fn low_pass(values: &[f64]) -> Vec<f64> {
     back
 }
 
-/// Strokes per second: the frequency at which the acceleration, gravity removed, has most power. None if nothing moves.
+/// Returns the number of strokes per second, which is the frequency with the most power
+/// in the acceleration without gravity.
+/// The tempo is `None` if nothing moves.
 pub fn strokes_per_second(recording: &Recording) -> Option<f64> {
     let ready = recording.resampled();
     let rows: Vec<&[f32]> = ready.samples().collect();
@@ -117,7 +119,7 @@ pub fn strokes_per_second(recording: &Recording) -> Option<f64> {
 mod tests {
     use super::*;
 
-    /// Sways of this many Hz and m/s² along x under gravity along z, and turns about z.
+    /// Generates a sway along x with this frequency and amplitude in m/s², with gravity along z and rotation about z.
     fn sway(hz: f64, size: f64) -> Recording {
         let angle = |n: usize| std::f64::consts::TAU * hz * n as f64 / RATE_HZ;
         let row =
@@ -126,7 +128,7 @@ mod tests {
     }
 
     fn most(recording: &Recording, axis: usize) -> f32 {
-        // Away from the ends, where a filter has little to go on.
+        // Excludes the ends, where the filter has little data.
         let rows: Vec<f32> = recording.samples().map(|row| row[axis].abs()).collect();
         rows[rows.len() / 4..3 * rows.len() / 4].iter().fold(0.0, |most, value| most.max(*value))
     }

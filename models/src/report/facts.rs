@@ -1,4 +1,4 @@
-//! What a data set holds: people, classes, time, rates, clipping, and how features differ between classes.
+//! Facts about a data set: people, classes, time, rates, clipping, and differences of features between classes.
 
 use std::collections::BTreeMap;
 
@@ -22,18 +22,18 @@ pub struct Facts {
     pub axes: usize,
     /// Names of the features of recipe `aligned`.
     pub feature_names: Vec<String>,
-    /// Per label, the mean of each feature over its windows, in standard deviations over all windows.
+    /// The mean of each feature over the windows of a label, in standard deviations over all windows.
     pub features: Vec<(String, Vec<f64>)>,
 }
 
-/// What one person recorded.
+/// The recordings of one person.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PersonFacts {
-    /// Recordings and seconds per label.
+    /// Number of recordings and seconds per label.
     pub labels: BTreeMap<String, (usize, f64)>,
-    /// Slowest and fastest sampling rate in Hz.
+    /// Minimum and maximum sampling rate in Hz.
     pub rates_hz: Option<(f64, f64)>,
-    /// Largest acceleration along an axis in m/s².
+    /// Maximum acceleration along an axis in m/s².
     pub largest: f64,
     /// Tempo of the gestures in strokes per second: a tenth of them are slower than the first figure, half than the second,
     /// nine tenths than the third.
@@ -85,7 +85,7 @@ impl Facts {
         }
     }
 
-    /// Recordings and minutes in all.
+    /// Returns the total number of recordings and minutes.
     pub fn total(&self) -> (usize, f64) {
         let each = self.people.iter().flat_map(|(_, person)| person.labels.values());
         each.fold((0, 0.0), |(count, minutes), (n, seconds)| (count + n, minutes + seconds / 60.0))
@@ -124,7 +124,7 @@ fn features(dataset: &Dataset) -> Vec<(String, Vec<f64>)> {
     dataset.labels.iter().map(row).collect()
 }
 
-/// Names of the features of recipe `aligned`, in order ([`shared_dsp::right::aligned`]).
+/// Returns the names of the features of recipe `aligned`, in order ([`shared_dsp::right::aligned`]).
 pub fn feature_names(axes: usize) -> Vec<String> {
     let triads: &[&str] = if axes >= 6 { &["acceleration", "rotation"] } else { &["acceleration"] };
     let directions = ["up", "along", "across"];

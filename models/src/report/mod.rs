@@ -1,4 +1,4 @@
-//! One page that shows what a data set holds and how models do on it.
+//! Writes a page with the contents of a data set and the results of models.
 
 mod facts;
 mod page;
@@ -10,12 +10,12 @@ pub use page::html;
 
 use crate::evaluate::study::{Events, Study};
 
-/// Size of a network as a board holds it.
+/// Size of a network on a board.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct NetworkSize {
-    /// Inputs, then outputs of each layer.
+    /// Number of inputs, and then of outputs of each layer.
     pub widths: Vec<usize>,
-    /// Bytes of the blob: weights, scaling, tables and labels.
+    /// Size of the blob in bytes, including weights, scaling, tables and labels.
     pub blob_bytes: usize,
 }
 
@@ -38,14 +38,14 @@ pub struct Report {
     pub title: String,
     /// Seeds per figure.
     pub seeds: u64,
-    /// What the data holds.
+    /// The contents of the data set.
     pub facts: Facts,
     /// One per recipe.
     pub studies: Vec<Study>,
-    /// Network of each recipe, in the same order.
+    /// The network of each recipe, in the same order.
     pub networks: Vec<NetworkSize>,
     /// Of the last recipe.
     pub events: Option<Events>,
-    /// Per recipe and person: (share of the others' recordings, right recordings in per cent).
+    /// Learning curves by recipe and person: (fraction of the other people's recordings, accuracy in per cent).
     pub learning: Vec<(String, Vec<(f64, f64)>)>,
 }

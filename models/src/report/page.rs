@@ -1,4 +1,4 @@
-//! The page itself: HTML with its style and drawings inside, and no reference to anything outside.
+//! The page itself: HTML with embedded style and drawings, without external references.
 
 use std::fmt::Write as _;
 
@@ -180,7 +180,7 @@ fn confusions(page: &mut String, study: &Study) {
     }
 }
 
-/// Recordings whose label may be wrong.
+/// Lists recordings whose label may be wrong.
 fn doubts(page: &mut String, study: &Study) {
     const MOST: usize = 30;
     let doubts = study.doubts();
@@ -263,7 +263,7 @@ fn event_table(page: &mut String, events: &Events) {
     );
 }
 
-/// Share of right answers, by the probability that the network gave.
+/// Plots the fraction of correct answers against the network's probability.
 fn calibration(page: &mut String, study: &Study) {
     let curve = |graded: Vec<&Graded>| -> Vec<(f64, f64)> {
         const BINS: usize = 10;

@@ -1,13 +1,13 @@
-//! Small drawings as SVG text, for a page that needs nothing else.
+//! Small SVG drawings for a self-contained page.
 
 use std::fmt::Write as _;
 
-/// Text with HTML's special characters escaped.
+/// Escapes HTML's special characters in a text.
 pub fn escape(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
-/// A named line through points (x, y) in 0..=1 each.
+/// A named line through points (x, y), both in 0..=1.
 pub struct Curve<'a> {
     /// What it is.
     pub name: &'a str,
@@ -22,7 +22,7 @@ const LEFT: f64 = 46.0;
 const TOP: f64 = 12.0;
 const PLOT: (f64, f64) = (300.0, 200.0);
 
-/// A diagram of lines. `x_ticks` and `y_ticks` are places in 0..=1 with their text; `diagonal` draws y = x.
+/// Draws a line chart. `x_ticks` and `y_ticks` are positions in 0..=1 with their text; `diagonal` adds the line y = x.
 pub fn lines(
     (x_name, y_name): (&str, &str),
     x_ticks: &[(f64, String)],
@@ -169,7 +169,7 @@ pub fn heat(rows: &[(String, Vec<f64>)], columns: &[String]) -> String {
     svg + "</svg>"
 }
 
-/// Blue below zero, white at zero, red above.
+/// Returns a colour: blue below zero, white at zero, red above.
 pub fn colour(value: f64) -> String {
     let part = value.clamp(-1.0, 1.0);
     let fade = |end: f64| (255.0 + (end - 255.0) * part.abs()).round() as u8;

@@ -1,9 +1,9 @@
-//! Why a recording cannot be used.
+//! Errors of recordings that cannot be used.
 
 use std::borrow::Cow;
 use std::path::PathBuf;
 
-/// Why a recording of either hand cannot be used; the text says what to do.
+/// The reason why a recording of either hand cannot be used, with a remedy in the text.
 #[derive(Debug, thiserror::Error)]
 pub enum RecordingError {
     /// The file cannot be opened or read.
@@ -11,33 +11,33 @@ pub enum RecordingError {
     Io {
         /// The file.
         file: PathBuf,
-        /// What the system said.
+        /// The system's error message.
         source: std::io::Error,
     },
-    /// Nothing in the file, or a header without samples.
+    /// The file is empty, or has a header without samples.
     #[error("{file}: {what}; record it again or {instead}")]
     Empty {
         /// The file.
         file: PathBuf,
-        /// What is missing.
+        /// The missing part.
         what: &'static str,
-        /// What else can be done.
+        /// An alternative for the user.
         instead: &'static str,
     },
-    /// The columns of a recording are not found.
+    /// The columns of a recording were not found.
     #[error("{file}, line {line}{}: {problem}; {wanted}", column_name(*.column, .name))]
     Header {
         /// The file.
         file: PathBuf,
         /// Line, from 1.
         line: u64,
-        /// Column, from 1; 0: none in particular.
+        /// Number of the column, from 1; 0 if no particular one.
         column: usize,
         /// Its name.
         name: String,
-        /// What is wrong with it.
+        /// The problem with the column.
         problem: String,
-        /// Which columns such a file has.
+        /// The columns that such a file must have.
         wanted: &'static str,
     },
     /// No column holds times.
@@ -48,12 +48,12 @@ pub enum RecordingError {
         /// The file.
         file: PathBuf,
     },
-    /// Samples are not in the units that are wanted or declared.
+    /// Samples do not have the required or declared units.
     #[error("{file}: {problem}")]
     Units {
         /// The file.
         file: PathBuf,
-        /// What they look like, and what to do.
+        /// The apparent units and a remedy.
         problem: String,
     },
     /// Several recordings in one file.
@@ -74,7 +74,7 @@ pub enum RecordingError {
     Long {
         /// The file.
         file: PathBuf,
-        /// From its first to its last sample.
+        /// Time from the first to the last sample in hours.
         hours: f64,
     },
     /// A row has too few or too many values.
@@ -87,14 +87,14 @@ pub enum RecordingError {
         file: PathBuf,
         /// Line, from 1.
         line: u64,
-        /// First column that is missing or superfluous, from 1.
+        /// The first missing or superfluous column, from 1.
         column: usize,
         /// Values in the row.
         found: usize,
         /// Values in the header.
         expected: usize,
     },
-    /// A value is not what its column holds.
+    /// A value is invalid for its column.
     #[error(
         "{file}, line {line}, column {column} ({name}): {value:?} is not a {wanted}; \
          correct the value or delete the line"
@@ -108,12 +108,12 @@ pub enum RecordingError {
         column: usize,
         /// The column's name.
         name: String,
-        /// What stands there.
+        /// The actual content.
         value: String,
-        /// What should stand there.
+        /// The expected content.
         wanted: Cow<'static, str>,
     },
-    /// Time does not advance, or goes back.
+    /// The time does not increase.
     #[error(
         "{file}, line {line}, column {column} ({name}): time {time_ms} ms follows {before_ms} ms; \
          times must rise: sort the rows, or split the file where a second recording starts"
@@ -127,12 +127,12 @@ pub enum RecordingError {
         column: usize,
         /// The column's name.
         name: String,
-        /// The time found, in ms.
+        /// The time in this row, in ms.
         time_ms: f64,
-        /// The time before it, in ms.
+        /// The time in the previous row, in ms.
         before_ms: f64,
     },
-    /// The sampling rate is outside of what can be used, or cannot be told.
+    /// The sampling rate is out of range or cannot be determined.
     #[error(
         "{file}, column {column}: the sampling rate is {rate_hz:.1} Hz, but {slowest_hz} to {fastest_hz} Hz are needed; \
          times must be in milliseconds"
@@ -140,16 +140,16 @@ pub enum RecordingError {
     Rate {
         /// The file.
         file: PathBuf,
-        /// The column of the times, from 1.
+        /// The time column, from 1.
         column: usize,
         /// The measured rate, in Hz.
         rate_hz: f64,
-        /// The slowest rate that can be used, in Hz.
+        /// Minimum permitted rate in Hz.
         slowest_hz: f64,
         /// The fastest.
         fastest_hz: f64,
     },
-    /// The file cannot be parsed as CSV text at all.
+    /// The file cannot be parsed as CSV at all.
     #[error("{file}, line {line}: {what}; save it as plain CSV text in UTF-8")]
     Text {
         /// The file.
@@ -161,7 +161,7 @@ pub enum RecordingError {
     },
 }
 
-/// `, column 3 ("accZ")`, as far as it is known.
+/// Formats `, column 3 ("accZ")`, as far as it is known.
 fn column_name(column: usize, name: &str) -> String {
     match (column, name) {
         (0, "") => String::new(),

@@ -9,11 +9,11 @@ use super::text;
 /// The channels' names, in the order of a sample's values.
 pub(crate) const CHANNEL_NAMES: [&str; 5] = ["x", "y", "z", "index", "middle"];
 
-/// Largest conversion of a converter of 12 bits.
+/// Maximum value of a 12-bit converter.
 const CONVERSION_MAX: f64 = 4095.0;
-/// Conversions that are added up on the board, and so parts of one that a mean of them has.
+/// Number of conversions that a board adds up, and therefore of fractions in a mean.
 const PARTS: f64 = shared_dsp::left::OVERSAMPLING as f64;
-/// No two samples are further apart: a clock that jumps by more says nothing of when they were taken.
+/// Maximum difference between two samples. A clock that jumps further is unusable.
 const LONGEST_MS: f64 = 1e12;
 
 struct Left;
@@ -28,7 +28,7 @@ impl Format for Left {
     fn columns(&self, names: &[String]) -> Result<Option<(ColumnTable, [usize; 5])>, Problem> {
         let channel = |name: &String| CHANNEL_NAMES.iter().position(|known| known == name);
         let is_time = |name: &String| matches!(name.as_str(), "timestamp_ms" | "timestamp");
-        // A row with a column of times is a header, whatever else it names: a right hand's, for example.
+        // A row with a time column is a header, even if it is one of a right hand.
         if names.iter().filter_map(channel).count() < 2 && !names.iter().any(is_time) {
             return Ok(None);
         }
@@ -58,7 +58,7 @@ impl Format for Left {
     }
 }
 
-/// A conversion of any converter: a whole number, or one with eighths, as means of eight have them.
+/// Parses a conversion: an integer, or a number with eighths, such as the mean of eight conversions.
 fn conversion(cell: &str) -> Result<f64, &'static str> {
     let plain = cell.bytes().all(|byte| byte.is_ascii_digit() || matches!(byte, b'.' | b','));
     let count = text::number(cell).filter(|_| plain);
@@ -67,30 +67,30 @@ fn conversion(cell: &str) -> Result<f64, &'static str> {
         .ok_or("whole number from 0 to 1023, nor one with eighths, as raw conversions are")
 }
 
-/// A sample as the file has it.
+/// A sample in the form of the file.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct LeftRow {
     line: u64,
-    /// From the first sample, in ms.
+    /// Time since the first sample in ms.
     pub time_ms: f64,
     /// Of each channel.
     pub conversions: [f64; 5],
 }
 
-/// The samples of a file, two at least, in an order of time.
+/// At least two samples of a file, sorted by time.
 #[derive(Clone, Debug)]
 pub(crate) struct LeftSheet {
     file: PathBuf,
-    /// The times' column and the channels'.
+    /// The time column and the channels' columns.
     columns: (usize, [usize; 5]),
-    /// The first sample's time in the file, in ms.
+    /// Time of the first sample in the file, in ms.
     pub start_ms: f64,
     /// The samples.
     pub rows: Vec<LeftRow>,
 }
 
 impl LeftSheet {
-    /// Reads the bytes of a file; `file` is for the errors.
+    /// Parses the bytes of a file; `file` is used only in errors.
     pub fn parse(file: &Path, bytes: &[u8]) -> Result<Self, RecordingError> {
         let text = text::decode(bytes);
         let mut reader = Rows::of(file, &text, &Left)?;
@@ -101,7 +101,7 @@ impl LeftSheet {
             let (line, time) = (row.line, row.time.unwrap_or_default());
             let to_ms = if row.is_of_day { 1000.0 } else { 1.0 };
             let Ok(&conversions) = <&[f64; 5]>::try_from(row.values) else { continue };
-            // From the third sample on, a clock of milliseconds may give two one time.
+            // From the third sample on, a millisecond clock may repeat a time.
             if time == before && rows.len() < 2 {
                 return Err(reader.time_error(line, time, before));
             }
@@ -128,7 +128,7 @@ impl LeftSheet {
         }
     }
 
-    /// The error for a row whose conversion in a channel is beyond the converter's range.
+    /// Returns the error for a row whose conversion exceeds the converter's range.
     pub fn too_large(&self, row: &LeftRow, channel: usize, largest: f64) -> RecordingError {
         RecordingError::Value {
             file: self.file.clone(),
@@ -141,7 +141,7 @@ impl LeftSheet {
         }
     }
 
-    /// The error for a sampling rate that cannot become the board's.
+    /// Returns the error for a sampling rate that cannot be converted to the board's.
     pub fn wrong_rate(&self, interval_ms: f64, (slowest_hz, fastest_hz): (f64, f64)) -> RecordingError {
         RecordingError::Rate {
             file: self.file.clone(),

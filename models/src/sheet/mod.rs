@@ -1,14 +1,15 @@
-//! CSV files as people have them: from a file's bytes to recordings in our units, of either hand.
+//! Reads CSV files of various programs: converts the bytes of a file to recordings of either hand in our units.
 //!
 //! ```text
 //! bytes ─ text ─► lines of cells ─ reader ─► rows of numbers ┬ right ─► clock ─► judge ─► m/s², deg/s, µT
 //!                         column table of each hand ──┘      └ left ─► conversions of five channels
 //! ```
 //!
-//! Columns are found by their names in any order, whatever parts them and whether decimals have a point or a comma.
-//! What a name or [`Reading`] does not say is judged: the unit of times by the rate that it gives, the units of samples
-//! by gravity and by how hands turn (`right/judge.rs`). A judgement is either printed (import, [`Reading::guess`]) or a
-//! question in an error: nothing is taken for something else in silence.
+//! Columns are found by their names in any order, with any separator and decimal sign.
+//! Anything that neither a name nor [`Reading`] declares is inferred.
+//! The unit of times follows from the resulting rate, and the units of samples from gravity
+//! and rotation (`right/judge.rs`).
+//! An inference is either printed (import, [`Reading::guess`]) or becomes a question in an error.
 
 mod clock;
 mod error;
@@ -51,7 +52,7 @@ impl fmt::Display for Sensor {
     }
 }
 
-/// Units that a user declares, by sensor: how many m/s², deg/s or µT one of them is.
+/// Units declared by a user, as m/s², deg/s or µT per unit of each sensor.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Units([Option<f64>; 3]);
 
@@ -59,7 +60,7 @@ impl Units {
     /// Nothing is declared.
     pub const NONE: Units = Units([None; 3]);
 
-    /// The factor of a sensor, if one is declared.
+    /// Returns the factor of a sensor, if one is declared.
     pub fn of(&self, sensor: Sensor) -> Option<f64> {
         self.0[sensor as usize]
     }
@@ -68,14 +69,14 @@ impl Units {
 impl FromStr for Units {
     type Err = String;
 
-    /// `g`, `m/s2`, `g,rad/s`, `16384/g,131/dps`: units, separated by commas; a number before a slash is counts per unit.
+    /// Parses units separated by commas, such as `g`, `m/s2`, `g,rad/s` or `16384/g,131/dps` (counts per unit).
     fn from_str(text: &str) -> Result<Self, String> {
         let mut units = Units::default();
         for part in text.split(',') {
             let counts =
                 part.split_once('/').and_then(|(n, unit)| Some((n.trim().parse::<f64>().ok()?, unit)));
             let (per_unit, unit) = counts.unwrap_or((1.0, part));
-            // Twice `gs`, of gauss and of g: acceleration comes first.
+            // `gs` means gauss and g; acceleration has priority.
             let found = SENSORS.into_iter().find_map(|sensor| Some((sensor, names::factor(sensor, unit)?)));
             let Some((sensor, factor)) = found.filter(|_| per_unit.is_finite() && per_unit > 0.0) else {
                 return Err(format!(
@@ -90,7 +91,7 @@ impl FromStr for Units {
     }
 }
 
-/// How many m/s², deg/s or µT a unit is, if it is one of this sensor's.
+/// Returns the number of m/s², deg/s or µT in a unit, if the unit belongs to this sensor.
 pub fn factor(sensor: Sensor, unit: &str) -> Option<f64> {
     names::factor(sensor, unit)
 }
@@ -100,33 +101,34 @@ pub fn unit_names(sensor: Sensor) -> Vec<&'static str> {
     names::units(sensor).iter().map(|(name, _)| *name).collect()
 }
 
-/// How a file is to be read.
+/// The options for reading a file.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Reading {
-    /// Units that are known, whatever the file says.
+    /// Known units, which override the file.
     pub units: Units,
     /// Samples per second of files without times.
     pub rate_hz: Option<f64>,
     /// Names for columns.
     pub columns: Option<Columns>,
-    /// What can be judged is taken, and said in the notes. Otherwise only what the file declares is, and a doubt is an
-    /// error.
+    /// Whether inferences are accepted and reported in the notes.
+    /// Otherwise, only declared properties are accepted, and any doubt is an error.
     pub guess: bool,
 }
 
 /// A file's recordings.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sheet {
-    /// One for each time that recording began.
+    /// One recording for each start of recording in the file.
     pub takes: Vec<Recording>,
-    /// What was judged, repaired or left out, in words.
+    /// Descriptions of everything that was inferred, repaired or omitted.
     pub notes: Vec<String>,
 }
 
-/// Reads all recordings of the right hand in the bytes of a file; `file` is for the errors, and says which sensor columns x, y, z are of.
+/// Parses all right-hand recordings in the bytes of a file.
+/// `file` is used in errors, and to identify the sensor of columns x, y, z.
 ///
 /// # Errors
-/// [`RecordingError`], with the place and what to do.
+/// [`RecordingError`] with the place and a remedy.
 pub fn parse(file: &Path, bytes: &[u8], reading: &Reading) -> Result<Sheet, RecordingError> {
     right::parse(file, bytes, reading)?.judged(file, reading)
 }

@@ -1,8 +1,9 @@
-//! The one reader of CSV files: from a file's bytes to rows of numbers, whichever hand's recording it is.
+//! The reader of all CSV files: converts the bytes of a file to rows of numbers, for either hand.
 //!
-//! A [`Format`] has a table of its columns ([`ColumnTable`]): which of a header's columns are read, and how their
-//! cells are. Separators, decimal commas, lines before the header, comments, units below it and headers that come again
-//! are the same for all, and so are the errors.
+//! Each [`Format`] has a table ([`ColumnTable`]) of the columns to be read and the format of their cells.
+//! Separators, decimal commas, lines before the header, comments,
+//! units and repeated headers are treated equally for all formats.
+//! The errors are also the same.
 
 use std::path::Path;
 
@@ -10,44 +11,44 @@ use super::clock::{self, Stamp};
 use super::error::RecordingError;
 use super::text::{self, Separator, Text};
 
-/// A header is looked for in this many lines: programs write about themselves first.
+/// The header must be within this many lines, because some programs first write information about themselves.
 const HEADER_WITHIN: usize = 100;
 
-/// What is wrong with the columns: the column from 1, or 0 for all of them, its name, and the problem.
+/// A problem with the columns: the column from 1 (or 0 for all of them), its name, and the problem.
 pub(super) type Problem = (usize, String, String);
 
-/// How a cell becomes a number; else what should stand there.
+/// Converts a cell to a number. The error describes the expected content.
 pub(super) type ReadCell = fn(&str) -> Result<f64, &'static str>;
 
-/// Which columns of a file are read, and how.
+/// The columns of a file to be read, and the format of their cells.
 pub(super) struct ColumnTable {
     /// The column of the times.
     pub time: Option<usize>,
-    /// The columns of a row's values, in their order.
+    /// The columns of a row's values, in order.
     pub values: Vec<(usize, ReadCell)>,
 }
 
-/// A format: what the files of one hand hold.
+/// The format of the files of one hand.
 pub(super) trait Format {
-    /// What else is known from a header.
+    /// Additional information from a header.
     type Layout;
-    /// Which columns such a file has, for people.
+    /// The required columns of such a file, as a text for users.
     const WANTED: &'static str;
-    /// What can be done where recording again cannot.
+    /// A remedy if recording again is not possible.
     const INSTEAD: &'static str;
-    /// Whether a blank line or another header may begin another recording, whose times begin anew.
+    /// Whether a blank line or another header can begin another recording with its own times.
     const TAKES: bool;
 
-    /// The columns under these names; none if this is no header of such a file.
+    /// Returns the columns with these names, or `None` if this is not a header of such a file.
     ///
     /// # Errors
-    /// If it is one, but cannot be used.
+    /// The row is a header that cannot be used.
     fn columns(&self, names: &[String]) -> Result<Option<(ColumnTable, Self::Layout)>, Problem>;
 
-    /// What is missing in a file without a header of this format; `numbers`: it begins with numbers.
+    /// Describes the missing header; `numbers` is true if the file begins with numbers.
     fn missing(&self, numbers: bool) -> &'static str;
 
-    /// Whether lines of text between the samples are skipped (and counted).
+    /// Whether lines of text between samples are skipped (and counted).
     fn skips_text(&self) -> bool {
         false
     }
@@ -57,28 +58,28 @@ pub(super) trait Format {
         is_unit_of_time(cell)
     }
 
-    /// The error for a file that has too little in it.
+    /// Returns the error for a file with too little data.
     fn empty(file: &Path, what: &'static str) -> RecordingError {
         RecordingError::Empty { file: file.to_owned(), what, instead: Self::INSTEAD }
     }
 
-    /// The error for columns that cannot be used.
+    /// Returns the error for columns that cannot be used.
     fn header_error(file: &Path, line: u64, (column, name, problem): Problem) -> RecordingError {
         RecordingError::Header { file: file.to_owned(), line, column, name, problem, wanted: Self::WANTED }
     }
 }
 
-/// Where the columns are, and where the rows begin.
+/// The positions of the columns, and the start of the rows.
 pub(super) struct Head<L> {
     separator: Separator,
     /// Of all columns.
     pub names: Vec<String>,
     /// Line above the first row.
     line: u64,
-    /// Every cell is `name:value`.
+    /// Whether every cell is `name:value`.
     pairs: bool,
     table: ColumnTable,
-    /// What else the format has found out.
+    /// Additional information of the format.
     pub layout: L,
 }
 
@@ -86,13 +87,13 @@ pub(super) struct Head<L> {
 pub(super) struct Row<'r> {
     /// Line, from 1.
     pub line: u64,
-    /// A blank line or another header is above it.
+    /// Whether a blank line or another header precedes it.
     pub is_parted: bool,
-    /// The time as in the file; of a time of day the seconds.
+    /// The time in the file; a time of day is converted to seconds.
     pub time: Option<f64>,
-    /// That is a time of day.
+    /// Whether the time is a time of day.
     pub is_of_day: bool,
-    /// In the order of the column table.
+    /// The values in the order of the column table.
     pub values: &'r [f64],
 }
 
@@ -111,9 +112,9 @@ pub(super) struct Rows<'t, F: Format> {
     /// There has been a row.
     has_begun: bool,
     is_parted: bool,
-    /// Lines of text that were skipped.
+    /// Number of skipped lines of text.
     pub skipped: usize,
-    /// Times are times of day, in seconds.
+    /// Whether times are times of day, in seconds.
     pub of_day: bool,
 }
 
@@ -121,7 +122,7 @@ impl<'t, F: Format> Rows<'t, F> {
     /// Finds the header.
     ///
     /// # Errors
-    /// [`RecordingError`], as [`Self::next_row`].
+    /// [`RecordingError`], as for [`Self::next_row`].
     pub fn of(file: &'t Path, text: &'t Text<'_>, format: &'t F) -> Result<Self, RecordingError> {
         if text.content.trim().is_empty() {
             return Err(F::empty(file, "the file is empty"));
@@ -144,10 +145,10 @@ impl<'t, F: Format> Rows<'t, F> {
         })
     }
 
-    /// The next row of numbers; none at the end.
+    /// Returns the next row of numbers, or `None` at the end.
     ///
     /// # Errors
-    /// [`RecordingError`] with line and column, for anything that is not to be skipped.
+    /// [`RecordingError`] with line and column, for anything that must not be skipped.
     pub fn next_row(&mut self) -> Result<Option<Row<'_>>, RecordingError> {
         while let Some((line, text)) = self.lines.next() {
             if text.trim().is_empty() {
@@ -186,7 +187,7 @@ impl<'t, F: Format> Rows<'t, F> {
         Ok(None)
     }
 
-    /// A header that comes again, units below the header, and text where the format skips that.
+    /// Returns whether a row is skipped: a repeated header, units below the header, or text if the format permits it.
     fn is_skipped(&mut self, cells: &[&str]) -> bool {
         let names = &self.head.names;
         let is_number = |cell: &&str| text::number(cell).is_some_and(f64::is_finite);
@@ -208,7 +209,7 @@ impl<'t, F: Format> Rows<'t, F> {
         skipped
     }
 
-    /// Reads a row's values, and its time.
+    /// Parses a row's values and its time.
     fn read(&mut self, line: u64, cells: &[&str]) -> Result<Option<f64>, RecordingError> {
         let expected = self.head.names.len();
         if cells.len() != expected {
@@ -248,12 +249,12 @@ impl<'t, F: Format> Rows<'t, F> {
         Ok(time)
     }
 
-    /// The column of the times, from 0.
+    /// The time column, counted from 0.
     pub fn time_column(&self) -> usize {
         self.head.table.time.unwrap_or_default()
     }
 
-    /// The error for a cell that is not what it should be; `column` counts from 0.
+    /// Returns the error for an invalid cell; `column` counts from 0.
     pub fn value_error(
         &self,
         line: u64,
@@ -271,7 +272,7 @@ impl<'t, F: Format> Rows<'t, F> {
         }
     }
 
-    /// The error for a time that is not behind the one before it.
+    /// Returns the error for a time that is not later than the previous one.
     pub fn time_error(&self, line: u64, time_ms: f64, before_ms: f64) -> RecordingError {
         let column = self.time_column();
         RecordingError::Time {
@@ -285,7 +286,7 @@ impl<'t, F: Format> Rows<'t, F> {
     }
 }
 
-/// The first line that names a format's columns.
+/// Finds the first line that names a format's columns.
 fn head<F: Format>(file: &Path, text: &str, format: &F) -> Result<Head<F::Layout>, RecordingError> {
     let mut cells = Vec::new();
     let mut first = None;
@@ -308,7 +309,7 @@ fn head<F: Format>(file: &Path, text: &str, format: &F) -> Result<Head<F::Layout
             }
             match format.columns(&names) {
                 Ok(Some((table, layout))) => {
-                    // Without a header this is the first row.
+                    // Without a header, this is the first row.
                     let line = if is_pairs || numbers { line - 1 } else { line };
                     return Ok(Head { separator, names, line, pairs: is_pairs, table, layout });
                 }
@@ -331,7 +332,7 @@ fn head<F: Format>(file: &Path, text: &str, format: &F) -> Result<Head<F::Layout
     Err(F::header_error(file, line, problem))
 }
 
-/// A cell that is a unit of times.
+/// Returns whether a cell is a unit of time.
 pub(super) fn is_unit_of_time(cell: &str) -> bool {
     matches!(cell.to_lowercase().as_str(), "s" | "ms" | "us" | "ns")
 }

@@ -2,7 +2,7 @@ use std::path::Path;
 
 use super::*;
 
-/// Rows of a hand that waves, made of a time in ms and nine values in our units.
+/// Rows of a waving hand, generated from a time in ms and nine values in our units.
 fn rows(count: usize, row: impl Fn(f64, [f64; 9]) -> String) -> String {
     let one = |n: usize| {
         let t = n as f64 * 0.01;
@@ -30,7 +30,7 @@ fn direct(text: &str) -> Result<Sheet, String> {
     read_as("me__1.csv", text, &Reading::default())
 }
 
-/// The same recording as every other one here, as we write it.
+/// The recording that all files here contain, in our own format.
 fn ours(axes: usize) -> Recording {
     let header = crate::recording::AXIS_NAMES[..axes].join(",");
     let text = format!("timestamp,{header}\n{}", rows(300, |t, v| format!("{t},{}", all(&v[..axes], ","))));
@@ -88,7 +88,7 @@ fn a_recording_in_g_is_a_question_or_a_guess_that_is_said() {
     assert_same(&told("g").unwrap(), 3);
     let wrong = told("m/s2").unwrap_err();
     assert!(wrong.contains("as --units has it, gravity at rest is about 1 m/s²"), "{wrong}");
-    // A declared unit that gravity contradicts is never taken.
+    // A declared unit that contradicts gravity is never accepted.
     let declared = text.replace("accX,accY,accZ", "accX (m/s^2),accY (m/s^2),accZ (m/s^2)");
     let error = read_as("x", &declared, &Reading { guess: true, ..Reading::default() }).unwrap_err();
     assert!(error.contains("in the unit that the file declares") && error.contains("--units g"), "{error}");
@@ -139,7 +139,7 @@ fn turns_in_radians_and_fields_in_gauss_are_questions_or_guesses() {
 
 #[test]
 fn times_may_be_equal_in_seconds_of_the_day_or_missing() {
-    // A clock of milliseconds at 104 Hz repeats itself now and then.
+    // A millisecond clock at 104 Hz occasionally repeats a time.
     let mut last = 0.0;
     let text: String = (0..400)
         .map(|n| {
@@ -178,7 +178,7 @@ fn blank_lines_and_repeated_headers_part_recordings() {
     let timed = rows(119, |t, v| format!("{t},{}", all(&v[..3], ",")));
     let text = format!("timestamp,accX,accY,accZ\n{timed}\n{timed}");
     assert_eq!(guessed(&text).takes.len(), 2);
-    // A blank line in a recording that goes on begins nothing.
+    // A blank line within a continuous recording has no effect.
     let first: String = timed.lines().take(60).map(|line| format!("{line}\n")).collect();
     let rest: String = timed.lines().skip(60).map(|line| format!("{line}\n")).collect();
     assert_eq!(direct(&format!("timestamp,accX,accY,accZ\n{first}\n{rest}")).unwrap().takes.len(), 1);

@@ -1,18 +1,18 @@
-//! A file's bytes as lines of cells, whatever program and whatever country they come from.
+//! Splits a file into lines of cells, for the formats of many programs and countries.
 
 use std::borrow::Cow;
 
-/// What stands between two cells.
+/// The separator between two cells.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Separator {
-    /// One character; an empty cell is a cell.
+    /// One character. Empty cells count as cells.
     Char(char),
-    /// Any run of blanks and tabs.
+    /// Any number of blanks and tabs.
     Blanks,
 }
 
-/// Tried in this order: a tab or a semicolon is never anything else, a comma may be a decimal one, a blank may stand in
-/// a name.
+/// Separators in the order of trial.
+/// Tabs and semicolons are unambiguous, a comma may be a decimal sign, and a blank may be part of a name.
 const SEPARATORS: [Separator; 5] = [
     Separator::Char('\t'),
     Separator::Char(';'),
@@ -26,7 +26,7 @@ impl Separator {
         SEPARATORS.into_iter()
     }
 
-    /// The cells of a line, without blanks and quotes around them.
+    /// Returns the cells of a line, without surrounding blanks and quotes.
     pub(super) fn split<'a>(self, line: &'a str, cells: &mut Vec<&'a str>) {
         cells.clear();
         match self {
@@ -47,7 +47,7 @@ impl Separator {
                 cells.push(unquoted(&line[from..]));
             }
         }
-        // A separator at the end of every line is no cell.
+        // A separator at the end of every line does not add a cell.
         if cells.len() > 1 && cells.last().is_some_and(|cell| cell.is_empty()) {
             cells.pop();
         }
@@ -64,7 +64,7 @@ fn unquoted(cell: &str) -> &str {
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct Text<'b> {
     pub content: Cow<'b, str>,
-    /// The first line that is not UTF-8, from 1: its bytes became the characters of Latin-1, which only a header may have.
+    /// The first line that is not UTF-8, from 1. It is read as Latin-1, which is permitted only in a header.
     pub foreign_line: Option<u64>,
 }
 
@@ -94,14 +94,14 @@ fn utf16(bytes: &[u8], unit: fn([u8; 2]) -> u16) -> String {
     char::decode_utf16(units).map(|c| c.unwrap_or(char::REPLACEMENT_CHARACTER)).collect()
 }
 
-/// Lines with their numbers from 1, whether they end as on Unix, Windows or an old Mac.
+/// Returns lines with their numbers from 1, for line ends of Unix, Windows and old Macs.
 pub(super) fn lines(text: &str) -> impl Iterator<Item = (u64, &str)> {
     let old_mac = !text.contains('\n');
     let end = if old_mac { '\r' } else { '\n' };
     (1..).zip(text.split(end).map(|line| line.trim_end_matches('\r')))
 }
 
-/// A number with a decimal point or a decimal comma.
+/// Parses a number with a decimal point or a decimal comma.
 pub(super) fn number(cell: &str) -> Option<f64> {
     match cell.parse() {
         Ok(number) => Some(number),
@@ -112,7 +112,7 @@ pub(super) fn number(cell: &str) -> Option<f64> {
     }
 }
 
-/// Cells of the kind `name:value`, as the Arduino's serial plotter takes them: all of them or none.
+/// Parses cells of the form `name:value` (Arduino's serial plotter), if all cells have it.
 pub(super) fn pairs<'a>(cells: &[&'a str]) -> Option<Vec<(&'a str, &'a str)>> {
     let pair = |cell: &&'a str| {
         let (name, value) = cell.rsplit_once(':').or_else(|| cell.rsplit_once('='))?;

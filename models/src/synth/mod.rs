@@ -1,13 +1,14 @@
-//! Simulated wearers: recordings of the paper's seven classes from people who do not exist.
+//! Simulated wearers, which generate recordings of the paper's seven classes.
 //!
-//! The paper's recordings are not public, so the bundled model learns from simulated hands. Here
-//! they are made: a [`Wearer`] has a size, tempo, posture, tremor and habits; a path turns a
-//! script of motions into a smooth hand path; a sensor model turns the path into what an LSM9DS1 on
-//! that hand would report. Everything follows from the wearer's key, so the same wearer gives the
-//! same bytes on one machine, whatever the number of threads.
+//! The paper's recordings are not public, so the bundled model learns from simulated hands.
+//! A [`Wearer`] has a size, tempo, posture, tremor and habits.
+//! A script of motions is converted to a smooth hand path,
+//! and a sensor model computes the readings of an LSM9DS1 on that hand.
+//! Everything depends only on the wearer's key.
+//! The same wearer therefore gives the same bytes on one machine, for any number of threads.
 //!
-//! What is *not* simulated: real people's minds. A figure measured here says nothing about real
-//! hands, and every place that shows one says so.
+//! The simulation does *not* include the decisions of real people.
+//! Its results are therefore not valid for real hands, and every place that shows one must state this.
 
 mod path;
 mod sensor;
@@ -19,10 +20,10 @@ pub use wearer::{Group, Wearer};
 
 use crate::recording::Recording;
 
-/// Plays a script of motions, one after another, and records it at 100 Hz with 9 axes.
+/// Plays a script of motions in sequence and records it at 100 Hz with 9 axes.
 ///
-/// Gestures swell from rest and fall back to rest inside their segment. `take` tells apart
-/// recordings of the same wearer: another take has other phases, noise and attention.
+/// Within its segment, a gesture begins and ends at rest.
+/// `take` distinguishes recordings of the same wearer by other phases, noise and attention.
 ///
 /// ```
 /// use models::synth::{Motion, Segment, Wearer, session};
@@ -36,26 +37,27 @@ pub fn session(wearer: &Wearer, take: u64, script: &[Segment]) -> Recording {
     sensor::record(wearer, &mut rng, &track)
 }
 
-/// One recording that a simulated wearer contributes to a data set.
+/// A recording of a simulated wearer in a data set.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Take {
     /// The label, canonical.
     pub label: &'static str,
-    /// Number in the file name and take of [`session`].
+    /// Number in the file name, and take of [`session`].
     pub number: u64,
     /// What is played.
     pub script: Vec<Segment>,
 }
 
 impl Take {
-    /// From this number on takes hold only the first or last moments of a gesture.
+    /// Takes from this number on contain only the beginning or the end of a gesture.
     pub const FIRST_PART: u64 = 101;
 }
 
-/// The takes of one wearer: `seconds` of each gesture, and as `idle` half as long of each kind of
-/// idle movement, and the moments in which a gesture has only just begun or is nearly over (at most
-/// 0.8 s in the window), which must not be taken for the gesture yet or still. In the recordings of
-/// a gesture it fills at least three quarters of the window.
+/// Returns the takes of one wearer: `seconds` of each gesture,
+/// and half as much of each kind of idle movement as `idle`.
+/// `idle` also includes the beginning and end of gestures (at most 0.8 s in the window),
+/// which must not count as the gesture.
+/// In the recordings of a gesture, it fills at least three quarters of the window.
 pub fn takes(seconds: f64) -> Vec<Take> {
     const EDGE_S: f64 = 0.4;
     const PART_S: f64 = 0.8;
@@ -79,7 +81,7 @@ pub fn takes(seconds: f64) -> Vec<Take> {
         takes.push(Take { label: "idle", number, script });
     }
     for (motion, number) in Motion::GESTURES.into_iter().zip(0..) {
-        // Cut out of a longer gesture, so that its first or last second is as in a session.
+        // Cut from a longer gesture, so that its first or last second equals that in a session.
         let first = Segment::cut(motion, CUT_FROM_S, 0.0, PART_S);
         let last = Segment::cut(motion, CUT_FROM_S, CUT_FROM_S - PART_S, PART_S);
         for (kind, more) in [(IdleKind::Still, 0), (IdleKind::Reach, 50)] {
@@ -184,7 +186,7 @@ mod tests {
             }
             count
         };
-        // The axis (forward, left or up) that is perpendicular to the circle.
+        // The axis (forward, left or up) perpendicular to the circle.
         assert!(quietest(false)[0] >= 50, "{:?}", quietest(false));
         assert!(quietest(true).iter().all(|&count| count >= 8), "{:?}", quietest(true));
     }

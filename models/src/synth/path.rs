@@ -1,8 +1,9 @@
-//! Hand paths: from a script of motions to position and posture over time.
+//! Hand paths: converts a script of motions to positions and postures over time.
 //!
-//! Position is in the wearer's frame: x forward, y left, z up, from the resting point. Posture is
-//! roll, pitch, yaw. Every motion is a smooth function of time under an envelope that is flat at
-//! both ends (minimum jerk), so that the whole has a continuous acceleration.
+//! Positions are in the wearer's frame, relative to the resting point: x forward, y left, z up.
+//! Postures are roll, pitch, yaw.
+//! Every motion is a smooth function of time with an envelope that is flat at both ends (minimum jerk).
+//! The complete path therefore has a continuous acceleration.
 
 use std::f64::consts::TAU;
 use std::ops::Range;
@@ -13,12 +14,12 @@ use rand_chacha::ChaCha8Rng;
 use super::wearer::{Wearer, normal};
 use crate::RATE_HZ;
 
-/// Path points per recorded sample, for clean derivatives.
+/// Number of path points per recorded sample, for smooth derivatives.
 pub(super) const OVERSAMPLING: usize = 4;
 /// Time between path points in s.
 pub(super) const STEP_S: f64 = 1.0 / (RATE_HZ * OVERSAMPLING as f64);
 
-/// What the hand does in one segment.
+/// The motion of the hand in one segment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Motion {
     /// No gesture.
@@ -29,37 +30,37 @@ pub enum Motion {
     ToFro,
     /// Strokes from side to side.
     LeftRight,
-    /// A rectangle upright in front of the wearer.
+    /// A vertical rectangle in front of the wearer.
     Rectangle,
-    /// A rectangle flat as on a table.
+    /// A horizontal rectangle, as on a table.
     RectangleFlat,
-    /// A circle upright in front of the wearer.
+    /// A vertical circle in front of the wearer.
     Circle,
 }
 
-/// Movements without a gesture; all of them are labelled `idle`.
+/// Movements without a gesture, all labelled `idle`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum IdleKind {
-    /// Held still, as far as a hand can be.
+    /// Held as still as a hand can be.
     Still,
     /// Small restless movement.
     Fidget,
-    /// Reaching for things: single strokes to somewhere else, with pauses.
+    /// Reaching for objects: single strokes to other positions, with pauses.
     Reach,
-    /// Walking with the hand held.
+    /// Walking with the hand held still.
     Walk,
     /// Turning the hand over and back.
     Turn,
-    /// Moving and turning in all directions, fast or slowly, hardly ever pausing: gesticulating, handling things.
+    /// Moving and turning in all directions at any speed with few pauses: gesticulating, handling objects.
     Scatter,
-    /// To and back faster than any gesture, in bursts: shaking a bottle, brushing, scratching, hammering.
+    /// Bursts of to-and-fro movement faster than any gesture: shaking a bottle, brushing, scratching, hammering.
     Shake,
 }
 
 impl IdleKind {
     /// The movements of a wearer between gestures.
     pub const ALL: [Self; 5] = [Self::Still, Self::Fidget, Self::Reach, Self::Walk, Self::Turn];
-    /// Every kind: the movements of a wearer without a gesture in mind.
+    /// All kinds: the movements of a wearer who makes no gestures.
     pub const EVERY: [Self; 7] =
         [Self::Still, Self::Fidget, Self::Reach, Self::Walk, Self::Turn, Self::Scatter, Self::Shake];
 }
@@ -90,20 +91,20 @@ impl Motion {
 pub struct Segment {
     /// What is done.
     pub motion: Motion,
-    /// How much of it is seen, in s.
+    /// Duration of the visible part in s.
     pub seconds: f64,
-    /// Length of the whole motion and where in it the segment starts, in s.
+    /// Duration of the complete motion, and start of the segment in it, in s.
     whole_s: f64,
     from_s: f64,
 }
 
 impl Segment {
-    /// A whole motion from rest to rest.
+    /// A complete motion from rest to rest.
     pub fn new(motion: Motion, seconds: f64) -> Self {
         Self { motion, seconds, whole_s: seconds, from_s: 0.0 }
     }
 
-    /// `seconds` from `from_s` on of a motion that as a whole lasts `whole_s`.
+    /// A part of `seconds` from `from_s` on, of a motion that lasts `whole_s`.
     pub fn cut(motion: Motion, whole_s: f64, from_s: f64, seconds: f64) -> Self {
         Self { motion, seconds, whole_s, from_s }
     }
@@ -116,7 +117,7 @@ pub(super) struct BodyPose {
     pub posture_rad: [f64; 3],
 }
 
-/// The whole path in steps of [`STEP_S`], with one point more at each end for the derivatives.
+/// Returns the complete path in steps of [`STEP_S`], with one additional point at each end for the derivatives.
 pub(super) fn track(wearer: &Wearer, rng: &mut ChaCha8Rng, script: &[Segment]) -> Vec<BodyPose> {
     let mut parts = Vec::with_capacity(script.len());
     let mut end_s = 0.0;
@@ -125,7 +126,7 @@ pub(super) fn track(wearer: &Wearer, rng: &mut ChaCha8Rng, script: &[Segment]) -
         parts.push((start_s, end_s, Player::new(wearer, rng, segment)));
         end_s += segment.seconds;
     }
-    // An idle hand may rest in any posture; one that makes gestures is held as it is used to.
+    // An idle hand may rest in any posture, but one that makes gestures uses its normal posture.
     let gestures = script.iter().any(|segment| !matches!(segment.motion, Motion::Idle(_)));
     let rest = if gestures {
         wearer.posture_rad
@@ -143,14 +144,14 @@ pub(super) fn track(wearer: &Wearer, rng: &mut ChaCha8Rng, script: &[Segment]) -
             let t = (n as f64 - 1.0) * STEP_S;
             let mut pose = BodyPose::default();
             for (start_s, shown_s, player) in &parts {
-                // A cut motion does not show what is before its cut; a whole one is at rest there anyway.
+                // The part before the cut is omitted; a complete motion is at rest there anyway.
                 if t >= *shown_s - 2.0 * STEP_S {
                     player.add(t - start_s, &mut pose);
                 }
             }
             let [x, y, z] = pose.position_m;
-            // The hand swings on an arm: moved left it yaws left, moved up it pitches up (a
-            // negative turn about the y axis that points left).
+            // The hand swings on an arm: moving left causes a yaw to the left, and moving up causes an upward pitch.
+            // The latter is a negative rotation about the y axis, which points left.
             let swing = wearer.coupling / wearer.arm_m;
             let turn = [0.15 * swing * y, -swing * (z + 0.2 * x), swing * y];
             for axis in 0..3 {
@@ -162,11 +163,11 @@ pub(super) fn track(wearer: &Wearer, rng: &mut ChaCha8Rng, script: &[Segment]) -
         .collect()
 }
 
-/// A smooth random function of time: a few sines of random frequency and phase.
+/// A smooth random function of time: several sines of random frequency and phase.
 struct Smooth([(f64, f64, f64); 5]);
 
 impl Smooth {
-    /// Frequencies between `low_hz` and `high_hz`, standard deviation `rms`.
+    /// Frequencies are between `low_hz` and `high_hz`, with a standard deviation of `rms`.
     fn new(rng: &mut ChaCha8Rng, low_hz: f64, high_hz: f64, rms: f64) -> Self {
         let size = rms * (2.0f64 / 5.0).sqrt();
         Self([0; 5].map(|_| (rng.random_range(low_hz..high_hz), rng.random_range(0.0..TAU), size)))
@@ -177,13 +178,13 @@ impl Smooth {
     }
 }
 
-/// From 0 to 1 with no speed and no acceleration at either end.
+/// A transition from 0 to 1 with zero speed and acceleration at both ends.
 fn minimum_jerk(part: f64) -> f64 {
     let p = part.clamp(0.0, 1.0);
     p * p * p * (10.0 + p * (6.0 * p - 15.0))
 }
 
-/// One segment's motion with everything random about it decided.
+/// The motion of one segment with all its random values.
 struct Player {
     whole_s: f64,
     onset_s: f64,
@@ -199,7 +200,7 @@ enum Kind {
         position: [Smooth; 3],
         posture: [Smooth; 3],
     },
-    /// Single moves: time, duration and what they add.
+    /// Single moves: time, duration and displacement.
     Moves(Vec<(f64, f64, BodyPose)>),
     Walk {
         step_hz: f64,
@@ -214,7 +215,7 @@ enum Kind {
         hurry: Smooth,
         /// The hand shakes while this is above 0.
         bursts: Smooth,
-        /// Size and phase per direction.
+        /// Amplitude and phase per direction.
         position: [(f64, f64); 3],
         posture: [(f64, f64); 3],
     },
@@ -227,7 +228,7 @@ struct Periodic {
     sense: f64,
     /// Half size along the first and second direction of the shape.
     size_m: [f64; 2],
-    /// Columns: first and second direction of the shape and its normal.
+    /// Columns: first and second direction of the shape, and its normal.
     frame: [[f64; 3]; 3],
     slop: [(f64, f64); 3],
     second: (f64, f64),
@@ -257,7 +258,7 @@ impl Player {
         minimum_jerk(t / self.onset_s) * minimum_jerk((self.whole_s - t) / self.onset_s)
     }
 
-    /// Adds the motion at `t` seconds from its start.
+    /// Adds the motion at `t` seconds after its start.
     fn add(&self, t: f64, pose: &mut BodyPose) {
         let size = self.envelope(t);
         match &self.kind {
@@ -332,12 +333,12 @@ fn idle(rng: &mut ChaCha8Rng, kind: IdleKind, seconds: f64) -> Kind {
             wander: Smooth::new(rng, 0.1, 0.5, 0.3),
         },
         IdleKind::Shake => {
-            // Gestures are made up to five times a second.
+            // The frequency is higher than that of gestures, which have up to 5 Hz.
             let hz = rng.random_range(5.5f64.ln()..9.0f64.ln()).exp();
-            // Force and turning, not reach, are what a hand can do at any pace: 1 to 15 m/s², 0.3 to 5 rad/s.
+            // The limits are on force and rotation, not on amplitude: 1 to 15 m/s² and 0.3 to 5 rad/s.
             let reach_m = rng.random_range(0.0f64..2.7).exp() / (TAU * hz).powi(2);
             let turn_rad = rng.random_range(-1.2f64..1.6).exp() / (TAU * hz);
-            // Nearly along one line, as on a hinge.
+            // The movement is almost along one line.
             let mut along = |size: f64| {
                 let phase = rng.random_range(0.0..TAU);
                 [0; 3].map(|_| (normal(rng, 0.6 * size, size), phase + normal(rng, 0.3, 0.9)))
@@ -354,7 +355,7 @@ fn idle(rng: &mut ChaCha8Rng, kind: IdleKind, seconds: f64) -> Kind {
     }
 }
 
-/// Moves to places around the resting point, never far from it, with pauses between.
+/// Moves to positions near the resting point, with pauses between.
 fn moves(
     rng: &mut ChaCha8Rng,
     seconds: f64,
@@ -373,7 +374,7 @@ fn moves(
             position_m: [0; 3].map(|_| normal(rng, reach_m * 0.6, reach_m)),
             posture_rad: [0; 3].map(|_| normal(rng, turn_rad * 0.6, turn_rad)),
         };
-        // The last move brings the hand back in time for what follows, with a moment's pause.
+        // The last move returns in time for the next motion, with a short pause.
         let last = t + length_s > seconds - 1.2 - PAUSE_S;
         if last {
             place = BodyPose::default();
@@ -406,7 +407,7 @@ impl Periodic {
         let speed_m_s = wearer.speed_m_s * normal(rng, 0.1, 0.25).exp();
         let half_m = match shape {
             Shape::Stroke | Shape::Circle => speed_m_s / (TAU * hz),
-            // Peak speed of a minimum-jerk side: 1.875 lengths per time, four sides per turn.
+            // The peak speed of a minimum-jerk side is 1.875 lengths per duration, with four sides per turn.
             Shape::Rectangle => 0.5 * speed_m_s * (1.0 - wearer.corner) / (1.875 * 4.0 * hz),
         }
         .min(0.35);
@@ -455,7 +456,7 @@ impl Periodic {
     }
 }
 
-/// Corner to corner of the square ±1: turn 0..1 once around, resting `corner` of each side.
+/// Corner to corner of the square ±1: a turn from 0 to 1 goes around once, and rests for `corner` of each side.
 fn rectangle(turn: f64, corner: f64) -> (f64, f64) {
     let along = turn.rem_euclid(1.0) * 4.0;
     let side = along.floor();
@@ -468,7 +469,7 @@ fn rectangle(turn: f64, corner: f64) -> (f64, f64) {
     }
 }
 
-/// Rotation matrix (rows) of roll about x, then pitch about y, then yaw about z.
+/// Returns the rotation matrix (rows) of roll about x, then pitch about y, then yaw about z.
 pub(super) fn rotation([roll, pitch, yaw]: [f64; 3]) -> [[f64; 3]; 3] {
     let (sr, cr) = roll.sin_cos();
     let (sp, cp) = pitch.sin_cos();

@@ -1,5 +1,5 @@
-//! What an LSM9DS1 on the hand reports: specific force, turn rate and field in the board's frame,
-//! with offsets, gains, noise, clipping at the ranges and quantisation to 16 bits.
+//! Simulates an LSM9DS1 on the hand: specific force, turn rate and magnetic field in the board's frame.
+//! The model adds offsets, gains, noise, clipping at the ranges and quantisation to 16 bits.
 
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
@@ -14,9 +14,9 @@ const GRAVITY: f64 = 9.806_65;
 
 /// One of the three sensors on the chip.
 struct Sensor {
-    /// Value of one count, from the data sheet at the range below.
+    /// Value of one count, from the data sheet, for the range below.
     unit: f64,
-    /// Largest value of the range.
+    /// Maximum value of the range.
     range: f64,
     /// Standard deviation of the noise at 100 Hz.
     noise: f64,
@@ -24,15 +24,14 @@ struct Sensor {
     decimals: i32,
 }
 
-/// Accelerometer ±4 g at 0.122 mg, gyroscope ±2000 deg/s at 70 mdeg/s, magnetometer ±4 gauss at
-/// 0.14 mgauss.
+/// Accelerometer ±4 g at 0.122 mg, gyroscope ±2000 deg/s at 70 mdeg/s, magnetometer ±4 gauss at 0.14 mgauss.
 const SENSORS: [Sensor; 3] = [
     Sensor { unit: 0.122e-3 * GRAVITY, range: 4.0 * GRAVITY, noise: 0.02, decimals: 4 },
     Sensor { unit: 0.07, range: 2000.0, noise: 0.15, decimals: 2 },
     Sensor { unit: 0.014, range: 400.0, noise: 0.4, decimals: 2 },
 ];
 
-/// Records a path of `OVERSAMPLING` points per sample (and one more at each end) at 100 Hz.
+/// Records a path with `OVERSAMPLING` points per sample (and one more at each end) at 100 Hz.
 pub(super) fn record(wearer: &Wearer, rng: &mut ChaCha8Rng, track: &[BodyPose]) -> Recording {
     let count = (track.len() - 2) / OVERSAMPLING;
     let heading_rad = rng.random_range(0.0..std::f64::consts::TAU);
@@ -74,7 +73,7 @@ pub(super) fn record(wearer: &Wearer, rng: &mut ChaCha8Rng, track: &[BodyPose]) 
     Recording::new(9, time_ms, values)
 }
 
-/// A reading of one sensor: gain, offset, noise, clipping, counts, and the file's decimals.
+/// Computes a reading of one sensor: gain, offset, noise, clipping, counts, and the file's decimals.
 fn read(wearer: &Wearer, rng: &mut ChaCha8Rng, which: usize, truth: [f64; 3]) -> [f32; 3] {
     let sensor = &SENSORS[which];
     std::array::from_fn(|axis| {
@@ -92,14 +91,14 @@ fn add(sum: &mut [f64; 3], value: [f64; 3]) {
     }
 }
 
-/// A vector of the wearer's frame seen from the board.
+/// Converts a vector from the wearer's frame to the board's frame.
 fn into_board(turn: &[[f64; 3]; 3], vector: [f64; 3]) -> [f64; 3] {
     std::array::from_fn(|column| (0..3).map(|row| turn[row][column] * vector[row]).sum())
 }
 
-/// Turn rate in the board's frame from two postures one step apart, in deg/s.
+/// Computes the turn rate in the board's frame from two postures one step apart, in deg/s.
 fn turn_rate_deg_s(from: &[[f64; 3]; 3], to: &[[f64; 3]; 3]) -> [f64; 3] {
-    // Relative rotation fromᵀ·to: for a small angle its antisymmetric part is the angle.
+    // The relative rotation is fromᵀ·to. For a small angle, its antisymmetric part is the angle.
     let relative = |i: usize, j: usize| (0..3).map(|k| from[k][i] * to[k][j]).sum::<f64>();
     [
         (relative(2, 1) - relative(1, 2)) / 2.0,

@@ -1,4 +1,4 @@
-//! Who wears the glove: body, habits and the errors of the board's sensors.
+//! The person who wears the glove: body, habits, and the errors of the board's sensors.
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -6,19 +6,19 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-/// The purpose of a simulated wearer. Each group has keys of its own, so that no wearer is in two groups.
+/// The purpose of a simulated wearer. Groups have different keys, so that no wearer is in two groups.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Group {
     /// Models learn from these.
     Training,
-    /// Models are measured on these.
+    /// Wearers for testing models.
     Evaluation,
-    /// The bundled demonstration plays these; no model has seen them.
+    /// Wearers for the bundled demonstration, whom no model has learned.
     Demo,
 }
 
 impl Group {
-    /// First letter of the wearers' names, and the byte of the key that keeps groups apart.
+    /// First letter of the wearers' names, and the byte of the key that separates groups.
     pub fn letter(self) -> char {
         match self {
             Self::Training => 't',
@@ -28,13 +28,13 @@ impl Group {
     }
 }
 
-/// One simulated person with one board. All lengths in m, angles in rad, times in s.
+/// One simulated person with one board. Lengths are in m, angles in rad, times in s.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Wearer {
-    /// `t0007`, `e0001`, `d0001`: the person in file names.
+    /// Name of the person in file names: `t0007`, `e0001`, `d0001`.
     pub name: String,
     key: [u8; 32],
-    /// Peak hand speed in a gesture, m/s.
+    /// Peak speed of the hand in a gesture, m/s.
     pub(super) speed_m_s: f64,
     /// Strokes (to and back) per second.
     pub(super) stroke_hz: f64,
@@ -44,52 +44,52 @@ pub struct Wearer {
     pub(super) rectangle_hz: f64,
     /// Distance from the joint about which the hand swings.
     pub(super) arm_m: f64,
-    /// How much the hand turns with the arm: 0 stays parallel, 1 turns fully.
+    /// Rotation of the hand with the arm: 0 remains parallel, 1 rotates fully.
     pub(super) coupling: f64,
-    /// Usual roll, pitch and yaw of the board against the direction faced.
+    /// Normal roll, pitch and yaw of the board relative to the wearer's direction.
     pub(super) posture_rad: [f64; 3],
     /// Tilt of the plane and direction of gestures.
     pub(super) tilt_rad: [f64; 3],
-    /// Turn of the plane of circles out of the upright one, about y and about z.
+    /// Rotation of the plane of circles from the vertical one, about y and about z.
     pub(super) circle_rad: [f64; 2],
-    /// Size of the movement across the intended one, relative.
+    /// Relative size of the movement perpendicular to the intended one.
     pub(super) slop: f64,
-    /// How much size and tempo wander, relative.
+    /// Relative variation of size and tempo.
     pub(super) wander: f64,
-    /// Share of a rectangle's side spent resting in its corner.
+    /// Fraction of a rectangle's side spent at rest in its corner.
     pub(super) corner: f64,
     /// Height to width of shapes.
     pub(super) aspect: f64,
     /// Probability of drawing shapes clockwise.
     pub(super) clockwise: f64,
-    /// Tremor frequency and size as a turn of the hand.
+    /// Frequency and size of the tremor as a rotation of the hand.
     pub(super) tremor_hz: f64,
     pub(super) tremor_rad: f64,
-    /// Time to swell from rest to the full gesture and back.
+    /// Time from rest to the full gesture and back.
     pub(super) onset_s: f64,
-    /// Earth field where the wearer stands: strength in µT and inclination.
+    /// Earth field at the wearer's position: strength in µT and inclination.
     pub(super) field_ut: f64,
     pub(super) inclination_rad: f64,
     /// Sensor offsets: m/s², deg/s, µT.
     pub(super) offset: [[f64; 3]; 3],
     /// Sensor gains, 1 = exact.
     pub(super) gain: [[f64; 3]; 3],
-    /// Samples of the IMU per sample of the magnetometer.
+    /// Number of IMU samples per sample of the magnetometer.
     pub(super) mag_every: usize,
 }
 
 impl Wearer {
-    /// A wearer for training; `seed` chooses the crowd, `index` the person in it.
+    /// Creates a wearer for training; `seed` selects the crowd and `index` the person.
     pub fn training(seed: u64, index: u32) -> Self {
         Self::new(Group::Training, seed, index)
     }
 
-    /// A wearer for measuring models; never one of the training wearers.
+    /// Creates a wearer for testing models, which is never a training wearer.
     pub fn evaluation(seed: u64, index: u32) -> Self {
         Self::new(Group::Evaluation, seed, index)
     }
 
-    /// A wearer for the demonstration; never one of the training wearers.
+    /// Creates a wearer for the demonstration, which is never a training wearer.
     pub fn demo(index: u32) -> Self {
         Self::new(Group::Demo, 0, index)
     }
@@ -121,8 +121,8 @@ impl Wearer {
             onset_s: r.random_range(0.25..0.5),
             field_ut: r.random_range(28.0..60.0),
             inclination_rad: r.random_range(0.7..1.25),
-            // Figures of the LSM9DS1 data sheet: ±90 mg, ±30 deg/s (boards take the resting value
-            // off, so that little is left) and hard iron on the hand.
+            // Values from the LSM9DS1 data sheet: ±90 mg, ±30 deg/s, and hard iron on the hand.
+            // Boards subtract the turn rate at rest, so little of it remains.
             offset: [
                 [0; 3].map(|_| normal(r, 0.25, 0.88)),
                 [0; 3].map(|_| normal(r, 1.0, 4.0)),
@@ -133,8 +133,9 @@ impl Wearer {
         }
     }
 
-    /// The same person with habits as far apart as those of real people, who were not told how to move: half as fast or
-    /// twice as fast, circles in any plane, the hand turning with the arm as if it hung on the elbow.
+    /// Returns the same person with habits as diverse as those of real people without instructions.
+    /// The tempo is halved or doubled, circles are in any plane,
+    /// and the hand rotates with the arm as if from the elbow.
     #[must_use]
     pub fn untaught(mut self) -> Self {
         let r = &mut self.rng(Draws::Habits);
@@ -147,7 +148,7 @@ impl Wearer {
         self
     }
 
-    /// The random numbers of one use.
+    /// Returns the random numbers of one use.
     pub(super) fn rng(&self, of: Draws) -> ChaCha8Rng {
         let mut rng = ChaCha8Rng::from_seed(self.key);
         rng.set_stream(match of {
@@ -159,17 +160,16 @@ impl Wearer {
     }
 }
 
-/// What a wearer's random numbers are for: each has its own stream, as [`RandomStream`](crate::streams::RandomStream) has
-/// them of a seed.
+/// The uses of a wearer's random numbers. Each has its own stream, like [`RandomStream`](crate::streams::RandomStream).
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Draws {
     /// The take of this number.
     Take(u64),
-    /// Habits of somebody who was not told how to move.
+    /// Habits of a person without instructions.
     Habits,
 }
 
-/// Group, seed and index side by side: two groups can never share a key.
+/// Group, seed and index are adjacent, so two groups can never share a key.
 fn key(group: Group, seed: u64, index: u32) -> [u8; 32] {
     let mut key = [0; 32];
     key[..8].copy_from_slice(b"bimanual");
@@ -179,7 +179,7 @@ fn key(group: Group, seed: u64, index: u32) -> [u8; 32] {
     key
 }
 
-/// A normal value of mean 0, cut at ±`limit`.
+/// Returns a normal random number with mean 0, limited to ±`limit`.
 pub(super) fn normal(rng: &mut ChaCha8Rng, deviation: f64, limit: f64) -> f64 {
     let value: f64 = StandardNormal.sample(rng);
     (value * deviation).clamp(-limit, limit)
@@ -203,7 +203,7 @@ mod tests {
                 }
             }
         }
-        // Whatever seed and index, the group's letter stands alone in its byte.
+        // For any seed and index, the byte of the group contains only its letter.
         assert!(groups.iter().all(|&g| key(g, u64::MAX, u32::MAX)[8] == g.letter() as u8));
     }
 

@@ -1,15 +1,16 @@
-//! Reading tables of a flatbuffer without trusting a byte of it.
+//! Reads tables of a flatbuffer and validates every access.
 //!
-//! A table starts with a signed distance back to its vtable; the vtable lists where in the table
-//! each field is, 0 for absent. Strings, vectors and sub-tables are offsets forward from where they
-//! stand. Every access here is checked against the buffer, and nothing is followed backwards except
-//! vtables, which have no offsets: reading always ends.
+//! A table starts with a signed distance back to its vtable.
+//! The vtable lists the offset of each field in the table; 0 means absent.
+//! Strings, vectors and sub-tables are forward offsets from their own position.
+//! Every access is checked against the buffer.
+//! Only vtables are reached backwards, and they contain no offsets, so reading terminates.
 
 use super::TfliteError;
 
 const DAMAGED: TfliteError = TfliteError::Damaged;
 
-/// A position in the buffer, with the buffer.
+/// A position in the buffer, together with the buffer.
 #[derive(Clone, Copy)]
 pub(super) struct Table<'a> {
     bytes: &'a [u8],
@@ -34,7 +35,7 @@ fn follow(bytes: &[u8], at: usize) -> Result<usize, TfliteError> {
 }
 
 impl<'a> Table<'a> {
-    /// The table that the buffer begins with.
+    /// The table at the beginning of the buffer.
     pub fn root(bytes: &'a [u8]) -> Result<Self, TfliteError> {
         Self::at(bytes, follow(bytes, 0)?)
     }
@@ -50,7 +51,7 @@ impl<'a> Table<'a> {
         Ok(Self { bytes, at, vtable, vtable_len })
     }
 
-    /// The place of a field, if it is present.
+    /// The position of a field, if it is present.
     fn field(&self, id: usize) -> Result<Option<usize>, TfliteError> {
         let slot = 4 + 2 * id;
         if slot + 2 > self.vtable_len {
@@ -88,7 +89,7 @@ impl<'a> Table<'a> {
         }
     }
 
-    /// Bytes of a vector of elements of `size` bytes; an absent one is empty.
+    /// The bytes of a vector whose elements have `size` bytes. An absent vector is empty.
     fn vector(&self, id: usize, size: usize) -> Result<(usize, &'a [u8]), TfliteError> {
         let Some(at) = self.field(id)? else { return Ok((0, &[])) };
         let at = follow(self.bytes, at)?;

@@ -1,11 +1,14 @@
 //! TFLite files of dense networks: reading and writing.
 //!
-//! A chain of FULLY_CONNECTED layers (with ReLU, ReLU6 or none, with biases or without), all float32 or all int8 as
-//! exporters write it: one scale per tensor or one per channel (symmetric weights, int32 biases, softmax output 1/256 at
-//! −128), QUANTIZE and DEQUANTIZE at the ends, inputs and outputs of int8, uint8 or float32, RESHAPE between. A network
-//! that ends in logits gets the softmax that runs here anyway ([`End`]). What is int8 is computed here bit for bit as
-//! TFLite's reference kernels do; anything else is refused by name. The reader is our own and bounded: a damaged file is
-//! an error, never a panic and never much memory.
+//! The supported networks are chains of FULLY_CONNECTED layers (with ReLU, ReLU6 or none, with or without biases).
+//! All layers must be float32, or all must be int8 as exporters write it.
+//! In int8, there is one scale per tensor or per channel (symmetric weights, int32 biases,
+//! softmax output 1/256 at −128).
+//! QUANTIZE and DEQUANTIZE are supported at the ends, with inputs and outputs of int8, uint8 or float32,
+//! and RESHAPE in between.
+//! A network that ends in logits gets our own softmax ([`End`]).
+//! Int8 networks are computed exactly like TFLite's reference kernels, and anything else is refused by name.
+//! The reader is our own: a damaged file is an error, and never causes a panic or much memory use.
 
 mod flat;
 mod names;
@@ -19,11 +22,11 @@ pub use write::write;
 
 /// Bytes 4..8 of every TFLite file.
 const IDENTIFIER: &[u8; 4] = b"TFL3";
-/// The largest file that is read; ours have about 6 KB, in float 14 KB.
+/// Maximum size of a file. Ours have about 6 KB, or 14 KB in float.
 pub const MAX_BYTES: usize = 1 << 20;
-/// The most layers that are read.
+/// Maximum number of layers in a file.
 pub const MAX_LAYERS: usize = 8;
-/// The widest layer that is read.
+/// Maximum width of a layer in a file.
 pub const MAX_WIDTH: usize = 1024;
 
 /// Numbers of the TFLite schema.
@@ -57,7 +60,7 @@ pub struct FloatLayer {
     pub relu: bool,
 }
 
-/// A network as a file holds it; a softmax follows the last layer, whether the file has one or ends in logits.
+/// A network from a file. A softmax follows the last layer, even if the file ends in logits.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Network {
     /// float32 in and out.
@@ -66,27 +69,27 @@ pub enum Network {
     Int8(Vec<DenseSpec>),
 }
 
-/// Why a file is not a network that can be used.
+/// The reason why a file cannot be used as a network.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum TfliteError {
     /// The file does not begin like a TFLite file.
     #[error("this is not a TFLite file; give the .tflite that `models train` wrote")]
     NotTflite,
-    /// An offset or length leads out of the file.
+    /// An offset or length points outside the file.
     #[error("the TFLite file is damaged or cut off; copy it again or train it again")]
     Damaged,
-    /// An operator other than dense and softmax.
+    /// The file contains an operator other than dense and softmax.
     #[error(
         "operator {index} of the TFLite file is {name}; only FULLY_CONNECTED layers with one \
          SOFTMAX at the end can be used (and QUANTIZE, DEQUANTIZE and RESHAPE around them): train a dense network"
     )]
     ForeignOperator {
-        /// Place in the graph, from 0.
+        /// Index in the graph, from 0.
         index: usize,
         /// The operator's name.
         name: String,
     },
-    /// A dense network, but not of the kind that is understood.
+    /// The network is dense, but of an unsupported kind.
     #[error("the TFLite file cannot be used: {0}")]
     Unsupported(String),
 }
@@ -109,7 +112,7 @@ impl Network {
     }
 }
 
-/// Runs a float network: probabilities of one input vector.
+/// Runs a float network and returns the probabilities for one input vector.
 pub fn infer_float(layers: &[FloatLayer], inputs: &[f32]) -> Vec<f32> {
     let mut values = inputs.to_vec();
     for layer in layers {

@@ -1,6 +1,6 @@
 //! Names of the schema's numbers, for errors.
 
-/// Builtin operators, in the order of their numbers.
+/// Builtin operators in the order of their numbers.
 #[rustfmt::skip]
 const OPERATORS: [&str; 165] = [
     "ADD", "AVERAGE_POOL_2D", "CONCATENATION", "CONV_2D", "DEPTHWISE_CONV_2D", "DEPTH_TO_SPACE", "DEQUANTIZE",
@@ -27,13 +27,13 @@ const OPERATORS: [&str; 165] = [
     "BITCAST", "BITWISE_XOR", "RIGHT_SHIFT", "STABLEHLO_LOGISTIC", "STABLEHLO_ADD", "STABLEHLO_DIVIDE",
 ];
 
-/// Types of tensors, in the order of their numbers.
+/// Types of tensors in the order of their numbers.
 #[rustfmt::skip]
 const TYPES: [&str; 21] = [
     "FLOAT32", "FLOAT16", "INT32", "UINT8", "INT64", "STRING", "BOOL", "INT16", "COMPLEX64", "INT8", "FLOAT64", "COMPLEX128", "UINT64", "RESOURCE", "VARIANT", "UINT32", "UINT16", "INT4", "BFLOAT16", "INT2", "UINT4",
 ];
 
-/// Name of an operator; `custom` is what the file calls one of its own.
+/// Returns the name of an operator; `custom` is the file's name for a custom one.
 pub(super) fn operator(number: i32, custom: &str) -> String {
     const CUSTOM: usize = 32;
     match usize::try_from(number).ok() {
@@ -51,7 +51,7 @@ pub(super) fn tensor_type(number: i8) -> String {
     }
 }
 
-/// Name of an activation that is fused into a layer.
+/// Returns the name of an activation that is fused into a layer.
 pub(super) fn activation(number: i8) -> String {
     const NAMES: [&str; 6] = ["none", "RELU", "RELU_N1_TO_1", "RELU6", "TANH", "SIGN_BIT"];
     let name = usize::try_from(number).ok().and_then(|n| NAMES.get(n));

@@ -1,14 +1,14 @@
-//! From a file's bytes to a network.
+//! Reads a network from the bytes of a file.
 
 use shared_dsp::right::network::DenseSpec;
 
 use super::flat::Table;
 use super::{FloatLayer, IDENTIFIER, MAX_BYTES, MAX_LAYERS, MAX_WIDTH, Network, TfliteError, names, schema};
 
-/// Operators around the layers: QUANTIZE, DEQUANTIZE, SOFTMAX, and RESHAPE with what computes its shape.
+/// Maximum number of other operators: QUANTIZE, DEQUANTIZE, SOFTMAX, and RESHAPE with the computation of its shape.
 const MAX_OTHERS: usize = 4 * MAX_LAYERS + 4;
 
-/// What a file's last operator returns. A softmax is computed here in either case.
+/// The output of a file's last operator. Our own softmax is computed in either case.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum End {
     /// Probabilities.
@@ -28,12 +28,12 @@ struct Tensor<'a> {
     data: &'a [u8],
     scales: Vec<f32>,
     zero_points: Vec<i64>,
-    /// Along which dimension there is a scale per channel.
+    /// The dimension of the channels that have individual scales.
     dimension: i32,
 }
 
 impl Tensor<'_> {
-    /// The one scale and zero point of a tensor of activations.
+    /// Returns the only scale and zero point of a tensor of activations.
     fn quantisation(&self, what: &str) -> Result<(f32, i64), TfliteError> {
         match (self.scales.as_slice(), self.zero_points.as_slice()) {
             (&[scale], &[zero]) if scale.is_finite() && scale > 0.0 => Ok((scale, zero)),
@@ -43,7 +43,7 @@ impl Tensor<'_> {
         }
     }
 
-    /// The same of an int8 tensor.
+    /// Returns the same for an int8 tensor.
     fn int8(&self, what: &str) -> Result<(f32, i8), TfliteError> {
         self.expect(schema::INT8, what)?;
         let (scale, zero) = self.quantisation(what)?;
@@ -68,7 +68,7 @@ impl Tensor<'_> {
         names::tensor_type(self.kind)
     }
 
-    /// Rows and columns of a constant matrix, both in 1..=[`MAX_WIDTH`], with `size` bytes each.
+    /// Returns rows and columns of a constant matrix, both in 1..=[`MAX_WIDTH`], with `size` bytes per element.
     fn matrix(&self, size: usize) -> Result<(usize, usize), TfliteError> {
         let &[rows, columns] = self.shape.as_slice() else {
             return unsupported(format!("weights of shape {:?}", self.shape));
@@ -80,13 +80,13 @@ impl Tensor<'_> {
         }
     }
 
-    /// Values of one example: the product of the shape's dimensions, open ones left out.
+    /// Returns the number of values of one example: the product of the shape's dimensions without open ones.
     fn elements(&self) -> u64 {
         self.shape.iter().map(|&n| u64::try_from(n).unwrap_or(1).max(1)).fold(1, u64::saturating_mul)
     }
 }
 
-/// The tensors of the graph, and where their data stands.
+/// The tensors of the graph, and the positions of their data.
 struct Tensors<'b> {
     tables: Vec<Table<'b>>,
     buffers: Vec<Table<'b>>,
@@ -114,7 +114,7 @@ pub fn read(bytes: &[u8]) -> Result<Network, TfliteError> {
     Ok(read_to_end(bytes)?.0)
 }
 
-/// The same, and what the file ends in.
+/// Like [`read`], but also returns the end of the file's network.
 ///
 /// # Errors
 /// [`TfliteError`].
@@ -148,14 +148,14 @@ pub fn read_to_end(bytes: &[u8]) -> Result<(Network, End), TfliteError> {
     for (index, operator) in operators.iter().enumerate() {
         let code_index = usize::try_from(operator.i32(0, 0)?).map_err(|_| TfliteError::Damaged)?;
         let code = codes.get(code_index).ok_or(TfliteError::Damaged)?;
-        // Old files have only the byte field, new ones both.
+        // Old files have only the byte field, and new ones have both.
         let number = code.i32(3, 0)?.max(i32::from(code.i8(0, 0)?));
         let name = || -> Result<String, TfliteError> { Ok(names::operator(number, code.text(1)?)) };
         let inputs = operator.i32s(1)?;
         let &[next] = operator.i32s(2)?.as_slice() else {
             return Err(TfliteError::ForeignOperator { index, name: name()? });
         };
-        // If the batch size is left open, the shape of a RESHAPE is computed; it is checked there.
+        // If the batch size is open, the shape of a RESHAPE is computed and checked there.
         let of_shapes = [schema::SHAPE, schema::STRIDED_SLICE, schema::PACK];
         if of_shapes.contains(&number) && tensors.at(next)?.kind == schema::INT32 {
             continue;
@@ -191,12 +191,12 @@ pub fn read_to_end(bytes: &[u8]) -> Result<(Network, End), TfliteError> {
     chain.finish()
 }
 
-/// What has been read of the chain of operators.
+/// The part of the chain of operators that has been read.
 struct Chain {
     floats: Vec<FloatLayer>,
     ints: Vec<DenseSpec>,
     end: Option<End>,
-    /// After the last layer, values are no longer int8: nothing can follow.
+    /// After the last layer, values are no longer int8, so nothing can follow.
     over: bool,
     widths: Vec<(usize, usize)>,
 }
@@ -220,7 +220,7 @@ impl Chain {
         Ok(())
     }
 
-    /// Takes the next operator of those that are read, between two tensors.
+    /// Processes the next supported operator between two tensors.
     fn operator(
         &mut self,
         index: usize,
@@ -323,7 +323,8 @@ impl Chain {
         Ok(())
     }
 
-    /// QUANTIZE at the ends: from float or uint8 to int8, and back to uint8. Other changes of scale are not read.
+    /// Processes QUANTIZE at the ends: float or uint8 to int8, or int8 to uint8.
+    /// Other changes of scale are not supported.
     fn quantize(&mut self, before: &Tensor<'_>, after: &Tensor<'_>) -> Result<(), TfliteError> {
         let begins = self.floats.is_empty() && self.ints.is_empty();
         let wrong = || {

@@ -1,4 +1,4 @@
-//! Writing a TFLite file. The same network gives the same bytes.
+//! Writes a TFLite file. The same network always gives the same bytes.
 
 use flatbuffers::{FlatBufferBuilder, Push, PushAlignment, TableFinishedWIPOffset, WIPOffset};
 
@@ -7,8 +7,8 @@ use super::{Network, schema};
 /// A finished table.
 type Finished = WIPOffset<TableFinishedWIPOffset>;
 
-/// A byte of a buffer of constants, which the schema wants aligned to 16 bytes. Only stands for its
-/// alignment when such a vector is started.
+/// A byte of a buffer of constants, which the schema aligns to 16 bytes.
+/// Only its alignment is used, when such a vector starts.
 struct Aligned16(u8);
 
 impl Push for Aligned16 {
@@ -23,7 +23,7 @@ impl Push for Aligned16 {
     }
 }
 
-/// Slot of a field in a vtable.
+/// Returns the slot of a field in a vtable.
 fn slot(id: u16) -> u16 {
     4 + 2 * id
 }
@@ -35,7 +35,7 @@ struct Writer<'a> {
     operators: Vec<Finished>,
 }
 
-/// What distinguishes a tensor; scales (one, or one per channel) and zero point only for quantised ones.
+/// The properties of a tensor. Only quantised ones have scales (one, or one per channel) and a zero point.
 struct Tensor<'a> {
     name: &'a str,
     shape: &'a [i32],
@@ -45,7 +45,7 @@ struct Tensor<'a> {
 }
 
 impl Writer<'_> {
-    /// A buffer of constants; buffer 0 is the empty one that TFLite wants first.
+    /// Adds a buffer of constants. TFLite requires buffer 0 to be empty.
     fn buffer(&mut self, data: &[u8]) -> u32 {
         let vector = if data.is_empty() {
             None
@@ -103,7 +103,7 @@ impl Writer<'_> {
     fn operator_code(&mut self, code: i32) -> Finished {
         let table = self.out.start_table();
         self.out.push_slot(slot(0), code as i8, 0);
-        // FULLY_CONNECTED exists with int8 since version 4, SOFTMAX since 2.
+        // FULLY_CONNECTED supports int8 since version 4, and SOFTMAX since version 2.
         let version = if code == schema::FULLY_CONNECTED { 4 } else { 2 };
         self.out.push_slot(slot(2), version, 1);
         self.out.push_slot(slot(3), code, 0);
@@ -111,7 +111,7 @@ impl Writer<'_> {
     }
 }
 
-/// Makes tensors of activations, all of one type.
+/// Creates tensors of activations, all with the same type.
 struct Activation(i8);
 
 impl Activation {
@@ -131,10 +131,10 @@ struct Constants {
     quantisation: Option<Scales>,
 }
 
-/// Scales of weights and biases, then scale and zero point of the outputs.
+/// Scales of weights and biases, and then scale and zero point of the outputs.
 type Scales = (Vec<f32>, Vec<f32>, (f32, i64));
 
-/// The bytes of a TFLite file with this network: one input `[1, inputs]`, one output `[1, labels]`.
+/// Returns a TFLite file with this network: one input `[1, inputs]`, one output `[1, labels]`.
 pub fn write(network: &Network) -> Vec<u8> {
     let int32 = |values: &[i32]| values.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();
     let float = |values: &[f32]| values.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();

@@ -1,4 +1,4 @@
-//! Teaching a model of recipe `aligned` one more person.
+//! Adapts a model of recipe `aligned` to another person.
 
 use super::fit::{Steps, refit};
 use super::memory::{Memory, balanced};
@@ -11,12 +11,13 @@ use crate::labels::OTHER;
 use crate::streams::RandomStream;
 use crate::windows::{aligned_features, cut, prepare};
 
-/// Varied copies of each window of a new person.
+/// Number of varied copies of each window of a new person.
 const COPIES_OF_NEW: usize = 60;
 
-/// Teaches a model one more person from a few windows of them, [`WINDOW`] samples one after the other, with their
-/// labels. Everything else stays: labels, scaling, and by rehearsal what it knows of the others; and what `daily` shows
-/// stays no gesture: without it, getting up from a chair becomes a circle once three circles have been shown.
+/// Adapts a model to another person with a few windows ([`WINDOW`] samples each) and their labels.
+/// Labels and scaling remain unchanged, and rehearsal preserves the knowledge about other people.
+/// The movement in `daily` remains without a gesture; otherwise,
+/// three circles would make getting up from a chair a circle.
 ///
 /// # Errors
 /// If the result cannot be quantised.
@@ -28,7 +29,8 @@ pub fn adapt(
     daily: &Daily,
     seed: u64,
 ) -> Result<Trained, TrainError> {
-    // Next to 4,096 rows of what the model remembers, a quarter is enough; with all of it the model doubts the new examples.
+    // A quarter suffices beside 4,096 remembered rows.
+    // With all of the daily movement, the model is less certain about the new examples.
     let daily: Vec<Vec<f32>> = daily.rows(model.card.axes).into_iter().step_by(4).collect();
     let rows = rows(&model.card, memory, examples, &daily, seed);
     let (labels, limit) = (model.card.labels.len(), model.card.scaling.limit);
@@ -44,13 +46,12 @@ pub fn adapt(
     Trained::of(card, layers, &calibration, Some(memory.clone()))
 }
 
-/// The windows of a recording that [`adapt`] learns from: one each second.
+/// Returns the windows of a recording that [`adapt`] learns from, one per second.
 pub fn examples_of(recording: &crate::recording::Recording) -> Vec<Vec<f32>> {
     cut(&prepare(recording).0)
 }
 
-/// The inputs that a network is fitted to for one more person, with their labels: half of what it sees is new, half is what
-/// it remembers.
+/// Returns the labelled inputs for training: half of them are new, and half are remembered.
 fn rows(
     card: &Card,
     memory: &Memory,
@@ -62,7 +63,7 @@ fn rows(
     let mut new = Vec::new();
     for (window, label) in examples {
         let kind = Kind::of(&card.labels[*label]);
-        // As many axes as the recipe reads, which may be fewer than the model's board has.
+        // The number of axes that the recipe reads, which may be fewer than the board's.
         let axes = window.len() / WINDOW;
         let mut add = |window: &[f32]| {
             new.push((crate::evaluate::score::standardise(card, &aligned_features(axes, window)), *label));

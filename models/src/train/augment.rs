@@ -1,4 +1,4 @@
-//! Varying recordings: what other hands, other days and other places would change.
+//! Varies recordings to simulate other hands, other days and other places.
 
 use std::fmt;
 
@@ -8,32 +8,32 @@ use rand_distr::{Distribution, StandardNormal};
 
 use crate::recording::Recording;
 
-/// How recordings are varied; deviations of normal values unless said otherwise.
+/// The variation of recordings. Values are standard deviations of normal distributions unless noted.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Augmentation {
     /// Varied copies per recording.
     pub copies: usize,
-    /// Turn of the board on the hand about a random axis, in degrees.
+    /// Rotation of the board on the hand about a random axis, in degrees.
     pub turn_deg: f64,
     /// Size of the movement, logarithm.
     pub size: f64,
     /// Tempo, logarithm.
     pub tempo: f64,
-    /// Iron nearby: offset of the magnetometer in µT.
+    /// Nearby iron: offset of the magnetometer in µT.
     pub iron_ut: f64,
-    /// Largest turn of the whole wearer against north, in degrees, uniform.
+    /// Maximum rotation of the wearer relative to north in degrees, uniform.
     pub heading_deg: f64,
 }
 
 impl Augmentation {
-    /// No copies.
+    /// The variation of recipe `log-power`.
     pub const NONE: Self =
         Self { copies: 0, turn_deg: 0.0, size: 0.0, tempo: 0.0, iron_ut: 0.0, heading_deg: 0.0 };
-    /// What the recipe `log-power` does.
+    /// The variation of the recipe `log-power`.
     pub const DEFAULT: Self =
         Self { copies: 6, turn_deg: 8.0, size: 0.1, tempo: 0.08, iron_ut: 3.0, heading_deg: 30.0 };
 
-    /// A varied copy of a recording at the models' rate.
+    /// Returns a varied copy of a recording at the models' rate.
     pub fn vary(&self, recording: &Recording, rng: &mut ChaCha8Rng) -> Recording {
         let mut normal = |deviation: f64, limit: f64| -> f64 {
             let value: f64 = StandardNormal.sample(rng);
@@ -51,7 +51,7 @@ impl Augmentation {
         let mean: Vec<f64> = (0..axes)
             .map(|a| rows.iter().map(|row| f64::from(row[a])).sum::<f64>() / rows.len() as f64)
             .collect();
-        // Gravity is what is left of the accelerometer on average: the axis of the heading.
+        // Gravity is the mean of the accelerometer, and the axis of the heading.
         let about_up = rotation([mean[0], mean[1], mean[2]], heading);
         let count = ((rows.len() - 1) as f64 / tempo).floor() as usize + 1;
         let mut values = Vec::with_capacity(count * axes);
@@ -63,7 +63,7 @@ impl Augmentation {
                 let (l, r) = (f64::from(rows[left][a]), f64::from(rows[left + 1][a]));
                 l + (r - l) * part
             };
-            // Faster by `tempo` means turning faster by it and accelerating by its square.
+            // A tempo multiplies turn rates by `tempo` and accelerations by its square.
             let force = std::array::from_fn(|a| mean[a] + (sample(a) - mean[a]) * size * tempo * tempo);
             values.extend(apply(&turn, force));
             if axes > 3 {
@@ -97,7 +97,7 @@ impl fmt::Display for Augmentation {
     }
 }
 
-/// Rotation by `angle` about `axis` (any length but 0).
+/// Returns the rotation by `angle` about `axis` (of any length but 0).
 pub(super) fn rotation(axis: [f64; 3], angle: f64) -> [[f64; 3]; 3] {
     let length = axis.iter().map(|v| v * v).sum::<f64>().sqrt().max(1e-9);
     let [x, y, z] = axis.map(|v| v / length);

@@ -1,4 +1,4 @@
-//! Fitting in epochs, each window once in each, for recipes whose held-out recordings decide when to stop.
+//! Trains in epochs that each use every window once, for recipes whose held-out recordings determine the end.
 
 use candle_core::{D, DType, Device, Result, Tensor, Var};
 use candle_nn::{AdamW, Optimizer, ParamsAdamW};
@@ -12,17 +12,17 @@ use super::recipe::{Fitted, Learnt};
 use crate::streams::RandomStream;
 use crate::tflite::FloatLayer;
 
-/// How to fit in epochs.
+/// The parameters of training in epochs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Epochs {
     /// Widths of the hidden layers.
     pub hidden: &'static [usize],
     /// Maximum number of epochs.
     pub most: usize,
-    /// Epochs without a better validation loss before the learning rate is halved; after
-    /// `halvings` of those training ends. None: every epoch at the same rate.
+    /// Number of epochs without a lower validation loss before the learning rate is halved.
+    /// Training ends after `halvings` of these. `None` means a constant rate.
     pub patience: Option<usize>,
-    /// Halvings of the learning rate.
+    /// Maximum number of halvings of the learning rate.
     pub halvings: usize,
     /// Windows per step.
     pub batch: usize,
@@ -30,18 +30,18 @@ pub struct Epochs {
     pub learning_rate: f64,
     /// Decay of weights (AdamW).
     pub weight_decay: f64,
-    /// Share of the probability that is spread over all labels.
+    /// Fraction of the probability that is distributed over all labels.
     pub label_smoothing: f32,
 }
 
-/// He initialisation from our own random numbers: candle's are not seeded on the CPU.
+/// He initialisation with our own random numbers, because candle's are not seeded on the CPU.
 fn random_layers(widths: &[usize], rng: &mut ChaCha8Rng) -> Result<Layers> {
     let mut layers = Vec::new();
     for pair in widths.windows(2) {
         let (inputs, outputs) = (pair[0], pair[1]);
         let limit = (6.0 / inputs as f32).sqrt();
         let weights: Vec<f32> = (0..inputs * outputs).map(|_| rng.random_range(-limit..limit)).collect();
-        // A small positive bias keeps the few units of the narrow layers alive at the start.
+        // A small positive bias keeps the few units of the narrow layers active at the start.
         let biases = vec![0.05f32; outputs];
         layers.push((
             Var::from_vec(weights, (inputs, outputs), &Device::Cpu)?,
@@ -68,7 +68,7 @@ impl Rows {
             counts[*label] += 1;
         }
         let present = counts.iter().filter(|count| **count > 0).count().max(1);
-        // Rare labels weigh more, but by the square root only, since they are also noisier.
+        // Rare labels get a larger weight, but only by the square root, because they are also noisier.
         let weight =
             |label: usize| (set.len() as f32 / (present as f32 * counts[label].max(1) as f32)).sqrt();
         let width = set.first().map_or(0, |(input, _)| input.len());
@@ -107,8 +107,8 @@ impl Rows {
     }
 }
 
-/// Fits a network to what is learnt; its `check` decides when to stop and which weights to keep. Where there is none, as
-/// too few recordings could be spared, the windows that are learnt decide themselves.
+/// Trains a network. Its `check` rows determine the end of training and the final weights.
+/// If there are too few recordings for them, the training windows are used instead.
 pub(super) fn fit(learnt: &Learnt<'_>, plan: &Epochs, seed: u64, progress: &ProgressBar) -> Result<Fitted> {
     on_one_thread(|| fit_here(learnt, plan, seed, progress))
 }

@@ -1,4 +1,4 @@
-//! What a model remembers of the people it was trained on, so that it can learn another one and not forget them.
+//! A model's memory of its training people, which prevents forgetting during adaptation.
 
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
@@ -7,17 +7,17 @@ use crate::card::Card;
 use crate::streams::RandomStream;
 use crate::tflite::FloatLayer;
 
-/// Rows that a model remembers of the people it was trained on.
+/// Number of rows in a model's memory.
 const MEMORY_ROWS: usize = 4096;
 
-/// Inputs of the people that a model was trained on, as many of each label, so that it does not forget them.
+/// Inputs of a model's training people, with the same number for each label.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Memory {
-    /// int8 inputs, each (round(input / limit · 127)), with their label.
+    /// Int8 inputs, each (round(input / limit · 127)), with their label.
     rows: Vec<(Vec<i8>, u8)>,
 }
 
-/// Why a memory file cannot be used.
+/// The reason why a memory file cannot be used.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
 pub struct MemoryError(String);
@@ -39,8 +39,9 @@ impl Memory {
         self.rows.iter().map(|(row, label)| (row.iter().map(float).collect(), usize::from(*label))).collect()
     }
 
-    /// The bytes of `NAME.memory.bin`: `BIMANMEM`, rows and inputs per row as u32 little-endian, then each row's label
-    /// and inputs.
+    /// Returns the bytes of `NAME.memory.bin`: `BIMANMEM`,
+    /// then the numbers of rows and of inputs per row as u32 little-endian.
+    /// Each row's label and inputs follow.
     pub fn to_bytes(&self) -> Vec<u8> {
         let width = self.rows.first().map_or(0, |(row, _)| row.len());
         let mut bytes = MAGIC.to_vec();
@@ -53,10 +54,10 @@ impl Memory {
         bytes
     }
 
-    /// Reads the bytes of a memory that belongs to a model with this card.
+    /// Parses the bytes of a memory that belongs to a model with this card.
     ///
     /// # Errors
-    /// If they are something else, are damaged, or belong to another model.
+    /// Fails if the bytes are not a memory, are damaged, or belong to another model.
     pub fn parse(bytes: &[u8], card: &Card) -> Result<Self, MemoryError> {
         let error =
             |what: &str| MemoryError(format!("{what}; copy the .memory.bin again or train the model again"));
@@ -84,7 +85,7 @@ impl Memory {
         Ok(Self { rows })
     }
 
-    /// Share of the rows, in per cent, to which a network gives their label.
+    /// Returns the percentage of rows that a network classifies correctly.
     pub fn accuracy(&self, layers: &[FloatLayer], limit: f32) -> f64 {
         let rows = self.inputs(limit);
         let right = rows.iter().filter(|(input, label)| {
@@ -95,7 +96,7 @@ impl Memory {
     }
 }
 
-/// Indices of `count` rows, as many of each label that there is, drawn with replacement.
+/// Draws the indices of `count` rows with replacement, with equally many rows per label.
 pub(super) fn balanced(
     labels: impl Iterator<Item = usize>,
     kinds: usize,

@@ -1,9 +1,8 @@
 //! Learning a network from a data set: windows, scaling, fitting, quantising, scoring, the card; and teaching a model one
 //! more person, which needs no library and is in every program that asks for the feature `adapt`.
 //!
-//! Everything random follows from the seed and from places in sorted lists, never from the order in
-//! which threads finish: the same seed gives the same files on one machine with any number of
-//! threads.
+//! All random values depend only on the seed and on indices in sorted lists, not on the order in which threads finish.
+//! The same seed therefore gives the same files on one machine, for any number of threads.
 
 mod adapt;
 mod adaptable;

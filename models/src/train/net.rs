@@ -1,4 +1,4 @@
-//! A network of dense layers while it is being fitted, by any method.
+//! A network of dense layers during training, by any method.
 
 use candle_core::{Result, Tensor, Var};
 
@@ -9,12 +9,12 @@ use crate::tflite::FloatLayer;
 /// Weights (inputs × outputs) and biases of each layer.
 pub(super) type Layers = Vec<(Var, Var)>;
 
-/// All that an optimiser changes: weights and biases in turn.
+/// Returns all trainable variables: weights and biases alternately.
 pub(super) fn vars(layers: &Layers) -> Vec<Var> {
     layers.iter().flat_map(|(w, b)| [w.clone(), b.clone()]).collect()
 }
 
-/// Values before the softmax, with ReLU behind each layer but the last.
+/// Computes the logits, with ReLU after each layer but the last.
 pub(super) fn forward(layers: &Layers, inputs: &Tensor) -> Result<Tensor> {
     let mut x = inputs.clone();
     for (index, (weights, biases)) in layers.iter().enumerate() {
@@ -26,16 +26,16 @@ pub(super) fn forward(layers: &Layers, inputs: &Tensor) -> Result<Tensor> {
     Ok(x)
 }
 
-/// How int8 will round a network, for steps that see it: the gradient passes as if nothing was rounded.
+/// Simulates the rounding of int8 during training. The gradient ignores the rounding.
 pub(super) struct Rounding {
     /// Largest input.
     limit: f64,
-    /// Per layer, smallest and largest output.
+    /// Minimum and maximum output of each layer.
     ranges: Vec<(f64, f64)>,
 }
 
 impl Rounding {
-    /// With the ranges of the outputs for `rows`.
+    /// Creates the int8 simulation with the ranges of the outputs for `rows`.
     pub fn new(layers: &[FloatLayer], rows: &[(Vec<f32>, usize)], limit: f32) -> Self {
         let inputs: Vec<&[f32]> = rows.iter().map(|(input, _)| input.as_slice()).collect();
         let ranges = quantise::ranges(layers, &inputs);
@@ -59,13 +59,13 @@ impl Rounding {
     }
 }
 
-/// Rounded to whole steps; the gradient is that of the unrounded values.
+/// Rounds to whole steps; the gradient is that of the unrounded values.
 fn steps(x: &Tensor, step: f64) -> Result<Tensor> {
     let rounded = x.detach().affine(1.0 / step, 0.0)?.round()?.affine(step, 0.0)?;
     x + (rounded - x.detach())?
 }
 
-/// The layers as plain numbers, from weights (inputs × outputs) and biases.
+/// Exports the layers as plain numbers, from weights (inputs × outputs) and biases.
 pub(super) fn export<'a>(
     layers: impl ExactSizeIterator<Item = (&'a Tensor, &'a Tensor)>,
 ) -> Result<Vec<FloatLayer>> {
@@ -76,7 +76,7 @@ pub(super) fn export<'a>(
     layers.enumerate().map(layer).collect()
 }
 
-/// Runs on one thread: the matrices are so small that sharing them out costs more than it brings.
+/// Runs on one thread, because distributing such small matrices takes longer than it saves.
 pub(super) fn on_one_thread<T: Send>(run: impl FnOnce() -> T + Send) -> T {
     match rayon::ThreadPoolBuilder::new().num_threads(1).build() {
         Ok(pool) => pool.install(run),

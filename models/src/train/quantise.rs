@@ -1,12 +1,13 @@
-//! Int8 quantisation after training, by TFLite's full-integer rules: one scale per tensor,
-//! symmetric weights in −127..=127, biases in int32 at scale input × weight, activations in
-//! −128..=127 over the range that the calibration inputs reach, 0 always exact.
+//! Int8 quantisation after training by TFLite's full-integer rules.
+//! There is one scale per tensor, and weights are symmetric in −127..=127.
+//! Biases are int32 at scale input × weight.
+//! Activations in −128..=127 cover the range of the calibration inputs, with an exact 0.
 
 use shared_dsp::right::network::DenseSpec;
 
 use crate::tflite::FloatLayer;
 
-/// Maximum number of inputs that are run to find the ranges of activations.
+/// Maximum number of inputs for determining the ranges of activations.
 const CALIBRATION: usize = 4000;
 
 /// Quantises a network whose inputs are limited to ±`limit`.
@@ -35,7 +36,7 @@ pub(super) fn quantise(layers: &[FloatLayer], inputs: &[&[f32]], limit: f32) -> 
     specs
 }
 
-/// Smallest and largest output of each layer that inputs reach, 0 among them.
+/// Returns the minimum and maximum output of each layer for the inputs, including 0.
 pub(super) fn ranges(layers: &[FloatLayer], inputs: &[&[f32]]) -> Vec<(f32, f32)> {
     let step = inputs.len().div_ceil(CALIBRATION).max(1);
     let mut values: Vec<Vec<f32>> = inputs.iter().step_by(step).map(|row| row.to_vec()).collect();
@@ -56,7 +57,7 @@ fn run(layer: &FloatLayer, inputs: &[f32]) -> Vec<f32> {
     layer.weights.iter().zip(&layer.biases).map(row).collect()
 }
 
-/// Scale and zero point of a range that contains 0.
+/// Returns scale and zero point of a range that contains 0.
 fn scale_of(low: f32, high: f32) -> (f32, i8) {
     let (low, high) = (low.min(0.0), high.max(0.0));
     if high - low < 1e-6 {

@@ -1,4 +1,4 @@
-//! What a recipe is: one method of making a model from recordings.
+//! The trait of a recipe, which is a method for training a model from recordings.
 
 use std::fmt;
 use std::ops::RangeInclusive;
@@ -14,61 +14,64 @@ use crate::dataset::Item;
 use crate::tflite::FloatLayer;
 use crate::windows::Prepared;
 
-/// A window's features or inputs, and its label.
+/// The features or inputs of a window, and its label.
 pub type Row<'a> = (&'a [f32], usize);
 
-/// Features of windows that several trainings use.
+/// Features of windows that several trainings share.
 pub type Shared = Arc<Vec<Vec<f32>>>;
 
-/// One way to make a model: which windows are learnt and how they are varied, how a network is fitted to them, and what its
-/// int8 is made by. [`train`](super::train) calls these in their order.
+/// A method for training a model: the selection and variation of windows, the training of a network,
+/// and its conversion to int8.
+/// [`train`](super::train) calls these functions in order.
 pub trait Recipe: fmt::Debug + Send + Sync {
-    /// On the command line and in cards.
+    /// The name on the command line and in cards.
     fn name(&self) -> &'static str;
 
-    /// A description in one sentence, for those who choose.
+    /// A description in one sentence, for users.
     fn about(&self) -> &'static str;
 
-    /// Which features models of it read.
+    /// The features that models of this recipe read.
     fn features(&self) -> FeatureKind;
 
-    /// The card's description of the training.
+    /// The description of the training for the card.
     fn plan(&self) -> Plan;
 
-    /// Labels of the model, in order, where the recordings have these.
+    /// The labels of the model, in order, given those of the recordings.
     fn labels(&self, of_recordings: Vec<String>) -> Vec<String> {
         of_recordings
     }
 
-    /// The windows of a recording and of its varied copies. `place` is that of the recording in its data set: what is random
-    /// follows from it and the seed.
+    /// Returns the windows of a recording and of its varied copies.
+    /// `place` is the index of the recording in its data set,
+    /// which determines the random values together with the seed.
     fn windows(&self, item: &Item, label: usize, place: usize, seed: u64) -> Windows;
 
-    /// What is learnt besides the recordings, for samples of this many axes and a model of these labels.
+    /// Returns additional training windows for this number of axes and these labels.
     fn beside(&self, axes: usize, labels: &[String]) -> Beside;
 
-    /// How features become inputs of the network. `real` are the windows of the recordings as they are.
+    /// Returns the conversion of features to inputs. `real` are the windows of the unvaried recordings.
     fn scaling(&self, learnt: &[Row<'_>], real: &mut dyn Iterator<Item = &[f32]>) -> Scaling;
 
     /// Fits a network.
     ///
     /// # Errors
-    /// If the library that does it fails.
+    /// Fails if the training library fails.
     fn fit(&self, learnt: &Learnt<'_>, seed: u64, progress: &ProgressBar) -> Result<Fitted, TrainError>;
 
-    /// Which inputs decide the scales of int8.
+    /// Selects the inputs that determine the scales of int8.
     fn calibration(&self) -> Calibration;
 
-    /// If models of it can learn another person, whose daily movement stays no gesture then: a
-    /// [`Memory`](super::Memory) of its people is kept.
+    /// Returns the daily movement for adaptation, if its models can be adapted.
+    /// A [`Memory`](super::Memory) of the training people is then stored.
     fn adapts(&self) -> Option<&Daily> {
         None
     }
 
-    /// The same in this many steps, if it has steps: to try things out.
+    /// Returns the recipe with this number of steps, if it has steps, for quick experiments.
     fn shortened(&self, steps: Option<usize>) -> Box<dyn Recipe>;
 
-    /// The same for recordings of simulated wearers alone, which contain movement without a gesture themselves, as `idle`.
+    /// Returns the recipe for simulated wearers only, whose `idle` recordings already contain movement without
+    /// gestures.
     fn for_simulated(&self) -> Box<dyn Recipe>;
 }
 
@@ -77,44 +80,44 @@ pub trait Recipe: fmt::Debug + Send + Sync {
 pub struct Plan {
     /// Windows per step.
     pub batch: usize,
-    /// Learning rate at the start, or the largest.
+    /// Initial or maximum learning rate.
     pub learning_rate: f64,
-    /// Share of the recordings that decide when to stop.
+    /// Fraction of the recordings that determine when training stops.
     pub validation_fraction: f64,
-    /// Maximum number of epochs, for the progress bar; 0 if there are none.
+    /// Maximum number of epochs for the progress bar; 0 without epochs.
     pub epochs: usize,
 }
 
-/// The windows of one recording, ready to learn from.
+/// The windows of one recording for training.
 #[derive(Clone, Debug)]
 pub struct Windows {
     /// Place of its label.
     pub label: usize,
-    /// Features of the recording as it is.
+    /// Features of the unvaried recording.
     pub own: Vec<Vec<f32>>,
-    /// Features of its varied copies.
+    /// Features of varied copies of the recording.
     pub varied: Vec<Vec<f32>>,
-    /// How it was prepared.
+    /// The preparation of the recording.
     pub prepared: Prepared,
 }
 
-/// What is learnt beside the recordings: windows with the place of their label.
+/// Additional training windows, with the index of their label.
 #[derive(Clone, Debug, Default)]
 pub struct Beside {
-    /// A model that can be adapted remembers these, as it does the recordings.
+    /// Windows that are also stored in the memory for adaptation.
     pub of_people: Vec<(Shared, usize)>,
-    /// Windows that it does not remember.
+    /// Windows that are not stored in the memory.
     pub of_nobody: Vec<(Shared, usize)>,
-    /// A description of all this and of the recordings' variation, for the card.
+    /// A description of these windows and of the variation, for the card.
     pub words: String,
 }
 
-/// The windows that a network is fitted to.
+/// The windows for training a network.
 #[derive(Clone, Copy, Debug)]
 pub struct Learnt<'a> {
-    /// Inputs with the place of their label.
+    /// Inputs with the index of their label.
     pub rows: &'a [(Vec<f32>, usize)],
-    /// Inputs of recordings that decide when to stop; may be empty.
+    /// Inputs of recordings that determine when training stops; may be empty.
     pub check: &'a [(Vec<f32>, usize)],
     /// How many of them are of the recordings, varied copies included.
     pub of_recordings: usize,
@@ -131,21 +134,21 @@ pub struct Fitted {
     pub layers: Vec<FloatLayer>,
     /// Epochs run.
     pub epochs: usize,
-    /// The one whose weights were kept.
+    /// The epoch whose weights were kept.
     pub best_epoch: usize,
 }
 
-/// Inputs that decide the scales of int8.
+/// The inputs that determine the scales of int8.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Calibration {
-    /// All inputs that were learnt.
+    /// All inputs used in training.
     Learnt,
-    /// Inputs of the recordings as they are.
+    /// Inputs of the unvaried recordings.
     Real,
 }
 
-/// Mean and divisor per feature over the training windows, and a limit, within `limits`, that 999 of 1000 inputs of
-/// the windows `real` keep.
+/// Computes mean and divisor per feature over the training windows.
+/// It also computes a limit, within `limits`, that 99.9 % of the inputs of `real` respect.
 pub fn scaling(
     learn: &[Row<'_>],
     divisor: impl Fn(f64, f64) -> f64,

@@ -1,4 +1,4 @@
-//! Windows of simulated wearers, which recipe `aligned` learns beside those of the recordings.
+//! Windows of simulated wearers, which recipe `aligned` adds to those of the recordings.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -9,12 +9,12 @@ use crate::streams::RandomStream;
 use crate::synth::{IdleKind, Motion, Segment, Wearer, session};
 use crate::windows::{aligned_features, cut};
 
-/// Length of what a simulated person does.
+/// Duration of a simulated person's movement in s.
 const SIMULATED_S: f64 = 8.0;
-/// Varied copies of each window of a simulated person's gesture.
+/// Number of varied copies of each window of a simulated gesture.
 const COPIES_OF_SIMULATED: usize = 2;
 
-/// Movements of simulated wearers without a gesture, one after the other.
+/// The movements of simulated wearers without gestures, in sequence.
 const AIMLESS: [IdleKind; 10] = [
     IdleKind::Still,
     IdleKind::Fidget,
@@ -28,9 +28,9 @@ const AIMLESS: [IdleKind; 10] = [
     IdleKind::Shake,
 ];
 
-/// Features of windows in which `wearers` simulated people move but make no gesture, the same for every training.
+/// Returns features of windows in which `wearers` simulated people make no gesture. They are equal for every training.
 ///
-/// Few recordings show what a hand does when it makes no gesture, and those of one person little of it.
+/// Recordings contain few movements without gestures, and those of one person even fewer.
 pub(super) fn aimless(axes: usize, wearers: u32) -> Shared {
     once(axes, wearers, "idle", || {
         let of_wearer = |index: u32| {
@@ -46,10 +46,10 @@ pub(super) fn aimless(axes: usize, wearers: u32) -> Shared {
     })
 }
 
-/// Features of windows in which `wearers` other simulated people make a gesture, and of varied copies, the same for every
-/// training; for each of the labels that the simulator knows, with its place among them.
+/// Returns features of windows in which `wearers` other simulated people make gestures, and of varied copies.
+/// They are equal for every training, and cover the labels that the simulator supports, with their index.
 ///
-/// The people of a few recordings differ less from each other than the next one may from all of them.
+/// A few recorded people differ less from each other than the next person may differ from all of them.
 pub(super) fn performed(axes: usize, wearers: u32, labels: &[String]) -> Vec<(Shared, usize)> {
     let of_gesture = |motion: Motion| {
         let label = labels.iter().position(|label| label == motion.label())?;
@@ -73,7 +73,7 @@ pub(super) fn performed(axes: usize, wearers: u32, labels: &[String]) -> Vec<(Sh
     Motion::GESTURES.into_iter().filter_map(of_gesture).collect()
 }
 
-/// Windows that are the same for every training are made once.
+/// Caches windows that are equal for every training.
 fn once(axes: usize, wearers: u32, label: &'static str, make: impl FnOnce() -> Vec<Vec<f32>>) -> Shared {
     static MADE: Mutex<BTreeMap<(usize, u32, &str), Shared>> = Mutex::new(BTreeMap::new());
     let mut made = MADE.lock().unwrap_or_else(PoisonError::into_inner);
@@ -89,7 +89,7 @@ mod tests {
         let labels = ["circle", "idle", "left-right", "other", "wave"].map(String::from);
         let shown = performed(6, 3, &labels);
         let of: Vec<(usize, usize)> = shown.iter().map(|(windows, label)| (windows.len(), *label)).collect();
-        // Seven windows in 8 s, and two copies of each, from each of three people.
+        // There are seven windows in 8 s with two copies of each, for each of three people.
         assert_eq!(of, [(63, 2), (63, 0)]);
         let count = shared_dsp::right::aligned::feature_count(6);
         assert!(shown.iter().all(|(windows, _)| windows.iter().all(|window| window.len() == count)));

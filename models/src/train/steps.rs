@@ -1,9 +1,10 @@
-//! Fitting in a fixed number of steps, for the recipe `aligned`: batches drawn at random, a learning rate that
-//! warms up and falls as a cosine, and an average of the weights as the result. Nothing is held back to decide when
-//! to stop, and a network that exists can be the start.
+//! Trains in a fixed number of steps, for recipe `aligned`.
+//! Batches are drawn at random, the learning rate warms up and decreases as a cosine,
+//! and the result is an average of the weights.
+//! Training needs no held-out recordings, and can start from an existing network.
 //!
-//! Several networks from different starts are merged into one whose logits are the mean of theirs: they err
-//! differently on people whom none has met. The last steps see what int8 will round (Jacob et al., 2018).
+//! Several networks with different starts are merged into one whose logits are the mean of theirs.
+//! The networks' errors differ for unknown people. The last steps simulate int8 rounding (Jacob et al., 2018).
 
 use candle_core::{D, Device, Result, Tensor, Var};
 use candle_nn::{AdamW, Optimizer, ParamsAdamW};
@@ -25,8 +26,7 @@ pub(super) enum Start<'a> {
     Layers(&'a [FloatLayer]),
 }
 
-/// Fits a network to rows of inputs with their labels, rare labels counting as much as common ones. `limit` is the
-/// largest input.
+/// Trains a network on labelled inputs, where rare labels count as much as common ones. `limit` is the maximum input.
 pub(super) fn fit(
     rows: &[(Vec<f32>, usize)],
     labels: usize,
@@ -51,7 +51,7 @@ pub(super) fn fit(
     Ok(layers)
 }
 
-/// One network whose logits are the mean of several networks' of the same shape.
+/// Returns one network whose logits are the mean of those of several networks with the same shape.
 fn merged(members: &[Vec<FloatLayer>]) -> Vec<FloatLayer> {
     let [first, rest @ ..] = members else { return Vec::new() };
     if rest.is_empty() {
@@ -62,7 +62,7 @@ fn merged(members: &[Vec<FloatLayer>]) -> Vec<FloatLayer> {
         let parts: Vec<&FloatLayer> = members.iter().map(|layers| &layers[index]).collect();
         let relu = parts[0].relu;
         if index == last {
-            // Side by side: the mean of what each network says.
+            // The networks are side by side, and their outputs are averaged.
             let share = 1.0 / count as f32;
             let row = |output: usize| {
                 parts.iter().flat_map(|part| part.weights[output].iter().map(|w| w * share)).collect()
@@ -78,7 +78,7 @@ fn merged(members: &[Vec<FloatLayer>]) -> Vec<FloatLayer> {
         let mut weights = Vec::new();
         for (place, part) in parts.iter().enumerate() {
             for row in &part.weights {
-                // The first layer's inputs are shared by all members; after it each member sees only its own values.
+                // All members share the inputs of the first layer; later, each member uses only its own values.
                 weights.push(if index == 0 {
                     row.clone()
                 } else {
@@ -93,7 +93,7 @@ fn merged(members: &[Vec<FloatLayer>]) -> Vec<FloatLayer> {
     (0..=last).map(layer).collect()
 }
 
-/// Fits one network by one plan; `rounding` makes it take int8 into account.
+/// Trains one network; with `rounding`, it simulates int8.
 fn one(
     rows: &[(Vec<f32>, usize)],
     labels: usize,
@@ -145,7 +145,7 @@ fn one(
         let fall = 0.5 * (1.0 + (std::f64::consts::PI * step as f64 / plan.count as f64).cos());
         optimizer.set_learning_rate(plan.learning_rate * warm * fall);
         optimizer.backward_step(&loss)?;
-        // At first the average forgets fast: it must not remember the random start.
+        // At first, the average forgets quickly, so that it does not retain the random start.
         let time = (step + 1) as f64;
         let keep = plan.keep.min((1.0 + time) / (10.0 + time));
         for (mean, var) in average.iter_mut().zip(&vars) {
@@ -159,7 +159,7 @@ fn one(
 fn first_layers(start: &Start<'_>, width: usize, labels: usize, rng: &mut ChaCha8Rng) -> Result<Layers> {
     let layer = |weights: Vec<f32>, biases: Vec<f32>, inputs: usize| {
         let outputs = biases.len();
-        // Stored as rows of inputs.
+        // The inputs are stored as rows.
         let weights = Tensor::from_vec(weights, (outputs, inputs), &Device::Cpu)?.t()?.contiguous()?;
         Ok((Var::from_tensor(&weights)?, Var::from_vec(biases, outputs, &Device::Cpu)?))
     };

@@ -1,10 +1,10 @@
-//! Varying single windows for the recipe `aligned`: what other hands would do, and sensors worn otherwise.
+//! Varies single windows for recipe `aligned`, to simulate other hands and other positions of the sensor.
 //!
-//! In this order: tempo, phase and evenness; size (fast movements take more force); the sensor turned on the hand
-//! and the hand mirrored; tremor; an offset of the accelerometer; its range. A movement that is shown faster than it was goes on
-//! as it did a period before. Idle windows are never made much larger, so that
-//! slow and small gestures stay gestures. In half of the copies the movement begins or ends inside the window and the hand
-//! rests before or after, as it does on a board.
+//! The variations are, in this order: tempo, phase and evenness; size (fast movements need more force);
+//! rotation of the sensor and mirroring of the hand; tremor; an offset of the accelerometer; its range.
+//! A movement that is accelerated is continued periodically.
+//! Idle windows are never enlarged much, so that slow and small gestures remain gestures.
+//! In half of the copies, the movement begins or ends inside the window, with rest before or after, as on a board.
 
 use std::f64::consts::{PI, TAU};
 
@@ -17,12 +17,12 @@ use crate::WINDOW;
 use crate::evaluate::events::{POSTURE, posture};
 use crate::labels::OTHER;
 
-/// What the aligned recipe does, for the card.
+/// The description of this variation for the card.
 pub(super) const WORDS: &str = "tempo ×0.67 to 1.49 (gestures with a gyroscope 0.45 to 2.2) and uneven, shift ±0.2 s, or ±0.6 s with the \
      hand at rest before and after, size ×0.37 to 1.49 (other 0.5 to 2, idle 0.5 to 1.35), sensor turned at will about \
      gravity and up to 25° about any axis, mirrored, tremor of 3 to 10 Hz, accelerometer offset 0.3 m/s², clipped at 2 or 4 g";
 
-/// What kind of movement a label stands for.
+/// The kind of movement of a label.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kind {
     Gesture,
@@ -49,11 +49,11 @@ impl Kind {
     }
 }
 
-/// A varied copy of a window: [`WINDOW`] samples of 3, 6 or 9 axes, one after the other.
+/// Returns a varied copy of a window, which has [`WINDOW`] samples of 3, 6 or 9 axes in sequence.
 pub(super) fn vary(window: &[f32], axes: usize, kind: Kind, rng: &mut ChaCha8Rng) -> Vec<f32> {
     let uniform = |rng: &mut ChaCha8Rng, low: f64, high: f64| rng.random_range(low..high);
-    // Gestures of any tempo between half a stroke and five per second. Without a gyroscope the half of that: slow ones are
-    // for the slow window.
+    // Gestures get any tempo between half a stroke and five strokes per second.
+    // Without a gyroscope, the range is half of that, because the slow window detects slow gestures.
     let tempos = if kind == Kind::Gesture && axes >= 6 { 0.8 } else { 0.4 };
     let stretch = uniform(rng, -tempos, tempos).exp();
     let rest = rng.random_bool(0.5).then(|| ends(window, axes));
@@ -64,7 +64,7 @@ pub(super) fn vary(window: &[f32], axes: usize, kind: Kind, rng: &mut ChaCha8Rng
     let (phase, bend) = (uniform(rng, 0.0, TAU), uniform(rng, 0.0, 0.1) * WINDOW as f64 / TAU);
     let (low, high) = kind.sizes();
     let size = uniform(rng, low, high).exp();
-    // Idle movement has no tempo that its force could follow.
+    // Idle movement has no tempo that determines its force.
     let tempo = if kind == Kind::Idle { 1.0 } else { stretch };
 
     let mut samples: Vec<[f64; 9]> = (0..WINDOW)
@@ -94,7 +94,7 @@ pub(super) fn vary(window: &[f32], axes: usize, kind: Kind, rng: &mut ChaCha8Rng
         }
         for (index, triad) in sample.as_chunks_mut::<3>().0.iter_mut().enumerate() {
             if mirrored {
-                // Reflected in y; rotation and magnetic field are axial vectors.
+                // The motion is reflected in y; rotation and magnetic field are axial vectors.
                 triad[1] = -triad[1];
                 if index > 0 {
                     *triad = triad.map(|value| -value);
@@ -111,7 +111,7 @@ pub(super) fn vary(window: &[f32], axes: usize, kind: Kind, rng: &mut ChaCha8Rng
     let tremor: [(f64, f64); 6] =
         std::array::from_fn(|_| (strength * uniform(rng, 0.0, 1.0), uniform(rng, 0.0, TAU)));
     let offset = [0; 3].map(|_| 0.3 * <StandardNormal as Distribution<f64>>::sample(&StandardNormal, rng));
-    // Sensors end at 2 g or at 4 g; this one no lower than what it measured.
+    // The range is 2 g or 4 g, but not less than the maximum in this window.
     let range = if rng.random_bool(0.4) { 2.0 } else { 4.0 } * 9.806_65;
     let accelerations = window.chunks_exact(axes).flat_map(|row| &row[..3]);
     let range = accelerations.fold(range, |most: f64, value| most.max(f64::from(value.abs())));
@@ -130,7 +130,7 @@ pub(super) fn vary(window: &[f32], axes: usize, kind: Kind, rng: &mut ChaCha8Rng
     values
 }
 
-/// What a hand measures that rests, without turning, as it was held at the start and at the end of a window.
+/// Returns the readings of a hand that rests in the posture at the start and at the end of a window.
 fn ends(window: &[f32], axes: usize) -> [[f64; 9]; 2] {
     let rows: Vec<&[f32]> = window.chunks_exact(axes).collect();
     [&rows[..POSTURE], &rows[WINDOW - POSTURE..]].map(|part| {
@@ -142,10 +142,10 @@ fn ends(window: &[f32], axes: usize) -> [[f64; 9]; 2] {
     })
 }
 
-/// Samples over which a jump fades where a movement goes on as it did a period before.
+/// Number of samples over which a jump fades when a movement is continued periodically.
 const SEAM: f64 = 10.0;
 
-/// Values between two samples; beyond the ends those of the rest there, or the movement as it was a period inside.
+/// Interpolates between samples. Beyond the ends, it uses the resting posture or continues periodically.
 fn sample_at(window: &[f32], axes: usize, at: f64, rest: Option<&[[f64; 9]; 2]>, period: usize) -> [f64; 9] {
     let last = (WINDOW - 1) as f64;
     let inside = |at: f64| -> [f64; 9] {
@@ -206,7 +206,7 @@ mod tests {
 
     #[test]
     fn a_movement_begins_or_ends_inside_some_copies_and_the_hand_rests_there_as_it_was_held() {
-        // It moves all the time, except for the first and the last moment, in which other features appear.
+        // The hand moves all the time, except at the start and the end, where other features appear.
         let window: Vec<f32> = (0..WINDOW)
             .flat_map(|n| match n {
                 0..15 => [6.0, 0.0, 8.0f32],
@@ -223,7 +223,7 @@ mod tests {
             };
             resting += usize::from(is_still(&rows[..30]) || is_still(&rows[WINDOW - 30..]));
         }
-        // Half of the copies contain rest; in some of those the rest is shorter than 0.3 s, or there is tremor in it.
+        // Half of the copies contain rest. In some of these, it is shorter than 0.3 s or contains tremor.
         assert!((30..100).contains(&resting), "{resting} of 200");
     }
 
@@ -239,7 +239,7 @@ mod tests {
                 .iter()
                 .map(|v| std::array::from_fn(|a| if a < 3 { f64::from(v[a]) } else { 0.0 }))
                 .collect();
-            // Tremor adds at most in proportion to what moves.
+            // Tremor is at most proportional to the movement.
             assert!(spread(&samples) < 0.1 * 1.35 + 0.3, "seed {seed}");
         }
     }

@@ -1,11 +1,11 @@
-//! One damage to a file, as editors, disks and other programs do it.
+//! Damages one part of a file, as editors, disks and other programs do.
 
 #[path = "../../../shared-proto/tests/common/rng.rs"]
 mod rng;
 
 pub use rng::Rng;
 
-/// Numbers and words that readers have been seen to fail on.
+/// Numbers and words that are known to break parsers.
 const TOKENS: [&str; 30] = [
     "",
     "0",
@@ -45,7 +45,7 @@ fn part(rng: &mut Rng, len: usize) -> std::ops::Range<usize> {
     start..start + rng.below(most + 1)
 }
 
-/// The place of a number or a word in a text.
+/// Returns the position of a number or a word in a text.
 fn token(rng: &mut Rng, bytes: &[u8]) -> std::ops::Range<usize> {
     let is_part = |byte: u8| byte.is_ascii_alphanumeric() || matches!(byte, b'.' | b'-' | b'+');
     let at = rng.below(bytes.len() + 1);
@@ -54,7 +54,7 @@ fn token(rng: &mut Rng, bytes: &[u8]) -> std::ops::Range<usize> {
     start..end
 }
 
-/// Damages the bytes once. `donor` is another file of the same kind.
+/// Damages the bytes at one place. `donor` is another file of the same type.
 pub fn damage(rng: &mut Rng, bytes: &mut Vec<u8>, donor: &[u8]) {
     let at = rng.below(bytes.len() + 1);
     match rng.below(14) {
@@ -75,11 +75,11 @@ pub fn damage(rng: &mut Rng, bytes: &mut Vec<u8>, donor: &[u8]) {
             let word = TOKENS[rng.below(TOKENS.len())];
             bytes.splice(token(rng, bytes), word.bytes());
         }
-        // Lengths and counts of binary files: the ends of their ranges.
+        // Extreme values for lengths and counts in binary files.
         10 | 11 if at + 8 <= bytes.len() => {
             let ends =
                 [0, 1, 0x7f, 0x80, 0xff, 0xffff, 0x7fff_ffff, 0x8000_0000, 0xffff_ffff, 1 << 40, u64::MAX];
-            // Infinity and NaN, where a float stands.
+            // The values include infinity and NaN for floating-point fields.
             let numbers: Vec<u64> = ends.into_iter().chain([0x7f80_0000, 0x7fc0_0000]).collect();
             let number = numbers[rng.below(numbers.len())].to_le_bytes();
             let width = [1, 2, 4, 8][rng.below(4)];

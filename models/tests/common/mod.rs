@@ -1,6 +1,8 @@
 //! Recordings that several tests share.
 
-/// Three people make circles (two axes in quadrature), swings (one axis) and rest; `b` is slower and smaller.
+/// Recordings of three people who make circles (two axes in quadrature) and swings (one axis), and rest.
+/// The movements of
+/// `b` are slower and smaller.
 pub fn folder() -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     for (p, (person, pace, size)) in

@@ -1,4 +1,4 @@
-//! Files damaged in every way that editors, disks and other programs can, and what a reader of them must hold to.
+//! Generates damaged files and checks the limits that every reader must meet.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
@@ -7,13 +7,13 @@ mod damage;
 
 use damage::{Rng, damage};
 
-/// Longest time for one input where times are looked at (`BIMANUAL_FULL=1`), in time of a processor: a busy machine
-/// makes no reader slow.
+/// Maximum processor time for one input, checked only with `BIMANUAL_FULL=1`.
+/// Processor time does not depend on the load of the machine.
 const LONGEST: Duration = Duration::from_secs(2);
 /// Maximum memory of the whole program, in KiB.
 const MEMORY_KIB: u64 = 500 * 1024;
 
-/// How many inputs a reader is given: few on every run, a million with `BIMANUAL_FULL=1`.
+/// Number of inputs per reader: small by default, a million with `BIMANUAL_FULL=1`.
 pub fn count(few: u64) -> u64 {
     if is_full() { 1_000_000 } else { few }
 }
@@ -22,7 +22,7 @@ fn is_full() -> bool {
     std::env::var_os("BIMANUAL_FULL").is_some()
 }
 
-/// Gives `read` this number of damaged files. It returns whether it accepted the input, and panics if something is wrong.
+/// Calls `read` with damaged files. It returns whether it accepted the input, and panics if a check fails.
 pub fn fuzz(name: &str, seeds: &[Vec<u8>], inputs: u64, read: impl Fn(&[u8]) -> bool + Sync) {
     for seed in seeds {
         assert!(read(seed), "{name}: what is whole is read");
@@ -34,7 +34,7 @@ pub fn fuzz(name: &str, seeds: &[Vec<u8>], inputs: u64, read: impl Fn(&[u8]) -> 
             if number >= inputs {
                 return;
             }
-            // Each input follows from its number.
+            // Each input is determined by its number.
             let mut rng = Rng(number.wrapping_mul(0x2545_F491_4F6C_DD1D) ^ name.len() as u64);
             let mut bytes = seeds[rng.below(seeds.len())].clone();
             let donor = &seeds[rng.below(seeds.len())];
@@ -66,14 +66,14 @@ pub fn fuzz(name: &str, seeds: &[Vec<u8>], inputs: u64, read: impl Fn(&[u8]) -> 
         longest_us.into_inner() as f64 / 1000.0,
         memory_kib().unwrap_or_default() / 1024
     );
-    // Otherwise the deeper parts of the readers were never reached.
+    // If too few inputs were accepted, the deeper parts of the reader were never tested.
     assert!(taken > inputs / 1000, "{name}: {taken} of {inputs} are read");
     if let Some(kib) = memory_kib() {
         assert!(kib < MEMORY_KIB, "{name}: {kib} KiB");
     }
 }
 
-/// Processor time of this thread; if the system does not report it, the time since the start.
+/// Processor time of this thread, or the time since the start if the system does not report it.
 fn work_done() -> Duration {
     static START: std::sync::LazyLock<Instant> = std::sync::LazyLock::new(Instant::now);
     let told = std::fs::read_to_string("/proc/thread-self/schedstat").ok();
@@ -81,14 +81,14 @@ fn work_done() -> Duration {
     ns.map_or_else(|| START.elapsed(), Duration::from_nanos)
 }
 
-/// The most memory that this program has had, if the system reports it.
+/// Peak memory of this program, if the system reports it.
 fn memory_kib() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find(|line| line.starts_with("VmHWM:"))?;
     line.split_whitespace().nth(1)?.parse().ok()
 }
 
-/// Writes an input to a file for whoever looks into it; returns where.
+/// Writes an input to a file for later analysis, and returns the path.
 fn keep(name: &str, number: u64, bytes: &[u8]) -> String {
     let name: String = name.chars().map(|c| if c.is_alphanumeric() { c } else { '-' }).collect();
     let file = std::env::temp_dir().join(format!("bimanual-fuzz-{name}-{number}"));

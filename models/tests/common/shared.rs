@@ -1,8 +1,8 @@
-//! The contents of the folder `shared` beside the repository; `BIMANUAL_SHARED` may name another folder.
+//! Locates files in the folder `shared` beside the repository, or in the folder named by `BIMANUAL_SHARED`.
 
 use std::path::PathBuf;
 
-/// A file or folder of it, if this machine has it.
+/// Returns a file or folder, if it exists on this machine.
 pub fn shared(name: &str) -> Option<PathBuf> {
     let beside = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../shared");
     let path = std::env::var_os("BIMANUAL_SHARED").map_or(beside, PathBuf::from).join(name);

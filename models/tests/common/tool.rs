@@ -1,13 +1,13 @@
-//! The tool `models`, run as a user runs it.
+//! Runs the command-line tool `models`.
 
 use std::process::{Command, Output};
 
-/// How it ended.
+/// Returns the exit status and the output.
 pub fn models(args: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_models")).args(args).output().expect("the tool starts")
 }
 
-/// What it prints; it must succeed.
+/// Returns the tool's output. The command must succeed.
 pub fn good(args: &[&str]) -> String {
     let output = models(args);
     let errors = String::from_utf8_lossy(&output.stderr);

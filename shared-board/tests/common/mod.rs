@@ -1,4 +1,4 @@
-//! The laptop's end of a board's line.
+//! The laptop's end of the line to a board.
 #![allow(dead_code)] // each test file uses its own part
 
 use shared_board::FrameOut;
@@ -7,11 +7,11 @@ use shared_dsp::right::network::{BlobSpec, DenseSpec, build_blob};
 use shared_proto::frame::{BOARD_FRAME_MAX, Decoder, HOST_FRAME_MAX, encode_host};
 use shared_proto::message::{Ack, AckResult, BoardMessage, Fault, HostMessage, LeftState, Pong, Status};
 
-/// Takes frames while it has room, and decodes them.
+/// Accepts frames while it has room, and decodes them.
 #[derive(Default)]
 pub struct Line {
     bytes: Vec<u8>,
-    /// No frame goes out.
+    /// Whether the line is full, so that no frame can be sent.
     pub is_full: bool,
 }
 
@@ -25,12 +25,12 @@ impl FrameOut for Line {
 }
 
 impl Line {
-    /// Forgets what came.
+    /// Deletes all received messages.
     pub fn clear(&mut self) {
         self.bytes.clear();
     }
 
-    /// Returns the messages that `pick` selects. They are kept, so that a test may ask for others, too.
+    /// Returns the messages that `pick` selects, without deleting them.
     pub fn all<T>(&self, pick: impl Fn(BoardMessage<'_>) -> Option<T>) -> Vec<T> {
         let mut decoder = Decoder::<BOARD_FRAME_MAX>::new();
         let mut picked = Vec::new();
@@ -70,13 +70,13 @@ impl Line {
         self.all(|m| if let BoardMessage::Pong(pong) = m { Some(pong) } else { None })
     }
 
-    /// Boot ids.
+    /// Returns the boot ids of all hellos.
     pub fn hellos(&self) -> Vec<u32> {
         self.all(|m| if let BoardMessage::Hello(hello) = m { Some(hello.boot_id) } else { None })
     }
 }
 
-/// A network of one layer on raw samples; `weight` says the weight of each place.
+/// Builds a network of one layer on raw samples; `weight` returns the weight of each position.
 pub fn model(labels: &[&str], axes: usize, hop: u16, weight: impl Fn(usize) -> i8) -> Vec<u8> {
     let inputs = FeatureKind::Raw.feature_count(axes);
     let row = |row: usize| (0..inputs).map(|i| weight(row * inputs + i)).collect();
@@ -103,7 +103,7 @@ pub fn model(labels: &[&str], axes: usize, hop: u16, weight: impl Fn(usize) -> i
     .expect("a valid model")
 }
 
-/// The laptop's message as a frame.
+/// Encodes a message of the laptop as a frame.
 pub fn frame(message: &HostMessage<'_>) -> Vec<u8> {
     encode_host(message, &mut [0; HOST_FRAME_MAX]).expect("fits").to_vec()
 }

@@ -1,4 +1,4 @@
-//! Checksums of results on fixed inputs; the laptop computes the same with the same file.
+//! Checksums of results for fixed inputs. The board and the laptop compile this same file.
 
 use shared_dsp::right::features::FeatureWindow;
 use shared_dsp::right::network::{Model, crc32};
@@ -28,7 +28,7 @@ pub fn of_network(blob: &[u8], inputs: &[u8]) -> u32 {
     sum
 }
 
-/// As [`of_network`], with the blob at an odd address: another kernel, the same scores.
+/// Like [`of_network`], but with the blob at an odd address, which selects another kernel with the same scores.
 pub fn of_unaligned_network(blob: &[u8], inputs: &[u8]) -> u32 {
     let mut memory = [0; 8192];
     let Some(shifted) = memory.get_mut(1..=blob.len()) else { return 0 };
@@ -36,7 +36,7 @@ pub fn of_unaligned_network(blob: &[u8], inputs: &[u8]) -> u32 {
     of_network(shifted, inputs)
 }
 
-/// All bits of all features, and the scores of a model fed with them.
+/// Checksums of all feature bits, and of the scores that a model gives for these features.
 pub fn of_features(blob: &[u8], windows: &[u8]) -> (u32, u32) {
     let Ok(model) = Model::parse(blob) else { return (0, 0) };
     let mut window = FeatureWindow::<9>::new();

@@ -1,9 +1,9 @@
-//! A bare Cortex-M4F: start-up, a counter of executed instructions, and text to the host.
+//! Support for a bare Cortex-M4F: start-up, an instruction counter, and text output to the host.
 #![no_std]
 
 use core::fmt::{self, Write};
 
-/// Bytes at a multiple of 4, as on a board.
+/// Bytes aligned to a multiple of 4, as on a board.
 #[repr(C, align(4))]
 pub struct Aligned<T: ?Sized>(pub T);
 
@@ -43,12 +43,12 @@ core::arch::global_asm!(
 );
 
 const TIMER: *mut u32 = 0x4000_0000 as *mut u32;
-/// 25 MHz timer, 1024 ns per instruction (`-icount shift=10`).
+/// The timer runs at 25 MHz, and an instruction takes 1024 ns (`-icount shift=10`).
 const TICKS_PER_INSTRUCTION: f64 = 25.6;
 
 /// Starts the timer.
 pub fn start_timer() {
-    // SAFETY: registers of the CMSDK timer: value, reload, control.
+    // SAFETY: these are the value, reload and control registers of the CMSDK timer.
     unsafe {
         TIMER.add(1).write_volatile(u32::MAX);
         TIMER.add(2).write_volatile(u32::MAX);
@@ -58,7 +58,7 @@ pub fn start_timer() {
 
 #[inline(always)]
 fn ticks() -> u32 {
-    // SAFETY: value register of the CMSDK timer, counts down.
+    // SAFETY: this is the value register of the CMSDK timer, which counts down.
     unsafe { TIMER.add(1).read_volatile() }
 }
 
@@ -69,7 +69,7 @@ fn raw_count(work: impl FnOnce()) -> u32 {
     (f64::from(before.wrapping_sub(after)) / TICKS_PER_INSTRUCTION + 0.5) as u32
 }
 
-/// Instructions that `work` executes.
+/// Returns the number of instructions that `work` executes.
 #[inline(always)]
 pub fn count(work: impl FnOnce()) -> u32 {
     let before = ticks();
@@ -78,10 +78,10 @@ pub fn count(work: impl FnOnce()) -> u32 {
     (f64::from(before.wrapping_sub(after)) / TICKS_PER_INSTRUCTION + 0.5) as u32 - 1
 }
 
-/// Instructions counted in a loop of 1000 × 2 + 1: tells whether the counter is right.
+/// Counts the instructions of a loop (1000 × 2 + 1), to check the counter itself.
 pub fn calibration() -> u32 {
     raw_count(|| {
-        // SAFETY: a loop in a register.
+        // SAFETY: the loop only uses a register.
         unsafe {
             core::arch::asm!("mov {0}, #1000", "4: subs {0}, #1", "bne 4b", out(reg) _, options(nomem, nostack));
         }
@@ -89,13 +89,13 @@ pub fn calibration() -> u32 {
 }
 
 fn semihosting(operation: u32, argument: u32) {
-    // SAFETY: asks the debugger (QEMU) for a service.
+    // SAFETY: this calls a semihosting service of QEMU.
     unsafe {
         core::arch::asm!("bkpt #0xAB", inout("r0") operation => _, in("r1") argument, options(nostack));
     }
 }
 
-/// Text to the host.
+/// Writes text to the host.
 pub struct Host;
 
 impl Write for Host {
@@ -124,14 +124,14 @@ fn panic(info: &core::panic::PanicInfo) -> ! {
 
 const PAINT: u32 = 0x5AA5_C33C;
 
-/// Stack that `work` uses, in bytes, by painting 4 KB below the stack pointer.
+/// Returns the stack use of `work` in bytes, by painting 4 KB below the stack pointer.
 #[inline(never)]
 pub fn stack_of(work: impl FnOnce()) -> usize {
     const WORDS: usize = 4096;
     let mut here = 0u32;
     let top = core::ptr::addr_of_mut!(here).addr() & !3;
     let bottom = (top - 64 - 4 * WORDS) as *mut u32;
-    // SAFETY: unused stack below this frame; volatile, so that it happens in this order.
+    // SAFETY: the stack below this frame is unused. Volatile accesses preserve the order.
     unsafe {
         for index in 0..WORDS {
             bottom.add(index).write_volatile(PAINT);
@@ -141,7 +141,7 @@ pub fn stack_of(work: impl FnOnce()) -> usize {
     // SAFETY: as above.
     let untouched = unsafe { (0..WORDS).take_while(|&i| bottom.add(i).read_volatile() == PAINT).count() };
     let stack: usize;
-    // SAFETY: reads the stack pointer.
+    // SAFETY: this only reads the stack pointer.
     unsafe { core::arch::asm!("mov {}, sp", out(reg) stack, options(nomem, nostack)) };
     stack - (bottom.addr() + 4 * untouched)
 }

@@ -1,27 +1,28 @@
-//! What one wearer's left hand reads in known poses: values, capture, and the record that keeps them.
+//! Calibration of a wearer's left hand: readings in known poses, their capture, and their stored record.
 //!
-//! Three steps, in this order: *neutral* (hand level and still), *rest* (both fingers straight), *bend*
-//! (both bent). Each averages [`CAPTURE_SAMPLES`] samples and refuses a hand that moves, or a pose
-//! that cannot be right; a refused step leaves everything as it was.
+//! A calibration has three steps in this order: *neutral* (hand level and still), *rest* (both fingers straight),
+//! *bend* (both bent).
+//! Each step averages [`CAPTURE_SAMPLES`] samples.
+//! A calibration is refused if the hand moves or the pose is implausible, and then changes nothing.
 
 use crate::left::{AdcCounts, ONE_G, OVERSAMPLING};
 use crc::{CRC_32_ISO_HDLC, Crc, NoTable};
 
-/// The wearer's hand. Readings are in units of [`AdcCounts`].
+/// The calibration of one hand. Readings are in units of [`AdcCounts`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Calibration {
-    /// Readings of x, y and z at 0 g, such that the neutral pose is level: (0, 0, 1 g).
+    /// Readings of x, y and z at 0 g, chosen so that the neutral pose is level: (0, 0, 1 g).
     pub zero: [i16; 3],
-    /// Index and middle finger straight.
+    /// Readings with index and middle finger straight.
     pub rest: [u16; 2],
-    /// Index and middle finger bent.
+    /// Readings with index and middle finger bent.
     pub bend: [u16; 2],
 }
 
 impl Calibration {
-    /// Nominal parts: ADXL335 at half the reference, a 10 kΩ flex sensor over 22 kΩ that doubles when bent.
+    /// Nominal values: an ADXL335 at half the reference, and a 10 kΩ flex sensor over 22 kΩ that doubles when bent.
     ///
-    /// Good enough to steer with a good sensor; real parts differ by ±0.5 g and ±30 %, so calibrate.
+    /// These values suffice for a good sensor. Real parts differ by ±0.5 g and ±30 %, so calibrate.
     pub const DEFAULT: Self = Self {
         zero: [512 * OVERSAMPLING as i16; 3],
         rest: [704 * OVERSAMPLING; 2],
@@ -35,7 +36,7 @@ impl Default for Calibration {
     }
 }
 
-/// Steps of a calibration.
+/// The steps of a calibration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CaptureStep {
     /// The hand is level and still.
@@ -46,30 +47,30 @@ pub enum CaptureStep {
     Bend,
 }
 
-/// Why a step was refused.
+/// The reason why a step was refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CaptureError {
     /// The hand or the fingers moved.
     Moved,
-    /// The readings cannot come from that pose, or a channel is open or shorted.
+    /// The readings do not match the pose, or a channel is open or shorted.
     Impossible,
 }
 
-/// Samples that one step averages: 0.64 s at 100 Hz, several periods of hand tremor.
+/// Number of samples that one step averages: 0.64 s at 100 Hz, which is several periods of hand tremor.
 pub const CAPTURE_SAMPLES: u16 = 64;
-/// Largest peak-to-peak change of an acceleration while it is captured: 0.15 g, about ±4° of tremor.
+/// Maximum peak-to-peak change of an acceleration during a capture: 0.15 g, about ±4° of tremor.
 const STEADY_ACCELERATION: u16 = (ONE_G * 15 / 100) as u16;
-/// Largest peak-to-peak change of a flex reading: 25 of 1024.
+/// Maximum peak-to-peak change of a flex reading: 25 of 1024.
 const STEADY_FLEX: u16 = 25 * OVERSAMPLING;
 /// Minimum distance between rest and bend: 40 of 1024, eighty times the converter's noise.
 const LEAST_WAY: u16 = 40 * OVERSAMPLING;
-/// The data sheet's ±0.5 g of x and y offset, and sin 15° of a pose that is not quite level.
+/// Maximum offset of x and y: the data sheet's ±0.5 g plus sin 15° for a pose that is not quite level.
 const MOST_SIDEWAYS: i16 = (ONE_G as i32 * 76 / 100) as i16;
-/// z at neutral: 1 g ± 10 % ± the data sheet's 1 g offset, and a little for the pose.
+/// Range of z at neutral: 1 g ± 10 % ± the data sheet's 1 g offset, plus some tolerance for the pose.
 const UPRIGHT: core::ops::RangeInclusive<i16> =
     (ONE_G as i32 * -15 / 100) as i16..=(ONE_G as i32 * 215 / 100) as i16;
 
-/// One step under way.
+/// A calibration step in progress.
 #[derive(Clone, Copy, Debug)]
 pub struct Capture {
     step: CaptureStep,
@@ -85,7 +86,7 @@ impl Capture {
         Self { step, taken: 0, sums: [0; 5], least: [u16::MAX; 5], most: [0; 5] }
     }
 
-    /// Takes one sample; the last one gives the new calibration (built on `old`) or the refusal.
+    /// Adds one sample. The last sample returns the new calibration (based on `old`) or the reason for the refusal.
     #[inline(never)]
     pub fn step(
         &mut self,
@@ -130,7 +131,7 @@ impl Capture {
                 new.zero = [x as i16, y as i16, z as i16 - ONE_G];
             }
             CaptureStep::Rest => {
-                // The old distance from rest to bend stays until the next step measures it.
+                // The next step measures the distance from rest to bend. Until then, the old distance is used.
                 for (i, rest) in [index, middle].into_iter().enumerate() {
                     let way = old.bend[i] as i16 - old.rest[i] as i16;
                     new.rest[i] = rest;
@@ -150,7 +151,7 @@ impl Capture {
     }
 }
 
-/// Bytes of a stored calibration.
+/// Length of a stored calibration in bytes.
 ///
 /// ```text
 /// 0      1           2          8         12        16     20
@@ -159,22 +160,22 @@ impl Capture {
 /// └──────┴───────────┴──────────┴─────────┴─────────┴──────┘
 /// ```
 pub const RECORD_BYTES: usize = 20;
-/// First byte of a record; another layout gets another number.
+/// The first byte of a record. Every new layout needs a new number.
 const RECORD_VERSION: u8 = 1;
-/// Bit by bit: a table would cost half of an ATmega's RAM.
+/// The checksum is computed bit by bit, because a table would take half of an ATmega's RAM.
 const RECORD_CRC: Crc<u32, NoTable> = Crc::<u32, NoTable>::new(&CRC_32_ISO_HDLC);
 
-/// A calibration as it is kept: with version, generation and checksum.
+/// A calibration in its stored form, with version, generation and checksum.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Record {
-    /// One more (wrapping) for each record written: of two good slots the newer one is used.
+    /// A wrapping counter of written records. If both slots are valid, the newer one is used.
     pub generation: u8,
-    /// What was kept.
+    /// The stored calibration.
     pub calibration: Calibration,
 }
 
 impl Record {
-    /// Lays the record out.
+    /// Encodes the record.
     #[inline(never)]
     pub fn to_bytes(&self) -> [u8; RECORD_BYTES] {
         let Calibration { zero, rest, bend } = self.calibration;
@@ -190,7 +191,7 @@ impl Record {
         bytes
     }
 
-    /// Reads a record; `None` for anything that was not written whole by this version.
+    /// Decodes a record. Returns `None` unless this version wrote the record completely.
     #[inline(never)]
     pub fn from_bytes(bytes: &[u8; RECORD_BYTES]) -> Option<Self> {
         let word = |i: usize| u16::from_le_bytes([bytes[2 + 2 * i], bytes[3 + 2 * i]]);
@@ -209,29 +210,30 @@ impl Record {
     }
 }
 
-/// What two slots of memory hold.
+/// The contents of the two slots of memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stored {
-    /// Never written.
+    /// Neither slot was ever written.
     Blank,
-    /// Written, and neither slot is whole.
+    /// At least one slot was written, but neither is valid.
     Damaged,
-    /// The newer whole record, and the slot (0 or 1) it is in.
+    /// There is a valid record; if both slots are valid, the newer one counts.
     Good {
         /// The record.
         record: Record,
-        /// Its slot. The next record goes to the other one, so that a power cut costs the new record at most.
+        /// The slot of the record (0 or 1).
+        /// The next record goes to the other slot, so a power cut can destroy only the new record.
         slot: usize,
     },
 }
 
 impl Stored {
-    /// Chooses among the contents of both slots.
+    /// Selects the newest valid record from both slots.
     #[inline(never)]
     pub fn choose(slots: [&[u8; RECORD_BYTES]; 2]) -> Self {
         let blank = |slot: &[u8; RECORD_BYTES]| slot.iter().all(|&byte| byte == 0xFF);
         match slots.map(Record::from_bytes) {
-            // The newer one is less than half the range of the wrapping counter ahead.
+            // The newer record is ahead by less than half the range of the wrapping counter.
             [Some(a), Some(b)] if b.generation.wrapping_sub(a.generation) < 128 => {
                 Stored::Good { record: b, slot: 1 }
             }
@@ -267,7 +269,7 @@ mod tests {
     fn three_steps_make_a_calibration() {
         let mut c = Calibration::DEFAULT;
         c = capture(CaptureStep::Neutral, &c, |i| counts(540 + i % 3, 470, 630, 650, 760)).unwrap();
-        // 540, 541, 542, 540 … has a mean of 540.98; z at neutral is 1 g above zero.
+        // The mean of 540, 541, 542, 540 … is 540.98; z at neutral is 1 g above zero.
         assert_eq!(c.zero, [4328, 3760, 5040 - 819]);
         c = capture(CaptureStep::Rest, &c, |_| counts(540, 470, 630, 650, 760)).unwrap();
         assert_eq!(c.rest, [5200, 6080]);
@@ -281,7 +283,7 @@ mod tests {
         let neutral = |f: &dyn Fn(u16) -> AdcCounts| capture(CaptureStep::Neutral, &old, f);
         assert_eq!(neutral(&|i| counts(512 + i / 3, 512, 614, 700, 700)), Err(CaptureError::Moved));
         assert_eq!(neutral(&|_| counts(600, 512, 614, 700, 700)), Err(CaptureError::Impossible));
-        // Upside down.
+        // The hand is upside down.
         assert_eq!(neutral(&|_| counts(512, 512, 410, 700, 700)), Err(CaptureError::Impossible));
         let bend = |f: &dyn Fn(u16) -> AdcCounts| capture(CaptureStep::Bend, &old, f);
         assert_eq!(bend(&|_| counts(512, 512, 614, 540, 690)), Err(CaptureError::Impossible));

@@ -1,49 +1,51 @@
-//! Readings that no working left hand can give: open or shorted channels, impossible gravity, a stuck converter.
+//! Detects readings that no working left hand can give: open or shorted channels, impossible gravity,
+//! a stuck converter.
 //!
-//! A channel at a rail is a fault at once; impossible gravity after [`GRAVITY_MS`]; a converter that repeats
-//! itself, or delivers nothing, after [`STUCK_MS`] and [`SILENT_MS`]. A fault ends when its cause has
-//! been gone for [`CLEAR_MS`]; but a channel whose fault comes back within [`RETURN_MS`] is loose or hums, and
-//! its fault stays until somebody calibrates or restarts the board.
+//! A channel at a rail is a fault immediately, and impossible gravity is a fault after [`GRAVITY_MS`].
+//! A converter that repeats itself is a fault after [`STUCK_MS`], and one without readings after [`SILENT_MS`].
+//! A fault ends [`CLEAR_MS`] after its cause has disappeared.
+//! If a channel's fault returns within [`RETURN_MS`], the wire is loose or picks up hum.
+//! Such a fault persists until the hand is calibrated or the board restarts.
 
 use crate::left::tilt::Acceleration;
 use crate::left::{AdcCounts, ONE_G, OVERSAMPLING, health};
 
-/// Impossible gravity for this long is a fault; shorter is a jolt.
+/// Impossible gravity for this long is a fault; anything shorter is a jolt.
 pub const GRAVITY_MS: u32 = 200;
-/// The same five readings, noise and all, for this long: the converter repeats itself.
+/// If five readings are exactly equal for this long, including their noise, the converter repeats itself.
 pub const STUCK_MS: u32 = 1000;
-/// No reading for this long: the converter has stopped.
+/// If there is no reading for this long, the converter has stopped.
 pub const SILENT_MS: u32 = 100;
-/// Time without its cause after which a fault ends.
+/// A fault ends this long after its cause has disappeared.
 pub const CLEAR_MS: u32 = 200;
-/// A channel's fault that comes back within this time after it ended stays.
+/// If a channel's fault returns within this time after its end, it persists.
 pub const RETURN_MS: u32 = 10_000;
-/// No finger moves its reading by more than this from one sample to the next and as much back in the one
-/// after: 32 of 1024. A pin that hangs in the air hums with the mains, twice as fast as it is sampled.
+/// Maximum change of a flex reading that is undone by the next sample: 32 of 1024.
+/// No finger moves faster, but an open pin picks up mains hum at twice the sample rate.
 const MOST_RETURN: u16 = 32 * OVERSAMPLING;
-/// Readings of 0 to 40 and 983 to 1023 of the converter are no signal. The ADXL335's ±3.6 g leave
-/// 143 to 881, and a 7 to 110 kΩ flex sensor over 22 kΩ 170 to 776.
+/// Readings of 0 to 40 and of 983 to 1023 are not valid signals.
+/// The ADXL335 gives 143 to 881 at ±3.6 g, and a flex sensor of 7 to 110 kΩ over 22 kΩ gives 170 to 776.
 const RAIL: u16 = 40 * OVERSAMPLING;
-/// A hand at rest feels 1 g; 10 % of sensitivity and a neutral pose 10° off level leave 0.7 to 1.3.
+/// A hand at rest measures 1 g; a sensitivity error of 10 % and a neutral pose 10° off level give 0.7 to 1.3 g.
 const LEAST_GRAVITY: u32 = (ONE_G as u32) / 2;
-/// See [`LEAST_GRAVITY`]; a moving hand may feel more, but not for 200 ms.
+/// See [`LEAST_GRAVITY`]. A moving hand may exceed this limit, but not for 200 ms.
 const MOST_GRAVITY: u32 = (ONE_G as u32) * 16 / 10;
 
-/// Watches the readings of one hand.
+/// Detects faults in the readings of one hand.
 #[derive(Clone, Copy, Debug)]
 pub struct FaultWatch {
     last: AdcCounts,
-    /// The flex readings of the sample before that.
+    /// The flex readings of the sample before the last one.
     flex_before: [u16; 2],
     last_change_ms: u32,
     last_sample_ms: u32,
     gravity_good_ms: u32,
-    /// When the cause of each fault was last seen, for the bits in `health`.
+    /// Time when the cause of each fault in `health` was last present.
     seen_ms: [u32; 4],
     health: u8,
-    /// When the faults of the channels ended last, where that is less than [`RETURN_MS`] ago.
+    /// Time when a channel's fault last ended, if less than [`RETURN_MS`] ago.
     ended_ms: [Option<u32>; 2],
-    /// Bits of faults that stay.
+    /// Bits of persistent faults.
     staying: u8,
 }
 
@@ -51,7 +53,7 @@ pub struct FaultWatch {
 const BITS: [u8; 4] = [health::SENSOR, health::FLEX, health::GRAVITY, health::STUCK];
 
 impl FaultWatch {
-    /// Starts watching at `now_ms`, without a fault.
+    /// Starts at `now_ms` without a fault.
     pub fn new(now_ms: u32) -> Self {
         Self {
             last: AdcCounts::default(),
@@ -66,13 +68,13 @@ impl FaultWatch {
         }
     }
 
-    /// Faults that stay end like others from now on.
+    /// Makes persistent faults normal ones, which end when their cause disappears.
     pub fn forgive(&mut self) {
         self.staying = 0;
         self.ended_ms = [None; 2];
     }
 
-    /// Takes one sample, raw and as acceleration relative to zero; returns bits of [`health`].
+    /// Checks one sample, raw and as acceleration relative to zero. Returns bits of [`health`].
     #[inline(never)]
     pub fn step(&mut self, counts: AdcCounts, a: Acceleration, now_ms: u32) -> u8 {
         let at_rail = |v: u16| !(RAIL..=AdcCounts::MAX - RAIL).contains(&v);
@@ -110,7 +112,7 @@ impl FaultWatch {
         self.health
     }
 
-    /// Makes a channel's fault stay that was over, and has come back soon.
+    /// Makes a channel's fault persistent if it ended and returned soon.
     fn keep_what_returns(&mut self, before: u8, now_ms: u32) {
         for (bit, ended_ms) in [health::SENSOR, health::FLEX].into_iter().zip(&mut self.ended_ms) {
             let (was, is) = (before & bit != 0, self.health & bit != 0);
@@ -128,12 +130,12 @@ impl FaultWatch {
         self.health |= self.staying;
     }
 
-    /// Was gravity possible in the sample of `now_ms`? If not, its direction means nothing.
+    /// Returns whether gravity was plausible in the sample of `now_ms`. If not, its direction is meaningless.
     pub fn gravity_is_possible(&self, now_ms: u32) -> bool {
         self.gravity_good_ms == now_ms
     }
 
-    /// Says that time has passed without a sample; returns bits of [`health`].
+    /// Reports that time has passed without a sample. Returns bits of [`health`].
     pub fn no_sample(&mut self, now_ms: u32) -> u8 {
         if now_ms.wrapping_sub(self.last_sample_ms) >= SILENT_MS {
             self.health |= health::STUCK;
@@ -143,7 +145,7 @@ impl FaultWatch {
     }
 }
 
-/// Does the newest of three readings undo what the one before it did?
+/// Returns whether the newest of three readings undoes the previous change.
 fn returns(now: u16, last: u16, before: u16) -> bool {
     (now > last) == (before > last) && now.abs_diff(last).min(before.abs_diff(last)) > MOST_RETURN
 }

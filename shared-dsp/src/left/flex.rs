@@ -1,11 +1,12 @@
-//! Bends of two fingers: flex readings in, counters and a stop flag out.
+//! Converts flex readings of two fingers to bend counters and a stop flag.
 //!
-//! A finger is *bent* beyond [`BENT_PERMILLE`] of the way from its calibrated rest to its calibrated
-//! bend and *straight* below [`STRAIGHT_PERMILLE`]; in between it stays what it was. Both changes
-//! must hold for two samples.
+//! A finger is *bent* above [`BENT_PERMILLE`] of the range from calibrated rest to calibrated bend.
+//! It is *straight* below [`STRAIGHT_PERMILLE`]; between the two, its state does not change.
+//! A change must persist for two samples.
 //!
-//! A bend counts once, after the other finger has stayed straight for [`CONFIRM_MS`] (or at release,
-//! when that comes first), so that closing both fingers for **stop** counts nothing:
+//! A bend is counted once, after the other finger has been straight for [`CONFIRM_MS`],
+//! or at release if that is earlier.
+//! Closing both fingers for a **stop** therefore counts no bend:
 //!
 //! ```text
 //!           one bent               other straight for 100 ms, or released: count it
@@ -15,25 +16,25 @@
 //!                          Both ──▶ Stopped after 300 ms ──▶ Closing ──▶ Open (when both straight)
 //! ```
 
-/// A finger counts as bent from here, in thousandths of the calibrated range.
+/// Threshold at which a finger becomes bent, in thousandths of the calibrated range.
 pub const BENT_PERMILLE: i16 = 450;
-/// A finger counts as straight again from here.
+/// Threshold at which a finger becomes straight again.
 pub const STRAIGHT_PERMILLE: i16 = 250;
-/// How long the other finger must stay straight before a held bend counts.
+/// Time for which the other finger must stay straight before a held bend counts.
 pub const CONFIRM_MS: u32 = 100;
-/// How long both fingers must be bent to mean stop.
+/// Time for which both fingers must be bent to stop the robot.
 pub const STOP_MS: u32 = 300;
-/// The stop flag stands at least this long, so that a few lost frames cannot hide it.
+/// Minimum duration of the stop flag, so that a few lost frames cannot hide it.
 pub const STOP_SHOWN_MS: u32 = 500;
-/// Samples in a row that must agree: 20 ms at 100 Hz.
+/// Number of consecutive samples that must agree: 20 ms at 100 Hz.
 pub const DEBOUNCE_SAMPLES: u8 = 2;
 
 /// One of the two fingers with a sensor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Finger {
-    /// Faster.
+    /// Makes the robot faster.
     Index,
-    /// Slower.
+    /// Makes the robot slower.
     Middle,
 }
 
@@ -46,9 +47,11 @@ impl Finger {
     }
 }
 
-/// `part` of `whole` in thousandths, rounded down, at most 2047; 0 of nothing. Both below 2^21.
+/// Returns `part` / `whole` in thousandths, rounded down, at most 2047.
+/// The result is 0 if `whole` is 0.
+/// Both must be below 2^21.
 ///
-/// Subtracts and shifts: an 8-bit board has no divider, and needs these eleven bits only.
+/// This uses only subtractions and shifts, because an 8-bit board has no divider and only these eleven bits are needed.
 pub fn permille(part: u32, whole: u32) -> u16 {
     if whole == 0 {
         return 0;
@@ -67,9 +70,9 @@ pub fn permille(part: u32, whole: u32) -> u16 {
     quotient
 }
 
-/// How far a finger is bent: 0 = rest, 1000 = the calibrated bend, for readings of any sign of slope.
+/// Returns the bend of a finger: 0 = rest, 1000 = calibrated bend. The readings may rise or fall with the bend.
 ///
-/// Within ±2047; a calibration without any way between rest and bend gives 0 (never bent).
+/// The result is within ±2047. If rest and bend are equal, it is 0 (never bent).
 pub fn bend_permille(reading: u16, rest: u16, bend: u16) -> i16 {
     let size = permille(u32::from(reading.abs_diff(rest)), u32::from(bend.abs_diff(rest))) as i16;
     if (reading < rest) == (bend < rest) { size } else { -size }
@@ -117,7 +120,7 @@ impl Hysteresis {
         self.pose == FingerPose::Bent
     }
 
-    /// Neither bent nor about to bend.
+    /// Returns whether the finger is neither bent nor about to become bent.
     fn is_at_rest(&self) -> bool {
         self.pose == FingerPose::Straight && self.permille < STRAIGHT_PERMILLE
     }
@@ -133,7 +136,7 @@ enum Phase {
     Closing,
 }
 
-/// The bends of both fingers so far.
+/// Counters of bends, and the stop flag.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Bends {
     /// Bends of the index finger since start, wrapping.
@@ -144,7 +147,7 @@ pub struct Bends {
     pub stop: bool,
 }
 
-/// Counts bends of two fingers and sees the stop gesture.
+/// Counts the bends of two fingers and detects the stop gesture.
 #[derive(Clone, Copy, Debug)]
 pub struct FlexDetector {
     index: Hysteresis,
@@ -160,7 +163,7 @@ impl Default for FlexDetector {
 }
 
 impl FlexDetector {
-    /// Nothing counts before both fingers have been straight once.
+    /// Creates a detector that counts nothing until both fingers have been straight once.
     pub fn new() -> Self {
         Self {
             index: Hysteresis::UNKNOWN,
@@ -170,17 +173,18 @@ impl FlexDetector {
         }
     }
 
-    /// Forgets what the fingers do now, but not what was counted: both must be straight again first.
+    /// Forgets the current state of the fingers but keeps the counters.
+    /// Both fingers must be straight before anything counts.
     pub fn disarm(&mut self) {
         *self = Self { bends: Bends { stop: false, ..self.bends }, ..Self::new() };
     }
 
-    /// The counters as they stand.
+    /// Returns the current counters.
     pub fn bends(&self) -> Bends {
         self.bends
     }
 
-    /// Takes how far each finger is bent (see [`bend_permille`]) at `now_ms`, a wrapping clock.
+    /// Adds a sample with the bend of each finger (see [`bend_permille`]) at `now_ms`, a wrapping clock.
     #[inline(never)]
     pub fn step(&mut self, index_permille: i16, middle_permille: i16, now_ms: u32) -> Bends {
         self.index.step(index_permille);
@@ -261,7 +265,7 @@ impl FlexDetector {
 mod tests {
     use super::*;
 
-    /// Drives a detector at 100 Hz.
+    /// Feeds a detector at 100 Hz.
     struct Hand {
         detector: FlexDetector,
         now_ms: u32,
@@ -269,7 +273,7 @@ mod tests {
 
     impl Hand {
         fn open() -> Self {
-            // Shortly before the clock wraps: every test crosses it.
+            // The clock starts shortly before it wraps, so that every test crosses this point.
             let mut hand = Self { detector: FlexDetector::new(), now_ms: u32::MAX - 50 };
             hand.hold(0, 0, 100);
             hand
@@ -359,7 +363,7 @@ mod tests {
         hand.hold(900, 0, 80);
         hand.hold(900, 900, 200);
         assert_eq!(hand.hold(0, 0, 100), (0, 0, false));
-        // Slower still, but the second finger was moving when the first one was down.
+        // The fingers close more slowly, but the second one moves while the first is bent.
         hand.hold(900, 0, 60);
         hand.hold(900, 350, 300);
         hand.hold(900, 900, 200);
@@ -371,7 +375,7 @@ mod tests {
         let mut hand = Hand::open();
         assert_eq!(hand.hold(900, 0, 200), (1, 0, false));
         assert_eq!(hand.hold(900, 900, 100), (1, 0, false));
-        // Opened one after the other.
+        // The fingers straighten one after the other.
         assert_eq!(hand.hold(0, 900, 500), (1, 0, false));
         assert_eq!(hand.hold(0, 0, 50), (1, 0, false));
         assert_eq!(hand.hold(0, 900, 200), (1, 1, false));

@@ -1,4 +1,4 @@
-//! Calibration without a laptop: one light guides the wearer through all three steps.
+//! Calibration without a laptop: a light guides the wearer through all three steps.
 //!
 //! ```text
 //!  Ready (3 s, slow blink: hand level, fingers straight) ─▶ Neutral ─▶ Rest
@@ -8,21 +8,21 @@
 
 use crate::left::calibration::CaptureStep;
 
-/// Time to take up a pose.
+/// Time for the wearer to take up a pose.
 pub const READY_MS: u32 = 3000;
-/// Refusals after which the old calibration stays.
+/// Number of refusals after which the old calibration remains.
 pub const REFUSALS: u8 = 5;
 
-/// What the board must do now.
+/// The next action of the board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum GuidedAction {
-    /// Nothing.
+    /// Do nothing.
     Wait,
-    /// Begin this step, and report its end to [`Guided::step`].
+    /// Begin this step and report its end to [`Guided::step`].
     Start(CaptureStep),
-    /// All three steps are done: keep their outcome.
+    /// All three steps are complete: store the result.
     Keep,
-    /// Go back to the calibration from before.
+    /// Restore the previous calibration.
     GiveUp,
 }
 
@@ -33,7 +33,7 @@ enum Phase {
     Done,
 }
 
-/// The guide.
+/// The state of the guided calibration.
 #[derive(Clone, Copy, Debug)]
 pub struct Guided {
     phase: Phase,
@@ -47,7 +47,7 @@ impl Guided {
         Self { phase, refusals: 0 }
     }
 
-    /// Goes on; `ended` is how the step under way ended (true = taken), if it did.
+    /// Advances the guide. `ended` is the result of the current step if it has ended (true = accepted).
     #[inline(never)]
     pub fn step(&mut self, ended: Option<bool>, now_ms: u32) -> GuidedAction {
         use CaptureStep::{Bend, Neutral, Rest};
@@ -72,7 +72,7 @@ impl Guided {
         action
     }
 
-    /// Is the light on? Slow blink: level and straight; fast blink: bend; steady: hold still.
+    /// Returns whether the light is on. Slow blink: level and straight; fast blink: bend; steady: hold still.
     pub fn light(&self, now_ms: u32) -> bool {
         match self.phase {
             Phase::Ready { next: CaptureStep::Bend, .. } => now_ms & 128 != 0,

@@ -1,7 +1,7 @@
-//! The whole left hand: raw converter readings and time in, tilt, heading, bends, stop and health out.
+//! The complete left hand: converts readings and times to tilt, heading, bends, stop and health.
 //!
-//! [`LeftHand`] is what the Nano runs, and what the laptop runs when it replays a recording of one:
-//! the same bits from the same readings.
+//! The Nano runs [`LeftHand`], and the laptop runs it to replay recordings.
+//! Board and laptop compute the same bits from the same readings.
 
 pub mod calibration;
 pub mod faults;
@@ -16,12 +16,12 @@ use crate::left::flex::{FlexDetector, bend_permille};
 use crate::left::tilt::{Acceleration, Tilt, TiltDetector};
 use shared_words::{Heading, TiltThresholds, health};
 
-/// Conversions of 10 bits that one reading sums up.
+/// Number of 10-bit conversions that are summed to one reading.
 pub const OVERSAMPLING: u16 = 8;
-/// 1 g in units of [`AdcCounts`]: the ADXL335 gives a tenth of its supply per g, 102.4 of 1024.
+/// 1 g in units of [`AdcCounts`]. The ADXL335 gives a tenth of its supply per g, which is 102.4 of 1024.
 pub const ONE_G: i16 = 819;
 
-/// One sample of all five channels: each the sum of [`OVERSAMPLING`] conversions, 0 to [`AdcCounts::MAX`].
+/// A sample of all five channels. Each value is the sum of [`OVERSAMPLING`] conversions, 0 to [`AdcCounts::MAX`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct AdcCounts {
     /// Accelerometer x, towards the wrist (A0).
@@ -40,27 +40,27 @@ impl AdcCounts {
     /// The largest reading.
     pub const MAX: u16 = 1023 * OVERSAMPLING;
 
-    /// From plain 10-bit conversions (x, y, z, index, middle) as recordings hold them; larger ones are clamped.
+    /// Converts plain 10-bit conversions (x, y, z, index, middle) from a recording, and clamps larger ones.
     pub fn from_ten_bit(conversions: [u16; 5]) -> Self {
         let [x, y, z, index, middle] = conversions.map(|c| c.min(1023) * OVERSAMPLING);
         Self { x, y, z, index, middle }
     }
 
-    /// x, y, z, index, middle.
+    /// Returns x, y, z, index and middle in this order.
     pub fn as_array(&self) -> [u16; 5] {
         [self.x, self.y, self.z, self.index, self.middle]
     }
 }
 
-/// The left hand after one sample.
+/// The state of the left hand after one sample.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct LeftOutput {
-    /// Positive = forward, in milliradians; 0 while a fault lasts.
+    /// Pitch in milliradians, positive = forward; 0 during a fault.
     pub pitch_mrad: i16,
-    /// Positive = left, in milliradians; 0 while a fault lasts.
+    /// Roll in milliradians, positive = left; 0 during a fault.
     pub roll_mrad: i16,
-    /// Debounced; `Neutral` (halt) while a fault lasts, `Between` during a calibration step. After either,
-    /// after start and after new thresholds no command comes before the hand has really been neutral.
+    /// The debounced heading: `Neutral` (halt) during a fault, `Between` during a calibration step.
+    /// After a fault, a calibration step, a start or new thresholds, the hand must first be neutral before any command.
     pub heading: Heading,
     /// Bends of the index finger since start, wrapping.
     pub index_bends: u8,
@@ -70,11 +70,11 @@ pub struct LeftOutput {
     pub stop: bool,
     /// Bits of [`health`].
     pub health: u8,
-    /// Heading, bends, stop or health differ from the output before: worth sending at once.
+    /// Whether heading, bends, stop or health changed, so that the output should be sent immediately.
     pub changed: bool,
 }
 
-/// The left hand's state machine.
+/// The state machine of the left hand.
 #[derive(Clone, Copy, Debug)]
 pub struct LeftHand {
     calibration: Calibration,
@@ -88,7 +88,8 @@ pub struct LeftHand {
 }
 
 impl LeftHand {
-    /// A hand with `calibration`, or (`None`) with defaults and a warning in its health, from `now_ms` on.
+    /// Creates a hand that starts at `now_ms`.
+    /// With `None` it uses the default calibration and sets a warning in its health.
     pub fn new(calibration: Option<Calibration>, thresholds: TiltThresholds, now_ms: u32) -> Self {
         Self {
             calibration: calibration.unwrap_or_default(),
@@ -102,7 +103,7 @@ impl LeftHand {
         }
     }
 
-    /// Takes the sample of `now_ms` (a wrapping clock).
+    /// Processes the sample of `now_ms` (a wrapping clock).
     #[inline(never)]
     pub fn step(&mut self, counts: AdcCounts, now_ms: u32) -> LeftOutput {
         let [x, y, z] = self.calibration.zero;
@@ -152,7 +153,7 @@ impl LeftHand {
         })
     }
 
-    /// Reports that the sample of `now_ms` is missing; after 100 ms without samples the converter counts as stuck.
+    /// Reports that the sample of `now_ms` is missing. After 100 ms without samples, the converter counts as stuck.
     #[inline(never)]
     pub fn no_sample(&mut self, now_ms: u32) -> LeftOutput {
         let fault = self.faults.no_sample(now_ms);
@@ -165,31 +166,32 @@ impl LeftHand {
         self.paused(fault)
     }
 
-    /// Begins a calibration step: no motion, no bends until it ends, and neutral is needed afterwards.
+    /// Begins a calibration step.
+    /// Until it ends, the hand gives no motion and no bends, and afterwards it must be neutral.
     ///
-    /// Returns false, and changes nothing, while another step is under way.
+    /// Returns false and changes nothing if another step is in progress.
     pub fn start_capture(&mut self, step: CaptureStep) -> bool {
         if self.is_capturing() {
             return false;
         }
         self.capture = Some(Capture::new(step));
-        // Somebody looks after this hand: a channel that came and went gets another chance.
+        // The hand is being serviced, so channels with persistent faults get another chance.
         self.faults.forgive();
         true
     }
 
-    /// Is a calibration step under way?
+    /// Returns whether a calibration step is in progress.
     pub fn is_capturing(&self) -> bool {
         self.capture.is_some()
     }
 
-    /// How the last calibration step ended, once. The new calibration is not in use yet: keep it, then
-    /// hand it to [`LeftHand::set_calibration`].
+    /// Returns the result of the last calibration step, once.
+    /// The new calibration is not active yet: store it, and then pass it to [`LeftHand::set_calibration`].
     pub fn take_captured(&mut self) -> Option<Result<Calibration, CaptureError>> {
         self.captured.take()
     }
 
-    /// Uses another calibration, or (`None`) the defaults; the hand must be neutral again first.
+    /// Sets a calibration, or the default with `None`. The hand must then be neutral before any command.
     #[inline(never)]
     pub fn set_calibration(&mut self, calibration: Option<Calibration>) {
         self.is_calibrated = calibration.is_some();
@@ -197,13 +199,13 @@ impl LeftHand {
         self.disarm();
     }
 
-    /// The calibration in use.
+    /// Returns the active calibration.
     pub fn calibration(&self) -> &Calibration {
         &self.calibration
     }
 
-    /// Uses other thresholds; the hand must be neutral again first. Returns false, and changes nothing,
-    /// if they are not [sound](TiltThresholds::are_sound).
+    /// Sets other thresholds. The hand must then be neutral before any command.
+    /// Returns false and changes nothing if the thresholds are not [sound](TiltThresholds::are_sound).
     pub fn set_thresholds(&mut self, thresholds: TiltThresholds) -> bool {
         if !thresholds.are_sound() {
             return false;
@@ -221,13 +223,13 @@ impl LeftHand {
         if self.is_calibrated { 0 } else { health::DEFAULT_CALIBRATION }
     }
 
-    /// No motion, no bends, no stop; the counters keep their values.
+    /// Returns an output without motion, bends or stop. The counters keep their values.
     #[inline(never)]
     fn paused(&mut self, fault: u8) -> LeftOutput {
         self.disarm();
         let bends = self.flex.bends();
         self.publish(LeftOutput {
-            // Only an output with a fault may say neutral when the hand is not: nobody may act on it.
+            // During a fault, neutral is a safe value, because the heading has no effect.
             heading: if fault != 0 { Heading::Neutral } else { Heading::Between },
             index_bends: bends.index,
             middle_bends: bends.middle,
@@ -271,7 +273,7 @@ mod tests {
             rig
         }
 
-        /// Holds the readings (10 bit), with a last bit of noise on z.
+        /// Feeds constant 10-bit readings, with noise in the last bit of z.
         fn run(&mut self, conversions: [u16; 5], ms: u32) -> LeftOutput {
             let mut output = self.hand.last;
             for _ in 0..ms / 10 {
@@ -305,11 +307,11 @@ mod tests {
     fn only_changes_worth_sending_are_marked() {
         let mut rig = Rig::neutral();
         assert!(!rig.run(LEVEL, 10).changed);
-        // From neutral to between.
+        // The heading changes from neutral to between.
         assert!(!rig.run(FORWARD, 10).changed);
         assert!(rig.run(FORWARD, 10).changed);
         assert!(!rig.run(FORWARD, 70).changed);
-        // And to forward.
+        // The heading changes to forward.
         assert!(rig.run(FORWARD, 10).changed);
         assert!(!rig.run(FORWARD, 10).changed);
     }
@@ -328,7 +330,7 @@ mod tests {
                 assert_eq!(out.heading, Heading::Neutral);
                 assert!(out.changed);
                 assert!(!rig.run(broken, 10_000).heading.is_command());
-                // Repaired, but still tilted: no command.
+                // The line is repaired, but the hand is still tilted, so there is no command.
                 let out = rig.run(FORWARD, 1000);
                 assert_eq!((out.health, out.heading), (0, Heading::Between));
                 rig.run(LEVEL, 50);
@@ -353,7 +355,7 @@ mod tests {
     #[test]
     fn the_direction_of_impossible_gravity_commands_nothing() {
         let mut rig = Rig::neutral();
-        // 30° forward, of 2 g and of 0.2 g.
+        // The hand is tilted 30° forward, with 2 g and with 0.2 g.
         for conversions in [[614, 512, 689, 704, 704], [522, 512, 530, 704, 704]] {
             for _ in 0..30 {
                 assert!(!rig.run(conversions, 10).heading.is_command());
@@ -411,7 +413,7 @@ mod tests {
     fn calibration_pauses_the_hand_and_then_measures_from_the_new_neutral() {
         let mut rig = Rig::neutral();
         rig.run(FORWARD, 100);
-        // 8° forward and 20 counts of offset: the wearer's neutral.
+        // The wearer's neutral pose is 8° forward with an offset of 20 counts.
         let pose = [546, 495, 613, 704, 704];
         assert!(rig.hand.start_capture(CaptureStep::Neutral));
         assert!(!rig.hand.start_capture(CaptureStep::Rest));

@@ -1,33 +1,35 @@
-//! When a tilt is meant: the hand of a person who walks, or who shakes it, tilts, too, without meaning a command.
+//! Decides whether a tilt is intended, because walking or shaking a hand also tilts it.
 //!
-//! An accelerometer cannot tell a tilt from a push, and 15° are a push of 0.27 g. What tells them apart is
-//! that a tilt stays. So a command starts once the hand has come to rest beyond the threshold, or has been
-//! clearly beyond it for longer than a swing is; and not while the hand swings to and fro.
+//! An accelerometer cannot distinguish a tilt from a push, and a push of 0.27 g looks like 15°.
+//! However, only an intended tilt persists.
+//! A command therefore starts when the hand comes to rest beyond the threshold.
+//! A command also starts when the tilt is clearly beyond the threshold for longer than a swing lasts.
+//! No command starts while the hand swings to and fro.
 //!
-//! A walker's hand is pushed by ±0.35 g twice a second: up to 24° from a pose 5° off level. Within 1.2° of
-//! one value it stays for 68 ms at its turning points, and beyond 25° it never is. A hand that is shaken
-//! four times a second turns every 125 ms.
+//! A walker's hand is pushed by ±0.35 g twice per second, which looks like up to 24° from a pose 5° off level.
+//! It stays within 1.2° for 68 ms at its turning points, and never exceeds 25°.
+//! A hand that is shaken four times per second turns every 125 ms.
 
-/// A hand is at rest while its tilt stays within a band of this width, in milliradians: 2°.
+/// A hand is at rest while its tilt stays within a band of this width in milliradians: 2°.
 pub const STEADY_MRAD: u16 = 35;
-/// A tilt at rest for this many samples starts a command: 90 ms at 100 Hz.
+/// A tilt at rest starts a command after this many samples: 90 ms at 100 Hz.
 pub const STEADY_SAMPLES: u8 = 10;
 /// A tilt this far beyond the start threshold is clear, in milliradians: 10°.
 pub const CLEAR_MRAD: u16 = 175;
-/// A clear tilt for this many samples starts a command, at rest or not: 90 ms.
+/// A clear tilt starts a command after this many samples, at rest or not: 90 ms.
 pub const CLEAR_SAMPLES: u8 = 10;
-/// A tilt held for this many samples starts a command unless it is on its way back: 130 ms.
+/// A tilt starts a command after this many samples unless it is decreasing: 130 ms.
 pub const HELD_SAMPLES: u8 = 14;
-/// A tilt that goes back by more than this has turned, in milliradians: 6°.
+/// A tilt has turned if it decreases by more than this, in milliradians: 6°.
 pub const TURN_MRAD: u16 = 105;
-/// Turns no further apart than this belong to one swing: 320 ms, half a period of 1.6 Hz.
+/// Turns that are no further apart than this belong to one swing: 320 ms, half a period of 1.6 Hz.
 pub const SWING_SAMPLES: u8 = 32;
-/// This many swings, one after the other, are an oscillation.
+/// This many consecutive swings are an oscillation.
 pub const SWINGS: u8 = 2;
-/// An oscillation is over when so many samples have passed since its last turn: 500 ms.
+/// An oscillation ends when this many samples have passed since its last turn: 500 ms.
 pub const CALM_SAMPLES: u8 = 50;
 
-/// One tilt beyond its threshold that is not a command yet.
+/// A tilt beyond its threshold that has not started a command yet.
 #[derive(Clone, Copy, Debug)]
 pub struct Start {
     peak_mrad: i16,
@@ -39,12 +41,12 @@ pub struct Start {
 }
 
 impl Start {
-    /// The tilt has just crossed the threshold.
+    /// Creates the state for a tilt that has just crossed the threshold.
     pub fn new(tilt_mrad: i16) -> Self {
         Self { peak_mrad: tilt_mrad, low_mrad: tilt_mrad, high_mrad: tilt_mrad, steady: 0, clear: 0, held: 0 }
     }
 
-    /// Takes the tilt of one more sample; true when it is meant.
+    /// Adds the tilt of one sample. Returns true if the tilt is intended.
     pub fn step(&mut self, tilt_mrad: i16, start_mrad: u16) -> bool {
         self.low_mrad = self.low_mrad.min(tilt_mrad);
         self.high_mrad = self.high_mrad.max(tilt_mrad);
@@ -52,7 +54,7 @@ impl Start {
             (self.low_mrad, self.high_mrad, self.steady) = (tilt_mrad, tilt_mrad, 0);
         }
         self.steady = self.steady.saturating_add(1);
-        // Sound thresholds and this are far below an i16's maximum.
+        // The sum fits in an i16, because sound thresholds are far below its maximum.
         let clear = tilt_mrad > (start_mrad + CLEAR_MRAD) as i16;
         self.clear = if clear { self.clear.saturating_add(1) } else { 0 };
         self.peak_mrad = self.peak_mrad.max(tilt_mrad);
@@ -62,7 +64,7 @@ impl Start {
     }
 }
 
-/// Sees one tilt swing to and fro.
+/// Detects oscillations of one tilt.
 #[derive(Clone, Copy, Debug)]
 pub struct Swing {
     extreme_mrad: i16,
@@ -78,12 +80,12 @@ impl Default for Swing {
 }
 
 impl Swing {
-    /// A hand that has not moved.
+    /// Creates the state for a hand that has not moved.
     pub const fn new() -> Self {
         Self { extreme_mrad: 0, rising: true, since_turn: u8::MAX, swings: 0 }
     }
 
-    /// Takes the tilt of one sample; true while it oscillates.
+    /// Adds the tilt of one sample. Returns true while the tilt oscillates.
     pub fn step(&mut self, tilt_mrad: i16) -> bool {
         self.since_turn = self.since_turn.saturating_add(1);
         let beyond =

@@ -1,12 +1,13 @@
-//! Tilt of the left hand: three accelerometer readings in, two angles and a heading out.
+//! Converts three accelerometer readings of the left hand to two angles and a heading.
 //!
-//! Integers only, so that an 8-bit board without a floating-point unit and a laptop give the same
-//! bits, and the board needs no soft-float code.
+//! The code uses only integers.
+//! An 8-bit board and a laptop therefore give the same bits, and the board needs no soft floats.
 //!
-//! **Axes and signs.** The sensor is mounted with +x towards the wrist, +y towards the right and +z
-//! up out of the back of the hand (right-handed). An axis that points up reads +1 g. So
-//! *pitch* θ = atan(ax / √(ay² + az²)) is positive when the hand tips **forward** (fingers down), and
-//! *roll* φ = atan(ay / √(ax² + az²)) is positive when it tips to the **left** (left edge down).
+//! **Axes and signs.** The sensor is mounted with +x towards the wrist, +y towards the right,
+//! and +z out of the back of the hand.
+//! This system is right-handed, and an axis that points up reads +1 g.
+//! The *pitch* θ = atan(ax / √(ay² + az²)) is positive when the hand tips **forward** (fingers down).
+//! The *roll* φ = atan(ay / √(ax² + az²)) is positive when the hand tips to the **left** (left edge down).
 //!
 //! ```text
 //!            both within 5°                     larger tilt beyond 15°, and meant
@@ -15,19 +16,19 @@
 //!     └── start, fault, capture, palm up    └──── below 12°, twice ───┘
 //! ```
 //!
-//! When a tilt is meant, [`crate::left::start`] says.
+//! [`crate::left::start`] decides whether a tilt is intended.
 
 use crate::left::start::{Start, Swing};
 use shared_words::{Heading, TiltThresholds};
 
-/// Acceleration along the sensor's axes in any one unit: only ratios matter here.
+/// Acceleration along the sensor's axes, in any unit, because only ratios matter.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Acceleration {
-    /// Towards the wrist.
+    /// Component towards the wrist.
     pub x: i16,
-    /// Towards the right.
+    /// Component towards the right.
     pub y: i16,
-    /// Out of the back of the hand.
+    /// Component out of the back of the hand.
     pub z: i16,
 }
 
@@ -41,9 +42,9 @@ pub struct Tilt {
 }
 
 impl Tilt {
-    /// θ = atan(ax / √(ay² + az²)), φ = atan(ay / √(ax² + az²)); no acceleration at all gives 0, 0.
+    /// Computes θ = atan(ax / √(ay² + az²)) and φ = atan(ay / √(ax² + az²)). Zero acceleration gives 0, 0.
     ///
-    /// Error at most 1 mrad for vectors longer than 400 units (a test holds it against `f64`).
+    /// The error is at most 1 mrad for vectors longer than 400 units (a test compares it with `f64`).
     #[inline(never)]
     pub fn of(a: Acceleration) -> Self {
         Self {
@@ -52,7 +53,7 @@ impl Tilt {
         }
     }
 
-    /// The tilt towards a command's heading; 0 for others.
+    /// Returns the tilt in the direction of a command's heading, or 0 for other headings.
     fn along(self, heading: Heading) -> i16 {
         match heading {
             Heading::Forward => self.pitch_mrad,
@@ -64,11 +65,11 @@ impl Tilt {
     }
 }
 
-/// Samples in a row that must agree before a command ends or neutral begins: 20 ms at 100 Hz. The same
-/// number of samples with gravity on the palm's side is a hand turned over.
+/// Number of consecutive samples that must agree before a command ends or neutral begins: 20 ms at 100 Hz.
+/// The same number of samples with gravity on the palm's side means that the hand is turned over.
 pub const DEBOUNCE_SAMPLES: u8 = 2;
 
-/// Turns tilts, one per sample, into a debounced heading with hysteresis.
+/// Converts one tilt per sample to a debounced heading with hysteresis.
 #[derive(Clone, Copy, Debug)]
 pub struct TiltDetector {
     thresholds: TiltThresholds,
@@ -76,14 +77,14 @@ pub struct TiltDetector {
     candidate: Heading,
     agreed: u8,
     armed: bool,
-    /// The command that may start.
+    /// The command that may start next.
     start: Option<(Heading, Start)>,
     swings: [Swing; 2],
     turned_over: u8,
 }
 
 impl TiltDetector {
-    /// Starts unarmed: no command before the hand has been neutral.
+    /// Creates a detector that gives no command until the hand has been neutral.
     pub fn new(thresholds: TiltThresholds) -> Self {
         Self {
             thresholds,
@@ -97,22 +98,22 @@ impl TiltDetector {
         }
     }
 
-    /// Replaces the thresholds from the next sample on; the hand must be neutral again first.
+    /// Replaces the thresholds from the next sample on. The hand must then be neutral before any command.
     pub fn set_thresholds(&mut self, thresholds: TiltThresholds) {
         *self = Self::new(thresholds);
     }
 
-    /// The thresholds in use.
+    /// Returns the active thresholds.
     pub fn thresholds(&self) -> TiltThresholds {
         self.thresholds
     }
 
-    /// Ends any command at once; the next one needs neutral first.
+    /// Ends any command immediately. The hand must then be neutral before the next command.
     pub fn disarm(&mut self) {
         *self = Self::new(self.thresholds);
     }
 
-    /// Skips a sample that says nothing about the tilt (a jolt): the heading stays as it is.
+    /// Skips a sample that has no usable tilt (a jolt) and keeps the heading.
     pub fn hold(&mut self) -> Heading {
         self.agreed = 0;
         self.candidate = self.heading;
@@ -120,8 +121,8 @@ impl TiltDetector {
         self.heading
     }
 
-    /// A sample with gravity on the palm's side: a jolt, or (from the second one on) a hand that is turned
-    /// over, whose tilts mean nothing and whose neutral is none.
+    /// Processes a sample with gravity on the palm's side.
+    /// The first such sample counts as a jolt. From the second on, the hand is turned over and its tilts are ignored.
     pub fn turned_over(&mut self) -> Heading {
         let samples = self.turned_over.saturating_add(1);
         if samples >= DEBOUNCE_SAMPLES {
@@ -131,13 +132,13 @@ impl TiltDetector {
         self.hold()
     }
 
-    /// Takes the tilt of one sample and returns the heading after it.
+    /// Adds the tilt of one sample and returns the new heading.
     #[inline(never)]
     pub fn step(&mut self, tilt: Tilt) -> Heading {
         self.turned_over = 0;
         let swings = [self.swings[0].step(tilt.pitch_mrad), self.swings[1].step(tilt.roll_mrad)];
         let wanted = self.wanted(tilt);
-        // A command that has not started does not count yet.
+        // A command counts only once it has started.
         let settled = if wanted.is_command() && wanted != self.heading { Heading::Between } else { wanted };
         if settled == self.heading {
             self.agreed = 0;
@@ -157,13 +158,13 @@ impl TiltDetector {
         self.heading
     }
 
-    /// Is the command that this tilt asks for meant?
+    /// Returns whether the command of this tilt is intended.
     fn is_meant(&mut self, wanted: Heading, tilt: Tilt) -> bool {
         if wanted == self.heading {
             self.start = None;
             return false;
         }
-        // A start outlives a dip below its threshold, as a command does.
+        // A start survives a dip below its threshold, as a command does.
         let going = self.start.filter(|&(heading, _)| {
             heading == wanted
                 || (!wanted.is_command() && tilt.along(heading) >= self.thresholds.end_mrad as i16)
@@ -174,13 +175,13 @@ impl TiltDetector {
         start.step(tilt.along(*heading), self.thresholds.start_mrad) && *heading == wanted
     }
 
-    /// The heading that this tilt alone asks for, given the present one.
+    /// Returns the heading that this tilt alone requests, given the current heading.
     fn wanted(&self, tilt: Tilt) -> Heading {
         let (pitch, roll) = (tilt.pitch_mrad, tilt.roll_mrad);
         let (pitch_size, roll_size) = (pitch.unsigned_abs(), roll.unsigned_abs());
         let limits = self.thresholds;
-        // A running command keeps a lead of (start - end), so that two tilts of nearly one size
-        // do not make the base hop between driving and turning.
+        // A running command has an advantage of (start - end).
+        // Two tilts of almost equal size therefore do not make the base alternate between driving and turning.
         let lead = limits.start_mrad - limits.end_mrad;
         let kept = match self.heading {
             Heading::Forward => Some((pitch, roll_size)),
@@ -207,11 +208,11 @@ impl TiltDetector {
     }
 }
 
-/// √(a² + b²), rounded down. Both at most 15 bits, so the sum of squares fits.
+/// Computes √(a² + b²), rounded down. Both have at most 15 bits, so the sum of squares fits.
 fn root_of_squares(a: i16, b: i16) -> u16 {
     let square = |v: i16| u32::from(v.unsigned_abs()) * u32::from(v.unsigned_abs());
     let mut rest = square(a) + square(b);
-    // Digit by digit, without a division, which the 8-bit board does not have.
+    // The root is computed digit by digit without a division, which the 8-bit board does not have.
     let mut root: u32 = 0;
     let mut bit: u32 = 1 << 30;
     while bit != 0 {
@@ -226,11 +227,11 @@ fn root_of_squares(a: i16, b: i16) -> u16 {
     root as u16
 }
 
-/// atan(y / x) in milliradians for x ≥ 0, by CORDIC; 0 for x = y = 0.
+/// Computes atan(y / x) in milliradians for x ≥ 0 by CORDIC; 0 for x = y = 0.
 fn atan_mrad(y: i16, x: u16) -> i16 {
     /// atan(2⁻ⁱ) in sixteenths of a milliradian.
     const STEPS: [i16; 14] = [12566, 7418, 3920, 1990, 999, 500, 250, 125, 62, 31, 16, 8, 4, 2];
-    // A vector of three i16 is shorter than 2^16, and CORDIC lengthens it by 1.65: 2^17 · 2^13 fits.
+    // Three i16 give a length below 2^16, and CORDIC scales it by 1.65, so 2^17 · 2^13 fits.
     const FRACTION_BITS: u32 = 13;
     if x == 0 && y == 0 {
         return 0;
@@ -294,8 +295,9 @@ mod tests {
                     let pitch = x.atan2((y * y + z * z).sqrt()) * 1000.0;
                     let roll = y.atan2((x * x + z * z).sqrt()) * 1000.0;
                     worst = worst.max((pitch - f64::from(got.pitch_mrad)).abs());
-                    // If little of the vector is left, one unit of the rounded-down root is
-                    // more than a milliradian of roll; pitch has the same near 90 degrees.
+                    // If the remaining vector is short, one unit of the rounded-down root is more than a milliradian
+                    // of roll.
+                    // The same applies to pitch near 90 degrees.
                     if (x * x + z * z).sqrt() > 400.0 || y == 0.0 {
                         worst = worst.max((roll - f64::from(got.roll_mrad)).abs());
                     }
@@ -318,10 +320,10 @@ mod tests {
 
     #[test]
     fn forward_is_a_positive_pitch_and_left_a_positive_roll() {
-        // Hand tipped forward by 30°: the wrist end (+x) points up.
+        // The hand is tipped forward by 30°, so the wrist end (+x) points up.
         let forward = Tilt::of(Acceleration { x: 410, y: 0, z: 709 });
         assert!((forward.pitch_mrad - 524).abs() <= 1 && forward.roll_mrad == 0);
-        // Tipped to the left: the right edge (+y) points up.
+        // The hand is tipped to the left, so the right edge (+y) points up.
         let left = Tilt::of(Acceleration { x: 0, y: 410, z: 709 });
         assert!((left.roll_mrad - 524).abs() <= 1 && left.pitch_mrad == 0);
         for (pitch, roll, heading) in [
@@ -351,7 +353,7 @@ mod tests {
             assert_eq!(d.step(tilt(40.0, 0.0)), Heading::Neutral);
             assert_eq!(d.step(tilt(0.0, 0.0)), Heading::Neutral);
         }
-        // A hand that was just seen to swing must come to rest.
+        // A hand that has just oscillated must come to rest first.
         assert_eq!(run(&mut d, 20.0, 0.0, 40), Heading::Between);
         assert_eq!(run(&mut d, 20.0, 0.0, 20), Heading::Forward);
         for _ in 0..20 {

@@ -1,15 +1,20 @@
-//! Features of recipe 3: how a hand moves in a frame of its own movement, whoever wears the sensor and however.
+//! Features of recipe 3.
+//! The features describe the motion in the hand's own frame, independent of the wearer and the sensor's position.
 //!
-//! Acceleration and rotation rate are averaged over hops of 8 samples (12.5 Hz: gestures live between 0.5 and 5 Hz) and
-//! turned so that the first direction is gravity, the second the horizontal direction with the most rotation (the most
-//! acceleration where there is no gyroscope), the third across. Every feature is even in the two horizontal
-//! directions, so left and right hands, and sensors turned on the hand, give the same numbers. The magnetometer is not
-//! used: it cannot disturb.
+//! Acceleration and rotation rate are averaged over hops of 8 samples (12.5 Hz, because gestures have 0.5 to 5 Hz).
+//! They are then rotated into a frame whose first direction is gravity.
+//! The second direction is the horizontal one with the most rotation,
+//! or with the most acceleration if there is no gyroscope.
+//! The third direction is perpendicular to both.
+//! Every feature is even in the two horizontal directions.
+//! Left and right hands, and rotated sensors, therefore give the same numbers.
+//! The magnetometer is not used, so it cannot cause disturbances.
 //!
-//! Per *triad* (three directions of acceleration in g; with a gyroscope also of rotation in 100 deg/s), e being
-//! the mean squares about the mean of each direction, E their sum, f a *floor* of movement ([`ACC_FLOOR`],
-//! [`GYRO_FLOOR`]) below which differences stop to matter, and X the lines 1 to 10 (0.39 to 3.9 Hz) of a 32-point Fourier
-//! transform of the 25 hops under a Hann window, S = Σ|X|²:
+//! A *triad* is three directions of acceleration in g or, with a gyroscope, of rotation in 100 deg/s.
+//! For each triad, e are the mean squares of each direction about its mean, and E is their sum.
+//! The *floor* f ([`ACC_FLOOR`], [`GYRO_FLOOR`]) is the movement below which differences are insignificant.
+//! X are lines 1 to 10 (0.39 to 3.9 Hz) of a 32-point Fourier transform of the 25 hops under a Hann window,
+//! and S = Σ|X|².
 //!
 //! | features | count |
 //! |---|---|
@@ -18,15 +23,18 @@
 //! | 2·\|X\| / √(S + 60f²) − ½, line after line, three directions each | 30 |
 //! | for the pairs (second, first), (third, first), (third, second): 2·\|Re c\| − ½, 2·\|Im c\| − ½ where c = ΣX·X̄′ / √((S + 60f²)(S′ + 60f²)) | 6 |
 //!
-//! then ½·ln(tremor + floor) + 1.5, once per triad, where tremor is the root of the mean variance inside a hop (floors 0.01 g
-//! and 2 deg/s); then ln(√e + f) + 1 per triad and direction; last 2·(|gravity| − 1 g). That is 45 for an accelerometer
-//! and 89 with a gyroscope. `tests/reference/aligned_ref.py` is the same in numpy.
+//! The next feature, once per triad, is ½·ln(tremor + floor) + 1.5.
+//! Here, tremor is the root of the mean variance within a hop, and the floors are 0.01 g and 2 deg/s.
+//! Then follow ln(√e + f) + 1 for each triad and direction, and finally 2·(|gravity| − 1 g).
+//! This gives 45 features for an accelerometer and 89 with a gyroscope.
+//! `tests/reference/aligned_ref.py` is the same algorithm in numpy.
 //!
-//! Turning is linear, so it comes last: sums of products and lines are made of the channels as they are, and ten lines
-//! are turned instead of 25 hops.
+//! Rotation is linear, so it is applied last.
+//! Products and lines are computed from the unrotated channels, and then ten lines are rotated instead of 25 hops.
 //!
-//! Gravity is the mean acceleration of the window. Below 10⁻³ m/s² it has no direction: what remains is finite and the
-//! floors keep it small. A window in which nothing moves gives the same constants in any posture.
+//! Gravity is the mean acceleration of the window. Below 10⁻³ m/s² its direction is undefined.
+//! In this case the features are finite, and the floors make them small.
+//! A window without movement gives the same constants in any posture.
 
 mod tables;
 
@@ -34,20 +42,20 @@ use crate::right::features::{HOP, HOPS, SAMPLE_LIMIT, square_root};
 use crate::right::kind::ln;
 use tables::{COSINES, HANN};
 
-/// Movement below this counts as none: 0.1 g.
+/// Movement below this value is insignificant: 0.1 g.
 pub const ACC_FLOOR: f32 = 0.1;
-/// Rotation below this counts as none, in 100 deg/s.
+/// Rotation below this value is insignificant, in 100 deg/s.
 pub const GYRO_FLOOR: f32 = 0.2;
-/// Most features.
+/// Maximum number of features.
 pub const MAX_FEATURES: usize = 89;
 
-/// m/s² per g.
+/// Number of m/s² per g.
 const G: f32 = 9.806_65;
-/// Acceleration and rotation.
+/// Channels of acceleration and rotation.
 const CHANNELS: usize = 6;
 const LINES: usize = 10;
 const TRIAD_FEATURES: usize = 4 + 3 * LINES + 6;
-/// Features with this many axes: 3, 6 or 9; 0 for other numbers.
+/// Number of features for 3, 6 or 9 axes; 0 for other numbers of axes.
 pub const fn feature_count(axes: usize) -> usize {
     match axes {
         3 => TRIAD_FEATURES + 1 + 3 + 1,
@@ -56,20 +64,20 @@ pub const fn feature_count(axes: usize) -> usize {
     }
 }
 
-/// A series of hops in one direction.
+/// A series of hop means in one direction.
 type Series = [f32; HOPS];
 
-/// Three channels of a window, as the sensor has them.
+/// Three channels of a window in the sensor's frame.
 struct Triad {
     mean: [f32; 3],
-    /// Mean products of deviations from the mean.
+    /// Mean products of the deviations from the mean.
     products: [[f32; 3]; 3],
     /// See [`AlignedWindow::spectrum`].
     lines: [[(f32, f32); LINES]; 3],
 }
 
 impl Triad {
-    /// The matrix of the products times a vector.
+    /// Multiplies the matrix of products by a vector.
     #[inline(always)]
     fn times(&self, vector: [f32; 3]) -> [f32; 3] {
         self.products.map(|row| dot(row, vector))
@@ -86,7 +94,7 @@ struct HopTerms {
 impl HopTerms {
     #[inline(always)]
     fn new(samples: &[f32; HOP]) -> Self {
-        // About the first sample: the mean of a resting hand is exact, its variance 0.
+        // Deviations are from the first sample, so a resting hand has an exact mean and a variance of 0.
         let first = samples[0];
         let offset = samples.iter().fold(0.0, |sum, sample| sum + (sample - first)) * (1.0 / HOP as f32);
         let squares = samples.iter().fold(0.0, |sum, sample| {
@@ -96,14 +104,14 @@ impl HopTerms {
         Self { mean: first + offset, variance: squares * (1.0 / HOP as f32) }
     }
 
-    /// Whether it is certain that all samples are numbers within the limit: x² ≤ 2·(mean² + Σ(x − mean)²) for each.
+    /// Returns whether all samples are certainly numbers within the limit: x² ≤ 2·(mean² + Σ(x − mean)²) for each.
     #[inline(always)]
     fn is_tame(&self) -> bool {
         self.mean * self.mean + HOP as f32 * self.variance <= SAMPLE_LIMIT * SAMPLE_LIMIT / 2.0
     }
 }
 
-/// Limits magnitudes and lets values that are NaN repeat the one before; returns how many these were.
+/// Limits magnitudes and replaces NaN by the previous value. Returns the number of NaN values.
 #[cold]
 #[inline(never)]
 fn repair(samples: &mut [f32; HOP], mut held: f32) -> u32 {
@@ -119,7 +127,7 @@ fn repair(samples: &mut [f32; HOP], mut held: f32) -> u32 {
     replaced
 }
 
-/// How much the hand moves now, for [`crate::right::movement`].
+/// The current movement of the hand, for [`crate::right::movement`].
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Movement {
     /// Root of the summed variances of the acceleration over the last four hops, in m/s².
@@ -131,21 +139,21 @@ pub struct Movement {
 /// A window of 25 hops over samples of `A` axes: 3, 6 or 9.
 #[derive(Clone, Debug)]
 pub struct AlignedWindow<const A: usize> {
-    /// Samples of the hop under way.
+    /// Samples of the unfinished hop.
     stage: [[f32; HOP]; CHANNELS],
     staged: usize,
-    /// The last good sample.
+    /// The last valid sample.
     held: [f32; CHANNELS],
-    /// Per channel the means of the hops, a ring.
+    /// Ring of the hop means of each channel.
     bins: [Series; CHANNELS],
-    /// Variance inside the hops, summed over the directions of a triad.
+    /// Variance within each hop, summed over the directions of a triad.
     tremor: [Series; 2],
-    /// Where the oldest hop stands.
+    /// Index of the oldest hop.
     oldest: usize,
     hops: usize,
     features: [f32; MAX_FEATURES],
     replaced: u32,
-    /// Hops until the last replaced value has left the window.
+    /// Number of hops until the last replaced value has left the window.
     tainted: usize,
 }
 
@@ -169,8 +177,9 @@ impl<const A: usize> AlignedWindow<A> {
         }
     }
 
-    /// Takes a sample (m/s², deg/s); true when a hop is complete and the window is full: then [`Self::features`] are
-    /// new. Values that are NaN repeat the last good one; magnitudes are limited to [`SAMPLE_LIMIT`].
+    /// Adds a sample (m/s², deg/s).
+    /// Returns true if a hop is complete and the window is full; then [`Self::features`] are new.
+    /// NaN values are replaced by the last valid ones, and magnitudes are limited to [`SAMPLE_LIMIT`].
     #[inline]
     pub fn push(&mut self, sample: &[f32; A]) -> bool {
         for (channel, value) in self.stage.iter_mut().zip(&sample[..A.min(Self::USED)]) {
@@ -210,7 +219,7 @@ impl<const A: usize> AlignedWindow<A> {
         self.is_full()
     }
 
-    /// Features of the window at the last complete hop, [`feature_count`] of them; zeros before the window was full.
+    /// The [`feature_count`] features at the last complete hop; zeros until the window is full.
     pub fn features(&self) -> &[f32] {
         &self.features[..feature_count(A)]
     }
@@ -220,12 +229,12 @@ impl<const A: usize> AlignedWindow<A> {
         self.hops == HOPS
     }
 
-    /// Values that were NaN, up to the last complete hop since the last reset.
+    /// Number of NaN values since the last reset, up to the last complete hop.
     pub fn replaced(&self) -> u32 {
         self.replaced
     }
 
-    /// Whether the window holds values that were NaN and have been replaced.
+    /// Whether the window contains replaced NaN values.
     pub fn is_tainted(&self) -> bool {
         self.tainted > 0
     }
@@ -235,7 +244,7 @@ impl<const A: usize> AlignedWindow<A> {
         *self = Self::new();
     }
 
-    /// How much the hand moved in the last hops.
+    /// Movement of the hand in the last hops.
     pub fn movement(&self) -> Movement {
         let count = self.hops.clamp(1, 4);
         let place = |back: usize| (self.oldest + HOPS - 1 - back) % HOPS;
@@ -255,7 +264,7 @@ impl<const A: usize> AlignedWindow<A> {
         Movement { acceleration: square_root(variance), rotation: square_root(x * x + y * y + z * z) }
     }
 
-    /// The three channels from `first` on.
+    /// Computes the triad of the three channels starting at `first`.
     #[inline(always)]
     fn triad(&self, first: usize) -> Triad {
         let mut centred = [[0.0; HOPS]; 3];
@@ -263,7 +272,7 @@ impl<const A: usize> AlignedWindow<A> {
         let mut lines = [[(0.0, 0.0); LINES]; 3];
         for (index, series) in centred.iter_mut().enumerate() {
             let (new, old) = self.bins[first + index].split_at(self.oldest.min(HOPS - 1));
-            // Relative to the oldest hop, so that a constant leaves nothing behind.
+            // The values are computed relative to the oldest hop, so that a constant has no effect.
             let start = old[0];
             let mut sum = 0.0;
             for (place, value) in series.iter_mut().zip(old.iter().chain(new)) {
@@ -289,7 +298,8 @@ impl<const A: usize> AlignedWindow<A> {
         let acceleration = self.triad(0);
         let length = square_root(dot(acceleration.mean, acceleration.mean));
         let [up, across, along] = frame(acceleration.mean.map(|value| value / length.max(1e-3)));
-        // Where the rotation has most power, its mean included: a hand that turned one way turned about that direction.
+        // The direction with the most rotation, including its mean,
+        // because a hand may turn about it in only one direction.
         let rotation = (Self::TRIADS == 2).then(|| self.triad(3));
         let (cosine, sine) = match &rotation {
             Some(rotation) => principal(rotation, rotation.mean, across, along),
@@ -318,12 +328,13 @@ impl<const A: usize> AlignedWindow<A> {
         writer.push(2.0 * (length * (1.0 / G) - 1.0));
     }
 
-    /// Lines 1 to 10 of the 32-point transform of a series under the Hann window, with the middle hop as time 0.
+    /// Computes lines 1 to 10 of the 32-point transform of a series under the Hann window,
+    /// with the middle hop at time 0.
     ///
-    /// Where time starts does not matter: all series turn alike, and only magnitudes and products with conjugates are
-    /// used. About the middle, sums of mirrored hops meet cosines and differences sines. Hops m and 16 − m from the middle
-    /// meet the same ones up to sign, so they are folded, apart for odd and even lines; so are m and 8 − m for the even
-    /// lines, and lines 7 and 9 share their terms.
+    /// The origin of time does not matter, because only magnitudes and products with conjugates are used.
+    /// With the origin in the middle, sums of mirrored hops need only cosines, and differences need only sines.
+    /// Hops m and 16 − m have the same factors up to sign, so they are combined, separately for odd and even lines.
+    /// For even lines, m and 8 − m are also combined, and lines 7 and 9 share terms.
     #[inline(never)]
     fn spectrum(series: &Series, lines: &mut [(f32, f32); LINES]) {
         const MIDDLE: usize = HOPS / 2;
@@ -336,7 +347,7 @@ impl<const A: usize> AlignedWindow<A> {
         let x = series[MIDDLE];
         let (c1, r, c3) = (COSINES[2], COSINES[4], COSINES[6]);
 
-        // Even lines; there are no hops 13 to 15 from the middle.
+        // Even lines. No hop is 13 to 15 hops from the middle.
         let (e4, e5, e6, e7) = (s[4] + s[12], s[5] + s[11], s[6] + s[10], s[7] + s[9]);
         let (p1, p2, p3) = (s[1] - e7, s[2] - e6, s[3] - e5);
         let (q1, q2, q3) = (s[1] + e7, s[2] + e6, s[3] + e5);
@@ -352,7 +363,7 @@ impl<const A: usize> AlignedWindow<A> {
         lines[7] = (plus + e4 - q2, h1 - h3);
         lines[9] = (minus - rp - t, u - (rg - f4));
 
-        // Odd lines: hops at odd and at even distance apart.
+        // Odd lines, from hops at odd and at even distances.
         let [_, a1, _, a3, _, a5, _, a7] = COSINES;
         let (o4, o5, o6, o7) = (s[4] - s[12], s[5] - s[11], s[6] - s[10], s[7] - s[9]);
         let (i4, i5, i6, i7) = (d[4] + d[12], d[5] + d[11], d[6] + d[10], d[7] + d[9]);
@@ -386,7 +397,7 @@ impl<const A: usize> Default for AlignedWindow<A> {
     }
 }
 
-/// Fills features one after the other.
+/// Writes features one after another.
 struct Writer<'a> {
     place: core::slice::IterMut<'a, f32>,
 }
@@ -403,24 +414,25 @@ fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
-/// Up, and two horizontal directions. Features do not depend on which.
+/// Returns the up direction and two arbitrary horizontal directions. The features do not depend on their choice.
 fn frame(up: [f32; 3]) -> [[f32; 3]; 3] {
     let across = if up[0].abs() > 0.9 { up[1] } else { up[0] };
     let start = if up[0].abs() > 0.9 { [0.0, 1.0, 0.0] } else { [1.0, 0.0, 0.0] };
     let e: [f32; 3] = core::array::from_fn(|i| start[i] - up[i] * across);
-    // The rest is at least 0.19 long: `start` is far from `up`, and a short `up` subtracts little.
+    // The remaining vector is at least 0.19 long, because `start` is far from `up` and a short `up` subtracts little.
     let length = square_root(dot(e, e));
     let e = e.map(|value| value / length);
     let f = [up[1] * e[2] - up[2] * e[1], up[2] * e[0] - up[0] * e[2], up[0] * e[1] - up[1] * e[0]];
     [up, e, f]
 }
 
-/// Cosine and sine of the angle from `across` to the direction with the most power among it and `along`, about a
-/// mean or, with a mean of zeros, without it.
+/// Returns cosine and sine of the angle from `across` to the direction with the most power in the plane of `across`
+/// and `along`.
+/// The power is about the given mean, which may be zero.
 fn principal(triad: &Triad, mean: [f32; 3], across: [f32; 3], along: [f32; 3]) -> (f32, f32) {
     let (turned, a, b) = (triad.times(along), dot(mean, across), dot(mean, along));
     let difference = (dot(across, triad.times(across)) + a * a) - (dot(along, turned) + b * b);
-    // tan 2θ = 2·product / difference; half-angle formulas on the side where nothing cancels.
+    // From tan 2θ = 2·product / difference; the half-angle formula is the one without cancellation.
     let twice = 2.0 * (dot(across, turned) + a * b);
     let length = square_root(difference * difference + twice * twice);
     if length < 1e-12 {
@@ -432,12 +444,12 @@ fn principal(triad: &Triad, mean: [f32; 3], across: [f32; 3], along: [f32; 3]) -
     if difference >= 0.0 { (large, sign * small) } else { (small, sign * large) }
 }
 
-/// Writes the first [`TRIAD_FEATURES`] of a triad seen in a frame; gives the mean squares. It stands twice in a window's
-/// code, for speed.
+/// Writes the first [`TRIAD_FEATURES`] features of a triad in the given frame and returns the mean squares.
+/// This function is inlined twice for speed.
 #[inline(always)]
 fn describe(triad: &Triad, frame: &[[f32; 3]; 3], unit: f32, floor: f32, out: &mut Writer<'_>) -> [f32; 3] {
     let frame = frame.map(|direction| direction.map(|value| value * unit));
-    // Rounding may leave slightly less than zero.
+    // Rounding may give slightly negative values.
     let squares = frame.map(|direction| dot(direction, triad.times(direction)).max(0.0));
     let energy = squares[0] + squares[1] + squares[2];
     let root = square_root(energy);

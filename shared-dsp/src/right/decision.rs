@@ -1,4 +1,4 @@
-//! From scores, one set per hop, to one event per performed gesture.
+//! Converts the scores of each hop to one event per performed gesture.
 //!
 //! ```text
 //!            enough of the last hops agree, with confidence
@@ -6,43 +6,43 @@
 //!     ▲                                                        │
 //!     └──────────── some hops in a row at rest ────────────────┘
 //! ```
-//! The labels `idle` and `other` are rest: they never make an event. A model without them rests while its best score
-//! is below the confidence asked for.
+//! The labels `idle` and `other` are rest and never cause an event.
+//! A model without these labels rests while its best score is below the required confidence.
 
 use shared_words::is_rest;
 
-/// Maximum number of hops that a decision looks at.
+/// Maximum number of hops that a decision considers.
 pub const MAX_HOPS: usize = 16;
 
-/// When a gesture counts as performed. A probability p is given as 256·p.
+/// Criteria for a performed gesture. A probability p is given as 256·p.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct DecisionConfig {
-    /// How many of the last `of` hops must name the same gesture, the newest one among them.
+    /// Number of the last `of` hops that must have the same gesture, including the newest one.
     pub agree: u8,
-    /// How many hops are looked at, at most [`MAX_HOPS`].
+    /// Number of hops considered, at most [`MAX_HOPS`].
     pub of: u8,
     /// Minimum mean probability of the agreeing hops.
     pub min_confidence: u8,
-    /// After an event, so many hops in a row must be at rest before the next one.
+    /// Number of consecutive hops at rest that are required between two events.
     pub rest_hops: u8,
 }
 
 impl Default for DecisionConfig {
-    /// 4 of 5 hops (the newest 0.4 s), mean probability 0.7, 3 hops (0.24 s) of rest.
+    /// Requires 4 of 5 hops (the newest 0.4 s), a mean probability of 0.7, and 3 hops (0.24 s) of rest.
     fn default() -> Self {
         Self { agree: 4, of: 5, min_confidence: 179, rest_hops: 3 }
     }
 }
 
 impl DecisionConfig {
-    /// The nearest values that make sense.
+    /// Limits the values to their valid ranges.
     fn sound(self) -> Self {
         let of = self.of.clamp(1, MAX_HOPS as u8);
         Self { agree: self.agree.clamp(1, of), of, rest_hops: self.rest_hops.max(1), ..self }
     }
 }
 
-/// A gesture has been performed.
+/// A performed gesture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct GestureEvent {
     /// Index in the model's labels.
@@ -58,13 +58,13 @@ struct Vote {
     probability: u8,
 }
 
-/// Watches the scores of one hand.
+/// Detects gestures in the scores of one hand.
 #[derive(Clone, Debug)]
 pub struct GestureDecision {
     config: DecisionConfig,
-    /// Bit i: label i is rest.
+    /// Bit i is set if label i is rest.
     rest_labels: u16,
-    /// The last hops, newest first; `known` of them.
+    /// The last hops, newest first. The first `known` entries are valid.
     hops: [Vote; MAX_HOPS],
     known: u8,
     armed: bool,
@@ -72,7 +72,7 @@ pub struct GestureDecision {
 }
 
 impl GestureDecision {
-    /// For a model with these labels. Values of `config` outside their range are limited.
+    /// Creates a decision for a model with these labels. Values of `config` outside their range are limited.
     pub fn new<'a>(labels: impl Iterator<Item = &'a str>, config: DecisionConfig) -> Self {
         let rest_labels = labels
             .take(16)
@@ -89,8 +89,8 @@ impl GestureDecision {
         }
     }
 
-    /// Takes the int8 scores of a hop, one per label: (score + 128) / 256 is the probability. Of equal scores the first
-    /// label wins; no scores say nothing.
+    /// Adds the int8 scores of a hop, one per label: (score + 128) / 256 is the probability.
+    /// Of equal scores, the first label wins. Empty scores are ignored.
     pub fn step(&mut self, scores: &[i8]) -> Option<GestureEvent> {
         let (label, &best) = scores.iter().enumerate().rev().max_by_key(|(_, score)| **score)?;
         let newest = Vote { label: label as u8, probability: (i16::from(best) + 128) as u8 };
@@ -123,19 +123,18 @@ impl GestureDecision {
         Some(GestureEvent { label: newest.label, confidence })
     }
 
-    /// Forgets the last hops, after a gap. A gesture that had its event before the gap gets no second one: rest is still
-    /// needed.
+    /// Forgets the last hops after a gap. Rest is still required before the next event.
     pub fn reset(&mut self) {
         self.known = 0;
         self.resting = 0;
     }
 
-    /// Whether a label (by index) is rest.
+    /// Returns whether a label (by index) is rest.
     pub fn is_rest_label(&self, label: u8) -> bool {
         label < 16 && self.rest_labels & (1 << label) != 0
     }
 
-    /// Whether the next gesture can make an event.
+    /// Returns whether the next gesture can cause an event.
     pub fn is_armed(&self) -> bool {
         self.armed
     }
@@ -159,7 +158,7 @@ mod tests {
         scores
     }
 
-    /// Indices of the hops that made an event, with its label.
+    /// Returns the indices of the hops that caused an event, with its label.
     fn run(decision: &mut GestureDecision, labels: &[usize]) -> Vec<(usize, u8)> {
         let step = |(index, &label): (usize, &usize)| {
             decision.step(&hop(label, 250)).map(|event| (index, event.label))
@@ -242,7 +241,7 @@ mod tests {
                 agree: config.0 % 8, of: config.1 % 20, min_confidence: config.2, rest_hops: config.3 % 6,
             };
             let mut decision = decision(config);
-            // Longest run of hops at rest since the last event.
+            // Finds the longest run of hops at rest since the last event.
             let (mut run, mut longest, mut first) = (0, 0, true);
             for (scores, gap) in hops {
                 if gap {

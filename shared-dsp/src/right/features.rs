@@ -1,19 +1,22 @@
-//! Thirteen features per axis of a sliding window, renewed every hop.
+//! Computes thirteen features per axis of a sliding window, once per hop.
 //!
-//! Per axis, in this order: mean, RMS, population variance, skewness m₃/m₂^1.5, excess kurtosis m₄/m₂² − 3, and the
-//! powers P\[0\] to P\[7\] of 16-point FFTs, P\[k\] = |X\[k\]|²/16, averaged over the 24 half-overlapping full frames of the
-//! window (no window function, mean kept). The paper leaves open how 200 samples meet 16 points: this is our answer.
+//! The features per axis, in this order, are mean, RMS, population variance,
+//! skewness m₃/m₂^1.5 and excess kurtosis m₄/m₂² − 3.
+//! Then follow the powers P\[0\] to P\[7\] of 16-point FFTs, P\[k\] = |X\[k\]|²/16.
+//! They are averaged over the 24 half-overlapping full frames of the window (no window function, mean included).
+//! The paper does not define how 200 samples are split into frames of 16 points, so this split is our choice.
 //!
-//! | | definition |
+//! | case | definition |
 //! |---|---|
-//! | samples that are NaN | the axis holds its last good value (0 before the first); counted |
+//! | NaN samples | replaced by the axis' last valid value (0 before the first) and counted |
 //! | magnitudes above [`SAMPLE_LIMIT`] | limited to it |
 //! | constant signal | variance 0, skewness 0, kurtosis 0, powers 0 except P\[0\] |
 //! | variance below [`VARIANCE_FLOOR`] | skewness 0, kurtosis 0 |
 //!
-//! Errors against float64 stay within 10⁻⁴ relative (10⁻⁴·max(|value|, 1) for skewness and kurtosis), for ever: sums
-//! of floats are never updated by subtraction ([`crate::right::sliding`]), moments are central ([`crate::right::moments`]). A mean
-//! near 0, where 200 samples cancel, is good to 10⁻⁹ of the unit instead, also beside a swing of hundreds.
+//! Errors relative to float64 never exceed 10⁻⁴ (10⁻⁴·max(|value|, 1) for skewness and kurtosis).
+//! Float sums are never updated by subtraction ([`crate::right::sliding`]),
+//! and moments are central ([`crate::right::moments`]).
+//! A mean near 0, where 200 samples cancel, has an error of 10⁻⁹ of the unit, even with amplitudes of hundreds.
 
 use crate::right::fft::{HalfFrame, powers};
 use crate::right::moments::{Block, SlidingMoments, SlidingSum};
@@ -31,32 +34,32 @@ pub const HOP: usize = 8;
 pub const HOPS: usize = WINDOW / HOP;
 /// Full frames of 16 samples per window.
 const FRAMES: usize = HOPS - 1;
-/// Variance below which a signal counts as constant in shape: a deviation of 10⁻⁸.
+/// Variance below which a signal has no shape: a deviation of 10⁻⁸.
 pub const VARIANCE_FLOOR: f32 = 1e-16;
 
 /// A window over samples of `A` axes.
 #[derive(Clone, Debug)]
 pub struct FeatureWindow<const A: usize> {
-    /// Samples of the hop under way.
+    /// Samples of the unfinished hop.
     stage: [[f32; A]; HOP],
     staged: usize,
     axes: [Axis; A],
     features: [[f32; FEATURES_PER_AXIS]; A],
-    /// Number of the hop, modulo blocks per window.
+    /// Number of the hop modulo blocks per window.
     block: usize,
-    /// Number of the hop, modulo frames per window.
+    /// Number of the hop modulo frames per window.
     frame: usize,
-    /// Hops since the last reset, at most those of a window.
+    /// Number of hops since the last reset, at most those of a window.
     hops: usize,
     replaced: u32,
-    /// Hops until the last replaced value has left the window.
+    /// Number of hops until the last replaced value has left the window.
     tainted: usize,
 }
 
-/// What the window keeps of one axis.
+/// The data of one axis in the window.
 #[derive(Clone, Copy, Debug)]
 struct Axis {
-    /// The last good sample.
+    /// The last valid sample.
     held: f32,
     last: HalfFrame,
     sum: SlidingSum<HOPS>,
@@ -64,17 +67,17 @@ struct Axis {
     powers: SlidingPowers<FRAMES>,
 }
 
-/// Where the samples of a hop belong.
+/// The location of a hop's samples.
 struct HopBlocks {
     axis: usize,
     block: RingPlace<HOPS>,
     frame: RingPlace<FRAMES>,
-    /// Whether its samples are known to be numbers within the limit.
+    /// Whether all its samples are known to be numbers within the limit.
     repaired: bool,
 }
 
 impl<const A: usize> FeatureWindow<A> {
-    /// An empty window: all bytes are zero, so that a static one takes no flash.
+    /// An empty window. All bytes are zero, so that a static window takes no flash.
     pub const fn new() -> Self {
         Self {
             stage: [[0.0; A]; HOP],
@@ -89,11 +92,11 @@ impl<const A: usize> FeatureWindow<A> {
         }
     }
 
-    /// Takes a sample; true when a hop is complete and the window is full: then [`Self::features`] are new.
+    /// Adds a sample. Returns true if a hop is complete and the window is full; then [`Self::features`] are new.
     #[inline]
     pub fn push(&mut self, sample: &[f32; A]) -> bool {
         if let Some(place) = self.stage.get_mut(self.staged) {
-            // Element by element: a copy of the whole would become a call.
+            // Element by element, because copying the whole array would become a call.
             for (place, value) in place.iter_mut().zip(*sample) {
                 *place = value;
             }
@@ -106,7 +109,8 @@ impl<const A: usize> FeatureWindow<A> {
     fn finish_hop(&mut self) -> bool {
         self.staged = 0;
         let mut replaced = 0;
-        // The moments of axis i turn at hop −i, its powers half a round later: one turn per hop up to 12 axes.
+        // The moments of axis i turn at hop −i and its powers half a round later,
+        // so at most one turn happens per hop up to 12 axes.
         let mut round = self.frame;
         let (block, frame) = (RingPlace::new(self.block, 0), RingPlace::new(self.frame, 0));
         let mut hop = HopBlocks { axis: 0, block, frame, repaired: false };
@@ -124,7 +128,7 @@ impl<const A: usize> FeatureWindow<A> {
         self.is_full()
     }
 
-    /// Features of the window at the last complete hop, meaningless before the window was full.
+    /// The features at the last complete hop. They are meaningless until the window is full.
     pub fn features(&self) -> &[[f32; FEATURES_PER_AXIS]; A] {
         &self.features
     }
@@ -134,12 +138,12 @@ impl<const A: usize> FeatureWindow<A> {
         self.hops == HOPS
     }
 
-    /// Values that were NaN, up to the last complete hop since the last reset.
+    /// Number of NaN values since the last reset, up to the last complete hop.
     pub fn replaced(&self) -> u32 {
         self.replaced
     }
 
-    /// Whether the window holds values that were NaN and have been replaced.
+    /// Whether the window contains replaced NaN values.
     pub fn is_tainted(&self) -> bool {
         self.tainted > 0
     }
@@ -165,7 +169,7 @@ impl Axis {
         powers: SlidingPowers::ZERO,
     };
 
-    /// Takes a hop's samples, writes the features, and returns how many samples had to be replaced.
+    /// Processes the samples of a hop, writes the features, and returns the number of replaced samples.
     #[inline(never)]
     fn advance<const A: usize>(
         &mut self,
@@ -184,7 +188,7 @@ impl Axis {
         let half = HalfFrame::new(&samples);
         let block = Block::new(&half);
         let block_mean = block.first + block.offset;
-        // x² ≤ 2·(mean² + Σ(x − mean)²) for each x. False also if anything is NaN.
+        // Each x satisfies x² ≤ 2·(mean² + Σ(x − mean)²). The result is also false for NaN.
         let tame = block.m2 + block_mean * block_mean <= SAMPLE_LIMIT * SAMPLE_LIMIT / 2.0;
         if !tame && !hop.repaired {
             return self.repair_and_advance(hop, stage, features);
@@ -192,7 +196,7 @@ impl Axis {
         self.held = samples[HOP - 1];
 
         self.sum.push(hop.block, &samples);
-        // The first frame of all is half empty; it is the one that leaves when the window becomes full.
+        // The very first frame is half empty and leaves the sums when the window becomes full.
         let powers = powers(&self.last, &half).map(|power| power * const { 1.0 / (16 * FRAMES) as f32 });
         self.last = half;
         self.powers.push(hop.frame, powers, bins);
@@ -227,7 +231,7 @@ fn column<const A: usize>(stage: &[[f32; A]; HOP], axis: usize) -> [f32; HOP] {
     stage.each_ref().map(|sample| sample[axis])
 }
 
-/// Limits magnitudes and lets values that are NaN repeat the one before; returns how many these were.
+/// Limits magnitudes and replaces NaN by the previous value. Returns the number of NaN values.
 #[cold]
 #[inline(never)]
 fn repair<const A: usize>(stage: &mut [[f32; A]; HOP], axis: usize, mut held: f32) -> u32 {
@@ -243,13 +247,13 @@ fn repair<const A: usize>(stage: &mut [[f32; A]; HOP], axis: usize, mut held: f3
     replaced
 }
 
-/// Correctly rounded on every target, so the same bits.
+/// Correctly rounded on every target, so the bits are equal.
 #[inline(always)]
 pub(crate) fn square_root(x: f32) -> f32 {
     #[cfg(cortex_m4f)]
     {
         let root: u32;
-        // SAFETY: computes in a register that it restores, and needs an FPU, which this target has.
+        // SAFETY: the code uses and restores one register, and this target has an FPU.
         unsafe {
             core::arch::asm!(
                 "vmov s0, {0}",

@@ -1,18 +1,18 @@
-//! Powers of a 16-point FFT of real samples, made for a window that advances by half a frame.
+//! Computes the powers of a 16-point FFT of real samples, for a window that advances by half a frame.
 
 const C1: f32 = 0.923_879_5; // cos(π/8)
 const C3: f32 = 0.382_683_43; // cos(3π/8)
 const R: f32 = core::f32::consts::FRAC_1_SQRT_2; // cos(2π/8)
 
-/// Eight samples, as the first and the deviations of the other seven from it.
+/// Eight samples, stored as the first one and the deviations of the other seven from it.
 ///
-/// Deviations of a signal like gravity with a little tremor are exact, and small: sums and products of them
-/// lose nothing to the large constant part.
+/// For a signal such as gravity with a little tremor, the deviations are exact and small.
+/// Their sums and products therefore lose no precision to the large constant part.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HalfFrame {
     /// The first sample.
     pub first: f32,
-    /// Samples 1 to 7 less the first.
+    /// Samples 1 to 7 minus the first.
     pub deviations: [f32; 7],
 }
 
@@ -28,16 +28,17 @@ impl HalfFrame {
     }
 }
 
-/// |X\[k\]|² for k = 0 to 7, X\[k\] = Σ x\[n\]·exp(−2πi·n·k/16), of the frame made of two halves.
+/// Computes |X\[k\]|² for k = 0 to 7 of the frame that consists of two halves, X\[k\] = Σ x\[n\]·exp(−2πi·n·k/16).
 ///
-/// Constants common to a half touch few terms: their sum only X\[0\], their difference only the odd bins. So they
-/// are added where they belong and nowhere else.
+/// The constant part of each half affects few terms: the sum of both only X\[0\],
+/// and their difference only the odd bins.
+/// The constants are therefore added only there.
 #[inline(always)]
 pub fn powers(old: &HalfFrame, new: &HalfFrame) -> [f32; 8] {
     let ([o1, o2, o3, o4, o5, o6, o7], [n1, n2, n3, n4, n5, n6, n7]) = (old.deviations, new.deviations);
     let step = old.first - new.first;
 
-    // Even bins: an 8-point transform of old + new; element 0 is zero.
+    // Even bins: an 8-point transform of old + new, whose element 0 is zero.
     let (s1, t1) = sum_difference(o1 + n1, o5 + n5);
     let (s2, t2) = sum_difference(o2 + n2, o6 + n6);
     let (s3, t3) = sum_difference(o3 + n3, o7 + n7);
@@ -48,7 +49,7 @@ pub fn powers(old: &HalfFrame, new: &HalfFrame) -> [f32; 8] {
     let (x2_re, x2_im) = (u - a4, v + t2);
     let (x6_re, x6_im) = (u + a4, v - t2);
 
-    // Odd bins: old − new, folded by the symmetry of n and 8 − n; element 0 is the step alone.
+    // Odd bins: old − new, folded by the symmetry of n and 8 − n. Element 0 is the step alone.
     let (b1, b2, b3, b5, b6, b7) = (o1 - n1, o2 - n2, o3 - n3, o5 - n5, o6 - n6, o7 - n7);
     let b4 = (o4 - n4) + step;
     let steps = step + step;

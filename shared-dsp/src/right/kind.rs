@@ -1,26 +1,26 @@
-//! Which features a model reads, and how they become inputs of its network.
+//! The kinds of features that a model reads, and their conversion to inputs of its network.
 //!
-//! A blob names them by number (`recipe` in blob and wire), so a board can refuse one that it does not know. To add one: give
-//! it the next number here, say what it does in [`FeatureKind::transform`], and leave the others alone.
+//! A blob contains the kind as a number (`recipe` in blob and wire), so that a board can refuse an unknown kind.
+//! To add a kind, give it the next number here and define it in [`FeatureKind::transform`].
 
 use crate::right::network::FEATURES_PER_AXIS;
 
-/// Smallest value that recipe 2 tells from zero, in the square of the axis' unit.
+/// Smallest value that recipe 2 distinguishes from zero, in the square of the axis' unit.
 pub const LOG_FLOOR: f32 = 1e-6;
 
-/// What a model reads, and what happens to a feature before its affine scaling to int8.
+/// The features that a model reads, and their transformation before the affine scaling to int8.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FeatureKind {
-    /// 1: the paper's: features as they are.
+    /// 1: the paper's features, unchanged.
     Raw,
-    /// 2: RMS, variance and the eight powers as log10(value + [`LOG_FLOOR`]); the others as they are.
+    /// 2: RMS, variance and the eight powers as log10(value + [`LOG_FLOOR`]); other features unchanged.
     LogPower,
-    /// 3: the features of [`crate::right::aligned`] as they are.
+    /// 3: the features of [`crate::right::aligned`], unchanged.
     Aligned,
 }
 
 impl FeatureKind {
-    /// The kind with this number in a blob.
+    /// Returns the kind with this number in a blob.
     pub const fn from_id(id: u8) -> Option<Self> {
         match id {
             1 => Some(Self::Raw),
@@ -30,7 +30,7 @@ impl FeatureKind {
         }
     }
 
-    /// The number of this kind in a blob.
+    /// Returns the number of this kind in a blob.
     pub const fn id(self) -> u8 {
         match self {
             Self::Raw => 1,
@@ -39,7 +39,7 @@ impl FeatureKind {
         }
     }
 
-    /// Features of a window of samples with this many axes; 0 if it cannot use such samples.
+    /// Number of features for samples with this many axes; 0 if the kind does not support them.
     pub const fn feature_count(self, axes: usize) -> usize {
         match self {
             Self::Raw | Self::LogPower => FEATURES_PER_AXIS * axes,
@@ -47,7 +47,7 @@ impl FeatureKind {
         }
     }
 
-    /// Values of a sample, from the first on, that a model for this many axes reads: recipe 3 reads no magnetometer.
+    /// Number of leading values of a sample that a model for this many axes reads. Recipe 3 reads no magnetometer.
     pub const fn reads(self, axes: usize) -> usize {
         match self {
             Self::Aligned if axes > 6 => 6,
@@ -55,8 +55,9 @@ impl FeatureKind {
         }
     }
 
-    /// Whether a model for `model` axes can run on samples of `sample` axes: all that it reads is there, and what more there
-    /// is does not change its features (a window with a gyroscope makes other ones of recipe 3 than one without).
+    /// Whether a model for `model` axes can run on samples of `sample` axes.
+    /// All values that it reads must exist, and additional values must not change its features.
+    /// (In recipe 3, a window with a gyroscope has other features than one without.)
     pub const fn runs_on(self, model: usize, sample: usize) -> bool {
         match self {
             Self::Raw | Self::LogPower => model <= sample,
@@ -66,7 +67,7 @@ impl FeatureKind {
         }
     }
 
-    /// Network input of a feature; `index` counts all features of a window, 13 per axis for recipes 1 and 2.
+    /// Converts a feature to a network input. `index` counts all features of a window, 13 per axis for recipes 1 and 2.
     pub fn transform(self, index: usize, value: f32) -> f32 {
         match self {
             Self::Raw | Self::Aligned => value,
@@ -78,9 +79,9 @@ impl FeatureKind {
     }
 }
 
-/// Base-10 logarithm of a positive normal number, relative error below 1e-6 of max(|log|, 1).
+/// Base-10 logarithm of a positive normal number, with a relative error below 1e-6 of max(|log|, 1).
 ///
-/// Only additions, products and one quotient in a fixed order: the same bits on every target.
+/// The logarithm uses only additions, products and one quotient in a fixed order. The bits are equal on every target.
 fn log10(x: f32) -> f32 {
     // x = 2^exponent · mantissa with mantissa in [√½, √2).
     let bits = x.to_bits().wrapping_sub(0x3F35_04F3);
@@ -94,7 +95,7 @@ fn log10(x: f32) -> f32 {
     exponent as f32 * core::f32::consts::LOG10_2 + SCALE * (t * series)
 }
 
-/// Natural logarithm of a positive normal number, as [`log10`].
+/// Natural logarithm of a positive normal number, computed like [`log10`].
 pub(crate) fn ln(x: f32) -> f32 {
     core::f32::consts::LN_10 * log10(x)
 }

@@ -1,4 +1,4 @@
-//! The right hand: samples in, a result per hop out. The board and the laptop run this very code.
+//! The complete right hand: samples in, one result per hop out. The board and the laptop run the same code.
 
 pub mod aligned;
 pub mod decision;
@@ -22,17 +22,17 @@ use crate::right::network::{MAX_LABELS, Model};
 use crate::right::slow::SlowWindow;
 use core::fmt;
 
-/// Why a model cannot run on a hand.
+/// The reason why a model cannot run on a hand.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ModelMismatch {
-    /// The model wants more values per sample, or other ones.
+    /// The model needs other values per sample than the board has, or more of them.
     Axes {
-        /// What the model wants.
+        /// Axes of the model.
         model: usize,
-        /// What the hand has.
+        /// Axes of the hand.
         hand: usize,
     },
-    /// The model wants other windows or hops than [`WINDOW`] and [`HOP`].
+    /// The model needs other windows or hops than [`WINDOW`] and [`HOP`].
     Window {
         /// Samples per window of the model.
         window: u16,
@@ -62,23 +62,23 @@ impl core::error::Error for ModelMismatch {}
 pub struct RightOutput {
     /// Time of the newest sample of the window, as given to [`RightHand::push`].
     pub window_end_ms: u32,
-    /// Whether the window is full. If it is not (at start, after a gap), scores are those before the gap.
+    /// Whether the window is full. If not (at start or after a gap), the scores are from before the gap.
     pub full: bool,
-    /// Whether the window, or the slow one behind it, holds values that were NaN and were replaced.
+    /// Whether the window, or the slow window, contains replaced NaN values.
     pub replaced: bool,
-    /// Gestures performed since start, wrapping.
+    /// Number of gestures performed since start, wrapping.
     pub events: u8,
-    /// Whether this hop made an event.
+    /// Whether this hop caused an event.
     pub is_event: bool,
     /// Label of the last event; 255 before the first.
     pub label: u8,
     /// Confidence of the last event, 0 to 255.
     pub confidence: u8,
-    /// `window_end_ms` of the hop that decided the last event.
+    /// `window_end_ms` of the hop that triggered the last event.
     pub event_window_end_ms: u32,
-    /// Int8 scores, the first `label_count` of them: (score + 128) / 256 is the probability.
+    /// Int8 scores, of which the first `label_count` are valid: (score + 128) / 256 is the probability.
     pub scores: [i8; MAX_LABELS],
-    /// Labels of the model.
+    /// Number of labels of the model.
     pub label_count: u8,
 }
 
@@ -88,14 +88,14 @@ impl RightOutput {
         &self.scores[..usize::from(self.label_count).min(MAX_LABELS)]
     }
 
-    /// The scores as bytes, as they travel on the wire.
+    /// The scores as bytes for the wire.
     pub fn score_bytes(&self) -> [u8; MAX_LABELS] {
         self.scores.map(|score| score as u8)
     }
 }
 
-/// Everything that the right hand computes, for samples of `A` axes. The model may read fewer of them
-/// ([`FeatureKind::runs_on`]).
+/// All computations of the right hand for samples of `A` axes.
+/// The model may read fewer axes ([`FeatureKind::runs_on`]).
 #[derive(Clone, Debug)]
 pub struct RightHand<'m, const A: usize> {
     model: Model<'m>,
@@ -104,7 +104,7 @@ pub struct RightHand<'m, const A: usize> {
     in_hop: usize,
 }
 
-/// What comes before and after the network, by the model's recipe.
+/// The stages before and after the network, which depend on the model's recipe.
 #[derive(Clone, Debug)]
 #[expect(clippy::large_enum_variant, reason = "one per board, and no heap to put it on")]
 enum Pipeline<const A: usize> {
@@ -115,7 +115,7 @@ enum Pipeline<const A: usize> {
 }
 
 impl<const A: usize> Pipeline<A> {
-    /// Takes a sample; true when features are new.
+    /// Adds a sample. Returns true if there are new features.
     fn push(&mut self, sample: &[f32; A]) -> bool {
         match self {
             Self::PerAxis { window, .. } => window.push(sample),
@@ -128,10 +128,10 @@ impl<const A: usize> Pipeline<A> {
 
     /// Runs the network and the decision on the newest features.
     fn decide(&mut self, model: &Model<'_>, scores: &mut [i8]) -> Option<GestureEvent> {
-        // Lengths have been compared in `RightHand::new`, so this does not fail; if it did, scores would stay.
+        // `RightHand::new` has compared the lengths, so this cannot fail. If it did, the scores would remain unchanged.
         match self {
             Self::PerAxis { window, decision } => {
-                // If there are more axes than the model has, the first ones are used.
+                // If the hand has more axes than the model, the first ones are used.
                 let axes = model.info().axes.min(A);
                 let _ = model.classify(&window.features()[..axes], scores);
                 decision.step(scores)
@@ -178,13 +178,13 @@ impl<const A: usize> Pipeline<A> {
 }
 
 impl<'m, const A: usize> RightHand<'m, A> {
-    /// A hand that runs this model.
+    /// Creates a hand that runs this model.
     ///
-    /// `config` is for models of recipes 1 and 2. One of recipe 3 comes with a decision of its own
-    /// ([`crate::right::movement`]), with its usual values.
+    /// `config` applies to models of recipes 1 and 2.
+    /// Models of recipe 3 use their own decision ([`crate::right::movement`]) with its default values.
     ///
     /// # Errors
-    /// If the model is for other samples or windows.
+    /// The model is for other samples or windows.
     pub fn new(model: Model<'m>, config: DecisionConfig) -> Result<Self, ModelMismatch> {
         let info = model.info();
         if !info.recipe.runs_on(info.axes, A) {
@@ -223,8 +223,8 @@ impl<'m, const A: usize> RightHand<'m, A> {
         })
     }
 
-    /// Takes a sample of the model's rate (m/s², deg/s, µT) with its time; gives the state once per hop, also
-    /// while the window fills.
+    /// Adds a sample at the model's rate (m/s², deg/s, µT) with its time.
+    /// Returns the state once per hop, even before the window is full.
     pub fn push(&mut self, sample: &[f32; A], time_ms: u32) -> Option<&RightOutput> {
         let ready = self.pipeline.push(sample);
         self.in_hop += 1;
@@ -250,7 +250,7 @@ impl<'m, const A: usize> RightHand<'m, A> {
         Some(output)
     }
 
-    /// Samples are missing: the window and the decision start anew. Events and their counter stay.
+    /// Reports missing samples: window and decision start again, and events and their counter remain.
     pub fn gap(&mut self) {
         self.pipeline.reset();
         self.in_hop = 0;
@@ -258,17 +258,17 @@ impl<'m, const A: usize> RightHand<'m, A> {
         self.output.is_event = false;
     }
 
-    /// State at the last hop.
+    /// The state at the last hop.
     pub fn output(&self) -> &RightOutput {
         &self.output
     }
 
-    /// The model that runs.
+    /// The active model.
     pub fn model(&self) -> &Model<'m> {
         &self.model
     }
 
-    /// Values that were NaN, since start or the last gap.
+    /// Number of NaN values since start or the last gap.
     pub fn replaced(&self) -> u32 {
         self.pipeline.replaced()
     }

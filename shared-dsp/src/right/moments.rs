@@ -1,26 +1,27 @@
 //! Central moments of the last samples, without loss of precision and without drift.
 //!
-//! Sums of powers (Σx², Σx³, Σx⁴) fail in `f32` as soon as a signal rests on a constant such as gravity. Here each block of
-//! eight samples knows its mean, as a kept sample plus a small offset, and sums of powers of deviations from that mean.
-//! Longer pieces are sums of powers about the mean of *some of their own blocks*, which moves what lies between by the
-//! binomial formula. The reference belongs to the piece, so it lies few deviations from its mean, and what cancels in
-//! the end is bounded, whatever the signal did before.
+//! Sums of powers (Σx², Σx³, Σx⁴) lose their precision in `f32` if the signal has a constant part such as gravity.
+//! Here, each block of eight samples stores its mean (as one sample plus a small offset) and power sums of deviations
+//! from that mean.
+//! Longer pieces store power sums about a reference, which is the mean of *some of their own blocks*.
+//! The binomial formula converts sums from one reference to another.
+//! The reference is within few deviations of the piece's mean, so the final cancellation is limited for any signal.
 
 use crate::right::fft::HalfFrame;
 use crate::right::sliding::RingPlace;
 
 /// Samples per block.
 const BLOCK: f32 = 8.0;
-/// More than a third of a window, and less than a half, in blocks.
+/// A number of blocks between a third and a half of a window.
 const CENTRED: usize = 9;
 
-/// Summary of eight samples.
+/// The power sums of eight samples.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[repr(C)]
 pub struct Block {
     /// The first sample.
     pub first: f32,
-    /// Mean less `first`.
+    /// Mean minus `first`.
     pub offset: f32,
     /// Σ(x − mean)².
     pub m2: f32,
@@ -31,15 +32,15 @@ pub struct Block {
 }
 
 impl Block {
-    /// Of eight zeros.
+    /// The block of eight zeros.
     pub const ZERO: Self = Self { first: 0.0, offset: 0.0, m2: 0.0, m3: 0.0, m4: 0.0 };
 
-    /// Of eight samples.
+    /// Computes the block of eight samples.
     #[inline(always)]
     pub fn new(samples: &HalfFrame) -> Self {
         let [d1, d2, d3, d4, d5, d6, d7] = samples.deviations;
         let offset = (((d1 + d2) + (d3 + d4)) + ((d5 + d6) + d7)) * (1.0 / BLOCK);
-        // The first sample's deviation from itself is 0.
+        // The deviation of the first sample from itself is 0.
         let square = offset * offset;
         let (mut m2, mut m3, mut m4) = (square, -(square * offset), square * square);
         for d in [d1, d2, d3, d4, d5, d6, d7] {
@@ -53,7 +54,7 @@ impl Block {
     }
 }
 
-/// Sums over a piece, about a reference.
+/// Power sums over a piece, about a reference.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[repr(C)]
 struct Sums {
@@ -71,12 +72,12 @@ struct Sums {
 impl Sums {
     const ZERO: Self = Self::about(0.0);
 
-    /// Of nothing.
+    /// The sums of an empty piece.
     const fn about(reference: f32) -> Self {
         Self { reference, s1: 0.0, s2: 0.0, s3: 0.0, s4: 0.0 }
     }
 
-    /// The piece with one more block.
+    /// Adds one block to the piece.
     #[inline(always)]
     fn with(&self, block: &Block) -> Self {
         let t = (block.first - self.reference) + block.offset;
@@ -93,7 +94,7 @@ impl Sums {
         }
     }
 
-    /// The same piece, of `blocks` blocks, about another reference.
+    /// Converts a piece of `blocks` blocks to another reference.
     #[inline(always)]
     fn moved(&self, blocks: f32, reference: f32) -> Self {
         let t = self.reference - reference;
@@ -110,7 +111,7 @@ impl Sums {
         }
     }
 
-    /// When a piece has grown to [`CENTRED`] blocks, its mean becomes its reference: little cancels later.
+    /// When a piece has [`CENTRED`] blocks, its mean becomes its reference, so that later cancellation is small.
     #[inline(always)]
     fn centred(self, blocks: usize) -> Self {
         if blocks == CENTRED {
@@ -121,20 +122,20 @@ impl Sums {
     }
 }
 
-/// The last `N` blocks, as [`crate::right::sliding`] explains.
+/// The last `N` blocks in the structure of [`crate::right::sliding`].
 #[derive(Clone, Copy, Debug)]
 pub struct SlidingMoments<const N: usize> {
     blocks: [Block; N],
-    /// Each block of the front and all younger ones of the front.
+    /// For each block of the front, the sums of it and all younger blocks of the front.
     front: [Sums; N],
     back: Sums,
 }
 
 impl<const N: usize> SlidingMoments<N> {
-    /// Of no signal.
+    /// The window of a zero signal.
     pub const ZERO: Self = Self { blocks: [Block::ZERO; N], front: [Sums::ZERO; N], back: Sums::ZERO };
 
-    /// Takes a block; gives Σ(x − mean)², ³ and ⁴ over all samples of the last `N`.
+    /// Adds a block. Returns Σ(x − mean)², ³ and ⁴ over all samples of the last `N` blocks.
     #[inline(always)]
     pub fn push(&mut self, place: RingPlace<N>, block: Block) -> (f32, f32, f32) {
         if place.in_back() == 0 {
@@ -146,7 +147,7 @@ impl<const N: usize> SlidingMoments<N> {
         self.blocks[place.slot()] = block;
         let mut all = self.back;
         if in_back < N {
-            // About the reference of the larger part, which lies nearer to the mean.
+            // Uses the reference of the larger part, which is closer to the mean.
             let (front, back) = (&self.front[place.oldest()], &self.back);
             let (small, count, large) =
                 if in_back < N / 2 { (back, in_back, front) } else { (front, N - in_back, back) };
@@ -169,12 +170,12 @@ impl<const N: usize> SlidingMoments<N> {
         )
     }
 
-    /// Turns the blocks of the back into the front. `slot` holds the oldest, which is about to be dropped.
+    /// Turns the blocks of the back into the front. `slot` is the oldest one, which is about to be dropped.
     #[inline(never)]
     fn turn(&mut self, slot: usize) {
         let newest = slot.checked_sub(1).unwrap_or(N - 1);
         let Some(newest) = self.blocks.get(newest) else { return };
-        // The newest stays in the front to the end.
+        // The newest block remains in the front until the end.
         let mut sums = Sums::about(newest.first + newest.offset);
         let mut to_centre = CENTRED;
         for (start, mut end) in [(0, slot), (slot + 1, N)] {
@@ -197,7 +198,7 @@ impl<const N: usize> SlidingMoments<N> {
     }
 }
 
-/// Adds blocks from the last to the first, and writes what it has after each.
+/// Adds blocks from the last to the first, and writes the sums after each.
 #[cfg(not(cortex_m4f))]
 fn accumulate_down(sums: &mut Sums, blocks: &[Block], front: &mut [Sums]) {
     for (block, front) in blocks.iter().zip(front).rev() {
@@ -259,22 +260,23 @@ mod cortex_m4f {
         fn bimanual_moments(sums: *mut Sums, blocks_end: *const Block, front_end: *mut Sums, count: usize);
     }
 
-    /// As the portable one, in the same order, with everything in registers.
+    /// Like the portable version, in the same order, with all values in registers.
     pub(super) fn accumulate_down(sums: &mut Sums, blocks: &[Block], front: &mut [Sums]) {
         let count = blocks.len().min(front.len());
         if count > 0 {
             let (blocks, front) = (&blocks[..count], &mut front[..count]);
-            // SAFETY: reads `count` blocks of five floats and writes as many sums of five floats before the given ends.
+            // SAFETY: the routine reads `count` blocks of five floats and writes `count` sums
+            // of five floats before the given ends.
             unsafe { bimanual_moments(sums, blocks.as_ptr_range().end, front.as_mut_ptr_range().end, count) }
         }
     }
 }
 
-/// Sum of the last samples, to about 10⁻⁹ of the unit, without drift.
+/// Sum of the last samples with an error of about 10⁻⁹ of the unit, without drift.
 ///
-/// A mean can be small beside the signal (a gyroscope swings about 0), so `f32` sums are too coarse for it. Each
-/// sample is split without error into a multiple of 1/32 and a rest; the former add exactly, the latter are small.
-/// Both enter and leave integers.
+/// A mean can be much smaller than the signal (a gyroscope oscillates about 0), so `f32` sums are not precise enough.
+/// Each sample is split exactly into a multiple of 1/32 and a remainder.
+/// Sums of the multiples are exact, and the remainders are small. Integers store both.
 #[derive(Clone, Copy, Debug)]
 pub struct SlidingSum<const BLOCKS: usize> {
     coarse: [i32; BLOCKS],
@@ -283,14 +285,14 @@ pub struct SlidingSum<const BLOCKS: usize> {
     fine_sum: i32,
 }
 
-/// Largest magnitude of a sample.
+/// Maximum magnitude of a sample.
 pub const SAMPLE_LIMIT: f32 = 65_536.0;
 
 impl<const BLOCKS: usize> SlidingSum<BLOCKS> {
-    /// Of zeros.
+    /// The window of zeros.
     pub const ZERO: Self = Self { coarse: [0; BLOCKS], fine: [0; BLOCKS], coarse_sum: 0, fine_sum: 0 };
 
-    /// Replaces the oldest block by eight samples, each at most [`SAMPLE_LIMIT`] in magnitude.
+    /// Replaces the oldest block by eight samples with magnitudes of at most [`SAMPLE_LIMIT`].
     #[inline(always)]
     pub fn push(&mut self, place: RingPlace<BLOCKS>, samples: &[f32; 8]) {
         // Between 2¹⁸ and 2¹⁹ floats are multiples of 1/32.
@@ -319,5 +321,5 @@ impl<const BLOCKS: usize> SlidingSum<BLOCKS> {
     }
 }
 
-/// Rests are below 1/64, so that 200 of them stay below 2³¹ steps.
+/// The remainders are below 1/64, so 200 of them stay below 2³¹ steps.
 const FINE_STEPS: f32 = (1u32 << 29) as f32;

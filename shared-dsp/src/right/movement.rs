@@ -1,4 +1,4 @@
-//! From scores and movement, one set per hop, to one event per movement of the hand.
+//! Converts scores and movement of each hop to one event per movement of the hand.
 //!
 //! ```text
 //!          the hand moves            long enough, and it is over or 1.8 s old,
@@ -7,60 +7,61 @@
 //!     ▲                      │                                                      │
 //!     └──────────────────────┴───────────── some hops without movement ─────────────┘
 //! ```
-//! A gesture shows soon. A movement that has made no event for a while is something else, and makes one only if it
-//! becomes, surely and for two seconds, a gesture; so does one that goes on after its event, if it becomes a *different*
-//! gesture. The same gesture again needs rest in between. The labels `idle` and `other` never make an event.
+//! A gesture is normally recognised early. A movement without an event for a while is probably something else.
+//! It then causes an event only if it becomes a gesture with high confidence for two seconds.
+//! The same applies to a movement that continues after its event and becomes a *different* gesture.
+//! The same gesture can be repeated only after rest. The labels `idle` and `other` never cause an event.
 //!
-//! If there are scores of a slow window too ([`crate::right::slow`]), a long movement that they take for a gesture, for as long as
-//! it takes to be sure, makes its event as well: somebody's left-right may take longer than the usual window holds. Who
-//! moves so slowly also pauses for longer: then it takes twice the rest to begin anew. Whether it has become a different
-//! gesture is for the usual window to say.
+//! If there are scores of a slow window ([`crate::right::slow`]), they can also cause an event in a long movement.
+//! They must show a gesture for long enough, because a slow left-right may not fit in the normal window.
+//! People who move slowly also pause for longer, so twice the rest is then required.
+//! Only the normal window can detect a change to a different gesture.
 
 use crate::right::aligned::Movement;
 use crate::right::decision::GestureEvent;
 use crate::right::network::MAX_LABELS;
 use shared_words::is_rest;
 
-/// Maximum number of hops that scores are averaged over.
+/// Maximum number of hops for averaging scores.
 pub const MAX_AVERAGE_HOPS: usize = 8;
 
-/// When a movement counts as a gesture. A probability p is given as 256·p.
+/// Criteria for a movement to count as a gesture. A probability p is given as 256·p.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MovementConfig {
-    /// The hand moves when [`Movement::acceleration`] is above this, in m/s² …
+    /// The hand moves if [`Movement::acceleration`] is above this value in m/s² or `rotation` is exceeded.
     pub acceleration: f32,
-    /// … or [`Movement::rotation`] above this, in deg/s.
+    /// The hand moves if [`Movement::rotation`] is above this value in deg/s or `acceleration` is exceeded.
     pub rotation: f32,
-    /// A movement ends after this many hops in a row without movement.
+    /// A movement ends after this many consecutive hops without movement.
     pub rest_hops: u8,
-    /// Minimum hops from the start of a movement to its event.
+    /// Minimum number of hops from the start of a movement to its event.
     pub min_hops: u8,
-    /// Minimum hops in which the hand did move.
+    /// Minimum number of hops in which the hand moved.
     pub min_moving: u8,
-    /// From this many hops on the event does not wait for the movement's end.
+    /// After this many hops, an event no longer waits for the end of the movement.
     pub decide_hops: u8,
-    /// Hops whose scores are averaged, 1 to [`MAX_AVERAGE_HOPS`].
+    /// Number of hops whose scores are averaged, 1 to [`MAX_AVERAGE_HOPS`].
     pub average_hops: u8,
     /// Minimum mean probability.
     pub min_confidence: u8,
-    /// Maximum mean probability of all rest labels together: that it is a gesture is known earlier than which one.
+    /// Maximum mean probability of all rest labels together, since "a gesture" is certain earlier than which gesture.
     pub max_rest: u8,
-    /// A movement without an event after this many hops is a long one.
+    /// A movement is long if it has had no event after this many hops.
     pub late_hops: u8,
-    /// In a long movement, and after an event, a (different) gesture must be seen for this many hops in a row …
+    /// In a long movement or after an event, a (different) gesture must persist for this many consecutive hops.
     pub change_hops: u8,
-    /// … each with this mean probability.
+    /// Minimum mean probability in each of these `change_hops` hops.
     pub change_confidence: u8,
-    /// A movement without an event after this many hops may be a slow gesture, if the slow window shows one …
+    /// After this many hops without an event, a movement may be a slow gesture in the slow window.
     pub slow_after_hops: u8,
-    /// … for this many hops in a row, usual ones …
+    /// A slow gesture must persist for this many consecutive normal hops.
     pub slow_hops: u8,
-    /// … each with this mean probability over the last [`MAX_AVERAGE_HOPS`] hops of the slow window.
+    /// Minimum mean probability of a slow gesture over the last [`MAX_AVERAGE_HOPS`] hops of the slow window.
     pub slow_confidence: u8,
 }
 
 impl MovementConfig {
-    /// The usual values for samples of this many axes: without a gyroscope movement is harder to tell from tremor.
+    /// Default values for this number of axes. Without a gyroscope, movement is harder to distinguish from tremor.
     pub const fn for_axes(axes: usize) -> Self {
         let has_gyro = axes >= 6;
         Self {
@@ -71,7 +72,8 @@ impl MovementConfig {
             min_moving: if has_gyro { 8 } else { 22 },
             decide_hops: 22,
             average_hops: if has_gyro { 4 } else { 8 },
-            // What these cost in false events is in the README of `models`; `models events --max-rest` measures it again.
+            // The README of `models` lists the false events that these values cause;
+            // `models events --max-rest` measures them.
             min_confidence: 128,
             max_rest: if has_gyro { 64 } else { 26 },
             late_hops: if has_gyro { 30 } else { 60 },
@@ -84,18 +86,18 @@ impl MovementConfig {
     }
 }
 
-/// A movement under way.
+/// The current movement.
 #[derive(Clone, Copy, Debug, Default)]
 struct Run {
     hops: u8,
     moving: u8,
-    /// Label of its last event.
+    /// Label of the last event in this movement.
     fired: Option<u8>,
-    /// Whether one of its events was seen in the slow window.
+    /// Whether an event of this movement came from the slow window.
     slow: bool,
 }
 
-/// A gesture that is seen hop after hop.
+/// A gesture that persists over consecutive hops.
 #[derive(Clone, Copy, Debug, Default)]
 struct Streak {
     label: u8,
@@ -103,7 +105,7 @@ struct Streak {
 }
 
 impl Streak {
-    /// Takes what is seen now; returns for how many hops in a row.
+    /// Adds the gesture of one hop. Returns the number of consecutive hops with this gesture.
     fn see(&mut self, seen: Option<GestureEvent>) -> u8 {
         *self = match seen {
             Some(GestureEvent { label, .. }) if label == self.label => {
@@ -116,12 +118,12 @@ impl Streak {
     }
 }
 
-/// Probabilities of the last scores, a ring.
+/// A ring of the last probabilities.
 #[derive(Clone, Debug)]
 struct Average {
     rows: [[u8; MAX_LABELS]; MAX_AVERAGE_HOPS],
     next: u8,
-    /// How many there are, and how many there may be.
+    /// Number of valid rows, and their maximum number.
     known: u8,
     most: u8,
 }
@@ -146,26 +148,26 @@ impl Average {
         (self.next, self.known) = (0, 0);
     }
 
-    /// The label with the largest mean, and the mean; none without scores.
+    /// Returns the label with the highest mean and this mean, or `None` without scores.
     fn best(&self, labels: usize) -> Option<GestureEvent> {
         if self.known == 0 {
             return None;
         }
-        // Of equal ones the last is taken, hence backwards.
+        // Iterates backwards, because the last of equal sums is taken.
         let sums = (0..labels).rev().map(|label| (label as u8, self.sum(label)));
         let (label, sum) = sums.max_by_key(|(_, sum)| *sum)?;
         Some(GestureEvent { label, confidence: self.mean(sum) })
     }
 
-    /// Mean probability of some labels, bit i standing for label i, all together.
+    /// Mean probability of a set of labels (bit i = label i), added up.
     fn together(&self, labels: u16) -> u8 {
         let sums = (0..MAX_LABELS).filter(|label| labels & (1 << label) != 0).map(|label| self.sum(label));
         self.mean(sums.sum())
     }
 
-    /// A label's probabilities, added.
+    /// Sum of a label's probabilities.
     fn sum(&self, label: usize) -> u16 {
-        // Until the ring is full, its rows are the first ones.
+        // Until the ring is full, only its first rows are valid.
         self.rows[..usize::from(self.known)].iter().map(|row| u16::from(row[label])).sum()
     }
 
@@ -174,24 +176,24 @@ impl Average {
     }
 }
 
-/// Watches scores and movement of one hand.
+/// Detects gestures in the scores and movement of one hand.
 #[derive(Clone, Debug)]
 pub struct MovementDecision {
     config: MovementConfig,
-    /// Bit i: label i is rest.
+    /// Bit i is set if label i is rest.
     rest_labels: u16,
     scores: Average,
     slow_scores: Average,
     run: Option<Run>,
     quiet: u8,
-    /// A gesture late in a movement, or a different one after an event.
+    /// State of a gesture that begins late in a movement, or differs from the movement's event.
     change: Streak,
     /// A gesture in the slow window.
     slow: Streak,
 }
 
 impl MovementDecision {
-    /// For a model with these labels. A value of `average_hops` outside its range is limited.
+    /// Creates a decision for a model with these labels. An invalid `average_hops` is limited.
     pub fn new<'a>(labels: impl Iterator<Item = &'a str>, config: MovementConfig) -> Self {
         let rest = labels.take(MAX_LABELS).enumerate().filter(|(_, label)| is_rest(label));
         Self {
@@ -206,8 +208,8 @@ impl MovementDecision {
         }
     }
 
-    /// Takes the int8 scores of a hop, one per label: (score + 128) / 256 is the probability; and those of the slow
-    /// window where it has new ones. Of equal means the first label wins; no scores say nothing.
+    /// Adds the int8 scores of a hop, one per label, and those of the slow window if new.
+    /// A probability is (score + 128) / 256. Of equal means, the first label wins. Empty scores are ignored.
     pub fn step(&mut self, scores: &[i8], slow: Option<&[i8]>, movement: Movement) -> Option<GestureEvent> {
         let config = self.config;
         self.scores.push(scores);
@@ -271,8 +273,8 @@ impl MovementDecision {
         event
     }
 
-    /// Forgets the last hops, after a gap. A movement that had its event before the gap gets no second one: rest is
-    /// still needed.
+    /// Forgets the last hops after a gap.
+    /// If the movement had an event before the gap, rest is still required before the next one.
     pub fn reset(&mut self) {
         self.scores.clear();
         self.slow_scores.clear();
@@ -302,7 +304,7 @@ mod tests {
         scores
     }
 
-    /// Runs pieces of (hops, label, probability, movement); gives the hops that made an event, with its label.
+    /// Runs pieces of (hops, label, probability, movement). Returns the hops that caused an event, with its label.
     fn run(decision: &mut MovementDecision, pieces: &[(usize, usize, i16, Movement)]) -> Vec<(usize, u8)> {
         let hops = pieces
             .iter()
@@ -327,7 +329,7 @@ mod tests {
 
     #[test]
     fn what_looks_like_a_gesture_late_in_a_movement_must_be_sure_for_two_seconds() {
-        // With the 31st hop it is late; the mean passes 205 with the fourth hop of the gesture.
+        // From the 31st hop on, the movement is late; the mean exceeds 205 with the fourth hop of the gesture.
         let pieces = [(31, 2, 250, MOVING), (27, 1, 250, MOVING), (20, 2, 250, MOVING), (9, 1, 250, STILL)];
         assert_eq!(run(&mut decision(), &pieces[..2]), []);
         assert_eq!(
@@ -368,7 +370,7 @@ mod tests {
     #[test]
     fn a_movement_that_may_well_be_none_makes_no_event() {
         let config = MovementConfig { min_confidence: 110, max_rest: 70, ..MovementConfig::for_axes(9) };
-        // Probabilities of idle, circle, other and up-down of 256.
+        // Probabilities (of 256) of idle, circle, other and up-down.
         for (shares, event) in [
             ([0, 120, 66, 70], true),
             ([0, 140, 76, 40], false),
@@ -384,7 +386,7 @@ mod tests {
 
     #[test]
     fn a_different_gesture_without_rest_needs_two_sure_seconds() {
-        // Four hops until the mean passes 205.
+        // The mean exceeds 205 after four hops.
         let pieces = [(40, 1, 250, MOVING), (27, 3, 250, MOVING), (40, 1, 250, MOVING)];
         assert_eq!(run(&mut decision(), &pieces), [(21, 1)]);
         let pieces = [(40, 1, 250, MOVING), (60, 3, 250, MOVING)];
@@ -399,12 +401,13 @@ mod tests {
         assert_eq!(run(&mut decision(), &[gesture, pause(3), gesture]), [(21, 1), (49, 1)]);
     }
 
-    /// Runs pieces of (hops, probability of label 1 in the slow window, movement) in which the usual window says `other`.
+    /// Runs pieces of (hops, probability of label 1 in the slow window, movement),
+    /// while the normal window shows `other`.
     fn run_slow(decision: &mut MovementDecision, pieces: &[(usize, i16, Movement)]) -> Vec<(usize, u8)> {
         let hops = pieces.iter().flat_map(|&(count, p, movement)| (0..count).map(move |_| (p, movement)));
         let step = |(index, (p, movement)): (usize, _)| {
             let slow = scores(1, p);
-            // A slow hop is two usual ones.
+            // A slow hop takes two normal hops.
             let slow = (index % 2 == 1).then_some(slow.as_slice());
             decision.step(&scores(2, 250), slow, movement).map(|event| (index, event.label))
         };
@@ -416,7 +419,7 @@ mod tests {
         assert_eq!(run_slow(&mut decision(), &[(300, 150, MOVING)]), [(89, 1)], "50 hops and 40");
         assert_eq!(run_slow(&mut decision(), &[(300, 149, MOVING)]), []);
         assert_eq!(run_slow(&mut decision(), &[(86, 250, MOVING), (300, 250, STILL)]), []);
-        // In a mean over eight hops a single doubt does not count, and a long one does.
+        // In a mean over eight hops, a single uncertain hop has no effect, but a longer uncertainty does.
         let doubt = |hops| [(80, 250, MOVING), (hops, 0, MOVING), (40, 250, MOVING)];
         assert_eq!(run_slow(&mut decision(), &doubt(2)), [(89, 1)]);
         assert_eq!(run_slow(&mut decision(), &doubt(12)), []);
@@ -436,7 +439,7 @@ mod tests {
         let pause = |hops| (hops, 250, STILL);
         assert_eq!(run_slow(&mut decision(), &[gesture, pause(5), gesture]), [(89, 1)]);
         assert_eq!(run_slow(&mut decision(), &[gesture, pause(6), gesture]), [(89, 1), (195, 1)]);
-        // Also if the event comes with the movement's end.
+        // This is also true if the event occurs at the end of the movement.
         let gesture = (87, 250, MOVING);
         assert_eq!(run_slow(&mut decision(), &[gesture, pause(5), (100, 250, MOVING)]), [(89, 1)]);
     }

@@ -1,14 +1,15 @@
 //! Sums of the last frames' powers, without drift.
 //!
-//! Eight sums at a time fill half of the Cortex-M4F's floating-point registers, and moving them as blocks takes a third of
-//! the instructions that a compiler needs. So the two loops have an assembly twin, which adds in the same order.
+//! Eight sums at a time fill half of the Cortex-M4F's floating-point registers.
+//! Moving them as blocks takes a third of the instructions that a compiler generates.
+//! Both loops therefore also exist in assembly, which adds in the same order.
 
 use crate::right::sliding::RingPlace;
 
-/// Powers of bins 0 to 7, or a sum of such.
+/// Powers of bins 0 to 7, or a sum of such powers.
 pub type Bins = [f32; 8];
 
-/// The last `N` frames, as [`crate::right::sliding`] explains.
+/// The last `N` frames in the structure of [`crate::right::sliding`].
 #[derive(Clone, Copy, Debug)]
 pub struct SlidingPowers<const N: usize> {
     slots: [Bins; N],
@@ -16,10 +17,10 @@ pub struct SlidingPowers<const N: usize> {
 }
 
 impl<const N: usize> SlidingPowers<N> {
-    /// Of no signal.
+    /// The window of a zero signal.
     pub const ZERO: Self = Self { slots: [[0.0; 8]; N], back: [0.0; 8] };
 
-    /// Takes a frame and writes the sums over the last `N`.
+    /// Adds a frame and writes the sums over the last `N` frames.
     #[inline(always)]
     pub fn push(&mut self, place: RingPlace<N>, frame: Bins, sums: &mut Bins) {
         if place.in_back() == 0 {
@@ -57,7 +58,7 @@ fn add_to(sum: &mut Bins, frame: &Bins) {
     }
 }
 
-/// Replaces each piece, from the last to the first, by the sum of it and all behind it, `sum` included.
+/// Replaces each piece, from last to first, by the sum of itself, all later pieces and `sum`.
 #[cfg(not(cortex_m4f))]
 fn accumulate_down(sum: &mut Bins, pieces: &mut [Bins]) {
     for piece in pieces.iter_mut().rev() {
@@ -129,19 +130,20 @@ mod cortex_m4f {
 
     #[inline(always)]
     pub(super) fn add(out: &mut Bins, a: &Bins, b: &Bins) {
-        // SAFETY: reads eight floats at `a` and `b`, writes eight at `out`, keeps to the procedure call standard.
+        // SAFETY: the routine reads eight floats at `a` and `b`, writes eight at `out`,
+        // and follows the procedure call standard.
         unsafe { bimanual_add8(out, a, b) }
     }
 
     #[inline(always)]
     pub(super) fn add_to(sum: &mut Bins, frame: &Bins) {
-        // SAFETY: as above; the routine reads all before it writes.
+        // SAFETY: as above; the routine reads everything before it writes.
         unsafe { bimanual_add8(sum, sum, frame) }
     }
 
     pub(super) fn accumulate_down(sum: &mut Bins, pieces: &mut [Bins]) {
         if !pieces.is_empty() {
-            // SAFETY: reads and writes `pieces.len()` blocks of eight floats before the end of `pieces`.
+            // SAFETY: the routine reads and writes `pieces.len()` blocks of eight floats before the end of `pieces`.
             unsafe { bimanual_accumulate8(sum, pieces.as_mut_ptr_range().end, pieces.len()) }
         }
     }
@@ -158,7 +160,7 @@ mod tests {
             let mut window = SlidingPowers::<5>::ZERO;
             let mut all: Vec<f32> = Vec::new();
             for step in 0..24 {
-                // Each frame is a bit of its own, so a sum shows which frames are in it.
+                // Each frame has its own bit, so a sum shows which frames it contains.
                 let value = (1u32 << step) as f32;
                 all.push(value);
                 let mut sums = [0.0; 8];

@@ -1,13 +1,16 @@
-//! A window of four seconds, for gestures that take longer than the usual one holds.
+//! A window of four seconds, for gestures that do not fit in the normal window.
 //!
-//! Two samples after each other are averaged and given to a second [`AlignedWindow`]: it sees the hand as if it moved at
-//! twice its tempo, and the same network judges it, which has learnt what gestures look like at tempos around the usual one.
-//! A left-right of 0.45 Hz, which an accelerometer alone can hardly tell from swaying within two seconds, is then one
-//! of 0.9 Hz. (Accelerations stay what they are; of a true one at twice the tempo they would be four times as large. The
-//! features are mostly shares.)
+//! Pairs of consecutive samples are averaged and passed to a second [`AlignedWindow`].
+//! There, the hand seems to move at twice its tempo, and the same network classifies it.
+//! The network has learned gestures at various tempos around the normal one.
+//! For example, a left-right of 0.45 Hz is hard to distinguish from swaying with two seconds of accelerometer data.
+//! In the slow window, it appears as 0.9 Hz.
+//! (Accelerations do not change, although a real gesture at twice the tempo has four times the acceleration.
+//! Most features are ratios, so this hardly matters.)
 //!
-//! Only for models without a gyroscope, whose features cost half: on the recordings of real people, those with a
-//! gyroscope gain nothing by it. With 6 or 9 axes nothing is computed.
+//! This is only for models without a gyroscope, whose features take half the time.
+//! With a gyroscope, it does not improve the results on recordings of real people.
+//! With 6 or 9 axes, nothing is computed.
 
 use crate::right::aligned::AlignedWindow;
 
@@ -15,7 +18,7 @@ use crate::right::aligned::AlignedWindow;
 #[derive(Clone, Debug)]
 pub struct SlowWindow<const A: usize> {
     window: AlignedWindow<A>,
-    /// The sample that waits for the next one.
+    /// The first sample of a pair, waiting for the second.
     first: Option<[f32; A]>,
     is_new: bool,
 }
@@ -29,7 +32,7 @@ impl<const A: usize> SlowWindow<A> {
         Self { window: AlignedWindow::new(), first: None, is_new: false }
     }
 
-    /// Takes a sample. A value that is NaN makes NaN of its pair, which then repeats the last good one.
+    /// Adds a sample. If either sample of a pair is NaN, the last valid pair is used.
     #[inline]
     pub fn push(&mut self, sample: &[f32; A]) {
         if !Self::RUNS {
@@ -40,7 +43,7 @@ impl<const A: usize> SlowWindow<A> {
             self.is_new = false;
             return;
         };
-        // Halved first: the sum of two large values may be infinite.
+        // Both values are halved first, because the sum of two large values may be infinite.
         self.is_new = self.window.push(&core::array::from_fn(|axis| 0.5 * first[axis] + 0.5 * sample[axis]));
     }
 
@@ -49,7 +52,7 @@ impl<const A: usize> SlowWindow<A> {
         (Self::RUNS && self.is_new).then(|| self.window.features())
     }
 
-    /// Whether the window holds values that were NaN and have been replaced.
+    /// Whether the window contains replaced NaN values.
     pub fn is_tainted(&self) -> bool {
         self.window.is_tainted()
     }
@@ -71,13 +74,13 @@ mod tests {
     use super::*;
     use std::vec::Vec;
 
-    /// A sway of this many Hz, on a board that lies flat.
+    /// Generates a sway with this many Hz on a board that lies flat.
     fn sway(hz: f32, samples: usize) -> Vec<[f32; 3]> {
         let angle = |n: usize| core::f32::consts::TAU * hz * n as f32 / 100.0;
         (0..samples).map(|n| [3.0 * angle(n).sin(), angle(2 * n).cos(), 9.8]).collect()
     }
 
-    /// Samples from which on there are features, and the last ones.
+    /// Returns the samples at which features were available, and the last features.
     fn play(samples: &[[f32; 3]]) -> (Vec<usize>, Vec<f32>) {
         let mut slow = SlowWindow::<3>::new();
         let mut last = Vec::new();
@@ -99,7 +102,7 @@ mod tests {
 
     #[test]
     fn a_movement_looks_as_it_does_to_the_usual_window_at_twice_its_tempo() {
-        // 0.5 Hz: four seconds are two periods, as two seconds are of 1 Hz.
+        // At 0.5 Hz, four seconds contain two periods, as do two seconds at 1 Hz.
         let (_, slow) = play(&sway(0.5, 400));
         let mut usual = AlignedWindow::<3>::new();
         sway(1.0, 200).iter().for_each(|sample| {
@@ -108,7 +111,7 @@ mod tests {
         for (index, (a, b)) in slow.iter().zip(usual.features()).enumerate() {
             assert!((a - b).abs() < 0.05, "feature {index}: {a} and {b}");
         }
-        // … and not as at its own.
+        // The features differ from those of the normal window.
         sway(0.5, 200).iter().for_each(|sample| {
             usual.push(sample);
         });

@@ -1,16 +1,17 @@
-//! TFLite's int8 softmax, bit for bit, with the exponentials read from a table.
+//! TFLite's int8 softmax, bit for bit, with exponentials from a table.
 //!
-//! TFLite (gemmlowp) computes `exp` of each difference to the largest logit in 32-bit fixed point. There
-//! are only 256 possible differences, so the blob carries their exponentials and the board looks them up.
-//! What remains is one reciprocal (three Newton steps) and one product per label.
+//! TFLite (gemmlowp) computes `exp` of the difference of each logit to the largest one in 32-bit fixed point.
+//! There are only 256 possible differences, so the blob contains their exponentials.
+//! The board then needs only one reciprocal (three Newton steps) and one product per label.
 
 use crate::right::network::MAX_LABELS;
 
-/// Output scale is 1/256 and output zero point −128, as TFLite fixes them for int8.
+/// The output scale is 1/256 and the output zero point is −128, as TFLite requires for int8.
 const ACCUMULATOR_INTEGER_BITS: u32 = 12;
 
-/// Product of two Q0.31 numbers, rounded to nearest, ties up: gemmlowp's `SaturatingRoundingDoublingHighMul` without the
-/// one case that saturates, −1 · −1, which does not arise here.
+/// Product of two Q0.31 numbers, rounded to nearest, ties up.
+/// This is gemmlowp's `SaturatingRoundingDoublingHighMul` without its only saturating case, −1 · −1,
+/// which does not occur here.
 #[inline(always)]
 pub(crate) fn multiply_q31(a: i32, b: i32) -> i32 {
     ((i64::from(a) * i64::from(b) + (1 << 30)) >> 31) as i32
@@ -24,7 +25,7 @@ pub(crate) fn divide_by_power_of_two(x: i32, exponent: u32) -> i32 {
     (x >> exponent) + i32::from((x & mask) > threshold)
 }
 
-/// 1 / (1 + a) for a in [0, 1) as Q0.31, as gemmlowp does it.
+/// Computes 1 / (1 + a) for a in [0, 1) as Q0.31, like gemmlowp.
 fn reciprocal_of_one_plus(a: i32) -> i32 {
     const FORTY_EIGHT_SEVENTEENTHS: i32 = 1_515_870_810; // Q2.29
     const MINUS_THIRTY_TWO_SEVENTEENTHS: i32 = -1_010_580_540; // Q2.29
@@ -38,10 +39,11 @@ fn reciprocal_of_one_plus(a: i32) -> i32 {
     x.saturating_mul(2)
 }
 
-/// Softmax of `logits` into `scores`: (score + 128) / 256 is the probability.
+/// Computes the softmax of `logits` into `scores`: (score + 128) / 256 is the probability.
 ///
-/// `table[d]` is exp(−d · scale) in Q0.31, little-endian, for differences d = 0, 1, …; beyond its end the
-/// exponentials are too small to reach any output. Both slices must have the same length, at most 16.
+/// `table[d]` is exp(−d · scale) in Q0.31, little-endian, for differences d = 0, 1, …
+/// Beyond the end of the table, the exponentials are too small to affect any output.
+/// Both slices must have the same length, at most 16.
 #[inline(never)]
 pub(crate) fn softmax(table: &[[u8; 4]], logits: &[i8], scores: &mut [i8]) {
     let largest = logits.iter().copied().max().unwrap_or(0);
@@ -49,10 +51,10 @@ pub(crate) fn softmax(table: &[[u8; 4]], logits: &[i8], scores: &mut [i8]) {
     let mut sum = 0;
     for (value, &logit) in exponentials.iter_mut().zip(logits) {
         *value = exponential(table, i32::from(largest) - i32::from(logit));
-        // Rounded, as a number with 12 integer bits; at most 2¹⁹.
+        // The value is rounded to a number with 12 integer bits, at most 2¹⁹.
         sum += (*value as u32 + (1 << 11)) >> ACCUMULATOR_INTEGER_BITS;
     }
-    // At least 2¹⁹, for the largest, and below 2²⁴.
+    // The sum is at least 2¹⁹ (from the largest logit) and below 2²⁴.
     let headroom = sum.leading_zeros();
     let scale = reciprocal_of_one_plus((sum << (headroom & 31)).wrapping_sub(1 << 31) as i32);
     let shift = (ACCUMULATOR_INTEGER_BITS + 31 - 8).wrapping_sub(headroom) & 31;
@@ -63,19 +65,19 @@ pub(crate) fn softmax(table: &[[u8; 4]], logits: &[i8], scores: &mut [i8]) {
     }
 }
 
-/// exp(−difference · scale). A call, so that the loop above stays small.
+/// Returns exp(−difference · scale). It is not inlined, so that the loop above stays small.
 #[inline(never)]
 fn exponential(table: &[[u8; 4]], difference: i32) -> i32 {
     table.get(difference as usize).map_or(0, |value| i32::from_le_bytes(*value))
 }
 
-/// As [`multiply_q31`]; a call, so that loops stay small.
+/// Like [`multiply_q31`], but not inlined, so that loops stay small.
 #[inline(never)]
 fn multiply(a: i32, b: i32) -> i32 {
     multiply_q31(a, b)
 }
 
-/// The exponentials for [`softmax`], made on the host.
+/// The exponentials for [`softmax`], computed on the host.
 #[cfg(feature = "build")]
 pub(crate) mod table {
     use super::{divide_by_power_of_two, multiply_q31};
@@ -109,8 +111,8 @@ pub(crate) mod table {
         result
     }
 
-    /// Exponentials of 0, −1, −2, … steps, as far as they can reach an output. `multiplier` (Q0.31) and
-    /// `left_shift` scale a step of the logits to Q5.26.
+    /// Exponentials of 0, −1, −2, … steps, up to the last one that can affect an output.
+    /// `multiplier` (Q0.31) and `left_shift` scale a step of the logits to Q5.26.
     pub(crate) fn exponentials(multiplier: i32, left_shift: u32) -> Vec<i32> {
         let limit = (31i64 << 26) >> left_shift;
         (0..256i64)
@@ -118,7 +120,7 @@ pub(crate) mod table {
             .map(|difference| {
                 exp_on_negative_values(multiply_q31((-difference << left_shift) as i32, multiplier))
             })
-            // Below this it adds nothing to the sum and rounds to zero in the output.
+            // Smaller values add nothing to the sum and round to zero in the output.
             .take_while(|&value| value >= 1 << 11)
             .collect()
     }
@@ -128,7 +130,7 @@ pub(crate) mod table {
 mod tests {
     use super::*;
 
-    /// As gemmlowp writes it.
+    /// The same operations as in gemmlowp.
     fn rounding_doubling_high_mul(a: i32, b: i32) -> i32 {
         let product = i64::from(a) * i64::from(b);
         let nudge = if product >= 0 { 1 << 30 } else { 1 - (1 << 30) };

@@ -19,7 +19,7 @@ pub fn rows<T: std::str::FromStr>(name: &str) -> Vec<Vec<T>> {
     text.lines().map(|line| line.split(',').map(cell).collect()).collect()
 }
 
-/// The network of `mlp_int8_params.json`, with arbitrary scalings.
+/// The network of `mlp_int8_params.json` with arbitrary scalings.
 pub fn reference_spec() -> BlobSpec {
     let text = std::fs::read_to_string(data("mlp_int8_params.json")).unwrap();
     let json: Value = serde_json::from_str(&text).unwrap();
@@ -56,7 +56,7 @@ pub fn reference_spec() -> BlobSpec {
     }
 }
 
-/// The same network with a scale for each row, and an upper limit such as a ReLU6 sets.
+/// The same network with a scale for each row and an upper limit, such as a ReLU6 has.
 pub fn per_row_spec() -> BlobSpec {
     let mut spec = reference_spec();
     for layer in &mut spec.layers {

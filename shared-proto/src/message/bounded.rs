@@ -1,22 +1,22 @@
-//! Texts and bytes whose largest length is part of their type, so that the largest message is known to the compiler.
+//! Texts and bytes whose maximum length is part of their type, so that the compiler knows the largest message.
 
 use core::fmt;
 use core::ops::Deref;
 use postcard::experimental::max_size::MaxSize;
 use serde::{Deserialize, Serialize};
 
-/// Bytes on the wire of a length and this many bytes after it; all our lengths are below 2^14.
+/// Size on the wire of a length and this many bytes. All our lengths are below 2^14.
 const fn with_length(max: usize) -> usize {
     assert!(max < 1 << 14);
     if max < 128 { 1 + max } else { 2 + max }
 }
 
-/// A text of at most `MAX` bytes of UTF-8. A longer one may not fit its frame, which encoding reports.
+/// A text of at most `MAX` bytes of UTF-8. Encoding a longer text may fail.
 #[derive(Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Text<'a, const MAX: usize>(pub &'a str);
 
-/// At most `MAX` bytes. More may not fit their frame, which encoding reports.
+/// At most `MAX` bytes. Encoding more may fail.
 #[derive(Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Bytes<'a, const MAX: usize>(pub &'a [u8]);

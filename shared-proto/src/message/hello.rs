@@ -1,4 +1,4 @@
-//! Who a board is, and what it is made of.
+//! The identity and hardware of a board.
 
 use super::{FIRMWARE_MAX, Text};
 use core::fmt;
@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use shared_words::Hand;
 
 open_list! {
-    /// Which hand a board is on, and which board it is.
+    /// The kind of board, which also determines its hand.
     Board {
         /// Arduino Nano (ATmega328P): tilt and bends.
         LeftNano = 0,
@@ -15,9 +15,9 @@ open_list! {
         RightNano33 = 1,
         /// Arduino Nano 33 BLE Sense Rev2 (BMI270 + BMM150): gestures.
         RightNano33Rev2 = 2,
-        /// A recording played by the laptop as the left hand.
+        /// A recording that the laptop plays as the left hand.
         LeftReplay = 3,
-        /// A recording played by the laptop as the right hand.
+        /// A recording that the laptop plays as the right hand.
         RightReplay = 4,
         /// Seeed XIAO nRF52840 Sense (LSM6DS3TR-C): gestures.
         RightXiao = 5,
@@ -25,7 +25,7 @@ open_list! {
 }
 
 impl Board {
-    /// Which hand it is for, if it is known.
+    /// Returns the board's hand, if it is known.
     pub const fn hand(self) -> Option<Hand> {
         match self {
             Self::LeftNano | Self::LeftReplay => Some(Hand::Left),
@@ -36,7 +36,7 @@ impl Board {
         }
     }
 
-    /// The folder of its firmware, below this project's root.
+    /// Returns the folder of the board's firmware below the project's root.
     pub const fn folder(self) -> Option<&'static str> {
         match self {
             Self::LeftNano => Some("firmware-nano-avr/"),
@@ -60,19 +60,20 @@ impl fmt::Display for Board {
     }
 }
 
-/// Who a board is. The layout of this message never changes.
+/// The identity of a board. The layout of this message never changes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, MaxSize)]
 pub struct Hello<'a> {
     /// [`PROTOCOL_MAJOR`](super::PROTOCOL_MAJOR) of the sender.
     pub major: u8,
     /// [`PROTOCOL_MINOR`](super::PROTOCOL_MINOR) of the sender.
     pub minor: u8,
-    /// The sender.
+    /// The kind of board.
     pub board: Board,
     /// Version of the firmware, such as `0.1.0`.
     #[serde(borrow)]
     pub firmware: Text<'a, FIRMWARE_MAX>,
-    /// Different after each start. A new one re-bases counters and clock and needs neutral again.
+    /// A number that differs after each start.
+    /// A new one resets counters and clock, and the hands must be neutral again.
     pub boot_id: u32,
     /// CRC-32 of the running model's blob; 0 if there is none.
     pub model_id: u32,
@@ -83,11 +84,11 @@ pub struct Hello<'a> {
 open_list! {
     /// Motion sensors of right hands.
     Sensor {
-        /// None has been found yet.
+        /// No sensor has been detected.
         None = 0,
         /// Nano 33 BLE Sense: nine axes.
         Lsm9ds1 = 1,
-        /// Nano 33 BLE Sense Rev2: six axes that may be used.
+        /// Nano 33 BLE Sense Rev2: six usable axes.
         Bmi270 = 2,
         /// XIAO nRF52840 Sense: six axes.
         Lsm6ds3 = 3,
@@ -95,13 +96,13 @@ open_list! {
 }
 
 open_list! {
-    /// What a right hand's image runs behind.
+    /// The boot environment of a right hand's image.
     Image {
         /// The stock Arduino bootloader, without Bluetooth.
         Bootloader = 0,
         /// Nordic's S140, flashed with a probe.
         S140 = 1,
-        /// S140 and a UF2 bootloader, as the XIAO is sold.
+        /// S140 and a UF2 bootloader, which the XIAO is sold with.
         Uf2 = 2,
         /// The board's own bootloader, with Bluetooth in the image.
         Linked = 3,
@@ -109,31 +110,31 @@ open_list! {
 }
 
 open_list! {
-    /// Why a board started.
+    /// The reason why a board started.
     ResetCause {
-        /// Power.
+        /// The power was switched on.
         PowerUp = 0,
-        /// The reset button.
+        /// The reset button was pressed.
         Pin = 1,
-        /// The watchdog.
+        /// The watchdog expired.
         Watchdog = 2,
-        /// The program itself, or a bootloader.
+        /// The program or a bootloader restarted the board.
         Software = 3,
-        /// Something else, such as a debugger.
+        /// Another cause, such as a debugger.
         Other = 4,
     }
 }
 
-/// What a right hand's board is made of.
+/// The hardware of a right hand's board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, MaxSize)]
 pub struct About {
-    /// The sensor that was found.
+    /// The detected sensor.
     pub sensor: Sensor,
-    /// Values per sample that mean something: 9, 6, or 0 while no sensor is found. A model that reads more cannot run.
+    /// Number of valid values per sample: 9, 6, or 0 without a sensor. A model that reads more cannot run.
     pub axes: u8,
     /// The variant of the firmware.
     pub image: Image,
-    /// Why the board started.
+    /// The reason why the board started.
     pub reset: ResetCause,
     /// Battery in millivolts; 0 = unknown.
     pub battery_mv: u16,

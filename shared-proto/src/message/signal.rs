@@ -4,13 +4,13 @@ use postcard::experimental::max_size::MaxSize;
 use serde::{Deserialize, Serialize};
 
 open_list! {
-    /// What the wearer of a right hand shall feel.
+    /// Signals for the wearer of a right hand.
     Signal {
-        /// Nothing yet; from now on the board itself signals [`Signal::LinkLost`] if the laptop falls silent.
+        /// Plays nothing. Afterwards, the board plays [`Signal::LinkLost`] by itself if the laptop is silent.
         Ready = 0,
-        /// A gesture counts.
+        /// A gesture was accepted.
         Accepted = 1,
-        /// A gesture does nothing.
+        /// A gesture had no effect.
         Refused = 2,
         /// The robot was stopped.
         Stopped = 3,

@@ -1,22 +1,22 @@
-//! Macros that turn a table of messages into enums, numbers and sizes.
+//! Macros that convert a table of messages to enums, numbers and sizes.
 
 use crate::frame::frame_len;
 use postcard::experimental::max_size::MaxSize;
 use serde::Serialize;
 
-/// Which boards send a message, or take it.
+/// The boards that send or receive a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Boards {
-    /// The left one alone.
+    /// Only the left board.
     Left,
-    /// The right one alone.
+    /// Only the right board.
     Right,
-    /// Both.
+    /// Both boards.
     Both,
 }
 
 impl Boards {
-    /// As `WIRE.md` names them.
+    /// Returns the name used in `WIRE.md`.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Left => "left",
@@ -33,15 +33,15 @@ pub struct Row {
     pub number: u8,
     /// Its name.
     pub name: &'static str,
-    /// Who sends it or takes it.
+    /// The boards that send or receive the message.
     pub boards: Boards,
-    /// The minor version of the wire that added it.
+    /// The minor version of the wire protocol that added the message.
     pub since: u8,
     /// Its largest frame, in bytes.
     pub frame_max: usize,
 }
 
-/// The largest frame of a table, in bytes; only of what the left board sends or takes, or of all.
+/// Returns the largest frame of a table in bytes, for all boards or only for the left board.
 pub(crate) const fn largest(rows: &[Row], left_only: bool) -> usize {
     let (mut most, mut i) = (0, 0);
     while i < rows.len() {
@@ -54,11 +54,11 @@ pub(crate) const fn largest(rows: &[Row], left_only: bool) -> usize {
     most
 }
 
-/// Rows stand in the order of their numbers, and none is newer than the version.
+/// Returns whether the rows are in the order of their numbers and none is newer than the version.
 pub(crate) const fn is_sound(rows: &[Row], minor: u8) -> bool {
     let mut i = 0;
     while i < rows.len() {
-        // A number is one byte on the wire, as long as there are fewer than 128.
+        // A number is one byte on the wire, because there are fewer than 128.
         if rows[i].number as usize != i || i >= 128 || rows[i].since > minor {
             return false;
         }
@@ -67,7 +67,7 @@ pub(crate) const fn is_sound(rows: &[Row], minor: u8) -> bool {
     true
 }
 
-/// What a [`BoardMessage`](super::BoardMessage) contains.
+/// The body of a [`BoardMessage`](super::BoardMessage).
 pub trait BoardBody: Serialize + MaxSize {
     /// The message's number on the wire.
     const NUMBER: u8;
@@ -75,8 +75,8 @@ pub trait BoardBody: Serialize + MaxSize {
     const FRAME_MAX: usize = frame_len(1 + Self::POSTCARD_MAX_SIZE);
 }
 
-/// A list that may grow in a minor version: one byte on the wire, and an older reader keeps a value
-/// it does not know as `Unknown` instead of losing the whole message.
+/// A list that minor versions may extend. A value takes one byte on the wire.
+/// An older reader reads an unknown value as `Unknown` instead of rejecting the message.
 macro_rules! open_list {
     ($(#[$doc:meta])* $name:ident { $($(#[$value_doc:meta])* $value:ident = $byte:literal,)* }) => {
         $(#[$doc])*
@@ -112,7 +112,7 @@ macro_rules! open_list {
     };
 }
 
-/// The enum of a table and its rows.
+/// Generates the enum of a table and its rows.
 macro_rules! messages {
     ($(#[$doc:meta])* $message:ident<$a:lifetime> { $(
         $(#[$meta:meta])* $number:literal $name:ident
@@ -128,7 +128,7 @@ macro_rules! messages {
         )* }
 
         impl<$a> $message<$a> {
-            /// The table, by number.
+            /// All rows in the order of their numbers.
             pub const ROWS: &'static [Row] = &[$(Row {
                 number: $number,
                 name: stringify!($name),
@@ -139,7 +139,7 @@ macro_rules! messages {
                 ),
             },)*];
 
-            /// The row of this message.
+            /// Returns the row of this message.
             pub const fn row(&self) -> &'static Row {
                 match self {
                     $(Self::$name { .. } => &Self::ROWS[$number],)*
@@ -151,7 +151,7 @@ macro_rules! messages {
     };
 }
 
-/// What boards send: each message is a body with a type of its own.
+/// Messages from boards. Each has a body with its own type.
 macro_rules! board_messages {
     ($(#[$doc:meta])* $message:ident<$a:lifetime> { $(
         $(#[$meta:meta])* $number:literal $name:ident($body:ty) => $boards:ident, $since:literal;
@@ -166,7 +166,7 @@ macro_rules! board_messages {
     };
 }
 
-/// What boards take. The left one has no room for the code that reads all of it: its part is an enum of its own.
+/// Messages to boards. The left board has no room for the code of all messages, so its messages form a separate enum.
 macro_rules! host_messages {
     ($($table:tt)*) => {
         messages! { $($table)* }
@@ -174,7 +174,7 @@ macro_rules! host_messages {
     };
 }
 
-/// Keeps all rows but those of `Right`, one after the other, and makes the enum of what is kept.
+/// Removes all rows of `Right` and generates the enum of the remaining rows.
 macro_rules! left_requests {
     ($(#[$doc:meta])* $message:ident<$a:lifetime> { $($rows:tt)* }) => {
         left_requests! { keep $message {} $($rows)* }
@@ -202,7 +202,7 @@ macro_rules! left_requests {
         )* }
 
         impl LeftRequest {
-            /// Reads one from the front of a payload, and returns the bytes behind it.
+            /// Parses a value from the front of a payload, and returns the remaining bytes.
             pub(crate) fn take(payload: &[u8]) -> Result<(Self, &[u8]), ParseError> {
                 let (number, rest) = payload.split_first().ok_or(ParseError::Malformed)?;
                 match *number {
@@ -217,14 +217,14 @@ macro_rules! left_requests {
     };
 }
 
-/// Reads one field from the front of a payload.
+/// Parses one field from the front of a payload.
 pub(crate) fn take<T: serde::de::DeserializeOwned>(
     bytes: &[u8],
 ) -> Result<(T, &[u8]), crate::frame::ParseError> {
     postcard::take_from_bytes(bytes).map_err(|_| crate::frame::ParseError::Malformed)
 }
 
-/// What docs/ADDING.md says: a message is a row, and all else follows.
+/// Checks the statement in docs/ADDING.md that a message needs only a row.
 #[cfg(test)]
 mod tests {
     use super::{BoardBody, Boards, Row};
@@ -239,29 +239,29 @@ mod tests {
     }
 
     board_messages! {
-        /// What boards say here.
+        /// Messages from boards in this test.
         Said<'a> {
-            /// How warm it is.
+            /// The temperature of the board.
             0 Warmth(Warmth) => Both, 0;
-            /// A noise.
+            /// A sound.
             #[serde(borrow)]
             1 Noise(Bytes<'a, 4>) => Right, 1;
         }
     }
 
     host_messages! {
-        /// What they are told.
+        /// Messages to boards in this test.
         Told<'a> {
-            /// Both take it.
+            /// A message for both boards.
             0 Hush => Both, 0;
-            /// Only the right one takes it.
+            /// A message for the right board only.
             #[serde(borrow)]
             1 Sing(Bytes<'a, 200>) => Right, 0;
-            /// And one after it that both take.
+            /// Another message for both boards, after the one for the right board.
             2 Feel {
-                /// What.
+                /// The signal to play.
                 signal: Signal,
-                /// How long.
+                /// The duration.
                 time_ms: u32,
             } => Both, 3;
         }
@@ -275,7 +275,7 @@ mod tests {
         assert_eq!(Said::Noise(Bytes(&[7])).row().boards, Boards::Right);
         let hush = Row { number: 0, name: "Hush", boards: Boards::Both, since: 0, frame_max: 7 };
         assert_eq!(Told::ROWS[0], hush);
-        // Number, checksum, code byte and delimiter around 2 and 200 bytes; number and field around 1 and 5.
+        // Number, checksum, code byte and delimiter around 2 and 200 bytes; number and field around 1 and 5 bytes.
         assert_eq!([Told::ROWS[1].frame_max, Told::ROWS[2].frame_max], [209, 13]);
         let feel = Told::Feel { signal: Signal::Stopped, time_ms: 300 };
         assert_eq!((feel.row().name, feel.row().since), ("Feel", 3));

@@ -1,4 +1,4 @@
-//! Arbitrary messages of every kind, made from plain random material.
+//! Generates arbitrary messages of every kind from random data.
 #![allow(dead_code)] // each test file uses its part
 
 use serde::Deserialize;
@@ -12,7 +12,7 @@ use shared_proto::message::*;
 mod rng;
 pub use rng::Rng;
 
-/// What a message is made of.
+/// The random data for one message.
 #[derive(Clone, Debug)]
 pub struct Material {
     pub kind: usize,
@@ -21,11 +21,11 @@ pub struct Material {
     pub text: String,
 }
 
-/// Kinds of [`BoardMessage`] and [`HostMessage`].
+/// Number of kinds of [`BoardMessage`] and [`HostMessage`].
 pub const BOARD_KINDS: usize = BoardMessage::ROWS.len();
 pub const HOST_KINDS: usize = HostMessage::ROWS.len();
 
-/// Longest text or list of bytes of a message, which has one at the most.
+/// Maximum length of the text or bytes in a message, which has at most one such field.
 pub fn longest(message: &str) -> usize {
     match message {
         "Hello" => FIRMWARE_MAX,
@@ -41,7 +41,7 @@ impl Material {
     pub fn random(rng: &mut Rng) -> Self {
         let word = |rng: &mut Rng| {
             let bits = rng.next();
-            // As many small numbers and zeros as in real frames, and the ends of each range.
+            // Generates many small numbers and zeros, as in real frames, and the ends of each range.
             match bits >> 61 {
                 0 | 1 => 0,
                 2 => u32::MAX,
@@ -66,17 +66,17 @@ impl Material {
         self.message(self.kind % HOST_KINDS)
     }
 
-    /// Serde knows the fields of every message: no list of them here.
+    /// Serde supplies the fields of every message, so there is no list of them here.
     fn message<'a, M: Deserialize<'a>>(&'a self, kind: usize) -> M {
         M::deserialize(&mut Fields { material: self, kind: Some(kind), used: 0, longest: 0 })
             .expect("messages are of numbers, texts, bytes and lists")
     }
 }
 
-/// Fills one field after the other.
+/// Fills one field after another.
 struct Fields<'a> {
     material: &'a Material,
-    /// The message's name, before it is chosen.
+    /// The number of the message's variant, until it has been used.
     kind: Option<usize>,
     used: usize,
     longest: usize,

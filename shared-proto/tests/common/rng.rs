@@ -1,6 +1,6 @@
-//! The random numbers of tests that damage what they feed; others include this file by its path.
+//! Random numbers for tests that damage their input. Other tests include this file by its path.
 
-/// Random numbers that repeat with their seed (SplitMix64).
+/// Reproducible random numbers from a seed (SplitMix64).
 pub struct Rng(pub u64);
 
 impl Rng {
@@ -12,7 +12,7 @@ impl Rng {
         z ^ (z >> 31)
     }
 
-    /// Below `n`; the bias of the multiplication does not matter here.
+    /// Returns a number below `n`. The bias of the multiplication is negligible here.
     pub fn below(&mut self, n: usize) -> usize {
         ((u128::from(self.next()) * n as u128) >> 64) as usize
     }

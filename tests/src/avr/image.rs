@@ -1,14 +1,14 @@
-//! The image under test: the very file that `cargo xtask firmware avr` makes and a user flashes.
+//! The image under test: exactly the file that `cargo xtask firmware avr` builds and users flash.
 
 use std::path::PathBuf;
 use std::sync::OnceLock;
 
 use object::{Object, ObjectSection, ObjectSymbol};
 
-/// The image, built if need be. `BIMANUAL_AVR_ELF` names another one.
+/// Returns the path of the image and builds it if necessary. `BIMANUAL_AVR_ELF` selects another image.
 ///
 /// # Panics
-/// If it cannot be built; the reason is on the terminal.
+/// Panics if the image does not build. The terminal shows the reason.
 pub fn path() -> PathBuf {
     static PATH: OnceLock<PathBuf> = OnceLock::new();
     PATH.get_or_init(|| {
@@ -20,10 +20,10 @@ pub fn path() -> PathBuf {
     .clone()
 }
 
-/// The address behind the image's static memory, where the stack may grow down to (`__heap_start`).
+/// The address after the image's static memory, down to which the stack may grow (`__heap_start`).
 ///
 /// # Panics
-/// If the image cannot be read.
+/// Panics if the image cannot be read.
 pub fn static_end() -> usize {
     let bytes = std::fs::read(path()).expect("the image is there");
     let file = object::File::parse(&*bytes).expect("the image is an ELF file");
@@ -31,20 +31,20 @@ pub fn static_end() -> usize {
     (symbol.address() & 0xFFFF) as usize
 }
 
-/// The address of the C runtime's last resort: `cli` and an endless loop (`_exit`).
+/// The address of `_exit`, where the C runtime ends in `cli` and an endless loop.
 ///
 /// # Panics
-/// As [`static_end`].
+/// Panics like [`static_end`].
 pub fn stop_program() -> u32 {
     let bytes = std::fs::read(path()).expect("the image is there");
     let file = object::File::parse(&*bytes).expect("the image is an ELF file");
     file.symbols().find(|s| s.name() == Ok("_exit")).expect("the C runtime has it").address() as u32
 }
 
-/// Flash and static RAM in bytes, from the image's sections.
+/// Flash and static RAM in bytes, according to the image's sections.
 ///
 /// # Panics
-/// As [`static_end`].
+/// Panics like [`static_end`].
 pub fn size() -> (u64, u64) {
     let bytes = std::fs::read(path()).expect("the image is there");
     let file = object::File::parse(&*bytes).expect("the image is an ELF file");

@@ -1,10 +1,10 @@
-//! The left board, emulated: the image that a user flashes runs in simavr, instruction by instruction.
+//! The emulated left board: simavr executes the users' image instruction by instruction.
 //!
 //! - [`nano`] is the board: voltages in, serial bytes in and out, EEPROM, power cuts;
 //! - [`image`] finds and builds the image and reads its size;
-//! - [`recorded`] plays a recording of a hand at its pins;
+//! - [`recorded`] plays a recording of a hand at the board's pins;
 //! - [`wearer`] is a hand with its sensors: poses, tremor, bends, and the data sheets' tolerances;
-//! - [`session`] is a wearer with a running board: calibrate, move, look at decoded states.
+//! - [`session`] is a wearer with a running board, for calibration, movement and decoded states.
 
 pub mod image;
 pub mod nano;

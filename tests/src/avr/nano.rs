@@ -1,10 +1,12 @@
 //! An Arduino Nano in simavr: Vcc 5.0 V, AREF 3.3 V, 16 MHz.
 //!
-//! simavr paces a sleeping program to the wall clock; here its sleep callback does nothing, so virtual
-//! time runs as fast as the laptop can. simavr's quirks that matter: a UART byte takes 11 bit times
-//! instead of 10 (so our latencies are overstated a little), an EEPROM byte is written at once, a
-//! reset sets its cycle counter back to 0 (we keep the total), and two lies that are mended here: it sleeps without
-//! SMCR.SE, and a watchdog that may interrupt never resets a program that has interrupts off.
+//! simavr synchronises a sleeping program with the wall clock.
+//! Here, its sleep callback does nothing, so virtual time runs as fast as possible.
+//! simavr differs from the chip in several ways.
+//! A UART byte takes 11 bit times instead of 10, so our latencies are slightly too large.
+//! An EEPROM byte is written immediately, and a reset sets the cycle counter to 0 (we keep the total).
+//! Two errors are corrected here: simavr sleeps without SMCR.SE,
+//! and its interrupting watchdog never resets a program with disabled interrupts.
 
 mod callbacks;
 
@@ -19,9 +21,9 @@ use simavr_ffi as ffi;
 
 /// Clock of the Nano.
 pub const CYCLES_PER_MS: u64 = 16_000;
-/// Time of one byte at 115200 baud (136 clocks per bit), of the 11 bits that simavr's receiver takes.
+/// Cycles per byte at 115200 baud (136 per bit), for the 11 bits that simavr's receiver needs.
 const CYCLES_PER_BYTE: u64 = 11 * 8 * 17;
-/// Clocks that the emulator runs before it checks for events; about as many are missing from the count after a reset.
+/// Cycles between two checks for events. After a reset, about as many are missing in the count.
 const CYCLES_AT_ONCE: u64 = 160;
 /// Bytes of EEPROM.
 pub const EEPROM_BYTES: usize = 1024;
@@ -31,21 +33,21 @@ const EECR: u16 = 0x3F;
 const SMCR: usize = 0x53;
 const MCUSR: usize = 0x54;
 const WDTCSR: usize = 0x60;
-/// RAM begins behind the registers.
+/// RAM begins after the registers.
 const RAM: std::ops::Range<usize> = 0x100..0x900;
 
-/// What is wired to an analog pin at a moment.
+/// The signal at an analog pin.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum PinInput {
     /// A source, in millivolts.
     Millivolts(f64),
-    /// Nothing: the converter keeps what it saw last.
+    /// The pin is not connected, and the converter keeps its last value.
     Open,
 }
 
-/// What the analog pins carry.
+/// The signals at the analog pins.
 pub trait Voltages {
-    /// What is at pin A`pin` (0..=4), at `cycle` clocks since power-on.
+    /// Returns the signal at pin A`pin` (0..=4), at `cycle` clocks since power-on.
     fn at(&mut self, pin: u8, cycle: u64) -> PinInput;
 }
 
@@ -55,7 +57,7 @@ impl<F: FnMut(u8, u64) -> PinInput> Voltages for F {
     }
 }
 
-/// One byte of EEPROM that the program changed.
+/// A byte of EEPROM that the program has changed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct EepromWrite {
     /// Where.
@@ -66,12 +68,12 @@ pub struct EepromWrite {
     pub new: u8,
 }
 
-/// What the callbacks of simavr share with the board. Everything in cells: callbacks run while the
-/// emulator runs, never at the same time as our own code.
+/// Data shared by simavr's callbacks and the board.
+/// It consists of cells, because callbacks run while the emulator runs, and never at the same time as our own code.
 struct Wires {
     avr: *mut ffi::avr_t,
     voltages: RefCell<Box<dyn Voltages>>,
-    /// What the converter's capacitor holds, in millivolts.
+    /// Voltage of the converter's capacitor in millivolts.
     held_mv: Cell<f64>,
     sent: RefCell<VecDeque<(u64, u8)>>,
     to_receive: RefCell<VecDeque<(u64, u8)>>,
@@ -84,7 +86,7 @@ struct Wires {
 }
 
 thread_local! {
-    /// Clocks asleep of the board that runs on this thread (simavr's sleep callback takes no parameter).
+    /// Sleep cycles of the board on this thread (simavr's sleep callback has no parameter).
     static ASLEEP: Cell<u64> = const { Cell::new(0) };
 }
 
@@ -95,7 +97,7 @@ pub struct Nano {
     resets: u32,
     asleep: u64,
     optiboot: bool,
-    /// The time since which the watchdog's interrupt has been waiting.
+    /// The time since which the watchdog's interrupt has been pending.
     waiting_since: Option<u64>,
 }
 
@@ -108,7 +110,7 @@ impl Nano {
     pub fn new(image: &Path, eeprom: &[u8; EEPROM_BYTES], voltages: Box<dyn Voltages>) -> Self {
         let name = CString::new("atmega328p").expect("no zero in it");
         let path = CString::new(image.to_str().expect("a path in UTF-8")).expect("no zero in a path");
-        // Safety: simavr's documented order: make, init, load. All pointers live long enough.
+        // Safety: this is simavr's documented order (make, init, load), and all pointers live long enough.
         unsafe {
             let avr = ffi::avr_make_mcu_by_name(name.as_ptr());
             assert!(!avr.is_null(), "simavr knows the ATmega328P");
@@ -121,7 +123,7 @@ impl Nano {
             firmware.aref = 3300;
             ffi::avr_load_firmware(avr, &mut firmware);
             (*avr).sleep = Some(on_sleep);
-            // After power-on RAM holds arbitrary values.
+            // After power-on, RAM contains arbitrary values.
             for address in RAM {
                 *(*avr).data.add(address) = (address as u8).wrapping_mul(37) ^ 0x5A;
             }
@@ -145,10 +147,10 @@ impl Nano {
     }
 
     /// # Safety
-    /// `avr` is initialised; the wires are boxed and outlive it.
+    /// `avr` must be initialised, and the boxed wires must outlive it.
     unsafe fn connect(&self) {
         let param = std::ptr::from_ref::<Wires>(&self.wires).cast_mut().cast::<c_void>();
-        // SAFETY: as the caller promises.
+        // SAFETY: guaranteed by the caller.
         unsafe {
             let mut flags: u32 = 0; // neither echo to the terminal nor naps while polled
             ffi::avr_ioctl(self.avr, ioctl(b"uas0"), (&raw mut flags).cast());
@@ -164,7 +166,7 @@ impl Nano {
         }
     }
 
-    /// Clocks since power-on, over resets.
+    /// Number of cycles since power-on, including all resets.
     pub fn cycle(&self) -> u64 {
         self.wires.cycle()
     }
@@ -174,15 +176,15 @@ impl Nano {
         self.cycle() as f64 / CYCLES_PER_MS as f64
     }
 
-    /// Runs until `cycle` clocks since power-on.
+    /// Runs until `cycle` cycles after power-on.
     ///
     /// # Panics
-    /// If the program crashes, stops for ever, or selects a wrong reference for the converter.
+    /// Panics if the program crashes, stops for ever, or selects a wrong reference for the converter.
     pub fn run_until(&mut self, cycle: u64) {
         let mut last = self.cycle();
         let mut has_heartbeat = false;
         while last < cycle {
-            // Safety: the board is alive; the callbacks get the boxed wires.
+            // Safety: the board is alive, and the callbacks receive the boxed wires.
             let state = unsafe {
                 if !has_heartbeat {
                     // Wakes a sleeping program in time.
@@ -207,7 +209,7 @@ impl Nano {
                 has_heartbeat = false;
                 self.waiting_since = None;
                 self.pass_optiboot();
-                // Its timers are gone, so bytes on the way to the board are lost.
+                // The reset has deleted the timers, so bytes in transit to the board are lost.
                 self.wires.to_receive.borrow_mut().clear();
             }
             last = self.cycle();
@@ -222,8 +224,8 @@ impl Nano {
         self.run_until(self.cycle() + (ms * CYCLES_PER_MS as f64) as u64);
     }
 
-    /// If the watchdog's interrupt is not taken before its next time-out, that one resets (data sheet, "Interrupt and
-    /// System Reset Mode").
+    /// If the watchdog's interrupt is not handled before the next time-out, that time-out resets the chip.
+    /// See the data sheet, "Interrupt and System Reset Mode".
     fn watchdog_interrupt_must_not_wait(&mut self) {
         const WDIF: u8 = 1 << 7;
         const WDIE: u8 = 1 << 6;
@@ -240,7 +242,7 @@ impl Nano {
         }
     }
 
-    /// What Optiboot 4.4 does between a reset and the program.
+    /// Simulates Optiboot 4.4 between a reset and the program.
     fn pass_optiboot(&mut self) {
         if self.optiboot {
             self.poke(MCUSR, 0);
@@ -251,23 +253,23 @@ impl Nano {
         }
     }
 
-    /// Optiboot is in flash: the program never sees why it was reset.
+    /// Simulates Optiboot, which hides the cause of a reset from the program.
     pub fn pretend_optiboot(&mut self) {
         self.optiboot = true;
         self.pass_optiboot();
     }
 
-    /// Clocks asleep since power-on.
+    /// Number of sleep cycles since power-on.
     pub fn asleep(&self) -> u64 {
         self.asleep
     }
 
-    /// Whether SLEEP does anything (SMCR.SE).
+    /// Returns whether the instruction SLEEP is enabled (SMCR.SE).
     pub fn may_sleep(&self) -> bool {
         self.peek(SMCR) & 1 != 0
     }
 
-    /// Resets by the watchdog so far.
+    /// Number of watchdog resets so far.
     pub fn resets(&self) -> u32 {
         self.resets
     }
@@ -277,19 +279,19 @@ impl Nano {
         self.wires.conversions.get()
     }
 
-    /// The next byte that the board has sent, with the clock at which its last bit left.
+    /// Returns the next byte from the board, with the cycle of its last bit.
     pub fn sent(&mut self) -> Option<(u64, u8)> {
         self.wires.sent.borrow_mut().pop_front()
     }
 
-    /// The bytes whose last bit has left by this clock; later ones stay for the next call.
+    /// Returns the bytes whose last bit was sent by this cycle; later ones remain for the next call.
     pub fn sent_until(&mut self, cycle: u64) -> Vec<u8> {
         let mut queue = self.wires.sent.borrow_mut();
         let count = queue.partition_point(|&(at, _)| at <= cycle);
         queue.drain(..count).map(|(_, byte)| byte).collect()
     }
 
-    /// Sends bytes to the board, back to back, from now on or after what is under way.
+    /// Sends bytes to the board without pauses, after all earlier ones.
     pub fn send(&mut self, bytes: &[u8]) {
         let mut queue = self.wires.to_receive.borrow_mut();
         let was_empty = queue.is_empty();
@@ -307,26 +309,26 @@ impl Nano {
         }
     }
 
-    /// Bytes that have not reached the board yet.
+    /// Number of bytes that have not reached the board yet.
     pub fn unsent(&self) -> usize {
         self.wires.to_receive.borrow().len()
     }
 
-    /// Replaces what the analog pins carry.
+    /// Replaces the signals at the analog pins.
     pub fn set_voltages(&mut self, voltages: Box<dyn Voltages>) {
         *self.wires.voltages.borrow_mut() = voltages;
     }
 
-    /// Holds D2 to ground, or lets it go.
+    /// Connects D2 to ground, or disconnects it.
     pub fn hold_calibration_pin(&mut self, held: bool) {
         // struct avr_ioport_external_t { unsigned long name : 7, mask : 8, value : 8; }
         let mut external: u64 = if held { (1 << 2) << 7 } else { 0 };
-        // Safety: the parameter is what this call takes.
+        // Safety: the parameter has the type of this call.
         let result = unsafe { ffi::avr_ioctl(self.avr, ioctl(b"iopD"), (&raw mut external).cast()) };
         assert_eq!(result, 0);
     }
 
-    /// Pulls the reset line: the button, or a laptop that opens the port.
+    /// Pulls the reset line, like the button or a laptop that opens the port.
     pub fn reset(&mut self) {
         const EXTRF: u8 = 1 << 1;
         self.poke(MCUSR, self.peek(MCUSR) | EXTRF);
@@ -338,7 +340,7 @@ impl Nano {
         self.pass_optiboot();
     }
 
-    /// Puts bytes where the old bootloader starts, so that the program finds one.
+    /// Writes bytes to the start of the old bootloader, so that the program detects one.
     pub fn pretend_old_bootloader(&mut self) {
         const OLD_BOOTLOADER: usize = 0x7800;
         // Safety: within the 32 KB of flash.
@@ -358,7 +360,7 @@ impl Nano {
         unsafe { *(*self.avr).data.add(address) }
     }
 
-    /// Writes data space behind the program's back.
+    /// Writes data space without the program's knowledge.
     pub fn poke(&mut self, address: usize, value: u8) {
         assert!(address < RAM.end);
         // Safety: within data space.
@@ -374,7 +376,7 @@ impl Nano {
         }
     }
 
-    /// Makes the board execute `sts address, value`, and then nothing more: a program gone wrong.
+    /// Makes the board execute `sts address, value` and then nothing more, like a program with an error.
     pub fn execute_sts(&mut self, address: u16, value: u8) {
         const UNUSED_FLASH: usize = 0x7000;
         const R16: usize = 16;
@@ -382,7 +384,7 @@ impl Nano {
         // `sts address, r16` and `rjmp .-2`.
         let code = [0x00, 0x93, low, high, 0xFF, 0xCF];
         for (i, byte) in code.into_iter().enumerate() {
-            // Safety: within the 32 KB of flash.
+            // Safety: the address is within the 32 KB of flash.
             unsafe { *(*self.avr).flash.add(UNUSED_FLASH + i) = byte }
         }
         self.poke(R16, value);
@@ -394,7 +396,7 @@ impl Nano {
         let mut bytes = [0; EEPROM_BYTES];
         let mut what =
             ffi::avr_eeprom_desc_t { ee: bytes.as_mut_ptr(), offset: 0, size: EEPROM_BYTES as u32 };
-        // Safety: the buffer is as long as we say.
+        // Safety: the buffer has the given length.
         let result = unsafe { ffi::avr_ioctl(self.avr, ioctl(b"eegp"), (&raw mut what).cast()) };
         assert_eq!(result, 0);
         bytes
@@ -403,7 +405,7 @@ impl Nano {
     fn set_eeprom(&self, bytes: &[u8; EEPROM_BYTES]) {
         let mut copy = *bytes;
         let mut what = ffi::avr_eeprom_desc_t { ee: copy.as_mut_ptr(), offset: 0, size: EEPROM_BYTES as u32 };
-        // Safety: the buffer is as long as we say.
+        // Safety: the buffer has the given length.
         let result = unsafe { ffi::avr_ioctl(self.avr, ioctl(b"eesp"), (&raw mut what).cast()) };
         assert_eq!(result, 0);
     }
@@ -413,12 +415,12 @@ impl Nano {
         self.wires.eeprom_writes.borrow().clone()
     }
 
-    /// How many bytes have been written to EEPROM since power-on.
+    /// Number of bytes written to EEPROM since power-on.
     pub fn eeprom_write_count(&self) -> usize {
         self.wires.eeprom_writes.borrow().len()
     }
 
-    /// Bytes of RAM from `from` on that still hold `paint`.
+    /// Number of bytes of RAM from `from` on that still contain `paint`.
     pub fn painted(&self, from: usize, paint: u8) -> usize {
         (from..RAM.end).take_while(|&address| self.peek(address) == paint).count()
     }
@@ -426,7 +428,7 @@ impl Nano {
 
 impl Drop for Nano {
     fn drop(&mut self) {
-        // Safety: made by simavr, not used afterwards. (The core itself is a plain allocation.)
+        // Safety: simavr allocated it, and it is not used afterwards. (The core itself is a plain allocation.)
         unsafe {
             ffi::avr_terminate(self.avr);
             libc_free(self.avr.cast());

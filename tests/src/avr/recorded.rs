@@ -1,4 +1,4 @@
-//! A recording of the left hand at the emulated board's pins: converter counts back to voltages.
+//! A recording of the left hand at the emulated board's pins, which converts counts back to voltages.
 
 use std::cell::Cell;
 use std::rc::Rc;
@@ -13,7 +13,7 @@ use super::nano::{CYCLES_PER_MS, Nano, PinInput, Voltages};
 use super::session::{BLANK, LeftRig};
 use super::wearer::{SUPPLY_MV, normal};
 
-/// Conversions that the board adds up per sample.
+/// Number of conversions that the board adds up per sample.
 const OVERSAMPLING: f64 = 8.0;
 
 /// The middle of a 10-bit conversion, in mV.
@@ -21,14 +21,14 @@ fn millivolts(counts: f64) -> f64 {
     (counts + 0.5) / 1024.0 * SUPPLY_MV
 }
 
-/// Samples of all five channels at 100 Hz, straight lines between them; the first and the last one stay.
+/// Samples of all five channels at 100 Hz, connected by straight lines. The first and last values are held.
 pub struct Recorded {
     samples: Vec<[u16; 5]>,
     start_cycle: u64,
 }
 
 impl Recorded {
-    /// A recording whose first sample is due at a moment of the board's clock.
+    /// Creates a recording whose first sample is due at a given cycle of the board's clock.
     pub fn new(samples: Vec<[u16; 5]>, start_cycle: u64) -> Self {
         Self { samples, start_cycle }
     }
@@ -44,10 +44,10 @@ impl Voltages for Recorded {
     }
 }
 
-/// A running board that was calibrated over the wire, in a hand whose sensors read as in this table.
+/// Returns a running board that was calibrated over the wire, with sensor readings from this table.
 ///
 /// # Panics
-/// If the board refuses a step.
+/// Panics if the board refuses a step.
 pub fn calibrated(table: &CalibrationTable) -> Nano {
     let [x, y, z] = table.zero;
     let level = [x, y, z + ONE_G].map(f64::from);

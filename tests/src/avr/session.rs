@@ -1,4 +1,4 @@
-//! A running board with decoded messages: what the laptop sees of the left hand.
+//! A running board with decoded messages, from the laptop's point of view.
 
 use std::path::Path;
 
@@ -31,12 +31,12 @@ pub enum Seen {
     Pong(u32),
 }
 
-/// A board, and what the laptop receives from it.
+/// A board with all messages that the laptop receives from it.
 pub struct LeftRig {
     /// The board.
     pub nano: Nano,
     decoder: Decoder<BOARD_FRAME_MAX>,
-    /// Every byte sent so far.
+    /// Number of bytes sent so far.
     pub bytes: u64,
     request: u16,
 }
@@ -52,16 +52,16 @@ impl LeftRig {
         self.nano.now_ms()
     }
 
-    /// Runs for a while; everything that arrived meanwhile, with its time of arrival in ms.
+    /// Runs for some time and returns all messages of that time, with their time of arrival in ms.
     pub fn run_ms(&mut self, ms: f64) -> Vec<(f64, Seen)> {
         self.nano.run_ms(ms);
         self.heard()
     }
 
-    /// Everything that arrived since the last call.
+    /// Returns all messages since the last call.
     ///
     /// # Panics
-    /// If the board sends anything that is not an intact frame: the line loses nothing here.
+    /// Panics if the board sends anything other than intact frames, because this line has no errors.
     pub fn heard(&mut self) -> Vec<(f64, Seen)> {
         let mut seen = Vec::new();
         while let Some((cycle, byte)) = self.nano.sent() {
@@ -80,17 +80,17 @@ impl LeftRig {
             seen.push((cycle as f64 / CYCLES_PER_MS as f64, message));
         }
         let counters = self.decoder.counters();
-        // A restart may cut a frame short: that one ends as damaged.
+        // A restart may interrupt a frame, which then counts as damaged.
         assert!(counters.damaged() <= self.nano.resets() + 8, "damaged frames: {counters:?}");
         seen
     }
 
-    /// Frames that arrived damaged (a restart cuts the one under way).
+    /// Number of damaged frames, for example because a restart interrupted them.
     pub fn damaged(&self) -> u32 {
         self.decoder.counters().damaged()
     }
 
-    /// The states that arrive in the next `ms`.
+    /// Returns the states that arrive in the next `ms`.
     pub fn states(&mut self, ms: f64) -> Vec<(f64, LeftState)> {
         self.run_ms(ms)
             .into_iter()
@@ -105,7 +105,7 @@ impl LeftRig {
         self.nano.send(frame);
     }
 
-    /// Asks for a calibration step and waits for its end.
+    /// Requests a calibration step and waits for its end.
     pub fn calibrate(&mut self, step: CalibrationStep) -> AckResult {
         self.request += 1;
         let request = self.request;

@@ -1,4 +1,4 @@
-//! The whole street: voltages → emulated board → serial bytes → bridge → simulated base, in 1 ms steps.
+//! The complete chain: voltages → emulated board → serial bytes → bridge → simulated base, in steps of 1 ms.
 
 use host_bridge::arm::Director;
 use host_bridge::bridge::Bridge;
@@ -25,7 +25,7 @@ pub struct Street {
 }
 
 impl Street {
-    /// A running board, with a bridge that has not heard of it yet.
+    /// Creates a running board with a bridge that has not received anything yet.
     pub fn new(nano: Nano) -> Self {
         let now_ms = nano.cycle().div_ceil(CYCLES_PER_MS);
         Self {
@@ -36,12 +36,12 @@ impl Street {
         }
     }
 
-    /// Virtual time since the board got power, in ms.
+    /// Virtual time since the board's power-on, in ms.
     pub fn now_ms(&self) -> u64 {
         self.now_ms
     }
 
-    /// One millisecond: the board runs, the bridge reads what has arrived, the robot moves.
+    /// Advances by one millisecond: the board runs, the bridge reads new bytes, and the robot moves.
     pub fn step(&mut self) {
         self.now_ms += 1;
         let end = self.now_ms * CYCLES_PER_MS;

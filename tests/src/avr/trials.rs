@@ -1,4 +1,4 @@
-//! Trials with many wearers: what one worker process does for one of them.
+//! Trials with many wearers. Each worker process runs the trials of one wearer.
 
 use std::cell::RefCell;
 use std::rc::Rc;
@@ -13,68 +13,68 @@ use super::image;
 use super::session::{BLANK, LeftRig, Seen};
 use super::wearer::{Fault, Hand, Sensors, Tremor, Wearer, uniform};
 
-/// How a wearer's sensors and neutral pose are chosen.
+/// The selection of a wearer's sensors and neutral pose.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Parts {
-    /// Uniformly from the whole range of the tolerances, neutral within 10° of level.
+    /// Uniformly from the complete range of the tolerances, with a neutral pose within 10° of level.
     Drawn,
-    /// The corner that makes every tilt look largest: sensitivity + 10 %, neutral 10° off level.
+    /// The worst case that makes every tilt look largest: sensitivity + 10 %, neutral 10° off level.
     Loudest,
 }
 
 /// One wearer's trials.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub struct Job {
-    /// Seed of everything that is drawn.
+    /// Seed of all random values.
     pub seed: u64,
-    /// How the parts are chosen.
+    /// The selection of the parts.
     pub parts: Parts,
-    /// How many trials (tilts per direction, or bends per finger), or how many seconds of tremor.
+    /// Number of trials (tilts per direction, or bends per finger), or seconds of tremor.
     pub count: u32,
 }
 
-/// From the start of a movement of at most 220 ms: 80 ms of grace, and 130 ms for telling a tilt that is
-/// meant from a swing.
+/// Maximum time from the start of a movement of up to 220 ms.
+/// It includes a tolerance of 80 ms, and 130 ms for distinguishing an intended tilt from a swing.
 pub const IN_TIME_MS: f64 = 430.0;
 
-/// How the tilts of one wearer went.
+/// The results of one wearer's tilts.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Tilts {
     /// Trials.
     pub trials: u32,
-    /// Tilts that gave that command within [`IN_TIME_MS`] and no other within 2 s.
+    /// Number of tilts that gave the correct command within [`IN_TIME_MS`], and no other within 2 s.
     pub right: u32,
-    /// Tilts that gave the opposite command at any time.
+    /// Number of tilts that gave the opposite command at any time.
     pub reversed: u32,
-    /// By the direction that was meant, in the order of [`DIRECTIONS`].
+    /// Results by the intended direction, in the order of [`DIRECTIONS`].
     pub by_direction: [Direction; 4],
-    /// What went wrong, for the reader.
+    /// Descriptions of errors for users.
     pub notes: Vec<String>,
 }
 
-/// How the tilts in one direction went.
+/// The results of the tilts in one direction.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Direction {
-    /// Which command came first, in the order of [`DIRECTIONS`]; the last is none.
+    /// Number of times each command came first, in the order of [`DIRECTIONS`]; the last one is "none".
     pub first: [u32; 5],
-    /// From the start of the movement to the command's frame, in ms, of the right ones.
+    /// Time from the start of the movement to the command's frame in ms, for correct tilts.
     pub latencies_ms: Vec<f64>,
 }
 
-/// How the bends of one wearer went.
+/// The results of one wearer's bends.
 #[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
 pub struct BendCounts {
-    /// Bends of index and middle finger.
+    /// Number of bends of index and middle finger.
     pub bends: [u32; 2],
-    /// Counted exactly once, by that finger's counter.
+    /// Number of bends that the finger's counter counted exactly once.
     pub once: [u32; 2],
-    /// Counts that no bend explains.
+    /// Number of counts without a bend.
     pub excess: u32,
-    /// Stop flags that no closed hand explains.
+    /// Number of stop flags without a closed hand.
     pub stops: u32,
 }
 
-/// What a session of tremor or plain tilting gave.
+/// The results of a session with tremor or tilts only.
 #[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
 pub struct Quiet {
     /// States with a command.
@@ -138,7 +138,7 @@ fn opposite(heading: Heading) -> Heading {
     }
 }
 
-/// The paper's trials: `count` tilts per direction, 16° to 45°, up to 8° off axis.
+/// Performs the paper's trials: `count` tilts per direction, 16° to 45°, up to 8° off axis.
 pub fn tilts(job: Job) -> Tilts {
     let (mut session, hand, mut rng) = wear(job, 1.0, 4.0..12.0);
     let mut result = Tilts::default();
@@ -184,13 +184,13 @@ pub fn tilts(job: Job) -> Tilts {
     result
 }
 
-/// `count` seconds of tremor up to 11° about neutral.
+/// Performs `count` seconds of tremor up to 11° about neutral.
 pub fn tremor(job: Job) -> Quiet {
     let (mut session, _hand, _) = wear(job, 11.0, 0.5..12.0);
     quiet(session.states(f64::from(job.count) * 1000.0))
 }
 
-/// `count` seconds of tilting to and fro with straight fingers.
+/// Performs `count` seconds of tilting to and fro with straight fingers.
 pub fn tilting(job: Job) -> Quiet {
     let (mut session, hand, mut rng) = wear(job, 1.0, 4.0..12.0);
     let mut states = Vec::new();
@@ -200,7 +200,7 @@ pub fn tilting(job: Job) -> Quiet {
         let (pitch, roll) = (angle(), angle());
         let lasts_s = uniform(&mut rng, 0.1..0.5);
         hand.borrow_mut().tilt(pitch, roll, session.now_ms() / 1000.0, lasts_s);
-        // Straight fingers move a little along: up to 12 % of a bend.
+        // Straight fingers move slightly with the hand: up to 12 % of a bend.
         for finger in 0..2 {
             let depth = uniform(&mut rng, -0.05..0.12);
             hand.borrow_mut().bend(finger, depth, session.now_ms() / 1000.0, lasts_s);
@@ -220,7 +220,7 @@ fn quiet(states: Vec<(f64, LeftState)>) -> Quiet {
     }
 }
 
-/// `count` bends per finger, of varied depth and speed.
+/// Performs `count` bends per finger, with varying depth and speed.
 pub fn bends(job: Job) -> BendCounts {
     let (mut session, hand, mut rng) = wear(job, 1.0, 4.0..12.0);
     let mut result = BendCounts::default();
@@ -229,7 +229,7 @@ pub fn bends(job: Job) -> BendCounts {
     let mut before = [0u8; 2];
     for finger in order {
         let mut draw = |range| uniform(&mut rng, range);
-        // The calibrated bend is 1; the other finger moves along by up to 15 %, as fingers do.
+        // The calibrated bend is 1, and the other finger moves too by up to 15 %, as real fingers do.
         let (depth, along) = (draw(0.6..1.2), draw(0.0..0.15));
         let (closes_s, held_s, opens_s, rest_s) =
             (draw(0.06..0.4), draw(0.03..0.8), draw(0.06..0.4), draw(0.12..0.5));
@@ -259,8 +259,8 @@ pub fn bends(job: Job) -> BendCounts {
     result
 }
 
-/// Bytes of RAM from the end of static memory that a program painted at start and never used, and the
-/// deepest stack, after a session that does everything: all requests, a flood, faults, a calibration.
+/// Returns the unused bytes of RAM after static memory, which the program painted at start, and the deepest stack.
+/// The session contains all requests, a flood, faults and a calibration.
 pub fn stack() -> (usize, usize) {
     const PAINT: u8 = 0xC5; // of `firmware-nano-avr/src/stack.rs`
     let job = Job { seed: 1, parts: Parts::Drawn, count: 1 };

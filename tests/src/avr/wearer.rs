@@ -1,8 +1,9 @@
-//! A hand with its sensors: pose and bends over time in, voltages at five pins out.
+//! A hand with its sensors: converts poses and bends over time to voltages at five pins.
 //!
-//! Tolerances are the data sheets' (`../shared/reference/hardware.md`, part E): ADXL335 offset ±0.15 V
-//! (x, y) and ±0.3 V (z) and sensitivity 270 to 330 mV/g, both at 3.0 V and ratiometric; 50 Hz
-//! bandwidth; noise 300 µg/√Hz; flex sensors 10 kΩ ± 30 % that double or triple when bent.
+//! The tolerances are from the data sheets: an ADXL335 has an offset of ±0.15 V (x, y) and ±0.3 V (z).
+//! Its sensitivity is 270 to 330 mV/g; both are at 3.0 V and ratiometric.
+//! The bandwidth is 50 Hz and the noise is 300 µg/√Hz.
+//! Flex sensors have 10 kΩ ± 30 %, and two to three times as much when bent.
 
 use std::cell::RefCell;
 use std::f64::consts::TAU;
@@ -12,7 +13,7 @@ use fastrand::Rng;
 
 use super::nano::{CYCLES_PER_MS, PinInput, Voltages};
 
-/// Supply of the sensors and reference of the converter.
+/// Supply voltage of the sensors, and reference voltage of the converter.
 pub const SUPPLY_MV: f64 = 3300.0;
 /// Resistor from A3 and A4 to ground.
 const DIVIDER_OHM: f64 = 22_000.0;
@@ -27,7 +28,7 @@ pub fn normal(rng: &mut Rng) -> f64 {
     (-2.0 * (1.0 - rng.f64()).ln()).sqrt() * (TAU * rng.f64()).cos()
 }
 
-/// A path from 0 to 1 with smooth start and end (minimum jerk); `x` is the share of the time.
+/// A path from 0 to 1 with smooth start and end (minimum jerk); `x` is the fraction of the time.
 pub fn smooth(x: f64) -> f64 {
     let x = x.clamp(0.0, 1.0);
     x * x * x * (10.0 - 15.0 * x + 6.0 * x * x)
@@ -49,7 +50,7 @@ pub struct Sensors {
 }
 
 impl Sensors {
-    /// Parts as the data sheets call typical.
+    /// Returns typical parts according to the data sheets.
     pub fn nominal() -> Self {
         Self {
             sensitivity: [1.0; 3],
@@ -60,9 +61,9 @@ impl Sensors {
         }
     }
 
-    /// Parts drawn uniformly from the whole range of the data sheets' tolerances.
+    /// Returns parts drawn uniformly from the complete range of the data sheets' tolerances.
     pub fn drawn(rng: &mut Rng) -> Self {
-        // 0.15 V and 0.3 V at 3.0 V grow with the supply; 300 µg/√Hz · √(50 Hz · π/2) · 330 mV/g.
+        // The values at 3.0 V scale with the supply; the noise is 300 µg/√Hz · √(50 Hz · π/2) · 330 mV/g.
         let scale = 1.1;
         let mut sideways = || uniform(rng, -150.0..150.0) * scale;
         let (x, y) = (sideways(), sideways());
@@ -98,18 +99,18 @@ impl Way {
     }
 }
 
-/// What the hand does, steered by a test while the board runs.
+/// The movement of the hand, which a test controls while the board runs.
 #[derive(Debug, Default)]
 pub struct Hand {
     pitch: Way,
     roll: Way,
     bend: [Way; 2],
-    /// What is broken now.
+    /// The current fault.
     pub fault: Option<Fault>,
 }
 
 impl Hand {
-    /// Tilts to these angles in radians relative to neutral, from `start_s` on, within `lasts_s`.
+    /// Tilts to these angles in radians relative to neutral, starting at `start_s` and taking `lasts_s`.
     pub fn tilt(&mut self, pitch: f64, roll: f64, start_s: f64, lasts_s: f64) {
         self.pitch.go(pitch, start_s, lasts_s);
         self.roll.go(roll, start_s, lasts_s);
@@ -121,14 +122,14 @@ impl Hand {
     }
 }
 
-/// Shaking of the hand: a few sinusoids per axis, of which the sum never exceeds `peak` radians.
+/// Tremor of the hand: several sinusoids per axis, whose sum never exceeds `peak` radians.
 #[derive(Clone, Debug)]
 pub struct Tremor {
     waves: Vec<[f64; 6]>,
 }
 
 impl Tremor {
-    /// Tremor of at most `peak_rad` about each axis, between `hz.start` and `hz.end`.
+    /// Returns a tremor of at most `peak_rad` about each axis, between `hz.start` and `hz.end`.
     pub fn drawn(rng: &mut Rng, peak_rad: f64, hz: std::ops::Range<f64>) -> Self {
         let count = 4;
         let share = peak_rad / f64::from(count);
@@ -140,7 +141,7 @@ impl Tremor {
         Self { waves: (0..count).map(|_| wave()).collect() }
     }
 
-    /// Pitch and roll at a time in seconds.
+    /// Returns pitch and roll at a time in seconds.
     fn at(&self, t: f64) -> (f64, f64) {
         self.waves.iter().fold((0.0, 0.0), |(p, r), [a, f, b, c, g, d]| {
             (p + a * (TAU * f * t + b).sin(), r + c * (TAU * g * t + d).sin())
@@ -148,23 +149,23 @@ impl Tremor {
     }
 }
 
-/// Faults that can be built in.
+/// Faults of the hardware.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Fault {
-    /// This channel (0..=4 = x, y, z, index, middle) is broken off.
+    /// This channel (0..=4 = x, y, z, index, middle) is disconnected.
     Open(u8),
-    /// This channel touches a rail, in mV.
+    /// Voltage in mV of a rail to which this channel is shorted.
     Shorted(u8, f64),
-    /// All accelerations are this many times as large.
+    /// All accelerations are multiplied by this factor.
     Gravity(f64),
     /// The converter's input repeats the same five voltages.
     Stuck,
 }
 
-/// A wearer: voltages for the board as a function of time.
+/// A wearer, who determines the board's voltages as a function of time.
 pub struct Wearer {
     sensors: Sensors,
-    /// Up in the sensor's frame when the hand is in its neutral pose.
+    /// The up direction in the sensor's frame in the neutral pose.
     neutral_up: [f64; 3],
     tremor: Option<Tremor>,
     hand: Rc<RefCell<Hand>>,
@@ -176,20 +177,20 @@ pub struct Wearer {
 
 type Vector = [f64; 3];
 
-/// Tips forward by `angle`: the wrist end (+x) goes up.
+/// Tips forward by `angle`, so that the wrist end (+x) goes up.
 fn pitched([x, y, z]: Vector, angle: f64) -> Vector {
     let (s, c) = angle.sin_cos();
     [c * x + s * z, y, -s * x + c * z]
 }
 
-/// Tips to the left by `angle`: the right edge (+y) goes up.
+/// Tips to the left by `angle`, so that the right edge (+y) goes up.
 fn rolled([x, y, z]: Vector, angle: f64) -> Vector {
     let (s, c) = angle.sin_cos();
     [x, c * y + s * z, -s * y + c * z]
 }
 
 impl Wearer {
-    /// A wearer whose neutral pose is off level by two angles in radians, and the hand that a test steers.
+    /// Creates a wearer whose neutral pose is off level by two angles in radians, and the hand that a test controls.
     pub fn new(
         sensors: Sensors,
         off_level: (f64, f64),
@@ -215,8 +216,8 @@ impl Wearer {
         let (shaken_pitch, shaken_roll) = self.tremor.as_ref().map_or((0.0, 0.0), |tremor| tremor.at(t));
         let hand = self.hand.borrow();
         let (pitch, roll) = (hand.pitch.at(t) + shaken_pitch, hand.roll.at(t) + shaken_roll);
-        // The larger tilt is the one that is meant: it is turned first, so that it is exact by
-        // theta = atan(ax / sqrt(ay^2 + az^2)).
+        // The larger tilt is the intended one.
+        // It is applied first, so that theta = atan(ax / sqrt(ay^2 + az^2)) holds exactly.
         if pitch.abs() >= roll.abs() {
             rolled(pitched(self.neutral_up, pitch), roll)
         } else {
@@ -268,7 +269,7 @@ impl Voltages for Wearer {
             let bend = self.hand.borrow().bend[index - 3].at(t);
             self.flex_mv(index - 3, bend)
         };
-        // The converter's own noise: half a bit.
+        // The converter's own noise of half a bit.
         let mv = mv + 1.6 * normal(&mut self.rng);
         if fault == Some(Fault::Stuck) {
             self.frozen[index] = Some(mv);

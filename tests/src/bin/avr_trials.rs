@@ -1,4 +1,4 @@
-//! One worker process of the left hand's trials: `avr_trials VERB JOB`, both of `tests::avr::trials`.
+//! A worker process for the left hand's trials: `avr_trials VERB JOB`, with types of `tests::avr::trials`.
 //! `avr_trials stack` prints the deepest stack in bytes.
 
 use tests::avr::trials;

@@ -1,5 +1,5 @@
-//! The left hand at the desk: the Nano's image in simavr, behind the USB-serial chip that resets it
-//! whenever a program opens the port, and behind its bootloader.
+//! The left hand at the desk: the Nano's image in simavr, with its bootloader and its USB-serial chip.
+//! The chip resets the board whenever a program opens the port.
 
 use std::cell::RefCell;
 use std::rc::Rc;
@@ -14,16 +14,16 @@ use crate::avr::nano::Nano;
 use crate::avr::session::BLANK;
 use crate::avr::wearer::{Hand, Sensors, Wearer};
 
-/// The bootloader listens for this long after a reset, and says nothing.
+/// Time for which the bootloader listens silently after a reset.
 const BOOTLOADER_MS: u64 = 700;
 
 /// The board on its wearer.
 pub struct Left {
     nano: Nano,
     hand: Rc<RefCell<Hand>>,
-    /// The rest of the bootloader's time.
+    /// Remaining time of the bootloader.
     bootloader_ms: u64,
-    /// Time that bootloaders have taken, which the emulated program never saw.
+    /// Total time of bootloaders, which the emulated program does not see.
     skipped_ms: u64,
     powered: bool,
 }
@@ -32,7 +32,7 @@ pub struct Left {
 pub type LeftStation = Station<Left>;
 
 impl LeftStation {
-    /// Does what `host-bridge calibrate` asks for: level, straight, bent.
+    /// Takes the poses that `host-bridge calibrate` requests: level, straight, bent.
     pub fn take_three_poses(&self, calibrate: &mut Running) {
         for (step, depth) in [("1.", 0.0), ("2.", 0.0), ("3.", 1.0)] {
             calibrate.wait(&[step, "press Enter"]);
@@ -44,7 +44,7 @@ impl LeftStation {
 }
 
 impl Left {
-    /// A board that was never calibrated, on a hand that is level and straight, with its port of this name on the desk.
+    /// Starts an uncalibrated board on a level hand with straight fingers, with a port of this name on the desk.
     pub fn start(desk: &Desk, name: &str) -> LeftStation {
         let (wearer, hand) = Wearer::new(Sensors::nominal(), (0.0, 0.0), None, Rng::with_seed(7));
         let nano = Nano::new(&image::path(), &BLANK, Box::new(wearer));
@@ -63,7 +63,7 @@ impl Left {
         self.hand.borrow_mut().tilt(forward_rad, left_rad, now_s, 0.15);
     }
 
-    /// Bends both fingers: 0 is straight, 1 as far as is comfortable.
+    /// Bends both fingers: 0 is straight, 1 is as far as comfortable.
     pub fn bend(&mut self, depth: f64) {
         let now_s = self.nano.now_ms() / 1000.0;
         (0..2).for_each(|finger| self.hand.borrow_mut().bend(finger, depth, now_s, 0.1));

@@ -1,9 +1,9 @@
-//! Emulated boards at the desk: their images run behind pseudo-terminals, so that the program meets them as a user's
-//! does, with cables that are pulled and boards that restart. All of it is in one time, which the test holds.
+//! Emulated boards at the desk. Their images run behind pseudo-terminals, so the program uses them like real ones.
+//! Cables can be pulled and boards restarted, and the test controls a common time.
 //!
-//! - [`left`] is the Nano behind its USB-serial chip, [`right`] the Nano 33 with USB of its own;
-//! - [`programs`] has the programs, built;
-//! - the desk itself is the one of host-bridge's own tests.
+//! - [`left`] is the Nano with its USB-serial chip, [`right`] the Nano 33 with its own USB;
+//! - [`programs`] builds the programs;
+//! - the desk itself is that of host-bridge's own tests.
 
 #[path = "../../../host-bridge/tests/support/graph.rs"]
 pub mod graph;

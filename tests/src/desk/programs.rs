@@ -7,11 +7,11 @@ use std::sync::OnceLock;
 use super::port::alone;
 use super::program::{Desk, Running};
 
-/// The folder of `host-bridge` and `models`, built as the tests are. `BIMANUAL_PROGRAMS` names one in which they lie
-/// already, as `cargo xtask test` has built them.
+/// Returns the folder of `host-bridge` and `models`, built in the same way as the tests.
+/// `BIMANUAL_PROGRAMS` selects a folder with programs that are already built, as `cargo xtask test` does.
 ///
 /// # Panics
-/// If they do not build; the reason is on the terminal.
+/// Panics if the programs do not build. The terminal shows the reason.
 pub fn folder() -> &'static Path {
     static FOLDER: OnceLock<PathBuf> = OnceLock::new();
     FOLDER.get_or_init(|| {
@@ -43,7 +43,7 @@ pub fn bridge(desk: &Desk, args: &[&str]) -> Running {
     desk.run(&folder().join("host-bridge"), args)
 }
 
-/// Runs `host-bridge` to its end.
+/// Runs `host-bridge` until it ends.
 pub fn run(desk: &Desk, args: &[&str]) -> (ExitStatus, String) {
     bridge(desk, args).end()
 }

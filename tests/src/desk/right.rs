@@ -17,7 +17,7 @@ use crate::nrf::usb_host::UsbHost;
 const ROWS_PER_S: f64 = 100.0;
 const IDLE_S: f64 = 20.0;
 
-/// What the wearer does, steered while the board runs.
+/// The wearer's movement, which a test controls while the board runs.
 struct Hand {
     wearer: Wearer,
     idle: Vec<[f64; 9]>,
@@ -42,7 +42,7 @@ impl Hand {
         if place >= 0.0 && place + 1.0 < self.rows.len() as f64 {
             return between(&self.rows, place);
         }
-        // Plays to the end and back again, without a jump.
+        // Plays to the end and back again, so that there is no jump.
         let turn = (self.idle.len() - 2) as f64;
         let place = (seconds * ROWS_PER_S).rem_euclid(2.0 * turn);
         between(&self.idle, if place < turn { place } else { 2.0 * turn - place })
@@ -82,8 +82,8 @@ impl Right {
         assert!(ready, "no serial port: {:?}", self.usb);
     }
 
-    /// A board with the image behind the stock bootloader and no model but the one compiled in, on this wearer's still
-    /// hand, with its port of this name on the desk.
+    /// Starts a board with the stock bootloader and only the compiled-in model, on this wearer's still hand.
+    /// Its port on the desk has this name.
     pub fn start(desk: &Desk, name: &str, wearer: Wearer) -> RightStation {
         let hand = Rc::new(RefCell::new(Hand::new(wearer)));
         let motion = Box::new(Shared(Rc::clone(&hand)));
@@ -91,24 +91,24 @@ impl Right {
         Station::start(desk.time(), &desk.path(name), Self { board, hand, usb: UsbHost::default() })
     }
 
-    /// The wearer makes this movement from now on for this many seconds, then rests.
+    /// Makes this movement for this many seconds, and then rests.
     pub fn perform(&mut self, motion: Doing, seconds: f64) {
         self.play(&[Segment::new(motion, seconds)]);
     }
 
-    /// The wearer does what hands do between gestures, for this many seconds.
+    /// Makes idle movements between gestures for this many seconds.
     pub fn be_idle(&mut self, seconds: f64) {
         let kinds = IdleKind::ALL;
         let part = seconds / kinds.len() as f64;
         self.play(&kinds.map(|kind| Segment::new(Doing::Idle(kind), part)));
     }
 
-    /// Words written to flash since power-up: how far a model has come.
+    /// Number of words written to flash since power-up, which shows the progress of a model.
     pub fn words_written(&mut self) -> u64 {
         self.board.soc().nvmc.written
     }
 
-    /// The wearer plays a script from now on, then rests.
+    /// Plays a script and then rests.
     pub fn play(&mut self, script: &[Segment]) {
         let mut hand = self.hand.borrow_mut();
         hand.take += 1;
@@ -148,12 +148,12 @@ impl Board for Right {
     }
 
     fn plugged(&mut self) {
-        // The cable was its power supply.
+        // The cable is also the power supply.
         self.board.soc().nvic.reset_wanted = true;
         self.board.run_ms(50);
         self.usb.plug_in(&mut self.board);
         self.settle_usb();
-        // No program has the port open yet.
+        // No program has opened the port yet.
         self.opened(false);
     }
 

@@ -1,20 +1,21 @@
-//! A laptop's Bluetooth as its operating system and our bridge use it: connects by itself, again and again; encrypts
-//! with the kept keys or pairs; asks for a large MTU; subscribes; then frames go both ways.
+//! The Bluetooth of a laptop with its operating system and our bridge.
+//! It connects repeatedly, encrypts with stored keys or pairs, requests a large MTU, subscribes,
+//! and then exchanges frames.
 
 use super::board::Board;
 use super::softdevice::central::{Command, Happening};
 
 /// What Linux asks for.
 const MTU: u16 = 517;
-/// Bytes of a write before the MTU is known.
+/// Maximum length of a write before the MTU is known.
 const SMALLEST_WRITE: usize = 20;
 
-/// The laptop's side of a Bluetooth link. The frames' bytes are those of a UART, cut as the MTU says.
+/// The laptop's side of a Bluetooth link. Frames are the same bytes as on a UART, split according to the MTU.
 #[derive(Clone, Debug)]
 pub struct BleHost {
-    /// Whether it pairs if it has no keys.
+    /// Whether a laptop without keys pairs.
     pub pairs: bool,
-    /// Whether it keeps the keys of a pairing.
+    /// Whether the laptop stores the keys of a pairing.
     pub bonds: bool,
     seen: usize,
     taken: usize,
@@ -29,12 +30,12 @@ impl Default for BleHost {
 }
 
 impl BleHost {
-    /// Looks for the board from now on.
+    /// Begins to search for the board.
     pub fn connect(&mut self, board: &mut Board) {
         board.softdevice().central.connects = true;
     }
 
-    /// Reacts to what happened since the last call; call it every few milliseconds.
+    /// Reacts to events since the last call; call it every few milliseconds.
     pub fn step(&mut self, board: &mut Board) {
         let central = &mut board.softdevice().central;
         for index in self.seen..central.log.len() {
@@ -49,7 +50,7 @@ impl BleHost {
                     }
                     central.order([Command::Subscribe(true)]);
                 }
-                // The board has forgotten us: pair again.
+                // The board has deleted our keys, so the laptop pairs again.
                 Happening::KeyMissing if self.pairs => {
                     central.commands.push_front(Command::Pair { bond: self.bonds });
                 }
@@ -67,7 +68,7 @@ impl BleHost {
         self.ready
     }
 
-    /// Bytes notified since the last call, with the cycle at which each was here.
+    /// Returns the notified bytes since the last call, with the cycle of their arrival.
     pub fn read(&mut self, board: &mut Board) -> Vec<(u64, u8)> {
         let now = board.now();
         let notified = &board.softdevice().central.notified;
@@ -77,7 +78,7 @@ impl BleHost {
         new.iter().flat_map(|(at, bytes)| bytes.iter().map(|&b| (*at, b))).collect()
     }
 
-    /// Writes bytes, in pieces as the MTU says, without responses.
+    /// Writes bytes in pieces that fit the MTU, without responses.
     pub fn send(&mut self, board: &mut Board, bytes: &[u8]) {
         let pieces = bytes.chunks(self.room).map(|piece| Command::WriteCommand(piece.to_vec()));
         board.softdevice().central.order(pieces);

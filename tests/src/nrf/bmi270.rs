@@ -1,7 +1,8 @@
-//! BMI270: registers, the upload of its configuration, FIFO without headers, error register; moved by a [`Motion`].
+//! BMI270: registers, upload of its configuration, headerless FIFO and error register, moved by a [`Motion`].
 //!
-//! By the data sheet (BST-BMI270-DS000). The sensor's axes are those of a Rev2 board: x = −y, y = −x, z = z of the Rev1
-//! board's raw axes, in which a [`Motion`] moves.
+//! It follows the data sheet (BST-BMI270-DS000).
+//! The sensor's axes are those of a Rev2 board: x = −y, y = −x, z = z of the Rev1's raw axes.
+//! A [`Motion`] uses the Rev1's axes.
 
 use std::collections::VecDeque;
 
@@ -16,11 +17,11 @@ const SET_BYTES: usize = 12;
 /// The FIFO holds 2 KB.
 const FIFO_SETS: usize = 2048 / SET_BYTES;
 
-/// Out of power-save mode after this long; a reset takes this long; the loaded program starts within this long.
+/// Time for leaving power-save mode, for a reset, and for the start of the loaded program.
 const WAKE: u64 = us(450);
 const RESET: u64 = ms(2);
 const INITIALISE: u64 = ms(20);
-/// From the gyroscope's start to its first value.
+/// Time from the gyroscope's start to its first value.
 const GYRO_START_SECONDS: f64 = 0.045;
 
 const FIFO_LENGTH: u8 = 0x24;
@@ -35,21 +36,21 @@ const COMMAND: u8 = 0x7E;
 pub struct Bmi270 {
     registers: Registers,
     configuration: Vec<u8>,
-    /// Where the next byte of the configuration goes.
+    /// Position of the next byte of the configuration.
     place: usize,
-    /// Power-save mode was left at this cycle.
+    /// Cycle at which power-save mode ended.
     awake_since: u64,
-    /// The loaded program has started by then, or has failed.
+    /// Time at which the loaded program has started or failed.
     starts: Option<u64>,
     fifo: VecDeque<[u8; SET_BYTES]>,
-    /// Bytes of it that the transfer under way has read.
+    /// Number of bytes that the current transfer has read from the FIFO.
     from_fifo: usize,
     next_set: Option<f64>,
     gyro_since: Option<f64>,
 }
 
 impl Bmi270 {
-    /// A sensor as after power-up.
+    /// Returns a sensor after power-up.
     pub fn new(motion: Box<dyn Motion>) -> Self {
         let mut sensor = Self {
             registers: Registers::new(motion),
@@ -74,7 +75,7 @@ impl Bmi270 {
         self.register(0x21) & 0xF == 1 && self.register(0x02) & 1 == 0
     }
 
-    /// Nothing if a sensor is off, or the two run at different rates.
+    /// Returns `None` if a sensor is off, or if both have different rates.
     fn period(&self) -> Option<f64> {
         let hz = match (self.register(0x40) & 0xF, self.register(0x42) & 0xF) {
             (8, 8) => 100.0,
@@ -142,7 +143,7 @@ impl Chip for Bmi270 {
         if self.starts.is_some_and(|at| at <= now) {
             self.starts = None;
             let good = shared_dsp::right::network::crc32(&self.configuration) == CONFIGURATION_CRC;
-            // Initialised, or an error of initialisation and of the processor.
+            // Status: initialised, or an error of the initialisation and of the processor.
             self.registers.set(0x21, if good { 1 } else { 2 });
             self.registers.set(0x02, self.register(0x02) | if good { 0 } else { 1 << 1 });
         }
@@ -152,7 +153,7 @@ impl Chip for Bmi270 {
                 break;
             }
             self.registers.sets += 1;
-            // Without headers, both sensors in it.
+            // Headerless, with both sensors.
             if self.register(0x49) & 0xD0 == 0xC0 {
                 if self.fifo.len() == FIFO_SETS {
                     self.fifo.pop_front();
@@ -178,7 +179,7 @@ impl Chip for Bmi270 {
                 self.registers.set(register, value);
                 self.awake_since = now;
             }
-            // Nothing else is accepted in power-save mode.
+            // Other writes are ignored in power-save mode.
             _ if saves_power => {}
             INIT_CTRL => {
                 self.registers.set(register, value);
@@ -216,10 +217,10 @@ impl Chip for Bmi270 {
             FIFO_DATA => {
                 let at = self.from_fifo;
                 self.from_fifo += 1;
-                // After the newest set the FIFO has 0x8000.
+                // After the newest set, the FIFO returns 0x8000.
                 self.fifo.get(at / SET_BYTES).map_or([0x00, 0x80][at % 2], |set| set[at % SET_BYTES])
             }
-            // It never reads as what was written.
+            // Reading this register does not return the written value.
             COMMAND => 0,
             register => self.register(register),
         }
@@ -232,13 +233,13 @@ impl Chip for Bmi270 {
         }
     }
 
-    /// A set that was read in part stays.
+    /// A set that was read only partially remains.
     fn read_ended(&mut self) {
         let whole = std::mem::take(&mut self.from_fifo) / SET_BYTES;
         self.fifo.drain(..whole.min(self.fifo.len()));
     }
 
-    /// The sensor's own processor fails for good.
+    /// Makes the sensor's own processor fail permanently.
     fn break_down(&mut self) {
         self.registers.set(0x02, self.register(0x02) | 1);
     }
@@ -251,7 +252,7 @@ mod tests {
     use crate::nrf::lsm9ds1::Still;
     use crate::nrf::registers::tests::{get, set};
 
-    /// Uploads this file; returns the time when it is done.
+    /// Uploads this file and returns the time of completion.
     fn upload(sensor: &mut Bmi270, file: &[u8]) -> u64 {
         set(sensor, &[(POWER_CONF, 0)], 0);
         let now = us(450);
@@ -309,7 +310,7 @@ mod tests {
         assert_eq!(get(&mut sensor, 0x41, us(450)), [0x01]);
     }
 
-    /// 1 m/s² to the left in Rev1's frame and a turn of 100 deg/s about x.
+    /// A motion with 1 m/s² to the left in Rev1's frame, and a rotation of 100 deg/s about x.
     struct Moved;
     impl Motion for Moved {
         fn at(&self, _: f64) -> [f64; 9] {
@@ -321,7 +322,7 @@ mod tests {
     fn a_set_is_gyroscope_then_accelerometer_scaled_turned_and_clipped() {
         let (mut sensor, now) = running(Box::new(Moved));
         let now = now + ms(102);
-        // 200 Hz; the gyroscope's first values come after 45 ms.
+        // The rate is 200 Hz, and the gyroscope's first values come after 45 ms.
         assert_eq!(get(&mut sensor, FIFO_LENGTH, now), (20 * 12u16).to_le_bytes());
         let bytes: [u8; 240] = get(&mut sensor, FIFO_DATA, now);
         let set = |n: usize| -> Vec<i16> {

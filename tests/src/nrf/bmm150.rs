@@ -1,7 +1,8 @@
-//! BMM150: power bit, trimming values, readings of 13 and 15 bits with overflow; in the field of a [`Motion`], whose axes are
-//! the chip's here (which way it lies on a Rev2 is not known).
+//! BMM150: power bit, trimming values, and readings of 13 and 15 bits with overflow, in the field of a [`Motion`].
+//! The motion uses the chip's axes, because the chip's orientation on a Rev2 is unknown.
 //!
-//! By the data sheet (BST-BMM150-DS001). A field becomes counts by the inverse of the maker's compensation.
+//! It follows the data sheet (BST-BMM150-DS001).
+//! A field is converted to counts by the inverse of the maker's compensation.
 
 use nano33_sensor::bmm150::Trim;
 
@@ -17,13 +18,13 @@ const MODE: u8 = 0x4C;
 pub struct Bmm150 {
     registers: Registers,
     trim: Trim,
-    /// Resistance of the Hall plates, by their temperature.
+    /// Resistance of the Hall plates, which depends on their temperature.
     pub hall: u16,
     next: Option<f64>,
 }
 
 impl Bmm150 {
-    /// A chip as after power-up, with trimming values of its own.
+    /// Returns a chip after power-up with these trimming values.
     pub fn new(motion: Box<dyn Motion>, trim: Trim) -> Self {
         let mut chip = Self { registers: Registers::new(motion), trim, hall: trim.xyz1, next: None };
         chip.reset();
@@ -40,7 +41,7 @@ impl Bmm150 {
         (self.has_power() && mode & 6 == 0).then_some(self.registers.clock_ratio / hz)
     }
 
-    /// Counts that the compensation turns into this field.
+    /// Returns the counts from which the compensation computes this field.
     fn counts(&self, [x, y, z]: [f64; 3]) -> [i16; 3] {
         let t = self.trim;
         let (hall, reference) = (f64::from(self.hall), f64::from(t.xyz1));
@@ -118,7 +119,7 @@ impl Chip for Bmm150 {
     fn written(&mut self, register: u8, value: u8, now: u64) {
         match register {
             POWER if value & 0x82 != 0 => {
-                // A soft reset leaves the power bit.
+                // A soft reset does not clear the power bit.
                 self.reset();
                 self.registers.set(POWER, value & 1);
                 self.registers.busy_until = now + START;
@@ -139,10 +140,10 @@ impl Chip for Bmm150 {
         }
     }
 
-    /// In suspend mode only the power register is there.
+    /// In suspend mode, only the power register can be read.
     fn read(&mut self, register: u8) -> u8 {
         let value = if self.has_power() || register == POWER { self.registers.get(register) } else { 0 };
-        // Read once, the data are old.
+        // Data that was already read is no longer new.
         if register == 0x48 {
             self.registers.set(0x48, value & !1);
         }
@@ -178,7 +179,7 @@ mod tests {
         set(&mut chip, &[(0x51, 4)], START - 1);
         assert_eq!(get(&mut chip, 0x40, START), [0x32]);
         assert_eq!([get(&mut chip, MODE, START), get(&mut chip, 0x51, START)], [[0x06], [0]]);
-        // Trimming of x and y, of z, and the rest, where the data sheet has them.
+        // Trimming values of x and y, of z, and the rest, at the data sheet's addresses.
         assert_eq!(get(&mut chip, 0x64, START), [26, 26]);
         assert_eq!(get(&mut chip, 0x6A, START), 24_747u16.to_le_bytes());
         assert_eq!(get(&mut chip, 0x70, START), [0xFD, 29]);
@@ -189,7 +190,7 @@ mod tests {
 
     #[test]
     fn thirty_times_a_second_a_reading_is_new_and_reads_as_the_data_sheets_counts() {
-        // 100 counts flat are 36.328 uT at the trimmed temperature, 300 upright 104.793 uT.
+        // At the trimmed temperature, 100 counts of x or y are 36.328 uT, and 300 counts of z are 104.793 uT.
         let (mut chip, start) = running([36.328, -72.656, 104.793]);
         assert_eq!(get::<8>(&mut chip, 0x42, start + ms(33))[6] & 1, 0);
         let bytes: [u8; 8] = get(&mut chip, 0x42, start + ms(34));
@@ -203,7 +204,7 @@ mod tests {
 
     #[test]
     fn a_magnet_reads_as_overflow_of_its_axis() {
-        // The data sheet's range is 1300 uT flat and 2500 uT upright; the converter ends a little later.
+        // The data sheet's range is 1300 uT for x and y and 2500 uT for z; the converter's is slightly larger.
         let (mut chip, start) = running([1300.0, -1300.0, 2500.0]);
         let bytes: [u8; 8] = get(&mut chip, 0x42, start + ms(40));
         assert_ne!([bytes[0] & 0xF8, bytes[1]], [0, 0x80]);

@@ -1,7 +1,7 @@
-//! The core (unicorn's Cortex-M4F) in its chip: exceptions, sleep, resets, and counting instructions.
+//! The core (unicorn's Cortex-M4F) in its chip: exceptions, sleep, resets, and the count of instructions.
 //!
-//! Unicorn executes instructions; everything else is here. Time goes by instructions while the core is
-//! awake and jumps to the next due event while it sleeps.
+//! Unicorn executes instructions, and this module does the rest.
+//! While the core is awake, time advances with its instructions; while it sleeps, time jumps to the next event.
 
 mod exceptions;
 mod hooks;
@@ -25,24 +25,24 @@ use super::softdevice::rules::FORWARD_CYCLES;
 use super::softdevice::{APPLICATION, Core, SoftDevice};
 use super::time::{HZ, us};
 
-/// Cycles per two instructions: the flash has wait states and loads take two cycles; 1.5 per
-/// instruction is on the safe side of the 1.2 to 1.4 of `../shared/reference/peers.md`.
+/// Cycles per two instructions, because flash has wait states and loads take two cycles.
+/// The value of 1.5 cycles per instruction is above the usual 1.2 to 1.4.
 const CYCLES_PER_TWO: u64 = 3;
 /// In place of a number of instructions.
 const ANSWERED: u16 = u16::MAX;
 /// Entering or leaving an exception.
 const EXCEPTION_CYCLES: u64 = 12;
 
-/// Why the core stopped executing.
+/// The reason why the core stopped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Stop {
-    /// Something is due, or an interrupt is ready, before the block at this address.
+    /// An event is due or an interrupt is ready before the block at this address.
     Attention { at: u32 },
-    /// WFE or WFI was reached, at this address.
+    /// The core executed WFE or WFI at this address.
     Wait { at: u32, for_event: bool },
     /// A handler returned.
     ExceptionReturn,
-    /// SVC; the program counter is behind it.
+    /// The core executed SVC; the program counter points to the next instruction.
     Supervisor,
     /// A function that is answered from outside, at this address.
     Function(u32),
@@ -50,7 +50,7 @@ enum Stop {
     Fault(u32),
 }
 
-/// Everything that hooks can reach.
+/// All data that hooks can access.
 struct World {
     soc: Soc,
     stop: Option<Stop>,
@@ -58,7 +58,7 @@ struct World {
     thread_instructions: u64,
     half: u64,
     event: bool,
-    /// Cycles of executed instructions, and how many they were when interrupts were masked.
+    /// Cycles of executed instructions, and their number when interrupts were masked.
     executed: u64,
     masked_since: Option<u64>,
     /// Instructions of the block that starts at each half-word of flash; 0 if none was executed yet, [`ANSWERED`] if it is
@@ -78,7 +78,7 @@ struct World {
 }
 
 impl World {
-    /// PRIMASK changes; S140 allows it for a short time only.
+    /// Handles a change of PRIMASK, which S140 allows only for a short time.
     fn mask(&mut self, masks: bool) {
         if masks {
             self.masked_since.get_or_insert(self.executed);
@@ -90,21 +90,21 @@ impl World {
     }
 }
 
-/// What the stock bootloader takes for a double press of reset: this word at this address.
+/// The word and address by which the stock bootloader detects a double press of reset.
 const DOUBLE_PRESS: (u32, u32) = (0x2000_7FFC, 0x0773_8135);
 /// RAM that the stock bootloader uses as its stack.
 const BOOTLOADER_STACK: std::ops::Range<u32> = 0x2000_6D48..0x2000_8D48;
-/// A reset by the pin, by the watchdog and by software, in RESETREAS.
+/// Bits of RESETREAS for resets by the pin, by the watchdog and by software.
 const PIN: u32 = 1;
 const WATCHDOG: u32 = 2;
 const SOFT: u32 = 4;
 
-/// How the image is started.
+/// The environment that starts the image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Boot {
-    /// By a stand-in for the stock bootloader, which leaves its table and some peripherals behind.
+    /// A simulated stock bootloader, which leaves its table and some active peripherals.
     StockBootloader,
-    /// By the MBR and the SoftDevice, which forwards exceptions.
+    /// The MBR and the SoftDevice, which forwards exceptions.
     SoftDevice,
 }
 
@@ -128,7 +128,7 @@ impl Kind {
         }
     }
 
-    /// As in `../shared/reference/hardware.md` and, for the XIAO, Zephyr's board files.
+    /// According to the boards' documentation and, for the XIAO, Zephyr's board files.
     fn wiring(self) -> Wiring {
         match self {
             Self::Nano33 | Self::Nano33Rev2 => Wiring {
@@ -162,27 +162,27 @@ pub struct Board {
     slow_crystal: bool,
     asleep: bool,
     frames: Vec<bool>,
-    /// Resets since power-up, with their reasons (RESETREAS).
+    /// Causes of all resets since power-up (RESETREAS).
     pub resets: Vec<u32>,
-    /// The stand-in bootloader was asked to stay. It takes an upload until the board is reset; like the stock one it
-    /// never feeds a watchdog.
+    /// Whether the simulated bootloader is active. It accepts an upload until the board is reset.
+    /// Like the stock bootloader, this one never feeds a watchdog.
     pub in_bootloader: bool,
     slept: u64,
 }
 
 impl Board {
-    /// A Nano 33 BLE Sense (Rev1) with the image in its flash, about to start.
+    /// Returns a Nano 33 BLE Sense (Rev1) with the image in flash, before its start.
     ///
     /// # Panics
-    /// If the emulator cannot be set up.
+    /// Panics if the emulator cannot be set up.
     pub fn new(image: Image, boot: Boot, motion: Box<dyn Motion>) -> Self {
         Self::of_kind(Kind::Nano33, image, boot, motion)
     }
 
-    /// A board of this kind with the image in its flash, about to start.
+    /// Returns a board of this kind with the image in flash, before its start.
     ///
     /// # Panics
-    /// As [`Self::new`].
+    /// Panics like [`Self::new`].
     pub fn of_kind(kind: Kind, image: Image, boot: Boot, motion: Box<dyn Motion>) -> Self {
         let mut soc = Soc::new(kind.wiring(), kind.sensor(motion));
         for (address, bytes) in &image.pieces {
@@ -214,7 +214,7 @@ impl Board {
         let mut uc =
             Unicorn::new_with_data(Arch::ARM, Mode::THUMB | Mode::MCLASS, world).expect("unicorn starts");
         uc.ctl_set_cpu_model(ArmCpuModel::CORTEX_M4 as i32).expect("a Cortex-M4F");
-        // The two model slots are written by the firmware itself, so they are registers to the core.
+        // The firmware writes the two model slots itself, so they are registers from the core's point of view.
         uc.mem_map(0, u64::from(SLOTS_START), Prot::ALL).expect("flash");
         let behind = u64::from(SLOTS_END);
         uc.mem_map(behind, FLASH_BYTES as u64 - behind, Prot::ALL).expect("flash");
@@ -222,12 +222,12 @@ impl Board {
         uc.mem_write(0, &flash[..SLOTS_START as usize]).expect("flash");
         uc.mem_write(behind, &flash[SLOTS_END as usize..]).expect("flash");
         let ram = uc.get_data_mut().soc.ram.as_mut_ptr();
-        // SAFETY: the RAM lies in a box that lives as long as the emulator and never moves.
+        // SAFETY: the RAM is in a box that lives as long as the emulator and never moves.
         unsafe { uc.mem_map_ptr(RAM_START.into(), RAM_BYTES as u64, Prot::ALL, ram.cast()) }.expect("RAM");
         for (start, len) in [
             (SLOTS_START, SLOTS_END - SLOTS_START),
             (0x1000_0000, 0x2000),
-            // With the hidden registers that errata of USB are about.
+            // This range includes the undocumented registers of the USB errata.
             (0x4000_0000, 0x10_0000),
             (0x5000_0000, 0x1000),
             (0xE000_1000, 0x1000),
@@ -277,7 +277,7 @@ impl Board {
         u32::from_le_bytes(bytes)
     }
 
-    /// What the bootloader or the MBR does before the image's first instruction.
+    /// Simulates the bootloader or the MBR before the image's first instruction.
     fn start(&mut self) {
         let table = self.image.vector_table;
         let (boot, kind, slow_crystal) = (self.boot, self.kind, self.slow_crystal);
@@ -295,10 +295,10 @@ impl Board {
                 self.in_bootloader = true;
                 return;
             }
-            // As the stock one leaves it: its own table stays, the converter and the cache are on.
+            // The state after the stock bootloader: its own table is active, and the converter and the cache are on.
             soc.write(0x4000_0578, 1, 4);
             soc.write(0x4001_E540, 1, 4);
-            // UARTE0 receives into one byte of its RAM, which is ours now.
+            // UARTE0 still receives to a byte of the bootloader's RAM, which is now ours.
             for (offset, value) in
                 [(0x50C, 35), (0x514, 42), (0x524, 0x01D6_0000), (0x534, 0x2000_9BD4), (0x538, 1), (0x500, 8)]
             {
@@ -351,7 +351,7 @@ impl Board {
         super::time::cycle_of_tick(self.uc.get_data().soc.rtc1.zero_tick())
     }
 
-    /// The processor waits for an event.
+    /// Returns whether the processor waits for an event.
     pub fn is_asleep(&self) -> bool {
         self.asleep
     }
@@ -374,7 +374,7 @@ impl Board {
     /// Runs until this cycle of virtual time.
     ///
     /// # Panics
-    /// If the core faults; the message names the place.
+    /// Panics if the core faults. The message contains the address.
     pub fn run_until(&mut self, until: u64) {
         while self.now() < until {
             if self.in_bootloader {
@@ -383,7 +383,7 @@ impl Board {
             }
             let soc = self.soc();
             if soc.nvmc.busy_until > soc.now {
-                // The core stands still while flash is written; interrupts wait.
+                // The core and interrupts wait while flash is written.
                 let still = soc.nvmc.busy_until - soc.now;
                 soc.now += still;
                 soc.awake += still;
@@ -425,9 +425,9 @@ impl Board {
         self.softdevice_woke();
     }
 
-    /// Time goes by in the stand-in bootloader, until a watchdog that the image left running bites.
+    /// Lets time pass in the simulated bootloader, until a watchdog that the image started resets the chip.
     fn wait_in_bootloader(&mut self, until: u64) {
-        // The UF2 bootloader feeds one that runs.
+        // The UF2 bootloader feeds an active watchdog.
         let feeds = self.kind == Kind::Xiao;
         let soc = self.soc();
         let bite = soc.watchdog.due().filter(|&due| due <= until && !feeds);
@@ -438,13 +438,13 @@ impl Board {
         }
     }
 
-    /// Somebody presses the reset button.
+    /// Presses the reset button.
     pub fn press_reset(&mut self) {
         self.in_bootloader = false;
         self.reset(PIN);
     }
 
-    /// The slow crystal took longer to start than the stock bootloader waits: it leaves CLOCK's interrupt enabled.
+    /// Simulates a slow crystal whose start outlasts the stock bootloader, which then leaves CLOCK's interrupt enabled.
     pub fn leave_clock_interrupt(&mut self) {
         self.slow_crystal = true;
         self.start();
@@ -457,10 +457,10 @@ impl Board {
         self.asleep = false;
     }
 
-    /// S140 below the image.
+    /// Returns the S140 of the board.
     ///
     /// # Panics
-    /// If the image does not run behind S140.
+    /// Panics if the image does not use S140.
     pub fn softdevice(&mut self) -> &mut SoftDevice {
         self.soc().softdevice.as_mut().expect("the image runs behind S140")
     }
@@ -507,7 +507,7 @@ impl Board {
         self.run_until(until);
     }
 
-    /// Share of time awake so far, 0 to 1.
+    /// Fraction of time awake so far, 0 to 1.
     pub fn awake_share(&self) -> f64 {
         self.awake() as f64 / self.now().max(1) as f64
     }
@@ -517,7 +517,7 @@ impl Board {
         self.now() as f64 / HZ as f64
     }
 
-    /// Bytes that left D0 since the last call.
+    /// Returns the bytes sent at D0 since the last call.
     pub fn uart_out(&mut self) -> Vec<u8> {
         self.soc().uart.take_sent().into_iter().map(|(_, byte)| byte).collect()
     }
@@ -529,7 +529,7 @@ impl Board {
         soc.settle();
     }
 
-    /// Handler address of an interrupt in the linked table.
+    /// Returns the handler address of an interrupt in the linked table.
     pub fn vector(&self, irq: usize) -> u32 {
         self.load(self.image.vector_table + 4 * (FIRST_IRQ + irq) as u32)
     }

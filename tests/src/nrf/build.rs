@@ -1,4 +1,4 @@
-//! Builds the firmware images that the tests run, once per test run.
+//! Builds the firmware images for the tests, once per test run.
 
 use std::path::PathBuf;
 use std::sync::{Mutex, OnceLock};
@@ -8,11 +8,11 @@ use super::image::Image;
 /// The variants.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Variant {
-    /// Behind the stock bootloader at 0x10000, without Bluetooth.
+    /// For the stock bootloader at 0x10000, without Bluetooth.
     Bootloader,
     /// Behind S140 at 0x27000.
     Ble,
-    /// As `Ble`, for a XIAO nRF52840 Sense.
+    /// Like `Ble`, for a XIAO nRF52840 Sense.
     Xiao,
     /// Behind the stock bootloader at 0x10000, with Bluetooth linked in.
     Trouble,
@@ -22,7 +22,7 @@ pub enum Variant {
 /// `BIMANUAL_NANO33_TROUBLE_ELF` and `BIMANUAL_XIAO_ELF` name other ones, or these where they are built already, as `cargo xtask test` does.
 ///
 /// # Panics
-/// If it does not build; the reason is on the terminal.
+/// Panics if the image does not build. The terminal shows the reason.
 pub fn image(variant: Variant) -> Image {
     static BOOTLOADER: OnceLock<PathBuf> = OnceLock::new();
     static BLE: OnceLock<PathBuf> = OnceLock::new();
@@ -37,10 +37,10 @@ pub fn image(variant: Variant) -> Image {
     Image::load(path)
 }
 
-/// The XIAO's image as its bootloader takes it.
+/// Returns the XIAO's image in the format of its bootloader.
 ///
 /// # Panics
-/// If it is not there.
+/// Panics if the file does not exist.
 pub fn uf2() -> Vec<u8> {
     image(Variant::Xiao);
     let elf = XIAO.get().expect("asked for above");
@@ -51,7 +51,7 @@ pub fn uf2() -> Vec<u8> {
 static XIAO: OnceLock<PathBuf> = OnceLock::new();
 
 fn build(variant: Variant) -> PathBuf {
-    // All variants leave their image at the same place first: one after the other.
+    // All variants first use the same file for their image, so they are built one after another.
     static ONE: Mutex<()> = Mutex::new(());
     let _one = ONE.lock();
     let name = match variant {

@@ -1,4 +1,4 @@
-//! What all nRF peripherals have in common: events, interrupt enable bits, shortcuts.
+//! The common parts of all nRF peripherals: events, interrupt enable bits, shortcuts.
 
 /// EVENTS_* (0x100…), INTEN, INTENSET, INTENCLR and SHORTS of one peripheral.
 ///
@@ -19,12 +19,12 @@ impl Events {
         self.fired.push(event);
     }
 
-    /// Whether the event is set.
+    /// Returns whether the event is set.
     pub fn stands(&self, event: u32) -> bool {
         self.happened & (1 << event) != 0
     }
 
-    /// Whether the event's interrupt is enabled.
+    /// Returns whether the event's interrupt is enabled.
     pub fn is_enabled(&self, event: u32) -> bool {
         event < 32 && self.enabled & (1 << event) != 0
     }
@@ -34,17 +34,17 @@ impl Events {
         self.happened & u64::from(self.enabled) != 0
     }
 
-    /// Whether there are events for the PPI.
+    /// Returns whether there are events for the PPI.
     pub fn has_fired(&self) -> bool {
         !self.fired.is_empty()
     }
 
-    /// Events raised since the last call, for the PPI.
+    /// Returns the events raised since the last call, for the PPI.
     pub fn take_fired(&mut self) -> Vec<u32> {
         std::mem::take(&mut self.fired)
     }
 
-    /// A register of this block, if there is one at the offset.
+    /// Reads a register of this block, if there is one at the offset.
     pub fn read(&self, offset: u32) -> Option<u32> {
         Some(match offset {
             0x100..=0x1FC => u32::from(self.stands((offset - 0x100) / 4)),
@@ -54,7 +54,7 @@ impl Events {
         })
     }
 
-    /// Writes a register of this block; false if the offset is none.
+    /// Writes a register of this block. Returns false if there is none at the offset.
     pub fn write(&mut self, offset: u32, value: u32) -> bool {
         match offset {
             0x100..=0x1FC => {

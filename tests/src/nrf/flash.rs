@@ -1,4 +1,4 @@
-//! Flash and UICR with their controller (NVMC): bits go from 1 to 0, pages go back to 1.
+//! Flash and UICR with their controller (NVMC): writing clears bits, and erasing sets all bits of a page.
 
 use super::time::{ms, us};
 
@@ -9,13 +9,13 @@ pub const PAGE: usize = 4096;
 #[derive(Clone, Debug, Default)]
 pub struct Nvmc {
     config: u32,
-    /// ICACHECNF: the instruction cache is on.
+    /// ICACHECNF: whether the instruction cache is on.
     pub cache: bool,
-    /// The core stands still until this cycle.
+    /// Cycle until which the core waits.
     pub busy_until: u64,
-    /// Pages erased since the start.
+    /// Number of pages erased since the start.
     pub erased: u64,
-    /// Words written since the start.
+    /// Number of words written since the start.
     pub written: u64,
     /// ERASEPAGEPARTIALCFG, in ms.
     partial_ms: u64,
@@ -112,7 +112,7 @@ impl Nvmc {
         }
     }
 
-    /// Writes the configuration; erasing is the caller's, who has the memory.
+    /// Writes the configuration. The caller, who owns the memory, performs erasing.
     pub fn write(&mut self, offset: u32, value: u32) {
         match offset {
             0x504 => self.config = value,

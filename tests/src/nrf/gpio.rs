@@ -6,31 +6,31 @@ pub struct Port {
     out: u32,
     dir: u32,
     config: [u32; 32],
-    /// Levels that are driven from outside, if the pin is not an output.
+    /// External levels, which apply if the pin is not an output.
     pub outside: u32,
 }
 
 impl Port {
-    /// The level that the pin drives, if it drives one. Open drain ("standard 0, disconnect 1") drives only low.
+    /// The level that the pin drives, if any. Open drain ("standard 0, disconnect 1") drives only low.
     pub fn drives(&self, pin: u32) -> Option<bool> {
         if self.dir & (1 << pin) == 0 {
             return None;
         }
         let high = self.out & (1 << pin) != 0;
         let drive = (self.config[pin as usize] >> 8) & 7;
-        // 6 and 7 are disconnected at 1, 4 and 5 at 0.
+        // Modes 6 and 7 disconnect at 1; modes 4 and 5 disconnect at 0.
         match (drive, high) {
             (6 | 7, true) | (4 | 5, false) => None,
             _ => Some(high),
         }
     }
 
-    /// Whether the pin drives high with full strength ("high 0, high 1").
+    /// Returns whether the pin drives high with full strength ("high 0, high 1").
     pub fn drives_strongly(&self, pin: u32) -> bool {
         self.drives(pin) == Some(true) && (self.config[pin as usize] >> 8) & 7 == 3
     }
 
-    /// Whether the pin has its pull-up resistor on.
+    /// Returns whether the pin's pull-up resistor is on.
     pub fn pulls_up(&self, pin: u32) -> bool {
         (self.config[pin as usize] >> 2) & 3 == 3
     }

@@ -1,60 +1,60 @@
-//! The sensor bus: who is on it, whether it has power and pull-ups, and a device that holds SDA low.
+//! The sensor bus: its devices, power and pull-ups, including a device that holds SDA low.
 
 use super::lsm9ds1::Motion;
 use super::time::ms;
 
-/// From power to the first answer: the turn-on time of ST's sensors of this kind.
+/// Time from power-on to the first answer, which is the turn-on time of such ST sensors.
 const BOOT: u64 = ms(35);
 
-/// A motion sensor at the bus, with a clock of its own.
+/// A motion sensor on the bus, with its own clock.
 pub trait Sensor {
-    /// Whether it answers at this address.
+    /// Returns whether the device answers at this address.
     fn has_address(&self, address: u8) -> bool;
-    /// A write transfer: the first byte selects the register.
+    /// Performs a write transfer, whose first byte selects the register.
     fn write(&mut self, address: u8, bytes: &[u8], now: u64);
-    /// A read transfer from the selected register.
+    /// Performs a read transfer from the selected register.
     fn read(&mut self, address: u8, bytes: &mut [u8], now: u64);
-    /// Loses its settings, as in a power dip.
+    /// Loses all settings, as after a power dip.
     fn power_cycle(&mut self);
-    /// The sensor is given to another hand.
+    /// Moves the sensor to another hand.
     fn set_motion(&mut self, motion: Box<dyn Motion>);
-    /// True period over nominal period of the sensor's own clock.
+    /// Sets the ratio of true to nominal period of the sensor's own clock.
     fn set_clock_ratio(&mut self, ratio: f64);
-    /// The next write to this register does not arrive.
+    /// Makes the next write to this register fail silently.
     fn lose_write(&mut self, register: u8);
-    /// Sets taken since power-up.
+    /// Number of samples taken since power-up.
     fn sets(&self) -> u64;
-    /// Breaks in a way that the sensor itself reports, if it can.
+    /// Fails in a way that the sensor itself reports, if it can.
     fn fail(&mut self) {}
 }
 
-/// How a transfer ends.
+/// The result of a transfer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reply {
     /// All bytes were acknowledged.
     Ack,
-    /// Nobody answers at the address.
+    /// No device answers at the address.
     AddressNack,
-    /// The line is stuck: the transfer never ends.
+    /// The line is stuck, so the transfer never ends.
     Stuck,
 }
 
 /// The bus with its devices.
 pub struct Bus {
-    /// The sensor; other firmware-relevant devices are not on this board's bus.
+    /// The sensor, which is the only relevant device on this bus.
     pub sensor: Box<dyn Sensor>,
-    /// The sensor and the pull-ups are supplied.
+    /// Whether the sensor and the pull-ups have power.
     pub powered: bool,
-    /// The next transfers are not acknowledged.
+    /// Number of transfers that will not be acknowledged.
     pub nacks: u32,
-    /// A device holds SDA low until it has seen this many clocks.
+    /// Number of clocks until a device releases SDA.
     pub stuck_clocks: u32,
     /// The sensor is unplugged.
     pub unplugged: bool,
     supplied: bool,
-    /// The controller uses the sensor's pins.
+    /// Whether the controller uses the sensor's pins.
     pub wired: bool,
-    /// The sensors answer from this cycle on.
+    /// Cycle from which the sensors answer.
     awake_at: u64,
     /// Transfers so far.
     pub transfers: u64,
@@ -62,7 +62,7 @@ pub struct Bus {
 }
 
 impl Bus {
-    /// A bus with a sensor, without power.
+    /// Returns a bus with a sensor, without power.
     pub fn new(sensor: Box<dyn Sensor>) -> Self {
         Self {
             sensor,
@@ -78,12 +78,12 @@ impl Bus {
         }
     }
 
-    /// The sensor's supply and that of the pull-ups are on or off.
+    /// Switches the supplies of the sensor and of the pull-ups.
     pub fn supply(&mut self, sensors: bool, pull_ups: bool, now: u64) {
         if sensors && !self.supplied {
             self.awake_at = now + BOOT;
         }
-        // Without its supply the sensor forgets.
+        // Without power, the sensor loses its settings.
         if !sensors && self.supplied {
             self.sensor.power_cycle();
         }
@@ -126,12 +126,12 @@ impl Bus {
         reply
     }
 
-    /// Levels of SDA and SCL as the pull-ups and devices leave them.
+    /// Returns the levels of SDA and SCL, determined by the pull-ups and devices.
     pub fn levels(&self) -> (bool, bool) {
         (self.powered && self.stuck_clocks == 0, self.powered)
     }
 
-    /// The processor drives SCL by hand.
+    /// Lets the processor control SCL directly.
     pub fn drive_scl(&mut self, low: bool) {
         if self.scl_was_low && !low {
             self.stuck_clocks = self.stuck_clocks.saturating_sub(1);

@@ -1,4 +1,4 @@
-//! A linked firmware image: what goes into flash, and where its functions are.
+//! A linked firmware image: the contents of flash and the addresses of its functions.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -15,11 +15,11 @@ pub struct Image {
     pub symbols: BTreeMap<String, u32>,
     /// Bytes of functions and objects by name.
     pub sizes: BTreeMap<String, u32>,
-    /// Where the vector table lies.
+    /// Address of the vector table.
     pub vector_table: u32,
-    /// Bytes of flash and of statics in RAM.
+    /// Size of the contents of flash in bytes.
     pub flash_bytes: u32,
-    /// Bytes of statics in RAM.
+    /// Size of statics in RAM in bytes.
     pub ram_bytes: u32,
 }
 
@@ -27,7 +27,7 @@ impl Image {
     /// Reads an ELF file.
     ///
     /// # Panics
-    /// If it is no image for this chip: it comes from our own linker.
+    /// Panics if the file is not an image for this chip, which our own linker never produces.
     pub fn load(path: &Path) -> Self {
         let data = std::fs::read(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
         let file: ElfFile32<'_> = ElfFile32::parse(&*data).expect("an ELF file");
@@ -63,15 +63,15 @@ impl Image {
         image
     }
 
-    /// Address of a function without the Thumb bit.
+    /// Returns the address of a function without the Thumb bit.
     ///
     /// # Panics
-    /// If the image has no such function.
+    /// Panics if the image has no such function.
     pub fn function(&self, name: &str) -> u32 {
         self.symbols.get(name).unwrap_or_else(|| panic!("the image has no `{name}`")) & !1
     }
 
-    /// Full names of the functions whose names hold all of these words.
+    /// Returns the full names of the functions that contain all of these words.
     pub fn functions_with(&self, words: &[&str]) -> Vec<String> {
         self.symbols.keys().filter(|name| words.iter().all(|w| name.contains(w))).cloned().collect()
     }

@@ -1,6 +1,6 @@
-//! LSM6DS3TR-C: registers and FIFO of words; moved by a [`Motion`], whose axes are the chip's.
+//! LSM6DS3TR-C: registers and a FIFO of words, moved by a [`Motion`] in the chip's axes.
 //!
-//! By the data sheet (ST DocID030071) and AN5130.
+//! It follows the data sheet (ST DocID030071) and AN5130.
 
 use std::collections::VecDeque;
 
@@ -8,19 +8,19 @@ use super::lsm9ds1::Motion;
 use super::registers::{Chip, Registers};
 use super::time::{HZ, us};
 
-/// Maximum number of words that the FIFO holds and its counter can say.
+/// Capacity of the FIFO in words, which is also the maximum of its counter.
 const FIFO_WORDS: usize = 2047;
 const RESET: u64 = us(50);
 const CTRL3_C: u8 = 0x12;
-/// A transfer goes on with the next register.
+/// A transfer continues with the next register.
 const INCREMENTS: u8 = 0x04;
-/// From the gyroscope's start to its first value.
+/// Time from the gyroscope's start to its first value.
 const GYRO_START_SECONDS: f64 = 0.035;
 
 /// The sensor.
 pub struct Lsm6ds3 {
     registers: Registers,
-    /// Words of whole sets: gyroscope, then accelerometer.
+    /// Words of complete sets: gyroscope, then accelerometer.
     fifo: VecDeque<i16>,
     overrun: bool,
     next_set: Option<f64>,
@@ -28,7 +28,7 @@ pub struct Lsm6ds3 {
 }
 
 impl Lsm6ds3 {
-    /// A sensor as after power-up.
+    /// Returns a sensor after power-up.
     pub fn new(motion: Box<dyn Motion>) -> Self {
         let mut sensor = Self {
             registers: Registers::new(motion),
@@ -45,7 +45,7 @@ impl Lsm6ds3 {
         self.registers.get(register)
     }
 
-    /// Nothing if a sensor is off, or the two run at different rates.
+    /// Returns `None` if a sensor is off, or if both have different rates.
     fn period(&self) -> Option<f64> {
         let hz = match (self.register(0x10) >> 4, self.register(0x11) >> 4) {
             (4, 4) => 104.0,
@@ -62,7 +62,7 @@ impl Lsm6ds3 {
 
     fn set(&self, at: f64) -> [i16; 6] {
         let v = self.registers.motion.at(at);
-        // ±2, ±16, ±4, ±8 g; ±250, 500, 1000, 2000 deg/s, ±125 by a bit of its own.
+        // ±2, ±16, ±4, ±8 g; ±250, 500, 1000, 2000 deg/s, and ±125 by a separate bit.
         let mg = [0.061, 0.488, 0.122, 0.244][usize::from(self.register(0x10) >> 2) & 3];
         let mdps = if self.register(0x11) & 2 != 0 {
             4.375
@@ -104,7 +104,7 @@ impl Chip for Lsm6ds3 {
             }
             self.registers.sets += 1;
             let control = self.register(0x0A);
-            // Continuous mode, a rate of the FIFO, and both sensors in it without decimation.
+            // Continuous mode with a FIFO rate, and both sensors without decimation.
             if control & 7 == 6 && control >> 3 & 0xF != 0 && self.register(0x08) & 0x3F == 0x09 {
                 if self.fifo.len() + 6 > FIFO_WORDS {
                     self.fifo.drain(..6);
@@ -150,7 +150,7 @@ impl Chip for Lsm6ds3 {
                 let empty = u8::from(words == 0) << 4;
                 words.to_le_bytes()[1] & 7 | empty | u8::from(self.overrun) << 6
             }
-            // Which word of a set comes next.
+            // Position of the next word in a set.
             0x3C => ((6 - words % 6) % 6) as u8,
             0x3E => self.fifo.front().copied().unwrap_or(0).to_le_bytes()[0],
             0x3F => self.fifo.pop_front().unwrap_or(0).to_le_bytes()[1],
@@ -161,7 +161,7 @@ impl Chip for Lsm6ds3 {
     fn next(&self, register: u8) -> u8 {
         match register {
             _ if self.register(CTRL3_C) & INCREMENTS == 0 => register,
-            // A burst stays at the FIFO's output.
+            // A burst stays at the FIFO's output register.
             0x3F => 0x3E,
             register => (register + 1) & 0x7F,
         }
@@ -198,13 +198,13 @@ mod tests {
     #[test]
     fn the_fifo_gives_gyroscope_then_accelerometer_scaled_and_clipped() {
         let mut sensor = running(Box::new(Moved));
-        // 20 sets in 100 ms at 208 Hz, six words each; in step, not empty.
+        // At 208 Hz, there are 20 sets of six words in 100 ms, so the FIFO is aligned and not empty.
         assert_eq!(get(&mut sensor, 0x3A, ms(100)), [120, 0, 0, 0]);
         let bytes: [u8; 240] = get(&mut sensor, 0x3E, ms(100));
         let set = |n: usize| -> Vec<i16> {
             bytes[12 * n..12 * n + 12].chunks(2).map(|c| i16::from_le_bytes([c[0], c[1]])).collect()
         };
-        // The gyroscope turns on within 35 ms.
+        // The gyroscope starts within 35 ms.
         assert_eq!(set(0)[..3], [0; 3]);
         assert_eq!(set(19), [1429, 0, i16::MIN, 836, i16::MAX, -8197]);
         assert_eq!(get(&mut sensor, 0x3A, ms(100)), [0, 0x10, 0, 0]);

@@ -1,15 +1,15 @@
 //! LSM9DS1: two dies with registers, address increment, FIFO and clipping, moved by a [`Motion`].
 //!
-//! The sensor has its own clock ([`Sensor::set_clock_ratio`]): nothing here knows the board's crystal.
+//! The sensor has its own clock ([`Sensor::set_clock_ratio`]), independent of the board's crystal.
 
 use std::collections::VecDeque;
 
 use super::i2c::Sensor;
 use super::time::{HZ, ms};
 
-/// What the hand does: accX accY accZ in m/s², gyrX gyrY gyrZ in deg/s, magX magY magZ in µT.
+/// The motion of the hand: accX accY accZ in m/s², gyrX gyrY gyrZ in deg/s, magX magY magZ in µT.
 pub trait Motion {
-    /// The values at this time.
+    /// Returns the values of the motion at this time.
     fn at(&self, seconds: f64) -> [f64; 9];
 }
 
@@ -22,7 +22,7 @@ impl Motion for Still {
     }
 }
 
-/// Recorded rows on an even grid, with straight lines between them; the last row stays.
+/// Recorded rows on an even grid, connected by straight lines. The last row is held.
 pub struct Replay {
     /// The rows.
     pub rows: Vec<[f64; 9]>,
@@ -42,7 +42,7 @@ impl Motion for Replay {
     }
 }
 
-/// The dies' addresses with SA0 and SA1 high.
+/// The dies' addresses if SA0 and SA1 are high.
 const ADDRESS_AG: u8 = 0x6B;
 const ADDRESS_MAG: u8 = 0x1E;
 const FIFO_SETS: usize = 32;
@@ -62,22 +62,22 @@ pub struct Lsm9ds1 {
     selected: (Die, u8, bool),
     fifo: VecDeque<[i16; 6]>,
     overrun: bool,
-    /// Time of the next set and of the next magnetometer values, in seconds.
+    /// Times of the next set and of the next magnetometer values, in seconds.
     next_set: Option<f64>,
     next_mag: Option<f64>,
     sets: u64,
     latest: [i16; 6],
-    /// BOOT_STATUS stands, and written settings are lost, until this cycle.
+    /// Until this cycle, BOOT_STATUS is set and written settings are lost.
     boots_until: u64,
-    /// The next write to this register (bus address, register) is lost.
+    /// The register (bus address, register) whose next write is lost.
     loses_write: Option<(u8, u8)>,
 }
 
-/// How long the accelerometer's die is busy after a software reset.
+/// Time for which the accelerometer's die is busy after a software reset.
 const RESET_TIME: u64 = ms(10);
 
 impl Lsm9ds1 {
-    /// A sensor as after power-up.
+    /// Returns a sensor after power-up.
     pub fn new(motion: Box<dyn Motion>) -> Self {
         let mut sensor = Self {
             motion,
@@ -133,7 +133,7 @@ impl Lsm9ds1 {
         (self.mag[0x22] & 3 == 0).then_some(self.clock_ratio / hz)
     }
 
-    /// m/s² and deg/s per count, from the data sheet's sensitivities.
+    /// Returns m/s² and deg/s per count, from the data sheet's sensitivities.
     fn ag_scale(&self) -> (f64, f64) {
         let mg = [0.061, 0.732, 0.122, 0.244][usize::from(self.ag[0x20] >> 3) & 3];
         let mdps = [8.75, 17.5, f64::NAN, 70.0][usize::from(self.ag[0x10] >> 3) & 3];
@@ -141,11 +141,11 @@ impl Lsm9ds1 {
     }
 
     fn clip(value: f64) -> i16 {
-        // `as` saturates, as the sensor does.
+        // `as` saturates like the sensor.
         value.round() as i16
     }
 
-    /// Takes all sets up to this time.
+    /// Takes all samples up to this time.
     fn advance(&mut self, now: u64) {
         let seconds = now as f64 / HZ as f64;
         while let (Some(at), Some(period)) = (self.next_set, self.ag_period()) {
@@ -242,7 +242,7 @@ impl Lsm9ds1 {
                 let byte = set[usize::from(index / 2)].to_le_bytes()[usize::from(index % 2)];
                 self.ag[0x17] &= !3;
                 self.ag[0x27] &= !3;
-                // The last byte of the accelerometer frees the set.
+                // Reading the last byte of the accelerometer removes the set.
                 if register == 0x2D {
                     self.fifo.pop_front();
                 }
@@ -270,7 +270,7 @@ impl Sensor for Lsm9ds1 {
         let Some((&register, data)) = bytes.split_first() else { return };
         let die = if address == 0x1E { Die::Mag } else { Die::AccelGyro };
         self.selected = match die {
-            // The accelerometer's die counts up where IF_ADD_INC says so, the magnetometer's where bit 7 does.
+            // The accelerometer's die increments if IF_ADD_INC is set, and the magnetometer's if bit 7 is set.
             Die::AccelGyro => (die, register & 0x7F, self.ag[0x22] & 0x04 != 0),
             Die::Mag => (die, register & 0x7F, register & 0x80 != 0),
         };
@@ -300,7 +300,7 @@ impl Sensor for Lsm9ds1 {
                 *byte |= 1 << 3;
             }
             if increments {
-                // A burst past the gyroscope's output registers continues with the accelerometer's.
+                // A burst that passes the gyroscope's output registers continues with the accelerometer's.
                 self.selected.1 = match (die, register) {
                     (Die::AccelGyro, 0x1D) => 0x28,
                     _ => (register + 1) & 0x7F,
@@ -379,7 +379,7 @@ mod tests {
         }
         let b: [u8; 12] = get(&mut sensor, 0x6B, 0x18, ms(100));
         let v: Vec<i16> = b.chunks(2).map(|c| i16::from_le_bytes([c[0], c[1]])).collect();
-        // 2500 deg/s and 100 m/s² lie beyond the ranges; −1 g is −1000 / 0.122 counts.
+        // 2500 deg/s and 100 m/s² are beyond the ranges; −1 g is −1000 / 0.122 counts.
         assert_eq!(v[..3], [i16::MAX, i16::MIN, 0]);
         assert_eq!(v[4..], [i16::MAX, -8197]);
         sensor.write(0x1E, &[0x22, 0], ms(100));

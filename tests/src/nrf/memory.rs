@@ -1,4 +1,4 @@
-//! The chip's memories, shared by the core and the peripherals' EasyDMA.
+//! The chip's memories, which the core and the peripherals' EasyDMA share.
 
 /// Start of RAM.
 pub const RAM_START: u32 = 0x2000_0000;
@@ -7,12 +7,12 @@ pub const RAM_BYTES: usize = 256 * 1024;
 /// Bytes of flash.
 pub const FLASH_BYTES: usize = 1024 * 1024;
 
-/// RAM at a fixed place, so that the emulated core can use it directly.
+/// RAM at a fixed address, so that the emulated core can use it directly.
 pub struct Ram(Box<[u64]>);
 
 impl Default for Ram {
     fn default() -> Self {
-        // Not zero, as after a power-up.
+        // The content is not zero, as after a power-up.
         Self(vec![0xA5A5_5A5A_A5A5_5A5A; RAM_BYTES / 8].into_boxed_slice())
     }
 }
@@ -24,11 +24,11 @@ impl Ram {
     }
 
     fn bytes(&self) -> &[u8] {
-        // SAFETY: u64 has no padding and weaker alignment is fine.
+        // SAFETY: u64 has no padding, and a weaker alignment is valid.
         unsafe { std::slice::from_raw_parts(self.0.as_ptr().cast(), RAM_BYTES) }
     }
 
-    /// What EasyDMA reads, or nothing if a part is not RAM (EasyDMA cannot read flash).
+    /// Reads memory for EasyDMA, or returns `None` if a part is not RAM (EasyDMA cannot read flash).
     pub fn get(&self, address: u32, len: usize) -> Option<&[u8]> {
         let start = address.checked_sub(RAM_START)? as usize;
         self.bytes().get(start..start.checked_add(len)?)
@@ -39,7 +39,7 @@ impl Ram {
         self.get(address, 4).map_or(0, |b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]))
     }
 
-    /// Where EasyDMA writes; false if a part is not RAM.
+    /// Writes memory for EasyDMA. Returns false if a part is not RAM.
     pub fn put(&mut self, address: u32, data: &[u8]) -> bool {
         let Some(start) = address.checked_sub(RAM_START) else { return false };
         let start = start as usize;

@@ -1,8 +1,9 @@
 //! The emulated right hand: a Nano 33 BLE Sense from its instructions to its I2C bus.
 //!
-//! Needs the package `libunicorn-dev` (Debian) and the cargo feature `nrf`. One peripheral per file, each
-//! with its own tests, since emulators lie a little. What is not modelled: wait states of the flash (see
-//! `board::CYCLES_PER_TWO`), bus contention, analog behaviour of pins, the radio's waves.
+//! It needs the package `libunicorn-dev` (Debian) and the Cargo feature `nrf`.
+//! Each peripheral has its own file with its own tests, because emulators are not always accurate.
+//! The emulation omits wait states of the flash (see `board::CYCLES_PER_TWO`), bus contention,
+//! analog behaviour of pins, and radio waves.
 
 pub mod air_host;
 pub mod ble_host;

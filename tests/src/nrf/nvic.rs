@@ -2,15 +2,15 @@
 
 /// External interrupts of the chip.
 const IRQS: usize = 48;
-/// Exceptions before the external interrupts.
+/// Number of exceptions before the external interrupts.
 pub const FIRST_IRQ: usize = 16;
-/// Number of the exceptions with settable priority that are modelled.
+/// Numbers of the modelled exceptions with adjustable priority.
 pub const SVCALL: usize = 11;
 /// PendSV.
 pub const PENDSV: usize = 14;
 /// SysTick.
 pub const SYSTICK: usize = 15;
-/// Priority of code that no exception interrupted.
+/// Priority of code outside of exceptions.
 pub const THREAD: i32 = 256;
 
 /// The interrupt controller.
@@ -26,7 +26,7 @@ pub struct Nvic {
     /// VTOR.
     pub vector_table: u32,
     registers: [u32; 8],
-    /// A reset was asked for through AIRCR.
+    /// Whether a reset was requested through AIRCR.
     pub reset_wanted: bool,
 }
 
@@ -48,9 +48,9 @@ impl Default for Nvic {
 }
 
 impl Nvic {
-    /// The level of all interrupt lines.
+    /// Sets the levels of all interrupt lines.
     pub fn set_lines(&mut self, lines: u64) {
-        // A high line pends its interrupt, unless its handler runs.
+        // A high line makes its interrupt pending unless its handler is running.
         let mut pends = lines;
         for &exception in &self.active {
             if exception >= FIRST_IRQ {
@@ -66,17 +66,17 @@ impl Nvic {
         self.pending |= 1 << irq;
     }
 
-    /// Whether an interrupt is enabled.
+    /// Returns whether an interrupt is enabled.
     pub fn is_enabled(&self, irq: usize) -> bool {
         self.enabled & (1 << irq) != 0
     }
 
-    /// Priority register of an interrupt, 0 to 7.
+    /// Returns the priority register of an interrupt, 0 to 7.
     pub fn irq_priority(&self, irq: usize) -> u8 {
         self.priority[irq] >> 5
     }
 
-    /// Priority of an exception; lower is more urgent.
+    /// Returns the priority of an exception; lower is more urgent.
     pub fn priority_of(&self, exception: usize) -> i32 {
         match exception {
             2 => -2,
@@ -91,7 +91,7 @@ impl Nvic {
         self.active.iter().map(|&e| self.priority_of(e)).min().unwrap_or(THREAD)
     }
 
-    /// The most urgent exception that would interrupt, with nothing masked but by priority.
+    /// Returns the most urgent exception that would interrupt, considering only priorities.
     pub fn next(&self, basepri: u8) -> Option<usize> {
         let limit = if basepri == 0 { self.running() } else { self.running().min(i32::from(basepri)) };
         let ready = self.pending & self.enabled;
@@ -104,7 +104,7 @@ impl Nvic {
             .filter(|&e| self.priority_of(e) < limit)
     }
 
-    /// Whether an enabled interrupt is pending, whatever its priority (wakes a sleeping core).
+    /// Returns whether an enabled interrupt of any priority is pending, which wakes a sleeping core.
     pub fn any_ready(&self) -> bool {
         self.pendsv || self.pending & self.enabled != 0
     }
@@ -119,14 +119,14 @@ impl Nvic {
         self.active.push(exception);
     }
 
-    /// The newest handler returns; its exception number.
+    /// Ends the newest handler and returns its exception number.
     pub fn leave(&mut self) -> Option<usize> {
         let exception = self.active.pop();
         self.set_lines(self.lines);
         exception
     }
 
-    /// Exceptions whose handlers run, the newest last.
+    /// Exceptions whose handlers are running, the newest last.
     pub fn active(&self) -> &[usize] {
         &self.active
     }

@@ -1,6 +1,6 @@
 //! PPI: events of one peripheral trigger tasks of another without the core.
 
-/// Channels with fixed wiring are not used by the image and not modelled.
+/// The image does not use channels with fixed wiring, so they are not modelled.
 const CHANNELS: usize = 20;
 
 /// The programmable channels and their groups.
@@ -14,7 +14,7 @@ pub struct Ppi {
 }
 
 impl Ppi {
-    /// Tasks that an event triggers, by address.
+    /// Returns the addresses of the tasks that an event triggers.
     pub fn tasks_of(&self, event: u32) -> Vec<u32> {
         let mut tasks = Vec::new();
         if self.enabled != 0 {
@@ -44,7 +44,7 @@ impl Ppi {
     /// Writes a register.
     pub fn write(&mut self, offset: u32, value: u32) {
         match offset {
-            // Group tasks: enable, disable, for groups 0 to 5.
+            // Group tasks: enable or disable groups 0 to 5.
             0x000..=0x02C if value & 1 != 0 => {
                 let channels = self.groups[offset as usize / 8];
                 if offset.is_multiple_of(8) { self.enabled |= channels } else { self.enabled &= !channels }

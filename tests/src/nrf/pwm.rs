@@ -1,23 +1,23 @@
-//! PWM: the first channel of a generator that loads its value once per start of a sequence, as embassy-nrf uses it.
+//! PWM: the first channel of a generator that loads its value once per sequence start, as embassy-nrf uses it.
 
 use super::events::Events;
 use super::memory::Ram;
 
 const SEQSTARTED: u32 = 2;
 const SEQEND: u32 = 4;
-/// Cycles of the core per cycle of the generator's clock of 16 MHz.
+/// Core cycles per cycle of the generator's 16 MHz clock.
 const CLOCK: u64 = 4;
 
-/// What the pin does from a cycle on.
+/// The state of the pin from a cycle on.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Drive {
     /// From here on.
     pub at: u64,
     /// Port and pin.
     pub pin: (u32, u32),
-    /// Share of the time that it is high.
+    /// Fraction of the time in which the pin is high.
     pub high: f64,
-    /// High and low once per this.
+    /// Frequency of the signal.
     pub period_hz: f64,
 }
 
@@ -26,7 +26,7 @@ pub struct Drive {
 pub struct Pwm {
     /// Events.
     pub events: Events,
-    /// Each change of what the pin does. While the generator is off the pin is the port's, which is not recorded here.
+    /// All changes of the pin. While the generator is off, the port controls the pin, which is not recorded here.
     pub drives: Vec<Drive>,
     enabled: bool,
     top: u32,
@@ -55,12 +55,12 @@ impl Default for Pwm {
 }
 
 impl Pwm {
-    /// After a reset of the chip: what was seen stays.
+    /// Resets the chip. Recorded changes are kept.
     pub fn reset(&mut self) {
         *self = Self { drives: std::mem::take(&mut self.drives), ..Self::default() };
     }
 
-    /// The generator is on, and its clock.
+    /// Returns whether the generator and its clock are on.
     pub fn is_enabled(&self) -> bool {
         self.enabled
     }
@@ -71,7 +71,7 @@ impl Pwm {
 
     /// Loads the first value of the sequence.
     fn start(&mut self, now: u64, ram: &Ram) {
-        // Not from flash, and nothing if the counter has no top.
+        // EasyDMA cannot read flash, and nothing happens if the counter has no maximum.
         let value = ram.get(self.pointer, 2).map(|bytes| u16::from_le_bytes([bytes[0], bytes[1]]));
         let (Some(value), true) = (value.filter(|_| self.count > 0), self.top >= 3) else { return };
         let (falls, below) = (value & 0x8000 != 0, f64::from(value & 0x7FFF) / f64::from(self.top));
@@ -89,7 +89,7 @@ impl Pwm {
         self.due = Some(now + self.period_cycles());
     }
 
-    /// Raises what is due by now.
+    /// Raises all events that are due.
     pub fn advance(&mut self, now: u64) {
         if self.due.is_some_and(|due| due <= now) {
             self.due = None;

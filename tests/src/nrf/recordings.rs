@@ -1,4 +1,4 @@
-//! Recordings of `../shared/data`, joined into one for the emulated sensor.
+//! Recordings from `../shared/data`, joined into one for the emulated sensor.
 
 use std::path::PathBuf;
 
@@ -6,17 +6,17 @@ use models::recording::Recording;
 
 use super::lsm9ds1::Replay;
 
-/// Folder of the shared data; `BIMANUAL_SHARED` may name another `shared`.
+/// Folder of the shared data; `BIMANUAL_SHARED` may select another `shared` folder.
 pub fn data() -> PathBuf {
     std::env::var_os("BIMANUAL_SHARED")
         .map_or_else(|| PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared")), PathBuf::from)
         .join("data")
 }
 
-/// The first recordings of a class, joined; nothing if the folder is absent.
+/// Joins the first recordings of a class, or returns `None` if the folder does not exist.
 ///
 /// # Panics
-/// If a file is not what its README says.
+/// Panics if a file differs from its documentation.
 pub fn joined(set: &str, class: &str, most: usize) -> Option<(Replay, usize)> {
     let mut files: Vec<_> =
         std::fs::read_dir(data().join(set).join(class)).ok()?.flatten().map(|f| f.path()).collect();

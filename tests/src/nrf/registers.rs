@@ -1,18 +1,18 @@
-//! What the emulated sensors of one address have in common: 128 registers of a byte, of which one is selected, moved by a
-//! [`Motion`] at a clock of their own.
+//! The common parts of the emulated sensors with a single address: 128 byte registers, one of which is selected.
+//! A [`Motion`] moves the sensors, and each has its own clock.
 
 use super::i2c::Sensor;
 use super::lsm9ds1::Motion;
 
-/// The registers and what moves the chip.
+/// The registers and the motion of a chip.
 pub struct Registers {
     /// The hand.
     pub motion: Box<dyn Motion>,
-    /// True period over nominal period of the chip's own clock.
+    /// Ratio of true to nominal period of the chip's own clock.
     pub clock_ratio: f64,
-    /// Nothing is taken before this cycle.
+    /// No samples are taken before this cycle.
     pub busy_until: u64,
-    /// Sets taken since power-up.
+    /// Number of samples taken since power-up.
     pub sets: u64,
     bytes: [u8; 128],
     selected: u8,
@@ -52,7 +52,7 @@ impl Registers {
     }
 }
 
-/// What turns the registers into a chip.
+/// The behaviour of a specific chip.
 pub trait Chip {
     /// Its bus address.
     const ADDRESS: u8;
@@ -63,7 +63,7 @@ pub trait Chip {
     fn registers_mut(&mut self) -> &mut Registers;
     /// As after power-up.
     fn reset(&mut self);
-    /// Does all that is due by now.
+    /// Performs all actions that are due.
     fn advance(&mut self, now: u64);
     /// A register is written.
     fn written(&mut self, register: u8, value: u8, now: u64);
@@ -71,13 +71,13 @@ pub trait Chip {
     fn read(&mut self, register: u8) -> u8 {
         self.registers().get(register)
     }
-    /// The register that follows this one in a transfer.
+    /// Returns the next register in a transfer.
     fn next(&self, register: u8) -> u8 {
         (register + 1) & 0x7F
     }
-    /// A transfer from it is over.
+    /// Reports the end of a read transfer.
     fn read_ended(&mut self) {}
-    /// Breaks in a way that the sensor itself reports, if it can.
+    /// Fails in a way that the sensor itself reports, if it can.
     fn break_down(&mut self) {}
 }
 

@@ -14,10 +14,10 @@ pub struct Rtc {
     prescaler: u64,
     cc: [u32; 4],
     running: bool,
-    /// Tick of the 32,768 Hz clock at which the counter was 0 (minus whole turns).
+    /// Tick of the 32,768 Hz clock at which the counter was 0 (minus complete turns).
     zero_tick: u64,
     stopped_at: u64,
-    /// Counter values up to this have been compared.
+    /// Counter values up to this one have been compared.
     compared: u64,
 }
 
@@ -40,7 +40,7 @@ impl Rtc {
         self.events.is_enabled(COMPARE + index as u32)
     }
 
-    /// Raises what is due by now.
+    /// Raises all events that are due.
     pub fn advance(&mut self, now: u64) {
         let count = self.count(now);
         if count <= self.compared {

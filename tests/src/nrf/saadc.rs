@@ -1,5 +1,5 @@
-//! SAADC: one channel, single-ended, against the internal reference of 0.6 V with a gain of a sixth (embassy-nrf's
-//! default): 0 to 3.6 V in 12 bits.
+//! SAADC: one single-ended channel with the internal reference of 0.6 V and a gain of 1/6 (embassy-nrf's default).
+//! This gives 0 to 3.6 V in 12 bits.
 
 use super::events::Events;
 use super::memory::Ram;
@@ -19,7 +19,7 @@ const FULL_SCALE_MV: f64 = 3600.0;
 pub struct Saadc {
     /// Events.
     pub events: Events,
-    /// What is wired to analog input n, in millivolts.
+    /// Voltages at the analog inputs in millivolts.
     pub inputs_mv: [f64; 8],
     enabled: bool,
     positive: u32,
@@ -29,16 +29,16 @@ pub struct Saadc {
 }
 
 impl Saadc {
-    /// After a reset of the chip: what is wired stays.
+    /// Resets the chip. Connected voltages are kept.
     pub fn reset(&mut self) {
         *self = Self { inputs_mv: self.inputs_mv, ..Self::default() };
     }
 
-    /// Raises what is due by now.
+    /// Raises all events that are due.
     pub fn advance(&mut self, now: u64, ram: &mut Ram) {
         if self.due.is_some_and(|due| due <= now) {
             self.due = None;
-            // 0 is no input, n is AIN(n − 1).
+            // 0 means no input, and n means AIN(n − 1).
             let input = (self.positive as usize).checked_sub(1).and_then(|n| self.inputs_mv.get(n));
             let mv = input.copied().unwrap_or(0.0);
             let counts = (mv / FULL_SCALE_MV * 4096.0).round().clamp(0.0, 4095.0) as i16;

@@ -1,4 +1,4 @@
-//! A laptop at the emulated board's serial port or Bluetooth: requests in, messages out.
+//! A laptop at the emulated board's serial port or Bluetooth, which sends requests and receives messages.
 
 use shared_proto::frame::{BOARD_FRAME_MAX, Decoder, encode_host, parse_board};
 use shared_proto::message::{About, Ack, BoardMessage, Fault, Hello, HostMessage, Status};
@@ -14,7 +14,7 @@ use super::softdevice::central::Happening;
 /// A state of the right hand, owned.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Right {
-    /// Cycle at which its frame was complete on the wire.
+    /// Cycle at which the frame was complete on the wire.
     pub at: u64,
     /// As on the wire.
     pub sequence: u16,
@@ -34,7 +34,7 @@ pub struct Right {
     pub health: u8,
 }
 
-/// What the board has said so far.
+/// All messages from the board so far.
 #[derive(Default)]
 pub struct Heard {
     /// Boot ids and model ids of hellos.
@@ -47,30 +47,30 @@ pub struct Heard {
     pub faults: Vec<Fault>,
     /// Answers.
     pub acks: Vec<Ack>,
-    /// Raw samples: number of the first, and counts.
+    /// Raw samples: number of the first one, and counts.
     pub raw: Vec<(u32, Vec<i16>)>,
-    /// What the board is made of, as it said last.
+    /// The board's newest description of its hardware.
     pub about: Option<About>,
     /// Pongs.
     pub pongs: usize,
 }
 
-/// Bytes from the board to messages.
+/// Decodes bytes from the board.
 #[derive(Default)]
 pub struct Listener {
-    /// What the board said.
+    /// The messages that the board sent.
     pub heard: Heard,
     decoder: Decoder<BOARD_FRAME_MAX>,
 }
 
-/// A board and who listens to it.
+/// A board with the laptops that listen to it.
 pub struct RightRig {
     /// The board.
     pub board: Board,
-    /// What it said to this laptop.
+    /// Messages from the board to this laptop.
     pub heard: Heard,
     decoder: Decoder<BOARD_FRAME_MAX>,
-    /// Bluetooth, where the laptop uses it; then another one listens at D0.
+    /// Bluetooth, if the laptop uses it. Another laptop then listens at D0.
     pub ble: Option<BleHost>,
     /// Bluetooth with bumble at the laptop's end; then, too.
     pub air: Option<AirHost>,
@@ -79,12 +79,12 @@ pub struct RightRig {
 }
 
 impl RightRig {
-    /// Starts the image behind the stock bootloader, with a laptop at D0 and D1.
+    /// Starts the image with the stock bootloader and a laptop at D0 and D1.
     pub fn uart(motion: Box<dyn Motion>) -> Self {
         Self::new(Board::new(image(Variant::Bootloader), Boot::StockBootloader, motion), None)
     }
 
-    /// Starts the image behind S140, with a laptop that connects over Bluetooth by itself.
+    /// Starts the image with S140 and a laptop that connects automatically over Bluetooth.
     pub fn ble(motion: Box<dyn Motion>) -> Self {
         Self::ble_of_kind(Kind::Nano33, motion)
     }
@@ -98,15 +98,15 @@ impl RightRig {
         Self::new(board, Some(host))
     }
 
-    /// The same with a board that lies still: connected, bonded and subscribed.
+    /// Does the same with a board at rest, until it is connected, bonded and subscribed.
     pub fn ble_ready() -> Self {
         let mut session = Self::ble(Box::new(Still));
         session.wait_until_ready();
         session
     }
 
-    /// A board of this kind with a laptop at its serial port: a Nano 33 behind the stock bootloader, a XIAO behind S140 with
-    /// the USB cable in.
+    /// Starts a board of this kind with a laptop at its serial port.
+    /// A Nano 33 uses the stock bootloader, and a XIAO uses S140 with the USB cable plugged in.
     pub fn of_kind(kind: Kind, motion: Box<dyn Motion>) -> Self {
         if kind != Kind::Xiao {
             let image = image(Variant::Bootloader);
@@ -135,7 +135,7 @@ impl RightRig {
         Self { board, heard, decoder, ble, air: None, uart }
     }
 
-    /// The USB cable goes in, with a charger at its other end. Behind S140 the wire at D0 runs only then.
+    /// Plugs in the USB cable with a charger. With S140, the UART at D0 works only then.
     pub fn charge(&mut self) {
         let soc = self.board.soc();
         soc.power.set_vbus(true, soc.now);
@@ -154,7 +154,7 @@ impl RightRig {
         }
     }
 
-    /// Runs in steps of a millisecond until something holds or time is up; whether it held.
+    /// Runs in steps of a millisecond until a condition holds or time is up. Returns whether it held.
     pub fn run_until_that(&mut self, milliseconds: u64, mut holds: impl FnMut(&mut Self) -> bool) -> bool {
         for _ in 0..milliseconds {
             if holds(self) {
@@ -168,13 +168,13 @@ impl RightRig {
     /// Runs until the laptop is connected over Bluetooth and subscribed.
     ///
     /// # Panics
-    /// If it is not within five seconds.
+    /// Panics if the board is not ready after five seconds.
     pub fn wait_until_ready(&mut self) {
         let is_ready = self.run_until_that(5000, |s| s.ble.as_ref().is_some_and(|b| b.is_ready()));
         assert!(is_ready, "{:?}", self.board.softdevice().central.log);
     }
 
-    /// What happened at the laptop's end of Bluetooth.
+    /// Returns the events at the laptop's end of Bluetooth.
     pub fn log(&mut self) -> Vec<Happening> {
         self.board.softdevice().central.log.iter().map(|(_, what)| what.clone()).collect()
     }
@@ -190,7 +190,7 @@ impl RightRig {
         }
     }
 
-    /// Sends a message and waits for the acknowledgement of this request number.
+    /// Sends a message and waits for the acknowledgement with this request number.
     pub fn ask(&mut self, request: u16, message: &HostMessage<'_>) -> Option<Ack> {
         let before = self.heard.acks.len();
         self.send(message);
@@ -199,10 +199,10 @@ impl RightRig {
         found(self)
     }
 
-    /// Share of time awake by the board's own count, in parts per thousand.
+    /// Fraction of time awake as reported by the board, in parts per thousand.
     ///
     /// # Panics
-    /// If the board has sent no status.
+    /// Panics if the board has sent no status.
     pub fn board_load(&self) -> u16 {
         self.heard.statuses.last().expect("a status").load_permille
     }

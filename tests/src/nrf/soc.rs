@@ -1,4 +1,4 @@
-//! The chip around the core: address map, interrupt lines, PPI, and when something is due.
+//! The chip around the core: address map, interrupt lines, PPI, and the next event.
 
 use super::controller::Controller;
 use super::events::Events;
@@ -40,14 +40,14 @@ pub const SLOTS_END: u32 = 0xE0000;
 /// A port (0 or 1) and a pin.
 type Pin = (usize, u32);
 
-/// What the board's pins are wired to.
+/// The connections of the board's pins.
 #[derive(Clone, Copy, Debug)]
 pub struct Wiring {
     /// The sensor's supply.
     pub power: Pin,
-    /// The sensor draws more than a pin of standard drive gives.
+    /// Whether the sensor draws more current than a pin with standard drive supplies.
     pub needs_high_drive: bool,
-    /// Supply of the bus' pull-ups, if it is not the sensor's.
+    /// Supply of the bus' pull-ups, if it differs from the sensor's.
     pub pull_ups: Option<Pin>,
     /// I2C, on port 0.
     pub sda: u32,
@@ -59,13 +59,13 @@ pub struct Wiring {
     pub led: [u32; 3],
 }
 
-/// All of the chip but the core.
+/// The complete chip except for the core.
 pub struct Soc {
     /// Cycles since power-up.
     pub now: u64,
     /// RAM.
     pub ram: Ram,
-    /// Flash as the peripherals see it (the core's copy of the code is set up once).
+    /// Flash from the peripherals' point of view (the core's copy of the code is created once).
     pub flash: Vec<u8>,
     /// UICR, one page.
     pub uicr: Vec<u8>,
@@ -93,7 +93,7 @@ pub struct Soc {
     ppi: Ppi,
     /// USB device.
     pub usb: Usbd,
-    /// S140, if the image runs behind it.
+    /// S140, if the image uses it.
     pub softdevice: Option<Box<SoftDevice>>,
     /// Nordic's controller inside the image, if it has one.
     pub controller: Option<Box<Controller>>,
@@ -103,11 +103,11 @@ pub struct Soc {
     pub bus: Bus,
     d1_is_open: bool,
     wiring: Wiring,
-    /// Registers that are only remembered, by address.
+    /// Registers that only store their values, by address.
     others: std::collections::HashMap<u32, u32>,
-    /// The earliest cycle at which a peripheral has something to do.
+    /// The earliest cycle at which a peripheral has an event.
     pub due: u64,
-    /// Cycles that the core was awake; DWT's counter.
+    /// Number of cycles awake, which is also DWT's counter.
     pub awake: u64,
     dwt_offset: u64,
     /// Accesses to peripherals that are not modelled, by page.
@@ -150,7 +150,7 @@ impl Soc {
         }
     }
 
-    /// A reset that is not a power-up: memories, time and surroundings stay. `reason` is its bit in RESETREAS.
+    /// Resets the chip without a power-up: memories, time and surroundings are kept. `reason` is its bit in RESETREAS.
     pub fn reset(&mut self, reason: u32) {
         const SOFT: u32 = 1 << 2;
         self.power.reset(reason);
@@ -164,7 +164,7 @@ impl Soc {
         self.timers = Default::default();
         self.rtc1 = Rtc::default();
         self.rng = Rng::new(self.now | 1);
-        // A soft reset does not stop a watchdog that runs.
+        // A soft reset does not stop an active watchdog.
         if reason != SOFT {
             self.watchdog = Watchdog::default();
         }
@@ -183,14 +183,14 @@ impl Soc {
         self.settle();
     }
 
-    /// Nothing is wired to D0 and D1.
+    /// Disconnects D0 and D1.
     pub fn unplug_uart(&mut self) {
         self.d1_is_open = true;
         self.wires();
         self.settle();
     }
 
-    /// What pins mean for the world and the world for pins.
+    /// Exchanges levels between pins and their surroundings.
     fn wires(&mut self) {
         let Wiring { power, needs_high_drive, pull_ups, sda, scl, uart_rx, .. } = self.wiring;
         let high = |(port, pin): Pin| self.ports[port].drives(pin) == Some(true);
@@ -250,7 +250,7 @@ impl Soc {
             0xE000_E000..=0xE000_EFFF => self.nvic.read(offset),
             0xE000_1004 => (self.awake - self.dwt_offset) as u32,
             0x1000_0000..=0x1000_0FFF => match offset {
-                // INFO.PART, VARIANT ("AAF0": a chip whose debug port locks itself), and what errata checks read.
+                // INFO.PART, VARIANT ("AAF0": a chip with a self-locking debug port), and registers for errata checks.
                 0x100 => 0x52840,
                 0x104 => 0x4141_4630,
                 0x130 => 0x8,
@@ -272,7 +272,7 @@ impl Soc {
         memory.get(at..at + 4).map_or(0, |b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]))
     }
 
-    // P0's registers lie from 0x500 and P1's from 0x800 of the same page.
+    // P0's registers start at 0x500 and P1's at 0x800 of the same page.
     fn is_p1(offset: u32) -> bool {
         matches!(offset, 0x804..=0x824 | 0xA00..=0xA7C)
     }
@@ -293,7 +293,7 @@ impl Soc {
         }
     }
 
-    /// S140's verdict on an access of the core.
+    /// Lets S140 check an access of the core.
     fn check(&mut self, address: u32, write: Option<u32>) {
         if let Some(softdevice) = &mut self.softdevice
             && softdevice.is_enabled()
@@ -321,7 +321,7 @@ impl Soc {
                     UARTE0 => self.uart.write(offset, value, now, &self.ram),
                     TWIM0 => {
                         self.twim.write(offset, value, now);
-                        // On other pins nobody answers.
+                        // On other pins, no device answers.
                         self.bus.wired = (self.twim.read(0x508), self.twim.read(0x50C))
                             == (self.wiring.scl, self.wiring.sda);
                     }
@@ -387,7 +387,7 @@ impl Soc {
         f(USBD as u32, &mut self.usb.events);
     }
 
-    /// Passes new events to the PPI until none is left.
+    /// Passes new events to the PPI until there are no more.
     fn run_ppi(&mut self) {
         loop {
             let mut fired = Vec::new();
@@ -408,7 +408,7 @@ impl Soc {
         }
     }
 
-    /// Interrupt lines and the next due cycle.
+    /// Updates interrupt lines and the next due cycle.
     pub fn settle(&mut self) {
         let mut lines = 0;
         self.for_each_events(|page, events| lines |= u64::from(events.irq()) << page);
@@ -434,7 +434,7 @@ impl Soc {
         .unwrap_or(u64::MAX);
     }
 
-    /// Does all that is due by now, in order.
+    /// Performs all actions that are due, in order.
     pub fn advance(&mut self) {
         let now = self.now;
         while self.due <= now && !self.watchdog.bites(self.due) {
@@ -460,7 +460,7 @@ impl Soc {
         }
     }
 
-    /// Level of the red, green and blue LED: lit or not.
+    /// Returns whether the red, green and blue LED are lit.
     pub fn led(&self) -> [bool; 3] {
         self.wiring.led.map(|pin| self.ports[0].drives(pin) == Some(false))
     }

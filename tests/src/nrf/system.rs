@@ -1,4 +1,4 @@
-//! The small peripherals that start-up needs: clock, power, random numbers, watchdog.
+//! The small peripherals for start-up: clock, power, random numbers, watchdog.
 
 use super::events::Events;
 use super::time::{cycle_of_tick, ms, ticks, us};
@@ -23,9 +23,9 @@ pub struct ClockPower {
     lf_source: u32,
     /// RESETREAS.
     pub reset_reasons: u32,
-    /// GPREGRET and GPREGRET2, which survive a soft reset only.
+    /// GPREGRET and GPREGRET2, which only survive a soft reset.
     pub retained: [u32; 2],
-    /// DCDCEN: the main regulator's converter is on.
+    /// DCDCEN: whether the main regulator's converter is on.
     pub converter: bool,
     vbus: bool,
     usb_ready: bool,
@@ -33,7 +33,7 @@ pub struct ClockPower {
 }
 
 impl ClockPower {
-    /// The cable is plugged in or pulled.
+    /// Plugs in or pulls the cable.
     pub fn set_vbus(&mut self, on: bool, now: u64) {
         if on != self.vbus {
             self.vbus = on;
@@ -43,7 +43,7 @@ impl ClockPower {
         }
     }
 
-    /// Raises what is due by now.
+    /// Raises all events that are due.
     pub fn advance(&mut self, now: u64) {
         if self.hf_due.is_some_and(|d| d <= now) {
             self.hf_due = None;
@@ -62,12 +62,12 @@ impl ClockPower {
         }
     }
 
-    /// Cycle of the next change.
+    /// Returns the cycle of the next event.
     pub fn due(&self) -> Option<u64> {
         [self.hf_due, self.lf_due, self.usb_ready_due].into_iter().flatten().min()
     }
 
-    /// After a reset, but not a power-up.
+    /// Resets the peripheral without a power-up.
     pub fn reset(&mut self, reason: u32) {
         const SOFT: u32 = 1 << 2;
         *self = Self {
@@ -106,7 +106,7 @@ impl ClockPower {
         match offset {
             0x000 if value & 1 != 0 => self.hf_due = Some(now + us(360)),
             0x004 if value & 1 != 0 => self.crystal = false,
-            // A real crystal takes a quarter of a second; nothing here depends on it.
+            // A real crystal needs a quarter of a second, but this does not matter here.
             0x008 if value & 1 != 0 => self.lf_due = Some(now + ms(1)),
             0x00C if value & 1 != 0 => self.lf_running = false,
             0x400 => self.reset_reasons &= !value,
@@ -139,7 +139,7 @@ impl Rng {
         Self { state: seed, ..Self::default() }
     }
 
-    /// Raises what is due by now.
+    /// Raises all events that are due.
     pub fn advance(&mut self, now: u64) {
         if self.running && self.due <= now {
             self.state =
@@ -175,7 +175,7 @@ impl Rng {
     }
 }
 
-/// WDT: restarts the chip unless all enabled reload registers have been written in time.
+/// WDT: resets the chip unless all enabled reload registers were written in time.
 #[derive(Clone, Debug, Default)]
 pub struct Watchdog {
     /// Events.
@@ -256,7 +256,7 @@ mod tests {
         power.write(0x51C, 0xB0, 0);
         power.reset(4);
         assert_eq!((power.read(0x51C), power.read(0x400)), (0xB0, 4));
-        // A watchdog's reset clears what a soft one keeps.
+        // A watchdog reset clears registers that a soft reset preserves.
         power.reset(2);
         assert_eq!((power.read(0x51C), power.read(0x400)), (0, 6));
     }

@@ -13,12 +13,12 @@ pub const fn ms(ms: u64) -> u64 {
     us(ms * 1000)
 }
 
-/// Ticks of the 32,768 Hz clock that have begun by this cycle.
+/// Returns the number of 32,768 Hz ticks that have begun by this cycle.
 pub const fn ticks(cycles: u64) -> u64 {
     cycles * 8 / 15_625
 }
 
-/// First cycle of a tick of the 32,768 Hz clock.
+/// Returns the first cycle of a tick of the 32,768 Hz clock.
 pub const fn cycle_of_tick(tick: u64) -> u64 {
     (tick * 15_625).div_ceil(8)
 }

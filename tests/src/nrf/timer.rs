@@ -1,4 +1,4 @@
-//! TIMER as a counter of task triggers (all that the image uses it for) and of 16 MHz ticks on capture.
+//! TIMER as a counter of task triggers (the image's only use) and of 16 MHz ticks on capture.
 
 use super::events::Events;
 

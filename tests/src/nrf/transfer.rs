@@ -1,4 +1,4 @@
-//! A laptop that sends a model to the emulated board, piece by piece.
+//! A laptop that sends a model to the emulated board in pieces.
 
 use shared_board::hand::model_info_on_the_wire;
 use shared_dsp::right::kind::FeatureKind;
@@ -7,10 +7,10 @@ use shared_proto::message::{AckResult, Bytes, HostMessage, MODEL_CHUNK_MAX, Mode
 
 use super::session::RightRig;
 
-/// A model of nine axes and seven labels with weights from a seed.
+/// Returns a model with nine axes, seven labels and random weights from a seed.
 ///
 /// # Panics
-/// If the widths are too large for a blob.
+/// Panics if the widths are too large for a blob.
 pub fn random_model(recipe: FeatureKind, hidden: &[usize], seed: u32) -> Vec<u8> {
     const AXES: usize = 9;
     let inputs = recipe.feature_count(AXES);
@@ -34,7 +34,7 @@ pub fn random_model(recipe: FeatureKind, hidden: &[usize], seed: u32) -> Vec<u8>
             largest: i8::MAX,
         })
         .collect();
-    // The features of recipe 3 lie about 0, as wide as 1.
+    // The features of recipe 3 are centred on 0 with a deviation of 1.
     let scale = if recipe == FeatureKind::Aligned { 60.0 } else { 1.0 };
     build_blob(&BlobSpec {
         recipe,
@@ -59,7 +59,7 @@ pub fn begin<'a>(blob: &'a [u8], model: &Model<'a>) -> ModelBegin<'a> {
     }
 }
 
-/// Announces the model and waits until its place is empty; the answer.
+/// Announces the model and waits until its slot is erased. Returns the answer.
 ///
 /// # Panics
 /// Without an answer.
@@ -73,7 +73,7 @@ pub fn announce(session: &mut RightRig, begin: ModelBegin<'_>) -> AckResult {
 /// Sends pieces until `most` have been accepted.
 ///
 /// # Panics
-/// If one is refused.
+/// Panics if the board refuses a piece.
 pub fn pieces(session: &mut RightRig, blob: &[u8], most: usize) {
     for (i, data) in blob.chunks(MODEL_CHUNK_MAX).enumerate().take(most) {
         let offset = (i * MODEL_CHUNK_MAX) as u32;
@@ -91,7 +91,7 @@ pub fn restart(session: &mut RightRig) {
     session.run_ms(300);
 }
 
-/// The id of the model that runs.
+/// Returns the id of the running model.
 ///
 /// # Panics
 /// Without a hello.
@@ -102,10 +102,10 @@ pub fn model_id(session: &mut RightRig) -> u32 {
     session.heard.hellos.last().unwrap().1
 }
 
-/// Sends a whole model, which runs after a restart.
+/// Sends a complete model, which runs after a restart.
 ///
 /// # Panics
-/// If the board does not take it.
+/// Panics if the board does not accept the model.
 pub fn install(session: &mut RightRig, blob: &[u8]) {
     let model = Model::parse(blob).expect("a model");
     assert_eq!(announce(session, begin(blob, &model)), AckResult::Ok);

@@ -1,4 +1,4 @@
-//! TWIM: I2C controller with EasyDMA. A transfer takes the time of its bits.
+//! TWIM: I2C controller with EasyDMA. Transfers take the time of their bits.
 
 use super::events::Events;
 use super::i2c::{Bus, Reply};
@@ -25,7 +25,7 @@ enum Doing {
     Sending,
     Receiving,
     Stopping,
-    /// Waits for the line for ever.
+    /// Waits without a time limit for the line.
     Stuck,
 }
 
@@ -38,7 +38,7 @@ pub struct Twim {
     error: u32,
     frequency: u32,
     address: u32,
-    /// Transfers at 400 kHz, whose low period is shorter than I2C allows (erratum 219).
+    /// Number of transfers at 400 kHz, whose low period is shorter than I2C allows (erratum 219).
     pub too_fast: u64,
     rx: [u32; 4],
     tx: [u32; 4],
@@ -75,7 +75,7 @@ impl Twim {
             0x0620_0000 => 390_000,
             _ => 400_000,
         };
-        // Each byte and the address before them: eight bits and an acknowledge; one bit for start or stop.
+        // Each byte and the address take eight bits and an acknowledge; start or stop take one bit.
         u64::from((bytes + 1) * 9 + 1) * HZ / hz
     }
 
@@ -96,7 +96,7 @@ impl Twim {
         self.due = now + if doing == Doing::Stopping { HZ / 400_000 } else { self.cycles(bytes) };
     }
 
-    /// Raises what is due by now.
+    /// Raises all events that are due.
     pub fn advance(&mut self, now: u64, ram: &mut Ram, bus: &mut Bus) {
         while matches!(self.doing, Doing::Sending | Doing::Receiving | Doing::Stopping) && self.due <= now {
             let at = self.due;
@@ -159,7 +159,7 @@ impl Twim {
         }
     }
 
-    /// Cycle of the next change.
+    /// Returns the cycle of the next event.
     pub fn due(&self) -> Option<u64> {
         (!matches!(self.doing, Doing::Nothing | Doing::Stuck)).then_some(self.due)
     }
@@ -185,7 +185,7 @@ impl Twim {
             0x000 if value & 1 != 0 && enabled => self.begin(Doing::Receiving, now),
             0x008 if value & 1 != 0 && enabled => self.begin(Doing::Sending, now),
             0x014 if value & 1 != 0 && enabled => {
-                // A stop needs the line too.
+                // A stop also needs the line.
                 if self.doing != Doing::Stuck {
                     self.begin(Doing::Stopping, now);
                 }
@@ -243,7 +243,7 @@ mod tests {
         twim.write(0x008, 1, 0);
         twim.advance(us(90), &mut ram, &mut bus);
         assert!(!twim.events.irq());
-        // Two times 19 bits at 400 kHz and a stop.
+        // Two times 19 bits at 400 kHz, and a stop.
         twim.advance(us(98), &mut ram, &mut bus);
         assert!(twim.events.irq());
         assert_eq!(ram.get(RAM_START + 4, 1), Some(&[0x68][..]));

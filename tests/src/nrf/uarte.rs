@@ -1,4 +1,4 @@
-//! UARTE: serial port with EasyDMA. Bytes take their time in both directions.
+//! UARTE: serial port with EasyDMA. Bytes take their real time in both directions.
 
 use std::collections::VecDeque;
 
@@ -17,7 +17,7 @@ const TXSTARTED: u32 = 20;
 const TXSTOPPED: u32 = 22;
 const ENDRX_STARTRX: u32 = 1 << 5;
 const ENDRX_STOPRX: u32 = 1 << 6;
-/// Bytes that wait in the receiver while EasyDMA does not run.
+/// Capacity of the receiver in bytes while EasyDMA does not run.
 const FIFO: usize = 6;
 
 /// UARTE0 or UARTE1.
@@ -38,17 +38,17 @@ pub struct Uarte {
     arriving: VecDeque<(u64, u8)>,
     sending: Option<(Vec<u8>, u64, usize)>,
     sent: Vec<(u64, u8)>,
-    /// Bytes lost because nobody took them.
+    /// Number of bytes lost because EasyDMA did not run.
     pub overruns: u64,
-    /// Pins chosen while the port is on, which the chip forbids.
+    /// Number of times pins were selected while the port was on, which the chip forbids.
     pub pins_while_on: u32,
-    /// Nothing drives or pulls the receiving pin: noise arrives.
+    /// Whether the receiving pin is floating, so that noise arrives.
     floating: bool,
     noise: u64,
 }
 
 impl Uarte {
-    /// After a reset of the chip: what is on the wire stays there.
+    /// Preserves the data on the wire after a reset of the chip.
     pub fn keep_line(&mut self, before: Self) {
         self.arriving = before.arriving;
         self.sent = before.sent;
@@ -72,7 +72,7 @@ impl Uarte {
         self.enable == 8 && self.receiver_on
     }
 
-    /// Nothing drives or pulls the receiving pin, or something does.
+    /// Sets whether the receiving pin is floating.
     pub fn set_floating(&mut self, floating: bool, now: u64) {
         if floating != self.floating {
             self.floating = floating;
@@ -89,7 +89,7 @@ impl Uarte {
         }
     }
 
-    /// The world sends bytes, one after the other from now on.
+    /// Sends bytes to the board in sequence from now on.
     pub fn receive(&mut self, bytes: &[u8], now: u64) {
         let byte = self.byte_cycles();
         let mut at = self.arriving.back().map_or(now, |&(at, _)| at.max(now));
@@ -99,7 +99,7 @@ impl Uarte {
         }
     }
 
-    /// Bytes that left the board since the last call, with the cycle of their end.
+    /// Returns the bytes sent by the board since the last call, with the cycle of their end.
     pub fn take_sent(&mut self) -> Vec<(u64, u8)> {
         std::mem::take(&mut self.sent)
     }
@@ -133,19 +133,19 @@ impl Uarte {
     fn start_rx(&mut self) {
         self.receiver_on = true;
         self.rx[2] = 0;
-        // Pointer and length are latched here, so the next ones may be written at once.
+        // Pointer and length are latched here, so the next ones may be written immediately.
         self.receiving = Some((self.rx[0], self.rx[1]));
         self.events.fire(RXSTARTED);
     }
 
-    /// Raises what is due by now.
+    /// Raises all events that are due.
     pub fn advance(&mut self, now: u64, ram: &mut Ram) {
         while self.receiving.is_some()
             && let Some(byte) = self.fifo.pop_front()
         {
             self.take_byte(byte, ram);
         }
-        // One byte at a time: the PPI must see each before the next (see `Soc::advance`).
+        // Bytes are processed one at a time, because the PPI must handle each before the next (see `Soc::advance`).
         if let Some(&(at, byte)) = self.arriving.front()
             && at <= now
         {
@@ -168,7 +168,7 @@ impl Uarte {
         }
     }
 
-    /// Cycle of the next change.
+    /// Returns the cycle of the next event.
     pub fn due(&self) -> Option<u64> {
         let arrives = self.arriving.front().map(|&(at, _)| at);
         let sent = self.sending.as_ref().map(|(bytes, at, _)| at + bytes.len() as u64 * self.byte_cycles());
@@ -202,7 +202,7 @@ impl Uarte {
                 self.events.fire(RXTO);
             }
             0x008 if value & 1 != 0 && enabled => {
-                // EasyDMA cannot read flash: such a transfer sends nothing useful.
+                // EasyDMA cannot read flash, so such a transfer would send garbage.
                 let bytes = ram.get(self.tx[0], self.tx[1] as usize).map(<[u8]>::to_vec).unwrap_or_default();
                 self.events.fire(TXSTARTED);
                 self.sending = Some((bytes, now, 0));

@@ -1,5 +1,5 @@
-//! A laptop at the USB cable: enumerates the serial port as hosts do, one request after the other, sets its
-//! line, and reads and writes bytes.
+//! A laptop at the USB cable.
+//! It enumerates the serial port with one request after another, sets its line parameters, and reads and writes bytes.
 
 use std::collections::VecDeque;
 
@@ -7,23 +7,23 @@ use super::board::Board;
 use super::time::ms;
 use super::usbd::Reply;
 
-/// Vendor and product of a sketch on an Arduino Nano 33 BLE, and of a program on a XIAO nRF52840 Sense.
+/// Vendor and product ids of a sketch on an Arduino Nano 33 BLE, and of a program on a XIAO nRF52840 Sense.
 const IDS: [&[u8]; 2] = [&[0x41, 0x23, 0x5A, 0x80], &[0x86, 0x28, 0x45, 0x80]];
 
-/// What the host asks through endpoint 0.
+/// Requests of the host through endpoint 0.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Request {
     DeviceDescriptor,
     /// The string of this number.
     Text(u8),
     SetAddress,
-    /// The first 9 bytes of the configuration, which tell its length.
+    /// The first 9 bytes of the configuration, which contain its length.
     ConfigurationHead,
     Configuration(u8),
     Configure,
     /// Bits per second of the line.
     Baud(u32),
-    /// Whether a program has the port open.
+    /// Whether a program has opened the port.
     Open(bool),
 }
 
@@ -46,11 +46,11 @@ impl Request {
     }
 }
 
-/// The laptop's end of the cable. [`UsbHost::step`] wants to be called every millisecond.
+/// The laptop's end of the cable. Call [`UsbHost::step`] every millisecond.
 #[derive(Debug, Default)]
 pub struct UsbHost {
     plugged: bool,
-    /// The first request is due at this cycle, once the device has shown itself.
+    /// The cycle at which the first request is due, after the device has attached.
     begins: Option<u64>,
     to_ask: VecDeque<Request>,
     asked: Option<Request>,
@@ -61,7 +61,7 @@ pub struct UsbHost {
 }
 
 impl UsbHost {
-    /// Plugs the cable in; the port is [ready](Self::is_ready) after some steps.
+    /// Plugs in the cable. The port is [ready](Self::is_ready) after some steps.
     pub fn plug_in(&mut self, board: &mut Board) {
         let soc = board.soc();
         soc.usb.plugged = true;
@@ -89,17 +89,17 @@ impl UsbHost {
         *self = Self::default();
     }
 
-    /// A program opens the port, or closes it.
+    /// Opens or closes the port, as a program does.
     pub fn open(&mut self, open: bool) {
         self.to_ask.extend([Request::Baud(115_200), Request::Open(open)]);
     }
 
-    /// Closes the port after having opened it at 1200 baud: Arduino's way to ask for the bootloader.
+    /// Opens the port at 1200 baud and closes it, which is Arduino's method of starting the bootloader.
     pub fn touch(&mut self) {
         self.to_ask.extend([Request::Baud(1200), Request::Open(false)]);
     }
 
-    /// The port is open and nothing is left to ask.
+    /// Returns whether the port is open and all requests are complete.
     pub fn is_ready(&self) -> bool {
         self.bulk.is_some() && self.to_ask.is_empty() && self.asked.is_none()
     }
@@ -107,7 +107,7 @@ impl UsbHost {
     /// Continues with the next request.
     ///
     /// # Panics
-    /// If the device answers otherwise than a serial port of Arduino's ids does.
+    /// Panics if the device does not answer like a serial port with Arduino's ids.
     pub fn step(&mut self, board: &mut Board) {
         if !self.plugged || board.in_bootloader {
             return;
@@ -170,7 +170,7 @@ impl UsbHost {
     }
 }
 
-/// The two bulk endpoints of a configuration descriptor, in and out.
+/// Returns the two bulk endpoints of a configuration descriptor, in and out.
 fn bulk_endpoints(descriptor: &[u8]) -> (usize, usize) {
     let (mut input, mut output) = (0, 0);
     let mut at = 0;

@@ -1,7 +1,7 @@
 //! USBD: the USB device controller, with a host at the other end of the cable.
 //!
-//! The host does what a test tells it: control transfers one after the other, packets to and from bulk
-//! endpoints. The controller answers SET_ADDRESS by itself, as the real one does.
+//! The test controls the host: sequential control transfers, and packets to and from bulk endpoints.
+//! The controller answers SET_ADDRESS itself, like the real one.
 
 use std::collections::VecDeque;
 
@@ -18,10 +18,10 @@ const EP0SETUP: u32 = 23;
 const EPDATA: u32 = 24;
 const READY: u32 = 1 << 11;
 const EP0DATADONE_EP0STATUS: u32 = 1 << 2;
-/// Time of one transaction on the bus, waiting for its turn in the frame included.
+/// Duration of a transaction on the bus, including the wait for its turn in the frame.
 const TRANSACTION: u64 = us(125);
 
-/// A control transfer that the host has asked for.
+/// A control transfer requested by the host.
 #[derive(Clone, Debug)]
 struct Control {
     setup: [u8; 8],
@@ -29,10 +29,10 @@ struct Control {
     received: Vec<u8>,
 }
 
-/// How a control transfer ended.
+/// The result of a control transfer.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Reply {
-    /// Done; the data of an IN transfer.
+    /// Success, with the data of an IN transfer.
     Done(Vec<u8>),
     /// The device refused.
     Stalled,
@@ -42,9 +42,9 @@ pub enum Reply {
 enum Action {
     Reset,
     Setup,
-    /// The host takes what lies in EP0.
+    /// The host reads the data in EP0.
     TakeControl,
-    /// The host gives the data of an OUT transfer.
+    /// The host sends the data of an OUT transfer.
     GiveControl,
     TakeBulk(usize),
 }
@@ -71,11 +71,11 @@ pub struct Usbd {
     controls: VecDeque<Control>,
     busy: bool,
     replies: Vec<Reply>,
-    /// Packets that the host has yet to send, by endpoint.
+    /// Packets that the host has not sent yet, by endpoint.
     to_send: [VecDeque<Vec<u8>>; 8],
-    /// What the host has read, by endpoint.
+    /// Data that the host has read, by endpoint.
     pub received: [Vec<u8>; 8],
-    /// The host polls its IN endpoints.
+    /// Whether the host polls the device's IN endpoints.
     pub host_reads: bool,
     /// The cable is plugged in.
     pub plugged: bool,
@@ -83,7 +83,7 @@ pub struct Usbd {
 }
 
 impl Usbd {
-    /// After a reset of the chip; the host sees the device leave.
+    /// Resets the chip, after which the host detects a disconnect.
     pub fn reset(&mut self) {
         *self = Self { plugged: self.plugged, host_reads: self.host_reads, ..Self::default() };
     }
@@ -92,12 +92,12 @@ impl Usbd {
         self.actions.push_back((at, action));
     }
 
-    /// Whether the device has shown itself and the host has reset the bus.
+    /// Returns whether the device has attached and the host has reset the bus.
     pub fn is_attached(&self) -> bool {
         self.was_reset && self.pull_up && self.plugged
     }
 
-    /// Pulls the cable: the host forgets the device.
+    /// Pulls the cable, after which the host forgets the device.
     pub fn unplug(&mut self) {
         self.plugged = false;
         self.was_reset = false;
@@ -108,7 +108,7 @@ impl Usbd {
         self.in_flight = Default::default();
     }
 
-    /// The host asks for a control transfer; data goes to the device.
+    /// Starts a control transfer of the host; `data` goes to the device.
     pub fn control(&mut self, setup: [u8; 8], data: &[u8], now: u64) {
         self.controls.push_back(Control { setup, data: data.to_vec(), received: Vec::new() });
         if !self.busy {
@@ -117,12 +117,12 @@ impl Usbd {
         }
     }
 
-    /// Results of control transfers since the last call.
+    /// Returns the results of control transfers since the last call.
     pub fn take_replies(&mut self) -> Vec<Reply> {
         std::mem::take(&mut self.replies)
     }
 
-    /// The host sends bytes to a bulk endpoint, in packets of at most 64.
+    /// Sends bytes from the host to a bulk endpoint, in packets of at most 64.
     pub fn send(&mut self, endpoint: usize, bytes: &[u8]) {
         self.to_send[endpoint].extend(bytes.chunks(64).map(<[u8]>::to_vec));
         self.give(endpoint);
@@ -205,7 +205,7 @@ impl Usbd {
         }
     }
 
-    /// Raises what is due by now.
+    /// Raises all events that are due.
     pub fn advance(&mut self, now: u64, _ram: &mut Ram) {
         while let Some(place) = self.actions.iter().position(|a| a.0 <= now) {
             let (at, action) = self.actions.remove(place).expect("found");
@@ -213,7 +213,7 @@ impl Usbd {
         }
     }
 
-    /// Cycle of the next change.
+    /// Returns the cycle of the next event.
     pub fn due(&self) -> Option<u64> {
         self.actions.iter().map(|a| a.0).min()
     }

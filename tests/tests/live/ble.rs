@@ -1,9 +1,10 @@
-//! The right hand over Bluetooth: the program and btleplug are real, BlueZ is a double on a private bus, and the
-//! board behind it is the emulated Nano 33, whose frames a pseudo-terminal carries in the place of the air.
-//! There is no radio here.
+//! Tests the right hand over Bluetooth with the real program and the real btleplug.
+//! BlueZ is replaced by a simulated service on a private bus.
+//! The board is the emulated Nano 33, and a pseudo-terminal carries its frames instead of a radio.
 //!
-//! Bluetooth keeps time by the wall clock: BlueZ, D-Bus and btleplug know no other. Board and program share one time,
-//! which goes no faster than that, and slower on a busy machine; the tests wait for what comes, not for durations.
+//! BlueZ, D-Bus and btleplug use wall-clock time.
+//! Board and program share a time that is never faster than the wall clock and is slower on a busy machine.
+//! The tests therefore wait for events instead of fixed durations.
 #![cfg(all(feature = "ble", feature = "nrf", unix))]
 
 use std::process::{Command, ExitStatus};
@@ -15,11 +16,11 @@ use tests::desk::program::{Desk, Running};
 use tests::desk::programs::folder;
 use tests::desk::right::{Right, RightStation};
 
-/// The model does not recognise every drawing.
+/// Number of attempts, because the model does not recognise every drawn gesture.
 const DRAWINGS: u32 = 3;
 const SOON: Duration = Duration::from_secs(12);
 
-/// A desk whose time goes no faster than the wall clock.
+/// Creates a desk whose time is never faster than the wall clock.
 fn desk(name: &str) -> Desk {
     let desk = Desk::new(name);
     desk.time().keep_pace();
@@ -110,7 +111,7 @@ fn a_gesture_over_bluetooth_moves_the_arm_and_a_lost_link_halts_it_and_comes_bac
     run.wait(&["\"open\":true"]);
     draw(&mut run, &right);
 
-    // Out of reach, and back.
+    // The board is out of range for a while.
     right.pull();
     run.wait(&["\"open\":false", "is gone"]);
     if run.is_armed() {
@@ -121,7 +122,7 @@ fn a_gesture_over_bluetooth_moves_the_arm_and_a_lost_link_halts_it_and_comes_bac
     run.wait(&["hand-started"]);
     draw(&mut run, &right);
 
-    // Bluetooth is switched off in the middle.
+    // Bluetooth is switched off during the connection.
     bluez.power(false);
     run.wait(&["\"open\":false"]);
     bluez.power(true);

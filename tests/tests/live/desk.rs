@@ -1,6 +1,6 @@
-//! The program at the desk with both emulated boards: their flashed images, behind pseudo-terminals. What a user
-//! types, on the bytes that the firmware sends, with cables pulled and boards restarted. Boards and program share one
-//! time, which the test holds: nothing here depends on how fast the machine is.
+//! Tests the program with the flashed images of both emulated boards behind pseudo-terminals.
+//! The tests run user commands, disconnect cables and restart boards.
+//! Boards and program share a simulated time, so results do not depend on the speed of the machine.
 #![cfg(all(feature = "avr", feature = "nrf", unix))]
 
 use std::time::Duration;
@@ -17,9 +17,9 @@ use tests::is_full;
 
 use crate::renamed::renamed_model;
 
-/// How soon the base drives, or the end of a gesture is known.
+/// Maximum time until the base drives, or until the end of a gesture is recognised.
 const SOON: Duration = Duration::from_secs(12);
-/// The model does not recognise every drawing.
+/// Number of attempts, because the model does not recognise every drawn gesture.
 const DRAWINGS: u32 = 3;
 
 fn armed(run: &mut Running) {
@@ -28,7 +28,7 @@ fn armed(run: &mut Running) {
     }
 }
 
-/// Level, then forward: the base drives.
+/// Holds the hand level and then forward, until the base drives.
 fn drive_forward(run: &mut Running, left: &LeftStation) {
     left.with(|board| board.tilt(0.0));
     armed(run);
@@ -38,7 +38,7 @@ fn drive_forward(run: &mut Running, left: &LeftStation) {
     }
 }
 
-/// Draws until a gesture of this name starts a motion of the arm.
+/// Repeats a gesture until it starts this motion of the arm.
 fn draw(run: &mut Running, right: &RightStation, motion: Motion, label: &str) {
     for _ in 0..DRAWINGS {
         armed(run);
@@ -50,7 +50,7 @@ fn draw(run: &mut Running, right: &RightStation, motion: Motion, label: &str) {
     panic!("{label} starts nothing; there were\n{}", run.seen.join("\n"));
 }
 
-/// The last line that `run --json` printed.
+/// Returns the last line that `run --json` printed.
 fn summary(text: &str) -> serde_json::Value {
     serde_json::from_str(text.lines().last().unwrap_or_default()).expect("the last line is an object")
 }
@@ -90,11 +90,11 @@ fn list_and_doctor_name_both_hands_and_calibrate_is_kept_in_the_board() {
     assert!(status.success() && text.contains("calibrated and kept in the board"), "{text}");
     left.with(|board| board.bend(0.0));
 
-    // Opening the port restarts the board: what it knows now comes from its EEPROM.
+    // Opening the port restarts the board, so its data now comes from its EEPROM.
     let (_, text) = run(&desk, &["doctor", "--left", &left.port(), "--seconds", "1"]);
     assert!(text.contains("the left hand") && !text.contains("not calibrated"), "{text}");
 
-    // If the wrong board answers, nothing is done, and the text says which one it is.
+    // If the wrong board answers, the program does nothing and names the board.
     let (status, text) = run(&desk, &["calibrate", "--port", &right.port()]);
     assert!(!status.success() && text.contains("answers; only the left"), "{text}");
 }
@@ -109,12 +109,12 @@ fn both_hands_move_base_and_arm_through_pulled_cables_and_restarts() {
     draw(&mut run, &right, Motion::Circle, "circle");
     drive_forward(&mut run, &left);
 
-    // A reset of the board that drives: halt, and still tilted it starts nothing.
+    // A reset of the driving board halts the robot, and a tilted hand does not restart it.
     left.restart();
     run.wait(&["\"halt\""]);
     drive_forward(&mut run, &left);
 
-    // Cables pulled at any moment, drawn by chance: each time the robot halts, and goes on from neutral only.
+    // Cables are disconnected at random moments. The robot must halt each time and continue only after neutral.
     let mut rng = Rng::with_seed(5);
     let pulls = if is_full() { 20 } else { 2 };
     for pull in 0..pulls {
@@ -143,7 +143,7 @@ fn both_hands_move_base_and_arm_through_pulled_cables_and_restarts() {
         assert!(!moved, "a hand that was never neutral moves the robot:\n{}", run.seen.join("\n"));
         drive_forward(&mut run, &left);
     }
-    // The right one restarts without anybody touching its cable.
+    // The right board restarts while its cable is connected.
     right.restart();
     run.wait(&["\"open\":false"]);
     run.wait(&["hand-started"]);
@@ -163,7 +163,7 @@ fn a_laptop_that_slept_moves_nothing_before_neutral_though_its_boards_went_on() 
         drive_forward(&mut run, &left);
         run.catch_up();
         let asleep = run.seen.len();
-        // The hand stays tilted, and what its board says of it meanwhile waits in the port.
+        // The hand stays tilted, and the frames that its board sends meanwhile wait in the port.
         desk.time().suspend(Duration::from_secs_f32(slept_s));
         run.wait(&["\"halt\""]);
         desk.pass(Duration::from_millis(1500));
@@ -187,7 +187,7 @@ fn the_run_ends_with_its_figures_and_loses_next_to_nothing() {
     for (hand, least) in [(0, 10), (1, 10)] {
         let frames = &last["frames"][hand];
         assert!(frames["frames"].as_u64() > Some(least), "{last}");
-        // The port was opened in the middle of a frame, perhaps.
+        // The port may have been opened in the middle of a frame.
         assert!(frames["damaged"].as_u64() <= Some(1), "{last}");
         assert!(last["round_trip_ms"][hand].as_u64().is_some(), "both boards answer pings: {last}");
     }
@@ -210,7 +210,7 @@ fn recordings_hold_what_the_sensor_felt_and_a_spoilt_take_leaves_nothing() {
     assert!(std::fs::read_to_string(&file).unwrap().starts_with("timestamp,accX,accY,accZ,gyrX"));
     let recording = Recording::read(&file).unwrap();
     assert_eq!((recording.axes(), recording.len()), (9, 300));
-    // The strokes are along the vertical, where gravity is.
+    // The strokes are vertical, parallel to gravity.
     let swing = |axis: usize| {
         let values: Vec<f32> = recording.samples().map(|sample| sample[axis]).collect();
         values.iter().copied().fold(f32::MIN, f32::max) - values.iter().copied().fold(f32::MAX, f32::min)
@@ -239,8 +239,8 @@ fn recordings_hold_what_the_sensor_felt_and_a_spoilt_take_leaves_nothing() {
     }
 }
 
-/// Runs a verb and pulls the cable (or presses reset) after this long, whatever it is doing then. It must end by itself,
-/// without a panic, and say what to do if it was interrupted.
+/// Runs a command and disconnects the cable (or presses reset) after a delay.
+/// The command must end without a panic, and its error must state what to do.
 fn disturbed<B: Board + 'static>(
     desk: &Desk,
     board: &Station<B>,
@@ -284,7 +284,7 @@ fn a_cable_pulled_or_a_reset_at_any_moment_ends_every_verb_with_advice() {
         disturbed(&desk, &right, &record, moment(&mut rng), Station::pull);
         assert!(!desk.path("recordings/circle/me__1.csv").exists(), "a spoilt take is saved");
     }
-    // Neither board has been harmed.
+    // Both boards still work.
     left.plug();
     right.plug();
     let (status, text) = run(&desk, &["list", &port, &other]);
@@ -299,12 +299,12 @@ fn a_model_sent_through_a_cut_and_a_restart_classifies_after_the_next_one() {
     let (file, id) = renamed_model(desk.path("").as_path());
     let file = file.display().to_string();
 
-    // In the middle of the transfer, of some 1270 words.
+    // The cable is disconnected in the middle of the transfer of about 1270 words.
     right.pull_when(|board| board.words_written() > 500);
     let mut send = bridge(&desk, &["send-model", &file, "--port", &port]);
     send.wait(&["sending", &id]);
     send.wait(&["comes back by itself"]);
-    // The cable was its supply: the board starts anew, and so does the transfer.
+    // The cable also supplied the board, so the board and the transfer start again.
     right.plug();
     let (status, text) = send.end();
     assert!(status.success() && text.contains(&format!("→ {id}")), "{text}");

@@ -1,8 +1,10 @@
-//! From both emulated boards to a robot on ROS 2: their flashed images behind pseudo-terminals, the program, DDS, and
-//! Eclipse Cyclone DDS at the other end (`tests/ros2/peer.py`). `cargo xtask test --only "ROS 2"` runs it; it sets
-//! BIMANUAL_ROS2_PYTHON.
+//! Tests the complete path from both emulated boards to a robot on ROS 2.
+//! The path consists of the flashed images behind pseudo-terminals, the program, DDS,
+//! and a robot on Eclipse Cyclone DDS
+//! (`tests/ros2/peer.py`).
+//! `cargo xtask test --only "ROS 2"` runs this test and sets BIMANUAL_ROS2_PYTHON.
 //!
-//! DDS and the robot keep time by the wall clock; boards and program share one time that goes no faster.
+//! DDS and the robot use wall-clock time; boards and program share a time that is never faster.
 #![cfg(all(feature = "avr", feature = "nrf", unix))]
 
 use std::time::Duration;
@@ -18,11 +20,11 @@ use tests::desk::lateness::Lateness;
 use tests::desk::left::{Left, LeftStation};
 use tests::desk::right::Right;
 
-/// The model does not recognise every drawing.
+/// Number of attempts, because the model does not recognise every drawn gesture.
 const DRAWINGS: u32 = 4;
-/// By the wall clock; a gesture takes 4 s of the boards'.
+/// Limit in wall-clock time. A gesture takes 4 s of the boards' time.
 const SOON: Duration = Duration::from_secs(60);
-/// The arm's pace in the robot: its motions take 3 to 7 s.
+/// Speed factor of the robot's arm, whose motions then take 3 to 7 s.
 const PACE: &str = "8";
 
 fn is_armed(bridge: &mut Teller) -> bool {
@@ -30,7 +32,7 @@ fn is_armed(bridge: &mut Teller) -> bool {
     bridge.seen.iter().rev().find(|(_, v)| is(v, "state")).is_some_and(|(_, v)| armed(v))
 }
 
-/// Level, then tilted by these angles, until the robot has this speed; the first message that says so.
+/// Holds the hand level and then at this tilt until the robot has this speed. Returns the first message with it.
 fn tilt(
     (bridge, robot): (&mut Teller, &mut Teller),
     left: &LeftStation,
@@ -72,7 +74,7 @@ fn both_boards_reach_a_robot_on_the_graph_in_time_and_a_silent_one_stops_it() {
     robot.catch_up();
     assert!(!robot.seen.iter().any(|(_, v)| speed(v).is_some()), "nothing is sent while nothing moves");
 
-    // Tilt, in the paper's four directions; both caps start at 0.5.
+    // Tilts in the paper's four directions; both caps start at 0.5.
     let lateness = Lateness::watch();
     let mut delays_ms = Vec::new();
     let directions = [
@@ -93,7 +95,7 @@ fn both_boards_reach_a_robot_on_the_graph_in_time_and_a_silent_one_stops_it() {
     }
     let tilts = delays_ms.len();
 
-    // A gesture: its name among the diagnostics, its motion as a goal.
+    // A gesture appears as a name in the diagnostics and as a goal of the arm.
     let mut told = None;
     for _ in 0..DRAWINGS {
         if !is_armed(&mut bridge) {
@@ -108,7 +110,7 @@ fn both_boards_reach_a_robot_on_the_graph_in_time_and_a_silent_one_stops_it() {
             told = Some(came);
             break;
         }
-        // Even this network errs at times; the arm must be at rest before the next try.
+        // Even this network makes errors, and the arm must be at rest before the next attempt.
         println!("not a circle: {}", came["status"]["bimanual: gesture"]);
         bridge.wait("the other motion's end", |v| is(v, "motion-ended"));
     }
@@ -147,7 +149,7 @@ fn both_boards_reach_a_robot_on_the_graph_in_time_and_a_silent_one_stops_it() {
     assert_eq!(finished["status"], 4);
     bridge.has("arrival", |v| is(v, "motion-ended") && v["reached"] == true);
 
-    // A board falls silent: its cable is pulled; then one whose program hangs, with the port open.
+    // Two types of silence: a disconnected cable, and a board whose program hangs with an open port.
     type Silence = fn(&LeftStation);
     let silences: [(&str, Silence); 2] =
         [("its cable is pulled", |left| left.pull()), ("its program hangs", |left| left.pace(0.0))];

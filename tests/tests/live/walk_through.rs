@@ -1,9 +1,14 @@
-//! The README's walk-through as a new user types it: its lines are taken from README.md and run as printed, against
-//! both emulated boards with a simulated wearer, from `list` to a gesture of one's own that moves the arm.
+//! Runs the walk-through of README.md as a new user would.
+//! The test reads the commands from README.md and runs them unchanged,
+//! with both emulated boards and a simulated wearer.
+//! The commands lead from `list` to the user's own gesture that moves the arm.
 //!
-//! What differs from a desk: the ports are pseudo-terminals (`BIMANUAL_PORTS` tells `list` of them, and the line that
-//! the user fills in gets their names), the programs are those that the tests built, and the time is the test's: what
-//! counts is what the boards' clocks show, and beside it the training, which takes as long as it really does.
+//! There are three differences from a real desk.
+//! The ports are pseudo-terminals: `BIMANUAL_PORTS` passes them to `list`,
+//! and the test inserts their names where the user
+//! would.
+//! The programs are those that were built for the tests.
+//! The time limit applies to the boards' clocks plus the actual duration of the training.
 #![cfg(all(feature = "avr", feature = "nrf", unix))]
 
 use std::process::Command;
@@ -15,11 +20,11 @@ use tests::desk::program::{Desk, Running};
 use tests::desk::programs::folder;
 use tests::desk::right::Right;
 
-/// The longest that the walk-through may take: the board's time and the training.
+/// Maximum total of the boards' time and the training time.
 const LIMIT_S: f64 = 600.0;
 const SOON: Duration = Duration::from_secs(15);
 
-/// The lines of the section's last block of commands, comments and all.
+/// Returns the lines of the section's last command block, including comments.
 fn lines() -> Vec<String> {
     let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../README.md");
     let text = std::fs::read_to_string(file).expect("README.md");
@@ -41,14 +46,14 @@ impl Shell {
         println!("$ {line}");
         let mut command = Command::new("sh");
         let path = format!("{}:{}", folder().display(), std::env::var("PATH").unwrap_or_default());
-        // `exec`, so that the program itself ends when it is ended.
+        // `exec` replaces the shell, so that a signal reaches the program itself.
         command.arg("-c").arg(format!("exec {line}")).current_dir(self.desk.path("")).env("PATH", path);
         command.env("LEFT", &self.ports[0]).env("RIGHT", &self.ports[1]);
         command.env("BIMANUAL_PORTS", self.ports.join(":"));
         if line.starts_with("host-bridge") {
             self.desk.start(command)
         } else {
-            // That program knows no boards.
+            // This program does not use boards.
             self.desk.start_on_its_own(command)
         }
     }
@@ -63,7 +68,7 @@ fn the_lines_of_the_readme_lead_from_list_to_a_gesture_of_ones_own_in_ten_minute
     }
     let desk = Desk::new("walk-through");
     let left = Left::start(&desk, "usb0");
-    // A wearer that no model has met.
+    // A wearer who is not in the training data of any model.
     let right = Right::start(&desk, "acm0", Wearer::evaluation(77, 1));
     let shell = Shell { ports: [left.port(), right.port()], desk };
     let (begun, board_began_ms) = (Instant::now(), right.board_ms());
@@ -135,7 +140,7 @@ fn the_lines_of_the_readme_lead_from_list_to_a_gesture_of_ones_own_in_ten_minute
             }
             ["host-bridge", "run", ..] => {
                 let mut run = shell.start(line);
-                // The left board starts anew when its port is opened; until then the right hand may be armed alone.
+                // The left board restarts when its port is opened, so the right hand may be armed first.
                 run.wait(&["left hand: the left hand"]);
                 run.wait(&["armed"]);
                 for _ in 0..6 {

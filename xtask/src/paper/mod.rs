@@ -1,8 +1,7 @@
-//! `cargo xtask paper`: what the paper prints, beside what is measured here, row by row with the command of each.
+//! `cargo xtask paper`: compares the paper's results with our measurements, row by row, with the command for each.
 //!
-//! The rows are printed by tests, as `paper: WHAT | PAPER | HERE`, but those of recognition, which come from models that
-//! are trained here. What is drawn comes as `figure: WHICH | …`. A row that does not come is a failure. The paper:
-//! docs/SOURCES.md.
+//! Tests print the rows as `paper: WHAT | PAPER | HERE`. Recognition is different, because its models are trained here.
+//! Data for plots is printed as `figure: WHICH | …`. A missing row is a failure. docs/SOURCES.md cites the paper.
 
 mod page;
 mod plots;
@@ -18,17 +17,17 @@ use crate::steps;
 use crate::test::cargo_for_all;
 use crate::{is_full, root};
 
-/// A table or figure of the paper, and the tests that measure the same here.
+/// A table or figure of the paper, and the tests that measure the same.
 struct Part {
     title: &'static str,
-    /// As arguments of `cargo test`.
+    /// Arguments of `cargo test`.
     test: &'static [&'static str],
     only: &'static str,
-    /// Beginnings of the rows' names; each row must come.
+    /// Beginnings of the rows' names; every row must exist.
     rows: &'static [&'static str],
     /// What a reader must know.
     note: &'static str,
-    /// Whether the rows are the same with and without `--quick`.
+    /// Whether the rows are equal with and without `--quick`.
     at_any_length: bool,
 }
 
@@ -38,17 +37,17 @@ const PARTS: &[Part] = &[
         test: &["--test", "avr_trials"],
         only: "the_papers_400_tilts",
         rows: &[
-            "tilts, of",
-            "tilts: taken for the opposite",
+            "correct tilts, of",
+            "tilts mistaken for the opposite",
             "start of a tilt",
             "tilts forward",
             "tilts backward",
             "tilts left",
             "tilts right",
         ],
-        note: "Simulated hands before the emulated board and its very image; the paper's were people. A command waits \
-               until a tilt stays (docs/SAFETY.md), which costs some 100 ms. By direction nothing is \
-               compared: of the paper this project holds the total.",
+        note: "The hands are simulated, and the emulated board runs the real image; the paper tested people. A command \
+               starts only if a tilt persists (docs/SAFETY.md), which takes some 100 ms. Results by direction are not \
+               compared, because we know only the paper's total.",
         at_any_length: false,
     },
     Part {
@@ -93,7 +92,7 @@ const PARTS: &[Part] = &[
             "home → place-bottom",
             "home → random",
         ],
-        note: "By construction: the paper prints no poses, and ours were chosen so that these times come out at its scaling.",
+        note: "The times are equal by construction: we chose poses that give them, because the paper prints no poses.",
         at_any_length: true,
     },
     Part {
@@ -101,12 +100,12 @@ const PARTS: &[Part] = &[
         test: &["--test", "nrf_cost"],
         only: "a_network_of_the_papers_shape",
         rows: &[
-            "its network on the chip: inference",
-            "its network on the chip: flash",
-            "its network on the chip: RAM",
-            "its features and network",
+            "the paper's network on the board: inference",
+            "the paper's network on the board: flash",
+            "the paper's network on the board: RAM",
+            "the paper's features and network",
         ],
-        note: "Executed instructions of the emulated nRF52840; the paper gives time.",
+        note: "We count executed instructions of the emulated nRF52840; the paper gives a time.",
         at_any_length: false,
     },
     Part {
@@ -119,7 +118,7 @@ const PARTS: &[Part] = &[
             "mapping: a bend of the middle",
             "mapping: gesture",
         ],
-        note: "The paper's table II, and what its six gestures start.",
+        note: "The paper's table II, and the motions that its six gestures start.",
         at_any_length: true,
     },
     Part {
@@ -136,26 +135,26 @@ const PARTS: &[Part] = &[
             "demo: end of a gesture's last window",
             "demo: left hand's sample",
         ],
-        note: "In the demo each motion begins where the one before it ended and passes through home, so most take two of \
-               the times from home, while the base drives. A gesture's window is 2 s long; it is looked at every 80 ms.",
+        note: "In the demo, each motion starts at the end of the previous one and passes through home while the base drives, \
+               so most motions take twice as long. A gesture's window is 2 s long and is evaluated every 80 ms.",
         at_any_length: true,
     },
 ];
 
-/// One table with what belongs to it.
+/// One table with its matrices and figures.
 struct Section {
     title: &'static str,
-    /// What, in the paper, here.
+    /// Name of the row, the paper's result, and ours.
     rows: Vec<[String; 3]>,
     note: String,
     command: String,
-    /// What was meant, and what it was taken for.
+    /// Confusion matrices of intended and recognised classes.
     matrices: Vec<Matrix>,
-    /// The cells of `figure:` lines, the name first.
+    /// The cells of `figure:` lines, beginning with the name.
     figures: Vec<Vec<String>>,
 }
 
-/// How often what was made was taken for what.
+/// Number of recognitions for each pair of actual and recognised class.
 struct Matrix {
     name: String,
     made: Vec<String>,
@@ -187,10 +186,10 @@ impl<'a> Asked<'a> {
     }
 }
 
-/// Measures every row, prints the tables, and writes them as Markdown and as a page with plots where that is asked for.
+/// Measures every row and prints the tables. If requested, it writes them as Markdown and as a page with plots.
 ///
 /// # Errors
-/// An option that is not known, a row that does not come, a command that fails.
+/// Fails if an option is unknown, a row is missing, or a command fails.
 pub fn run(args: &[&str]) -> Result<ExitCode> {
     let asked = Asked::read(args)?;
     let began = Instant::now();
@@ -214,14 +213,14 @@ pub fn run(args: &[&str]) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// That docs/PAPER.md says what is measured now: what is the same at any length, and in the long run all that is measured
-/// in emulated boards, too.
+/// Checks that docs/PAPER.md contains the current results.
+/// The short run compares rows that do not depend on its length; the long run also compares results of emulated boards.
 ///
 /// # Errors
-/// Names each row that is measured otherwise.
+/// Names each row that differs.
 pub fn check() -> Result<()> {
     let page = fs::read_to_string(root().join("docs/PAPER.md"))?;
-    // A page that the short run wrote has the short run's counts.
+    // A page from a short run contains the counts of that run.
     let full = is_full() && !page.contains("paper --quick");
     for part in PARTS.iter().filter(|part| part.at_any_length || full) {
         for row in measured(part, !full)?.rows {
@@ -236,7 +235,7 @@ pub fn check() -> Result<()> {
     Ok(())
 }
 
-/// A part as it is measured now.
+/// Measures one part.
 fn measured(part: &Part, quick: bool) -> Result<Section> {
     let mut cargo = cargo_for_all("test");
     cargo.args(part.test).args(["--", part.only, "--nocapture"]).stdin(Stdio::null());
@@ -270,12 +269,12 @@ fn measured(part: &Part, quick: bool) -> Result<Section> {
     Ok(Section { title: part.title, rows, note: part.note.to_owned(), command, matrices, figures })
 }
 
-/// The rows that a test has printed: what, in the paper, here.
+/// Returns the rows that a test has printed: name, paper, here.
 fn triples(said: &str) -> Vec<[String; 3]> {
     steps::rows(said, "paper: ").into_iter().filter_map(|cells| cells.try_into().ok()).collect()
 }
 
-/// Which command a tilt gave, if there are such figures.
+/// Returns the matrix of tilt directions and commands, if there are such figures.
 fn directions(figures: &[Vec<String>]) -> Option<Matrix> {
     let rows: Vec<&[String]> =
         figures.iter().filter_map(|f| f.strip_prefix(&["tilts".to_owned()][..])).collect();
@@ -292,11 +291,11 @@ mod tests {
 
     #[test]
     fn rows_are_read_from_what_tests_print_and_nothing_else_is() {
-        let said = "running 1 test\npaper: tilts, of 40: right | 93.5 % of 400 | 100.00 %\n paper: broken | row\nok\n";
-        assert_eq!(triples(said), [["tilts, of 40: right", "93.5 % of 400", "100.00 %"].map(str::to_owned)]);
+        let said = "running 1 test\npaper: correct tilts, of 40 | 93.5 % of 400 | 100.00 %\n paper: broken | row\nok\n";
+        assert_eq!(triples(said), [["correct tilts, of 40", "93.5 % of 400", "100.00 %"].map(str::to_owned)]);
     }
 
-    /// The page in the tree has every row that the command prints.
+    /// Checks that docs/PAPER.md has every row that the command prints.
     #[test]
     fn the_page_has_every_row() {
         let page = fs::read_to_string(root().join("docs/PAPER.md")).unwrap();
@@ -310,15 +309,15 @@ mod tests {
             }
         }
         for row in [
-            "recipe `paper`, a random fifth",
-            "recipe `paper`, wearers never met",
-            "recipe `aligned`, wearers never met",
+            "recipe `paper`, tested on a random fifth",
+            "recipe `paper`, tested on unknown wearers",
+            "recipe `aligned`, tested on unknown wearers",
         ] {
             assert!(page.contains(row), "{row}");
         }
     }
 
-    /// The first screen of the README promises nothing that the page does not say.
+    /// Checks that the README's first rows equal those of docs/PAPER.md.
     #[test]
     fn the_readmes_rows_are_the_pages() {
         let page = fs::read_to_string(root().join("docs/PAPER.md")).unwrap();

@@ -1,4 +1,4 @@
-//! Drawings as SVG, by the crate `plotters`.
+//! Draws SVG plots with the crate `plotters`.
 
 use std::collections::BTreeMap;
 
@@ -33,7 +33,7 @@ where
     Ok(svg)
 }
 
-/// What was taken for what: darker is a larger share of its row.
+/// Draws a confusion matrix in which a darker cell is a larger fraction of its row.
 pub fn heat(matrix: &Matrix) -> Result<String> {
     const CELL: i32 = 46;
     const LEFT: i32 = 120;
@@ -42,10 +42,10 @@ pub fn heat(matrix: &Matrix) -> Result<String> {
     let size = ((LEFT + CELL * columns + 8) as u32, (TOP + CELL * rows + 8) as u32);
     drawn(size, |area| {
         let style = FONT.into_font().color(&BLACK);
-        area.draw(&Text::new(format!("{}: made ↓, named →", matrix.name), (4, 4), style.clone()))?;
+        area.draw(&Text::new(format!("{}: actual ↓, recognised →", matrix.name), (4, 4), style.clone()))?;
         let centred = style.clone().pos(Pos::new(HPos::Center, VPos::Center));
         for (column, name) in (0..).zip(&matrix.named) {
-            // Neighbours stand on two heights, since names are wider than cells.
+            // Adjacent names have different heights, because they are wider than cells.
             let at = (LEFT + CELL * column + CELL / 2, if column % 2 == 0 { TOP - 8 } else { TOP - 20 });
             area.draw(&Text::new(name.clone(), at, centred.clone()))?;
         }
@@ -70,7 +70,8 @@ pub fn heat(matrix: &Matrix) -> Result<String> {
     })
 }
 
-/// Cap and commanded speed over time; nothing if there are no figures. Each row: second, cap and speed in m/s.
+/// Plots cap and commanded speed over time, or nothing without figures.
+/// Each row contains second, cap and speed in m/s.
 pub fn speed(rows: &[(String, Vec<f64>)]) -> Result<String> {
     if rows.is_empty() {
         return Ok(String::new());
@@ -82,8 +83,8 @@ pub fn speed(rows: &[(String, Vec<f64>)]) -> Result<String> {
     chart("Speed by bends", ("s", "m/s"), &lines)
 }
 
-/// The flange's paths from the side (x, z) and from above (x, y); nothing if there are no figures. Each row: a motion's
-/// name, x, y and z in m.
+/// Plots the flange's paths from the side (x, z) and from above (x, y), or nothing without figures.
+/// Each row contains a motion's name, and x, y and z in m.
 pub fn paths(rows: &[(String, Vec<f64>)]) -> Result<String> {
     if rows.is_empty() {
         return Ok(String::new());

@@ -1,4 +1,4 @@
-//! Models of the paper's recipe and of ours, trained and scored here.
+//! Trains and tests models of the paper's recipe and of ours.
 
 use std::process::Stdio;
 
@@ -9,8 +9,8 @@ use super::{Matrix, Section};
 use crate::target_dir;
 use crate::test::cargo;
 
-/// Models of the paper's recipe and of ours, trained on simulated wearers: a random fifth of the recordings, as the paper
-/// splits its own, and wearers that the model has never met.
+/// Trains models of the paper's recipe and of ours on simulated wearers.
+/// It tests them on a random fifth of the recordings, as in the paper, and on wearers outside the training data.
 pub fn section(quick: bool) -> Result<Section> {
     let folder = target_dir().join("paper");
     let _ = std::fs::remove_dir_all(&folder);
@@ -50,7 +50,9 @@ pub fn section(quick: bool) -> Result<Section> {
         let of =
             |network: &str| card["test"][network]["per_recording"].as_f64().context("the card has no scores");
         rows.push([
-            format!("recipe `{recipe}`, a random fifth of the same wearers' recordings: float, int8"),
+            format!(
+                "recipe `{recipe}`, tested on a random fifth of the same wearers' recordings (float, int8)"
+            ),
             papers.to_owned(),
             format!("{:.2} %, {:.2} %", of("float")?, of("int8")?),
         ]);
@@ -58,7 +60,7 @@ pub fn section(quick: bool) -> Result<Section> {
         let met_never = told.lines().last().unwrap_or_default().trim().to_owned();
         met_never.parse::<f64>().context("`models eval` ends with its score")?;
         rows.push([
-            format!("recipe `{recipe}`, wearers never met: int8"),
+            format!("recipe `{recipe}`, tested on unknown wearers (int8)"),
             "not stated".to_owned(),
             format!("{met_never} %"),
         ]);
@@ -79,7 +81,7 @@ pub fn section(quick: bool) -> Result<Section> {
     })
 }
 
-/// Which label was taken for which, int8, in the random fifth.
+/// Returns the int8 confusion matrix for the random fifth.
 fn confusion(recipe: &str, card: &Value) -> Result<Matrix> {
     let labels: Vec<String> = card["labels"]
         .as_array()

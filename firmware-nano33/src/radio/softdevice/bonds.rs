@@ -1,8 +1,9 @@
-//! Who may change what the board keeps: the laptop that bonded last.
+//! Restricts permanent changes of the board to the laptop that bonded last.
 //!
-//! Pairing is "just works" with bonding (nrf-softdevice has no LE Secure Connections). As long as nobody has
-//! bonded, and for [`PAIRING`] after each start, any laptop may bond and takes the former one's place; later only
-//! the one whose keys are kept is trusted. A laptop that pairs without keeping keys is not.
+//! Pairing is "just works" with bonding, because nrf-softdevice does not support LE Secure Connections.
+//! Before the first bond, and for [`PAIRING`] after each start, any laptop may bond and replace the previous one.
+//! After that time only the bonded laptop is trusted.
+//! A laptop that pairs without bonding is never trusted.
 
 use core::cell::Cell;
 
@@ -43,21 +44,23 @@ struct Bond {
 const BOND_MAGIC: u32 = u32::from_le_bytes(*b"BMB2");
 const BOND_WORDS: usize = size_of::<Bond>().div_ceil(4);
 
-/// Answers the SoftDevice's questions about keys.
+/// Handles the SoftDevice's requests for keys.
 pub struct Bonder {
     bond: Cell<Option<Bond>>,
-    /// The laptop asked for the kept keys.
+    /// Whether the laptop requested the stored keys.
     offered: Cell<bool>,
     trusts: Cell<bool>,
     to_save: Signal<CriticalSectionRawMutex, Bond>,
 }
 
 impl Bonder {
-    /// With the keys that flash holds.
+    /// Loads the keys from flash.
     pub fn load() -> Self {
         let page = BOND_PAGE as *const u32;
-        // SAFETY: memory-mapped flash that the linker gives to nobody; the bytes of a bond that this image wrote
-        // (the magic word holds its layout's version) are valid for its plain integer fields.
+        // SAFETY: this is memory-mapped flash that the linker does not use.
+        // The magic word includes a version of the layout, so the bytes are a bond that this image wrote,
+        // and all of its fields
+        // are plain integers.
         let bond = unsafe {
             (page.read_volatile() == BOND_MAGIC).then(|| page.add(1).cast::<Bond>().read_unaligned())
         };
@@ -69,18 +72,18 @@ impl Bonder {
         }
     }
 
-    /// A new link begins without trust.
+    /// Resets the trust for a new link.
     pub fn forget_link(&self) {
         self.offered.set(false);
         self.trusts.set(false);
     }
 
-    /// Whether the link is encrypted with kept keys.
+    /// Returns whether the link is encrypted with stored keys.
     pub fn trusts(&self) -> bool {
         self.trusts.get()
     }
 
-    /// Keeps whether a bonded laptop listens; in flash only if it does, to spare the flash.
+    /// Stores whether a bonded laptop has subscribed. Only a subscription is written to flash, to reduce wear.
     pub fn keep_subscription(&self, connection: &Connection) {
         let Some(mut bond) = self.bond.get().filter(|_| self.trusts()) else { return };
         let mut now = NO_SUBSCRIPTION;
@@ -150,7 +153,7 @@ pub async fn save_bonds(bonder: &'static Bonder) -> ! {
         let bond = bonder.to_save.wait().await;
         let mut words = [0; 1 + BOND_WORDS];
         words[0] = BOND_MAGIC;
-        // SAFETY: plain integers, copied as bytes into room of at least their size.
+        // SAFETY: the values are plain integers, copied as bytes to a buffer of at least their size.
         unsafe {
             (&raw const bond)
                 .cast::<u8>()
@@ -158,7 +161,7 @@ pub async fn save_bonds(bonder: &'static Bonder) -> ! {
         }
         let mut flash = SoftDeviceFlash;
         let saved = match flash.erase_page(BOND_PAGE).await {
-            // The magic word last: a write that breaks leaves no bond.
+            // The magic word is written last, so an interrupted write leaves no valid bond.
             Ok(()) => match flash.write(BOND_PAGE + 4, &words[1..]).await {
                 Ok(()) => flash.write(BOND_PAGE, &words[..1]).await,
                 Err(e) => Err(e),

@@ -91,7 +91,7 @@ impl Radio {
 
 fn enable() -> &'static mut Softdevice {
     let config = nrf_softdevice::Config {
-        // The same clock as embassy-nrf's, or S140 restarts it.
+        // This must be the clock source of embassy-nrf, otherwise S140 restarts the clock.
         clock: Some(raw::nrf_clock_lf_cfg_t {
             source: raw::NRF_CLOCK_LF_SRC_XTAL as u8,
             rc_ctiv: 0,
@@ -123,14 +123,14 @@ fn enable() -> &'static mut Softdevice {
 /// Whether the USB cable is in.
 static CABLE: Watch<CriticalSectionRawMutex, bool, 1> = Watch::new();
 
-/// Waits until the USB cable is in, or out. For one task.
+/// Waits until the USB cable is connected (`true`) or disconnected (`false`). Only one task may call this.
 pub async fn cable(wanted: bool) {
     if let Some(mut cable) = CABLE.receiver() {
         cable.get_and(|&is| is == wanted).await;
     }
 }
 
-/// USBREGSTATUS: the cable is in; the regulator's output is ready.
+/// Bits of USBREGSTATUS: the cable is connected, and the output of the regulator is ready.
 const VBUS_DETECTED: u32 = 1;
 const OUTPUT_READY: u32 = 2;
 
@@ -141,17 +141,17 @@ fn usb_power() -> u32 {
     status
 }
 
-/// Runs S140's events, and tells the USB driver of cable and power, which are S140's too.
+/// Processes S140's events, and forwards those about cable and power to the USB driver.
 #[embassy_executor::task]
 async fn run_softdevice(softdevice: &'static Softdevice, vbus: &'static SoftwareVbusDetect) -> ! {
     softdevice
         .run_with_callback(|event| match event {
             SocEvent::PowerUsbDetected => {
-                // USB needs the crystal. SAFETY: plain call of the enabled SoftDevice.
+                // USB requires the crystal. SAFETY: plain call of the enabled SoftDevice.
                 unsafe { raw::sd_clock_hfclk_request() };
                 vbus.detected(true);
-                // That has made the driver forget that power is ready, and S140 tells "ready" before "detected" where
-                // both wait.
+                // The previous call reset the driver's record that power is ready.
+                // If both events are pending, S140 reports "ready" before "detected".
                 if usb_power() & OUTPUT_READY != 0 {
                     vbus.ready();
                 }
@@ -174,7 +174,7 @@ async fn run_usb(usbd: Peri<'static, USBD>, vbus: &'static SoftwareVbusDetect) {
     crate::usb::run(usbd, vbus).await
 }
 
-/// Advertises, serves one laptop, and advertises again, for ever.
+/// Advertises, serves one laptop, and then advertises again, for ever.
 #[embassy_executor::task]
 async fn run_radio(softdevice: &'static Softdevice, server: &'static Server, bonder: &'static Bonder) -> ! {
     static ADVERTISEMENT: nrf_softdevice::ble::advertisement_builder::LegacyAdvertisementPayload =
@@ -198,7 +198,8 @@ async fn run_radio(softdevice: &'static Softdevice, server: &'static Server, bon
     }
 }
 
-/// Writes on their way from S140's callback to the decoder. What does not fit is lost, and the laptop repeats it.
+/// Writes on their way from S140's callback to the decoder.
+/// A write that does not fit is lost, and the laptop repeats it.
 static WRITES: Channel<CriticalSectionRawMutex, Payload, 4> = Channel::new();
 
 /// Writes so far.
@@ -213,7 +214,7 @@ fn ask_for(connection: &Connection, (min, max): (u16, u16)) {
     });
 }
 
-/// Asks the laptop for an interval until it grants one, or leaves it at what it wants; then whenever it is quiet.
+/// Requests an interval until the laptop grants one or the list ends. Later repeats the request when the link is quiet.
 async fn negotiate(connection: &Connection) {
     let mut asked = INTERVALS[0];
     for interval in INTERVALS {
@@ -233,7 +234,8 @@ async fn negotiate(connection: &Connection) {
     }
 }
 
-/// Queues a piece of a frame; false if the queue stays full for longer than a hop, since the frame is late then.
+/// Queues a piece of a frame.
+/// Returns false if the queue stays full for longer than a hop, because the frame is then late.
 async fn queue(connection: &Connection, server: &Server, piece: &[u8]) -> bool {
     let Ok(piece) = Payload::from_slice(piece) else { return false };
     // The queue empties once per connection interval.
@@ -264,12 +266,12 @@ async fn serve(connection: &Connection, server: &Server, bonder: &Bonder) {
         let mut inlet = Inlet::new(WayOut::Ble);
         loop {
             let bytes = WRITES.receive().await;
-            // S140 has checked that the link is encrypted (`security` above), not that the keys are kept.
+            // S140 has checked through `security` above that the link is encrypted, but not that the laptop is bonded.
             inlet.take(&bytes, bonder.trusts()).await;
         }
     };
     let send = async {
-        // The beginning of a frame left and its end did not: the next one must not be taken for it.
+        // Set after only the first part of a frame was sent, so that the laptop does not join it with the next frame.
         let mut torn = false;
         loop {
             let frame = outbox.next().await;

@@ -1,8 +1,8 @@
-//! Figures of the Kinova Gen3 (7 degrees of freedom).
+//! Parameters of the Kinova Gen3 (7 degrees of freedom).
 //!
-//! Frames: the base frame has x forward, y left, z up; the flange is kortex's `end_effector_link`.
-//! Source of all figures: kortex_description, `gen3/7dof/urdf/gen3_macro.xacro`. The result equals the reference table in
-//! `tests/data/kinova_gen3_fk.csv` (see `tests/arm_kinematics.rs`).
+//! The base frame has x forward, y left, z up. The flange is kortex's `end_effector_link`.
+//! All parameters are from kortex_description, `gen3/7dof/urdf/gen3_macro.xacro`.
+//! The result equals the reference table in `tests/data/kinova_gen3_fk.csv` (see `tests/arm_kinematics.rs`).
 
 use host_robot::shape::Capsule;
 use host_robot::{DMat3, DVec3, JointLimits, Joints, joints};
@@ -16,19 +16,19 @@ pub const MAX_VELOCITY_RAD_S: [f64; COUNT] = [1.3963, 1.3963, 1.3963, 1.3963, 1.
 /// Largest joint acceleration in rad/s², the same for all joints (MoveIt configuration of kortex).
 pub const MAX_ACCELERATION_RAD_S2: [f64; COUNT] = [8.6; COUNT];
 
-/// Share of [`MAX_VELOCITY_RAD_S`] that motions use, as in the paper.
+/// Fraction of [`MAX_VELOCITY_RAD_S`] that motions use, as in the paper.
 pub const VELOCITY_SCALING: f64 = 0.1;
 
-/// Share of [`MAX_ACCELERATION_RAD_S2`] that motions use, as in the paper.
+/// Fraction of [`MAX_ACCELERATION_RAD_S2`] that motions use, as in the paper.
 pub const ACCELERATION_SCALING: f64 = 0.05;
 
-/// Jerk limit of all joints in rad/s³, if jerk is limited: not scaled.
+/// Jerk limit of all joints in rad/s³, used if jerk is limited. It is not scaled.
 ///
-/// Our choice: the paper's acceleration of 0.43 rad/s² is built up in 0.1 s. We know of none by Kinova; MoveIt's
-/// smoothing takes 100 rad/s³ or more where a robot names none, which would be there in 4 ms.
+/// We chose it so that the paper's acceleration of 0.43 rad/s² is reached in 0.1 s. Kinova does not specify one.
+/// MoveIt's smoothing uses at least 100 rad/s³ by default, which would reach it in 4 ms.
 pub const MAX_JERK_RAD_S3: f64 = 4.3;
 
-/// The arm's own limits, scaled as in the paper; jerk is not limited.
+/// Returns the arm's own limits, scaled as in the paper. Jerk is not limited.
 pub fn paper_limits() -> JointLimits {
     crate::model::SerialArm::gen3().limits(VELOCITY_SCALING, ACCELERATION_SCALING)
 }
@@ -72,10 +72,10 @@ const ORIGINS: [([f64; 3], u8); COUNT + 1] = [
     ([0.0, 0.0, -0.061525], 2),
 ];
 
-/// Origin of a joint (or, last, of the flange) in its parent's frame: metres, rotation.
+/// Returns the origin of a joint (or of the flange, last) in its parent's frame: metres and rotation.
 pub(super) fn origin(joint: usize) -> (DVec3, DMat3) {
     let (origin_m, quarters) = ORIGINS[joint];
-    // Exact, unlike sin and cos of pi.
+    // Exact, in contrast to sin and cos of pi.
     let turn = DMat3::from_cols(DVec3::X, DVec3::Z, DVec3::NEG_Y);
     (origin_m.into(), (0..quarters).fold(DMat3::IDENTITY, |turned, _| turned * turn))
 }
@@ -83,7 +83,7 @@ pub(super) fn origin(joint: usize) -> (DVec3, DMat3) {
 /// Two ends and a radius.
 type Ends = ([f64; 3], [f64; 3], f64);
 
-/// Capsules that enclose the foot (first) and the link of each joint, in its own frame, in m.
+/// Capsules that enclose the arm's fixed base (first) and the link of each joint, in its own frame, in m.
 ///
 /// Each is the smallest that holds every vertex of the link's mesh in kortex_description (bracelet without vision module),
 /// and 0.4 mm more. A capsule is convex, so it holds the mesh, too. `tests/arm_hulls.rs` has vertices to hold against it.
@@ -98,7 +98,7 @@ const CAPSULES: [Ends; COUNT + 1] = [
     ([0.0, 0.0, -0.0536], [0.0, 0.0, -0.023], 0.0395),
 ];
 
-/// The capsule around the foot (0) or the link of a joint, counted from 1.
+/// Returns the capsule around the fixed base (0) or the link of a joint, counted from 1.
 pub(super) fn capsule(link: usize) -> Capsule {
     let (a_m, b_m, radius_m) = CAPSULES[link];
     Capsule { a_m: a_m.into(), b_m: b_m.into(), radius_m }

@@ -1,46 +1,46 @@
-//! Inverse kinematics: joint angles for a place and an orientation of the flange.
+//! Inverse kinematics: finds joint angles for a position and an orientation of the flange.
 //!
-//! Damped least squares (Nakamura and Hanafusa 1986) with the damping raised where a step does not help,
-//! and restarts from seeded random angles. The budget is counted in steps and in looks at what is around
-//! ([`Budget`]), never in time: equal calls give equal answers on any machine. A place further away than the
-//! arm is long is refused without a step ([`SerialArm::beyond_reach_m`]). `tests/plan_ik.rs` prints what both
-//! take.
+//! The method is damped least squares (Nakamura and Hanafusa 1986), with more damping after an unsuccessful step.
+//! The solver restarts from seeded random angles. The budget counts steps and collision checks ([`Budget`]), not time.
+//! Equal calls therefore give equal results on any machine.
+//! A position beyond the arm's length is refused without a step ([`SerialArm::beyond_reach_m`]).
+//! The test `tests/plan_ik.rs` prints the number of steps for solved and for refused positions.
 
 use super::model::SerialArm;
 use super::plan::Purse;
 use host_robot::Random;
 use host_robot::{DVec3, JOINTS, Joints, Pose};
 
-/// The budget of one search, over all its restarts.
+/// The budget of one search, including all restarts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Budget {
     /// Steps of the solver.
     pub steps: usize,
-    /// Solutions that are shown to `accept`, which may look at everything around the arm.
+    /// Number of solutions that are passed to `accept`, which may check the arm's surroundings.
     pub looks: usize,
 }
 
 impl Budget {
-    /// Far within 0.2 s of one core.
+    /// Takes much less than 0.2 s of one core.
     pub const DEFAULT: Budget = Budget { steps: 3000, looks: 200 };
 
-    /// No more steps than are left in the purse.
+    /// Limits the steps to the remaining ones in the purse.
     #[must_use]
     pub fn within(self, purse: &Purse) -> Self {
         Budget { steps: self.steps.min(usize::try_from(purse.left()).unwrap_or(usize::MAX)), ..self }
     }
 }
 
-/// Steps before a start is abandoned.
+/// Number of steps before a start is abandoned.
 const STEPS_PER_START: usize = 100;
 
-/// Solutions are at least this near, in m and in rad.
+/// Maximum error of a solution in m and in rad.
 pub const TOLERANCE: f64 = 1e-9;
 
 /// Joint angles that were found.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Solution {
-    /// Within the limits, in rad.
+    /// Joint angles within the limits, in rad.
     pub joints_rad: Joints,
     /// What it took.
     pub steps: usize,
@@ -54,33 +54,33 @@ pub enum Unreachable {
         "the flange cannot get there: the place is {beyond_mm:.0} mm beyond the arm's reach; choose a nearer one"
     )]
     Beyond {
-        /// By at least this much.
+        /// Minimum distance from the target to the arm's reach.
         beyond_mm: f64,
     },
-    /// The search ended without an answer.
+    /// The search ended without a solution.
     #[error(
         "no joint angles were found that put the flange there (nearest: {position_mm:.1} mm and {angle_mrad:.1} mrad \
          off, {looks} solutions touch something); it may be out of reach, or blocked: choose another place"
     )]
     NotFound {
-        /// Distance of the best try from the goal.
+        /// Distance between the best attempt and the goal.
         position_mm: f64,
         /// Its wrong turn.
         angle_mrad: f64,
         /// What was used: steps,
         steps: usize,
-        /// and solutions that were not accepted.
+        /// Number of solutions that were not accepted.
         looks: usize,
     },
 }
 
 type Six = [f64; 6];
 
-/// Finds joint angles within the limits for which `accept` says yes (such as: touches nothing). The first
-/// try starts from `start_rad`; a solution near it is found first.
+/// Finds joint angles within the limits that `accept` permits (for example, without contact).
+/// The first attempt starts at `start_rad`, so a solution near it is found first.
 ///
 /// # Errors
-/// [`Unreachable`], at the latest when the [`Budget::DEFAULT`] is spent.
+/// [`Unreachable`], at the latest when [`Budget::DEFAULT`] is used up.
 pub fn solve(
     arm: &SerialArm,
     target: &Pose,
@@ -91,10 +91,10 @@ pub fn solve(
     solve_from(&Purse::of(Budget::DEFAULT.steps as u64), arm, target, start_rad, seed, accept)
 }
 
-/// The same; its steps are taken out of the purse, and it gives up when that is empty.
+/// Like [`solve`], but the steps count against the purse, and the search ends when the purse is empty.
 ///
 /// # Errors
-/// As [`solve`].
+/// This function has the errors of [`solve`].
 pub fn solve_from(
     purse: &Purse,
     arm: &SerialArm,
@@ -120,10 +120,10 @@ pub fn steps(found: &Result<Solution, Unreachable>) -> u64 {
     }
 }
 
-/// The search alone, with a budget of your own.
+/// Runs only the search, with a custom budget.
 ///
 /// # Errors
-/// [`Unreachable::NotFound`] when the budget is spent.
+/// [`Unreachable::NotFound`] when the budget is used up.
 pub fn search(
     arm: &SerialArm,
     target: &Pose,
@@ -140,7 +140,7 @@ pub fn search(
         into_limits(arm, &mut joints_rad);
         let mut damping = 1e-3;
         let (mut error, mut poses) = error_at(arm, target, &joints_rad);
-        // At least one, so that a start at a solution that is not accepted costs something, too.
+        // Counts at least one step, so that a start at a rejected solution is not free.
         steps += 1;
         let until = budget.steps.min(steps + STEPS_PER_START);
         while steps < until && length(&error) >= TOLERANCE {
@@ -148,7 +148,7 @@ pub fn search(
             let mut tried = joints_rad;
             let step = damped_step(arm, &poses, &error, damping);
             for (joint, step) in tried.iter_mut().zip(step) {
-                // Long steps leave the range in which the angles are nearly linear.
+                // Longer steps would leave the range in which the angles are almost linear.
                 *joint += step.clamp(-0.5, 0.5);
             }
             into_limits(arm, &mut tried);
@@ -199,16 +199,16 @@ fn length(error: &Six) -> f64 {
     error.iter().map(|e| e * e).sum::<f64>().sqrt()
 }
 
-/// What is missing: the distance in m, then the rotation as axis times angle in rad; and the frames.
+/// Returns the error: the distance in m, the rotation as axis times angle in rad, and the frames.
 fn error_at(arm: &SerialArm, target: &Pose, joints_rad: &Joints) -> (Six, [Pose; JOINTS + 1]) {
     let poses = arm.link_poses(joints_rad);
     let here = poses[JOINTS];
     let way = target.position_m - here.position_m;
-    // The turn that is left, in the base frame.
+    // The remaining rotation, in the base frame.
     let rotation = target.rotation * here.rotation.transpose();
     let turn = Pose { rotation, ..Pose::IDENTITY }.quaternion();
     let half_sine = turn.xyz().length();
-    // Small turns: the angle is twice the vector part.
+    // For small rotations, the angle is twice the vector part.
     let scale = if half_sine < 1e-9 { 2.0 } else { 2.0 * half_sine.atan2(turn.w.min(1.0)) / half_sine };
     let turn = scale * turn.xyz();
     ([way.x, way.y, way.z, turn.x, turn.y, turn.z], poses)
@@ -243,7 +243,7 @@ pub(crate) fn solve_symmetric(mut a: [[f64; 6]; 6], mut b: Six) -> Six {
     for i in 0..6 {
         for j in 0..=i {
             let sum = a[i][j] - (0..j).map(|k| a[i][k] * a[j][k]).sum::<f64>();
-            // The damping keeps the diagonal above zero; rounding must not undo it.
+            // The damping keeps the diagonal positive, and rounding must not change this.
             a[i][j] = if i == j { sum.max(1e-18).sqrt() } else { sum / a[j][j] };
         }
     }

@@ -1,11 +1,11 @@
-//! The arm: what it is, if it can go, and who sends it there.
+//! The arm: its model, its planner and its director.
 //!
 //! * [`model`], [`gen3`], `urdf`, `hull`: joints, limits, shapes and forward kinematics,
 //! * [`ik`]: from a place of the flange to joint angles,
 //! * [`scene`], [`plan`]: what stands around, and motions that touch nothing,
 //! * [`tool`], [`things`]: what is on the flange, and what it can grip,
 //! * [`motions`]: named motions and poses, as data,
-//! * [`director`]: all of it between the bridge and any robot.
+//! * [`director`]: combines all of these between the bridge and any robot.
 
 pub mod director;
 pub mod gen3;

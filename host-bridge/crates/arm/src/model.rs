@@ -1,4 +1,4 @@
-//! What a serial arm is: joints, limits, the shapes of its links, named poses. Its forward kinematics.
+//! The model of a serial arm: joints, limits, shapes of its links, named poses, and forward kinematics.
 //!
 //! The Gen3 is built in ([`SerialArm::gen3`]); any other arm with up to eight joints that turn or slide comes from a
 //! URDF file (feature `urdf`, see `arm/urdf.rs`). An arm with fewer joints leaves the last values of
@@ -22,15 +22,15 @@ const GEN3: &str = "Kinova Gen3 (7 joints)";
 /// One joint and the link that it moves. Where it slides, its angles, speeds and limits are in m instead of rad.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ArmJoint {
-    /// As in the robot's own description.
+    /// Name in the robot's own description.
     pub name: String,
-    /// The link that it turns, as in the same.
+    /// Name of the moved link in the same description.
     pub link: String,
-    /// Where the joint sits in its parent's frame, in m.
+    /// Position of the joint in its parent's frame, in m.
     pub origin_m: Point,
-    /// How its frame is turned against its parent's.
+    /// Rotation of the joint's frame relative to the parent's frame.
     pub origin_rotation: DMat3,
-    /// Axis in its own frame, of length 1.
+    /// Axis of the joint in the joint's frame, with length 1.
     pub axis: Point,
     /// It slides along its axis instead of turning about it. Such a joint has limits.
     pub slides: bool,
@@ -40,7 +40,7 @@ pub struct ArmJoint {
     pub velocity_rad_s: f64,
     /// Largest acceleration.
     pub acceleration_rad_s2: f64,
-    /// Shapes of the link that turns with the joint, in the joint's frame. They enclose the link.
+    /// Shapes that enclose the moved link, in the joint's frame.
     pub shapes: Vec<Capsule>,
     /// The same without what stands out, if that is known; else empty.
     pub solids: Vec<Solid>,
@@ -57,21 +57,21 @@ pub struct SerialArm {
     pub joints: Vec<ArmJoint>,
     /// The flange in the last joint's frame.
     pub flange_m: Point,
-    /// How the flange is turned against the last joint.
+    /// Rotation of the flange relative to the last joint.
     pub flange_rotation: DMat3,
     /// The flange's link.
     pub flange_link: String,
-    /// Shapes of the foot, which does not move, in the arm's base frame.
+    /// Shapes of the arm's fixed base, in the arm's base frame.
     pub foot: Vec<Capsule>,
     /// As [`ArmJoint::solids`].
     pub foot_solids: Vec<Solid>,
     /// The pose to go to first and to fall back to, in rad.
     pub home_rad: Joints,
-    /// What its file contains and was not understood, for people.
+    /// Contents of the arm's file that were not understood, for users.
     pub notes: Vec<String>,
 }
 
-/// Why joint values cannot be used.
+/// The reason why joint values cannot be used.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum JointError {
     /// Not-a-number or infinite.
@@ -105,8 +105,9 @@ impl ArmJoint {
 }
 
 impl SerialArm {
-    /// The Kinova Gen3 with seven joints, figures as in [`super::gen3`], links as capsules that enclose Kinova's meshes. What
-    /// is on its flange comes as a [tool](crate::tool); its vision module is one.
+    /// Returns the Kinova Gen3 with seven joints and the parameters of [`super::gen3`],
+    /// whose links are capsules around Kinova's meshes.
+    /// Objects on its flange are [tools](crate::tool), for example its vision module.
     pub fn gen3() -> Self {
         let joints = (0..COUNT).map(|i| {
             let (origin_m, origin_rotation) = super::gen3::origin(i);
@@ -139,13 +140,13 @@ impl SerialArm {
         }
     }
 
-    /// Whether it is the built-in arm, for which poses are bundled.
+    /// Returns whether it is the built-in arm, for which poses are bundled.
     pub fn is_gen3(&self) -> bool {
         self.name == GEN3
     }
 
-    /// Frames of the joints, and of the flange last, in the arm's base frame. Frames of joints that the
-    /// arm does not have equal the flange's.
+    /// Returns the frames of the joints, and of the flange last, in the arm's base frame.
+    /// Frames of joints that the arm does not have equal the flange's.
     pub fn link_poses(&self, joints_rad: &Joints) -> [Pose; JOINTS + 1] {
         let mut poses = [Pose::IDENTITY; JOINTS + 1];
         let mut pose = Pose::IDENTITY;
@@ -163,8 +164,9 @@ impl SerialArm {
         poses
     }
 
-    /// The same pose with the joints that turn without end turned to where they are now, so that the path is short: but no
-    /// further than one turn either way, where descriptions of such arms end (ros2_kortex's does).
+    /// Returns the same pose with continuous joints close to their current angles, so that the path is short.
+    /// They never turn beyond one revolution in either direction,
+    /// where descriptions of such arms end (such as ros2_kortex's).
     pub fn unwound(&self, goal_rad: &Joints, here_rad: &Joints) -> Joints {
         let mut unwound = *goal_rad;
         for (i, joint) in self.joints.iter().enumerate() {
@@ -182,10 +184,10 @@ impl SerialArm {
         self.link_poses(joints_rad)[JOINTS]
     }
 
-    /// All values are within the limits.
+    /// Checks that all values are within the limits.
     ///
     /// # Errors
-    /// Names the first joint that is not.
+    /// Names the first joint that is not within its limits.
     pub fn check(&self, joints_rad: &Joints) -> Result<(), JointError> {
         for (joint, &value_rad) in self.joints.iter().zip(joints_rad) {
             let name = || joint.name.clone();
@@ -202,9 +204,10 @@ impl SerialArm {
         Ok(())
     }
 
-    /// Speeds and accelerations, each scaled (0 to 1; the paper uses 0.1 and 0.05). Jerk is not limited.
+    /// Returns the limits with scaled speeds and accelerations (0 to 1; the paper uses 0.1 and 0.05).
+    /// Jerk is not limited.
     pub fn limits(&self, velocity_scaling: f64, acceleration_scaling: f64) -> JointLimits {
-        // A joint that is not there never moves; its limits must not be zero only for division's sake.
+        // A missing joint never moves, but its limits must not be zero because of divisions.
         let mut limits = JointLimits {
             velocity_rad_s: [1.0; JOINTS],
             acceleration_rad_s2: [1.0; JOINTS],
@@ -217,21 +220,23 @@ impl SerialArm {
         limits
     }
 
-    /// How far the flange's place is beyond what the arm could reach were its middle joints free to stretch; 0 or
-    /// less = perhaps within reach. Also says no to a place whose orientation turns the last link away.
+    /// Returns the distance between the flange's position and the arm's reach
+    /// if its middle joints could stretch freely.
+    /// At 0 or less, the position may be within reach.
+    /// It also detects positions whose orientation turns the last link away.
     ///
-    /// The flange's pose fixes the last joint's origin and axis, and so the circle on which the joint before
-    /// it lies; the foot fixes the circle of the second joint. No stretched chain is longer than its parts.
+    /// The flange's pose determines the last joint's origin and axis, and therefore the circle of the previous joint.
+    /// The arm's base determines the circle of the second joint. A stretched chain is never longer than its parts.
     pub fn beyond_reach_m(&self, flange: &Pose) -> f64 {
         let (Some(first), Some(last)) = (self.joints.first(), self.joints.last()) else { return 0.0 };
         // Of an arm that slides nobody says no before it was tried.
         if self.joints.len() < 3 || self.joints.iter().any(|joint| joint.slides) {
             return 0.0;
         }
-        // Turned back by the flange's own offset. That leaves the last joint's angle open, not its axis.
+        // Reverses the flange's own offset, which determines the last joint's axis but not its angle.
         let last_turn = flange.rotation * self.flange_rotation.transpose();
         let (offset_m, axis) = (last_turn * self.flange_m, last_turn * last.axis);
-        // The last joint as seen from the one before it, in the last joint's own axes.
+        // The last joint relative to the previous one, in the last joint's own axes.
         let link_m = last.origin_rotation.transpose() * last.origin_m;
         let (along_m, around_m) = along_and_around(link_m, last.axis);
         let hand_m = flange.position_m - offset_m - axis * along_m;
@@ -252,7 +257,7 @@ impl SerialArm {
         self.lever_with_m(0.0)
     }
 
-    /// The same with something on the flange, of which no part is further from it than `tool_m`.
+    /// Like [`Self::lever_m`], for a tool whose parts are at most `tool_m` from the flange.
     pub fn lever_with_m(&self, tool_m: f64) -> Joints {
         let mut lever = [0.0; JOINTS];
         let mut beyond: f64 = if tool_m > 0.0 { self.flange_m.length() + tool_m } else { 0.0 };
@@ -266,7 +271,7 @@ impl SerialArm {
     }
 }
 
-/// A vector's part along a unit axis, and the length of what is left.
+/// Returns a vector's component along a unit axis, and the length of the rest.
 fn along_and_around(vector: DVec3, axis: DVec3) -> (f64, f64) {
     let along = vector.dot(axis);
     (along, (vector - along * axis).length())
@@ -315,12 +320,12 @@ mod tests {
             nearest_m = nearest_m.max(arm.beyond_reach_m(&arm.flange_pose(&joints)));
         }
         assert!(nearest_m <= 1e-12, "{nearest_m}");
-        // Pointing straight up, the arm has almost nothing left to stretch.
+        // If the arm points straight up, it can hardly stretch further.
         let mut straight = arm.flange_pose(&[0.0; JOINTS]);
         assert!((-0.01..=1e-12).contains(&arm.beyond_reach_m(&straight)));
         straight.position_m.z += 0.01;
         assert!(arm.beyond_reach_m(&straight) > 0.0);
-        // The same place with the tool bent down would need a longer arm.
+        // The same position with the tool bent down needs a longer arm.
         let mut down = arm.flange_pose(&[0.0; JOINTS]);
         down.rotation = DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));
         assert!(arm.beyond_reach_m(&down) > 0.3);
@@ -330,20 +335,20 @@ mod tests {
     fn joints_without_end_take_the_short_way_and_end_within_one_turn() {
         use host_robot::Trajectory;
         let arm = SerialArm::gen3();
-        // Joint 1 is reported at 3.1 rad, and is -3.1 in the pose: 0.083 rad apart, not 6.2 rad and 44.7 s.
+        // Joint 1 is at 3.1 rad, and at -3.1 in the pose: the difference is 0.083 rad, not 6.2 rad and 44.7 s.
         let (mut here, mut goal) = (arm.home_rad, arm.home_rad);
         (here[0], goal[0]) = (3.1, -3.1);
         let there = arm.unwound(&goal, &here);
         assert!((there[0] - (TAU - 3.1)).abs() < 1e-12, "{}", there[0]);
         let way = Trajectory::through(&[here, there], &[], &arm.limits(0.1, 0.05));
         assert!(way.duration_s() < 1.1, "{} s", way.duration_s());
-        // Joint 2 has ends, and is left alone.
+        // Joint 2 has limits and does not change.
         (here[1], goal[1]) = (2.2, -2.2);
         assert_eq!(arm.unwound(&goal, &here)[1], -2.2);
-        // From 6.0 rad on to 0.5 would be 6.78: beyond one turn, so it goes back instead.
+        // From 6.0 rad, the short path to 0.5 would end at 6.78, beyond one turn, so it goes back instead.
         (here[0], goal[0]) = (6.0, 0.5);
         assert_eq!(arm.unwound(&goal, &here)[0], 0.5);
-        // An arm that has turned further already is not wound up by that.
+        // An arm that has already turned further is not wound up by this.
         here[0] = 7.0;
         assert!((arm.unwound(&goal, &here)[0] - (TAU + 0.5)).abs() < 1e-12);
     }

@@ -1,4 +1,4 @@
-//! Arm motions and named poses, as data: bundled for the paper's six, more from scenes and configurations.
+//! Arm motions and named poses, as data: the paper's six are bundled, and scenes and configurations can add more.
 //!
 //! ```toml
 //! [[motion]]
@@ -18,12 +18,13 @@
 //! joints_rad = [0.0, 0.9, 3.14, -1.7, 0.0, 0.4, 1.57]
 //! ```
 //!
-//! Places are those of the tool's point, from the point on the floor between the robot's wheels: x forward, y left, z up.
-//! Moves and turns are straight lines unless `straight = false`; a place is reached freely unless `straight = true`.
-//! The straight step before the gripper moves, and the one after, may touch the object and what it stands on.
+//! Positions are those of the tool's point, relative to the point on the floor between the wheels: x forward, y left,
+//! z up.
+//! Moves and turns are straight lines unless `straight = false`; positions are reached freely unless `straight = true`.
+//! The straight steps directly before and after a gripper step may touch the object and its support.
 //!
-//! A pose is also a motion of its own: `--map wave="above the cup"`. A later pose replaces an earlier one of the same
-//! name; one named like a motion replaces that motion's steps.
+//! A pose is also a motion: `--map wave="above the cup"`. A later pose replaces an earlier one with the same name.
+//! A pose with the name of a motion replaces that motion's steps.
 
 use host_robot::shape::Point;
 use host_robot::{DMat3, DQuat, Joints, MotionName, Pose};
@@ -40,11 +41,11 @@ const PAPER: &str = include_str!("../motions/paper.toml");
 pub struct MotionTable {
     /// For `--map` and for people.
     pub name: String,
-    /// One after the other, resting in between.
+    /// The steps in sequence, with rest in between.
     pub steps: Vec<StepTable>,
 }
 
-/// One step of a motion: one thing that it does.
+/// One step of a motion with a single action.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct StepTable {
@@ -57,10 +58,10 @@ pub struct StepTable {
     /// Moves to these angles.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub joints_rad: Option<Vec<f64>>,
-    /// Moves the tool's point there.
+    /// Moves the tool's point to this position.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub position_m: Option<Point>,
-    /// With this orientation, z out of the arm.
+    /// Orientation of the tool, with z pointing out of the arm.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub quaternion_wxyz: Option<[f64; 4]>,
     /// Moves the tool by this much along the robot's axes.
@@ -69,10 +70,10 @@ pub struct StepTable {
     /// Moves the tool by this much along its own axes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub move_tool_m: Option<Point>,
-    /// Turns the tool about its own axes: the axis, as long as the angle.
+    /// Turns the tool about its own axes; the length of the axis is the angle.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub turn_rad: Option<Point>,
-    /// In a straight line of the tool, or freely.
+    /// Whether the tool moves in a straight line.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub straight: Option<bool>,
     /// Opens or closes the gripper.
@@ -86,7 +87,7 @@ pub struct StepTable {
     pub wait_s: Option<f64>,
 }
 
-/// What a gripper is to do.
+/// The command for a gripper.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(untagged)]
 pub enum GripTable {
@@ -96,15 +97,15 @@ pub enum GripTable {
     Width(f64),
 }
 
-/// What a gripper does without a figure.
+/// Commands for a gripper without a number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Grasp {
-    /// As wide as it goes.
+    /// Opens the gripper completely.
     Open,
-    /// Until it holds something, or is shut.
+    /// Close until an object is held or the gripper is closed.
     Close,
-    /// Open if it is shut, shut if it is open.
+    /// Open a closed gripper, and close an open one.
     Toggle,
 }
 
@@ -117,18 +118,18 @@ pub fn is_grasp(name: &str) -> bool {
     GRASPS.iter().any(|(known, _)| *known == name)
 }
 
-/// Maximum number of steps: all of a motion is planned before it starts.
+/// Maximum number of steps, because a complete motion is planned before it starts.
 const STEPS_MAX: usize = 32;
 /// No step waits longer.
 const WAIT_MAX_S: f64 = 60.0;
-/// No relative move is longer.
+/// Maximum length of a relative move.
 const MOVE_MAX_M: f64 = 2.0;
 
 /// A pose given by its joint angles.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PoseTable {
-    /// For steps and for `--map`.
+    /// Name for steps and for `--map`.
     pub name: String,
     /// One angle per joint of the arm, in rad.
     pub joints_rad: Vec<f64>,
@@ -166,14 +167,14 @@ pub enum MotionError {
         /// The arm's name.
         arm: String,
     },
-    /// A step asks for nothing, for two things at once, or for what makes no sense.
+    /// A step is empty, contains two things at once, or has invalid values.
     #[error("motion '{motion}', step {step}: {reason}")]
     Step {
         /// Which motion.
         motion: String,
         /// Which step, from 1.
         step: usize,
-        /// Why, and what is right.
+        /// The problem, and the valid values.
         reason: String,
     },
     /// A motion without a step.
@@ -182,7 +183,7 @@ pub enum MotionError {
     /// The name is taken.
     #[error("motion '{0}' is there twice; give each its own name")]
     Twice(String),
-    /// The name is nearly a bundled one, and would replace nothing.
+    /// The name almost equals a bundled one, and would replace nothing.
     #[error("pose '{name}' replaces nothing; '{meant}' would: name it so, or quite otherwise")]
     Slip {
         /// As given.
@@ -195,7 +196,7 @@ pub enum MotionError {
     Pose {
         /// Which pose.
         name: String,
-        /// Why, and what to do.
+        /// The problem and a remedy.
         reason: String,
     },
 }
@@ -205,34 +206,34 @@ pub enum MotionError {
 pub enum Step {
     /// Always here, in rad.
     To(Joints),
-    /// To the next of these each time, in rad; never empty.
+    /// The next of these poses each time, in rad; never empty.
     ToNextOf(Vec<Joints>),
-    /// The tool's point there, from the point on the floor between the wheels.
+    /// A position of the tool's point, relative to the point on the floor between the wheels.
     Tool {
         /// Place and orientation.
         pose: Pose,
         /// In a straight line.
         straight: bool,
     },
-    /// The tool from where it is.
+    /// A move of the tool relative to its current pose.
     Move {
         /// So far,
         way_m: Point,
-        /// along its own axes, not the robot's,
+        /// Whether the move is along its own axes instead of the robot's.
         own: bool,
-        /// turned by that about its own axes,
+        /// A rotation about the tool's own axes.
         turn: DMat3,
         /// in a straight line.
         straight: bool,
     },
-    /// The gripper opens or closes.
+    /// Opens or closes the gripper.
     Grip {
         /// How.
         to: GripTable,
         /// The largest force.
         effort_n: Option<f64>,
     },
-    /// Nothing moves for this long.
+    /// Waits for this long without motion.
     Wait {
         /// Time.
         ms: u64,
@@ -240,7 +241,7 @@ pub enum Step {
 }
 
 impl Step {
-    /// A straight line of the tool.
+    /// Returns whether the step is a straight line of the tool.
     pub fn is_straight(&self) -> bool {
         matches!(self, Step::Tool { straight: true, .. } | Step::Move { straight: true, .. })
     }
@@ -263,10 +264,10 @@ pub struct Motions {
     poses: Vec<(String, Joints)>,
 }
 
-/// Reads the angles of a pose of this arm.
+/// Parses the angles of a pose for this arm.
 ///
 /// # Errors
-/// Their number is not that of the arm's joints, or one is beyond its limits.
+/// Fails if the number of angles differs from the arm's joints, or an angle is beyond the limits.
 pub fn joints_of(arm: &SerialArm, name: &str, angles: &[f64]) -> Result<Joints, MotionError> {
     let bad = |reason| MotionError::Pose { name: name.to_owned(), reason };
     let count = arm.joints.len();
@@ -279,7 +280,7 @@ pub fn joints_of(arm: &SerialArm, name: &str, angles: &[f64]) -> Result<Joints, 
     Ok(joints_rad)
 }
 
-/// A name without what typing errors change.
+/// Returns a name without the differences that typing errors cause.
 fn plain(name: &str) -> String {
     name.chars().filter(char::is_ascii_alphanumeric).map(|c| c.to_ascii_lowercase()).collect()
 }
@@ -287,15 +288,16 @@ fn plain(name: &str) -> String {
 impl Motions {
     /// The paper's motions on the Gen3.
     pub fn paper() -> Self {
-        // Our own file: `the_papers_motions_read` holds it.
+        // The test `the_papers_motions_read` checks our own file.
         Motions::new(&SerialArm::gen3(), &[], &[], &[]).unwrap_or_else(|error| panic!("{error}"))
     }
 
-    /// What an arm can be asked to do. `solved` are poses as joint angles (of a scene), `poses` and `motions` tables
-    /// of a configuration. The bundled poses are the Gen3's: another arm has only those that it is given.
+    /// Creates the motions of an arm.
+    /// `solved` are poses as joint angles (of a scene); `poses` and `motions` are from a configuration.
+    /// The bundled poses are for the Gen3 only.
     ///
     /// # Errors
-    /// [`MotionError`] names what does not fit.
+    /// [`MotionError`] names the invalid entry.
     pub fn new(
         arm: &SerialArm,
         solved: &[(String, Joints)],
@@ -366,7 +368,7 @@ impl Motions {
         Ok(Motion { name: table.name.as_str().into(), steps })
     }
 
-    /// What a step does; the poses that it names exist.
+    /// Converts a step, whose named poses exist.
     fn step(&self, arm: &SerialArm, table: &StepTable) -> Result<Step, String> {
         const KINDS: &str = "each step is one of to, to_next_of, joints_rad, position_m with quaternion_wxyz, \
                              move_m or move_tool_m (with or without turn_rad), turn_rad, gripper, wait_s";
@@ -454,15 +456,15 @@ impl Motions {
         &self.poses
     }
 
-    /// The pose of that name, in rad.
+    /// Returns the pose with this name, in rad.
     pub fn pose(&self, name: &str) -> Option<Joints> {
         self.poses.iter().find(|(known, _)| known == name).map(|(_, joints_rad)| *joints_rad)
     }
 
-    /// The motion of that name, or the one step to the pose of that name.
+    /// Returns the motion with this name, or a single step to the pose with this name.
     ///
     /// # Errors
-    /// [`MotionError::Unknown`] lists what there is.
+    /// [`MotionError::Unknown`] lists all names.
     pub fn get(&self, name: &str) -> Result<Motion, MotionError> {
         if let Some(motion) = self.motions.iter().find(|motion| motion.name == *name) {
             return Ok(motion.clone());
@@ -482,7 +484,7 @@ impl Motions {
         })
     }
 
-    /// Every motion, then every pose that is no step of a motion of its own name.
+    /// Returns all motions, and all poses that are not the only step of a motion with the same name.
     pub fn names(&self) -> Vec<&str> {
         let motions = self.motions.iter().map(|motion| motion.name.as_str());
         let poses = self.poses.iter().map(|(name, _)| name.as_str());

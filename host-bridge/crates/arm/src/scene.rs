@@ -1,4 +1,4 @@
-//! The scene file: what stands around the robot, how big its base is, and how its arm is to move.
+//! The scene file: the robot's surroundings, the size of its base, and the motion of its arm.
 //!
 //! ```toml
 //! [base]                      # every line is optional
@@ -67,7 +67,7 @@ pub struct Scene {
     /// How the arm moves.
     #[serde(default)]
     pub arm: ArmTable,
-    /// What stands around.
+    /// The robot's surroundings.
     #[serde(default, rename = "box")]
     pub boxes: Vec<NamedBox>,
     /// Named goals.
@@ -100,23 +100,23 @@ pub struct BaseTable {
     pub track_m: f64,
     /// Fastest wheel speed.
     pub wheel_speed_max_rad_s: f64,
-    /// Largest change of wheel speed per second.
+    /// Maximum change of wheel speed per second.
     pub wheel_acceleration_max_rad_s2: f64,
-    /// Variance that each metre that a wheel rolls adds to its distance, in m²/m.
+    /// Variance of a wheel's distance per metre, in m²/m.
     pub wheel_variance_m: f64,
-    /// Length, width and height of the body, which reaches down to 0.05 m above the floor.
+    /// Length, width and height of the body, which begins 0.05 m above the floor.
     pub size_m: Point,
-    /// The arm's foot, from the point on the floor between the wheels.
+    /// Position of the arm's base, relative to the point on the floor between the wheels.
     pub mount_m: Point,
 }
 
-/// Minimum jerk limit: from full speed at the paper's scaling a stop then takes about a second.
+/// Minimum jerk limit, with which a stop from full speed at the paper's scaling takes about a second.
 pub const JERK_MIN_RAD_S3: f64 = 0.5;
 
-/// Half of how thick the links of arms are.
+/// Permitted radii of an arm's links.
 const LINK_RADIUS_M: std::ops::RangeInclusive<f64> = 0.005..=0.3;
 
-/// The lowest part of the base's body is this far above the floor.
+/// Height of the lowest part of the base's body above the floor.
 const GROUND_CLEARANCE_M: f64 = 0.05;
 
 impl Default for BaseTable {
@@ -135,7 +135,7 @@ impl Default for BaseTable {
 }
 
 impl BaseTable {
-    /// The body as seen from the point on the floor between the wheels.
+    /// Returns the body relative to the point on the floor between the wheels.
     pub fn body(&self) -> UprightBox {
         UprightBox {
             center_m: Point::new(0.0, 0.0, GROUND_CLEARANCE_M + 0.5 * self.size_m.z),
@@ -144,7 +144,7 @@ impl BaseTable {
         }
     }
 
-    /// What the base's own motion needs.
+    /// Returns the parameters for the base's own motion.
     pub fn config(&self) -> BaseConfig {
         BaseConfig {
             wheel_radius_m: self.wheel_radius_m,
@@ -156,48 +156,48 @@ impl BaseTable {
     }
 }
 
-/// Which path the arm takes to a pose.
+/// The path of the arm to a pose.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Route {
     /// Home first, as in the paper.
     ViaHome,
-    /// The planned path; via home only if none is found.
+    /// The planned path, or via home only if none is found.
     #[default]
     Direct,
 }
 
-/// Which arm it is, and how it moves.
+/// The selection of the arm, and its motion.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ArmTable {
     /// Which way.
     pub route: Route,
-    /// Share of the arm's speeds that is used.
+    /// Fraction of the arm's maximum speeds.
     pub velocity_scaling: f64,
-    /// Share of the arm's accelerations that is used.
+    /// Fraction of the arm's maximum accelerations.
     pub acceleration_scaling: f64,
-    /// Accelerations rise and fall no faster than `jerk_rad_s3`, also while stopping.
+    /// Whether jerk is limited to `jerk_rad_s3`, also while stopping.
     pub jerk_limited: bool,
-    /// The limit for all joints; it is not scaled.
+    /// The jerk limit of all joints, which is not scaled.
     pub jerk_rad_s3: f64,
-    /// Plans keep at least this distance from everything, and half of it between the checked configurations.
+    /// Minimum distance of plans from everything at checked configurations, and half of it between them.
     pub margin_m: f64,
     /// Equal seeds give equal plans.
     pub seed: u64,
-    /// Another arm than the Gen3: its file, seen from the scene file (feature `urdf`).
+    /// File of an arm other than the Gen3, relative to the scene file (feature `urdf`).
     pub urdf: Option<PathBuf>,
     /// Folders that hold the packages of its meshes, seen from the scene file.
     pub packages: Vec<PathBuf>,
     /// The first link of that arm, whose frame is the arm's; none = the robot's first.
     pub root: Option<String>,
-    /// The last link of that arm, if the file has several ends.
+    /// Last link of that arm, if the file has several ends.
     pub tip: Option<String>,
-    /// Radius around the bones of its links that have no simple shapes in the file.
+    /// Radius around the bones of links without simple shapes in the file.
     pub link_radius_m: f64,
-    /// Acceleration of joints that have none in the file, before scaling.
+    /// Acceleration of joints without one in the file, before scaling.
     pub acceleration_rad_s2: f64,
-    /// Speed of joints that turn without end and have no limits in the file, before scaling.
+    /// Speed of continuous joints without limits in the file, before scaling.
     pub velocity_rad_s: f64,
 }
 
@@ -226,7 +226,7 @@ impl Default for ArmTable {
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct NamedBox {
-    /// Its name, different from the other boxes'.
+    /// Name of the box, which must differ from the names of the other boxes.
     pub name: String,
     /// Its middle.
     pub center_m: Point,
@@ -238,21 +238,21 @@ pub struct NamedBox {
 }
 
 impl NamedBox {
-    /// Its shape, as collision checks take it.
+    /// Shape of the box in collision checks.
     pub fn shape(&self) -> UprightBox {
         UprightBox { center_m: self.center_m, half_m: 0.5 * self.size_m, yaw_rad: self.yaw_rad }
     }
 }
 
-/// A goal of the arm: joint angles, or a place of the flange.
+/// A goal of the arm: joint angles, or a pose of the flange.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct NamedPose {
-    /// Its name, different from the other poses'.
+    /// Name of the pose, which must differ from the names of the other poses.
     pub name: String,
     /// One angle per joint.
     pub joints_rad: Option<Vec<f64>>,
-    /// Place of the tool's point (without a tool: of the flange), from the robot's start on the floor.
+    /// Position of the tool's point (without a tool: of the flange), relative to the robot's start on the floor.
     pub position_m: Option<Point>,
     /// Orientation of the flange, whose z axis points out of the arm.
     pub quaternion_wxyz: Option<[f64; 4]>,
@@ -261,16 +261,16 @@ pub struct NamedPose {
 /// What a pose asks for.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Goal {
-    /// These angles, one per joint of the arm.
+    /// Joint angles, one per joint of the arm.
     Joints(Vec<f64>),
-    /// The flange there, in the arm's base frame, with the base at the start.
+    /// A pose of the flange in the arm's base frame, with the base at the start.
     Flange(Pose),
 }
 
 /// The file cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum SceneError {
-    /// It is no TOML, or has the wrong fields.
+    /// The file is not valid TOML, or has invalid fields.
     #[error("{0}")]
     Toml(#[from] toml::de::Error),
     /// A value makes no sense.
@@ -279,7 +279,7 @@ pub enum SceneError {
 }
 
 impl Default for Scene {
-    /// Nothing around, the default base, the paper's scaling.
+    /// An empty scene with the default base and the paper's scaling.
     fn default() -> Self {
         Scene {
             title: String::new(),
@@ -297,10 +297,10 @@ impl Default for Scene {
 }
 
 impl Scene {
-    /// Reads a scene and checks every value.
+    /// Parses a scene and checks every value.
     ///
     /// # Errors
-    /// Says what is wrong: line and column for the form, the name of the table for a value.
+    /// The problem, with line and column for the format, or the name of the table for a value.
     pub fn parse(text: &str) -> Result<Self, SceneError> {
         let scene: Scene = toml::from_str(text)?;
         scene.check().map_err(SceneError::Value)?;
@@ -309,7 +309,7 @@ impl Scene {
 
     /// What is on the flange.
     pub fn tool(&self) -> Tool {
-        // `check` has seen that it can be put together.
+        // `check` has verified that it can be assembled.
         Tool::new(&self.tools).unwrap_or_default()
     }
 
@@ -387,7 +387,7 @@ impl Scene {
         Ok(())
     }
 
-    /// Scaled limits of an arm in this scene.
+    /// Returns the scaled limits of an arm in this scene.
     pub fn limits(&self, arm: &crate::model::SerialArm) -> JointLimits {
         let limits = arm.limits(self.arm.velocity_scaling, self.arm.acceleration_scaling);
         if self.arm.jerk_limited { limits.with_jerk(self.arm.jerk_rad_s3) } else { limits }
@@ -395,7 +395,7 @@ impl Scene {
 
     /// The goals in the order of the file.
     pub fn goals(&self) -> Vec<(&str, Goal)> {
-        // Every pose was read once by `check`.
+        // `check` has already parsed every pose.
         self.poses.iter().filter_map(|pose| Some((pose.name.as_str(), self.goal(pose).ok()?))).collect()
     }
 

@@ -1,4 +1,4 @@
-//! Objects of a scene that can be gripped: where they are, what is between the fingers, what is held.
+//! Objects of a scene that can be gripped: their positions, the object between the fingers, and the held object.
 //!
 //! ```toml
 //! [[object]]
@@ -16,24 +16,24 @@ use crate::plan::Placement;
 use crate::scene::NamedBox;
 use crate::tool::Tool;
 
-/// Thickness of the rods that enclose a held object's edges.
+/// Radius of the rods around a held object's edges.
 const ROD_M: f64 = 0.006;
-/// How far an object's middle may be from the tool's point along the fingers.
+/// Maximum distance of an object's centre from the tool's point along the fingers.
 const PAD_M: f64 = 0.02;
-/// Boxes whose top is this near to an object's underside carry it.
+/// Boxes whose top is within this distance of an object's underside support it.
 const CARRIES_M: f64 = 0.02;
 
 /// An object as written in a file.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ObjectTable {
-    /// Its name, different from those of the other objects and boxes.
+    /// Name of the object, which must differ from the names of other objects and boxes.
     pub name: String,
-    /// The middle of its underside.
+    /// Centre of the object's bottom face.
     pub at_m: Point,
     /// Upwards.
     pub height_m: f64,
-    /// Radius, if it is round.
+    /// Radius of a round object.
     pub radius_m: Option<f64>,
     /// Length and width of a box.
     pub size_m: Option<[f64; 2]>,
@@ -43,7 +43,7 @@ pub struct ObjectTable {
 }
 
 impl ObjectTable {
-    /// Are all values sound?
+    /// Checks that all values are valid.
     ///
     /// # Errors
     /// What is wrong, by name.
@@ -63,17 +63,17 @@ impl ObjectTable {
         ))
     }
 
-    /// Half its length and width.
+    /// Half of the object's length and width.
     fn half_m(&self) -> [f64; 2] {
         self.size_m.map_or([self.radius_m.unwrap_or_default(); 2], |size| size.map(|m| 0.5 * m))
     }
 
-    /// Where it stands at first.
+    /// Returns its initial pose.
     fn start(&self) -> Pose {
         Pose { position_m: self.at_m, rotation: DMat3::from_rotation_z(self.yaw_rad) }
     }
 
-    /// Its width along a direction in its own frame.
+    /// Returns the object's width along a direction in its own frame.
     fn width_m(&self, along: DVec3) -> f64 {
         let upward = self.height_m * along.z.abs();
         match self.size_m {
@@ -82,13 +82,13 @@ impl ObjectTable {
         }
     }
 
-    /// No point of it is further from the middle of its underside.
+    /// Returns the maximum distance of its points from the centre of its underside.
     pub fn reach_m(&self) -> f64 {
         let [length, width] = self.half_m();
         DVec3::new(length, width, self.height_m).length() + ROD_M
     }
 
-    /// Capsules that enclose it, in its own frame: rods along its edges, and what is within.
+    /// Returns capsules that enclose it in its own frame: rods along its edges, and its interior.
     fn shapes(&self) -> Vec<Capsule> {
         let [length, width] = self.half_m();
         let rods = |x: f64, y: f64| Capsule {
@@ -124,7 +124,7 @@ impl ObjectTable {
         }
     }
 
-    /// The upright box around it, at its present place.
+    /// Returns the upright bounding box of the object at its current position.
     fn standing(&self, at: &Pose) -> UprightBox {
         let [length, width] = self.half_m();
         let ahead = at.rotation.x_axis;
@@ -139,14 +139,14 @@ impl ObjectTable {
 /// Where an object is.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum ObjectPose {
-    /// It stands at this pose, seen from the scene's origin.
+    /// The object stands at this pose, relative to the scene's origin.
     Stands(Pose),
-    /// The gripper holds it, at this pose seen from the flange.
+    /// The gripper holds the object at this pose, relative to the flange.
     Held(Pose),
 }
 
 impl ObjectPose {
-    /// Seen from the scene's origin, with the flange there.
+    /// Returns its pose relative to the scene's origin, given the flange's pose.
     pub fn pose(&self, flange: &Pose) -> Pose {
         match self {
             ObjectPose::Stands(at) => *at,
@@ -155,30 +155,30 @@ impl ObjectPose {
     }
 }
 
-/// What the hand may touch while it moves straight to an object or away from it.
+/// The permitted contacts of a hand that moves straight to an object or away from it.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Touch {
     /// The tool may touch this object.
     pub object: Option<usize>,
-    /// What is held may touch these boxes, on which it stands,
+    /// The held object may touch these boxes, which support it.
     pub boxes: Vec<usize>,
     /// and the floor.
     pub floor: bool,
 }
 
-/// The tool and the scene's objects, as they are now.
+/// The current state of the tool and the scene's objects.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Things {
-    /// How far the fingers are apart. `None` = nobody knows: they count wherever they could be.
+    /// Distance between the fingers. If it is `None`, the fingers count at all possible positions.
     pub opening_m: Option<f64>,
-    /// One per object of the scene.
+    /// One entry per object of the scene.
     pub poses: Vec<ObjectPose>,
     /// What may be touched now.
     pub touch: Touch,
 }
 
 impl Things {
-    /// What the gripper holds, and its pose, seen from the flange.
+    /// Returns the held object and its pose relative to the flange.
     pub fn held(&self) -> Option<(usize, Pose)> {
         self.poses.iter().enumerate().find_map(|(i, pose)| match pose {
             ObjectPose::Held(at) => Some((i, *at)),
@@ -187,19 +187,19 @@ impl Things {
     }
 }
 
-/// What a scene knows about its objects.
+/// A scene's information about its objects.
 #[derive(Clone, Copy, Debug)]
 pub struct Shop<'a> {
     /// The objects.
     pub objects: &'a [ObjectTable],
-    /// What they may stand on.
+    /// Boxes that may support the objects.
     pub boxes: &'a [NamedBox],
     /// Who grips.
     pub tool: &'a Tool,
 }
 
 impl Shop<'_> {
-    /// Everything where the scene says, the gripper open.
+    /// Returns the initial state of the scene, with an open gripper.
     pub fn at_start(&self) -> Things {
         Things {
             opening_m: self.tool.hand().map(|hand| hand.widest_m),
@@ -208,7 +208,7 @@ impl Shop<'_> {
         }
     }
 
-    /// The object between the fingers and its width there, with the flange at that place in the scene.
+    /// Returns the object between the fingers and its width there, with the flange at this pose in the scene.
     pub fn between(&self, things: &Things, flange: &Pose) -> Option<(usize, f64)> {
         let apart_m = things.opening_m.unwrap_or(self.tool.hand()?.widest_m);
         let point_m = flange.at(self.tool.point_m());
@@ -218,7 +218,7 @@ impl Shop<'_> {
             let object = &self.objects[i];
             let own = at.rotation.transpose();
             let width_m = object.width_m(own * across);
-            // The part of it that is nearest to the point between the fingertips.
+            // The part of the object that is closest to the point between the fingertips.
             let height_m = (point_m - at.position_m).z.clamp(0.0, object.height_m);
             let off = point_m - (at.position_m + height_m * DVec3::Z);
             let inside = off.dot(across).abs() + 0.5 * width_m <= 0.5 * apart_m + 1e-3
@@ -229,8 +229,8 @@ impl Shop<'_> {
         things.poses.iter().enumerate().find_map(fits)
     }
 
-    /// What may be touched on the straight line to or from the flange's place there: the object, and for what is held also
-    /// what carries it.
+    /// The hand may touch the object, and a held object may touch its support.
+    /// These are with the object and, for a held object, with its support.
     pub fn touching(&self, things: &Things, flange: &Pose) -> Touch {
         let Some((object, on_flange)) = things.held() else {
             let object = self.between(things, flange).map(|(i, _)| i);
@@ -249,9 +249,9 @@ impl Shop<'_> {
         }
     }
 
-    /// The objects after the fingers have gone to a width; and what happened, for people.
+    /// Updates the objects after a grip to a width. Returns a message for users.
     pub fn gripped(&self, things: &mut Things, flange: &Pose, opening_m: f64) -> Option<String> {
-        // Fingers of which nobody knows are as far apart as what they have is wide.
+        // If the finger distance is unknown, it is the width of the held object.
         let held_m = things
             .held()
             .map(|(i, on_flange)| self.objects[i].width_m(on_flange.rotation.transpose() * DVec3::X));
@@ -263,7 +263,7 @@ impl Shop<'_> {
                 return None;
             };
             let ObjectPose::Stands(at) = things.poses[i] else { return None };
-            // Closing fingers push it to their middle.
+            // Closing fingers push the object to their centre.
             let across = flange.rotation.x_axis;
             let off = (flange.at(self.tool.point_m()) - at.position_m).dot(across);
             let inverse = flange.rotation.transpose();
@@ -280,8 +280,8 @@ impl Shop<'_> {
         said
     }
 
-    /// What was held is held no longer, wherever the fingers are: it falls upright onto what is below it. What became of
-    /// it, for people.
+    /// Releases the held object at any finger distance: it falls upright onto whatever is below it.
+    /// Returns a message for users.
     pub fn let_go_of(&self, things: &mut Things, flange: &Pose) -> Option<String> {
         let (i, on_flange) = things.held()?;
         let at = ObjectPose::Held(on_flange).pose(flange);
@@ -306,13 +306,13 @@ impl Shop<'_> {
         })
     }
 
-    /// Shapes of what is held, in the flange's frame.
+    /// Returns the shapes of the held object in the flange's frame.
     pub fn held_shapes(&self, things: &Things) -> Vec<Capsule> {
         let Some((i, at)) = things.held() else { return Vec::new() };
         self.objects[i].shapes().iter().map(|shape| shape.seen_from(&at)).collect()
     }
 
-    /// Boxes around the objects that stand, with their numbers.
+    /// Returns numbered boxes around the standing objects.
     pub fn standing(&self, things: &Things) -> Vec<(usize, UprightBox)> {
         let standing = |(i, pose): (usize, &ObjectPose)| match pose {
             ObjectPose::Stands(at) => Some((i, self.objects[i].standing(at))),
@@ -322,7 +322,7 @@ impl Shop<'_> {
     }
 }
 
-/// A pose in the arm's base frame as seen from the scene's origin.
+/// Converts a pose from the arm's base frame to the scene's.
 pub fn in_scene(placement: Placement, mount_m: Point, on_arm: &Pose) -> Pose {
     let base = Pose {
         position_m: DVec3::new(placement.x_m, placement.y_m, 0.0),
@@ -354,7 +354,7 @@ mod tests {
         radius_m = 0.03
     "#;
 
-    /// The tool points down at this place, its fingers along x.
+    /// The tool points down at this position, with its fingers along x.
     fn above(point_m: DVec3, tool: &Tool) -> Pose {
         let rotation = DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));
         Pose { position_m: point_m - rotation * tool.point_m(), rotation }
@@ -373,7 +373,7 @@ mod tests {
         assert!((things.opening_m.unwrap() - 0.06).abs() < 1e-12);
         let touch = shop.touching(&things, &off_middle);
         assert_eq!((touch.boxes, touch.floor), (vec![0], false));
-        // Closed further: it already holds it.
+        // The gripper closes further, but already holds the object.
         assert_eq!(shop.gripped(&mut things, &off_middle, 0.0), None);
         let beside = above(DVec3::new(0.2, 0.1, 0.36), &tool);
         assert_eq!(shop.gripped(&mut things, &beside, 0.085).unwrap(), "let cup fall 0.30 m onto the floor");

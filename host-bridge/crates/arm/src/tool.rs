@@ -1,4 +1,4 @@
-//! What is bolted to the flange: a gripper, a camera, a payload. It is data, as poses are.
+//! Tools on the flange, as data: a gripper, a camera, a payload.
 //!
 //! ```toml
 //! [[tool]]                    # several are one tool together
@@ -34,11 +34,11 @@ pub struct ToolShape {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FingerShape {
-    /// One end while the gripper is open.
+    /// One end of the capsule when the gripper is open.
     pub a_m: Point,
     /// The other.
     pub b_m: Point,
-    /// One end while it is shut.
+    /// One end of the capsule when the gripper is closed.
     pub closed_a_m: Point,
     /// The other.
     pub closed_b_m: Point,
@@ -46,11 +46,11 @@ pub struct FingerShape {
     pub radius_m: f64,
 }
 
-/// Of a finger that may be anywhere on its way, one capsule per this much of that way.
+/// A finger at an unknown position has one capsule per this distance.
 const WAY_M: f64 = 0.015;
 
 impl FingerShape {
-    /// With the gripper shut by that share.
+    /// Returns the capsule for a gripper that is closed by this fraction.
     fn at(&self, shut: f64) -> Capsule {
         Capsule {
             a_m: self.a_m.lerp(self.closed_a_m, shut),
@@ -59,7 +59,7 @@ impl FingerShape {
         }
     }
 
-    /// Capsules that enclose it wherever it is: no point of it is further than half a step from where it is in one of them.
+    /// Returns capsules for all positions. No point is further than half a step from its position in one of them.
     fn wherever(&self) -> impl Iterator<Item = Capsule> {
         let way_m = self.a_m.distance(self.closed_a_m).max(self.b_m.distance(self.closed_b_m));
         let steps = (way_m / WAY_M).ceil().max(1.0);
@@ -72,7 +72,7 @@ impl FingerShape {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ToolTable {
-    /// A bundled tool's name, or one of your own.
+    /// Name of a bundled tool, or of your own.
     pub name: String,
     /// What does not move.
     #[serde(default)]
@@ -80,7 +80,7 @@ pub struct ToolTable {
     /// What opens and shuts.
     #[serde(default)]
     pub fingers: Vec<FingerShape>,
-    /// The point that poses of the tool refer to: between the fingertips.
+    /// The reference point of poses, between the fingertips.
     pub point_m: Option<Point>,
     /// Widest opening of a gripper.
     pub opening_m: Option<f64>,
@@ -95,7 +95,7 @@ pub struct Hand {
     fingers: Vec<FingerShape>,
 }
 
-/// All tools of an arm, as one.
+/// All tools of an arm, combined.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Tool {
     name: String,
@@ -111,10 +111,10 @@ struct Bundled {
 }
 
 impl Tool {
-    /// Puts tables together.
+    /// Combines several tables.
     ///
     /// # Errors
-    /// Which tool does not fit, and why.
+    /// The tool that is invalid, with the reason.
     pub fn new(tables: &[ToolTable]) -> Result<Self, String> {
         let Bundled { tool: bundled } =
             toml::from_str(BUNDLED).unwrap_or_else(|error| panic!("tools/bundled.toml: {error}"));
@@ -141,7 +141,7 @@ impl Tool {
         let ends = table.shapes.iter().flat_map(|s| [s.a_m, s.b_m]);
         let finger_ends = table.fingers.iter().flat_map(|f| [f.a_m, f.b_m, f.closed_a_m, f.closed_b_m]);
         let radii = table.shapes.iter().map(|s| s.radius_m).chain(table.fingers.iter().map(|f| f.radius_m));
-        // No tool is longer; a typing error is more likely.
+        // Real tools are shorter, so this is probably a typing error.
         let within = |point: Point| point.is_finite() && point.length() <= 2.0;
         if !ends.chain(finger_ends).chain(table.point_m).all(within) || !radii.clone().all(is_length) {
             return Err(format!(
@@ -174,37 +174,37 @@ impl Tool {
         Ok(())
     }
 
-    /// For people; empty = there is none.
+    /// Name for users; empty without a tool.
     pub fn name(&self) -> &str {
         &self.name
     }
 
-    /// Nothing is on the flange.
+    /// Returns whether there is no tool.
     pub fn is_none(&self) -> bool {
         self.name.is_empty()
     }
 
-    /// The gripper, if it is one.
+    /// The tool as a gripper, or `None` for any other tool.
     pub fn hand(&self) -> Option<&Hand> {
         self.hand.as_ref()
     }
 
-    /// The point that poses of the tool refer to, seen from the flange.
+    /// Returns the reference point of poses, relative to the flange.
     pub fn point_m(&self) -> Point {
         self.point_m
     }
 
-    /// Its shapes in the flange's frame, with the fingers so far apart; `None` = wherever they could be.
+    /// Returns its shapes in the flange's frame at this finger distance; `None` covers all positions.
     pub fn shapes(&self, opening_m: Option<f64>) -> Vec<Capsule> {
         [self.fixed(), &self.fingers(opening_m)].concat()
     }
 
-    /// Those that do not move.
+    /// The parts of the tool that do not move.
     pub fn fixed(&self) -> &[Capsule] {
         &self.shapes
     }
 
-    /// Those of the fingers; `None` = all that they fill on their way from open to shut.
+    /// Returns the shapes of the fingers; `None` covers all positions from open to closed.
     pub fn fingers(&self, opening_m: Option<f64>) -> Vec<Capsule> {
         let mut shapes = Vec::new();
         let Some(hand) = &self.hand else { return shapes };
@@ -222,7 +222,7 @@ impl Tool {
         shapes
     }
 
-    /// No part of it is further from the flange.
+    /// Returns the maximum distance of the tool's parts from the flange.
     pub fn reach_m(&self) -> f64 {
         let reach = |c: &Capsule| c.a_m.length().max(c.b_m.length()) + c.radius_m;
         self.shapes(None).iter().map(reach).fold(0.0, f64::max)

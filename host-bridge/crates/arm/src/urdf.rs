@@ -20,15 +20,15 @@ const SLIDE_MAX_M: f64 = 3.0;
 /// Settings that a URDF file does not contain.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Missing {
-    /// First link of the arm, whose frame is its base frame; `None` = the robot's own first link.
+    /// First link of the arm, whose frame is its base frame; `None` selects the robot's own first link.
     pub root: Option<String>,
-    /// Last link of the arm; `None` = the only end there is.
+    /// Last link of the arm; `None` selects the only end.
     pub tip: Option<String>,
     /// Radius around the bones of links without simple shapes.
     pub link_radius_m: f64,
     /// Acceleration of joints without one (URDF 1.2 has it).
     pub acceleration_rad_s2: f64,
-    /// Speed of joints that turn without end and have no limits at all.
+    /// Speed of continuous joints without any limits.
     pub velocity_rad_s: f64,
 }
 
@@ -45,21 +45,21 @@ impl Missing {
     }
 }
 
-/// Why the file describes no arm that can be used.
+/// The reason why the file does not describe a usable arm.
 #[derive(Debug, thiserror::Error)]
 pub enum UrdfError {
     /// It is no URDF.
     #[error("{0}")]
     Form(#[from] urdf_rs::UrdfError),
-    /// It is, but not of such an arm.
+    /// The file is valid, but for another kind of robot.
     #[error("{0}")]
     Kind(String),
 }
 
-/// Reads an arm. Its home pose is all zeros, or the nearest values within the limits.
+/// Parses an arm. Its home pose is all zeros, or the closest values within the limits.
 ///
 /// # Errors
-/// Says what is wrong and what to change.
+/// The problem and the necessary change.
 pub fn parse(text: &str, missing: &Missing) -> Result<SerialArm, UrdfError> {
     let kind = |text: String| UrdfError::Kind(text);
     if is_xacro(text) {
@@ -83,9 +83,9 @@ pub fn parse(text: &str, missing: &Missing) -> Result<SerialArm, UrdfError> {
         notes: Vec::new(),
     };
     let mut shapes = Shapes::new(&robot, &chain, missing.link_radius_m);
-    // The link that the last joint turns has a shape of its own, all of which was read.
+    // Whether the link of the last joint has its own shape that was read completely.
     let mut has_shape = true;
-    // The frame that has been reached, as seen from the last joint that turns.
+    // The current frame, relative to the last moving joint.
     let mut here = Pose::IDENTITY;
     let (capsules, solids) = shapes.of(link, &here, false);
     arm.foot.extend(capsules);
@@ -112,7 +112,7 @@ pub fn parse(text: &str, missing: &Missing) -> Result<SerialArm, UrdfError> {
                 }
                 let limit = &joint.limit;
                 let turns_on = joint.joint_type == JointType::Continuous;
-                // A continuous joint needs no limits; one that is given must make sense.
+                // A continuous joint needs no limits, but given ones must be valid.
                 let unlimited = turns_on && limit.velocity == 0.0 && limit.effort == 0.0;
                 let velocity_rad_s = if unlimited { missing.velocity_rad_s } else { limit.velocity };
                 if !(velocity_rad_s.is_finite() && velocity_rad_s > 0.0) {
@@ -235,7 +235,7 @@ fn bone(arm: &mut SerialArm, next_m: Point, radius_m: f64) {
     }
 }
 
-/// A joint's limits, within its soft limits if it has some.
+/// Returns a joint's limits, restricted by its soft limits.
 fn within_soft(joint: &Joint) -> (f64, f64) {
     let (low, high) = (joint.limit.lower, joint.limit.upper);
     match &joint.safety_controller {
@@ -268,7 +268,7 @@ mod tests {
         Missing { root: None, tip: None, link_radius_m: 0.05, acceleration_rad_s2: 8.6, velocity_rad_s: 0.5 }
     }
 
-    /// The Gen3 written as URDF, from the built-in description.
+    /// The Gen3 as URDF, generated from the built-in description.
     fn gen3_urdf() -> String {
         let arm = SerialArm::gen3();
         let mut text = String::from("<robot name=\"gen3\"><link name=\"base\"/>");
@@ -413,7 +413,7 @@ mod tests {
             );
             assert_eq!(read.check(&joints).is_ok(), built_in.check(&joints).is_ok());
         }
-        // Without shapes in the file, bones from joint to joint.
+        // If the file contains no shapes, capsules from joint to joint replace them.
         for (i, joint) in read.joints.iter().enumerate() {
             let next_m = read.joints.get(i + 1).map_or(read.flange_m, |next| next.origin_m);
             assert_eq!(joint.shapes, [Capsule { a_m: DVec3::ZERO, b_m: next_m, radius_m: 0.05 }]);
@@ -468,7 +468,7 @@ mod tests {
             .replace("<link name=\"link4\"/>", &format!("<link name=\"link4\">{mesh}{camera}</link>"))
             .replace("<link name=\"flange\"/>", &format!("<link name=\"flange\">{camera}</link>"));
         let arm = parse(&text, &missing()).unwrap();
-        // Beside its small box link 4 keeps the bone that stands for its mesh, and link 7 its own.
+        // In addition to its small box, link 4 keeps the bone for its mesh, and so does link 7.
         assert_eq!(arm.joints[3].shapes.len(), 2);
         assert!((arm.joints[3].shapes[0].b_m.length() - 0.2085).abs() < 1e-3);
         assert_eq!(arm.joints[6].shapes.len(), 2);
@@ -498,9 +498,9 @@ mod tests {
         let arm = parse(&text, &Missing { tip: Some("flange".to_owned()), ..missing() }).unwrap();
         let line = |b_m: [f64; 3]| Capsule { a_m: DVec3::ZERO, b_m: b_m.into(), radius_m: 0.05 };
         let ball = |at: [f64; 3]| Capsule { a_m: at.into(), ..line(at) };
-        // The root's mesh: lines to the first joint and to what is fixed to it, whose own mesh is a ball.
+        // The root's mesh becomes lines to the first joint and to its fixed link, whose own mesh becomes a ball.
         assert_eq!(arm.foot, [line([0.0, 0.0, 0.15643]), line([0.0, 0.1, 0.0]), ball([0.0, 0.1, 0.0])]);
-        // Link 2 has no shape of its own, and so its line; then the mast, and the lamp on it.
+        // Link 2 has no shape of its own, so it has a line; then follow the mast, and the lamp on it.
         let [own, mast, lamp] = arm.joints[1].shapes.as_slice() else { panic!("{:?}", arm.joints[1].shapes) };
         assert!((own.b_m.length() - 0.2105).abs() < 1e-3);
         let half_m = mast.a_m.distance(mast.b_m) / 2.0;
@@ -508,7 +508,7 @@ mod tests {
             (half_m - 0.15).abs() < 1e-12 && mast.a_m.lerp(mast.b_m, 0.5).abs_diff_eq(0.1 * DVec3::Y, 1e-12)
         );
         assert_eq!(*lamp, ball([0.0, 0.2, 0.0]));
-        // The flange's mesh: a line to where the finger begins, which moves by itself.
+        // The flange's mesh becomes a line to the start of the finger, which moves by itself.
         assert_eq!(arm.joints[6].shapes.len(), 2, "{:?}", arm.joints[6].shapes);
         let [meshes, moving] = arm.notes.as_slice() else { panic!("{:?}", arm.notes) };
         assert!(meshes.contains("base, bumper, lamp, flange") && meshes.contains("50 mm"), "{meshes}");
@@ -548,7 +548,7 @@ mod tests {
         let without = text.replacen("<limit lower=\"0\" upper=\"0\" effort=\"9\" />", "", 1);
         let soft =
             "<safety_controller soft_lower_limit=\"-1.5\" soft_upper_limit=\"9\" k_velocity=\"1\"/></joint>";
-        // Joint 2 is the first that is revolute.
+        // Joint 2 is the first revolute joint.
         let (before, after) = without.split_once("name=\"joint_2\"").unwrap();
         let text = format!("{before}name=\"joint_2\"{}", after.replacen("</joint>", soft, 1));
         let arm = parse(&text, &missing()).unwrap();

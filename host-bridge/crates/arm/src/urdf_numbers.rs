@@ -1,10 +1,10 @@
-//! Every number of a URDF must be one that geometry can be computed with.
+//! Checks that all numbers of a URDF are valid for geometry.
 //!
-//! A NaN or a negative radius would switch the collision check off without a word: every comparison with it is false.
+//! A NaN or a negative radius would silently disable the collision check, because every comparison with it is false.
 
 use urdf_rs::{Collision, Geometry, Joint, Pose, Robot};
 
-/// What is wrong with the robot's numbers, by the name of the joint or link, and what to change.
+/// Returns the problem with the robot's numbers, with the name of the joint or link and the necessary change.
 pub fn check(robot: &Robot) -> Result<(), String> {
     for joint in &robot.joints {
         check_joint(joint).map_err(|what| format!("joint '{}': {what}", joint.name))?;

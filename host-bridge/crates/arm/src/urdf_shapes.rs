@@ -1,15 +1,15 @@
-//! Shapes of a URDF's links: those of the arm's chain, and of whatever is fixed to it beside the chain.
+//! Shapes of a URDF's links in the arm's chain, and of all links fixed beside it.
 
 use crate::solid::Solid;
 use host_robot::shape::Capsule;
 use host_robot::{DMat3, DVec3, Pose};
 use urdf_rs::{Collision, Geometry, Joint, JointType, Robot};
 
-/// Reads shapes of links, and remembers what was not read.
+/// Reads shapes of links, and records the ones that were not read.
 pub struct Shapes<'r> {
     robot: &'r Robot,
     chain: &'r [&'r Joint],
-    /// Of the lines and balls that stand for meshes.
+    /// Radius of the lines and balls that replace meshes.
     radius_m: f64,
     seen: Vec<&'r str>,
     /// Links whose meshes were not read.
@@ -19,7 +19,7 @@ pub struct Shapes<'r> {
 }
 
 impl<'r> Shapes<'r> {
-    /// Of this robot, whose arm is this chain.
+    /// Creates a reader for this robot, whose arm is this chain.
     pub fn new(robot: &'r Robot, chain: &'r [&'r Joint], radius_m: f64) -> Self {
         Shapes { robot, chain, radius_m, seen: Vec::new(), meshes: Vec::new(), moving: Vec::new() }
     }
@@ -28,7 +28,7 @@ impl<'r> Shapes<'r> {
         self.robot.links.iter().find(|known| known.name == link).map_or(&[], |known| &known.collision)
     }
 
-    /// The link has a shape of its own, all of which is read.
+    /// Returns whether the link has its own shapes and all of them were read.
     pub fn are_whole(&self, link: &str) -> bool {
         let own = self.collisions(link);
         !own.is_empty() && !own.iter().any(is_mesh)
@@ -80,7 +80,7 @@ impl<'r> Shapes<'r> {
         }
     }
 
-    /// What was not read, for people.
+    /// Returns notes about everything that was not read, for users.
     pub fn notes(&self) -> Vec<String> {
         let mut notes = Vec::new();
         if !self.meshes.is_empty() {
@@ -101,7 +101,7 @@ impl<'r> Shapes<'r> {
     }
 }
 
-/// Where a joint puts its child's frame, before it turns.
+/// Returns the frame of a joint's child before the joint turns.
 pub fn at(parent: &Pose, joint: &Joint) -> Pose {
     parent.then(DVec3::from(joint.origin.xyz.0), rotation(joint.origin.rpy.0))
 }
@@ -170,7 +170,7 @@ impl Found {
 fn enclosing(collision: &Collision, pose: &Pose) -> Option<Capsule> {
     let (half, radius_m) = match &collision.geometry {
         Geometry::Sphere { radius } => (DVec3::ZERO, *radius),
-        // A capsule as long as the cylinder, with round ends beyond it.
+        // A capsule as long as the cylinder, with additional round ends.
         Geometry::Cylinder { radius, length } | Geometry::Capsule { radius, length } => {
             (0.5 * *length * DVec3::Z, *radius)
         }

@@ -1,7 +1,8 @@
-//! The Gen3's capsules and the bundled tools hold what the makers' meshes hold.
+//! Checks that the Gen3's capsules and the bundled tools enclose the makers' meshes.
 //!
-//! A few vertices far from each capsule's line stand here. Where the hulls of the whole meshes are at hand
-//! (`../shared/data/arm-hulls`, which is no part of this project), all of their vertices are held against the capsules, too.
+//! The test contains a few vertices that are far from each capsule's line.
+//! If the hulls of the complete meshes are available (`../shared/data/arm-hulls`, not part of this project),
+//! it checks all their vertices.
 
 use std::path::Path;
 
@@ -10,7 +11,8 @@ use host_arm::tool::{Tool, ToolTable};
 use host_robot::shape::Capsule;
 use host_robot::{DMat3, DVec3};
 
-/// Vertices of kortex_description's meshes that are furthest from the capsules' lines, in the links' frames, in m.
+/// Vertices of kortex_description's meshes with the largest distances from the capsules' lines, in the links' frames,
+/// in m.
 const GEN3: [(&str, [[f64; 3]; 5]); 8] = [
     (
         "base_link",
@@ -98,7 +100,7 @@ const GEN3: [(&str, [[f64; 3]; 5]); 8] = [
 const VISION: [[f64; 3]; 3] =
     [[0.0451, -0.0654, -0.0621], [-0.0287, 0.0241, -0.0644], [-0.02, 0.0265, -0.0025]];
 
-/// How far a point is from a capsule's surface; negative within.
+/// Returns the distance of a point from a capsule's surface; negative inside.
 fn out_m(capsule: &Capsule, point: DVec3) -> f64 {
     capsule.distance_m(&Capsule { a_m: point, b_m: point, radius_m: 0.0 })
 }
@@ -108,7 +110,7 @@ fn furthest_out_m(capsules: &[Capsule], points: &[DVec3]) -> f64 {
     points.iter().map(out).fold(f64::NEG_INFINITY, f64::max)
 }
 
-/// The vertices of a hull, if it is at hand.
+/// Returns the vertices of a hull, if it is available.
 fn hull(name: &str) -> Option<Vec<DVec3>> {
     let file = Path::new(env!("CARGO_MANIFEST_DIR"))
         .join("../../../../shared/data/arm-hulls")
@@ -153,7 +155,7 @@ fn the_gen3s_links_are_within_their_capsules() {
 #[test]
 fn the_vision_module_is_within_its_tool() {
     let shapes = tool("gen3-vision").shapes(None);
-    // The flange looks down the bracelet's z axis.
+    // The flange's z axis is that of the bracelet.
     let arm = SerialArm::gen3();
     let on_flange = |p: DVec3| arm.flange_rotation.transpose() * (p - arm.flange_m);
     let points: Vec<DVec3> = VISION.iter().map(|p| on_flange((*p).into())).collect();
@@ -164,7 +166,7 @@ fn the_vision_module_is_within_its_tool() {
     }
 }
 
-/// The gripper's parts on the side of +x, with its driven joint at that angle: rotation and origin of each.
+/// Returns rotation and origin of the gripper's parts on the side of +x, with its driven joint at this angle.
 fn finger_parts(angle_rad: f64) -> [(&'static str, DMat3, DVec3); 4] {
     // About 0 -1 0.
     let turn = DMat3::from_rotation_y(-angle_rad);
@@ -183,12 +185,12 @@ fn finger_parts(angle_rad: f64) -> [(&'static str, DMat3, DVec3); 4] {
 fn the_grippers_parts_are_within_its_shapes_however_far_it_is_open() {
     let tool = tool("2f-85");
     if let Some(points) = hull("2f85_robotiq_base") {
-        // Its fingers hide part of its base.
+        // The fingers of the gripper enclose a part of its base.
         let points: Vec<DVec3> = points.into_iter().filter(|p| p.z < 0.05).collect();
         let out_mm = 1000.0 * furthest_out_m(&tool.shapes(Some(0.085)), &points);
         assert!(out_mm < 0.0, "base: {out_mm} mm");
     }
-    // The pad's inner side, from the fingertip's frame: it meets the other one where the gripper is shut.
+    // The inner side of the pad in the fingertip's frame; it meets the other one when the gripper is closed.
     const PAD_M: f64 = 0.0253;
     for step in 0..=20 {
         let angle_rad = 0.8 * f64::from(step) / 20.0;

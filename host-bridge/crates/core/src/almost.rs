@@ -1,17 +1,18 @@
-//! A gesture that was nearly one: what a wearer must see to learn how the model wants it drawn.
+//! Detects gestures that were nearly recognised, so that wearers can learn how to draw them.
 //!
-//! The board decides and sends its scores with every hop. If they rose to a gesture and fell again without an
-//! event, this says which gesture and how near it came. Nothing follows from it.
+//! The board decides, and sends its scores with every hop.
+//! If the score of a gesture rises and falls without an event, this module reports the gesture and its best score.
+//! The report has no other effect.
 
 use std::collections::VecDeque;
 
 use crate::intent::is_rest;
 
-/// Scores are averaged over so many hops, as the board averages them (six axes and more).
+/// Number of hops for averaging scores, as on boards with six or more axes.
 const AVERAGE_HOPS: usize = 4;
-/// Smallest mean probability that is reported; the board itself wants one half.
+/// Minimum mean probability for a report. The board itself requires one half.
 const NEARLY: f32 = 0.4;
-/// A rise is over when no gesture is above this, and the next one may begin.
+/// A rise ends when no gesture is above this value, and the next one may begin.
 const OVER: f32 = 0.25;
 
 /// Watches the right hand's scores.
@@ -26,15 +27,15 @@ enum Rise {
     /// No gesture is near.
     #[default]
     None,
-    /// The nearest so far: label and mean probability.
+    /// The best gesture so far: label and mean probability.
     Nearest(usize, f32),
-    /// It has been reported, by the board or from here.
+    /// The gesture has been reported, by the board or by this module.
     Told,
 }
 
 impl Almost {
-    /// Takes a hop's scores, one per label, and whether the board saw a gesture in it. The label and its best mean
-    /// probability, once, when a gesture was nearly seen.
+    /// Adds the scores of a hop, one per label, and whether the board detected a gesture in it.
+    /// Returns the label and its best mean probability once if a gesture was nearly recognised.
     pub(crate) fn see(
         &mut self,
         labels: &[String],
@@ -60,7 +61,7 @@ impl Almost {
                 Rise::None | Rise::Told => Rise::None,
             },
             Rise::Nearest(_, best) if mean > best => Rise::Nearest(label, mean),
-            // The scores fall: the movement is over, and the board would have reported it by now.
+            // The scores fall, so the movement has ended, and the board would have reported it by now.
             Rise::Nearest(label, best) if mean < best / 2.0 => {
                 self.rise = Rise::Told;
                 return Some((label, best));
@@ -96,7 +97,7 @@ mod tests {
         ["idle", "circle", "wave", "other"].map(str::to_owned).to_vec()
     }
 
-    /// What is reported while `circle` has these probabilities, hop after hop, and the board finds a gesture in one of them.
+    /// Returns the reports for these probabilities of `circle`, if the board detects a gesture in hop `fires`.
     fn told(circle: &[f32], fires: Option<usize>) -> Vec<(usize, f32)> {
         let mut almost = Almost::default();
         let hops = circle.iter().enumerate();
@@ -145,7 +146,7 @@ mod tests {
     fn each_attempt_is_told_of_after_the_scores_have_come_down() {
         let attempt = [[0.0; 8], [0.55; 8], [0.0; 8]].concat();
         assert_eq!(told(&[attempt.clone(), attempt].concat(), None).len(), 2);
-        // Up and down between two heights is one attempt.
+        // Rising and falling between two levels counts as one attempt.
         let trembling = [[0.55; 6], [0.3; 6], [0.55; 6], [0.3; 6], [0.0; 6]].concat();
         assert_eq!(told(&trembling, None).len(), 1);
     }

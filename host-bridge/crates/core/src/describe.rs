@@ -1,4 +1,4 @@
-//! Events as lines for people. Degrees appear here and nowhere deeper.
+//! Formats events as lines for users. Only this module uses degrees.
 
 use crate::bridge::{BridgeEvent, EventKind, GestureOutcome};
 use crate::observe::SessionEvent;
@@ -6,7 +6,7 @@ use crate::safety::{HaltReason, Hand, Ignored, State};
 use crate::session::Summary;
 use shared_words::Heading;
 
-/// One line, without its time.
+/// Formats one line without its time.
 pub fn text(event: &SessionEvent) -> String {
     let kind = match event {
         SessionEvent::RecordingEnded { hand, .. } => {
@@ -123,14 +123,14 @@ pub fn text(event: &SessionEvent) -> String {
     }
 }
 
-/// Whether the line would only repeat what the next or the last one says.
+/// Returns whether the line would only repeat the next or the previous one.
 pub fn is_echo(event: &SessionEvent) -> bool {
     let SessionEvent::Bridge(event) = event else { return false };
     let gesture = |what: &Ignored| matches!(what, Ignored::LateGesture | Ignored::GestureWhileNotArmed);
     matches!(&event.kind, EventKind::Ignored { what } if gesture(what))
 }
 
-/// When it happened.
+/// Returns the time of an event.
 pub fn time_ms(event: &SessionEvent) -> u64 {
     match event {
         SessionEvent::Bridge(event) => event.time_ms,
@@ -141,7 +141,7 @@ pub fn time_ms(event: &SessionEvent) -> u64 {
     }
 }
 
-/// The result of a session, in a few lines.
+/// Formats the result of a session in a few lines.
 pub fn summary(summary: &Summary) -> String {
     let here = summary.odometry;
     let delay = |d: crate::latency::DelaySummary| match (d.median_ms, d.worst_ms) {

@@ -1,8 +1,8 @@
-//! Why a hand is in doubt, in words, and what to do.
+//! Explains why a hand is in doubt, and proposes remedies.
 
 use shared_proto::message::health;
 
-/// What each flag of a state means, with advice.
+/// The meaning of each flag of a state, with advice.
 const REASONS: [(u8, &str); 7] = [
     (health::SENSOR, "the accelerometer does not answer or a line is open: check its wires"),
     (
@@ -17,7 +17,7 @@ const REASONS: [(u8, &str); 7] = [
     (health::MODEL, "the model cannot run on this board: send another with `host-bridge send-model`"),
 ];
 
-/// The reasons behind the flags of a state; none for a hand that is well.
+/// Returns the reasons for the flags of a state, or nothing for a healthy hand.
 pub fn reasons(flags: u8) -> Vec<&'static str> {
     let known = REASONS.iter().fold(0, |bits, (bit, _)| bits | bit);
     let mut reasons: Vec<&str> =

@@ -1,7 +1,8 @@
-//! The one engine: receive, decide, act, observe, always in this order.
+//! The engine of all sessions: receive, decide, act, observe, always in this order.
 //!
-//! Sans-IO: time and bytes come in. Three drivers run it: virtual time ([`crate::session`]), the clock (the program's
-//! control thread), and a session's file (`replay`).
+//! The engine is sans-IO: its inputs are bytes and the time.
+//! Three drivers use it: virtual time ([`crate::session`]), the wall clock (the program's control thread),
+//! and session files (`replay`).
 //!
 //! ```text
 //! advance(now):  the robot moves up to now ─► hands speak, their bytes are received ─► what boards need is sent
@@ -21,25 +22,25 @@ use crate::observe::{Now, OperatorKey, SessionEvent, Tap, Turn};
 use crate::safety::{Hand, PerHand};
 use crate::source::{HandKey, Source};
 
-/// Settings that the board has not acknowledged are sent again after this long.
+/// Interval at which unacknowledged settings are sent again.
 const SET_UP_INTERVAL_MS: u64 = 1000;
 /// The engine's own requests are numbered from 1 up, one for each start of a board; those of others from here on.
 pub const FOREIGN_REQUESTS: u16 = 0x4000;
 
-/// See the module. `'b` is the lifetime of what its hands borrow.
+/// See the module documentation. `'b` is the lifetime of the data that its hands borrow.
 pub struct Engine<'b, D> {
     bridge: Bridge,
     door: D,
-    /// The robot has moved up to this time.
+    /// The time up to which the robot has moved.
     moved_ms: u64,
     sources: PerHand<Source<'b>>,
     tilt: Option<TiltThresholds>,
-    /// The right hand's wearer feels what happens.
+    /// Whether events are signalled to the right hand's wearer.
     vibrates: bool,
     request: u16,
-    /// What still has to be sent to a hand's board after its start.
+    /// Settings that still have to be sent to a hand's board after its start.
     set_ups: PerHand<Option<SetUp>>,
-    /// Labels that mark episodes.
+    /// Labels of gestures that mark episodes.
     marks: Vec<(String, Mark)>,
     episodes: Tally,
     /// Marks and what the wearer was told, to be shown with the next turn.
@@ -47,7 +48,7 @@ pub struct Engine<'b, D> {
     tap: Tap,
 }
 
-/// A message that a hand's board has not acknowledged.
+/// A message that a hand's board has not acknowledged yet.
 #[derive(Clone, Copy, Debug)]
 struct SetUp {
     request: u16,
@@ -57,13 +58,13 @@ struct SetUp {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Wanted {
-    /// It may have been left in record mode.
+    /// Ends record mode, in which the board may still be.
     Classify,
     Thresholds,
 }
 
 impl<'b, D: Door> Engine<'b, D> {
-    /// An engine that starts at `now_ms`.
+    /// Creates an engine that starts at `now_ms`.
     pub fn new(bridge: Bridge, door: D, sources: impl Into<PerHand<Source<'b>>>, now_ms: u64) -> Self {
         let sources = sources.into();
         let boards = sources.iter().filter(|(_, source)| source.is_link());
@@ -88,30 +89,30 @@ impl<'b, D: Door> Engine<'b, D> {
         }
     }
 
-    /// Boards of the left hand are told these thresholds when they have started.
+    /// Sends these thresholds to left-hand boards after their start.
     #[must_use]
     pub fn with_tilt(self, tilt: TiltThresholds) -> Self {
         Engine { tilt: Some(tilt), ..self }
     }
 
-    /// The right hand's board is told what its wearer shall feel, if the board supports that.
+    /// Sends vibration signals to the right hand's board, if the board supports them.
     #[must_use]
     pub fn with_vibration(self, vibrates: bool) -> Self {
         Engine { vibrates, ..self }
     }
 
-    /// Gestures of these labels mark episodes.
+    /// Makes gestures of these labels mark episodes.
     #[must_use]
     pub fn with_marks(self, marks: impl IntoIterator<Item = (String, Mark)>) -> Self {
         Engine { marks: marks.into_iter().collect(), ..self }
     }
 
-    /// Where observers look on.
+    /// Returns the tap, where observers are attached.
     pub fn tap_mut(&mut self) -> &mut Tap {
         &mut self.tap
     }
 
-    /// The state at `now_ms`, as observers see it.
+    /// Returns the state at `now_ms` for observers.
     pub fn now(&self, now_ms: u64) -> Now<'_> {
         Now { time_ms: now_ms, bridge: &self.bridge, robot: &self.door }
     }
@@ -126,26 +127,26 @@ impl<'b, D: Door> Engine<'b, D> {
         &self.door
     }
 
-    /// The door, for handing the robot what came from elsewhere.
+    /// Returns the door, to pass external data to the robot.
     pub fn door_mut(&mut self) -> &mut D {
         &mut self.door
     }
 
-    /// Bytes of a hand's board. `now_ms` is the time at which they are *handled*: bytes that waited
-    /// somewhere are thereby as old as they are, and dropped if they are too old.
+    /// Processes bytes from a hand's board. `now_ms` is the time of *processing*.
+    /// Bytes that waited in a buffer therefore have their true age, and are dropped if they are too old.
     pub fn receive(&mut self, hand: Hand, bytes: &[u8], now_ms: u64) {
         self.tap.show(|observer| observer.received(now_ms, hand, bytes));
         self.bridge.receive(hand, bytes, now_ms, &mut self.door);
     }
 
-    /// A key of the keyboard that plays a hand.
+    /// Presses a key that controls a hand.
     pub fn press(&mut self, key: HandKey, now_ms: u64) {
         for source in self.sources.values_mut() {
             source.press(key, now_ms);
         }
     }
 
-    /// Such a key was released.
+    /// Releases a key that controls a hand.
     pub fn release_hand_key(&mut self, key: HandKey) {
         for source in self.sources.values_mut() {
             source.release(key);
@@ -162,13 +163,13 @@ impl<'b, D: Door> Engine<'b, D> {
         }
     }
 
-    /// The operator marks an episode. That neither moves nor stops anything.
+    /// Marks an episode on behalf of the operator. This neither moves nor stops anything.
     pub fn mark(&mut self, mark: Mark, by: MarkedBy, now_ms: u64) {
         let told = self.episodes.mark(mark, now_ms);
         self.marked.push(SessionEvent::Marked { time_ms: now_ms, mark, by, told });
     }
 
-    /// The key that ends the arm's motion alone.
+    /// Ends only the arm's motion on behalf of the operator.
     pub fn end_arm_key(&mut self, now_ms: u64) {
         self.tap.show(|observer| observer.operated(now_ms, OperatorKey::EndArm));
         self.bridge.end_arm_key(now_ms, &mut self.door);
@@ -216,13 +217,13 @@ impl<'b, D: Door> Engine<'b, D> {
         self.bridge.release_key(now_ms, &mut self.door);
     }
 
-    /// The program ends: base and arm are brought to rest.
+    /// Brings base and arm to rest at the end of the program.
     pub fn halt(&mut self) {
         self.door.halt();
         self.door.send();
     }
 
-    /// Lets the robot move on; the first part of a turn.
+    /// Moves the robot, which is the first part of a turn.
     pub fn move_on(&mut self, passed_ms: u64) {
         if self.door.plan_is_ready() {
             self.tap.show(|observer| observer.turned(Turn::Planned));
@@ -233,7 +234,7 @@ impl<'b, D: Door> Engine<'b, D> {
         self.door.step(self.moved_ms);
     }
 
-    /// Lets the bridge decide; the last part of a turn.
+    /// Lets the bridge decide, which is the last part of a turn.
     pub fn decide(&mut self, now_ms: u64) -> Vec<BridgeEvent> {
         let refusal = self.door.refusal();
         if self.bridge.is_news_of_robot(refusal.as_deref()) {
@@ -246,7 +247,7 @@ impl<'b, D: Door> Engine<'b, D> {
         self.bridge.take_events()
     }
 
-    /// Shows observers what happened, and how things stand.
+    /// Shows the events and the current state to observers.
     pub fn show(&mut self, events: &[SessionEvent], now_ms: u64) {
         if self.tap.is_idle() {
             return;
@@ -258,11 +259,12 @@ impl<'b, D: Door> Engine<'b, D> {
         self.tap.show(|observer| observer.state(&now));
     }
 
-    /// Lets the time become `now_ms`; call it every few milliseconds. `ready` says which hands' links
-    /// take bytes now. What happened comes back; what is to be sent waits in [`Engine::take_outgoing`].
+    /// Advances the time to `now_ms`; call it every few milliseconds.
+    /// `ready` are the hands whose links accept bytes now.
+    /// Returns the events. Data to be sent waits in [`Engine::take_outgoing`].
     pub fn advance(&mut self, now_ms: u64, ready: impl Into<PerHand<bool>>) -> Vec<SessionEvent> {
         let ready = ready.into();
-        // First the robot's past: after a pause of this program it has stopped by itself.
+        // The robot moves first, because after a pause of this program it has stopped by itself.
         self.move_on(now_ms.saturating_sub(self.moved_ms));
         let mut happened = Vec::new();
         for hand in Hand::BOTH {
@@ -307,12 +309,12 @@ impl<'b, D: Door> Engine<'b, D> {
         events
     }
 
-    /// Every recording that is played has ended.
+    /// Returns whether all played recordings have ended.
     pub fn ended(&self) -> bool {
         self.sources.iter().all(|(_, source)| source.ended())
     }
 
-    /// The frames that wait for a hand's board.
+    /// Returns the frames that wait for a hand's board.
     pub fn take_outgoing(&mut self, hand: Hand) -> Vec<Vec<u8>> {
         match &mut self.sources[hand] {
             Source::Link(frames) => std::mem::take(frames),
@@ -325,8 +327,8 @@ impl<'b, D: Door> Engine<'b, D> {
         self.set_ups[hand] = Some(SetUp { request: self.request, sent_ms: None, what });
     }
 
-    /// A left board that has just started gets the thresholds, and any board is called back from record mode. Asked until
-    /// it answers.
+    /// Sends thresholds to a left board that has just started, and ends record mode on any board.
+    /// The message is repeated until the board answers.
     fn set_up(&mut self, hand: Hand, now_ms: u64) {
         let Some(SetUp { request, what, .. }) = self.set_ups[hand] else { return };
         let answered = self.bridge.last_ack(hand).is_some_and(|ack| ack.request == request);
@@ -364,7 +366,7 @@ impl<'b, D: Door> Engine<'b, D> {
         let mut wire = Vec::new();
         match &mut self.sources[hand] {
             Source::Nobody => {}
-            // The delimiter ends what noise has left on the line: without answers to pings nothing arms.
+            // The delimiter terminates noise on the line. Without answers to pings, nothing arms.
             Source::Link(frames) => frames.push([&[DELIMITER], frame].concat()),
             Source::Here { hand, .. } => hand.receive(frame, now_ms, &mut wire),
         }

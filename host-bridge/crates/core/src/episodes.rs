@@ -1,7 +1,7 @@
-//! Episodes of a session, as its operator marks them while it runs: for those who train robots with them.
+//! Episodes of a session, which the operator marks for training robots.
 //!
 //! ```text
-//! gesture, key, page ─► Mark ─► Tally (says what follows) ─► the session's file ─► the same Tally in `export`
+//! gesture, key, page ─► Mark ─► Tally (determines the effect) ─► the session's file ─► the same Tally in `export`
 //! ```
 
 use std::fmt;
@@ -9,27 +9,27 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-/// How an operator marks an episode.
+/// The marks of an episode.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Mark {
     /// One begins.
     Begin,
-    /// It ends and is kept.
+    /// The episode ends and is kept.
     End,
-    /// It failed: what was begun, or else the last one, is thrown away, and another begins.
+    /// The current or last episode failed and is discarded, and another one begins.
     Again,
-    /// It is good; one that is under way ends.
+    /// The episode is good. If it is in progress, it ends.
     Good,
-    /// It is bad, and left out; one that is under way ends.
+    /// The episode is bad and discarded. If it is in progress, it ends.
     Bad,
 }
 
 impl Mark {
-    /// All, in the order of their numbers in a session's file.
+    /// All marks in the order of their numbers in a session's file.
     pub const ALL: [Mark; 5] = [Mark::Begin, Mark::End, Mark::Again, Mark::Good, Mark::Bad];
 
-    /// As files, pages and options write it.
+    /// Returns the name used in files, pages and options.
     pub fn name(self) -> &'static str {
         match self {
             Mark::Begin => "begin",
@@ -57,7 +57,7 @@ impl FromStr for Mark {
     }
 }
 
-/// How a mark was made.
+/// The origin of a mark.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum MarkedBy {
@@ -80,7 +80,7 @@ impl MarkedBy {
     }
 }
 
-/// A part of a session that was begun.
+/// A part of a session that was marked as an episode.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Take {
     /// On the session's clock.
@@ -94,26 +94,26 @@ pub struct Take {
 /// What became of a take.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
-    /// It ended, and nobody has judged it.
+    /// The take ended and was not judged.
     Ended,
     /// It was marked good.
     Good,
-    /// It is not an episode, for this reason.
+    /// The take is not an episode, for this reason.
     LeftOut(&'static str),
 }
 
-/// What follows from a mark, for people. Episodes are numbered from 1 as they begin.
+/// The effect of a mark, for users. Episodes are numbered from 1 in the order of their start.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Told {
     /// One has begun.
     Begun(usize),
-    /// One has ended: its number and length.
+    /// The episode with this number and length has ended.
     Ended(usize, u64),
-    /// The first is thrown away, the second has begun.
+    /// The first episode was discarded, and the second has begun.
     Repeated(usize, usize),
     /// This one is good.
     Good(usize),
-    /// This one is left out.
+    /// This episode is not exported.
     Bad(usize),
     /// There is no episode to mark.
     Nothing(Mark),
@@ -134,7 +134,7 @@ impl fmt::Display for Told {
     }
 }
 
-/// The takes of a session, mark by mark.
+/// Collects the takes of a session from its marks.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Tally {
     open_ms: Option<u64>,
@@ -180,12 +180,12 @@ impl Tally {
         }
     }
 
-    /// Somebody pressed stop: what was begun is thrown away. Its number, if there was one.
+    /// Processes an operator's stop: discards the current take and returns its number, if there is one.
     pub fn stop(&mut self, time_ms: u64) -> Option<usize> {
         self.open_ms.is_some().then(|| self.close(time_ms, Verdict::LeftOut("somebody pressed stop")))
     }
 
-    /// The session is over; all takes in order.
+    /// Ends the session and returns all takes in order.
     pub fn finish(mut self, time_ms: u64) -> Vec<Take> {
         if self.open_ms.is_some() {
             self.close(time_ms, Verdict::LeftOut("the session ended before it"));

@@ -1,14 +1,15 @@
-//! What the wearer of the right hand feels of what happens, if a motor is wired to its board.
+//! Selects vibration signals for the wearer of the right hand, if a motor is connected to the board.
 
 use shared_proto::message::{HostMessage, Signal};
 
 use crate::bridge::{BridgeEvent, EventKind, GestureOutcome};
 use crate::safety::HaltReason;
 
-/// Boards of this minor version and later know what a [`Signal`] is.
+/// The first minor version of boards that support [`Signal`].
 pub const SINCE_MINOR: u8 = HostMessage::Feel { signal: Signal::Ready }.row().since;
 
-/// The signal for what happened in a turn. If several things happened it is the gravest, since a wrist feels one at a time.
+/// Returns the signal for the events of a turn.
+/// If there are several events, the most serious one is signalled, because a wrist can feel only one signal at a time.
 pub fn signal(events: &[BridgeEvent]) -> Option<Signal> {
     let weight = |signal: &Signal| match signal {
         Signal::LinkLost => 3,

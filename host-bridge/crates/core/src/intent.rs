@@ -1,4 +1,4 @@
-//! From what the hands say to what the robot should do. Pure: no time, no links.
+//! Converts the state of the hands to commands for the robot, without time or links.
 
 pub use shared_words::is_rest;
 
@@ -8,26 +8,27 @@ use shared_proto::message::Heading;
 use crate::tilt::{Pointing, TiltDrive};
 use host_robot::{MotionName, Twist};
 
-/// The caps on forward and turning speed, and how bends change them.
+/// The caps on forward and turning speed, and their changes by bends.
 ///
-/// Both caps move together: each bend of the index finger multiplies them by 1.10, each bend of the
-/// middle finger by 0.90, within [0.05, 1.0] (the paper's table II and figures).
+/// Both caps change together.
+/// Each bend of the index finger multiplies them by 1.10, and each bend of the middle finger by 0.90.
+/// Caps stay within [0.05, 1.0] (the paper's table II and figures).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Caps {
-    /// Fastest forward or backward speed, in m/s.
+    /// Maximum forward or backward speed in m/s.
     pub linear_m_s: f64,
     /// Fastest turn, in rad/s.
     pub angular_rad_s: f64,
-    /// How they start and change.
+    /// The initial value of the caps and the rules for changes.
     #[serde(skip)]
     pub rules: SpeedRules,
 }
 
-/// Where the caps start, and how bends change them: the same numbers for m/s and rad/s.
+/// Initial value of the caps and their changes by bends, with the same numbers for m/s and rad/s.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SpeedRules {
-    /// Where both caps start, and where a stop puts them.
+    /// Initial value of both caps, which a stop restores.
     pub start: f64,
     /// Never slower.
     pub least: f64,
@@ -47,7 +48,7 @@ impl Default for SpeedRules {
 }
 
 impl Caps {
-    /// Where both caps start, and where a stop puts them.
+    /// Initial value of both caps, which a stop restores.
     pub const START: f64 = 0.5;
     /// Never slower.
     pub const LEAST: f64 = 0.05;
@@ -63,21 +64,21 @@ impl Caps {
         Caps { linear_m_s: rules.start, angular_rad_s: rules.start, rules }
     }
 
-    /// Applies bends. If one state reports bends of both fingers, their order is unknown; those of
-    /// the middle finger come last, so that clipping errs on the slow side.
+    /// Applies bends. If one state reports bends of both fingers, their order is unknown.
+    /// The middle finger is applied last, so that clipping errs towards lower speeds.
     pub fn bend(&mut self, index: u8, middle: u8) {
         let SpeedRules { least, most, faster, slower, .. } = self.rules;
         let steps =
             std::iter::repeat_n(faster, index.into()).chain(std::iter::repeat_n(slower, middle.into()));
         for factor in steps {
             for cap in [&mut self.linear_m_s, &mut self.angular_rad_s] {
-                // Not `clamp`, which panics if the minimum is above the maximum.
+                // `clamp` would panic if the minimum is above the maximum.
                 *cap = (*cap * factor).min(most).max(least);
             }
         }
     }
 
-    /// The twist of a heading (the paper's table II).
+    /// Returns the twist of a heading (the paper's table II).
     pub fn twist(&self, heading: Heading) -> Twist {
         let (linear, angular) = match heading {
             Heading::Neutral | Heading::Between => (0.0, 0.0),
@@ -89,7 +90,7 @@ impl Caps {
         Twist { linear_m_s: linear * self.linear_m_s, angular_rad_s: angular * self.angular_rad_s }
     }
 
-    /// The twist of a hand: of its heading, or in proportion to its tilt.
+    /// Returns the twist of a hand, by its heading or in proportion to its tilt.
     pub fn twist_of(&self, pointing: Pointing, drive: &TiltDrive) -> Twist {
         if !drive.proportional {
             return self.twist(pointing.heading);
@@ -105,7 +106,7 @@ impl Default for Caps {
     }
 }
 
-/// Which gesture starts which arm motion.
+/// Maps gestures to arm motions.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MotionMap {
     entries: Vec<(String, MotionName)>,
@@ -126,22 +127,22 @@ impl Default for MotionMap {
     }
 }
 
-/// `LABEL=MOTION` could not be understood.
+/// The text is not a valid `LABEL=MOTION`.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum MapError {
-    /// There is no `=`, or no label before it.
+    /// There is no `=`, or there is no label before it.
     #[error("'{0}' is no mapping; write LABEL=MOTION, for example wave=pick-up")]
     NoPair(String),
-    /// A class for rest cannot start a motion.
+    /// A rest label cannot start a motion.
     #[error("'{0}' is the class of a resting hand and cannot start a motion; map another label")]
     Rest(String),
 }
 
 impl MotionMap {
-    /// Adds or replaces one entry, written `LABEL=MOTION`.
+    /// Adds or replaces one entry, in the form `LABEL=MOTION`.
     ///
     /// # Errors
-    /// [`MapError`] if the text is not such a pair, or maps a class for rest.
+    /// [`MapError`] if the text does not have this form, or maps a rest label.
     pub fn assign(&mut self, mapping: &str) -> Result<(), MapError> {
         let (label, motion) = mapping
             .split_once('=')
@@ -161,12 +162,12 @@ impl MotionMap {
         Ok(())
     }
 
-    /// The label starts no motion any more.
+    /// Removes the motion of a label.
     pub fn release(&mut self, label: &str) {
         self.entries.retain(|(known, _)| !same_label(known, label));
     }
 
-    /// The motion of a label, if it has one.
+    /// Returns the motion of a label, if it has one.
     pub fn motion(&self, label: &str) -> Option<&MotionName> {
         if is_rest(label) {
             return None;
@@ -174,27 +175,27 @@ impl MotionMap {
         self.entries.iter().find(|(known, _)| same_label(known, label)).map(|(_, motion)| motion)
     }
 
-    /// Drops entries whose motion this robot does not have: another arm may have fewer than the paper's six.
+    /// Removes entries whose motion this robot does not have. Another arm may have fewer than the paper's six.
     #[must_use]
     pub fn known_to(mut self, knows: impl Fn(&MotionName) -> bool) -> Self {
         self.entries.retain(|(_, motion)| knows(motion));
         self
     }
 
-    /// Those of the labels that start nothing. Classes for rest are left out: they are meant to start nothing.
+    /// Returns the labels without a motion, except rest labels, which never have one.
     pub fn without_motion<'a>(&self, labels: &'a [String]) -> Vec<&'a str> {
         let idle = |label: &&str| !is_rest(label) && self.motion(label).is_none();
         labels.iter().map(String::as_str).filter(idle).collect()
     }
 
-    /// Entries whose label is not among these: mostly typing errors.
+    /// Returns entries whose label is not in this list, which are mostly typing errors.
     pub fn unknown_labels(&self, labels: &[String], mappings: &[String]) -> Vec<String> {
         let wanted = mappings.iter().filter_map(|m| m.split_once('=')).map(|(label, _)| label.trim());
         wanted.filter(|w| !labels.iter().any(|l| same_label(l, w))).map(str::to_owned).collect()
     }
 }
 
-/// Labels are compared without case and punctuation: `leftright` = `left-right` = `Left_Right`.
+/// Compares labels without case and punctuation: `leftright` = `left-right` = `Left_Right`.
 pub fn same_label(a: &str, b: &str) -> bool {
     let letters = |s: &str| -> String {
         s.chars().filter(|c| c.is_alphanumeric()).flat_map(char::to_lowercase).collect()

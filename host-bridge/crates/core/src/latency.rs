@@ -1,4 +1,4 @@
-//! How long the robot takes to answer a hand, in virtual or real time.
+//! Measures the robot's reaction time to a hand, in virtual or real time.
 
 use serde::Serialize;
 
@@ -21,17 +21,17 @@ pub struct DelaySummary {
 }
 
 impl Delays {
-    /// The hand did something at this time; the next motion answers it.
+    /// Records an action of the hand at this time. The next motion is its response.
     pub fn begin(&mut self, at_ms: u64) {
         self.waiting_since_ms = Some(at_ms);
     }
 
-    /// No motion will follow.
+    /// Records that no motion will follow.
     pub fn cancel(&mut self) {
         self.waiting_since_ms = None;
     }
 
-    /// Motion has been seen at this time.
+    /// Records a motion at this time.
     pub fn moved(&mut self, at_ms: u64) {
         if let Some(since_ms) = self.waiting_since_ms.take() {
             self.seen_ms.push(at_ms.saturating_sub(since_ms));

@@ -1,5 +1,6 @@
-//! From bytes to decisions: links, safety, intents, the bridge and the one engine. Sans-IO: bytes, events and the time
-//! go in, actions come out. Knows no files, sockets, clocks, arms or robots, but [`host_robot::Door`].
+//! From bytes to decisions: links, safety, intents, the bridge and the engine.
+//! The crate is sans-IO: its inputs are bytes, events and the time, and its outputs are actions.
+//! The crate does not depend on files, sockets, clocks, arms or robots, except for [`host_robot::Door`].
 
 mod almost;
 pub mod bridge;

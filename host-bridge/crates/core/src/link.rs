@@ -1,15 +1,16 @@
-//! One hand's link: bytes and the time in, states with their ages out.
+//! The link of one hand: converts bytes and the time to states with ages.
 //!
 //! ```text
 //! bytes ──► Decoder ──► hello?  version, side, boot id ──► Started (re-bases everything below)
 //!                  └──► state?  sequence: newer than all before?  clock: how old?
 //!                               counters: what is new in it? ──────► Left / Right
 //! ```
-//! States before the first hello, repeated ones and overtaken ones are counted and dropped here. How
-//! old a state may be is for [`crate::safety`] to say: a late state can still stop the robot.
+//! States before the first hello, repeated states and overtaken states are counted and dropped here.
+//! [`crate::safety`] decides on the maximum age, because even a late state can stop the robot.
 //!
-//! Ages are upper bounds, and rest on round trips: pings go out ten times a second, whether or not the
-//! ones before are answered, and a board that answers none has only states that are too old.
+//! Ages are upper bounds, derived from round trips.
+//! Pings are sent ten times per second, even if earlier ones are unanswered.
+//! If a board answers no ping, all its states are too old.
 
 use std::collections::VecDeque;
 
@@ -24,37 +25,37 @@ use shared_proto::version;
 
 use crate::safety::Hand;
 
-/// While nothing usable comes, ask who is there this often.
+/// Interval for requesting a hello while nothing usable arrives.
 pub const HELLO_INTERVAL_MS: u64 = 500;
 
-/// A known board is pinged this often: ages rest on the answers.
+/// Interval for pinging a known board. The replies limit the age of its states.
 pub const PING_INTERVAL_MS: u64 = 100;
 
-/// A board that has answered no ping for this long counts as silent, whatever it sends.
+/// A board that has answered no ping for this long counts as silent, even if it sends other data.
 pub const ANSWER_PATIENCE_MS: u64 = 500;
 
-/// At most this many pings are on their way at once; an answer after more than 6 s does not count.
+/// Maximum number of unanswered pings. An answer after more than 6 s does not count.
 const PINGS_IN_FLIGHT: usize = 64;
 
-/// This many overtaken states in a row mean that the board restarted and its hello was lost.
+/// This many consecutive overtaken states mean that the board restarted and its hello was lost.
 const OVERTAKEN_MEANS_RESTART: u32 = 3;
 
-/// Who is on the link.
+/// The identity of the board on the link.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Identity {
-    /// Kind of board, as a text for people.
+    /// Kind of board as a text for users.
     pub board: String,
     /// Version of its firmware.
     pub firmware: String,
-    /// Different after each start.
+    /// A number that differs after each start.
     pub boot_id: u32,
-    /// CRC-32 of its model; 0 = none.
+    /// CRC-32 of the board's model; 0 = none.
     pub model_id: u32,
     /// Samples per second.
     pub sample_hz: u16,
 }
 
-/// What the right hand's model expects and names.
+/// The requirements and labels of the right hand's model.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct ModelSummary {
     /// CRC-32 of the blob.
@@ -65,16 +66,16 @@ pub struct ModelSummary {
     pub labels: Vec<String>,
 }
 
-/// What some bytes said, as far as a session acts on it.
+/// The parts of received messages that a session needs.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Heard {
     /// A hello with a new boot id.
     Started(Identity),
-    /// A board that cannot be used here; the text says why and what to do.
+    /// A board that cannot be used here, with the reason and a remedy.
     Unusable(String),
     /// The model that runs on the hand.
     Model(ModelSummary),
-    /// A left state, newer than all before it.
+    /// A left state that is newer than all earlier ones.
     Left {
         /// Upper bound of the sample's age.
         age_ms: u64,
@@ -85,9 +86,9 @@ pub enum Heard {
         /// Bends of the middle finger since the last state.
         middle_bends: u8,
     },
-    /// A right state, newer than all before it.
+    /// A right state that is newer than all earlier ones.
     Right(RightReport),
-    /// Something is wrong that a person should know about.
+    /// A problem that the user should know about.
     Fault(Fault),
     /// Answer to a request.
     Ack(Ack),
@@ -119,28 +120,28 @@ pub struct NewGesture {
     pub window_end_ms: u32,
     /// Upper bound of the age of that window's end.
     pub age_ms: u64,
-    /// Gestures before it whose label nobody will know: their frames were lost.
+    /// Number of earlier gestures whose label is unknown because their frames were lost.
     pub unnamed: u8,
 }
 
-/// Frames that came, and how each was used.
+/// Statistics of received frames.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct LinkCounters {
     /// Intact frames.
     pub frames: u32,
-    /// Damaged frames: checksum, delimiters, length.
+    /// Number of damaged frames, detected by checksum, delimiters or length.
     pub damaged: u32,
     /// Intact frames with a message that this version does not know or cannot read.
     pub unreadable: u32,
-    /// States that never came, by their sequence numbers.
+    /// States that never arrived, according to their sequence numbers.
     pub lost: u32,
-    /// States that came twice.
+    /// States that arrived twice.
     pub duplicates: u32,
-    /// States that came after a newer one.
+    /// States that arrived after a newer one.
     pub overtaken: u32,
-    /// Messages before a usable hello.
+    /// Messages that arrived before a usable hello.
     pub before_hello: u32,
-    /// States of the other hand on this link.
+    /// States of the other hand that arrived on this link.
     pub misdirected: u32,
 }
 
@@ -156,25 +157,25 @@ pub struct HandLink {
     gestures: CounterTracker,
     identity: Option<Identity>,
     model: Option<ModelSummary>,
-    /// Minor version of the wire that the board speaks, and what it is made of.
+    /// Minor version of the board's wire protocol, and its hardware.
     minor: u8,
     about: Option<About>,
     counters: LinkCounters,
     overtaken_in_a_row: u32,
     last_state_ms: Option<u64>,
     last_request_ms: Option<u64>,
-    /// Ids and times of the pings that may still be answered, oldest first.
+    /// Ids and times of the unanswered pings, oldest first.
     pings: VecDeque<(u32, u64)>,
     /// Id and time of the last ping.
     pinged: Option<(u32, u64)>,
-    /// How long the newest answered ping took, and when its answer came.
+    /// Round-trip time of the newest answered ping, and the time of its answer.
     round_trip: Option<(u64, u64)>,
-    /// The board's clock stepped back: nothing counts before it has said who it is.
+    /// The board's clock stepped back, so nothing counts until a hello arrives.
     restarted: bool,
 }
 
 impl HandLink {
-    /// A link on which nobody has said hello.
+    /// Creates a link on which no hello has arrived.
     pub fn new(hand: Hand) -> Self {
         HandLink {
             hand,
@@ -199,27 +200,27 @@ impl HandLink {
         }
     }
 
-    /// Who is there, once a usable hello has come.
+    /// Returns the identity of the board after a usable hello.
     pub fn identity(&self) -> Option<&Identity> {
         self.identity.as_ref()
     }
 
-    /// The model of a right hand, once it has been named.
+    /// Returns the model of a right hand, once it has been reported.
     pub fn model(&self) -> Option<&ModelSummary> {
         self.model.as_ref()
     }
 
-    /// Minor version of the wire that the board speaks; 0 before a usable hello.
+    /// Returns the minor version of the board's wire protocol; 0 before a usable hello.
     pub fn minor(&self) -> u8 {
         self.minor
     }
 
-    /// Battery of the board in millivolts, if it says so.
+    /// Returns the voltage of the board's battery in millivolts, if reported.
     pub fn battery_mv(&self) -> Option<u16> {
         self.about.map(|about| about.battery_mv).filter(|&mv| mv > 0)
     }
 
-    /// How the frames so far were used.
+    /// Returns the statistics of all frames so far.
     pub fn counters(&self) -> LinkCounters {
         let Counters { frames, unknown, malformed, .. } = self.decoder.counters();
         LinkCounters {
@@ -230,9 +231,9 @@ impl HandLink {
         }
     }
 
-    /// Takes bytes in any slicing, as they arrive; what they say is appended to `heard`.
+    /// Processes bytes in portions of any size, and appends the received messages to `heard`.
     pub fn receive(&mut self, bytes: &[u8], now_ms: u64, heard: &mut Vec<Heard>) {
-        // The decoder lends its buffer to the message, and handling one needs the rest of the link.
+        // The message borrows the decoder's buffer, while its processing needs the rest of the link.
         let mut decoder = std::mem::take(&mut self.decoder);
         for &byte in bytes {
             if let Some(message) = decoder.push_board(byte) {
@@ -242,7 +243,7 @@ impl HandLink {
         self.decoder = decoder;
     }
 
-    /// What to send to the board now, if anything.
+    /// Returns the message to send to the board now, if any.
     pub fn poll(&mut self, now_ms: u64) -> Option<HostMessage<'static>> {
         let silent = |since: Option<u64>| since.is_none_or(|t| now_ms.saturating_sub(t) >= HELLO_INTERVAL_MS);
         let known = self.identity.is_some() && (self.hand == Hand::Left || self.model.is_some());
@@ -254,7 +255,7 @@ impl HandLink {
         None
     }
 
-    /// The ping to send to a known board now, if one is due. Ask only when it can really be sent.
+    /// Returns the ping that is due for a known board. Call it only if the ping can be sent immediately.
     pub fn ping(&mut self, now_ms: u64) -> Option<HostMessage<'static>> {
         let due = self.pinged.is_none_or(|(_, sent)| now_ms.saturating_sub(sent) >= PING_INTERVAL_MS);
         if self.identity.is_none() || !due {
@@ -269,29 +270,30 @@ impl HandLink {
         Some(HostMessage::Ping { id })
     }
 
-    /// How long the newest answered ping took, there and back.
+    /// Returns the round-trip time of the newest answered ping.
     pub fn round_trip_ms(&self) -> Option<u64> {
         self.round_trip.map(|(took_ms, _)| took_ms)
     }
 
-    /// The board has answered a ping within the last [`ANSWER_PATIENCE_MS`].
+    /// Returns whether the board has answered a ping within the last [`ANSWER_PATIENCE_MS`].
     pub fn answers(&self, now_ms: u64) -> bool {
         self.round_trip.is_some_and(|(_, at_ms)| now_ms.saturating_sub(at_ms) < ANSWER_PATIENCE_MS)
     }
 
-    /// The board used to answer pings, but has not for [`ANSWER_PATIENCE_MS`].
+    /// Returns whether the board has stopped answering pings for [`ANSWER_PATIENCE_MS`].
     pub fn stopped_answering(&self, now_ms: u64) -> bool {
         self.round_trip.is_some() && !self.answers(now_ms)
     }
 
-    /// The newest round trip is fresh and took less than `limit_ms`, and no ping since has waited longer.
+    /// Returns whether the newest round trip is recent and took less than `limit_ms`.
+    /// In addition, no later ping may have waited longer.
     pub fn is_prompt(&self, limit_ms: u64, now_ms: u64) -> bool {
         let waiting = self.pings.front().is_some_and(|&(_, sent)| now_ms.saturating_sub(sent) >= limit_ms);
         self.answers(now_ms) && !waiting && self.round_trip.is_some_and(|(took, _)| took < limit_ms)
     }
 
     fn pong(&mut self, pong: &Pong, now_ms: u64) {
-        // An answer that a later one has overtaken adds nothing; nor does one that no ping asked for.
+        // An answer is useless if a later one has overtaken it or if no ping matches.
         let Some(at) = self.pings.iter().position(|&(id, _)| id == pong.id) else { return };
         let Some((_, sent_ms)) = self.pings.drain(..=at).next_back() else { return };
         if self.clock.pong(pong.board_time_ms, sent_ms, now_ms) {
@@ -324,7 +326,7 @@ impl HandLink {
                 None
             }
             BoardMessage::Ack(ack) => Some(Heard::Ack(ack)),
-            // Nothing that a session acts on.
+            // Other messages are irrelevant for a session.
             _ => None,
         }
     }
@@ -355,11 +357,11 @@ impl HandLink {
             sample_hz: hello.sample_hz,
         };
         self.clock.rebase();
-        // Answers from before the board's restart are about another clock.
+        // Answers from before the board's restart refer to another clock.
         self.pings.clear();
         self.round_trip = None;
         if let Some((_, sent_ms)) = &mut self.pinged {
-            // The next one is due at once.
+            // The next ping is due immediately.
             *sent_ms = 0;
         }
         self.sequence.rebase();
@@ -432,7 +434,7 @@ impl HandLink {
             label: state.label,
             confidence: f32::from(state.confidence) / 255.0,
             window_end_ms: state.event_window_end_ms,
-            // By the state's own age, so that an event's age never falls below it.
+            // The event's age is derived from the state's age, so that it is never smaller.
             age_ms: age_ms.saturating_add(with_drift(
                 state.board_time_ms.wrapping_sub(state.event_window_end_ms).into(),
             )),
@@ -442,7 +444,7 @@ impl HandLink {
             age_ms,
             board_time_ms: state.board_time_ms,
             health: state.health,
-            // Bytes of int8: (score + 128) / 256.
+            // Bytes of int8 scores: (score + 128) / 256.
             scores: state.scores.iter().map(|&s| f32::from((s as i8) as i16 + 128) / 256.0).collect(),
             gesture,
         }))
@@ -458,13 +460,13 @@ impl HandLink {
     }
 }
 
-/// The latest time on the laptop's clock that a time on a board's clock can be.
+/// Returns the latest time on the laptop's clock for a time on a board's clock.
 fn with_drift(board_ms: u64) -> u64 {
     board_ms + board_ms * u64::from(DRIFT_PPM) / 1_000_000
 }
 
-/// A board's text without what a terminal would obey: control characters, and those that turn the direction
-/// of writing.
+/// Removes characters from a board's text that a terminal would interpret.
+/// These are control characters, and characters that change the direction of writing.
 pub fn printable(text: &str) -> String {
     let obeyed = |c: char| {
         c.is_control()

@@ -1,22 +1,23 @@
-//! How a running session is watched: one tap, to which any number of observers are attached.
+//! Observation of a running session: any number of observers are attached to one tap.
 //!
 //! ```text
 //!             received, sent, sampled, operated, turned, happened, state
 //! Engine ─► Tap ──────────────────────────────────────────────────────────► Observer …
-//!                   in the order in which it happened
+//! in the order of occurrence
 //! ```
 //!
-//! **To observe**, implement [`Observer`] (every method has an empty default) and hand it over before the
-//! first step: `session.tap_mut().add(…)` or `live.tap_mut().add(…)`. What never changes (joints, links,
-//! boxes, limits) is in [`Setting::of`]; what does is borrowed in [`Now`], and [`Snapshot::of`] makes an owned
-//! copy of it that serialises. An observer puts what it finds where its owner can see it: a channel, a
-//! shared cell.
+//! **To observe** a session, implement [`Observer`], whose methods have empty defaults.
+//! Attach it before the first step with `session.tap_mut().add(…)` or `live.tap_mut().add(…)`.
+//! [`Setting::of`] contains constant data such as joints, links, boxes and limits.
+//! Changing data is borrowed in [`Now`], and [`Snapshot::of`] creates an owned copy that can be serialised.
+//! An observer passes results to its owner, for example through a channel or a shared cell.
 //!
-//! Observers run inside the session's own loop, and nothing waits for anybody: an observer must not block.
-//! One that talks to the world hands over to a thread of its own through something bounded, and drops what
-//! does not fit. Nothing comes back this way either: an observer cannot move or stop the robot.
+//! Observers run inside the session's loop, so they must not block.
+//! An observer with slow outputs passes data through a bounded channel to a separate thread,
+//! and drops data that does not fit.
+//! Observers return nothing, so they cannot move or stop the robot.
 //!
-//! `tests/adding.rs` of host-bridge has an observer in eight lines.
+//! `tests/adding.rs` of host-bridge contains an observer of eight lines.
 
 use host_robot::shape::Capsule;
 use host_robot::{
@@ -31,58 +32,58 @@ use crate::link::LinkCounters;
 use crate::safety::{Hand, State};
 use shared_words::Heading;
 
-/// Watches a session. See the module for what an observer may do.
+/// Observes a session. The module documentation lists the rules.
 pub trait Observer {
-    /// Bytes of a hand's board, just before the bridge handles them, sliced as they came.
+    /// Called with bytes from a hand's board, in the received portions, just before the bridge processes them.
     fn received(&mut self, _time_ms: u64, _hand: Hand, _bytes: &[u8]) {}
 
-    /// A frame on its way to a hand's board.
+    /// Called with a frame that is sent to a hand's board.
     fn sent(&mut self, _time_ms: u64, _hand: Hand, _frame: &[u8]) {}
 
-    /// A reading of a hand's sensors, as its board has it. Only played recordings show theirs: a real board
-    /// keeps its readings and sends what it makes of them.
+    /// Called with a sample of a hand's sensors.
+    /// Only played recordings provide samples, because real boards do not send them.
     fn sampled(&mut self, _time_ms: u64, _sample: &Sample<'_>) {}
 
-    /// The operator pressed a key (or a button) of the bridge, just before it acts.
+    /// Called just before the bridge processes an operator's key or button.
     fn operated(&mut self, _time_ms: u64, _key: OperatorKey) {}
 
-    /// The robot itself refuses to move from now on (or `None`: does not any more), just before the bridge acts.
+    /// Called just before the bridge learns that the robot refuses to move, or with `None` when the refusal ends.
     fn refused(&mut self, _time_ms: u64, _reason: Option<&str>) {}
 
-    /// The session goes on, between what comes in: with this, the bytes and the keys, anybody can do all of it
-    /// again, in the same order.
+    /// Called when the session advances between inputs.
+    /// Together with the bytes and keys, these calls are sufficient to replay the session in the same order.
     fn turned(&mut self, _turn: Turn) {}
 
-    /// Something happened.
+    /// Called for each event.
     fn happened(&mut self, _event: &SessionEvent) {}
 
-    /// How things stand after a step: each millisecond of a played session, each turn of a live one.
+    /// Called with the state after a step: each millisecond of a played session, each turn of a live one.
     fn state(&mut self, _now: &Now<'_>) {}
 }
 
-/// Observers of one session.
+/// The observers of one session.
 #[derive(Default)]
 pub struct Tap {
     observers: Vec<Box<dyn Observer + Send>>,
 }
 
 impl Tap {
-    /// Adds an observer, which is shown everything from now on.
+    /// Adds an observer, which receives everything from now on.
     pub fn add(&mut self, observer: Box<dyn Observer + Send>) {
         self.observers.push(observer);
     }
 
-    /// Drops all observers; those that hand things over do so now at the latest.
+    /// Removes all observers. Any data they still hold is passed on now at the latest.
     pub fn clear(&mut self) {
         self.observers.clear();
     }
 
-    /// Nobody looks.
+    /// Returns whether there are no observers.
     pub fn is_idle(&self) -> bool {
         self.observers.is_empty()
     }
 
-    /// Shows something to all observers.
+    /// Calls all observers.
     pub(crate) fn show(&mut self, show: impl Fn(&mut dyn Observer)) {
         for observer in &mut self.observers {
             show(observer.as_mut());
@@ -90,10 +91,10 @@ impl Tap {
     }
 }
 
-/// How a session goes on.
+/// A step of a session.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Turn {
-    /// The bridge is about to let this time come ([`Bridge::step`]), in ms.
+    /// The bridge is about to advance to this time ([`Bridge::step`]), in ms.
     Decided(u64),
     /// A motion that was planned elsewhere is about to begin ([`Door::begin_planned`]).
     Planned,
@@ -101,19 +102,19 @@ pub enum Turn {
     Moved(u64),
 }
 
-/// One reading of a hand's sensors.
+/// One sample of a hand's sensors.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Sample<'a> {
     /// The left hand's converter.
     Left {
         /// 10-bit conversions: x, y, z, index, middle.
         counts: [u16; 5],
-        /// Index and middle finger: 0 = straight, 1000 = bent as far as in the calibration.
+        /// Bends of index and middle finger: 0 = straight, 1000 = bent as in the calibration.
         bends_permille: [i16; 2],
     },
-    /// The right hand's IMU, brought to 100 Hz.
+    /// A sample of the right hand's IMU, converted to 100 Hz.
     Right {
-        /// Accelerometer in m/s², then (6 values) gyroscope in deg/s, then (9) magnetometer in µT.
+        /// Accelerometer in m/s², then (6 values) gyroscope in deg/s, then (9 values) magnetometer in µT.
         values: &'a [f32],
     },
 }
@@ -126,7 +127,7 @@ pub enum OperatorKey {
     Stop,
     /// Release the stop (pressed and confirmed).
     Release,
-    /// End the arm's motion alone.
+    /// End only the arm's motion.
     EndArm,
     /// Begin to show gestures that are to be learnt.
     Show,
@@ -139,20 +140,20 @@ pub enum OperatorKey {
 /// The state of a session, borrowed.
 #[derive(Clone, Copy)]
 pub struct Now<'a> {
-    /// Time of the session (virtual where it is played).
+    /// Time of the session (virtual if it is played).
     pub time_ms: u64,
     /// Links, hands, safety, caps.
     pub bridge: &'a Bridge,
-    /// Base and arm, as the robot itself reports them.
+    /// Base and arm, as reported by the robot.
     pub robot: &'a dyn Door,
 }
 
-/// The state of a session, owned: everything that changes.
+/// An owned copy of a session's changing state.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Snapshot {
-    /// Time of the session (virtual where it is played).
+    /// Time of the session (virtual if it is played).
     pub time_ms: u64,
-    /// What the safety machine lets through; `stopped` until the operator's stop is released.
+    /// State of the safety machine; `stopped` until the operator's stop is released.
     pub safety: State,
     /// Base and tilt.
     pub left: LeftSnapshot,
@@ -160,31 +161,31 @@ pub struct Snapshot {
     pub right: RightSnapshot,
     /// Caps on the base's speed.
     pub caps: Caps,
-    /// The speed that the base is asked for now; zero unless armed.
+    /// The commanded speed of the base; zero unless armed.
     pub twist_asked: Twist,
-    /// Where the base is, from its wheels, and how fast.
+    /// Position and speed of the base, from its wheels.
     pub odometry: Odometry,
-    /// Age of what the robot reports of its base; `None` = it reports nothing.
+    /// Age of the base's report; `None` if there is none.
     pub base_age_ms: Option<u64>,
     /// Speeds of the left and the right wheel.
     pub wheels_rad_s: [f64; 2],
-    /// How far each has turned since the start.
+    /// Total rotation of each wheel since the start.
     pub wheels_rad: [f64; 2],
-    /// Joint angles and speeds, and the motion under way.
+    /// Joint angles and speeds, and the current motion.
     pub arm: ArmState,
-    /// Age of what the robot reports of its arm; `None` = it reports nothing.
+    /// Age of the arm's report; `None` if there is none.
     pub arm_age_ms: Option<u64>,
-    /// Where the arm should be by now, while it follows a trajectory.
+    /// Current target of the arm while it follows a trajectory.
     pub reference_rad: Option<Joints>,
-    /// The flange in the arm's base frame.
+    /// Pose of the flange in the arm's base frame.
     pub flange: Pose,
-    /// How far the gripper's fingers are apart; `None` = there is none, or it does not say.
+    /// Distance between the gripper's fingers; `None` without a gripper or a report.
     pub opening_m: Option<f64>,
-    /// Shapes of what is on the flange, in its frame.
+    /// Shapes of the tool in the flange's frame.
     pub tool: Vec<Capsule>,
-    /// Objects of the scene, where they are now.
+    /// Objects of the scene at their current positions.
     pub objects: Vec<SceneObject>,
-    /// What holds the base back, if anything does.
+    /// The reason why the guard has stopped the base, or `None`.
     pub held: Option<String>,
     /// The left hand is lent to the arm: it moves the tool while armed, and the base stands still.
     pub jogging: bool,
@@ -192,38 +193,38 @@ pub struct Snapshot {
     pub jog_held: Option<String>,
     /// Why the robot itself refuses to move, if it does: its e-stop, a fault, clocks apart.
     pub refusal: Option<String>,
-    /// What this session may not do, and why.
+    /// The restriction of this session and its reason.
     pub restriction: Option<String>,
-    /// Ticks in which the guard braked for an obstacle.
+    /// Number of ticks in which the guard braked for an obstacle.
     pub guard_stops: u32,
-    /// How often the robot had to stop by itself.
+    /// Number of times the robot had to stop by itself.
     pub robot_timeouts: u32,
-    /// What was dropped so far.
+    /// Numbers of dropped inputs so far.
     pub drops: Drops,
-    /// How old samples were once the robot acted on them.
+    /// Ages of samples when the robot reported their effect.
     pub accepted: Accepted,
 }
 
-/// One hand's link.
+/// The state of one hand's link.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct LinkSnapshot {
-    /// The hand has said hello.
+    /// Whether the hand has sent a hello.
     pub connected: bool,
-    /// Connected, fresh and fit to act on.
+    /// Whether the hand is connected, recent and healthy.
     pub live: bool,
-    /// Age of its newest valid sample.
+    /// Age of the hand's newest valid sample.
     pub age_ms: Option<u64>,
-    /// How long the newest answered ping took, there and back.
+    /// Round-trip time of the newest answered ping.
     pub round_trip_ms: Option<u64>,
-    /// How its frames were used.
+    /// Statistics of the frames on the hand's link.
     pub counters: LinkCounters,
-    /// Battery of its board in millivolts, if it is known.
+    /// Battery voltage of the board in millivolts, if known.
     pub battery_mv: Option<u16>,
-    /// Bits of [`shared_proto::message::health`] in its newest state.
+    /// Bits of [`shared_proto::message::health`] in the hand's newest state.
     pub health: u8,
 }
 
-/// What the left hand says.
+/// The state of the left hand.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct LeftSnapshot {
     /// Its link.
@@ -232,24 +233,24 @@ pub struct LeftSnapshot {
     pub pitch_rad: f64,
     /// Tilt about the forward axis, positive = left.
     pub roll_rad: f64,
-    /// What the tilt means, whether or not it acts.
+    /// The meaning of the tilt, even if it has no effect.
     pub heading: Heading,
     /// Bends of the index finger since the board's start, wrapping.
     pub index_bends: u8,
     /// Bends of the middle finger since the board's start, wrapping.
     pub middle_bends: u8,
-    /// Both fingers are held.
+    /// Whether both fingers are held.
     pub stop: bool,
 }
 
-/// What the right hand says.
+/// The state of the right hand.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct RightSnapshot {
     /// Its link.
     pub link: LinkSnapshot,
-    /// Names of its model's outputs.
+    /// Names of the model's outputs.
     pub labels: Vec<String>,
-    /// Newest probability of each, 0 to 1; empty before the first window is full.
+    /// Newest probability of each label, 0 to 1; empty until the first window is full.
     pub scores: Vec<f32>,
     /// What is nearly a gesture, or was a moment ago.
     pub nearly: Option<Nearly>,
@@ -316,13 +317,13 @@ impl Snapshot {
     }
 }
 
-/// What does not change in a session: the robot, its limits, its surroundings, and the speed rules.
+/// The constant data of a session: the robot, its limits, its surroundings, and the speed rules.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Setting {
-    /// The robot and what stands around it.
+    /// The robot and its surroundings.
     #[serde(flatten)]
     pub robot: RobotSetting,
-    /// How the caps start and change.
+    /// Initial value of the caps and their changes.
     pub speed: SpeedRules,
 }
 
@@ -333,12 +334,12 @@ impl Setting {
     }
 }
 
-/// Something that happened in a session.
+/// An event of a session.
 #[derive(Clone, Debug, PartialEq)]
 pub enum SessionEvent {
     /// On the bridge.
     Bridge(BridgeEvent),
-    /// A recording is over: its hand falls silent, and the dead-man halts the robot.
+    /// A recording has ended. Its hand falls silent, and the dead-man halts the robot.
     RecordingEnded {
         /// Virtual time.
         time_ms: u64,
@@ -353,7 +354,7 @@ pub enum SessionEvent {
         mark: Mark,
         /// How.
         by: MarkedBy,
-        /// What follows from it.
+        /// The effect of the mark.
         told: Told,
     },
     /// The right hand's wearer is told something about the model.
@@ -367,12 +368,12 @@ pub enum SessionEvent {
     EpisodeStopped {
         /// When.
         time_ms: u64,
-        /// Which, from 1.
+        /// Number of the episode, from 1.
         number: usize,
     },
 }
 
-/// Frames of the arm's joints and its flange (last) in the world, for those who draw it or log transforms.
+/// Frames of the arm's joints and its flange (last) in the world, for drawing and for transforms.
 pub fn link_poses_in_world(now: &Now<'_>, joints_rad: &Joints) -> [Pose; JOINTS + 1] {
     let odometry = now.robot.picture().odometry;
     let base = Pose {

@@ -1,6 +1,6 @@
-//! A session in virtual time: the engine, one millisecond after the other.
+//! A session in virtual time, which runs the engine one millisecond at a time.
 //!
-//! Nothing here looks at a clock, so a session gives the same result at any speed.
+//! This code never reads a clock, so a session has the same result at any speed.
 
 use host_robot::{Door, MotionName, Odometry, SceneObject, Twist};
 use serde::Serialize;
@@ -14,10 +14,10 @@ use crate::observe::{Now, SessionEvent, Tap};
 use crate::safety::{HaltReason, Hand, PerHand};
 use crate::source::Source;
 
-/// After the last recording has ended, the robot has this long to come to rest.
+/// Time for the robot to come to rest after the end of the last recording.
 const TAIL_MS: u64 = 3000;
 
-/// See the module.
+/// See the module documentation.
 pub struct Session<'b, D> {
     engine: Engine<'b, D>,
     now_ms: u64,
@@ -29,7 +29,7 @@ pub struct Session<'b, D> {
 }
 
 impl<'b, D: Door> Session<'b, D> {
-    /// Hands, of which either may be missing, a bridge with this map, and a robot behind its door.
+    /// Creates a session from hands (either may be missing), a map of gestures, and a robot behind its door.
     pub fn new(sources: impl Into<PerHand<Source<'b>>>, map: MotionMap, door: D) -> Self {
         let sources = sources.into();
         let takes_part = PerHand::of(|hand| sources[hand].is_there());
@@ -44,12 +44,12 @@ impl<'b, D: Door> Session<'b, D> {
         }
     }
 
-    /// Where observers look on.
+    /// Returns the tap, where observers are attached.
     pub fn tap_mut(&mut self) -> &mut Tap {
         self.engine.tap_mut()
     }
 
-    /// The state now, as observers see it.
+    /// Returns the current state for observers.
     pub fn now(&self) -> Now<'_> {
         self.engine.now(self.now_ms)
     }
@@ -69,12 +69,12 @@ impl<'b, D: Door> Session<'b, D> {
         self.engine.door()
     }
 
-    /// The operator presses the stop key now.
+    /// Presses the operator's stop key.
     pub fn stop_key(&mut self) {
         self.engine.stop_key(self.now_ms);
     }
 
-    /// The operator has pressed and confirmed the release key now.
+    /// Presses and confirms the operator's release key.
     pub fn release_key(&mut self) {
         self.engine.release_key(self.now_ms);
     }
@@ -84,16 +84,16 @@ impl<'b, D: Door> Session<'b, D> {
         picture.arm.at_rest() && picture.wheels_rad_s == [0.0; 2]
     }
 
-    /// All recordings are over and the robot rests, or has had its time to.
+    /// Returns whether all recordings have ended and the robot rests or has run out of time.
     pub fn finished(&self) -> bool {
         self.ended_ms.is_some_and(|ended_ms| {
             let passed_ms = self.now_ms - ended_ms;
-            // The dead-man needs its 250 ms before rest means anything.
+            // Rest counts only after the 250 ms of the dead-man.
             passed_ms >= TAIL_MS || (passed_ms > 500 && self.at_rest())
         })
     }
 
-    /// Lets one millisecond pass, the first one at 0; what happened in it.
+    /// Advances by one millisecond, the first one at 0. Returns its events.
     pub fn step(&mut self) -> Vec<SessionEvent> {
         let events = self.engine.advance(self.now_ms, PerHand::default());
         let picture = self.door().picture();
@@ -117,16 +117,16 @@ impl<'b, D: Door> Session<'b, D> {
         events
     }
 
-    /// Starts the measurement of a delay where an event is the cause of motion.
+    /// Starts the measurement of a delay if the event causes motion.
     fn time(&mut self, event: &BridgeEvent, wheels_rest: bool) {
-        // The boards' clocks start with the session, so their times are the laptop's.
+        // The boards' clocks start with the session, so their times equal the laptop's.
         match &event.kind {
             EventKind::Gesture { outcome: GestureOutcome::Started(_), window_end_board_ms, .. } => {
                 self.gesture_to_arm.begin((*window_end_board_ms).into());
             }
             EventKind::MotionEnded { .. } => self.gesture_to_arm.cancel(),
             EventKind::Heading { twist, sample_board_ms, .. } => {
-                // Only a start from rest has a first motion to see.
+                // Only a start from rest has a visible first motion.
                 self.tilt_to_wheels.cancel();
                 if wheels_rest && *twist != Twist::ZERO {
                     self.tilt_to_wheels.begin((*sample_board_ms).into());
@@ -188,7 +188,7 @@ impl<'b, D: Door> Session<'b, D> {
     }
 }
 
-/// The result of a session, as one JSON object.
+/// The result of a session as one JSON object.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Summary {
     /// Virtual time passed.
@@ -207,16 +207,16 @@ pub struct Summary {
     pub caps: Caps,
     /// The base at the end.
     pub odometry: Odometry,
-    /// Objects of the scene, where they are at the end.
+    /// Final positions of the scene's objects.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub objects: Vec<SceneObject>,
-    /// The robot rests at the end.
+    /// Whether the robot rests at the end.
     pub at_rest: bool,
     /// What came over the links.
     pub frames: Frames,
     /// What was dropped.
     pub drops: Drops,
-    /// How often the robot had to stop by itself.
+    /// Number of times the robot had to stop by itself.
     pub robot_timeouts: u32,
     /// Delays, in virtual time.
     pub latency: Latency,
@@ -227,7 +227,7 @@ pub struct Summary {
 /// One gesture event.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct GestureRecord {
-    /// When the bridge heard of it.
+    /// Time at which the bridge received the gesture.
     pub time_ms: u64,
     /// Its name.
     pub label: String,
@@ -255,7 +255,7 @@ pub struct HaltRecord {
     pub reason: HaltReason,
 }
 
-/// Link counters of both hands; `null` for a hand that takes no part.
+/// Link counters of both hands; `null` for a hand that does not take part.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Frames {
     /// Of the left hand.
@@ -267,8 +267,8 @@ pub struct Frames {
 /// Delays.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Latency {
-    /// From the end of the deciding window to the arm's first joint velocity.
+    /// Time from the end of the deciding window to the arm's first joint velocity.
     pub window_end_to_arm: DelaySummary,
-    /// From the sample that starts a command to the first wheel speed (starts from rest).
+    /// Time from the sample that starts a command to the first wheel speed (from rest only).
     pub sample_to_wheels: DelaySummary,
 }

@@ -1,10 +1,10 @@
-//! Where a hand's bytes come from: a link, or something in this program that behaves like a board.
+//! Sources of a hand's bytes: a link, or a simulated board inside this program.
 
 use shared_proto::message::Heading;
 
 use crate::observe::Sample;
 
-/// A key that means something to a hand.
+/// A key that controls a hand.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum HandKey {
     /// An arrow.
@@ -17,12 +17,12 @@ pub enum HandKey {
     Gesture(u8),
 }
 
-/// A hand inside this program: on the wire it looks like a board.
+/// A hand inside this program that behaves like a board on the wire.
 pub trait HandSource: Send {
-    /// Lets the time become `now_ms`; what the hand sent meanwhile is appended to `wire`.
+    /// Advances the time to `now_ms`, and appends the hand's output to `wire`.
     fn step(&mut self, now_ms: u64, wire: &mut Vec<u8>);
 
-    /// Takes bytes from the bridge. Answers are appended to `wire`, now or in a later step.
+    /// Processes bytes from the bridge. Answers are appended to `wire`, now or in a later step.
     fn receive(&mut self, bytes: &[u8], now_ms: u64, wire: &mut Vec<u8>);
 
     /// A key was pressed or repeated.
@@ -31,28 +31,28 @@ pub trait HandSource: Send {
     /// A key is up.
     fn release(&mut self, _key: HandKey) {}
 
-    /// The reading of its sensors that it took in the last step, if any, for observers.
+    /// Returns the sensor sample of the last step for observers, if there was one.
     fn sample(&self) -> Option<Sample<'_>> {
         None
     }
 
-    /// The recording that it plays is over; it is silent from now on.
+    /// Returns whether its recording has ended. It is silent from then on.
     fn ended(&self) -> bool {
         false
     }
 }
 
-/// What plays a hand.
+/// The source of a hand's data.
 pub enum Source<'b> {
-    /// Nothing: the hand takes no part.
+    /// The hand does not take part.
     Nobody,
-    /// A link outside; what waits to be sent, newest last.
+    /// An external link, with the frames to be sent, newest last.
     Link(Vec<Vec<u8>>),
     /// Something here.
     Here {
         /// It.
         hand: Box<dyn HandSource + 'b>,
-        /// Its end has been reported.
+        /// Whether the end of the source has been reported.
         end_noted: bool,
     },
 }
@@ -68,12 +68,12 @@ impl<'b> Source<'b> {
         Source::Here { hand: Box::new(hand), end_noted: false }
     }
 
-    /// Whether it is behind a link.
+    /// Returns whether the source is an external link.
     pub fn is_link(&self) -> bool {
         matches!(self, Source::Link(_))
     }
 
-    /// Whether there is any.
+    /// Returns whether there is a source.
     pub fn is_there(&self) -> bool {
         !matches!(self, Source::Nobody)
     }

@@ -1,13 +1,15 @@
-//! Driving in proportion to the tilt: an option beside the paper's four headings.
+//! Driving in proportion to the tilt, an alternative to the paper's four headings.
 //!
-//! Whether the base drives at all is the board's word, as it is for the four headings: a command starts when a tilt is meant
-//! and ends below the same threshold. While one lasts, both tilts count: the one forward or backward as speed, the one to a
-//! side as a turn, together an arc. Silence, neutral, stops, caps and the guard are the same.
+//! As with the four headings, the board decides whether the base drives at all.
+//! A command starts with an intended tilt and ends below the same threshold.
+//! During a command, the forward or backward tilt sets the speed, and the sideways tilt sets the turn rate;
+//! together they drive an arc.
+//! Silence, neutral, stops, caps and the guard work in the same way.
 
 use serde::{Deserialize, Serialize};
 use shared_proto::message::Heading;
 
-/// How far the left hand is tilted, in milliradians.
+/// The tilt of the left hand in milliradians.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Tilt {
     /// Positive = forward.
@@ -16,30 +18,31 @@ pub struct Tilt {
     pub roll_mrad: i16,
 }
 
-/// Where the left hand points, and how far.
+/// The heading and the tilt of the left hand.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Pointing {
-    /// As the board judges it.
+    /// The heading, as determined by the board.
     pub heading: Heading,
-    /// How far it is tilted.
+    /// The tilt of the hand.
     pub tilt: Tilt,
 }
 
-/// States that a tilt must last for before it drives faster: a jolt is over by then.
+/// A tilt must last for this many states before the speed increases, which is longer than a jolt.
 const STATES: usize = 3;
 
-/// The tilts of the newest states that count.
+/// The tilts of the newest valid states.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Tilts([Tilt; STATES]);
 
 impl Tilts {
-    /// One more state; without a command there is no tilt.
+    /// Adds one state. Without a command, the tilt is zero.
     pub fn see(&mut self, heading: Heading, tilt: Tilt) {
         self.0.rotate_left(1);
         self.0[STATES - 1] = if heading.is_command() { tilt } else { Tilt::default() };
     }
 
-    /// Per axis the smallest of them; none if they point to both sides. A hand that goes back slows the base at once.
+    /// Returns the smallest tilt per axis, or zero if their signs differ.
+    /// The base therefore slows down immediately when the hand returns.
     pub fn meant(&self) -> Tilt {
         let least = |of: fn(&Tilt) -> i16| {
             let [first, rest @ ..] = self.0.each_ref().map(of);
@@ -53,26 +56,26 @@ impl Tilts {
     }
 }
 
-/// How a tilt becomes a share of the caps.
+/// Converts a tilt to a fraction of the caps.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct TiltDrive {
-    /// Speed and turn follow the tilt; else the paper's four headings.
+    /// Whether speed and turn rate follow the tilt; otherwise, the paper's four headings apply.
     pub proportional: bool,
-    /// Tilts within this drive nothing (8° = 140).
+    /// Smaller tilts cause no motion (8° = 140).
     pub dead_mrad: u16,
-    /// From this on a tilt is the whole cap (40° = 698).
+    /// Tilts above this value cause the full cap (40° = 698).
     pub full_mrad: u16,
-    /// Multiplies the share between the two, which ends at the cap all the same.
+    /// Factor for tilts between these two values. The result is limited to the cap.
     pub gain: f64,
-    /// No more than this share of the cap of forward and backward speed,
+    /// Maximum fraction of the cap for forward and backward speed.
     pub linear_most: f64,
-    /// and of the cap of turns.
+    /// Maximum fraction of the cap for turns.
     pub angular_most: f64,
 }
 
 impl TiltDrive {
-    /// The paper's four headings; where proportional, 8° to 40°.
+    /// The paper's four headings; in proportional mode, 8° to 40°.
     pub const DEFAULT: Self = TiltDrive {
         proportional: false,
         dead_mrad: 140,
@@ -82,7 +85,7 @@ impl TiltDrive {
         angular_most: 1.0,
     };
 
-    /// All values make sense: the dead zone is one, the full tilt is one that a wrist reaches, and no share is above 1.
+    /// Returns whether the dead zone is positive, a wrist can reach the full tilt, and no fraction is above 1.
     pub fn is_sound(&self) -> bool {
         (35..=349).contains(&self.dead_mrad)
             && self.full_mrad <= 1309
@@ -92,7 +95,7 @@ impl TiltDrive {
             && (0.05..=1.0).contains(&self.angular_most)
     }
 
-    /// Shares of the caps of forward speed and of turns to the left, each from -1 to 1; zero unless the heading is a command.
+    /// Returns fractions of the caps for forward speed and left turns, each from -1 to 1; zero without a command.
     pub fn shares(&self, pointing: Pointing) -> (f64, f64) {
         if !pointing.heading.is_command() {
             return (0.0, 0.0);

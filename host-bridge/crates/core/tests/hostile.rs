@@ -1,10 +1,11 @@
-//! A hostile link, millions of steps of it, against what the dead-man promises: an honest board behind a line that delays,
-//! repeats, swaps, damages and swallows what it likes, in both directions; restarts; a program that sleeps.
+//! Tests the dead-man with millions of steps of a hostile link.
+//! An honest board is connected by a line that delays, repeats, swaps, damages and drops frames in both directions.
+//! The board restarts, and the program sleeps.
 //!
-//! The judge knows when each sample was really taken, and asks after every step:
-//! * nothing is commanded unless the bridge is armed,
-//! * what is commanded is the heading of a sample that is no older than 250 ms (and this turn of the loop),
-//! * it arms only on at least three neutral samples in a row that span 100 ms.
+//! The test knows the true time of each sample, and checks after every step:
+//! * there is no command unless the bridge is armed,
+//! * a command is the heading of a sample that is no older than 250 ms (plus the current turn of the loop),
+//! * the bridge arms only after at least three consecutive neutral samples that span 100 ms.
 
 mod support;
 
@@ -17,15 +18,15 @@ use host_robot::{Random, Twist};
 use shared_proto::message::{BoardMessage, Heading, HostMessage, LeftState, Pong};
 use support::{NoRobot, encode, hello};
 
-/// A sample may still act in the turn of the loop in which it becomes too old.
+/// A sample may still have an effect in the turn of the loop in which it becomes too old.
 const TURN_MS: u64 = 20;
 const SAMPLE_MS: u64 = 20;
 
-/// What is on its way to the program.
+/// Data on its way to the program.
 struct OnItsWay {
     due_ms: u64,
     bytes: Vec<u8>,
-    /// When it was sampled and what it says, if it is a whole state.
+    /// Sampling time and heading, if the data is a complete state.
     state: Option<(u64, Heading)>,
 }
 
@@ -45,9 +46,9 @@ struct World {
     heading: Heading,
     /// The line's delay now.
     delay_ms: u64,
-    /// The newest sample of each heading that has come through.
+    /// The newest received sample of each heading.
     seen_ms: [u64; 6],
-    /// Samples that arrived since the last one that was not neutral, oldest first; and the newest of all.
+    /// Neutral samples since the last other sample, oldest first, and the newest sample of all.
     neutral: Vec<u64>,
     newest_ms: u64,
     armed: u64,
@@ -66,7 +67,7 @@ fn place(heading: Heading) -> usize {
     }
 }
 
-/// Which sample a speed comes from.
+/// Returns the heading that causes this speed.
 fn asked(twist: Twist) -> Option<usize> {
     let Twist { linear_m_s, angular_rad_s } = twist;
     match (linear_m_s.partial_cmp(&0.0)?, angular_rad_s.partial_cmp(&0.0)?) {
@@ -111,13 +112,13 @@ impl World {
     }
 
     fn put(&mut self, bytes: Vec<u8>, state: Option<(u64, Heading)>) {
-        // A line delays as it likes, but keeps the order.
+        // A line may delay data, but it preserves the order.
         let behind_ms = self.line.back().map_or(0, |last| last.due_ms);
         let due_ms = (self.now_ms + self.delay_ms + self.upto(4)).max(behind_ms);
         self.line.push_back(OnItsWay { due_ms, bytes, state });
     }
 
-    /// The board samples, says and answers; its clock is honest.
+    /// The board samples, sends and answers. Its clock is honest.
     fn board(&mut self) {
         while let Some(&(due_ms, id)) = self.pings.front() {
             if due_ms > self.now_ms {
@@ -168,13 +169,13 @@ impl World {
         }
     }
 
-    /// The line changes its behaviour.
+    /// Changes the behaviour of the line.
     fn line_changes(&mut self) {
         match self.upto(400) {
             0 => self.delay_ms = self.upto(30),
             1 => self.delay_ms = 60 + self.upto(120),
             2 => self.delay_ms = self.upto(3000),
-            // Everything that waits arrives at once.
+            // All waiting data arrives at once.
             3 => self.line.iter_mut().for_each(|it| it.due_ms = 0),
             // Two states change places.
             4 if self.line.len() > 1 && self.line.range(..2).all(|it| it.state.is_some()) => {
@@ -185,7 +186,7 @@ impl World {
                 let noise = (0..self.upto(40)).map(|n| (n * 37 % 251) as u8).collect();
                 self.put(noise, None);
             }
-            // The board restarts, its clock anywhere.
+            // The board restarts with an arbitrary clock.
             7 => {
                 self.boot_id = self.boot_id.wrapping_add(1);
                 self.board_ahead_ms = self.upto(u64::from(u32::MAX)) as u32;
@@ -208,10 +209,10 @@ impl World {
             let was_armed = self.is_armed();
             let whole = self.bridge.link(Hand::Left).counters().frames;
             self.bridge.receive(Hand::Left, &bytes, self.now_ms, &mut self.robot);
-            // Noise before it may have destroyed it.
+            // Preceding noise may have destroyed it.
             let came_through = self.bridge.link(Hand::Left).counters().frames > whole;
             if let Some((sampled_ms, heading)) = state.filter(|_| came_through) {
-                // A state that was overtaken says nothing.
+                // An overtaken state has no effect.
                 if sampled_ms >= self.newest_ms {
                     self.newest_ms = sampled_ms;
                     if heading != Heading::Neutral {
@@ -222,7 +223,7 @@ impl World {
                 }
                 self.seen_ms[place(heading)] = self.seen_ms[place(heading)].max(sampled_ms);
             }
-            // Each frame by itself: the next one may end neutral.
+            // Frames are processed one by one, because the next one may end neutral.
             self.judge_arming(was_armed);
         }
         let was_armed = self.is_armed();
@@ -245,7 +246,7 @@ impl World {
         self.bridge.safety().state() == State::Armed
     }
 
-    /// At the end of each turn.
+    /// Checks the command at the end of each turn.
     fn judge_command(&mut self) {
         if let Some(heading) = asked(self.robot.twist) {
             self.commands += 1;
@@ -274,7 +275,7 @@ impl World {
 #[test]
 fn millions_of_steps_of_a_hostile_link_move_nothing_unarmed_late_or_without_neutral() {
     let steps: u64 = if std::env::var_os("BIMANUAL_FULL").is_some() { 10_000_000 } else { 100_000 };
-    // Some restart now and then, so that no single seed decides.
+    // Some runs restart occasionally, so that the result does not depend on a single seed.
     let (mut armed, mut commands, mut oldest_ms, mut done) = (0, 0, 0, 0);
     for seed in 0.. {
         let mut world = World::new(seed);
@@ -294,8 +295,8 @@ fn millions_of_steps_of_a_hostile_link_move_nothing_unarmed_late_or_without_neut
     }
     println!("row: hostile link: moves unarmed, or armed without neutral | {done} steps | 0 | 0");
     println!(
-        "row: hostile link: age of what acts | {commands} commands, {armed} times armed | {oldest_ms} ms | 250 ms and a turn of {TURN_MS}"
+        "row: hostile link: age of the acting state | {commands} commands, {armed} times armed | {oldest_ms} ms | 250 ms and a turn of {TURN_MS}"
     );
-    // It did move; otherwise the test would show nothing.
+    // The robot did move; otherwise, the test would prove nothing.
     assert!(armed > steps / 2000 && commands > steps / 20, "{armed} {commands}");
 }

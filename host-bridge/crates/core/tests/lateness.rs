@@ -1,7 +1,7 @@
-//! Late is an upper bound: whatever a link does to bytes, no command older than 250 ms acts.
+//! Checks that ages are upper bounds: for any delays of a link, no command older than 250 ms has an effect.
 //!
-//! The judge is the test's own clock: it knows when each sample was really taken, and holds it against
-//! the time at which the base is driven by it. All in virtual time.
+//! The test knows the true time of each sample, and compares it with the time at which the base moves.
+//! All of this is in virtual time.
 
 mod support;
 
@@ -14,15 +14,15 @@ use proptest::prelude::*;
 use shared_proto::message::{BoardMessage, Heading, HostMessage, LeftState, Pong};
 use support::{NoRobot, encode, hello};
 
-/// How a link delays what it carries, by the time at which it goes in. Nothing overtakes.
+/// The delay of a link as a function of the sending time. Nothing is overtaken.
 type Delay = fn(u64) -> u64;
 
-/// A left hand behind a link that delays, on a board whose clock drifts.
+/// A left hand on a board with a drifting clock, behind a link with delays.
 struct Street {
     bridge: Bridge,
     robot: NoRobot,
     now_ms: u64,
-    /// Board's clock against the laptop's, parts per million.
+    /// Drift of the board's clock against the laptop's in parts per million.
     drift_ppm: i64,
     up: Delay,
     down: Delay,
@@ -30,11 +30,11 @@ struct Street {
     down_queue: VecDeque<(u64, u32)>,
     answers: bool,
     sequence: u16,
-    /// What the hand really did, one entry a millisecond.
+    /// The true heading of the hand, one entry per millisecond.
     truth: Vec<Heading>,
     armed_ms: u64,
     driven_ms: u64,
-    /// Real age of the oldest command that drove the base.
+    /// True age of the oldest command that drove the base.
     oldest_ms: u64,
 }
 
@@ -71,7 +71,7 @@ impl Street {
         self.up_queue.push_back((due, bytes));
     }
 
-    /// The hand holds this heading for this long.
+    /// Holds this heading for this long.
     fn hold(&mut self, heading: Heading, ms: u64) {
         for _ in 0..ms {
             self.step(heading);
@@ -120,7 +120,7 @@ impl Street {
         self.now_ms += 1;
     }
 
-    /// Neutral for a while, then forward and backward in turns.
+    /// Is neutral for a while and then alternates between forward and backward.
     fn drive(&mut self, seconds: u64) {
         self.hold(Heading::Neutral, 1500);
         for _ in 0..seconds {
@@ -187,7 +187,7 @@ fn pings_that_go_unanswered_for_500_ms_halt_a_hand_that_goes_on_talking() {
 
 #[test]
 fn a_link_that_becomes_slow_stops_within_its_limit_and_stays_stopped() {
-    // Five minutes at 1.5 s: with an allowance for drift that is subtracted from the age, the age was zero after 129 s.
+    // With a drift allowance that reduces the age, five minutes at a delay of 1.5 s gave age zero after 129 s.
     let up: Delay = |now| if now < 5000 { 5 } else { 1500 };
     for drift_ppm in [-50_000, 0, 50_000] {
         let mut street = Street::new(up, none, drift_ppm);
@@ -225,7 +225,9 @@ fn no_command_older_than_250_ms_acts_on_links_that_step_and_drift() {
             assert!(oldest <= STALE_MS, "{name}, {drift_ppm} ppm: {oldest} ms");
             assert!(street.driven_ms > 0, "{name}: the good times are used");
         }
-        println!("row: age of what acts: {name} | {driven_ms} ms driven | {worst_ms} ms | {STALE_MS} ms");
+        println!(
+            "row: age of the acting state: {name} | {driven_ms} ms driven | {worst_ms} ms | {STALE_MS} ms"
+        );
     }
 }
 
@@ -234,7 +236,7 @@ fn a_board_that_restarts_unseen_is_asked_who_it_is_before_anything_counts() {
     let mut street = Street::new(|_| 5, |_| 5, 0);
     street.hold(Heading::Neutral, 1000);
     street.hold(Heading::Forward, 500);
-    // Its clock restarts, its hello is lost, and the next one is not answered either.
+    // The clock restarts, the hello is lost, and the next request is not answered either.
     street.drift_ppm = -900_000;
     street.hold(Heading::Neutral, 2000);
     street.hold(Heading::Forward, 2000);
@@ -244,7 +246,7 @@ fn a_board_that_restarts_unseen_is_asked_who_it_is_before_anything_counts() {
 
 proptest! {
     #![proptest_config(ProptestConfig { cases: 24, ..ProptestConfig::default() })]
-    /// Random delays per frame, both ways, with random drift.
+    /// Random delays for each frame in both directions, with random drift.
     #[test]
     fn whatever_a_link_does_no_command_older_than_250_ms_acts(
         pattern in prop::collection::vec((0u64..3, 0u64..3000, 0u64..40), 1..40),
@@ -263,7 +265,7 @@ proptest! {
                     _ => Heading::Neutral,
                 };
                 let extra = match kind { 0 => 0, 1 => long_ms, _ => (random >> 33) % long_ms.max(1) };
-                // The queue keeps the order, so a delay holds up what follows it.
+                // The queue preserves the order, so a delay also delays later frames.
                 for _ in 0..20 {
                     street.step(heading);
                     if let Some((due, _)) = street.up_queue.back_mut() {

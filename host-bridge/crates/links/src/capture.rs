@@ -1,4 +1,4 @@
-//! Raw samples of a hand, collected into one recording: gaps and clipping are seen, not repaired.
+//! Collects raw samples of a hand into one recording. Gaps and clipping are detected but not repaired.
 
 use models::recording::Recording;
 use shared_dsp::left::AdcCounts;
@@ -7,7 +7,7 @@ use shared_proto::message::RawAdc;
 use crate::talk::RawBatch;
 use models::adc::AdcRecording;
 
-/// Samples of a right hand, collected so far.
+/// Collects the samples of a right hand.
 #[derive(Clone, Debug)]
 pub struct Collector {
     wanted: usize,
@@ -18,10 +18,10 @@ pub struct Collector {
     clipped: usize,
 }
 
-/// Why a recording cannot go on; the text says what to do.
+/// The reason why a recording cannot continue, with a remedy in the text.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CaptureProblem {
-    /// Samples are missing: what comes after the gap does not continue what came before it.
+    /// Samples are missing, so the data before and after the gap is not continuous.
     #[error("{missing} samples are missing after {after_ms} ms; check the cable and record again")]
     Gap {
         /// How many.
@@ -29,7 +29,7 @@ pub enum CaptureProblem {
         /// Where, from the start.
         after_ms: u64,
     },
-    /// The count of samples went back.
+    /// The number of samples decreased, so the board has restarted.
     #[error("the board restarted after {after_ms} ms; check its power and record again")]
     Restart {
         /// When, from the start.
@@ -46,15 +46,15 @@ pub enum CaptureProblem {
 }
 
 impl Collector {
-    /// Collects `wanted` samples at this rate.
+    /// Creates a collector for `wanted` samples at this rate.
     pub fn new(wanted: usize, sample_hz: u16) -> Self {
         Collector { wanted, sample_hz, axes: None, values: Vec::new(), next_sample: 0, clipped: 0 }
     }
 
-    /// Takes a batch; true when there are enough samples.
+    /// Adds a batch. Returns true if there are enough samples.
     ///
     /// # Errors
-    /// [`CaptureProblem`] if the batch does not follow the last one.
+    /// [`CaptureProblem`] if the batch does not continue the previous one.
     pub fn push(&mut self, batch: &RawBatch) -> Result<bool, CaptureProblem> {
         let axes = usize::from(batch.axes);
         let after_ms = self.len() as u64 * 1000 / u64::from(self.sample_hz.max(1));
@@ -98,12 +98,12 @@ impl Collector {
         self.len() == 0
     }
 
-    /// Samples in which an axis stood at the end of its range.
+    /// Number of samples in which an axis was at the end of its range.
     pub fn clipped(&self) -> usize {
         self.clipped
     }
 
-    /// Length of the acceleration of the newest `count` samples, oldest first, in m/s².
+    /// Returns the magnitude of the acceleration in the newest `count` samples, oldest first, in m/s².
     pub fn newest_acceleration(&self, count: usize) -> Vec<f32> {
         let axes = self.axes.unwrap_or(3);
         let from = self.len().saturating_sub(count);
@@ -111,7 +111,7 @@ impl Collector {
         self.values.chunks_exact(axes).skip(from).map(length).collect()
     }
 
-    /// The recording, with times from 0.
+    /// Returns the recording, with times from 0.
     pub fn recording(self) -> Recording {
         let interval_ms = 1000.0 / f64::from(self.sample_hz.max(1));
         let time_ms = (0..self.len()).map(|n| n as f64 * interval_ms).collect();
@@ -119,7 +119,7 @@ impl Collector {
     }
 }
 
-/// Samples of a left hand, collected so far.
+/// Collects the samples of a left hand.
 #[derive(Clone, Debug)]
 pub struct LeftCollector {
     wanted: usize,
@@ -130,16 +130,16 @@ pub struct LeftCollector {
 }
 
 impl LeftCollector {
-    /// Collects `wanted` samples at this rate.
+    /// Creates a collector for `wanted` samples at this rate.
     pub fn new(wanted: usize, sample_hz: u16) -> Self {
         let period_ms = 1000 / u32::from(sample_hz.clamp(1, 1000));
         LeftCollector { wanted, period_ms, first_ms: 0, samples: Vec::new() }
     }
 
-    /// Takes a sample; true when there are enough.
+    /// Adds a sample. Returns true if there are enough.
     ///
     /// # Errors
-    /// [`CaptureProblem`] if it does not follow the last one.
+    /// [`CaptureProblem`] if the sample does not continue the previous one.
     pub fn push(&mut self, raw: &RawAdc) -> Result<bool, CaptureProblem> {
         if self.samples.is_empty() {
             self.first_ms = raw.board_time_ms;
@@ -172,26 +172,27 @@ impl LeftCollector {
         self.samples.is_empty()
     }
 
-    /// Samples in which a line stood at an end of the converter.
+    /// Number of samples in which a channel was at an end of the converter's range.
     pub fn clipped(&self) -> usize {
         let ends = |sum: u16| sum == 0 || sum >= AdcCounts::MAX;
         self.samples.iter().filter(|(_, counts)| counts.as_array().into_iter().any(ends)).count()
     }
 
-    /// One of the five lines of the newest `count` samples, oldest first, as parts of the converter's range.
+    /// Returns one of the five channels in the newest `count` samples, oldest first,
+    /// as fractions of the converter's range.
     pub fn newest(&self, line: usize, count: usize) -> Vec<f32> {
         let from = self.samples.len().saturating_sub(count);
         let part = |counts: &AdcCounts| f32::from(counts.as_array()[line]) / f32::from(AdcCounts::MAX);
         self.samples[from..].iter().map(|(_, counts)| part(counts)).collect()
     }
 
-    /// The recording, with times from 0.
+    /// Returns the recording, with times from 0.
     pub fn recording(self) -> AdcRecording {
         AdcRecording { samples: self.samples }
     }
 }
 
-/// Values as a line of bars, from `least` to `most`.
+/// Draws values as a line of bars, from `least` to `most`.
 pub fn sparkline(values: &[f32], least: f32, most: f32) -> String {
     const BARS: [char; 8] = ['▁', '▂', '▃', '▄', '▅', '▆', '▇', '█'];
     let bar = |value: &f32| {

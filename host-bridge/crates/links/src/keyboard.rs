@@ -1,15 +1,16 @@
-//! A keyboard in the place of a hand, so that one board (or none) is enough to start.
+//! A keyboard that replaces a hand, so that one board (or none) is enough.
 //!
-//! | key | as which hand | does |
+//! | key | hand | effect |
 //! |---|---|---|
 //! | arrows | left | forward, backward, turn left, turn right, while held |
 //! | `q`, `z` | left | one step faster, slower (index bend, middle bend) |
 //! | `1` … `6` | right | the six gestures in the order of the labels |
 //!
-//! Each is a board like any other: it runs the boards' own code on the samples that a hand would give which does
-//! what the key says, so the debouncing, the dead-man, the caps and the stop hold for it too. A terminal reports
-//! presses and repeats, no releases. So an arrow counts for [`KeyTimes::first_press_ms`] after the press (until the
-//! terminal begins to repeat it) and for [`KeyTimes::repeat_ms`] after each repeat; then the hand is neutral again.
+//! Each keyboard hand is a normal board: it runs the boards' own code on samples that correspond to the keys.
+//! Debouncing, the dead-man, the caps and the stop therefore apply to it too.
+//! A terminal reports key presses and repeats, but no releases.
+//! An arrow counts for [`KeyTimes::first_press_ms`] after the press, until the terminal begins to repeat it.
+//! Then it counts for [`KeyTimes::repeat_ms`] after each repeat, and finally the hand is neutral again.
 
 use std::collections::VecDeque;
 
@@ -29,29 +30,29 @@ use crate::hands::virtual_board::{PERIOD_MS, VirtualLeft, VirtualRight, no_store
 
 pub use host_core::source::HandKey;
 
-/// The gestures of keys 1 to 6 with the resting class before them: the paper's labels.
+/// The paper's labels: rest, followed by the gestures of keys 1 to 6.
 pub const LABELS: &str = "idle,up-down,to-fro,left-right,rectangle,rectangle-flat,circle";
 const LABEL_COUNT: u8 = 7;
 const HOP_SAMPLES: u32 = 8;
 
-/// A key that is held down repeats, and nobody wants thirty steps a second.
+/// Minimum time between steps, because a held key repeats up to thirty times per second.
 const STEP_INTERVAL_MS: u64 = 200;
-/// A bend counts once it has been held for 120 ms, and the next one once the finger has been straight again.
+/// A bend counts once it was held for 120 ms, and the next one only after the finger was straight.
 const BENT_MS: u64 = 140;
-/// Steps that wait until the present one is over.
+/// Maximum number of steps that wait for the current one.
 const STEPS_WAITING: usize = 2;
-/// A board that has not run for this long was asleep: what it would have sent is late, and is left out.
+/// A board that has not run for this long was asleep. Its output would be late and is omitted.
 const ASLEEP_MS: u64 = 100;
 
-/// How long a key counts, and which one ends the arm's motion.
+/// Durations for which a key counts, and the key that ends the arm's motion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct KeyTimes {
-    /// After the first press: a little longer than terminals wait before they repeat.
+    /// Duration after the first press, slightly longer than the delay before terminals repeat a key.
     pub first_press_ms: u64,
     /// After each repeat.
     pub repeat_ms: u64,
-    /// This key ends the arm's motion alone; the base goes on.
+    /// The key that ends only the arm's motion, while the base continues.
     pub end_arm: char,
 }
 
@@ -65,14 +66,14 @@ fn identity(board: Board) -> Identity {
     Identity { board, firmware: "keyboard", boot_id: 1, sample_hz: 100 }
 }
 
-/// The board's periods up to a time.
+/// The periods of a board up to a time.
 #[derive(Clone, Copy, Debug, Default)]
 struct Periods {
     next_ms: Option<u64>,
 }
 
 impl Periods {
-    /// When the next period began, if it has begun.
+    /// Returns the start of the next period, if it has begun.
     fn next(&mut self, now_ms: u64) -> Option<u64> {
         let due_ms = self.next_ms.filter(|due_ms| now_ms < due_ms + ASLEEP_MS).unwrap_or(now_ms);
         if due_ms > now_ms {
@@ -83,16 +84,16 @@ impl Periods {
     }
 }
 
-/// Arrows, q and z as a left hand.
+/// Arrow keys, q and z as a left hand.
 #[derive(Clone, Debug)]
 pub struct KeyLeft {
     times: KeyTimes,
     board: VirtualLeft,
     periods: Periods,
-    /// The arrow that counts, and until when.
+    /// The active arrow, and the time at which it expires.
     held: Option<(Heading, u64)>,
     last_step_ms: Option<u64>,
-    /// Fingers to bend, each with the time at which its bend begins; the present one first.
+    /// Fingers to bend, each with the start of its bend; the current one is first.
     steps: VecDeque<(Finger, u64)>,
     dither: u16,
 }
@@ -111,7 +112,7 @@ impl KeyLeft {
         }
     }
 
-    /// What the converter would read on a hand that does what the keys say.
+    /// Returns the converter readings of a hand that follows the keys.
     fn counts(&mut self, now_ms: u64) -> AdcCounts {
         self.held = self.held.filter(|&(_, until)| now_ms < until);
         while self.steps.front().is_some_and(|(_, from)| now_ms >= from + STEP_INTERVAL_MS) {
@@ -124,7 +125,7 @@ impl KeyLeft {
         };
         let Calibration { zero, rest, bend } = Calibration::DEFAULT;
         let reading = |finger, i: usize| if bent(finger) { bend[i] } else { rest[i] };
-        // 72 degrees: above the largest threshold that is allowed.
+        // About 72 degrees, which is above the largest permitted threshold.
         let (tilted, upright) = (ONE_G / 100 * 95, ONE_G / 100 * 31);
         let [x, y, z] = match self.held.map(|(heading, _)| heading) {
             Some(Heading::Forward) => [tilted, 0, upright],
@@ -133,7 +134,7 @@ impl KeyLeft {
             Some(Heading::Right) => [0, -tilted, upright],
             Some(Heading::Neutral | Heading::Between) | None => [0, 0, ONE_G],
         };
-        // The last bit of a real converter is never still.
+        // The last bit of a real converter always changes.
         self.dither ^= 1;
         AdcCounts {
             x: (zero[0] + x) as u16,
@@ -160,7 +161,7 @@ impl HandSource for KeyLeft {
                 let repeated = self.held.is_some_and(|(h, until)| h == heading && now_ms < until);
                 let first_ms = self.times.first_press_ms;
                 self.held = Some(match self.held {
-                    // A repeat never shortens the time that remains from the first press.
+                    // A repeat never shortens the remaining time after the first press.
                     Some((_, until)) if repeated => (heading, until.max(now_ms + self.times.repeat_ms)),
                     _ => (heading, now_ms + first_ms),
                 });
@@ -196,7 +197,7 @@ impl HandSource for KeyLeft {
     }
 }
 
-/// What a key means to the right hand: a gesture that is over as soon as the key is pressed.
+/// Converts a key to a complete gesture of the right hand.
 #[derive(Clone, Debug)]
 struct KeyHand {
     output: RightOutput,
@@ -221,13 +222,13 @@ impl KeyHand {
     }
 }
 
-/// Scores that are certain of one label.
+/// Returns scores that are certain of one label.
 fn scores(top: u8) -> [i8; MAX_LABELS] {
     std::array::from_fn(|i| if i == usize::from(top) { i8::MAX } else { i8::MIN })
 }
 
 impl Hand for KeyHand {
-    /// The label of the key that was pressed.
+    /// The label of the pressed key.
     type Sample = Option<u8>;
 
     fn push(&mut self, pressed: &Option<u8>, time_ms: u32) -> bool {
@@ -272,9 +273,9 @@ impl Hand for KeyHand {
 pub struct KeyRight {
     board: VirtualRight<KeyHand>,
     periods: Periods,
-    /// A key for the next sample.
+    /// The key for the next sample.
     pressed: Option<u8>,
-    /// The key that was pressed last, and when.
+    /// The last key and the time of its press.
     last_press: Option<(u8, u64)>,
 }
 
@@ -299,7 +300,7 @@ impl KeyRight {
 impl HandSource for KeyRight {
     fn press(&mut self, key: HandKey, now_ms: u64) {
         let HandKey::Gesture(number @ 1..=6) = key else { return };
-        // Repeats of a held key are one gesture: they come after about half a second, then quickly.
+        // Repeats of a held key count as one gesture. They begin after about half a second and then come quickly.
         let is_repeat = self.last_press.is_some_and(|(n, t)| n == number && now_ms.saturating_sub(t) < 700);
         self.last_press = Some((number, now_ms));
         if !is_repeat {
@@ -325,7 +326,7 @@ mod tests {
     use shared_proto::frame::{BOARD_FRAME_MAX, Decoder, HOST_FRAME_MAX, encode_host};
     use shared_proto::message::{AckResult, BoardMessage, HostMessage, LeftState, Mode};
 
-    /// Lets time pass, a millisecond at a time; the messages that `pick` wants.
+    /// Advances the time millisecond by millisecond, and returns the messages that `pick` selects.
     fn run<T>(
         hand: &mut impl HandSource,
         ms: std::ops::Range<u64>,
@@ -345,7 +346,7 @@ mod tests {
         if let BoardMessage::Left(state) = message { Some(state) } else { None }
     }
 
-    /// Events, label, and the label with the highest score.
+    /// Returns the events, the label, and the label with the highest score.
     fn right(message: BoardMessage<'_>) -> Option<(u8, u8, usize)> {
         let BoardMessage::Right(state) = message else { return None };
         assert_eq!((state.health, state.scores.len()), (0, 7));
@@ -364,7 +365,7 @@ mod tests {
             let after = run(&mut hand, 1500..3000, left);
             let commands: Vec<_> = after.iter().filter(|s| s.heading == heading).collect();
             let (first, last) = (commands[0].board_time_ms, commands[commands.len() - 1].board_time_ms);
-            // A hand that swings is given time until its direction is clear.
+            // After a swing, the board waits until the direction is clear.
             assert!(first <= 1600, "{first}");
             // 600 ms and the debouncing.
             assert!((2060..2140).contains(&last), "{last}");
@@ -390,7 +391,7 @@ mod tests {
         let mut now_ms = 500;
         for key in [HandKey::Faster, HandKey::Slower, HandKey::Faster] {
             hand.press(key, now_ms);
-            // One that comes too soon after it is a repeat.
+            // A press that follows too quickly counts as a repeat.
             hand.press(key, now_ms + 50);
             run(&mut hand, now_ms..now_ms + 210, left);
             now_ms += 210;
@@ -439,7 +440,7 @@ mod tests {
             let acks = read(&wire, |m| if let BoardMessage::Ack(ack) = m { Some(ack.result) } else { None });
             recorded.extend(acks);
         }
-        // Keys of the right hand name gestures without samples; a left hand always needs samples.
+        // A keyboard right hand needs no samples, but a left hand always does.
         assert_eq!(recorded, [AckResult::Ok, AckResult::Unsupported]);
     }
 

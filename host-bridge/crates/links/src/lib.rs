@@ -1,4 +1,4 @@
-//! The sources of hands: serial ports, Bluetooth, recordings, keys; and the client that talks to one board.
+//! Sources of hands (serial ports, Bluetooth, recordings, keys), and a client for a single board.
 //!
 //! * [`links`]: ports, and the clock that they share,
 //! * [`hands`], [`keyboard`]: what behaves like a board inside this program, with [`wire`] between,

@@ -1,14 +1,14 @@
-//! How good a link is: what `doctor` measures. Times come in; nothing here waits.
+//! Measures the quality of a link for `doctor`. Times are arguments, and nothing here waits.
 
 use shared_proto::counter::{Order, SequenceTracker};
 
-/// What was seen of a hand's states.
+/// Statistics of a hand's states.
 #[derive(Clone, Debug, Default)]
 pub struct Survey {
     order: SequenceTracker,
     states: u32,
     lost: u32,
-    /// Arrival and board time of each state, in ms from the first.
+    /// Arrival time and board time of each state, in ms after the first.
     times: Vec<(f64, f64)>,
     first: Option<(u64, u32)>,
     round_trips_ms: Vec<u64>,
@@ -31,7 +31,7 @@ impl Survey {
         self.round_trips_ms.push(ms);
     }
 
-    /// The board restarted: its clock and numbers begin anew.
+    /// Reports that the board has restarted with a new clock and new sequence numbers.
     pub fn restarted(&mut self) {
         *self = Survey { round_trips_ms: std::mem::take(&mut self.round_trips_ms), ..Survey::default() };
     }
@@ -41,20 +41,20 @@ impl Survey {
         self.states
     }
 
-    /// Share of states that never came, 0 to 1.
+    /// Fraction of states that never arrived, 0 to 1.
     pub fn loss(&self) -> f64 {
         let all = self.states + self.lost;
         if all == 0 { 0.0 } else { f64::from(self.lost) / f64::from(all) }
     }
 
-    /// States per second, by arrival.
+    /// Rate of arriving states per second.
     pub fn rate_hz(&self) -> Option<f64> {
         let span_ms = self.times.last()?.0;
         (span_ms > 0.0).then(|| (self.times.len() - 1) as f64 * 1000.0 / span_ms)
     }
 
-    /// How much faster the board's clock runs than ours, in parts per million, and the error of that
-    /// (one standard deviation). A straight line through all times.
+    /// Returns the drift of the board's clock against ours in parts per million, and its standard deviation.
+    /// It fits a straight line through all times.
     pub fn drift_ppm(&self) -> Option<(f64, f64)> {
         let n = self.times.len() as f64;
         if n < 10.0 {
@@ -74,15 +74,15 @@ impl Survey {
         Some(((slope - 1.0) * 1e6, (residual / xx).sqrt() * 1e6))
     }
 
-    /// Median and longest round trip.
+    /// Returns the median and the longest round trip.
     pub fn round_trip_ms(&self) -> Option<(u64, u64)> {
         let mut sorted = self.round_trips_ms.clone();
         sorted.sort_unstable();
         Some((*sorted.get(sorted.len() / 2)?, *sorted.last()?))
     }
 
-    /// What to do about what was measured, for a hand that sends `expected_hz` states per second and
-    /// whose clock may be `drift_limit_ppm` off.
+    /// Returns advice about the measurements.
+    /// The hand should send `expected_hz` states per second, and its clock may drift by `drift_limit_ppm`.
     pub fn advice(&self, expected_hz: f64, drift_limit_ppm: f64) -> Vec<String> {
         let mut advice = Vec::new();
         if self.states == 0 {
@@ -131,12 +131,12 @@ mod tests {
         let mut survey = Survey::default();
         for n in 0..500u32 {
             if n % 10 != 9 {
-                // A board 5000 ppm fast, with a little jitter on the way.
+                // The board is 5000 ppm fast, and the link has a little jitter.
                 let at_ms = 1000 + u64::from(n) * 20 + u64::from(n % 3);
                 survey.state(n as u16, 77 + (f64::from(n) * 20.1) as u32, at_ms);
             }
         }
-        // The very last one is lost too, but no later one shows it.
+        // The very last state is lost too, but no later state reveals this.
         assert!((survey.loss() - 49.0 / 499.0).abs() < 1e-9, "{}", survey.loss());
         assert!((survey.rate_hz().unwrap() - 45.0).abs() < 0.5);
         let (drift, error) = survey.drift_ppm().unwrap();

@@ -1,5 +1,4 @@
-//! One board on one port, talked to in turns: what `list`, `doctor`, `calibrate`, `record` and
-//! `send-model` share.
+//! Communicates with one board on one port, on behalf of `list`, `doctor`, `calibrate`, `record` and `send-model`.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -15,30 +14,30 @@ use host_core::link::printable;
 
 use crate::links::{Clock, EventReceiver, Link, News, SerialSettings, SystemClock, Waiter, is_ble, queue};
 
-/// A request is sent again after this long without an answer.
+/// A request is repeated after this long without an answer.
 const REPEAT_MS: u64 = 1000;
 
-/// A board behind Bluetooth is looked for and connected first.
+/// Additional time for a board behind Bluetooth, which must first be found and connected.
 const BLE_MEET_MS: u64 = 30_000;
 
-/// What a board or its link says, without borrowed parts.
+/// A message from a board or its link, without borrowed parts.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Said {
     /// The port is open.
     Opened,
-    /// The port is not open, or no longer; why and what to do.
+    /// The port is closed, with the reason and a remedy.
     Closed(String),
     /// Who is there.
     Hello(Who),
-    /// What its model needs and names.
+    /// The requirements and labels of the board's model.
     Model(ModelNeeds),
-    /// What a right hand's board is made of.
+    /// The hardware of a right hand's board.
     About(About),
     /// A left state.
     Left(LeftState),
     /// A right state: sequence number, board time, label of the last event, number of events.
     Right {
-        /// Counts up with each state.
+        /// A number that increases with each state.
         sequence: u16,
         /// Board clock at the newest sample.
         board_time_ms: u32,
@@ -74,24 +73,24 @@ pub struct Who {
     pub firmware: String,
     /// Different after each start.
     pub boot_id: u32,
-    /// CRC-32 of its model; 0 = none.
+    /// CRC-32 of the board's model; 0 = none.
     pub model_id: u32,
     /// Samples per second.
     pub sample_hz: u16,
-    /// Why it cannot be used, and what to do.
+    /// The reason why the board cannot be used, with a remedy.
     pub problem: Option<String>,
 }
 
-/// What the running model needs and names.
+/// The requirements and labels of the running model.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ModelNeeds {
     /// CRC-32 of the blob.
     pub model_id: u32,
     /// How features are made.
     pub recipe: u8,
-    /// Values per sample that the model is made for.
+    /// Values per sample that the model needs.
     pub axes: u8,
-    /// Values per sample that the board has; as many as the model's where it does not say.
+    /// Values per sample of the board; the same as the model's if the board does not report them.
     pub board_axes: u8,
     /// Samples per second.
     pub sample_hz: u16,
@@ -114,13 +113,13 @@ pub struct RawBatch {
     pub counts: Vec<i16>,
 }
 
-/// Why a talk failed; the text says what to do.
+/// The reason for a failure, with a remedy in the text.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum TalkError {
     /// The port cannot be opened or was lost.
     #[error("{0}")]
     Closed(String),
-    /// The port is open, but nobody says hello.
+    /// The port is open, but no hello arrives.
     #[error(
         "{port}: nobody answers; is the right board on this port, and has it been flashed? \
          `host-bridge list` asks all ports"
@@ -129,17 +128,17 @@ pub enum TalkError {
         /// The port.
         port: String,
     },
-    /// Something else than this project's firmware is on the line.
+    /// Something other than this project's firmware is on the line.
     #[error(
         "{port}: a program answers with text ({text:?}), not with this project's frames; flash the board with our firmware"
     )]
     Text {
         /// The port.
         port: String,
-        /// The end of what it said.
+        /// The end of the received text.
         text: String,
     },
-    /// There is a board, but not one that this program can use.
+    /// There is a board that this program cannot use.
     #[error("{0}")]
     Unusable(String),
     /// A request was not answered.
@@ -153,14 +152,14 @@ pub enum TalkError {
     Refused {
         /// The port.
         port: String,
-        /// As the board says it.
+        /// Text of the problem, as reported by the board.
         result: AckResult,
-        /// What it means and what to do.
+        /// The meaning of the answer and a remedy.
         advice: String,
     },
 }
 
-/// What an answer means, and what to do.
+/// Returns the meaning of an answer and a remedy.
 pub fn advice(result: AckResult) -> &'static str {
     match result {
         AckResult::Ok => "done",
@@ -187,7 +186,7 @@ pub fn advice(result: AckResult) -> &'static str {
     }
 }
 
-/// A port, its board, and what it says.
+/// A port with its board and its messages.
 pub struct Talk {
     link: Link,
     events: EventReceiver<()>,
@@ -200,7 +199,7 @@ pub struct Talk {
 }
 
 impl Talk {
-    /// Opens a port; the result comes as an event.
+    /// Opens a port. The result arrives as an event.
     pub fn open(port: &str, settings: SerialSettings) -> Self {
         let clock: Arc<dyn Clock> = Arc::new(SystemClock::start());
         let waiter = clock.waiter();
@@ -223,40 +222,40 @@ impl Talk {
         self.link.port()
     }
 
-    /// The time on the clock of the events.
+    /// Returns the time on the clock of the events.
     pub fn now_ms(&self) -> u64 {
         self.clock.now_ms()
     }
 
-    /// The waiter of the thread that talks, for all waits but those for events.
+    /// Returns the waiter of the communicating thread, for all waits other than for events.
     pub fn waiter(&self) -> &Waiter {
         &self.waiter
     }
 
-    /// Frames so far, and damaged ones.
+    /// Returns the total number of frames and the number of damaged frames.
     pub fn frames(&self) -> (u32, u32) {
         let counters = self.decoder.counters();
         (counters.frames, counters.damaged())
     }
 
-    /// May bytes be sent now? Not soon after the port was opened.
+    /// Returns whether bytes can be sent now, which is not the case soon after the port was opened.
     pub fn is_ready(&self) -> bool {
         self.link.is_ready()
     }
 
-    /// Sends a message; false when it is not on its way.
+    /// Sends a message. Returns false if it cannot be sent now.
     pub fn send(&self, message: &HostMessage<'_>) -> bool {
         let mut buffer = [0; HOST_FRAME_MAX];
         encode_host(message, &mut buffer).is_ok_and(|frame| self.link.send(frame))
     }
 
-    /// A number for the next request.
+    /// Returns a number for the next request.
     pub fn next_request(&mut self) -> u16 {
         self.request = self.request.wrapping_add(1);
         self.request
     }
 
-    /// The next event, with its time of arrival; waits at most this long.
+    /// Waits for at most this long for the next event, and returns it with its time of arrival.
     pub fn next(&mut self, patience_ms: u64) -> Option<(u64, Said)> {
         let until_ms = self.now_ms() + patience_ms;
         let mut asked = false;
@@ -265,7 +264,7 @@ impl Talk {
                 return Some(said);
             }
             let left_ms = until_ms.saturating_sub(self.now_ms());
-            // A board that floods counts as one that says nothing.
+            // A board that floods the link counts as silent.
             if left_ms == 0 && asked {
                 return None;
             }
@@ -286,10 +285,10 @@ impl Talk {
         }
     }
 
-    /// Who is there. Asks twice a second as soon as that is safe.
+    /// Asks the board for its identity, twice per second as soon as this is safe.
     ///
     /// # Errors
-    /// [`TalkError`] if the port does not open, nobody answers in time, or the board cannot be used.
+    /// [`TalkError`] if the port does not open, no answer arrives in time, or the board cannot be used.
     pub fn hello(&mut self, patience_ms: u64) -> Result<Who, TalkError> {
         let who = self.meet(patience_ms)?;
         match &who.problem {
@@ -298,10 +297,10 @@ impl Talk {
         }
     }
 
-    /// As `who`, but also for a board that cannot be used.
+    /// Like [`Talk::hello`], but also accepts a board that cannot be used.
     ///
     /// # Errors
-    /// [`TalkError`] if the port does not open or nobody answers in time.
+    /// [`TalkError`] if the port does not open or no answer arrives in time.
     pub fn meet(&mut self, patience_ms: u64) -> Result<Who, TalkError> {
         let patience_ms = if is_ble(self.port()) { patience_ms.max(BLE_MEET_MS) } else { patience_ms };
         let until_ms = self.now_ms() + patience_ms;
@@ -324,7 +323,7 @@ impl Talk {
         }
     }
 
-    /// What a right hand's model needs; `None` if the board does not say.
+    /// Returns the requirements of a right hand's model, or `None` if the board does not report them.
     pub fn model(&mut self, patience_ms: u64) -> Option<ModelNeeds> {
         let until_ms = self.now_ms() + patience_ms;
         let mut asked_ms = self.now_ms();
@@ -341,13 +340,13 @@ impl Talk {
         None
     }
 
-    /// Boards of protocol 1.1 say right after their model what they are made of.
+    /// Adds the axes of the board, which boards since protocol 1.1 report after their model.
     fn with_axes(&mut self, mut model: ModelNeeds) -> ModelNeeds {
         const AT_ONCE_MS: u64 = 100;
         let until_ms = self.now_ms() + AT_ONCE_MS;
         while self.now_ms() < until_ms {
             if let Some((_, Said::About(about))) = self.next(20) {
-                // While no sensor is found there is nothing to go on.
+                // Without a detected sensor, the number of axes is unknown.
                 if about.axes != 0 {
                     model.board_axes = about.axes;
                 }
@@ -357,10 +356,10 @@ impl Talk {
         model
     }
 
-    /// Sends a request every second until its final answer; a `Started` only prolongs the wait.
+    /// Sends a request every second until its final answer arrives; `Started` only extends the wait.
     ///
     /// # Errors
-    /// [`TalkError`] if the link breaks, no answer comes in time, or the board refuses.
+    /// [`TalkError`] if the link fails, no answer arrives in time, or the board refuses.
     pub fn request(
         &mut self,
         patience_ms: u64,
@@ -445,7 +444,7 @@ pub(crate) fn owned(message: &BoardMessage<'_>) -> Option<Said> {
     })
 }
 
-/// Text on a line that should carry frames.
+/// Detects text on a line that should carry frames.
 #[derive(Clone, Debug, Default)]
 struct TextHeard {
     last: Vec<u8>,
@@ -453,7 +452,7 @@ struct TextHeard {
 }
 
 impl TextHeard {
-    /// A line of this many characters, without the byte that ends every frame, is text.
+    /// This many consecutive characters without the byte that ends every frame count as text.
     const LEAST: usize = 8;
 
     fn take(&mut self, bytes: &[u8]) {
@@ -464,7 +463,7 @@ impl TextHeard {
         self.last.drain(..beyond);
     }
 
-    /// The end of it, if it is text.
+    /// Returns the end of the received data, if the data is text.
     fn line(&self) -> Option<String> {
         (!self.frames && self.last.len() >= Self::LEAST)
             .then(|| String::from_utf8_lossy(&self.last).into_owned())

@@ -1,4 +1,4 @@
-//! A model on its way to a board: pieces out, acknowledgements in. Sans-IO.
+//! Sends a model to a board in pieces and processes the acknowledgements. Sans-IO.
 //!
 //! ```text
 //! Begin ──Ok──► Chunk at the offset the board wants ──… Ok(size)──► Commit ──Ok──► Done
@@ -12,11 +12,11 @@ use shared_proto::message::{Ack, AckResult, Bytes, HostMessage, MODEL_CHUNK_MAX,
 
 use crate::talk::{ModelNeeds, advice};
 
-/// If no answer comes within this time, ask again.
+/// A request is repeated after this long without an answer.
 const REPEAT_MS: u64 = 1000;
-/// Erasing takes longer: four pages of flash.
+/// `Begin` takes longer, because the board erases four pages of flash.
 const REPEAT_BEGIN_MS: u64 = 3000;
-/// How often a transfer may start over.
+/// Maximum number of times a transfer may start again.
 const MOST_BEGINS: u32 = 20;
 
 /// The state of a transfer.
@@ -24,13 +24,13 @@ const MOST_BEGINS: u32 = 20;
 pub enum Stage {
     /// To be announced.
     Begin,
-    /// The board wants the piece at this offset.
+    /// The board expects the piece at this offset.
     Chunk(u32),
-    /// All pieces are there: to be verified and kept.
+    /// All pieces were sent, and the board must verify and store them.
     Commit,
-    /// The model is kept; it is used after the next restart.
+    /// The model is stored and will be used after the next restart.
     Done,
-    /// Abandoned; why and what to do.
+    /// The transfer was abandoned, with the reason and a remedy.
     Failed(String),
 }
 
@@ -42,14 +42,14 @@ pub struct Upload {
     stage: Stage,
     request: u16,
     asked_ms: Option<u64>,
-    /// The board has said that it is working on it.
+    /// The board has reported that it is working on the request.
     started: bool,
     begins: u32,
 }
 
-/// Why a model cannot be sent to a board at all; `None` when it fits.
+/// Returns the reason why a model does not fit a board, or `None` if it fits.
 ///
-/// Its labels may differ from those of the running model: they come with it.
+/// The model's labels may differ from those of the running model, because they are part of the new model.
 pub fn misfit(model: &Model<'_>, board: &ModelNeeds) -> Option<String> {
     let info = model.info();
     if !info.recipe.runs_on(info.axes, usize::from(board.board_axes)) {
@@ -91,7 +91,7 @@ impl Upload {
         &self.stage
     }
 
-    /// How many bytes the board is known to have, and how many there are.
+    /// Returns the number of bytes that the board has acknowledged, and the total number.
     pub fn progress(&self) -> (usize, usize) {
         let done = match self.stage {
             Stage::Chunk(offset) => offset as usize,
@@ -141,7 +141,7 @@ impl Upload {
         })
     }
 
-    /// The last message did not leave: send it again at the next chance.
+    /// Reports that the last message was not sent. It will be sent again as soon as possible.
     pub fn unsent(&mut self) {
         self.asked_ms = None;
         if self.stage == Stage::Begin {
@@ -149,7 +149,7 @@ impl Upload {
         }
     }
 
-    /// The board restarted: it has forgotten what was announced.
+    /// Reports that the board has restarted and forgotten the transfer.
     pub fn restarted(&mut self) {
         if !matches!(self.stage, Stage::Done | Stage::Failed(_)) {
             self.go(Stage::Begin);
@@ -167,11 +167,11 @@ impl Upload {
             AckResult::Started => self.started = true,
             AckResult::Ok if self.stage == Stage::Commit => self.go(Stage::Done),
             AckResult::Ok => self.go(wanted(ack.next_offset)),
-            // Nothing is announced there (any more).
+            // The board has no announced model (any more).
             AckResult::WrongOffset if ack.next_offset == 0 => self.go(Stage::Begin),
             AckResult::WrongOffset => self.go(wanted(ack.next_offset)),
             AckResult::BadChecksum | AckResult::StorageFailed => self.go(Stage::Begin),
-            // It is sent again after the usual pause.
+            // The request is sent again after the normal delay.
             AckResult::Busy => {}
             result => self.go(Stage::Failed(advice(result).to_owned())),
         }
@@ -199,7 +199,7 @@ mod tests {
         crate::hands::ModelFile::bundled().unwrap().blob().to_vec()
     }
 
-    /// The board's side: the boards' own store of models.
+    /// Simulates the board with the boards' own model store.
     struct Receiver(ModelStore<RamFlash>);
 
     impl Receiver {
@@ -233,7 +233,7 @@ mod tests {
             self.0 = open(self.0.flash().clone());
         }
 
-        /// CRC of the model that runs after a restart.
+        /// Returns the CRC of the model that runs after a restart.
         fn kept(&self) -> Option<u32> {
             let (store, found) = ModelStore::open(self.0.flash().clone(), RUNS);
             found.model.map(|place| crc32(&store.flash().mapped()[place.offset()..][..place.len]))
@@ -302,8 +302,8 @@ mod tests {
 
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(200))]
-        /// Whatever is lost or comes twice, however often the board restarts (a few times), what is
-        /// kept in the end is the model, whole.
+        /// Whatever is lost or repeated, and even if the board restarts a few times,
+        /// the complete model is stored in the end.
         #[test]
         fn losses_repetitions_and_restarts_only_cost_time(
             fates in prop::collection::vec(0u8..20, 0..200),

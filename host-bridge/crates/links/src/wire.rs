@@ -1,4 +1,4 @@
-//! A byte stream in virtual time: what goes in comes out a little later, in slices of any size.
+//! A byte stream in virtual time, which delays bytes and delivers them in portions of any size.
 
 use std::collections::VecDeque;
 
@@ -24,12 +24,12 @@ impl Pipe {
         self.queue.extend(bytes);
     }
 
-    /// Lets a millisecond pass and appends what arrives in it to `out`.
+    /// Advances by one millisecond, and appends the bytes that arrive in it to `out`.
     pub fn step(&mut self, out: &mut Vec<u8>) {
         self.credit += self.bytes_per_ms;
         let count = (self.credit as usize).min(self.queue.len());
         out.extend(self.queue.drain(..count));
-        // An idle line saves up no more than a fraction of a byte.
+        // An idle line accumulates no more than a fraction of a byte.
         self.credit = (self.credit - count as f64).min(1.0);
     }
 }

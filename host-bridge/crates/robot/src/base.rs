@@ -1,15 +1,15 @@
-//! The base: two driven wheels, integrated along exact arcs.
+//! The base: two driven wheels, whose motion is integrated along exact arcs.
 //!
-//! Frames: x forward, y left, angles counter-clockwise seen from above; the odometry frame is where the
-//! base stood at the start. Wheels never exceed their speed and acceleration; if a twist asks for
-//! more, both wheels are scaled alike, so that the base stays on its path and is only slower.
+//! Axes: x forward, y left, angles counter-clockwise seen from above. The odometry frame is the start pose of the base.
+//! Wheels never exceed their maximum speed and acceleration.
+//! If a twist requires more, both wheels are slowed by the same factor, so the base stays on its path.
 
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 
 use crate::robot::{BaseState, Wheels};
 
-/// What the base is asked to do.
+/// The commanded motion of the base.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Twist {
     /// Forward speed in m/s.
@@ -33,15 +33,16 @@ pub struct BaseConfig {
     pub track_m: f64,
     /// Fastest wheel speed.
     pub wheel_speed_max_rad_s: f64,
-    /// Largest change of wheel speed per second.
+    /// Maximum change of wheel speed per second.
     pub wheel_acceleration_max_rad_s2: f64,
-    /// Variance that each metre that a wheel rolls adds to its distance, in m²/m: slip, and a worn radius.
+    /// Variance of a wheel's distance per metre, in m²/m, caused by slip and a worn radius.
     pub wheel_variance_m: f64,
 }
 
 impl Default for BaseConfig {
-    /// 10 cm wheels, 40 cm apart, 1.2 m/s and 1.0 m/s² at the rim: room for the largest cap (1.0 m/s).
-    /// Their distance is known to 1 cm (one standard deviation) after a metre.
+    /// Wheels of 10 cm, 40 cm apart, with 1.2 m/s and 1.0 m/s² at the rim,
+    /// which suffices for the largest cap (1.0 m/s).
+    /// After a metre, the standard deviation of their distance is 1 cm.
     fn default() -> Self {
         BaseConfig {
             wheel_radius_m: 0.1,
@@ -53,12 +54,13 @@ impl Default for BaseConfig {
     }
 }
 
-/// Minimum variance of a wheel's speed, in m²/s²: whoever fuses odometry wants no zero.
+/// Minimum variance of a wheel's speed in m²/s², because sensor fusion cannot use zero.
 const SPEED_VARIANCE_MIN: f64 = 1e-6;
 
 impl BaseConfig {
-    /// How sure the speed is that wheels at these speeds (rad/s) make, as a mean over `interval_s`: covariance of linear
-    /// (m/s) and angular speed (rad/s), from the same errors of the wheels' distances as the pose's covariance.
+    /// Returns the covariance of linear (m/s) and angular speed (rad/s), averaged over `interval_s`,
+    /// for wheel speeds in rad/s.
+    /// It results from the same distance errors of the wheels as the covariance of the pose.
     pub fn speed_covariance(&self, wheels_rad_s: [f64; 2], interval_s: f64) -> [[f64; 2]; 2] {
         let [left, right] = wheels_rad_s.map(|wheel| {
             let rim_m_s = (wheel * self.wheel_radius_m).abs();
@@ -68,7 +70,7 @@ impl BaseConfig {
         [[0.25 * (left + right), both], [both, (left + right) / (self.track_m * self.track_m)]]
     }
 
-    /// Speeds of the left and the right wheel in rad/s that make a twist, whatever their limits.
+    /// Returns the speeds of the left and right wheel in rad/s for a twist, without limits.
     pub fn wheels_rad_s(&self, twist: Twist) -> [f64; 2] {
         let turn_m_s = twist.angular_rad_s * self.track_m / 2.0;
         [twist.linear_m_s - turn_m_s, twist.linear_m_s + turn_m_s]
@@ -76,14 +78,14 @@ impl BaseConfig {
     }
 }
 
-/// Where the base thinks it is, from its wheels.
+/// The position of the base, estimated from its wheels.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Odometry {
     /// Forward of the start, in m.
     pub x_m: f64,
     /// Left of the start, in m.
     pub y_m: f64,
-    /// Turned to the left since the start, in rad, not wrapped.
+    /// Rotation to the left since the start in rad, not wrapped.
     pub heading_rad: f64,
     /// Length of the path, in m.
     pub path_m: f64,
@@ -94,7 +96,7 @@ pub struct Odometry {
 /// Covariance of x (m), y (m) and heading (rad), in this order.
 pub type Covariance = [[f64; 3]; 3];
 
-/// The base as it is now, and what it is asked to do.
+/// The current state of the base and its commanded motion.
 #[derive(Clone, Debug)]
 pub struct Base {
     config: BaseConfig,
@@ -118,7 +120,7 @@ impl Base {
         }
     }
 
-    /// A base that moves as reported; wheels that are not reported are those of its twist.
+    /// Creates a base that moves as reported. Missing wheel speeds are derived from its twist.
     pub fn at(config: BaseConfig, state: &BaseState) -> Self {
         let wheels = state.wheels.unwrap_or_else(|| Wheels {
             speed_rad_s: config.wheels_rad_s(state.odometry.twist),
@@ -134,13 +136,13 @@ impl Base {
         }
     }
 
-    /// Everything that it reports of itself.
+    /// Returns the complete state of the base.
     pub fn state(&self) -> BaseState {
         let wheels = Wheels { speed_rad_s: self.wheels_rad_s, angle_rad: self.wheels_rad };
         BaseState { odometry: self.odometry, covariance: self.covariance, wheels: Some(wheels) }
     }
 
-    /// Sets the speed to reach. A twist with NaN or infinity halts.
+    /// Sets the target speed. A twist with NaN or infinity halts the base.
     pub fn drive(&mut self, twist: Twist) {
         if !(twist.linear_m_s.is_finite() && twist.angular_rad_s.is_finite()) {
             self.target_rad_s = [0.0; 2];
@@ -161,7 +163,7 @@ impl Base {
         if largest <= allowed {
             self.wheels_rad_s = self.target_rad_s;
         } else {
-            // Both wheels reach their speeds together: a halting base stays on its arc.
+            // Both wheels reach their speeds together, so a halting base stays on its arc.
             for (wheel, change) in self.wheels_rad_s.iter_mut().zip(change) {
                 *wheel += change * allowed / largest;
             }
@@ -176,12 +178,12 @@ impl Base {
         self.odometry.twist = self.twist_of(self.wheels_rad_s);
     }
 
-    /// First-order propagation of the wheels' errors through one small step of the path.
+    /// Propagates the wheels' errors through one small step of the path, to first order.
     fn grow_covariance(&mut self, [left_m, right_m]: [f64; 2]) {
         let track_m = self.config.track_m;
         let arc_m = 0.5 * (left_m + right_m);
         let (s, c) = (self.odometry.heading_rad + 0.5 * (right_m - left_m) / track_m).sin_cos();
-        // How the step's end changes with its start, and with each wheel's distance.
+        // Derivatives of the step's end with respect to its start, and to each wheel's distance.
         let from_start = DMat3::from_cols(DVec3::X, DVec3::Y, DVec3::new(-arc_m * s, arc_m * c, 1.0));
         let sideways = 0.5 * arc_m / track_m;
         let from_left = DVec3::new(0.5 * c + sideways * s, 0.5 * s - sideways * c, -1.0 / track_m);
@@ -200,27 +202,27 @@ impl Base {
         Twist { linear_m_s: 0.5 * (left + right), angular_rad_s: (right - left) / self.config.track_m }
     }
 
-    /// Position, path length and speed.
+    /// Returns position, path length and speed.
     pub fn odometry(&self) -> Odometry {
         self.odometry
     }
 
-    /// How sure the odometry is.
+    /// Returns the covariance of the odometry.
     pub fn covariance(&self) -> Covariance {
         self.covariance
     }
 
-    /// Speeds of the left and the right wheel in rad/s.
+    /// Returns the speeds of the left and right wheel in rad/s.
     pub fn wheels_rad_s(&self) -> [f64; 2] {
         self.wheels_rad_s
     }
 
-    /// How far the left and the right wheel have turned since the start, in rad.
+    /// Returns the total rotation of the left and right wheel since the start, in rad.
     pub fn wheels_rad(&self) -> [f64; 2] {
         self.wheels_rad
     }
 
-    /// How long it takes to rest from its speed now.
+    /// Returns the braking time from the current speed.
     pub fn braking_s(&self) -> f64 {
         let fastest = self.wheels_rad_s[0].abs().max(self.wheels_rad_s[1].abs());
         fastest / self.config.wheel_acceleration_max_rad_s2
@@ -237,7 +239,7 @@ impl Odometry {
     pub fn advance(&mut self, twist: Twist, dt_s: f64) {
         let half_turn = 0.5 * twist.angular_rad_s * dt_s;
         let arc_m = twist.linear_m_s * dt_s;
-        // The chord of an arc is shorter than the arc by sin(α/2)/(α/2), and points half the turn ahead.
+        // The chord is shorter than the arc by sin(α/2)/(α/2), and its direction is that of half the turn.
         let chord_m = if half_turn.abs() < 1e-8 { arc_m } else { arc_m * half_turn.sin() / half_turn };
         let direction = self.heading_rad + half_turn;
         self.x_m += chord_m * direction.cos();
@@ -256,7 +258,7 @@ mod tests {
     #[test]
     fn a_quarter_circle_ends_a_radius_ahead_and_a_radius_to_the_left() {
         let mut odometry = Odometry::default();
-        // Radius 2 m: 1 m/s and 0.5 rad/s, in steps of very different lengths.
+        // The radius is 2 m (1 m/s and 0.5 rad/s), with steps of very different lengths.
         for share in [0.5, 0.25, 0.125, 0.125] {
             odometry.advance(Twist { linear_m_s: 1.0, angular_rad_s: 0.5 }, PI * share);
         }
@@ -306,7 +308,7 @@ mod tests {
     #[test]
     fn a_speeds_covariance_is_that_of_wheels_whose_ways_err_as_the_poses_do() {
         let config = BaseConfig::default();
-        // 0.3 and 0.5 m/s at the rim: over 20 ms the distances' variances are 6e-7 and 1e-6 m².
+        // With 0.3 and 0.5 m/s at the rim, the variances of the distances over 20 ms are 6e-7 and 1e-6 m².
         let got = config.speed_covariance([3.0, 5.0], 0.02);
         let (left, right) = (6e-7 / 0.0004 + 1e-6, 1e-6 / 0.0004 + 1e-6);
         let both = (right - left) / 0.8;
@@ -314,7 +316,7 @@ mod tests {
         for (got, expected) in got.as_flattened().iter().zip(expected.as_flattened()) {
             assert!((got - expected).abs() < 1e-12, "{got} {expected}");
         }
-        // Backward is as unsure as forward; at rest it is nearly certain, and never zero.
+        // The covariance is equal forward and backward. At rest it is small but never zero.
         assert_eq!(config.speed_covariance([-3.0, -5.0], 0.02), config.speed_covariance([3.0, 5.0], 0.02));
         assert!(config.speed_covariance([0.0; 2], 0.02)[1][1] > 0.0);
     }
@@ -323,7 +325,7 @@ mod tests {
     fn the_covariance_is_that_of_many_runs_with_such_wheels() {
         let config = BaseConfig::default();
         let mut base = Base::new(config);
-        // A curve to the left, and then one to the right.
+        // A curve to the left, followed by one to the right.
         let mut ways = Vec::new();
         for (linear_m_s, angular_rad_s) in [(0.5, 0.4), (0.5, -0.6)] {
             base.drive(Twist { linear_m_s, angular_rad_s });
@@ -335,7 +337,7 @@ mod tests {
             }
         }
         let mut random = crate::Random::new(8);
-        // A sum of twelve uniform numbers is near enough to normal, with variance 1.
+        // The sum of twelve uniform numbers is approximately normal with variance 1.
         let mut normal = || (0..12).map(|_| random.between(-0.5, 0.5)).sum::<f64>();
         let runs = 4000;
         let (end, mut seen) = (base.odometry(), [[0.0; 3]; 3]);

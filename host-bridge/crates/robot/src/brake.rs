@@ -1,17 +1,18 @@
-//! Braking along a trajectory's own path.
+//! Braking on a trajectory's own path.
 //!
-//! A trajectory q(σ) is planned with σ̇ = 1. To brake on its path, σ̇ falls to zero: q̇ = q′σ̇ and q̈ = q″σ̇² − q′β with
-//! β = −σ̈ ≥ 0. At each instant β is the largest value that keeps every joint's acceleration within its limit; if jerk is
-//! limited, β rises and falls no faster than the limit allows. On a straight segment at full speed that is v/a seconds, or
-//! v/a + a/j with a jerk limit.
+//! A trajectory q(σ) is planned with σ̇ = 1. To brake on its path, σ̇ decreases to zero.
+//! Then q̇ = q′σ̇ and q̈ = q″σ̇² − q′β with β = −σ̈ ≥ 0.
+//! At each instant, β is the largest value that respects every joint's acceleration limit.
+//! With a jerk limit, β also rises and falls no faster than the limit allows.
+//! On a straight segment at full speed, braking takes v/a seconds, or v/a + a/j with a jerk limit.
 
 use crate::{JOINTS, JointLimits, Motion, Trajectory};
 
 /// Step of the integration, in s.
 const STEP_S: f64 = 0.001;
-/// Slower than this share of the planned speed is rest.
+/// Speeds below this fraction of the planned speed count as rest.
 const REST: f64 = 1e-6;
-/// Longer than any braking that can occur.
+/// An upper limit for the duration of any braking.
 const BRAKING_MAX_S: f64 = 10.0;
 
 /// The motion at one instant of braking.
@@ -19,14 +20,14 @@ const BRAKING_MAX_S: f64 = 10.0;
 pub struct Instant {
     /// Since braking began, in s.
     pub time_s: f64,
-    /// Where on the trajectory, in its own time, in s.
+    /// Position on the trajectory as a time of the trajectory, in s.
     pub along_s: f64,
     /// Angles, speeds and accelerations.
     pub motion: Motion,
 }
 
-/// Braking from `from_s` of a trajectory on, every millisecond until rest; the first instant is the start, the last one
-/// is at rest.
+/// Brakes on a trajectory, starting at `from_s`.
+/// Returns one instant per millisecond, the first at the start and the last at rest.
 pub fn along(trajectory: &Trajectory, from_s: f64, limits: &JointLimits) -> Vec<Instant> {
     let (mut time_s, mut along_s, mut rate, mut brake) = (0.0, from_s.max(0.0), 1.0_f64, 0.0_f64);
     let mut instants = Vec::new();
@@ -40,7 +41,7 @@ pub fn along(trajectory: &Trajectory, from_s: f64, limits: &JointLimits) -> Vec<
         let (allowed, ramp) = allowed(&planned, rate, limits);
         brake = match ramp {
             None => allowed,
-            // Reduced in time to come to rest without a jump.
+            // The acceleration is reduced early enough to come to rest without a jump.
             Some(ramp) if rate <= 0.5 * brake * brake / ramp => (brake - ramp * STEP_S).max(ramp * STEP_S),
             Some(ramp) => (brake + ramp * STEP_S).min(allowed),
         };
@@ -59,7 +60,7 @@ pub fn along(trajectory: &Trajectory, from_s: f64, limits: &JointLimits) -> Vec<
     }
 }
 
-/// The strongest braking that all joints allow, and how fast it may rise (`None` = at once).
+/// Returns the strongest braking that all joints allow, and its maximum rate of increase (`None` = unlimited).
 fn allowed(planned: &Motion, rate: f64, limits: &JointLimits) -> (f64, Option<f64>) {
     let (mut brake, mut ramp) = (f64::INFINITY, f64::INFINITY);
     for i in 0..JOINTS {
@@ -67,17 +68,17 @@ fn allowed(planned: &Motion, rate: f64, limits: &JointLimits) -> (f64, Option<f6
         if speed.abs() < 1e-9 {
             continue;
         }
-        // The part of the limit that the path's curvature uses, in the direction of braking.
+        // The part of the limit that the curvature of the path uses, in the direction of braking.
         let bend = planned.acceleration_rad_s2[i] * rate * rate * speed.signum();
         brake = brake.min((limits.acceleration_rad_s2[i] + bend).max(0.0) / speed.abs());
         ramp = ramp.min(limits.jerk_rad_s3[i] / speed.abs());
     }
-    // Nothing moves here, such as at a corner at which the arm rests: stop at once.
+    // Nothing moves here, for example at a corner where the arm rests, so it stops immediately.
     let brake = if brake.is_finite() { brake } else { 1.0 / STEP_S };
     (brake, ramp.is_finite().then_some(ramp))
 }
 
-/// Longest time that braking takes at full speed on a straight segment, in s.
+/// Returns the longest braking time on a straight segment at full speed, in s.
 pub fn longest_s(limits: &JointLimits) -> f64 {
     let of = |i: usize| {
         let (v, a, j) = (limits.velocity_rad_s[i], limits.acceleration_rad_s2[i], limits.jerk_rad_s3[i]);

@@ -1,4 +1,4 @@
-//! The one door to a robot: the bridge commands through it, observers look through it.
+//! The interface to a robot: the bridge commands it, and observers read its state.
 
 use std::fmt;
 use std::sync::Arc;
@@ -12,14 +12,14 @@ use crate::robot::Part;
 use crate::setting::{RobotSetting, SceneObject};
 use crate::shape::{Capsule, Point};
 
-/// Name of an arm motion or pose, such as `pick-up`. Cheap to copy about.
+/// Name of an arm motion or pose, such as `pick-up`. Cheap to clone.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct MotionName(Arc<str>);
 
 impl MotionName {
     /// The motion that also releases the operator's stop.
     pub const HOME: &'static str = "home";
-    /// Not a motion: it only ends the motion under way.
+    /// A special name that ends the current motion instead of starting one.
     pub const END_ARM: &'static str = "end-arm";
     /// Not a motion of the configuration: the left hand moves the tool.
     pub const JOG: &'static str = "jog";
@@ -60,7 +60,7 @@ impl Serialize for MotionName {
     }
 }
 
-/// Which part of a motion is under way.
+/// The current part of a motion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Leg {
@@ -68,7 +68,7 @@ pub enum Leg {
     Planning,
     /// Moving to the home pose.
     ToHome,
-    /// Moving to the motion's own pose.
+    /// Moving to the pose of the motion.
     ToGoal,
     /// The tool follows a hand.
     Jogging,
@@ -76,14 +76,14 @@ pub enum Leg {
     Halting,
 }
 
-/// The arm as it is now.
+/// The current state of the arm.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ArmState {
     /// In rad; NaN if unknown.
     pub joints_rad: Joints,
     /// In rad/s; NaN if unknown.
     pub velocity_rad_s: Joints,
-    /// What runs, and how far it is; `None` = nothing.
+    /// The running motion and its current part, or `None`.
     pub running: Option<(MotionName, Leg)>,
 }
 
@@ -94,30 +94,30 @@ impl ArmState {
     }
 }
 
-/// A motion is under way; a new one is not accepted, and not queued.
+/// Another motion is running, so the new one is rejected and not queued.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("the arm is busy with {0}")]
 pub struct Busy(pub MotionName);
 
-/// Why a motion does not start.
+/// The reason why a motion does not start.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum NotStarted {
     /// Another one runs.
     #[error(transparent)]
     Busy(#[from] Busy),
-    /// It would not be safe, or the robot is not ready; the text says why and what to do.
+    /// The motion would not be safe, or the robot is not ready; the text has the reason and a remedy.
     #[error("{0}")]
     Refused(String),
 }
 
-/// What the bridge should know.
+/// Reports to the bridge.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Report {
     /// An arm motion ended.
     MotionEnded {
         /// Which.
         motion: MotionName,
-        /// At its pose, not halted.
+        /// Whether the arm reached its pose without a halt.
         reached: bool,
     },
     /// An arm motion that was accepted is not begun: there is no safe way, or something has changed while it was planned.
@@ -129,66 +129,66 @@ pub enum Report {
     },
     /// The guard does not let the base drive as asked.
     BaseHeld {
-        /// What is in the way, or what is not known.
+        /// The obstacle, or the missing information.
         reason: String,
     },
-    /// The base drives as asked again.
+    /// The base follows its commands again.
     BaseFree,
-    /// The robot shows that it acts on the newest command for this part.
+    /// The robot reports that it acts on the newest command for this part.
     Accepted(Part),
-    /// The robot has something to say to a person.
+    /// A message from the robot to the user.
     Note(String),
 }
 
-/// Everything about the robot that changes, as the robot itself reports it.
+/// The complete changing state of the robot, as it reports it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Picture {
-    /// The arm; NaN if its angles are unknown.
+    /// The arm. Its angles are NaN if unknown.
     pub arm: ArmState,
-    /// Age of its angles; `None` = unknown.
+    /// Age of the joint angles; `None` if unknown.
     pub arm_age_ms: Option<u64>,
-    /// The base; the origin if it is unknown.
+    /// The base, or the origin if it is unknown.
     pub odometry: Odometry,
-    /// Age of that; `None` = unknown.
+    /// Age of the odometry; `None` if unknown.
     pub base_age_ms: Option<u64>,
-    /// How sure the odometry is.
+    /// The covariance of the odometry.
     pub covariance: Covariance,
     /// Speeds of the left and the right wheel in rad/s.
     pub wheels_rad_s: [f64; 2],
-    /// How far each has turned since the start, in rad.
+    /// Total rotation of each wheel since the start, in rad.
     pub wheels_rad: [f64; 2],
-    /// The flange in the arm's base frame; NaN if the angles are unknown.
+    /// Pose of the flange in the arm's base frame; NaN if the angles are unknown.
     pub flange: Pose,
-    /// How far the gripper's fingers are apart; `None` = there is none, or it does not say.
+    /// Distance between the gripper's fingers; `None` without a gripper or a report.
     pub opening_m: Option<f64>,
-    /// Shapes of what is on the flange, in its frame.
+    /// Shapes of the tool in the flange's frame.
     pub tool: Vec<Capsule>,
-    /// Objects of the scene, where they are now.
+    /// Objects of the scene at their current positions.
     pub objects: Vec<SceneObject>,
-    /// Where the arm should be by now, in rad, while it follows a trajectory.
+    /// Current target of the arm in rad, while it follows a trajectory.
     pub reference_rad: Option<Joints>,
-    /// What holds the base back, if anything does.
+    /// The reason why the guard has stopped the base, or `None`.
     pub held: Option<String>,
     /// What keeps the tool from following a hand, if anything does.
     pub jog_held: Option<String>,
     /// Ticks in which the guard braked for an obstacle.
     pub guard_stops: u32,
-    /// How often the robot had to stop by itself.
+    /// Number of times the robot had to stop by itself.
     pub timeouts: u32,
 }
 
 /// See the module.
 pub trait Door {
-    /// Lets the time become `now_ms`: the robot moves, the guard watches, motions end.
+    /// Advances the time to `now_ms`: the robot moves, the guard checks, and motions end.
     fn step(&mut self, now_ms: u64);
 
-    /// Sets the base's speed, as far as the guard allows. Also says that the bridge is alive.
+    /// Sets the base's speed as far as the guard allows, and shows that the bridge is alive.
     fn drive(&mut self, twist: Twist);
 
     /// Starts an arm motion.
     ///
     /// # Errors
-    /// [`NotStarted`] while another one runs, or if it would not be safe. Nothing moves then.
+    /// [`NotStarted`] if another motion is running or this one would not be safe. Nothing moves in this case.
     fn start_motion(&mut self, motion: &MotionName) -> Result<(), NotStarted>;
 
     /// Whether a hand could move the tool now.
@@ -214,32 +214,32 @@ pub trait Door {
     /// Brings base and arm to rest within their limits; targets are forgotten.
     fn halt(&mut self);
 
-    /// Brings the arm to rest within its limits; the base goes on.
+    /// Brings only the arm to rest within its limits.
     fn halt_arm(&mut self);
 
-    /// Why nothing may move on this robot now; `None` = it may.
+    /// Returns the reason why this robot must not move now, or `None`.
     fn refusal(&self) -> Option<String> {
         None
     }
 
-    /// What happened since the last call.
+    /// Returns the reports since the last call.
     fn take_reports(&mut self) -> Vec<Report>;
 
-    /// Hands over what was decided in this turn; called at the end of each.
+    /// Sends the decisions of this turn. Called at the end of each turn.
     fn send(&mut self);
 
-    /// Whether a motion of that name exists.
+    /// Returns whether a motion of that name exists.
     fn knows(&self, motion: &MotionName) -> bool;
 
-    /// The robot as it reports itself.
+    /// Returns the state that the robot reports.
     fn picture(&self) -> Picture;
 
     /// What does not change.
     fn setting(&self) -> RobotSetting;
 
-    /// The arm's foot, from the point on the floor between the wheels.
+    /// Position of the arm's base, relative to the point on the floor between the wheels.
     fn mount_m(&self) -> Point;
 
-    /// Frames of the arm's joints and its flange (last), in the arm's base frame.
+    /// Returns the frames of the arm's joints and its flange (last), in the arm's base frame.
     fn link_poses(&self, joints_rad: &Joints) -> [Pose; JOINTS + 1];
 }

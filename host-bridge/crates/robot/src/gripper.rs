@@ -1,26 +1,26 @@
-//! What a gripper is asked for, and how that ended.
+//! Commands of a gripper and their results.
 
 /// A width to go to.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Grip {
     /// Between the fingers, in m.
     pub opening_m: f64,
-    /// The largest force in N; `None` = the gripper's own.
+    /// Maximum force in N; `None` means the gripper's default.
     pub effort_n: Option<f64>,
-    /// Width of the scene's object between the fingers, if known. For robots that cannot feel: a simulated gripper
-    /// stalls on it.
+    /// Width of the object between the fingers in the scene, if known.
+    /// Robots without touch need it: a simulated gripper stalls at this width.
     pub between_m: Option<f64>,
 }
 
-/// How a grip ended.
+/// The result of a gripper command.
 #[derive(Clone, Debug, PartialEq)]
 pub enum GripEnd {
-    /// The fingers are as far apart as asked.
+    /// The fingers have reached the requested width.
     Reached,
-    /// They were stopped before that by something between them.
+    /// An object between the fingers stopped them earlier.
     Stalled,
-    /// It was abandoned for a stop.
+    /// The grip was abandoned because of a stop.
     Halted,
-    /// It did not work; the text says why.
+    /// The grip failed, for the reason in the text.
     Failed(String),
 }

@@ -1,4 +1,4 @@
-//! What a robot is to the bridge: the words that every other crate shares, and two traits.
+//! The interface between bridge and robot: shared types and two traits.
 //!
 //! ```text
 //! bridge ─► Door ─► (director: goals, planning, guard) ─► Robot ─► simulator, ROS 2, …
@@ -6,9 +6,9 @@
 //! observers ◄┴── Picture, RobotSetting ◄── its own state ◄──┘
 //! ```
 //!
-//! * [`Robot`]: what every robot has. The simulator is one robot; a robot on a ROS 2 graph is another.
-//! * [`Door`]: what the bridge commands and observers look through; the arm director implements it once for all.
-//! * [`brake`]: braking along a trajectory's own path,
+//! * [`Robot`]: the interface of every robot, such as the simulator or a robot on a ROS 2 graph.
+//! * [`Door`]: the interface for the bridge and for observers. The arm director implements it for all robots.
+//! * [`brake`]: braking on a trajectory's own path,
 //! * [`base`], [`pose`], [`limits`], [`trajectory`], [`shape`]: geometry and motion, without time or links.
 
 pub mod base;
@@ -34,7 +34,7 @@ pub use robot::{BaseState, End, Following, Part, Reading, Robot, Wheels};
 pub use setting::{JointSetting, RobotSetting, SceneBox, SceneObject};
 pub use trajectory::Trajectory;
 
-/// The Gen3's figures, for tests of what does not know any arm.
+/// Parameters of the Gen3, for tests of code that does not depend on an arm.
 #[cfg(test)]
 mod gen3 {
     use crate::{JOINTS, JointLimits, Joints, joints};

@@ -1,21 +1,20 @@
-//! What the joints may do, and how they move at one instant. Motion in time is
-//! [`Trajectory`](crate::Trajectory).
+//! Limits of the joints, and their motion at one instant. [`Trajectory`](crate::Trajectory) describes motion over time.
 
 use crate::{JOINTS, Joints};
 
-/// What a move must not exceed.
+/// Limits that a move must not exceed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct JointLimits {
     /// In rad/s.
     pub velocity_rad_s: Joints,
     /// In rad/s².
     pub acceleration_rad_s2: Joints,
-    /// In rad/s³; infinite = accelerations may jump.
+    /// Limits in rad/s³; infinite if accelerations may jump.
     pub jerk_rad_s3: Joints,
 }
 
 impl JointLimits {
-    /// The same limits, with a limit on the jerk of all joints.
+    /// Returns the same limits with a jerk limit for all joints.
     #[must_use]
     pub fn with_jerk(self, jerk_rad_s3: f64) -> Self {
         JointLimits { jerk_rad_s3: [jerk_rad_s3; JOINTS], ..self }

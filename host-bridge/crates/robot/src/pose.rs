@@ -38,27 +38,27 @@ impl Pose {
     /// The frame itself.
     pub const IDENTITY: Pose = Pose { position_m: DVec3::ZERO, rotation: DMat3::IDENTITY };
 
-    /// Moves along, and turns about, the frame's own axes.
+    /// Moves along the frame's own axes and then turns about them.
     pub fn then(&self, step_m: DVec3, turn: DMat3) -> Pose {
         Pose { position_m: self.at(step_m), rotation: self.rotation * turn }
     }
 
-    /// A point that is given in this frame, in m.
+    /// Converts a point in this frame to the parent frame, in m.
     pub fn at(&self, point_m: DVec3) -> DVec3 {
         self.position_m + self.rotation * point_m
     }
 
-    /// The orientation as a unit quaternion with w ≥ 0.
+    /// Returns the orientation as a unit quaternion with w ≥ 0.
     pub fn quaternion(&self) -> DQuat {
         let quaternion = DQuat::from_mat3(&self.rotation);
         if quaternion.w < 0.0 { -quaternion } else { quaternion }
     }
 }
 
-/// A rotation matrix row by row, as pages and files have it.
+/// Serialises a rotation matrix row by row, as pages and files require.
 ///
 /// # Errors
-/// As the serialiser writes them.
+/// Errors of the serialiser.
 pub fn rows<S: Serializer>(rotation: &DMat3, serializer: S) -> Result<S::Ok, S::Error> {
     rotation.transpose().to_cols_array_2d().serialize(serializer)
 }

@@ -1,4 +1,4 @@
-//! Numbers that look random and are the same on every machine for the same seed.
+//! Pseudorandom numbers that are equal on every machine for the same seed.
 
 /// SplitMix64 (Steele, Lea, Flood 2014).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -19,7 +19,7 @@ impl Random {
         z ^ (z >> 31)
     }
 
-    /// Evenly spread, `low` included, `high` not.
+    /// Returns a uniform number in the half-open range from `low` to `high`.
     pub fn between(&mut self, low: f64, high: f64) -> f64 {
         low + (high - low) * (self.bits() >> 11) as f64 / (1_u64 << 53) as f64
     }

@@ -1,4 +1,4 @@
-//! What every robot has, simulated or real.
+//! The interface of every robot, simulated or real.
 
 use std::sync::Arc;
 
@@ -10,23 +10,23 @@ use crate::limits::{JointLimits, Motion};
 use crate::pose::Joints;
 use crate::trajectory::Trajectory;
 
-/// Something that a robot reports of itself, and how old it is.
+/// A value that a robot reports, with its age.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Reading<T> {
     /// What it reports.
     pub value: T,
-    /// Time since it was measured, or, if the robot does not say, since it arrived.
+    /// Time since the measurement, or since arrival if the robot sends no time stamp.
     pub age_ms: u64,
 }
 
-/// The base as it reports itself.
+/// The state of the base, as it reports it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct BaseState {
-    /// Where it is, and how fast.
+    /// Position and speed of the base.
     pub odometry: Odometry,
-    /// How sure that is.
+    /// The covariance of the position.
     pub covariance: Covariance,
-    /// Its wheels, if it reports them.
+    /// State of the wheels, if reported.
     pub wheels: Option<Wheels>,
 }
 
@@ -39,21 +39,21 @@ pub struct Wheels {
     pub angle_rad: [f64; 2],
 }
 
-/// What the arm does with the trajectory that it was given.
+/// The arm's progress on its trajectory.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Following {
     /// It has none.
     Idle,
-    /// It follows the trajectory, and is this far along.
+    /// The arm follows the trajectory and has come this far.
     Moving {
         /// Time since the trajectory's start, in s.
         elapsed_s: f64,
     },
-    /// It has abandoned the trajectory and brakes.
+    /// The arm has abandoned the trajectory and is braking.
     Halting,
 }
 
-/// What a command is for.
+/// The part of the robot that a command is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Part {
@@ -73,54 +73,56 @@ impl Part {
     }
 }
 
-/// How following a trajectory ended.
+/// The result of following a trajectory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum End {
     /// The arm rests at the trajectory's end.
     Reached,
-    /// It rests, or is believed to, somewhere else.
+    /// The arm rests, or is assumed to rest, at another position.
     Halted,
 }
 
-/// A base and an arm. What it reports is its own state, never what it was asked for.
+/// A base and an arm. It always reports its measured state, never its commands.
 ///
-/// **Stops by itself**: an implementation brings the base to rest when [`drive`](Robot::drive) ceases to be
-/// called. No method blocks.
+/// **Stops by itself**: an implementation must bring the base to rest when [`drive`](Robot::drive) is no longer called.
+/// No method may block.
 pub trait Robot {
-    /// Lets the time become `now_ms`.
+    /// Advances the time to `now_ms`.
     fn step(&mut self, now_ms: u64);
 
-    /// Joint angles, speeds and (if known) accelerations; `None` = unknown, or older than the robot accepts.
+    /// Returns joint angles, speeds and (if known) accelerations.
+    /// `None` means unknown, or older than the robot accepts.
     fn arm(&self) -> Option<Reading<Motion>>;
 
-    /// Where the arm's controller holds it while it rests, within a few hundredths of where it is: a motion from there
-    /// begins without a jump. `None` = the robot does not tell.
+    /// Returns the position at which the controller holds the resting arm,
+    /// which may differ by a few hundredths of a radian.
+    /// A motion from this position starts without a jump. `None` means that the robot does not report it.
     fn held_rad(&self) -> Option<Joints> {
         None
     }
 
-    /// Pose and speed of the base; `None` = unknown.
+    /// Returns pose and speed of the base, or `None` if unknown.
     fn base(&self) -> Option<Reading<BaseState>>;
 
-    /// Limits of speed, acceleration and jerk for the arm's motions.
+    /// Returns the limits of speed, acceleration and jerk for the arm's motions.
     fn joint_limits(&self) -> &JointLimits;
 
-    /// Size and limits of the base.
+    /// Returns the size and limits of the base.
     fn base_limits(&self) -> &BaseConfig;
 
-    /// Sets the base's speed. Also says that the bridge is alive.
+    /// Sets the base's speed, and shows that the bridge is alive.
     fn drive(&mut self, twist: Twist);
 
-    /// Whether the arm could follow a trajectory now.
+    /// Checks whether the arm can follow a trajectory now.
     ///
     /// # Errors
-    /// Why not, and what to do.
+    /// The reason why the arm cannot follow a motion, with a remedy.
     fn can_follow(&self) -> Result<(), String>;
 
-    /// Lets the arm follow a trajectory that starts where it is. One that is already followed is replaced.
+    /// Makes the arm follow a trajectory that starts at its position. It replaces the current trajectory.
     ///
     /// # Errors
-    /// Why it does not follow or grip; nothing moves then.
+    /// The reason why it does not follow or grip. Nothing moves in this case.
     fn follow(&mut self, trajectory: Arc<Trajectory>) -> Result<(), String>;
 
     /// How far ahead of now a trajectory under way can be continued otherwise; see [`Robot::follow_on`].
@@ -144,71 +146,70 @@ pub trait Robot {
     /// What the arm does with its trajectory.
     fn following(&self) -> Following;
 
-    /// How the last trajectory ended; once per trajectory.
+    /// Returns the result of the last trajectory, once per trajectory.
     fn take_end(&mut self) -> Option<End>;
 
-    /// Brings the arm to rest within its limits; its trajectory is abandoned.
+    /// Brings the arm to rest within its limits and abandons its trajectory.
     fn halt_arm(&mut self);
 
     /// Brings base, arm and gripper to rest within their limits.
     fn halt(&mut self);
 
-    /// How far the fingers are apart, in m; `None` = there is no gripper, or it does not say.
+    /// Returns the distance between the fingers in m, or `None` without a gripper or a report.
     fn opening_m(&self) -> Option<Reading<f64>> {
         None
     }
 
-    /// Whether the gripper could open or close now.
+    /// Checks whether the gripper can open or close now.
     ///
     /// # Errors
-    /// Why not, and what to do.
+    /// The reason why the gripper cannot be used, with a remedy.
     fn can_grip(&self) -> Result<(), String> {
         Err("this robot has no gripper".to_owned())
     }
 
-    /// Lets the gripper go to a width.
+    /// Moves the gripper to a width.
     ///
     /// # Errors
-    /// Why it does not follow or grip; nothing moves then.
+    /// The reason why it does not follow or grip. Nothing moves in this case.
     fn grip(&mut self, _grip: Grip) -> Result<(), String> {
         self.can_grip()
     }
 
-    /// How the last grip ended; once per grip.
+    /// Returns the result of the last grip, once per grip.
     fn take_grip_end(&mut self) -> Option<GripEnd> {
         None
     }
 
-    /// Lets the fingers rest where they are. It never opens them.
+    /// Stops the fingers at their current position, and never opens them.
     fn halt_gripper(&mut self) {}
 
-    /// The longest time between a command and its effect.
+    /// Returns the longest time between a command and its effect.
     fn reaction_ms(&self) -> u64 {
         0
     }
 
-    /// How often the robot had to stop by itself, as far as known.
+    /// Returns how often the robot had to stop by itself, as far as known.
     fn timeouts(&self) -> u32 {
         0
     }
 
-    /// Why nothing may be armed on this robot now; `None` = it may.
+    /// Returns the reason why this robot must not be armed now, or `None`.
     fn refusal(&self) -> Option<String> {
         None
     }
 
-    /// Parts that have shown, since the last call, that they act on their newest command. A robot that does not tell says
-    /// nothing.
+    /// Returns the parts that have acted on their newest command since the last call, if the robot reports this.
     fn take_accepted(&mut self) -> Vec<Part> {
         Vec::new()
     }
 
-    /// Messages for a person, each returned once.
+    /// Returns messages for the user, each of them once.
     fn take_notes(&mut self) -> Vec<String> {
         Vec::new()
     }
 
-    /// Hands over what was decided in this turn; called at the end of each.
+    /// Sends the decisions of this turn. Called at the end of each turn.
     fn send(&mut self) {}
 }
 

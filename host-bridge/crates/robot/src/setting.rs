@@ -1,4 +1,4 @@
-//! What does not change in a session: the robot, its limits, its surroundings.
+//! The constant data of a session: the robot, its limits and its surroundings.
 
 use glam::DMat3;
 use serde::Serialize;
@@ -7,33 +7,33 @@ use crate::base::BaseConfig;
 use crate::pose::{Pose, rows};
 use crate::shape::{Capsule, Point, UprightBox};
 
-/// Frames: the world is where the base started, x forward, y left, z up from the floor.
+/// In the world frame, the base starts at the origin; x is forward, y left, and z up from the floor.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct RobotSetting {
-    /// The scene's title; empty without a scene.
+    /// Title of the scene; empty without a scene.
     pub scene: String,
-    /// What stands around.
+    /// The robot's surroundings.
     pub boxes: Vec<SceneBox>,
     /// Wheels and limits of the base.
     pub base: BaseConfig,
-    /// The base's body, as seen from the point on the floor between its wheels.
+    /// Body of the base, relative to the point on the floor between its wheels.
     pub body: UprightBox,
-    /// The arm's foot, as seen from the same point.
+    /// Position of the arm's base, relative to the same point.
     pub mount_m: Point,
     /// Of the arm.
     pub arm_name: String,
-    /// The link that the arm's base frame belongs to, as in the arm's own description.
+    /// Link of the arm's base frame, as named in the arm's description.
     pub arm_root: String,
     /// From the foot on.
     pub joints: Vec<JointSetting>,
-    /// The flange in the last joint's frame.
+    /// Position of the flange in the last joint's frame.
     pub flange_m: Point,
-    /// How the flange is turned against the last joint.
+    /// Rotation of the flange relative to the last joint.
     #[serde(serialize_with = "rows")]
     pub flange_rotation: DMat3,
-    /// The flange's link in the arm's own description.
+    /// Link of the flange, as named in the arm's description.
     pub flange_link: String,
-    /// Shapes of the arm's foot, in the arm's base frame.
+    /// Shapes of the arm's fixed base, in the arm's base frame.
     pub foot: Vec<Capsule>,
 }
 
@@ -47,18 +47,18 @@ pub struct SceneBox {
     pub shape: UprightBox,
 }
 
-/// An object of the scene, where it is now.
+/// An object of the scene at its current position.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SceneObject {
     /// From the scene file.
     pub name: String,
-    /// Height, from its underside up.
+    /// Height above its underside.
     pub height_m: f64,
-    /// Radius, if it is round.
+    /// Radius, if the object is round.
     pub radius_m: Option<f64>,
-    /// Half its length and width.
+    /// Half of the object's length and width.
     pub half_m: [f64; 2],
-    /// The middle of its underside, in the world.
+    /// Pose of the centre of the object's bottom face in the world.
     #[serde(flatten)]
     pub pose: Pose,
 }
@@ -66,25 +66,25 @@ pub struct SceneObject {
 /// One joint and the link that it moves. Where it slides, angles, speeds and limits are in m instead of rad.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct JointSetting {
-    /// As in the robot's own description.
+    /// Name in the robot's own description.
     pub name: String,
-    /// The link that it turns, as in the same.
+    /// Name of the moved link in the same description.
     pub link: String,
-    /// Where the joint sits in its parent's frame.
+    /// Position of the joint in its parent's frame.
     pub origin_m: Point,
-    /// How its frame is turned against its parent's.
+    /// Rotation of the joint's frame relative to the parent's frame.
     #[serde(serialize_with = "rows")]
     pub origin_rotation: DMat3,
-    /// Axis in its own frame.
+    /// Axis of the joint in its own frame.
     pub axis: Point,
     /// It slides along its axis instead of turning about it.
     pub slides: bool,
     /// Minimum and maximum angle; `None` = turns without end.
     pub limit_rad: Option<(f64, f64)>,
-    /// Maximum speed that motions use.
+    /// Maximum speed in planned motions.
     pub velocity_max_rad_s: f64,
-    /// Maximum acceleration that motions use.
+    /// Maximum acceleration in planned motions.
     pub acceleration_max_rad_s2: f64,
-    /// The link, in the joint's frame.
+    /// Shapes of the link, in the joint's frame.
     pub shapes: Vec<Capsule>,
 }

@@ -1,8 +1,9 @@
-//! Distances between the shapes that robot and scene are made of: capsules, upright boxes, the floor.
+//! Distances between the shapes of robot and scene: capsules, upright boxes and the floor.
 //!
-//! Both pairs that occur have an exact solution without iteration, so a distance costs some tens of
-//! nanoseconds and is the same on every machine. A general collision library (parry3d) would bring 30-odd
-//! crates for two functions; `tests/mujoco/check.py` compares these with an independent engine instead.
+//! Both pairs of shapes that occur have an exact solution without iteration.
+//! A distance takes some tens of nanoseconds and is equal on every machine.
+//! A general collision library (parry3d) would add some 30 crates for two functions.
+//! Instead, `tests/mujoco/check.py` compares these functions with an independent engine.
 
 use glam::DVec3;
 use serde::Serialize;
@@ -12,41 +13,41 @@ use crate::pose::Pose;
 /// A point or a direction in metres.
 pub type Point = DVec3;
 
-/// All points nearer than `radius_m` to a straight line from `a_m` to `b_m`. A sphere has equal ends.
+/// All points closer than `radius_m` to the line from `a_m` to `b_m`. The ends of a sphere are equal.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Capsule {
     /// One end of the centre line.
     pub a_m: Point,
     /// The other end.
     pub b_m: Point,
-    /// Thickness around the centre line.
+    /// Radius around the centre line.
     pub radius_m: f64,
 }
 
-/// A box that stands upright, turned only about the vertical.
+/// An upright box, rotated only about the vertical.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct UprightBox {
     /// Its middle.
     pub center_m: Point,
-    /// Half its length, width and height.
+    /// Half of the box's length, width and height.
     pub half_m: Point,
     /// Turned to the left.
     pub yaw_rad: f64,
 }
 
 impl Capsule {
-    /// A pose that is given in this frame, as seen from outside.
+    /// Converts a capsule in the coordinates of `frame` to the outer coordinates.
     #[must_use]
     pub fn seen_from(&self, frame: &Pose) -> Capsule {
         Capsule { a_m: frame.at(self.a_m), b_m: frame.at(self.b_m), ..*self }
     }
 
-    /// Distance of the surfaces in m; negative if they overlap (no further than to the centre lines).
+    /// Distance between the surfaces in m; negative if they overlap (down to the centre lines).
     pub fn distance_m(&self, other: &Capsule) -> f64 {
         segments_m(self.a_m, self.b_m, other.a_m, other.b_m) - self.radius_m - other.radius_m
     }
 
-    /// Distance to a box in m; negative if they overlap (at most by the radius).
+    /// Distance to a box in m; negative if they overlap (by at most the radius).
     pub fn distance_to_box_m(&self, other: &UprightBox) -> f64 {
         segment_to_box_m(other.inside(self.a_m), other.inside(self.b_m), other.half_m) - self.radius_m
     }
@@ -56,7 +57,7 @@ impl Capsule {
         self.a_m.z.min(self.b_m.z) - self.radius_m
     }
 
-    /// Middle of the centre line, and the radius of the sphere around it that holds the capsule, in m.
+    /// Returns the middle of the centre line, and the radius in m of the sphere that encloses the capsule.
     pub fn bounds_m(&self) -> (Point, f64) {
         let half = 0.5 * (self.b_m - self.a_m);
         (self.a_m + half, half.length() + self.radius_m)
@@ -64,19 +65,19 @@ impl Capsule {
 }
 
 impl UprightBox {
-    /// A point as seen from the box: from its middle, along its sides.
+    /// Converts a point to the box's coordinates, relative to its centre and sides.
     pub fn inside(&self, point: Point) -> Point {
         let DVec3 { x, y, z } = point - self.center_m;
         let (s, c) = self.yaw_rad.sin_cos();
         DVec3::new(c * x + s * y, c * y - s * x, z)
     }
 
-    /// Distance of a point from the box in m, 0 inside.
+    /// Distance from a point to the box in m; 0 inside.
     pub fn distance_to_point_m(&self, point: Point) -> f64 {
         outside_m(self.inside(point), self.half_m)
     }
 
-    /// Distance of two upright boxes in m; 0 if they overlap.
+    /// Distance between two upright boxes in m; 0 if they overlap.
     pub fn distance_m(&self, other: &UprightBox) -> f64 {
         let gap = (self.center_m.z - other.center_m.z).abs() - self.half_m.z - other.half_m.z;
         let flat = if self.overlaps_from_above(other) {
@@ -102,7 +103,7 @@ impl UprightBox {
         })
     }
 
-    /// Separating axes: two rectangles overlap unless a side of one has the other wholly beyond it.
+    /// Separating axes: two rectangles overlap unless one is entirely beyond a side of the other.
     fn overlaps_from_above(&self, other: &UprightBox) -> bool {
         let separates = |one: &UprightBox, two: &UprightBox| {
             let seen = two.corners().map(|[x, y]| one.inside(DVec3::new(x, y, one.center_m.z)));
@@ -115,7 +116,7 @@ impl UprightBox {
     }
 }
 
-/// Shortest distance of two line segments (Ericson, Real-Time Collision Detection, 5.1.9).
+/// Shortest distance between two line segments (Ericson, Real-Time Collision Detection, 5.1.9).
 fn segments_m(p1: Point, q1: Point, p2: Point, q2: Point) -> f64 {
     let (d1, d2, r) = (q1 - p1, q2 - p2, p1 - p2);
     let (a, e, f) = (d1.length_squared(), d2.length_squared(), d2.dot(r));
@@ -129,7 +130,7 @@ fn segments_m(p1: Point, q1: Point, p2: Point, q2: Point) -> f64 {
     } else {
         let b = d1.dot(d2);
         let crossed = a * e - b * b;
-        // Parallel lines are equally near everywhere: any start will do.
+        // Parallel lines have a constant distance, so any start is valid.
         let s = if crossed > 1e-12 * a * e { ((b * f - c * e) / crossed).clamp(0.0, 1.0) } else { 0.0 };
         let t = (b * s + f) / e;
         if t < 0.0 {
@@ -147,9 +148,10 @@ fn outside_m(point: Point, half: Point) -> f64 {
     (point.abs() - half).max(DVec3::ZERO).length()
 }
 
-/// Distance of a segment from a box around the origin. Along the segment the squared distance is convex
-/// and made of parabolas that meet where the segment crosses the planes of the box's sides: its slope is
-/// piecewise linear, and the zero of the slope is found exactly.
+/// Distance from a segment to a box around the origin.
+/// Along the segment, the squared distance is convex and consists of parabolas that meet at the planes
+/// of the box's sides.
+/// Its slope is piecewise linear, so the zero of the slope can be found exactly.
 fn segment_to_box_m(a: Point, b: Point, half: Point) -> f64 {
     let d = b - a;
     let slope = |t: f64| {
@@ -166,7 +168,7 @@ fn segment_to_box_m(a: Point, b: Point, half: Point) -> f64 {
     for k in 0..3 {
         for side in [-half[k], half[k]] {
             let t = (side - a[k]) / d[k];
-            // Not-a-number and infinity (segments along the side) fail the comparison.
+            // NaN and infinity (segments parallel to the side) fail this comparison.
             if t > low && t < high {
                 if slope(t) < 0.0 { low = t } else { high = t }
             }
@@ -186,7 +188,7 @@ mod tests {
         prop::array::uniform3(-1.0..1.0_f64).prop_map(DVec3::from)
     }
 
-    /// Distance by search: a convex function, whose interval is halved until nothing is left of it.
+    /// Finds the minimum of a convex function by repeatedly shrinking the interval.
     fn least(f: impl Fn(f64) -> f64) -> f64 {
         let (mut low, mut high) = (0.0_f64, 1.0_f64);
         for _ in 0..100 {
@@ -227,7 +229,7 @@ mod tests {
         ) {
             let [one, two] =
                 [one, two].map(|(center_m, half_m, yaw_rad)| UprightBox { center_m, half_m, yaw_rad });
-            // The outline of the first, edge by edge, at the height nearest to the second.
+            // The outline of the first box, edge by edge, at the height closest to the second box.
             let z = two.center_m[2].clamp(one.center_m[2] - one.half_m[2], one.center_m[2] + one.half_m[2]);
             let corners = one.corners();
             let outline = (0..4).map(|i| {

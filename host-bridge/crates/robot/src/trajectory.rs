@@ -1,21 +1,20 @@
-//! Motion along a path of several straight segments in joint space, at constant accelerations or at constant
-//! jerks.
+//! Motion along several straight segments in joint space, with constant accelerations or constant jerks.
 //!
-//! Between two corners the speed is constant; around a corner it changes from one segment's to the next's (a
-//! parabolic blend, Kunz and Stilman 2011), so the arm need not stop there. Speeds within a blend lie between
-//! those of the segments, and the blend lasts as long as the slowest joint needs: position, speed and acceleration
-//! keep their limits exactly, at every instant and not only at samples. On a single segment the joint with the
-//! least speed in hand sets the pace: v = min(vᵢ/|Δqᵢ|), a = min(aᵢ/|Δqᵢ|), and the duration is 1/v + v/a, or
-//! 2/√a where v² > a, as MoveIt's time-optimal profile has it.
+//! Between two corners the speed is constant. Around a corner it changes to that of the next segment without a stop
+//! (a parabolic blend, Kunz and Stilman 2011).
+//! Speeds within a blend are between those of the segments, and the slowest joint determines its duration.
+//! Position, speed and acceleration therefore respect their limits at every instant, not only at samples.
+//! On a single segment, the slowest joint determines v = min(vᵢ/|Δqᵢ|) and a = min(aᵢ/|Δqᵢ|).
+//! The duration is 1/v + v/a, or 2/√a if v² > a, as in MoveIt's time-optimal profile.
 //!
-//! If jerk is limited, each change of speed is a ramp whose acceleration rises, stays and falls, the same
-//! shape for all joints. It covers as much distance as the even change of the same duration, so that blends stay
-//! centred on their corners and everything above holds. On one segment this is the S-curve of seven phases, which
-//! is the quickest there is (Biagiotti and Melchiorri 2008, section 3.4).
+//! With a jerk limit, the acceleration rises, stays constant and falls in each change of speed, equally for all joints.
+//! Such a ramp covers the same distance as a uniform change of the same duration.
+//! Blends therefore remain centred on their corners, and all statements above hold.
+//! On one segment, this is the S-curve of seven phases, which is optimal (Biagiotti and Melchiorri 2008, section 3.4).
 
 use crate::{JOINTS, JointLimits, Joints, Motion};
 
-/// A stretch of constant jerk (which may be zero).
+/// A part with constant jerk (which may be zero).
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Piece {
     start_s: f64,
@@ -25,7 +24,7 @@ struct Piece {
 }
 
 impl Piece {
-    /// `time_s` after the piece's own start.
+    /// Returns the motion at `time_s` after the start of the piece.
     fn at(&self, time_s: f64) -> Motion {
         let t = time_s.clamp(0.0, self.duration_s);
         let (from, jerk) = (&self.from, &self.jerk_rad_s3);
@@ -43,13 +42,13 @@ impl Piece {
     }
 }
 
-/// A motion to rest, from rest or (while braking) from motion.
+/// A motion that ends at rest. It starts at rest or (while braking) in motion.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Trajectory {
     pieces: Vec<Piece>,
-    /// Start and end of the blends.
+    /// Start and end of each blend.
     corners_s: Vec<(f64, f64)>,
-    /// Where it ends, exactly.
+    /// The exact end position.
     to_rad: Joints,
     duration_s: f64,
 }
@@ -66,20 +65,20 @@ fn plus(a: &Joints, b: &Joints, factor: f64) -> Joints {
     std::array::from_fn(|i| a[i] + factor * b[i])
 }
 
-/// The greatest of what the joints ask for, in units of their limits.
+/// Returns the largest value relative to the joints' limits.
 fn most(of: &Joints, limits: &Joints) -> f64 {
     (0..JOINTS).map(|i| of[i].abs() / limits[i]).fold(0.0, f64::max)
 }
 
-/// How a change of speed goes: the acceleration rises, stays, and falls as it rose.
+/// A change of speed whose acceleration rises, stays constant, and falls symmetrically.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Ramp {
     duration_s: f64,
-    /// How long it rises, and how long it falls; 0 = it jumps.
+    /// Duration of the rise and of the fall; 0 if the acceleration jumps.
     rise_s: f64,
 }
 
-/// The quickest change of speed, all joints alike.
+/// Returns the quickest change of speed that is equal for all joints.
 fn ramp(change_rad_s: &Joints, limits: &JointLimits) -> Ramp {
     let even_s = most(change_rad_s, &limits.acceleration_rad_s2);
     let jerk_s2 = most(change_rad_s, &limits.jerk_rad_s3);
@@ -88,7 +87,7 @@ fn ramp(change_rad_s: &Joints, limits: &JointLimits) -> Ramp {
     } else if even_s * even_s >= jerk_s2 {
         Ramp { duration_s: even_s + jerk_s2 / even_s, rise_s: jerk_s2 / even_s }
     } else {
-        // The greatest acceleration is not reached.
+        // The maximum acceleration is not reached.
         Ramp { duration_s: 2.0 * jerk_s2.sqrt(), rise_s: jerk_s2.sqrt() }
     }
 }
@@ -98,8 +97,9 @@ impl Trajectory {
         Trajectory { pieces: Vec::new(), corners_s: Vec::new(), to_rad, duration_s: 0.0 }
     }
 
-    /// Through all points of a path in turn, stopping at the corners for which `stops` says so. Corners
-    /// without a stop are cut a little. `stops` counts from the first corner after the start.
+    /// Creates a trajectory through all points of a path.
+    /// It stops at the corners that `stops` selects and slightly cuts the others.
+    /// `stops` begins with the first corner after the start.
     pub fn through(path_rad: &[Joints], stops: &[bool], limits: &JointLimits) -> Self {
         let mut trajectory = Trajectory::ending_at(path_rad.last().copied().unwrap_or_default());
         let mut start = 0;
@@ -112,7 +112,7 @@ impl Trajectory {
         trajectory
     }
 
-    /// One motion after the other; the second starts where the first ends.
+    /// Appends a motion that starts at the end of this one.
     #[must_use]
     pub fn then(mut self, next: &Trajectory) -> Self {
         let after_s = self.duration_s;
@@ -162,9 +162,10 @@ impl Trajectory {
 
     /// Brakes from motion as fast as the limits allow, all joints together, straight on.
     ///
-    /// If jerk is limited, an acceleration that is there now must be reduced first. On a straight segment that
-    /// happens as quickly as can be; within a blend, where speed and acceleration point to different sides,
-    /// the acceleration goes to zero for all joints alike before braking begins.
+    /// With a jerk limit, the current acceleration must first be reduced.
+    /// On a straight segment, this is done in minimum time.
+    /// Within a blend, speed and acceleration have different directions.
+    /// There, the acceleration of all joints is reduced to zero before braking begins.
     pub fn braking(from: Motion, limits: &JointLimits) -> Self {
         let mut trajectory = Trajectory::ending_at(from.joints_rad);
         let release_s = most(&from.acceleration_rad_s2, &limits.jerk_rad_s3);
@@ -181,12 +182,12 @@ impl Trajectory {
         trajectory
     }
 
-    /// Brakes in the least time if the acceleration points along the motion, or against it. False if
-    /// that is not so; then nothing has changed.
+    /// Brakes in minimum time if the acceleration is parallel to the motion.
+    /// Otherwise it returns false and changes nothing.
     fn brake_on_the_line(&mut self, from: Motion, limits: &JointLimits) -> bool {
         let (speed, acceleration) = (&from.velocity_rad_s, &from.acceleration_rad_s2);
         let dot = |a: &Joints, b: &Joints| -> f64 { (0..JOINTS).map(|i| a[i] * b[i]).sum() };
-        // All in units of the speed now: speed 1, acceleration `gain`, limits `most_gain` and `jerk`.
+        // All values are relative to the current speed: speed 1, acceleration `gain`, limits `most_gain` and `jerk`.
         let gain = dot(acceleration, speed) / dot(speed, speed);
         let off = minus(acceleration, &scaled(speed, gain));
         if !gain.is_finite() || most(&off, &limits.acceleration_rad_s2) > 1e-9 {
@@ -194,10 +195,10 @@ impl Trajectory {
         }
         let most_gain = 1.0 / most(speed, &limits.acceleration_rad_s2);
         let jerk = 1.0 / most(speed, &limits.jerk_rad_s3);
-        // This much speed is lost (or won) while the acceleration goes to zero.
+        // This is the loss (or gain) of speed while the acceleration goes to zero.
         let released = 0.5 * gain * gain / jerk;
         if gain < 0.0 && released > 1.0 - 1e-9 {
-            // The end of a ramp to rest. If more is lost than there is, the line turns back.
+            // This is the end of a ramp to rest. If the loss exceeds the speed, the joints would reverse.
             if released < 1.0 + 1e-6 {
                 let duration_s = -2.0 / gain;
                 self.to_rad = self.push(from, scaled(acceleration, -1.0 / duration_s), duration_s).joints_rad;
@@ -233,8 +234,9 @@ impl Trajectory {
             let after = velocities.get(k).unwrap_or(&rest);
             let blend_s = blends[k].duration_s;
             if blend_s > 0.0 {
-                // A blend is centred on its corner; at either end, where one speed is zero, the other
-                // segment's half of it is where the arm rests, and it takes that much longer.
+                // A blend is centred on its corner.
+                // At the start and the end, one speed is zero, so the arm rests in that half.
+                // The motion takes longer by this time.
                 let start_s = self.duration_s;
                 self.push_change(plus(point, before, -0.5 * blend_s), before, after, blends[k]);
                 if k > 0 && k < ways.len() {
@@ -249,7 +251,7 @@ impl Trajectory {
         }
     }
 
-    /// From one speed to another.
+    /// Appends a change from one speed to another.
     fn push_change(&mut self, from_rad: Joints, before: &Joints, after: &Joints, ramp: Ramp) {
         let Ramp { duration_s, rise_s } = ramp;
         if duration_s <= 0.0 {
@@ -267,7 +269,7 @@ impl Trajectory {
         }
     }
 
-    /// Adds a piece; returns the state at its end.
+    /// Appends a piece and returns the state at its end.
     fn push(&mut self, from: Motion, jerk_rad_s3: Joints, duration_s: f64) -> Motion {
         if duration_s <= 0.0 {
             return from;
@@ -288,7 +290,7 @@ impl Trajectory {
         self.to_rad
     }
 
-    /// Everything, `time_s` after the start; at the goal and at rest from the end on.
+    /// Returns the motion at `time_s` after the start. From the end on, it is at the goal and at rest.
     pub fn motion(&self, time_s: f64) -> Motion {
         let next = self.pieces.partition_point(|piece| piece.start_s <= time_s);
         match self.pieces.get(next.saturating_sub(1)) {
@@ -297,7 +299,7 @@ impl Trajectory {
         }
     }
 
-    /// The greatest speed of each joint between two instants, either way it turns.
+    /// Returns the maximum speed of each joint between two instants, in either direction.
     pub fn fastest_rad_s(&self, start_s: f64, end_s: f64) -> Joints {
         let mut fastest = [0.0_f64; JOINTS];
         for piece in &self.pieces {
@@ -310,7 +312,7 @@ impl Trajectory {
                 let mut speed = first.velocity_rad_s[i].abs().max(last.velocity_rad_s[i].abs());
                 let jerk = piece.jerk_rad_s3[i];
                 if first.acceleration_rad_s2[i] * last.acceleration_rad_s2[i] < 0.0 {
-                    // In between it neither gains nor loses: from the first instant on, a²/2j.
+                    // At the extremum, the acceleration is zero; the change from the first instant is a²/2j.
                     let a = first.acceleration_rad_s2[i];
                     speed = speed.max((first.velocity_rad_s[i] - 0.5 * a * a / jerk).abs());
                 }
@@ -320,13 +322,13 @@ impl Trajectory {
         fastest
     }
 
-    /// When jerk or acceleration change, and the end. In between, positions and speeds at both ends say all.
+    /// Returns the times at which jerk or acceleration change, and the end.
     pub fn knots_s(&self) -> Vec<f64> {
         let starts = self.pieces.iter().map(|piece| piece.start_s).filter(|&start_s| start_s > 0.0);
         starts.chain([self.duration_s]).collect()
     }
 
-    /// Start and end of the stretches in which the arm leaves the path's straight segments.
+    /// Returns start and end of each time interval in which the arm leaves the straight segments.
     pub fn corners_s(&self) -> Vec<(f64, f64)> {
         self.corners_s.clone()
     }
@@ -342,10 +344,10 @@ fn blends(velocities: &[Joints], limits: &JointLimits) -> Vec<Ramp> {
         .collect()
 }
 
-/// Speeds in segments per second, as fast as the limits of the joints and of the blends allow.
+/// Returns the maximum speeds in segments per second that respect the limits of joints and blends.
 fn fastest_speeds(ways: &[Joints], limits: &JointLimits) -> Vec<f64> {
     let top: Vec<f64> = ways.iter().map(|way| 1.0 / most(way, &limits.velocity_rad_s)).collect();
-    // Blends must not reach into each other.
+    // Blends must not overlap.
     let fits = |speeds: &[f64]| {
         let velocities: Vec<Joints> = ways.iter().zip(speeds).map(|(way, s)| scaled(way, *s)).collect();
         let blends = blends(&velocities, limits);
@@ -358,11 +360,11 @@ fn fastest_speeds(ways: &[Joints], limits: &JointLimits) -> Vec<f64> {
         return top;
     }
     if let [way] = ways {
-        // A single segment too short for full speed: one ramp up and one down, nothing in between. A hair below,
-        // lest the rounded ramps be longer than the segment.
+        // A single segment may be too short for full speed, so it has one ramp up and one ramp down.
+        // The speed is slightly reduced, so that rounded ramps are not longer than the segment.
         return vec![top_of_two_ramps(way, limits) * (1.0 - 1e-12)];
     }
-    // All slowed alike until they fit (a slower motion always does), then each as fast as the others let it.
+    // All speeds are reduced until the blends fit, and then each is increased as far as the others allow.
     let slowed = |factor: f64| top.iter().map(|s| s * factor).collect::<Vec<_>>();
     let mut speeds = slowed(bisect(|factor| fits(&slowed(factor))));
     for _ in 0..4 {
@@ -380,8 +382,8 @@ fn fastest_speeds(ways: &[Joints], limits: &JointLimits) -> Vec<f64> {
     speeds
 }
 
-/// The speed, in segments per second, at which a ramp up and a ramp down together are the whole segment: the ramp's
-/// time equals the reciprocal of the speed.
+/// Returns the speed, in segments per second, at which a ramp up and a ramp down fill the segment.
+/// There, the ramp's time equals the reciprocal of the speed.
 fn top_of_two_ramps(way: &Joints, limits: &JointLimits) -> f64 {
     let acceleration = most(way, &limits.acceleration_rad_s2);
     let jerk = most(way, &limits.jerk_rad_s3);
@@ -390,7 +392,7 @@ fn top_of_two_ramps(way: &Joints, limits: &JointLimits) -> f64 {
     if speed * acceleration * acceleration >= jerk { speed } else { (0.25 / jerk).cbrt() }
 }
 
-/// The greatest share that was found to fit; 0 fits.
+/// Returns the largest fraction that fits; 0 always fits.
 fn bisect(fits: impl Fn(f64) -> bool) -> f64 {
     let (mut low, mut high) = (0.0, 1.0);
     for _ in 0..40 {
@@ -413,7 +415,7 @@ mod tests {
     #[test]
     #[allow(clippy::approx_constant)] // 3.14 is what Kinova's file says
     fn kinovas_own_poses_take_the_times_of_moveit() {
-        // Figures computed with MoveIt's time parameterization at scaling 0.1 and 0.05.
+        // These figures are from MoveIt's time parameterisation at scaling 0.1 and 0.05.
         let limits = paper_limits();
         let retract = crate::joints([0.0, -0.35, 3.14, -2.54, 0.0, -0.87, 1.57]);
         let up = Trajectory::through(&[[0.0; JOINTS], HOME], &[], &limits).duration_s();
@@ -439,7 +441,7 @@ mod tests {
         assert_eq!((braked.duration_s(), braked.goal_rad()), (0.0, HOME));
     }
 
-    /// All joints are equally far along the path at any time, and never turn back by more than `slack` of it.
+    /// Checks that all joints have the same progress at any time, and never move back by more than `slack`.
     fn keeps_to_the_line(
         motion: &Trajectory,
         duration_s: f64,
@@ -492,7 +494,7 @@ mod tests {
             };
             let (v, a, j) =
                 (least(&limits.velocity_rad_s), least(&limits.acceleration_rad_s2), least(&limits.jerk_rad_s3));
-            // Biagiotti and Melchiorri 2008, 3.4: from rest to rest, over a distance of 1.
+            // Biagiotti and Melchiorri 2008, section 3.4: from rest to rest over a distance of 1.
             let ramp_s = if v * j < a * a { 2.0 * (v / j).sqrt() } else { a / j + v / a };
             let expected_s = if 1.0 / v >= ramp_s {
                 1.0 / v + ramp_s
@@ -523,7 +525,7 @@ mod tests {
             let halt_s = when * plan.duration_s();
             let halted = plan.motion(halt_s);
             let halting = Trajectory::braking(halted, &limits);
-            // The time to let an acceleration go and to build it up, twice each, and to brake in between.
+            // The time to reduce and build up an acceleration, twice each, and to brake in between.
             let rise_s = 0.43 / jerk;
             let even_s = 0.1397 / 0.43;
             prop_assert!(halting.duration_s() <= (even_s + 3.0 * rise_s).max(2.0 * (0.15 / jerk).sqrt() + 3.0 * rise_s));

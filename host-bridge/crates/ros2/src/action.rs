@@ -1,5 +1,6 @@
-//! What every action's client does: it is made as the vendor of its server has it, remembers the goals that it sent, and
-//! hears what the server says of them.
+//! The common part of all action clients.
+//! It is created for the vendor of its server, stores the goals that it sent,
+//! and reads the server's reports about them.
 
 use ros2_client::action::{ActionClient, ActionClientQosPolicies, GoalId};
 use ros2_client::action_msgs::{GoalStatus, GoalStatusArray, GoalStatusEnum};
@@ -9,10 +10,10 @@ use ros2_client::{ActionTypeName, Message, Name, Node, QosProfile, RmwRequestId,
 use super::transport::NodeError;
 use super::vendor::Wrapping;
 
-/// A client of this action, a type of `control_msgs`.
+/// Creates a client of this action, whose types are from `control_msgs`.
 ///
 /// # Errors
-/// If its name is none, or the client cannot be made.
+/// Fails if the action's name is invalid, or the client cannot be created.
 pub fn connect<G, R, F>(
     node: &mut Node,
     name: &str,
@@ -42,7 +43,7 @@ where
         .map_err(|error| NodeError::of(name, &error))
 }
 
-/// What a server reports about a goal.
+/// A server's report about a goal.
 pub enum Said<R, F> {
     /// It runs.
     Accepted,
@@ -50,11 +51,11 @@ pub enum Said<R, F> {
     Rejected,
     /// How far it is.
     Feedback(F),
-    /// How it ended.
+    /// The final status and the result of the goal.
     Result(GoalStatusEnum, R),
 }
 
-/// A goal of ours, including one that is over.
+/// A goal of ours, which may already be over.
 struct Goal {
     ours: u32,
     request: RmwRequestId,
@@ -67,27 +68,27 @@ pub struct Goals {
     known: Vec<Goal>,
     /// More are not remembered.
     most: usize,
-    /// Active goals on the server that are not ours.
+    /// Number of active goals on the server that are not ours.
     foreign: usize,
 }
 
 impl Goals {
-    /// No goals yet; this many are remembered.
+    /// Creates an empty list that stores this many goals.
     pub fn new(most: usize) -> Self {
         Goals { known: Vec::new(), most, foreign: 0 }
     }
 
-    /// Forgets them: their answers would come to a client that is gone.
+    /// Deletes all goals, because their answers would go to a client that no longer exists.
     pub fn clear(&mut self) {
         self.known.clear();
     }
 
-    /// How many goals run on the server that are not ours.
+    /// Returns the number of active goals on the server that are not ours.
     pub fn foreign(&self) -> usize {
         self.foreign
     }
 
-    /// Sends a goal; returns whether it could be handed over.
+    /// Sends a goal. Returns whether it was accepted for sending.
     pub fn send<G, R, F>(&mut self, client: &ActionClient<G, R, F>, ours: u32, goal: G) -> bool
     where
         G: Message + Clone + 'static,
@@ -102,7 +103,7 @@ impl Goals {
         true
     }
 
-    /// Asks for a goal to be ended; returns whether the request could be handed over.
+    /// Requests the cancellation of a goal. Returns whether the request was accepted for sending.
     pub fn cancel<G, R, F>(&self, client: &ActionClient<G, R, F>, ours: u32) -> bool
     where
         G: Message + Clone + 'static,
@@ -113,8 +114,7 @@ impl Goals {
         known.is_some_and(|goal| client.cancel_goal(goal.id).is_ok())
     }
 
-    /// Everything that has come in: our number of the goal, and what was reported about it. Answers to cancellations are handed
-    /// to `cancelled`.
+    /// Returns all reports with our numbers of the goals. Answers to cancellations are passed to `cancelled`.
     pub fn said<G, R, F>(
         &mut self,
         client: &ActionClient<G, R, F>,
@@ -133,7 +133,7 @@ impl Goals {
                 goal.result = client.request_result(goal.id).ok();
                 said.push((goal.ours, Said::Accepted));
             } else {
-                // Kept: if there are two servers, or an answer was forged, another server may still accept it.
+                // Kept, because with two servers or a forged answer, another server may still accept it.
                 said.push((goal.ours, Said::Rejected));
             }
         }
@@ -143,7 +143,7 @@ impl Goals {
             }
         }
         while let Ok(Some((request, response))) = client.result_client().receive_response() {
-            // Kept: a result that was forged must not keep a stop from cancelling.
+            // Kept, because a forged result must not prevent a stop from cancelling the goal.
             let Some(goal) = goals.iter_mut().find(|goal| goal.result == Some(request)) else { continue };
             goal.result = None;
             said.push((goal.ours, Said::Result(response.status, response.result)));
@@ -158,7 +158,7 @@ impl Goals {
     }
 }
 
-/// The goals in a server's list that are not over.
+/// Returns the unfinished goals in a server's list.
 pub fn active(list: &GoalStatusArray) -> impl Iterator<Item = GoalId> + '_ {
     use GoalStatusEnum::{Accepted, Canceling, Executing};
     let runs = |status: &&GoalStatus| matches!(status.status, Accepted | Executing | Canceling);

@@ -1,4 +1,4 @@
-//! What `doctor --ros2` says about a graph: who listens, and why nobody does.
+//! Analyses a graph for `doctor --ros2`: the subscribers, and the reasons why there are none.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -7,40 +7,40 @@ use super::config::{ArmInterface, Connection, Ros2Config, RosEnvironment};
 use super::hashes;
 use super::vendor::Vendor;
 
-/// Somebody else on the graph.
+/// Another participant on the graph.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Participant {
     /// Whose middleware.
     pub vendor: Vendor,
-    /// The protocol's version, such as `2.3`; empty if it is not known.
+    /// The version of the protocol, such as `2.3`; empty if unknown.
     pub version: String,
-    /// The name that it gives itself.
+    /// Name that the node reports for itself.
     pub name: Option<String>,
 }
 
-/// A reader or writer of somebody else.
+/// A reader or writer of another participant.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Endpoint {
-    /// As on the wire: `rt/cmd_vel`.
+    /// Name on the wire: `rt/cmd_vel`.
     pub topic: String,
-    /// As on the wire: `geometry_msgs::msg::dds_::Twist_`.
+    /// Type on the wire: `geometry_msgs::msg::dds_::Twist_`.
     pub type_name: String,
-    /// Asks for (or offers) that lost messages are sent again.
+    /// Whether the end point requests (or offers) retransmission of lost messages.
     pub reliable: bool,
-    /// Asks for (or offers) messages from before it came.
+    /// Whether the end point requests (or offers) messages from before its start.
     pub transient_local: bool,
     /// Whose middleware.
     pub vendor: Vendor,
-    /// Which participant: the first 12 bytes of its GUID.
+    /// The participant, as the first 12 bytes of its GUID.
     pub participant: String,
-    /// REP-2016's hash of its type, if it announces one.
+    /// REP-2016's hash of the type, if it is announced.
     pub type_hash: Option<String>,
 }
 
 /// What was discovered.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Graph {
-    /// Others than us, by the first 12 bytes of their GUID.
+    /// Participants other than us, by the first 12 bytes of their GUID.
     pub participants: BTreeMap<String, Participant>,
     /// Their readers.
     pub readers: Vec<Endpoint>,
@@ -48,17 +48,17 @@ pub struct Graph {
     pub writers: Vec<Endpoint>,
 }
 
-/// What this machine's sockets show.
+/// Information from this machine's sockets.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Machine {
-    /// Domains in which somebody on this machine listens.
+    /// Domains in which a program on this machine listens.
     pub domains: BTreeSet<u16>,
     /// A Zenoh router listens.
     pub zenoh: bool,
 }
 
 impl Machine {
-    /// From the text of Linux's `/proc/net/udp` and `/proc/net/tcp`.
+    /// Parses the text of Linux's `/proc/net/udp` and `/proc/net/tcp`.
     pub fn from_proc(udp: &str, tcp: &str) -> Self {
         let ports = |text: &str, listening_only: bool| -> BTreeSet<u16> {
             let port = |line: &str| {
@@ -70,14 +70,14 @@ impl Machine {
             };
             text.lines().skip(1).filter_map(port).collect()
         };
-        // A participant's ports: 7400 + 250 domain + 10 + 2 number, and one more for its data.
+        // A participant's ports are 7400 + 250 domain + 10 + 2 number, and the next one for its data.
         let domain = |port: u16| {
             let offset = port.checked_sub(7400)?;
             let within = offset % 250;
             (within >= 10 && within.is_multiple_of(2)).then_some(offset / 250)
         };
         let udp = ports(udp, false);
-        // Both ports must be there: a single one belongs to something else.
+        // Both ports must exist, because a single one belongs to another program.
         let pairs = udp.iter().filter(|&&port| port < u16::MAX && udp.contains(&(port + 1)));
         let domains = pairs.filter_map(|&port| domain(port)).collect();
         Machine { domains, zenoh: ports(tcp, true).contains(&7447) }
@@ -87,17 +87,17 @@ impl Machine {
 /// A topic of ours.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Topic {
-    /// As people write it: `/cmd_vel`.
+    /// Name for users: `/cmd_vel`.
     pub name: String,
     /// As on the wire.
     pub topic: String,
     /// As on the wire.
     pub type_name: String,
-    /// We write it; otherwise we read it.
+    /// Whether the bridge writes the topic; otherwise it reads the topic.
     pub written: bool,
     /// Our offer or request.
     pub reliable: bool,
-    /// Whether nothing works without somebody at the other end.
+    /// Whether the robot does not work without another participant on this topic.
     pub needed: bool,
     /// The key in `[ros2]`.
     pub key: &'static str,
@@ -145,7 +145,7 @@ pub fn ros_name(topic: &str) -> String {
     }
 }
 
-/// The topics of a configuration; if it leaves the speed's type open, the type is what the readers want.
+/// Returns the topics of a configuration. If the type of speeds is open, it follows the subscribers.
 pub fn topics(config: &Ros2Config, graph: &Graph) -> Vec<Topic> {
     let plain = |key, name: &str, type_name: &str, written, reliable, needed| {
         let name = config.resolve(name);
@@ -184,7 +184,7 @@ pub fn topics(config: &Ros2Config, graph: &Graph) -> Vec<Topic> {
     topics
 }
 
-/// Why these two do not match; `None` = they do.
+/// Returns why two end points do not match, or `None` if they do.
 fn mismatch(ours: &Topic, theirs: &Endpoint) -> Option<String> {
     if ours.type_name == theirs.type_name
         && let (Some(known), Some(hash)) = (hashes::of(&ros_type(&ours.type_name)), &theirs.type_hash)
@@ -208,7 +208,7 @@ fn mismatch(ours: &Topic, theirs: &Endpoint) -> Option<String> {
     None
 }
 
-/// What was found about one topic.
+/// The result for one topic.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Finding {
     /// For people, in order.
@@ -277,7 +277,7 @@ pub fn look_at(ours: &Topic, graph: &Graph) -> Finding {
         names.sort();
         names.dedup();
         let known = if ours.topic.starts_with("rq/") {
-            // Only the controller's part of the name.
+            // Returns only the controller's part of the name.
             let tail = "/follow_joint_trajectory/_action/send_goalRequest";
             names.iter().filter_map(|name| name.strip_suffix(tail)).map(str::to_owned).collect()
         } else {
@@ -302,7 +302,7 @@ pub fn look_at(ours: &Topic, graph: &Graph) -> Finding {
 
 fn whose(end: &Endpoint) -> String {
     match &end.type_hash {
-        // As long as it takes to tell two apart.
+        // This length is enough to distinguish two hashes.
         Some(hash) => format!("{}, {}", end.vendor, hash.get(..15).unwrap_or(hash)),
         None => format!("{}, no type hash", end.vendor),
     }
@@ -311,7 +311,7 @@ fn whose(end: &Endpoint) -> String {
 /// A harmless request and its answer.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Probe {
-    /// No server is known, or several are.
+    /// No server is known, or there are several.
     #[default]
     NotSent,
     /// Not answered yet.
@@ -320,24 +320,24 @@ pub enum Probe {
     Answered,
 }
 
-/// What was heard and tried while the graph was looked at.
+/// Observations and attempts during the examination of the graph.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Heard {
     /// Angles of the arm.
     pub joint_states: u64,
-    /// What the arm's controller says about itself.
+    /// Number of reports of the arm's controller about itself.
     pub controller_states: u64,
     /// A simulation's time.
     pub clocks: u64,
-    /// The robot's clock against the one that it should agree with.
+    /// The difference between the robot's clock and its reference.
     pub difference: Option<Difference>,
-    /// Why nothing would be armed.
+    /// The reason why nothing would be armed.
     pub refusal: Option<String>,
-    /// The arm's server was asked for the end of a goal that nobody has.
+    /// The result of asking the arm's server to cancel a goal that does not exist.
     pub probe: Probe,
 }
 
-/// The result of the tries.
+/// Describes the results of all attempts.
 pub fn tried(config: &Ros2Config, graph: &Graph, heard: &Heard, environment: &RosEnvironment) -> Finding {
     let (mut lines, mut advice) = (Vec::new(), Vec::new());
     let states = config.resolve(&config.joint_states);
@@ -383,7 +383,7 @@ pub fn tried(config: &Ros2Config, graph: &Graph, heard: &Heard, environment: &Ro
                  datagrams from it arrive here (firewall, another network)?",
                 server.vendor
             )),
-            // Two of them, which is reported elsewhere, or seen at the very end.
+            // There are two servers, which is reported elsewhere, or the server appeared at the very end.
             Probe::NotSent => {}
         }
         if let Some(rmw) = environment.rmw.as_deref()
@@ -409,7 +409,7 @@ pub fn tried(config: &Ros2Config, graph: &Graph, heard: &Heard, environment: &Ro
     Finding { lines, advice }
 }
 
-/// Variables that other nodes obey and this one cannot.
+/// Lists environment variables that other nodes use and this one does not support.
 pub fn variables(environment: &RosEnvironment) -> Vec<String> {
     let mut advice = Vec::new();
     if let Some(peers) = &environment.static_peers {
@@ -437,7 +437,7 @@ fn remedy(ours: &Topic, other: &Endpoint) -> &'static str {
     }
 }
 
-/// What to do if nobody is seen at all.
+/// Gives advice if there are no other participants.
 pub fn nobody(connection: &Connection, machine: &Machine) -> Vec<String> {
     let mut advice = Vec::new();
     let others: Vec<String> =
@@ -526,7 +526,7 @@ mod tests {
     fn twist_against_twist_stamped_is_named_with_the_option_that_helps() {
         let found = cmd_vel(|_| {}, vec![reader("rt/cmd_vel", wire::TWIST)]);
         assert_eq!((found.lines[0].contains("Twist, reliable]: 1 reader"), found.advice.len()), (true, 0));
-        // Two kinds at once: one of them is left out, and named.
+        // There are two types at once: one of them is ignored, and reported.
         let both = vec![reader("rt/cmd_vel", wire::TWIST), reader("rt/cmd_vel", wire::TWIST_STAMPED)];
         let found = cmd_vel(|_| {}, both);
         assert!(found.lines[0].contains("TwistStamped, reliable]: 1 reader"), "{:?}", found.lines);

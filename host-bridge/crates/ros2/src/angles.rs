@@ -1,11 +1,11 @@
-//! The arm's angles, as its joint states tell them.
+//! The arm's angles, as reported in joint states.
 
 use super::config::Ros2Config;
 use super::doubts::Doubts;
 use host_robot::{JOINTS, Motion, Reading};
 use host_topics::message::JointState;
 
-/// Joints in one message that are looked at.
+/// Maximum number of joints that are read in one message.
 const NAMES_MAX: usize = 256;
 
 /// See the module.
@@ -26,7 +26,7 @@ struct Seen {
 }
 
 impl Angles {
-    /// None was heard of yet.
+    /// Creates a record without angles.
     pub fn new(config: &Ros2Config) -> Self {
         Angles {
             names: config.joint_names.clone(),
@@ -40,11 +40,10 @@ impl Angles {
         &self.names
     }
 
-    /// Takes angles; joints that are not the arm's, and NaN, are left out. Whether it was about the
-    /// arm at all.
+    /// Reads angles, except those of other joints and NaN. Returns whether the message contained joints of the arm.
     pub fn see(&mut self, state: &JointState, now_ms: u64, doubts: &mut Doubts) -> bool {
         let mut about_arm = false;
-        // No arm has this many joints; the rest of a message that names more is ignored.
+        // No arm has this many joints, so the rest of a longer message is ignored.
         for (place, (name, &position_rad)) in
             state.name.iter().zip(&state.position).enumerate().take(NAMES_MAX)
         {
@@ -62,7 +61,7 @@ impl Angles {
         about_arm
     }
 
-    /// All joints, if all were heard of lately, and how old the oldest of it is; accelerations are not told.
+    /// Returns all joints with the age of the oldest, if all are recent. Accelerations are not reported.
     pub fn reading(&self, now_ms: u64) -> Option<Reading<Motion>> {
         let mut value = Motion::at_rest([0.0; JOINTS]);
         let mut age_ms = 0;
@@ -75,7 +74,7 @@ impl Angles {
         Some(Reading { value, age_ms })
     }
 
-    /// Which joints were not heard of lately, and what a person can do.
+    /// Describes the joints without recent angles, with a remedy.
     pub fn what_is_missing(&self, now_ms: u64) -> String {
         let fresh = |seen: &Option<Seen>| seen.is_some_and(|seen| self.is_fresh(&seen, now_ms));
         let joints = self.seen.iter().zip(&self.names);

@@ -1,16 +1,16 @@
 //! What comes back from an action.
 
-/// What an action server says about a goal.
+/// The report of an action server about a goal.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Answer {
-    /// It will be carried out.
+    /// The goal was accepted.
     Accepted,
     /// It will not.
     Rejected,
-    /// How far it is, in seconds of the trajectory.
+    /// Progress of the goal in seconds of the trajectory.
     Progress(f64),
     /// The pose was reached.
     Succeeded,
-    /// It was cancelled or aborted; the text says why.
+    /// The goal was cancelled or aborted, for the reason in the text.
     Ended(String),
 }

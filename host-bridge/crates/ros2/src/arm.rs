@@ -1,10 +1,11 @@
-//! An arm behind a `joint_trajectory_controller`: what is asked of it, and what it did.
+//! An arm with a `joint_trajectory_controller`: its commands and their results.
 //!
-//! There are three methods: a stream of short pieces ([`crate::stream`]), one goal of an action, one message. Only the first is an arm that
-//! stops when this program dies.
+//! There are three interfaces: a stream of short pieces ([`crate::stream`]), an action goal, and a single message.
+//! The arm stops after the death of this program only if the stream is used.
 //!
-//! Sans-IO. A trajectory starts at the angles that the robot itself reports, is sent as a whole, and is under way until the controller (action) or the angles and the time (topic) say that it is over. A
-//! stop cancels it; whatever is accepted after that is cancelled, too.
+//! This module is sans-IO. A trajectory starts at the angles that the robot reports, and is sent as a whole.
+//! A motion runs until the controller (action), or the angles and the time (topic), show its end.
+//! A stop cancels it, and also any goal that is accepted later.
 
 use std::sync::Arc;
 
@@ -19,21 +20,21 @@ use super::stream::{self, Late, RobotClock, Stream, off_rad};
 use host_robot::{End, Following, JointLimits, Joints, Motion, Reading, Trajectory};
 use host_topics::message::{ControllerState, Header, JointState};
 
-/// The goal counts as reached within this distance, if nobody reports its end.
+/// Maximum distance at which the goal counts as reached, if its end is not reported.
 const REACHED_RAD: f64 = 0.05;
-/// An arm that is further than this from where it should have been within the last [`FOLLOW_STEPS`] times 20 ms is
-/// stopped.
+/// Maximum distance between the arm and its expected positions within the last [`FOLLOW_STEPS`] times 20 ms.
+/// The arm is stopped if this distance is exceeded.
 const FOLLOW_RAD: f64 = 0.1;
 const FOLLOW_STEPS: u32 = 10;
-/// If the controller's set point is further than this from where it was, the arm has begun to move.
+/// If the controller's set point changes by more than this, the arm has begun to move.
 const BEGUN_RAD: f64 = 1e-4;
-/// A cancellation is abandoned after this long.
+/// Time after which an unconfirmed cancellation is abandoned.
 const CANCEL_PATIENCE_MS: u64 = 5000;
-/// No goal runs for longer than this.
+/// Maximum duration of any goal.
 const STRAY_MS: u64 = 300_000;
-/// A goal that was reported over too early is still cancelled by a stop for this long beyond its planned end.
+/// A goal that was reported as finished too early is still cancelled by a stop until this long after its planned end.
 const UNSURE_MS: u64 = 5000;
-/// A motion may take this much longer than planned.
+/// Maximum delay of a motion compared with its plan.
 const OVERDUE_MS: u64 = 10_000;
 
 #[derive(Clone, Debug)]
@@ -41,13 +42,13 @@ struct Run {
     goal: u32,
     trajectory: Arc<Trajectory>,
     asked_ms: u64,
-    /// When it began to move; `None` = no answer yet.
+    /// Time at which it began to move; `None` without an answer.
     moving_since_ms: Option<u64>,
-    /// As the controller reports it.
+    /// Elapsed time as reported by the controller.
     elapsed_s: Option<f64>,
     /// Sent in pieces.
     stream: Option<Stream>,
-    /// The time since which it has been abandoned.
+    /// The time at which the motion was abandoned.
     stopping_since_ms: Option<u64>,
     cancelled_ms: u64,
 }
@@ -67,19 +68,19 @@ pub struct ArmLink {
     answer_ms: u64,
     angles: Angles,
     clock: RobotClock,
-    /// Whether somebody takes goals (or trajectories).
+    /// Whether there is a subscriber for goals (or trajectories).
     listened_to: bool,
     run: Option<Run>,
     goals: u32,
-    /// Goals that were abandoned but may still run: their end is asked for.
+    /// Abandoned goals that may still be running, whose cancellation is requested.
     strays: Strays,
-    /// Goals that were reported over before they could be, and the time until which they may still run.
+    /// Goals that were reported as finished too early, with the time until which they may still be running.
     unsure: Unsure,
     doubts: Doubts,
     end: Option<End>,
-    /// Whether the controller has begun the trajectory.
+    /// Whether the controller has started the trajectory.
     is_accepted: bool,
-    /// The controller's set point when a trajectory was sent, until the trajectory is seen to have begun.
+    /// The controller's set point when a trajectory was sent, until its start is detected.
     wanted_then: Option<Joints>,
     /// The controller's set point.
     wanted: Option<Joints>,
@@ -87,7 +88,7 @@ pub struct ArmLink {
 }
 
 impl ArmLink {
-    /// An arm of which nothing is known yet.
+    /// Creates an arm without any information.
     pub fn new(config: &Ros2Config, limits: JointLimits) -> Self {
         ArmLink {
             interface: config.arm,
@@ -114,12 +115,12 @@ impl ArmLink {
         self.interface
     }
 
-    /// Takes angles; joints that are not the arm's, and NaN, are left out.
+    /// Reads angles, except those of other joints and NaN.
     pub fn see(&mut self, state: &JointState, now_ms: u64) {
         self.see_from("", state, now_ms);
     }
 
-    /// The same, from somebody with a name.
+    /// Like [`Self::see`], for angles from a named publisher.
     pub fn see_from(&mut self, teller: &str, state: &JointState, now_ms: u64) {
         self.clock.see(state.header.stamp, now_ms);
         if self.angles.see(state, now_ms, &mut self.doubts) {
@@ -127,7 +128,7 @@ impl ArmLink {
         }
     }
 
-    /// What the controller reports about itself, and the factor by which it scales speeds, if it reports it.
+    /// Processes the controller's report about itself, and its speed scaling, if reported.
     pub fn see_controller(&mut self, state: &ControllerState, scaling: Option<f64>, now_ms: u64) {
         let read = |values: &[f64]| in_order(self.angles.names(), &state.joint_names, values);
         self.wanted = read(&state.reference.positions);
@@ -140,41 +141,41 @@ impl ArmLink {
         self.doubts.controller(reference, scaling, now_ms);
     }
 
-    /// How many goals of others are active on the controller's action server.
+    /// Sets the number of other programs' active goals on the controller's action server.
     pub fn set_foreign_goals(&mut self, goals: usize) {
         self.doubts.set_foreign(goals);
     }
 
-    /// Where the controller holds the arm, as long as it rests.
+    /// Returns the position at which the controller holds the resting arm.
     pub fn held_rad(&self, now_ms: u64) -> Option<Joints> {
         let here = self.sample(now_ms)?;
         self.doubts.held(&here.joints_rad, now_ms)
     }
 
-    /// Reasons against moving the arm.
+    /// Returns a reason against moving the arm.
     fn problem(&self, now_ms: u64) -> Option<String> {
         self.doubts.problem(self.interface == ArmInterface::Stream, now_ms)
     }
 
-    /// Whether somebody takes goals (or trajectories) at all.
+    /// Sets whether there is a subscriber for goals (or trajectories).
     pub fn set_listened_to(&mut self, listened_to: bool) {
         self.listened_to = listened_to;
     }
 
-    /// All joints, if all were reported lately; accelerations are not reported.
+    /// Returns all joints, if all were reported recently. Accelerations are not reported.
     pub fn sample(&self, now_ms: u64) -> Option<Motion> {
         self.reading(now_ms).map(|reading| reading.value)
     }
 
-    /// The same, with the age of the oldest value.
+    /// Returns the same with the age of the oldest value.
     pub fn reading(&self, now_ms: u64) -> Option<Reading<Motion>> {
         self.angles.reading(now_ms)
     }
 
-    /// Whether a trajectory could be sent now.
+    /// Checks whether a trajectory can be sent now.
     ///
     /// # Errors
-    /// The arm's angles are unknown or old, or nobody listens.
+    /// Fails if the arm's angles are unknown or old, or there is no subscriber.
     pub fn can_follow(&self, now_ms: u64) -> Result<(), String> {
         if self.interface == ArmInterface::None {
             return Err("this robot's arm is not driven (arm = \"none\" in [ros2])".to_owned());
@@ -203,7 +204,7 @@ impl ArmLink {
     /// Sends a trajectory.
     ///
     /// # Errors
-    /// As [`ArmLink::can_follow`]; one at a time.
+    /// The errors of [`ArmLink::can_follow`], or that another trajectory is running.
     pub fn follow(
         &mut self,
         trajectory: Arc<Trajectory>,
@@ -221,7 +222,7 @@ impl ArmLink {
             outputs.push(self.output(self.goals, &trajectory));
         }
         self.is_accepted = false;
-        // An action's server answers; with a topic only the controller's own state shows the progress.
+        // An action server answers. With a topic, only the controller's own state shows the progress.
         self.wanted_then = self.wanted.filter(|_| self.interface != ArmInterface::Action);
         self.run = Some(Run {
             goal: self.goals,
@@ -328,12 +329,12 @@ impl ArmLink {
         outputs.push(output);
     }
 
-    /// Takes an answer of the action server.
+    /// Processes an answer of the action server.
     pub fn answer(&mut self, goal: u32, answer: Answer, now_ms: u64, outputs: &mut Vec<Output>) {
         let Some(run) = self.run.as_mut().filter(|run| run.goal == goal) else {
             match answer {
                 Answer::Accepted => {
-                    // Abandoned long ago, or rejected by another server: nothing that is late may move.
+                    // The goal was abandoned long ago or rejected by another server, so it must not move the arm now.
                     self.strays.add(goal, now_ms, now_ms + STRAY_MS);
                     outputs.push(Output::Cancel { goal });
                     self.notes
@@ -345,7 +346,7 @@ impl ArmLink {
             return;
         };
         if matches!(answer, Answer::Succeeded | Answer::Rejected | Answer::Ended(_)) {
-            // If there are two servers, or an answer was forged, it may still run though it is reported over.
+            // With two servers or a forged answer, it may be running although it was reported as finished.
             let planned_ms = (run.trajectory.duration_s() * 1000.0) as u64;
             if now_ms.saturating_sub(run.asked_ms) < planned_ms {
                 self.unsure.add(goal, run.asked_ms + planned_ms + UNSURE_MS);
@@ -353,7 +354,7 @@ impl ArmLink {
         }
         match answer {
             Answer::Accepted if run.moving_since_ms.is_some() && run.stopping_since_ms.is_none() => {
-                // Two servers, or a forged answer: of two motions only one would be watched.
+                // With two servers or a forged answer, only one of two motions would be monitored.
                 self.notes.push(
                     "two controllers have accepted the goal: it is cancelled; end all but one of them"
                         .to_owned(),
@@ -383,7 +384,7 @@ impl ArmLink {
         }
     }
 
-    /// Whether the controller has taken the motion since the last call.
+    /// Returns whether the controller has accepted the motion since the last call.
     pub fn take_accepted(&mut self) -> bool {
         std::mem::take(&mut self.is_accepted)
     }
@@ -395,7 +396,7 @@ impl ArmLink {
         }
     }
 
-    /// Lets the time become `now_ms`.
+    /// Advances the time to `now_ms`.
     pub fn step(&mut self, now_ms: u64, outputs: &mut Vec<Output>) {
         let sample = self.sample(now_ms);
         self.strays.step(now_ms, |goal| outputs.push(Output::Cancel { goal }));
@@ -455,7 +456,7 @@ impl ArmLink {
         }
     }
 
-    /// The same for a trajectory in pieces.
+    /// Like [`Self::step`], for a trajectory in pieces.
     fn step_stream(&mut self, sample: Option<Motion>, now_ms: u64, outputs: &mut Vec<Output>) {
         let Some(robot_ns) = self.clock.at_ns(now_ms) else { return };
         let Some(Run { trajectory, stream: Some(stream), stopping_since_ms, .. }) = &mut self.run else {
@@ -472,7 +473,7 @@ impl ArmLink {
         let problem = match sample {
             None => Some("the arm's angles are no longer heard of".to_owned()),
             Some(sample) => {
-                // Where it should have been at some recent time.
+                // Returns the expected position at a recent time.
                 let ago = |k: u32| trajectory.motion((elapsed_s - f64::from(k) * 0.02).max(0.0)).joints_rad;
                 let off = (0..=FOLLOW_STEPS)
                     .map(|k| off_rad(&sample.joints_rad, &ago(k)))
@@ -510,12 +511,12 @@ impl ArmLink {
         }
     }
 
-    /// How the last trajectory ended; once.
+    /// Returns the result of the last trajectory, once.
     pub fn take_end(&mut self) -> Option<End> {
         self.end.take()
     }
 
-    /// What a person should know; each message once.
+    /// Returns messages for the user, each of them once.
     pub fn take_notes(&mut self) -> Vec<String> {
         std::mem::take(&mut self.notes)
     }
@@ -615,7 +616,7 @@ mod tests {
             let state = ControllerState { joint_names: names(), reference, ..Default::default() };
             rig.arm.see_controller(&state, None, rig.now_ms);
         };
-        // It holds the arm at a small distance from the reported angles.
+        // The controller holds the arm at a small distance from the reported angles.
         let mut held = HOME;
         held[1] += 0.01;
         tell(&mut rig, held);
@@ -664,7 +665,7 @@ mod tests {
         rig.arm.see(&part, rig.now_ms);
         let text = rig.start().unwrap_err();
         assert!(text.contains("joint_7") && !text.contains("joint_1,"), "{text}");
-        // The gripper's joint comes in a message of its own, as some drivers have it.
+        // The gripper's joint is reported in a separate message, as some drivers do.
         let last = JointState { name: vec!["joint_7".into()], position: vec![1.57], ..JointState::default() };
         rig.arm.see(&last, rig.now_ms);
         rig.start().unwrap();

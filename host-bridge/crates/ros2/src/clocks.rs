@@ -1,37 +1,39 @@
-//! The robot's clock, from here: how far its stamps are from this machine's clock, and which stamps commands get.
+//! Compares the robot's clock with this machine's clock, and determines the stamps of commands.
 //!
-//! A stamp that arrives was set at most a moment before, so `stamp - now here` is the clocks' difference minus the time
-//! on the way; the largest of the last seconds is nearest to it. A robot that stamps its states late looks the same as
-//! one whose clock is behind, and is as unfit to be commanded by stamps.
+//! A received stamp was set shortly before, so `stamp - local time` is the clock difference minus the transmission
+//! time.
+//! The largest value of the last seconds is the most accurate one.
+//! A robot that stamps its states late looks like one whose clock is behind,
+//! and is equally unsuitable for stamped commands.
 //!
-//! If somebody publishes `/clock`, that is the graph's time (`use_sim_time`) and everything is compared with it.
+//! If `/clock` is published, it is the graph's time (`use_sim_time`), and all stamps are compared with it.
 
 use std::collections::VecDeque;
 
 use serde::{Deserialize, Serialize};
 
-/// Beyond this difference nothing is armed, in seconds.
+/// Maximum difference for arming, in seconds.
 pub const DIFFERENCE_MAX_S: f64 = 0.1;
 /// Stamps within this time are compared.
 const WINDOW_MS: u64 = 2000;
-/// The clock of a simulation that was silent for this long has stopped, or is gone.
+/// A simulation's clock that is silent for this long has stopped or disappeared.
 const SIMULATED_SILENCE_MS: u64 = 1000;
-/// A difference is reported after this many stamps.
+/// Minimum number of stamps for reporting a difference.
 const STAMPS_MIN: usize = 3;
 /// More are not kept.
 const STAMPS_MAX: usize = 1024;
 
-/// What stamps the base's speeds get.
+/// The kinds of stamps for the base's speed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Stamp {
-    /// Zero: Jazzy's diff_drive_controller puts the time of arrival in its place, so that its own timeout holds
-    /// whatever the clocks say.
+    /// Zero, which Jazzy's diff_drive_controller replaces by the time of arrival.
+    /// The controller's timeout therefore works with any clocks.
     #[default]
     Zero,
-    /// The graph's time: `/clock` where somebody publishes it, else this machine's clock plus the measured difference.
+    /// The graph's time: `/clock` if published, otherwise this machine's clock plus the measured difference.
     Clock,
-    /// This machine's clock, as it is.
+    /// This machine's clock, unchanged.
     Wall,
 }
 
@@ -47,18 +49,18 @@ pub enum Source {
 /// The measured difference.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Difference {
-    /// The robot's clock minus the one it should agree with, in seconds. Negative: the robot's is behind.
+    /// The robot's clock minus its reference in seconds. It is negative if the robot's clock is behind.
     pub seconds: f64,
-    /// The robot's time is a simulation's, from `/clock`.
+    /// Whether the robot's time is simulated and comes from `/clock`.
     pub is_simulated: bool,
 }
 
 /// See the module.
 #[derive(Clone, Debug, Default)]
 pub struct Clocks {
-    /// When it was heard, and its stamp minus the clock it should agree with, in seconds.
+    /// Time of arrival, and the stamp minus its reference in seconds.
     heard: [VecDeque<(u64, f64)>; 2],
-    /// When it was heard and what it said, in ms here and s there.
+    /// Time of arrival in ms, and the simulated time in s.
     simulated: Option<(u64, f64)>,
 }
 
@@ -69,13 +71,13 @@ impl Clocks {
             return;
         }
         if self.simulated.is_none() {
-            // Earlier comparisons with this machine's clock no longer count.
+            // Earlier comparisons with this machine's clock no longer apply.
             self.heard.iter_mut().for_each(VecDeque::clear);
         }
         self.simulated = Some((now_ms, time_s));
     }
 
-    /// A stamp of the robot. Zero is no stamp.
+    /// Processes a stamp of the robot. Zero means that there is no stamp.
     pub fn hear(&mut self, source: Source, stamp_s: f64, wall_s: f64, now_ms: u64) {
         if stamp_s == 0.0 || !stamp_s.is_finite() {
             return;
@@ -88,7 +90,7 @@ impl Clocks {
         heard.push_back((now_ms, difference));
     }
 
-    /// The graph's time, if its clocks agree: `/clock`, else this machine's.
+    /// Returns the graph's time, if its clocks agree: `/clock`, otherwise this machine's.
     fn reference_s(&self, wall_s: f64, now_ms: u64) -> f64 {
         match self.simulated {
             Some((at_ms, time_s)) => {
@@ -98,7 +100,8 @@ impl Clocks {
         }
     }
 
-    /// The clocks' difference; `None` as long as too few stamps were heard lately. If there are several sources, the worst counts.
+    /// Returns the clock difference, or `None` if there are too few recent stamps.
+    /// If there are several sources, the worst one counts.
     pub fn difference(&self, now_ms: u64) -> Option<Difference> {
         let newest = |heard: &VecDeque<(u64, f64)>| {
             let lately = heard.iter().filter(|(at_ms, _)| now_ms.saturating_sub(*at_ms) <= WINDOW_MS);
@@ -110,7 +113,7 @@ impl Clocks {
         Some(Difference { seconds: worst, is_simulated: self.simulated.is_some() })
     }
 
-    /// Why nothing may be armed; `None` = the clocks agree, or the robot stamps nothing.
+    /// Returns why nothing may be armed, or `None` if the clocks agree or the robot sends no stamps.
     pub fn refusal(&self, now_ms: u64) -> Option<String> {
         if let Some((at_ms, _)) = self.simulated
             && now_ms.saturating_sub(at_ms) > SIMULATED_SILENCE_MS
@@ -123,7 +126,7 @@ impl Clocks {
         (difference.seconds.abs() > DIFFERENCE_MAX_S).then(|| advice(difference))
     }
 
-    /// The same for speeds with such stamps.
+    /// Like [`Self::refusal`], for speeds with these stamps.
     pub fn refusal_of(&self, stamp: Stamp, now_ms: u64) -> Option<String> {
         if self.simulated.is_some() && stamp == Stamp::Wall {
             return Some(
@@ -134,8 +137,8 @@ impl Clocks {
         self.refusal(now_ms)
     }
 
-    /// The robot's time of what is decided now, in seconds; `None` if its clock is not known. What is to be
-    /// carried out by the robot's clock (an arm's trajectory) is stamped with this.
+    /// Returns the robot's time of a current decision in seconds, or `None` if its clock is unknown.
+    /// Commands that the robot executes by its own clock (an arm's trajectory) get this stamp.
     pub fn robot_s(&self, wall_s: f64, now_ms: u64) -> Option<f64> {
         let difference = self.difference(now_ms);
         match self.simulated {
@@ -144,7 +147,7 @@ impl Clocks {
         }
     }
 
-    /// The stamp of a speed that was decided at `wall_s`, in seconds; zero means "on arrival".
+    /// Returns the stamp in seconds for a speed that was decided at `wall_s`; zero means "on arrival".
     pub fn stamp_s(&self, stamp: Stamp, wall_s: f64, now_ms: u64) -> f64 {
         match stamp {
             Stamp::Zero => 0.0,
@@ -154,7 +157,7 @@ impl Clocks {
     }
 }
 
-/// What a difference means and what helps.
+/// Explains a difference and gives advice.
 pub fn advice(Difference { seconds, is_simulated }: Difference) -> String {
     let (apart, side) = (seconds.abs(), if seconds < 0.0 { "behind" } else { "ahead of" });
     if is_simulated {
@@ -163,7 +166,7 @@ pub fn advice(Difference { seconds, is_simulated }: Difference) -> String {
              /clock should not"
         );
     }
-    // No clock of today says 2001.
+    // Current clocks never show the year 2001.
     if apart > 0.5e9 {
         return "the robot's stamps are a simulation's, but nobody publishes /clock: start the simulator's clock \
                 bridge, or its nodes without use_sim_time"
@@ -181,7 +184,7 @@ mod tests {
 
     const WALL_S: f64 = 1_790_000_000.0;
 
-    /// Receives stamps for a second; `late_s` is the time on the way, which varies.
+    /// Receives stamps for a second; `late_s` is the varying transmission time.
     fn heard(offset_s: f64, late_s: f64) -> Clocks {
         let mut clocks = Clocks::default();
         for n in 0..100_u64 {
@@ -245,8 +248,8 @@ mod tests {
         assert!(clocks.refusal(3000).unwrap().contains("stands still"));
     }
 
-    /// A base behind diff_drive_controller: a stamp of zero becomes the time of arrival, and what is more than 0.5 s old
-    /// by the robot's own clock brakes.
+    /// A base with diff_drive_controller: a zero stamp is replaced by the time of arrival.
+    /// The controller brakes if a command is more than 0.5 s old by the controller's clock.
     #[test]
     fn with_any_clocks_the_base_stops_soon_after_the_last_command_or_nothing_arms() {
         let (mut worst_s, mut refused, mut count) = (0.0_f64, 0, 0);
@@ -254,7 +257,7 @@ mod tests {
             for apart_s in [0.05, 0.09, 0.11, 0.5, 2.0, 10.0, 30.0_f64].iter().flat_map(|s| [*s, -*s]) {
                 for stamp in [Stamp::Zero, Stamp::Clock, Stamp::Wall] {
                     let mut clocks = Clocks::default();
-                    // The graph's time is wall-clock time or a simulation's; the robot's differs from it.
+                    // The graph's time is wall-clock time or simulated time, and the robot's time differs from it.
                     let graph_s = |wall_s: f64| if simulated { wall_s - WALL_S + 10.0 } else { wall_s };
                     for n in 0..200_u64 {
                         let now = WALL_S + n as f64 * 0.01;
@@ -276,7 +279,7 @@ mod tests {
                     let robot_s = |wall_s: f64| graph_s(wall_s) + apart_s;
                     let stamp_s = clocks.stamp_s(stamp, sent_s, 2000);
                     let stored_s = if stamp_s == 0.0 { robot_s(sent_s) } else { stamp_s };
-                    // The robot brakes when its clock shows 0.5 s more than what is stored.
+                    // The robot brakes when its clock is 0.5 s after the stored stamp.
                     let stops_s = stored_s + 0.5 - robot_s(sent_s);
                     assert!(
                         stops_s <= 0.6 + 1e-6,

@@ -8,17 +8,17 @@ use super::clocks::Stamp;
 use host_robot::JOINTS;
 use host_topics::messages::ARM_PREFIX;
 
-/// How arm motions are sent. One of them, never both.
+/// The interface for arm motions. Only one of them is used.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum ArmInterface {
-    /// As short pieces on the controller's topic, each ending at rest: a dead program is an arm at rest.
+    /// Sends short pieces to the controller's topic, each ending at rest, so that the arm stops if the program dies.
     #[default]
     Stream,
-    /// As whole `FollowJointTrajectory` goals: with feedback, and cancelled on a stop. **No third stop**: the arm of a dead
-    /// program finishes its goal.
+    /// Complete `FollowJointTrajectory` goals with feedback, cancelled by a stop.
+    /// **No third stop**: if the program dies, the arm finishes its goal.
     Action,
-    /// As whole `JointTrajectory` messages; a stop sends a braking trajectory. **No third stop** either.
+    /// Complete `JointTrajectory` messages; a stop sends a braking trajectory. **No third stop** either.
     Topic,
     /// Not at all.
     None,
@@ -41,7 +41,7 @@ pub enum Carrier {
 pub enum Stamped {
     /// As said.
     Fixed(bool),
-    /// As the reader wants them.
+    /// Use the type that the subscriber requires.
     Open(Auto),
 }
 
@@ -54,10 +54,10 @@ pub enum Auto {
 }
 
 impl Stamped {
-    /// As the reader wants them.
+    /// Use the type that the subscriber requires.
     pub const AUTO: Stamped = Stamped::Open(Auto::Auto);
 
-    /// The setting; `None` = the reader decides.
+    /// Returns the setting, or `None` if the subscriber decides.
     pub fn fixed(self) -> Option<bool> {
         match self {
             Stamped::Fixed(stamped) => Some(stamped),
@@ -75,9 +75,9 @@ const GEN3_JOINTS: usize = 7;
 pub struct Ros2Config {
     /// Name of the node.
     pub node: String,
-    /// Namespace of this operator and robot, such as `/cell1`; empty = none.
+    /// Namespace of this operator and robot, such as `/cell1`; empty means none.
     pub namespace: String,
-    /// DDS domain, 0 to 232; -1 = `ROS_DOMAIN_ID`, or 0.
+    /// DDS domain, 0 to 232; -1 means `ROS_DOMAIN_ID`, or 0.
     pub domain_id: i32,
     /// What carries it.
     pub transport: Carrier,
@@ -88,24 +88,24 @@ pub struct Ros2Config {
     /// Addresses of the network interfaces to use; empty = all. `ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST`
     /// and `ROS_LOCALHOST_ONLY=1` count as `["127.0.0.1"]` where nothing else is said.
     pub interfaces: Vec<IpAddr>,
-    /// Speeds as `TwistStamped` (true, as Jazzy's diff_drive_controller wants them), as `Twist` (false), or `"auto"`: as
-    /// whoever listens wants them.
+    /// Type of speeds: `TwistStamped` (true, as Jazzy's diff_drive_controller needs), `Twist` (false), or `"auto"`,
+    /// which follows the subscriber.
     pub stamped: Stamped,
     /// What stamps speeds get.
     pub stamp: Stamp,
-    /// Topic of the base's speed. Names without a leading slash are in the namespace.
+    /// Topic of the base's speed. Names without a leading slash are relative to the namespace.
     pub cmd_vel: String,
-    /// Speeds per second while driving or stopping.
+    /// Rate of speed commands while driving or stopping.
     pub rate_hz: u32,
-    /// After a stop zero is repeated for this long; then there is silence.
+    /// Duration for which zero is repeated after a stop, followed by silence.
     pub stop_ms: u64,
-    /// Speeds older than this are dropped on the way by middleware that can (Fast DDS); 0 = never.
+    /// Maximum age of speeds in middleware that supports it (Fast DDS); 0 means unlimited.
     pub lifespan_ms: u64,
-    /// Messages that a topic keeps for slow readers.
+    /// Number of messages that a topic stores for slow subscribers.
     pub depth: u32,
-    /// Lost messages are sent again. A best-effort writer reaches no reliable reader.
+    /// Whether lost messages are sent again. A best-effort writer does not match a reliable reader.
     pub reliable: bool,
-    /// How arm motions are sent.
+    /// The interface for arm motions.
     pub arm: ArmInterface,
     /// The arm's controller.
     pub arm_controller: String,
@@ -113,35 +113,37 @@ pub struct Ros2Config {
     pub joint_names: Vec<String>,
     /// Where the arm's angles are read (or, with `--publish-sim`, written).
     pub joint_states: String,
-    /// Angles older than this are not planned from.
+    /// Maximum age of angles for planning.
     pub joint_states_max_age_ms: u64,
-    /// A goal without an answer for this long is abandoned and cancelled.
+    /// Time after which a goal without an answer is abandoned and cancelled.
     pub answer_ms: u64,
-    /// The gripper's action, as `gripper_controller/gripper_cmd`: GripperCommand or ParallelGripperCommand, whichever is
-    /// there; `"auto"` = the only one there is whose name ends in `gripper_cmd`; empty = none.
+    /// The gripper's action, such as `gripper_controller/gripper_cmd` (GripperCommand or ParallelGripperCommand).
+    /// `"auto"` selects the only one whose name ends in `gripper_cmd`; empty means none.
     pub gripper: String,
-    /// The gripper's joint in the joint states, if it is reported there; empty = it is not looked for.
+    /// Name of the gripper's joint in the joint states; empty if it is not reported.
     pub gripper_joint: String,
-    /// The joint's position while the gripper is open,
+    /// Position of the joint when the gripper is open.
     pub gripper_open: f64,
-    /// and while it is shut.
+    /// Position of the joint when the gripper is closed.
     pub gripper_closed: f64,
-    /// How far apart the fingers are when it is open, in m.
+    /// Distance between the open fingers in m.
     pub gripper_width_m: f64,
-    /// A gripper that reports nothing for this long has failed.
+    /// A gripper without a report for this long has failed.
     pub gripper_timeout_ms: u64,
-    /// A `std_msgs/Bool` of somebody else's, best latched: true = base and arm stop, as a lock of twist_mux. Also a
-    /// stop: nobody publishes it. Empty = there is none.
+    /// Topic of an external e-stop (`std_msgs/Bool`), preferably latched.
+    /// True stops base and arm, like a lock of twist_mux.
+    /// A missing publisher also stops them. Empty means none.
     pub estop: String,
-    /// An e-stop that is silent for this long counts as a stop; 0 = its last message holds.
+    /// Duration of silence of an e-stop that counts as a stop; 0 means that its last message remains valid.
     pub estop_timeout_ms: u64,
-    /// A driver's fault flag, taken as an e-stop; for ros2_kortex `/fault_controller/internal_fault`.
+    /// Topic of a driver's fault flag, treated as an e-stop; for ros2_kortex `/fault_controller/internal_fault`.
     pub fault: String,
     /// As `estop_timeout_ms`.
     pub fault_timeout_ms: u64,
-    /// Where this program says whether its operator's stop holds (true = stopped), ready for twist_mux's locks.
+    /// Topic that reports this program's stop (true = stopped), in the form of twist_mux's locks.
     pub stopped: String,
-    /// The base's odometry, whose stamps are compared with this machine's clock. With `--publish-sim` the simulator's.
+    /// Topic of the base's odometry, whose stamps are compared with this machine's clock.
+    /// With `--publish-sim`, the simulator's.
     pub odom: String,
     /// Transforms of the simulator, with `--publish-sim`.
     pub tf: String,
@@ -151,11 +153,11 @@ pub struct Ros2Config {
     pub odom_frame: String,
     /// Frame of the base, and of its speed.
     pub base_frame: String,
-    /// Frame of the arm's foot; empty = its link in the arm's own description, after `arm_prefix`.
+    /// Frame of the arm's base; empty means `arm_prefix` plus its link in the arm's own description.
     pub arm_base_frame: String,
-    /// Before the names of the arm's links, as `prefix` of ros2_kortex's description.
+    /// Prefix of the arm's link names, like `prefix` in ros2_kortex's description.
     pub arm_prefix: String,
-    /// The simulator's URDF, with `--publish-sim`; empty = it is not published.
+    /// Topic of the simulator's URDF, with `--publish-sim`; empty means that it is not published.
     pub robot_description: String,
 }
 
@@ -207,7 +209,7 @@ impl Default for Ros2Config {
     }
 }
 
-/// The environment's settings, looked up when the program starts.
+/// The environment's settings, read at the start of the program.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct RosEnvironment {
     /// `ROS_DOMAIN_ID`.
@@ -249,27 +251,27 @@ pub struct Connection {
     pub domain_id: u16,
     /// Who said so.
     pub domain_from: &'static str,
-    /// Addresses of the interfaces; empty = all.
+    /// Addresses of the interfaces; empty means all.
     pub interfaces: Vec<IpAddr>,
     /// Zenoh's own configuration file.
     pub zenoh_config: Option<String>,
 }
 
 impl Connection {
-    /// Whether only this machine is to be reached.
+    /// Returns whether only this machine can be reached.
     pub fn is_loopback_only(&self) -> bool {
         !self.interfaces.is_empty() && self.interfaces.iter().all(IpAddr::is_loopback)
     }
 }
 
-/// The largest domain whose ports exist.
+/// The largest domain with valid ports.
 const DOMAIN_MAX: i32 = 232;
 
 impl Ros2Config {
     /// Are all values sound?
     ///
     /// # Errors
-    /// What is wrong, and what is right.
+    /// The invalid value, and the valid ones.
     pub fn check(&self) -> Result<(), String> {
         let ensure = |sound: bool, what: &str| if sound { Ok(()) } else { Err(format!("ros2: {what}")) };
         ensure(is_name(&self.node), "node is letters, digits and underscores, not starting with a digit")?;
@@ -353,10 +355,10 @@ impl Ros2Config {
         if name.starts_with('/') { name.to_owned() } else { format!("{}/{name}", self.namespace) }
     }
 
-    /// Decides between this file and the environment.
+    /// Combines this configuration with the environment.
     ///
     /// # Errors
-    /// What in the environment cannot be used, and what to do.
+    /// The setting of the environment that cannot be used, with a remedy.
     pub fn connection(&self, environment: &RosEnvironment) -> Result<Connection, String> {
         let (domain, domain_from) = match (self.domain_id, &environment.domain_id) {
             (0.., _) => (self.domain_id, "the configuration"),
@@ -403,13 +405,13 @@ impl Ros2Config {
     }
 }
 
-/// One part of a name, as ROS 2 has them.
+/// Returns whether this is a valid part of a ROS 2 name.
 fn is_name(name: &str) -> bool {
     let starts = name.chars().next().is_some_and(|c| c.is_ascii_alphabetic() || c == '_');
     starts && name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_') && !name.contains("__")
 }
 
-/// Parts with slashes between them.
+/// Returns whether these are valid parts with slashes between them.
 fn are_names(names: &str) -> bool {
     names.split('/').all(is_name)
 }

@@ -1,5 +1,5 @@
-//! `/robot_description`: the simulated robot as URDF, under the names of frames and joints that are published beside it.
-//! Shapes are the ones that motions are planned with; there are no meshes.
+//! `/robot_description`: the simulated robot as URDF, with the published names of frames and joints.
+//! The description contains the shapes that the planner uses, and no meshes.
 
 use std::fmt::Write as _;
 
@@ -9,10 +9,10 @@ use host_robot::{DMat3, DVec3, EulerRot, RobotSetting};
 use host_topics::messages::Frames;
 
 impl Ros2Config {
-    /// Names of the frames on the graph.
+    /// Returns the names of the frames on the graph.
     ///
     /// # Errors
-    /// Two frames would have one name.
+    /// Fails if two frames would have the same name.
     pub fn frames(&self, setting: &RobotSetting) -> Result<Frames, String> {
         let mut frames = Frames {
             odom: self.odom_frame.clone(),
@@ -91,7 +91,7 @@ pub fn urdf(setting: &RobotSetting, frames: &Frames, config: &Ros2Config) -> Str
     text + "</robot>\n"
 }
 
-/// A joint as URDF has it.
+/// A joint in the terms of URDF.
 struct Joint<'a> {
     name: &'a str,
     kind: &'a str,
@@ -114,7 +114,7 @@ impl Joint<'_> {
     }
 }
 
-/// A link of these shapes, for eyes and for collisions alike.
+/// Writes a link with these shapes, both visible and for collisions.
 fn link(text: &mut String, name: &str, shapes: &[(DVec3, DMat3, String)]) {
     let _ = write!(text, "<link name=\"{}\">", escaped(name));
     for kind in ["visual", "collision"] {
@@ -125,7 +125,7 @@ fn link(text: &mut String, name: &str, shapes: &[(DVec3, DMat3, String)]) {
     *text += "</link>\n";
 }
 
-/// Each as a cylinder and two balls.
+/// Converts each capsule to a cylinder and two spheres.
 fn capsules(capsules: &[Capsule]) -> Vec<(DVec3, DMat3, String)> {
     let mut shapes = Vec::new();
     for &Capsule { a_m, b_m, radius_m } in capsules {

@@ -1,7 +1,8 @@
-//! The sockets of the node, tied to the loopback device where the configuration asks for loopback alone.
+//! Binds the node's sockets to the loopback device, if the configuration requires loopback only.
 //!
-//! RustDDS binds its listeners to 0.0.0.0 whatever networks are chosen, so that anybody who can reach this machine can
-//! send to them. On Linux a socket can be tied to a device after the fact; elsewhere that is not done, and said.
+//! RustDDS binds its listeners to 0.0.0.0 for any choice of networks,
+//! so anyone who can reach this machine can send to them.
+//! On Linux, a socket can be bound to a device later. On other systems this is not possible, and it is reported.
 
 #[cfg(target_os = "linux")]
 pub use linux::{sockets, tie_to_loopback};
@@ -14,7 +15,7 @@ mod linux {
     use rustix::process::{PidfdFlags, PidfdGetfdFlags, getpid, pidfd_getfd, pidfd_open};
     use socket2::SockRef;
 
-    /// The numbers of this process's open sockets.
+    /// Returns the numbers of this process's open sockets.
     pub fn sockets() -> BTreeSet<i32> {
         let open = std::fs::read_dir("/proc/self/fd").into_iter().flatten().flatten();
         let is_socket = |entry: &std::fs::DirEntry| {
@@ -23,15 +24,15 @@ mod linux {
         open.filter(is_socket).filter_map(|entry| entry.file_name().to_str()?.parse().ok()).collect()
     }
 
-    /// Ties every UDP socket to the loopback device that was opened since `before` was taken. Returns how many.
+    /// Binds every UDP socket that was opened after `before` to the loopback device. Returns their number.
     ///
     /// # Errors
-    /// What the system refuses: Linux before 5.7 allows this to root only.
+    /// The system's refusal. Before Linux 5.7, only root may do this.
     pub fn tie_to_loopback(before: &BTreeSet<i32>) -> io::Result<usize> {
         let process = pidfd_open(getpid(), PidfdFlags::empty())?;
         let mut tied = 0;
         for number in sockets().difference(before) {
-            // One that was closed meanwhile needs nothing.
+            // A socket that was closed in the meantime can be ignored.
             let Ok(socket) = pidfd_getfd(&process, *number, PidfdGetfdFlags::empty()) else { continue };
             let socket = SockRef::from(&socket);
             let is_udp = matches!(socket.r#type(), Ok(kind) if kind == socket2::Type::DGRAM)

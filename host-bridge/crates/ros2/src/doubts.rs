@@ -1,5 +1,6 @@
-//! Reasons against moving the arm: two writers of its angles, angles that no arm can have, somebody else's goal, a
-//! speed that is scaled. Sans-IO; each is named, and nothing starts (and what moves is stopped) while it holds.
+//! Reasons against moving the arm: two writers of its angles, impossible angles, another program's goal,
+//! a scaled speed.
+//! This module is sans-IO. Each reason is reported, and while it holds, no motion starts and a running one is stopped.
 
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
@@ -7,42 +8,42 @@ use std::f64::consts::TAU;
 use super::stream::off_rad;
 use host_robot::{JOINTS, Joints};
 
-/// Writers of the arm's angles within this time count.
+/// Time within which several writers of the arm's angles count.
 const TELLERS_MS: u64 = 1000;
 /// More are not distinguished.
 const TELLERS_MAX: usize = 8;
-/// Impossible angles are remembered for this long.
+/// Time for which impossible angles are remembered.
 const MEMORY_MS: u64 = 2000;
-/// No joint turns faster than that, in rad/s: twice what the fastest of such arms do.
+/// Maximum speed of any joint in rad/s, which is twice that of the fastest such arms.
 const FASTEST_RAD_S: f64 = 4.0 * std::f64::consts::PI;
-/// Noise, rounding, and messages that arrive together.
+/// Tolerance for noise, rounding, and messages that arrive together.
 const SLACK_RAD: f64 = 0.2;
-/// No driver counts more turns than this.
+/// Maximum number of turns that a driver counts.
 const TURNS_MAX: f64 = 16.0;
-/// A controller's state that is older does not count.
+/// Maximum age of a controller's state.
 const STATE_MS: u64 = 500;
-/// A motion does not begin at the controller's set point if that is further than this from the arm.
+/// Maximum distance between the arm and the controller's set point for starting a motion there.
 const HELD_MAX_RAD: f64 = 0.05;
-/// A speed scaling is 1 within this.
+/// Tolerance for a speed scaling of 1.
 const SCALING_OFF: f64 = 1e-3;
 
 /// See the module.
 #[derive(Clone, Debug, Default)]
 pub struct Doubts {
     tellers: BTreeMap<String, u64>,
-    /// The impossible angle, and when it came.
+    /// The impossible angle, and its time.
     impossible: Option<(String, u64)>,
-    /// Goals on the controller's action server that are not ours.
+    /// Number of goals on the controller's action server that are not ours.
     foreign: usize,
-    /// The scaling that was reported, if it is not 1, and when.
+    /// The reported scaling if it is not 1, and its time.
     scaling: Option<(f64, u64)>,
-    /// A scaling other than zero was reported, so zero is not just a default.
+    /// Whether a scaling other than zero was ever reported, so that zero is not just a default.
     is_scaled: bool,
     held: Option<(Joints, u64)>,
 }
 
 impl Doubts {
-    /// Whether somebody has reported angles of the arm.
+    /// Reports that a publisher has sent angles of the arm.
     pub fn told_by(&mut self, teller: &str, now_ms: u64) {
         self.tellers.retain(|_, at_ms| now_ms.saturating_sub(*at_ms) <= TELLERS_MS);
         if self.tellers.len() < TELLERS_MAX || self.tellers.contains_key(teller) {
@@ -50,7 +51,7 @@ impl Doubts {
         }
     }
 
-    /// Can a joint be here that was elsewhere `passed_ms` ago? If not, that is remembered.
+    /// Returns whether a joint can have moved here in `passed_ms`. If not, this is stored.
     pub fn judge(&mut self, name: &str, rad: f64, before: Option<(f64, u64)>, now_ms: u64) {
         let what = if rad.abs() > TURNS_MAX * TAU {
             format!("{name} is told to be at {rad:.0} rad: no joint turns that often")
@@ -65,16 +66,16 @@ impl Doubts {
         self.impossible = Some((what, now_ms));
     }
 
-    /// How many goals of others are active on the controller's action server.
+    /// Sets the number of other programs' active goals on the controller's action server.
     pub fn set_foreign(&mut self, goals: usize) {
         self.foreign = goals;
     }
 
-    /// What the controller says of itself: where it holds the arm, how fast that should move, and its speed scaling.
+    /// Processes the controller's report: its set point with speeds, and its speed scaling.
     pub fn controller(&mut self, reference: Option<(Joints, Joints)>, scaling: Option<f64>, now_ms: u64) {
         if let Some(scaling) = scaling {
             self.is_scaled |= scaling != 0.0;
-            // Also where it is NaN.
+            // This also covers NaN.
             let is_one = (scaling - 1.0).abs() <= SCALING_OFF;
             let off = self.is_scaled && !is_one;
             self.scaling = off.then_some((scaling, now_ms));
@@ -83,15 +84,15 @@ impl Doubts {
         self.held = reference.filter(|(_, speeds)| rests(speeds)).map(|(held, _)| (held, now_ms));
     }
 
-    /// Where the controller holds an arm that rests at `here`: a motion from there begins without a jump.
+    /// Returns the position at which the controller holds an arm that rests at `here`, for a start without a jump.
     pub fn held(&self, here: &Joints, now_ms: u64) -> Option<Joints> {
         let (held, at_ms) = self.held?;
         let near = off_rad(&held, here) <= HELD_MAX_RAD && now_ms.saturating_sub(at_ms) <= STATE_MS;
-        // In the turn of the loop in which the joint is reported.
+        // In the turn in which the joint is reported.
         near.then(|| std::array::from_fn(|i| here[i] + turned(held[i] - here[i])))
     }
 
-    /// Reasons against moving the arm in pieces (or at all).
+    /// Returns a reason against moving the arm in pieces (or at all).
     pub fn problem(&self, in_pieces: bool, now_ms: u64) -> Option<String> {
         let lately = |at_ms: u64, long_ms: u64| now_ms.saturating_sub(at_ms) <= long_ms;
         let tellers: Vec<&str> = self
@@ -126,7 +127,7 @@ impl Doubts {
     }
 }
 
-/// A difference of angles with whole turns left out.
+/// Returns a difference of angles without complete turns.
 fn turned(rad: f64) -> f64 {
     rad - TAU * (rad / TAU).round()
 }
@@ -166,7 +167,7 @@ mod tests {
     #[test]
     fn no_joint_jumps_and_turns_without_end_are_no_jump() {
         let mut doubts = Doubts::default();
-        // A wrap from just below half a turn to just above minus half a turn.
+        // The angle wraps from just below half a turn to just above minus half a turn.
         doubts.judge("joint_1", -3.13, Some((3.13, 10)), 10);
         // A fast arm: 3 rad/s.
         doubts.judge("joint_2", 0.03, Some((0.0, 10)), 20);
@@ -181,7 +182,7 @@ mod tests {
     #[test]
     fn a_foreign_goal_and_a_scaled_speed_are_named() {
         let mut doubts = Doubts::default();
-        // Releases that do not report it leave zero.
+        // Releases without this field leave zero.
         doubts.controller(None, Some(0.0), 0);
         doubts.controller(None, Some(1.0), 10);
         assert_eq!(doubts.problem(true, 10), None);

@@ -1,4 +1,4 @@
-//! The robot on the graph as a [`Robot`]: what to send, and the node that sends it.
+//! The robot on the graph as a [`Robot`]: the decisions about messages, and the node that sends them.
 
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{SystemTime, UNIX_EPOCH};
@@ -17,7 +17,7 @@ pub struct RosDriver {
     robot: RosRobot,
     now_ms: u64,
     notes: Vec<String>,
-    /// Why nothing may be armed.
+    /// The reason why nothing may be armed.
     refusal: Option<String>,
     counts: Arc<Mutex<Counts>>,
 }
@@ -28,12 +28,12 @@ impl RosDriver {
         RosDriver { node, robot, now_ms: 0, notes: Vec::new(), refusal: None, counts: Arc::default() }
     }
 
-    /// Counters of what was sent and received, for a later look.
+    /// Returns counters of sent and received messages, for later use.
     pub fn counts(&self) -> Arc<Mutex<Counts>> {
         Arc::clone(&self.counts)
     }
 
-    /// A refusal of the whole robot is one of each of its parts.
+    /// A refusal of the complete robot applies to each of its parts.
     fn may_move(&self) -> Result<(), String> {
         self.refusal.clone().map_or(Ok(()), Err)
     }
@@ -73,7 +73,7 @@ impl Robot for RosDriver {
     }
 
     fn drive(&mut self, twist: Twist) {
-        // `refusal` reports this, too, for whoever arms.
+        // `refusal` also reports this, to prevent arming.
         self.robot.drive(if self.refusal.is_none() { twist } else { Twist::ZERO });
     }
 

@@ -1,14 +1,15 @@
-//! Stops that come from the graph: an e-stop (twist_mux's convention of a lock: true = stop) and a driver's fault flag.
+//! External stops on the graph: an e-stop (in twist_mux's convention, true = stop) and a driver's fault flag.
 //!
-//! Each is a `std_msgs/Bool` that somebody else publishes. It stops base and arm while it says true, and also while
-//! nobody publishes it, while its publisher has said nothing yet, or (with a timeout) has been silent for too long.
-//! Sans-IO; whoever writes is named by its participant on the graph, and what this program writes itself never comes in here.
+//! Each is a `std_msgs/Bool` of another publisher. It stops base and arm while it is true.
+//! It also stops them while it has no publisher, before its first message,
+//! or (with a timeout) after too long a silence.
+//! This module is sans-IO. Publishers are identified by their participant, and our own messages are never read.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use super::config::Ros2Config;
 
-/// More publishers of one flag than this are not told apart.
+/// Maximum number of publishers of one flag that are distinguished.
 const WRITERS_MAX: usize = 64;
 
 /// The last message of one publisher.
@@ -39,7 +40,7 @@ pub struct Inputs {
 }
 
 impl Inputs {
-    /// The configured flags; nothing has been received yet.
+    /// Creates the configured flags, without any message.
     pub fn new(config: &Ros2Config) -> Self {
         let input = |what, key, name: &String, timeout_ms| {
             (!name.is_empty()).then(|| Input {
@@ -56,16 +57,16 @@ impl Inputs {
         Inputs { inputs: estop.into_iter().chain(fault).collect() }
     }
 
-    /// Their topics, in the order of the numbers below.
+    /// Returns the topics of the flags, in the order of the numbers below.
     pub fn topics(&self) -> impl Iterator<Item = &str> {
         self.inputs.iter().map(|input| input.topic.as_str())
     }
 
-    /// `writer` says on topic number `n` that the robot must (not) stop.
+    /// Processes a message on topic number `n`: `writer` requires a stop, or no longer does.
     pub fn hear(&mut self, n: usize, writer: &str, stop: bool, now_ms: u64) {
         let Some(input) = self.inputs.get_mut(n) else { return };
         if !stop {
-            // A publisher that is gone cannot revoke its message: the next one that is there does.
+            // A publisher that has disappeared cannot revoke its message, so the next existing one does.
             let Input { writers, said, .. } = input;
             said.retain(|known, _| writers.contains(known));
         }
@@ -74,14 +75,14 @@ impl Inputs {
         }
     }
 
-    /// Who publishes topic number `n` now.
+    /// Sets the current publishers of topic number `n`.
     pub fn see_writers(&mut self, n: usize, writers: impl Iterator<Item = String>) {
         if let Some(input) = self.inputs.get_mut(n) {
             input.writers = writers.collect();
         }
     }
 
-    /// Begins again: no publisher is known, and nothing has been received.
+    /// Resets everything: no publishers and no messages are known.
     pub fn forget(&mut self) {
         for input in &mut self.inputs {
             input.writers.clear();
@@ -89,7 +90,7 @@ impl Inputs {
         }
     }
 
-    /// Why nothing may move; `None` = no flag forbids it.
+    /// Returns why nothing may move, or `None` if no flag forbids it.
     pub fn refusal(&self, now_ms: u64) -> Option<String> {
         self.inputs.iter().find_map(|input| input.refusal(now_ms))
     }
@@ -173,11 +174,11 @@ mod tests {
     #[test]
     fn true_stops_whoever_says_it_until_he_takes_it_back() {
         let mut inputs = ready();
-        // Also from somebody whom the graph does not show yet.
+        // A publisher that the graph does not show yet also counts.
         inputs.hear(0, "c", true, 100);
         assert!(inputs.refusal(100).unwrap().contains("e-stop is pressed"));
         inputs.hear(0, "a", false, 200);
-        // "c" is not on the graph: the next publisher that is there revokes its message.
+        // "c" is not on the graph, so the next existing publisher revokes its message.
         assert_eq!(inputs.refusal(200), None);
         inputs.hear(0, "b", true, 300);
         inputs.hear(0, "a", false, 310);

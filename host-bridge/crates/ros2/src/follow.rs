@@ -1,4 +1,5 @@
-//! The arm's action on the graph: asked as the vendor of its server has it, which is known once that server is seen.
+//! The arm's action on the graph.
+//! Requests depend on the vendor of its server, which is known once the server is discovered.
 
 use ros2_client::action::ActionClient;
 use ros2_client::action_msgs::GoalStatusEnum;
@@ -14,7 +15,7 @@ use host_topics::message as ros;
 
 type Client = ActionClient<ros::FollowGoal, ros::FollowResult, ros::FollowFeedback>;
 
-/// More goals are not remembered.
+/// Maximum number of stored goals.
 const GOALS_MAX: usize = 64;
 
 /// See the module.
@@ -28,7 +29,7 @@ pub struct Follow {
 }
 
 impl Follow {
-    /// An action below the controller's name; no server is known yet.
+    /// Creates an action below the controller's name, without a known server.
     pub fn new(controller: String, qos: QosProfile) -> Self {
         let (client, goals) = (None, Goals::new(GOALS_MAX));
         Follow { controller, qos, client, goals, probe: None, probed: Probe::NotSent }
@@ -37,7 +38,7 @@ impl Follow {
     /// Looks for the action's server. Returns whether goals may be sent, and what a person should know.
     ///
     /// # Errors
-    /// If the client cannot be made.
+    /// Fails if the client cannot be created.
     pub fn look(&mut self, node: &mut Node, graph: &Graph) -> Result<bool, NodeError> {
         let servers = servers(graph, &self.controller);
         let Some(first) = servers.first() else { return Ok(false) };
@@ -49,22 +50,22 @@ impl Follow {
             self.goals.clear();
             return Ok(false);
         }
-        // Of two servers both would take every goal, and one answer would hide the other.
+        // Two servers would both accept every goal, and one answer would hide the other.
         Ok(servers.len() == 1)
     }
 
-    /// Sends a goal; returns whether it could be handed over.
+    /// Sends a goal. Returns whether it was accepted for sending.
     pub fn send(&mut self, ours: u32, trajectory: ros::JointTrajectory) -> bool {
         let Some((_, client)) = &self.client else { return false };
         self.goals.send(client, ours, ros::FollowGoal { trajectory, ..ros::FollowGoal::default() })
     }
 
-    /// Asks for a goal to be ended; returns whether the request could be handed over.
+    /// Requests the cancellation of a goal. Returns whether the request was accepted for sending.
     pub fn cancel(&self, ours: u32) -> bool {
         self.client.as_ref().is_some_and(|(_, client)| self.goals.cancel(client, ours))
     }
 
-    /// Asks once for the end of a goal that nobody has.
+    /// Requests once the cancellation of a goal that does not exist.
     pub fn ask(&mut self) {
         if self.probed == Probe::NotSent
             && let Some((_, client)) = &self.client
@@ -76,21 +77,21 @@ impl Follow {
         }
     }
 
-    /// The result of [`Follow::ask`] so far.
+    /// Returns the result of [`Follow::ask`] so far.
     pub fn probe(&self) -> Probe {
         self.probed
     }
 
-    /// How many goals run on the server that are not ours.
+    /// Returns the number of active goals on the server that are not ours.
     pub fn foreign(&self) -> usize {
         if self.client.is_some() { self.goals.foreign() } else { 0 }
     }
 
-    /// The server's answers, each with our number of the goal.
+    /// Returns the server's answers, each with our number of the goal.
     pub fn answers(&mut self) -> Vec<(u32, Answer)> {
         let Some((_, client)) = &self.client else { return Vec::new() };
         let (probe, probed) = (self.probe, &mut self.probed);
-        // The result shows how a cancellation ended; answers to cancellations are only read after a probe.
+        // The result shows the end of a cancellation, so answers to cancellations are read only after a probe.
         let said = self.goals.said(client, |request| {
             if probe == Some(request) {
                 *probed = Probe::Answered;

@@ -1,4 +1,4 @@
-//! The gripper's action on the graph, of whichever kind its server is.
+//! The gripper's action on the graph, for both kinds of servers.
 
 use ros2_client::action::ActionClient;
 use ros2_client::{Node, QosProfile};
@@ -12,7 +12,7 @@ use super::transport::NodeError;
 use super::vendor::{Vendor, Wrapping};
 use host_topics::message as ros;
 
-/// More goals are not remembered.
+/// Maximum number of stored goals.
 const GOALS_MAX: usize = 64;
 /// The reason of a robot whose gripper is not driven.
 pub const NO_GRIPPER: &str = "this robot's gripper is not driven";
@@ -61,7 +61,7 @@ impl Meant {
         Some(Meant { name, namespace: config.namespace.clone() })
     }
 
-    /// `/NAMESPACE/CONTROLLER/gripper_cmd`, and no other robot's.
+    /// Returns whether the name is `/NAMESPACE/CONTROLLER/gripper_cmd` and belongs to this robot.
     fn may_be_ours(&self, name: &str) -> bool {
         let below = name.strip_prefix(&self.namespace).and_then(|rest| rest.strip_prefix('/'));
         let controller = below.and_then(|rest| rest.strip_suffix("/gripper_cmd"));
@@ -161,7 +161,7 @@ impl Gripper {
     /// Looks for the action's server. Returns why none can be used; `None` = one can.
     ///
     /// # Errors
-    /// If the client cannot be made.
+    /// Fails if the client cannot be created.
     pub fn look(&mut self, node: &mut Node, graph: &Graph) -> Result<Option<String>, NodeError> {
         let Found { name, kind, vendor } = match self.meant.only(graph) {
             Ok(found) => found,
@@ -190,7 +190,7 @@ impl Gripper {
         })
     }
 
-    /// Sends a goal; returns whether it could be handed over.
+    /// Sends a goal. Returns whether it was accepted for sending.
     pub fn send(&mut self, ours: u32, position: f64, effort: Option<f64>) -> bool {
         match &self.client {
             None => false,
@@ -201,7 +201,7 @@ impl Gripper {
         }
     }
 
-    /// Asks for a goal to be ended; returns whether the request could be handed over.
+    /// Requests the cancellation of a goal. Returns whether the request was accepted for sending.
     pub fn cancel(&self, ours: u32) -> bool {
         match &self.client {
             None => false,
@@ -210,7 +210,7 @@ impl Gripper {
         }
     }
 
-    /// The server's answers, each with our number of the goal.
+    /// Returns the server's answers, each with our number of the goal.
     pub fn answers(&mut self) -> Vec<(u32, GripAnswer)> {
         match &self.client {
             None => Vec::new(),

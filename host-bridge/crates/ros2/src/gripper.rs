@@ -1,8 +1,9 @@
-//! A gripper behind `GripperCommand` or `ParallelGripperCommand`: what is asked of it, and what became of that.
+//! A gripper with `GripperCommand` or `ParallelGripperCommand`: its commands and their results.
 //!
-//! Sans-IO. A stall while closing means an object between the fingers, which is success; a server that reports nothing
-//! for too long has failed. A stop cancels the goal, again and again until its end is known, and never sends another.
-//! Goals that were rejected, or reported to be over by anybody, are cancelled again by each stop, as the arm's are.
+//! This module is sans-IO. A stall while closing means an object between the fingers, which is success.
+//! A server without a report for too long has failed.
+//! A stop cancels the goal repeatedly until its end is known, and never sends another goal.
+//! Goals that were rejected or reported as finished are cancelled again by each stop, like those of the arm.
 
 use host_robot::{Grip, GripEnd, Reading};
 use host_topics::message::JointState;
@@ -11,33 +12,33 @@ use super::config::Ros2Config;
 use super::robot::Output;
 use super::strays::{CANCEL_INTERVAL_MS, Strays, Unsure};
 
-/// Nothing waits longer than this for a cancellation's confirmation; the requests for it go on.
+/// Maximum wait for the confirmation of a cancellation. The requests for it continue afterwards.
 const CANCEL_PATIENCE_MS: u64 = 2000;
-/// No goal of a gripper runs for longer.
+/// Maximum duration of a gripper's goal.
 const STRAY_MS: u64 = 60_000;
-/// Whatever is reported, a goal is over after this long.
+/// Time after which a goal is over, regardless of later reports.
 const OVERALL_MS: u64 = 30_000;
-/// Joint states older than this do not count.
+/// Maximum age of joint states.
 const TOLD_MS: u64 = 1000;
 
-/// What the gripper's server reports about a goal.
+/// The gripper server's report about a goal.
 #[derive(Clone, Debug, PartialEq)]
 pub enum GripAnswer {
-    /// It will be carried out.
+    /// The goal was accepted.
     Accepted,
     /// It will not.
     Rejected,
-    /// Where it is, in the joint's own units.
+    /// Current position in the joint's own units.
     At(f64),
     /// It is over.
     Done {
-        /// Where it is, in the joint's own units.
+        /// Final position in the joint's own units.
         position: f64,
-        /// It is stopped by something, and pushes.
+        /// Whether an object stopped the fingers.
         stalled: bool,
-        /// It is where it should be.
+        /// Whether the requested position was reached.
         reached: bool,
-        /// As the server gives it.
+        /// The status in the server's terms.
         status: String,
     },
 }
@@ -48,7 +49,7 @@ struct Run {
     closing: bool,
     asked_ms: u64,
     accepted_ms: Option<u64>,
-    /// When something was last heard of it.
+    /// Time of the last report about the goal.
     heard_ms: u64,
     stopping_since_ms: Option<u64>,
 }
@@ -62,20 +63,20 @@ pub struct GripperLink {
     width_m: f64,
     answer_ms: u64,
     timeout_ms: u64,
-    /// Why there is no server; `None` = there is one.
+    /// The reason why there is no server, or `None`.
     missing: Option<String>,
     goals: u32,
     run: Option<Run>,
     strays: Strays,
     unsure: Unsure,
-    /// How far the fingers are apart, and when that was reported.
+    /// Distance between the fingers, and the time of its report.
     seen: Option<(f64, u64)>,
     end: Option<GripEnd>,
     notes: Vec<String>,
 }
 
 impl GripperLink {
-    /// A gripper of which nothing is known yet.
+    /// Creates a gripper without any information.
     pub fn new(config: &Ros2Config) -> Self {
         GripperLink {
             joint: config.gripper_joint.clone(),
@@ -95,7 +96,7 @@ impl GripperLink {
         }
     }
 
-    /// Why there is no server to ask; `None` = there is one.
+    /// Sets the reason why there is no server, or `None` if there is one.
     pub fn set_missing(&mut self, missing: Option<String>) {
         self.missing = missing;
     }
@@ -110,7 +111,7 @@ impl GripperLink {
         self.closed + share * (self.open - self.closed)
     }
 
-    /// Takes its joint's position, if it is among these.
+    /// Reads the position of the gripper's joint, if the message contains it.
     pub fn see(&mut self, state: &JointState, now_ms: u64) {
         let mut joints = state.name.iter().zip(&state.position);
         if let Some((_, &position)) = joints.find(|(name, _)| **name == self.joint) {
@@ -118,15 +119,15 @@ impl GripperLink {
         }
     }
 
-    /// How far the fingers are apart.
+    /// Returns the distance between the fingers.
     pub fn opening_m(&self, now_ms: u64) -> Option<Reading<f64>> {
         let (value, at_ms) = self.seen?;
         let age_ms = now_ms.saturating_sub(at_ms);
-        // If its joint is not reported regularly, the last result holds.
+        // If its joint is not reported regularly, the last result remains valid.
         (self.joint.is_empty() || age_ms <= TOLD_MS).then_some(Reading { value, age_ms })
     }
 
-    /// Whether it could be asked now.
+    /// Checks whether a goal can be sent now.
     ///
     /// # Errors
     /// Why not.
@@ -153,7 +154,7 @@ impl GripperLink {
         self.end = None;
         self.run = Some(Run {
             goal: self.goals,
-            // If the width is not known, only opening wide does not count as closing.
+            // If the width is unknown, every goal except fully open counts as closing.
             closing: grip.opening_m < from_m,
             asked_ms: now_ms,
             accepted_ms: None,
@@ -168,7 +169,7 @@ impl GripperLink {
         Ok(())
     }
 
-    /// Abandons the goal, if there is one. The fingers stay where they are.
+    /// Abandons the goal, if there is one. The fingers stay in place.
     pub fn halt(&mut self, now_ms: u64, outputs: &mut Vec<Output>) {
         self.unsure.halt(now_ms, &mut self.strays, |goal| outputs.push(Output::CancelGrip { goal }));
         let Some(run) = self.run.as_mut().filter(|run| run.stopping_since_ms.is_none()) else { return };
@@ -177,16 +178,16 @@ impl GripperLink {
         outputs.push(Output::CancelGrip { goal: run.goal });
     }
 
-    /// Takes an answer of the server.
+    /// Processes an answer of the server.
     pub fn answer(&mut self, goal: u32, answer: GripAnswer, now_ms: u64, outputs: &mut Vec<Output>) {
         let Some(run) = self.run.as_mut().filter(|run| run.goal == goal) else {
             match answer {
-                // Including one that was rejected or over before: nobody wants it now.
+                // This includes a goal that was rejected or finished earlier, which must not run now.
                 GripAnswer::Accepted => {
                     outputs.push(Output::CancelGrip { goal });
                     self.stray(goal, now_ms);
                 }
-                // Of two servers another may carry it out.
+                // With two servers, another one may execute it.
                 GripAnswer::Rejected => self.strays.said_over(goal),
                 GripAnswer::At(position) => self.told(position, now_ms),
                 GripAnswer::Done { position, .. } => {
@@ -201,12 +202,12 @@ impl GripperLink {
             run.heard_ms = now_ms;
         }
         if matches!(answer, GripAnswer::Rejected | GripAnswer::Done { .. }) {
-            // How long fingers take nobody says: whoever answers, a stop asks for the end once more.
+            // The duration of a grip is unknown, so after any answer, a stop cancels the goal once more.
             self.unsure.add(goal, run.asked_ms + OVERALL_MS);
         }
         match answer {
             GripAnswer::Accepted if run.accepted_ms.is_some() && !stopping => {
-                // Of two motions only one would be watched.
+                // Only one of two motions would be monitored.
                 self.notes.push(
                     "two controllers have accepted the gripper's goal: it is cancelled; end all but one of them".to_owned(),
                 );
@@ -215,7 +216,7 @@ impl GripperLink {
             GripAnswer::Accepted => {
                 run.accepted_ms = run.accepted_ms.or(Some(now_ms));
                 if stopping {
-                    // It was asked to end before it had begun.
+                    // The cancellation was requested before the goal began.
                     outputs.push(Output::CancelGrip { goal });
                 }
             }
@@ -250,7 +251,7 @@ impl GripperLink {
         }
     }
 
-    /// A goal that may run though nobody wants it: its end is requested until it is known.
+    /// Handles a goal that may run unintentionally, by requesting its cancellation until its end is known.
     fn stray(&mut self, goal: u32, now_ms: u64) {
         self.strays.add(goal, now_ms, now_ms + STRAY_MS);
     }
@@ -261,7 +262,7 @@ impl GripperLink {
         }
     }
 
-    /// Lets the time become `now_ms`.
+    /// Advances the time to `now_ms`.
     pub fn step(&mut self, now_ms: u64, outputs: &mut Vec<Output>) {
         self.strays.step(now_ms, |goal| outputs.push(Output::CancelGrip { goal }));
         let Some(run) = &mut self.run else { return };
@@ -297,12 +298,12 @@ impl GripperLink {
         }
     }
 
-    /// How the last goal ended; once.
+    /// Returns the result of the last goal, once.
     pub fn take_end(&mut self) -> Option<GripEnd> {
         self.end.take()
     }
 
-    /// What a person should know; each message once.
+    /// Returns messages for the user, each of them once.
     pub fn take_notes(&mut self) -> Vec<String> {
         std::mem::take(&mut self.notes)
     }
@@ -391,11 +392,11 @@ mod tests {
         assert_eq!(rig.run(400).len(), 2, "asked again");
         assert!(rig.grip(0.0).unwrap_err().contains("not known yet"));
         rig.answer(1, GripAnswer::Rejected);
-        // Perhaps by another: asked on, but nobody waits.
+        // Another server may have accepted the goal, so requests continue without waiting.
         assert_eq!(rig.run(400).len(), 2);
         assert_eq!(rig.gripper.can_grip(), Ok(()));
 
-        // Accepted after all: cancelled, and no other goal is sent before its end is known.
+        // The goal is accepted after all, so it is cancelled, and no other goal is sent until its end is known.
         rig.answer(1, GripAnswer::Accepted);
         assert_eq!(rig.outputs, [Output::CancelGrip { goal: 1 }]);
         assert!(rig.grip(0.0).unwrap_err().contains("not known yet"));
@@ -418,7 +419,7 @@ mod tests {
         rig.grip(0.0).unwrap();
         rig.outputs.clear();
         rig.gripper.halt(rig.now_ms, &mut rig.outputs);
-        // Accepted only now: cancelled again.
+        // The server accepts the goal only now, so the cancellation is repeated.
         rig.answer(1, GripAnswer::Accepted);
         let sent = rig.run(500);
         assert!(sent.len() >= 3 && sent.iter().all(|o| *o == Output::CancelGrip { goal: 1 }), "{sent:?}");
@@ -451,7 +452,7 @@ mod tests {
             assert_eq!(rig.run(600), vec![Output::CancelGrip { goal: 1 }; 3], "{said:?}: asked again");
             rig.grip(0.085).unwrap();
         }
-        // When no goal could run any longer, nothing is asked.
+        // When no goal can still be running, no more requests are sent.
         let mut rig = Rig::new();
         rig.grip(0.0).unwrap();
         rig.answer(1, GripAnswer::Rejected);
@@ -472,7 +473,7 @@ mod tests {
         assert!(rig.gripper.take_notes()[0].contains("two controllers"));
         rig.outputs.clear();
         assert_eq!(rig.run(400), vec![Output::CancelGrip { goal: 1 }; 2]);
-        // The first of them says that it has stopped: the other's goal is asked for by the next stop.
+        // The first server reports that it has stopped, so the next stop cancels the other's goal.
         assert_eq!(rig.done(1, 0.3, false), Some(GripEnd::Halted));
         rig.gripper.halt(rig.now_ms, &mut rig.outputs);
         assert_eq!(rig.outputs, [Output::CancelGrip { goal: 1 }]);

@@ -1,5 +1,6 @@
-//! REP-2016's hashes of the types that are spoken here, as Jazzy has them: two ends whose types have one name and two
-//! hashes do not mean the same. `tests/ros2/hashes.py` holds the table against Jazzy's own packages.
+//! REP-2016's hashes of the types used here, from Jazzy.
+//! Types with the same name but different hashes are incompatible.
+//! `tests/ros2/hashes.py` compares this table with Jazzy's own packages.
 
 /// ROS type, and its hash. Of an action the parts that have topics of their own.
 const HASHES: [(&str, &str); 36] = [
@@ -125,7 +126,7 @@ const HASHES: [(&str, &str); 36] = [
     ),
 ];
 
-/// The hash of a type such as `geometry_msgs/msg/Twist`; `None` for one that is not spoken here.
+/// Returns the hash of a type such as `geometry_msgs/msg/Twist`, or `None` if it is not used here.
 pub fn of(ros_type: &str) -> Option<&'static str> {
     HASHES.iter().find(|(name, _)| *name == ros_type).map(|(_, hash)| *hash)
 }

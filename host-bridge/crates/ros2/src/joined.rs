@@ -32,7 +32,7 @@ pub enum Speed {
     Stamped(Publisher<ros::TwistStamped>),
 }
 
-/// How the arm's motions are sent.
+/// The interface for the arm's motions.
 pub enum Arm {
     /// Not at all.
     None,
@@ -42,13 +42,13 @@ pub enum Arm {
     Action(Box<Follow>),
 }
 
-/// What is published beside the commands.
+/// The topics published in addition to the commands.
 pub struct Published {
     /// Diagnostics of the hands.
     pub diagnostics: Publisher<ros::DiagnosticArray>,
-    /// Whether this program's operator has stopped.
+    /// Whether the operator has stopped this program.
     pub stopped: Publisher<ros::Bool>,
-    /// The simulator's state, if that is wanted and nobody else publishes it.
+    /// The simulator's state, if requested and not published by another node.
     pub sim: Option<SimTopics>,
 }
 
@@ -58,9 +58,9 @@ pub struct SimTopics {
     pub joint_states: Publisher<ros::JointState>,
     /// Where the base is.
     pub odom: Publisher<ros::Odometry>,
-    /// The same as a transform, and the arm's links.
+    /// The base's position as a transform, and the arm's links.
     pub tf: Publisher<ros::TfMessage>,
-    /// Its description, also for late subscribers.
+    /// The robot description, also for late subscribers.
     pub description: Option<Publisher<ros::Text>>,
     /// That was published.
     pub is_described: bool,
@@ -72,17 +72,17 @@ pub struct Joined {
     pub speed: Speed,
     /// The arm.
     pub arm: Arm,
-    /// The gripper, if there may be one.
+    /// The gripper, if one is configured.
     pub gripper: Option<Gripper>,
     /// Angles that the robot reports.
     pub joint_states: Option<Subscription<ros::JointState>>,
-    /// The base's odometry; its stamps say what the robot's clock says.
+    /// The base's odometry, whose stamps show the robot's clock.
     pub odom: Option<Subscription<ros::Odometry>>,
-    /// The arm controller's set point and state; silent while it is not active.
+    /// The arm controller's set point and state; silent while it is inactive.
     pub controller_state: Option<Subscription<ToldState>>,
-    /// The status of the goals on the arm's action server, if we have no client of it.
+    /// The status of the goals on the arm's action server, if we have no client for it.
     pub goals: Option<Subscription<GoalStatusArray>>,
-    /// E-stop and fault flag, each as one who comes late reads it and as one who hears what comes.
+    /// E-stop and fault flag, each with a subscription for latched messages and one for new messages.
     pub flags: Vec<[Subscription<ros::Bool>; 2]>,
     /// A simulation's time.
     pub clock: Subscription<ros::Clock>,
@@ -91,7 +91,7 @@ pub struct Joined {
     /// Its threads.
     pub watch: Watch,
     participant: DomainParticipant,
-    // Last: whatever is above belongs to it.
+    // This field must be the last one, because all fields above belong to the node.
     /// The node itself.
     pub node: Node,
 }
@@ -124,7 +124,7 @@ fn reliable(config: &Ros2Config) -> QosProfile {
         .reliability_reliable(WhenFull::Fail)
 }
 
-/// Announcements of more participants are not kept.
+/// Maximum number of participants whose announcements are stored.
 const PARTICIPANTS_MAX: usize = 1024;
 
 /// The last message is kept for late subscribers.
@@ -135,7 +135,7 @@ pub(super) fn latched() -> QosProfile {
         .reliability_reliable(WhenFull::Fail)
 }
 
-/// Best effort listens to every writer.
+/// Best effort, which matches every writer.
 fn listening(depth: usize) -> QosProfile {
     QosProfile::subscription_default().history(History::KeepLast { depth })
 }
@@ -151,10 +151,10 @@ pub(super) fn bare(config: &Ros2Config, connection: &Connection) -> Result<(Cont
 }
 
 impl Joined {
-    /// Joins the graph; with `publish_sim` as one who publishes the simulator's state.
+    /// Joins the graph. With `publish_sim`, it also publishes the simulator's state.
     ///
     /// # Errors
-    /// [`NodeError`]: the domain or a topic cannot be had.
+    /// [`NodeError`]: the domain or a topic is not available.
     pub fn open(
         config: &Ros2Config,
         connection: &Connection,
@@ -183,7 +183,7 @@ impl Joined {
             )?),
         };
         let goals = match config.arm {
-            // An action's client hears of all goals by itself.
+            // An action's client receives the status of all goals itself.
             ArmInterface::None | ArmInterface::Action => None,
             ArmInterface::Topic | ArmInterface::Stream => Some(subscription_with(
                 &mut node,
@@ -206,7 +206,7 @@ impl Joined {
             ArmInterface::None => Arm::None,
             ArmInterface::Topic | ArmInterface::Stream => {
                 let name = format!("{controller}/joint_trajectory");
-                // A waiting piece is useless once the next one is there.
+                // A waiting piece is useless once the next one exists.
                 let qos = qos.clone().history(History::KeepLast { depth: 1 });
                 Arm::Topic(Box::new(publisher(
                     &mut node,
@@ -219,7 +219,7 @@ impl Joined {
         };
         let (states, odom) = (config.resolve(&config.joint_states), config.resolve(&config.odom));
         let clock = subscription(&mut node, "/clock", ("rosgraph_msgs", "Clock"), 1)?;
-        // What we publish ourselves is not read.
+        // Our own messages are not read.
         let (joint_states, odom_read, sim) = if publish_sim {
             let description = config.resolve(&config.robot_description);
             let description = (!config.robot_description.is_empty())
@@ -288,7 +288,7 @@ impl Joined {
                 let (id, vendor) = name(&dpd.guid);
                 let version = format!("{:?}", dpd.protocol_version);
                 if self.participants.len() >= PARTICIPANTS_MAX {
-                    // Only their words about themselves; who has an end point shows by that.
+                    // This loses only its description of itself; its end points still reveal it.
                     self.participants.pop_first();
                 }
                 self.participants.insert(id, Participant { vendor, version, name: dpd.entity_name });
@@ -328,7 +328,7 @@ impl Joined {
             graph.writers.push(Endpoint {
                 topic: data.topic_name().clone(),
                 type_name: data.type_name.clone(),
-                // Left out on the wire if it is a writer's default.
+                // A writer's default is omitted on the wire.
                 reliable: qos.reliability().is_none() || reliable(qos.reliability()),
                 transient_local: durable(qos.durability()),
                 vendor,
@@ -336,7 +336,7 @@ impl Joined {
                 type_hash: type_hash(&writer.user_data),
             });
         }
-        // Participants that are gone have no end points left.
+        // Participants that have disappeared have no end points.
         for end in graph.readers.iter().chain(&graph.writers) {
             let known = self.participants.get(&end.participant).cloned();
             let participant =
@@ -347,7 +347,7 @@ impl Joined {
     }
 }
 
-/// A participant's name on the graph: the first bytes of each of its end points.
+/// Returns a participant's name on the graph, which is the beginning of each end point's GUID.
 pub fn name_of(guid: &[u8]) -> String {
     guid.iter().take(12).map(|byte| format!("{byte:02x}")).collect()
 }
@@ -355,7 +355,7 @@ pub fn name_of(guid: &[u8]) -> String {
 /// REP-2016's hash of a type, from what its end point says about itself.
 fn type_hash(user_data: &[u8]) -> Option<String> {
     let text = String::from_utf8_lossy(user_data);
-    // The length of the data comes first, as bytes.
+    // The data begins with its length in bytes.
     let (_, rest) = text.split_once("typehash=")?;
     Some(rest.split(';').next().unwrap_or(rest).to_owned())
 }

@@ -1,12 +1,13 @@
-//! ROS 2: the bridge as one more node on the graph, with nothing to install or source.
+//! ROS 2: the bridge as a node on the graph, without a ROS installation.
 //!
 //! ```text
 //! director ─► RosRobot (what to send when) ─► node (DDS or Zenoh) ─► /cmd_vel, arm controller
 //!                 ▲                             │
 //!                 └── joint states, odometry, answers
 //! ```
-//! Everything but `node` is sans-IO and always built, so that its rules are tested and a configuration
-//! file reads the same everywhere. `node` and `driver` need the feature `ros2`. How to use it: `docs/ros2.md`.
+//! Everything except `node` and `driver` is sans-IO and always built.
+//! Its rules are therefore always tested, and every build accepts the same configuration files.
+//! `node` and `driver` need the feature `ros2`. `docs/ros2.md` describes the usage.
 
 #[cfg(feature = "ros2")]
 mod action;

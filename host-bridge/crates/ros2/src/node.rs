@@ -17,9 +17,9 @@ use super::transport::{self, ArmWay, Came, NodeError, Opened, Sent, Transport, V
 use host_robot::Robot as _;
 use host_topics::message as ros;
 
-/// The graph is looked at this often: discovery takes far longer.
+/// Interval for checking the graph; discovery takes far longer.
 const LOOK_INTERVAL_MS: u64 = 250;
-/// The node's threads are looked at this often.
+/// Interval for checking the node's threads.
 const WATCH_INTERVAL_MS: u64 = 100;
 
 /// What is published beside the commands: `None` while the node is opened anew.
@@ -42,7 +42,7 @@ pub struct RosNode {
     looked_ms: Option<u64>,
     watched_ms: Option<u64>,
     readers: usize,
-    /// What was said last about each of these, so that it is said once.
+    /// The last message about each of these topics, to report it only once.
     said: [Option<String>; 4],
     counts: Counts,
 }
@@ -54,11 +54,11 @@ const CLOCKS: usize = 2;
 const GRIPPER: usize = 3;
 
 impl RosNode {
-    /// Joins the graph. With a `simulator` its state is to be published; look at [`RosNode::rivals`]
-    /// before the first [`RosPublisher::publish_sim`].
+    /// Joins the graph. With a `simulator`, its state will be published.
+    /// Check [`RosNode::rivals`] before the first [`RosPublisher::publish_sim`].
     ///
     /// # Errors
-    /// [`NodeError`]: the domain or a topic cannot be had.
+    /// [`NodeError`]: the domain or a topic is not available.
     pub fn open(
         config: &Ros2Config,
         connection: &Connection,
@@ -88,38 +88,38 @@ impl RosNode {
         Ok((node, publisher))
     }
 
-    /// What was sent and heard.
+    /// Returns counters of sent and received messages.
     pub fn counts(&self) -> Counts {
         self.counts
     }
 
-    /// Everybody else on the graph.
+    /// Returns all other participants and their end points.
     pub fn graph(&mut self) -> Graph {
         self.joined.as_mut().map(|joined| joined.graph()).unwrap_or_default()
     }
 
-    /// Topics of the simulator that somebody else publishes.
+    /// Returns topics of the simulator that another node also publishes.
     pub fn rivals(&mut self) -> Vec<String> {
         let graph = self.graph();
         rivals(&self.config, &graph)
     }
 
-    /// The node is on the graph and its threads are alive.
+    /// Returns whether the node is on the graph and its threads are alive.
     pub fn is_alive(&self) -> bool {
         self.joined.as_ref().is_some_and(|joined| joined.is_alive())
     }
 
-    /// The robot's clock against the one that it should agree with; `None` where the robot stamps nothing.
+    /// Returns the robot's clock minus its reference, or `None` if the robot sends no stamps.
     pub fn clock_difference(&self, now_ms: u64) -> Option<Difference> {
         self.clocks.difference(now_ms)
     }
 
-    /// The robot's time of now in seconds, for trajectories; `None` where it is not known.
+    /// Returns the robot's current time in seconds for trajectories, or `None` if it is unknown.
     pub fn robot_time_s(&self, wall_s: f64, now_ms: u64) -> Option<f64> {
         self.clocks.robot_s(wall_s, now_ms)
     }
 
-    /// Why nothing may be armed; `None` = nothing stands against it here.
+    /// Returns the reason why nothing may be armed, or `None`.
     pub fn refusal(&self, now_ms: u64) -> Option<String> {
         if self.joined.is_none() {
             return Some("the node on the graph is being opened anew".to_owned());
@@ -127,7 +127,7 @@ impl RosNode {
         self.inputs.refusal(now_ms).or_else(|| self.clocks.refusal_of(self.config.stamp, now_ms))
     }
 
-    /// Takes what came in at `wall_s` (seconds since 1970). Returns what a person should know.
+    /// Processes messages received at `wall_s` (seconds since 1970). Returns messages for the user.
     pub fn receive(&mut self, robot: &mut RosRobot, wall_s: f64, now_ms: u64) -> Vec<String> {
         robot.at(now_ms);
         let mut notes = Vec::new();
@@ -185,8 +185,8 @@ impl RosNode {
         });
     }
 
-    /// Examines the graph without a robot to move: hears, and asks the arm's server something harmless. Call it
-    /// often; what was found so far.
+    /// Examines the graph without moving a robot: it listens and sends a harmless request to the arm's server.
+    /// Call it often. It returns the results so far.
     pub fn examine(&mut self, wall_s: f64, now_ms: u64) -> Heard {
         self.hear(wall_s, now_ms, |_| {});
         if self.looked_ms.is_none_or(|at| now_ms.saturating_sub(at) >= LOOK_INTERVAL_MS) {
@@ -211,12 +211,12 @@ impl RosNode {
         }
     }
 
-    /// What the arm's controller said last about itself, and when it came.
+    /// Returns the last report of the arm's controller about itself, and its time of arrival.
     pub fn controller_state(&self) -> Option<&(u64, ros::ControllerState)> {
         self.controller_state.as_ref()
     }
 
-    /// Opens a node anew whose threads have ended, and halts the robot meanwhile.
+    /// Reopens a node whose threads have ended, and halts the robot in the meantime.
     fn watch(&mut self, robot: &mut RosRobot, now_ms: u64, notes: &mut Vec<String>) {
         if self.watched_ms.is_some_and(|at| now_ms.saturating_sub(at) < WATCH_INTERVAL_MS) {
             return;
@@ -259,7 +259,7 @@ impl RosNode {
         let dead = (self.joined.take(), lock(&self.published).take());
         let (config, connection, publish_sim) =
             (self.config.clone(), self.connection.clone(), self.publish_sim);
-        // Nothing waits for it: a dead node's end may take its time.
+        // Nothing waits for this, because closing a dead node may take time.
         std::thread::spawn(move || {
             drop(sender.send(transport::open(&config, &connection, publish_sim)));
             drop(dead);
@@ -267,7 +267,7 @@ impl RosNode {
         self.opening = Some(receiver);
     }
 
-    /// Says something once, until it changes.
+    /// Reports a message once until it changes.
     fn say(&mut self, place: usize, what: Option<String>, notes: &mut Vec<String>) {
         if self.said[place] != what {
             notes.extend(what.clone());
@@ -319,7 +319,7 @@ impl RosNode {
                     self.config.resolve(&self.config.arm_controller)
                 ));
                 if !graph.writers.iter().any(|w| w.topic == status) {
-                    // With its server a goal is gone.
+                    // If the server disappears, its goals disappear too.
                     robot.set_foreign_goals(0);
                 }
                 servers_note = (controllers.len() > 1).then(|| too_many(&controllers));
@@ -342,7 +342,7 @@ impl RosNode {
         let gripper_note = joined.about_gripper();
         let rivals = if self.publish_sim { rivals(&self.config, &graph) } else { Vec::new() };
         if !rivals.is_empty() {
-            // Nor after the node was opened anew.
+            // The call also affects a node that is reopened.
             self.publish_sim = false;
             if let Some(published) = &mut *lock(&self.published) {
                 published.end_simulator();
@@ -364,14 +364,14 @@ impl RosNode {
         self.say(SPEED, speed_note, notes);
         self.say(SERVERS, servers_note, notes);
         self.say(GRIPPER, gripper_note, notes);
-        // Without its figures, which change all the time.
+        // The comparison ignores numbers, because they change continually.
         let clocks = self.clocks.refusal_of(self.config.stamp, now_ms);
         if clocks.is_some() != self.said[CLOCKS].is_some() {
             self.say(CLOCKS, clocks.map(|why| format!("the clocks do not agree: {why}")), notes);
         }
     }
 
-    /// Sends what the robot wants sent, decided at `wall_s` (seconds since 1970).
+    /// Sends the robot's outputs, decided at `wall_s` (seconds since 1970).
     pub fn send(&mut self, robot: &mut RosRobot, wall_s: f64, now_ms: u64) {
         for output in robot.take_outputs() {
             let Some(joined) = &mut self.joined else {

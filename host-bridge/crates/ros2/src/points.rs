@@ -1,9 +1,9 @@
-//! A whole trajectory as a `joint_trajectory_controller` takes it.
+//! Converts a complete trajectory to the form of a `joint_trajectory_controller`.
 
 use host_robot::Trajectory;
 use host_topics::message::{Header, JointTrajectory, JointTrajectoryPoint, Time};
 
-/// Longest time between two points, besides the instants at which the acceleration changes.
+/// Maximum time between two points, in addition to the instants at which the acceleration changes.
 const GRID_S: f64 = 0.25;
 /// Controllers want increasing times.
 const LEAST_STEP_S: f64 = 0.001;

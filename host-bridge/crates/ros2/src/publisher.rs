@@ -1,5 +1,5 @@
-//! What the program publishes beside its commands: whether its operator has stopped, diagnostics, and the simulator where
-//! that is the robot. Needs the feature `ros2`.
+//! Publishes data other than commands: the operator's stop, diagnostics, and the simulator if it is the robot.
+//! Needs the feature `ros2`.
 
 use std::sync::{MutexGuard, PoisonError};
 
@@ -11,15 +11,15 @@ use host_robot::{Door, RobotSetting};
 use host_topics::message as ros;
 use host_topics::messages::{Frames, transforms};
 
-/// The operator's stop is repeated this often.
+/// Repetition interval of the operator's stop.
 const STOPPED_INTERVAL_MS: u64 = 250;
-/// The simulator's state is published this often.
+/// Publication interval of the simulator's state.
 const SIM_INTERVAL_MS: u64 = 20;
 
-/// The simulator as it is published.
+/// The simulator's data for publishing.
 #[derive(Clone, Debug)]
 pub struct Simulator {
-    /// What does not change of it.
+    /// Data of the simulator that does not change.
     pub setting: RobotSetting,
     /// Names of its frames.
     pub frames: Frames,
@@ -28,24 +28,24 @@ pub struct Simulator {
 }
 
 impl Simulator {
-    /// As configured.
+    /// Creates a simulator as configured.
     ///
     /// # Errors
-    /// Two frames would have one name.
+    /// Fails if two frames would have the same name.
     pub fn new(config: &Ros2Config, setting: &RobotSetting) -> Result<Self, String> {
         let frames = config.frames(setting)?;
         Ok(Simulator { setting: setting.clone(), urdf: urdf(setting, &frames, config), frames })
     }
 }
 
-/// What the program publishes beside its commands: diagnostics, and the simulator where that is the robot.
+/// Publishes diagnostics, and the simulator if it is the robot.
 pub struct RosPublisher {
     config: Ros2Config,
     published: Shared,
     /// Where the simulator's state is published.
     simulator: Option<Simulator>,
     sim_published_ms: u64,
-    /// What was said last about the operator's stop, and when.
+    /// The last published operator's stop, and its time.
     said_stopped: Option<(bool, u64)>,
 }
 
@@ -56,7 +56,7 @@ impl RosPublisher {
         RosPublisher { config, published, simulator, sim_published_ms: 0, said_stopped: None }
     }
 
-    /// Says whether this program's operator has stopped: at once when it changes, else four times a second.
+    /// Publishes the operator's stop: immediately on a change, otherwise four times per second.
     pub fn say_stopped(&mut self, stopped: bool, now_ms: u64) {
         let said = self.said_stopped.is_some_and(|(last, at_ms)| {
             last == stopped && now_ms.saturating_sub(at_ms) < STOPPED_INTERVAL_MS
@@ -75,7 +75,7 @@ impl RosPublisher {
         }
     }
 
-    /// Publishes the simulator's state, if that is wanted and due.
+    /// Publishes the simulator's state, if requested and due.
     pub fn publish_sim(&mut self, robot: &dyn Door, now_ms: u64, stamp: ros::Time) {
         let mut published = lock(&self.published);
         let voice = published.as_mut().filter(|voice| voice.has_simulator());

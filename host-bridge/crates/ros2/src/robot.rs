@@ -1,8 +1,9 @@
-//! A robot on a ROS 2 graph: what to publish when. Sans-IO; `ros2::node` carries it out.
+//! A robot on a ROS 2 graph: decides on the messages and their times. It is sans-IO; `ros2::node` sends them.
 //!
-//! Safety on the graph: before the bridge was armed for the first time (which needs neutral) nothing is
-//! sent. While driving, the speed is repeated at a fixed rate; after a stop zero is, for a bounded time;
-//! then there is silence, so that another source may drive. A stop also cancels the arm's motion.
+//! Safety on the graph: nothing is sent until the bridge is armed for the first time (which needs neutral).
+//! While driving, the speed is repeated at a fixed rate.
+//! After a stop, zero is repeated for a limited time, followed by silence, so that another source may drive.
+//! A stop also cancels the arm's motion.
 
 use std::sync::Arc;
 
@@ -18,10 +19,10 @@ use host_robot::{
 };
 use host_topics::message::{self as ros, JointState, JointTrajectory};
 
-/// A bridge that says nothing for this long counts as stopped.
+/// A bridge that is silent for this long counts as stopped.
 const QUIET_MS: u64 = 250;
 
-/// The longest time between a command and its reported effect: the network, the controller's cycle, and the way back.
+/// Maximum time between a command and its reported effect: network, controller cycle, and the way back.
 const REACTION_MS: u64 = 60;
 
 /// What goes out.
@@ -49,17 +50,17 @@ pub enum Output {
         goal: u32,
         /// In the joint's own units.
         position: f64,
-        /// The largest force; `None` = the controller's own.
+        /// Maximum force; `None` means the controller's default.
         effort: Option<f64>,
     },
-    /// This goal of the gripper must end.
+    /// Requests the cancellation of this goal of the gripper.
     CancelGrip {
         /// Our number for it.
         goal: u32,
     },
 }
 
-/// Counters of what was sent and received.
+/// Counters of sent and received messages.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Counts {
     /// Speeds.
@@ -94,7 +95,7 @@ pub struct RosRobot {
     interval_ms: u64,
     stop_ms: u64,
     now_ms: u64,
-    /// The bridge has been armed once.
+    /// Whether the bridge has been armed at least once.
     allowed: bool,
     base: BaseCommand,
     wanted: Twist,
@@ -106,20 +107,20 @@ pub struct RosRobot {
     outputs: Vec<Output>,
     limits: JointLimits,
     base_limits: BaseConfig,
-    /// Its newest odometry, relative to where it was first seen, and when it arrived.
+    /// The newest odometry relative to the first known position, and its time of arrival.
     seen: Option<(BaseState, u64)>,
     first: Option<Odometry>,
-    /// The base's speed when it was last given another one, until its odometry begins to follow.
+    /// The base's speed at the last change of its command, until odometry begins to follow.
     speed_then: Option<Twist>,
     /// It has.
     base_follows: bool,
 }
 
 impl RosRobot {
-    /// A robot that has not been commanded yet.
+    /// Creates a robot that has not received any command.
     pub fn new(config: &Ros2Config, limits: JointLimits, base_limits: BaseConfig) -> Self {
         RosRobot {
-            // The bridge repeats itself every 20 ms, a turn of its loop later at most.
+            // The bridge repeats commands every 20 ms, with a delay of at most one turn of its loop.
             interval_ms: (1000 / u64::from(config.rate_hz.max(1))).saturating_sub(2),
             stop_ms: config.stop_ms,
             now_ms: 0,
@@ -150,23 +151,23 @@ impl RosRobot {
         self.see_from("", state);
     }
 
-    /// The same, from somebody with a name.
+    /// Like [`Self::see`], for angles from a named publisher.
     pub fn see_from(&mut self, teller: &str, state: &JointState) {
         self.arm.see_from(teller, state, self.now_ms);
         self.gripper.see(state, self.now_ms);
     }
 
-    /// What the arm's controller says of itself, and by how much it scales speeds, where it tells.
+    /// Processes the report of the arm's controller about itself, and its speed scaling, if reported.
     pub fn see_controller(&mut self, state: &ros::ControllerState, scaling: Option<f64>) {
         self.arm.see_controller(state, scaling, self.now_ms);
     }
 
-    /// How many goals of others are active on the arm's action server.
+    /// Sets the number of other programs' active goals on the arm's action server.
     pub fn set_foreign_goals(&mut self, goals: usize) {
         self.arm.set_foreign_goals(goals);
     }
 
-    /// Odometry that the robot reports. The scene's origin is where the base was first seen.
+    /// Processes the robot's odometry. The first known position of the base is the scene's origin.
     pub fn see_base(&mut self, odometry: &ros::Odometry) {
         let position = odometry.pose.pose.position;
         let here = Odometry {
@@ -196,7 +197,7 @@ impl RosRobot {
         if let Some((last, _)) = self.seen {
             let step_m = (moved.x_m - last.odometry.x_m).hypot(moved.y_m - last.odometry.y_m);
             moved.path_m = last.odometry.path_m + step_m;
-            // Turned on from where it was, not wrapped.
+            // Continues the rotation without wrapping.
             let turn = moved.heading_rad - last.odometry.heading_rad;
             moved.heading_rad -= std::f64::consts::TAU * (turn / std::f64::consts::TAU).round();
         }
@@ -210,7 +211,7 @@ impl RosRobot {
         self.seen = Some((BaseState { odometry: moved, covariance, wheels: None }, self.now_ms));
     }
 
-    /// Whether anybody takes arm motions.
+    /// Sets whether there is a subscriber for arm motions.
     pub fn set_arm_listened_to(&mut self, listened_to: bool) {
         self.arm.set_listened_to(listened_to);
     }
@@ -220,7 +221,7 @@ impl RosRobot {
         self.arm.answer(goal, answer, self.now_ms, &mut self.outputs);
     }
 
-    /// Why nobody serves the gripper's action; `None` = somebody does.
+    /// Sets the reason why the gripper's action has no server, or `None`.
     pub fn set_gripper_missing(&mut self, missing: Option<String>) {
         self.gripper.set_missing(missing);
     }
@@ -243,7 +244,7 @@ impl RosRobot {
 
     fn send_speed(&mut self) {
         self.sent_ms = Some(self.now_ms);
-        // Only the last decision of a turn of the loop counts, so that no two have one stamp.
+        // Only the last decision in a turn of the loop counts, so that no two commands have the same stamp.
         self.outputs.retain(|output| !matches!(output, Output::Twist(_)));
         self.outputs.push(Output::Twist(self.wanted));
     }
@@ -261,7 +262,8 @@ impl RosRobot {
     }
 }
 
-/// Whether a base that had one speed is a tenth of the way to the wanted one; no odometry is so noisy.
+/// Returns whether a base has completed a tenth of a change in speed.
+/// Odometry noise is always smaller than that.
 fn begins(then: Twist, now: Twist, wanted: Twist) -> bool {
     const SHARE: f64 = 0.1;
     let linear = (wanted.linear_m_s - then.linear_m_s, now.linear_m_s - then.linear_m_s);
@@ -271,12 +273,12 @@ fn begins(then: Twist, now: Twist, wanted: Twist) -> bool {
 }
 
 impl Robot for RosRobot {
-    /// Repeats, waits and gives up as the module says.
+    /// Performs repetitions, waits and time-outs, as described in the module documentation.
     fn step(&mut self, now_ms: u64) {
         self.at(now_ms);
         let quiet_ms = self.now_ms.saturating_sub(self.wanted_ms);
         if self.base == BaseCommand::Driving && quiet_ms >= QUIET_MS {
-            // This program stood still. Its last command is old.
+            // This program was paused, so its last command is outdated.
             self.stop_base();
         }
         self.repeat();
@@ -311,7 +313,7 @@ impl Robot for RosRobot {
             self.speed_then = self.seen.map(|(base, _)| base.odometry.twist);
         }
         if twist == Twist::ZERO {
-            // At rest already, so that another source of speeds is not disturbed.
+            // The base is already at rest, and another source of speeds must not be disturbed.
             if self.base == BaseCommand::Driving {
                 self.stop_base();
             }
@@ -421,7 +423,7 @@ mod tests {
     struct Rig {
         robot: RosRobot,
         now_ms: u64,
-        /// What the bridge says every 20 ms.
+        /// The bridge's command every 20 ms.
         bridge: Option<Twist>,
     }
 
@@ -431,7 +433,7 @@ mod tests {
             Rig { robot, now_ms: 1000, bridge: None }
         }
 
-        /// Time and speed of what was sent.
+        /// Returns time and speed of each sent command.
         fn run(&mut self, ms: u64) -> Vec<(u64, f64)> {
             let mut sent = Vec::new();
             for _ in 0..ms {
@@ -454,7 +456,7 @@ mod tests {
         let mut rig = Rig::new();
         rig.robot.halt();
         assert!(rig.run(2000).is_empty());
-        // Armed, at rest: still nobody is disturbed.
+        // The bridge is armed and at rest, so nothing is sent yet.
         rig.bridge = Some(Twist::ZERO);
         assert!(rig.run(2000).is_empty());
     }
@@ -488,7 +490,7 @@ mod tests {
             assert!(zeros.len() >= 45, "{}", zeros.len());
             let last_ms = zeros.last().unwrap().0 - start_ms;
             assert!((950..=1060).contains(&last_ms), "{last_ms}");
-            // Nothing but zero after the first zero.
+            // After the first zero, only zeros are sent.
             let first = sent.iter().position(|(_, speed)| *speed == 0.0).unwrap();
             assert!(sent[first..].iter().all(|(_, speed)| *speed == 0.0));
         }
@@ -514,7 +516,7 @@ mod tests {
         let sent = rig.run(2000);
         let zero = sent.iter().find(|(_, speed)| *speed == 0.0).unwrap();
         assert!(zero.0 - start_ms <= 251, "{zero:?}");
-        // The program stood still for a while: the first thing it sends is zero.
+        // After a pause of the program, the first command is zero.
         rig.bridge = Some(FORWARD);
         rig.run(500);
         rig.bridge = None;
@@ -536,12 +538,12 @@ mod tests {
         robot.see_base(&odometry(0.3, 0.0));
         assert_eq!(robot.take_accepted(), [], "what it had before is not known");
         robot.drive(Twist { linear_m_s: 0.0, angular_rad_s: 0.5 });
-        // Noise, then a twentieth of the way, then enough.
+        // First noise, then a twentieth of the change, then enough.
         for (turn, expected) in [(-0.01, vec![]), (0.025, vec![]), (0.06, vec![Part::Base]), (0.3, vec![])] {
             robot.see_base(&odometry(0.3, turn));
             assert_eq!(robot.take_accepted(), expected, "{turn} rad/s");
         }
-        // Also a stop, and a change of sign.
+        // The acceptance of a stop is detected too.
         robot.drive(Twist::ZERO);
         robot.see_base(&odometry(0.2, 0.2));
         assert_eq!(robot.take_accepted(), [Part::Base]);

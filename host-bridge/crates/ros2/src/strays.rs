@@ -1,6 +1,6 @@
-//! Goals that nobody wants, and that may run all the same.
+//! Abandoned goals that may still be running.
 
-/// A cancellation is asked for again after this long.
+/// Repetition interval of cancellation requests.
 pub const CANCEL_INTERVAL_MS: u64 = 200;
 /// More are not remembered.
 const STRAYS_MAX: usize = 64;
@@ -9,18 +9,18 @@ const STRAYS_MAX: usize = 64;
 struct Stray {
     goal: u32,
     cancelled_ms: u64,
-    /// It is over then, whatever is reported.
+    /// Latest end of the waiting time.
     until_ms: u64,
-    /// Somebody has said that it does not run; that may be forged, or another server's word.
+    /// Whether it was reported as not running, which may be forged or refer to another server.
     is_said_over: bool,
 }
 
-/// The end of each is requested until it is known, or until longer than any goal runs.
+/// Goals whose cancellation is requested until their end is known, or until the maximum duration of a goal.
 #[derive(Clone, Debug, Default)]
 pub struct Strays(Vec<Stray>);
 
 impl Strays {
-    /// This one's end was asked for now.
+    /// Adds a goal whose cancellation was requested now.
     pub fn add(&mut self, goal: u32, now_ms: u64, until_ms: u64) {
         self.over(goal);
         if self.0.len() == STRAYS_MAX {
@@ -29,7 +29,7 @@ impl Strays {
         self.0.push(Stray { goal, cancelled_ms: now_ms, until_ms, is_said_over: false });
     }
 
-    /// Somebody says that this one does not run. Its end is asked for on, and nobody waits for it any more.
+    /// Reports that this goal is not running. Its cancellation is still requested, but nothing waits for it.
     pub fn said_over(&mut self, goal: u32) {
         for stray in self.0.iter_mut().filter(|stray| stray.goal == goal) {
             stray.is_said_over = true;
@@ -41,12 +41,12 @@ impl Strays {
         self.0.retain(|stray| stray.goal != goal);
     }
 
-    /// Whether of each of them somebody has said that it does not run.
+    /// Returns whether all goals were reported as not running.
     pub fn are_said_over(&self) -> bool {
         self.0.iter().all(|stray| stray.is_said_over)
     }
 
-    /// Advances the time to `now_ms`; `cancel` asks again for a goal to be ended.
+    /// Advances the time to `now_ms`; `cancel` repeats the request for a goal.
     pub fn step(&mut self, now_ms: u64, mut cancel: impl FnMut(u32)) {
         self.0.retain(|stray| now_ms < stray.until_ms);
         for Stray { goal, cancelled_ms, .. } in &mut self.0 {
@@ -58,13 +58,13 @@ impl Strays {
     }
 }
 
-/// Goals that were said to be over before they could be: of two servers, or by a forged word, one may run on. A stop asks
-/// for their ends.
+/// Goals that were reported as finished too early. With two servers or a forged answer, one may still be running.
+/// A stop requests their cancellation.
 #[derive(Clone, Debug, Default)]
 pub struct Unsure(Vec<(u32, u64)>);
 
 impl Unsure {
-    /// This one may run until then.
+    /// Adds a goal that may be running until this time.
     pub fn add(&mut self, goal: u32, until_ms: u64) {
         self.0.retain(|(known, _)| *known != goal);
         if self.0.len() == STRAYS_MAX {
@@ -73,7 +73,7 @@ impl Unsure {
         self.0.push((goal, until_ms));
     }
 
-    /// A stop: `cancel` asks for the end of each, which is a stray from now on.
+    /// Processes a stop: `cancel` requests the cancellation of each, which is a stray from now on.
     pub fn halt(&mut self, now_ms: u64, strays: &mut Strays, mut cancel: impl FnMut(u32)) {
         for (goal, until_ms) in self.0.drain(..).filter(|(_, until_ms)| now_ms < *until_ms) {
             cancel(goal);

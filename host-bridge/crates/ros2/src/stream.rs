@@ -1,5 +1,6 @@
-//! A trajectory in short pieces, so that an arm has a third stop: each piece is the next quarter second of the plan and
-//! then braking along the planned path. A dead laptop, a cut cable or a frozen program is an arm at rest.
+//! Sends a trajectory in short pieces, which gives the arm a third stop.
+//! Each piece is the next quarter second of the plan, followed by braking on the planned path.
+//! If the laptop dies, the cable is cut or the program freezes, the arm therefore comes to rest.
 //!
 //! ```text
 //! plan      ────────────────────────────────────────────────►
@@ -8,10 +9,11 @@
 //! piece 3             ▪────────╲__      every 100 ms
 //! ```
 //!
-//! Rules of Jazzy's joint_trajectory_controller that this rests on (ros2_controllers, `joint_trajectory_controller.cpp`
-//! and `trajectory.cpp`): a message on the topic replaces the running one; a stamp of zero means "now" and would jump or
-//! blend; with a stamp, the trajectory is sampled at the controller's own time, between a point in the past and the next
-//! one exactly; the last point is held. So all pieces of a motion share one stamp in the robot's clock.
+//! This relies on rules of Jazzy's joint_trajectory_controller (`joint_trajectory_controller.cpp`
+//! and `trajectory.cpp`).
+//! A message on the topic replaces the running one. A zero stamp means "now" and would cause a jump or a blend.
+//! With a stamp, the trajectory is sampled at the controller's own time, exactly between a past point and the next one.
+//! The last point is held. All pieces of a motion therefore have the same stamp in the robot's clock.
 
 use std::collections::VecDeque;
 
@@ -19,16 +21,16 @@ use super::points;
 use host_robot::{JointLimits, Joints, Motion, Trajectory, brake};
 use host_topics::message::{Header, JointTrajectory, JointTrajectoryPoint, Time};
 
-/// How much of the plan is in each piece, from now on.
+/// Duration of the plan in each piece, from now on.
 pub const HORIZON_MS: u64 = 250;
-/// A piece is sent this often.
+/// Interval at which pieces are sent.
 pub const RENEW_MS: u64 = 100;
-/// Each piece begins this long before now.
+/// Time between the start of a piece and the time of sending; the start is earlier.
 const PAST_S: f64 = 0.02;
-/// The first piece begins to move this long after it was sent, and its timeline begins as long before that.
+/// Time between sending the first piece and its motion. Its timeline begins by the same time before that.
 const LEAD_S: f64 = 0.05;
 const HOLD_S: f64 = 0.5;
-/// A stop takes effect this long after it was sent.
+/// Time between sending a stop and its effect.
 const STOP_LEAD_S: f64 = 0.01;
 /// A motion is continued otherwise at least this long after that was decided: by then the piece is there.
 pub const AHEAD_MS: u64 = 30;
@@ -39,18 +41,18 @@ const BRAKE_GRID_S: f64 = 0.02;
 /// Controllers want increasing times.
 const STEP_MIN_S: f64 = 0.001;
 
-/// The robot's clock, from the stamps of what it reports: never ahead of the robot's own.
+/// The robot's clock, estimated from the stamps of its reports. It is never ahead of the robot's own clock.
 #[derive(Clone, Debug, Default)]
 pub struct RobotClock {
-    /// Arrival and how far the stamp was ahead of our clock, in ms and ns.
+    /// Time of arrival in ms, and difference between the stamp and our clock in ns.
     seen: VecDeque<(u64, i64)>,
 }
 
 impl RobotClock {
-    /// The messages of this time decide: the one with the shortest delay is the most accurate.
+    /// Duration of the messages considered; the one with the shortest delay is the most accurate.
     const WINDOW_MS: u64 = 2000;
 
-    /// A message with this stamp has arrived; a zero stamp says nothing.
+    /// Processes a stamp. A zero stamp is ignored.
     pub fn see(&mut self, stamp: Time, now_ms: u64) {
         if stamp == Time::default() {
             return;
@@ -63,7 +65,7 @@ impl RobotClock {
         }
     }
 
-    /// Its time in ns at `now_ms`; `None` = it stamps nothing.
+    /// Returns its time in ns at `now_ms`, or `None` without stamps.
     pub fn at_ns(&self, now_ms: u64) -> Option<i64> {
         let ahead_ns = self.seen.iter().map(|(_, ahead_ns)| *ahead_ns).max()?;
         Some(now_ms as i64 * 1_000_000 + ahead_ns)
@@ -75,24 +77,24 @@ impl RobotClock {
 pub struct Stream {
     /// Robot time at the trajectory's start.
     start_ns: i64,
-    /// The last piece: when it was sent, and from which time on it brakes.
+    /// The last piece: its time of sending, and the time at which it begins to brake.
     sent: Option<(u64, f64)>,
-    /// It is abandoned: from when on it brakes, and until when.
+    /// For an abandoned trajectory, the start and the end of braking.
     braking: Option<(f64, f64)>,
 }
 
 impl Stream {
-    /// Begins shortly after `robot_ns`.
+    /// Creates a stream that begins shortly after `robot_ns`.
     pub fn new(robot_ns: i64) -> Self {
         Stream { start_ns: robot_ns + (LEAD_S * 1e9) as i64, sent: None, braking: None }
     }
 
-    /// Time since the trajectory's start on the robot's clock, in s; negative before it.
+    /// Time since the trajectory's start on the robot's clock in s; negative before the start.
     pub fn elapsed_s(&self, robot_ns: i64) -> f64 {
         (robot_ns - self.start_ns) as f64 / 1e9
     }
 
-    /// Where the arm should be.
+    /// Returns the expected position of the arm.
     pub fn reference(&self, trajectory: &Trajectory, limits: &JointLimits, robot_ns: i64) -> Motion {
         let elapsed_s = self.elapsed_s(robot_ns).max(0.0);
         match self.braking {
@@ -106,12 +108,12 @@ impl Stream {
         }
     }
 
-    /// It has been abandoned, and the arm rests by now.
+    /// Returns whether the trajectory was abandoned and the arm rests.
     pub fn has_braked(&self, robot_ns: i64) -> bool {
         self.braking.is_some_and(|(_, until_s)| self.elapsed_s(robot_ns) > until_s)
     }
 
-    /// The next piece, if it is due. `Err` = it is too late: the arm has begun to brake by itself.
+    /// Returns the next piece if it is due. `Err` means that the arm has already begun to brake.
     pub fn renew(
         &mut self,
         trajectory: &Trajectory,
@@ -175,7 +177,7 @@ impl Stream {
         self.braking = Some((from_s, from_s + takes_s));
     }
 
-    /// The plan up to `from_s`, then braking; times count from the stamp.
+    /// Returns the plan up to `from_s`, followed by braking. Times are relative to the stamp.
     fn points(
         &self,
         trajectory: &Trajectory,
@@ -202,7 +204,7 @@ impl Stream {
         let instants = brake::along(trajectory, from_s, limits);
         let (mut next_s, last) = (0.0, instants.len() - 1);
         for (k, instant) in instants.iter().enumerate() {
-            // The last regular point keeps its distance from the end.
+            // The last regular point keeps a distance from the end.
             let room = instants[last].time_s - instant.time_s >= STEP_MIN_S;
             if k == last || (instant.time_s >= next_s && room) {
                 points.push((from_s + instant.time_s, instant.motion));
@@ -218,7 +220,7 @@ impl Stream {
         points.into_iter().map(point).collect()
     }
 
-    /// The message of these points.
+    /// Creates the message with these points.
     pub fn message(&self, joint_names: &[String], points: Vec<JointTrajectoryPoint>) -> JointTrajectory {
         let stamp_ns = (self.start_ns - (HOLD_S * 1e9) as i64).max(1);
         let header = Header { stamp: Time::at_ns(stamp_ns as u64), ..Header::default() };
@@ -226,11 +228,11 @@ impl Stream {
     }
 }
 
-/// The next piece would come after the arm has begun to brake by itself.
+/// The next piece would arrive after the arm has begun to brake.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Late;
 
-/// Largest difference of a joint, with whole turns left out for joints that turn without end.
+/// Returns the largest difference of a joint, without complete turns of continuous joints.
 pub fn off_rad(here_rad: &Joints, there_rad: &Joints) -> f64 {
     use std::f64::consts::TAU;
     let off = here_rad.iter().zip(there_rad).map(|(a, b)| {
@@ -262,8 +264,8 @@ mod tests {
         Trajectory::through(&[FROM, to], &[], &limits())
     }
 
-    /// A controller after Jazzy's rules: it samples the last message at its own time, cubics between points, and holds
-    /// the last one.
+    /// A controller with Jazzy's rules: it samples the last message at its own time with cubics,
+    /// and holds the last point.
     struct Controller {
         message: Option<JointTrajectory>,
     }
@@ -291,7 +293,7 @@ mod tests {
 
     const BOOT_NS: i64 = 1_700_000_000_000_000_000;
 
-    /// Runs for `ms`, with pieces until `dead_ms`; positions of joint 2, a millisecond apart.
+    /// Runs for `ms`, with pieces until `dead_ms`. Returns positions of joint 2, one per millisecond.
     fn run(ms: u64, dead_ms: u64, halt_ms: Option<u64>) -> Vec<f64> {
         let trajectory = trajectory();
         let names: Vec<String> = (1..=7).map(|i| format!("joint_{i}")).collect();
@@ -373,7 +375,7 @@ mod tests {
         assert_eq!(clock.at_ns(0), None);
         clock.see(Time::default(), 5);
         assert_eq!(clock.at_ns(5), None);
-        // Its clock shows 1 s at our 0 ms; messages take 3 to 40 ms.
+        // The robot's clock shows 1 s at our 0 ms, and messages take 3 to 40 ms.
         for (sent_ms, delay_ms) in [(100, 40), (200, 3), (300, 17)] {
             clock.see(Time::at_ns(1_000_000_000 + sent_ms * 1_000_000), sent_ms + delay_ms);
         }

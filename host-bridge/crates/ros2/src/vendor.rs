@@ -1,7 +1,8 @@
-//! Whose DDS a participant runs, and how its services want their requests.
+//! The vendor of a participant's DDS, and the wrapping of its services' requests.
 //!
-//! RTPS (version 2.2 and later, 8.2.4.3 and 9.3.1.5) puts the vendor's id in the first two bytes of every
-//! participant's GUID prefix; it is the same as in its announcements.
+//! RTPS (version 2.2 and later, 8.2.4.3 and 9.3.1.5) stores the vendor's id in the first two bytes
+//! of every GUID prefix.
+//! The two bytes equal the id in the participant's announcements.
 
 use std::fmt;
 
@@ -21,12 +22,12 @@ impl Vendor {
     /// RustDDS, as here.
     pub const RUST_DDS: Vendor = Vendor([0x01, 0x12]);
 
-    /// From the bytes of a GUID or its prefix; `None` for fewer than two.
+    /// Reads the bytes of a GUID or its prefix; `None` for fewer than two.
     pub fn of_prefix(prefix: &[u8]) -> Option<Self> {
         Some(Vendor([*prefix.first()?, *prefix.get(1)?]))
     }
 
-    /// How a server of this vendor wants its requests.
+    /// Returns the wrapping of requests for a server of this vendor.
     pub fn wrapping(self) -> Wrapping {
         if self == Vendor::CYCLONE_DDS { Wrapping::Cyclone } else { Wrapping::Rpc }
     }
@@ -45,13 +46,13 @@ impl fmt::Display for Vendor {
     }
 }
 
-/// How requests and replies say to whom they belong.
+/// The identification of requests and replies.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Wrapping {
     /// In 16 bytes before the message (`rmw_cyclonedds_cpp`).
     Cyclone,
-    /// In the data's inline quality of service, as DDS-RPC's enhanced mapping has it (`rmw_fastrtps_cpp` and
-    /// `rmw_connextdds`).
+    /// In the data's inline quality of service, according to DDS-RPC's enhanced mapping (`rmw_fastrtps_cpp`
+    /// and `rmw_connextdds`).
     Rpc,
 }
 

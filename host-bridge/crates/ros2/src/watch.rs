@@ -1,10 +1,10 @@
-//! Are the threads of the node alive? RustDDS 0.15 ends its two loops on any error of its poll, and every stop and
-//! continuation of this process (a debugger, a frozen container, suspend) is such an error. What is published then goes
-//! nowhere and nothing says so: so it is watched from outside.
+//! Monitors the node's threads. RustDDS 0.15 ends its two loops on any poll error.
+//! Stopping and continuing this process (a debugger, a frozen container, suspend) causes such an error.
+//! Published data is then lost without any report, so the threads are monitored from outside.
 
 use std::path::{Path, PathBuf};
 
-/// How the library names its threads; the kernel keeps 15 bytes of a name.
+/// The library's thread names, of which the kernel stores 15 bytes.
 const NAMES: [&str; 2] = ["RustDDS Partici", "RustDDS discove"];
 
 /// The threads of one node.
@@ -14,7 +14,7 @@ pub struct Watch {
 }
 
 impl Watch {
-    /// Threads of the library in this process, by the number of their task.
+    /// Returns the library's threads in this process, by task number.
     pub fn running() -> Vec<PathBuf> {
         let tasks = std::fs::read_dir("/proc/self/task").into_iter().flatten().flatten();
         let is_ours = |task: &Path| {
@@ -24,12 +24,12 @@ impl Watch {
         tasks.map(|task| task.path()).filter(|task| is_ours(task)).collect()
     }
 
-    /// Watches those that came since `before` was taken with [`Watch::running`].
+    /// Monitors the threads that started after `before` was taken with [`Watch::running`].
     pub fn since(before: &[PathBuf]) -> Self {
         Watch { threads: Watch::running().into_iter().filter(|task| !before.contains(task)).collect() }
     }
 
-    /// Whether none has ended. Where the system does not list threads (not Linux) they count as alive.
+    /// Returns whether none has ended. If the system does not list threads (not Linux), they count as alive.
     pub fn is_alive(&self) -> bool {
         self.threads.iter().all(|task| task.exists())
     }

@@ -1,7 +1,7 @@
-//! Two action servers, late and forged answers, lying joint states: no motion that a stop does not end.
+//! Tests two action servers, late and forged answers, and false joint states. A stop must end every motion.
 //!
-//! Each server carries out the goals that it accepts, as joint_trajectory_controller does, until it is done or a
-//! cancellation comes; what it says may be late, and somebody else's words come in between.
+//! Each server executes accepted goals like joint_trajectory_controller, until they finish or are cancelled.
+//! Its answers may be late, and other participants' messages may arrive in between.
 
 use std::sync::Arc;
 
@@ -41,7 +41,7 @@ struct Executing {
     cancelled_ms: Option<u64>,
 }
 
-/// What servers of one kind of action say, and what a forger may.
+/// The possible answers of servers of one kind of action, and of a forger.
 struct Words<A> {
     accepted: A,
     rejected: A,
@@ -50,11 +50,11 @@ struct Words<A> {
     forged: [A; 5],
 }
 
-/// Two servers that carry out what they accept, and a forger.
+/// Two servers that execute accepted goals, and a forger.
 struct Servers<A> {
     words: Words<A>,
     takes_ms: u64,
-    /// When, who (2 = the forger), about which goal, and what is said.
+    /// Time, sender (2 = the forger), goal and content of each answer.
     answers: Vec<(u64, usize, u32, A)>,
     running: Vec<Executing>,
 }
@@ -64,7 +64,7 @@ impl<A: Clone + PartialEq> Servers<A> {
         Servers { words, takes_ms, answers: Vec::new(), running: Vec::new() }
     }
 
-    /// Each server accepts the goal, rejects it or says nothing, late or not; the forger says anything.
+    /// Each server accepts the goal, rejects it or is silent, with or without delay. The forger sends anything.
     fn ask(&mut self, goal: u32, now_ms: u64, random: &mut Random) {
         for server in 0..2 {
             let at_ms = now_ms + [1, 30, 1200, 6000][random.below(4)];
@@ -86,7 +86,7 @@ impl<A: Clone + PartialEq> Servers<A> {
         }
     }
 
-    /// What is said now, about which goals.
+    /// Returns the answers that are due, with their goals.
     fn take_due(&mut self, now_ms: u64) -> Vec<(u32, A)> {
         let (due, later): (Vec<_>, Vec<_>) = self.answers.drain(..).partition(|answer| answer.0 <= now_ms);
         self.answers = later;
@@ -99,7 +99,7 @@ impl<A: Clone + PartialEq> Servers<A> {
         due.into_iter().map(|(_, _, goal, answer)| (goal, answer)).collect()
     }
 
-    /// For how long, since the stop, a goal has run that nobody has cancelled.
+    /// Returns how long a goal has run since the stop without a cancellation.
     fn open_ms(&self, stopped_ms: Option<u64>, now_ms: u64) -> u64 {
         let Some(stopped_ms) = stopped_ms else { return 0 };
         let runs = self.running.iter().filter(|it| now_ms < it.since_ms + self.takes_ms);
@@ -144,7 +144,7 @@ fn whatever_two_servers_and_a_forger_answer_a_stop_ends_every_motion() {
                 arm.see(&angles(HOME), now_ms);
             }
             if now_ms % 700 == 0 && now_ms < stop_ms {
-                // Refused while it follows another one.
+                // The arm refuses the trajectory while another one is running.
                 let _ = arm.follow(Arc::clone(&trajectory), now_ms, &mut outputs);
             }
             if now_ms == stop_ms {
@@ -164,7 +164,7 @@ fn whatever_two_servers_and_a_forger_answer_a_stop_ends_every_motion() {
                 arm.answer(goal, answer, now_ms, &mut outputs);
             }
             arm.take_end();
-            // Whatever moves after a stop must have been cancelled.
+            // Everything that moves after a stop must have been cancelled.
             let open_ms = servers.open_ms(stopped_ms, now_ms);
             assert!(open_ms <= LIMIT_MS, "seed {seed}: a goal runs {open_ms} ms after the stop");
             worst_ms = worst_ms.max(open_ms);
@@ -177,7 +177,7 @@ fn whatever_two_servers_and_a_forger_answer_a_stop_ends_every_motion() {
     assert!(motions > sessions());
 }
 
-/// How long fingers take here.
+/// Duration of a grip in this test.
 const GRIP_TAKES_MS: u64 = 3000;
 
 fn done(reached: bool) -> GripAnswer {
@@ -211,7 +211,7 @@ fn whatever_two_servers_and_a_forger_answer_a_stop_ends_every_motion_of_the_grip
         for now_ms in 1..16_000_u64 {
             if now_ms % 700 == 0 && now_ms < stop_ms {
                 let opening_m = [0.0, 0.085][random.below(2)];
-                // Refused while another goal may run.
+                // This is refused while another goal may be running.
                 let _ =
                     gripper.grip(Grip { opening_m, effort_n: None, between_m: None }, now_ms, &mut outputs);
             }
@@ -322,6 +322,6 @@ fn forty_thousand_joint_names_take_no_time() {
     }
     let per_message_ms = began.elapsed().as_millis() as u64 / 100;
     println!("row: 40,000 joint names in a message | 100 | {per_message_ms} ms | 5 ms");
-    // If it were quadratic it would take seconds, on any machine.
+    // With quadratic complexity, it would take seconds on any machine.
     assert!(per_message_ms < 100, "{per_message_ms} ms");
 }

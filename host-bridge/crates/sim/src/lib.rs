@@ -1,5 +1,4 @@
-//! The simulated robot: a differential-drive base with an arm, in steps of a millisecond; with a gripper if it is
-//! given one.
+//! The simulated robot: a differential-drive base with an arm and an optional gripper, in steps of a millisecond.
 
 use std::sync::Arc;
 
@@ -11,7 +10,7 @@ use host_robot::{
 /// Length of one step.
 pub const STEP_MS: u64 = 1;
 
-/// Without a command for this long the robot stops by itself.
+/// After this long without a command, the robot stops by itself.
 pub const COMMAND_TIMEOUT_MS: u64 = 500;
 
 /// Figures of the simulated robot.
@@ -25,7 +24,7 @@ pub struct SimConfig {
     pub arm_limits: JointLimits,
 }
 
-/// The arm: it follows one trajectory at a time, exactly.
+/// The arm, which follows one trajectory at a time without errors.
 #[derive(Clone, Debug)]
 struct Arm {
     here: Motion,
@@ -34,7 +33,7 @@ struct Arm {
     end: Option<End>,
 }
 
-/// How fast simulated fingers open and close, in m/s.
+/// Speed of the simulated fingers in m/s.
 const GRIP_SPEED_M_S: f64 = 0.06;
 
 /// Two fingers.
@@ -60,7 +59,7 @@ pub struct Simulator {
 }
 
 impl Simulator {
-    /// A robot at rest at time 0.
+    /// Creates a robot at rest at time 0.
     pub fn new(config: SimConfig) -> Self {
         Simulator {
             base: Base::new(config.base),
@@ -79,30 +78,30 @@ impl Simulator {
         }
     }
 
-    /// The same robot whose clock shows `now_ms`.
+    /// Sets the robot's clock to `now_ms`.
     #[must_use]
     pub fn starting_at(self, now_ms: u64) -> Self {
         Simulator { now_ms, last_command_ms: now_ms, ..self }
     }
 
-    /// The same robot with a gripper, which is open.
+    /// Adds a gripper, which is open.
     #[must_use]
     pub fn with_gripper(self, widest_m: f64) -> Self {
         let gripper = Gripper { opening_m: widest_m, widest_m, asked: None, end: None };
         Simulator { gripper: Some(gripper), ..self }
     }
 
-    /// Neither a wheel nor a joint moves.
+    /// Returns whether no wheel and no joint moves.
     pub fn at_rest(&self) -> bool {
         self.base.wheels_rad_s() == [0.0; 2] && self.arm.here.velocity_rad_s.iter().all(|v| *v == 0.0)
     }
 
-    /// Speeds of the left and the right wheel in rad/s.
+    /// Returns the speeds of the left and right wheel in rad/s.
     pub fn wheels_rad_s(&self) -> [f64; 2] {
         self.base.wheels_rad_s()
     }
 
-    /// Where the base is, and how fast.
+    /// Returns position and speed of the base.
     pub fn odometry(&self) -> Odometry {
         self.base.odometry()
     }
@@ -130,7 +129,7 @@ impl Arm {
         }
     }
 
-    /// Abandons the trajectory and brakes as fast as the limits allow, straight on.
+    /// Abandons the trajectory and brakes straight ahead as fast as the limits allow.
     fn halt(&mut self, limits: &JointLimits) {
         if self.following.is_some() && !self.halting {
             self.following = Some((Arc::new(Trajectory::braking(self.here, limits)), 0.0));
@@ -179,7 +178,7 @@ impl Robot for Simulator {
                 self.halt_gripper();
             }
             if self.timed_out && self.at_rest() && self.arm.following.is_none() {
-                // Nothing moves before the next command, so the rest of a long pause is one step.
+                // Nothing moves until the next command, so the rest of a long pause is a single step.
                 self.now_ms += (now_ms - self.now_ms) / STEP_MS * STEP_MS;
             }
             self.base.step(dt_s);
@@ -319,7 +318,7 @@ mod tests {
         Arc::new(Trajectory::through(&[START_RAD, GOAL_RAD], &[], robot.joint_limits()))
     }
 
-    /// Lets time pass; every 20 ms the bridge repeats its command.
+    /// Advances the time, and repeats the command every 20 ms as the bridge does.
     fn run(robot: &mut Simulator, ms: u64, twist: Option<Twist>) {
         for _ in 0..ms {
             if let Some(twist) = twist.filter(|_| robot.now_ms.is_multiple_of(20)) {
@@ -335,7 +334,7 @@ mod tests {
         robot.follow(to_goal(&robot)).unwrap();
         run(&mut robot, 2000, Some(Twist { linear_m_s: 1.0, angular_rad_s: 0.0 }));
         assert!(!robot.at_rest());
-        // 0.5 s of silence, then 1 s to brake from 1 m/s at 1 m/s².
+        // After 0.5 s of silence, the base takes 1 s to brake from 1 m/s at 1 m/s².
         run(&mut robot, 480, None);
         assert!((robot.odometry().twist.linear_m_s - 1.0).abs() < 1e-9);
         run(&mut robot, 1030, None);

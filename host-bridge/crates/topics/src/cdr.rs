@@ -1,5 +1,5 @@
-//! CDR, little endian, as ROS 2 writes its messages: four bytes of header, then the fields in turn, by the crate
-//! `cdr-encoding`, which the ROS 2 client uses, too.
+//! Little-endian CDR as in ROS 2: four bytes of header, followed by the fields.
+//! This module uses the crate `cdr-encoding`, like the ROS 2 client.
 
 use byteorder::LittleEndian;
 use serde::Serialize;
@@ -8,16 +8,15 @@ use serde::de::DeserializeOwned;
 /// Marks CDR, little endian.
 const HEADER: [u8; 4] = [0, 1, 0, 0];
 
-/// One message as bytes. Messages are made of numbers, texts, sequences, arrays and structures only, all of which CDR
-/// can express.
+/// Encodes a message, which may contain only numbers, texts, sequences, arrays and structures.
 pub fn encode(message: &impl Serialize) -> Vec<u8> {
     let mut bytes = HEADER.to_vec();
-    // Writing to a `Vec` cannot fail, and padding counts from behind the header.
+    // Writing to a `Vec` cannot fail, and padding counts from the end of the header.
     let _ = cdr_encoding::to_writer::<_, LittleEndian, _>(&mut bytes, message);
     bytes
 }
 
-/// Reads one message; `None` if it has another header or is too short.
+/// Decodes a message. Returns `None` if its header differs or it is too short.
 pub fn decode<T: DeserializeOwned>(message: &[u8]) -> Option<T> {
     let body = message.strip_prefix(&HEADER)?;
     Some(cdr_encoding::from_bytes::<T, LittleEndian>(body).ok()?.0)
@@ -31,10 +30,10 @@ mod tests {
     fn fields_are_aligned_behind_the_header_and_texts_end_in_zero() {
         let message = encode(&(7_u8, 1_u32, "ab", 1.5_f64, [-1_i16, 2], vec![(true, vec![9_u8, 8])]));
         let mut expected = vec![0, 1, 0, 0, 7, 0, 0, 0, 1, 0, 0, 0, 3, 0, 0, 0, b'a', b'b', 0];
-        // 15 bytes behind the header: one of padding before the double.
+        // 15 bytes follow the header, including one byte of padding before the double.
         expected.push(0);
         expected.extend(1.5_f64.to_le_bytes());
-        // An array has no length; a sequence has.
+        // An array has no length field, but a sequence does.
         expected.extend([255, 255, 2, 0, 1, 0, 0, 0, 1, 0, 0, 0, 2, 0, 0, 0, 9, 8]);
         assert_eq!(message, expected);
     }
@@ -50,7 +49,7 @@ mod tests {
         let mut other = message.clone();
         other[1] = 0;
         assert_eq!(read(&other), None);
-        // A sequence that claims to be longer than any memory is read to the end of the message at most.
+        // If a sequence claims to be longer than any memory, only the message is read.
         assert_eq!(decode::<Vec<u64>>(&[0, 1, 0, 0, 255, 255, 255, 255]), None);
     }
 }

@@ -1,13 +1,13 @@
-//! Hands, gestures and the bridge's state as `diagnostic_msgs`, for `rqt_robot_monitor` and the like.
+//! Publishes hands, gestures and the bridge's state as `diagnostic_msgs`, for `rqt_robot_monitor` and similar tools.
 
 use crate::message::{DiagnosticArray, DiagnosticStatus, Header, KeyValue, Time};
 use host_core::bridge::{Bridge, BridgeEvent, EventKind};
 use host_core::safety::{Hand, PerHand, State};
 
-/// Repeated this often while nothing happens.
+/// Repetition interval while nothing happens.
 pub const INTERVAL_MS: u64 = 1000;
 
-/// Collects what happened, and says when it is to be published.
+/// Collects events and determines when to publish them.
 #[derive(Clone, Debug, Default)]
 pub struct Diagnostics {
     gestures: u32,
@@ -52,7 +52,7 @@ impl Diagnostics {
         self.due = true;
     }
 
-    /// The message, if one is to be published now: at once after an event, else once a second.
+    /// Returns the message if it is due: immediately after an event, otherwise once per second.
     pub fn take(&mut self, node: &str, bridge: &Bridge, now_ms: u64, stamp: Time) -> Option<DiagnosticArray> {
         let late = self.published_ms.is_none_or(|at| now_ms.saturating_sub(at) >= INTERVAL_MS);
         if !self.due && !late {

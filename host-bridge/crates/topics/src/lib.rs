@@ -1,15 +1,15 @@
-//! A session as messages, for files and for live viewers: topics, and their types as ROS 2 describes them.
+//! Converts a session to messages for files and live viewers, with topics and types in the form of ROS 2.
 //!
 //! ```text
 //! Tap ──► Teller (an Observer) ──► Outlet: a file (`journal`), or Foxglove over the network (`foxglove`)
 //! ```
 //!
 //! * this file: the streams,
-//! * [`message`], [`bimanual`]: their types, ROS 2's and our own,
-//! * [`values`]: times, rotations and odometry as ROS 2 has them,
-//! * [`messages`]: each message made from what observers are shown,
-//! * [`tell`]: which message is due when,
-//! * [`schema`], [`cdr`]: how ROS 2 describes a type, and how it lays out a message.
+//! * [`message`], [`bimanual`]: the types of ROS 2 and our own types,
+//! * [`values`]: times, rotations and odometry in the form of ROS 2,
+//! * [`messages`]: the construction of each message from observed data,
+//! * [`tell`]: the schedule of messages,
+//! * [`schema`], [`cdr`]: ROS 2's type descriptions and message encoding.
 
 pub mod bimanual;
 pub mod cdr;
@@ -25,9 +25,9 @@ pub use tell::{Outlet, Teller};
 
 use schema::Field as _;
 
-/// How messages are laid out, as MCAP and Foxglove name it.
+/// The encoding of messages, as named by MCAP and Foxglove.
 pub const ENCODING: &str = "cdr";
-/// How types are described, as MCAP and Foxglove name it.
+/// The format of type descriptions, as named by MCAP and Foxglove.
 pub const SCHEMA_ENCODING: &str = "ros2msg";
 
 macro_rules! topics {
@@ -52,7 +52,7 @@ macro_rules! topics {
                 kind.replace('/', "/msg/")
             }
 
-            /// Its type in full: the message, then every other one that it is made of.
+            /// Returns the complete description of its type, including all types that it contains.
             pub fn schema(self) -> String {
                 match self { $(Topic::$topic => schema::schema::<$kind>(),)* }
             }
@@ -108,7 +108,7 @@ topics! {
 }
 
 impl Topic {
-    /// The topic of that name.
+    /// Returns the topic with this name.
     pub fn named(name: &str) -> Option<Topic> {
         Topic::ALL.into_iter().find(|topic| topic.name() == name)
     }

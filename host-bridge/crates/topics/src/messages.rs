@@ -18,24 +18,24 @@ use host_robot::{DQuat, DVec3, Door, Picture, Pose, RobotSetting};
 pub const ODOM: &str = "odom";
 /// Frame of the base, on the floor between its wheels.
 pub const BASE: &str = "base_link";
-/// Before the names of the arm's links: with it, `base_link` of the arm is not the base's.
+/// Prefix of the arm's link names, which distinguishes the arm's `base_link` from the base's.
 pub const ARM_PREFIX: &str = "arm_";
 
-/// Names of the frames, so that the robot's own description can be laid over them.
+/// Names of the frames, chosen to match the robot's own description.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Frames {
     /// Frame of the base's odometry.
     pub odom: String,
-    /// Of the base, on the floor between its wheels.
+    /// Frame of the base, on the floor between its wheels.
     pub base: String,
     /// Of the arm's foot.
     pub arm_root: String,
-    /// Before the names of the arm's links.
+    /// Prefix of the arm's link names.
     pub arm_prefix: String,
 }
 
 impl Frames {
-    /// As files and Foxglove have them.
+    /// The names used in files and in Foxglove.
     pub fn plain(setting: &RobotSetting) -> Self {
         Frames {
             odom: ODOM.to_owned(),
@@ -51,7 +51,7 @@ impl Frames {
     }
 }
 
-/// Base in the world, foot on the base, links and flange on the foot.
+/// Returns the base in the world, the arm's base relative to it, and the links and flange relative to that.
 pub fn transforms(
     robot: &dyn Door,
     picture: &Picture,
@@ -81,12 +81,12 @@ pub fn transforms(
     ros::TfMessage { transforms }
 }
 
-/// A message, ready to be written or sent.
+/// A message that is ready to be written or sent.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Entry {
     /// Where.
     pub topic: Topic,
-    /// When, on the session's clock.
+    /// Time on the session's clock.
     pub time_ms: u64,
     /// What, in CDR.
     pub data: Vec<u8>,
@@ -143,13 +143,13 @@ impl Origin {
         Entry::new(Topic::Operated, time_ms, &own::Operated { stamp: self.stamp(time_ms), time_ms, key })
     }
 
-    /// The robot itself refuses to move, or (`None`) does not any more.
+    /// Reports that the robot itself refuses to move, or with `None` that the refusal has ended.
     pub fn refused(self, time_ms: u64, reason: Option<&str>) -> Entry {
         let reason = reason.unwrap_or_default().to_owned();
         Entry::new(Topic::Refused, time_ms, &own::Refused { stamp: self.stamp(time_ms), time_ms, reason })
     }
 
-    /// Steps, of which the last one ended at `time_ms`.
+    /// Reports steps, the last of which ended at `time_ms`.
     pub fn turns(self, time_ms: u64, turns: &[Turn]) -> Entry {
         let turn = |turn: &Turn| match turn {
             Turn::Decided(ms) => own::Turn { kind: 0, ms: *ms },
@@ -159,7 +159,7 @@ impl Origin {
         Entry::new(Topic::Turns, time_ms, &own::Turns { turns: turns.iter().map(turn).collect() })
     }
 
-    /// A reading, in the recording's units and in ROS's.
+    /// Reports a sample in the units of recordings and of ROS.
     pub fn sample(self, time_ms: u64, sample: &Sample<'_>) -> Vec<Entry> {
         match *sample {
             Sample::Left { counts, bends_permille } => {
@@ -176,7 +176,7 @@ impl Origin {
                     let found = values.get(from..from + 3)?;
                     Some(DVec3::from([0, 1, 2].map(|i| f64::from(found[i]))) * factor)
                 };
-                // In ROS a first element of -1 means that there is no such reading.
+                // In ROS, a first element of -1 marks a missing value.
                 let mut unknown = [0.0; 9];
                 unknown[0] = -1.0;
                 let raw = own::RightSample { header: header.clone(), values: values.to_vec() };
@@ -204,7 +204,7 @@ impl Origin {
         }
     }
 
-    /// An event, on all topics that it is for.
+    /// Reports an event on all topics that it belongs to.
     pub fn event(self, event: &SessionEvent) -> Vec<Entry> {
         let time_ms = describe::time_ms(event);
         let text = describe::text(event);
@@ -294,14 +294,14 @@ impl Origin {
         Entry::new(Topic::Joints, now.time_ms, &state)
     }
 
-    /// Where the base is, and how sure that is.
+    /// Reports the position of the base and its covariance.
     pub fn odometry(self, now: &Now<'_>) -> Entry {
         let (header, base) = (self.header(now.time_ms, ODOM), now.robot.setting().base);
         let odometry = ros::Odometry::of(&now.robot.picture(), &base, header, BASE.to_owned());
         Entry::new(Topic::Odometry, now.time_ms, &odometry)
     }
 
-    /// Base in the world, foot on the base, links and flange on the foot.
+    /// Reports the base in the world, the arm's base relative to it, and the links and flange relative to that.
     pub fn transforms(self, now: &Now<'_>) -> Entry {
         let (picture, model) = (now.robot.picture(), now.robot.setting());
         let message =
@@ -309,13 +309,13 @@ impl Origin {
         Entry::new(Topic::Transforms, now.time_ms, &message)
     }
 
-    /// This many messages are missing.
+    /// Reports the number of missing messages.
     pub fn lost(self, time_ms: u64, messages: u64) -> Entry {
         Entry::new(Topic::Lost, time_ms, &own::Lost { header: self.header(time_ms, ""), messages })
     }
 }
 
-/// An event that a hand asked for.
+/// Reports an event that a hand caused.
 fn intent(kind: &EventKind, header: &Header) -> Option<Intent> {
     let header = header.clone();
     let (hand, confidence, age_ms, [linear_m_s, angular_rad_s], name, outcome) = match kind {
@@ -333,7 +333,7 @@ fn intent(kind: &EventKind, header: &Header) -> Option<Intent> {
     Some(Intent { header, hand, name, outcome, confidence, age_ms, linear_m_s, angular_rad_s })
 }
 
-/// The state of the dead-man, and what else keeps the robot from moving as usual.
+/// Returns the state of the dead-man, with any other reason that restricts the robot.
 fn safety(bridge: &Bridge) -> String {
     let mut text = plain(&bridge.safety().state());
     if bridge.is_jogging() {
@@ -345,7 +345,7 @@ fn safety(bridge: &Bridge) -> String {
     text
 }
 
-/// As in the JSON summary; texts without their quotes.
+/// Formats a value as in the JSON summary, but texts without quotes.
 fn plain(value: &impl serde::Serialize) -> String {
     match serde_json::to_value(value) {
         Ok(serde_json::Value::String(text)) => text,

@@ -1,16 +1,16 @@
-//! A message's Rust type is its only definition: ROS 2's description of it follows from the fields.
+//! Derives ROS 2's description of a message from its Rust type, which is the only definition.
 
-/// What a field of a message can be.
+/// A type that a message's field can have.
 pub trait Field {
-    /// ROS 2's name of the type (of one element): `float64`, `std_msgs/Header`.
+    /// ROS 2's name of the (element) type, such as `float64` or `std_msgs/Header`.
     const TYPE: &'static str;
 
-    /// What follows the name: nothing, `[]` for a sequence, `[9]` for an array.
+    /// Returns the suffix of the name: nothing, `[]` for a sequence, `[9]` for an array.
     fn many() -> String {
         String::new()
     }
 
-    /// Adds the type, and every other that it is made of, each with its fields.
+    /// Adds the type and all types that it contains, each with its fields.
     fn describe(_types: &mut Vec<(&'static str, String)>) {}
 }
 
@@ -38,14 +38,14 @@ impl<T: Field> Field for Vec<T> {
 impl<T: Field, const N: usize> Field for [T; N] {
     const TYPE: &'static str = T::TYPE;
 
-    /// ROS 2 has no arrays of arrays; on the wire they are one long array.
+    /// ROS 2 has no nested arrays; on the wire they are one long array.
     fn many() -> String {
         let inner = T::many().trim_matches(['[', ']']).parse().unwrap_or(1);
         format!("[{}]", N * inner)
     }
 }
 
-/// A message's type in full: its fields, then every other type that it is made of.
+/// Returns the complete description of a message's type, including all types that it contains.
 pub fn schema<T: Field>() -> String {
     let mut types = Vec::new();
     T::describe(&mut types);
@@ -54,7 +54,7 @@ pub fn schema<T: Field>() -> String {
     types.first().map(|(_, fields)| fields.clone()).into_iter().chain(rest).collect()
 }
 
-/// Defines messages: a structure with its name in ROS 2, and what else it is besides `Clone`, `Debug` and so on.
+/// Defines messages as structures, with their names in ROS 2 and optional additional traits.
 macro_rules! messages {
     ($(
         $(#[doc = $about:literal])*

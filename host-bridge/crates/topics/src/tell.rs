@@ -1,37 +1,37 @@
-//! Which message is due when: from the tap to an output.
+//! The schedule of messages, from the tap to an output.
 
 use super::messages::{Entry, Origin};
 use host_core::observe::SessionEvent;
 use host_core::observe::{Now, Observer, OperatorKey, Sample, Turn};
 use host_core::safety::Hand;
 
-/// At most this many steps are joined in one message.
+/// Maximum number of steps in one message.
 const TURNS_MAX: usize = 1000;
 
 const JOINTS_INTERVAL_MS: u64 = 10;
 const ODOMETRY_INTERVAL_MS: u64 = 20;
 const HANDS_INTERVAL_MS: u64 = 50;
 
-/// Takes messages in their order. It is called from within the session's loop.
+/// Receives messages in order. It is called within the session's loop.
 pub trait Outlet {
     /// One more.
     fn put(&mut self, entry: Entry);
 }
 
-/// The observer that makes every message of a session: joints at 100 Hz, odometry, speeds and transforms at
-/// 50 Hz, the hands' state at 20 Hz, all else as it happens.
+/// The observer that creates all messages of a session.
+/// Joints have 100 Hz, odometry, speeds and transforms 50 Hz, hands 20 Hz, and other messages follow events.
 #[derive(Debug)]
 pub struct Teller<O: Outlet> {
     origin: Origin,
     outlet: O,
     turns: Vec<Turn>,
     time_ms: u64,
-    /// When joints, odometry and hands are due.
+    /// Times for publishing joints, odometry and hands.
     due_ms: [u64; 3],
 }
 
 impl<O: Outlet> Teller<O> {
-    /// Attaches an output to a session whose clock was zero at `origin`.
+    /// Connects an output to a session whose clock was zero at `origin`.
     pub fn new(origin: Origin, outlet: O) -> Self {
         Teller { origin, outlet, turns: Vec::new(), time_ms: 0, due_ms: [0; 3] }
     }
@@ -40,7 +40,7 @@ impl<O: Outlet> Teller<O> {
         self.outlet.put(entry);
     }
 
-    /// Writes the steps so far, before anything whose place among them matters.
+    /// Writes all steps so far, before a message whose position among them matters.
     fn put_turns(&mut self) {
         if !self.turns.is_empty() {
             let entry = self.origin.turns(self.time_ms, &self.turns);

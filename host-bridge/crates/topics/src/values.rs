@@ -1,4 +1,4 @@
-//! ROS 2's values from those that the bridge computes with, and back.
+//! Converts between ROS 2's values and those of the bridge.
 
 use std::time::{SystemTime, UNIX_EPOCH};
 
@@ -18,7 +18,7 @@ impl Time {
         Time { sec: i32::try_from(since.as_secs()).unwrap_or(i32::MAX), nanosec: since.subsec_nanos() }
     }
 
-    /// A duration of this many seconds; negative ones become zero.
+    /// Creates a duration in seconds; negative ones become zero.
     pub fn after_s(seconds: f64) -> Self {
         let nanoseconds = (seconds.max(0.0) * 1e9).round() as u64;
         Time::at_ns(nanoseconds)
@@ -50,12 +50,12 @@ impl From<DVec3> for Vector3 {
 }
 
 impl Quaternion {
-    /// How far it is turned to the left about the vertical, in rad.
+    /// Returns the rotation to the left about the vertical axis in rad.
     pub fn yaw_rad(&self) -> f64 {
         (2.0 * (self.w * self.z + self.x * self.y)).atan2(1.0 - 2.0 * (self.y * self.y + self.z * self.z))
     }
 
-    /// A turn to the left about the vertical.
+    /// Creates a rotation to the left about the vertical axis.
     pub fn yaw(angle_rad: f64) -> Self {
         Quaternion { x: 0.0, y: 0.0, z: (0.5 * angle_rad).sin(), w: (0.5 * angle_rad).cos() }
     }
@@ -70,7 +70,7 @@ impl From<base::Twist> for Twist {
     }
 }
 
-/// A covariance of x, y, z and the rotations about them; ours has the entries at `places`.
+/// Expands a covariance to x, y, z and the rotations about them; our entries go to `places`.
 fn spread<const N: usize>(ours: &[[f64; N]; N], places: [usize; N]) -> [[f64; 6]; 6] {
     let mut all = [[0.0; 6]; 6];
     for (row, values) in ours.iter().enumerate() {
@@ -82,7 +82,7 @@ fn spread<const N: usize>(ours: &[[f64; N]; N], places: [usize; N]) -> [[f64; 6]
 }
 
 impl Odometry {
-    /// Where the base is, how it moves, and how sure that is; the speed's is that of [`SPEED_INTERVAL_S`].
+    /// Creates odometry with covariances; the one of the speed is for [`SPEED_INTERVAL_S`].
     pub fn of(robot: &Picture, wheels: &BaseConfig, header: Header, child_frame_id: String) -> Self {
         let odometry = robot.odometry;
         let of_speed = wheels.speed_covariance(robot.wheels_rad_s, SPEED_INTERVAL_S);
@@ -103,7 +103,7 @@ impl Odometry {
 }
 
 impl Transform {
-    /// The base in the frame in which it started.
+    /// Returns the transform of the base relative to its start.
     pub fn of_base(robot: &Picture) -> Self {
         let odometry = robot.odometry;
         Transform {

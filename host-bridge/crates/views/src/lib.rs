@@ -1,4 +1,4 @@
-//! The observers: the page, the terminal, Foxglove and session files. Each is an output on the engine's one tap.
+//! The observers of a session: page, terminal, Foxglove and session files, all attached to the engine's tap.
 
 pub mod foxglove;
 #[cfg(feature = "mcap")]

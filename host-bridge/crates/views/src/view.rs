@@ -1,4 +1,4 @@
-//! The live view in a terminal: one screen, redrawn whole.
+//! The live view in a terminal: one screen that is redrawn completely.
 
 use std::collections::VecDeque;
 use std::io::{self, Stdout, Write as _};
@@ -15,16 +15,16 @@ use host_core::observe::{LinkSnapshot, Snapshot};
 use host_core::safety::State;
 use host_robot::Leg;
 
-/// Cells of the map of the base's path.
+/// Size of the map of the base's path in cells.
 const MAP_WIDTH: usize = 44;
 const MAP_HEIGHT: usize = 9;
 /// Metres per cell; cells are twice as high as wide.
 const MAP_CELL_M: f64 = 0.2;
 
-/// A lower screen has no room for the map beside the events.
+/// Minimum number of rows for a map beside the events.
 const ROWS_FOR_MAP: usize = 32;
 
-/// What the operator pressed.
+/// A key that the operator pressed.
 pub enum Key {
     /// Leave.
     Quit,
@@ -32,17 +32,17 @@ pub enum Key {
     Stop,
 }
 
-/// What is shown.
+/// The displayed data.
 pub struct Scene<'a> {
-    /// How things stand.
+    /// The session's current state.
     pub snapshot: &'a Snapshot,
-    /// Which key does what, in one or more lines.
+    /// Description of the keys, in one or more lines.
     pub keys: &'a str,
-    /// How fast time passes, if not at the usual pace.
+    /// The playback speed, if it is not 1.
     pub pace: String,
 }
 
-/// The screen; gives the terminal back when dropped, also by a panic.
+/// The screen. Dropping it restores the terminal, also after a panic.
 pub struct View {
     out: Stdout,
     title: Vec<String>,
@@ -73,7 +73,7 @@ impl View {
         self.events.push_back(line);
     }
 
-    /// Waits for a key, at most so long.
+    /// Waits for a key, for at most this long.
     pub fn key(&mut self, patience: Duration) -> io::Result<Option<Key>> {
         if !poll(patience)? {
             return Ok(None);
@@ -91,7 +91,7 @@ impl View {
         })
     }
 
-    /// A key that was pressed, repeated or released meanwhile.
+    /// Returns a key event that has occurred in the meantime.
     pub fn pressed(&mut self) -> io::Result<Option<KeyEvent>> {
         while poll(Duration::ZERO)? {
             if let Event::Key(key) = read()? {
@@ -216,7 +216,7 @@ impl View {
         lines
     }
 
-    /// The path from above: x to the right, y up, the start in the middle.
+    /// Draws the path from above: x to the right, y up, with the start in the middle.
     fn map(&self, x_m: f64, y_m: f64, heading_rad: f64) -> impl Iterator<Item = String> + use<> {
         let mut cells = vec![[' '; MAP_WIDTH]; MAP_HEIGHT];
         let mut put = |x_m: f64, y_m: f64, mark: char| {
@@ -238,7 +238,7 @@ impl View {
 
 impl Drop for View {
     fn drop(&mut self) {
-        // Nothing better can be done with an error while the program ends.
+        // The program ends, so an error can only be ignored.
         let _ = execute!(self.out, LeaveAlternateScreen, cursor::Show);
         let _ = disable_raw_mode();
     }

@@ -1,9 +1,11 @@
-//! A desk for tests: boards behind pseudo-terminals, the program as a user runs it, and one time for all of them.
+//! A simulated desk for tests: boards behind pseudo-terminals, the program as a user runs it,
+//! and a common simulated time.
 //!
-//! - [`time`] is that time; it goes on only while the test waits, and only when boards and programs have got there;
-//! - [`station`] keeps one board, its port, and what a test does to it;
+//! - [`time`] is the simulated time, which advances only while the test waits and after all boards
+//!   and programs are ready;
+//! - [`station`] manages one board and its port, and provides the actions of a test;
 //! - [`port`] is the pseudo-terminal;
-//! - [`program`] runs what a user types and reads what comes out.
+//! - [`program`] starts programs and reads their output.
 
 pub mod port;
 pub mod program;

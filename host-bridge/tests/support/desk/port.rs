@@ -1,4 +1,4 @@
-//! A pseudo-terminal as a board's port, at a path that stays the same when the cable is plugged in again.
+//! A pseudo-terminal as a board's port, with a path that stays the same when the cable is reconnected.
 
 use std::io::{ErrorKind, Read as _, Write as _};
 use std::os::fd::{FromRawFd as _, IntoRawFd as _, OwnedFd};
@@ -10,20 +10,21 @@ use serialport::{SerialPort as _, TTYPort};
 
 static STARTING: Mutex<()> = Mutex::new(());
 
-/// A program that is started while a pseudo-terminal is being made would inherit the board's end, and no
-/// cable would ever be pulled: whoever starts one holds this.
+/// A lock that every start of a program must hold.
+/// A program that starts while a pseudo-terminal is created would inherit the board's end, and the test could no longer
+/// disconnect the cable.
 pub fn alone() -> MutexGuard<'static, ()> {
     STARTING.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// A pseudo-terminal: the board's end, which no program inherits, and the laptop's.
+/// Returns the board's end of a pseudo-terminal, which no program inherits, and the laptop's end.
 ///
 /// # Panics
-/// If the system has none left.
+/// Panics if the system has no free pseudo-terminal.
 pub fn pair() -> (TTYPort, TTYPort) {
     let _alone = alone();
     let (board, laptop) = TTYPort::pair().expect("a pseudo-terminal");
-    // Safety: the port gives its descriptor away and is gone. The copy is not inherited by programs.
+    // Safety: the port gives up ownership of its descriptor. Programs do not inherit the copy.
     let board = unsafe { OwnedFd::from_raw_fd(board.into_raw_fd()) };
     let copy = board.try_clone().expect("a descriptor");
     // SAFETY: as above.
@@ -37,24 +38,24 @@ pub struct Port {
 }
 
 impl Port {
-    /// A port that will be at this path; the cable is not plugged in.
+    /// Creates a port with this path. The cable is not connected yet.
     pub fn new(place: PathBuf) -> Self {
         Self { place, board: None }
     }
 
-    /// Is the cable plugged in?
+    /// Returns whether the cable is connected.
     pub fn is_plugged(&self) -> bool {
         self.board.is_some()
     }
 
-    /// Plugs the cable in: the path appears.
+    /// Connects the cable, which creates the path.
     ///
     /// # Panics
-    /// If the system has no pseudo-terminal left.
+    /// Panics if the system has no free pseudo-terminal.
     pub fn plug(&mut self) {
         let (mut port, laptop) = pair();
         port.set_timeout(Duration::ZERO).expect("a timeout");
-        // Renamed into its place, so that nobody ever finds half a link.
+        // The link is created under another name and then renamed, so that it always appears complete.
         let fresh = self.place.with_extension("new");
         let _ = std::fs::remove_file(&fresh);
         std::os::unix::fs::symlink(laptop.name().expect("a name"), &fresh).expect("a link");
@@ -62,13 +63,13 @@ impl Port {
         self.board = Some(port);
     }
 
-    /// Pulls the cable: the path is gone, and whoever has it open is told.
+    /// Disconnects the cable: the path disappears, and programs that use the port get an error.
     pub fn pull(&mut self) {
         let _ = std::fs::remove_file(&self.place);
         self.board = None;
     }
 
-    /// Sends to the laptop what the port accepts; the rest is lost, as on a real line.
+    /// Sends data to the laptop. Data that the port does not accept is lost, as on a real line.
     pub fn write(&mut self, mut bytes: &[u8]) {
         let Some(port) = &mut self.board else { return };
         while !bytes.is_empty() {
@@ -79,7 +80,7 @@ impl Port {
         }
     }
 
-    /// What the laptop has sent, and whether it has the port open. Waits for nothing.
+    /// Reads the laptop's data without waiting, and returns whether the laptop has the port open.
     pub fn read(&mut self, into: &mut Vec<u8>) -> bool {
         let Some(port) = &mut self.board else { return false };
         let mut buffer = [0; 1024];

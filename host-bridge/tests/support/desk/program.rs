@@ -1,4 +1,4 @@
-//! The programs as a user runs them: what is typed, and what comes out line by line.
+//! Runs programs as a user does, and reads their output line by line.
 
 use std::cell::RefCell;
 use std::collections::VecDeque;
@@ -12,20 +12,21 @@ use std::time::{Duration, Instant};
 
 use super::time::{Process, Time};
 
-/// In the test's time if the program takes part in it, else by the wall clock; a hang must not stop the tests.
+/// Limit in the test's time, or in wall-clock time for programs that do not use it,
+/// so that a hang cannot block the tests.
 pub const PATIENCE: Duration = Duration::from_secs(240);
 
-/// A folder for one test, gone with it, and the test's time.
+/// A temporary folder for one test, and the test's time.
 pub struct Desk {
     path: PathBuf,
     time: Time,
 }
 
 impl Desk {
-    /// A new and empty one.
+    /// Creates an empty desk.
     ///
     /// # Panics
-    /// If it cannot be made.
+    /// Panics if the folder cannot be created.
     pub fn new(name: &str) -> Self {
         let path = std::env::temp_dir().join(format!("bimanual-{name}-{}", std::process::id()));
         let _ = std::fs::remove_dir_all(&path);
@@ -34,12 +35,12 @@ impl Desk {
         Self { path, time }
     }
 
-    /// The time of everything on it.
+    /// Returns the time that all boards and programs on the desk share.
     pub fn time(&self) -> &Time {
         &self.time
     }
 
-    /// Lets this much time pass.
+    /// Advances the time by this duration.
     pub fn pass(&self, time: Duration) {
         self.time.pass(time);
     }
@@ -54,19 +55,19 @@ impl Desk {
         self.path(name).display().to_string()
     }
 
-    /// Starts a program that takes its time from here; its output is printed as it comes.
+    /// Starts a program that uses the desk's time. Its output is printed immediately.
     ///
     /// # Panics
-    /// If it does not start.
+    /// Panics if the program does not start.
     pub fn start(&self, mut command: Command) -> Running {
         let outputs = outputs(&mut command);
         Running::new(&self.time, self.time.spawn(&mut command), outputs)
     }
 
-    /// Starts a program that keeps time by the wall clock; the desk's time stands still while a test waits for it.
+    /// Starts a program that uses wall-clock time. The desk's time stops while a test waits for it.
     ///
     /// # Panics
-    /// If it does not start.
+    /// Panics if the program does not start.
     pub fn start_on_its_own(&self, mut command: Command) -> Running {
         let outputs = outputs(&mut command);
         Running::new(&self.time, Process::on_its_own(&mut command), outputs)
@@ -87,7 +88,7 @@ impl Drop for Desk {
     }
 }
 
-/// Standard output and error as sockets, which can be asked whether anything has come.
+/// Connects standard output and standard error to sockets, which can be read without blocking.
 fn outputs(command: &mut Command) -> [Output; 2] {
     let pair = || {
         let (ours, theirs) = UnixStream::pair().expect("a pair of sockets");
@@ -100,13 +101,13 @@ fn outputs(command: &mut Command) -> [Output; 2] {
 }
 
 struct Output {
-    /// None when it has ended.
+    /// `None` after the program has closed this output.
     from: Option<UnixStream>,
     line: Vec<u8>,
 }
 
 impl Output {
-    /// Takes what has come. What waits for an answer on its line (a question) counts as a line, too.
+    /// Reads the available output. A question without a line break also counts as a line.
     fn read(&mut self, lines: &mut VecDeque<String>) {
         let mut buffer = [0; 4096];
         while let Some(from) = &mut self.from {
@@ -144,9 +145,9 @@ pub struct Running {
     process: Rc<Process>,
     stdin: RefCell<Option<ChildStdin>>,
     outputs: [Output; 2],
-    /// Lines that nobody has asked for yet.
+    /// Lines that the test has not read yet.
     waiting: VecDeque<String>,
-    /// What it has printed so far, on both outputs.
+    /// All lines printed so far, on both outputs.
     pub seen: Vec<String>,
 }
 
@@ -156,7 +157,7 @@ impl Running {
         Self { time: time.clone(), process, stdin, outputs, waiting: VecDeque::new(), seen: Vec::new() }
     }
 
-    /// The next line that has come already.
+    /// Returns the next available line.
     fn next(&mut self) -> Option<String> {
         if self.waiting.is_empty() {
             self.outputs.iter_mut().for_each(|output| output.read(&mut self.waiting));
@@ -167,7 +168,7 @@ impl Running {
         Some(line)
     }
 
-    /// Waits for the next line; none if it has ended, or at the end of the patience.
+    /// Waits for the next line. Returns `None` when the program has ended or at the time limit.
     fn await_next(&mut self, until: &Until) -> Option<String> {
         loop {
             if let Some(line) = self.next() {
@@ -191,10 +192,10 @@ impl Running {
         }
     }
 
-    /// Waits for a line with all these words.
+    /// Waits for a line that contains all these words.
     ///
     /// # Panics
-    /// If none comes in [`PATIENCE`].
+    /// Panics if there is no such line within [`PATIENCE`].
     pub fn wait(&mut self, words: &[&str]) -> String {
         match self.wait_for(PATIENCE, words) {
             Some(line) => line,
@@ -205,7 +206,7 @@ impl Running {
         }
     }
 
-    /// The same for this long; none if none came.
+    /// Like [`Self::wait`] with another limit, but returns `None` if there is no such line.
     pub fn wait_for(&mut self, patience: Duration, words: &[&str]) -> Option<String> {
         let until = self.until(patience);
         loop {
@@ -216,12 +217,12 @@ impl Running {
         }
     }
 
-    /// Takes what has been printed up to now.
+    /// Reads all output printed so far.
     pub fn catch_up(&mut self) {
         while self.next().is_some() {}
     }
 
-    /// The last state that `run --json` printed.
+    /// Returns whether the last state printed by `run --json` is armed.
     pub fn is_armed(&mut self) -> bool {
         self.catch_up();
         self.seen
@@ -248,10 +249,10 @@ impl Running {
         self.process.signal(name);
     }
 
-    /// Waits for the end; returns how it ended, and all that it printed.
+    /// Waits for the end of the program, and returns its exit status and its complete output.
     ///
     /// # Panics
-    /// If it does not end.
+    /// Panics if the program does not end.
     pub fn end(mut self) -> (ExitStatus, String) {
         *self.stdin.borrow_mut() = None;
         let until = self.until(PATIENCE);

@@ -1,4 +1,4 @@
-//! One board on a desk: its port, its time, and what a test does to it.
+//! One board on a desk, with its port, its time and the actions of a test.
 
 use std::cell::RefCell;
 use std::path::{Path, PathBuf};
@@ -8,32 +8,32 @@ use std::time::Duration;
 use super::port::Port;
 use super::time::{Time, Turn};
 
-/// A system needs a moment to see a device go and come.
+/// Time that a system needs to notice that a device was removed or added.
 const GONE: Duration = Duration::from_millis(200);
 
-/// What a station needs of a board.
+/// Functions of a board that a station needs.
 pub trait Board {
-    /// Milliseconds since power-on, across resets.
+    /// Milliseconds since power-on, including resets.
     fn now_ms(&self) -> u64;
-    /// Runs until this time. Starting up may have taken it further already.
+    /// Runs until this time. The start of the board may have passed it already.
     fn run_until_ms(&mut self, ms: u64);
-    /// What it has sent since the last call.
+    /// Returns the bytes sent since the last call.
     fn sent(&mut self) -> Vec<u8>;
     /// Bytes of the laptop.
     fn receive(&mut self, bytes: &[u8]);
-    /// The laptop opened the port, or closed it.
+    /// Called when the laptop opens or closes the port.
     fn opened(&mut self, open: bool);
-    /// The cable was pulled; the board may have no other supply.
+    /// Called when the cable is disconnected, which may be the board's only power supply.
     fn pulled(&mut self);
-    /// The cable was plugged in: the board starts, and its port appears when this returns.
+    /// Called when the cable is connected: the board starts, and its port exists when this returns.
     fn plugged(&mut self);
-    /// Somebody presses the reset button. True if the port goes and comes back with it (USB of its own).
+    /// Presses the reset button. Returns true if the port disappears and returns, as on a board with native USB.
     fn restart(&mut self) -> bool;
 }
 
 type Moment<B> = Box<dyn FnMut(&mut B) -> bool>;
 
-/// A board with its port; the board stops when this is dropped.
+/// A board with its port. The board stops when this is dropped.
 pub struct Station<B> {
     place: PathBuf,
     time: Time,
@@ -41,7 +41,7 @@ pub struct Station<B> {
 }
 
 impl<B: Board + 'static> Station<B> {
-    /// Powers a board; its port is at `place` from now on.
+    /// Powers a board, whose port then has the path `place`.
     pub fn start(time: &Time, place: &Path, board: B) -> Self {
         let mut desk = Desk {
             board,
@@ -61,12 +61,12 @@ impl<B: Board + 'static> Station<B> {
         Self { place: place.to_path_buf(), time: time.clone(), desk }
     }
 
-    /// What to give to `--left`, `--right` or `--port`.
+    /// The value for `--left`, `--right` or `--port`.
     pub fn port(&self) -> String {
         self.place.display().to_string()
     }
 
-    /// The time that it is in.
+    /// Returns the time that the station uses.
     pub fn time(&self) -> &Time {
         &self.time
     }
@@ -76,7 +76,7 @@ impl<B: Board + 'static> Station<B> {
         self.desk.borrow().board.now_ms()
     }
 
-    /// Does something to the board or its wearer.
+    /// Calls `deed` with the board.
     pub fn with<T>(&self, deed: impl FnOnce(&mut B) -> T) -> T {
         deed(&mut self.desk.borrow_mut().board)
     }
@@ -86,17 +86,17 @@ impl<B: Board + 'static> Station<B> {
         self.desk.borrow_mut().pull();
     }
 
-    /// Pulls the cable at the moment at which this becomes true.
+    /// Disconnects the cable at the first moment when `moment` returns true.
     pub fn pull_when(&self, moment: impl FnMut(&mut B) -> bool + 'static) {
         self.desk.borrow_mut().pull_when = Some(Box::new(moment));
     }
 
-    /// Plugs it in again; the port is there when this returns.
+    /// Connects the cable again. The port exists when this returns.
     pub fn plug(&self) {
         self.desk.borrow_mut().plug();
     }
 
-    /// Presses the reset button; the port is there (again) when this returns.
+    /// Presses the reset button. The port exists when this returns.
     pub fn restart(&self) {
         let goes = self.desk.borrow_mut().board.restart();
         if goes {
@@ -106,7 +106,7 @@ impl<B: Board + 'static> Station<B> {
         }
     }
 
-    /// From now on this many milliseconds of the board's pass in one of the others'; with 0 its program hangs.
+    /// Sets the number of board milliseconds per simulated millisecond. With 0 the board's program hangs.
     pub fn pace(&self, factor: f64) {
         let mut desk = self.desk.borrow_mut();
         desk.from_ms = desk.wanted_ms();
@@ -122,7 +122,7 @@ struct Desk<B> {
     pull_when: Option<Moment<B>>,
     pace: f64,
     now_ms: u64,
-    /// The board's time that corresponds to this moment, from `from_ms` on.
+    /// Simulated time that corresponds to the board's time `from_ms`.
     since_ms: u64,
     from_ms: u64,
 }

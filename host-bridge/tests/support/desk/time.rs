@@ -1,8 +1,8 @@
-//! One time for boards, wires and programs, in steps of a millisecond.
+//! A common time for boards, cables and programs, in steps of a millisecond.
 //!
-//! A step is over when every board has run for it and every thread of every program waits for a later time (the
-//! program's side is `test_clock.rs`, feature `test-clock`). Between two steps nothing moves, however long the test
-//! thinks: a busy machine makes a test slow, and nothing in it late.
+//! A step ends when every board has run for a millisecond and every thread of every program waits for a later time.
+//! The programs' part is `test_clock.rs` (feature `test-clock`).
+//! Between two steps the time stands still, so a busy machine slows a test down but causes no delay within it.
 
 use std::cell::{Cell, RefCell};
 use std::io::{ErrorKind, Read as _, Write as _};
@@ -14,21 +14,21 @@ use std::time::{Duration, Instant};
 
 use super::port::alone;
 
-/// By the wall clock, for one step or one start of a program. Nothing takes nearly so long even on a busy machine; a
-/// hang must not stop the tests.
+/// Limit in wall-clock time for one step or one start of a program.
+/// It is far longer than needed on a busy machine, and only prevents that a hang blocks the tests.
 const PATIENCE: Duration = Duration::from_secs(240);
-/// A [`Time::keep_pace`] that was kept waiting makes up for this much and forgets the rest.
+/// Maximum delay that [`Time::keep_pace`] catches up with. It ignores longer delays.
 const MADE_UP: Duration = Duration::from_millis(20);
 
-/// Something that runs in steps.
+/// A component that runs in steps.
 pub trait Turn {
     /// Runs until this time.
     fn run(&mut self, now_ms: u64);
-    /// Sends and receives the bytes of the step.
+    /// Sends and receives the bytes of this step.
     fn exchange(&mut self);
 }
 
-/// A test's time. Clones are the same time.
+/// The time of a test. All clones share the same time.
 #[derive(Clone)]
 pub struct Time(Rc<Inner>);
 
@@ -38,12 +38,12 @@ struct Inner {
     started: Cell<u32>,
     turns: RefCell<Vec<Weak<RefCell<dyn Turn>>>>,
     programs: RefCell<Vec<Weak<Process>>>,
-    /// When, by the wall clock, the next step may be over.
+    /// Earliest wall-clock time for the end of the next step.
     due: Cell<Option<Instant>>,
 }
 
 impl Time {
-    /// Begins at 0. What it needs of files lies in this folder.
+    /// Starts at 0, and stores its files in this folder.
     pub fn start(folder: &Path) -> Self {
         Self(Rc::new(Inner {
             folder: folder.to_path_buf(),
@@ -55,7 +55,7 @@ impl Time {
         }))
     }
 
-    /// From now on no faster than the wall clock, for programs that keep time by that clock only. Slower on a busy machine.
+    /// Limits the speed to that of the wall clock, for programs that use only that clock. A busy machine may be slower.
     pub fn keep_pace(&self) {
         self.0.due.set(Some(Instant::now()));
     }
@@ -65,13 +65,13 @@ impl Time {
         self.0.now_ms.get()
     }
 
-    /// Lets this much time pass.
+    /// Advances the time by this duration.
     pub fn pass(&self, time: Duration) {
         (0..time.as_millis()).for_each(|_| self.step());
     }
 
-    /// The laptop sleeps for this long and its boards do not: programs get no time meanwhile, and all of it at once with the
-    /// next step, as the machine's own clock gives it to them when it wakes.
+    /// Suspends the laptop for this duration while its boards continue.
+    /// The programs' time stands still meanwhile and jumps at the next step, as after a real suspend.
     pub fn suspend(&self, time: Duration) {
         (0..time.as_millis()).for_each(|_| self.turn(&[]));
         self.step();
@@ -80,7 +80,7 @@ impl Time {
     /// Lets a millisecond pass.
     ///
     /// # Panics
-    /// If a program hangs.
+    /// Panics if a program hangs.
     pub fn step(&self) {
         let programs: Vec<_> = self.0.programs.borrow().iter().filter_map(Weak::upgrade).collect();
         self.turn(&programs);
@@ -91,7 +91,7 @@ impl Time {
         }
     }
 
-    /// A millisecond of the boards, the wires and these programs.
+    /// Runs the boards, the cables and these programs for one millisecond.
     fn turn(&self, programs: &[Rc<Process>]) {
         let now_ms = self.now_ms() + 1;
         programs.iter().for_each(|program| program.join(self.now_ms()));
@@ -103,15 +103,15 @@ impl Time {
         self.0.now_ms.set(now_ms);
     }
 
-    /// From now on this runs in steps, as long as it exists.
+    /// Adds a component, which then runs in steps until it is dropped.
     pub fn add(&self, turn: Weak<RefCell<dyn Turn>>) {
         self.0.turns.borrow_mut().push(turn);
     }
 
-    /// Starts a program that takes its time from here. Time stands still until it has begun to.
+    /// Starts a program that uses this time. The time stands still until the program has joined.
     ///
     /// # Panics
-    /// If it does not start.
+    /// Panics if the program does not start.
     pub fn spawn(&self, command: &mut Command) -> Rc<Process> {
         let number = self.0.started.get();
         self.0.started.set(number + 1);
@@ -131,21 +131,21 @@ enum Follows {
     /// It is starting.
     NotYet(UnixListener),
     Time(UnixStream),
-    /// It ended, or keeps time by the wall clock.
+    /// The program has ended or uses wall-clock time.
     Nothing,
 }
 
-/// A running program, which is ended when this is dropped.
+/// A running program, which is killed when this is dropped.
 pub struct Process {
     child: RefCell<Child>,
     follows: RefCell<Follows>,
 }
 
 impl Process {
-    /// Starts a program that keeps time by the wall clock.
+    /// Starts a program that uses wall-clock time.
     ///
     /// # Panics
-    /// If it does not start.
+    /// Panics if the program does not start.
     pub fn on_its_own(command: &mut Command) -> Rc<Self> {
         Rc::new(Self::spawn(command, Follows::Nothing))
     }
@@ -158,7 +158,7 @@ impl Process {
         Self { child: RefCell::new(child), follows: RefCell::new(follows) }
     }
 
-    /// The process, for its pipes and the like.
+    /// Returns the child process, for example to access its pipes.
     pub fn child(&self) -> std::cell::RefMut<'_, Child> {
         self.child.borrow_mut()
     }
@@ -168,7 +168,7 @@ impl Process {
         self.child.borrow().id()
     }
 
-    /// Does it take its time from the test's, or will it?
+    /// Returns whether the program uses the test's time or has yet to join it.
     pub fn follows(&self) -> bool {
         !matches!(*self.follows.borrow(), Follows::Nothing)
     }
@@ -184,7 +184,7 @@ impl Process {
         let _ = self.child.borrow_mut().kill();
     }
 
-    /// How it ended. Waits for the end.
+    /// Waits for the end and returns the exit status.
     pub fn wait(&self) -> ExitStatus {
         self.child.borrow_mut().wait().expect("it ends")
     }
@@ -193,7 +193,7 @@ impl Process {
         self.child.borrow_mut().try_wait().is_ok_and(|status| status.is_some())
     }
 
-    /// Waits for it to take part; `now_ms` is where it begins.
+    /// Waits until the program joins, at the time `now_ms`.
     fn join(&self, now_ms: u64) {
         let mut follows = self.follows.borrow_mut();
         let Follows::NotYet(listener) = &*follows else { return };

@@ -1,4 +1,4 @@
-//! `models import`: recordings and networks of other programs into our layout.
+//! `models import`: converts recordings and networks of other programs to our formats.
 
 mod network;
 mod recordings;
@@ -13,44 +13,44 @@ use models::sheet::{Columns, Reading, Units};
 /// Import recordings of other programs (CSV, Edge Impulse's JSON and CBOR), or an int8 .tflite of dense layers
 #[derive(Args)]
 pub struct Cmd {
-    /// Data files, folders of them (an unpacked export), or one .tflite
+    /// Data files, folders of them (such as an unpacked export), or one .tflite file
     #[arg(required = true, value_name = "FILE|FOLDER")]
     sources: Vec<PathBuf>,
-    /// Folder for <label>/<person>__<n>.csv (below training/ and testing/ where an export has both), or for NAME.tflite
+    /// Folder for <label>/<person>__<n>.csv (below training/ and testing/ if an export has both), or for NAME.tflite
     /// and its card
     #[arg(long)]
     out: PathBuf,
-    /// Data: who recorded it [default: what the file's name or the export says]
+    /// Data: the recorded person [default: from the file's name or the export]
     #[arg(long)]
     person: Option<String>,
-    /// Data: which gesture it is [default: what the export says, else the folder, else the file's name]
+    /// Data: the label [default: from the export, the folder, or the file's name]
     #[arg(long)]
     label: Option<String>,
     /// Data: samples per second of files without times
     #[arg(long, value_name = "HZ", value_parser = rate)]
     rate: Option<f64>,
-    /// Data: units, whatever the file says: g, mg or m/s2; rad/s or deg/s; uT or gauss; 16384/g for counts
+    /// Data: units, overriding the file: g, mg or m/s2; rad/s or deg/s; uT or gauss; 16384/g for counts
     #[arg(long, value_name = "UNIT,...", value_parser = |text: &str| text.parse::<Units>())]
     units: Option<Units>,
-    /// Data: what columns are: ours in the file's order (time,accX,accY,accZ,-), or OURS=THEIRS,... by name or number
+    /// Data: columns, either our names in the file's order (time,accX,accY,accZ,-) or OURS=THEIRS,... by name or number
     #[arg(long, value_name = "COLUMNS", value_parser = |text: &str| text.parse::<Columns>())]
     columns: Option<Columns>,
-    /// Data: name files that cannot be read, and import the others
+    /// Data: report files that cannot be read, and import the others
     #[arg(long)]
     skip_bad: bool,
-    /// Network: names of its outputs in order
+    /// Network: names of its outputs, in order
     #[arg(long, value_delimiter = ',', value_name = "A,B,...")]
     labels: Vec<String>,
-    /// Network: axes of its features
+    /// Network: number of axes of its features
     #[arg(long, default_value = "9", value_parser = clap::builder::PossibleValuesParser::new(["3", "6", "9"]))]
     axes: String,
-    /// Network: the features it was trained on, as cards name them
+    /// Network: kind of features used in its training, as named in cards
     #[arg(long, default_value = "raw", value_parser = clap::builder::PossibleValuesParser::new(["raw", "log-power", "aligned"]))]
     features: String,
-    /// Network: JSON file with `mean`, `deviation` (one per feature) and `limit` [default: features as they are]
+    /// Network: JSON file with `mean`, `deviation` (one per feature) and `limit` [default: unscaled features]
     #[arg(long, value_name = "FILE")]
     scaling: Option<PathBuf>,
-    /// Network: name of the new files [default: as the .tflite]
+    /// Network: name of the new files [default: that of the .tflite file]
     #[arg(long)]
     name: Option<String>,
 }
@@ -77,19 +77,19 @@ impl Cmd {
         }
     }
 
-    /// What the file does not say is judged, and reported.
+    /// Returns the rules for reading, which infer and report undeclared properties.
     fn reading(&self) -> Reading {
         let units = self.units.unwrap_or_default();
         Reading { units, rate_hz: self.rate, columns: self.columns.clone(), guess: true }
     }
 }
 
-/// Whether it can be a part of a path.
+/// Returns whether the name can be a part of a path.
 fn is_plain(name: &str) -> bool {
     !name.is_empty() && name.chars().all(|c| c.is_alphanumeric() || c == '-' || c == '_')
 }
 
-/// A device's name, as the name of a person in a file name.
+/// Converts a device's name to a person's name in a file name.
 fn plain(name: &str) -> String {
     let name: String = name.chars().map(|c| if c.is_alphanumeric() { c } else { '-' }).collect();
     let name = name.trim_matches('-');

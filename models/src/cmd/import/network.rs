@@ -1,4 +1,4 @@
-//! Turns another program's network of dense layers into a model with a card.
+//! Converts another program's network of dense layers to a model with a card.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -57,7 +57,7 @@ impl Cmd {
         ensure!(is_plain(&name), "--name {name:?}: use letters, digits, - and _ only");
         let mut card = card(&name, labels, axes, &self.features, scaling, file);
         card.tflite_sha256 = sha256(&bytes);
-        // The card's own checks (lengths, ranges), before anything is written.
+        // The card's own checks (lengths, ranges) are performed before anything is written.
         let card_file = Card::path(&self.out.join(format!("{name}.tflite")));
         Card::parse(&card_file, card.to_json().as_bytes())?;
         let built = blob::build(&card, layers).map_err(&at)?;

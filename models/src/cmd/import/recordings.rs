@@ -1,4 +1,4 @@
-//! Turns data files into `OUT/<label>/<person>__<n>.csv`.
+//! Converts data files to `OUT/<label>/<person>__<n>.csv`.
 
 use std::collections::{BTreeMap, HashSet};
 use std::path::{Path, PathBuf};
@@ -17,23 +17,23 @@ use rayon::prelude::*;
 use super::report::Report;
 use super::{Cmd, is_plain, plain};
 
-/// A pause longer than this, in ms, separates recordings: what happened in it is not known.
+/// A longer pause in ms separates recordings, because the movement in it is unknown.
 const HOLE_MS: f64 = 1000.0;
-/// What is shorter than this, in seconds, is left out: no gesture is that short.
+/// Shorter recordings in seconds are omitted, because no gesture is that short.
 const SHORTEST_S: f64 = 0.3;
 
-/// Files that are read together.
+/// Files that are read together as one recording.
 struct Source {
-    /// One file, or one per sensor.
+    /// Files of one recording: a single file, or one per sensor.
     files: Vec<PathBuf>,
-    /// The folder that was named on the command line, or the file's own.
+    /// The folder given on the command line, or the file's own folder.
     below: PathBuf,
     labelled: Option<Labelled>,
     part: Option<Part>,
 }
 
 impl Source {
-    /// Its name in what people read.
+    /// Returns the recording's name for the output.
     fn name(&self) -> String {
         match self.files.as_slice() {
             [file] => file.display().to_string(),
@@ -44,7 +44,7 @@ impl Source {
     }
 }
 
-/// One recording that is being imported.
+/// A recording during its import.
 struct Item {
     label: String,
     person: String,
@@ -57,7 +57,7 @@ struct Item {
 struct Read {
     items: Vec<Item>,
     notes: Vec<String>,
-    /// Whether the label is only a guess from a file's name.
+    /// Whether the label was only inferred from a file's name.
     label_from_name: bool,
 }
 
@@ -89,7 +89,7 @@ impl Cmd {
         for source in &skipped {
             println!("{}: nobody has labelled it: left out (--label says what it is)", source.name());
         }
-        // All are read before the first is written: an error leaves nothing behind.
+        // All files are read before the first is written, so that an error leaves nothing behind.
         let read: Vec<anyhow::Result<Read>> = found.par_iter().map(|source| self.read(source)).collect();
         let bad = read.iter().filter(|read| read.is_err()).count();
         let mut report = Report::default();
@@ -124,7 +124,7 @@ impl Cmd {
         self.write(items, report)
     }
 
-    /// Recordings of one source, labelled.
+    /// Returns the labelled recordings of one source.
     fn read(&self, source: &Source) -> anyhow::Result<Read> {
         let reading = self.reading();
         let file = &source.files[0];
@@ -214,7 +214,7 @@ impl Cmd {
         Ok(read)
     }
 
-    /// The label of a source, and whether it comes from a file's name only.
+    /// Returns the label of a source, and whether it comes only from a file's name.
     fn label_of(&self, source: &Source) -> (Option<String>, bool) {
         if let Some(label) = &self.label {
             return (Some(canonical(label)), false);
@@ -225,7 +225,7 @@ impl Cmd {
             None => {}
         }
         let file = &source.files[0];
-        // A folder that holds one recording counts as a file.
+        // A folder that contains one recording counts as a file.
         let (parent, name) = match source.files.len() {
             1 => (file.parent(), file.file_name()),
             _ => (file.parent().and_then(Path::parent), file.parent().and_then(Path::file_name)),
@@ -242,12 +242,12 @@ impl Cmd {
         }
         let name = name.unwrap_or_default().to_string_lossy().into_owned();
         let stem = name.split('.').next().unwrap_or_default();
-        // Numbers, dates and times after a name only number the recordings.
+        // Numbers, dates and times after a name are only serial numbers.
         let stem = stem.trim_end_matches(|c: char| c.is_ascii_digit() || matches!(c, '-' | '_' | ' '));
         ((!stem.is_empty()).then(|| canonical(stem)), true)
     }
 
-    /// Writes the recordings that are not there yet.
+    /// Writes the recordings that do not exist yet.
     fn write(&self, items: Vec<Item>, mut report: Report) -> anyhow::Result<()> {
         let parts: HashSet<Option<Part>> = items.iter().map(|item| item.part).collect();
         let apart = parts.contains(&Some(Part::Training)) && parts.contains(&Some(Part::Testing));
@@ -286,7 +286,7 @@ impl Cmd {
                 .with_context(|| format!("{}: the folder cannot be made", folder.display()))?;
         }
         writes.par_iter().try_for_each(|(file, text)| {
-            // Writes each file whole or not at all, but without waiting for the disk 10,000 times.
+            // Writes each file completely or not at all, but without waiting for the disk 10,000 times.
             let part = file.with_extension("csv.part");
             std::fs::write(&part, text)
                 .and_then(|()| std::fs::rename(&part, file))
@@ -305,7 +305,7 @@ impl Cmd {
     }
 }
 
-/// The recording without its pauses; how many pieces were too short is added to `short`.
+/// Splits the recording at its pauses, and adds the number of discarded short pieces to `short`.
 fn parted(recording: &Recording, short: &mut usize) -> Vec<Recording> {
     let ends = recording.holes(HOLE_MS).into_iter().map(|(before, _)| before + 1).chain([recording.len()]);
     let mut start = 0;
@@ -322,14 +322,14 @@ fn parted(recording: &Recording, short: &mut usize) -> Vec<Recording> {
     parts
 }
 
-/// Who recorded it, if the file is named as ours are.
+/// Returns the person, if the file name has our format.
 fn person_of(file: &Path) -> Option<String> {
     let name = file.file_name()?.to_string_lossy().into_owned();
     let (person, number) = name.strip_suffix(".csv")?.split_once("__")?;
     (is_plain(person) && !number.is_empty()).then(|| person.to_owned())
 }
 
-/// Checksums of the recordings in a folder and its folders.
+/// Returns checksums of the recordings in a folder and its subfolders.
 fn known(folder: &Path) -> anyhow::Result<HashSet<String>> {
     let mut files = Vec::new();
     if folder.is_dir() {
@@ -339,7 +339,7 @@ fn known(folder: &Path) -> anyhow::Result<HashSet<String>> {
     Ok(files.par_iter().filter_map(sum).collect())
 }
 
-/// Data files in a folder and its folders, sorted; a folder with a file per sensor is one source.
+/// Collects data files in a folder and its subfolders, sorted. A folder with one file per sensor is one source.
 fn collect(source: &Path, below: &Path, found: &mut Vec<Source>) -> anyhow::Result<()> {
     let about = || format!("{}: give data files, or a folder of them", source.display());
     let one = |files| Source { files, below: below.to_owned(), labelled: None, part: None };
@@ -371,7 +371,7 @@ fn collect(source: &Path, below: &Path, found: &mut Vec<Source>) -> anyhow::Resu
     Ok(())
 }
 
-/// The files to join, if a program on a phone wrote a file per sensor into a folder.
+/// Returns the files to join, if a phone wrote one file per sensor to a folder.
 fn one_per_sensor(entries: &[PathBuf]) -> Option<Vec<PathBuf>> {
     let find = |names: &[&str]| {
         let is = |file: &&PathBuf| {
@@ -385,7 +385,7 @@ fn one_per_sensor(entries: &[PathBuf]) -> Option<Vec<PathBuf>> {
     let alone = find(&["accelerometer", "acceleration"]);
     let gyroscope = find(&["gyroscope"]);
     let magnetometer = find(&["magnetometer"]);
-    // Sensor Logger subtracts gravity in Accelerometer.csv.
+    // Sensor Logger subtracts gravity in Accelerometer.csv, so its gravity file is needed too.
     let gravity = find(&["gravity"]).filter(|_| total.is_none());
     let others = [gravity, gyroscope, magnetometer];
     if total.is_none() && others.iter().all(Option::is_none) {

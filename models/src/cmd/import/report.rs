@@ -13,7 +13,7 @@ const RANGES: [f32; 4] = [2.0, 4.0, 8.0, 16.0];
 /// Collects it.
 #[derive(Default)]
 pub(super) struct Report {
-    /// What was judged or repaired, without its numbers; the first such note, and its sources.
+    /// Inferences and repairs without their numbers, each with its first note and its sources.
     notes: BTreeMap<String, (String, Vec<String>)>,
     labels: BTreeMap<(Option<Part>, String), Label>,
 }
@@ -38,7 +38,7 @@ impl Report {
         }
     }
 
-    /// Each note once, with its sources.
+    /// Prints each note once, with its sources.
     pub fn print_notes(&self) {
         for (note, sources) in self.notes.values() {
             match sources.as_slice() {
@@ -84,7 +84,7 @@ impl Report {
     }
 }
 
-/// Median length of the acceleration, in m/s².
+/// Returns the median magnitude of the acceleration in m/s².
 fn typical_length(recording: &Recording) -> f32 {
     let length = |sample: &[f32]| sample[..3].iter().map(|x| x * x).sum::<f32>().sqrt();
     let mut lengths: Vec<f32> = recording.samples().map(length).collect();
@@ -92,7 +92,7 @@ fn typical_length(recording: &Recording) -> f32 {
     lengths[lengths.len() / 2]
 }
 
-/// Samples with an axis of the accelerometer at the end of a sensor's range, if there are three or more.
+/// Returns the number of samples at the end of the accelerometer's range, if there are at least three.
 fn clipped(recording: &Recording) -> usize {
     let largest = |sample: &[f32]| sample[..3].iter().fold(0.0f32, |largest, x| largest.max(x.abs()));
     let limit = recording.samples().map(largest).fold(0.0, f32::max);

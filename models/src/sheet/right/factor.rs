@@ -1,4 +1,4 @@
-//! From a file's units to ours: what the user says, what the file declares, what the samples show.
+//! Determines the conversion to our units from the user's options, the file's declarations and the samples.
 
 use super::judge::{self, Verdict};
 use super::layout::Source;
@@ -32,7 +32,7 @@ pub(super) fn acceleration_factor(
             }
             return Ok(expected);
         }
-        // Wild movement hides gravity; the user knows.
+        // Violent movement hides gravity, so the user decides.
         Verdict::NoGravity(typical)
             if told.is_some()
                 && (judge::LIGHTEST..judge::HEAVIEST).contains(&(typical / names::G as f32)) =>
@@ -46,7 +46,7 @@ pub(super) fn acceleration_factor(
                  9.8): linear acceleration cannot be used; record the accelerometer itself"
             ));
         }
-        // A sensor that is not calibrated, where the user says what it is.
+        // The sensor is not calibrated, but the user has declared its units.
         Verdict::Odd(_) if told.is_some() => return Ok(expected),
         Verdict::Odd(gravity) => {
             return Err(format!(
@@ -75,8 +75,8 @@ pub(super) fn acceleration_factor(
     Ok(factor)
 }
 
-/// Factor of turn rates to deg/s, or of the field to µT; `judge` says whether samples times a factor are in the other
-/// unit, rad/s or gauss.
+/// Returns the factor of turn rates to deg/s, or of the field to µT.
+/// `judge` returns whether the samples times a factor are in the other unit, rad/s or gauss.
 pub(super) fn other_factor(
     sensor: Sensor,
     source: &Source,

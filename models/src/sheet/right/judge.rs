@@ -1,39 +1,42 @@
-//! Which units samples are in, judged by what every hand on Earth feels.
+//! Infers the units of samples from gravity and from the movement of hands.
 //!
-//! At rest an accelerometer shows gravity: 9.8 in m/s², 1 in g, thousands in counts, nothing if a phone has taken
-//! gravity off. A hand that moves turns, too: in 1,100 recordings of five boards, a gyroscope's deviation in deg/s is 6
-//! to 90 times the accelerometer's in m/s², so in rad/s it is 0.1 to 1.6 times that.
+//! At rest, an accelerometer measures gravity: 9.8 in m/s², 1 in g, or thousands in counts.
+//! It measures nothing if a phone has subtracted gravity.
+//! A moving hand also rotates.
+//! The ratio of both standard deviations (gyroscope in deg/s to accelerometer in m/s²) is 6 to 90.
+//! In rad/s, it is 0.1 to 1.6. These figures are from 1,100 recordings of five boards.
 
 use super::names::G;
 
-/// Samples that are too few to judge by.
+/// Fewer samples do not permit an inference.
 const ENOUGH: usize = 20;
-/// A window of half a second whose deviation is a smaller part of its mean than this is at rest.
+/// A window of half a second is at rest if its deviation is a smaller fraction of its mean.
 const REST: f32 = 0.03;
-/// Gravity at rest, in g: sensors are some per cent off.
+/// Gravity at rest in g; sensors have errors of several per cent.
 const ONE_G: std::ops::RangeInclusive<f32> = 0.85..=1.17;
-/// Share of the windows at rest below which they may be no rest, if what they show is no gravity.
+/// If the fraction of windows at rest is smaller and they do not show gravity, they may not be real rest.
 const FEW: f32 = 0.25;
-/// How far apart gravity may be from one rest to the next: real sensors have up to 0.07, and what is left of gravity
-/// where it was taken off changes with the hand's tilt.
+/// Maximum variation of gravity between windows at rest. Real sensors have up to 0.07.
+/// If gravity was subtracted, the remainder varies with the tilt of the hand.
 const APART: f32 = 0.2;
-/// Deviation of all samples over gravity: real recordings have 1.8 at most.
+/// Maximum deviation of all samples relative to gravity; real recordings have at most 1.8.
 const WILDEST: f32 = 2.5;
-/// Where a hand never rests: its mean acceleration over the median length, below which there is no gravity in it.
-/// Gravity keeps its direction; a hand's own acceleration adds up to nothing. Real recordings have 0.36 to 1.
+/// For a hand that never rests, the minimum mean acceleration relative to the median magnitude; below it,
+/// gravity is missing.
+/// Gravity keeps its direction, while the hand's own acceleration averages to zero. Real recordings have 0.36 to 1.
 const LEAST_MEAN: f32 = 0.25;
-/// What would be g is doubted sooner, for what moves without gravity has the same size in m/s²: below this mean over the
-/// median length, or over the deviation. Of 426 real recordings in g one has less; of as many of linear acceleration, two
-/// thirds of those that would pass for g.
+/// Minimum mean if the unit seems to be g, also relative to the deviation.
+/// This minimum is stricter, because movement without gravity has a similar magnitude in m/s².
+/// Of 426 real recordings in g, one is below this value; with linear acceleration, two thirds are.
 const LEAST_MEAN_IN_G: f32 = 0.4;
 const LEAST_MEAN_OF_DEVIATION: f32 = 0.45;
-/// The median length of a moving hand's acceleration lies between these, in g.
+/// Range of the median magnitude of a moving hand's acceleration, in g.
 pub(super) const LIGHTEST: f32 = 0.6;
 pub(super) const HEAVIEST: f32 = 3.2;
-/// Deviation of turn rate over deviation of acceleration (m/s²): in this range it is rad/s. Below it nothing turns, or
-/// the gyroscope is dead.
+/// Range of the ratio of deviations (turn rate to acceleration in m/s²) for rad/s.
+/// Below it, the hand does not rotate, or the gyroscope is defective.
 const TURNS: std::ops::Range<f32> = 0.02..1.6;
-/// With less movement than this, in m/s², turning says nothing: a hand rests in a car.
+/// With less movement in m/s², rotation is not conclusive, for example if a hand rests in a car.
 const MOVES: f32 = 2.0;
 
 /// What acceleration looks like.
@@ -43,18 +46,18 @@ pub(crate) enum Verdict {
     MetresPerS2,
     /// In g, with gravity.
     G,
-    /// In thousandths of g, with gravity.
+    /// The unit is a thousandth of g, with gravity.
     MilliG,
-    /// Gravity has been taken off; the median length, in the file's unit.
+    /// Gravity was subtracted. Contains the median magnitude in the file's unit.
     NoGravity(f32),
-    /// None of these: raw counts, or a sensor that is not calibrated. Gravity, in the file's unit.
+    /// None of these: raw counts, or an uncalibrated sensor. Contains gravity in the file's unit.
     Odd(f32),
     /// Too short.
     Unknown,
 }
 
 impl Verdict {
-    /// How many m/s² the unit is, if it is known.
+    /// Returns the number of m/s² per unit, if known.
     pub(crate) fn factor(self) -> Option<f64> {
         match self {
             Verdict::MetresPerS2 => Some(1.0),
@@ -74,7 +77,7 @@ fn median(mut values: Vec<f32>) -> f32 {
     values.get(values.len() / 2).copied().unwrap_or_default()
 }
 
-/// Mean and total deviation of vectors.
+/// Returns the mean and the total deviation of vectors.
 fn moments(vectors: &[[f32; 3]]) -> ([f32; 3], f32) {
     let n = vectors.len().max(1) as f64;
     let mut mean = [0.0f64; 3];
@@ -91,8 +94,9 @@ fn moments(vectors: &[[f32; 3]]) -> ([f32; 3], f32) {
     (mean.map(|m| m as f32), (squares / n).sqrt() as f32)
 }
 
-/// Median of the mean lengths of the windows at rest, if there are any, how far they are apart, as part of it, and which
-/// share of all windows they are; `rate_hz` says how long a window is.
+/// Returns the median of the mean magnitudes of windows at rest, their relative variation,
+/// and their fraction of all windows.
+/// `rate_hz` determines the length of a window.
 fn at_rest(acceleration: &[[f32; 3]], rate_hz: f64) -> Option<(f32, f32, f32)> {
     let window = ((rate_hz / 2.0) as usize).max(8);
     let mut resting: Vec<f32> = acceleration
@@ -125,12 +129,12 @@ pub(crate) fn acceleration(samples: &[[f32; 3]], rate_hz: f64) -> Verdict {
     let rest = at_rest(samples, rate_hz);
     let known = [(g, Verdict::MetresPerS2), (1.0, Verdict::G), (1000.0, Verdict::MilliG)];
     let unit_of = |gravity: f32| known.into_iter().find(|(unit, _)| scaled(*unit, &ONE_G, gravity));
-    // A hand that strokes up and down is pushed evenly for a while at each turn: a window or two are no rest.
+    // An up-down stroke has almost constant acceleration at each reversal, so one or two such windows are not rest.
     let rest = rest.filter(|(gravity, _, share)| unit_of(*gravity).is_some() || *share >= FEW);
     if let Some((gravity, apart, _)) = rest {
         let found = unit_of(gravity);
         return match found {
-            // What rests at nothing much has no gravity.
+            // If the magnitude at rest is very small, there is no gravity.
             None if gravity < 0.3 => Verdict::NoGravity(typical),
             None => Verdict::Odd(gravity),
             Some((_, Verdict::G)) if apart > APART || deviation > WILDEST * gravity => {
@@ -155,8 +159,8 @@ pub(crate) fn acceleration(samples: &[[f32; 3]], rate_hz: f64) -> Verdict {
     }
 }
 
-/// Whether turn rates are in rad/s (true) or deg/s (false), beside acceleration in m/s²; none if the hand is too still
-/// to tell.
+/// Returns whether turn rates are in rad/s (true) or deg/s (false), given acceleration in m/s².
+/// The result is `None` if the hand hardly moves.
 pub(crate) fn turns_in_radians(acceleration: &[[f32; 3]], turns: &[[f32; 3]]) -> Option<bool> {
     let (_, moves) = moments(acceleration);
     let (_, turning) = moments(turns);
@@ -164,8 +168,9 @@ pub(crate) fn turns_in_radians(acceleration: &[[f32; 3]], turns: &[[f32; 3]]) ->
     (acceleration.len() >= ENOUGH && moves > MOVES && ratio >= TURNS.start).then(|| TURNS.contains(&ratio))
 }
 
-/// Whether magnetic flux is in gauss (true) or µT (false): the Earth's field has 25 to 65 µT, and what is built of iron
-/// rather adds to it. None if the sensor shows nothing at all.
+/// Returns whether magnetic flux is in gauss (true) or µT (false).
+/// The earth's field has 25 to 65 µT, and iron mostly adds to it.
+/// The result is `None` if the sensor measures nothing.
 pub(crate) fn field_in_gauss(field: &[[f32; 3]]) -> Option<bool> {
     let typical = median(field.iter().map(|sample| length(*sample)).collect());
     (field.len() >= ENOUGH && typical > 0.05).then_some(typical < 2.5)
@@ -175,7 +180,7 @@ pub(crate) fn field_in_gauss(field: &[[f32; 3]]) -> Option<bool> {
 mod tests {
     use super::*;
 
-    /// A tilted hand that moves to and fro, with its acceleration multiplied by `unit`; `gravity` in m/s².
+    /// A tilted hand that moves to and fro, with its acceleration multiplied by `unit`; `gravity` is in m/s².
     fn waved(unit: f32, gravity: f32, size: f32) -> Vec<[f32; 3]> {
         let wave = |n: usize, hz: f32| (n as f32 / 100.0 * hz * std::f32::consts::TAU).sin() * size;
         let one = |n: usize| [wave(n, 2.0) + 0.3 * gravity, wave(n, 1.3), wave(n, 1.0) + 0.95 * gravity];
@@ -199,16 +204,16 @@ mod tests {
             let verdict = acceleration(&waved(1.0, 0.0, size), 100.0);
             assert!(matches!(verdict, Verdict::NoGravity(_)), "{size}: {verdict:?}");
         }
-        // Of one axis alone it was taken, and the hand was tilted.
+        // Gravity was subtracted from one axis only, and the hand was tilted.
         let tilted = vec![[4.0, 0.5, -1.2]; 100];
         assert!(matches!(acceleration(&tilted, 100.0), Verdict::Odd(_)));
         assert_eq!(acceleration(&tilted[..10], 100.0), Verdict::Unknown);
-        // What is left by chance looks like one g, until the hand turns or moves.
+        // The remainder accidentally looks like one g, until the hand turns or moves.
         let turned = [vec![[0.9, 0.3, -0.1]; 100], vec![[0.2, 1.6, -0.4]; 80]].concat();
         assert!(matches!(acceleration(&turned, 100.0), Verdict::NoGravity(_)));
         let moved = [vec![[0.9, 0.3, -0.1]; 100], waved(1.0, 0.0, 6.0)].concat();
         assert!(matches!(acceleration(&moved, 100.0), Verdict::NoGravity(_)));
-        // A hand that trembles, tilted by this much, with pushes of some m/s² now and then: it never rests.
+        // A trembling hand with this tilt and occasional pushes of some m/s², which never rests.
         let pushed = |n: usize| if n % 100 < 12 { 6.0 * (n as f32 * 0.8).sin() } else { 0.0 };
         let tremble = |n: usize| 0.06 * (n as f32 * 1.9).sin();
         let residue: Vec<_> =
@@ -221,7 +226,7 @@ mod tests {
         let mut stroked = waved(1.0, 9.81, 6.0);
         stroked[300..360].fill([0.0, 0.3, 12.4]);
         assert_eq!(acceleration(&stroked, 100.0), Verdict::MetresPerS2);
-        // What rests for long at 12 has counts of its own.
+        // A long rest at 12 means counts.
         stroked[200..400].fill([0.0, 0.3, 12.4]);
         assert!(matches!(acceleration(&stroked, 100.0), Verdict::Odd(_)));
     }

@@ -1,4 +1,4 @@
-//! Which columns are used for what.
+//! Assigns the columns of a file to sensors and time.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -14,36 +14,37 @@ use crate::sheet::{SENSORS, Sensor};
 pub(super) struct Source {
     /// Of x, y and z.
     pub columns: [usize; 3],
-    /// Columns to be added to them: gravity, where a program keeps it apart.
+    /// Columns to add: gravity, if a program stores it separately.
     pub plus: Option<[usize; 3]>,
-    /// Factor to our unit, where names declare one.
+    /// Factor to our unit, if the names declare one.
     pub factor: Option<f64>,
-    /// Factor that such names usually mean.
+    /// Factor that such names usually imply.
     pub usual: Option<f64>,
-    /// Names say that gravity has been taken off.
+    /// Whether the names mean acceleration without gravity.
     pub linear: bool,
 }
 
-/// Which columns are used.
+/// The used columns.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Layout {
-    /// Column of the times, and ms per unit where the name declares that.
+    /// The time column, with ms per unit if its name declares them.
     pub time: Option<(usize, Option<f64>)>,
     /// Acceleration, turn rate, field.
     pub sensors: [Option<Source>; 3],
-    /// Names of columns that are not used.
+    /// Names of unused columns.
     pub left_out: Vec<String>,
-    /// What a reader should be told.
+    /// Notes for the user.
     pub notes: Vec<String>,
 }
 
-/// Names for columns, as `--columns` takes them: ours in the order of the file (`time,accX,accY,accZ,-,-`), or ours
-/// and the file's (`accX=ax_raw,accY=ay_raw,…`; `time=1` is the first column).
+/// Names for columns, as given with `--columns`.
+/// They are either our names in the order of the file (`time,accX,accY,accZ,-,-`),
+/// or pairs of our names and the file's (`accX=ax_raw,accY=ay_raw,…`; `time=1` is the first column).
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Columns {
-    /// Our name for each column of the file; none: not used.
+    /// Our name for each column of the file; `None` means unused.
     InOrder(Vec<Option<String>>),
-    /// Ours, and what the file calls it or its number from 1.
+    /// Our name, and the file's name or number (from 1).
     Named(Vec<(String, String)>),
 }
 
@@ -94,7 +95,7 @@ impl FromStr for Columns {
 }
 
 impl Layout {
-    /// By names that the user gives.
+    /// Assigns columns by names from the user.
     pub(super) fn given(columns: &Columns, header: &[String]) -> Result<Self, Problem> {
         let mut found: BTreeMap<&str, usize> = BTreeMap::new();
         match columns {
@@ -144,14 +145,14 @@ impl Layout {
         Ok(layout)
     }
 
-    /// From the names in a header. `file` says which sensor it is where names only say x, y, z.
+    /// Assigns columns by the names in a header. `file` identifies the sensor if names are only x, y, z.
     pub(super) fn of(header: &[String], file: &Path) -> Result<Self, Problem> {
         let mut layout = Layout::default();
         let times = header.iter().enumerate().filter_map(|(at, name)| Some((names::time(name)?, at)));
         if let Some(((_, unit), at)) = times.min_by_key(|((rank, _), at)| (*rank, *at)) {
             layout.time = Some((at, unit));
         }
-        // Columns of one sensor share kind and stem; the groups stand in the order of their first columns.
+        // Columns of one sensor have the same kind and stem. Groups are sorted by their first column.
         let mut groups: Vec<Group> = Vec::new();
         for (at, name) in header.iter().enumerate() {
             let Some(named) = names::sample(name) else { continue };
@@ -186,7 +187,7 @@ impl Layout {
         {
             layout.choose(kinds, &groups, header)?;
         }
-        // Gravity alone, in a file of its own.
+        // The file contains gravity only.
         if layout.sensors.iter().all(Option::is_none) && bare == Kind::Gravity {
             layout.sensors[0] = groups.iter().find_map(Group::source);
         }
@@ -200,7 +201,7 @@ impl Layout {
         Ok(layout)
     }
 
-    /// The first whole group of the first of these kinds that has one.
+    /// Selects the first complete group of the first of these kinds that has one.
     fn choose(&mut self, kinds: &[Kind], groups: &[Group], header: &[String]) -> Result<(), Problem> {
         let of = |kind: Kind| groups.iter().filter(move |group| group.kind == kind);
         let slot = match kinds[0].sensor() {
@@ -228,7 +229,7 @@ impl Layout {
             }
             return Ok(());
         }
-        // None is whole: one that looks like a sensor with an axis missing must not be left out in silence.
+        // No group is complete. A sensor with a missing axis must not be ignored silently.
         let broken = kinds.iter().flat_map(|kind| of(*kind)).find(|group| group.is_meant(header));
         match broken {
             None => Ok(()),
@@ -247,7 +248,7 @@ impl Layout {
         }
     }
 
-    /// A program that writes `seconds_elapsed,z,y,x` (Sensor Logger) turns in rad/s and does not say so.
+    /// Sensor Logger writes `seconds_elapsed,z,y,x` with rad/s, without declaring the unit.
     fn gyroscope_without_a_name(&mut self, header: &[String]) {
         if header.iter().any(|name| name == "seconds_elapsed")
             && let Some(source) = &mut self.sensors[Sensor::TurnRate as usize]
@@ -258,7 +259,7 @@ impl Layout {
     }
 }
 
-/// What columns x, y, z of a file hold, by the file's name.
+/// Returns the content of columns x, y, z from the file's name.
 fn bare(file: &Path) -> Kind {
     let name = file.file_stem().unwrap_or_default().to_string_lossy().to_lowercase();
     match () {
@@ -281,7 +282,7 @@ impl Group {
         self.axes.iter().all(Option::is_some)
     }
 
-    /// More than a chance likeness of one name.
+    /// Returns whether the header was recognised by more than one accidental name.
     fn is_meant(&self, header: &[String]) -> bool {
         let known = |at: usize| AXIS_NAMES.contains(&header[at].as_str());
         !self.is_whole()

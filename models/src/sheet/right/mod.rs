@@ -1,4 +1,4 @@
-//! Recordings of the right hand: rows in a file's own units, and how they become recordings.
+//! Recordings of the right hand: rows in a file's own units, and their conversion to recordings.
 
 mod factor;
 mod judge;
@@ -18,20 +18,20 @@ use super::reader::{ColumnTable, Format, Problem, ReadCell, Rows, is_unit_of_tim
 use super::{Reading, SENSORS, Sensor, Sheet, clock, text};
 use crate::recording::{MAX_RATE_HZ, MIN_RATE_HZ, Recording, RecordingError, SAME_RATE};
 
-/// After a blank line and so long a pause, in ms, another recording begins.
+/// A blank line with a longer pause in ms begins another recording.
 const PAUSE_MS: f64 = 1000.0;
 
-/// Samples from one start of recording to its end.
+/// Samples of one recording in a file.
 #[derive(Clone, Debug, Default)]
 struct Take {
     first_line: u64,
-    /// As in the file; then in ms.
+    /// Times in the file's unit, later in ms.
     times: Vec<f64>,
-    /// Of each sensor, as in the file.
+    /// Values of each sensor in the file's unit.
     values: [Vec<[f64; 3]>; 3],
 }
 
-/// What a file holds, in its own units.
+/// The contents of a file in its own units.
 #[derive(Clone, Debug)]
 pub(super) struct RawSheet {
     sources: [Option<Source>; 3],
@@ -39,7 +39,7 @@ pub(super) struct RawSheet {
     notes: Vec<String>,
 }
 
-/// Recordings of the right hand, read as the user says.
+/// The format of right-hand recordings, with the user's options.
 struct Right<'r> {
     file: &'r Path,
     reading: &'r Reading,
@@ -80,7 +80,7 @@ impl Format for Right<'_> {
     }
 }
 
-/// A sensor's value. Rounding to float32 may overflow although the text is a finite number.
+/// Parses a sensor's value. Rounding to float32 may overflow although the text is a finite number.
 fn sample(cell: &str) -> Result<f64, &'static str> {
     let value = text::number(cell).ok_or("number")?;
     if (value as f32).is_finite() { Ok(value) } else { Err("finite number") }
@@ -96,7 +96,7 @@ pub(super) fn parse(file: &Path, bytes: &[u8], reading: &Reading) -> Result<RawS
     while let Some(row) = rows.next_row()? {
         let begins = match (row.time, takes.last()) {
             (_, None) => true,
-            // With times, a blank line alone begins nothing.
+            // In a file with times, a blank line alone does not begin a recording.
             (Some(time), Some(take)) if take.times.last().is_some_and(|before| time >= *before) => {
                 row.is_parted && take.pauses(time, unit(&layout, row.is_of_day))
             }
@@ -116,7 +116,7 @@ pub(super) fn parse(file: &Path, bytes: &[u8], reading: &Reading) -> Result<RawS
     if takes.is_empty() {
         return Err(Right::empty(file, "there are no samples below the header"));
     }
-    // A recording of one sample: a button was touched, or a line was lost.
+    // A recording of one sample is accidental: a pressed button or a lost line.
     if takes.len() > 1 {
         let whole = takes.len();
         takes.retain(|take| take.values.iter().flatten().count() > 0 && take.len() > 1);
@@ -134,7 +134,7 @@ pub(super) fn parse(file: &Path, bytes: &[u8], reading: &Reading) -> Result<RawS
     Ok(RawSheet { sources: layout.sensors, takes, notes })
 }
 
-/// ms in a unit of the times, where that is declared.
+/// Returns ms per unit of the times, if declared.
 fn unit(layout: &Layout, of_day: bool) -> Option<f64> {
     if of_day { Some(1000.0) } else { layout.time.and_then(|(_, unit)| unit) }
 }
@@ -144,7 +144,7 @@ impl Take {
         self.values.iter().map(Vec::len).max().unwrap_or_default()
     }
 
-    /// Takes a row's values, sensor by sensor.
+    /// Adds a row's values, sensor by sensor.
     fn push(&mut self, layout: &Layout, values: &[f64]) {
         let (mut threes, _) = values.as_chunks::<3>();
         for (source, samples) in layout.sensors.iter().zip(&mut self.values) {
@@ -162,14 +162,14 @@ impl Take {
         }
     }
 
-    /// Whether there is a pause before this time; `unit` as far as it is declared.
+    /// Returns whether there is a pause before this time; `unit` is the declared one, if any.
     fn pauses(&self, time: f64, unit: Option<f64>) -> bool {
         let unit = unit.or_else(|| clock::unit(&self.times).map(|(_, ms)| ms));
         let step = self.times.last().map_or(0.0, |last| time - last);
         unit.is_some_and(|unit| step * unit > PAUSE_MS)
     }
 
-    /// Times in ms; how many were equal.
+    /// Converts times to ms, and counts equal ones.
     fn clocked(
         &mut self,
         file: &Path,
@@ -222,11 +222,11 @@ impl Take {
     }
 }
 
-/// Several files of one recording, one sensor each: the samples of all at the times of the accelerometer's, between
-/// their neighbours. None if there is no accelerometer among them, or they do not overlap in time.
+/// Merges several files of one recording with one sensor each, interpolated at the times of the accelerometer.
+/// The result is `None` without an accelerometer, or if the files do not overlap in time.
 ///
 /// # Errors
-/// As [`super::parse`].
+/// This function has the errors of [`super::parse`].
 pub fn merge(files: &[(&Path, Vec<u8>)], reading: &Reading) -> Result<Option<Sheet>, RecordingError> {
     let mut sheets = Vec::new();
     for (file, bytes) in files {
@@ -270,7 +270,8 @@ pub fn merge(files: &[(&Path, Vec<u8>)], reading: &Reading) -> Result<Option<She
 }
 
 impl Take {
-    /// A sensor's samples at these times; none if its times do not cover them but for a fifth of a second.
+    /// Returns a sensor's samples at these times, or `None` if its times do not cover them to within a fifth
+    /// of a second.
     fn at(&self, kind: usize, times: &[f64]) -> Option<Vec<[f64; 3]>> {
         const SLACK_MS: f64 = 200.0;
         let values = &self.values[kind];
@@ -294,7 +295,7 @@ impl Take {
 }
 
 impl RawSheet {
-    /// One sensor's samples in all takes, times a factor.
+    /// Returns one sensor's samples of all recordings, multiplied by a factor.
     fn of(&self, sensor: Sensor, factor: f64) -> Vec<[f32; 3]> {
         let values = self.takes.iter().flat_map(|take| &take.values[sensor as usize]);
         values.map(|sample| sample.map(|value| (value * factor) as f32)).collect()

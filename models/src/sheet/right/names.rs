@@ -1,11 +1,11 @@
-//! What columns are, from their names: the axes of three sensors, time, and the units that names declare.
+//! Recognises columns by their names: the axes of three sensors, time, and declared units.
 
 use crate::sheet::Sensor;
 
 /// Gravity in m/s², by definition.
 pub(crate) const G: f64 = 9.806_65;
 
-/// Units by sensor: how they are spelled, lower case, and how many of ours (m/s², deg/s, µT) one of them is.
+/// Units of each sensor: their spelling in lower case, and the number of our units (m/s², deg/s, µT) in one.
 const ACCELERATION: &[(&str, f64)] = &[
     ("m/s2", 1.0),
     ("m/s²", 1.0),
@@ -56,59 +56,59 @@ pub(crate) fn units(sensor: Sensor) -> &'static [(&'static str, f64)] {
     }
 }
 
-/// How many of ours a unit is, if it is one of this sensor's.
+/// Returns the number of our units in a unit, if it belongs to this sensor.
 pub(crate) fn factor(sensor: Sensor, unit: &str) -> Option<f64> {
     let unit = unit.trim().to_lowercase();
     units(sensor).iter().find(|(name, _)| *name == unit).map(|(_, factor)| *factor)
 }
 
-/// What a column holds.
+/// The content of a column.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Kind {
-    /// Acceleration in g, as an accelerometer has it.
+    /// Acceleration in g, including gravity.
     GForce,
-    /// Acceleration as an accelerometer has it.
+    /// Acceleration including gravity.
     Acceleration,
-    /// Acceleration without gravity, by its name.
+    /// Acceleration without gravity, according to its name.
     Linear,
     /// Gravity alone.
     Gravity,
     TurnRate,
     Field,
-    /// The axis of a sensor that the name does not say.
+    /// An axis whose name does not contain the sensor.
     Bare,
 }
 
-/// What a column's name says.
+/// The information in a column's name.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Named {
     pub kind: Kind,
     /// 0, 1, 2 for x, y, z.
     pub axis: usize,
-    /// Factor to our unit, where the name declares one.
+    /// Factor to our unit, if the name declares one.
     pub factor: Option<f64>,
-    /// Factor where names like this one usually mean another unit than ours.
+    /// Factor that names like this one usually imply, if it differs from ours.
     pub usual: Option<f64>,
-    /// The name without its axis and unit, squashed: columns of one sensor share it.
+    /// The squashed name without axis and unit, which is common to all columns of one sensor.
     pub stem: String,
 }
 
-/// Lower case, letters and digits alone.
+/// Returns lower-case letters and digits only.
 pub(super) fn squash(name: &str) -> String {
     name.chars().filter(|c| c.is_alphanumeric()).flat_map(char::to_lowercase).collect()
 }
 
-/// Name without what stands in brackets, and that.
+/// Splits a name into the part outside brackets and the part inside.
 fn apart(name: &str) -> (String, Option<&str>) {
     let Some((before, rest)) = name.split_once(['(', '[']) else { return (name.to_owned(), None) };
     match rest.rsplit_once([')', ']']) {
-        // `m/(s^2)` has a bracket of its own.
+        // `m/(s^2)` contains another bracket.
         Some((unit, after)) => (format!("{before}{after}"), Some(unit.trim())),
         None => (name.to_owned(), None),
     }
 }
 
-/// Words of a name: parted at everything that is no letter or digit, and where capitals begin.
+/// Splits a name into words, at characters other than letters and digits and before capitals.
 fn words(name: &str) -> Vec<String> {
     let mut words = Vec::new();
     let mut word = String::new();
@@ -129,7 +129,7 @@ fn words(name: &str) -> Vec<String> {
     words
 }
 
-/// Factor of a name that ends in a unit without brackets, such as `acc_x_g`.
+/// Returns the factor of a name that ends in a unit without brackets, such as `acc_x_g`.
 fn suffix(sensor: Sensor, words: &[String]) -> Option<f64> {
     let last = words.last()?;
     let taken: &[&str] = match sensor {
@@ -140,13 +140,13 @@ fn suffix(sensor: Sensor, words: &[String]) -> Option<f64> {
     if words.len() > 1 && taken.contains(&last.as_str()) { factor(sensor, last) } else { None }
 }
 
-/// What a column of samples is called, if it is one.
+/// Recognises the name of a sample's column.
 pub(super) fn sample(name: &str) -> Option<Named> {
     let (plain, unit) = apart(name);
     let words = words(&plain);
     let squashed = squash(&plain);
     let letter = |word: &str| ["x", "y", "z"].iter().position(|axis| *axis == word);
-    // The axis is a word of its own, or the last letter of one.
+    // The axis is a separate word, or the last letter of one.
     let found = words.iter().rev().find_map(|word| letter(word));
     let (axis, rest) = match found {
         Some(axis) => {
@@ -190,7 +190,7 @@ pub(super) fn sample(name: &str) -> Option<Named> {
         _ if has(&["gforce"]) => Kind::GForce,
         _ => return None,
     };
-    // A unit in brackets says what a bare axis is.
+    // A unit in brackets identifies the sensor of an axis.
     let of_unit = |unit: &str| {
         let kinds = [
             (Sensor::Acceleration, Kind::Acceleration),
@@ -211,7 +211,7 @@ pub(super) fn sample(name: &str) -> Option<Named> {
     }
     let sensor = kind.sensor()?;
     let declared = unit.and_then(|unit| factor(sensor, unit)).or_else(|| suffix(sensor, &words));
-    // Apple's and Physics Toolbox's turn rates are in rad/s, and neither says so.
+    // Apple's and Physics Toolbox's turn rates are in rad/s without a declaration.
     let usual = match kind {
         Kind::GForce => Some(G),
         Kind::TurnRate if rest == "w" || rest.contains("rotationrate") => factor(Sensor::TurnRate, "rad/s"),
@@ -232,7 +232,7 @@ impl Kind {
     }
 }
 
-/// A column of times: how well its name says so (0 is best) and how many ms its unit is, where the name declares one.
+/// Recognises a time column, with a rank (0 is best), and the ms per unit if the name declares it.
 pub(super) fn time(name: &str) -> Option<(u8, Option<f64>)> {
     let (plain, bracket) = apart(name);
     let words = words(&plain);

@@ -1,4 +1,4 @@
-//! Samples of files that are no CSV, whose columns have names all the same.
+//! Samples of other file formats with named columns.
 
 use std::path::Path;
 
@@ -8,7 +8,7 @@ use crate::recording::{Recording, RecordingError};
 use crate::sheet::reader::Format;
 use crate::sheet::{Reading, SENSORS, Sensor, Sheet};
 
-/// Samples at an even rate under named columns, of a file that is no CSV.
+/// Samples at a constant rate under named columns, from a file that is not CSV.
 #[derive(Clone, Debug)]
 pub struct Table {
     layout: Layout,
@@ -16,7 +16,7 @@ pub struct Table {
 }
 
 impl Table {
-    /// Finds the columns; `file` is for the errors.
+    /// Finds the columns; `file` is used only in errors.
     ///
     /// # Errors
     /// [`RecordingError::Header`].
@@ -33,7 +33,7 @@ impl Table {
         Ok(Self { layout, values: Default::default() })
     }
 
-    /// The columns that are used, and the sensor of each.
+    /// The columns used, and the sensor of each.
     pub fn columns(&self) -> impl Iterator<Item = (usize, Sensor)> {
         self.layout.sensors.iter().zip(SENSORS).flat_map(|(source, sensor)| {
             let source = source.iter();
@@ -47,7 +47,7 @@ impl Table {
         })
     }
 
-    /// Of which sensors the samples are in our units, as the file says.
+    /// Sets the sensors whose samples are in our units according to the file.
     pub fn declare(&mut self, declared: [bool; 3]) {
         for (source, declared) in self.layout.sensors.iter_mut().zip(declared) {
             if let (Some(source), true) = (source, declared) {
@@ -56,7 +56,7 @@ impl Table {
         }
     }
 
-    /// One sample of every column; a row that is too short is left out.
+    /// Adds one sample of every column. Short rows are ignored.
     pub fn push(&mut self, row: &[f64]) {
         for (source, values) in self.layout.sensors.iter().zip(&mut self.values) {
             let Some(source) = source else { continue };
@@ -70,7 +70,7 @@ impl Table {
         }
     }
 
-    /// The recording and what is to be said of it.
+    /// Returns the recording and its notes.
     ///
     /// # Errors
     /// [`RecordingError::Units`].

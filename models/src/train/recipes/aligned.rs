@@ -1,7 +1,8 @@
-//! Recipe `aligned`: for people that the model has never met.
+//! Recipe `aligned`, for people outside the training data.
 //!
-//! Features in the hand's own frame ([`shared_dsp::right::aligned`]), windows varied as other hands would, simulated wearers and
-//! real daily movement beside the recordings, and a number of steps that nobody's recordings decide.
+//! It uses features in the hand's own frame ([`shared_dsp::right::aligned`]) and windows that are varied
+//! to simulate other hands.
+//! The recipe adds simulated wearers and real daily movement to the recordings, and trains for a fixed number of steps.
 
 use std::sync::Arc;
 
@@ -28,26 +29,27 @@ const DAILY_WEIGHT: usize = 8;
 /// The recipe's settings.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Aligned {
-    /// How the networks are fitted.
+    /// The training of the networks.
     pub steps: Steps,
-    /// Varied copies of each window of a recording.
+    /// Number of varied copies of each window of a recording.
     pub copies: usize,
-    /// Simulated wearers whose movements are shown as `other`, a label that is added where the recordings have none:
-    /// what is no gesture must have a place to go.
+    /// Number of simulated wearers whose movements are examples of `other`.
+    /// This label is added if the recordings do not have it, so that the model can reject movements.
     pub bystanders: u32,
-    /// Simulated wearers, [untaught](crate::synth::Wearer::untaught), who show those gestures that the simulator knows
-    /// by name beside the people of the recordings, who are few.
+    /// Number of [untaught](crate::synth::Wearer::untaught) simulated wearers who show the gestures
+    /// that the simulator supports.
+    /// Simulated people supplement the few people of the recordings.
     pub performers: u32,
-    /// Real people whose daily movement is shown as `other`, too; with `bystanders` only.
+    /// Real people whose daily movement is also an example of `other`; only with `bystanders`.
     pub daily: Daily,
 }
 
-/// The recipe as models are trained with it.
+/// The recipe with its default parameters.
 pub const ALIGNED: Aligned =
     Aligned { steps: Steps::TRAIN, copies: 10, bystanders: 100, performers: 40, daily: Daily::All };
 
 impl Aligned {
-    /// Trains for this many steps, and with fewer simulated wearers; without a number, as before.
+    /// Limits the number of steps and the number of simulated wearers. `None` changes nothing.
     pub fn with_steps(&self, count: Option<usize>) -> Self {
         let Some(count) = count else { return self.clone() };
         let Self { mut steps, copies, bystanders, performers, .. } = *self;
@@ -102,14 +104,14 @@ impl Recipe for Aligned {
 
     fn beside(&self, axes: usize, labels: &[String]) -> Beside {
         let mut beside = Beside::default();
-        // As `idle` they would teach the model that slow movement is rest.
+        // With the label `idle`, they would teach the model that slow movement is rest.
         let no_gesture = labels.iter().position(|label| label == OTHER).filter(|_| self.bystanders > 0);
         let (mut bystanders, mut everyday) = (0, 0);
         if let Some(label) = no_gesture {
             let windows = aimless(axes, self.bystanders);
             bystanders = windows.len();
             beside.of_people.push((windows, label));
-            // For adapting they come from the crate, not from the model's memory.
+            // For adaptation, they come from the crate and not from the model's memory.
             let daily = Arc::new(self.daily.rows(axes));
             everyday = daily.len();
             beside.of_nobody.extend((0..DAILY_WEIGHT).map(|_| (Arc::clone(&daily), label)));
@@ -130,7 +132,7 @@ impl Recipe for Aligned {
     }
 
     fn scaling(&self, learnt: &[Row<'_>], real: &mut dyn Iterator<Item = &[f32]>) -> Scaling {
-        // The addition keeps a feature that hardly varies from amplifying noise.
+        // The addition prevents noise amplification in features that hardly vary.
         scaling(learnt, |_, deviation| deviation + 0.1, real, 1.0..=20.0)
     }
 
@@ -143,7 +145,7 @@ impl Recipe for Aligned {
         Ok(Fitted { layers, epochs, best_epoch: epochs })
     }
 
-    /// Varied windows are more extreme than real ones: their rare extremes would cost every value a part of its int8 range.
+    /// Varied windows are more extreme than real ones and would waste a part of the int8 range.
     fn calibration(&self) -> Calibration {
         Calibration::Real
     }

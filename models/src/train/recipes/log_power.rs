@@ -1,5 +1,6 @@
-//! Recipe `log-power`: features per axis with log powers, trained until it converges. It knows directions against the
-//! board, as the paper's does, and so tells gestures apart that mirror each other.
+//! Recipe `log-power`: features per axis with logarithmic powers, trained until convergence.
+//! Like the paper's recipe, it uses the board's directions,
+//! and can therefore distinguish gestures that mirror each other.
 
 use shared_dsp::right::kind::FeatureKind;
 
@@ -7,7 +8,7 @@ use super::{PAPER, PerAxis};
 use crate::train::augment::Augmentation;
 use crate::train::epochs::Epochs;
 
-/// Until four halvings of the learning rate bring no improvement.
+/// Training ends when four halvings of the learning rate bring no improvement.
 pub const LOG_POWER: PerAxis = PerAxis {
     name: "log-power",
     about: "Features per axis with log powers, until it converges; it knows directions in the room, and wants the board \

@@ -1,4 +1,4 @@
-//! The recipes, a file each. A new one is a file here and its line in [`ALL`].
+//! The recipes, one per file. A new recipe needs a file here and an entry in [`ALL`].
 
 pub mod aligned;
 mod log_power;
@@ -12,5 +12,5 @@ pub use per_axis::PerAxis;
 
 use super::Recipe;
 
-/// All recipes, as the command line offers them.
+/// All recipes that the command line offers.
 pub static ALL: [&dyn Recipe; 3] = [&ALIGNED, &LOG_POWER, &PAPER];

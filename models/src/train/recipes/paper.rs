@@ -1,4 +1,4 @@
-//! Recipe `paper`: the paper's, with features as they are.
+//! The paper's recipe, with unscaled features.
 
 use shared_dsp::right::kind::FeatureKind;
 

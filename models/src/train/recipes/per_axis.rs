@@ -1,5 +1,4 @@
-//! Recipes whose features stand axis by axis and whose networks are fitted in epochs: `paper` and `log-power` are two
-//! settings of it.
+//! Recipes with features per axis and training in epochs. `paper` and `log-power` are two configurations of this type.
 
 use indicatif::ProgressBar;
 use shared_dsp::right::kind::FeatureKind;
@@ -16,19 +15,19 @@ use crate::windows::{features, prepare};
 /// Settings of such a recipe.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PerAxis {
-    /// On the command line and in cards.
+    /// The name on the command line and in cards.
     pub name: &'static str,
     /// In one sentence.
     pub about: &'static str,
-    /// How features become inputs.
+    /// The conversion of features to network inputs.
     pub features: FeatureKind,
-    /// Share of the recordings that decide when to stop.
+    /// Fraction of the recordings that determine when training stops.
     pub validation_fraction: f64,
-    /// Hops between training windows of one recording.
+    /// Number of hops between two training windows of a recording.
     pub stride_hops: usize,
-    /// How recordings are varied.
+    /// The variation of recordings.
     pub augmentation: Augmentation,
-    /// How the network is fitted.
+    /// The training of the network.
     pub epochs: Epochs,
 }
 

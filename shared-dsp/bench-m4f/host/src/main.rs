@@ -1,4 +1,4 @@
-//! Prints the checksums that the board must print.
+//! Prints the checksums that the board is expected to print.
 
 #[path = "../../src/checks.rs"]
 mod checks;

@@ -1,4 +1,4 @@
-//! Prints executed instructions, stack and checksums.
+//! Prints the number of executed instructions, the stack use and the checksums.
 #![no_std]
 #![no_main]
 
@@ -37,10 +37,10 @@ pub extern "C" fn main() {
     });
     let _ = writeln!(Host, "parse_instructions={parse}");
 
-    // SAFETY: the only use.
+    // SAFETY: this is the only reference to the static.
     let window = unsafe { &mut *core::ptr::addr_of_mut!(WINDOW) };
     let (mut worst, mut best, mut total, mut hops) = (0, u32::MAX, 0u64, 0u64);
-    // Every pairing of the window's 24 and 25 phases.
+    // Covers all combinations of the window's 24 and 25 phases.
     for hop in 0..25 + 24 * 25 {
         let samples: [[f32; 9]; 8] = core::array::from_fn(|i| checks::sample(windows, 8 * hop + i));
         let window = black_box(&mut *window);
@@ -60,7 +60,7 @@ pub extern "C" fn main() {
     let _ = writeln!(Host, "features_hop_worst_instructions={worst}");
     let _ = writeln!(Host, "features_hop_best_instructions={best}");
     let _ = writeln!(Host, "features_hop_mean_instructions={}", total / hops);
-    // All values of a hop are NaN: the slow path on all axes, in a hop that also turns.
+    // Input of only NaN: all axes take the slow path, in a hop that also turns the window.
     let samples = [[f32::NAN; 9]; 8];
     let mut worst = 0;
     for _ in 0..25 {

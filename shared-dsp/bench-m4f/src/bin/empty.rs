@@ -1,4 +1,4 @@
-//! An image that computes nothing, to compare sizes with.
+//! An image that computes nothing, used as the baseline for sizes.
 #![no_std]
 #![no_main]
 

@@ -1,4 +1,4 @@
-//! Parses a model and runs it once: its growth over `empty` is the network's flash.
+//! Parses a model and runs it once. The size difference to `empty` is the flash of the network.
 #![no_std]
 #![no_main]
 

@@ -1,4 +1,4 @@
-//! Computes features: its growth over `empty` is their flash, its .bss their RAM.
+//! Computes features. The size difference to `empty` is their flash, and .bss is their RAM.
 #![no_std]
 #![no_main]
 
@@ -10,7 +10,7 @@ static mut WINDOW: FeatureWindow<9> = FeatureWindow::new();
 /// Entry.
 #[unsafe(no_mangle)]
 pub extern "C" fn main() {
-    // SAFETY: the only use.
+    // SAFETY: this is the only reference to the static.
     let window = unsafe { &mut *core::ptr::addr_of_mut!(WINDOW) };
     while !window.push(black_box(&[1.0; 9])) {}
     black_box(window.features());

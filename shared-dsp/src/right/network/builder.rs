@@ -1,4 +1,4 @@
-//! Makes a blob from the numbers in a quantised TFLite model. For hosts.
+//! Builds a blob from the numbers in a quantised TFLite model (for hosts only).
 
 use super::kernel::{ROW_SCALE_BYTES, encode, surplus};
 use super::{
@@ -13,37 +13,38 @@ use std::vec::Vec;
 /// One fully connected layer as TFLite stores it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DenseSpec {
-    /// `weights[output][input]`, each in −127..=127, zero point 0.
+    /// `weights[output][input]`, each in −127..=127, with zero point 0.
     pub weights: Vec<Vec<i8>>,
-    /// One per output, in units of the input scale times its weights' scale.
+    /// One bias per output, in units of the input scale times the weights' scale.
     pub biases: Vec<i32>,
     /// Real value of one step of the inputs.
     pub input_scale: f32,
-    /// The input value that stands for 0.
+    /// The input value that represents 0.
     pub input_zero_point: i8,
-    /// Real value of one step of the weights: one for all, or one per output (TFLite's quantisation per channel).
+    /// Real value of one step of the weights: one for all outputs,
+    /// or one per output (TFLite's quantisation per channel).
     pub weight_scales: Vec<f32>,
     /// Real value of one step of the outputs.
     pub output_scale: f32,
-    /// The output value that stands for 0.
+    /// The output value that represents 0.
     pub output_zero_point: i8,
     /// Whether a ReLU is fused into the layer.
     pub relu: bool,
-    /// Largest output, 127 unless a ReLU6 ends below it.
+    /// Maximum output: 127, or less with a ReLU6.
     pub largest: i8,
 }
 
 impl DenseSpec {
-    /// Whether its rows are not all scaled and limited alike, as version 1 of the blob requires.
+    /// Returns whether rows have different scales or limits, which version 1 of the blob does not support.
     fn is_per_row(&self) -> bool {
         self.weight_scales.len() != 1 || self.largest != i8::MAX
     }
 }
 
-/// Everything in a blob.
+/// The complete contents of a blob.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BlobSpec {
-    /// How features become inputs.
+    /// The conversion of features to inputs.
     pub recipe: FeatureKind,
     /// Values per sample.
     pub axes: usize,
@@ -53,24 +54,24 @@ pub struct BlobSpec {
     pub window: u16,
     /// Samples per hop.
     pub hop: u16,
-    /// Names of the outputs in order; no commas, none empty.
+    /// Names of the outputs in order. A name must not be empty or contain commas.
     pub labels: Vec<String>,
-    /// Per feature (a, b): input = round(a · feature + b), where the feature has gone through the recipe.
-    /// To standardise and quantise: a = 1 / (deviation · input scale), b = zero point − mean · a.
+    /// (a, b) for each feature: input = round(a · feature + b), applied after the recipe.
+    /// To standardise and quantise, use a = 1 / (deviation · input scale) and b = zero point − mean · a.
     pub scaling: Vec<(f32, f32)>,
-    /// The layers in order; a softmax follows the last one, whose output scale it takes.
+    /// The layers in order. A softmax follows the last one and uses its output scale.
     pub layers: Vec<DenseSpec>,
 }
 
-/// Why no blob can be made.
+/// The reason why a blob cannot be built.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum BuildError {
-    /// Sizes contradict each other or exceed a maximum: the text says which.
+    /// Sizes contradict each other or exceed a maximum, as described by the text.
     Shape(String),
-    /// A number cannot be represented: the text says which.
+    /// A number cannot be represented, as described by the text.
     Value(String),
-    /// The finished blob does not parse.
+    /// The finished blob cannot be parsed.
     Parse(ModelError),
 }
 
@@ -106,10 +107,10 @@ fn quantise_multiplier(real: f64) -> Option<(i32, i32)> {
     Some((i32::try_from(fixed).ok()?, exponent))
 }
 
-/// Makes a blob. The same input gives the same bytes.
+/// Builds a blob. The same input always gives the same bytes.
 ///
 /// # Errors
-/// If sizes contradict each other or exceed the format's maxima, or numbers cannot be represented.
+/// Fails if sizes contradict each other or exceed the format's maxima, or numbers cannot be represented.
 pub fn build_blob(spec: &BlobSpec) -> Result<Vec<u8>, BuildError> {
     let inputs = spec.recipe.feature_count(spec.axes);
     if !(1..=MAX_AXES).contains(&spec.axes) {
@@ -140,7 +141,7 @@ pub fn build_blob(spec: &BlobSpec) -> Result<Vec<u8>, BuildError> {
 
     let mut blob = Vec::new();
     blob.extend(MAGIC);
-    // What version 1 can express is written as version 1: older images read it, and a model's id does not change.
+    // Uses version 1 whenever possible, so that older images can read the blob and model ids do not change.
     let per_row = spec.layers.iter().any(DenseSpec::is_per_row);
     let version = if per_row { BLOB_VERSION_PER_ROW } else { BLOB_VERSION };
     blob.extend([version, spec.recipe.id(), spec.axes as u8, spec.layers.len() as u8]);
@@ -258,14 +259,14 @@ fn push_layer(blob: &mut Vec<u8>, index: usize, layer: &DenseSpec, inputs: usize
     Ok(())
 }
 
-/// Multiplier and right shift of each scale of the weights.
+/// Multiplier and right shift for each scale of the weights.
 fn row_scales(index: usize, layer: &DenseSpec) -> Result<Vec<(i32, u8)>, BuildError> {
     let one = |&weight_scale: &f32| {
-        // TFLite multiplies and divides the scales as doubles. (Older releases multiplied those of a whole tensor as
-        // floats: one output in 400,000 differs.)
+        // TFLite multiplies and divides the scales as doubles.
+        // Older releases used floats for the scale of a whole tensor, and one output in 400,000 differs.
         let real = f64::from(layer.input_scale) * f64::from(weight_scale) / f64::from(layer.output_scale);
         let scale = quantise_multiplier(real);
-        // A row of zeros has no scale; TFLite then multiplies by 0, which is the result here for every sum of 32 bits.
+        // A row of zeros has no scale. TFLite then multiplies by 0, and our result is also 0 for every 32-bit sum.
         if layer.weight_scales.len() > 1 && scale.is_some_and(|(_, exponent)| exponent < -31) {
             return Ok((1 << 30, 62));
         }

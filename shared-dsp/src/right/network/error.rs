@@ -1,36 +1,36 @@
-//! Why a model is refused.
+//! Errors for models that are refused.
 
 use core::fmt;
 
 use super::{BLOB_VERSION, BLOB_VERSION_PER_ROW};
 
-/// Why a blob is refused.
+/// The reason why a blob is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum ModelError {
-    /// The blob ends before its contents do.
+    /// The blob is shorter than its contents.
     Truncated,
-    /// The blob does not start with `BMLP`: it is something else.
+    /// The blob does not start with `BMLP`, so it is not a model.
     NotAModel,
-    /// The blob's format is of another version: make it again with the `models` tool of this version.
+    /// The blob has another format version: build it again with the matching `models` tool.
     Version(u8),
-    /// This image does not know the recipe.
+    /// This image does not support the recipe.
     Recipe(u8),
-    /// A number in the header is outside its range or contradicts another one.
+    /// A number in the header is out of range or contradicts another one.
     Header,
     /// A scaling factor is not finite.
     Scaling {
         /// Index of the feature.
         feature: usize,
     },
-    /// A layer's size, multiplier or shift is outside its range, or it does not fit the one before.
+    /// A layer's size, multiplier or shift is out of range, or the layer does not match the previous one.
     Layer {
         /// Index of the layer.
         layer: usize,
     },
-    /// The table of exponentials does not start at 1 and then fall.
+    /// The table of exponentials does not start at 1 or does not decrease.
     ExponentialTable,
-    /// The labels are not as many as promised, empty, or not printable ASCII.
+    /// The labels are empty, not printable ASCII, or have a wrong count.
     Labels,
 }
 
@@ -63,7 +63,7 @@ impl fmt::Display for ModelError {
 
 impl core::error::Error for ModelError {}
 
-/// A slice's length differs from the model's.
+/// The length of a slice differs from the model's.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct WrongLength;
 

@@ -1,8 +1,8 @@
-//! The inner loop of a dense layer: four rows at once, two multiply-accumulates per instruction.
+//! The inner loop of a dense layer: four rows at a time, two multiply-accumulates per instruction.
 //!
-//! A Cortex-M4F multiplies two pairs of 16-bit numbers in one instruction (SMLAD), but int8 numbers must be widened
-//! first, which costs as much again. Algebra saves most of that. For two neighbouring weights (w0, w1) and inputs
-//! (x0, x1) let
+//! A Cortex-M4F multiplies two pairs of 16-bit numbers in one instruction (SMLAD).
+//! However, int8 numbers must first be widened, which takes as long again.
+//! The following algebra avoids most of this. For two adjacent weights (w0, w1) and inputs (x0, x1), let
 //!
 //! ```text
 //! h = 256·w0 + w1            a half-word of the blob; w1 is its low byte
@@ -11,34 +11,35 @@
 //! h·v + w1·X = 256·(w0·x0 + w1·x1) + 256·(128·w0 + w1) − w1
 //! ```
 //!
-//! So raw half-words of weights and of inputs are multiplied, and of each only the low bytes are widened. The sum is
-//! shifted right by 8; what else is in it is the same for all inputs, and the blob's builder takes it off the bias.
+//! Raw half-words of weights and inputs are multiplied, and only the low byte of each is widened.
+//! The sum is shifted right by 8.
+//! The remaining terms are equal for all inputs, so the blob's builder subtracts them from the bias.
 
-/// Bytes of biases at the start of a block of four rows.
+/// Number of bias bytes at the start of a block of four rows.
 pub(crate) const BIAS_BYTES: usize = 16;
-/// Bytes of weights that meet one [`Quad`]: four rows of four weights.
+/// Number of weight bytes for one [`Quad`]: four rows of four weights.
 pub(crate) const QUAD_WEIGHT_BYTES: usize = 16;
-/// Bytes of the scales of four rows that are not scaled alike: four multipliers, four shifts.
+/// Number of scale bytes for four rows with individual scales: four multipliers and four shifts.
 pub(crate) const ROW_SCALE_BYTES: usize = 20;
 
-/// Four inputs as the kernel wants them: two half-words X.
+/// Four inputs in the form that the kernel needs: two half-words X.
 pub(crate) type Quad = u32;
 
 const FLIP: u32 = 0x007F_007F;
 
-/// Prepares four inputs.
+/// Converts four inputs to this form.
 #[inline(always)]
 pub(crate) fn pack(x: [i8; 4]) -> Quad {
     u32::from_le_bytes(x.map(|x| x as u8)) ^ FLIP
 }
 
-/// The four inputs that have been prepared.
+/// Converts back to the four inputs.
 #[inline(always)]
 pub(crate) fn unpack(quad: Quad) -> [i8; 4] {
     (quad ^ FLIP).to_le_bytes().map(|byte| byte as i8)
 }
 
-/// Encodes four neighbouring weights of one row, each in −127..=127.
+/// Encodes four adjacent weights of one row, each in −127..=127.
 #[cfg(feature = "build")]
 pub(crate) fn encode([a, b, c, d]: [i8; 4]) -> [u8; 4] {
     let half = |w0: i8, w1: i8| ((i16::from(w0) << 8) + i16::from(w1)).to_le_bytes();
@@ -46,7 +47,7 @@ pub(crate) fn encode([a, b, c, d]: [i8; 4]) -> [u8; 4] {
     [a, b, c, d]
 }
 
-/// By how much the kernel's sum exceeds Σ w·x, for a row of weights.
+/// The amount by which the kernel's sum exceeds Σ w·x, for a row of weights.
 #[cfg(feature = "build")]
 pub(crate) fn surplus(row: &[i8]) -> i64 {
     let sum = |parity: usize| row.iter().skip(parity).step_by(2).map(|&w| i64::from(w)).sum::<i64>();
@@ -54,22 +55,22 @@ pub(crate) fn surplus(row: &[i8]) -> i64 {
     128 * first + second + (-second).div_euclid(256)
 }
 
-/// How sums become outputs.
+/// The conversion of sums to outputs.
 #[derive(Clone, Copy, Debug)]
 #[repr(C)]
 pub(crate) struct Requantise {
-    /// In 2³⁰..2³¹.
+    /// A multiplier in 2³⁰..2³¹.
     pub multiplier: i32,
-    /// The product is divided by two to this power, 1 to 62.
+    /// The product is divided by 2^shift, with a shift of 1 to 62.
     pub shift: u32,
-    /// The output value that stands for 0.
+    /// The output value that represents 0.
     pub zero_point: i32,
-    /// Smallest output, −128 or above.
+    /// Minimum output, at least −128.
     pub smallest: i32,
 }
 
 impl Requantise {
-    /// Accumulator to int8: one fixed-point product, rounded once, ties up.
+    /// Converts an accumulator to int8 by one fixed-point product, rounded once, ties up.
     #[cfg_attr(cortex_m4f, inline(never))]
     fn apply(&self, sum: i32) -> i8 {
         let product = i64::from(sum) * i64::from(self.multiplier);
@@ -78,11 +79,12 @@ impl Requantise {
     }
 }
 
-/// Computes a layer, four outputs at a time. `blocks` holds for each four outputs the four biases and then
-/// [`QUAD_WEIGHT_BYTES`] for each quad of inputs: rows 0 to 3 of the first four columns, then of the next four, and
-/// so on. If there are more outputs than blocks, or the other way round, the rest is left alone.
+/// Computes a layer, four outputs at a time.
+/// For each four outputs, `blocks` contains four biases, then [`QUAD_WEIGHT_BYTES`] for each quad of inputs.
+/// These are rows 0 to 3 of the first four columns, then of the next four, and so on.
+/// If the numbers of outputs and blocks differ, the excess is ignored.
 ///
-/// Works at any alignment; on a Cortex-M4F a multiple of 4 bytes is several times as fast.
+/// Any alignment works, but a multiple of 4 bytes is several times faster on a Cortex-M4F.
 pub(crate) fn layer(blocks: &[u8], inputs: &[Quad], outputs: &mut [Quad], requantise: &Requantise) {
     #[cfg(cortex_m4f)]
     if cortex_m4f::layer(blocks, inputs, outputs, requantise) {
@@ -91,8 +93,9 @@ pub(crate) fn layer(blocks: &[u8], inputs: &[Quad], outputs: &mut [Quad], requan
     portable(blocks, inputs, outputs, requantise);
 }
 
-/// Computes a layer whose rows have scales of their own: as [`layer`], with [`ROW_SCALE_BYTES`] of `scales` for each
-/// four outputs. Of `shared`, zero point and smallest output hold for all rows; none gets above `largest`.
+/// Computes a layer whose rows have individual scales: like [`layer`],
+/// with [`ROW_SCALE_BYTES`] of `scales` for each four outputs.
+/// The zero point and minimum output of `shared` apply to all rows, and no output exceeds `largest`.
 #[cfg_attr(cortex_m4f, inline(never))]
 pub(crate) fn layer_per_row(
     blocks: &[u8],
@@ -123,7 +126,7 @@ pub(crate) fn layer_per_row(
     }
 }
 
-/// Weighted sums of the four rows of a block, with their biases.
+/// Computes the weighted sums of the four rows of a block, including their biases.
 fn sums_of(block: &[u8], inputs: &[Quad], sums: &mut [i32; 4]) {
     #[cfg(cortex_m4f)]
     if cortex_m4f::sums(block, inputs, sums) {
@@ -135,7 +138,7 @@ fn sums_of(block: &[u8], inputs: &[Quad], sums: &mut [i32; 4]) {
     }
 }
 
-/// The weighted sum of one row of a block, with its bias.
+/// Computes the weighted sum of one row of a block, including its bias.
 #[cfg_attr(cortex_m4f, cold, inline(never))]
 fn row_sum(words: &[[u8; 4]], row: usize, inputs: &[Quad]) -> i32 {
     let Some((bias, weights)) = words.get(row..).and_then(<[_]>::split_first) else { return 0 };
@@ -143,7 +146,7 @@ fn row_sum(words: &[[u8; 4]], row: usize, inputs: &[Quad]) -> i32 {
     (sum >> 8).wrapping_add(i32::from_le_bytes(*bias))
 }
 
-/// What the assembly below computes, in plain arithmetic.
+/// The portable equivalent of the assembly below.
 #[cfg_attr(cortex_m4f, cold, inline(never))]
 fn portable(blocks: &[u8], inputs: &[Quad], outputs: &mut [Quad], requantise: &Requantise) {
     let block_bytes = BIAS_BYTES + inputs.len() * QUAD_WEIGHT_BYTES;
@@ -157,7 +160,7 @@ fn portable(blocks: &[u8], inputs: &[Quad], outputs: &mut [Quad], requantise: &R
     }
 }
 
-/// `sum` plus the products of four weights and inputs.
+/// Adds the products of four weights and inputs to `sum`.
 #[cfg_attr(cortex_m4f, inline(never))]
 fn one_quad(sum: i32, weights: [u8; 4], x: Quad) -> i32 {
     let half = |word: u32, shift: u32| i32::from((word >> shift) as i16);
@@ -195,7 +198,7 @@ mod cortex_m4f {
         };
     }
 
-    /// Sums of the four rows of a block in r4 to r7, with their biases: r0 = arguments, r1 = block, which moves on.
+    /// Computes the sums of a block's four rows in r4 to r7, including biases. r0 = arguments, r1 = block (advances).
     macro_rules! sums {
         () => {
             concat!(
@@ -228,7 +231,7 @@ mod cortex_m4f {
         };
     }
 
-    /// Layout known to the assembly.
+    /// The assembly depends on this layout.
     #[repr(C)]
     struct Arguments {
         inputs: *const Quad,      // 0
@@ -316,7 +319,7 @@ mod cortex_m4f {
         ".text",
     );
 
-    /// What [`Arguments`] begins with, and where the sums go.
+    /// The beginning of [`Arguments`], and the destination of the sums.
     #[repr(C)]
     struct SumArguments {
         inputs: *const Quad, // 0
@@ -330,21 +333,21 @@ mod cortex_m4f {
         fn bimanual_sums(arguments: *const SumArguments, block: *const u8);
     }
 
-    /// False, with nothing done, if the assembly does not apply.
+    /// Returns false and does nothing if the assembly is not applicable.
     #[inline(always)]
     pub(super) fn sums(block: &[u8], inputs: &[Quad], sums: &mut [i32; 4]) -> bool {
         let block_bytes = BIAS_BYTES + inputs.len() * QUAD_WEIGHT_BYTES;
         let fits = block.as_ptr().addr() & 3 == 0 && !inputs.is_empty() && block.len() >= block_bytes;
         if fits {
             let arguments = SumArguments { inputs: inputs.as_ptr(), quads: inputs.len(), block_bytes, sums };
-            // SAFETY: the block is aligned and as long as the inputs want it; the routine reads both, writes the sums,
-            // and keeps to the procedure call standard.
+            // SAFETY: the block is aligned and matches the inputs' length.
+            // The routine reads both, writes the sums, and follows the procedure call standard.
             unsafe { bimanual_sums(&arguments, block.as_ptr()) };
         }
         fits
     }
 
-    /// False, with nothing done, if the assembly does not apply.
+    /// Returns false and does nothing if the assembly is not applicable.
     #[inline(always)]
     pub(super) fn layer(
         blocks: &[u8],
@@ -366,15 +369,16 @@ mod cortex_m4f {
                 block_bytes,
                 outputs: range.start,
                 multiplier: requantise.multiplier,
-                // The shift does not reach the low word, so the high half of the product is enough.
+                // The shift does not affect the low word, so the high half of the product suffices.
                 rounding: 1 << ((requantise.shift - 33) & 31),
                 shift: (requantise.shift - 32) & 31,
                 zero_point: requantise.zero_point,
                 smallest: requantise.smallest,
                 outputs_end: range.end,
             };
-            // SAFETY: the blocks are aligned and there is one for each output; the routine reads them and the inputs,
-            // writes the outputs and its arguments, and keeps to the procedure call standard.
+            // SAFETY: the blocks are aligned and there is one for each output.
+            // The routine reads them and the inputs, writes the outputs and its arguments,
+            // and follows the procedure call standard.
             unsafe { bimanual_layer(&mut arguments, blocks.as_ptr()) };
         }
         fits
@@ -400,7 +404,7 @@ mod tests {
         let extremes = [-127i8, -126, -1, 0, 1, 126, 127];
         let inputs_of = [-128i8, -127, -1, 0, 1, 126, 127];
         const COLUMNS: usize = 256;
-        // Shows sums as they are, as far as int8 goes, in steps of 2¹⁶.
+        // Shows the raw sums within int8, in steps of 2¹⁶.
         let requantise = Requantise { multiplier: 1 << 30, shift: 46, zero_point: 0, smallest: -128 };
         for seed in 0..49usize {
             let weight = |row: usize, c: usize| extremes[(seed + row * 3 + c * (1 + seed % 7)) % 7];

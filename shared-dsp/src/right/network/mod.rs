@@ -1,43 +1,44 @@
-//! An int8 dense network as plain data: parsed without copying, run without floats.
+//! An int8 dense network in a blob, parsed without copying and run without floats.
 //!
-//! Arithmetic is TFLite's with single rounding (`int32` accumulators, fixed-point requantisation, int8
-//! softmax): outputs equal those of TFLite's reference kernels bit for bit.
+//! The arithmetic is TFLite's with single rounding (`int32` accumulators, fixed-point requantisation, int8 softmax).
+//! The outputs equal those of TFLite's reference kernels bit for bit.
 //!
 //! # The blob
-//! All numbers little-endian, all sections at multiples of 4 bytes. The model id is the CRC-32
-//! (ISO-HDLC) of the whole blob.
+//! All numbers are little-endian, and all sections start at multiples of 4 bytes.
+//! The model id is the CRC-32 (ISO-HDLC) of the complete blob.
 //!
-//! | offset | bytes | what |
+//! | offset | bytes | contents |
 //! |---|---|---|
 //! | 0 | 4 | `BMLP` |
 //! | 4 | 1 | format version, 1; 2 if a layer's rows have scales of their own |
-//! | 5 | 1 | recipe ([`crate::right::kind`]) |
+//! | 4 | 1 | format version: 1, or 2 if a layer's rows have individual scales |
 //! | 6 | 1 | axes, 1 to 9 |
 //! | 7 | 1 | layers, 1 to 8 |
 //! | 8 | 2 | samples per second |
 //! | 10 | 2 | samples per window |
 //! | 12 | 2 | samples per hop |
-//! | 14 | 2 | inputs (features): 13 per axis, recipe 3 has 45 or 89 in all |
+//! | 14 | 2 | inputs (features): 13 per axis, or a total of 45 or 89 for recipe 3 |
 //! | 16 | 1 | labels, 2 to 16 |
 //! | 17 | 1 | 0 |
 //! | 18 | 2 | bytes of label text |
 //! | 20 | 2 | entries of the exponential table, 1 to 256 |
 //! | 22 | 2 | 0 |
-//! | 24 | 4 | bytes of the whole blob |
-//! | 28 | 8 · inputs | per feature `a`, `b` as `f32`: input = round(a · feature + b) |
+//! | 24 | 4 | length of the complete blob in bytes |
+//! | 28 | 8 · inputs | `a`, `b` as `f32` for each feature: input = round(a · feature + b) |
 //! | | layers | see below |
 //! | | 4 · entries | exp(−d · scale) as Q0.31 for d = 0, 1, … |
 //! | | text | labels in order, separated by commas, printable ASCII, padded with zeros |
 //!
-//! A layer is a header of 12 bytes (inputs u16, outputs u16, multiplier i32 in 2³⁰..2³¹, right shift u8 in
-//! 1..=62, output zero point i8, smallest output i8, 0) and then, for each four outputs, four biases i32
-//! and the weights in the order of [`kernel`](self): four columns of row 0, of row 1, 2, 3, then the next
-//! four columns. Missing rows and columns are filled with zeros. Zero points of the inputs are folded into
-//! the biases.
+//! Each layer starts with a header of 12 bytes.
+//! It contains inputs u16, outputs u16, multiplier i32 in 2³⁰..2³¹, right shift u8 in 1..=62, output zero point i8,
+//! minimum output i8, and 0.
+//! For each four outputs, four biases i32 follow, and then the weights in the order of [`kernel`](self):
+//! four columns of rows 0, 1, 2 and 3, then the next four columns.
+//! Missing rows and columns are zero. The zero points of the inputs are included in the biases.
 //!
-//! In version 2 the last byte of a layer's header may be 1: then each row has a scale of its own. The header's
-//! multiplier is 0, in place of the shift stands the largest output i8, and behind the weights there are for each four
-//! outputs four multipliers i32 and four shifts u8.
+//! In version 2, the last byte of a layer's header may be 1, which means that each row has its own scale.
+//! The header's multiplier is then 0, and the maximum output i8 replaces the shift.
+//! After the weights, four multipliers i32 and four shifts u8 follow for each four outputs.
 
 #[cfg(feature = "build")]
 mod builder;
@@ -60,31 +61,32 @@ use kernel::{
 pub const MAX_LAYERS: usize = 8;
 /// Maximum number of inputs or outputs of a layer.
 pub const MAX_WIDTH: usize = 256;
-/// Most labels.
+/// Maximum number of labels.
 pub const MAX_LABELS: usize = 16;
-/// Most axes.
+/// Maximum number of axes.
 pub const MAX_AXES: usize = 9;
 /// Features per axis.
 pub const FEATURES_PER_AXIS: usize = 13;
 /// Version of the blob's format.
 pub const BLOB_VERSION: u8 = 1;
-/// Version of blobs with layers whose rows have scales of their own.
+/// Version of blobs in which a layer's rows have individual scales.
 pub const BLOB_VERSION_PER_ROW: u8 = 2;
 
 const MAGIC: &[u8; 4] = b"BMLP";
 const HEADER_BYTES: usize = 28;
 const LAYER_HEADER_BYTES: usize = 12;
 
-/// Inputs and outputs of one layer take this many quads at most, so that a usual network needs little stack.
+/// Maximum size of a layer's inputs and outputs in quads for the small scratch memory,
+/// so that normal networks need little stack.
 const SMALL_SCRATCH_QUADS: usize = 35;
 const LARGE_SCRATCH_QUADS: usize = 2 * MAX_WIDTH / 4;
 
-/// What a model expects and names.
+/// The requirements and labels of a model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ModelHeader<'a> {
     /// CRC-32 of the blob.
     pub model_id: u32,
-    /// How features become inputs.
+    /// The conversion of features to inputs.
     pub recipe: FeatureKind,
     /// Values per sample, 1 to [`MAX_AXES`].
     pub axes: usize,
@@ -94,7 +96,7 @@ pub struct ModelHeader<'a> {
     pub window: u16,
     /// Samples per hop.
     pub hop: u16,
-    /// Inputs of the network: [`FeatureKind::feature_count`] of the axes.
+    /// Number of inputs of the network: [`FeatureKind::feature_count`] of the axes.
     pub inputs: usize,
     /// Number of labels, 2 to [`MAX_LABELS`].
     pub label_count: usize,
@@ -108,7 +110,7 @@ impl<'a> ModelHeader<'a> {
         self.label_text.split(',')
     }
 
-    /// Name of one output.
+    /// Returns the name of one output.
     pub fn label(&self, index: usize) -> Option<&'a str> {
         self.labels().nth(index)
     }
@@ -124,20 +126,20 @@ pub struct Model<'a> {
     small: bool,
 }
 
-/// A dense layer as it stands in the blob.
+/// A dense layer as stored in the blob.
 struct Dense<'a> {
     inputs: usize,
     outputs: usize,
     requantise: Requantise,
     blocks: &'a [u8],
-    /// Scales of the rows, if each has its own; else empty.
+    /// Scales of the rows if each has its own; otherwise empty.
     row_scales: &'a [u8],
     /// 1 if each row has its own scale, 0 if all share one.
     per_row: u8,
 }
 
 impl<'a> Dense<'a> {
-    /// Takes the next layer from the front of `bytes`.
+    /// Removes the next layer from the front of `bytes`.
     fn take(bytes: &mut &'a [u8]) -> Option<Self> {
         let (header, rest) = bytes.split_first_chunk::<LAYER_HEADER_BYTES>()?;
         let inputs = usize::from(u16::from_le_bytes([header[0], header[1]]));
@@ -160,7 +162,7 @@ impl<'a> Dense<'a> {
         Some(Self { inputs, outputs, requantise, blocks, row_scales, per_row })
     }
 
-    /// Of a blob of this version.
+    /// Returns whether the layer is valid in a blob of this version.
     fn is_sound(&self, version: u8) -> bool {
         let scale = |multiplier: i32, shift: u32| multiplier >= 1 << 30 && (1..=62).contains(&shift);
         let scaled = match self.per_row {
@@ -182,12 +184,12 @@ impl<'a> Dense<'a> {
 }
 
 impl<'a> Model<'a> {
-    /// Checks a blob and borrows a model from it. Bytes behind the blob's own length are ignored.
+    /// Checks a blob and borrows a model from it. Extra bytes after the blob are ignored.
     ///
-    /// Any alignment works; a blob at a multiple of 4 bytes runs about three times as fast on a Cortex-M4F.
+    /// Any alignment works, but a blob at a multiple of 4 bytes runs about three times faster on a Cortex-M4F.
     ///
     /// # Errors
-    /// Says what is wrong with the blob. Never panics, whatever the bytes.
+    /// Returns the problem with the blob. It never panics, for any bytes.
     pub fn parse(blob: &'a [u8]) -> Result<Self, ModelError> {
         let header = blob.first_chunk::<HEADER_BYTES>().ok_or(ModelError::Truncated)?;
         let short = |at: usize| u16::from_le_bytes([header[at], header[at + 1]]);
@@ -246,7 +248,7 @@ impl<'a> Model<'a> {
         let mut last = i32::MAX;
         for (index, word) in exponentials.iter().enumerate() {
             let value = i32::from_le_bytes(*word);
-            // The first is 1; a sum of 16 stays in range because none is larger or negative.
+            // The first value is 1. A sum of 16 values stays in range because none is larger or negative.
             if value < 0 || value > last || (index == 0 && value != i32::MAX) {
                 return Err(ModelError::ExponentialTable);
             }
@@ -257,7 +259,7 @@ impl<'a> Model<'a> {
         if rest.len() != text_bytes.next_multiple_of(4) {
             return Err(ModelError::Header);
         }
-        // One pass over the bytes: all printable, no label empty, as many labels as promised.
+        // One pass checks that all bytes are printable, no label is empty, and the number of labels is correct.
         let (mut commas, mut last) = (0, b',');
         for &byte in text {
             if !(b' '..=b'~').contains(&byte) || (byte == b',' && last == b',') {
@@ -291,18 +293,18 @@ impl<'a> Model<'a> {
         })
     }
 
-    /// What the model expects and names.
+    /// The requirements and labels of the model.
     pub fn info(&self) -> &ModelHeader<'a> {
         &self.info
     }
 
-    /// Features (13 per axis, axis after axis, order of [`crate::right::features`]) to the network's int8 inputs.
+    /// Converts features (13 per axis, in the order of [`crate::right::features`]) to the network's int8 inputs.
     ///
-    /// An input is floor(a · f + b + ½), computed in `f32` in this order, where f is the feature after the
-    /// recipe, limited to −128..=127. A feature that is NaN becomes −128.
+    /// An input is floor(a · f + b + ½), limited to −128..=127 and computed in `f32` in this order.
+    /// Here, f is the feature after the recipe. A NaN feature becomes −128.
     ///
     /// # Errors
-    /// If there are not as many features or inputs as the model has.
+    /// Fails if the number of features or inputs differs from the model's.
     pub fn quantise(
         &self,
         features: &[[f32; FEATURES_PER_AXIS]],
@@ -317,7 +319,7 @@ impl<'a> Model<'a> {
         Ok(())
     }
 
-    /// One input in int8 range; 0 beyond the last one. A call: inlined, the code would be there four times.
+    /// Computes one input in int8 range, or 0 after the last one. Inlining would produce this code four times.
     #[inline(never)]
     fn quantise_one(&self, features: &[f32], index: usize) -> i32 {
         let (Some(&feature), Some(pair)) = (features.get(index), self.scaling.get(index)) else {
@@ -329,18 +331,19 @@ impl<'a> Model<'a> {
         ((a * value + b + 128.5) as i32).clamp(0, 255) - 128
     }
 
-    /// Int8 inputs to int8 scores, one per label: (score + 128) / 256 is the probability. No floats.
+    /// Converts int8 inputs to int8 scores, one per label: (score + 128) / 256 is the probability. It uses no floats.
     ///
     /// # Errors
-    /// If there are not as many inputs or scores as the model has.
+    /// Fails if the number of inputs or scores differs from the model's.
     pub fn infer(&self, inputs: &[i8], scores: &mut [i8]) -> Result<(), WrongLength> {
         self.infer_with_logits(inputs, &mut [0; MAX_LABELS], scores)
     }
 
-    /// As [`Model::infer`], and also returns the inputs of the softmax: the first `label_count`; the rest is undefined.
+    /// Like [`Model::infer`], but also returns the inputs of the softmax.
+    /// The first `label_count` are valid, and the rest is undefined.
     ///
     /// # Errors
-    /// If there are not as many inputs or scores as the model has.
+    /// Fails if the number of inputs or scores differs from the model's.
     pub fn infer_with_logits(
         &self,
         inputs: &[i8],
@@ -353,10 +356,10 @@ impl<'a> Model<'a> {
         self.dispatch(&|scratch| pack_inputs(inputs, scratch), logits, scores)
     }
 
-    /// Features to scores: [`Model::quantise`] and [`Model::infer`] in one, without a buffer between.
+    /// Converts features to scores: [`Model::quantise`] and [`Model::infer`] combined, without an intermediate buffer.
     ///
     /// # Errors
-    /// If there are not as many axes or scores as the model has.
+    /// Fails if the number of axes or scores differs from the model's.
     pub fn classify(
         &self,
         features: &[[f32; FEATURES_PER_AXIS]],
@@ -365,10 +368,10 @@ impl<'a> Model<'a> {
         self.classify_features(features.as_flattened(), scores)
     }
 
-    /// As [`Model::classify`], for features of any recipe in one row.
+    /// Like [`Model::classify`], for a flat slice of features of any recipe.
     ///
     /// # Errors
-    /// If there are not as many features or scores as the model has.
+    /// Fails if the number of features or scores differs from the model's.
     pub fn classify_features(&self, features: &[f32], scores: &mut [i8]) -> Result<(), WrongLength> {
         if features.len() != self.info.inputs {
             return Err(WrongLength);
@@ -381,7 +384,7 @@ impl<'a> Model<'a> {
         self.dispatch(&fill, &mut [0; MAX_LABELS], scores)
     }
 
-    /// Gives the network no more stack than it needs.
+    /// Selects a scratch memory, so that the network uses no more stack than necessary.
     fn dispatch(
         &self,
         fill: &dyn Fn(&mut [Quad]),
@@ -400,7 +403,8 @@ impl<'a> Model<'a> {
         Ok(())
     }
 
-    // Two functions, so that what fills the inputs is there once and has left the stack when the layers run.
+    // A separate function, so that the code that fills the inputs exists once
+    // and leaves the stack before the layers run.
     #[inline(never)]
     fn with_scratch<const QUADS: usize>(&self, fill: &dyn Fn(&mut [Quad]), logits: &mut [i8; MAX_LABELS]) {
         let mut scratch = [0; QUADS];
@@ -413,13 +417,13 @@ impl<'a> Model<'a> {
         fill(scratch);
     }
 
-    /// Runs the layers. The inputs stand at the start of `scratch`; then inputs and outputs take turns at
-    /// its two ends.
+    /// Runs the layers.
+    /// The inputs are at the start of `scratch`; then inputs and outputs alternate between its two ends.
     #[inline(never)]
     fn forward(&self, scratch: &mut [Quad], logits: &mut [i8; MAX_LABELS]) {
         let mut layers = self.layers;
         let mut at_start = true;
-        // By reference: a copy of the layer's numbers would take stack.
+        // By reference, because a copy of the layer's numbers would use stack.
         while let Some(dense) = &Dense::take(&mut layers) {
             let (ins, outs) = (dense.inputs.div_ceil(4), dense.outputs.div_ceil(4));
             let middle = if at_start { ins } else { scratch.len().saturating_sub(ins) };
@@ -434,7 +438,7 @@ impl<'a> Model<'a> {
             if dense.per_row == 0 {
                 layer(dense.blocks, input, &mut output[..outs], &dense.requantise);
             } else {
-                // The largest output stands where the others have a shift.
+                // The maximum output is stored in the place of the shift.
                 let largest = dense.requantise.shift as u8 as i8;
                 let output = &mut output[..outs];
                 layer_per_row(dense.blocks, dense.row_scales, input, output, &dense.requantise, largest);
@@ -468,7 +472,7 @@ fn scale_of(pair: &[u8; 8]) -> (f32, f32) {
 
 /// CRC-32 (ISO-HDLC, as in zip and PNG) of a blob: its model id.
 pub fn crc32(blob: &[u8]) -> u32 {
-    // Without a table: it is computed once at the start, and a table is a kilobyte of the board's flash.
+    // This code needs no table: it runs only once at start, and a table would need a kilobyte of flash.
     const ISO_HDLC: Crc<u32, NoTable> = Crc::<u32, NoTable>::new(&CRC_32_ISO_HDLC);
     ISO_HDLC.checksum(blob)
 }

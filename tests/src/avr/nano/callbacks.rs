@@ -1,4 +1,4 @@
-//! What simavr calls back for: the pins, the serial line, the converter and the EEPROM.
+//! simavr's callbacks for the pins, the serial line, the converter and the EEPROM.
 
 use super::*;
 
@@ -9,9 +9,9 @@ impl Wires {
     }
 }
 
-/// The core sleeps for this many clocks, unless SMCR.SE is clear: then SLEEP does nothing.
+/// Lets the core sleep for this many cycles, unless SMCR.SE is clear and SLEEP has no effect.
 pub(super) unsafe extern "C" fn on_sleep(avr: *mut ffi::avr_t, clocks: u64) {
-    // SAFETY: simavr calls back with the core that runs.
+    // SAFETY: simavr passes the running core.
     unsafe {
         if *(*avr).data.add(SMCR) & 1 != 0 {
             ASLEEP.set(ASLEEP.get() + clocks + 1);
@@ -28,17 +28,17 @@ pub(super) unsafe extern "C" fn on_heartbeat(_: *mut ffi::avr_t, _: u64, _: *mut
 }
 
 /// # Safety
-/// `param` is the boxed [`Wires`] of the board that calls, as it is of all callbacks here.
+/// `param` must be the boxed [`Wires`] of the calling board, as in all callbacks here.
 unsafe fn wires<'a>(param: *mut c_void) -> &'a Wires {
-    // SAFETY: as the caller promises; the board outlives its callbacks.
+    // SAFETY: guaranteed by the caller; the board outlives its callbacks.
     unsafe { &*param.cast::<Wires>() }
 }
 
 pub(super) unsafe extern "C" fn on_sent(_: *mut ffi::avr_irq_t, value: u32, param: *mut c_void) {
     // SAFETY: registered with the board's wires.
     let wires = unsafe { wires(param) };
-    // The callback comes when the byte is written; it leaves within one byte time (two, if the one
-    // before it is still under way: then that one's stamp pushes ours).
+    // The callback occurs when the byte is written. The byte is sent within one byte time.
+    // If the previous byte is still being sent, it takes two, and that byte's time stamp delays ours.
     const CYCLES_ON_WIRE: u64 = 10 * 8 * 17;
     let mut sent = wires.sent.borrow_mut();
     let start = sent.back().map_or(0, |&(at, _)| at).max(wires.cycle());
@@ -50,7 +50,7 @@ pub(super) unsafe extern "C" fn on_byte_due(avr: *mut ffi::avr_t, when: u64, par
     let wires = unsafe { wires(param) };
     let due = wires.to_receive.borrow_mut().pop_front();
     if let Some((_, byte)) = due {
-        // SAFETY: simavr calls back with the core that runs, and its UART has this line.
+        // SAFETY: simavr passes the running core, whose UART has this line.
         unsafe {
             let uart = ffi::avr_io_getirq(avr, ioctl(b"uar0"), ffi::UART_IRQ_INPUT as i32);
             ffi::avr_raise_irq(uart, u32::from(byte));
@@ -72,7 +72,7 @@ pub(super) unsafe extern "C" fn on_conversion(irq: *mut ffi::avr_irq_t, value: u
             PinInput::Open => {}
         }
         let mv = wires.held_mv.get().clamp(0.0, 5000.0).round() as u32;
-        // Safety: the input pins precede this one in simavr's array.
+        // Safety: the input pins are before this one in simavr's array.
         unsafe {
             ffi::avr_raise_irq(irq.sub(ffi::ADC_IRQ_OUT_TRIGGER as usize).add(pin as usize), mv);
         }
@@ -96,13 +96,13 @@ pub(super) unsafe extern "C" fn on_eecr(_: *mut ffi::avr_irq_t, value: u32, para
     // SAFETY: registered with the board's wires.
     let wires = unsafe { wires(param) };
     if value & EEPE != 0 {
-        // SAFETY: both registers lie in data space.
+        // SAFETY: both registers are in data space.
         let data = |address: usize| unsafe { *(*wires.avr).data.add(address) };
         let address = u16::from(data(EEARL)) | u16::from(data(EEARL + 1)) << 8;
         let new = data(EEDR);
         let place = address as usize % EEPROM_BYTES;
         let old = std::mem::replace(&mut wires.eeprom.borrow_mut()[place], new);
-        // simavr raises this twice per write; the second time nothing changes.
+        // simavr calls this twice per write, and the second call changes nothing.
         if old != new {
             wires.eeprom_writes.borrow_mut().push(EepromWrite { address, old, new });
         }

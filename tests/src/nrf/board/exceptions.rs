@@ -1,14 +1,15 @@
-//! What unicorn leaves out of the core: exceptions, sleep, supervisor calls.
+//! Core functions that unicorn lacks: exceptions, sleep, supervisor calls.
 
 use super::super::controller::{CALL_CYCLES, Then};
 use super::*;
 
-/// The registers that the processor pushes first, in this order (ARMv7-M, B1.5.6).
+/// The registers that the processor stacks first, in this order (ARMv7-M, B1.5.6).
 const STACKED: [RegisterARM; 6] =
     [RegisterARM::R0, RegisterARM::R1, RegisterARM::R2, RegisterARM::R3, RegisterARM::R12, RegisterARM::LR];
 
-/// CONTROL with the floating point unit in use: FPCA, and SFPA, without which unicorn, to which all code is secure, takes
-/// the next instruction of that unit for a new context and clears its flags.
+/// CONTROL with an active floating-point unit: FPCA and SFPA.
+/// Without SFPA, unicorn (in which all code is secure) starts a new context at the next floating-point instruction
+/// and clears its flags.
 const FP_IN_USE: u32 = 1 << 2 | 1 << 3;
 
 /// From here on an address means the end of a handler.
@@ -49,7 +50,7 @@ impl Board {
         };
         let mut table = self.soc().nvic.vector_table;
         if self.boot == Boot::SoftDevice && table == 0 {
-            // The table at 0 is the MBR's, which forwards to S140, which forwards to the application.
+            // The table at 0 is that of the MBR, which forwards to S140, which forwards to the application.
             table = APPLICATION;
             self.spend(FORWARD_CYCLES);
             let soc = self.soc();
@@ -105,7 +106,7 @@ impl Board {
 
     pub(super) fn execute(&mut self, until: u64) {
         self.uc.get_data_mut().stop = None;
-        // The end of the run counts as something that is due.
+        // The end of the run also counts as an event.
         let soc = self.soc();
         soc.due = soc.due.min(until);
         let pc = self.reg(RegisterARM::PC) | 1;
@@ -113,7 +114,7 @@ impl Board {
         let stop = self.uc.get_data_mut().stop.take();
         self.soc().settle();
         match stop {
-            // The emulator's own program counter may lag behind between chained blocks.
+            // Between chained blocks, the emulator's own program counter may be outdated.
             Some(Stop::Attention { at }) => self.set_reg(RegisterARM::PC, at | 1),
             Some(Stop::Wait { at, for_event }) => {
                 self.set_reg(RegisterARM::PC, (at + 2) | 1);
@@ -137,10 +138,10 @@ impl Board {
         }
     }
 
-    /// S140's own interrupts end a sleep, and what breaks its rules ends the run.
+    /// S140's own interrupts end a sleep, and violations of its rules end the run.
     ///
     /// # Panics
-    /// If a rule of S140 is broken.
+    /// Panics if the image has violated a rule of S140.
     pub(super) fn softdevice_woke(&mut self) {
         let world = self.uc.get_data_mut();
         let Some(softdevice) = &mut world.soc.softdevice else { return };
@@ -215,7 +216,7 @@ mod tests {
     use crate::nrf::lsm9ds1::Still;
     use crate::nrf::memory::RAM_START;
 
-    /// 1.0 is compared with 2.0, SWI0's interrupt comes, and only then is read what the comparison found.
+    /// Compares 1.0 with 2.0 and is interrupted by SWI0 before the result is read.
     const COMPARE_AND_BE_INTERRUPTED: [u16; 32] = [
         0x22E0, 0x0612, // r2 = 0xE0000000
         0xF64E, 0x5388, 0x240F, 0x0524, 0x50D4, // CPACR, at 0xED88 from there: the unit may be used
@@ -228,7 +229,7 @@ mod tests {
         0x2320, 0x061B, 0x6018, 0xE7FE, // r0 goes to the start of RAM; stay
     ];
 
-    /// The interrupt compares, too: vcmp s1, s1. Then it leaves r4 behind that answer.
+    /// The interrupt also compares (vcmp s1, s1), and then stores its result in r4.
     const COMPARE_ALSO: [u16; 6] = [0xEEF4, 0x0A60, 0x2120, 0x0609, 0x604C, 0x4770];
 
     #[test]

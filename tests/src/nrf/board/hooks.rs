@@ -1,4 +1,4 @@
-//! What the emulator calls back for: blocks, probes, accesses, and what ends a run.
+//! The emulator's callbacks: blocks, probes, accesses, and the end of a run.
 
 use super::*;
 
@@ -74,7 +74,7 @@ impl Board {
                 let stack_pointer = uc.reg_read(RegisterARM::SP).unwrap_or(0) as u32;
                 let world = uc.get_data_mut();
                 if world.painting.contains(&probe) {
-                    // The memory below the stack pointer belongs to nobody.
+                    // Memory below the stack pointer is unused.
                     world.soc.ram.put(stack_pointer - PAINTED as u32, &[PAINT; PAINTED]);
                 }
                 let (at, instructions_before) = (world.soc.now, world.thread_instructions);
@@ -117,7 +117,7 @@ impl Board {
             false
         })
         .expect("a hook");
-        // WFE, WFI, SEV and what masks interrupts, wherever they may stand.
+        // Finds WFE, WFI, SEV and all instructions that mask interrupts.
         for (at, half) in flash.chunks_exact(2).enumerate() {
             let next = flash.get(at * 2 + 2..at * 2 + 4).map_or(0, |b| u16::from_le_bytes([b[0], b[1]]));
             let at = (at * 2) as u64;

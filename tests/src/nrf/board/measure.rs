@@ -1,15 +1,15 @@
-//! What tests look at: calls of functions, counted in instructions, and what was in registers and memory then.
+//! Measurements for tests: calls of functions in instructions, with the contents of registers and memory.
 
 use super::Board;
 
 /// One measured call of a function.
 #[derive(Clone, Copy, Debug)]
 pub struct Call {
-    /// Cycle at which it began.
+    /// Cycle at the start of the call.
     pub at: u64,
-    /// Executed instructions, those of interrupts in between left out.
+    /// Number of executed instructions, without those of interrupts.
     pub instructions: u64,
-    /// Bytes below the stack pointer of the call that were written to; 0 unless [asked for](Board::probe_stack).
+    /// Number of written bytes below the stack pointer of the call; 0 unless [requested](Board::probe_stack).
     pub stack_bytes: u32,
 }
 
@@ -23,11 +23,11 @@ pub(super) struct Open {
     pub(super) stack_pointer: u32,
 }
 
-/// Bytes below the stack pointer that are painted to see how deep a call goes.
+/// Number of painted bytes below the stack pointer, for measuring the depth of a call.
 pub(super) const PAINTED: usize = 2048;
 pub(super) const PAINT: u8 = 0x6B;
 
-/// What a tap saw at one call.
+/// The data of a tap at one call.
 #[derive(Clone, Debug)]
 pub struct Tapped {
     /// Cycle of the call.
@@ -48,8 +48,8 @@ impl Board {
         world.calls.len() - 1
     }
 
-    /// As [`Self::probe`], and measures how deep the stack gets. If such functions call each other, what the outer one
-    /// did before the call is forgotten.
+    /// Like [`Self::probe`], and also measures the stack depth.
+    /// If such functions call each other, the depth of the outer one before the call is lost.
     pub fn probe_stack(&mut self, function: &str) -> usize {
         let probe = self.probe(function);
         self.uc.get_data_mut().painting.push(probe);
@@ -61,7 +61,7 @@ impl Board {
         &self.uc.get_data().calls[probe]
     }
 
-    /// Records arguments of a function at every call from now on, and `len` bytes behind the first one.
+    /// Records the arguments of a function at every call from now on, and `len` bytes at the first one.
     pub fn tap(&mut self, function: &str, len: usize) -> usize {
         let address = self.image.function(function);
         let world = self.uc.get_data_mut();
@@ -70,7 +70,7 @@ impl Board {
         world.tapped.len() - 1
     }
 
-    /// What a tap has seen so far.
+    /// Returns the data of a tap so far.
     pub fn tapped(&self, tap: usize) -> &[Tapped] {
         &self.uc.get_data().tapped[tap]
     }

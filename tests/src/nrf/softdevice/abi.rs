@@ -1,4 +1,4 @@
-//! Numbers and layouts of S140 7.x' interface, as in its headers (crate `nrf-softdevice-s140`).
+//! Numbers and layouts of S140 7.x's interface, from its headers (crate `nrf-softdevice-s140`).
 
 use super::super::memory::RAM_START;
 use super::super::soc::Soc;
@@ -100,7 +100,7 @@ pub mod error {
     pub const SYS_ATTR_MISSING: u32 = 0x3401;
 }
 
-/// Reasons for which a link ends (Bluetooth's HCI error codes).
+/// Reasons for the end of a link (Bluetooth's HCI error codes).
 #[allow(missing_docs, reason = "the names of the headers, less their prefix")]
 pub mod reason {
     pub const TIMEOUT: u8 = 0x08;
@@ -108,10 +108,10 @@ pub mod reason {
     pub const LOCAL_HOST: u8 = 0x16;
 }
 
-/// What a call returns.
+/// The return value of a call.
 pub type Answer = Result<(), u32>;
 
-/// Memory as a call sees it: arguments may lie in RAM or flash, results in RAM only.
+/// Reads memory for a call: arguments may be in RAM or flash, and results only in RAM.
 pub fn bytes(soc: &Soc, address: u32, len: usize) -> Result<Vec<u8>, u32> {
     if address >= RAM_START {
         return soc.ram.get(address, len).map(<[u8]>::to_vec).ok_or(error::INVALID_ADDR);
@@ -147,7 +147,7 @@ pub fn put(soc: &mut Soc, address: u32, data: &[u8]) -> Answer {
 pub struct SocEvent(Vec<u8>);
 
 impl SocEvent {
-    /// An event of GAP for a connection: its parameters begin at a multiple of 4.
+    /// Creates a GAP event for a connection, whose parameters begin at a multiple of 4.
     pub fn gap(number: u16, connection: u16) -> Self {
         let mut event = Self::gatts(number, connection);
         event.0.extend([0, 0]);
@@ -175,7 +175,7 @@ impl SocEvent {
         self
     }
 
-    /// The whole event with its length in its header.
+    /// Completes the event with its length in the header.
     pub fn finish(mut self) -> Vec<u8> {
         let len = (self.0.len() as u16).to_le_bytes();
         self.0[2..4].copy_from_slice(&len);

@@ -1,10 +1,10 @@
-//! A laptop's Bluetooth: finds the board, connects, pairs, subscribes, writes, and notes what it hears.
+//! A laptop's Bluetooth: finds the board, connects, pairs, subscribes, writes, and records events.
 //!
-//! Tests give it [`Command`]s, which it works through in order over connection events, and read [`Happening`]s.
+//! Tests supply [`Command`]s, which it executes in order during connection events, and read [`Happening`]s.
 
 use std::collections::VecDeque;
 
-/// What the laptop does next.
+/// The next actions of the laptop.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Command {
     /// Asks for a larger ATT MTU.
@@ -13,9 +13,9 @@ pub enum Command {
     FastRadio,
     /// Turns notifications on or off.
     Subscribe(bool),
-    /// Pairs anew, keeping the keys (bonding) or not.
+    /// Pairs again, and stores the keys (bonding) or not.
     Pair {
-        /// Both sides keep the keys.
+        /// Whether both sides store the keys.
         bond: bool,
     },
     /// Encrypts with the keys of the last bond.
@@ -28,27 +28,28 @@ pub enum Command {
     Disconnect,
 }
 
-/// What the laptop noticed.
+/// An event on the laptop's side.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Happening {
-    /// The link stands, with this interval in 1.25 ms.
+    /// The link is established with this interval in units of 1.25 ms.
     Connected(u16),
-    /// The link is gone, for this reason of [`super::abi::reason`].
+    /// The link ended for this reason of [`super::abi::reason`].
     Disconnected(u8),
-    /// The board asked for an interval between these, in 1.25 ms, with this latency and supervision timeout (10 ms).
+    /// The board requested an interval between these, in units of 1.25 ms.
+    /// It also requested this latency and supervision timeout (10 ms).
     AskedFor {
         /// Shortest.
         min: u16,
         /// Longest.
         max: u16,
-        /// Events that the board may sleep through.
+        /// Number of events that the board may sleep through.
         latency: u16,
-        /// Silence that ends the link.
+        /// Duration of silence that ends the link.
         supervision: u16,
         /// The laptop agreed.
         granted: bool,
     },
-    /// A new interval is used, in 1.25 ms.
+    /// A new interval is used, in units of 1.25 ms.
     Interval(u16),
     /// The ATT MTU.
     Mtu(u16),
@@ -59,17 +60,17 @@ pub enum Happening {
         /// The keys are kept.
         bonded: bool,
     },
-    /// The link is encrypted with kept keys.
+    /// The link is encrypted with stored keys.
     Encrypted,
-    /// The board does not know the keys (any more).
+    /// The board does not have the keys (any more).
     KeyMissing,
     /// The board answered the subscription.
     Subscribed(bool),
-    /// The board answered a write: done, or refused with this ATT error.
+    /// The board answered a write: accepted, or refused with this ATT error.
     Written(Result<(), u8>),
 }
 
-/// Keys that both sides kept.
+/// Keys that both sides have stored.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Bond {
     /// The long term key.
@@ -90,7 +91,7 @@ pub struct Heard {
 }
 
 impl Heard {
-    /// The content of the first structure of this type.
+    /// Returns the content of the first structure of this type.
     pub fn part(&self, kind: u8) -> Option<&[u8]> {
         [&self.data, &self.response].into_iter().find_map(|bytes| {
             let mut rest = bytes.as_slice();
@@ -111,21 +112,21 @@ impl Heard {
 pub struct Central {
     /// Its address.
     pub address: [u8; 6],
-    /// Whether its radio is in reach.
+    /// Whether the laptop's radio is in range.
     pub in_range: bool,
-    /// It connects as soon as it hears the board.
+    /// Whether the laptop connects as soon as it receives an advertisement.
     pub connects: bool,
-    /// Interval of new connections, in 1.25 ms.
+    /// Interval of new connections in units of 1.25 ms.
     pub first_interval: u16,
-    /// Shortest interval that it grants, in 1.25 ms.
+    /// Shortest interval that the laptop grants, in units of 1.25 ms.
     pub shortest_interval: u16,
-    /// It supports long radio packets.
+    /// Whether the laptop supports long radio packets.
     pub long_packets: bool,
-    /// Its radio answers LE Ping, as all but old ones do.
+    /// Whether the laptop's radio answers LE Ping, as nearly all current radios do.
     pub answers_radio_pings: bool,
-    /// What it still has to do.
+    /// Commands that are not executed yet.
     pub commands: VecDeque<Command>,
-    /// What happened, with the cycle.
+    /// Events with their cycles.
     pub log: Vec<(u64, Happening)>,
     /// Notifications with the cycle at which each was complete.
     pub notified: Vec<(u64, Vec<u8>)>,
@@ -145,7 +146,7 @@ impl Default for Central {
             address: [0x11, 0x22, 0x33, 0x44, 0x55, 0xC6],
             in_range: true,
             connects: false,
-            // Linux' default: 30 ms, and whatever a peripheral asks for.
+            // Linux's default: 30 ms, or the interval that a peripheral requests.
             first_interval: 24,
             shortest_interval: 6,
             long_packets: true,
@@ -173,7 +174,7 @@ impl Central {
         self.connected
     }
 
-    /// Happenings so far that answer to a question.
+    /// Returns whether an event satisfies a condition.
     pub fn saw(&self, what: impl Fn(&Happening) -> bool) -> usize {
         self.log.iter().filter(|(_, h)| what(h)).count()
     }
@@ -187,12 +188,12 @@ impl Central {
         self.log.push((at, what));
     }
 
-    /// The remaining commands belonged to the link that is gone.
+    /// The remaining commands belonged to the link that ended.
     pub(super) fn left(&mut self) {
         self.commands.clear();
     }
 
-    /// The board fell silent (it restarted); this is noticed at this cycle.
+    /// The board is silent after a restart; the laptop notices this at the given cycle.
     pub(super) fn silence(&mut self, noticed_at: u64) {
         self.lost_at = Some(noticed_at);
         self.left();

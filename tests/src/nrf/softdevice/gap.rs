@@ -12,7 +12,7 @@ const CONNECTABLE_SCANNABLE: u8 = 1;
 const FLAGS: u8 = 1;
 const NAME: u8 = 9;
 
-/// An advertising set; its data stays in the application's memory.
+/// An advertising set, whose data is in the application's memory.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct AdvertisingSet {
     data: (u32, u16),
@@ -27,7 +27,7 @@ pub(super) struct Beacon {
     count: u64,
 }
 
-/// Where the keys of a pairing go (`ble_gap_sec_keyset_t`).
+/// Destination of the keys of a pairing (`ble_gap_sec_keyset_t`).
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Keyset {
     own_key: u32,
@@ -39,12 +39,12 @@ pub(super) struct Keyset {
 pub(super) struct Pairing {
     keyset: Keyset,
     bond: bool,
-    /// Connection events until its next step.
+    /// Number of connection events until the next step of the pairing.
     wait: u8,
     encrypted: bool,
 }
 
-/// Checks the structures of an advertisement: lengths fit, no type twice.
+/// Checks the structures of an advertisement: valid lengths, and no type twice.
 fn structures(data: &[u8]) -> Result<Vec<u8>, u32> {
     let mut kinds = Vec::new();
     let mut rest = data;
@@ -99,7 +99,7 @@ impl SoftDevice {
         }
     }
 
-    /// The link, if it is up and not about to end.
+    /// Returns the link, if it is established and not about to end.
     pub(super) fn open_link(&mut self, handle: u32) -> Result<&mut Connection, u32> {
         let link =
             self.link.as_mut().filter(|_| handle as u16 == HANDLE).ok_or(error::INVALID_CONN_HANDLE)?;
@@ -155,13 +155,13 @@ impl SoftDevice {
         Ok(())
     }
 
-    /// Advertising events that are due.
+    /// Performs the advertising events that are due.
     pub(super) fn advance_beacon(&mut self, now: u64, soc: &mut Soc) {
         let (Some(mut beacon), Some(set)) = (self.beacon, self.set) else { return };
         if beacon.next > now {
             return;
         }
-        // Up to 10 ms are added at random, so that two boards do not stay in step.
+        // A random delay of up to 10 ms is added, so that two boards do not remain synchronised.
         let jitter = us(beacon.count.wrapping_mul(7919) % 10_000);
         beacon.count += 1;
         let at = beacon.next;
@@ -200,7 +200,7 @@ impl SoftDevice {
     }
 
     fn data_length(&mut self, handle: u32, wanted: u32, limits: u32, soc: &mut Soc) -> Answer {
-        // Two packets of the longest and their acknowledgements.
+        // The time of two packets of maximum length with their acknowledgements.
         let room = us(1250 * u64::from(self.config.event_length)) >= us(2 * (2120 + 150));
         let mtu = self.config.mtu;
         let long = self.central.long_packets;
@@ -250,7 +250,7 @@ impl SoftDevice {
         Ok(())
     }
 
-    /// Tells the application that the link is encrypted.
+    /// Reports to the application that the link is encrypted.
     pub(super) fn encrypted(&mut self, soc: &mut Soc) {
         let link = self.link.as_mut().expect("a link");
         link.encrypted = true;
@@ -259,7 +259,7 @@ impl SoftDevice {
         self.raise(update.finish(), &mut soc.nvic);
     }
 
-    /// The next step of a pairing, at a link event.
+    /// Performs the next step of a pairing at a link event.
     pub(super) fn advance_pairing(&mut self, at: u64, soc: &mut Soc) {
         let Some(link) = self.link.as_mut() else { return };
         let Some(mut pairing) = link.pairing.take() else { return };

@@ -1,15 +1,15 @@
-//! GATT server calls: the attribute table, notifications, and what the laptop writes.
+//! GATT server calls: the attribute table, notifications, and writes by the laptop.
 
 use super::super::soc::Soc;
 use super::abi::{Answer, SocEvent, bytes, call, error, event, put, u8_at, u16_at, u32_at};
 use super::link::HANDLE;
 use super::{SoftDevice, central::Happening};
 
-/// Handles up to here are S140's own services (GAP and GATT).
+/// Handles up to this one belong to S140's own services (GAP and GATT).
 const OWN_HANDLES: u16 = 13;
-/// Bytes that S140's own services take of the table, about.
+/// Approximate size of S140's own services in the table, in bytes.
 const OWN_BYTES: u32 = 200;
-/// Bytes per attribute besides its value, about.
+/// Approximate size of an attribute besides its value, in bytes.
 const ATTRIBUTE_BYTES: u32 = 24;
 const CCCD: u16 = 0x2902;
 const WRITE_REQUEST: u8 = 1;
@@ -84,7 +84,7 @@ impl Table {
 }
 
 impl SoftDevice {
-    /// UUIDs of the application's services and characteristics, as a laptop's discovery finds them.
+    /// Returns the UUIDs of the application's services and characteristics, as a laptop discovers them.
     pub fn discover(&self) -> (Vec<u128>, Vec<u128>) {
         let services = self.table.services.iter().map(|(_, uuid)| u128::from_le_bytes(*uuid)).collect();
         let parts = self.table.characteristics.iter().map(|c| u128::from_le_bytes(c.uuid)).collect();
@@ -165,7 +165,7 @@ impl SoftDevice {
         }
     }
 
-    // CCCDs of a bonded laptop come back only as they were saved.
+    // CCCDs of a bonded laptop are restored only from saved values.
     fn restore(&mut self, place: u32, len: usize, soc: &Soc) -> Answer {
         let saved = bytes(soc, place, len)?;
         let halves: Vec<u16> = saved.chunks_exact(2).map(|h| u16::from_le_bytes([h[0], h[1]])).collect();
@@ -248,7 +248,7 @@ impl SoftDevice {
         if waiting >= room {
             return Err(error::RESOURCES);
         }
-        // What does not fit the MTU is cut off.
+        // Data that does not fit in the MTU is truncated.
         let sent = len.min(mtu - 3);
         let bytes = bytes(soc, data, sent.into())?;
         put(soc, len_at, &sent.to_le_bytes())?;
@@ -257,7 +257,7 @@ impl SoftDevice {
         Ok(())
     }
 
-    /// The laptop turns notifications on or off; nothing if the application must restore its attributes first.
+    /// Enables or disables notifications. It does nothing if the application must first restore its attributes.
     pub(super) fn subscribe(&mut self, on: bool, soc: &mut Soc) -> Option<bool> {
         let link = self.link.as_mut().expect("a link");
         if !link.system_attributes {

@@ -1,4 +1,4 @@
-//! A connection: its events, who listens at them, what fits into them, and how it ends.
+//! A connection: its events, their participants and contents, and its end.
 
 use std::collections::VecDeque;
 
@@ -13,11 +13,11 @@ use super::{SoftDevice, rules};
 pub(super) const HANDLE: u16 = 0;
 /// A unit of the interval.
 const UNIT: u64 = us(1250);
-/// Without an authenticated packet for this long S140 raises a timeout. (Empty acknowledgements are none.)
+/// After this long without an authenticated packet, S140 raises a timeout. (Empty acknowledgements do not count.)
 const PAYLOAD_TIMEOUT: u64 = ms(480_000);
 /// Its source.
 const AUTHENTICATED_PAYLOAD: u8 = 3;
-/// Write commands that the laptop puts into one connection event.
+/// Maximum number of write commands in one connection event.
 const COMMANDS_PER_EVENT: usize = 4;
 
 /// Connection parameters (`ble_gap_conn_params_t`).
@@ -30,7 +30,7 @@ pub(super) struct Parameters {
 }
 
 impl Parameters {
-    /// Reads and checks them as S140 does.
+    /// Reads and checks the parameters like S140.
     pub(super) fn read(soc: &Soc, at: u32) -> Result<Self, u32> {
         let p = Self {
             min: u16_at(soc, at)?,
@@ -63,7 +63,7 @@ pub(super) struct Connection {
     pub(super) parameters: Parameters,
     pub(super) next_event: u64,
     heard_at: u64,
-    /// When the laptop's last packet with content came.
+    /// Time of the laptop's last packet with content.
     content_at: u64,
     skipped: u16,
     pub(super) mtu: u16,
@@ -81,9 +81,9 @@ pub(super) struct Connection {
     pub(super) attributes_asked: bool,
     pub(super) subscribed: bool,
     pub(super) queue: VecDeque<Vec<u8>>,
-    /// The board's request, and link events until the laptop answers.
+    /// The board's request, and the number of link events until the laptop answers.
     pub(super) asked: Option<(Parameters, u8)>,
-    /// New parameters, and link events until they count.
+    /// New parameters, and the number of link events until they apply.
     pub(super) update: Option<(Parameters, u8)>,
     pub(super) closing: Option<u8>,
 }
@@ -126,7 +126,7 @@ impl Connection {
         ms(10 * u64::from(self.parameters.supervision))
     }
 
-    /// Radio time of a notification with its acknowledgements.
+    /// Returns the radio time of a notification including its acknowledgements.
     fn air_time(&self, len: usize) -> u64 {
         let mut rest = len + 7;
         let mut time = 0;
@@ -179,7 +179,7 @@ fn tick(waiting: &mut Option<u8>) -> bool {
 }
 
 impl SoftDevice {
-    /// Connection events that are due.
+    /// Performs the connection events that are due.
     pub(super) fn advance_link(&mut self, now: u64, soc: &mut Soc) {
         while self.link.as_ref().is_some_and(|l| l.next_event <= now) {
             self.connection_event(soc);
@@ -250,7 +250,7 @@ impl SoftDevice {
         }
     }
 
-    /// Whether the laptop's packets prove that it is still the one with the keys.
+    /// Checks whether the laptop's packets prove that it still has the keys.
     fn payload_step(&mut self, came: bool, at: u64, soc: &mut Soc) {
         let answers = self.central.answers_radio_pings;
         let link = self.link.as_mut().expect("a link");
@@ -291,7 +291,7 @@ impl SoftDevice {
         }
     }
 
-    /// What the laptop sends at this event; packets taken.
+    /// Sends the laptop's data in this event, and returns the number of packets.
     fn laptop_step(&mut self, at: u64, soc: &mut Soc) -> u64 {
         let mut taken = 0;
         let mut commands = 0;
@@ -338,7 +338,7 @@ impl SoftDevice {
                 }
                 Command::Pair { bond } => {
                     self.link.as_mut().expect("a link").pairing_asked = Some(bond);
-                    // No input, no output; keys of 7 to 16 bytes; encryption and identity keys both ways.
+                    // No input and no output; keys of 7 to 16 bytes; encryption and identity keys in both directions.
                     let flags = u8::from(bond) | 3 << 4;
                     let request =
                         SocEvent::gap(event::SEC_PARAMS_REQUEST, HANDLE).with(&[flags, 7, 16, 3, 3]);
@@ -371,7 +371,7 @@ impl SoftDevice {
         self.raise(request.finish(), &mut soc.nvic);
     }
 
-    /// Notifications that fit into this event; how many.
+    /// Sends the notifications that fit in this event, and returns their number.
     fn send_step(&mut self, at: u64, soc: &mut Soc) -> u64 {
         let event_length = us(1250 * u64::from(self.config.event_length));
         let link = self.link.as_mut().expect("a link");

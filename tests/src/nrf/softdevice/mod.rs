@@ -1,9 +1,11 @@
-//! A model of Nordic's SoftDevice S140 7.x, as far as the image calls it, and of a laptop that connects to it.
+//! A model of Nordic's SoftDevice S140 7.x, with the calls that the image uses, and of a connected laptop.
 //!
-//! S140 lies below the image, owns the vector table at 0 and the radio, and is called by SVC. Here its calls run
-//! outside the emulated core: they read their arguments from the image's memory, answer, and raise events, which
-//! the image fetches after interrupt 22 (SWI2). What S140 forbids is noted by [`rules`] and fails the run.
-//! Not modelled: the radio itself (packets arrive or do not), privacy, LE Secure Connections, central roles.
+//! S140 is below the image in flash, owns the vector table at 0 and the radio, and is called by SVC.
+//! Here, its calls run outside the emulated core: they read arguments from the image's memory, answer,
+//! and raise events.
+//! The image fetches these events after interrupt 22 (SWI2).
+//! [`rules`] records actions that S140 forbids, which fail the run.
+//! The model omits the radio itself (packets either arrive or not), privacy, LE Secure Connections and central roles.
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -28,7 +30,7 @@ use link::Connection;
 use rules::{Config, Rules};
 use soc_calls::{FlashJob, UsbEvents};
 
-/// Start of the application behind S140 7.x; below lie the MBR and S140.
+/// Start of the application with S140 7.x; the MBR and S140 are below it.
 pub const APPLICATION: u32 = 0x27000;
 
 /// The state of the core at a call.
@@ -40,11 +42,11 @@ pub struct Core {
     pub sp: u32,
     /// Interrupts are masked.
     pub masked: bool,
-    /// First byte behind the image's statics.
+    /// First address after the image's statics.
     pub statics_end: u32,
 }
 
-/// S140 and whoever listens to its radio.
+/// S140 and the laptop in its radio range.
 #[derive(Default)]
 pub struct SoftDevice {
     enabled_at: Option<u64>,
@@ -55,7 +57,7 @@ pub struct SoftDevice {
     events: VecDeque<Vec<u8>>,
     usb: UsbEvents,
     flash: Option<FlashJob>,
-    /// This many flash operations fail from now on, as they may while the radio is busy.
+    /// Number of flash operations that will fail, as real ones do while the radio is busy.
     pub flash_refusals: u32,
     uuids: Vec<[u8; 16]>,
     table: Table,
@@ -64,18 +66,18 @@ pub struct SoftDevice {
     link: Option<Connection>,
     /// The laptop.
     pub central: Central,
-    /// The rules that the image broke.
+    /// The rules that the image has violated.
     pub rules: Rules,
-    /// Calls so far, by number.
+    /// Number of calls so far, by call number.
     pub calls: BTreeMap<u8, u64>,
-    /// Cycles that S140's own interrupts took.
+    /// Cycles spent in S140's own interrupts.
     pub own_cycles: u64,
-    /// An interrupt of S140 ran: a sleeping core wakes.
+    /// Whether an interrupt of S140 ran, which wakes a sleeping core.
     pub woke: bool,
 }
 
 impl SoftDevice {
-    /// After a reset of the chip: the radio falls silent, the laptop notices later.
+    /// Resets the chip: the radio falls silent, and the laptop notices this later.
     pub fn reset(&mut self, now: u64) {
         let before = std::mem::take(self);
         self.central = before.central;
@@ -87,7 +89,7 @@ impl SoftDevice {
         }
     }
 
-    /// Whether `sd_softdevice_enable` has succeeded.
+    /// Returns whether `sd_softdevice_enable` has succeeded.
     pub fn is_enabled(&self) -> bool {
         self.enabled_at.is_some()
     }
@@ -97,12 +99,12 @@ impl SoftDevice {
         self.beacon.is_some()
     }
 
-    /// RAM that the configuration wants, by the model's estimate, and what the image leaves, in bytes.
+    /// Returns the RAM that the configuration needs (the model's estimate) and the RAM that the image leaves, in bytes.
     pub fn ram(&self) -> (u32, u32) {
         (self.config.ram_bytes(), self.application_ram.saturating_sub(super::memory::RAM_START))
     }
 
-    /// A call by SVC; what r0 holds afterwards.
+    /// Executes a call by SVC, and returns the resulting r0.
     pub fn call(&mut self, number: u8, core: Core, soc: &mut Soc) -> u32 {
         *self.calls.entry(number).or_default() += 1;
         self.check_core(number, core, soc);
@@ -141,7 +143,7 @@ impl SoftDevice {
         if lowest < core.statics_end {
             self.rules.broke(format!("call {number} finds no room on the stack"));
         } else {
-            // S140 works on the caller's stack.
+            // S140 uses the caller's stack.
             soc.ram.put(lowest, &[0x5D; rules::STACK_BYTES as usize]);
         }
     }
@@ -173,7 +175,7 @@ impl SoftDevice {
         }
         let c = &mut self.config;
         match id {
-            // Connection configurations have a tag in front.
+            // Connection configurations begin with a tag.
             32..=36 => {
                 let tag = u8_at(soc, config)?;
                 if tag == 0 || c.tag.is_some_and(|t| t != tag) {
@@ -230,7 +232,7 @@ impl SoftDevice {
             self.rules.broke(format!("S140 needs RAM up to {wanted:#x}, the image's begins below"));
             return Err(error::NO_MEM);
         }
-        // From here on this RAM is S140's.
+        // From now on, this RAM belongs to S140.
         soc.ram.put(super::memory::RAM_START, &vec![0x5D; (wanted - super::memory::RAM_START) as usize]);
         self.table = Table::new(self.config.table);
         self.ble = true;
@@ -260,7 +262,7 @@ impl SoftDevice {
     fn uuid_add(&mut self, [base, kind, ..]: [u32; 4], soc: &mut Soc) -> Answer {
         let mut uuid: [u8; 16] =
             abi::bytes(soc, base, 16)?.try_into().map_err(|_: Vec<u8>| error::INVALID_ADDR)?;
-        // These two bytes are the short form's.
+        // These two bytes contain the short form.
         uuid[12..14].fill(0);
         let index = match self.uuids.iter().position(|u| *u == uuid) {
             Some(index) => index,
@@ -273,7 +275,7 @@ impl SoftDevice {
         put(soc, kind, &[index as u8 + 2])
     }
 
-    /// The whole UUID behind a short one and its type.
+    /// Returns the full UUID of a short one with its type.
     fn whole_uuid(&self, short: u16, kind: u8) -> Option<[u8; 16]> {
         let mut uuid = *self.uuids.get(usize::from(kind).checked_sub(2)?)?;
         uuid[12..14].copy_from_slice(&short.to_le_bytes());
@@ -290,7 +292,7 @@ impl SoftDevice {
         nvic.pend(rules::EVENT_IRQ);
     }
 
-    /// S140's own interrupts take time from the core.
+    /// Accounts for the core's time in S140's own interrupts.
     fn spend(&mut self, cycles: u64, soc: &mut Soc) {
         soc.now += cycles;
         soc.awake += cycles;
@@ -298,7 +300,7 @@ impl SoftDevice {
         self.woke = true;
     }
 
-    /// Does what is due by now.
+    /// Performs all actions that are due.
     pub fn advance(&mut self, now: u64, soc: &mut Soc) {
         if !self.is_enabled() {
             return;
@@ -309,7 +311,7 @@ impl SoftDevice {
         self.central.advance(now);
     }
 
-    /// Cycle of the next thing to do.
+    /// Returns the cycle of the next action.
     pub fn due(&self, power: &ClockPower, now: u64) -> Option<u64> {
         if !self.is_enabled() {
             return None;
@@ -319,7 +321,7 @@ impl SoftDevice {
         [beacon, link, self.soc_due(power, now), self.central.due()].into_iter().flatten().min()
     }
 
-    /// The link is gone for both sides.
+    /// Ends the link for both sides.
     fn end_link(&mut self, reason: u8, told: Happening, soc: &mut Soc) {
         self.link = None;
         let event = abi::SocEvent::gap(abi::event::DISCONNECTED, link::HANDLE).with(&[reason]).finish();

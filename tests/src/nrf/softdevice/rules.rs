@@ -1,25 +1,25 @@
-//! What S140 forbids the application, and how much RAM and time it takes for itself.
+//! The rules of S140 for applications, and its use of RAM and time.
 
 use std::collections::BTreeMap;
 
 use super::super::nvic::Nvic;
 use super::super::time::us;
 
-/// Interrupts that are S140's: POWER_CLOCK, RADIO, TIMER0, RTC0, TEMP, RNG, ECB, CCM_AAR, SWI5.
+/// S140's interrupts: POWER_CLOCK, RADIO, TIMER0, RTC0, TEMP, RNG, ECB, CCM_AAR, SWI5.
 pub const OWN_IRQS: u64 =
     1 << 0 | 1 << 1 | 1 << 8 | 1 << 11 | 1 << 12 | 1 << 13 | 1 << 14 | 1 << 15 | 1 << 25;
-/// The interrupt that says that events wait (SWI2_EGU2).
+/// The interrupt that announces waiting events (SWI2_EGU2).
 pub const EVENT_IRQ: usize = 22;
-/// Its priority, and that of the calls.
+/// The priority of this interrupt, and of the calls.
 pub const EVENT_PRIORITY: u8 = 6;
 /// Priority of the calls.
 pub const CALL_PRIORITY: u8 = 4;
 /// Priorities of S140's own work.
 const OWN_PRIORITIES: [u8; 3] = [0, 1, 4];
-/// Peripherals that are S140's, by page: CLOCK and POWER, RADIO, TIMER0, RTC0, TEMP, RNG, ECB, CCM and AAR, EGU1 and
-/// EGU2 and EGU5, NVMC with ACL, MWU.
+/// S140's peripherals by page: CLOCK and POWER, RADIO, TIMER0, RTC0, TEMP, RNG, ECB, CCM and AAR, EGU1, EGU2 and EGU5,
+/// NVMC with ACL, MWU.
 const OWN_PAGES: [u32; 13] = [0, 1, 8, 11, 12, 13, 14, 15, 21, 22, 25, 30, 32];
-/// Names to go with them.
+/// Names of the peripherals on these pages.
 const PAGE_NAMES: [&str; 13] = [
     "POWER/CLOCK",
     "RADIO",
@@ -35,19 +35,20 @@ const PAGE_NAMES: [&str; 13] = [
     "NVMC",
     "MWU",
 ];
-/// Longest time that PRIMASK may hold S140's interrupts back. Nordic names no figure; a radio packet's turn-around
-/// is 150 us, of which S140 needs most.
+/// Maximum time for which PRIMASK may delay S140's interrupts. Nordic does not specify it.
+/// A radio packet's turn-around takes 150 us, most of which S140 needs.
 pub const LONGEST_PRIMASK: u64 = us(10);
-/// The most of the application's stack that S140 uses, by its specification.
+/// Maximum stack use of S140 in the application's stack, from its specification.
 pub const STACK_BYTES: u32 = 0x700;
-/// Cycles of one call, S140's own handler and its checks.
+/// Cycles of one call, including S140's own handler and its checks.
 pub const CALL_CYCLES: u64 = us(5);
-/// Cycles until S140 has forwarded an interrupt to the application's table.
+/// Cycles for forwarding an interrupt to the application's table.
 pub const FORWARD_CYCLES: u64 = 40;
 
-/// Time that S140 takes from the core, typical values of the SoftDevice specification ("BLE peripheral connection
-/// processor usage patterns"): prepare 40, start 18, after a packet 30, at the end 90 us, and 40 us at
-/// priority 4 per packet.
+/// Time that S140 takes from the core in a connection event.
+/// The values are typical ones from the SoftDevice specification ("BLE peripheral connection processor usage
+/// patterns"):
+/// prepare 40, start 18, after a packet 30, at the end 90 us, and 40 us at priority 4 per packet.
 pub const fn connection_event(packets: u64) -> u64 {
     us(40 + 18 + 90 + packets * (30 + 40))
 }
@@ -62,7 +63,7 @@ pub struct Config {
     pub tag: Option<u8>,
     /// Connections.
     pub links: u32,
-    /// Radio time of a connection event in 1.25 ms.
+    /// Radio time of a connection event in units of 1.25 ms.
     pub event_length: u16,
     /// Largest ATT MTU.
     pub mtu: u16,
@@ -95,15 +96,16 @@ impl Default for Config {
 }
 
 impl Config {
-    /// RAM that S140 wants from its start. Nordic documents no formula; this is an estimate on the safe side of
-    /// known figures (no link 5.6 KB; one link with MTU 247 about 11 to 16 KB; five with 9 notifications 56 KB).
+    /// RAM that S140 needs from its start. Nordic documents no formula, so this is an estimate above all known figures.
+    /// They are 5.6 KB without a link, 11 to 16 KB for one link with MTU 247,
+    /// and 56 KB for five links with 9 notifications.
     pub fn ram_bytes(&self) -> u32 {
         let link = 1500 + (24 + self.notifications as u32) * (u32::from(self.mtu) + 20);
         5752 + self.table + 16 * self.uuids as u32 + self.links * link
     }
 }
 
-/// What was broken, and how often.
+/// Violated rules with their number of occurrences.
 #[derive(Clone, Debug, Default)]
 pub struct Rules {
     broken: BTreeMap<String, u64>,
@@ -115,12 +117,12 @@ impl Rules {
         *self.broken.entry(what.into()).or_default() += 1;
     }
 
-    /// A rule that was broken, in words.
+    /// Returns a description of a violated rule.
     pub fn broken(&self) -> Option<&str> {
         self.broken.keys().next().map(String::as_str)
     }
 
-    /// An access of the core to a register while S140 is enabled.
+    /// Checks an access of the core to a register while S140 is enabled.
     pub fn access(&mut self, address: u32, write: Option<u32>) {
         let how = if write.is_some() { "writes" } else { "reads" };
         let page = address >> 12 & 0xFF;
@@ -155,7 +157,7 @@ impl Rules {
         }
     }
 
-    // Channels 17 to 31 and groups 4 and 5 are S140's.
+    // Channels 17 to 31 and groups 4 and 5 belong to S140.
     fn ppi(&mut self, offset: u32, value: u32) {
         let own = match offset {
             0x000..=0x02C => offset / 8 >= 4,
@@ -170,7 +172,7 @@ impl Rules {
         }
     }
 
-    /// An interrupt of the application is about to run.
+    /// Checks an interrupt of the application that is about to run.
     pub fn interrupt(&mut self, irq: usize, nvic: &Nvic) {
         if OWN_IRQS & (1 << irq) != 0 {
             self.broke(format!("interrupt {irq} is S140's, the image has it enabled"));
@@ -181,7 +183,7 @@ impl Rules {
         }
     }
 
-    /// Interrupts have been masked for this many cycles.
+    /// Checks the number of cycles for which interrupts were masked.
     pub fn masked(&mut self, cycles: u64) {
         if cycles > LONGEST_PRIMASK {
             self.broke(format!("PRIMASK held all interrupts for {} us", cycles / us(1)));
@@ -189,7 +191,7 @@ impl Rules {
     }
 }
 
-/// Whether `sd_softdevice_enable` would accept the interrupts as they are set.
+/// Returns whether `sd_softdevice_enable` would accept the current interrupt settings.
 pub fn interrupts_fit(nvic: &Nvic) -> bool {
     (0..48).filter(|&irq| nvic.is_enabled(irq)).all(|irq| {
         OWN_IRQS & (1 << irq) == 0 && irq != EVENT_IRQ && !OWN_PRIORITIES.contains(&nvic.irq_priority(irq))

@@ -1,4 +1,4 @@
-//! Images of a few instructions that keep or break S140's rules: the model must tell them apart.
+//! Images of a few instructions that respect or violate S140's rules. The model must distinguish them.
 
 use super::APPLICATION;
 use crate::nrf::board::{Board, Boot};
@@ -71,7 +71,7 @@ fn calls_need_interrupts() {
 fn s140_refuses_to_start_where_an_interrupt_has_its_priority() {
     // RTC1's interrupt enabled at priority 0: r2 = 0xE0000000, r3 = 0xE100, r4 = 1 << 17, str r4, [r2, r3].
     let enable_rtc1 = [0x22E0, 0x0612, 0x23E1, 0x021B, 0x2401, 0x0464, 0x50D4];
-    // movs r2, #0x20; lsls r2, #24; str r0, [r2]: the answer into RAM.
+    // movs r2, #0x20; lsls r2, #24; str r0, [r2]: stores the answer in RAM.
     let keep_answer = [0x2220, 0x0612, 0x6010];
     let mut board = run(&[&enable_rtc1[..], &ENABLE, &keep_answer].concat());
     assert_eq!(board.soc().ram.word(RAM_START), super::abi::error::INTERRUPT_CONFIGURATION);

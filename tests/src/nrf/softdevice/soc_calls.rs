@@ -1,4 +1,4 @@
-//! Calls that stand for the chip's peripherals: flash, random numbers, power, clock, USB power.
+//! Calls that replace the chip's peripherals: flash, random numbers, power, clock, USB power.
 
 use super::super::flash::PAGE;
 use super::super::soc::Soc;
@@ -8,11 +8,11 @@ use super::abi::{Answer, bytes, call, error, put, soc_event};
 use super::{APPLICATION, SoftDevice};
 use crate::nrf::memory::FLASH_BYTES;
 
-/// From a flash call until the radio leaves room for it.
+/// Time from a flash call until the radio leaves room for it.
 const FLASH_WAIT: u64 = ms(3);
-/// S140's work before and after, by its specification 500 us at most.
+/// Overhead of S140 before and after, which is at most 500 us by its specification.
 const FLASH_OVERHEAD: u64 = us(450);
-/// A byte for S140's pool of random numbers.
+/// Time for adding one byte to S140's pool of random numbers.
 const RANDOM_BYTE: u64 = us(130);
 
 const USB_DETECTED: u32 = 7;
@@ -30,11 +30,11 @@ enum What {
 pub(super) struct FlashJob {
     what: What,
     at: u64,
-    /// The operation has been done (or refused); the event comes at `at`.
+    /// The result of the completed (or refused) operation, whose event comes at `at`.
     result: Option<u32>,
 }
 
-/// Which USB power events the application wants.
+/// The USB power events that the application has enabled.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct UsbEvents {
     detected: bool,
@@ -57,7 +57,7 @@ impl SoftDevice {
         let [a, b, c, _] = args;
         match number {
             call::EVT_GET => {
-                // Whatever came first, the lowest number is reported first.
+                // The lowest event number is reported first, independent of the order of occurrence.
                 let event = self.soc_events.iter().copied().min().ok_or(error::NOT_FOUND)?;
                 self.soc_events.retain(|&other| other != event);
                 put(soc, a, &event.to_le_bytes())
@@ -154,7 +154,7 @@ impl SoftDevice {
         match job.what {
             What::Erase { page } => soc.nvmc.erase(&mut soc.flash, page as usize * PAGE, now),
             What::Write { to, from, words } => {
-                // The data is read now, not at the call.
+                // The data is read now and not at the time of the call.
                 let data = bytes(soc, from, words as usize * 4).unwrap_or_default();
                 for (i, word) in data.chunks_exact(4).enumerate() {
                     let word = u32::from_le_bytes([word[0], word[1], word[2], word[3]]);
@@ -186,7 +186,7 @@ impl SoftDevice {
         if usb { Some(now) } else { self.flash.map(|job| job.at) }
     }
 
-    /// A flash operation holds the core and the radio.
+    /// Blocks the core and the radio during a flash operation.
     pub(super) fn flash_holds(&self, at: u64, soc: &Soc) -> bool {
         soc.nvmc.busy_until > at
     }

@@ -1,4 +1,4 @@
-//! Carries a motion's acts out, one after the other, and ends all of them where one does not work.
+//! Executes the acts of a motion in sequence, and ends all of them if one fails.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -11,13 +11,13 @@ use crate::things::Touch;
 use super::sequence::Act;
 use super::{Director, REST_RAD_S};
 
-/// An arm that is further than this from the start of its next trajectory is not moved.
+/// Maximum distance between the arm and the start of its next trajectory.
 const OFF_MAX_RAD: f64 = 0.03;
-/// A base further than this from where the motion was planned ends it: in m, and in rad.
+/// Maximum displacement of the base since planning, in m and in rad; a larger one ends the motion.
 const SHIFTED_MAX: f64 = 0.01;
-/// A commander repeats itself several times within this time. After a silence nothing continues by itself.
+/// The commander repeats itself several times within this time. After a silence, nothing continues automatically.
 const SILENCE_MS: u64 = 250;
-/// Fingers that are further apart than before by more than this have released the object; if they are closer by this much, they have lost it.
+/// Minimum change of the finger distance that means a lost object: wider means released, narrower means lost.
 const LET_GO_M: f64 = 0.002;
 
 /// A motion under way.
@@ -31,7 +31,7 @@ pub(super) struct Running {
     left: VecDeque<Act>,
     /// How many there were.
     acts: usize,
-    /// Where the base stood when it was planned.
+    /// Placement of the base at the time of planning.
     placement: Option<Placement>,
     pub(super) halted: bool,
     /// The tool follows a hand, for as long as that is tilted.
@@ -75,7 +75,7 @@ impl Running {
         }
     }
 
-    /// Whether the hand is at an object, or will be.
+    /// Returns whether the hand is at an object, or will be.
     fn is_at_work(&self) -> bool {
         self.now.is_at_work() || self.left.iter().any(Act::is_at_work)
     }
@@ -119,7 +119,7 @@ impl<R: Robot> Director<R> {
                 self.grip_before_m = self.things.opening_m;
                 let between = self.shop().between(&self.things, &flange);
                 let held = self.things.held();
-                // What it already holds is between its fingers.
+                // An object that is already held is between the fingers.
                 let between_m = between.map(|(_, width_m)| width_m).or(held.and(self.things.opening_m));
                 self.robot.grip(Grip { opening_m: *opening_m, effort_n: *effort_n, between_m })?;
                 self.things.touch = self.shop().touching(&self.things, &flange);
@@ -129,7 +129,7 @@ impl<R: Robot> Director<R> {
         Ok(())
     }
 
-    /// Looks at how the present act went, and continues.
+    /// Checks the result of the current act, and continues.
     pub(super) fn carry_on(&mut self) {
         let (end, grip_end) = (self.robot.take_end(), self.robot.take_grip_end());
         self.things.opening_m = self.robot.opening_m().map(|opening| opening.value);
@@ -204,12 +204,12 @@ impl<R: Robot> Director<R> {
         Ok(())
     }
 
-    /// Whether the hand is at an object, or will be before the motion ends.
+    /// Returns whether the hand is at an object, or will be before the motion ends.
     pub(super) fn is_at_work(&self) -> bool {
         self.running.as_ref().is_some_and(Running::is_at_work)
     }
 
-    /// How the grip ended. Only a stall while closing means an object between the fingers.
+    /// Processes the result of a grip. Only a stall while closing means an object between the fingers.
     fn gripped(&mut self, end: GripEnd, asked_m: f64, closes_on: bool) -> Result<(), Option<String>> {
         let before_m = self.grip_before_m;
         let felt_m = self.robot.opening_m().map(|reading| reading.value);
@@ -218,12 +218,12 @@ impl<R: Robot> Director<R> {
         if let Ok(flange) = self.flange_for_grip() {
             let mut things = self.things.clone();
             things.opening_m = before_m;
-            // As far as the fingers have moved. A gripper that does not report it is where it was asked to be, or has not moved.
+            // Distance moved by the fingers. Without a report, the gripper is at the requested width or has not moved.
             let reached_m = if end == GripEnd::Reached { Some(asked_m) } else { before_m };
             let now_m = felt_m.or(reached_m);
             let has_moved = match (now_m, before_m) {
                 (Some(now_m), Some(before_m)) => (now_m - before_m).abs() > LET_GO_M,
-                // Fingers that stall or are halted nobody knows where keep what they have.
+                // Fingers that stall or halt at an unknown position keep their object.
                 _ => end == GripEnd::Reached,
             };
             if had.is_some() && has_moved {
@@ -248,7 +248,7 @@ impl<R: Robot> Director<R> {
         }
     }
 
-    /// Ends the motion where it is; `why` if the robot failed.
+    /// Ends the motion at its current position; `why` is set if the robot failed.
     fn give_up(&mut self, why: Option<String>) {
         let Some(running) = &self.running else { return };
         let step = running.acts - running.left.len();
@@ -274,7 +274,7 @@ impl<R: Robot> Director<R> {
         }
     }
 
-    /// Ends the whole motion, whichever part of it is running.
+    /// Ends the complete motion, whichever part of it is running.
     pub(super) fn halt_motion(&mut self) {
         self.throw_plan_away();
         if let Some(running) = &mut self.running {
@@ -282,7 +282,7 @@ impl<R: Robot> Director<R> {
         }
     }
 
-    /// Where the flange is; not needed if there is nothing to grip.
+    /// Returns the pose of the flange, which is not needed if there is nothing to grip.
     fn flange_for_grip(&self) -> Result<host_robot::Pose, String> {
         if self.shop().objects.is_empty() {
             return Ok(host_robot::Pose::IDENTITY);
@@ -292,7 +292,7 @@ impl<R: Robot> Director<R> {
         Ok(self.flange_in_scene(placement, &arm.value.joints_rad))
     }
 
-    /// Where the arm is on its trajectory, in s.
+    /// Returns the arm's progress on its trajectory in s.
     pub(super) fn along(&self) -> Option<(&Arc<Trajectory>, f64)> {
         let Following::Moving { elapsed_s } = self.robot.following() else { return None };
         Some((self.running.as_ref()?.trajectory()?, elapsed_s))

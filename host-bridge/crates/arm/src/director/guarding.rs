@@ -1,4 +1,4 @@
-//! Lets base and arm move only while both can still stop: the director's part of [`crate::plan::guard`].
+//! Permits motion of base and arm only while both can still stop: the director's part of [`crate::plan::guard`].
 
 use host_robot::{Base, BaseState, Motion, Reading, Report, Robot, Trajectory, Twist};
 
@@ -6,11 +6,11 @@ use crate::plan::guard::{Guard, Moving, TICK_MS};
 
 use super::Director;
 
-/// With a scene the base does not drive on a pose older than this.
+/// Maximum age of the base's pose for driving in a scene.
 const BASE_AGE_MAX_MS: u64 = 250;
 
 impl<R: Robot> Director<R> {
-    /// The base, fresh enough to be guarded by.
+    /// Returns the state of the base if it is recent enough for the guard.
     pub(super) fn known_base(&self) -> Result<BaseState, String> {
         match self.robot.base() {
             Some(Reading { value, age_ms }) if age_ms <= BASE_AGE_MAX_MS => Ok(value),
@@ -19,7 +19,7 @@ impl<R: Robot> Director<R> {
         }
     }
 
-    /// How the arm will move from now on, a millisecond after the other.
+    /// Returns the arm's future motion, one state per millisecond.
     fn arm_ahead(&self, steps: u64, halt: bool) -> Option<(Motion, Vec<Motion>)> {
         let reported = self.robot.arm()?.value;
         let ahead = |trajectory: &Trajectory, from_s: f64| -> Vec<Motion> {
@@ -38,7 +38,7 @@ impl<R: Robot> Director<R> {
         })
     }
 
-    /// Lets base and arm go on for a tick if they can stop after it; else what must brake does so now.
+    /// Permits the next tick of base and arm if both can stop after it; otherwise brakes.
     pub(super) fn guard(&mut self) {
         let Some(planner) = self.planner.clone() else { return };
         if self.now_ms < self.guard_due_ms {
@@ -62,7 +62,7 @@ impl<R: Robot> Director<R> {
         let steps =
             TICK_MS + self.robot.reaction_ms() + self.robot.base().map_or(0, |reading| reading.age_ms);
         let guard = Guard { world: planner.world(), limits: planner.limits(), things: &self.things };
-        // While the hand is at an object, the base stands still.
+        // While the hand is at an object, the base must not move.
         let at_work = self.is_at_work();
         let wanted = if at_work { Twist::ZERO } else { self.wanted };
         let try_tick = |twist: Twist, halt_arm: bool| {

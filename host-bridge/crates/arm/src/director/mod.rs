@@ -1,11 +1,12 @@
-//! The arm director: the one place between the bridge and any robot.
+//! The arm director, which connects the bridge with any robot.
 //!
-//! It turns names into goals, plans from where the robot says that it is, watches base and arm while they move, and says
-//! how motions ended. A motion of several steps is planned as a whole, and ends as a whole where one of them does not
-//! work. The simulator and a robot on ROS 2 get the same plans, the same guard and the same refusals.
+//! The director resolves names to goals, plans from the reported pose, monitors base and arm, and reports results.
+//! A motion of several steps is planned as a whole, and it ends as a whole if one step fails.
+//! The simulator and a robot on ROS 2 get the same plans, the same guard and the same refusals.
 //!
-//! Without a scene the arm moves through home, straight in joint space, as in the paper. With one, its motions are
-//! planned around the scene's boxes, and the [guard](crate::plan::guard) vetoes what could not be stopped in time.
+//! Without a scene, the arm moves through home in straight lines in joint space, as in the paper.
+//! In a scene, motions are planned around its boxes, and the [guard](crate::plan::guard) rejects motion
+//! that could not stop in time.
 
 mod carry;
 mod guarding;
@@ -34,13 +35,13 @@ use carry::Running;
 use jogging::Jog;
 use planning::{How, Planning};
 
-/// How much of a long pause is looked at tick by tick, in ms.
+/// Part of a long pause that is checked tick by tick, in ms.
 const CATCH_UP_MS: u64 = 10_000;
 
-/// A joint faster than this is not at rest: encoders are noisy.
+/// A joint slower than this counts as at rest, because encoders are noisy.
 const REST_RAD_S: f64 = 0.02;
 
-/// The arm and its surroundings, if nothing is planned.
+/// The arm and its surroundings without a planner.
 #[derive(Debug)]
 struct Bare {
     arm: SerialArm,
@@ -62,11 +63,11 @@ pub struct Director<R> {
     planning: Option<Planning>,
     /// Tool and objects, as far as known.
     things: Things,
-    /// How far the fingers were apart when the gripper was last asked, where that was known.
+    /// Distance between the fingers at the last gripper command, if known.
     grip_before_m: Option<f64>,
     /// When somebody last commanded.
     commanded_ms: u64,
-    /// How often each motion that draws has run.
+    /// Number of runs of each motion with random poses.
     draws: HashMap<MotionName, usize>,
     plans: u64,
     wanted: Twist,
@@ -79,12 +80,12 @@ pub struct Director<R> {
 }
 
 impl<R: Robot> Director<R> {
-    /// A robot without a scene: its arm moves through home.
+    /// Creates a director without a scene: the arm moves through home.
     pub fn new(robot: R, motions: Motions) -> Self {
         Director::with(robot, motions, SerialArm::gen3(), None)
     }
 
-    /// A robot in a scene: neither base nor arm touches anything.
+    /// Creates a director in a scene, where neither base nor arm touches anything.
     pub fn in_scene(robot: R, motions: Motions, planner: Arc<Planner>) -> Self {
         let arm = planner.world().arm().clone();
         Director::with(robot, motions, arm, Some(planner))
@@ -93,7 +94,7 @@ impl<R: Robot> Director<R> {
     fn with(robot: R, motions: Motions, arm: SerialArm, planner: Option<Arc<Planner>>) -> Self {
         let mut things =
             planner.as_ref().map_or(Things::default(), |planner| planner.world().start().clone());
-        // The robot has not said it yet.
+        // The robot has not reported this yet.
         things.opening_m = None;
         Director {
             robot,
@@ -124,22 +125,22 @@ impl<R: Robot> Director<R> {
         &self.robot
     }
 
-    /// The robot, for handing it what came from elsewhere.
+    /// Returns the robot, to pass external data to it.
     pub fn robot_mut(&mut self) -> &mut R {
         &mut self.robot
     }
 
-    /// The time that it was last stepped to.
+    /// Time of the last step in ms.
     pub fn now_ms(&self) -> u64 {
         self.now_ms
     }
 
-    /// What the arm can be asked to do.
+    /// Returns the motions of the arm.
     pub fn motions(&self) -> &Motions {
         &self.motions
     }
 
-    /// Limits that the arm's motions keep.
+    /// Returns the limits of the arm's motions.
     pub fn joint_limits(&self) -> &JointLimits {
         self.planner.as_ref().map_or(self.robot.joint_limits(), |planner| planner.limits())
     }
@@ -165,8 +166,8 @@ impl<R: Robot> Director<R> {
 
 impl<R: Robot> Door for Director<R> {
     fn step(&mut self, now_ms: u64) {
-        // In a scene the guard looks again after each tick, however long this program was away.
-        // After a pause in which every robot has come to rest by itself, the rest of it is one step.
+        // In a scene, the guard checks after each tick, however long this program was paused.
+        // After a pause in which every robot has come to rest by itself, the rest of the pause is a single step.
         let looks_until_ms = self.now_ms.saturating_add(CATCH_UP_MS);
         while self.now_ms < now_ms {
             let looks = self.planner.is_some() && self.now_ms < looks_until_ms;
@@ -190,7 +191,7 @@ impl<R: Robot> Door for Director<R> {
             self.guard_due_ms = 0;
         }
         self.wanted = twist;
-        // Also if nothing changed: it shows that the bridge is alive.
+        // The command is repeated even without a change, to show that the bridge is alive.
         if self.guard_due_ms == 0 {
             self.guard();
         }
@@ -288,7 +289,7 @@ impl<R: Robot> Door for Director<R> {
             wheels_rad: wheels.angle_rad,
             flange,
             opening_m: self.robot.opening_m().map(|reading| reading.value),
-            // A picture has the fingers somewhere.
+            // A picture needs some position of the fingers.
             tool: shop
                 .tool
                 .shapes(self.things.opening_m.or_else(|| shop.tool.hand().map(|hand| hand.widest_m))),

@@ -1,4 +1,4 @@
-//! From a motion's steps to what is done one after the other: all of it is planned, or refused, before anything moves.
+//! Converts a motion's steps to a sequence of acts. It plans or refuses all of them before anything moves.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -13,20 +13,20 @@ use crate::things::{Shop, Things, Touch, in_scene};
 
 use super::{Bare, Director, REST_RAD_S};
 
-/// How far a hand that is at an object backs off before it moves freely.
+/// Distance by which a hand retreats from an object before it moves freely.
 const BACK_OFF_M: f64 = 0.1;
-/// And how far an object that stands on something is lifted.
+/// Distance by which a standing object is lifted.
 const LIFT_M: f64 = 0.05;
-/// Fingers that are further apart than this share of their range are open.
+/// Fingers are open if their distance exceeds this fraction of their range.
 const OPEN_SHARE: f64 = 0.5;
 
-/// The acts, one after the other.
+/// One action in the execution of a motion.
 #[derive(Clone, Debug)]
 pub(super) enum Act {
     /// The arm follows this.
     Follow {
         trajectory: Arc<Trajectory>,
-        /// When it rests at home before it moves on; 0 = it does not.
+        /// Time at which the arm rests at home before it continues; 0 if it does not.
         home_s: f64,
         touch: Touch,
     },
@@ -37,7 +37,7 @@ pub(super) enum Act {
 }
 
 impl Act {
-    /// The hand is at a thing: the base must not move.
+    /// Returns whether the hand is at an object, so that the base must not move.
     pub(super) fn is_at_work(&self) -> bool {
         match self {
             Act::Follow { touch, .. } => *touch != Touch::default(),
@@ -54,7 +54,7 @@ struct Draft {
     from_rad: Joints,
     things: Things,
     placement: Placement,
-    /// What all its steps together may cost.
+    /// The planning budget shared by all steps of a motion.
     purse: Purse,
     /// Sets apart plans that are otherwise alike.
     turn: u64,
@@ -67,7 +67,7 @@ impl Draft {
 
     fn follow(&mut self, leg: Trajectory, home_s: f64, touch: Touch) {
         self.from_rad = leg.goal_rad();
-        // Legs with nothing in between form one trajectory: the arm rests between them, and nothing is checked again.
+        // Consecutive legs form one trajectory: the arm rests between them, and nothing is checked again.
         if let Some(Act::Follow { trajectory, touch: same, .. }) = self.acts.back_mut()
             && *same == touch
         {
@@ -151,7 +151,7 @@ impl<R: Robot> Director<R> {
                 }
                 self.robot.held_rad().unwrap_or(here.joints_rad)
             }
-            // A gripper works without a pose; then it is not known what it grips.
+            // A gripper works without a known pose, but the gripped object is then unknown.
             None if !moves => [0.0; host_robot::JOINTS],
             None => return Err("the arm's angles are not known".to_owned()),
         };
@@ -229,7 +229,7 @@ impl Plot {
         self.go_freely(&goal_rad, draft)
     }
 
-    /// The flange's goal, in the arm's base frame.
+    /// Returns the flange's goal in the arm's base frame.
     fn target(&self, step: &Step, from_rad: &Joints) -> Pose {
         let point_m = self.shop().tool.point_m();
         let here = self.bare.arm.flange_pose(from_rad);
@@ -241,7 +241,7 @@ impl Plot {
             Step::Move { way_m, own, turn, .. } => {
                 let way_m = if *own { here.rotation * *way_m } else { *way_m };
                 let rotation = here.rotation * *turn;
-                // Turned about the tool's point.
+                // The pose is rotated about the tool's point.
                 Pose { position_m: here.at(point_m) + way_m - rotation * point_m, rotation }
             }
             _ => here,
@@ -289,7 +289,7 @@ impl Plot {
         Ok(())
     }
 
-    /// Straight to a place of the flange. Next to a gripper step it may touch the object and what that stands on.
+    /// Moves the flange straight. Next to a gripper step, it may touch the object and its support.
     fn go_straight(
         &self,
         target: &Pose,
@@ -323,7 +323,7 @@ impl Plot {
         Ok(())
     }
 
-    /// A hand that is at an object backs off from it, or lifts what it holds, before it moves freely.
+    /// Retreats from an object, or lifts the held object, before the hand moves freely.
     fn back_off(&self, draft: &mut Draft) -> Result<(), String> {
         let Some(part) = self.is_at_something(draft) else { return Ok(()) };
         let here = self.bare.arm.flange_pose(&draft.from_rad);
@@ -336,7 +336,7 @@ impl Plot {
             .map_err(|why| format!("the hand cannot get away from what it is at: {why}"))
     }
 
-    /// The part of the hand that is nearer to an object, or to what that stands on, than motions may start.
+    /// Returns a part of the hand that is too close to an object or its support for the start of a motion.
     fn is_at_something(&self, draft: &Draft) -> Option<Part> {
         let planner = self.planner.as_ref()?;
         let world = planner.world();
@@ -348,7 +348,7 @@ impl Plot {
         let part = near_m(&draft.things)?;
         let here = self.flange_in_scene(draft.placement, &draft.from_rad);
         let touch = self.shop().touching(&draft.things, &here);
-        // Only if the near object is the hand's own.
+        // This applies only if the close object is the hand's own.
         let without = near_m(&Things { touch, ..draft.things.clone() });
         without.is_none().then_some(part)
     }
@@ -356,7 +356,7 @@ impl Plot {
     fn take_grip(&self, to: GripTable, effort_n: Option<f64>, draft: &mut Draft) -> Result<(), String> {
         let shop = self.shop();
         let widest_m = shop.tool.hand().map_or(1.0, |hand| hand.widest_m);
-        // Fingers of which nobody knows close: that lets nothing fall.
+        // If the finger distance is unknown, the gripper closes, so that nothing falls.
         let is_open = draft.things.held().is_none()
             && draft.things.opening_m.is_none_or(|apart_m| apart_m >= OPEN_SHARE * widest_m);
         let opening_m = match to {
@@ -392,7 +392,7 @@ impl Plot {
         }
         let before_m = draft.things.opening_m;
         let _ = shop.gripped(&mut draft.things, &flange, opening_m);
-        // A robot that does not say where its fingers are may not say so afterwards either.
+        // A robot without a reported finger distance may not report it afterwards either.
         draft.things.opening_m = draft.things.opening_m.filter(|_| before_m.is_some());
         draft.acts.push_back(Act::Grip { opening_m, effort_n, closes_on });
         Ok(())

@@ -1,8 +1,8 @@
-//! How near the robot's parts are to each other and to the surroundings.
+//! Computes distances between the robot's parts, and to the surroundings.
 //!
-//! Checks between two configurations are exact, not sampled: a turn moves no point of the arm further than
-//! the angle times the joint's lever, so one distance clears a whole part of the path
-//! ([`Surroundings::way_is_clear`]).
+//! Checks between two configurations are exact and not sampled.
+//! A rotation moves no point of the arm further than the angle times the joint's lever.
+//! One distance therefore clears a whole part of the path ([`Surroundings::way_is_clear`]).
 
 use std::cell::Cell;
 
@@ -16,7 +16,7 @@ use host_robot::shape::{Capsule, UprightBox};
 use host_robot::{DMat3, DVec3, JOINTS, Joints};
 use host_robot::{Odometry, Random};
 
-/// The shapes around a held thing stand out of it by 6 mm; by more than this it would be pressed into what it stands on.
+/// Maximum overlap with a support. The shapes around a held object are 6 mm larger; more than this would press it in.
 const SINKS_M: f64 = 0.010;
 
 /// Links that are next but one to each other, and never nearer than this, are not looked at.
@@ -42,11 +42,11 @@ impl From<Odometry> for Placement {
 /// A part of the robot or of the scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Part {
-    /// The arm's foot (0) or the link of a joint, counted from 1.
+    /// The arm's fixed base (0) or the link of a joint, counted from 1.
     Link(usize),
     /// The body of the base.
     Base,
-    /// What is on the flange, but for fingers.
+    /// The tool on the flange, except for fingers.
     Tool,
     /// The fingers of a gripper.
     Fingers,
@@ -54,16 +54,16 @@ pub enum Part {
     Held,
     /// A box of the scene.
     Box(usize),
-    /// An object of the scene that stands.
+    /// A standing object of the scene.
     Object(usize),
     /// The ground under the robot.
     Floor,
 }
 
-/// The two parts that are nearest to each other.
+/// The closest pair of parts.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Clearance {
-    /// Distance in m; negative if they overlap.
+    /// Distance between the two bodies in m; negative if they overlap.
     pub distance_m: f64,
     /// Which.
     pub parts: (Part, Part),
@@ -86,18 +86,18 @@ pub struct World {
     scene: Scene,
     lever_m: Joints,
     tool: Tool,
-    /// Pairs of links that can touch. The tool's number follows the last link's; its fingers and what is held follow that.
+    /// Pairs of links that can touch. The tool follows the last link, and then its fingers and the held object.
     pairs: Vec<(usize, usize)>,
     start: Things,
     notes: Vec<String>,
 }
 
 impl World {
-    /// Puts an arm into a scene.
+    /// Places an arm in a scene.
     pub fn new(arm: SerialArm, scene: Scene) -> Self {
         let links = arm.joints.len() + 1;
         let tool = scene.tool();
-        // Of anything that could be held, so that no bound changes while something is held.
+        // For any object that could be held, so that no bound changes while something is held.
         let held_m = if tool.hand().is_none() {
             0.0
         } else {
@@ -115,11 +115,11 @@ impl World {
             notes: Vec::new(),
         };
         world.start = world.shop().at_start();
-        // Neighbours share a joint and always touch; its limit keeps them apart.
+        // Neighbours share a joint and always touch; its limits keep them apart.
         let pairs = (0..links).flat_map(|one| (one + 2..links).map(move |two| (one, two)));
         world.pairs = pairs.filter(|&(one, two)| two > one + 2 || world.can_touch(one, two)).collect();
         if !world.tool.is_none() {
-            // It sits on the last link, and is as far from the others as that; what it holds is a part of it.
+            // The tool is on the last link and has the same neighbours; a held object is a part of it.
             let last = links - 1;
             let near = |one: usize| {
                 one + 2 < last || (one + 2 == last && [0, 1].iter().any(|k| world.can_touch(one, links + k)))
@@ -131,15 +131,16 @@ impl World {
         world
     }
 
-    /// Links touch however the arm is bent where its axes meet in a wrist. Such pairs say nothing, and would refuse every
-    /// motion; as in MoveIt's set-up they are not looked at.
+    /// Some links touch in any configuration, because the arm's axes meet in a wrist.
+    /// Checking such pairs would refuse every motion.
+    /// As in MoveIt's setup, they are ignored.
     fn drop_pairs_that_always_touch(&mut self) {
         const BENT: usize = 400;
         let mut random = Random::new(25);
         let on_flange = self.on_flange(&self.start);
         let mut always = self.pairs.clone();
         for _ in 0..BENT {
-            // A pair that was clear once stays so; mostly none is left after a few looks.
+            // A pair that was clear once can collide. Usually, none is left after a few configurations.
             if always.is_empty() {
                 return;
             }
@@ -164,7 +165,7 @@ impl World {
         self.pairs.retain(|pair| !always.contains(pair));
     }
 
-    /// Objects, boxes and tool, for gripping.
+    /// Returns objects, boxes and tool, for gripping.
     pub fn shop(&self) -> Shop<'_> {
         Shop { objects: &self.scene.objects, boxes: &self.scene.boxes, tool: &self.tool }
     }
@@ -174,18 +175,19 @@ impl World {
         &self.tool
     }
 
-    /// What is not looked at, for people.
+    /// Returns notes about everything that is ignored, for users.
     pub fn notes(&self) -> &[String] {
         &self.notes
     }
 
-    /// Tool and objects as the scene says.
+    /// Tool and objects according to the scene.
     pub fn start(&self) -> &Things {
         &self.start
     }
 
-    /// Whether a link and another two joints on can touch within the limits of those joints. As in MoveIt's set-up,
-    /// pairs that never touch are not looked at: their constant nearness would hide everything else.
+    /// Returns whether two links, two joints apart, can touch within the limits of those joints.
+    /// As in MoveIt's setup, pairs that never touch are ignored,
+    /// because their constant proximity would hide everything else.
     fn can_touch(&self, link: usize, other: usize) -> bool {
         const STEPS: usize = 48;
         let range = |joint: usize| {
@@ -193,7 +195,7 @@ impl World {
             let (low, high) = self.arm.joints[joint].limit_rad.unwrap_or((-pi, pi));
             (0..=STEPS).map(move |k| low + (high - low) * k as f64 / STEPS as f64)
         };
-        // Fingers wherever they could be.
+        // Fingers at any possible position.
         let on_flange = self.on_flange(&Things { opening_m: None, ..self.start.clone() });
         range(link).any(|first| {
             range(link + 1).any(|second| {
@@ -253,7 +255,7 @@ impl World {
         &self.scene
     }
 
-    /// How far a point of the arm moves at most when each joint turns by one radian, in m.
+    /// Returns the maximum displacement of any point of the arm per radian of each joint, in m.
     pub fn lever_m(&self) -> &Joints {
         &self.lever_m
     }
@@ -273,12 +275,12 @@ impl World {
         }
     }
 
-    /// The arm's surroundings when the base stands there, with tool and objects as in the scene.
+    /// Returns the arm's surroundings with the base at this placement, and tool and objects as in the scene.
     pub fn around(&self, placement: Placement) -> Surroundings<'_> {
         self.around_with(placement, &self.start)
     }
 
-    /// The same with tool and objects as they are now.
+    /// Like [`Self::around`], with the current tool and objects.
     pub fn around_with<'w>(&'w self, placement: Placement, things: &'w Things) -> Surroundings<'w> {
         let mount_m = self.scene.base.mount_m;
         let from_world = DMat3::from_rotation_z(-placement.heading_rad);
@@ -305,7 +307,7 @@ impl World {
         }
     }
 
-    /// The number of the tool among the links; fingers and what is held follow.
+    /// Returns the tool's number among the links; fingers and held object follow.
     fn tool_link(&self) -> usize {
         self.arm.joints.len() + 1
     }
@@ -319,7 +321,7 @@ impl World {
         }
     }
 
-    /// Shapes of tool, fingers and what is held in the flange's frame, with their numbers.
+    /// Returns the numbered shapes of tool, fingers and held object in the flange's frame.
     fn on_flange(&self, things: &Things) -> Vec<(usize, Capsule)> {
         if self.tool.is_none() {
             return Vec::new();
@@ -331,7 +333,7 @@ impl World {
         fixed.chain(fingers).chain(held).collect()
     }
 
-    /// Shapes of foot, links and what is on the flange in the arm's frame, with their numbers.
+    /// Returns the numbered shapes of base, links, tool and held object in the arm's frame.
     fn shapes(&self, joints_rad: &Joints, on_flange: &[(usize, Capsule)]) -> Vec<(usize, Capsule)> {
         let poses = self.arm.link_poses(joints_rad);
         let mut shapes: Vec<(usize, Capsule)> = self.arm.foot.iter().map(|shape| (0, *shape)).collect();
@@ -343,7 +345,7 @@ impl World {
     }
 }
 
-/// The scene as the arm sees it from one place. Counts the checks made.
+/// The scene from the arm's point of view at one placement. It counts the checks.
 #[derive(Clone, Debug)]
 pub struct Surroundings<'w> {
     world: &'w World,
@@ -357,35 +359,35 @@ pub struct Surroundings<'w> {
 }
 
 impl<'w> Surroundings<'w> {
-    /// The same; each check is taken out of this purse, and no way is clear when that is empty.
+    /// Takes each check from this purse. When it is empty, no path is clear.
     #[must_use]
     pub fn paid_from(self, purse: &'w Purse) -> Self {
         Surroundings { purse: Some(purse), ..self }
     }
 
-    /// Nothing is left to look with.
+    /// Returns whether there are no checks left.
     pub fn is_spent(&self) -> bool {
         self.purse.is_some_and(Purse::is_empty)
     }
 
-    /// The world that this is a view of.
+    /// Returns the underlying world.
     pub fn world(&self) -> &World {
         self.world
     }
 
-    /// How many configurations of the arm were checked against everything.
+    /// Returns the number of complete checks of a configuration.
     pub fn checks(&self) -> u64 {
         self.checks.get()
     }
 
-    /// The arm's nearest approach to itself, the base, the boxes and the floor.
+    /// Returns the arm's closest distance to itself, the base, the boxes and the floor.
     pub fn arm_clearance(&self, joints_rad: &Joints) -> Clearance {
         let (own, boxes) = self.arm_clearances(joints_rad);
         if own.distance_m < boxes.distance_m { own } else { boxes }
     }
 
-    /// The same, separately: to the robot itself and the floor, which is the same wherever the base stands; and
-    /// to the boxes.
+    /// Returns two separate distances: to the robot itself and the floor, which do not depend on the base's placement,
+    /// and to the boxes.
     pub fn arm_clearances(&self, joints_rad: &Joints) -> (Clearance, Clearance) {
         self.checks.set(self.checks.get() + 1);
         if let Some(purse) = self.purse {
@@ -396,7 +398,7 @@ impl<'w> Surroundings<'w> {
         let (mut own, mut boxes) = (Clearance::NOTHING, Clearance::NOTHING);
         for &(link, shape) in &shapes {
             let part = world.part(link);
-            // Foot and first link stand on the base and never come nearer to it, or to the floor.
+            // The arm's fixed base and first link are on the base and never come closer to it or to the floor.
             if link >= 2 {
                 own.tighten(shape.distance_to_box_m(&self.base), part, Part::Base);
                 own.tighten(
@@ -420,8 +422,9 @@ impl<'w> Surroundings<'w> {
         (own, boxes)
     }
 
-    /// A distance, or none if the two may touch: on the straight way to or from a thing the fingers that thing, and
-    /// what is held what it stands on, which it does not sink into.
+    /// Returns a distance, or `None` if the two parts may touch.
+    /// On the straight path to or from an object, fingers may touch the object.
+    /// A held object may touch its support, but must not sink into it.
     fn allowed_m(&self, distance_m: f64, part: Part, other: Part) -> f64 {
         let touch = self.touch;
         let allowed = match (part, other) {
@@ -433,7 +436,7 @@ impl<'w> Surroundings<'w> {
         if allowed { f64::INFINITY } else { distance_m }
     }
 
-    /// The base's nearest approach to the boxes.
+    /// Returns the base's closest distance to the boxes.
     pub fn base_clearance(&self) -> Clearance {
         let mut nearest = Clearance::NOTHING;
         for (part, obstacle) in &self.boxes {
@@ -442,8 +445,9 @@ impl<'w> Surroundings<'w> {
         nearest
     }
 
-    /// Nothing comes nearer than half the margin anywhere on the straight line in joint space, and nothing
-    /// nearer than the margin where it was looked at. What there is no check left for is not clear.
+    /// Returns whether a straight line in joint space keeps half the margin everywhere,
+    /// and the full margin at checked configurations.
+    /// Without remaining checks, it is not clear.
     pub fn way_is_clear(&self, from_rad: &Joints, to_rad: &Joints, margin_m: f64) -> bool {
         let sweep_m = self.sweep_m(from_rad, to_rad);
         !self.is_spent()
@@ -451,7 +455,7 @@ impl<'w> Surroundings<'w> {
             && self.stretch_is_clear(from_rad, to_rad, (0.0, 1.0), sweep_m, margin_m)
     }
 
-    /// Between two shares of a path that as a whole sweeps `sweep_m`.
+    /// Checks between two fractions of a path that sweeps `sweep_m` in total.
     fn stretch_is_clear(
         &self,
         from_rad: &Joints,
@@ -470,7 +474,7 @@ impl<'w> Surroundings<'w> {
         if distance_m < margin_m {
             return false;
         }
-        // Half a stretch on, nothing can be nearer than this less what was swept.
+        // After half of this part, no distance can be smaller than this one minus the swept distance.
         if distance_m - reach_m >= 0.5 * margin_m {
             return true;
         }
@@ -478,13 +482,13 @@ impl<'w> Surroundings<'w> {
             && self.stretch_is_clear(from_rad, to_rad, (middle, end), sweep_m, margin_m)
     }
 
-    /// No point of the arm moves further than this between two configurations.
+    /// Returns the maximum displacement of any point of the arm between two configurations.
     pub fn sweep_m(&self, from_rad: &Joints, to_rad: &Joints) -> f64 {
         (0..JOINTS).map(|i| (to_rad[i] - from_rad[i]).abs() * self.world.lever_m[i]).sum()
     }
 }
 
-/// A point on the straight line between two configurations.
+/// Returns a point on the straight line between two configurations.
 pub fn between(from_rad: &Joints, to_rad: &Joints, share: f64) -> Joints {
     std::array::from_fn(|i| from_rad[i] + share * (to_rad[i] - from_rad[i]))
 }
@@ -536,7 +540,7 @@ mod tests {
     #[test]
     fn boxes_stay_where_they_are_when_the_base_moves() {
         let world = world("[[box]]\nname = \"post\"\ncenter_m = [2.0, 0.5, 0.5]\nsize_m = [0.2, 0.2, 1.0]");
-        // Half the base is 0.3 m long: 2.0 - 0.1 - 0.3 ahead of the start, if straight ahead.
+        // Half of the base is 0.3 m long, so straight ahead the distance is 2.0 - 0.1 - 0.3.
         let at = |x_m, y_m, heading_rad| {
             world.around(Placement { x_m, y_m, heading_rad }).base_clearance().distance_m
         };

@@ -1,8 +1,9 @@
 //! Keeps base and arm in states from which both can still stop before they touch anything.
 //!
-//! Plans hold for a base that stands still. When it moves, or is driven at a wall, this decides: a tick of
-//! motion is allowed only if, after it, both can brake to rest with nothing touched. Since that is so after
-//! every tick, braking is always safe, and is what happens if a tick is not allowed.
+//! Plans assume that the base does not move.
+//! The guard handles a moving base, for example one that drives towards a wall.
+//! The guard permits a tick of motion only if base and arm can brake to rest afterwards without contact.
+//! This condition is true after every tick, so braking is always safe. A forbidden tick triggers braking.
 
 use crate::plan::collision::{Placement, World};
 use crate::things::Things;
@@ -11,31 +12,31 @@ use host_robot::{Base, Odometry, Twist};
 use host_robot::{JOINTS, Joints};
 use host_robot::{JointLimits, Motion};
 
-/// How long a tick of motion lasts; it is looked at in steps of a millisecond.
+/// Duration of a tick of motion, which is checked in steps of a millisecond.
 pub const TICK_MS: u64 = 10;
 
-/// Nothing comes nearer than half of this; less than what plans keep (half of their margin, 5 mm).
+/// Twice the minimum distance. It is smaller than the planner's (half of its margin, 5 mm).
 pub const MARGIN_M: f64 = 0.004;
 
-/// Base and arm, moving together.
+/// Base and arm in simultaneous motion.
 #[derive(Clone, Copy, Debug)]
 pub struct Moving {
-    /// Where the base is and how it moves.
+    /// Position and motion of the base.
     pub odometry: Odometry,
-    /// How long the base takes to rest.
+    /// Time that the base needs to come to rest.
     pub base_braking_s: f64,
     /// The arm.
     pub arm: Motion,
 }
 
 impl Moving {
-    /// Base and arm as they are now.
+    /// Returns the current state of base and arm.
     pub fn now(base: &Base, arm: Motion) -> Self {
         Moving { odometry: base.odometry(), base_braking_s: base.braking_s(), arm }
     }
 }
 
-/// Shapes and limits to go by.
+/// The shapes and limits of the guard.
 #[derive(Clone, Copy, Debug)]
 pub struct Guard<'w> {
     /// Robot and scene.
@@ -46,7 +47,7 @@ pub struct Guard<'w> {
     pub things: &'w Things,
 }
 
-/// A part of the braking: when, and what moves in it.
+/// A part of the braking: its time and the moving parts.
 struct Braking<'a> {
     from: &'a Moving,
     arm: Trajectory,
@@ -54,12 +55,12 @@ struct Braking<'a> {
 }
 
 impl Guard<'_> {
-    /// After the tick that starts `now` and leads through `instants`, a millisecond each, base and arm can
-    /// brake to rest, and nothing is touched on the way.
+    /// Returns whether base and arm can brake to rest without contact after the tick.
+    /// The tick starts at `now` and consists of `instants`, one per millisecond.
     pub fn allows(&self, now: &Moving, instants: &[Moving]) -> bool {
         let Some(next) = instants.last() else { return true };
         let nearest_m = self.nearest_m(&now.odometry, &now.arm, None);
-        // What is too near already may be left, but not approached.
+        // A distance that is already too small may increase, but not decrease.
         let margin_m = MARGIN_M.min(0.99 * nearest_m);
         if nearest_m <= 0.0 {
             return false;
@@ -75,11 +76,11 @@ impl Guard<'_> {
         (nearest_m - way_m >= margin_m || through.windows(2).all(clear)) && self.can_brake(next, margin_m)
     }
 
-    /// The two parts that are nearest to each other now, for people.
+    /// Returns the closest pair of parts now, for users.
     pub fn nearest(&self, odometry: &Odometry, arm: &Motion) -> String {
         let around = self.world.around_with(Placement::from(*odometry), self.things);
         let (own, boxes) = around.arm_clearances(&arm.joints_rad);
-        // The robot's own parts are always near each other; they count only if they hold it.
+        // The robot's own parts are always close to each other, so they count only if they prevent motion.
         let own = Some(own).filter(|own| own.distance_m < 2.0 * MARGIN_M);
         let all = [boxes, around.base_clearance()].into_iter().chain(own);
         let nearest = all.min_by(|a, b| a.distance_m.total_cmp(&b.distance_m));
@@ -101,21 +102,21 @@ impl Guard<'_> {
         let middle_s = 0.5 * (start_s + end_s);
         let (odometry, arm) = braking.at(middle_s);
         let half_s = 0.5 * (end_s - start_s);
-        // The base only slows down; a joint may still gain speed until its acceleration is gone.
+        // The base only slows down, but a joint may still accelerate until its acceleration is zero.
         let base_m = self.base_speed_m_s(&braking.at(start_s).0.twist) * half_s;
         let arm_m = self.lever_speed_m_s(&braking.arm.fastest_rad_s(start_s, end_s)) * half_s;
         let nearest_m = self.nearest_m(&odometry, &arm, None);
         if nearest_m < braking.margin_m {
             return false;
         }
-        // The base's motion changes nothing between the robot's own parts.
+        // The base's motion does not affect distances within the robot.
         if self.nearest_m(&odometry, &arm, Some((base_m, arm_m))) >= 0.5 * braking.margin_m {
             return true;
         }
         self.stretch_is_clear(braking, start_s, middle_s) && self.stretch_is_clear(braking, middle_s, end_s)
     }
 
-    /// Shortest distance; less what each can move, where that is given for base and arm.
+    /// Returns the smallest distance, minus the possible displacement of base and arm, if given.
     fn nearest_m(&self, odometry: &Odometry, arm: &Motion, moves_m: Option<(f64, f64)>) -> f64 {
         let (base_m, arm_m) = moves_m.unwrap_or((0.0, 0.0));
         let around = self.world.around_with(Placement::from(*odometry), self.things);
@@ -124,8 +125,8 @@ impl Guard<'_> {
         (own.distance_m - arm_m).min(boxes.distance_m - arm_m - base_m).min(body.distance_m - base_m)
     }
 
-    /// A point moves this far from one instant to the next at most. The speed changes evenly in between, but
-    /// for the bend that a limited jerk allows it.
+    /// Returns the maximum displacement of a point between two instants.
+    /// The speed changes uniformly, except for the curvature that a limited jerk permits.
     fn way_m(&self, from: &Moving, to: &Moving, step_s: f64) -> f64 {
         let bend =
             self.limits.jerk_rad_s3.map(|j| if j.is_finite() { j * step_s * step_s / 8.0 } else { 0.0 });
@@ -136,7 +137,7 @@ impl Guard<'_> {
         self.base_speed_m_s(&moving.odometry.twist) + self.lever_speed_m_s(&moving.arm.velocity_rad_s)
     }
 
-    /// No point of the robot is moved faster by the base.
+    /// Returns the maximum speed of any point due to the base.
     fn base_speed_m_s(&self, twist: &Twist) -> f64 {
         let base = &self.world.scene().base;
         let body_m = 0.5 * base.size_m[0].hypot(base.size_m[1]);
@@ -144,21 +145,21 @@ impl Guard<'_> {
         twist.linear_m_s.abs() + twist.angular_rad_s.abs() * body_m.max(arm_m)
     }
 
-    /// No point of the arm is moved faster by its joints.
+    /// Returns the maximum speed of any point of the arm due to its joints.
     fn lever_speed_m_s(&self, velocity_rad_s: &Joints) -> f64 {
         (0..JOINTS).map(|i| velocity_rad_s[i].abs() * self.world.lever_m()[i]).sum()
     }
 }
 
 impl Braking<'_> {
-    /// Base and arm, this long after they began to brake.
+    /// Returns base and arm at this time after they began to brake.
     fn at(&self, time_s: f64) -> (Odometry, Motion) {
         let mut odometry = self.from.odometry;
         let braking_s = self.from.base_braking_s;
         let t = time_s.min(braking_s);
         if braking_s > 0.0 {
             let twist = odometry.twist;
-            // Both wheels slow down evenly and together: the base keeps to its arc.
+            // Both wheels slow down uniformly and together, so the base stays on its arc.
             odometry.advance(twist, t - 0.5 * t * t / braking_s);
             let left = 1.0 - t / braking_s;
             odometry.twist =

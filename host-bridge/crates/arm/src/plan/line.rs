@@ -1,4 +1,4 @@
-//! Straight lines of the flange: joint angles all along, each near the one before.
+//! Straight lines of the flange, as a sequence of joint angles that are each close to the previous ones.
 
 use host_robot::{DMat3, DQuat, Joints, Pose};
 
@@ -6,10 +6,10 @@ use crate::ik::{self, Budget};
 use crate::model::SerialArm;
 use crate::plan::purse::Purse;
 
-/// Distance of two points of the line; between them the joints go straight, a fraction of a millimetre off the line.
+/// Distance between two points of the line. Between them, the error of the line is a fraction of a millimetre.
 const STEP_M: f64 = 0.02;
 const STEP_RAD: f64 = 0.08;
-/// A joint that turns further from one point to the next has flipped over.
+/// Maximum rotation of a joint between two points; beyond it, the arm would flip.
 const JUMP_RAD: f64 = 0.35;
 const STEPS: usize = 80;
 
@@ -24,11 +24,11 @@ pub struct Ends {
     of_mm: f64,
 }
 
-/// Angles along the straight line from where the arm is to a place of its flange, both ends included. Its steps are taken
-/// out of the purse.
+/// Returns the angles on the straight line from the arm's position to a pose of its flange, including both ends.
+/// The solver's steps count against the purse's budget.
 ///
 /// # Errors
-/// How far it goes, or is looked at.
+/// The distance that can be reached, or for which checks remain.
 pub fn along(arm: &SerialArm, from_rad: &Joints, target: &Pose, purse: &Purse) -> Result<Vec<Joints>, Ends> {
     let start = arm.flange_pose(from_rad);
     let way_m = start.position_m.distance(target.position_m);

@@ -1,16 +1,16 @@
-//! Motion planning for the arm: what is in the way, a path around it, and how fast to follow it.
+//! Motion planning for the arm: obstacles, paths around them, and speeds.
 //!
 //! ```text
 //! pose ─► planner ─► straight? ─► rrt + shortcuts ─► via home ─► refusal
 //!            │            └──────── collision ◄─ shape, scene, arm::model
 //!            └─► trajectory: a path in time, within the limits
-//! guard: at run time, keeps base and arm where both can still stop before they touch anything
+//! guard: at run time, keeps base and arm in states from which both can stop before they touch anything
 //! ```
 //!
-//! * [`collision`]: robot and scene, and how near they are,
-//! * [`rrt`]: the search for a way; [`mod@line`]: straight lines of the flange,
-//! * [`planner`]: all of it in turn, and [`purse`]: how much one motion may cost,
-//! * [`guard`]: allows only motion from which one can still stop.
+//! * [`collision`]: robot and scene, and their distances,
+//! * [`rrt`]: the search for a path; [`mod@line`]: straight lines of the flange,
+//! * [`planner`]: all methods in sequence; [`purse`]: the budget of one motion,
+//! * [`guard`]: permits only motion from which the robot can still stop.
 
 pub mod collision;
 pub mod guard;

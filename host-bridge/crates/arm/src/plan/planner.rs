@@ -1,5 +1,5 @@
-//! From one pose to another: straight if that is clear, else around what is in the way, else via home;
-//! else a refusal with its reason.
+//! Plans from one pose to another: straight if that is clear, otherwise around obstacles, otherwise via home.
+//! If no path is found, the planner refuses the motion with a reason.
 
 use crate::ik;
 use crate::model::{JointError, SerialArm};
@@ -12,7 +12,7 @@ use crate::scene::{Goal, Route, Scene};
 use crate::things::Things;
 use host_robot::{JointLimits, Joints, Pose, Random, Trajectory};
 
-/// Checks that one search may use before it gives up.
+/// Maximum number of checks in one search.
 const CHECKS_MAX: u64 = 30_000;
 
 /// Plans that are compared for one motion,
@@ -24,7 +24,7 @@ pub const COMPARING_CHECKS_MAX: u64 = 12_000;
 /// Corners are looked at this often for where braking would lead.
 const BRAKING_INTERVAL_S: f64 = 0.05;
 
-/// A path with more corners than this stops at all of them or at none.
+/// A path with more corners stops at all of them or at none.
 const CHOICE_CORNERS_MAX: usize = 4;
 
 /// How a path was found.
@@ -38,28 +38,28 @@ pub enum Kind {
     ViaHome,
 }
 
-/// A motion that is safe where the scene is as described.
+/// A motion that is safe if the scene matches reality.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Plan {
     /// The motion in time.
     pub trajectory: Trajectory,
-    /// Its corners, both ends included, in rad.
+    /// Corners of the path in rad, including both ends.
     pub path_rad: Vec<Joints>,
     /// How it was found.
     pub kind: Kind,
-    /// When it passes home, if it goes there first.
+    /// Time at which it passes home, if it goes there first.
     pub home_s: Option<f64>,
-    /// Checks of one configuration against everything that it took.
+    /// Number of complete checks of a configuration.
     pub checks: u64,
 }
 
 /// Why the arm does not move.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum Refusal {
-    /// The goal is no configuration of this arm.
+    /// The goal is not a valid configuration of this arm.
     #[error("the goal cannot be reached: {0}; choose another pose")]
     GoalBeyondLimit(JointError),
-    /// The arm would touch something there.
+    /// The arm would touch something at the goal.
     #[error(
         "the goal is not safe: {one} would come within {distance_mm:.0} mm of {two}; move {two} or choose another pose"
     )]
@@ -68,7 +68,7 @@ pub enum Refusal {
         one: String,
         /// The other.
         two: String,
-        /// Their distance at the goal; negative if they overlap.
+        /// Distance between the two bodies at the goal; negative if they overlap.
         distance_mm: f64,
     },
     /// The arm touches something now, or is beyond a limit.
@@ -82,20 +82,20 @@ pub enum Refusal {
     /// The arm's own angles make no sense.
     #[error("the arm cannot start: {0}; bring it back within its limits")]
     StartBeyondLimit(JointError),
-    /// No angles put the flange there.
+    /// No joint angles reach this pose of the flange.
     #[error("{0}")]
     Unreachable(#[from] ik::Unreachable),
     /// The straight line cannot be followed to its end.
     #[error("{0}")]
     Line(#[from] line::Ends),
-    /// Something is in the straight line's way.
+    /// An obstacle is on the straight line.
     #[error("the straight line is not clear: {one} would come within {distance_mm:.0} mm of {two}")]
     LineBlocked {
         /// One part.
         one: String,
         /// The other.
         two: String,
-        /// Their distance; negative if they overlap.
+        /// Distance between the two bodies; negative if they overlap.
         distance_mm: f64,
     },
     /// Nothing was found.
@@ -106,7 +106,7 @@ pub enum Refusal {
     },
 }
 
-/// What a motion is planned among, and what that may cost.
+/// The surroundings and the budget of a motion.
 #[derive(Clone, Copy, Debug)]
 pub struct Case<'a> {
     /// Where the base stands.
@@ -131,13 +131,13 @@ pub struct Planner {
 }
 
 impl Planner {
-    /// A planner; route, scaling, margin, seed and poses come from the scene. A pose named `home` replaces
-    /// the arm's own.
+    /// Creates a planner. Route, scaling, margin, seed and poses are from the scene.
+    /// A pose named `home` replaces the arm's own.
     ///
     /// # Errors
-    /// A pose beyond the joints' limits, or a place for which no safe joint angles were found.
+    /// Fails if a pose is beyond the joints' limits, or a position has no safe joint angles.
     pub fn new(mut arm: SerialArm, scene: Scene) -> Result<Self, BadPose> {
-        // A home pose must be known before the world is made, and needs no inverse kinematics to be useful.
+        // A home pose must be known before the world is created, and must not need inverse kinematics.
         for (name, goal) in scene.goals() {
             if let ("home", Goal::Joints(angles)) = (name, goal) {
                 arm.home_rad = joints_of(&arm, name, &angles).map_err(BadPose)?;
@@ -152,7 +152,7 @@ impl Planner {
     fn solve_goals(&self) -> Result<Vec<(String, Joints)>, BadPose> {
         let (arm, scene) = (self.world.arm(), self.world.scene());
         let around = self.world.around(Placement::default());
-        // Twice the margin, so that there is a path in.
+        // Twice the margin, so that the pose can be reached.
         let safe = |joints: &Joints| around.arm_clearance(joints).distance_m >= 2.0 * scene.arm.margin_m;
         let solve = |(name, goal): (&str, Goal)| {
             let bad = |reason: String| BadPose(MotionError::Pose { name: name.to_owned(), reason });
@@ -169,7 +169,7 @@ impl Planner {
         scene.goals().into_iter().map(solve).collect()
     }
 
-    /// The poses of the scene file, as joint angles.
+    /// Returns the poses of the scene file as joint angles.
     pub fn goals(&self) -> &[(String, Joints)] {
         &self.goals
     }
@@ -189,11 +189,11 @@ impl Planner {
         &self.limits
     }
 
-    /// Plans from rest to rest with the base standing at `placement`, and everything where the scene says. `turn` sets
-    /// apart plans that are otherwise alike: equal turns give equal plans.
+    /// Plans from rest to rest with the base at `placement`, and everything else as in the scene.
+    /// `turn` distinguishes otherwise equal plans: equal turns give equal plans.
     ///
     /// # Errors
-    /// [`Refusal`], with which nothing moves.
+    /// [`Refusal`]. Nothing moves in this case.
     pub fn plan(
         &self,
         from_rad: &Joints,
@@ -209,7 +209,8 @@ impl Planner {
         self.world.around_with(case.placement, case.things).paid_from(case.purse)
     }
 
-    /// Angles within the limits that put the flange there and touch nothing, as near as possible to the arm's present angles.
+    /// Returns joint angles within the limits that reach this pose without contact,
+    /// as close as possible to the current angles.
     ///
     /// # Errors
     /// [`Refusal::Unreachable`].
@@ -220,10 +221,10 @@ impl Planner {
         Ok(ik::solve_from(case.purse, arm, target, from_rad, scene.arm.seed, safe)?.joints_rad)
     }
 
-    /// Plans a straight line of the flange, without a detour.
+    /// Plans a straight line of the flange without a detour.
     ///
     /// # Errors
-    /// [`Refusal`], with which nothing moves.
+    /// [`Refusal`]. Nothing moves in this case.
     pub fn straight(&self, from_rad: &Joints, target: &Pose, case: Case<'_>) -> Result<Trajectory, Refusal> {
         let path_rad = line::along(self.world.arm(), from_rad, target, case.purse)?;
         let around = self.around(case);
@@ -243,7 +244,8 @@ impl Planner {
         Ok(Trajectory::through(&path_rad, &vec![true; corners], &self.limits))
     }
 
-    /// The distance to keep from there on. An arm that was stopped near something may leave, but come no nearer.
+    /// Returns the distance to keep from now on.
+    /// An arm that was stopped near an obstacle may leave, but not come closer.
     fn start_margin_m(&self, around: &Surroundings<'_>, from_rad: &Joints) -> Result<f64, Refusal> {
         self.world.arm().check(from_rad).map_err(Refusal::StartBeyondLimit)?;
         let Clearance { distance_m, parts: (one, two) } = around.arm_clearance(from_rad);
@@ -254,10 +256,10 @@ impl Planner {
         Ok(self.world.scene().arm.margin_m.min(0.8 * distance_m))
     }
 
-    /// The same as [`Planner::plan`] with tool and objects as they are.
+    /// Like [`Planner::plan`], with the current tool and objects.
     ///
     /// # Errors
-    /// [`Refusal`], with which nothing moves.
+    /// [`Refusal`]. Nothing moves in this case.
     pub fn plan_among(
         &self,
         from_rad: &Joints,
@@ -356,8 +358,7 @@ impl Planner {
         Some((Plan { trajectory, path_rad, kind, home_s: None, checks: 0 }, kind))
     }
 
-    /// The quickest motion along a clear path of which every cut corner is clear too, and every way to
-    /// brake there.
+    /// Returns the quickest motion on a clear path whose cut corners are also clear, including all braking there.
     fn quickest(&self, around: &Surroundings<'_>, path_rad: &[Joints], margin_m: f64) -> Trajectory {
         let corners = path_rad.len().saturating_sub(2);
         let choices: Vec<Vec<bool>> = if corners <= CHOICE_CORNERS_MAX {
@@ -369,7 +370,7 @@ impl Planner {
             choices.iter().map(|stops| Trajectory::through(path_rad, stops, &self.limits)).collect();
         motions.sort_by(|a, b| a.duration_s().total_cmp(&b.duration_s()));
         let clear = motions.into_iter().find(|motion| self.corners_are_clear(around, motion, margin_m));
-        // With a stop at every corner the motion is the path itself, which is clear.
+        // With a stop at every corner, the motion stays on the path, which is clear.
         clear.unwrap_or_else(|| Trajectory::through(path_rad, &vec![true; corners], &self.limits))
     }
 

@@ -1,4 +1,4 @@
-//! What planning one whole motion may cost.
+//! The budget for planning one complete motion.
 
 use std::cell::Cell;
 
@@ -7,8 +7,8 @@ use std::cell::Cell;
 /// prints what that is in time.
 pub const MOTION_CHECKS_MAX: u64 = 40_000;
 
-/// Checks that are left to a motion: looks of one configuration at everything around it, and steps of inverse kinematics,
-/// which cost less. Counted, never timed, so that equal calls give equal answers on any machine.
+/// The remaining checks of a motion: complete checks of a configuration, and (cheaper) steps of inverse kinematics.
+/// Steps are counted and never timed, so that equal calls give equal results on any machine.
 #[derive(Clone, Debug)]
 pub struct Purse {
     full: u64,
@@ -32,7 +32,7 @@ impl Purse {
         self.spent.set(self.spent.get() + checks);
     }
 
-    /// How many were made; the few that a refusal needs for its reason may be more than there were.
+    /// Returns the number of checks made, which may slightly exceed the budget because of the reason for a refusal.
     pub fn spent(&self) -> u64 {
         self.spent.get()
     }
@@ -42,12 +42,12 @@ impl Purse {
         self.full.saturating_sub(self.spent.get())
     }
 
-    /// Nothing more may be looked at: what was not seen to be clear is not.
+    /// Returns whether no checks are left. Anything that was not checked does not count as clear.
     pub fn is_empty(&self) -> bool {
         self.left() == 0
     }
 
-    /// Why a motion was not planned, when nothing is left.
+    /// Returns why a motion was not planned, if no checks are left.
     pub fn refusal(&self) -> Option<String> {
         self.is_empty().then(|| {
             format!(

@@ -1,17 +1,17 @@
-//! RRT-Connect (Kuffner and LaValle 2000): two trees, one from each end, grow towards random
-//! configurations and towards each other until they meet. Then shortcuts.
+//! RRT-Connect (Kuffner and LaValle 2000): two trees, one from each end, grow towards random configurations
+//! and towards each other until they meet. Then shortcuts follow.
 
 use crate::plan::collision::{Surroundings, between};
 use host_robot::Random;
 use host_robot::{JOINTS, Joints};
 
-/// A tree grows by steps that sweep at most this far.
+/// Maximum distance that a step of a tree sweeps.
 const STEP_M: f64 = 0.35;
 
-/// How often shortcuts between two random places of the path are tried.
+/// Number of attempted shortcuts between two random points of the path.
 const SHORTCUT_TRIES: usize = 40;
 
-/// Joints without an end are searched this far beyond both ends of the path.
+/// Search range of continuous joints beyond both ends of the path.
 const BEYOND_RAD: f64 = 2.0;
 
 /// Settings of the search.
@@ -19,13 +19,13 @@ const BEYOND_RAD: f64 = 2.0;
 pub struct Search {
     /// Distance to keep.
     pub margin_m: f64,
-    /// It gives up after this many checks.
+    /// Maximum number of checks.
     pub checks_max: u64,
     /// Equal seeds give equal paths.
     pub seed: u64,
 }
 
-/// A tree of configurations, each with the one it came from.
+/// A tree of configurations, each with the index of its parent.
 struct Tree(Vec<(Joints, usize)>);
 
 enum Grown {
@@ -34,7 +34,7 @@ enum Grown {
     Reached(usize),
 }
 
-/// A path between two clear configurations, both included; `None` if none was found in time.
+/// Returns a path between two clear configurations, including both; `None` if none was found within the budget.
 pub fn connect(
     around: &Surroundings<'_>,
     from_rad: &Joints,
@@ -105,7 +105,7 @@ impl Tree {
         if reached { Grown::Reached(new) } else { Grown::Advanced(new) }
     }
 
-    /// From a node to the root.
+    /// Returns the path from a node to the root.
     fn back_from(&self, mut node: usize) -> Vec<Joints> {
         let mut path = vec![self.0[node].0];
         while node != 0 {
@@ -116,7 +116,7 @@ impl Tree {
     }
 }
 
-/// Takes detours out of a path; what is left is as clear as before.
+/// Removes detours from a path. The result is as clear as before.
 pub fn shorten(around: &Surroundings<'_>, mut path: Vec<Joints>, search: &Search) -> Vec<Joints> {
     let mut random = Random::new(search.seed ^ 0x5A5A);
     drop_corners(around, &mut path, search);
@@ -124,7 +124,7 @@ pub fn shorten(around: &Surroundings<'_>, mut path: Vec<Joints>, search: &Search
         if path.len() < 3 {
             break;
         }
-        // Two places on different segments of the path.
+        // Selects two points on different segments of the path.
         let one = random.below(path.len() - 1);
         let two = random.below(path.len() - 1);
         let (first, last) = (one.min(two), one.max(two));
@@ -139,7 +139,7 @@ pub fn shorten(around: &Surroundings<'_>, mut path: Vec<Joints>, search: &Search
     path
 }
 
-/// Leaves out each corner that the detour does not need.
+/// Removes each corner that is not necessary.
 fn drop_corners(around: &Surroundings<'_>, path: &mut Vec<Joints>, search: &Search) {
     let mut start = 0;
     while start + 2 < path.len() {

@@ -1,9 +1,9 @@
-//! How old a hand's sample is once the robot has shown that it acts on it.
+//! Measures the age of a hand's sample when the robot reports its effect.
 
 use host_robot::Part;
 use serde::Serialize;
 
-/// From a hand's sample to the robot's own report that it acts on it.
+/// The time from a hand's sample to the robot's report of its effect.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct Acceptance {
     /// The newest.
@@ -14,35 +14,35 @@ pub struct Acceptance {
     pub count: u64,
 }
 
-/// The same for base and arm; `None` = the robot has not shown it yet.
+/// The values for base and arm; `None` if the robot has not reported any effect.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Accepted {
-    /// Its odometry has begun to follow a changed speed.
+    /// Ages of samples when the odometry begins to follow a new speed.
     pub base: Option<Acceptance>,
-    /// Its controller has taken a motion.
+    /// Ages of samples when the controller accepts a motion.
     pub arm: Option<Acceptance>,
 }
 
-/// Keeps count.
+/// Collects these values.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Acceptances {
-    /// When the sample was taken that led to the newest command.
+    /// Time of the sample that led to the newest command.
     asked_ms: [Option<u64>; 2],
     pub(super) seen: Accepted,
 }
 
 impl Acceptances {
-    /// A command was made from a sample of this age.
+    /// Records a command from a sample of this age.
     pub(super) fn ask(&mut self, part: Part, age_ms: u64, now_ms: u64) {
         self.asked_ms[part as usize] = Some(now_ms.saturating_sub(age_ms));
     }
 
-    /// No command is pending any more.
+    /// Discards all pending commands.
     pub(super) fn forget(&mut self) {
         self.asked_ms = [None; 2];
     }
 
-    /// The robot shows that it acts on the command. Returns the sample's age now, if a command was pending.
+    /// Records that the robot acts on a command. Returns the current age of the sample if a command was pending.
     pub(super) fn accept(&mut self, part: Part, now_ms: u64) -> Option<u64> {
         let age_ms = now_ms.saturating_sub(self.asked_ms[part as usize].take()?);
         let seen = match part {
@@ -63,12 +63,12 @@ mod tests {
     fn an_age_runs_from_the_sample_to_the_robots_word_and_each_command_counts_once() {
         let mut all = Acceptances::default();
         assert_eq!(all.accept(Part::Base, 5), None, "nothing was asked");
-        // A sample 12 ms old at 100 ms; the robot follows at 140 ms.
+        // The sample is 12 ms old at time 100 ms, and the robot follows at 140 ms.
         all.ask(Part::Base, 12, 100);
         assert_eq!(all.accept(Part::Arm, 130), None, "another part");
         assert_eq!(all.accept(Part::Base, 140), Some(52));
         assert_eq!(all.accept(Part::Base, 150), None, "once");
-        // A newer command takes the older one's place.
+        // A newer command replaces the older one.
         all.ask(Part::Base, 5, 200);
         all.ask(Part::Base, 5, 220);
         assert_eq!(all.accept(Part::Base, 235), Some(20));

@@ -1,4 +1,4 @@
-//! What happens on the bridge, for people and files.
+//! Events of the bridge for users and files.
 
 use serde::Serialize;
 use shared_proto::message::Heading;
@@ -8,7 +8,7 @@ use host_robot::{MotionName, Part, Twist};
 use crate::link::{Identity, ModelSummary};
 use crate::safety::{HaltReason, Hand, Ignored, State};
 
-/// Something that happened, and when on the laptop's clock.
+/// An event with its time on the laptop's clock.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct BridgeEvent {
     /// Laptop time.
@@ -18,11 +18,11 @@ pub struct BridgeEvent {
     pub kind: EventKind,
 }
 
-/// What can happen.
+/// The kinds of events.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(tag = "event", rename_all = "kebab-case")]
 pub enum EventKind {
-    /// A hand said hello for the first time since its start.
+    /// A hand sent its first hello after a start.
     HandStarted {
         /// Which.
         hand: Hand,
@@ -33,33 +33,33 @@ pub enum EventKind {
     HandUnusable {
         /// Which.
         hand: Hand,
-        /// Why, and what to do.
+        /// The reason and a remedy.
         problem: String,
     },
-    /// The right hand named its model.
+    /// The right hand reported its model.
     Model {
-        /// What it expects and names.
+        /// The requirements and labels of the model.
         model: ModelSummary,
-        /// Labels that do nothing here.
+        /// Labels that have no motion here.
         without_motion: Vec<String>,
     },
     /// A board reported a fault.
     BoardFault {
         /// Which hand.
         hand: Hand,
-        /// What is wrong, as the board names it.
+        /// The problem, as the board reports it.
         fault: String,
     },
     /// The flags of a hand's health changed.
     HandHealth {
         /// Which.
         hand: Hand,
-        /// Bits of `shared_proto::message::health`; 0 = well.
+        /// Bits of `shared_proto::message::health`; 0 means no problem.
         flags: u8,
-        /// What they mean, and what to do.
+        /// The meaning of the flags, and remedies.
         reasons: Vec<&'static str>,
     },
-    /// The safety machine changed its state.
+    /// The state of the safety machine changed.
     State {
         /// The new state.
         state: State,
@@ -71,11 +71,11 @@ pub enum EventKind {
     },
     /// The operator's stop ended.
     Released,
-    /// The left hand points elsewhere.
+    /// The heading of the left hand changed.
     Heading {
         /// Where.
         heading: Heading,
-        /// Speed that follows.
+        /// The resulting speed of the base.
         twist: Twist,
         /// Board clock at the sample.
         sample_board_ms: u32,
@@ -101,52 +101,52 @@ pub enum EventKind {
         window_end_board_ms: u32,
         /// Age of that window's end.
         age_ms: u64,
-        /// What follows from it.
+        /// The effect of the gesture.
         outcome: GestureOutcome,
     },
-    /// The robot shows that it acts on a command.
+    /// The robot reported that it acts on a command.
     Accepted {
-        /// Which part of it.
+        /// The part of the robot.
         part: Part,
-        /// Age of the sample that the command came from.
+        /// Age of the sample that caused the command.
         age_ms: u64,
     },
-    /// The right hand's score for a gesture rose, but not high or long enough for the board.
+    /// The score of a gesture rose, but not high or long enough for the board to detect it.
     Almost {
         /// The nearest gesture.
         label: String,
-        /// Its best mean probability, 0 to 1.
+        /// Highest mean probability of the gesture, 0 to 1.
         confidence: f32,
     },
     /// An arm motion ended.
     MotionEnded {
         /// Which.
         motion: MotionName,
-        /// At its pose, not halted.
+        /// Whether the arm reached its pose without a halt.
         reached: bool,
     },
-    /// An arm motion was asked for, but there is no safe way to its pose; nothing moves.
+    /// A requested arm motion has no safe path to its pose, so nothing moves.
     MotionRefused {
         /// Which.
         motion: MotionName,
-        /// Why, and what to do.
+        /// The reason and a remedy.
         reason: String,
     },
-    /// The guard does not let the base drive as asked.
+    /// The guard prevents the requested motion of the base.
     BaseHeld {
-        /// What is in the way, or what is not known.
+        /// The obstacle, or the missing information.
         reason: String,
     },
-    /// The base drives as asked again.
+    /// The base follows its commands again.
     BaseFree,
-    /// The robot itself refuses to move: its e-stop, a fault, clocks apart.
+    /// The robot itself refuses to move because of its e-stop, a fault, or clocks that differ.
     RobotRefuses {
-        /// Why, and what to do.
+        /// The reason and a remedy.
         reason: String,
     },
-    /// It no longer refuses; the hands must be neutral first.
+    /// The robot no longer refuses, but the hands must be neutral before it moves.
     RobotReady,
-    /// A key ended the arm's motion alone.
+    /// A key ended only the arm's motion.
     ArmEnded,
     /// The left hand is lent to the arm, or taken back.
     Jogging {
@@ -158,31 +158,31 @@ pub enum EventKind {
         /// What, and why.
         text: String,
     },
-    /// The robot has something to say.
+    /// A message from the robot.
     Robot {
         /// What.
         text: String,
     },
-    /// Something had no effect.
+    /// An input had no effect.
     Ignored {
         /// What and why.
         what: Ignored,
     },
 }
 
-/// What follows from a gesture.
+/// The effect of a gesture.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum GestureOutcome {
     /// This motion starts.
     Started(MotionName),
-    /// The stop is released. That alone moves nothing.
+    /// The stop is released. This alone moves nothing.
     Released,
-    /// Dropped: this motion still runs.
+    /// The gesture was dropped, because this motion is still running.
     Busy(MotionName),
-    /// Dropped: no safe way leads to this motion's pose.
+    /// The gesture was dropped, because there is no safe path to this motion's pose.
     Refused(MotionName),
-    /// The arm's motion is ended, and that alone.
+    /// Only the arm's motion is ended.
     EndedArm,
     /// The left hand is lent to the arm; both hands have to be neutral first.
     Lent,
@@ -190,20 +190,20 @@ pub enum GestureOutcome {
     TakenBack,
     /// The label has no motion.
     NoMotion,
-    /// Dropped: its window ended too long ago.
+    /// The gesture was dropped, because its window ended too long ago.
     Late,
     /// Dropped: not armed.
     NotArmed,
 }
 
-/// What was dropped, by reason.
+/// Numbers of dropped inputs, by reason.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Drops {
     /// States older than 250 ms.
     pub late_states: u32,
-    /// States with more bends than fingers can make.
+    /// States with more bends than fingers can make in the time.
     pub bends_impossible: u32,
-    /// Gestures decided more than 250 ms ago.
+    /// Gestures that were decided more than 250 ms ago.
     pub late_gestures: u32,
     /// Gestures while another motion ran.
     pub gestures_while_busy: u32,
@@ -213,8 +213,8 @@ pub struct Drops {
     pub gestures_refused: u32,
     /// Gestures without a motion.
     pub gestures_without_motion: u32,
-    /// Gestures whose label was lost with their frames.
+    /// Gestures whose label is unknown because their frames were lost.
     pub gestures_unnamed: u32,
-    /// States with bends that came while not armed.
+    /// States with bends that arrived while not armed.
     pub bends_while_not_armed: u32,
 }

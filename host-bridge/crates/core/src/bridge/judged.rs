@@ -1,21 +1,21 @@
-//! Small judgements of what was heard.
+//! Small helper functions that interpret inputs.
 
 use shared_proto::message::Heading;
 
 use crate::intent::is_rest;
 
-/// A text without its figures, which change all the time.
+/// Returns a text without its numbers, which change continually.
 pub(super) fn without_figures(text: &str) -> impl Iterator<Item = char> {
     text.chars().filter(|c| !c.is_ascii_digit())
 }
 
-/// What a heading asks of the base; neutral and between ask the same.
+/// Returns the command of a heading for the base; neutral and between have the same command.
 pub(super) fn command(heading: Heading) -> Heading {
     if heading == Heading::Between { Heading::Neutral } else { heading }
 }
 
-/// Does the right hand rest? Without scores nobody knows; a model without a resting class cannot tell,
-/// and is then not waited for.
+/// Returns whether the right hand rests. Without scores this is unknown.
+/// A model without a rest label cannot detect rest, so the bridge does not wait for it.
 pub(super) fn rests(labels: &[String], scores: &[f32]) -> bool {
     if scores.is_empty() || scores.len() != labels.len() {
         return false;
@@ -23,7 +23,7 @@ pub(super) fn rests(labels: &[String], scores: &[f32]) -> bool {
     if !labels.iter().any(|label| is_rest(label)) {
         return true;
     }
-    // Of equal scores the first label wins, as on the board. All zero means that nothing was computed.
+    // Of equal scores, the first label wins, as on the board. If all are zero, nothing was computed.
     let top = (0..scores.len()).rev().max_by(|&a, &b| scores[a].total_cmp(&scores[b]));
     top.is_some_and(|top| scores[top] > 0.0 && is_rest(&labels[top]))
 }

@@ -1,4 +1,4 @@
-//! The bridge itself: links, safety and intents wired to a robot. Bytes and the time come in.
+//! The bridge connects links, safety and intents to a robot. Its inputs are bytes and the time.
 
 mod accepted;
 mod clutch;
@@ -28,7 +28,7 @@ use crate::link::{HandLink, Heard, NewGesture, RightReport};
 use crate::safety::{self, Action, Hand, Ignored, PerHand, Safety, SafetyTimes, State};
 use crate::tilt::{Tilt, TiltDrive};
 
-/// The base's speed is repeated this often, so that the robot knows that the bridge lives.
+/// Interval at which the base's speed is repeated, so that the robot detects the end of the bridge.
 pub const DRIVE_INTERVAL_MS: u64 = 20;
 
 /// The bridge.
@@ -50,12 +50,12 @@ pub struct Bridge {
     events: Vec<BridgeEvent>,
     heard: Vec<Heard>,
     last_acks: PerHand<Option<Ack>>,
-    /// Flags that were reported.
+    /// The health flags that were last reported.
     told_health: PerHand<u8>,
     acceptances: Acceptances,
-    /// Why the robot itself refuses to move.
+    /// The reason why the robot itself refuses to move.
     refusal: Option<String>,
-    /// What this session is not allowed to do.
+    /// Restrictions of this session.
     restriction: Option<Restriction>,
     jog: JogRules,
     lift: Lift,
@@ -64,12 +64,12 @@ pub struct Bridge {
 }
 
 impl Bridge {
-    /// A bridge that waits for its hands.
+    /// Creates a bridge that waits for its hands.
     pub fn new(map: MotionMap) -> Self {
         Bridge::with(map, SpeedRules::default(), SafetyTimes::default())
     }
 
-    /// As `new`, with other limits.
+    /// Like `new`, but with other limits.
     pub fn with(map: MotionMap, speed: SpeedRules, times: SafetyTimes) -> Self {
         Bridge {
             links: PerHand::of(HandLink::new),
@@ -98,7 +98,7 @@ impl Bridge {
         }
     }
 
-    /// The base follows the left hand's tilt by these rules.
+    /// Sets the rules by which the base follows the left hand's tilt.
     #[must_use]
     pub fn driving(self, drive: TiltDrive) -> Self {
         Bridge { drive, ..self }
@@ -116,7 +116,7 @@ impl Bridge {
         self.apply(safety::Event::Robot { refuses }, now_ms, robot);
     }
 
-    /// Whether this text differs from the last one in more than its figures, which change all the time.
+    /// Returns whether this text differs from the last one in more than its numbers, which change continually.
     pub fn is_news_of_robot(&self, refusal: Option<&str>) -> bool {
         match (self.refusal(), refusal) {
             (Some(known), Some(said)) => !without_figures(known).eq(without_figures(said)),
@@ -124,26 +124,26 @@ impl Bridge {
         }
     }
 
-    /// Why the robot itself refuses to move, if it does.
+    /// Returns the reason why the robot itself refuses to move, if it does.
     pub fn refusal(&self) -> Option<&str> {
         self.refusal.as_deref()
     }
 
-    /// Nothing moves before this hand has said hello.
+    /// Prevents all motion until this hand has sent a hello.
     #[must_use]
     pub fn awaiting(mut self, hand: Hand) -> Self {
         self.safety.await_hand(hand);
         self
     }
 
-    /// Drops motions that the robot does not have.
+    /// Removes motions that the robot does not have.
     #[must_use]
     pub fn known_to(mut self, knows: impl Fn(&MotionName) -> bool) -> Self {
         self.map = self.map.known_to(|motion| *motion == *MotionName::END_ARM || knows(motion));
         self
     }
 
-    /// Takes bytes of one hand's link, in any slicing, and acts on what they say.
+    /// Processes bytes of one hand's link, in portions of any size.
     pub fn receive(&mut self, hand: Hand, bytes: &[u8], now_ms: u64, robot: &mut dyn Door) {
         let mut heard = std::mem::take(&mut self.heard);
         self.link_mut(hand).receive(bytes, now_ms, &mut heard);
@@ -153,11 +153,11 @@ impl Bridge {
         self.heard = heard;
     }
 
-    /// Lets time pass; must be called every few milliseconds, whether or not bytes came.
+    /// Advances the time. Call it every few milliseconds, even without new bytes.
     pub fn step(&mut self, now_ms: u64, robot: &mut dyn Door) {
         self.apply(safety::Event::Tick, now_ms, robot);
         for hand in Hand::BOTH {
-            // Before the first state there is the 250 ms of the dead-man for the first answer.
+            // Before the first state, the dead-man's 250 ms limit the wait for the first answer.
             if self.safety.live(hand) && self.link(hand).stopped_answering(now_ms) {
                 self.apply(safety::Event::Unanswered(hand), now_ms, robot);
             }
@@ -180,19 +180,19 @@ impl Bridge {
             self.note(now_ms, kind);
         }
         let due = now_ms.saturating_sub(self.driven.1) >= DRIVE_INTERVAL_MS;
-        // Before the first neutral nothing at all is sent.
+        // Before the first neutral, nothing is sent at all.
         if self.was_armed && (due || self.twist() != self.driven.0) {
             self.drive(now_ms, robot);
         }
         self.move_tool(due, now_ms, robot);
     }
 
-    /// What to send to a hand's board now, if anything.
+    /// Returns the message to send to a hand's board now, if any.
     pub fn poll(&mut self, hand: Hand, now_ms: u64) -> Option<HostMessage<'static>> {
         self.link_mut(hand).poll(now_ms)
     }
 
-    /// The ping that a hand's board is due now, if any. Ask only when it can really be sent.
+    /// Returns the ping that is due for a hand's board. Call it only if the ping can be sent immediately.
     pub fn ping(&mut self, hand: Hand, now_ms: u64) -> Option<HostMessage<'static>> {
         self.link_mut(hand).ping(now_ms)
     }
@@ -202,24 +202,24 @@ impl Bridge {
         self.last_acks[hand]
     }
 
-    /// The operator's stop: a key, a button.
+    /// Stops the robot on behalf of the operator (a key or a button).
     pub fn stop_key(&mut self, now_ms: u64, robot: &mut dyn Door) {
         self.apply(safety::Event::StopKey, now_ms, robot);
     }
 
-    /// The key that ends the arm's motion alone; the base goes on.
+    /// Ends only the arm's motion, while the base continues.
     pub fn end_arm_key(&mut self, now_ms: u64, robot: &mut dyn Door) {
         robot.halt_arm();
         self.note(now_ms, EventKind::ArmEnded);
         self.take_back(now_ms, robot);
     }
 
-    /// The release key, pressed and confirmed; has an effect only if no right hand is connected.
+    /// Processes the release key, pressed and confirmed. It has an effect only if no right hand is connected.
     pub fn release_key(&mut self, now_ms: u64, robot: &mut dyn Door) {
         self.apply(safety::Event::ReleaseKey, now_ms, robot);
     }
 
-    /// What happened since the last call.
+    /// Returns the events since the last call.
     pub fn take_events(&mut self) -> Vec<BridgeEvent> {
         std::mem::take(&mut self.events)
     }
@@ -239,38 +239,38 @@ impl Bridge {
         self.caps
     }
 
-    /// The speed that the base is asked for now: zero unless armed.
+    /// Returns the commanded speed of the base: zero unless armed.
     pub fn twist(&self) -> Twist {
         self.caps.twist_of(self.safety.pointing(), &self.drive)
     }
 
-    /// What was dropped so far.
+    /// Returns the numbers of dropped inputs so far.
     pub fn drops(&self) -> Drops {
         self.drops
     }
 
-    /// How old samples were once the robot acted on them.
+    /// Returns the ages of samples when the robot reported their effect.
     pub fn accepted(&self) -> Accepted {
         self.acceptances.seen
     }
 
-    /// The right hand's newest scores, one per label of its model.
+    /// Returns the right hand's newest scores, one per label of its model.
     pub fn scores(&self) -> &[f32] {
         &self.scores
     }
 
-    /// The left hand's newest pitch and roll in milliradians, and its heading (whether or not it acts).
+    /// Returns the left hand's newest pitch and roll in milliradians and its heading, even if it has no effect.
     pub fn left_hand(&self) -> (i16, i16, Heading) {
         let LeftState { pitch_mrad, roll_mrad, heading, .. } = self.left_state;
         (pitch_mrad, roll_mrad, heading)
     }
 
-    /// The left hand's newest state as received, late or not.
+    /// Returns the left hand's newest state as received, late or not.
     pub fn left_state(&self) -> &LeftState {
         &self.left_state
     }
 
-    /// Health flags of the right hand's newest state.
+    /// Returns the health flags of the right hand's newest state.
     pub fn right_health(&self) -> u8 {
         self.right_health
     }
@@ -325,7 +325,7 @@ impl Bridge {
                 self.left_state = state;
                 self.apply(event, now_ms, robot);
                 let heading = self.safety.heading();
-                // A halt is an event of its own.
+                // A halt is reported as a separate event.
                 if self.safety.state() == State::Armed && command(heading) != before {
                     let event = EventKind::Heading {
                         heading,
@@ -348,7 +348,7 @@ impl Bridge {
         }
     }
 
-    /// A hand in doubt says why, before it halts anything.
+    /// Reports why a hand is in doubt, before this halts anything.
     fn tell_health(&mut self, hand: Hand, flags: u8, now_ms: u64) {
         if std::mem::replace(&mut self.told_health[hand], flags) != flags {
             self.note(now_ms, EventKind::HandHealth { hand, flags, reasons: doubt::reasons(flags) });
@@ -420,7 +420,8 @@ impl Bridge {
         }
     }
 
-    /// Lets the safety machine decide and carries its actions out. What follows from a gesture, if one came.
+    /// Passes an event to the safety machine and executes its actions.
+    /// Returns the effect of a gesture, if there was one.
     fn apply(&mut self, event: safety::Event, now_ms: u64, robot: &mut dyn Door) -> Option<GestureOutcome> {
         let mut outcome = None;
         for action in self.safety.step(event, now_ms) {
@@ -463,7 +464,7 @@ impl Bridge {
                         Ignored::GestureWhileNotArmed => outcome = Some(GestureOutcome::NotArmed),
                         Ignored::ReleaseKey => {}
                     }
-                    // Late states come in bursts; the count says enough.
+                    // Late states come in bursts, so only their count is reported.
                     if !matches!(what, Ignored::LateState(_)) {
                         self.note(now_ms, EventKind::Ignored { what });
                     }

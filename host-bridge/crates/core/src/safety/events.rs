@@ -1,4 +1,4 @@
-//! What goes into the safety machine and what comes out of it.
+//! Inputs and outputs of the safety machine.
 
 use serde::Serialize;
 use shared_proto::message::Heading;
@@ -6,39 +6,39 @@ use shared_proto::message::Heading;
 use super::{Hand, State};
 use crate::tilt::Tilt;
 
-/// A gesture that a state reported for the first time.
+/// A gesture that a state reports for the first time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Gesture {
     /// Index in the model's labels.
     pub label: u8,
-    /// How old the end of the window is now.
+    /// Current age of the end of the gesture's window.
     pub age_ms: u64,
     /// This gesture ends a stop.
     pub releases: bool,
 }
 
-/// What happens to the machine.
+/// Inputs of the safety machine.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Event {
-    /// Only time passes. Must come at least every few milliseconds.
+    /// Advances the time. This event is required at least every few milliseconds.
     Tick,
-    /// A hand started: a hello with a boot id that is new on this link.
+    /// A hand started: its hello had a boot id that is new on this link.
     Started(Hand),
-    /// A hand is there but must not be acted on, since the versions differ. It counts as silent.
+    /// A hand cannot be used because its version differs. It counts as silent.
     Unusable(Hand),
-    /// The hand answers no pings, so nobody knows how old its states are. It counts as silent.
+    /// The hand answers no pings, so the age of its states is unknown. It counts as silent.
     Unanswered(Hand),
-    /// The left hand's state, newer than all before it.
+    /// A left-hand state that is newer than all earlier ones.
     Left {
         /// Upper bound of the sample's age.
         age_ms: u64,
-        /// The link's last round trip is fresh and short: neutral counts.
+        /// Whether the link's last round trip is recent and short, so that neutral counts.
         prompt: bool,
-        /// Whether no health flag forbids acting on it.
+        /// Whether the health flags permit use of this state.
         healthy: bool,
-        /// Where the hand points.
+        /// The heading of the hand.
         heading: Heading,
-        /// How far it is tilted.
+        /// The tilt of the hand.
         tilt: Tilt,
         /// Bends of the index finger since the last state.
         index_bends: u8,
@@ -47,20 +47,20 @@ pub enum Event {
         /// Both fingers are held.
         stop: bool,
     },
-    /// The right hand's state, newer than all before it.
+    /// A right-hand state that is newer than all earlier ones.
     Right {
         /// Upper bound of the newest sample's age.
         age_ms: u64,
-        /// The link's last round trip is fresh and short: rest counts.
+        /// Whether the link's last round trip is recent and short, so that rest counts.
         prompt: bool,
-        /// Whether no health flag forbids acting on it.
+        /// Whether the health flags permit use of this state.
         healthy: bool,
-        /// A resting class has the highest score.
+        /// Whether a rest label has the highest score.
         resting: bool,
         /// The last gesture, if it is new.
         gesture: Option<Gesture>,
     },
-    /// The robot itself refuses to move (its e-stop, a fault, clocks apart), or does not any more.
+    /// The robot itself begins or ends to refuse motion (its e-stop, a fault, clocks apart).
     Robot {
         /// It refuses.
         refuses: bool,
@@ -72,21 +72,21 @@ pub enum Event {
     },
     /// The operator's stop: a key, a button.
     StopKey,
-    /// The operator's release key, pressed and confirmed. Only counts if no right hand is connected.
+    /// The operator pressed and confirmed the release key. It counts only if no right hand is connected.
     ReleaseKey,
 }
 
-/// Why the robot halts.
+/// The reason why the robot halts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum HaltReason {
-    /// Both fingers held, or the stop key.
+    /// Both fingers were held, or the stop key was pressed.
     OperatorStop,
-    /// No valid state for 250 ms.
+    /// There was no valid state for 250 ms.
     Silence(Hand),
     /// No ping was answered for 500 ms.
     Unanswered(Hand),
-    /// The hand says that it cannot be trusted.
+    /// The hand reports that it cannot be trusted.
     Unhealthy(Hand),
     /// The hand is new or has restarted.
     Restart(Hand),
@@ -98,7 +98,7 @@ pub enum HaltReason {
     NotAtRest,
 }
 
-/// Why something that a hand did had no effect.
+/// The reason why an input of a hand had no effect.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Ignored {
@@ -108,24 +108,24 @@ pub enum Ignored {
     LateGesture,
     /// A gesture while not armed.
     GestureWhileNotArmed,
-    /// More bends in one state than fingers can make in that time.
+    /// One state contains more bends than fingers can make in that time.
     ImpossibleBends,
     /// Bends while not armed.
     BendsWhileNotArmed,
-    /// The release key while a right hand is connected, or before 1 s of neutral.
+    /// The release key was pressed while a right hand is connected, or before 1 s of neutral.
     ReleaseKey,
 }
 
-/// What the bridge must do now, in order.
+/// Actions of the bridge, in order.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Action {
     /// Bring base and arm to rest.
     Halt(HaltReason),
-    /// Both caps back to their start.
+    /// Reset both caps to their initial value.
     ResetCaps,
     /// The state changed.
     Entered(State),
-    /// The stop is over. That alone moves nothing.
+    /// The stop is over. This alone moves nothing.
     Released,
     /// The left hand is lent to the arm, or (false) taken back. That alone moves nothing.
     Lent(bool),

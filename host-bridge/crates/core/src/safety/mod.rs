@@ -1,20 +1,18 @@
-//! The bridge's own stop: decides, from elapsed time and what the hands say, what may act.
+//! The bridge's own stop: decides from elapsed time and the hands' states whether anything may move.
 //!
 //! Glossary
-//! * **hand**: one board. It is *connected* from its first hello on, for the rest of the session: a
-//!   hand that went silent is not forgotten, it holds the robot still until it is back.
-//! * **awaited**: somebody said that this hand takes part, and it has not said hello yet. Until it has,
-//!   nothing moves: the other hand must not drive without the one that can stop it.
-//! * **live**: the hand's newest valid state is younger than [`STALE_MS`] by the time of its *sample*,
-//!   so nothing older than that ever moves the robot.
-//! * **prompt**: the link's last round trip is fresh, and shorter than half of that limit.
-//! * **neutral**: the left hand within its dead zone; the right hand with a resting class on top. It counts
-//!   on a prompt link only.
-//! * **release**: the gesture that ends a stop (the one that brings the arm home: up-down).
+//! * **hand**: one board. It is *connected* from its first hello until the end of the session.
+//!   A silent hand is not forgotten; it prevents motion until it returns.
+//! * **awaited**: a hand that was announced and has not sent a hello.
+//!   Until it does, nothing moves, because the other hand must not drive without the one that can stop it.
+//! * **live**: a hand whose newest valid *sample* is younger than [`STALE_MS`]. Older samples never move the robot.
+//! * **prompt**: a link whose last round trip is recent and shorter than half of that limit.
+//! * **neutral**: a left hand within its dead zone, or a right hand whose best label is rest.
+//! Neutral counts only on a prompt link.
+//! * **release**: the gesture that ends a stop. It is the gesture that moves the arm home: up-down.
 //!
-//! The machine is sans-IO: [`Safety::step`] takes an event and the time, and answers with actions.
-//! It lets through (`Bends`, `Gesture`, the heading) only while armed; whatever a hand did before that
-//! is gone for good.
+//! The machine is sans-IO: [`Safety::step`] takes an event and the time, and returns actions.
+//! It passes bends, gestures and the heading on only while armed. Earlier inputs are discarded.
 
 mod events;
 mod watch;
@@ -28,28 +26,28 @@ use shared_proto::message::Heading;
 use crate::tilt::{Pointing, Tilts};
 use watch::{Neutral, Watch};
 
-/// A state older than this is dropped; a hand silent for this long halts the robot.
+/// A state older than this is dropped. A hand that is silent for this long halts the robot.
 pub const STALE_MS: u64 = 250;
 
-/// All hands must be neutral together for this long before anything may act, from the arrival of the first
-/// neutral sample to the taking of the newest: a burst after a stall, or one neutral frame and then
-/// silence, proves nothing.
+/// All hands must be neutral together for this long before anything may move.
+/// The time counts from the arrival of the first neutral sample to the acquisition of the newest.
+/// A burst after a stall, or one neutral frame followed by silence, is therefore not enough.
 pub const ARM_NEUTRAL_MS: u64 = 100;
 
-/// A state that reports more bends of one finger is not believed: between two states that count there are at
-/// most [`STALE_MS`], and a finger bends and straightens five times a second at most.
+/// Maximum number of new bends of one finger in a state; states with more are rejected.
+/// Two accepted states are at most [`STALE_MS`] apart, and a finger bends at most five times per second.
 pub const BENDS_MAX: u8 = 3;
 
 /// Neutral needs at least this many samples.
 pub const NEUTRAL_SAMPLES: u32 = 3;
 
-/// A hand whose pings go unanswered for this long is not acted on.
+/// A hand whose pings are unanswered for this long is not used.
 pub use crate::link::ANSWER_PATIENCE_MS;
 
 /// The hands must be neutral for this long before a stop can be released.
 pub const RELEASE_NEUTRAL_MS: u64 = 1000;
 
-/// The three times above, for somebody who wants stricter ones than the defaults.
+/// The three times above, for users who want stricter ones than the defaults.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SafetyTimes {
@@ -62,7 +60,7 @@ pub struct SafetyTimes {
 }
 
 impl SafetyTimes {
-    /// Neutral counts only while round trips are shorter than this: half of [`STALE_MS`].
+    /// Neutral counts only if round trips are shorter than this: half of [`STALE_MS`].
     pub fn prompt_ms(&self) -> u64 {
         self.stale_ms / 2
     }
@@ -97,19 +95,19 @@ impl Default for SafetyTimes {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum State {
-    /// Nothing moves until every awaited hand is there and every connected one was seen neutral.
+    /// Nothing moves until every awaited hand is present and every connected hand has been neutral.
     Waiting,
     /// The hands drive the robot.
     Armed,
-    /// A connected hand is silent or not fit to act on.
+    /// A connected hand is silent or cannot be used.
     Stale,
-    /// The robot itself refuses to move; what it says names the reason.
+    /// The robot itself refuses to move and reports the reason.
     Refused,
     /// The operator stopped the robot.
     Stopped,
 }
 
-/// See the module.
+/// See the module documentation.
 #[derive(Clone, Debug)]
 pub struct Safety {
     times: SafetyTimes,
@@ -118,11 +116,11 @@ pub struct Safety {
     left: Watch,
     right: Watch,
     heading: Heading,
-    /// Tilts of the newest states that count.
+    /// Tilts of the newest valid states.
     tilts: Tilts,
-    /// The right hand has rested for long enough since the stop (where there is no left hand).
+    /// Whether the right hand has rested long enough since the stop (only without a left hand).
     right_rested: bool,
-    /// The robot itself refuses to move.
+    /// Whether the robot itself refuses to move.
     refused: bool,
     /// The left hand is lent to the arm.
     lent: bool,
@@ -135,12 +133,12 @@ impl Default for Safety {
 }
 
 impl Safety {
-    /// Waiting, no hand connected.
+    /// Creates a machine that waits and has no connected hand.
     pub fn new() -> Self {
         Safety::with(SafetyTimes::default())
     }
 
-    /// As `new`, with other times.
+    /// Like `new`, but with other times.
     pub fn with(times: SafetyTimes) -> Self {
         Safety {
             times,
@@ -156,7 +154,7 @@ impl Safety {
         }
     }
 
-    /// Nothing moves before this hand has said hello.
+    /// Prevents all motion until this hand has sent a hello.
     pub fn await_hand(&mut self, hand: Hand) {
         let watch = self.watch_mut(hand);
         watch.awaited = !watch.connected;
@@ -191,28 +189,28 @@ impl Safety {
         (self.acts() && self.lent).then(|| Pointing { heading: self.heading, tilt: self.tilts.meant() })
     }
 
-    /// The same with how far it is tilted.
+    /// Returns the same heading together with its tilt.
     pub fn pointing(&self) -> Pointing {
         Pointing { heading: self.heading(), tilt: self.tilts.meant() }
     }
 
-    /// The hand has said hello.
+    /// The hand has sent its hello.
     pub fn connected(&self, hand: Hand) -> bool {
         self.watch(hand).connected
     }
 
-    /// The hand is connected, fresh and fit to act on.
+    /// Returns whether the hand is connected, recent and usable.
     pub fn live(&self, hand: Hand) -> bool {
         self.watch(hand).live
     }
 
-    /// Age of a connected hand's newest valid sample.
+    /// Returns the age of a connected hand's newest valid sample.
     pub fn age_ms(&self, hand: Hand, now_ms: u64) -> Option<u64> {
         let watch = self.watch(hand);
         watch.connected.then(|| now_ms.saturating_sub(watch.sample_ms))
     }
 
-    /// Handles one event. `now_ms` is the laptop's clock and must not run back; if it does, it stands.
+    /// Processes one event. `now_ms` is the laptop's clock. If it steps back, the machine's time stands still.
     #[must_use = "an action that is not carried out may leave the robot moving"]
     pub fn step(&mut self, event: Event, now_ms: u64) -> Vec<Action> {
         let mut actions = Vec::new();
@@ -221,7 +219,7 @@ impl Safety {
         match event {
             Event::Tick => {}
             Event::Started(hand) => {
-                // Counts as a sign of life, so that a new hand has 250 ms to send its first state.
+                // A start counts as a sign of life, so a new hand has 250 ms to send its first state.
                 *self.watch_mut(hand) = Watch {
                     awaited: false,
                     connected: true,
@@ -256,7 +254,7 @@ impl Safety {
                 }
                 let bends = index_bends != 0 || middle_bends != 0;
                 if stop {
-                    // Even late or from a hand in doubt: halting is never wrong.
+                    // This applies even to a late state or a hand in doubt, because halting is always safe.
                     self.stop(&mut actions);
                 }
                 if age_ms > self.times.stale_ms {
@@ -309,7 +307,7 @@ impl Safety {
                     self.lend(false, &mut actions);
                     self.leave_armed(State::Refused, HaltReason::RobotRefuses, &mut actions);
                 } else if self.state == State::Refused {
-                    // Neutral must be held from now on, not from before.
+                    // Neutral counts only from now on.
                     self.left.reset(self.now_ms);
                     self.right.reset(self.now_ms);
                     self.enter(State::Waiting, &mut actions);
@@ -375,8 +373,9 @@ impl Safety {
         }
     }
 
-    /// Everybody connected is live, and the left hand (if there is one) has been neutral up to now,
-    /// for a second already at `time_ms`. Without a left hand, the right one must have rested instead.
+    /// Returns whether all connected hands are live and the left hand has been neutral until now,
+    /// for a second at `time_ms`.
+    /// Without a left hand, the right hand must have rested instead.
     fn neutral_long_enough_at(&self, time_ms: u64) -> bool {
         let all_live = (self.left.connected || self.right.connected)
             && !self.refused
@@ -408,7 +407,7 @@ impl Safety {
     }
 
     fn stop(&mut self, actions: &mut Vec<Action>) {
-        // Neutral must be held from the stop on, not from before it.
+        // Neutral counts only from the stop on.
         self.left.reset(self.now_ms);
         self.right.reset(self.now_ms);
         self.right_rested = false;
@@ -431,9 +430,9 @@ impl Safety {
         self.enter(State::Armed, actions);
     }
 
-    /// Halts if armed, and goes to `next` unless the operator's stop holds.
+    /// Halts if armed, and enters `next` unless the operator has stopped the robot.
     fn leave_armed(&mut self, next: State, reason: HaltReason, actions: &mut Vec<Action>) {
-        // Whatever was neutral before the disturbance must be so again after it.
+        // Hands that were neutral before the disturbance must be neutral again after it.
         self.left.reset(self.now_ms);
         self.right.reset(self.now_ms);
         self.right_rested = false;
@@ -441,7 +440,7 @@ impl Safety {
             actions.push(Action::Halt(reason));
         }
         if self.state != State::Stopped && self.state != next {
-            // A restart of one hand does not end the wait for another that is silent.
+            // If one hand restarts, the machine still waits for another silent hand.
             let next = if self.connected_hands_live() { next } else { State::Stale };
             if self.state != next {
                 self.enter(next, actions);
@@ -467,7 +466,7 @@ impl Safety {
         if connected().next().is_none() {
             return;
         }
-        // Together: what counts is the time during which all of them were neutral.
+        // Only the time counts during which all hands were neutral together.
         let all: Option<Vec<Neutral>> = connected().map(|watch| watch.neutral).collect();
         let together = all.and_then(|all| {
             all.into_iter().reduce(|a, b| Neutral {

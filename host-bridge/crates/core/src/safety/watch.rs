@@ -1,4 +1,4 @@
-//! What is known of one hand: whether it is there, and since when it is neutral.
+//! The state of one hand: its connection, and how long it has been neutral.
 
 use super::NEUTRAL_SAMPLES;
 
@@ -7,25 +7,25 @@ pub(super) struct Watch {
     pub(super) awaited: bool,
     pub(super) connected: bool,
     pub(super) live: bool,
-    /// Host time of the newest valid sample, at the earliest.
+    /// Earliest possible time of the newest valid sample on the host's clock.
     pub(super) sample_ms: u64,
-    /// Samples taken before this time do not count as neutral: something happened then that resets it.
+    /// Samples before this time do not count as neutral, because of an event that resets neutral.
     pub(super) reset_ms: u64,
     pub(super) neutral: Option<Neutral>,
 }
 
-/// Neutral samples in a row.
+/// A sequence of consecutive neutral samples.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Neutral {
-    /// Host time of the first one, at the latest.
+    /// Latest possible time of the first sample on the host's clock.
     pub(super) first_ms: u64,
-    /// Host time of the newest one, at the earliest.
+    /// Earliest possible time of the newest sample on the host's clock.
     pub(super) newest_ms: u64,
     pub(super) samples: u32,
 }
 
 impl Neutral {
-    /// Has neutral been held for `long_ms` at `time_ms`, as far as samples show?
+    /// Returns whether the samples prove neutral for `long_ms` at `time_ms`.
     pub(super) fn held(&self, long_ms: u64, time_ms: u64) -> bool {
         self.samples >= NEUTRAL_SAMPLES
             && self.newest_ms.min(time_ms).saturating_sub(self.first_ms) >= long_ms
@@ -38,7 +38,7 @@ impl Watch {
         self.reset(now_ms);
     }
 
-    /// What was neutral before now must be neutral again.
+    /// Resets neutral, which counts only from now on.
     pub(super) fn reset(&mut self, now_ms: u64) {
         self.reset_ms = now_ms;
         self.neutral = None;
@@ -47,7 +47,7 @@ impl Watch {
     pub(super) fn refresh(&mut self, age_ms: u64, neutral: bool, now_ms: u64) {
         let sample_ms = now_ms.saturating_sub(age_ms);
         self.live = true;
-        // Ages jitter, but the time of a hand's samples never runs back.
+        // Ages jitter, but the time of a hand's samples never decreases.
         self.sample_ms = self.sample_ms.max(sample_ms);
         if !neutral {
             self.neutral = None;

@@ -1,10 +1,10 @@
-//! A door without a robot behind it, and frames of a left board.
+//! A door without a robot, and frames of a left board.
 
 use host_robot::{Door, JOINTS, Joints, MotionName, NotStarted, Picture, Pose, Report, RobotSetting, Twist};
 use shared_proto::frame::{BOARD_FRAME_MAX, encode_board};
 use shared_proto::message::{Board, BoardMessage, Hello, PROTOCOL_MAJOR, PROTOCOL_MINOR, Text};
 
-/// Takes every command and keeps the last speed; the bridge asks for nothing else.
+/// Accepts every command and stores the last speed, which is all that the bridge needs.
 #[derive(Default)]
 pub struct NoRobot {
     pub twist: Twist,

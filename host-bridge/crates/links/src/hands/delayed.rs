@@ -1,9 +1,9 @@
-//! A recording that begins later than the session.
+//! A recording that starts later than the session.
 
 use super::Board;
 use host_core::observe::Sample;
 
-/// A board that is switched on a number of milliseconds after the session has begun.
+/// A board that is switched on some milliseconds after the start of the session.
 pub struct Delayed<B> {
     board: B,
     by_ms: u64,
@@ -11,7 +11,7 @@ pub struct Delayed<B> {
 }
 
 impl<B: Board> Delayed<B> {
-    /// A board that is switched on `by_ms` after the beginning; 0 = at once.
+    /// Creates a board that is switched on after `by_ms`; 0 means immediately.
     pub fn new(board: B, by_ms: u64) -> Self {
         Delayed { board, by_ms, on: false }
     }
@@ -26,7 +26,7 @@ impl<B: Board> Board for Delayed<B> {
     }
 
     fn receive(&mut self, bytes: &[u8], now_ms: u64, wire: &mut Vec<u8>) {
-        // What is sent before that is lost, as on a line without a board.
+        // Earlier messages are lost, as on a line without a board.
         if self.on && now_ms >= self.by_ms {
             self.board.receive(bytes, now_ms - self.by_ms, wire);
         }
@@ -45,7 +45,7 @@ impl<B: Board> Board for Delayed<B> {
 mod tests {
     use super::*;
 
-    /// A hand that sends its own time in each step.
+    /// A hand that sends the current time in each step.
     struct Clock(u64);
 
     impl Board for Clock {

@@ -1,4 +1,4 @@
-//! The left hand from a recording of its converter.
+//! Plays a left hand from a recording of its converter.
 
 use host_core::observe::Sample;
 use shared_board::Identity;
@@ -14,27 +14,27 @@ use super::Board;
 use super::virtual_board::{PERIOD_MS, VirtualLeft};
 use models::adc::AdcRecording;
 
-/// A sample up to this late still belongs to its period; a later one belongs to none.
+/// A sample that is late by up to this time belongs to its period; a later one belongs to no period.
 const JITTER_MS: u64 = PERIOD_MS / 2;
-/// From the start of one calibration step to the next: 64 samples, and an EEPROM's time to keep them.
+/// Time between the starts of two calibration steps: 64 samples, and the time for the EEPROM to store them.
 const STEP_MS: u64 = 900;
 
-/// Plays a recording as the Nano would: each sample begins a period of the board's clock.
+/// Plays a recording like a Nano, where each sample begins a period of the board's clock.
 #[derive(Clone, Debug)]
 pub struct LeftBoard {
     recording: AdcRecording,
     next: usize,
     board: VirtualLeft,
-    /// When the next period begins if no sample comes.
+    /// Start of the next period if no sample arrives.
     period_ms: u64,
-    /// Calibration steps still to be asked for, with their times, the next one last.
+    /// Remaining calibration steps with their times, the next one last.
     steps: Vec<(u64, CalibrationStep)>,
-    /// Samples before this one were taken before the last step.
+    /// Samples with a lower index were taken before the last step.
     before: usize,
 }
 
 impl LeftBoard {
-    /// A board that starts at time 0; `calibration` is what its EEPROM holds.
+    /// Creates a board that starts at time 0 with `calibration` in its EEPROM.
     pub fn new(recording: AdcRecording, calibration: Option<Calibration>, boot_id: u32) -> Self {
         let memory = calibration.map_or_else(RamEeprom::blank, |kept| RamEeprom::with(&kept));
         let identity = Identity {
@@ -53,15 +53,15 @@ impl LeftBoard {
         }
     }
 
-    /// Takes neutral and rest from the first 1.6 s, as if the wearer had asked for it: the hand level and
-    /// still, the fingers straight. If it is not, the calibration stays what it was.
+    /// Takes neutral and rest from the first 1.6 s, as if the wearer had requested this.
+    /// The hand must be level and still with straight fingers; otherwise, the calibration does not change.
     #[must_use]
     pub fn calibrated_at_start(mut self) -> Self {
         self.steps = vec![(STEP_MS, CalibrationStep::Rest), (0, CalibrationStep::Neutral)];
         self
     }
 
-    /// Sends the board the request that is due, as a frame.
+    /// Sends the pending request to the board as a frame.
     fn calibrate(&mut self, now_ms: u64, wire: &mut Vec<u8>) {
         while let Some((_, step)) = self.steps.pop_if(|(at_ms, _)| *at_ms <= now_ms) {
             let message = HostMessage::Calibrate { request: self.steps.len() as u16, step };
@@ -73,7 +73,7 @@ impl LeftBoard {
     }
 }
 
-/// What [`LeftBoard::calibrated_at_start`] does not accept in a recording, and why, in words.
+/// Explains why [`LeftBoard::calibrated_at_start`] refuses a recording.
 pub fn refused_at_start(recording: &AdcRecording) -> Vec<String> {
     let mut hand = LeftHand::new(None, TiltThresholds::DEFAULT, 0);
     let mut refused = Vec::new();
@@ -156,7 +156,7 @@ mod tests {
     use shared_proto::frame::{BOARD_FRAME_MAX, Decoder};
     use shared_proto::message::{BoardMessage, LeftState, health};
 
-    /// A level hand with straight fingers, whose readings always change in the last bit.
+    /// A level hand with straight fingers, whose readings change in the last bit.
     fn still(times_ms: impl Iterator<Item = u64>) -> AdcRecording {
         let samples = times_ms
             .enumerate()
@@ -164,7 +164,7 @@ mod tests {
         AdcRecording { samples: samples.collect() }
     }
 
-    /// Plays to the end; all states.
+    /// Plays to the end and returns all states.
     fn play(mut board: LeftBoard) -> Vec<LeftState> {
         let mut wire = Vec::new();
         for now_ms in 0.. {
@@ -185,7 +185,7 @@ mod tests {
     fn samples_that_come_a_little_early_or_late_are_all_taken() {
         let jitter = |n: u64| [0, 3, 5, 1][n as usize % 4];
         let states = play(LeftBoard::new(still((0..200).map(|n| 10 * n + jitter(n))), None, 1));
-        // Every second sample, and the first neutral at once.
+        // There is a state for every second sample, and an immediate one for the first neutral.
         assert!((100..=101).contains(&states.len()), "{}", states.len());
         assert!(states.iter().all(|s| s.health == health::DEFAULT_CALIBRATION));
     }
@@ -198,7 +198,7 @@ mod tests {
             among.all(|s| s.health & health::STUCK != 0)
         };
         assert!(!stuck(0, 1000) && stuck(1100, 1500) && !stuck(1800, 2000), "{states:?}");
-        // A period is over before its sample is missed.
+        // A sample counts as missing only after its period.
         assert!(
             states.windows(2).all(|w| w[1].board_time_ms - w[0].board_time_ms <= 30),
             "it goes on talking"
@@ -234,7 +234,7 @@ mod tests {
         );
         let short = refused_at_start(&still((0..100).map(|n| 10 * n)));
         assert!(short.len() == 1 && short[0].contains("the recording is too short"), "{short:?}");
-        // The board agrees: with a calibration of its own its states carry no warning.
+        // The board agrees: with its own calibration, its states have no warning.
         let flags = |recording: AdcRecording| {
             play(LeftBoard::new(recording, None, 1).calibrated_at_start()).last().unwrap().health
         };

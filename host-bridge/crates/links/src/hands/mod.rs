@@ -1,4 +1,4 @@
-//! Recordings that behave like boards: raw samples in, frames out, through the very code that boards run.
+//! Plays recordings as boards: raw samples in, frames out, through the same code that boards run.
 
 mod delayed;
 mod left;
@@ -13,19 +13,19 @@ pub use wired::Wired;
 
 use host_core::observe::Sample;
 
-/// A board in virtual time: on the wire it looks like a real one. Its clock starts with the session.
+/// A board in virtual time that behaves like a real one on the wire. Its clock starts with the session.
 pub trait Board {
-    /// Lets the time become `now_ms`; the bytes sent meanwhile are appended to `wire`.
+    /// Advances the time to `now_ms`, and appends the sent bytes to `wire`.
     fn step(&mut self, now_ms: u64, wire: &mut Vec<u8>);
 
-    /// Takes bytes from the laptop; answers are appended to `wire`.
+    /// Processes bytes from the laptop, and appends answers to `wire`.
     fn receive(&mut self, bytes: &[u8], now_ms: u64, wire: &mut Vec<u8>);
 
-    /// The reading of its sensors that it took in the last step, if any, for observers.
+    /// Returns the sensor sample of the last step for observers, if there was one.
     fn sample(&self) -> Option<Sample<'_>> {
         None
     }
 
-    /// The recording is over: the board is silent from now on.
+    /// Returns whether the recording has ended. The board is silent from then on.
     fn ended(&self) -> bool;
 }

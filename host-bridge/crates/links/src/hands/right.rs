@@ -1,4 +1,4 @@
-//! The right hand from recordings of its IMU.
+//! Plays a right hand from recordings of its IMU.
 
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -18,7 +18,7 @@ use super::Board;
 use super::virtual_board::{PERIOD_MS, VirtualRight, no_store};
 use host_core::observe::Sample;
 
-/// What one count stands for in record mode, in m/s², deg/s and µT: that of the right board's sensor.
+/// The value of one count in record mode in m/s², deg/s and µT, as for the right board's sensor.
 const COUNT: [f32; 3] = [0.000_732 * 9.806_65, 0.07, 0.014];
 
 const BUNDLED: &[u8] = include_bytes!("../../../../../models/bundled/right-aligned.tflite");
@@ -31,10 +31,10 @@ pub struct ModelFile {
     card: Card,
 }
 
-/// Why a model or the recordings for it cannot be used; the text says what to do.
+/// The reason why a model or its recordings cannot be used, with a remedy in the text.
 #[derive(Debug, thiserror::Error)]
 pub enum ModelFileError {
-    /// Model or card cannot be read, or they do not belong together.
+    /// Model or card cannot be read, or they do not match.
     #[error(transparent)]
     Model(#[from] models::blob::ModelError),
     /// This program cannot run the model.
@@ -45,7 +45,7 @@ pub enum ModelFileError {
         /// Why.
         source: ModelMismatch,
     },
-    /// The blob is not whole.
+    /// The blob is not complete.
     #[error("{name}: {problem}")]
     Damaged {
         /// The model.
@@ -53,7 +53,7 @@ pub enum ModelFileError {
         /// Why.
         problem: String,
     },
-    /// The labels do not fit into the frame that carries them.
+    /// The labels do not fit in their frame.
     #[error(
         "{name}: its labels are {length} bytes long with their commas, the wire takes {LABELS_MAX}; shorten them"
     )]
@@ -66,7 +66,7 @@ pub enum ModelFileError {
     /// A recording cannot be used.
     #[error(transparent)]
     Recording(#[from] RecordingError),
-    /// A recording has fewer axes than the model.
+    /// A recording has fewer axes than the model needs.
     #[error(
         "{file}, line 1, column {column}: the recording has {recording} axes, the model needs {model}; \
          give a model of {recording} axes with --model, or a recording of {model} axes"
@@ -74,7 +74,7 @@ pub enum ModelFileError {
     Axes {
         /// The recording.
         file: PathBuf,
-        /// First column that is missing, from 1.
+        /// The first missing column, counted from 1.
         column: usize,
         /// Axes of the recording.
         recording: usize,
@@ -84,19 +84,19 @@ pub enum ModelFileError {
 }
 
 impl ModelFile {
-    /// Reads an int8 `.tflite` and the card beside it.
+    /// Reads an int8 `.tflite` file and its card.
     ///
     /// # Errors
-    /// [`ModelFileError`] if they are missing or damaged, or do not belong together.
+    /// [`ModelFileError`] if they are missing or damaged, or do not match.
     pub fn read(file: &Path) -> Result<Self, ModelFileError> {
         let (blob, card) = models::blob::read(file)?;
         Ok(ModelFile { blob, card })
     }
 
-    /// The bundled model: 9 axes, the paper's labels and `other`, trained on simulated wearers only.
+    /// Returns the bundled model: 9 axes, the paper's labels and `other`, trained on simulated wearers only.
     ///
     /// # Errors
-    /// [`ModelFileError`] if the files that were compiled in do not belong together.
+    /// [`ModelFileError`] if the compiled-in files do not match.
     pub fn bundled() -> Result<Self, ModelFileError> {
         let name = Path::new("right-aligned.tflite");
         let card = Card::parse(Path::new("right-aligned.card.json"), BUNDLED_CARD)
@@ -108,7 +108,7 @@ impl ModelFile {
         }
     }
 
-    /// What boards run, checked against its card.
+    /// Returns the blob that boards run, which was checked against its card.
     pub fn blob(&self) -> &[u8] {
         &self.blob
     }
@@ -118,7 +118,7 @@ impl ModelFile {
         self.card.axes
     }
 
-    /// Axes of the model, and how many of them a recording must have.
+    /// Returns the axes of the model, and the number of axes that a recording must have.
     pub fn axes_of_recordings(&self) -> (usize, usize) {
         (self.card.axes, self.card.axes_needed())
     }
@@ -128,12 +128,12 @@ impl ModelFile {
         &self.card.labels
     }
 
-    /// What the model is called.
+    /// Returns the name of the model.
     pub fn name(&self) -> &str {
         &self.card.name
     }
 
-    /// What the model was trained on, in words; simulated data says so here.
+    /// Returns a description of the training data. It mentions simulated data.
     pub fn about(&self) -> &str {
         &self.card.about
     }
@@ -146,14 +146,14 @@ impl ModelFile {
     }
 }
 
-/// Reads recordings, brings each to 100 Hz, and joins them into one of `axes` axes without a pause; its notes are
-/// those of the recordings, its first time is the first one's.
+/// Reads recordings, converts each to 100 Hz, and joins them without pauses into one recording of `axes` axes.
+/// The notes are those of all recordings, and the start time is that of the first one.
 ///
-/// Of recordings with more axes than `axes`, the first ones are used, as in `models eval`; `needed` of them must be
-/// there, and what is not is 0.
+/// If a recording has more than `axes` axes, the first ones are used, as in `models eval`.
+/// At least `needed` axes must exist, and missing ones are 0.
 ///
 /// # Errors
-/// [`ModelFileError`] if one cannot be read, or has fewer axes than needed. All are checked first.
+/// [`ModelFileError`] if a recording cannot be read or has too few axes. All recordings are checked first.
 pub fn join(
     files: &[PathBuf],
     (axes, needed): (usize, usize),
@@ -203,12 +203,12 @@ pub fn join(
     })
 }
 
-/// A pause of this many intervals, and of this length, is a sensor that delivers nothing. A few samples lost by a radio are
-/// bridged.
+/// A pause of at least this many intervals and this duration means that the sensor delivers nothing.
+/// Shorter pauses, such as a few samples lost by a radio, are bridged.
 const SILENT_INTERVALS: f64 = 3.0;
 const SILENT_MS: f64 = 50.0;
 
-/// The samples that lie in pauses of a recording, counted at 100 Hz and behind `before` others.
+/// Returns the samples in pauses of a recording, counted at 100 Hz after `before` other samples.
 fn silences_of(recording: &Recording, before: usize) -> Vec<Range<usize>> {
     let times = recording.time_ms();
     let mut steps: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
@@ -222,14 +222,14 @@ fn silences_of(recording: &Recording, before: usize) -> Vec<Range<usize>> {
     pauses.filter(|slots| !slots.is_empty()).collect()
 }
 
-/// Recordings, one after the other.
+/// Several recordings joined into one.
 #[derive(Clone, Debug)]
 pub struct Joined {
     /// At 100 Hz, from time 0.
     pub recording: Recording,
-    /// Samples that do not exist: the sensor delivered nothing there.
+    /// Ranges of samples that do not exist because the sensor delivered nothing.
     pub silences: Vec<Range<usize>>,
-    /// What was guessed, repaired or left out while they were read.
+    /// Notes about everything that was inferred, repaired or omitted while reading.
     pub notes: Vec<String>,
     /// The first time in the first file, in ms.
     pub start_ms: f64,
@@ -237,9 +237,9 @@ pub struct Joined {
 
 /// The board's code for any number of axes.
 trait AnyAxes: Send {
-    /// The sample of `time_ms`; it has the axes of the model.
+    /// Processes the sample of `time_ms`, which has the axes of the model.
     fn sample(&mut self, values: &[f32], time_ms: u64, wire: &mut Vec<u8>);
-    /// There is no sample of this time.
+    /// Reports that there is no sample at this time.
     fn nothing(&mut self);
     fn receive(&mut self, bytes: &[u8], now_ms: u64, wire: &mut Vec<u8>);
 }
@@ -260,19 +260,19 @@ impl<const A: usize> AnyAxes for VirtualRight<ValueHand<'_, A>> {
     }
 }
 
-/// Plays a recording as the Nano 33 BLE Sense would.
+/// Plays a recording like the Nano 33 BLE Sense.
 pub struct RightBoard<'m> {
     recording: Recording,
     /// Samples that do not exist, in order.
     silences: Vec<Range<usize>>,
     next: usize,
     board: Box<dyn AnyAxes + 'm>,
-    /// Samples before this one were taken before the last step.
+    /// Samples with a lower index were taken before the last step.
     before: usize,
 }
 
 impl<'m> RightBoard<'m> {
-    /// A board that starts at time 0 with a recording at 100 Hz.
+    /// Creates a board that starts at time 0 with a recording at 100 Hz.
     ///
     /// # Errors
     /// [`ModelFileError`] if the model cannot run here or the recording has other axes.
@@ -304,7 +304,7 @@ impl<'m> RightBoard<'m> {
 }
 
 impl RightBoard<'_> {
-    /// The sensor delivers nothing in these samples: no state comes from them.
+    /// Makes the sensor deliver nothing in these samples, so that they cause no state.
     #[must_use]
     pub fn silent_in(self, silences: Vec<Range<usize>>) -> Self {
         RightBoard { silences, ..self }
@@ -370,7 +370,7 @@ mod tests {
         assert_eq!(joined.axes(), 3);
         assert!(joined.samples().all(|sample| sample == [1.0, 2.0, 3.0]));
         assert_eq!(joined.len(), 4);
-        // A model that reads no magnetometer takes recordings that have none.
+        // A model that reads no magnetometer accepts recordings without one.
         let six = folder.path().join("six.csv");
         std::fs::write(&six, "time,ax,ay,az,gx,gy,gz\n5000,1,2,9,4,5,6\n5010,1,2,9,4,5,6\n").unwrap();
         let joined = join(std::slice::from_ref(&six), (9, 6), &Reading::default()).unwrap();
@@ -381,7 +381,7 @@ mod tests {
         assert!(join(&[six], (9, 9), &Reading::default()).is_err());
     }
 
-    /// A still hand of nine axes at 100 Hz, at these times.
+    /// Writes a recording of a still hand with nine axes at these times.
     fn still(folder: &Path, times: impl Iterator<Item = u32>) -> PathBuf {
         let file = folder.join("still.csv");
         let rows = times.map(|t| format!("{t},0.01,0.02,9.8,0.1,0.2,0.3,20,1,40\n"));
@@ -395,7 +395,7 @@ mod tests {
         use shared_proto::frame::{BOARD_FRAME_MAX, Decoder};
         use shared_proto::message::{BoardMessage, health};
         let folder = tempfile::tempdir().unwrap();
-        // Three samples lost by a radio at 1 s, a hole of 60 s at 3 s.
+        // A radio loses three samples at 1 s, and there is a gap of 60 s at 3 s.
         let times =
             (0..600).filter(|n| !(100..103).contains(n)).map(|n| n * 10 + if n < 300 { 0 } else { 60_000 });
         let file = still(folder.path(), times);
@@ -424,7 +424,7 @@ mod tests {
         let within = |from: u64, to: u64| states.iter().filter(move |(at, _)| (from..to).contains(at));
         assert_eq!(within(3_000, 63_000).count(), 0, "silence");
         assert!(within(2_000, 3_000).all(|(_, gap)| !gap) && within(900, 1_500).count() > 5, "bridged");
-        // Two seconds of samples make a window; until then nothing acts on the hand.
+        // A window needs two seconds of samples, and until then the hand has no effect.
         assert!(within(63_000, 64_900).all(|(_, gap)| *gap) && within(63_000, 64_900).count() > 20);
         assert!(within(65_100, 66_000).all(|(_, gap)| !gap));
     }

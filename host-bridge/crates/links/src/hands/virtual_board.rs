@@ -1,4 +1,4 @@
-//! The boards' own code ([`shared_board`]) in virtual time, for samples from anywhere: recordings, keys, tests.
+//! The boards' own code ([`shared_board`]) in virtual time, for samples from recordings, keys and tests.
 
 use shared_board::hand::Hand;
 use shared_board::left::{LeftBoard, Start};
@@ -14,7 +14,7 @@ use shared_proto::message::Status;
 /// Time between two samples of either board.
 pub const PERIOD_MS: u64 = 10;
 
-/// A board's outgoing line: frames are appended to a wire that always has room.
+/// Returns a board's outgoing line, which appends frames to a wire that always has room.
 pub fn onto(wire: &mut Vec<u8>) -> impl FnMut(&[u8]) -> bool {
     |frame| {
         wire.extend_from_slice(frame);
@@ -22,23 +22,23 @@ pub fn onto(wire: &mut Vec<u8>) -> impl FnMut(&[u8]) -> bool {
     }
 }
 
-/// A left board. Its times are those of the session, of which the board sees the low 32 bits.
+/// A left board. Its times are those of the session; the board uses the low 32 bits.
 #[derive(Clone, Debug)]
 pub struct VirtualLeft {
     board: LeftBoard<RamEeprom>,
-    /// What it sent as it started.
+    /// The bytes that the board sent at its start.
     begun: Vec<u8>,
 }
 
 impl VirtualLeft {
-    /// A board that starts now with what its EEPROM holds.
+    /// Creates a board that starts now with this EEPROM.
     pub fn start(identity: Identity, memory: RamEeprom) -> Self {
         let mut begun = Vec::new();
         let board = LeftBoard::start(identity, memory, Start::default(), &mut onto(&mut begun));
         VirtualLeft { board, begun }
     }
 
-    /// A period begins at `time_ms`, and brings a sample or none.
+    /// Begins a period at `time_ms`, with or without a sample.
     pub fn period(&mut self, counts: Option<AdcCounts>, time_ms: u64, wire: &mut Vec<u8>) {
         wire.append(&mut self.begun);
         let now_ms = time_ms as u32;
@@ -63,7 +63,7 @@ impl VirtualLeft {
         self.board.calibration()
     }
 
-    /// The EEPROM, for the board's next start.
+    /// Returns the EEPROM, for the board's next start.
     pub fn into_memory(self) -> RamEeprom {
         self.board.into_memory()
     }
@@ -79,7 +79,7 @@ pub struct VirtualRight<H> {
 }
 
 impl<H: Hand> VirtualRight<H> {
-    /// A board that starts now, whose sensor delivers.
+    /// Creates a board that starts now and whose sensor works.
     pub fn start(identity: Identity, hand: H) -> Self {
         let mut board = RightBoard::new(identity, hand);
         board.set_sensor_ok(true);
@@ -99,13 +99,13 @@ impl<H: Hand> VirtualRight<H> {
         }
     }
 
-    /// The sensor delivers nothing for this sample: the window starts over, and no state is sent.
+    /// Reports that the sensor has no sample: the window starts again, and no state is sent.
     pub fn nothing(&mut self) {
         self.board.gap();
         self.number = self.number.wrapping_add(1);
     }
 
-    /// Takes bytes from the laptop; `store` answers what is about models.
+    /// Processes bytes from the laptop; `store` answers messages about models.
     pub fn receive(
         &mut self,
         bytes: &[u8],
@@ -124,7 +124,7 @@ impl<H: Hand> VirtualRight<H> {
     }
 }
 
-/// For a board that stores no models.
+/// Answers messages about models for a board that stores none.
 pub fn no_store(request: &ModelRequest<'_>, wire: &mut Vec<u8>) {
     request.refuse(&mut onto(wire));
 }

@@ -6,7 +6,7 @@ use host_core::source::HandSource;
 use super::Board;
 use crate::wire::{Pipe, SERIAL_115200};
 
-/// Both directions of the line, and the board at its end.
+/// A board with both directions of its line.
 pub struct Wired<B> {
     board: B,
     up: Pipe,

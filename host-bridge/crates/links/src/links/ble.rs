@@ -1,12 +1,12 @@
-//! The right hand over Bluetooth Low Energy: found by its service, connected, and found again by itself.
+//! Connects to the right hand over Bluetooth Low Energy: finds it by its service and reconnects automatically.
 //!
-//! Everything about the system's Bluetooth is btleplug's (on Linux: BlueZ by way of D-Bus). Frames are a
-//! byte stream: notifications from the board, writes to it. Writes are confirmed ones: a board that wants a
-//! bonded link refuses the first.
+//! btleplug handles the system's Bluetooth (on Linux, BlueZ over D-Bus).
+//! Frames form a byte stream: notifications from the board, and writes to it.
+//! Writes are confirmed, and a board that requires a bonded link refuses the first one.
 //!
-//! Only a board that is bonded with this machine is connected: the system encrypts its link before a byte passes, so
-//! that nobody who merely advertises, however loud, stands for it. Without that (`allow_unbonded`) whoever is in reach
-//! can take a board's place; what such a session may not do is decided above (`Config::restriction`).
+//! Only boards that are bonded with this machine are connected. The system encrypts the link before the first byte.
+//! A device that merely advertises therefore cannot impersonate a board.
+//! With `allow_unbonded`, any device in range could do so; `Config::restriction` then limits the session.
 
 use std::cell::Cell;
 use std::future::Future;
@@ -25,38 +25,38 @@ use uuid::Uuid;
 
 use super::{Clock, EventSender, LinkEvent, News, PortAbout};
 
-/// The board's service, as in `firmware-nano33/src/ble.rs`.
+/// The board's service, as defined in `firmware-nano33/src/ble.rs`.
 pub const SERVICE: Uuid = Uuid::from_u128(0xb1a4_0001_6d61_4e75_a1b2_5c3d_9e7f_0a33);
 /// Frames from the board (notify).
 pub const FROM_BOARD: Uuid = Uuid::from_u128(0xb1a4_0002_6d61_4e75_a1b2_5c3d_9e7f_0a33);
 /// Frames to the board (write).
 pub const TO_BOARD: Uuid = Uuid::from_u128(0xb1a4_0003_6d61_4e75_a1b2_5c3d_9e7f_0a33);
 
-/// First pause before a board is looked for again; doubled each time, up to the last.
+/// First delay before a new search for a board; it doubles each time, up to the maximum.
 const FIRST_PAUSE: Duration = Duration::from_millis(100);
 const LAST_PAUSE: Duration = Duration::from_millis(500);
 /// How long one search for the board lasts.
 const SEARCH: Duration = Duration::from_secs(10);
-/// How long connecting and finding the service may take.
+/// Maximum time for connecting and finding the service.
 const CONNECT: Duration = Duration::from_secs(15);
-/// How long disconnecting may take.
+/// Maximum time for disconnecting.
 const FAREWELL: Duration = Duration::from_secs(1);
-/// What has been found is looked at this often, and whether the board is still there.
+/// Interval for checking search results and the presence of the board.
 const LOOK: Duration = Duration::from_millis(200);
-/// This many searches for a bonded board come before one that is not bonded is reported.
+/// Number of searches for a bonded board before an unbonded one is reported.
 const LOOKS_FOR_BONDED: u32 = 5;
-/// How often the thread looks whether it should end.
+/// Interval at which the thread checks whether it should end.
 const END: Duration = Duration::from_millis(50);
-/// Frames that may wait to be sent; a slower link loses some.
+/// Maximum number of frames that wait to be sent; a slower link loses some.
 const QUEUE: usize = 8;
-/// Header bytes of a write, and the minimum that every link carries.
+/// Header bytes of a write, and the minimum size that every link supports.
 const HEADER: u16 = 3;
 const LEAST_PAYLOAD: u16 = 20;
 
-/// Where frames go while the board is connected.
+/// Destination of frames while the board is connected.
 type Outgoing = Arc<Mutex<Option<mpsc::Sender<Vec<u8>>>>>;
 
-/// A board behind Bluetooth with its thread; dropping it disconnects.
+/// A board behind Bluetooth with its thread. Dropping it disconnects the board.
 pub struct BleLink {
     port: String,
     outgoing: Outgoing,
@@ -65,8 +65,9 @@ pub struct BleLink {
 }
 
 impl BleLink {
-    /// Starts the thread. Everything that it reports goes to `events`, marked with `link`. `port` is `ble` for the
-    /// nearest board, or `ble:` with a name or an address; it must be bonded unless `allow_unbonded`.
+    /// Starts the thread, which reports everything to `events`, marked with `link`.
+    /// `port` is `ble` for the nearest board, or `ble:` with a name or an address.
+    /// The board must be bonded unless `allow_unbonded` is set.
     pub fn start<I: Copy + Send + 'static>(
         link: I,
         port: &str,
@@ -95,12 +96,12 @@ impl BleLink {
         &self.port
     }
 
-    /// May frames be sent now?
+    /// Returns whether frames can be sent now.
     pub fn is_ready(&self) -> bool {
         lock(&self.outgoing).is_some()
     }
 
-    /// Sends one frame; false when it is not on its way. Nothing is kept for later: late is dropped.
+    /// Sends one frame. Returns false if it cannot be sent now; nothing is queued for later.
     pub fn send(&self, frame: &[u8]) -> bool {
         lock(&self.outgoing).as_ref().is_some_and(|outgoing| outgoing.try_send(frame.to_vec()).is_ok())
     }
@@ -115,15 +116,15 @@ impl Drop for BleLink {
     }
 }
 
-/// A panic elsewhere does not make a link unusable.
+/// A panic in another thread must not make a link unusable.
 fn lock<T>(what: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
     what.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Boards that advertise now, as `ble:NAME`; the search takes this long.
+/// Searches for boards that advertise now, for the given time. Returns them as `ble:NAME`.
 ///
 /// # Errors
-/// Why there is no Bluetooth here, and what to do.
+/// The reason why Bluetooth is not available, with a remedy.
 pub fn ble_devices(patience: Duration) -> Result<Vec<PortAbout>, String> {
     runtime()?.block_on(async {
         let (_session, adapter) = adapter().await?;
@@ -144,7 +145,7 @@ pub fn ble_devices(patience: Duration) -> Result<Vec<PortAbout>, String> {
     })
 }
 
-/// A new runtime for each attempt: its end also ends what the session with the system has left running.
+/// Creates a runtime for one attempt, whose end also ends all background tasks of the session.
 fn runtime() -> Result<tokio::runtime::Runtime, String> {
     let built = tokio::runtime::Builder::new_current_thread().enable_all().build();
     built.map_err(|error| format!("Bluetooth: {error}; try again"))
@@ -202,16 +203,16 @@ impl<I: Copy> Radio<I> {
     }
 
     fn tell(&self, news: News) {
-        // If nobody listens any more, the program is about to end.
+        // If nobody receives events any more, the program is about to end.
         self.events.send(LinkEvent { link: self.link, at_ms: self.clock.now_ms(), news });
     }
 
-    /// One connection from search to end; returns why it ended.
+    /// Runs one connection from search to end, and returns the reason for its end.
     async fn attempt(&self, was_open: &Cell<bool>) -> String {
         let over = async {
             let why = self.over().await;
             if was_open.get() {
-                // A connection that ends disconnects first; it has seen the end, too.
+                // Waits so that the connection can detect its end and disconnect first.
                 tokio::time::sleep(FAREWELL * 2).await;
             }
             why
@@ -254,7 +255,7 @@ impl<I: Copy> Radio<I> {
         Ok(why)
     }
 
-    /// The wanted board, once it is near.
+    /// Finds the requested board as soon as it is in range.
     async fn find(&self, adapter: &Adapter) -> Result<Seen, String> {
         scan(adapter).await?;
         let bonds = Bonds::open().await?;
@@ -305,7 +306,7 @@ async fn within<T>(patience: Duration, what: impl Future<Output = T>) -> Option<
     tokio::time::timeout(patience, what).await.ok()
 }
 
-/// Writes what is to be sent; returns why it cannot go on, if the link itself is still up.
+/// Writes outgoing frames. Returns the reason for a failure if the link itself is still connected.
 async fn write(
     board: &Peripheral,
     to: &Characteristic,
@@ -331,7 +332,7 @@ async fn write(
     None
 }
 
-/// Returns when the board or Bluetooth itself is gone.
+/// Waits until the board or Bluetooth itself has disappeared.
 async fn watch(adapter: &Adapter, board: &Peripheral) {
     loop {
         tokio::time::sleep(LOOK).await;
@@ -342,7 +343,7 @@ async fn watch(adapter: &Adapter, board: &Peripheral) {
     }
 }
 
-/// The two characteristics of a board that is connected now.
+/// Returns the two characteristics of a connected board.
 async fn connect(board: &Peripheral, name: &str) -> Result<(Characteristic, Characteristic), String> {
     board.connect().await.map_err(|error| trouble(&error))?;
     board.discover_services().await.map_err(|error| trouble(&error))?;
@@ -354,7 +355,7 @@ async fn connect(board: &Peripheral, name: &str) -> Result<(Characteristic, Char
     }
 }
 
-/// What helps if a board is in reach, but not bonded.
+/// Returns advice if a board is in range but not bonded.
 fn unbonded(Seen { name, address, .. }: &Seen) -> String {
     format!(
         "{name} (Bluetooth) is not paired with this machine, and anybody could advertise as it does: pair it once in the \
@@ -362,7 +363,7 @@ fn unbonded(Seen { name, address, .. }: &Seen) -> String {
     )
 }
 
-/// The boards that this machine is bonded with, as the system knows.
+/// The boards that this machine is bonded with, according to the system.
 #[cfg(target_os = "linux")]
 struct Bonds(bluez_async::BluetoothSession);
 
@@ -372,7 +373,7 @@ impl Bonds {
         let (events, session) = bluez_async::BluetoothSession::new()
             .await
             .map_err(|error| trouble(&btleplug::Error::Other(Box::new(error))))?;
-        // It ends when this attempt's runtime does.
+        // The task ends together with the runtime of this attempt.
         tokio::spawn(events);
         Ok(Bonds(session))
     }
@@ -388,7 +389,7 @@ impl Bonds {
     }
 }
 
-/// Other systems do not report it: no board counts as bonded.
+/// Other systems do not report bonds, so no board counts as bonded.
 #[cfg(not(target_os = "linux"))]
 struct Bonds;
 
@@ -426,11 +427,11 @@ async fn scan(adapter: &Adapter) -> Result<(), String> {
     adapter.start_scan(ScanFilter { services: vec![SERVICE] }).await.map_err(|error| trouble(&error))
 }
 
-/// Boards with our service that are present: the system also remembers absent ones.
+/// Returns boards with our service that are present, because the system also remembers absent ones.
 async fn candidates(adapter: &Adapter) -> Result<Vec<Seen>, String> {
     let mut found = Vec::new();
     for peripheral in adapter.peripherals().await.map_err(|error| trouble(&error))? {
-        // A board that vanishes while it is looked at is left out.
+        // A board that disappears in the meantime is ignored.
         let Ok(Some(about)) = peripheral.properties().await else { continue };
         let near = about.rssi.is_some() || peripheral.is_connected().await.unwrap_or(false);
         if near && about.services.contains(&SERVICE) {
@@ -442,7 +443,7 @@ async fn candidates(adapter: &Adapter) -> Result<Vec<Seen>, String> {
     Ok(found)
 }
 
-/// An adapter that is switched on. btleplug would switch one on itself; that is the user's to do.
+/// Returns an enabled adapter. btleplug could enable one itself, but this is the user's decision.
 async fn adapter() -> Result<(Manager, Adapter), String> {
     let manager = Manager::new().await.map_err(|error| trouble(&error))?;
     let adapters = manager.adapters().await.map_err(|error| trouble(&error))?;
@@ -466,7 +467,7 @@ fn off() -> String {
         .to_owned()
 }
 
-/// The system's refusal with what to do.
+/// Explains an error of the system with a remedy.
 fn trouble(error: &btleplug::Error) -> String {
     let text = error.to_string();
     let none =

@@ -1,8 +1,10 @@
-//! Time, and waiting for it.
+//! Clocks and timed waits.
 //!
-//! A thread waits for time to pass through its [`Waiter`] alone. In the released program
-//! that is the machine's clock and nothing more. With the feature `test-clock` (tests only) a test may hold the time:
-//! it goes on when every waiter waits, so that board, wire and program keep one time, however busy the machine is.
+//! A thread waits for time only through its [`Waiter`].
+//! In the released program, this uses the machine's clock.
+//! With the feature `test-clock` (tests only), a test can control the time.
+//! The time then advances only when all waiters wait, so that board,
+//! wire and program share it at any load of the machine.
 
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::Duration;
@@ -15,23 +17,24 @@ use std::sync::mpsc::TryRecvError;
 #[cfg(feature = "test-clock")]
 use super::test_clock::{Bell, Seat, TestClock};
 
-/// Milliseconds that never step back. Everything behind the links gets its time from here.
+/// A clock in milliseconds that never steps back. All code behind the links uses it.
 pub trait Clock: Send + Sync {
-    /// Milliseconds since some fixed moment.
+    /// Returns the milliseconds since some fixed moment.
     fn now_ms(&self) -> u64;
 
-    /// A thread's place on this clock. It is made before the thread starts and dropped with it.
+    /// Returns a waiter for one thread. Create it before the thread starts, and drop it with the thread.
     fn waiter(&self) -> Waiter;
 }
 
-/// The machine's time since it booted, from the moment at which this was made.
+/// The time since this clock was created, based on the machine's time since boot.
 ///
-/// `std::time::Instant` stands still on Linux while the machine is suspended: after an hour's sleep every
-/// hand would look as fresh as before it. This one goes on, so that a sleep is a silence like any other.
+/// On Linux, `std::time::Instant` stops while the machine is suspended.
+/// After an hour of sleep, every hand would then look as recent as before.
+/// This clock continues during suspend, so a sleeping laptop is noticed like any other silence.
 #[derive(Clone, Copy, Debug)]
 pub struct SystemClock {
     start_ms: u64,
-    /// The test's clock that is used instead, and what it showed at that moment.
+    /// The test's clock, if it is used instead, and its time at creation.
     #[cfg(feature = "test-clock")]
     test: Option<(&'static TestClock, u64)>,
 }
@@ -68,24 +71,24 @@ impl Clock for SystemClock {
 fn since_boot_ms() -> u64 {
     use rustix::time::{ClockId, clock_gettime};
 
-    // Elsewhere (macOS) the monotonic clock counts sleep itself.
+    // On other systems (macOS), the monotonic clock includes sleep.
     #[cfg(any(target_os = "linux", target_os = "android"))]
     let clock = ClockId::Boottime;
     #[cfg(not(any(target_os = "linux", target_os = "android")))]
     let clock = ClockId::Monotonic;
     let time = clock_gettime(clock);
-    // Neither is negative, nor does it reach the end of a u64.
+    // Neither value is negative or exceeds the range of a u64.
     time.tv_sec as u64 * 1000 + time.tv_nsec as u64 / 1_000_000
 }
 
-/// From the first call on. Windows' performance counter, which `std` reads, counts sleep.
+/// Counts from the first call. `std` uses Windows' performance counter, which includes sleep.
 #[cfg(not(unix))]
 fn since_boot_ms() -> u64 {
     static START: std::sync::OnceLock<std::time::Instant> = std::sync::OnceLock::new();
     u64::try_from(START.get_or_init(std::time::Instant::now).elapsed().as_millis()).unwrap_or(u64::MAX)
 }
 
-/// The place at which one thread waits for time to pass. While it exists and does not wait, its thread is at work.
+/// Lets one thread wait for time to pass. While it exists and does not wait, its thread counts as busy.
 #[derive(Debug)]
 pub struct Waiter {
     #[cfg(feature = "test-clock")]
@@ -93,10 +96,10 @@ pub struct Waiter {
 }
 
 impl Waiter {
-    /// The thread's work is done: it no longer holds back the time.
+    /// Reports that the thread has finished and no longer delays the time.
     pub fn leave(self) {}
 
-    /// Waits this long, or until [`Waker::wake`].
+    /// Waits this long, or until [`Waker::wake`] is called.
     pub fn sleep(&self, time: Duration) {
         #[cfg(feature = "test-clock")]
         if let Some(seat) = &self.seat {
@@ -105,7 +108,7 @@ impl Waiter {
         std::thread::sleep(time);
     }
 
-    /// Waits at most this long for what comes through a channel.
+    /// Waits for at most this long for data from a channel.
     ///
     /// # Errors
     /// As [`Receiver::recv_timeout`].
@@ -121,7 +124,7 @@ impl Waiter {
         channel.recv_timeout(patience)
     }
 
-    /// The same for what links report.
+    /// Like [`Self::receive`], for events of links.
     ///
     /// # Errors
     /// As [`EventReceiver::recv_timeout`].
@@ -140,7 +143,7 @@ impl Waiter {
         events.recv_timeout(patience)
     }
 
-    /// How long the operating system may keep this thread waiting for input; [`Waiter::pause`] follows if none came.
+    /// Returns the time for a blocking read of this thread. If no input arrives, call [`Waiter::pause`].
     pub fn patience(&self, usual: Duration) -> Duration {
         #[cfg(feature = "test-clock")]
         if self.seat.is_some() {
@@ -149,7 +152,7 @@ impl Waiter {
         usual
     }
 
-    /// The operating system was asked for input, and after [`Waiter::patience`] there was none.
+    /// Call this after a read of [`Waiter::patience`] without input.
     pub fn pause(&self) {
         #[cfg(feature = "test-clock")]
         if let Some(seat) = &self.seat {
@@ -157,7 +160,7 @@ impl Waiter {
         }
     }
 
-    /// Waits for something that is not time, such as a person: time goes on meanwhile.
+    /// Waits for something other than time, such as a person, while time continues.
     pub fn aside<T>(&self, wait: impl FnOnce() -> T) -> T {
         #[cfg(feature = "test-clock")]
         if let Some(seat) = &self.seat {
@@ -166,7 +169,7 @@ impl Waiter {
         wait()
     }
 
-    /// Returns what ends this thread's waits from elsewhere.
+    /// Returns a waker that ends this thread's waits from another thread.
     pub fn waker(&self) -> Waker {
         Waker {
             #[cfg(feature = "test-clock")]
@@ -175,8 +178,8 @@ impl Waiter {
     }
 }
 
-/// Ends a thread's waits under a test's clock, so that it can be joined while time stands still. On the machine's
-/// clock waits are short, and this does nothing.
+/// Ends a thread's waits under a test's clock, so that the thread can be joined while time stands still.
+/// With the machine's clock, waits are short, and this does nothing.
 #[derive(Clone, Debug)]
 pub struct Waker {
     #[cfg(feature = "test-clock")]
@@ -184,7 +187,7 @@ pub struct Waker {
 }
 
 impl Waker {
-    /// From now on the thread no longer waits.
+    /// Ends all waits of the thread from now on.
     pub fn wake(&self) {
         #[cfg(feature = "test-clock")]
         if let Some(bell) = &self.bell {
@@ -202,8 +205,8 @@ mod tests {
     fn the_clock_counts_the_time_that_the_machine_slept() {
         use rustix::time::{ClockId, clock_gettime};
 
-        // Both clocks began at boot; only one of them goes on in a sleep. On a machine that never slept
-        // they show the same, so the other half of the proof is the clock's name.
+        // Both clocks start at boot, but only one of them continues during sleep.
+        // On a machine that never slept they are equal, so the test also checks the name of the clock.
         let awake = clock_gettime(ClockId::Monotonic);
         let awake_ms = awake.tv_sec as u64 * 1000 + awake.tv_nsec as u64 / 1_000_000;
         assert!(since_boot_ms() >= awake_ms);

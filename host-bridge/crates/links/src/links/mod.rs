@@ -1,9 +1,8 @@
-//! Real links: serial ports and (feature `ble`) Bluetooth, each with a thread of its own, and the clock they
-//! share.
+//! Real links: serial ports and (feature `ble`) Bluetooth, each with its own thread and all with a common clock.
 //!
-//! A link opens its port, hands on every byte with its time of arrival, and opens the port again by
-//! itself when it fails. It never sends into a board that has just been reset: opening the port of an
-//! Arduino Nano restarts it, and its bootloader would take our bytes for a program to be flashed.
+//! A link opens its port, passes on every byte with its time of arrival, and reopens the port after a failure.
+//! The program never sends to a board that was just reset.
+//! Opening the port of an Arduino Nano restarts the board, and its bootloader would interpret our bytes as a program.
 
 #[cfg(feature = "ble")]
 mod ble;
@@ -23,20 +22,20 @@ pub use serial::{SerialLink, SerialSettings};
 
 use std::sync::Arc;
 
-/// Does this name (`ble` or `ble:NAME`) mean a board behind Bluetooth?
+/// Returns whether this name (`ble` or `ble:NAME`) is a board behind Bluetooth.
 pub fn is_ble(port: &str) -> bool {
     port == "ble" || port.starts_with("ble:")
 }
 
-/// Is this a serial port over Bluetooth? Nothing shows whether its module is bonded and the link encrypted.
+/// Returns whether this is a serial port over Bluetooth, whose bond and encryption cannot be checked.
 pub fn is_serial_over_air(port: &str) -> bool {
     let name = port.rsplit('/').next().unwrap_or(port);
     name.starts_with("rfcomm") || name.contains("HC-0") || name.to_lowercase().contains("bluetooth")
 }
 
-/// A link to a board, whatever lies between; dropping it closes it.
+/// A link to a board of any kind. Dropping it closes it.
 pub enum Link {
-    /// A serial port: a USB-serial chip, or USB of the board's own.
+    /// A serial port of a USB-serial chip or of the board's own USB.
     Serial(SerialLink),
     /// Bluetooth.
     #[cfg(feature = "ble")]
@@ -44,7 +43,7 @@ pub enum Link {
 }
 
 impl Link {
-    /// Starts the link's thread. Everything that it reports goes to `events`, marked with `link`.
+    /// Starts the link's thread, which reports everything to `events`, marked with `link`.
     pub fn start<I: Copy + Send + 'static>(
         link: I,
         port: &str,
@@ -59,7 +58,7 @@ impl Link {
         Link::Serial(SerialLink::start(link, port, settings, clock, events))
     }
 
-    /// As the user named it.
+    /// Name of the port, as the user entered it.
     pub fn port(&self) -> &str {
         match self {
             Link::Serial(link) => link.port(),
@@ -77,7 +76,7 @@ impl Link {
         }
     }
 
-    /// Sends one frame; false when it is not on its way. Nothing is kept for later: late is dropped.
+    /// Sends one frame. Returns false if it cannot be sent now; nothing is queued for later.
     pub fn send(&self, frame: &[u8]) -> bool {
         match self {
             Link::Serial(link) => link.send(frame),
@@ -92,20 +91,20 @@ impl Link {
 pub struct LinkEvent<I> {
     /// Which link.
     pub link: I,
-    /// The time, on the link's clock.
+    /// The time on the link's clock.
     pub at_ms: u64,
     /// What.
     pub news: News,
 }
 
-/// What can happen to a link.
+/// The events of a link.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum News {
-    /// The port is open; a Nano behind it restarts.
+    /// The port is open. A Nano on this port restarts.
     Opened,
     /// Bytes, as they came.
     Bytes(Vec<u8>),
-    /// The port cannot be opened or has failed. The text says why and what to do. Reported once per reason;
-    /// the link goes on trying.
+    /// The port cannot be opened or has failed, with the reason and a remedy.
+    /// This is reported once per reason, and the link keeps trying.
     Closed(String),
 }

@@ -1,19 +1,19 @@
-//! Which serial ports there are, what is probably behind each, and what to try when there are none.
+//! Lists serial ports with the probable device on each, and advice if there are none.
 
 use serialport::SerialPortType;
 
-/// A port and what its USB numbers say about it.
+/// A port with information from its USB numbers.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PortAbout {
     /// The argument for `--left` or `--right`.
     pub name: String,
-    /// What is probably behind it.
+    /// The device that is probably on this port.
     pub about: String,
-    /// Whether it is worth asking who is there.
+    /// Whether a board could be on this port.
     pub is_usb: bool,
 }
 
-/// The machine's serial ports, in the order of their names. The system's refusal becomes an empty list.
+/// Returns the machine's serial ports sorted by name, or nothing if the system refuses.
 pub fn ports() -> Vec<PortAbout> {
     let mut ports: Vec<_> = serialport::available_ports()
         .unwrap_or_default()
@@ -24,7 +24,7 @@ pub fn ports() -> Vec<PortAbout> {
                 SerialPortType::BluetoothPort => ("Bluetooth serial port".to_owned(), false),
                 SerialPortType::PciPort => ("built-in serial port".to_owned(), false),
                 SerialPortType::Unknown => {
-                    // Without udev a USB port may not say what it is; its name does.
+                    // Without udev, only the name identifies a USB port.
                     let usb = port.port_name.contains("ttyUSB") || port.port_name.contains("ttyACM");
                     ((if usb { "USB serial port" } else { "serial port" }).to_owned(), usb)
                 }
@@ -36,7 +36,7 @@ pub fn ports() -> Vec<PortAbout> {
     ports
 }
 
-/// What USB vendor and product numbers mean here.
+/// Interprets USB vendor and product numbers.
 fn about_usb(vendor: u16, product: u16) -> String {
     let known = match (vendor, product) {
         (0x2341, 0x805a) => "Nano 33 BLE (right hand)",
@@ -50,7 +50,7 @@ fn about_usb(vendor: u16, product: u16) -> String {
     known.to_owned()
 }
 
-/// What to try when no hand was found.
+/// Returns advice for a user whose hands were not found.
 pub fn hints() -> [&'static str; 4] {
     [
         "cable: many USB cables carry power only; try another one, without a hub",

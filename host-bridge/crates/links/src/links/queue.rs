@@ -1,8 +1,8 @@
-//! What links report, on its way to whoever decides: bounded, and the newest wins.
+//! A bounded queue for the events of links, in which the newest data has priority.
 //!
-//! A board that floods must not fill the memory, nor make the bridge work through old bytes before it sees new
-//! ones. So the queue holds this many bytes at most, and gives up the oldest: states are whole, and a lost one
-//! costs nothing but its age. That a port was opened or closed is never given up.
+//! A board that sends too much must not fill the memory or delay new bytes behind old ones.
+//! The queue therefore has a maximum size and drops the oldest bytes.
+//! This is harmless because every state is complete. Events about opened and closed ports are never dropped.
 
 use std::collections::VecDeque;
 use std::sync::mpsc::RecvTimeoutError;
@@ -11,12 +11,12 @@ use std::time::{Duration, Instant};
 
 use super::{LinkEvent, News};
 
-/// Bytes that may wait: half a second of the fastest board's stream.
+/// Maximum number of waiting bytes: half a second of the fastest board's stream.
 const BYTES_MAX: usize = 64 * 1024;
-/// Events that may wait, however short they are.
+/// Maximum number of waiting events of any size.
 const EVENTS_MAX: usize = 1024;
 
-/// Both ends of a new queue.
+/// Creates both ends of a new queue.
 pub fn queue<I>() -> (EventSender<I>, EventReceiver<I>) {
     let shared = Arc::new(Shared { waiting: Mutex::default(), news: Condvar::new() });
     lock(&shared.waiting).senders = 1;
@@ -41,7 +41,7 @@ impl<I> Default for Waiting<I> {
     }
 }
 
-/// A panic elsewhere does not keep bytes of a stop from arriving.
+/// A panic in another thread must not block the bytes of a stop.
 fn lock<I>(waiting: &Mutex<Waiting<I>>) -> MutexGuard<'_, Waiting<I>> {
     waiting.lock().unwrap_or_else(PoisonError::into_inner)
 }
@@ -50,11 +50,11 @@ fn size<I>(event: &LinkEvent<I>) -> usize {
     if let News::Bytes(bytes) = &event.news { bytes.len() } else { 0 }
 }
 
-/// The links' end; each has its own.
+/// The sending end. Each link has its own.
 pub struct EventSender<I>(Arc<Shared<I>>);
 
 impl<I> EventSender<I> {
-    /// Hands an event over. Never waits: if the queue is full, the oldest bytes are dropped.
+    /// Adds an event without waiting. If the queue is full, the oldest bytes are dropped.
     pub fn send(&self, event: LinkEvent<I>) {
         let mut waiting = lock(&self.0.waiting);
         waiting.bytes += size(&event);
@@ -84,19 +84,19 @@ impl<I> Drop for EventSender<I> {
     }
 }
 
-/// The receiving end, of whoever decides.
+/// The receiving end, used by the control thread.
 pub struct EventReceiver<I>(Arc<Shared<I>>);
 
 impl<I> EventReceiver<I> {
-    /// The oldest event, if there is one.
+    /// Returns the oldest event, if there is one.
     pub fn try_recv(&self) -> Option<LinkEvent<I>> {
         take(&mut lock(&self.0.waiting))
     }
 
-    /// The oldest event, as soon as there is one.
+    /// Waits for the oldest event.
     ///
     /// # Errors
-    /// Nothing came within `patience`, or no link is left.
+    /// Fails if nothing arrives within `patience`, or no link is left.
     pub fn recv_timeout(&self, patience: Duration) -> Result<LinkEvent<I>, RecvTimeoutError> {
         let until = Instant::now() + patience;
         let mut waiting = lock(&self.0.waiting);
@@ -115,7 +115,7 @@ impl<I> EventReceiver<I> {
         }
     }
 
-    /// Bytes that were given up because the queue was full.
+    /// Number of bytes dropped because the queue was full.
     pub fn dropped_bytes(&self) -> u64 {
         lock(&self.0.waiting).dropped_bytes
     }

@@ -1,4 +1,4 @@
-//! One serial port: a thread that opens it, reads it, and opens it again.
+//! A serial port with a thread that opens, reads and reopens it.
 
 use std::io::{ErrorKind, Read as _, Write as _};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -11,17 +11,17 @@ use shared_proto::frame::DELIMITER;
 
 use super::{Clock, EventSender, LinkEvent, News, Waiter, Waker};
 
-/// First pause before a port is opened again; doubled each time, up to [`LAST_PAUSE`].
+/// First delay before a port is reopened; it doubles each time, up to [`LAST_PAUSE`].
 const FIRST_PAUSE: Duration = Duration::from_millis(100);
 const LAST_PAUSE: Duration = Duration::from_secs(2);
 
-/// A blocked write may hold its caller this long.
+/// Maximum time for which a blocked write may delay its caller.
 const WRITE_PATIENCE: Duration = Duration::from_millis(20);
-/// How often the reading thread looks whether it should end. Bytes wake it at once.
+/// Interval at which the reading thread checks whether it should end. Received bytes wake it immediately.
 const READ_PATIENCE: Duration = Duration::from_millis(50);
 
-/// A Nano that is being reset is silent from here on until its program runs: whoever speaks later than
-/// this after the opening is no bootloader, and may be spoken to.
+/// A Nano in reset is silent from this time after the opening until its program runs.
+/// Data that arrives later therefore does not come from a bootloader, and the program may send.
 const BOOTLOADER_SILENT_MS: u64 = 300;
 
 /// How a port is used.
@@ -29,31 +29,31 @@ const BOOTLOADER_SILENT_MS: u64 = 300;
 pub struct SerialSettings {
     /// Speed of the line. A board on native USB ignores it.
     pub baud: u32,
-    /// Nothing is sent for this long after the port was opened, unless the board speaks first.
+    /// Nothing is sent for this long after the port was opened, unless the board sends first.
     pub settle_ms: u64,
-    /// Boards over Bluetooth need not be bonded.
+    /// Whether boards over Bluetooth may be unbonded.
     pub allow_unbonded: bool,
 }
 
 impl Default for SerialSettings {
-    /// The boards' 115200 baud, and the time that an old Nano bootloader may take.
+    /// The boards' 115200 baud, and the maximum time of an old Nano bootloader.
     fn default() -> Self {
         SerialSettings { baud: 115_200, settle_ms: 2500, allow_unbonded: false }
     }
 }
 
-/// The sending end, and what is known of the other side.
+/// The sending end, and the known state of the other side.
 #[derive(Default)]
 struct Sending {
     port: Option<Box<dyn SerialPort>>,
     opened_ms: u64,
-    /// Something that is not a bootloader has sent bytes.
+    /// Whether something other than a bootloader has sent bytes.
     awake: bool,
-    /// The last write was cut short: the next one must first end that frame.
+    /// Whether the last write was incomplete, so that the next one must first terminate that frame.
     cut: bool,
 }
 
-/// A port with its thread; dropping it closes the port.
+/// A port with its thread. Dropping it closes the port.
 pub struct SerialLink {
     port: String,
     settings: SerialSettings,
@@ -65,7 +65,7 @@ pub struct SerialLink {
 }
 
 impl SerialLink {
-    /// Starts the thread. Everything that it reports goes to `events`, marked with `link`.
+    /// Starts the thread, which reports everything to `events`, marked with `link`.
     pub fn start<I: Copy + Send + 'static>(
         link: I,
         port: &str,
@@ -96,14 +96,14 @@ impl SerialLink {
         &self.port
     }
 
-    /// May bytes be sent now? Not while the port is closed, nor soon after a reset.
+    /// Returns whether bytes can be sent now, which is not the case while the port is closed or soon after a reset.
     pub fn is_ready(&self) -> bool {
         let line = lock(&self.line);
         let waited_ms = self.clock.now_ms().saturating_sub(line.opened_ms);
         line.port.is_some() && (line.awake || waited_ms >= self.settings.settle_ms)
     }
 
-    /// Sends one frame; false when it is not on its way. Nothing is kept for later: late is dropped.
+    /// Sends one frame. Returns false if it cannot be sent now; nothing is queued for later.
     pub fn send(&self, frame: &[u8]) -> bool {
         if !self.is_ready() {
             return false;
@@ -127,7 +127,7 @@ impl Drop for SerialLink {
     }
 }
 
-/// A panic elsewhere does not make a port unusable.
+/// A panic in another thread must not make a port unusable.
 fn lock(line: &Mutex<Sending>) -> MutexGuard<'_, Sending> {
     line.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
 }
@@ -184,7 +184,7 @@ impl<I: Copy> Reader<I> {
     }
 
     fn tell(&self, news: News) {
-        // If nobody listens any more, the program is about to end.
+        // If nobody receives events any more, the program is about to end.
         self.events.send(LinkEvent { link: self.link, at_ms: self.clock.now_ms(), news });
     }
 
@@ -195,14 +195,14 @@ impl<I: Copy> Reader<I> {
             serialport::new(&self.port, self.settings.baud).timeout(patience).open().map_err(explain)?;
         let mut writer = port.try_clone().map_err(explain)?;
         writer.set_timeout(WRITE_PATIENCE).map_err(explain)?;
-        // What waited in the port's buffer is old.
+        // Data that waited in the port's buffer is outdated.
         port.clear(serialport::ClearBuffer::Input).map_err(explain)?;
         *lock(&self.line) =
             Sending { port: Some(writer), opened_ms: self.clock.now_ms(), awake: false, cut: false };
         Ok(port)
     }
 
-    /// Reads until the port fails; returns why, and whether anything came.
+    /// Reads until the port fails. Returns the reason, and whether any data arrived.
     fn read(&self, mut port: Box<dyn SerialPort>) -> (String, bool) {
         let opened_ms = self.clock.now_ms();
         let mut buffer = [0; 1024];
@@ -232,7 +232,7 @@ fn gone(port: &str) -> String {
     format!("{port}: the board is gone; plug it in again, the link comes back by itself")
 }
 
-/// Why a port cannot be opened, and what to do.
+/// Explains why a port cannot be opened, with a remedy.
 fn explain(port: &str, error: &serialport::Error) -> String {
     use serialport::ErrorKind as K;
     let advice = match error.kind {
@@ -263,7 +263,7 @@ mod tests {
         let News::Closed(text) = event.news else { panic!("{event:?}") };
         assert!(text.contains("/no/such/port") && text.contains("host-bridge list"), "{text}");
         assert!(!link.is_ready() && !link.send(&[1, 2, 0]));
-        // It tries again after 100 and 200 ms, and reports nothing new.
+        // The link retries after 100 and 200 ms without another report.
         assert!(events.recv_timeout(Duration::from_millis(400)).is_err());
     }
 

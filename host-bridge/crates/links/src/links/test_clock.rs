@@ -1,7 +1,8 @@
-//! A clock that a test holds: the socket named by `BIMANUAL_TEST_CLOCK` says what time it is, in milliseconds, and gets
-//! one byte back as soon as every thread that takes part waits for a later time.
+//! A clock that a test controls through the socket in `BIMANUAL_TEST_CLOCK`.
+//! The test sends the time in milliseconds, and receives one byte when every participating thread waits
+//! for a later time.
 //!
-//! Only with the feature `test-clock`, which no released program has.
+//! This exists only with the feature `test-clock`, which no released program has.
 
 use std::io::{Read as _, Write as _};
 use std::os::unix::net::UnixStream;
@@ -11,13 +12,13 @@ use std::time::Duration;
 
 const VARIABLE: &str = "BIMANUAL_TEST_CLOCK";
 
-/// The test's clock as this process has it.
+/// The test's clock in this process.
 #[derive(Debug, Default)]
 pub struct TestClock {
     state: Mutex<State>,
-    /// The time has changed, or a bell was rung.
+    /// Signals that the time has changed or a bell was rung.
     ticked: Condvar,
-    /// One more thread waits, or one has gone.
+    /// Signals that another thread waits or has ended.
     settled: Condvar,
 }
 
@@ -32,7 +33,7 @@ struct State {
 #[derive(Debug)]
 struct Sitter {
     number: u64,
-    /// The thread waits for this time; if that time has come, the thread is at work.
+    /// The thread waits for this time. If it has passed, the thread counts as busy.
     until_ms: u64,
     /// The thread no longer waits.
     rung: bool,
@@ -46,14 +47,14 @@ impl State {
             .expect("a seat has a place as long as it exists")
     }
 
-    /// Before any thread takes part the program is starting, and counts as at work.
+    /// Before any thread participates, the program is starting and counts as busy.
     fn all_wait(&self) -> bool {
         self.next > 0 && self.seats.iter().all(|place| place.until_ms > self.now_ms && !place.rung)
     }
 }
 
 impl TestClock {
-    /// The clock that a test holds for this process, if a test does.
+    /// Returns the clock that a test controls for this process, if there is one.
     pub fn of_this_process() -> Option<&'static Self> {
         static CLOCK: OnceLock<Option<&'static TestClock>> = OnceLock::new();
         *CLOCK.get_or_init(|| {
@@ -102,7 +103,7 @@ impl TestClock {
     }
 }
 
-/// The time that the test has set; once the test is gone, this process has no time left.
+/// Reads the time that the test has set. When the test has ended, this process ends too.
 fn read(socket: &mut UnixStream) -> u64 {
     let mut bytes = [0; 8];
     if socket.read_exact(&mut bytes).is_err() {
@@ -123,13 +124,13 @@ pub struct Seat {
 }
 
 impl Seat {
-    /// Waits until this much time has passed, but at least a millisecond.
+    /// Waits until this much time has passed, at least a millisecond.
     pub fn sleep(&self, time: Duration) {
         let until_ms = self.clock.now_ms() + (time.as_millis() as u64).max(1);
         self.wait(until_ms);
     }
 
-    /// Looks every millisecond whether there is something, for at most this long.
+    /// Checks every millisecond for a result, for at most this long.
     pub fn until<T>(
         &self,
         patience: Duration,
@@ -148,7 +149,7 @@ impl Seat {
         }
     }
 
-    /// Time goes on while this waits.
+    /// Time continues during this wait.
     pub fn aside<T>(&self, wait: impl FnOnce() -> T) -> T {
         self.clock.lock().place(self.number).until_ms = u64::MAX;
         self.clock.settled.notify_all();
@@ -157,7 +158,7 @@ impl Seat {
         value
     }
 
-    /// What ends this seat's waits.
+    /// Returns a bell that ends the waits of this seat.
     pub fn bell(&self) -> Bell {
         Bell { clock: self.clock, number: self.number }
     }
@@ -187,7 +188,7 @@ pub struct Bell {
 }
 
 impl Bell {
-    /// The seat waits for nothing from now on.
+    /// Ends all waits of the seat from now on.
     pub fn ring(&self) {
         let mut state = self.clock.lock();
         if let Some(place) = state.seats.iter_mut().find(|place| place.number == self.number) {

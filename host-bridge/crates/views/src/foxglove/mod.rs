@@ -1,20 +1,20 @@
-//! A running session for Foxglove and other viewers that speak its WebSocket protocol: the topics and types of
-//! [`host_topics::Topic`], as they would be in a file.
+//! Serves a running session to Foxglove and other viewers with the same WebSocket protocol.
+//! The topics and types are those of [`host_topics::Topic`], as in a session file.
 //!
 //! ```text
 //! session loop ─► Teller ─► Feed ══ a bounded queue per viewer ══► a thread per viewer ─► Foxglove
 //! ```
 //!
-//! * `protocol`: what is said, without sockets,
-//! * `viewer`: one viewer's connection.
+//! * `protocol`: the messages, without sockets,
+//! * `viewer`: the connection of one viewer.
 //!
-//! Viewers look on: nothing that they say moves or stops anything. The rules of host, origin and token are the
-//! page's ([`crate::web::gate`]), with two differences: programs that are no browsers need no origin, and
-//! Foxglove's own pages ([`ORIGINS`]) are let in. The session never waits for a viewer: what its queue has no
-//! room for is dropped, counted, and told.
+//! Viewers are passive and cannot move or stop anything.
+//! The rules for host, origin and token are those of the page ([`crate::web::gate`]), with two differences.
+//! Programs other than browsers need no origin, and Foxglove's own pages ([`ORIGINS`]) are allowed.
+//! The session never waits for a viewer. Messages that do not fit in its queue are dropped, counted and reported.
 //!
-//! The `foxglove` crate would bring 131 crates with an asynchronous runtime for these 300 lines; `tungstenite`
-//! is there for the page already.
+//! The `foxglove` crate would add 131 crates and an asynchronous runtime to replace these 300 lines.
+//! The page already uses `tungstenite`.
 
 mod protocol;
 mod viewer;
@@ -30,26 +30,26 @@ use crate::web::server::{Bound, Name, Seat, Server};
 use crate::web::{WebError, WebOptions, client, http};
 use host_topics::{Entry, Origin, Outlet, Teller, Topic};
 
-/// The address that Foxglove tries unless told otherwise.
+/// The default port of Foxglove's viewers.
 pub const DEFAULT_PORT: u16 = 8765;
 
-/// Foxglove in a browser, and its desktop application (whose pages are files).
+/// The origins of Foxglove in a browser, and of its desktop application (which uses files).
 pub const ORIGINS: [&str; 2] = ["https://app.foxglove.dev", "file://"];
 
-/// Messages that may wait for a viewer: about five seconds of everything.
+/// Maximum number of messages that wait for a viewer: about five seconds of all topics.
 const QUEUE: usize = 4096;
 
-/// Viewers get this long to take what waits when the session is over.
+/// Time for viewers to receive the remaining messages at the end of a session.
 const FAREWELL: Duration = Duration::from_millis(500);
 
 const NAME: Name = Name { what: "the session for Foxglove", option: "--foxglove" };
 
-/// The address to serve at, and who may connect.
+/// The address of the server, and its access rules.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FoxgloveOptions {
     /// Address, port and token, as for the page.
     pub server: WebOptions,
-    /// More pages that may look on, as browsers name them: `http://localhost:8080`.
+    /// Additional allowed origins, in the form that browsers send: `http://localhost:8080`.
     pub origins: Vec<String>,
 }
 
@@ -60,29 +60,29 @@ impl Default for FoxgloveOptions {
     }
 }
 
-/// What session, server and viewers share.
+/// Data shared by session, server and viewers.
 struct Shared {
     gate: Gate,
     origins: Vec<String>,
-    /// Tells one session from another after a reconnect.
+    /// Distinguishes sessions after a reconnect.
     session: u64,
     lines: Mutex<Vec<QueueEnd>>,
     over: AtomicBool,
     viewers: AtomicUsize,
 }
 
-/// The end of a viewer's queue that the session holds.
+/// The session's end of a viewer's queue.
 struct QueueEnd {
     sender: SyncSender<Arc<Entry>>,
     seen: Arc<Seen>,
 }
 
-/// What both ends of a queue share.
+/// Data shared by both ends of a queue.
 #[derive(Default)]
 struct Seen {
-    /// One bit for each topic that the viewer wants.
+    /// A bit for each topic that the viewer has subscribed to.
     wanted: AtomicU32,
-    /// Messages that its queue had no room for.
+    /// Number of messages that did not fit in the viewer's queue.
     lost: AtomicU64,
 }
 
@@ -92,14 +92,13 @@ impl Seen {
     }
 }
 
-/// Takes the lines of viewers off that have left, whether or not they ever wanted anything: only the list still
-/// knows of them.
+/// Removes viewers that have disconnected, with or without a subscription. Only this list still references them.
 fn forget_gone(lines: &mut Vec<QueueEnd>) {
     lines.retain(|line| Arc::strong_count(&line.seen) > 1);
 }
 
 impl Shared {
-    /// Puts a viewer on the list; returns its end of the queue.
+    /// Adds a viewer and returns its end of the queue.
     fn join(&self, seen: &Arc<Seen>) -> Receiver<Arc<Entry>> {
         let (sender, queue) = sync_channel(QUEUE);
         let mut lines = self.lines.lock().unwrap_or_else(PoisonError::into_inner);
@@ -109,7 +108,7 @@ impl Shared {
     }
 }
 
-/// A session's output to all viewers.
+/// The output of a session to all viewers.
 pub struct Feed(Arc<Shared>);
 
 impl Outlet for Feed {
@@ -144,10 +143,10 @@ pub struct Foxglove {
 }
 
 impl Foxglove {
-    /// Takes the port and serves from a thread of its own. The session's clock is zero at `origin`.
+    /// Opens the port and serves it in a separate thread. The session's clock is zero at `origin`.
     ///
     /// # Errors
-    /// [`WebError`] if the port cannot be had, or other machines would get in without a token.
+    /// [`WebError`] if the port is not available, or other machines could connect without a token.
     pub fn start(options: &FoxgloveOptions, origin: Origin) -> Result<Self, WebError> {
         let bound = Bound::new(&options.server, NAME)?;
         let origins = ORIGINS.iter().map(ToString::to_string).chain(options.origins.iter().cloned());
@@ -167,27 +166,27 @@ impl Foxglove {
         })
     }
 
-    /// What to type into Foxglove's "Open connection".
+    /// Returns the address for Foxglove's "Open connection".
     pub fn url(&self) -> String {
         self.server.url("ws")
     }
 
-    /// Where it listens.
+    /// The address of the server.
     pub fn address(&self) -> SocketAddr {
         self.server.address()
     }
 
-    /// The observer to attach to the session's tap.
+    /// Returns the observer for the session's tap.
     pub fn teller(&self) -> Teller<Feed> {
         Teller::new(self.origin, Feed(self.shared.clone()))
     }
 
-    /// How many viewers look on.
+    /// Number of connected viewers.
     pub fn viewers(&self) -> usize {
         self.shared.viewers.load(Ordering::SeqCst)
     }
 
-    /// Sends the viewers what still waits, and disconnects.
+    /// Sends all remaining messages to the viewers and disconnects.
     pub fn end(self) {
         self.shared.over.store(true, Ordering::SeqCst);
         let until = Instant::now() + FAREWELL;

@@ -1,17 +1,17 @@
-//! What is sent to a viewer, and which of its messages count (Foxglove's WebSocket protocol, version 1).
+//! Messages from and to a viewer (Foxglove's WebSocket protocol, version 1).
 
 use serde::Deserialize;
 use serde_json::json;
 
 use host_topics::{ENCODING, SCHEMA_ENCODING, Topic};
 
-/// Names of the protocol, newest first; both are the same so far.
+/// Names of the protocol, newest first. Both are currently identical.
 pub const SUBPROTOCOLS: [&str; 2] = ["foxglove.sdk.v1", "foxglove.websocket.v1"];
 
 /// Marks a message's data.
 const MESSAGE_DATA: u8 = 1;
 
-/// The one protocol of those offered (a header's list) that is spoken here.
+/// Selects a supported protocol from those offered in a header.
 pub fn subprotocol(offered: &str) -> Option<&'static str> {
     SUBPROTOCOLS.into_iter().find(|known| offered.split(',').any(|name| name.trim() == *known))
 }
@@ -29,7 +29,7 @@ pub fn server_info(session: u64) -> String {
     .to_string()
 }
 
-/// All there is to subscribe to. A channel's number is its topic's place in [`Topic::ALL`].
+/// Lists all channels. A channel's number is the index of its topic in [`Topic::ALL`].
 pub fn advertise() -> String {
     let channel = |topic: Topic| {
         json!({
@@ -44,12 +44,12 @@ pub fn advertise() -> String {
     json!({ "op": "advertise", "channels": Topic::ALL.map(channel) }).to_string()
 }
 
-/// Something the viewer's user should know.
+/// Creates a warning for the viewer's user.
 pub fn warning(message: &str) -> String {
     json!({ "op": "status", "level": 1, "message": message }).to_string()
 }
 
-/// One message for one subscription.
+/// Creates one message for one subscription.
 pub fn message_data(subscription: u32, time_ns: u64, data: &[u8]) -> Vec<u8> {
     let mut message = Vec::with_capacity(13 + data.len());
     message.push(MESSAGE_DATA);
@@ -76,15 +76,15 @@ struct Words {
     subscription_ids: Vec<u32>,
 }
 
-/// What one viewer has asked for: at most one subscription for each topic.
+/// The subscriptions of one viewer, at most one for each topic.
 #[derive(Debug, Default)]
 pub struct Subscriptions([Option<u32>; Topic::ALL.len()]);
 
 impl Subscriptions {
-    /// Takes the viewer's words.
+    /// Processes a message from the viewer.
     ///
     /// # Errors
-    /// What to tell its user, where they cannot be followed; all else that was asked for counts.
+    /// The text for the viewer's user if a request cannot be satisfied. Other requests in the message still count.
     pub fn hear(&mut self, text: &str) -> Result<(), String> {
         let words: Words = serde_json::from_str(text).map_err(|error| format!("not understood: {error}"))?;
         match words.op.as_str() {
@@ -120,7 +120,7 @@ impl Subscriptions {
         self.0[topic as usize]
     }
 
-    /// One bit for each topic that is wanted.
+    /// Returns a bit for each subscribed topic.
     pub fn bits(&self) -> u32 {
         (0..self.0.len()).filter(|&k| self.0[k].is_some()).fold(0, |bits, k| bits | 1 << k)
     }
@@ -171,7 +171,7 @@ mod tests {
         let told: serde_json::Value = serde_json::from_str(&advertise()).unwrap();
         let channels = told["channels"].as_array().unwrap();
         assert_eq!(channels.len(), Topic::ALL.len());
-        // The bits of those that are wanted must fit.
+        // All topics must fit in the bits of the subscriptions.
         assert!(channels.len() <= u32::BITS as usize);
         let joints = &channels[Topic::Joints as usize];
         assert_eq!(

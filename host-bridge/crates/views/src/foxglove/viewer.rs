@@ -1,4 +1,4 @@
-//! One viewer's connection: what it subscribed to goes out, subscriptions come in.
+//! The connection of one viewer: sends subscribed messages and receives subscriptions.
 
 use std::io;
 use std::net::TcpStream;
@@ -15,13 +15,13 @@ use super::{QUEUE, Seen, Shared};
 use crate::web::server::{Counted, Seat};
 use host_topics::{Entry, Origin};
 
-/// The thread looks for news this often; what the viewer says wakes it at once.
+/// Interval at which the thread checks for new messages. Data from the viewer wakes it immediately.
 const TURN: Duration = Duration::from_millis(4);
 
-/// Longest message of a viewer: a subscription to everything is below 1 kB.
+/// Maximum length of a viewer's message. A subscription to all topics has less than 1 kB.
 const MESSAGE_MAX: usize = 1 << 16;
 
-/// Serves a viewer until it goes or the session ends. `rest` came behind the request.
+/// Serves a viewer until it disconnects or the session ends. `rest` are the bytes after the request.
 pub fn run(stream: TcpStream, rest: Vec<u8>, place: &Seat, shared: &Shared) {
     let _counted = Counted::new(&shared.viewers);
     place.looks_on();
@@ -35,7 +35,7 @@ pub fn run(stream: TcpStream, rest: Vec<u8>, place: &Seat, shared: &Shared) {
     let socket = WebSocket::from_partially_read(stream, rest, Role::Server, Some(config));
     let seen = Arc::new(Seen::default());
     let queue = shared.join(&seen);
-    // Whatever ends the connection, the viewer shows that it is gone and tries again.
+    // Whatever ends the connection, the viewer displays this and reconnects.
     let _ = Viewer { socket, place, shared, queue, seen, wanted: Subscriptions::default() }.run();
 }
 
@@ -53,7 +53,7 @@ impl Viewer<'_> {
         self.socket.send(Message::text(server_info(self.shared.session)))?;
         self.socket.send(Message::text(advertise()))?;
         loop {
-            // Asked before the last look at the queue, so that nothing is left unsent at the end.
+            // Read before the last check of the queue, so that all messages are sent at the end.
             let over = self.shared.over.load(Ordering::SeqCst);
             self.tell()?;
             if over {
@@ -70,7 +70,7 @@ impl Viewer<'_> {
                 Ok(Message::Binary(_)) => {
                     self.socket.send(Message::text(warning("viewers of this robot only look on")))?;
                 }
-                // Control frames are answered by the library.
+                // The library answers control frames.
                 Ok(_) => {}
                 Err(Error::Io(error))
                     if matches!(error.kind(), io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut) => {}
@@ -87,9 +87,9 @@ impl Viewer<'_> {
             self.socket.write(Message::text(warning(&told)))?;
         }
         let origin = Origin { nanoseconds: self.shared.session };
-        // No more than what waits now: the viewer's messages must be read in between.
+        // Sends only the messages that wait now, because the viewer's messages must be read in between.
         for entry in self.queue.try_iter().take(QUEUE) {
-            // What was unsubscribed while it waited is not sent.
+            // If a topic was unsubscribed in the meantime, its messages are not sent.
             if let Some(id) = self.wanted.to(entry.topic) {
                 let data = message_data(id, origin.at(entry.time_ms), &entry.data);
                 self.socket.write(Message::binary(data))?;

@@ -1,4 +1,4 @@
-//! Writes a session's file, on a thread of its own.
+//! Writes a session's file in a separate thread.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -18,38 +18,38 @@ use super::METADATA;
 use super::sink::{Sink, Storage};
 use host_topics::{ENCODING, Entry, Origin, Outlet, SCHEMA_ENCODING, Teller, Topic};
 
-/// Messages that may wait for the disk: over ten seconds of a live session.
+/// Maximum number of messages that wait for the disk: over ten seconds of a live session.
 const QUEUE: usize = 8192;
-/// What waits in memory is written this often.
+/// Interval at which messages in memory are written.
 const FLUSH_INTERVAL: Duration = Duration::from_millis(500);
-/// Or when it is as large as this.
+/// Size of messages in memory at which they are written earlier.
 const CHUNK_BYTES: u64 = 1 << 20;
-/// How long to wait for the file's end.
+/// Maximum waiting time for the end of writing.
 const POLL: Duration = Duration::from_millis(50);
 
-/// What happens while the disk is slower than the session.
+/// The behaviour if the disk is slower than the session.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum WhenFull {
-    /// The session waits: for recordings that are played, where nothing real moves.
+    /// The session waits. This is for played recordings, where nothing real moves.
     Wait,
-    /// Messages are dropped and counted: nothing delays a robot.
+    /// Messages are dropped and counted, so that nothing delays a robot.
     Drop,
 }
 
-/// How a file ended.
+/// The result of closing a file.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Kept {
-    /// Messages that are in it, on the disk.
+    /// Number of messages in the file on the disk.
     pub messages: u64,
     /// Its length.
     pub bytes: u64,
     /// Messages that were dropped.
     pub lost: u64,
-    /// Why it ends early, if it does.
+    /// The reason if the file ends early.
     pub problem: Option<String>,
 }
 
-/// What the session's side and the writer's side both know.
+/// Data shared by the session and the writer.
 #[derive(Debug, Default)]
 struct Shared {
     closing: AtomicBool,
@@ -73,10 +73,10 @@ pub struct Disk {
 }
 
 impl Disk {
-    /// Creates the file and starts its thread; also gives the observer that fills it.
+    /// Creates the file and starts its thread. Also returns the observer that fills it.
     ///
     /// # Errors
-    /// The file cannot be created or written, or is there already: said before anything moves.
+    /// The file cannot be created or written, or already exists. This is reported before anything moves.
     pub fn create(
         file: &Path,
         metadata: BTreeMap<String, String>,
@@ -88,12 +88,12 @@ impl Disk {
             ErrorKind::AlreadyExists => about(&"there is a file of this name; choose another"),
             _ => about(&error),
         })?;
-        // The lock shows whoever finds the file without its end that it is being written. Not every disk can do this.
+        // The lock shows other programs that the unfinished file is being written. Some disks do not support locks.
         let _ = storage.try_lock();
         Disk::with_storage(storage, file, metadata, origin, when_full).map_err(|error| about(&error))
     }
 
-    /// As `create`, with a storage of your own.
+    /// Like `create`, with a custom storage.
     ///
     /// # Errors
     /// It cannot be written.
@@ -120,7 +120,7 @@ impl Disk {
         Ok((Disk { file: file.to_owned(), thread, shared, told: false }, recorder))
     }
 
-    /// Why no more is written, if that is so. Reported once; what is written so far stays.
+    /// Returns once the reason why writing has stopped. The data written so far is preserved.
     pub fn take_problem(&mut self) -> Option<String> {
         if self.told {
             return None;
@@ -135,7 +135,7 @@ impl Disk {
         &self.file
     }
 
-    /// [`Disk::take_problem`] has given its answer.
+    /// Returns whether [`Disk::take_problem`] has reported a problem.
     pub fn is_told(&self) -> bool {
         self.told
     }
@@ -144,8 +144,8 @@ impl Disk {
         format!("{}: {problem}; the session goes on, the file ends here", self.file.display())
     }
 
-    /// Writes what waits, and the file's end. First let the observer go ([`host_core::observe::Tap::clear`]): it
-    /// holds the last steps back.
+    /// Writes all remaining messages and the end of the file.
+    /// First drop the observer ([`host_core::observe::Tap::clear`]), which still holds the last steps.
     pub fn close(mut self) -> Kept {
         self.end()
     }
@@ -166,7 +166,7 @@ impl Drop for Disk {
     }
 }
 
-/// What went wrong; in the disk's own words if the disk failed.
+/// Explains an error, using the disk's own message if the disk failed.
 fn reason(error: &McapError) -> String {
     match error {
         McapError::Io(error) => error.to_string(),
@@ -176,7 +176,7 @@ fn reason(error: &McapError) -> String {
 
 type FileWriter<S> = Writer<NoSeek<Sink<S>>>;
 
-/// Header, metadata and all channels, on the disk.
+/// Writes header, metadata and all channels to the disk.
 fn begin<S: Storage>(
     storage: S,
     metadata: BTreeMap<String, String>,
@@ -205,22 +205,22 @@ struct Work<S: Storage> {
     origin: Origin,
     shared: Arc<Shared>,
     messages: u64,
-    /// Of these, on the disk.
+    /// Number of these bytes that are on the disk.
     kept: u64,
-    /// Roughly how many bytes are not on the disk yet.
+    /// Approximate number of bytes that are not on the disk yet.
     waiting: u64,
 }
 
 impl<S: Storage> Work<S> {
-    /// Writes until nobody fills the queue any more, or the disk fails. Messages written, length of the file.
+    /// Writes until the queue is closed or the disk fails. Returns the number of messages and the length of the file.
     fn run(mut self, queue: &Receiver<Entry>) -> (u64, u64) {
         let written = self.write_all(queue).and_then(|()| self.writer.finish().map(drop));
-        // Also after a failure: the file then has its end already.
+        // After a failure, the file already has its end.
         let sink = self.writer.into_inner().into_inner();
         let good = sink.length();
         let closed = sink.finish();
         let length = closed.as_ref().map_or(good, |(_, length)| *length);
-        // What waited in memory when the disk failed is not in the file.
+        // Messages that were in memory when the disk failed are not in the file.
         let messages = if written.is_ok() && closed.is_ok() { self.messages } else { self.kept };
         let problem = written.map_err(|error| reason(&error)).err();
         if let Some(problem) = problem.or(closed.err().map(|error| error.to_string()))
@@ -255,7 +255,7 @@ impl<S: Storage> Work<S> {
         let time = self.origin.at(entry.time_ms);
         let header = MessageHeader {
             channel_id: self.channels[entry.topic as usize],
-            // Counts through all topics, and wraps.
+            // A number across all topics that wraps.
             sequence: self.messages as u32,
             log_time: time,
             publish_time: time,
@@ -267,10 +267,10 @@ impl<S: Storage> Work<S> {
     }
 }
 
-/// The observer of a session that is written.
+/// The observer of a session that is written to disk.
 pub type Recorder = Teller<Queue>;
 
-/// What waits for the disk.
+/// The queue of messages for the disk.
 #[derive(Debug)]
 pub struct Queue {
     sender: Option<SyncSender<Entry>>,
@@ -278,7 +278,7 @@ pub struct Queue {
     when_full: WhenFull,
     origin: Origin,
     time_ms: u64,
-    /// Dropped since the last message that was not.
+    /// Number of messages dropped since the last one that was accepted.
     missing: u64,
 }
 
@@ -304,7 +304,7 @@ impl Outlet for Queue {
             }
             return;
         }
-        // First the note that some are missing, where they would have been.
+        // The note about missing messages precedes the next message, in the place of the missing ones.
         if self.missing > 0 && self.try_send(self.origin.lost(entry.time_ms, self.missing)) {
             self.missing = 0;
         }
@@ -318,7 +318,7 @@ impl Outlet for Queue {
 impl Drop for Queue {
     fn drop(&mut self) {
         if self.missing > 0 {
-            // The last message, if there is room for it.
+            // Adds a last note if there is room.
             self.try_send(self.origin.lost(self.time_ms, self.missing));
         }
     }

@@ -1,7 +1,9 @@
-//! The index that a killed recording lacks.
+//! Adds the index to recordings that were killed.
 //!
-//! A session's file is whole after every write ([`super::sink`]), but readers that jump in it want the index at its end,
-//! which only an orderly close writes. Whoever starts next writes it: the messages are copied into a new file, which then
+//! A session's file is valid after every write ([`super::sink`]).
+//! However, readers that jump within it need the index at its end, which is written only when the file is closed.
+//! The next program start adds it: it copies the messages to a new file, which then replaces the old one.
+//! A file that is still being written is locked and not changed.
 //! takes the old one's place. A file that is still being written is locked and left alone.
 
 use std::collections::{BTreeMap, HashMap};
@@ -16,10 +18,10 @@ use super::records::records;
 
 use super::sink::END;
 
-/// Gives a file its index, if it is one of ours that was not closed; true if it did.
+/// Adds the index to a file of ours that was not closed. Returns true if it did.
 ///
 /// # Errors
-/// It cannot be read or written. The file is then as it was.
+/// Fails if the file cannot be read or written. It is then unchanged.
 pub fn complete(file: &Path) -> Result<bool, String> {
     let about = |error: &dyn std::fmt::Display| format!("{}: {error}", file.display());
     let mut old = File::open(file).map_err(|error| about(&error))?;
@@ -45,7 +47,7 @@ pub fn complete(file: &Path) -> Result<bool, String> {
     Ok(true)
 }
 
-/// The same for every file beside `file`; returns those that got an index, and what went wrong.
+/// Like [`complete`], for all files in the folder of `file`. Returns the completed files and all errors.
 pub fn complete_beside(file: &Path) -> Vec<Result<PathBuf, String>> {
     let folder = match file.parent() {
         Some(folder) if folder != Path::new("") => folder,
@@ -69,7 +71,7 @@ fn part_of(file: &Path) -> PathBuf {
     file.with_file_name(name)
 }
 
-/// Everything in the file, as far as it goes, into a new one that is closed.
+/// Copies all readable contents of the file to a new one and closes it.
 fn copy(bytes: &[u8], to: &Path) -> Result<(), McapError> {
     let mut out = BufWriter::new(File::create(to)?);
     {
@@ -80,7 +82,7 @@ fn copy(bytes: &[u8], to: &Path) -> Result<(), McapError> {
         let mut schemas = HashMap::from([(0, 0)]);
         let mut channels = HashMap::new();
         for record in records(bytes)? {
-            // What is damaged behind this place was lost before.
+            // Data after this damaged place was already lost.
             let Ok(record) = record else { break };
             if let Record::Header(header) = &record {
                 (library, profile) = (header.library.clone(), header.profile.clone());

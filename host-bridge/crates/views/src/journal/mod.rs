@@ -1,16 +1,17 @@
-//! Sessions on disk (feature `mcap`): everything that came in, in its order, and everything that followed.
+//! Sessions on disk (feature `mcap`): all inputs in their order, and all results.
 //!
 //! ```text
 //! Tap ──► Recorder ══ bounded queue ══► Disk (own thread) ──► FILE.mcap
 //! ```
 //!
-//! * [`disk`]: the writer, which never keeps a session waiting that moves a real robot,
-//! * [`sink`]: the file on the disk, which is whole after every write,
-//! * [`index`]: what a killed recording lacks, written on the next start,
-//! * [`records`]: what a file holds, however damaged it is.
+//! * [`disk`]: the writer, which never delays a session that moves a real robot,
+//! * [`sink`]: the file on the disk, which is valid after every write,
+//! * [`index`]: adds the index to a killed recording at the next start,
+//! * [`records`]: reads the contents of a file, even if it is damaged.
 //!
-//! What is written is what [`host_topics`] makes of a session. The file's profile is `ros2`, its messages are CDR. Times
-//! of day are the session's clock plus the time of day at its start; messages that a replay needs carry the session's own
+//! [`host_topics`] creates the messages of a session. The file has the profile `ros2`, and its messages are CDR.
+//! Times of day are the session's clock plus the time of day at its start.
+//! Messages that a replay needs also contain the session's own milliseconds.
 //! milliseconds, too.
 
 pub mod disk;
@@ -20,5 +21,5 @@ pub mod sink;
 
 pub use disk::{Disk, Kept, Recorder, WhenFull};
 
-/// Name of the metadata that say how the session started.
+/// Name of the metadata that describe the start of the session.
 pub const METADATA: &str = "bimanual";

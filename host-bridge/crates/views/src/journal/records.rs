@@ -1,28 +1,28 @@
-//! The records of a file, those of its chunks unpacked, in no more memory than they may take.
+//! Reads the records of a file, including those in compressed chunks, with limited memory.
 
 use mcap::read::parse_record;
 use mcap::records::Record;
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use mcap::{McapError, McapResult};
 
-/// No record may be longer: the longest of ours have some KiB. The library makes room for whatever a record claims, and a
-/// damaged number may be any.
+/// Maximum length of a record; our longest have some KiB.
+/// The library allocates the length that a record claims, which can be arbitrary in a damaged file.
 const RECORD_MAX: usize = 16 << 20;
 
-/// Reads the bytes of a file to its end, or to where it is damaged; the end itself may be missing.
+/// Reads a file up to its end or to a damaged place. The regular end may be missing.
 pub struct Records<'a> {
     bytes: &'a [u8],
     reader: LinearReader,
-    /// Nothing is known of what follows an error.
+    /// Set after an error, because the following data is unknown.
     over: bool,
 }
 
-/// The records of these bytes.
+/// Returns the records of these bytes.
 ///
 /// # Errors
-/// They do not begin as an MCAP file does.
+/// The data does not begin like an MCAP file.
 pub fn records(bytes: &[u8]) -> McapResult<Records<'_>> {
-    // The lenient reader takes an empty file for one whose end is missing.
+    // The lenient reader would accept an empty file as one without an end.
     if !bytes.starts_with(mcap::MAGIC) {
         return Err(McapError::BadMagic);
     }
@@ -89,7 +89,7 @@ mod tests {
         };
         assert_eq!((messages(&file), messages(&file[..file.len() - 40])), (3, 3));
         assert!(records(&file[..4]).is_err() && records(b"").is_err());
-        // The first record, the header, claims more than any file has.
+        // The first record, the header, claims an impossible length.
         let mut claims = file;
         claims[8 + 1 + 7] = 0x17;
         assert!(records(&claims).unwrap().next().unwrap().is_err());

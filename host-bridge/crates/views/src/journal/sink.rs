@@ -1,16 +1,16 @@
-//! A file that is a whole MCAP file after every write.
+//! A file that is a valid MCAP file after every write.
 //!
-//! Behind the last chunk stands the shortest end that the format allows, and the next chunk is written over it,
-//! with a new end, in one go. A program that is killed, or a disk that is full, thus leaves a file that every
-//! reader takes, up to the last chunk. Only the index at the end is missing then.
+//! The last chunk is followed by the shortest valid end.
+//! The next chunk overwrites this end, with a new end, in a single write.
+//! After a kill or on a full disk, the file is therefore readable up to the last chunk, and only lacks the index.
 
 use std::fs::File;
 use std::io::{self, Seek, SeekFrom, Write};
 
-/// Data end without a checksum, footer without a summary, magic bytes.
+/// A data end without checksum, a footer without summary, and the magic bytes.
 pub(super) const END: [u8; 50] = {
     let mut end = [0; 50];
-    // Operation code and length of the record, then zeros.
+    // Operation code and length of the record, followed by zeros.
     end[0] = 0x0f;
     end[1] = 4;
     end[13] = 0x02;
@@ -24,18 +24,18 @@ pub(super) const END: [u8; 50] = {
     end
 };
 
-/// What a file must be able to do; the tests have one that fails.
+/// The required operations of a file. The tests implement one that fails.
 pub trait Storage {
-    /// Writes all bytes at this place.
+    /// Writes all bytes at this position.
     ///
     /// # Errors
-    /// What the disk says; some of the bytes may have been written.
+    /// The error of the disk. Some of the bytes may have been written.
     fn write_at(&mut self, at: u64, bytes: &[u8]) -> io::Result<()>;
 
-    /// Cuts off what is behind this place.
+    /// Removes everything after this position.
     ///
     /// # Errors
-    /// What the disk says.
+    /// The file system's error message.
     fn cut(&mut self, length: u64) -> io::Result<()>;
 }
 
@@ -50,23 +50,23 @@ impl Storage for File {
     }
 }
 
-/// Collects bytes; a flush puts them on the disk with an end behind them.
+/// Collects bytes. A flush writes them to the disk, followed by an end.
 #[derive(Debug)]
 pub struct Sink<S: Storage> {
     storage: S,
-    /// Up to here the file is good.
+    /// The file is valid up to this position.
     good: u64,
     waiting: Vec<u8>,
     failed: bool,
 }
 
 impl<S: Storage> Sink<S> {
-    /// Writes from the start of the storage on.
+    /// Creates a sink that writes from the start of the storage.
     pub fn new(storage: S) -> Self {
         Sink { storage, good: 0, waiting: Vec::new(), failed: false }
     }
 
-    /// Bytes of the file that is on the disk, with its end.
+    /// Returns the length of the file on the disk, including its end.
     pub fn length(&self) -> u64 {
         if self.good > 0 { self.good + END.len() as u64 } else { 0 }
     }
@@ -80,7 +80,7 @@ impl<S: Storage> Sink<S> {
         if let Err(error) = self.storage.write_at(self.good, &self.waiting) {
             self.failed = true;
             self.waiting.clear();
-            // The new end has room in the place of the old one.
+            // The new end fits in the place of the old one.
             if self.good > 0 {
                 self.storage.cut(self.good + END.len() as u64)?;
                 self.storage.write_at(self.good, &END)?;
@@ -92,10 +92,10 @@ impl<S: Storage> Sink<S> {
         Ok(())
     }
 
-    /// The last bytes, which bring their own end.
+    /// Writes the last bytes, which contain their own end.
     ///
     /// # Errors
-    /// What the disk says; the file is whole even then.
+    /// The error of the disk. The file is valid even then.
     pub fn finish(mut self) -> io::Result<(S, u64)> {
         self.put(&[])?;
         self.storage.cut(self.good)?;
@@ -126,7 +126,7 @@ mod tests {
     use std::cell::RefCell;
     use std::rc::Rc;
 
-    /// A disk of this many bytes.
+    /// A disk with this many bytes.
     struct Small(Rc<RefCell<Vec<u8>>>, usize);
 
     impl Storage for Small {

@@ -1,4 +1,5 @@
-//! One page's WebSocket: frames out as fast as the page takes them, `stop`, marks and acknowledgements in.
+//! The WebSocket of one page: sends frames as fast as the page accepts them, and receives `stop`,
+//! marks and acknowledgements.
 
 use std::io;
 use std::net::TcpStream;
@@ -13,21 +14,21 @@ use super::history::Told;
 use super::server::Seat;
 use super::{Counted, IN_FLIGHT_MAX, Shared};
 
-/// The thread looks for news this often; what the page sends wakes it at once.
+/// Interval at which the thread checks for new data. Data from the page wakes it immediately.
 const TURN: Duration = Duration::from_millis(4);
 
-/// A page that has taken nothing for this long is disconnected; it connects again by itself.
+/// A page that accepts nothing for this long is disconnected. It reconnects automatically.
 const TAKES_NOTHING: Duration = Duration::from_secs(30);
 
-/// Longest message of a page: it has little to say.
+/// Maximum length of a page's message, which is always short.
 const MESSAGE_MAX: usize = 256;
 
-/// The answer to a request for a WebSocket, or `None` if it is no such request.
+/// Returns the answer to a WebSocket request, or `None` for other requests.
 pub fn accept(head: &httparse::Request<'_, '_>) -> Option<Vec<u8>> {
     accept_with(head, "")
 }
 
-/// The same with more header lines, each with its line end.
+/// Like [`accept`], with additional header lines, each with its line end.
 pub fn accept_with(head: &httparse::Request<'_, '_>, more: &str) -> Option<Vec<u8>> {
     let has = |name: &str, word: &str| {
         let mut found = head.headers.iter().filter(|h| h.name.eq_ignore_ascii_case(name));
@@ -51,7 +52,7 @@ pub fn accept_with(head: &httparse::Request<'_, '_>, more: &str) -> Option<Vec<u
     })
 }
 
-/// Serves a page until it goes, the session ends, or the server closes. `rest` came behind the request.
+/// Serves a page until it disconnects, the session ends, or the server closes. `rest` are the bytes after the request.
 pub(super) fn run(stream: TcpStream, rest: Vec<u8>, place: &Seat, shared: &Shared) {
     let _counted = Counted::new(&shared.pages);
     place.looks_on();
@@ -74,7 +75,7 @@ pub(super) fn run(stream: TcpStream, rest: Vec<u8>, place: &Seat, shared: &Share
         taken: 0,
         taken_at: Instant::now(),
     };
-    // Whatever ends the connection, the page shows that it is gone and tries again.
+    // Whatever ends the connection, the page displays this and reconnects.
     let _ = page.run();
 }
 
@@ -93,7 +94,7 @@ struct Page<'a> {
 impl Page<'_> {
     fn run(&mut self) -> Result<(), Error> {
         loop {
-            // Asked before the last look at the history, so that nothing is left unsent at the end.
+            // Read before the last check of the history, so that everything is sent at the end.
             let over = self.shared.over.load(Ordering::SeqCst);
             if over || self.sent - self.taken < IN_FLIGHT_MAX {
                 self.tell()?;
@@ -110,7 +111,7 @@ impl Page<'_> {
                         return self.socket.close(None);
                     }
                 }
-                // Control frames are answered by the library.
+                // The library answers control frames.
                 Ok(Message::Ping(_) | Message::Pong(_) | Message::Close(_)) => {}
                 Ok(_) => return self.socket.close(None),
                 Err(Error::Io(error))
@@ -120,7 +121,7 @@ impl Page<'_> {
         }
     }
 
-    /// Sends the newest state and what belongs to it.
+    /// Sends the newest state and all related data.
     fn tell(&mut self) -> Result<(), Error> {
         let (hello, frame) = {
             let history = self.shared.history();
@@ -142,7 +143,7 @@ impl Page<'_> {
         Ok(())
     }
 
-    /// False for messages that no page of ours sends.
+    /// Returns false for messages that our pages never send.
     fn hear(&mut self, text: &str) -> bool {
         match text {
             "stop" => self.shared.stop.store(true, Ordering::SeqCst),

@@ -1,21 +1,22 @@
-//! Who may have the page. Pure: what a request says goes in, yes or the reason comes out.
+//! Access rules of the page. A pure function of a request's claims, with a reason for each refusal.
 //!
-//! Two things could reach a server on 127.0.0.1 besides its owner: another site's page, whose WebSocket is not
-//! bound to its own origin, and a name that somebody else's DNS points at 127.0.0.1 (DNS rebinding). So the
-//! name that was asked for must be an address or `localhost`, and the page that asks must be ours (or, if it
-//! may only look on, one that was named).
+//! A server on 127.0.0.1 is exposed to two attacks.
+//! A page of another site can open a WebSocket, which is not bound to its own origin.
+//! A foreign DNS name can also be pointed at 127.0.0.1 (DNS rebinding).
+//! The requested host must therefore be an address or `localhost`, and the requesting page must be ours.
+//! For passive access, it may also be one of the named pages.
 
 use std::net::{IpAddr, SocketAddr};
 
 /// Shortest token.
 pub const TOKEN_MIN: usize = 16;
-/// Different characters in a token, at least.
+/// Minimum number of different characters in a token.
 const DIFFERENT_MIN: usize = 6;
 
-/// What a request says about itself. A header that is missing is `None`; one that is not text counts as empty.
+/// The claims of a request. A missing header is `None`, and one that is not text counts as empty.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Claims<'a> {
-    /// `Host`, if there is exactly one.
+    /// `Host`, if it occurs exactly once.
     pub host: Option<&'a str>,
     /// `Origin`.
     pub origin: Option<&'a str>,
@@ -23,7 +24,7 @@ pub struct Claims<'a> {
     pub token: Option<&'a str>,
 }
 
-/// Why a request is refused; the text is for the person who asked.
+/// The reason for a refusal, as a text for the requesting user.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Refused {
     /// A foreign name.
@@ -34,19 +35,19 @@ pub enum Refused {
     /// A foreign page.
     #[error("another site's page may not look at the robot")]
     Origin,
-    /// No token, or a wrong one.
+    /// The request has a wrong token or none.
     #[error("this page needs the token that --web-token gave: open it with ?token=… at its end")]
     Token,
 }
 
-/// The rules of one server.
+/// The access rules of one server.
 #[derive(Clone, Debug)]
 pub struct Gate {
     address: SocketAddr,
     token: Option<String>,
 }
 
-/// Long enough, not all alike, and nothing that an address would have to escape.
+/// Returns whether the token is long enough, has enough different characters, and needs no escaping in an address.
 pub fn is_fit_as_token(token: &str) -> bool {
     let plain = |byte: u8| byte.is_ascii_alphanumeric() || byte == b'-' || byte == b'_';
     let mut different: Vec<u8> = token.bytes().collect();
@@ -56,12 +57,12 @@ pub fn is_fit_as_token(token: &str) -> bool {
 }
 
 impl Gate {
-    /// Rules for a server on this address.
+    /// Creates the rules for a server on this address.
     pub fn new(address: SocketAddr, token: Option<String>) -> Self {
         Gate { address, token }
     }
 
-    /// May this request have a file? The files themselves are no secret.
+    /// Checks whether this request may read a file. The files contain no secrets.
     ///
     /// # Errors
     /// [`Refused`].
@@ -73,7 +74,7 @@ impl Gate {
         }
     }
 
-    /// May this request have the page itself, which carries the token on?
+    /// Checks whether this request may load the page, which passes the token on.
     ///
     /// # Errors
     /// [`Refused`].
@@ -82,7 +83,7 @@ impl Gate {
         self.check_token(claims)
     }
 
-    /// May this request look at the robot, and stop it? Browsers always say where a WebSocket comes from.
+    /// Checks whether this request may observe and stop the robot. Browsers always send the origin of a WebSocket.
     ///
     /// # Errors
     /// [`Refused`].
@@ -92,8 +93,8 @@ impl Gate {
         self.check_token(claims)
     }
 
-    /// May this request look on, without a way to stop anything? Programs that are no browsers say nothing of
-    /// where they come from; a browser's page must be ours or one of `origins`.
+    /// Checks whether this request may observe without being able to stop anything.
+    /// Programs other than browsers send no origin; a browser's page must be ours or one of `origins`.
     ///
     /// # Errors
     /// [`Refused`].
@@ -126,7 +127,7 @@ impl Gate {
     fn check_token(&self, claims: &Claims<'_>) -> Result<(), Refused> {
         let Some(token) = &self.token else { return Ok(()) };
         let given = claims.token.unwrap_or_default();
-        // Looks at every byte whatever the others are, so that the time taken reveals nothing.
+        // Compares all bytes in constant time, so that the duration reveals nothing.
         let differing = token.bytes().zip(given.bytes()).fold(0, |sum, (a, b)| sum | (a ^ b));
         if given.len() == token.len() && differing == 0 { Ok(()) } else { Err(Refused::Token) }
     }

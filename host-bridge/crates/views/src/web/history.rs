@@ -1,22 +1,22 @@
-//! What pages are told: the newest state, and the last seconds of what only makes sense as a sequence.
+//! Data for pages: the newest state, and the last seconds of all sequences.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
 
 use serde::Serialize;
 
-/// The right hand's samples that are kept: 8 s at 100 Hz.
+/// Number of stored right-hand samples: 8 s at 100 Hz.
 const SAMPLES_MAX: usize = 800;
 const EVENTS_MAX: usize = 200;
 const PATH_MAX: usize = 3000;
 const TRACE_MAX: usize = 1500;
 
-/// The last items of a sequence, each with its number since the start.
+/// The last items of a sequence, numbered from the start.
 #[derive(Clone, Debug)]
 pub struct Last<T> {
     items: VecDeque<T>,
     room: usize,
-    /// Number of the item that comes next.
+    /// Number of the next item.
     next: u64,
 }
 
@@ -25,7 +25,7 @@ impl<T: Clone> Last<T> {
         Last { items: VecDeque::new(), room, next: 0 }
     }
 
-    /// Adds an item; the oldest makes room.
+    /// Adds an item. If the sequence is full, the oldest item is removed.
     pub fn push(&mut self, item: T) {
         if self.items.len() == self.room {
             self.items.pop_front();
@@ -39,7 +39,7 @@ impl<T: Clone> Last<T> {
         self.items.back()
     }
 
-    /// Everything from number `seen` on that is still there; `seen` becomes the next number.
+    /// Returns all stored items from number `seen` on, and sets `seen` to the next number.
     pub fn since(&self, seen: &mut u64) -> Vec<T> {
         let missing = self.next.saturating_sub(*seen).min(self.items.len() as u64) as usize;
         *seen = self.next;
@@ -47,12 +47,12 @@ impl<T: Clone> Last<T> {
     }
 }
 
-/// A line of the event list.
+/// A line in the list of events.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct EventLine {
     /// When.
     pub time_ms: u64,
-    /// How it is to be shown: `halt`, `motion`, or nothing special.
+    /// Style of the line: `halt`, `motion`, or empty.
     pub class: &'static str,
     /// For people.
     pub text: String,
@@ -61,21 +61,21 @@ pub struct EventLine {
 /// See the module.
 #[derive(Clone, Debug)]
 pub struct History {
-    /// The first message to each page; there is none before the session's first step.
+    /// The first message to each page. It does not exist before the session's first step.
     pub hello: Option<Arc<str>>,
     /// The newest [`host_core::observe::Snapshot`] as JSON.
     pub state: Arc<str>,
     /// Counts states; 0 = none yet.
     pub version: u64,
-    /// How far the fingers are bent, if that is known.
+    /// Bends of the fingers, if known.
     pub bends_permille: Option<[i16; 2]>,
-    /// Time in ms, then the values of one IMU sample.
+    /// Time in ms, followed by the values of one IMU sample.
     pub imu: Last<Vec<f32>>,
-    /// What happened.
+    /// The events with their times.
     pub events: Last<EventLine>,
-    /// Where the base was, in m.
+    /// Path of the base in m.
     pub path: Last<[f64; 2]>,
-    /// Where the flange was in the world, in m.
+    /// Path of the flange in the world in m.
     pub trace: Last<[f64; 3]>,
 }
 
@@ -94,7 +94,7 @@ impl Default for History {
     }
 }
 
-/// How much one page has been told.
+/// The data that one page has already received.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Told {
     version: u64,
@@ -113,7 +113,7 @@ struct News<'a> {
     trace: &'a [[f64; 3]],
 }
 
-/// What is copied under the lock, to be made into text outside of it.
+/// Data copied under the lock and formatted outside of it.
 pub struct Frame {
     version: u64,
     state: Arc<str>,
@@ -125,7 +125,7 @@ pub struct Frame {
 }
 
 impl History {
-    /// What a page has not been told yet, if there is a newer state.
+    /// Returns the data that a page has not received yet, if there is a newer state.
     pub fn frame(&self, told: &mut Told) -> Option<Frame> {
         if self.version == told.version {
             return None;
@@ -148,7 +148,7 @@ impl Frame {
     pub fn to_json(&self) -> String {
         let Frame { version, state, bends_permille, imu, events, path, trace } = self;
         let news = News { bends_permille: *bends_permille, imu, events, path, trace };
-        // Numbers, texts and lists: nothing that could fail.
+        // The data consists of numbers, texts and lists, which cannot fail.
         let news = serde_json::to_string(&news).unwrap_or_default();
         format!(r#"{{"frame":{version},"state":{state},"news":{news}}}"#)
     }

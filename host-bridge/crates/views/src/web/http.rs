@@ -1,4 +1,4 @@
-//! One request: a file that is compiled in, the live WebSocket, or a refusal that says why.
+//! Answers one request with a compiled-in file, the live WebSocket, or a refusal with its reason.
 
 use std::io::{Read as _, Write as _};
 use std::net::TcpStream;
@@ -12,17 +12,17 @@ use super::{Shared, client};
 const HEAD_MAX: usize = 8192;
 const HEADERS_MAX: usize = 64;
 
-/// Whoever has not sent a request by then is disconnected.
+/// Time after which a client without a request is disconnected.
 const PATIENCE: Duration = Duration::from_secs(5);
 
-/// Nothing from elsewhere, nothing inline, in nobody's frame.
+/// Permits no external or inline content, and no embedding in frames.
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; \
                       base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
 const HTML: &str = "text/html; charset=utf-8";
 const SCRIPT: &str = "text/javascript; charset=utf-8";
 
-/// Path, kind and content of everything there is.
+/// Path, type and content of all files.
 const FILES: [(&str, &str, &str); 9] = [
     ("/", HTML, include_str!("page/index.html")),
     ("/page.css", "text/css; charset=utf-8", include_str!("page/page.css")),
@@ -35,7 +35,7 @@ const FILES: [(&str, &str, &str); 9] = [
     ("/matrix.js", SCRIPT, include_str!("page/matrix.js")),
 ];
 
-/// Answers the one request of a connection.
+/// Answers the only request of a connection.
 pub(super) fn serve(stream: TcpStream, place: &Seat, shared: &Shared) {
     with_request(stream, |stream, request, rest| {
         place.heard();
@@ -50,9 +50,9 @@ pub struct Request<'a, 'h> {
     pub claims: Claims<'a>,
 }
 
-/// Reads a request, or says why there is none; hands it over with what came behind it.
+/// Reads a request and passes it on with the bytes after it, or answers why there is none.
 pub fn with_request(mut stream: TcpStream, then: impl FnOnce(TcpStream, Request<'_, '_>, Vec<u8>)) {
-    // A socket that refuses its settings is broken, and reading from it says so too.
+    // A socket that refuses its settings is broken, and reading from it fails too.
     let _ = stream.set_nodelay(true);
     let _ = stream.set_write_timeout(Some(PATIENCE));
     let mut buffer = Vec::new();
@@ -123,7 +123,7 @@ fn page_or_file(
     }
 }
 
-/// Reads up to the empty line. How long the head is: 0 if nobody asks, `None` if it is too long.
+/// Reads up to the empty line. Returns the length of the head: 0 without a request, `None` if it is too long.
 fn read_head(stream: &mut TcpStream, buffer: &mut Vec<u8>) -> Option<usize> {
     let until = Instant::now() + PATIENCE;
     let mut piece = [0; 2048];
@@ -143,7 +143,7 @@ fn read_head(stream: &mut TcpStream, buffer: &mut Vec<u8>) -> Option<usize> {
     None
 }
 
-/// A header that is there exactly once.
+/// Returns a header that occurs exactly once.
 pub fn header<'a>(head: &httparse::Request<'_, 'a>, name: &str) -> Option<&'a str> {
     let mut found = head.headers.iter().filter(|h| h.name.eq_ignore_ascii_case(name));
     let only = found.next().filter(|_| found.next().is_none())?;
@@ -162,6 +162,6 @@ pub fn answer(stream: &mut TcpStream, status: &str, kind: &str, content: &str, w
         content.len()
     );
     let body = if with_body { content.as_bytes() } else { &[] };
-    // Whoever hangs up during an answer does not need it.
+    // If the client disconnects during an answer, it does not need it.
     let _ = stream.write_all(head.as_bytes()).and_then(|()| stream.write_all(body));
 }

@@ -1,23 +1,23 @@
-//! The page: a session to look at in a browser, served by this program itself.
+//! The page, which displays a session in a browser and is served by this program.
 //!
 //! ```text
 //! session loop ─► Watcher (an Observer) ─► Board: newest state, last seconds ─► a thread per page ─► browser
 //!              ◄──────────────── take_stop() ◄──────────────────────────────────┘ "stop"
 //! ```
 //!
-//! * [`gate`]: who may ask: names of hosts, origins, the token,
+//! * [`gate`]: access rules for host names, origins and the token,
 //! * [`server`]: a port and its threads,
-//! * `http`: one request, one of a few files that are compiled in,
-//! * `history`: what a page that comes late must still be told,
-//! * `watcher`: from the tap to that history,
-//! * `client`: one page's WebSocket.
+//! * `http`: one request for a compiled-in file,
+//! * `history`: data for pages that connect later,
+//! * `watcher`: fills the history from the tap,
+//! * `client`: the WebSocket of one page.
 //!
-//! The session never waits for a page: the watcher writes into a bounded history, and each page's thread
-//! fetches from there what its page has room for. A page has at most [`IN_FLIGHT_MAX`] frames that it has not
-//! acknowledged; a slow one misses states, not events, and never gets old ones late.
+//! The session never waits for a page. The watcher writes to a bounded history, and each page's thread reads from it.
+//! A page has at most [`IN_FLIGHT_MAX`] unacknowledged frames.
+//! A slow page misses states but no events, and never receives outdated states.
 //!
-//! Threads and two small crates instead of an asynchronous server: `httparse` (hyper's own parser) reads the
-//! request, `tungstenite` speaks WebSocket. `axum` would bring 69 crates for five files.
+//! The server uses threads and two small crates instead of an asynchronous runtime.
+//! `httparse` (hyper's own parser) reads requests, and `tungstenite` handles WebSockets. `axum` would add 69 crates.
 
 pub(crate) mod client;
 pub mod gate;
@@ -40,16 +40,16 @@ use server::{Bound, Counted, Name, Server};
 pub use server::{CONNECTIONS_MAX, WebError, WebOptions};
 pub use watcher::{INTERVAL, Watcher};
 
-/// The page's address, unless another is asked for.
+/// The default port of the page.
 pub const DEFAULT_PORT: u16 = 8042;
 
-/// Frames that a page may have on their way without having acknowledged one.
+/// Maximum number of frames that a page has not acknowledged.
 pub const IN_FLIGHT_MAX: u64 = 2;
 
-/// Marks that may wait for the session.
+/// Maximum number of marks that wait for the session.
 const MARKS_MAX: usize = 16;
 
-/// Pages get this long to hear that the session is over.
+/// Time for pages to receive the end of the session.
 const FAREWELL: Duration = Duration::from_millis(300);
 
 const NAME: Name = Name { what: "the page", option: "--web" };
@@ -60,11 +60,11 @@ impl Default for WebOptions {
     }
 }
 
-/// What session, server and pages share.
+/// Data shared by session, server and pages.
 struct Shared {
     gate: Gate,
     history: Mutex<History>,
-    /// A page pressed stop. One flag, not a queue: to stop twice is to stop.
+    /// Set when a page requests a stop. A flag suffices, because several stops have the same effect as one.
     stop: AtomicBool,
     /// A page pressed the wearer's button.
     show: AtomicBool,
@@ -76,18 +76,18 @@ struct Shared {
 }
 
 impl Shared {
-    /// A page marks an episode; false if the session takes no marks.
+    /// Marks an episode. Returns false if the session accepts no marks.
     fn mark(&self, mark: Mark) -> bool {
         let Some(marks) = &self.marks else { return false };
         let mut marks = marks.lock().unwrap_or_else(PoisonError::into_inner);
-        // Nobody presses so many buttons between two turns of the session.
+        // Nobody can press more buttons between two turns of the session.
         if marks.len() < MARKS_MAX {
             marks.push_back(mark);
         }
         true
     }
 
-    /// At worst a thread that panicked left a half-written list of points, which is still a list.
+    /// After a panic in another thread, the list of points may be incomplete but is still valid.
     fn history(&self) -> MutexGuard<'_, History> {
         self.history.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -100,15 +100,15 @@ pub struct Web {
 }
 
 impl Web {
-    /// Takes the port and serves from a thread of its own.
+    /// Opens the port and serves it in a separate thread.
     ///
     /// # Errors
-    /// [`WebError`] if the port cannot be had, or other machines would get in without a token.
+    /// [`WebError`] if the port is not available, or other machines could connect without a token.
     pub fn start(options: &WebOptions) -> Result<Self, WebError> {
         Self::start_with(options, false)
     }
 
-    /// The same; with `marks` its pages can mark episodes.
+    /// Like the function above; with `marks`, the pages can mark episodes.
     ///
     /// # Errors
     /// As [`Web::start`].
@@ -128,28 +128,28 @@ impl Web {
         Ok(Web { shared, server: bound.serve(move |stream, place| http::serve(stream, place, &serving)) })
     }
 
-    /// What to type into a browser.
+    /// Returns the address for a browser.
     pub fn url(&self) -> String {
         self.server.url("http")
     }
 
-    /// Where it listens.
+    /// The address of the server.
     pub fn address(&self) -> SocketAddr {
         self.server.address()
     }
 
-    /// The observer to attach to the session's tap. `title` is the page's headline.
+    /// Returns the observer for the session's tap. `title` is the page's headline.
     pub fn watcher(&self, title: &str) -> Watcher {
         Watcher::new(self.shared.clone(), title)
     }
 
-    /// Whether a page has asked for a stop since the last call. The session's loop asks at every turn, and
-    /// stops as it does for its own stop key.
+    /// Returns whether a page has requested a stop since the last call.
+    /// The session calls this at every turn.
     pub fn take_stop(&self) -> bool {
         self.shared.stop.swap(false, Ordering::SeqCst)
     }
 
-    /// The same for another thread.
+    /// Returns the same function for another thread.
     pub fn stops(&self) -> impl Fn() -> bool + Send + use<> {
         let shared = Arc::clone(&self.shared);
         move || shared.stop.swap(false, Ordering::SeqCst)
@@ -167,12 +167,12 @@ impl Web {
         move || shared.marks.as_ref()?.try_lock().ok()?.pop_front()
     }
 
-    /// How many pages look on.
+    /// Number of connected pages.
     pub fn pages(&self) -> usize {
         self.shared.pages.load(Ordering::SeqCst)
     }
 
-    /// Tells the pages how it ended and that the session is over, and gives them a moment to hear it.
+    /// Sends the final state and the end of the session to the pages, and waits briefly.
     pub fn end(self, now: &Now<'_>) {
         watcher::publish(&self.shared, now);
         self.shared.over.store(true, Ordering::SeqCst);

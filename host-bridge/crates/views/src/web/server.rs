@@ -1,7 +1,8 @@
-//! A port, a thread for whoever comes, and the rules of who may listen where. For the page and for Foxglove.
+//! A port with a thread for each connection, and its access rules, for the page and for Foxglove.
 //!
-//! There is always a place for a newcomer: if all are taken, the connection that has said nothing for longest
-//! goes, pages last. So nobody who holds connections keeps others from the page's stop.
+//! A new connection always succeeds.
+//! If all places are taken, the connection that has been silent for longest is closed.
+//! Pages are closed last, so nobody can block the page's stop with other connections.
 
 use std::io;
 use std::net::{IpAddr, Ipv4Addr, Shutdown, SocketAddr, TcpListener, TcpStream};
@@ -11,25 +12,25 @@ use std::time::{Duration, Instant};
 
 use super::gate::{self, Gate};
 
-/// Connections at a time: a browser opens up to six for the files, each page keeps one.
+/// Maximum number of connections. A browser opens up to six for files, and each page keeps one.
 pub const CONNECTIONS_MAX: usize = 24;
-/// If all places are taken, the next connection waits this long.
+/// Delay for the next connection if all places are taken.
 const ROOM: Duration = Duration::from_millis(2);
-/// Threads at a time: those whose connection had to go need a moment to end.
+/// Maximum number of threads, which is larger because closed connections take some time to end.
 const THREADS_MAX: usize = 4 * CONNECTIONS_MAX;
 
-/// The address to serve at, and who may connect.
+/// The address of the server, and its access rules.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct WebOptions {
-    /// Address to listen on. Other machines reach it only if it is not a loopback address.
+    /// Address to listen on. Other machines can connect only if it is not a loopback address.
     pub address: IpAddr,
     /// Port; 0 = any free one.
     pub port: u16,
-    /// What a page must know. Needed if other machines can reach the address.
+    /// The token that a page must send. Required if other machines can reach the address.
     pub token: Option<String>,
 }
 
-/// Why nothing is served; the text says what to do.
+/// The reason why nothing is served, with a remedy in the text.
 #[derive(Debug, thiserror::Error)]
 pub enum WebError {
     /// Somebody else has the port.
@@ -39,9 +40,9 @@ pub enum WebError {
         other_port(address)
     )]
     PortTaken {
-        /// What was to be served.
+        /// Name of the service, for the error message.
         what: &'static str,
-        /// The option that names a port.
+        /// The option that sets the port.
         option: &'static str,
         /// Which.
         address: SocketAddr,
@@ -52,22 +53,22 @@ pub enum WebError {
          or another address of this machine with --web-listen ADDR"
     )]
     Listen {
-        /// What was to be served.
+        /// Name of the service, for the error message.
         what: &'static str,
-        /// The option that names a port.
+        /// The option that sets the port.
         option: &'static str,
         /// Where.
         address: SocketAddr,
-        /// What the system said.
+        /// The system's error message.
         source: io::Error,
     },
-    /// Other machines could reach the page, and nothing keeps them out.
+    /// Other machines could reach the page without a token.
     #[error(
         "--web-listen {0} lets other machines in: give a token of 16 or more letters and digits with --web-token, \
          or leave --web-listen out and forward the port over ssh"
     )]
     TokenNeeded(IpAddr),
-    /// The token is too easy or does not fit into an address.
+    /// The token is too simple or cannot be used in an address.
     #[error("--web-token takes {min} to 128 letters, digits, - and _ (for example from `openssl rand -hex 16`)",
         min = gate::TOKEN_MIN)]
     BadToken,
@@ -77,16 +78,16 @@ fn other_port(address: &SocketAddr) -> u16 {
     address.port().checked_add(1).unwrap_or(super::DEFAULT_PORT)
 }
 
-/// What is served, for the texts of errors.
+/// Names of the service for error messages.
 #[derive(Clone, Copy, Debug)]
 pub struct Name {
-    /// As in "the page cannot be served".
+    /// The subject in "the page cannot be served".
     pub what: &'static str,
-    /// The option that names its port.
+    /// The option that sets the server's port.
     pub option: &'static str,
 }
 
-/// A port that was taken, before anybody is served.
+/// An open port, before anything is served.
 pub struct Bound {
     listener: TcpListener,
     address: SocketAddr,
@@ -97,7 +98,7 @@ impl Bound {
     /// Takes the port.
     ///
     /// # Errors
-    /// [`WebError`] if the port cannot be had, or other machines would get in without a token.
+    /// [`WebError`] if the port is not available, or other machines could connect without a token.
     pub fn new(options: &WebOptions, Name { what, option }: Name) -> Result<Self, WebError> {
         match &options.token {
             Some(token) if !gate::is_fit_as_token(token) => return Err(WebError::BadToken),
@@ -119,7 +120,7 @@ impl Bound {
         Gate::new(self.address, self.token.clone())
     }
 
-    /// Serves from a thread of its own, and a thread for each connection.
+    /// Serves in a separate thread, with one more thread for each connection.
     pub fn serve(self, serve: impl Fn(TcpStream, &Seat) + Send + Sync + 'static) -> Server {
         let closing = Arc::new(AtomicBool::new(false));
         let (seen, listener) = (closing.clone(), self.listener);
@@ -137,12 +138,12 @@ pub struct Server {
 }
 
 impl Server {
-    /// Where it listens.
+    /// The address of the server.
     pub fn address(&self) -> SocketAddr {
         self.address
     }
 
-    /// What to type to get there: `http` or `ws`.
+    /// Returns the address with this scheme: `http` or `ws`.
     pub fn url(&self, scheme: &str) -> String {
         let host = match self.address.ip() {
             ip if ip.is_unspecified() => "ADDRESS-OF-THIS-MACHINE".to_owned(),
@@ -157,7 +158,7 @@ impl Server {
 impl Drop for Server {
     fn drop(&mut self) {
         self.closing.store(true, Ordering::SeqCst);
-        // Wakes the accepting thread, so that it sees the flag and lets go of the port.
+        // Wakes the accepting thread, so that it reads the flag and closes the port.
         let ip = match self.address.ip() {
             ip if ip.is_unspecified() && ip.is_ipv4() => Ipv4Addr::LOCALHOST.into(),
             ip if ip.is_unspecified() => std::net::Ipv6Addr::LOCALHOST.into(),
@@ -168,7 +169,7 @@ impl Drop for Server {
     }
 }
 
-/// One connection's place among the others.
+/// The place of one connection among the others.
 #[derive(Debug)]
 pub struct Seat {
     since: Instant,
@@ -183,20 +184,20 @@ impl Seat {
         place
     }
 
-    /// It is a page (or a viewer) from now on, and is disconnected only after all those that are not.
+    /// Marks the connection as a page or a viewer, which is closed only after all others.
     pub fn looks_on(&self) {
         self.looks_on.store(true, Ordering::Relaxed);
         self.heard();
     }
 
-    /// The other end has said something, so it keeps its place.
+    /// Reports data from the other end, so that the connection keeps its place.
     pub fn heard(&self) {
         let now_ms = u64::try_from(self.since.elapsed().as_millis()).unwrap_or(u64::MAX);
         self.heard_ms.store(now_ms, Ordering::Relaxed);
     }
 }
 
-/// Who is connected: a place, and a handle to hang up by.
+/// The connections: a place and a handle to close each.
 type Places = Mutex<Vec<(Arc<Seat>, TcpStream)>>;
 
 fn accept<S: Fn(TcpStream, &Seat) + Send + Sync + 'static>(
@@ -213,13 +214,13 @@ fn accept<S: Fn(TcpStream, &Seat) + Send + Sync + 'static>(
             return;
         }
         match accepted {
-            // Closed without a word: the connections that had to go have not ended yet.
+            // The connection is closed without an answer, because the threads of closed connections have not ended yet.
             Ok(_) if threads.load(Ordering::SeqCst) >= THREADS_MAX => {}
             Ok((stream, _)) => {
                 let Ok(handle) = stream.try_clone() else { continue };
                 let place = Arc::new(Seat::new(since));
                 if take(&places, Arc::clone(&place), handle) {
-                    // However many connections come, each has time to ask.
+                    // However many connections arrive, each gets time to send a request.
                     std::thread::sleep(ROOM);
                 }
                 threads.fetch_add(1, Ordering::SeqCst);
@@ -229,12 +230,12 @@ fn accept<S: Fn(TcpStream, &Seat) + Send + Sync + 'static>(
                     serve(stream, &place);
                     lock(&left).retain(|(other, _)| !Arc::ptr_eq(other, &place));
                 };
-                // Without a thread the connection is closed, and the browser asks again.
+                // Without a thread, the connection is closed, and the browser tries again.
                 if std::thread::Builder::new().name("page".to_owned()).spawn(work).is_err() {
                     lock(&places).pop();
                 }
             }
-            // Out of file descriptors, for example: no reason to turn as fast as possible.
+            // For example, if no file descriptors are left. The delay avoids a busy loop.
             Err(_) => std::thread::sleep(Duration::from_millis(50)),
         }
     }
@@ -244,8 +245,8 @@ fn lock(places: &Places) -> MutexGuard<'_, Vec<(Arc<Seat>, TcpStream)>> {
     places.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Puts a connection on the list; if it is full, one is disconnected: of those that are not pages, else of all, the one
-/// that has said nothing for longest. True if one had to go.
+/// Adds a connection to the list. If the list is full, it closes the connection that has been silent for longest.
+/// Connections other than pages are closed first. Returns true if one was closed.
 fn take(places: &Places, place: Arc<Seat>, handle: TcpStream) -> bool {
     let mut places = lock(places);
     let is_full = places.len() >= CONNECTIONS_MAX;
@@ -257,7 +258,7 @@ fn take(places: &Places, place: Arc<Seat>, handle: TcpStream) -> bool {
         let quietest = (0..places.len()).min_by_key(order);
         if let Some(at) = quietest {
             let (_, gone) = places.remove(at);
-            // Its thread reads the end, and leaves.
+            // The client's thread reads the end of the stream and ends.
             let _ = gone.shutdown(Shutdown::Both);
         }
     }
@@ -265,7 +266,7 @@ fn take(places: &Places, place: Arc<Seat>, handle: TcpStream) -> bool {
     is_full
 }
 
-/// Subtracts a thread from the count, even if it never started or panicked.
+/// Decreases the number of threads, even if the thread never started or has panicked.
 struct Leaving(Arc<AtomicUsize>);
 
 impl Drop for Leaving {
@@ -274,7 +275,7 @@ impl Drop for Leaving {
     }
 }
 
-/// Subtracts itself from the count when dropped.
+/// Decreases the count when dropped.
 pub struct Counted<'a>(&'a AtomicUsize);
 
 impl<'a> Counted<'a> {

@@ -1,4 +1,4 @@
-//! From the tap to the history that pages are told.
+//! Fills the history for pages from the tap.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -12,13 +12,12 @@ use host_core::describe;
 use host_core::observe::SessionEvent;
 use host_core::observe::{Now, Observer, Sample, Setting, Snapshot, link_poses_in_world};
 
-/// A new state is published this long after the last at the earliest: a little less than a frame of a 60 Hz
-/// display.
+/// Minimum time between two published states, slightly less than a frame of a 60 Hz display.
 pub const INTERVAL: Duration = Duration::from_millis(15);
 
-/// Path and trace are looked at this often (in the session's time) …
+/// Interval at which path and trace are sampled, in the session's time.
 const TRAIL_INTERVAL_MS: u64 = 40;
-/// … and get a point after this many metres.
+/// Minimum distance between two points of the path, in m.
 const PATH_STEP_M: f64 = 0.02;
 const TRACE_STEP_M: f64 = 0.01;
 
@@ -32,7 +31,7 @@ struct Hello<'a> {
     setting: &'a Setting,
 }
 
-/// Attached to a session's tap; never waits for a page.
+/// An observer of a session, which never waits for a page.
 pub struct Watcher {
     shared: Arc<Shared>,
     title: String,
@@ -76,7 +75,7 @@ impl Watcher {
 
 /// Makes this the newest state.
 pub(super) fn publish(shared: &Shared, now: &Now<'_>) {
-    // Numbers, texts and lists: nothing that could fail.
+    // The data consists of numbers, texts and lists, which cannot fail.
     let state = serde_json::to_string(&Snapshot::of(now)).unwrap_or_default();
     let mut history = shared.history();
     history.state = state.into();
