@@ -5,7 +5,7 @@ use serde_json::Value;
 use shared_dsp::right::aligned::{AlignedWindow, MAX_FEATURES, feature_count};
 use shared_dsp::right::features::{HOP, WINDOW};
 
-/// Features of the last window of `samples`.
+/// Returns the features of the last window of `samples`.
 fn features<const A: usize>(samples: &[Vec<f32>]) -> Vec<f32> {
     let mut window = AlignedWindow::<A>::new();
     for sample in samples {
@@ -61,7 +61,7 @@ fn features_equal_those_of_numpy() {
 
 #[test]
 fn a_window_depends_on_its_own_samples_only() {
-    // With any previous samples and any phase of the ring, the features depend only on the window, bit for bit.
+    // The features depend only on the window, bit for bit. Previous samples and the phase of the ring have no effect.
     let window = swing(WINDOW);
     let expected = features::<9>(&window);
     for hops_before in [1, 7, 24, 25, 61] {
@@ -150,7 +150,7 @@ proptest! {
         let turned: Vec<Vec<f32>> = samples.iter().map(|sample| {
             let mut sample = sample.clone();
             if mirrored {
-                // A plane mirror: acceleration is a vector and rotation is an axial vector.
+                // The mirror is a plane. Acceleration is a vector, and rotation is an axial vector.
                 sample[1] = -sample[1];
                 sample[3] = -sample[3];
                 sample[5] = -sample[5];

@@ -40,7 +40,7 @@ fn reference(window: &[f32]) -> [f64; FEATURES_PER_AXIS] {
     out
 }
 
-/// Returns the largest error relative to its tolerance, and its position.
+/// Returns the largest error relative to its tolerance, and where it occurs.
 fn worst(got: &[f32; FEATURES_PER_AXIS], expected: &[f64; FEATURES_PER_AXIS]) -> (f64, usize) {
     let ratio = |f: usize| {
         let error = (f64::from(got[f]) - expected[f]).abs();
@@ -95,7 +95,7 @@ fn three_and_six_axes_give_what_nine_give() {
     }
 }
 
-/// Deterministic noise, uniform from −1 to 1.
+/// Returns deterministic noise, uniform from −1 to 1.
 struct Noise(u64);
 
 impl Noise {
@@ -107,7 +107,7 @@ impl Noise {
     }
 }
 
-/// Feeds one axis and compares every `stride`-th hop with the definition.
+/// Feeds one axis, and compares every `stride`-th hop with the definition.
 fn check_stream(name: &str, samples: usize, stride: usize, mut next: impl FnMut(usize) -> f32) -> f64 {
     let mut window = FeatureWindow::<1>::new();
     let mut history = [0f32; 2 * WINDOW];

@@ -1,7 +1,7 @@
 //! Checks that unintended movements of the left hand cause no command.
 //!
 //! The test simulates ten wearers in virtual time, for 30 minutes each (3 minutes in the short version).
-//! They hold the palm up, walk, shake the hand, and have pins that pick up hum.
+//! The wearers hold the palm up, walk and shake the hand, and some have pins that pick up hum.
 //! It also measures the delay of intended tilts.
 
 use std::f64::consts::TAU;
@@ -12,13 +12,13 @@ use shared_words::health;
 use shared_words::{Heading, TiltThresholds};
 
 const WEARERS: u64 = 10;
-/// Seconds per wearer: half an hour in the campaign, three minutes in the short version.
+/// Simulated seconds per wearer: half an hour in the campaign, and three minutes in the short version.
 fn seconds() -> u32 {
     if std::env::var_os("BIMANUAL_FULL").is_some() { 1800 } else { 180 }
 }
 const SAMPLE_MS: u32 = 10;
 
-/// A small generator with equal results on all machines.
+/// A small random number generator that gives equal results on all machines.
 struct Random(u64);
 
 impl Random {
@@ -27,7 +27,7 @@ impl Random {
         low + (high - low) * ((self.0 >> 11) as f64 / (1u64 << 53) as f64)
     }
 
-    /// A roughly normal random number with standard deviation 1.
+    /// Returns a roughly normal random number with standard deviation 1.
     fn normal(&mut self) -> f64 {
         (0..12).map(|_| self.uniform(-0.5, 0.5)).sum()
     }
@@ -35,7 +35,7 @@ impl Random {
 
 type Vector = [f64; 3];
 
-/// The up direction in the frame of a hand tilted by these angles in radians. The larger angle is exact.
+/// Returns the up direction in the frame of a hand that is tilted by these angles in radians. The larger angle is exact.
 fn up(pitch: f64, roll: f64) -> Vector {
     let ((sp, cp), (sr, cr)) = (pitch.sin_cos(), roll.sin_cos());
     if pitch.abs() >= roll.abs() { [sp, cp * sr, cp * cr] } else { [cr * sp, sr, cr * cp] }
@@ -48,7 +48,7 @@ struct Wearer {
     gain: Vector,
     tremor: [(f64, f64, f64); 4],
     now_ms: u32,
-    /// Flex readings in counts of the converter, 0 to 1023.
+    /// Flex readings in counts of the converter, from 0 to 1023.
     flex: [f64; 2],
 }
 
@@ -57,7 +57,7 @@ impl Wearer {
         let mut random = Random(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1);
         let now_ms = random.uniform(0.0, f64::from(u32::MAX)) as u32;
         let gain = [0; 3].map(|_| random.uniform(0.9, 1.1));
-        // A quarter of a degree each, 4 to 12 Hz, in total at most 1°.
+        // Each part of the tremor has a quarter of a degree and 4 to 12 Hz. The total is at most 1°.
         let tremor =
             [0; 4].map(|_| (random.uniform(4.0, 12.0), random.uniform(0.0, 6.3), 0.25f64.to_radians()));
         let hand = LeftHand::new(Some(Calibration::DEFAULT), TiltThresholds::DEFAULT, now_ms);
@@ -123,7 +123,7 @@ fn a_palm_turned_up_neither_arms_nor_commands_nor_is_neutral() {
     let mut neutral = 0;
     let mut turned = |wearer: &mut Wearer, sample: u32| {
         let t = wearer.seconds(sample);
-        // The hand is alternately level and tilted by up to 40°, with a turn every 3 s.
+        // The hand is alternately level and tilted by up to 40°. It changes every 3 s.
         let tilt = 0.7 * (t / 3.0).sin().max(0.0) + wearer.shaken(t);
         let [x, y, z] = if (sample / 1000).is_multiple_of(2) { up(tilt, 0.0) } else { up(0.0, tilt) };
         let out = wearer.feel([x, y, -z]);
@@ -135,10 +135,10 @@ fn a_palm_turned_up_neither_arms_nor_commands_nor_is_neutral() {
     assert_eq!(neutral, 0);
 }
 
-/// A sample of walking: 1.7 to 2.1 steps per second, ±0.35 g along and across the hand, pose up to 4° off level.
+/// Returns a sample of walking: 1.7 to 2.1 steps per second, ±0.35 g along and across the hand, pose up to 4° off level.
 fn walk(wearer: &mut Wearer, sample: u32, hz: f64, off: (f64, f64), towards: f64) -> LeftOutput {
     let t = wearer.seconds(sample);
-    // The walker stands still for 5 s in every minute, so that first steps occur often.
+    // The walker stands still for 5 s in every minute, so the test contains many first steps.
     let walks = if t % 60.0 < 5.0 { 0.0 } else { 1.0 };
     let step = 0.35 * walks * (TAU * hz * t).sin();
     // The heels strike twice per stride.
@@ -168,7 +168,7 @@ fn a_walking_wearer_commands_nothing() {
 
 #[test]
 fn a_hand_shaken_four_times_a_second_commands_nothing() {
-    // Shaking about level with 0 to 1.2 g.
+    // The hand is level and is shaken with 0 to 1.2 g.
     let level = |wearer: &mut Wearer, sample: u32| {
         let t = wearer.seconds(sample);
         let size = 1.2 * (t / 30.0).sin().abs();
@@ -177,7 +177,7 @@ fn a_hand_shaken_four_times_a_second_commands_nothing() {
         wearer.feel([x + push, y, z])
     };
     assert_eq!(commands("shaken about level", Wearer::rest, level), 0);
-    // Shaking along gravity, so hard that it reverses: a tilted hand then seems to point the other way.
+    // The hand is shaken along gravity so hard that gravity seems to reverse. A tilted hand then seems to point the other way.
     let tilted = |wearer: &mut Wearer, sample: u32| {
         let t = wearer.seconds(sample);
         let push = 1.0 + 2.2 * (TAU * 4.0 * t).sin();
@@ -218,7 +218,7 @@ fn pins_that_hum_command_nothing_count_nothing_and_stay_in_doubt() {
     let mut healthy_late = 0;
     let mut act = |wearer: &mut Wearer, sample: u32| {
         let t = wearer.seconds(sample);
-        // A floating pin with mains hum, sampled slightly off its period, with a slow drift.
+        // A pin that is not connected picks up mains hum, which is sampled slightly off its period, and drifts slowly.
         let hum = 480.0 * (TAU * 50.07 * t).sin() + 20.0 * (t / 7.0).sin();
         wearer.flex = [(512.0 + hum).clamp(0.0, 1023.0), 704.0];
         let tilt = if sample % 1000 < 500 { 0.0 } else { 0.45 };
@@ -249,7 +249,7 @@ fn a_line_whose_fault_comes_back_within_10_s_stays_in_doubt_until_somebody_calib
     };
     assert_eq!(run(&mut wearer, 0.0, 50), health::FLEX);
     assert_eq!(run(&mut wearer, 704.0, 500), 0, "once is a touch");
-    // A contact more than 10 s later counts as new.
+    // A fault that returns more than 10 s later counts as a new one.
     assert_eq!(run(&mut wearer, 704.0, 11_000), 0);
     assert_eq!(run(&mut wearer, 0.0, 50), health::FLEX);
     assert_eq!(run(&mut wearer, 704.0, 9000), 0);
@@ -260,7 +260,7 @@ fn a_line_whose_fault_comes_back_within_10_s_stays_in_doubt_until_somebody_calib
     assert_eq!(run(&mut wearer, 704.0, 100), 0);
 }
 
-/// A path from 0 to 1 with smooth start and end (minimum jerk).
+/// Moves from 0 to 1 with a smooth start and end (minimum jerk).
 fn smooth(x: f64) -> f64 {
     let x = x.clamp(0.0, 1.0);
     x * x * x * (10.0 - 15.0 * x + 6.0 * x * x)
@@ -291,7 +291,7 @@ fn a_tilt_that_is_meant_is_told_within_130_ms_of_its_first_sample_beyond_15_degr
                     told = told.or(Some(sample));
                 }
             }
-            // With a gain of 0.9, the smallest tilts are at the threshold and may cause no command.
+            // With a gain of 0.9, the smallest tilts are at the threshold, so they may cause no command.
             if let (Some(crossed), Some(told)) = (crossed, told) {
                 delays_ms.push((told - crossed) * SAMPLE_MS);
             } else {

@@ -28,7 +28,7 @@ fn tilts_are_within_a_milliradian_and_those_of_micromath_are_not() {
     assert!(theirs > 1.0, "micromath is good enough now: see docs/ARCHITECTURE.md");
 }
 
-/// Features with logarithms and roots are compared bit for bit with a reference.
+/// Features that contain logarithms and roots are compared bit for bit with a reference.
 #[test]
 fn logarithms_and_roots_of_micromath_are_coarse() {
     let (mut log, mut coarse_log, mut coarse_root) = (0.0_f64, 0.0_f64, 0.0_f64);

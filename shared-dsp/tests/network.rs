@@ -1,4 +1,4 @@
-//! Compares the int8 network with TFLite's reference kernels, and tests the blob parser with damaged input.
+//! Compares the int8 network with TFLite's reference kernels. Also tests the blob parser with damaged input.
 
 mod common;
 
@@ -127,7 +127,7 @@ fn damaged_headers_have_typed_errors() {
     assert_eq!(Model::parse(&[]).map(|_| ()), Err(ModelError::Truncated));
 }
 
-/// A simple model of TFLite's arithmetic, for comparison with other shapes.
+/// A simple model of TFLite's arithmetic, with which networks of other shapes are compared.
 fn naive(spec: &BlobSpec, input: &[i8]) -> Vec<i8> {
     let mut x: Vec<i8> = input.to_vec();
     for layer in &spec.layers {
@@ -171,7 +171,7 @@ fn dense(rng: &mut impl FnMut() -> u64, inputs: usize, outputs: usize, relu: boo
         biases: (0..outputs).map(|_| (rng() % 20001) as i32 - 10000).collect(),
         input_scale: 0.02,
         input_zero_point: (rng() % 256) as i8,
-        // Each row has its own scale, which is TFLite's default.
+        // Each row has its own scale. This is TFLite's default.
         weight_scales: match rng() % 2 {
             0 => vec![0.01],
             _ => (0..outputs).map(|_| 0.001 + (rng() % 1000) as f32 * 2e-5).collect(),

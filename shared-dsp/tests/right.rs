@@ -1,12 +1,12 @@
-//! The right hand, from samples to events.
+//! Tests the complete right hand, from samples to events.
 
 use shared_dsp::right::decision::DecisionConfig;
 use shared_dsp::right::kind::FeatureKind;
 use shared_dsp::right::network::{BlobSpec, DenseSpec, Model, build_blob};
 use shared_dsp::right::{ModelMismatch, RightHand};
 
-/// Builds one layer that gives `label` if the weighted sum of its inputs is above 0, else `idle`.
-/// `inputs` have a weight of 1 or -1.
+/// Builds one layer that selects `label` if the weighted sum of its inputs is above 0, and `idle` otherwise.
+/// Each of the `inputs` has a weight of 1 or -1.
 fn blob_of(
     recipe: FeatureKind,
     axes: usize,
@@ -35,14 +35,14 @@ fn blob_of(
     build_blob(&BlobSpec { recipe, axes, sample_hz: 100, window: 200, hop, labels, scaling, layers }).unwrap()
 }
 
-/// Builds a model that gives `shake` if the variance of the first axis is above 4.
+/// Builds a model that returns `shake` if the variance of the first axis is above 4.
 fn blob(axes: usize, hop: u16) -> Vec<u8> {
     let mut scaling = vec![(0.0, 0.0); 13 * axes];
     scaling[2] = (8.0, -32.0);
     blob_of(FeatureKind::Raw, axes, hop, "shake", scaling, &[(2, 1)])
 }
 
-/// Generates a sample that shakes if `shaking` is true.
+/// Generates a sample. If `shaking` is true, the hand shakes.
 fn sample(index: u32, shaking: bool) -> [f32; 3] {
     [if shaking { 5.0 * (index as f32 * 0.9).sin() } else { 0.0 }, 0.0, 9.81]
 }
@@ -122,15 +122,15 @@ fn replaced_values_are_reported_while_they_are_in_the_window() {
     assert_eq!(hand.replaced(), 1);
 }
 
-/// Builds a model that gives `sway` if the power across gravity is higher at 1.17 Hz than at 0.39 Hz.
+/// Builds a model that returns `sway` if the power across gravity is higher at 1.17 Hz than at 0.39 Hz.
 fn sway_blob(axes: usize) -> Vec<u8> {
-    // Each line has three directions and follows four other features; the second direction is the swaying one.
+    // Each line of the spectrum has three axes and follows four other features; the hand sways along the second axis.
     let (low, high) = (4 + 1, 4 + 3 * 2 + 1);
     let scaling = vec![(60.0, 0.0); FeatureKind::Aligned.feature_count(axes)];
     blob_of(FeatureKind::Aligned, axes, 8, "sway", scaling, &[(high, 1), (low, -1)])
 }
 
-/// Returns the samples at which a hand that sways with this many Hz has events.
+/// Returns the numbers of the samples at which a hand that sways with this frequency in Hz has events.
 fn sway<const A: usize>(hand: &mut RightHand<'_, A>, hz: f32, samples: usize) -> Vec<usize> {
     let mut events = Vec::new();
     for n in 0..samples {

@@ -1,10 +1,10 @@
-//! Determines the maximum age of a frame from the board's clock. It reads no clock itself; times are arguments.
+//! Determines the maximum age of a frame from the board's clock. The times are arguments, because it reads no clock itself.
 //!
 //! A frame contains the time of its newest sample on the board's clock.
-//! Only a round trip relates this clock to the laptop's:
-//! a board that answers a ping reads its clock *after* the ping was sent.
-//! The sample of a later frame was taken at least the corresponding time later.
-//! The resulting age is an **upper bound**. It is too large by the ping's travel time, but never too small.
+//! Only a round trip relates this clock to the laptop's: a board that answers a ping reads its clock *after* the ping was
+//! sent.
+//! A sample whose board time is D later was therefore taken at least D after the ping was sent.
+//! The resulting age is an **upper bound**. It is too large by the travel time of the ping, but never too small.
 //! Constant delays, growing queues and clock drift can only increase the computed age.
 //!
 //! ```text
@@ -14,13 +14,13 @@
 //!              pong        sample
 //! ```
 
-/// Maximum drift of a board's clock against the laptop's, in parts per million.
-/// It is far more than any board needs (an Arduino Nano's resonator: 5,000). With ten pings per second, it adds 5 ms.
+/// Maximum drift of a board's clock relative to the laptop's, in parts per million.
+/// This is far more than any board needs (an Arduino Nano's resonator has 5,000). With ten pings per second, it adds 5 ms.
 pub const DRIFT_PPM: u32 = 50_000;
 
-/// Maps a board's time to the laptop's time and limits the age of its messages.
+/// Converts a board's time to the laptop's time, and limits the age of the board's messages.
 ///
-/// The laptop's time is in milliseconds on any clock that never steps back.
+/// The laptop's time is in milliseconds, on any clock that never steps back.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct BoardClock {
     anchor: Option<Anchor>,
@@ -34,23 +34,23 @@ struct Anchor {
 }
 
 impl Anchor {
-    /// Returns the laptop's earliest time at which the board's clock can have shown `board_ms`.
-    /// It is the time nearest to the anchor, up to 24 days before or after, across the wrap.
+    /// Returns the earliest time on the laptop's clock at which the board's clock can have shown `board_ms`.
+    /// Of all times that the wrapping clock can mean, it uses the one within 24 days of the anchor.
     fn earliest_us(&self, board_ms: u32) -> i64 {
         let step_ms = i64::from(board_ms.wrapping_sub(self.board_ms) as i32);
-        // Both stamps are rounded down to milliseconds, so the true difference may be one millisecond shorter.
+        // Both time stamps are rounded down to milliseconds, so the true difference may be one millisecond shorter.
         self.host_us + (step_ms - 1) * 1000 - step_ms.abs() * i64::from(DRIFT_PPM) / 1000
     }
 }
 
-/// Converts to microseconds and keeps differences of two such times in range.
+/// Converts to microseconds, and keeps differences of two such times in range.
 fn micros(ms: u64) -> i64 {
     const LIMIT_MS: u64 = i64::MAX as u64 / 4000;
     ms.min(LIMIT_MS) as i64 * 1000
 }
 
 impl BoardClock {
-    /// Creates a clock without a round trip, for which everything is infinitely old.
+    /// Creates a clock that has had no round trip, for which everything is infinitely old.
     pub const fn new() -> Self {
         Self { anchor: None }
     }
@@ -60,10 +60,10 @@ impl BoardClock {
         self.anchor = None;
     }
 
-    /// Adds a pong that arrived at `now_ms` for the ping sent at `sent_ms`; in between,
-    /// the board's clock showed `board_time_ms`.
-    /// Returns false if this is earlier than a previous pong.
-    /// The board must then have restarted, and its clock is unknown.
+    /// Adds a pong that arrived at `now_ms` and answers the ping sent at `sent_ms`. In between, the board's clock showed
+    /// `board_time_ms`.
+    /// Returns false if the board's time is earlier than in a previous pong.
+    /// In this case, the board must have restarted, and its clock is unknown.
     pub fn pong(&mut self, board_time_ms: u32, sent_ms: u64, now_ms: u64) -> bool {
         let fresh = Anchor { board_ms: board_time_ms, host_us: micros(sent_ms.min(now_ms)) };
         let Some(old) = self.anchor else {
@@ -74,18 +74,18 @@ impl BoardClock {
             self.anchor = None;
             return false;
         }
-        // Uses the round trip with the stricter bound, unless a clock that is faster than allowed contradicts it.
+        // Uses the round trip with the stricter bound, unless this would mean that the board's clock is faster than allowed.
         let known_us = old.earliest_us(board_time_ms).min(micros(now_ms));
         self.anchor = Some(Anchor { host_us: fresh.host_us.max(known_us), ..fresh });
         true
     }
 
-    /// Returns the maximum age of a board time in milliseconds,
-    /// for example of a frame's newest sample or the end of a window.
+    /// Returns the maximum age in milliseconds of a time on the board's clock,
+    /// for example that of a frame's newest sample or of the end of a window.
     /// The age is `u64::MAX` if no ping has been answered.
     pub fn age_ms(&self, board_time_ms: u32, now_ms: u64) -> u64 {
         let Some(anchor) = &self.anchor else { return u64::MAX };
-        // The laptop's clock is also rounded down.
+        // The time on the laptop's clock is also rounded down.
         let now_us = micros(now_ms) + 999;
         (now_us - anchor.earliest_us(board_time_ms)).max(0) as u64 / 1000
     }
@@ -111,7 +111,7 @@ mod tests {
     #[test]
     fn a_frame_is_as_old_as_it_can_be_with_the_path_of_the_ping_added() {
         let clock = anchored();
-        // The sample was taken 20 ms after the pong, so not before 1020; stamps and drift add 1 ms each.
+        // The sample was taken 20 ms after the pong, so not before 1020. Time stamps and drift add 1 ms each.
         assert_eq!(clock.age_ms(20, 1024), 6);
         assert_eq!(clock.age_ms(20, 1324), 306);
     }
@@ -119,7 +119,7 @@ mod tests {
     #[test]
     fn a_delay_that_every_frame_and_every_pong_shares_is_seen() {
         let mut clock = BoardClock::new();
-        // All data from the board takes 1.5 s, but pings arrive immediately.
+        // All data from the board takes 1.5 s to arrive, but pings arrive immediately.
         for k in 0..20u64 {
             let sent = 10_000 + 100 * k;
             assert!(clock.pong(sent as u32, sent, sent + 1500));
@@ -131,7 +131,7 @@ mod tests {
     #[test]
     fn a_link_that_became_slow_stays_old_for_ever() {
         let mut clock = anchored();
-        // For half an hour, a pong arrives every 100 ms after a delay of 1.5 s.
+        // For half an hour, a pong arrives every 100 ms with a delay of 1.5 s.
         for k in 1..18_000u64 {
             let sent = 1000 + 100 * k;
             clock.pong((100 * k) as u32, sent, sent + 1500);
@@ -144,7 +144,7 @@ mod tests {
         let clock = anchored();
         for k in 1..=100u64 {
             let (age, truth) = (clock.age_ms((k * 20) as u32, 3000), 2000 - k * 20);
-            // The bound includes 1 ms for stamps, and the possible drift since the pong.
+            // The bound includes 1 ms for time stamps, and the possible drift since the pong.
             assert!((truth..=truth + 2 + k).contains(&age), "frame {k}: {age}");
         }
     }
@@ -171,14 +171,14 @@ mod tests {
         }
     }
 
-    /// The time on a board's clock that is `ppm` fast against the laptop, in whole milliseconds.
+    /// Returns the time in whole milliseconds on a board's clock that is `ppm` faster than the laptop's.
     fn board_ms(host_us: i64, ppm: i64, start_ms: u32) -> u32 {
         start_ms.wrapping_add(((host_us + host_us * ppm / 1_000_000) / 1000) as u32)
     }
 
     proptest! {
-        /// For any allowed drift and any delays of pings, pongs and frames, no age is below the true one.
-        /// No age exceeds it by more than the travel time of the fastest recent ping.
+        /// For any allowed drift and any delays of pings, pongs and frames, no computed age is below the true one.
+        /// No computed age exceeds the true one by more than the travel time of the fastest recent ping.
         #[test]
         fn ages_are_never_too_young_and_too_old_by_the_path_of_a_ping_only(
             ppm in -50_000i64..=50_000,
@@ -200,7 +200,7 @@ mod tests {
             }
         }
 
-        /// Even if a clock is a fifth too fast, the error is limited to its gain between two pongs.
+        /// Even if a clock is 20 % too fast, the error is limited to what it gains between two pongs.
         #[test]
         fn a_clock_far_faster_than_allowed_hides_little(back_ms in 0u64..30) {
             let mut clock = BoardClock::new();
@@ -212,7 +212,7 @@ mod tests {
             }
         }
 
-        /// The board's clock may start at any value, including near its wrap.
+        /// The board's clock may start at any value, including values shortly before it wraps.
         #[test]
         fn ages_do_not_depend_on_where_the_board_clock_stands(
             start_ms: u32,

@@ -1,10 +1,10 @@
-//! Interprets the wrapping numbers in a state: new events since the last frame, and lost frames.
+//! Interprets the wrapping numbers in a state, which reveal new events since the last frame and lost frames.
 //!
 //! For each state, call [`SequenceTracker::see`] first and ignore states that are not new.
 //! Then update the event counters.
-//! After a [`Hello`](crate::message::Hello) with a new boot id, call `rebase` on all of them.
+//! After a [`Hello`](crate::message::Hello) with a new boot id, call `rebase` on all trackers and counters.
 
-/// Converts a wrapping event counter to new events.
+/// Converts a wrapping counter of events to the number of new events.
 ///
 /// The first value is the reference, because earlier events are not new.
 /// A repeated frame gives 0, and a frame after lost ones gives all events since the last received frame.
@@ -23,9 +23,9 @@ pub struct CounterTracker {
 }
 
 impl CounterTracker {
-    /// The maximum step that counts as events.
-    /// A larger difference is a step backwards.
-    /// A hand needs minutes for 127 events.
+    /// The maximum increase that counts as events.
+    /// A larger difference counts as a step backwards.
+    /// A hand needs several minutes for 127 events.
     pub const MOST: u8 = 127;
 
     /// Creates a tracker without a reference.
@@ -34,7 +34,7 @@ impl CounterTracker {
     }
 
     /// Returns the number of events since the last value, at most [`Self::MOST`].
-    /// A larger step means a restart or a very long silence; it returns 0 and sets a new reference.
+    /// A larger increase means a restart or a very long silence. In this case, it returns 0 and sets a new reference.
     pub fn see(&mut self, value: u8) -> u8 {
         let new = value.wrapping_sub(self.last.unwrap_or(value));
         self.last = Some(value);
@@ -47,18 +47,18 @@ impl CounterTracker {
     }
 }
 
-/// The position of a frame relative to earlier ones.
+/// How the sequence number of a frame relates to earlier ones.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Order {
     /// The frame is newer than all earlier ones.
     New {
-        /// Number of missing frames between the last one and this one.
+        /// Number of frames that are missing between the last one and this one.
         lost: u16,
     },
     /// The frame has the same number as the last one. Ignore it.
     Duplicate,
     /// The frame is older than the last one. Ignore it.
-    /// Several in a row mean that the board has restarted and its hello was lost.
+    /// Several such frames in a row mean that the board has restarted and its hello was lost.
     /// In this case, send a [`HelloRequest`](crate::message::HostMessage::HelloRequest).
     Old,
 }
@@ -75,7 +75,7 @@ impl SequenceTracker {
         Self { last: None }
     }
 
-    /// Classifies a sequence number. The first one is new and without losses.
+    /// Classifies a sequence number. The first one counts as new, without lost frames.
     pub fn see(&mut self, sequence: u16) -> Order {
         let step = match self.last {
             None => 1,
@@ -83,7 +83,7 @@ impl SequenceTracker {
         };
         match step {
             0 => Order::Duplicate,
-            // Half the range counts as ahead, which is 11 minutes of left-hand states at 50 Hz.
+            // Half of the range counts as ahead, which is 11 minutes of left-hand states at 50 Hz.
             1..0x8000 => {
                 self.last = Some(sequence);
                 Order::New { lost: step - 1 }
@@ -135,8 +135,8 @@ mod tests {
     }
 
     proptest! {
-        /// For any lost, repeated and late frames, the receiver counts exactly the events between the first
-        /// and the newest received frame.
+        /// Whatever frames are lost, repeated or late, the receiver counts exactly the events between the first
+        /// and the newest frame that it received.
         #[test]
         fn no_loss_repetition_or_reordering_changes_the_sum_of_events(
             first_count: u8,
@@ -156,7 +156,7 @@ mod tests {
                     0 | 1 => continue,
                     2 => line.extend([frame, frame]),
                     3 => {
-                        // This frame arrives after the next received one, unless that one has replaced it.
+                        // This frame arrives after the next one, unless the next one has replaced it.
                         if base.is_some() && held.is_none() {
                             held = Some(frame);
                         }

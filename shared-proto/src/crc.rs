@@ -1,5 +1,5 @@
 //! The CRC-32 of zip and Ethernet, computed bit by bit.
-//! A table would take half of the left board's RAM. The crate `crc`, used byte by byte, would take 1.4 KB of its flash.
+//! A table would take half of the left board's RAM. The crate `crc`, if used for each byte, would take 1.4 KB of its flash.
 
 /// A running checksum. It is also used for model ids and for stored data on boards.
 ///
@@ -14,7 +14,7 @@
 pub struct Crc32(u32);
 
 impl Crc32 {
-    /// Creates the checksum of no bytes.
+    /// Creates the checksum of an empty sequence of bytes.
     pub const fn new() -> Self {
         Self(u32::MAX)
     }
@@ -40,7 +40,7 @@ impl Crc32 {
         }
     }
 
-    /// Returns the checksum of all bytes so far.
+    /// Returns the checksum of all bytes that were added so far.
     pub const fn finish(self) -> u32 {
         !self.0
     }

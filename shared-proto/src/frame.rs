@@ -1,26 +1,25 @@
-//! Frames: converts messages to bytes that survive a noisy line, and back.
+//! Frames: converts messages to bytes that survive a noisy line, and converts them back.
 //!
 //! The format is `COBS(postcard(message) ++ CRC-32 little endian) ++ 0x00`.
-//! The zero byte occurs nowhere else, so a receiver that is out of step waits for the next one.
+//! The zero byte occurs only there, so a receiver that has lost its place waits for the next zero.
 //!
 //! Every complete frame after a zero byte (or at the start of a new [`Decoder`]) is accepted,
 //! whatever precedes that zero.
 //! A sender therefore writes one [`DELIMITER`] after each start or opened link, to terminate a partial frame or noise.
 //! This is harmless because empty frames are skipped.
 //! Damaged frames are counted and dropped, and never requested again.
-//! empty frames are skipped. What is damaged is counted and dropped; nothing is ever asked for again.
 
 use crate::crc::Crc32;
 use crate::message::{BoardBody, BoardMessage, HostMessage, LeftRequest, Row, largest};
 use postcard::ser_flavors::Flavor;
 use serde::Serialize;
 
-/// Ends each frame. It occurs nowhere else.
+/// The byte that ends each frame and occurs nowhere else in it.
 pub const DELIMITER: u8 = 0;
 
 const CRC_BYTES: usize = 4;
 
-/// Length of a frame with `message` bytes: checksum, one code byte for each started block of 254 bytes, delimiter.
+/// Length of a frame: `message` bytes, the checksum, one code byte for each started block of 254 bytes, and the delimiter.
 pub(crate) const fn frame_len(message: usize) -> usize {
     let decoded = message + CRC_BYTES;
     decoded + decoded / 254 + 1 + 1
@@ -31,7 +30,7 @@ pub const BOARD_FRAME_MAX: usize = largest(BoardMessage::ROWS, false);
 /// Largest frame from the left board in bytes, which is the size of its send buffer.
 pub const LEFT_BOARD_FRAME_MAX: usize = largest(BoardMessage::ROWS, true);
 /// Largest frame from the laptop to a left board in bytes, which is the size of that board's receive buffer.
-/// Longer frames contain models, which are not for this board; it counts them as overflow.
+/// Longer frames contain models, which are not for this board. The board counts them as overflow.
 pub const HOST_TO_LEFT_FRAME_MAX: usize = largest(HostMessage::ROWS, true);
 /// Largest frame from the laptop in bytes, which is the size of the right board's receive buffer.
 pub const HOST_FRAME_MAX: usize = largest(HostMessage::ROWS, false);
@@ -67,7 +66,7 @@ pub fn encode_host<'b>(message: &HostMessage<'_>, out: &'b mut [u8]) -> Result<&
     encode(message, out)
 }
 
-/// Writes the same frame as [`encode_board`], but only needs the message's body.
+/// Writes the same frame as [`encode_board`], but needs only the body of the message.
 ///
 /// This saves flash on boards, because the program contains code only for the bodies that it sends.
 ///
@@ -82,16 +81,16 @@ fn encode<'b>(message: &impl Serialize, out: &'b mut [u8]) -> Result<&'b [u8], E
     postcard::serialize_with_flavor(message, FrameWriter::new(out)).map_err(|_| EncodeError)
 }
 
-/// Encodes COBS and computes the checksum while postcard writes, so that a frame needs one buffer and one pass.
+/// Encodes COBS and computes the checksum while postcard writes, so that a frame needs only one buffer and one pass.
 struct FrameWriter<'b> {
     out: &'b mut [u8],
     /// Number of bytes written, including the open code byte.
     len: usize,
-    /// Position of the open block's code byte.
+    /// Position of the code byte of the open block.
     code_at: usize,
     crc: Crc32,
     /// Whether any data did not fit in the buffer.
-    /// It is checked at the end, because a check after each byte would cost the left board 1 KB.
+    /// This is checked at the end, because a check after each byte would cost the left board 1 KB of flash.
     full: bool,
 }
 
@@ -108,7 +107,7 @@ impl<'b> FrameWriter<'b> {
     }
 
     fn close_block(&mut self) {
-        // At most 255, because a block is closed as soon as it contains 254 bytes.
+        // The code is at most 255, because a block is closed as soon as it contains 254 bytes.
         let code = (self.len - self.code_at) as u8;
         self.put(self.code_at, code);
     }
@@ -156,12 +155,12 @@ impl<'b> Flavor for FrameWriter<'b> {
     }
 }
 
-/// The reason why the payload of an intact frame is not a message of this version.
+/// The reason why the payload of an intact frame is not a message that this version knows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ParseError {
-    /// A message that a later minor version added. Ignore it.
+    /// A later minor version added this message. Ignore it.
     Unknown,
-    /// A known message with another layout, so the sender has another major version.
+    /// This is a known message with another layout, so the sender has another major version.
     Malformed,
 }
 
@@ -193,7 +192,7 @@ pub fn parse_board(payload: &[u8]) -> Result<BoardMessage<'_>, ParseError> {
 /// Parses a laptop's message from the payload of an intact frame.
 ///
 /// Extra bytes after the message make it [`ParseError::Malformed`].
-/// [`HelloRequest`](HostMessage::HelloRequest) is an exception for the same reason as in [`parse_board`].
+/// [`HelloRequest`](HostMessage::HelloRequest) is an exception, for the same reason as in [`parse_board`].
 ///
 /// # Errors
 /// [`ParseError`] if this version does not have such a message.
@@ -204,8 +203,8 @@ pub fn parse_host(payload: &[u8]) -> Result<HostMessage<'_>, ParseError> {
     }
 }
 
-/// Parses a laptop's message to a left board. Messages for the right board only are [`ParseError::Unknown`].
-/// Otherwise it behaves like [`parse_host`], with much less code.
+/// Parses a laptop's message to a left board. Messages that only the right board knows are [`ParseError::Unknown`].
+/// For all other messages, it behaves like [`parse_host`] with much less code.
 ///
 /// # Errors
 /// [`ParseError`] if this version does not have such a message for a left board.
@@ -226,17 +225,17 @@ fn why_not(payload: &[u8], known: &[Row]) -> ParseError {
 /// Statistics of a [`Decoder`] since its creation. All counters wrap.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counters {
-    /// Intact frames, with known or unknown messages.
+    /// Number of intact frames, with known or unknown messages.
     pub frames: u32,
-    /// Intact frames with a message that a later minor version added.
+    /// Number of intact frames whose message was added by a later minor version.
     pub unknown: u32,
-    /// Intact frames with a message of another layout, so the sender has another major version.
+    /// Number of intact frames whose message has another layout, so the sender has another major version.
     pub malformed: u32,
-    /// Damaged frames whose delimiter came too early or too late.
+    /// Number of damaged frames whose delimiter came too early or too late.
     pub bad_cobs: u32,
-    /// Damaged frames whose checksum is wrong or missing.
+    /// Number of damaged frames whose checksum is wrong or missing.
     pub bad_crc: u32,
-    /// Frames longer than the buffer, which are damaged or not for this receiver.
+    /// Number of frames longer than the buffer, which are damaged or not for this receiver.
     pub overflow: u32,
 }
 
@@ -247,7 +246,7 @@ impl Counters {
     }
 }
 
-/// Converts bytes, in portions of any size, to messages.
+/// Converts bytes to messages. The bytes may arrive in portions of any size.
 ///
 /// `N` is the maximum length of a frame in bytes on the wire, such as [`BOARD_FRAME_MAX`].
 /// The decoder itself needs `N` bytes plus about 30.
@@ -256,9 +255,9 @@ pub struct Decoder<const N: usize> {
     buffer: [u8; N],
     /// Number of decoded bytes in `buffer`.
     len: usize,
-    /// The code byte of the open block; 0 before the first block of a frame.
+    /// The code byte of the open block, or 0 before the first block of a frame.
     code: u8,
-    /// Number of bytes still to come in the open block.
+    /// Number of bytes of the open block that are still to come.
     left: u8,
     /// Whether the frame is longer than the buffer, so that all bytes up to the delimiter are skipped.
     skipping: bool,
@@ -295,21 +294,21 @@ impl<const N: usize> Decoder<N> {
         Some(&self.buffer[..len])
     }
 
-    /// Adds one byte on the laptop. Returns a message if the byte completes an intact frame with a known one.
+    /// Adds one byte on the laptop. Returns a message if the byte completes an intact frame with a known message.
     pub fn push_board(&mut self, byte: u8) -> Option<BoardMessage<'_>> {
         let len = self.step(byte)?;
         let parsed = parse_board(&self.buffer[..len]);
         Self::count_unparsed(&mut self.counters, parsed)
     }
 
-    /// Adds one byte on a board. Returns a message if the byte completes an intact frame with a known one.
+    /// Adds one byte on a board. Returns a message if the byte completes an intact frame with a known message.
     pub fn push_host(&mut self, byte: u8) -> Option<HostMessage<'_>> {
         let len = self.step(byte)?;
         let parsed = parse_host(&self.buffer[..len]);
         Self::count_unparsed(&mut self.counters, parsed)
     }
 
-    /// Adds one byte on a left board. Returns a request if the byte completes an intact frame with a known one.
+    /// Adds one byte on a left board. Returns a request if the byte completes an intact frame with a known request.
     pub fn push_left_request(&mut self, byte: u8) -> Option<LeftRequest> {
         let len = self.step(byte)?;
         let parsed = parse_left_request(&self.buffer[..len]);
@@ -343,7 +342,7 @@ impl<const N: usize> Decoder<N> {
             self.left -= 1;
             self.keep(byte);
         } else {
-            // A new block begins. The previous block ended in a zero unless it was full or this is the first block.
+            // A new block begins. The previous block ended in a zero unless that block was full or this is the first block.
             if self.code != 0 && self.code != 255 {
                 self.keep(0);
             }
@@ -372,7 +371,7 @@ impl<const N: usize> Decoder<N> {
             &mut self.counters.bad_cobs
         } else {
             match self.len.checked_sub(CRC_BYTES) {
-                // A message is never empty. An empty one has checksum 0, which a line stuck at 0x01 would produce.
+                // A message is never empty. The checksum of an empty message is 0, which a line stuck at 0x01 would also produce.
                 Some(len)
                     if len > 0
                         && Crc32::of(&self.buffer[..len]).to_le_bytes() == self.buffer[len..self.len] =>

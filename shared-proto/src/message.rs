@@ -1,17 +1,17 @@
-//! All messages of the wire: one table for each direction.
+//! All messages of the wire, in one table for each direction.
 //!
 //! A row is `number Name fields => boards, minor version that added it`.
 //! Everything else about a message is derived from it:
 //! its place in the enum, the buffer sizes in [`frame`](crate::frame),
 //! and the messages of a left board ([`LeftRequest`]).
-//! Tests also compare the rows of `WIRE.md` and the golden frames with [`BoardMessage::ROWS`]
+//! Tests also compare the rows in `WIRE.md` and the golden frames with [`BoardMessage::ROWS`]
 //! and [`HostMessage::ROWS`].
 //!
 //! A message is a [postcard](https://postcard.jamesmunns.com/wire-format) enum: one byte of variant number,
 //! then the fields.
 //! States are sent completely, and events are wrapping counters, so that lost and repeated frames do no harm.
 //!
-//! A new message at the end of a table is a minor change. So is a new value in a list that has `Unknown`.
+//! A new message at the end of a table is a minor change, and so is a new value in a list that has `Unknown`.
 //! These lists include [`Board`], [`FaultKind`] and [`AckResult`].
 //! Every other change is a major one (see [`PROTOCOL_MAJOR`]).
 //! [`Hello`] and [`HostMessage::HelloRequest`] never change, so that any two versions can detect their difference.
@@ -35,13 +35,13 @@ pub use table::{BoardBody, Boards, Row};
 
 /// This number increases when the layout of a message changes. Both sides must have the same number.
 pub const PROTOCOL_MAJOR: u8 = 1;
-/// Raised when a message is added; the older side ignores what it does not know.
+/// This number increases when a message is added. The older side ignores messages that it does not know.
 pub const PROTOCOL_MINOR: u8 = 4;
 
 board_messages! {
     /// Messages from a board to the laptop.
     BoardMessage<'a> {
-        /// Sent at start, and in answer to [`HostMessage::HelloRequest`].
+        /// The board sends this at start, and in answer to [`HostMessage::HelloRequest`].
         #[serde(borrow)]
         0 Hello(Hello<'a>) => Both, 0;
         /// The complete state of the left hand, at 50 Hz and immediately on a change.
@@ -49,23 +49,23 @@ board_messages! {
         /// The complete state of the right hand, once per hop (80 ms).
         #[serde(borrow)]
         2 Right(RightState<'a>) => Right, 0;
-        /// The samples that entered the window, in record mode only.
+        /// The samples that entered the window. The board sends them only in record mode.
         #[serde(borrow)]
         3 RawImu(RawImu<'a>) => Right, 0;
         /// Counters, once per second.
         4 Status(Status) => Both, 0;
-        /// A problem that the user should know about.
+        /// A problem that the user must know about.
         5 Fault(Fault) => Both, 0;
         /// Answer to [`HostMessage::Ping`].
         6 Pong(Pong) => Both, 0;
-        /// Answer to every other request.
+        /// The answer to every other request.
         7 Ack(Ack) => Both, 0;
-        /// The requirements and labels of the running model, sent after each hello of a right hand.
+        /// The requirements and labels of the running model. A right hand sends them after each hello.
         #[serde(borrow)]
         8 ModelInfo(ModelInfo<'a>) => Right, 0;
-        /// The hardware of a right hand's board, sent after each hello.
+        /// The hardware of a right hand's board, which it sends after each hello.
         9 About(About) => Right, 1;
-        /// One sample of a left hand's converter, in record mode only.
+        /// One sample of a left hand's converter. The board sends it only in record mode.
         10 RawAdc(RawAdc) => Left, 3;
     }
 }
@@ -75,7 +75,7 @@ host_messages! {
     HostMessage<'a> {
         /// Asks for a [`Hello`].
         0 HelloRequest => Both, 0;
-        /// The receiver answers with [`Pong`] and the same id.
+        /// The receiver answers with [`Pong`], which contains the same id.
         1 Ping {
             /// Chosen by the laptop.
             id: u32,
@@ -91,7 +91,7 @@ host_messages! {
         3 Calibrate {
             /// Echoed in the [`Ack`].
             request: u16,
-            /// The current pose of the hand.
+            /// The pose in which the hand is held.
             step: CalibrationStep,
         } => Both, 0;
         /// Changes the left hand's tilt thresholds until the next restart.
@@ -104,7 +104,7 @@ host_messages! {
         /// Announces a model blob. The board answers with the next expected offset.
         #[serde(borrow)]
         5 ModelBegin(ModelBegin<'a>) => Right, 0;
-        /// A piece of the blob. Pieces must arrive in order; the [`Ack`] contains the next offset.
+        /// A piece of the blob. Pieces must arrive in order; the [`Ack`] contains the next expected offset.
         6 ModelChunk {
             /// Echoed in the [`Ack`].
             request: u16,
@@ -130,11 +130,11 @@ host_messages! {
     }
 }
 
-/// Maximum size of a model's piece in one frame, in bytes. All pieces but the last have this size.
+/// Maximum size of a model's piece in one frame, in bytes. All pieces except the last have this size.
 pub const MODEL_CHUNK_MAX: usize = 128;
-/// Maximum size of [`RawImu::counts`] in bytes: 8 samples of 9 axes.
+/// Maximum size of [`RawImu::counts`] in bytes, for 8 samples of 9 axes.
 pub const RAW_COUNTS_MAX: usize = 8 * 9 * 2;
-/// Maximum size of [`ModelInfo::labels`] in bytes of UTF-8, including commas.
+/// Maximum size of [`ModelInfo::labels`] in bytes of UTF-8, with the commas.
 pub const LABELS_MAX: usize = 96;
 /// Maximum size of [`RightState::scores`], which is the maximum number of labels.
 pub const SCORES_MAX: usize = 32;
@@ -144,19 +144,19 @@ pub const FIRMWARE_MAX: usize = 32;
 /// The complete state of the left hand.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, MaxSize)]
 pub struct LeftState {
-    /// Sequence number, which increases by one with each frame of this message and wraps.
+    /// Sequence number, which increases by one with each frame of this message, and wraps.
     pub sequence: u16,
-    /// Board clock at the newest sample in this state, wrapping after 49 days.
+    /// Time of the newest sample in this state on the board's clock, which wraps after 49 days.
     pub board_time_ms: u32,
     /// Tilt about the lateral axis in milliradians, positive = forward.
     pub pitch_mrad: i16,
     /// Tilt about the forward axis in milliradians, positive = left.
     pub roll_mrad: i16,
-    /// The debounced meaning of the tilt.
+    /// The debounced heading that the tilt means.
     pub heading: Heading,
-    /// Bends of the index finger since start, wrapping.
+    /// Number of bends of the index finger since start, which wraps.
     pub index_bends: u8,
-    /// Bends of the middle finger since start, wrapping.
+    /// Number of bends of the middle finger since start, which wraps.
     pub middle_bends: u8,
     /// Both fingers have been held bent for 300 ms.
     pub stop: bool,
@@ -167,17 +167,17 @@ pub struct LeftState {
 /// The complete state of the right hand.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, MaxSize)]
 pub struct RightState<'a> {
-    /// Sequence number, which increases by one with each frame of this message and wraps.
+    /// Sequence number, which increases by one with each frame of this message, and wraps.
     pub sequence: u16,
-    /// Board clock at the newest sample of the window, wrapping after 49 days.
+    /// Time of the window's newest sample on the board's clock, which wraps after 49 days.
     pub board_time_ms: u32,
-    /// Number of gestures performed since start, wrapping.
+    /// Number of gestures performed since start, which wraps.
     pub events: u8,
-    /// Index (in the model's labels) of the last event's gesture; 255 before the first.
+    /// Index of the last event's gesture in the model's labels; 255 before the first event.
     pub label: u8,
-    /// Confidence of the last event, 0 to 255 = 0 to 1.
+    /// Confidence of the last event, where 0 to 255 means 0 to 1.
     pub confidence: u8,
-    /// Board clock at the end of the window that triggered the last event.
+    /// Time on the board's clock at the end of the window that triggered the last event.
     pub event_window_end_ms: u32,
     /// The network's int8 outputs as bytes, one per label: (score + 128) / 256 is the probability.
     #[serde(borrow)]
@@ -186,28 +186,28 @@ pub struct RightState<'a> {
     pub health: u8,
 }
 
-/// Samples exactly as they entered the window: i16 counts on the 100 Hz grid.
+/// Samples exactly as they entered the window, as i16 counts on the 100 Hz grid.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, MaxSize)]
 pub struct RawImu<'a> {
-    /// Sequence number, which increases by one with each frame of this message and wraps.
+    /// Sequence number, which increases by one with each frame of this message, and wraps.
     pub sequence: u16,
     /// Number of the first sample since start, counted at the sample rate.
     pub first_sample: u32,
-    /// Values per sample: 3 (accelerometer), 6 (with gyroscope) or 9 (with magnetometer).
+    /// Number of values per sample: 3 (accelerometer), 6 (with gyroscope) or 9 (with magnetometer).
     pub axes: u8,
-    /// Physical value of one count: m/s², deg/s, µT.
+    /// Physical value of one count in m/s², deg/s and µT.
     pub scale: [f32; 3],
-    /// Little-endian i16, sample after sample, axes in the order accelerometer, gyroscope, magnetometer.
+    /// Little-endian i16 counts, one sample after another. The axes are in the order accelerometer, gyroscope, magnetometer.
     #[serde(borrow)]
     pub counts: Bytes<'a, RAW_COUNTS_MAX>,
 }
 
-/// One sample of a left hand's five channels, as used by its board.
+/// One sample of a left hand's five channels, in the form in which the board uses it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, MaxSize)]
 pub struct RawAdc {
-    /// Board clock at the sample, wrapping after 49 days. A jump means that samples are missing.
+    /// Time of the sample on the board's clock, which wraps after 49 days. A jump means that samples are missing.
     pub board_time_ms: u32,
-    /// x, y, z, index, middle: each the sum of eight conversions of 10 bits, 0 to 8184.
+    /// Values of x, y, z, index and middle. Each is the sum of eight conversions of 10 bits, 0 to 8184.
     pub counts: [u16; 5],
 }
 
@@ -216,13 +216,13 @@ pub struct RawAdc {
 pub struct Status {
     /// Time since start.
     pub uptime_ms: u32,
-    /// Samples that could not be taken or kept in time.
+    /// Number of samples that could not be taken or stored in time.
     pub dropped_samples: u32,
-    /// Failed transfers to the sensor.
+    /// Number of failed transfers to the sensor.
     pub sensor_errors: u32,
-    /// Damaged frames received from the laptop.
+    /// Number of damaged frames that arrived from the laptop.
     pub bad_frames: u32,
-    /// Minimum free stack seen since start, in bytes.
+    /// Minimum free stack since start, in bytes.
     pub free_stack_bytes: u32,
     /// Share of time awake since the last status, in parts per thousand.
     pub load_permille: u16,
@@ -249,16 +249,16 @@ pub struct Fault {
     pub uptime_ms: u32,
     /// The kind of problem.
     pub kind: FaultKind,
-    /// Depends on the kind: a register value, an address, a channel.
+    /// The meaning depends on the kind of fault: a register value, an address, or a channel.
     pub detail: u32,
 }
 
 open_list! {
     /// Kinds of [`Fault`].
     FaultKind {
-        /// The sensor does not answer; detail = bus address.
+        /// The sensor does not answer; the detail is its bus address.
         SensorMissing = 0,
-        /// The sensor is not the expected one; detail = its WHO_AM_I.
+        /// The sensor is not the expected one; the detail is its WHO_AM_I value.
         SensorUnknown = 1,
         /// The board is a Rev2, which images of version 0.1.0 did not support. Later images do.
         BoardRev2 = 2,
@@ -270,10 +270,10 @@ open_list! {
         Panic = 5,
         /// The stored calibration was damaged, so the default is used.
         CalibrationDamaged = 6,
-        /// The stored model was damaged or does not fit, so the compiled-in one is used.
+        /// The stored model was damaged or cannot run on this image, so the compiled-in one is used.
         ModelDamaged = 7,
         /// The running model reads a magnetometer that this board does not have, so no gesture is recognised;
-        /// detail = axes of the sensor.
+        /// The detail is the sensor's number of axes.
         NoMagnetometer = 8,
     }
 }
@@ -283,7 +283,7 @@ open_list! {
 pub struct Pong {
     /// The id of the ping.
     pub id: u32,
-    /// Board clock when the ping was processed.
+    /// Time on the board's clock when the ping was processed.
     pub board_time_ms: u32,
 }
 
@@ -303,9 +303,9 @@ open_list! {
     AckResult {
         /// The request was executed.
         Ok = 0,
-        /// The request was accepted and takes time. A second acknowledgement follows.
+        /// The board has accepted the request but needs time. A second acknowledgement follows.
         Started = 1,
-        /// Another request is in progress.
+        /// The board is busy with another request.
         Busy = 2,
         /// This board does not support the request.
         Unsupported = 3,
@@ -315,7 +315,7 @@ open_list! {
         Unsteady = 5,
         /// The model's recipe, axes, rate, window or size does not fit this image.
         ModelDoesNotFit = 6,
-        /// The piece is not the expected one.
+        /// The piece of the model is not the expected one.
         WrongOffset = 7,
         /// The checksum differs.
         BadChecksum = 8,
@@ -326,7 +326,7 @@ open_list! {
     }
 }
 
-/// Steps of the left hand's calibration.
+/// The steps of the left hand's calibration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, MaxSize)]
 pub enum CalibrationStep {
     /// The hand is level and still.
@@ -370,10 +370,10 @@ pub struct ModelBegin<'a> {
     /// The requirements and labels of the model; `model_id` is the CRC-32 of the complete blob.
     #[serde(borrow)]
     pub info: ModelInfo<'a>,
-    /// The sensor scale during training for accelerometer, gyroscope and magnetometer,
-    /// as a factor of the data sheets' scale.
-    /// For two sensors, Arduino's library has a factor of 1.1469.
-    /// Boards use the data sheets' scale and refuse models with another one, because gestures would need another tempo.
+    /// The sensor scale that was used in training for accelerometer, gyroscope and magnetometer,
+    /// as a multiple of the data sheets' scale.
+    /// For two of the sensors, Arduino's library uses a factor of 1.1469.
+    /// Boards use the data sheets' scale and refuse models with another scale, because gestures would need another tempo.
     pub scaling: [f32; 3],
     /// Length of the complete blob in bytes.
     pub size: u32,

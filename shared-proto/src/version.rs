@@ -3,21 +3,21 @@
 use crate::message::{Board, Hello, PROTOCOL_MAJOR, PROTOCOL_MINOR};
 use core::fmt;
 
-/// The relation of a board's minor version to ours. All three are compatible.
+/// How a board's minor version relates to ours. All three cases are compatible.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Compatibility {
     /// The versions are equal.
     Same,
-    /// The board lacks messages that we know.
+    /// The board does not know some messages that we know.
     /// Requests may be answered with [`Unsupported`](crate::message::AckResult::Unsupported), or not at all.
     BoardOlder,
-    /// The board may send messages that we do not know. They are counted and ignored.
+    /// The board may send messages that we do not know. They are only counted.
     BoardNewer,
 }
 
 /// The board has another major version, so only its hello can be read.
 ///
-/// The text of this error names the side to update and how to do it.
+/// The text of this error explains which side to update, and how.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Mismatch {
     /// The board.
@@ -31,7 +31,7 @@ pub struct Mismatch {
 /// Compares a board's version with ours.
 ///
 /// # Errors
-/// [`Mismatch`] if the major versions differ. Accept no other message from this board.
+/// [`Mismatch`] if the major versions differ. Accept no other message from such a board.
 /// Send only [`HelloRequest`](crate::message::HostMessage::HelloRequest) to such a board.
 pub fn check(hello: &Hello<'_>) -> Result<Compatibility, Mismatch> {
     if hello.major != PROTOCOL_MAJOR {

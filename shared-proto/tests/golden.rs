@@ -1,4 +1,4 @@
-//! Pins the wire format: `tests/golden_wire.txt` contains one frame of every message,
+//! Fixes the wire format: `tests/golden_wire.txt` contains one frame of every message,
 //! and `WIRE.md` shows the same bytes.
 //!
 //! After a deliberate change, increase the version in `message.rs` and then run
@@ -144,7 +144,7 @@ fn host_frame(message: &HostMessage<'_>) -> Vec<u8> {
     encode_host(message, &mut [0; HOST_FRAME_MAX]).unwrap().to_vec()
 }
 
-/// Omits the first line, which is the version.
+/// Omits the first line, which contains the version.
 fn golden_now() -> Vec<String> {
     let board = board_messages();
     let host = host_messages();
@@ -199,7 +199,7 @@ fn the_wire_has_not_changed_without_a_new_version() {
     std::fs::write(&path, format!("{version}\n{}\n", now.join("\n"))).unwrap();
 }
 
-/// Otherwise, a message that is missing in this file would not be pinned.
+/// Otherwise, the test would not notice a message that is missing in this file.
 #[test]
 fn every_message_is_in_the_list() {
     let board: Vec<Row> = board_messages().iter().map(|message| *message.row()).collect();
@@ -219,7 +219,7 @@ fn every_message_is_in_the_list() {
     }
 }
 
-/// This test decodes the pinned bytes, independent of the current encoder.
+/// This test decodes the stored bytes and does not use the current encoder.
 #[test]
 fn the_pinned_frames_are_read_as_the_pinned_messages() {
     let text = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden_wire.txt"));

@@ -1,4 +1,4 @@
-//! Damages streams of frames in every way that a line can.
+//! Damages streams of frames in every way in which a line can damage them.
 //! Only frames that were sent may be accepted, and all undamaged frames must be accepted.
 //!
 //! `cargo test -p shared-proto --test mutations` runs 200 000 streams.
@@ -34,7 +34,7 @@ impl Pool {
     }
 }
 
-/// Returns a random part of `len` bytes, which is usually short.
+/// Returns a random part of `len` bytes. The part is usually short.
 fn part(rng: &mut Rng, len: usize) -> std::ops::Range<usize> {
     let start = rng.below(len + 1);
     let most = if rng.below(4) == 0 { len - start } else { (len - start).min(8) };
@@ -64,12 +64,12 @@ fn mutate(rng: &mut Rng, stream: &mut Vec<u8>, donor: &[u8]) {
         7 => {
             stream.drain(..at);
         }
-        // Repetition: inserts a part of the stream elsewhere.
+        // Inserts a part of the stream again at another place.
         8 => {
             let copy = stream[part(rng, stream.len())].to_vec();
             stream.splice(at..at, copy);
         }
-        // Splicing: inserts a part of another stream, or overwrites with it.
+        // Inserts a part of another stream, or overwrites a part with it.
         9 => {
             let copy = donor[part(rng, donor.len())].to_vec();
             let over = part(rng, stream.len());
@@ -101,16 +101,16 @@ struct Tally {
     damaged: u64,
 }
 
-/// Feeds the stream to a decoder of `N` bytes and compares the result with the expected frames.
+/// Feeds the stream to a decoder of `N` bytes, and compares the result with the expected frames.
 fn check<const N: usize>(stream: &[u8], sent: &[&[u8]], tally: &mut Tally, name: impl Fn() -> String) {
     let mut decoder = Decoder::<N>::new();
     let mut rest = stream;
     let mut whole = 0;
     // A chunk is valid if it equals a sent frame and ends with a delimiter.
-    // Its leading delimiter is that of the previous chunk, or the start of the stream.
+    // The delimiter before it belongs to the previous chunk, unless the stream starts here.
     while let Some(end) = rest.iter().position(|&byte| byte == DELIMITER) {
         let chunk = &rest[..end];
-        // Frames here are short enough for one code byte, so the decoded length is one less.
+        // Frames in this test are short enough for one code byte, so the decoded length is one less.
         let expected = (chunk.len() <= N + 1 && sent.contains(&chunk)).then_some(chunk);
         for &byte in chunk {
             assert!(decoder.push(byte).is_none(), "{}: a frame before its delimiter", name());
@@ -192,6 +192,6 @@ fn damaged_streams_yield_exactly_the_frames_left_whole() {
     let Tally { sent, whole, damaged } = tally;
     println!("{sent} frames drawn, {whole} left whole and all accepted, {damaged} damaged and all dropped");
     println!("row: damaged frames taken | {streams} streams, {damaged} damaged frames | 0 | 0");
-    // With fewer cases, the run would have tested too little.
+    // If there were fewer cases, the run would have tested too little.
     assert!(whole > streams && damaged > streams / 2);
 }

@@ -1,4 +1,4 @@
-//! Checks that every message can be decoded from its frame and fits its maximum, and that nothing else is a message.
+//! Checks that every message can be decoded from its frame and fits its maximum size, and that no other bytes are a message.
 
 mod common;
 
@@ -22,7 +22,7 @@ prop_compose! {
     }
 }
 
-/// Returns the largest message of each kind.
+/// Returns the largest possible message of each kind.
 fn largest(kind: usize, row: &Row) -> Material {
     Material {
         kind,
@@ -51,7 +51,7 @@ proptest! {
         for frame in [board, host] {
             prop_assert_eq!(frame.iter().position(|&byte| byte == DELIMITER), Some(frame.len() - 1));
         }
-        // The values are compared as text, because NaN differs from itself.
+        // The values are compared as text, because NaN is not equal to itself.
         let (from_board, _) = payloads(board);
         prop_assert_eq!(format!("{:?}", parse_board(&from_board[0])), format!("Ok({to_host:?})"));
         let (from_host, _) = payloads(host);
@@ -112,7 +112,7 @@ proptest! {
     }
 
     /// Long payloads contain blocks of 254 bytes without a zero, which our messages do not.
-    /// The frames in this test come from another implementation.
+    /// Another implementation encoded the frames in this test.
     #[test]
     fn the_decoder_agrees_with_the_cobs_of_postcard_and_a_table_driven_crc(
         payload in prop::collection::vec(prop_oneof![1 => Just(0u8), 600 => any::<u8>()], 1..1200),
@@ -162,14 +162,14 @@ fn the_largest_message_of_each_kind_has_the_stated_size() {
     }
 }
 
-/// In protocol 1.4. Boards with little memory reserve them.
+/// These are the sizes in protocol 1.4, which boards with little memory reserve.
 #[test]
 fn buffers_are_as_large_as_the_largest_frame_that_they_may_hold() {
     let sizes = [BOARD_FRAME_MAX, LEFT_BOARD_FRAME_MAX, HOST_FRAME_MAX, HOST_TO_LEFT_FRAME_MAX];
     assert_eq!(sizes, [174, 56, 145, 19]);
 }
 
-/// Builds a frame around any payload.
+/// Builds a frame that contains any payload.
 fn framed(payload: &[u8]) -> Vec<u8> {
     let mut plain = payload.to_vec();
     plain.extend(crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC).checksum(payload).to_le_bytes());
@@ -216,7 +216,7 @@ fn damage_is_counted_by_its_kind_and_the_next_frame_is_taken() {
         (&[5, 1, 2, 0], Counters { bad_cobs: 1, ..Default::default() }),
         (&[4, 1, 2, 3, 0], Counters { bad_crc: 1, ..Default::default() }), // too short for a checksum
         (&[7, 6, 1, 2, 1, 1, 1, 0], Counters { bad_crc: 1, ..Default::default() }),
-        // A line that always reads 0x01 looks like an empty message with its correct checksum, 0.
+        // A line that always reads 0x01 looks like an empty message with the correct checksum, which is 0.
         (&[1, 1, 1, 1, 1, 0], Counters { bad_crc: 1, ..Default::default() }),
         (&[0, 0, 0, 0], Counters::default()),
     ];

@@ -7,14 +7,14 @@ use core::ops::{Index, IndexMut};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "lowercase"))]
 pub enum Hand {
-    /// The hand with tilt and bends, which drives the base.
+    /// The hand whose tilts and bends drive the base.
     Left,
-    /// The hand with gestures, which moves the arm.
+    /// The hand whose gestures move the arm.
     Right,
 }
 
 impl Hand {
-    /// Both hands in the order left, right.
+    /// Both hands, in the order left, right.
     pub const BOTH: [Self; 2] = [Self::Left, Self::Right];
 }
 
@@ -30,9 +30,9 @@ impl fmt::Display for Hand {
 /// A pair of values, one for each hand: `values[Hand::Left]`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct PerHand<T> {
-    /// The value of the left hand.
+    /// The value that belongs to the left hand.
     pub left: T,
-    /// The value of the right hand.
+    /// The value that belongs to the right hand.
     pub right: T,
 }
 
@@ -42,7 +42,7 @@ impl<T> PerHand<T> {
         Self { left: make(Hand::Left), right: make(Hand::Right) }
     }
 
-    /// Iterates over both hands with their values.
+    /// Iterates over both hands and their values.
     pub fn iter(&self) -> impl Iterator<Item = (Hand, &T)> {
         [(Hand::Left, &self.left), (Hand::Right, &self.right)].into_iter()
     }
@@ -58,7 +58,7 @@ impl<T> PerHand<T> {
     }
 }
 
-/// Converts an array in the order left, right.
+/// Converts an array with the values in the order left, right.
 impl<T> From<[T; 2]> for PerHand<T> {
     fn from([left, right]: [T; 2]) -> Self {
         Self { left, right }

@@ -1,4 +1,4 @@
-//! Identifies the labels that are not gestures.
+//! Recognises the labels that are not gestures.
 
 /// Returns whether the label is `idle` or `other`, which means that the hand rests or makes no gesture.
 /// Case and punctuation do not matter: `Idle` is `idle`.
@@ -6,9 +6,9 @@ pub fn is_rest(label: &str) -> bool {
     ["idle", "other"].into_iter().any(|rest| is_same(label, rest))
 }
 
-/// Compares the letters and digits of `label`, without case, with `word`, which is lower case.
+/// Compares the letters and digits of `label` with `word`, which is in lower case. The case of `label` does not matter.
 fn is_same(label: &str, word: &str) -> bool {
-    // Only ASCII is compared, because boards have no room for tables of other letters.
+    // Only ASCII letters are compared, because boards have no room for tables of others.
     let letters = label.chars().filter(|c| !c.is_ascii() || c.is_ascii_alphanumeric());
     letters.map(|c| c.to_ascii_lowercase()).eq(word.chars())
 }

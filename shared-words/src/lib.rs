@@ -1,6 +1,6 @@
 //! Types that boards, wire and laptop share.
 //!
-//! `shared-dsp` computes them without depending on the wire,
+//! `shared-dsp` computes these types without depending on the wire,
 //! and `shared-proto` sends them without depending on the computation.
 //! The laptop acts on the results.
 //! With the feature `serde`, they can be sent as numbers on the wire and written as lower-case texts in files.

@@ -1,6 +1,6 @@
-//! The meaning of a tilt of the left hand, and its thresholds.
+//! The meaning of a tilt of the left hand, and the thresholds for it.
 
-/// The direction of the left hand. There is at most one command at a time, and the larger tilt wins.
+/// The direction that the left hand commands. There is at most one command at a time, and the larger tilt wins.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(
     feature = "serde",
@@ -8,9 +8,9 @@
     serde(rename_all = "lowercase")
 )]
 pub enum Heading {
-    /// Both tilts are within the dead zone (5°). This is required to re-arm after a stop.
+    /// Both tilts are within the dead zone (5°). The robot can be armed again after a stop only in this state.
     Neutral,
-    /// The hand is neither neutral nor gives a command.
+    /// The hand is not neutral, but gives no command.
     #[default]
     Between,
     /// The base drives forward: the pitch is beyond the start threshold.
@@ -42,7 +42,7 @@ impl Heading {
     }
 }
 
-/// The thresholds for the start and end of a command, in milliradians.
+/// The thresholds in milliradians at which a command starts and ends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(
     feature = "serde",
@@ -50,7 +50,7 @@ impl Heading {
     serde(default, deny_unknown_fields)
 )]
 pub struct TiltThresholds {
-    /// A hand is neutral within this angle (5° = 87).
+    /// A hand within this angle is neutral (5° = 87).
     pub neutral_mrad: u16,
     /// A command ends below this angle (12° = 209).
     pub end_mrad: u16,
@@ -62,8 +62,8 @@ impl TiltThresholds {
     /// The default thresholds: 5°, 12° and 15°.
     pub const DEFAULT: Self = Self { neutral_mrad: 87, end_mrad: 209, start_mrad: 262 };
 
-    /// Returns whether the thresholds are ordered with enough hysteresis, and neutral is wide enough to be reached.
-    /// Otherwise, a command might never end, or a hand could never be re-armed.
+    /// Returns whether the thresholds are ordered with enough hysteresis, and the neutral zone is wide enough to be reached.
+    /// Otherwise, a command might never end, or the robot could never be armed again.
     pub fn are_sound(self) -> bool {
         self.neutral_mrad >= 17
             && self.neutral_mrad < self.end_mrad

@@ -12,11 +12,11 @@ use crate::steps::rows;
 use crate::test::{announce, cargo, cargo_for_all, programs};
 use crate::{jazzy, python};
 
-/// One fault of the campaign, and its tests.
+/// One fault of the campaign, with the tests for it.
 struct Fault {
     /// Name of the row in docs/SAFETY.md.
     name: &'static str,
-    /// The selected tests, as arguments of `cargo test`.
+    /// The tests to run, as arguments of `cargo test`.
     test: &'static [&'static str],
     /// The tests' environment.
     only: &'static [&'static str],
@@ -27,7 +27,7 @@ struct Fault {
 #[derive(Clone, Copy, PartialEq)]
 enum Needs {
     Nothing,
-    /// A release build, because these tests take millions of turns.
+    /// A release build, because these tests run millions of turns.
     Speed,
     /// An independent robot on Cyclone DDS.
     Cyclone,
@@ -45,7 +45,7 @@ const fn with(needs: Needs, fault: Fault) -> Fault {
 
 const LIVE: &[&str] = &["--test", "live"];
 
-/// Sorted like the table in docs/SAFETY.md. Tests with the wall clock run one after another.
+/// The order is that of the table in docs/SAFETY.md. Tests with the wall clock run one after another.
 const FAULTS: &[Fault] = &[
     fault("v delays: constant, stepping, drifting ±5 %; restarts unseen", &["--test", "lateness"], &[]),
     with(
@@ -168,7 +168,7 @@ pub fn run(args: &[&str]) -> Result<ExitCode> {
     Ok(if held { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
-/// Measures the rows of one fault, and returns whether all its tests passed.
+/// Measures the rows of one fault. Returns whether all its tests passed.
 fn measure(fault: &Fault, short: bool) -> Result<(Vec<Vec<String>>, bool)> {
     let mut cargo = match fault.needs {
         // Builds only one crate, so that nothing else is built in release mode.
@@ -200,8 +200,8 @@ fn measure(fault: &Fault, short: bool) -> Result<(Vec<Vec<String>>, bool)> {
     if rows.is_empty() {
         rows.push(vec!["tests".into(), tests.to_string(), "0 failed".into(), "0 failed".into()]);
     }
-    // A filter without matching tests proves nothing.
-    // The same applies to skipped tests, and to measurements on a machine that is too busy.
+    // A filter that matches no tests proves nothing.
+    // Skipped tests prove nothing either, nor do measurements on a machine that is too busy.
     let ok = done.status.success() && tests > 0 && !said.contains("SKIPPED") && !said.contains("NOT JUDGED");
     if !ok {
         println!("{said}{}", String::from_utf8_lossy(&done.stderr));

@@ -10,13 +10,13 @@ use serde_json::Value;
 use crate::steps::{output, sh};
 use crate::{python, root};
 
-/// The workspaces of the laptop programs and of each board.
+/// The workspace of the laptop programs, and the workspace of each board.
 const WORKSPACES: [&str; 3] = ["", "firmware-nano-avr", "firmware-nano33"];
 
 /// Checks licences, bans and sources (`deny.toml`), and unused dependencies.
 ///
 /// # Errors
-/// Names each invalid crate and each invalid line of a Cargo.toml.
+/// Names each crate that is not allowed, and each invalid line of a Cargo.toml.
 pub fn check() -> Result<()> {
     let python = python::environment()?;
     let tools = python.parent().context("the environment's folder")?;
@@ -34,9 +34,9 @@ pub fn check() -> Result<()> {
     Ok(())
 }
 
-/// Checks that no crate needs a newer Rust than the workspace promises.
-/// The tests run with exactly this Rust, which shows that the workspace itself compiles.
-/// Clippy's `incompatible_msrv` checks for newer parts of the library.
+/// Checks that no crate needs a newer Rust version than the workspace promises.
+/// The tests run with exactly this version, which shows that the workspace itself compiles with it.
+/// Clippy's `incompatible_msrv` checks for newer parts of the standard library.
 fn oldest_rust(folder: &Path) -> Result<()> {
     let mut cargo = Command::new("cargo");
     cargo.current_dir(folder).args(["metadata", "--format-version", "1", "--locked", "--all-features"]);
@@ -45,7 +45,7 @@ fn oldest_rust(folder: &Path) -> Result<()> {
     let promised = packages.iter().filter(|package| package["source"].is_null()).map(wanted).max();
     let promised = promised.context("a workspace has a crate")?;
     if promised == (0, 0) {
-        // Each board's images are built by one compiler, which `toolchain` selects.
+        // One compiler builds all images of a board, and `toolchain` selects it.
         return Ok(());
     }
     for package in packages {
@@ -70,7 +70,7 @@ fn oldest_rust(folder: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Returns the Rust version that a package requires; 0 without a requirement.
+/// Returns the Rust version that a package requires, or 0 if it requires none.
 fn wanted(package: &Value) -> (u32, u32) {
     package["rust_version"].as_str().map(version).unwrap_or_default()
 }

@@ -1,4 +1,4 @@
-//! `cargo xtask firmware avr`: builds the left hand's image, prints its size, and explains flashing.
+//! `cargo xtask firmware avr`: builds the left hand's image, prints its size, and explains how to flash it.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -9,7 +9,7 @@ use crate::steps::{output, sh};
 use crate::toolchain::{self, Target};
 use crate::{root, target_dir};
 
-/// Limits in bytes, from an ATmega328P with a 2 KB bootloader and from this project.
+/// Limits in bytes. They follow from an ATmega328P with a 2 KB bootloader, and from this project.
 const FLASH_LIMIT: u64 = 24 * 1024;
 const RAM_LIMIT: u64 = 1536;
 const RAM: u64 = 2048;
@@ -19,7 +19,7 @@ const RAM: u64 = 2048;
 /// `--baud 57600|115200|250000` selects the serial speed, and `--no-stack` skips the measurement in the emulator.
 ///
 /// # Errors
-/// Fails if the image does not build, or is larger than permitted.
+/// Fails if the image does not build, or if it is larger than permitted.
 pub fn run(args: &[&str]) -> Result<()> {
     let mut baud = "115200";
     let mut measure = true;
@@ -110,7 +110,7 @@ impl Size {
     }
 }
 
-/// Runs all functions of the image in the emulator, and returns the deepest stack.
+/// Runs all functions of the image in the emulator, and returns the deepest use of the stack.
 fn deepest_stack(elf: &PathBuf) -> Result<u64> {
     let mut emulator = Command::new("cargo");
     emulator.current_dir(root()).env("BIMANUAL_AVR_ELF", elf);

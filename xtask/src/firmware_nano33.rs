@@ -1,4 +1,4 @@
-//! `cargo xtask firmware nano33`: builds the variants of the right hand's image and prints their sizes by part.
+//! `cargo xtask firmware nano33`: builds the variants of the right hand's image, and prints the size of each part.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -10,7 +10,7 @@ use crate::steps::{output, sh};
 use crate::toolchain::{Target, cargo};
 use crate::{is_full, root, target_dir, tools, uf2};
 
-/// A variant's name, and what cargo needs to build it.
+/// A variant's name, and the arguments with which cargo builds it.
 const VARIANTS: [(&str, &[&str], &str); 5] = [
     ("ble", &[], "Nano 33 BLE Sense and Rev2, behind S140 at 0x27000 (needs an SWD probe)"),
     (
@@ -35,13 +35,13 @@ const VARIANTS: [(&str, &[&str], &str); 5] = [
     ),
 ];
 
-/// The variant that differs from another one in its board only: the tests look at that one.
+/// The variant that differs from another one only in its board. The tests inspect that other one.
 const XIAO_TROUBLE: &str = "xiao-trouble";
 
-/// Where a XIAO's image starts, behind S140.
+/// Address at which a XIAO's image starts, behind S140.
 const XIAO_ORIGIN: u32 = 0x27000;
 
-/// Parts of the image with words in the names of their symbols; the first match counts.
+/// Parts of the image, each with words that occur in its symbols' names. The first part that matches counts.
 const PARTS: [(&str, &[&str]); 6] = [
     (
         "network",
@@ -65,7 +65,7 @@ const PARTS: [(&str, &[&str]); 6] = [
             "7nrf_sdc",
             "8nrf_mpsl",
             "6bt_hci",
-            // Nordic's own names, hidden or not, and the cryptography.
+            // Names that Nordic's libraries use (hidden or not), and names of the cryptography.
             "sym_",
             "sdc_",
             "mpsl_",
@@ -81,10 +81,10 @@ const PARTS: [(&str, &[&str]); 6] = [
     ("rest", &[""]),
 ];
 
-/// Builds and prints all variants, or only the named one.
+/// Builds all variants, or only the named one, and prints their sizes.
 ///
 /// # Errors
-/// Fails if a variant does not build, or the name is unknown.
+/// Fails if a variant does not build, or if the name is unknown.
 pub fn run(args: &[&str]) -> Result<()> {
     let is_xiao = |name: &str| name.starts_with("xiao");
     let chosen = |name: &str| match args {
@@ -113,7 +113,7 @@ pub fn run(args: &[&str]) -> Result<()> {
     Ok(())
 }
 
-/// The variants that the tests run, which is all but one; with `--full` that one, too.
+/// Returns the variants that the tests run. These are all but one, and with `--full` that one too.
 ///
 /// # Errors
 /// As [`run`].
@@ -124,8 +124,8 @@ pub fn run_for_tests() -> Result<()> {
     VARIANTS.iter().filter(|(name, ..)| *name != XIAO_TROUBLE).try_for_each(|(name, ..)| run(&[name]))
 }
 
-/// A cargo for the images. Those with Bluetooth linked in contain a little C and bindings that are made from Nordic's headers, and
-/// all that is generic in them is built for size.
+/// Returns a cargo command for the images. Images with Bluetooth linked in contain a little C code and bindings
+/// generated from Nordic's headers. All their generic code is optimised for size.
 fn cargo_for(options: &[&str], subcommand: &str) -> Result<Command> {
     let mut command = cargo(Target::Thumb, subcommand)?;
     if options.iter().any(|option| option.contains("trouble")) {
@@ -180,7 +180,7 @@ pub fn image(name: &str) -> PathBuf {
     target_dir().join(Target::Thumb.triple()).join("release").join(format!("nano33-{name}"))
 }
 
-/// Converts the image to the format of the XIAO's bootloader, in the same folder.
+/// Converts the image to the format of the XIAO's bootloader, and writes the result to the same folder.
 fn make_uf2(image: &Path) -> Result<PathBuf> {
     let (raw, file) = (image.with_extension("bin"), image.with_extension("uf2"));
     sh(Command::new(tool("objcopy")).args(["-O", "binary"]).arg(image).arg(&raw))?;
@@ -189,7 +189,7 @@ fn make_uf2(image: &Path) -> Result<PathBuf> {
 }
 
 fn report(image: &Path) -> Result<()> {
-    // Names remain mangled; each contains its path as `length name`.
+    // The names remain mangled. Each contains its path as `length name`.
     let nm = tool("nm");
     let text = output(Command::new(nm).args(["--print-size", "--radix=d"]).arg(image))?;
     let mut sizes: BTreeMap<&str, (u64, u64)> = BTreeMap::new();
@@ -197,7 +197,7 @@ fn report(image: &Path) -> Result<()> {
         let fields: Vec<&str> = line.split_whitespace().collect();
         let [address, size, kind, symbol] = fields[..] else { continue };
         let (Ok(address), Ok(size)) = (address.parse::<u64>(), size.parse::<u64>()) else { continue };
-        // defmt's strings are never loaded.
+        // The strings of defmt are never loaded to the board.
         if address < 0x1_0000 || kind.eq_ignore_ascii_case("a") {
             continue;
         }
@@ -232,7 +232,7 @@ fn report(image: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Returns `llvm-nm` and `llvm-size`, or binutils' versions, which support ELF files of any machine.
+/// Returns `llvm-nm` and `llvm-size`, or the versions in binutils if they support ELF files of any machine.
 pub fn tool(name: &str) -> String {
     let llvm = format!("llvm-{name}");
     if Command::new(&llvm).arg("--version").output().is_ok_and(|o| o.status.success()) {

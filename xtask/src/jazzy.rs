@@ -1,5 +1,5 @@
 //! Installs ROS 2 Jazzy's own client library and middleware in a virtual environment.
-//! This gives a robot that is independent of the program. All files are below `target/ros2-jazzy`.
+//! Tests use it for a robot that is independent of the program. All files are below `target/ros2-jazzy`.
 
 use std::fmt::Write as _;
 use std::fs;
@@ -11,10 +11,10 @@ use anyhow::{Context, Result, ensure};
 use crate::steps::sh;
 use crate::{root, target_dir};
 
-/// The version of Python for which wheels exist.
+/// The Python version for which wheels exist.
 const PYTHON: &str = "3.12";
 const REQUIREMENTS: &str = "tests/ros2/jazzy-requirements.txt";
-/// Interfaces without a wheel: each package, and its dependencies.
+/// Interface packages that have no wheel, each with its dependencies.
 const INTERFACES: [(&str, &[&str]); 2] = [
     (
         "control_msgs",
@@ -22,11 +22,11 @@ const INTERFACES: [(&str, &[&str]); 2] = [
     ),
     ("tf2_msgs", &["geometry_msgs"]),
 ];
-/// The folder in which the wheels were built, as in their CMake files.
+/// The folder in which the wheels were built. Their CMake files contain it.
 const BUILT_FOR: &str = "/opt/python/cp312-cp312";
 
-/// Returns a program that runs Python with ROS 2, and installs it at the first use.
-/// It is `None` if this machine has no Python 3.12.
+/// Returns a program that runs Python with ROS 2. Installs ROS 2 at the first use.
+/// The result is `None` if this machine has no Python 3.12.
 ///
 /// # Errors
 /// Fails if a package cannot be installed or an interface does not build.
@@ -91,7 +91,7 @@ fn python() -> Option<String> {
     ["python3.12".to_owned(), "python3".to_owned()].into_iter().chain(pyenv).find(|program| works(program))
 }
 
-/// Corrects the wheels' CMake files, which contain folders of the machine on which they were built.
+/// Corrects the wheels' CMake files, which contain folders of the machine that built them.
 fn say_where_python_is(venv: &Path) -> Result<()> {
     let script = "import sysconfig, numpy; print(sysconfig.get_path('include')); print(numpy.get_include())";
     let told = Command::new(venv.join("bin/python")).args(["-c", script]).output()?;
@@ -138,7 +138,7 @@ fn build(place: &Path, package: &str, parts: &[&str]) -> Result<()> {
     let (source, build, venv) =
         (place.join("src").join(package), place.join("build").join(package), place.join("venv"));
     for folder in [&source, &build] {
-        // Removes the files of another version.
+        // Removes the files that another version left.
         let _ = fs::remove_dir_all(folder);
     }
     let files = interface_files(package)?;

@@ -1,4 +1,4 @@
-//! The project's commands. Users and CI run `cargo xtask test`.
+//! The project's commands. Both users and CI run `cargo xtask test`.
 
 mod campaign;
 mod crates;

@@ -1,5 +1,5 @@
 //! `cargo xtask package`: builds an archive for users without Rust.
-//! It contains programs, firmware images, model, scenes, documents, licences and udev rules.
+//! The archive contains programs, firmware images, model, scenes, documents, licences and udev rules.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -13,7 +13,7 @@ use crate::test::cargo;
 use crate::tools::{self, BLUETOOTH};
 use crate::{firmware_avr, firmware_nano33, root, target_dir};
 
-/// Files of the repository that keep their places, so that the documents' links hold.
+/// Files that have the same path in the archive as in the repository, so that links in documents work.
 const FILES: [&str; 39] = [
     "CHANGELOG.md",
     "LICENSE-APACHE",
@@ -55,12 +55,12 @@ const FILES: [&str; 39] = [
     "models/bundled/right-aligned.tflite",
     "shared-proto/WIRE.md",
 ];
-/// Files with another path in the archive.
+/// Files that have another path in the archive.
 const MOVED: [(&str, &str); 2] = [
     ("xtask/package/INSTALL.txt", "INSTALL.txt"),
     ("xtask/package/60-bimanual.rules", "udev/60-bimanual.rules"),
 ];
-/// What is in the archive, as cargo names it, and what it runs on.
+/// A program or image in the archive, with cargo's name for it and the machine that runs it.
 const PARTS: [(&[&str], &str); 5] = [
     (&["-p", "host-bridge", "-p", "models", "--all-features"], "x86_64-unknown-linux-gnu"),
     (&["--manifest-path", "firmware-nano-avr/Cargo.toml"], "avr-none"),
@@ -76,7 +76,7 @@ const PARTS: [(&[&str], &str); 5] = [
     ),
     // Both images for S140.
     (&["--manifest-path", "firmware-nano33/Cargo.toml", "--features", "xiao"], "thumbv7em-none-eabihf"),
-    // Both images with Bluetooth linked in.
+    // Both images that have Bluetooth linked in.
     (
         &[
             "--manifest-path",
@@ -88,14 +88,14 @@ const PARTS: [(&[&str], &str); 5] = [
         "thumbv7em-none-eabihf",
     ),
 ];
-/// Crates whose licence is a file of their own. We have read them: an archive that carries the file may contain the crate. Nordic's five clauses let
-/// its interface of the S140, and its controller, be passed on in images for Nordic's chips.
+/// Crates whose licence is a separate file. We have read these licences: an archive that contains the file may contain the crate.
+/// Nordic's five-clause licence permits images for Nordic's chips to include its interface of S140 and its controller.
 const LICENCE_FILES: [(&str, &str); 3] = [
     ("nrf-softdevice-s140", "Nordic's five clauses"),
     ("nrf-sdc-sys", "Nordic's five clauses"),
     ("nrf-mpsl-sys", "Nordic's five clauses"),
 ];
-/// Texts that crates keep below their own folder.
+/// Licence texts that crates store below a folder of their own.
 const DEEPER_TEXTS: [&str; 6] = [
     "P256-Cortex-M4/LICENSE.txt",
     "third_party/nordic/nrfxlib/LICENSE",
@@ -104,21 +104,21 @@ const DEEPER_TEXTS: [&str; 6] = [
     "third_party/nordic/nrfxlib/softdevice_controller/license.txt",
     "third_party/nordic/nrfx/LICENSE",
 ];
-/// What a part contains that its own crate does not declare.
+/// Contents of a part that its own crate does not declare.
 const MORE_NOTICES: [&str; 1] = ["firmware-nano33/sensor/NOTICE-Bosch.txt"];
 const PROGRAMS: [&str; 2] = ["host-bridge", "models"];
 
 /// Builds the archive under `target/package`, unpacks it once and runs its programs.
 ///
 /// # Errors
-/// A program does not build, a file is missing, or the unpacked programs do not run.
+/// Fails if a program does not build, a file is missing, or the unpacked programs do not run.
 pub fn run() -> Result<()> {
     ensure!(
         cfg!(all(target_os = "linux", target_arch = "x86_64")),
         "the archive is for Linux on x86-64: make it there; elsewhere `cargo install --path host-bridge`"
     );
     tools::ensure(&[&BLUETOOTH])?;
-    // With all features, including optional ones such as Bluetooth.
+    // Builds with all features, including optional ones such as Bluetooth.
     sh(&mut cargo(&["build", "--release", "--locked", "-p", "host-bridge", "--all-features", "--bins"]))?;
     sh(&mut cargo(&["build", "--release", "--locked", "-p", "models", "--bins"]))?;
     let name = format!("bimanual-{}-x86_64-linux", env!("CARGO_PKG_VERSION"));
@@ -134,7 +134,7 @@ pub fn run() -> Result<()> {
     for program in PROGRAMS {
         let to = folder.join("bin").join(program);
         copy(&target_dir().join("release").join(program), &to)?;
-        // Line tables are only for developers; without binutils, they remain.
+        // Only developers need line tables. If binutils is missing, the tables remain.
         let _ = Command::new("strip").arg(&to).status();
     }
     let mut trees = String::new();
@@ -144,7 +144,7 @@ pub fn run() -> Result<()> {
     }
     fs::write(folder.join("LICENCES-OF-PARTS.txt"), notices(&parts(&trees)?)?)?;
     let archive = place.join(format!("{name}.tar.gz"));
-    // The same content must give the same bytes.
+    // The same content must give an archive with the same bytes.
     let mut tar = Command::new("tar");
     tar.args(["--sort=name", "--owner=0", "--group=0", "--numeric-owner", "--mtime=@0", "--mode=u+rw,go=rX"]);
     sh(tar.arg("-C").arg(&place).arg("-czf").arg(&archive).arg(&name))?;
@@ -153,7 +153,7 @@ pub fn run() -> Result<()> {
     Ok(())
 }
 
-/// Writes the firmware images in the formats of avrdude and bossac.
+/// Writes the firmware images in the formats that avrdude and bossac read.
 fn images(folder: &Path) -> Result<()> {
     fs::create_dir_all(folder)?;
     firmware_avr::run(&["--no-stack"])?;
@@ -180,10 +180,10 @@ fn copy(from: &Path, to: &PathBuf) -> Result<()> {
     Ok(())
 }
 
-/// A foreign crate in the programs: `name vVERSION` and its licence.
+/// Another project's crate in the programs: `name vVERSION` and its licence.
 type Part<'a> = (&'a str, &'a str);
 
-/// Returns the foreign crates, each once.
+/// Returns the crates of other projects, each once.
 fn parts(tree: &str) -> Result<Vec<Part<'_>>> {
     let ours = |line: &&str| line.contains("(/");
     let mut parts = Vec::new();
@@ -192,7 +192,7 @@ fn parts(tree: &str) -> Result<Vec<Part<'_>>> {
         let name = part.split(' ').next().unwrap_or("");
         let by_file = LICENCE_FILES.iter().find(|(of, _)| *of == name && licence.trim().is_empty());
         let licence = by_file.map_or(licence, |(_, licence)| licence);
-        // One of several licences suffices; they may also be separated by a slash.
+        // Of several licences, one suffices. A slash may also separate them.
         let free = licence
             .split(" OR ")
             .flat_map(|l| l.split('/'))
@@ -205,7 +205,7 @@ fn parts(tree: &str) -> Result<Vec<Part<'_>>> {
     Ok(parts)
 }
 
-/// Returns all parts with their licences, and each text in their packages once.
+/// Returns all parts with their licences, and each licence text in their packages once.
 fn notices(parts: &[Part<'_>]) -> Result<String> {
     let home = std::env::var_os("CARGO_HOME").map(PathBuf::from);
     let home =
@@ -263,7 +263,7 @@ fn try_out(archive: &Path, name: &str, into: &Path) -> Result<()> {
     for name in PROGRAMS {
         print!("{}", output(program(name).arg("--version"))?);
     }
-    // With a session file, so that MCAP is tested.
+    // This uses a session file, so that MCAP is tested too.
     let demo = ["demo", "--headless", "--speed", "0", "--json", "--record", "demo.mcap"];
     let demo = output(program("host-bridge").args(demo))?;
     ensure!(demo.contains("\"ok\":true"), "the unpacked demo does not come out as scripted:\n{demo}");
@@ -271,7 +271,7 @@ fn try_out(archive: &Path, name: &str, into: &Path) -> Result<()> {
     output(
         program("host-bridge").args(["demo", "--headless", "--speed", "0", "--json", "--scene"]).arg(urdf),
     )?;
-    // Whatever devices and nodes exist, these commands only read and report.
+    // These commands only read and report, whatever devices and nodes exist.
     for (words, said) in [
         (&["list"][..], "Bluetooth"),
         (&["doctor", "--right", "ble"], "Bluetooth"),
@@ -293,7 +293,7 @@ fn try_out(archive: &Path, name: &str, into: &Path) -> Result<()> {
 mod tests {
     use super::{MOVED, parts};
 
-    /// In 73-seat-late.rules, systemd grants the port to the local user by a tag, which an earlier rule must set.
+    /// In 73-seat-late.rules, systemd gives the local user access to ports with a tag. An earlier rule must set this tag.
     #[test]
     fn the_udev_rule_is_read_in_time_and_knows_every_board() {
         let (from, to) = MOVED.into_iter().find(|(from, _)| from.ends_with(".rules")).unwrap();

@@ -1,4 +1,4 @@
-//! Checks the spelling, and the links between the documents.
+//! Checks the spelling, and the links in documents.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -25,7 +25,7 @@ pub fn check() -> Result<()> {
     Ok(())
 }
 
-/// All documents of the repository.
+/// Returns all documents of the repository.
 fn documents(folder: &Path) -> Result<Vec<PathBuf>> {
     let mut found = Vec::new();
     for entry in fs::read_dir(folder)? {
@@ -51,13 +51,13 @@ fn broken_links(document: &Path) -> Vec<String> {
     missing.map(|link| format!("{}: {link}", document.display())).collect()
 }
 
-/// Returns the targets of `[text](link)` outside of code.
+/// Returns the targets of `[text](link)` that are not in code.
 fn links(text: &str) -> Vec<&str> {
     let mut found = Vec::new();
     let mut in_code = false;
     for line in text.lines() {
         in_code ^= line.trim_start().starts_with("```");
-        // Every second part of a line is between two backticks.
+        // Every second part of a line is between two backticks, so it is code.
         let prose = line.split('`').step_by(2);
         let parts = prose.flat_map(|part| part.split("](").skip(1)).filter(|_| !in_code);
         found.extend(parts.filter_map(|rest| rest.split_once(')')).map(|(link, _)| link));

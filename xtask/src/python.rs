@@ -1,4 +1,4 @@
-//! A virtual environment for the independent checks in Python.
+//! A virtual environment in which the independent checks in Python run.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -9,10 +9,10 @@ use anyhow::{Context, Result, bail};
 use crate::steps::sh;
 use crate::{root, target_dir};
 
-/// The folder of the arms' judges.
+/// The folder of the checks that compare arms with other libraries.
 const ARMS: &str = "arms-venv";
 
-/// What the checks want, each beside its check.
+/// Requirements files of the checks, each in the folder of its check.
 const REQUIREMENTS: [&str; 11] = [
     "models/tests/requirements.txt",
     "shared-dsp/tests/reference/requirements.txt",
@@ -27,7 +27,7 @@ const REQUIREMENTS: [&str; 11] = [
     "tests/web/requirements.txt",
 ];
 
-/// Returns the interpreter of an environment with all requirements, and creates it at the first use.
+/// Returns the interpreter of an environment with all requirements. Creates the environment at the first use.
 ///
 /// # Errors
 /// Fails if there is no Python 3 with `venv`, or a package cannot be installed. The error names the missing package.
@@ -35,7 +35,7 @@ pub fn environment() -> Result<PathBuf> {
     made("venv", &REQUIREMENTS)
 }
 
-/// The same for the judges of arms, whose packages hold 170 MB of meshes: an environment of its own.
+/// Returns the interpreter for the checks of arms. They have a separate environment, because their packages contain 170 MB of meshes.
 ///
 /// # Errors
 /// As [`environment`].
@@ -43,7 +43,7 @@ pub fn arms() -> Result<PathBuf> {
     made(ARMS, &["tests/arms/requirements.txt"])
 }
 
-/// Whether somebody has made that one.
+/// Whether the environment for the checks of arms exists.
 pub fn has_arms() -> bool {
     works(&target_dir().join(ARMS).join("bin/python"))
 }
@@ -59,13 +59,13 @@ fn made(name: &str, requirements: &[&str]) -> Result<PathBuf> {
     if fs::read_to_string(&stamp).is_ok_and(|installed| installed == wanted) && works(&python) {
         return Ok(python);
     }
-    // A working environment is kept, and installed packages are not installed again.
+    // If the environment works, it is kept, and installed packages are not installed again.
     if !works(&python) {
         sh(Command::new("python3").args(["-m", "venv", "--clear"]).arg(&place))
             .context("needs Python 3.11 or later with venv (Debian: apt-get install python3 python3-venv)")?;
     }
     let mut pip = Command::new(&python);
-    // Modules are compiled at their first use and not all at once.
+    // Modules are compiled at their first use and not all in advance.
     pip.current_dir(root()).args([
         "-m",
         "pip",

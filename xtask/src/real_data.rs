@@ -1,4 +1,4 @@
-//! Tests users' tools with real recordings: `models splits`, `models train`, `host-bridge replay`.
+//! Tests the tools on real recordings: `models splits`, `models train` and `host-bridge replay`.
 
 use std::fs;
 use std::path::PathBuf;
@@ -9,13 +9,13 @@ use crate::steps::{output, sh};
 use crate::test::built;
 use crate::{is_full, root, target_dir};
 
-/// Minimum mean accuracy per recording over random splits of the LSM9DS1 set, in per cent: two splits, and twenty.
+/// Minimum mean accuracy per recording over random splits of the LSM9DS1 set, in per cent: with two splits, and with twenty.
 const SPLITS_MIN: [f64; 2] = [97.0, 99.0];
-/// Minimum percentage of unknown people's gestures with exactly one correct event.
+/// Minimum percentage of unknown people's gestures that cause exactly one correct event.
 const EVENTS_MIN: f64 = 95.0;
 /// Maximum percentage of recordings without a gesture that cause an event (the goal is 0).
 const FALSE_MAX: f64 = 1.5;
-/// Maximum difference between the int8 mean and the float mean, in points.
+/// Maximum difference between the means of int8 and float, in percentage points.
 const INT8_GAP_MAX: f64 = 0.5;
 
 /// Returns the folder of one data set, if this machine has it.
@@ -29,7 +29,7 @@ fn set(name: &str) -> Option<PathBuf> {
     Some(folder)
 }
 
-/// Measures random splits of the nine-axis set (twenty with `--full`): the mean accuracy, float and int8.
+/// Measures the mean accuracy, for float and int8, over random splits of the nine-axis set (twenty with `--full`).
 pub fn splits() -> Result<()> {
     let Some(folder) = set("nano33-lsm9ds1-9axis") else { return Ok(()) };
     let (splits, least) = if is_full() { ("20", SPLITS_MIN[1]) } else { ("2", SPLITS_MIN[0]) };
@@ -46,8 +46,8 @@ pub fn splits() -> Result<()> {
     Ok(())
 }
 
-/// Tests unknown people: accuracy, accuracy after three examples, and events.
-/// The short test uses one seed on the nine-axis set, with limits two points lower.
+/// Tests models on unknown people: accuracy, accuracy after three examples, and events.
+/// The short test uses one seed and only the nine-axis set, with limits that are two points lower.
 /// `--full` uses both sets with five seeds, and ten hours of simulated wearers without gestures.
 pub fn strangers() -> Result<()> {
     let (Some(nine), Some(acc)) = (set("nano33-lsm9ds1-9axis"), set("nano33rev2-acc-people")) else {
@@ -69,7 +69,7 @@ pub fn strangers() -> Result<()> {
     }
     let text = output(&mut people)?;
     print!("{text}");
-    // int8 results, with the nine-axis set first.
+    // The int8 results; the nine-axis set comes first.
     for (what, floors) in [
         ("never met: mean", [92.0, 96.0]),
         ("never met: worst", [90.0, 90.0]),
@@ -93,7 +93,7 @@ pub fn strangers() -> Result<()> {
         };
         let (right, no_gesture, wrong) = (figure(2)?, figure(7)?, figure(8)?);
         ensure!(right >= EVENTS_MIN - slack, "{right} % of gestures gave exactly one right event");
-        // One seed plays 146 recordings, so a difference of two is random.
+        // One seed plays 146 recordings, so a difference of two recordings may be random.
         ensure!(
             wrong <= no_gesture * (FALSE_MAX + slack) / 100.0,
             "{wrong} events in {no_gesture} recordings of no gesture"
@@ -102,7 +102,7 @@ pub fn strangers() -> Result<()> {
     Ok(())
 }
 
-/// Trains a model, and replays joined recordings that it has never seen to the simulator.
+/// Trains a model. Then replays joined recordings, which the model has never seen, to the simulator.
 pub fn replay() -> Result<()> {
     let Some(folder) = set("nano33-lsm9ds1-9axis") else { return Ok(()) };
     let out = target_dir().join("real-data");

@@ -1,4 +1,4 @@
-//! Runs named steps, continues after a failure, and prints a table with the reason of every failure.
+//! Runs named steps, continues after a failure, and prints a table that contains the reason of every failure.
 
 use std::fs::File;
 use std::io::{Read, Write};
@@ -9,7 +9,7 @@ use anyhow::{Context, Result, bail};
 
 use crate::target_dir;
 
-/// Number of a failed command's last lines that are printed after the table, where readers look first.
+/// Number of last lines of a failed command that are printed after the table, where readers look first.
 const LAST_LINES: usize = 50;
 
 /// One thing to check.
@@ -31,7 +31,7 @@ impl Step {
 pub struct Outcome {
     name: &'static str,
     time: Duration,
-    /// The error of a failed step.
+    /// The error with which a step failed.
     error: Option<String>,
 }
 
@@ -47,7 +47,7 @@ impl Outcome {
     }
 }
 
-/// Returns the rows that tests have printed for a table: the cells after this mark, separated by bars.
+/// Returns the rows that tests have printed for a table. These are the cells after this mark, separated by bars.
 pub fn rows(said: &str, mark: &str) -> Vec<Vec<String>> {
     let rows = said.lines().filter_map(|line| Some(line.split_once(mark)?.1));
     rows.map(|row| row.split('|').map(|cell| cell.trim().to_owned()).collect()).collect()
@@ -89,7 +89,7 @@ pub fn sh(command: &mut Command) -> Result<()> {
 /// Runs a command to its end and returns its standard output.
 ///
 /// # Errors
-/// The same errors as [`sh`].
+/// Fails in the same cases as [`sh`].
 pub fn output(command: &mut Command) -> Result<String> {
     eprintln!("$ {}", shown(command));
     let output = command
@@ -105,7 +105,7 @@ pub fn output(command: &mut Command) -> Result<String> {
     Ok(text)
 }
 
-/// Checks that a command ended with 0; otherwise, its last lines are the error.
+/// Checks that a command ended with exit code 0. Otherwise, the error contains its last lines.
 fn well_ended(command: &Command, status: ExitStatus, text: &str) -> Result<()> {
     if !status.success() {
         let lines: Vec<&str> = text.lines().collect();

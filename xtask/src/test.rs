@@ -1,12 +1,12 @@
-//! `cargo xtask test`: runs every check, or those for daily work (`--quick`), or the long versions (`--full`).
+//! `cargo xtask test` runs every check. `--quick` runs only those for daily work, and `--full` runs the long versions.
 //!
 //! The first steps detect common mistakes: format, and clippy for our own crates.
-//! A failure there ends the run within three minutes.
-//! Then come checks other than Rust, and the demo, built and run as by a new user.
-//! Then everything is built: the laptop programs and, in parallel, the firmware images.
+//! If one of these fails, the run ends within three minutes.
+//! The next steps are checks other than Rust, and the demo, built and run as a new user does.
+//! After these, everything is built: the laptop programs and, in parallel, the firmware images.
 //! Finally, tests with the wall clock run one by one.
-//! In parallel, at low priority, run all tests that do not depend on speed.
-//! No processor therefore waits for a network or a clock. No step runs twice, so a failure is final.
+//! All tests that do not depend on speed run in parallel to them at low priority.
+//! Therefore, no processor waits for a network or a clock. No step runs twice, so a failure is final.
 
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -29,7 +29,7 @@ struct Asked<'a> {
     quick: bool,
     full: bool,
     list: bool,
-    /// The option with which this program starts itself for parallel steps.
+    /// The option with which this program starts itself again for parallel steps.
     group: Option<&'a str>,
     only: Option<&'a str>,
 }
@@ -83,7 +83,7 @@ pub fn run(args: &[&str]) -> Result<ExitCode> {
 
 fn run_groups() -> Result<ExitCode> {
     let start = Instant::now();
-    // Read now, because a build of the workspace replaces this program by an equal file.
+    // The path is read now, because a build of the workspace replaces this program with an equal file.
     let program = std::env::current_exe()?;
     let mut outcomes = run_all(&slips());
     if outcomes.iter().any(Outcome::failed) {
@@ -91,7 +91,7 @@ fn run_groups() -> Result<ExitCode> {
         println!("nothing else was started: first this has to be mended");
         return Ok(ExitCode::FAILURE);
     }
-    // Alone, because a linker must not be replaced while it is in use.
+    // This step runs alone, because a linker must not be replaced while it is in use.
     outcomes.extend(run_all(&tools()));
     let mut passed = !outcomes.iter().any(Outcome::failed);
     let packages = Beside::start(&program, PACKAGES, 0)?;
@@ -109,7 +109,7 @@ fn run_groups() -> Result<ExitCode> {
     }
     passed &= images_built;
     if passed {
-        // Everything exists now, so tests need not check whether it is up to date.
+        // Everything has been built, so tests need not check whether it is up to date.
         announce("PROGRAMS", &target_dir().join("debug"));
         announce("AVR_ELF", &firmware_avr::image());
         announce("NANO33_ELF", &firmware_nano33::image("bootloader"));
@@ -128,7 +128,7 @@ fn run_groups() -> Result<ExitCode> {
     Ok(code(passed))
 }
 
-/// Sets a variable with a path for all following steps, so that nothing is built again.
+/// Sets a variable with a path for all following steps, so that they build nothing again.
 pub fn announce(what: &str, path: &Path) {
     // SAFETY: this program has one thread.
     unsafe { std::env::set_var(format!("BIMANUAL_{what}"), path) };
@@ -146,7 +146,7 @@ struct Beside {
 }
 
 impl Beside {
-    /// Starts it; `nice` is 0 (like this process) to 19 (only otherwise unused time).
+    /// Starts the group. `nice` is 0 (like this process) to 19 (uses only time that nothing else needs).
     fn start(program: &Path, group: &'static str, nice: u8) -> Result<Self> {
         std::fs::create_dir_all(target_dir())?;
         let log = target_dir().join(format!("xtask-{}.log", group.replace(' ', "-")));
@@ -163,7 +163,7 @@ impl Beside {
         Ok(Self { group, child, log })
     }
 
-    /// Waits for the end and prints all output. Returns whether all steps passed.
+    /// Waits for the end of the group and prints all output. Returns whether all steps passed.
     fn wait(mut self) -> Result<bool> {
         let passed = self.child.wait()?.success();
         println!("\n=== beside it: {} ===", self.group);
@@ -172,22 +172,22 @@ impl Beside {
     }
 }
 
-/// Returns a cargo command for the laptop's workspace, run in the root folder.
+/// Returns a cargo command for the laptop's workspace, which runs in the root folder.
 pub fn cargo(args: &[&str]) -> Command {
     let mut command = Command::new("cargo");
     command.current_dir(root()).args(args);
     command
 }
 
-/// All features of the laptop programs except Bluetooth, which needs a system library.
+/// All features of the laptop programs except Bluetooth, because it needs a system library.
 const LAPTOP: &str = "host-bridge/urdf,host-bridge/ros2,host-bridge/lerobot";
 
-/// Returns the laptop's cargo for all crates except the emulated boards.
+/// Returns a cargo command for all crates of the laptop except the emulated boards.
 fn cargo_for_laptop(subcommand: &str) -> Command {
     cargo(&[subcommand, "--workspace", "--locked", "--exclude", "tests", "--features", LAPTOP])
 }
 
-/// Returns the laptop's cargo for the whole workspace with every feature that this machine can build.
+/// Returns a cargo command for the whole workspace, with every feature that this machine can build.
 ///
 /// The selection is always the same. Cargo sets the features of shared dependencies for all packages in a build,
 /// so another selection would compile most of them again.
@@ -199,7 +199,7 @@ pub fn cargo_for_all(subcommand: &str) -> Command {
     cargo(&[subcommand, "--workspace", "--locked", "--features", &features])
 }
 
-/// Returns the folder of the workspace's programs and examples, as built for the tests.
+/// Returns the folder that contains the workspace's programs and examples, as built for the tests.
 ///
 /// # Errors
 /// Fails if the workspace does not build.
@@ -211,7 +211,7 @@ pub fn programs() -> Result<PathBuf> {
     Ok(target_dir().join("debug"))
 }
 
-/// Returns a program or example of the workspace; `name` is its path below the folder of programs.
+/// Returns the path of a program or example of the workspace; `name` is its path below the folder of programs.
 ///
 /// # Errors
 /// Fails if the workspace does not build.
@@ -221,15 +221,15 @@ pub fn built(name: &str) -> Result<Command> {
     Ok(command)
 }
 
-/// Tests of code in other languages.
+/// Tests for code in other languages.
 const TOOLS: &str = "tools that are no Rust crates";
-/// Requirements of the checks in Python.
+/// Requirements that the checks in Python have.
 const PACKAGES: &str = "packages";
 /// The boards' images.
 const IMAGES: &str = "the boards' images";
 /// Tests whose results do not depend on speed.
 const TESTS: &str = "tests at any pace";
-/// Checks by other programs that do not depend on speed.
+/// Checks by other programs whose results do not depend on speed.
 const OTHERS: &str = "checks by other programs";
 
 /// All steps, by group.
@@ -248,8 +248,8 @@ fn groups() -> Vec<(&'static str, Vec<Step>)> {
 }
 
 /// Checks that give quick feedback after a change.
-/// Without the emulators, they take three quarters of the time with all features,
-/// and later steps reuse nearly all results.
+/// Without the emulators, they take three quarters of the time that all features take,
+/// and later steps reuse nearly all of their results.
 fn slips() -> Vec<Step> {
     vec![
         Step::new("format", format),
@@ -292,7 +292,7 @@ fn quick() -> Vec<Step> {
 fn format() -> Result<()> {
     sh(&mut cargo(&["fmt", "--all", "--check"]))?;
     for folder in ["firmware-nano-avr", "firmware-nano33"] {
-        // This does not use --all, which would also format the shared crates again.
+        // This step does not use --all, which would also format the shared crates again.
         sh(cargo(&["fmt", "--check"]).current_dir(root().join(folder)))?;
     }
     Ok(())
@@ -309,7 +309,7 @@ fn first() -> Vec<Step> {
         let program = std::fs::read(target_dir().join("release/host-bridge"))?;
         let word = b"BIMANUAL_TEST_CLOCK";
         ensure!(!program.windows(word.len()).any(|w| w == word), "built with the feature test-clock");
-        // The default build must explain how to get Bluetooth.
+        // The default build must explain how to build the program with Bluetooth.
         let lean = ["run", "--quiet", "--release", "--locked", "--", "doctor", "--right", "ble"];
         let refused = String::from_utf8_lossy(&cargo(&lean).output()?.stderr).into_owned();
         ensure!(["--features ble", "libdbus-1-dev"].iter().all(|word| refused.contains(word)), "{refused}");
@@ -337,10 +337,10 @@ fn images() -> Vec<Step> {
     ]
 }
 
-/// Tests in `live` that use the wall clock, because DDS, BlueZ and the system's signals know no other time.
+/// Tests in `live` that use the wall clock, because DDS, BlueZ and the system's signals use no other time.
 const WALL_CLOCK: [&str; 3] = ["live::ros2::", "live::ble::", "live::stops::"];
 
-/// Tests with the wall clock, one after another.
+/// Tests with the wall clock, which run one after another.
 fn wall_clock() -> Vec<Step> {
     let mut steps = vec![
         Step::new("ROS 2 against Cyclone DDS, Bluetooth, stops", || {
@@ -372,7 +372,7 @@ fn wall_clock() -> Vec<Step> {
         }),
     ];
     if is_full() {
-        // Minutes of building: no other step has Zenoh in it, and what it shares with others it wants with other features.
+        // This takes minutes to build. No other step uses Zenoh, and the dependencies that it shares with others have other features there.
         steps.push(Step::new("ROS 2 over Zenoh", || {
             let python = python::environment()?;
             let ours = ["-p", "host-ros2", "-p", "host-bridge", "--features"];
@@ -407,7 +407,7 @@ fn tests() -> Vec<Step> {
     ]
 }
 
-/// Two arms where the judges' packages are at hand, all of them and the Gen3 with what is on its flange under `--full`.
+/// Tests two arms if the packages for these checks are installed. With `--full`, it tests all arms, and the Gen3 with the objects on its flange.
 fn arms() -> Result<()> {
     if !is_full() && !python::has_arms() {
         println!("skipped: the judges' packages (170 MB) are not here; `--full` fetches them");
@@ -460,7 +460,7 @@ fn others() -> Vec<Step> {
         Step::new("real arms in Pinocchio and Coal", arms),
         Step::new("a session's file read by others", || {
             let folder = target_dir().join("session-file");
-            // Session files are never overwritten.
+            // Old files are deleted first, because session files are never overwritten.
             let _ = std::fs::remove_dir_all(&folder);
             std::fs::create_dir_all(&folder)?;
             let (file, summary) = (folder.join("demo.mcap"), folder.join("demo.json"));
@@ -501,9 +501,9 @@ fn others() -> Vec<Step> {
             }
             Ok(())
         }));
-        // This takes minutes and shares nothing with the builds of the images.
+        // This step takes minutes, and shares nothing with the builds of the images.
         steps.push(Step::new("clippy of the right hand's images", firmware_nano33::check));
-        // This takes minutes because of another selection of features.
+        // This step takes minutes, because it selects other features.
         steps.push(Step::new("the archive, unpacked and run", package::run));
     }
     steps

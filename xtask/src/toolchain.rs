@@ -1,9 +1,9 @@
-//! Selects the compiler for other targets: rustup's if it has the target, otherwise Debian's packages.
+//! Selects the compiler for other targets. This is rustup's if it has the target, and otherwise that of Debian's packages.
 //!
-//! Both boards build from the same sources with either compiler.
-//! Debian's `rustc-web` contains the library source but no prebuilt core, so `core` is also built.
-//! This needs `-Zbuild-std`, which a stable compiler permits only with `RUSTC_BOOTSTRAP=1`.
-//! AVR never has a prebuilt core.
+//! Either compiler builds the images of both boards from the same sources.
+//! Debian's `rustc-web` contains the source of the library but no compiled core, so `core` is built too.
+//! Building `core` needs `-Zbuild-std`, which a stable compiler permits only with `RUSTC_BOOTSTRAP=1`.
+//! For AVR, no compiler contains a compiled core.
 
 use std::path::Path;
 use std::process::Command;
@@ -12,7 +12,7 @@ use anyhow::{Result, bail};
 
 use crate::tools;
 
-/// The two boards, and other laptop platforms.
+/// The two boards, and the other platforms for the laptop programs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Target {
     /// ATmega328P.
@@ -26,7 +26,7 @@ pub enum Target {
 }
 
 impl Target {
-    /// Returns the compiler's name of the target.
+    /// Returns the name that the compiler uses for the target.
     pub fn triple(self) -> &'static str {
         match self {
             Target::Avr => "avr-none",
@@ -36,7 +36,7 @@ impl Target {
         }
     }
 
-    /// Returns the parts of the library to build if there is no prebuilt one for the target.
+    /// Returns the parts of the library to build, if no compiled ones exist for the target.
     fn library(self) -> &'static str {
         match self {
             Target::Avr | Target::Thumb => "-Zbuild-std=core",
@@ -61,13 +61,13 @@ pub fn cargo(target: Target, subcommand: &str) -> Result<Command> {
     } else if has_debian() {
         let mut command = Command::new("/usr/bin/cargo");
         command.env("RUSTC", "/usr/bin/rustc").env("RUSTC_BOOTSTRAP", "1");
-        // Clippy and rustdoc of rustup would not match this compiler.
+        // Rustup's clippy and rustdoc would not match Debian's compiler.
         command.env_remove("RUSTUP_TOOLCHAIN").env_remove("RUSTDOC");
         if target == Target::Thumb {
             // Debian's compiler has no linker for this target.
             command.env("CARGO_TARGET_THUMBV7EM_NONE_EABIHF_LINKER", "ld.lld");
         }
-        // Its own clippy is in the same folder.
+        // Debian's clippy is in the same folder as its compiler.
         let path = std::env::var_os("PATH").unwrap_or_default();
         let folders = std::iter::once("/usr/bin".into()).chain(std::env::split_paths(&path));
         command.env("PATH", std::env::join_paths(folders)?);
@@ -94,7 +94,7 @@ pub fn cargo(target: Target, subcommand: &str) -> Result<Command> {
     Ok(command)
 }
 
-/// Returns whether there is a compiler for both boards.
+/// Returns whether this machine has a compiler for both boards.
 pub fn is_complete() -> bool {
     has_debian() || (has_rustup(Target::Avr) && has_rustup(Target::Thumb))
 }

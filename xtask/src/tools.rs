@@ -1,4 +1,4 @@
-//! Requirements of the tests in addition to Rust, and their installation.
+//! Programs that the tests need in addition to Rust, and their installation.
 
 use std::process::{Command, Stdio};
 
@@ -11,7 +11,7 @@ pub struct Packages {
     names: &'static [&'static str],
 }
 
-/// Compilers for the boards, if rustup has none.
+/// Compilers for the boards, which are needed if rustup has none.
 pub const CROSS_RUST: Packages = Packages {
     purpose: "compilers for the boards",
     names: &["rustc-web", "cargo-web", "rust-web-src", "rust-web-clippy"],
@@ -23,7 +23,7 @@ pub const CROSS_LINK: Packages = Packages {
     names: &["lld", "gcc-avr", "avr-libc", "binutils-avr"],
 };
 
-/// The Cortex-M4F that counts instructions.
+/// An emulator of a Cortex-M4F, which counts instructions.
 pub const QEMU: Packages =
     Packages { purpose: "counting instructions on a Cortex-M4F", names: &["qemu-system-arm"] };
 
@@ -31,7 +31,7 @@ pub const QEMU: Packages =
 pub const BROWSER: Packages =
     Packages { purpose: "the page in a browser", names: &["chromium", "fonts-dejavu-core"] };
 
-/// Dependencies of the emulated boards and of the simulated Bluetooth.
+/// Libraries that the emulated boards and the simulated Bluetooth need.
 pub const EMULATORS: Packages = Packages {
     purpose: "emulated boards and Bluetooth's double",
     names: &[
@@ -46,20 +46,20 @@ pub const EMULATORS: Packages = Packages {
     ],
 };
 
-/// What the boards' images with Bluetooth linked in want beside Rust.
+/// Tools that the images with Bluetooth linked in need beside Rust.
 pub const C_FOR_BOARDS: Packages =
     Packages { purpose: "Bluetooth linked into the boards' images", names: &["libclang-dev", "clang"] };
 
-/// Networks of a test's own, with losses in them.
+/// Tools with which a test creates its own lossy networks.
 pub const NETWORK: Packages =
     Packages { purpose: "networks with losses", names: &["iproute2", "iptables", "util-linux"] };
 
-/// Bluetooth in the packaged programs.
+/// Libraries for Bluetooth in the packaged programs.
 pub const BLUETOOTH: Packages =
     Packages { purpose: "Bluetooth on the laptop", names: &["libdbus-1-dev", "pkg-config"] };
 
 impl Packages {
-    /// Returns the command that a user types.
+    /// Returns the command that a user must type.
     pub fn install_line(&self) -> String {
         format!("sudo apt-get install {}", self.names.join(" "))
     }
@@ -74,10 +74,10 @@ impl Packages {
     }
 }
 
-/// Installs missing packages if this is possible without questions (root on Debian); otherwise names them.
+/// Installs missing packages if no questions are necessary (as root on Debian). Otherwise, the error names them.
 ///
 /// # Errors
-/// The missing packages with their purpose, and the command that installs them.
+/// Returns the missing packages with their purpose, and the command that installs them.
 pub fn ensure(wanted: &[&Packages]) -> Result<()> {
     let missing: Vec<&str> = wanted.iter().flat_map(|packages| packages.missing()).collect();
     if missing.is_empty() {
@@ -101,7 +101,7 @@ pub fn ensure(wanted: &[&Packages]) -> Result<()> {
     apt_get(&args)
 }
 
-/// The same where Debian's packages are known. Elsewhere the tools may be there under any name, and the build says what it misses.
+/// Does the same on systems with Debian's packages. Elsewhere, tools may have other names, and the build reports what is missing.
 ///
 /// # Errors
 /// As [`ensure`].

@@ -1,5 +1,5 @@
-//! UF2: a file format that bootloaders accept as the content of a drive.
-//! It has blocks of 512 bytes, each with its address.
+//! UF2 is a file format that bootloaders accept when a file is copied to their drive.
+//! A UF2 file has blocks of 512 bytes, each with its address.
 //!
 //! ```text
 //! 0 magic  4 magic  8 flags  12 address  16 bytes  20 number  24 blocks  28 family  32 data (476)  508 magic
@@ -12,11 +12,11 @@ const MAGIC: [u32; 2] = [0x0A32_4655, 0x9E5D_5157];
 const END_MAGIC: u32 = 0x0AB1_6F30;
 const HAS_FAMILY: u32 = 0x2000;
 const BLOCK: usize = 512;
-/// Number of image bytes per block that all bootloaders accept.
+/// Number of image bytes per block. All bootloaders accept this number.
 const PAYLOAD: usize = 256;
 
 /// Returns the file for an image that starts at this address of flash.
-/// The last piece is padded with ones, like erased flash.
+/// The last piece is padded with one bits, like erased flash.
 pub fn encode(image: &[u8], address: u32, family: u32) -> Vec<u8> {
     let blocks = image.len().div_ceil(PAYLOAD);
     let mut file = Vec::with_capacity(blocks * BLOCK);
@@ -43,7 +43,7 @@ mod tests {
         let image: Vec<u8> = (0..600u32).map(|i| i as u8).collect();
         let file = encode(&image, 0x27000, NRF52840);
         assert_eq!(file.len(), 3 * 512);
-        // According to the format's description, byte by byte.
+        // The expected bytes follow the description of the format.
         assert_eq!(file[..8], *b"UF2\n\x57\x51\x5D\x9E");
         assert_eq!(file[512 + 12..512 + 16], 0x27100u32.to_le_bytes());
         assert_eq!(file[512 + 20..512 + 32], [1, 0, 0, 0, 3, 0, 0, 0, 0x40, 0x28, 0xA5, 0xAD]);

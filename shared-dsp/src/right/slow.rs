@@ -1,16 +1,16 @@
 //! A window of four seconds, for gestures that do not fit in the normal window.
 //!
-//! Pairs of consecutive samples are averaged and passed to a second [`AlignedWindow`].
-//! There, the hand seems to move at twice its tempo, and the same network classifies it.
-//! The network has learned gestures at various tempos around the normal one.
-//! For example, a left-right of 0.45 Hz is hard to distinguish from swaying with two seconds of accelerometer data.
-//! In the slow window, it appears as 0.9 Hz.
+//! Pairs of consecutive samples are averaged, and a second [`AlignedWindow`] receives the means.
+//! In this window, the hand seems to move at twice its tempo, and the same network classifies it.
+//! The network has learned gestures at various tempos, both slower and faster than the normal one.
+//! For example, with an accelerometer and two seconds, a left-right of 0.45 Hz is hard to distinguish from swaying.
+//! In the slow window, the same movement appears as 0.9 Hz.
 //! (Accelerations do not change, although a real gesture at twice the tempo has four times the acceleration.
 //! Most features are ratios, so this hardly matters.)
 //!
-//! This is only for models without a gyroscope, whose features take half the time.
-//! With a gyroscope, it does not improve the results on recordings of real people.
-//! With 6 or 9 axes, nothing is computed.
+//! Only models without a gyroscope use this window. Their features take half the time.
+//! With a gyroscope, the slow window does not improve the results on recordings of real people.
+//! With 6 or 9 axes, this code therefore computes nothing.
 
 use crate::right::aligned::AlignedWindow;
 
@@ -18,13 +18,13 @@ use crate::right::aligned::AlignedWindow;
 #[derive(Clone, Debug)]
 pub struct SlowWindow<const A: usize> {
     window: AlignedWindow<A>,
-    /// The first sample of a pair, waiting for the second.
+    /// The first sample of a pair, which waits for the second one.
     first: Option<[f32; A]>,
     is_new: bool,
 }
 
 impl<const A: usize> SlowWindow<A> {
-    /// Whether samples of this many axes have no gyroscope.
+    /// Whether samples with this number of axes have no gyroscope.
     const RUNS: bool = A < 6;
 
     /// An empty window.
@@ -47,12 +47,12 @@ impl<const A: usize> SlowWindow<A> {
         self.is_new = self.window.push(&core::array::from_fn(|axis| 0.5 * first[axis] + 0.5 * sample[axis]));
     }
 
-    /// The features, if the last sample completed a hop and the window is full.
+    /// Returns the features, if the last sample completed a hop and the window is full.
     pub fn new_features(&self) -> Option<&[f32]> {
         (Self::RUNS && self.is_new).then(|| self.window.features())
     }
 
-    /// Whether the window contains replaced NaN values.
+    /// Whether the window contains values that replaced NaN.
     pub fn is_tainted(&self) -> bool {
         self.window.is_tainted()
     }
@@ -74,13 +74,13 @@ mod tests {
     use super::*;
     use std::vec::Vec;
 
-    /// Generates a sway with this many Hz on a board that lies flat.
+    /// Generates a sway of this frequency in Hz, on a board that lies flat.
     fn sway(hz: f32, samples: usize) -> Vec<[f32; 3]> {
         let angle = |n: usize| core::f32::consts::TAU * hz * n as f32 / 100.0;
         (0..samples).map(|n| [3.0 * angle(n).sin(), angle(2 * n).cos(), 9.8]).collect()
     }
 
-    /// Returns the samples at which features were available, and the last features.
+    /// Returns the numbers of the samples at which features were available, and the last features.
     fn play(samples: &[[f32; 3]]) -> (Vec<usize>, Vec<f32>) {
         let mut slow = SlowWindow::<3>::new();
         let mut last = Vec::new();
@@ -111,7 +111,7 @@ mod tests {
         for (index, (a, b)) in slow.iter().zip(usual.features()).enumerate() {
             assert!((a - b).abs() < 0.05, "feature {index}: {a} and {b}");
         }
-        // The features differ from those of the normal window.
+        // These features differ from those of the normal window.
         sway(0.5, 200).iter().for_each(|sample| {
             usual.push(sample);
         });

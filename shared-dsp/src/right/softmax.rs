@@ -1,6 +1,6 @@
-//! TFLite's int8 softmax, bit for bit, with exponentials from a table.
+//! TFLite's int8 softmax with the same bits, using a table of exponentials.
 //!
-//! TFLite (gemmlowp) computes `exp` of the difference of each logit to the largest one in 32-bit fixed point.
+//! TFLite (gemmlowp) subtracts the largest logit from each logit, and computes `exp` of the difference in 32-bit fixed point.
 //! There are only 256 possible differences, so the blob contains their exponentials.
 //! The board then needs only one reciprocal (three Newton steps) and one product per label.
 
@@ -9,15 +9,15 @@ use crate::right::network::MAX_LABELS;
 /// The output scale is 1/256 and the output zero point is −128, as TFLite requires for int8.
 const ACCUMULATOR_INTEGER_BITS: u32 = 12;
 
-/// Product of two Q0.31 numbers, rounded to nearest, ties up.
+/// Returns the product of two Q0.31 numbers, rounded to nearest (ties up).
 /// This is gemmlowp's `SaturatingRoundingDoublingHighMul` without its only saturating case, −1 · −1,
-/// which does not occur here.
+/// which cannot occur here.
 #[inline(always)]
 pub(crate) fn multiply_q31(a: i32, b: i32) -> i32 {
     ((i64::from(a) * i64::from(b) + (1 << 30)) >> 31) as i32
 }
 
-/// `x / 2^exponent`, ties away from zero.
+/// Returns `x / 2^exponent`, rounded to nearest (ties away from zero).
 #[cfg(feature = "build")]
 pub(crate) fn divide_by_power_of_two(x: i32, exponent: u32) -> i32 {
     let mask = ((1i64 << exponent) - 1) as i32;
@@ -42,7 +42,7 @@ fn reciprocal_of_one_plus(a: i32) -> i32 {
 /// Computes the softmax of `logits` into `scores`: (score + 128) / 256 is the probability.
 ///
 /// `table[d]` is exp(−d · scale) in Q0.31, little-endian, for differences d = 0, 1, …
-/// Beyond the end of the table, the exponentials are too small to affect any output.
+/// Beyond the end of the table, exponentials are too small to affect any output.
 /// Both slices must have the same length, at most 16.
 #[inline(never)]
 pub(crate) fn softmax(table: &[[u8; 4]], logits: &[i8], scores: &mut [i8]) {
@@ -54,7 +54,7 @@ pub(crate) fn softmax(table: &[[u8; 4]], logits: &[i8], scores: &mut [i8]) {
         // The value is rounded to a number with 12 integer bits, at most 2¹⁹.
         sum += (*value as u32 + (1 << 11)) >> ACCUMULATOR_INTEGER_BITS;
     }
-    // The sum is at least 2¹⁹ (from the largest logit) and below 2²⁴.
+    // The sum is at least 2¹⁹, which comes from the largest logit, and below 2²⁴.
     let headroom = sum.leading_zeros();
     let scale = reciprocal_of_one_plus((sum << (headroom & 31)).wrapping_sub(1 << 31) as i32);
     let shift = (ACCUMULATOR_INTEGER_BITS + 31 - 8).wrapping_sub(headroom) & 31;
@@ -77,13 +77,13 @@ fn multiply(a: i32, b: i32) -> i32 {
     multiply_q31(a, b)
 }
 
-/// The exponentials for [`softmax`], computed on the host.
+/// Returns the exponentials for [`softmax`], computed on the host.
 #[cfg(feature = "build")]
 pub(crate) mod table {
     use super::{divide_by_power_of_two, multiply_q31};
     use std::vec::Vec;
 
-    /// exp(a) for a ≤ 0 in Q5.26, as Q0.31 (gemmlowp's `exp_on_negative_values`).
+    /// Returns exp(a) for a ≤ 0 in Q5.26 as Q0.31 (gemmlowp's `exp_on_negative_values`).
     fn exp_on_negative_values(a: i32) -> i32 {
         if a == 0 {
             return i32::MAX;
@@ -99,7 +99,7 @@ pub(crate) mod table {
         let x4 = multiply_q31(x2, x2);
         let tail = divide_by_power_of_two(multiply_q31(divide_by_power_of_two(x4, 2) + x3, THIRD) + x2, 1);
         let mut result = EXP_MINUS_EIGHTH + multiply_q31(EXP_MINUS_EIGHTH, x + tail);
-        // The remaining quarters, halves, ones, …, sixteens.
+        // The other factors are for quarters, halves, ones, …, sixteens.
         const EXP_MINUS_POWERS: [i32; 7] =
             [1_672_461_947, 1_302_514_674, 790_015_084, 290_630_308, 39_332_535, 720_401, 242];
         let remainder = below_quarter - a;
@@ -111,7 +111,7 @@ pub(crate) mod table {
         result
     }
 
-    /// Exponentials of 0, −1, −2, … steps, up to the last one that can affect an output.
+    /// Returns the exponentials of 0, −1, −2, … steps, up to the last one that can affect an output.
     /// `multiplier` (Q0.31) and `left_shift` scale a step of the logits to Q5.26.
     pub(crate) fn exponentials(multiplier: i32, left_shift: u32) -> Vec<i32> {
         let limit = (31i64 << 26) >> left_shift;
@@ -130,7 +130,7 @@ pub(crate) mod table {
 mod tests {
     use super::*;
 
-    /// The same operations as in gemmlowp.
+    /// The test performs the same operations as gemmlowp.
     fn rounding_doubling_high_mul(a: i32, b: i32) -> i32 {
         let product = i64::from(a) * i64::from(b);
         let nudge = if product >= 0 { 1 << 30 } else { 1 - (1 << 30) };

@@ -1,4 +1,4 @@
-//! Reference figures in `tests/data`.
+//! Reads the reference figures in `tests/data`.
 #![allow(dead_code)]
 
 use serde_json::Value;
@@ -6,7 +6,7 @@ use shared_dsp::right::kind::FeatureKind;
 use shared_dsp::right::network::{BlobSpec, DenseSpec};
 use std::path::PathBuf;
 
-/// A file of `tests/data`, also for the crates in `bench-m4f`.
+/// Reads a file in `tests/data`. The crates in `bench-m4f` use this too.
 pub fn data(name: &str) -> PathBuf {
     let root = PathBuf::from(env!("CARGO_MANIFEST_DIR"));
     let mut places = root.ancestors().map(|folder| folder.join("tests/data").join(name));
@@ -19,7 +19,7 @@ pub fn rows<T: std::str::FromStr>(name: &str) -> Vec<Vec<T>> {
     text.lines().map(|line| line.split(',').map(cell).collect()).collect()
 }
 
-/// The network of `mlp_int8_params.json` with arbitrary scalings.
+/// The network in `mlp_int8_params.json`, with arbitrary scalings.
 pub fn reference_spec() -> BlobSpec {
     let text = std::fs::read_to_string(data("mlp_int8_params.json")).unwrap();
     let json: Value = serde_json::from_str(&text).unwrap();
@@ -56,7 +56,7 @@ pub fn reference_spec() -> BlobSpec {
     }
 }
 
-/// The same network with a scale for each row and an upper limit, such as a ReLU6 has.
+/// The same network with a scale for each row, and with an upper limit as in a ReLU6.
 pub fn per_row_spec() -> BlobSpec {
     let mut spec = reference_spec();
     for layer in &mut spec.layers {

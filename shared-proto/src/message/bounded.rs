@@ -5,7 +5,7 @@ use core::ops::Deref;
 use postcard::experimental::max_size::MaxSize;
 use serde::{Deserialize, Serialize};
 
-/// Size on the wire of a length and this many bytes. All our lengths are below 2^14.
+/// Size on the wire of this number of bytes, with their length. All lengths in our messages are below 2^14.
 const fn with_length(max: usize) -> usize {
     assert!(max < 1 << 14);
     if max < 128 { 1 + max } else { 2 + max }
@@ -16,7 +16,7 @@ const fn with_length(max: usize) -> usize {
 #[serde(transparent)]
 pub struct Text<'a, const MAX: usize>(pub &'a str);
 
-/// At most `MAX` bytes. Encoding more may fail.
+/// At most `MAX` bytes. Encoding more bytes may fail.
 #[derive(Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Bytes<'a, const MAX: usize>(pub &'a [u8]);

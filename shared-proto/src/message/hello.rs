@@ -7,25 +7,25 @@ use serde::{Deserialize, Serialize};
 use shared_words::Hand;
 
 open_list! {
-    /// The kind of board, which also determines its hand.
+    /// The kind of board. It determines for which hand the board is.
     Board {
-        /// Arduino Nano (ATmega328P): tilt and bends.
+        /// Arduino Nano (ATmega328P), which reports tilts and bends.
         LeftNano = 0,
-        /// Arduino Nano 33 BLE Sense Rev1 (LSM9DS1): gestures.
+        /// Arduino Nano 33 BLE Sense Rev1 (LSM9DS1), which recognises gestures.
         RightNano33 = 1,
-        /// Arduino Nano 33 BLE Sense Rev2 (BMI270 + BMM150): gestures.
+        /// Arduino Nano 33 BLE Sense Rev2 (BMI270 + BMM150), which recognises gestures.
         RightNano33Rev2 = 2,
         /// A recording that the laptop plays as the left hand.
         LeftReplay = 3,
         /// A recording that the laptop plays as the right hand.
         RightReplay = 4,
-        /// Seeed XIAO nRF52840 Sense (LSM6DS3TR-C): gestures.
+        /// Seeed XIAO nRF52840 Sense (LSM6DS3TR-C), which recognises gestures.
         RightXiao = 5,
     }
 }
 
 impl Board {
-    /// Returns the board's hand, if it is known.
+    /// Returns the hand for which the board is, if it is known.
     pub const fn hand(self) -> Option<Hand> {
         match self {
             Self::LeftNano | Self::LeftReplay => Some(Hand::Left),
@@ -69,11 +69,11 @@ pub struct Hello<'a> {
     pub minor: u8,
     /// The kind of board.
     pub board: Board,
-    /// Version of the firmware, such as `0.1.0`.
+    /// Version of the firmware, for example `0.1.0`.
     #[serde(borrow)]
     pub firmware: Text<'a, FIRMWARE_MAX>,
     /// A number that differs after each start.
-    /// A new one resets counters and clock, and the hands must be neutral again.
+    /// A new number resets counters and clock, and the hands must be neutral again.
     pub boot_id: u32,
     /// CRC-32 of the running model's blob; 0 if there is none.
     pub model_id: u32,
@@ -86,23 +86,23 @@ open_list! {
     Sensor {
         /// No sensor has been detected.
         None = 0,
-        /// Nano 33 BLE Sense: nine axes.
+        /// The sensor of the Nano 33 BLE Sense, which has nine axes.
         Lsm9ds1 = 1,
-        /// Nano 33 BLE Sense Rev2: six usable axes.
+        /// The sensor of the Nano 33 BLE Sense Rev2, which has six usable axes.
         Bmi270 = 2,
-        /// XIAO nRF52840 Sense: six axes.
+        /// The sensor of the XIAO nRF52840 Sense, which has six axes.
         Lsm6ds3 = 3,
     }
 }
 
 open_list! {
-    /// The boot environment of a right hand's image.
+    /// The bootloader and the Bluetooth stack of a right hand's image.
     Image {
         /// The stock Arduino bootloader, without Bluetooth.
         Bootloader = 0,
         /// Nordic's S140, flashed with a probe.
         S140 = 1,
-        /// S140 and a UF2 bootloader, which the XIAO is sold with.
+        /// S140 and a UF2 bootloader, with which the XIAO is sold.
         Uf2 = 2,
         /// The board's own bootloader, with Bluetooth in the image.
         Linked = 3,
@@ -120,7 +120,7 @@ open_list! {
         Watchdog = 2,
         /// The program or a bootloader restarted the board.
         Software = 3,
-        /// Another cause, such as a debugger.
+        /// Another reason, such as a debugger.
         Other = 4,
     }
 }
@@ -130,7 +130,7 @@ open_list! {
 pub struct About {
     /// The detected sensor.
     pub sensor: Sensor,
-    /// Number of valid values per sample: 9, 6, or 0 without a sensor. A model that reads more cannot run.
+    /// Number of valid values per sample: 9, 6, or 0 if there is no sensor. A model that reads more values cannot run.
     pub axes: u8,
     /// The variant of the firmware.
     pub image: Image,

@@ -1,4 +1,4 @@
-//! The signals of a vibration motor.
+//! The signals that a vibration motor plays.
 
 use postcard::experimental::max_size::MaxSize;
 use serde::{Deserialize, Serialize};

@@ -1,4 +1,4 @@
-//! Macros that convert a table of messages to enums, numbers and sizes.
+//! Macros that generate enums, numbers and sizes from a table of messages.
 
 use crate::frame::frame_len;
 use postcard::experimental::max_size::MaxSize;
@@ -26,10 +26,10 @@ impl Boards {
     }
 }
 
-/// The row of a message in its table.
+/// The row that a message has in its table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Row {
-    /// Its number on the wire.
+    /// The number of the message on the wire.
     pub number: u8,
     /// Its name.
     pub name: &'static str,
@@ -37,7 +37,7 @@ pub struct Row {
     pub boards: Boards,
     /// The minor version of the wire protocol that added the message.
     pub since: u8,
-    /// Its largest frame, in bytes.
+    /// The largest frame of the message in bytes.
     pub frame_max: usize,
 }
 
@@ -54,7 +54,7 @@ pub(crate) const fn largest(rows: &[Row], left_only: bool) -> usize {
     most
 }
 
-/// Returns whether the rows are in the order of their numbers and none is newer than the version.
+/// Returns whether the rows are in the order of their numbers, and none is newer than the version.
 pub(crate) const fn is_sound(rows: &[Row], minor: u8) -> bool {
     let mut i = 0;
     while i < rows.len() {
@@ -69,9 +69,9 @@ pub(crate) const fn is_sound(rows: &[Row], minor: u8) -> bool {
 
 /// The body of a [`BoardMessage`](super::BoardMessage).
 pub trait BoardBody: Serialize + MaxSize {
-    /// The message's number on the wire.
+    /// The number of the message on the wire.
     const NUMBER: u8;
-    /// Its largest frame, in bytes.
+    /// The largest frame of the message in bytes.
     const FRAME_MAX: usize = frame_len(1 + Self::POSTCARD_MAX_SIZE);
 }
 
@@ -112,7 +112,7 @@ macro_rules! open_list {
     };
 }
 
-/// Generates the enum of a table and its rows.
+/// Generates the enum and the rows of a table.
 macro_rules! messages {
     ($(#[$doc:meta])* $message:ident<$a:lifetime> { $(
         $(#[$meta:meta])* $number:literal $name:ident
@@ -151,7 +151,7 @@ macro_rules! messages {
     };
 }
 
-/// Messages from boards. Each has a body with its own type.
+/// Messages from boards. The body of each has its own type.
 macro_rules! board_messages {
     ($(#[$doc:meta])* $message:ident<$a:lifetime> { $(
         $(#[$meta:meta])* $number:literal $name:ident($body:ty) => $boards:ident, $since:literal;
@@ -224,7 +224,7 @@ pub(crate) fn take<T: serde::de::DeserializeOwned>(
     postcard::take_from_bytes(bytes).map_err(|_| crate::frame::ParseError::Malformed)
 }
 
-/// Checks the statement in docs/ADDING.md that a message needs only a row.
+/// Checks the statement in docs/ADDING.md that a new message needs only a row.
 #[cfg(test)]
 mod tests {
     use super::{BoardBody, Boards, Row};
@@ -254,10 +254,10 @@ mod tests {
         Told<'a> {
             /// A message for both boards.
             0 Hush => Both, 0;
-            /// A message for the right board only.
+            /// A message that only the right board knows.
             #[serde(borrow)]
             1 Sing(Bytes<'a, 200>) => Right, 0;
-            /// Another message for both boards, after the one for the right board.
+            /// Another message for both boards. It follows the message for the right board.
             2 Feel {
                 /// The signal to play.
                 signal: Signal,
@@ -275,7 +275,7 @@ mod tests {
         assert_eq!(Said::Noise(Bytes(&[7])).row().boards, Boards::Right);
         let hush = Row { number: 0, name: "Hush", boards: Boards::Both, since: 0, frame_max: 7 };
         assert_eq!(Told::ROWS[0], hush);
-        // Number, checksum, code byte and delimiter around 2 and 200 bytes; number and field around 1 and 5 bytes.
+        // Number, checksum, code byte and delimiter take 7 bytes. The first message has 2 + 200 more, and the second has 1 + 5.
         assert_eq!([Told::ROWS[1].frame_max, Told::ROWS[2].frame_max], [209, 13]);
         let feel = Told::Feel { signal: Signal::Stopped, time_ms: 300 };
         assert_eq!((feel.row().name, feel.row().since), ("Feel", 3));

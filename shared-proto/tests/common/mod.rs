@@ -12,7 +12,7 @@ use shared_proto::message::*;
 mod rng;
 pub use rng::Rng;
 
-/// The random data for one message.
+/// The random data from which one message is generated.
 #[derive(Clone, Debug)]
 pub struct Material {
     pub kind: usize,
@@ -25,7 +25,7 @@ pub struct Material {
 pub const BOARD_KINDS: usize = BoardMessage::ROWS.len();
 pub const HOST_KINDS: usize = HostMessage::ROWS.len();
 
-/// Maximum length of the text or bytes in a message, which has at most one such field.
+/// Maximum length of the text or bytes in a message. A message has at most one such field.
 pub fn longest(message: &str) -> usize {
     match message {
         "Hello" => FIRMWARE_MAX,
@@ -41,7 +41,7 @@ impl Material {
     pub fn random(rng: &mut Rng) -> Self {
         let word = |rng: &mut Rng| {
             let bits = rng.next();
-            // Generates many small numbers and zeros, as in real frames, and the ends of each range.
+            // Generates many small numbers and zeros, as real frames contain, and the limits of each range.
             match bits >> 61 {
                 0 | 1 => 0,
                 2 => u32::MAX,
@@ -66,7 +66,7 @@ impl Material {
         self.message(self.kind % HOST_KINDS)
     }
 
-    /// Serde supplies the fields of every message, so there is no list of them here.
+    /// Serde provides the fields of every message, so this file needs no list of them.
     fn message<'a, M: Deserialize<'a>>(&'a self, kind: usize) -> M {
         M::deserialize(&mut Fields { material: self, kind: Some(kind), used: 0, longest: 0 })
             .expect("messages are of numbers, texts, bytes and lists")

@@ -1,6 +1,6 @@
-//! `cargo xtask paper`: compares the paper's results with our measurements, row by row, with the command for each.
+//! `cargo xtask paper`: compares the paper's results with our measurements row by row, and gives the command for each.
 //!
-//! Tests print the rows as `paper: WHAT | PAPER | HERE`. Recognition is different, because its models are trained here.
+//! Tests print the rows as `paper: WHAT | PAPER | HERE`. For the rows about recognition, this command trains models itself.
 //! Data for plots is printed as `figure: WHICH | …`. A missing row is a failure. docs/SOURCES.md cites the paper.
 
 mod page;
@@ -17,17 +17,17 @@ use crate::steps;
 use crate::test::cargo_for_all;
 use crate::{is_full, root};
 
-/// A table or figure of the paper, and the tests that measure the same.
+/// A table or figure of the paper, and the tests that measure the same quantities.
 struct Part {
     title: &'static str,
     /// Arguments of `cargo test`.
     test: &'static [&'static str],
     only: &'static str,
-    /// Beginnings of the rows' names; every row must exist.
+    /// The first words of the rows' names. Every row must exist.
     rows: &'static [&'static str],
     /// What a reader must know.
     note: &'static str,
-    /// Whether the rows are equal with and without `--quick`.
+    /// Whether the rows are the same with and without `--quick`.
     at_any_length: bool,
 }
 
@@ -141,20 +141,20 @@ const PARTS: &[Part] = &[
     },
 ];
 
-/// One table with its matrices and figures.
+/// One table, with its matrices and figures.
 struct Section {
     title: &'static str,
-    /// Name of the row, the paper's result, and ours.
+    /// Name of a row, the paper's result, and our result.
     rows: Vec<[String; 3]>,
     note: String,
     command: String,
-    /// Confusion matrices of intended and recognised classes.
+    /// Confusion matrices of intended classes and recognised classes.
     matrices: Vec<Matrix>,
-    /// The cells of `figure:` lines, beginning with the name.
+    /// The cells of `figure:` lines. The first cell is the name.
     figures: Vec<Vec<String>>,
 }
 
-/// Number of recognitions for each pair of actual and recognised class.
+/// Number of recognitions for each pair of an actual and a recognised class.
 struct Matrix {
     name: String,
     made: Vec<String>,
@@ -214,13 +214,13 @@ pub fn run(args: &[&str]) -> Result<ExitCode> {
 }
 
 /// Checks that docs/PAPER.md contains the current results.
-/// The short run compares rows that do not depend on its length; the long run also compares results of emulated boards.
+/// The short run compares the rows that do not depend on its length. The long run also compares results of emulated boards.
 ///
 /// # Errors
 /// Names each row that differs.
 pub fn check() -> Result<()> {
     let page = fs::read_to_string(root().join("docs/PAPER.md"))?;
-    // A page from a short run contains the counts of that run.
+    // If a short run wrote the page, the page contains the counts of that run.
     let full = is_full() && !page.contains("paper --quick");
     for part in PARTS.iter().filter(|part| part.at_any_length || full) {
         for row in measured(part, !full)?.rows {
@@ -269,12 +269,12 @@ fn measured(part: &Part, quick: bool) -> Result<Section> {
     Ok(Section { title: part.title, rows, note: part.note.to_owned(), command, matrices, figures })
 }
 
-/// Returns the rows that a test has printed: name, paper, here.
+/// Returns the rows that a test has printed: name, the paper's result, and our result.
 fn triples(said: &str) -> Vec<[String; 3]> {
     steps::rows(said, "paper: ").into_iter().filter_map(|cells| cells.try_into().ok()).collect()
 }
 
-/// Returns the matrix of tilt directions and commands, if there are such figures.
+/// Returns the matrix of tilt directions and commands, if the test printed one.
 fn directions(figures: &[Vec<String>]) -> Option<Matrix> {
     let rows: Vec<&[String]> =
         figures.iter().filter_map(|f| f.strip_prefix(&["tilts".to_owned()][..])).collect();
@@ -295,7 +295,7 @@ mod tests {
         assert_eq!(triples(said), [["correct tilts, of 40", "93.5 % of 400", "100.00 %"].map(str::to_owned)]);
     }
 
-    /// Checks that docs/PAPER.md has every row that the command prints.
+    /// Checks that docs/PAPER.md contains every row that the command prints.
     #[test]
     fn the_page_has_every_row() {
         let page = fs::read_to_string(root().join("docs/PAPER.md")).unwrap();

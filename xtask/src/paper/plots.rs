@@ -18,7 +18,7 @@ const COLOURS: [RGBColor; 6] = [
 ];
 const FONT: (&str, u32) = ("sans-serif", 12);
 
-/// Draws into a picture of this size.
+/// Draws into a picture that has this size.
 fn drawn<F>(size: (u32, u32), draw: F) -> Result<String>
 where
     F: FnOnce(&DrawingArea<SVGBackend<'_>, plotters::coord::Shift>) -> Result<(), Box<dyn std::error::Error>>,
@@ -45,7 +45,7 @@ pub fn heat(matrix: &Matrix) -> Result<String> {
         area.draw(&Text::new(format!("{}: actual ↓, recognised →", matrix.name), (4, 4), style.clone()))?;
         let centred = style.clone().pos(Pos::new(HPos::Center, VPos::Center));
         for (column, name) in (0..).zip(&matrix.named) {
-            // Adjacent names have different heights, because they are wider than cells.
+            // Adjacent names have different heights, because names are wider than cells.
             let at = (LEFT + CELL * column + CELL / 2, if column % 2 == 0 { TOP - 8 } else { TOP - 20 });
             area.draw(&Text::new(name.clone(), at, centred.clone()))?;
         }
@@ -70,8 +70,8 @@ pub fn heat(matrix: &Matrix) -> Result<String> {
     })
 }
 
-/// Plots cap and commanded speed over time, or nothing without figures.
-/// Each row contains second, cap and speed in m/s.
+/// Plots cap and commanded speed over time. Without figures, it plots nothing.
+/// Each row contains the time in s, and the cap and the speed in m/s.
 pub fn speed(rows: &[(String, Vec<f64>)]) -> Result<String> {
     if rows.is_empty() {
         return Ok(String::new());
@@ -83,8 +83,8 @@ pub fn speed(rows: &[(String, Vec<f64>)]) -> Result<String> {
     chart("Speed by bends", ("s", "m/s"), &lines)
 }
 
-/// Plots the flange's paths from the side (x, z) and from above (x, y), or nothing without figures.
-/// Each row contains a motion's name, and x, y and z in m.
+/// Plots the flange's paths from the side (x, z) and from above (x, y). Without figures, it plots nothing.
+/// Each row contains the name of a motion, and x, y and z in m.
 pub fn paths(rows: &[(String, Vec<f64>)]) -> Result<String> {
     if rows.is_empty() {
         return Ok(String::new());

@@ -1,4 +1,4 @@
-//! Trains and tests models of the paper's recipe and of ours.
+//! Trains and tests models with the paper's recipe and with ours.
 
 use std::process::Stdio;
 
@@ -9,8 +9,8 @@ use super::{Matrix, Section};
 use crate::target_dir;
 use crate::test::cargo;
 
-/// Trains models of the paper's recipe and of ours on simulated wearers.
-/// It tests them on a random fifth of the recordings, as in the paper, and on wearers outside the training data.
+/// Trains models with the paper's recipe and with ours on simulated wearers.
+/// It tests them on a random 20 % of the recordings, as in the paper, and on wearers who are not in the training data.
 pub fn section(quick: bool) -> Result<Section> {
     let folder = target_dir().join("paper");
     let _ = std::fs::remove_dir_all(&folder);
@@ -81,7 +81,7 @@ pub fn section(quick: bool) -> Result<Section> {
     })
 }
 
-/// Returns the int8 confusion matrix for the random fifth.
+/// Returns the int8 confusion matrix for the random 20 % of the recordings.
 fn confusion(recipe: &str, card: &Value) -> Result<Matrix> {
     let labels: Vec<String> = card["labels"]
         .as_array()
