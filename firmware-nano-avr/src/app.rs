@@ -1,5 +1,5 @@
-//! Connects [`LeftBoard`] to the registers. Its inputs are samples, received bytes and time, and its outputs are
-//! frames, EEPROM writes and the LED state.
+//! Connects [`LeftBoard`] to the registers.
+//! Its inputs are samples, received bytes and time. Its outputs are frames, EEPROM writes and the LED state.
 
 use crate::pins::Light;
 use crate::restart::{self, Cause};

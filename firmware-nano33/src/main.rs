@@ -46,8 +46,8 @@ compile_error!(
 use defmt_rtt as _;
 use embassy_nrf::interrupt::{self, InterruptExt, Priority};
 
-/// Logs go to the probe, and the laptop receives a report at the next start. Boards with Bluetooth linked in have no
-/// probe, and the log texts would be a tenth of their image.
+/// Logs go to the probe, and the laptop receives a report at the next start.
+/// Boards with Bluetooth linked in have no probe, and the log texts would be a tenth of their image.
 #[panic_handler]
 fn panic(info: &core::panic::PanicInfo<'_>) -> ! {
     cortex_m::interrupt::disable();

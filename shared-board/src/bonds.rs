@@ -5,9 +5,10 @@
 //! page + 16 + 48 i   a record: keys, address, flags, CRC-32 (twelve words)
 //! ```
 //!
-//! The log has two pages. Records are appended to the newer page, and the last record about a laptop is valid. When the page is
-//! full, the valid records are copied to the other page, whose magic number is written last. The full page stays until the
-//! next change of pages. The power may therefore fail at any word: all stored laptops remain, and the new laptop is either stored or not.
+//! The log has two pages. Records are appended to the newer page, and the last record about a laptop is valid.
+//! When this page is full, the valid records are copied to the other page, whose magic number is written last.
+//! The full page stays until the next change of pages, so the power may fail at any word.
+//! All stored laptops then remain, and a new laptop is either stored or not.
 
 use crate::models::MappedFlash;
 use crate::slots::is_newer;

@@ -26,8 +26,8 @@ pub trait Eeprom {
 }
 
 /// Generates a number that is unique to this start.
-/// The number combines a count of power-ups, which is stored here, with `starts`, which counts earlier starts since then
-/// and is kept in RAM.
+/// The number combines a count of power-ups, which is stored here, with `starts`.
+/// `starts` counts the earlier starts since the last power-up and is kept in RAM.
 /// A program that restarts for ever therefore does not wear out the EEPROM.
 #[inline(never)]
 pub fn next_boot_id(memory: &mut impl Eeprom, starts: u8) -> u32 {

@@ -80,8 +80,8 @@ impl BoardClock {
         true
     }
 
-    /// Returns the maximum age in milliseconds of a time on the board's clock,
-    /// for example that of a frame's newest sample or of the end of a window.
+    /// Returns the maximum age in milliseconds of a time on the board's clock.
+    /// Examples are the times of a frame's newest sample and of the end of a window.
     /// The age is `u64::MAX` if no ping has been answered.
     pub fn age_ms(&self, board_time_ms: u32, now_ms: u64) -> u64 {
         let Some(anchor) = &self.anchor else { return u64::MAX };

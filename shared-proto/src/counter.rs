@@ -135,8 +135,7 @@ mod tests {
     }
 
     proptest! {
-        /// Whatever frames are lost, repeated or late, the receiver counts exactly the events between the first
-        /// and the newest frame that it received.
+        /// Whatever frames are lost, repeated or late, the receiver counts exactly the events since the first frame.
         #[test]
         fn no_loss_repetition_or_reordering_changes_the_sum_of_events(
             first_count: u8,

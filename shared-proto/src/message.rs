@@ -1,9 +1,8 @@
 //! All messages of the wire, in one table for each direction.
 //!
 //! A row is `number Name fields => boards, minor version that added it`.
-//! Everything else about a message is derived from it:
-//! its place in the enum, the buffer sizes in [`frame`](crate::frame),
-//! and the messages of a left board ([`LeftRequest`]).
+//! The macro derives everything else about a message from its row. This includes the place in the enum,
+//! the buffer sizes in [`frame`](crate::frame), and the messages of a left board ([`LeftRequest`]).
 //! Tests also compare the rows in `WIRE.md` and the golden frames with [`BoardMessage::ROWS`]
 //! and [`HostMessage::ROWS`].
 //!
@@ -370,8 +369,8 @@ pub struct ModelBegin<'a> {
     /// The requirements and labels of the model; `model_id` is the CRC-32 of the complete blob.
     #[serde(borrow)]
     pub info: ModelInfo<'a>,
-    /// The sensor scale that was used in training for accelerometer, gyroscope and magnetometer,
-    /// as a multiple of the data sheets' scale.
+    /// The sensor scale that was used in training, as a multiple of the data sheets' scale.
+    /// The values are for accelerometer, gyroscope and magnetometer.
     /// For two of the sensors, Arduino's library uses a factor of 1.1469.
     /// Boards use the data sheets' scale and refuse models with another scale, because gestures would need another tempo.
     pub scaling: [f32; 3],

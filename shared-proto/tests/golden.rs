@@ -1,5 +1,4 @@
-//! Fixes the wire format: `tests/golden_wire.txt` contains one frame of every message,
-//! and `WIRE.md` shows the same bytes.
+//! Fixes the wire format. `tests/golden_wire.txt` contains one frame of every message, and `WIRE.md` shows the same bytes.
 //!
 //! After a deliberate change, increase the version in `message.rs` and then run
 //! `BIMANUAL_BLESS=1 cargo test -p shared-proto --test golden`.

@@ -136,8 +136,8 @@ fn check<const N: usize>(stream: &[u8], sent: &[&[u8]], tally: &mut Tally, name:
     tally.damaged += u64::from(counters.damaged());
 }
 
-/// Decodes a frame of blocks shorter than 254 bytes by the definition of COBS:
-/// each code byte is the distance to the next zero.
+/// Decodes a frame of blocks shorter than 254 bytes by the definition of COBS.
+/// In such a frame, each code byte is the distance to the next zero.
 fn unstuffed(chunk: &[u8]) -> impl Iterator<Item = u8> {
     let mut next_code = usize::from(chunk[0]);
     let payload = chunk.len() - 1 - 4;

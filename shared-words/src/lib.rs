@@ -1,7 +1,7 @@
 //! Types that boards, wire and laptop share.
 //!
-//! `shared-dsp` computes these types without depending on the wire,
-//! and `shared-proto` sends them without depending on the computation.
+//! `shared-dsp` computes these types without depending on the wire.
+//! `shared-proto` sends these types without depending on the computation.
 //! The laptop acts on the results.
 //! With the feature `serde`, they can be sent as numbers on the wire and written as lower-case texts in files.
 #![no_std]

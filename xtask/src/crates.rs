@@ -1,5 +1,5 @@
-//! Checks all crates: permitted licence, source in the registry, actual use,
-//! and compatibility with this project's Rust version.
+//! Checks all crates: their licences, whether they come from the registry, and whether the project uses them.
+//! Also checks that they support this project's Rust version.
 
 use std::path::Path;
 use std::process::Command;

@@ -124,8 +124,9 @@ pub fn run_for_tests() -> Result<()> {
     VARIANTS.iter().filter(|(name, ..)| *name != XIAO_TROUBLE).try_for_each(|(name, ..)| run(&[name]))
 }
 
-/// Returns a cargo command for the images. Images with Bluetooth linked in contain a little C code and bindings
-/// generated from Nordic's headers. All their generic code is optimised for size.
+/// Returns a cargo command for the images.
+/// Images with Bluetooth linked in contain a little C code, and bindings that are generated from Nordic's headers.
+/// Their generic code is optimised for size.
 fn cargo_for(options: &[&str], subcommand: &str) -> Result<Command> {
     let mut command = cargo(Target::Thumb, subcommand)?;
     if options.iter().any(|option| option.contains("trouble")) {

@@ -189,8 +189,8 @@ fn cargo_for_laptop(subcommand: &str) -> Command {
 
 /// Returns a cargo command for the whole workspace, with every feature that this machine can build.
 ///
-/// The selection is always the same. Cargo sets the features of shared dependencies for all packages in a build,
-/// so another selection would compile most of them again.
+/// The selection is always the same, because cargo sets the features of shared dependencies for all packages in a build.
+/// Another selection would compile most of these dependencies again.
 pub fn cargo_for_all(subcommand: &str) -> Command {
     if !EMULATORS.is_complete() {
         return cargo_for_laptop(subcommand);
@@ -248,8 +248,8 @@ fn groups() -> Vec<(&'static str, Vec<Step>)> {
 }
 
 /// Checks that give quick feedback after a change.
-/// Without the emulators, they take three quarters of the time that all features take,
-/// and later steps reuse nearly all of their results.
+/// Without the emulators, these checks take three quarters of the time that all features would need.
+/// Later steps reuse nearly all of their results.
 fn slips() -> Vec<Step> {
     vec![
         Step::new("format", format),

@@ -6,8 +6,8 @@
 //! | frames to the laptop (notify) | `b1a40002-…` |
 //! | frames to the board (write, write without response; needs an encrypted, bonded link) | `b1a40003-…` |
 //!
-//! Frames form a byte stream in both directions, and the MTU determines its pieces. This file contains what all Bluetooth
-//! stacks share. The feature `trouble` adds the stack that is linked into the image.
+//! Frames form a byte stream in both directions, and the MTU determines its pieces.
+//! This file contains what all Bluetooth stacks share. The feature `trouble` adds the stack that is linked into the image.
 //! This code is a separate crate, because the compiler optimises it for size: hardly any of it runs often.
 #![no_std]
 #![allow(async_fn_in_trait, reason = "one executor, one core")]
@@ -23,8 +23,8 @@ pub const PAYLOAD: usize = 244;
 pub const INTERVALS: [(u16, u16); 2] = [(6, 12), (12, 12)];
 /// A laptop answers a request for a connection interval within this time.
 pub const ANSWER: Duration = Duration::from_secs(5);
-/// Number of connection events that the board may skip while it has nothing to send. Its next frame still leaves
-/// within one interval, a laptop's frame arrives within five, and the radio is off in between.
+/// Number of connection events that the board may skip while it has nothing to send, so that the radio stays off.
+/// The board's next frame still leaves within one interval, and a laptop's frame arrives within five.
 pub const LATENCY: u16 = 4;
 /// A link that is silent for this long (in units of 10 ms) is lost.
 pub const SUPERVISION: u16 = 200;

@@ -55,7 +55,7 @@ const OVERFLOW_Z: i16 = -16384;
 /// One raw measurement: field values of 13, 13 and 15 bits, and the resistance of the Hall plates.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Raw {
-    /// x, y and z in counts of the chip.
+    /// Field along x, y and z in counts of the chip.
     pub field: [i16; 3],
     /// Resistance of the Hall plates in counts; 0 means that it was not measured.
     pub hall: u16,

@@ -4,8 +4,7 @@
 //! FIFO (the sensor's own clock) -> Imu::poll -> Grid -> 100 Hz, the board's crystal
 //! ```
 //!
-//! * [`lsm9ds1`] is the driver for the Nano 33 BLE Sense, [`bmi270`] for its Rev2,
-//!   and [`lsm6ds3`] for the XIAO nRF52840 Sense.
+//! * The drivers are [`lsm9ds1`] (Nano 33 BLE Sense), [`bmi270`] (Rev2) and [`lsm6ds3`] (XIAO nRF52840 Sense).
 //!   The drivers use asynchronous I2C of embedded-hal-async. [`found`] detects the sensor on the bus.
 //! * [`grid`] estimates the time of each set and interpolates the sets to the 100 Hz grid.
 //! * [`Imu`] is the trait that all drivers implement.

@@ -50,8 +50,8 @@ const FIFO_BYPASS: u8 = 0;
 const FIFO_OVERRUN: u8 = 1 << 6;
 const FIFO_COUNT: u8 = 0x3F;
 
-/// Number of sets to discard after a start: the first one after a change of the FIFO mode,
-/// and four while the filter of the gyroscope settles (data sheet, table 12).
+/// Number of sets to discard after a start. The first one follows the change of the FIFO mode.
+/// The next four arrive while the filter of the gyroscope settles (data sheet, table 12).
 const SETTLING_SETS: u8 = 5;
 
 /// Settings of the magnetometer.

@@ -60,13 +60,12 @@ pub fn parts(p: Peripherals) -> Parts {
 }
 
 /// Resets peripherals that the stock bootloader leaves running.
-/// The bootloader also leaves the MPU, the compare interrupt of RTC1 and PWM0 on P0.13 enabled,
-/// which have no effect here.
+/// The bootloader also leaves the MPU, the compare interrupt of RTC1 and PWM0 on P0.13 enabled. They do no harm here.
 pub fn begin() {
     // If the slow crystal started late, its interrupt would be enabled without a handler that clears it.
     const CLOCK_INTENCLR: *mut u32 = 0x4000_0308 as _;
-    // UARTE0 writes received data to a byte of RAM that this image uses for itself,
-    // and its pins can be changed only while it is off.
+    // UARTE0 writes received data to a byte of RAM that this image uses for itself. The pins of UARTE0 can be changed
+    // only while it is off.
     const UARTE0_STOPRX: *mut u32 = 0x4000_2004 as _;
     const UARTE0_RXTO: *mut u32 = 0x4000_2144 as _;
     const UARTE0_ENABLE: *mut u32 = 0x4000_2500 as _;
@@ -89,8 +88,8 @@ pub fn begin() {
 
 /// Restarts into the stock bootloader, which waits for an upload.
 ///
-/// The bootloader never feeds a watchdog, and a soft reset does not stop one, so an upload of 6 s would end after 2 s. The
-/// watchdog therefore performs the reset, which stops it. The bootloader's mark of a double press keeps it running.
+/// The bootloader never feeds a watchdog, and a soft reset does not stop one, so an upload of 6 s would end after 2 s.
+/// The watchdog therefore performs the reset, which stops it. The mark of a double press keeps the bootloader running.
 #[cfg(not(feature = "ble"))]
 pub fn enter_bootloader() -> ! {
     const DOUBLE_PRESS: *mut u32 = 0x2000_7FFC as _;

@@ -1,9 +1,7 @@
-//! Evaluates events: joins the recordings of one person, plays them through a board's right hand,
-//! and compares the events with the labels.
+//! Evaluates events. Joins one person's recordings, plays them to a board's right hand, and compares events with labels.
 //!
-//! The hand rests between two recordings.
-//! The hand holds the final posture of the first recording, turns smoothly to the initial posture of the next,
-//! and holds that one. The noise is that of a held hand.
+//! The hand rests between two recordings, with the noise of a held hand.
+//! It first holds the final posture of one recording, then turns smoothly to the initial posture of the next and holds that.
 //! A recording counts as one performed gesture, however often it repeats the shape. Its first sample counts as the onset.
 //! People actually begin a little later, so delays are overestimated.
 

@@ -212,8 +212,8 @@ impl Trial<'_> {
         self.grade(&model, &self.read(model.card.axes, |name| name == person)?)
     }
 
-    /// Counts the events of a model that has never met `person`, for each [`MovementConfig::max_rest`]. It plays all their
-    /// recordings, joined with this pause. These include recordings without a gesture, whatever labels are tested.
+    /// Counts the events of a model that has never met `person`, for each [`MovementConfig::max_rest`].
+    /// It plays all recordings of `person`, including those without a gesture, joined with this pause.
     /// It also plays simulated wearers of the `crowd` who make no gesture for `aimless_s` seconds.
     pub fn events(
         &self,
@@ -258,8 +258,8 @@ impl Trial<'_> {
         Ok(real.into_iter().zip(simulated).collect())
     }
 
-    /// Trains a model on 80 % of the other people's recordings,
-    /// and adapts it with `counts` examples per class of `person`.
+    /// Trains a model on 80 % of the other people's recordings.
+    /// It then adapts the model with `counts` examples per class of `person`.
     /// Each example lasts 2 s and is from a different recording.
     pub fn shown(&self, person: &str, counts: &[usize], seed: u64) -> Result<Vec<Shown>, TrialError> {
         let others = self.read_with_rest(self.axes, |name| name != person)?;

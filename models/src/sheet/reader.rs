@@ -1,8 +1,7 @@
 //! The reader of all CSV files. It converts the bytes of a file to rows of numbers, for either hand.
 //!
 //! Each [`Format`] has a table ([`ColumnTable`]) of the columns to be read and of how their cells are written.
-//! Separators, decimal commas, lines before the header, comments, units, repeated headers and errors
-//! are the same for all formats.
+//! All formats share the code for separators, decimal commas, comments, units, repeated headers and errors.
 
 use std::path::Path;
 

@@ -2,8 +2,8 @@
 //!
 //! The paper's recordings are not public, so the bundled model learns from simulated hands.
 //! A [`Wearer`] has a size, tempo, posture, tremor and habits.
-//! A script of motions is converted to a smooth hand path,
-//! and a sensor model computes the readings of an LSM9DS1 on that hand.
+//! A script of motions is converted to a smooth hand path.
+//! A sensor model then computes the readings of an LSM9DS1 on that hand.
 //! All values depend only on the key of the wearer.
 //! On one machine, the same wearer therefore gives the same bytes for any number of threads.
 //!
@@ -53,10 +53,9 @@ impl Take {
     pub const FIRST_PART: u64 = 101;
 }
 
-/// Returns the takes of one wearer. They contain `seconds` of each gesture,
-/// and half as much of each kind of idle movement, which has the label `idle`.
-/// `idle` also includes the beginning and end of gestures (at most 0.8 s in the window),
-/// which must not count as the gesture.
+/// Returns the takes of one wearer, which contain `seconds` of each gesture.
+/// They contain half as much of each kind of idle movement, which has the label `idle`.
+/// Beginnings and ends of gestures (at most 0.8 s in the window) are labelled `idle` too, because they are not a gesture yet.
 /// In the recordings of a gesture, the gesture fills at least three quarters of the window.
 pub fn takes(seconds: f64) -> Vec<Take> {
     const EDGE_S: f64 = 0.4;

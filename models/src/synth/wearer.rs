@@ -134,8 +134,7 @@ impl Wearer {
     }
 
     /// Returns the same person with other habits, as diverse as those of real people without instructions.
-    /// The tempo is halved or doubled, circles are in any plane,
-    /// and the hand rotates with the arm as if from the elbow.
+    /// The tempo is halved or doubled, circles are in any plane, and the hand swings with the arm as if from the elbow.
     #[must_use]
     pub fn untaught(mut self) -> Self {
         let r = &mut self.rng(Draws::Habits);

@@ -1,6 +1,6 @@
-//! Trains a network in a fixed number of steps with plain loops. The networks are so small that a library would add a
-//! hundred crates and no speed. [`adapt`](super::adapt) uses this code; new networks are trained by the same plan in
-//! `steps`, which a test compares.
+//! Trains a network in a fixed number of steps with plain loops.
+//! The networks are so small that a library would add a hundred crates and no speed.
+//! [`adapt`](super::adapt) uses this code. New networks are trained by the same plan in `steps`, and a test compares both.
 
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
@@ -196,8 +196,8 @@ impl Fitting {
         }
     }
 
-    /// Adds the gradients for a batch, given the gradient of the loss with respect to the outputs. If requested, it
-    /// also stores the gradient with respect to the batch in `to_inputs`.
+    /// Adds the gradients for a batch, given the gradient of the loss with respect to the outputs.
+    /// If requested, it also stores the gradient with respect to the batch in `to_inputs`.
     fn backward(&mut self, batch: &[f32], of_outputs: &mut [f32], mut to_inputs: Option<&mut Vec<f32>>) {
         of_outputs.iter_mut().zip(&self.passes).for_each(|(gradient, passes)| *gradient *= passes);
         for (row, gradient) in batch.chunks_exact(self.inputs).zip(of_outputs.chunks_exact(self.outputs)) {
@@ -306,9 +306,9 @@ fn run(
     layers.iter().map(Fitting::layer).collect()
 }
 
-/// Scales the weights into and out of each hidden unit to the same maximum, which changes no output: a unit
-/// that is twice as large and counts half gives the same result. One int8 scale per layer then suits all units (Nagel
-/// et al., 2019).
+/// Scales the weights into and out of each hidden unit to the same maximum (Nagel et al., 2019).
+/// This changes no output, because a unit that is twice as large and counts half gives the same result.
+/// After that, one int8 scale per layer suits all of its units.
 pub(super) fn equalise(layers: &mut [FloatLayer]) {
     for index in 1..layers.len() {
         let Some([before, after]) = layers.get_mut(index - 1..=index) else { continue };

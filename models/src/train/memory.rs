@@ -39,8 +39,8 @@ impl Memory {
         self.rows.iter().map(|(row, label)| (row.iter().map(float).collect(), usize::from(*label))).collect()
     }
 
-    /// Returns the bytes of `NAME.memory.bin`. They start with `BIMANMEM`,
-    /// followed by the numbers of rows and of inputs per row as u32 little-endian.
+    /// Returns the bytes of `NAME.memory.bin`.
+    /// They start with `BIMANMEM` and the numbers of rows and of inputs per row (u32 little-endian).
     /// After these, each row has its label and its inputs.
     pub fn to_bytes(&self) -> Vec<u8> {
         let width = self.rows.first().map_or(0, |(row, _)| row.len());

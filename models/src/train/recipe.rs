@@ -20,8 +20,7 @@ pub type Row<'a> = (&'a [f32], usize);
 /// Features of windows that several trainings use.
 pub type Shared = Arc<Vec<Vec<f32>>>;
 
-/// A method for training a model: the selection and variation of windows, the training of a network,
-/// and its conversion to int8.
+/// A method for training a model. It selects and varies windows, trains a network, and converts it to int8.
 /// [`train`](super::train) calls these functions in order.
 pub trait Recipe: fmt::Debug + Send + Sync {
     /// The recipe's name on the command line and in cards.
@@ -42,8 +41,7 @@ pub trait Recipe: fmt::Debug + Send + Sync {
     }
 
     /// Returns the windows of a recording and of its varied copies.
-    /// `place` is the index of the recording in its data set,
-    /// which determines the random values together with the seed.
+    /// `place` is the index of the recording in its data set. Together with the seed, it determines the random values.
     fn windows(&self, item: &Item, label: usize, place: usize, seed: u64) -> Windows;
 
     /// Returns additional training windows for this number of axes and these labels.

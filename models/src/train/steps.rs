@@ -1,6 +1,6 @@
 //! Trains in a fixed number of steps. Recipe `aligned` uses this method.
-//! Batches are drawn at random, the learning rate warms up and decreases as a cosine,
-//! and the average of the weights is the result.
+//! Batches are drawn at random, and the learning rate warms up and then decreases as a cosine.
+//! The result is the average of the weights over the steps.
 //! Training needs no held-out recordings, and can start from an existing network.
 //!
 //! Several networks that start differently are merged into one, whose logits are the mean of theirs.

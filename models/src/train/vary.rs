@@ -1,7 +1,7 @@
 //! Varies single windows for recipe `aligned`, to simulate other hands and other orientations of the sensor.
 //!
-//! The variations are applied in this order: tempo, phase and evenness; size (fast movements need more force);
-//! rotation of the sensor and mirroring of the hand; tremor; an offset of the accelerometer; its range.
+//! The order of the variations is: tempo, phase and evenness; size (fast movements need more force); rotation of the
+//! sensor and mirroring of the hand; tremor; offset of the accelerometer; range of the accelerometer.
 //! If a movement is accelerated, it is extended periodically.
 //! Idle windows are never enlarged much, so that slow and small gestures remain gestures.
 //! In half of the copies, the movement begins or ends inside the window, and the hand rests before or after it.

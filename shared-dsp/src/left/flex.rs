@@ -4,8 +4,7 @@
 //! It is *straight* below [`STRAIGHT_PERMILLE`]. Between the two thresholds, its state does not change.
 //! A change must persist for two samples.
 //!
-//! A bend is counted once: after the other finger has been straight for [`CONFIRM_MS`],
-//! or earlier when the finger is released.
+//! A bend is counted once: when the other finger has been straight for [`CONFIRM_MS`], or earlier at the release.
 //! Therefore, bending both fingers for a **stop** counts no bend:
 //!
 //! ```text

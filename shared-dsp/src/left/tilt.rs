@@ -2,8 +2,7 @@
 //!
 //! The code uses only integers, so an 8-bit board and a laptop give the same bits, and the board needs no soft floats.
 //!
-//! **Axes and signs.** The sensor is mounted with +x towards the wrist, +y towards the right,
-//! and +z out of the back of the hand.
+//! **Axes and signs.** The sensor's +x points to the wrist, +y to the right, and +z out of the back of the hand.
 //! This system is right-handed, and an axis that points up reads +1 g.
 //! The *pitch* θ = atan(ax / √(ay² + az²)) is positive when the hand tips **forward** (fingers down).
 //! The *roll* φ = atan(ay / √(ax² + az²)) is positive when the hand tips to the **left** (left edge down).

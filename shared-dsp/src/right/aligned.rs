@@ -297,8 +297,7 @@ impl<const A: usize> AlignedWindow<A> {
         let acceleration = self.triad(0);
         let length = square_root(dot(acceleration.mean, acceleration.mean));
         let [up, across, along] = frame(acceleration.mean.map(|value| value / length.max(1e-3)));
-        // The axis with the most rotation. Its mean counts too,
-        // because a hand may turn about this axis in only one direction.
+        // The axis with the most rotation. The mean rotation counts too, because a hand may turn in only one direction.
         let rotation = (Self::TRIADS == 2).then(|| self.triad(3));
         let (cosine, sine) = match &rotation {
             Some(rotation) => principal(rotation, rotation.mean, across, along),
@@ -327,8 +326,7 @@ impl<const A: usize> AlignedWindow<A> {
         writer.push(2.0 * (length * (1.0 / G) - 1.0));
     }
 
-    /// Computes lines 1 to 10 of the 32-point transform of a series under the Hann window,
-    /// with the middle hop at time 0.
+    /// Computes lines 1 to 10 of the 32-point transform of a series with a Hann window. The middle hop is at time 0.
     ///
     /// The origin of time does not matter, because only magnitudes and products with conjugates are used.
     /// With the origin in the middle, sums of mirrored hops need only cosines, and differences need only sines.

@@ -14,8 +14,8 @@
 //! | variance below [`VARIANCE_FLOOR`] | skewness 0, kurtosis 0 |
 //!
 //! Errors relative to float64 never exceed 10⁻⁴ (10⁻⁴·max(|value|, 1) for skewness and kurtosis).
-//! Float sums are never updated by subtraction ([`crate::right::sliding`]),
-//! and moments are central ([`crate::right::moments`]).
+//! Float sums are never updated by subtraction ([`crate::right::sliding`]).
+//! All moments are central ([`crate::right::moments`]).
 //! A mean near 0, where 200 samples cancel, has an error of 10⁻⁹ of the unit, even with amplitudes of hundreds.
 
 use crate::right::fft::{HalfFrame, powers};
@@ -109,8 +109,8 @@ impl<const A: usize> FeatureWindow<A> {
     fn finish_hop(&mut self) -> bool {
         self.staged = 0;
         let mut replaced = 0;
-        // The moments of axis i turn at hop −i, and its powers turn half a round later,
-        // so with up to 12 axes, at most one turn happens per hop.
+        // The moments of axis i turn at hop −i, and its powers turn half a round later.
+        // With up to 12 axes, at most one turn therefore happens per hop.
         let mut round = self.frame;
         let (block, frame) = (RingPlace::new(self.block, 0), RingPlace::new(self.frame, 0));
         let mut hop = HopBlocks { axis: 0, block, frame, repaired: false };

@@ -265,8 +265,7 @@ mod cortex_m4f {
         let count = blocks.len().min(front.len());
         if count > 0 {
             let (blocks, front) = (&blocks[..count], &mut front[..count]);
-            // SAFETY: the routine reads `count` blocks of five floats and writes `count` sums
-            // of five floats before the given ends.
+            // SAFETY: the routine reads `count` blocks of five floats. It writes `count` sums of five floats before the given ends.
             unsafe { bimanual_moments(sums, blocks.as_ptr_range().end, front.as_mut_ptr_range().end, count) }
         }
     }

@@ -401,8 +401,7 @@ mod tests {
         assert_eq!(run(&mut decision(), &[gesture, pause(3), gesture]), [(21, 1), (49, 1)]);
     }
 
-    /// Plays pieces of (hops, probability of label 1 in the slow window, movement),
-    /// while the normal window always shows `other`.
+    /// Plays pieces of (hops, probability of label 1 in the slow window, movement). The normal window always shows `other`.
     fn run_slow(decision: &mut MovementDecision, pieces: &[(usize, i16, Movement)]) -> Vec<(usize, u8)> {
         let hops = pieces.iter().flat_map(|&(count, p, movement)| (0..count).map(move |_| (p, movement)));
         let step = |(index, (p, movement)): (usize, _)| {

@@ -130,8 +130,8 @@ mod cortex_m4f {
 
     #[inline(always)]
     pub(super) fn add(out: &mut Bins, a: &Bins, b: &Bins) {
-        // SAFETY: the routine reads eight floats at `a` and `b`, writes eight at `out`,
-        // and follows the procedure call standard.
+        // SAFETY: the routine reads eight floats at `a` and `b`, and writes eight at `out`. It follows the procedure call
+        // standard.
         unsafe { bimanual_add8(out, a, b) }
     }
 

@@ -2,8 +2,8 @@
 
 use crate::storage::{Flash, FlashFailed, PAGE_BYTES};
 
-/// The SoftDevice's flash calls, which fit between radio events. Only one user may call them at a time. If the radio leaves no
-/// time (while a link begins, changes or ends), the SoftDevice stops trying after a while, and this code asks again.
+/// The SoftDevice's flash calls, which fit between radio events. Only one user may call them at a time.
+/// While a link begins, changes or ends, the radio may leave no time. The SoftDevice then gives up, and this code asks again.
 #[derive(Clone, Copy)]
 pub struct SoftDeviceFlash;
 

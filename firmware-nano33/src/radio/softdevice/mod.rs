@@ -33,9 +33,9 @@ use nano33_radio::{
 
 /// Number of notifications that the SoftDevice queues. A state every 80 ms needs one; raw batches and answers need more.
 const QUEUE: u8 = 8;
-/// If a laptop has written nothing for this long, the board requests its interval again. S140 needs an authenticated packet
-/// every 480 s, and the answer to this request is one. Otherwise, with a laptop whose radio lacks LE Ping, S140 raises
-/// an event at which nrf-softdevice panics.
+/// If a laptop has written nothing for this long, the board requests its interval again.
+/// S140 needs an authenticated packet every 480 s, and the answer to this request is such a packet.
+/// If a laptop's radio lacks LE Ping, S140 would otherwise raise an event at which nrf-softdevice panics.
 const QUIET: Duration = Duration::from_secs(120);
 
 type Payload = heapless08::Vec<u8, PAYLOAD>;

@@ -94,8 +94,7 @@ fn moments(vectors: &[[f32; 3]]) -> ([f32; 3], f32) {
     (mean.map(|m| m as f32), (squares / n).sqrt() as f32)
 }
 
-/// Returns the median of the mean magnitudes of windows at rest, their relative variation,
-/// and their fraction of all windows.
+/// Returns values for the windows at rest: median of their mean magnitudes, relative variation, and fraction of all windows.
 /// `rate_hz` determines the length of a window.
 fn at_rest(acceleration: &[[f32; 3]], rate_hz: f64) -> Option<(f32, f32, f32)> {
     let window = ((rate_hz / 2.0) as usize).max(8);

@@ -38,8 +38,8 @@ pub(super) struct Layout {
 }
 
 /// Names of columns that the user gives with `--columns`.
-/// They are either our names in the order of the file (`time,accX,accY,accZ,-,-`),
-/// or pairs of our names and the file's (`accX=ax_raw,accY=ay_raw,…`; `time=1` is the first column).
+/// They may be our names in the order of the file (`time,accX,accY,accZ,-,-`).
+/// They may also be pairs of our names and the file's (`accX=ax_raw,accY=ay_raw,…`; `time=1` is the first column).
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Columns {
     /// Our name for each column of the file; `None` means unused.

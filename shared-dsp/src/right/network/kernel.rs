@@ -93,8 +93,8 @@ pub(crate) fn layer(blocks: &[u8], inputs: &[Quad], outputs: &mut [Quad], requan
     portable(blocks, inputs, outputs, requantise);
 }
 
-/// Computes a layer whose rows have individual scales. It works like [`layer`],
-/// with [`ROW_SCALE_BYTES`] of `scales` for every four outputs.
+/// Computes a layer whose rows have individual scales.
+/// It works like [`layer`], but also reads [`ROW_SCALE_BYTES`] of `scales` for every four outputs.
 /// The zero point and minimum output of `shared` apply to all rows, and no output exceeds `largest`.
 #[cfg_attr(cortex_m4f, inline(never))]
 pub(crate) fn layer_per_row(
@@ -377,8 +377,8 @@ mod cortex_m4f {
                 outputs_end: range.end,
             };
             // SAFETY: the blocks are aligned and there is one for each output.
-            // The routine reads them and the inputs, writes the outputs and its arguments,
-            // and follows the procedure call standard.
+            // The routine reads the blocks and the inputs, and writes the outputs and its arguments. It follows the procedure call
+            // standard.
             unsafe { bimanual_layer(&mut arguments, blocks.as_ptr()) };
         }
         fits

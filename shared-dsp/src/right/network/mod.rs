@@ -31,8 +31,8 @@
 //! Each layer starts with a header of 12 bytes.
 //! The header contains inputs u16, outputs u16, multiplier i32 in 2³⁰..2³¹, right shift u8 in 1..=62, output zero point i8,
 //! minimum output i8, and 0.
-//! For every four outputs, four biases i32 follow, and then the weights in the order of [`kernel`](self):
-//! four columns of rows 0, 1, 2 and 3, then the next four columns of these rows.
+//! For every four outputs, four biases i32 follow, and then the weights in the order of [`kernel`](self).
+//! This order is four columns of rows 0, 1, 2 and 3, then the next four columns of these rows.
 //! Rows and columns that do not exist are zero. The biases include the zero points of the inputs.
 //!
 //! In version 2, the last byte of a layer's header may be 1, which means that each row has its own scale.
@@ -75,8 +75,8 @@ const MAGIC: &[u8; 4] = b"BMLP";
 const HEADER_BYTES: usize = 28;
 const LAYER_HEADER_BYTES: usize = 12;
 
-/// Maximum size of a layer's inputs and outputs, in quads, for which the small scratch memory suffices,
-/// so that normal networks need little stack.
+/// The small scratch memory suffices for layers with up to this number of inputs and outputs, in quads.
+/// Normal networks therefore need little stack.
 const SMALL_SCRATCH_QUADS: usize = 35;
 const LARGE_SCRATCH_QUADS: usize = 2 * MAX_WIDTH / 4;
 
@@ -402,8 +402,8 @@ impl<'a> Model<'a> {
         Ok(())
     }
 
-    // This is a separate function, so that the code that fills the inputs exists once
-    // and its stack is free again before the layers run.
+    // This is a separate function, so that the code that fills the inputs exists only once.
+    // Its stack is free again before the layers run.
     #[inline(never)]
     fn with_scratch<const QUADS: usize>(&self, fill: &dyn Fn(&mut [Quad]), logits: &mut [i8; MAX_LABELS]) {
         let mut scratch = [0; QUADS];
