@@ -140,8 +140,7 @@ fn set_watchdog(value: u8) {
 }
 
 /// Restarts the program without a reset.
-/// Register values from the old run have no effect, because the `start` function of every module writes its registers
-/// completely.
+/// Register values from the old run have no effect, because the `start` function of every module writes all its registers.
 fn restart(mark: u8) -> ! {
     avr_device::interrupt::disable();
     // Safety: interrupts are disabled, and no code of the previous run continues.

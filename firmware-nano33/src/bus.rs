@@ -115,8 +115,7 @@ impl SensorBus {
 /// The bus controller. After a failed transfer, it pauses.
 ///
 /// After an error, embassy-nrf's driver requests a stop condition but does not wait for it.
-/// Without the pause, the late "stopped" event would end the next transfer before its start and leave a buffer
-/// of zeros.
+/// Without the pause, the late "stopped" event would end the next transfer too early and leave a buffer of zeros.
 pub struct Wire<'a>(Twim<'a>);
 
 impl ErrorType for Wire<'_> {

@@ -30,7 +30,7 @@ pub enum RandomStream {
     Adapting,
     /// Selection of the recordings that a held-out person shows.
     Shown,
-    /// The order of joined recordings, and the rest between them.
+    /// The order of joined recordings, and the duration of the pauses between them.
     Order,
     /// The movements of this simulated wearer, who makes no gestures.
     Aimless(u32),

@@ -57,8 +57,8 @@ fn continued(recording: &Recording) -> Recording {
     Recording::new(axes, time_ms, rows.concat())
 }
 
-/// Returns the period in samples with which the end of a short movement best matches its past, or `None` if the
-/// movement is too short.
+/// Returns the period in samples with which the end of a short movement best matches its past.
+/// The result is `None` if the movement is too short.
 pub(crate) fn period<R: AsRef<[f32]>>(rows: &[R]) -> Option<usize> {
     let rows: Vec<&[f32]> = rows.iter().map(AsRef::as_ref).collect();
     let axes = rows.first()?.len().min(6);

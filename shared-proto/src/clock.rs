@@ -1,8 +1,8 @@
 //! Determines the maximum age of a frame from the board's clock. The times are arguments, because it reads no clock itself.
 //!
 //! A frame contains the time of its newest sample on the board's clock.
-//! Only a round trip relates this clock to the laptop's: a board that answers a ping reads its clock *after* the ping was
-//! sent.
+//! Only a round trip relates this clock to the laptop's.
+//! A board that answers a ping reads its clock *after* the ping was sent.
 //! A sample whose board time is D later was therefore taken at least D after the ping was sent.
 //! The resulting age is an **upper bound**. It is too large by the travel time of the ping, but never too small.
 //! Constant delays, growing queues and clock drift can only increase the computed age.
@@ -60,8 +60,8 @@ impl BoardClock {
         self.anchor = None;
     }
 
-    /// Adds a pong that arrived at `now_ms` and answers the ping sent at `sent_ms`. In between, the board's clock showed
-    /// `board_time_ms`.
+    /// Adds a pong that arrived at `now_ms` and answers the ping sent at `sent_ms`.
+    /// Between these two times, the board's clock showed `board_time_ms`.
     /// Returns false if the board's time is earlier than in a previous pong.
     /// In this case, the board must have restarted, and its clock is unknown.
     pub fn pong(&mut self, board_time_ms: u32, sent_ms: u64, now_ms: u64) -> bool {

@@ -3,8 +3,7 @@
 //! The format is `COBS(postcard(message) ++ CRC-32 little endian) ++ 0x00`.
 //! The zero byte occurs only there, so a receiver that has lost its place waits for the next zero.
 //!
-//! Every complete frame after a zero byte (or at the start of a new [`Decoder`]) is accepted,
-//! whatever precedes that zero.
+//! Every complete frame after a zero byte (or at the start of a new [`Decoder`]) is accepted, whatever precedes it.
 //! A sender therefore writes one [`DELIMITER`] after each start or opened link, to terminate a partial frame or noise.
 //! This is harmless because empty frames are skipped.
 //! Damaged frames are counted and dropped, and never requested again.

@@ -1,13 +1,12 @@
 //! All messages of the wire, in one table for each direction.
 //!
 //! A row is `number Name fields => boards, minor version that added it`.
-//! The macro derives everything else about a message from its row. This includes the place in the enum,
-//! the buffer sizes in [`frame`](crate::frame), and the messages of a left board ([`LeftRequest`]).
+//! The macro derives everything else about a message from its row: the place in the enum, the buffer sizes in
+//! [`frame`](crate::frame), and the messages of a left board ([`LeftRequest`]).
 //! Tests also compare the rows in `WIRE.md` and the golden frames with [`BoardMessage::ROWS`]
 //! and [`HostMessage::ROWS`].
 //!
-//! A message is a [postcard](https://postcard.jamesmunns.com/wire-format) enum: one byte of variant number,
-//! then the fields.
+//! A message is a [postcard](https://postcard.jamesmunns.com/wire-format) enum: a variant number of one byte, and fields.
 //! States are sent completely, and events are wrapping counters, so that lost and repeated frames do no harm.
 //!
 //! A new message at the end of a table is a minor change, and so is a new value in a list that has `Unknown`.

@@ -5,13 +5,11 @@
 //! Arduino's library does not convert the axes, and another program inverts one of them.
 //! A wrong sign would be hard to notice, because the readings would still look plausible.
 //! The firmware therefore treats a Rev2 as a six-axis board and rejects models that need nine axes.
-//! To measure the orientation on a board, turn each edge downwards and then north, and compare the signs with those of
-//! [`crate::Set`].
+//! To measure the orientation on a board, turn each edge downwards and then north. Compare the signs with [`crate::Set`].
 //!
 //! Raw counts alone are not a field strength.
-//! The conversion also needs the chip's individual trimming values and the resistance of its Hall plates,
-//! which depends on
-//! the temperature.
+//! The conversion also needs the chip's individual trimming values.
+//! It also needs the resistance of its Hall plates, which depends on the temperature.
 
 use embedded_hal_async::delay::DelayNs;
 use embedded_hal_async::i2c::I2c;
@@ -199,8 +197,7 @@ impl<I: I2c> Bmm150<I> {
     }
 
     /// Returns the newest field in µT along the chip's axes.
-    /// Returns `None` if there is no new measurement, or if the field exceeds the chip's range,
-    /// for example near a magnet.
+    /// Returns `None` if there is no new measurement, or if the field is too strong for the chip, as near a magnet.
     ///
     /// # Errors
     /// A transfer failed.

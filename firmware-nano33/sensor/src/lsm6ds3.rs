@@ -3,8 +3,7 @@
 //! One count has the same value as in the LSM9DS1: 0.122 mg at ±4 g and 70 mdps at ±2000 deg/s.
 //! **The orientation of the chip's axes relative to the board's case is not known.**
 //! The driver returns the axes of the chip.
-//! The bundled model works with any orientation, because its recipe rotates the data of every hand into the hand's own
-//! frame.
+//! The bundled model works with any orientation, because its recipe rotates the data into the frame of the hand.
 
 use embedded_hal_async::delay::DelayNs;
 use embedded_hal_async::i2c::I2c;

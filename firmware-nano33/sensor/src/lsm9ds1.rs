@@ -1,8 +1,7 @@
 //! LSM9DS1: the accelerometer and gyroscope are on one die and the magnetometer is on the other (ST DocID025715 Rev 2).
 //!
-//! **Axes.** The driver returns the raw chip axes, as Arduino's library and Edge Impulse's firmware do,
-//! so that models and
-//! recordings can be exchanged.
+//! **Axes.** The driver returns the raw chip axes, as Arduino's library and Edge Impulse's firmware do.
+//! Models and recordings can therefore be exchanged.
 //! Figure 1 of the data sheet shows left-handed axes for the accelerometer and gyroscope.
 //! The magnetometer's axes are right-handed, and its X axis points opposite to the X axis of the other two sensors.
 //! For a right-handed frame, negate X of both the accelerometer and the gyroscope.

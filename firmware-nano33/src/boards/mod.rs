@@ -2,8 +2,8 @@
 //! Each file defines pins, sensors, names and memory (the `.x` files), and handles the board's bootloader.
 //! No other code in this crate depends on the board.
 //!
-//! Each file provides `SENSORS`, `START_MS`, `USB`, `kind` (the board's name in the protocol) and [`Parts`]
-//! from `parts`.
+//! Each file provides `SENSORS`, `START_MS`, `USB`, `kind` (the board's name in the protocol), and `parts`, which returns
+//! [`Parts`].
 //! It also provides `begin`, which runs before all other code, and `enter_bootloader`.
 
 #[cfg(not(feature = "xiao"))]

@@ -64,8 +64,8 @@ pub fn parts(p: Peripherals) -> Parts {
 pub fn begin() {
     // If the slow crystal started late, its interrupt would be enabled without a handler that clears it.
     const CLOCK_INTENCLR: *mut u32 = 0x4000_0308 as _;
-    // UARTE0 writes received data to a byte of RAM that this image uses for itself. The pins of UARTE0 can be changed
-    // only while it is off.
+    // UARTE0 writes received data to a byte of RAM that this image uses for itself.
+    // The pins of UARTE0 can be changed only while it is off.
     const UARTE0_STOPRX: *mut u32 = 0x4000_2004 as _;
     const UARTE0_RXTO: *mut u32 = 0x4000_2144 as _;
     const UARTE0_ENABLE: *mut u32 = 0x4000_2500 as _;

@@ -1,6 +1,7 @@
-//! Bluetooth; the crate `nano33_radio` describes its service and its rules. A feature selects one of two stacks: Nordic's S140
-//! (`ble`), which only `softdevice` uses, or the linked-in stack (`trouble`), which only that crate uses. Each provides
-//! [`Radio`] (`start`, `random`, `flash`, `spawn`), [`RadioFlash`] and [`cable`].
+//! Bluetooth; the crate `nano33_radio` describes its service and its rules.
+//! A feature selects one of two stacks: Nordic's S140 (`ble`) or the linked-in stack (`trouble`).
+//! Only `softdevice` uses S140, and only the crate `nano33_radio` uses the linked-in stack.
+//! Each stack provides [`Radio`] (`start`, `random`, `flash`, `spawn`), [`RadioFlash`] and [`cable`].
 
 #[cfg(feature = "ble")]
 mod softdevice;

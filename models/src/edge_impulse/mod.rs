@@ -1,7 +1,6 @@
 //! Reads recordings in Edge Impulse's data acquisition format, JSON or CBOR.
 //!
-//! Such a file is one object. Its members are `payload.interval_ms`, `payload.sensors` (names and units) and
-//! `payload.values` (one row per sample).
+//! Such a file is one object with `payload.interval_ms`, `payload.sensors` (names and units) and `payload.values` (rows).
 //! Signatures are not checked, because they identify the sender but do not show that the data is valid.
 //! Columns and units are detected as in CSV files ([`crate::sheet`]).
 //! Unusable data causes an error with the file, the place in it, and a remedy.

@@ -1,5 +1,5 @@
-//! A complete comparison on one folder for several seeds: each person held out, a random 20 % held out,
-//! and a few shown examples.
+//! A complete comparison on one folder for several seeds.
+//! It holds out each person, then a random 20 % of the recordings, and it also tests a few shown examples.
 //! `models people` prints its results, and `models report` draws the same figures.
 
 use std::collections::BTreeMap;

@@ -1,5 +1,5 @@
-//! Pictures at the top of the page. They show the results and the tempo of each person (the worst person first), and how many
-//! false events each setting causes if it detects more gestures.
+//! Pictures at the top of the page. One shows the results and the tempo of each person, the worst person first.
+//! Another shows how many false events each setting causes if it detects more gestures.
 
 use std::fmt::Write as _;
 

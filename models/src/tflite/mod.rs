@@ -2,10 +2,10 @@
 //!
 //! The supported networks are chains of FULLY_CONNECTED layers (with ReLU, ReLU6 or none, with or without biases).
 //! All layers must be float32, or all must be int8 in the way that exporters write it.
-//! In int8, there is one scale per tensor or per channel (symmetric weights, int32 biases,
-//! softmax output 1/256 at −128).
-//! QUANTIZE and DEQUANTIZE are supported at the ends, with inputs and outputs of int8, uint8 or float32,
-//! and RESHAPE in between.
+//! In int8, there is one scale per tensor or per channel.
+//! Weights are symmetric, biases are int32, and the softmax output has scale 1/256 and zero point −128.
+//! At the ends, QUANTIZE and DEQUANTIZE are supported, with inputs and outputs of int8, uint8 or float32.
+//! RESHAPE is supported between layers and before them.
 //! If a network ends in logits, our own softmax follows ([`End`]).
 //! Int8 networks give exactly the results of TFLite's reference kernels. Any other network is refused, and the error names the reason.
 //! The reader is our own. A damaged file causes an error, and never a panic or much memory use.

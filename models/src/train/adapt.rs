@@ -16,8 +16,8 @@ const COPIES_OF_NEW: usize = 60;
 
 /// Adapts a model to another person with a few windows ([`WINDOW`] samples each) and the windows' labels.
 /// Labels and scaling remain unchanged, and rehearsal preserves the knowledge about other people.
-/// The movement in `daily` still counts as no gesture. Otherwise, after three circles the model would mistake getting up
-/// from a chair for a circle.
+/// The movement in `daily` still counts as no gesture.
+/// Otherwise, after three circles the model would mistake getting up from a chair for a circle.
 ///
 /// # Errors
 /// Fails if the result cannot be quantised.

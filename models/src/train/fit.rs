@@ -28,8 +28,7 @@ pub struct Steps {
     pub decay: f64,
     /// Fraction of the averaged weights that remains after each step, in the long run.
     pub keep: f64,
-    /// Number of networks that start from different weights and are merged into one. Recipe `aligned` defines
-    /// their widths.
+    /// Number of networks that start from different weights and are merged into one. Recipe `aligned` defines their widths.
     pub members: usize,
     /// Number of final steps in which weights and activations are rounded as in int8.
     pub rounded: usize,
@@ -72,8 +71,8 @@ impl Steps {
 const BETAS: [f64; 2] = [0.9, 0.999];
 const EPSILON: f32 = 1e-8;
 
-/// Trains an existing network on rows of inputs and their labels. Rare labels count as much as common ones. `limit` is
-/// the largest input.
+/// Trains an existing network on rows of inputs and their labels.
+/// Rare labels count as much as common ones, and `limit` is the largest input.
 pub(super) fn refit(
     rows: &[(Vec<f32>, usize)],
     labels: usize,

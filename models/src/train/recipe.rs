@@ -68,8 +68,7 @@ pub trait Recipe: fmt::Debug + Send + Sync {
     /// Returns the recipe with this number of steps (if it has steps), for quick experiments.
     fn shortened(&self, steps: Option<usize>) -> Box<dyn Recipe>;
 
-    /// Returns the recipe for simulated wearers only, whose `idle` recordings already contain movement without
-    /// gestures.
+    /// Returns the recipe for simulated wearers only. Their `idle` recordings already contain movement without gestures.
     fn for_simulated(&self) -> Box<dyn Recipe>;
 }
 

@@ -50,8 +50,7 @@ pub struct Trained {
 }
 
 impl Trained {
-    /// A trained network with its files, and their checksums in its card. `calibration` are the inputs that determine
-    /// the int8 scales.
+    /// A trained network with its files, whose checksums are in its card. `calibration` determines the int8 scales.
     pub(super) fn of(
         mut card: Card,
         float: Vec<FloatLayer>,

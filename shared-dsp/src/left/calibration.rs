@@ -1,7 +1,6 @@
 //! Calibration of a wearer's left hand. It captures readings in known poses and stores them in a record.
 //!
-//! A calibration has three steps in this order: *neutral* (hand level and still), *rest* (both fingers straight),
-//! *bend* (both bent).
+//! A calibration has three steps in this order: *neutral* (hand level and still), *rest* (fingers straight), *bend* (bent).
 //! Each step averages [`CAPTURE_SAMPLES`] samples.
 //! A calibration step is refused, and changes nothing, if the hand moves or the pose is implausible.
 

@@ -1,5 +1,5 @@
-//! Detects readings that no working left hand can produce: open or shorted channels, impossible gravity,
-//! a stuck converter.
+//! Detects readings that no working left hand can produce.
+//! Examples are open or shorted channels, impossible gravity and a stuck converter.
 //!
 //! A channel at a rail is a fault immediately, and impossible gravity is a fault after [`GRAVITY_MS`].
 //! If a converter repeats its readings, this is a fault after [`STUCK_MS`]. Missing readings are a fault after [`SILENT_MS`].

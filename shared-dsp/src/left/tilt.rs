@@ -293,8 +293,7 @@ mod tests {
                     let pitch = x.atan2((y * y + z * z).sqrt()) * 1000.0;
                     let roll = y.atan2((x * x + z * z).sqrt()) * 1000.0;
                     worst = worst.max((pitch - f64::from(got.pitch_mrad)).abs());
-                    // If the remaining vector is short, one unit of the rounded-down root is more than a milliradian
-                    // of roll.
+                    // If the remaining vector is short, one unit of the rounded-down root is over a milliradian of roll.
                     // The same is true of pitch near 90 degrees.
                     if (x * x + z * z).sqrt() > 400.0 || y == 0.0 {
                         worst = worst.max((roll - f64::from(got.roll_mrad)).abs());

@@ -12,8 +12,8 @@
 //! A *triad* is the acceleration along three axes in g or, with a gyroscope, the rotation about them in 100 deg/s.
 //! For each triad, e are the mean squares along each axis about its mean, and E is their sum.
 //! The *floor* f ([`ACC_FLOOR`], [`GYRO_FLOOR`]) is the amount of movement below which differences are insignificant.
-//! X are lines 1 to 10 (0.39 to 3.9 Hz) of a 32-point Fourier transform of the 25 hops with a Hann window,
-//! and S = Σ|X|².
+//! X are lines 1 to 10 (0.39 to 3.9 Hz) of a 32-point Fourier transform of the 25 hops with a Hann window.
+//! S is their power, Σ|X|².
 //!
 //! | features | count |
 //! |---|---|
@@ -423,8 +423,8 @@ fn frame(up: [f32; 3]) -> [[f32; 3]; 3] {
     [up, e, f]
 }
 
-/// Returns cosine and sine of the angle from `across` to the direction with the most power in the plane of `across`
-/// and `along`.
+/// Returns cosine and sine of the angle from `across` to the direction with the most power, in the plane of `across` and
+/// `along`.
 /// The power is about the given mean, which may be zero.
 fn principal(triad: &Triad, mean: [f32; 3], across: [f32; 3], along: [f32; 3]) -> (f32, f32) {
     let (turned, a, b) = (triad.times(along), dot(mean, across), dot(mean, along));

@@ -1,8 +1,8 @@
 //! Central moments of the last samples, computed without loss of precision and without drift.
 //!
 //! Sums of powers (Σx², Σx³, Σx⁴) lose their precision in `f32` if the signal has a constant part such as gravity.
-//! Here, each block of eight samples stores its mean (as one sample plus a small offset), and power sums of deviations
-//! from that mean.
+//! Here, each block of eight samples stores its mean (as one sample plus a small offset).
+//! It also stores power sums of the deviations from that mean.
 //! Longer pieces store power sums about a reference, which is the mean of *some of their own blocks*.
 //! The binomial formula converts sums from one reference to another.
 //! The reference is within a few deviations of the piece's mean, so the final cancellation is limited for any signal.
@@ -220,7 +220,7 @@ mod cortex_m4f {
         ".global bimanual_moments",
         ".type bimanual_moments,%function",
         ".thumb_func",
-        // r0 = sums, r1 and r2 = behind the last block and front, r3 = number of blocks, at least 1
+        // Registers: r0 = sums, r1 and r2 = behind the last block and front, r3 = number of blocks (at least 1).
         "bimanual_moments:",
         "vldmia r0, {{s0-s4}}", // reference, s1 to s4
         "vmov.f32 s5, #3.0",

@@ -82,7 +82,7 @@ mod cortex_m4f {
         ".global bimanual_add8",
         ".type bimanual_add8,%function",
         ".thumb_func",
-        // r0 = out, r1 = a, r2 = b; s0 to s15 are the caller's to save
+        // Registers: r0 = out, r1 = a, r2 = b. The caller saves s0 to s15.
         "bimanual_add8:",
         "vldmia r1, {{s0-s7}}",
         "vldmia r2, {{s8-s15}}",
@@ -101,7 +101,7 @@ mod cortex_m4f {
         ".global bimanual_accumulate8",
         ".type bimanual_accumulate8,%function",
         ".thumb_func",
-        // r0 = sum, r1 = behind the last piece, r2 = number of pieces, at least 1
+        // Registers: r0 = sum, r1 = behind the last piece, r2 = number of pieces (at least 1).
         "bimanual_accumulate8:",
         "vldmia r0, {{s0-s7}}",
         "1:",
@@ -130,8 +130,7 @@ mod cortex_m4f {
 
     #[inline(always)]
     pub(super) fn add(out: &mut Bins, a: &Bins, b: &Bins) {
-        // SAFETY: the routine reads eight floats at `a` and `b`, and writes eight at `out`. It follows the procedure call
-        // standard.
+        // SAFETY: the routine reads eight floats at `a` and `b`, writes eight at `out`, and follows the call standard.
         unsafe { bimanual_add8(out, a, b) }
     }
 

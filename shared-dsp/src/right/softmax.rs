@@ -10,8 +10,7 @@ use crate::right::network::MAX_LABELS;
 const ACCUMULATOR_INTEGER_BITS: u32 = 12;
 
 /// Returns the product of two Q0.31 numbers, rounded to nearest (ties up).
-/// This is gemmlowp's `SaturatingRoundingDoublingHighMul` without its only saturating case, −1 · −1,
-/// which cannot occur here.
+/// This is gemmlowp's `SaturatingRoundingDoublingHighMul` without its saturating case, −1 · −1, which cannot occur here.
 #[inline(always)]
 pub(crate) fn multiply_q31(a: i32, b: i32) -> i32 {
     ((i64::from(a) * i64::from(b) + (1 << 30)) >> 31) as i32

@@ -58,8 +58,8 @@ impl Bonder {
     pub fn load() -> Self {
         let page = BOND_PAGE as *const u32;
         // SAFETY: this is memory-mapped flash that the linker does not use.
-        // The magic word includes a version of the layout, so this image wrote these bytes as a bond. All fields are plain
-        // integers.
+        // The magic word includes a version of the layout, so this image wrote these bytes as a bond.
+        // All fields of a bond are plain integers.
         let bond = unsafe {
             (page.read_volatile() == BOND_MAGIC).then(|| page.add(1).cast::<Bond>().read_unaligned())
         };

@@ -21,8 +21,7 @@ const FEW: f32 = 0.25;
 const APART: f32 = 0.2;
 /// Maximum deviation of all samples relative to gravity; real recordings reach at most 1.8.
 const WILDEST: f32 = 2.5;
-/// For a hand that never rests, the minimum mean acceleration relative to the median magnitude; below it,
-/// gravity is missing.
+/// For a hand that never rests: minimum mean acceleration relative to the median magnitude. Below it, gravity is missing.
 /// Gravity keeps its direction, while the hand's own acceleration averages to zero. Real recordings have values of 0.36 to 1.
 const LEAST_MEAN: f32 = 0.25;
 /// Minimum mean if the unit seems to be g; it also applies relative to the deviation.

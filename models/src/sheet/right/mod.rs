@@ -270,8 +270,7 @@ pub fn merge(files: &[(&Path, Vec<u8>)], reading: &Reading) -> Result<Option<She
 }
 
 impl Take {
-    /// Returns a sensor's samples at these times, or `None` if its times do not cover them to within a fifth
-    /// of a second.
+    /// Returns a sensor's samples at these times, or `None` if its times do not cover them to within 0.2 s.
     fn at(&self, kind: usize, times: &[f64]) -> Option<Vec<[f64; 3]>> {
         const SLACK_MS: f64 = 200.0;
         let values = &self.values[kind];

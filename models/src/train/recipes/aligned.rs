@@ -1,7 +1,7 @@
 //! Recipe `aligned`, for people who are not in the training data.
 //!
-//! It uses features in the hand's own frame ([`shared_dsp::right::aligned`]) and windows that are varied
-//! to simulate other hands.
+//! It uses features in the hand's own frame ([`shared_dsp::right::aligned`]).
+//! Windows are varied to simulate other hands.
 //! The recipe adds simulated wearers and real daily movement to the recordings, and trains for a fixed number of steps.
 
 use std::sync::Arc;
@@ -36,8 +36,7 @@ pub struct Aligned {
     /// Number of simulated wearers whose movements are training examples of `other`.
     /// If the recordings do not have the label `other`, it is added, so that the model can reject movements.
     pub bystanders: u32,
-    /// Number of [untaught](crate::synth::Wearer::untaught) simulated wearers who show the gestures
-    /// that the simulator supports.
+    /// Number of [untaught](crate::synth::Wearer::untaught) simulated wearers who make the gestures that they support.
     /// Simulated people supplement the few people of the recordings.
     pub performers: u32,
     /// Real people whose daily movement also provides examples of `other`; only with `bystanders`.

@@ -21,8 +21,8 @@ pub struct DenseSpec {
     pub input_scale: f32,
     /// The input value that represents 0.
     pub input_zero_point: i8,
-    /// Real value of one step of the weights. There is one value for all outputs, or one per output (TFLite's quantisation
-    /// per channel).
+    /// Real value of one step of the weights.
+    /// There is one value for all outputs, or one per output (TFLite's quantisation per channel).
     pub weight_scales: Vec<f32>,
     /// Real value of one step of the layer's outputs.
     pub output_scale: f32,

@@ -377,8 +377,7 @@ mod cortex_m4f {
                 outputs_end: range.end,
             };
             // SAFETY: the blocks are aligned and there is one for each output.
-            // The routine reads the blocks and the inputs, and writes the outputs and its arguments. It follows the procedure call
-            // standard.
+            // The routine reads the blocks and the inputs, writes the outputs, and follows the procedure call standard.
             unsafe { bimanual_layer(&mut arguments, blocks.as_ptr()) };
         }
         fits
