@@ -3,8 +3,8 @@
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
-/// The purposes for which random numbers are used.
-/// Their numbers make a training reproducible. A new purpose therefore needs a new number, and no number may change.
+/// The purposes for which random numbers are used, each with a number.
+/// The numbers make a training reproducible. A new purpose needs a new number, and existing numbers must not change.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RandomStream {
     /// Initial weights and the order of windows, for recipes that train in epochs.

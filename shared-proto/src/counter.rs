@@ -1,7 +1,6 @@
 //! Interprets the wrapping numbers in a state, which reveal new events since the last frame and lost frames.
 //!
-//! For each state, call [`SequenceTracker::see`] first and ignore states that are not new.
-//! Then update the event counters.
+//! For each state, call [`SequenceTracker::see`] first, ignore states that are not new, and then update the event counters.
 //! After a [`Hello`](crate::message::Hello) with a new boot id, call `rebase` on all trackers and counters.
 
 /// Converts a wrapping counter of events to the number of new events.

@@ -201,7 +201,7 @@ impl Layout {
         Ok(layout)
     }
 
-    /// Selects the first of these kinds that has a complete group, and returns its first complete group.
+    /// Selects the first of these kinds that has a complete group, and uses its first complete group.
     fn choose(&mut self, kinds: &[Kind], groups: &[Group], header: &[String]) -> Result<(), Problem> {
         let of = |kind: Kind| groups.iter().filter(move |group| group.kind == kind);
         let slot = match kinds[0].sensor() {

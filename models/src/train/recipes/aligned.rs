@@ -36,7 +36,7 @@ pub struct Aligned {
     /// Number of simulated wearers whose movements are training examples of `other`.
     /// If the recordings do not have the label `other`, it is added, so that the model can reject movements.
     pub bystanders: u32,
-    /// Number of [untaught](crate::synth::Wearer::untaught) simulated wearers who make the gestures that they support.
+    /// Number of [untaught](crate::synth::Wearer::untaught) simulated wearers who make gestures that the simulator knows.
     /// Simulated people supplement the few people of the recordings.
     pub performers: u32,
     /// Real people whose daily movement also provides examples of `other`; only with `bystanders`.
