@@ -407,7 +407,7 @@ fn tests() -> Vec<Step> {
     ]
 }
 
-/// Tests two arms if the packages for these checks are installed. With `--full`, it tests all arms, and the Gen3 with the objects on its flange.
+/// Two arms where the judges' packages are at hand, five and the Gen3 with what is on its flange under `--full`.
 fn arms() -> Result<()> {
     if !is_full() && !python::has_arms() {
         println!("skipped: the judges' packages (170 MB) are not here; `--full` fetches them");
