@@ -399,7 +399,7 @@ fn arms() -> Result<()> {
         .arg(built("examples/arm-ways")?.get_program())
         .arg(&folder);
     if !is_full() {
-        return sh(check.args(["6", "ur5", "so101"]));
+        return sh(check.args(["6", "panda", "so101"]));
     }
     sh(check.arg("30"))?;
     sh(built("examples/plan-trace")?.arg(&folder).arg("--tools"))?;
