@@ -1208,7 +1208,8 @@ fn a_pose_is_played_to_and_where_the_robots_arm_then_is_can_be_taught() {
     raised[3] -= 0.1;
     let file = desk.path("taught.toml");
     let text = format!(
-        "[ros2]\ndomain_id = {domain}\ninterfaces = ['127.0.0.1']\n\n[[pose]]\nname = \"raised\"\njoints_rad = {raised:?}\n"
+        "[ros2]\ndomain_id = {domain}\ninterfaces = ['127.0.0.1']\n\n[[pose]]\nname = \"raised\"\njoints_rad = {:?}\n",
+        &raised[..7]
     );
     std::fs::write(&file, &text).unwrap();
     let teach = |arguments: &[&str]| {
