@@ -6,10 +6,12 @@ use std::{env, fs};
 fn main() {
     let out = PathBuf::from(env::var_os("OUT_DIR").expect("cargo sets OUT_DIR"));
     let has = |feature| env::var_os(format!("CARGO_FEATURE_{feature}")).is_some();
-    let layout = match (has("XIAO"), has("BLE")) {
-        (true, _) => "src/boards/xiao.x",
-        (false, true) => "src/boards/nano33-s140.x",
-        (false, false) => "src/boards/nano33-bootloader.x",
+    let layout = match (has("XIAO"), has("BLE"), has("TROUBLE")) {
+        (true, true, _) => "src/boards/xiao.x",
+        (true, false, _) => "src/boards/xiao-trouble.x",
+        (false, true, _) => "src/boards/nano33-s140.x",
+        (false, false, true) => "src/boards/nano33-trouble.x",
+        (false, false, false) => "src/boards/nano33-bootloader.x",
     };
     fs::copy(layout, out.join("memory.x")).expect("the memory layout is readable");
     // The model trained on simulated wearers, as the board reads it (models/bundled).

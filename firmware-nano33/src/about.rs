@@ -12,7 +12,9 @@ static RESET: AtomicU8 = AtomicU8::new(0);
 /// Millivolts; 0 = unknown.
 static BATTERY: AtomicU16 = AtomicU16::new(0);
 
-const IMAGE: Image = if cfg!(feature = "xiao") {
+const IMAGE: Image = if cfg!(feature = "trouble") {
+    Image::Linked
+} else if cfg!(feature = "xiao") {
     Image::Uf2
 } else if cfg!(feature = "ble") {
     Image::S140

@@ -22,7 +22,7 @@ pub enum WayOut {
     /// The USB cable.
     Usb,
     /// Bluetooth.
-    #[cfg(feature = "ble")]
+    #[cfg(feature = "radio")]
     Ble,
 }
 
@@ -59,6 +59,12 @@ impl Outbox {
         self.frames.receive().await
     }
 
+    /// The next frame, for whoever has no `await`.
+    #[cfg(feature = "trouble")]
+    pub fn poll_next(&self, context: &mut core::task::Context<'_>) -> core::task::Poll<Frame> {
+        self.frames.poll_receive(context)
+    }
+
     fn put(&self, frame: &[u8]) {
         if !self.is_open() {
             return;
@@ -75,7 +81,7 @@ impl Outbox {
 
 static UART: Outbox = Outbox::new();
 static USB: Outbox = Outbox::new();
-#[cfg(feature = "ble")]
+#[cfg(feature = "radio")]
 static BLE: Outbox = Outbox::new();
 
 /// Frames that went because a transport was too slow.
@@ -89,7 +95,7 @@ impl WayOut {
         match self {
             WayOut::Uart => &UART,
             WayOut::Usb => &USB,
-            #[cfg(feature = "ble")]
+            #[cfg(feature = "radio")]
             WayOut::Ble => &BLE,
         }
     }
@@ -109,7 +115,7 @@ impl FrameOut for Everywhere {
     fn send(&mut self, frame: &[u8]) -> bool {
         UART.put(frame);
         USB.put(frame);
-        #[cfg(feature = "ble")]
+        #[cfg(feature = "radio")]
         BLE.put(frame);
         true
     }

@@ -8,18 +8,17 @@ mod about;
 mod awake;
 #[cfg(feature = "xiao")]
 mod battery;
-#[cfg(feature = "ble")]
-mod ble;
 mod board;
 mod boards;
-#[cfg(feature = "ble")]
-mod bonds;
 mod bus;
 mod classify;
 mod control;
+#[cfg(not(feature = "radio"))]
 mod flash;
 mod link;
 mod model;
+#[cfg(feature = "radio")]
+mod radio;
 mod sample;
 mod state;
 mod storage;
@@ -28,21 +27,32 @@ mod usb;
 mod vibrate;
 mod watch;
 
-#[cfg(all(feature = "ble", feature = "bootloader"))]
-compile_error!("choose one: `--features bootloader` goes with `--no-default-features`");
+#[cfg(any(
+    all(feature = "ble", feature = "bootloader"),
+    all(feature = "ble", feature = "trouble"),
+    all(feature = "trouble", feature = "bootloader"),
+))]
+compile_error!(
+    "choose one: `--features bootloader` and `--features trouble` go with `--no-default-features`"
+);
 #[cfg(all(feature = "xiao", feature = "bootloader"))]
-compile_error!("`xiao` goes with `ble`: S140 is on that board already");
-#[cfg(not(any(feature = "ble", feature = "bootloader")))]
-compile_error!("choose one: `ble` (default) or `--no-default-features --features bootloader`");
+compile_error!("`xiao` goes with `ble` or `trouble`");
+#[cfg(not(any(feature = "ble", feature = "trouble", feature = "bootloader")))]
+compile_error!(
+    "choose one: `ble` (default), or `--no-default-features` and `--features trouble` or `bootloader`"
+);
 
 use defmt_rtt as _;
 use embassy_nrf::interrupt::{self, InterruptExt, Priority};
 
-/// Logs are for the probe; the laptop hears of it at the next start.
+/// Logs are for the probe; the laptop hears of it at the next start. The image with Bluetooth linked in is for boards without a
+/// probe, and all those words would be a tenth of it.
 #[panic_handler]
 fn panic(info: &core::panic::PanicInfo<'_>) -> ! {
     cortex_m::interrupt::disable();
-    defmt::error!("{}", defmt::Display2Format(info));
+    if cfg!(not(feature = "trouble")) {
+        defmt::error!("{}", defmt::Display2Format(info));
+    }
     watch::restart_after_panic()
 }
 
@@ -52,14 +62,14 @@ fn main() -> ! {
     boards::begin();
     let mut config = embassy_nrf::config::Config::default();
     config.lfclk_source = embassy_nrf::config::LfclkSource::ExternalXtal;
-    // The SoftDevice owns the fast crystal; without it, USB needs the crystal on.
-    #[cfg(not(feature = "ble"))]
+    // The radio's stack owns the fast crystal; without it, USB needs the crystal on.
+    #[cfg(not(feature = "radio"))]
     {
         config.hfclk_source = embassy_nrf::config::HfclkSource::ExternalXtal;
     }
     // The converter instead of the linear regulator halves the current; its coil is on every board here.
     config.dcdc.reg1 = true;
-    // 0, 1 and 4 belong to the SoftDevice.
+    // 0, 1 and 4 belong to the SoftDevice, 0 and 4 to the linked-in controller.
     config.time_interrupt_priority = Priority::P2;
     config.gpiote_interrupt_priority = Priority::P7;
     let p = embassy_nrf::init(config);
@@ -94,20 +104,23 @@ fn main() -> ! {
     // SAFETY: taken once, here.
     let core = unsafe { cortex_m::Peripherals::steal() };
 
-    #[cfg(feature = "ble")]
+    #[cfg(feature = "radio")]
     {
-        let softdevice = ble::enable();
-        state::BOOT_ID.store(ble::random(softdevice), core::sync::atomic::Ordering::Relaxed);
-        let flash = flash::SoftDeviceFlash::new(softdevice);
+        #[cfg(feature = "ble")]
+        let mut radio = radio::Radio::start();
+        #[cfg(feature = "trouble")]
+        let mut radio = radio::Radio::start(parts.radio);
+        state::BOOT_ID.store(radio.random(), core::sync::atomic::Ordering::Relaxed);
+        let flash = radio.flash();
         awake::run(core.DCB, core.DWT, |spawner| {
             let store = model::install(flash);
             watch::report_last_run(reasons);
             spawn_common(spawner);
-            spawner.spawn(ble::run_control(store).expect("spawned once"));
-            ble::spawn(spawner, softdevice, parts.usbd);
+            spawner.spawn(run_control(store).expect("spawned once"));
+            radio.spawn(spawner, parts.usbd);
         })
     }
-    #[cfg(not(feature = "ble"))]
+    #[cfg(not(feature = "radio"))]
     {
         use embassy_nrf::usb::vbus_detect::{self, HardwareVbusDetect};
         embassy_nrf::bind_interrupts!(struct Irqs {
@@ -121,10 +134,6 @@ fn main() -> ! {
         ) {
             usb::run(usbd, vbus).await
         }
-        #[embassy_executor::task]
-        async fn run_control(store: shared_board::models::ModelStore<storage::Slots<flash::Controller>>) {
-            control::run(store).await
-        }
 
         let mut rng = embassy_nrf::rng::Rng::new_blocking(parts.random);
         state::BOOT_ID.store(rng.blocking_next_u32(), core::sync::atomic::Ordering::Relaxed);
@@ -137,4 +146,15 @@ fn main() -> ! {
             spawner.spawn(run_usb(parts.usbd, HardwareVbusDetect::new(Irqs)).expect("spawned once"));
         })
     }
+}
+
+#[cfg(feature = "radio")]
+type BoardFlash = radio::RadioFlash;
+#[cfg(not(feature = "radio"))]
+type BoardFlash = flash::Controller;
+
+/// Answers the laptop.
+#[embassy_executor::task]
+async fn run_control(store: shared_board::models::ModelStore<storage::Slots<BoardFlash>>) {
+    control::run(store).await
 }

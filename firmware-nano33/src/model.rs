@@ -12,7 +12,7 @@ use shared_proto::message::{FaultKind, Sensor};
 
 use crate::board::{self, Board, RUNS};
 use crate::sample::SAMPLE_HZ;
-use crate::storage::{self, Flash, Slots};
+use crate::storage::{self, Flash, Region, Slots};
 use crate::{boards, state};
 
 /// At a multiple of 4 bytes the network runs about three times as fast.
@@ -23,7 +23,7 @@ static BUNDLED: &Aligned<[u8]> = &Aligned(*include_bytes!(concat!(env!("OUT_DIR"
 
 /// Installs the board with the model to run, and gives the store for the next one.
 pub fn install<F: Flash>(flash: F) -> ModelStore<Slots<F>> {
-    let (store, found) = ModelStore::open(Slots(flash), RUNS);
+    let (store, found) = ModelStore::open(Region(flash), RUNS);
     let blob = found.model.map_or(&BUNDLED.0, storage::blob);
     // The store has parsed a stored one; the bundled one is checked by build.rs.
     let hand =

@@ -11,6 +11,12 @@ pub const SLOTS_START: u32 = 0x000D_8000;
 /// The page before them holds the keys of the laptop that bonded last.
 #[cfg(feature = "ble")]
 pub const BOND_PAGE: u32 = SLOTS_START - PAGE_BYTES;
+/// The two pages before them hold the log of bonds.
+#[cfg(feature = "trouble")]
+pub const BONDS_START: u32 = SLOTS_START - BONDS_BYTES as u32;
+/// Bytes of that log.
+#[cfg(feature = "trouble")]
+pub const BONDS_BYTES: usize = shared_board::bonds::PAGES * PAGE_BYTES as usize;
 /// Bytes per erasable page.
 pub const PAGE_BYTES: u32 = 0x1000;
 /// Words that one call of [`Flash::write`] gets at most.
@@ -34,14 +40,17 @@ pub trait Flash {
     async fn write(&mut self, address: u32, words: &[u32]) -> Result<(), FlashFailed>;
 }
 
-/// The two slots of a controller's flash.
-pub struct Slots<F>(pub F);
+/// A part of a controller's flash.
+pub struct Region<F, const START: u32, const BYTES: usize>(pub F);
 
-impl<F> ErrorType for Slots<F> {
+/// The two slots of models.
+pub type Slots<F> = Region<F, SLOTS_START, STORE_BYTES>;
+
+impl<F, const START: u32, const BYTES: usize> ErrorType for Region<F, START, BYTES> {
     type Error = FlashFailed;
 }
 
-impl<F: Flash> ReadNorFlash for Slots<F> {
+impl<F: Flash, const START: u32, const BYTES: usize> ReadNorFlash for Region<F, START, BYTES> {
     const READ_SIZE: usize = 1;
 
     async fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), FlashFailed> {
@@ -52,23 +61,23 @@ impl<F: Flash> ReadNorFlash for Slots<F> {
     }
 
     fn capacity(&self) -> usize {
-        STORE_BYTES
+        BYTES
     }
 }
 
-impl<F: Flash> NorFlash for Slots<F> {
+impl<F: Flash, const START: u32, const BYTES: usize> NorFlash for Region<F, START, BYTES> {
     const WRITE_SIZE: usize = 4;
     const ERASE_SIZE: usize = PAGE_BYTES as usize;
 
     async fn erase(&mut self, from: u32, to: u32) -> Result<(), FlashFailed> {
         for page in (from..to).step_by(PAGE_BYTES as usize) {
-            self.0.erase_page(SLOTS_START + page).await?;
+            self.0.erase_page(START + page).await?;
         }
         Ok(())
     }
 
     async fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), FlashFailed> {
-        let mut at = SLOTS_START + offset;
+        let mut at = START + offset;
         for piece in bytes.chunks(4 * WORDS_AT_ONCE) {
             let mut words = [u32::MAX; WORDS_AT_ONCE];
             let mut used = 0;
@@ -83,9 +92,9 @@ impl<F: Flash> NorFlash for Slots<F> {
     }
 }
 
-impl<F: Flash> MappedFlash for Slots<F> {
+impl<F: Flash, const START: u32, const BYTES: usize> MappedFlash for Region<F, START, BYTES> {
     fn mapped(&self) -> &[u8] {
-        stored(0, STORE_BYTES)
+        mapped(START, BYTES)
     }
 }
 
@@ -95,8 +104,11 @@ pub fn blob(place: StoredModel) -> &'static [u8] {
 }
 
 fn stored(offset: usize, len: usize) -> &'static [u8] {
-    let len = len.min(STORE_BYTES.saturating_sub(offset));
+    mapped(SLOTS_START + offset as u32, len.min(STORE_BYTES.saturating_sub(offset)))
+}
+
+fn mapped(start: u32, len: usize) -> &'static [u8] {
     // SAFETY: memory-mapped flash that the linker gives to nobody. It changes only through `Flash`. A `ModelStore`
-    // keeps no reference while it writes, and never writes to the slot whose model runs.
-    unsafe { core::slice::from_raw_parts((SLOTS_START as usize + offset) as *const u8, len) }
+    // keeps no reference while it writes, and never writes to the slot whose model runs; nor does a `BondLog`.
+    unsafe { core::slice::from_raw_parts(start as *const u8, len) }
 }

@@ -34,20 +34,20 @@ static RX: ConstStaticCell<[u8; 256]> = ConstStaticCell::new([0; 256]);
 static TX: ConstStaticCell<[u8; 256]> = ConstStaticCell::new([0; 256]);
 
 /// Sends and receives for ever.
-#[cfg(not(feature = "ble"))]
+#[cfg(not(feature = "radio"))]
 #[embassy_executor::task]
 pub async fn run(mut parts: Parts) -> ! {
     serve(&mut parts, RX.take(), TX.take()).await
 }
 
 /// Sends and receives while the USB cable is in.
-#[cfg(feature = "ble")]
+#[cfg(feature = "radio")]
 #[embassy_executor::task]
 pub async fn run(mut parts: Parts) -> ! {
     let (rx, tx) = (RX.take(), TX.take());
     loop {
-        crate::ble::cable(true).await;
-        embassy_futures::select::select(serve(&mut parts, rx, tx), crate::ble::cable(false)).await;
+        crate::radio::cable(true).await;
+        embassy_futures::select::select(serve(&mut parts, rx, tx), crate::radio::cable(false)).await;
         WayOut::Uart.outbox().set_open(false);
     }
 }

@@ -52,6 +52,7 @@
 #[cfg(any(test, feature = "host"))]
 extern crate std;
 
+pub mod bonds;
 pub mod calibration_store;
 pub mod faults;
 pub mod guard;

@@ -32,7 +32,7 @@ pub use table::{BoardBody, Boards, Row};
 /// Raised when a message is reshaped; both sides must have the same one.
 pub const PROTOCOL_MAJOR: u8 = 1;
 /// Raised when a message is added; the older side ignores what it does not know.
-pub const PROTOCOL_MINOR: u8 = 3;
+pub const PROTOCOL_MINOR: u8 = 4;
 
 board_messages! {
     /// What a board sends to the laptop.

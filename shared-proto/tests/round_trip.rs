@@ -162,7 +162,7 @@ fn the_largest_message_of_each_kind_has_the_stated_size() {
     }
 }
 
-/// In protocol 1.3. Boards with little memory reserve them.
+/// In protocol 1.4. Boards with little memory reserve them.
 #[test]
 fn buffers_are_as_large_as_the_largest_frame_that_they_may_hold() {
     let sizes = [BOARD_FRAME_MAX, LEFT_BOARD_FRAME_MAX, HOST_FRAME_MAX, HOST_TO_LEFT_FRAME_MAX];

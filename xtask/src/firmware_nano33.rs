@@ -8,10 +8,10 @@ use anyhow::{Context, Result, bail};
 
 use crate::steps::{output, sh};
 use crate::toolchain::{Target, cargo};
-use crate::{root, target_dir, uf2};
+use crate::{is_full, root, target_dir, tools, uf2};
 
 /// A variant's name, and what cargo needs to build it.
-const VARIANTS: [(&str, &[&str], &str); 3] = [
+const VARIANTS: [(&str, &[&str], &str); 5] = [
     ("ble", &[], "Nano 33 BLE Sense and Rev2, behind S140 at 0x27000 (needs an SWD probe)"),
     (
         "bootloader",
@@ -23,9 +23,22 @@ const VARIANTS: [(&str, &[&str], &str); 3] = [
         &["--features", "xiao"],
         "XIAO nRF52840 Sense, behind the S140 that it is sold with, by drag and drop",
     ),
+    (
+        "trouble",
+        &["--no-default-features", "--features", "trouble"],
+        "Nano 33 BLE Sense and Rev2, behind the stock Arduino bootloader at 0x10000, with Bluetooth linked in",
+    ),
+    (
+        XIAO_TROUBLE,
+        &["--no-default-features", "--features", "trouble,xiao"],
+        "XIAO nRF52840 Sense, with Bluetooth linked in, by drag and drop",
+    ),
 ];
 
-/// Where the XIAO's image starts, behind S140.
+/// The variant that differs from another one in its board only: the tests look at that one.
+const XIAO_TROUBLE: &str = "xiao-trouble";
+
+/// Where a XIAO's image starts, behind S140.
 const XIAO_ORIGIN: u32 = 0x27000;
 
 /// Parts of the image and the words in the names of their symbols; the first match wins.
@@ -41,7 +54,29 @@ const PARTS: [(&str, &[&str]); 6] = [
     ),
     ("features", &["10shared_dsp"]),
     ("driver", &["nano33_sensor", "4twim", "6sample", "3bus"]),
-    ("bluetooth", &["14nrf_softdevice", "nrf_softdevice", "6nano333ble", "3ble"]),
+    (
+        "bluetooth",
+        &[
+            "14nrf_softdevice",
+            "nrf_softdevice",
+            "5radio",
+            "12nano33_radio",
+            "12trouble_host",
+            "7nrf_sdc",
+            "8nrf_mpsl",
+            "6bt_hci",
+            // Nordic's own names, hidden or not, and the cryptography.
+            "sym_",
+            "sdc_",
+            "mpsl_",
+            "MPSL_",
+            "P256",
+            "p256",
+            "3aes",
+            "4cmac",
+            "rand_chacha",
+        ],
+    ),
     ("usb", &["11embassy_usb", "3usb", "usbd"]),
     ("rest", &[""]),
 ];
@@ -51,23 +86,25 @@ const PARTS: [(&str, &[&str]); 6] = [
 /// # Errors
 /// If a variant does not build, or there is none of that name.
 pub fn run(args: &[&str]) -> Result<()> {
+    let is_xiao = |name: &str| name.starts_with("xiao");
     let chosen = |name: &str| match args {
         [] => true,
-        ["--board", "nano33"] => name != "xiao",
-        ["--board", board] => name == *board && name == "xiao",
+        ["--board", "nano33"] => !is_xiao(name),
+        ["--board", "xiao"] => is_xiao(name),
         [only] => name == *only,
         _ => false,
     };
     if !VARIANTS.iter().any(|(name, ..)| chosen(name)) {
+        let names = VARIANTS.map(|(name, ..)| name).join(", ");
         bail!(
-            "`cargo xtask firmware nano33` takes ble, bootloader or xiao, or --board nano33 or xiao, not `{}`",
+            "`cargo xtask firmware nano33` takes one of {names}, or --board nano33 or xiao, not `{}`",
             args.join(" ")
         );
     }
     for (name, options, what) in VARIANTS.into_iter().filter(|(name, ..)| chosen(name)) {
         let image = build(name, options)?;
         println!("\n{name}: {what}\n  {}", image.display());
-        if name == "xiao" {
+        if is_xiao(name) {
             println!("  {}", make_uf2(&image)?.display());
         }
         report(&image)?;
@@ -76,9 +113,31 @@ pub fn run(args: &[&str]) -> Result<()> {
     Ok(())
 }
 
+/// The variants that the tests run, which is all but one; with `--full` that one, too.
+///
+/// # Errors
+/// As [`run`].
+pub fn run_for_tests() -> Result<()> {
+    if is_full() {
+        return run(&[]);
+    }
+    VARIANTS.iter().filter(|(name, ..)| *name != XIAO_TROUBLE).try_for_each(|(name, ..)| run(&[name]))
+}
+
+/// A cargo for the images. Those with Bluetooth linked in contain a little C and bindings that are made from Nordic's headers, and
+/// all that is generic in them is built for size.
+fn cargo_for(options: &[&str], subcommand: &str) -> Result<Command> {
+    let mut command = cargo(Target::Thumb, subcommand)?;
+    if options.iter().any(|option| option.contains("trouble")) {
+        tools::ensure_where_known(&tools::C_FOR_BOARDS)?;
+        command.args(["--config", "profile.release.package.firmware-nano33.opt-level='z'"]);
+    }
+    Ok(command)
+}
+
 fn build(name: &str, options: &[&str]) -> Result<PathBuf> {
     let target = target_dir();
-    let mut command = cargo(Target::Thumb, "build")?;
+    let mut command = cargo_for(options, "build")?;
     command
         .args(["--release", "--locked"])
         .args(options)
@@ -109,7 +168,7 @@ pub fn test_drivers() -> Result<()> {
 pub fn check() -> Result<()> {
     let folder = root().join("firmware-nano33");
     for (_, options, _) in VARIANTS {
-        let mut clippy = cargo(Target::Thumb, "clippy")?;
+        let mut clippy = cargo_for(options, "clippy")?;
         clippy.args(["--release", "--locked", "--workspace"]).args(options).args(["--", "-D", "warnings"]);
         sh(clippy.current_dir(&folder).env("CARGO_TARGET_DIR", target_dir()))?;
     }

@@ -33,7 +33,7 @@ usage: cargo xtask VERB
                                 the faults whose name contains WORD
   firmware avr [--baud N] [--no-stack]
                                 the left hand's image: size, stack, how to flash it
-  firmware nano33 [ble|bootloader]
+  firmware nano33 [ble|bootloader|xiao|trouble|xiao-trouble]
                                 the right hand's images: flash and RAM per part
   paper [--quick] [--out FILE] [--html FILE]
                                 the paper's tables beside what is measured here, in under 30 minutes; --html one page

@@ -58,7 +58,7 @@ const MOVED: [(&str, &str); 2] = [
     ("xtask/package/60-bimanual.rules", "udev/60-bimanual.rules"),
 ];
 /// What is in the archive, as cargo names it, and what it runs on.
-const PARTS: [(&[&str], &str); 4] = [
+const PARTS: [(&[&str], &str); 5] = [
     (&["-p", "host-bridge", "-p", "models", "--all-features"], "x86_64-unknown-linux-gnu"),
     (&["--manifest-path", "firmware-nano-avr/Cargo.toml"], "avr-none"),
     (
@@ -71,12 +71,36 @@ const PARTS: [(&[&str], &str); 4] = [
         ],
         "thumbv7em-none-eabihf",
     ),
-    // Both images with Bluetooth.
+    // Both images for S140.
     (&["--manifest-path", "firmware-nano33/Cargo.toml", "--features", "xiao"], "thumbv7em-none-eabihf"),
+    // Both images with Bluetooth linked in.
+    (
+        &[
+            "--manifest-path",
+            "firmware-nano33/Cargo.toml",
+            "--no-default-features",
+            "--features",
+            "trouble,xiao",
+        ],
+        "thumbv7em-none-eabihf",
+    ),
 ];
 /// Crates whose licence is a file of their own. We have read them: an archive that carries the file may contain the crate. Nordic's five clauses let
-/// its interface of the S140 be passed on in images for Nordic's chips.
-const LICENCE_FILES: [(&str, &str); 1] = [("nrf-softdevice-s140", "Nordic's five clauses")];
+/// its interface of the S140, and its controller, be passed on in images for Nordic's chips.
+const LICENCE_FILES: [(&str, &str); 3] = [
+    ("nrf-softdevice-s140", "Nordic's five clauses"),
+    ("nrf-sdc-sys", "Nordic's five clauses"),
+    ("nrf-mpsl-sys", "Nordic's five clauses"),
+];
+/// Texts that crates keep below their own folder.
+const DEEPER_TEXTS: [&str; 6] = [
+    "P256-Cortex-M4/LICENSE.txt",
+    "third_party/nordic/nrfxlib/LICENSE",
+    "third_party/nordic/nrfxlib/mpsl/LICENSE-ATTRIBUTION.txt",
+    "third_party/nordic/nrfxlib/mpsl/license.txt",
+    "third_party/nordic/nrfxlib/softdevice_controller/license.txt",
+    "third_party/nordic/nrfx/LICENSE",
+];
 /// What a part contains that its own crate does not declare.
 const MORE_NOTICES: [&str; 1] = ["firmware-nano33/sensor/NOTICE-Bosch.txt"];
 const PROGRAMS: [&str; 2] = ["host-bridge", "models"];
@@ -132,13 +156,19 @@ fn images(folder: &Path) -> Result<()> {
     firmware_avr::run(&["--no-stack"])?;
     copy(&firmware_avr::image().with_extension("hex"), &folder.join("nano.hex"))?;
     firmware_nano33::run(&[])?;
-    for (variant, format, name) in
-        [("bootloader", "binary", "nano33-bootloader.bin"), ("ble", "ihex", "nano33-s140.hex")]
-    {
+    for (variant, format, name) in [
+        ("bootloader", "binary", "nano33-bootloader.bin"),
+        ("ble", "ihex", "nano33-s140.hex"),
+        ("trouble", "binary", "nano33-trouble.bin"),
+    ] {
         let mut objcopy = Command::new(firmware_nano33::tool("objcopy"));
         sh(objcopy.args(["-O", format]).arg(firmware_nano33::image(variant)).arg(folder.join(name)))?;
     }
-    copy(&firmware_nano33::image("xiao").with_extension("uf2"), &folder.join("xiao.uf2"))
+    for name in ["xiao", "xiao-trouble"] {
+        let file = firmware_nano33::image(name).with_extension("uf2");
+        copy(&file, &folder.join(name).with_extension("uf2"))?;
+    }
+    Ok(())
 }
 
 fn copy(from: &Path, to: &PathBuf) -> Result<()> {
@@ -188,14 +218,18 @@ fn notices(parts: &[Part<'_>]) -> Result<String> {
         let folder = sources.iter().map(|registry| registry.join(&folder)).find(|folder| folder.is_dir());
         let folder = folder.with_context(|| format!("the sources of {part} are not there"))?;
         list += &format!("{part}: {licence}\n");
+        let mut files: Vec<PathBuf> = DEEPER_TEXTS.iter().map(|file| folder.join(file)).collect();
         for file in fs::read_dir(folder)? {
             let file = file?;
             let name = file.file_name().to_string_lossy().to_uppercase();
             let tells = ["LICENSE", "LICENCE", "COPYING", "COPYRIGHT", "NOTICE", "UNLICENSE"];
-            if file.file_type()?.is_file() && tells.iter().any(|word| name.starts_with(word)) {
-                let text = String::from_utf8_lossy(&fs::read(file.path())?).trim_end().to_owned();
-                texts.entry(text).or_default().push(part);
+            if tells.iter().any(|word| name.starts_with(word)) {
+                files.push(file.path());
             }
+        }
+        for file in files.into_iter().filter(|file| file.is_file()) {
+            let text = String::from_utf8_lossy(&fs::read(file)?).trim_end().to_owned();
+            texts.entry(text).or_default().push(part);
         }
     }
     let mut all = format!("Programs and images are built from these crates:\n\n{list}");
@@ -291,7 +325,12 @@ mod tests {
             parts(tree).unwrap(),
             [("a v1.0.0", "MIT/Apache-2.0"), ("b v2.0.0", "MIT OR GPL-3.0-only")]
         );
-        assert_eq!(parts("nrf-softdevice-s140 v0.1.2: \n").unwrap().len(), 1);
+        assert_eq!(
+            parts("nrf-softdevice-s140 v0.1.2: \nnrf-sdc-sys v0.3.0: \nnrf-mpsl-sys v0.3.0: \n")
+                .unwrap()
+                .len(),
+            3
+        );
         for tree in
             ["c v1.0.0: GPL-2.0-only\n", "c v1.0.0: LGPL-2.1 OR GPL-3.0\n", "c v1.0.0:\n", "c v1.0.0: \n"]
         {

@@ -113,6 +113,7 @@ fn run_groups() -> Result<ExitCode> {
         announce("NANO33_ELF", &firmware_nano33::image("bootloader"));
         announce("NANO33_BLE_ELF", &firmware_nano33::image("ble"));
         announce("XIAO_ELF", &firmware_nano33::image("xiao"));
+        announce("NANO33_TROUBLE_ELF", &firmware_nano33::image("trouble"));
     }
     let tests = Beside::start(&program, TESTS, 19)?;
     let others = Beside::start(&program, OTHERS, 19)?;
@@ -324,7 +325,7 @@ fn images() -> Vec<Step> {
     vec![
         // The stack is measured, and held to its limit, by the tests.
         Step::new("left hand: image and size", || firmware_avr::run(&["--no-stack"])),
-        Step::new("right hand: images and size", || firmware_nano33::run(&[])),
+        Step::new("right hand: images and size", firmware_nano33::run_for_tests),
         Step::new("tests of the sensors' drivers", firmware_nano33::test_drivers),
         Step::new("clippy of the left hand's image", firmware_avr::check),
         Step::new("laptop and Cortex-M4F agree on all bits", || {

@@ -46,6 +46,10 @@ pub const EMULATORS: Packages = Packages {
     ],
 };
 
+/// What the boards' images with Bluetooth linked in want beside Rust.
+pub const C_FOR_BOARDS: Packages =
+    Packages { purpose: "Bluetooth linked into the boards' images", names: &["libclang-dev", "clang"] };
+
 /// Networks of a test's own, with losses in them.
 pub const NETWORK: Packages =
     Packages { purpose: "networks with losses", names: &["iproute2", "iptables", "util-linux"] };
@@ -95,6 +99,15 @@ pub fn ensure(wanted: &[&Packages]) -> Result<()> {
     let mut args = vec!["install", "-y", "-qq", "--no-install-recommends"];
     args.extend(missing);
     apt_get(&args)
+}
+
+/// The same where Debian's packages are known. Elsewhere the tools may be there under any name, and the build says what it misses.
+///
+/// # Errors
+/// As [`ensure`].
+pub fn ensure_where_known(wanted: &Packages) -> Result<()> {
+    let known = Command::new("dpkg-query").arg("--version").output().is_ok_and(|o| o.status.success());
+    if known { ensure(&[wanted]) } else { Ok(()) }
 }
 
 fn apt_get(args: &[&str]) -> Result<()> {

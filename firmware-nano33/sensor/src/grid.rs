@@ -91,12 +91,12 @@ impl Grid {
             return;
         }
         let age_us = self.age_us + elapsed_us - sets * self.period_us;
-        self.age_us = age_us.clamp(0.0, self.period_us);
+        self.age_us = between(age_us, 0.0, self.period_us);
         // An age below its bound means that sets come faster than estimated.
         let error_us = age_us - self.age_us;
         let gain = if self.polls < 200 { 1.0 / 32.0 } else { 1.0 / 256.0 };
         self.period_us =
-            (self.period_us + error_us * gain).clamp(self.nominal_us * 0.9, self.nominal_us * 1.1);
+            between(self.period_us + error_us * gain, self.nominal_us * 0.9, self.nominal_us * 1.1);
     }
 
     /// The sample for this grid time, or nothing if the sets around it are not known.
@@ -120,6 +120,17 @@ impl Grid {
             *s = (i32::from(*s) + (step >> 14)) as i16;
         }
         Some(sample)
+    }
+}
+
+/// `clamp`, without its complaint about bounds in the wrong order: that alone brings 15 kB of text about floats into an image.
+fn between(value: f32, low: f32, high: f32) -> f32 {
+    if value < low {
+        low
+    } else if value > high {
+        high
+    } else {
+        value
     }
 }
 

@@ -46,13 +46,51 @@ pub struct Parts {
     pub watchdog: Peri<'static, WDT>,
     /// USB.
     pub usbd: Peri<'static, USBD>,
-    /// The flash controller; S140's otherwise.
-    #[cfg(not(feature = "ble"))]
+    /// The flash controller; the radio's otherwise.
+    #[cfg(not(feature = "radio"))]
     pub flash: Peri<'static, embassy_nrf::peripherals::NVMC>,
-    /// Random numbers; S140's otherwise.
-    #[cfg(not(feature = "ble"))]
+    /// Random numbers; the radio's otherwise.
+    #[cfg(not(feature = "radio"))]
     pub random: Peri<'static, embassy_nrf::peripherals::RNG>,
+    /// What the linked-in radio takes.
+    #[cfg(feature = "trouble")]
+    pub radio: nano33_radio::trouble::Parts,
 }
+
+/// What the linked-in radio takes of the chip: the same on each board.
+#[cfg(feature = "trouble")]
+macro_rules! radio_parts {
+    ($p:ident) => {
+        nano33_radio::trouble::Parts {
+            timing: nano33_radio::trouble::Timing::new(
+                $p.RTC0,
+                $p.TIMER0,
+                $p.TEMP,
+                $p.PPI_CH19,
+                $p.PPI_CH30,
+                $p.PPI_CH31,
+            ),
+            controller: nano33_radio::trouble::Wiring::new(
+                $p.PPI_CH17,
+                $p.PPI_CH18,
+                $p.PPI_CH20,
+                $p.PPI_CH21,
+                $p.PPI_CH22,
+                $p.PPI_CH23,
+                $p.PPI_CH24,
+                $p.PPI_CH25,
+                $p.PPI_CH26,
+                $p.PPI_CH27,
+                $p.PPI_CH28,
+                $p.PPI_CH29,
+            ),
+            flash: $p.NVMC,
+            random: $p.RNG,
+        }
+    };
+}
+#[cfg(feature = "trouble")]
+use radio_parts;
 
 /// A light that is off; low is on.
 fn off(pin: Peri<'static, AnyPin>) -> Output<'static> {

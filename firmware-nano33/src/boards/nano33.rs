@@ -47,10 +47,12 @@ pub fn parts(p: Peripherals) -> Parts {
         vibration: vibrate::Parts { pwm: p.PWM1, pin: p.P1_11.into() },
         watchdog: p.WDT,
         usbd: p.USBD,
-        #[cfg(not(feature = "ble"))]
+        #[cfg(not(feature = "radio"))]
         flash: p.NVMC,
-        #[cfg(not(feature = "ble"))]
+        #[cfg(not(feature = "radio"))]
         random: p.RNG,
+        #[cfg(feature = "trouble")]
+        radio: super::radio_parts!(p),
     }
 }
 
@@ -84,7 +86,7 @@ pub fn begin() {
 ///
 /// It never feeds a watchdog, and a soft reset does not stop one: an upload of 6 s would end after 2. So the watchdog
 /// itself does the reset, which stops it, and the bootloader's own mark of a double press says that it shall stay.
-#[cfg(feature = "bootloader")]
+#[cfg(not(feature = "ble"))]
 pub fn enter_bootloader() -> ! {
     const DOUBLE_PRESS: *mut u32 = 0x2000_7FFC as _;
     const DOUBLE_PRESSED: u32 = 0x0773_8135;

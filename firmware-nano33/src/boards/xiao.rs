@@ -57,6 +57,8 @@ pub fn parts(p: Peripherals) -> Parts {
         },
         watchdog: p.WDT,
         usbd: p.USBD,
+        #[cfg(feature = "trouble")]
+        radio: super::radio_parts!(p),
     }
 }
 
@@ -65,11 +67,14 @@ pub fn begin() {}
 
 /// Restarts into the UF2 bootloader, which shows itself as a drive and feeds a watchdog that runs.
 pub fn enter_bootloader() -> ! {
-    const UF2: u32 = 0x57;
+    const UF2: u8 = 0x57;
     // SAFETY: plain calls of the enabled SoftDevice, which owns the register.
+    #[cfg(feature = "ble")]
     unsafe {
         nrf_softdevice::raw::sd_power_gpregret_clr(0, 0xFF);
-        nrf_softdevice::raw::sd_power_gpregret_set(0, UF2);
+        nrf_softdevice::raw::sd_power_gpregret_set(0, UF2.into());
     }
+    #[cfg(not(feature = "ble"))]
+    embassy_nrf::pac::POWER.gpregret().write(|w| w.set_gpregret(UF2));
     cortex_m::peripheral::SCB::sys_reset()
 }

@@ -268,6 +268,7 @@ fn made_of(board: Board, about: &About) -> String {
         Image::Bootloader => "behind the Arduino bootloader, without Bluetooth".to_owned(),
         Image::S140 => "behind S140".to_owned(),
         Image::Uf2 => "behind S140 and the UF2 bootloader".to_owned(),
+        Image::Linked => "behind the board's own bootloader, with Bluetooth in it".to_owned(),
         Image::Unknown(number) => format!("of a kind that is not known here ({number})"),
     };
     let reset = match about.reset {
@@ -343,6 +344,12 @@ mod tests {
                 about(Sensor::Lsm6ds3, 6, Image::Uf2, ResetCause::Pin, 3712),
                 "sensor LSM6DS3TR-C, 6 axes; image behind S140 and the UF2 bootloader; started by the reset button; \
                  battery 3.71 V",
+            ),
+            (
+                Board::RightNano33Rev2,
+                about(Sensor::Bmi270, 6, Image::Linked, ResetCause::PowerUp, 0),
+                "Rev2, sensor BMI270, 6 axes; image behind the board's own bootloader, with Bluetooth in it; started by \
+                 power-up; battery unknown",
             ),
             (
                 Board::RightNano33,

@@ -103,6 +103,8 @@ open_list! {
         S140 = 1,
         /// S140 and a UF2 bootloader, as the XIAO is sold.
         Uf2 = 2,
+        /// The board's own bootloader, with Bluetooth in the image.
+        Linked = 3,
     }
 }
 

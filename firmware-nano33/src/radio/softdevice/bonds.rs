@@ -8,17 +8,16 @@ use core::cell::Cell;
 
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_sync::signal::Signal;
-use embassy_time::{Duration, Instant};
+use embassy_time::Instant;
 use nrf_softdevice::ble::gatt_server::{get_sys_attrs, set_sys_attrs};
 use nrf_softdevice::ble::security::SecurityHandler;
 use nrf_softdevice::ble::{Connection, EncryptionInfo, IdentityKey, MasterId, SecurityMode};
 
-use crate::flash::SoftDeviceFlash;
+use nano33_radio::PAIRING;
+
+use super::flash::SoftDeviceFlash;
 use crate::link::WayOut;
 use crate::storage::{BOND_PAGE, Flash, PAGE_BYTES};
-
-/// After a start another laptop may take the bonded one's place for this long.
-const PAIRING: Duration = Duration::from_secs(120);
 
 /// Whether the laptop listens, and the same in S140's own form. A bonded laptop may rely on it after an absence.
 #[derive(Clone, Copy, PartialEq, Eq)]

@@ -1,14 +1,9 @@
-//! Bluetooth through the SoftDevice S140 7.x: one own service, notify out, write in.
+//! Bluetooth through the SoftDevice S140 7.x, which lies below the image.
 //!
-//! | | UUID |
-//! |---|---|
-//! | service | `b1a40001-6d61-4e75-a1b2-5c3d9e7f0a33` |
-//! | frames to the laptop (notify) | `b1a40002-…` |
-//! | frames to the board (write, write without response; needs an encrypted, bonded link) | `b1a40003-…` |
-//!
-//! Frames are a byte stream in both directions, cut wherever the MTU says. States may be read by any
-//! laptop; who may write is said in `bonds.rs`. These two files and `flash.rs` are the only ones that know
-//! nrf-softdevice.
+//! States may be read by any laptop; who may write is said in `bonds.rs`. Only this folder knows nrf-softdevice.
+
+mod bonds;
+mod flash;
 
 use core::sync::atomic::{AtomicU32, Ordering};
 
@@ -26,40 +21,22 @@ use nrf_softdevice::ble::advertisement_builder::{Flag, LegacyAdvertisementBuilde
 use nrf_softdevice::ble::gatt_server::NotifyValueError;
 use nrf_softdevice::ble::{Connection, SecurityMode, gatt_server, peripheral};
 use nrf_softdevice::{SocEvent, Softdevice, raw};
-use shared_board::models::ModelStore;
 use shared_proto::frame::DELIMITER;
 use static_cell::StaticCell;
 
-use crate::bonds::{Bonder, save_bonds};
-use crate::control;
-use crate::flash::SoftDeviceFlash;
+use self::bonds::{Bonder, save_bonds};
+pub use self::flash::SoftDeviceFlash as RadioFlash;
 use crate::link::{Inlet, WayOut};
-use crate::storage::Slots;
+use nano33_radio::{
+    ADVERTISING, ANSWER, INTERVALS, LATENCY, NAME, PAYLOAD, SERVICE_UUID, STRANGER, SUPERVISION,
+};
 
-/// Bytes of one notification or write: the largest MTU less three of header.
-const PAYLOAD: usize = 244;
 /// Notifications that the SoftDevice queues. A state every 80 ms needs one; raw batches and answers more.
 const QUEUE: u8 = 8;
-/// Connection intervals in 1.25 ms that are asked for in turn: 7.5 to 15 ms, and 15 ms for systems that refuse less.
-const INTERVALS: [(u16, u16); 2] = [(6, 12), (12, 12)];
-/// A laptop answers a request for an interval within this long.
-const ANSWER: Duration = Duration::from_secs(5);
-/// Connection events that the board may sleep through while it has nothing to say: what it has to say leaves
-/// within one interval all the same, a laptop's frame arrives within five, and the radio is off in between.
-const LATENCY: u16 = 4;
-/// A link that is silent for this long (10 ms) is gone.
-const SUPERVISION: u16 = 200;
-/// Advertising interval in 0.625 ms: 30 ms.
-const ADVERTISING: u32 = 48;
 /// A laptop that has written nothing for this long is asked for its interval again. S140 wants an authenticated packet each 480 s
 /// and, where a laptop cannot be asked by its radio (LE Ping), raises an event at which nrf-softdevice panics; the answer
 /// to a request is such a packet.
 const QUIET: Duration = Duration::from_secs(120);
-/// A laptop that is not bonded by then is disconnected, since it holds the board's only link.
-const STRANGER: Duration = Duration::from_secs(10);
-const NAME: &str = "bimanual-right";
-/// The service's UUID, little-endian as in an advertisement.
-const SERVICE_UUID: [u8; 16] = 0xb1a4_0001_6d61_4e75_a1b2_5c3d_9e7f_0a33_u128.to_le_bytes();
 
 type Payload = heapless08::Vec<u8, PAYLOAD>;
 
@@ -81,8 +58,38 @@ struct Server {
     hand: HandService,
 }
 
-/// Starts the SoftDevice. `embassy_nrf::init` has run, since it writes registers that are S140's from here on.
-pub fn enable() -> &'static mut Softdevice {
+/// The enabled SoftDevice.
+pub struct Radio(&'static mut Softdevice);
+
+impl Radio {
+    /// Starts the SoftDevice. `embassy_nrf::init` has run, since it writes registers that are S140's from here on.
+    pub fn start() -> Self {
+        Self(enable())
+    }
+
+    /// A random number from S140's pool, 0 if it is still empty.
+    pub fn random(&mut self) -> u32 {
+        let mut bytes = [0; 4];
+        for _ in 0..100_000 {
+            if nrf_softdevice::random_bytes(self.0, &mut bytes).is_ok() {
+                break;
+            }
+        }
+        u32::from_le_bytes(bytes)
+    }
+
+    /// Its calls for writing to flash.
+    pub fn flash(&mut self) -> RadioFlash {
+        RadioFlash::new(self.0)
+    }
+
+    /// Starts what needs the SoftDevice.
+    pub fn spawn(self, spawner: Spawner, usbd: Peri<'static, USBD>) {
+        spawn(spawner, self.0, usbd);
+    }
+}
+
+fn enable() -> &'static mut Softdevice {
     let config = nrf_softdevice::Config {
         // The same clock as embassy-nrf's, or S140 restarts it.
         clock: Some(raw::nrf_clock_lf_cfg_t {
@@ -111,23 +118,6 @@ pub fn enable() -> &'static mut Softdevice {
         ..Default::default()
     };
     Softdevice::enable(&config)
-}
-
-/// A random number from S140's pool, 0 if it is still empty.
-pub fn random(softdevice: &Softdevice) -> u32 {
-    let mut bytes = [0; 4];
-    for _ in 0..100_000 {
-        if nrf_softdevice::random_bytes(softdevice, &mut bytes).is_ok() {
-            break;
-        }
-    }
-    u32::from_le_bytes(bytes)
-}
-
-/// Answers the laptop.
-#[embassy_executor::task]
-pub async fn run_control(store: ModelStore<Slots<SoftDeviceFlash>>) {
-    control::run(store).await
 }
 
 /// Whether the USB cable is in.
@@ -308,8 +298,7 @@ async fn serve(connection: &Connection, server: &Server, bonder: &Bonder) {
     outbox.set_open(false);
 }
 
-/// Starts what needs the SoftDevice.
-pub fn spawn(spawner: Spawner, softdevice: &'static mut Softdevice, usbd: Peri<'static, USBD>) {
+fn spawn(spawner: Spawner, softdevice: &'static mut Softdevice, usbd: Peri<'static, USBD>) {
     static SERVER: StaticCell<Server> = StaticCell::new();
     static BONDER: StaticCell<Bonder> = StaticCell::new();
     static VBUS: StaticCell<SoftwareVbusDetect> = StaticCell::new();

@@ -1,0 +1,80 @@
+//! Writing to flash in the radio's pauses: mpsl gives a time slot between its events, in which the controller of the flash is ours.
+//!
+//! A page is erased in pieces of 10 ms. If the radio leaves no room, the slot is asked for once more with a priority that lets an
+//! event of the link be missed; the supervision time is two hundred times as long.
+
+use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
+use embassy_sync::mutex::Mutex;
+use embassy_time::{Duration, Timer};
+use nrf_mpsl::MultiprotocolServiceLayer;
+
+/// The radio gave no time for flash.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct NoSlot;
+
+/// Bytes per erasable page.
+const PAGE_BYTES: u32 = 0x1000;
+
+/// The slots. One user at a time.
+#[derive(Clone, Copy)]
+pub struct SlotFlash;
+
+/// May move between tasks: there is one executor, on one core.
+struct Slots(nrf_mpsl::Flash<'static>);
+
+// SAFETY: as said above, nothing of it ever leaves the one thread.
+unsafe impl Send for Slots {}
+
+static SLOTS: Mutex<CriticalSectionRawMutex, Option<Slots>> = Mutex::new(None);
+
+/// Times that an operation is asked for, and the pause in between.
+const TRIES: usize = 5;
+const PAUSE: Duration = Duration::from_millis(50);
+
+impl SlotFlash {
+    /// Takes the controller of the flash, once.
+    pub fn take(
+        mpsl: &'static MultiprotocolServiceLayer<'static>,
+        nvmc: embassy_nrf::Peri<'static, embassy_nrf::peripherals::NVMC>,
+    ) -> Self {
+        if let Ok(mut slots) = SLOTS.try_lock() {
+            *slots = Some(Slots(nrf_mpsl::Flash::take(mpsl, nvmc)));
+        }
+        Self
+    }
+
+    /// Sets a page to all ones.
+    ///
+    /// # Errors
+    /// If the radio gave no slot for a quarter of a second.
+    pub async fn erase_page(self, address: u32) -> Result<(), NoSlot> {
+        let mut slots = SLOTS.lock().await;
+        let slots = slots.as_mut().ok_or(NoSlot)?;
+        for _ in 0..TRIES {
+            if slots.0.erase(address, address + PAGE_BYTES).await.is_ok() {
+                return Ok(());
+            }
+            Timer::after(PAUSE).await;
+        }
+        Err(NoSlot)
+    }
+
+    /// Writes words to erased flash. The address is a multiple of 4.
+    ///
+    /// # Errors
+    /// As [`SlotFlash::erase_page`].
+    pub async fn write(self, address: u32, words: &[u32]) -> Result<(), NoSlot> {
+        // SAFETY: words are bytes; the length is the same.
+        let bytes = unsafe { core::slice::from_raw_parts(words.as_ptr().cast::<u8>(), words.len() * 4) };
+        let mut slots = SLOTS.lock().await;
+        let slots = slots.as_mut().ok_or(NoSlot)?;
+        for _ in 0..TRIES {
+            // Writing the same words once more changes nothing.
+            if slots.0.write(address, bytes).await.is_ok() {
+                return Ok(());
+            }
+            Timer::after(PAUSE).await;
+        }
+        Err(NoSlot)
+    }
+}

@@ -1,0 +1,290 @@
+//! Advertises, serves one laptop, and advertises again.
+
+use core::cell::Cell;
+use core::future::poll_fn;
+
+use embassy_futures::join::join3;
+use embassy_futures::select::select;
+use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
+use embassy_sync::channel::Channel;
+use embassy_time::{Duration, Timer, with_timeout};
+use shared_board::bonds::Bond;
+use shared_proto::frame::DELIMITER;
+use trouble_host::Error;
+use trouble_host::advertise::{
+    AdStructure, Advertisement, AdvertisementParameters, BR_EDR_NOT_SUPPORTED, LE_GENERAL_DISCOVERABLE,
+};
+use trouble_host::connection::RequestedConnParams;
+use trouble_host::prelude::{
+    AttErrorCode, AttributeHandle, Connection, DefaultPacketPool, FromGatt, GattConnection,
+    GattConnectionEvent, GattEvent, Peripheral, PhyKind, WriteEvent, gatt_server, gatt_service,
+};
+
+use super::bonds::{Bonds, from_keys};
+use super::{Controller, Outbox, Stack};
+use crate::{ADVERTISING, ANSWER, INTERVALS, LATENCY, NAME, PAYLOAD, SERVICE_UUID, STRANGER, SUPERVISION};
+
+/// What a laptop writes at once.
+pub type Payload = heapless::Vec<u8, PAYLOAD>;
+type Link = GattConnection<'static, 'static, DefaultPacketPool>;
+
+/// While a laptop may bond it has this long: its owner must find the question and answer it.
+const WHILE_PAIRING: Duration = Duration::from_secs(30);
+/// Between two advertisements.
+const IDLE: Duration = Duration::from_millis(50);
+/// A piece that has not left after a hop is late.
+const LATE: Duration = Duration::from_millis(80);
+/// Longest packet on the air: bytes, and their time at 1 Mbit/s.
+const LONG_PACKET: (u16, u16) = (PAYLOAD as u16 + 7, 2120);
+
+/// What laptops have written, `None` between one and the next. While it is full, the link waits.
+static WRITTEN: Channel<CriticalSectionRawMutex, Option<Payload>, 2> = Channel::new();
+
+/// The next piece that a trusted laptop has written; `None` where another link begins.
+pub async fn written() -> Option<Payload> {
+    WRITTEN.receive().await
+}
+
+#[gatt_service(uuid = "b1a40001-6d61-4e75-a1b2-5c3d9e7f0a33")]
+struct HandService {
+    #[characteristic(uuid = "b1a40002-6d61-4e75-a1b2-5c3d9e7f0a33", notify, permissions(encrypted))]
+    out: Payload,
+    #[characteristic(
+        uuid = "b1a40003-6d61-4e75-a1b2-5c3d9e7f0a33",
+        write,
+        write_without_response,
+        permissions(encrypted)
+    )]
+    input: Payload,
+}
+
+#[gatt_server]
+pub struct Server {
+    hand: HandService,
+}
+
+/// The descriptor by which a laptop says whether it listens.
+struct Listening(u16);
+
+impl AttributeHandle for Listening {
+    type Value = [u8; 2];
+
+    fn handle(&self) -> u16 {
+        self.0
+    }
+}
+
+/// Serves laptops for ever, one after the other.
+#[embassy_executor::task]
+pub async fn run(
+    stack: &'static Stack,
+    server: &'static Server<'static>,
+    bonds: &'static Bonds,
+    outbox: &'static dyn Outbox,
+) -> ! {
+    let mut peripheral = stack.peripheral();
+    loop {
+        bonds.restore(stack);
+        // The controller takes its list of changing addresses only while nothing goes on.
+        Timer::after(IDLE).await;
+        match advertise(&mut peripheral).await {
+            Some(connection) => match connection.with_attribute_server(&server.server) {
+                Ok(link) => {
+                    WRITTEN.send(None).await;
+                    Visit { link, server, bonds, outbox, trusted: Cell::new(None) }.serve(stack).await;
+                }
+                Err(_) => Timer::after(Duration::from_millis(100)).await,
+            },
+            None => Timer::after(Duration::from_millis(100)).await,
+        }
+    }
+}
+
+async fn advertise(
+    peripheral: &mut Peripheral<'static, Controller, DefaultPacketPool>,
+) -> Option<Connection<'static, DefaultPacketPool>> {
+    let (mut adv_data, mut scan_data) = ([0; 31], [0; 31]);
+    let said = AdStructure::encode_slice(
+        &[
+            AdStructure::Flags(LE_GENERAL_DISCOVERABLE | BR_EDR_NOT_SUPPORTED),
+            AdStructure::CompleteServiceUuids128(&[SERVICE_UUID]),
+        ],
+        &mut adv_data,
+    )
+    .ok()?;
+    let named =
+        AdStructure::encode_slice(&[AdStructure::CompleteLocalName(NAME.as_bytes())], &mut scan_data).ok()?;
+    let interval = Duration::from_micros(ADVERTISING as u64 * 625);
+    let parameters =
+        AdvertisementParameters { interval_min: interval, interval_max: interval, ..Default::default() };
+    let advertisement = Advertisement::ConnectableScannableUndirected {
+        adv_data: &adv_data[..said],
+        scan_data: &scan_data[..named],
+    };
+    peripheral.advertise(&parameters, advertisement).await.ok()?.accept().await.ok()
+}
+
+/// One laptop's link.
+struct Visit {
+    link: Link,
+    server: &'static Server<'static>,
+    bonds: &'static Bonds,
+    outbox: &'static dyn Outbox,
+    /// The laptop, once the link is encrypted with its kept keys.
+    trusted: Cell<Option<Bond>>,
+}
+
+impl Visit {
+    /// Until the link ends.
+    async fn serve(&self, stack: &'static Stack) {
+        select(self.receive(), join3(self.send(), self.watch(), self.negotiate(stack))).await;
+        self.outbox.set_open(false);
+    }
+
+    async fn receive(&self) {
+        loop {
+            match self.link.next().await {
+                GattConnectionEvent::Disconnected { .. } => return,
+                // The laptop pairs anew. That is for the time in which laptops may bond.
+                GattConnectionEvent::BondLost if !self.bonds.may_bond() => self.hang_up(),
+                GattConnectionEvent::PairingComplete { bond: Some(keys), .. } => {
+                    let bond = from_keys(&keys);
+                    self.bonds.keep(bond);
+                    self.trusted.set(Some(bond));
+                }
+                // Keys that nobody keeps are worth nothing here.
+                GattConnectionEvent::PairingComplete { bond: None, .. } => self.hang_up(),
+                GattConnectionEvent::Encrypted { bond: Some(keys), .. } => self.welcome(self.bonds.of(&keys)),
+                GattConnectionEvent::Gatt { event: GattEvent::Write(write) } => {
+                    self.take(write).await;
+                }
+                GattConnectionEvent::Gatt { event } => {
+                    if let Ok(reply) = event.accept() {
+                        reply.send().await;
+                    }
+                }
+                _ => {}
+            }
+        }
+    }
+
+    /// A laptop with kept keys is back, and finds its wish to listen as it left it.
+    fn welcome(&self, bond: Option<Bond>) {
+        self.trusted.set(bond);
+        if let Some(bond) = bond {
+            let value = [u8::from(bond.listens), 0];
+            if let Some(handle) = self.server.hand.out.cccd_handle {
+                let _ = self.link.set(&Listening(handle), &value);
+            }
+            self.outbox.set_open(bond.listens);
+        }
+    }
+
+    async fn take(&self, write: WriteEvent<'static, 'static, DefaultPacketPool>) {
+        let handle = write.handle();
+        let Some(mut bond) = self.trusted.get() else {
+            if let Ok(reply) = write.reject(AttErrorCode::INSUFFICIENT_AUTHORISATION) {
+                reply.send().await;
+            }
+            return;
+        };
+        let bytes = write.with_data(|_, data| Payload::from_slice(data).unwrap_or_default());
+        let answer =
+            if handle == self.server.hand.input.handle { write.accept_unprocessed() } else { write.accept() };
+        if let Ok(reply) = answer {
+            reply.send().await;
+        }
+        if handle == self.server.hand.input.handle {
+            WRITTEN.send(Some(bytes)).await;
+        } else if Some(handle) == self.server.hand.out.cccd_handle
+            && let [low, _] = bytes[..]
+        {
+            let listens = low & 1 != 0;
+            self.outbox.set_open(listens);
+            if bond.listens != listens {
+                bond.listens = listens;
+                self.trusted.set(Some(bond));
+                self.bonds.keep(bond);
+            }
+        }
+    }
+
+    /// Sends frames in pieces.
+    async fn send(&self) {
+        // The beginning of a frame left and its end did not: the next one must not be taken for it.
+        let mut torn = false;
+        loop {
+            let frame = poll_fn(|context| self.outbox.poll_next(context)).await;
+            if self.trusted.get().is_none() || (torn && !self.notify(&[DELIMITER]).await) {
+                continue;
+            }
+            torn = false;
+            let room = usize::from(self.link.raw().att_mtu()).saturating_sub(3).clamp(20, PAYLOAD);
+            for (i, piece) in frame.chunks(room).enumerate() {
+                if !self.notify(piece).await {
+                    torn = i > 0;
+                    break;
+                }
+            }
+        }
+    }
+
+    /// Queues a piece of a frame; false if there is no room for longer than a hop, since the frame is late then.
+    async fn notify(&self, piece: &[u8]) -> bool {
+        let out = &self.server.hand.out;
+        let queued = with_timeout(LATE, async {
+            loop {
+                match out.notify_raw(&self.link, piece, false).await {
+                    Err(Error::OutOfMemory) => Timer::after(Duration::from_millis(5)).await,
+                    other => return other,
+                }
+            }
+        });
+        matches!(queued.await, Ok(Ok(())))
+    }
+
+    /// Lets a laptop bond while it may, and hangs up on one that is not trusted after a while.
+    async fn watch(&self) {
+        let mut waited = Duration::from_secs(0);
+        loop {
+            let may_bond = self.bonds.may_bond();
+            let _ = self.link.raw().set_bondable(may_bond);
+            let patience = if may_bond { WHILE_PAIRING } else { STRANGER };
+            if self.trusted.get().is_some() {
+                waited = Duration::from_secs(0);
+            } else if waited >= patience {
+                self.hang_up();
+            }
+            Timer::after(Duration::from_secs(1)).await;
+            waited += Duration::from_secs(1);
+        }
+    }
+
+    /// Asks for long packets and the faster radio, and then for an interval until the laptop grants one, or leaves it at what it
+    /// wants.
+    async fn negotiate(&self, stack: &'static Stack) {
+        let raw = self.link.raw();
+        let _ = with_timeout(ANSWER, raw.update_data_length(stack, LONG_PACKET.0, LONG_PACKET.1)).await;
+        let _ = with_timeout(ANSWER, raw.set_phy(stack, PhyKind::Le2M)).await;
+        for (min, max) in INTERVALS {
+            let units = |n: u16| Duration::from_micros(u64::from(n) * 1250);
+            let wanted = RequestedConnParams {
+                min_connection_interval: units(min),
+                max_connection_interval: units(max),
+                max_latency: LATENCY,
+                min_event_length: Duration::from_ticks(0),
+                max_event_length: Duration::from_ticks(0),
+                supervision_timeout: Duration::from_millis(u64::from(SUPERVISION) * 10),
+            };
+            let _ = with_timeout(ANSWER, raw.update_connection_params(stack, &wanted)).await;
+            Timer::after(ANSWER).await;
+            if raw.params().conn_interval <= units(max) {
+                break;
+            }
+        }
+    }
+
+    fn hang_up(&self) {
+        self.link.raw().disconnect();
+    }
+}

@@ -1,0 +1,98 @@
+//! Bluetooth linked into the image: what ties `nano33_radio::trouble` to the rest.
+
+use core::task::{Context, Poll};
+
+use embassy_executor::Spawner;
+use embassy_nrf::Peri;
+use embassy_nrf::peripherals::USBD;
+use embassy_nrf::usb::vbus_detect::SoftwareVbusDetect;
+use nano33_radio::trouble::{self, Parts, SlotFlash};
+use shared_board::bonds::BondLog;
+
+pub use nano33_radio::trouble::cable;
+
+use crate::link::{Frame, Inlet, Outbox, WayOut};
+use crate::storage::{BONDS_BYTES, BONDS_START, Flash, FlashFailed, Region};
+
+type Log = BondLog<Region<RadioFlash, BONDS_START, BONDS_BYTES>>;
+
+/// Writing to flash beside the radio.
+#[derive(Clone, Copy)]
+pub struct RadioFlash(SlotFlash);
+
+impl Flash for RadioFlash {
+    async fn erase_page(&mut self, address: u32) -> Result<(), FlashFailed> {
+        self.0.erase_page(address).await.map_err(|_| FlashFailed)
+    }
+
+    async fn write(&mut self, address: u32, words: &[u32]) -> Result<(), FlashFailed> {
+        self.0.write(address, words).await.map_err(|_| FlashFailed)
+    }
+}
+
+impl trouble::Outbox for Outbox {
+    fn set_open(&self, open: bool) {
+        Outbox::set_open(self, open);
+    }
+
+    fn poll_next(&self, context: &mut Context<'_>) -> Poll<Frame> {
+        Outbox::poll_next(self, context)
+    }
+}
+
+/// The running radio.
+pub struct Radio(trouble::Radio);
+
+impl Radio {
+    /// Starts clocks and time slots.
+    pub fn start(parts: Parts) -> Self {
+        Self(trouble::Radio::start(parts))
+    }
+
+    /// A random number.
+    pub fn random(&mut self) -> u32 {
+        self.0.random()
+    }
+
+    /// Writing to flash beside it.
+    pub fn flash(&mut self) -> RadioFlash {
+        RadioFlash(self.0.flash())
+    }
+
+    /// Starts everything else.
+    pub fn spawn(mut self, spawner: Spawner, usbd: Peri<'static, USBD>) {
+        let log = Log::open(Region(self.flash()));
+        let vbus = self.0.spawn(spawner, log.laptops(), WayOut::Ble.outbox());
+        spawner.spawn(save(log).expect("spawned once"));
+        spawner.spawn(receive().expect("spawned once"));
+        spawner.spawn(run_usb(usbd, vbus).expect("spawned once"));
+    }
+}
+
+/// Writes bonds to flash.
+#[embassy_executor::task]
+async fn save(mut log: Log) -> ! {
+    loop {
+        if log.keep(trouble::bonded().await).await.is_err() {
+            defmt::warn!("the bond was not saved; pair again after a restart");
+        }
+    }
+}
+
+/// Hands on what a trusted laptop writes.
+#[embassy_executor::task]
+async fn receive() -> ! {
+    let mut inlet = Inlet::new(WayOut::Ble);
+    loop {
+        match trouble::written().await {
+            Some(bytes) => inlet.take(&bytes, true).await,
+            // Another link: half a frame of the last one is not its beginning.
+            None => inlet = Inlet::new(WayOut::Ble),
+        }
+    }
+}
+
+#[embassy_executor::task]
+async fn run_usb(usbd: Peri<'static, USBD>, vbus: &'static SoftwareVbusDetect) {
+    crate::usb::run(usbd, vbus).await
+}
