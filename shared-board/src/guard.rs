@@ -43,7 +43,9 @@ impl Guard {
         }
         let [l0, l1, c0, c1, ref content @ ..] = *fragment else { return false };
         let length = usize::from(u16::from_le_bytes([l0, l1]));
-        let Some(left) = length.checked_sub(content.len()).filter(|_| length <= LONGEST) else { return false };
+        let Some(left) = length.checked_sub(content.len()).filter(|_| length <= LONGEST) else {
+            return false;
+        };
         let is_sound = match u16::from_le_bytes([c0, c1]) {
             ATT => content.first().is_some_and(|&opcode| is_att(opcode, length)),
             SIGNALLING => is_signal(content, length),

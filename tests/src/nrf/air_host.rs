@@ -70,7 +70,8 @@ impl AirHost {
     /// If a step fails.
     pub fn join(&mut self, board: &mut Board, interval: f64) {
         Self::get(board, json!({"do": "connect", "interval": interval}));
-        let has_keys = Self::get(board, json!({"do": "bonds"})).as_array().is_some_and(|bonds| !bonds.is_empty());
+        let has_keys =
+            Self::get(board, json!({"do": "bonds"})).as_array().is_some_and(|bonds| !bonds.is_empty());
         Self::get(board, json!({"do": if has_keys { "encrypt" } else { "pair" }}));
         self.settle_in(board);
     }

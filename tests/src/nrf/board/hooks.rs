@@ -36,7 +36,9 @@ impl Board {
             let world = uc.get_data_mut();
             let soc = &mut world.soc;
             let count = match world.blocks.get_mut(address as usize / 2) {
-                Some(&mut ANSWERED) if world.passes.take() == Some(address) => decode(&soc.flash, address, size),
+                Some(&mut ANSWERED) if world.passes.take() == Some(address) => {
+                    decode(&soc.flash, address, size)
+                }
                 Some(&mut ANSWERED) => {
                     world.stop = Some(Stop::Function(address));
                     let _ = uc.emu_stop();

@@ -53,7 +53,9 @@ impl Air {
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .spawn()
-            .unwrap_or_else(|e| panic!("{}: {e}; `cargo xtask test --only packages` makes it", python.display()));
+            .unwrap_or_else(|e| {
+                panic!("{}: {e}; `cargo xtask test --only packages` makes it", python.display())
+            });
         let to = child.stdin.take().expect("asked for");
         let from = BufReader::new(child.stdout.take().expect("asked for"));
         Arc::new(Mutex::new(Self {
@@ -69,7 +71,9 @@ impl Air {
 
     fn read<const N: usize>(&mut self) -> [u8; N] {
         let mut bytes = [0; N];
-        self.from.read_exact(&mut bytes).expect("bumble's process answers; its own words are on the terminal");
+        self.from
+            .read_exact(&mut bytes)
+            .expect("bumble's process answers; its own words are on the terminal");
         bytes
     }
 

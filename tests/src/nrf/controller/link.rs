@@ -100,7 +100,8 @@ impl Link {
         let mut left = self.interval.min(LONGEST_EVENT) - RAMPS;
         let (mut up, mut down) = (Vec::new(), Vec::new());
         while !self.up.is_empty() || !self.down.is_empty() {
-            let bytes = |queue: &VecDeque<Vec<u8>>| queue.front().map_or(0, |packet| packet.len().saturating_sub(5));
+            let bytes =
+                |queue: &VecDeque<Vec<u8>>| queue.front().map_or(0, |packet| packet.len().saturating_sub(5));
             let cost = self.air(bytes(&self.up)) + self.air(bytes(&self.down));
             let Some(rest) = left.checked_sub(cost) else { break };
             left = rest;
