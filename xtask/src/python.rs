@@ -47,11 +47,11 @@ pub fn has_arms() -> bool {
     works(&target_dir().join(ARMS).join("bin/python"))
 }
 
-fn made(name: &str, requirements: &[&str]) -> Result<PathBuf> {
+fn made(name: &str, requirements: &[&'static str]) -> Result<PathBuf> {
     let place = target_dir().join(name);
     let python = place.join("bin/python");
     let mut wanted = String::new();
-    for file in requirements {
+    for &file in requirements {
         wanted += &fs::read_to_string(root().join(file)).context(file)?;
     }
     let stamp = place.join("requirements.installed");
@@ -73,7 +73,7 @@ fn made(name: &str, requirements: &[&str]) -> Result<PathBuf> {
         "--disable-pip-version-check",
         "--no-compile",
     ]);
-    for file in requirements {
+    for &file in requirements {
         pip.args(["-r", file]);
     }
     sh(&mut pip)?;
