@@ -78,7 +78,7 @@ fn is_att(opcode: u8, length: usize) -> bool {
         0x16 => length >= 5,
         0x18 => length == 2,
         0x1E => length == 1,
-        _ => opcode % 2 == 0,
+        _ => opcode.is_multiple_of(2),
     }
 }
 
